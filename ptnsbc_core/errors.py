@@ -1,0 +1,23 @@
+"""Every error that this project raises on purpose: one base, messages with value, expectation and way out."""
+
+from __future__ import annotations
+
+
+class PtnsbcError(Exception):
+    """Base of all errors a user can cause; its text is shown without a traceback."""
+
+
+class GainError(PtnsbcError):
+    """A gain, deadline, step or limit outside the range in which the laws hold."""
+
+
+class TopologyError(PtnsbcError):
+    """A communication graph that cannot carry the formation."""
+
+
+class FormationError(PtnsbcError):
+    """A desired formation that a task cannot hold (singular, too close, degenerate)."""
+
+
+class AttitudeError(PtnsbcError):
+    """An attitude at which Euler kinematics are singular."""

@@ -1,0 +1,188 @@
+"""What goes into and comes out of one control step of one UAV.
+
+An *odometry vector* (13,) float64 is the content of a nav_msgs/Odometry: position x y z [m, ENU] |
+quaternion x y z w (body FLU to world ENU) | linear velocity [m/s] | angular velocity [rad/s]. Velocities are
+in the body frame (REP-105 child frame), except in a leader estimate, where they are in the world frame.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+ODOMETRY_SIZE = 13
+NEAR_COLUMNS = 7
+
+# Gain profiles (equations.md section 2): G(t) = Xi(t) + kappa c(t)
+PROFILE_PAPER, PROFILE_SOFT, PROFILE_REFERENCE = 0, 1, 2
+PROFILES = {"paper": PROFILE_PAPER, "soft": PROFILE_SOFT, "reference": PROFILE_REFERENCE}
+
+TASK_DISTANCE_ANGLES, TASK_PARENT_ANGLE, TASK_RELATIVE_POSITION = 0, 1, 2
+TASKS = {
+    "distance_angles": TASK_DISTANCE_ANGLES,
+    "parent_angle": TASK_PARENT_ANGLE,
+    "relative_position": TASK_RELATIVE_POSITION,
+}
+
+AVOIDANCE_OFF, AVOIDANCE_SET_BASED, AVOIDANCE_SWITCHED = 0, 1, 2
+AVOIDANCE = {
+    "off": AVOIDANCE_OFF,
+    "set_based": AVOIDANCE_SET_BASED,
+    "switched": AVOIDANCE_SWITCHED,
+}
+
+PLANT_RIGID_BODY, PLANT_QUADROTOR = 0, 1
+PLANTS = {"rigid_body_6dof": PLANT_RIGID_BODY, "quadrotor": PLANT_QUADROTOR}
+
+MODE_FORMATION, MODE_HOLD, MODE_LAND = 0, 1, 2
+LEGS = {"form": MODE_FORMATION, "hold": MODE_HOLD, "land": MODE_LAND}
+
+TRAJECTORY_CIRCLE, TRAJECTORY_LINE = 0, 1
+
+NEVER_HEARD_S = 1e9
+"""Age given to a neighbour of which nothing has been received yet [s]."""
+
+
+class LoopGain(NamedTuple):
+    """G(t) = Xi(t; tf, q) + kappa c(t), applied as scale * G (Lambda of the paper)."""
+
+    duration_s: float  # tf [s]
+    residual: float  # q, 0 < q < 1
+    scale: float  # Lambda
+    kappa: float  # [1/s]
+    profile: int  # PROFILE_*
+
+
+class EstimatorConfig(NamedTuple):
+    """Leader estimator (44)-(48) as corrected in equations.md section 5."""
+
+    duration_s: float  # tf2 [s]
+    residual: float  # q2
+    lambda_min: float  # smallest eigenvalue of H; the gain is Xi / lambda_min
+    k1: float  # [1/s]
+    k2: float  # [unit/s], bound on the leader's rate of change
+    boundary: float  # width of the saturation, [unit of the estimated quantity]
+    pinned: bool  # hears the leader itself
+    feed_forward: bool  # add the estimated leader velocity
+
+
+class ClearanceConfig(NamedTuple):
+    """Obstacle and collision avoidance (33)-(38), equations.md section 4."""
+
+    rule: int  # AVOIDANCE_*
+    margin_m: float  # added to the keep-out radius of every near object
+    gain: LoopGain  # alpha; the time base counts from the start of an encounter
+    circulation: float  # tangential speed per blocked speed, 1
+    ramp_s: float  # rise time of the circulation
+    timeout_s: float  # an encounter longer than this tries the other side
+    forget_s: float  # an encounter quiet for longer than this has ended
+
+
+class FilterConfig(NamedTuple):
+    """Command filter, equations.md section 6."""
+
+    bandwidth: float  # [1/s]
+    max_speed: float  # [m/s]
+    max_acceleration: float  # [m/s^2]
+    max_rate: float  # [rad/s]
+    max_rate_acceleration: float  # [rad/s^2]
+
+
+class ControllerConfig(NamedTuple):
+    """Sliding-mode controller (49)-(52) as corrected in equations.md section 7."""
+
+    plant: int  # PLANT_*
+    gravity: float  # [m/s^2]
+    nominal: Array  # (4,) m [kg], Ixx, Iyy, Izz [kg m^2]: Psi at the start, and Omega_0
+    force: LoopGain  # velocity loop
+    torque: LoopGain  # body-rate loop
+    boundary: Array  # (2,) width of the saturation of the velocity [m/s] and of the rate error [rad/s]
+    adaptation: Array  # (2,) 1/Gamma for mass and for inertia
+    mass_range: float  # |m_hat - m| <= mass_range * m (the same for inertia)
+    bound_rate: float  # 1/Upsilon
+    bound_leak: float  # [1/s]
+    bound_dead_zone: Array  # (2,) |error|_1 below which the bound does not grow [m/s], [rad/s]
+    bound_cap: Array  # (2,) [m/s^2], [rad/s^2]
+    attitude_gain: Array  # (2,) tilt and yaw, quadrotor only [1/s]
+    max_tilt: float  # [rad], quadrotor only
+    max_thrust: float  # [N]
+    max_torque: Array  # (3,) [N m]
+
+
+class AgentConfig(NamedTuple):
+    """Everything constant that one UAV needs."""
+
+    leader: bool
+    task: int  # TASK_*
+    desired: Array  # (3,) desired task value sigma_d
+    anchor: Array  # (3,) [m], ENU: reference k = leader position + anchor (zero: the leader itself)
+    row_scale: Array  # (3,) scaling of the task rows, so that every row is in metres
+    formation: LoopGain  # also the leader's tracking loop
+    attitude: LoopGain  # 6-DOF plant: Euler angles to their desired values
+    damping_threshold: float  # singular value [1] below which the pseudo-inverse is damped
+    damping_max: float  # largest damping factor
+    estimator: EstimatorConfig
+    clearance: ClearanceConfig
+    filter: FilterConfig
+    controller: ControllerConfig
+    trajectory: Array  # (12,) kind and its parameters, see trajectory.py
+    stale_s: float  # parent or leader silent for longer: hold
+    hold_gain: float  # [1/s]
+    land_speed: float  # [m/s]
+
+
+class AgentInputs(NamedTuple):
+    """What one UAV knows at this tick. Ages are seconds since the message's stamp; NEVER_HEARD_S when none."""
+
+    own: Array  # (13,) odometry vector
+    parent: Array  # (13,) odometry vector of the parent
+    parent_age_s: float
+    leader: Array  # (13,) odometry vector of the leader, for pinned followers
+    leader_age_s: float
+    estimates: Array  # (K, 13) leader estimates of the neighbours in the estimator graph, world frame
+    estimate_age_s: Array  # (K,)
+    near: Array  # (M, 7) x y z [m, ENU] keep-out radius [m] vx vy vz [m/s, ENU]
+    near_age_s: float
+    mode: int  # MODE_*
+    start_age_s: float  # time since the first epoch: c(t) of the soft profile counts from it
+
+
+class AgentState(NamedTuple):
+    """What one UAV carries from tick to tick."""
+
+    estimate: Array  # (7,) leader position [m], velocity [m/s], yaw [rad], world ENU
+    heard: bool  # the estimate has been initialised from a message
+    command: Array  # (6,) filtered velocity [m/s, ENU] and body rate [rad/s, FLU]
+    parameters: Array  # (4,) Psi_hat: m [kg], Ixx, Iyy, Izz [kg m^2]
+    bound: Array  # (2,) delta_hat of force [m/s^2] and torque [rad/s^2]
+    encounters: Array  # (8, 7) x y z side active_s quiet_s used
+    start_error: Array  # (6,) task error and attitude error at the epoch (profile `reference`)
+    hold: Array  # (4,) position [m, ENU] and yaw [rad] where holding began
+    mode: int  # MODE_* of the previous tick; -1 before the first
+    last_t: float  # t of the previous tick, to notice a new epoch [s]
+
+
+class AgentDiagnostics(NamedTuple):
+    """Why the UAV does what it does, one tick."""
+
+    error: Array  # (3,) task error sigma_d - sigma (leader: position error [m])
+    gain: float  # G(t) of the formation loop [1/s]
+    singular_value: float  # smallest singular value of the scaled task Jacobian
+    active_rows: int  # clearance rows that changed the velocity
+    saturated: bool  # command filter or actuator limit reached
+    holding: bool  # holding because of a stale neighbour or a hold leg
+    priority_violation: float  # [m/s] change of a higher task's velocity by a lower one
+    velocity_error: float  # [m/s] |V - V_r|, linear part
+
+
+class AgentOutputs(NamedTuple):
+    """What one UAV sends at this tick."""
+
+    velocity: Array  # (4,) velocity setpoint [m/s, ENU] and yaw rate [rad/s]
+    wrench: Array  # (6,) force [N] and torque [N m], body FLU (quadrotor: force = (0, 0, thrust))
+    leader_estimate: Array  # (13,) odometry vector, velocities in the world frame
+    diagnostics: AgentDiagnostics
