@@ -1,0 +1,43 @@
+# One command for everything. `make` alone lists them.
+SHELL := /bin/bash
+.DEFAULT_GOAL := help
+.PHONY: help setup test demo bench lint format colcon clean
+
+BIN  := .venv/bin
+# Workers of the test run; `make test JOBS=1` runs in one process.
+JOBS ?= $(shell n=$$(nproc 2>/dev/null || echo 1); echo $$((n > 8 ? 8 : n)))
+# More for the command behind a target: make test ARGS="-k frames", make demo ARGS="--help"
+ARGS ?=
+# The interpreter for .venv: make setup PYTHON=python3.12
+export PYTHON ?=
+
+help:  ## List the targets
+	@awk -F':.*## ' '/^[a-z]+:.*## /{printf "  make %-8s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+
+setup:  ## Make .venv from a lock; quick when nothing has changed
+	@requirements/setup.sh
+
+# Jazzy leaves field type checks off: Point().x = 1 would be sent as 5e-324.
+test: export ROS_PYTHON_CHECK_FIELDS := 1
+test: export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
+test: setup  ## Run the tests and say why any are skipped
+	@time $(BIN)/python -m pytest -rs -q $(if $(filter-out 1,$(JOBS)),-n $(JOBS)) $(ARGS)
+
+demo: setup  ## Fly a formation, record it, verify it
+	@time $(BIN)/ptnsbc demo $(ARGS)
+
+bench: setup  ## Measure the figures that the README quotes
+	@time $(BIN)/python -m bench $(ARGS)
+
+lint: setup  ## ruff (style, layering), formatting, mypy
+	@time { $(BIN)/ruff check . && $(BIN)/ruff format --check . && $(BIN)/mypy; }
+
+format: setup  ## Let ruff format the code and fix what it can
+	@$(BIN)/ruff format . && $(BIN)/ruff check --fix .
+
+colcon: setup  ## Build the ROS workspace and check what colcon sees
+	@time ros2_ws/check.sh
+
+clean:  ## Remove .venv and everything built
+	rm -rf .venv .venv.lock build *.egg-info out ros2_ws/{build,install,log} .mypy_cache .pytest_cache .ruff_cache
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

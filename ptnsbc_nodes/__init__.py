@@ -1,0 +1,1 @@
+"""The ROS 2 shells: wire format, bags, recorder, UAV node, bridge."""

@@ -1,0 +1,1 @@
+"""Plants, sensors, baselines and the headless swarm."""

@@ -1,0 +1,1 @@
+"""The command line, pre-flight check, verification, reports and sweeps."""
