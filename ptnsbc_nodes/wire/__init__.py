@@ -1,0 +1,40 @@
+"""Messages to bytes and back without rclpy: what `raw=True` publishers and subscriptions carry."""
+
+from ptnsbc_nodes.wire.cdr import Stamped, WireError
+from ptnsbc_nodes.wire.odometry import ODOMETRY_SIZE, OdometryTemplate, decode_odometry
+from ptnsbc_nodes.wire.pointcloud import NEAR_FIELDS, decode_near, encode_near
+from ptnsbc_nodes.wire.stamped import (
+    ClockTemplate,
+    HeaderFields,
+    HeaderTemplate,
+    VelocityTemplate,
+    WrenchTemplate,
+    decode_clock,
+    decode_header,
+    decode_velocity,
+    decode_wrench,
+    peek_sequence_stamp,
+    peek_stamp,
+)
+
+__all__ = [
+    "WireError",
+    "Stamped",
+    "HeaderFields",
+    "ODOMETRY_SIZE",
+    "NEAR_FIELDS",
+    "OdometryTemplate",
+    "decode_odometry",
+    "VelocityTemplate",
+    "decode_velocity",
+    "WrenchTemplate",
+    "decode_wrench",
+    "HeaderTemplate",
+    "decode_header",
+    "ClockTemplate",
+    "decode_clock",
+    "encode_near",
+    "decode_near",
+    "peek_stamp",
+    "peek_sequence_stamp",
+]

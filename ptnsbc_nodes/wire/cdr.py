@@ -1,0 +1,125 @@
+"""Common Data Representation, the bytes ROS 2 puts on the wire (XCDR1, plain CDR).
+
+A message is a 4-byte encapsulation header (representation id, options) and the fields, each
+aligned to its own size *counted from after that header*. We write little-endian and fill alignment
+gaps with zeros; rclpy leaves whatever was in memory there, so only our bytes are the same on every
+run.
+"""
+
+from __future__ import annotations
+
+import struct
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ptnsbc_core.errors import PtnsbcError
+
+Floats = NDArray[np.float64]
+
+LITTLE_ENDIAN_HEADER = b"\x00\x01\x00\x00"
+NANOSECONDS = 1_000_000_000
+
+_BODY = 4  # the encapsulation header; alignment starts after it
+_BYTE_ORDERS = {b"\x00\x01": "<", b"\x00\x00": ">"}
+_STRING_LENGTH = {"<": struct.Struct("<I"), ">": struct.Struct(">I")}
+_TIME = {"<": struct.Struct("<iI"), ">": struct.Struct(">iI")}
+
+
+class WireError(PtnsbcError):
+    """A buffer that is not the message it should be, or a value that the wire cannot carry."""
+
+
+class Stamped(NamedTuple):
+    """A decoded message: its header stamp and its numbers."""
+
+    stamp_ns: int  # [ns] since the epoch of the sender's clock
+    values: Floats  # shape, units and frame: see the decoder
+
+
+def byte_order(buf: bytes, what: str) -> str:
+    """`<` or `>` (as struct writes it) from the encapsulation header of `buf`."""
+    order = _BYTE_ORDERS.get(buf[:2])
+    if order is None:
+        found = bytes(buf[:2]).hex() or "nothing"
+        raise WireError(f"{what}: encapsulation {found}: expected 0001 or 0000 (plain CDR, XCDR1)")
+    return order
+
+
+def align(offset: int, size: int) -> int:
+    """The next offset into the buffer at which a field of `size` bytes may start."""
+    return ((offset - _BODY + size - 1) & -size) + _BODY
+
+
+def require(buf: bytes, size: int, what: str) -> None:
+    """Raise WireError when `buf` holds fewer than `size` bytes."""
+    if len(buf) < size:
+        raise WireError(f"{what}: {len(buf)} bytes: expected at least {size}, the message is cut")
+
+
+def split_stamp(stamp_ns: int) -> tuple[int, int]:
+    """Seconds and nanoseconds of builtin_interfaces/Time; its seconds are 32 bits wide."""
+    seconds, nanoseconds = divmod(stamp_ns, NANOSECONDS)
+    if not -(2**31) <= seconds < 2**31:
+        raise WireError(f"stamp {stamp_ns} ns: expected seconds within 32 bits")
+    return seconds, nanoseconds
+
+
+def read_stamp(buf: bytes, order: str, offset: int, what: str) -> int:
+    """The builtin_interfaces/Time at `offset` [ns]."""
+    require(buf, offset + 8, what)
+    seconds, nanoseconds = _TIME[order].unpack_from(buf, offset)
+    return int(seconds * NANOSECONDS + nanoseconds)
+
+
+def write_stamp(buffer: bytearray, stamp_ns: int, offset: int = _BODY) -> None:
+    """Patch the builtin_interfaces/Time at `offset` of a little-endian message."""
+    _TIME["<"].pack_into(buffer, offset, *split_stamp(stamp_ns))
+
+
+def skip_string(buf: bytes, order: str, offset: int, what: str) -> int:
+    """The offset after the string whose length field is at the aligned `offset`."""
+    start = offset + 4
+    require(buf, start, what)
+    end = start + int(_STRING_LENGTH[order].unpack_from(buf, offset)[0])
+    require(buf, end, what)
+    return end
+
+
+def string_at(buf: bytes, order: str, offset: int, what: str) -> str:
+    """The string whose length field is at the aligned `offset`."""
+    end = skip_string(buf, order, offset, what)
+    try:
+        return bytes(buf[offset + 4 : end]).rstrip(b"\0").decode()
+    except UnicodeDecodeError:
+        raise WireError(f"{what}: string at byte {offset}: expected UTF-8") from None
+
+
+def encode_string(text: str) -> bytes:
+    """Length, UTF-8 bytes and the closing NUL, to be placed at an offset aligned to 4."""
+    raw = text.encode()
+    if b"\0" in raw:
+        raise WireError(f"string {text!r}: expected no NUL inside")
+    return struct.pack("<I", len(raw) + 1) + raw + b"\0"
+
+
+def header_bytes(frame_id: str) -> bytearray:
+    """The start of every stamped message: encapsulation and std_msgs/Header with a zero stamp."""
+    return bytearray(LITTLE_ENDIAN_HEADER + bytes(8) + encode_string(frame_id))
+
+
+def pad(buffer: bytearray, size: int) -> None:
+    """Fill `buffer` with zeros up to the alignment of a field of `size` bytes."""
+    buffer.extend(bytes(align(len(buffer), size) - len(buffer)))
+
+
+def float_bytes(values: Floats, count: int, what: str) -> bytes:
+    """`values` as little-endian float64; WireError unless there are exactly `count`."""
+    try:
+        raw = np.ascontiguousarray(values, "<f8").tobytes()
+    except (TypeError, ValueError) as error:
+        raise WireError(f"{what}: expected {count} numbers ({error})") from None
+    if len(raw) != 8 * count:
+        raise WireError(f"{what}: shape {np.shape(values)}: expected ({count},)")
+    return raw
