@@ -1,0 +1,86 @@
+"""Time-base generator (12)-(15), (31), (32), (45), (52) as implemented in equations.md section 2.
+
+h rises from 0 to 1 on [0, tf] with three vanishing derivatives at both ends; Xi = h_dot / (1 - h + q) drives
+x_dot = -Xi x to the residual q / (1 + q) of its start at tf, whatever the start is.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ptnsbc_core.errors import GainError
+from ptnsbc_core.kernel import kernel
+from ptnsbc_core.types import PROFILE_REFERENCE, PROFILE_SOFT, Array, LoopGain
+
+
+@kernel
+def h(s: float) -> float:
+    """Time base (32) with the sign that converges; s = t / tf [1], clamped to [0, 1]."""
+    s = min(max(s, 0.0), 1.0)
+    return ((((-20.0 * s + 70.0) * s - 84.0) * s + 35.0) * s) * s * s * s
+
+
+@kernel
+def h_rate(s: float, duration_s: float) -> float:
+    """dh/dt = 140 s^3 (1 - s)^3 / tf [1/s]."""
+    s = min(max(s, 0.0), 1.0)
+    r = s * (1.0 - s)
+    return 140.0 * r * r * r / duration_s
+
+
+@kernel
+def step_gain(t: float, dt: float, duration_s: float, residual: float) -> float:
+    """Exact gain of the step from t to t + dt [1/s]: an Euler step with it meets (15) at every dt."""
+    now = h(t / duration_s)
+    return (h((t + dt) / duration_s) - now) / (dt * (1.0 - now + residual))
+
+
+@kernel
+def loop_gain(gain: LoopGain, t: float, start_t: float, dt: float) -> float:
+    """G(t) = Lambda (Xi(t) + kappa c(t)) [1/s]; c of `soft` counts from the first epoch, so a re-arm stays firm."""
+    c = 1.0
+    if gain.profile == PROFILE_SOFT:
+        c = h(start_t / gain.duration_s)
+    return gain.scale * (step_gain(t, dt, gain.duration_s, gain.residual) + gain.kappa * c)
+
+
+@kernel
+def loop_rate(
+    gain: LoopGain, error: Array, start_error: Array, t: float, start_t: float, dt: float
+) -> Array:
+    """Task rate [unit/s] that a loop asks for an error (m,): G e, or the profile `reference` around e(t0)(1 - h).
+
+    `reference` follows the error's own prescribed decay, so noise meets kappa only, never Xi.
+    """
+    if gain.profile == PROFILE_REFERENCE:
+        s = t / gain.duration_s
+        decay = h((t + dt) / gain.duration_s) - h(s)
+        rate = np.empty(error.shape[0])
+        for i in range(error.shape[0]):
+            planned = start_error[i] * (1.0 - h(s))
+            rate[i] = start_error[i] * decay / dt + gain.scale * gain.kappa * (error[i] - planned)
+        return rate
+    return loop_gain(gain, t, start_t, dt) * error
+
+
+def peak_gain(duration_s: float, residual: float) -> float:
+    """Largest Xi(t) [1/s] over [0, tf], by sampling (the closed form has no root in radicals).
+
+    Raises:
+        GainError: duration or residual out of range.
+    """
+    if not (duration_s > 0.0 and math.isfinite(duration_s)):
+        raise GainError(f"tf={duration_s}: expected a deadline above 0 s")
+    if not 0.0 < residual < 1.0:
+        raise GainError(f"q={residual}: expected 0 < q < 1 (time-base residual)")
+    s = np.linspace(0.0, 1.0, 20001)
+    base = s**4 * (35.0 - 84.0 * s + 70.0 * s**2 - 20.0 * s**3)
+    rate = 140.0 * (s * (1.0 - s)) ** 3 / duration_s
+    return float(np.max(rate / (1.0 - base + residual)))
+
+
+def feasible_deadline(error_m: float, max_speed: float, max_acceleration: float) -> float:
+    """Shortest tf [s] for a start error [m] under limits [m/s], [m/s^2] (equations.md section 2)."""
+    return max(2.1875 * error_m / max_speed, math.sqrt(7.513 * error_m / max_acceleration))
