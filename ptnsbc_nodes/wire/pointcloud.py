@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ptnsbc_nodes.wire.cdr import (
+    LITTLE_ENDIAN_HEADER,
     Floats,
     Stamped,
     WireError,
@@ -59,20 +60,28 @@ class _Layout(NamedTuple):
     point_step: int  # [bytes]
 
 
+def _own_table() -> bytes:
+    """Our field table, from the number of fields to point_step; it starts aligned to 4."""
+    table = bytearray(LITTLE_ENDIAN_HEADER + struct.pack("<I", len(NEAR_FIELDS)))
+    for i, name in enumerate(NEAR_FIELDS):
+        pad(table, 4)
+        table += encode_string(name)
+        pad(table, 4)
+        table += struct.pack("<IBxxxI", 4 * i, 7, 1)
+    table += b"\0"  # is_bigendian
+    pad(table, 4)
+    return bytes(table[len(LITTLE_ENDIAN_HEADER) :]) + struct.pack("<I", _STEP)
+
+
+_OWN_TABLE = _own_table()
+
+
 @lru_cache(maxsize=64)
 def _prefix(frame_id: str) -> _Prefix:
     buffer = header_bytes(frame_id)
     pad(buffer, 4)
     width_at = len(buffer) + 4
-    buffer += struct.pack("<III", 1, 0, len(NEAR_FIELDS))
-    for i, name in enumerate(NEAR_FIELDS):
-        pad(buffer, 4)
-        buffer += encode_string(name)
-        pad(buffer, 4)
-        buffer += struct.pack("<IBxxxI", 4 * i, 7, 1)
-    buffer += b"\0"  # is_bigendian
-    pad(buffer, 4)
-    buffer += struct.pack("<I", _STEP)
+    buffer += struct.pack("<II", 1, 0) + _OWN_TABLE
     return _Prefix(bytes(buffer), width_at)
 
 
@@ -102,6 +111,25 @@ def decode_near(buf: bytes) -> Stamped:
     order = byte_order(buf, _WHAT)
     stamp_ns = read_stamp(buf, order, 4, _WHAT)
     shape_at = align(skip_string(buf, order, 12, _WHAT), 4)
+    if order == "<" and buf.startswith(_OWN_TABLE, shape_at + 8):
+        return Stamped(stamp_ns, _own_rows(buf, shape_at))
+    return Stamped(stamp_ns, _foreign_rows(buf, order, shape_at))
+
+
+def _own_rows(buf: bytes, shape_at: int) -> Floats:
+    """The rows of a message with our field table: a tenth of the cost of looking fields up."""
+    height, width = _integers(buf, "<", shape_at, 2)
+    layout_at = shape_at + 8 + len(_OWN_TABLE)
+    row_step, size = _integers(buf, "<", layout_at, 2)
+    if height != 1:
+        return _foreign_rows(buf, "<", shape_at)
+    require(buf, layout_at + 8 + size + 1, _WHAT)
+    _check_size(height, width, _STEP, row_step, size)
+    numbers = np.frombuffer(buf, "<f4", width * len(NEAR_FIELDS), layout_at + 8)
+    return _usable(numbers.reshape(width, len(NEAR_FIELDS)).astype(np.float64))
+
+
+def _foreign_rows(buf: bytes, order: str, shape_at: int) -> Floats:
     height, width, count = _integers(buf, order, shape_at, 3)
     fields, end = _read_fields(buf, order, shape_at + 12, count)
     require(buf, end + 1, _WHAT)
@@ -114,7 +142,7 @@ def decode_near(buf: bytes) -> Stamped:
     points = np.ndarray(
         (height, width), _point_type(layout), buf, data_at, (row_step, layout.point_step)
     )
-    return Stamped(stamp_ns, _usable(points.reshape(-1)))
+    return _usable(_near_columns(points.reshape(-1)))
 
 
 def _integers(buf: bytes, order: str, offset: int, count: int) -> tuple[int, ...]:
@@ -178,11 +206,16 @@ def _check_field(field: _Field, point_step: int) -> None:
         raise WireError(f"{where}: offset {field.offset}: expected inside point_step={point_step}")
 
 
-def _usable(points: NDArray[np.void]) -> Floats:
+def _near_columns(points: NDArray[np.void]) -> Floats:
     rows = np.zeros((len(points), len(NEAR_FIELDS)))
     for i, name in enumerate(NEAR_FIELDS):
         if name in (points.dtype.names or ()):
             rows[:, i] = points[name]
+    return rows
+
+
+def _usable(rows: Floats) -> Floats:
+    """`rows` (M, 7) without those that mark "no return", unknown velocities set to zero."""
     finite = np.isfinite(rows)
     if finite.all():
         return rows

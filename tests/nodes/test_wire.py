@@ -213,6 +213,13 @@ def test_peek_sequence_stamp(ros):
     assert wire.peek_sequence_stamp(ros.serialize_message(MarkerArray())) is None
 
 
+def test_near_without_velocities():
+    assert wire.decode_near(foreign_near()).values.tolist() == [
+        [0, 1, 2, 3, 0, 0, 0],
+        [4, 5, 6, 7, 0, 0, 0],
+    ]
+
+
 class TestSensorsOwnCloud:
     """A depth sensor's driver lays its cloud out as it likes."""
 
@@ -248,6 +255,12 @@ class TestSensorsOwnCloud:
         points = [(i, 2 * i, 3 * i, 1) for i in range(6)]
         rows = self.decode(ros, dtype, points, height=2, gap=5, big=True)
         assert rows[:, :4].tolist() == [list(p) for p in points]
+
+    def test_our_fields_organised(self, ros):
+        dtype = np.dtype([(n, "<f4") for n in wire.NEAR_FIELDS])
+        points = [tuple(range(i, i + 7)) for i in range(6)]
+        rows = self.decode(ros, dtype, points, height=3, gap=4)
+        assert rows.tolist() == [list(p) for p in points]
 
     def test_points_without_return_are_left_out(self, ros):
         dtype = np.dtype([(n, "<f4") for n in wire.NEAR_FIELDS])
@@ -289,11 +302,28 @@ class TestSensorsOwnCloud:
             wire.decode_near(ros.serialize_message(cloud))
 
 
+def foreign_near():
+    """A cloud without velocities, written by hand: needs no rclpy."""
+    buf = struct.pack("<4xiII4xIII", 1, 2, 1, 1, 2, 4)
+    for i, name in enumerate((b"x", b"y", b"z", b"radius")):
+        buf += struct.pack(f"<I{len(name) + 1}s", len(name) + 1, name)
+        buf += bytes(-len(buf) % 4) + struct.pack("<IBxxxI", 4 * i, 7, 1)
+    buf += struct.pack("<BxxxIII8f?", 0, 16, 32, 32, *range(8), True)
+    return b"\0\1" + buf[2:]
+
+
 def samples():
     odom = wire.OdometryTemplate("map", "uav1").encode(3, np.ones(13))
     six = wire.WrenchTemplate("uav1").encode(3, np.ones(6))
     near = wire.encode_near(3, "map", np.ones((2, 7)))
-    return [odom, six, near, wire.HeaderTemplate("leg 1").encode(3), wire.ClockTemplate().encode(3)]
+    return [
+        odom,
+        six,
+        near,
+        wire.HeaderTemplate("leg 1").encode(3),
+        wire.ClockTemplate().encode(3),
+        foreign_near(),
+    ]
 
 
 @given(st.one_of(st.binary(max_size=200), st.sampled_from(samples())), st.data())
@@ -319,6 +349,7 @@ def test_rubbish_raises_only_wire_errors(buf, data):
         (wire.decode_near, samples()[2]),
         (wire.decode_header, samples()[3]),
         (wire.decode_clock, samples()[4]),
+        (wire.decode_near, samples()[5]),
     ],
 )
 def test_every_cut_is_an_error(decode, buf):
