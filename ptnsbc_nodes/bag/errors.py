@@ -1,0 +1,9 @@
+"""The error of this package."""
+
+from __future__ import annotations
+
+from ptnsbc_core.errors import PtnsbcError
+
+
+class BagError(PtnsbcError):
+    """A bag that cannot be written or read; the text says which file, why, and the way out."""
