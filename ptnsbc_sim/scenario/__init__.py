@@ -1,0 +1,25 @@
+"""Scenario files: read, validated, and turned into the configuration of every UAV."""
+
+from ptnsbc_sim.scenario.build import agent_config
+from ptnsbc_sim.scenario.problems import ScenarioError
+from ptnsbc_sim.scenario.reader import available
+from ptnsbc_sim.scenario.scenario import (
+    Disturbance,
+    Obstacle,
+    Scenario,
+    Vehicle,
+    load_scenario,
+    scenario_from_text,
+)
+
+__all__ = [
+    "Scenario",
+    "ScenarioError",
+    "Disturbance",
+    "Obstacle",
+    "Vehicle",
+    "agent_config",
+    "available",
+    "load_scenario",
+    "scenario_from_text",
+]

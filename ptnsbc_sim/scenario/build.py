@@ -1,0 +1,200 @@
+"""From a scenario to the constants of one UAV.
+
+Scalars are exactly float, int or bool and arrays contiguous float64: numba types the kernels by
+them, and one UAV with another type would compile everything a second time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from ptnsbc_core.errors import FormationError
+from ptnsbc_core.tasks.registry import desired_value
+from ptnsbc_core.types import (
+    AVOIDANCE,
+    PLANT_QUADROTOR,
+    PLANTS,
+    PROFILES,
+    TASKS,
+    TRAJECTORY_CIRCLE,
+    TRAJECTORY_LINE,
+    AgentConfig,
+    Array,
+    ClearanceConfig,
+    ControllerConfig,
+    EstimatorConfig,
+    FilterConfig,
+    LoopGain,
+)
+from ptnsbc_sim.scenario.gains import Loop
+from ptnsbc_sim.scenario.model import Circle
+from ptnsbc_sim.scenario.scenario import Scenario
+
+TRAJECTORY_SIZE = 12
+_SHORTEST_ARM_M = 1e-3
+_UPRIGHT = np.pi / 2  # the tilt limit of a plant that is not tilted
+
+
+def _vector(*numbers: float) -> Array:
+    return np.array(numbers, dtype=np.float64)
+
+
+def _loop(scenario: Scenario, loop: Loop) -> LoopGain:
+    return LoopGain(
+        duration_s=float(loop.deadline_s),
+        residual=float(loop.residual),
+        scale=float(loop.scale),
+        kappa=float(loop.kappa_1_s),
+        profile=PROFILES[loop.profile or scenario.gains.profile],
+    )
+
+
+def trajectory_vector(scenario: Scenario) -> Array:
+    """The leader's reference as ptnsbc_core.trajectory reads it."""
+    path = scenario.file.leader.trajectory
+    numbers: Iterable[float]
+    if isinstance(path, Circle):
+        motion = (path.radius_m, path.rate_rad_s, path.phase_rad)
+        numbers = (TRAJECTORY_CIRCLE, *path.centre_m, *motion, path.yaw_rad)
+    else:
+        numbers = (TRAJECTORY_LINE, *path.position_m, *path.velocity_m_s, path.yaw_rad)
+    vector = np.zeros(TRAJECTORY_SIZE)
+    values = np.array(tuple(numbers), dtype=np.float64)
+    vector[: values.size] = values
+    return vector
+
+
+def reference_offset(scenario: Scenario, uav_id: int) -> Array:
+    """The reference k of a follower, from the leader: the leader itself or the heading anchor."""
+    if scenario.parent(uav_id) == scenario.leader_id:
+        return _vector(*scenario.file.formation.heading_anchor_m)
+    return np.zeros(3)
+
+
+def _desired(scenario: Scenario, uav_id: int) -> tuple[Array, Array]:
+    """Desired task value and the row scale that puts every row in metres."""
+    parent = scenario.parent(uav_id)
+    if parent is None:
+        return np.zeros(3), np.ones(3)
+    task = scenario.file.formation.task
+    own, above = scenario.offset(uav_id), scenario.offset(parent)
+    arm = float(np.hypot(*(own - above)[:2]))
+    if task != "relative_position" and arm < _SHORTEST_ARM_M:
+        raise FormationError(
+            f"{scenario.source}: formation.offsets_m.{uav_id}: {arm:.3g} m beside its parent UAV "
+            f"{parent}: expected at least {_SHORTEST_ARM_M:g} m, the angles of task {task} have no "
+            "meaning straight above or below; move it, or use task: relative_position"
+        )
+    anchor = reference_offset(scenario, uav_id)
+    try:
+        value = desired_value(TASKS[task], own, above, anchor)
+    except FormationError as error:
+        where = f"{scenario.source}: formation.offsets_m.{uav_id}"
+        raise FormationError(f"{where}: {error}") from None
+    scale = {
+        "distance_angles": _vector(1.0, arm, arm),
+        "parent_angle": _vector(1.0, arm, 1.0),
+        "relative_position": np.ones(3),
+    }[task]
+    return np.ascontiguousarray(value, dtype=np.float64), scale
+
+
+def _estimator(scenario: Scenario, uav_id: int) -> EstimatorConfig:
+    gains = scenario.gains.estimator
+    return EstimatorConfig(
+        duration_s=float(gains.deadline_s),
+        residual=float(gains.residual),
+        lambda_min=float(scenario.topology.lambda_min),
+        k1=float(gains.k1_1_s),
+        k2=float(gains.k2),
+        boundary=float(gains.boundary),
+        pinned=bool(scenario.pinned(uav_id)),
+        feed_forward=bool(gains.feed_forward),
+    )
+
+
+def _clearance(scenario: Scenario) -> ClearanceConfig:
+    gains = scenario.gains.clearance
+    return ClearanceConfig(
+        rule=AVOIDANCE[scenario.file.formation.avoidance],
+        margin_m=float(gains.margin_m),
+        gain=_loop(scenario, gains),
+        circulation=float(gains.circulation),
+        ramp_s=float(gains.ramp_s),
+        timeout_s=float(gains.timeout_s),
+        forget_s=float(gains.forget_s),
+    )
+
+
+def _filter(scenario: Scenario) -> FilterConfig:
+    gains = scenario.gains.filter
+    return FilterConfig(
+        bandwidth=float(gains.bandwidth_1_s),
+        rate_bandwidth=float(gains.rate_bandwidth_1_s),
+        max_speed=float(gains.max_speed_m_s),
+        max_acceleration=float(gains.max_acceleration_m_s2),
+        max_rate=float(gains.max_rate_rad_s),
+        max_rate_acceleration=float(gains.max_rate_acceleration_rad_s2),
+    )
+
+
+def _limits(scenario: Scenario) -> tuple[float, float, Array]:
+    """Tilt [rad], thrust or force [N], torque [N m] of the plant."""
+    if PLANTS[scenario.plant_kind] == PLANT_QUADROTOR:
+        limits = scenario.quadrotor
+        torque = _vector(*limits.max_torque_nm)
+        return float(limits.max_tilt_rad), float(limits.max_thrust_n), torque
+    body = scenario.plant.rigid_body
+    return float(_UPRIGHT), float(body.max_force_n), _vector(*body.max_torque_nm)
+
+
+def _controller(scenario: Scenario) -> ControllerConfig:
+    gains = scenario.gains
+    adaptation = gains.adaptation
+    max_tilt, max_thrust, max_torque = _limits(scenario)
+    return ControllerConfig(
+        plant=PLANTS[scenario.plant_kind],
+        gravity=float(scenario.gravity_m_s2),
+        nominal=_vector(scenario.mass_kg, *scenario.inertia_kg_m2),
+        force=_loop(scenario, gains.force),
+        torque=_loop(scenario, gains.torque),
+        boundary=_vector(gains.boundary.velocity_m_s, gains.boundary.rate_rad_s),
+        adaptation=_vector(1.0 / adaptation.gamma_mass, 1.0 / adaptation.gamma_inertia),
+        mass_range=float(adaptation.mass_range),
+        bound_rate=float(1.0 / adaptation.upsilon),
+        bound_leak=float(adaptation.leak_1_s),
+        bound_dead_zone=_vector(adaptation.dead_zone_m_s, adaptation.dead_zone_rad_s),
+        bound_cap=_vector(adaptation.cap_m_s2, adaptation.cap_rad_s2),
+        attitude_gain=_vector(gains.pointing.tilt_1_s, gains.pointing.yaw_1_s),
+        max_tilt=max_tilt,
+        max_thrust=max_thrust,
+        max_torque=max_torque,
+    )
+
+
+def agent_config(scenario: Scenario, uav_id: int) -> AgentConfig:
+    """Everything constant that one UAV's control step needs."""
+    scenario.uav(uav_id)  # names the ids there are when this is not one
+    desired, row_scale = _desired(scenario, uav_id)
+    gains = scenario.gains
+    return AgentConfig(
+        leader=bool(uav_id == scenario.leader_id),
+        task=TASKS[scenario.file.formation.task],
+        desired=desired,
+        anchor=reference_offset(scenario, uav_id),
+        row_scale=row_scale,
+        formation=_loop(scenario, gains.formation),
+        attitude=_loop(scenario, gains.attitude),
+        damping_threshold=float(gains.damping.threshold),
+        damping_max=float(gains.damping.maximum),
+        estimator=_estimator(scenario, uav_id),
+        clearance=_clearance(scenario),
+        filter=_filter(scenario),
+        controller=_controller(scenario),
+        trajectory=trajectory_vector(scenario),
+        stale_s=float(scenario.file.communication.stale_s),
+        hold_gain=float(gains.hold.gain_1_s),
+        land_speed=float(gains.hold.land_speed_m_s),
+    )

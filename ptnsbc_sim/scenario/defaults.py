@@ -1,0 +1,86 @@
+"""The gains a scenario file need not give: one table for both plants, one for what differs.
+
+A file's own keys win, key by key. Only `gains.formation.deadline_s` has no default: it is the
+promise that a scenario makes. A loop without a `profile` takes `gains.profile`.
+"""
+
+from __future__ import annotations
+
+from copy import deepcopy
+from typing import Any
+
+_COMMON: dict[str, Any] = {
+    "profile": "soft",  # no input step at t = 0
+    "formation": {"residual": 1e-3, "scale": 1, "kappa_1_s": 2},
+    "attitude": {"deadline_s": 1.5, "residual": 1e-3, "scale": 1, "kappa_1_s": 1},
+    # k2 exceeds any rate of change of the leader; the boundary keeps dt k2/boundary small
+    "estimator": {
+        "deadline_s": 1.5,
+        "residual": 1e-3,
+        "k1_1_s": 1,
+        "k2": 3.5,
+        "boundary": 1.2,
+        "feed_forward": True,
+    },
+    # An encounter is short: a coarse residual is reached at the edge of the keep-out already.
+    "clearance": {
+        "deadline_s": 1,
+        "residual": 1e-2,
+        "scale": 1,
+        "kappa_1_s": 1.2,
+        "margin_m": 0,
+        "circulation": 0.6,  # of the blocked speed, sideways: leaves a dead end
+        "ramp_s": 0.5,  # a step in velocity would only saturate the command filter
+        "timeout_s": 8,  # longer than passing any keep-out sphere of the shipped scenarios takes
+        "forget_s": 1,
+    },
+    "filter": {
+        "bandwidth_1_s": 20,  # well above the formation loop at its peak
+        "rate_bandwidth_1_s": 50,  # half the control rate: the attitude loop has no time to lose
+        "max_speed_m_s": 8,
+        "max_acceleration_m_s2": 10,  # about tan(40 deg) g
+        "max_rate_rad_s": 12,
+        "max_rate_acceleration_rad_s2": 200,
+    },
+    # Table 1 of the paper: Gamma = 2.5 and Upsilon = 0.4, applied as their inverses
+    "adaptation": {
+        "gamma_mass": 2.5,
+        "gamma_inertia": 2.5,
+        "upsilon": 0.4,
+        "mass_range": 0.3,  # a battery or a small payload more or less
+        "leak_1_s": 0.1,  # without it the bound grows for ever
+        "dead_zone_m_s": 0.01,
+        "dead_zone_rad_s": 0.02,
+        "cap_m_s2": 2,  # twice the disturbances of Table 2
+        "cap_rad_s2": 5,
+    },
+    "boundary": {"velocity_m_s": 0.05, "rate_rad_s": 0.1},
+    "pointing": {"tilt_1_s": 10, "yaw_1_s": 4},  # below the body-rate loop, above the velocity loop
+    "damping": {"threshold": 0.1, "maximum": 0.3},  # the shipped formations stay above it
+    "hold": {"gain_1_s": 1, "land_speed_m_s": 0.5},
+}
+
+_PLANT: dict[str, dict[str, Any]] = {
+    # Forces and torques act at once: both inner loops can be as fast as the paper's.
+    "rigid_body_6dof": {
+        "force": {"deadline_s": 1, "residual": 1e-3, "scale": 1, "kappa_1_s": 15},
+        "torque": {"deadline_s": 1, "residual": 1e-3, "scale": 1, "kappa_1_s": 15},
+    },
+    # Thrust follows the attitude, so the velocity loop must leave the attitude time.
+    "quadrotor": {
+        "force": {"deadline_s": 1.5, "residual": 0.1, "scale": 1, "kappa_1_s": 4},
+        # starts tilted by 1 rad: a soft start would let it fall first
+        "torque": {
+            "deadline_s": 0.5,
+            "residual": 0.1,
+            "scale": 1,
+            "kappa_1_s": 20,
+            "profile": "paper",
+        },
+    },
+}
+
+
+def gain_defaults(plant: str) -> dict[str, Any]:
+    """The default `gains` block of a plant kind, a fresh copy."""
+    return deepcopy({**_COMMON, **_PLANT.get(plant, _PLANT["quadrotor"])})

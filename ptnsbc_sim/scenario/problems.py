@@ -1,0 +1,140 @@
+"""What is wrong with a scenario file, in one line: file, key path, value, expectation, way out."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable, Mapping
+
+from pydantic import ValidationError
+from pydantic_core import ErrorDetails
+
+from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_sim.scenario.units import unit_of
+
+_LIMITS = {
+    "greater_than": (">", "gt"),
+    "greater_than_equal": (">=", "ge"),
+    "less_than": ("<", "lt"),
+    "less_than_equal": ("<=", "le"),
+}
+_TYPES = {
+    "int_type": "a whole number",
+    "int_from_float": "a whole number",
+    "finite_number": "a finite number",
+    "bool_type": "true or false",
+    "string_type": "text",
+    "string_too_short": "text that is not empty",
+    "string_pattern_mismatch": "a name of letters, digits, _ and -",
+    "list_type": "a list",
+    "tuple_type": "a list",
+    "dict_type": "a mapping",
+    "model_type": "a mapping of keys",
+    "model_attributes_type": "a mapping of keys",
+}
+_LONGEST_VALUE = 60
+
+
+class ScenarioError(PtnsbcError):
+    """A scenario file that cannot be read or does not describe a flight."""
+
+
+def similar(word: object, known: Iterable[object]) -> str:
+    """The tail of a message about an unknown word: the closest known one, or all of them."""
+    names = [str(name) for name in known]
+    match = difflib.get_close_matches(str(word), names, n=1, cutoff=0.6)
+    if match:
+        return f'did you mean "{match[0]}"?'
+    return "expected one of: " + ", ".join(names) if names else "expected none here"
+
+
+def shown(value: object) -> str:
+    """A value as the user wrote it, cut to what fits on the line."""
+    text = repr(value) if not isinstance(value, str) else f'"{value}"'
+    text = " ".join(text.split())
+    return text if len(text) <= _LONGEST_VALUE else text[: _LONGEST_VALUE - 1] + "…"
+
+
+def dotted(path: Iterable[str | int], tree: object) -> str:
+    """`uavs[2].position_m[1]` from the keys and indices on the way down `tree`."""
+    text = ""
+    node = tree
+    for key in path:
+        if isinstance(node, list) and isinstance(key, int):
+            text += f"[{key}]"
+            node = node[key] if key < len(node) else None
+        else:
+            text += f".{key}" if text else str(key)
+            node = node.get(key) if isinstance(node, Mapping) else None
+    return text
+
+
+def real_path(location: tuple[str | int, ...], tree: object) -> list[str | int]:
+    """The keys of the file in a pydantic location: without the union tags it puts between them."""
+    path: list[str | int] = []
+    node = tree
+    for position, key in enumerate(location):
+        if key == "[key]":
+            continue
+        inside = (isinstance(node, Mapping) and key in node) or isinstance(node, list)
+        if not inside and position < len(location) - 1:
+            continue  # the tag of a union, not a key of the file
+        path.append(key)
+        if isinstance(node, list):
+            node = node[key] if isinstance(key, int) and key < len(node) else None
+        else:
+            node = node.get(key) if isinstance(node, Mapping) else None
+    return path
+
+
+def _unit_text(path: list[str | int]) -> str:
+    keys = [key for key in path if isinstance(key, str)]
+    unit = unit_of(keys[-1]) if keys else None
+    if unit is None:
+        return "a number"
+    return f'a number in {unit}, or text such as "1.5 {unit}"'
+
+
+def _expectation(kind: str, path: list[str | int], detail: ErrorDetails) -> str:
+    context = detail.get("ctx", {})
+    if kind in _LIMITS:
+        sign, key = _LIMITS[kind]
+        return f"expected {sign} {context[key]:g}"
+    if kind in _TYPES:
+        return f"expected {_TYPES[kind]}"
+    if kind in ("float_type", "float_parsing"):
+        return f"expected {_unit_text(path)}"
+    if kind in ("literal_error", "union_tag_invalid"):
+        names = str(context.get("expected", context.get("expected_tags", "")))
+        words = [word.strip(" '") for word in names.replace(" or ", ",").split(",")]
+        return similar(detail["input"], words)
+    return " ".join(str(detail["msg"]).split())
+
+
+def _line(detail: ErrorDetails, tree: object) -> str:
+    kind = detail["type"]
+    context = detail.get("ctx", {})
+    path = real_path((*detail["loc"], *context.get("below", ())), tree)
+    where = dotted(path, tree)
+    if kind == "missing":
+        keys = [key for key in path if isinstance(key, str)]
+        what = _unit_text(path) if keys and unit_of(keys[-1]) else "this key"
+        return f"{where}: missing: expected {what}"
+    if kind == "union_tag_not_found":
+        return f"{where}.kind: missing: expected this key"
+    if kind == "unknown_key":
+        return f"{where}: {detail['msg']}"
+    value = context.get("value", detail["input"])
+    if kind == "union_tag_invalid":
+        where, value = f"{where}.kind", context.get("tag")
+        return f"{where}: {shown(value)}: {_expectation(kind, path, {**detail, 'input': value})}"
+    return f"{where}: {shown(value)}: {_expectation(kind, path, detail)}"
+
+
+def scenario_error(source: str, error: ValidationError, tree: object) -> ScenarioError:
+    """The first problem of a validation, as one line that names the file."""
+    details = error.errors(include_url=False)
+    # A misspelt key is also a missing one; the misspelling says more.
+    details.sort(key=lambda detail: detail["type"] != "unknown_key")
+    more = len(details) - 1
+    tail = "" if more == 0 else f" (and {more} more problem{'s' if more > 1 else ''})"
+    return ScenarioError(f"{source}: {_line(details[0], tree)}{tail}")

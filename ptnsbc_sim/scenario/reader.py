@@ -1,0 +1,225 @@
+"""Scenario files as trees: finding them, YAML, `extends` and overrides. Their meaning: scenario.py.
+
+A file may start from another: `extends: paper_5` takes that file's content, then the own keys.
+Mappings are merged key by key, lists and single values are replaced whole, and `key: null` removes
+a key.
+"""
+
+from __future__ import annotations
+
+import re
+import sysconfig
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from ptnsbc_sim.scenario.problems import ScenarioError, dotted, similar
+
+Tree = dict[Any, Any]
+
+_SUFFIXES = (".yaml", ".yml")
+_MOST_BYTES = 1_000_000
+_DEEPEST_EXTENDS = 8
+
+
+class _Loader(yaml.SafeLoader):
+    """YAML 1.2 numbers and truth values; duplicate keys, aliases and tags refused."""
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        if self.check_event(yaml.AliasEvent):
+            event = self.peek_event()
+            raise yaml.composer.ComposerError(
+                None, None, "aliases (*name) are not supported, repeat the value", event.start_mark
+            )
+        return super().compose_node(parent, index)
+
+    def construct_mapping(self, node: Any, deep: bool = False) -> Any:
+        seen: set[Any] = set()
+        for key_node, _ in node.value:
+            key = self.construct_object(key_node, deep=True)
+            if not isinstance(key, str | int):
+                raise yaml.constructor.ConstructorError(
+                    None, None, "expected text or a number as a key", key_node.start_mark
+                )
+            if key in seen:
+                raise yaml.constructor.ConstructorError(
+                    None, None, f'duplicate key "{key}", keep one of the two', key_node.start_mark
+                )
+            seen.add(key)
+        return super().construct_mapping(node, deep)
+
+
+# YAML 1.1, PyYAML's dialect, reads `off` as false, `1e-3` as text and `1:30` as 90.
+_Loader.yaml_implicit_resolvers = {}
+for _tag, _pattern, _first in (
+    ("bool", r"true|True|TRUE|false|False|FALSE", "tTfF"),
+    ("null", r"~|null|Null|NULL|", "~nN\0"),
+    ("int", r"[-+]?[0-9]+", "-+0123456789"),
+    ("float", r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?", "-+.0123456789"),
+    ("float", r"[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)", "-+."),
+):
+    _firsts = [*_first.replace("\0", ""), *([""] if "\0" in _first else [])]
+    _Loader.add_implicit_resolver(
+        f"tag:yaml.org,2002:{_tag}", re.compile(f"^(?:{_pattern})$"), _firsts
+    )
+
+
+def _plain_int(loader: yaml.SafeLoader, node: Any) -> int:
+    return int(loader.construct_scalar(node))  # 007 is seven, not octal
+
+
+_Loader.add_constructor("tag:yaml.org,2002:int", _plain_int)
+
+
+def parse(text: str, source: str) -> Tree:
+    """The mapping that a scenario text holds."""
+    try:
+        tree = yaml.load(text, Loader=_Loader)
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        where = f"line {mark.line + 1}, column {mark.column + 1}: " if mark else ""
+        raise ScenarioError(f"{source}: {where}{_one_line(error.problem)}") from None
+    except (yaml.YAMLError, RecursionError, ValueError) as error:
+        raise ScenarioError(f"{source}: not YAML: {_one_line(error)}") from None
+    if not isinstance(tree, dict):
+        found = "nothing" if tree is None else type(tree).__name__
+        raise ScenarioError(f"{source}: {found}: expected a mapping that starts with name:")
+    return tree
+
+
+def _one_line(text: object) -> str:
+    return " ".join(str(text).split())
+
+
+def folders() -> list[Path]:
+    """Where a scenario given by name is looked for: the source tree, an installed copy, here."""
+    root = Path(__file__).resolve().parents[2]
+    shared = Path(sysconfig.get_path("data")) / "share" / "ptnsbc" / "scenarios"
+    return [root / "scenarios", shared, Path.cwd() / "scenarios", Path.cwd()]
+
+
+def available() -> list[str]:
+    """The names of the scenarios that can be given without a path."""
+    named = folders()[:-1]  # the current directory may hold any other YAML
+    found = {path.stem for folder in named for path in folder.glob("*.yaml")}
+    return sorted(found)
+
+
+def find(name: str | Path, beside: Path | None = None) -> Path:
+    """The file of a scenario, given by path or by name without suffix."""
+    given = Path(name).expanduser()
+    if given.suffix in _SUFFIXES or len(given.parts) > 1:
+        path = given if beside is None or given.is_absolute() else beside / given
+        if path.is_file():
+            return path
+        raise ScenarioError(f"{path}: no such scenario file; known by name: {_names(given.stem)}")
+    for folder in [beside] * (beside is not None) + folders():
+        for suffix in _SUFFIXES:
+            path = Path(folder or ".") / f"{given}{suffix}"
+            if path.is_file():
+                return path
+    raise ScenarioError(f"{given}: no scenario of this name; {_names(str(given))}")
+
+
+def _names(word: str) -> str:
+    names = available()
+    return similar(word, names) if names else "none are installed, give a path"
+
+
+def read_text(path: Path) -> str:
+    """The text of a scenario file."""
+    try:
+        if path.stat().st_size > _MOST_BYTES:
+            raise ScenarioError(f"{path}: over {_MOST_BYTES} bytes: expected a scenario file")
+        return path.read_text(encoding="utf-8")
+    except UnicodeDecodeError as error:
+        raise ScenarioError(f"{path}: byte {error.start}: expected UTF-8 text") from None
+    except OSError as error:
+        raise ScenarioError(
+            f"{path}: {error.strerror or error}: expected a readable file"
+        ) from None
+
+
+def merged(base: Tree, own: Tree) -> Tree:
+    """`own` over `base`: mappings key by key, everything else whole, null removes."""
+    result = dict(base)
+    for key, value in own.items():
+        below = result.get(key)
+        if value is None:
+            result.pop(key, None)
+        elif isinstance(value, dict) and isinstance(below, dict):
+            result[key] = merged(below, value)
+        else:
+            result[key] = value
+    return result
+
+
+def extended(tree: Tree, source: str, folder: Path, depth: int = 0) -> Tree:
+    """`tree` with what it extends filled in."""
+    if "extends" not in tree:
+        return tree
+    own = {key: value for key, value in tree.items() if key != "extends"}
+    name = tree["extends"]
+    if not isinstance(name, str) or not name:
+        raise ScenarioError(f"{source}: extends: {name!r}: expected the name or path of a scenario")
+    if depth >= _DEEPEST_EXTENDS:
+        raise ScenarioError(f"{source}: extends: {name}: expected no circle of files")
+    try:
+        path = find(name, beside=folder)
+    except ScenarioError as error:
+        raise ScenarioError(f"{source}: extends: {error}") from None
+    base = parse(read_text(path), str(path))
+    return merged(extended(base, str(path), path.parent, depth + 1), own)
+
+
+def _step(node: Any, key: str, path: str, source: str) -> Any:
+    """One segment of a dotted override as the key or index it means in `node`."""
+    if isinstance(node, list):
+        if not key.isdigit() or int(key) >= len(node):
+            raise ScenarioError(
+                f"{source}: override {path}: {key}: expected an index below {len(node)}"
+            )
+        return int(key)
+    if not isinstance(node, dict):
+        raise ScenarioError(f"{source}: override {path}: {key}: there is nothing below this key")
+    return int(key) if key.isdigit() and key not in node else key
+
+
+def overridden(tree: Tree, overrides: Mapping[str, Any], source: str) -> Tree:
+    """`tree` with dotted keys (`gains.profile`, `uavs[2].position_m`) set; a None is left out."""
+    result: Tree = yaml.load(dump(tree), Loader=_Loader)
+    for path, value in overrides.items():
+        if value is None:
+            continue
+        keys = [key for key in re.split(r"[.\[\]]+", path) if key]
+        if not keys:
+            raise ScenarioError(f'{source}: override "{path}": expected a dotted key')
+        node: Any = result
+        for key in keys[:-1]:
+            step = _step(node, key, path, source)
+            node = node[step] if isinstance(node, list) else node.setdefault(step, {})
+        node[_step(node, keys[-1], path, source)] = value
+    return result
+
+
+def dump(tree: Tree) -> str:
+    """`tree` as YAML text that `parse` reads back."""
+    text: str = yaml.safe_dump(tree, sort_keys=False, allow_unicode=True, width=120)
+    return text
+
+
+__all__ = [
+    "Tree",
+    "available",
+    "dotted",
+    "dump",
+    "extended",
+    "find",
+    "folders",
+    "merged",
+    "overridden",
+    "parse",
+    "read_text",
+]

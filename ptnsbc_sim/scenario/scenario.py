@@ -1,0 +1,261 @@
+"""A validated scenario, as the simulator, the nodes and the tools read it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from pydantic import ValidationError
+
+from ptnsbc_core.topology import Topology
+from ptnsbc_core.types import Array
+from ptnsbc_sim.scenario import reader
+from ptnsbc_sim.scenario.defaults import gain_defaults
+from ptnsbc_sim.scenario.fields import Wave
+from ptnsbc_sim.scenario.gains import Gains
+from ptnsbc_sim.scenario.model import Plant, Quadrotor, ScenarioFile, Sensor
+from ptnsbc_sim.scenario.problems import ScenarioError, scenario_error
+from ptnsbc_sim.scenario.semantics import NANOSECONDS, checked
+
+_PHASES = {"sin": 0.0, "cos": np.pi / 2}
+
+
+class Disturbance(NamedTuple):
+    """amplitudes * sin(t + phases) + offset, linear [m/s^2] then angular [rad/s^2]."""
+
+    amplitudes: Array  # (6,)
+    phases: Array  # (6,) [rad]
+    offset: Array  # (6,)
+
+
+class Vehicle(NamedTuple):
+    """One UAV's start."""
+
+    id: int
+    position: Array  # (3,) [m], ENU
+    attitude: Array  # (3,) roll, pitch, yaw [rad]
+    disturbance: Disturbance
+
+
+class Obstacle(NamedTuple):
+    """A sphere to keep out of."""
+
+    name: str
+    position: Array  # (3,) [m], ENU
+    keep_out_m: float
+
+
+def _disturbance(waves: tuple[Wave, ...]) -> Disturbance:
+    periodic = [wave.amount if wave.shape in _PHASES else 0.0 for wave in waves]
+    phases = [_PHASES.get(wave.shape, 0.0) for wave in waves]
+    constant = [0.0 if wave.shape in _PHASES else wave.amount for wave in waves]
+    return Disturbance(np.array(periodic), np.array(phases), np.array(constant))
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """One flight: who, where, with which laws. Immutable and validated."""
+
+    file: ScenarioFile = field(repr=False)
+    topology: Topology = field(repr=False)
+    text: str = field(repr=False)
+    """YAML after `extends` and overrides: loads again to the same scenario; attached to bags."""
+    source: str
+    """Where it was read from, for messages."""
+
+    @property
+    def name(self) -> str:
+        """The scenario's own name."""
+        return self.file.name
+
+    @property
+    def seed(self) -> int:
+        """Seed of everything random in a flight."""
+        return self.file.seed
+
+    @property
+    def uav_ids(self) -> tuple[int, ...]:
+        """Ids of all UAVs, in the order of the file."""
+        return tuple(uav.id for uav in self.file.uavs)
+
+    @property
+    def leader_id(self) -> int:
+        """Id of the leader."""
+        return self.file.leader.id
+
+    @property
+    def followers(self) -> tuple[int, ...]:
+        """Ids of all others."""
+        return tuple(uav for uav in self.uav_ids if uav != self.leader_id)
+
+    @property
+    def control_hz(self) -> int:
+        """Rate of the control loop."""
+        return self.file.timing.control_hz
+
+    @property
+    def physics_hz(self) -> int:
+        """Rate of the plant's integration."""
+        return self.file.timing.physics_hz
+
+    @property
+    def dt_ns(self) -> int:
+        """Control period [ns], exact."""
+        return NANOSECONDS // self.control_hz
+
+    @property
+    def duration_s(self) -> float:
+        """Length of the flight."""
+        return self.file.timing.duration_s
+
+    @property
+    def ticks(self) -> int:
+        """Length of the flight in control periods."""
+        return round(self.duration_s * self.control_hz)
+
+    @property
+    def sensor(self) -> Sensor:
+        """Range and rate of the near-object sensor."""
+        return self.file.sensor
+
+    @property
+    def near_every(self) -> int:
+        """Control periods between two readings of the near-object sensor."""
+        return self.control_hz // self.file.sensor.rate_hz
+
+    @property
+    def gains(self) -> Gains:
+        """Every gain, defaults filled in."""
+        return self.file.gains
+
+    @property
+    def plant(self) -> Plant:
+        """The vehicle."""
+        return self.file.plant
+
+    @property
+    def plant_kind(self) -> str:
+        """Name of the plant, a key of ptnsbc_core.types.PLANTS."""
+        return self.file.plant.kind
+
+    @property
+    def mass_kg(self) -> float:
+        """Mass of every UAV."""
+        return self.file.plant.mass_kg
+
+    @property
+    def inertia_kg_m2(self) -> tuple[float, float, float]:
+        """Moments of inertia of every UAV."""
+        return self.file.plant.inertia_kg_m2
+
+    @property
+    def quadrotor(self) -> Quadrotor:
+        """Limits of the quadrotor; an error for a scenario without them."""
+        if self.file.plant.quadrotor is None:
+            raise ScenarioError(f"{self.source}: plant.quadrotor: missing: expected its limits")
+        return self.file.plant.quadrotor
+
+    @property
+    def gravity_m_s2(self) -> float:
+        """Gravity, downwards."""
+        return self.file.world.gravity_m_s2
+
+    @property
+    def wind_m_s(self) -> Array:
+        """Constant wind (3,), ENU."""
+        return np.array(self.file.world.wind_m_s, dtype=np.float64)
+
+    @property
+    def obstacles(self) -> tuple[Obstacle, ...]:
+        """All obstacles."""
+        return tuple(
+            Obstacle(block.name, np.array(block.position_m, dtype=np.float64), block.keep_out_m)
+            for block in self.file.world.obstacles
+        )
+
+    @property
+    def uav_keep_out_m(self) -> float:
+        """Least distance between two UAVs."""
+        return self.file.formation.uav_keep_out_m
+
+    def uav(self, uav_id: int) -> Vehicle:
+        """Start and disturbance of one UAV."""
+        for block in self.file.uavs:
+            if block.id == uav_id:
+                waves = (*block.disturbance_m_s2, *block.disturbance_rad_s2)
+                return Vehicle(
+                    block.id,
+                    np.array(block.position_m, dtype=np.float64),
+                    np.array(block.attitude_rad, dtype=np.float64),
+                    _disturbance(waves),
+                )
+        known = ", ".join(map(str, self.uav_ids))
+        raise ScenarioError(f"{self.source}: UAV {uav_id}: expected one of {known}")
+
+    def offset(self, uav_id: int) -> Array:
+        """Desired position relative to the leader (3,) [m], ENU; zeros for the leader."""
+        if uav_id == self.leader_id:
+            return np.zeros(3)
+        return np.array(self.file.formation.offsets_m[uav_id], dtype=np.float64)
+
+    def parent(self, uav_id: int) -> int | None:
+        """The UAV that this one forms up on; None for the leader."""
+        return self.file.communication.tree.get(uav_id)
+
+    def pinned(self, uav_id: int) -> bool:
+        """Whether this follower hears the leader itself."""
+        return uav_id in self.topology.pinned
+
+    def estimator_neighbours(self, uav_id: int) -> tuple[int, ...]:
+        """Followers whose leader estimate this one hears, ascending."""
+        return tuple(sorted(self.topology.neighbours.get(uav_id, ())))
+
+
+def _completed(tree: reader.Tree) -> reader.Tree:
+    """`tree` with default gains; blocks of the wrong type are left for the validation to name."""
+    plant, gains = tree.get("plant"), tree.get("gains")
+    kind = plant.get("kind") if isinstance(plant, dict) else None
+    if not isinstance(gains, dict):
+        return tree
+    return {**tree, "gains": reader.merged(gain_defaults(str(kind)), gains)}
+
+
+def scenario_from_text(
+    text: str,
+    overrides: Mapping[str, Any] | None = None,
+    *,
+    source: str = "scenario",
+    folder: Path | None = None,
+) -> Scenario:
+    """A scenario from YAML text, for example the one attached to a bag."""
+    tree = reader.parse(text, source)
+    given = {key: value for key, value in (overrides or {}).items() if value is not None}
+    final = reader.extended(tree, source, folder or Path.cwd())
+    if given:
+        final = reader.overridden(final, given, source)
+    if given or "extends" in tree:
+        text = reader.dump(final)
+    complete = _completed(final)
+    try:
+        file = ScenarioFile.model_validate(complete)
+    except ValidationError as error:
+        raise scenario_error(source, error, complete) from None
+    return Scenario(file, checked(file, source), text, source)
+
+
+def load_scenario(path_or_name: str | Path, overrides: Mapping[str, Any] | None = None) -> Scenario:
+    """A scenario by path or name (`paper_5`), with dotted keys overridden (`gains.profile`)."""
+    path = reader.find(path_or_name)
+    text = reader.read_text(path)
+    return scenario_from_text(text, overrides, source=_shown(path), folder=path.parent)
+
+
+def _shown(path: Path) -> str:
+    """A path as short as it can be named from here."""
+    try:
+        return str(path.relative_to(Path.cwd()))
+    except ValueError:
+        return str(path)

@@ -1,0 +1,153 @@
+"""What the blocks of a scenario must satisfy together."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+from ptnsbc_core.errors import GainError, TopologyError
+from ptnsbc_core.timebase import peak_gain
+from ptnsbc_core.topology import Topology, validate
+from ptnsbc_sim.scenario.model import ScenarioFile
+from ptnsbc_sim.scenario.problems import ScenarioError
+
+STABILITY_LIMIT = 2.0
+"""An explicit Euler step of a linear decay with rate g is stable for dt g below this."""
+
+NANOSECONDS = 1_000_000_000
+
+Problems = Iterator[str]
+
+
+def _timing(file: ScenarioFile) -> Problems:
+    timing, sensor = file.timing, file.sensor
+    if NANOSECONDS % timing.control_hz:
+        yield (
+            f"timing.control_hz: {timing.control_hz}: expected a rate whose period is a whole "
+            "number of nanoseconds, such as 50, 100, 200, 250"
+        )
+    if timing.control_hz % 5:
+        yield f"timing.control_hz: {timing.control_hz}: expected a multiple of 5 (/diagnostics)"
+    if timing.physics_hz % timing.control_hz:
+        yield (
+            f"timing.physics_hz: {timing.physics_hz}: expected a multiple of timing.control_hz "
+            f"({timing.control_hz})"
+        )
+    if timing.control_hz % sensor.rate_hz:
+        yield (
+            f"sensor.rate_hz: {sensor.rate_hz}: expected a divisor of timing.control_hz "
+            f"({timing.control_hz})"
+        )
+    if timing.duration_s * timing.control_hz < 1:
+        yield f"timing.duration_s: {timing.duration_s:g}: expected at least one control period"
+
+
+def _names(file: ScenarioFile) -> Problems:
+    first: dict[int, int] = {}
+    for index, uav in enumerate(file.uavs):
+        if uav.id in first:
+            yield (
+                f"uavs[{index}].id: {uav.id}: duplicate of uavs[{first[uav.id]}].id, "
+                "give every UAV its own id"
+            )
+        first.setdefault(uav.id, index)
+    names: dict[str, int] = {}
+    for index, obstacle in enumerate(file.world.obstacles):
+        if obstacle.name in names:
+            yield (
+                f'world.obstacles[{index}].name: "{obstacle.name}": duplicate of '
+                f"world.obstacles[{names[obstacle.name]}].name, give every obstacle its own name"
+            )
+        names.setdefault(obstacle.name, index)
+
+
+def _members(file: ScenarioFile) -> Problems:
+    ids = {uav.id for uav in file.uavs}
+    known = "expected one of the ids under uavs: " + ", ".join(map(str, sorted(ids)))
+    if file.leader.id not in ids:
+        yield f"leader.id: {file.leader.id}: no start under uavs; {known}"
+    links = file.communication
+    for child, parent in links.tree.items():
+        if child not in ids:
+            yield f"communication.tree.{child}: no UAV {child}, its start is missing; {known}"
+        elif parent not in ids:
+            yield f"communication.tree.{child}: {parent}: no such UAV; {known}"
+    for index, uav in enumerate(links.leader_links):
+        if uav not in ids:
+            yield f"communication.leader_links[{index}]: {uav}: no such UAV; {known}"
+    for index, edge in enumerate(links.estimator_edges):
+        for end, uav in enumerate(edge):
+            if uav not in ids:
+                yield f"communication.estimator_edges[{index}][{end}]: {uav}: no such UAV; {known}"
+
+
+def _offsets(file: ScenarioFile) -> Problems:
+    followers = [uav.id for uav in file.uavs if uav.id != file.leader.id]
+    offsets = file.formation.offsets_m
+    for uav in offsets:
+        if uav == file.leader.id:
+            yield f"formation.offsets_m.{uav}: the leader has no offset from itself, remove it"
+        elif uav not in followers:
+            ids = ", ".join(map(str, followers)) or "none"
+            yield f"formation.offsets_m.{uav}: no such UAV; expected one of the followers: {ids}"
+    for uav in followers:
+        if uav not in offsets:
+            yield f"formation.offsets_m.{uav}: missing: expected its offset from the leader"
+
+
+def _plant(file: ScenarioFile) -> Problems:
+    plant = file.plant
+    if plant.kind == "quadrotor" and plant.quadrotor is None:
+        yield "plant.quadrotor: missing: expected its limits, or plant.kind: rigid_body_6dof"
+    if plant.kind == "quadrotor" and plant.quadrotor is not None:
+        weight = plant.mass_kg * file.world.gravity_m_s2
+        if plant.quadrotor.max_thrust_n <= weight:
+            yield (
+                f"plant.quadrotor.max_thrust_n: {plant.quadrotor.max_thrust_n:g}: expected more "
+                f"than the weight, {weight:.3g} N, or it cannot hover"
+            )
+
+
+_CHECKS: tuple[Callable[[ScenarioFile], Problems], ...] = (
+    _timing,
+    _names,
+    _members,
+    _offsets,
+    _plant,
+)
+
+
+def estimator_step(file: ScenarioFile, topology: Topology) -> float:
+    """Step times fastest rate of the estimator, stable below STABILITY_LIMIT.
+
+    dt (peak gain / lambda_min + k1 + k2 / boundary) lambda_max, equations.md section 5.
+    """
+    gains = file.gains.estimator
+    peak = peak_gain(gains.deadline_s, gains.residual) / topology.lambda_min
+    rate = peak + gains.k1_1_s + gains.k2 / gains.boundary
+    return float(rate * topology.lambda_max / file.timing.control_hz)
+
+
+def checked(file: ScenarioFile, source: str) -> Topology:
+    """The communication graph of `file`; raises on the first thing that does not fit together."""
+    for check in _CHECKS:
+        for problem in check(file):
+            raise ScenarioError(f"{source}: {problem}")
+    links = file.communication
+    try:
+        topology = validate(
+            file.leader.id,
+            [uav.id for uav in file.uavs],
+            links.tree,
+            links.leader_links,
+            links.estimator_edges,
+        )
+    except TopologyError as error:
+        raise TopologyError(f"{source}: communication: {error}") from None
+    step = estimator_step(file, topology) if len(file.uavs) > 1 else 0.0
+    if step >= STABILITY_LIMIT:
+        raise GainError(
+            f"{source}: gains.estimator: dt (Xi/lambda_min + k1 + k2/boundary) lambda_max = "
+            f"{step:.3g}: expected < {STABILITY_LIMIT:g}; raise gains.estimator.boundary or "
+            "deadline_s, give more leader_links, or raise timing.control_hz"
+        )
+    return topology
