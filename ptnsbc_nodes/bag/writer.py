@@ -17,6 +17,7 @@ from typing import IO
 from mcap.writer import CompressionType, Writer
 
 from ptnsbc_nodes.bag.errors import BagError
+from ptnsbc_nodes.bag.interrupt import InterruptGuard
 from ptnsbc_nodes.bag.layout import (
     TimeSpan,
     TopicCount,
@@ -94,6 +95,7 @@ class BagWriter:
         self._end_ns = 0
         self._unflushed = 0
         self._last_flush: float | None = None
+        self._guard = InterruptGuard()
 
     def __enter__(self) -> BagWriter:
         self.open()
@@ -120,6 +122,7 @@ class BagWriter:
             definition(topic.type)
             qos_profiles(topic)
         self._make_folder()
+        self._guard.install()
         self._stream = (self._part / self._filename).open("wb")
         self._writer = Writer(self._stream, chunk_size=_CHUNK_SIZE, compression=self._compression)
         self._writer.start(profile="ros2", library=_LIBRARY)
@@ -145,17 +148,8 @@ class BagWriter:
             raise BagError(f"{self.directory}: topic {topic}: expected one of {known}")
         if stamp_ns < 0 or (publish_ns is not None and publish_ns < 0):
             raise BagError(f"{topic}: time {stamp_ns}, {publish_ns} ns: expected not negative")
-        self._writer.add_message(
-            channel_id=channel.id,
-            log_time=stamp_ns,
-            data=data,
-            publish_time=stamp_ns if publish_ns is None else publish_ns,
-            sequence=channel.messages,
-        )
-        channel.messages += 1
-        self._unflushed += 1
-        self._start_ns = stamp_ns if self._start_ns is None else min(stamp_ns, self._start_ns)
-        self._end_ns = max(stamp_ns, self._end_ns)
+        with self._guard:
+            self._append(channel, stamp_ns, data, stamp_ns if publish_ns is None else publish_ns)
 
     def flush_if_due(self, now: float) -> None:
         """Close the chunk when a second has passed since the last one.
@@ -170,15 +164,36 @@ class BagWriter:
             self._last_flush = now
         if now - self._last_flush < FLUSH_PERIOD or not self._unflushed:
             return
-        self._writer.flush()
-        self._last_flush = now
-        self._unflushed = 0
+        with self._guard:
+            self._writer.flush()
+            self._last_flush = now
+            self._unflushed = 0
 
     def close(self) -> None:
         """Complete the bag and give it its name; does nothing the second time."""
         if self._stream is None:
             return
-        stream, self._stream = self._stream, None
+        try:
+            with self._guard:
+                self._finish(self._stream)
+        finally:
+            self._guard.remove()
+
+    def _append(self, channel: _Channel, log_ns: int, data: bytes, publish_ns: int) -> None:
+        self._writer.add_message(
+            channel_id=channel.id,
+            log_time=log_ns,
+            data=data,
+            publish_time=publish_ns,
+            sequence=channel.messages,
+        )
+        channel.messages += 1
+        self._unflushed += 1
+        self._start_ns = log_ns if self._start_ns is None else min(log_ns, self._start_ns)
+        self._end_ns = max(log_ns, self._end_ns)
+
+    def _finish(self, stream: IO[bytes]) -> None:
+        self._stream = None
         span = TimeSpan(self._start_ns or 0, self._end_ns)
         counts = [
             TopicCount(c.info, definition(c.info.type).type_hash, c.messages)
