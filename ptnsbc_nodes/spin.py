@@ -1,0 +1,49 @@
+"""Running a node until SIGINT or SIGTERM, with the executor that costs least.
+
+The EventsExecutor receives an Odometry for a quarter of what the SingleThreadedExecutor takes.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+
+from rclpy.context import Context
+from rclpy.executors import Executor, ExternalShutdownException
+from rclpy.experimental import EventsExecutor
+from rclpy.task import Future
+
+_FOREVER = 1000.0  # [s]; only how long one call lasts, the loop goes on
+
+
+def make_executor(context: Context) -> Executor:
+    """The executor of a node process."""
+    return EventsExecutor(context=context)
+
+
+def spin(executor: Executor, context: Context) -> None:
+    """Serve callbacks until the context is shut down, which rclpy's signal handlers do."""
+    try:
+        if not _from_wheels():
+            executor.spin()
+            return
+        # In the wheels EventsExecutor.spin() is a busy loop that does not notice the shutdown.
+        while context.ok():
+            executor.spin_until_future_complete(Future(), timeout_sec=_FOREVER)
+    except (ExternalShutdownException, KeyboardInterrupt):
+        return
+
+
+def spin_for(executor: Executor, seconds: float) -> None:
+    """Serve callbacks for a while, for loops with something else to look at."""
+    executor.spin_until_future_complete(Future(), timeout_sec=seconds)
+
+
+@cache
+def _from_wheels() -> bool:
+    """Whether rclpy is the wheel `ros-rclpy`; apt's distribution is named `rclpy`."""
+    try:
+        version("ros-rclpy")
+    except PackageNotFoundError:
+        return False
+    return True

@@ -1,0 +1,100 @@
+"""The topics of a formation: names, message types, and what is at stake when one is lost.
+
+The table of docs and architecture in one place. Importing this needs no ROS; `message_class` does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from enum import Enum
+from importlib import import_module
+from importlib.util import find_spec
+from typing import Any, NamedTuple
+
+
+class Role(Enum):
+    """How a topic is delivered; `qos.profile` turns it into a profile."""
+
+    STATE = "state"  # the next message replaces this one
+    EVENT = "event"  # each message matters
+    LATCHED = "latched"  # the last message matters, also to those who come later
+
+
+class Topic(NamedTuple):
+    """Name and type of a topic."""
+
+    name: str
+    type: str  # package/msg/Name
+    role: Role
+
+
+EPOCH = Topic("/formation/epoch", "std_msgs/msg/Header", Role.LATCHED)
+DIAGNOSTICS = Topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", Role.EVENT)
+MARKERS = Topic("/formation/markers", "visualization_msgs/msg/MarkerArray", Role.EVENT)
+CLOCK = Topic("/clock", "rosgraph_msgs/msg/Clock", Role.STATE)
+TF = Topic("/tf", "tf2_msgs/msg/TFMessage", Role.EVENT)
+
+
+def odom(uav: int) -> Topic:
+    """Own state of a UAV: pose in the world (ENU), velocities in the body (FLU)."""
+    return _state(uav, "odom", "nav_msgs/msg/Odometry")
+
+
+def near(uav: int) -> Topic:
+    """Obstacles and other UAVs inside the detection range."""
+    return _state(uav, "near", "sensor_msgs/msg/PointCloud2")
+
+
+def formation_state(uav: int) -> Topic:
+    """What a UAV tells its children."""
+    return _state(uav, "formation_state", "nav_msgs/msg/Odometry")
+
+
+def leader_estimate(uav: int) -> Topic:
+    """What a UAV believes of the leader, to its neighbours in the estimator graph."""
+    return _state(uav, "leader_estimate", "nav_msgs/msg/Odometry")
+
+
+def velocity_setpoint(uav: int) -> Topic:
+    """Commanded velocity, ENU."""
+    return _state(uav, "setpoint/velocity", "geometry_msgs/msg/TwistStamped")
+
+
+def wrench_setpoint(uav: int) -> Topic:
+    """Commanded force and torque, body FLU."""
+    return _state(uav, "setpoint/wrench", "geometry_msgs/msg/WrenchStamped")
+
+
+def of_uav(uav: int) -> tuple[Topic, ...]:
+    """Every topic of one UAV."""
+    return (
+        odom(uav),
+        near(uav),
+        formation_state(uav),
+        leader_estimate(uav),
+        velocity_setpoint(uav),
+        wrench_setpoint(uav),
+    )
+
+
+def recorded(uavs: Iterable[int]) -> tuple[Topic, ...]:
+    """Every topic worth keeping of these UAVs; without /tf where `tf_is_available` says no."""
+    own = tuple(topic for uav in uavs for topic in of_uav(uav))
+    common = (EPOCH, DIAGNOSTICS, MARKERS, CLOCK)
+    return (*own, *common, TF) if tf_is_available() else (*own, *common)
+
+
+def tf_is_available() -> bool:
+    """Whether /tf can be used: tf2_msgs comes with ROS from apt and is in no wheel."""
+    return find_spec("tf2_msgs") is not None
+
+
+def message_class(topic: Topic) -> type[Any]:
+    """The rclpy class of the topic's messages."""
+    package, _, name = topic.type.split("/")
+    kind: type[Any] = getattr(import_module(f"{package}.msg"), name)
+    return kind
+
+
+def _state(uav: int, name: str, kind: str) -> Topic:
+    return Topic(f"/uav{uav}/{name}", kind, Role.STATE)
