@@ -23,7 +23,7 @@ _TYPES = {
     "finite_number": "a finite number",
     "bool_type": "true or false",
     "string_type": "text",
-    "string_too_short": "text that is not empty",
+    "too_short": "at least one entry",
     "string_pattern_mismatch": "a name of letters, digits, _ and -",
     "list_type": "a list",
     "tuple_type": "a list",

@@ -142,7 +142,7 @@ def checked(file: ScenarioFile, source: str) -> Topology:
             links.estimator_edges,
         )
     except TopologyError as error:
-        raise TopologyError(f"{source}: communication: {error}") from None
+        raise TopologyError(f"{source}: {error}") from None  # it names its own keys
     step = estimator_step(file, topology) if len(file.uavs) > 1 else 0.0
     if step >= STABILITY_LIMIT:
         raise GainError(
