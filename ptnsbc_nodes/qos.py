@@ -1,8 +1,8 @@
 """Quality of service of our topics.
 
-State and setpoints are best effort in real time: at 20 % loss and 50 ms delay the 99th percentile of
-the latency is 55 ms, and 2.2 s if delivery is reliable, because what is repeated is already old. In
-lock-step every message counts and time does not.
+State and setpoints are best effort in real time: at 20 % loss and 50 ms delay the 99th percentile
+of the latency is 55 ms, and 2.2 s if delivery is reliable, because what is repeated is already old.
+In lock-step every message counts and time does not.
 """
 
 from __future__ import annotations

@@ -143,8 +143,10 @@ class BagWriter:
             publish_ns: Time of publication [ns], the log time when absent.
         """
         channel = self._channels.get(topic)
+        if self._stream is None:
+            raise BagError(f"{self.directory}: message on {topic}: expected an open bag")
         if channel is None:
-            known = ", ".join(self._channels) or "none, the bag is not open"
+            known = ", ".join(self._channels)
             raise BagError(f"{self.directory}: topic {topic}: expected one of {known}")
         if stamp_ns < 0 or (publish_ns is not None and publish_ns < 0):
             raise BagError(f"{topic}: time {stamp_ns}, {publish_ns} ns: expected not negative")
@@ -162,7 +164,7 @@ class BagWriter:
         """
         if self._last_flush is None:
             self._last_flush = now
-        if now - self._last_flush < FLUSH_PERIOD or not self._unflushed:
+        if now - self._last_flush < FLUSH_PERIOD or not self._unflushed or self._stream is None:
             return
         with self._guard:
             self._writer.flush()

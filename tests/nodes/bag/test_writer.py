@@ -210,6 +210,19 @@ def test_wrong_write(tmp_path, call, message):
         call(writer)
 
 
+def test_write_into_a_closed_bag(tmp_path):
+    writer = BagWriter(tmp_path / "x", TOPICS)
+    with pytest.raises(BagError, match="expected an open bag"):
+        writer.write("/clock", 0, b"")
+    with writer:
+        pass
+    writer.close()  # a second time does nothing
+    writer.flush_if_due(0.0)
+    writer.flush_if_due(9.0)
+    with pytest.raises(BagError, match="expected an open bag"):
+        writer.write("/clock", 0, b"")
+
+
 @pytest.mark.parametrize(
     ("topic", "message"),
     [

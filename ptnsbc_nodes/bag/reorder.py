@@ -1,0 +1,70 @@
+"""The order of messages in a lock-step bag: by stamp and topic, whatever order they arrived in.
+
+DDS keeps the order of one publisher but not between publishers, so the same flight arrives
+differently each time. Messages are held until so many later stamps are there that nothing older
+can be under way.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Iterator
+from typing import NamedTuple
+
+HOLD_TICKS = 20
+
+
+class Held(NamedTuple):
+    """A message that waits for its turn."""
+
+    stamp_ns: int
+    topic: str
+    arrival: int  # in its topic; 0 in a shared topic, where the bytes decide instead
+    data: bytes
+
+
+class ReorderBuffer:
+    """Sorts messages by (stamp, topic, arrival in that topic) over a window of `hold_ticks` stamps.
+
+    A tick is a stamp that occurs: the length of a tick need not be known, and a stamp far ahead (an
+    epoch announced in advance) does not push the others out.
+
+    Args:
+        shared: Topics with several publishers, whose arrival within the topic is chance too.
+        hold_ticks: Length of the window.
+    """
+
+    def __init__(self, shared: frozenset[str] = frozenset(), hold_ticks: int = HOLD_TICKS) -> None:
+        self._shared = shared
+        self._hold_ticks = hold_ticks
+        self._held: dict[int, list[Held]] = {}
+        self._stamps: list[int] = []  # heap of the keys of _held
+        self._arrivals: dict[str, int] = {}
+        self._released_ns = -1
+        self.late = 0  # messages that came after their tick was released: order not reproducible
+
+    def push(self, stamp_ns: int, topic: str, data: bytes) -> Iterator[Held]:
+        """Take a message in; returns those whose turn has come."""
+        arrival = self._arrivals.get(topic, 0)
+        if topic not in self._shared:
+            self._arrivals[topic] = arrival + 1
+        message = Held(stamp_ns, topic, arrival, data)
+        if stamp_ns <= self._released_ns:
+            self.late += 1
+            return iter((message,))
+        if stamp_ns not in self._held:
+            self._held[stamp_ns] = []
+            heapq.heappush(self._stamps, stamp_ns)
+        self._held[stamp_ns].append(message)
+        return self._release(self._hold_ticks)
+
+    def flush(self) -> Iterator[Held]:
+        """Everything that is still held, in order."""
+        return self._release(0)
+
+    def _release(self, keep: int) -> Iterator[Held]:
+        released: list[Held] = []
+        while len(self._stamps) > keep:
+            self._released_ns = heapq.heappop(self._stamps)
+            released += sorted(self._held.pop(self._released_ns))
+        return iter(released)

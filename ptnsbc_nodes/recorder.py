@@ -1,0 +1,260 @@
+"""Recording a flight into a bag: every topic of the given UAVs, as bytes.
+
+In real time a message is logged when it arrives. In lock-step it is logged at its own stamp and
+sorted (`bag.reorder`), so that the same command gives the same bytes.
+
+The process says `ready` on stderr when it listens, and at SIGINT or SIGTERM completes the bag and
+prints one line of JSON on stdout.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_nodes import environment
+
+environment.prepare()
+
+import rclpy  # noqa: E402
+from rclpy.clock import Clock, ClockType  # noqa: E402
+from rclpy.context import Context  # noqa: E402
+from rclpy.event_handler import SubscriptionEventCallbacks  # noqa: E402
+from rclpy.executors import Executor  # noqa: E402
+from rclpy.node import Node  # noqa: E402
+from rclpy.qos import QoSDurabilityPolicy, QoSReliabilityPolicy  # noqa: E402
+from rclpy.signals import SignalHandlerOptions  # noqa: E402
+from rclpy.utilities import remove_ros_args  # noqa: E402
+
+from ptnsbc_nodes import qos, topics, wire  # noqa: E402
+from ptnsbc_nodes.bag import BagError, BagWriter, TopicInfo  # noqa: E402
+from ptnsbc_nodes.bag.reorder import Held, ReorderBuffer  # noqa: E402
+from ptnsbc_nodes.spin import make_executor, spin_for  # noqa: E402
+from ptnsbc_nodes.topics import Topic  # noqa: E402
+
+_FLUSH_CHECK = 0.25  # [s]
+_SIGNAL_CHECK = 0.1  # [s]: Python sees a signal only between two calls of the executor
+_QUIET = 0.2  # [s] without a message: what was on its way has arrived
+_DRAIN_LIMIT = 2.0  # [s]
+
+# Published by every UAV: order of arrival between them is chance even within the topic.
+_SHARED = frozenset({topics.DIAGNOSTICS.name, topics.TF.name})
+_LISTS = frozenset({topics.MARKERS.type, topics.TF.type})
+
+
+def topic_info(topic: Topic, *, lockstep: bool) -> TopicInfo:
+    """How `topic` is described in a bag: the profile that its publishers offer."""
+    profile = qos.profile(topic, lockstep=lockstep)
+    reliable = profile.reliability == QoSReliabilityPolicy.RELIABLE
+    latched = profile.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL
+    return TopicInfo(
+        topic.name,
+        topic.type,
+        "reliable" if reliable else "best_effort",
+        "transient_local" if latched else "volatile",
+        profile.depth,
+    )
+
+
+class Recorder:
+    """Subscriptions of `node` that write into an open `writer`.
+
+    Args:
+        node: Its clock gives the log time in real time.
+        writer: An open bag with all `recorded` topics; it stays open at `finish`.
+        recorded: What to record.
+        lockstep: Log at the message's own stamp, in an order that does not depend on arrival.
+    """
+
+    def __init__(
+        self, node: Node, writer: BagWriter, recorded: Iterable[Topic], *, lockstep: bool
+    ) -> None:
+        self.received = 0
+        self.lost = 0  # as far as DDS reports it: gaps in the network, not in our own queue
+        self._node = node
+        self._writer = writer
+        self._order = ReorderBuffer(_SHARED) if lockstep else None
+        for topic in recorded:
+            order = self._order
+            record = self._sorted(topic, order) if order else self._as_it_arrives(topic)
+            self._subscribe(topic, record, lockstep)
+        if not lockstep:
+            # By wall time: in lock-step the bytes would depend on it.
+            steady = Clock(clock_type=ClockType.STEADY_TIME)
+            node.create_timer(_FLUSH_CHECK, self._flush, clock=steady)
+
+    @property
+    def late(self) -> int:
+        """Lock-step messages too late to be sorted in; above zero the bytes may differ."""
+        return self._order.late if self._order else 0
+
+    def finish(self) -> None:
+        """Write what is still held back; call before the writer is closed."""
+        if self._order:
+            self._write_sorted(self._order.flush())
+
+    def _subscribe(self, topic: Topic, record: Callable[[bytes], None], lockstep: bool) -> None:
+        self._node.create_subscription(
+            topics.message_class(topic),
+            topic.name,
+            record,
+            qos.recorder_profile(topic, lockstep=lockstep),
+            raw=True,
+            event_callbacks=SubscriptionEventCallbacks(message_lost=self._count_lost),
+        )
+
+    def _as_it_arrives(self, topic: Topic) -> Callable[[bytes], None]:
+        clock = self._node.get_clock()
+
+        def record(data: bytes) -> None:
+            self.received += 1
+            self._writer.write(topic.name, clock.now().nanoseconds, data, stamp_of(topic, data))
+
+        return record
+
+    def _sorted(self, topic: Topic, order: ReorderBuffer) -> Callable[[bytes], None]:
+        last_ns = 0
+
+        def record(data: bytes) -> None:
+            nonlocal last_ns
+            self.received += 1
+            stamp_ns = stamp_of(topic, data)
+            # An empty list has no stamp; that of its predecessor is the same on every run.
+            last_ns = last_ns if stamp_ns is None else stamp_ns
+            self._write_sorted(order.push(last_ns, topic.name, data))
+
+        return record
+
+    def _write_sorted(self, messages: Iterable[Held]) -> None:
+        for message in messages:
+            self._writer.write(message.topic, message.stamp_ns, message.data)
+
+    def _count_lost(self, event: Any) -> None:
+        self.lost += event.total_count_change
+
+    def _flush(self) -> None:
+        self._writer.flush_if_due(time.monotonic())
+
+
+def stamp_of(topic: Topic, data: bytes) -> int | None:
+    """The header stamp [ns] of a message, of its first element for a list; None without one."""
+    try:
+        peek = wire.peek_sequence_stamp if topic.type in _LISTS else wire.peek_stamp
+        stamp_ns = peek(data)
+    except wire.WireError:
+        # Foreign and broken, but it was on the topic: it belongs into the bag.
+        return None
+    return stamp_ns if stamp_ns is not None and stamp_ns >= 0 else None
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Record until SIGINT or SIGTERM."""
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    options = _parser().parse_args(remove_ros_args(["recorder", *arguments])[1:])
+    stop = _StopSignal()
+    context = Context()
+    rclpy.init(args=arguments, context=context, signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        print(json.dumps(_record(context, options, stop)), flush=True)
+    except PtnsbcError as error:
+        print(f"recorder: {error}", file=sys.stderr)
+        return 1
+    finally:
+        rclpy.shutdown(context=context)
+    return 0
+
+
+class _StopSignal:
+    """SIGINT or SIGTERM has come; the bag still has to be completed, so neither may raise."""
+
+    def __init__(self) -> None:
+        self.came = False
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._on_signal)
+
+    def _on_signal(self, number: int, frame: FrameType | None) -> None:
+        self.came = True
+
+
+def _record(context: Context, options: argparse.Namespace, stop: _StopSignal) -> dict[str, Any]:
+    recorded = topics.recorded(options.uavs)
+    if not topics.tf_is_available():
+        print("recorder: /tf is left out, tf2_msgs is not installed", file=sys.stderr)
+    node = rclpy.create_node("recorder", context=context, start_parameter_services=False)
+    executor = make_executor(context)
+    executor.add_node(node)
+    infos = [topic_info(topic, lockstep=options.lockstep) for topic in recorded]
+    with BagWriter(
+        options.bag,
+        infos,
+        attachments={name: _content(name, path) for name, path in options.attach},
+        metadata=dict(options.meta),
+        overwrite=options.overwrite,
+    ) as writer:
+        recorder = Recorder(node, writer, recorded, lockstep=options.lockstep)
+        print("ready", file=sys.stderr, flush=True)
+        while not stop.came:
+            spin_for(executor, _SIGNAL_CHECK)
+        _drain(executor, recorder)
+        recorder.finish()
+    executor.remove_node(node)
+    executor.shutdown()
+    node.destroy_node()
+    return _summary(writer, recorder)
+
+
+def _drain(executor: Executor, recorder: Recorder) -> None:
+    """Take in what the UAVs sent before the signal and is still in the queues."""
+    end = time.monotonic() + _DRAIN_LIMIT
+    before = -1
+    while recorder.received != before and time.monotonic() < end:
+        before = recorder.received
+        spin_for(executor, _QUIET)
+
+
+def _summary(writer: BagWriter, recorder: Recorder) -> dict[str, Any]:
+    counts = writer.counts
+    return {
+        "bag": str(writer.directory),
+        "messages": sum(counts.values()),
+        "topics": counts,
+        "lost": recorder.lost,
+        "late": recorder.late,
+    }
+
+
+def _content(name: str, path: str) -> bytes:
+    try:
+        return Path(path).read_bytes()
+    except OSError as error:
+        raise BagError(f"--attach {name}={path}: {error.strerror}: expected a file") from error
+
+
+def _pair(text: str) -> tuple[str, str]:
+    key, found, value = text.partition("=")
+    if not key or not found:
+        raise argparse.ArgumentTypeError(f"{text!r}: expected name=value")
+    return key, value
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="recorder", description="Record a flight into a bag.")
+    parser.add_argument("--bag", type=Path, required=True, help="folder to create")
+    parser.add_argument("--uavs", type=int, nargs="+", required=True, metavar="N")
+    parser.add_argument("--lockstep", action="store_true", help="same flight, same bytes")
+    parser.add_argument("--overwrite", action="store_true", help="replace an existing bag")
+    parser.add_argument("--attach", type=_pair, action="append", default=[], metavar="NAME=PATH")
+    parser.add_argument("--meta", type=_pair, action="append", default=[], metavar="KEY=VALUE")
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())

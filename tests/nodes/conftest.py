@@ -1,0 +1,101 @@
+"""ROS in tests: a domain of our own, and a context, executor and nodes that go away afterwards."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import pytest
+
+# Before any message class is imported: Jazzy's field checks are off otherwise.
+os.environ.setdefault("ROS_PYTHON_CHECK_FIELDS", "1")
+os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+
+from ptnsbc_nodes import environment
+
+environment.prepare()
+
+
+@contextmanager
+def _own_domain() -> Iterator[int]:
+    """A domain id that no test beside us uses."""
+    if "ROS_DOMAIN_ID" in os.environ:
+        yield int(os.environ["ROS_DOMAIN_ID"])
+        return
+    try:
+        import domain_coordinator
+    except ImportError:
+        # 1 to 101: the ids whose ports are free on every system.
+        yield os.getpid() % 101 + 1
+    else:
+        with domain_coordinator.domain_id() as domain:
+            yield domain
+
+
+@pytest.fixture(scope="session")
+def domain() -> Iterator[int]:
+    with _own_domain() as number:
+        yield number
+
+
+class Ros:
+    """One context with one executor."""
+
+    def __init__(self, domain: int) -> None:
+        import rclpy
+
+        from ptnsbc_nodes.spin import make_executor
+
+        self.domain = domain
+        self.context = rclpy.Context()
+        rclpy.init(context=self.context, domain_id=domain)
+        self.executor = make_executor(self.context)
+        self._nodes = []
+
+    def node(self, name: str, **options):
+        import rclpy
+
+        node = rclpy.create_node(name, context=self.context, **options)
+        self._nodes.append(node)
+        self.executor.add_node(node)
+        return node
+
+    def remove(self, node) -> None:
+        """Take a node away before the end of the test."""
+        self._nodes.remove(node)
+        self.executor.remove_node(node)
+        # The EventsExecutor lets go of a node only when it runs the next time.
+        self.spin_for(0.01)
+        node.destroy_node()
+
+    def spin_for(self, seconds: float) -> None:
+        """Serve callbacks for a while."""
+        from rclpy.task import Future
+
+        self.executor.spin_until_future_complete(Future(), timeout_sec=seconds)
+
+    def spin_until(self, condition: Callable[[], object], timeout: float = 10.0) -> None:
+        """Serve callbacks until `condition()` is true."""
+        end = time.monotonic() + timeout
+        while not condition():
+            if time.monotonic() > end:
+                raise TimeoutError(f"not within {timeout} s: {condition}")
+            self.spin_for(0.02)
+
+    def close(self) -> None:
+        import rclpy
+
+        for node in list(self._nodes):
+            self.remove(node)
+        self.executor.shutdown()
+        rclpy.shutdown(context=self.context)
+
+
+@pytest.fixture
+def ros(domain) -> Iterator[Ros]:
+    pytest.importorskip("rclpy")
+    instance = Ros(domain)
+    yield instance
+    instance.close()
