@@ -1,0 +1,56 @@
+"""Who hears whom in one flight, and how many: the tree edges of the scenario, and no others."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ptnsbc_nodes.inbox import Senders
+from ptnsbc_sim.scenario import Scenario
+
+
+@dataclass(frozen=True)
+class FlightOptions:
+    """How a flight is run; the same for all its processes."""
+
+    lockstep: bool = False
+    recorded: bool = False  # a recorder must hear every topic before the flight
+
+    @property
+    def recorders(self) -> int:
+        """Readers that the recorder adds to each topic."""
+        return int(self.recorded)
+
+
+class Edges:
+    """The communication graph of one flight, seen from its topics."""
+
+    def __init__(self, scenario: Scenario, options: FlightOptions) -> None:
+        self._scenario = scenario
+        self.options = options
+
+    def senders(self, uav_id: int) -> Senders:
+        """Whom this UAV hears."""
+        scenario = self._scenario
+        return Senders(
+            parent=scenario.parent(uav_id),
+            leader=scenario.leader_id if scenario.pinned(uav_id) else None,
+            estimators=scenario.estimator_neighbours(uav_id),
+        )
+
+    def state_readers(self, uav_id: int) -> int:
+        """How many nodes hear the formation_state of this UAV."""
+        heard = sum(uav_id in self.senders(other).states for other in self._scenario.uav_ids)
+        return heard + self.options.recorders
+
+    def estimate_readers(self, uav_id: int) -> int:
+        """How many nodes hear the leader_estimate of this UAV."""
+        heard = sum(uav_id in self.senders(other).estimators for other in self._scenario.uav_ids)
+        return heard + self.options.recorders
+
+    def wrench_readers(self) -> int:
+        """How many nodes hear a wrench; in real time a bridge may fly instead of the sim."""
+        return int(self.options.lockstep) + self.options.recorders
+
+    def epoch_readers(self) -> int:
+        """How many nodes hear the epoch: all UAVs; in real time not every flight has a sim."""
+        return len(self._scenario.uav_ids) + self.wrench_readers()

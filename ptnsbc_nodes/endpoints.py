@@ -1,0 +1,84 @@
+"""The topics of one node, all raw, and whether each has found its other end."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.subscription import Subscription
+
+from ptnsbc_nodes import qos
+from ptnsbc_nodes.topics import Role, Topic, message_class
+
+LOST = Topic("/formation/lost", "std_msgs/msg/Header", Role.LATCHED)
+"""Names of UAVs whose process has ended, from the launcher: nobody waits for them any more."""
+
+# The last message alone is not enough here: a late joiner must learn the first epoch too, and of
+# every lost UAV.
+_LATCHED = QoSProfile(
+    depth=64,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+)
+
+
+class _Outlet(NamedTuple):
+    topic: Topic
+    publisher: Publisher
+    readers: int  # subscriptions that must match before the flight
+
+
+class Endpoints:
+    """Raw publishers and subscriptions: bytes in, bytes out, no message objects."""
+
+    def __init__(self, node: Node, lockstep: bool) -> None:
+        self._node = node
+        self._lockstep = lockstep
+        self._outlets: list[_Outlet] = []
+        self._awaited: list[tuple[Topic, Subscription]] = []
+
+    def publisher(self, topic: Topic, readers: int) -> Callable[[bytes], None]:
+        """A publisher of serialised messages; `readers` subscriptions must match it."""
+        publisher = self._node.create_publisher(
+            message_class(topic), topic.name, self._profile(topic)
+        )
+        self._outlets.append(_Outlet(topic, publisher, readers))
+        publish: Callable[[bytes], None] = publisher.publish
+        return publish
+
+    def listen(
+        self, topic: Topic, callback: Callable[[bytes], None], required: bool = True
+    ) -> None:
+        """Hear serialised messages; a `required` topic needs a publisher before the flight."""
+        subscription = self._node.create_subscription(
+            message_class(topic), topic.name, callback, self._profile(topic), raw=True
+        )
+        if required:
+            self._awaited.append((topic, subscription))
+
+    def unheard(self) -> list[str]:
+        """Required topics that nobody publishes yet."""
+        return [topic.name for topic, sub in self._awaited if sub.get_publisher_count() == 0]
+
+    def unread(self) -> list[str]:
+        """Published topics that do not have all their readers yet."""
+        return [
+            outlet.topic.name
+            for outlet in self._outlets
+            if outlet.publisher.get_subscription_count() < outlet.readers
+        ]
+
+    def flush(self, timeout_s: float) -> None:
+        """Wait until reliable readers have everything: leaving earlier would cut their bags."""
+        patience = Duration(seconds=timeout_s / max(len(self._outlets), 1))
+        for outlet in self._outlets:
+            outlet.publisher.wait_for_all_acked(patience)
+
+    def _profile(self, topic: Topic) -> QoSProfile:
+        if topic.role is Role.LATCHED:
+            return _LATCHED
+        return qos.profile(topic, lockstep=self._lockstep)

@@ -1,0 +1,54 @@
+"""The legs of a flight as the leader announces them: from which instant on which mode holds."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_core.types import LEGS
+
+FIRST_LEG = "form"
+
+
+class EpochError(PtnsbcError):
+    """An epoch that no UAV can fly."""
+
+
+class Leg(NamedTuple):
+    """The leg in force at some instant."""
+
+    name: str  # a key of LEGS
+    mode: int  # MODE_*
+    t0_ns: int  # its epoch: every time base counts from here [ns]
+    first_t0_ns: int  # epoch of the first leg [ns]
+
+
+class Epochs:
+    """Announced legs in the order of their announcement."""
+
+    def __init__(self) -> None:
+        self._legs: list[Leg] = []
+
+    def announce(self, t0_ns: int, name: str) -> None:
+        """Add a leg; what the latched topic repeats is known already."""
+        if name not in LEGS:
+            raise EpochError(f"epoch with leg {name!r}: expected one of {', '.join(LEGS)}")
+        first_t0_ns = self._legs[0].t0_ns if self._legs else t0_ns
+        leg = Leg(name, LEGS[name], t0_ns, first_t0_ns)
+        if leg not in self._legs[-1:]:
+            self._legs.append(leg)
+
+    @property
+    def announced(self) -> bool:
+        """Whether any leg is known, be it in the future."""
+        return bool(self._legs)
+
+    def at(self, now_ns: int) -> Leg | None:
+        """The leg in force: the last announced whose epoch has come.
+
+        So a stop at once wins over a hold announced before it for a later instant.
+        """
+        for leg in reversed(self._legs):
+            if leg.t0_ns <= now_ns:
+                return leg
+        return None

@@ -1,0 +1,47 @@
+"""Real-time bookkeeping: ticks that were missed, and the latency of the control loop."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+
+_LATENCY_WINDOW = 5000
+
+
+class Pace:
+    """Counts the ticks of a timer that came a period or more too late."""
+
+    def __init__(self, period_ns: int) -> None:
+        self.missed = 0
+        self._period_ns = period_ns
+        self._due_ns: int | None = None
+
+    def tick(self, now_ns: int) -> int:
+        """Periods that have passed since the last tick, at least 1; more than 1 were missed."""
+        due_ns = self._due_ns
+        if due_ns is None or now_ns < due_ns:
+            due_ns = now_ns  # the grid starts at the earliest tick, not at one that came late
+        skipped = (now_ns - due_ns) // self._period_ns
+        self.missed += skipped
+        self._due_ns = due_ns + (skipped + 1) * self._period_ns
+        return skipped + 1
+
+
+class Latency:
+    """Percentiles of the newest latencies, and the largest ever."""
+
+    def __init__(self) -> None:
+        self._recent_s: deque[float] = deque(maxlen=_LATENCY_WINDOW)
+        self.max_s = 0.0
+
+    def add(self, latency_s: float) -> None:
+        """Count one message."""
+        self._recent_s.append(latency_s)
+        self.max_s = max(self.max_s, latency_s)
+
+    def percentile_s(self, percent: float) -> float:
+        """The percentile [s] over the newest messages; 0 before the first."""
+        if not self._recent_s:
+            return 0.0
+        return float(np.percentile(np.fromiter(self._recent_s, float), percent))

@@ -1,0 +1,117 @@
+"""What every node process does alike: arguments, one rclpy node, one thread, a clean end."""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import signal
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from types import FrameType
+from typing import Any, NoReturn
+
+import rclpy
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Future
+from rclpy.utilities import remove_ros_args
+
+from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_nodes import environment
+from ptnsbc_nodes.edges import FlightOptions
+from ptnsbc_nodes.endpoints import Endpoints
+from ptnsbc_nodes.spin import make_executor
+
+USER_ERROR = 2
+_FLUSH_S = 1.0
+_SIGNAL_CHECK_S = 0.2
+
+
+class Arguments(argparse.ArgumentParser):
+    """Arguments of a node besides those of ROS; a wrong one is refused in one line."""
+
+    def __init__(self, name: str, description: str) -> None:
+        super().__init__(prog=name, description=description)
+        self.add_argument("--scenario", required=True, help="scenario file, or name of a built-in")
+        self.add_argument("--lockstep", action="store_true", help="tick with the simulation")
+        self.add_argument(
+            "--recorded", action="store_true", help="be ready only when a recorder listens"
+        )
+
+    def error(self, message: str) -> NoReturn:
+        """Print one line and exit with 2."""
+        print(f"{self.prog}: {message}", file=sys.stderr)
+        raise SystemExit(USER_ERROR)
+
+
+def flight_options(arguments: argparse.Namespace) -> FlightOptions:
+    """The options all processes of a flight share."""
+    return FlightOptions(lockstep=arguments.lockstep, recorded=arguments.recorded)
+
+
+def run(
+    parser: Arguments,
+    argv: Sequence[str] | None,
+    body: Callable[[argparse.Namespace, list[str]], int],
+) -> int:
+    """Parse and run `body(arguments, argv)`; a user's error is one line on stderr and exit 2."""
+    environment.prepare()
+    full = list(sys.argv if argv is None else (parser.prog, *argv))
+    arguments = parser.parse_args(remove_ros_args(full)[1:])
+    try:
+        return body(arguments, full)
+    except PtnsbcError as error:
+        print(f"{parser.prog}: {error}", file=sys.stderr)
+        return USER_ERROR
+    except KeyboardInterrupt:  # before rclpy had its handlers in place
+        return 0
+
+
+class Lifetime:
+    """From the start of a process to SIGINT, SIGTERM or its own end.
+
+    Instead of rclpy's signal handlers: those shut the context down under our feet, and the last
+    messages of a flight could not be waited for.
+    """
+
+    def __init__(self) -> None:
+        self._done = Future()
+        self._signalled = False
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._on_signal)
+
+    def end(self) -> None:
+        """Leave after the running callback."""
+        if not self._done.done():
+            self._done.set_result(None)
+
+    def serve(self, node: Node, endpoints: Endpoints) -> None:
+        """Run callbacks until the end, then let readers catch up."""
+        executor: Any = make_executor(node.context)
+        executor.add_node(node)
+        # What was made so far lives as long as the process: no collection need look at it.
+        gc.collect()
+        gc.freeze()
+        while not (self._signalled or self._done.done()) and node.context.ok():
+            # Python sees a signal only between two calls.
+            executor.spin_until_future_complete(self._done, timeout_sec=_SIGNAL_CHECK_S)
+        endpoints.flush(_FLUSH_S)
+        executor.remove_node(node)
+
+    def _on_signal(self, _number: int, _frame: FrameType | None) -> None:
+        self._signalled = True
+
+
+@contextmanager
+def ros_node(name: str, namespace: str, argv: Sequence[str]) -> Iterator[Node]:
+    """One rclpy node without the services that cost each tick a little."""
+    rclpy.init(args=list(argv), signal_handler_options=SignalHandlerOptions.NO)
+    node = rclpy.create_node(
+        name, namespace=namespace, start_parameter_services=False, enable_rosout=False
+    )
+    try:
+        yield node
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()

@@ -1,0 +1,208 @@
+"""The simulated vehicles on ROS 2: state and near objects out, wrenches in.
+
+In lock-step the sim publishes tick k, and steps when every wrench of tick k is in. In real time a
+node-clock timer steps with the newest wrench of each UAV; without a fresh one a vehicle hovers.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+
+from ptnsbc_core.types import Array
+from ptnsbc_nodes import topics
+from ptnsbc_nodes.edges import Edges
+from ptnsbc_nodes.endpoints import LOST, Endpoints
+from ptnsbc_nodes.epochs import Epochs
+from ptnsbc_nodes.pacing import Latency, Pace
+from ptnsbc_nodes.senses import Senses
+from ptnsbc_nodes.status import STATUS_HZ, Level, diagnostics, readiness
+from ptnsbc_nodes.wire import Stamped, decode_header, decode_wrench
+from ptnsbc_sim.scenario import Scenario
+from ptnsbc_sim.world import World
+
+_PROGRESS_S = 2.0
+_MAX_CATCH_UP_S = 0.5
+
+
+class Sim:
+    """The world as one rclpy node; calls `on_end` when the flight is over."""
+
+    def __init__(
+        self, node: Node, scenario: Scenario, edges: Edges, on_end: Callable[[], None]
+    ) -> None:
+        self.node = node
+        self._on_end = on_end
+        self.endpoints = Endpoints(node, edges.options.lockstep)
+        self._lockstep = edges.options.lockstep
+        self._period_ns = scenario.dt_ns
+        self._ticks = scenario.ticks
+        self._stale_ns = round(scenario.file.communication.stale_s * 1e9)
+        self._catch_up = max(round(_MAX_CATCH_UP_S * scenario.control_hz), 1)
+        self._status_every = max(scenario.control_hz // STATUS_HZ, 1)
+        self._world = World(scenario)
+        self._senses = Senses(self.endpoints, scenario, self._world, edges.options)
+        self._epochs = Epochs()
+        self._pace = Pace(self._period_ns)
+        self._latency = Latency()
+        self._progress = Progress(scenario.control_hz)
+        self._alive = set(self._world.ids)
+        self._wrenches: dict[int, Stamped] = {}
+        self._arrived: dict[int, Array] = {}  # lock-step: the wrenches of this tick
+        self._running = False
+        self._listen()
+        self._status = self.endpoints.publisher(topics.DIAGNOSTICS, edges.options.recorders)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        node.create_timer(1.0 / STATUS_HZ, self._on_status_timer, clock=steady)
+        if not self._lockstep:
+            node.create_timer(self._period_ns * 1e-9, self._on_tick_timer)
+
+    def _listen(self) -> None:
+        for i in self._world.ids:
+            self.endpoints.listen(topics.wrench_setpoint(i), self._hearer(i))
+        self.endpoints.listen(topics.EPOCH, self._on_epoch)
+        self.endpoints.listen(LOST, self._on_lost, required=False)
+
+    def waiting_for(self) -> list[str]:
+        """Topics without their other end."""
+        missing = self.endpoints.unheard()
+        return missing + self.endpoints.unread() if self._lockstep else missing
+
+    def _hearer(self, uav_id: int) -> Callable[[bytes], None]:
+        def on_wrench(data: bytes) -> None:
+            wrench = decode_wrench(data)
+            if not self._lockstep:
+                self._wrenches[uav_id] = wrench
+                self._latency.add((self._clock_ns() - wrench.stamp_ns) * 1e-9)
+            elif wrench.stamp_ns == self._world.t_ns:
+                self._arrived[uav_id] = wrench.values
+                self._advance()
+
+        return on_wrench
+
+    def _on_epoch(self, data: bytes) -> None:
+        self._epochs.announce(*decode_header(data))
+        self._start()
+
+    def _on_lost(self, data: bytes) -> None:
+        name = decode_header(data).frame_id.removeprefix("uav")
+        if name.isdecimal() and int(name) in self._alive:
+            self._alive.discard(int(name))
+            self._advance()
+
+    def _start(self) -> None:
+        """Lock-step: publish tick 0 once the epoch is known and nobody can miss it."""
+        due = self._lockstep and not self._running and self._epochs.announced
+        if due and not self.waiting_for():
+            self._running = True
+            self._progress.begin()
+            self._publish(0)
+
+    def _advance(self) -> None:
+        """Lock-step: step when the wrenches of all living UAVs are in."""
+        if not (self._lockstep and self._running and self._alive <= self._arrived.keys()):
+            return
+        wrenches = {i: self._arrived[i] for i in self._alive}
+        self._arrived.clear()
+        self._world.step(wrenches)
+        self._progress.show(self._world.tick)
+        if self._world.tick >= self._ticks:
+            self._finish()
+        else:
+            self._publish(self._world.t_ns)
+
+    def _on_tick_timer(self) -> None:
+        now_ns = self._clock_ns()
+        periods = self._pace.tick(now_ns)
+        fresh = {
+            i: wrench.values
+            for i, wrench in self._wrenches.items()
+            if i in self._alive and now_ns - wrench.stamp_ns <= self._stale_ns
+        }
+        for _ in range(min(periods, self._catch_up)):
+            self._world.step(fresh)
+        self._publish(now_ns)
+        leg = self._epochs.at(now_ns)
+        if leg is not None:
+            self._flown((now_ns - leg.first_t0_ns) // self._period_ns)
+
+    def _flown(self, ticks: int) -> None:
+        if not self._running:
+            self._running = True
+            self._pace.missed = 0  # what others cost us while they started
+            self._latency = Latency()
+            self._progress.begin()
+        self._progress.show(ticks)
+        if ticks >= self._ticks:
+            self._finish()
+
+    def _publish(self, stamp_ns: int) -> None:
+        self._senses.publish(stamp_ns)
+        if self._lockstep and self._world.tick % self._status_every == 0:
+            self._report(stamp_ns)
+
+    def _finish(self) -> None:
+        self._running = False
+        self._progress.end(self._world.tick if self._lockstep else self._ticks)
+        self._on_end()
+
+    def _clock_ns(self) -> int:
+        return int(self.node.get_clock().now().nanoseconds)
+
+    def _on_status_timer(self) -> None:
+        if not self._lockstep:
+            self._report(self._clock_ns())
+        elif not self._running:
+            self._start()
+            if not self._running:
+                self._report(-1)  # before simulated time; bags leave it out
+
+    def _report(self, stamp_ns: int) -> None:
+        missing = self.waiting_for() if stamp_ns < 0 or not self._lockstep else []
+        latency = self._latency
+        values = {
+            **readiness(missing),
+            "ticks": str(self._world.tick),
+            "missed_ticks": str(self._pace.missed),
+            "latency_p50_ms": f"{1e3 * latency.percentile_s(50):.3f}",
+            "latency_p99_ms": f"{1e3 * latency.percentile_s(99):.3f}",
+            "latency_max_ms": f"{1e3 * latency.max_s:.3f}",
+        }
+        level = Level.WARN if missing else Level.OK
+        message = f"waiting for {' '.join(missing)}" if missing else ""
+        self._status(diagnostics(stamp_ns, "sim: world", level, message, values))
+
+
+class Progress:
+    """A line on stderr now and then: simulated time and steps per second."""
+
+    def __init__(self, control_hz: int) -> None:
+        self._control_hz = control_hz
+        self._began = self._shown = 0.0
+        self._shown_ticks = 0
+
+    def begin(self) -> None:
+        """The first tick."""
+        self._began = self._shown = time.monotonic()
+
+    def show(self, ticks: int) -> None:
+        """Print if it is time."""
+        now = time.monotonic()
+        if now - self._shown >= _PROGRESS_S:
+            self._print(ticks, (ticks - self._shown_ticks) / (now - self._shown))
+            self._shown, self._shown_ticks = now, ticks
+
+    def end(self, ticks: int) -> None:
+        """Print the average of the flight."""
+        self._print(ticks, ticks / max(time.monotonic() - self._began, 1e-9))
+
+    def _print(self, ticks: int, rate: float) -> None:
+        print(
+            f"sim: {ticks / self._control_hz:.2f} s, {rate:.0f} steps/s",
+            file=sys.stderr,
+            flush=True,
+        )

@@ -1,0 +1,201 @@
+"""One UAV on ROS 2: bytes in, one call of `ptnsbc_core.agent.step` per tick, bytes out.
+
+In real time a node-clock timer ticks at the control rate with the newest of everything. In
+lock-step a tick happens when all that it needs is here: own odometry of tick k, the neighbours'
+messages of k-1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+
+from ptnsbc_core.agent import initial_state, step
+from ptnsbc_core.types import MODE_HOLD, AgentState
+from ptnsbc_nodes import topics
+from ptnsbc_nodes.edges import Edges, FlightOptions
+from ptnsbc_nodes.endpoints import LOST, Endpoints
+from ptnsbc_nodes.epochs import EpochError, Epochs
+from ptnsbc_nodes.inbox import NO_CUTOFF_NS, Inbox
+from ptnsbc_nodes.outbox import Outbox
+from ptnsbc_nodes.pacing import Pace
+from ptnsbc_nodes.services import Instruments, LegServices
+from ptnsbc_nodes.status import STATUS_HZ, Level, Tally, diagnostics, readiness
+from ptnsbc_nodes.wire import Stamped, decode_header, decode_near, decode_odometry
+from ptnsbc_sim.scenario import Scenario, agent_config
+
+
+class Uav:
+    """The controller of one UAV: one rclpy node, one tick."""
+
+    def __init__(self, node: Node, scenario: Scenario, uav_id: int, edges: Edges) -> None:
+        self.node = node
+        self.endpoints = Endpoints(node, edges.options.lockstep)
+        self._name = f"uav{uav_id}"
+        self._lockstep = edges.options.lockstep
+        self._config = agent_config(scenario, uav_id)
+        self._period_ns = scenario.dt_ns
+        self._near_every = scenario.near_every
+        self._status_every = max(scenario.control_hz // STATUS_HZ, 1)
+        self._inbox = Inbox(edges.senders(uav_id))
+        self._outbox = Outbox(self.endpoints, edges, uav_id)
+        self._epochs = Epochs()
+        self._pace = Pace(self._period_ns)
+        self._tally = Tally()
+        self._state: AgentState | None = None
+        self._done_ns = -1  # stamp of the newest tick that is done
+        self._born_ns = self._clock_ns()
+        self._subscribe(uav_id, edges)
+        self._status = self.endpoints.publisher(topics.DIAGNOSTICS, edges.options.recorders)
+        if uav_id == scenario.leader_id:
+            self._serve(edges)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        node.create_timer(1.0 / STATUS_HZ, self._on_status_timer, clock=steady)
+        if not self._lockstep:
+            node.create_timer(self._period_ns * 1e-9, self._on_tick_timer)
+
+    def waiting_for(self) -> list[str]:
+        """Topics without their other end; in real time also an odometry not heard yet."""
+        missing = self.endpoints.unheard()
+        if self._lockstep:
+            return missing + self.endpoints.unread()
+        own_topic = f"/{self._name}/odom"
+        if self._inbox.own is None and own_topic not in missing:
+            missing.append(own_topic)
+        return missing
+
+    def _subscribe(self, uav_id: int, edges: Edges) -> None:
+        inbox = self._inbox
+        listen = self.endpoints.listen
+        listen(topics.odom(uav_id), self._on_odom)
+        listen(topics.near(uav_id), self._on_near, required=self._lockstep)
+        for i in inbox.senders.states:
+            listen(topics.formation_state(i), self._hearer(inbox.hear_state, i))
+        for i in inbox.senders.estimators:
+            listen(topics.leader_estimate(i), self._hearer(inbox.hear_estimate, i))
+        listen(topics.EPOCH, self._on_epoch)
+        listen(LOST, self._on_lost, required=False)
+
+    def _serve(self, edges: Edges) -> None:
+        instruments = Instruments(
+            publish=self.endpoints.publisher(topics.EPOCH, edges.epoch_readers()),
+            now_ns=self._flight_ns,
+            epochs=self._epochs,
+            waiting_for=self.waiting_for,
+        )
+        self._services = LegServices(self.node, instruments, self._lockstep)
+
+    def _clock_ns(self) -> int:
+        return int(self.node.get_clock().now().nanoseconds)
+
+    def _flight_ns(self) -> int:
+        return max(self._done_ns, 0) if self._lockstep else self._clock_ns()
+
+    def _on_odom(self, data: bytes) -> None:
+        self._inbox.own = decode_odometry(data)
+        self._advance()
+
+    def _on_near(self, data: bytes) -> None:
+        self._inbox.near = decode_near(data)
+        self._advance()
+
+    def _hearer(self, hear: Callable[[int, Stamped], None], uav_id: int) -> Callable[[bytes], None]:
+        def on_message(data: bytes) -> None:
+            hear(uav_id, decode_odometry(data))
+            self._advance()
+
+        return on_message
+
+    def _on_epoch(self, data: bytes) -> None:
+        t0_ns, leg = decode_header(data)
+        try:
+            self._epochs.announce(t0_ns, leg)
+        except EpochError as error:
+            self.node.get_logger().error(str(error))
+        self._advance()
+
+    def _on_lost(self, data: bytes) -> None:
+        name = decode_header(data).frame_id.removeprefix("uav")
+        if name.isdecimal():
+            self._inbox.lose(int(name))
+        self._advance()
+
+    def _advance(self) -> None:
+        """Lock-step: do the tick if everything for it is here."""
+        own = self._inbox.own
+        if not self._lockstep or own is None or own.stamp_ns <= self._done_ns:
+            return
+        now_ns = own.stamp_ns
+        if self._epochs.announced and self._inbox.holds_tick(self._period_ns, self._near_every):
+            self._tick(own, now_ns, now_ns, self._period_ns)
+            if now_ns // self._period_ns % self._status_every == 0:
+                self._report(now_ns)
+
+    def _on_tick_timer(self) -> None:
+        now_ns = self._clock_ns()
+        periods = self._pace.tick(now_ns)
+        own = self._inbox.own
+        # The setpoint is the proof of life: without fresh odometry there must be none.
+        if own is not None and not self._stale(own, now_ns):
+            self._tick(own, now_ns, NO_CUTOFF_NS, periods * self._period_ns)
+
+    def _stale(self, own: Stamped, now_ns: int) -> bool:
+        return (now_ns - own.stamp_ns) * 1e-9 > self._config.stale_s
+
+    def _tick(self, own: Stamped, now_ns: int, cutoff_ns: int, elapsed_ns: int) -> None:
+        leg = self._epochs.at(now_ns)
+        if leg is None:  # not announced or still to come: hover where we are, and do not count
+            self._pace.missed = 0
+            mode, t0_ns, first_ns = MODE_HOLD, self._born_ns, self._born_ns
+        else:
+            mode, t0_ns, first_ns = leg.mode, leg.t0_ns, leg.first_t0_ns
+        inputs = self._inbox.inputs(now_ns, cutoff_ns, mode, (now_ns - first_ns) * 1e-9)
+        if self._state is None:
+            self._state = initial_state(inputs.own, self._config)
+        dt = elapsed_ns * 1e-9
+        self._state, outputs = step(self._state, inputs, (now_ns - t0_ns) * 1e-9, dt, self._config)
+        self._done_ns = now_ns
+        self._outbox.send(own, outputs)
+        if leg is not None:
+            self._tally.add(outputs.diagnostics, dt)
+
+    def _on_status_timer(self) -> None:
+        if not self._lockstep:
+            self._report(self._clock_ns())
+        elif self._done_ns < 0:
+            self._report(-1)  # before simulated time; bags leave it out
+
+    def _report(self, stamp_ns: int) -> None:
+        missing = self.waiting_for() if stamp_ns < 0 or not self._lockstep else []
+        leg = self._epochs.at(stamp_ns)
+        values = {
+            **readiness(missing),
+            "mode": leg.name if leg else "waiting",
+            "missed_ticks": str(self._pace.missed),
+            **self._tally.values(),
+        }
+        level, message = self._verdict(stamp_ns, missing)
+        self._status(diagnostics(stamp_ns, f"{self._name}: planner", level, message, values))
+
+    def _verdict(self, stamp_ns: int, missing: list[str]) -> tuple[Level, str]:
+        own = self._inbox.own
+        if not self._lockstep and own is not None and self._stale(own, stamp_ns):
+            return Level.ERROR, "own odometry is stale: no setpoints"
+        if self._epochs.announced and self._tally.holding:
+            return Level.WARN, "holding"
+        return (Level.WARN, f"waiting for {' '.join(missing)}") if missing else (Level.OK, "")
+
+
+def warm_up(scenario: Scenario, uav_id: int) -> None:
+    """Compile or load the kernels, so that the first tick is not a compilation."""
+    config = agent_config(scenario, uav_id)
+    senders = Edges(scenario, FlightOptions()).senders(uav_id)
+    inbox = Inbox(senders)
+    own = np.zeros(13)
+    own[6] = 1.0
+    inbox.own = Stamped(0, own)
+    inputs = inbox.inputs(0, 0)
+    step(initial_state(own, config), inputs, 0.0, scenario.dt_ns * 1e-9, config)
