@@ -7,12 +7,21 @@ x_dot = -Xi x to the residual q / (1 + q) of its start at tf, whatever the start
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from ptnsbc_core.errors import GainError
 from ptnsbc_core.kernel import kernel
 from ptnsbc_core.types import PROFILE_REFERENCE, PROFILE_SOFT, Array, LoopGain
+
+
+class Clock(NamedTuple):
+    """Times of one tick [s]."""
+
+    t: float  # since the latest epoch
+    start_t: float  # since the first epoch: the soft profile counts from it, so a re-arm stays firm
+    dt: float  # control period
 
 
 @kernel
@@ -38,31 +47,35 @@ def step_gain(t: float, dt: float, duration_s: float, residual: float) -> float:
 
 
 @kernel
-def loop_gain(gain: LoopGain, t: float, start_t: float, dt: float) -> float:
-    """G(t) = Lambda (Xi(t) + kappa c(t)) [1/s]; c of `soft` counts from the first epoch, so a re-arm stays firm."""
-    c = 1.0
+def onset(gain: LoopGain, clock: Clock) -> float:
+    """c(t) [1]: 1, or h(t) for the profile `soft`, whose input then starts at zero."""
     if gain.profile == PROFILE_SOFT:
-        c = h(start_t / gain.duration_s)
-    return gain.scale * (step_gain(t, dt, gain.duration_s, gain.residual) + gain.kappa * c)
+        return h(clock.start_t / gain.duration_s)
+    return 1.0
 
 
 @kernel
-def loop_rate(
-    gain: LoopGain, error: Array, start_error: Array, t: float, start_t: float, dt: float
-) -> Array:
+def loop_gain(gain: LoopGain, clock: Clock) -> float:
+    """G(t) = Lambda (Xi(t) + kappa c(t)) [1/s]."""
+    xi = step_gain(clock.t, clock.dt, gain.duration_s, gain.residual)
+    return gain.scale * (xi + gain.kappa * onset(gain, clock))
+
+
+@kernel
+def loop_rate(gain: LoopGain, error: Array, start_error: Array, clock: Clock) -> Array:
     """Task rate [unit/s] that a loop asks for an error (m,): G e, or the profile `reference` around e(t0)(1 - h).
 
     `reference` follows the error's own prescribed decay, so noise meets kappa only, never Xi.
     """
     if gain.profile == PROFILE_REFERENCE:
-        s = t / gain.duration_s
-        decay = h((t + dt) / gain.duration_s) - h(s)
+        now = h(clock.t / gain.duration_s)
+        rise = h((clock.t + clock.dt) / gain.duration_s) - now
         rate = np.empty(error.shape[0])
         for i in range(error.shape[0]):
-            planned = start_error[i] * (1.0 - h(s))
-            rate[i] = start_error[i] * decay / dt + gain.scale * gain.kappa * (error[i] - planned)
+            planned = start_error[i] * (1.0 - now)
+            rate[i] = start_error[i] * rise / clock.dt + gain.scale * gain.kappa * (error[i] - planned)
         return rate
-    return loop_gain(gain, t, start_t, dt) * error
+    return loop_gain(gain, clock) * error
 
 
 def peak_gain(duration_s: float, residual: float) -> float:

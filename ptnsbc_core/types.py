@@ -85,7 +85,8 @@ class ClearanceConfig(NamedTuple):
 class FilterConfig(NamedTuple):
     """Command filter, equations.md section 6."""
 
-    bandwidth: float  # [1/s]
+    bandwidth: float  # [1/s], velocity
+    rate_bandwidth: float  # [1/s], body rates
     max_speed: float  # [m/s]
     max_acceleration: float  # [m/s^2]
     max_rate: float  # [rad/s]

@@ -1,0 +1,50 @@
+"""Adaptive parts of the controller (49)-(51): parameters Psi_hat and the disturbance bound delta_hat."""
+
+from __future__ import annotations
+
+from ptnsbc_core.kernel import kernel
+from ptnsbc_core.types import Array, ControllerConfig
+
+
+@kernel
+def adapted_parameters(
+    parameters: Array, regressor_error: Array, frozen: bool, dt: float, config: ControllerConfig
+) -> Array:
+    """Psi_hat (4,) after one step of Psi_dot = -Gamma^-1 Y^T V~, (50), kept within mass_range of nominal.
+
+    Args:
+        parameters: (4,) m [kg], Ixx, Iyy, Izz [kg m^2].
+        regressor_error: (4,) Y^T V~.
+        frozen: an actuator is at its limit, so the error says nothing about the parameters.
+        dt: step [s].
+        config: gains and nominal values.
+    """
+    out = parameters.copy()
+    if frozen:
+        return out
+    for i in range(4):
+        gain = config.adaptation[0] if i == 0 else config.adaptation[1]
+        nominal = config.nominal[i]
+        span = config.mass_range * nominal
+        step = out[i] - dt * gain * regressor_error[i]
+        out[i] = min(max(step, nominal - span), nominal + span)
+    return out
+
+
+@kernel
+def adapted_bound(
+    bound: float, error_norm: float, which: int, dt: float, config: ControllerConfig
+) -> float:
+    """delta_hat after one step of (51) with dead zone, leak and cap: the printed one grows for ever.
+
+    Args:
+        bound: delta_hat [m/s^2] or [rad/s^2].
+        error_norm: |V~|_1 of the part [m/s] or [rad/s].
+        which: 0 force, 1 torque.
+        dt: step [s].
+        config: rates and limits.
+    """
+    growth = 0.0
+    if error_norm > config.bound_dead_zone[which]:
+        growth = config.bound_rate * error_norm
+    return min(bound + dt * (growth - config.bound_leak * bound), config.bound_cap[which])

@@ -1,0 +1,257 @@
+"""One control step of one UAV: estimator, behaviours, null-space, command filter, controller.
+
+`step` is the only place where the laws meet. The ROS node, the headless swarm and every replay call it.
+"""
+
+from __future__ import annotations
+
+
+import numpy as np
+
+from ptnsbc_core.command_filter import filter_step
+from ptnsbc_core.controller import Command, Control, rigid_body_control
+from ptnsbc_core.estimator import disagreement, estimator_step
+from ptnsbc_core.kernel import kernel
+from ptnsbc_core.kinematics import (
+    estimate_to_odometry,
+    odometry_to_estimate,
+    state_to_estimate,
+    velocity_enu,
+    yaw_of,
+)
+from ptnsbc_core.planner import (
+    Behaviour,
+    Neighbour,
+    attitude,
+    composed,
+    formation,
+    hold,
+    leader_tracking,
+)
+from ptnsbc_core.quadrotor_control import quadrotor_control
+from ptnsbc_core.tasks.clearance import clearance
+from ptnsbc_core.tasks.encounters import none_met
+from ptnsbc_core.timebase import Clock, loop_gain
+from ptnsbc_core.trajectory import Reference, reference
+from ptnsbc_core.types import (
+    MODE_FORMATION,
+    MODE_LAND,
+    NEVER_HEARD_S,
+    PLANT_RIGID_BODY,
+    AgentConfig,
+    AgentDiagnostics,
+    AgentInputs,
+    AgentOutputs,
+    AgentState,
+    Array,
+)
+
+_NOT_YET = -1
+
+
+@kernel
+def initial_state(own: Array, config: AgentConfig) -> AgentState:
+    """State before the first tick, from the UAV's own odometry vector (13,)."""
+    hold_at = np.zeros(4)
+    hold_at[0:3] = own[0:3]
+    hold_at[3] = yaw_of(own)
+    command = np.zeros(6)
+    command[0:3] = velocity_enu(own)
+    return AgentState(
+        state_to_estimate(own),
+        False,
+        command,
+        config.controller.nominal.copy(),
+        np.zeros(2),
+        none_met(),
+        np.zeros(6),
+        hold_at,
+        _NOT_YET,
+        0.0,
+    )
+
+
+@kernel
+def _moved_on(estimate: Array, age_s: float) -> Array:
+    """Estimate (7,) of `age_s` ago carried to the present with its own velocity."""
+    out = estimate.copy()
+    for i in range(3):
+        out[i] += age_s * estimate[3 + i]
+    return out
+
+
+@kernel
+def _estimated_leader(
+    state: AgentState, inputs: AgentInputs, clock: Clock, frozen: bool, config: AgentConfig
+) -> tuple[Array, bool]:
+    """Leader estimate (7,) at this tick, and whether it rests on anything heard."""
+    if config.leader:
+        return state_to_estimate(inputs.own), True
+    pinned = config.estimator.pinned and inputs.leader_age_s < NEVER_HEARD_S
+    leader = np.zeros(7)
+    if pinned:
+        leader = _moved_on(state_to_estimate(inputs.leader), inputs.leader_age_s)
+        if not state.heard:
+            return leader, True
+    if frozen:
+        still = state.estimate.copy()
+        still[3:6] = 0.0
+        return still, state.heard
+    count = inputs.estimates.shape[0]
+    others = np.empty((count, 7))
+    heard = np.zeros(count)
+    for k in range(count):
+        if inputs.estimate_age_s[k] <= config.stale_s:
+            others[k] = _moved_on(
+                odometry_to_estimate(inputs.estimates[k]), inputs.estimate_age_s[k]
+            )
+            heard[k] = 1.0
+    if not pinned and heard.sum() == 0.0:
+        return state.estimate.copy(), state.heard
+    g = disagreement(state.estimate, others, heard, leader, pinned)
+    return estimator_step(state.estimate, g, clock.t, clock.dt, config.estimator), True
+
+
+@kernel
+def _lost(inputs: AgentInputs, start_t: float, config: AgentConfig) -> bool:
+    """Whether the parent or a leader link has been silent for too long (never heard counts after stale_s)."""
+    if config.leader or start_t < config.stale_s:
+        return False
+    if inputs.parent_age_s > config.stale_s:
+        return True
+    return config.estimator.pinned and inputs.leader_age_s > config.stale_s
+
+
+@kernel
+def _behaviour(
+    state: AgentState, inputs: AgentInputs, estimate: Array, clock: Clock, config: AgentConfig
+) -> Behaviour:
+    """The mission behaviour: leader tracking for the leader, formation for a follower that has heard."""
+    position = inputs.own[0:3].copy()
+    start_error = state.start_error[0:3].copy()
+    if config.leader:
+        desired = reference(config.trajectory, clock.start_t)
+        return leader_tracking(position, desired, start_error, clock, config)
+    if inputs.parent_age_s >= NEVER_HEARD_S:
+        rest = Reference(position, np.zeros(3), 0.0)
+        return leader_tracking(position, rest, np.zeros(3), clock, config)
+    velocity = velocity_enu(inputs.parent)
+    parent = Neighbour(inputs.parent[0:3] + inputs.parent_age_s * velocity, velocity)
+    leader = Neighbour(estimate[0:3].copy(), estimate[3:6].copy())
+    return formation(position, parent, leader, start_error, clock, config)
+
+
+@kernel
+def _controlled(
+    state: AgentState, inputs: AgentInputs, command: Command, clock: Clock, config: AgentConfig
+) -> Control:
+    """Wrench by the law of the plant's kind."""
+    inner = Clock(clock.start_t, clock.start_t, clock.dt)  # inner loops arm once
+    if config.controller.plant == PLANT_RIGID_BODY:
+        return rigid_body_control(
+            inputs.own, command, state.parameters, state.bound, inner, config.controller
+        )
+    return quadrotor_control(
+        inputs.own, command, state.parameters, state.bound, inner, config.controller,
+        config.filter.max_rate,
+    )
+
+
+@kernel
+def _hold_place(state: AgentState, inputs: AgentInputs, holding: bool) -> Array:
+    """Where to hold (4,): where the UAV was when holding began."""
+    if holding and state.mode == MODE_FORMATION:
+        place = np.empty(4)
+        place[0:3] = inputs.own[0:3]
+        place[3] = yaw_of(inputs.own)
+        return place
+    return state.hold.copy()
+
+
+@kernel
+def _held(
+    behaviour: Behaviour, inputs: AgentInputs, place: Array, config: AgentConfig
+) -> Behaviour:
+    """The mission behaviour replaced by keeping a place, or by descending over it."""
+    velocity = hold(inputs.own[0:3].copy(), place, config)
+    if inputs.mode == MODE_LAND:
+        velocity[2] = -config.land_speed
+    jacobian = np.zeros((3, 3))
+    for i in range(3):
+        jacobian[i, i] = 1.0
+    return Behaviour(velocity, jacobian, behaviour.error, behaviour.singular_value)
+
+
+@kernel
+def step(
+    state: AgentState, inputs: AgentInputs, t: float, dt: float, config: AgentConfig
+) -> tuple[AgentState, AgentOutputs]:
+    """One tick: pure, no clock, no randomness, no I/O.
+
+    Args:
+        state: what the previous tick left (`initial_state` before the first).
+        inputs: what the UAV knows now.
+        t: time since the latest epoch [s].
+        dt: control period [s].
+        config: constants of this UAV.
+
+    Returns:
+        The state for the next tick and what to send now.
+    """
+    clock = Clock(t, inputs.start_age_s, dt)
+    holding = inputs.mode != MODE_FORMATION or _lost(inputs, clock.start_t, config)
+    estimate, heard = _estimated_leader(state, inputs, clock, holding, config)
+    place = _hold_place(state, inputs, holding)
+    yaw = place[3] if holding else estimate[6]
+    if config.leader and not holding:
+        yaw = reference(config.trajectory, clock.start_t).yaw
+
+    armed = state.mode == _NOT_YET or t < state.last_t or state.heard != heard
+    start_error = state.start_error.copy()
+    behaviour = _behaviour(state, inputs, estimate, clock, config)
+    rates, euler_error = attitude(inputs.own, yaw, start_error[3:6].copy(), clock, config)
+    if armed:
+        start_error[0:3] = behaviour.error
+        start_error[3:6] = euler_error
+    if holding:
+        behaviour = _held(behaviour, inputs, place, config)
+
+    top = clearance(
+        inputs.own[0:3].copy(), behaviour.velocity, inputs.near, inputs.near_age_s,
+        state.encounters, dt, config.clearance,
+    )
+    velocity = composed(top, behaviour.jacobian, config.filter.max_speed)
+    limits = config.filter
+    linear = filter_step(
+        state.command[0:3].copy(), velocity.velocity, limits.bandwidth, limits.max_acceleration, dt
+    )
+    angular = filter_step(
+        state.command[3:6].copy(), rates, limits.rate_bandwidth, limits.max_rate_acceleration, dt
+    )
+    command = Command(linear.value, linear.rate, angular.value, angular.rate, yaw)
+    control = _controlled(state, inputs, command, clock, config)
+
+    stored = np.empty(6)
+    stored[0:3] = linear.value
+    stored[3:6] = angular.value
+    diagnostics = AgentDiagnostics(
+        behaviour.error,
+        loop_gain(config.formation, clock),
+        behaviour.singular_value,
+        top.jacobian.shape[0],
+        velocity.limited or linear.saturated or control.saturated,
+        holding,
+        velocity.violation,
+        control.velocity_error,
+    )
+    after = AgentState(
+        estimate, heard, stored, control.parameters, control.bound, top.encounters, start_error,
+        place, MODE_FORMATION if not holding else max(inputs.mode, 1), t,
+    )
+    setpoint = np.empty(4)
+    setpoint[0:3] = linear.value
+    setpoint[3] = angular.value[2]
+    outputs = AgentOutputs(
+        setpoint, control.wrench, estimate_to_odometry(estimate), diagnostics
+    )
+    return after, outputs

@@ -1,0 +1,117 @@
+"""Null-space composition (7)-(11), (18)-(22), (37), (38) for any number of tasks, equations.md section 3.
+
+Everything here is a world-frame velocity of one UAV (3,) [m/s, ENU]; Theta^-1 is applied once, later.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ptnsbc_core.algebra import eigen3, gram3, times, transpose_times
+from ptnsbc_core.kernel import kernel
+from ptnsbc_core.types import Array
+
+RANK_TOLERANCE = 1e-9
+"""Share of the largest eigenvalue of the Gram matrix below which a direction counts as free."""
+
+
+@kernel
+def smallest_singular_value(jacobian: Array) -> float:
+    """Smallest of the three singular values of a Jacobian (r, 3); 0 where it leaves a direction free."""
+    values = eigen3(gram3(jacobian)).values
+    return math.sqrt(max(min(values[0], values[1], values[2]), 0.0))
+
+
+@kernel
+def damped_solve(jacobian: Array, rate: Array, threshold: float, damping: float) -> Array:
+    """J^+ rate, (3,): each singular value s below `threshold` is damped by damping^2 (1 - (s/threshold)^2).
+
+    Singular values come from the Gram matrix: for three unknowns that is the decomposition of the design
+    without LAPACK. Directions that the Jacobian (r, 3) leaves free stay at rest.
+    """
+    parts = eigen3(gram3(jacobian))
+    pulled = transpose_times(jacobian, rate)
+    out = np.zeros(3)
+    largest = max(parts.values[0], parts.values[1], parts.values[2])
+    for k in range(3):
+        value = parts.values[k]
+        if value <= RANK_TOLERANCE * RANK_TOLERANCE * largest or value <= 0.0:
+            continue
+        damped = value
+        if value < threshold * threshold:
+            damped += damping * damping * (1.0 - value / (threshold * threshold))
+        share = 0.0
+        for i in range(3):
+            share += parts.vectors[i, k] * pulled[i]
+        for i in range(3):
+            out[i] += parts.vectors[i, k] * share / damped
+    return out
+
+
+@kernel
+def projector(jacobian: Array) -> Array:
+    """N = I - J^+ J (3, 3) of the stacked rows (r, 3): symmetric and idempotent by construction."""
+    out = np.zeros((3, 3))
+    if jacobian.shape[0] == 0:
+        for i in range(3):
+            out[i, i] = 1.0
+        return out
+    parts = eigen3(gram3(jacobian))
+    largest = max(parts.values[0], parts.values[1], parts.values[2])
+    for k in range(3):
+        if parts.values[k] > RANK_TOLERANCE * largest:
+            continue
+        for i in range(3):
+            for j in range(3):
+                out[i, j] += parts.vectors[i, k] * parts.vectors[j, k]
+    return out
+
+
+@kernel
+def compose(velocities: Array, jacobians: Array, rows: Array) -> Array:
+    """Velocities in strict priority: v = v_1 + sum_l N_{1..l-1} v_l.
+
+    Args:
+        velocities: (L, 3) each task's own velocity [m/s, ENU], highest priority first.
+        jacobians: (R, 3) the rows of all tasks stacked in the same order.
+        rows: (L,) how many rows each task has; a task may have none.
+
+    Returns:
+        (L, 3) the contribution of each task; their sum is the velocity. N comes from all rows above, where
+        (11) projects on one level only.
+    """
+    parts = np.empty((velocities.shape[0], 3))
+    above = 0
+    for level in range(velocities.shape[0]):
+        if above == 0:
+            parts[level] = velocities[level]
+        else:
+            parts[level] = times(projector(jacobians[:above]), velocities[level])
+        above += int(rows[level])
+    return parts
+
+
+@kernel
+def scaled_to_limit(parts: Array, limit: float) -> Array:
+    """Sum of the parts (L, 3) within a speed limit [m/s]; the lowest priorities give way first."""
+    total = np.zeros(3)
+    for level in range(parts.shape[0]):
+        room = _share_within(total, parts[level], limit)
+        for i in range(3):
+            total[i] += room * parts[level, i]
+        if room < 1.0:
+            break
+    return total
+
+
+@kernel
+def _share_within(base: Array, addition: Array, limit: float) -> float:
+    """Largest s in [0, 1] with |base + s addition| <= limit, for |base| <= limit."""
+    a = addition[0] * addition[0] + addition[1] * addition[1] + addition[2] * addition[2]
+    b = base[0] * addition[0] + base[1] * addition[1] + base[2] * addition[2]
+    c = base[0] * base[0] + base[1] * base[1] + base[2] * base[2] - limit * limit
+    if a == 0.0 or a + 2.0 * b + c <= 0.0:
+        return 1.0
+    return max(0.0, (-b + math.sqrt(max(b * b - a * c, 0.0))) / a)

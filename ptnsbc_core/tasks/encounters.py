@@ -1,0 +1,95 @@
+"""Memory of the encounters with near objects: when each began, and on which side it is passed.
+
+Near objects carry no identity, so an encounter is recognised by its place. Rows (8, 7): x y z [m, ENU],
+side (+1 along e_z x n, -1 against), time binding [s], time since it bound last [s], used.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ptnsbc_core.kernel import kernel
+from ptnsbc_core.types import Array, ClearanceConfig
+
+SLOTS = 8
+SIDE, ACTIVE_S, QUIET_S, USED = 3, 4, 5, 6
+SAME_PLACE_M = 1.0
+
+
+@kernel
+def none_met() -> Array:
+    """An empty memory (8, 7)."""
+    return np.zeros((SLOTS, 7))
+
+
+@kernel
+def find(encounters: Array, centre: Array) -> int:
+    """Slot of the encounter nearest to `centre` (3,) within SAME_PLACE_M, or -1."""
+    best = -1
+    least = SAME_PLACE_M * SAME_PLACE_M
+    for slot in range(SLOTS):
+        if encounters[slot, USED] == 0.0:
+            continue
+        square = 0.0
+        for i in range(3):
+            square += (encounters[slot, i] - centre[i]) ** 2
+        if square < least:
+            least = square
+            best = slot
+    return best
+
+
+@kernel
+def active_time(encounters: Array, centre: Array) -> float:
+    """How long the encounter at `centre` (3,) has been binding [s]; 0 for a new one."""
+    slot = find(encounters, centre)
+    if slot < 0:
+        return 0.0
+    return float(encounters[slot, ACTIVE_S])
+
+
+@kernel
+def _open(encounters: Array, side: float) -> int:
+    """Claim a free slot, or the one that has been quiet longest."""
+    slot = 0
+    for candidate in range(SLOTS):
+        if encounters[candidate, USED] == 0.0:
+            slot = candidate
+            break
+        if encounters[candidate, QUIET_S] > encounters[slot, QUIET_S]:
+            slot = candidate
+    encounters[slot, SIDE] = -1.0 if side < 0.0 else 1.0
+    encounters[slot, ACTIVE_S] = 0.0
+    encounters[slot, USED] = 1.0
+    return slot
+
+
+@kernel
+def update(
+    encounters: Array, near: Array, binding: Array, side: Array, dt: float, config: ClearanceConfig
+) -> Array:
+    """Memory after a tick in which the objects with a positive `binding` (M,) changed the velocity.
+
+    A new encounter passes on the side to which `side` (M,) points; one that lasts longer than timeout_s
+    tries the other side; one that is quiet for forget_s has ended.
+    """
+    out = encounters.copy()
+    for slot in range(SLOTS):
+        if out[slot, USED] > 0.0:
+            out[slot, QUIET_S] += dt
+            if out[slot, QUIET_S] > config.forget_s:
+                out[slot, USED] = 0.0
+    for m in range(binding.shape[0]):
+        if binding[m] <= 0.0:
+            continue
+        slot = find(out, near[m, 0:3])
+        if slot < 0:
+            slot = _open(out, side[m])
+        for i in range(3):
+            out[slot, i] = near[m, i]
+        out[slot, ACTIVE_S] += dt
+        out[slot, QUIET_S] = 0.0
+        if out[slot, ACTIVE_S] > config.timeout_s:
+            out[slot, SIDE] = -out[slot, SIDE]
+            out[slot, ACTIVE_S] = 0.0
+    return out

@@ -1,0 +1,62 @@
+"""From a scenario to the plant of one UAV."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ptnsbc_core.kinematics import checked_pitch
+from ptnsbc_core.types import PLANT_RIGID_BODY, PLANTS, Array
+from ptnsbc_sim.plants.contract import PlantConfig
+from ptnsbc_sim.plants.integrate import initial_state
+from ptnsbc_sim.scenario import Scenario
+
+
+def plant_config(scenario: Scenario, uav_id: int) -> PlantConfig:
+    """Constants of one vehicle; the 6-DOF body has no motors and no drag, as in the paper."""
+    push = scenario.uav(uav_id).disturbance
+    kind = PLANTS[scenario.plant_kind]
+    if kind == PLANT_RIGID_BODY:
+        limits = (np.inf, np.full(3, np.inf), 0.0, 0.0)
+    else:
+        quad = scenario.quadrotor
+        torque = np.array(quad.max_torque_nm, dtype=np.float64)
+        limits = (float(quad.max_thrust_n), torque, float(quad.motor_lag_s), float(quad.drag_1_s))
+    max_thrust, max_torque, lag, drag = limits
+    return PlantConfig(
+        kind,
+        float(scenario.mass_kg),
+        np.array(scenario.inertia_kg_m2, dtype=np.float64),
+        float(scenario.gravity_m_s2),
+        max_thrust,
+        max_torque,
+        lag,
+        drag,
+        scenario.wind_m_s,
+        push.amplitudes,
+        push.phases,
+        push.offset,
+    )
+
+
+def start_states(scenario: Scenario, configs: list[PlantConfig]) -> Array:
+    """Plant states (N, 17) at t = 0, in the order of the scenario's UAVs.
+
+    Raises:
+        AttitudeError: a 6-DOF start at a pitch where Euler rates are singular.
+    """
+    states = []
+    for uav_id, config in zip(scenario.uav_ids, configs, strict=True):
+        start = scenario.uav(uav_id)
+        if config.kind == PLANT_RIGID_BODY:
+            checked_pitch(float(start.attitude[1]))
+        states.append(initial_state(start.position, start.attitude, config))
+    return np.stack(states)
+
+
+def obstacle_rows(scenario: Scenario) -> Array:
+    """Obstacles as rows of the near-object sensor (O, 7); they do not move."""
+    rows = np.zeros((len(scenario.obstacles), 7))
+    for row, obstacle in zip(rows, scenario.obstacles, strict=True):
+        row[0:3] = obstacle.position
+        row[3] = obstacle.keep_out_m
+    return rows

@@ -1,0 +1,53 @@
+"""Plant `rigid_body_6dof`, (39)-(42) as corrected in equations.md section 7: six inputs, Euler angles.
+
+State (17,): position [m, ENU] 0:3, Euler angles roll pitch yaw [rad] 3:6, velocity [m/s, body FLU] 6:9, body
+rates [rad/s] 9:12. Omega V_dot = tau - C V + G + Omega d, so forces include Coriolis terms and gravity.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ptnsbc_core.kernel import kernel
+from ptnsbc_core.kinematics import quaternion_from_euler
+from ptnsbc_core.types import ODOMETRY_SIZE, Array
+from ptnsbc_sim.plants.contract import PlantConfig
+
+
+@kernel
+def derivative(x: Array, wrench: Array, push: Array, config: PlantConfig, out: Array) -> None:
+    """x_dot into `out` (17,), for a wrench (6,) in body FLU and a disturbance acceleration `push` (6,)."""
+    sf, cf = math.sin(x[3]), math.cos(x[3])
+    st, ct = math.sin(x[4]), math.cos(x[4])
+    sp, cp = math.sin(x[5]), math.cos(x[5])
+    u, v, w = x[6], x[7], x[8]
+    p, q, r = x[9], x[10], x[11]
+    out[0] = cp * ct * u + (cp * st * sf - sp * cf) * v + (cp * st * cf + sp * sf) * w
+    out[1] = sp * ct * u + (sp * st * sf + cp * cf) * v + (sp * st * cf - cp * sf) * w
+    out[2] = -st * u + ct * sf * v + ct * cf * w
+    turn = sf * q + cf * r
+    out[3] = p + turn * st / ct
+    out[4] = cf * q - sf * r
+    out[5] = turn / ct
+    m, g = config.mass, config.gravity
+    out[6] = wrench[0] / m - (q * w - r * v) + g * st + push[0]
+    out[7] = wrench[1] / m - (r * u - p * w) - g * ct * sf + push[1]
+    out[8] = wrench[2] / m - (p * v - q * u) - g * ct * cf + push[2]
+    ix, iy, iz = config.inertia[0], config.inertia[1], config.inertia[2]
+    out[9] = (wrench[3] + (iy - iz) * q * r) / ix + push[3]
+    out[10] = (wrench[4] + (iz - ix) * r * p) / iy + push[4]
+    out[11] = (wrench[5] + (ix - iy) * p * q) / iz + push[5]
+    for i in range(12, out.shape[0]):
+        out[i] = 0.0
+
+
+@kernel
+def odometry(x: Array) -> Array:
+    """Odometry vector (13,) of a state (17,)."""
+    out = np.empty(ODOMETRY_SIZE)
+    out[0:3] = x[0:3]
+    out[3:7] = quaternion_from_euler(x[3:6])
+    out[7:13] = x[6:12]
+    return out

@@ -1,0 +1,232 @@
+"""Headless flight: the whole swarm in one process, by the same kernels and the same tick as the processes.
+
+At tick k a UAV holds its own odometry of tick k and its neighbours' messages of tick k-1; see
+docs/lockstep.md. Nothing here is a law.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ptnsbc_core.agent import initial_state, step
+from ptnsbc_core.kernel import COMPILED, kernel
+from ptnsbc_core.types import (
+    MODE_FORMATION,
+    NEVER_HEARD_S,
+    ODOMETRY_SIZE,
+    AgentConfig,
+    AgentInputs,
+    AgentState,
+    Array,
+)
+from ptnsbc_sim.plants.build import obstacle_rows, plant_config, start_states
+from ptnsbc_sim.plants.contract import PlantConfig
+from ptnsbc_sim.plants.integrate import advance, odometry
+from ptnsbc_sim.scenario import Scenario, agent_config
+from ptnsbc_sim.sensor import near_objects
+
+CHUNK_TICKS = 500
+
+# Columns of Flight.diagnostics
+ERROR, GAIN, SINGULAR_VALUE, ACTIVE_ROWS = slice(0, 3), 3, 4, 5
+SATURATED, HOLDING, PRIORITY_VIOLATION, VELOCITY_ERROR = 6, 7, 8, 9
+DIAGNOSTICS_SIZE = 10
+
+
+class Wiring(NamedTuple):
+    """Who hears whom, as rows of the swarm; constant during a flight."""
+
+    leader: int
+    parent: NDArray[np.int64]  # (N,) row of the parent, -1 for the leader
+    pinned: NDArray[np.int64]  # (N,) 1 where the leader is heard
+    neighbours: NDArray[np.int64]  # (N, K) rows, -1 beyond the last
+    obstacles: Array  # (O, 7)
+    uav_keep_out_m: float
+    range_m: float
+    near_every: int
+    substeps: int
+    dt_ns: int
+
+
+class Track(NamedTuple):
+    """What a flight leaves behind, one row per tick; also the buffer that the kernel fills."""
+
+    odometry: Array  # (T, N, 13)
+    velocity: Array  # (T, N, 4)
+    wrench: Array  # (T, N, 6)
+    estimate: Array  # (T, N, 13)
+    diagnostics: Array  # (T, N, 10)
+
+
+class Flight(NamedTuple):
+    """A headless flight."""
+
+    scenario: Scenario
+    t_ns: NDArray[np.int64]  # (T,)
+    track: Track
+    wiring: Wiring
+
+    def near(self, tick: int, row: int) -> Array:
+        """Rows (M, 7) that UAV number `row` saw at a tick that is a multiple of near_every."""
+        return near_objects(
+            row,
+            self.track.odometry[tick],
+            self.wiring.obstacles,
+            self.wiring.uav_keep_out_m,
+            self.wiring.range_m,
+        )
+
+
+@kernel
+def _heard(track: Track, tick: int, row: int) -> Array:
+    """Odometry vector (13,) that UAV number `row` sent at the previous tick."""
+    if tick == 0 or row < 0:
+        return np.zeros(ODOMETRY_SIZE)
+    return track.odometry[tick - 1, row].copy()
+
+
+@kernel
+def _inputs(wiring: Wiring, track: Track, near: Array, tick: int, row: int) -> AgentInputs:
+    """What UAV number `row` knows at `tick`."""
+    dt = wiring.dt_ns * 1e-9
+    age = dt if tick > 0 else NEVER_HEARD_S
+    parent = wiring.parent[row]
+    count = 0
+    while count < wiring.neighbours.shape[1] and wiring.neighbours[row, count] >= 0:
+        count += 1
+    estimates = np.zeros((count, ODOMETRY_SIZE))
+    ages = np.full(count, age)
+    for k in range(count):
+        if tick > 0:
+            estimates[k] = track.estimate[tick - 1, wiring.neighbours[row, k]]
+    pinned = wiring.pinned[row] > 0
+    behind = tick % wiring.near_every
+    return AgentInputs(
+        track.odometry[tick, row].copy(),
+        _heard(track, tick, parent),
+        age if parent >= 0 else NEVER_HEARD_S,
+        _heard(track, tick, wiring.leader if pinned else -1),
+        age if pinned else NEVER_HEARD_S,
+        estimates,
+        ages,
+        near,
+        (behind * wiring.dt_ns) * 1e-9,
+        MODE_FORMATION,
+        (tick * wiring.dt_ns) * 1e-9,
+    )
+
+
+@kernel
+def _fly(
+    first: int,
+    count: int,
+    wiring: Wiring,
+    configs: Sequence[AgentConfig],
+    plants: Sequence[PlantConfig],
+    states: list[AgentState],
+    bodies: Array,
+    nears: list[Array],
+    track: Track,
+) -> None:
+    """Ticks first .. first + count - 1 of the whole swarm into `track`, carrying `states` and `bodies`."""
+    dt = wiring.dt_ns * 1e-9
+    size = bodies.shape[0]
+    for tick in range(first, first + count):
+        t = (tick * wiring.dt_ns) * 1e-9
+        for row in range(size):
+            track.odometry[tick, row] = odometry(bodies[row], plants[row])
+        if tick % wiring.near_every == 0:
+            for row in range(size):
+                nears[row] = near_objects(
+                    row, track.odometry[tick], wiring.obstacles, wiring.uav_keep_out_m,
+                    wiring.range_m,
+                )
+        for row in range(size):
+            inputs = _inputs(wiring, track, nears[row], tick, row)
+            states[row], out = step(states[row], inputs, t, dt, configs[row])
+            track.velocity[tick, row] = out.velocity
+            track.wrench[tick, row] = out.wrench
+            track.estimate[tick, row] = out.leader_estimate
+            told = out.diagnostics
+            log = track.diagnostics[tick, row]
+            log[0:3] = told.error
+            log[3] = told.gain
+            log[4] = told.singular_value
+            log[5] = told.active_rows
+            log[6] = told.saturated
+            log[7] = told.holding
+            log[8] = told.priority_violation
+            log[9] = told.velocity_error
+            bodies[row] = advance(
+                bodies[row], out.wrench, t, dt, wiring.substeps, plants[row]
+            )
+
+
+@kernel
+def _starts(configs: Sequence[AgentConfig], bodies: Array, plants: Sequence[PlantConfig]) -> list[AgentState]:
+    return [initial_state(odometry(bodies[row], plants[row]), configs[row]) for row in range(len(configs))]
+
+
+def _as_list(items: Sequence[Any]) -> Any:
+    """A list that kernels take at any swarm size without being compiled anew."""
+    if not COMPILED:
+        return list(items)
+    from numba.typed import List
+
+    return List(items)
+
+
+def wiring_of(scenario: Scenario) -> Wiring:
+    """The scenario's graph and sensors by row."""
+    ids = scenario.uav_ids
+    row = {uav_id: index for index, uav_id in enumerate(ids)}
+    neighbours = [scenario.estimator_neighbours(uav_id) for uav_id in ids]
+    table = np.full((len(ids), max(1, *(len(some) for some in neighbours))), -1, dtype=np.int64)
+    for index, some in enumerate(neighbours):
+        table[index, : len(some)] = [row[uav_id] for uav_id in some]
+    parents = [scenario.parent(uav_id) for uav_id in ids]
+    return Wiring(
+        row[scenario.leader_id],
+        np.array([-1 if parent is None else row[parent] for parent in parents], dtype=np.int64),
+        np.array([int(scenario.pinned(uav_id)) for uav_id in ids], dtype=np.int64),
+        table,
+        obstacle_rows(scenario),
+        float(scenario.uav_keep_out_m),
+        float(scenario.sensor.range_m),
+        int(scenario.near_every),
+        int(scenario.physics_hz // scenario.control_hz),
+        int(scenario.dt_ns),
+    )
+
+
+def fly(scenario: Scenario, progress: Callable[[int, int], None] | None = None) -> Flight:
+    """Fly a scenario headless.
+
+    Args:
+        scenario: what to fly.
+        progress: called with (ticks done, ticks in all) now and then.
+
+    Returns:
+        The whole flight; the same scenario gives the same bytes.
+    """
+    ticks, size = scenario.ticks, len(scenario.uav_ids)
+    plants = [plant_config(scenario, uav_id) for uav_id in scenario.uav_ids]
+    configs = _as_list([agent_config(scenario, uav_id) for uav_id in scenario.uav_ids])
+    bodies = start_states(scenario, plants)
+    plant_list = _as_list(plants)
+    widths = (ODOMETRY_SIZE, 4, 6, ODOMETRY_SIZE, DIAGNOSTICS_SIZE)
+    track = Track(*(np.zeros((ticks, size, width)) for width in widths))
+    states = _as_list(_starts(configs, bodies, plant_list))
+    nears = _as_list([np.empty((0, 7)) for _ in range(size)])
+    wiring = wiring_of(scenario)
+    for first in range(0, ticks, CHUNK_TICKS):
+        count = min(CHUNK_TICKS, ticks - first)
+        _fly(first, count, wiring, configs, plant_list, states, bodies, nears, track)
+        if progress is not None:
+            progress(first + count, ticks)
+    t_ns = np.arange(ticks, dtype=np.int64) * scenario.dt_ns
+    return Flight(scenario, t_ns, track, wiring)
