@@ -1,0 +1,44 @@
+"""The pre-flight check: what a scenario promises against what it can keep, before anything arms."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from ptnsbc_sim.scenario import Scenario
+from ptnsbc_tools.check.finding import ERROR, INFO, WARNING, CheckError, Finding, Findings
+from ptnsbc_tools.check.gains import feasible, order, steps
+from ptnsbc_tools.check.geometry import graph, shape, spacing, starts_clear
+from ptnsbc_tools.check.surroundings import encounters, sensor
+
+__all__ = ["ERROR", "INFO", "WARNING", "CheckError", "Finding", "check", "refuse"]
+
+_CHECKS: Sequence[Callable[[Scenario], Findings]] = (
+    graph,
+    shape,
+    spacing,
+    starts_clear,
+    steps,
+    order,
+    feasible,
+    encounters,
+    sensor,
+)
+
+
+def check(scenario: Scenario) -> list[Finding]:
+    """All findings, errors first."""
+    findings = [finding for one in _CHECKS for finding in one(scenario)]
+    rank = {ERROR: 0, WARNING: 1, INFO: 2}
+    return sorted(findings, key=lambda finding: rank[finding.severity])
+
+
+def refuse(scenario: Scenario, findings: Sequence[Finding]) -> None:
+    """Raise CheckError, one line, when any finding is an error."""
+    errors = [finding for finding in findings if finding.severity == ERROR]
+    if errors:
+        first = errors[0]
+        more = f" (and {len(errors) - 1} more)" if len(errors) > 1 else ""
+        raise CheckError(
+            f"{scenario.source}: {first.key}: {first.value}: expected {first.limit}; "
+            f"{first.advice}{more}"
+        )

@@ -1,0 +1,28 @@
+"""One result of the pre-flight check."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from ptnsbc_core.errors import PtnsbcError
+
+ERROR, WARNING, INFO = "error", "warning", "info"
+
+
+class CheckError(PtnsbcError):
+    """A scenario that the pre-flight check refuses."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One result: what was found at a key, its limit, and what to change."""
+
+    severity: str  # error | warning | info
+    key: str
+    value: str
+    limit: str
+    advice: str
+
+
+Findings = Iterator[Finding]

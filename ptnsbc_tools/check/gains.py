@@ -1,0 +1,114 @@
+"""Pre-flight: gains against the control period, deadlines against the limits of the vehicle."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ptnsbc_core.timebase import feasible_deadline, peak_gain
+from ptnsbc_core.trajectory import reference
+from ptnsbc_sim.scenario import Scenario
+from ptnsbc_sim.scenario.build import trajectory_vector
+from ptnsbc_sim.scenario.gains import Loop
+from ptnsbc_sim.scenario.semantics import STABILITY_LIMIT
+from ptnsbc_tools.check.finding import ERROR, INFO, WARNING, Finding, Findings
+
+_SMOOTH_STEP = 1.0  # above this a sampled decay overshoots, above STABILITY_LIMIT it grows
+
+
+def _loop_rate(loop: Loop) -> float:
+    return loop.scale * (peak_gain(loop.deadline_s, loop.residual) + loop.kappa_1_s)
+
+
+def steps(scenario: Scenario) -> Findings:
+    """Control period times the largest gain of every loop."""
+    gains = scenario.gains
+    dt = 1.0 / scenario.control_hz
+    slide = gains.adaptation.cap_m_s2 / gains.boundary.velocity_m_s
+    turn = gains.adaptation.cap_rad_s2 / gains.boundary.rate_rad_s
+    rates = {
+        "gains.formation": _loop_rate(gains.formation),
+        "gains.attitude": _loop_rate(gains.attitude),
+        "gains.clearance": _loop_rate(gains.clearance),
+        "gains.force": _loop_rate(gains.force) + slide,
+        "gains.torque": _loop_rate(gains.torque) + turn,
+        "gains.filter.bandwidth_1_s": gains.filter.bandwidth_1_s,
+        "gains.filter.rate_bandwidth_1_s": gains.filter.rate_bandwidth_1_s,
+    }
+    for key, rate in rates.items():
+        step = dt * rate
+        severity = ERROR if step >= STABILITY_LIMIT else WARNING if step > _SMOOTH_STEP else INFO
+        yield Finding(
+            severity,
+            key,
+            f"dt times gain {step:.2f}",
+            f"< {STABILITY_LIMIT:g}, smooth below {_SMOOTH_STEP:g}",
+            ""
+            if severity == INFO
+            else "lengthen its deadline, raise its residual, lower kappa, or raise "
+            "timing.control_hz",
+        )
+
+
+def order(scenario: Scenario) -> Findings:
+    """Inner loops have to be done before the formation is."""
+    gains = scenario.gains
+    outer = gains.formation.deadline_s
+    for key, inner in (
+        ("gains.estimator.deadline_s", gains.estimator.deadline_s),
+        ("gains.force.deadline_s", gains.force.deadline_s),
+        ("gains.torque.deadline_s", gains.torque.deadline_s),
+    ):
+        if inner >= outer:
+            yield Finding(
+                WARNING,
+                key,
+                f"{inner:g} s",
+                f"< gains.formation.deadline_s, {outer:g} s",
+                "an inner loop has to be done before the formation is; shorten it",
+            )
+
+
+def acceleration_limit(scenario: Scenario) -> float:
+    """Acceleration [m/s^2] that filter and actuators both allow, in the weakest direction."""
+    limit, gravity = scenario.gains.filter.max_acceleration_m_s2, scenario.gravity_m_s2
+    if scenario.plant_kind != "quadrotor":
+        return min(limit, scenario.plant.rigid_body.max_force_n / scenario.mass_kg - gravity)
+    quadrotor = scenario.quadrotor
+    sideways = gravity * math.tan(quadrotor.max_tilt_rad)
+    upwards = quadrotor.max_thrust_n / scenario.mass_kg - gravity
+    return min([limit, upwards, *([sideways] if gravity > 0 else [])])
+
+
+def feasible(scenario: Scenario) -> Findings:
+    """The formation deadline against speed and acceleration limits, from the actual starts."""
+    deadline = scenario.gains.formation.deadline_s
+    path = reference(trajectory_vector(scenario), 0.0)
+    speed = scenario.gains.filter.max_speed_m_s - float(np.linalg.norm(path.velocity))
+    acceleration = acceleration_limit(scenario)
+    if speed <= 0 or acceleration <= 0:
+        yield Finding(
+            ERROR,
+            "gains.filter.max_speed_m_s" if speed <= 0 else "plant",
+            f"{speed if speed <= 0 else acceleration:.2f} left beside the leader's motion",
+            "> 0",
+            "slow the leader down, or raise the limit",
+        )
+        return
+    start = {uav: scenario.uav(uav).position for uav in scenario.uav_ids}
+    goal = {uav: path.position + scenario.offset(uav) for uav in scenario.uav_ids}
+    away = {uav: float(np.linalg.norm(goal[uav] - start[uav])) for uav in scenario.uav_ids}
+    needs = {uav: feasible_deadline(d, speed, acceleration) for uav, d in away.items()}
+    short = [uav for uav, need in needs.items() if need > deadline]
+    for uav in short or [max(needs, key=lambda one: needs[one])]:
+        yield Finding(
+            ERROR if short else INFO,
+            "gains.formation.deadline_s",
+            f"{deadline:g} s, UAV {uav} starts {away[uav]:.2f} m from its place",
+            f">= {needs[uav]:.2f} s at {speed:.3g} m/s and {acceleration:.3g} m/s^2",
+            f"set gains.formation.deadline_s to at least {needs[uav]:.2f} s, start it closer, or "
+            "raise gains.filter.max_speed_m_s"
+            if short
+            else "",
+        )

@@ -1,0 +1,195 @@
+"""A headless flight as a bag: the topics, stamps and bytes that a lock-step fleet would record."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_core.types import AgentDiagnostics, Array
+from ptnsbc_nodes import environment, topics
+from ptnsbc_nodes.bag import BagWriter
+from ptnsbc_nodes.wire import (
+    ClockTemplate,
+    HeaderTemplate,
+    OdometryTemplate,
+    VelocityTemplate,
+    WrenchTemplate,
+    encode_near,
+)
+from ptnsbc_sim import swarm
+from ptnsbc_sim.swarm import Flight
+from ptnsbc_tools.bag_reader import SCENARIO_ATTACHMENT
+
+LEG = "form"
+WORLD_FRAME = "map"
+
+Message = tuple[str, bytes]  # topic, CDR
+
+
+class BagSupportError(PtnsbcError):
+    """The ROS message packages that a bag needs are not installed."""
+
+
+def told(log: Array) -> AgentDiagnostics:
+    """The diagnostics of one step from its row (10,) of a flight."""
+    return AgentDiagnostics(
+        error=log[swarm.ERROR],
+        gain=float(log[swarm.GAIN]),
+        singular_value=float(log[swarm.SINGULAR_VALUE]),
+        active_rows=int(log[swarm.ACTIVE_ROWS]),
+        saturated=bool(log[swarm.SATURATED]),
+        holding=bool(log[swarm.HOLDING]),
+        priority_violation=float(log[swarm.PRIORITY_VIOLATION]),
+        velocity_error=float(log[swarm.VELOCITY_ERROR]),
+    )
+
+
+class _Places:
+    """The flight as the world that markers are drawn from."""
+
+    def __init__(self, flight: Flight) -> None:
+        self.ids = flight.scenario.uav_ids
+        self.tick = 0
+        self._flight = flight
+        self._row = {uav: row for row, uav in enumerate(self.ids)}
+
+    def odometry(self, uav_id: int) -> Array:
+        """Odometry vector (13,) at the tick in hand."""
+        return self._flight.track.odometry[self.tick, self._row[uav_id]]
+
+
+class _UavMessages:
+    """What one UAV and its sensors say at each tick."""
+
+    def __init__(self, flight: Flight, row: int) -> None:
+        uav = flight.scenario.uav_ids[row]
+        body = f"uav{uav}/base_link"
+        self._flight = flight
+        self._row = row
+        self._near_every = flight.wiring.near_every
+        self._names = [topic.name for topic in topics.of_uav(uav)]
+        self._state = OdometryTemplate(WORLD_FRAME, body)
+        self._estimate = OdometryTemplate(WORLD_FRAME, WORLD_FRAME)
+        self._velocity = VelocityTemplate(WORLD_FRAME)
+        self._wrench = WrenchTemplate(body)
+
+    def at(self, tick: int, stamp_ns: int) -> Iterator[Message]:
+        """Messages of one tick."""
+        odom, near, state, estimate, velocity, wrench = self._names
+        track, row = self._flight.track, self._row
+        own = self._state.encode(stamp_ns, track.odometry[tick, row])
+        yield odom, own
+        if tick % self._near_every == 0:
+            yield near, encode_near(stamp_ns, WORLD_FRAME, self._flight.near(tick, row))
+        yield state, own
+        yield estimate, self._estimate.encode(stamp_ns, track.estimate[tick, row])
+        twist = np.zeros(6)
+        twist[0:3], twist[5] = track.velocity[tick, row, 0:3], track.velocity[tick, row, 3]
+        yield velocity, self._velocity.encode(stamp_ns, twist)
+        yield wrench, self._wrench.encode(stamp_ns, track.wrench[tick, row])
+
+
+class _Status:
+    """The /diagnostics of all UAVs and the sim, and the pictures; both five times a second."""
+
+    def __init__(self, flight: Flight) -> None:
+        from ptnsbc_nodes.markers import Scene
+        from ptnsbc_nodes.status import STATUS_HZ, Tally
+
+        scenario = flight.scenario
+        self._flight = flight
+        self._every = max(scenario.control_hz // STATUS_HZ, 1)
+        self._dt = scenario.dt_ns * 1e-9
+        self._tallies = [Tally() for _ in scenario.uav_ids]
+        self._places = _Places(flight)
+        # Only `ids` and `odometry` of a World are read.
+        self._scene = Scene(scenario, self._places)  # type: ignore[arg-type]
+
+    def at(self, tick: int, stamp_ns: int) -> Iterator[Message]:
+        """Messages of one tick, in the order that a lock-step bag gives them."""
+        for row, tally in enumerate(self._tallies):
+            tally.add(told(self._flight.track.diagnostics[tick, row]), self._dt)
+        if tick % self._every:
+            return
+        self._places.tick = tick
+        for data in sorted(self._diagnostics(tick, stamp_ns)):
+            yield topics.DIAGNOSTICS.name, data
+        yield topics.MARKERS.name, self._scene.markers(stamp_ns)
+        if topics.tf_is_available():
+            yield topics.TF.name, self._transforms(stamp_ns)
+
+    def _diagnostics(self, tick: int, stamp_ns: int) -> Iterator[bytes]:
+        from ptnsbc_nodes.status import Level, diagnostics, readiness
+
+        for uav, tally in zip(self._flight.scenario.uav_ids, self._tallies, strict=True):
+            values = {**readiness([]), "mode": LEG, "missed_ticks": "0", **tally.values()}
+            level, text = (Level.WARN, "holding") if tally.holding else (Level.OK, "")
+            yield diagnostics(stamp_ns, f"uav{uav}: planner", level, text, values)
+        still = {f"latency_{name}_ms": "0.000" for name in ("p50", "p99", "max")}
+        values = {**readiness([]), "ticks": str(tick), "missed_ticks": "0", **still}
+        yield diagnostics(stamp_ns, "sim: world", Level.OK, "", values)
+
+    def _transforms(self, stamp_ns: int) -> bytes:
+        from importlib import import_module
+
+        from ptnsbc_nodes.plain import encode
+
+        transforms = self._scene.transforms(stamp_ns)
+        return encode(import_module("tf2_msgs.msg").TFMessage(transforms=transforms))
+
+
+def messages(flight: Flight) -> Iterator[tuple[int, list[Message]]]:
+    """Stamp [ns] and sorted messages of every tick."""
+    clock = ClockTemplate()
+    uavs = [_UavMessages(flight, row) for row in range(len(flight.scenario.uav_ids))]
+    status = _Status(flight)
+    for tick, stamp in enumerate(flight.t_ns):
+        stamp_ns = int(stamp)
+        found: list[Message] = [(topics.CLOCK.name, clock.encode(stamp_ns))]
+        if tick == 0:
+            found.append((topics.EPOCH.name, HeaderTemplate(LEG).encode(stamp_ns)))
+        for uav in uavs:
+            found.extend(uav.at(tick, stamp_ns))
+        found.extend(status.at(tick, stamp_ns))
+        yield stamp_ns, sorted(found, key=lambda message: message[0])
+
+
+def write_flight(
+    flight: Flight,
+    directory: Path,
+    *,
+    overwrite: bool = False,
+    progress: Callable[[int, int], None] | None = None,
+) -> Path:
+    """Write a flight into a bag and return its folder.
+
+    Args:
+        flight: from `ptnsbc_sim.swarm.fly`.
+        directory: the bag's folder.
+        overwrite: replace an existing bag.
+        progress: called with (ticks done, ticks in all) now and then.
+    """
+    environment.prepare()
+    try:
+        from ptnsbc_nodes.recorder import topic_info
+    except ImportError as error:
+        raise BagSupportError(
+            f"--bag: {error.name} is not installed: install the extra [ros], or source ROS 2"
+        ) from None
+    scenario = flight.scenario
+    infos: list[Any] = [
+        topic_info(topic, lockstep=True) for topic in topics.recorded(scenario.uav_ids)
+    ]
+    attachments = {SCENARIO_ATTACHMENT: scenario.text.encode()}
+    every = max(len(flight.t_ns) // 100, 1)
+    with BagWriter(directory, infos, attachments=attachments, overwrite=overwrite) as writer:
+        for tick, (stamp_ns, found) in enumerate(messages(flight), start=1):
+            for topic, data in found:
+                writer.write(topic, stamp_ns, data)
+            if progress is not None and (tick % every == 0 or tick == len(flight.t_ns)):
+                progress(tick, len(flight.t_ns))
+    return writer.directory

@@ -1,0 +1,41 @@
+"""A headless flight as a Recording, without the way through a bag."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ptnsbc_sim import swarm
+from ptnsbc_sim.swarm import Flight
+from ptnsbc_tools.verdict import Counters, Recording, Series
+
+STATUS_HZ = 5
+
+
+def _counters(flight: Flight, row: int) -> Counters:
+    """What /diagnostics would have told: cumulative, five times a second, in milliseconds."""
+    scenario = flight.scenario
+    log = flight.track.diagnostics[:, row]
+    dt = scenario.dt_ns * 1e-9
+    chosen = slice(None, None, max(scenario.control_hz // STATUS_HZ, 1))
+    stamps = flight.t_ns[chosen]
+    return Counters(
+        stamps,
+        np.round(np.cumsum(log[:, swarm.ACTIVE_ROWS] > 0) * dt, 3)[chosen],
+        np.round(np.cumsum(log[:, swarm.SATURATED] > 0) * dt, 3)[chosen],
+        np.round(np.cumsum(log[:, swarm.HOLDING] > 0) * dt, 3)[chosen],
+        np.zeros(stamps.size),
+        np.maximum.accumulate(log[:, swarm.PRIORITY_VIOLATION])[chosen],
+    )
+
+
+def recording_of(flight: Flight) -> Recording:
+    """Everything the verdict needs from a flight."""
+    track, ids = flight.track, flight.scenario.uav_ids
+    return Recording(
+        scenario=flight.scenario,
+        odometry={uav: Series(flight.t_ns, track.odometry[:, row]) for row, uav in enumerate(ids)},
+        wrench={uav: Series(flight.t_ns, track.wrench[:, row]) for row, uav in enumerate(ids)},
+        estimate={uav: Series(flight.t_ns, track.estimate[:, row]) for row, uav in enumerate(ids)},
+        counters={uav: _counters(flight, row) for row, uav in enumerate(ids)},
+        epochs=((int(flight.t_ns[0]), "form"),),
+    )

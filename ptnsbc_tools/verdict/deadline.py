@@ -1,0 +1,156 @@
+"""Was the deadline met: settling, error at the deadline, and what voids the question."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ptnsbc_core.trajectory import reference
+from ptnsbc_core.types import Array
+from ptnsbc_sim.scenario.build import trajectory_vector
+from ptnsbc_tools.verdict.recording import NANO, Recording
+from ptnsbc_tools.verdict.windows import encounters, inside
+
+TOLERANCE_M = 0.05
+SHARE_OF_START = 0.02
+
+MET, MISSED, VOID = "met", "missed", "void"
+
+
+@dataclass(frozen=True)
+class UavVerdict:
+    """How one UAV kept its promise. Errors in metres, times in seconds after the epoch."""
+
+    uav: int
+    verdict: str  # met | missed | void
+    reason: str  # why not met, empty when met
+    deadline_s: float
+    start_error_m: float
+    band_m: float  # tolerance of the settling time
+    settling_s: float | None  # None: never within the band for good
+    tolerance_m: float  # hard limit at the deadline
+    error_at_deadline_m: float | None  # None: the recording ends before it
+    residual: float | None  # error at the deadline over the start error
+    max_error_after_m: float | None  # after the deadline, outside encounters
+    rmse_after_m: float | None  # after the deadline, outside encounters
+    encounter_s: float  # time in encounter windows
+    saturated_s: float  # until the deadline
+    holding_s: float  # until the deadline
+
+
+def formation_errors(
+    recording: Recording, grid: NDArray[np.int64], positions: dict[int, Array]
+) -> dict[int, Array]:
+    """Formation error (T,) [m]: |(p_i - p_1) - o_i|, for the leader |p_1 - p_r(t)|."""
+    scenario = recording.scenario
+    leader = positions[scenario.leader_id]
+    vector = trajectory_vector(scenario)
+    times = recording.times(grid)
+    path = np.stack([reference(vector, float(t)).position for t in times])
+    errors = {}
+    for uav in scenario.uav_ids:
+        goal = path if uav == scenario.leader_id else leader + scenario.offset(uav)
+        errors[uav] = np.linalg.norm(positions[uav] - goal, axis=1)
+    return errors
+
+
+def settling_time(
+    times: Array, error: Array, band: float, counted: NDArray[np.bool_]
+) -> float | None:
+    """When the error has left the band for the last time; None when it ends outside.
+
+    Args:
+        times: (T,) [s] after the epoch.
+        error: (T,) [m].
+        band: tolerance [m].
+        counted: (T,) False in encounters, whose exits are excused.
+    """
+    outside = np.flatnonzero((error > band) & counted)
+    if outside.size == 0:
+        return 0.0
+    last = int(outside[-1])
+    return None if last == times.size - 1 else float(times[last + 1])
+
+
+def _until(recording: Recording, uav: int, name: str, deadline_s: float) -> float:
+    """What a counter gained between the epoch and the deadline."""
+    counters = recording.counters.get(uav)
+    if counters is None:
+        return 0.0
+    start, end = recording.start_ns, recording.start_ns + round(deadline_s / NANO)
+    values: Array = getattr(counters, name)
+    before = np.searchsorted(counters.t_ns, start, side="left") - 1
+    after = np.searchsorted(counters.t_ns, end, side="right") - 1
+    first = float(values[before]) if before >= 0 else 0.0
+    return max(float(values[after]) - first, 0.0) if after >= 0 else 0.0
+
+
+def _causes(found: UavVerdict, times: Array, counted: NDArray[np.bool_]) -> list[str]:
+    """What voids a deadline that was not met."""
+    if times[-1] < found.deadline_s:
+        return [f"recording ends after {times[-1]:.2f} s"]
+    causes = []
+    at = int(np.searchsorted(times, found.deadline_s - 1e-9))
+    if not counted[min(at, times.size - 1)]:
+        causes.append("avoidance active at the deadline")
+    if found.holding_s > 0:
+        causes.append(f"held for {found.holding_s:.2f} s, link stale")
+    if found.saturated_s > 0:
+        causes.append(f"saturated for {found.saturated_s:.2f} s")
+    return causes
+
+
+def _miss(found: UavVerdict) -> str:
+    """How far off the deadline was, empty when it was met."""
+    if found.settling_s is None:
+        return f"never within {found.band_m:.3f} m for good"
+    if found.settling_s > found.deadline_s:
+        return f"settled after {found.settling_s:.2f} s"
+    error = found.error_at_deadline_m
+    if error is None or error > found.tolerance_m:
+        return f"error at the deadline above {found.tolerance_m:g} m"
+    return ""
+
+
+def judge(
+    recording: Recording, grid: NDArray[np.int64], uav: int, error: Array, tolerance: float
+) -> UavVerdict:
+    """The verdict on one UAV from its formation error (T,) [m]."""
+    scenario = recording.scenario
+    deadline = scenario.gains.formation.deadline_s
+    times = recording.times(grid)
+    windows = encounters(scenario, recording.counters, uav)
+    counted = ~inside(windows, grid)
+    band = max(tolerance, SHARE_OF_START * float(error[0]))
+    reached = times[-1] >= deadline - 1e-9
+    at = float(np.interp(deadline, times, error)) if reached else None
+    after = error[(times >= deadline - 1e-9) & counted]
+    found = UavVerdict(
+        uav=uav,
+        verdict=MET,
+        reason="",
+        deadline_s=deadline,
+        start_error_m=float(error[0]),
+        band_m=band,
+        settling_s=settling_time(times, error, band, counted),
+        tolerance_m=tolerance,
+        error_at_deadline_m=at,
+        residual=at / float(error[0]) if at is not None and error[0] > 0 else None,
+        max_error_after_m=float(after.max()) if after.size else None,
+        rmse_after_m=float(np.sqrt(np.mean(after**2))) if after.size else None,
+        encounter_s=float(np.sum(np.diff(times)[~counted[1:]])),
+        saturated_s=_until(recording, uav, "saturated_s", deadline),
+        holding_s=_until(recording, uav, "holding_s", deadline),
+    )
+    return _with_verdict(found, times, counted)
+
+
+def _with_verdict(found: UavVerdict, times: Array, counted: NDArray[np.bool_]) -> UavVerdict:
+    miss = _miss(found) if times[-1] >= found.deadline_s - 1e-9 else "too short"
+    if not miss:
+        return found
+    causes = _causes(found, times, counted)
+    reason = ", ".join(causes) if miss == "too short" else ", ".join([miss, *causes])
+    return UavVerdict(**{**found.__dict__, "verdict": VOID if causes else MISSED, "reason": reason})

@@ -1,0 +1,78 @@
+"""When a formation error does not count: a UAV, or one it follows, was keeping clear of something.
+
+The rule. An encounter of a UAV is a span in which its counter `avoidance_active_s` (/diagnostics,
+5 Hz) rises, or that of any of its ancestors in the tree. It begins at the last sample before the
+rise and lasts until one second plus three time constants of the formation loop, 3 / (Lambda kappa),
+after the last rise: the time the loop needs to bring the error back.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ptnsbc_sim.scenario import Scenario
+from ptnsbc_tools.verdict.recording import Counters
+
+Window = tuple[int, int]  # [ns], inclusive
+
+_PAUSE_S = 1.0
+_TIME_CONSTANTS = 3.0
+_SLOWEST_RECOVERY_S = 10.0  # a loop without kappa would never return
+
+
+def recovery_s(scenario: Scenario) -> float:
+    """How long after its end an encounter still excuses the error."""
+    loop = scenario.gains.formation
+    rate = loop.scale * loop.kappa_1_s
+    return _PAUSE_S + min(_TIME_CONSTANTS / rate if rate > 0 else np.inf, _SLOWEST_RECOVERY_S)
+
+
+def rises(counters: Counters) -> list[Window]:
+    """Spans in which a UAV was keeping clear."""
+    steps = np.diff(counters.avoidance_active_s, prepend=0.0) > 0
+    before = np.concatenate((counters.t_ns[:1], counters.t_ns[:-1]))
+    return [(int(before[k]), int(counters.t_ns[k])) for k in np.flatnonzero(steps)]
+
+
+def joined(windows: Iterable[Window]) -> list[Window]:
+    """Overlapping windows made one."""
+    result: list[Window] = []
+    for begin, end in sorted(windows):
+        if result and begin <= result[-1][1]:
+            result[-1] = (result[-1][0], max(end, result[-1][1]))
+        else:
+            result.append((begin, end))
+    return result
+
+
+def ancestors(scenario: Scenario, uav_id: int) -> list[int]:
+    """The UAV itself, its parent, and so on up to the leader."""
+    chain = [uav_id]
+    parent = scenario.parent(uav_id)
+    while parent is not None and parent not in chain:
+        chain.append(parent)
+        parent = scenario.parent(parent)
+    return chain
+
+
+def encounters(scenario: Scenario, counters: Mapping[int, Counters], uav_id: int) -> list[Window]:
+    """Encounter windows of one UAV, recovery included."""
+    extra_ns = round(recovery_s(scenario) * 1e9)
+    spans = [
+        (begin, end + extra_ns)
+        for uav in ancestors(scenario, uav_id)
+        if uav in counters
+        for begin, end in rises(counters[uav])
+    ]
+    return joined(spans)
+
+
+def inside(windows: Iterable[Window], t_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Which instants (T,) lie in any of the windows."""
+    mask = np.zeros(t_ns.shape, dtype=np.bool_)
+    for begin, end in windows:
+        mask |= (t_ns >= begin) & (t_ns <= end)
+    return mask
