@@ -28,7 +28,9 @@ def scenario_of(bag: Bag, given: Path | None) -> Scenario:
     if given is not None:
         return load_scenario(given)
     if SCENARIO_ATTACHMENT not in bag.attachments:
-        raise BagError(f"{bag.path}: no {SCENARIO_ATTACHMENT} attached: name it with --scenario")
+        raise BagError(
+            f"{bag.path}: no {SCENARIO_ATTACHMENT} attached: name the scenario with --scenario"
+        )
     text = bag.attachment(SCENARIO_ATTACHMENT).decode("utf-8", errors="replace")
     return scenario_from_text(text, source=f"{bag.path.name}:{SCENARIO_ATTACHMENT}")
 
@@ -110,7 +112,8 @@ def _latency(statuses: list[Diagnostics]) -> dict[str, float]:
         for status in array.statuses:
             if status.name == _SIM:
                 found = {key: _LATENCY.fullmatch(key) for key in status.values}
-                return {m[1]: _number(status.values, key) for key, m in found.items() if m}
+                figures = {m[1]: _number(status.values, key) for key, m in found.items() if m}
+                return figures if any(figures.values()) else {}  # lock-step has no latency
     return {}
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ import numpy as np
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.types import AgentDiagnostics, Array
 from ptnsbc_nodes import environment, topics
-from ptnsbc_nodes.bag import BagWriter
+from ptnsbc_nodes.bag import BagError, BagWriter
 from ptnsbc_nodes.wire import (
     ClockTemplate,
     HeaderTemplate,
@@ -134,8 +135,6 @@ class _Status:
         yield diagnostics(stamp_ns, "sim: world", Level.OK, "", values)
 
     def _transforms(self, stamp_ns: int) -> bytes:
-        from importlib import import_module
-
         from ptnsbc_nodes.plain import encode
 
         transforms = self._scene.transforms(stamp_ns)
@@ -158,6 +157,20 @@ def messages(flight: Flight) -> Iterator[tuple[int, list[Message]]]:
         yield stamp_ns, sorted(found, key=lambda message: message[0])
 
 
+def prepare_bag(directory: Path, *, overwrite: bool) -> None:
+    """Refuse a bag that could not be written, before the flight instead of after it."""
+    environment.prepare()
+    try:
+        import_module("ptnsbc_nodes.recorder")
+        import_module("ptnsbc_nodes.markers")
+    except ImportError as error:
+        raise BagSupportError(
+            f"--bag: {error.name} is not installed: install the extra [ros], or source ROS 2"
+        ) from None
+    if directory.exists() and not overwrite:
+        raise BagError(f"{directory} exists: choose another name or pass --overwrite")
+
+
 def write_flight(
     flight: Flight,
     directory: Path,
@@ -173,13 +186,9 @@ def write_flight(
         overwrite: replace an existing bag.
         progress: called with (ticks done, ticks in all) now and then.
     """
-    environment.prepare()
-    try:
-        from ptnsbc_nodes.recorder import topic_info
-    except ImportError as error:
-        raise BagSupportError(
-            f"--bag: {error.name} is not installed: install the extra [ros], or source ROS 2"
-        ) from None
+    prepare_bag(directory, overwrite=overwrite)
+    from ptnsbc_nodes.recorder import topic_info
+
     scenario = flight.scenario
     infos: list[Any] = [
         topic_info(topic, lockstep=True) for topic in topics.recorded(scenario.uav_ids)

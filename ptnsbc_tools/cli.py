@@ -1,0 +1,168 @@
+"""The command line `ptnsbc`. Exit codes: 0 done, 1 deadline not met, 2 refused, 130 interrupted."""
+
+from __future__ import annotations
+
+import sys
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from typer.core import TyperGroup
+
+from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_tools import options
+from ptnsbc_tools.options import (
+    AvoidanceOption,
+    BagOption,
+    DurationOption,
+    JsonOption,
+    OverwriteOption,
+    PlantOption,
+    ProfileOption,
+    ScenarioArgument,
+    SeedOption,
+    SetOption,
+    TaskOption,
+)
+from ptnsbc_tools.verdict.deadline import TOLERANCE_M
+
+REFUSED, INTERRUPTED = 2, 130
+
+
+class _Commands(TyperGroup):
+    """Errors of ours as one line on stderr, an interrupt without a traceback."""
+
+    def invoke(self, ctx: Any) -> Any:
+        try:
+            return super().invoke(ctx)
+        except PtnsbcError as error:
+            line = " ".join(str(error).split())
+            print(f"error: {line}", file=sys.stderr)
+            raise typer.Exit(REFUSED) from None
+        except KeyboardInterrupt:
+            print("interrupted", file=sys.stderr)
+            raise typer.Exit(INTERRUPTED) from None
+
+
+app = typer.Typer(
+    cls=_Commands,
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    help="Predefined-time formations of UAVs: check, fly, record and judge.",
+    epilog="Exit codes: 0 deadlines met, 1 a deadline not met, 2 refused, 130 interrupted.",
+)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        try:
+            print(f"ptnsbc {version('ptnsbc')}")
+        except PackageNotFoundError:  # run from a checkout that is not installed
+            print("ptnsbc (not installed)")
+        raise typer.Exit
+
+
+@app.callback()
+def _main(
+    show_version: Annotated[
+        bool,
+        typer.Option("--version", callback=_version, is_eager=True, help="Print the version."),
+    ] = False,
+) -> None:
+    pass
+
+
+@app.command()
+def check(
+    scenario: ScenarioArgument,
+    plant: PlantOption = None,
+    task: TaskOption = None,
+    profile: ProfileOption = None,
+    avoidance: AvoidanceOption = None,
+    duration: DurationOption = None,
+    settings: SetOption = None,
+    json: JsonOption = False,
+) -> None:
+    """Check a scenario before anything arms: graph, shape, spacing, gains, deadline, obstacles."""
+    from ptnsbc_tools.check import command
+
+    given = options.overrides(
+        plant=plant,
+        task=task,
+        profile=profile,
+        avoidance=avoidance,
+        duration=duration,
+        settings=settings,
+    )
+    command.run(options.scenario_with(scenario, given), json=json)
+
+
+@app.command()
+def simulate(
+    scenario: ScenarioArgument,
+    plant: PlantOption = None,
+    task: TaskOption = None,
+    profile: ProfileOption = None,
+    avoidance: AvoidanceOption = None,
+    seed: SeedOption = None,
+    duration: DurationOption = None,
+    settings: SetOption = None,
+    bag: BagOption = None,
+    overwrite: OverwriteOption = False,
+    json: JsonOption = False,
+) -> None:
+    """Fly a scenario in this process, without ROS, as fast as it goes; ends with the verdict."""
+    from ptnsbc_tools import result
+    from ptnsbc_tools import simulate as command
+
+    given = options.overrides(
+        plant=plant,
+        task=task,
+        profile=profile,
+        avoidance=avoidance,
+        seed=seed,
+        duration=duration,
+        settings=settings,
+    )
+    chosen = options.scenario_with(scenario, given)
+    result.leave(command.simulate(chosen, bag, overwrite=overwrite, json=json))
+
+
+@app.command()
+def verify(
+    bag: Annotated[Path, typer.Argument(metavar="BAG", help="Folder of a bag, or its .mcap file.")],
+    scenario: Annotated[
+        Path | None,
+        typer.Option("--scenario", metavar="FILE", help="Instead of the scenario in the bag."),
+    ] = None,
+    tolerance: Annotated[
+        float,
+        typer.Option("--tolerance", metavar="M", min=1e-6, help="Hard limit at the deadline."),
+    ] = TOLERANCE_M,
+    picture: Annotated[
+        Path | None, typer.Option("--picture", metavar="PNG", help="Draw the flight as well.")
+    ] = None,
+    json: JsonOption = False,
+) -> None:
+    """Judge a recorded flight: deadline met, missed or void, input, energy and separations.
+
+    An error counts from the epoch on, outside encounters: spans in which the UAV, or one it
+    follows, keeps clear of something, and a recovery time of 1 s + 3/kappa after them. Settling is
+    the last exit from the band of 2 % of the start error or the tolerance, whichever is larger.
+    """
+    from ptnsbc_tools import result
+    from ptnsbc_tools import verify as command
+
+    verdict = command.verify(bag, scenario, tolerance=tolerance, picture=picture, json=json)
+    result.leave(verdict)
+
+
+def main() -> None:
+    """Entry point of the console script."""
+    app(prog_name="ptnsbc")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,86 @@
+"""Options that several commands share, and the scenario they make."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import typer
+
+from ptnsbc_sim.scenario import Scenario, load_scenario
+
+ScenarioArgument = Annotated[
+    str, typer.Argument(metavar="SCENARIO", help="A scenario file, or a name such as paper_5.")
+]
+PlantOption = Annotated[
+    Literal["quadrotor", "rigid_body_6dof"] | None, typer.Option("--plant", help="Vehicle model.")
+]
+TaskOption = Annotated[
+    Literal["distance_angles", "parent_angle", "relative_position"] | None,
+    typer.Option("--task", help="Formation task."),
+]
+ProfileOption = Annotated[
+    Literal["paper", "soft", "reference"] | None,
+    typer.Option("--profile", help="Gain profile of every loop that does not set its own."),
+]
+AvoidanceOption = Annotated[
+    Literal["off", "set_based", "switched"] | None,
+    typer.Option("--avoidance", help="How obstacles and other UAVs are kept clear of."),
+]
+SeedOption = Annotated[int | None, typer.Option("--seed", min=0, help="Seed of everything random.")]
+DurationOption = Annotated[
+    float | None, typer.Option("--duration", metavar="SECONDS", help="Length of the flight.")
+]
+SetOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="KEY=VALUE",
+        help="Any other key of the scenario, dotted, e.g. gains.formation.kappa_1_s=3. Repeatable.",
+    ),
+]
+BagOption = Annotated[
+    Path | None, typer.Option("--bag", metavar="DIR", help="Record into this folder.")
+]
+OverwriteOption = Annotated[bool, typer.Option("--overwrite", help="Replace an existing bag.")]
+JsonOption = Annotated[
+    bool, typer.Option("--json", help="One JSON object on stdout and nothing else.")
+]
+
+
+def overrides(
+    *,
+    plant: str | None = None,
+    task: str | None = None,
+    profile: str | None = None,
+    avoidance: str | None = None,
+    seed: int | None = None,
+    duration: float | None = None,
+    settings: list[str] | None = None,
+) -> dict[str, Any]:
+    """Dotted keys of the scenario file from the options that were given."""
+    given = {
+        "plant.kind": plant,
+        "formation.task": task,
+        "gains.profile": profile,
+        "formation.avoidance": avoidance,
+        "seed": seed,
+        "timing.duration_s": duration,
+        **dict(_setting(text) for text in settings or ()),
+    }
+    return {key: value for key, value in given.items() if value is not None}
+
+
+def _setting(text: str) -> tuple[str, Any]:
+    from ptnsbc_sim.scenario.reader import parse
+
+    key, found, value = text.partition("=")
+    if not found or not key.strip():
+        raise typer.BadParameter(f'--set "{text}": expected KEY=VALUE')
+    # Read as the file would be, so that numbers, lists and "5 s" mean the same.
+    return key.strip(), parse(f"value: {value}", f"--set {key.strip()}")["value"]
+
+
+def scenario_with(name: str, given: dict[str, Any]) -> Scenario:
+    """The scenario of a command line."""
+    return load_scenario(name, given)

@@ -1,0 +1,134 @@
+"""Findings and verdicts as tables for people."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from rich.table import Table
+from rich.text import Text
+
+from ptnsbc_tools.check import Finding
+from ptnsbc_tools.verdict import Verdict
+
+_COLOURS = {
+    "error": "bold red",
+    "warning": "yellow",
+    "info": "dim",
+    "missed": "bold red",
+    "void": "yellow",
+    "met": "green",
+}
+_PAIRS = 3
+
+
+def _number(value: float | None, digits: int = 3) -> str:
+    return "-" if value is None else f"{value:.{digits}f}"
+
+
+def _table(title: str, left: Iterable[str], right: Iterable[str]) -> Table:
+    table = Table(title=title, title_justify="left", title_style="bold")
+    for name in left:
+        table.add_column(name, overflow="fold")
+    for name in right:
+        table.add_column(name, justify="right")
+    return table
+
+
+def _word(kind: str) -> Text:
+    return Text(kind, style=_COLOURS[kind])
+
+
+def findings_table(name: str, findings: Iterable[Finding]) -> Table:
+    """The pre-flight check, worst first."""
+    table = _table(f"Pre-flight check of {name}", ("", "key", "found", "limit", "change"), ())
+    for one in findings:
+        table.add_row(_word(one.severity), one.key, one.value, one.limit, one.advice)
+    return table
+
+
+def deadline_table(verdict: Verdict) -> Table:
+    """One row per UAV: did it keep its deadline."""
+    title = f"{verdict.scenario}: {verdict.plant}, {verdict.task}, profile {verdict.profile}"
+    table = _table(
+        title,
+        ("UAV", "deadline"),
+        ("settled s", "of s", "start m", "band m", "at tf m", "max after m", "RMSE after m"),
+    )
+    table.add_column("why", overflow="fold")
+    for one in verdict.uavs:
+        table.add_row(
+            str(one.uav),
+            _word(one.verdict),
+            _number(one.settling_s, 2),
+            _number(one.deadline_s, 2),
+            _number(one.start_error_m),
+            _number(one.band_m),
+            _number(one.error_at_deadline_m, 4),
+            _number(one.max_error_after_m, 4),
+            _number(one.rmse_after_m, 4),
+            one.reason,
+        )
+    return table
+
+
+def effort_table(verdict: Verdict) -> Table:
+    """One row per UAV: what the actuators had to give."""
+    table = _table(
+        "Input",
+        ("UAV",),
+        ("above hover at t0 N", "peak |u|", "peak force N", "at s", "energy (54)", "beyond hover"),
+    )
+    for one in verdict.efforts:
+        table.add_row(
+            str(one.uav),
+            _number(one.initial_above_hover_n, 2),
+            _number(one.peak_input, 2),
+            _number(one.peak_force_n, 2),
+            _number(one.peak_at_s, 2),
+            _number(one.energy, 0),
+            _number(one.energy_above_hover, 1),
+        )
+    return table
+
+
+def separation_table(verdict: Verdict) -> Table:
+    """The tightest pairs, and every one that was inside a keep-out."""
+    table = _table("Separation", ("pair",), ("closest m", "at s", "keep-out m", "inside s"))
+    for rank, one in enumerate(verdict.separations):
+        if rank >= _PAIRS and one.inside_s == 0:
+            continue
+        colour = "bold red" if one.inside_s > 0 else ""
+        table.add_row(
+            f"{one.first} - {one.second}",
+            _number(one.distance_m),
+            _number(one.at_s, 2),
+            _number(one.keep_out_m, 2),
+            _number(one.inside_s, 2),
+            style=colour,
+        )
+    return table
+
+
+def verdict_tables(verdict: Verdict) -> list[Table]:
+    """All tables of a verdict."""
+    tables = [deadline_table(verdict)]
+    if verdict.efforts:
+        tables.append(effort_table(verdict))
+    if verdict.separations:
+        tables.append(separation_table(verdict))
+    return tables
+
+
+def verdict_line(verdict: Verdict) -> Text:
+    """The last line: the verdict in a sentence."""
+    counts = {kind: sum(one.verdict == kind for one in verdict.uavs) for kind in _COLOURS}
+    parts = [f"{counts[kind]} {kind}" for kind in ("met", "void", "missed") if counts[kind]]
+    tail = f"deadline {verdict.uavs[0].deadline_s:g} s: {', '.join(parts)}"
+    if verdict.inside_keep_out_s > 0:
+        tail += f"; inside a keep-out for {verdict.inside_keep_out_s:.2f} s"
+    if verdict.missed_ticks:
+        tail += f"; {verdict.missed_ticks} ticks missed"
+    if verdict.latency_ms:
+        figures = ", ".join(f"{key} {value:.1f} ms" for key, value in verdict.latency_ms.items())
+        tail += f"; latency {figures}"
+    return Text.assemble("Verdict: ", _word(verdict.verdict), f" ({tail})")
