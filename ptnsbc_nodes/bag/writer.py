@@ -123,6 +123,12 @@ class BagWriter:
             qos_profiles(topic)
         self._make_folder()
         self._guard.install()
+        try:
+            self._begin()
+        except OSError as error:
+            raise self._disk_error(error) from error
+
+    def _begin(self) -> None:
         self._stream = (self._part / self._filename).open("wb")
         self._writer = Writer(self._stream, chunk_size=_CHUNK_SIZE, compression=self._compression)
         self._writer.start(profile="ros2", library=_LIBRARY)
@@ -150,8 +156,11 @@ class BagWriter:
             raise BagError(f"{self.directory}: topic {topic}: expected one of {known}")
         if stamp_ns < 0 or (publish_ns is not None and publish_ns < 0):
             raise BagError(f"{topic}: time {stamp_ns}, {publish_ns} ns: expected not negative")
-        with self._guard:
-            self._append(channel, stamp_ns, data, stamp_ns if publish_ns is None else publish_ns)
+        try:
+            with self._guard:
+                self._append(channel, stamp_ns, data, publish_ns)
+        except OSError as error:
+            raise self._disk_error(error) from error
 
     def flush_if_due(self, now: float) -> None:
         """Close the chunk when a second has passed since the last one.
@@ -166,10 +175,13 @@ class BagWriter:
             self._last_flush = now
         if now - self._last_flush < FLUSH_PERIOD or not self._unflushed or self._stream is None:
             return
-        with self._guard:
-            self._writer.flush()
-            self._last_flush = now
-            self._unflushed = 0
+        try:
+            with self._guard:
+                self._writer.flush()
+        except OSError as error:
+            raise self._disk_error(error) from error
+        self._last_flush = now
+        self._unflushed = 0
 
     def close(self) -> None:
         """Complete the bag and give it its name; does nothing the second time."""
@@ -178,15 +190,23 @@ class BagWriter:
         try:
             with self._guard:
                 self._finish(self._stream)
+        except OSError as error:
+            raise self._disk_error(error) from error
         finally:
             self._guard.remove()
 
-    def _append(self, channel: _Channel, log_ns: int, data: bytes, publish_ns: int) -> None:
+    def _disk_error(self, error: OSError) -> BagError:
+        return BagError(
+            f"{self._part} cannot be written ({error.strerror}): "
+            "what is in it can be read with salvage"
+        )
+
+    def _append(self, channel: _Channel, log_ns: int, data: bytes, publish_ns: int | None) -> None:
         self._writer.add_message(
             channel_id=channel.id,
             log_time=log_ns,
             data=data,
-            publish_time=publish_ns,
+            publish_time=log_ns if publish_ns is None else publish_ns,
             sequence=channel.messages,
         )
         channel.messages += 1

@@ -21,8 +21,9 @@ environment.prepare()
 @contextmanager
 def _own_domain() -> Iterator[int]:
     """A domain id that no test beside us uses."""
-    if "ROS_DOMAIN_ID" in os.environ:
-        yield int(os.environ["ROS_DOMAIN_ID"])
+    # Not ROS_DOMAIN_ID: a fleet may be flying there.
+    if "PTNSBC_TEST_DOMAIN" in os.environ:
+        yield int(os.environ["PTNSBC_TEST_DOMAIN"])
         return
     try:
         import domain_coordinator

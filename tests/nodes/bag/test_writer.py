@@ -210,6 +210,29 @@ def test_wrong_write(tmp_path, call, message):
         call(writer)
 
 
+def test_full_disk(tmp_path):
+    """A limit of the file size stands in for the disk."""
+    resource = pytest.importorskip("resource")
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    random = np.random.default_rng(1)
+    odom = wire.OdometryTemplate("map", "uav1")
+    message = r"flight\.part cannot be written \(File too large\): .* with salvage"
+    writer = BagWriter(tmp_path / "flight", TOPICS, compression="none")
+    writer.open()
+    try:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (3_000_000, before[1]))
+        with pytest.raises(BagError, match=message):
+            for k in range(10_000):
+                writer.write("/uav1/odom", k, odom.encode(k, random.normal(size=13)))
+        with pytest.raises(BagError, match=message):
+            writer.close()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    stamps = [m.stamp_ns for m in read_bag(tmp_path / "flight.part", salvage=True).messages()]
+    assert stamps == list(range(len(stamps)))
+    assert len(stamps) > 1000
+
+
 def test_write_into_a_closed_bag(tmp_path):
     writer = BagWriter(tmp_path / "x", TOPICS)
     with pytest.raises(BagError, match="expected an open bag"):
