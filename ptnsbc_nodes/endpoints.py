@@ -17,6 +17,10 @@ from ptnsbc_nodes.topics import Role, Topic, message_class
 LOST = Topic("/formation/lost", "std_msgs/msg/Header", Role.LATCHED)
 """Names of UAVs whose process has ended, from the launcher: nobody waits for them any more."""
 
+READY = Topic("/formation/ready", "diagnostic_msgs/msg/DiagnosticArray", Role.EVENT)
+"""/diagnostics of lock-step nodes before simulated time begins: how long that takes is chance, and
+/diagnostics is in the bag."""
+
 # The last message alone is not enough here: a late joiner must learn the first epoch too, and of
 # every lost UAV.
 _LATCHED = QoSProfile(

@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
+import signal
 import sys
+from collections.abc import Mapping
 from pathlib import Path
+
+PARENT = "PTNSBC_PARENT"
+"""Process id of the launcher; a process that finds it set does not outlive the launcher."""
 
 _DEFAULTS = {
     # A fleet on one host; spread over hosts, the user widens it.
@@ -12,12 +18,87 @@ _DEFAULTS = {
     # Shared memory is no faster here, and a killed process leaves its segments behind.
     "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
 }
+# Every UAV is a process: more threads than one each only get into each other's way.
+_ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+_PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
+_SPARE_PEERS = 12  # for viewers, a command line, a second recorder
+_PR_SET_PDEATHSIG = 1
+
+# LOCALHOST of rmw_fastrtps probes 32 participants only, and always uses shared memory. So the same
+# by hand: no multicast, as many peers on this host as there are, UDP alone.
+_DISCOVERY = """<?xml version="1.0" encoding="UTF-8"?>
+<dds xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles"><profiles>
+<transport_descriptors><transport_descriptor>
+  <transport_id>udp</transport_id><type>UDPv4</type>
+  <sendBufferSize>1048576</sendBufferSize><receiveBufferSize>4194304</receiveBufferSize>
+  <maxInitialPeersRange>{peers}</maxInitialPeersRange>
+</transport_descriptor></transport_descriptors>
+<participant profile_name="fleet" is_default_profile="true"><rtps>
+  <userTransports><transport_id>udp</transport_id></userTransports>
+  <useBuiltinTransports>false</useBuiltinTransports>
+  <builtin>
+    <metatrafficUnicastLocatorList><locator/></metatrafficUnicastLocatorList>
+    <initialPeersList>
+      <locator><udpv4><address>127.0.0.1</address></udpv4></locator>
+    </initialPeersList>
+    <discovery_config>
+      <initialAnnouncements>
+        <count>10</count><period><sec>0</sec><nanosec>200000000</nanosec></period>
+      </initialAnnouncements>
+      <leaseAnnouncement><sec>3</sec></leaseAnnouncement><leaseDuration><sec>10</sec></leaseDuration>
+    </discovery_config>
+  </builtin>
+</rtps></participant>
+</profiles></dds>
+"""
 
 
 def prepare() -> None:
     """Fill in what is not set. With ROS from wheels rclpy.init() fails without it."""
+    _stay_with_parent()
     for name, value in _DEFAULTS.items():
         os.environ.setdefault(name, value)
     # The wheels put the ament index into the environment's prefix, but tell nobody.
     if (Path(sys.prefix) / "share" / "ament_index").is_dir():
         os.environ.setdefault("AMENT_PREFIX_PATH", sys.prefix)
+
+
+def for_children(domain: int, processes: int, folder: Path) -> dict[str, str]:
+    """Environment of the processes of a fleet; the discovery profile is written into `folder`."""
+    prepare()
+    child = dict(os.environ)
+    child[PARENT] = str(os.getpid())
+    child["ROS_DOMAIN_ID"] = str(domain)
+    for name in _ONE_THREAD:
+        child.setdefault(name, "1")
+    # `-m ptnsbc_nodes...` must find the same code, installed or not.
+    root = str(Path(__file__).resolve().parent.parent)
+    child["PYTHONPATH"] = os.pathsep.join(filter(None, (root, child.get("PYTHONPATH"))))
+    if _discovery_is_ours(child):
+        profile = folder / "discovery.xml"
+        profile.write_text(_DISCOVERY.format(peers=processes + _SPARE_PEERS), encoding="utf-8")
+        child[_PROFILES[0]] = str(profile)
+        # Whatever else it is set to, rmw_fastrtps would override the profile.
+        child["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "SYSTEM_DEFAULT"
+    return child
+
+
+def _discovery_is_ours(environment: Mapping[str, str]) -> bool:
+    return (
+        environment["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST"
+        and environment.get("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp") == "rmw_fastrtps_cpp"
+        and "ROS_DISCOVERY_SERVER" not in environment
+        and not any(name in environment for name in _PROFILES)
+    )
+
+
+def _stay_with_parent() -> None:
+    """End with the launcher, even when it is killed: an orphan would fly on unseen."""
+    parent = os.environ.get(PARENT)
+    if parent is None or not sys.platform.startswith("linux"):
+        return
+    if parent == str(os.getpid()):  # the launcher itself, called from another fleet
+        return
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, int(signal.SIGTERM))
+    if os.getppid() != int(parent):
+        raise SystemExit("the launcher has ended")

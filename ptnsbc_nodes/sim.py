@@ -16,7 +16,7 @@ from rclpy.node import Node
 from ptnsbc_core.types import Array
 from ptnsbc_nodes import topics
 from ptnsbc_nodes.edges import Edges
-from ptnsbc_nodes.endpoints import LOST, Endpoints
+from ptnsbc_nodes.endpoints import LOST, READY, Endpoints
 from ptnsbc_nodes.epochs import Epochs
 from ptnsbc_nodes.pacing import Latency, Pace
 from ptnsbc_nodes.senses import Senses
@@ -56,6 +56,7 @@ class Sim:
         self._running = False
         self._listen()
         self._status = self.endpoints.publisher(topics.DIAGNOSTICS, edges.options.recorders)
+        self._early_status = self.endpoints.publisher(READY, 0)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         node.create_timer(1.0 / STATUS_HZ, self._on_status_timer, clock=steady)
         if not self._lockstep:
@@ -159,7 +160,7 @@ class Sim:
         elif not self._running:
             self._start()
             if not self._running:
-                self._report(-1)  # before simulated time; bags leave it out
+                self._report(-1)
 
     def _report(self, stamp_ns: int) -> None:
         missing = self.waiting_for() if stamp_ns < 0 or not self._lockstep else []
@@ -174,7 +175,8 @@ class Sim:
         }
         level = Level.WARN if missing else Level.OK
         message = f"waiting for {' '.join(missing)}" if missing else ""
-        self._status(diagnostics(stamp_ns, "sim: world", level, message, values))
+        send = self._status if stamp_ns >= 0 else self._early_status
+        send(diagnostics(max(stamp_ns, 0), "sim: world", level, message, values))
 
 
 class Progress:

@@ -17,7 +17,7 @@ from ptnsbc_core.agent import initial_state, step
 from ptnsbc_core.types import MODE_HOLD, AgentState
 from ptnsbc_nodes import topics
 from ptnsbc_nodes.edges import Edges, FlightOptions
-from ptnsbc_nodes.endpoints import LOST, Endpoints
+from ptnsbc_nodes.endpoints import LOST, READY, Endpoints
 from ptnsbc_nodes.epochs import EpochError, Epochs
 from ptnsbc_nodes.inbox import NO_CUTOFF_NS, Inbox
 from ptnsbc_nodes.outbox import Outbox
@@ -50,6 +50,7 @@ class Uav:
         self._born_ns = self._clock_ns()
         self._subscribe(uav_id, edges)
         self._status = self.endpoints.publisher(topics.DIAGNOSTICS, edges.options.recorders)
+        self._early_status = self.endpoints.publisher(READY, 0)
         if uav_id == scenario.leader_id:
             self._serve(edges)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -166,7 +167,7 @@ class Uav:
         if not self._lockstep:
             self._report(self._clock_ns())
         elif self._done_ns < 0:
-            self._report(-1)  # before simulated time; bags leave it out
+            self._report(-1)
 
     def _report(self, stamp_ns: int) -> None:
         missing = self.waiting_for() if stamp_ns < 0 or not self._lockstep else []
@@ -178,7 +179,8 @@ class Uav:
             **self._tally.values(),
         }
         level, message = self._verdict(stamp_ns, missing)
-        self._status(diagnostics(stamp_ns, f"{self._name}: planner", level, message, values))
+        send = self._status if stamp_ns >= 0 else self._early_status
+        send(diagnostics(max(stamp_ns, 0), f"{self._name}: planner", level, message, values))
 
     def _verdict(self, stamp_ns: int, missing: list[str]) -> tuple[Level, str]:
         own = self._inbox.own

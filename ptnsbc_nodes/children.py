@@ -1,0 +1,96 @@
+"""The processes of a fleet: started, watched, ended; each with a log file of its own."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+_POLL_S = 0.02
+_TAIL_LINES = 12
+# What a process is given to end in before the next, harder signal.
+_PATIENCE_S = {signal.SIGINT: 10.0, signal.SIGTERM: 3.0, signal.SIGKILL: 5.0}
+
+
+@dataclass(frozen=True)
+class Command:
+    """A Python module to run as a process."""
+
+    name: str  # of the process, in messages and of its log
+    module: str
+    arguments: tuple[str, ...]
+    uav: int | None = None  # id of the UAV that ends with it
+
+
+class Child:
+    """One running process."""
+
+    def __init__(self, command: Command, environment: Mapping[str, str], log_dir: Path) -> None:
+        self.command = command
+        self.name = command.name
+        self.log = log_dir / f"{command.name}.log"
+        self._read = 0
+        with self.log.open("wb") as log:
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", command.module, *command.arguments],
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                env=dict(environment),
+                # The terminal's Ctrl-C is for the launcher, which ends the fleet in order.
+                start_new_session=True,
+            )
+        self.pid = self._process.pid
+
+    @property
+    def exit_code(self) -> int | None:
+        """None while it runs; minus the signal's number when one ended it."""
+        return self._process.poll()
+
+    def send(self, number: signal.Signals) -> None:
+        """Send a signal, if it still runs."""
+        self._process.send_signal(number)
+
+    def new_lines(self) -> list[str]:
+        """Complete lines of the log since the last call."""
+        with self.log.open("rb") as log:
+            log.seek(self._read)
+            whole, newline, _ = log.read().rpartition(b"\n")
+        self._read += len(whole) + len(newline)
+        return whole.decode(errors="replace").splitlines()
+
+    def says(self, line: str) -> bool:
+        """Whether its log has this line."""
+        return line in self.log.read_text(errors="replace").splitlines()
+
+    def last_line(self) -> str:
+        """The last line of its log so far."""
+        return "".join(self.log.read_text(errors="replace").splitlines()[-1:])
+
+    def tail(self) -> str:
+        """The last lines of the log, indented."""
+        lines = self.log.read_text(errors="replace").splitlines()[-_TAIL_LINES:]
+        return "\n".join(f"    {line}" for line in lines) or "    (its log is empty)"
+
+    def obituary(self) -> str:
+        """Who it was, how it ended, and its last words."""
+        code = self.exit_code
+        how = f"exit code {code}"
+        if code is not None and code < 0:
+            how = f"signal {signal.Signals(-code).name}"
+        return f"{self.name} (pid {self.pid}) has ended: {how}, {self.log}\n{self.tail()}"
+
+
+def end(children: Sequence[Child]) -> None:
+    """End processes together, ever harder; none is left when this returns."""
+    for number, patience_s in _PATIENCE_S.items():
+        left = [child for child in children if child.exit_code is None]
+        for child in left:
+            child.send(number)
+        deadline = time.monotonic() + patience_s
+        while any(child.exit_code is None for child in left) and time.monotonic() < deadline:
+            time.sleep(_POLL_S)

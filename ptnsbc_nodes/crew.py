@@ -1,0 +1,74 @@
+"""Which processes a flight consists of, and their command lines."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+from ptnsbc_nodes.children import Command
+from ptnsbc_sim.scenario import Scenario
+
+RECORDER, SIM = "recorder", "sim"
+
+_VERSIONS = ("ptnsbc", "numpy", "numba", "ros-rclpy", "ros-rmw-fastrtps-cpp")
+
+
+@dataclass(frozen=True)
+class FleetOptions:
+    """What to fly, and how."""
+
+    scenario: Scenario
+    lockstep: bool = False
+    bag: Path | None = None  # folder to record into
+    overwrite: bool = False  # replace that folder
+    log_dir: Path | None = None  # one log per process; a new temporary folder by default
+    meta: Mapping[str, str] = field(default_factory=dict)  # into the bag, beside our own
+    ready_timeout_s: float | None = None  # from the first process to the last one ready
+
+    @property
+    def patience_s(self) -> float:
+        """The time-out, by default with room for a slow machine."""
+        default = 30.0 + 5.0 * len(self.scenario.uav_ids)
+        return default if self.ready_timeout_s is None else self.ready_timeout_s
+
+
+def commands(options: FleetOptions, scenario_file: Path) -> list[Command]:
+    """All processes in the order of their start: the recorder must miss nothing."""
+    common = ["--scenario", str(scenario_file)]
+    if options.lockstep:
+        common.append("--lockstep")
+    if options.bag is not None:
+        common.append("--recorded")
+    crew = [] if options.bag is None else [_recorder(options, options.bag, scenario_file)]
+    crew.append(Command(SIM, "ptnsbc_nodes.sim_node", tuple(common)))
+    for i in options.scenario.uav_ids:
+        arguments = (*common, "--uav", str(i))
+        crew.append(Command(f"uav{i}", "ptnsbc_nodes.uav_node", arguments, uav=i))
+    return crew
+
+
+def _recorder(options: FleetOptions, bag: Path, scenario_file: Path) -> Command:
+    arguments = ["--bag", str(bag), "--uavs", *map(str, options.scenario.uav_ids)]
+    arguments += ["--attach", f"scenario.yaml={scenario_file}"]
+    for key, value in _meta(options):
+        arguments += ["--meta", f"{key}={value}"]
+    if options.lockstep:
+        arguments.append("--lockstep")
+    if options.overwrite:
+        arguments.append("--overwrite")
+    return Command(RECORDER, "ptnsbc_nodes.recorder", tuple(arguments))
+
+
+def _meta(options: FleetOptions) -> Iterator[tuple[str, str]]:
+    yield "mode", "lockstep" if options.lockstep else "realtime"
+    yield "scenario", options.scenario.name
+    yield "python", platform.python_version()
+    for name in _VERSIONS:
+        try:
+            yield name, version(name)
+        except PackageNotFoundError:  # ROS from apt, or run from a checkout
+            continue
+    yield from options.meta.items()

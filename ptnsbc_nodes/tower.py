@@ -1,0 +1,90 @@
+"""The launcher's own node: who is ready, the start, and word of those who are lost."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.context import Context
+from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Future
+from std_srvs.srv import Trigger
+
+from ptnsbc_nodes import topics
+from ptnsbc_nodes.endpoints import LOST, READY, Endpoints
+from ptnsbc_nodes.spin import make_executor
+from ptnsbc_nodes.wire import HeaderTemplate
+
+
+class Tower:
+    """One rclpy node in a context of its own; use it as a context manager."""
+
+    def __init__(self, domain: int) -> None:
+        self.waiting: dict[str, str] = {}  # process name: what it waits for, empty when ready
+        self._context = Context()
+        rclpy.init(
+            context=self._context,
+            domain_id=domain,
+            signal_handler_options=SignalHandlerOptions.NO,
+        )
+        self._node = rclpy.create_node(
+            "fleet", context=self._context, start_parameter_services=False, enable_rosout=False
+        )
+        self._executor: Any = make_executor(self._context)
+        self._executor.add_node(self._node)
+        self._tell_lost = Endpoints(self._node, lockstep=True).publisher(LOST, 0)
+        self._start = self._node.create_client(Trigger, "/formation/start")
+        self._ears = [
+            self._node.create_subscription(DiagnosticArray, topic.name, self._on_status, 50)
+            for topic in (topics.DIAGNOSTICS, READY)
+        ]
+
+    def __enter__(self) -> Tower:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._executor.remove_node(self._node)
+        self.spin(0.0)  # the EventsExecutor lets go of a node only when it runs the next time
+        self._node.destroy_node()
+        self._executor.shutdown()
+        rclpy.shutdown(context=self._context)
+
+    def spin(self, seconds: float) -> None:
+        """Serve callbacks for a while."""
+        self._executor.spin_until_future_complete(Future(), timeout_sec=seconds)
+
+    def missing(self, names: Iterable[str]) -> dict[str, str]:
+        """Those of `names` that are not ready, and what each waits for."""
+        waiting = {name: self.waiting.get(name, "its first diagnostics") for name in names}
+        return {name: what for name, what in waiting.items() if what}
+
+    def start(self, patience_s: float) -> str | None:
+        """Call /formation/start; returns why it did not work, None if it did."""
+        if not self._start.service_is_ready():
+            self.spin(0.1)
+            return "the leader's service /formation/start is not there"
+        call = self._start.call_async(Trigger.Request())
+        self._executor.spin_until_future_complete(call, timeout_sec=patience_s)
+        response = call.result() if call.done() else None
+        if response is None:
+            return "the leader does not answer /formation/start"
+        if not response.success:
+            return str(response.message)
+        for ear in self._ears:  # in flight nobody reads them: not worth their reception
+            self._node.destroy_subscription(ear)
+        self._ears.clear()
+        return None
+
+    def lose(self, uav_id: int) -> None:
+        """Tell everybody to wait for this UAV no longer."""
+        self._tell_lost(HeaderTemplate(f"uav{uav_id}").encode(0))
+
+    def _on_status(self, message: Any) -> None:
+        for status in message.status:
+            values = {pair.key: pair.value for pair in status.values}
+            if "ready" in values:
+                ready = values["ready"] == "true"
+                name = status.name.partition(":")[0]
+                self.waiting[name] = "" if ready else values.get("waiting_for", "") or "something"
