@@ -159,6 +159,60 @@ def verify(
     result.leave(verdict)
 
 
+@app.command()
+def fleet(
+    scenario: ScenarioArgument,
+    lockstep: Annotated[
+        bool,
+        typer.Option(
+            "--lockstep/--real-time",
+            help="As fast as it goes and the same bytes every time, or by the wall clock.",
+        ),
+    ] = False,
+    plant: PlantOption = None,
+    task: TaskOption = None,
+    profile: ProfileOption = None,
+    avoidance: AvoidanceOption = None,
+    seed: SeedOption = None,
+    duration: DurationOption = None,
+    settings: SetOption = None,
+    bag: BagOption = None,
+    overwrite: OverwriteOption = False,
+    json: JsonOption = False,
+) -> None:
+    """Fly a scenario with one ROS 2 process per UAV and a simulator; ends with the verdict."""
+    from ptnsbc_tools import fleet as command
+
+    given = options.overrides(
+        plant=plant,
+        task=task,
+        profile=profile,
+        avoidance=avoidance,
+        seed=seed,
+        duration=duration,
+        settings=settings,
+    )
+    chosen = options.scenario_with(scenario, given)
+    wishes = command.Wishes(lockstep=lockstep, bag=bag, overwrite=overwrite, json=json)
+    raise typer.Exit(command.fleet(chosen, wishes))
+
+
+@app.command()
+def demo(
+    duration: DurationOption = None,
+    folder: Annotated[
+        Path, typer.Option("--out", metavar="DIR", help="Folder for the bag and the picture.")
+    ] = Path("out"),
+    json: JsonOption = False,
+) -> None:
+    """Fly Simulation 1 of the paper with a fleet in lock-step: bag, verdict and picture."""
+    from ptnsbc_tools import fleet as command
+
+    given = options.overrides(duration=duration)
+    chosen = options.scenario_with(command.DEMO_SCENARIO, given)
+    raise typer.Exit(command.fleet(chosen, command.demo_wishes(folder, json=json)))
+
+
 def main() -> None:
     """Entry point of the console script."""
     app(prog_name="ptnsbc")

@@ -195,7 +195,13 @@ def write_flight(
     ]
     attachments = {SCENARIO_ATTACHMENT: scenario.text.encode()}
     every = max(len(flight.t_ns) // 100, 1)
-    with BagWriter(directory, infos, attachments=attachments, overwrite=overwrite) as writer:
+    with BagWriter(
+        directory,
+        infos,
+        attachments=attachments,
+        metadata={"mode": "headless", "scenario": scenario.name},
+        overwrite=overwrite,
+    ) as writer:
         for tick, (stamp_ns, found) in enumerate(messages(flight), start=1):
             for topic, data in found:
                 writer.write(topic, stamp_ns, data)

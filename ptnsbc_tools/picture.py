@@ -68,7 +68,7 @@ def _error(axes: Any, recording: Recording, times: Array, errors: dict[int, Arra
     axes.axvline(deadline, color="black", linewidth=1)
     axes.annotate(f"deadline {deadline:g} s", (deadline, axes.get_ylim()[1]), fontsize=8,
                   xytext=(4, -10), textcoords="offset points")  # fmt: skip
-    axes.axhspan(_FLOOR_M, band, color="#009E73", alpha=0.08, label=f"band {band:.2f} m")
+    axes.axhspan(_FLOOR_M, band, color="#009E73", alpha=0.08, label=f"widest band {band:.2f} m")
     axes.axhline(TOLERANCE_M, color="black", linewidth=0.8, linestyle=":",
                  label=f"limit at the deadline {TOLERANCE_M:g} m")  # fmt: skip
     axes.set(xlabel="time after the epoch [s]", ylabel="formation error [m]")

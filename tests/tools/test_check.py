@@ -1,0 +1,106 @@
+"""What the pre-flight check refuses, and what it lets pass."""
+
+from typing import Any
+
+import pytest
+
+from ptnsbc_sim.scenario import load_scenario
+from ptnsbc_tools.check import CheckError, Finding, check, refuse
+
+
+def errors(**changes: Any) -> list[Finding]:
+    overrides = {key.replace("__", "."): value for key, value in changes.items()}
+    scenario = load_scenario("paper_5", overrides)
+    return [finding for finding in check(scenario) if finding.severity == "error"]
+
+
+@pytest.mark.parametrize("name", ["paper_5", "paper_5_free"])
+@pytest.mark.parametrize("plant", ["quadrotor", "rigid_body_6dof"])
+@pytest.mark.parametrize("task", ["distance_angles", "parent_angle", "relative_position"])
+def test_shipped_scenarios_pass(name: str, plant: str, task: str) -> None:
+    scenario = load_scenario(name, {"plant.kind": plant, "formation.task": task})
+    findings = check(scenario)
+    refuse(scenario, findings)
+    assert all(finding.severity == "info" for finding in findings)
+
+
+# The leader at the tip, two arms at right angles: UAV 4 sees the leader and UAV 3 at 90 degrees.
+V = {2: [-1.5, -1.5, 0], 3: [-0.75, -0.75, 0], 4: [0.75, -0.75, 0], 5: [1.5, -1.5, 0]}
+
+
+def test_a_right_angled_v_is_singular() -> None:
+    found = errors(formation__offsets_m=V)
+    assert [finding.key for finding in found] == ["formation.offsets_m.4"]
+    assert "sigma_min" in found[0].value
+    assert "parent_angle" in found[0].advice
+
+
+def test_the_same_v_is_fine_by_the_angle_at_the_parent() -> None:
+    assert errors(formation__offsets_m=V, formation__task="parent_angle") == []
+
+
+def test_deadline_below_what_the_speed_limit_allows() -> None:
+    """The leader starts 8.06 m away: 2.1875 * 8.062 / (3 - 0.5) = 7.05 s."""
+    found = errors(gains__filter={"max_speed_m_s": 3})
+    assert {finding.key for finding in found} == {"gains.formation.deadline_s"}
+    assert found[0].limit.startswith(">= 7.05 s at 2.5 m/s")
+    assert "UAV 1" in found[0].value
+
+
+def test_deadline_below_what_the_acceleration_limit_allows() -> None:
+    found = errors(gains__filter={"max_acceleration_m_s2": 1})
+    assert found[0].limit.startswith(">= 7.78 s")
+
+
+def test_desired_positions_closer_than_the_safe_distance() -> None:
+    found = errors(**{"formation__offsets_m__3": [-0.6, -1.2, 0], "formation__uav_keep_out_m": 1.3})
+    desired = [finding for finding in found if finding.key == "formation.offsets_m"]
+    assert "UAV 3 and UAV 4 1.20 m apart" in [finding.value for finding in desired]
+    assert desired[0].limit == ">= 1.3 m"
+
+
+def test_starts_closer_than_the_safe_distance() -> None:
+    found = errors(**{"uavs[1].position_m": [-1, -0.3, 1]})
+    assert [finding.key for finding in found] == ["uavs position_m"]
+    assert found[0].value == "UAV 2 and UAV 3 0.30 m apart"
+
+
+def test_start_inside_an_obstacle() -> None:
+    found = errors(**{"uavs[4].position_m": [5.5, -4.5, 8]})
+    assert found[0].key == "uavs[4].position_m"
+    assert found[0].value == "UAV 5 starts 1.00 m from O1"
+
+
+def test_a_gain_too_large_for_the_control_period() -> None:
+    found = errors(gains__formation__kappa_1_s=300)
+    assert [finding.key for finding in found] == ["gains.formation"]
+
+
+def test_a_sensor_that_sees_too_late() -> None:
+    assert [finding.key for finding in errors(sensor__range_m=1.4)] == ["sensor.range_m"]
+
+
+def test_angles_above_the_parent_are_a_finding() -> None:
+    found = errors(**{"formation__offsets_m__3": [-1.2, -2.4, 1]})
+    assert found[0].key == "formation.offsets_m.3"
+
+
+def test_encounters_are_named() -> None:
+    findings = check(load_scenario("paper_5"))
+    values = [finding.value for finding in findings if finding.key == "world.obstacles O1"]
+    assert any(value.startswith("meets UAV 5 from t = 18.0 s") for value in values)
+
+
+def test_encounters_without_avoidance_are_a_warning() -> None:
+    findings = check(load_scenario("paper_5", {"formation.avoidance": "off"}))
+    assert {finding.severity for finding in findings if "O1" in finding.key} == {"warning"}
+
+
+def test_refusal_is_one_line_with_key_and_way_out() -> None:
+    scenario = load_scenario("paper_5", {"gains.filter.max_speed_m_s": 3})
+    with pytest.raises(CheckError) as caught:
+        refuse(scenario, check(scenario))
+    message = str(caught.value)
+    assert "\n" not in message
+    assert "paper_5.yaml: gains.formation.deadline_s: 5 s" in message
+    assert "set gains.formation.deadline_s to at least" in message

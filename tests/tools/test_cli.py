@@ -1,0 +1,183 @@
+"""The command line as a user meets it: exit codes, one line per error, JSON alone on stdout."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from ptnsbc_nodes import topics
+from ptnsbc_nodes.bag import BagWriter, TopicInfo
+from ptnsbc_nodes.wire import HeaderTemplate, OdometryTemplate, WrenchTemplate
+from ptnsbc_tools.bag_reader import SCENARIO_ATTACHMENT
+from ptnsbc_tools.cli import app
+from ptnsbc_tools.verdict import Recording
+
+Fly = Callable[..., Recording]
+
+
+def run(*words: object) -> tuple[int, str, str]:
+    result = CliRunner().invoke(app, [str(word) for word in words])
+    return result.exit_code, result.stdout, result.stderr
+
+
+def write(recording: Recording, directory: Path) -> Path:
+    """A recording as a bag, without diagnostics."""
+    scenario = recording.scenario
+    infos = [TopicInfo(topics.EPOCH.name, topics.EPOCH.type, "reliable", "volatile", 1)]
+    for uav in scenario.uav_ids:
+        for topic in (topics.odom(uav), topics.wrench_setpoint(uav)):
+            infos.append(TopicInfo(topic.name, topic.type, "reliable", "volatile", 1))
+    attached = {SCENARIO_ATTACHMENT: scenario.text.encode()}
+    state, wrench = OdometryTemplate("map", "b"), WrenchTemplate("b")
+    with BagWriter(directory, infos, attachments=attached) as writer:
+        for stamp, leg in recording.epochs:
+            writer.write(topics.EPOCH.name, stamp, HeaderTemplate(leg).encode(stamp))
+        for uav in scenario.uav_ids:
+            series = recording.odometry[uav]
+            for row, stamp in enumerate(series.t_ns.tolist()):
+                writer.write(topics.odom(uav).name, stamp, state.encode(stamp, series.values[row]))
+                forces = recording.wrench[uav].values[row]
+                name = topics.wrench_setpoint(uav).name
+                writer.write(name, stamp, wrench.encode(stamp, forces))
+    return directory
+
+
+def test_help_and_version() -> None:
+    code, out, _ = run("--help")
+    assert code == 0
+    for command in ("check", "simulate", "verify", "fleet", "demo"):
+        assert command in out
+        assert run(command, "--help")[0] == 0
+    assert run("--version")[1].startswith("ptnsbc ")
+
+
+def test_check_of_the_paper() -> None:
+    code, out, err = run("check", "paper_5")
+    assert (code, err) == (0, "")
+    assert "Pre-flight check of paper_5" in out
+
+
+def test_check_as_json() -> None:
+    code, out, err = run("check", "paper_5", "--json")
+    data = json.loads(out)
+    assert (code, err, data["ok"]) == (0, "", True)
+    assert {"severity", "key", "value", "limit", "advice"} == set(data["findings"][0])
+
+
+@pytest.mark.parametrize("command", ["check", "simulate", "fleet"])
+def test_what_cannot_fly_is_refused(command: str) -> None:
+    code, _, err = run(command, "paper_5", "--set", "gains.formation.deadline_s=2 s", "--json")
+    assert code == 2
+    assert err.count("\n") == 1
+    assert err.startswith("error: ")
+    assert "gains.formation.deadline_s: 2 s" in err
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("check", "paper_55"),
+        ("check", "paper_5", "--set", "gains.formaton.scale=1"),
+        ("check", "paper_5", "--set", "seed: [1"),
+        ("check", "paper_5", "--duration", "-1"),
+        ("verify", "nowhere"),
+    ],
+)
+def test_errors_are_one_line_and_two(words: tuple[str, ...]) -> None:
+    code, out, err = run(*words)
+    assert (code, out) == (2, "")
+    assert "Traceback" not in err
+    if not err.startswith("Usage"):
+        assert err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    "words", [("check",), ("check", "paper_5", "--task", "dance"), ("dance",), ("check", "a", "b")]
+)
+def test_usage_errors_are_two(words: tuple[str, ...]) -> None:
+    assert run(*words)[0] == 2
+
+
+def test_interrupt_is_130(monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("ptnsbc_tools.check.command.run", interrupt, raising=False)
+    monkeypatch.setattr("ptnsbc_tools.options.scenario_with", interrupt)
+    code, _, err = run("check", "paper_5")
+    assert (code, err) == (130, "interrupted\n")
+
+
+def test_verify_a_flight_that_keeps_its_deadline(fly: Fly, tmp_path: Path) -> None:
+    bag = write(fly(seconds=7.0), tmp_path / "bag")
+    code, out, err = run("verify", bag)
+    assert (code, err) == (0, "")
+    assert "Verdict: met" in out
+    picture = tmp_path / "flight.png"
+    code, out, err = run("verify", bag, "--json", "--picture", picture)
+    data = json.loads(out)
+    assert (code, err, data["verdict"]) == (0, "", "met")
+    assert len(data["uavs"]) == 5
+    assert data["picture"] == str(picture)
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_verify_a_flight_that_does_not(fly: Fly, tmp_path: Path) -> None:
+    bag = write(fly({4: lambda t: 0.2 + 0 * t}, seconds=7.0), tmp_path / "bag")
+    code, out, _ = run("verify", bag)
+    assert code == 1
+    assert "Verdict: missed" in out
+    assert run("verify", bag, "--tolerance", "0.3")[0] == 0
+
+
+def test_verify_with_another_scenario(fly: Fly, tmp_path: Path) -> None:
+    bag = write(fly(seconds=7.0), tmp_path / "bag")
+    other = tmp_path / "other.yaml"
+    other.write_text("extends: paper_5_free\nformation: {offsets_m: {4: [0.6, -1.5, 0]}}\n")
+    assert run("verify", bag, "--scenario", other)[0] == 1
+
+
+def test_a_cut_bag_is_one_line(fly: Fly, tmp_path: Path) -> None:
+    bag = write(fly(seconds=7.0), tmp_path / "bag")
+    file = next(bag.glob("*.mcap"))
+    file.write_bytes(file.read_bytes()[:20_000])
+    code, out, err = run("verify", bag)
+    assert (code, out) == (2, "")
+    assert err.count("\n") == 1
+    assert err.startswith("error: ")
+    assert "cut" in err
+
+
+def test_a_bag_without_a_scenario_says_what_to_do(fly: Fly, tmp_path: Path) -> None:
+    recording = fly(seconds=1.0)
+    infos = [TopicInfo("/uav1/odom", topics.odom(1).type, "reliable", "volatile", 1)]
+    with BagWriter(tmp_path / "bag", infos) as writer:
+        row = recording.odometry[1].values[0]
+        writer.write("/uav1/odom", 0, OdometryTemplate("map", "b").encode(0, row))
+    code, _, err = run("verify", tmp_path / "bag")
+    assert code == 2
+    assert "--scenario" in err
+
+
+@pytest.mark.slow
+def test_simulate_and_verify_agree(tmp_path: Path) -> None:
+    pytest.importorskip("rclpy")
+    bag = tmp_path / "bag"
+    words = ("paper_5_free", "--duration", "6", "--task", "relative_position", "--json")
+    code, out, _ = run("simulate", *words, "--bag", bag)
+    flown = json.loads(out)
+    again, read, _ = run("verify", bag, "--json")
+    assert code == again
+    assert {**flown, "bag": None} == {**json.loads(read), "bag": None}
+    assert run("simulate", *words, "--bag", bag)[0] == 2  # it exists
+
+
+@pytest.mark.slow
+def test_the_same_flight_gives_the_same_bytes(tmp_path: Path) -> None:
+    pytest.importorskip("rclpy")
+    for name in ("a", "b"):
+        run("simulate", "paper_5", "--duration", "1", "--bag", tmp_path / name / "bag", "--json")
+    first, second = (next((tmp_path / name / "bag").glob("*.mcap")) for name in ("a", "b"))
+    assert first.read_bytes() == second.read_bytes()

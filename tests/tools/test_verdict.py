@@ -1,0 +1,203 @@
+"""The verdict on flights whose errors are written down in advance."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ptnsbc_sim.scenario import load_scenario
+from ptnsbc_tools.verdict import Recording, VerdictError, verdict_on
+from ptnsbc_tools.verdict.verdict import Verdict
+
+Fly = Callable[..., Recording]
+NEVER = np.zeros_like
+
+
+def decay(start: float, rate: float) -> Callable[[Any], Any]:
+    return lambda t: start * np.exp(-rate * t)
+
+
+def of(verdict: Verdict, uav: int) -> Any:
+    return next(one for one in verdict.uavs if one.uav == uav)
+
+
+def test_perfect_flight_is_met_by_all(fly: Fly) -> None:
+    verdict = verdict_on(fly())
+    assert verdict.verdict == "met"
+    assert verdict.exit_code == 0
+    assert [one.settling_s for one in verdict.uavs] == [0.0] * 5
+    assert verdict.duration_s == pytest.approx(11.99)
+
+
+def test_settling_of_an_exponential(fly: Fly) -> None:
+    """2 exp(-t) is last above 0.05 at t = ln 40 = 3.689 s: settled at the next sample, 3.69 s."""
+    one = of(verdict_on(fly({3: decay(2.0, 1.0)})), 3)
+    assert one.verdict == "met"
+    assert one.settling_s == pytest.approx(3.69)
+    assert one.start_error_m == pytest.approx(2.0)
+    assert one.error_at_deadline_m == pytest.approx(2 * np.exp(-5))
+    assert one.residual == pytest.approx(np.exp(-5))
+    assert one.max_error_after_m == pytest.approx(2 * np.exp(-5))
+
+
+def test_a_large_start_widens_the_band_to_two_percent(fly: Fly) -> None:
+    one = of(verdict_on(fly({3: decay(10.0, 2.0)})), 3)
+    assert one.band_m == pytest.approx(0.2)
+    assert one.settling_s == pytest.approx(np.log(50) / 2, abs=0.01)
+
+
+def test_late_is_missed(fly: Fly) -> None:
+    verdict = verdict_on(fly({4: decay(2.0, 0.5)}))
+    one = of(verdict, 4)
+    assert (one.verdict, verdict.verdict, verdict.exit_code) == ("missed", "missed", 1)
+    assert one.reason == "settled after 7.38 s"
+    assert of(verdict, 5).verdict == "met"
+
+
+def test_inside_the_band_but_above_the_limit_is_missed(fly: Fly) -> None:
+    one = of(verdict_on(fly({3: lambda t: np.where(t < 1, 8.0, 0.1)})), 3)
+    assert one.band_m == pytest.approx(0.16)
+    assert one.settling_s == pytest.approx(1.0)
+    assert (one.verdict, one.reason) == ("missed", "error at the deadline above 0.05 m")
+
+
+def test_tolerance_is_an_option(fly: Fly) -> None:
+    recording = fly({3: lambda t: np.full_like(t, 0.08)})
+    assert verdict_on(recording).verdict == "missed"
+    assert verdict_on(recording, tolerance=0.1).verdict == "met"
+
+
+def test_leader_is_measured_against_its_trajectory(fly: Fly) -> None:
+    verdict = verdict_on(fly({1: lambda t: np.full_like(t, 0.3)}))
+    assert of(verdict, 1).error_at_deadline_m == pytest.approx(0.3)
+    assert of(verdict, 3).error_at_deadline_m == pytest.approx(0.0, abs=1e-12)
+
+
+def bump(t: Any) -> Any:
+    return np.where((t > 8.0) & (t < 8.5), 0.5, 0.0)
+
+
+def ramp(t: Any) -> Any:
+    return np.clip(t - 7.9, 0.0, 0.6)
+
+
+def test_an_error_after_the_deadline_is_missed(fly: Fly) -> None:
+    assert of(verdict_on(fly({4: bump})), 4).reason == "settled after 8.50 s"
+
+
+@pytest.mark.parametrize("busy", [4, 3, 1])
+def test_an_encounter_of_the_uav_or_an_ancestor_excuses_it(
+    fly: Fly, count: Callable[..., Any], busy: int
+) -> None:
+    recording = fly({4: bump})
+    others = {**recording.counters, busy: count(12.0, ramp)}
+    one = of(verdict_on(fly({4: bump}, counters=others)), 4)
+    assert one.verdict == "met"
+    assert one.max_error_after_m == pytest.approx(0.0, abs=1e-12)
+    assert one.encounter_s > 2
+
+
+def test_an_encounter_of_a_child_excuses_nothing(fly: Fly, count: Callable[..., Any]) -> None:
+    recording = fly({4: bump})
+    others = {**recording.counters, 5: count(12.0, ramp)}
+    assert of(verdict_on(fly({4: bump}, counters=others)), 4).verdict == "missed"
+
+
+def test_recovery_ends(fly: Fly, count: Callable[..., Any]) -> None:
+    """1 s + 3/kappa = 2.5 s after the counter's last rise at 8.6 s the error counts again."""
+    recording = fly()
+    others = {**recording.counters, 4: count(12.0, ramp)}
+    late = fly({4: lambda t: np.where(t > 11.3, 0.5, 0.0)}, counters=others)
+    assert of(verdict_on(late), 4).verdict == "missed"
+    early = fly({4: lambda t: np.where((t > 8) & (t < 10.9), 0.5, 0.0)}, counters=others)
+    assert of(verdict_on(early), 4).verdict == "met"
+
+
+@pytest.mark.parametrize(
+    ("name", "reason"),
+    [("saturated_s", "saturated for 0.70 s"), ("holding_s", "held for 0.70 s, link stale")],
+)
+def test_a_miss_with_a_cause_is_void(
+    fly: Fly, count: Callable[..., Any], name: str, reason: str
+) -> None:
+    others = {4: count(12.0, **{name: 0.7})}
+    others[4].__dict__[name][:3] = 0.0
+    verdict = verdict_on(fly({4: decay(2.0, 0.5)}, counters=others))
+    assert of(verdict, 4).verdict == "void"
+    assert of(verdict, 4).reason.endswith(reason)
+    assert verdict.exit_code == 1
+
+
+def test_a_met_deadline_is_met_whatever_was_saturated(fly: Fly, count: Callable[..., Any]) -> None:
+    others = {4: count(12.0, saturated_s=0.7)}
+    assert of(verdict_on(fly({4: decay(2.0, 1.0)}, counters=others)), 4).verdict == "met"
+
+
+def test_avoidance_at_the_deadline_voids(fly: Fly, count: Callable[..., Any]) -> None:
+    others = {4: count(12.0, lambda t: np.clip(t - 4.5, 0.0, 1.0))}
+    one = of(verdict_on(fly({4: decay(2.0, 0.5)}, counters=others)), 4)
+    assert one.verdict == "void"
+    assert "avoidance active at the deadline" in one.reason
+
+
+def test_a_recording_that_ends_early_is_void(fly: Fly) -> None:
+    verdict = verdict_on(fly(seconds=3.0))
+    assert verdict.verdict == "void"
+    assert verdict.uavs[0].reason == "recording ends after 2.99 s"
+    assert verdict.uavs[0].error_at_deadline_m is None
+
+
+def test_time_counts_from_the_epoch_to_the_next(fly: Fly) -> None:
+    verdict = verdict_on(fly(epochs=((2_000_000_000, "form"), (9_000_000_000, "land"))))
+    assert verdict.epoch_s == pytest.approx(2.0)
+    assert verdict.duration_s == pytest.approx(7.0)
+
+
+def test_input_of_a_hover_with_one_peak(fly: Fly) -> None:
+    recording = fly()
+    weight = 1.2 * 9.81
+    recording.wrench[2].values[200, 2] = weight + 3.0
+    one = next(one for one in verdict_on(recording).efforts if one.uav == 2)
+    assert one.initial_above_hover_n == pytest.approx(0.0)
+    assert one.peak_force_n == pytest.approx(weight + 3.0)
+    assert one.peak_at_s == pytest.approx(2.0)
+    assert one.energy_above_hover == pytest.approx(9.0 * 0.01)
+    assert one.energy == pytest.approx(weight**2 * 11.98 + (weight + 3.0) ** 2 * 0.01)
+
+
+def test_separation_names_the_pair_and_the_time(fly: Fly) -> None:
+    """UAV 3 and 4 are 1.2 m apart; 0.8 m east for one second leaves 0.4 m."""
+    verdict = verdict_on(fly({3: lambda t: np.where((t >= 7) & (t < 8), 0.8, 0.0)}))
+    worst = verdict.separations[0]
+    assert (worst.first, worst.second) == ("uav3", "uav4")
+    assert worst.distance_m == pytest.approx(0.4)
+    assert 7.0 <= worst.at_s < 8.0
+    assert worst.inside_s == pytest.approx(1.0)
+    assert verdict.inside_keep_out_s == pytest.approx(1.0)
+
+
+def test_obstacles_are_named(fly: Fly) -> None:
+    names = {one.second for one in verdict_on(fly(scenario=load_scenario("paper_5"))).separations}
+    assert {"O1", "O2"} <= names
+
+
+def test_uavs_recorded_at_other_instants_are_interpolated(fly: Fly) -> None:
+    recording = fly()
+    series = recording.odometry[3]
+    t_ns = series.t_ns + 3_000_000
+    shifted = type(series)(t_ns, series.at(t_ns))
+    verdict = verdict_on(fly(odometry={**recording.odometry, 3: shifted}))
+    assert of(verdict, 3).error_at_deadline_m < 1e-4
+
+
+def test_a_missing_uav_is_named(fly: Fly) -> None:
+    recording = fly()
+    others = {uav: series for uav, series in recording.odometry.items() if uav != 4}
+    with pytest.raises(VerdictError, match="no message on /uav4/odom"):
+        verdict_on(fly(odometry=others))
+
+
+def test_an_epoch_after_the_end_is_refused(fly: Fly) -> None:
+    with pytest.raises(VerdictError, match=r"expected odometry of the leader after"):
+        verdict_on(fly(epochs=((60_000_000_000, "form"),)))
