@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_sim.scenario import Scenario
-from ptnsbc_tools import console, result
+from ptnsbc_tools import result
 from ptnsbc_tools.bag_reader import read_recording
 from ptnsbc_tools.verdict import verdict_on
 
