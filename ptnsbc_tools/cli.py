@@ -150,7 +150,8 @@ def verify(
 
     An error counts from the epoch on, outside encounters: spans in which the UAV, or one it
     follows, keeps clear of something, and a recovery time of 1 s + 3/kappa after them. Settling is
-    the last exit from the band of 2 % of the start error or the tolerance, whichever is larger.
+    the last exit from the band of 2 % of the start error or the tolerance, whichever is larger;
+    only encounters that begin after the deadline excuse an exit.
     """
     from ptnsbc_tools import result
     from ptnsbc_tools import verify as command

@@ -52,7 +52,16 @@ def deadline_table(verdict: Verdict) -> Table:
     table = _table(
         title,
         ("UAV", "deadline"),
-        ("settled s", "of s", "start m", "band m", "at tf m", "max after m", "RMSE after m"),
+        (
+            "settled s",
+            "of s",
+            "start m",
+            "band m",
+            "at tf m",
+            "max after m",
+            "RMSE after m",
+            "avoiding s",
+        ),
     )
     table.add_column("why", overflow="fold")
     for one in verdict.uavs:
@@ -66,6 +75,7 @@ def deadline_table(verdict: Verdict) -> Table:
             _number(one.error_at_deadline_m, 4),
             _number(one.max_error_after_m, 4),
             _number(one.rmse_after_m, 4),
+            _number(one.encounter_s, 1),
             one.reason,
         )
     return table

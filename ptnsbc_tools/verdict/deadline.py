@@ -65,7 +65,7 @@ def settling_time(
         times: (T,) [s] after the epoch.
         error: (T,) [m].
         band: tolerance [m].
-        counted: (T,) False in encounters, whose exits are excused.
+        counted: (T,) False where an exit is excused: in encounters after the deadline.
     """
     outside = np.flatnonzero((error > band) & counted)
     if outside.size == 0:
@@ -123,6 +123,9 @@ def judge(
     times = recording.times(grid)
     windows = encounters(scenario, recording.counters, uav)
     counted = ~inside(windows, grid)
+    # What was under way at the deadline, or before it, excuses no late settling.
+    later = [window for window in windows if (window[0] - recording.start_ns) * NANO > deadline]
+    unexcused = ~inside(later, grid)
     band = max(tolerance, SHARE_OF_START * float(error[0]))
     reached = times[-1] >= deadline - 1e-9
     at = float(np.interp(deadline, times, error)) if reached else None
@@ -134,7 +137,7 @@ def judge(
         deadline_s=deadline,
         start_error_m=float(error[0]),
         band_m=band,
-        settling_s=settling_time(times, error, band, counted),
+        settling_s=settling_time(times, error, band, unexcused),
         tolerance_m=tolerance,
         error_at_deadline_m=at,
         residual=at / float(error[0]) if at is not None and error[0] > 0 else None,

@@ -3,7 +3,9 @@
 The rule. An encounter of a UAV is a span in which its counter `avoidance_active_s` (/diagnostics,
 5 Hz) rises, or that of any of its ancestors in the tree. It begins at the last sample before the
 rise and lasts until one second plus three time constants of the formation loop, 3 / (Lambda kappa),
-after the last rise: the time the loop needs to bring the error back.
+after the last rise: the time the loop needs to bring the error back. An encounter that begins after
+the deadline excuses an exit from the tolerance band; one that was under way at the deadline makes
+a deadline that was not met void.
 """
 
 from __future__ import annotations

@@ -138,7 +138,15 @@ def test_avoidance_at_the_deadline_voids(fly: Fly, count: Callable[..., Any]) ->
     others = {4: count(12.0, lambda t: np.clip(t - 4.5, 0.0, 1.0))}
     one = of(verdict_on(fly({4: decay(2.0, 0.5)}, counters=others)), 4)
     assert one.verdict == "void"
-    assert "avoidance active at the deadline" in one.reason
+    assert one.reason == "settled after 7.38 s, avoidance active at the deadline"
+
+
+def test_keeping_clear_before_the_deadline_hides_nothing(
+    fly: Fly, count: Callable[..., Any]
+) -> None:
+    others = {4: count(12.0, lambda t: np.clip(t - 1.0, 0.0, 1.0))}
+    one = of(verdict_on(fly({4: decay(2.0, 1.0)}, counters=others)), 4)
+    assert (one.verdict, one.settling_s) == ("met", pytest.approx(3.69))
 
 
 def test_a_recording_that_ends_early_is_void(fly: Fly) -> None:
