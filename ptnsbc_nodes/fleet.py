@@ -11,8 +11,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_nodes import environment
 from ptnsbc_nodes.children import Child, Command, end
@@ -20,9 +18,8 @@ from ptnsbc_nodes.crew import RECORDER, SIM, FleetOptions, commands
 from ptnsbc_nodes.domain import reserved_domain
 from ptnsbc_nodes.stop import StopRequest
 from ptnsbc_nodes.tower import Tower
-from ptnsbc_nodes.uav import warm_up
+from ptnsbc_nodes.warmup import load_agent, load_world
 from ptnsbc_sim.scenario import Scenario
-from ptnsbc_sim.world import World
 
 __all__ = ["FleetError", "FleetOptions", "FleetResult", "ProcessReport", "run_fleet"]
 
@@ -98,10 +95,8 @@ def run_fleet(options: FleetOptions, progress: Report = lambda line: None) -> Fl
 def _prepare_kernels(scenario: Scenario, progress: Report) -> None:
     """Compile once, before a dozen processes would do it side by side."""
     progress("preparing the laws (compiled at first use, then read from the cache)")
-    warm_up(scenario, scenario.leader_id)
-    world = World(scenario)
-    world.near(scenario.leader_id)
-    world.step({i: np.zeros(6) for i in world.ids})
+    load_agent(scenario, scenario.leader_id)
+    load_world(scenario)
 
 
 class _Flight:

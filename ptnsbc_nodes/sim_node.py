@@ -10,6 +10,7 @@ from ptnsbc_nodes import topics
 from ptnsbc_nodes.edges import Edges
 from ptnsbc_nodes.process import Arguments, Lifetime, flight_options, ros_node, run
 from ptnsbc_nodes.sim import Sim
+from ptnsbc_nodes.warmup import load_world
 from ptnsbc_sim.scenario import load_scenario
 
 
@@ -26,6 +27,7 @@ def _simulate(arguments: argparse.Namespace, argv: list[str]) -> int:
     scenario = load_scenario(arguments.scenario, overrides)
     if not topics.tf_is_available():
         print("sim: /tf is left out, tf2_msgs is not installed", file=sys.stderr)
+    load_world(scenario)
     with ros_node("sim", "", argv) as node:
         sim = Sim(node, scenario, Edges(scenario, flight_options(arguments)), lifetime.end)
         lifetime.serve(node, sim.endpoints)

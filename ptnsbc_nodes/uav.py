@@ -9,14 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-import numpy as np
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
 from ptnsbc_core.agent import initial_state, step
 from ptnsbc_core.types import MODE_HOLD, AgentState
 from ptnsbc_nodes import topics
-from ptnsbc_nodes.edges import Edges, FlightOptions
+from ptnsbc_nodes.edges import Edges
 from ptnsbc_nodes.endpoints import LOST, READY, Endpoints
 from ptnsbc_nodes.epochs import EpochError, Epochs
 from ptnsbc_nodes.inbox import NO_CUTOFF_NS, Inbox
@@ -24,6 +23,7 @@ from ptnsbc_nodes.outbox import Outbox
 from ptnsbc_nodes.pacing import Pace
 from ptnsbc_nodes.services import Instruments, LegServices
 from ptnsbc_nodes.status import STATUS_HZ, Level, Tally, diagnostics, readiness
+from ptnsbc_nodes.ticker import Ticker
 from ptnsbc_nodes.wire import Stamped, decode_header, decode_near, decode_odometry
 from ptnsbc_sim.scenario import Scenario, agent_config
 
@@ -55,8 +55,9 @@ class Uav:
             self._serve(edges)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         node.create_timer(1.0 / STATUS_HZ, self._on_status_timer, clock=steady)
+        self._ticker = None
         if not self._lockstep:
-            node.create_timer(self._period_ns * 1e-9, self._on_tick_timer)
+            self._ticker = Ticker(node, self._period_ns, self._on_tick_timer)
 
     def waiting_for(self) -> list[str]:
         """Topics without their other end; in real time also an odometry not heard yet."""
@@ -112,6 +113,8 @@ class Uav:
 
     def _on_epoch(self, data: bytes) -> None:
         t0_ns, leg = decode_header(data)
+        if self._ticker is not None and self._inbox.own is not None:
+            self._ticker.align(self._inbox.own.stamp_ns)
         try:
             self._epochs.announce(t0_ns, leg)
         except EpochError as error:
@@ -189,15 +192,3 @@ class Uav:
         if self._epochs.announced and self._tally.holding:
             return Level.WARN, "holding"
         return (Level.WARN, f"waiting for {' '.join(missing)}") if missing else (Level.OK, "")
-
-
-def warm_up(scenario: Scenario, uav_id: int) -> None:
-    """Compile or load the kernels, so that the first tick is not a compilation."""
-    config = agent_config(scenario, uav_id)
-    senders = Edges(scenario, FlightOptions()).senders(uav_id)
-    inbox = Inbox(senders)
-    own = np.zeros(13)
-    own[6] = 1.0
-    inbox.own = Stamped(0, own)
-    inputs = inbox.inputs(0, 0)
-    step(initial_state(own, config), inputs, 0.0, scenario.dt_ns * 1e-9, config)

@@ -7,7 +7,8 @@ from collections.abc import Sequence
 
 from ptnsbc_nodes.edges import Edges
 from ptnsbc_nodes.process import Arguments, Lifetime, flight_options, ros_node, run
-from ptnsbc_nodes.uav import Uav, warm_up
+from ptnsbc_nodes.uav import Uav
+from ptnsbc_nodes.warmup import load_agent
 from ptnsbc_sim.scenario import load_scenario
 
 
@@ -22,7 +23,7 @@ def _fly(arguments: argparse.Namespace, argv: list[str]) -> int:
     lifetime = Lifetime()
     scenario = load_scenario(arguments.scenario)
     scenario.uav(arguments.uav)  # refuses an id that is not in the file
-    warm_up(scenario, arguments.uav)
+    load_agent(scenario, arguments.uav)
     with ros_node("controller", f"/uav{arguments.uav}", argv) as node:
         uav = Uav(node, scenario, arguments.uav, Edges(scenario, flight_options(arguments)))
         lifetime.serve(node, uav.endpoints)

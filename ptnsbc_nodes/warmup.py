@@ -1,0 +1,30 @@
+"""Loading the compiled laws before a flight, so that no tick is a compilation."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ptnsbc_core.agent import initial_state, step
+from ptnsbc_core.types import ODOMETRY_SIZE
+from ptnsbc_nodes.edges import Edges, FlightOptions
+from ptnsbc_nodes.inbox import Inbox
+from ptnsbc_nodes.wire import Stamped
+from ptnsbc_sim.scenario import Scenario, agent_config
+from ptnsbc_sim.world import World
+
+
+def load_agent(scenario: Scenario, uav_id: int) -> None:
+    """Compile the laws, or load them from the cache: one step on zeros."""
+    config = agent_config(scenario, uav_id)
+    own = np.zeros(ODOMETRY_SIZE)
+    own[6] = 1.0
+    inbox = Inbox(Edges(scenario, FlightOptions()).senders(uav_id))
+    inbox.own = Stamped(0, own)
+    step(initial_state(own, config), inbox.inputs(0, 0), 0.0, scenario.dt_ns * 1e-9, config)
+
+
+def load_world(scenario: Scenario) -> None:
+    """The same for the vehicles."""
+    world = World(scenario)
+    world.near(scenario.leader_id)
+    world.step({i: np.zeros(6) for i in world.ids})
