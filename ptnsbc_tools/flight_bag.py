@@ -141,6 +141,11 @@ class _Status:
         return encode(import_module("tf2_msgs.msg").TFMessage(transforms=transforms))
 
 
+def _as_received(data: bytes) -> bytes:
+    """A message as a subscriber gets it: DDS fills it up with zeros to a multiple of four bytes."""
+    return data + bytes(-len(data) % 4)
+
+
 def messages(flight: Flight) -> Iterator[tuple[int, list[Message]]]:
     """Stamp [ns] and sorted messages of every tick."""
     clock = ClockTemplate()
@@ -154,7 +159,8 @@ def messages(flight: Flight) -> Iterator[tuple[int, list[Message]]]:
         for uav in uavs:
             found.extend(uav.at(tick, stamp_ns))
         found.extend(status.at(tick, stamp_ns))
-        yield stamp_ns, sorted(found, key=lambda message: message[0])
+        found.sort(key=lambda message: message[0])
+        yield stamp_ns, [(topic, _as_received(data)) for topic, data in found]
 
 
 def prepare_bag(directory: Path, *, overwrite: bool) -> None:

@@ -1,0 +1,47 @@
+"""The fleet from the command line: the same flight as in one process, bit for bit."""
+
+import json
+import subprocess
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+
+from ptnsbc_nodes.bag import read_bag
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.ros,
+    pytest.mark.skipif(find_spec("rclpy") is None, reason="needs rclpy"),
+]
+
+
+def run(*words: object) -> tuple[int, str, str]:
+    """In a process of its own: rclpy wants real streams."""
+    command = [sys.executable, "-m", "ptnsbc_tools.cli", *map(str, words)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+    return done.returncode, done.stdout, done.stderr
+
+
+def test_a_fleet_in_lockstep_flies_what_one_process_flies(tmp_path: Path) -> None:
+    """Every message of both bags is equal, topic by topic, and so is the verdict."""
+    words = ("paper_5", "--duration", "3", "--json")
+    together, flown, err = run("fleet", *words, "--lockstep", "--bag", tmp_path / "fleet")
+    alone, simulated, _ = run("simulate", *words, "--bag", tmp_path / "alone")
+    assert together == alone == 1, err  # three seconds are too short for the deadline
+    first, second = (list(read_bag(tmp_path / name).messages()) for name in ("fleet", "alone"))
+    assert [message[:2] for message in first] == [message[:2] for message in second]
+    different = [a.topic for a, b in zip(first, second, strict=True) if a.data != b.data]
+    assert different == []
+    told, expected = json.loads(flown), json.loads(simulated)
+    assert told["uavs"] == expected["uavs"]
+    assert told["fleet"]["died"] == []
+
+
+def test_demo_leaves_a_bag_a_verdict_and_a_picture(tmp_path: Path) -> None:
+    code, out, err = run("demo", "--duration", "2", "--out", tmp_path, "--json")
+    assert code == 1, err
+    data = json.loads(out)
+    assert read_bag(data["bag"]).topics["/uav5/odom"].messages == 200
+    assert Path(data["picture"]).read_bytes().startswith(b"\x89PNG")
