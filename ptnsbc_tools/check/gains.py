@@ -8,31 +8,32 @@ import numpy as np
 
 from ptnsbc_core.timebase import feasible_deadline, peak_gain
 from ptnsbc_core.trajectory import reference
-from ptnsbc_sim.scenario import Scenario
+from ptnsbc_core.types import LoopGain
+from ptnsbc_sim.scenario import Scenario, agent_config
 from ptnsbc_sim.scenario.build import trajectory_vector
-from ptnsbc_sim.scenario.gains import Loop
 from ptnsbc_sim.scenario.semantics import STABILITY_LIMIT
 from ptnsbc_tools.check.finding import ERROR, INFO, WARNING, Finding, Findings
 
 _SMOOTH_STEP = 1.0  # above this a sampled decay overshoots, above STABILITY_LIMIT it grows
 
 
-def _loop_rate(loop: Loop) -> float:
-    return loop.scale * (peak_gain(loop.deadline_s, loop.residual) + loop.kappa_1_s)
+def _loop_rate(loop: LoopGain) -> float:
+    return loop.scale * (peak_gain(loop.duration_s, loop.residual) + loop.kappa)
 
 
 def steps(scenario: Scenario) -> Findings:
     """Control period times the largest gain of every loop."""
     gains = scenario.gains
+    config = agent_config(scenario, scenario.leader_id)  # as flown: a profile may fix kappa
     dt = 1.0 / scenario.control_hz
     slide = gains.adaptation.cap_m_s2 / gains.boundary.velocity_m_s
     turn = gains.adaptation.cap_rad_s2 / gains.boundary.rate_rad_s
     rates = {
-        "gains.formation": _loop_rate(gains.formation),
-        "gains.attitude": _loop_rate(gains.attitude),
-        "gains.clearance": _loop_rate(gains.clearance),
-        "gains.force": _loop_rate(gains.force) + slide,
-        "gains.torque": _loop_rate(gains.torque) + turn,
+        "gains.formation": _loop_rate(config.formation),
+        "gains.attitude": _loop_rate(config.attitude),
+        "gains.clearance": _loop_rate(config.clearance.gain),
+        "gains.force": _loop_rate(config.controller.force) + slide,
+        "gains.torque": _loop_rate(config.controller.torque) + turn,
         "gains.filter.bandwidth_1_s": gains.filter.bandwidth_1_s,
         "gains.filter.rate_bandwidth_1_s": gains.filter.rate_bandwidth_1_s,
     }

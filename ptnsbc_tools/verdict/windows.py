@@ -15,7 +15,7 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from ptnsbc_sim.scenario import Scenario
+from ptnsbc_sim.scenario import Scenario, agent_config
 from ptnsbc_tools.verdict.recording import Counters
 
 Window = tuple[int, int]  # [ns], inclusive
@@ -27,8 +27,8 @@ _SLOWEST_RECOVERY_S = 10.0  # a loop without kappa would never return
 
 def recovery_s(scenario: Scenario) -> float:
     """How long after its end an encounter still excuses the error."""
-    loop = scenario.gains.formation
-    rate = loop.scale * loop.kappa_1_s
+    loop = agent_config(scenario, scenario.leader_id).formation  # as flown
+    rate = loop.scale * loop.kappa
     return _PAUSE_S + min(_TIME_CONSTANTS / rate if rate > 0 else np.inf, _SLOWEST_RECOVERY_S)
 
 

@@ -7,6 +7,7 @@ import pytest
 
 from ptnsbc_core.types import AVOIDANCE_OFF, PLANT_RIGID_BODY, PROFILE_PAPER, PROFILE_SOFT
 from ptnsbc_sim.scenario import agent_config, load_scenario, scenario_from_text
+from ptnsbc_sim.scenario.defaults import gain_defaults
 
 PAPER = Path(__file__).resolve().parents[3] / "scenarios" / "paper_5.yaml"
 
@@ -64,10 +65,12 @@ def test_a_value_may_repeat_its_unit() -> None:
 def test_yaml_of_today() -> None:
     """`off` is a word, 1e-3 a number and 010 ten: not so in the YAML of 2005."""
     text = PAPER.read_text(encoding="utf-8")
-    text = text.replace("avoidance: set_based", "avoidance: off").replace("1.0e-3", "1e-3")
+    text = text.replace("avoidance: set_based", "avoidance: off").replace(
+        "stale_s: 0.5", "stale_s: 5e-1"
+    )
     scenario = scenario_from_text(text.replace("seed: 1 ", "seed: 010 "))
     assert agent_config(scenario, 2).clearance.rule == AVOIDANCE_OFF
-    assert scenario.gains.formation.residual == 1e-3
+    assert scenario.file.communication.stale_s == 0.5
     assert scenario.seed == 10
 
 
@@ -115,7 +118,7 @@ def test_extends_in_a_circle(tmp_path: Path) -> None:
 def test_gains_may_be_left_out_but_for_the_deadline() -> None:
     scenario = load_scenario(PAPER, {"gains": {"formation": {"deadline_s": 4}}})
     assert scenario.gains.formation.deadline_s == 4
-    assert scenario.gains.formation.residual == 1e-3
+    assert scenario.gains.formation.residual == gain_defaults("quadrotor")["formation"]["residual"]
 
 
 def test_a_loop_takes_the_profile_of_the_scenario_unless_it_has_its_own() -> None:
@@ -125,7 +128,8 @@ def test_a_loop_takes_the_profile_of_the_scenario_unless_it_has_its_own() -> Non
 
 
 def test_table_1_of_the_paper_reaches_the_controller() -> None:
-    controller = agent_config(load_scenario(PAPER), 2).controller
+    scenario = load_scenario(PAPER, {"plant.kind": "rigid_body_6dof"})
+    controller = agent_config(scenario, 2).controller
     np.testing.assert_allclose(controller.adaptation, [0.4, 0.4])
     assert controller.bound_rate == pytest.approx(2.5)
     np.testing.assert_array_equal(controller.nominal, [1.2, 0.019, 0.019, 0.021])
