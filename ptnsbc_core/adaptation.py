@@ -1,6 +1,8 @@
-"""Adaptive parts of the controller (49)-(51): parameters Psi_hat and the disturbance bound delta_hat."""
+"""Adaptive parts of the controller (49)-(51): parameters Psi_hat, disturbance bound delta_hat, observer."""
 
 from __future__ import annotations
+
+import numpy as np
 
 from ptnsbc_core.kernel import kernel
 from ptnsbc_core.types import Array, ControllerConfig
@@ -48,3 +50,33 @@ def adapted_bound(
     if error_norm > config.bound_dead_zone[which]:
         growth = config.bound_rate * error_norm
     return min(bound + dt * (growth - config.bound_leak * bound), config.bound_cap[which])
+
+
+@kernel
+def started(velocity: Array) -> Array:
+    """Observer (9,) at a velocity (3,) [m/s, ENU], with no disturbance known."""
+    out = np.zeros(9)
+    out[0:3] = velocity
+    return out
+
+
+@kernel
+def observed(
+    observer: Array, velocity: Array, frozen: bool, dt: float, config: ControllerConfig
+) -> Array:
+    """Disturbance observer (9,) after one measurement of the velocity (3,) [m/s, ENU].
+
+    Not in the paper. The thrust of a quadrotor follows the attitude, so the gain that keeps delta_hat sat()
+    small in (49) is not to be had; the observer compares the measured velocity with what the last
+    command should have done and feeds the difference forward. Both poles at `observer_bandwidth`.
+    """
+    out = observer.copy()
+    pole = config.observer_bandwidth
+    cap = config.bound_cap[0]
+    for i in range(3):
+        predicted = observer[i] + dt * (observer[6 + i] + observer[3 + i])
+        miss = velocity[i] - predicted
+        out[i] = predicted + 2.0 * pole * dt * miss
+        if not frozen:
+            out[3 + i] = min(max(observer[3 + i] + pole * pole * dt * miss, -cap), cap)
+    return out

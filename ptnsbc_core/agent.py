@@ -5,9 +5,9 @@
 
 from __future__ import annotations
 
-
 import numpy as np
 
+from ptnsbc_core.adaptation import started
 from ptnsbc_core.command_filter import filter_step
 from ptnsbc_core.controller import Command, Control, rigid_body_control
 from ptnsbc_core.estimator import disagreement, estimator_step
@@ -20,6 +20,7 @@ from ptnsbc_core.kinematics import (
     yaw_of,
 )
 from ptnsbc_core.planner import (
+    Armed,
     Behaviour,
     Neighbour,
     attitude,
@@ -63,6 +64,7 @@ def initial_state(own: Array, config: AgentConfig) -> AgentState:
         command,
         config.controller.nominal.copy(),
         np.zeros(2),
+        started(velocity_enu(own)),
         none_met(),
         np.zeros(6),
         hold_at,
@@ -124,21 +126,20 @@ def _lost(inputs: AgentInputs, start_t: float, config: AgentConfig) -> bool:
 
 @kernel
 def _behaviour(
-    state: AgentState, inputs: AgentInputs, estimate: Array, clock: Clock, config: AgentConfig
+    inputs: AgentInputs, estimate: Array, armed: Armed, clock: Clock, config: AgentConfig
 ) -> Behaviour:
     """The mission behaviour: leader tracking for the leader, formation for a follower that has heard."""
     position = inputs.own[0:3].copy()
-    start_error = state.start_error[0:3].copy()
     if config.leader:
         desired = reference(config.trajectory, clock.start_t)
-        return leader_tracking(position, desired, start_error, clock, config)
+        return leader_tracking(position, desired, armed, clock, config)
     if inputs.parent_age_s >= NEVER_HEARD_S:
         rest = Reference(position, np.zeros(3), 0.0)
-        return leader_tracking(position, rest, np.zeros(3), clock, config)
+        return leader_tracking(position, rest, armed, clock, config)
     velocity = velocity_enu(inputs.parent)
     parent = Neighbour(inputs.parent[0:3] + inputs.parent_age_s * velocity, velocity)
     leader = Neighbour(estimate[0:3].copy(), estimate[3:6].copy())
-    return formation(position, parent, leader, start_error, clock, config)
+    return formation(position, parent, leader, armed, clock, config)
 
 
 @kernel
@@ -149,10 +150,22 @@ def _controlled(
     inner = Clock(clock.start_t, clock.start_t, clock.dt)  # inner loops arm once
     if config.controller.plant == PLANT_RIGID_BODY:
         return rigid_body_control(
-            inputs.own, command, state.parameters, state.bound, inner, config.controller
+            inputs.own,
+            command,
+            state.parameters,
+            state.bound,
+            inner,
+            config.controller,
+            state.observer,
         )
     return quadrotor_control(
-        inputs.own, command, state.parameters, state.bound, inner, config.controller,
+        inputs.own,
+        command,
+        state.parameters,
+        state.bound,
+        inner,
+        config.controller,
+        state.observer,
         config.filter.max_rate,
     )
 
@@ -206,19 +219,28 @@ def step(
     if config.leader and not holding:
         yaw = reference(config.trajectory, clock.start_t).yaw
 
-    armed = state.mode == _NOT_YET or t < state.last_t or state.heard != heard
     start_error = state.start_error.copy()
-    behaviour = _behaviour(state, inputs, estimate, clock, config)
-    rates, euler_error = attitude(inputs.own, yaw, start_error[3:6].copy(), clock, config)
-    if armed:
+    armed = Armed(
+        state.mode == _NOT_YET or t < state.last_t or state.heard != heard,
+        start_error[0:3].copy(),
+        start_error[3:6].copy(),
+    )
+    behaviour = _behaviour(inputs, estimate, armed, clock, config)
+    rates, euler_error = attitude(inputs.own, yaw, armed, clock, config)
+    if armed.now:
         start_error[0:3] = behaviour.error
         start_error[3:6] = euler_error
     if holding:
         behaviour = _held(behaviour, inputs, place, config)
 
     top = clearance(
-        inputs.own[0:3].copy(), behaviour.velocity, inputs.near, inputs.near_age_s,
-        state.encounters, dt, config.clearance,
+        inputs.own[0:3].copy(),
+        behaviour.velocity,
+        inputs.near,
+        inputs.near_age_s,
+        state.encounters,
+        dt,
+        config.clearance,
     )
     velocity = composed(top, behaviour.jacobian, config.filter.max_speed)
     limits = config.filter
@@ -245,13 +267,20 @@ def step(
         control.velocity_error,
     )
     after = AgentState(
-        estimate, heard, stored, control.parameters, control.bound, top.encounters, start_error,
-        place, MODE_FORMATION if not holding else max(inputs.mode, 1), t,
+        estimate,
+        heard,
+        stored,
+        control.parameters,
+        control.bound,
+        control.observer,
+        top.encounters,
+        start_error,
+        place,
+        MODE_FORMATION if not holding else max(inputs.mode, 1),
+        t,
     )
     setpoint = np.empty(4)
     setpoint[0:3] = linear.value
     setpoint[3] = angular.value[2]
-    outputs = AgentOutputs(
-        setpoint, control.wrench, estimate_to_odometry(estimate), diagnostics
-    )
+    outputs = AgentOutputs(setpoint, control.wrench, estimate_to_odometry(estimate), diagnostics)
     return after, outputs

@@ -34,14 +34,13 @@ class Control(NamedTuple):
     wrench: Array  # (6,) [N, N m] body FLU
     parameters: Array  # (4,)
     bound: Array  # (2,)
+    observer: Array  # (9,)
     saturated: bool
     velocity_error: float  # [m/s]
 
 
 @kernel
-def sliding_term(
-    error: Array, gain: LoopGain, bound: float, width: float, clock: Clock
-) -> Array:
+def sliding_term(error: Array, gain: LoopGain, bound: float, width: float, clock: Clock) -> Array:
     """Specific feedback (3,) [m/s^2] or [rad/s^2]: -(Xi_3 + kappa) V~ - delta_hat sat(V~ / width)."""
     rate = loop_gain(gain, clock)
     out = np.empty(3)
@@ -79,7 +78,12 @@ def one_norm(v: Array) -> float:
 
 @kernel
 def adapted(
-    parameters: Array, bound: Array, products: Array, errors: Array, frozen: bool, dt: float,
+    parameters: Array,
+    bound: Array,
+    products: Array,
+    errors: Array,
+    frozen: bool,
+    dt: float,
     config: ControllerConfig,
 ) -> tuple[Array, Array]:
     """Psi_hat (4,) and delta_hat (2,) after one step; products (4,) Y^T V~, errors (2,) |V~|_1 of both parts."""
@@ -92,8 +96,13 @@ def adapted(
 
 @kernel
 def rigid_body_control(
-    own: Array, command: Command, parameters: Array, bound: Array, clock: Clock,
+    own: Array,
+    command: Command,
+    parameters: Array,
+    bound: Array,
+    clock: Clock,
     config: ControllerConfig,
+    observer: Array,
 ) -> Control:
     """Wrench of the plant `rigid_body_6dof` from its odometry vector (13,) and the filtered command."""
     r = rotation_from_quaternion(own[3:7])
@@ -120,7 +129,7 @@ def rigid_body_control(
     new_parameters, new_bound = adapted(
         parameters, bound, products, errors, saturated, clock.dt, config
     )
-    return Control(wrench, new_parameters, new_bound, saturated, norm3(error))
+    return Control(wrench, new_parameters, new_bound, observer.copy(), saturated, norm3(error))
 
 
 @kernel

@@ -68,7 +68,7 @@ def _compiler() -> Callable[[Callable[P, R]], Callable[P, R]] | None:
         _prune(root, cache)
         numba.config.CACHE_DIR = str(cache)
     decorate: Any = numba.njit(cache=cached, error_model="numpy")
-    return decorate  # type: ignore[no-any-return]
+    return decorate
 
 
 _COMPILE = _compiler()

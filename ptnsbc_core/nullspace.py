@@ -25,28 +25,33 @@ def smallest_singular_value(jacobian: Array) -> float:
 
 
 @kernel
-def damped_solve(jacobian: Array, rate: Array, threshold: float, damping: float) -> Array:
-    """J^+ rate, (3,): each singular value s below `threshold` is damped by damping^2 (1 - (s/threshold)^2).
+def damped_solve(
+    jacobian: Array, rate: Array, fallback: Array, threshold: float, damping: float
+) -> Array:
+    """J^+ rate + (I - J^+ J) fallback, (3,), with the pseudo-inverse damped near a singularity.
 
-    Singular values come from the Gram matrix: for three unknowns that is the decomposition of the design
-    without LAPACK. Directions that the Jacobian (r, 3) leaves free stay at rest.
+    Each singular value s below `threshold` is damped by damping^2 (1 - (s/threshold)^2); what the damping
+    takes away from the task, a lower-priority velocity `fallback` (3,) fills. Away from singularities J^+ J is
+    the identity and the fallback has no say. Singular values come from the Gram matrix: for three unknowns
+    that is the decomposition of the design without LAPACK.
     """
     parts = eigen3(gram3(jacobian))
     pulled = transpose_times(jacobian, rate)
     out = np.zeros(3)
-    largest = max(parts.values[0], parts.values[1], parts.values[2])
     for k in range(3):
-        value = parts.values[k]
-        if value <= RANK_TOLERANCE * RANK_TOLERANCE * largest or value <= 0.0:
-            continue
+        value = max(parts.values[k], 0.0)
         damped = value
         if value < threshold * threshold:
             damped += damping * damping * (1.0 - value / (threshold * threshold))
-        share = 0.0
+        seen = 0.0
+        free = 0.0
         for i in range(3):
-            share += parts.vectors[i, k] * pulled[i]
+            seen += parts.vectors[i, k] * pulled[i]
+            free += parts.vectors[i, k] * fallback[i]
+        if damped > 0.0:
+            free = seen / damped + (1.0 - value / damped) * free
         for i in range(3):
-            out[i] += parts.vectors[i, k] * share / damped
+            out[i] += parts.vectors[i, k] * free
     return out
 
 

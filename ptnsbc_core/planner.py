@@ -12,7 +12,7 @@ from ptnsbc_core.kinematics import body_rates, euler_from_rotation, rotation_fro
 from ptnsbc_core.nullspace import compose, damped_solve, scaled_to_limit, smallest_singular_value
 from ptnsbc_core.tasks.clearance import Clearance
 from ptnsbc_core.tasks.registry import evaluate, task_error
-from ptnsbc_core.timebase import Clock, loop_rate, onset
+from ptnsbc_core.timebase import Clock, loop_gain, loop_rate, onset
 from ptnsbc_core.trajectory import Reference
 from ptnsbc_core.types import AgentConfig, Array
 
@@ -26,6 +26,14 @@ class Behaviour(NamedTuple):
     singular_value: float
 
 
+class Armed(NamedTuple):
+    """Errors at the epoch, from which the profile `reference` plans; `now` at the tick that arms."""
+
+    now: bool
+    task: Array  # (3,)
+    attitude: Array  # (3,) [rad]
+
+
 class Neighbour(NamedTuple):
     """Position and velocity of another UAV, moved on to the present."""
 
@@ -35,7 +43,7 @@ class Neighbour(NamedTuple):
 
 @kernel
 def leader_tracking(
-    position: Array, reference: Reference, start_error: Array, clock: Clock, config: AgentConfig
+    position: Array, reference: Reference, armed: Armed, clock: Clock, config: AgentConfig
 ) -> Behaviour:
     """Leader tracking, missing in the paper: sigma = p_1, J = I, p_dot = c p_r_dot + Lambda G (p_r - p_1).
 
@@ -43,7 +51,8 @@ def leader_tracking(
     leaves out is gone at tf, where the gain still is.
     """
     error = reference.position - position
-    rate = loop_rate(config.formation, error, start_error, clock)
+    start = error if armed.now else armed.task
+    rate = loop_rate(config.formation, error, start, clock)
     jacobian = np.zeros((3, 3))
     for i in range(3):
         jacobian[i, i] = 1.0
@@ -53,17 +62,24 @@ def leader_tracking(
 
 @kernel
 def formation(
-    position: Array, parent: Neighbour, leader: Neighbour, start_error: Array, clock: Clock,
+    position: Array,
+    parent: Neighbour,
+    leader: Neighbour,
+    armed: Armed,
+    clock: Clock,
     config: AgentConfig,
 ) -> Behaviour:
     """Formation law, in place of (30): v_L + J^+ [Lambda G e - J_j (v_j - v_L)].
 
     The reference k is the leader's estimated position plus the anchor and moves with v_L, so its own term
-    vanishes. v_L stays outside the pseudo-inverse: damping must not slow the feed-forward.
+    vanishes. v_L stays outside the pseudo-inverse: damping must not slow the feed-forward. Where (23) is
+    close to singular (UAV 4 starts so in Table 2), the directions it cannot steer follow the desired offset
+    from the parent, as a task below it in its null space.
     """
     geometry = evaluate(config.task, position, parent.position, leader.position + config.anchor)
     error = task_error(geometry, config.desired)
-    rate = loop_rate(config.formation, error, start_error, clock)
+    start = error if armed.now else armed.task
+    rate = loop_rate(config.formation, error, start, clock)
     drift = times(geometry.parent, parent.velocity - leader.velocity)
     jacobian = np.empty((3, 3))
     asked = np.empty(3)
@@ -72,10 +88,10 @@ def formation(
         asked[row] = scale * (rate[row] - drift[row])
         for i in range(3):
             jacobian[row, i] = scale * geometry.own[row, i]
-    solved = damped_solve(jacobian, asked, config.damping_threshold, config.damping_max)
-    return Behaviour(
-        leader.velocity + solved, jacobian, error, smallest_singular_value(jacobian)
-    )
+    behind = config.offset - (position - parent.position)
+    fallback = parent.velocity - leader.velocity + loop_gain(config.formation, clock) * behind
+    solved = damped_solve(jacobian, asked, fallback, config.damping_threshold, config.damping_max)
+    return Behaviour(leader.velocity + solved, jacobian, error, smallest_singular_value(jacobian))
 
 
 @kernel
@@ -86,7 +102,7 @@ def hold(position: Array, where: Array, config: AgentConfig) -> Array:
 
 @kernel
 def attitude(
-    own: Array, yaw: float, start_error: Array, clock: Clock, config: AgentConfig
+    own: Array, yaw: float, armed: Armed, clock: Clock, config: AgentConfig
 ) -> tuple[Array, Array]:
     """Attitude behaviour of the 6-DOF plant, missing in the paper: w = W^-1 Lambda G (beta_d - beta).
 
@@ -95,7 +111,8 @@ def attitude(
     euler = euler_from_rotation(rotation_from_quaternion(own[3:7]))
     error = np.empty(3)
     error[0], error[1], error[2] = -euler[0], -euler[1], wrap(yaw - euler[2])
-    rate = loop_rate(config.attitude, error, start_error, clock)
+    start = error if armed.now else armed.attitude
+    rate = loop_rate(config.attitude, error, start, clock)
     return body_rates(euler, rate), error
 
 

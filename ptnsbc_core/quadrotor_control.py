@@ -11,7 +11,8 @@ import math
 
 import numpy as np
 
-from ptnsbc_core.algebra import cross3, norm3, transpose_times
+from ptnsbc_core.adaptation import observed
+from ptnsbc_core.algebra import cross3, norm3
 from ptnsbc_core.controller import (
     Command,
     Control,
@@ -26,6 +27,9 @@ from ptnsbc_core.kernel import kernel
 from ptnsbc_core.kinematics import rotation_from_quaternion, velocity_enu
 from ptnsbc_core.timebase import Clock
 from ptnsbc_core.types import Array, ControllerConfig
+
+_BRAKING_SHARE = 0.5
+"""Share of the torque that the rate reference counts on for braking; the rest is for the rate loop."""
 
 _LEAST_LIFT = 0.3
 """Smallest vertical specific force, as a share of gravity: a quadrotor has to keep pulling up to steer."""
@@ -82,27 +86,51 @@ def attitude_error(rotation: Array, desired: Array) -> Array:
 
 
 @kernel
+def rate_reference(turn: Array, max_rate: float, config: ControllerConfig) -> Array:
+    """Body rates (3,) [rad/s] for an attitude error (3,) [rad], never faster than the torques can brake.
+
+    A proportional law alone asks, after a large error, for a rate that the limited torque cannot stop in
+    time; started tilted by 1 rad the vehicle then swings for ever.
+    """
+    out = np.empty(3)
+    for i in range(3):
+        gain = config.attitude_gain[1] if i == 2 else config.attitude_gain[0]
+        braking = _BRAKING_SHARE * config.max_torque[i] / config.nominal[1 + i]
+        most = min(max_rate, math.sqrt(2.0 * braking * abs(turn[i])))
+        out[i] = min(max(gain * turn[i], -most), most)
+    return out
+
+
+@kernel
 def quadrotor_control(
-    own: Array, command: Command, parameters: Array, bound: Array, clock: Clock,
-    config: ControllerConfig, max_rate: float,
+    own: Array,
+    command: Command,
+    parameters: Array,
+    bound: Array,
+    clock: Clock,
+    config: ControllerConfig,
+    observer: Array,
+    max_rate: float,
 ) -> Control:
     """Thrust and torques from the odometry vector (13,): wrench (0, 0, T, torque) in body FLU."""
     rotation = rotation_from_quaternion(own[3:7])
     rates = own[10:13].copy()
-    error = velocity_enu(own) - command.velocity
+    velocity = velocity_enu(own)
+    error = velocity - command.velocity
+    observer = observed(observer, velocity, clock.start_t <= 0.0, clock.dt, config)
     model = command.acceleration.copy()
     model[2] += config.gravity
     feedback = sliding_term(error, config.force, bound[0], config.boundary[0], clock)
-    wanted = parameters[0] * model + config.nominal[0] * feedback
+    wanted = parameters[0] * model + config.nominal[0] * (feedback - observer[3:6])
     force = tilt_limited(wanted, config)
     wrench = np.zeros(6)
     wrench[2] = min(norm3(force), config.max_thrust)
     saturated = norm3(wanted - force) > 0.0 or norm3(force) > config.max_thrust
+    for i in range(3):  # what this command does to the velocity, along the thrust axis of now
+        observer[6 + i] = rotation[i, 2] * wrench[2] / parameters[0]
+    observer[8] -= config.gravity
     turn = attitude_error(rotation, desired_rotation(force, command.yaw))
-    reference = np.empty(3)
-    for i in range(3):
-        gain = config.attitude_gain[1] if i == 2 else config.attitude_gain[0]
-        reference[i] = min(max(gain * turn[i], -max_rate), max_rate)
+    reference = rate_reference(turn, max_rate, config)
     rate_error = rates - reference
     still = np.zeros(3)
     turning = sliding_term(rate_error, config.torque, bound[1], config.boundary[1], clock)
@@ -118,4 +146,4 @@ def quadrotor_control(
     new_parameters, new_bound = adapted(
         parameters, bound, products, errors, saturated or clipped, clock.dt, config
     )
-    return Control(wrench, new_parameters, new_bound, saturated or clipped, norm3(error))
+    return Control(wrench, new_parameters, new_bound, observer, saturated or clipped, norm3(error))

@@ -73,7 +73,9 @@ def loop_rate(gain: LoopGain, error: Array, start_error: Array, clock: Clock) ->
         rate = np.empty(error.shape[0])
         for i in range(error.shape[0]):
             planned = start_error[i] * (1.0 - now)
-            rate[i] = start_error[i] * rise / clock.dt + gain.scale * gain.kappa * (error[i] - planned)
+            rate[i] = start_error[i] * rise / clock.dt + gain.scale * gain.kappa * (
+                error[i] - planned
+            )
         return rate
     return loop_gain(gain, clock) * error
 

@@ -101,13 +101,16 @@ class ControllerConfig(NamedTuple):
     nominal: Array  # (4,) m [kg], Ixx, Iyy, Izz [kg m^2]: Psi at the start, and Omega_0
     force: LoopGain  # velocity loop
     torque: LoopGain  # body-rate loop
-    boundary: Array  # (2,) width of the saturation of the velocity [m/s] and of the rate error [rad/s]
+    boundary: (
+        Array  # (2,) width of the saturation of the velocity [m/s] and of the rate error [rad/s]
+    )
     adaptation: Array  # (2,) 1/Gamma for mass and for inertia
     mass_range: float  # |m_hat - m| <= mass_range * m (the same for inertia)
     bound_rate: float  # 1/Upsilon
     bound_leak: float  # [1/s]
     bound_dead_zone: Array  # (2,) |error|_1 below which the bound does not grow [m/s], [rad/s]
     bound_cap: Array  # (2,) [m/s^2], [rad/s^2]
+    observer_bandwidth: float  # [1/s] of the disturbance observer, quadrotor only; 0: off
     attitude_gain: Array  # (2,) tilt and yaw, quadrotor only [1/s]
     max_tilt: float  # [rad], quadrotor only
     max_thrust: float  # [N]
@@ -120,6 +123,7 @@ class AgentConfig(NamedTuple):
     leader: bool
     task: int  # TASK_*
     desired: Array  # (3,) desired task value sigma_d
+    offset: Array  # (3,) [m, ENU] desired position relative to the parent
     anchor: Array  # (3,) [m], ENU: reference k = leader position + anchor (zero: the leader itself)
     row_scale: Array  # (3,) scaling of the task rows, so that every row is in metres
     formation: LoopGain  # also the leader's tracking loop
@@ -144,7 +148,9 @@ class AgentInputs(NamedTuple):
     parent_age_s: float
     leader: Array  # (13,) odometry vector of the leader, for pinned followers
     leader_age_s: float
-    estimates: Array  # (K, 13) leader estimates of the neighbours in the estimator graph, world frame
+    estimates: (
+        Array  # (K, 13) leader estimates of the neighbours in the estimator graph, world frame
+    )
     estimate_age_s: Array  # (K,)
     near: Array  # (M, 7) x y z [m, ENU] keep-out radius [m] vx vy vz [m/s, ENU]
     near_age_s: float
@@ -160,6 +166,9 @@ class AgentState(NamedTuple):
     command: Array  # (6,) filtered velocity [m/s, ENU] and body rate [rad/s, FLU]
     parameters: Array  # (4,) Psi_hat: m [kg], Ixx, Iyy, Izz [kg m^2]
     bound: Array  # (2,) delta_hat of force [m/s^2] and torque [rad/s^2]
+    observer: (
+        Array  # (9,) velocity [m/s, ENU], disturbance [m/s^2, ENU], last modelled acceleration
+    )
     encounters: Array  # (8, 7) x y z side active_s quiet_s used
     start_error: Array  # (6,) task error and attitude error at the epoch (profile `reference`)
     hold: Array  # (4,) position [m, ENU] and yaw [rad] where holding began

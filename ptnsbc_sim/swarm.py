@@ -6,7 +6,7 @@ docs/lockstep.md. Nothing here is a law.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, MutableSequence, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,6 +20,7 @@ from ptnsbc_core.types import (
     ODOMETRY_SIZE,
     AgentConfig,
     AgentInputs,
+    AgentOutputs,
     AgentState,
     Array,
 )
@@ -60,6 +61,16 @@ class Track(NamedTuple):
     wrench: Array  # (T, N, 6)
     estimate: Array  # (T, N, 13)
     diagnostics: Array  # (T, N, 10)
+
+
+class Crew(NamedTuple):
+    """The UAVs of a flight, by row: constants, and what is carried from tick to tick (changed in place)."""
+
+    configs: Sequence[AgentConfig]
+    plants: Sequence[PlantConfig]
+    states: MutableSequence[AgentState]
+    bodies: Array  # (N, 17) plant states
+    nears: MutableSequence[Array]  # (M, 7) each, last reading of the near-object sensor
 
 
 class Flight(NamedTuple):
@@ -121,54 +132,64 @@ def _inputs(wiring: Wiring, track: Track, near: Array, tick: int, row: int) -> A
 
 
 @kernel
-def _fly(
-    first: int,
-    count: int,
-    wiring: Wiring,
-    configs: Sequence[AgentConfig],
-    plants: Sequence[PlantConfig],
-    states: list[AgentState],
-    bodies: Array,
-    nears: list[Array],
-    track: Track,
-) -> None:
-    """Ticks first .. first + count - 1 of the whole swarm into `track`, carrying `states` and `bodies`."""
-    dt = wiring.dt_ns * 1e-9
-    size = bodies.shape[0]
-    for tick in range(first, first + count):
-        t = (tick * wiring.dt_ns) * 1e-9
+def _sense(crew: Crew, wiring: Wiring, track: Track, tick: int) -> None:
+    """Measure every UAV's odometry, and the near objects when the sensor's turn has come."""
+    size = crew.bodies.shape[0]
+    for row in range(size):
+        track.odometry[tick, row] = odometry(crew.bodies[row], crew.plants[row])
+    if tick % wiring.near_every == 0:
         for row in range(size):
-            track.odometry[tick, row] = odometry(bodies[row], plants[row])
-        if tick % wiring.near_every == 0:
-            for row in range(size):
-                nears[row] = near_objects(
-                    row, track.odometry[tick], wiring.obstacles, wiring.uav_keep_out_m,
-                    wiring.range_m,
-                )
-        for row in range(size):
-            inputs = _inputs(wiring, track, nears[row], tick, row)
-            states[row], out = step(states[row], inputs, t, dt, configs[row])
-            track.velocity[tick, row] = out.velocity
-            track.wrench[tick, row] = out.wrench
-            track.estimate[tick, row] = out.leader_estimate
-            told = out.diagnostics
-            log = track.diagnostics[tick, row]
-            log[0:3] = told.error
-            log[3] = told.gain
-            log[4] = told.singular_value
-            log[5] = told.active_rows
-            log[6] = told.saturated
-            log[7] = told.holding
-            log[8] = told.priority_violation
-            log[9] = told.velocity_error
-            bodies[row] = advance(
-                bodies[row], out.wrench, t, dt, wiring.substeps, plants[row]
+            crew.nears[row] = near_objects(
+                row,
+                track.odometry[tick],
+                wiring.obstacles,
+                wiring.uav_keep_out_m,
+                wiring.range_m,
             )
 
 
 @kernel
-def _starts(configs: Sequence[AgentConfig], bodies: Array, plants: Sequence[PlantConfig]) -> list[AgentState]:
-    return [initial_state(odometry(bodies[row], plants[row]), configs[row]) for row in range(len(configs))]
+def _note(track: Track, tick: int, row: int, out: AgentOutputs) -> None:
+    """Write one UAV's outputs of one tick into the track."""
+    track.velocity[tick, row] = out.velocity
+    track.wrench[tick, row] = out.wrench
+    track.estimate[tick, row] = out.leader_estimate
+    told = out.diagnostics
+    log = track.diagnostics[tick, row]
+    log[0:3] = told.error
+    log[3] = told.gain
+    log[4] = told.singular_value
+    log[5] = told.active_rows
+    log[6] = told.saturated
+    log[7] = told.holding
+    log[8] = told.priority_violation
+    log[9] = told.velocity_error
+
+
+@kernel
+def _fly(first: int, count: int, wiring: Wiring, crew: Crew, track: Track) -> None:
+    """Ticks first .. first + count - 1 of the whole swarm into `track`."""
+    dt = wiring.dt_ns * 1e-9
+    for tick in range(first, first + count):
+        t = (tick * wiring.dt_ns) * 1e-9
+        _sense(crew, wiring, track, tick)
+        for row in range(crew.bodies.shape[0]):
+            inputs = _inputs(wiring, track, crew.nears[row], tick, row)
+            crew.states[row], out = step(crew.states[row], inputs, t, dt, crew.configs[row])
+            _note(track, tick, row, out)
+            crew.bodies[row] = advance(
+                crew.bodies[row], out.wrench, t, dt, wiring.substeps, crew.plants[row]
+            )
+
+
+@kernel
+def _starts(
+    configs: Sequence[AgentConfig], bodies: Array, plants: Sequence[PlantConfig]
+) -> list[AgentState]:
+    return [
+        initial_state(odometry(bodies[row], plants[row]), configs[row])
+        for row in range(len(configs))
+    ]
 
 
 def _as_list(items: Sequence[Any]) -> Any:
@@ -220,12 +241,17 @@ def fly(scenario: Scenario, progress: Callable[[int, int], None] | None = None) 
     plant_list = _as_list(plants)
     widths = (ODOMETRY_SIZE, 4, 6, ODOMETRY_SIZE, DIAGNOSTICS_SIZE)
     track = Track(*(np.zeros((ticks, size, width)) for width in widths))
-    states = _as_list(_starts(configs, bodies, plant_list))
-    nears = _as_list([np.empty((0, 7)) for _ in range(size)])
+    crew = Crew(
+        configs,
+        plant_list,
+        _as_list(_starts(configs, bodies, plant_list)),
+        bodies,
+        _as_list([np.empty((0, 7)) for _ in range(size)]),
+    )
     wiring = wiring_of(scenario)
     for first in range(0, ticks, CHUNK_TICKS):
         count = min(CHUNK_TICKS, ticks - first)
-        _fly(first, count, wiring, configs, plant_list, states, bodies, nears, track)
+        _fly(first, count, wiring, crew, track)
         if progress is not None:
             progress(first + count, ticks)
     t_ns = np.arange(ticks, dtype=np.int64) * scenario.dt_ns

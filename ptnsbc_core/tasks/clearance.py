@@ -45,7 +45,12 @@ class Clearance(NamedTuple):
 
 @kernel
 def demands(
-    position: Array, near: Array, age_s: float, encounters: Array, dt: float, config: ClearanceConfig
+    position: Array,
+    near: Array,
+    age_s: float,
+    encounters: Array,
+    dt: float,
+    config: ClearanceConfig,
 ) -> Demands:
     """Rows for the near objects (M, 7), moved on by their velocity since they were seen."""
     count = near.shape[0]
@@ -109,7 +114,11 @@ def tangent(normal: Array) -> Array:
 
 @kernel
 def _circulated(
-    velocity: Array, rows: Demands, multipliers: Array, near: Array, encounters: Array,
+    velocity: Array,
+    rows: Demands,
+    multipliers: Array,
+    near: Array,
+    encounters: Array,
     config: ClearanceConfig,
 ) -> Array:
     """Add to `velocity` a motion around what blocks it, in proportion to how much it blocks."""
@@ -154,7 +163,12 @@ def _velocity_of(jacobian: Array, admissible: Array) -> Array:
 
 @kernel
 def set_based(
-    position: Array, velocity: Array, near: Array, age_s: float, encounters: Array, dt: float,
+    position: Array,
+    velocity: Array,
+    near: Array,
+    age_s: float,
+    encounters: Array,
+    dt: float,
     config: ClearanceConfig,
 ) -> Clearance:
     """Least change of the formation velocity (3,) that keeps clear of all near objects (M, 7)."""
@@ -179,7 +193,12 @@ def set_based(
 
 @kernel
 def switched(
-    position: Array, velocity: Array, near: Array, age_s: float, encounters: Array, dt: float,
+    position: Array,
+    velocity: Array,
+    near: Array,
+    age_s: float,
+    encounters: Array,
+    dt: float,
     config: ClearanceConfig,
 ) -> Clearance:
     """The paper's rule (36)-(38) for the object deepest inside its keep-out; (34) with (d_d - d) kept signed."""
@@ -208,7 +227,12 @@ def switched(
 
 @kernel
 def clearance(
-    position: Array, velocity: Array, near: Array, age_s: float, encounters: Array, dt: float,
+    position: Array,
+    velocity: Array,
+    near: Array,
+    age_s: float,
+    encounters: Array,
+    dt: float,
     config: ClearanceConfig,
 ) -> Clearance:
     """The rule that the configuration names; without near objects nothing but the memory's ageing."""

@@ -59,8 +59,6 @@ def odometry(x: Array) -> Array:
     out[0:7] = x[0:7]
     rotation = rotation_from_quaternion(x[3:7])
     for i in range(3):
-        out[7 + i] = (
-            rotation[0, i] * x[7] + rotation[1, i] * x[8] + rotation[2, i] * x[9]
-        )
+        out[7 + i] = rotation[0, i] * x[7] + rotation[1, i] * x[8] + rotation[2, i] * x[9]
     out[10:13] = x[10:13]
     return out

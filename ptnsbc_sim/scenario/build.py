@@ -42,11 +42,13 @@ def _vector(*numbers: float) -> Array:
 
 
 def _loop(scenario: Scenario, loop: Loop) -> LoopGain:
+    """A loop's gains; where the scenario's profile is `paper`, Lambda and kappa are 1 as printed."""
+    printed = loop.profile is None and scenario.gains.profile == "paper"
     return LoopGain(
         duration_s=float(loop.deadline_s),
         residual=float(loop.residual),
-        scale=float(loop.scale),
-        kappa=float(loop.kappa_1_s),
+        scale=1.0 if printed else float(loop.scale),
+        kappa=1.0 if printed else float(loop.kappa_1_s),
         profile=PROFILES[loop.profile or scenario.gains.profile],
     )
 
@@ -71,6 +73,14 @@ def reference_offset(scenario: Scenario, uav_id: int) -> Array:
     if scenario.parent(uav_id) == scenario.leader_id:
         return _vector(*scenario.file.formation.heading_anchor_m)
     return np.zeros(3)
+
+
+def _offset_from_parent(scenario: Scenario, uav_id: int) -> Array:
+    """Desired position relative to the parent (3,) [m], ENU; zeros for the leader."""
+    parent = scenario.parent(uav_id)
+    if parent is None:
+        return np.zeros(3)
+    return scenario.offset(uav_id) - scenario.offset(parent)
 
 
 def _desired(scenario: Scenario, uav_id: int) -> tuple[Array, Array]:
@@ -167,6 +177,7 @@ def _controller(scenario: Scenario) -> ControllerConfig:
         bound_leak=float(adaptation.leak_1_s),
         bound_dead_zone=_vector(adaptation.dead_zone_m_s, adaptation.dead_zone_rad_s),
         bound_cap=_vector(adaptation.cap_m_s2, adaptation.cap_rad_s2),
+        observer_bandwidth=float(gains.observer.bandwidth_1_s),
         attitude_gain=_vector(gains.pointing.tilt_1_s, gains.pointing.yaw_1_s),
         max_tilt=max_tilt,
         max_thrust=max_thrust,
@@ -183,6 +194,7 @@ def agent_config(scenario: Scenario, uav_id: int) -> AgentConfig:
         leader=bool(uav_id == scenario.leader_id),
         task=TASKS[scenario.file.formation.task],
         desired=desired,
+        offset=_offset_from_parent(scenario, uav_id),
         anchor=reference_offset(scenario, uav_id),
         row_scale=row_scale,
         formation=_loop(scenario, gains.formation),

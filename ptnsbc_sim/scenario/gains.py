@@ -79,6 +79,12 @@ class Pointing(Block):
     yaw_1_s: Positive
 
 
+class Observer(Block):
+    """Disturbance observer of the quadrotor's velocity loop; 0 switches it off."""
+
+    bandwidth_1_s: NotNegative
+
+
 class Damping(Block):
     """Damping of the task pseudo-inverse near a singularity."""
 
@@ -107,5 +113,6 @@ class Gains(Block):
     adaptation: Adaptation
     boundary: Boundary
     pointing: Pointing
+    observer: Observer
     damping: Damping
     hold: Hold
