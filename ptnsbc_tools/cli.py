@@ -12,6 +12,7 @@ from typer.core import TyperGroup
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_tools import options
+from ptnsbc_tools.limits import TOLERANCE_M
 from ptnsbc_tools.options import (
     AvoidanceOption,
     BagOption,
@@ -25,7 +26,6 @@ from ptnsbc_tools.options import (
     SetOption,
     TaskOption,
 )
-from ptnsbc_tools.verdict.deadline import TOLERANCE_M
 
 REFUSED, INTERRUPTED = 2, 130
 

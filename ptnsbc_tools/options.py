@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from ptnsbc_sim.scenario import Scenario, load_scenario
+if TYPE_CHECKING:
+    from ptnsbc_sim.scenario import Scenario
 
 ScenarioArgument = Annotated[
     str, typer.Argument(metavar="SCENARIO", help="A scenario file, or a name such as paper_5.")
@@ -83,4 +84,7 @@ def _setting(text: str) -> tuple[str, Any]:
 
 def scenario_with(name: str, given: dict[str, Any]) -> Scenario:
     """The scenario of a command line."""
+    # Here, not above: it loads numba, for which `--help` and an early Ctrl-C need not wait.
+    from ptnsbc_sim.scenario import load_scenario
+
     return load_scenario(name, given)

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from ptnsbc_core.types import Array
-from ptnsbc_tools.verdict.deadline import SHARE_OF_START, TOLERANCE_M, formation_errors
+from ptnsbc_tools.limits import SHARE_OF_START, TOLERANCE_M
+from ptnsbc_tools.verdict.deadline import formation_errors
 from ptnsbc_tools.verdict.recording import Recording, complete
 
 # Okabe and Ito: distinct for all common kinds of colour blindness

@@ -10,11 +10,9 @@ from numpy.typing import NDArray
 from ptnsbc_core.trajectory import reference
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario.build import trajectory_vector
+from ptnsbc_tools.limits import SHARE_OF_START
 from ptnsbc_tools.verdict.recording import NANO, Recording
 from ptnsbc_tools.verdict.windows import encounters, inside
-
-TOLERANCE_M = 0.05
-SHARE_OF_START = 0.02
 
 MET, MISSED, VOID = "met", "missed", "void"
 

@@ -7,10 +7,10 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
+from ptnsbc_tools.limits import TOLERANCE_M
 from ptnsbc_tools.verdict.deadline import (
     MET,
     MISSED,
-    TOLERANCE_M,
     VOID,
     UavVerdict,
     formation_errors,
