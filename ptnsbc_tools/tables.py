@@ -110,7 +110,7 @@ def separation_table(verdict: Verdict) -> Table:
         colour = "bold red" if one.inside_s > 0 else ""
         table.add_row(
             f"{one.first} - {one.second}",
-            _number(one.distance_m),
+            _number(one.distance_m, 4),
             _number(one.at_s, 2),
             _number(one.keep_out_m, 2),
             _number(one.inside_s, 2),

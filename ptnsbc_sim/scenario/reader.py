@@ -15,7 +15,7 @@ from typing import Any
 
 import yaml
 
-from ptnsbc_sim.scenario.problems import ScenarioError, dotted, similar
+from ptnsbc_sim.scenario.problems import ScenarioError, similar
 
 Tree = dict[Any, Any]
 
@@ -110,17 +110,20 @@ def available() -> list[str]:
 def find(name: str | Path, beside: Path | None = None) -> Path:
     """The file of a scenario, given by path or by name without suffix."""
     given = Path(name).expanduser()
-    if given.suffix in _SUFFIXES or len(given.parts) > 1:
+    if len(given.parts) > 1:
         path = given if beside is None or given.is_absolute() else beside / given
         if path.is_file():
             return path
-        raise ScenarioError(f"{path}: no such scenario file; known by name: {_names(given.stem)}")
-    for folder in [beside] * (beside is not None) + folders():
-        for suffix in _SUFFIXES:
-            path = Path(folder or ".") / f"{given}{suffix}"
+        raise ScenarioError(f"{path}: no such scenario file; {_names(given.stem)}")
+    suffixes = ("",) if given.suffix in _SUFFIXES else _SUFFIXES
+    # A file named in full is more likely the one lying here than a shipped one.
+    here = [beside or Path.cwd()] if given.suffix in _SUFFIXES or beside else []
+    for folder in here + folders():
+        for suffix in suffixes:
+            path = folder / f"{given}{suffix}"
             if path.is_file():
                 return path
-    raise ScenarioError(f"{given}: no scenario of this name; {_names(str(given))}")
+    raise ScenarioError(f"{given}: no scenario of this name; {_names(given.stem)}")
 
 
 def _names(word: str) -> str:
@@ -213,7 +216,6 @@ def dump(tree: Tree) -> str:
 __all__ = [
     "Tree",
     "available",
-    "dotted",
     "dump",
     "extended",
     "find",

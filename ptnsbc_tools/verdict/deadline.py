@@ -77,12 +77,8 @@ def _until(recording: Recording, uav: int, name: str, deadline_s: float) -> floa
     counters = recording.counters.get(uav)
     if counters is None:
         return 0.0
-    start, end = recording.start_ns, recording.start_ns + round(deadline_s / NANO)
-    values: Array = getattr(counters, name)
-    before = np.searchsorted(counters.t_ns, start, side="left") - 1
-    after = np.searchsorted(counters.t_ns, end, side="right") - 1
-    first = float(values[before]) if before >= 0 else 0.0
-    return max(float(values[after]) - first, 0.0) if after >= 0 else 0.0
+    start = recording.start_ns
+    return counters.gained(name, start, start + round(deadline_s / NANO))
 
 
 def _causes(found: UavVerdict, times: Array, counted: NDArray[np.bool_]) -> list[str]:

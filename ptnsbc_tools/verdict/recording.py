@@ -28,8 +28,9 @@ class Series:
 
     def at(self, t_ns: NDArray[np.int64]) -> Array:
         """Values at other times, linear in between; exact where the times coincide."""
-        own = self.t_ns.astype(np.float64)
-        wanted = t_ns.astype(np.float64)
+        base = self.t_ns[0]  # wall-clock stamps do not fit a float64 to the nanosecond
+        own = (self.t_ns - base).astype(np.float64)
+        wanted = (t_ns - base).astype(np.float64)
         columns = [np.interp(wanted, own, column) for column in self.values.T]
         return np.stack(columns, axis=1)
 
@@ -47,8 +48,16 @@ class Counters:
     avoidance_active_s: Array
     saturated_s: Array
     holding_s: Array
-    missed_ticks: Array
+    missed_ticks: Array  # since the process started
     priority_violation_max: Array  # [m/s]
+
+    def gained(self, name: str, start_ns: int, end_ns: int) -> float:
+        """By how much a counter rose between two instants."""
+        values: Array = getattr(self, name)
+        before = int(np.searchsorted(self.t_ns, start_ns, side="left")) - 1
+        after = int(np.searchsorted(self.t_ns, end_ns, side="right")) - 1
+        first = float(values[before]) if before >= 0 else 0.0
+        return max(float(values[after]) - first, 0.0) if after >= 0 else 0.0
 
 
 @dataclass(frozen=True)

@@ -99,7 +99,9 @@ def verdict_on(recording: Recording, tolerance: float = TOLERANCE_M) -> Verdict:
         estimators=tuple(one for one in estimators if one is not None),
         energy=sum(one.energy for one in known),
         inside_keep_out_s=sum(pair.inside_s for pair in pairs),
-        missed_ticks=int(sum(one.missed_ticks[-1] for one in counters if one.t_ns.size)),
+        missed_ticks=int(
+            sum(one.gained("missed_ticks", recording.start_ns, int(grid[-1])) for one in counters)
+        ),
         priority_violation_m_s=max(
             (float(one.priority_violation_max[-1]) for one in counters if one.t_ns.size),
             default=0.0,

@@ -34,7 +34,8 @@ def recovery_s(scenario: Scenario) -> float:
 
 def rises(counters: Counters) -> list[Window]:
     """Spans in which a UAV was keeping clear."""
-    steps = np.diff(counters.avoidance_active_s, prepend=0.0) > 0
+    active = counters.avoidance_active_s
+    steps = np.diff(active, prepend=active[:1]) > 0
     before = np.concatenate((counters.t_ns[:1], counters.t_ns[:-1]))
     return [(int(before[k]), int(counters.t_ns[k])) for k in np.flatnonzero(steps)]
 

@@ -134,6 +134,14 @@ def test_a_met_deadline_is_met_whatever_was_saturated(fly: Fly, count: Callable[
     assert of(verdict_on(fly({4: decay(2.0, 1.0)}, counters=others)), 4).verdict == "met"
 
 
+def test_ticks_missed_before_the_epoch_do_not_count(fly: Fly, count: Callable[..., Any]) -> None:
+    early = {4: count(12.0, missed_ticks=17)}
+    recording = fly(counters=early, epochs=((2_000_000_000, "form"),))
+    assert verdict_on(recording).missed_ticks == 0
+    early[4].missed_ticks[30:] += 3
+    assert verdict_on(recording).missed_ticks == 3
+
+
 def test_avoidance_at_the_deadline_voids(fly: Fly, count: Callable[..., Any]) -> None:
     others = {4: count(12.0, lambda t: np.clip(t - 4.5, 0.0, 1.0))}
     one = of(verdict_on(fly({4: decay(2.0, 0.5)}, counters=others)), 4)

@@ -17,6 +17,14 @@ def test_by_name_from_anywhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     assert load_scenario("paper_5").file == load_scenario(PAPER).file
 
 
+def test_by_name_with_suffix_here_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert load_scenario("paper_5.yaml").name == "paper_5"
+    (tmp_path / "paper_5.yaml").write_text("extends: paper_5_free\nname: mine\n")
+    assert load_scenario("paper_5.yaml").name == "mine"
+    assert load_scenario("paper_5").name == "paper_5"
+
+
 def test_attributes_of_the_paper() -> None:
     scenario = load_scenario(PAPER)
     assert scenario.uav_ids == (1, 2, 3, 4, 5)
