@@ -9,7 +9,7 @@ import typer
 
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_tools import check, console
-from ptnsbc_tools.tables import findings_table, verdict_line, verdict_tables
+from ptnsbc_tools.tables import findings_table, reasons, verdict_line, verdict_tables
 from ptnsbc_tools.verdict import Verdict
 
 
@@ -34,7 +34,8 @@ def show(verdict: Verdict, *, json: bool, extra: dict[str, Any] | None = None) -
     out = console.out()
     for table in verdict_tables(verdict):
         out.print(table)
-    out.print(verdict_line(verdict), soft_wrap=True)
+    for line in [*reasons(verdict), verdict_line(verdict)]:
+        out.print(line, soft_wrap=True)
     for key, value in files.items():
         if isinstance(value, Path):
             print(f"{key}: {value}")

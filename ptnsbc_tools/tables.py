@@ -63,7 +63,6 @@ def deadline_table(verdict: Verdict) -> Table:
             "avoiding s",
         ),
     )
-    table.add_column("why", overflow="fold")
     for one in verdict.uavs:
         table.add_row(
             str(one.uav),
@@ -76,7 +75,6 @@ def deadline_table(verdict: Verdict) -> Table:
             _number(one.max_error_after_m, 4),
             _number(one.rmse_after_m, 4),
             _number(one.encounter_s, 1),
-            one.reason,
         )
     return table
 
@@ -127,6 +125,15 @@ def verdict_tables(verdict: Verdict) -> list[Table]:
     if verdict.separations:
         tables.append(separation_table(verdict))
     return tables
+
+
+def reasons(verdict: Verdict) -> list[Text]:
+    """Why deadlines were not met, one line per UAV."""
+    return [
+        Text.assemble(f"UAV {one.uav} ", _word(one.verdict), f": {one.reason}")
+        for one in verdict.uavs
+        if one.reason
+    ]
 
 
 def verdict_line(verdict: Verdict) -> Text:

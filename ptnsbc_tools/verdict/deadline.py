@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,40 +72,51 @@ def settling_time(
     return None if last == times.size - 1 else float(times[last + 1])
 
 
-def _until(recording: Recording, uav: int, name: str, deadline_s: float) -> float:
-    """What a counter gained between the epoch and the deadline."""
+def _gained(recording: Recording, uav: int, name: str, span_s: tuple[float, float]) -> float:
+    """What a counter gained between two times after the epoch."""
     counters = recording.counters.get(uav)
     if counters is None:
         return 0.0
-    start = recording.start_ns
-    return counters.gained(name, start, start + round(deadline_s / NANO))
+    begin, end = (recording.start_ns + round(time / NANO) for time in span_s)
+    return counters.gained(name, begin, end)
 
 
-def _causes(found: UavVerdict, times: Array, counted: NDArray[np.bool_]) -> list[str]:
-    """What voids a deadline that was not met."""
-    if times[-1] < found.deadline_s:
-        return [f"recording ends after {times[-1]:.2f} s"]
-    causes = []
-    at = int(np.searchsorted(times, found.deadline_s - 1e-9))
-    if not counted[min(at, times.size - 1)]:
-        causes.append("avoidance active at the deadline")
-    if found.holding_s > 0:
-        causes.append(f"held for {found.holding_s:.2f} s, link stale")
-    if found.saturated_s > 0:
-        causes.append(f"saturated for {found.saturated_s:.2f} s")
-    return causes
+def _left_again(found: UavVerdict) -> bool:
+    """Whether the deadline itself was met, and the band left after it."""
+    at, settled = found.error_at_deadline_m, found.settling_s
+    late = settled is None or settled > found.deadline_s
+    return late and at is not None and at <= found.tolerance_m
 
 
-def _miss(found: UavVerdict) -> str:
+def _miss(found: UavVerdict, end_s: float) -> str:
     """How far off the deadline was, empty when it was met."""
-    if found.settling_s is None:
-        return f"never within {found.band_m:.3f} m for good"
-    if found.settling_s > found.deadline_s:
-        return f"settled after {found.settling_s:.2f} s"
+    settled, band = found.settling_s, f"{found.band_m:.3f} m"
+    if _left_again(found):
+        until = "the end" if settled is None else f"{settled:.2f} s"
+        return f"met at the deadline, but outside {band} again until {until}"
+    if settled is None:
+        return f"outside {band} until the end at {end_s:.2f} s"
+    if settled > found.deadline_s:
+        return f"settled after {settled:.2f} s"
     error = found.error_at_deadline_m
     if error is None or error > found.tolerance_m:
         return f"error at the deadline above {found.tolerance_m:g} m"
     return ""
+
+
+def _causes(recording: Recording, found: UavVerdict, end_s: float, avoiding: bool) -> list[str]:
+    """What voids a deadline that was not met: what happened before it, or before the late exit."""
+    span = (0.0, found.deadline_s)
+    if _left_again(found):
+        span = (found.deadline_s, end_s if found.settling_s is None else found.settling_s)
+    causes = ["avoidance active at the deadline"] if avoiding else []
+    held = _gained(recording, found.uav, "holding_s", span)
+    saturated = _gained(recording, found.uav, "saturated_s", span)
+    if held > 0:
+        causes.append(f"held for {held:.2f} s, link stale")
+    if saturated > 0:
+        causes.append(f"saturated for {saturated:.2f} s")
+    return causes
 
 
 def judge(
@@ -138,16 +149,16 @@ def judge(
         max_error_after_m=float(after.max()) if after.size else None,
         rmse_after_m=float(np.sqrt(np.mean(after**2))) if after.size else None,
         encounter_s=float(np.sum(np.diff(times)[~counted[1:]])),
-        saturated_s=_until(recording, uav, "saturated_s", deadline),
-        holding_s=_until(recording, uav, "holding_s", deadline),
+        saturated_s=_gained(recording, uav, "saturated_s", (0.0, deadline)),
+        holding_s=_gained(recording, uav, "holding_s", (0.0, deadline)),
     )
-    return _with_verdict(found, times, counted)
-
-
-def _with_verdict(found: UavVerdict, times: Array, counted: NDArray[np.bool_]) -> UavVerdict:
-    miss = _miss(found) if times[-1] >= found.deadline_s - 1e-9 else "too short"
+    if not reached:
+        reason = f"recording ends after {times[-1]:.2f} s"
+        return replace(found, verdict=VOID, reason=reason)
+    miss = _miss(found, float(times[-1]))
     if not miss:
         return found
-    causes = _causes(found, times, counted)
-    reason = ", ".join(causes) if miss == "too short" else ", ".join([miss, *causes])
-    return UavVerdict(**{**found.__dict__, "verdict": VOID if causes else MISSED, "reason": reason})
+    avoiding = not counted[int(np.searchsorted(times, deadline - 1e-9))]
+    causes = _causes(recording, found, float(times[-1]), avoiding)
+    verdict = VOID if causes else MISSED
+    return replace(found, verdict=verdict, reason=", ".join([miss, *causes]))

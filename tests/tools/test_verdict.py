@@ -83,7 +83,20 @@ def ramp(t: Any) -> Any:
 
 
 def test_an_error_after_the_deadline_is_missed(fly: Fly) -> None:
-    assert of(verdict_on(fly({4: bump})), 4).reason == "settled after 8.50 s"
+    one = of(verdict_on(fly({4: bump})), 4)
+    assert one.verdict == "missed"
+    assert one.reason == "met at the deadline, but outside 0.050 m again until 8.50 s"
+
+
+def test_only_what_came_before_the_exit_voids_it(fly: Fly, count: Callable[..., Any]) -> None:
+    def saturated(since: int) -> dict[int, Any]:
+        counters = count(12.0, saturated_s=0.7)
+        counters.saturated_s[:since] = 0.0
+        return {4: counters}
+
+    assert of(verdict_on(fly({4: bump}, counters=saturated(5))), 4).verdict == "missed"
+    assert of(verdict_on(fly({4: bump}, counters=saturated(38))), 4).verdict == "void"
+    assert of(verdict_on(fly({4: bump}, counters=saturated(50))), 4).verdict == "missed"
 
 
 @pytest.mark.parametrize("busy", [4, 3, 1])
