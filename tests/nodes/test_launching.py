@@ -1,0 +1,138 @@
+"""The parts under the launcher: domains, the environment of children, ending processes."""
+
+import os
+import signal
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from ptnsbc_nodes import children, environment
+from ptnsbc_nodes.children import Child, Command, end
+from ptnsbc_nodes.domain import DomainError, reserved_domain
+from ptnsbc_nodes.stop import StopRequest
+
+
+@pytest.fixture
+def no_domain(monkeypatch):
+    monkeypatch.delenv("ROS_DOMAIN_ID", raising=False)
+
+
+def test_two_fleets_get_two_domains(no_domain):
+    with reserved_domain() as first, reserved_domain() as second:
+        assert first != second
+        assert {first, second} <= set(range(1, 102))
+
+
+def test_the_users_domain_wins(monkeypatch):
+    monkeypatch.setenv("ROS_DOMAIN_ID", "77")
+    with reserved_domain() as domain:
+        assert domain == 77
+
+
+def test_a_users_domain_that_is_no_number_is_refused(monkeypatch):
+    monkeypatch.setenv("ROS_DOMAIN_ID", "x")
+    with pytest.raises(DomainError, match="ROS_DOMAIN_ID='x'"), reserved_domain():
+        pass
+
+
+@pytest.fixture
+def own_discovery(monkeypatch):
+    for name in (
+        "FASTRTPS_DEFAULT_PROFILES_FILE",
+        "FASTDDS_DEFAULT_PROFILES_FILE",
+        "ROS_DISCOVERY_SERVER",
+        "RMW_IMPLEMENTATION",
+    ):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+
+
+def test_children_probe_as_many_peers_as_there_are(own_discovery, tmp_path):
+    settings = environment.for_children(5, 43, tmp_path)
+    assert settings["ROS_DOMAIN_ID"] == "5"
+    profile = Path(settings["FASTRTPS_DEFAULT_PROFILES_FILE"]).read_text()
+    assert "<maxInitialPeersRange>55</maxInitialPeersRange>" in profile
+
+
+def test_a_users_discovery_is_left_alone(own_discovery, monkeypatch, tmp_path):
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")
+    settings = environment.for_children(5, 43, tmp_path)
+    assert settings["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "SUBNET"
+    assert "FASTRTPS_DEFAULT_PROFILES_FILE" not in settings
+
+
+@pytest.fixture
+def program(tmp_path, monkeypatch):
+    """Runs Python text as the module of a child."""
+    monkeypatch.setattr(
+        children,
+        "_PATIENCE_S",
+        {signal.SIGINT: 0.3, signal.SIGTERM: 0.3, signal.SIGKILL: 5.0},
+    )
+    settings = {**os.environ, "PYTHONPATH": str(tmp_path)}
+
+    def start(text: str) -> Child:
+        (tmp_path / "program.py").write_text(text)
+        return Child(Command("program", "program", ()), settings, tmp_path)
+
+    return start
+
+
+def wait_for_line(child: Child, line: str) -> None:
+    deadline = time.monotonic() + 10
+    while not child.says(line):
+        assert time.monotonic() < deadline, child.tail()
+        time.sleep(0.01)
+
+
+DEAF = """
+import signal, time
+signal.signal(signal.SIGINT, signal.SIG_IGN)
+signal.signal(signal.SIGTERM, signal.SIG_IGN)
+print("deaf", flush=True)
+time.sleep(60)
+"""
+
+
+def test_a_deaf_process_is_ended_all_the_same(program):
+    child = program(DEAF)
+    wait_for_line(child, "deaf")
+    end([child])
+    assert child.exit_code == -signal.SIGKILL
+    assert "signal SIGKILL" in child.obituary()
+
+
+def test_an_obituary_has_the_last_words(program):
+    child = program("import sys\nprint('one')\nsys.exit('two')")
+    while child.exit_code is None:
+        time.sleep(0.01)
+    assert child.exit_code == 1
+    assert f"program (pid {child.pid}) has ended: exit code 1" in child.obituary()
+    assert child.obituary().endswith("    one\n    two")
+
+
+def test_new_lines_come_once_and_whole(program):
+    child = program("print('one\\ntwo\\nthr', end='')")
+    while child.exit_code is None:
+        time.sleep(0.01)
+    assert child.new_lines() == ["one", "two"]
+    assert child.new_lines() == []
+
+
+def test_a_stop_request_gives_the_handlers_back():
+    before = signal.getsignal(signal.SIGINT)
+    with StopRequest() as stop:
+        assert not stop.came
+        os.kill(os.getpid(), signal.SIGINT)
+        assert stop.came
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_a_child_whose_launcher_has_gone_ends(monkeypatch):
+    monkeypatch.setenv(environment.PARENT, "1" if os.getppid() != 1 else "2")
+    code = os.system(
+        f"{sys.executable} -c 'from ptnsbc_nodes import environment as e; e.prepare()'"
+    )
+    assert os.waitstatus_to_exitcode(code) == 1
