@@ -1,0 +1,161 @@
+"""Task `distance_angles`, (23): values by hand, where it is singular, and what the paper prints instead."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ptnsbc_core.algebra import wrap
+from ptnsbc_core.nullspace import damped_solve
+from ptnsbc_core.tasks.distance_angles import distance_angles
+from ptnsbc_core.tasks.registry import conditioning, desired_value, evaluate, task_error
+from ptnsbc_core.types import TASK_DISTANCE_ANGLES
+
+ONES = np.ones(3)
+LEADER = np.zeros(3)
+ANCHOR = np.array([2.0, 0.0, 0.0])
+OFFSETS = {
+    1: LEADER,
+    2: np.array([-1.2, -2.4, 0.0]),
+    3: np.array([-0.6, -1.2, 0.0]),
+    4: np.array([0.6, -1.2, 0.0]),
+    5: np.array([1.2, -2.4, 0.0]),
+}
+
+
+def test_value_by_hand() -> None:
+    """Parent one metre east, reference to the north-east and up: 45 degrees to the left, 45 up."""
+    own, parent = np.zeros(3), np.array([1.0, 0, 0])
+    geometry = distance_angles(own, parent, np.array([1.0, 1, 1]))
+    np.testing.assert_allclose(geometry.value, [1.0, np.pi / 4, np.pi / 4])
+    np.testing.assert_array_equal(geometry.periodic, [0, 1, 1])
+    # one metre towards the parent shortens the distance by one
+    np.testing.assert_allclose(geometry.own[0], [-1, 0, 0])
+
+
+@pytest.mark.parametrize("quadrant", range(8))
+def test_signed_angle_in_all_quadrants(quadrant: int) -> None:
+    angle = wrap(np.pi / 8 + quadrant * np.pi / 4)
+    reference = np.array([np.cos(angle), np.sin(angle), 0.3])
+    value = distance_angles(np.zeros(3), np.array([2.0, 0, 0.1]), reference).value
+    assert value[1] == pytest.approx(angle)
+
+
+def printed_angle(a: np.ndarray, b: np.ndarray) -> float:
+    """(24): z_ij . z_ik decides the branch, with the same letter for z_ij and for Q0 z_ij."""
+    a, b = a / np.linalg.norm(a), b / np.linalg.norm(b)
+    angle = np.arccos(np.clip(a @ b, -1.0, 1.0))
+    return angle if a @ b >= 0.0 else 2.0 * np.pi - angle
+
+
+def test_24_takes_the_wrong_branch_in_half_the_cases() -> None:
+    rng = np.random.default_rng(0)
+    wrong = 0
+    for _ in range(2000):
+        own, parent, reference = rng.normal(size=(3, 3))
+        ours = distance_angles(own, parent, reference).value[1]
+        printed = printed_angle((parent - own)[:2], (reference - own)[:2])
+        wrong += abs(wrap(printed - ours)) > 1e-6
+    assert wrong / 2000 == pytest.approx(0.5, abs=0.03)
+
+
+@given(seed=st.integers(0, 2**31))
+def test_gradients_of_the_design(seed: int) -> None:
+    """(-Q0 a)^T / |a|^2 for the parent, (Q0 b)^T / |b|^2 for the reference, in XOY and XOZ."""
+    own, parent, reference = np.random.default_rng(seed).uniform(-5.0, 5.0, (3, 3))
+    q0 = np.array([[0.0, -1.0], [1.0, 0.0]])
+    geometry = distance_angles(own, parent, reference)
+    for row, axes in ((1, [0, 1]), (2, [0, 2])):
+        a, b = (parent - own)[axes], (reference - own)[axes]
+        if min(np.linalg.norm(a), np.linalg.norm(b)) < 0.5:
+            continue
+        to_a, to_b = -q0 @ a / (a @ a), q0 @ b / (b @ b)
+        np.testing.assert_allclose(geometry.parent[row, axes], to_a, atol=1e-9)
+        np.testing.assert_allclose(geometry.reference[row, axes], to_b, atol=1e-9)
+        np.testing.assert_allclose(geometry.own[row, axes], -to_a - to_b, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("uav", "parent", "reference", "least"),
+    [(2, 1, ANCHOR, 0.148), (3, 2, LEADER, 1.0), (4, 3, LEADER, 0.404), (5, 4, LEADER, 0.373)],
+)
+def test_conditioning_of_paper_5(
+    uav: int, parent: int, reference: np.ndarray, least: float
+) -> None:
+    own, above = OFFSETS[uav], OFFSETS[parent]
+    assert conditioning(TASK_DISTANCE_ANGLES, own, above, reference, ONES) == pytest.approx(
+        least, abs=5e-4
+    )
+    jacobian = evaluate(TASK_DISTANCE_ANGLES, own, above, reference).own
+    singular = np.linalg.svd(jacobian, compute_uv=False)[-1]
+    assert conditioning(TASK_DISTANCE_ANGLES, own, above, reference, ONES) == pytest.approx(
+        singular
+    )
+
+
+def test_a_follower_of_the_leader_needs_a_heading_anchor() -> None:
+    """With j = k both vectors are the same: the angles say nothing, one row is left."""
+    jacobian = evaluate(TASK_DISTANCE_ANGLES, OFFSETS[2], LEADER, LEADER).own
+    assert np.linalg.matrix_rank(jacobian) == 1
+
+
+def test_right_angle_at_the_reference_is_singular() -> None:
+    """A right-angled V, UAV 3 and 4 on its arms behind the leader: 90 degrees at k."""
+    v3, v4 = np.array([-1.0, -1, 0]), np.array([1.0, -1, 0])
+    assert conditioning(TASK_DISTANCE_ANGLES, v4, v3, LEADER, ONES) == pytest.approx(0.0, abs=1e-7)
+    assert conditioning(TASK_DISTANCE_ANGLES, v4, v3 * 1.3, LEADER, ONES) < 1e-7
+    flatter = v4 * np.array([1.0, 0.7, 1.0])
+    assert (
+        conditioning(TASK_DISTANCE_ANGLES, flatter, v3 * np.array([1, 0.7, 1]), LEADER, ONES) > 0.1
+    )
+
+
+def test_damped_velocity_at_a_right_angle_is_bounded() -> None:
+    v3, v4 = np.array([-1.0, -1, 0]), np.array([1.0, -1, 0])
+    jacobian = evaluate(TASK_DISTANCE_ANGLES, v4, v3, LEADER).own
+    velocity = damped_solve(jacobian, ONES, np.zeros(3), 0.35, 0.5)
+    assert np.linalg.norm(velocity) <= np.linalg.norm(ONES) / 0.35
+
+
+def flown(error_of, seconds: float = 3.0) -> tuple[float, float]:
+    """Task error of UAV 3 at the start and after `seconds` of v = J^-1 error, parent and leader at rest."""
+    desired = desired_value(TASK_DISTANCE_ANGLES, OFFSETS[3], OFFSETS[2], LEADER)
+    position = OFFSETS[3] + np.array([0.3, -0.2, 0.2])
+    first = None
+    for _ in range(round(seconds / 0.01)):
+        geometry = evaluate(TASK_DISTANCE_ANGLES, position, OFFSETS[2], LEADER)
+        error = task_error(geometry, desired)
+        first = np.linalg.norm(error) if first is None else first
+        rate = error_of(geometry, desired)
+        position = position + 0.01 * damped_solve(geometry.own, rate, np.zeros(3), 0.35, 0.5)
+    geometry = evaluate(TASK_DISTANCE_ANGLES, position, OFFSETS[2], LEADER)
+    return first, np.linalg.norm(task_error(geometry, desired))
+
+
+def test_printed_absolute_error_diverges_where_the_signed_one_converges() -> None:
+    first, last = flown(lambda geometry, desired: task_error(geometry, desired))
+    assert last < first * np.exp(-3.0) * 1.1
+    first, last = flown(lambda geometry, desired: np.abs(desired - geometry.value))
+    assert last > 2.0 * first
+
+
+def test_table_2_start_of_uav_3_is_where_the_printed_law_divides_by_zero() -> None:
+    """UAV 2 and 3 share x and z: (28) divides by the length of a projection that has none."""
+    own, parent, leader = np.array([-1.0, 0, 1]), np.array([-1.0, -1, 1]), np.array([0.0, 1, 1])
+    a = (parent - own)[[0, 2]]
+    assert np.linalg.norm(a) == 0.0
+    geometry = distance_angles(own, parent, leader)
+    assert np.all(np.isfinite(geometry.value))
+    desired = desired_value(TASK_DISTANCE_ANGLES, OFFSETS[3], OFFSETS[2], LEADER)
+    velocity = damped_solve(geometry.own, task_error(geometry, desired), np.zeros(3), 0.35, 0.5)
+    assert np.linalg.norm(velocity) < 10.0
+
+
+@given(value=st.floats(-np.pi, np.pi), desired=st.floats(-np.pi, np.pi))
+def test_angle_errors_are_wrapped_and_distance_errors_are_not(value: float, desired: float) -> None:
+    geometry = distance_angles(np.zeros(3), np.array([10.0, 0, 0]), np.array([1.0, 1, 1]))
+    geometry = geometry._replace(value=np.array([10.0, value, value]))
+    error = task_error(geometry, np.array([1.0, desired, desired]))
+    assert error[0] == -9.0
+    assert -np.pi <= error[1] < np.pi
+    assert np.cos(error[1]) == pytest.approx(np.cos(desired - value), abs=1e-12)
