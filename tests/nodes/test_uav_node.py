@@ -228,7 +228,7 @@ def test_real_time_hovers_before_the_epoch_and_flies_after_it(ros, scenario):
     assert f"/uav{LEADER}/odom" in others.newest()[2]["waiting_for"]
     others.odom(time.time_ns())
     ros.spin_until(lambda: others.wrenches)
-    level, _, values = others.newest()
+    _, _, values = others.newest()
     assert (values["mode"], values["ready"]) == ("waiting", "true")
     before = time.time_ns()
     assert call(ros, others.node, "start").success
