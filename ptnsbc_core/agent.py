@@ -5,13 +5,15 @@
 
 from __future__ import annotations
 
+from collections.abc import MutableSequence
+
 import numpy as np
 
 from ptnsbc_core.adaptation import started
 from ptnsbc_core.command_filter import filter_step
 from ptnsbc_core.controller import Command, Control, rigid_body_control
 from ptnsbc_core.estimator import disagreement, estimator_step
-from ptnsbc_core.kernel import kernel
+from ptnsbc_core.kernel import kernel, kernel_list
 from ptnsbc_core.kinematics import (
     estimate_to_odometry,
     odometry_to_estimate,
@@ -284,3 +286,33 @@ def step(
     setpoint[3] = angular.value[2]
     outputs = AgentOutputs(setpoint, control.wrench, estimate_to_odometry(estimate), diagnostics)
     return after, outputs
+
+
+@kernel
+def _advance(
+    states: MutableSequence[AgentState],
+    configs: MutableSequence[AgentConfig],
+    inputs: AgentInputs,
+    t: float,
+    dt: float,
+) -> AgentOutputs:
+    states[0], outputs = step(states[0], inputs, t, dt, configs[0])
+    return outputs
+
+
+class Agent:
+    """One UAV's control step with its configuration and state kept where the kernels can reach them."""
+
+    def __init__(self, config: AgentConfig, own: Array) -> None:
+        """Start from the UAV's own odometry vector (13,)."""
+        self._configs = kernel_list([config])
+        self._states = kernel_list([initial_state(own, config)])
+
+    @property
+    def state(self) -> AgentState:
+        """What the next step starts from."""
+        return self._states[0]
+
+    def step(self, inputs: AgentInputs, t: float, dt: float) -> AgentOutputs:
+        """One tick, see `step`: t [s] since the latest epoch, dt [s] the control period."""
+        return _advance(self._states, self._configs, inputs, t, dt)

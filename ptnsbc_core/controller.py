@@ -63,10 +63,9 @@ def torque_regressor_error(
     """(3,) Y^T V~ of the inertia columns: derivative of torque_model . error with respect to each inertia."""
     out = np.empty(3)
     for i in range(3):
-        unit = np.zeros(3)
-        unit[i] = 1.0
-        column = torque_model(rates, reference, reference_dot, unit)
-        out[i] = column[0] * error[0] + column[1] * error[1] + column[2] * error[2]
+        j, k = (i + 1) % 3, (i + 2) % 3
+        turning = reference[k] * error[j] - reference[j] * error[k]
+        out[i] = reference_dot[i] * error[i] + rates[i] * turning
     return out
 
 

@@ -10,12 +10,13 @@ from __future__ import annotations
 import hashlib
 import os
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, MutableSequence
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 
 P = ParamSpec("P")
 R = TypeVar("R")
+T = TypeVar("T")
 
 _ROOT = Path(__file__).resolve().parent.parent
 _SOURCES = ("ptnsbc_core", "ptnsbc_sim")
@@ -79,3 +80,17 @@ COMPILED: bool = _COMPILE is not None
 def kernel(law: Callable[P, R]) -> Callable[P, R]:
     """Mark a law as a kernel: scalars, small float64 arrays and NamedTuples in and out, no I/O, no globals."""
     return law if _COMPILE is None else _COMPILE(law)
+
+
+def kernel_list(items: Iterable[T]) -> MutableSequence[T]:
+    """A list that kernels read and write in place.
+
+    Handing a NamedTuple of arrays to a compiled kernel unpacks every field at every call, which costs more
+    than the laws; a list is handed over as one pointer, and its length is no part of the compiled type.
+    """
+    if not COMPILED:
+        return list(items)
+    from numba.typed import List
+
+    compiled: MutableSequence[T] = List(list(items))
+    return compiled

@@ -6,6 +6,7 @@ Everything here is a world-frame velocity of one UAV (3,) [m/s, ENU]; Theta^-1 i
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,18 +18,18 @@ RANK_TOLERANCE = 1e-9
 """Share of the largest eigenvalue of the Gram matrix below which a direction counts as free."""
 
 
-@kernel
-def smallest_singular_value(jacobian: Array) -> float:
-    """Smallest of the three singular values of a Jacobian (r, 3); 0 where it leaves a direction free."""
-    values = eigen3(gram3(jacobian)).values
-    return math.sqrt(max(min(values[0], values[1], values[2]), 0.0))
+class Solution(NamedTuple):
+    """Velocity of a task, and how well the task determines it."""
+
+    velocity: Array  # (3,) [m/s, ENU]
+    singular_value: float  # smallest of the Jacobian
 
 
 @kernel
 def damped_solve(
     jacobian: Array, rate: Array, fallback: Array, threshold: float, damping: float
-) -> Array:
-    """J^+ rate + (I - J^+ J) fallback, (3,), with the pseudo-inverse damped near a singularity.
+) -> Solution:
+    """J^+ rate + (I - J^+ J) fallback with the pseudo-inverse damped near a singularity.
 
     Each singular value s below `threshold` is damped by damping^2 (1 - (s/threshold)^2); what the damping
     takes away from the task, a lower-priority velocity `fallback` (3,) fills. Away from singularities J^+ J is
@@ -38,8 +39,10 @@ def damped_solve(
     parts = eigen3(gram3(jacobian))
     pulled = transpose_times(jacobian, rate)
     out = np.zeros(3)
+    smallest = np.inf
     for k in range(3):
         value = max(parts.values[k], 0.0)
+        smallest = min(smallest, value)
         damped = value
         if value < threshold * threshold:
             damped += damping * damping * (1.0 - value / (threshold * threshold))
@@ -52,7 +55,7 @@ def damped_solve(
             free = seen / damped + (1.0 - value / damped) * free
         for i in range(3):
             out[i] += parts.vectors[i, k] * free
-    return out
+    return Solution(out, math.sqrt(smallest))
 
 
 @kernel

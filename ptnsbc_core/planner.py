@@ -9,7 +9,7 @@ import numpy as np
 from ptnsbc_core.algebra import limited, times, wrap
 from ptnsbc_core.kernel import kernel
 from ptnsbc_core.kinematics import body_rates, euler_from_rotation, rotation_from_quaternion
-from ptnsbc_core.nullspace import compose, damped_solve, scaled_to_limit, smallest_singular_value
+from ptnsbc_core.nullspace import compose, damped_solve, scaled_to_limit
 from ptnsbc_core.tasks.clearance import Clearance
 from ptnsbc_core.tasks.registry import evaluate, task_error
 from ptnsbc_core.timebase import Clock, loop_gain, loop_rate, onset
@@ -91,7 +91,7 @@ def formation(
     behind = config.offset - (position - parent.position)
     fallback = parent.velocity - leader.velocity + loop_gain(config.formation, clock) * behind
     solved = damped_solve(jacobian, asked, fallback, config.damping_threshold, config.damping_max)
-    return Behaviour(leader.velocity + solved, jacobian, error, smallest_singular_value(jacobian))
+    return Behaviour(leader.velocity + solved.velocity, jacobian, error, solved.singular_value)
 
 
 @kernel

@@ -7,13 +7,13 @@ docs/lockstep.md. Nothing here is a law.
 from __future__ import annotations
 
 from collections.abc import Callable, MutableSequence, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ptnsbc_core.agent import initial_state, step
-from ptnsbc_core.kernel import COMPILED, kernel
+from ptnsbc_core.kernel import kernel, kernel_list
 from ptnsbc_core.types import (
     MODE_FORMATION,
     NEVER_HEARD_S,
@@ -192,15 +192,6 @@ def _starts(
     ]
 
 
-def _as_list(items: Sequence[Any]) -> Any:
-    """A list that kernels take at any swarm size without being compiled anew."""
-    if not COMPILED:
-        return list(items)
-    from numba.typed import List
-
-    return List(items)
-
-
 def wiring_of(scenario: Scenario) -> Wiring:
     """The scenario's graph and sensors by row."""
     ids = scenario.uav_ids
@@ -236,17 +227,17 @@ def fly(scenario: Scenario, progress: Callable[[int, int], None] | None = None) 
     """
     ticks, size = scenario.ticks, len(scenario.uav_ids)
     plants = [plant_config(scenario, uav_id) for uav_id in scenario.uav_ids]
-    configs = _as_list([agent_config(scenario, uav_id) for uav_id in scenario.uav_ids])
+    configs = kernel_list([agent_config(scenario, uav_id) for uav_id in scenario.uav_ids])
     bodies = start_states(scenario, plants)
-    plant_list = _as_list(plants)
+    plant_list = kernel_list(plants)
     widths = (ODOMETRY_SIZE, 4, 6, ODOMETRY_SIZE, DIAGNOSTICS_SIZE)
     track = Track(*(np.zeros((ticks, size, width)) for width in widths))
     crew = Crew(
         configs,
         plant_list,
-        _as_list(_starts(configs, bodies, plant_list)),
+        kernel_list(_starts(configs, bodies, plant_list)),
         bodies,
-        _as_list([np.empty((0, 7)) for _ in range(size)]),
+        kernel_list([np.empty((0, 7)) for _ in range(size)]),
     )
     wiring = wiring_of(scenario)
     for first in range(0, ticks, CHUNK_TICKS):

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
-
-import numpy as np
 
 from ptnsbc_core.kernel import kernel
 from ptnsbc_core.types import Array
@@ -31,6 +30,9 @@ class PlantConfig(NamedTuple):
 
 
 @kernel
-def disturbance(config: PlantConfig, t: float) -> Array:
-    """Disturbance acceleration (6,) at t [s]: linear [m/s^2] then angular [rad/s^2] (Table 2)."""
-    return config.amplitude * np.sin(t + config.phase) + config.offset
+def disturbance(config: PlantConfig, t: float, out: Array) -> None:
+    """Disturbance acceleration at t [s] into `out` (6,): linear [m/s^2] then angular [rad/s^2] (Table 2)."""
+    for i in range(6):
+        out[i] = config.offset[i]
+        if config.amplitude[i] != 0.0:
+            out[i] += config.amplitude[i] * math.sin(t + config.phase[i])

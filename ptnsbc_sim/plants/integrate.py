@@ -52,27 +52,28 @@ def advance(
 ) -> Array:
     """State (17,) after one control period dt [s] from t [s] under a held wrench (6,)."""
     out = x.copy()
-    k1, k2 = np.empty(STATE_SIZE), np.empty(STATE_SIZE)
-    k3, k4 = np.empty(STATE_SIZE), np.empty(STATE_SIZE)
+    slopes = np.empty((4, STATE_SIZE))
     mid = np.empty(STATE_SIZE)
+    push = np.empty((3, 6))  # at the start, middle and end of a substep
     step = dt / substeps
-    start = disturbance(config, t)
+    disturbance(config, t, push[0])
     for n in range(substeps):
-        half = disturbance(config, t + (n + 0.5) * step)
-        end = disturbance(config, t + (n + 1) * step)
-        _derivative(out, wrench, start, config, k1)
+        disturbance(config, t + (n + 0.5) * step, push[1])
+        disturbance(config, t + (n + 1) * step, push[2])
+        _derivative(out, wrench, push[0], config, slopes[0])
         for i in range(STATE_SIZE):
-            mid[i] = out[i] + 0.5 * step * k1[i]
-        _derivative(mid, wrench, half, config, k2)
+            mid[i] = out[i] + 0.5 * step * slopes[0, i]
+        _derivative(mid, wrench, push[1], config, slopes[1])
         for i in range(STATE_SIZE):
-            mid[i] = out[i] + 0.5 * step * k2[i]
-        _derivative(mid, wrench, half, config, k3)
+            mid[i] = out[i] + 0.5 * step * slopes[1, i]
+        _derivative(mid, wrench, push[1], config, slopes[2])
         for i in range(STATE_SIZE):
-            mid[i] = out[i] + step * k3[i]
-        _derivative(mid, wrench, end, config, k4)
+            mid[i] = out[i] + step * slopes[2, i]
+        _derivative(mid, wrench, push[2], config, slopes[3])
         for i in range(STATE_SIZE):
-            out[i] += step / 6.0 * (k1[i] + 2.0 * k2[i] + 2.0 * k3[i] + k4[i])
+            middle = slopes[1, i] + slopes[2, i]
+            out[i] += step / 6.0 * (slopes[0, i] + 2.0 * middle + slopes[3, i])
         if config.kind != PLANT_RIGID_BODY:
             quadrotor_normalise(out)
-        start = end
+        push[0] = push[2]
     return out
