@@ -112,7 +112,12 @@ def _estimated_leader(
             heard[k] = 1.0
     if not pinned and heard.sum() == 0.0:
         return state.estimate.copy(), state.heard
-    g = disagreement(state.estimate, others, heard, leader, pinned)
+    # everything heard is carried to the present, so the own estimate must be too: compared one tick late
+    # it settles v dt behind, which the angle tasks multiply along the chain
+    present = state.estimate
+    if config.estimator.feed_forward:
+        present = _moved_on(state.estimate, clock.dt)
+    g = disagreement(present, others, heard, leader, pinned)
     return estimator_step(state.estimate, g, clock.t, clock.dt, config.estimator), True
 
 

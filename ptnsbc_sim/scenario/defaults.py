@@ -13,7 +13,7 @@ from ptnsbc_sim.scenario.reader import merged
 
 _COMMON: dict[str, Any] = {
     "profile": "soft",  # no input step at t = 0
-    "formation": {"residual": 1e-2, "scale": 1, "kappa_1_s": 2},
+    "formation": {"residual": 1e-2, "scale": 1, "kappa_1_s": 2.5},
     "attitude": {"deadline_s": 1.5, "residual": 1e-3, "scale": 1, "kappa_1_s": 1},
     # k2 exceeds any rate of change of the leader; the boundary keeps dt k2/boundary small
     "estimator": {
@@ -30,7 +30,7 @@ _COMMON: dict[str, Any] = {
         "residual": 1e-2,
         "scale": 1,
         "kappa_1_s": 3,  # closing speed per metre of room: 1.5 m/s at half a metre
-        "margin_m": 0,
+        "margin_m": 0.02,  # the velocity loop lags: without it a keep-out is grazed by a millimetre
         "circulation": 0.6,  # of the blocked speed, sideways: leaves a dead end
         "ramp_s": 0.5,  # a step in velocity would only saturate the command filter
         "timeout_s": 8,  # longer than passing any keep-out sphere of the shipped scenarios takes
@@ -58,7 +58,7 @@ _COMMON: dict[str, Any] = {
     },
     "boundary": {"velocity_m_s": 0.05, "rate_rad_s": 0.1},
     "pointing": {"tilt_1_s": 16, "yaw_1_s": 3},  # below the body-rate loop, above the velocity loop
-    "observer": {"bandwidth_1_s": 8},  # between the disturbances (1 rad/s) and the attitude loop
+    "observer": {"bandwidth_1_s": 10},  # between the disturbances (1 rad/s) and the attitude loop
     # metres per metre: the shipped formations stay above the threshold, Table 2 starts below it
     "damping": {"threshold": 0.35, "maximum": 0.5},
     "hold": {"gain_1_s": 1, "land_speed_m_s": 0.5},
@@ -67,7 +67,7 @@ _COMMON: dict[str, Any] = {
 _PLANT: dict[str, dict[str, Any]] = {
     # Forces and torques act at once: both inner loops can be as fast as the control rate allows.
     "rigid_body_6dof": {
-        "force": {"deadline_s": 1, "residual": 1e-3, "scale": 1, "kappa_1_s": 20},
+        "force": {"deadline_s": 1, "residual": 1e-3, "scale": 1, "kappa_1_s": 25},
         "torque": {"deadline_s": 1, "residual": 1e-3, "scale": 1, "kappa_1_s": 15},
     },
     # Thrust follows the attitude and the attitude follows the rates, each about three times as fast
