@@ -1,0 +1,96 @@
+"""Adaptation (50), (51) and the observer: directions, bounds, and the printed bound that never stops growing."""
+
+import numpy as np
+import pytest
+
+from ptnsbc_core.adaptation import adapted_bound, adapted_parameters, observed, started
+from ptnsbc_core.types import ControllerConfig
+from ptnsbc_sim.scenario import agent_config, load_scenario
+
+DT = 0.01
+
+
+@pytest.fixture(scope="module")
+def config() -> ControllerConfig:
+    return agent_config(load_scenario("paper_5"), 1).controller._replace(
+        adaptation=np.array([0.4, 0.2]),
+        mass_range=0.3,
+        bound_rate=2.5,
+        bound_leak=0.1,
+        bound_dead_zone=np.array([0.01, 0.02]),
+        bound_cap=np.array([2.0, 5.0]),
+        observer_bandwidth=8.0,
+    )
+
+
+def test_parameters_move_against_the_regressor(config: ControllerConfig) -> None:
+    nominal = config.nominal
+    error = np.array([1.0, -0.1, 0.0, 0.2])
+    moved = adapted_parameters(nominal, error, False, DT, config) - nominal
+    expected = -DT * np.array([0.4, 0.2, 0.2, 0.2]) * error
+    np.testing.assert_allclose(moved, expected, atol=1e-15)
+    np.testing.assert_array_equal(adapted_parameters(nominal, error, True, DT, config), nominal)
+
+
+def test_parameters_stay_in_their_range(config: ControllerConfig) -> None:
+    nominal = config.nominal
+    for sign, edge in ((1.0, 0.7), (-1.0, 1.3)):
+        out = nominal.copy()
+        for _ in range(100):
+            out = adapted_parameters(out, sign * np.full(4, 1e4), False, DT, config)
+        np.testing.assert_allclose(out, edge * nominal)
+
+
+def test_bound_is_capped_where_the_printed_one_grows_for_ever(config: ControllerConfig) -> None:
+    """A constant error of 0.2 m/s, as noise leaves it: (51) adds 0.5 m/s^2 every second, for ever."""
+    bound = printed = 0.0
+    for _ in range(10_000):
+        bound = adapted_bound(bound, 0.2, 0, DT, config)
+        printed += DT * config.bound_rate * 0.2
+    assert printed == pytest.approx(50.0)
+    assert bound == 2.0
+
+
+def test_bound_settles_where_leak_and_growth_meet(config: ControllerConfig) -> None:
+    bound = 0.0
+    for _ in range(20_000):
+        bound = adapted_bound(bound, 0.04, 0, DT, config)
+    assert bound == pytest.approx(2.5 * 0.04 / 0.1)
+
+
+def test_bound_leaks_inside_its_dead_zone(config: ControllerConfig) -> None:
+    bound = 1.0
+    for _ in range(1000):
+        bound = adapted_bound(bound, 0.009, 0, DT, config)
+    assert bound == pytest.approx((1.0 - 0.1 * DT) ** 1000)
+
+
+def push_seen(push: np.ndarray, ticks: int, config: ControllerConfig, dt=DT, frozen=False):
+    """Observer after `ticks` of a body under a known acceleration and an unknown `push`."""
+    velocity, told = np.array([1.0, -2.0, 0.5]), np.array([0.3, 0.0, -0.2])
+    observer = started(velocity)
+    for _ in range(ticks):
+        observer[6:9] = told
+        velocity = velocity + dt * (told + push)
+        observer = observed(observer, velocity, frozen, dt, config)
+    return observer
+
+
+def test_observer_has_both_poles_at_its_bandwidth(config: ControllerConfig) -> None:
+    """What is left of a constant push after t is (1 + w t) exp(-w t) of it."""
+    push, dt = np.array([0.5, -0.3, 0.2]), 1e-4
+    for ticks in (500, 2000, 5000):
+        wt = 8.0 * ticks * dt
+        seen = push_seen(push, ticks, config, dt)[3:6]
+        np.testing.assert_allclose(1.0 - seen / push, (1.0 + wt) * np.exp(-wt), atol=1e-3)
+
+
+def test_observer_finds_a_constant_push(config: ControllerConfig) -> None:
+    push = np.array([0.5, -0.3, 0.2])
+    np.testing.assert_allclose(push_seen(push, 600, config)[3:6], push, atol=1e-12)
+
+
+def test_observer_is_capped_and_can_be_frozen(config: ControllerConfig) -> None:
+    push = np.array([9.0, -9.0, 0.0])
+    np.testing.assert_allclose(push_seen(push, 400, config)[3:6], [2.0, -2.0, 0.0], atol=1e-9)
+    np.testing.assert_array_equal(push_seen(push, 400, config, frozen=True)[3:6], np.zeros(3))
