@@ -6,10 +6,12 @@
 from __future__ import annotations
 
 from collections.abc import MutableSequence
+from typing import NamedTuple
 
 import numpy as np
 
 from ptnsbc_core.adaptation import started
+from ptnsbc_core.algebra import wrap
 from ptnsbc_core.command_filter import filter_step
 from ptnsbc_core.controller import Command, Control, rigid_body_control
 from ptnsbc_core.estimator import disagreement, estimator_step
@@ -38,6 +40,7 @@ from ptnsbc_core.timebase import Clock, loop_gain
 from ptnsbc_core.trajectory import Reference, reference
 from ptnsbc_core.types import (
     MODE_FORMATION,
+    MODE_HOLD,
     MODE_LAND,
     NEVER_HEARD_S,
     PLANT_RIGID_BODY,
@@ -202,6 +205,79 @@ def _held(
     return Behaviour(velocity, jacobian, behaviour.error, behaviour.singular_value)
 
 
+class Planned(NamedTuple):
+    """What the planner hands to the controller."""
+
+    command: Command
+    encounters: Array  # (8, 7)
+    active_rows: int
+    saturated: bool
+    violation: float  # [m/s]
+
+
+@kernel
+def _planned(
+    state: AgentState,
+    inputs: AgentInputs,
+    behaviour: Behaviour,
+    rates: Array,
+    yaw: float,
+    dt: float,
+    config: AgentConfig,
+) -> Planned:
+    """Clearance above the behaviour, the speed limit, and the command filter."""
+    top = clearance(
+        inputs.own[0:3].copy(),
+        behaviour.velocity,
+        inputs.near,
+        inputs.near_age_s,
+        state.encounters,
+        dt,
+        config.clearance,
+    )
+    limits = config.filter
+    velocity = composed(top, behaviour.jacobian, limits.max_speed)
+    linear = filter_step(
+        state.command[0:3].copy(), velocity.velocity, limits.bandwidth, limits.max_acceleration, dt
+    )
+    angular = filter_step(
+        state.command[3:6].copy(), rates, limits.rate_bandwidth, limits.max_rate_acceleration, dt
+    )
+    return Planned(
+        Command(linear.value, linear.rate, angular.value, angular.rate, yaw),
+        top.encounters,
+        top.jacobian.shape[0],
+        velocity.limited or linear.saturated,
+        velocity.violation,
+    )
+
+
+@kernel
+def _told(inputs: AgentInputs, planned: Planned, config: AgentConfig) -> Array:
+    """Velocity setpoint (4,): [m/s, ENU] and yaw rate [rad/s], for a vehicle that closes its own loops."""
+    command = planned.command
+    out = np.empty(4)
+    out[0:3] = command.velocity
+    out[3] = command.rates[2]
+    if config.controller.plant != PLANT_RIGID_BODY:
+        off = wrap(command.yaw - yaw_of(inputs.own))
+        most = config.filter.max_rate
+        out[3] = min(max(config.controller.attitude_gain[1] * off, -most), most)
+    return out
+
+
+@kernel
+def _desired_yaw(
+    estimate: Array, place: Array, holding: bool, clock: Clock, config: AgentConfig
+) -> float:
+    """Heading to keep [rad]: of the place held, of the trajectory (leader), or of the leader (follower)."""
+    if holding:
+        return float(place[3])
+    if config.leader:
+        return reference(config.trajectory, clock.start_t).yaw
+    return float(estimate[6])
+
+
 @kernel
 def step(
     state: AgentState, inputs: AgentInputs, t: float, dt: float, config: AgentConfig
@@ -222,57 +298,27 @@ def step(
     holding = inputs.mode != MODE_FORMATION or _lost(inputs, clock.start_t, config)
     estimate, heard = _estimated_leader(state, inputs, clock, holding, config)
     place = _hold_place(state, inputs, holding)
-    yaw = place[3] if holding else estimate[6]
-    if config.leader and not holding:
-        yaw = reference(config.trajectory, clock.start_t).yaw
+    yaw = _desired_yaw(estimate, place, holding, clock, config)
 
-    start_error = state.start_error.copy()
-    armed = Armed(
-        state.mode == _NOT_YET or t < state.last_t or state.heard != heard,
-        start_error[0:3].copy(),
-        start_error[3:6].copy(),
-    )
+    errors = state.start_error.copy()
+    arms = state.mode == _NOT_YET or t < state.last_t or state.heard != heard
+    armed = Armed(arms, errors[0:3].copy(), errors[3:6].copy())
     behaviour = _behaviour(inputs, estimate, armed, clock, config)
-    rates, euler_error = attitude(inputs.own, yaw, armed, clock, config)
-    if armed.now:
-        start_error[0:3] = behaviour.error
-        start_error[3:6] = euler_error
+    rates, euler_error = np.zeros(3), np.zeros(3)
+    if config.controller.plant == PLANT_RIGID_BODY:  # a quadrotor's attitude is its controller's
+        rates, euler_error = attitude(inputs.own, yaw, armed, clock, config)
+    if arms:
+        errors[0:3] = behaviour.error
+        errors[3:6] = euler_error
     if holding:
         behaviour = _held(behaviour, inputs, place, config)
 
-    top = clearance(
-        inputs.own[0:3].copy(),
-        behaviour.velocity,
-        inputs.near,
-        inputs.near_age_s,
-        state.encounters,
-        dt,
-        config.clearance,
-    )
-    velocity = composed(top, behaviour.jacobian, config.filter.max_speed)
-    limits = config.filter
-    linear = filter_step(
-        state.command[0:3].copy(), velocity.velocity, limits.bandwidth, limits.max_acceleration, dt
-    )
-    angular = filter_step(
-        state.command[3:6].copy(), rates, limits.rate_bandwidth, limits.max_rate_acceleration, dt
-    )
-    command = Command(linear.value, linear.rate, angular.value, angular.rate, yaw)
+    planned = _planned(state, inputs, behaviour, rates, yaw, dt, config)
+    command = planned.command
     control = _controlled(state, inputs, command, clock, config)
-
     stored = np.empty(6)
-    stored[0:3] = linear.value
-    stored[3:6] = angular.value
-    diagnostics = AgentDiagnostics(
-        behaviour.error,
-        loop_gain(config.formation, clock),
-        behaviour.singular_value,
-        top.jacobian.shape[0],
-        velocity.limited or linear.saturated or control.saturated,
-        holding,
-        velocity.violation,
-        control.velocity_error,
-    )
+    stored[0:3] = command.velocity
+    stored[3:6] = command.rates
     after = AgentState(
         estimate,
         heard,
@@ -280,16 +326,25 @@ def step(
         control.parameters,
         control.bound,
         control.observer,
-        top.encounters,
-        start_error,
+        planned.encounters,
+        errors,
         place,
-        MODE_FORMATION if not holding else max(inputs.mode, 1),
+        max(inputs.mode, MODE_HOLD) if holding else MODE_FORMATION,
         t,
     )
-    setpoint = np.empty(4)
-    setpoint[0:3] = linear.value
-    setpoint[3] = angular.value[2]
-    outputs = AgentOutputs(setpoint, control.wrench, estimate_to_odometry(estimate), diagnostics)
+    diagnostics = AgentDiagnostics(
+        behaviour.error,
+        loop_gain(config.formation, clock),
+        behaviour.singular_value,
+        planned.active_rows,
+        planned.saturated or control.saturated,
+        holding,
+        planned.violation,
+        control.velocity_error,
+    )
+    outputs = AgentOutputs(
+        _told(inputs, planned, config), control.wrench, estimate_to_odometry(estimate), diagnostics
+    )
     return after, outputs
 
 

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ptnsbc_core.algebra import limited, times, wrap
+from ptnsbc_core.algebra import limited, norm3, times, wrap
 from ptnsbc_core.kernel import kernel
 from ptnsbc_core.kinematics import body_rates, euler_from_rotation, rotation_from_quaternion
 from ptnsbc_core.nullspace import compose, damped_solve, scaled_to_limit
@@ -128,6 +128,9 @@ class Composed(NamedTuple):
 def composed(top: Clearance, jacobian: Array, max_speed: float) -> Composed:
     """Clearance first, the behaviour below it in its null space, within the speed limit [m/s]."""
     above = top.jacobian.shape[0]
+    if above == 0:
+        free = limited(top.below, max_speed)
+        return Composed(free, norm3(top.below) > max_speed, 0.0)
     velocities = np.empty((2, 3))
     velocities[0], velocities[1] = top.velocity, top.below
     stacked = np.empty((above + 3, 3))
