@@ -12,8 +12,9 @@ from pathlib import Path
 
 _POLL_S = 0.02
 _TAIL_LINES = 12
-# What a process is given to end in before the next, harder signal.
-_PATIENCE_S = {signal.SIGINT: 10.0, signal.SIGTERM: 3.0, signal.SIGKILL: 5.0}
+_PATIENCE_S = 10.0
+# What a process is given to end in after the harder signals.
+_HARDER = {signal.SIGTERM: 3.0, signal.SIGKILL: 5.0}
 
 
 @dataclass(frozen=True)
@@ -85,12 +86,17 @@ class Child:
         return f"{self.name} (pid {self.pid}) has ended: {how}, {self.log}\n{self.tail()}"
 
 
-def end(children: Sequence[Child]) -> None:
-    """End processes together, ever harder; none is left when this returns."""
-    for number, patience_s in _PATIENCE_S.items():
+def end(children: Sequence[Child], patience_s: float = _PATIENCE_S) -> None:
+    """End processes together, ever harder; none is left when this returns.
+
+    Args:
+        children: Those that have ended already are left alone.
+        patience_s: Time they have to end by themselves after SIGINT.
+    """
+    for number, limit_s in {signal.SIGINT: patience_s, **_HARDER}.items():
         left = [child for child in children if child.exit_code is None]
         for child in left:
             child.send(number)
-        deadline = time.monotonic() + patience_s
+        deadline = time.monotonic() + limit_s
         while any(child.exit_code is None for child in left) and time.monotonic() < deadline:
             time.sleep(_POLL_S)

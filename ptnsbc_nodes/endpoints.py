@@ -29,6 +29,8 @@ _LATCHED = QoSProfile(
     durability=DurabilityPolicy.TRANSIENT_LOCAL,
 )
 
+_LOCKSTEP_HISTORY = 1000
+
 
 class _Outlet(NamedTuple):
     topic: Topic
@@ -48,7 +50,7 @@ class Endpoints:
     def publisher(self, topic: Topic, readers: int) -> Callable[[bytes], None]:
         """A publisher of serialised messages; `readers` subscriptions must match it."""
         publisher = self._node.create_publisher(
-            message_class(topic), topic.name, self._profile(topic)
+            message_class(topic), topic.name, self._offered(topic)
         )
         self._outlets.append(_Outlet(topic, publisher, readers))
         publish: Callable[[bytes], None] = publisher.publish
@@ -81,6 +83,14 @@ class Endpoints:
         patience = Duration(seconds=timeout_s / max(len(self._outlets), 1))
         for outlet in self._outlets:
             outlet.publisher.wait_for_all_acked(patience)
+
+    def _offered(self, topic: Topic) -> QoSProfile:
+        profile = self._profile(topic)
+        if self._lockstep and topic.role is not Role.LATCHED:
+            # The barrier keeps all nodes within a tick, but not the recorder: what its socket drops
+            # in a burst must still be there when it asks again.
+            return QoSProfile(depth=_LOCKSTEP_HISTORY, reliability=profile.reliability)
+        return profile
 
     def _profile(self, topic: Topic) -> QoSProfile:
         if topic.role is Role.LATCHED:

@@ -26,6 +26,7 @@ __all__ = ["FleetError", "FleetOptions", "FleetResult", "ProcessReport", "run_fl
 Report = Callable[[str], None]
 
 _LOOK_S = 0.05
+_RECORDER_PATIENCE_S = 60.0  # what is still queued belongs into the bag
 _DIED, _INTERRUPTED = 1, 130
 
 
@@ -118,8 +119,10 @@ class _Flight:
         deadline: float,
     ) -> None:
         """Start all processes, a few at a time, wait until all are ready, and start the flight."""
+        # Half of a process's start is loading, half is waiting until it is heard of.
+        at_once = 2 * (os.cpu_count() or 1)
         for command in crew:
-            while len(self._silent()) >= (os.cpu_count() or 1) and self._patient(deadline):
+            while len(self._silent()) >= at_once and self._patient(deadline):
                 pass
             if self._stop.came:
                 return
@@ -155,7 +158,11 @@ class _Flight:
             if child.name == SIM:
                 self._tell(child)
         end([child for child in self._children if child.name != RECORDER])
-        end(self._children)
+        end(self._children, _RECORDER_PATIENCE_S)
+        for child in self._children:
+            if child.exit_code != 0 and child not in self._died:
+                self._died.append(child)
+                self._progress(f"at the end: {child.obituary()}")
 
     def result(self, options: FleetOptions, startup_s: float, flight_s: float) -> FleetResult:
         """What to tell about it all."""

@@ -66,11 +66,7 @@ def test_a_users_discovery_is_left_alone(own_discovery, monkeypatch, tmp_path):
 @pytest.fixture
 def program(tmp_path, monkeypatch):
     """Runs Python text as the module of a child."""
-    monkeypatch.setattr(
-        children,
-        "_PATIENCE_S",
-        {signal.SIGINT: 0.3, signal.SIGTERM: 0.3, signal.SIGKILL: 5.0},
-    )
+    monkeypatch.setattr(children, "_HARDER", {signal.SIGTERM: 0.3, signal.SIGKILL: 5.0})
     settings = {**os.environ, "PYTHONPATH": str(tmp_path)}
 
     def start(text: str) -> Child:
@@ -99,7 +95,7 @@ time.sleep(60)
 def test_a_deaf_process_is_ended_all_the_same(program):
     child = program(DEAF)
     wait_for_line(child, "deaf")
-    end([child])
+    end([child], patience_s=0.3)
     assert child.exit_code == -signal.SIGKILL
     assert "signal SIGKILL" in child.obituary()
 
