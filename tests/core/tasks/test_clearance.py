@@ -1,0 +1,282 @@
+"""Clearance: the closed form for one obstacle, least change for many, and a way out of dead ends."""
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ptnsbc_core.algebra import limited
+from ptnsbc_core.planner import composed
+from ptnsbc_core.tasks.clearance import Clearance, clearance, tangent
+from ptnsbc_core.tasks.encounters import SIDE, USED, none_met
+from ptnsbc_core.timebase import step_gain
+from ptnsbc_core.types import (
+    AVOIDANCE_OFF,
+    AVOIDANCE_SET_BASED,
+    AVOIDANCE_SWITCHED,
+    PROFILE_PAPER,
+    ClearanceConfig,
+    LoopGain,
+)
+
+DT, KAPPA, KEEP_OUT = 0.01, 3.0, 1.5
+FREE = np.inf
+FIRST = KAPPA + step_gain(0.0, DT, 1.0, 1e-2)
+"""alpha of the first tick inside, where the encounter's time base has only begun to rise."""
+
+seeds = st.integers(0, 2**31)
+
+
+def config_of(rule: int = AVOIDANCE_SET_BASED, **changes) -> ClearanceConfig:
+    gain = LoopGain(1.0, 1e-2, 1.0, KAPPA, PROFILE_PAPER)
+    return ClearanceConfig(rule, 0.0, gain, 0.0, 0.5, 1e9, 1.0)._replace(**changes)
+
+
+def object_at(centre, velocity=(0.0, 0.0, 0.0), keep_out: float = KEEP_OUT) -> np.ndarray:
+    return np.array([*centre, keep_out, *velocity], dtype=float)
+
+
+def result(position, wanted, near, config, memory=None, age: float = 0.0):
+    """The clearance task and the composed velocity."""
+    memory = none_met() if memory is None else memory
+    top: Clearance = clearance(position, wanted, near, age, memory, DT, config)
+    return top, composed(top, np.eye(3), FREE).velocity
+
+
+@given(seed=seeds)
+def test_one_object_is_the_closed_form(seed: int) -> None:
+    """v = v_F + [-alpha (d - d_d) - n.(v_F - v_o)]_+ n, moving object or not, inside or outside."""
+    rng = np.random.default_rng(seed)
+    position, wanted, moving = rng.normal(size=(3, 3))
+    near = object_at(rng.normal(size=3), moving)[np.newaxis]
+    n = position - near[0, 0:3]
+    d = np.linalg.norm(n)
+    n = n / d
+    alpha = FIRST if d < KEEP_OUT else KAPPA
+    lack = -alpha * (d - KEEP_OUT) - n @ (wanted - moving)
+    top, velocity = result(position, wanted, near, config_of())
+    np.testing.assert_allclose(velocity, wanted + max(lack, 0.0) * n, atol=1e-12)
+    assert top.jacobian.shape[0] == int(lack > 0.0)
+
+
+def test_alpha_is_rearmed_at_every_encounter_inside() -> None:
+    """Inside, the time base of the encounter adds to kappa: it has reached its peak after half a second."""
+    near = object_at((0.0, 0, 0))[np.newaxis]
+    position, memory, pushes = np.array([1.0, 0.0, 0.0]), none_met(), []
+    for _ in range(120):
+        top, velocity = result(position, np.zeros(3), near, config_of(), memory)
+        memory = top.encounters
+        pushes.append(velocity[0])
+    assert pushes[0] == pytest.approx(FIRST * 0.5)
+    assert max(pushes) == pytest.approx((KAPPA + 2.7228 * 5.0) * 0.5, rel=0.08)
+    assert pushes[-1] == pytest.approx(KAPPA * 0.5)
+
+
+def least_change(wanted: np.ndarray, normals: np.ndarray, least: np.ndarray) -> np.ndarray:
+    """Nearest admissible velocity by trying all sets of binding rows."""
+    best = None
+    for count in range(4):
+        for rows in combinations(range(len(least)), count):
+            a, b = normals[list(rows)], least[list(rows)]
+            v = wanted + np.linalg.pinv(a) @ (b - a @ wanted) if rows else wanted
+            if np.all(normals @ v >= least - 1e-9):
+                size = np.linalg.norm(v - wanted)
+                best = v if best is None or size < np.linalg.norm(best - wanted) else best
+    return best
+
+
+@given(seed=seeds, count=st.integers(2, 4))
+def test_many_objects_are_kept_clear_of_with_the_least_change(seed: int, count: int) -> None:
+    """All on one side, so that the demands do not contradict each other."""
+    rng = np.random.default_rng(seed)
+    directions = rng.normal(size=(count, 3))
+    directions[:, 0] = np.abs(directions[:, 0]) + 1.0
+    directions /= np.linalg.norm(directions, axis=1)[:, np.newaxis]
+    distances = rng.uniform(1.4, 2.0, count)
+    near = np.stack([object_at(distances[m] * directions[m]) for m in range(count)])
+    wanted = rng.normal(size=3) + np.array([2.0, 0, 0])
+    normals = -directions
+    demanded = np.where(distances < KEEP_OUT, FIRST, KAPPA) * (KEEP_OUT - distances)
+    expected = least_change(wanted, normals, demanded)
+    top, velocity = result(np.zeros(3), wanted, near, config_of())
+    assert np.all(normals @ velocity >= demanded - 1e-6)
+    np.testing.assert_allclose(velocity, expected, atol=1e-6)
+    # only rows that bind are tasks, and the task's velocity is all in their row space
+    np.testing.assert_allclose(top.jacobian @ velocity, top.jacobian @ top.velocity, atol=1e-6)
+
+
+def test_between_two_objects_neither_is_given_up() -> None:
+    near = np.stack([object_at((1.4, 1.0, 0)), object_at((1.4, -1.0, 0))])
+    top, velocity = result(np.zeros(3), np.array([1.0, 0.1, 0]), near, config_of())
+    assert top.jacobian.shape[0] == 2
+    for row in near:
+        n = -row[0:3] / np.linalg.norm(row[0:3])
+        assert n @ velocity >= KAPPA * (KEEP_OUT - np.linalg.norm(row[0:3])) - 1e-6
+    assert velocity[2] == 0.0
+
+
+def test_what_was_seen_some_time_ago_has_moved_on() -> None:
+    position, wanted, moving = np.array([3.0, 0, 0]), np.zeros(3), (2.0, 0.0, 0.0)
+    seen = object_at((0.0, 0, 0), moving)[np.newaxis]
+    now = object_at((0.6, 0, 0), moving)[np.newaxis]
+    _, one = result(position, wanted, seen, config_of(), age=0.3)
+    _, other = result(position, wanted, now, config_of())
+    np.testing.assert_allclose(one, other, atol=1e-12)
+
+
+def fly(config, wanted_at, start, near, seconds: float, noise: float = 0.0):
+    """Single integrator: positions, velocities, number of binding rows, last memory."""
+    rng = np.random.default_rng(0)
+    position, memory = np.array(start, dtype=float), none_met()
+    positions, velocities, rows = [], [], []
+    for k in range(round(seconds / DT)):
+        seen = position + noise * rng.normal(size=3)
+        top, velocity = result(seen, wanted_at(position), near(k * DT), config, memory)
+        memory = top.encounters
+        position = position + DT * velocity
+        positions.append(position)
+        velocities.append(velocity)
+        rows.append(top.jacobian.shape[0])
+    return np.array(positions), np.array(velocities), np.array(rows), memory
+
+
+def standing(*rows):
+    table = np.stack(rows)
+    return lambda _: table
+
+
+ROCK = standing(object_at((0.0, 0, 0)))
+
+
+def eastwards(_: np.ndarray) -> np.ndarray:
+    return np.array([1.0, 0.0, 0.0])
+
+
+def test_inside_pushes_out() -> None:
+    positions, _, _, _ = fly(config_of(), lambda _: np.zeros(3), (0.3, 0.4, 0), ROCK, 3.0)
+    distance = np.linalg.norm(positions, axis=1)
+    assert np.all(np.diff(distance) >= 0.0)
+    assert distance[100] > KEEP_OUT - 0.02  # the encounter's time base: 1 m to its residual in 1 s
+    assert distance[-1] == pytest.approx(KEEP_OUT, abs=1e-3)
+
+
+def test_printed_34_switches_avoidance_off_inside() -> None:
+    """max(d, d_d) is d_d inside, so the printed error d_d - max(d, d_d) is zero where it must not be."""
+    for distance in (0.1, 0.8, 1.4):
+        assert KEEP_OUT - max(distance, KEEP_OUT) == 0.0
+        top, _ = result(np.array([distance, 0, 0]), np.zeros(3), ROCK(0.0), config_of())
+        assert top.velocity[0] == pytest.approx(FIRST * (KEEP_OUT - distance))
+
+
+def test_a_moving_object_is_given_way_to() -> None:
+    def passing(t: float) -> np.ndarray:
+        return object_at((-6.0 + t, 0.2, 0.0), (1.0, 0, 0))[np.newaxis]
+
+    positions, _, _, _ = fly(config_of(), lambda p: -p, (0.0, 0, 0), passing, 12.0)
+    centres = np.stack([passing((k + 1) * DT)[0, 0:3] for k in range(len(positions))])
+    assert np.linalg.norm(positions - centres, axis=1).min() >= KEEP_OUT - 1e-3
+    assert np.linalg.norm(positions[-1]) < 0.05
+
+
+def test_set_based_is_continuous_across_the_boundary() -> None:
+    wanted = np.array([1.0, 0.3, 0.0])
+    places = np.linspace(1.0, 3.0, 4001)
+    found = [result(np.array([-x, 0.2, 0]), wanted, ROCK(0.0), config_of())[1] for x in places]
+    assert np.abs(np.diff(found, axis=0)).max() < 5.0 * KAPPA * (places[1] - places[0])
+    config = config_of(AVOIDANCE_SWITCHED)
+    jumps = [result(np.array([-x, 0.2, 0]), wanted, ROCK(0.0), config)[1] for x in places]
+    assert np.abs(np.diff(jumps, axis=0)).max() > 0.5
+
+
+@pytest.mark.parametrize(("noise", "ratio"), [(0.0, 3.0), (0.01, 3.0), (0.02, 3.0)])
+def test_switched_chatters_where_set_based_glides(noise: float, ratio: float) -> None:
+    """A pass 0.6 m off the centre: total variation of the velocity, and changes of the task stack."""
+    moved, changes, least = {}, {}, {}
+    for rule in (AVOIDANCE_SET_BASED, AVOIDANCE_SWITCHED):
+        start = (-4.0, 0.6, 0.0)
+        positions, velocities, rows, _ = fly(config_of(rule), eastwards, start, ROCK, 10.0, noise)
+        moved[rule] = np.abs(np.diff(velocities, axis=0)).sum()
+        changes[rule] = np.count_nonzero(np.diff(rows))
+        least[rule] = np.linalg.norm(positions, axis=1).min()
+        assert positions[-1][0] > 4.0
+    assert moved[AVOIDANCE_SWITCHED] > ratio * moved[AVOIDANCE_SET_BASED]
+    assert changes[AVOIDANCE_SWITCHED] >= 5 * changes[AVOIDANCE_SET_BASED]
+    assert changes[AVOIDANCE_SET_BASED] <= 6
+    assert least[AVOIDANCE_SET_BASED] > least[AVOIDANCE_SWITCHED]
+    assert least[AVOIDANCE_SET_BASED] > KEEP_OUT - 0.5 * noise
+
+
+def to_goal(position: np.ndarray) -> np.ndarray:
+    return limited(np.array([4.0, 0, 0]) - position, 1.0)
+
+
+@pytest.mark.parametrize("rule", [AVOIDANCE_SET_BASED, AVOIDANCE_SWITCHED])
+def test_a_goal_straight_behind_is_a_dead_end(rule: int) -> None:
+    positions, _, _, _ = fly(config_of(rule), to_goal, (-4.0, 0, 0), ROCK, 25.0)
+    np.testing.assert_allclose(positions[-1], [-KEEP_OUT, 0, 0], atol=0.02)
+
+
+def test_circulation_leads_out_of_the_dead_end() -> None:
+    config = config_of(circulation=0.6)
+    positions, _, _, memory = fly(config, to_goal, (-4.0, 0, 0), ROCK, 25.0)
+    assert np.linalg.norm(positions, axis=1).min() >= KEEP_OUT - 1e-3
+    np.testing.assert_allclose(positions[-1], [4.0, 0, 0], atol=1e-3)
+    assert memory[:, USED].sum() == 0  # the encounter is over
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+@pytest.mark.parametrize("height", [0.0, 1.0])
+def test_circulation_keeps_to_the_side_it_is_on(height: float, side: float) -> None:
+    near = standing(object_at((0.0, 0, height)))
+    start = (-4.0, 0.05 * side, 0.0)
+    positions, _, _, _ = fly(config_of(circulation=0.6), to_goal, start, near, 25.0)
+    assert (side * positions[:, 1]).min() > -0.01
+    assert (side * positions[:, 1]).max() > 0.2
+    np.testing.assert_allclose(positions[-1], [4.0, 0, 0], atol=1e-3)
+
+
+def test_time_out_takes_the_other_side_of_a_wall() -> None:
+    """A wall of spheres whose left end is far: the side first taken leads nowhere in time."""
+    wall = standing(*(object_at((0.0, 1.2 * k, 0.0)) for k in range(-1, 12)))
+    side = {}
+    for timeout in (1e9, 3.0):
+        config = config_of(circulation=0.6, timeout_s=timeout)
+        memory, position, sides = none_met(), np.array([-2.0, 0.3, 0.0]), set()
+        for _ in range(1500):
+            top, velocity = result(position, to_goal(position), wall(0.0), config, memory)
+            memory = top.encounters
+            sides |= set(memory[memory[:, USED] > 0.0, SIDE])
+            position = position + DT * velocity
+        side[timeout] = sides
+    assert len(side[3.0]) == 2
+
+
+def test_tangent_is_across_the_normal() -> None:
+    for n in np.random.default_rng(1).normal(size=(50, 3)):
+        n = n / np.linalg.norm(n)
+        way = tangent(n)
+        assert np.linalg.norm(way) == pytest.approx(1.0)
+        assert way @ n == pytest.approx(0.0, abs=1e-12)
+    np.testing.assert_allclose(tangent(np.array([1.0, 0, 0])), [0, 1, 0])
+    np.testing.assert_allclose(tangent(np.array([0.0, 0, 1.0])), [0, -1, 0])  # nearly vertical
+
+
+def test_without_rule_or_objects_nothing_changes() -> None:
+    wanted = np.array([1.0, 2, 3])
+    for rule, near in ((AVOIDANCE_OFF, ROCK(0.0)), (AVOIDANCE_SET_BASED, np.empty((0, 7)))):
+        top, velocity = result(np.array([0.5, 0, 0]), wanted, near, config_of(rule))
+        np.testing.assert_array_equal(velocity, wanted)
+        assert top.jacobian.shape == (0, 3)
+
+
+def test_an_object_at_the_same_place_asks_for_nothing() -> None:
+    _, velocity = result(np.zeros(3), np.ones(3), ROCK(0.0), config_of())
+    np.testing.assert_array_equal(velocity, np.ones(3))
+
+
+def test_margin_adds_to_the_keep_out() -> None:
+    position, near = np.array([2.0, 0, 0]), ROCK(0.0)
+    _, velocity = result(position, np.zeros(3), near, config_of(margin_m=0.8))
+    assert velocity[0] == pytest.approx(FIRST * 0.3)

@@ -1,0 +1,195 @@
+"""Behaviours: the formation law against what (30) prints, leader and attitude in closed form, the limit."""
+
+import numpy as np
+import pytest
+
+from ptnsbc_core.kinematics import euler_rates, quaternion_from_euler
+from ptnsbc_core.nullspace import damped_solve
+from ptnsbc_core.planner import (
+    Armed,
+    Neighbour,
+    attitude,
+    composed,
+    formation,
+    hold,
+    leader_tracking,
+)
+from ptnsbc_core.tasks.clearance import Clearance
+from ptnsbc_core.tasks.encounters import none_met
+from ptnsbc_core.tasks.registry import evaluate, task_error
+from ptnsbc_core.timebase import Clock, loop_gain
+from ptnsbc_core.trajectory import reference
+from ptnsbc_core.types import PROFILE_PAPER, PROFILE_REFERENCE, PROFILE_SOFT, TASKS
+from ptnsbc_sim.scenario import agent_config, load_scenario
+
+DT, TF = 0.01, 5.0
+FOLLOWERS = (2, 3, 4, 5)
+NONE = Armed(False, np.zeros(3), np.zeros(3))
+
+
+def by_the_design(position, parent, leader, clock, config):
+    return formation(position, parent, leader, NONE, clock, config).velocity
+
+
+def without_neighbours(sign: float):
+    """(30): J^+ Lambda G e, and the leader's velocity with a sign; the neighbours' are not in it."""
+
+    def law(position, parent, leader, clock, config):
+        geometry = evaluate(config.task, position, parent.position, leader.position + config.anchor)
+        rate = loop_gain(config.formation, clock) * task_error(geometry, config.desired)
+        jacobian = geometry.own * config.row_scale.reshape(3, 1)
+        scaled = config.row_scale * rate
+        solved = damped_solve(
+            jacobian, scaled, np.zeros(3), config.damping_threshold, config.damping_max
+        )
+        return sign * leader.velocity + solved
+
+    return law
+
+
+def chain(task: str, law, seconds: float = TF, profile: int = PROFILE_PAPER, kappa: float = 0.0):
+    """Formation errors [m] of four single integrators behind the leader of Table 2, time base only."""
+    scenario = load_scenario("paper_5", {"formation.task": task})
+    configs = {uav: agent_config(scenario, uav) for uav in scenario.uav_ids}
+    for uav, config in configs.items():
+        loop = config.formation._replace(kappa=kappa, profile=profile, scale=1.0, residual=1e-2)
+        configs[uav] = config._replace(formation=loop)
+    place = {uav: scenario.uav(uav).position.copy() for uav in scenario.uav_ids}
+    speed = {}
+    for k in range(round(seconds / DT)):
+        clock = Clock(k * DT, k * DT, DT)
+        desired = reference(configs[1].trajectory, k * DT)
+        speed[1] = leader_tracking(place[1], desired, NONE, clock, configs[1]).velocity
+        leader = Neighbour(place[1], speed[1])
+        for uav in FOLLOWERS:
+            parent = Neighbour(place[uav - 1], speed[uav - 1])
+            speed[uav] = law(place[uav], parent, leader, clock, configs[uav])
+        for uav in place:
+            place[uav] = place[uav] + DT * speed[uav]
+    return np.array(
+        [np.linalg.norm(place[uav] - place[1] - scenario.offset(uav)) for uav in FOLLOWERS]
+    )
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_formation_is_there_at_the_deadline(task: str) -> None:
+    assert chain(task, by_the_design).max() < 0.01
+
+
+def test_printed_sign_of_30_is_metres_off() -> None:
+    errors = chain("distance_angles", without_neighbours(-1.0))
+    assert errors.min() > 2.0
+    assert errors.max() > 5.0
+    # nor does the printed "+ 1" in its gain help
+    assert chain("distance_angles", without_neighbours(-1.0), kappa=1.0).max() > 2.0
+
+
+def test_without_the_neighbours_velocities_it_is_decimetres_off() -> None:
+    errors = chain("distance_angles", without_neighbours(1.0))
+    assert 0.1 < errors.max() < 1.0
+    assert errors.max() > 20.0 * chain("distance_angles", by_the_design).max()
+
+
+def test_fallback_steers_where_the_task_cannot() -> None:
+    """(23) is singular at a right angle at k; the law still closes on the desired offset."""
+    config = agent_config(load_scenario("paper_5"), 4)
+    parent = Neighbour(np.array([-1.0, -1.0, 0.0]), np.zeros(3))
+    leader = Neighbour(np.zeros(3), np.zeros(3))
+    position = np.array([1.0, -1.0, 0.0])
+    clock = Clock(10.0, 10.0, DT)
+    first = formation(position, parent, leader, NONE, clock, config)
+    assert first.singular_value < 1e-6
+    for _ in range(1500):
+        out = formation(position, parent, leader, NONE, clock, config)
+        position = position + DT * out.velocity
+    desired = evaluate(config.task, position, parent.position, leader.position)
+    assert np.linalg.norm(task_error(desired, config.desired)) < 0.02
+
+
+def test_leaders_velocity_stays_outside_the_damping() -> None:
+    """At a singular configuration without error, the UAV moves exactly as the leader does."""
+    config = agent_config(load_scenario("paper_5"), 4)
+    moving = np.array([0.5, -0.2, 0.1])
+    parent, leader = Neighbour(np.array([-1.0, -1.0, 0]), moving), Neighbour(np.zeros(3), moving)
+    position = np.array([1.0, -1.0, 0.0])
+    here = evaluate(config.task, position, parent.position, leader.position).value
+    config = config._replace(desired=here, offset=position - parent.position)
+    out = formation(position, parent, leader, NONE, Clock(1.0, 1.0, DT), config)
+    assert out.singular_value < 1e-6
+    np.testing.assert_allclose(out.velocity, moving, atol=1e-12)
+
+
+@pytest.mark.parametrize("profile", [PROFILE_PAPER, PROFILE_SOFT, PROFILE_REFERENCE])
+def test_leader_reaches_a_place_in_closed_form(profile: int) -> None:
+    config = agent_config(load_scenario("paper_5"), 1)
+    loop = config.formation._replace(kappa=0.0, profile=profile, scale=1.0, residual=1e-2)
+    trajectory = np.zeros(12)
+    trajectory[0:4] = [1.0, 4.0, -3.0, 8.0]
+    config = config._replace(formation=loop, trajectory=trajectory)
+    position, start = np.zeros(3), np.array([4.0, -3.0, 8.0])
+    for k in range(round(TF / DT)):
+        clock = Clock(k * DT, k * DT, DT)
+        armed = Armed(k == 0, start, np.zeros(3))
+        desired = reference(trajectory, k * DT)
+        position = position + DT * leader_tracking(position, desired, armed, clock, config).velocity
+    left = 0.0 if profile == PROFILE_REFERENCE else 1e-2 / 1.01
+    np.testing.assert_allclose(start - position, left * start, atol=1e-9)
+
+
+def test_leader_stays_on_the_circle() -> None:
+    config = agent_config(load_scenario("paper_5"), 1)
+    position = np.array([0.0, 1.0, 1.0])
+    for k in range(round(12.0 / DT)):
+        clock = Clock(k * DT, k * DT, DT)
+        desired = reference(config.trajectory, k * DT)
+        position = position + DT * leader_tracking(position, desired, NONE, clock, config).velocity
+        if k * DT > TF:
+            assert (
+                np.linalg.norm(reference(config.trajectory, (k + 1) * DT).position - position)
+                < 0.01
+            )
+
+
+def test_attitude_decays_in_closed_form() -> None:
+    """beta_dot = W W^-1 Lambda G beta~: the Euler angles decay as if they were alone."""
+    config = agent_config(load_scenario("paper_5", {"plant.kind": "rigid_body_6dof"}), 1)
+    loop = config.attitude._replace(kappa=0.0, profile=PROFILE_PAPER, scale=1.0)
+    config = config._replace(attitude=loop)
+    euler, own = np.ones(3), np.zeros(13)
+    for k in range(round(loop.duration_s / DT)):
+        own[3:7] = quaternion_from_euler(euler)
+        rates, error = attitude(own, 0.2, NONE, Clock(k * DT, k * DT, DT), config)
+        np.testing.assert_allclose(error, [-euler[0], -euler[1], 0.2 - euler[2]], atol=1e-12)
+        euler = euler + DT * euler_rates(euler, rates)
+    left = loop.residual / (1.0 + loop.residual)
+    np.testing.assert_allclose(euler, [left, left, 0.2 + 0.8 * left], rtol=1e-9)
+
+
+def test_yaw_is_turned_the_short_way() -> None:
+    config = agent_config(load_scenario("paper_5", {"plant.kind": "rigid_body_6dof"}), 1)
+    own = np.zeros(13)
+    own[3:7] = quaternion_from_euler(np.array([0.0, 0.0, 3.0]))
+    _, error = attitude(own, -3.0, NONE, Clock(0.0, 0.0, DT), config)
+    assert error[2] == pytest.approx(2.0 * np.pi - 6.0)
+
+
+def test_hold_is_proportional_and_limited() -> None:
+    config = agent_config(load_scenario("paper_5"), 1)
+    config = config._replace(hold_gain=1.0, filter=config.filter._replace(max_speed=4.0))
+    place = np.array([1.0, 2.0, 3.0, 0.5])
+    np.testing.assert_allclose(hold(np.array([1.0, 1.0, 3.0]), place, config), [0, 1, 0])
+    far = hold(np.array([31.0, 2.0, 43.0]), place, config)
+    np.testing.assert_allclose(far, [-1.2, 0, -1.6])
+
+
+def test_speed_limit_takes_from_the_formation_first() -> None:
+    top = Clearance(
+        np.array([3.0, 0, 0]), np.array([[1.0, 0, 0]]), np.array([-9.0, 8, 0]), none_met()
+    )
+    out = composed(top, np.eye(3), 5.0)
+    np.testing.assert_allclose(out.velocity, [3.0, 4.0, 0.0], atol=1e-12)
+    assert out.limited
+    assert out.violation == pytest.approx(0.0, abs=1e-12)
+    free = composed(top, np.eye(3), 50.0)
+    np.testing.assert_allclose(free.velocity, [3.0, 8.0, 0.0])
+    assert not free.limited
