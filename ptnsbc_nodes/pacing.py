@@ -1,12 +1,15 @@
-"""Real-time bookkeeping: ticks that were missed, and the latency of the control loop."""
+"""Bookkeeping of time: missed ticks, the latency of the control loop, the speed of a flight."""
 
 from __future__ import annotations
 
+import sys
+import time
 from collections import deque
 
 import numpy as np
 
 _LATENCY_WINDOW = 5000
+_PROGRESS_S = 2.0
 
 
 class Pace:
@@ -45,3 +48,34 @@ class Latency:
         if not self._recent_s:
             return 0.0
         return float(np.percentile(np.fromiter(self._recent_s, float), percent))
+
+
+class Progress:
+    """A line on stderr now and then: simulated time and steps per second."""
+
+    def __init__(self, control_hz: int) -> None:
+        self._control_hz = control_hz
+        self._began = self._shown = 0.0
+        self._shown_ticks = 0
+
+    def begin(self) -> None:
+        """The first tick."""
+        self._began = self._shown = time.monotonic()
+
+    def show(self, ticks: int) -> None:
+        """Print if it is time."""
+        now = time.monotonic()
+        if now - self._shown >= _PROGRESS_S:
+            self._print(ticks, (ticks - self._shown_ticks) / (now - self._shown))
+            self._shown, self._shown_ticks = now, ticks
+
+    def end(self, ticks: int) -> None:
+        """Print the average of the flight."""
+        self._print(ticks, ticks / max(time.monotonic() - self._began, 1e-9))
+
+    def _print(self, ticks: int, rate: float) -> None:
+        print(
+            f"sim: {ticks / self._control_hz:.2f} s, {rate:.0f} steps/s",
+            file=sys.stderr,
+            flush=True,
+        )

@@ -6,8 +6,6 @@ node-clock timer steps with the newest wrench of each UAV; without a fresh one a
 
 from __future__ import annotations
 
-import sys
-import time
 from collections.abc import Callable
 
 from rclpy.clock import Clock, ClockType
@@ -18,14 +16,13 @@ from ptnsbc_nodes import topics
 from ptnsbc_nodes.edges import Edges
 from ptnsbc_nodes.endpoints import LOST, READY, Endpoints
 from ptnsbc_nodes.epochs import Epochs
-from ptnsbc_nodes.pacing import Latency, Pace
+from ptnsbc_nodes.pacing import Latency, Pace, Progress
 from ptnsbc_nodes.senses import Senses
 from ptnsbc_nodes.status import STATUS_HZ, Level, diagnostics, readiness
 from ptnsbc_nodes.wire import Stamped, decode_header, decode_wrench
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.world import World
 
-_PROGRESS_S = 2.0
 _MAX_CATCH_UP_S = 0.5
 
 
@@ -177,34 +174,3 @@ class Sim:
         message = f"waiting for {' '.join(missing)}" if missing else ""
         send = self._status if stamp_ns >= 0 else self._early_status
         send(diagnostics(max(stamp_ns, 0), "sim: world", level, message, values))
-
-
-class Progress:
-    """A line on stderr now and then: simulated time and steps per second."""
-
-    def __init__(self, control_hz: int) -> None:
-        self._control_hz = control_hz
-        self._began = self._shown = 0.0
-        self._shown_ticks = 0
-
-    def begin(self) -> None:
-        """The first tick."""
-        self._began = self._shown = time.monotonic()
-
-    def show(self, ticks: int) -> None:
-        """Print if it is time."""
-        now = time.monotonic()
-        if now - self._shown >= _PROGRESS_S:
-            self._print(ticks, (ticks - self._shown_ticks) / (now - self._shown))
-            self._shown, self._shown_ticks = now, ticks
-
-    def end(self, ticks: int) -> None:
-        """Print the average of the flight."""
-        self._print(ticks, ticks / max(time.monotonic() - self._began, 1e-9))
-
-    def _print(self, ticks: int, rate: float) -> None:
-        print(
-            f"sim: {ticks / self._control_hz:.2f} s, {rate:.0f} steps/s",
-            file=sys.stderr,
-            flush=True,
-        )
