@@ -1,4 +1,4 @@
-"""One UAV on ROS 2: bytes in, one call of `ptnsbc_core.agent.step` per tick, bytes out.
+"""One UAV on ROS 2: bytes in, one call of `Agent.step` per tick, bytes out.
 
 In real time a node-clock timer ticks at the control rate with the newest of everything. In
 lock-step a tick happens when all that it needs is here: own odometry of tick k, the neighbours'
@@ -12,8 +12,8 @@ from collections.abc import Callable
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
-from ptnsbc_core.agent import initial_state, step
-from ptnsbc_core.types import MODE_HOLD, AgentState
+from ptnsbc_core.agent import Agent
+from ptnsbc_core.types import MODE_HOLD
 from ptnsbc_nodes import topics
 from ptnsbc_nodes.edges import Edges
 from ptnsbc_nodes.endpoints import LOST, READY, Endpoints
@@ -45,7 +45,7 @@ class Uav:
         self._epochs = Epochs()
         self._pace = Pace(self._period_ns)
         self._tally = Tally()
-        self._state: AgentState | None = None
+        self._agent: Agent | None = None
         self._done_ns = -1  # stamp of the newest tick that is done
         self._born_ns = self._clock_ns()
         self._subscribe(uav_id, edges)
@@ -157,10 +157,10 @@ class Uav:
         else:
             mode, t0_ns, first_ns = leg.mode, leg.t0_ns, leg.first_t0_ns
         inputs = self._inbox.inputs(now_ns, cutoff_ns, mode, (now_ns - first_ns) * 1e-9)
-        if self._state is None:
-            self._state = initial_state(inputs.own, self._config)
+        if self._agent is None:
+            self._agent = Agent(self._config, inputs.own)
         dt = elapsed_ns * 1e-9
-        self._state, outputs = step(self._state, inputs, (now_ns - t0_ns) * 1e-9, dt, self._config)
+        outputs = self._agent.step(inputs, (now_ns - t0_ns) * 1e-9, dt)
         self._done_ns = now_ns
         self._outbox.send(own, outputs)
         if leg is not None:

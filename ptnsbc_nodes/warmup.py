@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ptnsbc_core.agent import initial_state, step
+from ptnsbc_core.agent import Agent
 from ptnsbc_core.types import ODOMETRY_SIZE
 from ptnsbc_nodes.edges import Edges, FlightOptions
 from ptnsbc_nodes.inbox import Inbox
@@ -20,7 +20,7 @@ def load_agent(scenario: Scenario, uav_id: int) -> None:
     own[6] = 1.0
     inbox = Inbox(Edges(scenario, FlightOptions()).senders(uav_id))
     inbox.own = Stamped(0, own)
-    step(initial_state(own, config), inbox.inputs(0, 0), 0.0, scenario.dt_ns * 1e-9, config)
+    Agent(config, own).step(inbox.inputs(0, 0), 0.0, scenario.dt_ns * 1e-9)
 
 
 def load_world(scenario: Scenario) -> None:
