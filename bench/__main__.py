@@ -1,0 +1,87 @@
+"""`python -m bench [--quick] [--only NAME] [--json] [-o FILE.md]`: measure, and print one table."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+import os
+import sys
+from collections.abc import Mapping, Sequence
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from bench.session import Machine, Plan, say, sentences
+from bench.table import Row, markdown, rich_table
+from ptnsbc_core.errors import PtnsbcError
+
+SECTIONS = ("step", "headless", "startup", "recorder", "lockstep", "realtime")
+_NARROWEST = 150
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Exit code 1 when a section could not be measured; a missed target is no failure."""
+    options = _parser().parse_args(argv)
+    plan, machine = Plan(options.quick), Machine()
+    rows: list[Row] = []
+    failed: dict[str, str] = {}
+    for section in options.only or SECTIONS:
+        say(f"{section} …")
+        try:
+            found = import_module(f"bench.{section}").measure(plan)
+        except (ImportError, PtnsbcError) as error:
+            failed[section] = str(error)
+            say(f"{section} failed: {error}")
+            continue
+        rows += [dataclasses.replace(row, section=section) for row in found]
+    _show(options, rows, failed, machine.facts())
+    return int(bool(failed))
+
+
+def _show(
+    options: argparse.Namespace,
+    rows: Sequence[Row],
+    failed: Mapping[str, str],
+    facts: Mapping[str, Any],
+) -> None:
+    if options.json:
+        found = {
+            "quick": options.quick,
+            "machine": facts,
+            "rows": [row.as_json() for row in rows],
+            "failed": failed,
+        }
+        print(json.dumps(found))
+    else:
+        console = Console()
+        if not console.is_terminal:
+            console = Console(width=max(console.width, _NARROWEST))
+        console.print(rich_table(rows))
+        for sentence in sentences(facts):
+            console.print(sentence, highlight=False)
+    if options.output is not None:
+        _write(options.output, markdown(rows, sentences(facts)))
+
+
+def _write(path: Path, text: str) -> None:
+    beside = path.with_name(f".{path.name}.part")
+    beside.write_text(text, encoding="utf-8")
+    os.replace(beside, path)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="bench", description="Measure what the README quotes.")
+    parser.add_argument(
+        "--only", action="append", choices=SECTIONS, metavar="NAME", help=", ".join(SECTIONS)
+    )
+    parser.add_argument("--quick", action="store_true", help="fewer and shorter runs")
+    parser.add_argument("--json", action="store_true", help="one JSON object on stdout")
+    parser.add_argument("-o", "--output", type=Path, metavar="FILE.md", help="Markdown, for docs")
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())

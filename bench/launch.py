@@ -1,0 +1,166 @@
+"""Flights of real processes: the project's fleet, and the reference with the same processes."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import mean
+
+from bench.observer import Observer
+from bench.pingpong import READY
+from bench.session import own_domain
+from bench.usage import Sampler, Usage
+from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_nodes import environment
+from ptnsbc_nodes.children import Child, Command, end
+from ptnsbc_nodes.fleet import FleetOptions, FleetResult, run_fleet
+from ptnsbc_sim.scenario import Scenario
+
+_LOOK_S = 0.05
+_MODULE = "bench.pingpong"
+
+
+class BenchError(PtnsbcError):
+    """A run from which no figure can be read."""
+
+
+@dataclass(frozen=True)
+class Flown:
+    """What one flight showed; a figure its mode does not have is 0."""
+
+    steps_per_s: float
+    missed_percent: float  # of the ticks of all UAVs
+    latency_p50_ms: float  # odometry sent to wrench received
+    latency_p99_ms: float
+    lost_percent: float  # of the messages that a recorder should have had
+    usage: Mapping[str, Usage]
+
+
+def fleet(scenario: Scenario, *, lockstep: bool, bag: bool) -> Flown:
+    """Fly by `run_fleet`, as a user does."""
+    rate = 0.0
+    with (
+        tempfile.TemporaryDirectory(prefix="bench-") as folder,
+        own_domain() as domain,
+        Observer(domain) as observer,
+        Sampler() as sampler,
+    ):
+
+        def progress(line: str) -> None:
+            nonlocal rate
+            if line.endswith("started"):
+                sampler.begin()
+            if line.endswith("steps/s"):
+                rate = float(line.split()[-2])  # the last line is the average of the flight
+
+        options = FleetOptions(
+            scenario,
+            lockstep=lockstep,
+            bag=Path(folder) / "bag" if bag else None,
+            log_dir=Path(folder) / "logs",
+        )
+        result = run_fleet(options, progress)
+        told = observer.newest()
+    if result.died or result.interrupted:
+        raise BenchError(f"fleet of {len(scenario.uav_ids)}: interrupted or lost {result.died}")
+    uavs = [values for name, values in told.items() if name.startswith("uav")]
+    return Flown(
+        rate,
+        _percent(
+            sum(int(values["missed_ticks"]) for values in uavs),
+            sum(int(values["ticks"]) for values in uavs),
+        ),
+        float(told["sim"]["latency_p50_ms"]),
+        float(told["sim"]["latency_p99_ms"]),
+        _lost(result),
+        sampler.usage(),
+    )
+
+
+def bare(scenario: Scenario, *, lockstep: bool, bag: bool) -> Flown:
+    """The same processes without a mind; `bag` adds one that hears everything and drops it."""
+    roles = [("recorder", 0)] if bag else []
+    roles += [("sim", 0), *(("uav", i) for i in scenario.uav_ids)]
+    flags = [flag for flag, on in (("--lockstep", lockstep), ("--recorded", bag)) if on]
+    with (
+        tempfile.TemporaryDirectory(prefix="bench-") as name,
+        own_domain() as domain,
+        Sampler() as sampler,
+    ):
+        folder = Path(name)
+        file, go = folder / "scenario.yaml", folder / "go"
+        file.write_text(scenario.text, encoding="utf-8")
+        settings = environment.for_children(domain, len(roles) + 1, folder)
+        crew: list[Child] = []
+        try:
+            for role, uav in roles:
+                words = ("--scenario", str(file), "--role", role, "--uav", str(uav))
+                command = Command(
+                    f"{role}{uav}", _MODULE, (*words, "--go", str(go), *flags), uav or None
+                )
+                crew.append(Child(command, settings, folder))
+            wait_ready(crew)
+            sampler.begin()
+            go.touch()
+            _wait_landed(crew, scenario.duration_s)
+        finally:
+            end(crew)
+        told = {child.name: counts_of(child) for child in crew}
+    sim = told["sim0"]
+    uavs = [counts for who, counts in told.items() if who.startswith("uav")]
+    return Flown(
+        sim["ticks"] / sim["seconds"],
+        _percent(sum(each["missed"] for each in uavs), sum(each["ticks"] for each in uavs)),
+        sim["p50_ms"],
+        sim["p99_ms"],
+        0.0,
+        sampler.usage(),
+    )
+
+
+def wait_ready(crew: list[Child]) -> None:
+    deadline = time.monotonic() + 60.0 + 5.0 * len(crew)
+    waiting = list(crew)
+    while waiting:
+        for child in waiting:
+            if child.exit_code is not None:
+                raise BenchError(f"bare fleet: {child.obituary()}")
+        if time.monotonic() > deadline:
+            raise BenchError(f"bare fleet: not ready: {', '.join(c.name for c in waiting)}")
+        time.sleep(_LOOK_S)
+        waiting = [child for child in waiting if not child.says(READY)]
+
+
+def _wait_landed(crew: list[Child], duration_s: float) -> None:
+    deadline = time.monotonic() + 60.0 + 10.0 * duration_s
+    (sim,) = (child for child in crew if child.name == "sim0")
+    while sim.exit_code is None:
+        if time.monotonic() > deadline:
+            raise BenchError(f"bare fleet: the sim does not end\n{sim.tail()}")
+        time.sleep(_LOOK_S)
+
+
+def counts_of(child: Child) -> dict[str, float]:
+    try:
+        found: dict[str, float] = json.loads(child.last_line())
+    except ValueError:
+        raise BenchError(f"bare fleet: {child.obituary()}") from None
+    return found
+
+
+def _percent(part: float, rest: float) -> float:
+    return 100.0 * part / max(part + rest, 1.0)
+
+
+def _lost(result: FleetResult) -> float:
+    """Share of the ticks that one UAV's topics lack in the bag, on average."""
+    counts = result.recorded.get("topics", {})
+    ticks = counts.get("/clock", 0)
+    if not ticks:
+        return 0.0
+    kept = [count for name, count in counts.items() if name.endswith("/odom")]
+    return max(0.0, 100.0 * (1.0 - mean(kept) / ticks))

@@ -1,0 +1,128 @@
+"""One run of the benchmark: how much of it, on what machine, and runs that take turns."""
+
+from __future__ import annotations
+
+import os
+import platform
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+from itertools import cycle
+from typing import Any, TypeVar
+
+T = TypeVar("T")
+
+_PACKAGES = ("numpy", "numba", "ros-rclpy", "ros-rmw-fastrtps-cpp")
+_DOMAINS = cycle(range(71, 80))
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How much to measure."""
+
+    quick: bool = False
+
+    def of(self, full: T, quick: T) -> T:
+        """One of two."""
+        return quick if self.quick else full
+
+
+def say(line: str) -> None:
+    """Progress, beside the table."""
+    print(f"bench: {line}", file=sys.stderr, flush=True)
+
+
+def take_turns(
+    runs: Mapping[str, Callable[[], T]], repeats: int, label: str = ""
+) -> dict[str, list[T]]:
+    """Each of `runs` in turn, `repeats` times: A B A B, so that all see the same load."""
+    found: dict[str, list[T]] = {name: [] for name in runs}
+    for turn in range(repeats):
+        for name, run in runs.items():
+            if label:
+                say(f"{label}: {name}, {turn + 1} of {repeats}")
+            found[name].append(run())
+    return found
+
+
+def cpu_seconds(work: Callable[[], object], calls: int = 1) -> float:
+    """CPU time of one call [s], averaged over `calls`: on a busy machine wall time is chance."""
+    began = time.thread_time()
+    for _ in range(calls):
+        work()
+    return (time.thread_time() - began) / calls
+
+
+@contextmanager
+def own_domain() -> Iterator[int]:
+    """One of our ROS domains, each time the next: a fleet that has just ended is not met again."""
+    before = os.environ.get("ROS_DOMAIN_ID")
+    domain = next(_DOMAINS)
+    os.environ["ROS_DOMAIN_ID"] = str(domain)
+    try:
+        yield domain
+    finally:
+        if before is None:
+            del os.environ["ROS_DOMAIN_ID"]
+        else:
+            os.environ["ROS_DOMAIN_ID"] = before
+
+
+class Machine:
+    """What the figures were measured on, and how busy others kept it meanwhile."""
+
+    def __init__(self) -> None:
+        self._load = os.getloadavg()
+        self._began = time.monotonic()
+        self._busy_s = _busy_s() - _own_s()
+
+    def facts(self) -> dict[str, Any]:
+        """Cores, load averages before and after, cores that others used, versions."""
+        elapsed_s = max(time.monotonic() - self._began, 1e-9)
+        others = (_busy_s() - _own_s() - self._busy_s) / elapsed_s
+        return {
+            "cores": os.cpu_count(),
+            "load_before": [round(load, 2) for load in self._load],
+            "load_after": [round(load, 2) for load in os.getloadavg()],
+            "cores_used_by_others": round(max(others, 0.0), 2),
+            "elapsed_s": round(elapsed_s, 1),
+            "python": platform.python_version(),
+            "versions": dict(_versions()),
+        }
+
+
+def sentences(facts: Mapping[str, Any]) -> list[str]:
+    """The facts to read above the table."""
+    before, after = (" ".join(map(str, facts[key])) for key in ("load_before", "load_after"))
+    packages = ", ".join(f"{name} {number}" for name, number in facts["versions"].items())
+    return [
+        f"{facts['cores']} cores, of which others used {facts['cores_used_by_others']} meanwhile",
+        f"load average {before} before, {after} after {facts['elapsed_s']:.0f} s",
+        f"Python {facts['python']}, {packages}",
+        "step, headless, recorder: CPU time of one thread, which is wall time on an idle core",
+        "medians; every run of a figure alternates with one of its reference",
+    ]
+
+
+def _versions() -> Iterator[tuple[str, str]]:
+    for name in _PACKAGES:
+        try:
+            yield name, version(name)
+        except PackageNotFoundError:
+            continue
+
+
+def _busy_s() -> float:
+    """CPU time of everybody on this machine since it was started [s]."""
+    with open("/proc/stat", encoding="ascii") as file:
+        user, nice, system, _idle, _iowait, irq, softirq = map(int, file.readline().split()[1:8])
+    return (user + nice + system + irq + softirq) / os.sysconf("SC_CLK_TCK")
+
+
+def _own_s() -> float:
+    """CPU time of this process and of its children that have ended [s]."""
+    spent = os.times()
+    return spent.user + spent.system + spent.children_user + spent.children_system

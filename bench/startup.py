@@ -1,0 +1,152 @@
+"""Before the first tick: compiling the laws once, and starting a process with them compiled.
+
+As a module it is one of the processes measured: `compile` with an empty cache, or `node`, an rclpy
+node that does nothing but say that it is there.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from bench.session import Plan, cpu_seconds, own_domain, say, take_turns
+from bench.table import Row, Target
+
+_DEADLINE_S = 30.0
+_LOOK_S = 0.002
+_NODE_HZ = 5.0  # as the status of ours
+_LEADER = "1"
+
+
+class Start(NamedTuple):
+    """One process, from its creation to its first status heard by another."""
+
+    wall_s: float
+    cpu_s: float
+
+
+def measure(plan: Plan) -> Sequence[Row]:
+    """Rows of this section; compilation takes minutes and is left out when it has to be quick."""
+    return [*_ready(plan), *([] if plan.quick else _compilation())]
+
+
+def _compilation() -> list[Row]:
+    say("startup: compiling everything once")
+    with tempfile.TemporaryDirectory(prefix="bench-") as folder:
+        done = subprocess.run(
+            [sys.executable, "-m", __spec__.name, "compile"],
+            env={**os.environ, "PTNSBC_CACHE_DIR": folder, "PYTHONPATH": _root()},
+            stdout=subprocess.PIPE,
+            check=True,
+            text=True,
+        )
+    found: dict[str, float] = json.loads(done.stdout)
+    name, reference = "one LAPACK loop by numba", [found["reference"]]
+    fleet_s, target = found["fleet"], Target(90.0)
+    return [
+        Row("first compilation, fleet", [fleet_s], "s", name, reference, target=target),
+        Row("first compilation, headless too", [fleet_s + found["headless"]], "s", target=target),
+    ]
+
+
+def _compile() -> dict[str, float]:
+    """In a fresh process with an empty cache: CPU time of each first call."""
+    import numpy as np
+
+    from bench.scenarios import paper
+    from bench.step import lapack_loop
+    from ptnsbc_nodes.warmup import load_agent, load_world
+    from ptnsbc_sim.swarm import fly
+
+    scenario = paper(0.1)
+
+    def fleet() -> None:
+        load_agent(scenario, scenario.leader_id)
+        load_world(scenario)
+
+    return {
+        "reference": cpu_seconds(lambda: lapack_loop(np.eye(3)[None])),
+        "fleet": cpu_seconds(fleet),
+        "headless": cpu_seconds(lambda: fly(scenario)),
+    }
+
+
+def _ready(plan: Plan) -> list[Row]:
+    from bench.scenarios import paper
+    from ptnsbc_nodes.warmup import load_agent
+
+    scenario = paper(1.0)
+    load_agent(scenario, int(_LEADER))
+    with tempfile.TemporaryDirectory(prefix="bench-") as name:
+        folder = Path(name)
+        file = folder / "scenario.yaml"
+        file.write_text(scenario.text, encoding="utf-8")
+        own = ("ptnsbc_nodes.uav_node", "--scenario", str(file), "--uav", _LEADER, "--lockstep")
+        found = take_turns(
+            {
+                "bare node": lambda: _start(folder, __spec__.name, "node"),
+                "UAV": lambda: _start(folder, *own),
+            },
+            plan.of(7, 2),
+            "startup",
+        )
+    walls, cpus = (
+        {key: [start[index] for start in starts] for key, starts in found.items()}
+        for index in (0, 1)
+    )
+    name = "bare rclpy node"
+    return [
+        Row("warm UAV ready", walls["UAV"], "s", name, walls["bare node"], target=Target(2.0)),
+        Row("CPU time until then", cpus["UAV"], "s", name, cpus["bare node"]),
+    ]
+
+
+def _start(folder: Path, module: str, *arguments: str) -> Start:
+    from bench.launch import BenchError
+    from bench.observer import Observer
+    from bench.usage import look
+    from ptnsbc_nodes import environment
+    from ptnsbc_nodes.children import Child, Command, end
+
+    with own_domain() as domain, Observer(domain) as observer:
+        settings = environment.for_children(domain, 2, folder)
+        began = time.monotonic()
+        child = Child(Command("node", module, arguments), settings, folder)
+        try:
+            while (heard_at := observer.first_at()) is None:
+                if child.exit_code is not None or time.monotonic() > began + _DEADLINE_S:
+                    raise BenchError(f"{module}: not heard of\n{child.tail()}")
+                time.sleep(_LOOK_S)
+            return Start(heard_at - began, look(child.pid).cpu_s)
+        finally:
+            end([child])
+
+
+def _bare_node() -> None:
+    import rclpy
+    from diagnostic_msgs.msg import DiagnosticArray
+
+    rclpy.init()
+    node = rclpy.create_node("bare", start_parameter_services=False, enable_rosout=False)
+    publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
+    node.create_timer(1.0 / _NODE_HZ, lambda: publisher.publish(DiagnosticArray()))
+    while rclpy.ok():
+        rclpy.spin_once(node, timeout_sec=0.1)
+
+
+def _root() -> str:
+    return str(Path(__file__).resolve().parent.parent)
+
+
+if __name__ == "__main__":
+    if sys.argv[1] == "compile":
+        print(json.dumps(_compile()))
+    else:
+        _bare_node()

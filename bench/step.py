@@ -1,0 +1,112 @@
+"""One control step called from Python, and the eigen-solver inside it against LAPACK's."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from bench.scenarios import paper
+from bench.session import Plan, cpu_seconds, take_turns
+from bench.table import Row, Target
+from ptnsbc_core.agent import Agent, initial_state, step
+from ptnsbc_core.algebra import eigen3, gram3
+from ptnsbc_core.kernel import kernel
+from ptnsbc_core.types import MODE_FORMATION, AgentInputs, Array
+from ptnsbc_sim.scenario import Scenario, agent_config
+from ptnsbc_sim.world import World
+
+SVD = "NumPy 3×3 SVD"
+_MATRIX = np.array([[2.0, 0.3, -0.1], [0.2, 1.0, 0.4], [-0.3, 0.1, 0.5]])
+_FOLLOWER = 3
+_T_S = 2.0
+_MICRO, _NANO = 1e6, 1e9
+
+
+def numpy_svd() -> object:
+    """The reference: what one step costs to those who write it with NumPy, many times over."""
+    return np.linalg.svd(_MATRIX)
+
+
+def inputs(scenario: Scenario, uav_id: int) -> AgentInputs:
+    """What a follower knows in flight: parent, leader, neighbours' estimates, near objects."""
+    world = World(scenario)
+    parent = scenario.parent(uav_id)
+    neighbours = scenario.estimator_neighbours(uav_id)
+    age_s = scenario.dt_ns * 1e-9
+    leader = world.odometry(scenario.leader_id)
+    return AgentInputs(
+        own=world.odometry(uav_id).copy(),
+        parent=world.odometry(scenario.leader_id if parent is None else parent).copy(),
+        parent_age_s=age_s,
+        leader=leader.copy(),
+        leader_age_s=age_s,
+        estimates=np.stack([leader] * len(neighbours)),
+        estimate_age_s=np.full(len(neighbours), age_s),
+        near=world.near(uav_id),
+        near_age_s=0.0,
+        mode=MODE_FORMATION,
+        start_age_s=_T_S,
+    )
+
+
+@kernel
+def jacobi_loop(matrices: Array) -> float:
+    """Decompose every matrix (n, 3, 3) the way the laws do."""
+    total = 0.0
+    for k in range(matrices.shape[0]):
+        total += eigen3(gram3(matrices[k])).values[0]
+    return total
+
+
+@kernel
+def lapack_loop(matrices: Array) -> float:
+    """The same by `np.linalg.svd`, which numba hands to LAPACK."""
+    total = 0.0
+    for k in range(matrices.shape[0]):
+        total += np.linalg.svd(matrices[k])[1][0]
+    return total
+
+
+def measure(plan: Plan) -> Sequence[Row]:
+    """Rows of this section."""
+    calls, repeats = plan.of(3000, 300), plan.of(15, 3)
+    scenario = paper(1.0)
+    config, known, dt = agent_config(scenario, _FOLLOWER), inputs(scenario, _FOLLOWER), 0.01
+    agent, state = Agent(config, known.own), initial_state(known.own, config)
+
+    def agent_step() -> object:
+        return agent.step(known, _T_S, dt)
+
+    def plain_step() -> object:
+        return step(state, known, _T_S, dt, config)
+
+    matrices = np.random.default_rng(1).normal(size=(plan.of(20_000, 2_000), 3, 3))
+    for warm in (agent_step, plain_step, numpy_svd):
+        warm()
+    loops = (jacobi_loop, lapack_loop)
+    for loop in loops:
+        loop(matrices[:1])
+    times = take_turns(
+        {
+            "svd": lambda: cpu_seconds(numpy_svd, calls),
+            "agent": lambda: cpu_seconds(agent_step, calls),
+            "step": lambda: cpu_seconds(plain_step, calls),
+            "jacobi": lambda: cpu_seconds(lambda: jacobi_loop(matrices)) / len(matrices),
+            "lapack": lambda: cpu_seconds(lambda: lapack_loop(matrices)) / len(matrices),
+        },
+        repeats,
+    )
+    micro = {name: [_MICRO * value for value in values] for name, values in times.items()}
+    nano = {name: [_NANO * value for value in values] for name, values in times.items()}
+    return [
+        Row("Agent.step from Python", micro["agent"], "µs", SVD, micro["svd"], target=Target(30.0)),
+        Row("the same without Agent", micro["step"], "µs", SVD, micro["svd"]),
+        Row(
+            "singular values in a kernel: Jacobi",
+            nano["jacobi"],
+            "ns",
+            "np.linalg.svd in a kernel",
+            nano["lapack"],
+        ),
+    ]

@@ -1,0 +1,114 @@
+"""CPU and memory of the processes that this one has started, from /proc."""
+
+from __future__ import annotations
+
+import os
+import re
+import threading
+import time
+from collections import defaultdict
+from pathlib import Path
+from types import TracebackType
+from typing import NamedTuple
+
+_PERIOD_S = 0.5
+_TICKS_PER_S = os.sysconf("SC_CLK_TCK")
+_PAGE_MB = os.sysconf("SC_PAGE_SIZE") / 2**20
+_ROLE = re.compile(r"ptnsbc_nodes\.(uav|sim|recorder)|--role (uav|sim|recorder)")
+
+
+class Usage(NamedTuple):
+    """One process, or the mean over those of a role."""
+
+    cores: float  # CPU time per wall time
+    rss_mb: float  # memory, shared libraries counted in every process
+
+
+class Sample(NamedTuple):
+    """One look at one process."""
+
+    at: float  # [s], monotonic
+    cpu_s: float
+    rss_mb: float
+
+
+class Sampler:
+    """Looks at our child processes twice a second inside the `with`, in a thread."""
+
+    def __init__(self) -> None:
+        self._samples: dict[tuple[str, int], list[Sample]] = defaultdict(list)
+        self._began = float("inf")
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+
+    def __enter__(self) -> Sampler:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        value: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._over.set()
+        self._thread.join()
+
+    def begin(self) -> None:
+        """What counts starts now."""
+        self._began = time.monotonic()
+
+    def usage(self) -> dict[str, Usage]:
+        """By role: uav (mean), sim, recorder; a role that was seen less than twice is left out."""
+        found: dict[str, list[Usage]] = defaultdict(list)
+        for (role, _), samples in self._samples.items():
+            counted = [sample for sample in samples if sample.at >= self._began]
+            if len(counted) > 1:
+                first, last = counted[0], counted[-1]
+                cores = (last.cpu_s - first.cpu_s) / (last.at - first.at)
+                found[role].append(Usage(cores, last.rss_mb))
+        return {role: _mean(each) for role, each in found.items()}
+
+    def _run(self) -> None:
+        while not self._over.wait(_PERIOD_S):
+            for pid in _children():
+                self._look(pid)
+
+    def _look(self, pid: int) -> None:
+        try:
+            words = Path(f"/proc/{pid}/cmdline").read_bytes().replace(b"\0", b" ").decode()
+            sample = look(pid)
+        except OSError:  # it has just ended
+            return
+        if role := _ROLE.search(words):
+            self._samples[role[1] or role[2], pid].append(sample)
+
+
+def look(pid: int) -> Sample:
+    """CPU time and memory of a process until now; OSError when it has gone."""
+    fields = _stat(pid)
+    cpu_s = (int(fields[11]) + int(fields[12])) / _TICKS_PER_S
+    return Sample(time.monotonic(), cpu_s, int(fields[21]) * _PAGE_MB)
+
+
+def _stat(pid: int) -> list[str]:
+    """Fields of /proc/<pid>/stat from the state on: the name before may hold blanks."""
+    return Path(f"/proc/{pid}/stat").read_text(errors="replace").rpartition(")")[2].split()
+
+
+def _children() -> list[int]:
+    found = []
+    for entry in os.listdir("/proc"):
+        if entry.isdecimal():
+            try:
+                fields = _stat(int(entry))
+            except OSError:
+                continue
+            if int(fields[1]) == os.getpid():
+                found.append(int(entry))
+    return found
+
+
+def _mean(each: list[Usage]) -> Usage:
+    count = len(each)
+    return Usage(sum(u.cores for u in each) / count, sum(u.rss_mb for u in each) / count)

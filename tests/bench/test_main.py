@@ -1,0 +1,71 @@
+"""The command of `make bench`: its JSON and its Markdown, by the one section that needs no ROS."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+
+ROW_KEYS = {
+    "section",
+    "figure",
+    "value",
+    "unit",
+    "runs",
+    "reference",
+    "reference_value",
+    "reference_unit",
+    "ratio",
+    "target",
+    "met",
+}
+MACHINE_KEYS = {
+    "cores",
+    "load_before",
+    "load_after",
+    "cores_used_by_others",
+    "elapsed_s",
+    "python",
+    "versions",
+}
+
+
+def test_a_quick_section_as_json_and_as_markdown(tmp_path):
+    command = [sys.executable, "-m", "bench", "--only", "step", "--quick", "--json"]
+    done = subprocess.run(
+        [*command, "-o", str(tmp_path / "bench.md")],
+        cwd=ROOT,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    assert found.keys() == {"quick", "machine", "rows", "failed"}
+    assert found["quick"] is True
+    assert found["failed"] == {}
+    assert found["machine"].keys() == MACHINE_KEYS
+    assert all(row.keys() == ROW_KEYS for row in found["rows"])
+    row = found["rows"][0]
+    assert row["figure"] == "Agent.step from Python"
+    assert row["unit"] == row["reference_unit"] == "µs"
+    assert row["value"] > 0.0
+    assert len(row["runs"]) == 3
+    assert row["target"] == "≤ 30.0 µs"
+
+    text = (tmp_path / "bench.md").read_text()
+    assert "| figure | measured |" in text
+    assert "| Agent.step from Python |" in text
+    assert "load average" in text
+
+
+def test_an_unknown_section_is_refused():
+    command = [sys.executable, "-m", "bench", "--only", "nothing"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert "invalid choice" in done.stderr
