@@ -11,7 +11,6 @@ from ptnsbc_core.nullspace import (
     damped_solve,
     projector,
     scaled_to_limit,
-    smallest_singular_value,
 )
 
 NEVER = 1e-9  # a threshold below every singular value here: no damping
@@ -88,10 +87,11 @@ def test_a_task_without_rows_takes_nothing_away() -> None:
 def test_solution_is_that_of_numpys_pseudo_inverse(seed: int, rate: np.ndarray) -> None:
     jacobian = rows_of(seed, 3)
     least = np.linalg.svd(jacobian, compute_uv=False)[-1]
-    assert smallest_singular_value(jacobian) == pytest.approx(least, abs=1e-6)
+    found = damped_solve(jacobian, rate, NOTHING, NEVER, 0.0)
+    assert found.singular_value == pytest.approx(least, abs=1e-6)
     if least > 0.05:
-        found = damped_solve(jacobian, rate, NOTHING, NEVER, 0.0)
-        np.testing.assert_allclose(found, np.linalg.pinv(jacobian) @ rate, atol=1e-9)
+        expected = np.linalg.pinv(jacobian) @ rate
+        np.testing.assert_allclose(found.velocity, expected, atol=1e-9)
 
 
 @given(seed=seeds, rate=vectors, fallback=vectors, threshold=st.floats(0.01, 2.0))
@@ -108,7 +108,7 @@ def test_solution_is_the_svd_of_the_design(
         share = s * s / (s * s + lam2)
         expected += vt[k] * (s / (s * s + lam2) * (u[:, k] @ rate))
         expected += vt[k] * ((1.0 - share) * (vt[k] @ fallback))
-    found = damped_solve(jacobian, rate, fallback, threshold, damping)
+    found = damped_solve(jacobian, rate, fallback, threshold, damping).velocity
     np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-6)
 
 
@@ -118,34 +118,39 @@ def test_rank_loss_is_bounded() -> None:
     largest = 0.0
     for s in np.linspace(0.0, 1.0, 2001):
         jacobian = np.diag([1.0, 1.0, s])
-        out = damped_solve(jacobian, rate, NOTHING, 0.35, 0.5)
+        out = damped_solve(jacobian, rate, NOTHING, 0.35, 0.5).velocity
         np.testing.assert_allclose(out[:2], [1.0, 1.0])  # the other directions do not feel it
         largest = max(largest, abs(out[2]))
     assert 1.0 / 0.5 < largest < 3.0
     np.testing.assert_allclose(
-        damped_solve(np.diag([1.0, 1.0, 0.0]), rate, NOTHING, 0.35, 0.5), [1.0, 1.0, 0.0]
+        damped_solve(np.diag([1.0, 1.0, 0.0]), rate, NOTHING, 0.35, 0.5).velocity,
+        [1.0, 1.0, 0.0],
     )
 
 
 def test_damping_fades_in_without_a_step() -> None:
     rate, fallback = np.array([1.0, 1.0, 1.0]), np.array([0.0, 0.0, -4.0])
     values = np.linspace(0.0, 0.5, 5001)
-    z = [damped_solve(np.diag([1.0, 1.0, s]), rate, fallback, 0.35, 0.5)[2] for s in values]
+    z = [
+        damped_solve(np.diag([1.0, 1.0, s]), rate, fallback, 0.35, 0.5).velocity[2] for s in values
+    ]
     assert np.abs(np.diff(z)).max() < 0.02
 
 
 def test_fallback_has_no_say_away_from_a_singularity() -> None:
     jacobian = np.array([[1.0, 0.2, 0], [0, 0.8, 0.1], [0.1, 0, 1.2]])
     rate, fallback = np.array([0.3, -1.0, 0.2]), np.array([9.0, 9.0, 9.0])
-    with_it = damped_solve(jacobian, rate, fallback, 0.35, 0.5)
-    np.testing.assert_allclose(with_it, damped_solve(jacobian, rate, NOTHING, 0.35, 0.5))
+    with_it = damped_solve(jacobian, rate, fallback, 0.35, 0.5).velocity
+    without = damped_solve(jacobian, rate, NOTHING, 0.35, 0.5).velocity
+    np.testing.assert_allclose(with_it, without)
     np.testing.assert_allclose(jacobian @ with_it, rate, atol=1e-12)
 
 
 def test_fallback_fills_what_the_task_cannot_steer() -> None:
     jacobian = np.diag([1.0, 1.0, 0.0])
     out = damped_solve(jacobian, np.ones(3), np.array([5.0, 6.0, 7.0]), 0.35, 0.5)
-    np.testing.assert_allclose(out, [1.0, 1.0, 7.0])
+    np.testing.assert_allclose(out.velocity, [1.0, 1.0, 7.0])
+    assert out.singular_value == 0.0
 
 
 parts3 = arrays(np.float64, (3, 3), elements=st.floats(-3.0, 3.0))

@@ -42,7 +42,7 @@ def without_neighbours(sign: float):
         solved = damped_solve(
             jacobian, scaled, np.zeros(3), config.damping_threshold, config.damping_max
         )
-        return sign * leader.velocity + solved
+        return sign * leader.velocity + solved.velocity
 
     return law
 

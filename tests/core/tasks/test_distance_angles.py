@@ -113,7 +113,7 @@ def test_right_angle_at_the_reference_is_singular() -> None:
 def test_damped_velocity_at_a_right_angle_is_bounded() -> None:
     v3, v4 = np.array([-1.0, -1, 0]), np.array([1.0, -1, 0])
     jacobian = evaluate(TASK_DISTANCE_ANGLES, v4, v3, LEADER).own
-    velocity = damped_solve(jacobian, ONES, np.zeros(3), 0.35, 0.5)
+    velocity = damped_solve(jacobian, ONES, np.zeros(3), 0.35, 0.5).velocity
     assert np.linalg.norm(velocity) <= np.linalg.norm(ONES) / 0.35
 
 
@@ -127,7 +127,8 @@ def flown(error_of, seconds: float = 3.0) -> tuple[float, float]:
         error = task_error(geometry, desired)
         first = np.linalg.norm(error) if first is None else first
         rate = error_of(geometry, desired)
-        position = position + 0.01 * damped_solve(geometry.own, rate, np.zeros(3), 0.35, 0.5)
+        solved = damped_solve(geometry.own, rate, np.zeros(3), 0.35, 0.5)
+        position = position + 0.01 * solved.velocity
     geometry = evaluate(TASK_DISTANCE_ANGLES, position, OFFSETS[2], LEADER)
     return first, np.linalg.norm(task_error(geometry, desired))
 
@@ -147,8 +148,8 @@ def test_table_2_start_of_uav_3_is_where_the_printed_law_divides_by_zero() -> No
     geometry = distance_angles(own, parent, leader)
     assert np.all(np.isfinite(geometry.value))
     desired = desired_value(TASK_DISTANCE_ANGLES, OFFSETS[3], OFFSETS[2], LEADER)
-    velocity = damped_solve(geometry.own, task_error(geometry, desired), np.zeros(3), 0.35, 0.5)
-    assert np.linalg.norm(velocity) < 10.0
+    solved = damped_solve(geometry.own, task_error(geometry, desired), np.zeros(3), 0.35, 0.5)
+    assert np.linalg.norm(solved.velocity) < 10.0
 
 
 @given(value=st.floats(-np.pi, np.pi), desired=st.floats(-np.pi, np.pi))
