@@ -1,0 +1,220 @@
+"""The headless swarm: the same bytes every time and by every way, and the paper's flights as promised."""
+
+from functools import lru_cache
+from itertools import combinations
+
+import numpy as np
+import pytest
+
+from ptnsbc_core.agent import Agent
+from ptnsbc_core.trajectory import reference
+from ptnsbc_core.types import MODE_FORMATION, NEVER_HEARD_S, TASKS, AgentInputs
+from ptnsbc_sim.scenario import agent_config, load_scenario
+from ptnsbc_sim.scenario.build import trajectory_vector
+from ptnsbc_sim.swarm import (
+    ACTIVE_ROWS,
+    CHUNK_TICKS,
+    HOLDING,
+    PRIORITY_VIOLATION,
+    Flight,
+    fly,
+    wiring_of,
+)
+from ptnsbc_sim.world import World
+
+PLANTS = ("quadrotor", "rigid_body_6dof")
+
+
+@lru_cache
+def flight(name: str, plant: str, task: str = "distance_angles", seconds: float = 60) -> Flight:
+    changes = {"plant.kind": plant, "formation.task": task, "timing.duration_s": seconds}
+    return fly(load_scenario(name, changes))
+
+
+def errors(flown: Flight) -> np.ndarray:
+    """Distance (T, N) [m] from the place: of the leader on its circle, of a follower beside the leader."""
+    scenario, places = flown.scenario, flown.track.odometry[:, :, :3]
+    path = trajectory_vector(scenario)
+    wanted = places[:, :1] + np.array([scenario.offset(uav) for uav in scenario.uav_ids])
+    wanted[:, 0] = [reference(path, tick * 1e-9).position for tick in flown.t_ns.tolist()]
+    return np.linalg.norm(places - wanted, axis=2)
+
+
+def busy(flown: Flight, seconds: float = 2.0) -> np.ndarray:
+    """(T,) where some UAV gives way to something, or did within the last `seconds`."""
+    active = (flown.track.diagnostics[:, :, ACTIVE_ROWS] > 0.0).any(axis=1)
+    window = round(seconds * flown.scenario.control_hz)
+    return np.convolve(active, np.ones(window))[: active.size] > 0.0
+
+
+flights = pytest.mark.parametrize(
+    ("name", "plant", "task"),
+    [
+        (name, plant, task)
+        for name in ("paper_5_free", "paper_5")
+        for plant in PLANTS
+        for task in TASKS
+    ],
+)
+
+
+@flights
+def test_every_uav_is_in_its_place_at_the_deadline_and_stays(name, plant, task) -> None:
+    flown = flight(name, plant, task)
+    off, tick = errors(flown), round(5.0 * flown.scenario.control_hz)
+    assert off[0].max() > 5.0
+    assert off[tick].max() < 0.05
+    calm = ~busy(flown)
+    assert off[tick:][calm[tick:]].max() < 0.08
+    assert calm[tick:].mean() > 0.6
+
+
+@flights
+def test_nothing_is_touched(name, plant, task) -> None:
+    flown = flight(name, plant, task)
+    places = flown.track.odometry[:, :, :3]
+    for a, b in combinations(range(places.shape[1]), 2):
+        assert np.linalg.norm(places[:, a] - places[:, b], axis=1).min() >= 0.5
+    for obstacle in flown.scenario.obstacles:
+        distance = np.linalg.norm(places - obstacle.position, axis=2)
+        assert distance.min() >= 1.45
+        assert distance.min() < 1.7  # or the obstacle was none
+
+
+@flights
+def test_a_flight_is_finite_heard_and_in_priority(name, plant, task) -> None:
+    track = flight(name, plant, task).track
+    assert all(np.all(np.isfinite(part)) for part in track)
+    assert track.diagnostics[:, :, HOLDING].max() == 0.0
+    assert track.diagnostics[:, :, PRIORITY_VIOLATION].max() < 1e-6
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_first_thrust_of_table_2_is_hovering(task: str) -> None:
+    flown = flight("paper_5", "quadrotor", task)
+    hover = flown.scenario.mass_kg * flown.scenario.gravity_m_s2
+    np.testing.assert_allclose(flown.track.wrench[0, :, 2], hover, rtol=0.05)
+
+
+@pytest.mark.parametrize("plant", PLANTS)
+def test_both_obstacles_are_met_and_left_behind(plant: str) -> None:
+    flown = flight("paper_5", plant)
+    near = np.flatnonzero(flown.track.diagnostics[:, :, ACTIVE_ROWS].any(axis=1)) / 100.0
+    assert np.any((near > 15.0) & (near < 30.0))
+    assert np.any((near > 30.0) & (near < 50.0))
+    assert near.max() < 50.0
+
+
+SHORT = 3.0
+
+
+@pytest.mark.parametrize("plant", PLANTS)
+def test_the_same_scenario_gives_the_same_bytes(plant: str) -> None:
+    first = flight("paper_5", plant, seconds=SHORT)
+    again = fly(first.scenario)
+    for a, b in zip(first.track, again.track, strict=True):
+        assert a.tobytes() == b.tobytes()
+
+
+def test_a_longer_flight_begins_with_the_shorter_one() -> None:
+    longer, shorter = flight("paper_5", "quadrotor"), flight("paper_5", "quadrotor", seconds=SHORT)
+    for a, b in zip(longer.track, shorter.track, strict=True):
+        assert a[: len(b)].tobytes() == b.tobytes()
+
+
+def told(flown: Flight, tick: int, row: int, near: np.ndarray) -> AgentInputs:
+    """What a process would know: its own odometry of now, all others' messages of the tick before."""
+    scenario, track = flown.scenario, flown.track
+    uav = scenario.uav_ids[row]
+    rows = {other: number for number, other in enumerate(scenario.uav_ids)}
+    age = scenario.dt_ns * 1e-9 if tick else NEVER_HEARD_S
+    parent, pinned = scenario.parent(uav), scenario.pinned(uav)
+    neighbours = scenario.estimator_neighbours(uav)
+
+    def sent(other: int | None) -> np.ndarray:
+        heard = tick > 0 and other is not None
+        return track.odometry[tick - 1, rows[other]].copy() if heard else np.zeros(13)
+
+    estimates = np.zeros((len(neighbours), 13))
+    for k, other in enumerate(neighbours):
+        if tick:
+            estimates[k] = track.estimate[tick - 1, rows[other]]
+    return AgentInputs(
+        track.odometry[tick, row].copy(),
+        sent(parent),
+        age if parent is not None else NEVER_HEARD_S,
+        sent(scenario.leader_id if pinned else None),
+        age if pinned else NEVER_HEARD_S,
+        estimates,
+        np.full(len(neighbours), age),
+        near,
+        (tick % scenario.near_every * scenario.dt_ns) * 1e-9,
+        MODE_FORMATION,
+        (tick * scenario.dt_ns) * 1e-9,
+    )
+
+
+@pytest.mark.parametrize("plant", PLANTS)
+@pytest.mark.parametrize("row", range(5))
+def test_one_uav_alone_is_the_same_uav_in_the_swarm(plant: str, row: int) -> None:
+    """Replayed from what was recorded, bit for bit."""
+    flown = flight("paper_5", plant, seconds=SHORT)
+    scenario, track = flown.scenario, flown.track
+    config = agent_config(scenario, scenario.uav_ids[row])
+    agent = Agent(config, track.odometry[0, row].copy())
+    near = np.empty((0, 7))
+    for tick in range(round(SHORT * scenario.control_hz)):
+        if tick % scenario.near_every == 0:
+            near = flown.near(tick, row)
+        t, dt = (tick * scenario.dt_ns) * 1e-9, scenario.dt_ns * 1e-9
+        out = agent.step(told(flown, tick, row, near), t, dt)
+        assert out.velocity.tobytes() == track.velocity[tick, row].tobytes()
+        assert out.wrench.tobytes() == track.wrench[tick, row].tobytes()
+        assert out.leader_estimate.tobytes() == track.estimate[tick, row].tobytes()
+
+
+@pytest.mark.parametrize("plant", PLANTS)
+def test_world_and_agents_in_python_fly_the_same_flight(plant: str) -> None:
+    """The loop of the processes: every message from the tick before, and the same bits."""
+    flown = flight("paper_5", plant, seconds=SHORT)
+    scenario = flown.scenario
+    world = World(scenario)
+    agents = {uav: Agent(agent_config(scenario, uav), world.odometry(uav)) for uav in world.ids}
+    size = len(world.ids)
+    seen = flown._replace(
+        track=flown.track._replace(
+            odometry=np.zeros((100, size, 13)), estimate=np.zeros((100, size, 13))
+        )
+    )
+    near = {}
+    for tick in range(100):
+        t, dt = world.t_ns * 1e-9, scenario.dt_ns * 1e-9
+        wrenches = {}
+        for row, uav in enumerate(world.ids):
+            seen.track.odometry[tick, row] = world.odometry(uav)
+            if tick % scenario.near_every == 0:
+                near[uav] = world.near(uav)
+        for row, uav in enumerate(world.ids):
+            out = agents[uav].step(told(seen, tick, row, near[uav]), t, dt)
+            seen.track.estimate[tick, row] = out.leader_estimate
+            wrenches[uav] = out.wrench
+            assert out.wrench.tobytes() == flown.track.wrench[tick, row].tobytes()
+        assert seen.track.odometry[tick].tobytes() == flown.track.odometry[tick].tobytes()
+        world.step(wrenches)
+
+
+def test_wiring_of_the_paper() -> None:
+    wiring = wiring_of(load_scenario("paper_5"))
+    assert wiring.leader == 0
+    np.testing.assert_array_equal(wiring.parent, [-1, 0, 1, 2, 3])
+    np.testing.assert_array_equal(wiring.pinned, [0, 1, 1, 1, 1])
+    np.testing.assert_array_equal(wiring.neighbours, [[-1, -1], [2, -1], [1, 3], [2, 4], [3, -1]])
+    assert (wiring.near_every, wiring.substeps, wiring.dt_ns) == (5, 5, 10_000_000)
+
+
+def test_progress_is_told_to_the_end() -> None:
+    said = []
+    scenario = load_scenario("paper_5_free", {"timing.duration_s": 7})
+    flown = fly(scenario, lambda done, of: said.append((done, of)))
+    assert said == [(CHUNK_TICKS, 700), (700, 700)]
+    np.testing.assert_array_equal(np.diff(flown.t_ns), np.full(699, 10_000_000))
