@@ -89,6 +89,17 @@ def test_a_flight_is_finite_heard_and_in_priority(name, plant, task) -> None:
     assert track.diagnostics[:, :, PRIORITY_VIOLATION].max() < 1e-6
 
 
+@pytest.mark.parametrize("plant", PLANTS)
+def test_every_follower_knows_where_the_leader_is(plant: str) -> None:
+    """The leader's acceleration is all that the estimate cannot foresee: of now, not of a tick ago."""
+    track = flight("paper_5_free", plant).track
+    leader = track.odometry[:, :1, :3]
+    off = np.linalg.norm(track.estimate[:, 1:, :3] - leader, axis=2)
+    assert off[500:].max() < 1e-3
+    late = np.linalg.norm(track.estimate[500:, 1:, :3] - leader[499:-1], axis=2)
+    assert late.max() > 4e-3  # 0.5 m/s for a tick
+
+
 @pytest.mark.parametrize("task", TASKS)
 def test_first_thrust_of_table_2_is_hovering(task: str) -> None:
     flown = flight("paper_5", "quadrotor", task)
