@@ -360,6 +360,11 @@ def _advance(
     return outputs
 
 
+@kernel
+def _first(states: MutableSequence[AgentState]) -> AgentState:
+    return states[0]
+
+
 class Agent:
     """One UAV's control step with its configuration and state kept where the kernels can reach them."""
 
@@ -371,7 +376,7 @@ class Agent:
     @property
     def state(self) -> AgentState:
         """What the next step starts from."""
-        return self._states[0]
+        return _first(self._states)
 
     def step(self, inputs: AgentInputs, t: float, dt: float) -> AgentOutputs:
         """One tick, see `step`: t [s] since the latest epoch, dt [s] the control period."""

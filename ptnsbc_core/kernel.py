@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import os
 import shutil
-from collections.abc import Callable, Iterable, MutableSequence
+from collections.abc import Callable, MutableSequence, Sequence
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 
@@ -82,15 +82,40 @@ def kernel(law: Callable[P, R]) -> Callable[P, R]:
     return law if _COMPILE is None else _COMPILE(law)
 
 
-def kernel_list(items: Iterable[T]) -> MutableSequence[T]:
-    """A list that kernels read and write in place.
-
-    Handing a NamedTuple of arrays to a compiled kernel unpacks every field at every call, which costs more
-    than the laws; a list is handed over as one pointer, and its length is no part of the compiled type.
-    """
+def _list_type() -> Any:
     if not COMPILED:
-        return list(items)
+        return list
     from numba.typed import List
 
-    compiled: MutableSequence[T] = List(list(items))
-    return compiled
+    return List
+
+
+KernelList: Any = _list_type()
+"""A list that kernels make, read and write in place; call it inside kernels only.
+
+Handing a NamedTuple of arrays to a compiled kernel unpacks every field at every call, which costs more than
+the laws; a list is handed over as one pointer, and its length is no part of the compiled type.
+"""
+
+
+@kernel
+def _listed(item: Any) -> Any:
+    out = KernelList()
+    out.append(item)
+    return out
+
+
+@kernel
+def _append(items: Any, item: Any) -> None:
+    items.append(item)
+
+
+def kernel_list(items: Sequence[T]) -> MutableSequence[T]:
+    """A KernelList of at least one item.
+
+    Filled by kernels: the methods of numba's list called from Python are compiled anew in every process.
+    """
+    out: MutableSequence[T] = _listed(items[0])
+    for item in items[1:]:
+        _append(out, item)
+    return out

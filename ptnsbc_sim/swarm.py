@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ptnsbc_core.agent import initial_state, step
-from ptnsbc_core.kernel import kernel, kernel_list
+from ptnsbc_core.kernel import KernelList, kernel, kernel_list
 from ptnsbc_core.types import (
     MODE_FORMATION,
     NEVER_HEARD_S,
@@ -185,11 +185,11 @@ def _fly(first: int, count: int, wiring: Wiring, crew: Crew, track: Track) -> No
 @kernel
 def _starts(
     configs: Sequence[AgentConfig], bodies: Array, plants: Sequence[PlantConfig]
-) -> list[AgentState]:
-    return [
-        initial_state(odometry(bodies[row], plants[row]), configs[row])
-        for row in range(len(configs))
-    ]
+) -> MutableSequence[AgentState]:
+    states = KernelList()
+    for row in range(len(configs)):
+        states.append(initial_state(odometry(bodies[row], plants[row]), configs[row]))
+    return states
 
 
 def wiring_of(scenario: Scenario) -> Wiring:
@@ -235,7 +235,7 @@ def fly(scenario: Scenario, progress: Callable[[int, int], None] | None = None) 
     crew = Crew(
         configs,
         plant_list,
-        kernel_list(_starts(configs, bodies, plant_list)),
+        _starts(configs, bodies, plant_list),
         bodies,
         kernel_list([np.empty((0, 7)) for _ in range(size)]),
     )
