@@ -9,9 +9,10 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from ptnsbc_nodes.children import Command
+from ptnsbc_nodes.endpoints import RECORDER
 from ptnsbc_sim.scenario import Scenario
 
-RECORDER, SIM = "recorder", "sim"
+SIM = "sim"
 
 _VERSIONS = ("ptnsbc", "numpy", "numba", "ros-rclpy", "ros-rmw-fastrtps-cpp")
 

@@ -14,12 +14,18 @@ from rclpy.subscription import Subscription
 from ptnsbc_nodes import qos
 from ptnsbc_nodes.topics import Role, Topic, message_class
 
+RECORDER = "recorder"
+"""Name of the recorder among the processes of a flight."""
+
 LOST = Topic("/formation/lost", "std_msgs/msg/Header", Role.LATCHED)
-"""Names of UAVs whose process has ended, from the launcher: nobody waits for them any more."""
+"""Names of processes (uavN, recorder) that have ended, from the launcher: nobody waits for them."""
 
 READY = Topic("/formation/ready", "diagnostic_msgs/msg/DiagnosticArray", Role.EVENT)
 """/diagnostics of lock-step nodes before simulated time begins: how long that takes is chance, and
 /diagnostics is in the bag."""
+
+RECORDED = Topic("/formation/recorded", "std_msgs/msg/Header", Role.EVENT)
+"""Stamp up to which the recorder has taken in a lock-step flight; the sim never runs far ahead of it."""
 
 # The last message alone is not enough here: a late joiner must learn the first epoch too, and of
 # every lost UAV.

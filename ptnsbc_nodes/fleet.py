@@ -14,8 +14,9 @@ from typing import Any
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_nodes import environment
 from ptnsbc_nodes.children import Child, Command, end
-from ptnsbc_nodes.crew import RECORDER, SIM, FleetOptions, commands
+from ptnsbc_nodes.crew import SIM, FleetOptions, commands
 from ptnsbc_nodes.domain import reserved_domain
+from ptnsbc_nodes.endpoints import RECORDER
 from ptnsbc_nodes.stop import StopRequest
 from ptnsbc_nodes.tower import Tower
 from ptnsbc_nodes.warmup import load_agent, load_world
@@ -221,8 +222,7 @@ class _Flight:
                 continue
             self._died.append(child)
             self._progress(child.obituary())
-            if child.command.uav is not None:
-                self._tower.lose(child.command.uav)
+            self._tower.lose(child.name)
 
     def _recorded(self) -> Mapping[str, Any]:
         recorder = next((child for child in self._children if child.name == RECORDER), None)

@@ -37,13 +37,15 @@ from rclpy.utilities import remove_ros_args  # noqa: E402
 from ptnsbc_nodes import qos, topics, wire  # noqa: E402
 from ptnsbc_nodes.bag import BagError, BagWriter, TopicInfo  # noqa: E402
 from ptnsbc_nodes.bag.reorder import Held, ReorderBuffer  # noqa: E402
+from ptnsbc_nodes.endpoints import RECORDED  # noqa: E402
 from ptnsbc_nodes.spin import make_executor, spin_for  # noqa: E402
 from ptnsbc_nodes.topics import Topic  # noqa: E402
 
 _FLUSH_CHECK = 0.25  # [s]
 _SIGNAL_CHECK = 0.1  # [s]: Python sees a signal only between two calls of the executor
 _QUIET = 0.2  # [s] without a message: what was on its way has arrived
-_DRAIN_LIMIT = 2.0  # [s]
+_DRAIN_LIMIT = 50.0  # [s]; under load the queues hold seconds, and the launcher waits a minute
+_ACK_TICKS = 25
 
 # Published by every UAV: order of arrival between them is chance even within the topic.
 _SHARED = frozenset({topics.DIAGNOSTICS.name, topics.TF.name})
@@ -79,6 +81,8 @@ class Recorder:
     ) -> None:
         self.received = 0
         self.lost = 0  # as far as DDS reports it: gaps in the network, not in our own queue
+        self._ticks = 0
+        self._acknowledgement = wire.HeaderTemplate("recorder")
         self._node = node
         self._writer = writer
         self._order = ReorderBuffer(_SHARED) if lockstep else None
@@ -86,7 +90,11 @@ class Recorder:
             order = self._order
             record = self._sorted(topic, order) if order else self._as_it_arrives(topic)
             self._subscribe(topic, record, lockstep)
-        if not lockstep:
+        if lockstep:
+            self._acknowledge = node.create_publisher(
+                topics.message_class(RECORDED), RECORDED.name, qos.EVENT
+            )
+        else:
             # By wall time: in lock-step the bytes would depend on it.
             steady = Clock(clock_type=ClockType.STEADY_TIME)
             node.create_timer(_FLUSH_CHECK, self._flush, clock=steady)
@@ -129,9 +137,17 @@ class Recorder:
             stamp_ns = stamp_of(topic, data)
             # An empty list has no stamp; that of its predecessor is the same on every run.
             last_ns = last_ns if stamp_ns is None else stamp_ns
+            if topic.name == topics.CLOCK.name:
+                self._tick(last_ns)
             self._write_sorted(order.push(last_ns, topic.name, data))
 
         return record
+
+    def _tick(self, stamp_ns: int) -> None:
+        """Tell the sim how far we are: events are served in order, so with the clock came the rest."""
+        self._ticks += 1
+        if self._ticks % _ACK_TICKS == 0:
+            self._acknowledge.publish(self._acknowledgement.encode(stamp_ns))
 
     def _write_sorted(self, messages: Iterable[Held]) -> None:
         for message in messages:

@@ -14,7 +14,7 @@ from rclpy.node import Node
 from ptnsbc_core.types import Array
 from ptnsbc_nodes import topics
 from ptnsbc_nodes.edges import Edges
-from ptnsbc_nodes.endpoints import LOST, READY, Endpoints
+from ptnsbc_nodes.endpoints import LOST, READY, RECORDED, RECORDER, Endpoints
 from ptnsbc_nodes.epochs import Epochs
 from ptnsbc_nodes.pacing import Latency, Pace, Progress
 from ptnsbc_nodes.senses import Senses
@@ -24,6 +24,7 @@ from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.world import World
 
 _MAX_CATCH_UP_S = 0.5
+_LEAD_TICKS = 400  # well below the depth of the queues to the recorder
 
 
 class Sim:
@@ -51,6 +52,9 @@ class Sim:
         self._wrenches: dict[int, Stamped] = {}
         self._arrived: dict[int, Array] = {}  # lock-step: the wrenches of this tick
         self._running = False
+        self._recorded = edges.options.lockstep and edges.options.recorded
+        self._recorded_ns = 0
+        self._paused = False
         self._listen()
         self._status = self.endpoints.publisher(topics.DIAGNOSTICS, edges.options.recorders)
         self._early_status = self.endpoints.publisher(READY, 0)
@@ -64,6 +68,8 @@ class Sim:
             self.endpoints.listen(topics.wrench_setpoint(i), self._hearer(i))
         self.endpoints.listen(topics.EPOCH, self._on_epoch)
         self.endpoints.listen(LOST, self._on_lost, required=False)
+        if self._recorded:
+            self.endpoints.listen(RECORDED, self._on_recorded)
 
     def waiting_for(self) -> list[str]:
         """Topics without their other end."""
@@ -86,8 +92,26 @@ class Sim:
         self._epochs.announce(*decode_header(data))
         self._start()
 
+    def _on_recorded(self, data: bytes) -> None:
+        self._recorded_ns = decode_header(data).stamp_ns
+        self._resume()
+
+    def _ahead(self) -> bool:
+        """Whether the recorder is so far behind that its queues could overflow."""
+        return self._recorded and (
+            self._world.t_ns - self._recorded_ns > _LEAD_TICKS * self._period_ns
+        )
+
+    def _resume(self) -> None:
+        if self._paused and not self._ahead():
+            self._paused = False
+            self._publish(self._world.t_ns)
+
     def _on_lost(self, data: bytes) -> None:
         name = decode_header(data).frame_id.removeprefix("uav")
+        if name == RECORDER:
+            self._recorded = False
+            self._resume()
         if name.isdecimal() and int(name) in self._alive:
             self._alive.discard(int(name))
             self._advance()
@@ -110,6 +134,8 @@ class Sim:
         self._progress.show(self._world.tick)
         if self._world.tick >= self._ticks:
             self._finish()
+        elif self._ahead():
+            self._paused = True
         else:
             self._publish(self._world.t_ns)
 

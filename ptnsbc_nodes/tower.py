@@ -77,9 +77,9 @@ class Tower:
         self._ears.clear()
         return None
 
-    def lose(self, uav_id: int) -> None:
-        """Tell everybody to wait for this UAV no longer."""
-        self._tell_lost(HeaderTemplate(f"uav{uav_id}").encode(0))
+    def lose(self, name: str) -> None:
+        """Tell everybody to wait for this process no longer."""
+        self._tell_lost(HeaderTemplate(name).encode(0))
 
     def _on_status(self, message: Any) -> None:
         for status in message.status:
