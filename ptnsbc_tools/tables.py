@@ -61,6 +61,7 @@ def deadline_table(verdict: Verdict) -> Table:
             "max after m",
             "RMSE after m",
             "avoiding s",
+            "missing",
         ),
     )
     for one in verdict.uavs:
@@ -75,6 +76,7 @@ def deadline_table(verdict: Verdict) -> Table:
             _number(one.max_error_after_m, 4),
             _number(one.rmse_after_m, 4),
             _number(one.encounter_s, 1),
+            str(one.missing),
         )
     return table
 
@@ -84,7 +86,15 @@ def effort_table(verdict: Verdict) -> Table:
     table = _table(
         "Input",
         ("UAV",),
-        ("above hover at t0 N", "peak |u|", "peak force N", "at s", "energy (54)", "beyond hover"),
+        (
+            "above hover at t0 N",
+            "peak |u|",
+            "peak force N",
+            "at s",
+            "energy (54)",
+            "beyond hover",
+            "missing",
+        ),
     )
     for one in verdict.efforts:
         table.add_row(
@@ -95,6 +105,7 @@ def effort_table(verdict: Verdict) -> Table:
             _number(one.peak_at_s, 2),
             _number(one.energy, 0),
             _number(one.energy_above_hover, 1),
+            str(one.missing),
         )
     return table
 
@@ -143,6 +154,10 @@ def verdict_line(verdict: Verdict) -> Text:
     tail = f"deadline {verdict.uavs[0].deadline_s:g} s: {', '.join(parts)}"
     if verdict.inside_keep_out_s > 0:
         tail += f"; inside a keep-out for {verdict.inside_keep_out_s:.2f} s"
+    missing = sum(uav.missing for uav in verdict.uavs)
+    missing += sum(effort.missing for effort in verdict.efforts)
+    if missing:
+        tail += f"; {missing} messages missing"
     if verdict.missed_ticks:
         tail += f"; {verdict.missed_ticks} ticks missed"
     if verdict.latency_ms:

@@ -62,7 +62,7 @@ class Quadrotor(Block):
     max_thrust_n: Positive
     max_tilt_rad: HalfTurn
     max_torque_nm: PositiveVec3
-    motor_lag_s: NotNegative = 0.0
+    motor_lag_s: Positive
     drag_1_s: NotNegative = 0.0
 
 

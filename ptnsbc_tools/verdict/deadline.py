@@ -11,6 +11,7 @@ from ptnsbc_core.trajectory import reference
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario.build import trajectory_vector
 from ptnsbc_tools.limits import SHARE_OF_START
+from ptnsbc_tools.verdict.coverage import coverage, incomplete, not_finite
 from ptnsbc_tools.verdict.recording import NANO, Recording
 from ptnsbc_tools.verdict.windows import encounters, inside
 
@@ -36,6 +37,8 @@ class UavVerdict:
     encounter_s: float  # time in encounter windows
     saturated_s: float  # until the deadline
     holding_s: float  # until the deadline
+    missing: int  # odometry messages, of one per control period
+    longest_gap_s: float  # between two of them
 
 
 def formation_errors(
@@ -123,6 +126,32 @@ def judge(
     recording: Recording, grid: NDArray[np.int64], uav: int, error: Array, tolerance: float
 ) -> UavVerdict:
     """The verdict on one UAV from its formation error (T,) [m]."""
+    found, avoiding = _measured(recording, grid, uav, error, tolerance)
+    times = recording.times(grid)
+    nonsense = not_finite(recording, uav, times, error)
+    if nonsense:
+        # Comparisons with NaN are false: it would pass for an error that never left the band.
+        return replace(found, verdict=MISSED, reason=nonsense, settling_s=None)
+    end_s = float(times[-1])
+    short = found.error_at_deadline_m is None
+    miss = f"recording ends after {end_s:.2f} s" if short else _miss(found, end_s)
+    hole = incomplete(recording, uav)
+    if hole:
+        parts = [f"recording incomplete: {hole}", *([miss] if miss and not short else [])]
+        return replace(found, verdict=VOID, reason=", ".join(parts))
+    if short:
+        return replace(found, verdict=VOID, reason=miss)
+    if not miss:
+        return found
+    causes = _causes(recording, found, end_s, avoiding)
+    verdict = VOID if causes else MISSED
+    return replace(found, verdict=verdict, reason=", ".join([miss, *causes]))
+
+
+def _measured(
+    recording: Recording, grid: NDArray[np.int64], uav: int, error: Array, tolerance: float
+) -> tuple[UavVerdict, bool]:
+    """All figures of one UAV, and whether it was keeping clear at the deadline."""
     scenario = recording.scenario
     deadline = scenario.gains.formation.deadline_s
     times = recording.times(grid)
@@ -135,6 +164,7 @@ def judge(
     reached = times[-1] >= deadline - 1e-9
     at = float(np.interp(deadline, times, error)) if reached else None
     after = error[(times >= deadline - 1e-9) & counted]
+    cover = coverage(recording, recording.odometry[uav])
     found = UavVerdict(
         uav=uav,
         verdict=MET,
@@ -151,14 +181,8 @@ def judge(
         encounter_s=float(np.sum(np.diff(times)[~counted[1:]])),
         saturated_s=_gained(recording, uav, "saturated_s", (0.0, deadline)),
         holding_s=_gained(recording, uav, "holding_s", (0.0, deadline)),
+        missing=cover.missing,
+        longest_gap_s=cover.longest_gap_s,
     )
-    if not reached:
-        reason = f"recording ends after {times[-1]:.2f} s"
-        return replace(found, verdict=VOID, reason=reason)
-    miss = _miss(found, float(times[-1]))
-    if not miss:
-        return found
-    avoiding = not counted[int(np.searchsorted(times, deadline - 1e-9))]
-    causes = _causes(recording, found, float(times[-1]), avoiding)
-    verdict = VOID if causes else MISSED
-    return replace(found, verdict=verdict, reason=", ".join([miss, *causes]))
+    avoiding = reached and not counted[int(np.searchsorted(times, deadline - 1e-9))]
+    return found, bool(avoiding)

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ptnsbc_core.types import Array
-from ptnsbc_tools.verdict.recording import Recording
+from ptnsbc_tools.verdict.coverage import coverage
+from ptnsbc_tools.verdict.recording import NANO, Recording, Series
 
 
 @dataclass(frozen=True)
@@ -24,6 +25,7 @@ class Effort:
     peak_at_s: float
     energy: float  # integral of |u|^2 (54) [N^2 s]
     energy_above_hover: float  # the same of the force beyond the weight, and the torque
+    missing: int  # wrench messages, of one per control period
 
 
 @dataclass(frozen=True)
@@ -47,6 +49,19 @@ class EstimatorError:
     max_after_m: float | None
 
 
+def _held(recording: Recording, series: Series) -> tuple[Array, Array]:
+    """Inputs (K, 6) that acted in the judged time, and for how long (K,) [s] each.
+
+    An input is held until the next one is recorded, the last one until the end: a message that is
+    missing must not take its time out of an integral.
+    """
+    start_ns, end_ns = recording.start_ns, recording.end_ns
+    at_epoch = max(int(np.searchsorted(series.t_ns, start_ns, side="right")) - 1, 0)
+    acted = slice(at_epoch, int(np.searchsorted(series.t_ns, end_ns, side="right")))
+    edges = np.clip(np.append(series.t_ns[acted], end_ns), start_ns, end_ns)
+    return series.values[acted], np.diff(edges) * NANO
+
+
 def effort(recording: Recording, uav: int) -> Effort | None:
     """Input figures of one UAV; None when its wrench was not recorded."""
     series = recording.wrench.get(uav)
@@ -56,12 +71,12 @@ def effort(recording: Recording, uav: int) -> Effort | None:
     if not chosen.any():
         return None
     times = recording.times(series.t_ns[chosen])
-    wrench = series.values[chosen]
-    force = np.linalg.norm(wrench[:, :3], axis=1)
-    whole = np.linalg.norm(wrench, axis=1)
+    force, torque = _norms(series.values[chosen])
+    whole = np.hypot(force, torque)
     weight = recording.scenario.mass_kg * recording.scenario.gravity_m_s2
-    torque = np.linalg.norm(wrench[:, 3:], axis=1)
     peak = int(np.argmax(whole))
+    held, seconds = _held(recording, series)
+    held_force, held_torque = _norms(held)
     return Effort(
         uav=uav,
         initial_input=float(whole[0]),
@@ -69,19 +84,21 @@ def effort(recording: Recording, uav: int) -> Effort | None:
         peak_input=float(whole[peak]),
         peak_force_n=float(force.max()),
         peak_at_s=float(times[peak]),
-        energy=_integral(whole**2, times),
-        energy_above_hover=_integral((force - weight) ** 2 + torque**2, times),
+        energy=float(np.sum((held_force**2 + held_torque**2) * seconds)),
+        energy_above_hover=float(np.sum(((held_force - weight) ** 2 + held_torque**2) * seconds)),
+        missing=coverage(recording, series).missing,
     )
 
 
-def _integral(values: Array, times: Array) -> float:
-    # An input is held until the next one: a sum of rectangles, not of trapezoids.
-    return float(np.sum(values[:-1] * np.diff(times)))
+def _norms(wrench: Array) -> tuple[Array, Array]:
+    """|force| [N] and |torque| [N m], (T,) each."""
+    return np.linalg.norm(wrench[:, :3], axis=1), np.linalg.norm(wrench[:, 3:], axis=1)
 
 
 def _separation(
     names: tuple[str, str], distance: Array, keep_out: float, times: Array
 ) -> Separation:
+    distance = np.where(np.isfinite(distance), distance, np.inf)  # NaN is neither near nor far
     closest = int(np.argmin(distance))
     period = np.diff(times, append=times[-1])
     return Separation(

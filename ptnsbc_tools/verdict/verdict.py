@@ -7,6 +7,8 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from ptnsbc_tools.limits import TOLERANCE_M
 from ptnsbc_tools.verdict.deadline import (
     MET,
@@ -75,6 +77,11 @@ def _plain(value: Any) -> Any:
 
 def verdict_on(recording: Recording, tolerance: float = TOLERANCE_M) -> Verdict:
     """Judge a recording; `tolerance` [m] is the hard limit at the deadline."""
+    with np.errstate(all="ignore"):  # what is not finite is named in the verdict
+        return _verdict_on(recording, tolerance)
+
+
+def _verdict_on(recording: Recording, tolerance: float) -> Verdict:
     scenario = complete(recording).scenario
     grid = recording.grid()
     positions = recording.positions(grid)

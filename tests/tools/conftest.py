@@ -36,7 +36,7 @@ def flight(
     **changes: Any,
 ) -> Recording:
     """A flight of paper_5_free in which UAV i is errors[i](t) metres east of its place."""
-    scenario = scenario or load_scenario("paper_5_free")
+    scenario = scenario or load_scenario("paper_5_free", {"timing.duration_s": seconds})
     t_ns = np.arange(round(seconds * HZ), dtype=np.int64) * (10**9 // HZ)
     t = t_ns * 1e-9
     vector = trajectory_vector(scenario)
@@ -63,6 +63,16 @@ def flight(
         ((0, "form"),),
     )
     return replace(made, **changes)
+
+
+def thinned(series: Series, *ticks: int) -> Series:
+    """A series without the messages of some ticks."""
+    return Series(np.delete(series.t_ns, ticks), np.delete(series.values, ticks, axis=0))
+
+
+@pytest.fixture
+def without() -> Callable[..., Series]:
+    return thinned
 
 
 @pytest.fixture

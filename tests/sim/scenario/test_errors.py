@@ -68,6 +68,8 @@ def refusal(old: str, new: str, *, count: int = 1) -> str:
             "gains.formation.deadline_s: 0: ",
             "> 0",
         ),
+        ("motor_lag_s: 0.02", "motor_lag_s: 0", "plant.quadrotor.motor_lag_s: 0: ", "> 0"),
+        ("    motor_lag_s: 0.02\n", "", "plant.quadrotor.motor_lag_s: missing", "number in s"),
         # a list of the wrong length
         (
             "position_m: [2, -1, 1]",
