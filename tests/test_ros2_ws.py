@@ -1,11 +1,14 @@
 """The ROS workspace holds links to the packages at the root; these must hold, or fail aloud."""
 
+import importlib
 import re
+import runpy
 import shutil
 import subprocess
 import sys
 import xml.etree.ElementTree as ET
 from pathlib import Path
+from unittest.mock import MagicMock
 
 import pytest
 
@@ -87,6 +90,85 @@ def test_console_scripts_are_the_wheels():
     wheel = (ROOT / "pyproject.toml").read_text()
     assert "ptnsbc = ptnsbc_tools.cli:main" in shells
     assert 'ptnsbc = "ptnsbc_tools.cli:main"' in wheel
+
+
+def entry_points() -> list[tuple[str, str, str]]:
+    """Package, program and target of every console script, from the text of every setup.py."""
+    line = re.compile(r'"([\w-]+) = ([\w.]+:\w+)"')
+    return [(name, *hit) for name in ALL for hit in line.findall(setup_text(name))]
+
+
+def setup_text(name: str) -> str:
+    return (SRC / name / "setup.py").read_text()
+
+
+def test_entry_points_are_found():
+    programs = {program for _, program, _ in entry_points()}
+    assert programs == {"uav_node", "sim_node", "recorder", "fleet", "ptnsbc"}
+    for name in ALL:  # a setup.py whose entry points this file does not see checks nothing
+        assert ("console_scripts" in setup_text(name)) == any(
+            package == name for package, _, _ in entry_points()
+        )
+
+
+@pytest.mark.parametrize(("package", "program", "target"), entry_points())
+def test_entry_points_lead_to_a_function(package, program, target):
+    if package == "ptnsbc_nodes":
+        pytest.importorskip("rclpy")
+    module, _, function = target.partition(":")
+    assert module.split(".")[0] == package
+    assert callable(getattr(importlib.import_module(module), function, None)), program
+
+
+@pytest.fixture
+def launch_file(monkeypatch):
+    """The launch file as a module; of ROS's `launch`, which no wheel has, it gets stand-ins."""
+    for name in [
+        "ament_index_python",
+        "ament_index_python.packages",
+        "launch",
+        "launch.actions",
+        "launch.conditions",
+        "launch.event_handlers",
+        "launch.events",
+        "launch.substitutions",
+        "launch_ros",
+        "launch_ros.actions",
+    ]:
+        monkeypatch.setitem(sys.modules, name, MagicMock())
+    return runpy.run_path(str(SRC / "ptnsbc_bringup" / "launch" / "fleet.launch.py"))
+
+
+@pytest.mark.parametrize("lockstep", [False, True])
+@pytest.mark.parametrize("bag", ["", "flight"])
+def test_launched_nodes_understand_their_arguments(launch_file, monkeypatch, lockstep, bag):
+    pytest.importorskip("rclpy")
+    from ptnsbc_nodes import environment, recorder, sim_node, uav_node
+
+    monkeypatch.setattr(environment, "prepare", lambda: None)
+    understood = []
+    for node, body in ((sim_node, "_simulate"), (uav_node, "_fly")):
+        monkeypatch.setattr(node, body, lambda arguments, _: understood.append(arguments) or 0)
+    mains = {"sim_node": sim_node.main, "uav_node": uav_node.main}
+    lines = launch_file["command_lines"](Path("/a b.yaml"), (1, 7), lockstep=lockstep, bag=bag)
+    expected = ["sim_node", "uav_node", "uav_node"]
+    assert [executable for executable, _ in lines] == ["recorder", *expected][not bag :]
+    for executable, arguments in lines:
+        if executable == "recorder":
+            options = recorder._parser().parse_args(arguments)
+            assert (options.uavs, options.lockstep) == ([1, 7], lockstep)
+            assert options.attach == [("scenario.yaml", "/a b.yaml")]
+        else:  # as launch_ros starts it
+            assert mains[executable]([*arguments, "--ros-args", "--log-level", "info"]) == 0
+    assert [one.uav for one in understood[1:]] == [1, 7]
+    for one in understood:
+        assert (one.scenario, one.lockstep, one.recorded) == ("/a b.yaml", lockstep, bool(bag))
+
+
+def test_launch_starts_only_what_is_installed(launch_file):
+    installed = {program for package, program, _ in entry_points() if package == "ptnsbc_nodes"}
+    lines = launch_file["command_lines"](Path("a.yaml"), (1,), lockstep=False, bag="b")
+    assert {executable for executable, _ in lines} <= installed
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""Installs the launch file, the configuration and the layouts for colcon."""
+"""Installs the launch file and the layouts for colcon."""
 
 import re
 from pathlib import Path
@@ -7,7 +7,7 @@ from setuptools import setup
 
 HERE = Path(__file__).resolve().parent  # colcon --symlink-install runs a link to this file
 NAME = HERE.name
-FOLDERS = {"launch": "*.launch.py", "config": "*.yaml", "rviz": "*.rviz", "foxglove": "*.json"}
+FOLDERS = {"launch": "*.launch.py", "rviz": "*.rviz", "foxglove": "*.json"}
 
 
 def project_version() -> str:
@@ -44,6 +44,6 @@ setup(
     zip_safe=False,
     maintainer="The PTNSBC maintainers",
     maintainer_email="maintainers@example.org",
-    description="Launch file, configuration and screen layouts of a PTNSBC formation",
+    description="Launch file and screen layouts of a PTNSBC formation",
     license="Apache-2.0",
 )

@@ -38,14 +38,14 @@ setup(
     zip_safe=False,
     maintainer="The PTNSBC maintainers",
     maintainer_email="maintainers@example.org",
-    description="The ROS 2 nodes: UAV, simulator, recorder, fleet and MAVLink bridge",
+    description="The ROS 2 nodes: UAV, simulator, recorder and fleet",
     license="Apache-2.0",
     entry_points={
         "console_scripts": [
             "uav_node = ptnsbc_nodes.uav_node:main",
             "sim_node = ptnsbc_nodes.sim_node:main",
             "recorder = ptnsbc_nodes.recorder:main",
-            "fleet = ptnsbc_nodes.fleet:main",
+            "fleet = ptnsbc_nodes.fleet_node:main",
         ]
     },
 )
