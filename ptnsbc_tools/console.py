@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+import threading
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -13,6 +14,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 _PATIENCE_S = 2.0
+COMPILING = "compiling the laws (once; then read from the cache)"
 _FIXED_WIDTH = 120  # a pipe has no width, and a table cut at 80 columns cannot be read by grep
 
 
@@ -36,6 +38,22 @@ def err() -> Console:
 def print_json(data: Mapping[str, Any]) -> None:
     """One object on stdout, one line."""
     print(json.dumps(data, allow_nan=False), flush=True)
+
+
+@contextmanager
+def compiling() -> Iterator[None]:
+    """Around the first use of the laws: a line on stderr when it is not over in a moment."""
+    timer = threading.Timer(_PATIENCE_S, _say_compiling)
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
+
+
+def _say_compiling() -> None:
+    print(COMPILING, file=sys.stderr, flush=True)
 
 
 @contextmanager

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import tempfile
+from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
 from datetime import datetime
@@ -12,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_sim.scenario import Scenario
-from ptnsbc_tools import result
+from ptnsbc_tools import console, result
 from ptnsbc_tools.bag_reader import read_recording
 from ptnsbc_tools.verdict import verdict_on
 
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from ptnsbc_nodes.fleet import FleetResult
 
 DEMO_SCENARIO = "paper_5"
+_NO_VERDICT = 1
 
 
 class RosMissingError(PtnsbcError):
@@ -63,8 +65,44 @@ def _facts(flown: FleetResult) -> dict[str, Any]:
         "flight_s": round(flown.flight_s, 3),
         "died": list(flown.died),
         "interrupted": flown.interrupted,
+        "recorded": {key: flown.recorded.get(key) for key in ("messages", "lost", "late")},
         "logs": str(flown.processes[0].log.parent) if flown.processes else None,
     }
+
+
+def _losses(flown: FleetResult) -> Iterator[str]:
+    """What the flight and its recording lack, one line each."""
+    for name in flown.died:
+        yield f"{name} ended before its time"
+    recorded = flown.recorded
+    if not recorded:
+        yield "the recorder left no count of its messages: the bag may be cut"
+    if recorded.get("lost"):
+        yield f"the recorder lost {recorded['lost']} of {recorded.get('messages', 0)} messages"
+    if recorded.get("late"):
+        yield f"{recorded['late']} messages came too late to be sorted: bytes differ between runs"
+
+
+def _judged(bag: Path, flown: FleetResult, wishes: Wishes) -> int:
+    """Judge and show the bag; without one that can be read, still tell how the flight ended."""
+    extra: dict[str, Any] = {"bag": wishes.bag, "fleet": _facts(flown)}
+    try:
+        recording = read_recording(bag)
+        verdict = verdict_on(recording)
+    except PtnsbcError as error:
+        line = " ".join(str(error).split())
+        end = "was interrupted" if flown.interrupted else "is over"
+        _say(f"error: the flight {end} after {flown.flight_s:.1f} s, but has no verdict: {line}")
+        if wishes.json:
+            kept = None if wishes.bag is None else str(wishes.bag)
+            console.print_json({**extra, "verdict": None, "error": line, "bag": kept})
+        return flown.exit_code or _NO_VERDICT
+    if wishes.picture is not None:
+        from ptnsbc_tools.picture import draw
+
+        extra["picture"] = draw(recording, wishes.picture)
+    result.show(verdict, json=wishes.json, extra=extra)
+    return flown.exit_code or verdict.exit_code
 
 
 def fleet(scenario: Scenario, wishes: Wishes) -> int:
@@ -76,20 +114,11 @@ def fleet(scenario: Scenario, wishes: Wishes) -> int:
             folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="ptnsbc-"))
             bag = Path(folder) / "bag"
         flown = _launch(scenario, bag, wishes)
-        for name in flown.died:
-            _say(f"{name} ended before its time")
+        for line in _losses(flown):
+            _say(line)
         if flown.interrupted and not bag.exists():
             return flown.exit_code
-        recording = read_recording(bag)
-        verdict = verdict_on(recording)
-        drawn = None
-        if wishes.picture is not None:
-            from ptnsbc_tools.picture import draw
-
-            drawn = draw(recording, wishes.picture)
-    extra = {"bag": wishes.bag, "picture": drawn, "fleet": _facts(flown)}
-    result.show(verdict, json=wishes.json, extra=extra)
-    return flown.exit_code or verdict.exit_code
+        return _judged(bag, flown, wishes)
 
 
 def demo_wishes(folder: Path, *, json: bool) -> Wishes:

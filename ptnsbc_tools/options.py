@@ -28,7 +28,10 @@ AvoidanceOption = Annotated[
     Literal["off", "set_based", "switched"] | None,
     typer.Option("--avoidance", help="How obstacles and other UAVs are kept clear of."),
 ]
-SeedOption = Annotated[int | None, typer.Option("--seed", min=0, help="Seed of everything random.")]
+SeedOption = Annotated[
+    int | None,
+    typer.Option("--seed", min=0, help="No effect yet: nothing in a flight is random."),
+]
 DurationOption = Annotated[
     float | None, typer.Option("--duration", metavar="SECONDS", help="Length of the flight.")
 ]

@@ -15,7 +15,8 @@ from ptnsbc_tools.verdict import Verdict
 
 def preflight(scenario: Scenario, *, quiet: bool) -> None:
     """Refuse to fly what cannot be flown; show warnings."""
-    findings = check.check(scenario)
+    with console.compiling():
+        findings = check.check(scenario)
     loud = [finding for finding in findings if finding.severity != check.INFO]
     if loud and not quiet:
         console.err().print(findings_table(scenario.name, loud))

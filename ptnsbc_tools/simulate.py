@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ptnsbc_sim.scenario import Scenario
+from ptnsbc_sim.scenario import Scenario, scenario_from_text
 from ptnsbc_tools import console, result
 from ptnsbc_tools.verdict import Verdict, verdict_on
 
@@ -21,6 +21,9 @@ def simulate(scenario: Scenario, bag: Path | None, *, overwrite: bool, json: boo
 
     from ptnsbc_sim.swarm import fly
 
+    one_tick = {"timing.duration_s": 1 / scenario.control_hz}
+    with console.compiling():  # or the flight would seem to stand still for a minute
+        fly(scenario_from_text(scenario.text, one_tick, source=scenario.source))
     with console.progress("flying") as advance:
         flight = fly(scenario, advance)
     if bag is not None:

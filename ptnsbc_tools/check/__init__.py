@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_tools.check.finding import ERROR, INFO, WARNING, CheckError, Finding, Findings
-from ptnsbc_tools.check.gains import feasible, order, steps
+from ptnsbc_tools.check.gains import feasible, order, printed, steps
 from ptnsbc_tools.check.geometry import graph, shape, spacing, starts_clear
 from ptnsbc_tools.check.surroundings import encounters, sensor
 
@@ -19,6 +19,7 @@ _CHECKS: Sequence[Callable[[Scenario], Findings]] = (
     starts_clear,
     steps,
     order,
+    printed,
     feasible,
     encounters,
     sensor,

@@ -12,7 +12,8 @@ from ptnsbc_tools.tables import findings_table
 
 def run(scenario: Scenario, *, json: bool) -> None:
     """Print all findings; raise when one of them is an error."""
-    findings = check(scenario)
+    with console.compiling():
+        findings = check(scenario)
     if json:
         console.print_json(
             {

@@ -71,6 +71,18 @@ def order(scenario: Scenario) -> Findings:
             )
 
 
+def printed(scenario: Scenario) -> Findings:
+    """The printed gains on a vehicle that has to tilt before it can push."""
+    if scenario.gains.profile == "paper" and scenario.plant_kind == "quadrotor":
+        yield Finding(
+            WARNING,
+            "gains.profile",
+            "paper on a quadrotor",
+            "soft or reference, or plant.kind rigid_body_6dof",
+            "flown so, paper_5 saturates, no UAV keeps its deadline and UAV 5 ends up metres off",
+        )
+
+
 def acceleration_limit(scenario: Scenario) -> float:
     """Acceleration [m/s^2] that filter and actuators both allow, in the weakest direction."""
     limit, gravity = scenario.gains.filter.max_acceleration_m_s2, scenario.gravity_m_s2

@@ -56,7 +56,7 @@ def test_desired_positions_closer_than_the_safe_distance() -> None:
     found = errors(**{"formation__offsets_m__3": [-0.6, -1.2, 0], "formation__uav_keep_out_m": 1.3})
     desired = [finding for finding in found if finding.key == "formation.offsets_m"]
     assert "UAV 3 and UAV 4 1.20 m apart" in [finding.value for finding in desired]
-    assert desired[0].limit == ">= 1.3 m"
+    assert desired[0].limit == ">= 1.32 m"  # 0.02 m of clearance.margin_m
 
 
 def test_starts_closer_than_the_safe_distance() -> None:
@@ -74,6 +74,23 @@ def test_start_inside_an_obstacle() -> None:
 def test_a_gain_too_large_for_the_control_period() -> None:
     found = errors(gains__formation__kappa_1_s=300)
     assert [finding.key for finding in found] == ["gains.formation"]
+
+
+@pytest.mark.parametrize(
+    ("profile", "plant", "loud"),
+    [
+        ("paper", "quadrotor", 1),
+        ("paper", "rigid_body_6dof", 0),
+        ("soft", "quadrotor", 0),
+        ("reference", "quadrotor", 0),
+    ],
+)
+def test_the_printed_gains_on_a_quadrotor_are_a_warning(
+    profile: str, plant: str, loud: int
+) -> None:
+    scenario = load_scenario("paper_5", {"gains.profile": profile, "plant.kind": plant})
+    warnings = [finding for finding in check(scenario) if finding.severity == "warning"]
+    assert [finding.key for finding in warnings] == ["gains.profile"] * loud
 
 
 def test_a_sensor_that_sees_too_late() -> None:

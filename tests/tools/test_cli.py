@@ -1,7 +1,9 @@
 """The command line as a user meets it: exit codes, one line per error, JSON alone on stdout."""
 
 import json
+import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -10,16 +12,20 @@ from typer.testing import CliRunner
 from ptnsbc_nodes import topics
 from ptnsbc_nodes.bag import BagWriter, TopicInfo
 from ptnsbc_nodes.wire import HeaderTemplate, OdometryTemplate, WrenchTemplate
+from ptnsbc_tools import console
 from ptnsbc_tools.bag_reader import SCENARIO_ATTACHMENT
 from ptnsbc_tools.cli import app
-from ptnsbc_tools.verdict import Recording
+from ptnsbc_tools.console import COMPILING
+from ptnsbc_tools.verdict import Recording, Series
 
 Fly = Callable[..., Recording]
 
 
 def run(*words: object) -> tuple[int, str, str]:
     result = CliRunner().invoke(app, [str(word) for word in words])
-    return result.exit_code, result.stdout, result.stderr
+    # Whether the laws have to be compiled depends on who ran before.
+    err = result.stderr.replace(f"{COMPILING}\n", "")
+    return result.exit_code, result.stdout, err
 
 
 def write(recording: Recording, directory: Path) -> Path:
@@ -38,9 +44,9 @@ def write(recording: Recording, directory: Path) -> Path:
             series = recording.odometry[uav]
             for row, stamp in enumerate(series.t_ns.tolist()):
                 writer.write(topics.odom(uav).name, stamp, state.encode(stamp, series.values[row]))
-                forces = recording.wrench[uav].values[row]
-                name = topics.wrench_setpoint(uav).name
-                writer.write(name, stamp, wrench.encode(stamp, forces))
+            name, series = topics.wrench_setpoint(uav).name, recording.wrench[uav]
+            for row, stamp in enumerate(series.t_ns.tolist()):
+                writer.write(name, stamp, wrench.encode(stamp, series.values[row]))
     return directory
 
 
@@ -135,8 +141,52 @@ def test_verify_a_flight_that_does_not(fly: Fly, tmp_path: Path) -> None:
 def test_verify_with_another_scenario(fly: Fly, tmp_path: Path) -> None:
     bag = write(fly(seconds=7.0), tmp_path / "bag")
     other = tmp_path / "other.yaml"
-    other.write_text("extends: paper_5_free\nformation: {offsets_m: {4: [0.6, -1.5, 0]}}\n")
+    other.write_text(
+        "extends: paper_5_free\ntiming: {duration_s: 7}\nformation: {offsets_m: {4: [0.6, -1.5, 0]}}\n"
+    )
     assert run("verify", bag, "--scenario", other)[0] == 1
+
+
+def test_a_bag_of_nan_is_missed(fly: Fly, tmp_path: Path) -> None:
+    recording = fly(seconds=7.0)
+    recording.odometry[3].values[550:] = float("nan")
+    code, out, err = run("verify", write(recording, tmp_path / "bag"))
+    assert (code, err) == (1, "")
+    assert "UAV 3 missed: state not finite from t = 5.50 s" in out
+
+
+def test_a_bag_with_holes_says_so(fly: Fly, without: Callable[..., Series], tmp_path: Path) -> None:
+    recording = fly(seconds=7.0)
+    whole = recording.odometry[3]
+    cut = replace(recording, odometry={**recording.odometry, 3: without(whole, 10, 600)})
+    code, out, _ = run("verify", write(cut, tmp_path / "few"))
+    assert code == 0
+    assert "2 messages missing" in out
+    hole = without(whole, *range(100, 400))
+    cut = replace(recording, odometry={**recording.odometry, 3: hole})
+    code, out, _ = run("verify", write(cut, tmp_path / "many"), "--json")
+    data = json.loads(out)
+    assert (code, data["verdict"]) == (1, "void")
+    assert data["uavs"][2]["reason"].startswith("recording incomplete: nothing on /uav3/odom")
+    assert [one["missing"] for one in data["uavs"]] == [0, 0, 300, 0, 0]
+    assert [one["missing"] for one in data["efforts"]] == [0, 0, 0, 0, 0]
+
+
+def test_a_line_says_what_takes_long(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(console, "_PATIENCE_S", 0.01)
+    with console.compiling():
+        time.sleep(0.2)
+    assert capsys.readouterr().err == f"{COMPILING}\n"
+    monkeypatch.setattr(console, "_PATIENCE_S", 60.0)
+    with console.compiling():
+        pass
+    assert capsys.readouterr().err == ""
+
+
+def test_seed_says_that_it_has_no_effect() -> None:
+    assert "No effect yet" in run("simulate", "--help")[1]
 
 
 def test_a_cut_bag_is_one_line(fly: Fly, tmp_path: Path) -> None:
