@@ -12,7 +12,7 @@ from ptnsbc_core.kinematics import body_rates, euler_from_rotation, rotation_fro
 from ptnsbc_core.nullspace import compose, damped_solve, scaled_to_limit
 from ptnsbc_core.tasks.clearance import Clearance
 from ptnsbc_core.tasks.registry import evaluate, task_error
-from ptnsbc_core.timebase import Clock, loop_gain, loop_rate, onset
+from ptnsbc_core.timebase import Clock, holding_gain, loop_rate, onset
 from ptnsbc_core.trajectory import Reference
 from ptnsbc_core.types import AgentConfig, Array
 
@@ -89,7 +89,7 @@ def formation(
         for i in range(3):
             jacobian[row, i] = scale * geometry.own[row, i]
     behind = config.offset - (position - parent.position)
-    fallback = parent.velocity - leader.velocity + loop_gain(config.formation, clock) * behind
+    fallback = parent.velocity - leader.velocity + holding_gain(config.formation, clock) * behind
     solved = damped_solve(jacobian, asked, fallback, config.damping_threshold, config.damping_max)
     return Behaviour(leader.velocity + solved.velocity, jacobian, error, solved.singular_value)
 
@@ -121,7 +121,7 @@ class Composed(NamedTuple):
 
     velocity: Array  # (3,) [m/s, ENU]
     limited: bool
-    violation: float  # [m/s] how far the limited sum misses the top task's rows
+    violation: float  # [m/s] how far the sum, cut to the speed limit, misses the top task's rows
 
 
 @kernel
@@ -139,7 +139,6 @@ def composed(top: Clearance, jacobian: Array, max_speed: float) -> Composed:
     rows = np.empty(2)
     rows[0], rows[1] = above, 3
     parts = compose(velocities, stacked, rows)
-    parts[0] = limited(parts[0], max_speed)
     out = scaled_to_limit(parts, max_speed)
     change = 0.0
     whole = 0.0
@@ -148,6 +147,6 @@ def composed(top: Clearance, jacobian: Array, max_speed: float) -> Composed:
     for row in range(above):
         miss = 0.0
         for i in range(3):
-            miss += top.jacobian[row, i] * (out[i] - parts[0, i])
+            miss += top.jacobian[row, i] * (out[i] - top.velocity[i])
         change = max(change, abs(miss))
     return Composed(out, whole > 1e-9, change)

@@ -50,7 +50,7 @@ def tilt_limited(force: Array, config: ControllerConfig) -> Array:
 
 @kernel
 def desired_rotation(force: Array, yaw: float) -> Array:
-    """R_d (3, 3): body z along the force (3,), body x in the vertical plane of the heading [rad]."""
+    """R_d (3, 3): body z along the force (3,), body y square to it and to the heading [rad]."""
     up = force / norm3(force)
     heading = np.zeros(3)
     heading[0], heading[1] = math.cos(yaw), math.sin(yaw)
@@ -61,6 +61,18 @@ def desired_rotation(force: Array, yaw: float) -> Array:
     out[:, 1] = left
     out[:, 2] = up
     return out
+
+
+@kernel
+def half_turn(relative: Array) -> Array:
+    """Rotation vector (3,) of length pi [rad] of a rotation (3, 3) by half a turn: R = 2 a a^T - I."""
+    longest = 0
+    for i in range(1, 3):
+        if relative[i, i] > relative[longest, longest]:
+            longest = i
+    axis = relative[:, longest].copy()
+    axis[longest] += 1.0
+    return axis * (math.pi / norm3(axis))
 
 
 @kernel
@@ -81,6 +93,8 @@ def attitude_error(rotation: Array, desired: Array) -> Array:
     sine = 0.5 * norm3(twist)
     angle = math.atan2(sine, 0.5 * (trace - 1.0))
     if sine < 1e-9:
+        if trace < 0.0:  # half a turn: the axis is in the symmetric part
+            return half_turn(relative)
         return 0.5 * twist
     return twist * (0.5 * angle / sine)
 

@@ -62,6 +62,14 @@ def loop_gain(gain: LoopGain, clock: Clock) -> float:
 
 
 @kernel
+def holding_gain(gain: LoopGain, clock: Clock) -> float:
+    """Gain [1/s] on an error that no plan was made for: G(t), or kappa alone for the profile `reference`."""
+    if gain.profile == PROFILE_REFERENCE:
+        return gain.scale * gain.kappa
+    return loop_gain(gain, clock)
+
+
+@kernel
 def loop_rate(gain: LoopGain, error: Array, start_error: Array, clock: Clock) -> Array:
     """Task rate [unit/s] that a loop asks for an error (m,): G e, or the profile `reference` around e(t0)(1 - h).
 

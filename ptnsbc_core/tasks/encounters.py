@@ -60,6 +60,7 @@ def _open(encounters: Array, side: float) -> int:
             slot = candidate
     encounters[slot, SIDE] = -1.0 if side < 0.0 else 1.0
     encounters[slot, ACTIVE_S] = 0.0
+    encounters[slot, QUIET_S] = np.inf
     encounters[slot, USED] = 1.0
     return slot
 
@@ -87,7 +88,8 @@ def update(
             slot = _open(out, side[m])
         for i in range(3):
             out[slot, i] = near[m, i]
-        out[slot, ACTIVE_S] += dt
+        if out[slot, QUIET_S] > 0.0:  # once a tick, also when two near objects share the place
+            out[slot, ACTIVE_S] += dt
         out[slot, QUIET_S] = 0.0
         if out[slot, ACTIVE_S] > config.timeout_s:
             out[slot, SIDE] = -out[slot, SIDE]

@@ -13,7 +13,7 @@ from ptnsbc_sim.scenario.reader import merged
 
 _COMMON: dict[str, Any] = {
     "profile": "soft",  # no input step at t = 0
-    "formation": {"residual": 1e-2, "scale": 1, "kappa_1_s": 2.5},
+    "formation": {"residual": 2e-2, "scale": 1, "kappa_1_s": 2.4},
     "attitude": {"deadline_s": 1.5, "residual": 1e-3, "scale": 1, "kappa_1_s": 1},
     # k2 exceeds any rate of change of the leader; the boundary keeps dt k2/boundary small
     "estimator": {
@@ -57,7 +57,7 @@ _COMMON: dict[str, Any] = {
         "cap_rad_s2": 5,
     },
     "boundary": {"velocity_m_s": 0.05, "rate_rad_s": 0.1},
-    "pointing": {"tilt_1_s": 16, "yaw_1_s": 3},  # below the body-rate loop, above the velocity loop
+    "pointing": {"tilt_1_s": 12, "yaw_1_s": 3},  # below the body-rate loop, above the velocity loop
     "observer": {"bandwidth_1_s": 10},  # between the disturbances (1 rad/s) and the attitude loop
     # metres per metre: the shipped formations stay above the threshold, Table 2 starts below it
     "damping": {"threshold": 0.35, "maximum": 0.5},
@@ -71,24 +71,26 @@ _PLANT: dict[str, dict[str, Any]] = {
         "torque": {"deadline_s": 1, "residual": 1e-3, "scale": 1, "kappa_1_s": 15},
     },
     # Thrust follows the attitude and the attitude follows the rates, each about three times as fast
-    # as the loop around it. A velocity loop above 7 1/s swings along the chain of angle tasks.
+    # as the loop around it. Found by a search that flew every candidate once as it is and once with
+    # the wrench one control period late, as a slow host delivers it.
     "quadrotor": {
         # firm from the start: the error at t = 0 is zero, and a vehicle that starts tilted falls
         "force": {
             "deadline_s": 1.5,
-            "residual": 0.2,
+            "residual": 0.5,
             "scale": 1,
-            "kappa_1_s": 6,
+            "kappa_1_s": 5.5,
             "profile": "paper",
         },
         "torque": {
             "deadline_s": 0.5,
             "residual": 0.3,
             "scale": 1,
-            "kappa_1_s": 35,
+            "kappa_1_s": 32,
             "profile": "paper",
         },
-        "filter": {"bandwidth_1_s": 30},
+        "filter": {"bandwidth_1_s": 30, "max_rate_rad_s": 6.5},
+        "pointing": {"tilt_1_s": 12, "yaw_1_s": 3},
         # wide boundaries and low caps: the sliding term adds cap/boundary to a loop gain
         "adaptation": {"gamma_mass": 12, "cap_m_s2": 1, "cap_rad_s2": 3},
         "boundary": {"velocity_m_s": 0.4, "rate_rad_s": 1.0},
