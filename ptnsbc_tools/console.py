@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from functools import cache
 from typing import Any, Protocol
 
 from rich.console import Console
@@ -52,7 +53,9 @@ def compiling() -> Iterator[None]:
         timer.cancel()
 
 
+@cache
 def _say_compiling() -> None:
+    # Once: the check and the flight may both have to compile.
     print(COMPILING, file=sys.stderr, flush=True)
 
 
