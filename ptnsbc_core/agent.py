@@ -15,7 +15,7 @@ from ptnsbc_core.algebra import wrap
 from ptnsbc_core.command_filter import filter_step
 from ptnsbc_core.controller import Command, Control, rigid_body_control
 from ptnsbc_core.estimator import disagreement, estimator_step
-from ptnsbc_core.kernel import kernel, kernel_list
+from ptnsbc_core.kernel import kernel, kernel_list, leaf
 from ptnsbc_core.kinematics import (
     estimate_to_odometry,
     odometry_to_estimate,
@@ -78,7 +78,7 @@ def initial_state(own: Array, config: AgentConfig) -> AgentState:
     )
 
 
-@kernel
+@leaf
 def _moved_on(estimate: Array, age_s: float) -> Array:
     """Estimate (7,) of `age_s` ago carried to the present with its own velocity."""
     out = estimate.copy()
@@ -87,7 +87,7 @@ def _moved_on(estimate: Array, age_s: float) -> Array:
     return out
 
 
-@kernel
+@leaf
 def _estimated_leader(
     state: AgentState, inputs: AgentInputs, clock: Clock, frozen: bool, config: AgentConfig
 ) -> tuple[Array, bool]:
@@ -124,7 +124,7 @@ def _estimated_leader(
     return estimator_step(state.estimate, g, clock.t, clock.dt, config.estimator), True
 
 
-@kernel
+@leaf
 def _lost(inputs: AgentInputs, start_t: float, config: AgentConfig) -> bool:
     """Whether the parent or a leader link has been silent for too long (never heard counts after stale_s)."""
     if config.leader or start_t < config.stale_s:
@@ -134,7 +134,7 @@ def _lost(inputs: AgentInputs, start_t: float, config: AgentConfig) -> bool:
     return config.estimator.pinned and inputs.leader_age_s > config.stale_s
 
 
-@kernel
+@leaf
 def _behaviour(
     inputs: AgentInputs, estimate: Array, armed: Armed, clock: Clock, config: AgentConfig
 ) -> Behaviour:
@@ -152,7 +152,7 @@ def _behaviour(
     return formation(position, parent, leader, armed, clock, config)
 
 
-@kernel
+@leaf
 def _controlled(
     state: AgentState, inputs: AgentInputs, command: Command, clock: Clock, config: AgentConfig
 ) -> Control:
@@ -180,7 +180,7 @@ def _controlled(
     )
 
 
-@kernel
+@leaf
 def _hold_place(state: AgentState, inputs: AgentInputs, holding: bool) -> Array:
     """Where to hold (4,): where the UAV was when holding began."""
     if holding and state.mode == MODE_FORMATION:
@@ -191,7 +191,7 @@ def _hold_place(state: AgentState, inputs: AgentInputs, holding: bool) -> Array:
     return state.hold.copy()
 
 
-@kernel
+@leaf
 def _held(
     behaviour: Behaviour, inputs: AgentInputs, place: Array, config: AgentConfig
 ) -> Behaviour:
@@ -215,7 +215,7 @@ class Planned(NamedTuple):
     violation: float  # [m/s]
 
 
-@kernel
+@leaf
 def _planned(
     state: AgentState,
     inputs: AgentInputs,
@@ -252,7 +252,7 @@ def _planned(
     )
 
 
-@kernel
+@leaf
 def _told(inputs: AgentInputs, planned: Planned, config: AgentConfig) -> Array:
     """Velocity setpoint (4,): [m/s, ENU] and yaw rate [rad/s], for a vehicle that closes its own loops."""
     command = planned.command
@@ -266,7 +266,7 @@ def _told(inputs: AgentInputs, planned: Planned, config: AgentConfig) -> Array:
     return out
 
 
-@kernel
+@leaf
 def _desired_yaw(
     estimate: Array, place: Array, holding: bool, clock: Clock, config: AgentConfig
 ) -> float:

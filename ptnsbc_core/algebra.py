@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ptnsbc_core.kernel import kernel
+from ptnsbc_core.kernel import kernel, leaf
 from ptnsbc_core.types import Array
 
 _SWEEPS = 12
@@ -25,19 +25,19 @@ class Eigen3(NamedTuple):
     vectors: Array
 
 
-@kernel
+@leaf
 def dot3(a: Array, b: Array) -> float:
     """Scalar product of two (3,) vectors."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@kernel
+@leaf
 def norm3(a: Array) -> float:
     """Euclidean norm of a (3,) vector."""
     return math.sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2])
 
 
-@kernel
+@leaf
 def cross3(a: Array, b: Array) -> Array:
     """Vector product a x b, (3,)."""
     c = np.empty(3)
@@ -47,7 +47,7 @@ def cross3(a: Array, b: Array) -> Array:
     return c
 
 
-@kernel
+@leaf
 def times(m: Array, v: Array) -> Array:
     """Product (r, 3) (3,) -> (r,)."""
     out = np.empty(m.shape[0])
@@ -56,7 +56,7 @@ def times(m: Array, v: Array) -> Array:
     return out
 
 
-@kernel
+@leaf
 def transpose_times(m: Array, v: Array) -> Array:
     """Product of the transpose of m (r, 3) with v (r,) -> (3,)."""
     out = np.zeros(3)
@@ -66,19 +66,19 @@ def transpose_times(m: Array, v: Array) -> Array:
     return out
 
 
-@kernel
+@leaf
 def wrap(angle: float) -> float:
     """Angle [rad] wrapped to [-pi, pi)."""
     return (angle + math.pi) % (2.0 * math.pi) - math.pi
 
 
-@kernel
+@leaf
 def saturation(x: float, width: float) -> float:
     """(47): slope 1/width inside +-width, sign outside."""
     return min(max(x / width, -1.0), 1.0)
 
 
-@kernel
+@leaf
 def limited(v: Array, limit: float) -> Array:
     """V (3,) scaled down to the norm `limit` where it is longer."""
     length = norm3(v)
@@ -129,7 +129,7 @@ def eigen3(gram: Array) -> Eigen3:
     return Eigen3(values, vectors)
 
 
-@kernel
+@leaf
 def gram3(m: Array) -> Array:
     """Gram matrix of m (r, 3): (3, 3)."""
     out = np.zeros((3, 3))

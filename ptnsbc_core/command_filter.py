@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from ptnsbc_core.algebra import norm3
-from ptnsbc_core.kernel import kernel
+from ptnsbc_core.kernel import leaf
 from ptnsbc_core.types import Array
 
 
@@ -21,7 +21,7 @@ class Filtered(NamedTuple):
     saturated: bool
 
 
-@kernel
+@leaf
 def filter_step(state: Array, target: Array, bandwidth: float, limit: float, dt: float) -> Filtered:
     """Move `state` (3,) towards `target` (3,) at `bandwidth` [1/s], by at most `limit` per second."""
     gain = min(bandwidth, 1.0 / dt)

@@ -12,7 +12,7 @@ import numpy as np
 
 from ptnsbc_core.adaptation import adapted_bound, adapted_parameters
 from ptnsbc_core.algebra import cross3, norm3, saturation, transpose_times
-from ptnsbc_core.kernel import kernel
+from ptnsbc_core.kernel import kernel, leaf
 from ptnsbc_core.kinematics import rotation_from_quaternion
 from ptnsbc_core.timebase import Clock, loop_gain
 from ptnsbc_core.types import Array, ControllerConfig, LoopGain
@@ -39,7 +39,7 @@ class Control(NamedTuple):
     velocity_error: float  # [m/s]
 
 
-@kernel
+@leaf
 def sliding_term(error: Array, gain: LoopGain, bound: float, width: float, clock: Clock) -> Array:
     """Specific feedback (3,) [m/s^2] or [rad/s^2]: -(Xi_3 + kappa) V~ - delta_hat sat(V~ / width)."""
     rate = loop_gain(gain, clock)
@@ -49,14 +49,14 @@ def sliding_term(error: Array, gain: LoopGain, bound: float, width: float, clock
     return out
 
 
-@kernel
+@leaf
 def torque_model(rates: Array, reference: Array, reference_dot: Array, inertia: Array) -> Array:
     """I w_r_dot - S(I w) w_r (3,) [N m]: the rotational rows of Omega V_r_dot + C V_r."""
     momentum = inertia * rates
     return inertia * reference_dot - cross3(momentum, reference)
 
 
-@kernel
+@leaf
 def torque_regressor_error(
     rates: Array, reference: Array, reference_dot: Array, error: Array
 ) -> Array:
@@ -69,7 +69,7 @@ def torque_regressor_error(
     return out
 
 
-@kernel
+@leaf
 def one_norm(v: Array) -> float:
     """|v|_1 of a (3,) vector."""
     return abs(v[0]) + abs(v[1]) + abs(v[2])

@@ -51,7 +51,7 @@ def _prune(root: Path, keep: Path) -> None:
         shutil.rmtree(path, ignore_errors=True)
 
 
-def _compiler() -> Callable[[Callable[P, R]], Callable[P, R]] | None:
+def _compiler() -> tuple[Any, Any] | None:
     if os.environ.get("PTNSBC_JIT", "1") == "0":
         return None
     try:
@@ -68,8 +68,9 @@ def _compiler() -> Callable[[Callable[P, R]], Callable[P, R]] | None:
         cached = True
         _prune(root, cache)
         numba.config.CACHE_DIR = str(cache)
-    decorate: Any = numba.njit(cache=cached, error_model="numpy")
-    return decorate
+    whole = numba.njit(cache=cached, error_model="numpy")
+    within = numba.njit(cache=cached, error_model="numpy", forceinline=True)
+    return whole, within
 
 
 _COMPILE = _compiler()
@@ -79,7 +80,16 @@ COMPILED: bool = _COMPILE is not None
 
 def kernel(law: Callable[P, R]) -> Callable[P, R]:
     """Mark a law as a kernel: scalars, small float64 arrays and NamedTuples in and out, no I/O, no globals."""
-    return law if _COMPILE is None else _COMPILE(law)
+    return law if _COMPILE is None else _COMPILE[0](law)
+
+
+def leaf(law: Callable[P, R]) -> Callable[P, R]:
+    """A short kernel that becomes part of its caller.
+
+    Between two compiled functions every array travels as seven words and a reference count; within one the
+    compiler drops most of both. Long kernels stay apart, or each caller would compile them again.
+    """
+    return law if _COMPILE is None else _COMPILE[1](law)
 
 
 def _list_type() -> Any:

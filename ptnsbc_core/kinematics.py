@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from ptnsbc_core.errors import AttitudeError
-from ptnsbc_core.kernel import kernel
+from ptnsbc_core.kernel import kernel, leaf
 from ptnsbc_core.types import ODOMETRY_SIZE, Array
 
 SINGULAR_COSINE = 1e-6
@@ -27,7 +27,7 @@ def rotation_from_euler(euler: Array) -> Array:
     return r
 
 
-@kernel
+@leaf
 def rotation_from_quaternion(q: Array) -> Array:
     """R (3, 3), body to world, from a unit quaternion x y z w."""
     x, y, z, w = q[0], q[1], q[2], q[3]
@@ -100,7 +100,7 @@ def checked_pitch(pitch_rad: float) -> float:
     return pitch_rad
 
 
-@kernel
+@leaf
 def velocity_enu(odometry: Array) -> Array:
     """World velocity (3,) [m/s] of an odometry vector whose twist is in the body frame."""
     r = rotation_from_quaternion(odometry[3:7])
@@ -110,7 +110,7 @@ def velocity_enu(odometry: Array) -> Array:
     return out
 
 
-@kernel
+@leaf
 def yaw_of(odometry: Array) -> float:
     """Yaw [rad] of an odometry vector."""
     x, y, z, w = odometry[3], odometry[4], odometry[5], odometry[6]

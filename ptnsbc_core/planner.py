@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ptnsbc_core.algebra import limited, norm3, times, wrap
-from ptnsbc_core.kernel import kernel
+from ptnsbc_core.kernel import kernel, leaf
 from ptnsbc_core.kinematics import body_rates, euler_from_rotation, rotation_from_quaternion
 from ptnsbc_core.nullspace import compose, damped_solve, scaled_to_limit
 from ptnsbc_core.tasks.clearance import Clearance
@@ -94,7 +94,7 @@ def formation(
     return Behaviour(leader.velocity + solved.velocity, jacobian, error, solved.singular_value)
 
 
-@kernel
+@leaf
 def hold(position: Array, where: Array, config: AgentConfig) -> Array:
     """Velocity (3,) [m/s, ENU] that keeps a place (4,), within the speed limit."""
     return limited(config.hold_gain * (where[0:3] - position), 0.5 * config.filter.max_speed)

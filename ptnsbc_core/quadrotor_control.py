@@ -23,7 +23,7 @@ from ptnsbc_core.controller import (
     torque_model,
     torque_regressor_error,
 )
-from ptnsbc_core.kernel import kernel
+from ptnsbc_core.kernel import kernel, leaf
 from ptnsbc_core.kinematics import rotation_from_quaternion, velocity_enu
 from ptnsbc_core.timebase import Clock
 from ptnsbc_core.types import Array, ControllerConfig
@@ -35,7 +35,7 @@ _LEAST_LIFT = 0.3
 """Smallest vertical specific force, as a share of gravity: a quadrotor has to keep pulling up to steer."""
 
 
-@kernel
+@leaf
 def tilt_limited(force: Array, config: ControllerConfig) -> Array:
     """Force (3,) [N, ENU] within the tilt limit: the vertical part is kept, the horizontal one gives way."""
     out = force.copy()
@@ -99,7 +99,7 @@ def attitude_error(rotation: Array, desired: Array) -> Array:
     return twist * (0.5 * angle / sine)
 
 
-@kernel
+@leaf
 def rate_reference(turn: Array, max_rate: float, config: ControllerConfig) -> Array:
     """Body rates (3,) [rad/s] for an attitude error (3,) [rad], never faster than the torques can brake.
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ptnsbc_core.errors import GainError
-from ptnsbc_core.kernel import kernel
+from ptnsbc_core.kernel import kernel, leaf
 from ptnsbc_core.types import PROFILE_REFERENCE, PROFILE_SOFT, Array, LoopGain
 
 
@@ -24,7 +24,7 @@ class Clock(NamedTuple):
     dt: float  # control period
 
 
-@kernel
+@leaf
 def h(s: float) -> float:
     """Time base (32) with the sign that converges; s = t / tf [1], clamped to [0, 1]."""
     s = min(max(s, 0.0), 1.0)
@@ -39,14 +39,14 @@ def h_rate(s: float, duration_s: float) -> float:
     return 140.0 * r * r * r / duration_s
 
 
-@kernel
+@leaf
 def step_gain(t: float, dt: float, duration_s: float, residual: float) -> float:
     """Exact gain of the step from t to t + dt [1/s]: an Euler step with it meets (15) at every dt."""
     now = h(t / duration_s)
     return (h((t + dt) / duration_s) - now) / (dt * (1.0 - now + residual))
 
 
-@kernel
+@leaf
 def onset(gain: LoopGain, clock: Clock) -> float:
     """c(t) [1]: 1, or h(t) for the profile `soft`, whose input then starts at zero."""
     if gain.profile == PROFILE_SOFT:

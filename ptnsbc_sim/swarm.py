@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ptnsbc_core.agent import initial_state, step
-from ptnsbc_core.kernel import KernelList, kernel, kernel_list
+from ptnsbc_core.kernel import KernelList, kernel, kernel_list, leaf
 from ptnsbc_core.types import (
     MODE_FORMATION,
     NEVER_HEARD_S,
@@ -92,7 +92,7 @@ class Flight(NamedTuple):
         )
 
 
-@kernel
+@leaf
 def _heard(track: Track, tick: int, row: int) -> Array:
     """Odometry vector (13,) that UAV number `row` sent at the previous tick."""
     if tick == 0 or row < 0:
@@ -100,7 +100,7 @@ def _heard(track: Track, tick: int, row: int) -> Array:
     return track.odometry[tick - 1, row].copy()
 
 
-@kernel
+@leaf
 def _inputs(wiring: Wiring, track: Track, near: Array, tick: int, row: int) -> AgentInputs:
     """What UAV number `row` knows at `tick`."""
     dt = wiring.dt_ns * 1e-9
@@ -148,7 +148,7 @@ def _sense(crew: Crew, wiring: Wiring, track: Track, tick: int) -> None:
             )
 
 
-@kernel
+@leaf
 def _note(track: Track, tick: int, row: int, out: AgentOutputs) -> None:
     """Write one UAV's outputs of one tick into the track."""
     track.velocity[tick, row] = out.velocity

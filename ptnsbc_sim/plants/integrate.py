@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ptnsbc_core.kernel import kernel
+from ptnsbc_core.kernel import kernel, leaf
 from ptnsbc_core.kinematics import quaternion_from_euler
 from ptnsbc_core.types import PLANT_RIGID_BODY, Array
 from ptnsbc_sim.plants import quadrotor, rigid_body
@@ -30,7 +30,7 @@ def initial_state(position: Array, euler: Array, config: PlantConfig) -> Array:
     return x
 
 
-@kernel
+@leaf
 def odometry(x: Array, config: PlantConfig) -> Array:
     """Odometry vector (13,) of a plant state (17,)."""
     if config.kind == PLANT_RIGID_BODY:
@@ -38,7 +38,7 @@ def odometry(x: Array, config: PlantConfig) -> Array:
     return quadrotor_odometry(x)
 
 
-@kernel
+@leaf
 def _derivative(x: Array, wrench: Array, push: Array, config: PlantConfig, out: Array) -> None:
     if config.kind == PLANT_RIGID_BODY:
         rigid_derivative(x, wrench, push, config, out)

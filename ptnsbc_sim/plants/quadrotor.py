@@ -10,13 +10,13 @@ import math
 
 import numpy as np
 
-from ptnsbc_core.kernel import kernel
+from ptnsbc_core.kernel import leaf
 from ptnsbc_core.kinematics import rotation_from_quaternion
 from ptnsbc_core.types import ODOMETRY_SIZE, Array
 from ptnsbc_sim.plants.contract import PlantConfig
 
 
-@kernel
+@leaf
 def derivative(x: Array, wrench: Array, push: Array, config: PlantConfig, out: Array) -> None:
     """x_dot into `out` (17,), for commanded thrust wrench[2] and torques wrench[3:6], disturbance (6,)."""
     a, b, c, d = x[3], x[4], x[5], x[6]
@@ -44,7 +44,7 @@ def derivative(x: Array, wrench: Array, push: Array, config: PlantConfig, out: A
         out[14 + i] = (min(max(wrench[3 + i], -most), most) - x[14 + i]) * rate
 
 
-@kernel
+@leaf
 def normalise(x: Array) -> None:
     """Bring the quaternion of a state (17,) back to unit length, in place."""
     length = math.sqrt(x[3] * x[3] + x[4] * x[4] + x[5] * x[5] + x[6] * x[6])
@@ -52,7 +52,7 @@ def normalise(x: Array) -> None:
         x[i] /= length
 
 
-@kernel
+@leaf
 def odometry(x: Array) -> Array:
     """Odometry vector (13,) of a state (17,): the velocity turned into the body frame."""
     out = np.empty(ODOMETRY_SIZE)

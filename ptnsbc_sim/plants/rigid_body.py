@@ -10,13 +10,13 @@ import math
 
 import numpy as np
 
-from ptnsbc_core.kernel import kernel
+from ptnsbc_core.kernel import leaf
 from ptnsbc_core.kinematics import quaternion_from_euler
 from ptnsbc_core.types import ODOMETRY_SIZE, Array
 from ptnsbc_sim.plants.contract import PlantConfig
 
 
-@kernel
+@leaf
 def derivative(x: Array, wrench: Array, push: Array, config: PlantConfig, out: Array) -> None:
     """x_dot into `out` (17,), for a wrench (6,) in body FLU and a disturbance acceleration `push` (6,)."""
     sf, cf = math.sin(x[3]), math.cos(x[3])
@@ -43,7 +43,7 @@ def derivative(x: Array, wrench: Array, push: Array, config: PlantConfig, out: A
         out[i] = 0.0
 
 
-@kernel
+@leaf
 def odometry(x: Array) -> Array:
     """Odometry vector (13,) of a state (17,)."""
     out = np.empty(ODOMETRY_SIZE)
