@@ -162,8 +162,8 @@ def test_observer_keeps_the_velocity_error_of_a_push_small() -> None:
         config = CONFIG._replace(observer_bandwidth=bandwidth, bound_rate=0.0)
         _, velocities, _ = flown(at_rest((0.0, 0.0, 0.0)), 6.0, push, config)
         ends.append(abs(velocities[-1, 0]))
-    # without it a loop of 6 1/s (and a drag of 0.1 1/s) leaves push / 6.1
-    assert ends[0] == pytest.approx(0.8 / 6.1, rel=0.02)
+    # without it the loop's gain (and a drag of 0.1 1/s) leave push / (kappa + drag)
+    assert ends[0] == pytest.approx(0.8 / (CONFIG.force.kappa + 0.1), rel=0.02)
     assert ends[1] < 1e-3
 
 
