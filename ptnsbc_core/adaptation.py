@@ -54,8 +54,8 @@ def adapted_bound(
 
 @kernel
 def started(velocity: Array) -> Array:
-    """Observer (9,) at a velocity (3,) [m/s, ENU], with no disturbance known."""
-    out = np.zeros(9)
+    """Observer (12,) at a velocity (3,) [m/s, ENU], with no disturbance known."""
+    out = np.zeros(12)
     out[0:3] = velocity
     return out
 
@@ -64,11 +64,13 @@ def started(velocity: Array) -> Array:
 def observed(
     observer: Array, velocity: Array, frozen: bool, dt: float, config: ControllerConfig
 ) -> Array:
-    """Disturbance observer (9,) after one measurement of the velocity (3,) [m/s, ENU].
+    """Disturbance observer (12,) after one measurement of the velocity (3,) [m/s, ENU].
 
     Not in the paper. The thrust of a quadrotor follows the attitude, so the gain that keeps delta_hat sat()
     small in (49) is not to be had; the observer compares the measured velocity with what the last
-    command should have done and feeds the difference forward. Both poles at `observer_bandwidth`.
+    command should have done and feeds the difference forward. It models a disturbance that changes
+    steadily, so that gusts and sway of about 1 rad/s leave a lag of second order only. Three poles at
+    `observer_bandwidth` (as dt goes to 0).
     """
     out = observer.copy()
     pole = config.observer_bandwidth
@@ -76,7 +78,11 @@ def observed(
     for i in range(3):
         predicted = observer[i] + dt * (observer[6 + i] + observer[3 + i])
         miss = velocity[i] - predicted
-        out[i] = predicted + 2.0 * pole * dt * miss
+        out[i] = predicted + 3.0 * pole * dt * miss
         if not frozen:
-            out[3 + i] = min(max(observer[3 + i] + pole * pole * dt * miss, -cap), cap)
+            moved = observer[3 + i] + dt * (observer[9 + i] + 3.0 * pole * pole * miss)
+            out[3 + i] = min(max(moved, -cap), cap)
+            out[9 + i] = observer[9 + i] + dt * pole * pole * pole * miss
+            if moved != out[3 + i]:
+                out[9 + i] = 0.0  # at the cap the trend would wind up
     return out

@@ -34,7 +34,7 @@ class Control(NamedTuple):
     wrench: Array  # (6,) [N, N m] body FLU
     parameters: Array  # (4,)
     bound: Array  # (2,)
-    observer: Array  # (9,)
+    observer: Array  # (12,)
     saturated: bool
     velocity_error: float  # [m/s]
 

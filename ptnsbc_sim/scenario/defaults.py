@@ -13,7 +13,7 @@ from ptnsbc_sim.scenario.reader import merged
 
 _COMMON: dict[str, Any] = {
     "profile": "soft",  # no input step at t = 0
-    "formation": {"residual": 2e-2, "scale": 1, "kappa_1_s": 2.4},
+    "formation": {"residual": 2e-2, "scale": 1, "kappa_1_s": 2.2},
     "attitude": {"deadline_s": 1.5, "residual": 1e-3, "scale": 1, "kappa_1_s": 1},
     # k2 exceeds any rate of change of the leader; the boundary keeps dt k2/boundary small
     "estimator": {
@@ -58,7 +58,7 @@ _COMMON: dict[str, Any] = {
     },
     "boundary": {"velocity_m_s": 0.05, "rate_rad_s": 0.1},
     "pointing": {"tilt_1_s": 12, "yaw_1_s": 3},  # below the body-rate loop, above the velocity loop
-    "observer": {"bandwidth_1_s": 10},  # between the disturbances (1 rad/s) and the attitude loop
+    "observer": {"bandwidth_1_s": 6},  # between the disturbances (1 rad/s) and the attitude loop
     # metres per metre: the shipped formations stay above the threshold, Table 2 starts below it
     "damping": {"threshold": 0.35, "maximum": 0.5},
     "hold": {"gain_1_s": 1, "land_speed_m_s": 0.5},

@@ -76,13 +76,25 @@ def push_seen(push: np.ndarray, ticks: int, config: ControllerConfig, dt=DT, fro
     return observer
 
 
-def test_observer_has_both_poles_at_its_bandwidth(config: ControllerConfig) -> None:
-    """What is left of a constant push after t is (1 + w t) exp(-w t) of it."""
+def test_observer_has_three_poles_at_its_bandwidth(config: ControllerConfig) -> None:
+    """What is left of a constant push after t is (1 + w t - (w t)^2) exp(-w t) of it."""
     push, dt = np.array([0.5, -0.3, 0.2]), 1e-4
     for ticks in (500, 2000, 5000):
         wt = 8.0 * ticks * dt
         seen = push_seen(push, ticks, config, dt)[3:6]
-        np.testing.assert_allclose(1.0 - seen / push, (1.0 + wt) * np.exp(-wt), atol=1e-3)
+        np.testing.assert_allclose(1.0 - seen / push, (1 + wt - wt * wt) * np.exp(-wt), atol=1e-3)
+
+
+def test_observer_follows_a_swaying_push_to_second_order(config: ControllerConfig) -> None:
+    """At 1 rad/s the share that is missed is |s^2 (s + 3 w) / (s + w)^3| at s = j: 0.046 for w = 8 1/s."""
+    dt, s, w = 1e-3, 1j, 8.0
+    observer, velocity, missed = started(np.zeros(3)), np.zeros(3), []
+    for tick in range(12_000):
+        push = np.array([np.sin(tick * dt), 0.0, 0.0])
+        velocity = velocity + dt * push
+        observer = observed(observer, velocity, False, dt, config)
+        missed.append(abs(observer[3] - push[0]))
+    assert max(missed[-7000:]) == pytest.approx(abs(s**2 * (s + 3 * w) / (s + w) ** 3), rel=0.03)
 
 
 def test_observer_finds_a_constant_push(config: ControllerConfig) -> None:
