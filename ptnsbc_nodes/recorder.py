@@ -1,5 +1,7 @@
 """Recording a flight into a bag: every topic of the given UAVs, as bytes.
 
+/tf is made here, out of odometry (`transforms`).
+
 In real time a message is logged when it arrives. In lock-step it is logged at its own stamp and
 sorted (`bag.reorder`), so that the same command gives the same bytes.
 
@@ -40,6 +42,7 @@ from ptnsbc_nodes.bag.reorder import Held, ReorderBuffer  # noqa: E402
 from ptnsbc_nodes.endpoints import RECORDED  # noqa: E402
 from ptnsbc_nodes.spin import make_executor, spin_for  # noqa: E402
 from ptnsbc_nodes.topics import Topic  # noqa: E402
+from ptnsbc_nodes.transforms import Transforms  # noqa: E402
 
 _FLUSH_CHECK = 0.25  # [s]
 _SIGNAL_CHECK = 0.1  # [s]: Python sees a signal only between two calls of the executor
@@ -71,13 +74,20 @@ class Recorder:
 
     Args:
         node: Its clock gives the log time in real time.
-        writer: An open bag with all `recorded` topics; it stays open at `finish`.
+        writer: An open bag with all `recorded` topics and /tf; it stays open at `finish`.
         recorded: What to record.
+        transforms: What makes /tf.
         lockstep: Log at the message's own stamp, in an order that does not depend on arrival.
     """
 
     def __init__(
-        self, node: Node, writer: BagWriter, recorded: Iterable[Topic], *, lockstep: bool
+        self,
+        node: Node,
+        writer: BagWriter,
+        recorded: Iterable[Topic],
+        transforms: Transforms,
+        *,
+        lockstep: bool,
     ) -> None:
         self.received = 0
         self.lost = 0  # as far as DDS reports it: gaps in the network, not in our own queue
@@ -85,6 +95,7 @@ class Recorder:
         self._acknowledgement = wire.HeaderTemplate("recorder")
         self._node = node
         self._writer = writer
+        self._transforms = transforms
         self._order = ReorderBuffer(_SHARED) if lockstep else None
         for topic in recorded:
             order = self._order
@@ -124,7 +135,11 @@ class Recorder:
 
         def record(data: bytes) -> None:
             self.received += 1
-            self._writer.write(topic.name, clock.now().nanoseconds, data, stamp_of(topic, data))
+            now_ns, stamp_ns = clock.now().nanoseconds, stamp_of(topic, data)
+            self._writer.write(topic.name, now_ns, data, stamp_ns)
+            transform = self._transforms.of(topic.name, data)
+            if transform is not None:
+                self._writer.write(topics.TF.name, now_ns, transform, stamp_ns)
 
         return record
 
@@ -140,6 +155,9 @@ class Recorder:
             if topic.name == topics.CLOCK.name:
                 self._tick(last_ns)
             self._write_sorted(order.push(last_ns, topic.name, data))
+            transform = self._transforms.of(topic.name, data)
+            if transform is not None:
+                self._write_sorted(order.push(last_ns, topics.TF.name, transform))
 
         return record
 
@@ -202,12 +220,10 @@ class _StopSignal:
 
 def _record(context: Context, options: argparse.Namespace, stop: _StopSignal) -> dict[str, Any]:
     recorded = topics.recorded(options.uavs)
-    if not topics.tf_is_available():
-        print("recorder: /tf is left out, tf2_msgs is not installed", file=sys.stderr)
     node = rclpy.create_node("recorder", context=context, start_parameter_services=False)
     executor = make_executor(context)
     executor.add_node(node)
-    infos = [topic_info(topic, lockstep=options.lockstep) for topic in recorded]
+    infos = [topic_info(topic, lockstep=options.lockstep) for topic in topics.in_bag(options.uavs)]
     with BagWriter(
         options.bag,
         infos,
@@ -215,7 +231,8 @@ def _record(context: Context, options: argparse.Namespace, stop: _StopSignal) ->
         metadata=dict(options.meta),
         overwrite=options.overwrite,
     ) as writer:
-        recorder = Recorder(node, writer, recorded, lockstep=options.lockstep)
+        transforms = Transforms(options.uavs)
+        recorder = Recorder(node, writer, recorded, transforms, lockstep=options.lockstep)
         print("ready", file=sys.stderr, flush=True)
         while not stop.came:
             spin_for(executor, _SIGNAL_CHECK)

@@ -34,9 +34,8 @@ class Senses:
         self._send_near = {i: endpoints.publisher(topics.near(i), 1 + readers) for i in ids}
         self._send_clock = endpoints.publisher(topics.CLOCK, readers)
         self._send_markers = endpoints.publisher(topics.MARKERS, readers)
-        self._send_tf = (
-            endpoints.publisher(topics.TF, readers) if topics.tf_is_available() else None
-        )
+        # For viewers only: the recorder makes its own.
+        self._send_tf = endpoints.publisher(topics.TF, 0) if topics.tf_is_available() else None
 
     def publish(self, stamp_ns: int) -> None:
         """Tell the world's state of now; near objects and pictures at their own rates."""

@@ -26,7 +26,7 @@ def _simulate(arguments: argparse.Namespace, argv: list[str]) -> int:
     overrides = {"timing.duration_s": arguments.duration}
     scenario = load_scenario(arguments.scenario, overrides)
     if not topics.tf_is_available():
-        print("sim: /tf is left out, tf2_msgs is not installed", file=sys.stderr)
+        print("sim: no live /tf, tf2_msgs is not installed; bags have it", file=sys.stderr)
     load_world(scenario)
     with ros_node("sim", "", argv) as node:
         sim = Sim(node, scenario, Edges(scenario, flight_options(arguments)), lifetime.end)

@@ -78,14 +78,18 @@ def of_uav(uav: int) -> tuple[Topic, ...]:
 
 
 def recorded(uavs: Iterable[int]) -> tuple[Topic, ...]:
-    """Every topic worth keeping of these UAVs; without /tf where `tf_is_available` says no."""
+    """What a recorder of these UAVs subscribes to; /tf it makes itself, out of odometry."""
     own = tuple(topic for uav in uavs for topic in of_uav(uav))
-    common = (EPOCH, DIAGNOSTICS, MARKERS, CLOCK)
-    return (*own, *common, TF) if tf_is_available() else (*own, *common)
+    return (*own, EPOCH, DIAGNOSTICS, MARKERS, CLOCK)
+
+
+def in_bag(uavs: Iterable[int]) -> tuple[Topic, ...]:
+    """Every topic of a bag of these UAVs."""
+    return (*recorded(uavs), TF)
 
 
 def tf_is_available() -> bool:
-    """Whether /tf can be used: tf2_msgs comes with ROS from apt and is in no wheel."""
+    """Whether /tf can be published: tf2_msgs comes with ROS from apt and is in no wheel."""
     return find_spec("tf2_msgs") is not None
 
 

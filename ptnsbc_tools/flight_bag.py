@@ -13,6 +13,7 @@ from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.types import AgentDiagnostics, Array
 from ptnsbc_nodes import environment, topics
 from ptnsbc_nodes.bag import BagError, BagWriter
+from ptnsbc_nodes.transforms import Transforms
 from ptnsbc_nodes.wire import (
     ClockTemplate,
     HeaderTemplate,
@@ -120,8 +121,6 @@ class _Status:
         for data in sorted(self._diagnostics(tick, stamp_ns)):
             yield topics.DIAGNOSTICS.name, data
         yield topics.MARKERS.name, self._scene.markers(stamp_ns)
-        if topics.tf_is_available():
-            yield topics.TF.name, self._transforms(stamp_ns)
 
     def _diagnostics(self, tick: int, stamp_ns: int) -> Iterator[bytes]:
         from ptnsbc_nodes.status import Level, diagnostics, readiness
@@ -134,12 +133,6 @@ class _Status:
         values = {**readiness([]), "ticks": str(tick), "missed_ticks": "0", **still}
         yield diagnostics(stamp_ns, "sim: world", Level.OK, "", values)
 
-    def _transforms(self, stamp_ns: int) -> bytes:
-        from ptnsbc_nodes.plain import encode
-
-        transforms = self._scene.transforms(stamp_ns)
-        return encode(import_module("tf2_msgs.msg").TFMessage(transforms=transforms))
-
 
 def _as_received(data: bytes) -> bytes:
     """A message as a subscriber gets it: DDS fills it up with zeros to a multiple of four bytes."""
@@ -151,6 +144,7 @@ def messages(flight: Flight) -> Iterator[tuple[int, list[Message]]]:
     clock = ClockTemplate()
     uavs = [_UavMessages(flight, row) for row in range(len(flight.scenario.uav_ids))]
     status = _Status(flight)
+    transforms = Transforms(flight.scenario.uav_ids)
     for tick, stamp in enumerate(flight.t_ns):
         stamp_ns = int(stamp)
         found: list[Message] = [(topics.CLOCK.name, clock.encode(stamp_ns))]
@@ -158,6 +152,8 @@ def messages(flight: Flight) -> Iterator[tuple[int, list[Message]]]:
             found.append((topics.EPOCH.name, HeaderTemplate(LEG).encode(stamp_ns)))
         for uav in uavs:
             found.extend(uav.at(tick, stamp_ns))
+        made = [transforms.of(topic, data) for topic, data in found]
+        found.extend((topics.TF.name, data) for data in made if data is not None)
         found.extend(status.at(tick, stamp_ns))
         found.sort(key=lambda message: message[0])
         yield stamp_ns, [(topic, _as_received(data)) for topic, data in found]
@@ -197,7 +193,7 @@ def write_flight(
 
     scenario = flight.scenario
     infos: list[Any] = [
-        topic_info(topic, lockstep=True) for topic in topics.recorded(scenario.uav_ids)
+        topic_info(topic, lockstep=True) for topic in topics.in_bag(scenario.uav_ids)
     ]
     attachments = {SCENARIO_ATTACHMENT: scenario.text.encode()}
     every = max(len(flight.t_ns) // 100, 1)

@@ -16,6 +16,7 @@ from ptnsbc_nodes.wire.stamped import (
     peek_sequence_stamp,
     peek_stamp,
 )
+from ptnsbc_nodes.wire.transform import transform_of
 
 __all__ = [
     "WireError",
@@ -35,6 +36,7 @@ __all__ = [
     "decode_clock",
     "encode_near",
     "decode_near",
+    "transform_of",
     "peek_stamp",
     "peek_sequence_stamp",
 ]

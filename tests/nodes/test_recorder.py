@@ -19,6 +19,7 @@ pytest.importorskip("rclpy")
 from ptnsbc_nodes import qos, topics, wire
 from ptnsbc_nodes.bag import BagWriter, read_bag
 from ptnsbc_nodes.recorder import Recorder, main, stamp_of, topic_info
+from ptnsbc_nodes.transforms import Transforms
 
 ROOT = Path(__file__).parents[2]
 TICK_NS = 10_000_000
@@ -60,10 +61,10 @@ class Flight:
 
 def record(ros, path: Path, lockstep: bool, order) -> Recorder:
     """Publish `order`, a list of (topic, bytes), and record it."""
-    infos = [topic_info(topic, lockstep=lockstep) for topic in RECORDED]
+    infos = [topic_info(topic, lockstep=lockstep) for topic in topics.in_bag([1])]
     with BagWriter(path, infos) as writer:
         node = ros.node("recorder")
-        recorder = Recorder(node, writer, RECORDED, lockstep=lockstep)
+        recorder = Recorder(node, writer, RECORDED, Transforms([1]), lockstep=lockstep)
         flight = Flight(ros, messages(1), lockstep=lockstep)
         for count, (topic, data) in enumerate(order, start=1):
             flight.publish(topic, data)
@@ -100,6 +101,7 @@ def test_lockstep_gives_the_same_bytes(ros, tmp_path):
     got = list(read_bag(path).messages())
     assert [m.stamp_ns for m in got if m.topic == "/uav1/odom"] == [k * TICK_NS for k in range(40)]
     assert [m.stamp_ns for m in got if m.topic == "/formation/epoch"] == [3 * TICK_NS]
+    assert [m.stamp_ns for m in got if m.topic == "/tf"] == [k * 5 * TICK_NS for k in range(8)]
     keys = [(m.stamp_ns, m.topic) for m in got]
     assert keys == sorted(keys)
 
@@ -110,7 +112,9 @@ def test_real_time(ros, tmp_path):
     record(ros, tmp_path / "flight", False, order)
     bag = read_bag(tmp_path / "flight")
     got = list(bag.messages())
-    assert sorted(m.data for m in got) == sorted(data for _, data in order)
+    sent = [m.data for m in got if m.topic != "/tf"]
+    assert sorted(sent) == sorted(data for _, data in order)
+    assert len(got) - len(sent) == 2  # 10 ticks are two periods of /tf
     assert all(before <= m.stamp_ns <= time.time_ns() for m in got)
 
 
@@ -186,13 +190,14 @@ def test_process(ros, tmp_path, how, lockstep):
     (line,) = out.splitlines()
     report = json.loads(line)
     assert report["bag"] == str(tmp_path / "flight")
-    assert report["messages"] == len(order) == sum(report["topics"].values())
+    assert report["messages"] == len(order) + 2 == sum(report["topics"].values())
+    assert report["topics"]["/tf"] == 2
     assert report["topics"]["/uav1/odom"] == 10
     assert (report["lost"], report["late"]) == (0, 0)
     bag = read_bag(tmp_path / "flight")
     assert bag.metadata == {"seed": "7"}
     assert bag.attachment("scenario.yaml") == b"n: 1\n"
-    assert len(list(bag.messages())) == len(order)
+    assert len(list(bag.messages())) == len(order) + 2
 
 
 @pytest.mark.ros
@@ -206,7 +211,7 @@ def test_killed_process_loses_a_second(ros, tmp_path):
     time.sleep(1.6)
     process.end(signal.SIGKILL)
     bag = read_bag(tmp_path / "flight.part", salvage=True)
-    assert len(list(bag.messages())) == 41
+    assert len(list(bag.messages())) == 41 + 2  # and /tf
 
 
 @pytest.mark.parametrize(

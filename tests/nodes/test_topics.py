@@ -20,14 +20,13 @@ def test_names():
 
 
 def test_every_type_has_a_definition():
-    for topic in (*topics.recorded([1]), topics.TF):
+    for topic in topics.in_bag([1]):
         assert definition(topic.type).type_hash.startswith("RIHS01_")
 
 
-@pytest.mark.parametrize("available", [True, False])
-def test_tf_only_where_it_can_be_used(monkeypatch, available):
-    monkeypatch.setattr(topics, "tf_is_available", lambda: available)
-    assert (topics.TF in topics.recorded([1, 2])) == available
+def test_tf_is_in_every_bag_and_never_subscribed_to():
+    assert topics.in_bag([1, 2]) == (*topics.recorded([1, 2]), topics.TF)
+    assert topics.TF not in topics.recorded([1, 2])
 
 
 def test_classes():
