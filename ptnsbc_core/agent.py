@@ -373,6 +373,14 @@ class Agent:
         self._configs = kernel_list([config])
         self._states = kernel_list([initial_state(own, config)])
 
+    @classmethod
+    def resumed(cls, config: AgentConfig, state: AgentState) -> Agent:
+        """An agent that goes on where another one was."""
+        agent = cls.__new__(cls)
+        agent._configs = kernel_list([config])
+        agent._states = kernel_list([state])
+        return agent
+
     @property
     def state(self) -> AgentState:
         """What the next step starts from."""

@@ -112,6 +112,11 @@ class Inbox:
             if message is None or message.stamp_ns != now_ns - period_ns:
                 yield i
 
+    def held(self, cutoff_ns: int) -> list[Stamped | None]:
+        """What `inputs` is made of: own, near, states, estimates, the latter two by ascending sender."""
+        links = (*self._states.values(), *self._estimates.values())
+        return [self.own, self.near, *(link.before(cutoff_ns) for link in links)]
+
     def inputs(
         self, now_ns: int, cutoff_ns: int, mode: int = MODE_HOLD, start_age_s: float = 0.0
     ) -> AgentInputs:

@@ -12,7 +12,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from ptnsbc_core.trajectory import reference
 from ptnsbc_core.types import Array
-from ptnsbc_nodes.outbox import WORLD_FRAME
+from ptnsbc_nodes.letters import WORLD_FRAME
 from ptnsbc_nodes.plain import encode
 from ptnsbc_nodes.wire.cdr import split_stamp
 from ptnsbc_sim.scenario import Scenario, agent_config

@@ -1,29 +1,23 @@
-"""What one UAV sends at each tick, as patched byte templates."""
+"""What one UAV sends at each tick."""
 
 from __future__ import annotations
-
-import numpy as np
 
 from ptnsbc_core.types import AgentOutputs
 from ptnsbc_nodes import topics
 from ptnsbc_nodes.edges import Edges
 from ptnsbc_nodes.endpoints import Endpoints
-from ptnsbc_nodes.wire import OdometryTemplate, Stamped, VelocityTemplate, WrenchTemplate
-
-WORLD_FRAME = "map"
+from ptnsbc_nodes.inbox import NO_CUTOFF_NS
+from ptnsbc_nodes.letters import Letters
+from ptnsbc_nodes.pilot import Moment, Pilot
+from ptnsbc_nodes.ticklog import SnapshotTemplate, TickTemplate
+from ptnsbc_nodes.wire import Stamped
 
 
 class Outbox:
-    """Publishers of one UAV; messages carry the stamp of the odometry they were computed from."""
+    """Publishers of one UAV."""
 
     def __init__(self, endpoints: Endpoints, edges: Edges, uav_id: int) -> None:
-        body = f"uav{uav_id}/base_link"
-        self._state = OdometryTemplate(WORLD_FRAME, body)
-        # Velocities of an estimate are in the world frame, not in the body of whoever sends it.
-        self._estimate = OdometryTemplate(WORLD_FRAME, WORLD_FRAME)
-        self._velocity = VelocityTemplate(WORLD_FRAME)
-        self._wrench = WrenchTemplate(body)
-        self._twist = np.zeros(6)
+        self._letters = Letters(uav_id)
         publisher = endpoints.publisher
         self._send_wrench = publisher(topics.wrench_setpoint(uav_id), edges.wrench_readers())
         self._send_state = publisher(topics.formation_state(uav_id), edges.state_readers(uav_id))
@@ -34,10 +28,31 @@ class Outbox:
 
     def send(self, own: Stamped, outputs: AgentOutputs) -> None:
         """Publish the tick computed from `own`; the wrench first, the plant waits for it."""
-        stamp_ns = own.stamp_ns
-        self._twist[0:3] = outputs.velocity[0:3]
-        self._twist[5] = outputs.velocity[3]
-        self._send_wrench(self._wrench.encode(stamp_ns, outputs.wrench))
-        self._send_state(self._state.encode(stamp_ns, own.values))
-        self._send_estimate(self._estimate.encode(stamp_ns, outputs.leader_estimate))
-        self._send_velocity(self._velocity.encode(stamp_ns, self._twist))
+        letters, stamp_ns = self._letters, own.stamp_ns
+        self._send_wrench(letters.wrench(stamp_ns, outputs.wrench))
+        self._send_state(letters.state(own))
+        self._send_estimate(letters.estimate(stamp_ns, outputs.leader_estimate))
+        self._send_velocity(letters.velocity(stamp_ns, outputs.velocity))
+
+
+class Notes:
+    """Publishers of what makes the steps of one UAV in real time repeatable (`ticklog`)."""
+
+    def __init__(self, endpoints: Endpoints, edges: Edges, uav_id: int, every: int) -> None:
+        readers = edges.options.recorders
+        self._every = every  # steps from one snapshot to the next
+        self._template = TickTemplate(edges.senders(uav_id))
+        self._send_tick = endpoints.publisher(topics.tick(uav_id), readers)
+        self._send_snapshot = endpoints.publisher(topics.snapshot(uav_id), readers)
+        self._snapshot: SnapshotTemplate | None = None
+        self._sequence = 0
+
+    def send(self, at: Moment, pilot: Pilot) -> None:
+        """Publish what the step `at` was made of, and now and then what it left behind."""
+        held = pilot.inbox.held(NO_CUTOFF_NS)
+        self._send_tick(self._template.encode(self._sequence, at, held))
+        if self._sequence % self._every == 0:
+            state = pilot.state
+            self._snapshot = self._snapshot or SnapshotTemplate(state)
+            self._send_snapshot(self._snapshot.encode(self._sequence, state, pilot.tally))
+        self._sequence += 1

@@ -44,7 +44,7 @@ from ptnsbc_nodes.spin import make_executor, spin_for  # noqa: E402
 from ptnsbc_nodes.topics import Topic  # noqa: E402
 from ptnsbc_nodes.transforms import Transforms  # noqa: E402
 
-_FLUSH_CHECK = 0.25  # [s]
+_FLUSH_CHECK = 0.1  # [s]
 _SIGNAL_CHECK = 0.1  # [s]: Python sees a signal only between two calls of the executor
 _QUIET = 0.2  # [s] without a message: what was on its way has arrived
 _DRAIN_LIMIT = 50.0  # [s]; under load the queues hold seconds, and the launcher waits a minute
@@ -106,7 +106,7 @@ class Recorder:
                 topics.message_class(RECORDED), RECORDED.name, qos.EVENT
             )
         else:
-            # By wall time: in lock-step the bytes would depend on it.
+            # By wall time: in lock-step, where the bytes would depend on it, by stamp.
             steady = Clock(clock_type=ClockType.STEADY_TIME)
             node.create_timer(_FLUSH_CHECK, self._flush, clock=steady)
 
@@ -170,6 +170,7 @@ class Recorder:
     def _write_sorted(self, messages: Iterable[Held]) -> None:
         for message in messages:
             self._writer.write(message.topic, message.stamp_ns, message.data)
+            self._writer.flush_if_due(message.stamp_ns * 1e-9)
 
     def _count_lost(self, event: Any) -> None:
         self.lost += event.total_count_change
@@ -219,11 +220,14 @@ class _StopSignal:
 
 
 def _record(context: Context, options: argparse.Namespace, stop: _StopSignal) -> dict[str, Any]:
-    recorded = topics.recorded(options.uavs)
+    recorded = topics.recorded(options.uavs, lockstep=options.lockstep)
     node = rclpy.create_node("recorder", context=context, start_parameter_services=False)
     executor = make_executor(context)
     executor.add_node(node)
-    infos = [topic_info(topic, lockstep=options.lockstep) for topic in topics.in_bag(options.uavs)]
+    infos = [
+        topic_info(topic, lockstep=options.lockstep)
+        for topic in topics.in_bag(options.uavs, lockstep=options.lockstep)
+    ]
     with BagWriter(
         options.bag,
         infos,

@@ -7,8 +7,8 @@ from importlib import import_module
 from ptnsbc_nodes import topics
 from ptnsbc_nodes.edges import FlightOptions
 from ptnsbc_nodes.endpoints import Endpoints
+from ptnsbc_nodes.letters import WORLD_FRAME
 from ptnsbc_nodes.markers import Scene
-from ptnsbc_nodes.outbox import WORLD_FRAME
 from ptnsbc_nodes.plain import encode
 from ptnsbc_nodes.status import STATUS_HZ
 from ptnsbc_nodes.wire import ClockTemplate, OdometryTemplate, encode_near

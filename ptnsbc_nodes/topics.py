@@ -65,6 +65,16 @@ def wrench_setpoint(uav: int) -> Topic:
     return _state(uav, "setpoint/wrench", "geometry_msgs/msg/WrenchStamped")
 
 
+def tick(uav: int) -> Topic:
+    """Real time only: which messages a step was made of, and when (`ticklog`)."""
+    return _note(uav, "tick", "std_msgs/msg/Int64MultiArray")
+
+
+def snapshot(uav: int) -> Topic:
+    """Real time only: what the controller remembers, once a second (`ticklog`)."""
+    return _note(uav, "snapshot", "std_msgs/msg/Float64MultiArray")
+
+
 def of_uav(uav: int) -> tuple[Topic, ...]:
     """Every topic of one UAV."""
     return (
@@ -77,15 +87,21 @@ def of_uav(uav: int) -> tuple[Topic, ...]:
     )
 
 
-def recorded(uavs: Iterable[int]) -> tuple[Topic, ...]:
+def notes(uav: int) -> tuple[Topic, ...]:
+    """What a UAV notes in real time so that its steps can be re-run; lock-step follows from its rule."""
+    return (tick(uav), snapshot(uav))
+
+
+def recorded(uavs: Iterable[int], *, lockstep: bool = True) -> tuple[Topic, ...]:
     """What a recorder of these UAVs subscribes to; /tf it makes itself, out of odometry."""
-    own = tuple(topic for uav in uavs for topic in of_uav(uav))
+    of_one = of_uav if lockstep else lambda uav: (*of_uav(uav), *notes(uav))
+    own = tuple(topic for uav in uavs for topic in of_one(uav))
     return (*own, EPOCH, DIAGNOSTICS, MARKERS, CLOCK)
 
 
-def in_bag(uavs: Iterable[int]) -> tuple[Topic, ...]:
+def in_bag(uavs: Iterable[int], *, lockstep: bool = True) -> tuple[Topic, ...]:
     """Every topic of a bag of these UAVs."""
-    return (*recorded(uavs), TF)
+    return (*recorded(uavs, lockstep=lockstep), TF)
 
 
 def tf_is_available() -> bool:
@@ -98,6 +114,10 @@ def message_class(topic: Topic) -> type[Any]:
     package, _, name = topic.type.split("/")
     kind: type[Any] = getattr(import_module(f"{package}.msg"), name)
     return kind
+
+
+def _note(uav: int, name: str, kind: str) -> Topic:
+    return Topic(f"/uav{uav}/{name}", kind, Role.EVENT)
 
 
 def _state(uav: int, name: str, kind: str) -> Topic:

@@ -12,17 +12,16 @@ from collections.abc import Callable
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
-from ptnsbc_core.agent import Agent
-from ptnsbc_core.types import MODE_HOLD
 from ptnsbc_nodes import topics
 from ptnsbc_nodes.edges import Edges
 from ptnsbc_nodes.endpoints import LOST, READY, Endpoints
 from ptnsbc_nodes.epochs import EpochError, Epochs
-from ptnsbc_nodes.inbox import NO_CUTOFF_NS, Inbox
-from ptnsbc_nodes.outbox import Outbox
+from ptnsbc_nodes.inbox import NO_CUTOFF_NS
+from ptnsbc_nodes.outbox import Notes, Outbox
 from ptnsbc_nodes.pacing import Pace
+from ptnsbc_nodes.pilot import Pilot, moment
 from ptnsbc_nodes.services import Instruments, LegServices
-from ptnsbc_nodes.status import STATUS_HZ, Level, Tally, diagnostics, readiness
+from ptnsbc_nodes.status import STATUS_HZ, Level, diagnostics, readiness
 from ptnsbc_nodes.ticker import Ticker
 from ptnsbc_nodes.wire import Stamped, decode_header, decode_near, decode_odometry
 from ptnsbc_sim.scenario import Scenario, agent_config
@@ -36,16 +35,14 @@ class Uav:
         self.endpoints = Endpoints(node, edges.options.lockstep)
         self._name = f"uav{uav_id}"
         self._lockstep = edges.options.lockstep
-        self._config = agent_config(scenario, uav_id)
         self._period_ns = scenario.dt_ns
         self._near_every = scenario.near_every
         self._status_every = max(scenario.control_hz // STATUS_HZ, 1)
-        self._inbox = Inbox(edges.senders(uav_id))
+        self._pilot = Pilot(agent_config(scenario, uav_id), edges.senders(uav_id))
+        self._inbox = self._pilot.inbox
         self._outbox = Outbox(self.endpoints, edges, uav_id)
         self._epochs = Epochs()
         self._pace = Pace(self._period_ns)
-        self._tally = Tally()
-        self._agent: Agent | None = None
         self._done_ns = -1  # stamp of the newest tick that is done
         self._born_ns = self._clock_ns()
         self._subscribe(uav_id, edges)
@@ -55,8 +52,9 @@ class Uav:
             self._serve(edges)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         node.create_timer(1.0 / STATUS_HZ, self._on_status_timer, clock=steady)
-        self._ticker = None
+        self._ticker = self._notes = None
         if not self._lockstep:
+            self._notes = Notes(self.endpoints, edges, uav_id, scenario.control_hz)
             self._ticker = Ticker(node, self._period_ns, self._on_tick_timer)
 
     def waiting_for(self) -> list[str]:
@@ -147,24 +145,18 @@ class Uav:
             self._tick(own, now_ns, NO_CUTOFF_NS, periods * self._period_ns)
 
     def _stale(self, own: Stamped, now_ns: int) -> bool:
-        return (now_ns - own.stamp_ns) * 1e-9 > self._config.stale_s
+        return (now_ns - own.stamp_ns) * 1e-9 > self._pilot.config.stale_s
 
     def _tick(self, own: Stamped, now_ns: int, cutoff_ns: int, elapsed_ns: int) -> None:
         leg = self._epochs.at(now_ns)
-        if leg is None:  # not announced or still to come: hover where we are, and do not count
+        if leg is None:  # not announced or still to come
             self._pace.missed = 0
-            mode, t0_ns, first_ns = MODE_HOLD, self._born_ns, self._born_ns
-        else:
-            mode, t0_ns, first_ns = leg.mode, leg.t0_ns, leg.first_t0_ns
-        inputs = self._inbox.inputs(now_ns, cutoff_ns, mode, (now_ns - first_ns) * 1e-9)
-        if self._agent is None:
-            self._agent = Agent(self._config, inputs.own)
-        dt = elapsed_ns * 1e-9
-        outputs = self._agent.step(inputs, (now_ns - t0_ns) * 1e-9, dt)
+        at = moment(now_ns, elapsed_ns, leg, self._born_ns)
+        outputs = self._pilot.step(at, cutoff_ns)
         self._done_ns = now_ns
         self._outbox.send(own, outputs)
-        if leg is not None:
-            self._tally.add(outputs.diagnostics, dt)
+        if self._notes is not None:
+            self._notes.send(at, self._pilot)
 
     def _on_status_timer(self) -> None:
         if not self._lockstep:
@@ -179,7 +171,7 @@ class Uav:
             **readiness(missing),
             "mode": leg.name if leg else "waiting",
             "missed_ticks": str(self._pace.missed),
-            **self._tally.values(),
+            **self._pilot.tally.values(),
         }
         level, message = self._verdict(stamp_ns, missing)
         send = self._status if stamp_ns >= 0 else self._early_status
@@ -189,6 +181,6 @@ class Uav:
         own = self._inbox.own
         if not self._lockstep and own is not None and self._stale(own, stamp_ns):
             return Level.ERROR, "own odometry is stale: no setpoints"
-        if self._epochs.announced and self._tally.holding:
+        if self._epochs.announced and self._pilot.tally.holding:
             return Level.WARN, "holding"
         return (Level.WARN, f"waiting for {' '.join(missing)}") if missing else (Level.OK, "")

@@ -7,27 +7,18 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.types import AgentDiagnostics, Array
 from ptnsbc_nodes import environment, topics
 from ptnsbc_nodes.bag import BagError, BagWriter
+from ptnsbc_nodes.letters import WORLD_FRAME, Letters
 from ptnsbc_nodes.transforms import Transforms
-from ptnsbc_nodes.wire import (
-    ClockTemplate,
-    HeaderTemplate,
-    OdometryTemplate,
-    VelocityTemplate,
-    WrenchTemplate,
-    encode_near,
-)
+from ptnsbc_nodes.wire import ClockTemplate, HeaderTemplate, Stamped, encode_near
 from ptnsbc_sim import swarm
 from ptnsbc_sim.swarm import Flight
 from ptnsbc_tools.bag_reader import SCENARIO_ATTACHMENT
 
 LEG = "form"
-WORLD_FRAME = "map"
 
 Message = tuple[str, bytes]  # topic, CDR
 
@@ -69,30 +60,24 @@ class _UavMessages:
 
     def __init__(self, flight: Flight, row: int) -> None:
         uav = flight.scenario.uav_ids[row]
-        body = f"uav{uav}/base_link"
         self._flight = flight
         self._row = row
         self._near_every = flight.wiring.near_every
         self._names = [topic.name for topic in topics.of_uav(uav)]
-        self._state = OdometryTemplate(WORLD_FRAME, body)
-        self._estimate = OdometryTemplate(WORLD_FRAME, WORLD_FRAME)
-        self._velocity = VelocityTemplate(WORLD_FRAME)
-        self._wrench = WrenchTemplate(body)
+        self._letters = Letters(uav)
 
     def at(self, tick: int, stamp_ns: int) -> Iterator[Message]:
         """Messages of one tick."""
         odom, near, state, estimate, velocity, wrench = self._names
-        track, row = self._flight.track, self._row
-        own = self._state.encode(stamp_ns, track.odometry[tick, row])
+        track, row, letters = self._flight.track, self._row, self._letters
+        own = letters.state(Stamped(stamp_ns, track.odometry[tick, row]))
         yield odom, own
         if tick % self._near_every == 0:
             yield near, encode_near(stamp_ns, WORLD_FRAME, self._flight.near(tick, row))
         yield state, own
-        yield estimate, self._estimate.encode(stamp_ns, track.estimate[tick, row])
-        twist = np.zeros(6)
-        twist[0:3], twist[5] = track.velocity[tick, row, 0:3], track.velocity[tick, row, 3]
-        yield velocity, self._velocity.encode(stamp_ns, twist)
-        yield wrench, self._wrench.encode(stamp_ns, track.wrench[tick, row])
+        yield estimate, letters.estimate(stamp_ns, track.estimate[tick, row])
+        yield velocity, letters.velocity(stamp_ns, track.velocity[tick, row])
+        yield wrench, letters.wrench(stamp_ns, track.wrench[tick, row])
 
 
 class _Status:
@@ -100,7 +85,8 @@ class _Status:
 
     def __init__(self, flight: Flight) -> None:
         from ptnsbc_nodes.markers import Scene
-        from ptnsbc_nodes.status import STATUS_HZ, Tally
+        from ptnsbc_nodes.status import STATUS_HZ
+        from ptnsbc_nodes.tally import Tally
 
         scenario = flight.scenario
         self._flight = flight

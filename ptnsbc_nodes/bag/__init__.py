@@ -2,7 +2,17 @@
 
 from ptnsbc_nodes.bag.errors import BagError
 from ptnsbc_nodes.bag.layout import TopicInfo
-from ptnsbc_nodes.bag.reader import Bag, BagMessage, BagTopic, read_bag
-from ptnsbc_nodes.bag.writer import BagWriter
+from ptnsbc_nodes.bag.mcapfile import BagMessage
+from ptnsbc_nodes.bag.reader import Bag, BagTopic, read_bag
+from ptnsbc_nodes.bag.writer import BagWriter, Limits
 
-__all__ = ["BagError", "TopicInfo", "BagWriter", "Bag", "BagTopic", "BagMessage", "read_bag"]
+__all__ = [
+    "BagError",
+    "TopicInfo",
+    "BagWriter",
+    "Limits",
+    "Bag",
+    "BagTopic",
+    "BagMessage",
+    "read_bag",
+]

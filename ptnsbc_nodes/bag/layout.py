@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 from ptnsbc_nodes.bag.errors import BagError
+from ptnsbc_nodes.bag.msgdef import definition
 
 _FOREVER = (9223372036, 854775807)  # [s], [ns]: RMW_DURATION_INFINITE
 _RELIABILITY = ("reliable", "best_effort")
@@ -23,19 +24,47 @@ class TopicInfo(NamedTuple):
     depth: int = 10  # keep last
 
 
-class TopicCount(NamedTuple):
-    """A topic of a finished bag."""
-
-    info: TopicInfo
-    type_hash: str
-    messages: int
-
-
 class TimeSpan(NamedTuple):
     """First and last log time [ns]; zeros for a bag without messages."""
 
     start_ns: int
     end_ns: int
+
+
+class Declared(NamedTuple):
+    """A topic with all that a bag says about it."""
+
+    name: str
+    type: str
+    schema: bytes  # definition of the type, nested ones included
+    schema_encoding: str = "ros2msg"
+    message_encoding: str = "cdr"
+    type_hash: str = ""
+    qos: Sequence[Mapping[str, Any]] = ()  # offered_qos_profiles
+    metadata: Mapping[str, str] | None = None  # of the channel; None: made of the two above
+
+    @property
+    def channel_metadata(self) -> dict[str, str]:
+        """What rosbag2 writes beside the channel."""
+        if self.metadata is not None:
+            return dict(self.metadata)
+        offered = to_yaml([dict(profile) for profile in self.qos])
+        return {"offered_qos_profiles": offered, "topic_type_hash": self.type_hash}
+
+
+class TopicCount(NamedTuple):
+    """A topic of a finished bag."""
+
+    topic: Declared
+    messages: int
+
+
+class FileCount(NamedTuple):
+    """A file of a finished bag."""
+
+    name: str
+    span: TimeSpan
+    messages: int
 
 
 def qos_profiles(topic: TopicInfo) -> list[dict[str, Any]]:
@@ -59,29 +88,31 @@ def qos_profiles(topic: TopicInfo) -> list[dict[str, Any]]:
     ]
 
 
-def bag_information(filename: str, span: TimeSpan, topics: Sequence[TopicCount]) -> dict[str, Any]:
+def declared(info: TopicInfo) -> Declared:
+    """A topic of an installed type; BagError on one that is not known."""
+    text, type_hash = definition(info.type)
+    return Declared(
+        info.name, info.type, text.encode(), type_hash=type_hash, qos=qos_profiles(info)
+    )
+
+
+def bag_information(files: Sequence[FileCount], topics: Sequence[TopicCount]) -> dict[str, Any]:
     """The value of `rosbag2_bagfile_information`."""
-    total = sum(topic.messages for topic in topics)
-    duration = {"nanoseconds": span.end_ns - span.start_ns}
-    start = {"nanoseconds_since_epoch": span.start_ns}
+    spans = [file.span for file in files if file.messages]
+    span = TimeSpan(
+        min((one.start_ns for one in spans), default=0),
+        max((one.end_ns for one in spans), default=0),
+    )
     return {
         "version": 9,
         "storage_identifier": "mcap",
-        "duration": duration,
-        "starting_time": start,
-        "message_count": total,
+        **_when(span),
+        "message_count": sum(file.messages for file in files),
         "topics_with_message_count": [_topic_entry(topic) for topic in topics],
         "compression_format": "",
         "compression_mode": "",
-        "relative_file_paths": [filename],
-        "files": [
-            {
-                "path": filename,
-                "starting_time": start,
-                "duration": duration,
-                "message_count": total,
-            }
-        ],
+        "relative_file_paths": [file.name for file in files],
+        "files": [_file_entry(file) for file in files],
         "custom_data": None,
         "ros_distro": "jazzy",
     }
@@ -107,16 +138,34 @@ def _nested(item: Any, indent: str) -> str:
     return " " + to_yaml(item)
 
 
-def _topic_entry(topic: TopicCount) -> dict[str, Any]:
+def _when(span: TimeSpan) -> dict[str, Any]:
+    return {
+        "duration": {"nanoseconds": span.end_ns - span.start_ns},
+        "starting_time": {"nanoseconds_since_epoch": span.start_ns},
+    }
+
+
+def _file_entry(file: FileCount) -> dict[str, Any]:
+    when = _when(file.span)
+    return {
+        "path": file.name,
+        "starting_time": when["starting_time"],
+        "duration": when["duration"],
+        "message_count": file.messages,
+    }
+
+
+def _topic_entry(found: TopicCount) -> dict[str, Any]:
+    topic = found.topic
     return {
         "topic_metadata": {
-            "name": topic.info.name,
-            "type": topic.info.type,
-            "serialization_format": "cdr",
-            "offered_qos_profiles": qos_profiles(topic.info),
+            "name": topic.name,
+            "type": topic.type,
+            "serialization_format": topic.message_encoding,
+            "offered_qos_profiles": [dict(profile) for profile in topic.qos],
             "type_description_hash": topic.type_hash,
         },
-        "message_count": topic.messages,
+        "message_count": found.messages,
     }
 
 

@@ -1,5 +1,6 @@
 """Messages to bytes and back without rclpy: what `raw=True` publishers and subscriptions carry."""
 
+from ptnsbc_nodes.wire.arrays import Row, RowTemplate, decode_floats, decode_integers
 from ptnsbc_nodes.wire.cdr import Stamped, WireError
 from ptnsbc_nodes.wire.odometry import ODOMETRY_SIZE, OdometryTemplate, decode_odometry
 from ptnsbc_nodes.wire.pointcloud import NEAR_FIELDS, decode_near, encode_near
@@ -37,6 +38,10 @@ __all__ = [
     "encode_near",
     "decode_near",
     "transform_of",
+    "Row",
+    "RowTemplate",
+    "decode_integers",
+    "decode_floats",
     "peek_stamp",
     "peek_sequence_stamp",
 ]

@@ -1,0 +1,67 @@
+"""One UAV's control step with what it remembers: a UAV process and a re-run of its bag call the same.
+
+No ROS in here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from ptnsbc_core.agent import Agent
+from ptnsbc_core.types import MODE_HOLD, AgentConfig, AgentOutputs, AgentState
+from ptnsbc_nodes.epochs import Leg
+from ptnsbc_nodes.inbox import Inbox, Senders
+from ptnsbc_nodes.tally import Tally
+
+
+class Moment(NamedTuple):
+    """When a step is made, how long it lasts, and on which leg."""
+
+    now_ns: int
+    elapsed_ns: int  # since the previous step: whole control periods
+    mode: int  # MODE_*
+    t0_ns: int  # epoch of the leg, or when the process began
+    first_t0_ns: int  # epoch of the first leg
+    flying: bool  # a leg is in force: the step counts
+
+
+def moment(now_ns: int, elapsed_ns: int, leg: Leg | None, born_ns: int) -> Moment:
+    """The step at `now_ns`; before the first leg the UAV hovers where it is."""
+    if leg is None:
+        return Moment(now_ns, elapsed_ns, MODE_HOLD, born_ns, born_ns, False)
+    return Moment(now_ns, elapsed_ns, leg.mode, leg.t0_ns, leg.first_t0_ns, True)
+
+
+class Pilot:
+    """Inbox, control law and counters of one UAV."""
+
+    def __init__(self, config: AgentConfig, senders: Senders) -> None:
+        self.config = config
+        self.inbox = Inbox(senders)
+        self.tally = Tally()
+        self._agent: Agent | None = None
+
+    @property
+    def state(self) -> AgentState:
+        """What the next step starts from; there must have been one."""
+        if self._agent is None:
+            raise ValueError("state asked for before the first step")
+        return self._agent.state
+
+    def resume(self, state: AgentState, counters: Sequence[float]) -> None:
+        """Go on from what another pilot remembered."""
+        self._agent = Agent.resumed(self.config, state)
+        self.tally.restore(counters)
+
+    def step(self, at: Moment, cutoff_ns: int) -> AgentOutputs:
+        """One control step on what the inbox holds; the own odometry must be there."""
+        start_age_s = (at.now_ns - at.first_t0_ns) * 1e-9
+        inputs = self.inbox.inputs(at.now_ns, cutoff_ns, at.mode, start_age_s)
+        if self._agent is None:
+            self._agent = Agent(self.config, inputs.own)
+        dt = at.elapsed_ns * 1e-9
+        outputs = self._agent.step(inputs, (at.now_ns - at.t0_ns) * 1e-9, dt)
+        if at.flying:
+            self.tally.add(outputs.diagnostics, dt)
+        return outputs

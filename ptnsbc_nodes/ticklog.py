@@ -1,0 +1,129 @@
+"""What a UAV notes in real time, so that its steps can be re-run from a bag. No ROS in here.
+
+A recorder cannot know which message a UAV held when it ticked: it says so itself. `/uavN/tick` names
+for each step its instant, its leg, and stamp and checksum of every message that went into it.
+`/uavN/snapshot` holds, now and then, all that the controller remembers *after* the step it names: a
+re-run can begin there, behind a message that the recording lacks.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Iterable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ptnsbc_core.types import AgentState
+from ptnsbc_nodes.inbox import Senders
+from ptnsbc_nodes.pilot import Moment
+from ptnsbc_nodes.tally import Tally
+from ptnsbc_nodes.wire import RowTemplate, Stamped, WireError
+from ptnsbc_nodes.wire.cdr import Floats
+
+_WHEN = ("sequence", *Moment._fields)
+_NOTHING = (-1, 0)
+
+
+class Used(NamedTuple):
+    """One message that went into a step."""
+
+    stamp_ns: int
+    checksum: int  # of its decoded numbers
+
+
+class TickNote(NamedTuple):
+    """A decoded `/uavN/tick`."""
+
+    sequence: int  # steps before this one
+    moment: Moment
+    used: dict[str, Used]  # by the names of `sources`; what was not there is left out
+
+
+def sources(senders: Senders) -> tuple[str, ...]:
+    """Names of what can go into a step, in the order of `Inbox.held`."""
+    states = (f"state{i}" for i in senders.states)
+    return ("own", "near", *states, *(f"estimate{i}" for i in senders.estimators))
+
+
+def checksum(message: Stamped) -> int:
+    """Of the numbers alone: they are what a step is made of."""
+    return zlib.crc32(message.values.tobytes())
+
+
+class TickTemplate:
+    """Encoder of the notes of one UAV."""
+
+    def __init__(self, senders: Senders) -> None:
+        names = [name for source in sources(senders) for name in (source, f"{source}_checksum")]
+        self._template = RowTemplate(" ".join((*_WHEN, *names)), len(_WHEN) + len(names))
+
+    def encode(self, sequence: int, moment: Moment, held: Iterable[Stamped | None]) -> bytes:
+        """The note of one step made of the messages `held`, in the order of `sources`."""
+        numbers: list[int] = [sequence, *moment]
+        for message in held:
+            numbers += _NOTHING if message is None else (message.stamp_ns, checksum(message))
+        return self._template.integers(numbers)
+
+
+def tick_note(label: str, numbers: list[int]) -> TickNote:
+    """The note from the content of its message; WireError when it is none."""
+    names = label.split()
+    if tuple(names[: len(_WHEN)]) != _WHEN or len(names) != len(numbers):
+        raise WireError(f"tick with {label!r}: expected {' '.join(_WHEN)} and pairs after it")
+    sequence, now_ns, elapsed_ns, mode, t0_ns, first_t0_ns, flying = numbers[: len(_WHEN)]
+    when = Moment(now_ns, elapsed_ns, mode, t0_ns, first_t0_ns, bool(flying))
+    first = len(_WHEN)
+    pairs = zip(names[first::2], numbers[first::2], numbers[first + 1 :: 2], strict=True)
+    used = {name: Used(stamp, crc) for name, stamp, crc in pairs if stamp >= 0}
+    return TickNote(sequence, when, used)
+
+
+class SnapshotTemplate:
+    """Encoder of what one controller remembers."""
+
+    def __init__(self, like: AgentState) -> None:
+        self.label = _label(like)
+        length = sum(_sizes(like))
+        self._template = RowTemplate(self.label, 1 + length + Tally.SIZE)
+
+    def encode(self, sequence: int, state: AgentState, tally: Tally) -> bytes:
+        """State and counters after step number `sequence`."""
+        fields = [np.ravel(np.asarray(field, dtype=np.float64)) for field in state]
+        return self._template.floats(np.concatenate(([sequence], *fields, tally.counters())))
+
+
+def _sizes(state: AgentState) -> list[int]:
+    return [int(np.size(field)) for field in _fields(state)]
+
+
+def _fields(state: AgentState) -> Sequence[Any]:
+    return tuple(state)
+
+
+def _label(state: AgentState) -> str:
+    counts = zip(state._fields, _sizes(state), strict=True)
+    words = (f"{name}:{size}" for name, size in counts)
+    return " ".join(("sequence:1", *words, f"tally:{Tally.SIZE}"))
+
+
+class Memory(NamedTuple):
+    """A decoded `/uavN/snapshot`."""
+
+    sequence: int  # the step after which it was taken
+    state: AgentState
+    counters: Floats  # (Tally.SIZE,)
+
+
+def recall(label: str, numbers: Floats, like: AgentState) -> Memory:
+    """What a snapshot holds; WireError when it is not of a state `like` this one."""
+    if label != _label(like):
+        raise WireError(f"snapshot with {label!r}: expected {_label(like)!r}")
+    at = 1
+    found: list[Any] = []
+    for field, size in zip(_fields(like), _sizes(like), strict=True):
+        part = numbers[at : at + size]
+        array = isinstance(field, np.ndarray)
+        found.append(part.reshape(field.shape).copy() if array else type(field)(part[0]))
+        at += size
+    return Memory(int(numbers[0]), AgentState(*found), numbers[at:])
