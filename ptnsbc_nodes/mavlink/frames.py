@@ -1,0 +1,111 @@
+"""The one place where ENU/FLU (ours, REP-103) meets NED/FRD (MAVLink's), and degrees meet metres.
+
+World: x_ned = y_enu, y_ned = x_enu, z_ned = -z_enu. Body: x forward in both, y and z change sign.
+Both maps are their own inverses, so each pair of functions is one formula with two names.
+Quaternions: ours x y z w (nav_msgs), MAVLink's w x y z; body to world in both.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from ptnsbc_core.types import Array
+
+_HALF = math.sqrt(0.5)
+
+
+class GeoPoint(NamedTuple):
+    """A place on the Earth, as GPS_GLOBAL_ORIGIN gives it."""
+
+    latitude_deg: float
+    longitude_deg: float
+    altitude_m: float  # above mean sea level
+
+
+def vector_enu_to_ned(vector_enu: Array) -> Array:
+    """(3,) position, velocity or acceleration, world."""
+    return np.array([vector_enu[1], vector_enu[0], -vector_enu[2]])
+
+
+def vector_ned_to_enu(vector_ned: Array) -> Array:
+    """(3,) position, velocity or acceleration, world."""
+    return np.array([vector_ned[1], vector_ned[0], -vector_ned[2]])
+
+
+def vector_flu_to_frd(vector_flu: Array) -> Array:
+    """(3,) velocity, rates or force, body."""
+    return np.array([vector_flu[0], -vector_flu[1], -vector_flu[2]])
+
+
+def vector_frd_to_flu(vector_frd: Array) -> Array:
+    """(3,) velocity, rates or force, body."""
+    return np.array([vector_frd[0], -vector_frd[1], -vector_frd[2]])
+
+
+def wrapped(angle_rad: float) -> float:
+    """The same angle in (-pi, pi]."""
+    turned = math.remainder(angle_rad, 2.0 * math.pi)
+    return math.pi if turned == -math.pi else turned
+
+
+def yaw_enu_to_ned(yaw_enu_rad: float) -> float:
+    """Heading: counter-clockwise from east to clockwise from north, in (-pi, pi]."""
+    return wrapped(0.5 * math.pi - yaw_enu_rad)
+
+
+def yaw_ned_to_enu(yaw_ned_rad: float) -> float:
+    """Heading: clockwise from north to counter-clockwise from east, in (-pi, pi]."""
+    return wrapped(0.5 * math.pi - yaw_ned_rad)
+
+
+def quaternion_ned_frd_to_enu_flu(wxyz: Array) -> Array:
+    """Attitude (4,) w x y z of FRD in NED as x y z w of FLU in ENU.
+
+    q_enu = t q_ned r with t half a turn about (1, 1, 0) and r half a turn about x.
+    """
+    w, x, y, z = wxyz
+    return np.array([_HALF * (x + y), _HALF * (x - y), _HALF * (w - z), _HALF * (w + z)])
+
+
+def quaternion_enu_flu_to_ned_frd(xyzw: Array) -> Array:
+    """Attitude (4,) x y z w of FLU in ENU as w x y z of FRD in NED, with w >= 0."""
+    x, y, z, w = xyzw
+    turned = np.array([_HALF * (w + z), _HALF * (x + y), _HALF * (x - y), _HALF * (w - z)])
+    return -turned if turned[0] < 0.0 else turned
+
+
+def quaternion_from_euler_ned(roll: float, pitch: float, yaw: float) -> Array:
+    """Attitude (4,) w x y z from the angles [rad] of the ATTITUDE message, FRD in NED."""
+    cr, sr = math.cos(0.5 * roll), math.sin(0.5 * roll)
+    cp, sp = math.cos(0.5 * pitch), math.sin(0.5 * pitch)
+    cy, sy = math.cos(0.5 * yaw), math.sin(0.5 * yaw)
+    return np.array(
+        [
+            cr * cp * cy + sr * sp * sy,
+            sr * cp * cy - cr * sp * sy,
+            cr * sp * cy + sr * cp * sy,
+            cr * cp * sy - sr * sp * cy,
+        ]
+    )
+
+
+def offset_enu(place: GeoPoint, reference: GeoPoint, earth_radius_m: float) -> Array:
+    """Where `place` is in the ENU frame at `reference`, (3,) [m].
+
+    Azimuthal equidistant on a sphere, as autopilots project: with the radius that the vehicle
+    itself uses, two vehicles that report the same latitude get the same position, which no better
+    ellipsoid would give.
+    """
+    latitude, reference_latitude = map(math.radians, (place.latitude_deg, reference.latitude_deg))
+    turn = math.radians(place.longitude_deg - reference.longitude_deg)
+    sine, cosine = math.sin(latitude), math.cos(latitude)
+    reference_sine, reference_cosine = math.sin(reference_latitude), math.cos(reference_latitude)
+    north = reference_cosine * sine - reference_sine * cosine * math.cos(turn)
+    east = cosine * math.sin(turn)
+    along = reference_sine * sine + reference_cosine * cosine * math.cos(turn)
+    angle = math.atan2(math.hypot(north, east), along)
+    stretch = earth_radius_m * (angle / math.sin(angle) if angle > 0.0 else 1.0)
+    return np.array([stretch * east, stretch * north, place.altitude_m - reference.altitude_m])
