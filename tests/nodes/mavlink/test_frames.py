@@ -101,9 +101,7 @@ def test_attitudes_return_and_agree_with_the_rotation_matrices(roll, pitch, yaw)
 
 @given(angles, pitches, angles)
 def test_euler_angles_of_the_attitude_message(roll, pitch, yaw):
-    ours = frames.quaternion_ned_frd_to_enu_flu(
-        frames.quaternion_from_euler_ned(roll, pitch, yaw)
-    )
+    ours = frames.quaternion_ned_frd_to_enu_flu(frames.quaternion_from_euler_ned(roll, pitch, yaw))
     odometry = np.zeros(13)
     odometry[3:7] = ours
     off = frames.wrapped(yaw_of(odometry) - frames.yaw_ned_to_enu(yaw))

@@ -1,0 +1,196 @@
+"""Where the bytes go: UDP in, UDP out, or a serial port; none of them ever blocks."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+from typing import Any, NamedTuple, Protocol
+
+from ptnsbc_core.errors import PtnsbcError
+
+Address = tuple[str, int]
+
+_DATAGRAM = 65535
+_CHUNK = 4096
+_BAUD = 921600
+_BUFFER = 1 << 20
+_EXPECTED = (
+    "expected udpin:ADDRESS:PORT (listen there), udpout:ADDRESS:PORT (send there) or "
+    "serial:DEVICE[:BAUD]"
+)
+
+
+class ConnectError(PtnsbcError):
+    """A link that cannot be opened."""
+
+
+class Packet(NamedTuple):
+    """Bytes as they came in."""
+
+    data: bytes
+    sender: Address | None  # None on a serial line
+
+
+class Transport(Protocol):
+    """A way to one vehicle."""
+
+    stream: bool
+    """Whether bytes come without the borders of datagrams."""
+
+    def fileno(self) -> int:
+        """For select()."""
+
+    def receive(self) -> Packet | None:
+        """What has arrived; None when nothing has."""
+
+    def send(self, data: bytes, address: Address | None) -> bool:
+        """Send, to `address` where the transport has no address of its own; False when it could not."""
+
+    def close(self) -> None:
+        """Give the port back."""
+
+
+class UdpIn:
+    """Listens at an address and answers whoever the link has accepted."""
+
+    stream = False
+
+    def __init__(self, host: str, port: int) -> None:
+        self._socket = _udp_socket()
+        try:
+            self._socket.bind((host, port))
+        except OSError as error:
+            self._socket.close()
+            raise ConnectError(
+                f"udpin:{host}:{port}: {error.strerror}: expected a free port of this host; "
+                "does another bridge or ground station listen there?"
+            ) from None
+
+    def fileno(self) -> int:
+        """For select()."""
+        return self._socket.fileno()
+
+    def receive(self) -> Packet | None:
+        """A datagram and who sent it."""
+        try:
+            data, sender = self._socket.recvfrom(_DATAGRAM)
+        except OSError:  # nothing there, or an ICMP error of something we sent
+            return None
+        return Packet(data, sender)
+
+    def send(self, data: bytes, address: Address | None) -> bool:
+        """To the vehicle, once there is one."""
+        if address is None:
+            return False
+        try:
+            return self._socket.sendto(data, address) == len(data)
+        except OSError:
+            return False
+
+    def close(self) -> None:
+        """Give the port back."""
+        self._socket.close()
+
+
+class UdpOut:
+    """Sends to one address; hears only what comes from there."""
+
+    stream = False
+
+    def __init__(self, host: str, port: int) -> None:
+        self._socket = _udp_socket()
+        try:
+            self._socket.connect((host, port))
+        except OSError as error:
+            self._socket.close()
+            raise ConnectError(
+                f"udpout:{host}:{port}: {error.strerror}: expected an address that can be reached"
+            ) from None
+        self._peer: Address = (host, port)
+
+    def fileno(self) -> int:
+        """For select()."""
+        return self._socket.fileno()
+
+    def receive(self) -> Packet | None:
+        """A datagram of the peer."""
+        try:
+            return Packet(self._socket.recv(_DATAGRAM), self._peer)
+        except OSError:
+            return None
+
+    def send(self, data: bytes, address: Address | None) -> bool:
+        """To the peer."""
+        try:
+            return self._socket.send(data) == len(data)
+        except OSError:
+            return False
+
+    def close(self) -> None:
+        """Close the socket."""
+        self._socket.close()
+
+
+class Serial:
+    """A serial line, raw, without flow control."""
+
+    stream = True
+
+    def __init__(self, device: str, baud: int) -> None:
+        import serial  # only where one is used
+
+        self._errors = (serial.SerialException, OSError)
+        try:
+            self._port: Any = serial.Serial(device, baud, timeout=0, write_timeout=0)
+        except (serial.SerialException, ValueError) as error:
+            raise ConnectError(
+                f"serial:{device}:{baud}: {error}: expected a serial device that this user may open"
+            ) from None
+
+    def fileno(self) -> int:
+        """For select()."""
+        number: int = self._port.fileno()
+        return number
+
+    def receive(self) -> Packet | None:
+        """What the line has brought."""
+        try:
+            data = self._port.read(_CHUNK)
+        except self._errors:
+            return None
+        return Packet(data, None) if data else None
+
+    def send(self, data: bytes, address: Address | None) -> bool:
+        """Out on the line."""
+        try:
+            return bool(self._port.write(data) == len(data))
+        except self._errors:
+            return False
+
+    def close(self) -> None:
+        """Close the line."""
+        with contextlib.suppress(*self._errors):
+            self._port.close()
+
+
+def connect(text: str) -> Transport:
+    """Open what `udpin:0.0.0.0:14540`, `udpout:10.0.0.2:14580` or `serial:/dev/ttyACM0:921600` names."""
+    kind, _, where = text.partition(":")
+    if kind == "serial" and where:
+        device, _, baud = where.partition(":")
+        if baud and not baud.isdecimal():
+            raise ConnectError(f"{text}: baud rate {baud!r}: {_EXPECTED}")
+        return Serial(device, int(baud or _BAUD))
+    host, _, port = where.rpartition(":")
+    if kind not in ("udpin", "udpout") or not host or not port.isdecimal():
+        raise ConnectError(f"{text}: {_EXPECTED}")
+    if not 0 < int(port) < 65536:
+        raise ConnectError(f"{text}: port {port}: expected 1 to 65535")
+    return (UdpIn if kind == "udpin" else UdpOut)(host, int(port))
+
+
+def _udp_socket() -> socket.socket:
+    opened = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    opened.setblocking(False)
+    opened.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER)
+    return opened
