@@ -20,6 +20,7 @@ from ptnsbc_sim.scenario.fields import (
     Wave,
 )
 from ptnsbc_sim.scenario.gains import Gains
+from ptnsbc_sim.scenario.mavlink import Mavlink
 
 STILL = (Wave(amount=0.0, shape="constant"),) * 3
 HalfTurn = Annotated[Number, Field(gt=0, lt=1.5707963)]
@@ -153,4 +154,5 @@ class ScenarioFile(Block):
     leader: Leader
     formation: Formation
     gains: Gains
+    mavlink: Mavlink = Mavlink()
     uavs: Annotated[tuple[UavBlock, ...], Field(min_length=1)]

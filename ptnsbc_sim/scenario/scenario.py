@@ -16,6 +16,7 @@ from ptnsbc_sim.scenario import reader
 from ptnsbc_sim.scenario.defaults import gain_defaults
 from ptnsbc_sim.scenario.fields import Wave
 from ptnsbc_sim.scenario.gains import Gains
+from ptnsbc_sim.scenario.mavlink import Mavlink, VehicleLink, vehicle_link
 from ptnsbc_sim.scenario.model import Plant, Quadrotor, ScenarioFile, Sensor
 from ptnsbc_sim.scenario.problems import ScenarioError, scenario_error
 from ptnsbc_sim.scenario.semantics import NANOSECONDS, checked
@@ -180,6 +181,16 @@ class Scenario:
     def uav_keep_out_m(self) -> float:
         """Least distance between two UAVs."""
         return self.file.formation.uav_keep_out_m
+
+    @property
+    def mavlink(self) -> Mavlink:
+        """How real flight controllers are flown."""
+        return self.file.mavlink
+
+    def vehicle_link(self, uav_id: int) -> VehicleLink:
+        """How the flight controller of one UAV is reached."""
+        self.uav(uav_id)  # names the ids there are when this is not one
+        return vehicle_link(self.mavlink, self.uav_ids, uav_id)
 
     def uav(self, uav_id: int) -> Vehicle:
         """Start and disturbance of one UAV."""

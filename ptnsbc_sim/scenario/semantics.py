@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from ptnsbc_core.errors import GainError, TopologyError
 from ptnsbc_core.timebase import peak_gain
 from ptnsbc_core.topology import Topology, validate
+from ptnsbc_sim.scenario import mavlink
 from ptnsbc_sim.scenario.model import ScenarioFile
 from ptnsbc_sim.scenario.problems import ScenarioError
 
@@ -113,6 +114,7 @@ _CHECKS: tuple[Callable[[ScenarioFile], Problems], ...] = (
     _members,
     _offsets,
     _plant,
+    mavlink.problems,
 )
 
 

@@ -1,0 +1,75 @@
+"""The mavlink block: defaults that fit PX4's simulations, and everything twice refused."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_sim.scenario import load_scenario
+from ptnsbc_sim.scenario.mavlink import Mavlink
+
+PAGE = Path(__file__).resolve().parents[3] / "docs" / "scenarios.md"
+
+
+def scenario(**block):
+    return load_scenario("paper_5", {"mavlink": block})
+
+
+def test_without_an_entry_a_vehicle_is_the_px4_simulation_of_its_number():
+    links = [load_scenario("paper_5").vehicle_link(uav) for uav in (1, 3)]
+    assert [link.connect for link in links] == ["udpin:127.0.0.1:14540", "udpin:127.0.0.1:14542"]
+    assert [link.sysid for link in links] == [1, 3]
+    assert links[0].autopilot == "px4"
+
+
+def test_own_entries_win():
+    block = {
+        "autopilot": "ardupilot",
+        "vehicles": {2: {"connect": "serial:/dev/ttyACM0:921600", "sysid": 42, "autopilot": "px4"}},
+    }
+    link = scenario(**block).vehicle_link(2)
+    assert link == ("serial:/dev/ttyACM0:921600", 42, "px4", None, None)
+    assert scenario(**block).vehicle_link(1).autopilot == "ardupilot"
+
+
+@pytest.mark.parametrize(
+    ("block", "message"),
+    [
+        ({"vehicles": {2: {"sysid": 1}}}, r"mavlink.vehicles.2.sysid: 1: duplicate .* UAV 1"),
+        (
+            {"vehicles": {3: {"connect": "udpin:0.0.0.0:14540"}}},
+            r"mavlink.vehicles.3.connect: .*duplicate .* UAV 1, give every vehicle its own",
+        ),
+        (
+            {"vehicles": {1: {"signing_key": "k"}, 2: {"signing_key": "k"}}},
+            r"mavlink.vehicles.2.signing_key: k: duplicate",
+        ),
+        ({"vehicles": {9: {}}}, r"mavlink.vehicles.9: no such UAV; expected one of .* 1, 2, 3"),
+        ({"vehicles": {1: {"connect": "tcp:1.2.3.4:5"}}}, r"connect: .*expected udpin:ADDRESS"),
+        ({"rate_hz": 10}, r"mavlink.rate_hz: 10: expected >= 20"),
+        ({"rate_hz": 200}, r"mavlink.rate_hz: 200: expected <= 100"),
+        ({"setpoint": "speed"}, r"mavlink.setpoint: .speed.: "),
+        ({"geofence": {"box_min_m": [0, 0, 0]}}, r"expected box_min_m and box_max_m, or neither"),
+        (
+            {"geofence": {"box_min_m": [0, 0, 0], "box_max_m": [1, 1, 0]}},
+            r"box_max_m: 0: expected more than box_min_m, 0",
+        ),
+        ({"takeoff_height": 3}, r"mavlink.takeoff_height: unknown key: did you mean"),
+    ],
+)
+def test_what_does_not_fit_is_refused_in_one_line(block, message):
+    with pytest.raises(PtnsbcError, match=message) as refused:
+        scenario(**block)
+    assert "\n" not in str(refused.value)
+
+
+def test_the_page_has_every_key_with_its_default():
+    section = PAGE.read_text(encoding="utf-8").partition("## `mavlink`")[2].partition("\n## ")[0]
+    for name, field in Mavlink.model_fields.items():
+        row = re.search(rf"^\| `{name}\b[^|]*\| [^|]*\| ([^|]*) \|", section, re.MULTILINE)
+        assert row, name
+        if isinstance(field.default, str | bool | int | float):
+            default = field.default
+            shown = str(default).lower() if isinstance(default, bool) else default
+            assert row[1] == (shown if isinstance(shown, str) else f"{shown:g}"), name
