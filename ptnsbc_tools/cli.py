@@ -26,6 +26,7 @@ from ptnsbc_tools.options import (
     SetOption,
     TaskOption,
 )
+from ptnsbc_tools.reproduce.command import reproduce
 
 REFUSED, INTERRUPTED = 2, 130
 
@@ -212,6 +213,9 @@ def demo(
     given = options.overrides(duration=duration)
     chosen = options.scenario_with(command.DEMO_SCENARIO, given)
     raise typer.Exit(command.fleet(chosen, command.demo_wishes(folder, json=json)))
+
+
+app.command()(reproduce)
 
 
 def main() -> None:

@@ -1,0 +1,1 @@
+"""`ptnsbc reproduce`: the paper's figures and claims, flown again and judged."""

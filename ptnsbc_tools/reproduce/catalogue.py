@@ -1,0 +1,47 @@
+"""The experiments by name. Loads nothing: `--help` and a refusal need no laws."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+from ptnsbc_core.errors import PtnsbcError
+
+if TYPE_CHECKING:
+    from ptnsbc_tools.reproduce.part import Part
+    from ptnsbc_tools.reproduce.workshop import Workshop
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """One part of the reproduction, in the module of its name beside this one."""
+
+    name: str
+    needs: str  # what it flies
+    seconds: float  # on one core, laws compiled: for the order and the progress bar
+    alone: bool = False  # measured by the clock: nothing else may run
+
+    def load(self) -> Callable[[Workshop], Part]:
+        """The function that runs it."""
+        run: Callable[[Workshop], Part] = import_module(f"ptnsbc_tools.reproduce.{self.name}").run
+        return run
+
+
+EXPERIMENTS = (
+    Experiment("simulation_1", "paper_5, paper_5_free", 40),
+    Experiment("ablation_profiles", "paper_5, both plants", 60),
+    Experiment("ablation_estimator", "paper_5_free", 10),
+    Experiment("ablation_sweeps", "paper_5_free", 20),
+    Experiment("cost", "trees of 5 to 50 UAVs", 15, alone=True),
+)
+
+
+def chosen(names: list[str] | None) -> tuple[Experiment, ...]:
+    """The experiments of these names, in the order of the catalogue; all of them for none."""
+    known = [one.name for one in EXPERIMENTS]
+    for name in names or ():
+        if name not in known:
+            raise PtnsbcError(f"--only {name}: expected one of {', '.join(known)}")
+    return tuple(one for one in EXPERIMENTS if not names or one.name in names)

@@ -1,0 +1,115 @@
+"""Trajectories in space and from above: Figs. 5-8, 24, 25 and 33."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ptnsbc_core.types import Array
+from ptnsbc_tools.reproduce import style
+from ptnsbc_tools.reproduce.flights import Flown
+from ptnsbc_tools.reproduce.part import Figure
+from ptnsbc_tools.reproduce.workshop import Workshop, times_column
+
+
+def columns(flown: Flown) -> dict[str, Array]:
+    """Time and positions of all UAVs."""
+    found = {"time_s": times_column(flown.times)}
+    for row, uav in enumerate(flown.scenario.uav_ids):
+        for axis, letter in enumerate("xyz"):
+            found[f"uav{uav}_{letter}_m"] = flown.positions[:, row, axis]
+    return found
+
+
+def uav_label(flown: Flown, uav: int) -> str:
+    """Name of a UAV in a legend."""
+    return f"UAV {uav} (leader)" if uav == flown.scenario.leader_id else f"UAV {uav}"
+
+
+def _spheres(axes: Any, flown: Flown) -> None:
+    turn, rise = np.meshgrid(np.linspace(0, 2 * np.pi, 25), np.linspace(0, np.pi, 13))
+    ball = np.stack([np.cos(turn) * np.sin(rise), np.sin(turn) * np.sin(rise), np.cos(rise)])
+    for obstacle in flown.scenario.obstacles:
+        x, y, z = obstacle.position[:, None, None] + obstacle.keep_out_m * ball
+        axes.plot_surface(x, y, z, color=style.GREY, alpha=0.3, linewidth=0)
+
+
+def in_space(workshop: Workshop, flown: Flown, number: int, suffix: str) -> Figure:
+    """Trajectories in 3-D."""
+    made = style.figure(80)
+    axes = space(made)
+    places = flown.positions
+    for row, uav in enumerate(flown.scenario.uav_ids):
+        path, look = places[:, row], style.look(row)
+        axes.plot(*path.T, label=uav_label(flown, uav), **look)
+        axes.scatter(*path[0], color=look["color"], s=8, marker="o", depthshade=False)
+        axes.scatter(*path[-1], color=look["color"], s=10, marker="s", depthshade=False)
+    _spheres(axes, flown)
+    tidy_3d(axes)
+    made.legend(*axes.get_legend_handles_labels(), loc="upper center", ncols=3)
+    name = f"fig_{number:02d}_{flown.scenario.name}_3d"
+    workshop.figure(name, made, columns(flown))
+    return Figure(
+        name,
+        f"Fig. {number}",
+        f"Trajectories in space{suffix}; dots: starts, squares: the end, grey: keep-out spheres",
+        telling=number == 5,
+    )
+
+
+def space(made: Any) -> Any:
+    """Axes in 3-D that fill the figure below its legend; the automatic layout knows no 3-D labels."""
+    made.set_layout_engine("none")
+    return made.add_axes((0.03, 0.06, 0.85, 0.8), projection="3d")
+
+
+def tidy_3d(axes: Any) -> None:
+    """Labels, true proportions, few ticks."""
+    axes.set(xlabel="x (east) [m]", ylabel="y (north) [m]", zlabel="z (up) [m]")
+    limits = (axes.get_xlim3d(), axes.get_ylim3d(), axes.get_zlim3d())
+    axes.set_box_aspect([np.ptp(one) for one in limits], zoom=1.2)
+    for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
+        axis.set_major_locator(_few_ticks())
+        axis.labelpad = 0
+        axis.set_tick_params(pad=-1)
+
+
+def _few_ticks() -> Any:
+    from matplotlib.ticker import MaxNLocator
+
+    return MaxNLocator(4)
+
+
+def from_above(workshop: Workshop, flown: Flown, number: int, suffix: str) -> Figure:
+    """Trajectories in the X-Y plane."""
+    made = style.figure(96)
+    axes = made.add_subplot()
+    draw_from_above(axes, flown)
+    style.legend(made, axes, columns=3)
+    name = f"fig_{number:02d}_{flown.scenario.name}_xy"
+    workshop.figure(name, made, columns(flown))
+    return Figure(
+        name,
+        f"Fig. {number}",
+        f"Trajectories from above{suffix}; a path across a grey disc passes above or below the sphere",
+        telling=number == 6,
+    )
+
+
+def draw_from_above(axes: Any, flown: Flown) -> None:
+    """Paths, obstacles, starts, ends and the formation every 20 s."""
+    from matplotlib.patches import Circle
+
+    for obstacle in flown.scenario.obstacles:
+        centre = (float(obstacle.position[0]), float(obstacle.position[1]))
+        axes.add_patch(
+            Circle(centre, obstacle.keep_out_m, color=style.GREY, alpha=0.3, linewidth=0)
+        )
+        axes.annotate(obstacle.name, centre, ha="center", va="center", fontsize=7)
+    for row, uav in enumerate(flown.scenario.uav_ids):
+        path, look = flown.positions[:, row], style.look(row)
+        axes.plot(path[:, 0], path[:, 1], label=uav_label(flown, uav), **look)
+        axes.plot(*path[0, :2], marker="o", color=look["color"], markersize=3)
+        axes.plot(*path[-1, :2], marker="s", color=look["color"], markersize=3)
+    axes.set(xlabel="x (east) [m]", ylabel="y (north) [m]", aspect="equal")

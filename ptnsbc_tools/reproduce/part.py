@@ -1,0 +1,95 @@
+"""What an experiment of `ptnsbc reproduce` hands back: figures, tables and claims, as plain data."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from ptnsbc_core.errors import PtnsbcError
+
+Cell = str | float | int | None
+
+_DIGITS = 6  # of a number in results.json: what is beyond them differs between processors
+
+
+class ReproduceError(PtnsbcError):
+    """An experiment that cannot be run, or a folder that cannot take its results."""
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One figure; its files are figures/<name>.png and .svg, and curves/<name>.csv."""
+
+    name: str  # fig_05_trajectories_3d
+    title: str  # Fig. 5
+    caption: str
+    telling: bool = False  # one of the few that docs/results.md shows
+
+
+@dataclass(frozen=True)
+class Column:
+    """Heading of a column, with its unit, and how its numbers are written."""
+
+    title: str
+    digits: int = 2
+
+
+@dataclass(frozen=True)
+class Table:
+    """A small table and what it means."""
+
+    name: str
+    title: str
+    columns: tuple[Column, ...]
+    rows: tuple[tuple[Cell, ...], ...]
+    meaning: str
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A sentence of the paper in our words, its number and ours."""
+
+    key: str
+    said: str
+    number: str
+    ours: str
+    verdict: str  # holds | holds when ... | does not hold
+    figures: str
+
+
+@dataclass(frozen=True)
+class Part:
+    """The results of one experiment."""
+
+    name: str
+    title: str
+    text: str  # what was flown, in a few sentences
+    figures: tuple[Figure, ...] = ()
+    tables: tuple[Table, ...] = ()
+    claims: tuple[Claim, ...] = ()
+    timed: bool = False  # measured by the clock: not the same bytes twice
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain types only, numbers rounded, what does not exist is null."""
+        plain: dict[str, Any] = rounded(dataclasses.asdict(self))
+        return plain
+
+
+def rounded(value: Any) -> Any:
+    """A tree of plain values with floats at six significant digits."""
+    if isinstance(value, dict):
+        return {key: rounded(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [rounded(item) for item in value]
+    if isinstance(value, float):
+        return float(f"{value:.{_DIGITS}g}") if math.isfinite(value) else None
+    return value
+
+
+def written(cell: Cell, digits: int = 2) -> str:
+    """A cell as text."""
+    if cell is None:
+        return "–"
+    return f"{cell:.{digits}f}" if isinstance(cell, float) else str(cell)

@@ -1,0 +1,78 @@
+"""How every figure looks: a journal's column, its units, and colours that all eyes tell apart."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+COLUMN_MM = 88.0
+_MM_PER_INCH = 25.4
+_DPI = 220
+
+# Okabe and Ito: distinct for all common kinds of colour blindness, and each with a dash of its own
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+DASHES: tuple[Any, ...] = (
+    "-", (0, (5, 1.5)), (0, (1.2, 1.2)), (0, (5, 1.2, 1.2, 1.2)), (0, (3, 1, 1, 1, 1, 1)),
+    (0, (8, 2)), "-",
+)  # fmt: skip
+GREY = "#7F7F7F"
+
+_RULES = {
+    "font.family": "DejaVu Sans",  # comes with Matplotlib: the same glyphs everywhere
+    "font.size": 7.5,
+    "axes.titlesize": 8,
+    "axes.labelsize": 8,
+    "xtick.labelsize": 7,
+    "ytick.labelsize": 7,
+    "legend.fontsize": 7,
+    "legend.frameon": False,
+    "legend.handlelength": 2.2,
+    "legend.columnspacing": 1.2,
+    "axes.linewidth": 0.6,
+    "axes.grid": True,
+    "grid.alpha": 0.3,
+    "grid.linewidth": 0.4,
+    "lines.linewidth": 1.0,
+    "figure.constrained_layout.use": True,
+    "svg.hashsalt": "ptnsbc",  # ids in an SVG are random otherwise
+    "path.simplify": True,
+}
+
+
+def look(index: int) -> dict[str, Any]:
+    """Colour and dash of curve number `index`."""
+    return {"color": COLOURS[index % len(COLOURS)], "linestyle": DASHES[index % len(DASHES)]}
+
+
+def figure(height_mm: float, width_mm: float = COLUMN_MM) -> Any:
+    """An empty figure of a journal's column width."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    made = Figure(figsize=(width_mm / _MM_PER_INCH, height_mm / _MM_PER_INCH))
+    FigureCanvasAgg(made)  # no pyplot: it would look for a screen
+    return made
+
+
+@contextmanager
+def applied() -> Iterator[None]:
+    """Matplotlib by our rules, inside."""
+    import matplotlib
+
+    with matplotlib.rc_context(_RULES):
+        yield
+
+
+def legend(made: Any, axes: Any, columns: int) -> None:
+    """The legend of one panel above all of them, where it covers no curve."""
+    handles, labels = axes.get_legend_handles_labels()
+    made.legend(handles, labels, loc="outside upper center", ncols=columns)
+
+
+def save(made: Any, folder: Path, name: str) -> None:
+    """Write a figure as PNG and SVG, the same bytes every time."""
+    folder.mkdir(parents=True, exist_ok=True)
+    made.savefig(folder / f"{name}.png", dpi=_DPI, metadata={"Software": "ptnsbc"})
+    made.savefig(folder / f"{name}.svg", metadata={"Date": None, "Creator": "ptnsbc"})

@@ -1,0 +1,64 @@
+"""A test per claim of the paper, on short flights: what docs/results.md says must go on being so."""
+
+import pytest
+
+from ptnsbc_tools.reproduce import ablation_estimator, claims, cost
+from ptnsbc_tools.reproduce.claims import FAILS, HOLDS
+from ptnsbc_tools.reproduce.flights import flown
+
+SECONDS = 12.0
+
+
+def flights(scenario: str) -> dict:
+    common = {"plant.kind": "rigid_body_6dof", "timing.duration_s": SECONDS}
+    return {name: flown(scenario, {**common, "gains.profile": name}) for name in ("paper", "soft")}
+
+
+def test_words_of_a_verdict() -> None:
+    assert claims.verdict({"paper": True, "soft": False}) == HOLDS
+    assert claims.verdict({"paper": False, "soft": True}) == "holds when soft"
+    assert claims.verdict({"a": True, "b": True}, "paper") == "holds when a or b"
+    assert claims.verdict({"paper": False, "soft": False}) == FAILS
+
+
+@pytest.mark.parametrize("scenario", ["paper_5", "paper_5_free"])
+def test_formation_in_five_seconds(scenario: str) -> None:
+    found = flights(scenario)
+    claim = claims.formation_claim(scenario, found)
+    assert claim.verdict == "holds when profile soft"
+    assert "soft: 5 of 5" in claim.ours
+    assert found["soft"].clearance_m() > 0.0
+    settled = found["soft"].settled_s()
+    assert settled is not None and settled < 5.0
+
+
+def test_the_first_force_of_profile_soft_is_the_weight() -> None:
+    found = flights("paper_5_free")
+    assert abs(found["soft"].initial_beyond_hover_n()) < 0.3
+    assert found["paper"].initial_beyond_hover_n() > 10.0
+
+
+def test_the_estimate_needs_the_velocity_of_the_leader() -> None:
+    ours, printed = (ablation_estimator.flight(case, 8.0) for case in ablation_estimator.CASES[:2])
+    claim = ablation_estimator.estimator_claim(ours, printed)
+    assert claim.verdict == "holds when the leader's velocity is fed forward"
+    assert ablation_estimator.worst_from(ours, 5.0) < 1e-3
+    assert ablation_estimator.estimator_claim(printed, printed).verdict == FAILS
+    assert ablation_estimator.estimator_claim(ours, ours).verdict == HOLDS
+
+
+def test_a_follower_hears_no_more_when_there_are_more() -> None:
+    loads = {size: cost.load_of(cost.tree(size)) for size in (5, 20, 50)}
+    assert (
+        loads[50].heard == loads[20].heard == 5
+    )  # parent, leader, own parent's and two children's
+    assert loads[50].sent_by_leader == 49
+    flat, steep = dict.fromkeys(loads, 10.0), {5: 10.0, 20: 20.0, 50: 30.0}
+    assert cost.cost_claim(loads, flat).verdict.startswith(HOLDS)
+    assert cost.cost_claim(loads, steep).verdict == FAILS
+
+
+def test_with_few_links_the_graph_weakens_instead() -> None:
+    few = {size: cost.load_of(cost.tree(size, all_linked=False)) for size in (5, 50)}
+    assert few[50].sent_by_leader == few[5].sent_by_leader == 2
+    assert few[50].lambda_min < few[5].lambda_min / 5
