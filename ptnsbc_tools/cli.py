@@ -12,6 +12,7 @@ from typer.core import TyperGroup
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_tools import options
+from ptnsbc_tools.autopilot.command import autopilot as _autopilot
 from ptnsbc_tools.limits import TOLERANCE_M
 from ptnsbc_tools.options import (
     AvoidanceOption,
@@ -216,6 +217,7 @@ def demo(
 
 
 app.command()(reproduce)
+app.command()(_autopilot)
 
 
 def main() -> None:

@@ -1,0 +1,70 @@
+"""ENU/FLU to NED/FRD and back, for the stand-in only.
+
+The bridge has its own conversions. A stand-in that shared them would hide their errors.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from ptnsbc_core.types import Array
+
+_HALF = math.sqrt(0.5)
+
+
+class Quaternion(NamedTuple):
+    """Unit quaternion in MAVLink's order."""
+
+    w: float
+    x: float
+    y: float
+    z: float
+
+
+class Euler(NamedTuple):
+    """Angles [rad]."""
+
+    roll: float
+    pitch: float
+    yaw: float
+
+
+def world_swap(v: Array) -> Array:
+    """(3,) ENU to NED or NED to ENU: the same exchange both ways."""
+    return np.array((v[1], v[0], -v[2]))
+
+
+def body_swap(v: Array) -> Array:
+    """(3,) FLU to FRD or FRD to FLU: the same exchange both ways."""
+    return np.array((v[0], -v[1], -v[2]))
+
+
+def yaw_swap(yaw_rad: float) -> float:
+    """Yaw [rad] from east, counter-clockwise, to heading from north, clockwise; or back. In [-pi, pi)."""
+    return (1.5 * math.pi - yaw_rad) % (2.0 * math.pi) - math.pi
+
+
+def attitude_swap(q: Quaternion) -> Quaternion:
+    """Attitude FLU in ENU to FRD in NED, or back: q_T q q_D with T the world's and D the body's exchange."""
+    w, x, y, z = q
+    return Quaternion(_HALF * (w + z), _HALF * (x + y), _HALF * (x - y), _HALF * (w - z))
+
+
+def euler_of(q: Quaternion) -> Euler:
+    """Roll, pitch and yaw [rad] of a quaternion, in its own frames."""
+    w, x, y, z = q
+    sine = min(max(2.0 * (w * y - x * z), -1.0), 1.0)
+    return Euler(
+        math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),
+        math.asin(sine),
+        math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)),
+    )
+
+
+def rotate_heading(v: Array, yaw_rad: float) -> Array:
+    """(3,) from a heading-aligned NED frame to NED: turned by the heading about down."""
+    c, s = math.cos(yaw_rad), math.sin(yaw_rad)
+    return np.array((c * v[0] - s * v[1], s * v[0] + c * v[1], v[2]))

@@ -1,0 +1,431 @@
+"""The personality of a PX4 multicopter: modes, offboard rules, failsafes. Sources: docs/autopilot.md."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+from pymavlink.dialects.v20 import common as mavlink
+
+from ptnsbc_core.types import Array
+from ptnsbc_nodes.autopilot import airframe, paths, setpoints
+from ptnsbc_nodes.autopilot.airframe import LoopGains
+from ptnsbc_nodes.autopilot.commands import Request, whole
+from ptnsbc_nodes.autopilot.frames import attitude_swap, euler_of
+from ptnsbc_nodes.autopilot.parameters import PX4, Parameters
+from ptnsbc_nodes.autopilot.vehicle import Status, Vehicle
+
+_DONE = int(mavlink.MAV_RESULT_ACCEPTED)
+_LATER = int(mavlink.MAV_RESULT_TEMPORARILY_REJECTED)
+_DENIED = int(mavlink.MAV_RESULT_DENIED)
+
+STREAM_BEFORE_S = 1.0
+"""How long setpoints must have come before offboard can be entered."""
+
+_SINK_M_S = 0.7
+_LIFT_SHARE_OF_RAMP = 2.5 / 3.0  # measured: first motion about 2.5 s after a climb command
+_SLOW_BELOW_M = 5.0
+_FAST_DOWN_M_S = 1.5
+_ARRIVED_M = 0.2
+
+
+class Mode(NamedTuple):
+    """A flight mode as in custom_mode."""
+
+    name: str
+    main: int
+    sub: int = 0
+
+    @property
+    def word(self) -> int:
+        """custom_mode of HEARTBEAT."""
+        return self.main << 16 | self.sub << 24
+
+
+MANUAL, ALTCTL, POSCTL = Mode("MANUAL", 1), Mode("ALTCTL", 2), Mode("POSCTL", 3)
+TAKEOFF, HOLD, RTL, LAND = (
+    Mode("TAKEOFF", 4, 2),
+    Mode("HOLD", 4, 3),
+    Mode("RTL", 4, 5),
+    Mode("LAND", 4, 6),
+)
+OFFBOARD, STABILIZED = Mode("OFFBOARD", 6), Mode("STABILIZED", 7)
+DESCEND = Mode("DESCEND", 4, 6)  # shown as LAND: HEARTBEAT has no word for it
+MODES = (MANUAL, ALTCTL, POSCTL, TAKEOFF, HOLD, RTL, LAND, OFFBOARD, STABILIZED)
+_MANUAL_MODES = (MANUAL, ALTCTL, POSCTL, STABILIZED)
+_PASSING_MODES = (TAKEOFF, RTL, LAND)  # forgotten when the motors stop
+_NEED_POSITION = (POSCTL, TAKEOFF, HOLD, RTL, LAND)
+
+_OFFBOARD_LOSS = {0: POSCTL, 1: ALTCTL, 2: STABILIZED, 3: RTL, 4: LAND, 5: HOLD}
+"""COM_OBL_RC_ACT; 6 terminates, 7 disarms."""
+
+_FIXED_FLAGS = (
+    mavlink.MAV_MODE_FLAG_AUTO_ENABLED
+    | mavlink.MAV_MODE_FLAG_STABILIZE_ENABLED
+    | mavlink.MAV_MODE_FLAG_GUIDED_ENABLED
+)
+
+_ON_GROUND, _RAMP, _FLYING = "ground", "ramp", "flying"
+
+
+class Px4(Vehicle):
+    """PX4 1.16 on a quadrotor without a transmitter."""
+
+    autopilot = mavlink.MAV_AUTOPILOT_PX4
+    capabilities = mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
+    version_word = 1 << 24 | 16 << 16
+    refusal: ClassVar[int] = _LATER
+    ready_s = (3.0, 8.0)
+    rates_hz = (
+        {
+            mavlink.MAVLINK_MSG_ID_HEARTBEAT: 1.0,
+            mavlink.MAVLINK_MSG_ID_ATTITUDE: 100.0,
+            mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: 50.0,
+            mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 30.0,
+            mavlink.MAVLINK_MSG_ID_ODOMETRY: 30.0,
+            mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 10.0,
+            mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: 5.0,
+            mavlink.MAVLINK_MSG_ID_SYS_STATUS: 5.0,
+            mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 5.0,
+            mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: 1.0,
+            mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: 1.0,
+            mavlink.MAVLINK_MSG_ID_TIMESYNC: 10.0,
+            mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: 0.5,
+            mavlink.MAVLINK_MSG_ID_HOME_POSITION: 0.5,
+        },
+        {
+            mavlink.MAVLINK_MSG_ID_HEARTBEAT: 1.0,
+            mavlink.MAVLINK_MSG_ID_ATTITUDE: 10.0,
+            mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 1.0,
+            mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 5.0,
+            mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: 1.0,
+            mavlink.MAVLINK_MSG_ID_SYS_STATUS: 1.0,
+            mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 1.0,
+            mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: 0.5,
+            mavlink.MAVLINK_MSG_ID_HOME_POSITION: 0.5,
+        },
+    )
+
+    def default_parameters(self) -> Parameters:
+        """PX4's, with our system id."""
+        return Parameters({**PX4, "MAV_SYS_ID": self.system}, bytewise=True)
+
+    def gains(self) -> LoopGains:
+        """From MPC_* and MC_*."""
+        p = self.parameters
+        return LoopGains(
+            p["MPC_XY_P"],
+            p["MPC_Z_P"],
+            p["MPC_XY_VEL_P_ACC"],
+            p["MPC_Z_VEL_P_ACC"],
+            p["MPC_XY_VEL_I_ACC"],
+            p["MPC_Z_VEL_I_ACC"],
+            p["MPC_XY_VEL_MAX"],
+            p["MPC_Z_VEL_MAX_UP"],
+            p["MPC_Z_VEL_MAX_DN"],
+            p["MPC_ACC_HOR_MAX"],
+            math.radians(p["MPC_TILTMAX_AIR"]),
+            p["MC_ROLL_P"],
+            p["MC_YAW_P"],
+            3.8,
+            math.radians(p["MPC_YAWRAUTO_MAX"]),
+        )
+
+    # State.
+
+    def on_boot(self, t: float) -> None:
+        """In Hold, nothing heard, no transmitter."""
+        self.mode = HOLD  # what the user wants
+        self.active = HOLD  # what is flown
+        self._after_disarm = HOLD
+        self._transmitter = False
+        self._setpoint: Array | None = None
+        self._setpoint_t = self._stream_since = -math.inf
+        self._climb_wanted = False
+        self._takeoff = _ON_GROUND
+        self._ramp_t = t
+        self._place = self._here()
+        self._height = 0.0
+        self._warned_charge = 1.0
+
+    def _here(self) -> paths.Place:
+        yaw = euler_of(self.flight.attitude_enu).yaw
+        return paths.Place(self.flight.position_enu.copy(), yaw)
+
+    @property
+    def failsafe(self) -> bool:
+        """Whether something else is flown than the user wants."""
+        return self.armed and self.active != self.mode
+
+    def status(self) -> Status:
+        """HEARTBEAT shows the mode that is flown."""
+        flags = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
+        manual = mavlink.MAV_MODE_FLAG_MANUAL_INPUT_ENABLED
+        flags |= manual if self.active in _MANUAL_MODES else _FIXED_FLAGS
+        state = mavlink.MAV_STATE_STANDBY
+        if self.armed:
+            flags |= mavlink.MAV_MODE_FLAG_SAFETY_ARMED
+            state = mavlink.MAV_STATE_CRITICAL if self.failsafe else mavlink.MAV_STATE_ACTIVE
+        return Status(flags, self.active.word, state)
+
+    def landed_state(self) -> int:
+        """On the ground until it has left it; landing and take-off only where the mode says so."""
+        if self.in_contact and (self._takeoff != _FLYING or self.landed):
+            return int(mavlink.MAV_LANDED_STATE_ON_GROUND)
+        if self.active == TAKEOFF:
+            return int(mavlink.MAV_LANDED_STATE_TAKEOFF)
+        if self.active in (LAND, DESCEND):
+            return int(mavlink.MAV_LANDED_STATE_LANDING)
+        return int(mavlink.MAV_LANDED_STATE_IN_AIR)
+
+    def words(self, text: str) -> str:
+        """PX4 ends its texts with a tab."""
+        return f"{text}\t"
+
+    def text_links(self, t: float) -> list[int]:
+        """Only links on which a ground station is heard."""
+        return [link for link in super().text_links(t) if self.gcs_on(link, t)]
+
+    # Arming and modes.
+
+    def arming_problem(self, t: float) -> str | None:
+        """The first check that fails."""
+        if self.faults.refuse_arming:
+            return "Resolve system health failures first"
+        if self.flight.battery <= self.parameters["BAT_CRIT_THR"]:
+            return "Critical battery"
+        if self.parameters["NAV_DLL_ACT"] > 0 and not self.gcs_present(t):
+            return "No connection to the ground control station"
+        if self.mode == OFFBOARD and not self._offboard_ready(t):
+            return "No offboard signal"
+        if self.mode in _NEED_POSITION and not self.position_valid(t):
+            return "Global position required"
+        if self.mode in _MANUAL_MODES and not self._transmitter:
+            return "Manual control unavailable"
+        return None
+
+    def on_armed(self, t: float) -> None:
+        """On the ground, motors at idle."""
+        self._takeoff = _ON_GROUND
+        self._place = self._here()
+
+    def on_disarmed(self, t: float) -> None:
+        """Take-off, landing and return are forgotten: the mode before them is back."""
+        if self.mode in _PASSING_MODES:
+            self.mode = self._after_disarm
+        self.active = self.mode
+        self._takeoff = _ON_GROUND
+
+    def _can_run(self, mode: Mode, t: float) -> bool:
+        if mode == OFFBOARD:
+            return self._offboard_ready(t)
+        if mode in _MANUAL_MODES and not self._transmitter:
+            return False
+        return mode not in _NEED_POSITION or self.position_valid(t) or mode == LAND
+
+    def _choose(self, mode: Mode, t: float) -> int:
+        """Change the mode; disarmed it is always taken, arming checks it."""
+        if self.armed and not self._can_run(mode, t):
+            self.tell(self.words(f"Switching to mode '{mode.name}' is currently not available"), t)
+            return _LATER
+        if mode != self.mode:
+            self.log(f"mode {mode.name}")
+        self.mode = self.active = mode
+        self._place = self._here()
+        if mode not in _PASSING_MODES:
+            self._after_disarm = mode
+        return _DONE
+
+    def set_mode(self, request: Request, t: float) -> int:
+        """param1 says that custom modes are meant, param2 and 3 are main and sub mode."""
+        if not whole(request.params[0]) & mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED:
+            return _DENIED
+        main, sub = whole(request.params[1]), whole(request.params[2])
+        for mode in MODES:
+            if (mode.main, mode.sub) == (main, sub):
+                return self._choose(mode, t)
+        return _DENIED
+
+    def take_off(self, request: Request, t: float) -> int:
+        """Switches to the mode; param7 is the height above sea level, NaN for MIS_TAKEOFF_ALT."""
+        result = self._choose(TAKEOFF, t)
+        if result == _DONE:
+            wanted = request.params[6]
+            ground = self.flight.body.datum.altitude_m + self.flight.navigation.origin_enu[2]
+            least = self.home_local_enu[2] + self.parameters["MIS_TAKEOFF_ALT"]
+            self._height = float(wanted - ground if math.isfinite(wanted) else least)
+        return result
+
+    def land(self, t: float) -> int:
+        """Switches to the mode."""
+        return self._choose(LAND, t)
+
+    def return_home(self, t: float) -> int:
+        """Switches to the mode."""
+        return self._choose(RTL, t)
+
+    def pilot(self, mode: str, t: float) -> bool:
+        """A transmitter appears and its switch is turned; sticks centred."""
+        for known in MODES:
+            if known.name == mode.upper():
+                self._transmitter = True
+                self._choose(known, t)
+                return True
+        return False
+
+    # Setpoints.
+
+    def on_trajectory(self, message: Any, t: float) -> None:
+        """Frames and masks as PX4's receiver takes them; a wrong one is not even a sign of life."""
+        wanted = setpoints.trajectory(message)
+        name = "SET_POSITION_TARGET_LOCAL_NED"
+        if wanted.frame == mavlink.MAV_FRAME_BODY_NED:
+            heading = euler_of(attitude_swap(self.flight.attitude_enu)).yaw
+            nowhere = np.full(3, math.nan)
+            wanted = setpoints.turned(wanted._replace(position_ned=nowhere), heading)
+        elif wanted.frame != mavlink.MAV_FRAME_LOCAL_NED:
+            self.tell(self.words(f"{name} coordinate frame {wanted.frame} unsupported"), t)
+            return
+        if wanted.accelerations and wanted.force:
+            self.tell(self.words(f"{name} force not supported"), t)
+            return
+        if not (wanted.positions or wanted.velocities or wanted.accelerations):
+            self.tell(self.words(f"{name} invalid"), t)
+            return
+        higher = wanted.position_ned[2] < -self.flight.position_enu[2]
+        self._climb_wanted = bool(higher or wanted.climbs)
+        self._take(setpoints.trajectory_target(wanted), t)
+
+    def on_attitude(self, message: Any, t: float) -> None:
+        """Attitude or body rates, and a thrust."""
+        wanted = setpoints.attitude(message)
+        attitude = wanted.attitude_ned
+        rates = bool(np.isfinite(wanted.rates_frd).all())
+        if not math.isfinite(wanted.thrust) or (attitude is None and not rates):
+            return
+        if attitude is not None and not setpoints.unit(attitude, 0.1):
+            return
+        self._climb_wanted = False
+        self._take(setpoints.attitude_target(wanted), t)
+
+    def _take(self, target: Array, t: float) -> None:
+        if t - self._setpoint_t > self.parameters["COM_OF_LOSS_T"]:
+            self._stream_since = t
+        self._setpoint, self._setpoint_t = target, t
+
+    def _offboard_alive(self, t: float) -> bool:
+        """Whether a setpoint came lately and what it needs is known."""
+        if self._setpoint is None or t - self._setpoint_t > self.parameters["COM_OF_LOSS_T"]:
+            return False
+        return self._setpoint[airframe.KIND] != airframe.TRAJECTORY or self.position_valid(t)
+
+    def _offboard_ready(self, t: float) -> bool:
+        return self._offboard_alive(t) and t - self._stream_since >= STREAM_BEFORE_S
+
+    # Rules that act by themselves.
+
+    def watch(self, t: float) -> None:
+        """Failsafes, end of take-off, disarming, battery."""
+        if not self.armed:
+            return
+        self._settle_mode(t)
+        if self.active == TAKEOFF and self._height - self.flight.position_enu[2] < _ARRIVED_M:
+            self._choose(HOLD, t)
+        self._watch_ground(t)
+        self._watch_battery(t)
+
+    def _settle_mode(self, t: float) -> None:
+        """What is flown: what the user wants while it can run, else what the failsafe says."""
+        wanted = self.mode
+        if wanted == OFFBOARD and not self._offboard_alive(t):
+            action = int(self.parameters["COM_OBL_RC_ACT"])
+            if action not in _OFFBOARD_LOSS:
+                self.disarm("offboard signal lost", t)
+                return
+            wanted = _OFFBOARD_LOSS[action]
+        if wanted in _NEED_POSITION and not self.position_valid(t):
+            wanted = DESCEND
+        if wanted == self.active:
+            return
+        if wanted == self.mode:
+            self.tell(self.words(f"Failsafe cleared: back to {wanted.name}"), t)
+        else:
+            self.tell(self.words(f"Failsafe activated: {wanted.name}"), t)
+        self.active = wanted
+        self._place = self._here().ahead(self.flight.velocity_enu)
+
+    def _watch_ground(self, t: float) -> None:
+        if not self.in_contact:
+            self._takeoff = _FLYING
+        elif self._takeoff == _FLYING and self.landed:
+            self._takeoff = _ON_GROUND
+            self.log("landed")
+        if not self.lifted:
+            limit = self.parameters["COM_DISARM_PRFLT"]
+            if 0.0 < limit < t - self.armed_t:
+                self.disarm("not taken off in time", t)
+        elif self.landed:
+            limit = self.parameters["COM_DISARM_LAND"]
+            if 0.0 < limit < self.flight.standing_s - 1.0:
+                self.disarm("landed", t)
+
+    def _watch_battery(self, t: float) -> None:
+        charge, before = self.flight.battery, self._warned_charge
+        self._warned_charge = charge
+        if charge <= self.parameters["BAT_LOW_THR"] < before:
+            self.tell(self.words("Low battery level, return advised"), t)
+        if charge <= self.parameters["BAT_CRIT_THR"] < before:
+            self.tell(self.words("Critical battery level, land now"), t)
+            if self.parameters["COM_LOW_BAT_ACT"] >= 2.0 and self.in_contact is False:
+                self._choose(LAND, t)
+
+    # What the airframe follows.
+
+    def aim(self, t: float) -> Array:
+        """Motors off, at idle, ramping up, or the mode's own target."""
+        if not self.armed:
+            return paths.OFF_TARGET
+        if t - self.armed_t < self.parameters["COM_SPOOLUP_TIME"]:
+            return paths.IDLE_TARGET
+        target = self._mode_target()
+        if target[airframe.KIND] != airframe.TRAJECTORY or self._takeoff == _FLYING:
+            return target
+        return self._from_ground(target, t)
+
+    def _from_ground(self, target: Array, t: float) -> Array:
+        """Idle until a climb is wanted, then thrust up to a cap that rises."""
+        climb = self._climb_wanted if self.active == OFFBOARD else self.active == TAKEOFF
+        if not climb:
+            self._takeoff = _ON_GROUND
+            return paths.IDLE_TARGET
+        if self._takeoff == _ON_GROUND:
+            self._takeoff, self._ramp_t = _RAMP, t
+        ramp_s = max(_LIFT_SHARE_OF_RAMP * self.parameters["MPC_TKO_RAMP_T"], 1e-3)
+        capped = target.copy()
+        capped[airframe.THRUST_CAP] = self.flight.hover_share * (t - self._ramp_t) / ramp_s
+        return capped
+
+    def _mode_target(self) -> Array:
+        mode, place = self.active, self._place
+        if mode == OFFBOARD and self._setpoint is not None:
+            return self._setpoint
+        if mode == DESCEND or (mode in _MANUAL_MODES and not self._transmitter):
+            return paths.sink(_SINK_M_S)
+        if mode == LAND:
+            return paths.land(place, self._landing_speed())
+        if mode == RTL:
+            return self._way_home()
+        if mode == TAKEOFF:
+            climb = self._height - self.flight.position_enu[2]
+            return paths.climb(place, min(float(climb), self.parameters["MPC_TKO_SPEED"]))
+        return paths.hold(place)
+
+    def _landing_speed(self) -> float:
+        above = self.flight.position_enu[2] - self.home_local_enu[2]
+        return self.parameters["MPC_LAND_SPEED"] if above < _SLOW_BELOW_M else _FAST_DOWN_M_S
+
+    def _way_home(self) -> Array:
+        height = self.home_local_enu[2] + self.parameters["RTL_RETURN_ALT"]
+        way = paths.way_home(self.flight.position_enu, self.home_local_enu, height, self._place)
+        return paths.land(way, self._landing_speed()) if way.over_home else paths.hold(way)

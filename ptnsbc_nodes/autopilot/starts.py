@@ -1,0 +1,78 @@
+"""Where vehicles start, and what they are: from options or from a scenario."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ptnsbc_nodes.autopilot.codec import AutopilotError
+from ptnsbc_nodes.autopilot.flight import Body, default_plant
+from ptnsbc_nodes.autopilot.geodesy import PX4_HOME, Geodetic
+from ptnsbc_nodes.autopilot.navigation import QUALITIES
+from ptnsbc_sim.plants.build import plant_config
+from ptnsbc_sim.scenario import Scenario, load_scenario
+
+_SPACING_M = 2.0
+
+
+@dataclass(frozen=True)
+class Fleet:
+    """What is asked for."""
+
+    count: int | None = None
+    scenario: str | Path | None = None
+    gnss: str = "plain"
+    origin_spread_m: float = 0.0
+    yaw_deg: float | None = None
+    seed: int = 1
+    battery: float = 1.0
+    datum: Geodetic = PX4_HOME
+
+
+@dataclass(frozen=True)
+class Start:
+    """One vehicle to be: its MAVLink system id and its body."""
+
+    system: int
+    body: Body
+
+
+def starts(fleet: Fleet) -> list[Start]:
+    """System ids from 1 and bodies, all on the ground; in the order of the scenario's UAVs where there is one.
+
+    Raises:
+        AutopilotError: more vehicles than the scenario has, or an unknown receiver.
+    """
+    if fleet.gnss not in QUALITIES:
+        raise AutopilotError(f"gnss={fleet.gnss}: expected one of {', '.join(QUALITIES)}")
+    if fleet.scenario is None:
+        return [Start(n + 1, _body(fleet, n, None)) for n in range(fleet.count or 1)]
+    scenario = load_scenario(fleet.scenario, {"plant.kind": "quadrotor"})
+    size = len(scenario.uav_ids)
+    count = size if fleet.count is None else fleet.count
+    if count > size:
+        raise AutopilotError(f"count={count}: expected at most {size}, the UAVs of {scenario.name}")
+    return [Start(n + 1, _body(fleet, n, scenario)) for n in range(count)]
+
+
+def _body(fleet: Fleet, n: int, scenario: Scenario | None) -> Body:
+    random = np.random.default_rng((fleet.seed, n))
+    yaw = random.uniform(-np.pi, np.pi) if fleet.yaw_deg is None else np.radians(fleet.yaw_deg)
+    ground = np.array((_SPACING_M * n, 0.0, 0.0))
+    plant = default_plant()
+    if scenario is not None:
+        uav_id = scenario.uav_ids[n]
+        ground = scenario.uav(uav_id).position * np.array((1.0, 1.0, 0.0))
+        plant = plant_config(scenario, uav_id)
+    return Body(
+        plant,
+        ground,
+        float(yaw),
+        QUALITIES[fleet.gnss],
+        fleet.origin_spread_m,
+        fleet.datum,
+        fleet.battery,
+        int(random.integers(1 << 31)),
+    )

@@ -1,0 +1,312 @@
+"""The messages a stand-in sends of itself, by message id."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+from pymavlink.dialects.v20 import common as mavlink
+
+from ptnsbc_core.types import Array
+from ptnsbc_nodes.autopilot.frames import (
+    attitude_swap,
+    body_swap,
+    euler_of,
+    world_swap,
+)
+from ptnsbc_nodes.autopilot.geodesy import Geodetic, geodetic
+
+if TYPE_CHECKING:
+    from ptnsbc_nodes.autopilot.vehicle import Vehicle
+
+Builder = Callable[["Vehicle", float], Any]
+
+_UNKNOWN_16 = 65535
+_UNIT_QUATERNION = [1.0, 0.0, 0.0, 0.0]
+_GRAVITY_MG = 1000
+
+
+def _place(vehicle: Vehicle) -> Geodetic:
+    """Where the vehicle believes it is."""
+    flight = vehicle.flight
+    return geodetic(flight.body.datum, flight.position_enu + flight.navigation.origin_enu)
+
+
+def _e7(degrees: float) -> int:
+    return round(degrees * 1e7)
+
+
+def _heartbeat(vehicle: Vehicle, _t: float) -> Any:
+    status = vehicle.status()
+    return mavlink.MAVLink_heartbeat_message(
+        vehicle.mav_type,
+        vehicle.autopilot,
+        status.base_mode,
+        status.custom_mode,
+        status.system_status,
+        3,
+    )
+
+
+def _attitude(vehicle: Vehicle, t: float) -> Any:
+    flight = vehicle.flight
+    euler = euler_of(attitude_swap(flight.attitude_enu))
+    return mavlink.MAVLink_attitude_message(
+        vehicle.clock.ms(t), *euler, *body_swap(flight.rates_flu).tolist()
+    )
+
+
+def _attitude_quaternion(vehicle: Vehicle, t: float) -> Any:
+    flight = vehicle.flight
+    return mavlink.MAVLink_attitude_quaternion_message(
+        vehicle.clock.ms(t),
+        *attitude_swap(flight.attitude_enu),
+        *body_swap(flight.rates_flu).tolist(),
+        [0.0] * 4,
+    )
+
+
+def _local_position(vehicle: Vehicle, t: float) -> Any:
+    if not vehicle.position_valid(t):
+        return None
+    flight = vehicle.flight
+    return mavlink.MAVLink_local_position_ned_message(
+        vehicle.clock.ms(t),
+        *world_swap(flight.position_enu).tolist(),
+        *world_swap(flight.velocity_enu).tolist(),
+    )
+
+
+def _in_body(vehicle: Vehicle) -> Array:
+    """Estimated velocity (3,) in FRD."""
+    w, x, y, z = vehicle.flight.attitude_enu
+    u, v, s = (float(value) for value in vehicle.flight.velocity_enu)
+    ahead = (1 - 2 * (y * y + z * z)) * u + 2 * (x * y + w * z) * v + 2 * (x * z - w * y) * s
+    left = 2 * (x * y - w * z) * u + (1 - 2 * (x * x + z * z)) * v + 2 * (y * z + w * x) * s
+    up = 2 * (x * z + w * y) * u + 2 * (y * z - w * x) * v + (1 - 2 * (x * x + y * y)) * s
+    return body_swap((ahead, left, up))  # type: ignore[arg-type]
+
+
+def _covariance(quality_variance: float) -> list[float]:
+    """Upper triangle (21) of a 6 x 6 covariance with one variance on the first three diagonal places."""
+    out = [0.0] * 21
+    out[0] = out[6] = out[11] = quality_variance
+    return out
+
+
+def _odometry(vehicle: Vehicle, t: float) -> Any:
+    if not vehicle.position_valid(t):
+        return None
+    flight = vehicle.flight
+    quality = flight.body.quality
+    return mavlink.MAVLink_odometry_message(
+        vehicle.clock.us(t),
+        mavlink.MAV_FRAME_LOCAL_NED,
+        mavlink.MAV_FRAME_BODY_FRD,
+        *world_swap(flight.position_enu).tolist(),
+        list(attitude_swap(flight.attitude_enu)),
+        *_in_body(vehicle).tolist(),
+        *body_swap(flight.rates_flu).tolist(),
+        _covariance(quality.position_m**2),
+        _covariance(quality.velocity_m_s**2),
+        vehicle.boots % 256,
+        mavlink.MAV_ESTIMATOR_TYPE_AUTOPILOT,
+        100,
+    )
+
+
+def _global_position(vehicle: Vehicle, t: float) -> Any:
+    if not vehicle.position_valid(t):
+        return None
+    place = _place(vehicle)
+    flight = vehicle.flight
+    velocity = world_swap(flight.velocity_enu) * 100.0
+    heading = euler_of(attitude_swap(flight.attitude_enu)).yaw
+    above = flight.position_enu[2] - vehicle.home_local_enu[2]
+    return mavlink.MAVLink_global_position_int_message(
+        vehicle.clock.ms(t),
+        _e7(place.latitude_deg),
+        _e7(place.longitude_deg),
+        round(place.altitude_m * 1e3),
+        round(float(above) * 1e3),
+        *(round(v) for v in velocity.tolist()),
+        round(heading * 18000.0 / 3.141592653589793) % 36000,
+    )
+
+
+def _gps_raw(vehicle: Vehicle, t: float) -> Any:
+    fix = vehicle.flight.navigation.fix_type
+    place = _place(vehicle)
+    error_m = max(vehicle.flight.body.quality.position_m, 0.01)
+    has = fix > 1
+    return mavlink.MAVLink_gps_raw_int_message(
+        vehicle.clock.us(t),
+        fix,
+        _e7(place.latitude_deg) if has else 0,
+        _e7(place.longitude_deg) if has else 0,
+        round(place.altitude_m * 1e3) if has else 0,
+        round(error_m * 100.0) if has else _UNKNOWN_16,
+        round(error_m * 150.0) if has else _UNKNOWN_16,
+        _UNKNOWN_16,
+        _UNKNOWN_16,
+        14 if has else 0,
+    )
+
+
+def _sensors(vehicle: Vehicle, t: float) -> tuple[int, int]:
+    """Bits of the sensors present, and of the healthy ones."""
+    base = (
+        mavlink.MAV_SYS_STATUS_SENSOR_3D_GYRO
+        | mavlink.MAV_SYS_STATUS_SENSOR_3D_ACCEL
+        | mavlink.MAV_SYS_STATUS_SENSOR_ABSOLUTE_PRESSURE
+        | mavlink.MAV_SYS_STATUS_SENSOR_BATTERY
+    )
+    gps, ready = mavlink.MAV_SYS_STATUS_SENSOR_GPS, mavlink.MAV_SYS_STATUS_PREARM_CHECK
+    healthy = base
+    if vehicle.flight.navigation.fix_type > 1:
+        healthy |= gps
+    if vehicle.arming_problem(t) is None:
+        healthy |= ready
+    return base | gps | ready, healthy
+
+
+def _sys_status(vehicle: Vehicle, t: float) -> Any:
+    present, healthy = _sensors(vehicle, t)
+    flight = vehicle.flight
+    return mavlink.MAVLink_sys_status_message(
+        present,
+        present,
+        healthy,
+        300,
+        round(flight.battery_v * 1000.0),
+        -1,
+        round(flight.battery * 100.0),
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+    )
+
+
+def _battery(vehicle: Vehicle, _t: float) -> Any:
+    flight = vehicle.flight
+    cells = [round(flight.battery_v * 1000.0 / 4)] * 4 + [_UNKNOWN_16] * 6
+    return mavlink.MAVLink_battery_status_message(
+        0,
+        mavlink.MAV_BATTERY_FUNCTION_ALL,
+        mavlink.MAV_BATTERY_TYPE_LIPO,
+        32767,
+        cells,
+        -1,
+        -1,
+        -1,
+        round(flight.battery * 100.0),
+        0,
+        vehicle.charge_state(),
+    )
+
+
+def _extended_state(vehicle: Vehicle, _t: float) -> Any:
+    return mavlink.MAVLink_extended_sys_state_message(
+        mavlink.MAV_VTOL_STATE_UNDEFINED, vehicle.landed_state()
+    )
+
+
+def _home(vehicle: Vehicle, t: float) -> Any:
+    if not vehicle.position_valid(t):
+        return None
+    flight = vehicle.flight
+    place = geodetic(flight.body.datum, vehicle.home_local_enu + flight.navigation.origin_enu)
+    return mavlink.MAVLink_home_position_message(
+        _e7(place.latitude_deg),
+        _e7(place.longitude_deg),
+        round(place.altitude_m * 1e3),
+        *world_swap(vehicle.home_local_enu).tolist(),
+        _UNIT_QUATERNION,
+        0.0,
+        0.0,
+        0.0,
+        vehicle.clock.us(t),
+    )
+
+
+def _origin(vehicle: Vehicle, t: float) -> Any:
+    if not vehicle.position_valid(t):
+        return None
+    flight = vehicle.flight
+    place = geodetic(flight.body.datum, flight.navigation.origin_enu)
+    return mavlink.MAVLink_gps_global_origin_message(
+        _e7(place.latitude_deg),
+        _e7(place.longitude_deg),
+        round(place.altitude_m * 1e3),
+        vehicle.clock.us(t),
+    )
+
+
+def _estimator(vehicle: Vehicle, t: float) -> Any:
+    flags = mavlink.ESTIMATOR_ATTITUDE | mavlink.ESTIMATOR_POS_VERT_ABS
+    if vehicle.position_valid(t):
+        flags |= (
+            mavlink.ESTIMATOR_VELOCITY_HORIZ
+            | mavlink.ESTIMATOR_VELOCITY_VERT
+            | mavlink.ESTIMATOR_POS_HORIZ_REL
+            | mavlink.ESTIMATOR_POS_HORIZ_ABS
+        )
+    quality = vehicle.flight.body.quality
+    return mavlink.MAVLink_estimator_status_message(
+        vehicle.clock.us(t), flags, 0, 0, 0, 0, 0, 0, quality.position_m, quality.height_m
+    )
+
+
+def _version(vehicle: Vehicle, _t: float) -> Any:
+    capabilities = (
+        mavlink.MAV_PROTOCOL_CAPABILITY_MAVLINK2
+        | mavlink.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
+        | mavlink.MAV_PROTOCOL_CAPABILITY_SET_ATTITUDE_TARGET
+        | vehicle.capabilities
+    )
+    nothing = [0] * 8
+    return mavlink.MAVLink_autopilot_version_message(
+        capabilities,
+        vehicle.version_word,
+        0,
+        0,
+        0,
+        nothing,
+        nothing,
+        nothing,
+        0,
+        0,
+        vehicle.system,
+    )
+
+
+def _system_time(vehicle: Vehicle, t: float) -> Any:
+    return mavlink.MAVLink_system_time_message(0, vehicle.clock.ms(t))
+
+
+def _timesync(vehicle: Vehicle, t: float) -> Any:
+    return mavlink.MAVLink_timesync_message(0, vehicle.clock.ns(t))
+
+
+BUILDERS: dict[int, Builder] = {
+    mavlink.MAVLINK_MSG_ID_HEARTBEAT: _heartbeat,
+    mavlink.MAVLINK_MSG_ID_ATTITUDE: _attitude,
+    mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: _attitude_quaternion,
+    mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: _local_position,
+    mavlink.MAVLINK_MSG_ID_ODOMETRY: _odometry,
+    mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: _global_position,
+    mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: _gps_raw,
+    mavlink.MAVLINK_MSG_ID_SYS_STATUS: _sys_status,
+    mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: _battery,
+    mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: _extended_state,
+    mavlink.MAVLINK_MSG_ID_HOME_POSITION: _home,
+    mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: _origin,
+    mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: _estimator,
+    mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: _version,
+    mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: _system_time,
+    mavlink.MAVLINK_MSG_ID_TIMESYNC: _timesync,
+}
+"""What can be streamed or requested; a builder says None while there is nothing valid to send."""

@@ -1,0 +1,438 @@
+"""What all stand-ins do alike, as an object without sockets and without a clock of its own.
+
+`step(t)` moves it to a time and returns what it sends; `handle(message, link, t)` returns the answers. Times are
+seconds of any steady clock, so tests run faster than real time. Personalities say what a mode, an arming request
+and a setpoint mean: `px4`, `arducopter`, `stm32`.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections import deque
+from collections.abc import Callable, Mapping
+from typing import Any, ClassVar, NamedTuple
+
+from pymavlink.dialects.v20 import common as mavlink
+
+from ptnsbc_core.types import Array
+from ptnsbc_nodes.autopilot.airframe import LoopGains
+from ptnsbc_nodes.autopilot.clock import BootClock
+from ptnsbc_nodes.autopilot.commands import COMMANDS, Request, request_of
+from ptnsbc_nodes.autopilot.faults import Faults
+from ptnsbc_nodes.autopilot.flight import Body, Flight
+from ptnsbc_nodes.autopilot.parameters import Parameters
+from ptnsbc_nodes.autopilot.streams import Streams
+from ptnsbc_nodes.autopilot.telemetry import BUILDERS
+
+COMPANION, GCS = 0, 1
+"""Links of a vehicle, by number."""
+
+GCS_TIMEOUT_S = 2.5
+DARK_AT_BOOT_S = 2.0
+_STANDING_S = 1.0  # on the ground for so long counts as landed
+_PARAMETERS_PER_STEP = 2
+_CHUNK = 50
+
+Say = Callable[[str], None]
+
+
+class Outgoing(NamedTuple):
+    """One message for one link."""
+
+    link: int
+    message: Any
+
+
+class Status(NamedTuple):
+    """The fields of HEARTBEAT that change."""
+
+    base_mode: int
+    custom_mode: int
+    system_status: int
+
+
+def _nothing(_line: str) -> None:
+    pass
+
+
+class Vehicle(ABC):
+    """One flight controller and the vehicle under it."""
+
+    mav_type: ClassVar[int] = mavlink.MAV_TYPE_QUADROTOR
+    autopilot: ClassVar[int]
+    capabilities: ClassVar[int]
+    version_word: ClassVar[int]
+    refusal: ClassVar[int]  # MAV_RESULT of an arming request that is refused
+    rates_hz: ClassVar[tuple[Mapping[int, float], Mapping[int, float]]]  # per link
+    ready_s: ClassVar[tuple[float, float]]  # from boot to a valid position, at least and at most
+    dead_reckoning_s: ClassVar[float] = 5.0
+
+    def __init__(
+        self, system: int, body: Body, t: float, *, boot_time: float = 1.0, say: Say = _nothing
+    ) -> None:
+        """Args:
+        system: MAVLink system id.
+        body: the physical vehicle.
+        t: time of boot [s].
+        boot_time: scales the time until the position is valid.
+        say: gets a line for each event.
+        """
+        self.system = system
+        self.component = 1
+        self.parameters = self.default_parameters()
+        self.flight = Flight(body, self.gains(), t)
+        self.clock = BootClock(t)
+        self.faults = Faults()
+        self.boots = 0
+        self.armed = False
+        self.armed_t = t
+        self.lifted = False  # has flown since it was armed
+        self.home_local_enu: Array = self.flight.position_enu.copy()
+        self._boot_time = boot_time
+        self._log = say
+        self._out: list[Outgoing] = []
+        self._queue: deque[Outgoing] = deque()
+        self._gcs_heard: dict[int, float] = {}
+        self._text_id = 0
+        self._start(t)
+
+    # What a personality says.
+
+    @abstractmethod
+    def default_parameters(self) -> Parameters:
+        """Parameters after a factory reset."""
+
+    @abstractmethod
+    def gains(self) -> LoopGains:
+        """Gains and limits of the loops, from the parameters."""
+
+    @abstractmethod
+    def status(self) -> Status:
+        """Mode and state for HEARTBEAT."""
+
+    @abstractmethod
+    def landed_state(self) -> int:
+        """MAV_LANDED_STATE."""
+
+    @abstractmethod
+    def arming_problem(self, t: float) -> str | None:
+        """Why it would not arm now."""
+
+    @abstractmethod
+    def on_boot(self, t: float) -> None:
+        """Mode and memory after a boot."""
+
+    @abstractmethod
+    def on_armed(self, t: float) -> None:
+        """The motors have been switched on."""
+
+    @abstractmethod
+    def on_disarmed(self, t: float) -> None:
+        """The motors have been switched off."""
+
+    @abstractmethod
+    def set_mode(self, request: Request, t: float) -> int:
+        """DO_SET_MODE; MAV_RESULT."""
+
+    @abstractmethod
+    def take_off(self, request: Request, t: float) -> int:
+        """NAV_TAKEOFF; MAV_RESULT."""
+
+    @abstractmethod
+    def land(self, t: float) -> int:
+        """NAV_LAND; MAV_RESULT."""
+
+    @abstractmethod
+    def return_home(self, t: float) -> int:
+        """NAV_RETURN_TO_LAUNCH; MAV_RESULT."""
+
+    @abstractmethod
+    def pilot(self, mode: str, t: float) -> bool:
+        """A pilot with a transmitter chooses a mode by name; False when there is none of that name."""
+
+    @abstractmethod
+    def on_trajectory(self, message: Any, t: float) -> None:
+        """SET_POSITION_TARGET_LOCAL_NED."""
+
+    @abstractmethod
+    def on_attitude(self, message: Any, t: float) -> None:
+        """SET_ATTITUDE_TARGET."""
+
+    @abstractmethod
+    def watch(self, t: float) -> None:
+        """Rules that act by themselves: failsafes, disarming."""
+
+    @abstractmethod
+    def aim(self, t: float) -> Array:
+        """What the airframe follows until the next step (21,)."""
+
+    # The two calls.
+
+    def step(self, t: float) -> list[Outgoing]:
+        """Move to t [s]; what is sent unasked."""
+        self.flight.advance(t)
+        if t >= self._reboot_at:
+            self.reboot(t)
+        if self.booting(t):
+            return []
+        if not self.in_contact:
+            self.lifted = self.armed
+        self.watch(t)
+        self.flight.target = self.aim(t)
+        for link, streams in enumerate(self._streams):
+            for message_id in streams.due(t):
+                self._send_id(message_id, link, t)
+        for _ in range(min(_PARAMETERS_PER_STEP, len(self._queue))):
+            self._out.append(self._queue.popleft())
+        return self._taken()
+
+    def handle(self, message: Any, link: int, t: float) -> list[Outgoing]:
+        """Take one message; the answers. Messages for others are ignored."""
+        handler = _HANDLERS.get(message.get_type())
+        if handler is None or self.booting(t) or self.faults.mute or not self._for_us(message):
+            return []
+        handler(self, message, link, t)
+        return self._taken()
+
+    def _taken(self) -> list[Outgoing]:
+        out, self._out = self._out, []
+        return [] if self.faults.mute else out
+
+    def _for_us(self, message: Any) -> bool:
+        if message.get_type() in _UNADDRESSED:
+            return True
+        system = getattr(message, "target_system", 0)
+        component = getattr(message, "target_component", 0)
+        return system in (0, self.system) and component in (0, self.component)
+
+    # State that all have.
+
+    @property
+    def in_contact(self) -> bool:
+        """Whether it touches the ground."""
+        return self.flight.in_contact
+
+    @property
+    def landed(self) -> bool:
+        """Whether the land detector is sure."""
+        return self.flight.standing_s >= _STANDING_S or not (self.armed or not self.in_contact)
+
+    def booting(self, t: float) -> bool:
+        """Whether it is still dark after a reboot."""
+        return t < self._dark_until
+
+    def position_valid(self, t: float) -> bool:
+        """Whether the estimator vouches for the position."""
+        lost_s = self.flight.navigation.lost_s(t)
+        return t >= self._ready_at and lost_s < self.dead_reckoning_s
+
+    def gcs_present(self, t: float) -> bool:
+        """Whether a ground station was heard on any link lately; a companion does not count."""
+        return any(t - heard < GCS_TIMEOUT_S for heard in self._gcs_heard.values())
+
+    def gcs_on(self, link: int, t: float) -> bool:
+        """The same for one link."""
+        return t - self._gcs_heard.get(link, -math.inf) < GCS_TIMEOUT_S
+
+    def charge_state(self) -> int:
+        """MAV_BATTERY_CHARGE_STATE."""
+        charge = self.flight.battery
+        if charge <= 0.07:
+            return int(mavlink.MAV_BATTERY_CHARGE_STATE_CRITICAL)
+        if charge <= 0.15:
+            return int(mavlink.MAV_BATTERY_CHARGE_STATE_LOW)
+        return int(mavlink.MAV_BATTERY_CHARGE_STATE_OK)
+
+    def log(self, line: str) -> None:
+        """A line for whoever watches the process."""
+        self._log(line)
+
+    # Power and arming.
+
+    def _start(self, t: float) -> None:
+        """What a boot sets; the first and every other."""
+        self._dark_until = t + DARK_AT_BOOT_S if self.boots else t
+        self._reboot_at = math.inf
+        least, most = self.ready_s
+        spread = (self.flight.body.seed * 0.6180339887) % 1.0
+        self._ready_at = self._dark_until + (least + spread * (most - least)) * self._boot_time
+        self.clock.reboot(self._dark_until)
+        self._streams = [Streams(rates, self._dark_until) for rates in self.rates_hz]
+        self._queue.clear()
+        self._gcs_heard.clear()
+        self.armed = self.lifted = False
+        self.home_local_enu = self.flight.position_enu.copy()
+        self.on_boot(t)
+
+    def reboot(self, t: float) -> None:
+        """Restart the autopilot, in the air too: the motors stop."""
+        self.boots += 1
+        self.flight.reboot()
+        self.flight.advance(t)
+        self._start(t)
+        self.log("rebooted")
+
+    def reboot_soon(self, t: float) -> None:
+        """Restart once the answer is out."""
+        self._reboot_at = t
+
+    def arm(self, t: float) -> None:
+        """Motors on, whatever the checks say."""
+        self.armed, self.armed_t, self.lifted = True, t, False
+        self.home_local_enu = self.flight.position_enu.copy()
+        self.on_armed(t)
+        self.log("armed")
+
+    def disarm(self, reason: str, t: float) -> None:
+        """Motors off, in the air too."""
+        self.armed = self.lifted = False
+        self.on_disarmed(t)
+        self.log(f"disarmed: {reason}")
+
+    # Sending.
+
+    def send(self, link: int, message: Any) -> None:
+        """Put a message on a link."""
+        self._out.append(Outgoing(link, message))
+
+    def _send_id(self, message_id: int, link: int, t: float) -> bool:
+        """Send a message of ours by id; False when there is none to send."""
+        build = BUILDERS.get(message_id)
+        if build is None:
+            return False
+        if message_id == mavlink.MAVLINK_MSG_ID_HEARTBEAT and self.faults.no_heartbeat:
+            return True
+        message = build(self, t)
+        if message is None:
+            return False
+        self.send(link, message)
+        return True
+
+    def words(self, text: str) -> str:
+        """A text as this autopilot writes it."""
+        return text
+
+    def text_links(self, t: float) -> list[int]:
+        """Links that get STATUSTEXT."""
+        return list(range(len(self.rates_hz)))
+
+    def tell(self, text: str, t: float, severity: int = mavlink.MAV_SEVERITY_CRITICAL) -> None:
+        """STATUSTEXT in chunks of 50 bytes, and a line in the log."""
+        self.log(text.strip())
+        data = text.encode()
+        chunks = [data[i : i + _CHUNK] for i in range(0, len(data), _CHUNK)]
+        self._text_id = self._text_id % 65535 + 1
+        number = self._text_id if len(chunks) > 1 else 0
+        for link in self.text_links(t):
+            for index, chunk in enumerate(chunks):
+                self.send(link, mavlink.MAVLink_statustext_message(severity, chunk, number, index))
+
+    # Answers.
+
+    def _on_heartbeat(self, message: Any, link: int, t: float) -> None:
+        if message.type == mavlink.MAV_TYPE_GCS:
+            self._gcs_heard[link] = t
+
+    def _on_command(self, message: Any, link: int, t: float) -> None:
+        request = request_of(message)
+        run = COMMANDS.get(request.command)
+        result = mavlink.MAV_RESULT_UNSUPPORTED if run is None else run(self, request, link, t)
+        self.log(f"command {request.command} from {request.system}: result {result}")
+        self._out.insert(
+            0,
+            Outgoing(
+                link,
+                mavlink.MAVLink_command_ack_message(
+                    request.command, result, 0, 0, request.system, request.component
+                ),
+            ),
+        )
+
+    def _on_timesync(self, message: Any, link: int, t: float) -> None:
+        if message.tc1 == 0:
+            self.send(link, mavlink.MAVLink_timesync_message(self.clock.ns(t), message.ts1))
+
+    def _on_ping(self, message: Any, link: int, t: float) -> None:
+        if (message.target_system, message.target_component) == (0, 0):
+            answer = mavlink.MAVLink_ping_message(
+                message.time_usec,
+                message.seq,
+                message.get_srcSystem(),
+                message.get_srcComponent(),
+            )
+            self.send(link, answer)
+
+    def _parameter(self, name: str, link: int) -> Outgoing:
+        sent = self.parameters.encoded(name)
+        return Outgoing(
+            link,
+            mavlink.MAVLink_param_value_message(
+                name.encode(), sent.value, sent.type, sent.size, sent.place
+            ),
+        )
+
+    def _on_param_read(self, message: Any, link: int, t: float) -> None:
+        name: str | None = message.param_id
+        if message.param_index >= 0:
+            name = self.parameters.name_at(message.param_index)
+        if name is not None and name in self.parameters:
+            self._out.append(self._parameter(name, link))
+
+    def _on_param_list(self, _message: Any, link: int, _t: float) -> None:
+        names = (self.parameters.name_at(i) for i in range(len(self.parameters)))
+        self._queue.extend(self._parameter(name, link) for name in names if name is not None)
+
+    def _on_param_set(self, message: Any, link: int, _t: float) -> None:
+        name = message.param_id
+        if name not in self.parameters:
+            return
+        value = self.parameters.decoded(name, message.param_value, message.param_type)
+        if value is not None:
+            self.parameters.put(name, value)
+            self.flight.gains = self.gains()
+            self.log(f"{name} = {value}")
+        self._out.append(self._parameter(name, link))
+
+    def _on_set_mode(self, message: Any, _link: int, t: float) -> None:
+        self.set_mode(Request.old_mode(message), t)
+
+    def _on_trajectory(self, message: Any, _link: int, t: float) -> None:
+        self.on_trajectory(message, t)
+
+    def _on_attitude(self, message: Any, _link: int, t: float) -> None:
+        self.on_attitude(message, t)
+
+    # What commands of all personalities do.
+
+    def request_message(self, message_id: int, link: int, t: float) -> bool:
+        """REQUEST_MESSAGE; False when there is none to send."""
+        return self._send_id(message_id, link, t)
+
+    def set_interval(self, message_id: int, interval_us: float, link: int, t: float) -> bool:
+        """SET_MESSAGE_INTERVAL; False for a message it does not have."""
+        if message_id not in BUILDERS:
+            return False
+        self._streams[link].set_interval(message_id, interval_us, t)
+        return True
+
+    def interval_us(self, message_id: int, link: int) -> int:
+        """Interval of a message on a link, -1 when not sent."""
+        return self._streams[link].interval_us(message_id)
+
+
+_UNADDRESSED = ("HEARTBEAT", "PING", "TIMESYNC")
+
+_HANDLERS: dict[str, Callable[[Vehicle, Any, int, float], None]] = {
+    "HEARTBEAT": Vehicle._on_heartbeat,
+    "COMMAND_LONG": Vehicle._on_command,
+    "COMMAND_INT": Vehicle._on_command,
+    "TIMESYNC": Vehicle._on_timesync,
+    "PING": Vehicle._on_ping,
+    "PARAM_REQUEST_READ": Vehicle._on_param_read,
+    "PARAM_REQUEST_LIST": Vehicle._on_param_list,
+    "PARAM_SET": Vehicle._on_param_set,
+    "SET_MODE": Vehicle._on_set_mode,
+    "SET_POSITION_TARGET_LOCAL_NED": Vehicle._on_trajectory,
+    "SET_ATTITUDE_TARGET": Vehicle._on_attitude,
+}

@@ -1,0 +1,1 @@
+"""`ptnsbc autopilot`."""
