@@ -8,6 +8,7 @@ that is here counts.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -21,6 +22,7 @@ from ptnsbc_core.types import (
     AgentInputs,
     Array,
 )
+from ptnsbc_nodes.turns import LEAD_TICKS
 from ptnsbc_nodes.wire import Stamped
 
 NO_CUTOFF_NS = 2**63 - 1
@@ -30,26 +32,27 @@ _NOTHING = np.zeros(ODOMETRY_SIZE)
 _NOTHING_NEAR = np.zeros((0, NEAR_COLUMNS))
 
 
-class Link:
-    """The last two messages of one sender: its tick k may arrive before we have used its k-1."""
+_KEPT = LEAD_TICKS + 2  # in lock-step a sender is at most LEAD_TICKS ahead, and its k-1 is needed
 
-    __slots__ = ("_newest", "_previous")
+
+class Link:
+    """The last messages of one sender: its tick k may arrive before we have used its k-1."""
+
+    __slots__ = ("_messages",)
 
     def __init__(self) -> None:
-        self._newest: Stamped | None = None
-        self._previous: Stamped | None = None
+        self._messages: deque[Stamped] = deque(maxlen=_KEPT)  # the newest first
 
     def put(self, message: Stamped) -> None:
         """Keep `message` as the newest; one sender's messages arrive in order."""
-        self._previous, self._newest = self._newest, message
+        self._messages.appendleft(message)
 
     def before(self, cutoff_ns: int) -> Stamped | None:
         """The newest message stamped before `cutoff_ns` [ns]."""
-        newest = self._newest
-        if newest is None or newest.stamp_ns < cutoff_ns:
-            return newest
-        previous = self._previous
-        return previous if previous is not None and previous.stamp_ns < cutoff_ns else None
+        for message in self._messages:
+            if message.stamp_ns < cutoff_ns:
+                return message
+        return None
 
 
 @dataclass(frozen=True)

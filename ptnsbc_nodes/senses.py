@@ -10,21 +10,21 @@ from ptnsbc_nodes.endpoints import Endpoints
 from ptnsbc_nodes.letters import WORLD_FRAME
 from ptnsbc_nodes.markers import Scene
 from ptnsbc_nodes.plain import encode
-from ptnsbc_nodes.status import STATUS_HZ
+from ptnsbc_nodes.status import status_every
 from ptnsbc_nodes.wire import ClockTemplate, OdometryTemplate, encode_near
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.world import World
 
 
 class Senses:
-    """Publishers of the sim; one call per tick."""
+    """Publishers of the sim: all at once in real time, one vehicle at a time in lock-step."""
 
     def __init__(
         self, endpoints: Endpoints, scenario: Scenario, world: World, options: FlightOptions
     ) -> None:
         self._world = world
         self._near_every = scenario.near_every
-        self._scene_every = max(scenario.control_hz // STATUS_HZ, 1)
+        self._scene_every = status_every(scenario)
         self._calls = 0
         self._scene = Scene(scenario, world)
         self._clock = ClockTemplate()
@@ -39,18 +39,27 @@ class Senses:
 
     def publish(self, stamp_ns: int) -> None:
         """Tell the world's state of now; near objects and pictures at their own rates."""
-        world = self._world
-        for i in world.ids:
-            self._send_odom[i](self._odometry[i].encode(stamp_ns, world.odometry(i)))
-        if self._calls % self._near_every == 0:
-            for i in world.ids:
-                self._send_near[i](encode_near(stamp_ns, WORLD_FRAME, world.near(i)))
-        self._send_clock(self._clock.encode(stamp_ns))
+        for i in self._world.ids:
+            self.vehicle(i, self._calls, stamp_ns)
+        self.time(stamp_ns)
         if self._calls % self._scene_every == 0:
-            self._picture(stamp_ns)
+            self.picture(stamp_ns)
         self._calls += 1
 
-    def _picture(self, stamp_ns: int) -> None:
+    def vehicle(self, uav_id: int, tick: int, stamp_ns: int) -> None:
+        """Tell one UAV its odometry, and at its sensor's turn what is near."""
+        state = self._world.odometry(uav_id)
+        self._send_odom[uav_id](self._odometry[uav_id].encode(stamp_ns, state))
+        if tick % self._near_every == 0:
+            seen = self._world.near(uav_id)
+            self._send_near[uav_id](encode_near(stamp_ns, WORLD_FRAME, seen))
+
+    def time(self, stamp_ns: int) -> None:
+        """Tell the time."""
+        self._send_clock(self._clock.encode(stamp_ns))
+
+    def picture(self, stamp_ns: int) -> None:
+        """Tell what viewers draw."""
         self._send_markers(self._scene.markers(stamp_ns))
         if self._send_tf is not None:
             transforms = self._scene.transforms(stamp_ns)

@@ -1,7 +1,8 @@
 """The simulated vehicles on ROS 2: state and near objects out, wrenches in.
 
-In lock-step the sim publishes tick k, and steps when every wrench of tick k is in. In real time a
-node-clock timer steps with the newest wrench of each UAV; without a fresh one a vehicle hovers.
+In lock-step a vehicle steps from tick k when its wrench of tick k is in, and is told tick k+1 when it is its
+turn (`turns`). In real time a node-clock timer steps all with the newest wrench of each UAV; without a
+fresh one a vehicle hovers.
 """
 
 from __future__ import annotations
@@ -11,12 +12,12 @@ from collections.abc import Callable
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
-from ptnsbc_core.types import Array
 from ptnsbc_nodes import topics
 from ptnsbc_nodes.edges import Edges
 from ptnsbc_nodes.endpoints import LOST, READY, RECORDED, RECORDER, Endpoints
 from ptnsbc_nodes.epochs import Epochs
 from ptnsbc_nodes.pacing import Latency, Pace, Progress
+from ptnsbc_nodes.round import Round
 from ptnsbc_nodes.senses import Senses
 from ptnsbc_nodes.status import STATUS_HZ, Level, diagnostics, readiness
 from ptnsbc_nodes.wire import Stamped, decode_header, decode_wrench
@@ -41,7 +42,6 @@ class Sim:
         self._ticks = scenario.ticks
         self._stale_ns = round(scenario.file.communication.stale_s * 1e9)
         self._catch_up = max(round(_MAX_CATCH_UP_S * scenario.control_hz), 1)
-        self._status_every = max(scenario.control_hz // STATUS_HZ, 1)
         self._world = World(scenario)
         self._senses = Senses(self.endpoints, scenario, self._world, edges.options)
         self._epochs = Epochs()
@@ -50,7 +50,7 @@ class Sim:
         self._progress = Progress(scenario.control_hz)
         self._alive = set(self._world.ids)
         self._wrenches: dict[int, Stamped] = {}
-        self._arrived: dict[int, Array] = {}  # lock-step: the wrenches of this tick
+        self._round = Round(scenario, self._world, self._senses)
         self._running = False
         self._recorded = edges.options.lockstep and edges.options.recorded
         self._recorded_ns = 0
@@ -82,9 +82,8 @@ class Sim:
             if not self._lockstep:
                 self._wrenches[uav_id] = wrench
                 self._latency.add((self._clock_ns() - wrench.stamp_ns) * 1e-9)
-            elif wrench.stamp_ns == self._world.t_ns:
-                self._arrived[uav_id] = wrench.values
-                self._advance()
+            elif self._round.answer(uav_id, wrench):
+                self._go_on()
 
         return on_wrench
 
@@ -105,7 +104,7 @@ class Sim:
     def _resume(self) -> None:
         if self._paused and not self._ahead():
             self._paused = False
-            self._publish(self._world.t_ns)
+            self._go_on()
 
     def _on_lost(self, data: bytes) -> None:
         name = decode_header(data).frame_id.removeprefix("uav")
@@ -114,30 +113,31 @@ class Sim:
             self._resume()
         if name.isdecimal() and int(name) in self._alive:
             self._alive.discard(int(name))
-            self._advance()
+            self._round.lose(int(name))
+            self._go_on()
 
     def _start(self) -> None:
-        """Lock-step: publish tick 0 once the epoch is known and nobody can miss it."""
+        """Lock-step: tell tick 0 once the epoch is known and nobody can miss it."""
         due = self._lockstep and not self._running and self._epochs.announced
         if due and not self.waiting_for():
             self._running = True
             self._progress.begin()
-            self._publish(0)
+            self._go_on()
 
-    def _advance(self) -> None:
-        """Lock-step: step when the wrenches of all living UAVs are in."""
-        if not (self._lockstep and self._running and self._alive <= self._arrived.keys()):
-            return
-        wrenches = {i: self._arrived[i] for i in self._alive}
-        self._arrived.clear()
-        self._world.step(wrenches)
-        self._progress.show(self._world.tick)
-        if self._world.tick >= self._ticks:
-            self._finish()
-        elif self._ahead():
-            self._paused = True
-        else:
-            self._publish(self._world.t_ns)
+    def _go_on(self) -> None:
+        """Lock-step: whatever can be done now, until UAVs have to answer, the recorder to catch up, or the end."""
+        while self._lockstep and self._running and not self._paused:
+            self._round.tell_time(min(self._world.tick, self._ticks - 1))
+            if self._world.tick >= self._ticks:
+                self._finish()
+            elif self._ahead():
+                self._paused = True
+            elif told := self._round.tell():
+                if told.together:
+                    self._report(told.tick * self._period_ns)
+                    self._progress.show(told.tick)
+            else:
+                return
 
     def _on_tick_timer(self) -> None:
         now_ns = self._clock_ns()
@@ -149,7 +149,7 @@ class Sim:
         }
         for _ in range(min(periods, self._catch_up)):
             self._world.step(fresh)
-        self._publish(now_ns)
+        self._senses.publish(now_ns)
         leg = self._epochs.at(now_ns)
         if leg is not None:
             self._flown((now_ns - leg.first_t0_ns) // self._period_ns)
@@ -163,11 +163,6 @@ class Sim:
         self._progress.show(ticks)
         if ticks >= self._ticks:
             self._finish()
-
-    def _publish(self, stamp_ns: int) -> None:
-        self._senses.publish(stamp_ns)
-        if self._lockstep and self._world.tick % self._status_every == 0:
-            self._report(stamp_ns)
 
     def _finish(self) -> None:
         self._running = False

@@ -9,8 +9,14 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
 from ptnsbc_nodes.plain import encode
 from ptnsbc_nodes.wire.cdr import split_stamp
+from ptnsbc_sim.scenario import Scenario
 
 STATUS_HZ = 5
+
+
+def status_every(scenario: Scenario) -> int:
+    """Ticks from one status to the next."""
+    return max(scenario.control_hz // STATUS_HZ, 1)
 
 
 class Level(IntEnum):

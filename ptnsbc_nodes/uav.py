@@ -21,7 +21,7 @@ from ptnsbc_nodes.outbox import Notes, Outbox
 from ptnsbc_nodes.pacing import Pace
 from ptnsbc_nodes.pilot import Pilot, moment
 from ptnsbc_nodes.services import Instruments, LegServices
-from ptnsbc_nodes.status import STATUS_HZ, Level, diagnostics, readiness
+from ptnsbc_nodes.status import STATUS_HZ, Level, diagnostics, readiness, status_every
 from ptnsbc_nodes.ticker import Ticker
 from ptnsbc_nodes.wire import Stamped, decode_header, decode_near, decode_odometry
 from ptnsbc_sim.scenario import Scenario, agent_config
@@ -37,7 +37,7 @@ class Uav:
         self._lockstep = edges.options.lockstep
         self._period_ns = scenario.dt_ns
         self._near_every = scenario.near_every
-        self._status_every = max(scenario.control_hz // STATUS_HZ, 1)
+        self._status_every = status_every(scenario)
         self._pilot = Pilot(agent_config(scenario, uav_id), edges.senders(uav_id))
         self._inbox = self._pilot.inbox
         self._outbox = Outbox(self.endpoints, edges, uav_id)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ptnsbc_core.kernel import kernel, kernel_list
 from ptnsbc_core.types import ODOMETRY_SIZE, PLANT_RIGID_BODY, Array
@@ -17,25 +16,28 @@ from ptnsbc_sim.sensor import near_objects
 
 NANO = 1e-9
 
+_NO_WRENCH = np.zeros(6)
+
 
 @kernel
-def _advance_all(
+def _advance_row(
     states: Array,
-    wrenches: Array,
-    flying: NDArray[np.bool_],
+    row: int,
+    wrench: Array,
+    flying: bool,
     t: float,
     dt: float,
     substeps: int,
     plants: Sequence[PlantConfig],
-) -> None:
-    """All plant states (N, 17) by one control period, in place; who is not flying is stopped."""
-    for row in range(states.shape[0]):
-        if flying[row]:
-            states[row] = advance(states[row], wrenches[row], t, dt, substeps, plants[row])
-        elif plants[row].kind == PLANT_RIGID_BODY:
-            states[row, 6:12] = 0.0
-        else:
-            states[row, 7:13] = 0.0
+) -> Array:
+    """One row of states (N, 17) by one control period, in place; who is not flying is stopped. Its odometry (13,)."""
+    if flying:
+        states[row] = advance(states[row], wrench, t, dt, substeps, plants[row])
+    elif plants[row].kind == PLANT_RIGID_BODY:
+        states[row, 6:12] = 0.0
+    else:
+        states[row, 7:13] = 0.0
+    return odometry(states[row], plants[row])
 
 
 @kernel
@@ -53,17 +55,20 @@ class World:
     def __init__(self, scenario: Scenario) -> None:
         """Vehicles at the scenario's starts."""
         self.ids = scenario.uav_ids
-        self.tick = 0
         self._scenario = scenario
         self._row = {uav_id: row for row, uav_id in enumerate(self.ids)}
         plants = [plant_config(scenario, uav_id) for uav_id in self.ids]
         self._states = start_states(scenario, plants)
         self._plants = kernel_list(plants)
-        self._wrenches = np.zeros((len(self.ids), 6))
-        self._flying = np.zeros(len(self.ids), dtype=np.bool_)
+        self._ticks = dict.fromkeys(self.ids, 0)
         self._obstacles = obstacle_rows(scenario)
         self._substeps = scenario.physics_hz // scenario.control_hz
-        self._odometry = self._measure()
+        self._odometry = _measure_all(self._states, self._plants)
+
+    @property
+    def tick(self) -> int:
+        """Control periods that every vehicle has behind it."""
+        return min(self._ticks.values())
 
     @property
     def t_ns(self) -> int:
@@ -86,18 +91,21 @@ class World:
         )
 
     def step(self, wrenches: Mapping[int, Array]) -> None:
-        """Advance one control period; a UAV without a wrench (6,) stays where it is, as in a hold failsafe."""
-        for row, uav_id in enumerate(self.ids):
-            wrench = wrenches.get(uav_id)
-            self._flying[row] = wrench is not None
-            if wrench is not None:
-                self._wrenches[row] = wrench
-        t, dt = self.t_ns * NANO, self._scenario.dt_ns * NANO
-        _advance_all(
-            self._states, self._wrenches, self._flying, t, dt, self._substeps, self._plants
-        )
-        self.tick += 1
-        self._odometry = self._measure()
+        """Advance all by one control period; a UAV without a wrench (6,) stays where it is, as in a hold failsafe."""
+        for uav_id in self.ids:
+            self.step_one(uav_id, wrenches.get(uav_id))
 
-    def _measure(self) -> Array:
-        return _measure_all(self._states, self._plants)
+    def step_one(self, uav_id: int, wrench: Array | None) -> None:
+        """Advance one vehicle by one control period: they meet nowhere but in the sensor and on the wire."""
+        scenario, row = self._scenario, self._row[uav_id]
+        self._odometry[row] = _advance_row(
+            self._states,
+            row,
+            _NO_WRENCH if wrench is None else wrench,
+            wrench is not None,
+            self._ticks[uav_id] * scenario.dt_ns * NANO,
+            scenario.dt_ns * NANO,
+            self._substeps,
+            self._plants,
+        )
+        self._ticks[uav_id] += 1

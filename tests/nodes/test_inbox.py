@@ -5,6 +5,7 @@ import pytest
 
 from ptnsbc_core.types import MODE_HOLD, NEVER_HEARD_S
 from ptnsbc_nodes.inbox import NO_CUTOFF_NS, Inbox, Link, Senders
+from ptnsbc_nodes.turns import LEAD_TICKS
 from ptnsbc_nodes.wire import Stamped
 
 PERIOD = 10_000_000
@@ -41,7 +42,10 @@ def test_link_keeps_the_message_that_a_fast_neighbour_overtook():
     assert link.before(7 * PERIOD).stamp_ns == 6 * PERIOD
     assert link.before(8 * PERIOD).stamp_ns == 7 * PERIOD
     assert link.before(6 * PERIOD) is None
-    assert link.before(NO_CUTOFF_NS).stamp_ns == 7 * PERIOD
+    for tick in range(8, 6 + LEAD_TICKS + 2):  # as far ahead as lock-step lets it go
+        link.put(message(tick))
+    assert link.before(7 * PERIOD).stamp_ns == 6 * PERIOD
+    assert link.before(NO_CUTOFF_NS).stamp_ns == (6 + LEAD_TICKS + 1) * PERIOD
 
 
 def test_inputs_before_anything_is_heard():
