@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ptnsbc_core.algebra import put
 from ptnsbc_core.kernel import kernel
 from ptnsbc_core.types import Array, ControllerConfig
 
@@ -56,7 +57,7 @@ def adapted_bound(
 def started(velocity: Array) -> Array:
     """Observer (12,) at a velocity (3,) [m/s, ENU], with no disturbance known."""
     out = np.zeros(12)
-    out[0:3] = velocity
+    put(out, 0, velocity)
     return out
 
 

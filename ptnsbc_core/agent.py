@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ptnsbc_core.adaptation import started
-from ptnsbc_core.algebra import wrap
+from ptnsbc_core.algebra import moved, part, put, wrap
 from ptnsbc_core.command_filter import filter_step
 from ptnsbc_core.controller import Command, Control, rigid_body_control
 from ptnsbc_core.estimator import disagreement, estimator_step
@@ -59,10 +59,10 @@ _NOT_YET = -1
 def initial_state(own: Array, config: AgentConfig) -> AgentState:
     """State before the first tick, from the UAV's own odometry vector (13,)."""
     hold_at = np.zeros(4)
-    hold_at[0:3] = own[0:3]
+    put(hold_at, 0, own[0:3])
     hold_at[3] = yaw_of(own)
     command = np.zeros(6)
-    command[0:3] = velocity_enu(own)
+    put(command, 0, velocity_enu(own))
     return AgentState(
         state_to_estimate(own),
         False,
@@ -102,18 +102,20 @@ def _estimated_leader(
             return leader, True
     if frozen:
         still = state.estimate.copy()
-        still[3:6] = 0.0
+        for i in range(3, 6):
+            still[i] = 0.0
         return still, state.heard
     count = inputs.estimates.shape[0]
     others = np.empty((count, 7))
     heard = np.zeros(count)
+    anything = pinned
     for k in range(count):
         if inputs.estimate_age_s[k] <= config.stale_s:
-            others[k] = _moved_on(
-                odometry_to_estimate(inputs.estimates[k]), inputs.estimate_age_s[k]
-            )
+            age_s = inputs.estimate_age_s[k]
+            put(others[k], 0, _moved_on(odometry_to_estimate(inputs.estimates[k]), age_s))
             heard[k] = 1.0
-    if not pinned and heard.sum() == 0.0:
+            anything = True
+    if not anything:
         return state.estimate.copy(), state.heard
     # everything heard is carried to the present, so the own estimate must be too: compared one tick late
     # it settles v dt behind, which the angle tasks multiply along the chain
@@ -139,7 +141,7 @@ def _behaviour(
     inputs: AgentInputs, estimate: Array, armed: Armed, clock: Clock, config: AgentConfig
 ) -> Behaviour:
     """The mission behaviour: leader tracking for the leader, formation for a follower that has heard."""
-    position = inputs.own[0:3].copy()
+    position = part(inputs.own, 0, 3)
     if config.leader:
         desired = reference(config.trajectory, clock.start_t)
         return leader_tracking(position, desired, armed, clock, config)
@@ -147,8 +149,8 @@ def _behaviour(
         rest = Reference(position, np.zeros(3), 0.0)
         return leader_tracking(position, rest, armed, clock, config)
     velocity = velocity_enu(inputs.parent)
-    parent = Neighbour(inputs.parent[0:3] + inputs.parent_age_s * velocity, velocity)
-    leader = Neighbour(estimate[0:3].copy(), estimate[3:6].copy())
+    parent = Neighbour(moved(inputs.parent, inputs.parent_age_s, velocity), velocity)
+    leader = Neighbour(part(estimate, 0, 3), part(estimate, 3, 3))
     return formation(position, parent, leader, armed, clock, config)
 
 
@@ -185,7 +187,7 @@ def _hold_place(state: AgentState, inputs: AgentInputs, holding: bool) -> Array:
     """Where to hold (4,): where the UAV was when holding began."""
     if holding and state.mode == MODE_FORMATION:
         place = np.empty(4)
-        place[0:3] = inputs.own[0:3]
+        put(place, 0, inputs.own[0:3])
         place[3] = yaw_of(inputs.own)
         return place
     return state.hold.copy()
@@ -196,7 +198,7 @@ def _held(
     behaviour: Behaviour, inputs: AgentInputs, place: Array, config: AgentConfig
 ) -> Behaviour:
     """The mission behaviour replaced by keeping a place, or by descending over it."""
-    velocity = hold(inputs.own[0:3].copy(), place, config)
+    velocity = hold(part(inputs.own, 0, 3), place, config)
     if inputs.mode == MODE_LAND:
         velocity[2] = -config.land_speed
     jacobian = np.zeros((3, 3))
@@ -227,7 +229,7 @@ def _planned(
 ) -> Planned:
     """Clearance above the behaviour, the speed limit, and the command filter."""
     top = clearance(
-        inputs.own[0:3].copy(),
+        part(inputs.own, 0, 3),
         behaviour.velocity,
         inputs.near,
         inputs.near_age_s,
@@ -238,10 +240,10 @@ def _planned(
     limits = config.filter
     velocity = composed(top, behaviour.jacobian, limits.max_speed)
     linear = filter_step(
-        state.command[0:3].copy(), velocity.velocity, limits.bandwidth, limits.max_acceleration, dt
+        part(state.command, 0, 3), velocity.velocity, limits.bandwidth, limits.max_acceleration, dt
     )
     angular = filter_step(
-        state.command[3:6].copy(), rates, limits.rate_bandwidth, limits.max_rate_acceleration, dt
+        part(state.command, 3, 3), rates, limits.rate_bandwidth, limits.max_rate_acceleration, dt
     )
     return Planned(
         Command(linear.value, linear.rate, angular.value, angular.rate, yaw),
@@ -257,7 +259,7 @@ def _told(inputs: AgentInputs, planned: Planned, config: AgentConfig) -> Array:
     """Velocity setpoint (4,): [m/s, ENU] and yaw rate [rad/s], for a vehicle that closes its own loops."""
     command = planned.command
     out = np.empty(4)
-    out[0:3] = command.velocity
+    put(out, 0, command.velocity)
     out[3] = command.rates[2]
     if config.controller.plant != PLANT_RIGID_BODY:
         off = wrap(command.yaw - yaw_of(inputs.own))
@@ -302,14 +304,14 @@ def step(
 
     errors = state.start_error.copy()
     arms = state.mode == _NOT_YET or t < state.last_t or state.heard != heard
-    armed = Armed(arms, errors[0:3].copy(), errors[3:6].copy())
+    armed = Armed(arms, part(errors, 0, 3), part(errors, 3, 3))
     behaviour = _behaviour(inputs, estimate, armed, clock, config)
     rates, euler_error = np.zeros(3), np.zeros(3)
     if config.controller.plant == PLANT_RIGID_BODY:  # a quadrotor's attitude is its controller's
         rates, euler_error = attitude(inputs.own, yaw, armed, clock, config)
     if arms:
-        errors[0:3] = behaviour.error
-        errors[3:6] = euler_error
+        put(errors, 0, behaviour.error)
+        put(errors, 3, euler_error)
     if holding:
         behaviour = _held(behaviour, inputs, place, config)
 
@@ -317,8 +319,8 @@ def step(
     command = planned.command
     control = _controlled(state, inputs, command, clock, config)
     stored = np.empty(6)
-    stored[0:3] = command.velocity
-    stored[3:6] = command.rates
+    put(stored, 0, command.velocity)
+    put(stored, 3, command.rates)
     after = AgentState(
         estimate,
         heard,

@@ -48,6 +48,71 @@ def cross3(a: Array, b: Array) -> Array:
 
 
 @leaf
+def plus(a: Array, b: Array) -> Array:
+    """Sum of two (3,) vectors.
+
+    Written out, as everything here: an expression of whole arrays compiles to loops for any shape and
+    stride, which made the compiled step three times as large.
+    """
+    out = np.empty(3)
+    for i in range(3):
+        out[i] = a[i] + b[i]
+    return out
+
+
+@leaf
+def minus(a: Array, b: Array) -> Array:
+    """Difference a - b of two (3,) vectors."""
+    out = np.empty(3)
+    for i in range(3):
+        out[i] = a[i] - b[i]
+    return out
+
+
+@leaf
+def scaled(factor: float, v: Array) -> Array:
+    """A (3,) vector times a number."""
+    out = np.empty(3)
+    for i in range(3):
+        out[i] = factor * v[i]
+    return out
+
+
+@leaf
+def divided(v: Array, by: float) -> Array:
+    """A (3,) vector divided by a number."""
+    out = np.empty(3)
+    for i in range(3):
+        out[i] = v[i] / by
+    return out
+
+
+@leaf
+def moved(a: Array, factor: float, b: Array) -> Array:
+    """The (3,) vector a + factor b."""
+    out = np.empty(3)
+    for i in range(3):
+        out[i] = a[i] + factor * b[i]
+    return out
+
+
+@leaf
+def part(v: Array, at: int, count: int) -> Array:
+    """Copy (count,) of the entries of a vector from `at` on."""
+    out = np.empty(count)
+    for i in range(count):
+        out[i] = v[at + i]
+    return out
+
+
+@leaf
+def put(out: Array, at: int, values: Array) -> None:
+    """Write a vector into `out` from entry `at` on."""
+    for i in range(values.shape[0]):
+        out[at + i] = values[i]
+
+
+@leaf
 def times(m: Array, v: Array) -> Array:
     """Product (r, 3) (3,) -> (r,)."""
     out = np.empty(m.shape[0])
@@ -83,7 +148,7 @@ def limited(v: Array, limit: float) -> Array:
     """V (3,) scaled down to the norm `limit` where it is longer."""
     length = norm3(v)
     if length > limit:
-        return v * (limit / length)
+        return scaled(limit / length, v)
     return v
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from ptnsbc_core.algebra import norm3
+from ptnsbc_core.algebra import minus, moved, norm3, scaled
 from ptnsbc_core.kernel import leaf
 from ptnsbc_core.types import Array
 
@@ -25,9 +25,9 @@ class Filtered(NamedTuple):
 def filter_step(state: Array, target: Array, bandwidth: float, limit: float, dt: float) -> Filtered:
     """Move `state` (3,) towards `target` (3,) at `bandwidth` [1/s], by at most `limit` per second."""
     gain = min(bandwidth, 1.0 / dt)
-    rate = gain * (target - state)
+    rate = scaled(gain, minus(target, state))
     length = norm3(rate)
     saturated = length > limit
     if saturated:
-        rate = rate * (limit / length)
-    return Filtered(state + dt * rate, rate, saturated)
+        rate = scaled(limit / length, rate)
+    return Filtered(moved(state, dt, rate), rate, saturated)

@@ -11,7 +11,17 @@ from typing import NamedTuple
 import numpy as np
 
 from ptnsbc_core.adaptation import adapted_bound, adapted_parameters
-from ptnsbc_core.algebra import cross3, norm3, saturation, transpose_times
+from ptnsbc_core.algebra import (
+    cross3,
+    minus,
+    moved,
+    norm3,
+    part,
+    plus,
+    put,
+    saturation,
+    transpose_times,
+)
 from ptnsbc_core.kernel import kernel, leaf
 from ptnsbc_core.kinematics import rotation_from_quaternion
 from ptnsbc_core.timebase import Clock, loop_gain
@@ -52,8 +62,13 @@ def sliding_term(error: Array, gain: LoopGain, bound: float, width: float, clock
 @leaf
 def torque_model(rates: Array, reference: Array, reference_dot: Array, inertia: Array) -> Array:
     """I w_r_dot - S(I w) w_r (3,) [N m]: the rotational rows of Omega V_r_dot + C V_r."""
-    momentum = inertia * rates
-    return inertia * reference_dot - cross3(momentum, reference)
+    momentum = np.empty(3)
+    for i in range(3):
+        momentum[i] = inertia[i] * rates[i]
+    out = cross3(momentum, reference)
+    for i in range(3):
+        out[i] = inertia[i] * reference_dot[i] - out[i]
+    return out
 
 
 @leaf
@@ -105,20 +120,21 @@ def rigid_body_control(
 ) -> Control:
     """Wrench of the plant `rigid_body_6dof` from its odometry vector (13,) and the filtered command."""
     r = rotation_from_quaternion(own[3:7])
-    rates = own[10:13].copy()
+    rates = part(own, 10, 3)
     reference = transpose_times(r, command.velocity)
-    reference_dot = transpose_times(r, command.acceleration) - cross3(rates, reference)
-    error = own[7:10] - reference
-    rate_error = rates - command.rates
+    reference_dot = minus(transpose_times(r, command.acceleration), cross3(rates, reference))
+    error = minus(own[7:10], reference)
+    rate_error = minus(rates, command.rates)
     # m (v_r_dot + w x v_r + g R^T e3): the translational rows of Y Psi, per kilogram
-    model = reference_dot + cross3(rates, reference) + config.gravity * r[2].copy()
+    model = moved(plus(reference_dot, cross3(rates, reference)), config.gravity, r[2])
     feedback = sliding_term(error, config.force, bound[0], config.boundary[0], clock)
     turning = sliding_term(rate_error, config.torque, bound[1], config.boundary[1], clock)
     torque = torque_model(rates, command.rates, command.rates_dot, parameters[1:4])
     wrench = np.empty(6)
     products = np.empty(4)
     products[0] = model[0] * error[0] + model[1] * error[1] + model[2] * error[2]
-    products[1:4] = torque_regressor_error(rates, command.rates, command.rates_dot, rate_error)
+    shares = torque_regressor_error(rates, command.rates, command.rates_dot, rate_error)
+    put(products, 1, shares)
     errors = np.empty(2)
     errors[0], errors[1] = one_norm(error), one_norm(rate_error)
     for i in range(3):

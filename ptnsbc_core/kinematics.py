@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from ptnsbc_core.algebra import put
 from ptnsbc_core.errors import AttitudeError
 from ptnsbc_core.kernel import kernel, leaf
 from ptnsbc_core.types import ODOMETRY_SIZE, Array
@@ -121,10 +122,10 @@ def yaw_of(odometry: Array) -> float:
 def estimate_to_odometry(estimate: Array) -> Array:
     """Leader estimate (7,) p v yaw to an odometry vector (13,) with the twist in the world frame."""
     out = np.zeros(ODOMETRY_SIZE)
-    out[0:3] = estimate[0:3]
+    put(out, 0, estimate[0:3])
     out[5] = math.sin(0.5 * estimate[6])
     out[6] = math.cos(0.5 * estimate[6])
-    out[7:10] = estimate[3:6]
+    put(out, 7, estimate[3:6])
     return out
 
 
@@ -132,8 +133,8 @@ def estimate_to_odometry(estimate: Array) -> Array:
 def odometry_to_estimate(odometry: Array) -> Array:
     """Inverse of `estimate_to_odometry`, (7,)."""
     out = np.empty(7)
-    out[0:3] = odometry[0:3]
-    out[3:6] = odometry[7:10]
+    put(out, 0, odometry[0:3])
+    put(out, 3, odometry[7:10])
     out[6] = yaw_of(odometry)
     return out
 
@@ -142,7 +143,7 @@ def odometry_to_estimate(odometry: Array) -> Array:
 def state_to_estimate(odometry: Array) -> Array:
     """(7,) p v yaw of a UAV's own odometry vector (twist in the body frame)."""
     out = np.empty(7)
-    out[0:3] = odometry[0:3]
-    out[3:6] = velocity_enu(odometry)
+    put(out, 0, odometry[0:3])
+    put(out, 3, velocity_enu(odometry))
     out[6] = yaw_of(odometry)
     return out

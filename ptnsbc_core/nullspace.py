@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ptnsbc_core.algebra import eigen3, gram3, times, transpose_times
+from ptnsbc_core.algebra import eigen3, gram3, put, times, transpose_times
 from ptnsbc_core.kernel import kernel
 from ptnsbc_core.types import Array
 
@@ -94,9 +94,9 @@ def compose(velocities: Array, jacobians: Array, rows: Array) -> Array:
     above = 0
     for level in range(velocities.shape[0]):
         if above == 0:
-            parts[level] = velocities[level]
+            put(parts[level], 0, velocities[level])
         else:
-            parts[level] = times(projector(jacobians[:above]), velocities[level])
+            put(parts[level], 0, times(projector(jacobians[:above]), velocities[level]))
         above += int(rows[level])
     return parts
 

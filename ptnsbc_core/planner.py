@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ptnsbc_core.algebra import limited, norm3, times, wrap
+from ptnsbc_core.algebra import limited, minus, moved, norm3, plus, put, scaled, times, wrap
 from ptnsbc_core.kernel import kernel, leaf
 from ptnsbc_core.kinematics import body_rates, euler_from_rotation, rotation_from_quaternion
 from ptnsbc_core.nullspace import compose, damped_solve, scaled_to_limit
@@ -50,14 +50,14 @@ def leader_tracking(
     c(t) keeps the feed-forward of a trajectory that is already moving at t = 0 from being a step; what it
     leaves out is gone at tf, where the gain still is.
     """
-    error = reference.position - position
+    error = minus(reference.position, position)
     start = error if armed.now else armed.task
     rate = loop_rate(config.formation, error, start, clock)
     jacobian = np.zeros((3, 3))
     for i in range(3):
         jacobian[i, i] = 1.0
-    forward = onset(config.formation, clock) * reference.velocity
-    return Behaviour(forward + rate, jacobian, error, 1.0)
+    forward = moved(rate, onset(config.formation, clock), reference.velocity)
+    return Behaviour(forward, jacobian, error, 1.0)
 
 
 @kernel
@@ -76,11 +76,13 @@ def formation(
     close to singular (UAV 4 starts so in Table 2), the directions it cannot steer follow the desired offset
     from the parent, as a task below it in its null space.
     """
-    geometry = evaluate(config.task, position, parent.position, leader.position + config.anchor)
+    reference = plus(leader.position, config.anchor)
+    geometry = evaluate(config.task, position, parent.position, reference)
     error = task_error(geometry, config.desired)
     start = error if armed.now else armed.task
     rate = loop_rate(config.formation, error, start, clock)
-    drift = times(geometry.parent, parent.velocity - leader.velocity)
+    relative = minus(parent.velocity, leader.velocity)
+    drift = times(geometry.parent, relative)
     jacobian = np.empty((3, 3))
     asked = np.empty(3)
     for row in range(3):
@@ -88,16 +90,16 @@ def formation(
         asked[row] = scale * (rate[row] - drift[row])
         for i in range(3):
             jacobian[row, i] = scale * geometry.own[row, i]
-    behind = config.offset - (position - parent.position)
-    fallback = parent.velocity - leader.velocity + holding_gain(config.formation, clock) * behind
+    behind = minus(config.offset, minus(position, parent.position))
+    fallback = moved(relative, holding_gain(config.formation, clock), behind)
     solved = damped_solve(jacobian, asked, fallback, config.damping_threshold, config.damping_max)
-    return Behaviour(leader.velocity + solved.velocity, jacobian, error, solved.singular_value)
+    return Behaviour(plus(leader.velocity, solved.velocity), jacobian, error, solved.singular_value)
 
 
 @leaf
 def hold(position: Array, where: Array, config: AgentConfig) -> Array:
     """Velocity (3,) [m/s, ENU] that keeps a place (4,), within the speed limit."""
-    return limited(config.hold_gain * (where[0:3] - position), 0.5 * config.filter.max_speed)
+    return limited(scaled(config.hold_gain, minus(where, position)), 0.5 * config.filter.max_speed)
 
 
 @kernel
@@ -132,10 +134,13 @@ def composed(top: Clearance, jacobian: Array, max_speed: float) -> Composed:
         free = limited(top.below, max_speed)
         return Composed(free, norm3(top.below) > max_speed, 0.0)
     velocities = np.empty((2, 3))
-    velocities[0], velocities[1] = top.velocity, top.below
+    put(velocities[0], 0, top.velocity)
+    put(velocities[1], 0, top.below)
     stacked = np.empty((above + 3, 3))
-    stacked[:above] = top.jacobian
-    stacked[above:] = jacobian
+    for row in range(above):
+        put(stacked[row], 0, top.jacobian[row])
+    for row in range(3):
+        put(stacked[above + row], 0, jacobian[row])
     rows = np.empty(2)
     rows[0], rows[1] = above, 3
     parts = compose(velocities, stacked, rows)

@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from ptnsbc_core.adaptation import observed
-from ptnsbc_core.algebra import cross3, norm3
+from ptnsbc_core.algebra import cross3, divided, minus, norm3, part, put, scaled
 from ptnsbc_core.controller import (
     Command,
     Control,
@@ -51,15 +51,15 @@ def tilt_limited(force: Array, config: ControllerConfig) -> Array:
 @kernel
 def desired_rotation(force: Array, yaw: float) -> Array:
     """R_d (3, 3): body z along the force (3,), body y square to it and to the heading [rad]."""
-    up = force / norm3(force)
+    up = divided(force, norm3(force))
     heading = np.zeros(3)
     heading[0], heading[1] = math.cos(yaw), math.sin(yaw)
     left = cross3(up, heading)
-    left = left / norm3(left)
+    left = divided(left, norm3(left))
     out = np.empty((3, 3))
-    out[:, 0] = cross3(left, up)
-    out[:, 1] = left
-    out[:, 2] = up
+    forward = cross3(left, up)
+    for i in range(3):
+        out[i, 0], out[i, 1], out[i, 2] = forward[i], left[i], up[i]
     return out
 
 
@@ -70,9 +70,9 @@ def half_turn(relative: Array) -> Array:
     for i in range(1, 3):
         if relative[i, i] > relative[longest, longest]:
             longest = i
-    axis = relative[:, longest].copy()
+    axis = part(relative[:, longest], 0, 3)
     axis[longest] += 1.0
-    return axis * (math.pi / norm3(axis))
+    return scaled(math.pi / norm3(axis), axis)
 
 
 @kernel
@@ -95,8 +95,8 @@ def attitude_error(rotation: Array, desired: Array) -> Array:
     if sine < 1e-9:
         if trace < 0.0:  # half a turn: the axis is in the symmetric part
             return half_turn(relative)
-        return 0.5 * twist
-    return twist * (0.5 * angle / sine)
+        return scaled(0.5, twist)
+    return scaled(0.5 * angle / sine, twist)
 
 
 @leaf
@@ -128,24 +128,26 @@ def quadrotor_control(
 ) -> Control:
     """Thrust and torques from the odometry vector (13,): wrench (0, 0, T, torque) in body FLU."""
     rotation = rotation_from_quaternion(own[3:7])
-    rates = own[10:13].copy()
+    rates = part(own, 10, 3)
     velocity = velocity_enu(own)
-    error = velocity - command.velocity
+    error = minus(velocity, command.velocity)
     observer = observed(observer, velocity, clock.start_t <= 0.0, clock.dt, config)
     model = command.acceleration.copy()
     model[2] += config.gravity
     feedback = sliding_term(error, config.force, bound[0], config.boundary[0], clock)
-    wanted = parameters[0] * model + config.nominal[0] * (feedback - observer[3:6])
+    wanted = np.empty(3)
+    for i in range(3):
+        wanted[i] = parameters[0] * model[i] + config.nominal[0] * (feedback[i] - observer[3 + i])
     force = tilt_limited(wanted, config)
     wrench = np.zeros(6)
     wrench[2] = min(norm3(force), config.max_thrust)
-    saturated = norm3(wanted - force) > 0.0 or norm3(force) > config.max_thrust
+    saturated = norm3(minus(wanted, force)) > 0.0 or norm3(force) > config.max_thrust
     for i in range(3):  # what this command does to the velocity, along the thrust axis of now
         observer[6 + i] = rotation[i, 2] * wrench[2] / parameters[0]
     observer[8] -= config.gravity
     turn = attitude_error(rotation, desired_rotation(force, command.yaw))
     reference = rate_reference(turn, max_rate, config)
-    rate_error = rates - reference
+    rate_error = minus(rates, reference)
     still = np.zeros(3)
     turning = sliding_term(rate_error, config.torque, bound[1], config.boundary[1], clock)
     torque = torque_model(rates, reference, still, parameters[1:4])
@@ -154,7 +156,7 @@ def quadrotor_control(
     clipped = clip_torque(wrench, config)
     products = np.empty(4)
     products[0] = model[0] * error[0] + model[1] * error[1] + model[2] * error[2]
-    products[1:4] = torque_regressor_error(rates, reference, still, rate_error)
+    put(products, 1, torque_regressor_error(rates, reference, still, rate_error))
     errors = np.empty(2)
     errors[0], errors[1] = one_norm(error), one_norm(rate_error)
     new_parameters, new_bound = adapted(

@@ -85,7 +85,11 @@ def loop_rate(gain: LoopGain, error: Array, start_error: Array, clock: Clock) ->
                 error[i] - planned
             )
         return rate
-    return loop_gain(gain, clock) * error
+    g = loop_gain(gain, clock)
+    rate = np.empty(error.shape[0])
+    for i in range(error.shape[0]):
+        rate[i] = g * error[i]
+    return rate
 
 
 def peak_gain(duration_s: float, residual: float) -> float:

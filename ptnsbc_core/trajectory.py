@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ptnsbc_core.algebra import part
 from ptnsbc_core.kernel import kernel
 from ptnsbc_core.types import TRAJECTORY_CIRCLE, Array
 
@@ -26,7 +27,7 @@ class Reference(NamedTuple):
 @kernel
 def reference(trajectory: Array, t: float) -> Reference:
     """Desired state at t [s] since the first epoch."""
-    position = trajectory[1:4].copy()
+    position = part(trajectory, 1, 3)
     velocity = np.zeros(3)
     if int(trajectory[0]) == TRAJECTORY_CIRCLE:
         radius, rate = trajectory[4], trajectory[5]

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ptnsbc_core.agent import initial_state, step
+from ptnsbc_core.algebra import put
 from ptnsbc_core.kernel import KernelList, kernel, kernel_list, leaf
 from ptnsbc_core.types import (
     MODE_FORMATION,
@@ -113,7 +114,7 @@ def _inputs(wiring: Wiring, track: Track, near: Array, tick: int, row: int) -> A
     ages = np.full(count, age)
     for k in range(count):
         if tick > 0:
-            estimates[k] = track.estimate[tick - 1, wiring.neighbours[row, k]]
+            put(estimates[k], 0, track.estimate[tick - 1, wiring.neighbours[row, k]])
     pinned = wiring.pinned[row] > 0
     behind = tick % wiring.near_every
     return AgentInputs(
@@ -136,7 +137,7 @@ def _sense(crew: Crew, wiring: Wiring, track: Track, tick: int) -> None:
     """Measure every UAV's odometry, and the near objects when the sensor's turn has come."""
     size = crew.bodies.shape[0]
     for row in range(size):
-        track.odometry[tick, row] = odometry(crew.bodies[row], crew.plants[row])
+        put(track.odometry[tick, row], 0, odometry(crew.bodies[row], crew.plants[row]))
     if tick % wiring.near_every == 0:
         for row in range(size):
             crew.nears[row] = near_objects(
@@ -151,12 +152,12 @@ def _sense(crew: Crew, wiring: Wiring, track: Track, tick: int) -> None:
 @leaf
 def _note(track: Track, tick: int, row: int, out: AgentOutputs) -> None:
     """Write one UAV's outputs of one tick into the track."""
-    track.velocity[tick, row] = out.velocity
-    track.wrench[tick, row] = out.wrench
-    track.estimate[tick, row] = out.leader_estimate
+    put(track.velocity[tick, row], 0, out.velocity)
+    put(track.wrench[tick, row], 0, out.wrench)
+    put(track.estimate[tick, row], 0, out.leader_estimate)
     told = out.diagnostics
     log = track.diagnostics[tick, row]
-    log[0:3] = told.error
+    put(log, 0, told.error)
     log[3] = told.gain
     log[4] = told.singular_value
     log[5] = told.active_rows
@@ -177,9 +178,8 @@ def _fly(first: int, count: int, wiring: Wiring, crew: Crew, track: Track) -> No
             inputs = _inputs(wiring, track, crew.nears[row], tick, row)
             crew.states[row], out = step(crew.states[row], inputs, t, dt, crew.configs[row])
             _note(track, tick, row, out)
-            crew.bodies[row] = advance(
-                crew.bodies[row], out.wrench, t, dt, wiring.substeps, crew.plants[row]
-            )
+            body = advance(crew.bodies[row], out.wrench, t, dt, wiring.substeps, crew.plants[row])
+            put(crew.bodies[row], 0, body)
 
 
 @kernel

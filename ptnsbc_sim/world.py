@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from ptnsbc_core.algebra import put
 from ptnsbc_core.kernel import kernel, kernel_list
 from ptnsbc_core.types import ODOMETRY_SIZE, PLANT_RIGID_BODY, Array
 from ptnsbc_sim.plants.build import obstacle_rows, plant_config, start_states
@@ -32,11 +33,13 @@ def _advance_row(
 ) -> Array:
     """One row of states (N, 17) by one control period, in place; who is not flying is stopped. Its odometry (13,)."""
     if flying:
-        states[row] = advance(states[row], wrench, t, dt, substeps, plants[row])
+        put(states[row], 0, advance(states[row], wrench, t, dt, substeps, plants[row]))
     elif plants[row].kind == PLANT_RIGID_BODY:
-        states[row, 6:12] = 0.0
+        for i in range(6, 12):
+            states[row, i] = 0.0
     else:
-        states[row, 7:13] = 0.0
+        for i in range(7, 13):
+            states[row, i] = 0.0
     return odometry(states[row], plants[row])
 
 
@@ -45,7 +48,7 @@ def _measure_all(states: Array, plants: Sequence[PlantConfig]) -> Array:
     """Odometry vectors (N, 13) of all plant states (N, 17)."""
     out = np.empty((states.shape[0], ODOMETRY_SIZE))
     for row in range(states.shape[0]):
-        out[row] = odometry(states[row], plants[row])
+        put(out[row], 0, odometry(states[row], plants[row]))
     return out
 
 

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ptnsbc_core.algebra import dot3, norm3, times
+from ptnsbc_core.algebra import divided, dot3, minus, moved, norm3, put, times
 from ptnsbc_core.kernel import kernel
 from ptnsbc_core.nullspace import projector
 from ptnsbc_core.tasks import encounters as memory
@@ -58,12 +58,12 @@ def demands(
     least = np.full(count, -np.inf)
     depth = np.full(count, -np.inf)
     for m in range(count):
-        centre = near[m, 0:3] + age_s * near[m, 4:7]
-        away = position - centre
+        centre = moved(near[m], age_s, near[m, 4:7])
+        away = minus(position, centre)
         distance = norm3(away)
         if distance < _COINCIDENT_M:
             continue
-        normals[m] = away / distance
+        put(normals[m], 0, divided(away, distance))
         depth[m] = near[m, 3] + config.margin_m - distance
         alpha = config.gain.kappa
         if depth[m] > 0.0:
@@ -148,7 +148,7 @@ def _binding(rows: Demands, multipliers: Array) -> Array:
     count = 0
     for m in range(multipliers.shape[0]):
         if multipliers[m] > 0.0:
-            out[count] = rows.normals[m]
+            put(out[count], 0, rows.normals[m])
             count += 1
     return out
 
@@ -158,7 +158,7 @@ def _velocity_of(jacobian: Array, admissible: Array) -> Array:
     """Part of the admissible velocity (3,) in the row space of the binding normals: J^+ least."""
     if jacobian.shape[0] == 0:
         return np.zeros(3)
-    return admissible - times(projector(jacobian), admissible)
+    return minus(admissible, times(projector(jacobian), admissible))
 
 
 @kernel
@@ -177,10 +177,10 @@ def set_based(
     side = np.zeros(multipliers.shape[0])
     for m in range(multipliers.shape[0]):
         if multipliers[m] > 0.0:
-            side[m] = dot3(velocity - near[m, 4:7], tangent(rows.normals[m]))
+            side[m] = dot3(minus(velocity, near[m, 4:7]), tangent(rows.normals[m]))
     after = memory.update(encounters, near, multipliers, side, dt, config)
     below = velocity
-    if after[:, memory.USED].sum() > 0.0:
+    if memory.any_met(after):
         below = _circulated(velocity, rows, multipliers, near, after, config)
         multipliers = nearest_admissible(below, rows)
     admissible = below.copy()
@@ -214,7 +214,7 @@ def switched(
     if deepest >= 0:
         inside = rows.depth[deepest] > 0.0
         jacobian = np.empty((1, 3))
-        jacobian[0] = rows.normals[deepest]
+        put(jacobian[0], 0, rows.normals[deepest])
         if inside:
             hits[deepest] = 1.0
             for i in range(3):

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ptnsbc_core.algebra import norm3
+from ptnsbc_core.algebra import minus, norm3
 from ptnsbc_core.kernel import kernel
 from ptnsbc_core.tasks.angles import signed_angle
 from ptnsbc_core.tasks.contract import TaskGeometry
@@ -25,17 +25,19 @@ def distance_angles(own: Array, parent: Array, reference: Array) -> TaskGeometry
     j_reference = np.zeros((3, 3))
     periodic = np.ones(3)
     periodic[0] = 0.0
-    away = own - parent
+    away = minus(own, parent)
     distance = norm3(away)
     value[0] = distance
-    j_own[0] = away / max(distance, 1e-9)
-    j_parent[0] = -j_own[0]
-    to_parent = parent - own
-    to_reference = reference - own
+    for i in range(3):
+        j_own[0, i] = away[i] / max(distance, 1e-9)
+        j_parent[0, i] = -j_own[0, i]
+    to_parent = minus(parent, own)
+    to_reference = minus(reference, own)
     for row in range(1, 3):
         at = signed_angle(to_parent, to_reference, 0, row)
         value[row] = at.angle
-        j_own[row] = -(at.d_a + at.d_b)
-        j_parent[row] = at.d_a
-        j_reference[row] = at.d_b
+        for i in range(3):
+            j_own[row, i] = -(at.d_a[i] + at.d_b[i])
+            j_parent[row, i] = at.d_a[i]
+            j_reference[row, i] = at.d_b[i]
     return TaskGeometry(value, j_own, j_parent, j_reference, periodic)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ptnsbc_core.kernel import kernel
+from ptnsbc_core.kernel import kernel, leaf
 from ptnsbc_core.types import Array, ClearanceConfig
 
 SLOTS = 8
@@ -37,6 +37,15 @@ def find(encounters: Array, centre: Array) -> int:
             least = square
             best = slot
     return best
+
+
+@leaf
+def any_met(encounters: Array) -> bool:
+    """Whether any slot is in use."""
+    met = 0.0
+    for slot in range(SLOTS):
+        met += encounters[slot, USED]
+    return met > 0.0
 
 
 @kernel

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ptnsbc_core.algebra import norm3
+from ptnsbc_core.algebra import minus, norm3
 from ptnsbc_core.kernel import kernel
 from ptnsbc_core.tasks.angles import signed_angle
 from ptnsbc_core.tasks.contract import TaskGeometry
@@ -25,16 +25,17 @@ def parent_angle(own: Array, parent: Array, reference: Array) -> TaskGeometry:
     j_reference = np.zeros((3, 3))
     periodic = np.zeros(3)
     periodic[1] = 1.0
-    away = own - parent
+    away = minus(own, parent)
     distance = norm3(away)
     value[0] = distance
-    j_own[0] = away / max(distance, 1e-9)
-    j_parent[0] = -j_own[0]
-    at = signed_angle(reference - parent, away, 0, 1)
+    at = signed_angle(minus(reference, parent), away, 0, 1)
     value[1] = at.angle
-    j_own[1] = at.d_b
-    j_parent[1] = -(at.d_a + at.d_b)
-    j_reference[1] = at.d_a
+    for i in range(3):
+        j_own[0, i] = away[i] / max(distance, 1e-9)
+        j_parent[0, i] = -j_own[0, i]
+        j_own[1, i] = at.d_b[i]
+        j_parent[1, i] = -(at.d_a[i] + at.d_b[i])
+        j_reference[1, i] = at.d_a[i]
     value[2] = away[2]
     j_own[2, 2] = 1.0
     j_parent[2, 2] = -1.0

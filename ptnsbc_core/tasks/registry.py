@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ptnsbc_core.algebra import eigen3, gram3, wrap
+from ptnsbc_core.algebra import eigen3, gram3, minus, wrap
 from ptnsbc_core.kernel import kernel
 from ptnsbc_core.tasks.contract import TaskGeometry
 from ptnsbc_core.tasks.distance_angles import distance_angles
@@ -26,7 +26,7 @@ def evaluate(task: int, own: Array, parent: Array, reference: Array) -> TaskGeom
 @kernel
 def task_error(geometry: TaskGeometry, desired: Array) -> Array:
     """Signed error sigma_d - sigma (3,), angles wrapped; the printed absolute value diverges."""
-    error = desired - geometry.value
+    error = minus(desired, geometry.value)
     for i in range(3):
         if geometry.periodic[i] > 0.0:
             error[i] = wrap(error[i])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ptnsbc_core.algebra import minus
 from ptnsbc_core.kernel import kernel
 from ptnsbc_core.tasks.contract import TaskGeometry
 from ptnsbc_core.types import Array
@@ -17,4 +18,4 @@ def relative_position(own: Array, parent: Array, reference: Array) -> TaskGeomet
     for i in range(3):
         j_own[i, i] = 1.0
         j_parent[i, i] = -1.0
-    return TaskGeometry(own - parent, j_own, j_parent, np.zeros((3, 3)), np.zeros(3))
+    return TaskGeometry(minus(own, parent), j_own, j_parent, np.zeros((3, 3)), np.zeros(3))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ptnsbc_core.algebra import put
 from ptnsbc_core.kernel import kernel, leaf
 from ptnsbc_core.kinematics import quaternion_from_euler
 from ptnsbc_core.types import PLANT_RIGID_BODY, Array
@@ -21,11 +22,11 @@ quadrotor_odometry = quadrotor.odometry
 def initial_state(position: Array, euler: Array, config: PlantConfig) -> Array:
     """State (17,) at rest at `position` (3,) [m] with attitude `euler` (3,) [rad]; the motors carry the weight."""
     x = np.zeros(STATE_SIZE)
-    x[0:3] = position
+    put(x, 0, position)
     if config.kind == PLANT_RIGID_BODY:
-        x[3:6] = euler
+        put(x, 3, euler)
         return x
-    x[3:7] = quaternion_from_euler(euler)
+    put(x, 3, quaternion_from_euler(euler))
     x[13] = config.mass * config.gravity
     return x
 
@@ -75,5 +76,5 @@ def advance(
             out[i] += step / 6.0 * (slopes[0, i] + 2.0 * middle + slopes[3, i])
         if config.kind != PLANT_RIGID_BODY:
             quadrotor_normalise(out)
-        push[0] = push[2]
+        put(push[0], 0, push[2])
     return out

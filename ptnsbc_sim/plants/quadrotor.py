@@ -10,6 +10,7 @@ import math
 
 import numpy as np
 
+from ptnsbc_core.algebra import put
 from ptnsbc_core.kernel import leaf
 from ptnsbc_core.kinematics import rotation_from_quaternion
 from ptnsbc_core.types import ODOMETRY_SIZE, Array
@@ -56,9 +57,9 @@ def normalise(x: Array) -> None:
 def odometry(x: Array) -> Array:
     """Odometry vector (13,) of a state (17,): the velocity turned into the body frame."""
     out = np.empty(ODOMETRY_SIZE)
-    out[0:7] = x[0:7]
+    put(out, 0, x[0:7])
     rotation = rotation_from_quaternion(x[3:7])
     for i in range(3):
         out[7 + i] = rotation[0, i] * x[7] + rotation[1, i] * x[8] + rotation[2, i] * x[9]
-    out[10:13] = x[10:13]
+    put(out, 10, x[10:13])
     return out

@@ -10,6 +10,7 @@ import math
 
 import numpy as np
 
+from ptnsbc_core.algebra import put
 from ptnsbc_core.kernel import leaf
 from ptnsbc_core.kinematics import quaternion_from_euler
 from ptnsbc_core.types import ODOMETRY_SIZE, Array
@@ -47,7 +48,7 @@ def derivative(x: Array, wrench: Array, push: Array, config: PlantConfig, out: A
 def odometry(x: Array) -> Array:
     """Odometry vector (13,) of a state (17,)."""
     out = np.empty(ODOMETRY_SIZE)
-    out[0:3] = x[0:3]
-    out[3:7] = quaternion_from_euler(x[3:6])
-    out[7:13] = x[6:12]
+    put(out, 0, x[0:3])
+    put(out, 3, quaternion_from_euler(x[3:6]))
+    put(out, 7, x[6:12])
     return out
