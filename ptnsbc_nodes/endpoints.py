@@ -93,7 +93,7 @@ class Endpoints:
     def _offered(self, topic: Topic) -> QoSProfile:
         profile = self._profile(topic)
         if self._lockstep and topic.role is not Role.LATCHED:
-            # The barrier keeps all nodes within a tick, but not the recorder: what its socket drops
+            # Taking turns keeps all nodes within a few ticks, but not the recorder: what its socket drops
             # in a burst must still be there when it asks again.
             return QoSProfile(depth=_LOCKSTEP_HISTORY, reliability=profile.reliability)
         return profile
