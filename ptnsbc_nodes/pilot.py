@@ -5,11 +5,10 @@ No ROS in here.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 from ptnsbc_core.agent import Agent
-from ptnsbc_core.types import MODE_HOLD, AgentConfig, AgentOutputs, AgentState
+from ptnsbc_core.types import MODE_HOLD, AgentConfig, AgentOutputs, AgentState, Array
 from ptnsbc_nodes.epochs import Leg
 from ptnsbc_nodes.inbox import Inbox, Senders
 from ptnsbc_nodes.tally import Tally
@@ -49,7 +48,7 @@ class Pilot:
             raise ValueError("state asked for before the first step")
         return self._agent.state
 
-    def resume(self, state: AgentState, counters: Sequence[float]) -> None:
+    def resume(self, state: AgentState, counters: Array) -> None:
         """Go on from what another pilot remembered."""
         self._agent = Agent.resumed(self.config, state)
         self.tally.restore(counters)

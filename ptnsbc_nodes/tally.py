@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
-from ptnsbc_core.types import AgentDiagnostics
+from ptnsbc_core.types import AgentDiagnostics, Array
 
 
 class Tally:
@@ -45,7 +44,7 @@ class Tally:
             self.priority_violation_max,
         ]
 
-    def restore(self, counters: Sequence[float]) -> None:
+    def restore(self, counters: Array) -> None:
         """Go on from what `counters` gave."""
         self.ticks = int(counters[0])
         self.avoidance_active_s, self.saturated_s, self.holding_s, self.priority_violation_max = (

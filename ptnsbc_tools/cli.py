@@ -27,6 +27,7 @@ from ptnsbc_tools.options import (
     SetOption,
     TaskOption,
 )
+from ptnsbc_tools.replay.command import replay
 from ptnsbc_tools.reproduce.command import reproduce
 
 REFUSED, INTERRUPTED = 2, 130
@@ -218,6 +219,7 @@ def demo(
 
 app.command()(reproduce)
 app.command()(_autopilot)
+app.command()(replay)
 
 
 def main() -> None:

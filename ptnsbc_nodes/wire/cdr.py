@@ -68,7 +68,8 @@ def split_stamp(stamp_ns: int) -> tuple[int, int]:
 
 def read_stamp(buf: bytes, order: str, offset: int, what: str) -> int:
     """The builtin_interfaces/Time at `offset` [ns]."""
-    require(buf, offset + 8, what)
+    if len(buf) < offset + 8:
+        require(buf, offset + 8, what)
     seconds, nanoseconds = _TIME[order].unpack_from(buf, offset)
     return int(seconds * NANOSECONDS + nanoseconds)
 

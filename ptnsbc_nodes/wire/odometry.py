@@ -9,9 +9,13 @@ Covariances are sent as zeros (unknown) and skipped on receipt.
 
 from __future__ import annotations
 
+import struct
+
 import numpy as np
 
 from ptnsbc_nodes.wire.cdr import (
+    LITTLE_ENDIAN_HEADER,
+    NANOSECONDS,
     Floats,
     Stamped,
     align,
@@ -35,6 +39,9 @@ _POSE = 7 * 8
 _TWIST = 6 * 8
 _TWIST_AT = _POSE + _COVARIANCE
 _NUMBERS = _TWIST_AT + _TWIST + _COVARIANCE
+_LITTLE = LITTLE_ENDIAN_HEADER[:2]
+_START = struct.Struct("<iII")  # stamp, length of frame_id
+_LENGTH = struct.Struct("<I")
 
 
 class OdometryTemplate:
@@ -64,14 +71,36 @@ class OdometryTemplate:
 
 def decode_odometry(buf: bytes) -> Stamped:
     """Stamp [ns] and odom vector (13,) of a serialised Odometry with any frame names."""
+    try:
+        found = _quick(buf)
+    except struct.error:  # cut: the long way says where
+        found = None
+    return _decode(buf) if found is None else found
+
+
+def _quick(buf: bytes) -> Stamped | None:
+    """Little-endian and whole, as nearly all are: half the time of the long way; None when it is not."""
+    if buf[:2] != _LITTLE:
+        return None
+    seconds, nanoseconds, frame = _START.unpack_from(buf, 4)
+    child_at = 16 + (frame + 3 & -4)
+    pose_at = 12 + (child_at + _LENGTH.unpack_from(buf, child_at)[0] - 1 & -8)
+    if len(buf) < pose_at + _NUMBERS:
+        return None
+    twist_at = pose_at + _TWIST_AT
+    # Joined as bytes first: one array made from 104 bytes is cheaper than two slices filled in.
+    numbers = bytearray(buf[pose_at : pose_at + _POSE])
+    numbers += buf[twist_at : twist_at + _TWIST]
+    stamp_ns = seconds * NANOSECONDS + nanoseconds
+    return Stamped(stamp_ns, np.frombuffer(numbers, np.float64))
+
+
+def _decode(buf: bytes) -> Stamped:
     order = byte_order(buf, _WHAT)
     stamp_ns = read_stamp(buf, order, 4, _WHAT)
     child_at = align(skip_string(buf, order, 12, _WHAT), 4)
     pose_at = align(skip_string(buf, order, child_at, _WHAT), 8)
     require(buf, pose_at + _NUMBERS, _WHAT)
     twist_at = pose_at + _TWIST_AT
-    # Joined as bytes first: one array made from 104 bytes is cheaper than two slices filled in.
-    numbers = bytearray(buf[pose_at : pose_at + _POSE])
-    numbers += buf[twist_at : twist_at + _TWIST]
-    values = np.frombuffer(numbers, _FLOAT64[order])
-    return Stamped(stamp_ns, values if order == "<" else values.astype(np.float64))
+    numbers = buf[pose_at : pose_at + _POSE] + buf[twist_at : twist_at + _TWIST]
+    return Stamped(stamp_ns, np.frombuffer(numbers, _FLOAT64[order]).astype(np.float64))

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import struct
 from typing import NamedTuple
 
 import numpy as np
 
 from ptnsbc_nodes.wire.cdr import (
     LITTLE_ENDIAN_HEADER,
+    NANOSECONDS,
     Floats,
     Stamped,
     align,
@@ -27,6 +29,8 @@ _WRENCH = "geometry_msgs/WrenchStamped"
 _HEADER = "std_msgs/Header"
 _CLOCK = "rosgraph_msgs/Clock"
 _SIX = 6 * 8
+_LITTLE = LITTLE_ENDIAN_HEADER[:2]
+_STAMP = struct.Struct("<iI")
 
 
 class HeaderFields(NamedTuple):
@@ -116,6 +120,9 @@ def decode_clock(buf: bytes) -> int:
 
 def peek_stamp(buf: bytes) -> int:
     """The stamp [ns] of any message that starts with a std_msgs/Header (or is a Clock)."""
+    if buf[:2] == _LITTLE and len(buf) >= 12:
+        seconds, nanoseconds = _STAMP.unpack_from(buf, 4)
+        return int(seconds * NANOSECONDS + nanoseconds)
     return read_stamp(buf, byte_order(buf, "stamped message"), 4, "stamped message")
 
 

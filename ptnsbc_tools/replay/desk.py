@@ -1,0 +1,75 @@
+"""Everything of a streaming bag that is still needed for a re-run, and the UAVs it belongs to."""
+
+from __future__ import annotations
+
+from ptnsbc_core.types import LEGS
+from ptnsbc_nodes import topics
+from ptnsbc_nodes.bag import Bag, BagMessage
+from ptnsbc_nodes.edges import Edges, FlightOptions
+from ptnsbc_nodes.epochs import Epochs
+from ptnsbc_nodes.wire import decode_floats, decode_header
+from ptnsbc_sim.scenario import Scenario
+from ptnsbc_tools.diagnostics import decode_diagnostics
+from ptnsbc_tools.replay.seat import Seat
+from ptnsbc_tools.replay.shelf import Shelf
+
+_KEPT_SNAPSHOTS = 8
+
+
+class Desk:
+    """Shelves, legs and seats of one re-run."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        edges = Edges(scenario, FlightOptions())
+        ids = scenario.uav_ids
+        self.scenario = scenario
+        self.seats = {uav: Seat(scenario, uav, edges.senders(uav)) for uav in ids}
+        self.shelves = {
+            topic.name: Shelf(topic.type) for uav in ids for topic in topics.of_uav(uav)
+        }
+        self.epochs = Epochs()
+        self.first_t0_ns: int | None = None
+        self.snapshots: dict[int, dict[int, bytes]] = {uav: {} for uav in ids}
+        self._snapshot_topics = {topics.snapshot(uav).name: uav for uav in ids}
+
+    def wanted(self, bag: Bag) -> list[str]:
+        """Topics of a bag that `put` understands, and the notes of real time."""
+        notes = [topics.tick(uav).name for uav in self.seats]
+        common = (topics.EPOCH.name, topics.DIAGNOSTICS.name)
+        names = (*self.shelves, *self._snapshot_topics, *notes, *common)
+        return [name for name in names if name in bag.topics]
+
+    def put(self, message: BagMessage) -> None:
+        """Keep a message until the steps that need it have been made; WireError when it is broken."""
+        shelf = self.shelves.get(message.topic)
+        if shelf is not None:
+            shelf.put(message.data)
+        elif message.topic == topics.DIAGNOSTICS.name:
+            self._told(message.data)
+        elif message.topic == topics.EPOCH.name:
+            self._announced(message.data)
+        elif message.topic in self._snapshot_topics:
+            kept = self.snapshots[self._snapshot_topics[message.topic]]
+            kept[int(decode_floats(message.data).values[0])] = message.data
+            while len(kept) > _KEPT_SNAPSHOTS:
+                del kept[next(iter(kept))]
+
+    def seconds(self, stamp_ns: int) -> float:
+        """Time after the first epoch, as far as it is known."""
+        return (stamp_ns - (self.first_t0_ns or 0)) * 1e-9
+
+    def _announced(self, data: bytes) -> None:
+        epoch = decode_header(data)
+        if epoch.frame_id in LEGS:
+            self.epochs.announce(epoch.stamp_ns, epoch.frame_id)
+            if self.first_t0_ns is None:
+                self.first_t0_ns = epoch.stamp_ns
+
+    def _told(self, data: bytes) -> None:
+        for status in decode_diagnostics(data).statuses:
+            name, _, kind = status.name.partition(": ")
+            uav, ticks = name.removeprefix("uav"), status.values.get("ticks", "")
+            if kind == "planner" and uav.isdecimal() and ticks.isdecimal():
+                seat = self.seats.get(int(uav))
+                if seat is not None:
+                    seat.told.setdefault(int(ticks), []).append(status.values)

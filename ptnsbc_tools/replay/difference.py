@@ -1,0 +1,91 @@
+"""Where two messages that should be equal differ first, in the words of their fields."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from ptnsbc_nodes.wire import Stamped, decode_odometry, decode_velocity, decode_wrench
+from ptnsbc_nodes.wire.cdr import WireError
+
+_ODOMETRY = (
+    *(f"pose.position.{axis}" for axis in "xyz"),
+    *(f"pose.orientation.{axis}" for axis in "xyzw"),
+    *(f"twist.linear.{axis}" for axis in "xyz"),
+    *(f"twist.angular.{axis}" for axis in "xyz"),
+)
+_TWIST = tuple(f"twist.{part}.{axis}" for part in ("linear", "angular") for axis in "xyz")
+_WRENCH = tuple(f"wrench.{part}.{axis}" for part in ("force", "torque") for axis in "xyz")
+
+_FIELDS: dict[str, tuple[Callable[[bytes], Stamped], tuple[str, ...]]] = {
+    "formation_state": (decode_odometry, _ODOMETRY),
+    "leader_estimate": (decode_odometry, _ODOMETRY),
+    "setpoint/velocity": (decode_velocity, _TWIST),
+    "setpoint/wrench": (decode_wrench, _WRENCH),
+}
+
+
+@dataclass(frozen=True)
+class Difference:
+    """The first thing of one UAV that did not come out as it was recorded."""
+
+    uav: int
+    tick: int  # steps of this UAV before it, as the process or the bag counts them
+    t_s: float  # after the epoch; negative before it
+    stamp_ns: int
+    field: str  # topic and field, or what else differs
+    recorded: str
+    computed: str
+    difference: float | None  # computed - recorded, where both are numbers
+
+    def __str__(self) -> str:
+        by = "" if self.difference is None else f", difference {self.difference:.3g}"
+        return (
+            f"tick {self.tick} (t = {self.t_s:.3f} s), uav{self.uav}, {self.field}: "
+            f"recorded {self.recorded}, computed {self.computed}{by}"
+        )
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain types only."""
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class Mismatch:
+    """What differs, before anybody says where."""
+
+    field: str
+    recorded: str
+    computed: str
+    difference: float | None = None
+
+
+def of_numbers(field: str, recorded: float, computed: float) -> Mismatch:
+    """Two numbers, printed so that they can be told apart."""
+    return Mismatch(field, repr(recorded), repr(computed), computed - recorded)
+
+
+def of_messages(topic: str, recorded: bytes, computed: bytes) -> Mismatch:
+    """The first field of a message on `topic` that differs, or the first byte."""
+    decode, names = _FIELDS[topic]
+    try:
+        found, made = decode(recorded), decode(computed)
+    except WireError as error:
+        return Mismatch(topic, f"a message that cannot be read ({error})", "a message")
+    if found.stamp_ns != made.stamp_ns:
+        return Mismatch(f"{topic} header.stamp", str(found.stamp_ns), str(made.stamp_ns))
+    unequal = np.flatnonzero(found.values.view(np.int64) != made.values.view(np.int64))
+    if unequal.size:
+        k = int(unequal[0])
+        return of_numbers(f"{topic} {names[k]}", float(found.values[k]), float(made.values[k]))
+    size = min(len(recorded), len(computed))
+    pairs = zip(recorded[:size], computed[:size], strict=True)
+    at = next((k for k, (a, b) in enumerate(pairs) if a != b), size)
+    return Mismatch(f"{topic} byte {at}", _byte(recorded, at), _byte(computed, at))
+
+
+def _byte(data: bytes, at: int) -> str:
+    return f"{data[at]:#04x}" if at < len(data) else f"nothing ({len(data)} bytes)"

@@ -1,0 +1,86 @@
+"""Re-run of a lock-step or headless bag: what went into tick k follows from the rule (docs/lockstep.md)."""
+
+from __future__ import annotations
+
+from ptnsbc_nodes import topics
+from ptnsbc_nodes.pilot import moment
+from ptnsbc_nodes.wire import WireError, peek_stamp
+from ptnsbc_tools.replay.desk import Desk
+from ptnsbc_tools.replay.difference import Mismatch
+from ptnsbc_tools.replay.driver import Driver, Place
+from ptnsbc_tools.replay.seat import MissingError, Seat
+
+
+class Lockstep(Driver[int]):
+    """A step is the stamp of an own odometry."""
+
+    def __init__(self, desk: Desk) -> None:
+        super().__init__(desk)
+        self.triggers = {topics.odom(uav).name: uav for uav in desk.seats}
+        self._period_ns = desk.scenario.dt_ns
+        self._near_every = desk.scenario.near_every
+        self._next_ns = dict.fromkeys(desk.seats, 0)
+        self._lost: dict[int, str] = {}  # why a UAV cannot be followed any more
+
+    def read(self, uav: int, data: bytes) -> int:
+        """The stamp; WireError when simulated time cannot have made it."""
+        stamp_ns = peek_stamp(data)
+        if stamp_ns % self._period_ns:
+            raise WireError(
+                f"stamp {stamp_ns} ns is no multiple of the period {self._period_ns} ns: expected "
+                f"lock-step, or {topics.tick(uav).name} of real time in the bag"
+            )
+        return stamp_ns
+
+    def place(self, step: int) -> Place:
+        """Ticks are counted from simulated time 0."""
+        return Place(step // self._period_ns, step)
+
+    def make(self, seat: Seat, step: int) -> Mismatch | None:
+        """The step at `step` [ns], from the messages of the tick before."""
+        leg = self.desk.epochs.at(step)
+        if leg is None:
+            return None
+        why = self._lost.get(seat.uav)
+        if why is None:
+            try:
+                self._fetch(seat, step)
+            except MissingError as missing:
+                self._lost[seat.uav] = why = str(missing)
+        if why is not None:
+            seat.account.skip(self.desk.seconds(step), 1, why)
+            return None
+        outputs = seat.step(moment(step, self._period_ns, leg, 0), step)
+        found = seat.compare(outputs, self.desk.shelves, expected=1)
+        return found or seat.compare_counters()
+
+    def _fetch(self, seat: Seat, now_ns: int) -> None:
+        """Put what the tick was made of into the inbox."""
+        expected_ns = self._next_ns[seat.uav]
+        if now_ns != expected_ns:
+            raise MissingError(f"{seat.inputs['own'].name} stamped {expected_ns} is not recorded")
+        self._next_ns[seat.uav] = now_ns + self._period_ns
+        for name in seat.inputs:
+            if name == "own":
+                letter = self.desk.shelves[seat.inputs[name].name].at(now_ns)[-1]
+                seat.hold(name, letter.content)
+            elif name == "near":
+                tick = now_ns // self._period_ns
+                due = (tick - tick % self._near_every) * self._period_ns
+                self._hold(seat, name, now_ns + 1, due)
+            elif now_ns > 0:
+                self._hold(seat, name, now_ns, now_ns - self._period_ns)
+
+    def _hold(self, seat: Seat, name: str, before_ns: int, due_ns: int) -> None:
+        """The message that is due; an older one only of a sender that has ended."""
+        topic = seat.inputs[name].name
+        shelf = self.desk.shelves[topic]
+        due = shelf.at(due_ns)
+        if due:
+            seat.hold(name, due[-1].content)
+            return
+        if name == "near" or shelf.newest_ns >= due_ns:
+            raise MissingError(f"{topic} stamped {due_ns} is not recorded")
+        last = shelf.before(before_ns)
+        if last is not None:
+            seat.hold(name, last.content)

@@ -1,0 +1,86 @@
+"""Re-run of a real-time bag: each UAV noted what its steps were made of (`ptnsbc_nodes.ticklog`)."""
+
+from __future__ import annotations
+
+from ptnsbc_nodes import topics
+from ptnsbc_nodes.ticklog import TickNote, tick_note
+from ptnsbc_nodes.wire import decode_integers
+from ptnsbc_tools.replay.desk import Desk
+from ptnsbc_tools.replay.difference import Mismatch
+from ptnsbc_tools.replay.driver import Driver, Place
+from ptnsbc_tools.replay.seat import MissingError, Seat
+
+_KEPT_STAMPS = 2000  # per UAV: several seconds
+
+
+class Realtime(Driver[TickNote]):
+    """A step is a note."""
+
+    def __init__(self, desk: Desk) -> None:
+        super().__init__(desk)
+        self.triggers = {topics.tick(uav).name: uav for uav in desk.seats}
+        self._sent: dict[int, dict[int, int]] = {uav: {} for uav in desk.seats}
+        self._uav_of = {name: seat.uav for seat in desk.seats.values() for name in seat.outputs}
+        self._why = dict.fromkeys(desk.seats, "the recording begins after the first step")
+
+    def read(self, uav: int, data: bytes) -> TickNote:
+        """The note; all outputs of its step carry the stamp of its own odometry."""
+        row = decode_integers(data)
+        note = tick_note(row.label, row.values.tolist())
+        sent = self._sent[uav]
+        own_ns = note.used["own"].stamp_ns
+        sent[own_ns] = sent.get(own_ns, 0) + 1
+        if len(sent) > _KEPT_STAMPS:
+            del sent[next(iter(sent))]
+        return note
+
+    def sent(self, topic: str, stamp_ns: int) -> int:
+        """How many messages with this stamp a UAV has sent on a topic; a sensor sends one."""
+        uav = self._uav_of.get(topic)
+        return 1 if uav is None else self._sent[uav].get(stamp_ns, 0)
+
+    def place(self, step: TickNote) -> Place:
+        """Ticks are counted by the process."""
+        return Place(step.sequence, step.moment.now_ns)
+
+    def make(self, seat: Seat, step: TickNote) -> Mismatch | None:
+        """The step of a note, if the pilot has made all before it."""
+        if step.sequence == 0:  # the process has begun, or was started anew
+            seat.begin()
+        expected = seat.next_step
+        if expected != step.sequence:
+            if expected is not None:
+                self._why[seat.uav] = f"notes on {topics.tick(seat.uav).name} are not recorded"
+                self._skip(seat, step, step.sequence - expected)
+            self._leave_out(seat, step)
+            return None
+        try:
+            wrong = seat.fetch(step, self.desk.shelves, self.sent)
+        except MissingError as missing:
+            self._why[seat.uav] = str(missing)
+            self._leave_out(seat, step)
+            return None
+        outputs = seat.step(step.moment)
+        own_ns = step.used["own"].stamp_ns
+        expected = self._sent[seat.uav].get(own_ns, 1)
+        found = wrong or seat.compare(outputs, self.desk.shelves, expected)
+        found = found or seat.compare_counters()
+        snapshot = self.desk.snapshots[seat.uav].get(step.sequence)
+        if found is None and snapshot is not None:
+            found = seat.compare_snapshot(step.sequence, snapshot)
+        return found
+
+    def _leave_out(self, seat: Seat, step: TickNote) -> None:
+        """Do not make a step; go on behind it if there is a snapshot."""
+        self._skip(seat, step, 1)
+        seat.lose_thread()
+        snapshot = self.desk.snapshots[seat.uav].get(step.sequence)
+        if snapshot is not None:
+            seat.resume(step.sequence, snapshot)
+
+    def _skip(self, seat: Seat, step: TickNote, steps: int) -> None:
+        if step.moment.flying:
+            t_s = self.desk.seconds(step.moment.now_ns)
+            seat.account.skip(t_s, steps, self._why[seat.uav])
+        else:
+            seat.account.waiting += steps

@@ -1,0 +1,91 @@
+"""A bag through the controllers again: every step from its recorded inputs, every output beside the recorded.
+
+The bag streams by; memory does not grow with it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import NamedTuple
+
+from ptnsbc_nodes import topics
+from ptnsbc_nodes.bag import Bag, BagError, BagMessage
+from ptnsbc_nodes.wire import WireError
+from ptnsbc_sim.scenario import Scenario
+from ptnsbc_tools.replay.desk import Desk
+from ptnsbc_tools.replay.difference import Difference
+from ptnsbc_tools.replay.lockstep import Lockstep
+from ptnsbc_tools.replay.realtime import Realtime
+from ptnsbc_tools.replay.seat import Account
+
+Advance = Callable[[int, int], None]
+
+EQUAL, DIFFERENT, VOID = "equal", "different", "void"
+
+_EVERY = 5000  # messages between two reports of progress
+
+
+class Rerun(NamedTuple):
+    """What came of it."""
+
+    realtime: bool
+    flown_s: float  # length of the bag
+    accounts: dict[int, Account]  # by UAV
+
+    @property
+    def first(self) -> Difference | None:
+        """The first difference in the flight."""
+        found = [one.difference for one in self.accounts.values() if one.difference is not None]
+        return min(found, key=lambda one: one.stamp_ns, default=None)
+
+    @property
+    def verdict(self) -> str:
+        """Worst of all UAVs: `different`, `void` when something could not be compared, or `equal`."""
+        if self.first is not None:
+            return DIFFERENT
+        accounts = self.accounts.values()
+        holes = any(one.gaps or one.unrecorded or not one.compared for one in accounts)
+        return VOID if holes else EQUAL
+
+
+def rerun(bag: Bag, scenario: Scenario, advance: Advance = lambda done, total: None) -> Rerun:
+    """Re-run every step of every UAV.
+
+    Args:
+        bag: a flight of ours, from `read_bag`.
+        scenario: what was flown.
+        advance: called now and then with messages done and in all.
+
+    Raises:
+        BagError: nothing to re-run, or a message that is none.
+    """
+    desk = Desk(scenario)
+    noted = any(_messages(bag, topics.tick(uav).name) for uav in scenario.uav_ids)
+    driver: Realtime | Lockstep = Realtime(desk) if noted else Lockstep(desk)
+    for message in _shown(bag, desk.wanted(bag), advance):
+        try:
+            desk.put(message)
+            if message.topic in driver.triggers:
+                driver.take(message.topic, message.stamp_ns, message.data)
+                driver.make_due(message.stamp_ns)
+        except WireError as error:
+            raise BagError(f"{bag.path}: a message on {message.topic}: {error}") from None
+    driver.make_all()
+    accounts = {uav: seat.account for uav, seat in desk.seats.items()}
+    if not any(one.steps or one.gaps for one in accounts.values()):
+        raise BagError(
+            f"{bag.path}: no step to re-run: expected odometry of every UAV and an epoch"
+        )
+    return Rerun(noted, (bag.end_ns - bag.start_ns) * 1e-9, accounts)
+
+
+def _messages(bag: Bag, name: str) -> int:
+    return bag.topics[name].messages if name in bag.topics else 0
+
+
+def _shown(bag: Bag, wanted: list[str], advance: Advance) -> Iterator[BagMessage]:
+    total = sum(_messages(bag, name) for name in wanted)
+    for done, message in enumerate(bag.messages(wanted), start=1):
+        yield message
+        if done % _EVERY == 0 or done == total:
+            advance(done, total)

@@ -1,0 +1,243 @@
+"""One UAV in a re-run: its recorded inputs through its own control step, its outputs beside the recorded."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from ptnsbc_core.agent import Agent
+from ptnsbc_core.types import ODOMETRY_SIZE, AgentConfig, AgentOutputs, AgentState
+from ptnsbc_nodes import topics
+from ptnsbc_nodes.inbox import NO_CUTOFF_NS, Senders
+from ptnsbc_nodes.letters import Letters
+from ptnsbc_nodes.pilot import Moment, Pilot
+from ptnsbc_nodes.ticklog import SnapshotTemplate, TickNote, checksum, recall, sources
+from ptnsbc_nodes.wire import Stamped, WireError, decode_floats
+from ptnsbc_sim.scenario import Scenario, agent_config
+from ptnsbc_tools.replay.difference import Difference, Mismatch, of_messages, of_numbers
+from ptnsbc_tools.replay.shelf import Letter, Shelf
+
+OUTPUTS = ("formation_state", "leader_estimate", "setpoint/velocity", "setpoint/wrench")
+
+
+class Gap(NamedTuple):
+    """Steps that could not be re-run."""
+
+    first_s: float  # after the epoch
+    last_s: float
+    steps: int
+    reason: str
+
+
+class MissingError(Exception):
+    """A message that a step was made of is not in the recording."""
+
+
+@dataclass
+class Account:
+    """What a re-run found out about one UAV."""
+
+    steps: int = 0  # re-run
+    compared: int = 0  # outputs, counters and snapshots
+    waiting: int = 0  # steps before the first leg that were not re-run: nothing is promised there
+    silent: int = 0  # steps for which nothing of this UAV is recorded
+    unrecorded: int = 0  # single outputs that are not in the recording
+    difference: Difference | None = None
+    gaps: list[Gap] = field(default_factory=list)
+
+    def skip(self, t_s: float, steps: int, reason: str) -> None:
+        """Count steps that could not be re-run."""
+        if self.gaps and self.gaps[-1].reason == reason:
+            last = self.gaps.pop()
+            self.gaps.append(Gap(last.first_s, t_s, last.steps + steps, reason))
+        else:
+            self.gaps.append(Gap(t_s, t_s, steps, reason))
+
+
+def source_topics(uav: int, senders: Senders) -> dict[str, topics.Topic]:
+    """Where each of a UAV's inputs is recorded."""
+    known = {"own": topics.odom(uav), "near": topics.near(uav)}
+    known |= {f"state{i}": topics.formation_state(i) for i in senders.states}
+    known |= {f"estimate{i}": topics.leader_estimate(i) for i in senders.estimators}
+    return {name: known[name] for name in sources(senders)}
+
+
+class Seat:
+    """A pilot, and what its UAV said."""
+
+    def __init__(self, scenario: Scenario, uav: int, senders: Senders) -> None:
+        self.uav = uav
+        self.senders = senders
+        self.account = Account()
+        self.inputs = source_topics(uav, senders)
+        self.outputs = [f"/uav{uav}/{name}" for name in OUTPUTS]
+        self.told: dict[int, list[dict[str, str]]] = {}  # counters of /diagnostics by their ticks
+        self.pilot = Pilot(agent_config(scenario, uav), senders)
+        self._letters = Letters(uav)
+        self._next: int | None = None  # number of the step that the pilot is ready for
+        self._held: dict[str, Stamped] = {}
+        self._snapshot: SnapshotTemplate | None = None
+
+    @property
+    def next_step(self) -> int | None:
+        """Number of the step that the pilot is ready for; None: it has missed one."""
+        return self._next
+
+    def begin(self) -> None:
+        """A new process: it remembers nothing."""
+        self.lose_thread()
+        self._next = 0
+
+    def lose_thread(self) -> None:
+        """A step was left out: only a snapshot helps."""
+        self._next = None
+        self._held.clear()
+        self.pilot = Pilot(self.pilot.config, self.senders)
+
+    def resume(self, sequence: int, data: bytes) -> None:
+        """Go on behind the step of a snapshot."""
+        row = decode_floats(data)
+        numbers = np.asarray(row.values, dtype=np.float64)
+        memory = recall(row.label, numbers, like=_any_state(self.pilot.config))
+        self.pilot.resume(memory.state, memory.counters)
+        self._next = sequence + 1
+
+    def hold(self, name: str, message: Stamped) -> None:
+        """Put a message where the process had it."""
+        if self._held.get(name) is message:
+            return
+        self._held[name] = message
+        inbox = self.pilot.inbox
+        if name == "own":
+            inbox.own = message
+        elif name == "near":
+            inbox.near = message
+        elif name.startswith("state"):
+            inbox.hear_state(int(name.removeprefix("state")), message)
+        else:
+            inbox.hear_estimate(int(name.removeprefix("estimate")), message)
+
+    def fetch(
+        self, note: TickNote, shelves: Mapping[str, Shelf], sent: Callable[[str, int], int]
+    ) -> Mismatch | None:
+        """Put what a real-time step was made of into the inbox; the first message that is another one.
+
+        Args:
+            note: what the UAV noted of the step.
+            shelves: what is recorded.
+            sent: how many messages of a topic are known to have carried a stamp.
+        """
+        wrong = None
+        for name, used in note.used.items():
+            held = self._held.get(name)
+            if held is not None and used == (held.stamp_ns, checksum(held)):
+                continue
+            topic = self.inputs[name].name
+            letters = shelves[topic].at(used.stamp_ns)
+            if not letters:
+                raise MissingError(f"{topic} stamped {used.stamp_ns} was used and is not recorded")
+            found = [letter.content for letter in letters]
+            same = [message for message in found if checksum(message) == used.checksum]
+            if not same and len(letters) < sent(topic, used.stamp_ns):
+                raise MissingError(
+                    f"one of those on {topic} stamped {used.stamp_ns} is not recorded"
+                )
+            if not same:
+                wrong = wrong or Mismatch(
+                    f"{topic}, an input stamped {used.stamp_ns}",
+                    f"checksum {checksum(found[-1]):08x} in the bag",
+                    f"{used.checksum:08x} noted by the UAV",
+                )
+            self.hold(name, (same or found)[-1])
+        return wrong
+
+    def step(self, at: Moment, cutoff_ns: int = NO_CUTOFF_NS) -> AgentOutputs:
+        """One control step on what is in the inbox."""
+        self.account.steps += 1
+        if self._next is not None:
+            self._next += 1
+        return self.pilot.step(at, cutoff_ns)
+
+    def compare(
+        self, outputs: AgentOutputs, shelves: Mapping[str, Shelf], expected: int
+    ) -> Mismatch | None:
+        """The first output that differs; `expected` messages should carry the stamp of this step."""
+        own = self.pilot.inbox.own
+        if own is None:  # a step was made of it
+            raise WireError("no own odometry")
+        recorded = [shelf.at(own.stamp_ns) for shelf in map(shelves.__getitem__, self.outputs)]
+        if not any(recorded):
+            self.account.silent += 1
+            return None
+        # Silent at the end is a process that has ended; silent in between is a hole.
+        self.account.unrecorded += len(OUTPUTS) * self.account.silent
+        self.account.silent = 0
+        made = self._letters.all(own, outputs)
+        for name, letters, computed in zip(OUTPUTS, recorded, made, strict=True):
+            if len(computed) % 4:  # as DDS hands it over
+                computed += bytes(-len(computed) % 4)
+            if _among(letters, computed):
+                self.account.compared += 1
+            elif len(letters) < expected:
+                self.account.unrecorded += 1
+            else:
+                return of_messages(name, letters[0].data, computed)
+        return None
+
+    def compare_counters(self) -> Mismatch | None:
+        """The first counter that /diagnostics told differently at this number of steps."""
+        told = self.told.pop(self.pilot.tally.ticks, None)
+        if told is None:
+            return None
+        own = self.pilot.tally.values()
+        for values in told:
+            for key, computed in own.items():
+                recorded = values.get(key)
+                if recorded != computed:
+                    return _of_text(f"diagnostics {key}", recorded, computed)
+            self.account.compared += 1
+        return None
+
+    def compare_snapshot(self, sequence: int, data: bytes) -> Mismatch | None:
+        """The first number of the controller's memory that differs."""
+        state = self.pilot.state
+        self._snapshot = self._snapshot or SnapshotTemplate(state)
+        made = self._snapshot.encode(sequence, state, self.pilot.tally)
+        if made == data[: len(made)]:
+            self.account.compared += 1
+            return None
+        found, own = decode_floats(data), decode_floats(made)
+        if found.label != own.label:
+            return Mismatch("snapshot", found.label, own.label)
+        names = [
+            f"{word.partition(':')[0]}[{k}]"
+            for word in own.label.split()
+            for k in range(int(word.partition(":")[2]))
+        ]
+        for name, recorded, computed in zip(names, found.values, own.values, strict=True):
+            if recorded.tobytes() != computed.tobytes():
+                return of_numbers(f"snapshot {name}", float(recorded), float(computed))
+        return None
+
+
+def _among(letters: list[Letter], data: bytes) -> bool:
+    return any(letter.data == data for letter in letters)
+
+
+def _any_state(config: AgentConfig) -> AgentState:
+    """A state that lends its shapes."""
+    own = np.zeros(ODOMETRY_SIZE)
+    own[6] = 1.0
+    return Agent(config, own).state
+
+
+def _of_text(field_name: str, recorded: str | None, computed: str) -> Mismatch:
+    if recorded is None:
+        return Mismatch(field_name, "nothing", computed)
+    try:
+        return Mismatch(field_name, recorded, computed, float(computed) - float(recorded))
+    except ValueError:
+        return Mismatch(field_name, recorded, computed)

@@ -1,0 +1,238 @@
+"""A re-run finds everything equal, or says what is not: where, from when, and by how much."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Iterable
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+
+from ptnsbc_nodes.bag import BagError, BagMessage, read_bag
+from ptnsbc_nodes.ticklog import tick_note
+from ptnsbc_nodes.wire import decode_integers, peek_stamp
+from ptnsbc_tools.replay.rerun import rerun
+
+PERIOD_NS = 10_000_000
+NUMBERS_AT = 80  # in every message of ours with a header: behind the frames, before the end
+
+
+@pytest.fixture
+def again(scenario):
+    return lambda path: rerun(read_bag(path), scenario)
+
+
+def flip(topic: str, stamp_ns: int, at: int = NUMBERS_AT):
+    """Flip one bit of the message on `topic` with this stamp."""
+
+    def change(message: BagMessage) -> Iterable[BagMessage]:
+        data = bytearray(message.data)
+        if message.topic == topic and peek_stamp(message.data) == stamp_ns:
+            data[at] ^= 1
+        yield message._replace(data=bytes(data))
+
+    return change
+
+
+def drop(*wanted: tuple[str, int]):
+    """Leave out the messages of these topics and stamps."""
+
+    def change(message: BagMessage) -> Iterable[BagMessage]:
+        if (
+            message.topic.endswith(("/tick", "/snapshot"))
+            or (message.topic, peek_stamp(message.data)) not in wanted
+        ):
+            yield message
+
+    return change
+
+
+def notes(path: Path, uav: int) -> list:
+    rows = (decode_integers(m.data) for m in read_bag(path).messages([f"/uav{uav}/tick"]))
+    return [tick_note(row.label, row.values.tolist()) for row in rows]
+
+
+@pytest.mark.parametrize("kind", ["headless", "realtime"])
+def test_equal(again, request, scenario, kind):
+    done = again(request.getfixturevalue(kind))
+    assert (done.verdict, done.realtime) == ("equal", kind == "realtime")
+    for account in done.accounts.values():
+        assert account.steps >= scenario.ticks
+        assert account.compared > 4 * account.steps, "and counters or snapshots"
+        assert (account.silent, account.unrecorded, account.gaps) == (0, 0, [])
+
+
+@pytest.mark.parametrize("uav", [1, 3, 5])
+@pytest.mark.parametrize("tick", [0, 70])
+def test_one_bit_of_an_input(again, headless, rewritten, uav, tick):
+    stamp = tick * PERIOD_NS
+    done = again(rewritten(headless, flip(f"/uav{uav}/odom", stamp)))
+    assert done.verdict == "different"
+    first = done.first
+    assert (first.uav, first.tick, first.stamp_ns) == (uav, tick, stamp)
+    assert first.field.startswith("formation_state pose.")
+    assert 0 < abs(first.difference) < 1e-6
+    assert {u for u, a in done.accounts.items() if a.difference} == {uav}
+
+
+@pytest.mark.parametrize(
+    ("name", "field"),
+    [
+        ("leader_estimate", "leader_estimate pose."),
+        ("setpoint/velocity", "setpoint/velocity twist."),
+        ("setpoint/wrench", "setpoint/wrench wrench."),
+    ],
+)
+def test_one_bit_of_an_output(again, headless, rewritten, name, field):
+    done = again(rewritten(headless, flip(f"/uav4/{name}", 900_000_000, at=64)))
+    assert (done.first.uav, done.first.tick) == (4, 90)
+    assert done.first.field.startswith(field)
+
+
+def test_an_input_that_cannot_be_read(again, headless, rewritten):
+    def change(message):
+        cut = message.topic == "/uav2/odom" and message.stamp_ns == 3 * PERIOD_NS
+        yield message._replace(data=message.data[:300]) if cut else message
+
+    done = again(rewritten(headless, change))
+    assert (done.first.uav, done.first.tick, done.first.field) == (2, 3, "an input")
+
+
+def test_a_counter_that_was_told_otherwise(again, headless, rewritten):
+    def change(message):
+        data = message.data
+        if b"uav2: planner" in data and message.stamp_ns == 10**9:
+            data = data.replace(b"0.000\0", b"9.000\0", 1)
+        yield message._replace(data=data)
+
+    done = again(rewritten(headless, change))
+    assert (done.first.uav, done.first.tick) == (2, 100)
+    assert done.first.field == "diagnostics avoidance_active_s"
+    assert (done.first.recorded, done.first.difference) == ("9.000", -9.0)
+
+
+def test_lockstep_lost_messages(again, headless, rewritten):
+    """What a neighbour needed voids the neighbour; what nobody needed is an output less."""
+    stamp = 50 * PERIOD_NS
+    lost = drop(("/uav2/leader_estimate", stamp), ("/uav5/setpoint/velocity", stamp))
+    done = again(rewritten(headless, lost))
+    assert done.verdict == "void"
+    assert done.first is None
+    voided = {uav for uav, account in done.accounts.items() if account.gaps}
+    assert voided == {3}
+    (gap,) = done.accounts[3].gaps
+    assert gap.first_s == pytest.approx(0.51)
+    assert gap.steps == 150 - 51
+    assert gap.reason == f"/uav2/leader_estimate stamped {stamp} is not recorded"
+    assert [done.accounts[uav].unrecorded for uav in (1, 2, 5)] == [0, 1, 1]
+
+
+def test_a_process_that_ended_is_no_hole(again, headless, rewritten):
+    def change(message):
+        ended = message.stamp_ns >= 10**9 and message.topic.startswith("/uav5/")
+        if not ended or message.topic in ("/uav5/odom", "/uav5/near"):
+            yield message
+
+    done = again(rewritten(headless, change))
+    # UAV 4 heard it until then, and flew on with what it had: here it did not, so it differs.
+    assert done.accounts[5].silent == 50
+    assert done.accounts[5].gaps == []
+    assert [done.accounts[uav].difference for uav in (1, 2, 3)] == [None] * 3
+
+
+def test_realtime_lost_input_is_void_until_the_next_snapshot(again, realtime, rewritten):
+    flown = notes(realtime, 3)
+    chosen = next(n for n in flown if n.sequence > 60)
+    used = chosen.used["own"].stamp_ns
+    done = again(rewritten(realtime, drop(("/uav3/odom", used))))
+    assert (done.verdict, done.first) == ("void", None)
+    account = done.accounts[3]
+    (gap,) = account.gaps
+    assert gap.reason == f"/uav3/odom stamped {used} was used and is not recorded"
+    first = next(n.sequence for n in flown if n.used["own"].stamp_ns == used)
+    assert gap.steps == 100 - first + 1, "the snapshot after step 100 helps from step 101 on"
+    assert account.steps == len(flown) - gap.steps
+    assert all(not one.gaps for uav, one in done.accounts.items() if uav != 3)
+
+
+def test_realtime_one_bit_of_an_input(again, realtime, rewritten):
+    """The checksum tells even what the laws do not notice."""
+    flown = notes(realtime, 2)
+    used = flown[90].used["near"].stamp_ns
+    tick = next(n.sequence for n in flown if n.used["near"].stamp_ns == used)
+    done = again(rewritten(realtime, flip("/uav2/near", used, at=-20)))
+    assert (done.first.uav, done.first.tick) == (2, tick)
+    assert done.first.field == f"/uav2/near, an input stamped {used}"
+
+
+def test_realtime_recorded_from_the_middle(again, realtime, rewritten):
+    flown = notes(realtime, 1)
+    start_ns = flown[70].moment.now_ns - 2 * PERIOD_NS
+    done = again(rewritten(realtime, lambda m: [m] if m.stamp_ns >= start_ns else []))
+    account = done.accounts[1]
+    assert (done.verdict, done.first) == ("void", None)
+    assert account.gaps[0].reason == "the recording begins after the first step"
+    assert account.steps == len(flown) - 101
+
+
+def test_realtime_lost_note(again, realtime, rewritten):
+    count = 0
+
+    def change(message):
+        nonlocal count
+        count += message.topic == "/uav4/tick"
+        if message.topic != "/uav4/tick" or count != 120:
+            yield message
+
+    done = again(rewritten(realtime, change))
+    (gap,) = done.accounts[4].gaps
+    assert gap.reason == "notes on /uav4/tick are not recorded"
+    assert gap.steps == 150 - 119 + 1
+    assert done.first is None
+
+
+def test_real_time_without_notes_is_refused(again, realtime, rewritten):
+    silent = rewritten(realtime, lambda m: [] if m.topic.endswith("/tick") else [m])
+    with pytest.raises(BagError, match=r"expected lock-step, or /uav\d/tick of real time"):
+        again(silent)
+
+
+def run(*words: object) -> tuple[int, str, str]:
+    command = [sys.executable, "-m", "ptnsbc_tools.cli", *map(str, words)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+    return done.returncode, done.stdout, done.stderr
+
+
+def test_command(headless, rewritten):
+    code, out, err = run("replay", headless, "--rerun", "--json")
+    assert code == 0, err
+    told = json.loads(out)
+    assert told["verdict"] == "equal"
+    assert told["first_difference"] is None
+    assert [one["uav"] for one in told["uavs"]] == [1, 2, 3, 4, 5]
+    code, out, err = run("replay", rewritten(headless, flip("/uav2/odom", 0)), "--rerun")
+    assert code == 1, err
+    assert "different: tick 0 (t = 0.000 s), uav2, formation_state" in out
+    code, out, err = run("replay", headless / "none", "--rerun")
+    assert (code, out) == (2, "")
+    assert len(err.splitlines()) == 1
+
+
+@pytest.mark.slow
+@pytest.mark.ros
+@pytest.mark.skipif(find_spec("rclpy") is None, reason="needs rclpy")
+def test_a_fleet_in_real_time(tmp_path):
+    """Five processes by the wall clock; whatever the machine does to their timing, it is noted."""
+    words = ("fleet", "paper_5", "--real-time", "--duration", "2", "--bag", tmp_path / "bag")
+    _, _, err = run(*words, "--json")
+    code, out, err = run("replay", tmp_path / "bag", "--rerun", "--json")
+    told = json.loads(out)
+    assert told["mode"] == "real time"
+    assert told["first_difference"] is None
+    assert all(one["steps"] > 50 for one in told["uavs"]), err
+    assert code == (told["verdict"] != "equal")
+    # A machine under load may lose messages; then it is void and says of what.
+    assert told["verdict"] == "equal" or any(one["gaps"] for one in told["uavs"])
