@@ -1,0 +1,80 @@
+"""Simulation 2 and the experiment as shipped: in place at the deadline, nothing touched, on both plants."""
+
+from functools import lru_cache
+from itertools import combinations
+
+import numpy as np
+import pytest
+
+from ptnsbc_core.trajectory import reference
+from ptnsbc_sim.scenario import load_scenario
+from ptnsbc_sim.scenario.build import trajectory_vector
+from ptnsbc_sim.swarm import HOLDING, PRIORITY_VIOLATION, Flight, fly
+
+PLANTS = ("quadrotor", "rigid_body_6dof")
+DEADLINE_S = 5.0
+
+
+@lru_cache
+def flight(name: str, plant: str, seconds: float) -> Flight:
+    return fly(load_scenario(name, {"plant.kind": plant, "timing.duration_s": seconds}))
+
+
+def errors(flown: Flight, tick: int) -> np.ndarray:
+    """Distance (N,) [m] from the place at one tick."""
+    scenario, places = flown.scenario, flown.track.odometry[tick, :, :3]
+    wanted = places[0] + np.array([scenario.offset(uav) for uav in scenario.uav_ids])
+    wanted[0] = reference(trajectory_vector(scenario), int(flown.t_ns[tick]) * 1e-9).position
+    return np.linalg.norm(places - wanted, axis=1)
+
+
+def separation(flown: Flight) -> float:
+    """Smallest distance [m] of two UAVs in the whole flight."""
+    places = flown.track.odometry[:, :, :3]
+    pairs = combinations(range(places.shape[1]), 2)
+    return min(float(np.linalg.norm(places[:, a] - places[:, b], axis=1).min()) for a, b in pairs)
+
+
+@pytest.mark.parametrize("plant", PLANTS)
+@pytest.mark.parametrize("name", ["paper_20", "experiment_4"])
+def test_every_uav_is_in_its_place_at_the_deadline(name: str, plant: str) -> None:
+    flown = flight(name, plant, 5.5)
+    assert errors(flown, 0).max() > 5.0
+    assert errors(flown, round(DEADLINE_S * flown.scenario.control_hz)).max() < 0.05
+    assert separation(flown) >= 0.5
+    assert flown.track.diagnostics[:, :, HOLDING].max() == 0.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("plant", PLANTS)
+def test_twenty_pass_both_obstacles_and_stay_in_formation(plant: str) -> None:
+    flown = flight("paper_20", plant, 60.0)
+    assert separation(flown) >= 0.9
+    for obstacle in flown.scenario.obstacles:
+        away = np.linalg.norm(flown.track.odometry[:, :, :3] - obstacle.position, axis=2)
+        assert away.min() >= 1.45
+    wrench = np.linalg.norm(flown.track.wrench, axis=2)
+    assert wrench.max() < 500.0
+    assert errors(flown, -1).max() < 0.05
+    assert flown.track.diagnostics[:, :, PRIORITY_VIOLATION].max() < 1e-6
+
+
+def test_twenty_start_and_form_as_the_file_says() -> None:
+    scenario = load_scenario("paper_20")
+    starts = np.array([scenario.uav(uav).position for uav in scenario.uav_ids])
+    assert len(scenario.uav_ids) == 20
+    assert np.abs(starts[:, :2]).max() <= 6.0
+    assert max(scenario.topology.depth.values()) <= 5
+    places = np.array([scenario.offset(uav) for uav in scenario.uav_ids])
+    for points in (starts, places):
+        gaps = [float(np.linalg.norm(a - b)) for a, b in combinations(points, 2)]
+        assert min(gaps) >= 1.0
+    assert np.linalg.matrix_rank(places) == 3
+
+
+def test_the_experiment_starts_where_the_paper_says() -> None:
+    scenario = load_scenario("experiment_4")
+    starts = [scenario.uav(uav).position.tolist() for uav in scenario.uav_ids]
+    assert starts == [[0.1, 1.1, 1], [-0.8, -0.8, 1], [-1, -0.1, 1], [1.1, -0.2, 1]]
+    np.testing.assert_allclose(np.linalg.norm(scenario.wind_m_s), 2.0)
+    assert scenario.duration_s == 50.0
