@@ -30,11 +30,12 @@ class Experiment:
 
 
 EXPERIMENTS = (
-    Experiment("simulation_1", "paper_5, paper_5_free", 40),
-    Experiment("ablation_profiles", "paper_5, both plants", 60),
-    Experiment("ablation_estimator", "paper_5_free", 10),
-    Experiment("ablation_sweeps", "paper_5_free", 20),
-    Experiment("cost", "trees of 5 to 50 UAVs", 15, alone=True),
+    Experiment("simulation_1", "paper_5, paper_5_free", 15),
+    Experiment("simulation_2", "paper_20", 25),
+    Experiment("ablation_profiles", "paper_5, both plants", 50),
+    Experiment("ablation_estimator", "paper_5_free", 4),
+    Experiment("ablation_sweeps", "paper_5_free", 8),
+    Experiment("cost", "trees of 5 to 50 UAVs", 5, alone=True),
 )
 
 

@@ -27,7 +27,8 @@ def uav_label(flown: Flown, uav: int) -> str:
     return f"UAV {uav} (leader)" if uav == flown.scenario.leader_id else f"UAV {uav}"
 
 
-def _spheres(axes: Any, flown: Flown) -> None:
+def spheres(axes: Any, flown: Flown) -> None:
+    """The obstacles' keep-outs in 3-D."""
     turn, rise = np.meshgrid(np.linspace(0, 2 * np.pi, 25), np.linspace(0, np.pi, 13))
     ball = np.stack([np.cos(turn) * np.sin(rise), np.sin(turn) * np.sin(rise), np.cos(rise)])
     for obstacle in flown.scenario.obstacles:
@@ -45,7 +46,7 @@ def in_space(workshop: Workshop, flown: Flown, number: int, suffix: str) -> Figu
         axes.plot(*path.T, label=uav_label(flown, uav), **look)
         axes.scatter(*path[0], color=look["color"], s=8, marker="o", depthshade=False)
         axes.scatter(*path[-1], color=look["color"], s=10, marker="s", depthshade=False)
-    _spheres(axes, flown)
+    spheres(axes, flown)
     tidy_3d(axes)
     made.legend(*axes.get_legend_handles_labels(), loc="upper center", ncols=3)
     name = f"fig_{number:02d}_{flown.scenario.name}_3d"
@@ -61,14 +62,14 @@ def in_space(workshop: Workshop, flown: Flown, number: int, suffix: str) -> Figu
 def space(made: Any) -> Any:
     """Axes in 3-D that fill the figure below its legend; the automatic layout knows no 3-D labels."""
     made.set_layout_engine("none")
-    return made.add_axes((0.03, 0.06, 0.85, 0.8), projection="3d")
+    return made.add_axes((-0.04, 0.06, 0.94, 0.78), projection="3d")
 
 
-def tidy_3d(axes: Any) -> None:
+def tidy_3d(axes: Any, zoom: float = 1.0) -> None:
     """Labels, true proportions, few ticks."""
     axes.set(xlabel="x (east) [m]", ylabel="y (north) [m]", zlabel="z (up) [m]")
     limits = (axes.get_xlim3d(), axes.get_ylim3d(), axes.get_zlim3d())
-    axes.set_box_aspect([np.ptp(one) for one in limits], zoom=1.2)
+    axes.set_box_aspect([np.ptp(one) for one in limits], zoom=zoom)
     for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
         axis.set_major_locator(_few_ticks())
         axis.labelpad = 0

@@ -11,7 +11,7 @@ import numpy as np
 
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import Scenario, load_scenario
-from ptnsbc_sim.swarm import Flight, fly
+from ptnsbc_sim.swarm import VELOCITY_ERROR, Flight, fly
 from ptnsbc_tools.flight_recording import recording_of
 from ptnsbc_tools.verdict import Verdict, verdict_on
 from ptnsbc_tools.verdict.deadline import formation_errors
@@ -76,6 +76,11 @@ class Flown:
         """Largest |u| of any UAV at any time."""
         return float(self.inputs.max())
 
+    def velocity_error_after(self, seconds: float) -> float:
+        """Largest |V - V_r| of any UAV from a time on [m/s]."""
+        log = self.flight.track.diagnostics[:, :, VELOCITY_ERROR]
+        return float(log[self.times >= seconds].max())
+
     def settled_s(self) -> float | None:
         """When the last UAV had settled; None when one never did."""
         found = [one.settling_s for one in self.verdict.uavs]
@@ -88,6 +93,10 @@ class Flown:
     def worst_at_deadline_m(self) -> float:
         """Largest formation error at the deadline."""
         return max(one.error_at_deadline_m or 0.0 for one in self.verdict.uavs)
+
+    def worst_error_at(self, seconds: float) -> float:
+        """Largest formation error at a time [m], whatever the scenario promises."""
+        return float(self.errors()[int(np.searchsorted(self.times, seconds - 1e-9))].max())
 
     def worst_after_m(self) -> float:
         """Largest formation error after it, outside encounters."""

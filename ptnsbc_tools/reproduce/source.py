@@ -11,7 +11,7 @@ from ptnsbc_sim.scenario import load_scenario, reader
 _ROOT = Path(__file__).resolve().parents[2]
 _CODE = ("ptnsbc_core", "ptnsbc_sim", "ptnsbc_tools", "scenarios")
 _LAWS = ("ptnsbc_core", "ptnsbc_sim")
-_SCENARIOS = ("paper_5", "paper_5_free")
+_SCENARIOS = ("paper_5", "paper_5_free", "paper_20", "experiment_4")
 _SHORT = 12
 
 

@@ -4,6 +4,7 @@ import pytest
 
 from ptnsbc_tools.reproduce import ablation_estimator, claims, cost
 from ptnsbc_tools.reproduce.claims import FAILS, HOLDS
+from ptnsbc_tools.reproduce.draw_swarm import LIMIT_N
 from ptnsbc_tools.reproduce.flights import flown
 
 SECONDS = 12.0
@@ -30,6 +31,23 @@ def test_formation_in_five_seconds(scenario: str) -> None:
     assert found["soft"].clearance_m() > 0.0
     settled = found["soft"].settled_s()
     assert settled is not None and settled < 5.0
+
+
+def test_twenty_uavs_in_five_seconds_below_500_n() -> None:
+    common = {"plant.kind": "rigid_body_6dof", "timing.duration_s": 8.0}
+    found = {
+        name: flown("paper_20", {**common, "gains.profile": name}) for name in ("paper", "soft")
+    }
+    assert claims.shape_claim(found).verdict == "holds when profile soft"
+    assert "soft: 20 of 20" in claims.shape_claim(found).ours
+    assert claims.limit_claim(found, LIMIT_N).verdict == HOLDS
+    assert claims.limit_claim(found, 20.0).verdict == FAILS
+    assert max(one.peak_input() for one in found.values()) < LIMIT_N / 10
+
+
+def test_velocities_follow_their_commands_after_tf3() -> None:
+    claim = claims.velocity_claim(flights("paper_5_free"))
+    assert claim.verdict == "holds when profile soft"
 
 
 def test_the_first_force_of_profile_soft_is_the_weight() -> None:

@@ -1,0 +1,62 @@
+"""Simulation 2: twenty UAVs by the same laws. Figs. 24-31."""
+
+from __future__ import annotations
+
+from ptnsbc_tools.reproduce import draw_swarm
+from ptnsbc_tools.reproduce.claims import kept, limit_claim, shape_claim
+from ptnsbc_tools.reproduce.flights import Flown, flown
+from ptnsbc_tools.reproduce.part import Figure, Part
+from ptnsbc_tools.reproduce.summary import flights_table, reasons
+from ptnsbc_tools.reproduce.workshop import Workshop
+
+PROFILES = ("paper", "soft", "reference")
+PLANTS = ("rigid_body_6dof", "quadrotor")
+_BEST = "soft"
+
+
+def flight(profile: str, plant: str = "rigid_body_6dof") -> Flown:
+    """One flight of Simulation 2."""
+    return flown("paper_20", {"plant.kind": plant, "gains.profile": profile})
+
+
+def run(workshop: Workshop) -> Part:
+    """Fly, draw and judge Simulation 2."""
+    flights = {}
+    for profile in PROFILES:
+        workshop.tell(f"flying profile {profile}")
+        flights[profile] = flight(profile)
+    workshop.tell("flying the quadrotor")
+    everything = [*flights.values(), *(flight(profile, "quadrotor") for profile in PROFILES)]
+    workshop.tell("drawing")
+    figures = _figures(workshop, {name: flights[name] for name in ("paper", _BEST)})
+    good = [one for one in everything if kept(one)]
+    told = ", ".join(f"`{o.scenario.gains.profile}` on `{o.scenario.plant_kind}`" for o in good)
+    table = flights_table(
+        "simulation_2_verdicts",
+        "Every flight of Simulation 2, the worst UAV of each",
+        everything,
+        f"All twenty UAVs keep the deadline and touch nothing with {told or 'none'}. "
+        f"Worst UAV of the others: {reasons(everything) or 'none'}.",
+    )
+    return Part(
+        "simulation_2",
+        "Simulation 2: twenty UAVs",
+        "Scenario `paper_20`, 60 s: the paper prints neither graph, nor formation, nor starts, so they are ours. "
+        f"Trajectories are those of profile `{_BEST}` on the six-input plant; distances and inputs are shown for the "
+        "printed gains too.",
+        figures=figures,
+        tables=(table,),
+        claims=(shape_claim(flights), limit_claim(flights, draw_swarm.LIMIT_N)),
+    )
+
+
+def _figures(workshop: Workshop, flights: dict[str, Flown]) -> tuple[Figure, ...]:
+    uavs = flights[_BEST].scenario.uav_ids
+    fives = [uavs[first : first + 5] for first in range(0, len(uavs), 5)]
+    return (
+        draw_swarm.in_space(workshop, flights[_BEST], 24),
+        draw_swarm.from_above(workshop, flights[_BEST], 25),
+        draw_swarm.distance_error(workshop, flights, 26),
+        draw_swarm.inputs(workshop, flights, 27),
+        *(draw_swarm.five(workshop, flights, 28 + k, five) for k, five in enumerate(fives)),
+    )
