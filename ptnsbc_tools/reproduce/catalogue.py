@@ -30,6 +30,7 @@ class Experiment:
 
 
 EXPERIMENTS = (
+    Experiment("overview", "all scenarios", 15),
     Experiment("simulation_1", "paper_5, paper_5_free", 15),
     Experiment("simulation_2", "paper_20", 25),
     Experiment("ablation_profiles", "paper_5, both plants", 50),

@@ -20,6 +20,7 @@ _COLUMNS = (
     Column("peak input", 1),
     Column("energy (54), N²s", 0),
     Column("beyond hover, N²s", 0),
+    Column("worst UAV that missed it"),
 )
 
 
@@ -37,6 +38,7 @@ def _row(one: Flown) -> tuple[Cell, ...]:
         one.peak_input(),
         one.verdict.energy,
         one.energy_beyond_hover(),
+        _reason(one),
     )
 
 
@@ -45,15 +47,10 @@ def flights_table(name: str, title: str, flights: Iterable[Flown], meaning: str)
     return Table(name, title, _COLUMNS, tuple(_row(one) for one in flights), meaning)
 
 
-def reasons(flights: Iterable[Flown]) -> str:
-    """Why flights lost their deadline, one sentence each; empty when none did."""
-    told = []
-    for one in flights:
-        missed = [uav for uav in one.verdict.uavs if uav.verdict != "met"]
-        if missed:
-            worst = max(missed, key=lambda uav: uav.error_at_deadline_m or 0.0)
-            told.append(
-                f"`{one.scenario.name}`, `{one.scenario.plant_kind}`, `{one.scenario.gains.profile}`: "
-                f"UAV {worst.uav} {worst.verdict}, {worst.reason}"
-            )
-    return "; ".join(told)
+def _reason(one: Flown) -> str:
+    """Why the worst UAV lost the deadline; empty when all kept it."""
+    missed = [uav for uav in one.verdict.uavs if uav.verdict != "met"]
+    if not missed:
+        return ""
+    worst = max(missed, key=lambda uav: uav.error_at_deadline_m or 0.0)
+    return f"UAV {worst.uav} {worst.verdict}: {worst.reason}"

@@ -4,7 +4,14 @@ from pathlib import Path
 
 import numpy as np
 
-from ptnsbc_tools.reproduce import draw_inputs, draw_paths, draw_shape, style
+from ptnsbc_tools.reproduce import (
+    draw_energy,
+    draw_inputs,
+    draw_paths,
+    draw_shape,
+    draw_swarm,
+    style,
+)
 from ptnsbc_tools.reproduce.flights import Flown, flown
 from ptnsbc_tools.reproduce.workshop import Workshop
 
@@ -14,6 +21,10 @@ DRAWINGS = {
     "distance": lambda shop, flights: draw_shape.distances(shop, flights, 9, ""),
     "angle": lambda shop, flights: draw_shape.angles(shop, flights, 11, ""),
     "input": lambda shop, flights: draw_inputs.whole(shop, flights, 15, ""),
+    "first": lambda shop, flights: draw_inputs.first_second(shop, flights, 17, ""),
+    "energy": lambda shop, flights: draw_energy.energy(shop, flights),
+    "swarm": lambda shop, flights: draw_swarm.distance_error(shop, flights, 26),
+    "five": lambda shop, flights: draw_swarm.five(shop, flights, 28, (1, 2, 3, 4, 5)),
 }
 
 
