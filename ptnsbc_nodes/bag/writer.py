@@ -8,7 +8,6 @@ and is readable up to its last chunk.
 from __future__ import annotations
 
 import os
-import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
@@ -17,6 +16,7 @@ from typing import NamedTuple
 from mcap.writer import CompressionType
 
 from ptnsbc_nodes.bag.errors import BagError
+from ptnsbc_nodes.bag.folder import make_part, put_in_place
 from ptnsbc_nodes.bag.interrupt import InterruptGuard
 from ptnsbc_nodes.bag.layout import (
     Declared,
@@ -57,6 +57,10 @@ class BagWriter:
         compression: `zstd`, `lz4` or `none`, per chunk.
         overwrite: Replace an existing bag, once the new one is complete.
         limits: When to go on in another file.
+
+    Attributes:
+        name: What the files are called; changed before `open`, not after.
+        records: Further metadata records, by name; the same.
     """
 
     def __init__(
@@ -79,10 +83,13 @@ class BagWriter:
         self._asked = tuple(topics)
         self._topics: tuple[Declared, ...] = ()
         self._attachments = dict(attachments or {})
-        self._metadata = {METADATA_RECORD: dict(sorted((metadata or {}).items()))}
+        self.records: dict[str, Mapping[str, str]] = {
+            METADATA_RECORD: dict(sorted((metadata or {}).items()))
+        }
         self._compression = _COMPRESSIONS[compression]
         self._overwrite = overwrite
         self._limits = limits
+        self.name = self.directory.name
         self._number: dict[str, int] = {}  # of each topic
         self._counts: list[int] = []  # messages of each topic
         self._files: list[FileCount] = []  # those that are complete
@@ -115,7 +122,7 @@ class BagWriter:
         self._topics = tuple(
             topic if isinstance(topic, Declared) else declared(topic) for topic in self._asked
         )
-        self._make_folder()
+        make_part(self.directory, self._part, overwrite=self._overwrite)
         self._number = {topic.name: number for number, topic in enumerate(self._topics)}
         self._counts = [0] * len(self._topics)
         self._guard.install()
@@ -154,11 +161,20 @@ class BagWriter:
         try:
             with self._guard:
                 if self._full(self._piece, stamp_ns):
-                    self._complete(self._piece)
-                    self._piece = self._next_piece()
+                    self._split(self._piece)
                 self._piece.add(number, stamp_ns, publish_ns, sequence, data)
                 self._counts[number] += 1
                 self._unflushed += 1
+        except OSError as error:
+            raise self._disk_error(error) from error
+
+    def split(self) -> None:
+        """Go on in another file, unless this one is still empty."""
+        if self._piece is None or not self._piece.count.messages:
+            return
+        try:
+            with self._guard:
+                self._split(self._piece)
         except OSError as error:
             raise self._disk_error(error) from error
 
@@ -192,7 +208,7 @@ class BagWriter:
             with self._guard:
                 self._complete(piece)
                 self._describe()
-                self._rename()
+                put_in_place(self.directory, self._part, overwrite=self._overwrite)
         except OSError as error:
             raise self._disk_error(error) from error
         finally:
@@ -212,9 +228,13 @@ class BagWriter:
             return True
         return size is not None and piece.size >= size
 
+    def _split(self, piece: Piece) -> None:
+        self._complete(piece)
+        self._piece = self._next_piece()
+
     def _next_piece(self) -> Piece:
-        path = self._part / f"{self.directory.name}_{len(self._files)}.mcap"
-        return Piece(path, self._topics, self._attachments, self._metadata, self._compression)
+        path = self._part / f"{self.name}_{len(self._files)}.mcap"
+        return Piece(path, self._topics, self._attachments, self.records, self._compression)
 
     def _complete(self, piece: Piece) -> None:
         """Close a file; it says of itself what metadata.yaml says of the bag."""
@@ -227,32 +247,3 @@ class BagWriter:
         information = bag_information(self._files, counts)
         text = to_yaml({"rosbag2_bagfile_information": information})
         (self._part / "metadata.yaml").write_text(text, encoding="utf-8")
-
-    def _make_folder(self) -> None:
-        way_out = "choose another name or pass --overwrite"
-        if self.directory.exists() and not self._overwrite:
-            raise BagError(f"{self.directory} exists: {way_out}")
-        if self._part.exists():
-            if not self._overwrite:
-                raise BagError(
-                    f"{self._part} exists, a recording that was killed or still runs: {way_out}"
-                )
-            shutil.rmtree(self._part)
-        try:
-            self._part.mkdir(parents=True)
-        except OSError as error:
-            raise BagError(f"{self._part}: cannot be created: {error.strerror}") from error
-
-    def _rename(self) -> None:
-        old = self.directory.with_name(self.directory.name + ".old")
-        try:
-            if self._overwrite and self.directory.exists():
-                # Moved away first: at no time is there neither the old bag nor the new one.
-                self.directory.rename(old)
-            self._part.rename(self.directory)
-        except OSError as error:
-            raise BagError(
-                f"{self.directory} appeared while the bag was written ({error.strerror}): "
-                f"the bag is complete in {self._part}"
-            ) from error
-        shutil.rmtree(old, ignore_errors=True)

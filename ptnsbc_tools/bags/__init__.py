@@ -1,0 +1,1 @@
+"""`ptnsbc bag`: what is in a bag, and making one whole again."""
