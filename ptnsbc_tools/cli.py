@@ -28,7 +28,9 @@ from ptnsbc_tools.options import (
     SetOption,
     TaskOption,
 )
+from ptnsbc_tools.plot.command import plot
 from ptnsbc_tools.replay.command import replay
+from ptnsbc_tools.report.command import report
 from ptnsbc_tools.reproduce.command import reproduce
 
 REFUSED, INTERRUPTED = 2, 130
@@ -218,6 +220,8 @@ def demo(
     raise typer.Exit(command.fleet(chosen, command.demo_wishes(folder, json=json)))
 
 
+app.command()(report)
+app.command()(plot)
 app.command()(reproduce)
 app.command()(_autopilot)
 app.command()(replay)

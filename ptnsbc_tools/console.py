@@ -6,7 +6,7 @@ import json
 import sys
 import threading
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import cache
 from typing import Any, Protocol
@@ -44,7 +44,20 @@ def print_json(data: Mapping[str, Any]) -> None:
 @contextmanager
 def compiling() -> Iterator[None]:
     """Around the first use of the laws: a line on stderr when it is not over in a moment."""
-    timer = threading.Timer(_PATIENCE_S, _say_compiling)
+    with _said_late(_say_compiling):
+        yield
+
+
+@contextmanager
+def patience(line: str) -> Iterator[None]:
+    """Around work that cannot tell how far it is: `line` on stderr when it takes its time."""
+    with _said_late(lambda: print(line, file=sys.stderr, flush=True)):
+        yield
+
+
+@contextmanager
+def _said_late(say: Callable[[], None]) -> Iterator[None]:
+    timer = threading.Timer(_PATIENCE_S, say)
     timer.daemon = True
     timer.start()
     try:

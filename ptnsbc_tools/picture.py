@@ -8,21 +8,18 @@ from typing import Any
 import numpy as np
 
 from ptnsbc_core.types import Array
+from ptnsbc_tools.charts import style
 from ptnsbc_tools.limits import SHARE_OF_START, TOLERANCE_M
 from ptnsbc_tools.verdict.deadline import formation_errors
 from ptnsbc_tools.verdict.recording import Recording, complete
 
-# Okabe and Ito: distinct for all common kinds of colour blindness
-_COLOURS = ("#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#000000", "#F0E442")
-_STYLES = ("-", "--", "-.", ":")
-_OBSTACLE = "#7F7F7F"
 _FLOOR_M = 1e-4
 
 
 def _look(index: int) -> dict[str, Any]:
-    """Colour and dash of UAV number `index`: beyond eight colours the dashes tell them apart."""
-    style = _STYLES[(index // len(_COLOURS)) % len(_STYLES)]
-    return {"color": _COLOURS[index % len(_COLOURS)], "linestyle": style, "linewidth": 1.3}
+    chosen = style.look(index)
+    colour, dash = style.COLOURS[chosen.colour], style.DASHES[chosen.dash]
+    return {"color": colour, "linestyle": dash, "linewidth": 1.3}
 
 
 def _from_above(axes: Any, recording: Recording, positions: dict[int, Array]) -> None:
@@ -36,7 +33,7 @@ def _from_above(axes: Any, recording: Recording, positions: dict[int, Array]) ->
         axes.plot(*path[-1, :2], marker="s", color=look["color"], markersize=5)
     for obstacle in recording.scenario.obstacles:
         centre = tuple(obstacle.position[:2])
-        axes.add_patch(Circle(centre, obstacle.keep_out_m, color=_OBSTACLE, alpha=0.35))
+        axes.add_patch(Circle(centre, obstacle.keep_out_m, color=style.OBSTACLE, alpha=0.35))
         axes.annotate(obstacle.name, centre, ha="center", va="center", fontsize=8)
     axes.set(xlabel="x (east) [m]", ylabel="y (north) [m]", aspect="equal")
     axes.set_title("From above; ○ start, □ end, grey: keep-out", fontsize=9)
@@ -51,7 +48,7 @@ def _in_space(axes: Any, recording: Recording, positions: dict[int, Array]) -> N
     ball = np.stack([np.cos(turn) * np.sin(rise), np.sin(turn) * np.sin(rise), np.cos(rise)])
     for obstacle in recording.scenario.obstacles:
         x, y, z = obstacle.position[:, None, None] + obstacle.keep_out_m * ball
-        axes.plot_surface(x, y, z, color=_OBSTACLE, alpha=0.3, linewidth=0)
+        axes.plot_surface(x, y, z, color=style.OBSTACLE, alpha=0.3, linewidth=0)
     axes.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]")
     axes.set_box_aspect([np.ptp(limits) for limits in _limits(axes)])
     axes.set_title("In space", fontsize=9)
@@ -69,7 +66,7 @@ def _error(axes: Any, recording: Recording, times: Array, errors: dict[int, Arra
     axes.axvline(deadline, color="black", linewidth=1)
     axes.annotate(f"deadline {deadline:g} s", (deadline, axes.get_ylim()[1]), fontsize=8,
                   xytext=(4, -10), textcoords="offset points")  # fmt: skip
-    axes.axhspan(_FLOOR_M, band, color="#009E73", alpha=0.08, label=f"widest band {band:.2f} m")
+    axes.axhspan(_FLOOR_M, band, color=style.GOOD, alpha=0.08, label=f"widest band {band:.2f} m")
     axes.axhline(TOLERANCE_M, color="black", linewidth=0.8, linestyle=":",
                  label=f"limit at the deadline {TOLERANCE_M:g} m")  # fmt: skip
     axes.set(xlabel="time after the epoch [s]", ylabel="formation error [m]")
@@ -100,5 +97,5 @@ def draw(recording: Recording, path: Path) -> Path:
     path.parent.mkdir(parents=True, exist_ok=True)
     # Beside and renamed: a picture that is there is whole.
     beside = path.with_name(f".{path.name}.part")
-    figure.savefig(beside, dpi=110, format="png")
+    figure.savefig(beside, dpi=style.DPI, format="png")
     return beside.replace(path)

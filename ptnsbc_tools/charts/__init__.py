@@ -1,0 +1,1 @@
+"""Figures over time as plain data, and drawn with Matplotlib."""

@@ -1,0 +1,1 @@
+"""`ptnsbc plot`: figures of a recorded flight as PNG or SVG."""

@@ -1,0 +1,1 @@
+"""`ptnsbc report`: a recorded flight as one page that needs no network."""

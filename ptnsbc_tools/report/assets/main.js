@@ -1,0 +1,225 @@
+// Puts clock, scene, figures and controls together.
+
+const byId = (id) => document.getElementById(id);
+const SVG_DASHES = ["", "6 3", "6 3 2 3", "2 3"];
+
+class Page {
+  constructor(data) {
+    this.data = data;
+    this.hidden = new Set();
+    this.trail = 10;
+    this.follow = false;
+    this.colours = data.colours.light;
+    this.theme(matchMedia("(prefers-color-scheme: dark)").matches);
+    if (data.space) this.begin();
+    byId("theme").addEventListener("click", () => {
+      this.theme(document.documentElement.dataset.theme !== "dark");
+      this.redraw();
+    });
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", (event) => {
+      this.theme(event.matches);
+      this.redraw();
+    });
+  }
+
+  colour({ colour }) {
+    return this.colours[colour];
+  }
+
+  theme(dark) {
+    document.documentElement.dataset.theme = dark ? "dark" : "light";
+    byId("theme").textContent = dark ? "Light" : "Dark";
+    this.colours = this.data.colours[dark ? "dark" : "light"];
+  }
+
+  begin() {
+    const motion = new Motion(this.data.space);
+    byId("stage").hidden = byId("transport").hidden = false;
+    this.clock = new Clock(motion.begin, motion.end);
+    this.motion = motion;
+    this.live = new Live(this);
+    this.scene = new Scene(byId("space"), motion, this);
+    this.figures = new Figures(byId("charts"), this.data.charts, this, (time) => this.clock.seek(time));
+    this.transport();
+    this.viewKeys();
+    document.addEventListener("keydown", (event) => this.key(event));
+    this.clock.listen((clock) => {
+      this.scene.show(clock.now);
+      this.figures.show(clock.now);
+      this.live.show(clock.now);
+    });
+  }
+
+  transport() {
+    const { clock } = this;
+    const [slider, now, play] = [byId("time"), byId("now"), byId("play")];
+    const paths = { false: "M3 1.5v13l11-6.5z", true: "M3 2h4v12H3zM9 2h4v12H9z" };
+    Object.assign(slider, { min: clock.begin, max: clock.end, step: "any" });
+    slider.addEventListener("input", () => clock.seek(Number(slider.value)));
+    play.addEventListener("click", () => clock.toggle());
+    byId("speed").addEventListener("change", (event) => { clock.speed = Number(event.target.value); });
+    this.events();
+    clock.listen(() => {
+      slider.value = clock.now;
+      const words = `${clock.now.toFixed(2)} s`;
+      now.textContent = words;
+      slider.setAttribute("aria-valuetext", words);
+      play.setAttribute("aria-label", clock.playing ? "Pause" : "Play");
+      play.querySelector("path").setAttribute("d", paths[clock.playing]);
+    });
+  }
+
+  /** Deadline and encounters above the slider. */
+  events() {
+    const { begin, end } = this.clock;
+    const part = (time) => `${(100 * (Math.min(Math.max(time, begin), end) - begin)) / (end - begin)}%`;
+    const add = (kind, style) => {
+      const one = document.createElement("div");
+      one.className = kind;
+      Object.assign(one.style, style);
+      byId("events").append(one);
+      return one;
+    };
+    for (const uav of this.data.space.uavs) {
+      for (const [from, to] of uav.avoiding) add("span", { left: part(from), right: `calc(100% - ${part(to)})` });
+    }
+    const { deadline } = this.data.space;
+    if (deadline > begin && deadline < end) {
+      const words = document.createElement("span");
+      words.textContent = "deadline";
+      add("mark", { left: part(deadline) }).append(words);
+    }
+  }
+
+  viewKeys() {
+    const views = {
+      home: () => { this.setFollow(false); this.scene.camera.reset(); },
+      top: () => this.scene.camera.reset(-Math.PI / 2, Math.PI / 2 - 1e-3),
+      side: () => this.scene.camera.reset(-Math.PI / 2, 0.04),
+      follow: () => this.setFollow(!this.follow),
+    };
+    this.views = views;
+    for (const button of document.querySelectorAll("[data-view]")) {
+      button.addEventListener("click", () => { views[button.dataset.view](); this.scene.draw(); });
+    }
+    byId("trail").addEventListener("change", (event) => { this.trail = Number(event.target.value); this.scene.draw(); });
+  }
+
+  setFollow(follow) {
+    this.follow = follow;
+    document.querySelector("[data-view=follow]").setAttribute("aria-pressed", follow);
+    const { camera } = this.scene;
+    if (follow) camera.distance = Math.min(camera.distance, 12);
+    else camera.target = [...camera.home.centre];
+    this.scene.draw();
+  }
+
+  key(event) {
+    const busy = event.target.closest("button, select, summary, a");
+    if (event.ctrlKey || event.metaKey || event.altKey) return;
+    const { clock } = this;
+    const slider = event.target === byId("time");
+    const step = event.shiftKey ? 1 : 0.1;
+    const keys = {
+      ArrowLeft: () => clock.seek(clock.now - step), ArrowRight: () => clock.seek(clock.now + step),
+      Home: () => clock.seek(clock.begin), End: () => clock.seek(clock.end),
+      f: () => { this.views.follow(); this.scene.draw(); },
+      r: () => { this.views.home(); this.scene.draw(); },
+    };
+    if (event.key === " " && !busy) clock.toggle();
+    else if (keys[event.key] && (slider || !event.target.closest("select, .scroll, pre"))) keys[event.key]();
+    else return;
+    event.preventDefault();
+  }
+
+  toggle(uav) {
+    if (!this.hidden.delete(uav)) this.hidden.add(uav);
+    this.redraw();
+  }
+
+  redraw() {
+    if (!this.scene) return;
+    this.live.colours();
+    this.live.show(this.clock.now);
+    this.scene.draw();
+    this.figures.refresh();
+  }
+}
+
+/** Numbers of every UAV at the time of the playback. */
+class Live {
+  constructor(page) {
+    this.page = page;
+    const errors = page.data.charts.find((chart) => chart.key === "errors");
+    this.rows = page.data.space.uavs.map((uav, index) => {
+      const row = byId("live").insertRow();
+      row.innerHTML = '<td><button type="button" class="uav" aria-pressed="true"><svg viewBox="0 0 26 10" aria-hidden="true">' +
+        '<line x1="1" x2="25" y1="5" y2="5" stroke-width="3"/></svg><span></span></button></td>' +
+        '<td class="number"></td>'.repeat(4);
+      const button = row.querySelector("button");
+      button.querySelector("span").textContent = uav.leader ? `${uav.id} leader` : `${uav.id}`;
+      button.title = `Show or hide UAV ${uav.id}`;
+      button.addEventListener("click", () => page.toggle(uav.id));
+      const curve = errors && errors.curves.find((one) => one.uavs[0] === uav.id);
+      return { uav, index, row, button, curve, cells: [...row.querySelectorAll(".number")] };
+    });
+    this.colours();
+  }
+
+  colours() {
+    for (const { uav, button } of this.rows) {
+      const line = button.querySelector("line");
+      line.setAttribute("stroke", this.page.colour(uav));
+      line.setAttribute("stroke-dasharray", SVG_DASHES[uav.dash]);
+      button.setAttribute("aria-pressed", !this.page.hidden.has(uav.id));
+    }
+  }
+
+  show(now) {
+    byId("live-time").textContent = `${now.toFixed(2)} s`;
+    const { motion } = this.page;
+    const poses = this.rows.map(({ index }) => motion.pose(index, now));
+    for (const { uav, index, row, curve, cells } of this.rows) {
+      const near = this.nearest(poses, index);
+      const text = [
+        curve && now >= curve.t[0] ? this.error(valueAt(curve, now)) : "–",
+        poses[index][2].toFixed(2), motion.speed(index, now).toFixed(2),
+        near ? `${near.distance.toFixed(2)} ${near.name}` : "–",
+      ];
+      text.forEach((one, k) => { if (cells[k].textContent !== one) cells[k].textContent = one; });
+      row.classList.toggle("clear", inside(uav.avoiding, now));
+      row.classList.toggle("inside", Boolean(near && near.room < 0));
+    }
+  }
+
+  error(value) {
+    return Number.isFinite(value) ? value.toFixed(value < 0.1 ? 4 : 3) : "none";
+  }
+
+  /** What leaves the least room. */
+  nearest(poses, index) {
+    const { uavs, obstacles, keepOut } = this.page.data.space;
+    const own = poses[index];
+    const gap = (place) => Math.hypot(own[0] - place[0], own[1] - place[1], own[2] - place[2]);
+    const found = [
+      ...uavs.map((uav, k) => ({ name: `·${uav.id}`, distance: gap(poses[k]), limit: keepOut, self: k === index })),
+      ...obstacles.map((one) => ({ name: `·${one.name}`, distance: gap(one.place), limit: one.keepOut })),
+    ].filter((one) => !one.self && Number.isFinite(one.distance));
+    for (const one of found) one.room = one.distance - one.limit;
+    return found.reduce((best, one) => (!best || one.room < best.room ? one : best), null);
+  }
+}
+
+async function start() {
+  try {
+    window.page = new Page(await flightData());
+    document.documentElement.dataset.ready = "true";
+  } catch (error) {
+    byId("notice").textContent = typeof DecompressionStream === "undefined"
+      ? "This browser cannot unpack the page. Playback needs Chrome 80, Firefox 113, Safari 16.4 or newer; the figures are beside the page, as PNG."
+      : `Playback failed: ${error.message}. The figures are beside the page, as PNG.`;
+    console.error(error);
+  }
+}
+
+start();

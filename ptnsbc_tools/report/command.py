@@ -1,0 +1,115 @@
+"""`ptnsbc report BAG`: one page that shows the flight and its verdict, and the figures as PNG."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_tools import console
+from ptnsbc_tools.limits import TOLERANCE_M
+from ptnsbc_tools.options import JsonOption
+
+if TYPE_CHECKING:
+    from ptnsbc_tools.charts.flight import Shown
+
+PAGE = "index.html"
+
+
+class ReportError(PtnsbcError):
+    """A report that cannot be made, or one of a bag that cannot be judged."""
+
+
+def report(
+    bag: Annotated[Path, typer.Argument(metavar="BAG", help="Folder of a bag, or its .mcap file.")],
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out", "-o", metavar="DIR", help="Folder for the page. Default: BAG-report beside it."
+        ),
+    ] = None,
+    scenario: Annotated[
+        Path | None,
+        typer.Option("--scenario", metavar="FILE", help="Instead of the scenario in the bag."),
+    ] = None,
+    tolerance: Annotated[
+        float,
+        typer.Option("--tolerance", metavar="M", min=1e-6, help="Hard limit at the deadline."),
+    ] = TOLERANCE_M,
+    pictures: Annotated[
+        bool, typer.Option("--pictures/--no-pictures", help="Figures as PNG beside the page.")
+    ] = True,
+    json: JsonOption = False,
+) -> None:
+    """Show a recorded flight: one page that works offline, with playback and figures.
+
+    Exit code 0 when the page shows a verdict, whatever it is; 2 when the bag cannot be judged: the
+    page then says why, and shows what there is.
+    """
+    if not bag.exists():
+        raise ReportError(f"{bag}: no such bag")
+    folder = out or bag.parent / f"{bag.stem if bag.is_file() else bag.name}-report"
+    shown, problem = _read(bag, scenario, tolerance)
+    path = _write_page(bag, folder, shown, problem)
+    drawn = _draw(shown, folder) if pictures and shown is not None and shown.uavs else []
+    verdict = shown.verdict if shown is not None else None
+    if json:
+        console.print_json(
+            {
+                "report": str(path),
+                "pictures": [str(picture) for picture in drawn],
+                "verdict": verdict.verdict if verdict is not None else None,
+                "problem": problem or None,
+            }
+        )
+    else:
+        print(path)
+    if problem:
+        raise ReportError(f"no verdict: {problem}; the page says so: {path}")
+
+
+def _read(bag: Path, scenario: Path | None, tolerance: float) -> tuple[Shown | None, str]:
+    from ptnsbc_tools.charts import flight
+
+    try:
+        with console.patience(f"reading {bag}"):
+            shown = flight.read_shown(bag, scenario, tolerance)
+    except PtnsbcError as error:
+        return None, str(error)
+    return shown, shown.problem
+
+
+def _about(bag: Path) -> dict[str, str]:
+    from ptnsbc_nodes.bag import read_bag
+
+    return dict(read_bag(bag).metadata)
+
+
+def _write_page(bag: Path, folder: Path, shown: Shown | None, problem: str) -> Path:
+    from ptnsbc_tools.report.page import empty_page, page
+
+    text = page(shown, _about(bag)) if shown is not None else empty_page(bag.name, problem)
+    path, beside = folder / PAGE, folder / f".{PAGE}.part"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        beside.write_text(text, encoding="utf-8")
+        return beside.replace(path)
+    except OSError as error:
+        raise ReportError(f"{path}: cannot be written: {error.strerror}") from error
+
+
+def _draw(shown: Shown, folder: Path) -> list[Path]:
+    from ptnsbc_tools.charts import draw
+    from ptnsbc_tools.charts.build import CHARTS
+
+    drawn: list[Path] = []
+    with console.progress("drawing") as advance:
+        for done, (key, make) in enumerate(CHARTS.items(), start=1):
+            chart = make(shown)
+            if chart is not None:
+                figure = draw.figure_of(chart, shown.scenario.name)
+                drawn.append(draw.save(figure, folder / f"{key}.png"))
+            advance(done, len(CHARTS))
+    return drawn

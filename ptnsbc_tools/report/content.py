@@ -1,0 +1,124 @@
+"""What the page's script is given: the flight in space, and the figures."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ptnsbc_core.trajectory import reference
+from ptnsbc_core.types import Array
+from ptnsbc_sim.scenario.build import trajectory_vector
+from ptnsbc_tools.charts.build import charts
+from ptnsbc_tools.charts.chart import Chart
+from ptnsbc_tools.charts.flight import Shown
+from ptnsbc_tools.charts.style import COLOURS, DARK_COLOURS, look
+from ptnsbc_tools.charts.thin import thin
+from ptnsbc_tools.report.pack import Pack
+from ptnsbc_tools.verdict.recording import NANO
+
+_FRAME_HZ = 25  # the script draws straight lines between frames
+_MOST_ROWS = 40_000  # frames times UAVs; 28 bytes each
+_MOST_POINTS = 250_000  # of all curves of a page; 8 bytes each
+_CURVE_POINTS = 2000
+_PATH_POINTS = 400
+
+
+def content(flight: Shown) -> str:
+    """Everything, packed."""
+    pack = Pack()
+    text: dict[str, Any] = {
+        "colours": {"light": COLOURS, "dark": DARK_COLOURS},
+        "space": _space(flight, pack) if flight.uavs else None,
+        "charts": _charts(flight, pack),
+    }
+    return pack.encode(text)
+
+
+def _frames(flight: Shown) -> np.ndarray[Any, np.dtype[np.int64]]:
+    """Evenly spaced instants [ns] from the first to the last shown."""
+    grid = flight.grid()
+    first, last = int(grid[0]), int(grid[-1])
+    most = max(_MOST_ROWS // len(flight.uavs), 2)
+    count = min(int((last - first) * NANO * _FRAME_HZ) + 2, most)
+    return first + np.round(np.linspace(0, last - first, count)).astype(np.int64)
+
+
+def _poses(flight: Shown, stamps: np.ndarray[Any, np.dtype[np.int64]]) -> Array:
+    """Position and quaternion (F, N, 7) of every UAV; the quaternions do not change sign."""
+    poses = np.stack([flight.recording.odometry[uav].at(stamps)[:, :7] for uav in flight.uavs], 1)
+    turns = poses[:, :, 3:]
+    flips = np.sum(turns[1:] * turns[:-1], axis=2, keepdims=True) < 0
+    turns[1:] *= np.where(np.cumsum(flips, axis=0) % 2, -1.0, 1.0)
+    return poses
+
+
+def _space(flight: Shown, pack: Pack) -> dict[str, Any]:
+    scenario = flight.scenario
+    stamps = _frames(flight)
+    t = flight.times(stamps)
+    vector = trajectory_vector(scenario)
+    path_t = np.linspace(max(float(t[0]), 0.0), max(float(t[-1]), 0.0), _PATH_POINTS)
+    path = np.stack([reference(vector, float(one)).position for one in path_t])
+    return {
+        "t": pack.add(t),
+        "poses": pack.add(_poses(flight, stamps)),
+        "path": pack.add(path),
+        "deadline": scenario.gains.formation.deadline_s,
+        "keepOut": scenario.uav_keep_out_m,
+        "uavs": [_uav(flight, uav) for uav in flight.uavs],
+        "obstacles": [
+            {"name": one.name, "place": one.position.tolist(), "keepOut": float(one.keep_out_m)}
+            for one in scenario.obstacles
+        ],
+    }
+
+
+def _uav(flight: Shown, uav: int) -> dict[str, Any]:
+    scenario = flight.scenario
+    leader = uav == scenario.leader_id
+    style = look(scenario.uav_ids.index(uav))
+    return {
+        "id": uav,
+        "leader": leader,
+        "parent": scenario.parent(uav),
+        "offset": None if leader else scenario.offset(uav).tolist(),
+        "colour": style.colour,
+        "dash": style.dash,
+        "avoiding": [flight.seconds(window) for window in flight.avoiding(uav)],
+    }
+
+
+def _charts(flight: Shown, pack: Pack) -> list[dict[str, Any]]:
+    found = list(charts(flight))
+    curves = max(sum(len(chart.curves) for chart in found), 1)
+    points = min(_CURVE_POINTS, max(_MOST_POINTS // curves, 50))
+    return [_chart(chart, pack, points) for chart in found]
+
+
+def _chart(chart: Chart, pack: Pack, points: int) -> dict[str, Any]:
+    curves = []
+    for curve in chart.curves:
+        kept = thin(curve.t, curve.values, points)
+        curves.append(
+            {
+                "label": curve.label,
+                "uavs": curve.uavs,
+                "colour": curve.look.colour,
+                "dash": curve.look.dash,
+                "t": pack.add(kept.t),
+                "values": pack.add(kept.values),
+            }
+        )
+    return {
+        "key": chart.key,
+        "title": chart.title,
+        "unit": chart.unit,
+        "log": chart.log,
+        "note": chart.note,
+        "band": chart.band,
+        "limits": [[one.value, one.label] for one in chart.limits],
+        "marks": [[one.t, one.label] for one in chart.marks],
+        "spans": [[one.begin, one.end] for one in chart.spans],
+        "curves": curves,
+    }

@@ -1,0 +1,207 @@
+"""The page in a real browser, opened from the disk with the network away."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from ptnsbc_tools.charts.flight import read_shown
+from ptnsbc_tools.limits import TOLERANCE_M
+from ptnsbc_tools.report.page import empty_page, page
+
+playwright = pytest.importorskip("playwright.sync_api", reason="needs playwright (extra [dev])")
+
+NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
+CHROMIUM = next((found for name in NAMES if (found := shutil.which(name))), None)
+SAMPLE = Path(__file__).parents[3] / "bags" / "sample"
+
+# Plotly's own pixels between two times, and how many curves of two figures are shown.
+APART = """() => {
+  const axis = document.querySelector('#chart-errors .plot')._fullLayout.xaxis;
+  return axis.l2p(5) - axis.l2p(1);
+}"""
+SHOWN = """(() => ['#chart-errors', '#chart-between'].map((id) =>
+  document.querySelector(id + ' .plot').data.filter((curve) => curve.visible).length).join())()"""
+STICK_OUT = """() => [...document.querySelectorAll('.live, .view, .chart, .transport')]
+  .filter((one) => one.scrollWidth > one.clientWidth + 1).map((one) => one.className)"""
+
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium: apt install chromium")
+
+
+@pytest.fixture(scope="module")
+def address(tmp_path_factory: pytest.TempPathFactory) -> str:
+    file = tmp_path_factory.mktemp("report") / "index.html"
+    file.write_text(page(read_shown(SAMPLE, None, TOLERANCE_M), {}), encoding="utf-8")
+    return file.as_uri()
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with playwright.sync_playwright() as driver:
+        # CI runs as root, where Chromium has no sandbox.
+        browser = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        yield browser
+        browser.close()
+
+
+class Tab:
+    """An open page, and what it said and asked for."""
+
+    def __init__(self, browser: Any, address: str, **options: Any) -> None:
+        self.context = browser.new_context(**{"viewport": {"width": 1280, "height": 900}} | options)
+        self.context.set_offline(True)
+        self.said: list[str] = []
+        self.asked: list[str] = []
+        self.page = self.context.new_page()
+        self.page.on("console", self._on_console)
+        self.page.on("pageerror", lambda error: self.said.append(str(error)))
+        self.page.on("request", lambda request: self.asked.append(request.url))
+        self.page.goto(address)
+
+    def _on_console(self, message: Any) -> None:
+        if message.type in ("error", "warning"):
+            self.said.append(message.text)
+
+    def ready(self) -> Any:
+        self.page.wait_for_selector("html[data-ready=true]")
+        return self.page
+
+    def drawn(self) -> None:
+        """Scroll past every figure, as a reader does, and wait until all are there."""
+        for card in self.page.locator(".chart").all():
+            card.scroll_into_view_if_needed()
+            card.locator(".main-svg").first.wait_for()
+
+    def place(self, uav: int) -> list[float]:
+        """Where a UAV is in the picture [pixels], once the picture is that of the time shown."""
+        self.page.wait_for_function(
+            "() => page.scene.poses && page.scene.now === page.clock.now && !page.scene.due"
+        )
+        return self.page.evaluate(
+            f"page.scene.camera.project(page.scene.poses[{uav - 1}]).slice(0, 2)"
+        )
+
+
+@pytest.fixture
+def tab(browser: Any, address: str) -> Iterator[Any]:
+    tabs = []
+
+    def open_tab(where: str = address, **options: Any) -> Tab:
+        tabs.append(Tab(browser, where, **options))
+        return tabs[-1]
+
+    yield open_tab
+    for one in tabs:
+        one.context.close()
+
+
+def test_the_slider_moves_time_and_uavs(tab: Any) -> None:
+    one = tab()
+    page = one.ready()
+    before = one.place(1)
+    page.locator("#time").focus()
+    page.keyboard.press("ArrowRight")
+    assert page.locator("#now").inner_text() == "0.10 s"
+    page.locator("#time").fill("4")
+    assert page.locator("#now").inner_text() == "4.00 s"
+    after = one.place(1)
+    assert max(abs(a - b) for a, b in zip(before, after, strict=True)) > 20
+    picture = page.locator("#space").screenshot()
+    page.keyboard.press("End")
+    one.place(1)
+    assert page.locator("#space").screenshot() != picture
+
+
+def test_play_and_pause(tab: Any) -> None:
+    page = tab().ready()
+    page.get_by_role("button", name="Play").click()
+    page.wait_for_function("() => page.clock.now > 0.2")
+    page.get_by_role("button", name="Pause").click()
+    assert page.evaluate("page.clock.playing") is False
+    page.locator("#speed").select_option("10")
+    page.locator("h1").click()
+    page.keyboard.press("Space")
+    page.wait_for_function("() => !page.clock.playing && page.clock.now === page.clock.end")
+    page.locator("#speed").select_option("0.1")
+    page.locator("h1").click()
+    page.keyboard.press("Space")  # at the end: again from the epoch
+    assert page.evaluate("page.clock.playing && page.clock.now < page.clock.end")
+
+
+def test_the_line_in_the_figures_follows(tab: Any) -> None:
+    one = tab()
+    page = one.ready()
+    cursor = page.locator("#chart-errors .cursor")
+    page.locator("#chart-errors").scroll_into_view_if_needed()
+    page.locator("#chart-errors .main-svg").first.wait_for()
+    edges = []
+    for time in (1, 5):
+        page.evaluate(f"page.clock.seek({time})")
+        edges.append(cursor.bounding_box()["x"])
+    axis = page.evaluate(APART)
+    assert edges[1] - edges[0] == pytest.approx(axis, abs=2)
+    # Zoomed to a span without the time, it is not there.
+    page.evaluate(
+        "Plotly.relayout(document.querySelector('#chart-errors .plot'), {'xaxis.range': [6, 7]})"
+    )
+    page.wait_for_function("() => document.querySelector('#chart-errors .cursor').hidden")
+
+
+def test_a_uav_is_hidden_everywhere(tab: Any) -> None:
+    one = tab()
+    page = one.ready()
+    one.drawn()
+    assert page.evaluate(SHOWN) == "5,10"
+    page.get_by_role("button", name="3", exact=True).click()
+    page.wait_for_function(f"() => {SHOWN} === '4,6'")
+    assert page.evaluate("page.hidden.has(3)")
+    assert one.said == []
+
+
+def test_the_view_turns_with_the_mouse(tab: Any) -> None:
+    one = tab()
+    page = one.ready()
+    before = one.place(5)
+    box = page.locator("#space").bounding_box()
+    page.mouse.move(box["x"] + 300, box["y"] + 200)
+    page.mouse.down()
+    page.mouse.move(box["x"] + 420, box["y"] + 230, steps=3)
+    page.mouse.up()
+    assert one.place(5) != before
+    page.get_by_role("button", name="Reset", exact=True).click()
+    assert one.place(5) == pytest.approx(before, abs=0.5)
+
+
+@pytest.mark.parametrize(("width", "scheme"), [(1280, "light"), (800, "dark"), (390, "light")])
+def test_offline_without_a_request_a_complaint_or_an_overflow(
+    tab: Any, address: str, width: int, scheme: str
+) -> None:
+    one = tab(viewport={"width": width, "height": 900}, color_scheme=scheme)
+    page = one.ready()
+    one.drawn()
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    assert page.evaluate("document.documentElement.dataset.theme") == scheme
+    assert page.evaluate(STICK_OUT) == []
+    assert one.asked == [address]
+    assert one.said == []
+
+
+def test_without_script_the_verdict_is_there(tab: Any) -> None:
+    page = tab(java_script_enabled=False).page
+    assert page.locator(".badge").inner_text().lower() == "met"
+    assert page.locator("caption", has_text="Deadline").is_visible()
+    assert page.locator("noscript").is_visible()
+
+
+def test_a_bag_that_cannot_be_read_has_a_page_too(tab: Any, tmp_path: Path) -> None:
+    file = tmp_path / "index.html"
+    file.write_text(empty_page("flight", "flight_0.mcap is empty"), encoding="utf-8")
+    one = tab(file.as_uri())
+    page = one.ready()
+    assert page.locator(".line").inner_text() == "No verdict: flight_0.mcap is empty"
+    assert not page.locator("#transport").is_visible()
+    assert one.said == []

@@ -1,0 +1,113 @@
+"""The page without a browser: the verdict is readable, nothing points outside, same bytes."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from rich.table import Table
+from rich.text import Text
+
+from ptnsbc_tools.charts.flight import shown
+from ptnsbc_tools.charts.status import Status
+from ptnsbc_tools.report.page import empty_page, page
+from ptnsbc_tools.report.tables import html_table
+
+
+@pytest.fixture(autouse=True)
+def _light_plotly(monkeypatch):
+    """The library is the same every time; without it the tests are quick."""
+    monkeypatch.setattr("ptnsbc_tools.report.page._plotly", lambda: "")
+
+
+def made(recording, **about):
+    return page(shown(recording, Status()), about)
+
+
+class _Text(HTMLParser):
+    """What a reader without script sees."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.words: list[str] = []
+        self._skipping = ""
+
+    def handle_starttag(self, tag, attrs):
+        if tag in ("script", "style"):
+            self._skipping = tag
+
+    def handle_endtag(self, tag):
+        if tag == self._skipping:
+            self._skipping = ""
+
+    def handle_data(self, data):
+        if not self._skipping:
+            self.words.append(data)
+
+
+def text(html: str) -> str:
+    parser = _Text()
+    parser.feed(html)
+    return " ".join(" ".join(parser.words).split())
+
+
+def test_the_verdict_is_on_top_and_plain(fly):
+    read = text(made(fly(), mode="headless"))
+    assert read.index("Flight report") < read.index("5 met") < read.index("Deadline, UAV by UAV")
+    assert "flown headless" in read
+    assert "Input" in read
+    assert "Separation" in read
+
+
+def test_a_miss_says_why(fly):
+    html = made(fly({3: lambda t: 0.5 + 0 * t}))
+    assert '<section class="verdict missed"' in html
+    assert "UAV 3 missed: outside 0.050 m until the end" in text(html)
+
+
+def test_no_verdict_says_why_and_shows_the_rest(fly):
+    recording = fly()
+    odometry = {uav: series for uav, series in recording.odometry.items() if uav != 3}
+    html = made(replace(recording, odometry=odometry))
+    assert '<section class="verdict none"' in html
+    assert "No verdict: no message on /uav3/odom" in text(html)
+
+
+def test_nothing_points_outside(fly):
+    html = made(fly())
+    outside = set(re.findall(r"(?:https?:)?//[a-z0-9.-]+\.[a-z]{2,}[^\s\"'<]*", html))
+    assert outside == set()
+    assert "default-src 'none'" in html
+    assert not re.search(r"<(link|img|iframe|object)\b|\bsrc=", html)
+
+
+def test_the_same_flight_gives_the_same_page(fly):
+    errors = {2: lambda t: np.exp(-t)}
+    assert made(fly(errors)) == made(fly(errors))
+
+
+def test_names_cannot_break_the_page(fly):
+    html = empty_page("<b>.mcap", "no </script> here & there")
+    assert "<b>.mcap" not in html
+    assert "no </script> here & there" in text(html)
+    assert html.count("</script>") == 3
+
+
+def test_a_flight_without_any_odometry(fly):
+    recording = replace(fly(), odometry={}, wrench={}, counters={})
+    assert "No verdict" in text(made(recording))
+
+
+def test_tables_follow_the_command_line():
+    table = Table(title="Separation")
+    table.add_column("pair")
+    table.add_column("closest m", justify="right")
+    table.add_row("uav1 - <O1>", "0.4", style="bold red")
+    table.add_row(Text("met"), "2.0")
+    html = html_table(table)
+    assert '<tr class="bad"><td class="text">uav1 - &lt;O1&gt;</td><td class="number">0.4' in html
+    assert '<span class="word met">met</span>' in html
+    assert "<caption>Separation</caption>" in html
