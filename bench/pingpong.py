@@ -19,8 +19,11 @@ from rclpy.node import Node
 from ptnsbc_nodes import qos, topics
 from ptnsbc_nodes.edges import Edges
 from ptnsbc_nodes.endpoints import Endpoints
+from ptnsbc_nodes.markers import Scene
 from ptnsbc_nodes.pacing import Latency, Pace
 from ptnsbc_nodes.process import Arguments, Lifetime, flight_options, ros_node, run
+from ptnsbc_nodes.status import Level, diagnostics, status_every
+from ptnsbc_nodes.tally import Tally
 from ptnsbc_nodes.ticker import Ticker
 from ptnsbc_nodes.topics import Topic
 from ptnsbc_nodes.wire import (
@@ -33,6 +36,7 @@ from ptnsbc_nodes.wire import (
 )
 from ptnsbc_nodes.wire.cdr import write_stamp
 from ptnsbc_sim.scenario import Scenario, load_scenario
+from ptnsbc_sim.world import World
 
 READY = "ready"
 ROLES = ("uav", "sim", "recorder")
@@ -53,6 +57,12 @@ def sender(endpoints: Endpoints, topic: Topic, readers: int, message: bytes) -> 
         publish(bytes(buffer))
 
     return send
+
+
+def _status(name: str) -> bytes:
+    """A DiagnosticArray of the size of ours."""
+    values = {key: "0.000000" for key in Tally().values()}
+    return diagnostics(0, f"{name}: planner", Level.OK, "", values)
 
 
 def when_ready(
@@ -81,6 +91,7 @@ class BareUav:
         self.ticks = 0
         self.pace = Pace(scenario.dt_ns)
         self._node = node
+        self._scenario = scenario
         self._lockstep = edges.options.lockstep
         self._period_ns = scenario.dt_ns
         self._near_ns = scenario.dt_ns * scenario.near_every
@@ -109,6 +120,8 @@ class BareUav:
         velocity = VelocityTemplate(_FRAME).encode(0, zeros[:6])
         wrench = WrenchTemplate(body).encode(0, zeros[:6])
         ends, readers = self.endpoints, edges.options.recorders
+        self._status_every = status_every(self._scenario)
+        self._send_status = sender(ends, topics.DIAGNOSTICS, readers, _status(f"uav{uav_id}"))
         # The order of the Outbox: the wrench first.
         return (
             sender(ends, topics.wrench_setpoint(uav_id), 1 + readers, wrench),
@@ -157,6 +170,8 @@ class BareUav:
         self.ticks += 1
         for send in self._sends:
             send(stamp_ns)
+        if self.ticks % self._status_every == 0:
+            self._send_status(stamp_ns)
 
 
 class BareSim:
@@ -186,6 +201,9 @@ class BareSim:
         self._near = self._senders(topics.near, readers, lambda i: encode_near(0, _FRAME, near))
         clock = ClockTemplate().encode(0)
         self._clock = sender(self.endpoints, topics.CLOCK, readers, clock)
+        self._send_status = sender(self.endpoints, topics.DIAGNOSTICS, readers, _status("sim"))
+        self._send_markers = self.endpoints.publisher(topics.MARKERS, readers)
+        self._markers = Scene(scenario, World(scenario)).markers(0)
         for i in scenario.uav_ids:
             self.endpoints.listen(topics.wrench_setpoint(i), self._on_wrench)
         when_ready(node, self.endpoints, go, self._begin)
@@ -226,6 +244,9 @@ class BareSim:
             for send in self._near:
                 send(stamp_ns)
         self._clock(stamp_ns)
+        if number % status_every(self._scenario) == 0:
+            self._send_markers(self._markers)
+            self._send_status(stamp_ns)
 
     def _on_wrench(self, data: bytes) -> None:
         stamp_ns = peek_stamp(data)

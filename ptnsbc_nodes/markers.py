@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Sequence
 from typing import Any
 
@@ -28,34 +29,29 @@ _LINE_M = 0.04
 _PATH_POINTS = 200
 
 
+_TIME, _PLACE = struct.Struct("<iI"), struct.Struct("<3d")
+_SOMETIME, _SOMEWHERE = (0x7AB0C0DE, 0x3AB0C0DE), (-1.25e297, -1.5e297, -1.75e297)
+
+
 class Scene:
-    """The markers of one flight; what never moves is built once."""
+    """The markers of one flight: serialised once, then only times and places are written into the bytes."""
 
     def __init__(self, scenario: Scenario, world: World) -> None:
         self._world = world
-        self._uavs = {
-            i: _sphere("uavs", i, _UAV_DIAMETER_M, _colour(i == scenario.leader_id))
-            for i in world.ids
-        }
-        self._children = {
-            i: parent for i in world.ids if (parent := scenario.parent(i)) is not None
-        }
-        self._edges = _marker("tree", 0, Marker.LINE_LIST, _EDGE)
-        self._edges.scale.x = _LINE_M
-        self._still = [*_keep_outs(scenario), _path(scenario)]
+        children = {i: parent for i in world.ids if (parent := scenario.parent(i)) is not None}
+        self._shown = [*world.ids, *(end for edge in children.items() for end in edge)]
+        self._buffer = bytearray(encode(MarkerArray(markers=_all_markers(scenario, len(children)))))
+        self._times_at = _find_all(self._buffer, _TIME.pack(*_SOMETIME))
+        self._places_at = _find_all(self._buffer, _PLACE.pack(*_SOMEWHERE))
 
     def markers(self, stamp_ns: int) -> bytes:
         """A serialised MarkerArray of this instant."""
-        places = {i: self._world.odometry(i)[0:3] for i in self._world.ids}
-        for i, marker in self._uavs.items():
-            marker.pose.position = _point(places[i])
-        self._edges.points = [
-            _point(places[end]) for edge in self._children.items() for end in edge
-        ]
-        shown = [*self._uavs.values(), self._edges, *self._still]
-        for marker in shown:
-            marker.header.stamp.sec, marker.header.stamp.nanosec = split_stamp(stamp_ns)
-        return encode(MarkerArray(markers=shown))
+        stamp = split_stamp(stamp_ns)
+        for at in self._times_at:
+            _TIME.pack_into(self._buffer, at, *stamp)
+        for at, i in zip(self._places_at, self._shown, strict=True):
+            _PLACE.pack_into(self._buffer, at, *self._world.odometry(i)[0:3])
+        return bytes(self._buffer)
 
     def transforms(self, stamp_ns: int) -> list[TransformStamped]:
         """Pose of every body frame in the world frame."""
@@ -71,6 +67,29 @@ def _transform(stamp_ns: int, uav_id: int, odometry: Array) -> TransformStamped:
     place.x, place.y, place.z = x, y, z
     turn.x, turn.y, turn.z, turn.w = qx, qy, qz, qw
     return stamped
+
+
+def _all_markers(scenario: Scenario, edges: int) -> list[Any]:
+    """Every marker, with placeholders for what changes: first the UAVs, then the ends of the tree's edges."""
+    somewhere = np.array(_SOMEWHERE)
+    shown = []
+    for i in scenario.uav_ids:
+        shown.append(_sphere("uavs", i, _UAV_DIAMETER_M, _colour(i == scenario.leader_id)))
+        shown[-1].pose.position = _point(somewhere)
+    tree = _marker("tree", 0, Marker.LINE_LIST, _EDGE)
+    tree.scale.x = _LINE_M
+    tree.points = [_point(somewhere) for _ in range(2 * edges)]
+    shown += [tree, *_keep_outs(scenario), _path(scenario)]
+    for marker in shown:
+        marker.header.stamp.sec, marker.header.stamp.nanosec = _SOMETIME
+    return shown
+
+
+def _find_all(buffer: bytearray, pattern: bytes) -> list[int]:
+    found = [buffer.find(pattern)]
+    while found[-1] >= 0:
+        found.append(buffer.find(pattern, found[-1] + len(pattern)))
+    return found[:-1]
 
 
 def _colour(leader: bool) -> Sequence[float]:

@@ -25,14 +25,15 @@ class Turns:
 
     def __init__(self, uav_ids: Iterable[int], end: int, meetings: Sequence[int]) -> None:
         self._at = dict.fromkeys(uav_ids, 0)
-        self._told = dict.fromkeys(self._at, -1)
+        self._untold = list(self._at)
+        self._slowest = 0
         self._end = end
         self._meetings = tuple(meetings)
 
     @property
     def slowest(self) -> int:
         """The tick that every vehicle has reached."""
-        return min(self._at.values())
+        return self._slowest
 
     def at(self, uav_id: int) -> int:
         """The tick of one vehicle's state."""
@@ -40,22 +41,23 @@ class Turns:
 
     def awaited(self, uav_id: int) -> bool:
         """Whether the UAV has been told its state and has not answered yet."""
-        return self._told[uav_id] == self._at[uav_id]
+        return uav_id not in self._untold
 
     def tell(self, uav_id: int) -> None:
         """The UAV has been told its state."""
-        self._told[uav_id] = self._at[uav_id]
+        self._untold.remove(uav_id)
 
     def step(self, uav_id: int) -> None:
         """The vehicle has moved on by one tick."""
         self._at[uav_id] += 1
+        self._untold.append(uav_id)
+        self._slowest = min(self._at.values())
 
     def due(self) -> list[int]:
-        """Who may be told its state now."""
-        slowest = self.slowest
-        return [i for i in self._at if not self.awaited(i) and self._may_go(self._at[i], slowest)]
+        """Who may be told its state now, in the order in which they came."""
+        return [i for i in self._untold if self._may_go(self._at[i])]
 
-    def _may_go(self, tick: int, slowest: int) -> bool:
+    def _may_go(self, tick: int) -> bool:
         if any(tick % period == 0 for period in self._meetings):
-            return tick == slowest  # nobody passes a meeting before the last has come
-        return tick < self._end and tick <= slowest + LEAD_TICKS
+            return tick == self._slowest  # nobody passes a meeting before the last has come
+        return tick < self._end and tick <= self._slowest + LEAD_TICKS
