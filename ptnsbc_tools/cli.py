@@ -12,7 +12,7 @@ from typer.core import TyperGroup
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_tools import options
-from ptnsbc_tools.autopilot.command import autopilot as _autopilot
+from ptnsbc_tools.autopilot.command import autopilot as autopilot
 from ptnsbc_tools.bags.command import app as bags
 from ptnsbc_tools.limits import TOLERANCE_M
 from ptnsbc_tools.options import (
@@ -223,7 +223,7 @@ def demo(
 app.command()(report)
 app.command()(plot)
 app.command()(reproduce)
-app.command()(_autopilot)
+app.command()(autopilot)
 app.command()(replay)
 app.add_typer(bags, name="bag")
 

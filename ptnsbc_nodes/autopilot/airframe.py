@@ -30,7 +30,8 @@ KIND = 0
 POSITION, VELOCITY, ACCELERATION = slice(1, 4), slice(4, 7), slice(7, 10)  # ENU, position local
 YAW, YAW_RATE, THRUST, THRUST_CAP = 10, 11, 12, 13  # ENU; thrusts as shares of the largest
 QUATERNION, BODY_RATES = slice(14, 18), slice(18, 21)  # x y z w; FLU
-TARGET_SIZE = 21
+CLIMB = 21  # with an attitude: climb rate [m/s] instead of a thrust
+TARGET_SIZE = 22
 
 # Rows of the loop state.
 INTEGRAL, HEADING, CONTACT, THRUST_OUT = slice(0, 3), 3, 4, 5
@@ -161,6 +162,21 @@ def _wanted_rates(rotation: Array, desired: Array, target: Array, gains: LoopGai
     return out
 
 
+@leaf
+def _attitude_thrust(
+    nav: Array, loop: Array, target: Array, gains: LoopGains, plant: PlantConfig, dt: float
+) -> float:
+    """Thrust [N] with a commanded attitude: as told, or what the climb rate needs at this tilt."""
+    climb = target[21]
+    if not math.isfinite(climb):
+        return target[12] * plant.max_thrust
+    error = climb - nav[9]
+    grown = loop[2] + gains.climb_integral * error * dt
+    loop[2] = min(max(grown, -_MOST_INTEGRAL), _MOST_INTEGRAL)
+    upright = 1.0 - 2.0 * (nav[3] * nav[3] + nav[4] * nav[4])
+    return plant.mass * (plant.gravity + gains.climb * error + loop[2]) / max(upright, 0.5)
+
+
 @kernel
 def _wrench(
     nav: Array, loop: Array, target: Array, gains: LoopGains, plant: PlantConfig, dt: float
@@ -177,7 +193,7 @@ def _wrench(
         out[2] = force[0] * rotation[0, 2] + force[1] * rotation[1, 2] + force[2] * rotation[2, 2]
         rates = _wanted_rates(rotation, desired_rotation(force, loop[3]), target, gains)
     elif kind == ATTITUDE:
-        out[2] = target[12] * plant.max_thrust
+        out[2] = _attitude_thrust(nav, loop, target, gains, plant, dt)
         rates = _wanted_rates(rotation, rotation_from_quaternion(target[14:18]), target, gains)
     elif kind == RATES:
         out[2] = target[12] * plant.max_thrust
@@ -186,8 +202,10 @@ def _wrench(
     elif kind == IDLE:
         out[2] = _IDLE_SHARE * plant.max_thrust
     if kind != TRAJECTORY:
-        loop[0:3] = 0.0
+        loop[0:2] = 0.0
         loop[3] = yaw_of(nav)
+        if not math.isfinite(target[21]):
+            loop[2] = 0.0
     out[2] = min(max(out[2], 0.0), most)
     if kind >= TRAJECTORY:
         for i in range(3):
@@ -223,7 +241,7 @@ class Craft(NamedTuple):
         Array  # (13,) belief: position [local ENU], quaternion x y z w, velocity [ENU], rates [FLU]
     )
     errors: Array  # (7,) of the belief
-    target: Array  # (21,) what to follow
+    target: Array  # (22,) what to follow
 
 
 @kernel

@@ -69,7 +69,7 @@ def _arm(vehicle: Vehicle, request: Request, _link: int, t: float) -> int:
         return int(_DENIED)
     if wanted == 0:
         if vehicle.armed and not vehicle.in_contact and not force:
-            vehicle.tell(vehicle.words("Disarming denied: not landed"), t)
+            vehicle.tell("Disarming denied: not landed", t)
             return vehicle.refusal
         if vehicle.armed:
             vehicle.disarm("commanded", t)
@@ -78,7 +78,7 @@ def _arm(vehicle: Vehicle, request: Request, _link: int, t: float) -> int:
         return int(_DONE)
     problem = vehicle.arming_problem(t)
     if problem is not None and not force:
-        vehicle.tell(vehicle.words(f"Arming denied: {problem}"), t)
+        vehicle.tell(vehicle.refusal_text(problem), t)
         return vehicle.refusal
     vehicle.arm(t)
     return int(_DONE)

@@ -5,20 +5,24 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
+from ptnsbc_nodes.autopilot.arducopter import ArduCopter
 from ptnsbc_nodes.autopilot.codec import AutopilotError, Codec, read_key
 from ptnsbc_nodes.autopilot.px4 import Px4
 from ptnsbc_nodes.autopilot.server import Address, Endpoint, Station
 from ptnsbc_nodes.autopilot.starts import Fleet, Start, starts
-from ptnsbc_nodes.autopilot.vehicle import Vehicle
+from ptnsbc_nodes.autopilot.stm32 import Stm32
+from ptnsbc_nodes.autopilot.vehicle import GCS, IMPOSTOR, Vehicle
 
-KINDS: dict[str, type[Vehicle]] = {"px4": Px4}
+KINDS: dict[str, type[Vehicle]] = {"px4": Px4, "arducopter": ArduCopter, "stm32": Stm32}
 
 PORT_BASE = 14540
 """PX4's: vehicle i sends to 14540 + i and listens on 14580 + i."""
 
+HOST, ANY = "127.0.0.1", "0.0.0.0"
 _LISTEN_OFFSET = 40
-_GCS_LISTEN_OFFSET = 4030  # 18570 + i, as PX4's simulation
+_GCS_OFFSET = 3990  # from 14580 + i to 18570 + i, as PX4's simulation
 _LAST_PORT = 65535
 
 
@@ -26,10 +30,9 @@ _LAST_PORT = 65535
 class Network:
     """Who talks where."""
 
-    host: str = "127.0.0.1"  # where the stand-ins listen
-    port_base: int = PORT_BASE
+    port_base: int | None = None  # PORT_BASE, or as the scenario has it
     connect: str | None = None  # instead of the port pairs: udpin:HOST:PORT or udpout:HOST:PORT
-    gcs: Address | None = field(default_factory=lambda: Address("127.0.0.1", 14550))
+    gcs: Address | None = field(default_factory=lambda: Address(HOST, 14550))
     key: str | None = None  # file; {n} stands for the system id
 
 
@@ -37,10 +40,17 @@ class Network:
 class Options:
     """Everything asked for."""
 
-    kind: str = "px4"
+    kind: str | None = None  # px4, or as the scenario has it
     fleet: Fleet = field(default_factory=Fleet)
     network: Network = field(default_factory=Network)
     boot_time: float = 1.0
+
+
+class Ends(NamedTuple):
+    """Where a stand-in listens, and to whom it sends before anybody has called."""
+
+    listen: Address
+    partner: Address | None
 
 
 def parse_address(text: str, what: str) -> Address:
@@ -61,50 +71,69 @@ def stations(options: Options, t: float, say: Callable[[str], None]) -> list[Sta
     Raises:
         AutopilotError: an option that cannot be.
     """
-    if options.kind not in KINDS:
-        raise AutopilotError(f"type {options.kind!r}: expected one of {', '.join(KINDS)}")
-    return [_station(options, start, t, say) for start in starts(options.fleet)]
+    chosen = starts(options.fleet)
+    return [_station(options, n, start, t, say) for n, start in enumerate(chosen)]
 
 
-def _station(options: Options, start: Start, t: float, say: Callable[[str], None]) -> Station:
+def _station(
+    options: Options, n: int, start: Start, t: float, say: Callable[[str], None]
+) -> Station:
     network, system = options.network, start.system
+    kind = options.kind or start.kind or "px4"
+    if kind not in KINDS:
+        raise AutopilotError(f"type {kind!r}: expected one of {', '.join(KINDS)}")
 
     def tell(line: str) -> None:
-        say(f"uav {system}: {line}")
+        say(f"{kind} {system}: {line}")
 
-    vehicle = KINDS[options.kind](system, start.body, t, boot_time=options.boot_time, say=tell)
-    key = None
-    if network.key is not None:
-        key = read_key(Path(network.key.replace("{n}", str(system))))
-    endpoints = [_companion(network, system, Codec(system, key=key, link_id=0))]
+    vehicle = KINDS[kind](system, start.body, t, boot_time=options.boot_time, say=tell)
+    path = network.key.replace("{n}", str(system)) if network.key else start.key
+    key = None if path is None else read_key(Path(path))
+    ends = _companion(network, n, start)
+    endpoints = [Endpoint(ends.listen, ends.partner, Codec(system, key=key))]
     if network.gcs is not None:
-        listen = Address(network.host, network.port_base + _GCS_LISTEN_OFFSET + system - 1)
-        codec = Codec(system, key=key, link_id=1)
-        endpoints.append(Endpoint(_checked(listen), network.gcs, codec))
-    return Station(vehicle, endpoints)
+        listen = _checked(HOST, (ends.listen.port or PORT_BASE + n) + _GCS_OFFSET)
+        endpoints.append(Endpoint(listen, network.gcs, Codec(system, key=key, link_id=GCS)))
+    # Whoever uses this system id as well does so from a port of its own.
+    impostor = Endpoint(Address(HOST, 0), None, Codec(system, key=key, link_id=IMPOSTOR))
+    return Station(vehicle, endpoints, impostor)
 
 
-def _companion(network: Network, system: int, codec: Codec) -> Endpoint:
-    step = system - 1
-    if network.connect is None:
-        base = network.port_base + step
-        listen = Address(network.host, base + _LISTEN_OFFSET)
-        return Endpoint(_checked(listen), _checked(Address(network.host, base)), codec)
-    kind, _, rest = network.connect.partition(":")
+def _companion(network: Network, n: int, start: Start) -> Ends:
+    """The companion's link: as told, else as the scenario's bridge expects it, else PX4's pair of ports."""
+    if network.connect is not None:
+        return _told(network.connect, n)
+    if network.port_base is None and start.connect is not None:
+        return _opposite(start.connect)
+    base = (network.port_base or PORT_BASE) + n
+    return Ends(_checked(HOST, base + _LISTEN_OFFSET), _checked(HOST, base))
+
+
+def _told(connect: str, n: int) -> Ends:
+    kind, _, rest = connect.partition(":")
+    if kind not in ("udpin", "udpout"):
+        raise AutopilotError(f"connect {connect!r}: expected udpin:HOST:PORT or udpout:HOST:PORT")
+    host, port = parse_address(rest, "connect")
+    there = _checked(host, port + n)
+    return Ends(there, None) if kind == "udpin" else Ends(Address(ANY, 0), there)
+
+
+def _opposite(connect: str) -> Ends:
+    """The vehicle's end of what the bridge connects to."""
+    kind, _, rest = connect.partition(":")
     if kind not in ("udpin", "udpout"):
         raise AutopilotError(
-            f"connect {network.connect!r}: expected udpin:HOST:PORT or udpout:HOST:PORT"
+            f"the scenario's mavlink connect {connect!r}: expected udpin or udpout; "
+            "give the stand-in's with --connect"
         )
-    host, port = parse_address(rest, "connect")
-    there = _checked(Address(host, port + step))
-    if kind == "udpin":
-        return Endpoint(there, None, codec)
-    return Endpoint(Address("0.0.0.0", 0), there, codec)
+    host, port = parse_address(rest, "the scenario's mavlink connect")
+    if kind == "udpout":
+        return Ends(Address(host, port), None)
+    partner = Address(HOST if host == ANY else host, port)
+    return Ends(_checked(HOST, port + _LISTEN_OFFSET), partner)
 
 
-def _checked(address: Address) -> Address:
-    if not 0 < address.port <= _LAST_PORT:
-        raise AutopilotError(
-            f"port {address.port}: expected 1 to {_LAST_PORT}; choose a lower --port-base"
-        )
-    return address
+def _checked(host: str, port: int) -> Address:
+    if not 0 < port <= _LAST_PORT:
+        raise AutopilotError(f"port {port}: expected 1 to {_LAST_PORT}; choose a lower --port-base")
+    return Address(host, port)

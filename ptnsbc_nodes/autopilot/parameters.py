@@ -6,7 +6,7 @@ https://mavlink.io/en/services/parameter.html, "Parameter Encoding".
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
 from pymavlink.dialects.v20 import common as mavlink
@@ -34,6 +34,9 @@ class Parameters:
 
     def __len__(self) -> int:
         return len(self._names)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._names)
 
     def __contains__(self, name: str) -> bool:
         return name in self._values

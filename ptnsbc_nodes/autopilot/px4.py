@@ -3,17 +3,38 @@
 from __future__ import annotations
 
 import math
-from typing import Any, ClassVar, NamedTuple
+from typing import Any
 
-import numpy as np
 from pymavlink.dialects.v20 import common as mavlink
 
 from ptnsbc_core.types import Array
-from ptnsbc_nodes.autopilot import airframe, paths, setpoints
+from ptnsbc_nodes.autopilot import airframe, paths
 from ptnsbc_nodes.autopilot.airframe import LoopGains
 from ptnsbc_nodes.autopilot.commands import Request, whole
 from ptnsbc_nodes.autopilot.frames import attitude_swap, euler_of
 from ptnsbc_nodes.autopilot.parameters import PX4, Parameters
+from ptnsbc_nodes.autopilot.px4_offboard import (
+    LIFT_SHARE_OF_RAMP,
+    LiftOff,
+    Offboard,
+    read_attitude,
+    read_trajectory,
+)
+from ptnsbc_nodes.autopilot.px4_tables import (
+    DESCEND,
+    HOLD,
+    LAND,
+    MANUAL_MODES,
+    MODES,
+    NEED_POSITION,
+    OFFBOARD,
+    OFFBOARD_LOSS,
+    PASSING_MODES,
+    RATES_HZ,
+    RTL,
+    TAKEOFF,
+    Mode,
+)
 from ptnsbc_nodes.autopilot.vehicle import Status, Vehicle
 
 _DONE = int(mavlink.MAV_RESULT_ACCEPTED)
@@ -21,52 +42,22 @@ _LATER = int(mavlink.MAV_RESULT_TEMPORARILY_REJECTED)
 _DENIED = int(mavlink.MAV_RESULT_DENIED)
 
 STREAM_BEFORE_S = 1.0
-"""How long setpoints must have come before offboard can be entered."""
+"""How long setpoints must have come before offboard can be entered.
+
+https://docs.px4.io/main/en/flight_modes/offboard
+"""
 
 _SINK_M_S = 0.7
-_LIFT_SHARE_OF_RAMP = 2.5 / 3.0  # measured: first motion about 2.5 s after a climb command
 _SLOW_BELOW_M = 5.0
 _FAST_DOWN_M_S = 1.5
 _ARRIVED_M = 0.2
 
-
-class Mode(NamedTuple):
-    """A flight mode as in custom_mode."""
-
-    name: str
-    main: int
-    sub: int = 0
-
-    @property
-    def word(self) -> int:
-        """custom_mode of HEARTBEAT."""
-        return self.main << 16 | self.sub << 24
-
-
-MANUAL, ALTCTL, POSCTL = Mode("MANUAL", 1), Mode("ALTCTL", 2), Mode("POSCTL", 3)
-TAKEOFF, HOLD, RTL, LAND = (
-    Mode("TAKEOFF", 4, 2),
-    Mode("HOLD", 4, 3),
-    Mode("RTL", 4, 5),
-    Mode("LAND", 4, 6),
-)
-OFFBOARD, STABILIZED = Mode("OFFBOARD", 6), Mode("STABILIZED", 7)
-DESCEND = Mode("DESCEND", 4, 6)  # shown as LAND: HEARTBEAT has no word for it
-MODES = (MANUAL, ALTCTL, POSCTL, TAKEOFF, HOLD, RTL, LAND, OFFBOARD, STABILIZED)
-_MANUAL_MODES = (MANUAL, ALTCTL, POSCTL, STABILIZED)
-_PASSING_MODES = (TAKEOFF, RTL, LAND)  # forgotten when the motors stop
-_NEED_POSITION = (POSCTL, TAKEOFF, HOLD, RTL, LAND)
-
-_OFFBOARD_LOSS = {0: POSCTL, 1: ALTCTL, 2: STABILIZED, 3: RTL, 4: LAND, 5: HOLD}
-"""COM_OBL_RC_ACT; 6 terminates, 7 disarms."""
 
 _FIXED_FLAGS = (
     mavlink.MAV_MODE_FLAG_AUTO_ENABLED
     | mavlink.MAV_MODE_FLAG_STABILIZE_ENABLED
     | mavlink.MAV_MODE_FLAG_GUIDED_ENABLED
 )
-
-_ON_GROUND, _RAMP, _FLYING = "ground", "ramp", "flying"
 
 
 class Px4(Vehicle):
@@ -75,37 +66,10 @@ class Px4(Vehicle):
     autopilot = mavlink.MAV_AUTOPILOT_PX4
     capabilities = mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
     version_word = 1 << 24 | 16 << 16
-    refusal: ClassVar[int] = _LATER
+    refusal = _LATER
+    text_end = "\t"
     ready_s = (3.0, 8.0)
-    rates_hz = (
-        {
-            mavlink.MAVLINK_MSG_ID_HEARTBEAT: 1.0,
-            mavlink.MAVLINK_MSG_ID_ATTITUDE: 100.0,
-            mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: 50.0,
-            mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 30.0,
-            mavlink.MAVLINK_MSG_ID_ODOMETRY: 30.0,
-            mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 10.0,
-            mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: 5.0,
-            mavlink.MAVLINK_MSG_ID_SYS_STATUS: 5.0,
-            mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 5.0,
-            mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: 1.0,
-            mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: 1.0,
-            mavlink.MAVLINK_MSG_ID_TIMESYNC: 10.0,
-            mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: 0.5,
-            mavlink.MAVLINK_MSG_ID_HOME_POSITION: 0.5,
-        },
-        {
-            mavlink.MAVLINK_MSG_ID_HEARTBEAT: 1.0,
-            mavlink.MAVLINK_MSG_ID_ATTITUDE: 10.0,
-            mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 1.0,
-            mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 5.0,
-            mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: 1.0,
-            mavlink.MAVLINK_MSG_ID_SYS_STATUS: 1.0,
-            mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 1.0,
-            mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: 0.5,
-            mavlink.MAVLINK_MSG_ID_HOME_POSITION: 0.5,
-        },
-    )
+    rates_hz = RATES_HZ
 
     def default_parameters(self) -> Parameters:
         """PX4's, with our system id."""
@@ -140,11 +104,8 @@ class Px4(Vehicle):
         self.active = HOLD  # what is flown
         self._after_disarm = HOLD
         self._transmitter = False
-        self._setpoint: Array | None = None
-        self._setpoint_t = self._stream_since = -math.inf
-        self._climb_wanted = False
-        self._takeoff = _ON_GROUND
-        self._ramp_t = t
+        self._offboard = Offboard()
+        self._lift = LiftOff()
         self._place = self._here()
         self._height = 0.0
         self._warned_charge = 1.0
@@ -152,6 +113,11 @@ class Px4(Vehicle):
     def _here(self) -> paths.Place:
         yaw = euler_of(self.flight.attitude_enu).yaw
         return paths.Place(self.flight.position_enu.copy(), yaw)
+
+    @property
+    def mode_name(self) -> str:
+        """Name of the mode that is flown."""
+        return self.active.name
 
     @property
     def failsafe(self) -> bool:
@@ -162,7 +128,7 @@ class Px4(Vehicle):
         """HEARTBEAT shows the mode that is flown."""
         flags = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
         manual = mavlink.MAV_MODE_FLAG_MANUAL_INPUT_ENABLED
-        flags |= manual if self.active in _MANUAL_MODES else _FIXED_FLAGS
+        flags |= manual if self.active in MANUAL_MODES else _FIXED_FLAGS
         state = mavlink.MAV_STATE_STANDBY
         if self.armed:
             flags |= mavlink.MAV_MODE_FLAG_SAFETY_ARMED
@@ -171,7 +137,7 @@ class Px4(Vehicle):
 
     def landed_state(self) -> int:
         """On the ground until it has left it; landing and take-off only where the mode says so."""
-        if self.in_contact and (self._takeoff != _FLYING or self.landed):
+        if self.in_contact and (not self._lift.flying or self.landed):
             return int(mavlink.MAV_LANDED_STATE_ON_GROUND)
         if self.active == TAKEOFF:
             return int(mavlink.MAV_LANDED_STATE_TAKEOFF)
@@ -179,9 +145,9 @@ class Px4(Vehicle):
             return int(mavlink.MAV_LANDED_STATE_LANDING)
         return int(mavlink.MAV_LANDED_STATE_IN_AIR)
 
-    def words(self, text: str) -> str:
-        """PX4 ends its texts with a tab."""
-        return f"{text}\t"
+    def refusal_text(self, problem: str) -> str:
+        """As PX4 says it."""
+        return f"Arming denied: {problem}"
 
     def text_links(self, t: float) -> list[int]:
         """Only links on which a ground station is heard."""
@@ -199,41 +165,41 @@ class Px4(Vehicle):
             return "No connection to the ground control station"
         if self.mode == OFFBOARD and not self._offboard_ready(t):
             return "No offboard signal"
-        if self.mode in _NEED_POSITION and not self.position_valid(t):
+        if self.mode in NEED_POSITION and not self.position_valid(t):
             return "Global position required"
-        if self.mode in _MANUAL_MODES and not self._transmitter:
+        if self.mode in MANUAL_MODES and not self._transmitter:
             return "Manual control unavailable"
         return None
 
     def on_armed(self, t: float) -> None:
         """On the ground, motors at idle."""
-        self._takeoff = _ON_GROUND
+        self._lift = LiftOff()
         self._place = self._here()
 
     def on_disarmed(self, t: float) -> None:
         """Take-off, landing and return are forgotten: the mode before them is back."""
-        if self.mode in _PASSING_MODES:
+        if self.mode in PASSING_MODES:
             self.mode = self._after_disarm
         self.active = self.mode
-        self._takeoff = _ON_GROUND
+        self._lift = LiftOff()
 
     def _can_run(self, mode: Mode, t: float) -> bool:
         if mode == OFFBOARD:
             return self._offboard_ready(t)
-        if mode in _MANUAL_MODES and not self._transmitter:
+        if mode in MANUAL_MODES and not self._transmitter:
             return False
-        return mode not in _NEED_POSITION or self.position_valid(t) or mode == LAND
+        return mode not in NEED_POSITION or self.position_valid(t) or mode == LAND
 
     def _choose(self, mode: Mode, t: float) -> int:
         """Change the mode; disarmed it is always taken, arming checks it."""
         if self.armed and not self._can_run(mode, t):
-            self.tell(self.words(f"Switching to mode '{mode.name}' is currently not available"), t)
+            self.tell(f"Switching to mode '{mode.name}' is currently not available", t)
             return _LATER
         if mode != self.mode:
             self.log(f"mode {mode.name}")
         self.mode = self.active = mode
         self._place = self._here()
-        if mode not in _PASSING_MODES:
+        if mode not in PASSING_MODES:
             self._after_disarm = mode
         return _DONE
 
@@ -278,50 +244,27 @@ class Px4(Vehicle):
 
     def on_trajectory(self, message: Any, t: float) -> None:
         """Frames and masks as PX4's receiver takes them; a wrong one is not even a sign of life."""
-        wanted = setpoints.trajectory(message)
-        name = "SET_POSITION_TARGET_LOCAL_NED"
-        if wanted.frame == mavlink.MAV_FRAME_BODY_NED:
-            heading = euler_of(attitude_swap(self.flight.attitude_enu)).yaw
-            nowhere = np.full(3, math.nan)
-            wanted = setpoints.turned(wanted._replace(position_ned=nowhere), heading)
-        elif wanted.frame != mavlink.MAV_FRAME_LOCAL_NED:
-            self.tell(self.words(f"{name} coordinate frame {wanted.frame} unsupported"), t)
-            return
-        if wanted.accelerations and wanted.force:
-            self.tell(self.words(f"{name} force not supported"), t)
-            return
-        if not (wanted.positions or wanted.velocities or wanted.accelerations):
-            self.tell(self.words(f"{name} invalid"), t)
-            return
-        higher = wanted.position_ned[2] < -self.flight.position_enu[2]
-        self._climb_wanted = bool(higher or wanted.climbs)
-        self._take(setpoints.trajectory_target(wanted), t)
+        heading = euler_of(attitude_swap(self.flight.attitude_enu)).yaw
+        read = read_trajectory(message, heading, self.flight.position_enu[2])
+        if isinstance(read, str):
+            self.tell(read, t)
+        else:
+            self._offboard.take(read, t, self.parameters["COM_OF_LOSS_T"])
 
     def on_attitude(self, message: Any, t: float) -> None:
         """Attitude or body rates, and a thrust."""
-        wanted = setpoints.attitude(message)
-        attitude = wanted.attitude_ned
-        rates = bool(np.isfinite(wanted.rates_frd).all())
-        if not math.isfinite(wanted.thrust) or (attitude is None and not rates):
-            return
-        if attitude is not None and not setpoints.unit(attitude, 0.1):
-            return
-        self._climb_wanted = False
-        self._take(setpoints.attitude_target(wanted), t)
-
-    def _take(self, target: Array, t: float) -> None:
-        if t - self._setpoint_t > self.parameters["COM_OF_LOSS_T"]:
-            self._stream_since = t
-        self._setpoint, self._setpoint_t = target, t
+        read = read_attitude(message)
+        if read is not None:
+            self._offboard.take(read, t, self.parameters["COM_OF_LOSS_T"])
 
     def _offboard_alive(self, t: float) -> bool:
         """Whether a setpoint came lately and what it needs is known."""
-        if self._setpoint is None or t - self._setpoint_t > self.parameters["COM_OF_LOSS_T"]:
+        if not self._offboard.fresh(t, self.parameters["COM_OF_LOSS_T"]):
             return False
-        return self._setpoint[airframe.KIND] != airframe.TRAJECTORY or self.position_valid(t)
+        return not self._offboard.needs_position or self.position_valid(t)
 
     def _offboard_ready(self, t: float) -> bool:
-        return self._offboard_alive(t) and t - self._stream_since >= STREAM_BEFORE_S
+        return self._offboard_alive(t) and self._offboard.streamed_s(t) >= STREAM_BEFORE_S
 
     # Rules that act by themselves.
 
@@ -340,26 +283,23 @@ class Px4(Vehicle):
         wanted = self.mode
         if wanted == OFFBOARD and not self._offboard_alive(t):
             action = int(self.parameters["COM_OBL_RC_ACT"])
-            if action not in _OFFBOARD_LOSS:
+            if action not in OFFBOARD_LOSS:
                 self.disarm("offboard signal lost", t)
                 return
-            wanted = _OFFBOARD_LOSS[action]
-        if wanted in _NEED_POSITION and not self.position_valid(t):
+            wanted = OFFBOARD_LOSS[action]
+        if wanted in NEED_POSITION and not self.position_valid(t):
             wanted = DESCEND
         if wanted == self.active:
             return
         if wanted == self.mode:
-            self.tell(self.words(f"Failsafe cleared: back to {wanted.name}"), t)
+            self.tell(f"Failsafe cleared: back to {wanted.name}", t)
         else:
-            self.tell(self.words(f"Failsafe activated: {wanted.name}"), t)
+            self.tell(f"Failsafe activated: {wanted.name}", t)
         self.active = wanted
         self._place = self._here().ahead(self.flight.velocity_enu)
 
     def _watch_ground(self, t: float) -> None:
-        if not self.in_contact:
-            self._takeoff = _FLYING
-        elif self._takeoff == _FLYING and self.landed:
-            self._takeoff = _ON_GROUND
+        if self._lift.settle(self.in_contact, self.landed):
             self.log("landed")
         if not self.lifted:
             limit = self.parameters["COM_DISARM_PRFLT"]
@@ -374,9 +314,9 @@ class Px4(Vehicle):
         charge, before = self.flight.battery, self._warned_charge
         self._warned_charge = charge
         if charge <= self.parameters["BAT_LOW_THR"] < before:
-            self.tell(self.words("Low battery level, return advised"), t)
+            self.tell("Low battery level, return advised", t)
         if charge <= self.parameters["BAT_CRIT_THR"] < before:
-            self.tell(self.words("Critical battery level, land now"), t)
+            self.tell("Critical battery level, land now", t)
             if self.parameters["COM_LOW_BAT_ACT"] >= 2.0 and self.in_contact is False:
                 self._choose(LAND, t)
 
@@ -389,28 +329,17 @@ class Px4(Vehicle):
         if t - self.armed_t < self.parameters["COM_SPOOLUP_TIME"]:
             return paths.IDLE_TARGET
         target = self._mode_target()
-        if target[airframe.KIND] != airframe.TRAJECTORY or self._takeoff == _FLYING:
+        if target[airframe.KIND] != airframe.TRAJECTORY or self._lift.flying:
             return target
-        return self._from_ground(target, t)
-
-    def _from_ground(self, target: Array, t: float) -> Array:
-        """Idle until a climb is wanted, then thrust up to a cap that rises."""
-        climb = self._climb_wanted if self.active == OFFBOARD else self.active == TAKEOFF
-        if not climb:
-            self._takeoff = _ON_GROUND
-            return paths.IDLE_TARGET
-        if self._takeoff == _ON_GROUND:
-            self._takeoff, self._ramp_t = _RAMP, t
-        ramp_s = max(_LIFT_SHARE_OF_RAMP * self.parameters["MPC_TKO_RAMP_T"], 1e-3)
-        capped = target.copy()
-        capped[airframe.THRUST_CAP] = self.flight.hover_share * (t - self._ramp_t) / ramp_s
-        return capped
+        climb = self._offboard.climbs if self.active == OFFBOARD else self.active == TAKEOFF
+        lift_s = LIFT_SHARE_OF_RAMP * self.parameters["MPC_TKO_RAMP_T"]
+        return self._lift.from_ground(target, climb, self.flight.hover_share, lift_s, t)
 
     def _mode_target(self) -> Array:
         mode, place = self.active, self._place
-        if mode == OFFBOARD and self._setpoint is not None:
-            return self._setpoint
-        if mode == DESCEND or (mode in _MANUAL_MODES and not self._transmitter):
+        if mode == OFFBOARD:
+            return self._offboard.target
+        if mode == DESCEND or (mode in MANUAL_MODES and not self._transmitter):
             return paths.sink(_SINK_M_S)
         if mode == LAND:
             return paths.land(place, self._landing_speed())

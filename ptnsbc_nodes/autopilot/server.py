@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 from ptnsbc_nodes.autopilot.codec import AutopilotError, Codec
-from ptnsbc_nodes.autopilot.vehicle import Outgoing, Vehicle
+from ptnsbc_nodes.autopilot.vehicle import COMPANION, IMPOSTOR, Outgoing, Vehicle
 
 TICK_HZ = 250
 _BUFFER = 65535
@@ -87,6 +87,12 @@ class Station:
 
     vehicle: Vehicle
     endpoints: Sequence[Endpoint]
+    impostor: Endpoint
+
+    @property
+    def sockets(self) -> list[Endpoint]:
+        """All of them."""
+        return [*self.endpoints, self.impostor]
 
     def exchange(self, now: float) -> None:
         """Take what came in, then step and send."""
@@ -97,7 +103,10 @@ class Station:
 
     def _send(self, outgoing: list[Outgoing]) -> None:
         for link, message in outgoing:
-            if link < len(self.endpoints):
+            if link == IMPOSTOR:
+                self.impostor.partner = self.endpoints[COMPANION].partner
+                self.impostor.send(message)
+            elif link < len(self.endpoints):
                 self.endpoints[link].send(message)
 
 
@@ -105,8 +114,9 @@ def serve(
     stations: Sequence[Station],
     stop: Callable[[], bool],
     each: Callable[[float], None] = lambda _now: None,
+    ready: Callable[[], None] = lambda: None,
 ) -> None:
-    """Run vehicles by the wall clock until `stop()`; `each(now)` is called every tick.
+    """Run vehicles by the wall clock until `stop()`; `each(now)` is called every tick, `ready()` once.
 
     Raises:
         AutopilotError: a port is taken.
@@ -114,9 +124,10 @@ def serve(
     opened: list[Endpoint] = []
     try:
         for station in stations:
-            for endpoint in station.endpoints:
+            for endpoint in station.sockets:
                 endpoint.open()
                 opened.append(endpoint)
+        ready()
         _loop(stations, stop, each)
     finally:
         for endpoint in opened:

@@ -110,7 +110,7 @@ def turned(wanted: Trajectory, heading_ned_rad: float) -> Trajectory:
 
 
 def trajectory_target(wanted: Trajectory) -> Array:
-    """A target (21,) of the airframe for a trajectory in local NED."""
+    """A target (22,) of the airframe for a trajectory in local NED."""
     target = airframe.no_target()
     target[airframe.KIND] = airframe.TRAJECTORY
     target[airframe.POSITION] = world_swap(wanted.position_ned)
@@ -141,7 +141,7 @@ def unit(q: Quaternion, tolerance: float) -> bool:
 
 
 def attitude_target(wanted: AttitudeTarget) -> Array:
-    """A target (21,) of the airframe; ignored rates are zero where there is no attitude."""
+    """A target (22,) of the airframe; ignored rates are zero where there is no attitude."""
     target = airframe.no_target()
     rates = body_swap(wanted.rates_frd)
     target[airframe.THRUST] = min(max(wanted.thrust, 0.0), 1.0)

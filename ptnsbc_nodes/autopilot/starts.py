@@ -28,15 +28,21 @@ class Fleet:
     yaw_deg: float | None = None
     seed: int = 1
     battery: float = 1.0
-    datum: Geodetic = PX4_HOME
 
 
 @dataclass(frozen=True)
 class Start:
-    """One vehicle to be: its MAVLink system id and its body."""
+    """One vehicle to be: its MAVLink system id and its body; the rest is the scenario's, None without one."""
 
     system: int
     body: Body
+    kind: str | None = None
+    connect: str | None = None  # how the bridge reaches it
+    key: str | None = None
+
+
+_KINDS = {"px4": "px4", "ardupilot": "arducopter", "generic": "stm32"}
+"""Personalities by the scenario's names."""
 
 
 def starts(fleet: Fleet) -> list[Start]:
@@ -54,25 +60,37 @@ def starts(fleet: Fleet) -> list[Start]:
     count = size if fleet.count is None else fleet.count
     if count > size:
         raise AutopilotError(f"count={count}: expected at most {size}, the UAVs of {scenario.name}")
-    return [Start(n + 1, _body(fleet, n, scenario)) for n in range(count)]
+    return [_start(fleet, n, scenario) for n in range(count)]
+
+
+def _start(fleet: Fleet, n: int, scenario: Scenario) -> Start:
+    link = scenario.vehicle_link(scenario.uav_ids[n])
+    body = _body(fleet, n, scenario)
+    return Start(link.sysid, body, _KINDS[link.autopilot], link.connect, link.signing_key)
+
+
+def _datum(scenario: Scenario) -> Geodetic:
+    origin = scenario.mavlink.world_origin
+    if origin is None:
+        return PX4_HOME
+    return Geodetic(origin.latitude_deg, origin.longitude_deg, origin.altitude_m)
 
 
 def _body(fleet: Fleet, n: int, scenario: Scenario | None) -> Body:
     random = np.random.default_rng((fleet.seed, n))
     yaw = random.uniform(-np.pi, np.pi) if fleet.yaw_deg is None else np.radians(fleet.yaw_deg)
-    ground = np.array((_SPACING_M * n, 0.0, 0.0))
-    plant = default_plant()
+    ground, plant, datum = np.array((_SPACING_M * n, 0.0, 0.0)), default_plant(), PX4_HOME
     if scenario is not None:
         uav_id = scenario.uav_ids[n]
         ground = scenario.uav(uav_id).position * np.array((1.0, 1.0, 0.0))
-        plant = plant_config(scenario, uav_id)
+        plant, datum = plant_config(scenario, uav_id), _datum(scenario)
     return Body(
         plant,
         ground,
         float(yaw),
         QUALITIES[fleet.gnss],
         fleet.origin_spread_m,
-        fleet.datum,
+        datum,
         fleet.battery,
         int(random.integers(1 << 31)),
     )

@@ -10,28 +10,29 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, ClassVar, NamedTuple
 
 from pymavlink.dialects.v20 import common as mavlink
 
 from ptnsbc_core.types import Array
 from ptnsbc_nodes.autopilot.airframe import LoopGains
+from ptnsbc_nodes.autopilot.answers import ANSWERS, UNADDRESSED
 from ptnsbc_nodes.autopilot.clock import BootClock
-from ptnsbc_nodes.autopilot.commands import COMMANDS, Request, request_of
-from ptnsbc_nodes.autopilot.faults import Faults
+from ptnsbc_nodes.autopilot.commands import COMMANDS, Request, Run
+from ptnsbc_nodes.autopilot.faults import IMPOSTOR_PERIOD_S, Faults, impostor
 from ptnsbc_nodes.autopilot.flight import Body, Flight
 from ptnsbc_nodes.autopilot.parameters import Parameters
 from ptnsbc_nodes.autopilot.streams import Streams
 from ptnsbc_nodes.autopilot.telemetry import BUILDERS
 
-COMPANION, GCS = 0, 1
-"""Links of a vehicle, by number."""
+COMPANION, GCS, IMPOSTOR = 0, 1, 2
+"""Links of a vehicle, by number; on the last somebody else uses its system id."""
 
 GCS_TIMEOUT_S = 2.5
 DARK_AT_BOOT_S = 2.0
 _STANDING_S = 1.0  # on the ground for so long counts as landed
-_PARAMETERS_PER_STEP = 2
+_SLOW_PER_STEP = 1
 _CHUNK = 50
 
 Say = Callable[[str], None]
@@ -63,10 +64,12 @@ class Vehicle(ABC):
     autopilot: ClassVar[int]
     capabilities: ClassVar[int]
     version_word: ClassVar[int]
+    text_end: ClassVar[str] = ""
     refusal: ClassVar[int]  # MAV_RESULT of an arming request that is refused
     rates_hz: ClassVar[tuple[Mapping[int, float], Mapping[int, float]]]  # per link
     ready_s: ClassVar[tuple[float, float]]  # from boot to a valid position, at least and at most
     dead_reckoning_s: ClassVar[float] = 5.0
+    commands: ClassVar[Mapping[int, Run]] = COMMANDS
 
     def __init__(
         self, system: int, body: Body, t: float, *, boot_time: float = 1.0, say: Say = _nothing
@@ -80,6 +83,7 @@ class Vehicle(ABC):
         """
         self.system = system
         self.component = 1
+        self.body = body
         self.parameters = self.default_parameters()
         self.flight = Flight(body, self.gains(), t)
         self.clock = BootClock(t)
@@ -93,8 +97,9 @@ class Vehicle(ABC):
         self._log = say
         self._out: list[Outgoing] = []
         self._queue: deque[Outgoing] = deque()
-        self._gcs_heard: dict[int, float] = {}
+        self.gcs_heard: dict[int, float] = {}
         self._text_id = 0
+        self._impostor_t = -math.inf
         self._start(t)
 
     # What a personality says.
@@ -106,6 +111,11 @@ class Vehicle(ABC):
     @abstractmethod
     def gains(self) -> LoopGains:
         """Gains and limits of the loops, from the parameters."""
+
+    @property
+    @abstractmethod
+    def mode_name(self) -> str:
+        """Name of the mode that is flown."""
 
     @abstractmethod
     def status(self) -> Status:
@@ -165,7 +175,7 @@ class Vehicle(ABC):
 
     @abstractmethod
     def aim(self, t: float) -> Array:
-        """What the airframe follows until the next step (21,)."""
+        """What the airframe follows until the next step (22,)."""
 
     # The two calls.
 
@@ -183,16 +193,19 @@ class Vehicle(ABC):
         for link, streams in enumerate(self._streams):
             for message_id in streams.due(t):
                 self._send_id(message_id, link, t)
-        for _ in range(min(_PARAMETERS_PER_STEP, len(self._queue))):
+        for _ in range(min(_SLOW_PER_STEP, len(self._queue))):
             self._out.append(self._queue.popleft())
+        if self.faults.duplicate and t >= self._impostor_t:
+            self._impostor_t = t + IMPOSTOR_PERIOD_S
+            self._out += [Outgoing(IMPOSTOR, message) for message in impostor(self, t)]
         return self._taken()
 
     def handle(self, message: Any, link: int, t: float) -> list[Outgoing]:
         """Take one message; the answers. Messages for others are ignored."""
-        handler = _HANDLERS.get(message.get_type())
-        if handler is None or self.booting(t) or self.faults.mute or not self._for_us(message):
+        answer = ANSWERS.get(message.get_type())
+        if answer is None or self.booting(t) or self.faults.mute or not self._for_us(message):
             return []
-        handler(self, message, link, t)
+        answer(self, message, link, t)
         return self._taken()
 
     def _taken(self) -> list[Outgoing]:
@@ -200,7 +213,7 @@ class Vehicle(ABC):
         return [] if self.faults.mute else out
 
     def _for_us(self, message: Any) -> bool:
-        if message.get_type() in _UNADDRESSED:
+        if message.get_type() in UNADDRESSED:
             return True
         system = getattr(message, "target_system", 0)
         component = getattr(message, "target_component", 0)
@@ -229,11 +242,11 @@ class Vehicle(ABC):
 
     def gcs_present(self, t: float) -> bool:
         """Whether a ground station was heard on any link lately; a companion does not count."""
-        return any(t - heard < GCS_TIMEOUT_S for heard in self._gcs_heard.values())
+        return any(t - heard < GCS_TIMEOUT_S for heard in self.gcs_heard.values())
 
     def gcs_on(self, link: int, t: float) -> bool:
         """The same for one link."""
-        return t - self._gcs_heard.get(link, -math.inf) < GCS_TIMEOUT_S
+        return t - self.gcs_heard.get(link, -math.inf) < GCS_TIMEOUT_S
 
     def charge_state(self) -> int:
         """MAV_BATTERY_CHARGE_STATE."""
@@ -260,7 +273,7 @@ class Vehicle(ABC):
         self.clock.reboot(self._dark_until)
         self._streams = [Streams(rates, self._dark_until) for rates in self.rates_hz]
         self._queue.clear()
-        self._gcs_heard.clear()
+        self.gcs_heard.clear()
         self.armed = self.lifted = False
         self.home_local_enu = self.flight.position_enu.copy()
         self.on_boot(t)
@@ -309,9 +322,9 @@ class Vehicle(ABC):
         self.send(link, message)
         return True
 
-    def words(self, text: str) -> str:
-        """A text as this autopilot writes it."""
-        return text
+    def refusal_text(self, problem: str) -> str:
+        """What it says when it does not arm."""
+        return f"Arm: {problem}"
 
     def text_links(self, t: float) -> list[int]:
         """Links that get STATUSTEXT."""
@@ -319,8 +332,8 @@ class Vehicle(ABC):
 
     def tell(self, text: str, t: float, severity: int = mavlink.MAV_SEVERITY_CRITICAL) -> None:
         """STATUSTEXT in chunks of 50 bytes, and a line in the log."""
-        self.log(text.strip())
-        data = text.encode()
+        self.log(text)
+        data = (text + self.text_end).encode()
         chunks = [data[i : i + _CHUNK] for i in range(0, len(data), _CHUNK)]
         self._text_id = self._text_id % 65535 + 1
         number = self._text_id if len(chunks) > 1 else 0
@@ -328,80 +341,13 @@ class Vehicle(ABC):
             for index, chunk in enumerate(chunks):
                 self.send(link, mavlink.MAVLink_statustext_message(severity, chunk, number, index))
 
-    # Answers.
+    def answer_first(self, link: int, message: Any) -> None:
+        """Put a message before those already waiting."""
+        self._out.insert(0, Outgoing(link, message))
 
-    def _on_heartbeat(self, message: Any, link: int, t: float) -> None:
-        if message.type == mavlink.MAV_TYPE_GCS:
-            self._gcs_heard[link] = t
-
-    def _on_command(self, message: Any, link: int, t: float) -> None:
-        request = request_of(message)
-        run = COMMANDS.get(request.command)
-        result = mavlink.MAV_RESULT_UNSUPPORTED if run is None else run(self, request, link, t)
-        self.log(f"command {request.command} from {request.system}: result {result}")
-        self._out.insert(
-            0,
-            Outgoing(
-                link,
-                mavlink.MAVLink_command_ack_message(
-                    request.command, result, 0, 0, request.system, request.component
-                ),
-            ),
-        )
-
-    def _on_timesync(self, message: Any, link: int, t: float) -> None:
-        if message.tc1 == 0:
-            self.send(link, mavlink.MAVLink_timesync_message(self.clock.ns(t), message.ts1))
-
-    def _on_ping(self, message: Any, link: int, t: float) -> None:
-        if (message.target_system, message.target_component) == (0, 0):
-            answer = mavlink.MAVLink_ping_message(
-                message.time_usec,
-                message.seq,
-                message.get_srcSystem(),
-                message.get_srcComponent(),
-            )
-            self.send(link, answer)
-
-    def _parameter(self, name: str, link: int) -> Outgoing:
-        sent = self.parameters.encoded(name)
-        return Outgoing(
-            link,
-            mavlink.MAVLink_param_value_message(
-                name.encode(), sent.value, sent.type, sent.size, sent.place
-            ),
-        )
-
-    def _on_param_read(self, message: Any, link: int, t: float) -> None:
-        name: str | None = message.param_id
-        if message.param_index >= 0:
-            name = self.parameters.name_at(message.param_index)
-        if name is not None and name in self.parameters:
-            self._out.append(self._parameter(name, link))
-
-    def _on_param_list(self, _message: Any, link: int, _t: float) -> None:
-        names = (self.parameters.name_at(i) for i in range(len(self.parameters)))
-        self._queue.extend(self._parameter(name, link) for name in names if name is not None)
-
-    def _on_param_set(self, message: Any, link: int, _t: float) -> None:
-        name = message.param_id
-        if name not in self.parameters:
-            return
-        value = self.parameters.decoded(name, message.param_value, message.param_type)
-        if value is not None:
-            self.parameters.put(name, value)
-            self.flight.gains = self.gains()
-            self.log(f"{name} = {value}")
-        self._out.append(self._parameter(name, link))
-
-    def _on_set_mode(self, message: Any, _link: int, t: float) -> None:
-        self.set_mode(Request.old_mode(message), t)
-
-    def _on_trajectory(self, message: Any, _link: int, t: float) -> None:
-        self.on_trajectory(message, t)
-
-    def _on_attitude(self, message: Any, _link: int, t: float) -> None:
-        self.on_attitude(message, t)
+    def send_slowly(self, link: int, messages: Iterable[Any]) -> None:
+        """Put messages on a link a few per step."""
+        self._queue.extend(Outgoing(link, message) for message in messages)
 
     # What commands of all personalities do.
 
@@ -419,20 +365,3 @@ class Vehicle(ABC):
     def interval_us(self, message_id: int, link: int) -> int:
         """Interval of a message on a link, -1 when not sent."""
         return self._streams[link].interval_us(message_id)
-
-
-_UNADDRESSED = ("HEARTBEAT", "PING", "TIMESYNC")
-
-_HANDLERS: dict[str, Callable[[Vehicle, Any, int, float], None]] = {
-    "HEARTBEAT": Vehicle._on_heartbeat,
-    "COMMAND_LONG": Vehicle._on_command,
-    "COMMAND_INT": Vehicle._on_command,
-    "TIMESYNC": Vehicle._on_timesync,
-    "PING": Vehicle._on_ping,
-    "PARAM_REQUEST_READ": Vehicle._on_param_read,
-    "PARAM_REQUEST_LIST": Vehicle._on_param_list,
-    "PARAM_SET": Vehicle._on_param_set,
-    "SET_MODE": Vehicle._on_set_mode,
-    "SET_POSITION_TARGET_LOCAL_NED": Vehicle._on_trajectory,
-    "SET_ATTITUDE_TARGET": Vehicle._on_attitude,
-}

@@ -4,18 +4,24 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 if TYPE_CHECKING:
+    from ptnsbc_nodes.autopilot.control import Timed
     from ptnsbc_nodes.autopilot.launch import Options
+    from ptnsbc_nodes.autopilot.server import Station
 
 Kind = Literal["px4", "arducopter", "stm32"]
 
 
 def autopilot(
-    kind: Annotated[Kind, typer.Option("--type", help="Whose rules it follows.")] = "px4",
+    kind: Annotated[
+        Kind | None,
+        typer.Option("--type", help="Whose rules; px4, or as the scenario has it."),
+    ] = None,
     count: Annotated[
         int | None,
         typer.Option(
@@ -24,17 +30,22 @@ def autopilot(
     ] = None,
     scenario: Annotated[
         str | None,
-        typer.Option("--scenario", metavar="SCENARIO", help="Starts (on the ground), plant, wind."),
+        typer.Option(
+            "--scenario",
+            metavar="SCENARIO",
+            help="Starts (on the ground), plant, wind, and its mavlink block: ports, ids, keys.",
+        ),
     ] = None,
     port_base: Annotated[
-        int,
+        int | None,
         typer.Option(
             "--port-base",
             min=1,
             max=61000,
-            help="Vehicle i from 0 sends to this port + i and listens 40 above.",
+            help="Vehicle i from 0 sends to this port + i and listens 40 above; 14540, or as the "
+            "scenario has it.",
         ),
-    ] = 14540,
+    ] = None,
     connect: Annotated[
         str | None,
         typer.Option(
@@ -69,23 +80,38 @@ def autopilot(
         str | None,
         typer.Option("--key", metavar="FILE", help="Sign, and drop unsigned; {n}: system id."),
     ] = None,
+    control: Annotated[
+        int | None,
+        typer.Option("--control", metavar="PORT", min=1, max=65535, help="Take faults here."),
+    ] = None,
+    faults: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--fault",
+            metavar="'SECONDS SYSTEM FAULT VALUE'",
+            help='As "20 1 gps off"; docs/autopilot.md has the list. Repeatable.',
+        ),
+    ] = None,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Of errors, yaws and origins.")] = 1,
 ) -> None:
     """Stand-in flight controllers: real MAVLink on real UDP around simulated quadrotors.
 
     For tests and demonstrations without hardware. Runs until Ctrl-C.
     """
+    from ptnsbc_nodes.autopilot.control import parse_timed
     from ptnsbc_nodes.autopilot.launch import Network, Options, parse_address
     from ptnsbc_nodes.autopilot.starts import Fleet
 
     fleet = Fleet(count, scenario, gnss, origin_spread, yaw, seed, battery)
     address = parse_address(gcs, "gcs") if gcs else None
-    network = Network("127.0.0.1", port_base, connect, address, key)
-    run(Options(kind, fleet, network, boot_time))
+    timed = [parse_timed(text) for text in faults or ()]
+    network = Network(port_base, connect, address, key)
+    run(Options(kind, fleet, network, boot_time), control, timed)
 
 
-def run(options: Options) -> None:
+def run(options: Options, control_port: int | None, timed: list[Timed]) -> None:
     """Build the vehicles, open the ports, and serve."""
+    from ptnsbc_nodes.autopilot.control import Control
     from ptnsbc_nodes.autopilot.launch import stations
     from ptnsbc_nodes.autopilot.server import serve
     from ptnsbc_nodes.stop import StopRequest
@@ -93,16 +119,23 @@ def run(options: Options) -> None:
     began = time.monotonic()
 
     def say(line: str) -> None:
-        print(f"autopilot {time.monotonic() - began:8.2f} {line}", file=sys.stderr, flush=True)
+        print(f"{time.monotonic() - began:9.2f} {line}", file=sys.stderr, flush=True)
 
     with StopRequest() as stop:
-        say(f"starting {options.kind}; the first start compiles for some seconds")
-        fleet = stations(options, time.monotonic(), say)
-        for station in fleet:
-            ends = ", ".join(
-                f"{end.listen.port} -> {end.partner.port if end.partner else 'who calls'}"
-                for end in station.endpoints
-            )
-            say(f"uav {station.vehicle.system}: udp {ends}")
-        serve(fleet, lambda: stop.came)
-        say("stopped")
+        say("autopilot: starting; the first start compiles for some seconds")
+        start_t = time.monotonic()
+        fleet = stations(options, start_t, say)
+        vehicles = [station.vehicle for station in fleet]
+        with Control(vehicles, start_t, port=control_port, timed=timed, say=say) as control:
+            serve(fleet, lambda: stop.came, control.poll, lambda: _ready(fleet, say))
+        say("autopilot: stopped")
+
+
+def _ready(fleet: list[Station], say: Callable[[str], None]) -> None:
+    for station in fleet:
+        ends = ", ".join(
+            f"{end.listen.port or 'any'} -> {end.partner.port if end.partner else 'who calls'}"
+            for end in station.endpoints
+        )
+        place = " ".join(f"{v:.2f}" for v in station.vehicle.flight.truth_enu)
+        say(f"autopilot: system {station.vehicle.system} at {place} m, udp {ends}")

@@ -7,7 +7,8 @@ import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
 from ptnsbc_nodes.autopilot.navigation import QUALITIES
-from ptnsbc_nodes.autopilot.px4 import DESCEND, HOLD, LAND, OFFBOARD, POSCTL, Px4
+from ptnsbc_nodes.autopilot.px4 import Px4
+from ptnsbc_nodes.autopilot.px4_tables import DESCEND, HOLD, LAND, OFFBOARD, POSCTL
 from ptnsbc_nodes.autopilot.vehicle import GCS
 
 ACCEPTED, REJECTED, DENIED, UNSUPPORTED = 0, 1, 2, 3
