@@ -2,44 +2,16 @@
 
 from __future__ import annotations
 
-import time
-from pathlib import Path
 from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
 from ptnsbc_core.errors import PtnsbcError
-
-KEY_BYTES = 32
-_SIGNING_EPOCH_S = 1420070400  # 2015-01-01, https://mavlink.io/en/guide/message_signing.html
+from ptnsbc_nodes.mavlink.signing import timestamp_now
 
 
 class AutopilotError(PtnsbcError):
     """A stand-in that cannot be started as asked."""
-
-
-def read_key(path: Path) -> bytes:
-    """A signing key: 32 bytes, or 64 hexadecimal digits.
-
-    Raises:
-        AutopilotError: the file is missing or holds neither.
-    """
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise AutopilotError(f"key {path}: {error.strerror}; expected a readable file") from None
-    if len(data) == KEY_BYTES:
-        return data
-    try:
-        key = bytes.fromhex(data.decode("ascii").strip())
-    except ValueError:
-        key = b""
-    if len(key) != KEY_BYTES:
-        raise AutopilotError(
-            f"key {path}: {len(data)} bytes; expected 32 bytes or 64 hexadecimal digits, "
-            "as from: head -c 32 /dev/urandom"
-        )
-    return key
 
 
 class Codec:
@@ -56,7 +28,7 @@ class Codec:
             signing.secret_key = key
             signing.sign_outgoing = True
             signing.link_id = link_id
-            signing.timestamp = int((time.time() - _SIGNING_EPOCH_S) * 1e5)
+            signing.timestamp = timestamp_now()
 
     def encode(self, message: Any) -> bytes:
         """One packet."""

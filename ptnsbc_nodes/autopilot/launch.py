@@ -8,12 +8,13 @@ from pathlib import Path
 from typing import NamedTuple
 
 from ptnsbc_nodes.autopilot.arducopter import ArduCopter
-from ptnsbc_nodes.autopilot.codec import AutopilotError, Codec, read_key
+from ptnsbc_nodes.autopilot.codec import AutopilotError, Codec
 from ptnsbc_nodes.autopilot.px4 import Px4
 from ptnsbc_nodes.autopilot.server import Address, Endpoint, Station
 from ptnsbc_nodes.autopilot.starts import Fleet, Start, starts
 from ptnsbc_nodes.autopilot.stm32 import Stm32
 from ptnsbc_nodes.autopilot.vehicle import GCS, IMPOSTOR, Vehicle
+from ptnsbc_nodes.mavlink.signing import read_key
 
 KINDS: dict[str, type[Vehicle]] = {"px4": Px4, "arducopter": ArduCopter, "stm32": Stm32}
 
@@ -86,7 +87,6 @@ def _station(
     def tell(line: str) -> None:
         say(f"{kind} {system}: {line}")
 
-    vehicle = KINDS[kind](system, start.body, t, boot_time=options.boot_time, say=tell)
     path = network.key.replace("{n}", str(system)) if network.key else start.key
     key = None if path is None else read_key(Path(path))
     ends = _companion(network, n, start)
@@ -96,6 +96,8 @@ def _station(
         endpoints.append(Endpoint(listen, network.gcs, Codec(system, key=key, link_id=GCS)))
     # Whoever uses this system id as well does so from a port of its own.
     impostor = Endpoint(Address(HOST, 0), None, Codec(system, key=key, link_id=IMPOSTOR))
+    # Last, because it compiles: what is wrong above is said at once.
+    vehicle = KINDS[kind](system, start.body, t, boot_time=options.boot_time, say=tell)
     return Station(vehicle, endpoints, impostor)
 
 
