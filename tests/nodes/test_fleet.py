@@ -14,7 +14,7 @@ import pytest
 pytest.importorskip("rclpy")
 
 from ptnsbc_nodes import fleet_node, wire
-from ptnsbc_nodes.bag import read_bag
+from ptnsbc_nodes.bag import BagError, read_bag
 from ptnsbc_nodes.fleet import FleetError, FleetOptions, run_fleet
 from ptnsbc_sim.scenario import load_scenario, scenario_from_text
 from ptnsbc_sim.swarm import fly
@@ -152,6 +152,30 @@ def test_a_uav_killed_in_flight_is_named_and_the_others_fly_on(launch, tmp_path)
     last = [wire.decode_odometry(m.data).values for m in bag.messages(["/uav3/odom"])][-2:]
     assert last[0].tolist() == last[1].tolist()
     assert scenario_from_text(bag.attachment("scenario.yaml").decode()).name == "paper_5"
+
+
+def test_without_its_sim_the_flight_ends_and_the_bag_is_complete(launch, tmp_path):
+    flight = launch("--duration", "600", "--bag", str(tmp_path / "bag"))
+    flight.wait_for("steps/s")
+    os.kill(flight.pid_of("sim_node"), signal.SIGKILL)
+    assert flight.finish() == 1
+    assert any("sim (pid " in line and "signal SIGKILL" in line for line in flight.lines)
+    assert not flight.running()
+    told = counts(read_bag(tmp_path / "bag"))
+    assert told["/uav1/setpoint/wrench"] > 100
+
+
+def test_without_its_recorder_the_flight_goes_on_and_the_bag_can_be_mended(launch, tmp_path):
+    flight = launch("--duration", "12", "--bag", str(tmp_path / "bag"))
+    flight.wait_for("steps/s")
+    os.kill(flight.pid_of("ptnsbc_nodes.recorder"), signal.SIGKILL)
+    assert flight.finish() == 1
+    assert any("recorder (pid " in line and "signal SIGKILL" in line for line in flight.lines)
+    assert any("sim: 12.00 s" in line for line in flight.lines)
+    assert not flight.running()
+    with pytest.raises(BagError, match="ptnsbc bag repair"):
+        read_bag(tmp_path / "bag")
+    assert counts(read_bag(tmp_path / "bag.part", salvage=True))["/uav1/odom"] > 100
 
 
 def test_ctrl_c_ends_the_flight_in_order(launch, tmp_path):

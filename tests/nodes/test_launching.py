@@ -83,6 +83,10 @@ def wait_for_line(child: Child, line: str) -> None:
         time.sleep(0.01)
 
 
+def wait_for_exit(child: Child) -> None:
+    os.waitid(os.P_PID, child.pid, os.WEXITED | os.WNOWAIT)  # its status stays for the child object
+
+
 DEAF = """
 import signal, time
 signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -102,8 +106,7 @@ def test_a_deaf_process_is_ended_all_the_same(program):
 
 def test_an_obituary_has_the_last_words(program):
     child = program("import sys\nprint('one')\nsys.exit('two')")
-    while child.exit_code is None:
-        time.sleep(0.01)
+    wait_for_exit(child)
     assert child.exit_code == 1
     assert f"program (pid {child.pid}) has ended: exit code 1" in child.obituary()
     assert child.obituary().endswith("    one\n    two")
@@ -111,8 +114,7 @@ def test_an_obituary_has_the_last_words(program):
 
 def test_new_lines_come_once_and_whole(program):
     child = program("print('one\\ntwo\\nthr', end='')")
-    while child.exit_code is None:
-        time.sleep(0.01)
+    wait_for_exit(child)
     assert child.new_lines() == ["one", "two"]
     assert child.new_lines() == []
 

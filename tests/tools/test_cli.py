@@ -1,7 +1,7 @@
 """The command line as a user meets it: exit codes, one line per error, JSON alone on stdout."""
 
 import json
-import time
+import threading
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -176,10 +176,13 @@ def test_a_line_says_what_takes_long(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     console._say_compiling.cache_clear()
+    say, due = console._say_compiling, threading.Event()
+    monkeypatch.setattr(console, "_say_compiling", lambda: (say(), due.set()))
     monkeypatch.setattr(console, "_PATIENCE_S", 0.01)
     for _ in range(2):  # said once
+        due.clear()
         with console.compiling():
-            time.sleep(0.2)
+            assert due.wait(10.0)
     assert capsys.readouterr().err == f"{COMPILING}\n"
     monkeypatch.setattr(console, "_PATIENCE_S", 60.0)
     with console.compiling():
