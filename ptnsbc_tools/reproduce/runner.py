@@ -9,7 +9,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -121,8 +121,10 @@ def run_all(
 def _result(future: Future[Made], name: str) -> Made:
     try:
         return future.result()
-    except multiprocessing.ProcessError as error:
-        raise ReproduceError(f"{name}: {error}") from None
+    except BrokenExecutor:
+        raise ReproduceError(
+            f"{name}: a process of this run was killed: expected memory for each of --jobs, try fewer"
+        ) from None
     except OSError as error:
         raise ReproduceError(f"{name}: {error}: expected to write its results") from None
 
@@ -131,7 +133,7 @@ def _finished(
     futures: Iterable[Future[Made]], told: Any, stop: StopRequest, tell: Callable[[News], None]
 ) -> Iterator[Future[Made]]:
     """Futures as they complete, passing on the news meanwhile."""
-    waiting = set(futures)
+    waiting = list(futures)  # in order: those that end in the same moment too
     while waiting:
         if stop.came:
             raise KeyboardInterrupt

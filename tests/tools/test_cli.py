@@ -53,7 +53,7 @@ def write(recording: Recording, directory: Path) -> Path:
 def test_help_and_version() -> None:
     code, out, _ = run("--help")
     assert code == 0
-    for command in ("check", "simulate", "verify", "fleet", "demo"):
+    for command in ("check", "simulate", "verify", "fleet", "demo", "reproduce"):
         assert command in out
         assert run(command, "--help")[0] == 0
     assert run("--version")[1].startswith("ptnsbc ")
