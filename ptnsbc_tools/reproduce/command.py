@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import shlex
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ptnsbc_tools.options import JsonOption
+from ptnsbc_tools.options import JsonOption, SetOption
 from ptnsbc_tools.reproduce.catalogue import EXPERIMENTS
 
 if TYPE_CHECKING:
@@ -33,6 +33,7 @@ def reproduce(
         Path | None,
         typer.Option("--docs", metavar="DIR", help="Write DIR/results.md and its pictures too."),
     ] = None,
+    settings: SetOption = None,
     json: JsonOption = False,
 ) -> None:
     """Fly the paper again: its figures, the baselines, our ablations, and a verdict on each claim.
@@ -40,35 +41,43 @@ def reproduce(
     Writes figures (PNG, SVG), every curve in them (CSV), results.md and results.json. The same
     command gives the same bytes, except for what is measured by the clock, in timing.json.
     """
+    from ptnsbc_tools import options
     from ptnsbc_tools.reproduce import folder as folders
     from ptnsbc_tools.reproduce.catalogue import chosen
 
     experiments = chosen(only)
+    given = options.overrides(settings=settings)
     folders.refuse(folder, [one.name for one in experiments])
-    with folders.beside(folder) as place:
-        made = _run(experiments, place, jobs)
-        _report(made, place, docs, _command(only, docs))
+    from ptnsbc_tools.reproduce import flights  # not above: loads the laws, a refusal need not wait
+
+    with flights.using(given), folders.beside(folder) as place:
+        made = _run(experiments, place, jobs, given)
+        _report(made, place, docs, _command(only, docs, settings))
     _show(made, folder, json=json)
 
 
-def _run(experiments: tuple[Experiment, ...], place: Path, jobs: int) -> list[Made]:
+def _run(
+    experiments: tuple[Experiment, ...], place: Path, jobs: int, given: dict[str, Any]
+) -> list[Made]:
     from ptnsbc_tools import console
     from ptnsbc_tools.reproduce import progress
     from ptnsbc_tools.reproduce.runner import run_all
 
     with console.compiling():  # once here, or every process would compile for itself
-        from ptnsbc_tools.reproduce.flights import warm
+        from ptnsbc_tools.reproduce import flights
 
-        warm()
+        flights.warm()
     with progress.shown(experiments) as tell:
-        return run_all(experiments, place, jobs, tell)
+        return run_all(experiments, place, jobs, tell, given)
 
 
-def _command(only: list[str] | None, docs: Path | None) -> str:
+def _command(only: list[str] | None, docs: Path | None, settings: list[str] | None) -> str:
     """The command as it should be repeated: without what changes no result."""
     words = ["ptnsbc", "reproduce"]
     for name in only or ():
         words += ["--only", name]
+    for setting in settings or ():
+        words += ["--set", setting]
     return shlex.join(words + (["--docs", str(docs)] if docs else []))
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -17,6 +18,7 @@ from ptnsbc_tools.verdict import Verdict, verdict_on
 from ptnsbc_tools.verdict.deadline import formation_errors
 
 Setting = Mapping[str, Any]
+SCENARIOS = ("paper_5", "paper_5_free", "paper_20", "experiment_4")
 _INITIAL_S = 0.1
 
 
@@ -116,9 +118,35 @@ def judged(flight: Flight) -> Flown:
     return Flown(flight, verdict_on(recording_of(flight)))
 
 
+_given: dict[str, Any] = {}
+
+
+def use(settings: Setting) -> None:
+    """Change these dotted keys, and no others, in every scenario of this process; an experiment's own come on top."""
+    _given.clear()
+    _given.update(settings)
+    _flown.cache_clear()
+
+
+@contextmanager
+def using(settings: Setting) -> Iterator[None]:
+    """The same inside the block."""
+    before = dict(_given)
+    use(settings)
+    try:
+        yield
+    finally:
+        use(before)
+
+
+def scenario(name: str, changes: Setting | None = None) -> Scenario:
+    """A scenario by name, with the keys of this run and of an experiment changed."""
+    return load_scenario(name, {**_given, **(changes or {})})
+
+
 @lru_cache(maxsize=16)
 def _flown(name: str, changes: tuple[tuple[str, Any], ...]) -> Flown:
-    return judged(fly(load_scenario(name, dict(changes))))
+    return judged(fly(scenario(name, dict(changes))))
 
 
 def flown(name: str, changes: Setting | None = None) -> Flown:
@@ -127,5 +155,7 @@ def flown(name: str, changes: Setting | None = None) -> Flown:
 
 
 def warm() -> None:
-    """Compile the laws, or load them from the cache."""
-    fly(load_scenario("paper_5", {"timing.duration_s": 0.01}))
+    """Read every scenario; compile the laws, or load them from the cache."""
+    for name in SCENARIOS:
+        scenario(name)  # what cannot be read is said before anything is compiled
+    fly(scenario("paper_5", {"timing.duration_s": 0.01}))

@@ -16,8 +16,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from ptnsbc_nodes.stop import StopRequest
-from ptnsbc_tools.reproduce import style
+from ptnsbc_tools.reproduce import flights, style
 from ptnsbc_tools.reproduce.catalogue import Experiment
+from ptnsbc_tools.reproduce.flights import Setting
 from ptnsbc_tools.reproduce.part import Part, ReproduceError
 from ptnsbc_tools.reproduce.workshop import Workshop
 
@@ -43,10 +44,11 @@ class Made:
 _told: Any = None  # in a worker: the queue to the parent
 
 
-def _begin(told: Any) -> None:
+def _begin(told: Any, settings: Setting) -> None:
     """In a worker, once: Ctrl-C is the parent's to answer, and without a parent there is no work."""
     global _told
     _told = told
+    flights.use(settings)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = multiprocessing.parent_process()
     if parent is not None:
@@ -77,12 +79,12 @@ def work(experiment: Experiment, workshop: Workshop) -> Made:
 
 
 @contextmanager
-def _pool(jobs: int) -> Iterator[tuple[ProcessPoolExecutor, Any]]:
+def _pool(jobs: int, settings: Setting) -> Iterator[tuple[ProcessPoolExecutor, Any]]:
     """Worker processes that end with the block, whatever they are at."""
     # Not forked: a copy of a process with threads may hang.
     context = multiprocessing.get_context("spawn")
     told = context.Queue()
-    pool = ProcessPoolExecutor(jobs, context, _begin, (told,))
+    pool = ProcessPoolExecutor(jobs, context, _begin, (told, settings))
     try:
         yield pool, told
     except BaseException:
@@ -95,18 +97,22 @@ def _pool(jobs: int) -> Iterator[tuple[ProcessPoolExecutor, Any]]:
 
 
 def run_all(
-    experiments: Sequence[Experiment], folder: Path, jobs: int, tell: Callable[[News], None]
+    experiments: Sequence[Experiment],
+    folder: Path,
+    jobs: int,
+    tell: Callable[[News], None],
+    settings: Setting | None = None,
 ) -> list[Made]:
     """Run experiments into a folder; the results in the order given.
 
-    Those that measure time come last, one by one.
+    Those that measure time come last, one by one. `settings` change the scenarios of all of them.
 
     Raises:
         KeyboardInterrupt: SIGINT or SIGTERM came.
         ReproduceError: a worker died.
     """
     done: dict[str, Made] = {}
-    with StopRequest() as stop, _pool(jobs) as (pool, told):
+    with StopRequest() as stop, _pool(jobs, settings or {}) as (pool, told):
         together = sorted((one for one in experiments if not one.alone), key=lambda x: -x.seconds)
         rounds = [together, *([one] for one in experiments if one.alone)]
         for some in rounds:

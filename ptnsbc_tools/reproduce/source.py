@@ -6,12 +6,12 @@ import hashlib
 import subprocess
 from pathlib import Path
 
-from ptnsbc_sim.scenario import load_scenario, reader
+from ptnsbc_sim.scenario import reader
+from ptnsbc_tools.reproduce.flights import SCENARIOS, scenario
 
 _ROOT = Path(__file__).resolve().parents[2]
 _CODE = ("ptnsbc_core", "ptnsbc_sim", "ptnsbc_tools", "scenarios")
 _LAWS = ("ptnsbc_core", "ptnsbc_sim")
-_SCENARIOS = ("paper_5", "paper_5_free", "paper_20", "experiment_4")
 _SHORT = 12
 
 
@@ -41,7 +41,7 @@ def digest() -> str:
     """Digest of laws, simulator and shipped scenarios: the same numbers come from the same digest."""
     found = hashlib.sha256()
     files = [path for folder in _LAWS for path in (_ROOT / folder).rglob("*.py")]
-    files += [reader.find(name) for name in _SCENARIOS]
+    files += [reader.find(name) for name in SCENARIOS]
     for path in sorted(files):
         found.update(path.name.encode())
         found.update(path.read_bytes())
@@ -50,4 +50,7 @@ def digest() -> str:
 
 def seeds() -> str:
     """The seeds of the scenarios, as they are flown."""
-    return ", ".join(f"seed {load_scenario(name).seed} of `{name}`" for name in _SCENARIOS)
+    by_seed: dict[int, list[str]] = {}
+    for name in SCENARIOS:
+        by_seed.setdefault(scenario(name).seed, []).append(f"`{name}`")
+    return "; ".join(f"seed {seed} in {', '.join(names)}" for seed, names in by_seed.items())

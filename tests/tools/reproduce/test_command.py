@@ -32,6 +32,13 @@ def test_an_unknown_part_is_refused_in_one_line(tmp_path: Path) -> None:
     assert not (tmp_path / "new").exists()
 
 
+def test_a_key_that_no_scenario_has_is_refused_in_one_line(tmp_path: Path) -> None:
+    code, out, err = run("--set", "gains.formation.kapa_1_s=3", "-o", tmp_path / "new")
+    assert (code, out) == (2, "")
+    assert "kapa_1_s" in err and err.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_folder_of_other_things_is_refused(tmp_path: Path) -> None:
     (tmp_path / "thesis.tex").write_text("years of work")
     code, out, err = run("--only", SMALL, "-o", tmp_path)
@@ -50,7 +57,8 @@ def test_every_part_names_what_it_needs() -> None:
 @pytest.mark.slow
 def test_a_part_is_the_same_bytes_in_a_process_of_its_own(tmp_path: Path) -> None:
     docs = tmp_path / "docs"
-    code, out, _ = run("--only", SMALL, "-o", tmp_path / "run", "--docs", docs, "--json")
+    words = ("--only", SMALL, "-o", tmp_path / "run", "--docs", docs, "--json")
+    code, out, _ = run(*words, "--set", "world.wind_m_s=[0, 0, 0]")  # as it is: changes nothing
     assert code == 0
     told = json.loads(out)
     assert [claim["key"] for claim in told["claims"]] == ["estimator"]
@@ -63,7 +71,9 @@ def test_a_part_is_the_same_bytes_in_a_process_of_its_own(tmp_path: Path) -> Non
         assert (here / path).read_bytes() == (tmp_path / "run" / path).read_bytes()
     results = json.loads((tmp_path / "run" / "results.json").read_text())
     assert results["parts"] == [json.loads(json.dumps(made.part.as_json()))]
-    assert results["origin"]["command"] == f"ptnsbc reproduce --only {SMALL} --docs {docs}"
+    assert results["origin"]["command"] == (
+        f"ptnsbc reproduce --only {SMALL} --set 'world.wind_m_s=[0, 0, 0]' --docs {docs}"
+    )
     assert (docs / "results.md").read_text().startswith("# Results")
     assert run("-o", tmp_path / "run", "--only", "cost")[0] == 2  # would lose what is there
 
