@@ -12,7 +12,7 @@ from typer.core import TyperGroup
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_tools import options
-from ptnsbc_tools.autopilot.command import autopilot as autopilot
+from ptnsbc_tools.autopilot.command import autopilot
 from ptnsbc_tools.bags.command import app as bags
 from ptnsbc_tools.limits import TOLERANCE_M
 from ptnsbc_tools.options import (

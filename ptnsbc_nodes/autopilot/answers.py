@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from pymavlink.dialects.v20 import common as mavlink
-
 from ptnsbc_nodes.autopilot.commands import Request, request_of
+from ptnsbc_nodes.mavlink.dialect import mavlink
 
 if TYPE_CHECKING:
     from ptnsbc_nodes.autopilot.vehicle import Vehicle

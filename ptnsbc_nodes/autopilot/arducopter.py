@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from pymavlink.dialects.v20 import common as mavlink
-
 from ptnsbc_core.types import Array
 from ptnsbc_nodes.autopilot import paths
 from ptnsbc_nodes.autopilot.airframe import LoopGains, hover_share
@@ -14,7 +12,9 @@ from ptnsbc_nodes.autopilot.commands import Request, whole
 from ptnsbc_nodes.autopilot.frames import attitude_swap, euler_of
 from ptnsbc_nodes.autopilot.guided import Guided, Limits, Seen, Submode
 from ptnsbc_nodes.autopilot.parameters import ARDUCOPTER, Parameters
-from ptnsbc_nodes.autopilot.vehicle import Status, Vehicle
+from ptnsbc_nodes.autopilot.personality import Status
+from ptnsbc_nodes.autopilot.vehicle import Vehicle
+from ptnsbc_nodes.mavlink.dialect import mavlink
 
 _DONE = int(mavlink.MAV_RESULT_ACCEPTED)
 _DENIED = int(mavlink.MAV_RESULT_DENIED)

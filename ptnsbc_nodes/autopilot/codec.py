@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from pymavlink.dialects.v20 import common as mavlink
-
 from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_nodes.mavlink.dialect import mavlink
 from ptnsbc_nodes.mavlink.signing import timestamp_now
 
 

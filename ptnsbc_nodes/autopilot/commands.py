@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from pymavlink.dialects.v20 import common as mavlink
+from ptnsbc_nodes.mavlink.dialect import mavlink
 
 if TYPE_CHECKING:
     from ptnsbc_nodes.autopilot.vehicle import Vehicle

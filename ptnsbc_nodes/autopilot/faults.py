@@ -8,9 +8,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from pymavlink.dialects.v20 import common as mavlink
-
 from ptnsbc_nodes.autopilot.codec import AutopilotError
+from ptnsbc_nodes.mavlink.dialect import mavlink
 
 if TYPE_CHECKING:
     from ptnsbc_nodes.autopilot.vehicle import Vehicle

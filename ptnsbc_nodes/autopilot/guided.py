@@ -11,11 +11,11 @@ from enum import Enum
 from typing import Any, NamedTuple
 
 import numpy as np
-from pymavlink.dialects.v20 import common as mavlink
 
 from ptnsbc_core.types import Array
 from ptnsbc_nodes.autopilot import airframe, paths, setpoints
 from ptnsbc_nodes.autopilot.frames import rotate_heading, world_swap, yaw_swap
+from ptnsbc_nodes.mavlink.dialect import mavlink
 
 _LEASH_M = 1.5
 _MOST_STEP_S = 0.1

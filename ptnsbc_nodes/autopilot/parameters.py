@@ -9,7 +9,7 @@ import struct
 from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
-from pymavlink.dialects.v20 import common as mavlink
+from ptnsbc_nodes.mavlink.dialect import mavlink
 
 Value = int | float
 

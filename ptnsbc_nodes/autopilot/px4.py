@@ -5,14 +5,13 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from pymavlink.dialects.v20 import common as mavlink
-
 from ptnsbc_core.types import Array
 from ptnsbc_nodes.autopilot import airframe, paths
 from ptnsbc_nodes.autopilot.airframe import LoopGains
 from ptnsbc_nodes.autopilot.commands import Request, whole
 from ptnsbc_nodes.autopilot.frames import attitude_swap, euler_of
 from ptnsbc_nodes.autopilot.parameters import PX4, Parameters
+from ptnsbc_nodes.autopilot.personality import Status
 from ptnsbc_nodes.autopilot.px4_offboard import (
     LIFT_SHARE_OF_RAMP,
     LiftOff,
@@ -35,7 +34,8 @@ from ptnsbc_nodes.autopilot.px4_tables import (
     TAKEOFF,
     Mode,
 )
-from ptnsbc_nodes.autopilot.vehicle import Status, Vehicle
+from ptnsbc_nodes.autopilot.vehicle import Vehicle
+from ptnsbc_nodes.mavlink.dialect import mavlink
 
 _DONE = int(mavlink.MAV_RESULT_ACCEPTED)
 _LATER = int(mavlink.MAV_RESULT_TEMPORARILY_REJECTED)

@@ -6,10 +6,10 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from pymavlink.dialects.v20 import common as mavlink
 
 from ptnsbc_core.types import Array
 from ptnsbc_nodes.autopilot import airframe, paths, setpoints
+from ptnsbc_nodes.mavlink.dialect import mavlink
 
 LIFT_SHARE_OF_RAMP = 2.5 / 3.0
 """When MPC_TKO_RAMP_T has lifted the vehicle. Measured: first motion about 2.5 s after a climb command."""

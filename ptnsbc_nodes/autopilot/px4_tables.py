@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from pymavlink.dialects.v20 import common as mavlink
+from ptnsbc_nodes.mavlink.dialect import mavlink
 
 
 class Mode(NamedTuple):

@@ -6,7 +6,6 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from pymavlink.dialects.v20 import common as mavlink
 
 from ptnsbc_core.types import Array
 from ptnsbc_nodes.autopilot import airframe
@@ -18,6 +17,7 @@ from ptnsbc_nodes.autopilot.frames import (
     world_swap,
     yaw_swap,
 )
+from ptnsbc_nodes.mavlink.dialect import mavlink
 
 _POSITION = (
     mavlink.POSITION_TARGET_TYPEMASK_X_IGNORE,

@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from pymavlink.dialects.v20 import common as mavlink
-
 from ptnsbc_core.types import Array
 from ptnsbc_nodes.autopilot import paths, setpoints
 from ptnsbc_nodes.autopilot.airframe import LoopGains
 from ptnsbc_nodes.autopilot.commands import COMMANDS, Request
 from ptnsbc_nodes.autopilot.parameters import STM32, Parameters
-from ptnsbc_nodes.autopilot.vehicle import Status, Vehicle
+from ptnsbc_nodes.autopilot.personality import Status
+from ptnsbc_nodes.autopilot.vehicle import Vehicle
+from ptnsbc_nodes.mavlink.dialect import mavlink
 
 _UNSUPPORTED = int(mavlink.MAV_RESULT_UNSUPPORTED)
 _SINK_M_S = 0.5

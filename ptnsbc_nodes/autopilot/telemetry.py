@@ -1,13 +1,12 @@
-"""The messages a stand-in sends of itself, by message id."""
+"""The messages a stand-in sends of itself, by message id; those of its state are in `telemetry_state`."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from pymavlink.dialects.v20 import common as mavlink
-
 from ptnsbc_core.types import Array
+from ptnsbc_nodes.autopilot import telemetry_state
 from ptnsbc_nodes.autopilot.frames import (
     attitude_swap,
     body_swap,
@@ -15,6 +14,7 @@ from ptnsbc_nodes.autopilot.frames import (
     world_swap,
 )
 from ptnsbc_nodes.autopilot.geodesy import Geodetic, geodetic
+from ptnsbc_nodes.mavlink.dialect import mavlink
 
 if TYPE_CHECKING:
     from ptnsbc_nodes.autopilot.vehicle import Vehicle
@@ -23,7 +23,6 @@ Builder = Callable[["Vehicle", float], Any]
 
 _UNKNOWN_16 = 65535
 _UNIT_QUATERNION = [1.0, 0.0, 0.0, 0.0]
-_GRAVITY_MG = 1000
 
 
 def _place(vehicle: Vehicle) -> Geodetic:
@@ -34,18 +33,6 @@ def _place(vehicle: Vehicle) -> Geodetic:
 
 def _e7(degrees: float) -> int:
     return round(degrees * 1e7)
-
-
-def _heartbeat(vehicle: Vehicle, _t: float) -> Any:
-    status = vehicle.status()
-    return mavlink.MAVLink_heartbeat_message(
-        vehicle.mav_type,
-        vehicle.autopilot,
-        status.base_mode,
-        status.custom_mode,
-        status.system_status,
-        3,
-    )
 
 
 def _attitude(vehicle: Vehicle, t: float) -> Any:
@@ -153,67 +140,6 @@ def _gps_raw(vehicle: Vehicle, t: float) -> Any:
     )
 
 
-def _sensors(vehicle: Vehicle, t: float) -> tuple[int, int]:
-    """Bits of the sensors present, and of the healthy ones."""
-    base = (
-        mavlink.MAV_SYS_STATUS_SENSOR_3D_GYRO
-        | mavlink.MAV_SYS_STATUS_SENSOR_3D_ACCEL
-        | mavlink.MAV_SYS_STATUS_SENSOR_ABSOLUTE_PRESSURE
-        | mavlink.MAV_SYS_STATUS_SENSOR_BATTERY
-    )
-    gps, ready = mavlink.MAV_SYS_STATUS_SENSOR_GPS, mavlink.MAV_SYS_STATUS_PREARM_CHECK
-    healthy = base
-    if vehicle.flight.navigation.fix_type > 1:
-        healthy |= gps
-    if vehicle.arming_problem(t) is None:
-        healthy |= ready
-    return base | gps | ready, healthy
-
-
-def _sys_status(vehicle: Vehicle, t: float) -> Any:
-    present, healthy = _sensors(vehicle, t)
-    flight = vehicle.flight
-    return mavlink.MAVLink_sys_status_message(
-        present,
-        present,
-        healthy,
-        300,
-        round(flight.battery_v * 1000.0),
-        -1,
-        round(flight.battery * 100.0),
-        0,
-        0,
-        0,
-        0,
-        0,
-        0,
-    )
-
-
-def _battery(vehicle: Vehicle, _t: float) -> Any:
-    flight = vehicle.flight
-    cells = [round(flight.battery_v * 1000.0 / 4)] * 4 + [_UNKNOWN_16] * 6
-    return mavlink.MAVLink_battery_status_message(
-        0,
-        mavlink.MAV_BATTERY_FUNCTION_ALL,
-        mavlink.MAV_BATTERY_TYPE_LIPO,
-        32767,
-        cells,
-        -1,
-        -1,
-        -1,
-        round(flight.battery * 100.0),
-        0,
-        vehicle.charge_state(),
-    )
-
-
-def _extended_state(vehicle: Vehicle, _t: float) -> Any:
-    return mavlink.MAVLink_extended_sys_state_message(
-        mavlink.MAV_VTOL_STATE_UNDEFINED, vehicle.landed_state()
-    )
-
-
 def _home(vehicle: Vehicle, t: float) -> Any:
     if not vehicle.position_valid(t):
         return None
@@ -245,68 +171,22 @@ def _origin(vehicle: Vehicle, t: float) -> Any:
     )
 
 
-def _estimator(vehicle: Vehicle, t: float) -> Any:
-    flags = mavlink.ESTIMATOR_ATTITUDE | mavlink.ESTIMATOR_POS_VERT_ABS
-    if vehicle.position_valid(t):
-        flags |= (
-            mavlink.ESTIMATOR_VELOCITY_HORIZ
-            | mavlink.ESTIMATOR_VELOCITY_VERT
-            | mavlink.ESTIMATOR_POS_HORIZ_REL
-            | mavlink.ESTIMATOR_POS_HORIZ_ABS
-        )
-    quality = vehicle.flight.body.quality
-    return mavlink.MAVLink_estimator_status_message(
-        vehicle.clock.us(t), flags, 0, 0, 0, 0, 0, 0, quality.position_m, quality.height_m
-    )
-
-
-def _version(vehicle: Vehicle, _t: float) -> Any:
-    capabilities = (
-        mavlink.MAV_PROTOCOL_CAPABILITY_MAVLINK2
-        | mavlink.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
-        | mavlink.MAV_PROTOCOL_CAPABILITY_SET_ATTITUDE_TARGET
-        | vehicle.capabilities
-    )
-    nothing = [0] * 8
-    return mavlink.MAVLink_autopilot_version_message(
-        capabilities,
-        vehicle.version_word,
-        0,
-        0,
-        0,
-        nothing,
-        nothing,
-        nothing,
-        0,
-        0,
-        vehicle.system,
-    )
-
-
-def _system_time(vehicle: Vehicle, t: float) -> Any:
-    return mavlink.MAVLink_system_time_message(0, vehicle.clock.ms(t))
-
-
-def _timesync(vehicle: Vehicle, t: float) -> Any:
-    return mavlink.MAVLink_timesync_message(0, vehicle.clock.ns(t))
-
-
 BUILDERS: dict[int, Builder] = {
-    mavlink.MAVLINK_MSG_ID_HEARTBEAT: _heartbeat,
+    mavlink.MAVLINK_MSG_ID_HEARTBEAT: telemetry_state.heartbeat,
     mavlink.MAVLINK_MSG_ID_ATTITUDE: _attitude,
     mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: _attitude_quaternion,
     mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: _local_position,
     mavlink.MAVLINK_MSG_ID_ODOMETRY: _odometry,
     mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: _global_position,
     mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: _gps_raw,
-    mavlink.MAVLINK_MSG_ID_SYS_STATUS: _sys_status,
-    mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: _battery,
-    mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: _extended_state,
+    mavlink.MAVLINK_MSG_ID_SYS_STATUS: telemetry_state.sys_status,
+    mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: telemetry_state.battery,
+    mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: telemetry_state.extended_state,
     mavlink.MAVLINK_MSG_ID_HOME_POSITION: _home,
     mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: _origin,
-    mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: _estimator,
-    mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: _version,
-    mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: _system_time,
-    mavlink.MAVLINK_MSG_ID_TIMESYNC: _timesync,
+    mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: telemetry_state.estimator,
+    mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: telemetry_state.version,
+    mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: telemetry_state.system_time,
+    mavlink.MAVLINK_MSG_ID_TIMESYNC: telemetry_state.timesync,
 }
 """What can be streamed or requested; a builder says None while there is nothing valid to send."""

@@ -8,23 +8,19 @@ and a setpoint mean: `px4`, `arducopter`, `stm32`.
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping
-from typing import Any, ClassVar, NamedTuple
-
-from pymavlink.dialects.v20 import common as mavlink
+from collections.abc import Callable, Iterable
+from typing import Any, NamedTuple
 
 from ptnsbc_core.types import Array
-from ptnsbc_nodes.autopilot.airframe import LoopGains
 from ptnsbc_nodes.autopilot.answers import ANSWERS, UNADDRESSED
 from ptnsbc_nodes.autopilot.clock import BootClock
-from ptnsbc_nodes.autopilot.commands import COMMANDS, Request, Run
 from ptnsbc_nodes.autopilot.faults import IMPOSTOR_PERIOD_S, Faults, impostor
 from ptnsbc_nodes.autopilot.flight import Body, Flight
-from ptnsbc_nodes.autopilot.parameters import Parameters
+from ptnsbc_nodes.autopilot.personality import Personality
 from ptnsbc_nodes.autopilot.streams import Streams
 from ptnsbc_nodes.autopilot.telemetry import BUILDERS
+from ptnsbc_nodes.mavlink.dialect import mavlink
 
 COMPANION, GCS, IMPOSTOR = 0, 1, 2
 """Links of a vehicle, by number; on the last somebody else uses its system id."""
@@ -45,31 +41,12 @@ class Outgoing(NamedTuple):
     message: Any
 
 
-class Status(NamedTuple):
-    """The fields of HEARTBEAT that change."""
-
-    base_mode: int
-    custom_mode: int
-    system_status: int
-
-
 def _nothing(_line: str) -> None:
     pass
 
 
-class Vehicle(ABC):
+class Vehicle(Personality):
     """One flight controller and the vehicle under it."""
-
-    mav_type: ClassVar[int] = mavlink.MAV_TYPE_QUADROTOR
-    autopilot: ClassVar[int]
-    capabilities: ClassVar[int]
-    version_word: ClassVar[int]
-    text_end: ClassVar[str] = ""
-    refusal: ClassVar[int]  # MAV_RESULT of an arming request that is refused
-    rates_hz: ClassVar[tuple[Mapping[int, float], Mapping[int, float]]]  # per link
-    ready_s: ClassVar[tuple[float, float]]  # from boot to a valid position, at least and at most
-    dead_reckoning_s: ClassVar[float] = 5.0
-    commands: ClassVar[Mapping[int, Run]] = COMMANDS
 
     def __init__(
         self, system: int, body: Body, t: float, *, boot_time: float = 1.0, say: Say = _nothing
@@ -101,81 +78,6 @@ class Vehicle(ABC):
         self._text_id = 0
         self._impostor_t = -math.inf
         self._start(t)
-
-    # What a personality says.
-
-    @abstractmethod
-    def default_parameters(self) -> Parameters:
-        """Parameters after a factory reset."""
-
-    @abstractmethod
-    def gains(self) -> LoopGains:
-        """Gains and limits of the loops, from the parameters."""
-
-    @property
-    @abstractmethod
-    def mode_name(self) -> str:
-        """Name of the mode that is flown."""
-
-    @abstractmethod
-    def status(self) -> Status:
-        """Mode and state for HEARTBEAT."""
-
-    @abstractmethod
-    def landed_state(self) -> int:
-        """MAV_LANDED_STATE."""
-
-    @abstractmethod
-    def arming_problem(self, t: float) -> str | None:
-        """Why it would not arm now."""
-
-    @abstractmethod
-    def on_boot(self, t: float) -> None:
-        """Mode and memory after a boot."""
-
-    @abstractmethod
-    def on_armed(self, t: float) -> None:
-        """The motors have been switched on."""
-
-    @abstractmethod
-    def on_disarmed(self, t: float) -> None:
-        """The motors have been switched off."""
-
-    @abstractmethod
-    def set_mode(self, request: Request, t: float) -> int:
-        """DO_SET_MODE; MAV_RESULT."""
-
-    @abstractmethod
-    def take_off(self, request: Request, t: float) -> int:
-        """NAV_TAKEOFF; MAV_RESULT."""
-
-    @abstractmethod
-    def land(self, t: float) -> int:
-        """NAV_LAND; MAV_RESULT."""
-
-    @abstractmethod
-    def return_home(self, t: float) -> int:
-        """NAV_RETURN_TO_LAUNCH; MAV_RESULT."""
-
-    @abstractmethod
-    def pilot(self, mode: str, t: float) -> bool:
-        """A pilot with a transmitter chooses a mode by name; False when there is none of that name."""
-
-    @abstractmethod
-    def on_trajectory(self, message: Any, t: float) -> None:
-        """SET_POSITION_TARGET_LOCAL_NED."""
-
-    @abstractmethod
-    def on_attitude(self, message: Any, t: float) -> None:
-        """SET_ATTITUDE_TARGET."""
-
-    @abstractmethod
-    def watch(self, t: float) -> None:
-        """Rules that act by themselves: failsafes, disarming."""
-
-    @abstractmethod
-    def aim(self, t: float) -> Array:
-        """What the airframe follows until the next step (22,)."""
 
     # The two calls.
 
@@ -321,10 +223,6 @@ class Vehicle(ABC):
             return False
         self.send(link, message)
         return True
-
-    def refusal_text(self, problem: str) -> str:
-        """What it says when it does not arm."""
-        return f"Arm: {problem}"
 
     def text_links(self, t: float) -> list[int]:
         """Links that get STATUSTEXT."""

@@ -6,12 +6,12 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from pymavlink.dialects.v20 import common as mavlink
 
 from ptnsbc_nodes.autopilot.codec import Codec
 from ptnsbc_nodes.autopilot.flight import Body
 from ptnsbc_nodes.autopilot.navigation import QUALITIES
 from ptnsbc_nodes.autopilot.vehicle import COMPANION, GCS, Vehicle
+from ptnsbc_nodes.mavlink.dialect import mavlink
 
 STEP_S = 0.004
 VELOCITY_YAW = 0x09C7  # position, acceleration and yaw rate ignored

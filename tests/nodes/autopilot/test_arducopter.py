@@ -4,10 +4,10 @@ import math
 
 import numpy as np
 import pytest
-from pymavlink.dialects.v20 import common as mavlink
 
 from ptnsbc_nodes.autopilot.arducopter import GUIDED, LAND, STABILIZE, ArduCopter
 from ptnsbc_nodes.autopilot.vehicle import GCS
+from ptnsbc_nodes.mavlink.dialect import mavlink
 
 ACCEPTED, FAILED = 0, 4
 UP = 5.0

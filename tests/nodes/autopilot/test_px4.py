@@ -4,12 +4,12 @@ import math
 
 import numpy as np
 import pytest
-from pymavlink.dialects.v20 import common as mavlink
 
 from ptnsbc_nodes.autopilot.navigation import QUALITIES
 from ptnsbc_nodes.autopilot.px4 import Px4
 from ptnsbc_nodes.autopilot.px4_tables import DESCEND, HOLD, LAND, OFFBOARD, POSCTL
 from ptnsbc_nodes.autopilot.vehicle import GCS
+from ptnsbc_nodes.mavlink.dialect import mavlink
 
 ACCEPTED, REJECTED, DENIED, UNSUPPORTED = 0, 1, 2, 3
 

@@ -7,13 +7,13 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from pymavlink.dialects.v20 import common as mavlink
 
 from ptnsbc_nodes.autopilot.codec import AutopilotError, Codec
 from ptnsbc_nodes.autopilot.control import Control, Timed, ask, parse_timed
 from ptnsbc_nodes.autopilot.launch import Network, Options, parse_address, stations
 from ptnsbc_nodes.autopilot.server import Address, serve
 from ptnsbc_nodes.autopilot.starts import Fleet
+from ptnsbc_nodes.mavlink.dialect import mavlink
 
 LIMIT_S = 20.0
 

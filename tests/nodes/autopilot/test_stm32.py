@@ -1,9 +1,9 @@
 """The controller that takes attitude targets only."""
 
 import pytest
-from pymavlink.dialects.v20 import common as mavlink
 
 from ptnsbc_nodes.autopilot.stm32 import Stm32
+from ptnsbc_nodes.mavlink.dialect import mavlink
 
 ACCEPTED, REJECTED, UNSUPPORTED = 0, 1, 3
 

@@ -5,7 +5,6 @@ import struct
 
 import numpy as np
 import pytest
-from pymavlink.dialects.v20 import common as mavlink
 
 from ptnsbc_nodes.autopilot import paths
 from ptnsbc_nodes.autopilot.arducopter import ArduCopter
@@ -17,6 +16,7 @@ from ptnsbc_nodes.autopilot.px4 import Px4
 from ptnsbc_nodes.autopilot.px4_tables import HOLD, LAND, OFFBOARD, POSCTL
 from ptnsbc_nodes.autopilot.stm32 import Stm32
 from ptnsbc_nodes.autopilot.vehicle import IMPOSTOR
+from ptnsbc_nodes.mavlink.dialect import mavlink
 
 ACCEPTED, REJECTED, DENIED = 0, 1, 2
 ALL = pytest.mark.parametrize("kind", [Px4, ArduCopter, Stm32])

@@ -1,0 +1,117 @@
+"""Stand-in flight controllers: CPU of four in flight under a setpoint stream, and how fast one flies as an object."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import IO
+
+from bench.launch import BenchError
+from bench.session import Plan, say
+from bench.table import Row, Target
+from bench.usage import look
+from ptnsbc_nodes.autopilot.codec import Codec
+from ptnsbc_nodes.autopilot.flight import Body
+from ptnsbc_nodes.autopilot.px4 import Px4
+from ptnsbc_nodes.mavlink.dialect import mavlink
+
+_COUNT, _STREAM_HZ, _READY_S = 4, 50.0, 300.0
+_VELOCITY_YAW = 0x09C7  # position, acceleration and yaw rate ignored
+_CLIMB_S = 12.0
+
+
+def measure(plan: Plan) -> Sequence[Row]:
+    """Rows of this section."""
+    share = [_fly(plan.of(20.0, 6.0)) for _ in range(plan.of(3, 1))]
+    faster = [_fast(plan.of(30.0, 10.0)) for _ in range(plan.of(3, 1))]
+    return [
+        Row("autopilot, 4 PX4 flying at 50 Hz", share, "cores", target=Target(0.25)),
+        Row("autopilot, one as an object", faster, "x real time"),
+    ]
+
+
+def _fly(seconds: float) -> float:
+    """Cores that four vehicles need in the air."""
+    say("autopilot: four in the air")
+    with tempfile.TemporaryFile("w+") as log, socket.socket(type=socket.SOCK_DGRAM) as channel:
+        channel.bind(("127.0.0.1", 0))
+        port = channel.getsockname()[1]
+        own = ("--count", str(_COUNT), "--boot-time", "0", "--gcs", "", "--gnss", "rtk")
+        where = ("--connect", f"udpin:127.0.0.1:{port + 1}")
+        child = subprocess.Popen(
+            [sys.executable, "-m", "ptnsbc_tools.cli", "autopilot", *own, *where],
+            stderr=log,
+            env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])},
+        )
+        try:
+            _wait(child, log)
+            goals = [("127.0.0.1", port + 1 + n) for n in range(_COUNT)]
+            _stream(channel, goals, _CLIMB_S)
+            before = look(child.pid)
+            _stream(channel, goals, seconds)
+            after = look(child.pid)
+        finally:
+            child.send_signal(signal.SIGINT)
+            child.wait()
+    return (after.cpu_s - before.cpu_s) / (after.at - before.at)
+
+
+def _wait(child: subprocess.Popen[bytes], log: IO[str]) -> None:
+    end = time.monotonic() + _READY_S
+    while time.monotonic() < end and child.poll() is None:
+        text = os.pread(log.fileno(), 1 << 16, 0).decode()
+        if text.count(" udp ") == _COUNT:
+            return
+        time.sleep(0.05)
+    raise BenchError("autopilot: it did not come up; try it by hand: ptnsbc autopilot")
+
+
+def _stream(channel: socket.socket, goals: list[tuple[str, int]], seconds: float) -> None:
+    """Setpoints that climb slowly, offboard and arming once a second."""
+    codecs = [Codec(245, 191) for _ in goals]
+    end, due, beat = time.monotonic() + seconds, time.monotonic(), 0
+    while due < end:
+        for system, (goal, codec) in enumerate(zip(goals, codecs, strict=True), 1):
+            for message in _messages(system, beat):
+                channel.sendto(codec.encode(message), goal)
+        beat += 1
+        due += 1.0 / _STREAM_HZ
+        time.sleep(max(0.0, due - time.monotonic()))
+
+
+def _messages(system: int, beat: int) -> list[mavlink.MAVLink_message]:
+    frame = mavlink.MAV_FRAME_LOCAL_NED
+    out = [
+        mavlink.MAVLink_set_position_target_local_ned_message(
+            0, system, 1, frame, _VELOCITY_YAW, 0, 0, 0, 0, 0, -0.3, 0, 0, 0, 0, 0
+        )
+    ]
+    if beat % int(_STREAM_HZ) == 0:
+        for command, first, second in (
+            (mavlink.MAV_CMD_DO_SET_MODE, 1, 6),
+            (mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1, 0),
+        ):
+            out.append(
+                mavlink.MAVLink_command_long_message(
+                    system, 1, command, 0, first, second, 0, 0, 0, 0, 0
+                )
+            )
+    return out
+
+
+def _fast(seconds: float) -> float:
+    """Simulated seconds per second of one vehicle without sockets, messages packed."""
+    vehicle, codec, t = Px4(1, Body(), 0.0, boot_time=0.0), Codec(1), 0.0
+    began = time.process_time()
+    while t < seconds:
+        t += 0.004
+        for _, message in vehicle.step(t):
+            codec.encode(message)
+    return seconds / (time.process_time() - began)
