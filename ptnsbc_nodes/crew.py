@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import platform
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from ptnsbc_nodes.children import Command
 from ptnsbc_nodes.endpoints import RECORDER
+from ptnsbc_nodes.provenance import provenance
 from ptnsbc_sim.scenario import Scenario
 
 SIM = "sim"
-
-_VERSIONS = ("ptnsbc", "numpy", "numba", "ros-rclpy", "ros-rmw-fastrtps-cpp")
 
 
 @dataclass(frozen=True)
@@ -54,7 +51,7 @@ def commands(options: FleetOptions, scenario_file: Path) -> list[Command]:
 def _recorder(options: FleetOptions, bag: Path, scenario_file: Path) -> Command:
     arguments = ["--bag", str(bag), "--uavs", *map(str, options.scenario.uav_ids)]
     arguments += ["--attach", f"scenario.yaml={scenario_file}"]
-    for key, value in _meta(options):
+    for key, value in _meta(options).items():
         arguments += ["--meta", f"{key}={value}"]
     if options.lockstep:
         arguments.append("--lockstep")
@@ -63,13 +60,9 @@ def _recorder(options: FleetOptions, bag: Path, scenario_file: Path) -> Command:
     return Command(RECORDER, "ptnsbc_nodes.recorder", tuple(arguments))
 
 
-def _meta(options: FleetOptions) -> Iterator[tuple[str, str]]:
-    yield "mode", "lockstep" if options.lockstep else "realtime"
-    yield "scenario", options.scenario.name
-    yield "python", platform.python_version()
-    for name in _VERSIONS:
-        try:
-            yield name, version(name)
-        except PackageNotFoundError:  # ROS from apt, or run from a checkout
-            continue
-    yield from options.meta.items()
+def _meta(options: FleetOptions) -> Mapping[str, str]:
+    own = {
+        "mode": "lockstep" if options.lockstep else "realtime",
+        "scenario": options.scenario.name,
+    }
+    return own | provenance() | dict(options.meta)

@@ -38,6 +38,7 @@ from rclpy.utilities import remove_ros_args  # noqa: E402
 
 from ptnsbc_nodes import qos, topics, wire  # noqa: E402
 from ptnsbc_nodes.bag import BagError, BagWriter, TopicInfo  # noqa: E402
+from ptnsbc_nodes.bag.msgdef import has_header  # noqa: E402
 from ptnsbc_nodes.bag.reorder import Held, ReorderBuffer  # noqa: E402
 from ptnsbc_nodes.endpoints import RECORDED  # noqa: E402
 from ptnsbc_nodes.spin import make_executor, spin_for  # noqa: E402
@@ -181,9 +182,11 @@ class Recorder:
 
 def stamp_of(topic: Topic, data: bytes) -> int | None:
     """The header stamp [ns] of a message, of its first element for a list; None without one."""
+    listed = topic.type in _LISTS
+    if not listed and not has_header(topic.type):
+        return None
     try:
-        peek = wire.peek_sequence_stamp if topic.type in _LISTS else wire.peek_stamp
-        stamp_ns = peek(data)
+        stamp_ns = wire.peek_sequence_stamp(data) if listed else wire.peek_stamp(data)
     except wire.WireError:
         # Foreign and broken, but it was on the topic: it belongs into the bag.
         return None

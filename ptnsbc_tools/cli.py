@@ -29,6 +29,7 @@ from ptnsbc_tools.options import (
     TaskOption,
 )
 from ptnsbc_tools.plot.command import plot
+from ptnsbc_tools.record.command import record
 from ptnsbc_tools.replay.command import replay
 from ptnsbc_tools.report.command import report
 from ptnsbc_tools.reproduce.command import reproduce
@@ -224,6 +225,7 @@ app.command()(report)
 app.command()(plot)
 app.command()(reproduce)
 app.command()(autopilot)
+app.command()(record)
 app.command()(replay)
 app.add_typer(bags, name="bag")
 

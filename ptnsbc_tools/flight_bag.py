@@ -12,6 +12,7 @@ from ptnsbc_core.types import AgentDiagnostics, Array
 from ptnsbc_nodes import environment, topics
 from ptnsbc_nodes.bag import BagError, BagWriter
 from ptnsbc_nodes.letters import WORLD_FRAME, Letters
+from ptnsbc_nodes.provenance import provenance
 from ptnsbc_nodes.transforms import Transforms
 from ptnsbc_nodes.wire import ClockTemplate, HeaderTemplate, Stamped, encode_near
 from ptnsbc_sim import swarm
@@ -187,7 +188,7 @@ def write_flight(
         directory,
         infos,
         attachments=attachments,
-        metadata={"mode": "headless", "scenario": scenario.name},
+        metadata={"mode": "headless", "scenario": scenario.name} | provenance(),
         overwrite=overwrite,
     ) as writer:
         for tick, (stamp_ns, found) in enumerate(messages(flight), start=1):

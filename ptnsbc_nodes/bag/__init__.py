@@ -3,8 +3,9 @@
 from ptnsbc_nodes.bag.errors import BagError
 from ptnsbc_nodes.bag.layout import TopicInfo
 from ptnsbc_nodes.bag.mcapfile import BagMessage
+from ptnsbc_nodes.bag.pieces import Limits
 from ptnsbc_nodes.bag.reader import Bag, BagTopic, read_bag
-from ptnsbc_nodes.bag.writer import BagWriter, Limits
+from ptnsbc_nodes.bag.writer import BagWriter
 
 __all__ = [
     "BagError",

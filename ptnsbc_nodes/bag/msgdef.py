@@ -47,6 +47,17 @@ def definition(type_name: str) -> Definition:
     return Definition("\n".join(parts), _type_hash(package, name))
 
 
+@cache
+def has_header(type_name: str) -> bool:
+    """Whether messages of this type start with a std_msgs/Header, or are a Header or a Clock."""
+    if type_name in ("std_msgs/msg/Header", "rosgraph_msgs/msg/Clock"):
+        return True
+    package, name = _split(type_name)
+    lines = (line.split("#")[0].split() for line in _msg_text(package, name).splitlines())
+    first = next((words for words in lines if words), [""])
+    return first[0] in ("std_msgs/Header", "Header")
+
+
 def _split(type_name: str) -> tuple[str, str]:
     parts = type_name.split("/")
     if len(parts) != 3 or parts[1] != "msg":

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, NamedTuple
 
 from mcap.writer import CompressionType, Writer
 
@@ -18,6 +18,20 @@ _MEDIA_TYPES = {
     ".txt": "text/plain",
     ".md": "text/markdown",
 }
+
+
+COMPRESSIONS = {
+    "zstd": CompressionType.ZSTD,
+    "lz4": CompressionType.LZ4,
+    "none": CompressionType.NONE,
+}
+
+
+class Limits(NamedTuple):
+    """When a bag goes on in another file; None: never."""
+
+    size_bytes: int | None = None
+    duration_ns: int | None = None  # in log time
 
 
 class Piece:
@@ -40,7 +54,9 @@ class Piece:
         compression: CompressionType,
     ) -> None:
         self.path = path
-        self.counts = [0] * len(topics)
+        self.counts: list[int] = []  # messages of each topic
+        self._channels: list[int] = []
+        self._schemas: dict[tuple[str, bytes], int] = {}
         self._start_ns: int | None = None
         self._end_ns = 0
         self._stream: IO[bytes] = path.open("wb")
@@ -51,27 +67,26 @@ class Piece:
             self._writer.add_attachment(0, 0, name, media_type, data)
         for name, pairs in sorted(metadata.items()):
             self._writer.add_metadata(name, dict(pairs))
-        self._channels = self._declare(topics)
+        for topic in topics:
+            self.declare(topic)
         self.flush()
 
-    def _declare(self, topics: Sequence[Declared]) -> list[int]:
-        schemas: dict[tuple[str, bytes], int] = {}
-        channels = []
-        for topic in topics:
-            key = (topic.type, topic.schema)
-            if key not in schemas:
-                schemas[key] = self._writer.register_schema(
-                    name=topic.type, encoding=topic.schema_encoding, data=topic.schema
-                )
-            channels.append(
-                self._writer.register_channel(
-                    topic=topic.name,
-                    message_encoding=topic.message_encoding,
-                    schema_id=schemas[key],
-                    metadata=topic.channel_metadata,
-                )
+    def declare(self, topic: Declared) -> None:
+        """Add a topic; it gets the next number."""
+        key = (topic.type, topic.schema)
+        if key not in self._schemas:
+            self._schemas[key] = self._writer.register_schema(
+                name=topic.type, encoding=topic.schema_encoding, data=topic.schema
             )
-        return channels
+        self._channels.append(
+            self._writer.register_channel(
+                topic=topic.name,
+                message_encoding=topic.message_encoding,
+                schema_id=self._schemas[key],
+                metadata=topic.channel_metadata,
+            )
+        )
+        self.counts.append(0)
 
     @property
     def count(self) -> FileCount:
@@ -80,13 +95,18 @@ class Piece:
         return FileCount(self.path.name, span, sum(self.counts))
 
     @property
-    def size(self) -> int:
-        """Bytes in the file; the chunk in hand is not there yet."""
-        return self._stream.tell()
+    def is_empty(self) -> bool:
+        """Whether it has no message yet."""
+        return self._start_ns is None
 
-    def age_ns(self, log_ns: int) -> int:
-        """Log time since the first message [ns]."""
-        return 0 if self._start_ns is None else log_ns - self._start_ns
+    def is_full(self, limits: Limits, log_ns: int) -> bool:
+        """Whether a message logged at `log_ns` belongs into the next file."""
+        if self._start_ns is None:
+            return False
+        if limits.duration_ns is not None and log_ns - self._start_ns >= limits.duration_ns:
+            return True
+        # The chunk in hand is not in the file yet: it may exceed the limit by one.
+        return limits.size_bytes is not None and self._stream.tell() >= limits.size_bytes
 
     def add(self, topic: int, log_ns: int, publish_ns: int, sequence: int, data: bytes) -> None:
         """Append a message of topic number `topic`."""

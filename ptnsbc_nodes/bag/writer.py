@@ -11,9 +11,6 @@ import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import NamedTuple
-
-from mcap.writer import CompressionType
 
 from ptnsbc_nodes.bag.errors import BagError
 from ptnsbc_nodes.bag.folder import make_part, put_in_place
@@ -27,23 +24,10 @@ from ptnsbc_nodes.bag.layout import (
     declared,
     to_yaml,
 )
-from ptnsbc_nodes.bag.pieces import Piece
+from ptnsbc_nodes.bag.pieces import COMPRESSIONS, Limits, Piece
 
 METADATA_RECORD = "ptnsbc"
 FLUSH_PERIOD = 0.5  # [s]: with the time it takes to look, and to write, below the promised second
-
-_COMPRESSIONS = {
-    "zstd": CompressionType.ZSTD,
-    "lz4": CompressionType.LZ4,
-    "none": CompressionType.NONE,
-}
-
-
-class Limits(NamedTuple):
-    """When a bag goes on in another file; None: never."""
-
-    size_bytes: int | None = None
-    duration_ns: int | None = None  # in log time
 
 
 class BagWriter:
@@ -74,8 +58,8 @@ class BagWriter:
         overwrite: bool = False,
         limits: Limits = Limits(),  # noqa: B008 - immutable
     ) -> None:
-        if compression not in _COMPRESSIONS:
-            known = ", ".join(_COMPRESSIONS)
+        if compression not in COMPRESSIONS:
+            known = ", ".join(COMPRESSIONS)
             raise BagError(f"compression {compression!r}: expected one of {known}")
         # Absolute, so that `.` has a name and a later chdir changes nothing.
         self.directory = Path(os.path.abspath(directory))
@@ -86,7 +70,7 @@ class BagWriter:
         self.records: dict[str, Mapping[str, str]] = {
             METADATA_RECORD: dict(sorted((metadata or {}).items()))
         }
-        self._compression = _COMPRESSIONS[compression]
+        self._compression = COMPRESSIONS[compression]
         self._overwrite = overwrite
         self._limits = limits
         self.name = self.directory.name
@@ -131,6 +115,18 @@ class BagWriter:
         except OSError as error:
             raise self._disk_error(error) from error
 
+    def add(self, topic: TopicInfo) -> None:
+        """A topic that was not known at the start."""
+        if self._piece is None:
+            raise BagError(f"{self.directory}: topic {topic.name}: expected an open bag")
+        new = declared(topic)
+        if topic.name not in self._number:
+            self._number[topic.name] = len(self._topics)
+            self._topics = (*self._topics, new)
+            self._counts.append(0)
+            with self._guard:
+                self._piece.declare(new)
+
     def write(
         self,
         topic: str,
@@ -160,7 +156,7 @@ class BagWriter:
         sequence = self._counts[number] if sequence is None else sequence
         try:
             with self._guard:
-                if self._full(self._piece, stamp_ns):
+                if self._piece.is_full(self._limits, stamp_ns):
                     self._split(self._piece)
                 self._piece.add(number, stamp_ns, publish_ns, sequence, data)
                 self._counts[number] += 1
@@ -170,7 +166,7 @@ class BagWriter:
 
     def split(self) -> None:
         """Go on in another file, unless this one is still empty."""
-        if self._piece is None or not self._piece.count.messages:
+        if self._piece is None or self._piece.is_empty:
             return
         try:
             with self._guard:
@@ -219,14 +215,6 @@ class BagWriter:
             f"{self._part} cannot be written ({error.strerror}): "
             "what is in it can be rescued with: ptnsbc bag repair"
         )
-
-    def _full(self, piece: Piece, log_ns: int) -> bool:
-        size, duration = self._limits
-        if not piece.count.messages:
-            return False
-        if duration is not None and piece.age_ns(log_ns) >= duration:
-            return True
-        return size is not None and piece.size >= size
 
     def _split(self, piece: Piece) -> None:
         self._complete(piece)

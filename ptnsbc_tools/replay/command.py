@@ -24,19 +24,51 @@ def replay(
     rerun: Annotated[
         bool, typer.Option("--rerun", help="Feed the recorded inputs through the controllers.")
     ] = False,
+    publish: Annotated[
+        bool, typer.Option("--publish", help="Play the bag back onto its topics, over DDS.")
+    ] = False,
     scenario: Annotated[
         Path | None,
-        typer.Option("--scenario", metavar="FILE", help="Instead of the scenario in the bag."),
+        typer.Option("--scenario", metavar="FILE", help="--rerun: instead of the one in the bag."),
     ] = None,
+    rate: Annotated[
+        float, typer.Option("--rate", metavar="X", min=0.001, help="--publish: times real time.")
+    ] = 1.0,
+    start: Annotated[
+        float, typer.Option("--start", metavar="S", min=0.0, help="--publish: skip so much.")
+    ] = 0.0,
+    loop: Annotated[
+        bool, typer.Option("--loop", help="--publish: again and again, until Ctrl-C.")
+    ] = False,
+    topics: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--topics", metavar="PATTERN", help="--publish: names with * and ?, repeatable."
+        ),
+    ] = None,
+    clock: Annotated[
+        float | None,
+        typer.Option("--clock", metavar="HZ", min=0.1, help="--publish: /clock of the bag's time."),
+    ] = None,
+    wait: Annotated[
+        float, typer.Option("--wait", metavar="S", min=0.0, help="--publish: for readers, at most.")
+    ] = 1.0,
     json: JsonOption = False,
 ) -> None:
-    """Compare every output of every UAV with the recording, byte for byte (--rerun).
+    """Run a bag through the controllers again (--rerun), or play it back onto its topics (--publish).
 
-    Exit codes: 0 equal, 1 different or void, 2 refused.
+    --rerun compares every output of every UAV with the recording, byte for byte, and names the first
+    difference. Exit codes: 0 equal, or played; 1 different or void; 2 refused; 130 interrupted.
     """
-    if not rerun:
-        raise typer.BadParameter("expected --rerun")
-    raise typer.Exit(_rerun(bag, scenario, json=json))
+    if rerun == publish:
+        raise typer.BadParameter("expected one of --rerun and --publish")
+    if rerun:
+        raise typer.Exit(_rerun(bag, scenario, json=json))
+    from ptnsbc_tools.replay import playing
+
+    chosen = tuple(topics or ("*",))
+    wishes = playing.Choice(chosen, rate, start, loop, clock, wait)
+    raise typer.Exit(playing.publish(bag, wishes, json=json))
 
 
 def _rerun(path: Path, scenario: Path | None, *, json: bool) -> int:

@@ -1,0 +1,111 @@
+"""A recording beside a running fleet, from its first look around to SIGINT, SIGTERM or its time."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_nodes import environment
+
+environment.prepare()
+
+import rclpy  # noqa: E402
+from rclpy.context import Context  # noqa: E402
+from rclpy.executors import Executor  # noqa: E402
+from rclpy.signals import SignalHandlerOptions  # noqa: E402
+
+from ptnsbc_nodes.bag import BagWriter, Limits  # noqa: E402
+from ptnsbc_nodes.listener import OURS, Listener  # noqa: E402
+from ptnsbc_nodes.provenance import provenance  # noqa: E402
+from ptnsbc_nodes.spin import make_executor, spin_for  # noqa: E402
+from ptnsbc_nodes.stop import StopRequest  # noqa: E402
+
+_SLICE_S = 0.1
+_QUIET_S = 0.2
+_DRAIN_LIMIT_S = 2.0
+
+
+class RecordError(PtnsbcError):
+    """A recording that came to nothing."""
+
+
+@dataclass(frozen=True)
+class Wishes:
+    """What to record, and how."""
+
+    bag: Path
+    topics: Sequence[str] = OURS  # patterns
+    limits: Limits = field(default_factory=Limits)
+    overwrite: bool = False
+    duration_s: float | None = None  # None: until a signal
+    attachments: Mapping[str, bytes] = field(default_factory=dict)
+    meta: Mapping[str, str] = field(default_factory=dict)
+
+
+def record(wishes: Wishes, say: Callable[[str], None]) -> Mapping[str, Any]:
+    """Record until the time is over or a signal; returns what was recorded.
+
+    Raises:
+        BagError: the bag cannot be written.
+        RecordError: not one message came.
+    """
+    context = Context()
+    with StopRequest() as stop:
+        rclpy.init(args=[], context=context, signal_handler_options=SignalHandlerOptions.NO)
+        try:
+            return _record(context, wishes, stop, say)
+        finally:
+            rclpy.shutdown(context=context)
+
+
+def _record(
+    context: Context, wishes: Wishes, stop: StopRequest, say: Callable[[str], None]
+) -> Mapping[str, Any]:
+    node = rclpy.create_node(
+        "record", context=context, start_parameter_services=False, enable_rosout=False
+    )
+    executor = make_executor(context)
+    executor.add_node(node)
+    writer = BagWriter(
+        wishes.bag,
+        [],
+        attachments=wishes.attachments,
+        metadata={"mode": "beside", **provenance(), **wishes.meta},
+        overwrite=wishes.overwrite,
+        limits=wishes.limits,
+    )
+    with writer:
+        listener = Listener(node, writer, wishes.topics, say)
+        say("ready")
+        end = time.monotonic() + (wishes.duration_s or float("inf"))
+        while not stop.came and time.monotonic() < end:
+            spin_for(executor, _SLICE_S)
+        _drain(executor, listener)
+    executor.remove_node(node)
+    executor.shutdown()
+    node.destroy_node()
+    counts = writer.counts
+    if not any(counts.values()):
+        raise RecordError(
+            f"no message on {', '.join(wishes.topics)}: does a fleet run in this ROS domain? "
+            f"the empty bag is in {writer.directory}"
+        )
+    return {
+        "bag": str(writer.directory),
+        "messages": sum(counts.values()),
+        "topics": counts,
+        "lost": listener.lost,
+        "interrupted": stop.came,
+    }
+
+
+def _drain(executor: Executor, listener: Listener) -> None:
+    """Take in what is still in the queues; a fleet that flies on has no last message."""
+    end, before = time.monotonic() + _DRAIN_LIMIT_S, -1
+    while listener.received != before and time.monotonic() < end:
+        before = listener.received
+        spin_for(executor, _QUIET_S)

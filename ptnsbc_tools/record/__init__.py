@@ -1,0 +1,1 @@
+"""`ptnsbc record`: a bag of whatever flies."""

@@ -1,0 +1,144 @@
+"""What is played is what was recorded, and a recorder beside hears all of it."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections import defaultdict
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rclpy")
+
+from ptnsbc_nodes import topics
+from ptnsbc_nodes.bag import BagTopic, read_bag
+from ptnsbc_nodes.bag.layout import TopicInfo, qos_profiles, to_yaml
+from ptnsbc_nodes.player import profile
+from ptnsbc_nodes.wire import decode_clock
+
+pytestmark = pytest.mark.ros
+
+
+@pytest.fixture
+def start() -> Iterator[Callable[..., subprocess.Popen]]:
+    """Start `ptnsbc …` on a domain of our own; whatever still runs at the end is ended."""
+    coordinator = pytest.importorskip("domain_coordinator")
+    running: list[subprocess.Popen] = []
+    with coordinator.domain_id() as domain:
+        settings = {**os.environ, "ROS_DOMAIN_ID": str(domain)}
+
+        def start(*words: object) -> subprocess.Popen:
+            command = [sys.executable, "-m", "ptnsbc_tools.cli", *map(str, words)]
+            pipe = subprocess.PIPE
+            running.append(
+                subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True, env=settings)
+            )
+            return running[-1]
+
+        yield start
+        for process in running:
+            process.kill()
+            process.communicate()
+
+
+def await_line(process: subprocess.Popen, wanted: str) -> None:
+    while (line := process.stderr.readline()) != f"{wanted}\n":
+        assert line, f"it ended before it said {wanted!r}"
+
+
+def contents(path: Path, *left_out: str) -> dict[str, list[bytes]]:
+    found = defaultdict(list)
+    for message in read_bag(path).messages():
+        if message.topic not in left_out:
+            found[message.topic].append(message.data)
+    return dict(found)
+
+
+@pytest.mark.slow
+def test_played_and_recorded_again(start, headless, tmp_path):
+    recorder = start("record", "-o", tmp_path / "again", "--scenario", "paper_5", "--json")
+    await_line(recorder, "ready")
+    played = start("replay", headless, "--publish", "--wait", 30, "--rate", 0.5, "--json")
+    out, err = played.communicate(timeout=120)
+    assert played.returncode == 0, err
+    recorder.send_signal(signal.SIGINT)
+    told, err = recorder.communicate(timeout=60)
+    assert recorder.returncode == 0, err
+    assert contents(tmp_path / "again") == contents(headless)
+    counts = json.loads(told)["topics"]
+    made = 0 if topics.tf_is_available() else counts["/tf"]  # of odometry, by the recorder
+    assert json.loads(out)["messages"] == sum(counts.values()) - made
+    old, new = read_bag(headless), read_bag(tmp_path / "again")
+    assert {t.name: t.type for t in new.topics.values()} == {
+        t.name: t.type for t in old.topics.values()
+    }
+    assert new.metadata["scenario"] == "paper_5"
+    # Twice as slow, and paced: the middle message came in the middle.
+    assert (new.end_ns - new.start_ns) * 1e-9 >= 2 * 1.4
+    # And what was heard can be run again: it is the same flight.
+    scenario = tmp_path / "scenario.yaml"
+    scenario.write_bytes(old.attachment("scenario.yaml"))
+    again = start("replay", tmp_path / "again", "--rerun", "--scenario", scenario)
+    assert again.wait(120) == 0, again.stdout.read()
+
+
+def test_split_recording_of_some_topics(start, headless, tmp_path):
+    recorder = start(
+        "record", "-o", tmp_path / "part", "--topics", "/uav1/*", "--topics", "/clock",
+        "--split-duration", 0.4, "--json",
+    )  # fmt: skip
+    await_line(recorder, "ready")
+    played = start("replay", headless, "--publish", "--wait", 5, "--topics", "/uav1/setpoint/*",
+                   "--clock", 100, "--start", 0.5)  # fmt: skip
+    assert played.wait(60) == 0, played.stderr.read()
+    recorder.send_signal(signal.SIGTERM)
+    out, err = recorder.communicate(timeout=60)
+    assert recorder.returncode == 0, err
+    assert sorted(json.loads(out)["topics"]) == [
+        "/clock", "/uav1/setpoint/velocity", "/uav1/setpoint/wrench",
+    ]  # fmt: skip
+    assert len(list((tmp_path / "part").glob("*.mcap"))) >= 2
+    heard = contents(tmp_path / "part")
+    assert len(heard["/uav1/setpoint/wrench"]) == 100
+    clock = [decode_clock(data) for data in heard["/clock"]]
+    assert clock == sorted(clock)
+    assert clock[0] >= 500_000_000
+
+
+def test_ctrl_c_ends_a_loop_in_order(start, headless):
+    played = start("replay", headless, "--publish", "--loop", "--wait", 0, "--json")
+    recorder = start("record", "-o", headless.parent / "none", "--topics", "/nothing/*")
+    await_line(recorder, "ready")  # by then the other one plays
+    for process, code in ((played, 130), (recorder, 2)):
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=60)
+        assert process.returncode == code, err
+        assert "Traceback" not in err
+    assert "no message on /nothing/*" in err
+
+
+@pytest.mark.parametrize(
+    ("info", "reliable", "latched"),
+    [
+        (TopicInfo("/a", "std_msgs/msg/Header"), True, False),
+        (TopicInfo("/a", "std_msgs/msg/Header", "best_effort", "volatile", 1), False, False),
+        (TopicInfo("/a", "std_msgs/msg/Header", "reliable", "transient_local", 1), True, True),
+    ],
+)
+def test_quality_of_service_as_recorded(info, reliable, latched):
+    topic = BagTopic(info.name, info.type, 1, to_yaml(qos_profiles(info)))
+    found = profile(topic)
+    assert (found.reliability.name == "RELIABLE") == reliable
+    assert (found.durability.name == "TRANSIENT_LOCAL") == latched
+    assert found.depth >= info.depth
+
+
+@pytest.mark.parametrize("text", ["", "[", "- reliability: 2\n  durability: 2\n", "7"])
+def test_quality_of_service_of_others(text):
+    expected = "BEST_EFFORT" if "2" in text else "RELIABLE"
+    assert profile(BagTopic("/a", "std_msgs/msg/Header", 1, text)).reliability.name == expected
