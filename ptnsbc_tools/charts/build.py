@@ -12,7 +12,7 @@ from ptnsbc_tools.charts.chart import Chart, Curve, Limit, Mark, Span
 from ptnsbc_tools.charts.flight import Shown
 from ptnsbc_tools.charts.style import DASHES, Look, look
 from ptnsbc_tools.limits import SHARE_OF_START
-from ptnsbc_tools.verdict import Series, VerdictError
+from ptnsbc_tools.verdict import Series
 from ptnsbc_tools.verdict.deadline import formation_errors
 from ptnsbc_tools.verdict.windows import encounters, joined
 
@@ -43,16 +43,14 @@ def _spans(flight: Shown) -> tuple[Span, ...]:
 
 def errors(flight: Shown) -> Chart | None:
     """Distance of every UAV from its place."""
-    try:
-        grid = flight.recording.grid()
-    except (VerdictError, KeyError):
+    if flight.problem:
         return None
-    if flight.problem or not flight.has_leader:
-        return None
+    grid = flight.recording.grid()
     positions = flight.recording.positions(grid)
     found = formation_errors(flight.recording, grid, positions)
     t = flight.times(grid)
-    widest = max(flight.tolerance_m, *(SHARE_OF_START * float(e[0]) for e in found.values()))
+    starts = [SHARE_OF_START * float(e[0]) for e in found.values() if np.isfinite(e[0])]
+    widest = max([flight.tolerance_m, *starts])
     deadline = flight.scenario.gains.formation.deadline_s
     return Chart(
         "errors",

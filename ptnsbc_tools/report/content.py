@@ -29,7 +29,7 @@ def content(flight: Shown) -> str:
     pack = Pack()
     text: dict[str, Any] = {
         "colours": {"light": COLOURS, "dark": DARK_COLOURS},
-        "space": _space(flight, pack) if flight.uavs else None,
+        "space": _space(flight, pack) if flight.uavs and flight.grid().size > 1 else None,
         "charts": _charts(flight, pack),
     }
     return pack.encode(text)

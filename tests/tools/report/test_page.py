@@ -15,6 +15,7 @@ from ptnsbc_tools.charts.flight import shown
 from ptnsbc_tools.charts.status import Status
 from ptnsbc_tools.report.page import empty_page, page
 from ptnsbc_tools.report.tables import html_table
+from ptnsbc_tools.verdict import Series
 
 
 @pytest.fixture(autouse=True)
@@ -99,6 +100,24 @@ def test_names_cannot_break_the_page(fly):
 def test_a_flight_without_any_odometry(fly):
     recording = replace(fly(), odometry={}, wrench={}, counters={})
     assert "No verdict" in text(made(recording))
+
+
+def test_numbers_that_are_none_leave_a_page(fly):
+    recording = fly()
+    for uav in (1, 4):
+        recording.odometry[uav].values[:5, :3] = np.nan
+        recording.wrench[uav].values[700:] = np.nan
+    html = made(recording)
+    assert '<section class="verdict missed"' in html
+    assert "state not finite from t = 0.00 s" in text(html)
+
+
+def test_one_message_is_no_flight(fly):
+    recording = fly()
+    first = {uav: Series(s.t_ns[:1], s.values[:1]) for uav, s in recording.odometry.items()}
+    assert "No verdict: the recording holds no formation flight" in text(
+        made(replace(recording, odometry=first))
+    )
 
 
 def test_tables_follow_the_command_line():
