@@ -62,7 +62,7 @@ class Figures {
     this.library ??= loadPlotly();
     await this.library;
     const config = {
-      displaylogo: false, responsive: true,
+      displaylogo: false, responsive: true, doubleClick: "reset",
       modeBarButtonsToRemove: ["select2d", "lasso2d", "autoScale2d"],
       toImageButtonOptions: { filename: one.chart.key, scale: 2 },
     };
@@ -99,7 +99,9 @@ class Figures {
     return {
       margin: { ...MARGIN, b: MARGIN.b + (legend ? 3 + 19 * rows : 0) }, paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)",
       font: { color: colour("--soft"), size: 12, family: "system-ui, sans-serif" },
-      xaxis: { ...axis, title: { text: "time after the epoch [s]", standoff: 6 }, hoverformat: ".2f", autorangeoptions: {} },
+      xaxis: { ...axis, title: { text: "time after the epoch [s]", standoff: 6 }, hoverformat: ".2f",
+        // The same span for all over the whole time, so that their lines stand below each other.
+        ...(chart.key.endsWith("-first") ? {} : { range: [this.state.clock.begin, this.state.clock.end] }) },
       yaxis: { ...axis, type: chart.log ? "log" : "linear", ...(chart.log ? { exponentformat: "power", dtick: 1, tickfont: { size: 9.5 } } : { rangemode: "tozero" }) },
       showlegend: legend,
       // Shown and hidden in one place for all figures, not here.

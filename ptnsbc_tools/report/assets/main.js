@@ -44,7 +44,7 @@ class Page {
     this.viewKeys();
     document.addEventListener("keydown", (event) => this.key(event));
     this.clock.listen((clock) => {
-      this.scene.show(clock.now);
+      this.scene.show(clock.now, clock.playing);
       this.figures.show(clock.now);
       this.live.show(clock.now);
     });
@@ -132,8 +132,13 @@ class Page {
     event.preventDefault();
   }
 
-  toggle(uav) {
-    if (!this.hidden.delete(uav)) this.hidden.add(uav);
+  /** Hide or show a UAV; `alone`: show it and nobody else, or everybody again. */
+  toggle(uav, alone) {
+    const others = this.data.space.uavs.map((one) => one.id).filter((id) => id !== uav);
+    if (alone) {
+      const already = !this.hidden.has(uav) && others.every((id) => this.hidden.has(id));
+      this.hidden = new Set(already ? [] : others);
+    } else if (!this.hidden.delete(uav)) this.hidden.add(uav);
     this.redraw();
   }
 
@@ -158,8 +163,8 @@ class Live {
         '<td class="number"></td>'.repeat(4);
       const button = row.querySelector("button");
       button.querySelector("span").textContent = uav.leader ? `${uav.id} leader` : `${uav.id}`;
-      button.title = `Show or hide UAV ${uav.id}`;
-      button.addEventListener("click", () => page.toggle(uav.id));
+      button.title = `Show or hide UAV ${uav.id}; with shift: it alone`;
+      button.addEventListener("click", (event) => page.toggle(uav.id, event.shiftKey));
       const curve = errors && errors.curves.find((one) => one.uavs[0] === uav.id);
       return { uav, index, row, button, curve, cells: [...row.querySelectorAll(".number")] };
     });

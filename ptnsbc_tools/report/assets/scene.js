@@ -46,9 +46,11 @@ class Scene {
     this.camera = new Camera([low[0], low[1], bottom], high);
   }
 
-  show(now) {
+  /** Show a time; `inFrame`: the browser is about to draw, another turn would halve the rate. */
+  show(now, inFrame) {
     this.now = now;
-    this.draw();
+    if (inFrame) this.paint();
+    else this.draw();
   }
 
   draw() {
