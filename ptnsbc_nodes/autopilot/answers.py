@@ -74,9 +74,7 @@ def _param_set(vehicle: Vehicle, message: Any, link: int, _t: float) -> None:
         return
     value = vehicle.parameters.decoded(name, message.param_value, message.param_type)
     if value is not None:
-        vehicle.parameters.put(name, value)
-        vehicle.flight.gains = vehicle.gains()
-        vehicle.log(f"{name} = {value:g}")
+        vehicle.set_parameter(name, value)
     vehicle.send(link, _parameter(vehicle, name))
 
 

@@ -10,6 +10,7 @@ from ptnsbc_nodes.autopilot import paths
 from ptnsbc_nodes.autopilot.airframe import LoopGains, hover_share
 from ptnsbc_nodes.autopilot.commands import Request, whole
 from ptnsbc_nodes.autopilot.frames import attitude_swap, euler_of
+from ptnsbc_nodes.autopilot.geodesy import ARDUPILOT_RADIUS_M
 from ptnsbc_nodes.autopilot.guided import Guided, Limits, Seen, Submode
 from ptnsbc_nodes.autopilot.parameters import ARDUCOPTER, Parameters
 from ptnsbc_nodes.autopilot.personality import Status
@@ -51,6 +52,7 @@ class ArduCopter(Vehicle):
     capabilities = mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST
     version_word = 4 << 24 | 7 << 16
     refusal = _FAILED
+    earth_radius_m = ARDUPILOT_RADIUS_M
     ready_s = (20.0, 40.0)
     rates_hz = (
         {mavlink.MAVLINK_MSG_ID_HEARTBEAT: 1.0},

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from ptnsbc_nodes.autopilot.vehicle import Vehicle
 
 IMPOSTOR_PERIOD_S = 0.2
+_IMPOSTOR_OLDER_MS = 90_000
 
 
 @dataclass
@@ -28,13 +29,15 @@ class Faults:
 
 
 def impostor(vehicle: Vehicle, t: float) -> list[Any]:
-    """What somebody with our system id sends: disarmed, 50 m north of our origin."""
+    """What somebody with our system id sends: disarmed, 50 m north of our origin, booted long before us."""
     flags = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
     return [
         mavlink.MAVLink_heartbeat_message(
             vehicle.mav_type, vehicle.autopilot, flags, 0, mavlink.MAV_STATE_STANDBY, 3
         ),
-        mavlink.MAVLink_local_position_ned_message(vehicle.clock.ms(t), 50.0, 0, 0, 0, 0, 0),
+        mavlink.MAVLink_local_position_ned_message(
+            vehicle.clock.ms(t) + _IMPOSTOR_OLDER_MS, 50.0, 0, 0, 0, 0, 0
+        ),
     ]
 
 

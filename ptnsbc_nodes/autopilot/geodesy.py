@@ -1,4 +1,8 @@
-"""World ENU metres about a datum to latitude and longitude, on WGS 84."""
+"""World ENU metres about a datum to latitude and longitude, on the sphere of the autopilot.
+
+Autopilots project satellite positions on a sphere of their own; between metres of theirs and metres on the
+ellipsoid lie up to 0.5 %, the same for all vehicles. Here the world has the autopilot's metres.
+"""
 
 from __future__ import annotations
 
@@ -7,8 +11,11 @@ from typing import NamedTuple
 
 from ptnsbc_core.types import Array
 
-_SEMI_MAJOR_M = 6378137.0
-_ECCENTRICITY_SQUARED = 6.69437999014e-3
+PX4_RADIUS_M = 6371000.0
+"""CONSTANTS_RADIUS_OF_EARTH of src/lib/geo."""
+
+ARDUPILOT_RADIUS_M = 6378100.0
+"""RADIUS_OF_EARTH of AP_Math."""
 
 
 class Geodetic(NamedTuple):
@@ -23,18 +30,12 @@ PX4_HOME = Geodetic(47.397742, 8.545594, 488.0)
 """Where PX4's simulations start unless told otherwise."""
 
 
-def geodetic(datum: Geodetic, position_enu: Array) -> Geodetic:
-    """The place (3,) [m, ENU] from the datum.
-
-    By the two radii of curvature at the datum: good to a millimetre within a kilometre.
-    """
-    latitude = math.radians(datum.latitude_deg)
-    w = 1.0 - _ECCENTRICITY_SQUARED * math.sin(latitude) ** 2
-    meridian = _SEMI_MAJOR_M * (1.0 - _ECCENTRICITY_SQUARED) / w**1.5 + datum.altitude_m
-    vertical = _SEMI_MAJOR_M / math.sqrt(w) + datum.altitude_m
+def geodetic(datum: Geodetic, position_enu: Array, radius_m: float) -> Geodetic:
+    """The place (3,) [m, ENU] from the datum; flat, good to a millimetre within 100 m."""
     east, north, up = (float(v) for v in position_enu)
+    narrow = math.cos(math.radians(datum.latitude_deg))
     return Geodetic(
-        datum.latitude_deg + math.degrees(north / meridian),
-        datum.longitude_deg + math.degrees(east / (vertical * math.cos(latitude))),
+        datum.latitude_deg + math.degrees(north / radius_m),
+        datum.longitude_deg + math.degrees(east / (radius_m * narrow)),
         datum.altitude_m + up,
     )

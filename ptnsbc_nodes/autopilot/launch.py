@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
@@ -45,6 +45,7 @@ class Options:
     fleet: Fleet = field(default_factory=Fleet)
     network: Network = field(default_factory=Network)
     boot_time: float = 1.0
+    parameters: Mapping[str, float] = field(default_factory=dict)  # instead of the defaults
 
 
 class Ends(NamedTuple):
@@ -64,6 +65,19 @@ def parse_address(text: str, what: str) -> Address:
     if not colon or not host or not port.isdigit() or not 0 < int(port) <= _LAST_PORT:
         raise AutopilotError(f"{what} {text!r}: expected HOST:PORT, as 127.0.0.1:14550")
     return Address(host, int(port))
+
+
+def parse_parameter(text: str) -> tuple[str, float]:
+    """NAME=VALUE.
+
+    Raises:
+        AutopilotError: it is not.
+    """
+    name, equals, value = text.partition("=")
+    try:
+        return name.strip(), float(value if equals and name.strip() else "")
+    except ValueError:
+        raise AutopilotError(f'param "{text}": expected NAME=NUMBER') from None
 
 
 def stations(options: Options, t: float, say: Callable[[str], None]) -> list[Station]:
@@ -98,6 +112,8 @@ def _station(
     impostor = Endpoint(Address(HOST, 0), None, Codec(system, key=key, link_id=IMPOSTOR))
     # Last, because it compiles: what is wrong above is said at once.
     vehicle = KINDS[kind](system, start.body, t, boot_time=options.boot_time, say=tell)
+    for name, value in options.parameters.items():
+        vehicle.set_parameter(name, value)
     return Station(vehicle, endpoints, impostor)
 
 

@@ -127,7 +127,10 @@ PX4: Mapping[str, Value] = {
 ARDUCOPTER: Mapping[str, Value] = {
     "ARMING_CHECK": 1,
     "ATC_ANGLE_MAX": 30.0,
+    "BATT_FS_CRT_ACT": 0,
+    "BATT_FS_LOW_ACT": 0,
     "DISARM_DELAY": 10,
+    "FS_EKF_ACTION": 1,
     "FRAME_CLASS": 1,
     "FS_GCS_ENABLE": 0,
     "GUID_OPTIONS": 0,
@@ -147,16 +150,6 @@ ARDUCOPTER: Mapping[str, Value] = {
 
 https://ardupilot.org/copter/docs/parameters.html
 """
-
-ARDUCOPTER_4_6: Mapping[str, Value] = {
-    **{name: ARDUCOPTER[name] for name in ARDUCOPTER if not name.startswith(("WP_", "LAND_"))},
-    "LAND_SPEED": 50,
-    "WPNAV_ACCEL": 250.0,
-    "WPNAV_SPEED": 1000.0,
-    "WPNAV_SPEED_DN": 150.0,
-    "WPNAV_SPEED_UP": 250.0,
-}
-"""The same in the names and centimetres of Copter 4.6 and before."""
 
 STM32: Mapping[str, Value] = {"ATT_TIMEOUT_S": 0.5, "DISARM_LAND_S": 2.0, "MAX_TILT_RAD": 0.7}
 """Of the controller that takes attitude targets only; ours."""

@@ -9,6 +9,7 @@ from typing import Any, ClassVar, NamedTuple
 from ptnsbc_core.types import Array
 from ptnsbc_nodes.autopilot.airframe import LoopGains
 from ptnsbc_nodes.autopilot.commands import COMMANDS, Request, Run
+from ptnsbc_nodes.autopilot.geodesy import PX4_RADIUS_M
 from ptnsbc_nodes.autopilot.parameters import Parameters
 from ptnsbc_nodes.mavlink.dialect import mavlink
 
@@ -28,6 +29,7 @@ class Personality(ABC):
     autopilot: ClassVar[int]
     capabilities: ClassVar[int]
     version_word: ClassVar[int]
+    earth_radius_m: ClassVar[float] = PX4_RADIUS_M  # of its projection
     text_end: ClassVar[str] = ""
     refusal: ClassVar[int]  # MAV_RESULT of an arming request that is refused
     rates_hz: ClassVar[tuple[Mapping[int, float], Mapping[int, float]]]  # per link

@@ -1,4 +1,8 @@
-"""The personality of a small controller that takes attitude targets only, as in the paper's experiment. Ours."""
+"""The personality of a small controller that takes attitude targets only, as in the paper's experiment. Ours.
+
+Guided is a flag of base_mode, as MAVLink has it for autopilots without modes of their own: DO_SET_MODE or the
+first target sets it. Landing is the only other thing it does by itself.
+"""
 
 from __future__ import annotations
 
@@ -8,12 +12,15 @@ from typing import Any
 from ptnsbc_core.types import Array
 from ptnsbc_nodes.autopilot import paths, setpoints
 from ptnsbc_nodes.autopilot.airframe import LoopGains
-from ptnsbc_nodes.autopilot.commands import COMMANDS, Request
+from ptnsbc_nodes.autopilot.commands import COMMANDS, Request, whole
+from ptnsbc_nodes.autopilot.frames import euler_of
 from ptnsbc_nodes.autopilot.parameters import STM32, Parameters
 from ptnsbc_nodes.autopilot.personality import Status
 from ptnsbc_nodes.autopilot.vehicle import Vehicle
 from ptnsbc_nodes.mavlink.dialect import mavlink
 
+_DONE = int(mavlink.MAV_RESULT_ACCEPTED)
+_DENIED = int(mavlink.MAV_RESULT_DENIED)
 _UNSUPPORTED = int(mavlink.MAV_RESULT_UNSUPPORTED)
 _SINK_M_S = 0.5
 _STANDS_ARMED_S = 10.0
@@ -30,6 +37,8 @@ _COMMANDS = {
     number: COMMANDS[number]
     for number in (
         mavlink.MAV_CMD_COMPONENT_ARM_DISARM,
+        mavlink.MAV_CMD_DO_SET_MODE,
+        mavlink.MAV_CMD_NAV_LAND,
         mavlink.MAV_CMD_SET_MESSAGE_INTERVAL,
         mavlink.MAV_CMD_REQUEST_MESSAGE,
         mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN,
@@ -38,7 +47,7 @@ _COMMANDS = {
 
 
 class Stm32(Vehicle):
-    """No modes: armed, it follows quaternion, thrust and body rates; without them it comes down level."""
+    """Armed, it follows quaternion, thrust and body rates; without them it comes down level."""
 
     autopilot = mavlink.MAV_AUTOPILOT_GENERIC
     capabilities = mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST
@@ -61,15 +70,21 @@ class Stm32(Vehicle):
         """Nothing heard."""
         self._target = paths.IDLE_TARGET
         self._latest_t = -math.inf
+        self._guided = False
+        self._land_at: paths.Place | None = None
 
     @property
     def mode_name(self) -> str:
-        """It has none."""
-        return "ATTITUDE"
+        """What it does; HEARTBEAT has no name for it."""
+        if self._land_at is not None:
+            return "LAND"
+        return "GUIDED" if self._guided else "STABILIZE"
 
     def status(self) -> Status:
         """Base mode only: custom_mode has no meaning."""
         flags = mavlink.MAV_MODE_FLAG_STABILIZE_ENABLED
+        if self._guided:
+            flags |= mavlink.MAV_MODE_FLAG_GUIDED_ENABLED
         state = mavlink.MAV_STATE_STANDBY
         if self.armed:
             flags |= mavlink.MAV_MODE_FLAG_SAFETY_ARMED
@@ -79,6 +94,8 @@ class Stm32(Vehicle):
     def landed_state(self) -> int:
         """On the ground or not."""
         on_ground = self.landed if self.lifted else self.in_contact
+        if self._land_at is not None and not on_ground:
+            return int(mavlink.MAV_LANDED_STATE_LANDING)
         landed, air = mavlink.MAV_LANDED_STATE_ON_GROUND, mavlink.MAV_LANDED_STATE_IN_AIR
         return int(landed if on_ground else air)
 
@@ -94,20 +111,33 @@ class Stm32(Vehicle):
         """Motors at idle until a target comes."""
 
     def on_disarmed(self, t: float) -> None:
-        """The last target is not kept."""
+        """Neither target nor landing are kept."""
         self._latest_t = -math.inf
+        self._land_at = None
 
     def set_mode(self, request: Request, t: float) -> int:
-        """There are no modes."""
-        return _UNSUPPORTED
+        """Guided or not; there are no custom modes."""
+        base = whole(request.params[0])
+        if base < 0 or base & mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED:
+            return _UNSUPPORTED
+        self._guided = bool(base & mavlink.MAV_MODE_FLAG_GUIDED_ENABLED)
+        self._land_at = None
+        return _DONE
 
     def take_off(self, request: Request, t: float) -> int:
         """Thrust does it."""
         return _UNSUPPORTED
 
     def land(self, t: float) -> int:
-        """Thrust does it."""
-        return _UNSUPPORTED
+        """Down over this place, whatever targets still come."""
+        if not self.armed:
+            return _DENIED
+        if self._land_at is None:
+            flight = self.flight
+            here = paths.Place(flight.position_enu.copy(), euler_of(flight.attitude_enu).yaw)
+            self._land_at = here.ahead(flight.velocity_enu)
+            self.log("landing")
+        return _DONE
 
     def return_home(self, t: float) -> int:
         """It knows no home."""
@@ -127,6 +157,7 @@ class Stm32(Vehicle):
             return
         if setpoints.unit(wanted.attitude_ned, _UNIT_TOLERANCE):
             self._target, self._latest_t = setpoints.attitude_target(wanted), t
+            self._guided = True
 
     def _stale(self, t: float) -> bool:
         return t - self._latest_t > self.parameters["ATT_TIMEOUT_S"]
@@ -141,9 +172,12 @@ class Stm32(Vehicle):
             self.disarm("not taken off in time", t)
 
     def aim(self, t: float) -> Array:
-        """The last target while it is fresh; else down, level, in the air."""
+        """Landing, else the last target while it is fresh, else down, level, in the air."""
         if not self.armed:
             return paths.OFF_TARGET
+        if self._land_at is not None:
+            on_ground = self.landed or not self.lifted
+            return paths.IDLE_TARGET if on_ground else paths.land(self._land_at, _SINK_M_S)
         if not self._stale(t):
             return self._target
         return paths.sink(_SINK_M_S) if self.lifted and not self.landed else paths.IDLE_TARGET

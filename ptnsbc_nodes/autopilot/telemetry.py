@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from ptnsbc_core.types import Array
 from ptnsbc_nodes.autopilot import telemetry_state
 from ptnsbc_nodes.autopilot.frames import (
@@ -25,10 +27,10 @@ _UNKNOWN_16 = 65535
 _UNIT_QUATERNION = [1.0, 0.0, 0.0, 0.0]
 
 
-def _place(vehicle: Vehicle) -> Geodetic:
-    """Where the vehicle believes it is."""
-    flight = vehicle.flight
-    return geodetic(flight.body.datum, flight.position_enu + flight.navigation.origin_enu)
+def _on_earth(vehicle: Vehicle, local_enu: Array) -> Geodetic:
+    """Where a place (3,) of the vehicle's local frame is, as the vehicle believes."""
+    world_enu = local_enu + vehicle.flight.navigation.origin_enu
+    return geodetic(vehicle.body.datum, world_enu, vehicle.earth_radius_m)
 
 
 def _e7(degrees: float) -> int:
@@ -105,7 +107,7 @@ def _odometry(vehicle: Vehicle, t: float) -> Any:
 def _global_position(vehicle: Vehicle, t: float) -> Any:
     if not vehicle.position_valid(t):
         return None
-    place = _place(vehicle)
+    place = _on_earth(vehicle, vehicle.flight.position_enu)
     flight = vehicle.flight
     velocity = world_swap(flight.velocity_enu) * 100.0
     heading = euler_of(attitude_swap(flight.attitude_enu)).yaw
@@ -123,7 +125,7 @@ def _global_position(vehicle: Vehicle, t: float) -> Any:
 
 def _gps_raw(vehicle: Vehicle, t: float) -> Any:
     fix = vehicle.flight.navigation.fix_type
-    place = _place(vehicle)
+    place = _on_earth(vehicle, vehicle.flight.position_enu)
     error_m = max(vehicle.flight.body.quality.position_m, 0.01)
     has = fix > 1
     return mavlink.MAVLink_gps_raw_int_message(
@@ -143,8 +145,7 @@ def _gps_raw(vehicle: Vehicle, t: float) -> Any:
 def _home(vehicle: Vehicle, t: float) -> Any:
     if not vehicle.position_valid(t):
         return None
-    flight = vehicle.flight
-    place = geodetic(flight.body.datum, vehicle.home_local_enu + flight.navigation.origin_enu)
+    place = _on_earth(vehicle, vehicle.home_local_enu)
     return mavlink.MAVLink_home_position_message(
         _e7(place.latitude_deg),
         _e7(place.longitude_deg),
@@ -161,8 +162,7 @@ def _home(vehicle: Vehicle, t: float) -> Any:
 def _origin(vehicle: Vehicle, t: float) -> Any:
     if not vehicle.position_valid(t):
         return None
-    flight = vehicle.flight
-    place = geodetic(flight.body.datum, flight.navigation.origin_enu)
+    place = _on_earth(vehicle, np.zeros(3))
     return mavlink.MAVLink_gps_global_origin_message(
         _e7(place.latitude_deg),
         _e7(place.longitude_deg),

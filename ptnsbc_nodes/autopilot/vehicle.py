@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 from ptnsbc_core.types import Array
 from ptnsbc_nodes.autopilot.answers import ANSWERS, UNADDRESSED
 from ptnsbc_nodes.autopilot.clock import BootClock
+from ptnsbc_nodes.autopilot.codec import AutopilotError
 from ptnsbc_nodes.autopilot.faults import IMPOSTOR_PERIOD_S, Faults, impostor
 from ptnsbc_nodes.autopilot.flight import Body, Flight
 from ptnsbc_nodes.autopilot.personality import Personality
@@ -204,6 +205,18 @@ class Vehicle(Personality):
         self.armed = self.lifted = False
         self.on_disarmed(t)
         self.log(f"disarmed: {reason}")
+
+    def set_parameter(self, name: str, value: float) -> None:
+        """Change a parameter and what follows from it.
+
+        Raises:
+            AutopilotError: there is none of that name.
+        """
+        if name not in self.parameters:
+            raise AutopilotError(f"param {name}: expected one of {', '.join(self.parameters)}")
+        self.parameters.put(name, value)
+        self.flight.gains = self.gains()
+        self.log(f"{name} = {value:g}")
 
     # Sending.
 

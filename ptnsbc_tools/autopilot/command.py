@@ -80,6 +80,10 @@ def autopilot(
         str | None,
         typer.Option("--key", metavar="FILE", help="Sign, and drop unsigned; {n}: system id."),
     ] = None,
+    parameters: Annotated[
+        list[str] | None,
+        typer.Option("--param", metavar="NAME=VALUE", help="Instead of a default. Repeatable."),
+    ] = None,
     control: Annotated[
         int | None,
         typer.Option("--control", metavar="PORT", min=1, max=65535, help="Take faults here."),
@@ -99,14 +103,15 @@ def autopilot(
     For tests and demonstrations without hardware. Runs until Ctrl-C.
     """
     from ptnsbc_nodes.autopilot.control import parse_timed
-    from ptnsbc_nodes.autopilot.launch import Network, Options, parse_address
+    from ptnsbc_nodes.autopilot.launch import Network, Options, parse_address, parse_parameter
     from ptnsbc_nodes.autopilot.starts import Fleet
 
     fleet = Fleet(count, scenario, gnss, origin_spread, yaw, seed, battery)
     address = parse_address(gcs, "gcs") if gcs else None
     timed = [parse_timed(text) for text in faults or ()]
     network = Network(port_base, connect, address, key)
-    run(Options(kind, fleet, network, boot_time), control, timed)
+    changed = dict(parse_parameter(text) for text in parameters or ())
+    run(Options(kind, fleet, network, boot_time, changed), control, timed)
 
 
 def run(options: Options, control_port: int | None, timed: list[Timed]) -> None:

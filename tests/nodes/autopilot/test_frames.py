@@ -16,7 +16,7 @@ from ptnsbc_nodes.autopilot.frames import (
     world_swap,
     yaw_swap,
 )
-from ptnsbc_nodes.autopilot.geodesy import Geodetic, geodetic
+from ptnsbc_nodes.autopilot.geodesy import PX4_RADIUS_M, Geodetic, geodetic
 
 
 def test_east_north_up_is_north_east_down():
@@ -65,11 +65,12 @@ def test_heading_east_turns_forward_into_east():
 
 
 def test_a_minute_of_latitude_is_a_nautical_mile():
-    place = geodetic(Geodetic(45.0, 8.0, 0.0), np.array((0.0, 1852.0, 10.0)))
-    assert (place.latitude_deg - 45.0) * 60.0 == pytest.approx(1.0, rel=1e-3)
+    place = geodetic(Geodetic(45.0, 8.0, 0.0), np.array((0.0, 1853.25, 10.0)), PX4_RADIUS_M)
+    assert (place.latitude_deg - 45.0) * 60.0 == pytest.approx(1.0, rel=1e-5)
     assert place.altitude_m == 10.0
 
 
-def test_a_degree_of_longitude_at_the_equator():
-    place = geodetic(Geodetic(0.0, 0.0, 0.0), np.array((111_319.49, 0.0, 0.0)))
-    assert place.longitude_deg == pytest.approx(1.0, rel=1e-7)
+def test_a_degree_of_longitude():
+    sixty = Geodetic(60.0, 0.0, 0.0)
+    place = geodetic(sixty, np.array((111_194.93 / 2, 0.0, 0.0)), PX4_RADIUS_M)
+    assert place.longitude_deg == pytest.approx(1.0, rel=1e-6)

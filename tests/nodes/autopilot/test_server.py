@@ -10,7 +10,7 @@ import pytest
 
 from ptnsbc_nodes.autopilot.codec import AutopilotError, Codec
 from ptnsbc_nodes.autopilot.control import Control, Timed, ask, parse_timed
-from ptnsbc_nodes.autopilot.launch import Network, Options, parse_address, stations
+from ptnsbc_nodes.autopilot.launch import Network, Options, parse_address, parse_parameter, stations
 from ptnsbc_nodes.autopilot.server import Address, serve
 from ptnsbc_nodes.autopilot.starts import Fleet
 from ptnsbc_nodes.mavlink.dialect import mavlink
@@ -162,6 +162,7 @@ def test_a_scenario_says_where_and_how(tmp_path: Path):
         (Options(network=Network(connect="tcp:127.0.0.1:1")), "expected udpin"),
         (Options(network=Network(key="/nowhere/key")), "expected a readable"),
         (Options(fleet=Fleet(gnss="good")), "expected one of plain"),
+        (Options(parameters={"NO_SUCH": 1.0}), "param NO_SUCH: expected one of BAT"),
         (Options(fleet=Fleet(scenario="experiment_4", count=9)), "at most 4"),
     ],
 )
@@ -172,7 +173,16 @@ def test_what_cannot_be_is_refused(options, message):
         stations(options, 0.0, lambda _line: None)
 
 
-def test_addresses_and_times():
+def test_parameters_instead_of_the_defaults():
+    made = stations(Options(parameters={"COM_OBL_RC_ACT": 5.0}), 0.0, lambda _line: None)
+    assert made[0].vehicle.parameters["COM_OBL_RC_ACT"] == 5
+
+
+def test_addresses_times_and_parameters():
+    assert parse_parameter("A=2") == ("A", 2.0)
+    for wrong in ("A", "=2", "A=x"):
+        with pytest.raises(AutopilotError):
+            parse_parameter(wrong)
     assert parse_address("127.0.0.1:14550", "gcs") == ("127.0.0.1", 14550)
     assert parse_timed("20 1 gps off") == (20.0, "1 gps off")
     for wrong in ("127.0.0.1", "h:0", "h:70000", "h:x"):

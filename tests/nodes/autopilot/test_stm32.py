@@ -55,12 +55,32 @@ def test_nothing_else_moves_it(stm32):
     stm32.arm()
     stm32.flown(0, 0, -1, 3.0)
     assert stm32.vehicle.in_contact
-    for command in (
-        mavlink.MAV_CMD_DO_SET_MODE,
-        mavlink.MAV_CMD_NAV_TAKEOFF,
-        mavlink.MAV_CMD_NAV_LAND,
-    ):
-        assert stm32.command(command, 1, 4) == UNSUPPORTED
+    assert stm32.command(mavlink.MAV_CMD_NAV_TAKEOFF, 1, 4) == UNSUPPORTED
+    assert stm32.command(mavlink.MAV_CMD_DO_SET_MODE, 1, 4) == UNSUPPORTED
+
+
+def test_guided_is_a_flag_of_its_base_mode(stm32):
+    guided = mavlink.MAV_MODE_FLAG_GUIDED_ENABLED
+    assert stm32.command(mavlink.MAV_CMD_DO_SET_MODE, mavlink.MAV_MODE_GUIDED_DISARMED) == ACCEPTED
+    stm32.run(1.0)
+    assert stm32.last("HEARTBEAT").base_mode & guided
+    assert stm32.command(mavlink.MAV_CMD_DO_SET_MODE, 0) == ACCEPTED
+    stm32.run(1.0)
+    assert not stm32.last("HEARTBEAT").base_mode & guided
+    attitude(stm32, 0.1)
+    stm32.run(1.0)
+    assert stm32.last("HEARTBEAT").base_mode & guided
+
+
+def test_it_lands_where_it_is_whatever_targets_still_come(stm32):
+    climbed(stm32)
+    assert stm32.command(mavlink.MAV_CMD_NAV_LAND) == ACCEPTED
+    hover = stm32.vehicle.flight.hover_share
+    stm32.run(15.0, lambda: attitude(stm32, 1.3 * hover), hz=50.0)
+    assert stm32.vehicle.in_contact
+    assert not stm32.vehicle.armed
+    place = stm32.vehicle.flight.truth_enu
+    assert place[:2] == pytest.approx([0.0, 0.0], abs=0.2)
 
 
 def test_in_the_air_disarming_needs_the_magic_number(stm32):
