@@ -158,7 +158,7 @@ def _wanted_rates(rotation: Array, desired: Array, target: Array, gains: LoopGai
         most = gains.max_yaw_rate if i == 2 else gains.max_rate
         out[i] = min(max(gain * out[i], -most), most)
         if math.isfinite(target[18 + i]):
-            out[i] += target[18 + i]
+            out[i] = min(max(out[i] + target[18 + i], -most), most)
     return out
 
 
@@ -198,7 +198,7 @@ def _wrench(
     elif kind == RATES:
         out[2] = target[12] * plant.max_thrust
         for i in range(3):
-            rates[i] = target[18 + i]
+            rates[i] = min(max(target[18 + i], -gains.max_rate), gains.max_rate)
     elif kind == IDLE:
         out[2] = _IDLE_SHARE * plant.max_thrust
     if kind != TRAJECTORY:

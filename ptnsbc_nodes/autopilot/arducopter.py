@@ -8,7 +8,7 @@ from typing import Any
 from ptnsbc_core.types import Array
 from ptnsbc_nodes.autopilot import paths
 from ptnsbc_nodes.autopilot.airframe import LoopGains, hover_share
-from ptnsbc_nodes.autopilot.commands import Request, whole
+from ptnsbc_nodes.autopilot.commands import Request, custom_mode, whole
 from ptnsbc_nodes.autopilot.frames import attitude_swap, euler_of
 from ptnsbc_nodes.autopilot.geodesy import ARDUPILOT_RADIUS_M
 from ptnsbc_nodes.autopilot.guided import Guided, Limits, Seen, Submode
@@ -176,7 +176,7 @@ class ArduCopter(Vehicle):
 
     def set_mode(self, request: Request, t: float) -> int:
         """param1 says that custom modes are meant, param2 is the mode."""
-        if not whole(request.params[0]) & mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED:
+        if not custom_mode(request):
             return _UNSUPPORTED
         mode = whole(request.params[1])
         if mode not in _NAMES:

@@ -63,6 +63,12 @@ def whole(value: float) -> int:
     return int(value) if math.isfinite(value) else -1
 
 
+def custom_mode(request: Request) -> bool:
+    """Whether a DO_SET_MODE means the autopilot's own modes."""
+    base = whole(request.params[0])
+    return base > 0 and bool(base & mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED)
+
+
 def _arm(vehicle: Vehicle, request: Request, _link: int, t: float) -> int:
     wanted, force = whole(request.params[0]), whole(request.params[1]) == FORCE
     if wanted not in (0, 1):

@@ -22,7 +22,7 @@ PORT_BASE = 14540
 """PX4's: vehicle i sends to 14540 + i and listens on 14580 + i."""
 
 HOST, ANY = "127.0.0.1", "0.0.0.0"
-_LISTEN_OFFSET = 40
+_LISTEN_OFFSET, _LAST_OWN_PORT = 40, 9
 _GCS_OFFSET = 3990  # from 14580 + i to 18570 + i, as PX4's simulation
 _LAST_PORT = 65535
 
@@ -123,8 +123,10 @@ def _companion(network: Network, n: int, start: Start) -> Ends:
         return _told(network.connect, n)
     if network.port_base is None and start.connect is not None:
         return _opposite(start.connect)
-    base = (network.port_base or PORT_BASE) + n
-    return Ends(_checked(HOST, base + _LISTEN_OFFSET), _checked(HOST, base))
+    base = network.port_base or PORT_BASE
+    # PX4's simulations beyond the tenth all send to the tenth's port.
+    there = base + (min(n, _LAST_OWN_PORT) if network.port_base is None else n)
+    return Ends(_checked(HOST, base + n + _LISTEN_OFFSET), _checked(HOST, there))
 
 
 def _told(connect: str, n: int) -> Ends:

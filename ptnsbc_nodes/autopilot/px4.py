@@ -8,7 +8,7 @@ from typing import Any
 from ptnsbc_core.types import Array
 from ptnsbc_nodes.autopilot import airframe, paths
 from ptnsbc_nodes.autopilot.airframe import LoopGains
-from ptnsbc_nodes.autopilot.commands import Request, whole
+from ptnsbc_nodes.autopilot.commands import Request, custom_mode, whole
 from ptnsbc_nodes.autopilot.frames import attitude_swap, euler_of
 from ptnsbc_nodes.autopilot.parameters import PX4, Parameters
 from ptnsbc_nodes.autopilot.personality import Status
@@ -205,7 +205,7 @@ class Px4(Vehicle):
 
     def set_mode(self, request: Request, t: float) -> int:
         """param1 says that custom modes are meant, param2 and 3 are main and sub mode."""
-        if not whole(request.params[0]) & mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED:
+        if not custom_mode(request):
             return _DENIED
         main, sub = whole(request.params[1]), whole(request.params[2])
         for mode in MODES:

@@ -130,6 +130,9 @@ def test_ports_of_px4():
     assert ends == [(14540, 14580), (14541, 14581), (14542, 14582)]
     assert [s.endpoints[1].partner.port for s in made] == [14550] * 3
     assert [s.vehicle.system for s in made] == [1, 2, 3]
+    many = stations(Options(fleet=Fleet(count=12)), 0.0, lambda _line: None)
+    assert [s.endpoints[0].partner.port for s in many[8:]] == [14548, 14549, 14549, 14549]
+    assert many[11].endpoints[0].listen.port == 14591
 
 
 def test_a_scenario_says_where_and_how(tmp_path: Path):

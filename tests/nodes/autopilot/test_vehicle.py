@@ -159,6 +159,116 @@ def test_the_battery_drains(companion):
     assert px4.last("SYS_STATUS").battery_remaining == percent
 
 
+# Commands.
+
+
+def test_a_command_int_is_a_command(companion):
+    px4 = companion(Px4)
+    force = (1, 21196, 0, 0, 0, 0, 0)
+    message = mavlink.MAVLink_command_int_message(
+        1, 1, 0, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0, 0, *force
+    )
+    (ack,) = px4.send(message)
+    assert (ack.result, ack.target_system, ack.target_component) == (ACCEPTED, 245, 191)
+    assert px4.vehicle.armed
+
+
+def test_a_ping_comes_back_to_its_sender(companion):
+    px4 = companion(Px4)
+    (answer,) = px4.send(mavlink.MAVLink_ping_message(7, 3, 0, 0))
+    assert (answer.time_usec, answer.seq) == (7, 3)
+    assert (answer.target_system, answer.target_component) == (245, 191)
+    assert px4.send(mavlink.MAVLink_ping_message(7, 3, 9, 1)) == []
+
+
+def test_intervals_are_set_told_disabled_and_reset(companion):
+    px4 = companion(Px4)
+    wanted = mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED
+
+    def interval():
+        px4.command(mavlink.MAV_CMD_GET_MESSAGE_INTERVAL, wanted)
+        return px4.last("MESSAGE_INTERVAL").interval_us
+
+    assert interval() == 33333
+    for asked, told in ((10_000, 10_000), (-1, -1), (0, 33333)):
+        assert px4.command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, wanted, asked) == ACCEPTED
+        assert interval() == told
+    unknown = mavlink.MAVLINK_MSG_ID_VFR_HUD
+    assert px4.command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, unknown, 1e5) == 4
+
+
+def test_home_is_set_here(companion):
+    px4 = companion(Px4)
+    px4.airborne()
+    px4.flown(1.0, 0, 0, 3.0)
+    assert px4.command(mavlink.MAV_CMD_DO_SET_HOME, 1) == ACCEPTED
+    assert px4.last("HOME_POSITION").x == pytest.approx(px4.last("LOCAL_POSITION_NED").x, abs=0.1)
+    assert px4.command(mavlink.MAV_CMD_DO_SET_HOME, 0) == DENIED
+
+
+@pytest.mark.parametrize("kind", [Px4, ArduCopter])
+def test_return_comes_home_and_lands(companion, kind):
+    made = companion(kind)
+    if kind is Px4:
+        made.airborne()
+        made.flown(2.0, 0, 0, 4.0)
+    else:
+        made.command(mavlink.MAV_CMD_DO_SET_MODE, 1, 4)
+        made.arm()
+        made.command(mavlink.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, 4)
+        made.run(6.0)
+        made.flown(2.0, 0, 0, 4.0)
+    assert made.vehicle.flight.truth_enu[1] > 4.0
+    made.put("RTL_RETURN_ALT" if kind is Px4 else "RTL_ALT_M", 6.0)
+    assert made.command(mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH) == ACCEPTED
+    made.run(40.0)
+    assert not made.vehicle.armed
+    assert made.vehicle.flight.truth_enu == pytest.approx([0, 0, 0], abs=0.7)
+
+
+def test_flight_termination_stops_the_motors(companion):
+    px4 = companion(Px4)
+    px4.airborne()
+    assert px4.command(mavlink.MAV_CMD_DO_FLIGHTTERMINATION, 1) == ACCEPTED
+    px4.run(2.0)
+    assert px4.vehicle.in_contact
+
+
+@ALL
+def test_random_messages_do_no_harm(companion, kind):
+    """Any payload, in real frames, most of them addressed to us; truncated and flipped ones too."""
+    made, random, codec = companion(kind), np.random.default_rng(5), Codec(1)
+    made.arm(force=True)
+    heeded = (0, 4, 11, 20, 21, 23, 70, 75, 76, 76, 82, 84, 84, 111)
+    others, taken = sorted(mavlink.mavlink_map), 0
+    for n in range(4000):
+        packet = bytearray(frame(random.choice(heeded if n % 8 else others), random))
+        if n % 10 == 0:
+            packet[random.integers(len(packet))] ^= 1 << random.integers(8)
+        if n % 10 == 1:
+            packet = packet[: random.integers(1, len(packet))]
+        for message in codec.decode(bytes(packet)):
+            if random.integers(4):
+                message.target_system = message.target_component = 1
+            made.vehicle.handle(message, int(random.integers(2)), made.t)
+            taken += 1
+        made.vehicle.step(made.t)
+        made.t += 0.004
+    flight = made.vehicle.flight
+    assert taken > 2000
+    assert np.isfinite(np.concatenate((flight.truth_enu, flight.position_enu))).all()
+
+
+def frame(message_id, random):
+    """A packet with a random payload and a right checksum."""
+    kind = mavlink.mavlink_map[int(message_id)]
+    payload = random.bytes(kind.unpacker.size)
+    number = int(message_id).to_bytes(3, "little")
+    head = bytes((len(payload), 0, 0, 0, 245, 191)) + number + payload
+    check = mavlink.x25crc(head + bytes((kind.crc_extra,))).crc
+    return b"\xfd" + head + check.to_bytes(2, "little")
+
+
 # Signing.
 
 
