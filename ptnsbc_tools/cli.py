@@ -148,6 +148,20 @@ def verify(
         float,
         typer.Option("--tolerance", metavar="M", min=1e-6, help="Hard limit at the deadline."),
     ] = TOLERANCE_M,
+    window: Annotated[
+        float | None,
+        typer.Option("--window", metavar="S", min=0.01, help="Judge so much of each leg, not all."),
+    ] = None,
+    odom: Annotated[
+        str, typer.Option("--odom", metavar="TOPIC", help="Odometry; {n} is the id of the UAV.")
+    ] = "/uav{n}/odom",
+    wrench: Annotated[
+        str, typer.Option("--wrench", metavar="TOPIC", help="WrenchStamped, where it is recorded.")
+    ] = "/uav{n}/setpoint/wrench",
+    epoch: Annotated[
+        float | None,
+        typer.Option("--epoch", metavar="S", min=0.0, help="Of a bag without: after its start."),
+    ] = None,
     picture: Annotated[
         Path | None, typer.Option("--picture", metavar="PNG", help="Draw the flight as well.")
     ] = None,
@@ -158,13 +172,16 @@ def verify(
     An error counts from the epoch on, outside encounters: spans in which the UAV, or one it
     follows, keeps clear of something, and a recovery time of 1 s + 3/kappa after them. Settling is
     the last exit from the band of 2 % of the start error or the tolerance, whichever is larger;
-    only encounters that begin after the deadline excuse an exit.
+    only encounters that begin after the deadline excuse an exit. Each formation leg is judged. Bags
+    of others (MCAP, sqlite3) need --scenario, and their topics named.
     """
     from ptnsbc_tools import result
     from ptnsbc_tools import verify as command
+    from ptnsbc_tools.foreign import Names
 
-    verdict = command.verify(bag, scenario, tolerance=tolerance, picture=picture, json=json)
-    result.leave(verdict)
+    names = Names(odom=odom, wrench=wrench)
+    choice = command.Choice(scenario, tolerance, window, epoch, names)
+    result.leave(command.verify(bag, choice, picture=picture, json=json))
 
 
 @app.command()

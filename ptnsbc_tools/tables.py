@@ -139,19 +139,29 @@ def verdict_tables(verdict: Verdict) -> list[Table]:
 
 
 def reasons(verdict: Verdict) -> list[Text]:
-    """Why deadlines were not met, one line per UAV."""
-    return [
-        Text.assemble(f"UAV {one.uav} ", _word(one.verdict), f": {one.reason}")
-        for one in verdict.uavs
-        if one.reason
-    ]
+    """Why deadlines were not met, one line per UAV, and per leg when there are several."""
+    found = []
+    for leg in verdict.legs:
+        of_leg = f"leg {leg.number} from {leg.epoch_s - verdict.epoch_s:.2f} s, "
+        where = of_leg if len(verdict.legs) > 1 else ""
+        if leg.reason:
+            found.append(Text.assemble(where, _word(leg.verdict), f": {leg.reason}"))
+        found += [
+            Text.assemble(where, f"UAV {one.uav} ", _word(one.verdict), f": {one.reason}")
+            for one in leg.uavs
+            if one.reason
+        ]
+    return found
 
 
 def verdict_line(verdict: Verdict) -> Text:
     """The last line: the verdict in a sentence."""
-    counts = {kind: sum(one.verdict == kind for one in verdict.uavs) for kind in _COLOURS}
+    judged = [one.verdict for leg in verdict.legs for one in leg.uavs]
+    counts = {kind: judged.count(kind) for kind in _COLOURS}
     parts = [f"{counts[kind]} {kind}" for kind in ("met", "void", "missed") if counts[kind]]
     tail = f"deadline {verdict.uavs[0].deadline_s:g} s: {', '.join(parts)}"
+    if len(verdict.legs) > 1:
+        tail += f" in {len(verdict.legs)} legs"
     if verdict.inside_keep_out_s > 0:
         tail += f"; inside a keep-out for {verdict.inside_keep_out_s:.2f} s"
     missing = sum(uav.missing for uav in verdict.uavs)

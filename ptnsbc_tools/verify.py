@@ -2,19 +2,32 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ptnsbc_tools import result
-from ptnsbc_tools.bag_reader import read_recording
+from ptnsbc_tools.bag_reader import OURS, read_recording
+from ptnsbc_tools.foreign import Names
+from ptnsbc_tools.limits import TOLERANCE_M
 from ptnsbc_tools.verdict import Verdict, verdict_on
 
 
-def verify(
-    bag: Path, scenario: Path | None, *, tolerance: float, picture: Path | None, json: bool
-) -> Verdict:
+@dataclass(frozen=True)
+class Choice:
+    """What is judged, and how."""
+
+    scenario: Path | None = None
+    tolerance: float = TOLERANCE_M
+    window_s: float | None = None
+    epoch_s: float | None = None
+    names: Names = OURS
+
+
+def verify(bag: Path, choice: Choice, *, picture: Path | None, json: bool) -> Verdict:
     """Read a bag, judge it, print the verdict."""
-    recording = read_recording(bag, scenario)
-    verdict = verdict_on(recording, tolerance)
+    recording = read_recording(bag, choice.scenario, choice.names, choice.epoch_s)
+    recording = replace(recording, window_s=choice.window_s)
+    verdict = verdict_on(recording, choice.tolerance)
     drawn = None
     if picture is not None:
         from ptnsbc_tools.picture import draw

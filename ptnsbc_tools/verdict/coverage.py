@@ -41,8 +41,7 @@ def coverage(recording: Recording, series: Series) -> Coverage:
 def _early_end(recording: Recording) -> str:
     """The odometry that ends before the flight does, empty when none does."""
     scenario, start_ns, end_ns = recording.scenario, recording.start_ns, recording.end_ns
-    due_ns = start_ns + scenario.ticks * scenario.dt_ns
-    due_ns = min([due_ns, *(t0_ns for t0_ns, _ in recording.epochs if t0_ns > start_ns)])
+    due_ns = recording.due_ns
     last_ns = due_ns - scenario.dt_ns  # a flight of n periods ends with message n - 1
     if (last_ns - end_ns) * NANO <= LONGEST_GAP_S:
         return ""

@@ -48,7 +48,7 @@ def formation_errors(
     scenario = recording.scenario
     leader = positions[scenario.leader_id]
     vector = trajectory_vector(scenario)
-    times = recording.times(grid)
+    times = (grid - recording.first_ns) * NANO  # a new leg does not begin the trajectory anew
     path = np.stack([reference(vector, float(t)).position for t in times])
     errors = {}
     for uav in scenario.uav_ids:

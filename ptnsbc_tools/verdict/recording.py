@@ -13,6 +13,7 @@ from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import Scenario
 
 NANO = 1e-9
+FORMATION = "form"  # leg with a deadline
 
 
 class VerdictError(PtnsbcError):
@@ -71,21 +72,41 @@ class Recording:
     counters: Mapping[int, Counters]  # per UAV; may lack UAVs
     epochs: tuple[tuple[int, str], ...]  # (t0 [ns], leg), ascending; empty when not recorded
     latency: Mapping[str, float] = field(default_factory=dict)  # of the sim node, newest figures
+    leg: int = 0  # which of the formation legs is looked at
+    window_s: float | None = None  # look no further than this after its epoch
+
+    @property
+    def forms(self) -> tuple[int, ...]:
+        """Epochs [ns] of the formation legs; the first message when none was recorded."""
+        found = tuple(t0_ns for t0_ns, leg in self.epochs if leg == FORMATION)
+        return found or (min(int(series.t_ns[0]) for series in self.odometry.values()),)
+
+    @property
+    def first_ns(self) -> int:
+        """Epoch of the first formation leg: the leader's trajectory counts from here."""
+        return self.forms[0]
 
     @property
     def start_ns(self) -> int:
-        """Epoch of the formation leg: deadlines count from here."""
-        for t0_ns, leg in self.epochs:
-            if leg == "form":
-                return t0_ns
-        return min(int(series.t_ns[0]) for series in self.odometry.values())
+        """Epoch of the leg: deadlines count from here."""
+        return self.forms[self.leg]
+
+    @property
+    def due_ns(self) -> int:
+        """When the leg should end: at the next epoch, or with the window or the flight."""
+        return self._ended(self.first_ns + self.scenario.ticks * self.scenario.dt_ns)
 
     @property
     def end_ns(self) -> int:
-        """The next announced epoch, or the last instant that all UAVs recorded."""
+        """When it is over: with the leg, or at the last instant that all UAVs recorded."""
         last = min(int(series.t_ns[-1]) for series in self.odometry.values())
+        return self._ended(last)
+
+    def _ended(self, last_ns: int) -> int:
         later = [t0_ns for t0_ns, _ in self.epochs if t0_ns > self.start_ns]
-        return min([last, *later])
+        if self.window_s is not None:
+            later.append(self.start_ns + round(self.window_s / NANO))
+        return min([last_ns, *later])
 
     def grid(self) -> NDArray[np.int64]:
         """The judged instants: the leader's stamps from the epoch to the end of the leg."""

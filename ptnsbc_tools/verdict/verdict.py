@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -26,7 +27,23 @@ from ptnsbc_tools.verdict.figures import (
     estimator_error,
     separations,
 )
-from ptnsbc_tools.verdict.recording import NANO, Recording, complete
+from ptnsbc_tools.verdict.recording import NANO, Recording, VerdictError, complete
+
+
+@dataclass(frozen=True)
+class LegVerdict:
+    """How the UAVs kept the deadline of one formation leg; a leg begins at each epoch with that name."""
+
+    number: int  # from 1
+    epoch_s: float
+    duration_s: float  # judged
+    reason: str  # why the leg as a whole is void, empty when it is not
+    uavs: tuple[UavVerdict, ...]
+
+    @property
+    def verdict(self) -> str:
+        """The worst of its UAVs: missed, else void, else met."""
+        return VOID if self.reason else _worst(uav.verdict for uav in self.uavs)
 
 
 @dataclass(frozen=True)
@@ -49,12 +66,12 @@ class Verdict:
     missed_ticks: int
     priority_violation_m_s: float
     latency_ms: dict[str, float]
+    legs: tuple[LegVerdict, ...]  # all formation legs; the figures above are of the first
 
     @property
     def verdict(self) -> str:
-        """The worst of all UAVs: missed, else void, else met."""
-        found = {uav.verdict for uav in self.uavs}
-        return next(kind for kind in (MISSED, VOID, MET) if kind in found)
+        """The worst of all UAVs in all legs: missed, else void, else met."""
+        return _worst(leg.verdict for leg in self.legs)
 
     @property
     def exit_code(self) -> int:
@@ -64,7 +81,14 @@ class Verdict:
     def as_json(self) -> dict[str, Any]:
         """Plain types only; a figure that does not exist is null."""
         plain = _plain(dataclasses.asdict(self))
+        for told, leg in zip(plain["legs"], self.legs, strict=True):
+            told["verdict"] = leg.verdict
         return {"verdict": self.verdict, **plain}
+
+
+def _worst(verdicts: Iterable[str]) -> str:
+    found = set(verdicts)
+    return next(kind for kind in (MISSED, VOID, MET) if kind in found)
 
 
 def _plain(value: Any) -> Any:
@@ -83,9 +107,9 @@ def verdict_on(recording: Recording, tolerance: float = TOLERANCE_M) -> Verdict:
 
 def _verdict_on(recording: Recording, tolerance: float) -> Verdict:
     scenario = complete(recording).scenario
+    legs = _legs(recording, tolerance)
     grid = recording.grid()
     positions = recording.positions(grid)
-    errors = formation_errors(recording, grid, positions)
     leader = positions[scenario.leader_id]
     efforts = [effort(recording, uav) for uav in scenario.uav_ids]
     known = tuple(one for one in efforts if one is not None)
@@ -100,7 +124,7 @@ def _verdict_on(recording: Recording, tolerance: float) -> Verdict:
         avoidance=scenario.file.formation.avoidance,
         epoch_s=recording.start_ns * NANO,
         duration_s=float(grid[-1] - recording.start_ns) * NANO,
-        uavs=tuple(judge(recording, grid, uav, errors[uav], tolerance) for uav in scenario.uav_ids),
+        uavs=legs[0].uavs,
         efforts=known,
         separations=tuple(pairs),
         estimators=tuple(one for one in estimators if one is not None),
@@ -114,4 +138,32 @@ def _verdict_on(recording: Recording, tolerance: float) -> Verdict:
             default=0.0,
         ),
         latency_ms=dict(recording.latency),
+        legs=legs,
+    )
+
+
+def _legs(recording: Recording, tolerance: float) -> tuple[LegVerdict, ...]:
+    found = []
+    for number in range(len(recording.forms)):
+        leg = dataclasses.replace(recording, leg=number)
+        try:
+            found.append(_leg(leg, tolerance))
+        except VerdictError as error:
+            if number == 0:
+                raise
+            epoch_s = leg.start_ns * NANO
+            found.append(LegVerdict(number + 1, epoch_s, 0.0, str(error), ()))
+    return tuple(found)
+
+
+def _leg(recording: Recording, tolerance: float) -> LegVerdict:
+    grid = recording.grid()
+    errors = formation_errors(recording, grid, recording.positions(grid))
+    uavs = recording.scenario.uav_ids
+    return LegVerdict(
+        recording.leg + 1,
+        recording.start_ns * NANO,
+        float(grid[-1] - recording.start_ns) * NANO,
+        "",
+        tuple(judge(recording, grid, uav, errors[uav], tolerance) for uav in uavs),
     )
