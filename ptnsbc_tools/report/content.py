@@ -15,6 +15,7 @@ from ptnsbc_tools.charts.flight import Shown
 from ptnsbc_tools.charts.style import COLOURS, DARK_COLOURS, look
 from ptnsbc_tools.charts.thin import thin
 from ptnsbc_tools.report.pack import Pack
+from ptnsbc_tools.verdict import Series
 from ptnsbc_tools.verdict.recording import NANO
 
 _FRAME_HZ = 25  # the script draws straight lines between frames
@@ -45,12 +46,18 @@ def _frames(flight: Shown) -> np.ndarray[Any, np.dtype[np.int64]]:
 
 
 def _poses(flight: Shown, stamps: np.ndarray[Any, np.dtype[np.int64]]) -> Array:
-    """Position and quaternion (F, N, 7) of every UAV; the quaternions do not change sign."""
-    poses = np.stack([flight.recording.odometry[uav].at(stamps)[:, :7] for uav in flight.uavs], 1)
-    turns = poses[:, :, 3:]
-    flips = np.sum(turns[1:] * turns[:-1], axis=2, keepdims=True) < 0
-    turns[1:] *= np.where(np.cumsum(flips, axis=0) % 2, -1.0, 1.0)
-    return poses
+    """Position and quaternion (F, N, 7) of every UAV."""
+    tracks = (_steady(flight.recording.odometry[uav]) for uav in flight.uavs)
+    return np.stack([track.at(stamps) for track in tracks], axis=1)
+
+
+def _steady(odometry: Series) -> Series:
+    """Poses (T, 7) whose quaternions do not change sign: halfway between both would be nothing."""
+    poses = odometry.values[:, :7].copy()
+    turns = poses[:, 3:]
+    flips = np.sum(turns[1:] * turns[:-1], axis=1) < 0
+    turns[1:][np.cumsum(flips) % 2 == 1] *= -1.0
+    return Series(odometry.t_ns, poses)
 
 
 def _space(flight: Shown, pack: Pack) -> dict[str, Any]:
@@ -64,6 +71,7 @@ def _space(flight: Shown, pack: Pack) -> dict[str, Any]:
         "t": pack.add(t),
         "poses": pack.add(_poses(flight, stamps)),
         "path": pack.add(path),
+        "legs": _legs(flight, t),
         "deadline": scenario.gains.formation.deadline_s,
         "keepOut": scenario.uav_keep_out_m,
         "uavs": [_uav(flight, uav) for uav in flight.uavs],
@@ -72,6 +80,13 @@ def _space(flight: Shown, pack: Pack) -> dict[str, Any]:
             for one in scenario.obstacles
         ],
     }
+
+
+def _legs(flight: Shown, t: Array) -> list[tuple[float, str]]:
+    """Begin [s] and name of every leg after the one that is judged."""
+    epochs = flight.recording.epochs
+    begun = [((t0_ns - flight.recording.start_ns) * NANO, leg) for t0_ns, leg in epochs]
+    return [(begin, leg) for begin, leg in begun if 0 < begin <= float(t[-1])]
 
 
 def _uav(flight: Shown, uav: int) -> dict[str, Any]:

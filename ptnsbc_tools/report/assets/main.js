@@ -48,6 +48,8 @@ class Page {
       this.figures.show(clock.now);
       this.live.show(clock.now);
     });
+    const wanted = Number(new URLSearchParams(location.hash.slice(1)).get("t"));
+    if (wanted) this.clock.seek(wanted);
   }
 
   transport() {
@@ -83,11 +85,12 @@ class Page {
     for (const uav of this.data.space.uavs) {
       for (const [from, to] of uav.avoiding) add("span", { left: part(from), right: `calc(100% - ${part(to)})` });
     }
-    const { deadline } = this.data.space;
-    if (deadline > begin && deadline < end) {
+    const { deadline, legs } = this.data.space;
+    for (const [time, name] of [[deadline, "deadline"], ...legs]) {
+      if (time <= begin || time >= end) continue;
       const words = document.createElement("span");
-      words.textContent = "deadline";
-      add("mark", { left: part(deadline) }).append(words);
+      words.textContent = name;
+      add("mark", { left: part(time) }).append(words);
     }
   }
 

@@ -192,6 +192,12 @@ def test_offline_without_a_request_a_complaint_or_an_overflow(
     assert one.said == []
 
 
+def test_an_address_may_name_the_time(tab: Any, address: str) -> None:
+    page = tab(f"{address}#t=4.25").ready()
+    assert page.locator("#now").inner_text() == "4.25 s"
+    assert page.locator("#events .mark").all_inner_texts() == ["deadline"]
+
+
 def test_without_script_the_verdict_is_there(tab: Any) -> None:
     page = tab(java_script_enabled=False).page
     assert page.locator(".badge").inner_text().lower() == "met"
