@@ -17,6 +17,7 @@ from ptnsbc_tools.verdict.deadline import formation_errors
 from ptnsbc_tools.verdict.windows import encounters, joined
 
 FLOOR_M = 1e-4  # of logarithmic axes
+_FLOOR_MS = 0.1
 MOST_PAIRS = 24  # in one figure; the tightest
 
 
@@ -234,6 +235,20 @@ def latency(flight: Shown) -> Chart | None:
     return _chart("latency", "Latency of the loop", "ms", curves, limits=limits, note=note)
 
 
+def age(flight: Shown) -> Chart | None:
+    """How old what a UAV knew of its neighbours was, step by step."""
+    curves = []
+    for uav in flight.uavs:
+        if uav in flight.status.age_ms:
+            t, values = _in_time(flight, flight.status.age_ms[uav])
+            curves.append(_curve(flight, uav, t, np.maximum(values, _FLOOR_MS)))
+    stale = 1e3 * flight.scenario.file.communication.stale_s
+    limits = (Limit(stale, f"stale, {stale:g} ms"),)
+    note = "The oldest that went into each step, by the clocks of sender and receiver."
+    title = "Messages from neighbours: age"
+    return _chart("age", title, "ms", curves, limits=limits, note=note, log=True)
+
+
 def _chart(
     key: str,
     title: str,
@@ -263,6 +278,7 @@ CHARTS: dict[str, Callable[[Shown], Chart | None]] = {
     "conditioning": conditioning,
     "missed": missed,
     "latency": latency,
+    "age": age,
 }
 
 

@@ -1,4 +1,4 @@
-"""What the nodes told about themselves over time, from /diagnostics: gains, latency, missed ticks."""
+"""What the nodes told about themselves over time: gains, latency, missed ticks, age of messages."""
 
 from __future__ import annotations
 
@@ -12,10 +12,14 @@ import numpy as np
 
 from ptnsbc_nodes import topics
 from ptnsbc_nodes.bag import read_bag
-from ptnsbc_nodes.wire import WireError
+from ptnsbc_nodes.ticklog import TickNote, tick_note
+from ptnsbc_nodes.wire import WireError, decode_integers
 from ptnsbc_tools.diagnostics import Diagnostics, decode_diagnostics
 from ptnsbc_tools.verdict import Series
 
+_STATUS = topics.DIAGNOSTICS.name
+_TICK = re.compile(r"/uav(\d+)/tick")
+_OWN = ("own", "near")  # of a step's messages, those that no neighbour sent
 _PLANNER = re.compile(r"uav(\d+): planner")
 _SIM = "sim: world"
 PLANNER_KEYS = ("gain", "sigma_min", "missed_ticks")
@@ -28,6 +32,7 @@ class Status:
 
     planner: Mapping[int, Mapping[str, Series]] = field(default_factory=dict)  # by UAV, by key
     sim: Mapping[str, Series] = field(default_factory=dict)  # by key
+    age_ms: Mapping[int, Series] = field(default_factory=dict)  # (T, 1) by UAV, see `ages`
 
 
 class _Rows:
@@ -71,15 +76,33 @@ def status_of(arrays: Iterable[Diagnostics]) -> Status:
     return Status(planner, sim.series())
 
 
+def ages(notes: Iterable[TickNote]) -> Series:
+    """Age [ms] of the oldest message of a neighbour that went into each step (T, 1)."""
+    found = {}
+    for note in notes:
+        stamps = [used.stamp_ns for name, used in note.used.items() if name not in _OWN]
+        if stamps:
+            found[note.moment.now_ns] = (note.moment.now_ns - min(stamps)) * 1e-6
+    t_ns = np.array(sorted(found), dtype=np.int64)
+    return Series(t_ns, np.array([found[int(t)] for t in t_ns]).reshape(-1, 1))
+
+
 def read_status(path: Path) -> Status:
     """The status of a bag's nodes; empty where none was recorded."""
     bag = read_bag(path)
-    if topics.DIAGNOSTICS.name not in bag.topics:
-        return Status()
-    arrays = []
-    for message in bag.messages([topics.DIAGNOSTICS.name]):
+    arrays: list[Diagnostics] = []
+    notes: dict[int, list[TickNote]] = {}
+    ticks = {name: int(found[1]) for name in bag.topics if (found := _TICK.fullmatch(name))}
+    for message in bag.messages([name for name in (_STATUS, *ticks) if name in bag.topics]):
         try:
-            arrays.append(decode_diagnostics(message.data))
+            if message.topic == _STATUS:
+                arrays.append(decode_diagnostics(message.data))
+            else:
+                row = decode_integers(message.data)
+                note = tick_note(row.label, row.values.tolist())
+                notes.setdefault(ticks[message.topic], []).append(note)
         except WireError:  # nothing is judged here
             continue
-    return status_of(arrays)
+    found_ages = {uav: ages(noted) for uav, noted in sorted(notes.items())}
+    told = status_of(arrays)
+    return Status(told.planner, told.sim, {uav: s for uav, s in found_ages.items() if s.t_ns.size})

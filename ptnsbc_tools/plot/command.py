@@ -40,7 +40,7 @@ def plot(
             "--what",
             metavar="NAMES",
             help="all, or of: errors, inputs, separations, force, force-first, torque, torque-first, "
-            "between, obstacles, estimator, gain, conditioning, missed, latency; with commas.",
+            "between, obstacles, estimator, gain, conditioning, missed, latency, age; with commas.",
         ),
     ] = ALL,
     form: Annotated[

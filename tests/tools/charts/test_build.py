@@ -7,10 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from ptnsbc_nodes.pilot import Moment
+from ptnsbc_nodes.ticklog import TickNote, Used
 from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_tools.charts.build import CHARTS, FLOOR_M, MOST_PAIRS, charts
 from ptnsbc_tools.charts.flight import shown
-from ptnsbc_tools.charts.status import Status, status_of
+from ptnsbc_tools.charts.status import Status, ages, status_of
 from ptnsbc_tools.diagnostics import Diagnostics
 from ptnsbc_tools.diagnostics import Status as One
 from ptnsbc_tools.verdict import Series
@@ -105,6 +107,25 @@ def test_what_the_nodes_told_over_time(fly):
     np.testing.assert_allclose(found["missed"].curves[0].values, np.arange(10))  # since the epoch
     assert [curve.label for curve in found["latency"].curves] == ["p99"]
     assert [limit.value for limit in found["latency"].limits] == [10.0]
+
+
+def test_the_age_of_what_a_step_was_made_of(fly):
+    def note(now_ms, **stamps_ms):
+        moment = Moment(now_ms * 10**6, 10**7, 0, 0, 0, True)
+        used = {name: Used(ms * 10**6, 0) for name, ms in stamps_ms.items()}
+        return TickNote(0, moment, used)
+
+    notes = [
+        note(20, own=20, near=1, state1=18, estimate3=13),
+        note(30, own=30),  # nobody's message: no age
+        note(40, own=31, state1=40),
+    ]
+    series = ages(notes)
+    assert series.t_ns.tolist() == [20 * 10**6, 40 * 10**6]
+    np.testing.assert_allclose(series.values[:, 0], [7.0, 0.0])
+    chart = drawn(fly(), Status(age_ms={2: series}))["age"]
+    np.testing.assert_allclose(chart.curves[0].values, [7.0, 0.1])  # the axis is logarithmic
+    assert [limit.value for limit in chart.limits] == [500.0]
 
 
 def test_lockstep_has_neither_latency_nor_missed_ticks(fly):

@@ -71,7 +71,7 @@ def test_a_bag_that_cannot_be_read_leaves_a_page_that_says_so(tmp_path: Path) ->
         (("report", "nowhere"), "nowhere: no such bag"),
         (("plot", "nowhere"), "nowhere: no such bag"),
         (("plot", SAMPLE, "--what", "dance"), "--what dance: expected one or more of all"),
-        (("plot", SAMPLE, "-o", "x.png"), "x.png: one file for 12 figures"),
+        (("plot", SAMPLE, "-o", "x.png"), "x.png: one file for 13 figures"),
         (("plot", SAMPLE, "-o", "x.png", "--what", "latency"), "nothing to draw for latency"),
         (("report", SAMPLE, "-o", "/dev/null/x"), "cannot be written: Not a directory"),
     ],
