@@ -10,14 +10,14 @@ import numpy as np
 from ptnsbc_core.types import Array
 
 
-class Thinned(NamedTuple):
-    """A curve that looks like the one it was made of."""
+class Points(NamedTuple):
+    """Samples of one quantity."""
 
-    t: Array  # (P,)
+    t: Array  # (P,) [s]
     values: Array  # (P,)
 
 
-def thin(t: Array, values: Array, points: int) -> Thinned:
+def thin(t: Array, values: Array, points: int) -> Points:
     """At most `points` points: the smallest and the largest value of each of many spans.
 
     Every peak keeps its height and its time. A span with a value that is none keeps that one too, so
@@ -29,7 +29,7 @@ def thin(t: Array, values: Array, points: int) -> Thinned:
         points: At least 8.
     """
     if t.size <= points:
-        return Thinned(t, values)
+        return Points(t, values)
     edges = np.linspace(0, t.size, max((points - 2) // 3, 2) + 1).astype(np.int64)
     kept = {0, t.size - 1}
     for begin, end in pairwise(edges):
@@ -40,4 +40,4 @@ def thin(t: Array, values: Array, points: int) -> Thinned:
         if bad.size < part.size:
             kept |= {int(begin + np.nanargmin(part)), int(begin + np.nanargmax(part))}
     chosen = np.array(sorted(kept), dtype=np.int64)
-    return Thinned(t[chosen], values[chosen])
+    return Points(t[chosen], values[chosen])

@@ -10,8 +10,10 @@ import pytest
 from ptnsbc_nodes.pilot import Moment
 from ptnsbc_nodes.ticklog import TickNote, Used
 from ptnsbc_sim.scenario import load_scenario
-from ptnsbc_tools.charts.build import CHARTS, FLOOR_M, MOST_PAIRS, charts
+from ptnsbc_tools.charts.build import CHARTS, charts
+from ptnsbc_tools.charts.common import FLOOR_M
 from ptnsbc_tools.charts.flight import shown
+from ptnsbc_tools.charts.space import MOST_PAIRS
 from ptnsbc_tools.charts.status import Status, ages, status_of
 from ptnsbc_tools.diagnostics import Diagnostics
 from ptnsbc_tools.diagnostics import Status as One
@@ -73,7 +75,7 @@ def test_separations_are_distances_with_their_keep_outs(fly):
 
 
 def test_only_the_tightest_pairs_of_many(fly, monkeypatch):
-    monkeypatch.setattr("ptnsbc_tools.charts.build.MOST_PAIRS", 3)
+    monkeypatch.setattr("ptnsbc_tools.charts.space.MOST_PAIRS", 3)
     chart = drawn(fly({5: lambda t: -1.0 - 0 * t}))["between"]
     # Five, moved a metre west, is 0.2 m east and 2.4 m south of the leader, and closer to 4 and 3.
     closest = [float(curve.values.min()) for curve in chart.curves]

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from ptnsbc_tools.charts import draw
-from ptnsbc_tools.charts.build import errors
 from ptnsbc_tools.charts.flight import shown
+from ptnsbc_tools.charts.space import errors
 from ptnsbc_tools.charts.status import Status
 
 
