@@ -18,7 +18,7 @@ from bench.session import Machine, Plan, say, sentences
 from bench.table import Row, markdown, rich_table
 from ptnsbc_core.errors import PtnsbcError
 
-SECTIONS = ("step", "headless", "startup", "recorder", "lockstep", "realtime", "autopilot")
+SECTIONS = ("step", "headless", "startup", "recorder", "lockstep", "realtime", "rerun", "autopilot")
 _NARROWEST = 150
 
 

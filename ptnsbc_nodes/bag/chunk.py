@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from io import BytesIO
+from operator import itemgetter
 from typing import NamedTuple
 
 import zstandard
@@ -19,7 +20,17 @@ from mcap.records import Channel, Chunk, Schema
 
 LARGEST_CHUNK = 1 << 30  # [bytes], uncompressed
 RECORD_HEAD = struct.Struct("<BQ")  # opcode, length of what follows
+_HEAD_SIZE = RECORD_HEAD.size
 _MESSAGE = struct.Struct("<BQHIQQ")
+_LOG_TIME = itemgetter(1)
+
+
+class BagMessage(NamedTuple):
+    """One message of a bag."""
+
+    topic: str
+    stamp_ns: int  # log time [ns]
+    data: bytes  # CDR
 
 
 class Entry(NamedTuple):
@@ -82,6 +93,32 @@ def entries(data: bytes) -> Iterator[Entry]:
             at = following
         else:
             at = _skip(data, at)
+
+
+def chosen(data: bytes, names: Mapping[int, str]) -> list[BagMessage]:
+    """The messages of these channels, in order of log time; equal times stay as they were written.
+
+    The same as `entries`, for the many: no object per message that nobody wants.
+    """
+    found = []
+    at, end = 0, len(data)
+    while at < end:
+        if end - at < _MESSAGE.size:
+            at = _skip(data, at)
+            continue
+        opcode, length, channel_id, _, log_ns, _ = _MESSAGE.unpack_from(data, at)
+        following = at + _HEAD_SIZE + length
+        if opcode == Opcode.MESSAGE:
+            start = at + _MESSAGE.size
+            if not start <= following <= end:
+                raise ValueError("length of a message")
+            if channel_id in names:
+                found.append(BagMessage(names[channel_id], log_ns, data[start:following]))
+            at = following
+        else:
+            at = _skip(data, at)
+    found.sort(key=_LOG_TIME)
+    return found
 
 
 def declarations(data: bytes) -> Iterator[Schema | Channel]:

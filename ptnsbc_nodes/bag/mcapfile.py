@@ -7,22 +7,14 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
-from typing import IO, NamedTuple
+from typing import IO
 
 from mcap.reader import SeekingReader
 from mcap.records import Attachment, Channel, ChunkIndex, Metadata, Schema
 
-from ptnsbc_nodes.bag.chunk import RECORD_HEAD, Entry, entries, parse_chunk, unpacked
+from ptnsbc_nodes.bag.chunk import RECORD_HEAD, BagMessage, Entry, chosen, parse_chunk, unpacked
 from ptnsbc_nodes.bag.errors import BagError, DamagedError
 from ptnsbc_nodes.bag.walk import MAGIC, Damage, walk
-
-
-class BagMessage(NamedTuple):
-    """One message of a bag."""
-
-    topic: str
-    stamp_ns: int  # log time [ns]
-    data: bytes  # CDR
 
 
 @dataclass
@@ -89,10 +81,7 @@ def indexed(path: Path, contents: Contents, wanted: frozenset[str] | None) -> It
                 continue
             stream.seek(chunk.chunk_start_offset + RECORD_HEAD.size)
             data = unpacked(parse_chunk(stream.read(chunk.chunk_length - RECORD_HEAD.size)))
-            found = [entry for entry in entries(data) if entry.channel_id in names]
-            found.sort(key=lambda entry: entry.log_ns)  # stable: equal times stay as written
-            for entry in found:
-                yield BagMessage(names[entry.channel_id], entry.log_ns, entry.data)
+            yield from chosen(data, names)
 
 
 def walked(path: Path, wanted: frozenset[str] | None, *, lenient: bool) -> Iterator[BagMessage]:

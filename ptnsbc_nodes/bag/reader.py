@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 from ptnsbc_nodes.bag import mcapfile
+from ptnsbc_nodes.bag.chunk import BagMessage
 from ptnsbc_nodes.bag.errors import BagError, DamagedError
-from ptnsbc_nodes.bag.mcapfile import BagMessage, Contents
+from ptnsbc_nodes.bag.mcapfile import Contents
 from ptnsbc_nodes.bag.writer import METADATA_RECORD
 
 _PIECE = re.compile(r"_(\d+)\.mcap$")

@@ -9,6 +9,7 @@ run.
 from __future__ import annotations
 
 import struct
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -76,7 +77,12 @@ def read_stamp(buf: bytes, order: str, offset: int, what: str) -> int:
 
 def write_stamp(buffer: bytearray, stamp_ns: int, offset: int = _BODY) -> None:
     """Patch the builtin_interfaces/Time at `offset` of a little-endian message."""
-    _TIME["<"].pack_into(buffer, offset, *split_stamp(stamp_ns))
+    buffer[offset : offset + 8] = _packed_stamp(stamp_ns)
+
+
+@lru_cache(maxsize=8)  # the messages of one tick all carry the same
+def _packed_stamp(stamp_ns: int) -> bytes:
+    return _TIME["<"].pack(*split_stamp(stamp_ns))
 
 
 def skip_string(buf: bytes, order: str, offset: int, what: str) -> int:

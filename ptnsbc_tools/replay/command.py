@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -13,6 +14,8 @@ from ptnsbc_tools.options import JsonOption
 
 if TYPE_CHECKING:
     from ptnsbc_tools.replay.rerun import Rerun
+
+_MOST_JOBS = 4
 
 BagArgument = Annotated[
     Path, typer.Argument(metavar="BAG", help="Folder of a bag, or its .mcap file.")
@@ -100,4 +103,4 @@ def _again(path: Path, scenario: Path | None) -> Rerun:
 
         load_agent(flown, flown.leader_id)
     with console.progress("re-running") as advance:
-        return rerun(bag, flown, advance)
+        return rerun(bag, flown, advance, jobs=min(os.cpu_count() or 1, _MOST_JOBS))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from ptnsbc_core.types import LEGS
 from ptnsbc_nodes import topics
 from ptnsbc_nodes.bag import Bag, BagMessage
@@ -17,24 +19,23 @@ _KEPT_SNAPSHOTS = 8
 
 
 class Desk:
-    """Shelves, legs and seats of one re-run."""
+    """Shelves, legs and seats of one re-run, or of some of its UAVs."""
 
-    def __init__(self, scenario: Scenario) -> None:
+    def __init__(self, scenario: Scenario, uavs: Sequence[int]) -> None:
         edges = Edges(scenario, FlightOptions())
-        ids = scenario.uav_ids
         self.scenario = scenario
-        self.seats = {uav: Seat(scenario, uav, edges.senders(uav)) for uav in ids}
-        self.shelves = {
-            topic.name: Shelf(topic.type) for uav in ids for topic in topics.of_uav(uav)
-        }
+        self.seats = {uav: Seat(scenario, uav, edges.senders(uav)) for uav in uavs}
+        needed = {topic for uav in uavs for topic in topics.of_uav(uav)}
+        needed.update(topic for seat in self.seats.values() for topic in seat.inputs.values())
+        self.shelves = {topic.name: Shelf(topic.type) for topic in needed}
         self.epochs = Epochs()
         self.first_t0_ns: int | None = None
-        self.snapshots: dict[int, dict[int, bytes]] = {uav: {} for uav in ids}
-        self._snapshot_topics = {topics.snapshot(uav).name: uav for uav in ids}
+        self.snapshots: dict[int, dict[int, bytes]] = {uav: {} for uav in uavs}
+        self._snapshot_topics = {topics.snapshot(uav).name: uav for uav in uavs}
 
     def wanted(self, bag: Bag) -> list[str]:
         """Topics of a bag that `put` understands, and the notes of real time."""
-        notes = [topics.tick(uav).name for uav in self.seats]
+        notes = [topics.tick(uav).name for uav in self.scenario.uav_ids]
         common = (topics.EPOCH.name, topics.DIAGNOSTICS.name)
         names = (*self.shelves, *self._snapshot_topics, *notes, *common)
         return [name for name in names if name in bag.topics]

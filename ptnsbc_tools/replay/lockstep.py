@@ -60,27 +60,25 @@ class Lockstep(Driver[int]):
         if now_ns != expected_ns:
             raise MissingError(f"{seat.inputs['own'].name} stamped {expected_ns} is not recorded")
         self._next_ns[seat.uav] = now_ns + self._period_ns
-        for name in seat.inputs:
+        tick = now_ns // self._period_ns
+        last_near = (tick - tick % self._near_every) * self._period_ns
+        for name, topic in seat.inputs.items():
             if name == "own":
-                letter = self.desk.shelves[seat.inputs[name].name].at(now_ns)[-1]
-                seat.hold(name, letter.content)
+                self._hold(seat, name, topic.name, now_ns)
             elif name == "near":
-                tick = now_ns // self._period_ns
-                due = (tick - tick % self._near_every) * self._period_ns
-                self._hold(seat, name, now_ns + 1, due)
+                self._hold(seat, name, topic.name, last_near)
             elif now_ns > 0:
-                self._hold(seat, name, now_ns, now_ns - self._period_ns)
+                self._hold(seat, name, topic.name, now_ns - self._period_ns)
 
-    def _hold(self, seat: Seat, name: str, before_ns: int, due_ns: int) -> None:
-        """The message that is due; an older one only of a sender that has ended."""
-        topic = seat.inputs[name].name
+    def _hold(self, seat: Seat, name: str, topic: str, due_ns: int) -> None:
+        """The message that is due; an older one only of a UAV that has ended."""
         shelf = self.desk.shelves[topic]
-        due = shelf.at(due_ns)
+        due = shelf.read(due_ns)
         if due:
-            seat.hold(name, due[-1].content)
+            seat.hold(name, due[-1])
             return
-        if name == "near" or shelf.newest_ns >= due_ns:
+        if name in ("own", "near") or shelf.newest_ns >= due_ns:
             raise MissingError(f"{topic} stamped {due_ns} is not recorded")
-        last = shelf.before(before_ns)
+        last = shelf.before(due_ns)
         if last is not None:
-            seat.hold(name, last.content)
+            seat.hold(name, last)

@@ -18,9 +18,10 @@ class Realtime(Driver[TickNote]):
 
     def __init__(self, desk: Desk) -> None:
         super().__init__(desk)
-        self.triggers = {topics.tick(uav).name: uav for uav in desk.seats}
-        self._sent: dict[int, dict[int, int]] = {uav: {} for uav in desk.seats}
-        self._uav_of = {name: seat.uav for seat in desk.seats.values() for name in seat.outputs}
+        ids = desk.scenario.uav_ids  # also the others': how often they spoke matters
+        self.triggers = {topics.tick(uav).name: uav for uav in ids}
+        self._sent: dict[int, dict[int, int]] = {uav: {} for uav in ids}
+        self._uav_of = {topic.name: uav for uav in ids for topic in topics.of_uav(uav)[2:]}
         self._why = dict.fromkeys(desk.seats, "the recording begins after the first step")
 
     def read(self, uav: int, data: bytes) -> TickNote:

@@ -5,7 +5,8 @@ The bag streams by; memory does not grow with it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from typing import NamedTuple
 
 from ptnsbc_nodes import topics
@@ -15,6 +16,7 @@ from ptnsbc_sim.scenario import Scenario
 from ptnsbc_tools.replay.desk import Desk
 from ptnsbc_tools.replay.difference import Difference
 from ptnsbc_tools.replay.lockstep import Lockstep
+from ptnsbc_tools.replay.parallel import side_by_side
 from ptnsbc_tools.replay.realtime import Realtime
 from ptnsbc_tools.replay.seat import Account
 
@@ -48,19 +50,46 @@ class Rerun(NamedTuple):
         return VOID if holes else EQUAL
 
 
-def rerun(bag: Bag, scenario: Scenario, advance: Advance = lambda done, total: None) -> Rerun:
+def rerun(
+    bag: Bag,
+    scenario: Scenario,
+    advance: Advance = lambda done, total: None,
+    jobs: int = 1,
+) -> Rerun:
     """Re-run every step of every UAV.
 
     Args:
         bag: a flight of ours, from `read_bag`.
         scenario: what was flown.
         advance: called now and then with messages done and in all.
+        jobs: processes among which the UAVs are shared out.
 
     Raises:
         BagError: nothing to re-run, or a message that is none.
     """
-    desk = Desk(scenario)
     noted = any(_messages(bag, topics.tick(uav).name) for uav in scenario.uav_ids)
+    ids = scenario.uav_ids
+    groups = [ids[k::jobs] for k in range(min(jobs, len(ids)))]
+    work = [partial(_of, bag, scenario, group, noted=noted) for group in groups]
+    found: dict[int, Account] = {}
+    for part in side_by_side([partial(work[0], advance), *work[1:]]):
+        found |= part
+    accounts = {uav: found[uav] for uav in ids}
+    if not any(one.steps or one.gaps for one in accounts.values()):
+        raise BagError(f"{bag.path}: no step to re-run: expected odometry and an epoch")
+    return Rerun(noted, (bag.end_ns - bag.start_ns) * 1e-9, accounts)
+
+
+def _of(
+    bag: Bag,
+    scenario: Scenario,
+    uavs: Sequence[int],
+    advance: Advance = lambda done, total: None,
+    *,
+    noted: bool,
+) -> dict[int, Account]:
+    """Accounts of some UAVs."""
+    desk = Desk(scenario, uavs)
     driver: Realtime | Lockstep = Realtime(desk) if noted else Lockstep(desk)
     for message in _shown(bag, desk.wanted(bag), advance):
         try:
@@ -71,12 +100,7 @@ def rerun(bag: Bag, scenario: Scenario, advance: Advance = lambda done, total: N
         except WireError as error:
             raise BagError(f"{bag.path}: a message on {message.topic}: {error}") from None
     driver.make_all()
-    accounts = {uav: seat.account for uav, seat in desk.seats.items()}
-    if not any(one.steps or one.gaps for one in accounts.values()):
-        raise BagError(
-            f"{bag.path}: no step to re-run: expected odometry of every UAV and an epoch"
-        )
-    return Rerun(noted, (bag.end_ns - bag.start_ns) * 1e-9, accounts)
+    return {uav: seat.account for uav, seat in desk.seats.items()}
 
 
 def _messages(bag: Bag, name: str) -> int:

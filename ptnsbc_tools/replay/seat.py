@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -11,14 +12,14 @@ import numpy as np
 from ptnsbc_core.agent import Agent
 from ptnsbc_core.types import ODOMETRY_SIZE, AgentConfig, AgentOutputs, AgentState
 from ptnsbc_nodes import topics
-from ptnsbc_nodes.inbox import NO_CUTOFF_NS, Senders
+from ptnsbc_nodes.inbox import NO_CUTOFF_NS, Inbox, Senders
 from ptnsbc_nodes.letters import Letters
 from ptnsbc_nodes.pilot import Moment, Pilot
 from ptnsbc_nodes.ticklog import SnapshotTemplate, TickNote, checksum, recall, sources
 from ptnsbc_nodes.wire import Stamped, WireError, decode_floats
 from ptnsbc_sim.scenario import Scenario, agent_config
 from ptnsbc_tools.replay.difference import Difference, Mismatch, of_messages, of_numbers
-from ptnsbc_tools.replay.shelf import Letter, Shelf
+from ptnsbc_tools.replay.shelf import Shelf
 
 OUTPUTS = ("formation_state", "leader_estimate", "setpoint/velocity", "setpoint/wrench")
 
@@ -76,6 +77,7 @@ class Seat:
         self.outputs = [f"/uav{uav}/{name}" for name in OUTPUTS]
         self.told: dict[int, list[dict[str, str]]] = {}  # counters of /diagnostics by their ticks
         self.pilot = Pilot(agent_config(scenario, uav), senders)
+        self._put = _places(self.pilot.inbox)
         self._letters = Letters(uav)
         self._next: int | None = None  # number of the step that the pilot is ready for
         self._held: dict[str, Stamped] = {}
@@ -96,6 +98,7 @@ class Seat:
         self._next = None
         self._held.clear()
         self.pilot = Pilot(self.pilot.config, self.senders)
+        self._put = _places(self.pilot.inbox)
 
     def resume(self, sequence: int, data: bytes) -> None:
         """Go on behind the step of a snapshot."""
@@ -107,18 +110,9 @@ class Seat:
 
     def hold(self, name: str, message: Stamped) -> None:
         """Put a message where the process had it."""
-        if self._held.get(name) is message:
-            return
-        self._held[name] = message
-        inbox = self.pilot.inbox
-        if name == "own":
-            inbox.own = message
-        elif name == "near":
-            inbox.near = message
-        elif name.startswith("state"):
-            inbox.hear_state(int(name.removeprefix("state")), message)
-        else:
-            inbox.hear_estimate(int(name.removeprefix("estimate")), message)
+        if self._held.get(name) is not message:
+            self._held[name] = message
+            self._put[name](message)
 
     def fetch(
         self, note: TickNote, shelves: Mapping[str, Shelf], sent: Callable[[str, int], int]
@@ -136,12 +130,11 @@ class Seat:
             if held is not None and used == (held.stamp_ns, checksum(held)):
                 continue
             topic = self.inputs[name].name
-            letters = shelves[topic].at(used.stamp_ns)
-            if not letters:
+            found = shelves[topic].read(used.stamp_ns)
+            if not found:
                 raise MissingError(f"{topic} stamped {used.stamp_ns} was used and is not recorded")
-            found = [letter.content for letter in letters]
             same = [message for message in found if checksum(message) == used.checksum]
-            if not same and len(letters) < sent(topic, used.stamp_ns):
+            if not same and len(found) < sent(topic, used.stamp_ns):
                 raise MissingError(
                     f"one of those on {topic} stamped {used.stamp_ns} is not recorded"
                 )
@@ -168,7 +161,7 @@ class Seat:
         own = self.pilot.inbox.own
         if own is None:  # a step was made of it
             raise WireError("no own odometry")
-        recorded = [shelf.at(own.stamp_ns) for shelf in map(shelves.__getitem__, self.outputs)]
+        recorded = [shelves[name].at(own.stamp_ns) for name in self.outputs]
         if not any(recorded):
             self.account.silent += 1
             return None
@@ -176,15 +169,15 @@ class Seat:
         self.account.unrecorded += len(OUTPUTS) * self.account.silent
         self.account.silent = 0
         made = self._letters.all(own, outputs)
-        for name, letters, computed in zip(OUTPUTS, recorded, made, strict=True):
+        for name, found, computed in zip(OUTPUTS, recorded, made, strict=True):
             if len(computed) % 4:  # as DDS hands it over
                 computed += bytes(-len(computed) % 4)
-            if _among(letters, computed):
+            if computed in found:
                 self.account.compared += 1
-            elif len(letters) < expected:
+            elif len(found) < expected:
                 self.account.unrecorded += 1
             else:
-                return of_messages(name, letters[0].data, computed)
+                return of_messages(name, found[0], computed)
         return None
 
     def compare_counters(self) -> Mismatch | None:
@@ -223,8 +216,13 @@ class Seat:
         return None
 
 
-def _among(letters: list[Letter], data: bytes) -> bool:
-    return any(letter.data == data for letter in letters)
+def _places(inbox: Inbox) -> dict[str, Callable[[Stamped], None]]:
+    """How each kind of message gets into an inbox."""
+    senders = inbox.senders
+    states = {f"state{i}": partial(inbox.hear_state, i) for i in senders.states}
+    estimates = {f"estimate{i}": partial(inbox.hear_estimate, i) for i in senders.estimators}
+    own = {name: partial(setattr, inbox, name) for name in ("own", "near")}
+    return {**own, **states, **estimates}
 
 
 def _any_state(config: AgentConfig) -> AgentState:

@@ -133,13 +133,14 @@ def rewritten(tmp_path: Path) -> Callable[[Path, Change], Path]:
     """A bag whose messages went through a function: changed, dropped, doubled."""
 
     def rewrite(path: Path, change: Change) -> Path:
+        new_path = tmp_path / f"changed{len(list(tmp_path.iterdir()))}"
         old = read_bag(path)
         infos = [TopicInfo(topic.name, topic.type) for topic in old.topics.values()]
         attachments = {name: old.attachment(name) for name in old.attachments}
-        with BagWriter(tmp_path / "changed", infos, attachments=attachments) as writer:
+        with BagWriter(new_path, infos, attachments=attachments) as writer:
             for message in old.messages():
                 for new in change(message):
                     writer.write(*new)
-        return tmp_path / "changed"
+        return new_path
 
     return rewrite

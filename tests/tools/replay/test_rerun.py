@@ -65,6 +65,20 @@ def test_equal(again, request, scenario, kind):
         assert (account.silent, account.unrecorded, account.gaps) == (0, 0, [])
 
 
+@pytest.mark.parametrize("kind", ["headless", "realtime"])
+def test_shared_out_among_processes(scenario, request, rewritten, kind):
+    path = request.getfixturevalue(kind)
+    alone, shared = (rerun(read_bag(path), scenario, jobs=jobs) for jobs in (1, 3))
+    assert shared == alone
+    lost = rewritten(path, lambda m: [] if m.topic == "/uav2/odom" else [m])
+    void, again = (rerun(read_bag(lost), scenario, jobs=jobs) for jobs in (1, 9))
+    assert void == again
+    assert void.verdict == "void"
+    broken = rewritten(path, lambda m: [m._replace(data=b"")] if m.topic == "/uav2/odom" else [m])
+    with pytest.raises(BagError, match="a message on /uav2/odom"):
+        rerun(read_bag(broken), scenario, jobs=2)
+
+
 @pytest.mark.parametrize("uav", [1, 3, 5])
 @pytest.mark.parametrize("tick", [0, 70])
 def test_one_bit_of_an_input(again, headless, rewritten, uav, tick):
