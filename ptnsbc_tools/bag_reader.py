@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from array import array
 from collections.abc import Callable
 from pathlib import Path
 
@@ -55,8 +56,33 @@ def _scenario(source: Source, given: Path | None) -> Scenario:
     return scenario_from_text(text, source=f"{source.path.name}:{SCENARIO_ATTACHMENT}")
 
 
+class _Track:
+    """Numbers of one topic, packed: a long flight must not become millions of objects."""
+
+    def __init__(self) -> None:
+        self._stamps = array("q")
+        self._logged = array("q")
+        self._values = array("d")
+        self._width = 0
+
+    def add(self, message: Stamped, log_ns: int) -> None:
+        self._stamps.append(message.stamp_ns)
+        self._logged.append(log_ns)
+        self._values.frombytes(message.values.tobytes())
+        self._width = message.values.size
+
+    def series(self) -> Series:
+        stamps = np.frombuffer(self._stamps, np.int64)
+        if stamps.size > 1 and not stamps.any():  # whoever sent them left the header empty
+            stamps = np.frombuffer(self._logged, np.int64)
+        values = np.frombuffer(self._values, np.float64).reshape(-1, self._width)
+        # A stamp may come twice, when a link repeats; the last one is what counted.
+        stamps, first = np.unique(stamps[::-1], return_index=True)
+        return Series(stamps, values[::-1][first])
+
+
 class _Collector:
-    """Messages of a bag sorted into lists, decoded one by one."""
+    """Messages of a bag sorted by topic, decoded one by one."""
 
     def __init__(self, source: Source, names: Names, uavs: tuple[int, ...]) -> None:
         self.epochs: list[tuple[int, str]] = []
@@ -64,8 +90,7 @@ class _Collector:
         self._source = source
         self._names = names
         self._uavs = uavs
-        self._series: dict[str, list[Stamped]] = {}
-        self._logged: dict[str, list[int]] = {}
+        self._tracks: dict[str, _Track] = {}
         self._decoders: dict[str, Callable[[bytes], Stamped]] = {}
         for uav in uavs:
             self._decoders[names.of(names.odom, uav)] = decode_odometry
@@ -92,25 +117,14 @@ class _Collector:
         elif topic == topics.DIAGNOSTICS.name:
             self.statuses.append(decode_diagnostics(data))
         else:
-            self._series.setdefault(topic, []).append(self._decoders[topic](data))
-            self._logged.setdefault(topic, []).append(message.stamp_ns)
+            track = self._tracks.setdefault(topic, _Track())
+            track.add(self._decoders[topic](data), message.stamp_ns)
 
     def tracks(self, pattern: str) -> dict[int, Series]:
         """What each UAV said on one of its topics."""
-        found = {uav: self._track(self._names.of(pattern, uav)) for uav in self._uavs}
-        return {uav: series for uav, series in found.items() if series is not None}
-
-    def _track(self, topic: str) -> Series | None:
-        messages = self._series.get(topic)
-        if not messages:
-            return None
-        stamps = np.array([message.stamp_ns for message in messages], dtype=np.int64)
-        if stamps.size > 1 and not stamps.any():  # whoever sent them left the header empty
-            stamps = np.array(self._logged[topic], dtype=np.int64)
-        values = np.stack([message.values for message in messages])
-        # A stamp may come twice, when a link repeats; the last one is what counted.
-        stamps, first = np.unique(stamps[::-1], return_index=True)
-        return Series(stamps, values[::-1][first])
+        topics_of = {uav: self._names.of(pattern, uav) for uav in self._uavs}
+        held = {uav: topic for uav, topic in topics_of.items() if topic in self._tracks}
+        return {uav: self._tracks[topic].series() for uav, topic in held.items()}
 
 
 def _number(values: dict[str, str], key: str) -> float:
@@ -122,11 +136,11 @@ def _number(values: dict[str, str], key: str) -> float:
 
 def _counters(statuses: list[Diagnostics]) -> dict[int, Counters]:
     rows: dict[int, list[tuple[int, dict[str, str]]]] = {}
-    for array in statuses:
-        for status in array.statuses:
+    for told in statuses:
+        for status in told.statuses:
             match = _PLANNER.fullmatch(status.name)
-            if match and array.stamp_ns >= 0:
-                rows.setdefault(int(match[1]), []).append((array.stamp_ns, status.values))
+            if match and told.stamp_ns >= 0:
+                rows.setdefault(int(match[1]), []).append((told.stamp_ns, status.values))
     return {uav: _counter(sorted(found, key=lambda row: row[0])) for uav, found in rows.items()}
 
 
@@ -145,8 +159,8 @@ def _counter(rows: list[tuple[int, dict[str, str]]]) -> Counters:
 
 
 def _latency(statuses: list[Diagnostics]) -> dict[str, float]:
-    for array in reversed(statuses):
-        for status in array.statuses:
+    for told in reversed(statuses):
+        for status in told.statuses:
             if status.name == _SIM:
                 found = {key: _LATENCY.fullmatch(key) for key in status.values}
                 figures = {m[1]: _number(status.values, key) for key, m in found.items() if m}

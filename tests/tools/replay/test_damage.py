@@ -1,0 +1,165 @@
+"""Whatever bytes of a bag are wrong: an answer or one line, never a traceback, and no more memory than a chunk."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+import tracemalloc
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_nodes import topics
+from ptnsbc_nodes.bag import BagWriter, TopicInfo, read_bag
+from ptnsbc_nodes.bag.health import ailments
+from ptnsbc_nodes.bag.repair import repair
+from ptnsbc_nodes.wire import HeaderTemplate, OdometryTemplate, encode_near
+from ptnsbc_tools.bag_reader import read_recording
+from ptnsbc_tools.replay.rerun import rerun
+from ptnsbc_tools.verdict import verdict_on
+
+
+@pytest.fixture(scope="module")
+def brief(headless, tmp_path_factory) -> bytes:
+    """Eight ticks of a flight, uncompressed: a flipped byte is one of a message, an index, a name."""
+    flown = read_bag(headless)
+    path = tmp_path_factory.mktemp("brief") / "x"
+    infos = [TopicInfo(topic.name, topic.type) for topic in flown.topics.values()]
+    attachments = {"scenario.yaml": flown.attachment("scenario.yaml")}
+    with BagWriter(path, infos, attachments=attachments, compression="none") as writer:
+        for message in flown.messages():
+            if message.stamp_ns < 80_000_000:
+                writer.write(*message)
+    return (path / "x_0.mcap").read_bytes()
+
+
+def used(path: Path, scenario) -> None:
+    """Everything that reads bags; each may refuse, none may fall over."""
+    for use in (
+        lambda: verdict_on(read_recording(path)),
+        lambda: rerun(read_bag(path), scenario),
+        lambda: ailments(read_bag(path, salvage=True)),
+        lambda: repair(path, path.parent / "repaired"),
+    ):
+        try:
+            use()
+        except PtnsbcError as error:
+            assert str(error)
+
+
+@settings(max_examples=25, deadline=None)
+@given(data=st.data())
+def test_damage_in_the_file(brief, scenario, tmp_path_factory, data):
+    content = bytearray(brief)
+    for at in data.draw(st.lists(st.integers(0, len(content) - 1), min_size=1, max_size=4)):
+        content[at] ^= data.draw(st.integers(1, 255))
+    size = data.draw(st.one_of(st.just(len(content)), st.integers(0, len(content))))
+    folder = tmp_path_factory.mktemp("fuzz")
+    path = folder / "x.mcap"
+    path.write_bytes(content[:size])
+    used(path, scenario)
+    shutil.rmtree(folder)
+
+
+@settings(max_examples=25, deadline=None)
+@given(data=st.data())
+def test_damage_in_messages_that_checksums_hide(headless, scenario, tmp_path_factory, data):
+    """As if the sender had been at fault: the file is whole, the messages are not."""
+    folder = tmp_path_factory.mktemp("fuzz")
+    flown = read_bag(headless)
+    infos = [TopicInfo(topic.name, topic.type) for topic in flown.topics.values()]
+    chosen = data.draw(st.sampled_from(sorted(flown.topics)))
+    at = data.draw(st.integers(0, 200))
+    value = data.draw(st.integers(0, 255))
+    cut = data.draw(st.one_of(st.none(), st.integers(0, 300)))
+    attachments = {"scenario.yaml": flown.attachment("scenario.yaml")}
+    with BagWriter(folder / "x", infos, attachments=attachments) as writer:
+        for message in flown.messages():
+            if message.stamp_ns < 80_000_000:
+                content = bytearray(message.data)
+                if message.topic == chosen and message.stamp_ns in (0, 30_000_000):
+                    content[min(at, len(content) - 1)] = value
+                    content = content[:cut]
+                writer.write(message.topic, message.stamp_ns, bytes(content))
+    used(folder / "x", scenario)
+    shutil.rmtree(folder)
+
+
+BAD = {
+    "missing": lambda path: None,
+    "empty": lambda path: path.write_bytes(b""),
+    "empty folder": lambda path: path.mkdir(),
+    "foreign": lambda path: path.write_bytes(b"SQLite format 3\0" + bytes(100)),
+    "magic alone": lambda path: path.write_bytes(b"\x89MCAP0\r\n"),
+    "noise": lambda path: path.write_bytes(np.random.default_rng(1).bytes(5000)),
+}
+COMMANDS = (
+    ("verify",),
+    ("replay", "--rerun"),
+    ("replay", "--publish"),
+    ("bag", "info"),
+    ("bag", "repair"),
+    ("plot",),
+)
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=" ".join)
+def test_commands_refuse_in_one_line(brief, tmp_path, command, capfd):
+    from typer.main import get_command
+
+    from ptnsbc_tools.cli import app
+
+    bad = {**BAD, "cut": lambda path: path.write_bytes(brief[: len(brief) // 40])}
+    for number, (what, prepare) in enumerate(bad.items()):
+        path = tmp_path / f"bad{number}"
+        prepare(path)
+        before = sorted(tmp_path.iterdir())
+        with pytest.raises(SystemExit) as left:
+            get_command(app)([*command, str(path)], prog_name="ptnsbc")
+        out, err = capfd.readouterr()
+        assert left.value.code == 2, f"{what}: {out}{err}"
+        assert out == "", what
+        assert len(err.splitlines()) == 1, f"{what}: {err}"
+        assert sorted(tmp_path.iterdir()) == before, f"{what}: something was left behind"
+
+
+def test_memory_does_not_grow_with_the_bag(tmp_path, scenario):
+    """Twice the flight, the same peak: messages stream, and a re-run keeps a window of them."""
+    peaks = []
+    for ticks in (1500, 3000):
+        bag = read_bag(write_long(tmp_path / f"bag{ticks}", scenario, ticks))
+        tracemalloc.start()
+        assert sum(1 for _ in bag.messages()) > 10 * ticks
+        rerun(bag, scenario)
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert peaks[1] < 1.25 * peaks[0]
+
+
+def write_long(path: Path, scenario, ticks: int) -> Path:
+    """UAVs that stand still: big, and quick to make."""
+    recorded = [topic for uav in scenario.uav_ids for topic in topics.of_uav(uav)[:4]]
+    infos = [TopicInfo(topic.name, topic.type) for topic in (*recorded, topics.EPOCH)]
+    state = OdometryTemplate("map", "uav")
+    still = np.eye(13)[6]
+    with BagWriter(path, infos) as writer:
+        writer.write(topics.EPOCH.name, 0, HeaderTemplate("form").encode(0))
+        for k in range(ticks):
+            stamp = k * scenario.dt_ns
+            near = encode_near(stamp, "map", np.zeros((0, 7)))
+            for topic in recorded:
+                data = near if topic.name.endswith("/near") else state.encode(stamp, still)
+                writer.write(topic.name, stamp, data)
+    return path
+
+
+def test_a_killed_reader_of_a_pipe_is_no_traceback(headless):
+    """`ptnsbc bag info X | head -1`."""
+    command = f"{sys.executable} -m ptnsbc_tools.cli bag info {headless} | head -1"
+    done = subprocess.run(command, shell=True, capture_output=True, text=True, check=False)
+    assert "Traceback" not in done.stderr
