@@ -119,7 +119,7 @@ PX4: Mapping[str, Value] = {
     "MPC_Z_VEL_P_ACC": 4.0,
     "NAV_DLL_ACT": 0,
     "NAV_RCL_ACT": 2,
-    "RTL_RETURN_ALT": 30.0,
+    "RTL_RETURN_ALT": 60.0,
     "SYS_AUTOSTART": 4001,
 }
 """https://docs.px4.io/main/en/advanced_config/parameter_reference, the defaults of a quadrotor."""

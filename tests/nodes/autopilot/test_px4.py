@@ -137,6 +137,20 @@ def test_a_mask_that_ignores_all_is_no_sign_of_life(companion):
     assert px4.arm() == REJECTED
 
 
+def test_a_force_is_no_sign_of_life(companion):
+    px4 = companion(Px4)
+    px4.offboard()
+    px4.run(1.5, lambda: px4.target(acceleration=(1, 0, 0), mask=0x0A3F))
+    assert px4.arm() == REJECTED
+
+
+def test_an_acceleration_is_flown(companion):
+    px4 = companion(Px4)
+    px4.airborne()
+    px4.run(1.0, lambda: px4.target(acceleration=(1, 0, 0), mask=0x083F))
+    assert px4.vehicle.flight.true_velocity_enu[1] == pytest.approx(0.9, abs=0.15)
+
+
 def test_not_a_number_is_as_if_ignored(companion):
     px4 = companion(Px4)
     px4.offboard()
@@ -209,6 +223,27 @@ def test_by_default_it_sinks_and_drifts(companion):
     assert px4.vehicle.active == POSCTL
     assert px4.vehicle.flight.truth_enu[2] < height - 0.8
     assert speed(px4) > 0.3
+
+
+@pytest.mark.parametrize(("action", "flown"), [(3, "RTL"), (4, "LAND"), (5, "HOLD")])
+def test_the_parameter_says_what_follows(companion, action, flown):
+    px4 = companion(Px4)
+    px4.put("COM_OBL_RC_ACT", action)
+    px4.airborne(5.0)
+    px4.run(1.2)
+    assert px4.vehicle.mode_name == flown
+    px4.flown(0, 0, 0, 0.1)
+    assert px4.vehicle.active == OFFBOARD
+
+
+@pytest.mark.parametrize("action", [6, 7])
+def test_the_parameter_may_stop_the_motors(companion, action):
+    px4 = companion(Px4)
+    px4.put("COM_OBL_RC_ACT", action)
+    px4.airborne(5.0)
+    px4.run(3.0)
+    assert px4.vehicle.in_contact
+    assert not px4.vehicle.armed
 
 
 def test_loss_time_is_the_parameter(companion):
@@ -360,6 +395,33 @@ def test_attitude_and_thrust_are_flown(companion):
     assert abs(north) < 0.1
     assert abs(up) < 0.3
     assert px4.last("ATTITUDE").pitch == pytest.approx(-0.1, abs=0.01)
+
+
+def test_body_rates_and_thrust_are_flown(companion):
+    px4 = companion(Px4)
+    px4.airborne()
+    hover, mask = px4.vehicle.flight.hover_share, 0b10000000
+    q = [1.0, 0.0, 0.0, 0.0]
+
+    def each():
+        px4.send(mavlink.MAVLink_set_attitude_target_message(0, 1, 1, mask, q, 0, 0, 0.5, hover))
+
+    before = px4.last("ATTITUDE").yaw
+    px4.run(1.0, each, hz=50.0)
+    assert px4.last("ATTITUDE").yaw - before == pytest.approx(0.5, abs=0.05)
+
+
+def test_rates_beside_an_attitude_do_not_tilt(companion):
+    px4 = companion(Px4)
+    px4.airborne()
+    hover, north = px4.vehicle.flight.hover_share, [1.0, 0.0, 0.0, 0.0]
+
+    def each():
+        px4.send(mavlink.MAVLink_set_attitude_target_message(0, 1, 1, 0, north, 2, 2, 0, hover))
+
+    px4.run(1.0, each, hz=50.0)
+    assert px4.last("ATTITUDE").roll == pytest.approx(0.0, abs=0.01)
+    assert px4.last("ATTITUDE").pitch == pytest.approx(0.0, abs=0.01)
 
 
 def test_without_a_position_it_descends(companion):
