@@ -18,7 +18,17 @@ from bench.session import Machine, Plan, say, sentences
 from bench.table import Row, markdown, rich_table
 from ptnsbc_core.errors import PtnsbcError
 
-SECTIONS = ("step", "headless", "startup", "recorder", "lockstep", "realtime", "rerun", "autopilot")
+SECTIONS = (
+    "step",
+    "headless",
+    "startup",
+    "recorder",
+    "lockstep",
+    "realtime",
+    "many",
+    "rerun",
+    "autopilot",
+)
 _NARROWEST = 150
 
 
