@@ -15,6 +15,7 @@ from ptnsbc_nodes.autopilot.vehicle import COMPANION, IMPOSTOR, Outgoing, Vehicl
 TICK_HZ = 250
 _BUFFER = 65535
 _PARTNER_SILENT_S = 5.0
+_MOST_PER_TICK = 200  # a flood must not keep the vehicle from flying
 
 
 class Address(NamedTuple):
@@ -52,17 +53,18 @@ class Endpoint:
             ) from None
 
     def receive(self, now: float) -> list[Any]:
-        """Every message that waits."""
+        """The messages that wait."""
         out: list[Any] = []
-        while True:
+        for _ in range(_MOST_PER_TICK):
             try:
                 datagram, source = self.socket.recvfrom(_BUFFER)
             except (BlockingIOError, ConnectionRefusedError):
-                return out
+                break
             messages = self.codec.decode(datagram)
             if messages:
                 self._meet(Address(*source), now)
             out += messages
+        return out
 
     def _meet(self, source: Address, now: float) -> None:
         """Whoever speaks first is the partner, until silent for long."""

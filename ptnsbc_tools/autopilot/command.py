@@ -133,6 +133,10 @@ def run(options: Options, control_port: int | None, timed: list[Timed]) -> None:
         vehicles = [station.vehicle for station in fleet]
         with Control(vehicles, start_t, port=control_port, timed=timed, say=say) as control:
             serve(fleet, lambda: stop.came, control.poll, lambda: _ready(fleet, say))
+        for station in fleet:
+            dropped = sum(end.codec.dropped for end in station.endpoints)
+            if dropped:
+                say(f"autopilot: system {station.vehicle.system}: {dropped} packets dropped")
         say("autopilot: stopped")
 
 

@@ -17,6 +17,8 @@ from ptnsbc_nodes.autopilot.px4_tables import HOLD, LAND, OFFBOARD, POSCTL
 from ptnsbc_nodes.autopilot.stm32 import Stm32
 from ptnsbc_nodes.autopilot.vehicle import IMPOSTOR
 from ptnsbc_nodes.mavlink.dialect import mavlink
+from ptnsbc_nodes.mavlink.framing import Framer
+from ptnsbc_nodes.mavlink.signing import Signer
 
 ACCEPTED, REJECTED, DENIED = 0, 1, 2
 ALL = pytest.mark.parametrize("kind", [Px4, ArduCopter, Stm32])
@@ -282,6 +284,18 @@ def test_with_a_key_unsigned_and_wrongly_signed_packets_are_dropped():
     assert len(vehicle.decode(packet)) == 1
     assert vehicle.decode(packet) == [], "replayed"
     assert vehicle.dropped == 3
+
+
+def test_the_bridge_and_the_stand_in_believe_each_other():
+    """Two implementations of signing, pymavlink's and ours."""
+    key, beat = bytes(range(32)), mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3)
+    vehicle, signer = Codec(1, key=key), Signer(key)
+    (frame,) = Framer(stream=False).feed(vehicle.encode(beat))
+    assert signer.genuine(frame)
+    assert signer.fresh(frame)
+    bridge = mavlink.MAVLink(None, srcSystem=1, srcComponent=191)
+    signer.arm(bridge)
+    assert len(vehicle.decode(bytes(beat.pack(bridge)))) == 1
 
 
 # Faults.
