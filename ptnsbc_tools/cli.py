@@ -17,9 +17,13 @@ from ptnsbc_tools.bags.command import app as bags
 from ptnsbc_tools.limits import TOLERANCE_M
 from ptnsbc_tools.options import (
     AvoidanceOption,
+    BagArgument,
     BagOption,
     DurationOption,
+    EpochOption,
+    FlownOption,
     JsonOption,
+    OdomOption,
     OverwriteOption,
     PlantOption,
     ProfileOption,
@@ -27,6 +31,9 @@ from ptnsbc_tools.options import (
     SeedOption,
     SetOption,
     TaskOption,
+    ToleranceOption,
+    WindowOption,
+    WrenchOption,
 )
 from ptnsbc_tools.plot.command import plot
 from ptnsbc_tools.record.command import record
@@ -139,29 +146,13 @@ def simulate(
 
 @app.command()
 def verify(
-    bag: Annotated[Path, typer.Argument(metavar="BAG", help="Folder of a bag, or its .mcap file.")],
-    scenario: Annotated[
-        Path | None,
-        typer.Option("--scenario", metavar="FILE", help="Instead of the scenario in the bag."),
-    ] = None,
-    tolerance: Annotated[
-        float,
-        typer.Option("--tolerance", metavar="M", min=1e-6, help="Hard limit at the deadline."),
-    ] = TOLERANCE_M,
-    window: Annotated[
-        float | None,
-        typer.Option("--window", metavar="S", min=0.01, help="Judge so much of each leg, not all."),
-    ] = None,
-    odom: Annotated[
-        str, typer.Option("--odom", metavar="TOPIC", help="Odometry; {n} is the id of the UAV.")
-    ] = "/uav{n}/odom",
-    wrench: Annotated[
-        str, typer.Option("--wrench", metavar="TOPIC", help="WrenchStamped, where it is recorded.")
-    ] = "/uav{n}/setpoint/wrench",
-    epoch: Annotated[
-        float | None,
-        typer.Option("--epoch", metavar="S", min=0.0, help="Of a bag without: after its start."),
-    ] = None,
+    bag: BagArgument,
+    scenario: FlownOption = None,
+    tolerance: ToleranceOption = TOLERANCE_M,
+    window: WindowOption = None,
+    odom: OdomOption = options.ODOM,
+    wrench: WrenchOption = options.WRENCH,
+    epoch: EpochOption = None,
     picture: Annotated[
         Path | None, typer.Option("--picture", metavar="PNG", help="Draw the flight as well.")
     ] = None,

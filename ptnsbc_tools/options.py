@@ -50,6 +50,31 @@ OverwriteOption = Annotated[bool, typer.Option("--overwrite", help="Replace an e
 JsonOption = Annotated[
     bool, typer.Option("--json", help="One JSON object on stdout and nothing else.")
 ]
+BagArgument = Annotated[
+    Path, typer.Argument(metavar="BAG", help="Folder of a bag, or its .mcap file.")
+]
+FlownOption = Annotated[
+    Path | None,
+    typer.Option("--scenario", metavar="FILE", help="Instead of the scenario in the bag."),
+]
+ToleranceOption = Annotated[
+    float, typer.Option("--tolerance", metavar="M", min=1e-6, help="Hard limit at the deadline.")
+]
+WindowOption = Annotated[
+    float | None,
+    typer.Option("--window", metavar="S", min=0.01, help="Judge so much of each leg, not all."),
+]
+OdomOption = Annotated[
+    str, typer.Option("--odom", metavar="TOPIC", help="Odometry; {n} is the id of the UAV.")
+]
+WrenchOption = Annotated[
+    str, typer.Option("--wrench", metavar="TOPIC", help="WrenchStamped, where it is recorded.")
+]
+EpochOption = Annotated[
+    float | None,
+    typer.Option("--epoch", metavar="S", min=0.0, help="Of a bag without: after its start."),
+]
+ODOM, WRENCH = "/uav{n}/odom", "/uav{n}/setpoint/wrench"
 
 
 def overrides(

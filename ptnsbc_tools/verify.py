@@ -9,7 +9,7 @@ from ptnsbc_tools import result
 from ptnsbc_tools.bag_reader import OURS, read_recording
 from ptnsbc_tools.foreign import Names
 from ptnsbc_tools.limits import TOLERANCE_M
-from ptnsbc_tools.verdict import Verdict, verdict_on
+from ptnsbc_tools.verdict import Recording, Verdict, verdict_on
 
 
 @dataclass(frozen=True)
@@ -22,11 +22,15 @@ class Choice:
     epoch_s: float | None = None
     names: Names = OURS
 
+    def read(self, bag: Path) -> Recording:
+        """What is judged of a bag."""
+        recording = read_recording(bag, self.scenario, self.names, self.epoch_s)
+        return replace(recording, window_s=self.window_s)
+
 
 def verify(bag: Path, choice: Choice, *, picture: Path | None, json: bool) -> Verdict:
     """Read a bag, judge it, print the verdict."""
-    recording = read_recording(bag, choice.scenario, choice.names, choice.epoch_s)
-    recording = replace(recording, window_s=choice.window_s)
+    recording = choice.read(bag)
     verdict = verdict_on(recording, choice.tolerance)
     drawn = None
     if picture is not None:

@@ -14,8 +14,8 @@ from pathlib import Path
 from playwright.sync_api import sync_playwright
 
 from ptnsbc_tools.charts.flight import read_shown
-from ptnsbc_tools.limits import TOLERANCE_M
 from ptnsbc_tools.report.page import page
+from ptnsbc_tools.verify import Choice
 
 SIZE = {"width": 1280, "height": 1200}
 TIME_S = 20.5  # two UAVs keep clear of an obstacle
@@ -41,7 +41,7 @@ def main(bag: Path) -> None:
     """Take the picture."""
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder, "index.html")
-        file.write_text(page(read_shown(bag, None, TOLERANCE_M), {"mode": "headless"}), "utf-8")
+        file.write_text(page(read_shown(bag, Choice()), {"mode": "headless"}), "utf-8")
         path = Path(__file__).with_name("report.png")
         path.write_bytes(_picture(file.as_uri()))
     print(f"{path}: {path.stat().st_size} bytes")

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import Scenario
-from ptnsbc_tools.bag_reader import read_recording
 from ptnsbc_tools.charts.status import Status, read_status
 from ptnsbc_tools.limits import TOLERANCE_M
 from ptnsbc_tools.verdict import Recording, Verdict, verdict_on
 from ptnsbc_tools.verdict.recording import NANO
 from ptnsbc_tools.verdict.windows import Window, joined, rises
+from ptnsbc_tools.verify import Choice
 
 _BEFORE_S = 2.0  # shown of the time before the epoch
 
@@ -80,10 +80,10 @@ def shown(recording: Recording, status: Status, tolerance_m: float = TOLERANCE_M
     return Shown(recording, status, tolerance_m, verdict, problem)
 
 
-def read_shown(bag: Path, scenario: Path | None, tolerance_m: float) -> Shown:
+def read_shown(bag: Path, choice: Choice) -> Shown:
     """Read a bag and judge it.
 
     Raises:
         PtnsbcError: No bag, cut, damaged, or without a scenario.
     """
-    return shown(read_recording(bag, scenario), read_status(bag), tolerance_m)
+    return shown(choice.read(bag), read_status(bag), choice.tolerance)

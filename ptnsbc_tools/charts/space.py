@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import combinations, product
 
 import numpy as np
@@ -10,8 +11,11 @@ from ptnsbc_tools.charts.chart import Chart, Curve, Limit, Mark, Span
 from ptnsbc_tools.charts.common import FLOOR_M, chart_of, curve_of, look_of
 from ptnsbc_tools.charts.flight import Shown
 from ptnsbc_tools.charts.style import DASHES, Look, look
+from ptnsbc_tools.charts.thin import Points
 from ptnsbc_tools.limits import SHARE_OF_START
+from ptnsbc_tools.verdict import Recording, VerdictError
 from ptnsbc_tools.verdict.deadline import formation_errors
+from ptnsbc_tools.verdict.recording import NANO
 from ptnsbc_tools.verdict.windows import encounters, joined
 
 MOST_PAIRS = 24  # in one figure; the tightest
@@ -26,25 +30,56 @@ def _spans(flight: Shown) -> tuple[Span, ...]:
     return tuple(Span(begin, min(close, end)) for begin, close in spans if begin < end)
 
 
+def _leg_errors(flight: Shown, leg: Recording) -> dict[int, Points]:
+    """Error of every UAV over one leg, in the time of the flight; empty when it was not flown."""
+    try:
+        grid = leg.grid()
+    except VerdictError:
+        return {}
+    found = formation_errors(leg, grid, leg.positions(grid))
+    return {uav: Points(flight.times(grid), error) for uav, error in found.items()}
+
+
+def _joined(pieces: list[Points]) -> Points:
+    """One curve with a gap between its pieces."""
+    t = [np.append(piece.t, piece.t[-1]) for piece in pieces]
+    values = [np.append(np.maximum(piece.values, FLOOR_M), np.nan) for piece in pieces]
+    return Points(np.concatenate(t)[:-1], np.concatenate(values)[:-1])
+
+
+def deadlines(flight: Shown) -> tuple[Mark, ...]:
+    """When each formation leg has to be in its place."""
+    within = flight.scenario.gains.formation.deadline_s
+    begun = [(t0_ns - flight.recording.start_ns) * NANO for t0_ns in flight.recording.forms]
+    return tuple(
+        Mark(begin + within, f"deadline {within:g} s" + (f", leg {number}" if number > 1 else ""))
+        for number, begin in enumerate(begun, start=1)
+    )
+
+
 def errors(flight: Shown) -> Chart | None:
     """Distance of every UAV from its place."""
     if flight.problem:
         return None
-    grid = flight.recording.grid()
-    positions = flight.recording.positions(grid)
-    found = formation_errors(flight.recording, grid, positions)
-    t = flight.times(grid)
-    starts = [SHARE_OF_START * float(e[0]) for e in found.values() if np.isfinite(e[0])]
-    widest = max([flight.tolerance_m, *starts])
-    deadline = flight.scenario.gains.formation.deadline_s
+    recording = flight.recording
+    numbers = range(len(recording.forms))
+    legs = [_leg_errors(flight, replace(recording, leg=number)) for number in numbers]
+    legs = [leg for leg in legs if leg]
+    curves = []
+    for uav in flight.uavs:
+        points = _joined([leg[uav] for leg in legs])
+        curves.append(curve_of(flight, uav, points.t, points.values))
+    begun = [SHARE_OF_START * float(points.values[0]) for leg in legs for points in leg.values()]
+    widest = max([flight.tolerance_m, *(start for start in begun if np.isfinite(start))])
+    end = float(max(curve.t[-1] for curve in curves))
     return Chart(
         "errors",
         "Formation error",
         "m",
-        tuple(curve_of(flight, uav, t, np.maximum(e, FLOOR_M)) for uav, e in found.items()),
+        tuple(curves),
         log=True,
         limits=(Limit(flight.tolerance_m, f"tolerance {flight.tolerance_m:g} m"),),
-        marks=(Mark(deadline, f"deadline {deadline:g} s"),),
+        marks=tuple(mark for mark in deadlines(flight) if mark.t <= end),
         band=(FLOOR_M, widest),
         spans=_spans(flight),
         note=f"Distance from its place; of the leader, from its trajectory. Green: widest band, "

@@ -11,10 +11,11 @@ from pathlib import Path
 import numpy as np
 
 from ptnsbc_nodes import topics
-from ptnsbc_nodes.bag import read_bag
 from ptnsbc_nodes.ticklog import TickNote, tick_note
 from ptnsbc_nodes.wire import WireError, decode_integers
+from ptnsbc_tools.bag_reader import SCENARIO_ATTACHMENT
 from ptnsbc_tools.diagnostics import Diagnostics, decode_diagnostics
+from ptnsbc_tools.foreign import open_source
 from ptnsbc_tools.verdict import Series
 
 _STATUS = topics.DIAGNOSTICS.name
@@ -89,11 +90,12 @@ def ages(notes: Iterable[TickNote]) -> Series:
 
 def read_status(path: Path) -> Status:
     """The status of a bag's nodes; empty where none was recorded."""
-    bag = read_bag(path)
+    source = open_source(path, SCENARIO_ATTACHMENT)
+    types = source.types()
     arrays: list[Diagnostics] = []
     notes: dict[int, list[TickNote]] = {}
-    ticks = {name: int(found[1]) for name in bag.topics if (found := _TICK.fullmatch(name))}
-    for message in bag.messages([name for name in (_STATUS, *ticks) if name in bag.topics]):
+    ticks = {name: int(found[1]) for name in types if (found := _TICK.fullmatch(name))}
+    for message in source.messages([name for name in (_STATUS, *ticks) if name in types]):
         try:
             if message.topic == _STATUS:
                 arrays.append(decode_diagnostics(message.data))

@@ -10,7 +10,18 @@ import typer
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_tools import console
 from ptnsbc_tools.limits import TOLERANCE_M
-from ptnsbc_tools.options import JsonOption
+from ptnsbc_tools.options import (
+    ODOM,
+    WRENCH,
+    BagArgument,
+    EpochOption,
+    FlownOption,
+    JsonOption,
+    OdomOption,
+    ToleranceOption,
+    WindowOption,
+    WrenchOption,
+)
 
 if TYPE_CHECKING:
     from ptnsbc_tools.charts.flight import Shown
@@ -23,7 +34,7 @@ class PlotError(PtnsbcError):
 
 
 def plot(
-    bag: Annotated[Path, typer.Argument(metavar="BAG", help="Folder of a bag, or its .mcap file.")],
+    bag: BagArgument,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -46,18 +57,18 @@ def plot(
     form: Annotated[
         Literal["png", "svg"], typer.Option("--format", help="Of the files in a folder.")
     ] = "png",
-    scenario: Annotated[
-        Path | None,
-        typer.Option("--scenario", metavar="FILE", help="Instead of the scenario in the bag."),
-    ] = None,
-    tolerance: Annotated[
-        float,
-        typer.Option("--tolerance", metavar="M", min=1e-6, help="Hard limit at the deadline."),
-    ] = TOLERANCE_M,
+    scenario: FlownOption = None,
+    tolerance: ToleranceOption = TOLERANCE_M,
+    window: WindowOption = None,
+    odom: OdomOption = ODOM,
+    wrench: WrenchOption = WRENCH,
+    epoch: EpochOption = None,
     json: JsonOption = False,
 ) -> None:
     """Draw a recorded flight: errors, inputs, separations, estimator, gain, timing."""
     from ptnsbc_tools.charts import draw, flight
+    from ptnsbc_tools.foreign import Names
+    from ptnsbc_tools.verify import Choice
 
     keys = _keys(what)
     one = out is not None and out.suffix.lower() in draw.FORMATS
@@ -65,8 +76,9 @@ def plot(
         raise PlotError(
             f"--out {out}: one file for {len(keys)} figures: expected a folder, or --what with one name"
         )
+    choice = Choice(scenario, tolerance, window, epoch, Names(odom=odom, wrench=wrench))
     with console.patience(f"reading {bag}"):
-        shown = flight.read_shown(bag, scenario, tolerance)
+        shown = flight.read_shown(bag, choice)
     if shown.problem:
         console.err().print(f"warning: no verdict: {shown.problem}", soft_wrap=True)
     folder = out or bag.parent / f"{bag.stem if bag.is_file() else bag.name}-figures"

@@ -10,10 +10,22 @@ import typer
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_tools import console
 from ptnsbc_tools.limits import TOLERANCE_M
-from ptnsbc_tools.options import JsonOption
+from ptnsbc_tools.options import (
+    ODOM,
+    WRENCH,
+    BagArgument,
+    EpochOption,
+    FlownOption,
+    JsonOption,
+    OdomOption,
+    ToleranceOption,
+    WindowOption,
+    WrenchOption,
+)
 
 if TYPE_CHECKING:
     from ptnsbc_tools.charts.flight import Shown
+    from ptnsbc_tools.verify import Choice
 
 PAGE = "index.html"
 
@@ -23,21 +35,19 @@ class ReportError(PtnsbcError):
 
 
 def report(
-    bag: Annotated[Path, typer.Argument(metavar="BAG", help="Folder of a bag, or its .mcap file.")],
+    bag: BagArgument,
     out: Annotated[
         Path | None,
         typer.Option(
             "--out", "-o", metavar="DIR", help="Folder for the page. Default: BAG-report beside it."
         ),
     ] = None,
-    scenario: Annotated[
-        Path | None,
-        typer.Option("--scenario", metavar="FILE", help="Instead of the scenario in the bag."),
-    ] = None,
-    tolerance: Annotated[
-        float,
-        typer.Option("--tolerance", metavar="M", min=1e-6, help="Hard limit at the deadline."),
-    ] = TOLERANCE_M,
+    scenario: FlownOption = None,
+    tolerance: ToleranceOption = TOLERANCE_M,
+    window: WindowOption = None,
+    odom: OdomOption = ODOM,
+    wrench: WrenchOption = WRENCH,
+    epoch: EpochOption = None,
     pictures: Annotated[
         bool, typer.Option("--pictures/--no-pictures", help="Figures as PNG beside the page.")
     ] = True,
@@ -50,8 +60,13 @@ def report(
     """
     if not bag.exists():
         raise ReportError(f"{bag}: no such bag")
+    from ptnsbc_tools.foreign import Names
+    from ptnsbc_tools.verify import Choice
+
+    names = Names(odom=odom, wrench=wrench)
+    choice = Choice(scenario, tolerance, window, epoch, names)
     folder = out or bag.parent / f"{bag.stem if bag.is_file() else bag.name}-report"
-    shown, problem = _read(bag, scenario, tolerance)
+    shown, problem = _read(bag, choice)
     path = _write_page(bag, folder, shown, problem)
     drawn = _draw(shown, folder) if pictures and shown is not None and shown.uavs else []
     verdict = shown.verdict if shown is not None else None
@@ -70,21 +85,24 @@ def report(
         raise ReportError(f"no verdict: {problem}; the page says so: {path}")
 
 
-def _read(bag: Path, scenario: Path | None, tolerance: float) -> tuple[Shown | None, str]:
+def _read(bag: Path, choice: Choice) -> tuple[Shown | None, str]:
     from ptnsbc_tools.charts import flight
 
     try:
         with console.patience(f"reading {bag}"):
-            shown = flight.read_shown(bag, scenario, tolerance)
+            shown = flight.read_shown(bag, choice)
     except PtnsbcError as error:
         return None, str(error)
     return shown, shown.problem
 
 
 def _about(bag: Path) -> dict[str, str]:
-    from ptnsbc_nodes.bag import read_bag
+    from ptnsbc_nodes.bag import BagError, read_bag
 
-    return dict(read_bag(bag).metadata)
+    try:
+        return dict(read_bag(bag).metadata)
+    except BagError:  # of others, sqlite3: says nothing about itself
+        return {}
 
 
 def _write_page(bag: Path, folder: Path, shown: Shown | None, problem: str) -> Path:

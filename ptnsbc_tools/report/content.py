@@ -12,6 +12,7 @@ from ptnsbc_sim.scenario.build import trajectory_vector
 from ptnsbc_tools.charts.build import charts
 from ptnsbc_tools.charts.chart import Chart
 from ptnsbc_tools.charts.flight import Shown
+from ptnsbc_tools.charts.space import deadlines
 from ptnsbc_tools.charts.style import COLOURS, DARK_COLOURS, look
 from ptnsbc_tools.charts.thin import thin
 from ptnsbc_tools.report.pack import Pack
@@ -72,7 +73,7 @@ def _space(flight: Shown, pack: Pack) -> dict[str, Any]:
         "poses": pack.add(_poses(flight, stamps)),
         "path": pack.add(path),
         "legs": _legs(flight, t),
-        "deadline": scenario.gains.formation.deadline_s,
+        "deadlines": [mark.t for mark in deadlines(flight)],
         "keepOut": scenario.uav_keep_out_m,
         "uavs": [_uav(flight, uav) for uav in flight.uavs],
         "obstacles": [

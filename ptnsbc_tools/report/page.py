@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import cache
 from html import escape
 from importlib.resources import files
@@ -13,7 +14,9 @@ from ptnsbc_tools.charts.flight import Shown
 from ptnsbc_tools.report.content import content
 from ptnsbc_tools.report.pack import Pack, compressed
 from ptnsbc_tools.report.tables import html_table
-from ptnsbc_tools.tables import reasons, verdict_line, verdict_tables
+from ptnsbc_tools.tables import deadline_table, reasons, verdict_line, verdict_tables
+from ptnsbc_tools.verdict import Verdict
+from ptnsbc_tools.verdict.verdict import LegVerdict
 
 _SCRIPTS = ("data.js", "clock.js", "camera.js", "scene.js", "charts.js", "main.js")
 NO_VERDICT = "none"
@@ -50,6 +53,13 @@ def _facts(flight: Shown, about: Mapping[str, str]) -> str:
     return "".join(_item(name, str(value)) for name, value in facts.items())
 
 
+def _leg_table(verdict: Verdict, leg: LegVerdict) -> str:
+    title = "Deadline, UAV by UAV"
+    if len(verdict.legs) > 1:
+        title = f"Leg {leg.number}, from {leg.epoch_s - verdict.epoch_s:.2f} s: {leg.verdict}"
+    return html_table(deadline_table(replace(verdict, uavs=leg.uavs)), title)
+
+
 def _reasons(lines: list[str]) -> str:
     return f"<ul>{''.join(f'<li>{escape(line)}</li>' for line in lines)}</ul>" if lines else ""
 
@@ -81,8 +91,8 @@ def page(flight: Shown, about: Mapping[str, str]) -> str:
     if verdict is not None:
         line = verdict_line(verdict).plain.partition("(")[2].rstrip(")")
         why = [one.plain for one in reasons(verdict)]
-        first, *others = verdict_tables(verdict)
-        deadlines = html_table(first, "Deadline, UAV by UAV")
+        _, *others = verdict_tables(verdict)
+        deadlines = "".join(_leg_table(verdict, leg) for leg in verdict.legs)
         tables = "".join(html_table(table) for table in others)
     recorded = "\n".join(f"{key}: {value}" for key, value in sorted(about.items()))
     return _fill(

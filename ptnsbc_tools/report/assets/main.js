@@ -85,8 +85,8 @@ class Page {
     for (const uav of this.data.space.uavs) {
       for (const [from, to] of uav.avoiding) add("span", { left: part(from), right: `calc(100% - ${part(to)})` });
     }
-    const { deadline, legs } = this.data.space;
-    for (const [time, name] of [[deadline, "deadline"], ...legs]) {
+    const { deadlines, legs } = this.data.space;
+    for (const [time, name] of [...deadlines.map((time) => [time, "deadline"]), ...legs]) {
       if (time <= begin || time >= end) continue;
       const words = document.createElement("span");
       words.textContent = name;

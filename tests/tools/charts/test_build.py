@@ -35,6 +35,20 @@ def test_errors_with_deadline_tolerance_and_band(fly):
     assert chart.band == (FLOOR_M, pytest.approx(0.08))  # 2 % of four metres
 
 
+def test_every_leg_with_its_deadline_and_a_gap_between(fly):
+    legs = ((0, "form"), (9 * 10**9, "hold"), (12 * 10**9, "form"))
+    chart = drawn(fly({3: lambda t: 1.0 + 0 * t}, seconds=20.0, epochs=legs))["errors"]
+    assert [(mark.t, mark.label) for mark in chart.marks] == [
+        (5.0, "deadline 5 s"),
+        (17.0, "deadline 5 s, leg 2"),
+    ]
+    third = chart.curves[2]
+    (gap,) = np.flatnonzero(np.isnan(third.values))
+    assert (third.t[gap - 1], third.t[gap + 1]) == (9.0, 12.0)
+    assert third.t[-1] == pytest.approx(19.99)
+    np.testing.assert_allclose(np.delete(third.values, gap), 1.0)
+
+
 def test_time_in_which_an_error_is_excused(fly, count):
     active = count(12.0, active=lambda t: np.clip(t - 7.0, 0.0, 1.0))
     recording = fly()

@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 
 from ptnsbc_tools.charts.flight import read_shown
-from ptnsbc_tools.limits import TOLERANCE_M
 from ptnsbc_tools.report.page import empty_page, page
+from ptnsbc_tools.verify import Choice
 
 playwright = pytest.importorskip("playwright.sync_api", reason="needs playwright (extra [dev])")
 
@@ -35,7 +35,7 @@ pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium: apt in
 @pytest.fixture(scope="module")
 def address(tmp_path_factory: pytest.TempPathFactory) -> str:
     file = tmp_path_factory.mktemp("report") / "index.html"
-    file.write_text(page(read_shown(SAMPLE, None, TOLERANCE_M), {}), encoding="utf-8")
+    file.write_text(page(read_shown(SAMPLE, Choice()), {}), encoding="utf-8")
     return file.as_uri()
 
 

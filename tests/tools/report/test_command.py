@@ -9,11 +9,13 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from ptnsbc_nodes.wire import OdometryTemplate
 from ptnsbc_tools.charts.flight import shown
 from ptnsbc_tools.charts.status import Status
 from ptnsbc_tools.cli import app
 from ptnsbc_tools.report.page import page
 
+ODOMETRY = "nav_msgs/msg/Odometry"
 SAMPLE = Path(__file__).parents[3] / "bags" / "sample"
 
 
@@ -81,6 +83,26 @@ def test_errors_are_one_line_and_two(words: tuple[str, ...], expected: str) -> N
     assert (code, out) == (2, "")
     assert err.count("\n") == 1
     assert expected in err
+
+
+def test_a_bag_of_others(fly, tmp_path: Path) -> None:
+    """Sqlite3, only odometry, under another name and without an epoch."""
+    rosbag2 = pytest.importorskip("rosbags.rosbag2")
+    typesys = pytest.importorskip("rosbags.typesys")
+    store = typesys.get_typestore(typesys.Stores.ROS2_JAZZY)
+    recording = fly(seconds=6.0)
+    (tmp_path / "flight.yaml").write_text(recording.scenario.text)
+    plugin = rosbag2.StoragePlugin.SQLITE3
+    with rosbag2.Writer(tmp_path / "bag", version=9, storage_plugin=plugin) as writer:
+        for uav, series in recording.odometry.items():
+            topic = writer.add_connection(f"/drone{uav}/odom", ODOMETRY, typestore=store)
+            template = OdometryTemplate("map", f"drone{uav}")
+            for t_ns, values in zip(series.t_ns.tolist(), series.values, strict=True):
+                writer.write(topic, t_ns, template.encode(t_ns, values))
+    words = ("--scenario", tmp_path / "flight.yaml", "--odom", "/drone{n}/odom", "--json")
+    code, out, err = run("report", tmp_path / "bag", "-o", tmp_path / "out", *words)
+    assert (code, json.loads(out)["verdict"], err) == (0, "met", "")
+    assert {Path(one).stem for one in json.loads(out)["pictures"]} == {"errors", "between"}
 
 
 def test_plot_of_some_and_of_one(tmp_path: Path) -> None:

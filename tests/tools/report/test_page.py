@@ -77,6 +77,15 @@ def test_no_verdict_says_why_and_shows_the_rest(fly):
     assert "No verdict: no message on /uav3/odom" in text(html)
 
 
+def test_every_leg_has_its_table(fly):
+    legs = ((0, "form"), (6 * 10**9, "form"))
+    away = {2: lambda t: np.where(t > 6.0, 0.3, 0.0)}
+    read = text(made(fly(away, epochs=legs)))
+    assert "Leg 1, from 0.00 s: met" in read
+    assert "Leg 2, from 6.00 s: missed" in read
+    assert "leg 2 from 6.00 s, UAV 2 missed" in read
+
+
 def test_nothing_points_outside(fly):
     html = made(fly())
     outside = set(re.findall(r"(?:https?:)?//[a-z0-9.-]+\.[a-z]{2,}[^\s\"'<]*", html))
