@@ -23,6 +23,7 @@ from ptnsbc_nodes.wire.cdr import Floats
 
 _WHEN = ("sequence", *Moment._fields)
 _NOTHING = (-1, 0)
+OWN = "own"
 
 
 class Used(NamedTuple):
@@ -43,7 +44,7 @@ class TickNote(NamedTuple):
 def sources(senders: Senders) -> tuple[str, ...]:
     """Names of what can go into a step, in the order of `Inbox.held`."""
     states = (f"state{i}" for i in senders.states)
-    return ("own", "near", *states, *(f"estimate{i}" for i in senders.estimators))
+    return (OWN, "near", *states, *(f"estimate{i}" for i in senders.estimators))
 
 
 def checksum(message: Stamped) -> int:
@@ -69,13 +70,16 @@ class TickTemplate:
 def tick_note(label: str, numbers: list[int]) -> TickNote:
     """The note from the content of its message; WireError when it is none."""
     names = label.split()
-    if tuple(names[: len(_WHEN)]) != _WHEN or len(names) != len(numbers):
+    paired = len(names) == len(numbers) and (len(names) - len(_WHEN)) % 2 == 0
+    if tuple(names[: len(_WHEN)]) != _WHEN or not paired:
         raise WireError(f"tick with {label!r}: expected {' '.join(_WHEN)} and pairs after it")
     sequence, now_ns, elapsed_ns, mode, t0_ns, first_t0_ns, flying = numbers[: len(_WHEN)]
     when = Moment(now_ns, elapsed_ns, mode, t0_ns, first_t0_ns, bool(flying))
     first = len(_WHEN)
     pairs = zip(names[first::2], numbers[first::2], numbers[first + 1 :: 2], strict=True)
     used = {name: Used(stamp, crc) for name, stamp, crc in pairs if stamp >= 0}
+    if OWN not in used:
+        raise WireError("tick without an own odometry: expected one, no step is made without")
     return TickNote(sequence, when, used)
 
 
@@ -117,7 +121,7 @@ class Memory(NamedTuple):
 
 def recall(label: str, numbers: Floats, like: AgentState) -> Memory:
     """What a snapshot holds; WireError when it is not of a state `like` this one."""
-    if label != _label(like):
+    if label != _label(like) or len(numbers) != 1 + sum(_sizes(like)) + Tally.SIZE:
         raise WireError(f"snapshot with {label!r}: expected {_label(like)!r}")
     at = 1
     found: list[Any] = []

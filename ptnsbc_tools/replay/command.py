@@ -102,5 +102,5 @@ def _again(path: Path, scenario: Path | None) -> Rerun:
         from ptnsbc_nodes.warmup import load_agent
 
         load_agent(flown, flown.leader_id)
-    with console.progress("re-running") as advance:
-        return rerun(bag, flown, advance, jobs=min(os.cpu_count() or 1, _MOST_JOBS))
+    jobs = min(os.cpu_count() or 1, _MOST_JOBS)
+    return rerun(bag, flown, lambda: console.progress("re-running"), jobs)

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from ptnsbc_core.types import LEGS
 from ptnsbc_nodes import topics
 from ptnsbc_nodes.bag import Bag, BagMessage
 from ptnsbc_nodes.edges import Edges, FlightOptions
 from ptnsbc_nodes.epochs import Epochs
-from ptnsbc_nodes.wire import decode_floats, decode_header
+from ptnsbc_nodes.wire import WireError, decode_floats, decode_header
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_tools.diagnostics import decode_diagnostics
 from ptnsbc_tools.replay.seat import Seat
@@ -50,8 +52,11 @@ class Desk:
         elif message.topic == topics.EPOCH.name:
             self._announced(message.data)
         elif message.topic in self._snapshot_topics:
+            numbers = decode_floats(message.data).values
+            if not numbers.size or not np.isfinite(numbers[0]):
+                raise WireError("snapshot without a number of its step")
             kept = self.snapshots[self._snapshot_topics[message.topic]]
-            kept[int(decode_floats(message.data).values[0])] = message.data
+            kept[int(numbers[0])] = message.data
             while len(kept) > _KEPT_SNAPSHOTS:
                 del kept[next(iter(kept))]
 

@@ -6,6 +6,7 @@ The bag streams by; memory does not grow with it.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from functools import partial
 from typing import NamedTuple
 
@@ -21,10 +22,15 @@ from ptnsbc_tools.replay.realtime import Realtime
 from ptnsbc_tools.replay.seat import Account
 
 Advance = Callable[[int, int], None]
+Progress = Callable[[], AbstractContextManager[Advance]]
 
 EQUAL, DIFFERENT, VOID = "equal", "different", "void"
 
 _EVERY = 5000  # messages between two reports of progress
+
+
+def _unseen() -> AbstractContextManager[Advance]:
+    return nullcontext(lambda done, total: None)
 
 
 class Rerun(NamedTuple):
@@ -50,18 +56,13 @@ class Rerun(NamedTuple):
         return VOID if holes else EQUAL
 
 
-def rerun(
-    bag: Bag,
-    scenario: Scenario,
-    advance: Advance = lambda done, total: None,
-    jobs: int = 1,
-) -> Rerun:
+def rerun(bag: Bag, scenario: Scenario, progress: Progress = _unseen, jobs: int = 1) -> Rerun:
     """Re-run every step of every UAV.
 
     Args:
         bag: a flight of ours, from `read_bag`.
         scenario: what was flown.
-        advance: called now and then with messages done and in all.
+        progress: entered for what is called now and then with messages done and in all.
         jobs: processes among which the UAVs are shared out.
 
     Raises:
@@ -70,9 +71,9 @@ def rerun(
     noted = any(_messages(bag, topics.tick(uav).name) for uav in scenario.uav_ids)
     ids = scenario.uav_ids
     groups = [ids[k::jobs] for k in range(min(jobs, len(ids)))]
-    work = [partial(_of, bag, scenario, group, noted=noted) for group in groups]
+    work = [partial(_of, bag, scenario, group, noted) for group in groups]
     found: dict[int, Account] = {}
-    for part in side_by_side([partial(work[0], advance), *work[1:]]):
+    for part in side_by_side([partial(work[0], progress), *work[1:]]):
         found |= part
     accounts = {uav: found[uav] for uav in ids}
     if not any(one.steps or one.gaps for one in accounts.values()):
@@ -81,25 +82,21 @@ def rerun(
 
 
 def _of(
-    bag: Bag,
-    scenario: Scenario,
-    uavs: Sequence[int],
-    advance: Advance = lambda done, total: None,
-    *,
-    noted: bool,
+    bag: Bag, scenario: Scenario, uavs: Sequence[int], noted: bool, progress: Progress = _unseen
 ) -> dict[int, Account]:
     """Accounts of some UAVs."""
     desk = Desk(scenario, uavs)
     driver: Realtime | Lockstep = Realtime(desk) if noted else Lockstep(desk)
-    for message in _shown(bag, desk.wanted(bag), advance):
-        try:
-            desk.put(message)
-            if message.topic in driver.triggers:
-                driver.take(message.topic, message.stamp_ns, message.data)
-                driver.make_due(message.stamp_ns)
-        except WireError as error:
-            raise BagError(f"{bag.path}: a message on {message.topic}: {error}") from None
-    driver.make_all()
+    with progress() as advance:  # here: a bar has a thread, and threads do not survive a fork
+        for message in _shown(bag, desk.wanted(bag), advance):
+            try:
+                desk.put(message)
+                if message.topic in driver.triggers:
+                    driver.take(message.topic, message.stamp_ns, message.data)
+                    driver.make_due(message.stamp_ns)
+            except WireError as error:
+                raise BagError(f"{bag.path}: a message on {message.topic}: {error}") from None
+        driver.make_all()
     return {uav: seat.account for uav, seat in desk.seats.items()}
 
 

@@ -129,6 +129,10 @@ class Seat:
             held = self._held.get(name)
             if held is not None and used == (held.stamp_ns, checksum(held)):
                 continue
+            if name not in self.inputs:
+                raise WireError(
+                    f"a step was made of {name}, whom it does not hear in this scenario"
+                )
             topic = self.inputs[name].name
             found = shelves[topic].read(used.stamp_ns)
             if not found:

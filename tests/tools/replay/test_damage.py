@@ -66,12 +66,15 @@ def test_damage_in_the_file(brief, scenario, tmp_path_factory, data):
     shutil.rmtree(folder)
 
 
+@pytest.mark.parametrize("kind", ["headless", "realtime"])
 @settings(max_examples=25, deadline=None)
 @given(data=st.data())
-def test_damage_in_messages_that_checksums_hide(headless, scenario, tmp_path_factory, data):
+def test_damage_in_messages_that_checksums_hide(kind, request, scenario, tmp_path_factory, data):
     """As if the sender had been at fault: the file is whole, the messages are not."""
     folder = tmp_path_factory.mktemp("fuzz")
-    flown = read_bag(headless)
+    flown = read_bag(request.getfixturevalue(kind))
+    end_ns = flown.start_ns + 150_000_000
+    start_ns = data.draw(st.sampled_from([0, flown.start_ns, flown.start_ns + 20_000_000]))
     infos = [TopicInfo(topic.name, topic.type) for topic in flown.topics.values()]
     chosen = data.draw(st.sampled_from(sorted(flown.topics)))
     at = data.draw(st.integers(0, 200))
@@ -80,9 +83,9 @@ def test_damage_in_messages_that_checksums_hide(headless, scenario, tmp_path_fac
     attachments = {"scenario.yaml": flown.attachment("scenario.yaml")}
     with BagWriter(folder / "x", infos, attachments=attachments) as writer:
         for message in flown.messages():
-            if message.stamp_ns < 80_000_000:
+            if message.stamp_ns < end_ns:
                 content = bytearray(message.data)
-                if message.topic == chosen and message.stamp_ns in (0, 30_000_000):
+                if message.topic == chosen and message.stamp_ns >= start_ns:
                     content[min(at, len(content) - 1)] = value
                     content = content[:cut]
                 writer.write(message.topic, message.stamp_ns, bytes(content))
