@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import random
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import pairwise
 from pathlib import Path
@@ -25,7 +24,7 @@ from ptnsbc_nodes.bag.repair import repair
 
 _HZ = 1000.0
 _EARLIEST_S, _LATEST_S = 0.6, 2.5
-_BEFORE_FIRST_S = 20.0
+_BEFORE_FIRST_S = 60.0
 _SIDE_BY_SIDE = 5
 _FOREVER_S = 3600.0
 
@@ -43,15 +42,15 @@ def kills(count: int, seed: int, folder: Path, *, recorder: bool) -> Iterator[Ki
     """Kill `count` recordings, each at a moment of its own."""
     moments = random.Random(seed)
     at_once = 1 if recorder else _SIDE_BY_SIDE
-    with _source(folder) if recorder else _nothing() as domain:
+    with _source(folder) if recorder else _nothing() as settings:
         for first in range(0, count, at_once):
             numbers = range(first, min(first + at_once, count))
             bags = {folder / f"killed{n}": moments.uniform(_EARLIEST_S, _LATEST_S) for n in numbers}
-            yield from _killed(bags, domain)
+            yield from _killed(bags, settings)
 
 
-def _killed(bags: dict[Path, float], domain: str | None) -> Iterator[Kill]:
-    running = {bag: _start(bag, domain) for bag in bags}
+def _killed(bags: dict[Path, float], settings: Mapping[str, str] | None) -> Iterator[Kill]:
+    running = {bag: _start(bag, settings) for bag in bags}
     ended = {}
     try:
         began = {bag: _began(bag, process) for bag, process in running.items()}
@@ -68,14 +67,12 @@ def _killed(bags: dict[Path, float], domain: str | None) -> Iterator[Kill]:
         yield _judged(bag, after_s, ended[bag])
 
 
-def _start(bag: Path, domain: str | None) -> subprocess.Popen[bytes]:
+def _start(bag: Path, settings: Mapping[str, str] | None) -> subprocess.Popen[bytes]:
     words = ["-m", "bench.crash", "--write", str(bag)]
-    environment = dict(os.environ)
-    if domain is not None:
+    if settings is not None:
         words = ["-m", "ptnsbc_nodes.recorder", "--bag", str(bag), "--uavs", *"12345"]
-        environment["ROS_DOMAIN_ID"] = domain
     quiet = subprocess.DEVNULL
-    return subprocess.Popen([sys.executable, *words], stdout=quiet, stderr=quiet, env=environment)
+    return subprocess.Popen([sys.executable, *words], stdout=quiet, stderr=quiet, env=settings)
 
 
 def _began(bag: Path, process: subprocess.Popen[bytes]) -> float:
@@ -124,8 +121,8 @@ def _nothing() -> Iterator[None]:
 
 
 @contextmanager
-def _source(folder: Path) -> Iterator[str]:
-    """A process that publishes for as long as recorders come and go."""
+def _source(folder: Path) -> Iterator[Mapping[str, str]]:
+    """A process that publishes for as long as recorders come and go; gives the environment of both."""
     from bench.scenarios import paper
     from bench.session import own_domain
     from ptnsbc_nodes import environment
@@ -134,15 +131,13 @@ def _source(folder: Path) -> Iterator[str]:
     scenario.write_text(paper(1.0).text, encoding="utf-8")
     go.touch()
     with own_domain() as domain:
-        environment.prepare()
+        settings = environment.for_children(domain, 2, folder)
         words = ["-m", "bench.recorder", "--scenario", str(scenario), "--go", str(go)]
         words += ["--seconds", str(_FOREVER_S), "--hz", "100"]
-        settings = dict(os.environ) | {"ROS_DOMAIN_ID": str(domain)}
-        process = subprocess.Popen(
-            [sys.executable, *words], env=settings, stdout=subprocess.DEVNULL
-        )
+        quiet = subprocess.DEVNULL
+        process = subprocess.Popen([sys.executable, *words], env=settings, stdout=quiet)
         try:
-            yield str(domain)
+            yield settings
         finally:
             process.kill()
             process.wait()
