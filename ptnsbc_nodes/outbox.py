@@ -45,14 +45,12 @@ class Notes:
         self._send_tick = endpoints.publisher(topics.tick(uav_id), readers)
         self._send_snapshot = endpoints.publisher(topics.snapshot(uav_id), readers)
         self._snapshot: SnapshotTemplate | None = None
-        self._sequence = 0
 
     def send(self, at: Moment, pilot: Pilot) -> None:
         """Publish what the step `at` was made of, and now and then what it left behind."""
+        sequence = pilot.steps - 1
         held = pilot.inbox.held(NO_CUTOFF_NS)
-        self._send_tick(self._template.encode(self._sequence, at, held))
-        if self._sequence % self._every == 0:
-            state = pilot.state
-            self._snapshot = self._snapshot or SnapshotTemplate(state)
-            self._send_snapshot(self._snapshot.encode(self._sequence, state, pilot.tally))
-        self._sequence += 1
+        self._send_tick(self._template.encode(sequence, at, held))
+        if sequence % self._every == 0:
+            self._snapshot = self._snapshot or SnapshotTemplate(pilot)
+            self._send_snapshot(self._snapshot.encode(sequence, pilot))

@@ -32,6 +32,17 @@ def moment(now_ns: int, elapsed_ns: int, leg: Leg | None, born_ns: int) -> Momen
     return Moment(now_ns, elapsed_ns, leg.mode, leg.t0_ns, leg.first_t0_ns, True)
 
 
+class Limits(NamedTuple):
+    """Constants that do not follow from the scenario alone: a vehicle may allow less."""
+
+    max_speed: float  # [m/s]
+    max_acceleration: float  # [m/s^2]
+
+    def on(self, config: AgentConfig) -> AgentConfig:
+        """The constants with these limits in place."""
+        return config._replace(filter=config.filter._replace(**self._asdict()))
+
+
 class Pilot:
     """Inbox, control law and counters of one UAV."""
 
@@ -39,7 +50,15 @@ class Pilot:
         self.config = config
         self.inbox = Inbox(senders)
         self.tally = Tally()
+        self.steps = 0  # since the agent began
         self._agent: Agent | None = None
+        self._flown = config  # what the agent began with
+
+    @property
+    def limits(self) -> Limits:
+        """What of the constants may be set by the vehicle, as the agent flies with it."""
+        flown = self._flown.filter
+        return Limits(flown.max_speed, flown.max_acceleration)
 
     @property
     def state(self) -> AgentState:
@@ -48,10 +67,15 @@ class Pilot:
             raise ValueError("state asked for before the first step")
         return self._agent.state
 
+    def restart(self) -> None:
+        """Forget all steps: the next one begins where the vehicle is then."""
+        self._agent = None
+
     def resume(self, state: AgentState, counters: Array) -> None:
         """Go on from what another pilot remembered."""
         self._agent = Agent.resumed(self.config, state)
         self.tally.restore(counters)
+        self._flown = self.config
 
     def step(self, at: Moment, cutoff_ns: int) -> AgentOutputs:
         """One control step on what the inbox holds; the own odometry must be there."""
@@ -59,6 +83,9 @@ class Pilot:
         inputs = self.inbox.inputs(at.now_ns, cutoff_ns, at.mode, start_age_s)
         if self._agent is None:
             self._agent = Agent(self.config, inputs.own)
+            self._flown = self.config
+            self.steps = 0
+        self.steps += 1
         dt = at.elapsed_ns * 1e-9
         outputs = self._agent.step(inputs, (at.now_ns - at.t0_ns) * 1e-9, dt)
         if at.flying:

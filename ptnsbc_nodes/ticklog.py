@@ -16,7 +16,7 @@ import numpy as np
 
 from ptnsbc_core.types import AgentState
 from ptnsbc_nodes.inbox import Senders
-from ptnsbc_nodes.pilot import Moment
+from ptnsbc_nodes.pilot import Limits, Moment, Pilot
 from ptnsbc_nodes.tally import Tally
 from ptnsbc_nodes.wire import RowTemplate, Stamped, WireError
 from ptnsbc_nodes.wire.cdr import Floats
@@ -36,7 +36,7 @@ class Used(NamedTuple):
 class TickNote(NamedTuple):
     """A decoded `/uavN/tick`."""
 
-    sequence: int  # steps before this one
+    sequence: int  # steps of this agent before this one; 0 again when the controller begins anew
     moment: Moment
     used: dict[str, Used]  # by the names of `sources`; what was not there is left out
 
@@ -86,15 +86,19 @@ def tick_note(label: str, numbers: list[int]) -> TickNote:
 class SnapshotTemplate:
     """Encoder of what one controller remembers."""
 
-    def __init__(self, like: AgentState) -> None:
-        self.label = _label(like)
-        length = sum(_sizes(like))
-        self._template = RowTemplate(self.label, 1 + length + Tally.SIZE)
+    def __init__(self, like: Pilot) -> None:
+        self.label = _label(like.state)
+        self._template = RowTemplate(self.label, _length(like.state))
 
-    def encode(self, sequence: int, state: AgentState, tally: Tally) -> bytes:
-        """State and counters after step number `sequence`."""
-        fields = [np.ravel(np.asarray(field, dtype=np.float64)) for field in state]
-        return self._template.floats(np.concatenate(([sequence], *fields, tally.counters())))
+    def encode(self, sequence: int, pilot: Pilot) -> bytes:
+        """State, counters and limits after step number `sequence`."""
+        fields = [np.ravel(np.asarray(field, dtype=np.float64)) for field in pilot.state]
+        rest = (pilot.tally.counters(), pilot.limits)
+        return self._template.floats(np.concatenate(([sequence], *fields, *rest)))
+
+
+def _length(state: AgentState) -> int:
+    return 1 + sum(_sizes(state)) + Tally.SIZE + len(Limits._fields)
 
 
 def _sizes(state: AgentState) -> list[int]:
@@ -108,7 +112,7 @@ def _fields(state: AgentState) -> Sequence[Any]:
 def _label(state: AgentState) -> str:
     counts = zip(state._fields, _sizes(state), strict=True)
     words = (f"{name}:{size}" for name, size in counts)
-    return " ".join(("sequence:1", *words, f"tally:{Tally.SIZE}"))
+    return " ".join(("sequence:1", *words, f"tally:{Tally.SIZE}", f"limits:{len(Limits._fields)}"))
 
 
 class Memory(NamedTuple):
@@ -117,11 +121,12 @@ class Memory(NamedTuple):
     sequence: int  # the step after which it was taken
     state: AgentState
     counters: Floats  # (Tally.SIZE,)
+    limits: Limits
 
 
 def recall(label: str, numbers: Floats, like: AgentState) -> Memory:
     """What a snapshot holds; WireError when it is not of a state `like` this one."""
-    if label != _label(like) or len(numbers) != 1 + sum(_sizes(like)) + Tally.SIZE:
+    if label != _label(like) or len(numbers) != _length(like):
         raise WireError(f"snapshot with {label!r}: expected {_label(like)!r}")
     at = 1
     found: list[Any] = []
@@ -130,4 +135,6 @@ def recall(label: str, numbers: Floats, like: AgentState) -> Memory:
         array = isinstance(field, np.ndarray)
         found.append(part.reshape(field.shape).copy() if array else type(field)(part[0]))
         at += size
-    return Memory(int(numbers[0]), AgentState(*found), numbers[at:])
+    counters = numbers[at : at + Tally.SIZE]
+    limits = Limits(*(float(number) for number in numbers[at + Tally.SIZE :]))
+    return Memory(int(numbers[0]), AgentState(*found), counters, limits)

@@ -32,7 +32,7 @@ class Desk:
         self.shelves = {topic.name: Shelf(topic.type) for topic in needed}
         self.epochs = Epochs()
         self.first_t0_ns: int | None = None
-        self.snapshots: dict[int, dict[int, bytes]] = {uav: {} for uav in uavs}
+        self._snapshots: dict[int, list[tuple[int, bytes]]] = {uav: [] for uav in uavs}
         self._snapshot_topics = {topics.snapshot(uav).name: uav for uav in uavs}
 
     def wanted(self, bag: Bag) -> list[str]:
@@ -55,10 +55,18 @@ class Desk:
             numbers = decode_floats(message.data).values
             if not numbers.size or not np.isfinite(numbers[0]):
                 raise WireError("snapshot without a number of its step")
-            kept = self.snapshots[self._snapshot_topics[message.topic]]
-            kept[int(numbers[0])] = message.data
-            while len(kept) > _KEPT_SNAPSHOTS:
-                del kept[next(iter(kept))]
+            kept = self._snapshots[self._snapshot_topics[message.topic]]
+            kept.append((int(numbers[0]), message.data))
+            del kept[:-_KEPT_SNAPSHOTS]
+
+    def snapshot(self, uav: int, sequence: int) -> bytes | None:
+        """Take the oldest snapshot after step number `sequence` out; None when there is none."""
+        kept = self._snapshots[uav]
+        for place, (number, data) in enumerate(kept):
+            if number == sequence:
+                del kept[: place + 1]
+                return data
+        return None
 
     def seconds(self, stamp_ns: int) -> float:
         """Time after the first epoch, as far as it is known."""

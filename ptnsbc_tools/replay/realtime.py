@@ -46,36 +46,35 @@ class Realtime(Driver[TickNote]):
 
     def make(self, seat: Seat, step: TickNote) -> Mismatch | None:
         """The step of a note, if the pilot has made all before it."""
-        if step.sequence == 0:  # the process has begun, or was started anew
-            seat.begin()
+        snapshot = self.desk.snapshot(seat.uav, step.sequence)
+        if step.sequence == 0:  # the controller has begun, or begins anew
+            seat.begin(snapshot)
         expected = seat.next_step
         if expected != step.sequence:
             if expected is not None:
                 self._why[seat.uav] = f"notes on {topics.tick(seat.uav).name} are not recorded"
                 self._skip(seat, step, step.sequence - expected)
-            self._leave_out(seat, step)
+            self._leave_out(seat, step, snapshot)
             return None
         try:
             wrong = seat.fetch(step, self.desk.shelves, self.sent)
         except MissingError as missing:
             self._why[seat.uav] = str(missing)
-            self._leave_out(seat, step)
+            self._leave_out(seat, step, snapshot)
             return None
         outputs = seat.step(step.moment)
         own_ns = step.used["own"].stamp_ns
         expected = self._sent[seat.uav].get(own_ns, 1)
         found = wrong or seat.compare(outputs, self.desk.shelves, expected)
         found = found or seat.compare_counters()
-        snapshot = self.desk.snapshots[seat.uav].get(step.sequence)
         if found is None and snapshot is not None:
             found = seat.compare_snapshot(step.sequence, snapshot)
         return found
 
-    def _leave_out(self, seat: Seat, step: TickNote) -> None:
+    def _leave_out(self, seat: Seat, step: TickNote, snapshot: bytes | None) -> None:
         """Do not make a step; go on behind it if there is a snapshot."""
         self._skip(seat, step, 1)
         seat.lose_thread()
-        snapshot = self.desk.snapshots[seat.uav].get(step.sequence)
         if snapshot is not None:
             seat.resume(step.sequence, snapshot)
 

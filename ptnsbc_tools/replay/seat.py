@@ -14,8 +14,8 @@ from ptnsbc_core.types import ODOMETRY_SIZE, AgentConfig, AgentOutputs, AgentSta
 from ptnsbc_nodes import topics
 from ptnsbc_nodes.inbox import NO_CUTOFF_NS, Inbox, Senders
 from ptnsbc_nodes.letters import Letters
-from ptnsbc_nodes.pilot import Moment, Pilot
-from ptnsbc_nodes.ticklog import SnapshotTemplate, TickNote, checksum, recall, sources
+from ptnsbc_nodes.pilot import Limits, Moment, Pilot
+from ptnsbc_nodes.ticklog import Memory, SnapshotTemplate, TickNote, checksum, recall, sources
 from ptnsbc_nodes.wire import Stamped, WireError, decode_floats
 from ptnsbc_sim.scenario import Scenario, agent_config
 from ptnsbc_tools.replay.difference import Difference, Mismatch, of_messages, of_numbers
@@ -76,7 +76,8 @@ class Seat:
         self.inputs = source_topics(uav, senders)
         self.outputs = [f"/uav{uav}/{name}" for name in OUTPUTS]
         self.told: dict[int, list[dict[str, str]]] = {}  # counters of /diagnostics by their ticks
-        self.pilot = Pilot(agent_config(scenario, uav), senders)
+        self._config = agent_config(scenario, uav)
+        self.pilot = Pilot(self._config, senders)
         self._put = _places(self.pilot.inbox)
         self._letters = Letters(uav)
         self._next: int | None = None  # number of the step that the pilot is ready for
@@ -88,25 +89,31 @@ class Seat:
         """Number of the step that the pilot is ready for; None: it has missed one."""
         return self._next
 
-    def begin(self) -> None:
-        """A new process: it remembers nothing."""
-        self.lose_thread()
+    def begin(self, snapshot: bytes | None) -> None:
+        """The controller begins, or begins anew: it remembers nothing; its limits are in its first snapshot."""
+        limits = None if snapshot is None else self._recalled(snapshot).limits
+        self.lose_thread(limits)
         self._next = 0
 
-    def lose_thread(self) -> None:
+    def lose_thread(self, limits: Limits | None = None) -> None:
         """A step was left out: only a snapshot helps."""
         self._next = None
         self._held.clear()
-        self.pilot = Pilot(self.pilot.config, self.senders)
+        config = self._config if limits is None else limits.on(self._config)
+        self.pilot = Pilot(config, self.senders)
         self._put = _places(self.pilot.inbox)
 
-    def resume(self, sequence: int, data: bytes) -> None:
+    def resume(self, sequence: int, snapshot: bytes) -> None:
         """Go on behind the step of a snapshot."""
-        row = decode_floats(data)
-        numbers = np.asarray(row.values, dtype=np.float64)
-        memory = recall(row.label, numbers, like=_any_state(self.pilot.config))
+        memory = self._recalled(snapshot)
+        self.lose_thread(memory.limits)
         self.pilot.resume(memory.state, memory.counters)
         self._next = sequence + 1
+
+    def _recalled(self, snapshot: bytes) -> Memory:
+        row = decode_floats(snapshot)
+        numbers = np.asarray(row.values, dtype=np.float64)
+        return recall(row.label, numbers, like=_any_state(self._config))
 
     def hold(self, name: str, message: Stamped) -> None:
         """Put a message where the process had it."""
@@ -200,9 +207,8 @@ class Seat:
 
     def compare_snapshot(self, sequence: int, data: bytes) -> Mismatch | None:
         """The first number of the controller's memory that differs."""
-        state = self.pilot.state
-        self._snapshot = self._snapshot or SnapshotTemplate(state)
-        made = self._snapshot.encode(sequence, state, self.pilot.tally)
+        self._snapshot = self._snapshot or SnapshotTemplate(self.pilot)
+        made = self._snapshot.encode(sequence, self.pilot)
         if made == data[: len(made)]:
             self.account.compared += 1
             return None

@@ -66,10 +66,11 @@ def test_a_pilot_goes_on_from_a_snapshot():
     first, rng = pilot(), np.random.default_rng(2)
     for k in range(5):
         first.step(fed(first, rng, k), NO_CUTOFF_NS)
-    data = ticklog.SnapshotTemplate(first.state).encode(4, first.state, first.tally)
+    data = ticklog.SnapshotTemplate(first).encode(4, first)
     second = pilot()
     memory = ticklog.recall(*decode_floats(data), like=first.state)
     assert memory.sequence == 4
+    assert memory.limits == first.limits
     second.resume(memory.state, memory.counters)
     states = [np.random.default_rng(3), np.random.default_rng(3)]
     for k in range(5, 8):

@@ -14,7 +14,7 @@ from ptnsbc_nodes.edges import Edges, FlightOptions
 from ptnsbc_nodes.epochs import Epochs
 from ptnsbc_nodes.inbox import NO_CUTOFF_NS
 from ptnsbc_nodes.letters import Letters
-from ptnsbc_nodes.pilot import Pilot, moment
+from ptnsbc_nodes.pilot import Limits, Pilot, moment
 from ptnsbc_nodes.ticklog import SnapshotTemplate, TickTemplate
 from ptnsbc_nodes.wire import HeaderTemplate, Stamped, decode_near, decode_odometry, encode_near
 from ptnsbc_sim.scenario import Scenario, agent_config, load_scenario
@@ -22,6 +22,7 @@ from ptnsbc_sim.world import World
 
 Change = Callable[[BagMessage], Iterable[BagMessage]]
 
+CARRIED = 2  # UAV whose controller begins anew with the first leg, under limits of its vehicle
 PERIOD_NS = 10_000_000
 START_NS = 1_700_000_000_000_000_000
 
@@ -48,16 +49,22 @@ class _Process:
         self.uav = uav
         self.senders = senders
         self.wrench = np.zeros(6)
+        self._carried = uav == CARRIED
         self.epochs = Epochs()
         self._pilot = Pilot(agent_config(scenario, uav), senders)
         self.inbox = self._pilot.inbox
+        if self._carried:
+            slow = Limits(0.8, 1.1)  # [m/s], [m/s^2]: what its vehicle allows
+            self._pilot.config = slow.on(self._pilot.config)
         self._letters = Letters(uav)
         self._tick = TickTemplate(senders)
         self._snapshot: SnapshotTemplate | None = None
-        self._sequence = 0
 
     def step(self, now_ns: int) -> dict[topics.Topic, bytes]:
         at = moment(now_ns, PERIOD_NS, self.epochs.at(now_ns), START_NS)
+        if at.flying and self._carried:  # as a bridge does it that has brought its vehicle here
+            self._carried = False
+            self._pilot.restart()
         outputs = self._pilot.step(at, NO_CUTOFF_NS)
         own = self.inbox.own
         assert own is not None
@@ -69,13 +76,12 @@ class _Process:
             for of, data in zip(names, self._letters.all(own, outputs), strict=True)
         }
         held = self.inbox.held(NO_CUTOFF_NS)
-        said[topics.tick(self.uav)] = self._tick.encode(self._sequence, at, held)
-        if self._sequence % 50 == 0:
-            state = self._pilot.state
-            self._snapshot = self._snapshot or SnapshotTemplate(state)
-            data = self._snapshot.encode(self._sequence, state, self._pilot.tally)
+        sequence = self._pilot.steps - 1
+        said[topics.tick(self.uav)] = self._tick.encode(sequence, at, held)
+        if sequence % 50 == 0:
+            self._snapshot = self._snapshot or SnapshotTemplate(self._pilot)
+            data = self._snapshot.encode(sequence, self._pilot)
             said[topics.snapshot(self.uav)] = data
-        self._sequence += 1
         return said
 
 

@@ -174,12 +174,12 @@ def test_realtime_lost_input_is_void_until_the_next_snapshot(again, realtime, re
 
 def test_realtime_one_bit_of_an_input(again, realtime, rewritten):
     """The checksum tells even what the laws do not notice."""
-    flown = notes(realtime, 2)
+    flown = notes(realtime, 5)
     used = flown[90].used["near"].stamp_ns
     tick = next(n.sequence for n in flown if n.used["near"].stamp_ns == used)
-    done = again(rewritten(realtime, flip("/uav2/near", used, at=-20)))
-    assert (done.first.uav, done.first.tick) == (2, tick)
-    assert done.first.field == f"/uav2/near, an input stamped {used}"
+    done = again(rewritten(realtime, flip("/uav5/near", used, at=-20)))
+    assert (done.first.uav, done.first.tick) == (5, tick)
+    assert done.first.field == f"/uav5/near, an input stamped {used}"
 
 
 def test_realtime_recorded_from_the_middle(again, realtime, rewritten):
