@@ -88,8 +88,7 @@ class Figures {
   }
 
   layout(chart) {
-    const css = getComputedStyle(document.documentElement);
-    const colour = (name) => css.getPropertyValue(name).trim();
+    const colour = (name) => this.state.style[name];
     const axis = {
       gridcolor: colour("--grid"), tickfont: { size: 12 }, linecolor: colour("--rule"), zeroline: false, ticks: "outside",
       tickcolor: colour("--rule"), ticklen: 4, automargin: false,

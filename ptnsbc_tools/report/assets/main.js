@@ -1,6 +1,7 @@
 // Puts clock, scene, figures and controls together.
 
 const byId = (id) => document.getElementById(id);
+const STYLE = ["--card", "--ink", "--soft", "--rule", "--grid", "--accent", "--sky", "--floor", "--halo"]; // what is painted with
 const SVG_DASHES = ["", "6 3", "6 3 2 3", "2 3"];
 
 class Page {
@@ -30,6 +31,8 @@ class Page {
     document.documentElement.dataset.theme = dark ? "dark" : "light";
     byId("theme").textContent = dark ? "Light" : "Dark";
     this.colours = this.data.colours[dark ? "dark" : "light"];
+    const css = getComputedStyle(document.documentElement);
+    this.style = Object.fromEntries(STYLE.map((name) => [name, css.getPropertyValue(name).trim()]));
   }
 
   begin() {

@@ -17,7 +17,11 @@ class Scene {
     this.now = motion.begin;
     this.measure();
     steer(canvas, this.camera, () => this.draw());
-    new ResizeObserver(() => this.draw()).observe(canvas);
+    this.box = canvas.getBoundingClientRect(); // asked once: in a frame it would cost a layout
+    new ResizeObserver(() => {
+      this.box = canvas.getBoundingClientRect();
+      this.draw();
+    }).observe(canvas);
   }
 
   /** Bounds of everything, and the floor under it. */
@@ -63,8 +67,7 @@ class Scene {
   }
 
   paint() {
-    const { canvas, pen } = this;
-    const box = canvas.getBoundingClientRect();
+    const { canvas, pen, box } = this;
     if (!box.width) return;
     const sharp = Math.min(window.devicePixelRatio || 1, 2);
     const [width, height] = [Math.round(box.width * sharp), Math.round(box.height * sharp)];
@@ -72,7 +75,6 @@ class Scene {
     pen.setTransform(sharp, 0, 0, sharp, 0, 0);
     pen.clearRect(0, 0, box.width, box.height);
     pen.lineJoin = pen.lineCap = "round";
-    this.css = getComputedStyle(document.documentElement);
     this.poses = this.space.uavs.map((_, i) => this.motion.pose(i, this.now));
     if (this.camera.unfit) this.camera.fit(box.width, box.height);
     if (this.state.follow) this.followLeader();
@@ -96,7 +98,7 @@ class Scene {
   }
 
   colour(name) {
-    return this.css.getPropertyValue(name).trim();
+    return this.state.style[name];
   }
 
   /** A line between two points in space, cut off at the eye. */
