@@ -21,7 +21,11 @@ _LEASH_M = 1.5
 _MOST_STEP_S = 0.1
 _UNIT_TOLERANCE = 1e-3
 _SANE = 1000.0
-_OFFSETS = (mavlink.MAV_FRAME_LOCAL_OFFSET_NED, mavlink.MAV_FRAME_BODY_OFFSET_NED)
+_VELOCITY = (
+    mavlink.POSITION_TARGET_TYPEMASK_VX_IGNORE
+    | mavlink.POSITION_TARGET_TYPEMASK_VY_IGNORE
+    | mavlink.POSITION_TARGET_TYPEMASK_VZ_IGNORE
+)
 _BODY = (mavlink.MAV_FRAME_BODY_NED, mavlink.MAV_FRAME_BODY_OFFSET_NED)
 FRAMES = (mavlink.MAV_FRAME_LOCAL_NED, mavlink.MAV_FRAME_LOCAL_OFFSET_NED, *_BODY)
 
@@ -80,7 +84,7 @@ class Guided:
         """A SET_POSITION_TARGET_LOCAL_NED, partly ignored vectors ignored whole; False when not valid."""
         wanted = setpoints.trajectory(message)
         position = wanted.position_ned if np.isfinite(wanted.position_ned).all() else None
-        velocity = wanted.velocity_ned if _whole(message.type_mask, _VELOCITY) else None
+        velocity = None if message.type_mask & _VELOCITY else wanted.velocity_ned
         if wanted.frame not in FRAMES or (wanted.force and wanted.accelerations):
             return False
         if velocity is not None and not (np.abs(velocity) <= _SANE).all():
@@ -220,14 +224,3 @@ class Guided:
         target = self._attitude.copy()
         target[airframe.CLIMB] = self._climb
         return target
-
-
-_VELOCITY = (
-    mavlink.POSITION_TARGET_TYPEMASK_VX_IGNORE
-    | mavlink.POSITION_TARGET_TYPEMASK_VY_IGNORE
-    | mavlink.POSITION_TARGET_TYPEMASK_VZ_IGNORE
-)
-
-
-def _whole(mask: int, bits: int) -> bool:
-    return not mask & bits
