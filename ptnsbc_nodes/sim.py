@@ -52,6 +52,7 @@ class Sim:
         self._wrenches: dict[int, Stamped] = {}
         self._round = Round(scenario, self._world, self._senses)
         self._running = False
+        self._to_record = edges.options.recorded
         self._recorded = edges.options.lockstep and edges.options.recorded
         self._recorded_ns = 0
         self._paused = False
@@ -74,7 +75,8 @@ class Sim:
     def waiting_for(self) -> list[str]:
         """Topics without their other end."""
         missing = self.endpoints.unheard()
-        return missing + self.endpoints.unread() if self._lockstep else missing
+        before = self._to_record and not self._epochs.announced
+        return missing + self.endpoints.unread() if self._lockstep or before else missing
 
     def _hearer(self, uav_id: int) -> Callable[[bytes], None]:
         def on_wrench(data: bytes) -> None:

@@ -35,6 +35,7 @@ class Uav:
         self.endpoints = Endpoints(node, edges.options.lockstep)
         self._name = f"uav{uav_id}"
         self._lockstep = edges.options.lockstep
+        self._recorded = edges.options.recorded
         self._period_ns = scenario.dt_ns
         self._near_every = scenario.near_every
         self._status_every = status_every(scenario)
@@ -58,10 +59,16 @@ class Uav:
             self._ticker = Ticker(node, self._period_ns, self._on_tick_timer)
 
     def waiting_for(self) -> list[str]:
-        """Topics without their other end; in real time also an odometry not heard yet."""
+        """Topics without their other end; in real time also an odometry not heard yet.
+
+        What is to be recorded from the first leg on must have found its recorder; in flight a
+        recorder that ends, or a child, is no reason to wait.
+        """
         missing = self.endpoints.unheard()
         if self._lockstep:
             return missing + self.endpoints.unread()
+        if self._recorded and not self._epochs.announced:
+            missing += self.endpoints.unread()
         own_topic = f"/{self._name}/odom"
         if self._inbox.own is None and own_topic not in missing:
             missing.append(own_topic)
