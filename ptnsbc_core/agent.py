@@ -88,7 +88,7 @@ def _moved_on(estimate: Array, age_s: float) -> Array:
 
 
 @leaf
-def _estimated_leader(
+def estimated_leader(
     state: AgentState, inputs: AgentInputs, clock: Clock, frozen: bool, config: AgentConfig
 ) -> tuple[Array, bool]:
     """Leader estimate (7,) at this tick, and whether it rests on anything heard."""
@@ -298,7 +298,7 @@ def step(
     """
     clock = Clock(t, inputs.start_age_s, dt)
     holding = inputs.mode != MODE_FORMATION or _lost(inputs, clock.start_t, config)
-    estimate, heard = _estimated_leader(state, inputs, clock, holding, config)
+    estimate, heard = estimated_leader(state, inputs, clock, holding, config)
     place = _hold_place(state, inputs, holding)
     yaw = _desired_yaw(estimate, place, holding, clock, config)
 

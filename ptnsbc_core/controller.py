@@ -140,7 +140,7 @@ def rigid_body_control(
     for i in range(3):
         wrench[i] = parameters[0] * model[i] + config.nominal[0] * feedback[i]
         wrench[3 + i] = torque[i] + config.nominal[1 + i] * turning[i]
-    saturated = _limit(wrench, config)
+    saturated = limit_wrench(wrench, config)
     new_parameters, new_bound = adapted(
         parameters, bound, products, errors, saturated, clock.dt, config
     )
@@ -148,7 +148,7 @@ def rigid_body_control(
 
 
 @kernel
-def _limit(wrench: Array, config: ControllerConfig) -> bool:
+def limit_wrench(wrench: Array, config: ControllerConfig) -> bool:
     """Clip the wrench (6,) in place to the actuators' limits; whether it was clipped."""
     force = norm3(wrench[0:3])
     saturated = force > config.max_thrust

@@ -100,6 +100,8 @@ def peak_gain(duration_s: float, residual: float) -> float:
     """
     if not (duration_s > 0.0 and math.isfinite(duration_s)):
         raise GainError(f"tf={duration_s}: expected a deadline above 0 s")
+    if residual == math.inf:
+        return 0.0  # a loop without a time base
     if not 0.0 < residual < 1.0:
         raise GainError(f"q={residual}: expected 0 < q < 1 (time-base residual)")
     s = np.linspace(0.0, 1.0, 20001)

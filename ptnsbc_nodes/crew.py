@@ -55,6 +55,8 @@ def _recorder(options: FleetOptions, bag: Path, scenario_file: Path) -> Command:
         arguments += ["--meta", f"{key}={value}"]
     if options.lockstep:
         arguments.append("--lockstep")
+    if options.scenario.imperfect:
+        arguments.append("--truth")
     if options.overwrite:
         arguments.append("--overwrite")
     return Command(RECORDER, "ptnsbc_nodes.recorder", tuple(arguments))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ptnsbc_nodes.inbox import Senders
+from ptnsbc_sim.chance.links import losses
 from ptnsbc_sim.scenario import Scenario
 
 
@@ -35,6 +36,7 @@ class Edges:
             parent=scenario.parent(uav_id),
             leader=scenario.leader_id if scenario.pinned(uav_id) else None,
             estimators=scenario.estimator_neighbours(uav_id),
+            losses=losses(scenario, uav_id),
         )
 
     def state_readers(self, uav_id: int) -> int:

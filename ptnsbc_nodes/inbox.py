@@ -24,6 +24,7 @@ from ptnsbc_core.types import (
 )
 from ptnsbc_nodes.turns import LEAD_TICKS
 from ptnsbc_nodes.wire import Stamped
+from ptnsbc_sim.chance.links import Losses
 
 NO_CUTOFF_NS = 2**63 - 1
 """Cutoff of real time: every message counts, also that of a neighbour whose clock is ahead."""
@@ -38,14 +39,24 @@ _KEPT = LEAD_TICKS + 2  # in lock-step a sender is at most LEAD_TICKS ahead, and
 class Link:
     """The last messages of one sender: its tick k may arrive before we have used its k-1."""
 
-    __slots__ = ("_messages",)
+    __slots__ = ("_arrived_ns", "_messages")
 
     def __init__(self) -> None:
         self._messages: deque[Stamped] = deque(maxlen=_KEPT)  # the newest first
+        self._arrived_ns: deque[int] = deque(maxlen=_KEPT)
 
-    def put(self, message: Stamped) -> None:
-        """Keep `message` as the newest; one sender's messages arrive in order."""
-        self._messages.appendleft(message)
+    def put(self, message: Stamped, lost: bool = False) -> None:
+        """Keep `message` as the newest; one sender's messages arrive in order.
+
+        One that the scenario wants `lost` has still come: lock-step does not wait for it.
+        """
+        self._arrived_ns.appendleft(message.stamp_ns)
+        if not lost:
+            self._messages.appendleft(message)
+
+    def arrived(self, stamp_ns: int) -> bool:
+        """Whether the message of this stamp has come, lost or not."""
+        return stamp_ns in self._arrived_ns
 
     def before(self, cutoff_ns: int) -> Stamped | None:
         """The newest message stamped before `cutoff_ns` [ns]."""
@@ -62,6 +73,7 @@ class Senders:
     parent: int | None
     leader: int | None  # None unless pinned
     estimators: tuple[int, ...]  # ascending: the order of the rows of AgentInputs.estimates
+    losses: Losses | None = None  # which of their messages the scenario wants lost
 
     @property
     def states(self) -> tuple[int, ...]:
@@ -82,11 +94,15 @@ class Inbox:
 
     def hear_state(self, uav_id: int, message: Stamped) -> None:
         """Keep a formation_state."""
-        self._states[uav_id].put(message)
+        losses = self.senders.losses
+        lost = losses is not None and losses.state(uav_id, message.stamp_ns)
+        self._states[uav_id].put(message, lost)
 
     def hear_estimate(self, uav_id: int, message: Stamped) -> None:
         """Keep a leader_estimate."""
-        self._estimates[uav_id].put(message)
+        losses = self.senders.losses
+        lost = losses is not None and losses.estimate(uav_id, message.stamp_ns)
+        self._estimates[uav_id].put(message, lost)
 
     def lose(self, uav_id: int) -> None:
         """Wait for this sender no longer: its process has ended. What it said ages from now on."""
@@ -102,17 +118,12 @@ class Inbox:
             return False
         if tick == 0:
             return True
-        for _, link in self._awaited:
-            message = link.before(now_ns)
-            if message is None or message.stamp_ns != now_ns - period_ns:
-                return False
-        return True
+        return all(link.arrived(now_ns - period_ns) for _, link in self._awaited)
 
     def awaited(self, now_ns: int, period_ns: int) -> Iterable[int]:
         """Senders whose message of the tick before `now_ns` is missing; for diagnostics."""
         for i, link in self._awaited:
-            message = link.before(now_ns)
-            if message is None or message.stamp_ns != now_ns - period_ns:
+            if not link.arrived(now_ns - period_ns):
                 yield i
 
     def held(self, cutoff_ns: int) -> list[Stamped | None]:

@@ -223,13 +223,14 @@ class _StopSignal:
 
 
 def _record(context: Context, options: argparse.Namespace, stop: _StopSignal) -> dict[str, Any]:
-    recorded = topics.recorded(options.uavs, lockstep=options.lockstep)
+    kinds = {"lockstep": options.lockstep, "with_truth": options.truth}
+    recorded = topics.recorded(options.uavs, **kinds)
     node = rclpy.create_node("recorder", context=context, start_parameter_services=False)
     executor = make_executor(context)
     executor.add_node(node)
     infos = [
         topic_info(topic, lockstep=options.lockstep)
-        for topic in topics.in_bag(options.uavs, lockstep=options.lockstep)
+        for topic in topics.in_bag(options.uavs, **kinds)
     ]
     with BagWriter(
         options.bag,
@@ -290,6 +291,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--bag", type=Path, required=True, help="folder to create")
     parser.add_argument("--uavs", type=int, nargs="+", required=True, metavar="N")
     parser.add_argument("--lockstep", action="store_true", help="same flight, same bytes")
+    parser.add_argument("--truth", action="store_true", help="the sim tells true states as well")
     parser.add_argument("--overwrite", action="store_true", help="replace an existing bag")
     parser.add_argument("--attach", type=_pair, action="append", default=[], metavar="NAME=PATH")
     parser.add_argument("--meta", type=_pair, action="append", default=[], metavar="KEY=VALUE")

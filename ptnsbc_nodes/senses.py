@@ -31,6 +31,11 @@ class Senses:
         ids, readers = world.ids, options.recorders
         self._odometry = {i: OdometryTemplate(WORLD_FRAME, f"uav{i}/base_link") for i in ids}
         self._send_odom = {i: endpoints.publisher(topics.odom(i), 1 + readers) for i in ids}
+        self._send_truth = (
+            {i: endpoints.publisher(topics.truth(i), readers) for i in ids}
+            if scenario.imperfect
+            else {}
+        )
         self._send_near = {i: endpoints.publisher(topics.near(i), 1 + readers) for i in ids}
         self._send_clock = endpoints.publisher(topics.CLOCK, readers)
         self._send_markers = endpoints.publisher(topics.MARKERS, readers)
@@ -50,6 +55,9 @@ class Senses:
         """Tell one UAV its odometry, and at its sensor's turn what is near."""
         state = self._world.odometry(uav_id)
         self._send_odom[uav_id](self._odometry[uav_id].encode(stamp_ns, state))
+        if uav_id in self._send_truth:
+            truth = self._world.truth(uav_id)
+            self._send_truth[uav_id](self._odometry[uav_id].encode(stamp_ns, truth))
         if tick % self._near_every == 0:
             seen = self._world.near(uav_id)
             self._send_near[uav_id](encode_near(stamp_ns, WORLD_FRAME, seen))

@@ -40,6 +40,11 @@ def odom(uav: int) -> Topic:
     return _state(uav, "odom", "nav_msgs/msg/Odometry")
 
 
+def truth(uav: int) -> Topic:
+    """Simulated flights with imperfections only: where a UAV really is. Nobody flies by it, the verdict does."""
+    return _state(uav, "truth", "nav_msgs/msg/Odometry")
+
+
 def near(uav: int) -> Topic:
     """Obstacles and other UAVs inside the detection range."""
     return _state(uav, "near", "sensor_msgs/msg/PointCloud2")
@@ -92,16 +97,24 @@ def notes(uav: int) -> tuple[Topic, ...]:
     return (tick(uav), snapshot(uav))
 
 
-def recorded(uavs: Iterable[int], *, lockstep: bool = True) -> tuple[Topic, ...]:
+def recorded(
+    uavs: Iterable[int], *, lockstep: bool = True, with_truth: bool = False
+) -> tuple[Topic, ...]:
     """What a recorder of these UAVs subscribes to; /tf it makes itself, out of odometry."""
-    of_one = of_uav if lockstep else lambda uav: (*of_uav(uav), *notes(uav))
+
+    def of_one(uav: int) -> tuple[Topic, ...]:
+        noted = () if lockstep else notes(uav)
+        return (*of_uav(uav), *noted, *((truth(uav),) if with_truth else ()))
+
     own = tuple(topic for uav in uavs for topic in of_one(uav))
     return (*own, EPOCH, DIAGNOSTICS, MARKERS, CLOCK)
 
 
-def in_bag(uavs: Iterable[int], *, lockstep: bool = True) -> tuple[Topic, ...]:
+def in_bag(
+    uavs: Iterable[int], *, lockstep: bool = True, with_truth: bool = False
+) -> tuple[Topic, ...]:
     """Every topic of a bag of these UAVs."""
-    return (*recorded(uavs, lockstep=lockstep), TF)
+    return (*recorded(uavs, lockstep=lockstep, with_truth=with_truth), TF)
 
 
 def tf_is_available() -> bool:

@@ -25,11 +25,15 @@ from ptnsbc_core.types import (
     AgentState,
     Array,
 )
+from ptnsbc_sim.chance.build import Chance, chance
+from ptnsbc_sim.chance.gusts import blow
+from ptnsbc_sim.chance.odometer import ERROR_SIZE, believed, beside
 from ptnsbc_sim.plants.build import obstacle_rows, plant_config, start_states
 from ptnsbc_sim.plants.contract import PlantConfig
 from ptnsbc_sim.plants.integrate import advance, odometry
 from ptnsbc_sim.scenario import Scenario, agent_config
 from ptnsbc_sim.sensor import near_objects
+from ptnsbc_sim.world import measure_all
 
 CHUNK_TICKS = 500
 
@@ -62,6 +66,7 @@ class Track(NamedTuple):
     wrench: Array  # (T, N, 6)
     estimate: Array  # (T, N, 13)
     diagnostics: Array  # (T, N, 10)
+    truth: Array  # (T, N, 13) where everybody really was; (0, N, 13) when that is what the odometry says
 
 
 class Crew(NamedTuple):
@@ -82,47 +87,69 @@ class Flight(NamedTuple):
     track: Track
     wiring: Wiring
 
+    @property
+    def truth(self) -> Array:
+        """True odometry vectors (T, N, 13), whatever the UAVs believed."""
+        return self.track.truth if len(self.track.truth) else self.track.odometry
+
     def near(self, tick: int, row: int) -> Array:
         """Rows (M, 7) that UAV number `row` saw at a tick that is a multiple of near_every."""
-        return near_objects(
+        truth = self.truth[tick]
+        rows = near_objects(
             row,
-            self.track.odometry[tick],
+            truth,
             self.wiring.obstacles,
             self.wiring.uav_keep_out_m,
             self.wiring.range_m,
         )
+        if not len(self.track.truth):
+            return rows
+        return beside(rows, truth[row], self.track.odometry[tick, row])
 
 
 @leaf
-def _heard(track: Track, tick: int, row: int) -> Array:
-    """Odometry vector (13,) that UAV number `row` sent at the previous tick."""
-    if tick == 0 or row < 0:
+def _age(tick: int, sent: int, dt_ns: int) -> float:
+    """Seconds since a message of tick `sent`, -1: none was heard."""
+    return ((tick - sent) * dt_ns) * 1e-9 if sent >= 0 else NEVER_HEARD_S
+
+
+@leaf
+def _heard(track: Track, sent: int, row: int) -> Array:
+    """Odometry vector (13,) that UAV number `row` sent at tick `sent`; zeros when there is none."""
+    if sent < 0 or row < 0:
         return np.zeros(ODOMETRY_SIZE)
-    return track.odometry[tick - 1, row].copy()
+    return track.odometry[sent, row].copy()
 
 
 @leaf
-def _inputs(wiring: Wiring, track: Track, near: Array, tick: int, row: int) -> AgentInputs:
-    """What UAV number `row` knows at `tick`."""
-    dt = wiring.dt_ns * 1e-9
-    age = dt if tick > 0 else NEVER_HEARD_S
+def inputs_of(
+    wiring: Wiring, track: Track, near: Array, tick: int, row: int, luck: Chance | None
+) -> AgentInputs:
+    """What UAV number `row` knows at `tick`: what was sent at the tick before, or longer ago if that got lost."""
     parent = wiring.parent[row]
+    from_parent, from_leader = tick - 1, tick - 1
+    if luck is not None:
+        from_parent, from_leader = luck.heard[tick, row, 0], luck.heard[tick, row, 1]
     count = 0
     while count < wiring.neighbours.shape[1] and wiring.neighbours[row, count] >= 0:
         count += 1
     estimates = np.zeros((count, ODOMETRY_SIZE))
-    ages = np.full(count, age)
+    ages = np.empty(count)
     for k in range(count):
-        if tick > 0:
-            put(estimates[k], 0, track.estimate[tick - 1, wiring.neighbours[row, k]])
+        sent = tick - 1
+        if luck is not None:
+            sent = luck.heard[tick, row, 2 + k]
+        ages[k] = _age(tick, sent, wiring.dt_ns)
+        if sent >= 0:
+            put(estimates[k], 0, track.estimate[sent, wiring.neighbours[row, k]])
     pinned = wiring.pinned[row] > 0
     behind = tick % wiring.near_every
     return AgentInputs(
         track.odometry[tick, row].copy(),
-        _heard(track, tick, parent),
-        age if parent >= 0 else NEVER_HEARD_S,
-        _heard(track, tick, wiring.leader if pinned else -1),
-        age if pinned else NEVER_HEARD_S,
+        _heard(track, from_parent, parent),
+        _age(tick, from_parent, wiring.dt_ns) if parent >= 0 else NEVER_HEARD_S,
+        _heard(track, from_leader, wiring.leader if pinned else -1),
+        _age(tick, from_leader, wiring.dt_ns) if pinned else NEVER_HEARD_S,
         estimates,
         ages,
         near,
@@ -133,24 +160,41 @@ def _inputs(wiring: Wiring, track: Track, near: Array, tick: int, row: int) -> A
 
 
 @kernel
-def _sense(crew: Crew, wiring: Wiring, track: Track, tick: int) -> None:
+def sense(crew: Crew, wiring: Wiring, track: Track, tick: int, luck: Chance | None) -> None:
     """Measure every UAV's odometry, and the near objects when the sensor's turn has come."""
     size = crew.bodies.shape[0]
+    true = track.odometry if luck is None else track.truth
     for row in range(size):
-        put(track.odometry[tick, row], 0, odometry(crew.bodies[row], crew.plants[row]))
+        put(true[tick, row], 0, odometry(crew.bodies[row], crew.plants[row]))
+    if luck is not None:
+        for row in range(size):
+            put(track.odometry[tick, row], 0, _believed(track, tick, row, wiring, luck))
     if tick % wiring.near_every == 0:
         for row in range(size):
-            crew.nears[row] = near_objects(
-                row,
-                track.odometry[tick],
-                wiring.obstacles,
-                wiring.uav_keep_out_m,
-                wiring.range_m,
+            near = near_objects(
+                row, true[tick], wiring.obstacles, wiring.uav_keep_out_m, wiring.range_m
             )
+            if luck is not None:
+                near = beside(near, true[tick, row], track.odometry[tick, row])
+            crew.nears[row] = near
+
+
+@kernel
+def _believed(track: Track, tick: int, row: int, wiring: Wiring, luck: Chance) -> Array:
+    """Odometry vector (13,) that UAV number `row` sees, from its true one."""
+    return believed(
+        track.truth[tick, row],
+        track.truth[max(tick - luck.odometer.delay, 0), row],
+        luck.errors[row],
+        luck.fixes[tick, row],
+        tick,
+        wiring.dt_ns * 1e-9,
+        luck.odometer,
+    )
 
 
 @leaf
-def _note(track: Track, tick: int, row: int, out: AgentOutputs) -> None:
+def note(track: Track, tick: int, row: int, out: AgentOutputs) -> None:
     """Write one UAV's outputs of one tick into the track."""
     put(track.velocity[tick, row], 0, out.velocity)
     put(track.wrench[tick, row], 0, out.wrench)
@@ -168,28 +212,46 @@ def _note(track: Track, tick: int, row: int, out: AgentOutputs) -> None:
 
 
 @kernel
-def _fly(first: int, count: int, wiring: Wiring, crew: Crew, track: Track) -> None:
-    """Ticks first .. first + count - 1 of the whole swarm into `track`."""
+def _fly(
+    first: int, count: int, wiring: Wiring, crew: Crew, track: Track, luck: Chance | None
+) -> None:
+    """Ticks first .. first + count - 1 of the whole swarm into `track`.
+
+    What depends on `luck` is compiled only for flights that have some: numba drops a branch on None.
+    """
     dt = wiring.dt_ns * 1e-9
     for tick in range(first, first + count):
         t = (tick * wiring.dt_ns) * 1e-9
-        _sense(crew, wiring, track, tick)
+        sense(crew, wiring, track, tick, luck)
         for row in range(crew.bodies.shape[0]):
-            inputs = _inputs(wiring, track, crew.nears[row], tick, row)
+            inputs = inputs_of(wiring, track, crew.nears[row], tick, row, luck)
             crew.states[row], out = step(crew.states[row], inputs, t, dt, crew.configs[row])
-            _note(track, tick, row, out)
+            note(track, tick, row, out)
+            if luck is not None:
+                wind = crew.plants[row].wind
+                blow(luck.gust[row], wind, luck.blows[tick, row], tick, luck.gusts)
             body = advance(crew.bodies[row], out.wrench, t, dt, wiring.substeps, crew.plants[row])
             put(crew.bodies[row], 0, body)
 
 
 @kernel
-def _starts(
-    configs: Sequence[AgentConfig], bodies: Array, plants: Sequence[PlantConfig]
-) -> MutableSequence[AgentState]:
+def _starts(configs: Sequence[AgentConfig], seen: Array) -> MutableSequence[AgentState]:
     states = KernelList()
     for row in range(len(configs)):
-        states.append(initial_state(odometry(bodies[row], plants[row]), configs[row]))
+        states.append(initial_state(seen[row], configs[row]))
     return states
+
+
+def _first_seen(truth: Array, dt: float, luck: Chance | None) -> Array:
+    """Odometry vectors (N, 13) that the UAVs see at the first tick, from the true ones."""
+    if luck is None:
+        return truth
+    error = np.zeros((len(truth), ERROR_SIZE))
+    rows = [
+        believed(own, own[0:3], error[row], luck.fixes[0, row], 0, dt, luck.odometer)
+        for row, own in enumerate(truth)
+    ]
+    return np.stack(rows)
 
 
 def wiring_of(scenario: Scenario) -> Wiring:
@@ -215,6 +277,10 @@ def wiring_of(scenario: Scenario) -> Wiring:
     )
 
 
+Loop = Callable[[int, int, Wiring, Crew, Track, Chance | None], None]
+"""Flies so many ticks from the first: the law is in it."""
+
+
 def fly(scenario: Scenario, progress: Callable[[int, int], None] | None = None) -> Flight:
     """Fly a scenario headless.
 
@@ -225,24 +291,35 @@ def fly(scenario: Scenario, progress: Callable[[int, int], None] | None = None) 
     Returns:
         The whole flight; the same scenario gives the same bytes.
     """
+    return flown(scenario, _fly, progress)
+
+
+def flown(
+    scenario: Scenario, loop: Loop, progress: Callable[[int, int], None] | None = None
+) -> Flight:
+    """As `fly`, with the law in `loop`."""
     ticks, size = scenario.ticks, len(scenario.uav_ids)
     plants = [plant_config(scenario, uav_id) for uav_id in scenario.uav_ids]
     configs = kernel_list([agent_config(scenario, uav_id) for uav_id in scenario.uav_ids])
     bodies = start_states(scenario, plants)
     plant_list = kernel_list(plants)
-    widths = (ODOMETRY_SIZE, 4, 6, ODOMETRY_SIZE, DIAGNOSTICS_SIZE)
-    track = Track(*(np.zeros((ticks, size, width)) for width in widths))
+    wiring = wiring_of(scenario)
+    luck = chance(scenario, wiring.neighbours.shape[1])
+    seen = _first_seen(measure_all(bodies, plant_list), wiring.dt_ns * 1e-9, luck)
     crew = Crew(
         configs,
         plant_list,
-        _starts(configs, bodies, plant_list),
+        _starts(configs, seen),
         bodies,
         kernel_list([np.empty((0, 7)) for _ in range(size)]),
     )
-    wiring = wiring_of(scenario)
+    widths = (ODOMETRY_SIZE, 4, 6, ODOMETRY_SIZE, DIAGNOSTICS_SIZE, ODOMETRY_SIZE)
+    track = Track(*(np.zeros((ticks, size, width)) for width in widths))
+    if luck is None:
+        track = track._replace(truth=np.zeros((0, size, ODOMETRY_SIZE)))
     for first in range(0, ticks, CHUNK_TICKS):
         count = min(CHUNK_TICKS, ticks - first)
-        _fly(first, count, wiring, crew, track)
+        loop(first, count, wiring, crew, track, luck)
         if progress is not None:
             progress(first + count, ticks)
     t_ns = np.arange(ticks, dtype=np.int64) * scenario.dt_ns

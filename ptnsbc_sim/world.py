@@ -9,6 +9,8 @@ import numpy as np
 from ptnsbc_core.algebra import put
 from ptnsbc_core.kernel import kernel, kernel_list
 from ptnsbc_core.types import ODOMETRY_SIZE, PLANT_RIGID_BODY, Array
+from ptnsbc_sim.chance.build import Surroundings
+from ptnsbc_sim.chance.odometer import beside
 from ptnsbc_sim.plants.build import obstacle_rows, plant_config, start_states
 from ptnsbc_sim.plants.contract import PlantConfig
 from ptnsbc_sim.plants.integrate import advance, odometry
@@ -44,7 +46,7 @@ def _advance_row(
 
 
 @kernel
-def _measure_all(states: Array, plants: Sequence[PlantConfig]) -> Array:
+def measure_all(states: Array, plants: Sequence[PlantConfig]) -> Array:
     """Odometry vectors (N, 13) of all plant states (N, 17)."""
     out = np.empty((states.shape[0], ODOMETRY_SIZE))
     for row in range(states.shape[0]):
@@ -66,7 +68,18 @@ class World:
         self._ticks = dict.fromkeys(self.ids, 0)
         self._obstacles = obstacle_rows(scenario)
         self._substeps = scenario.physics_hz // scenario.control_hz
-        self._odometry = _measure_all(self._states, self._plants)
+        self._truth = measure_all(self._states, self._plants)
+        self._odometry = self._truth
+        self._around: list[Surroundings] = []
+        if scenario.imperfect:
+            self._begin_chance(plants)
+
+    def _begin_chance(self, plants: list[PlantConfig]) -> None:
+        self._odometry = self._truth.copy()
+        for row, (uav_id, plant) in enumerate(zip(self.ids, plants, strict=True)):
+            around = Surroundings(self._scenario, uav_id, plant.wind)
+            self._odometry[row] = around.believed(0, self._truth[row])
+            self._around.append(around)
 
     @property
     def tick(self) -> int:
@@ -79,19 +92,24 @@ class World:
         return self.tick * self._scenario.dt_ns
 
     def odometry(self, uav_id: int) -> Array:
-        """Odometry vector (13,) of one UAV now."""
+        """Odometry vector (13,) that one UAV sees of itself now."""
         return self._odometry[self._row[uav_id]]
+
+    def truth(self, uav_id: int) -> Array:
+        """True odometry vector (13,) of one UAV now."""
+        return self._truth[self._row[uav_id]]
 
     def near(self, uav_id: int) -> Array:
         """Rows (M, 7) that the near-object sensor of one UAV sees now."""
-        scenario = self._scenario
-        return near_objects(
-            self._row[uav_id],
-            self._odometry,
+        scenario, row = self._scenario, self._row[uav_id]
+        rows = near_objects(
+            row,
+            self._truth,
             self._obstacles,
             float(scenario.uav_keep_out_m),
             float(scenario.sensor.range_m),
         )
+        return beside(rows, self._truth[row], self._odometry[row]) if self._around else rows
 
     def step(self, wrenches: Mapping[int, Array]) -> None:
         """Advance all by one control period; a UAV without a wrench (6,) stays where it is, as in a hold failsafe."""
@@ -100,15 +118,19 @@ class World:
 
     def step_one(self, uav_id: int, wrench: Array | None) -> None:
         """Advance one vehicle by one control period: they meet nowhere but in the sensor and on the wire."""
-        scenario, row = self._scenario, self._row[uav_id]
-        self._odometry[row] = _advance_row(
+        scenario, row, tick = self._scenario, self._row[uav_id], self._ticks[uav_id]
+        if self._around:
+            self._around[row].blow(tick)
+        self._truth[row] = _advance_row(
             self._states,
             row,
             _NO_WRENCH if wrench is None else wrench,
             wrench is not None,
-            self._ticks[uav_id] * scenario.dt_ns * NANO,
+            tick * scenario.dt_ns * NANO,
             scenario.dt_ns * NANO,
             self._substeps,
             self._plants,
         )
+        if self._around:
+            self._odometry[row] = self._around[row].believed(tick + 1, self._truth[row])
         self._ticks[uav_id] += 1

@@ -95,6 +95,7 @@ class _Collector:
         for uav in uavs:
             self._decoders[names.of(names.odom, uav)] = decode_odometry
             self._decoders[names.of(names.estimate, uav)] = decode_odometry
+            self._decoders[names.of(names.truth, uav)] = decode_odometry
             self._decoders[names.of(names.wrench, uav)] = decode_wrench
 
     def collect(self) -> None:
@@ -200,6 +201,7 @@ def read_recording(
         odometry=odometry,
         wrench=collector.tracks(names.wrench),
         estimate=collector.tracks(names.estimate),
+        truth=collector.tracks(names.truth),
         counters=_counters(collector.statuses),
         epochs=epochs,
         latency=_latency(collector.statuses),

@@ -14,7 +14,6 @@ from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_tools import options
 from ptnsbc_tools.autopilot.command import autopilot
 from ptnsbc_tools.bags.command import app as bags
-from ptnsbc_tools.limits import TOLERANCE_M
 from ptnsbc_tools.options import (
     AvoidanceOption,
     BagArgument,
@@ -148,7 +147,7 @@ def simulate(
 def verify(
     bag: BagArgument,
     scenario: FlownOption = None,
-    tolerance: ToleranceOption = TOLERANCE_M,
+    tolerance: ToleranceOption = None,
     window: WindowOption = None,
     odom: OdomOption = options.ODOM,
     wrench: WrenchOption = options.WRENCH,

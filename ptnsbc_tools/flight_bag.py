@@ -64,6 +64,7 @@ class _UavMessages:
         self._flight = flight
         self._row = row
         self._near_every = flight.wiring.near_every
+        self._truth = topics.truth(uav).name
         self._names = [topic.name for topic in topics.of_uav(uav)]
         self._letters = Letters(uav)
 
@@ -73,6 +74,8 @@ class _UavMessages:
         track, row, letters = self._flight.track, self._row, self._letters
         own = letters.state(Stamped(stamp_ns, track.odometry[tick, row]))
         yield odom, own
+        if len(track.truth):
+            yield self._truth, letters.state(Stamped(stamp_ns, track.truth[tick, row]))
         if tick % self._near_every == 0:
             yield near, encode_near(stamp_ns, WORLD_FRAME, self._flight.near(tick, row))
         yield state, own
@@ -180,7 +183,8 @@ def write_flight(
 
     scenario = flight.scenario
     infos: list[Any] = [
-        topic_info(topic, lockstep=True) for topic in topics.in_bag(scenario.uav_ids)
+        topic_info(topic, lockstep=True)
+        for topic in topics.in_bag(scenario.uav_ids, with_truth=scenario.imperfect)
     ]
     attachments = {SCENARIO_ATTACHMENT: scenario.text.encode()}
     every = max(len(flight.t_ns) // 100, 1)

@@ -36,6 +36,9 @@ def recording_of(flight: Flight) -> Recording:
         odometry={uav: Series(flight.t_ns, track.odometry[:, row]) for row, uav in enumerate(ids)},
         wrench={uav: Series(flight.t_ns, track.wrench[:, row]) for row, uav in enumerate(ids)},
         estimate={uav: Series(flight.t_ns, track.estimate[:, row]) for row, uav in enumerate(ids)},
+        truth={uav: Series(flight.t_ns, track.truth[:, row]) for row, uav in enumerate(ids)}
+        if len(track.truth)
+        else {},
         counters={uav: _counters(flight, row) for row, uav in enumerate(ids)},
         epochs=((int(flight.t_ns[0]), "form"),),
     )

@@ -33,6 +33,7 @@ class Names:
     odom: str = "/uav{n}/odom"
     wrench: str = "/uav{n}/setpoint/wrench"
     estimate: str = "/uav{n}/leader_estimate"
+    truth: str = "/uav{n}/truth"
 
     def __post_init__(self) -> None:
         for option, pattern in vars(self).items():

@@ -30,7 +30,9 @@ AvoidanceOption = Annotated[
 ]
 SeedOption = Annotated[
     int | None,
-    typer.Option("--seed", min=0, help="No effect yet: nothing in a flight is random."),
+    typer.Option(
+        "--seed", min=0, help="Of all that happens by chance: noise, gusts, lost messages."
+    ),
 ]
 DurationOption = Annotated[
     float | None, typer.Option("--duration", metavar="SECONDS", help="Length of the flight.")
@@ -58,7 +60,13 @@ FlownOption = Annotated[
     typer.Option("--scenario", metavar="FILE", help="Instead of the scenario in the bag."),
 ]
 ToleranceOption = Annotated[
-    float, typer.Option("--tolerance", metavar="M", min=1e-6, help="Hard limit at the deadline.")
+    float | None,
+    typer.Option(
+        "--tolerance",
+        metavar="M",
+        min=1e-6,
+        help="Hard limit at the deadline; by default the scenario's.",
+    ),
 ]
 WindowOption = Annotated[
     float | None,

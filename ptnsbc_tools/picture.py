@@ -9,7 +9,7 @@ import numpy as np
 
 from ptnsbc_core.types import Array
 from ptnsbc_tools.charts import style
-from ptnsbc_tools.limits import SHARE_OF_START, TOLERANCE_M
+from ptnsbc_tools.limits import SHARE_OF_START
 from ptnsbc_tools.verdict.deadline import formation_errors
 from ptnsbc_tools.verdict.recording import Recording, complete
 
@@ -59,7 +59,8 @@ def _limits(axes: Any) -> tuple[Any, Any, Any]:
 
 
 def _error(axes: Any, recording: Recording, times: Array, errors: dict[int, Array]) -> None:
-    band = max(TOLERANCE_M, *(SHARE_OF_START * error[0] for error in errors.values()))
+    tolerance = recording.scenario.file.formation.tolerance_m
+    band = max(tolerance, *(SHARE_OF_START * error[0] for error in errors.values()))
     for index, (uav, error) in enumerate(errors.items()):
         axes.semilogy(times, np.maximum(error, _FLOOR_M), label=f"UAV {uav}", **_look(index))
     deadline = recording.scenario.gains.formation.deadline_s
@@ -67,8 +68,8 @@ def _error(axes: Any, recording: Recording, times: Array, errors: dict[int, Arra
     axes.annotate(f"deadline {deadline:g} s", (deadline, axes.get_ylim()[1]), fontsize=8,
                   xytext=(4, -10), textcoords="offset points")  # fmt: skip
     axes.axhspan(_FLOOR_M, band, color=style.GOOD, alpha=0.08, label=f"widest band {band:.2f} m")
-    axes.axhline(TOLERANCE_M, color="black", linewidth=0.8, linestyle=":",
-                 label=f"limit at the deadline {TOLERANCE_M:g} m")  # fmt: skip
+    axes.axhline(tolerance, color="black", linewidth=0.8, linestyle=":",
+                 label=f"limit at the deadline {tolerance:g} m")  # fmt: skip
     axes.set(xlabel="time after the epoch [s]", ylabel="formation error [m]")
     axes.set_title("Formation error; leader: distance from its trajectory", fontsize=9)
     axes.grid(alpha=0.3, which="both")

@@ -162,6 +162,8 @@ def verdict_line(verdict: Verdict) -> Text:
     tail = f"deadline {verdict.uavs[0].deadline_s:g} s: {', '.join(parts)}"
     if len(verdict.legs) > 1:
         tail += f" in {len(verdict.legs)} legs"
+    if verdict.judged_by == "truth":
+        tail += "; judged by true positions"
     if verdict.inside_keep_out_s > 0:
         tail += f"; inside a keep-out for {verdict.inside_keep_out_s:.2f} s"
     missing = sum(uav.missing for uav in verdict.uavs)

@@ -8,7 +8,6 @@ from pathlib import Path
 from ptnsbc_tools import result
 from ptnsbc_tools.bag_reader import OURS, read_recording
 from ptnsbc_tools.foreign import Names
-from ptnsbc_tools.limits import TOLERANCE_M
 from ptnsbc_tools.verdict import Recording, Verdict, verdict_on
 
 
@@ -17,7 +16,7 @@ class Choice:
     """What is judged, and how."""
 
     scenario: Path | None = None
-    tolerance: float = TOLERANCE_M
+    tolerance: float | None = None  # by default the scenario's
     window_s: float | None = None
     epoch_s: float | None = None
     names: Names = OURS

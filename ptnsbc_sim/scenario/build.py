@@ -6,6 +6,7 @@ them, and one UAV with another type would compile everything a second time.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 
 import numpy as np
@@ -42,7 +43,18 @@ def _vector(*numbers: float) -> Array:
 
 
 def _loop(scenario: Scenario, loop: Loop) -> LoopGain:
-    """A loop's gains; where the scenario's profile is `paper`, Lambda and kappa are 1 as printed."""
+    """A loop's gains; where the scenario's profile is `paper`, Lambda and kappa are 1 as printed.
+
+    Without a time base the gain is constant from the first instant: h_dot / (1 - h + inf) is 0, and c is 1.
+    """
+    if not loop.time_base:
+        return LoopGain(
+            duration_s=float(loop.deadline_s),
+            residual=math.inf,
+            scale=float(loop.scale),
+            kappa=float(loop.kappa_1_s),
+            profile=PROFILES["paper"],
+        )
     printed = loop.profile is None and scenario.gains.profile == "paper"
     return LoopGain(
         duration_s=float(loop.deadline_s),
@@ -115,7 +127,7 @@ def _estimator(scenario: Scenario, uav_id: int) -> EstimatorConfig:
     gains = scenario.gains.estimator
     return EstimatorConfig(
         duration_s=float(gains.deadline_s),
-        residual=float(gains.residual),
+        residual=float(gains.residual) if gains.time_base else math.inf,
         lambda_min=float(scenario.topology.lambda_min),
         k1=float(gains.k1_1_s),
         k2=float(gains.k2),

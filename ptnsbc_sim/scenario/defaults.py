@@ -23,6 +23,7 @@ _COMMON: dict[str, Any] = {
         "k2": 3.5,
         "boundary": 1.2,
         "feed_forward": True,
+        "time_base": True,
     },
     # An encounter is short: a coarse residual is reached at the edge of the keep-out already.
     "clearance": {

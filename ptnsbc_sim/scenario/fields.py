@@ -44,12 +44,14 @@ def _wave(value: Any) -> Any:
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Positive = Annotated[Number, Field(gt=0)]
 NotNegative = Annotated[Number, Field(ge=0)]
+Share = Annotated[Number, Field(ge=0, lt=1)]
 Residual = Annotated[Number, Field(gt=0, lt=1)]
 Count = Annotated[int, Field(strict=True, gt=0)]
 UavId = Annotated[int, Field(strict=True, ge=1, le=254)]
 Name = Annotated[str, Field(strict=True, pattern=r"^[A-Za-z0-9_-]+$", max_length=64)]
 Flag = Annotated[bool, Field(strict=True)]
 Vec3 = Annotated[tuple[Number, Number, Number], BeforeValidator(_three)]
+NotNegativeVec3 = Annotated[tuple[NotNegative, NotNegative, NotNegative], BeforeValidator(_three)]
 PositiveVec3 = Annotated[tuple[Positive, Positive, Positive], BeforeValidator(_three)]
 
 

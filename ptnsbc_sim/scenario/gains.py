@@ -10,13 +10,14 @@ Profile = Literal["paper", "soft", "reference"]
 
 
 class Loop(Block):
-    """One loop: scale * (time-base gain + kappa * profile)."""
+    """One loop: scale * (time-base gain + kappa * profile), or scale * kappa without a time base."""
 
     deadline_s: Positive
     residual: Residual
     scale: Positive
     kappa_1_s: NotNegative
     profile: Profile | None = None
+    time_base: Flag = True
 
 
 class Estimator(Block):
@@ -28,6 +29,7 @@ class Estimator(Block):
     k2: NotNegative
     boundary: Positive
     feed_forward: Flag
+    time_base: Flag
 
 
 class Clearance(Loop):

@@ -12,9 +12,11 @@ from ptnsbc_sim.scenario.fields import (
     Disturbance,
     Name,
     NotNegative,
+    NotNegativeVec3,
     Number,
     Positive,
     PositiveVec3,
+    Share,
     UavId,
     Vec3,
     Wave,
@@ -47,14 +49,26 @@ class World(Block):
 
     gravity_m_s2: NotNegative = 9.81
     wind_m_s: Vec3 = (0.0, 0.0, 0.0)
+    gust_m_s: NotNegativeVec3 = (0.0, 0.0, 0.0)
+    gust_time_s: Positive = 2.0
     obstacles: tuple[ObstacleBlock, ...] = ()
 
 
+class Positioning(Block):
+    """Position fixes that an estimator on board fuses with inertial measurements."""
+
+    noise_m: Positive
+    rate_hz: Count
+    latency_s: Annotated[NotNegative, Field(le=1)] = 0.0
+    acceleration_noise_m_s2: Positive = 0.05
+
+
 class Sensor(Block):
-    """What a UAV sees of obstacles and other UAVs."""
+    """What a UAV sees of obstacles and other UAVs, and how well it knows where it is: exactly by default."""
 
     range_m: Positive
     rate_hz: Count
+    positioning: Positioning | None = None
 
 
 class Quadrotor(Block):
@@ -91,6 +105,7 @@ class Communication(Block):
     leader_links: tuple[UavId, ...]
     estimator_edges: tuple[tuple[UavId, UavId], ...]
     stale_s: Positive = 0.5
+    loss: Share = 0.0
 
 
 class Circle(Block):
@@ -128,6 +143,7 @@ class Formation(Block):
     offsets_m: dict[UavId, Vec3]
     heading_anchor_m: Vec3 = (2.0, 0.0, 0.0)
     uav_keep_out_m: Positive
+    tolerance_m: Positive = 0.05
 
 
 class UavBlock(Block):

@@ -170,6 +170,15 @@ class Scenario:
         return np.array(self.file.world.wind_m_s, dtype=np.float64)
 
     @property
+    def imperfect(self) -> bool:
+        """Whether anything goes wrong by chance: noisy positions, gusts or lost messages."""
+        return (
+            self.sensor.positioning is not None
+            or any(self.file.world.gust_m_s)
+            or self.file.communication.loss > 0.0
+        )
+
+    @property
     def obstacles(self) -> tuple[Obstacle, ...]:
         """All obstacles."""
         return tuple(

@@ -8,7 +8,7 @@ from ptnsbc_core.errors import GainError, TopologyError
 from ptnsbc_core.timebase import peak_gain
 from ptnsbc_core.topology import Topology, validate
 from ptnsbc_sim.scenario import mavlink
-from ptnsbc_sim.scenario.model import ScenarioFile
+from ptnsbc_sim.scenario.model import Positioning, ScenarioFile
 from ptnsbc_sim.scenario.problems import ScenarioError
 
 STABILITY_LIMIT = 2.0
@@ -38,8 +38,25 @@ def _timing(file: ScenarioFile) -> Problems:
             f"sensor.rate_hz: {sensor.rate_hz}: expected a divisor of timing.control_hz "
             f"({timing.control_hz})"
         )
+    fixes = sensor.positioning
+    if fixes is not None:
+        yield from _positioning(fixes, timing.control_hz)
     if timing.duration_s * timing.control_hz < 1:
         yield f"timing.duration_s: {timing.duration_s:g}: expected at least one control period"
+
+
+def _positioning(fixes: Positioning, control_hz: int) -> Problems:
+    if control_hz % fixes.rate_hz:
+        yield (
+            f"sensor.positioning.rate_hz: {fixes.rate_hz}: expected a divisor of "
+            f"timing.control_hz ({control_hz})"
+        )
+    late = fixes.latency_s * control_hz
+    if abs(late - round(late)) > 1e-9:
+        yield (
+            f"sensor.positioning.latency_s: {fixes.latency_s:g}: expected a multiple of the control "
+            f"period, {1 / control_hz:g} s"
+        )
 
 
 def _names(file: ScenarioFile) -> Problems:
@@ -118,13 +135,19 @@ _CHECKS: tuple[Callable[[ScenarioFile], Problems], ...] = (
 )
 
 
+def estimator_peak(file: ScenarioFile) -> float:
+    """Largest gain [1/s] of the estimator's time base, 0 without one."""
+    gains = file.gains.estimator
+    return peak_gain(gains.deadline_s, gains.residual) if gains.time_base else 0.0
+
+
 def estimator_step(file: ScenarioFile, topology: Topology) -> float:
     """Step times fastest rate of the estimator, stable below STABILITY_LIMIT.
 
     dt (peak gain / lambda_min + k1 + k2 / boundary) lambda_max, equations.md section 5.
     """
     gains = file.gains.estimator
-    peak = peak_gain(gains.deadline_s, gains.residual) / topology.lambda_min
+    peak = estimator_peak(file) / topology.lambda_min
     rate = peak + gains.k1_1_s + gains.k2 / gains.boundary
     return float(rate * topology.lambda_max / file.timing.control_hz)
 

@@ -12,7 +12,6 @@ from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_tools.charts.status import Status, read_status
-from ptnsbc_tools.limits import TOLERANCE_M
 from ptnsbc_tools.verdict import Recording, Verdict, verdict_on
 from ptnsbc_tools.verdict.recording import NANO
 from ptnsbc_tools.verdict.windows import Window, joined, rises
@@ -71,8 +70,10 @@ class Shown:
         return joined(rises(counters)) if counters is not None else []
 
 
-def shown(recording: Recording, status: Status, tolerance_m: float = TOLERANCE_M) -> Shown:
-    """Judge a recording, or say why not."""
+def shown(recording: Recording, status: Status, tolerance_m: float | None = None) -> Shown:
+    """Judge a recording, or say why not; the tolerance is the scenario's by default."""
+    if tolerance_m is None:
+        tolerance_m = recording.scenario.file.formation.tolerance_m
     try:
         verdict, problem = verdict_on(recording, tolerance_m), ""
     except PtnsbcError as error:

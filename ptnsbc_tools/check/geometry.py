@@ -8,11 +8,10 @@ import numpy as np
 
 from ptnsbc_core.errors import FormationError
 from ptnsbc_core.tasks.registry import conditioning
-from ptnsbc_core.timebase import peak_gain
 from ptnsbc_core.types import TASKS
 from ptnsbc_sim.scenario import Scenario, agent_config
 from ptnsbc_sim.scenario.build import reference_offset
-from ptnsbc_sim.scenario.semantics import STABILITY_LIMIT, estimator_step
+from ptnsbc_sim.scenario.semantics import STABILITY_LIMIT, estimator_peak, estimator_step
 from ptnsbc_tools.check.finding import ERROR, INFO, WARNING, Finding, Findings
 
 SINGULAR = 0.02
@@ -31,8 +30,8 @@ def graph(scenario: Scenario) -> Findings:
     )
     if not scenario.followers:
         return
-    gains, topology = scenario.gains.estimator, scenario.topology
-    peak = peak_gain(gains.deadline_s, gains.residual) / topology.lambda_min
+    topology = scenario.topology
+    peak = estimator_peak(scenario.file) / topology.lambda_min
     step = estimator_step(scenario.file, topology)
     yield Finding(
         WARNING if step > 0.75 * STABILITY_LIMIT else INFO,

@@ -9,7 +9,6 @@ import typer
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_tools import console
-from ptnsbc_tools.limits import TOLERANCE_M
 from ptnsbc_tools.options import (
     ODOM,
     WRENCH,
@@ -58,7 +57,7 @@ def plot(
         Literal["png", "svg"], typer.Option("--format", help="Of the files in a folder.")
     ] = "png",
     scenario: FlownOption = None,
-    tolerance: ToleranceOption = TOLERANCE_M,
+    tolerance: ToleranceOption = None,
     window: WindowOption = None,
     odom: OdomOption = ODOM,
     wrench: WrenchOption = WRENCH,

@@ -9,7 +9,6 @@ import typer
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_tools import console
-from ptnsbc_tools.limits import TOLERANCE_M
 from ptnsbc_tools.options import (
     ODOM,
     WRENCH,
@@ -43,7 +42,7 @@ def report(
         ),
     ] = None,
     scenario: FlownOption = None,
-    tolerance: ToleranceOption = TOLERANCE_M,
+    tolerance: ToleranceOption = None,
     window: WindowOption = None,
     odom: OdomOption = ODOM,
     wrench: WrenchOption = WRENCH,

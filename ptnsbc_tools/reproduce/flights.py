@@ -41,8 +41,8 @@ class Flown:
 
     @property
     def positions(self) -> Array:
-        """(T, N, 3) [m], ENU."""
-        return self.flight.track.odometry[:, :, :3]
+        """(T, N, 3) [m], ENU, where everybody really was."""
+        return self.flight.truth[:, :, :3]
 
     @property
     def force(self) -> Array:

@@ -71,6 +71,7 @@ class Recording:
     estimate: Mapping[int, Series]  # (T, 13) per UAV; may lack UAVs
     counters: Mapping[int, Counters]  # per UAV; may lack UAVs
     epochs: tuple[tuple[int, str], ...]  # (t0 [ns], leg), ascending; empty when not recorded
+    truth: Mapping[int, Series] = field(default_factory=dict)  # (T, 13) per UAV, of simulators
     latency: Mapping[str, float] = field(default_factory=dict)  # of the sim node, newest figures
     leg: int = 0  # which of the formation legs is looked at
     window_s: float | None = None  # look no further than this after its epoch
@@ -123,9 +124,15 @@ class Recording:
         """Seconds (T,) after the epoch."""
         return np.asarray((stamps - self.start_ns) * NANO, dtype=np.float64)
 
+    @property
+    def judged_by(self) -> str:
+        """What positions are taken from: `truth` where all UAVs have it, else `odometry`."""
+        return "truth" if all(uav in self.truth for uav in self.scenario.uav_ids) else "odometry"
+
     def positions(self, grid: NDArray[np.int64]) -> dict[int, Array]:
         """Position (T, 3) [m], ENU, of every UAV on the grid."""
-        return {uav: self.odometry[uav].at(grid)[:, :3] for uav in self.scenario.uav_ids}
+        source = self.truth if self.judged_by == "truth" else self.odometry
+        return {uav: source[uav].at(grid)[:, :3] for uav in self.scenario.uav_ids}
 
 
 def complete(recording: Recording) -> Recording:

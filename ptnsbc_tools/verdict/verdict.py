@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from ptnsbc_tools.limits import TOLERANCE_M
 from ptnsbc_tools.verdict.deadline import (
     MET,
     MISSED,
@@ -55,6 +54,7 @@ class Verdict:
     task: str
     profile: str
     avoidance: str
+    judged_by: str  # truth | odometry: where positions are taken from
     epoch_s: float
     duration_s: float
     uavs: tuple[UavVerdict, ...]
@@ -99,8 +99,10 @@ def _plain(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def verdict_on(recording: Recording, tolerance: float = TOLERANCE_M) -> Verdict:
-    """Judge a recording; `tolerance` [m] is the hard limit at the deadline."""
+def verdict_on(recording: Recording, tolerance: float | None = None) -> Verdict:
+    """Judge a recording; `tolerance` [m] is the hard limit at the deadline, by default the scenario's."""
+    if tolerance is None:
+        tolerance = recording.scenario.file.formation.tolerance_m
     with np.errstate(all="ignore"):  # what is not finite is named in the verdict
         return _verdict_on(recording, tolerance)
 
@@ -122,6 +124,7 @@ def _verdict_on(recording: Recording, tolerance: float) -> Verdict:
         task=scenario.file.formation.task,
         profile=scenario.gains.profile,
         avoidance=scenario.file.formation.avoidance,
+        judged_by=recording.judged_by,
         epoch_s=recording.start_ns * NANO,
         duration_s=float(grid[-1] - recording.start_ns) * NANO,
         uavs=legs[0].uavs,

@@ -205,3 +205,11 @@ def test_loop_rate_is_gain_times_error_elsewhere() -> None:
     for profile in (PROFILE_PAPER, PROFILE_SOFT):
         rate = loop_rate(gain_of(profile), error, np.zeros(3), clock)
         np.testing.assert_allclose(rate, loop_gain(gain_of(profile), clock) * error)
+
+
+def test_a_residual_without_bound_takes_the_time_base_out() -> None:
+    """`time_base: false` of a scenario: the gain is scale kappa from the first instant to the last."""
+    gain = LoopGain(TF, np.inf, 0.5, 3.0, PROFILE_PAPER)
+    for t in (0.0, 1.0, 2.5, 4.99, 5.0, 9.0):
+        assert loop_gain(gain, Clock(t, t, 0.01)) == 1.5
+    assert peak_gain(TF, np.inf) == 0.0

@@ -1,5 +1,7 @@
 """What counts as heard at a tick, in both clocks."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,7 @@ from ptnsbc_core.types import MODE_HOLD, NEVER_HEARD_S
 from ptnsbc_nodes.inbox import NO_CUTOFF_NS, Inbox, Link, Senders
 from ptnsbc_nodes.turns import LEAD_TICKS
 from ptnsbc_nodes.wire import Stamped
+from ptnsbc_sim.chance.links import Losses
 
 PERIOD = 10_000_000
 NEAR_EVERY = 5
@@ -155,3 +158,23 @@ def test_nobody_waits_for_the_lost_and_their_last_message_ages():
     assert inputs.parent_age_s == pytest.approx(0.04)
     assert inputs.leader_age_s == pytest.approx(0.01)
     assert inputs.estimate_age_s == pytest.approx([0.04, 0.01])
+
+
+def test_lost_messages_are_not_heard_and_not_waited_for():
+    class Half(Losses):
+        def state(self, sender, stamp_ns):
+            return stamp_ns // PERIOD >= 4
+
+        def estimate(self, sender, stamp_ns):
+            return sender == 4
+
+    inbox = Inbox(replace(FOLLOWER, losses=Half(1, 0.5, 3, PERIOD)))
+    for tick in range(40):
+        hear_all(inbox, tick)
+    inbox.own, inbox.near = message(40), near(40)
+    assert inbox.holds_tick(PERIOD, NEAR_EVERY)
+    assert list(inbox.awaited(40 * PERIOD, PERIOD)) == []
+    inputs = inbox.inputs(40 * PERIOD, 40 * PERIOD)
+    assert inputs.parent[0] == 20 + 3
+    assert inputs.parent_age_s == inputs.leader_age_s == 37 * PERIOD * 1e-9
+    np.testing.assert_array_equal(inputs.estimate_age_s, [PERIOD * 1e-9, NEVER_HEARD_S])

@@ -190,8 +190,8 @@ def test_a_line_says_what_takes_long(
     assert capsys.readouterr().err == ""
 
 
-def test_seed_says_that_it_has_no_effect() -> None:
-    assert "No effect yet" in run("simulate", "--help")[1]
+def test_seed_says_what_it_is_for() -> None:
+    assert "chance: noise" in run("simulate", "--help")[1]
 
 
 def test_a_cut_bag_is_one_line(fly: Fly, tmp_path: Path) -> None:

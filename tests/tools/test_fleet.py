@@ -24,9 +24,10 @@ def run(*words: object) -> tuple[int, str, str]:
     return done.returncode, done.stdout, done.stderr
 
 
-def test_a_fleet_in_lockstep_flies_what_one_process_flies(tmp_path: Path) -> None:
-    """Every message of both bags is equal, topic by topic, and so is the verdict."""
-    words = ("paper_5", "--duration", "3", "--json")
+@pytest.mark.parametrize("scenario", ["paper_5", "experiment_4"])
+def test_a_fleet_in_lockstep_flies_what_one_process_flies(scenario: str, tmp_path: Path) -> None:
+    """Every message of both bags is equal, topic by topic, and so is the verdict; noise and losses included."""
+    words = (scenario, "--duration", "3", "--json")
     together, flown, err = run("fleet", *words, "--lockstep", "--bag", tmp_path / "fleet")
     alone, simulated, _ = run("simulate", *words, "--bag", tmp_path / "alone")
     assert together == alone == 1, err  # three seconds are too short for the deadline
@@ -34,6 +35,7 @@ def test_a_fleet_in_lockstep_flies_what_one_process_flies(tmp_path: Path) -> Non
     assert [message[:2] for message in first] == [message[:2] for message in second]
     different = [a.topic for a, b in zip(first, second, strict=True) if a.data != b.data]
     assert different == []
+    assert ("/uav1/truth" in {message.topic for message in first}) is (scenario == "experiment_4")
     told, expected = json.loads(flown), json.loads(simulated)
     assert told["uavs"] == expected["uavs"]
     assert told["fleet"]["died"] == []

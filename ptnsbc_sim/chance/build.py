@@ -1,0 +1,101 @@
+"""From a scenario to its imperfections: for a whole flight at once, or for one vehicle at a time."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ptnsbc_core.types import Array
+from ptnsbc_sim.chance import gusts as wind
+from ptnsbc_sim.chance import odometer as position
+from ptnsbc_sim.chance import streams
+from ptnsbc_sim.chance.gusts import Gusts, blow, gusts
+from ptnsbc_sim.chance.links import last_heard
+from ptnsbc_sim.chance.odometer import Odometer, believed, odometer
+from ptnsbc_sim.scenario import Scenario
+
+_EXACT = Odometer(0, 0, 0.0, 0.0, 0.0, 0.0)
+
+
+def odometer_of(scenario: Scenario) -> Odometer:
+    """The estimator of every UAV."""
+    block = scenario.sensor.positioning
+    if block is None:
+        return _EXACT
+    return odometer(
+        float(block.noise_m),
+        float(block.acceleration_noise_m_s2),
+        float(block.rate_hz),
+        scenario.control_hz // block.rate_hz,
+        round(block.latency_s * scenario.control_hz),
+    )
+
+
+def gusts_of(scenario: Scenario) -> Gusts:
+    """The wind around every UAV."""
+    world = scenario.file.world
+    deviation = np.array(world.gust_m_s, dtype=np.float64)
+    return gusts(scenario.wind_m_s, deviation, float(world.gust_time_s), scenario.dt_ns * 1e-9)
+
+
+class Chance(NamedTuple):
+    """Everything that goes wrong in one flight of T ticks and N UAVs; the last two change in place."""
+
+    odometer: Odometer
+    gusts: Gusts
+    fixes: Array  # (T, N, 6) standard normal
+    blows: Array  # (T, N, 3) standard normal
+    heard: NDArray[np.int64]  # (T, N, 2 + K) tick of the newest message that came through, -1: none
+    errors: Array  # (N, 9)
+    gust: Array  # (N, 3) [m/s]
+
+
+def chance(scenario: Scenario, neighbours: int) -> Chance | None:
+    """The imperfections of a flight, None when there are none; `neighbours` is the width of the wiring."""
+    if not scenario.imperfect:
+        return None
+    ids, ticks, seed = scenario.uav_ids, scenario.ticks, scenario.seed
+
+    def table(kind: int, width: int) -> Array:
+        found = [streams.normals((seed, kind, uav), ticks, width) for uav in ids]
+        return np.ascontiguousarray(np.stack(found, axis=1))
+
+    return Chance(
+        odometer_of(scenario),
+        gusts_of(scenario),
+        table(streams.ODOMETER, position.DRAWS),
+        table(streams.GUST, wind.DRAWS),
+        last_heard(scenario, neighbours),
+        np.zeros((len(ids), position.ERROR_SIZE)),
+        np.zeros((len(ids), wind.DRAWS)),
+    )
+
+
+class Surroundings:
+    """The wind around one vehicle and what it believes of itself, tick by tick."""
+
+    def __init__(self, scenario: Scenario, uav_id: int, wind_m_s: Array) -> None:
+        """`wind_m_s` (3,) is the wind of its plant, changed in place."""
+        self._odometer = odometer_of(scenario)
+        self._gusts = gusts_of(scenario)
+        self._fixes = (scenario.seed, streams.ODOMETER, uav_id)
+        self._blows = (scenario.seed, streams.GUST, uav_id)
+        self._dt = scenario.dt_ns * 1e-9
+        self._wind = wind_m_s
+        self._gust = np.zeros(wind.DRAWS)
+        self._error = np.zeros(position.ERROR_SIZE)
+        self._past: deque[Array] = deque(maxlen=self._odometer.delay + 1)
+
+    def blow(self, tick: int) -> None:
+        """Set the wind of the control period that begins at `tick`."""
+        draws = streams.normal(self._blows, tick, wind.DRAWS)
+        blow(self._gust, self._wind, draws, tick, self._gusts)
+
+    def believed(self, tick: int, truth: Array) -> Array:
+        """Odometry vector (13,) that the UAV sees at `tick`; to be asked once a tick, in order."""
+        self._past.append(truth[0:3].copy())
+        draws = streams.normal(self._fixes, tick, position.DRAWS)
+        return believed(truth, self._past[0], self._error, draws, tick, self._dt, self._odometer)

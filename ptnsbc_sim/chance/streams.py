@@ -1,0 +1,63 @@
+"""Random numbers by address: (seed, what for, who, tick) and not by the order in which somebody asks.
+
+A swarm in one process, a sim node and a UAV node ask for different numbers in different orders, and all must
+get the same. So every stream is cut into blocks of ticks, each made by a generator of its own.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ptnsbc_core.types import Array
+
+BLOCK_TICKS = 1024
+
+# What a stream is for: the first word of its address.
+ODOMETER, GUST, STATE_LINK, ESTIMATE_LINK = 0, 1, 2, 3
+
+Address = tuple[int, ...]
+"""Seed, what for, and the ids of the UAVs it concerns."""
+
+
+def _generator(address: Address, block: int) -> np.random.Generator:
+    seed, *words = address
+    return np.random.Generator(
+        np.random.Philox(np.random.SeedSequence(seed, spawn_key=(*words, block)))
+    )
+
+
+@lru_cache(maxsize=256)
+def _normals(address: Address, block: int, width: int) -> Array:
+    return _generator(address, block).standard_normal((BLOCK_TICKS, width))
+
+
+@lru_cache(maxsize=256)
+def _uniforms(address: Address, block: int) -> Array:
+    return _generator(address, block).random(BLOCK_TICKS)
+
+
+def normal(address: Address, tick: int, width: int) -> Array:
+    """Standard normal numbers (width,) of one tick."""
+    block, row = divmod(tick, BLOCK_TICKS)
+    return _normals(address, block, width)[row]
+
+
+def uniform(address: Address, tick: int) -> float:
+    """A number in [0, 1) of one tick."""
+    block, row = divmod(tick, BLOCK_TICKS)
+    return float(_uniforms(address, block)[row])
+
+
+def normals(address: Address, ticks: int, width: int) -> Array:
+    """The numbers (ticks, width) of the first ticks."""
+    blocks = range(-(-ticks // BLOCK_TICKS))
+    return np.concatenate([_normals(address, block, width) for block in blocks])[:ticks]
+
+
+def below(address: Address, ticks: int, share: float) -> NDArray[np.bool_]:
+    """Whether the numbers of the first ticks (ticks,) are below `share`."""
+    blocks = range(-(-ticks // BLOCK_TICKS))
+    return np.concatenate([_uniforms(address, block) for block in blocks])[:ticks] < share

@@ -1,0 +1,73 @@
+"""What a file may ask of chance, and what it may not."""
+
+import math
+
+import pytest
+
+from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_core.types import PROFILE_PAPER
+from ptnsbc_sim.scenario import agent_config, load_scenario
+
+FIXES = {"noise_m": 0.02, "rate_hz": 10}
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "expected"),
+    [
+        ("communication.loss", 1.0, "communication.loss: 1.0: expected < 1"),
+        ("communication.loss", -0.1, "expected >= 0"),
+        ("world.gust_m_s", [1, -1, 0], "world.gust_m_s[1]: -1: expected >= 0"),
+        ("world.gust_time_s", 0, "expected > 0"),
+        ("sensor.positioning", {**FIXES, "rate_hz": 30}, "sensor.positioning.rate_hz: 30: "),
+        ("sensor.positioning", {**FIXES, "latency_s": 0.055}, "a multiple of the control period"),
+        ("sensor.positioning", {**FIXES, "latency_s": 2}, "expected <= 1"),
+        (
+            "sensor.positioning",
+            {**FIXES, "noise_m": 0},
+            "sensor.positioning.noise_m: 0: expected > 0",
+        ),
+        ("sensor.positioning", {"noise_m": 0.02}, "sensor.positioning.rate_hz: missing"),
+        ("sensor.positioning", {**FIXES, "noise": 1}, '"noise_m"'),
+        ("formation.tolerance_m", 0, "expected > 0"),
+        ("gains.formation.time_base", "no", "expected true or false"),
+    ],
+)
+def test_what_cannot_be_is_refused_in_one_line(key: str, value: object, expected: str) -> None:
+    with pytest.raises(PtnsbcError) as caught:
+        load_scenario("paper_5", {key: value})
+    assert expected in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_units_may_be_repeated() -> None:
+    fixes = {"noise_m": "0.02 m", "rate_hz": "10 Hz", "latency_s": "0.05 s"}
+    scenario = load_scenario("paper_5", {"sensor.positioning": fixes})
+    assert scenario.sensor.positioning is not None
+    assert scenario.sensor.positioning.latency_s == 0.05
+
+
+def test_what_is_imperfect() -> None:
+    assert not load_scenario("paper_5").imperfect
+    assert not load_scenario("experiment_4_calm").imperfect
+    for key, value in (
+        ("communication.loss", 0.01),
+        ("world.gust_m_s", [0, 0, 0.1]),
+        ("sensor.positioning", FIXES),
+    ):
+        assert load_scenario("paper_5", {key: value}).imperfect
+
+
+@pytest.mark.parametrize("profile", ["paper", "soft", "reference"])
+def test_a_loop_without_a_time_base_has_its_own_constant_gain(profile: str) -> None:
+    changes = {
+        "gains.profile": profile,
+        "gains.formation.time_base": False,
+        "gains.formation.scale": 0.5,
+        "gains.estimator.time_base": False,
+    }
+    config = agent_config(load_scenario("paper_5", changes), 2)
+    assert config.formation.residual == math.inf
+    assert (config.formation.scale, config.formation.kappa) == (0.5, 2.2)
+    assert config.formation.profile == PROFILE_PAPER
+    assert config.estimator.residual == math.inf
+    assert config.attitude.residual < 1.0
