@@ -1,0 +1,170 @@
+"""One entry for all laws: the same scenario flown by ours or by a baseline.
+
+ours               the method, as `swarm.fly`
+ptsmc_exponential  predefined-time sliding mode, exponential reaching function
+ptsmc_two_sided    the same with a two-sided power reaching function
+linear_cascade     ours without any time base: constant gains, tuned to settle in the same time
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from ptnsbc_core.kernel import kernel, kernel_list
+from ptnsbc_sim import swarm
+from ptnsbc_sim.baselines.errors import BaselineError
+from ptnsbc_sim.baselines.reaching import EXPONENTIAL, TWO_SIDED, Reaching
+from ptnsbc_sim.baselines.settling import settled_s, tuned
+from ptnsbc_sim.baselines.terminal import Axis, Terminal, terminal_step
+from ptnsbc_sim.chance.build import Chance
+from ptnsbc_sim.plants.integrate import advance
+from ptnsbc_sim.scenario import Scenario, scenario_from_text
+from ptnsbc_sim.swarm import Crew, Flight, Track, Wiring, inputs_of, note, sense
+
+Progress = Callable[[int, int], None]
+
+# Powers below 1/2 that ask least of the leader of paper_5 at the start: the baselines at their best.
+_REACHING = {"ptsmc_exponential": (EXPONENTIAL, 0.3), "ptsmc_two_sided": (TWO_SIDED, 0.4)}
+
+LAWS = ("ours", *_REACHING, "linear_cascade")
+
+_ROBUST = (0.6, 0.4)  # [m/s^2], [rad/s^2]: one and a half to two times the disturbances of Table 2
+_WIDTH = (0.05, 0.1)  # [m/s], [rad/s]: as wide as the boundaries of our controller
+_LONGER = 2.0  # deadlines that a flight is watched for while a gain is tuned
+_IN_BAND = 3.912  # ln 50: time constants until 2 % of an error are left
+
+
+@kernel
+def _fly_terminal(
+    first: int,
+    count: int,
+    wiring: Wiring,
+    crew: Crew,
+    track: Track,
+    luck: Chance | None,
+    laws: Sequence[Terminal],
+) -> None:
+    """As the loop of the swarm, with another law; wind does not act on this plant."""
+    dt = wiring.dt_ns * 1e-9
+    for tick in range(first, first + count):
+        t = (tick * wiring.dt_ns) * 1e-9
+        sense(crew, wiring, track, tick, luck)
+        for row in range(crew.bodies.shape[0]):
+            inputs = inputs_of(wiring, track, crew.nears[row], tick, row, luck)
+            crew.states[row], out = terminal_step(
+                crew.states[row], inputs, t, dt, crew.configs[row], laws[row]
+            )
+            note(track, tick, row, out)
+            crew.bodies[row] = advance(
+                crew.bodies[row], out.wrench, t, dt, wiring.substeps, crew.plants[row]
+            )
+
+
+def _changed(scenario: Scenario, changes: Mapping[str, Any]) -> Scenario:
+    return scenario_from_text(scenario.text, changes, source=scenario.source)
+
+
+def _axis(kind: int, power: float, deadline_s: float, which: int) -> Axis:
+    """Half of the deadline for reaching s = 0, half for sliding to e = 0."""
+    half = Reaching(kind, 0.5 * deadline_s, power)
+    return Axis(half, half, _ROBUST[which], _WIDTH[which])
+
+
+def _terminal(scenario: Scenario, law: str) -> list[Terminal]:
+    kind, power = _REACHING[law]
+    gains = scenario.gains
+    position = _axis(kind, power, float(gains.formation.deadline_s), 0)
+    attitude = _axis(kind, power, float(gains.attitude.deadline_s), 1)
+    return [
+        Terminal(np.ascontiguousarray(scenario.offset(uav)), position, attitude)
+        for uav in scenario.uav_ids
+    ]
+
+
+def _fly_by(scenario: Scenario, law: str, progress: Progress | None = None) -> Flight:
+    """One flight by a law that needs no tuning any more."""
+    if law not in _REACHING:
+        return swarm.fly(scenario, progress)
+    laws = kernel_list(_terminal(scenario, law))
+
+    def loop(
+        first: int, count: int, wiring: Wiring, crew: Crew, track: Track, luck: Chance | None
+    ) -> None:
+        _fly_terminal(first, count, wiring, crew, track, luck, laws)
+
+    return swarm.flown(scenario, loop, progress)
+
+
+def without_time_base(scenario: Scenario, kappa_1_s: float) -> Scenario:
+    """Constant gains in all loops: kappa for the formation, the attitude as fast as its deadline asks."""
+    loops = ("formation", "attitude", "estimator", "force", "torque")
+    changes: dict[str, Any] = {f"gains.{loop}.time_base": False for loop in loops}
+    changes["gains.formation.scale"] = 1.0
+    changes["gains.formation.kappa_1_s"] = kappa_1_s
+    changes["gains.attitude.scale"] = 1.0
+    changes["gains.attitude.kappa_1_s"] = _IN_BAND / scenario.gains.attitude.deadline_s
+    return _changed(scenario, changes)
+
+
+def _tuned(scenario: Scenario, law: str, settle_s: float) -> Scenario:
+    """The scenario whose gain (linear_cascade) or nominal deadline (the others) makes it settle in time."""
+    watched = max(_LONGER * settle_s, settle_s + 2.0)
+    free = _changed(scenario, {"world.obstacles": [], "timing.duration_s": watched})
+
+    def of(one: Scenario, value: float) -> Scenario:
+        if law == "linear_cascade":
+            return without_time_base(one, value)
+        return _changed(one, {"gains.formation.deadline_s": value})
+
+    def settles(value: float) -> float | None:
+        return settled_s(_fly_by(of(free, value), law))
+
+    if law == "linear_cascade":
+        ladder = [0.4 * 1.15**step for step in range(22)]
+    else:
+        ladder = [8.0 * settle_s * 0.8**step for step in range(16)]
+    return of(scenario, tuned(settles, settle_s, ladder))
+
+
+def fly(
+    scenario: Scenario,
+    law: str = "ours",
+    actuator_limit_n: float | None = None,
+    settle_s: float | None = None,
+    progress: Progress | None = None,
+) -> Flight:
+    """Fly a scenario by one of LAWS.
+
+    Args:
+        scenario: what to fly; the plant is rigid_body_6dof but for `ours`.
+        law: one of LAWS.
+        actuator_limit_n: largest force [N]; by default the scenario's.
+        settle_s: tune the law to settle by then: its constant gain (`linear_cascade`, by default to
+            the deadline), else its nominal deadline (by default the scenario's). Without actuator
+            limit and obstacles: a law is tuned for what it was made for.
+        progress: called with (ticks done, ticks in all) now and then.
+
+    Returns:
+        The flight; its scenario holds what was tuned.
+
+    Raises:
+        BaselineError: an unknown law, another plant, or a time that no value settles in: a constant
+            gain that is firm at the start runs into the acceleration limit of the command filter.
+    """
+    if law not in LAWS:
+        raise BaselineError(f"law {law!r}: expected one of {', '.join(LAWS)}")
+    if law != "ours" and scenario.plant_kind != "rigid_body_6dof":
+        raise BaselineError(
+            f"law {law} with plant.kind {scenario.plant_kind}: expected rigid_body_6dof, "
+            "the baselines command six forces and torques"
+        )
+    if law == "linear_cascade" and settle_s is None:
+        settle_s = scenario.gains.formation.deadline_s
+    if settle_s is not None:
+        scenario = _tuned(scenario, law, settle_s)
+    if actuator_limit_n is not None:
+        scenario = _changed(scenario, {"plant.rigid_body.max_force_n": float(actuator_limit_n)})
+    return _fly_by(scenario, law, progress)

@@ -1,0 +1,76 @@
+"""When a flight has settled, and how a scalar is tuned for it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from ptnsbc_core.trajectory import reference
+from ptnsbc_core.types import Array
+from ptnsbc_sim.baselines.errors import BaselineError
+from ptnsbc_sim.scenario.build import trajectory_vector
+from ptnsbc_sim.swarm import Flight
+
+SHARE_OF_START = 0.02
+_HALVINGS = 7
+
+
+def formation_errors(flight: Flight) -> Array:
+    """Formation error (T, N) [m]: of the leader from its trajectory, of a follower from its place beside the leader."""
+    scenario, places = flight.scenario, flight.truth[:, :, :3]
+    leader = scenario.uav_ids.index(scenario.leader_id)
+    offsets = np.array([scenario.offset(uav) for uav in scenario.uav_ids])
+    goals = places[:, leader : leader + 1] + offsets
+    path = trajectory_vector(scenario)
+    goals[:, leader] = [reference(path, tick * 1e-9).position for tick in flight.t_ns.tolist()]
+    return np.asarray(np.linalg.norm(places - goals, axis=2))
+
+
+def settled_s(flight: Flight) -> float | None:
+    """When the last UAV entered its band for good [s]; None when one is outside at the end.
+
+    The band is the verdict's: 2 % of the start error or the scenario's tolerance, whichever is larger.
+    """
+    error = formation_errors(flight)
+    band = np.maximum(SHARE_OF_START * error[0], flight.scenario.file.formation.tolerance_m)
+    outside = ~(error <= band)  # also what is no number
+    if outside[-1].any():
+        return None
+    last = np.flatnonzero(outside.any(axis=1))
+    return 0.0 if last.size == 0 else float(flight.t_ns[last[-1] + 1]) * 1e-9
+
+
+def tuned(settles: Callable[[float], float | None], wanted_s: float, ladder: list[float]) -> float:
+    """The gentlest value whose flight settles by `wanted_s`.
+
+    Args:
+        settles: when a flight with this value settles.
+        wanted_s: by when it should.
+        ladder: values from gentle to firm; the first that settles in time is refined by halving.
+
+    Raises:
+        BaselineError: none of them does.
+    """
+    before = None
+    for value in ladder:
+        found = settles(value)
+        if found is not None and found <= wanted_s:
+            break
+        before = value
+    else:
+        raise BaselineError(
+            f"settling in {wanted_s:g} s: none of {ladder[0]:.3g} to {ladder[-1]:.3g} does; "
+            "expected a longer time, or higher limits"
+        )
+    if before is None:
+        return value
+    gentle, firm = before, value
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (gentle + firm)
+        found = settles(middle)
+        if found is not None and found <= wanted_s:
+            firm = middle
+        else:
+            gentle = middle
+    return firm
