@@ -23,24 +23,33 @@ class Companion:
     def __init__(self, vehicle: Vehicle) -> None:
         self.vehicle = vehicle
         self.t = 0.0
-        self.heard: list[tuple[float, int, Any]] = []
+        self._heard: list[tuple[float, int, Any]] = []
+        self._waiting: list[tuple[float, int, bytes]] = []
         self._here = {COMPANION: Codec(245, 191), GCS: Codec(255, 190)}
         self._there = {link: Codec(vehicle.system) for link in (COMPANION, GCS)}
 
-    def _take(self, outgoing: Any) -> list[Any]:
-        out = []
+    @property
+    def heard(self) -> list[tuple[float, int, Any]]:
+        """All that came, decoded when somebody looks."""
+        waiting, self._waiting = self._waiting, []
+        for t, link, packet in waiting:
+            self._heard += [(t, link, m) for m in self._here[link].decode(packet)]
+        return self._heard
+
+    def _take(self, outgoing: Any) -> None:
         for link, message in outgoing:
-            for parsed in self._here[link].decode(self._there[link].encode(message)):
-                self.heard.append((self.t, link, parsed))
-                out.append(parsed)
-        return out
+            self._waiting.append((self.t, link, self._there[link].encode(message)))
 
     def send(self, message: Any, link: int = COMPANION) -> list[Any]:
         """Send one message; what came back at once."""
-        out = []
+        answers: list[Any] = []
         for parsed in self._there[link].decode(self._here[link].encode(message)):
-            out += self._take(self.vehicle.handle(parsed, link, self.t))
-        return out
+            out = self.vehicle.handle(parsed, link, self.t)
+            if out:
+                before = len(self.heard)
+                self._take(out)
+                answers += [m for _, _, m in self.heard[before:]]
+        return answers
 
     def command(self, command: int, *params: float, target: int = 1) -> int | None:
         """COMMAND_LONG; the result of its ack, None without one."""
