@@ -243,6 +243,19 @@ def test_real_time_hovers_before_the_epoch_and_flies_after_it(ros, scenario):
     ros.spin_until(flying)
 
 
+def test_real_time_waits_for_its_recorder_before_the_flight_and_not_in_it(ros, scenario):
+    """What is to be recorded must be heard from the first step on; a recorder that dies stops nobody."""
+    edges = Edges(scenario, FlightOptions(recorded=True))
+    uav = Uav(ros.node("controller"), scenario, FOLLOWER, edges)
+    said = {topics.tick(FOLLOWER).name, topics.snapshot(FOLLOWER).name}
+    assert said <= set(uav.waiting_for())
+    assert topics.wrench_setpoint(FOLLOWER).name in uav.waiting_for()
+    leader = Endpoints(ros.node("leader"), False).publisher(topics.EPOCH, 1)
+    ros.spin_until(lambda: topics.EPOCH.name not in uav.waiting_for())
+    leader(wire.HeaderTemplate("form").encode(time.time_ns() + 10**12))
+    ros.spin_until(lambda: not said & set(uav.waiting_for()))
+
+
 def test_real_time_setpoints_end_with_the_odometry(ros, scenario):
     others = Others(ros, scenario, LEADER, lockstep=False)
     others.odom(time.time_ns() - int(0.4e9))  # of 0.5 s
