@@ -32,9 +32,12 @@ class Experiment:
 EXPERIMENTS = (
     Experiment("overview", "all scenarios", 15),
     Experiment("simulation_1", "paper_5, paper_5_free", 15),
+    Experiment("baselines", "paper_5_free, paper_20", 40),
     Experiment("simulation_2", "paper_20", 25),
+    Experiment("experiment", "experiment_4", 15),
     Experiment("ablation_profiles", "paper_5, both plants", 50),
     Experiment("ablation_estimator", "paper_5_free", 4),
+    Experiment("ablation_time_base", "paper_5_free", 8),
     Experiment("ablation_sweeps", "paper_5_free", 8),
     Experiment("cost", "trees of 5 to 50 UAVs", 5, alone=True),
 )

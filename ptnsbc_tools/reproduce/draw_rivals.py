@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +13,11 @@ from ptnsbc_tools.reproduce.draw_inputs import INPUT_LABEL, hover
 from ptnsbc_tools.reproduce.draw_paths import uav_label
 from ptnsbc_tools.reproduce.flights import Flown
 from ptnsbc_tools.reproduce.part import Figure
+from ptnsbc_tools.reproduce.rivalry import PRINTED
 from ptnsbc_tools.reproduce.workshop import Workshop, times_column
 
 SHOWN_S = 6.0
+_BEGINNING_S = 3.0
 _LEAST = 1.0  # of an input on a logarithmic axis
 
 
@@ -25,33 +26,45 @@ def _shown(one: Flown) -> NDArray[np.bool_]:
 
 
 def pair(
-    workshop: Workshop, ours: Flown, rival: Flown, numbers: tuple[int, int], law: str
+    workshop: Workshop, flights: Mapping[str, Flown], law: str, numbers: tuple[int, int]
 ) -> tuple[Figure, Figure]:
-    """Ours and one baseline in two figures with the same axes."""
-    top = 1.4 * max(one.inputs[_shown(one)].max() for one in (ours, rival))
-    found = []
-    for one, number, name, label in (
-        (ours, numbers[0], "ours", "ours, profile paper"),
-        (rival, numbers[1], law, f"`{law}`"),
-    ):
-        made = style.figure(62)
-        axes = made.add_subplot()
-        shown = _shown(one)
-        sheet = {"time_s": times_column(one.times[shown])}
-        for row, uav in enumerate(one.scenario.uav_ids):
-            values = np.maximum(one.inputs[shown, row], _LEAST)
-            axes.semilogy(one.times[shown], values, label=uav_label(one, uav), **style.look(row))
-            sheet[f"uav{uav}_input_n_nm"] = one.inputs[shown, row]
-        hover(axes, one)
-        axes.axvline(one.scenario.gains.formation.deadline_s, color="black", linewidth=0.6)
-        axes.set(xlabel="time after the epoch [s]", ylabel=INPUT_LABEL)
-        axes.set(xlim=(0, SHOWN_S), ylim=(_LEAST, top))
-        style.legend(made, axes, columns=3)
-        full = f"fig_{number}_paper_5_free_{name}"
-        workshop.figure(full, made, sheet)
-        caption = f"Input of the UAVs, {label}, on the axes of Fig. {sum(numbers) - number}"
-        found.append(Figure(full, f"Fig. {number}", f"{caption}; line: the deadline"))
-    return found[0], found[1]
+    """Ours, as printed, and one baseline in two figures with the same axes."""
+    both = (flights[PRINTED], flights[law])
+    top = 1.4 * max(float(one.inputs[_shown(one)].max()) for one in both)
+    first = _one(workshop, both[0], top, f"fig_{numbers[0]}_paper_5_free_ours")
+    second = _one(workshop, both[1], top, f"fig_{numbers[1]}_paper_5_free_{law}")
+    rest = "logarithmic; line: the deadline, dotted: the weight"
+    return (
+        Figure(
+            first,
+            f"Fig. {numbers[0]}",
+            f"Input of the UAVs, ours as printed, no command filter, on the axes of Fig. {numbers[1]}; {rest}",
+        ),
+        Figure(
+            second,
+            f"Fig. {numbers[1]}",
+            f"Input of the UAVs, {law}, on the axes of Fig. {numbers[0]}; {rest}",
+        ),
+    )
+
+
+def _one(workshop: Workshop, one: Flown, top: float, name: str) -> str:
+    """Inputs of every UAV until shortly after the deadline."""
+    made = style.figure(62)
+    axes = made.add_subplot()
+    shown = _shown(one)
+    sheet = {"time_s": times_column(one.times[shown])}
+    for row, uav in enumerate(one.scenario.uav_ids):
+        values = np.maximum(one.inputs[shown, row], _LEAST)
+        axes.semilogy(one.times[shown], values, label=uav_label(one, uav), **style.look(row))
+        sheet[f"uav{uav}_input_n_nm"] = one.inputs[shown, row]
+    hover(axes, one)
+    axes.axvline(one.scenario.gains.formation.deadline_s, color="black", linewidth=0.6)
+    axes.set(xlabel="time after the epoch [s]", ylabel=INPUT_LABEL)
+    axes.set(xlim=(0, SHOWN_S), ylim=(_LEAST, top))
+    style.legend(made, axes, columns=3)
+    workshop.figure(name, made, sheet)
+    return name
 
 
 def all_laws(workshop: Workshop, panels: Mapping[str, Mapping[str, Flown]]) -> Figure:
@@ -61,16 +74,16 @@ def all_laws(workshop: Workshop, panels: Mapping[str, Mapping[str, Flown]]) -> F
     sheet: dict[str, Array] = {}
     for axes, (title, flights), letter in zip(grid, panels.items(), "abc", strict=True):
         for index, (law, one) in enumerate(flights.items()):
-            shown = _shown(one)
+            shown = one.times <= _BEGINNING_S
             worst = one.inputs[shown].max(axis=1)
             sheet.setdefault("time_s", times_column(one.times[shown]))
             sheet[f"{letter}_{law}_input_n_nm"] = worst
             axes.semilogy(one.times[shown], worst, label=law, **style.look(index))
         hover(axes, next(iter(flights.values())))
         axes.set_title(f"({letter}) {title}", loc="left")
-        axes.set(ylabel=INPUT_LABEL, xlim=(0, SHOWN_S))
+        axes.set(ylabel=INPUT_LABEL, xlim=(0, _BEGINNING_S))
     grid[-1].set_xlabel("time after the epoch [s]")
-    _legend(made, grid)
+    style.legend(made, grid[0], columns=2)
     name = "fig_a2_all_laws"
     workshop.figure(name, made, sheet)
     return Figure(
@@ -79,7 +92,3 @@ def all_laws(workshop: Workshop, panels: Mapping[str, Mapping[str, Flown]]) -> F
         "Largest input of any UAV by law; dotted: the weight",
         telling=True,
     )
-
-
-def _legend(made: Any, grid: Any) -> None:
-    style.legend(made, grid[0], columns=2)

@@ -18,7 +18,9 @@ from ptnsbc_tools.verdict import Verdict, verdict_on
 from ptnsbc_tools.verdict.deadline import formation_errors
 
 Setting = Mapping[str, Any]
-SCENARIOS = ("paper_5", "paper_5_free", "paper_20", "experiment_4")
+SCENARIOS = ("paper_5", "paper_5_free", "paper_20", "experiment_4", "experiment_4_calm")
+# The printed law has no command filter; ours limits what it asks for.
+UNFILTERED = {"gains.filter.max_acceleration_m_s2": 1000.0, "gains.filter.max_speed_m_s": 100.0}
 _INITIAL_S = 0.1
 
 
@@ -98,7 +100,15 @@ class Flown:
 
     def worst_error_at(self, seconds: float) -> float:
         """Largest formation error at a time [m], whatever the scenario promises."""
-        return float(self.errors()[int(np.searchsorted(self.times, seconds - 1e-9))].max())
+        return float(self._errors_at(seconds).max())
+
+    def within_at(self, seconds: float) -> int:
+        """How many UAVs are within the tolerance at a time, whatever the scenario promises."""
+        tolerance_m = self.verdict.uavs[0].tolerance_m
+        return int(np.sum(self._errors_at(seconds) <= tolerance_m))
+
+    def _errors_at(self, seconds: float) -> Array:
+        return np.asarray(self.errors()[int(np.searchsorted(self.times, seconds - 1e-9))])
 
     def worst_after_m(self) -> float:
         """Largest formation error after it, outside encounters."""

@@ -12,6 +12,7 @@ SCENARIOS = {
     "paper_5_free": ("rigid_body_6dof", "quadrotor"),
     "paper_5": ("rigid_body_6dof", "quadrotor"),
     "paper_20": ("rigid_body_6dof", "quadrotor"),
+    "experiment_4_calm": ("quadrotor",),
     "experiment_4": ("quadrotor",),
 }
 OURS, PRINTED = "soft", "paper"
@@ -37,9 +38,10 @@ def run(workshop: Workshop) -> Part:
     return Part(
         "overview",
         "Every scenario",
-        "The promise: at 5 s every UAV within 0.05 m of its place, from then on within that or 2 % of its start "
-        "error, and nothing touched. A missed deadline is `void` where actuators were at their limit or a UAV gave "
-        "way (`docs/verdict.md`).",
+        "The promise: at 5 s every UAV within the tolerance of its place, from then on within that or 2 % of its "
+        "start error, and nothing touched. The tolerance is 0.05 m, except in `experiment_4`: its UAVs "
+        "do not know so well where they are. A missed deadline is `void` where actuators were at their limit or a "
+        "UAV gave way (`docs/verdict.md`).",
         tables=(
             flights_table(
                 "overview",

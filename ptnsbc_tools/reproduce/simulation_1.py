@@ -45,7 +45,8 @@ def run(workshop: Workshop) -> Part:
         text=(
             "Scenario `paper_5` for 60 s, and `paper_5_free`, the same without its two obstacles. The "
             "figures show the paper's plant, a rigid body with six inputs, under the printed gains "
-            "(profile `paper`: Λ = κ = 1); `soft`, our default for flight, and `reference` stand beside it."
+            "(profile `paper`: Λ = κ = 1); `soft`, our default for flight, and `reference` stand beside it. All "
+            "are flown behind the command filter, which the paper does not have: part *Baselines* shows what it does."
         ),
         figures=tuple(sorted(figures, key=lambda one: one.name)),
         tables=(_verdicts(),),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ptnsbc_tools.reproduce import draw_swarm
 from ptnsbc_tools.reproduce.claims import kept, limit_claim, shape_claim
-from ptnsbc_tools.reproduce.flights import Flown, flown
+from ptnsbc_tools.reproduce.flights import UNFILTERED, Flown, flown
 from ptnsbc_tools.reproduce.part import Figure, Part
 from ptnsbc_tools.reproduce.summary import flights_table
 from ptnsbc_tools.reproduce.workshop import Workshop
@@ -12,11 +12,19 @@ from ptnsbc_tools.reproduce.workshop import Workshop
 PROFILES = ("paper", "soft", "reference")
 PLANTS = ("rigid_body_6dof", "quadrotor")
 _BEST = "soft"
+_PRINTED = "paper, no command filter"
 
 
 def flight(profile: str, plant: str = "rigid_body_6dof") -> Flown:
     """One flight of Simulation 2."""
     return flown("paper_20", {"plant.kind": plant, "gains.profile": profile})
+
+
+def unfiltered() -> Flown:
+    """The printed law: printed gains and no command filter."""
+    return flown(
+        "paper_20", {"plant.kind": "rigid_body_6dof", "gains.profile": "paper", **UNFILTERED}
+    )
 
 
 def run(workshop: Workshop) -> Part:
@@ -45,7 +53,10 @@ def run(workshop: Workshop) -> Part:
         "printed gains too.",
         figures=figures,
         tables=(table,),
-        claims=(shape_claim(flights), limit_claim(flights, draw_swarm.LIMIT_N)),
+        claims=(
+            shape_claim(flights),
+            limit_claim({_PRINTED: unfiltered(), **flights}, draw_swarm.LIMIT_N),
+        ),
     )
 
 

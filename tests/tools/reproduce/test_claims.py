@@ -2,7 +2,7 @@
 
 import pytest
 
-from ptnsbc_tools.reproduce import ablation_estimator, claims, cost
+from ptnsbc_tools.reproduce import ablation_estimator, baselines, claims, cost, rivalry
 from ptnsbc_tools.reproduce.claims import FAILS, HOLDS
 from ptnsbc_tools.reproduce.draw_swarm import LIMIT_N
 from ptnsbc_tools.reproduce.flights import flown
@@ -80,3 +80,36 @@ def test_with_few_links_the_graph_weakens_instead() -> None:
     few = {size: cost.load_of(cost.tree(size, all_linked=False)) for size in (5, 50)}
     assert few[50].sent_by_leader == few[5].sent_by_leader == 2
     assert few[50].lambda_min < few[5].lambda_min / 5
+
+
+def test_the_initial_input_is_far_below_that_of_the_baselines_but_not_as_printed() -> None:
+    laws, way = baselines.PREDEFINED, baselines.Way()
+    found = {**baselines.ours(), **{law: baselines.flight(law, way) for law in laws}}
+    claim = rivalry.initial_claim("initial", found, None, 60.0, laws)
+    assert claim.verdict == "holds when printed gains behind the command filter or profile soft"
+    assert rivalry.initial_claim("x", found, None, 99.0, laws).verdict == FAILS
+    for law in laws:
+        assert rivalry.initial_reduction(found, "ours, soft", law) > 90.0
+        settled = found[law].settled_s()
+        assert settled is not None and settled < 5.0  # or it would be no rival
+    assert rivalry.spent_claim(found, found, laws).verdict.startswith("holds when ")
+    assert "profile soft" in rivalry.spent_claim(found, found, laws).verdict
+
+
+def test_with_limited_actuators_the_baselines_are_in_time_too() -> None:
+    limit_n, laws = 23.5, baselines.PREDEFINED
+    way = baselines.Way(limit_n=limit_n)
+    found = {
+        **baselines.ours(limit_n=limit_n),
+        **{law: baselines.flight(law, way) for law in laws},
+    }
+    assert max(one.force.max() for one in found.values()) <= limit_n * (1 + 1e-9)
+    assert found["ours, soft"].within_at(5.0) == 5
+    claim = rivalry.saturated_claim(found, limit_n, laws)
+    assert "profile soft" in claim.verdict
+    assert claim.verdict.endswith("do too")
+
+
+def test_the_experiment_in_wind() -> None:
+    claim = claims.experiment_claim([flown("experiment_4", {"seed": 1, "timing.duration_s": 12.0})])
+    assert claim.verdict == HOLDS

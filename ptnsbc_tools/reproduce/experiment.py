@@ -1,0 +1,134 @@
+"""The experiment: four quadrotors in wind, with the noise and the links of the field. Figs. 33 and 34."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ptnsbc_tools.reproduce import style
+from ptnsbc_tools.reproduce.claims import experiment_claim
+from ptnsbc_tools.reproduce.draw_paths import columns, draw_from_above, uav_label
+from ptnsbc_tools.reproduce.flights import Flown, flown
+from ptnsbc_tools.reproduce.part import Cell, Column, Figure, Part, Table
+from ptnsbc_tools.reproduce.workshop import Workshop
+
+SNAPSHOTS_S = (0.0, 2.0, 23.0, 50.0)
+SEEDS = (1, 2, 3, 4, 5)
+
+
+def flight(seed: int) -> Flown:
+    """The experiment with one draw of its noise, losses and gusts."""
+    return flown("experiment_4", {"seed": seed})
+
+
+def _paths(workshop: Workshop, one: Flown) -> Figure:
+    made = style.figure(100)
+    axes = made.add_subplot()
+    draw_from_above(axes, one)
+    style.legend(made, axes, columns=3)
+    name = "fig_33_experiment_4_xy"
+    workshop.figure(name, made, columns(one))
+    return Figure(
+        name,
+        "Fig. 33",
+        "Trajectories of four quadrotors in wind; dots: starts, squares: the end",
+        telling=True,
+    )
+
+
+def _instants(one: Flown) -> list[int]:
+    """Ticks of the snapshots; the last one when the flight ends with it."""
+    return [int(np.argmin(np.abs(one.times - seconds))) for seconds in SNAPSHOTS_S]
+
+
+def _snapshot(axes: Any, one: Flown, tick: int) -> None:
+    """Where everybody is, who follows whom, and the desired places."""
+    scenario, places = one.scenario, one.positions[tick]
+    leader = places[scenario.uav_ids.index(scenario.leader_id)]
+    for row, uav in enumerate(scenario.uav_ids):
+        parent = scenario.parent(uav)
+        if parent is not None:
+            above = places[scenario.uav_ids.index(parent)]
+            link = np.stack((places[row], above))
+            axes.plot(link[:, 0], link[:, 1], color=style.GREY, linewidth=0.8, zorder=1)
+        wanted = leader + scenario.offset(uav)
+        axes.plot(*wanted[:2], marker="+", color="black", markersize=7, linestyle="none", zorder=2)
+        look = style.look(row)
+        axes.plot(
+            *places[row, :2], marker="o", color=look["color"], markersize=5, linestyle="none",
+            label=uav_label(one, uav), zorder=3,
+        )  # fmt: skip
+    centre = places[:, :2].mean(axis=0)
+    axes.set(xlim=(centre[0] - 2.5, centre[0] + 2.5), ylim=(centre[1] - 2.5, centre[1] + 2.5))
+    axes.set_aspect("equal")
+
+
+def _snapshots(workshop: Workshop, one: Flown) -> Figure:
+    made = style.figure(108)
+    grid = made.subplots(2, 2)
+    ticks = _instants(one)
+    for axes, letter, seconds, tick in zip(grid.flat, "abcd", SNAPSHOTS_S, ticks, strict=True):
+        _snapshot(axes, one, tick)
+        axes.set_title(
+            f"({letter}) {seconds:g} s, z = {one.positions[tick, 0, 2]:.1f} m", loc="left"
+        )
+    made.supxlabel("x (east) [m]", fontsize=8)
+    made.supylabel("y (north) [m]", fontsize=8)
+    style.legend(made, grid[0, 0], columns=4)
+    name = "fig_34_experiment_4_snapshots"
+    sheet = {key: column[ticks] for key, column in columns(one).items()}
+    workshop.figure(name, made, sheet)
+    caption = "The formation at four instants; crosses: desired places, lines: who follows whom"
+    return Figure(name, "Fig. 34", caption)
+
+
+def _table(flights: dict[int, Flown]) -> Table:
+    rows: list[tuple[Cell, ...]] = [
+        (
+            seed,
+            f"{one.met()} of {len(one.verdict.uavs)}",
+            one.settled_s(),
+            one.worst_at_deadline_m(),
+            one.worst_after_m(),
+            max(uav.rmse_after_m or 0.0 for uav in one.verdict.uavs),
+            one.clearance_m(),
+            one.peak_input(),
+        )
+        for seed, one in flights.items()
+    ]
+    return Table(
+        "experiment",
+        "The experiment, by seed of its noise, losses and gusts; the worst UAV of each",
+        (
+            Column("seed"),
+            Column("deadline met"),
+            Column("settled, s"),
+            Column("error at tf, m", 4),
+            Column("largest after, m", 4),
+            Column("RMSE after, m", 4),
+            Column("room beyond keep-out, m", 3),
+            Column("peak input", 1),
+        ),
+        tuple(rows),
+        f"True positions are judged, not measured ones: the largest error after the deadline is "
+        f"{max(one.worst_after_m() for one in flights.values()):.3f} m over {len(flights)} draws.",
+    )
+
+
+def run(workshop: Workshop) -> Part:
+    """Fly, draw and judge the experiment."""
+    flights = {}
+    for seed in SEEDS:
+        workshop.tell(f"flying seed {seed}")
+        flights[seed] = flight(seed)
+    first = flights[SEEDS[0]]
+    return Part(
+        "experiment",
+        "The experiment: four quadrotors",
+        "Scenario `experiment_4`, 50 s, on the quadrotor plant: position noise and rate of an RTK receiver, latency, "
+        "lost messages, wind with gusts. What is not printed is chosen, and said in the scenario file.",
+        figures=(_paths(workshop, first), _snapshots(workshop, first)),
+        tables=(_table(flights),),
+        claims=(experiment_claim(list(flights.values())),),
+    )
