@@ -14,6 +14,7 @@ import pytest
 from ptnsbc_nodes.bag import BagError, BagMessage, read_bag
 from ptnsbc_nodes.ticklog import tick_note
 from ptnsbc_nodes.wire import decode_integers, peek_stamp
+from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_tools.replay.rerun import rerun
 
 PERIOD_NS = 10_000_000
@@ -63,6 +64,22 @@ def test_equal(again, request, scenario, kind):
         assert account.steps >= scenario.ticks
         assert account.compared > 4 * account.steps, "and counters or snapshots"
         assert (account.silent, account.unrecorded, account.gaps) == (0, 0, [])
+
+
+def test_equal_where_links_lose_and_positions_are_noisy(tmp_path):
+    """What is lost follows from seed, edge and tick; odometry is recorded as the UAV saw it."""
+    from ptnsbc_sim.swarm import fly
+    from ptnsbc_tools.flight_bag import write_flight
+
+    flown = load_scenario("experiment_4", {"timing.duration_s": 1.0, "communication.loss": 0.3})
+    assert flown.imperfect
+    done = rerun(read_bag(write_flight(fly(flown), tmp_path / "lossy")), flown)
+    assert done.verdict == "equal", done.first
+    assert all(account.steps == flown.ticks for account in done.accounts.values())
+    other = load_scenario(
+        "experiment_4", {"timing.duration_s": 1.0, "communication.loss": 0.3, "seed": 12345}
+    )
+    assert rerun(read_bag(tmp_path / "lossy"), other).verdict == "different"
 
 
 @pytest.mark.parametrize("kind", ["headless", "realtime"])
