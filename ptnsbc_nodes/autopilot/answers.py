@@ -27,6 +27,11 @@ def _command(vehicle: Vehicle, message: Any, link: int, t: float) -> None:
     request = request_of(message)
     run = vehicle.commands.get(request.command)
     result = mavlink.MAV_RESULT_UNSUPPORTED if run is None else run(vehicle, request, link, t)
+    if result != mavlink.MAV_RESULT_ACCEPTED:
+        known = mavlink.enums["MAV_CMD"].get(request.command)
+        name = f"command {request.command}" if known is None else known.name
+        answer = mavlink.enums["MAV_RESULT"][result].name
+        vehicle.log(f"{name} from system {request.system}: {answer}")
     ack = mavlink.MAVLink_command_ack_message(
         request.command, result, 0, 0, request.system, request.component
     )

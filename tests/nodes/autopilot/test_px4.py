@@ -441,6 +441,8 @@ def test_without_a_position_it_descends(companion):
 
 
 def test_unknown_commands_are_unsupported_and_those_for_others_unanswered(companion):
-    px4 = companion(Px4)
+    px4, lines = companion(Px4), []
+    px4.vehicle.log = lines.append
     assert px4.command(mavlink.MAV_CMD_DO_PARACHUTE) == UNSUPPORTED
+    assert lines == ["MAV_CMD_DO_PARACHUTE from system 245: MAV_RESULT_UNSUPPORTED"]
     assert px4.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1, target=2) is None
