@@ -25,6 +25,7 @@ class Command:
     module: str
     arguments: tuple[str, ...]
     uav: int | None = None  # id of the UAV that ends with it
+    ends: bool = False  # by itself, with 0, when the flight is over
 
 
 class Child:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal
 
 from ptnsbc_nodes.children import Command
 from ptnsbc_nodes.endpoints import RECORDER
@@ -13,6 +14,8 @@ from ptnsbc_sim.scenario import Scenario
 
 SIM = "sim"
 
+_AIRBORNE_S = 240.0  # boot, position, arming and take-off of a real vehicle
+
 
 @dataclass(frozen=True)
 class FleetOptions:
@@ -20,6 +23,8 @@ class FleetOptions:
 
     scenario: Scenario
     lockstep: bool = False
+    backend: Literal["sim", "mavlink"] = "sim"
+    allow_arming: bool = False  # of real vehicles
     bag: Path | None = None  # folder to record into
     overwrite: bool = False  # replace that folder
     log_dir: Path | None = None  # one log per process; a new temporary folder by default
@@ -30,6 +35,8 @@ class FleetOptions:
     def patience_s(self) -> float:
         """The time-out, by default with room for a slow machine."""
         default = 30.0 + 5.0 * len(self.scenario.uav_ids)
+        if self.backend == "mavlink":
+            default += _AIRBORNE_S
         return default if self.ready_timeout_s is None else self.ready_timeout_s
 
 
@@ -41,11 +48,23 @@ def commands(options: FleetOptions, scenario_file: Path) -> list[Command]:
     if options.bag is not None:
         common.append("--recorded")
     crew = [] if options.bag is None else [_recorder(options, options.bag, scenario_file)]
-    crew.append(Command(SIM, "ptnsbc_nodes.sim_node", tuple(common)))
+    if options.backend == "mavlink":
+        common.append("--bridged")
+        crew += [_bridge(options, common, i) for i in options.scenario.uav_ids]
+    else:
+        crew.append(Command(SIM, "ptnsbc_nodes.sim_node", tuple(common), ends=True))
     for i in options.scenario.uav_ids:
         arguments = (*common, "--uav", str(i))
         crew.append(Command(f"uav{i}", "ptnsbc_nodes.uav_node", arguments, uav=i))
     return crew
+
+
+def _bridge(options: FleetOptions, common: Sequence[str], uav: int) -> Command:
+    arguments = [*common, "--uav", str(uav)]
+    if options.allow_arming:
+        arguments.append("--allow-arming")
+    name = f"bridge{uav}"
+    return Command(name, "ptnsbc_nodes.bridge_node", tuple(arguments), uav=uav, ends=True)
 
 
 def _recorder(options: FleetOptions, bag: Path, scenario_file: Path) -> Command:

@@ -15,6 +15,7 @@ class FlightOptions:
 
     lockstep: bool = False
     recorded: bool = False  # a recorder must hear every topic before the flight
+    bridged: bool = False  # flight controllers instead of the sim
 
     @property
     def recorders(self) -> int:
@@ -38,6 +39,13 @@ class Edges:
             estimators=scenario.estimator_neighbours(uav_id),
             losses=losses(scenario, uav_id),
         )
+
+    def linked(self, uav_id: int) -> tuple[int, ...]:
+        """UAVs that this one has an edge with, in either direction, ascending."""
+        hears = {i: self.senders(i) for i in self._scenario.uav_ids}
+        heard = {i: {*who.states, *who.estimators} for i, who in hears.items()}
+        others = (i for i in hears if i in heard[uav_id] or uav_id in heard[i])
+        return tuple(sorted(set(others) - {uav_id}))
 
     def state_readers(self, uav_id: int) -> int:
         """How many nodes hear the formation_state of this UAV."""

@@ -20,13 +20,15 @@ from ptnsbc_nodes.endpoints import RECORDER
 from ptnsbc_nodes.stop import StopRequest
 from ptnsbc_nodes.tower import Tower
 from ptnsbc_nodes.warmup import load_agent, load_world
-from ptnsbc_sim.scenario import Scenario
 
 __all__ = ["FleetError", "FleetOptions", "FleetResult", "ProcessReport", "run_fleet"]
 
 Report = Callable[[str], None]
 
 _LOOK_S = 0.05
+_AFTER_START_S = 1.0  # the epoch is half a second after the call
+_LANDING_CALL_S = 3.0
+_LANDING_S = 240.0
 _RECORDER_PATIENCE_S = 60.0  # what is still queued belongs into the bag
 _DIED, _INTERRUPTED = 1, 130
 
@@ -72,11 +74,12 @@ def run_fleet(options: FleetOptions, progress: Report = lambda line: None) -> Fl
     """
     if options.bag is not None and options.bag.exists() and not options.overwrite:
         raise FleetError(f"{options.bag} exists: choose another name or pass --overwrite")
+    _refuse_nonsense(options)
     log_dir = Path(options.log_dir or tempfile.mkdtemp(prefix="ptnsbc-")).resolve()
     log_dir.mkdir(parents=True, exist_ok=True)
     scenario_file = log_dir / "scenario.yaml"
     scenario_file.write_text(options.scenario.text, encoding="utf-8")
-    _prepare_kernels(options.scenario, progress)
+    _prepare_kernels(options, progress)
     crew = commands(options, scenario_file)
     with StopRequest() as stop, reserved_domain() as domain:
         settings = environment.for_children(domain, len(crew) + 1, log_dir)
@@ -87,18 +90,31 @@ def run_fleet(options: FleetOptions, progress: Report = lambda line: None) -> Fl
             try:
                 flight.start(crew, settings, log_dir, began + options.patience_s)
                 took_off = time.monotonic()
-                flight.watch()
+                flight.watch(options.scenario.duration_s)
                 landed = time.monotonic()
             finally:
                 flight.end()
     return flight.result(options, took_off - began, landed - took_off)
 
 
-def _prepare_kernels(scenario: Scenario, progress: Report) -> None:
+def _refuse_nonsense(options: FleetOptions) -> None:
+    if options.backend != "mavlink":
+        return
+    if options.lockstep:
+        raise FleetError("real vehicles do not wait: expected no --lockstep with --backend mavlink")
+    if not options.allow_arming:
+        raise FleetError(
+            "--backend mavlink arms and flies vehicles: expected --allow-arming; to look at a "
+            "vehicle without arming it: ptnsbc bridge"
+        )
+
+
+def _prepare_kernels(options: FleetOptions, progress: Report) -> None:
     """Compile once, before a dozen processes would do it side by side."""
     progress("preparing the laws (compiled at first use, then read from the cache)")
-    load_agent(scenario, scenario.leader_id)
-    load_world(scenario)
+    load_agent(options.scenario, options.scenario.leader_id)
+    if options.backend == "sim":
+        load_world(options.scenario)
 
 
 class _Flight:
@@ -136,28 +152,61 @@ class _Flight:
         if not self._stop.came:
             self._progress(f"{len(crew)} processes are ready: started")
 
-    def watch(self) -> None:
-        """Until the sim has flown the whole flight, or a signal."""
-        sim = next((child for child in self._children if child.name == SIM), None)
-        while sim is not None and self._flying(sim) and not self._stop.came:
-            self._tower.spin(_LOOK_S)
-            self._tell(sim)
-            self._mourn()
+    def watch(self, duration_s: float) -> None:
+        """Until the sim has flown the whole flight, real vehicles have landed, or a signal."""
+        if not any(child.command.ends for child in self._children):
+            return
+        over_s = time.monotonic() + duration_s + _AFTER_START_S
+        bridged = self._child(SIM) is None
+        while self._flying() and not self._stop.came:
+            self._look()
+            if bridged and time.monotonic() > over_s:
+                return
 
-    def _flying(self, sim: Child) -> bool:
+    def _flying(self) -> bool:
+        ends = any(child.command.ends and child.exit_code is None for child in self._children)
         uavs = [child for child in self._children if child.command.uav is not None]
-        return sim.exit_code is None and any(child not in self._died for child in uavs)
+        return ends and any(child not in self._died for child in uavs)
 
-    def _tell(self, sim: Child) -> None:
-        for line in sim.new_lines():
-            if "steps/s" in line:
-                self._progress(line)
+    def _look(self) -> None:
+        self._tower.spin(_LOOK_S)
+        self._tell()
+        self._mourn()
+
+    def _child(self, name: str) -> Child | None:
+        return next((child for child in self._children if child.name == name), None)
+
+    def _tell(self) -> None:
+        """Pass on what the sim and the bridges say of the flight."""
+        for child in self._children:
+            if not child.command.ends:
+                continue
+            for line in child.new_lines():
+                if "steps/s" in line or line.startswith(f"{child.name}: "):
+                    self._progress(line)
+
+    def _bring_down(self) -> None:
+        """Land what is still in the air, before those who fly it are ended."""
+        bridges = [c for c in self._children if c.command.ends and c.name != SIM]
+
+        def airborne() -> bool:
+            return any(child.exit_code is None for child in bridges)
+
+        if not airborne():
+            return
+        leg = "stop" if self._stop.came else "land"
+        refusal = self._tower.call(leg, _LANDING_CALL_S)
+        if refusal is not None:
+            self._progress(f"{refusal}: every bridge is told to land by itself")
+            self._tower.emergency("land")
+        patience_s, signals = time.monotonic() + _LANDING_S, self._stop.count
+        while airborne() and time.monotonic() < patience_s and self._stop.count == signals:
+            self._look()
 
     def end(self) -> None:
         """End all, the recorder last, so that its bag has everything and is complete."""
-        for child in self._children:
-            if child.name == SIM:
-                self._tell(child)
+        self._bring_down()
+        self._tell()
         end([child for child in self._children if child.name != RECORDER])
         end(self._children, _RECORDER_PATIENCE_S)
         for child in self._children:
@@ -174,7 +223,7 @@ class _Flight:
         return FleetResult(
             processes=tuple(reports),
             died=tuple(child.name for child in self._died),
-            lost=tuple(uav for c in self._died if (uav := c.command.uav) is not None),
+            lost=tuple(dict.fromkeys(u for c in self._died if (u := c.command.uav) is not None)),
             interrupted=self._stop.came,
             bag=options.bag,
             recorded=self._recorded(),
@@ -194,6 +243,7 @@ class _Flight:
     def _patient(self, deadline: float) -> bool:
         """Wait a little; False when a signal has come, FleetError when it takes too long."""
         self._tower.spin(_LOOK_S)
+        self._tell()
         for child in self._children:
             if child.exit_code is not None and not self._stop.came:
                 raise FleetError(f"before the flight: {child.obituary()}")
@@ -218,11 +268,12 @@ class _Flight:
         """Tell of every process that has ended before its time; the others fly on without it."""
         for child in self._children:
             code = child.exit_code
-            if code is None or child in self._died or (child.name == SIM and code == 0):
+            if code is None or child in self._died or (child.command.ends and code == 0):
                 continue
             self._died.append(child)
             self._progress(child.obituary())
-            self._tower.lose(child.name)
+            uav = child.command.uav
+            self._tower.lose(child.name if uav is None else f"uav{uav}")
 
     def _recorded(self) -> Mapping[str, Any]:
         recorder = next((child for child in self._children if child.name == RECORDER), None)

@@ -38,6 +38,9 @@ class Arguments(argparse.ArgumentParser):
         self.add_argument(
             "--recorded", action="store_true", help="be ready only when a recorder listens"
         )
+        self.add_argument(
+            "--bridged", action="store_true", help="flight controllers fly, there is no sim"
+        )
 
     def error(self, message: str) -> NoReturn:
         """Print one line and exit with 2."""
@@ -47,7 +50,9 @@ class Arguments(argparse.ArgumentParser):
 
 def flight_options(arguments: argparse.Namespace) -> FlightOptions:
     """The options all processes of a flight share."""
-    return FlightOptions(lockstep=arguments.lockstep, recorded=arguments.recorded)
+    return FlightOptions(
+        lockstep=arguments.lockstep, recorded=arguments.recorded, bridged=arguments.bridged
+    )
 
 
 def run(

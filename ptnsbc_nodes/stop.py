@@ -17,8 +17,13 @@ class StopRequest:
     """
 
     def __init__(self) -> None:
-        self.came = False
+        self.count = 0
         self._before: dict[signal.Signals, Any] = {}
+
+    @property
+    def came(self) -> bool:
+        """Whether any has come."""
+        return self.count > 0
 
     def __enter__(self) -> StopRequest:
         if threading.current_thread() is threading.main_thread():
@@ -30,4 +35,4 @@ class StopRequest:
             signal.signal(number, handler)
 
     def _on_signal(self, _number: int, _frame: FrameType | None) -> None:
-        self.came = True
+        self.count += 1

@@ -31,6 +31,10 @@ class Topic(NamedTuple):
 EPOCH = Topic("/formation/epoch", "std_msgs/msg/Header", Role.LATCHED)
 DIAGNOSTICS = Topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", Role.EVENT)
 MARKERS = Topic("/formation/markers", "visualization_msgs/msg/MarkerArray", Role.EVENT)
+ORIGIN = Topic("/formation/origin", "sensor_msgs/msg/NavSatFix", Role.LATCHED)
+"""Where the leader's local origin is on the Earth; from its bridge to the others."""
+EMERGENCY = Topic("/formation/emergency", "std_msgs/msg/Header", Role.EVENT)
+"""frame_id `land` or `kill`, from an operator to all bridges: needs no leader to be alive."""
 CLOCK = Topic("/clock", "rosgraph_msgs/msg/Clock", Role.STATE)
 TF = Topic("/tf", "tf2_msgs/msg/TFMessage", Role.EVENT)
 
@@ -78,6 +82,16 @@ def tick(uav: int) -> Topic:
 def snapshot(uav: int) -> Topic:
     """Real time only: what the controller remembers, once a second (`ticklog`)."""
     return _note(uav, "snapshot", "std_msgs/msg/Float64MultiArray")
+
+
+def track(uav: int) -> Topic:
+    """Like `odom`, of a vehicle that has left the formation: others still keep clear of it."""
+    return _state(uav, "track", "nav_msgs/msg/Odometry")
+
+
+def limits(uav: int) -> Topic:
+    """Speed [m/s] and acceleration [m/s^2] of a real vehicle, from its bridge to its planner."""
+    return Topic(f"/uav{uav}/limits", "std_msgs/msg/Float64MultiArray", Role.LATCHED)
 
 
 def of_uav(uav: int) -> tuple[Topic, ...]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterable
 from typing import Any
 
@@ -34,7 +35,9 @@ class Tower:
         )
         self._executor: Any = make_executor(self._context)
         self._executor.add_node(self._node)
-        self._tell_lost = Endpoints(self._node, lockstep=True).publisher(LOST, 0)
+        self._ends = Endpoints(self._node, lockstep=True)
+        self._tell_lost = self._ends.publisher(LOST, 0)
+        self._tell_bridges = self._ends.publisher(topics.EMERGENCY, 1)
         self._start = self._node.create_client(Trigger, "/formation/start")
         self._ears = [
             self._node.create_subscription(DiagnosticArray, topic.name, self._on_status, 50)
@@ -65,17 +68,43 @@ class Tower:
         if not self._start.service_is_ready():
             self.spin(0.1)
             return "the leader's service /formation/start is not there"
-        call = self._start.call_async(Trigger.Request())
+        refusal = self._answer(self._start, "start", patience_s)
+        if refusal is None:
+            for ear in self._ears:  # in flight nobody reads them: not worth their reception
+                self._node.destroy_subscription(ear)
+            self._ears.clear()
+        return refusal
+
+    def call(self, name: str, patience_s: float) -> str | None:
+        """Call /formation/`name`, waiting until it is there; returns why it did not work."""
+        client = self._node.create_client(Trigger, f"/formation/{name}")
+        deadline = time.monotonic() + patience_s
+        while not client.service_is_ready() and time.monotonic() < deadline:
+            self.spin(0.1)
+        try:
+            if not client.service_is_ready():
+                return f"the leader's service /formation/{name} is not there"
+            return self._answer(client, name, patience_s)
+        finally:
+            self._node.destroy_client(client)
+
+    def emergency(self, what: str, patience_s: float = 2.0) -> bool:
+        """Tell all bridges to `land` or `kill`, without the leader; False when none listens."""
+        deadline = time.monotonic() + patience_s
+        while topics.EMERGENCY.name in self._ends.unread() and time.monotonic() < deadline:
+            self.spin(0.1)
+        heard = topics.EMERGENCY.name not in self._ends.unread()
+        self._tell_bridges(HeaderTemplate(what).encode(0))
+        self._ends.flush(1.0)
+        return heard
+
+    def _answer(self, client: Any, name: str, patience_s: float) -> str | None:
+        call = client.call_async(Trigger.Request())
         self._executor.spin_until_future_complete(call, timeout_sec=patience_s)
         response = call.result() if call.done() else None
         if response is None:
-            return "the leader does not answer /formation/start"
-        if not response.success:
-            return str(response.message)
-        for ear in self._ears:  # in flight nobody reads them: not worth their reception
-            self._node.destroy_subscription(ear)
-        self._ears.clear()
-        return None
+            return f"the leader does not answer /formation/{name}"
+        return None if response.success else str(response.message)
 
     def lose(self, name: str) -> None:
         """Tell everybody to wait for this process no longer."""

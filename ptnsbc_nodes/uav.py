@@ -16,6 +16,7 @@ from ptnsbc_nodes import topics
 from ptnsbc_nodes.edges import Edges
 from ptnsbc_nodes.endpoints import LOST, READY, Endpoints
 from ptnsbc_nodes.epochs import EpochError, Epochs
+from ptnsbc_nodes.handover import decode_limits, limited
 from ptnsbc_nodes.inbox import NO_CUTOFF_NS
 from ptnsbc_nodes.outbox import Notes, Outbox
 from ptnsbc_nodes.pacing import Pace
@@ -36,6 +37,7 @@ class Uav:
         self._name = f"uav{uav_id}"
         self._lockstep = edges.options.lockstep
         self._recorded = edges.options.recorded
+        self._carried = edges.options.bridged  # to its start by a bridge, until the first leg
         self._period_ns = scenario.dt_ns
         self._near_every = scenario.near_every
         self._status_every = status_every(scenario)
@@ -85,6 +87,8 @@ class Uav:
             listen(topics.leader_estimate(i), self._hearer(inbox.hear_estimate, i))
         listen(topics.EPOCH, self._on_epoch)
         listen(LOST, self._on_lost, required=False)
+        if self._carried:
+            listen(topics.limits(uav_id), self._on_limits)
 
     def _serve(self, edges: Edges) -> None:
         instruments = Instruments(
@@ -132,6 +136,10 @@ class Uav:
             self._inbox.lose(int(name))
         self._advance()
 
+    def _on_limits(self, data: bytes) -> None:
+        """What the vehicle can do, before its formation begins."""
+        self._pilot.config = limited(self._pilot.config, *decode_limits(data))
+
     def _advance(self) -> None:
         """Lock-step: do the tick if everything for it is here."""
         own = self._inbox.own
@@ -158,6 +166,9 @@ class Uav:
         leg = self._epochs.at(now_ns)
         if leg is None:  # not announced or still to come
             self._pace.missed = 0
+        elif self._carried:
+            self._carried = False
+            self._pilot.restart()
         at = moment(now_ns, elapsed_ns, leg, self._born_ns)
         outputs = self._pilot.step(at, cutoff_ns)
         self._done_ns = now_ns

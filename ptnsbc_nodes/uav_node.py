@@ -22,6 +22,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _fly(arguments: argparse.Namespace, argv: list[str]) -> int:
     lifetime = Lifetime()
     scenario = load_scenario(arguments.scenario)
+    if arguments.bridged:
+        scenario = scenario.bridged()
     scenario.uav(arguments.uav)  # refuses an id that is not in the file
     load_agent(scenario, arguments.uav)
     with ros_node("controller", f"/uav{arguments.uav}", argv) as node:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 from typer.core import TyperGroup
@@ -14,7 +14,9 @@ from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_tools import options
 from ptnsbc_tools.autopilot.command import autopilot
 from ptnsbc_tools.bags.command import app as bags
+from ptnsbc_tools.bridge.command import bridge
 from ptnsbc_tools.options import (
+    AllowArmingOption,
     AvoidanceOption,
     BagArgument,
     BagOption,
@@ -39,6 +41,7 @@ from ptnsbc_tools.record.command import record
 from ptnsbc_tools.replay.command import replay
 from ptnsbc_tools.report.command import report
 from ptnsbc_tools.reproduce.command import reproduce
+from ptnsbc_tools.stop.command import stop
 
 REFUSED, INTERRUPTED = 2, 130
 
@@ -184,6 +187,11 @@ def fleet(
             help="As fast as it goes and the same bytes every time, or by the wall clock.",
         ),
     ] = False,
+    backend: Annotated[
+        Literal["sim", "mavlink"],
+        typer.Option("--backend", help="The simulator, or a MAVLink bridge per flight controller."),
+    ] = "sim",
+    allow_arming: AllowArmingOption = False,
     plant: PlantOption = None,
     task: TaskOption = None,
     profile: ProfileOption = None,
@@ -195,7 +203,10 @@ def fleet(
     overwrite: OverwriteOption = False,
     json: JsonOption = False,
 ) -> None:
-    """Fly a scenario with one ROS 2 process per UAV and a simulator; ends with the verdict."""
+    """Fly a scenario with one ROS 2 process per UAV; ends with the verdict.
+
+    The vehicles are simulated, or real flight controllers (--backend mavlink).
+    """
     from ptnsbc_tools import fleet as command
 
     given = options.overrides(
@@ -208,7 +219,14 @@ def fleet(
         settings=settings,
     )
     chosen = options.scenario_with(scenario, given)
-    wishes = command.Wishes(lockstep=lockstep, bag=bag, overwrite=overwrite, json=json)
+    wishes = command.Wishes(
+        lockstep=lockstep,
+        backend=backend,
+        allow_arming=allow_arming,
+        bag=bag,
+        overwrite=overwrite,
+        json=json,
+    )
     raise typer.Exit(command.fleet(chosen, wishes))
 
 
@@ -233,6 +251,8 @@ app.command()(plot)
 app.command()(reproduce)
 app.command()(autopilot)
 app.command()(record)
+app.command()(bridge)
+app.command()(stop)
 app.command()(replay)
 app.add_typer(bags, name="bag")
 

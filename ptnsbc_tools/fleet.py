@@ -9,7 +9,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_sim.scenario import Scenario
@@ -33,6 +33,8 @@ class Wishes:
     """How a fleet is to be flown, and what is to be kept of it."""
 
     lockstep: bool
+    backend: Literal["sim", "mavlink"] = "sim"
+    allow_arming: bool = False
     bag: Path | None = None
     overwrite: bool = False
     picture: Path | None = None
@@ -54,7 +56,14 @@ def _launch(scenario: Scenario, bag: Path, wishes: Wishes) -> FleetResult:
             f"{error.name} is not installed: install the extra [ros] or source ROS 2, or fly "
             "without it: ptnsbc simulate"
         ) from None
-    options = FleetOptions(scenario, lockstep=wishes.lockstep, bag=bag, overwrite=wishes.overwrite)
+    options = FleetOptions(
+        scenario,
+        lockstep=wishes.lockstep,
+        backend=wishes.backend,
+        allow_arming=wishes.allow_arming,
+        bag=bag,
+        overwrite=wishes.overwrite,
+    )
     return run_fleet(options, _say)
 
 
@@ -107,6 +116,8 @@ def _judged(bag: Path, flown: FleetResult, wishes: Wishes) -> int:
 
 def fleet(scenario: Scenario, wishes: Wishes) -> int:
     """Fly with one process per UAV, judge the bag; returns the exit code."""
+    if wishes.backend == "mavlink":
+        scenario = scenario.bridged()
     result.preflight(scenario, quiet=wishes.json)
     with ExitStack() as stack:
         bag = wishes.bag

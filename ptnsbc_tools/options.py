@@ -48,6 +48,9 @@ SetOption = Annotated[
 BagOption = Annotated[
     Path | None, typer.Option("--bag", metavar="DIR", help="Record into this folder.")
 ]
+AllowArmingOption = Annotated[
+    bool, typer.Option("--allow-arming", help="Arm real vehicles and take off.")
+]
 OverwriteOption = Annotated[bool, typer.Option("--overwrite", help="Replace an existing bag.")]
 JsonOption = Annotated[
     bool, typer.Option("--json", help="One JSON object on stdout and nothing else.")

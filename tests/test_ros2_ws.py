@@ -104,7 +104,7 @@ def setup_text(name: str) -> str:
 
 def test_entry_points_are_found():
     programs = {program for _, program, _ in entry_points()}
-    assert programs == {"uav_node", "sim_node", "recorder", "fleet", "ptnsbc"}
+    assert programs == {"uav_node", "sim_node", "recorder", "fleet", "bridge", "ptnsbc"}
     for name in ALL:  # a setup.py whose entry points this file does not see checks nothing
         assert ("console_scripts" in setup_text(name)) == any(
             package == name for package, _, _ in entry_points()

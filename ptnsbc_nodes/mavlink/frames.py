@@ -109,3 +109,14 @@ def offset_enu(place: GeoPoint, reference: GeoPoint, earth_radius_m: float) -> A
     angle = math.atan2(math.hypot(north, east), along)
     stretch = earth_radius_m * (angle / math.sin(angle) if angle > 0.0 else 1.0)
     return np.array([stretch * east, stretch * north, place.altitude_m - reference.altitude_m])
+
+
+def place_at(offset: Array, reference: GeoPoint, earth_radius_m: float) -> GeoPoint:
+    """The place at an ENU offset (3,) [m] from `reference`: `offset_enu` backwards, for some hundred metres."""
+    latitude = reference.latitude_deg + math.degrees(offset[1] / earth_radius_m)
+    # halfway in between, or 30 m north-east would be a millimetre off
+    middle = math.radians(0.5 * (latitude + reference.latitude_deg))
+    longitude = math.degrees(offset[0] / (earth_radius_m * math.cos(middle)))
+    return GeoPoint(
+        latitude, reference.longitude_deg + longitude, reference.altitude_m + float(offset[2])
+    )

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections import deque
 
 _NANO = 1e-9
+_ROUNDING_S = 1e-6
 _SLOWEST_TRIP_S = 0.5
 _WINDOW = 16
 _ONE_WAY_WINDOW_S = 5.0
@@ -52,7 +53,7 @@ class TimeSync:
             return False
         self._asked_ns.remove(ours_ns)  # each question has one answer; a second is a replay
         trip_s = now_s - ours_ns * _NANO
-        if not 0.0 <= trip_s <= _SLOWEST_TRIP_S:
+        if not -_ROUNDING_S <= trip_s <= _SLOWEST_TRIP_S:
             return False
         offset_s = 0.5 * (ours_ns * _NANO + now_s) - theirs_ns * _NANO
         self._last_answer_s = now_s

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 from pydantic import Field
 
@@ -84,6 +84,7 @@ class Mavlink(Block):
     geofence: Geofence = Geofence()
     limits: VehicleLimits = VehicleLimits()
     vehicles: dict[UavId, MavlinkVehicle] = Field(default_factory=dict)
+    overrides: dict[str, Any] = Field(default_factory=dict)  # dotted keys of the file
 
 
 class VehicleLink(NamedTuple):
@@ -120,6 +121,9 @@ def problems(file: ScenarioFile) -> Iterator[str]:
             yield f"{where}: no such UAV; expected one of the ids under uavs: {known}"
         if vehicle.connect is not None and not _CONNECT.fullmatch(vehicle.connect):
             yield f'{where}.connect: "{vehicle.connect}": {_CONNECT_HELP}'
+    for key in block.overrides:
+        if key.split(".")[0] not in ("gains", "formation"):
+            yield f"mavlink.overrides.{key}: expected a key below gains or formation"
     yield from _duplicates(block, ids)
     yield from _fence(block.geofence)
 

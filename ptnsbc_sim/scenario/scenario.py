@@ -201,6 +201,12 @@ class Scenario:
         self.uav(uav_id)  # names the ids there are when this is not one
         return vehicle_link(self.mavlink, self.uav_ids, uav_id)
 
+    def bridged(self) -> Scenario:
+        """The same flight with real vehicles: with `mavlink.overrides` in place; twice is once."""
+        if not self.mavlink.overrides:
+            return self
+        return scenario_from_text(self.text, self.mavlink.overrides, source=self.source)
+
     def uav(self, uav_id: int) -> Vehicle:
         """Start and disturbance of one UAV."""
         for block in self.file.uavs:

@@ -31,6 +31,7 @@ def _shared(name: str) -> None:
 
 if importlib.util.find_spec("pymavlink"):
     _shared("mavlink_wires")
+    _shared("mavlink_fleet")
 
 
 @contextmanager

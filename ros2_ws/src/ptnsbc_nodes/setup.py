@@ -46,6 +46,7 @@ setup(
             "sim_node = ptnsbc_nodes.sim_node:main",
             "recorder = ptnsbc_nodes.recorder:main",
             "fleet = ptnsbc_nodes.fleet_node:main",
+            "bridge = ptnsbc_nodes.bridge_node:main",
         ]
     },
 )

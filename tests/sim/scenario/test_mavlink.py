@@ -55,6 +55,7 @@ def test_own_entries_win():
             {"geofence": {"box_min_m": [0, 0, 0], "box_max_m": [1, 1, 0]}},
             r"box_max_m: 0: expected more than box_min_m, 0",
         ),
+        ({"overrides": {"timing.control_hz": 50}}, r"overrides.timing.control_hz: expected a key"),
         ({"takeoff_height": 3}, r"mavlink.takeoff_height: unknown key: did you mean"),
     ],
 )
@@ -62,6 +63,18 @@ def test_what_does_not_fit_is_refused_in_one_line(block, message):
     with pytest.raises(PtnsbcError, match=message) as refused:
         scenario(**block)
     assert "\n" not in str(refused.value)
+
+
+def test_overrides_hold_with_real_vehicles_only():
+    changes = {"gains.formation.kappa_1_s": 1.1, "formation.task": "relative_position"}
+    simulated = scenario(overrides=changes)
+    assert simulated.gains.formation.kappa_1_s == 2.2
+    real = simulated.bridged()
+    assert real.gains.formation.kappa_1_s == 1.1
+    assert real.file.formation.task == "relative_position"
+    assert real.bridged().text == real.text
+    with pytest.raises(PtnsbcError, match=r"gains.formation.kapa: unknown key"):
+        scenario(overrides={"gains.formation.kapa": 1.1}).bridged()
 
 
 def test_the_page_has_every_key_with_its_default():

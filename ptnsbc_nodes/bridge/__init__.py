@@ -1,0 +1,1 @@
+"""The bridge between one UAV process and one flight controller."""

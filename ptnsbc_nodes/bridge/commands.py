@@ -1,0 +1,115 @@
+"""Commands to the vehicle, and what it answered: every one is acknowledged, none is believed."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from typing import Any
+
+from ptnsbc_nodes.bridge.procedure import Ask
+from ptnsbc_nodes.mavlink.autopilots import Autopilot, Mode
+from ptnsbc_nodes.mavlink.dialect import mavlink
+from ptnsbc_nodes.mavlink.link import AUTOPILOT_COMPONENT
+
+_FORCE = 21196
+"""`param2` of the disarm command that also works in the air: a magic number of MAVLink's own."""
+
+_CUSTOM = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
+_NO_YAW = math.nan
+
+_RATES_HZ = {
+    mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 2.0,
+    mavlink.MAVLINK_MSG_ID_SYS_STATUS: 1.0,
+    mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: 2.0,
+}
+_STATE_IDS = (
+    mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
+    mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION,
+)
+
+
+class Commands:
+    """COMMAND_LONG messages for one vehicle."""
+
+    def __init__(self, autopilot: Autopilot, sysid: int) -> None:
+        self._autopilot = autopilot
+        self._sysid = sysid
+        self._sent: Counter[int] = Counter()
+        self._names: dict[int, str] = {}
+        self.refused = ""
+        """Newest answer that was not a plain yes to something we care about."""
+
+    def message(self, ask: Ask, takeoff_height_m: float) -> Any:
+        """The command for an intention of the procedure."""
+        if ask is Ask.OWN_MODE:
+            return self._own_mode()
+        if ask is Ask.ARM:
+            return self._long(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, "arm", (1.0,))
+        if ask is Ask.DISARM:
+            return self._long(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, "disarm", (0.0,))
+        if ask is Ask.KILL:
+            return self._long(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, "disarm", (0.0, _FORCE))
+        if ask is Ask.TAKEOFF:
+            parameters = (0.0, 0.0, 0.0, _NO_YAW, 0.0, 0.0, takeoff_height_m)
+            return self._long(mavlink.MAV_CMD_NAV_TAKEOFF, "take off", parameters)
+        return self._land()
+
+    def leave(self) -> Any:
+        """After landing: out of the own mode, into which PX4 would arm straight the next time."""
+        return self._mode(Mode.HOLD, "hold mode")
+
+    def intervals(self, state_hz: float) -> list[Any]:
+        """Requests for the messages that the bridge lives on; ArduPilot sends none unasked."""
+        rates = {**dict.fromkeys(_STATE_IDS, state_hz), **_RATES_HZ}
+        return [
+            self._long(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, "", (float(number), 1e6 / hz))
+            for number, hz in rates.items()
+        ]
+
+    def request(self, message_id: int) -> Any:
+        """Ask for one message, once."""
+        return self._long(mavlink.MAV_CMD_REQUEST_MESSAGE, "", (float(message_id),))
+
+    def heard(self, message: Any) -> None:
+        """A COMMAND_ACK."""
+        name = self._names.get(message.command, "")
+        if not name:
+            return
+        if message.result in (mavlink.MAV_RESULT_ACCEPTED, mavlink.MAV_RESULT_IN_PROGRESS):
+            self.refused = ""
+            return
+        results = mavlink.enums["MAV_RESULT"]
+        known = message.result in results
+        result = results[message.result].name if known else f"result {message.result}"
+        self.refused = f"{name}: {result.removeprefix('MAV_RESULT_')}"
+
+    def _own_mode(self) -> Any:
+        name = self._autopilot.own_mode
+        if self._autopilot.attitude_only:
+            base = mavlink.MAV_MODE_GUIDED_DISARMED
+            return self._long(mavlink.MAV_CMD_DO_SET_MODE, name, (float(base),))
+        return self._mode(Mode.OWN, name)
+
+    def _mode(self, mode: Mode, name: str) -> Any:
+        numbers = self._autopilot.numbers(mode)
+        parameters = (float(_CUSTOM), float(numbers.main), float(numbers.sub))
+        return self._long(mavlink.MAV_CMD_DO_SET_MODE, name, parameters)
+
+    def _land(self) -> Any:
+        """By mode and by command in turn: one of the two is understood by everybody."""
+        self._sent[-1] += 1
+        if self._autopilot.attitude_only or self._sent[-1] % 2 == 0:
+            parameters = (0.0, 0.0, 0.0, _NO_YAW, 0.0, 0.0, 0.0)
+            return self._long(mavlink.MAV_CMD_NAV_LAND, "land", parameters)
+        return self._mode(Mode.LAND, "land")
+
+    def _long(self, command: int, name: str, parameters: Sequence[float]) -> Any:
+        if name:
+            self._names[command] = name
+        confirmation = self._sent[command] % 256 if name else 0
+        self._sent[command] += 1
+        filled = (*parameters, *(0.0,) * (7 - len(parameters)))
+        return mavlink.MAVLink_command_long_message(
+            self._sysid, AUTOPILOT_COMPONENT, command, confirmation, *filled
+        )

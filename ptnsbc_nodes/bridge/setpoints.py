@@ -1,0 +1,85 @@
+"""Setpoint messages from quantities in our frames; the fields that count are named, not numbered."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ptnsbc_core.types import Array
+from ptnsbc_nodes.bridge.attitude import AttitudeTarget
+from ptnsbc_nodes.mavlink import frames, masks
+from ptnsbc_nodes.mavlink.autopilots import Autopilot
+from ptnsbc_nodes.mavlink.dialect import mavlink
+from ptnsbc_nodes.mavlink.link import AUTOPILOT_COMPONENT
+
+_PLACE = masks.position_target((*masks.POSITION, "yaw"))
+_VELOCITY = masks.position_target((*masks.VELOCITY, "yaw"))
+_VELOCITY_PUSHED = masks.position_target((*masks.VELOCITY, *masks.ACCELERATION, "yaw"))
+_BOTH = masks.position_target((*masks.POSITION, *masks.VELOCITY, "yaw"))
+_BOTH_PUSHED = masks.position_target((*masks.POSITION, *masks.VELOCITY, *masks.ACCELERATION, "yaw"))
+_ATTITUDE = masks.attitude_target(("q", "thrust"))
+_ATTITUDE_AND_RATES = masks.attitude_target(("q", "thrust", *masks.RATES))
+_NOTHING = np.zeros(3)
+_32_BITS = 0xFFFFFFFF
+
+
+class Setpoints:
+    """Messages for one vehicle, positions relative to its own local origin."""
+
+    def __init__(self, autopilot: Autopilot, sysid: int) -> None:
+        self._sysid = sysid
+        # PX4 would hand rates beside an attitude to a second controller, ArduPilot adds them to its
+        # own: only a controller that takes nothing else is told both.
+        self._attitude_mask = _ATTITUDE_AND_RATES if autopilot.attitude_only else _ATTITUDE
+
+    def place(self, now_s: float, local_enu: Array, yaw_enu: float) -> Any:
+        """Stay at a point (3,) [m] of the local frame."""
+        return self._position_target(now_s, _PLACE, (local_enu, _NOTHING, _NOTHING), yaw_enu)
+
+    def velocity(self, now_s: float, velocity_enu: Array, push: Array | None, yaw: float) -> Any:
+        """Fly at a velocity (3,) [m/s]; `push`: acceleration feed-forward (3,) [m/s^2] or None."""
+        mask = _VELOCITY if push is None else _VELOCITY_PUSHED
+        pushed = _NOTHING if push is None else push
+        return self._position_target(now_s, mask, (_NOTHING, velocity_enu, pushed), yaw)
+
+    def both(
+        self, now_s: float, local_enu: Array, velocity_enu: Array, push: Array | None, yaw: float
+    ) -> Any:
+        """Pass a point at a velocity."""
+        mask = _BOTH if push is None else _BOTH_PUSHED
+        pushed = _NOTHING if push is None else push
+        return self._position_target(now_s, mask, (local_enu, velocity_enu, pushed), yaw)
+
+    def attitude(self, now_s: float, target: AttitudeTarget) -> Any:
+        """Point and pull."""
+        return mavlink.MAVLink_set_attitude_target_message(
+            _milliseconds(now_s),
+            self._sysid,
+            AUTOPILOT_COMPONENT,
+            self._attitude_mask,
+            frames.quaternion_enu_flu_to_ned_frd(target.quaternion).tolist(),
+            *frames.vector_flu_to_frd(target.rates).tolist(),
+            target.thrust,
+        )
+
+    def _position_target(
+        self, now_s: float, mask: int, vectors_enu: tuple[Array, Array, Array], yaw_enu: float
+    ) -> Any:
+        numbers = [
+            float(number) for vector in vectors_enu for number in frames.vector_enu_to_ned(vector)
+        ]
+        return mavlink.MAVLink_set_position_target_local_ned_message(
+            _milliseconds(now_s),
+            self._sysid,
+            AUTOPILOT_COMPONENT,
+            mavlink.MAV_FRAME_LOCAL_NED,
+            mask,
+            *numbers,
+            frames.yaw_enu_to_ned(yaw_enu),
+            0.0,
+        )
+
+
+def _milliseconds(now_s: float) -> int:
+    return round(now_s * 1e3) & _32_BITS

@@ -1,0 +1,1 @@
+"""`ptnsbc bridge`: one flight controller on the topics of one UAV."""

@@ -1,0 +1,1 @@
+"""`ptnsbc stop`: every vehicle of a flying fleet lands, or stops its motors."""

@@ -1,0 +1,214 @@
+"""Flights through bridges against the stand-in: whole fleets, and every fault, on a clock of the tests."""
+
+import pytest
+
+pytest.importorskip("pymavlink")
+
+from mavlink_fleet import BASE_NS, START_S, MavlinkFleet
+
+from ptnsbc_nodes.autopilot.faults import inject
+from ptnsbc_nodes.bridge.procedure import Step
+from ptnsbc_nodes.mavlink.autopilots import Mode
+from ptnsbc_sim.scenario import load_scenario
+from ptnsbc_tools.verdict import verdict_on
+
+AUTOPILOTS = {"px4": "px4", "arducopter": "ardupilot", "stm32": "generic"}
+
+
+def scenario(kind="px4", setpoint="velocity", duration_s=12.0, **overrides):
+    changes = {
+        "timing.duration_s": duration_s,
+        "mavlink.autopilot": AUTOPILOTS[kind],
+        "mavlink.setpoint": setpoint,
+        **overrides,
+    }
+    return load_scenario("experiment_4", changes).bridged()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("kind", "setpoint"),
+    [
+        ("px4", "velocity"),
+        ("px4", "attitude"),
+        ("arducopter", "velocity"),
+        ("arducopter", "attitude"),
+    ],
+)
+def test_four_vehicles_take_off_form_by_the_deadline_and_land(kind, setpoint):
+    fleet = MavlinkFleet(scenario(kind, setpoint), kind, gnss="perfect", spread_m=30.0)
+    fleet.set_parameter("GUID_OPTIONS", 8)
+    fleet.airborne().form().run(12.6).land()
+    assert [uav.step for uav in fleet.uavs.values()] == [Step.DONE] * 4, fleet.report()
+    assert {uav.bridge.procedure.fault for uav in fleet.uavs.values()} == {""}
+    assert not any(uav.vehicle.armed for uav in fleet.uavs.values())
+    found = verdict_on(fleet.recording())
+    assert found.verdict == "met", [(u.uav, u.reason) for u in found.uavs]
+    assert min(pair.distance_m for pair in found.separations) > 0.5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("kind", "setpoint"), [("px4", "position_velocity"), ("stm32", "attitude")]
+)
+def test_a_leader_alone_by_the_other_ways(kind, setpoint):
+    fleet = MavlinkFleet(scenario(kind, setpoint), kind, gnss="perfect", count=1)
+    fleet.airborne().form().run(12.6)
+    assert fleet.leader_error_m() < 0.1
+    fleet.land()
+    assert fleet.uavs[1].bridge.procedure.fault == "", fleet.report()
+
+
+def one(**overrides):
+    """One flying vehicle of four, in formation with itself."""
+    fleet = MavlinkFleet(scenario(**overrides), count=1)
+    fleet.set_parameter("COM_OBL_RC_ACT", 5)
+    fleet.airborne().form().run(2.0)
+    return fleet, fleet.uavs[1]
+
+
+def until(fleet, uav, step, seconds=10.0):
+    fleet.run(seconds, until=lambda: uav.step is step)
+
+
+def told_last_s(fleet, uav):
+    """How long ago the formation heard of this vehicle."""
+    return fleet.now_s - START_S - (uav.stamps[-1] - BASE_NS) * 1e-9
+
+
+def test_setpoints_end_the_stream_ends_the_failsafe_acts_and_then_the_pilot():
+    fleet, uav = one()
+    stopped = fleet.now_s
+    uav.alive = False
+    until(fleet, uav, Step.FAILSAFE, 2.0)
+    fleet.run(0.5)
+    assert uav.setpoints[-1][0] - stopped <= 0.6
+    fleet.run(3.0, until=lambda: uav.bridge.vehicle.mode is Mode.HOLD)  # PX4's own failsafe
+    assert uav.lost == 1
+    uav.alive = True  # PX4 returns to OFFBOARD by itself; nobody asks it to
+    until(fleet, uav, Step.FLY)
+    assert uav.bridge.vehicle.mode is Mode.OWN
+    fleet.run(3.0)
+    assert uav.step is Step.FLY
+    taken = fleet.now_s
+    inject(uav.vehicle, "mode", "POSCTL", fleet.now_s)
+    until(fleet, uav, Step.YIELDED)
+    fleet.run(3.0)
+    assert uav.setpoints[-1][0] - taken < 1.6  # HEARTBEAT comes once a second
+    assert "the pilot took over" in uav.bridge.procedure.fault
+    assert told_last_s(fleet, uav) > 1.0
+    assert fleet.now_s - uav.tracks[-1][0] < 0.1
+
+
+def test_a_bridge_killed_leaves_the_vehicle_to_its_failsafe():
+    fleet, uav = one()
+    uav.bridged = False
+    fleet.run(3.0)
+    assert uav.vehicle.mode_name not in ("OFFBOARD",)
+    assert uav.vehicle.armed
+
+
+def test_a_vehicle_that_is_rebooted_is_not_armed_again():
+    fleet, uav = one()
+    inject(uav.vehicle, "reboot", "", fleet.now_s)
+    until(fleet, uav, Step.FAILED)
+    assert "the vehicle rebooted in flight" in uav.bridge.procedure.fault
+    assert not uav.vehicle.armed
+
+
+def test_arming_refused_by_the_vehicle():
+    fleet = MavlinkFleet(scenario(), count=1)
+    uav = fleet.uavs[1]
+    inject(uav.vehicle, "arming", "refuse", fleet.now_s)
+    until(fleet, uav, Step.FAILED, 90.0)
+    assert "arming refused (arm: " in uav.bridge.procedure.fault
+
+
+def test_gps_lost_in_flight():
+    fleet, uav = one()
+    inject(uav.vehicle, "gps", "off", fleet.now_s)
+    until(fleet, uav, Step.FAILSAFE, 30.0)
+    fleet.run(1.0)
+    assert told_last_s(fleet, uav) > 0.9
+    assert fleet.now_s - uav.setpoints[-1][0] > 0.9
+
+
+def test_heartbeat_lost_and_found_again():
+    fleet, uav = one()
+    inject(uav.vehicle, "heartbeat", "off", fleet.now_s)
+    until(fleet, uav, Step.FAILSAFE)
+    assert "no heartbeat" in uav.bridge.procedure.fault
+    assert uav.lost == 1
+    inject(uav.vehicle, "heartbeat", "on", fleet.now_s)
+    until(fleet, uav, Step.FLY, 15.0)
+
+
+@pytest.mark.parametrize("jump_s", ["40", "-3"])
+def test_the_vehicles_clock_jumps_and_the_flight_goes_on(jump_s):
+    fleet, uav = one()
+    inject(uav.vehicle, "clock", jump_s, fleet.now_s)
+    fleet.run(10.0)
+    assert uav.step is Step.FLY, fleet.report()
+    assert told_last_s(fleet, uav) < 0.1
+    for stamp, odometry in list(zip(uav.stamps, uav.odometry, strict=True))[-400:]:
+        assert abs(odometry[0]) < 3.0, stamp
+
+
+def test_a_second_vehicle_with_the_same_id_changes_nothing_in_flight():
+    fleet, uav = one()
+    inject(uav.vehicle, "duplicate", "on", fleet.now_s)
+    fleet.run(3.0)
+    assert uav.link.counts["other_address"] > 10
+    assert uav.step is Step.FLY
+    assert abs(uav.odometry[-1][1]) < 10.0  # the other is 50 m to the north
+
+
+def test_a_second_vehicle_with_the_same_id_is_not_armed():
+    fleet = MavlinkFleet(scenario(), count=1)
+    uav = fleet.uavs[1]
+    inject(uav.vehicle, "duplicate", "on", fleet.now_s)
+    until(fleet, uav, Step.FAILED, 30.0)
+    assert "two vehicles with this system id" in uav.bridge.procedure.fault
+    assert not uav.vehicle.armed
+
+
+def test_a_low_battery_lands_this_vehicle():
+    fleet, uav = one()
+    inject(uav.vehicle, "battery", "0.15", fleet.now_s)
+    until(fleet, uav, Step.LAND)
+    until(fleet, uav, Step.DONE, 60.0)
+    assert "battery at 1" in uav.bridge.procedure.fault
+
+
+def test_a_fence_in_the_way_lands_it_no_farther_than_it_must():
+    fleet = MavlinkFleet(scenario(**{"mavlink.takeoff_height_m": 3.0}), count=1)
+    fleet.airborne()
+    uav = fleet.uavs[1]
+    uav.bridge.guard._high[2] = 5.0  # the leader's path is at 8 m
+    fleet.form().run(12.0)
+    assert uav.bridge.guard.clamped["fence"] > 100
+    assert max(odometry[2] for odometry in uav.odometry) < 5.3
+    uav.bridge.guard._high[2] = 3.0  # and now it is outside
+    until(fleet, uav, Step.LAND)
+    assert "outside the geofence: z = " in uav.bridge.procedure.fault
+
+
+def test_the_planner_is_slowed_down_to_the_vehicle():
+    fleet = MavlinkFleet(scenario(), count=1)
+    fleet.set_parameter("MPC_XY_VEL_MAX", 0.4)
+    fleet.airborne().form().run(8.0)
+    limits = fleet.uavs[1].pilot.config.filter
+    assert limits.max_speed == pytest.approx(0.4)
+    sent = [m for _, m in fleet.uavs[1].setpoints if m.get_type().startswith("SET_POSITION")]
+    assert max((m.vx**2 + m.vy**2) ** 0.5 for m in sent) <= 0.4 + 1e-6
+
+
+def test_stop_and_kill_in_flight():
+    fleet, uav = one()
+    uav.bridge.inlets.halt = "land"
+    until(fleet, uav, Step.DONE, 60.0)
+    assert uav.bridge.procedure.fault == ""
+    fleet, uav = one()
+    uav.bridge.inlets.halt = "kill"
+    until(fleet, uav, Step.FAILED, 3.0)
+    assert not uav.vehicle.armed
