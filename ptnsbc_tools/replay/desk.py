@@ -37,7 +37,7 @@ class Desk:
 
     def wanted(self, bag: Bag) -> list[str]:
         """Topics of a bag that `put` understands, and the notes of real time."""
-        notes = [topics.tick(uav).name for uav in self.scenario.uav_ids]
+        notes = [topics.tick(uav).name for uav in self.seats]
         common = (topics.EPOCH.name, topics.DIAGNOSTICS.name)
         names = (*self.shelves, *self._snapshot_topics, *notes, *common)
         return [name for name in names if name in bag.topics]

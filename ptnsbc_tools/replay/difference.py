@@ -68,6 +68,16 @@ def of_numbers(field: str, recorded: float, computed: float) -> Mismatch:
     return Mismatch(field, repr(recorded), repr(computed), computed - recorded)
 
 
+def of_texts(field: str, recorded: str | None, computed: str) -> Mismatch:
+    """Two values of /diagnostics, with their difference where they are numbers."""
+    if recorded is None:
+        return Mismatch(field, "nothing", computed)
+    try:
+        return Mismatch(field, recorded, computed, float(computed) - float(recorded))
+    except ValueError:
+        return Mismatch(field, recorded, computed)
+
+
 def of_messages(topic: str, recorded: bytes, computed: bytes) -> Mismatch:
     """The first field of a message on `topic` that differs, or the first byte."""
     decode, names = _FIELDS[topic]

@@ -49,9 +49,7 @@ class Driver(ABC, Generic[S]):
     def take(self, topic: str, log_ns: int, data: bytes) -> None:
         """Note the step of a trigger."""
         uav = self.triggers[topic]
-        step = self.read(uav, data)
-        if uav in self.desk.seats:
-            self._due.append((log_ns, uav, step))
+        self._due.append((log_ns, uav, self.read(uav, data)))
 
     def make_due(self, log_ns: int) -> None:
         """Make the steps that were recorded `WINDOW_NS` before `log_ns`."""

@@ -18,10 +18,8 @@ class Realtime(Driver[TickNote]):
 
     def __init__(self, desk: Desk) -> None:
         super().__init__(desk)
-        ids = desk.scenario.uav_ids  # also the others': how often they spoke matters
-        self.triggers = {topics.tick(uav).name: uav for uav in ids}
-        self._sent: dict[int, dict[int, int]] = {uav: {} for uav in ids}
-        self._uav_of = {topic.name: uav for uav in ids for topic in topics.of_uav(uav)[2:]}
+        self.triggers = {topics.tick(uav).name: uav for uav in desk.seats}
+        self._sent: dict[int, dict[int, int]] = {uav: {} for uav in desk.seats}  # steps by stamp
         self._why = dict.fromkeys(desk.seats, "the recording begins after the first step")
 
     def read(self, uav: int, data: bytes) -> TickNote:
@@ -34,11 +32,6 @@ class Realtime(Driver[TickNote]):
         if len(sent) > _KEPT_STAMPS:
             del sent[next(iter(sent))]
         return note
-
-    def sent(self, topic: str, stamp_ns: int) -> int:
-        """How many messages with this stamp a UAV has sent on a topic; a sensor sends one."""
-        uav = self._uav_of.get(topic)
-        return 1 if uav is None else self._sent[uav].get(stamp_ns, 0)
 
     def place(self, step: TickNote) -> Place:
         """Ticks are counted by the process."""
@@ -57,7 +50,7 @@ class Realtime(Driver[TickNote]):
             self._leave_out(seat, step, snapshot)
             return None
         try:
-            wrong = seat.fetch(step, self.desk.shelves, self.sent)
+            wrong = seat.fetch(step, self.desk.shelves)
         except MissingError as missing:
             self._why[seat.uav] = str(missing)
             self._leave_out(seat, step, snapshot)

@@ -199,6 +199,28 @@ def test_realtime_one_bit_of_an_input(again, realtime, rewritten):
     assert done.first.field == f"/uav5/near, an input stamped {used}"
 
 
+def test_realtime_one_of_two_with_the_same_stamp_is_lost(again, realtime, rewritten):
+    """A UAV that ticked twice on one odometry: what is left is no difference of those who used the other."""
+    stamps = [note.used["own"].stamp_ns for note in notes(realtime, 2)]
+    twice = {stamp for stamp in stamps if stamps.count(stamp) > 1}
+    assert twice
+    kept: dict[int, bytes] = {}
+    lost = []
+
+    def change(message):
+        if message.topic == "/uav2/leader_estimate" and peek_stamp(message.data) in twice:
+            first = kept.setdefault(peek_stamp(message.data), message.data)
+            if first is not message.data:
+                lost.append(message.data != first)
+                return
+        yield message
+
+    done = again(rewritten(realtime, change))
+    assert (done.verdict, done.first) == ("void", None)
+    assert done.accounts[2].unrecorded == sum(lost) > 0
+    assert {uav for uav, account in done.accounts.items() if account.gaps} <= {1, 3}
+
+
 def test_realtime_recorded_from_the_middle(again, realtime, rewritten):
     flown = notes(realtime, 1)
     start_ns = flown[70].moment.now_ns - 2 * PERIOD_NS
