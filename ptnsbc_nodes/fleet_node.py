@@ -18,14 +18,20 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--duration", type=float, metavar="S", help="instead of the scenario's")
     parser.add_argument("--bag", type=Path, help="record into this folder")
     parser.add_argument("--overwrite", action="store_true", help="replace an existing bag")
+    parser.add_argument("--backend", choices=("sim", "mavlink"), default="sim")
+    parser.add_argument("--allow-arming", action="store_true", help="of real vehicles")
     parser.add_argument("--log-dir", type=Path, help="where each process writes its log")
     return run(parser, argv, _fly)
 
 
 def _fly(arguments: argparse.Namespace, _argv: list[str]) -> int:
     scenario = load_scenario(arguments.scenario, {"timing.duration_s": arguments.duration})
+    if arguments.backend == "mavlink":
+        scenario = scenario.bridged()
     options = FleetOptions(
         scenario=scenario,
+        backend=arguments.backend,
+        allow_arming=arguments.allow_arming,
         lockstep=arguments.lockstep,
         bag=arguments.bag,
         overwrite=arguments.overwrite,
