@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from ptnsbc_tools.limits import TOLERANCE_M
 from ptnsbc_tools.reproduce import style
 from ptnsbc_tools.reproduce.claims import experiment_claim
 from ptnsbc_tools.reproduce.draw_paths import columns, draw_from_above, uav_label
@@ -83,7 +84,8 @@ def _snapshots(workshop: Workshop, one: Flown) -> Figure:
     return Figure(name, "Fig. 34", caption)
 
 
-def _table(flights: dict[int, Flown]) -> Table:
+def _table(flights: dict[int, Flown], calm: Flown) -> Table:
+    close = sum(one.worst_at_deadline_m() <= TOLERANCE_M for one in flights.values())
     rows: list[tuple[Cell, ...]] = [
         (
             seed,
@@ -112,7 +114,9 @@ def _table(flights: dict[int, Flown]) -> Table:
         ),
         tuple(rows),
         f"True positions are judged, not measured ones: the largest error after the deadline is "
-        f"{max(one.worst_after_m() for one in flights.values()):.3f} m over {len(flights)} draws.",
+        f"{max(one.worst_after_m() for one in flights.values()):.3f} m over {len(flights)} draws. The "
+        f"{TOLERANCE_M:g} m of the other scenarios are kept at the deadline in {close} of them, and with nothing "
+        f"left to chance (`experiment_4_calm`), where the error is {calm.worst_at_deadline_m():.3f} m.",
     )
 
 
@@ -122,13 +126,13 @@ def run(workshop: Workshop) -> Part:
     for seed in SEEDS:
         workshop.tell(f"flying seed {seed}")
         flights[seed] = flight(seed)
-    first = flights[SEEDS[0]]
+    first, calm = flights[SEEDS[0]], flown("experiment_4_calm")
     return Part(
         "experiment",
         "The experiment: four quadrotors",
         "Scenario `experiment_4`, 50 s, on the quadrotor plant: position noise and rate of an RTK receiver, latency, "
         "lost messages, wind with gusts. What is not printed is chosen, and said in the scenario file.",
         figures=(_paths(workshop, first), _snapshots(workshop, first)),
-        tables=(_table(flights),),
-        claims=(experiment_claim(list(flights.values())),),
+        tables=(_table(flights, calm),),
+        claims=(experiment_claim(list(flights.values()), calm),),
     )

@@ -15,6 +15,11 @@ _WORDS = {
     "ours, paper": "printed gains behind the command filter",
     "ours, soft": "profile soft",
 }
+_CONDITIONS = {
+    PRINTED: "printed",
+    "ours, paper": "the printed gains are flown behind a command filter",
+    "ours, soft": "the profile is soft",
+}
 _FIVE = 5
 
 
@@ -42,7 +47,8 @@ def _listed(found: Mapping[str, float]) -> str:
 
 
 def _verdict(cases: Mapping[str, bool]) -> str:
-    return verdict({_WORDS[mine]: good for mine, good in cases.items()}, _WORDS[PRINTED])
+    named = {_CONDITIONS[mine]: good for mine, good in cases.items()}
+    return verdict(named, _CONDITIONS[PRINTED])
 
 
 def initial_claim(
@@ -102,7 +108,7 @@ def spent_claim(
     told = ", ".join(f"{_WORDS[mine]} {value:.0f} N²s" for mine, value in spent.items())
     return Claim(
         "energy",
-        "Energy (54) is a second indicator of a controller",
+        "Energy (54) is a second indicator of a controller; here against the baselines",
         "a figure; no number, nothing compared",
         f"beyond hover: {told}; the better baseline {least['nominal']:.0f} N²s, tuned to settle when ours does "
         f"{least['matched']:.0f} N²s",
