@@ -217,10 +217,13 @@ def test_a_bag_without_a_scenario_says_what_to_do(fly: Fly, tmp_path: Path) -> N
 
 
 @pytest.mark.slow
-def test_simulate_and_verify_agree(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("scenario", "judged_by"), [("paper_5_free", "odometry"), ("experiment_4", "truth")]
+)
+def test_simulate_and_verify_agree(scenario: str, judged_by: str, tmp_path: Path) -> None:
     pytest.importorskip("rclpy")
     bag = tmp_path / "bag"
-    words = ("paper_5_free", "--duration", "6", "--task", "relative_position", "--json")
+    words = (scenario, "--duration", "6", "--task", "relative_position", "--json")
     code, out, _ = run("simulate", *words, "--bag", bag)
     flown = json.loads(out)
     again, read, _ = run("verify", bag, "--json")
@@ -230,6 +233,7 @@ def test_simulate_and_verify_agree(tmp_path: Path) -> None:
     exact, rounded = (one.pop("priority_violation_m_s") for one in (flown, told))
     assert exact == pytest.approx(rounded, rel=1e-5)
     assert {**flown, "bag": None} == {**told, "bag": None}
+    assert (told["verdict"], told["judged_by"]) == ("met", judged_by)
     assert run("simulate", *words, "--bag", bag)[0] == 2  # it exists
 
 

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -68,6 +69,27 @@ def test_tolerance_is_an_option(fly: Fly) -> None:
     recording = fly({3: lambda t: np.full_like(t, 0.08)})
     assert verdict_on(recording).verdict == "missed"
     assert verdict_on(recording, tolerance=0.1).verdict == "met"
+
+
+def test_tolerance_is_the_scenarios(fly: Fly) -> None:
+    changes = {"timing.duration_s": 12.0, "formation.tolerance_m": 0.1}
+    patient = load_scenario("paper_5_free", changes)
+    recording = fly({3: lambda t: np.full_like(t, 0.08)}, scenario=patient)
+    assert verdict_on(recording).verdict == "met"
+    assert of(verdict_on(recording), 3).tolerance_m == 0.1
+    assert verdict_on(recording, tolerance=0.05).verdict == "missed"
+
+
+def test_where_the_truth_is_recorded_it_is_what_counts(fly: Fly) -> None:
+    """Whatever the UAVs believed; without the truth of all UAVs odometry is all there is."""
+    believed, true = fly(), fly({3: lambda t: np.full_like(t, 0.3)})
+    verdict = verdict_on(replace(believed, truth=true.odometry))
+    assert (verdict.verdict, verdict.judged_by) == ("missed", "truth")
+    assert of(verdict, 3).error_at_deadline_m == pytest.approx(0.3)
+    assert of(verdict_on(replace(true, truth=believed.odometry)), 3).verdict == "met"
+    some = {uav: true.odometry[uav] for uav in (1, 2, 3)}
+    verdict = verdict_on(replace(believed, truth=some))
+    assert (verdict.verdict, verdict.judged_by) == ("met", "odometry")
 
 
 def test_leader_is_measured_against_its_trajectory(fly: Fly) -> None:
