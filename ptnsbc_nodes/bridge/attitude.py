@@ -27,7 +27,6 @@ class AttitudeTarget(NamedTuple):
     """What SET_ATTITUDE_TARGET carries, in our frames."""
 
     quaternion: Array  # (4,) x y z w, FLU to ENU
-    rates: Array  # (3,) [rad/s], FLU
     thrust: float  # 0 to 1
 
 
@@ -134,33 +133,6 @@ def pointing(force_enu: Array, yaw_enu_rad: float) -> Array:
     tilt = math.acos(min(max(float(up[2]), -1.0), 1.0))
     axis = np.zeros(3) if level < 1e-9 else np.array([-up[1], up[0], 0.0]) / level
     return product(exponential(tilt * axis), exponential(np.array([0.0, 0.0, yaw_enu_rad])))
-
-
-class Turning:
-    """Body rates (3,) [rad/s, FLU] at which an attitude target turns, smoothed.
-
-    Controllers that take rates beside an attitude add them to their own: a feed-forward. What the
-    planner's law wants on top of that is in the attitude already.
-    """
-
-    _SMOOTH_S = 0.15
-    _MOST_RAD_S = 2.0
-
-    def __init__(self) -> None:
-        self._last: Array | None = None
-        self._rates = np.zeros(3)
-
-    def of(self, quaternion: Array, dt: float) -> Array:
-        """The rates with this target (4,), `dt` [s] after the one before."""
-        last, self._last = self._last, quaternion
-        if last is None or dt <= 0.0:
-            return self._rates
-        conjugate = last * np.array([-1.0, -1.0, -1.0, 1.0])
-        step = product(conjugate, quaternion)
-        found = 2.0 * np.copysign(1.0, step[3]) * step[0:3] / dt
-        found = np.clip(found, -self._MOST_RAD_S, self._MOST_RAD_S)
-        self._rates = self._rates + dt / (self._SMOOTH_S + dt) * (found - self._rates)
-        return self._rates
 
 
 class PointHold:

@@ -112,7 +112,7 @@ class Bridge:
         self.teller = Teller(self.vehicle, self.world, self._upkeep.sync, self.controller)
         self.procedure = Procedure(autopilot, block.takeoff_height_m, allow_arming, outlets.say)
         self.guard = Guard(block.geofence, allowed(block.limits, limits({})))
-        self._messages = Setpoints(autopilot, reached.sysid)
+        self._messages = Setpoints(reached.sysid)
         self._stream = self._make_stream(block.hover_thrust)
         self._epochs = Epochs()
         self.orders = Orders(Stream.NONE, None, True)

@@ -9,7 +9,6 @@ import numpy as np
 from ptnsbc_core.types import Array
 from ptnsbc_nodes.bridge.attitude import AttitudeTarget
 from ptnsbc_nodes.mavlink import frames, masks
-from ptnsbc_nodes.mavlink.autopilots import Autopilot
 from ptnsbc_nodes.mavlink.dialect import mavlink
 from ptnsbc_nodes.mavlink.link import AUTOPILOT_COMPONENT
 
@@ -18,8 +17,10 @@ _VELOCITY = masks.position_target((*masks.VELOCITY, "yaw"))
 _VELOCITY_PUSHED = masks.position_target((*masks.VELOCITY, *masks.ACCELERATION, "yaw"))
 _BOTH = masks.position_target((*masks.POSITION, *masks.VELOCITY, "yaw"))
 _BOTH_PUSHED = masks.position_target((*masks.POSITION, *masks.VELOCITY, *masks.ACCELERATION, "yaw"))
+# No body rates: autopilots add them to their own as a feed-forward. The attitude is worked out from
+# the measured one, so its rate of change is mostly the vehicle's own: fed forward it is a positive
+# feedback, and four vehicles that took it swung until they left the fence.
 _ATTITUDE = masks.attitude_target(("q", "thrust"))
-_ATTITUDE_AND_RATES = masks.attitude_target(("q", "thrust", *masks.RATES))
 _NOTHING = np.zeros(3)
 _32_BITS = 0xFFFFFFFF
 
@@ -27,11 +28,8 @@ _32_BITS = 0xFFFFFFFF
 class Setpoints:
     """Messages for one vehicle, positions relative to its own local origin."""
 
-    def __init__(self, autopilot: Autopilot, sysid: int) -> None:
+    def __init__(self, sysid: int) -> None:
         self._sysid = sysid
-        # PX4 would hand rates beside an attitude to a second controller, ArduPilot adds them to its
-        # own: only a controller that takes nothing else is told both.
-        self._attitude_mask = _ATTITUDE_AND_RATES if autopilot.attitude_only else _ATTITUDE
 
     def place(self, now_s: float, local_enu: Array, yaw_enu: float) -> Any:
         """Stay at a point (3,) [m] of the local frame."""
@@ -57,9 +55,11 @@ class Setpoints:
             _milliseconds(now_s),
             self._sysid,
             AUTOPILOT_COMPONENT,
-            self._attitude_mask,
+            _ATTITUDE,
             frames.quaternion_enu_flu_to_ned_frd(target.quaternion).tolist(),
-            *frames.vector_flu_to_frd(target.rates).tolist(),
+            0.0,
+            0.0,
+            0.0,
             target.thrust,
         )
 

@@ -12,7 +12,6 @@ from ptnsbc_nodes.bridge.attitude import (
     AttitudeTarget,
     HoverThrust,
     PointHold,
-    Turning,
     from_wrench,
     pointing,
     tilt_limited,
@@ -61,7 +60,6 @@ class SetpointStream:
         self._climb_to_m = climb_to_m
         self._feed_forward = feed_forward
         self._point_hold = PointHold(config.controller.gravity)
-        self._turning = Turning()
         self.hover = hover
         self._carried = Stream.NONE
         self._place: Place | None = None
@@ -129,7 +127,7 @@ class SetpointStream:
         if not self._autopilot.attitude_only:
             return self._messages.place(self._now_s, position - offset, place.yaw)
         if not armed:  # nothing may turn before the vehicle is meant to lift
-            level = AttitudeTarget(odometry[3:7], np.zeros(3), 0.0)
+            level = AttitudeTarget(odometry[3:7], 0.0)
             return self._messages.attitude(self._now_s, level)
         pull = self._point_hold.force_per_kg(odometry, position, self._dt)
         quaternion = tilt_limited(pointing(pull, place.yaw), self._guard.limits.tilt_rad)
@@ -159,8 +157,7 @@ class SetpointStream:
         mass = self._config.controller.nominal[0]
         thrust = self.hover.normalised(pull_m_s2 * mass, mass)
         self.hover.sent(thrust)
-        rates = self._turning.of(quaternion, self._dt)
-        return self._messages.attitude(self._now_s, AttitudeTarget(quaternion, rates, thrust))
+        return self._messages.attitude(self._now_s, AttitudeTarget(quaternion, thrust))
 
     def _referred(self, velocity: Array, odometry: Array) -> Array:
         """Where the velocity setpoints lead, no farther from the vehicle than a leash.

@@ -33,6 +33,7 @@ def scenario(kind="px4", setpoint="velocity", duration_s=12.0, **overrides):
         ("px4", "attitude"),
         ("arducopter", "velocity"),
         ("arducopter", "attitude"),
+        ("stm32", "attitude"),
     ],
 )
 def test_four_vehicles_take_off_form_by_the_deadline_and_land(kind, setpoint):
@@ -48,9 +49,7 @@ def test_four_vehicles_take_off_form_by_the_deadline_and_land(kind, setpoint):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("kind", "setpoint"), [("px4", "position_velocity"), ("stm32", "attitude")]
-)
+@pytest.mark.parametrize(("kind", "setpoint"), [("px4", "position_velocity")])
 def test_a_leader_alone_by_the_other_ways(kind, setpoint):
     fleet = MavlinkFleet(scenario(kind, setpoint), kind, gnss="perfect", count=1)
     fleet.airborne().form().run(12.6)

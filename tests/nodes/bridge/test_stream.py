@@ -44,9 +44,7 @@ def state(position=(0, 0, 3), euler=(0, 0, 0), velocity=(0, 0, 0), rates=(0, 0, 
 def make(config, kind="velocity", autopilot=PX4, fence=None, feed_forward=False):
     guard = Guard(fence or Geofence(), LIMITS)
     hover = attitude.HoverThrust(0.5, 9.81)
-    return SetpointStream(
-        autopilot, kind, config, guard, Setpoints(autopilot, 3), hover, feed_forward, 3.0
-    )
+    return SetpointStream(autopilot, kind, config, guard, Setpoints(3), hover, feed_forward, 3.0)
 
 
 def send(stream, carried, now_s=1.0, odometry=None, values=None, offset=(0, 0, 0), armed=True):
@@ -220,14 +218,6 @@ def test_attitude_targets_on_the_wire(config):
     assert abs(message.q[0]) == pytest.approx(math.sqrt(0.5))  # facing east
 
 
-def test_body_rates_are_those_of_the_target():
-    turning = attitude.Turning()
-    for n in range(100):
-        q = quaternion_from_euler(np.array([0.0, 0.0, 3.0 + 0.5 * 0.02 * n]))  # through pi
-        rates = turning.of(q, 0.02)
-    assert rates == pytest.approx([0, 0, 0.5], abs=0.01)
-
-
 def test_tilt_is_limited_in_the_direction_it_has():
     steep = quaternion_from_euler(np.array([0.0, 1.2, 0.4]))
     limited = attitude.tilt_limited(steep, 0.6)
@@ -269,7 +259,7 @@ def test_an_attitude_only_vehicle_holds_a_point_in_wind(config):
         if position[2] < 0.0:
             position[2], velocity = 0.0, np.zeros(3)
     assert position == pytest.approx([0, 0, 3.0], abs=0.1)
-    assert message.type_mask == 0
+    assert message.type_mask == 0b111
 
 
 def _ours(wxyz):
