@@ -39,7 +39,8 @@ def reproduce(
     """Fly the paper again: its figures, the baselines, our ablations, and a verdict on each claim.
 
     Writes figures (PNG, SVG), every curve in them (CSV), results.md and results.json. The same
-    command gives the same bytes, except for what is measured by the clock, in timing.json.
+    command gives the same bytes, except for what is measured by the clock: timing.json and the
+    part `cost` of results.md.
     """
     from ptnsbc_tools import options
     from ptnsbc_tools.reproduce import folder as folders
