@@ -121,11 +121,6 @@ class Vehicle:
         """Whether the vehicle says so, or time since boot went back and it is disarmed since."""
         return self._booting or (bool(self._backwards) and not self.armed and self._after_step())
 
-    @property
-    def backward_steps(self) -> int:
-        """How often of late the time since boot went backwards."""
-        return len(self._backwards)
-
     def _after_step(self) -> bool:
         return self.heartbeat_s is not None and self.heartbeat_s >= self._backwards[-1]
 

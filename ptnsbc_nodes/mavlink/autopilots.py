@@ -59,7 +59,6 @@ class Autopilot(NamedTuple):
     stream_first: bool  # the mode needs setpoints before and during
     climbs: bool  # takes off by a setpoint; otherwise by NAV_TAKEOFF
     attitude_only: bool
-    position_first: bool  # what it can hold by itself with a position setpoint
     parameters: tuple[str, ...]
 
     def mode(self, base_mode: int, custom_mode: int) -> Mode:
@@ -97,7 +96,6 @@ PX4 = Autopilot(
     stream_first=True,
     climbs=True,
     attitude_only=False,
-    position_first=True,
     parameters=(
         "COM_OF_LOSS_T",
         "COM_OBL_RC_ACT",
@@ -130,7 +128,6 @@ ARDUPILOT = Autopilot(
     stream_first=False,
     climbs=False,
     attitude_only=False,
-    position_first=True,
     parameters=(
         "GUID_TIMEOUT",
         "GUID_OPTIONS",
@@ -161,7 +158,6 @@ GENERIC = Autopilot(
     stream_first=True,
     climbs=True,
     attitude_only=True,
-    position_first=False,
     parameters=(),
 )
 AUTOPILOTS: Mapping[str, Autopilot] = {a.name: a for a in (PX4, ARDUPILOT, GENERIC)}

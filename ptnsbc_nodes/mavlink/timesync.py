@@ -25,7 +25,6 @@ class TimeSync:
         self._trips: deque[tuple[float, float]] = deque(maxlen=_WINDOW)  # (round trip, offset) [s]
         self._one_way: deque[tuple[float, float]] = deque()  # (arrival, offset) [s]
         self._asked_ns: deque[int] = deque(maxlen=_WINDOW)
-        self._last_answer_s: float | None = None
         self._first_s: float | None = None
         self._strangers = 0
         self.jumps = 0
@@ -56,7 +55,6 @@ class TimeSync:
         if not -_ROUNDING_S <= trip_s <= _SLOWEST_TRIP_S:
             return False
         offset_s = 0.5 * (ours_ns * _NANO + now_s) - theirs_ns * _NANO
-        self._last_answer_s = now_s
         self.answers += 1
         if self._trips and abs(offset_s - self._offset_of_trips()) > _JUMP_S + trip_s:
             self._strangers += 1
@@ -64,7 +62,6 @@ class TimeSync:
                 return False
             self.forget()
             self.jumps += 1
-            self._last_answer_s = now_s
         self._strangers = 0
         self._trips.append((trip_s, offset_s))
         return True
@@ -96,7 +93,6 @@ class TimeSync:
         self._trips.clear()
         self._one_way.clear()
         self._strangers = 0
-        self._last_answer_s = None
         self._first_s = None
 
     def _offset_of_trips(self) -> float:

@@ -51,6 +51,14 @@ def test_a_jump_is_believed_when_it_stays():
     assert sync.ours(0.0) == pytest.approx(90.0)
 
 
+def test_single_accidents_never_add_up_to_a_jump():
+    sync = TimeSync()
+    for n in range(10):
+        trip(sync, 110.0 + n, 0.001, 0.001)
+        assert not trip(sync, 110.5 + n, 0.001, 0.001, boot_at=90.0)
+    assert sync.jumps == 0
+
+
 def test_without_answers_the_quickest_message_must_do():
     sync = TimeSync()
     assert sync.ours(1.0) is None
