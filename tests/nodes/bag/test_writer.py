@@ -283,10 +283,11 @@ def test_flush_if_due(tmp_path):
 
 ENDLESS = textwrap.dedent(
     """
-    import sys, time
+    import signal, sys, time
     from pathlib import Path
     import numpy as np
     from ptnsbc_nodes import wire
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a job in the background starts without
     from ptnsbc_nodes.bag import BagWriter, TopicInfo
     odom = wire.OdometryTemplate("map", "uav1")
     with BagWriter(Path(sys.argv[1]), [TopicInfo("/o", "nav_msgs/msg/Odometry")]) as writer:
@@ -310,12 +311,15 @@ def test_interrupted_process(tmp_path, how, after):
         env=os.environ,
     )
     assert process.stdout is not None
-    process.stdout.readline()
-    with pytest.raises(subprocess.TimeoutExpired):
-        process.wait(after)
-    process.send_signal(how)
-    process.wait(20)
-    process.stdout.close()
+    try:
+        process.stdout.readline()
+        with pytest.raises(subprocess.TimeoutExpired):
+            process.wait(after)
+        process.send_signal(how)
+        process.wait(20)
+    finally:
+        process.kill()
+        process.stdout.close()
     killed = how == signal.SIGKILL
     bag = read_bag(tmp_path / ("flight.part" if killed else "flight"), salvage=killed)
     stamps = [m.stamp_ns for m in bag.messages()]
