@@ -6,7 +6,7 @@ import argparse
 import sys
 from collections.abc import Sequence
 
-from ptnsbc_nodes import topics
+from ptnsbc_nodes import environment, topics
 from ptnsbc_nodes.edges import Edges
 from ptnsbc_nodes.process import Arguments, Lifetime, flight_options, ros_node, run
 from ptnsbc_nodes.sim import Sim
@@ -28,6 +28,8 @@ def _simulate(arguments: argparse.Namespace, argv: list[str]) -> int:
     if not topics.tf_is_available():
         print("sim: no live /tf, tf2_msgs is not installed; bags have it", file=sys.stderr)
     load_world(scenario)
+    if arguments.lockstep:
+        environment.prefer_throughput()
     with ros_node("sim", "", argv) as node:
         sim = Sim(node, scenario, Edges(scenario, flight_options(arguments)), lifetime.end)
         lifetime.serve(node, sim.endpoints)

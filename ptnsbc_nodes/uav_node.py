@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 
+from ptnsbc_nodes import environment
 from ptnsbc_nodes.edges import Edges
 from ptnsbc_nodes.process import Arguments, Lifetime, flight_options, ros_node, run
 from ptnsbc_nodes.uav import Uav
@@ -26,6 +27,8 @@ def _fly(arguments: argparse.Namespace, argv: list[str]) -> int:
         scenario = scenario.bridged()
     scenario.uav(arguments.uav)  # refuses an id that is not in the file
     load_agent(scenario, arguments.uav)
+    if arguments.lockstep:
+        environment.prefer_throughput()
     with ros_node("controller", f"/uav{arguments.uav}", argv) as node:
         uav = Uav(node, scenario, arguments.uav, Edges(scenario, flight_options(arguments)))
         lifetime.serve(node, uav.endpoints)
