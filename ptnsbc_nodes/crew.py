@@ -76,6 +76,8 @@ def _recorder(options: FleetOptions, bag: Path, scenario_file: Path) -> Command:
         arguments.append("--lockstep")
     if options.scenario.imperfect:
         arguments.append("--truth")
+    if options.backend == "mavlink":
+        arguments += ["--draw", str(scenario_file)]
     if options.overwrite:
         arguments.append("--overwrite")
     return Command(RECORDER, "ptnsbc_nodes.recorder", tuple(arguments))

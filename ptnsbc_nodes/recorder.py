@@ -19,7 +19,7 @@ import time
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from types import FrameType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_nodes import environment
@@ -44,6 +44,9 @@ from ptnsbc_nodes.endpoints import RECORDED  # noqa: E402
 from ptnsbc_nodes.spin import make_executor, spin_for  # noqa: E402
 from ptnsbc_nodes.topics import Topic  # noqa: E402
 from ptnsbc_nodes.transforms import Transforms  # noqa: E402
+
+if TYPE_CHECKING:
+    from ptnsbc_nodes.pictures import Pictures
 
 _FLUSH_CHECK = 0.1  # [s]
 _SIGNAL_CHECK = 0.1  # [s]: Python sees a signal only between two calls of the executor
@@ -79,6 +82,7 @@ class Recorder:
         recorded: What to record.
         transforms: What makes /tf.
         lockstep: Log at the message's own stamp, in an order that does not depend on arrival.
+        pictures: In real time, what makes the markers where no simulator does.
     """
 
     def __init__(
@@ -89,6 +93,7 @@ class Recorder:
         transforms: Transforms,
         *,
         lockstep: bool,
+        pictures: Pictures | None = None,
     ) -> None:
         self.received = 0
         self.lost = 0  # as far as DDS reports it: gaps in the network, not in our own queue
@@ -97,6 +102,7 @@ class Recorder:
         self._node = node
         self._writer = writer
         self._transforms = transforms
+        self._pictures = pictures
         self._order = ReorderBuffer(_SHARED) if lockstep else None
         for topic in recorded:
             order = self._order
@@ -141,6 +147,9 @@ class Recorder:
             transform = self._transforms.of(topic.name, data)
             if transform is not None:
                 self._writer.write(topics.TF.name, now_ns, transform, stamp_ns)
+            picture = None if self._pictures is None else self._pictures.of(topic.name, data)
+            if picture is not None:
+                self._writer.write(topics.MARKERS.name, now_ns, picture, stamp_ns)
 
         return record
 
@@ -240,7 +249,14 @@ def _record(context: Context, options: argparse.Namespace, stop: _StopSignal) ->
         overwrite=options.overwrite,
     ) as writer:
         transforms = Transforms(options.uavs)
-        recorder = Recorder(node, writer, recorded, transforms, lockstep=options.lockstep)
+        recorder = Recorder(
+            node,
+            writer,
+            recorded,
+            transforms,
+            lockstep=options.lockstep,
+            pictures=_pictures(options.draw),
+        )
         print("ready", file=sys.stderr, flush=True)
         while not stop.came:
             spin_for(executor, _SIGNAL_CHECK)
@@ -250,6 +266,15 @@ def _record(context: Context, options: argparse.Namespace, stop: _StopSignal) ->
     executor.shutdown()
     node.destroy_node()
     return _summary(writer, recorder)
+
+
+def _pictures(scenario: str | None) -> Pictures | None:
+    if scenario is None:
+        return None
+    from ptnsbc_nodes.pictures import Pictures
+    from ptnsbc_sim.scenario import load_scenario
+
+    return Pictures(load_scenario(scenario, {}))
 
 
 def _drain(executor: Executor, recorder: Recorder) -> None:
@@ -292,6 +317,11 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--uavs", type=int, nargs="+", required=True, metavar="N")
     parser.add_argument("--lockstep", action="store_true", help="same flight, same bytes")
     parser.add_argument("--truth", action="store_true", help="the sim tells true states as well")
+    parser.add_argument(
+        "--draw",
+        metavar="SCENARIO",
+        help="record markers of its UAVs, where no simulator draws them",
+    )
     parser.add_argument("--overwrite", action="store_true", help="replace an existing bag")
     parser.add_argument("--attach", type=_pair, action="append", default=[], metavar="NAME=PATH")
     parser.add_argument("--meta", type=_pair, action="append", default=[], metavar="KEY=VALUE")
