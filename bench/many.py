@@ -1,6 +1,7 @@
-"""Recording twenty UAVs, all topics: lost of how many, CPU of the recorder, megabytes a minute.
+"""Recording what twenty UAVs say at every tick: lost of how many, CPU of the recorder, megabytes a minute.
 
-As a module it is the source: one process that says what twenty would, at a pace, and counts it.
+As a module it is the source: one process that says what twenty would, at a pace, and counts it. Left out
+are the slow topics: snapshots, diagnostics, markers.
 """
 
 from __future__ import annotations

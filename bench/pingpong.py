@@ -16,7 +16,7 @@ import numpy as np
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
-from ptnsbc_nodes import qos, topics
+from ptnsbc_nodes import environment, qos, topics
 from ptnsbc_nodes.edges import Edges
 from ptnsbc_nodes.endpoints import Endpoints
 from ptnsbc_nodes.markers import Scene
@@ -298,6 +298,8 @@ def _serve(arguments: argparse.Namespace, argv: list[str]) -> int:
     options = flight_options(arguments)
     edges = Edges(scenario, options)
     name = f"{arguments.role}{arguments.uav or ''}"
+    if options.lockstep and arguments.role != "recorder":  # as the processes it stands beside
+        environment.prefer_throughput()
     with ros_node(name, "", argv) as node:
         if arguments.role == "uav":
             uav = BareUav(node, scenario, arguments.uav, edges)
