@@ -27,10 +27,11 @@ if TYPE_CHECKING:
     from ptnsbc_tools.verify import Choice
 
 PAGE = "index.html"
+NO_VERDICT = 1
 
 
 class ReportError(PtnsbcError):
-    """A report that cannot be made, or one of a bag that cannot be judged."""
+    """A report that cannot be made."""
 
 
 def report(
@@ -54,8 +55,8 @@ def report(
 ) -> None:
     """Show a recorded flight: one page that works offline, with playback and figures.
 
-    Exit code 0 when the page shows a verdict, whatever it is; 2 when the bag cannot be judged: the
-    page then says why, and shows what there is.
+    Exit code 0 when the page shows a verdict, whatever it is; 1 when the flight cannot be judged: the
+    page then says why, and shows what there is; 2 when the bag cannot be read: nothing is written.
     """
     if not bag.exists():
         raise ReportError(f"{bag}: no such bag")
@@ -65,34 +66,30 @@ def report(
     names = Names(odom=odom, wrench=wrench)
     choice = Choice(scenario, tolerance, window, epoch, names)
     folder = out or bag.parent / f"{bag.stem if bag.is_file() else bag.name}-report"
-    shown, problem = _read(bag, choice)
-    path = _write_page(bag, folder, shown, problem)
-    drawn = _draw(shown, folder) if pictures and shown is not None and shown.uavs else []
-    verdict = shown.verdict if shown is not None else None
+    shown = _read(bag, choice)
+    path = _write_page(bag, folder, shown)
+    drawn = _draw(shown, folder) if pictures and shown.uavs else []
     if json:
         console.print_json(
             {
                 "report": str(path),
                 "pictures": [str(picture) for picture in drawn],
-                "verdict": verdict.verdict if verdict is not None else None,
-                "problem": problem or None,
+                "verdict": shown.verdict.verdict if shown.verdict is not None else None,
+                "problem": shown.problem or None,
             }
         )
     else:
         print(path)
-    if problem:
-        raise ReportError(f"no verdict: {problem}; the page says so: {path}")
+    if shown.problem:
+        console.err().print(f"warning: no verdict: {shown.problem}", soft_wrap=True)
+        raise typer.Exit(NO_VERDICT)
 
 
-def _read(bag: Path, choice: Choice) -> tuple[Shown | None, str]:
+def _read(bag: Path, choice: Choice) -> Shown:
     from ptnsbc_tools.charts import flight
 
-    try:
-        with console.patience(f"reading {bag}"):
-            shown = flight.read_shown(bag, choice)
-    except PtnsbcError as error:
-        return None, str(error)
-    return shown, shown.problem
+    with console.patience(f"reading {bag}"):
+        return flight.read_shown(bag, choice)
 
 
 def _about(bag: Path) -> dict[str, str]:
@@ -104,10 +101,10 @@ def _about(bag: Path) -> dict[str, str]:
         return {}
 
 
-def _write_page(bag: Path, folder: Path, shown: Shown | None, problem: str) -> Path:
-    from ptnsbc_tools.report.page import empty_page, page
+def _write_page(bag: Path, folder: Path, shown: Shown) -> Path:
+    from ptnsbc_tools.report.page import page
 
-    text = page(shown, _about(bag)) if shown is not None else empty_page(bag.name, problem)
+    text = page(shown, _about(bag))
     path, beside = folder / PAGE, folder / f".{PAGE}.part"
     try:
         folder.mkdir(parents=True, exist_ok=True)

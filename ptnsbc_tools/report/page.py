@@ -8,11 +8,10 @@ from functools import cache
 from html import escape
 from importlib.resources import files
 from string import Template
-from typing import Any
 
 from ptnsbc_tools.charts.flight import Shown
 from ptnsbc_tools.report.content import content
-from ptnsbc_tools.report.pack import Pack, compressed
+from ptnsbc_tools.report.pack import compressed
 from ptnsbc_tools.report.tables import html_table
 from ptnsbc_tools.tables import deadline_table, reasons, verdict_line, verdict_tables
 from ptnsbc_tools.verdict import Verdict
@@ -109,19 +108,5 @@ def page(flight: Shown, about: Mapping[str, str]) -> str:
             + _details("Scenario", flight.scenario.text),
             "data": content(flight),
             "plotly": _plotly(),
-        }
-    )
-
-
-def empty_page(bag: str, problem: str) -> str:
-    """The page of a bag that cannot be read: what it is, and why."""
-    nothing: dict[str, Any] = {"colours": {"light": [], "dark": []}, "space": None, "charts": []}
-    return _fill(
-        {
-            "title": f"{escape(bag)} – flight report",
-            "heading": escape(bag),
-            "verdict": NO_VERDICT,
-            "line": escape(f"No verdict: {problem}"),
-            "data": Pack().encode(nothing),
         }
     )

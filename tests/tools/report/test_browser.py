@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from ptnsbc_tools.charts.flight import read_shown
-from ptnsbc_tools.report.page import empty_page, page
+from ptnsbc_tools.charts.flight import read_shown, shown
+from ptnsbc_tools.charts.status import Status
+from ptnsbc_tools.report.page import page
 from ptnsbc_tools.verify import Choice
 
 playwright = pytest.importorskip("playwright.sync_api", reason="needs playwright (extra [dev])")
@@ -160,9 +162,9 @@ def test_a_uav_is_hidden_everywhere(tab: Any) -> None:
     assert page.evaluate(SHOWN) == "5,10"
     page.get_by_role("button", name="3", exact=True).click()
     page.wait_for_function(f"() => {SHOWN} === '4,6'")
-    for shown in ("1,0", "5,10"):  # alone, and everybody again
+    for pair in ("1,0", "5,10"):  # alone, and everybody again
         page.get_by_role("button", name="3", exact=True).click(modifiers=["Shift"])
-        page.wait_for_function(f"() => {SHOWN} === '{shown}'")
+        page.wait_for_function(f"() => {SHOWN} === '{pair}'")
     assert one.said == []
 
 
@@ -208,11 +210,12 @@ def test_without_script_the_verdict_is_there(tab: Any) -> None:
     assert page.locator("noscript").is_visible()
 
 
-def test_a_bag_that_cannot_be_read_has_a_page_too(tab: Any, tmp_path: Path) -> None:
+def test_a_flight_without_odometry_has_a_page_too(tab: Any, tmp_path: Path) -> None:
+    recording = replace(Choice().read(SAMPLE), odometry={}, wrench={}, counters={})
     file = tmp_path / "index.html"
-    file.write_text(empty_page("flight", "flight_0.mcap is empty"), encoding="utf-8")
+    file.write_text(page(shown(recording, Status()), {}), encoding="utf-8")
     one = tab(file.as_uri())
-    page = one.ready()
-    assert page.locator(".line").inner_text() == "No verdict: flight_0.mcap is empty"
-    assert not page.locator("#transport").is_visible()
+    opened = one.ready()
+    assert opened.locator(".line").inner_text().startswith("No verdict: no message on /uav1/odom")
+    assert not opened.locator("#transport").is_visible()
     assert one.said == []

@@ -55,16 +55,23 @@ def test_a_minute_of_five_uavs_stays_below_five_megabytes(fly) -> None:
     assert len(page(shown(recording, Status()), {}).encode()) < 5_000_000
 
 
-def test_a_bag_that_cannot_be_read_leaves_a_page_that_says_so(tmp_path: Path) -> None:
+def test_a_bag_that_cannot_be_read_leaves_nothing(tmp_path: Path) -> None:
     (tmp_path / "flight").mkdir()
     (tmp_path / "flight" / "flight_0.mcap").write_bytes(b"")
     code, out, err = run("report", tmp_path / "flight")
-    file = tmp_path / "flight-report" / "index.html"
-    assert code == 2
-    assert out == f"{file}\n"
+    assert (code, out) == (2, "")
     assert err.count("\n") == 1
-    assert err.startswith("error: no verdict: ")
-    assert "is empty" in file.read_text()
+    assert "is empty" in err
+    assert [one.name for one in tmp_path.iterdir()] == ["flight"]
+
+
+def test_a_flight_that_cannot_be_judged_has_a_page_that_says_why(tmp_path: Path) -> None:
+    words = ("report", SAMPLE, "-o", tmp_path, "--no-pictures", "--epoch", "1000", "--json")
+    code, out, _ = run(*words)
+    told = json.loads(out)
+    assert (code, told["verdict"]) == (1, None)
+    assert "holds no formation flight" in told["problem"]
+    assert told["problem"] in (tmp_path / "index.html").read_text()
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from rich.text import Text
 
 from ptnsbc_tools.charts.flight import shown
 from ptnsbc_tools.charts.status import Status
-from ptnsbc_tools.report.page import empty_page, page
+from ptnsbc_tools.report.page import page
 from ptnsbc_tools.report.tables import html_table
 from ptnsbc_tools.verdict import Series
 
@@ -100,8 +100,11 @@ def test_the_same_flight_gives_the_same_page(fly):
 
 
 def test_names_cannot_break_the_page(fly):
-    html = empty_page("<b>.mcap", "no </script> here & there")
-    assert "<b>.mcap" not in html
+    flown = shown(fly(), Status())
+    html = page(
+        replace(flown, verdict=None, problem="no </script> here & there"), {"<b>": "</pre>"}
+    )
+    assert "<b>:" not in html
     assert "no </script> here & there" in text(html)
     assert html.count("</script>") == 3
 
