@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -171,7 +172,16 @@ class _Flight:
     def _look(self) -> None:
         self._tower.spin(_LOOK_S)
         self._tell()
+        self._end_stuck()
         self._mourn()
+
+    def _end_stuck(self) -> None:
+        """End UAVs for which a lock-step flight waits in vain (`standstill`)."""
+        for name in self._tower.stuck():
+            child = self._child(name)
+            if child is not None and child.command.uav is not None and child.exit_code is None:
+                self._progress(f"{name} (pid {child.pid}) is stuck: it is ended")
+                child.send(signal.SIGKILL)
 
     def _child(self, name: str) -> Child | None:
         return next((child for child in self._children if child.name == name), None)

@@ -31,6 +31,7 @@ class Round:
         self._turns = Turns(world.ids, scenario.ticks, (scenario.near_every, self._status_every))
         self._lost: set[int] = set()
         self._time_told = 0  # ticks
+        self.answers = 0
 
     def answer(self, uav_id: int, wrench: Stamped) -> bool:
         """Take the wrench (6,) of one UAV; False when it is not the one that the vehicle waits for."""
@@ -38,7 +39,15 @@ class Round:
         if not turns.awaited(uav_id) or wrench.stamp_ns != turns.at(uav_id) * self._period_ns:
             return False
         self._step(uav_id, wrench.values)
+        self.answers += 1
         return True
+
+    def slowest(self) -> list[int]:
+        """Those that have been told their state and have not answered, at the earliest tick of all."""
+        turns = self._turns
+        awaited = [i for i in self._world.ids if turns.awaited(i)]
+        first = min((turns.at(i) for i in awaited), default=0)
+        return [i for i in awaited if turns.at(i) == first]
 
     def lose(self, uav_id: int) -> None:
         """Wait for this UAV no longer: its process has ended."""

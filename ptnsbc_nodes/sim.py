@@ -19,6 +19,7 @@ from ptnsbc_nodes.epochs import Epochs
 from ptnsbc_nodes.pacing import Latency, Pace, Progress
 from ptnsbc_nodes.round import Round
 from ptnsbc_nodes.senses import Senses
+from ptnsbc_nodes.standstill import Standstill
 from ptnsbc_nodes.status import STATUS_HZ, Level, diagnostics, readiness
 from ptnsbc_nodes.wire import Stamped, decode_header, decode_wrench
 from ptnsbc_sim.scenario import Scenario
@@ -59,6 +60,7 @@ class Sim:
         self._listen()
         self._status = self.endpoints.publisher(topics.DIAGNOSTICS, edges.options.recorders)
         self._early_status = self.endpoints.publisher(READY, 0)
+        self._standstill = Standstill(self._early_status)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         node.create_timer(1.0 / STATUS_HZ, self._on_status_timer, clock=steady)
         if not self._lockstep:
@@ -177,10 +179,16 @@ class Sim:
     def _on_status_timer(self) -> None:
         if not self._lockstep:
             self._report(self._clock_ns())
-        elif not self._running:
+        elif self._running:
+            self._standstill.look((self._round.answers, self._recorded_ns), self._awaited)
+        else:
             self._start()
             if not self._running:
                 self._report(-1)
+
+    def _awaited(self) -> list[str]:
+        """Lock-step: the processes without which the flight does not go on."""
+        return [RECORDER] if self._paused else [f"uav{i}" for i in self._round.slowest()]
 
     def _report(self, stamp_ns: int) -> None:
         missing = self.waiting_for() if stamp_ns < 0 or not self._lockstep else []

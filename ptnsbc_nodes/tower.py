@@ -16,7 +16,10 @@ from std_srvs.srv import Trigger
 from ptnsbc_nodes import topics
 from ptnsbc_nodes.endpoints import LOST, READY, Endpoints
 from ptnsbc_nodes.spin import make_executor
+from ptnsbc_nodes.standstill import ENDED_S, WAITED
 from ptnsbc_nodes.wire import HeaderTemplate
+
+_SIGN_OF_LIFE_S = 2.0  # who is kept waiting tells it five times a second
 
 
 class Tower:
@@ -39,10 +42,11 @@ class Tower:
         self._tell_lost = self._ends.publisher(LOST, 0)
         self._tell_bridges = self._ends.publisher(topics.EMERGENCY, 1)
         self._start = self._node.create_client(Trigger, "/formation/start")
-        self._ears = [
-            self._node.create_subscription(DiagnosticArray, topic.name, self._on_status, 50)
-            for topic in (topics.DIAGNOSTICS, READY)
-        ]
+        self._heard_s: dict[str, float] = {}  # when each process was heard of last
+        self._kept_waiting = (0.0, "")  # for how long, by whom: from the sim, newest
+        hear = self._node.create_subscription
+        self._ear: Any = hear(DiagnosticArray, topics.DIAGNOSTICS.name, self._on_status, 50)
+        hear(DiagnosticArray, READY.name, self._on_status, 50)
 
     def __enter__(self) -> Tower:
         return self
@@ -69,11 +73,18 @@ class Tower:
             self.spin(0.1)
             return "the leader's service /formation/start is not there"
         refusal = self._answer(self._start, "start", patience_s)
-        if refusal is None:
-            for ear in self._ears:  # in flight nobody reads them: not worth their reception
-                self._node.destroy_subscription(ear)
-            self._ears.clear()
+        if refusal is None and self._ear is not None:
+            self._node.destroy_subscription(self._ear)  # in flight not worth its reception
+            self._ear = None
         return refusal
+
+    def stuck(self) -> list[str]:
+        """Processes that have kept a lock-step flight waiting for too long, and give no sign of life."""
+        (waited_s, names), self._kept_waiting = self._kept_waiting, (0.0, "")
+        if waited_s < ENDED_S:
+            return []
+        since_s = time.monotonic() - _SIGN_OF_LIFE_S
+        return [name for name in names.split() if self._heard_s.get(name, 0.0) < since_s]
 
     def call(self, name: str, patience_s: float) -> str | None:
         """Call /formation/`name`, waiting until it is there; returns why it did not work."""
@@ -116,4 +127,7 @@ class Tower:
             if "ready" in values:
                 ready = values["ready"] == "true"
                 name = status.name.partition(":")[0]
+                self._heard_s[name] = time.monotonic()
+                if WAITED in values:
+                    self._kept_waiting = (float(values[WAITED]), values["waiting_for"])
                 self.waiting[name] = "" if ready else values.get("waiting_for", "") or "something"

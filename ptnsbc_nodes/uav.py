@@ -46,7 +46,9 @@ class Uav:
         self._outbox = Outbox(self.endpoints, edges, uav_id)
         self._epochs = Epochs()
         self._pace = Pace(self._period_ns)
-        self._done_ns = -1  # stamp of the newest tick that is done
+        self._done_ns = (
+            self._seen_ns
+        ) = -1  # stamp of the newest tick that is done, and was at the last look
         self._born_ns = self._clock_ns()
         self._subscribe(uav_id, edges)
         self._status = self.endpoints.publisher(topics.DIAGNOSTICS, edges.options.recorders)
@@ -179,8 +181,9 @@ class Uav:
     def _on_status_timer(self) -> None:
         if not self._lockstep:
             self._report(self._clock_ns())
-        elif self._done_ns < 0:
+        elif self._done_ns in (-1, self._seen_ns):  # not begun, or kept waiting: a sign of life
             self._report(-1)
+        self._seen_ns = self._done_ns
 
     def _report(self, stamp_ns: int) -> None:
         missing = self.waiting_for() if stamp_ns < 0 or not self._lockstep else []

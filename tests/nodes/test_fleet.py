@@ -154,6 +154,20 @@ def test_a_uav_killed_in_flight_is_named_and_the_others_fly_on(launch, tmp_path)
     assert scenario_from_text(bag.attachment("scenario.yaml").decode()).name == "paper_5"
 
 
+def test_a_uav_that_hangs_is_named_and_ended(launch, tmp_path):
+    flight = launch("--duration", "12", "--bag", str(tmp_path / "bag"))
+    flight.wait_for("steps/s")
+    os.kill(flight.pid_of("--uav 3"), signal.SIGSTOP)
+    assert flight.finish() == 1
+    text = "\n".join(flight.lines)
+    assert "sim: no answer from uav3 for 3 s" in text
+    assert "is stuck: it is ended" in text
+    assert text.count("signal SIGKILL") == 1
+    assert "lost uav3" in flight.lines[-1]
+    told = counts(read_bag(tmp_path / "bag"))
+    assert told["/uav3/setpoint/wrench"] < told["/uav1/setpoint/wrench"] == 1200
+
+
 def test_without_its_sim_the_flight_ends_and_the_bag_is_complete(launch, tmp_path):
     flight = launch("--duration", "600", "--bag", str(tmp_path / "bag"))
     flight.wait_for("steps/s")
