@@ -11,12 +11,16 @@ from types import FrameType
 from typing import TYPE_CHECKING
 
 from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_nodes import environment
 from ptnsbc_nodes.edges import Edges, FlightOptions
 from ptnsbc_nodes.process import Arguments, Lifetime, ros_node, run
 from ptnsbc_sim.scenario import Scenario, load_scenario
 
 if TYPE_CHECKING:
     from ptnsbc_nodes.mavlink.link import Link
+
+
+_UNPUNCTUAL = "bridge: no right to real-time scheduling: a busy host may hold setpoints up (ulimit -r above 0 gives it)"
 
 
 class BridgeError(PtnsbcError):
@@ -74,6 +78,8 @@ def bridge(scenario: Scenario, options: BridgeOptions, argv: Sequence[str]) -> i
     from ptnsbc_nodes.bridge.node import BridgeNode
 
     edges = Edges(scenario, FlightOptions(recorded=options.recorded, bridged=True))
+    if not environment.prefer_punctuality(flies=True):
+        print(_UNPUNCTUAL, file=sys.stderr, flush=True)
     with ros_node("bridge", f"/uav{options.uav}", argv) as node:
         shell = BridgeNode(
             node, scenario, options.uav, edges, link, options.allow_arming, lifetime.end

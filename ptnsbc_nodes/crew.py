@@ -77,7 +77,7 @@ def _recorder(options: FleetOptions, bag: Path, scenario_file: Path) -> Command:
     if options.scenario.imperfect:
         arguments.append("--truth")
     if options.backend == "mavlink":
-        arguments += ["--draw", str(scenario_file)]
+        arguments += ["--draw", str(scenario_file), "--punctual"]
     if options.overwrite:
         arguments.append("--overwrite")
     return Command(RECORDER, "ptnsbc_nodes.recorder", tuple(arguments))

@@ -207,6 +207,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = list(sys.argv[1:] if argv is None else argv)
     options = _parser().parse_args(remove_ros_args(["recorder", *arguments])[1:])
     stop = _StopSignal()
+    if options.punctual:
+        environment.prefer_punctuality(flies=False)
     context = Context()
     rclpy.init(args=arguments, context=context, signal_handler_options=SignalHandlerOptions.NO)
     try:
@@ -321,6 +323,9 @@ def _parser() -> argparse.ArgumentParser:
         "--draw",
         metavar="SCENARIO",
         help="record markers of its UAVs, where no simulator draws them",
+    )
+    parser.add_argument(
+        "--punctual", action="store_true", help="run before all that does not fly, where allowed"
     )
     parser.add_argument("--overwrite", action="store_true", help="replace an existing bag")
     parser.add_argument("--attach", type=_pair, action="append", default=[], metavar="NAME=PATH")

@@ -29,6 +29,8 @@ def _fly(arguments: argparse.Namespace, argv: list[str]) -> int:
     load_agent(scenario, arguments.uav)
     if arguments.lockstep:
         environment.prefer_throughput()
+    elif arguments.bridged:
+        environment.prefer_punctuality(flies=True)
     with ros_node("controller", f"/uav{arguments.uav}", argv) as node:
         uav = Uav(node, scenario, arguments.uav, Edges(scenario, flight_options(arguments)))
         lifetime.serve(node, uav.endpoints)

@@ -13,8 +13,9 @@ from ptnsbc_nodes.bridge.attitude import HoverThrust
 from ptnsbc_nodes.bridge.commands import Commands
 from ptnsbc_nodes.bridge.controller import Controller
 from ptnsbc_nodes.bridge.guard import Allowed, Guard, allowed
-from ptnsbc_nodes.bridge.procedure import Orders, Procedure, Seen, Step, Stream
+from ptnsbc_nodes.bridge.procedure import Procedure
 from ptnsbc_nodes.bridge.setpoints import Setpoints
+from ptnsbc_nodes.bridge.steps import Orders, Seen, Step, Stream
 from ptnsbc_nodes.bridge.stream import SetpointStream
 from ptnsbc_nodes.bridge.teller import Clocks, Teller
 from ptnsbc_nodes.bridge.upkeep import Upkeep

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
-from ptnsbc_nodes.bridge.procedure import Ask
+from ptnsbc_nodes.bridge.steps import Ask
 from ptnsbc_nodes.mavlink.autopilots import Autopilot, Mode
 from ptnsbc_nodes.mavlink.dialect import mavlink
 from ptnsbc_nodes.mavlink.link import AUTOPILOT_COMPONENT

@@ -22,8 +22,8 @@ from ptnsbc_nodes import handover, topics
 from ptnsbc_nodes.bridge.bridge import Bridge, Outlets
 from ptnsbc_nodes.bridge.guard import Allowed
 from ptnsbc_nodes.bridge.near import Surroundings
-from ptnsbc_nodes.bridge.procedure import Step
 from ptnsbc_nodes.bridge.report import report
+from ptnsbc_nodes.bridge.steps import Step
 from ptnsbc_nodes.bridge.teller import Clocks
 from ptnsbc_nodes.edges import Edges
 from ptnsbc_nodes.endpoints import LOST, Endpoints
@@ -174,8 +174,7 @@ class BridgeNode:
                 self._tell_near()
             bridge.leave()
         except Exception as error:  # the thread must not die in silence and leave a stream behind
-            self._say(f"bridge failed: {error!r}")
-            bridge.procedure.fault = bridge.procedure.fault or f"bridge failed: {error!r}"
+            bridge.procedure.fail(f"bridge failed: {error!r}")
             raise
         finally:
             self._on_end()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from ptnsbc_nodes.bridge.procedure import Step
+from ptnsbc_nodes.bridge.steps import Step
 from ptnsbc_nodes.status import Level, diagnostics, readiness
 
 if TYPE_CHECKING:

@@ -18,8 +18,8 @@ from ptnsbc_nodes.bridge.attitude import (
 )
 from ptnsbc_nodes.bridge.controller import Wanted, wanted_yaw
 from ptnsbc_nodes.bridge.guard import Guard
-from ptnsbc_nodes.bridge.procedure import Stream
 from ptnsbc_nodes.bridge.setpoints import Setpoints
+from ptnsbc_nodes.bridge.steps import Stream
 from ptnsbc_nodes.mavlink.autopilots import Autopilot
 from ptnsbc_sim.scenario.mavlink import SetpointKind
 

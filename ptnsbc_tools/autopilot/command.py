@@ -116,6 +116,7 @@ def autopilot(
 
 def run(options: Options, control_port: int | None, timed: list[Timed]) -> None:
     """Build the vehicles, open the ports, and serve."""
+    from ptnsbc_nodes import environment
     from ptnsbc_nodes.autopilot.control import Control
     from ptnsbc_nodes.autopilot.launch import stations
     from ptnsbc_nodes.autopilot.server import serve
@@ -132,6 +133,8 @@ def run(options: Options, control_port: int | None, timed: list[Timed]) -> None:
         fleet = stations(options, start_t, say)
         vehicles = [station.vehicle for station in fleet]
         with Control(vehicles, start_t, port=control_port, timed=timed, say=say) as control:
+            # A flight controller has a processor of its own; this one shares it with all the others.
+            environment.prefer_punctuality(flies=True)
             serve(fleet, lambda: stop.came, control.poll, lambda: _ready(fleet, say))
         for station in fleet:
             dropped = sum(end.codec.dropped for end in station.endpoints)

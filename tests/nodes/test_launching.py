@@ -1,7 +1,9 @@
 """The parts under the launcher: domains, the environment of children, ending processes."""
 
 import os
+import resource
 import signal
+import subprocess
 import sys
 import time
 from pathlib import Path
@@ -134,3 +136,33 @@ def test_a_child_whose_launcher_has_gone_ends(monkeypatch):
         f"{sys.executable} -c 'from ptnsbc_nodes import environment as e; e.prepare()'"
     )
     assert os.waitstatus_to_exitcode(code) == 1
+
+
+HURRY = """
+import os
+from ptnsbc_nodes import environment
+allowed = [environment.prefer_punctuality(flies=flies) for flies in (False, True)]
+print(allowed, os.sched_getscheduler(0) == os.SCHED_RR, os.sched_getparam(0).sched_priority, flush=True)
+"""
+
+
+def _may_hurry():
+    soft, _ = resource.getrlimit(resource.RLIMIT_RTPRIO)
+    return os.geteuid() == 0 or soft > 1
+
+
+@pytest.mark.skipif(not _may_hurry(), reason="no right to real-time scheduling here")
+def test_who_flies_runs_before_who_records_and_both_before_the_rest():
+    root = Path(environment.__file__).parents[1]
+    told = subprocess.run(
+        [sys.executable, "-c", HURRY], capture_output=True, text=True, check=True, cwd=root
+    )
+    assert told.stdout.split("]")[1].split() == ["True", "2"]
+
+
+def test_without_the_right_to_hurry_everything_goes_on(monkeypatch):
+    def refuse(*_):
+        raise PermissionError(1, "Operation not permitted")
+
+    monkeypatch.setattr(os, "sched_setscheduler", refuse)
+    assert environment.prefer_punctuality(flies=True) is False

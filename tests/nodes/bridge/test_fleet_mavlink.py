@@ -7,7 +7,7 @@ pytest.importorskip("pymavlink")
 from mavlink_fleet import BASE_NS, START_S, MavlinkFleet
 
 from ptnsbc_nodes.autopilot.faults import inject
-from ptnsbc_nodes.bridge.procedure import Step
+from ptnsbc_nodes.bridge.steps import Step
 from ptnsbc_nodes.mavlink.autopilots import Mode
 from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_tools.verdict import verdict_on

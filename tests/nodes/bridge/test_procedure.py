@@ -6,7 +6,8 @@ import pytest
 
 pytest.importorskip("pymavlink")
 
-from ptnsbc_nodes.bridge.procedure import STOP_S, Ask, Procedure, Seen, Step, Stream
+from ptnsbc_nodes.bridge.procedure import Procedure
+from ptnsbc_nodes.bridge.steps import STOP_S, Ask, Seen, Step, Stream
 from ptnsbc_nodes.mavlink.autopilots import ARDUPILOT, PX4, Mode
 
 DT = 0.05

@@ -16,8 +16,8 @@ from ptnsbc_core.timebase import Clock
 from ptnsbc_nodes.bridge import attitude
 from ptnsbc_nodes.bridge.controller import Told, Wanted
 from ptnsbc_nodes.bridge.guard import Allowed, Guard, allowed
-from ptnsbc_nodes.bridge.procedure import Stream
 from ptnsbc_nodes.bridge.setpoints import Setpoints
+from ptnsbc_nodes.bridge.steps import Stream
 from ptnsbc_nodes.bridge.stream import SetpointStream
 from ptnsbc_nodes.mavlink.autopilots import ARDUPILOT, GENERIC, PX4, advice, limits, refusal
 from ptnsbc_nodes.mavlink.dialect import mavlink
