@@ -1,0 +1,1 @@
+"""Every command of README and docs, run: `python -m docs.commands`."""

@@ -1,0 +1,114 @@
+"""`python -m docs.commands [PAGE]...`: run every ```bash block of the pages in a scratch clone.
+
+Each page has a clone of its own, in which its blocks run in order; each block is a shell of its own. The clone
+has no `.venv`: the environment that runs this must not be within reach of what a page installs.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from docs.commands.blocks import Block, PageError, blocks_of
+from docs.commands.runner import Outcome, Page
+from ptnsbc_nodes.domain import reserved_domain
+
+ROOT = Path(__file__).resolve().parents[2]
+_LEFT_OUT = ("CHANGELOG.md",)  # tells of commands that were
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Exit code 0 when every block did what its page says, 1 when one did not, 2 for a bad page."""
+    options = _parser().parse_args(arguments)
+    try:
+        pages = {name: blocks_of(ROOT / name, name) for name in options.pages or _pages()}
+    except (PageError, OSError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    if options.list:
+        for block in (block for blocks in pages.values() for block in blocks):
+            print(f"{block.place}: {block.marker.how.value}: {'; '.join(block.lines)}")
+        return 0
+    began = time.monotonic()
+    done = [outcome for blocks in pages.values() for outcome in _run(blocks)]
+    return _sum_up(done, time.monotonic() - began)
+
+
+def _pages() -> list[str]:
+    """Every page in the repository, the README first."""
+    command = ["git", "ls-files", "--cached", "--others", "--exclude-standard", "*.md"]
+    found = subprocess.run(command, cwd=ROOT, check=True, capture_output=True, text=True).stdout
+    names = [name for name in found.split() if name not in _LEFT_OUT]
+    return sorted(names, key=lambda name: (name != "README.md", name))
+
+
+def _run(blocks: Sequence[Block]) -> Iterator[Outcome]:
+    if not blocks:
+        return
+    ci = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
+    with tempfile.TemporaryDirectory(prefix="ptnsbc-docs-") as scratch, reserved_domain() as domain:
+        folder, logs = Path(scratch) / "ptnsbc", Path(scratch) / "logs"
+        logs.mkdir()
+        subprocess.run(["git", "clone", "--quiet", str(ROOT), str(folder)], check=True)
+        with Page(folder, logs, _environment(domain), ci) as page:
+            for block in blocks:
+                yield _told(page.run(block))
+            for outcome in page.finish():
+                yield _told(outcome)
+
+
+def _environment(domain: int) -> dict[str, str]:
+    """As after `make setup` and with .venv activated, on a ROS domain of the page."""
+    changed = {
+        "PATH": os.pathsep.join((str(Path(sys.prefix) / "bin"), os.environ.get("PATH", ""))),
+        "VIRTUAL_ENV": sys.prefix,
+        # The laws of this checkout, which are compiled already; the clone's are the same.
+        "PYTHONPATH": os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH")))),
+        # ... and not the clone's: `python -m` looks in the current folder first. (From Python 3.11 on.)
+        "PYTHONSAFEPATH": "1",
+        "ROS_DOMAIN_ID": str(domain),
+    }
+    return {**os.environ, **changed}
+
+
+def _told(outcome: Outcome) -> Outcome:
+    first = outcome.block.lines[0] if outcome.block.lines else ""
+    if outcome.skipped:
+        what = f"not run   {outcome.skipped}: {first}"
+    elif outcome.problem:
+        what = f"FAILED    {outcome.took_s:5.1f} s  {outcome.problem}: {first}"
+    else:
+        what = f"ok        {outcome.took_s:5.1f} s  {first}"
+    print(f"{outcome.block.place:24} {what}", flush=True)
+    if outcome.output:
+        print("    " + outcome.output.replace("\n", "\n    "), flush=True)
+    return outcome
+
+
+def _sum_up(done: Sequence[Outcome], seconds: float) -> int:
+    failed = [outcome.block.place for outcome in done if outcome.problem]
+    blocks = {outcome.block.place for outcome in done}
+    skipped = {outcome.block.place for outcome in done if outcome.skipped}
+    print(f"{len(blocks)} blocks in {seconds:.0f} s: {len(skipped)} not run, {len(failed)} failed")
+    for place in failed:
+        print(f"failed: {place}", file=sys.stderr)
+    return int(bool(failed))
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="python -m docs.commands", description="Run every command block of the pages."
+    )
+    parser.add_argument("pages", nargs="*", metavar="PAGE", help="as docs/bags.md; by default all")
+    parser.add_argument("--list", action="store_true", help="say how each block is run, run none")
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,194 @@
+"""Running the blocks of one page: real processes, real exit codes, all ended with the page."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import subprocess
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import NamedTuple
+
+from docs.commands.blocks import Block, How
+
+_INTERRUPTED = 130
+_LONGEST_S = 120.0
+_ENDING_S = 60.0
+_LOOK_S = 0.05
+_TAIL_LINES = 25
+
+
+class Outcome(NamedTuple):
+    """What came of a block."""
+
+    block: Block
+    took_s: float
+    skipped: str = ""  # why
+    problem: str = ""  # empty when all went well
+    output: str = ""  # its end, where there is a problem
+
+
+class _Process:
+    """A shell with the commands of a block, in a process group of its own."""
+
+    def __init__(
+        self, script: str, folder: Path, environment: Mapping[str, str], log: Path
+    ) -> None:
+        self._log = log
+        with log.open("wb") as output:
+            self._shell = subprocess.Popen(
+                ["bash", "-euo", "pipefail", "-c", script],
+                cwd=folder,
+                env=dict(environment),
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+            )
+
+    @property
+    def output(self) -> str:
+        return self._log.read_text(encoding="utf-8", errors="replace")
+
+    @property
+    def code(self) -> int | None:
+        """None while it runs; a shell that Ctrl-C ended counts as interrupted."""
+        code = self._shell.poll()
+        return _INTERRUPTED if code == -signal.SIGINT else code
+
+    def wait(self, seconds: float, text: str | None = None) -> bool:
+        """Until it has ended, or said `text`; False when it took longer."""
+        end = time.monotonic() + seconds
+        while self.code is None and (text is None or text not in self.output):
+            if time.monotonic() > end:
+                return False
+            time.sleep(_LOOK_S)
+        return True
+
+    def interrupt(self) -> bool:
+        """Ctrl-C, as a terminal sends it; False when it has to be killed."""
+        self._signal(signal.SIGINT)
+        if self.wait(_ENDING_S):
+            return True
+        self.kill()
+        return False
+
+    def kill(self) -> None:
+        """Whatever is left of it."""
+        self._signal(signal.SIGKILL)
+        self._shell.wait()
+
+    def _signal(self, number: signal.Signals) -> None:
+        try:
+            os.killpg(self._shell.pid, number)
+        except ProcessLookupError:
+            return
+
+
+class Page:
+    """The blocks of a page run in order, in one folder; use it as a context manager."""
+
+    def __init__(self, folder: Path, logs: Path, environment: Mapping[str, str], ci: str) -> None:
+        self._folder = folder
+        self._logs = logs
+        self._environment = environment
+        self._ci = {line.strip() for line in _commands_of(ci)}
+        self._beside: list[tuple[Block, _Process, float]] = []
+        self._stack = ExitStack()
+
+    def __enter__(self) -> Page:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stack.close()
+
+    def run(self, block: Block) -> Outcome:
+        """One block, by its marker."""
+        began = time.monotonic()
+        marker = block.marker
+        if marker.how is How.SKIP:
+            return Outcome(block, 0.0, skipped=marker.text)
+        if marker.how is How.ELSEWHERE:
+            return self._elsewhere(block)
+        if marker.how is How.BESIDE:
+            return self._start_beside(block)
+        if marker.how is How.EACH:
+            scripts = block.lines
+        else:
+            scripts = [f"{block.lines[0]} {marker.words}" if marker.words else block.script]
+        for script in scripts:
+            problem, output = self._one(script, block)
+            if problem:
+                return Outcome(block, time.monotonic() - began, "", problem, output)
+        return Outcome(block, time.monotonic() - began)
+
+    def finish(self) -> Iterator[Outcome]:
+        """What became of the blocks in the background, last first, after Ctrl-C to those that run."""
+        for block, process, began in reversed(self._beside):
+            ended = process.code is not None
+            allowed = (0,) if ended else (0, _INTERRUPTED)
+            quick = ended or process.interrupt()
+            problem = _verdict(process.code, allowed) if quick else "did not end at Ctrl-C"
+            took = time.monotonic() - began
+            yield Outcome(block, took, "", problem, _tail(process) if problem else "")
+        self._beside.clear()
+
+    def _elsewhere(self, block: Block) -> Outcome:
+        missing = [line for line in block.lines if line not in self._ci]
+        problem = f".ci/run has no command {', '.join(missing)}" if missing else ""
+        return Outcome(block, 0.0, "" if missing else "runs in .ci/run", problem)
+
+    def _start_beside(self, block: Block) -> Outcome:
+        began = time.monotonic()
+        process = self._stack.enter_context(self._process(block.script))
+        said = process.wait(_LONGEST_S, block.marker.text) and block.marker.text in process.output
+        if not said:
+            problem = f"did not say {block.marker.text!r}, {_verdict(process.code, (0,))}"
+            return Outcome(block, time.monotonic() - began, "", problem, _tail(process))
+        self._beside.append((block, process, began))
+        return Outcome(block, time.monotonic() - began)
+
+    def _one(self, script: str, block: Block) -> tuple[str, str]:
+        timed = block.marker.how in (How.FOR, How.EACH)
+        with self._process(script) as process:
+            if not timed:
+                ended = process.wait(_LONGEST_S)
+                allowed: tuple[int, ...] = (block.marker.code,)
+                problem = _verdict(process.code, allowed) if ended else f"ran for {_LONGEST_S:g} s"
+            elif process.wait(block.marker.seconds):
+                problem = f"ended before {block.marker.seconds:g} s were over, {process.code}"
+            elif process.interrupt():
+                problem = _verdict(process.code, (0, _INTERRUPTED))
+            else:
+                problem = "did not end at Ctrl-C"
+            return problem, _tail(process) if problem else ""
+
+    @contextmanager
+    def _process(self, script: str) -> Iterator[_Process]:
+        log = self._logs / f"{len(list(self._logs.iterdir()))}.log"
+        process = _Process(script, self._folder, self._environment, log)
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
+def _commands_of(script: str) -> Iterator[str]:
+    """The commands of `.ci/run`: what its steps call, and what its functions do."""
+    for line in script.splitlines():
+        bare = line.partition("#")[0].strip()
+        step = re.fullmatch(r'step "[^"]*" (.+)', bare)
+        body = re.fullmatch(r"\w+\(\) \{ (.+); \}", bare)
+        yield (step or body)[1] if step or body else bare
+
+
+def _verdict(code: int | None, allowed: tuple[int, ...]) -> str:
+    expected = " or ".join(str(one) for one in allowed)
+    return "" if code in allowed else f"exit code {code}: expected {expected}"
+
+
+def _tail(process: _Process) -> str:
+    return "\n".join(process.output.splitlines()[-_TAIL_LINES:])
