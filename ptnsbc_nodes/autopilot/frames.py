@@ -68,3 +68,18 @@ def rotate_heading(v: Array, yaw_rad: float) -> Array:
     """(3,) from a heading-aligned NED frame to NED: turned by the heading about down."""
     c, s = math.cos(yaw_rad), math.sin(yaw_rad)
     return np.array((c * v[0] - s * v[1], s * v[0] + c * v[1], v[2]))
+
+
+def moved_on(xyzw: Array, rates: Array, dt: float) -> Array:
+    """Unit quaternion (4,) x y z w after turning with body rates (3,) [rad/s] for dt [s], small turns."""
+    x, y, z, w = xyzw
+    p, q, r = 0.5 * dt * rates
+    out = xyzw + np.array(
+        (
+            w * p + y * r - z * q,
+            w * q + z * p - x * r,
+            w * r + x * q - y * p,
+            -x * p - y * q - z * r,
+        )
+    )
+    return np.asarray(out / math.sqrt(float(out @ out)))

@@ -14,7 +14,7 @@ import numpy as np
 
 from ptnsbc_core.types import Array
 from ptnsbc_nodes.autopilot import airframe, paths, setpoints
-from ptnsbc_nodes.autopilot.frames import rotate_heading, world_swap, yaw_swap
+from ptnsbc_nodes.autopilot.frames import moved_on, rotate_heading, world_swap, yaw_swap
 from ptnsbc_nodes.mavlink.dialect import mavlink
 
 _LEASH_M = 1.5
@@ -166,6 +166,7 @@ class Guided:
         self._stepped_t = t
         silent = t - self._latest_t > timeout_s
         if self.submode is Submode.ANGLE:
+            self._advance(dt)
             return self._angle(seen, silent)
         if silent:
             self.yaw_rate = math.nan
@@ -213,6 +214,14 @@ class Guided:
             target[airframe.YAW] = self.yaw
         target[airframe.YAW_RATE] = self.yaw_rate
         return target
+
+    def _advance(self, dt: float) -> None:
+        """Turn the attitude on with the rates beside it until the next target comes, or the timeout."""
+        rates = self._attitude[airframe.BODY_RATES]
+        if self._attitude[airframe.KIND] == airframe.ATTITUDE and np.isfinite(rates).all():
+            self._attitude[airframe.QUATERNION] = moved_on(
+                self._attitude[airframe.QUATERNION], rates, dt
+            )
 
     def _angle(self, seen: Seen, silent: bool) -> Array:
         if silent:

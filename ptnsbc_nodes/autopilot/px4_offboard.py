@@ -47,7 +47,7 @@ def read_trajectory(message: Any, heading_ned_rad: float, height_m: float) -> Wa
 def read_attitude(message: Any) -> Wanted | None:
     """A SET_ATTITUDE_TARGET: attitude or all body rates, with a thrust; None for anything else.
 
-    Of the rates beside an attitude PX4 takes only that of yaw, as a feed-forward.
+    Of the rates beside an attitude PX4 takes only that of yaw, as a feed-forward about the vertical.
     """
     wanted = setpoints.attitude(message)
     rates = bool(np.isfinite(wanted.rates_frd).all())
@@ -56,8 +56,8 @@ def read_attitude(message: Any) -> Wanted | None:
     if wanted.attitude_ned is not None and not setpoints.unit(wanted.attitude_ned, _UNIT_TOLERANCE):
         return None
     if wanted.attitude_ned is not None:
-        yaw_only = np.array((math.nan, math.nan, wanted.rates_frd[2]))
-        wanted = wanted._replace(rates_frd=yaw_only)
+        turn = wanted.rates_frd[2] * setpoints.down_in_body(wanted.attitude_ned)
+        wanted = wanted._replace(rates_frd=turn)
     return Wanted(setpoints.attitude_target(wanted), False)
 
 

@@ -140,6 +140,12 @@ def unit(q: Quaternion, tolerance: float) -> bool:
     return abs(math.sqrt(sum(v * v for v in q)) - 1.0) <= tolerance
 
 
+def down_in_body(q: Quaternion) -> Array:
+    """The vertical (3,), down, in FRD."""
+    w, x, y, z = q
+    return np.array((2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)))
+
+
 def attitude_target(wanted: AttitudeTarget) -> Array:
     """A target (22,) of the airframe; ignored rates are zero where there is no attitude."""
     target = airframe.no_target()

@@ -9,10 +9,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ptnsbc_core.types import AgentConfig, Array
-from ptnsbc_nodes.bridge.attitude import HoverThrust
 from ptnsbc_nodes.bridge.commands import Commands
 from ptnsbc_nodes.bridge.controller import Controller
 from ptnsbc_nodes.bridge.guard import Allowed, Guard, allowed
+from ptnsbc_nodes.bridge.hover import HoverThrust
 from ptnsbc_nodes.bridge.procedure import Procedure
 from ptnsbc_nodes.bridge.setpoints import Setpoints
 from ptnsbc_nodes.bridge.steps import Orders, Seen, Step, Stream
@@ -113,7 +113,7 @@ class Bridge:
         self.teller = Teller(self.vehicle, self.world, self._upkeep.sync, self.controller)
         self.procedure = Procedure(autopilot, block.takeoff_height_m, allow_arming, outlets.say)
         self.guard = Guard(block.geofence, allowed(block.limits, limits({})))
-        self._messages = Setpoints(reached.sysid)
+        self._messages = Setpoints(autopilot, reached.sysid)
         self._stream = self._make_stream(block.hover_thrust)
         self._epochs = Epochs()
         self.orders = Orders(Stream.NONE, None, True)

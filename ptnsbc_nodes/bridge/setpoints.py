@@ -6,9 +6,12 @@ from typing import Any
 
 import numpy as np
 
+from ptnsbc_core.kinematics import rotation_from_quaternion
 from ptnsbc_core.types import Array
 from ptnsbc_nodes.bridge.attitude import AttitudeTarget
+from ptnsbc_nodes.bridge.turning import about_vertical
 from ptnsbc_nodes.mavlink import frames, masks
+from ptnsbc_nodes.mavlink.autopilots import Autopilot, Rates
 from ptnsbc_nodes.mavlink.dialect import mavlink
 from ptnsbc_nodes.mavlink.link import AUTOPILOT_COMPONENT
 
@@ -17,10 +20,13 @@ _VELOCITY = masks.position_target((*masks.VELOCITY, "yaw"))
 _VELOCITY_PUSHED = masks.position_target((*masks.VELOCITY, *masks.ACCELERATION, "yaw"))
 _BOTH = masks.position_target((*masks.POSITION, *masks.VELOCITY, "yaw"))
 _BOTH_PUSHED = masks.position_target((*masks.POSITION, *masks.VELOCITY, *masks.ACCELERATION, "yaw"))
-# No body rates: autopilots add them to their own as a feed-forward. The attitude is worked out from
-# the measured one, so its rate of change is mostly the vehicle's own: fed forward it is a positive
-# feedback, and four vehicles that took it swung until they left the fence.
-_ATTITUDE = masks.attitude_target(("q", "thrust"))
+_ATTITUDE = {
+    # PX4 gives roll and pitch rates beside an attitude to nobody, and takes the yaw rate about the vertical.
+    Rates.HEADING: masks.attitude_target(("q", "thrust", "body_yaw_rate")),
+    # ArduCopter drops a target with some of the three, and its versions turn them into the world or do not.
+    Rates.HEADING_BY_ALL: masks.attitude_target(("q", "thrust", *masks.RATES)),
+    Rates.ALL: masks.attitude_target(("q", "thrust", *masks.RATES)),
+}
 _NOTHING = np.zeros(3)
 _32_BITS = 0xFFFFFFFF
 
@@ -28,8 +34,9 @@ _32_BITS = 0xFFFFFFFF
 class Setpoints:
     """Messages for one vehicle, positions relative to its own local origin."""
 
-    def __init__(self, sysid: int) -> None:
+    def __init__(self, autopilot: Autopilot, sysid: int) -> None:
         self._sysid = sysid
+        self._rates = autopilot.rates
 
     def place(self, now_s: float, local_enu: Array, yaw_enu: float) -> Any:
         """Stay at a point (3,) [m] of the local frame."""
@@ -50,18 +57,26 @@ class Setpoints:
         return self._position_target(now_s, mask, (local_enu, velocity_enu, pushed), yaw)
 
     def attitude(self, now_s: float, target: AttitudeTarget) -> Any:
-        """Point and pull."""
+        """Point, turn and pull."""
         return mavlink.MAVLink_set_attitude_target_message(
             _milliseconds(now_s),
             self._sysid,
             AUTOPILOT_COMPONENT,
-            _ATTITUDE,
+            _ATTITUDE[self._rates],
             frames.quaternion_enu_flu_to_ned_frd(target.quaternion).tolist(),
-            0.0,
-            0.0,
-            0.0,
+            *frames.vector_flu_to_frd(self._understood(target)).tolist(),
             target.thrust,
         )
+
+    def _understood(self, target: AttitudeTarget) -> Array:
+        """The rates (3,) of a target as this autopilot reads them [rad/s, FLU]."""
+        if self._rates is Rates.ALL:
+            return target.rates
+        turn = about_vertical(target.rates, target.quaternion)
+        if self._rates is Rates.HEADING:
+            return np.array([0.0, 0.0, turn])
+        # A rotation about the vertical is the same in the world, and nearly so in a body that is not far from level.
+        return turn * rotation_from_quaternion(target.quaternion)[2]
 
     def _position_target(
         self, now_s: float, mask: int, vectors_enu: tuple[Array, Array, Array], yaw_enu: float

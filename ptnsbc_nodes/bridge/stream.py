@@ -10,16 +10,18 @@ from ptnsbc_core.kinematics import rotation_from_quaternion, yaw_of
 from ptnsbc_core.types import AgentConfig, Array
 from ptnsbc_nodes.bridge.attitude import (
     AttitudeTarget,
-    HoverThrust,
     PointHold,
     from_wrench,
     pointing,
     tilt_limited,
+    understood,
 )
 from ptnsbc_nodes.bridge.controller import Wanted, wanted_yaw
 from ptnsbc_nodes.bridge.guard import Guard
+from ptnsbc_nodes.bridge.hover import HoverThrust
 from ptnsbc_nodes.bridge.setpoints import Setpoints
 from ptnsbc_nodes.bridge.steps import Stream
+from ptnsbc_nodes.bridge.turning import Turning
 from ptnsbc_nodes.mavlink.autopilots import Autopilot
 from ptnsbc_sim.scenario.mavlink import SetpointKind
 
@@ -27,6 +29,7 @@ _CLIMB_M_S = 1.0
 _AHEAD_M = 1.0  # a target no farther above the vehicle than this
 _LEASH_M = 1.5
 _LONGEST_STEP_S = 0.1
+_ALL_AXES = np.ones(3, dtype=bool)
 _PUSH_S = 0.1  # smoothing of the feed-forward: the planner passes the noise of positions on
 
 
@@ -60,6 +63,7 @@ class SetpointStream:
         self._climb_to_m = climb_to_m
         self._feed_forward = feed_forward
         self._point_hold = PointHold(config.controller.gravity)
+        self._turning = Turning()
         self.hover = hover
         self._carried = Stream.NONE
         self._place: Place | None = None
@@ -108,6 +112,7 @@ class SetpointStream:
         self._carried = carried
         self._place = Place(odometry)
         self._reference = self._last = None
+        self._turning = Turning()
         if not armed:
             self._climb, self._ground_m = None, float(odometry[2])
             self._point_hold.reset()
@@ -127,12 +132,13 @@ class SetpointStream:
         if not self._autopilot.attitude_only:
             return self._messages.place(self._now_s, position - offset, place.yaw)
         if not armed:  # nothing may turn before the vehicle is meant to lift
-            level = AttitudeTarget(odometry[3:7], 0.0)
+            level = AttitudeTarget(odometry[3:7], np.zeros(3), 0.0)
             return self._messages.attitude(self._now_s, level)
         pull = self._point_hold.force_per_kg(odometry, position, self._dt)
         quaternion = tilt_limited(pointing(pull, place.yaw), self._guard.limits.tilt_rad)
         along = float(pull @ rotation_from_quaternion(odometry[3:7])[:, 2])
-        return self._pulled(quaternion, along)
+        rates = self._turning.of(quaternion, _ALL_AXES, self._now_s)
+        return self._pulled(quaternion, rates, along)
 
     def _planned(self, wanted: Wanted, odometry: Array, offset: Array, flight_s: float) -> Any:
         controller = self._config.controller
@@ -144,7 +150,9 @@ class SetpointStream:
                 controller,
                 self._guard.limits.tilt_rad,
             )
-            return self._pulled(quaternion, wanted.values[2] / controller.nominal[0])
+            known = understood(wanted.values, controller)
+            rates = self._turning.of(quaternion, known, wanted.told.sampled_s)
+            return self._pulled(quaternion, rates, wanted.values[2] / controller.nominal[0])
         velocity = self._guard.velocity(wanted.values[0:3], odometry[0:3])
         yaw = wanted_yaw(wanted, controller.attitude_gain[1])
         push = self._push(velocity) if self._feed_forward else None
@@ -153,11 +161,11 @@ class SetpointStream:
         place = self._guard.place(self._referred(velocity, odometry)) - offset
         return self._messages.both(self._now_s, place, velocity, push, yaw)
 
-    def _pulled(self, quaternion: Array, pull_m_s2: float) -> Any:
+    def _pulled(self, quaternion: Array, rates: Array, pull_m_s2: float) -> Any:
         mass = self._config.controller.nominal[0]
         thrust = self.hover.normalised(pull_m_s2 * mass, mass)
         self.hover.sent(thrust)
-        return self._messages.attitude(self._now_s, AttitudeTarget(quaternion, thrust))
+        return self._messages.attitude(self._now_s, AttitudeTarget(quaternion, rates, thrust))
 
     def _referred(self, velocity: Array, odometry: Array) -> Array:
         """Where the velocity setpoints lead, no farther from the vehicle than a leash.

@@ -46,6 +46,14 @@ class Limits(NamedTuple):
     tilt_rad: float | None
 
 
+class Rates(Enum):
+    """Which body rates beside an attitude an autopilot understands."""
+
+    ALL = "all"
+    HEADING = "heading"  # by the yaw rate alone, which it takes about the vertical
+    HEADING_BY_ALL = "heading by all"  # all three or none, and in one frame or the other by version
+
+
 class Autopilot(NamedTuple):
     """One kind of autopilot."""
 
@@ -59,6 +67,7 @@ class Autopilot(NamedTuple):
     stream_first: bool  # the mode needs setpoints before and during
     climbs: bool  # takes off by a setpoint; otherwise by NAV_TAKEOFF
     attitude_only: bool
+    rates: Rates
     parameters: tuple[str, ...]
 
     def mode(self, base_mode: int, custom_mode: int) -> Mode:
@@ -96,6 +105,7 @@ PX4 = Autopilot(
     stream_first=True,
     climbs=True,
     attitude_only=False,
+    rates=Rates.HEADING,
     parameters=(
         "COM_OF_LOSS_T",
         "COM_OBL_RC_ACT",
@@ -128,6 +138,7 @@ ARDUPILOT = Autopilot(
     stream_first=False,
     climbs=False,
     attitude_only=False,
+    rates=Rates.HEADING_BY_ALL,
     parameters=(
         "GUID_TIMEOUT",
         "GUID_OPTIONS",
@@ -158,6 +169,7 @@ GENERIC = Autopilot(
     stream_first=True,
     climbs=True,
     attitude_only=True,
+    rates=Rates.ALL,
     parameters=(),
 )
 AUTOPILOTS: Mapping[str, Autopilot] = {a.name: a for a in (PX4, ARDUPILOT, GENERIC)}

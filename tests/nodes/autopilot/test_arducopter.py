@@ -5,7 +5,9 @@ import math
 import numpy as np
 import pytest
 
+from ptnsbc_core.algebra import wrap
 from ptnsbc_nodes.autopilot.arducopter import GUIDED, LAND, STABILIZE, ArduCopter
+from ptnsbc_nodes.autopilot.frames import attitude_swap, euler_of
 from ptnsbc_nodes.autopilot.vehicle import GCS
 from ptnsbc_nodes.mavlink.dialect import mavlink
 
@@ -148,6 +150,11 @@ def test_in_the_air_disarming_needs_the_magic_number(flying):
     assert flying.disarm(force=True) == ACCEPTED
 
 
+def heading(copter):
+    """Clockwise from north [rad], by its own estimate."""
+    return euler_of(attitude_swap(copter.vehicle.flight.attitude_enu)).yaw
+
+
 def attitude(copter, thrust, mask=0b111, q=(1.0, 0.0, 0.0, 0.0)):
     copter.send(
         mavlink.MAVLink_set_attitude_target_message(0, 1, 1, mask, list(q), 0, 0, 0, thrust)
@@ -174,6 +181,17 @@ def test_an_attitude_that_climbs_takes_off(copter):
     copter.arm()
     copter.run(4.0, lambda: attitude(copter, 0.7))
     assert not copter.vehicle.in_contact
+
+
+def test_an_attitude_turns_on_with_the_rates_beside_it_until_it_times_out(flying):
+    flying.put("GUID_TIMEOUT", 1)
+    start = heading(flying)
+    level = (math.cos(0.5 * start), 0.0, 0.0, math.sin(0.5 * start))
+    flying.send(mavlink.MAVLink_set_attitude_target_message(0, 1, 1, 0, level, 0, 0, 0.5, 0.5))
+    flying.run(0.9)
+    assert 0.25 < wrap(heading(flying) - start) < 0.5  # to the right
+    flying.run(3.0)
+    assert wrap(heading(flying) - start) == pytest.approx(0.5, abs=0.1)  # a second of it, no more
 
 
 def test_after_an_attitude_it_levels_and_keeps_its_height(flying):

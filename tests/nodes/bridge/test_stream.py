@@ -1,4 +1,4 @@
-"""Setpoints as they leave: clamps, fence, feed-forward, attitude from the wrench, hover thrust."""
+"""Setpoints as they leave: clamps, fence, feed-forward, holding, attitude targets on the wire."""
 
 import math
 
@@ -9,13 +9,10 @@ from hypothesis import strategies as st
 
 pytest.importorskip("pymavlink")
 
-from ptnsbc_core.controller import Command
 from ptnsbc_core.kinematics import quaternion_from_euler, rotation_from_quaternion
-from ptnsbc_core.quadrotor_control import attitude_error, desired_rotation, quadrotor_control
-from ptnsbc_core.timebase import Clock
-from ptnsbc_nodes.bridge import attitude
 from ptnsbc_nodes.bridge.controller import Told, Wanted
 from ptnsbc_nodes.bridge.guard import Allowed, Guard, allowed
+from ptnsbc_nodes.bridge.hover import HoverThrust
 from ptnsbc_nodes.bridge.setpoints import Setpoints
 from ptnsbc_nodes.bridge.steps import Stream
 from ptnsbc_nodes.bridge.stream import SetpointStream
@@ -43,8 +40,10 @@ def state(position=(0, 0, 3), euler=(0, 0, 0), velocity=(0, 0, 0), rates=(0, 0, 
 
 def make(config, kind="velocity", autopilot=PX4, fence=None, feed_forward=False):
     guard = Guard(fence or Geofence(), LIMITS)
-    hover = attitude.HoverThrust(0.5, 9.81)
-    return SetpointStream(autopilot, kind, config, guard, Setpoints(3), hover, feed_forward, 3.0)
+    hover = HoverThrust(0.5, 9.81)
+    return SetpointStream(
+        autopilot, kind, config, guard, Setpoints(autopilot, 3), hover, feed_forward, 3.0
+    )
 
 
 def send(stream, carried, now_s=1.0, odometry=None, values=None, offset=(0, 0, 0), armed=True):
@@ -186,58 +185,14 @@ def test_position_and_velocity_hold_where_velocity_alone_drifts(config):
     assert message.y > 0.5  # it drifted back: the reference pulls
 
 
-@pytest.mark.parametrize("euler", [(0, 0, 0), (0.1, -0.2, 0.5), (-0.2, 0.1, 3.0)])
-@pytest.mark.parametrize("push", [(0, 0, 0), (0.3, -0.2, 0.1)])
-def test_the_wrench_is_read_back_to_the_attitude_that_the_controller_meant(config, euler, push):
-    odometry = state((0, 0, 3), euler, rates=(0.1, -0.1, 0.05))
-    yaw = euler[2] + 0.05
-    command = Command(np.array(push), np.zeros(3), np.zeros(3), np.zeros(3), yaw)
-    controller = config.controller
-    observer = np.zeros(12)
-    observer[0:3] = rotation_from_quaternion(odometry[3:7]) @ odometry[7:10]
-    control = quadrotor_control(
-        odometry, command, controller.nominal.copy(), np.zeros(2), Clock(5.0, 5.0, 0.01),
-        controller, observer, config.filter.max_rate,
-    )  # fmt: skip
-    wanted = attitude.from_wrench(control.wrench, odometry, 5.0, controller, 0.7)
-    gain = controller.force.scale * controller.force.kappa
-    force = gain * np.array(push) + np.array([0, 0, 9.81])
-    meant = attitude_error(rotation_from_quaternion(odometry[3:7]), desired_rotation(force, yaw))
-    read = attitude_error(rotation_from_quaternion(odometry[3:7]), rotation_from_quaternion(wanted))
-    if not np.abs(control.wrench[3:6] / controller.max_torque).max() > 0.99:
-        assert read == pytest.approx(meant, abs=0.03)
-    assert float(read @ meant) >= 0.0
-
-
 def test_attitude_targets_on_the_wire(config):
     weight = config.controller.nominal[0] * 9.81
     message = send(make(config, "attitude"), Stream.PLANNER, values=[0, 0, weight, 0, 0, 0])
     assert message.get_type() == "SET_ATTITUDE_TARGET"
-    assert message.type_mask == 0b111  # PX4: attitude and thrust, no rates beside them
+    assert message.type_mask == 0b011  # PX4: attitude, thrust and the yaw rate
+    assert message.body_yaw_rate == 0.0
     assert message.thrust == pytest.approx(0.5)
     assert abs(message.q[0]) == pytest.approx(math.sqrt(0.5))  # facing east
-
-
-def test_tilt_is_limited_in_the_direction_it_has():
-    steep = quaternion_from_euler(np.array([0.0, 1.2, 0.4]))
-    limited = attitude.tilt_limited(steep, 0.6)
-    before, after = (rotation_from_quaternion(q)[:, 2] for q in (steep, limited))
-    assert math.acos(after[2]) == pytest.approx(0.6)
-    assert math.atan2(after[1], after[0]) == pytest.approx(math.atan2(before[1], before[0]))
-    gentle = quaternion_from_euler(np.array([0.1, 0.2, 0.4]))
-    assert attitude.tilt_limited(gentle, 0.6).tolist() == gentle.tolist()
-
-
-def test_hover_thrust_is_learnt_from_what_thrust_does():
-    hover = attitude.HoverThrust(0.5, 9.81)
-    climb, now = 0.0, 0.0
-    for _ in range(1000):  # it really hovers at 0.4
-        thrust = hover.normalised(1.2 * 9.81 - 0.6 * climb, 1.2)
-        hover.sent(thrust)
-        climb += 0.02 * 9.81 * (thrust / 0.4 - 1.0)
-        now += 0.02
-        hover.flown(now, state(velocity=(0, 0, climb)))
-    assert hover.value == pytest.approx(0.4, rel=0.03)
 
 
 def test_an_attitude_only_vehicle_holds_a_point_in_wind(config):
@@ -259,7 +214,7 @@ def test_an_attitude_only_vehicle_holds_a_point_in_wind(config):
         if position[2] < 0.0:
             position[2], velocity = 0.0, np.zeros(3)
     assert position == pytest.approx([0, 0, 3.0], abs=0.1)
-    assert message.type_mask == 0b111
+    assert message.type_mask == 0
 
 
 def _ours(wxyz):
