@@ -9,9 +9,10 @@ import numpy as np
 from bench.scenarios import paper
 from bench.session import Plan, cpu_seconds, take_turns
 from bench.table import Row, Target
-from ptnsbc_core.agent import Agent, initial_state, step
+from ptnsbc_core.agent import Agent, Known
 from ptnsbc_core.algebra import eigen3, gram3
 from ptnsbc_core.kernel import kernel
+from ptnsbc_core.step import initial_state, step
 from ptnsbc_core.types import MODE_FORMATION, AgentInputs, Array
 from ptnsbc_sim.scenario import Scenario, agent_config
 from ptnsbc_sim.world import World
@@ -75,6 +76,11 @@ def measure(plan: Plan) -> Sequence[Row]:
     config, known, dt = agent_config(scenario, _FOLLOWER), inputs(scenario, _FOLLOWER), 0.01
     agent, state = Agent(config, known.own), initial_state(known.own, config)
 
+    vector = Known.of(known)
+
+    def agent_advance() -> object:
+        return agent.advance(vector, _T_S, dt)
+
     def agent_step() -> object:
         return agent.step(known, _T_S, dt)
 
@@ -82,7 +88,7 @@ def measure(plan: Plan) -> Sequence[Row]:
         return step(state, known, _T_S, dt, config)
 
     matrices = np.random.default_rng(1).normal(size=(plan.of(20_000, 2_000), 3, 3))
-    for warm in (agent_step, plain_step, numpy_svd):
+    for warm in (agent_advance, agent_step, plain_step, numpy_svd):
         warm()
     loops = (jacobi_loop, lapack_loop)
     for loop in loops:
@@ -90,6 +96,7 @@ def measure(plan: Plan) -> Sequence[Row]:
     times = take_turns(
         {
             "svd": lambda: cpu_seconds(numpy_svd, calls),
+            "advance": lambda: cpu_seconds(agent_advance, calls),
             "agent": lambda: cpu_seconds(agent_step, calls),
             "step": lambda: cpu_seconds(plain_step, calls),
             "jacobi": lambda: cpu_seconds(lambda: jacobi_loop(matrices)) / len(matrices),
@@ -101,6 +108,7 @@ def measure(plan: Plan) -> Sequence[Row]:
     nano = {name: [_NANO * value for value in values] for name, values in times.items()}
     return [
         Row("Agent.step from Python", micro["agent"], "µs", SVD, micro["svd"], target=Target(30.0)),
+        Row("Agent.advance, as a tick calls it", micro["advance"], "µs", SVD, micro["svd"]),
         Row("the same without Agent", micro["step"], "µs", SVD, micro["svd"]),
         Row(
             "singular values in a kernel: Jacobi",

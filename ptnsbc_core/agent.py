@@ -1,6 +1,7 @@
-"""One control step of one UAV: estimator, behaviours, null-space, command filter, controller.
+"""The control step as a process calls it: what is known in one vector, what is told in another.
 
-`step` is the only place where the laws meet. The ROS node, the headless swarm and every replay call it.
+A NamedTuple of arrays that crosses from Python into a compiled kernel and back is taken apart and put
+together field by field, which costs more than the laws (`bench --only step` shows both).
 """
 
 from __future__ import annotations
@@ -10,40 +11,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ptnsbc_core.adaptation import started
-from ptnsbc_core.algebra import moved, part, put, wrap
-from ptnsbc_core.command_filter import filter_step
-from ptnsbc_core.controller import Command, Control, rigid_body_control
-from ptnsbc_core.estimator import disagreement, estimator_step
+from ptnsbc_core.algebra import put
 from ptnsbc_core.kernel import kernel, kernel_list, leaf
-from ptnsbc_core.kinematics import (
-    estimate_to_odometry,
-    odometry_to_estimate,
-    state_to_estimate,
-    velocity_enu,
-    yaw_of,
-)
-from ptnsbc_core.planner import (
-    Armed,
-    Behaviour,
-    Neighbour,
-    attitude,
-    composed,
-    formation,
-    hold,
-    leader_tracking,
-)
-from ptnsbc_core.quadrotor_control import quadrotor_control
-from ptnsbc_core.tasks.clearance import clearance
-from ptnsbc_core.tasks.encounters import none_met
-from ptnsbc_core.timebase import Clock, loop_gain
-from ptnsbc_core.trajectory import Reference, reference
+from ptnsbc_core.step import initial_state, step
 from ptnsbc_core.types import (
-    MODE_FORMATION,
     MODE_HOLD,
-    MODE_LAND,
     NEVER_HEARD_S,
-    PLANT_RIGID_BODY,
+    ODOMETRY_SIZE,
     AgentConfig,
     AgentDiagnostics,
     AgentInputs,
@@ -52,319 +26,145 @@ from ptnsbc_core.types import (
     Array,
 )
 
-_NOT_YET = -1
+# Where the fields of AgentInputs stand in `Known.vector`; the estimates (K, 13) and their ages (K,) follow.
+OWN, PARENT, LEADER = 0, ODOMETRY_SIZE, 2 * ODOMETRY_SIZE
+PARENT_AGE = 3 * ODOMETRY_SIZE
+LEADER_AGE, NEAR_AGE, MODE, START_AGE = (PARENT_AGE + k for k in range(1, 5))
+ESTIMATES = START_AGE + 1
+
+# Where the fields of AgentOutputs stand in `Told.vector`.
+_VELOCITY, _WRENCH, _ESTIMATE, _ERROR, _FIGURES, _TOLD_SIZE = 0, 4, 10, 23, 26, 33
 
 
-@kernel
-def initial_state(own: Array, config: AgentConfig) -> AgentState:
-    """State before the first tick, from the UAV's own odometry vector (13,)."""
-    hold_at = np.zeros(4)
-    put(hold_at, 0, own[0:3])
-    hold_at[3] = yaw_of(own)
-    command = np.zeros(6)
-    put(command, 0, velocity_enu(own))
-    return AgentState(
-        state_to_estimate(own),
-        False,
-        command,
-        config.controller.nominal.copy(),
-        np.zeros(2),
-        started(velocity_enu(own)),
-        none_met(),
-        np.zeros(6),
-        hold_at,
-        _NOT_YET,
-        0.0,
-    )
+class Known:
+    """What goes into a step, see `AgentInputs`; nothing has been heard at first.
 
-
-@leaf
-def _moved_on(estimate: Array, age_s: float) -> Array:
-    """Estimate (7,) of `age_s` ago carried to the present with its own velocity."""
-    out = estimate.copy()
-    for i in range(3):
-        out[i] += age_s * estimate[3 + i]
-    return out
-
-
-@leaf
-def estimated_leader(
-    state: AgentState, inputs: AgentInputs, clock: Clock, frozen: bool, config: AgentConfig
-) -> tuple[Array, bool]:
-    """Leader estimate (7,) at this tick, and whether it rests on anything heard."""
-    if config.leader:
-        return state_to_estimate(inputs.own), True
-    pinned = config.estimator.pinned and inputs.leader_age_s < NEVER_HEARD_S
-    leader = np.zeros(7)
-    if pinned:
-        leader = _moved_on(state_to_estimate(inputs.leader), inputs.leader_age_s)
-        if not state.heard:
-            return leader, True
-    if frozen:
-        still = state.estimate.copy()
-        for i in range(3, 6):
-            still[i] = 0.0
-        return still, state.heard
-    count = inputs.estimates.shape[0]
-    others = np.empty((count, 7))
-    heard = np.zeros(count)
-    anything = pinned
-    for k in range(count):
-        if inputs.estimate_age_s[k] <= config.stale_s:
-            age_s = inputs.estimate_age_s[k]
-            put(others[k], 0, _moved_on(odometry_to_estimate(inputs.estimates[k]), age_s))
-            heard[k] = 1.0
-            anything = True
-    if not anything:
-        return state.estimate.copy(), state.heard
-    # everything heard is carried to the present, so the own estimate must be too: compared one tick late
-    # it settles v dt behind, which the angle tasks multiply along the chain
-    present = state.estimate
-    if config.estimator.feed_forward:
-        present = _moved_on(state.estimate, clock.dt)
-    g = disagreement(present, others, heard, leader, pinned)
-    return estimator_step(state.estimate, g, clock.t, clock.dt, config.estimator), True
-
-
-@leaf
-def _lost(inputs: AgentInputs, start_t: float, config: AgentConfig) -> bool:
-    """Whether the parent or a leader link has been silent for too long (never heard counts after stale_s)."""
-    if config.leader or start_t < config.stale_s:
-        return False
-    if inputs.parent_age_s > config.stale_s:
-        return True
-    return config.estimator.pinned and inputs.leader_age_s > config.stale_s
-
-
-@leaf
-def _behaviour(
-    inputs: AgentInputs, estimate: Array, armed: Armed, clock: Clock, config: AgentConfig
-) -> Behaviour:
-    """The mission behaviour: leader tracking for the leader, formation for a follower that has heard."""
-    position = part(inputs.own, 0, 3)
-    if config.leader:
-        desired = reference(config.trajectory, clock.start_t)
-        return leader_tracking(position, desired, armed, clock, config)
-    if inputs.parent_age_s >= NEVER_HEARD_S:
-        rest = Reference(position, np.zeros(3), 0.0)
-        return leader_tracking(position, rest, armed, clock, config)
-    velocity = velocity_enu(inputs.parent)
-    parent = Neighbour(moved(inputs.parent, inputs.parent_age_s, velocity), velocity)
-    leader = Neighbour(part(estimate, 0, 3), part(estimate, 3, 3))
-    return formation(position, parent, leader, armed, clock, config)
-
-
-@leaf
-def _controlled(
-    state: AgentState, inputs: AgentInputs, command: Command, clock: Clock, config: AgentConfig
-) -> Control:
-    """Wrench by the law of the plant's kind."""
-    inner = Clock(clock.start_t, clock.start_t, clock.dt)  # inner loops arm once
-    if config.controller.plant == PLANT_RIGID_BODY:
-        return rigid_body_control(
-            inputs.own,
-            command,
-            state.parameters,
-            state.bound,
-            inner,
-            config.controller,
-            state.observer,
-        )
-    return quadrotor_control(
-        inputs.own,
-        command,
-        state.parameters,
-        state.bound,
-        inner,
-        config.controller,
-        state.observer,
-        config.filter.max_rate,
-    )
-
-
-@leaf
-def _hold_place(state: AgentState, inputs: AgentInputs, holding: bool) -> Array:
-    """Where to hold (4,): where the UAV was when holding began."""
-    if holding and state.mode == MODE_FORMATION:
-        place = np.empty(4)
-        put(place, 0, inputs.own[0:3])
-        place[3] = yaw_of(inputs.own)
-        return place
-    return state.hold.copy()
-
-
-@leaf
-def _held(
-    behaviour: Behaviour, inputs: AgentInputs, place: Array, config: AgentConfig
-) -> Behaviour:
-    """The mission behaviour replaced by keeping a place, or by descending over it."""
-    velocity = hold(part(inputs.own, 0, 3), place, config)
-    if inputs.mode == MODE_LAND:
-        velocity[2] = -config.land_speed
-    jacobian = np.zeros((3, 3))
-    for i in range(3):
-        jacobian[i, i] = 1.0
-    return Behaviour(velocity, jacobian, behaviour.error, behaviour.singular_value)
-
-
-class Planned(NamedTuple):
-    """What the planner hands to the controller."""
-
-    command: Command
-    encounters: Array  # (8, 7)
-    active_rows: int
-    saturated: bool
-    violation: float  # [m/s]
-
-
-@leaf
-def _planned(
-    state: AgentState,
-    inputs: AgentInputs,
-    behaviour: Behaviour,
-    rates: Array,
-    yaw: float,
-    dt: float,
-    config: AgentConfig,
-) -> Planned:
-    """Clearance above the behaviour, the speed limit, and the command filter."""
-    top = clearance(
-        part(inputs.own, 0, 3),
-        behaviour.velocity,
-        inputs.near,
-        inputs.near_age_s,
-        state.encounters,
-        dt,
-        config.clearance,
-    )
-    limits = config.filter
-    velocity = composed(top, behaviour.jacobian, limits.max_speed)
-    linear = filter_step(
-        part(state.command, 0, 3), velocity.velocity, limits.bandwidth, limits.max_acceleration, dt
-    )
-    angular = filter_step(
-        part(state.command, 3, 3), rates, limits.rate_bandwidth, limits.max_rate_acceleration, dt
-    )
-    return Planned(
-        Command(linear.value, linear.rate, angular.value, angular.rate, yaw),
-        top.encounters,
-        top.jacobian.shape[0],
-        velocity.limited or linear.saturated,
-        velocity.violation,
-    )
-
-
-@leaf
-def _told(inputs: AgentInputs, planned: Planned, config: AgentConfig) -> Array:
-    """Velocity setpoint (4,): [m/s, ENU] and yaw rate [rad/s], for a vehicle that closes its own loops."""
-    command = planned.command
-    out = np.empty(4)
-    put(out, 0, command.velocity)
-    out[3] = command.rates[2]
-    if config.controller.plant != PLANT_RIGID_BODY:
-        off = wrap(command.yaw - yaw_of(inputs.own))
-        most = config.filter.max_rate
-        out[3] = min(max(config.controller.attitude_gain[1] * off, -most), most)
-    return out
-
-
-@leaf
-def _desired_yaw(
-    estimate: Array, place: Array, holding: bool, clock: Clock, config: AgentConfig
-) -> float:
-    """Heading to keep [rad]: of the place held, of the trajectory (leader), or of the leader (follower)."""
-    if holding:
-        return float(place[3])
-    if config.leader:
-        return reference(config.trajectory, clock.start_t).yaw
-    return float(estimate[6])
-
-
-@kernel
-def step(
-    state: AgentState, inputs: AgentInputs, t: float, dt: float, config: AgentConfig
-) -> tuple[AgentState, AgentOutputs]:
-    """One tick: pure, no clock, no randomness, no I/O.
-
-    Args:
-        state: what the previous tick left (`initial_state` before the first).
-        inputs: what the UAV knows now.
-        t: time since the latest epoch [s].
-        dt: control period [s].
-        config: constants of this UAV.
-
-    Returns:
-        The state for the next tick and what to send now.
+    Attributes:
+        vector: (44 + 14 K,) for K neighbours in the estimator graph, filled by the offsets of this module.
+        ages: where in it the ages of the estimates begin.
+        near: (M, 7), as in AgentInputs.
     """
-    clock = Clock(t, inputs.start_age_s, dt)
-    holding = inputs.mode != MODE_FORMATION or _lost(inputs, clock.start_t, config)
-    estimate, heard = estimated_leader(state, inputs, clock, holding, config)
-    place = _hold_place(state, inputs, holding)
-    yaw = _desired_yaw(estimate, place, holding, clock, config)
 
-    errors = state.start_error.copy()
-    arms = state.mode == _NOT_YET or t < state.last_t or state.heard != heard
-    armed = Armed(arms, part(errors, 0, 3), part(errors, 3, 3))
-    behaviour = _behaviour(inputs, estimate, armed, clock, config)
-    rates, euler_error = np.zeros(3), np.zeros(3)
-    if config.controller.plant == PLANT_RIGID_BODY:  # a quadrotor's attitude is its controller's
-        rates, euler_error = attitude(inputs.own, yaw, armed, clock, config)
-    if arms:
-        put(errors, 0, behaviour.error)
-        put(errors, 3, euler_error)
-    if holding:
-        behaviour = _held(behaviour, inputs, place, config)
+    __slots__ = ("ages", "near", "vector")
 
-    planned = _planned(state, inputs, behaviour, rates, yaw, dt, config)
-    command = planned.command
-    control = _controlled(state, inputs, command, clock, config)
-    stored = np.empty(6)
-    put(stored, 0, command.velocity)
-    put(stored, 3, command.rates)
-    after = AgentState(
-        estimate,
-        heard,
-        stored,
-        control.parameters,
-        control.bound,
-        control.observer,
-        planned.encounters,
-        errors,
-        place,
-        max(inputs.mode, MODE_HOLD) if holding else MODE_FORMATION,
-        t,
+    def __init__(self, neighbours: int, near: Array) -> None:
+        self.ages = ESTIMATES + ODOMETRY_SIZE * neighbours
+        self.vector = np.zeros(self.ages + neighbours)
+        self.vector[[PARENT_AGE, LEADER_AGE, NEAR_AGE]] = NEVER_HEARD_S
+        self.vector[self.ages :] = NEVER_HEARD_S
+        self.vector[MODE] = MODE_HOLD
+        self.near = near
+
+    @classmethod
+    def of(cls, inputs: AgentInputs) -> Known:
+        """The vector of `inputs`."""
+        known = cls(len(inputs.estimates), inputs.near)
+        vector = known.vector
+        vector[OWN:PARENT], vector[PARENT:LEADER] = inputs.own, inputs.parent
+        vector[LEADER:PARENT_AGE] = inputs.leader
+        vector[PARENT_AGE], vector[LEADER_AGE] = inputs.parent_age_s, inputs.leader_age_s
+        vector[NEAR_AGE], vector[MODE] = inputs.near_age_s, inputs.mode
+        vector[START_AGE] = inputs.start_age_s
+        vector[ESTIMATES : known.ages] = inputs.estimates.ravel()
+        vector[known.ages :] = inputs.estimate_age_s
+        return known
+
+    @property
+    def inputs(self) -> AgentInputs:
+        """The same with names; its arrays are views."""
+        return _inputs(self.vector, self.near)
+
+
+class Told:
+    """What a step gave, see `AgentOutputs`: each property reads it from `vector` (33,)."""
+
+    __slots__ = ("vector",)
+
+    def __init__(self, vector: Array) -> None:
+        self.vector = vector
+
+    @property
+    def velocity(self) -> Array:
+        """Velocity setpoint (4,) [m/s, ENU] and yaw rate [rad/s]."""
+        return self.vector[_VELOCITY:_WRENCH]
+
+    @property
+    def wrench(self) -> Array:
+        """Force and torque (6,) [N], [N m], body FLU."""
+        return self.vector[_WRENCH:_ESTIMATE]
+
+    @property
+    def leader_estimate(self) -> Array:
+        """Odometry vector (13,), velocities in the world frame."""
+        return self.vector[_ESTIMATE:_ERROR]
+
+    @property
+    def diagnostics(self) -> AgentDiagnostics:
+        """Why the UAV does what it does."""
+        error = self.vector[_ERROR:_FIGURES]
+        gain, singular_value, rows, saturated, holding, *rest = self.vector[_FIGURES:].tolist()
+        return AgentDiagnostics(
+            error, gain, singular_value, int(rows), saturated > 0.0, holding > 0.0, *rest
+        )
+
+    @property
+    def outputs(self) -> AgentOutputs:
+        """All of it with names."""
+        return AgentOutputs(self.velocity, self.wrench, self.leader_estimate, self.diagnostics)
+
+
+class _Flight(NamedTuple):
+    """What stays with the kernels from step to step."""
+
+    config: AgentConfig
+    state: AgentState
+
+
+@leaf
+def _inputs(known: Array, near: Array) -> AgentInputs:
+    count = (known.shape[0] - ESTIMATES) // (ODOMETRY_SIZE + 1)
+    ages = ESTIMATES + ODOMETRY_SIZE * count
+    return AgentInputs(
+        known[OWN:PARENT],
+        known[PARENT:LEADER],
+        known[PARENT_AGE],
+        known[LEADER:PARENT_AGE],
+        known[LEADER_AGE],
+        known[ESTIMATES:ages].reshape(count, ODOMETRY_SIZE),
+        known[ages:],
+        near,
+        known[NEAR_AGE],
+        int(known[MODE]),
+        known[START_AGE],
     )
-    diagnostics = AgentDiagnostics(
-        behaviour.error,
-        loop_gain(config.formation, clock),
-        behaviour.singular_value,
-        planned.active_rows,
-        planned.saturated or control.saturated,
-        holding,
-        planned.violation,
-        control.velocity_error,
-    )
-    outputs = AgentOutputs(
-        _told(inputs, planned, config), control.wrench, estimate_to_odometry(estimate), diagnostics
-    )
-    return after, outputs
 
 
 @kernel
 def _advance(
-    states: MutableSequence[AgentState],
-    configs: MutableSequence[AgentConfig],
-    inputs: AgentInputs,
-    t: float,
-    dt: float,
-) -> AgentOutputs:
-    states[0], outputs = step(states[0], inputs, t, dt, configs[0])
-    return outputs
+    flights: MutableSequence[_Flight], known: Array, near: Array, t: float, dt: float
+) -> Array:
+    flight = flights[0]
+    state, outputs = step(flight.state, _inputs(known, near), t, dt, flight.config)
+    flights[0] = _Flight(flight.config, state)
+    told = np.empty(_TOLD_SIZE)
+    put(told, _VELOCITY, outputs.velocity)
+    put(told, _WRENCH, outputs.wrench)
+    put(told, _ESTIMATE, outputs.leader_estimate)
+    why = outputs.diagnostics
+    put(told, _ERROR, why.error)
+    told[_FIGURES] = why.gain
+    told[_FIGURES + 1] = why.singular_value
+    told[_FIGURES + 2] = why.active_rows
+    told[_FIGURES + 3] = 1.0 if why.saturated else 0.0
+    told[_FIGURES + 4] = 1.0 if why.holding else 0.0
+    told[_FIGURES + 5] = why.priority_violation
+    told[_FIGURES + 6] = why.velocity_error
+    return told
 
 
 @kernel
-def _first(states: MutableSequence[AgentState]) -> AgentState:
-    return states[0]
+def _first(flights: MutableSequence[_Flight]) -> AgentState:
+    return flights[0].state
 
 
 class Agent:
@@ -372,22 +172,24 @@ class Agent:
 
     def __init__(self, config: AgentConfig, own: Array) -> None:
         """Start from the UAV's own odometry vector (13,)."""
-        self._configs = kernel_list([config])
-        self._states = kernel_list([initial_state(own, config)])
+        self._flights = kernel_list([_Flight(config, initial_state(own, config))])
 
     @classmethod
     def resumed(cls, config: AgentConfig, state: AgentState) -> Agent:
         """An agent that goes on where another one was."""
         agent = cls.__new__(cls)
-        agent._configs = kernel_list([config])
-        agent._states = kernel_list([state])
+        agent._flights = kernel_list([_Flight(config, state)])
         return agent
 
     @property
     def state(self) -> AgentState:
         """What the next step starts from."""
-        return _first(self._states)
+        return _first(self._flights)
+
+    def advance(self, known: Known, t: float, dt: float) -> Told:
+        """One tick, see `step`: t [s] since the latest epoch, dt [s] the control period."""
+        return Told(_advance(self._flights, known.vector, known.near, t, dt))
 
     def step(self, inputs: AgentInputs, t: float, dt: float) -> AgentOutputs:
-        """One tick, see `step`: t [s] since the latest epoch, dt [s] the control period."""
-        return _advance(self._states, self._configs, inputs, t, dt)
+        """The same with names for every number that goes in and comes out."""
+        return self.advance(Known.of(inputs), t, dt).outputs

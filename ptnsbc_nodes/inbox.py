@@ -9,27 +9,37 @@ that is here counts.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
-from ptnsbc_core.types import (
-    MODE_HOLD,
-    NEAR_COLUMNS,
-    NEVER_HEARD_S,
-    ODOMETRY_SIZE,
-    AgentInputs,
-    Array,
+from ptnsbc_core.agent import (
+    ESTIMATES,
+    LEADER,
+    LEADER_AGE,
+    MODE,
+    NEAR_AGE,
+    OWN,
+    PARENT,
+    PARENT_AGE,
+    START_AGE,
+    Known,
 )
+from ptnsbc_core.types import MODE_HOLD, NEAR_COLUMNS, ODOMETRY_SIZE, Array
+from ptnsbc_nodes import topics
+from ptnsbc_nodes.topics import Topic
 from ptnsbc_nodes.turns import LEAD_TICKS
 from ptnsbc_nodes.wire import Stamped
 from ptnsbc_sim.chance.links import Losses
 
+Hear = Callable[[Stamped], None]
+"""Keeps one message."""
+
 NO_CUTOFF_NS = 2**63 - 1
 """Cutoff of real time: every message counts, also that of a neighbour whose clock is ahead."""
 
-_NOTHING = np.zeros(ODOMETRY_SIZE)
 _NOTHING_NEAR = np.zeros((0, NEAR_COLUMNS))
 
 
@@ -39,24 +49,20 @@ _KEPT = LEAD_TICKS + 2  # in lock-step a sender is at most LEAD_TICKS ahead, and
 class Link:
     """The last messages of one sender: its tick k may arrive before we have used its k-1."""
 
-    __slots__ = ("_arrived_ns", "_messages")
+    __slots__ = ("_messages", "newest_ns")
 
     def __init__(self) -> None:
         self._messages: deque[Stamped] = deque(maxlen=_KEPT)  # the newest first
-        self._arrived_ns: deque[int] = deque(maxlen=_KEPT)
+        self.newest_ns = -1  # stamp of the newest that has come, lost or not
 
     def put(self, message: Stamped, lost: bool = False) -> None:
         """Keep `message` as the newest; one sender's messages arrive in order.
 
         One that the scenario wants `lost` has still come: lock-step does not wait for it.
         """
-        self._arrived_ns.appendleft(message.stamp_ns)
+        self.newest_ns = message.stamp_ns
         if not lost:
             self._messages.appendleft(message)
-
-    def arrived(self, stamp_ns: int) -> bool:
-        """Whether the message of this stamp has come, lost or not."""
-        return stamp_ns in self._arrived_ns
 
     def before(self, cutoff_ns: int) -> Stamped | None:
         """The newest message stamped before `cutoff_ns` [ns]."""
@@ -91,6 +97,22 @@ class Inbox:
         self._states = {i: Link() for i in senders.states}
         self._estimates = {i: Link() for i in senders.estimators}
         self._awaited = [*self._states.items(), *self._estimates.items()]
+        self._known = Known(len(self._estimates), _NOTHING_NEAR)
+        self._own_row = self._known.vector[OWN:PARENT]
+        self._places = tuple(self._rows())
+
+    def ears(self) -> dict[Topic, Hear]:
+        """What to do with a message, by the topic that it comes on."""
+        ears: dict[Topic, Hear] = {}
+        for i, link in self._states.items():
+            ears[topics.formation_state(i)] = self._ear(link, partial(self.hear_state, i))
+        for i, link in self._estimates.items():
+            ears[topics.leader_estimate(i)] = self._ear(link, partial(self.hear_estimate, i))
+        return ears
+
+    def _ear(self, link: Link, careful: Hear) -> Hear:
+        """The direct way where no message is to be lost."""
+        return link.put if self.senders.losses is None else careful
 
     def hear_state(self, uav_id: int, message: Stamped) -> None:
         """Keep a formation_state."""
@@ -113,59 +135,54 @@ class Inbox:
         if self.own is None or self.near is None:
             return False
         now_ns = self.own.stamp_ns
-        tick = now_ns // period_ns
-        if self.near.stamp_ns != (tick - tick % near_every) * period_ns:
-            return False
-        if tick == 0:
-            return True
-        return all(link.arrived(now_ns - period_ns) for _, link in self._awaited)
+        if now_ns > 0:
+            for _, link in self._awaited:
+                if link.newest_ns < now_ns - period_ns:
+                    return False
+        return self.near.stamp_ns == now_ns - now_ns % (period_ns * near_every)
 
     def awaited(self, now_ns: int, period_ns: int) -> Iterable[int]:
         """Senders whose message of the tick before `now_ns` is missing; for diagnostics."""
         for i, link in self._awaited:
-            if not link.arrived(now_ns - period_ns):
+            if link.newest_ns < now_ns - period_ns:
                 yield i
 
     def held(self, cutoff_ns: int) -> list[Stamped | None]:
-        """What `inputs` is made of: own, near, states, estimates, the latter two by ascending sender."""
+        """What `known` is made of: own, near, states, estimates, the latter two by ascending sender."""
         links = (*self._states.values(), *self._estimates.values())
         return [self.own, self.near, *(link.before(cutoff_ns) for link in links)]
 
-    def inputs(
+    def known(
         self, now_ns: int, cutoff_ns: int, mode: int = MODE_HOLD, start_age_s: float = 0.0
-    ) -> AgentInputs:
-        """Inputs of the step at `now_ns`; the own odometry must have been heard."""
+    ) -> Known:
+        """What goes into the step at `now_ns`, valid until the next call; the own odometry must have been heard."""
         if self.own is None:
             raise ValueError("inputs asked for before the own odometry: expected `own` to be set")
-        parent, parent_age_s = self._state(self.senders.parent, now_ns, cutoff_ns)
-        leader, leader_age_s = self._state(self.senders.leader, now_ns, cutoff_ns)
-        estimates = np.zeros((len(self._estimates), ODOMETRY_SIZE))
-        ages = np.full(len(self._estimates), NEVER_HEARD_S)
-        for row, link in enumerate(self._estimates.values()):
+        known = self._known
+        vector = known.vector
+        self._own_row[:] = self.own.values
+        vector[MODE] = mode
+        vector[START_AGE] = start_age_s
+        if self.near is not None:
+            known.near = self.near.values
+            vector[NEAR_AGE] = _age_s(self.near, now_ns)
+        for link, row, age_at in self._places:
             message = link.before(cutoff_ns)
             if message is not None:
-                estimates[row] = message.values
-                ages[row] = _age_s(message, now_ns)
-        near = self.near
-        return AgentInputs(
-            own=self.own.values,
-            parent=parent,
-            parent_age_s=parent_age_s,
-            leader=leader,
-            leader_age_s=leader_age_s,
-            estimates=estimates,
-            estimate_age_s=ages,
-            near=_NOTHING_NEAR if near is None else near.values,
-            near_age_s=NEVER_HEARD_S if near is None else _age_s(near, now_ns),
-            mode=mode,
-            start_age_s=start_age_s,
-        )
+                row[:] = message.values
+                vector[age_at] = _age_s(message, now_ns)
+        return known
 
-    def _state(self, uav_id: int | None, now_ns: int, cutoff_ns: int) -> tuple[Array, float]:
-        message = None if uav_id is None else self._states[uav_id].before(cutoff_ns)
-        if message is None:
-            return _NOTHING, NEVER_HEARD_S
-        return message.values, _age_s(message, now_ns)
+    def _rows(self) -> Iterator[tuple[Link, Array, int]]:
+        """Each link, the part (13,) of `Known.vector` for its message, and the offset of its age."""
+        known, senders = self._known, self.senders
+        if senders.parent is not None:
+            yield self._states[senders.parent], known.vector[PARENT:LEADER], PARENT_AGE
+        if senders.leader is not None:
+            yield self._states[senders.leader], known.vector[LEADER:PARENT_AGE], LEADER_AGE
+        estimates = known.vector[ESTIMATES : known.ages].reshape(-1, ODOMETRY_SIZE)
+        for k, link in enumerate(self._estimates.values()):
+            yield link, estimates[k], known.ages + k
 
 
 def _age_s(message: Stamped, now_ns: int) -> float:

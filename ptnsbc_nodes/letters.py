@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ptnsbc_core.types import AgentOutputs, Array
+from ptnsbc_core.agent import Told
+from ptnsbc_core.types import Array
 from ptnsbc_nodes.wire import OdometryTemplate, Stamped, VelocityTemplate, WrenchTemplate
 
 WORLD_FRAME = "map"
@@ -40,7 +41,7 @@ class Letters:
         self._twist[5] = velocity[3]
         return self._velocity.encode(stamp_ns, self._twist)
 
-    def all(self, own: Stamped, outputs: AgentOutputs) -> tuple[bytes, bytes, bytes, bytes]:
+    def all(self, own: Stamped, outputs: Told) -> tuple[bytes, bytes, bytes, bytes]:
         """State, estimate, velocity and wrench of one tick: in the order of `topics.outputs`."""
         stamp_ns = own.stamp_ns
         return (

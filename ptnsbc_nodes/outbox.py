@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ptnsbc_core.types import AgentOutputs
+from ptnsbc_core.agent import Told
 from ptnsbc_nodes import topics
 from ptnsbc_nodes.edges import Edges
 from ptnsbc_nodes.endpoints import Endpoints
@@ -26,7 +26,7 @@ class Outbox:
         )
         self._send_velocity = publisher(topics.velocity_setpoint(uav_id), edges.options.recorders)
 
-    def send(self, own: Stamped, outputs: AgentOutputs) -> None:
+    def send(self, own: Stamped, outputs: Told) -> None:
         """Publish the tick computed from `own`; the wrench first, the plant waits for it."""
         letters, stamp_ns = self._letters, own.stamp_ns
         self._send_wrench(letters.wrench(stamp_ns, outputs.wrench))

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from ptnsbc_core.agent import Agent
-from ptnsbc_core.types import MODE_HOLD, AgentConfig, AgentOutputs, AgentState, Array
+from ptnsbc_core.agent import Agent, Told
+from ptnsbc_core.types import MODE_HOLD, AgentConfig, AgentState, Array
 from ptnsbc_nodes.epochs import Leg
 from ptnsbc_nodes.inbox import Inbox, Senders
 from ptnsbc_nodes.tally import Tally
@@ -77,17 +77,17 @@ class Pilot:
         self.tally.restore(counters)
         self._flown = self.config
 
-    def step(self, at: Moment, cutoff_ns: int) -> AgentOutputs:
+    def step(self, at: Moment, cutoff_ns: int) -> Told:
         """One control step on what the inbox holds; the own odometry must be there."""
         start_age_s = (at.now_ns - at.first_t0_ns) * 1e-9
-        inputs = self.inbox.inputs(at.now_ns, cutoff_ns, at.mode, start_age_s)
+        known = self.inbox.known(at.now_ns, cutoff_ns, at.mode, start_age_s)
         if self._agent is None:
-            self._agent = Agent(self.config, inputs.own)
+            self._agent = Agent(self.config, known.inputs.own)
             self._flown = self.config
             self.steps = 0
         self.steps += 1
         dt = at.elapsed_ns * 1e-9
-        outputs = self._agent.step(inputs, (at.now_ns - at.t0_ns) * 1e-9, dt)
+        told = self._agent.advance(known, (at.now_ns - at.t0_ns) * 1e-9, dt)
         if at.flying:
-            self.tally.add(outputs.diagnostics, dt)
-        return outputs
+            self.tally.add(told.diagnostics, dt)
+        return told

@@ -49,15 +49,18 @@ class Turns:
 
     def step(self, uav_id: int) -> None:
         """The vehicle has moved on by one tick."""
-        self._at[uav_id] += 1
+        tick = self._at[uav_id]
+        self._at[uav_id] = tick + 1
         self._untold.append(uav_id)
-        self._slowest = min(self._at.values())
+        if tick == self._slowest:
+            self._slowest = min(self._at.values())
 
     def due(self) -> list[int]:
         """Who may be told its state now, in the order in which they came."""
         return [i for i in self._untold if self._may_go(self._at[i])]
 
     def _may_go(self, tick: int) -> bool:
-        if any(tick % period == 0 for period in self._meetings):
-            return tick == self._slowest  # nobody passes a meeting before the last has come
+        for period in self._meetings:
+            if tick % period == 0:
+                return tick == self._slowest  # nobody passes a meeting before the last has come
         return tick < self._end and tick <= self._slowest + LEAD_TICKS

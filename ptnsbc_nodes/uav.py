@@ -17,7 +17,7 @@ from ptnsbc_nodes.edges import Edges
 from ptnsbc_nodes.endpoints import LOST, READY, Endpoints
 from ptnsbc_nodes.epochs import EpochError, Epochs
 from ptnsbc_nodes.handover import decode_limits, limited
-from ptnsbc_nodes.inbox import NO_CUTOFF_NS
+from ptnsbc_nodes.inbox import NO_CUTOFF_NS, Hear
 from ptnsbc_nodes.outbox import Notes, Outbox
 from ptnsbc_nodes.pacing import Pace
 from ptnsbc_nodes.pilot import Pilot, moment
@@ -79,14 +79,11 @@ class Uav:
         return missing
 
     def _subscribe(self, uav_id: int, edges: Edges) -> None:
-        inbox = self._inbox
         listen = self.endpoints.listen
         listen(topics.odom(uav_id), self._on_odom)
         listen(topics.near(uav_id), self._on_near, required=self._lockstep)
-        for i in inbox.senders.states:
-            listen(topics.formation_state(i), self._hearer(inbox.hear_state, i))
-        for i in inbox.senders.estimators:
-            listen(topics.leader_estimate(i), self._hearer(inbox.hear_estimate, i))
+        for topic, hear in self._inbox.ears().items():
+            listen(topic, self._hearer(hear))
         listen(topics.EPOCH, self._on_epoch)
         listen(LOST, self._on_lost, required=False)
         if self._carried:
@@ -115,10 +112,12 @@ class Uav:
         self._inbox.near = decode_near(data)
         self._advance()
 
-    def _hearer(self, hear: Callable[[int, Stamped], None], uav_id: int) -> Callable[[bytes], None]:
+    def _hearer(self, hear: Hear) -> Callable[[bytes], None]:
+        advance = self._advance
+
         def on_message(data: bytes) -> None:
-            hear(uav_id, decode_odometry(data))
-            self._advance()
+            hear(decode_odometry(data))
+            advance()
 
         return on_message
 
@@ -147,8 +146,8 @@ class Uav:
         own = self._inbox.own
         if not self._lockstep or own is None or own.stamp_ns <= self._done_ns:
             return
-        now_ns = own.stamp_ns
-        if self._epochs.announced and self._inbox.holds_tick(self._period_ns, self._near_every):
+        if self._inbox.holds_tick(self._period_ns, self._near_every) and self._epochs.announced:
+            now_ns = own.stamp_ns
             self._tick(own, now_ns, now_ns, self._period_ns)
             if now_ns // self._period_ns % self._status_every == 0:
                 self._report(now_ns)

@@ -20,7 +20,7 @@ def load_agent(scenario: Scenario, uav_id: int) -> None:
     own[6] = 1.0
     inbox = Inbox(Edges(scenario, FlightOptions()).senders(uav_id))
     inbox.own = Stamped(0, own)
-    Agent(config, own).step(inbox.inputs(0, 0), 0.0, scenario.dt_ns * 1e-9)
+    Agent(config, own).advance(inbox.known(0, 0), 0.0, scenario.dt_ns * 1e-9)
 
 
 def load_world(scenario: Scenario) -> None:

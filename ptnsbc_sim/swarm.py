@@ -12,9 +12,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ptnsbc_core.agent import initial_state, step
 from ptnsbc_core.algebra import put
 from ptnsbc_core.kernel import KernelList, kernel, kernel_list, leaf
+from ptnsbc_core.step import initial_state, step
 from ptnsbc_core.types import (
     MODE_FORMATION,
     NEVER_HEARD_S,

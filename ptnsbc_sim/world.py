@@ -66,6 +66,8 @@ class World:
         self._states = start_states(scenario, plants)
         self._plants = kernel_list(plants)
         self._ticks = dict.fromkeys(self.ids, 0)
+        self._slowest = 0
+        self._dt_ns = scenario.dt_ns
         self._obstacles = obstacle_rows(scenario)
         self._substeps = scenario.physics_hz // scenario.control_hz
         self._truth = measure_all(self._states, self._plants)
@@ -84,12 +86,12 @@ class World:
     @property
     def tick(self) -> int:
         """Control periods that every vehicle has behind it."""
-        return min(self._ticks.values())
+        return self._slowest
 
     @property
     def t_ns(self) -> int:
         """Simulated time [ns]."""
-        return self.tick * self._scenario.dt_ns
+        return self._slowest * self._dt_ns
 
     def odometry(self, uav_id: int) -> Array:
         """Odometry vector (13,) that one UAV sees of itself now."""
@@ -118,7 +120,7 @@ class World:
 
     def step_one(self, uav_id: int, wrench: Array | None) -> None:
         """Advance one vehicle by one control period: they meet nowhere but in the sensor and on the wire."""
-        scenario, row, tick = self._scenario, self._row[uav_id], self._ticks[uav_id]
+        row, tick = self._row[uav_id], self._ticks[uav_id]
         if self._around:
             self._around[row].blow(tick)
         self._truth[row] = _advance_row(
@@ -126,11 +128,13 @@ class World:
             row,
             _NO_WRENCH if wrench is None else wrench,
             wrench is not None,
-            tick * scenario.dt_ns * NANO,
-            scenario.dt_ns * NANO,
+            tick * self._dt_ns * NANO,
+            self._dt_ns * NANO,
             self._substeps,
             self._plants,
         )
         if self._around:
             self._odometry[row] = self._around[row].believed(tick + 1, self._truth[row])
-        self._ticks[uav_id] += 1
+        self._ticks[uav_id] = tick + 1
+        if tick == self._slowest:
+            self._slowest = min(self._ticks.values())

@@ -25,6 +25,7 @@ NANOSECONDS = 1_000_000_000
 _BODY = 4  # the encapsulation header; alignment starts after it
 _BYTE_ORDERS = {b"\x00\x01": "<", b"\x00\x00": ">"}
 _STRING_LENGTH = {"<": struct.Struct("<I"), ">": struct.Struct(">I")}
+_LITTLE_FLOAT64 = np.dtype("<f8")
 _TIME = {"<": struct.Struct("<iI"), ">": struct.Struct(">iI")}
 
 
@@ -77,11 +78,12 @@ def read_stamp(buf: bytes, order: str, offset: int, what: str) -> int:
 
 def write_stamp(buffer: bytearray, stamp_ns: int, offset: int = _BODY) -> None:
     """Patch the builtin_interfaces/Time at `offset` of a little-endian message."""
-    buffer[offset : offset + 8] = _packed_stamp(stamp_ns)
+    buffer[offset : offset + 8] = stamp_bytes(stamp_ns)
 
 
 @lru_cache(maxsize=8)  # the messages of one tick all carry the same
-def _packed_stamp(stamp_ns: int) -> bytes:
+def stamp_bytes(stamp_ns: int) -> bytes:
+    """The builtin_interfaces/Time of a little-endian message."""
     return _TIME["<"].pack(*split_stamp(stamp_ns))
 
 
@@ -124,7 +126,9 @@ def pad(buffer: bytearray, size: int) -> None:
 def float_bytes(values: Floats, count: int, what: str) -> bytes:
     """`values` as little-endian float64; WireError unless there are exactly `count`."""
     try:
-        raw = np.ascontiguousarray(values, "<f8").tobytes()
+        if getattr(values, "dtype", None) is not _LITTLE_FLOAT64:  # as nearly all are: much cheaper
+            values = np.ascontiguousarray(values, "<f8")
+        raw = values.tobytes()
     except (TypeError, ValueError) as error:
         raise WireError(f"{what}: expected {count} numbers ({error})") from None
     if len(raw) != 8 * count:

@@ -27,7 +27,7 @@ from ptnsbc_nodes.wire.cdr import (
     read_stamp,
     require,
     skip_string,
-    write_stamp,
+    stamp_bytes,
 )
 
 ODOMETRY_SIZE = 13
@@ -41,13 +41,15 @@ _TWIST_AT = _POSE + _COVARIANCE
 _NUMBERS = _TWIST_AT + _TWIST + _COVARIANCE
 _LITTLE = LITTLE_ENDIAN_HEADER[:2]
 _START = struct.Struct("<iII")  # stamp, length of frame_id
+_FRAMES_AT = 12  # after the encapsulation header and the stamp
+_UNKNOWN = bytes(_COVARIANCE)
 _LENGTH = struct.Struct("<I")
 
 
 class OdometryTemplate:
-    """Encoder of Odometry messages whose frames stay the same: one prebuilt message, patched.
+    """Encoder of Odometry messages whose frames stay the same, put together from prebuilt parts.
 
-    Building the message object and serialising it costs rclpy 31 µs; patching costs about one.
+    Building the message object and serialising it costs rclpy 31 µs; this costs about one.
     """
 
     def __init__(self, frame_id: str, child_frame_id: str) -> None:
@@ -55,44 +57,41 @@ class OdometryTemplate:
         pad(buffer, 4)
         buffer += encode_string(child_frame_id)
         pad(buffer, 8)
-        self._pose_at = len(buffer)
-        self._twist_at = self._pose_at + _TWIST_AT
-        self._buffer = buffer + bytes(_NUMBERS)
+        self._frames = bytes(buffer[_FRAMES_AT:])
 
     def encode(self, stamp_ns: int, odom13: Floats) -> bytes:
         """The message of `odom13` (13,) at `stamp_ns` [ns]."""
         numbers = float_bytes(odom13, ODOMETRY_SIZE, _WHAT)
-        buffer = self._buffer
-        write_stamp(buffer, stamp_ns)
-        buffer[self._pose_at : self._pose_at + _POSE] = numbers[:_POSE]
-        buffer[self._twist_at : self._twist_at + _TWIST] = numbers[_POSE:]
-        return bytes(buffer)
+        return b"".join(
+            (
+                LITTLE_ENDIAN_HEADER,
+                stamp_bytes(stamp_ns),
+                self._frames,
+                numbers[:_POSE],
+                _UNKNOWN,
+                numbers[_POSE:],
+                _UNKNOWN,
+            )
+        )
 
 
 def decode_odometry(buf: bytes) -> Stamped:
     """Stamp [ns] and odom vector (13,) of a serialised Odometry with any frame names."""
-    try:
-        found = _quick(buf)
-    except struct.error:  # cut: the long way says where
-        found = None
-    return _decode(buf) if found is None else found
-
-
-def _quick(buf: bytes) -> Stamped | None:
-    """Little-endian and whole, as nearly all are: half the time of the long way; None when it is not."""
-    if buf[:2] != _LITTLE:
-        return None
-    seconds, nanoseconds, frame = _START.unpack_from(buf, 4)
-    child_at = 16 + (frame + 3 & -4)
-    pose_at = 12 + (child_at + _LENGTH.unpack_from(buf, child_at)[0] - 1 & -8)
-    if len(buf) < pose_at + _NUMBERS:
-        return None
-    twist_at = pose_at + _TWIST_AT
-    # Joined as bytes first: one array made from 104 bytes is cheaper than two slices filled in.
-    numbers = bytearray(buf[pose_at : pose_at + _POSE])
-    numbers += buf[twist_at : twist_at + _TWIST]
-    stamp_ns = seconds * NANOSECONDS + nanoseconds
-    return Stamped(stamp_ns, np.frombuffer(numbers, np.float64))
+    size = len(buf)
+    if size > _NUMBERS and buf[:2] == _LITTLE:
+        # Little-endian and whole, as nearly all are: a third of the time of the long way.
+        seconds, nanoseconds, frame = _START.unpack_from(buf, 4)
+        child_at = 16 + (frame + 3 & -4)
+        if child_at < size - 4:
+            pose_at = 12 + (child_at + _LENGTH.unpack_from(buf, child_at)[0] - 1 & -8)
+            if pose_at + _NUMBERS <= size:
+                twist_at = pose_at + _TWIST_AT
+                # Joined as bytes first: one array made from 104 bytes is cheaper than two slices filled in.
+                numbers = bytearray(buf[pose_at : pose_at + _POSE])
+                numbers += buf[twist_at : twist_at + _TWIST]
+                stamp_ns = seconds * NANOSECONDS + nanoseconds
+                return Stamped(stamp_ns, np.frombuffer(numbers, np.float64))
+    return _decode(buf)
 
 
 def _decode(buf: bytes) -> Stamped:

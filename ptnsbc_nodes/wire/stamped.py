@@ -20,6 +20,7 @@ from ptnsbc_nodes.wire.cdr import (
     read_stamp,
     require,
     skip_string,
+    stamp_bytes,
     string_at,
     write_stamp,
 )
@@ -31,6 +32,8 @@ _CLOCK = "rosgraph_msgs/Clock"
 _SIX = 6 * 8
 _LITTLE = LITTLE_ENDIAN_HEADER[:2]
 _STAMP = struct.Struct("<iI")
+_START = struct.Struct("<iII")  # stamp, length of frame_id
+_FRAME_AT = 12  # after the encapsulation header and the stamp
 
 
 class HeaderFields(NamedTuple):
@@ -48,15 +51,12 @@ class _SixTemplate:
     def __init__(self, frame_id: str) -> None:
         buffer = header_bytes(frame_id)
         pad(buffer, 8)
-        self._values_at = len(buffer)
-        self._buffer = buffer + bytes(_SIX)
+        self._frame = bytes(buffer[_FRAME_AT:])
 
     def encode(self, stamp_ns: int, values: Floats) -> bytes:
         """The message of `values` (6,) at `stamp_ns` [ns]."""
-        buffer = self._buffer
-        buffer[self._values_at :] = float_bytes(values, 6, self._what)
-        write_stamp(buffer, stamp_ns)
-        return bytes(buffer)
+        numbers = float_bytes(values, 6, self._what)
+        return b"".join((LITTLE_ENDIAN_HEADER, stamp_bytes(stamp_ns), self._frame, numbers))
 
 
 class VelocityTemplate(_SixTemplate):
@@ -140,6 +140,14 @@ def peek_sequence_stamp(buf: bytes) -> int | None:
 
 
 def _decode_six(buf: bytes, what: str) -> Stamped:
+    if (
+        buf[:2] == _LITTLE and len(buf) >= _FRAME_AT + 4
+    ):  # as nearly all: a third of the long way's time
+        seconds, nanoseconds, frame = _START.unpack_from(buf, 4)
+        values_at = 12 + (frame + 11 & -8)
+        if len(buf) >= values_at + _SIX:
+            numbers = bytearray(buf[values_at : values_at + _SIX])
+            return Stamped(seconds * NANOSECONDS + nanoseconds, np.frombuffer(numbers, np.float64))
     order = byte_order(buf, what)
     stamp_ns = read_stamp(buf, order, 4, what)
     values_at = align(skip_string(buf, order, 12, what), 8)

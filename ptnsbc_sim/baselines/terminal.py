@@ -14,7 +14,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ptnsbc_core.agent import estimated_leader
 from ptnsbc_core.algebra import cross3, norm3, put, saturation, transpose_times, wrap
 from ptnsbc_core.controller import limit_wrench
 from ptnsbc_core.kernel import kernel
@@ -26,6 +25,7 @@ from ptnsbc_core.kinematics import (
     rotation_from_quaternion,
     velocity_enu,
 )
+from ptnsbc_core.step import estimated_leader
 from ptnsbc_core.timebase import Clock
 from ptnsbc_core.trajectory import reference
 from ptnsbc_core.types import (

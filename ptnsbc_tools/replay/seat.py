@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ptnsbc_core.agent import Agent
-from ptnsbc_core.types import ODOMETRY_SIZE, AgentConfig, AgentOutputs, AgentState
+from ptnsbc_core.agent import Agent, Told
+from ptnsbc_core.types import ODOMETRY_SIZE, AgentConfig, AgentState
 from ptnsbc_nodes import topics
 from ptnsbc_nodes.inbox import NO_CUTOFF_NS, Inbox, Senders
 from ptnsbc_nodes.letters import Letters
@@ -158,7 +158,7 @@ class Seat:
             self.hold(name, (same or found)[-1])
         return wrong
 
-    def step(self, at: Moment, cutoff_ns: int = NO_CUTOFF_NS) -> AgentOutputs:
+    def step(self, at: Moment, cutoff_ns: int = NO_CUTOFF_NS) -> Told:
         """One control step on what is in the inbox."""
         self.account.steps += 1
         if self._next is not None:
@@ -166,7 +166,7 @@ class Seat:
         return self.pilot.step(at, cutoff_ns)
 
     def compare(
-        self, outputs: AgentOutputs, shelves: Mapping[str, Shelf], expected: int | None = None
+        self, outputs: Told, shelves: Mapping[str, Shelf], expected: int | None = None
     ) -> Mismatch | None:
         """The first output that differs.
 

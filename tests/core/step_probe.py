@@ -4,9 +4,9 @@ import sys
 
 import numpy as np
 
-from ptnsbc_core.agent import initial_state, step
 from ptnsbc_core.kernel import COMPILED
 from ptnsbc_core.kinematics import quaternion_from_euler
+from ptnsbc_core.step import initial_state, step
 from ptnsbc_core.types import AgentInputs
 from ptnsbc_sim.scenario import agent_config, load_scenario
 

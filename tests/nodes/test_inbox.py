@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ptnsbc_core.types import MODE_HOLD, NEVER_HEARD_S
+from ptnsbc_core.types import MODE_HOLD, NEVER_HEARD_S, AgentInputs
 from ptnsbc_nodes.inbox import NO_CUTOFF_NS, Inbox, Link, Senders
 from ptnsbc_nodes.turns import LEAD_TICKS
 from ptnsbc_nodes.wire import Stamped
@@ -31,6 +31,10 @@ def hear_all(inbox: Inbox, tick: int) -> None:
         inbox.hear_estimate(i, message(tick, 100 * i + tick))
 
 
+def known(inbox: Inbox, *when) -> AgentInputs:
+    return inbox.known(*when).inputs
+
+
 def test_a_child_of_the_leader_hears_it_once():
     assert Senders(parent=1, leader=1, estimators=()).states == (1,)
     assert FOLLOWER.states == (1, 2)
@@ -54,7 +58,7 @@ def test_link_keeps_the_message_that_a_fast_neighbour_overtook():
 def test_inputs_before_anything_is_heard():
     inbox = Inbox(FOLLOWER)
     inbox.own = message(0, 1.0)
-    inputs = inbox.inputs(0, 0)
+    inputs = known(inbox, 0, 0)
     assert inputs.parent_age_s == inputs.leader_age_s == inputs.near_age_s == NEVER_HEARD_S
     assert inputs.estimates.shape == (2, 13)
     assert (inputs.estimate_age_s == NEVER_HEARD_S).all()
@@ -64,7 +68,7 @@ def test_inputs_before_anything_is_heard():
 
 def test_inputs_without_own_odometry_are_refused():
     with pytest.raises(ValueError, match="own odometry"):
-        Inbox(FOLLOWER).inputs(0, 0)
+        known(Inbox(FOLLOWER), 0, 0)
 
 
 def test_lockstep_inputs_are_the_messages_of_the_tick_before():
@@ -73,7 +77,7 @@ def test_lockstep_inputs_are_the_messages_of_the_tick_before():
     hear_all(inbox, 7)  # overtook our tick 7
     inbox.own, inbox.near = message(7), near(5)
     now = 7 * PERIOD
-    inputs = inbox.inputs(now, now, 0, 0.07)
+    inputs = known(inbox, now, now, 0, 0.07)
     assert inputs.parent[0] == 26
     assert inputs.leader[0] == 16
     assert inputs.estimates[:, 0].tolist() == [206, 406]  # ascending ids
@@ -87,7 +91,7 @@ def test_real_time_inputs_are_the_newest():
     hear_all(inbox, 6)
     hear_all(inbox, 7)
     inbox.own = message(7)
-    inputs = inbox.inputs(8 * PERIOD, NO_CUTOFF_NS)
+    inputs = known(inbox, 8 * PERIOD, NO_CUTOFF_NS)
     assert inputs.parent[0] == 27
     assert inputs.parent_age_s == PERIOD * 1e-9
 
@@ -96,7 +100,7 @@ def test_a_neighbours_clock_ahead_of_ours_is_no_negative_age():
     inbox = Inbox(FOLLOWER)
     hear_all(inbox, 9)
     inbox.own = message(7)
-    inputs = inbox.inputs(8 * PERIOD, NO_CUTOFF_NS)
+    inputs = known(inbox, 8 * PERIOD, NO_CUTOFF_NS)
     assert inputs.parent_age_s == 0.0
     assert (inputs.estimate_age_s == 0.0).all()
 
@@ -105,7 +109,7 @@ def test_the_leader_needs_nobody():
     inbox = Inbox(Senders(None, None, ()))
     inbox.own, inbox.near = message(7), near(5)
     assert inbox.holds_tick(PERIOD, NEAR_EVERY)
-    inputs = inbox.inputs(7 * PERIOD, 7 * PERIOD)
+    inputs = known(inbox, 7 * PERIOD, 7 * PERIOD)
     assert inputs.estimates.shape == (0, 13)
     assert not inputs.parent.any()
 
@@ -154,7 +158,7 @@ def test_nobody_waits_for_the_lost_and_their_last_message_ages():
     assert not inbox.holds_tick(PERIOD, NEAR_EVERY)
     inbox.lose(2)
     assert inbox.holds_tick(PERIOD, NEAR_EVERY)
-    inputs = inbox.inputs(7 * PERIOD, 7 * PERIOD)
+    inputs = known(inbox, 7 * PERIOD, 7 * PERIOD)
     assert inputs.parent_age_s == pytest.approx(0.04)
     assert inputs.leader_age_s == pytest.approx(0.01)
     assert inputs.estimate_age_s == pytest.approx([0.04, 0.01])
@@ -174,7 +178,7 @@ def test_lost_messages_are_not_heard_and_not_waited_for():
     inbox.own, inbox.near = message(40), near(40)
     assert inbox.holds_tick(PERIOD, NEAR_EVERY)
     assert list(inbox.awaited(40 * PERIOD, PERIOD)) == []
-    inputs = inbox.inputs(40 * PERIOD, 40 * PERIOD)
+    inputs = known(inbox, 40 * PERIOD, 40 * PERIOD)
     assert inputs.parent[0] == 20 + 3
     assert inputs.parent_age_s == inputs.leader_age_s == 37 * PERIOD * 1e-9
     np.testing.assert_array_equal(inputs.estimate_age_s, [PERIOD * 1e-9, NEVER_HEARD_S])

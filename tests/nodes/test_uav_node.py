@@ -11,7 +11,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.serialization import deserialize_message
 from std_srvs.srv import Trigger
 
-from ptnsbc_core.agent import initial_state, step
+from ptnsbc_core.step import initial_state, step
 from ptnsbc_core.types import NEVER_HEARD_S, AgentInputs
 from ptnsbc_nodes import topics, uav_node, wire
 from ptnsbc_nodes.edges import Edges, FlightOptions
