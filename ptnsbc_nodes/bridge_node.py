@@ -4,19 +4,30 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_nodes import environment
-from ptnsbc_nodes.edges import Edges, FlightOptions
-from ptnsbc_nodes.process import Arguments, Lifetime, ros_node, run
-from ptnsbc_sim.scenario import Scenario, load_scenario
+from ptnsbc_nodes.edges import Edges
+from ptnsbc_nodes.leaves import Value
+from ptnsbc_nodes.managed import Managed
+from ptnsbc_nodes.parameters import AUTOSTART, SCENARIO, UAV, Fixed, Parameters, overrides
+from ptnsbc_nodes.process import (
+    Arguments,
+    Lifetime,
+    namespace_of,
+    parameter_node,
+    run,
+    serve_managed,
+)
+from ptnsbc_sim.scenario import Scenario
 
 if TYPE_CHECKING:
+    from ptnsbc_nodes.bridge.node import BridgeNode
     from ptnsbc_nodes.mavlink.link import Link
 
 
@@ -38,57 +49,101 @@ class BridgeOptions:
 
 
 class _LandingLifetime(Lifetime):
-    """The first signal lands the vehicle, the second one ends the process."""
+    """The first request to end lands the vehicle, the second one ends the process."""
 
     def __init__(self) -> None:
         super().__init__()
-        self.land: Callable[[], bool] = lambda: False
+        self.shell: BridgeNode | None = None
+        self._asked = False
+
+    def land_or_end(self) -> None:
+        """Land what flies; end when nothing does, or when asked again."""
+        if not self._lands():
+            self.end()
+
+    def _lands(self) -> bool:
+        asked, self._asked = self._asked, True
+        if asked or self.shell is None or not self.shell.land():
+            return False
+        print("bridge: landing; once more to end at once", file=sys.stderr, flush=True)
+        return True
 
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
-        land, self.land = self.land, lambda: False
-        if land():
-            print("bridge: landing; once more to end at once", file=sys.stderr, flush=True)
-        else:
+        if not self._lands():
             super()._on_signal(number, frame)
+
+
+_FIXED = (
+    *SCENARIO,
+    UAV,
+    AUTOSTART,
+    Fixed("signing_key", "", "key file, instead of the scenario's"),
+    Fixed("allow_arming", False, "arm and take off"),
+)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Bridge until the vehicle has landed, or for ever when it never flies."""
-    parser = Arguments("bridge", "MAVLink bridge of one UAV")
-    parser.add_argument("--uav", required=True, type=int, metavar="N", help="id of this UAV")
+    parser = Arguments("bridge", "MAVLink bridge of one UAV", scenario=False)
+    parser.add_argument("--uav", type=int, metavar="N", help="id of this UAV")
     parser.add_argument("--connect", help="instead of the scenario's link to the vehicle")
     parser.add_argument("--signing-key", type=Path, help="instead of the scenario's key file")
     parser.add_argument("--allow-arming", action="store_true", help="arm and take off")
+    parser.add_argument("--managed", action="store_true", help="wait to be configured")
     return run(parser, argv, _bridge)
 
 
 def _bridge(arguments: argparse.Namespace, argv: list[str]) -> int:
-    overrides = {f"mavlink.vehicles.{arguments.uav}.connect": arguments.connect}
-    scenario = load_scenario(arguments.scenario, overrides).bridged()
-    options = BridgeOptions(
-        arguments.uav, arguments.allow_arming, arguments.signing_key, arguments.recorded
-    )
-    return bridge(scenario, options, argv)
+    given: dict[str, Value | None] = {
+        "scenario": arguments.scenario,
+        "uav": arguments.uav,
+        "recorded": arguments.recorded,
+        "signing_key": str(arguments.signing_key or ""),
+        "allow_arming": arguments.allow_arming,
+    }
+    if arguments.connect is not None:
+        if arguments.uav is None:
+            raise BridgeError(f"--connect {arguments.connect}: expected --uav N as well")
+        given[f"mavlink.vehicles.{arguments.uav}.connect"] = arguments.connect
+    return _serve(given, argv, managed=arguments.managed)
 
 
 def bridge(scenario: Scenario, options: BridgeOptions, argv: Sequence[str]) -> int:
     """Bridge one vehicle until it has landed, or a signal; `argv` is for ROS."""
+    given: dict[str, Value | None] = {
+        "scenario_text": scenario.text,
+        "uav": options.uav,
+        "recorded": options.recorded,
+        "signing_key": str(options.signing_key or ""),
+        "allow_arming": options.allow_arming,
+    }
+    return _serve(given, argv, managed=False)
+
+
+def _serve(given: Mapping[str, Value | None], argv: Sequence[str], *, managed: bool) -> int:
     lifetime = _LandingLifetime()
-    link = _open(scenario, options.uav, options.signing_key)
+    namespace = namespace_of(cast("int | None", given["uav"]))
+    with parameter_node("bridge", namespace, argv, overrides(given), Managed) as node:
+        told = Parameters(node, _FIXED, bridged=True)
+        told.declare_scenario(may_change=lambda: node.state == "unconfigured")
+        if not environment.prefer_punctuality(flies=True):
+            print(_UNPUNCTUAL, file=sys.stderr, flush=True)
+        node.assign(lambda: _opened(node, told, lifetime), lifetime.land_or_end)
+        code = serve_managed(node, lifetime, autostart=told["autostart"] and not managed)
+        return code if lifetime.shell is None else code or lifetime.shell.exit_code
+
+
+def _opened(node: Managed, told: Parameters, lifetime: _LandingLifetime) -> BridgeNode:
+    """The bridge with its link open; what configuring does."""
+    key = Path(told["signing_key"]) if told["signing_key"] else None
+    link = _open(told.scenario, told.uav, key)
     from ptnsbc_nodes.bridge.node import BridgeNode
 
-    edges = Edges(scenario, FlightOptions(recorded=options.recorded, bridged=True))
-    if not environment.prefer_punctuality(flies=True):
-        print(_UNPUNCTUAL, file=sys.stderr, flush=True)
-    with ros_node("bridge", f"/uav{options.uav}", argv) as node:
-        shell = BridgeNode(
-            node, scenario, options.uav, edges, link, options.allow_arming, lifetime.end
-        )
-        lifetime.land = shell.land
-        shell.start()
-        lifetime.serve(node, shell.endpoints)
-        shell.close()
-    return shell.exit_code
+    edges = Edges(told.scenario, told.options)
+    lifetime.shell = BridgeNode(
+        node, told.scenario, told.uav, edges, link, told["allow_arming"], lifetime.end
+    )
+    return lifetime.shell
 
 
 def _open(scenario: Scenario, uav_id: int, key_file: Path | None) -> Link:

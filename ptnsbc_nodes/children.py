@@ -25,6 +25,7 @@ class Command:
     module: str
     arguments: tuple[str, ...]
     uav: int | None = None  # id of the UAV that ends with it
+    managed: str | None = None  # full name of its node, when the launcher drives its life cycle
     ends: bool = False  # by itself, with 0, when the flight is over
 
 

@@ -54,17 +54,25 @@ def commands(options: FleetOptions, scenario_file: Path) -> list[Command]:
     else:
         crew.append(Command(SIM, "ptnsbc_nodes.sim_node", tuple(common), ends=True))
     for i in options.scenario.uav_ids:
-        arguments = (*common, "--uav", str(i))
-        crew.append(Command(f"uav{i}", "ptnsbc_nodes.uav_node", arguments, uav=i))
+        arguments = (*common, "--uav", str(i), "--managed")
+        node = f"/uav{i}/controller"
+        crew.append(Command(f"uav{i}", "ptnsbc_nodes.uav_node", arguments, uav=i, managed=node))
     return crew
 
 
 def _bridge(options: FleetOptions, common: Sequence[str], uav: int) -> Command:
-    arguments = [*common, "--uav", str(uav)]
+    arguments = [*common, "--uav", str(uav), "--managed"]
     if options.allow_arming:
         arguments.append("--allow-arming")
     name = f"bridge{uav}"
-    return Command(name, "ptnsbc_nodes.bridge_node", tuple(arguments), uav=uav, ends=True)
+    return Command(
+        name,
+        "ptnsbc_nodes.bridge_node",
+        tuple(arguments),
+        uav=uav,
+        managed=f"/uav{uav}/bridge",
+        ends=True,
+    )
 
 
 def _recorder(options: FleetOptions, bag: Path, scenario_file: Path) -> Command:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -12,7 +13,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 
 from ptnsbc_nodes import qos
-from ptnsbc_nodes.topics import Role, Topic, message_class
+from ptnsbc_nodes.topics import SHARED, Role, Topic, message_class
 
 RECORDER = "recorder"
 """Name of the recorder among the processes of a flight."""
@@ -39,9 +40,17 @@ _LOCKSTEP_HISTORY = 1000
 
 
 class _Outlet(NamedTuple):
-    topic: Topic
     publisher: Publisher
     readers: int  # subscriptions that must match before the flight
+
+
+def fleet_namespace(namespace: str) -> str:
+    """The namespace that a fleet's names are relative to, empty for the root.
+
+    Nodes of one UAV live in `<fleet>/uavN`, all others in `<fleet>`.
+    """
+    above, _, last = namespace.rpartition("/")
+    return above if re.fullmatch(r"uav\d+", last) else namespace.rstrip("/")
 
 
 class Endpoints:
@@ -49,37 +58,42 @@ class Endpoints:
 
     def __init__(self, node: Node, lockstep: bool) -> None:
         self._node = node
+        self.fleet = fleet_namespace(node.get_namespace())
         self._lockstep = lockstep
         self._outlets: list[_Outlet] = []
-        self._awaited: list[tuple[Topic, Subscription]] = []
+        self._subscriptions: list[Subscription] = []
+        self._awaited: list[Subscription] = []
 
     def publisher(self, topic: Topic, readers: int) -> Callable[[bytes], None]:
         """A publisher of serialised messages; `readers` subscriptions must match it."""
         publisher = self._node.create_publisher(
-            message_class(topic), topic.name, self._offered(topic)
+            message_class(topic), self._name(topic), self._offered(topic)
         )
-        self._outlets.append(_Outlet(topic, publisher, readers))
+        self._outlets.append(_Outlet(publisher, readers))
         publish: Callable[[bytes], None] = publisher.publish
         return publish
 
-    def listen(
-        self, topic: Topic, callback: Callable[[bytes], None], required: bool = True
-    ) -> None:
-        """Hear serialised messages; a `required` topic needs a publisher before the flight."""
+    def listen(self, topic: Topic, callback: Callable[[bytes], None], required: bool = True) -> str:
+        """Hear serialised messages; a `required` topic needs a publisher before the flight.
+
+        Returns the topic's name after remapping, as `unheard` tells it.
+        """
         subscription = self._node.create_subscription(
-            message_class(topic), topic.name, callback, self._profile(topic), raw=True
+            message_class(topic), self._name(topic), callback, self._profile(topic), raw=True
         )
+        self._subscriptions.append(subscription)
         if required:
-            self._awaited.append((topic, subscription))
+            self._awaited.append(subscription)
+        return str(subscription.topic_name)
 
     def unheard(self) -> list[str]:
         """Required topics that nobody publishes yet."""
-        return [topic.name for topic, sub in self._awaited if sub.get_publisher_count() == 0]
+        return [sub.topic_name for sub in self._awaited if sub.get_publisher_count() == 0]
 
     def unread(self) -> list[str]:
         """Published topics that do not have all their readers yet."""
         return [
-            outlet.topic.name
+            outlet.publisher.topic_name
             for outlet in self._outlets
             if outlet.publisher.get_subscription_count() < outlet.readers
         ]
@@ -89,6 +103,19 @@ class Endpoints:
         patience = Duration(seconds=timeout_s / max(len(self._outlets), 1))
         for outlet in self._outlets:
             outlet.publisher.wait_for_all_acked(patience)
+
+    def close(self) -> None:
+        """Take all topics away."""
+        for outlet in self._outlets:
+            self._node.destroy_publisher(outlet.publisher)
+        for subscription in self._subscriptions:
+            self._node.destroy_subscription(subscription)
+        self._outlets.clear()
+        self._subscriptions.clear()
+        self._awaited.clear()
+
+    def _name(self, topic: Topic) -> str:
+        return topic.name if topic.name in SHARED else self.fleet + topic.name
 
     def _offered(self, topic: Topic) -> QoSProfile:
         profile = self._profile(topic)

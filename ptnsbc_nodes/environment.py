@@ -65,27 +65,32 @@ def prepare() -> None:
 
 
 def prefer_throughput() -> None:
-    """For lock-step, before any thread is started: who has been woken does not interrupt who woke it.
+    """For lock-step, for all threads there are: who has been woken does not interrupt who woke it.
 
     Six processes wake each other at every message, and it costs less to finish first what one has begun
     (`bench --only lockstep`). Not for the recorder, which would fall behind. Where it may not be asked
     for, everything works all the same.
     """
-    with suppress(OSError):
-        os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
+    _schedule(os.SCHED_BATCH, 0)
 
 
 def prefer_punctuality(*, flies: bool) -> bool:
-    """For real vehicles, before any thread is started: run before everything that is not in a hurry.
+    """For real vehicles, for all threads there are: run before everything that is not in a hurry.
 
     A setpoint that waits for a compiler on the same host is a late setpoint, and one that waits for half a
     second ends the flight. Round robin, so that those who fly do not hold each other up; who does not fly, as
     the recorder, comes after them. The kernel keeps a twentieth of the time for everybody else. False where
     it may not be asked for: everything works all the same.
     """
+    return _schedule(os.SCHED_RR, os.sched_get_priority_min(os.SCHED_RR) + flies)
+
+
+def _schedule(policy: int, priority: int) -> bool:
+    """Ask for a scheduling policy for every thread of this process; later ones inherit it."""
     try:
-        least = os.sched_get_priority_min(os.SCHED_RR)
-        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(least + flies))
+        for thread in os.listdir("/proc/self/task"):
+            with suppress(ProcessLookupError):  # it has just ended
+                os.sched_setscheduler(int(thread), policy, os.sched_param(priority))
     except OSError:
         return False
     return True

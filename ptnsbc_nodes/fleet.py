@@ -145,6 +145,8 @@ class _Flight:
             if self._stop.came:
                 return
             self._children.append(Child(command, settings, log_dir))
+            if command.managed is not None:
+                self._tower.manage(command.name, command.managed)
         names = [command.name for command in crew if command.name != RECORDER]
         while self._tower.missing(names) and self._patient(deadline):
             pass
@@ -257,6 +259,10 @@ class _Flight:
         for child in self._children:
             if child.exit_code is not None and not self._stop.came:
                 raise FleetError(f"before the flight: {child.obituary()}")
+            if child.name in self._tower.refused:
+                raise FleetError(
+                    f"{child.name} refused to be activated, {child.log}\n{child.tail()}"
+                )
         if time.monotonic() > deadline:
             raise FleetError(self._late())
         return not self._stop.came

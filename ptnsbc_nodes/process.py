@@ -9,10 +9,11 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from types import FrameType
-from typing import Any, NoReturn
+from typing import Any, NoReturn, Protocol
 
 import rclpy
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 from rclpy.utilities import remove_ros_args
@@ -20,7 +21,7 @@ from rclpy.utilities import remove_ros_args
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_nodes import environment
 from ptnsbc_nodes.edges import FlightOptions
-from ptnsbc_nodes.endpoints import Endpoints
+from ptnsbc_nodes.managed import Managed
 from ptnsbc_nodes.spin import make_executor
 
 USER_ERROR = 2
@@ -28,12 +29,18 @@ _FLUSH_S = 1.0
 _SIGNAL_CHECK_S = 0.2
 
 
+class RosArgumentsError(PtnsbcError):
+    """Arguments after --ros-args that rclpy refuses."""
+
+
 class Arguments(argparse.ArgumentParser):
     """Arguments of a node besides those of ROS; a wrong one is refused in one line."""
 
-    def __init__(self, name: str, description: str) -> None:
+    def __init__(self, name: str, description: str, *, scenario: bool = True) -> None:
         super().__init__(prog=name, description=description)
-        self.add_argument("--scenario", required=True, help="scenario file, or name of a built-in")
+        self.add_argument(
+            "--scenario", required=scenario, help="scenario file, or name of a built-in"
+        )
         self.add_argument("--lockstep", action="store_true", help="tick with the simulation")
         self.add_argument(
             "--recorded", action="store_true", help="be ready only when a recorder listens"
@@ -46,6 +53,11 @@ class Arguments(argparse.ArgumentParser):
         """Print one line and exit with 2."""
         print(f"{self.prog}: {message}", file=sys.stderr)
         raise SystemExit(USER_ERROR)
+
+
+def namespace_of(uav: int | None) -> str:
+    """Where the nodes of a UAV live, inside the namespace of the fleet."""
+    return "" if uav is None else f"/uav{uav}"
 
 
 def flight_options(arguments: argparse.Namespace) -> FlightOptions:
@@ -73,6 +85,10 @@ def run(
         return 0
 
 
+class _Flushed(Protocol):
+    def flush(self, timeout_s: float) -> None: ...
+
+
 class Lifetime:
     """From the start of a process to SIGINT, SIGTERM or its own end.
 
@@ -91,7 +107,7 @@ class Lifetime:
         if not self._done.done():
             self._done.set_result(None)
 
-    def serve(self, node: Node, endpoints: Endpoints) -> None:
+    def serve(self, node: Node, endpoints: _Flushed) -> None:
         """Run callbacks until the end, then let readers catch up."""
         executor: Any = make_executor(node.context)
         executor.add_node(node)
@@ -109,14 +125,55 @@ class Lifetime:
 
 
 @contextmanager
-def ros_node(name: str, namespace: str, argv: Sequence[str]) -> Iterator[Node]:
-    """One rclpy node without the services that cost each tick a little."""
-    rclpy.init(args=list(argv), signal_handler_options=SignalHandlerOptions.NO)
-    node = rclpy.create_node(
-        name, namespace=namespace, start_parameter_services=False, enable_rosout=False
-    )
+def ros_node(
+    name: str, namespace: str, argv: Sequence[str], make: Any = rclpy.create_node, **options: Any
+) -> Iterator[Any]:
+    """One rclpy node, made by `make`, without the services that cost each tick a little."""
+    _begin(argv)
     try:
-        yield node
+        node = make(
+            name,
+            namespace=namespace,
+            enable_rosout=False,
+            **{"start_parameter_services": False, **options},
+        )
+        try:
+            yield node
+        finally:
+            node.destroy_node()
     finally:
-        node.destroy_node()
         rclpy.try_shutdown()
+
+
+@contextmanager
+def parameter_node(
+    name: str,
+    namespace: str,
+    argv: Sequence[str],
+    overrides: Sequence[Parameter],
+    make: Any = rclpy.create_node,
+) -> Iterator[Any]:
+    """A node that has declared whatever it was given; `parameters` says what is meant by it."""
+    options = {
+        "start_parameter_services": True,
+        "parameter_overrides": list(overrides),
+        "automatically_declare_parameters_from_overrides": True,
+    }
+    with ros_node(name, namespace, argv, make, **options) as node:
+        yield node
+
+
+def serve_managed(node: Managed, lifetime: Lifetime, *, autostart: bool) -> int:
+    """Serve a managed node until the end of its process; returns the exit code."""
+    if autostart:
+        node.autostart()
+    lifetime.serve(node, node)
+    node.finish()
+    return int(node.broken)
+
+
+def _begin(argv: Sequence[str]) -> None:
+    try:
+        rclpy.init(args=list(argv), signal_handler_options=SignalHandlerOptions.NO)
+    except Exception as error:  # rclpy has no class of its own for a file that it cannot read
+        raise RosArgumentsError(" ".join(str(error).split())) from None

@@ -33,11 +33,19 @@ class LegServices:
     `LEAD_NS`, but a stop in real time begins at once.
     """
 
-    def __init__(self, node: Node, instruments: Instruments, lockstep: bool) -> None:
+    def __init__(self, node: Node, fleet: str, instruments: Instruments, lockstep: bool) -> None:
+        self._node = node
         self._tools = instruments
         self._lockstep = lockstep
-        for name in _LEGS:
-            node.create_service(Trigger, f"/formation/{name}", self._answer(name))
+        self._services = [
+            node.create_service(Trigger, f"{fleet}/formation/{name}", self._answer(name))
+            for name in _LEGS
+        ]
+
+    def close(self) -> None:
+        """Take the services away."""
+        for service in self._services:
+            self._node.destroy_service(service)
 
     def _answer(self, name: str) -> Callable[[Any, Any], Any]:
         def answer(_request: Any, response: Any) -> Any:

@@ -8,30 +8,40 @@ from collections.abc import Sequence
 
 from ptnsbc_nodes import environment, topics
 from ptnsbc_nodes.edges import Edges
-from ptnsbc_nodes.process import Arguments, Lifetime, flight_options, ros_node, run
+from ptnsbc_nodes.parameters import SCENARIO, ParameterError, Parameters, overrides
+from ptnsbc_nodes.process import Arguments, Lifetime, parameter_node, run
 from ptnsbc_nodes.sim import Sim
 from ptnsbc_nodes.warmup import load_world
-from ptnsbc_sim.scenario import load_scenario
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Simulate until the flight is over, SIGINT or SIGTERM."""
-    parser = Arguments("sim_node", "Simulated vehicles of a formation")
+    parser = Arguments("sim", "Simulated vehicles of a formation", scenario=False)
     parser.add_argument("--duration", type=float, metavar="S", help="instead of the scenario's")
     return run(parser, argv, _simulate)
 
 
 def _simulate(arguments: argparse.Namespace, argv: list[str]) -> int:
     lifetime = Lifetime()
-    overrides = {"timing.duration_s": arguments.duration}
-    scenario = load_scenario(arguments.scenario, overrides)
-    if not topics.tf_is_available():
-        print("sim: no live /tf, tf2_msgs is not installed; bags have it", file=sys.stderr)
-    load_world(scenario)
-    if arguments.lockstep:
-        environment.prefer_throughput()
-    with ros_node("sim", "", argv) as node:
-        sim = Sim(node, scenario, Edges(scenario, flight_options(arguments)), lifetime.end)
+    given = overrides(
+        {
+            "scenario": arguments.scenario,
+            "lockstep": arguments.lockstep,
+            "recorded": arguments.recorded,
+            "timing.duration_s": arguments.duration,
+        }
+    )
+    with parameter_node("sim", "", argv, given) as node:
+        told = Parameters(node, SCENARIO)
+        told.declare_scenario()
+        if node.get_parameter("use_sim_time").value:
+            raise ParameterError("parameter use_sim_time: true: expected false, the sim makes time")
+        if not topics.tf_is_available():
+            print("sim: no live /tf, tf2_msgs is not installed; bags have it", file=sys.stderr)
+        load_world(told.scenario)
+        if told.options.lockstep:
+            environment.prefer_throughput()
+        sim = Sim(node, told.scenario, Edges(told.scenario, told.options), lifetime.end)
         lifetime.serve(node, sim.endpoints)
     return 0
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from rclpy.node import Node
+from rclpy.timer import Timer
 
 NANOSECONDS = 1e9
 _SHORTEST_NS = 1_000
@@ -27,6 +28,7 @@ class Ticker:
         self._node = node
         self._period_ns = period_ns
         self._timer = node.create_timer(period_ns / NANOSECONDS, callback)
+        self._once: Timer | None = None
 
     def align(self, stamp_ns: int) -> None:
         """Tick a little after messages stamped like this one, from now on."""
@@ -34,6 +36,13 @@ class Ticker:
         wait_ns = max(delay_ns(now_ns, stamp_ns, self._period_ns), _SHORTEST_NS)
         self._once = self._node.create_timer(wait_ns / NANOSECONDS, self._shift)
 
+    def close(self) -> None:
+        """Tick no more."""
+        for timer in (self._timer, self._once):
+            if timer is not None:
+                self._node.destroy_timer(timer)
+
     def _shift(self) -> None:
-        self._once.cancel()
+        if self._once is not None:
+            self._once.cancel()
         self._timer.reset()

@@ -39,6 +39,10 @@ CLOCK = Topic("/clock", "rosgraph_msgs/msg/Clock", Role.STATE)
 TF = Topic("/tf", "tf2_msgs/msg/TFMessage", Role.EVENT)
 
 
+SHARED = frozenset({DIAGNOSTICS.name, CLOCK.name, TF.name})
+"""Names that ROS gives; all others move with the namespace of the fleet (`Endpoints`)."""
+
+
 def odom(uav: int) -> Topic:
     """Own state of a UAV: pose in the world (ENU), velocities in the body (FLU)."""
     return _state(uav, "odom", "nav_msgs/msg/Odometry")

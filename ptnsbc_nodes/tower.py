@@ -15,6 +15,7 @@ from std_srvs.srv import Trigger
 
 from ptnsbc_nodes import topics
 from ptnsbc_nodes.endpoints import LOST, READY, Endpoints
+from ptnsbc_nodes.manager import Manager
 from ptnsbc_nodes.spin import make_executor
 from ptnsbc_nodes.standstill import ENDED_S, WAITED
 from ptnsbc_nodes.wire import HeaderTemplate
@@ -41,6 +42,7 @@ class Tower:
         self._ends = Endpoints(self._node, lockstep=True)
         self._tell_lost = self._ends.publisher(LOST, 0)
         self._tell_bridges = self._ends.publisher(topics.EMERGENCY, 1)
+        self._manager = Manager(self._node)
         self._start = self._node.create_client(Trigger, "/formation/start")
         self._heard_s: dict[str, float] = {}  # when each process was heard of last
         self._kept_waiting = (0.0, "")  # for how long, by whom: from the sim, newest
@@ -58,8 +60,18 @@ class Tower:
         self._executor.shutdown()
         rclpy.shutdown(context=self._context)
 
+    def manage(self, name: str, node: str) -> None:
+        """Configure and activate the node of the process `name`, as soon as it is there."""
+        self._manager.manage(name, node)
+
+    @property
+    def refused(self) -> list[str]:
+        """Processes whose nodes refused to be configured or activated."""
+        return self._manager.refused
+
     def spin(self, seconds: float) -> None:
         """Serve callbacks for a while."""
+        self._manager.look()
         self._executor.spin_until_future_complete(Future(), timeout_sec=seconds)
 
     def missing(self, names: Iterable[str]) -> dict[str, str]:

@@ -29,7 +29,7 @@ from ptnsbc_sim.scenario import Scenario, agent_config
 
 
 class Uav:
-    """The controller of one UAV: one rclpy node, one tick."""
+    """The controller of one UAV: one rclpy node, one tick; it only listens until `activate`."""
 
     def __init__(self, node: Node, scenario: Scenario, uav_id: int, edges: Edges) -> None:
         self.node = node
@@ -46,21 +46,49 @@ class Uav:
         self._outbox = Outbox(self.endpoints, edges, uav_id)
         self._epochs = Epochs()
         self._pace = Pace(self._period_ns)
+<<<<<<< HEAD
         self._done_ns = (
             self._seen_ns
         ) = -1  # stamp of the newest tick that is done, and was at the last look
+=======
+        self._done_ns = -1  # stamp of the newest tick that is done
+        self._active = False
+>>>>>>> e250cf7 (UAV and bridge are managed nodes with described parameters; the launcher drives them; names move with the fleet's namespace)
         self._born_ns = self._clock_ns()
         self._subscribe(uav_id, edges)
         self._status = self.endpoints.publisher(topics.DIAGNOSTICS, edges.options.recorders)
         self._early_status = self.endpoints.publisher(READY, 0)
-        if uav_id == scenario.leader_id:
-            self._serve(edges)
+        self._services = self._serve(edges) if uav_id == scenario.leader_id else None
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        node.create_timer(1.0 / STATUS_HZ, self._on_status_timer, clock=steady)
-        self._ticker = self._notes = None
+        self._status_timer = node.create_timer(1.0 / STATUS_HZ, self._on_status_timer, clock=steady)
+        self._ticker: Ticker | None = None
+        self._notes = None
         if not self._lockstep:
             self._notes = Notes(self.endpoints, edges, uav_id, scenario.control_hz)
-            self._ticker = Ticker(node, self._period_ns, self._on_tick_timer)
+
+    def activate(self) -> None:
+        """Begin to tick. In real time control begins anew, where the vehicle is by then."""
+        self._active = True
+        if not self._lockstep:
+            self._pilot.restart()
+            self._pace = Pace(self._period_ns)
+            self._ticker = Ticker(self.node, self._period_ns, self._on_tick_timer)
+        self._advance()
+
+    def deactivate(self) -> None:
+        """Send nothing but diagnostics; go on listening."""
+        self._active = False
+        if self._ticker is not None:
+            self._ticker.close()
+            self._ticker = None
+
+    def close(self) -> None:
+        """Take everything away from the node."""
+        self.deactivate()
+        self.node.destroy_timer(self._status_timer)
+        if self._services is not None:
+            self._services.close()
+        self.endpoints.close()
 
     def waiting_for(self) -> list[str]:
         """Topics without their other end; in real time also an odometry not heard yet.
@@ -69,18 +97,19 @@ class Uav:
         recorder that ends, or a child, is no reason to wait.
         """
         missing = self.endpoints.unheard()
+        if not self._active:
+            missing.append("activation")
         if self._lockstep:
             return missing + self.endpoints.unread()
         if self._recorded and not self._epochs.announced:
             missing += self.endpoints.unread()
-        own_topic = f"/{self._name}/odom"
-        if self._inbox.own is None and own_topic not in missing:
-            missing.append(own_topic)
+        if self._inbox.own is None and self._odom_name not in missing:
+            missing.append(self._odom_name)
         return missing
 
     def _subscribe(self, uav_id: int, edges: Edges) -> None:
         listen = self.endpoints.listen
-        listen(topics.odom(uav_id), self._on_odom)
+        self._odom_name = listen(topics.odom(uav_id), self._on_odom)
         listen(topics.near(uav_id), self._on_near, required=self._lockstep)
         for topic, hear in self._inbox.ears().items():
             listen(topic, self._hearer(hear))
@@ -89,14 +118,14 @@ class Uav:
         if self._carried:
             listen(topics.limits(uav_id), self._on_limits)
 
-    def _serve(self, edges: Edges) -> None:
+    def _serve(self, edges: Edges) -> LegServices:
         instruments = Instruments(
             publish=self.endpoints.publisher(topics.EPOCH, edges.epoch_readers()),
             now_ns=self._flight_ns,
             epochs=self._epochs,
             waiting_for=self.waiting_for,
         )
-        self._services = LegServices(self.node, instruments, self._lockstep)
+        return LegServices(self.node, self.endpoints.fleet, instruments, self._lockstep)
 
     def _clock_ns(self) -> int:
         return int(self.node.get_clock().now().nanoseconds)
@@ -144,7 +173,7 @@ class Uav:
     def _advance(self) -> None:
         """Lock-step: do the tick if everything for it is here."""
         own = self._inbox.own
-        if not self._lockstep or own is None or own.stamp_ns <= self._done_ns:
+        if not self._lockstep or own is None or own.stamp_ns <= self._done_ns or not self._active:
             return
         if self._inbox.holds_tick(self._period_ns, self._near_every) and self._epochs.announced:
             now_ns = own.stamp_ns
@@ -199,6 +228,8 @@ class Uav:
 
     def _verdict(self, stamp_ns: int, missing: list[str]) -> tuple[Level, str]:
         own = self._inbox.own
+        if not self._active:
+            return Level.WARN, "inactive"
         if not self._lockstep and own is not None and self._stale(own, stamp_ns):
             return Level.ERROR, "own odometry is stale: no setpoints"
         if self._epochs.announced and self._pilot.tally.holding:

@@ -7,21 +7,33 @@ from collections.abc import Sequence
 
 from ptnsbc_nodes import environment
 from ptnsbc_nodes.edges import Edges
-from ptnsbc_nodes.process import Arguments, Lifetime, flight_options, ros_node, run
+from ptnsbc_nodes.managed import Managed
+from ptnsbc_nodes.parameters import AUTOSTART, BRIDGED, SCENARIO, UAV, Parameters, overrides
+from ptnsbc_nodes.process import (
+    Arguments,
+    Lifetime,
+    namespace_of,
+    parameter_node,
+    run,
+    serve_managed,
+)
 from ptnsbc_nodes.uav import Uav
 from ptnsbc_nodes.warmup import load_agent
-from ptnsbc_sim.scenario import load_scenario
+
+_FIXED = (*SCENARIO, UAV, BRIDGED, AUTOSTART)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Fly one UAV until SIGINT or SIGTERM."""
-    parser = Arguments("uav_node", "Controller of one UAV of a formation")
-    parser.add_argument("--uav", required=True, type=int, metavar="N", help="id of this UAV")
+    parser = Arguments("uav", "Controller of one UAV of a formation", scenario=False)
+    parser.add_argument("--uav", type=int, metavar="N", help="id of this UAV")
+    parser.add_argument("--managed", action="store_true", help="wait to be configured")
     return run(parser, argv, _fly)
 
 
 def _fly(arguments: argparse.Namespace, argv: list[str]) -> int:
     lifetime = Lifetime()
+<<<<<<< HEAD
     scenario = load_scenario(arguments.scenario)
     if arguments.bridged:
         scenario = scenario.bridged()
@@ -35,6 +47,32 @@ def _fly(arguments: argparse.Namespace, argv: list[str]) -> int:
         uav = Uav(node, scenario, arguments.uav, Edges(scenario, flight_options(arguments)))
         lifetime.serve(node, uav.endpoints)
     return 0
+=======
+    given = overrides(
+        {
+            "scenario": arguments.scenario,
+            "uav": arguments.uav,
+            "lockstep": arguments.lockstep,
+            "recorded": arguments.recorded,
+            "bridged": arguments.bridged,
+        }
+    )
+    namespace = namespace_of(arguments.uav)
+    with parameter_node("controller", namespace, argv, given, Managed) as node:
+        told = Parameters(node, _FIXED)
+        told.declare_scenario(may_change=lambda: node.state == "unconfigured")
+        load_agent(told.scenario, told.uav)
+        if told.options.lockstep:
+            environment.prefer_throughput()
+        elif told.options.bridged:
+            environment.prefer_punctuality(flies=True)
+
+        def configure() -> Uav:
+            return Uav(node, told.scenario, told.uav, Edges(told.scenario, told.options))
+
+        node.assign(configure, lifetime.end)
+        return serve_managed(node, lifetime, autostart=told["autostart"] and not arguments.managed)
+>>>>>>> e250cf7 (UAV and bridge are managed nodes with described parameters; the launcher drives them; names move with the fleet's namespace)
 
 
 if __name__ == "__main__":

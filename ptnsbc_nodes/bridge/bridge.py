@@ -119,7 +119,7 @@ class Bridge:
         self.orders = Orders(Stream.NONE, None, True)
         self.latency = Latency()
         self._parameters_told = False
-        self._flew = False
+        self.flew = False
         self._ground_m = 0.0
         self._period_s = 1.0 / block.rate_hz
         self._next_s = clocks.steady_s()
@@ -152,7 +152,7 @@ class Bridge:
 
     def leave(self) -> None:
         """After landing: leave the mode in which PX4 would arm straight the next time."""
-        if self._autopilot.packed and self._flew and self.procedure.step is Step.DONE:
+        if self._autopilot.packed and self.flew and self.procedure.step is Step.DONE:
             self.link.send(self._commands.leave())
 
     def _hear(self, message: Any) -> None:
@@ -207,7 +207,7 @@ class Bridge:
         if self.inlets.leader_origin is not None and not self._leads:
             self.world.leader_at(self.inlets.leader_origin)
         if self.vehicle.armed:
-            self._flew = True
+            self.flew = True
             self.world.freeze()
         elif self.teller.odometry is not None:
             self._ground_m = float(self.teller.odometry[2])

@@ -17,6 +17,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message
 
+from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.types import Array
 from ptnsbc_nodes import handover, topics
 from ptnsbc_nodes.bridge.bridge import Bridge, Outlets
@@ -35,10 +36,18 @@ from ptnsbc_nodes.wire import HeaderTemplate, OdometryTemplate, decode_header, e
 from ptnsbc_sim.scenario import Scenario
 
 _STOPS = ("land", "kill")
+_NOT_OURS = (Step.YIELDED, Step.HEARTBEAT, Step.DONE, Step.FAILED)
+
+
+class FlyingError(PtnsbcError):
+    """A bridge that was asked to leave its vehicle alone in the air."""
 
 
 class BridgeNode:
-    """One bridge as one rclpy node; calls `on_end` when the flight is over."""
+    """One bridge as one rclpy node; silent towards the vehicle until `activate`.
+
+    It calls `on_end` when the flight is over.
+    """
 
     def __init__(
         self,
@@ -83,36 +92,61 @@ class BridgeNode:
         self._next_near_s = 0.0
         self._listen(scenario, uav_id)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        node.create_timer(1.0 / STATUS_HZ, self._on_status_timer, clock=steady)
+        self._status_timer = node.create_timer(1.0 / STATUS_HZ, self._on_status_timer, clock=steady)
         self._leaving = False
-        self._thread = threading.Thread(target=self._run, name=self._name, daemon=True)
+        self._thread: threading.Thread | None = None
 
     @property
     def exit_code(self) -> int:
-        """0 after a flight as planned."""
+        """0 after a flight as planned, or without any."""
         procedure = self.bridge.procedure
-        return int(bool(procedure.fault) or procedure.step is not Step.DONE)
+        unfinished = self.bridge.flew and procedure.step is not Step.DONE
+        return int(bool(procedure.fault) or unfinished)
 
-    def start(self) -> None:
-        """Begin to speak to the vehicle."""
+    def activate(self) -> None:
+        """Begin to speak to the vehicle, or go on."""
+        self._leaving = False
+        self._thread = threading.Thread(target=self._run, name=self._name, daemon=True)
         self._thread.start()
+
+    def deactivate(self) -> None:
+        """Stop speaking to the vehicle; refused while it flies by our setpoints."""
+        if self._flies():
+            raise FlyingError(
+                f"{self._name}: {self.bridge.procedure.step.value}: expected a vehicle that is not "
+                "flown by this bridge; land it first: /formation/land, or ptnsbc stop"
+            )
+        self._silence()
 
     def land(self) -> bool:
         """Land and end; False when there is nothing to land, or nobody to tell."""
-        if self.bridge.procedure.step in (Step.YIELDED, Step.HEARTBEAT, Step.DONE, Step.FAILED):
+        if self._thread is None or self.bridge.procedure.step in _NOT_OURS:
             return False
         self.bridge.inlets.halt = self.bridge.inlets.halt or "land"
         return self.bridge.vehicle.armed
 
     def close(self) -> None:
-        """Stop the thread; the stream ends with it."""
-        self._leaving = True
-        self._thread.join(timeout=2.0)
+        """Stop the thread, and the stream with it; take everything away from the node."""
+        self._silence()
         self.bridge.link.close()
+        self.node.destroy_timer(self._status_timer)
+        self._destroy_ear()
+        self.endpoints.close()
+
+    def _flies(self) -> bool:
+        return self.bridge.vehicle.armed and self.bridge.procedure.step not in _NOT_OURS
+
+    def _silence(self) -> None:
+        self._leaving = True
+        if self._thread is not None:
+            self._thread.join(timeout=2.0)
+            self._thread = None
 
     def waiting_for(self) -> list[str]:
         """Empty when the formation may begin."""
         missing = self.endpoints.unheard()
+        if self._thread is None:
+            missing.append("activation")
         if not self.bridge.procedure.ready:
             missing.append(self.bridge.procedure.step.value)
         return missing
@@ -159,12 +193,15 @@ class BridgeNode:
                 self.bridge.inlets.controller_ready = values.get("ready") == "true"
 
     def _on_status_timer(self) -> None:
-        if self._ear is not None and self.bridge.procedure.ready:
-            # In flight nobody reads them: not worth their reception.
-            self.node.destroy_subscription(self._ear)
-            self._ear = None
+        if self.bridge.procedure.ready:
+            self._destroy_ear()  # in flight nobody reads them: not worth their reception
         now_ns = self._clocks.ros_ns()
         self._status(report(self._name, now_ns, self.bridge, self.waiting_for()))
+
+    def _destroy_ear(self) -> None:
+        if self._ear is not None:
+            self.node.destroy_subscription(self._ear)
+            self._ear = None
 
     def _run(self) -> None:
         bridge = self.bridge
@@ -177,7 +214,8 @@ class BridgeNode:
             bridge.procedure.fail(f"bridge failed: {error!r}")
             raise
         finally:
-            self._on_end()
+            if not self._leaving:
+                self._on_end()
 
     def _tell(self, stamp_ns: int, odometry: Array) -> None:
         self._send_odom(self._odometry.encode(stamp_ns, odometry))

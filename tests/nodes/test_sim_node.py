@@ -159,5 +159,5 @@ def test_a_users_error_is_one_line_and_exit_2(capsys):
     assert sim_node.main(["--scenario", "nowhere.yaml"]) == 2
     out, err = capsys.readouterr()
     assert out == ""
-    assert err.startswith("sim_node: ")
+    assert err.startswith("sim: ")
     assert err.count("\n") == 1

@@ -73,6 +73,7 @@ class Others:
                 listen(topics.EPOCH, lambda data: None)
         self.template = wire.OdometryTemplate("map", "x")
         self.uav = Uav(ros.node("controller", namespace=f"/uav{uav_id}"), scenario, uav_id, edges)
+        self.uav.activate()
         ros.spin_until(lambda: not ends.unread() and not ends.unheard())
 
     @staticmethod
@@ -247,6 +248,7 @@ def test_real_time_waits_for_its_recorder_before_the_flight_and_not_in_it(ros, s
     """What is to be recorded must be heard from the first step on; a recorder that dies stops nobody."""
     edges = Edges(scenario, FlightOptions(recorded=True))
     uav = Uav(ros.node("controller"), scenario, FOLLOWER, edges)
+    uav.activate()
     said = {topics.tick(FOLLOWER).name, topics.snapshot(FOLLOWER).name}
     assert said <= set(uav.waiting_for())
     assert topics.wrench_setpoint(FOLLOWER).name in uav.waiting_for()
@@ -284,6 +286,6 @@ def test_a_users_error_is_one_line_and_exit_2(arguments, line, capsys):
     assert code == 2
     out, err = capsys.readouterr()
     assert out == ""
-    assert err.startswith("uav_node: ")
+    assert err.startswith("uav: ")
     assert line in err
     assert err.count("\n") == 1

@@ -1,0 +1,82 @@
+"""Drives the life cycle of a fleet's nodes: configures and activates each as soon as it is there."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
+from rclpy.node import Node
+
+_STEPS = (Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE)
+_ANSWER_S = 5.0
+
+
+class _Ward:
+    """One node on its way to active."""
+
+    def __init__(self, node: Node, name: str) -> None:
+        self._node = node
+        self._client = node.create_client(ChangeState, f"{name}/change_state")
+        self._steps = list(_STEPS)
+        self._asked_s = float("-inf")
+        self._call: Any = None
+        self._unanswered = False
+        self.refused = False
+
+    @property
+    def done(self) -> bool:
+        return not self._steps or self.refused
+
+    def look(self) -> None:
+        """Ask for the next transition when nothing is being waited for."""
+        silent = time.monotonic() - self._asked_s > _ANSWER_S
+        if not self.done and silent and self._client.service_is_ready():
+            self._unanswered = self._call is not None
+            self._ask()
+
+    def close(self) -> None:
+        self._node.destroy_client(self._client)
+
+    def _ask(self) -> None:
+        request = ChangeState.Request()
+        request.transition.id = self._steps[0]
+        self._asked_s = time.monotonic()
+        self._call = self._client.call_async(request)
+        self._call.add_done_callback(self._on_answer)
+
+    def _on_answer(self, call: Any) -> None:
+        if call is not self._call or self.done:
+            return
+        # A transition whose answer was lost has been made: asked for again, it is refused.
+        self.refused = not (call.result().success or self._unanswered)
+        self._unanswered, self._call = False, None
+        if not self.refused:
+            self._steps.pop(0)
+            if self._steps:
+                self._ask()
+
+
+class Manager:
+    """Takes any number of nodes to active; ask it to `look` now and then."""
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._wards: dict[str, _Ward] = {}
+        self.refused: list[str] = []
+        """Names of those that refused a transition."""
+
+    def manage(self, name: str, node: str) -> None:
+        """Take the node with this full name to active; `name` is for `refused`."""
+        self._wards[name] = _Ward(self._node, node)
+
+    def look(self) -> None:
+        """Go on with all that have not arrived yet."""
+        for name, ward in list(self._wards.items()):
+            ward.look()
+            if ward.done:
+                if ward.refused:
+                    self.refused.append(name)
+                ward.close()
+                del self._wards[name]
