@@ -53,6 +53,13 @@ def fleet_namespace(namespace: str) -> str:
     return above if re.fullmatch(r"uav\d+", last) else namespace.rstrip("/")
 
 
+def full_name(node: Node, topic: Topic) -> str:
+    """The name of a topic for this node, before remapping."""
+    return (
+        topic.name if topic.name in SHARED else fleet_namespace(node.get_namespace()) + topic.name
+    )
+
+
 class Endpoints:
     """Raw publishers and subscriptions: bytes in, bytes out, no message objects."""
 
@@ -67,7 +74,7 @@ class Endpoints:
     def publisher(self, topic: Topic, readers: int) -> Callable[[bytes], None]:
         """A publisher of serialised messages; `readers` subscriptions must match it."""
         publisher = self._node.create_publisher(
-            message_class(topic), self._name(topic), self._offered(topic)
+            message_class(topic), full_name(self._node, topic), self._offered(topic)
         )
         self._outlets.append(_Outlet(publisher, readers))
         publish: Callable[[bytes], None] = publisher.publish
@@ -79,7 +86,11 @@ class Endpoints:
         Returns the topic's name after remapping, as `unheard` tells it.
         """
         subscription = self._node.create_subscription(
-            message_class(topic), self._name(topic), callback, self._profile(topic), raw=True
+            message_class(topic),
+            full_name(self._node, topic),
+            callback,
+            self._profile(topic),
+            raw=True,
         )
         self._subscriptions.append(subscription)
         if required:
@@ -113,9 +124,6 @@ class Endpoints:
         self._outlets.clear()
         self._subscriptions.clear()
         self._awaited.clear()
-
-    def _name(self, topic: Topic) -> str:
-        return topic.name if topic.name in SHARED else self.fleet + topic.name
 
     def _offered(self, topic: Topic) -> QoSProfile:
         profile = self._profile(topic)

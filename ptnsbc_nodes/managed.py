@@ -39,6 +39,7 @@ class Managed(LifecycleNode):
         super().__init__(name, **options)
         self.work: Work | None = None
         self.refusal: PtnsbcError | None = None  # of the newest transition
+        self._by_itself = False  # nobody asks: who starts it hears of a refusal
         self.broken = False  # by an error that is not the user's
         self._make: Callable[[], Work] | None = None
         self._end: Callable[[], None] = lambda: None
@@ -55,9 +56,11 @@ class Managed(LifecycleNode):
 
     def autostart(self) -> None:
         """Configure and activate; raises what refuses it."""
+        self._by_itself = True
         for trigger in (self.trigger_configure, self.trigger_activate):
             if trigger() is not TransitionCallbackReturn.SUCCESS and self.refusal is not None:
                 raise self.refusal
+        self._by_itself = False
 
     def flush(self, timeout_s: float) -> None:
         """Wait until reliable readers have everything."""
@@ -117,7 +120,8 @@ class Managed(LifecycleNode):
             transition()
         except PtnsbcError as error:
             self.refusal = error
-            self.get_logger().error(" ".join(str(error).split()))
+            if not self._by_itself:
+                self.get_logger().error(" ".join(str(error).split()))
             return TransitionCallbackReturn.FAILURE
         except Exception:  # rclpy would go on without a word
             self.broken = True

@@ -101,7 +101,8 @@ class Parameters:
         for key in self._changed.keys() - {leaf.key for leaf in leaves(self.scenario)}:
             # A list, or something below an id.
             about = ParameterDescriptor(description=f"{key} of the scenario", read_only=True)
-            self._node.set_descriptor(key, about)
+            self._node.undeclare_parameter(key)
+            self._node.declare_parameter(key, self._changed[key], about, ignore_override=True)
         self._node.add_on_set_parameters_callback(self._on_set)
 
     def __getitem__(self, name: str) -> Any:

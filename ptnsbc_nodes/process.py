@@ -16,21 +16,17 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
-from rclpy.utilities import remove_ros_args
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_nodes import environment
 from ptnsbc_nodes.edges import FlightOptions
 from ptnsbc_nodes.managed import Managed
+from ptnsbc_nodes.rosargs import ros_errors, without_ros
 from ptnsbc_nodes.spin import make_executor
 
 USER_ERROR = 2
 _FLUSH_S = 1.0
 _SIGNAL_CHECK_S = 0.2
-
-
-class RosArgumentsError(PtnsbcError):
-    """Arguments after --ros-args that rclpy refuses."""
 
 
 class Arguments(argparse.ArgumentParser):
@@ -75,8 +71,8 @@ def run(
     """Parse and run `body(arguments, argv)`; a user's error is one line on stderr and exit 2."""
     environment.prepare()
     full = list(sys.argv if argv is None else (parser.prog, *argv))
-    arguments = parser.parse_args(remove_ros_args(full)[1:])
     try:
+        arguments = parser.parse_args(without_ros(full[1:]))
         return body(arguments, full)
     except PtnsbcError as error:
         print(f"{parser.prog}: {error}", file=sys.stderr)
@@ -129,7 +125,8 @@ def ros_node(
     name: str, namespace: str, argv: Sequence[str], make: Any = rclpy.create_node, **options: Any
 ) -> Iterator[Any]:
     """One rclpy node, made by `make`, without the services that cost each tick a little."""
-    _begin(argv)
+    with ros_errors():
+        rclpy.init(args=list(argv), signal_handler_options=SignalHandlerOptions.NO)
     try:
         node = make(
             name,
@@ -170,10 +167,3 @@ def serve_managed(node: Managed, lifetime: Lifetime, *, autostart: bool) -> int:
     lifetime.serve(node, node)
     node.finish()
     return int(node.broken)
-
-
-def _begin(argv: Sequence[str]) -> None:
-    try:
-        rclpy.init(args=list(argv), signal_handler_options=SignalHandlerOptions.NO)
-    except Exception as error:  # rclpy has no class of its own for a file that it cannot read
-        raise RosArgumentsError(" ".join(str(error).split())) from None

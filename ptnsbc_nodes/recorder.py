@@ -34,13 +34,13 @@ from rclpy.executors import Executor  # noqa: E402
 from rclpy.node import Node  # noqa: E402
 from rclpy.qos import QoSDurabilityPolicy, QoSReliabilityPolicy  # noqa: E402
 from rclpy.signals import SignalHandlerOptions  # noqa: E402
-from rclpy.utilities import remove_ros_args  # noqa: E402
 
 from ptnsbc_nodes import qos, topics, wire  # noqa: E402
 from ptnsbc_nodes.bag import BagError, BagWriter, TopicInfo  # noqa: E402
 from ptnsbc_nodes.bag.msgdef import has_header  # noqa: E402
 from ptnsbc_nodes.bag.reorder import Held, ReorderBuffer  # noqa: E402
-from ptnsbc_nodes.endpoints import RECORDED  # noqa: E402
+from ptnsbc_nodes.endpoints import RECORDED, full_name  # noqa: E402
+from ptnsbc_nodes.rosargs import RosArgumentsError, ros_errors, without_ros  # noqa: E402
 from ptnsbc_nodes.spin import make_executor, spin_for  # noqa: E402
 from ptnsbc_nodes.topics import Topic  # noqa: E402
 from ptnsbc_nodes.transforms import Transforms  # noqa: E402
@@ -110,7 +110,7 @@ class Recorder:
             self._subscribe(topic, record, lockstep)
         if lockstep:
             self._acknowledge = node.create_publisher(
-                topics.message_class(RECORDED), RECORDED.name, qos.EVENT
+                topics.message_class(RECORDED), full_name(node, RECORDED), qos.EVENT
             )
         else:
             # By wall time: in lock-step, where the bytes would depend on it, by stamp.
@@ -130,7 +130,7 @@ class Recorder:
     def _subscribe(self, topic: Topic, record: Callable[[bytes], None], lockstep: bool) -> None:
         self._node.create_subscription(
             topics.message_class(topic),
-            topic.name,
+            full_name(self._node, topic),
             record,
             qos.recorder_profile(topic, lockstep=lockstep),
             raw=True,
@@ -205,19 +205,25 @@ def stamp_of(topic: Topic, data: bytes) -> int | None:
 def main(argv: Sequence[str] | None = None) -> int:
     """Record until SIGINT or SIGTERM."""
     arguments = list(sys.argv[1:] if argv is None else argv)
-    options = _parser().parse_args(remove_ros_args(["recorder", *arguments])[1:])
     stop = _StopSignal()
-    if options.punctual:
-        environment.prefer_punctuality(flies=False)
     context = Context()
-    rclpy.init(args=arguments, context=context, signal_handler_options=SignalHandlerOptions.NO)
     try:
+        options = _parser().parse_args(without_ros(arguments))
+        if options.punctual:
+            environment.prefer_punctuality(flies=False)
+        with ros_errors():
+            rclpy.init(
+                args=arguments, context=context, signal_handler_options=SignalHandlerOptions.NO
+            )
         print(json.dumps(_record(context, options, stop)), flush=True)
+    except RosArgumentsError as error:
+        print(f"recorder: {error}", file=sys.stderr)
+        return 2
     except PtnsbcError as error:
         print(f"recorder: {error}", file=sys.stderr)
         return 1
     finally:
-        rclpy.shutdown(context=context)
+        rclpy.try_shutdown(context=context)
     return 0
 
 

@@ -46,14 +46,10 @@ class Uav:
         self._outbox = Outbox(self.endpoints, edges, uav_id)
         self._epochs = Epochs()
         self._pace = Pace(self._period_ns)
-<<<<<<< HEAD
         self._done_ns = (
             self._seen_ns
-        ) = -1  # stamp of the newest tick that is done, and was at the last look
-=======
-        self._done_ns = -1  # stamp of the newest tick that is done
+        ) = -1  # stamp of the newest tick done, now and at the last look
         self._active = False
->>>>>>> e250cf7 (UAV and bridge are managed nodes with described parameters; the launcher drives them; names move with the fleet's namespace)
         self._born_ns = self._clock_ns()
         self._subscribe(uav_id, edges)
         self._status = self.endpoints.publisher(topics.DIAGNOSTICS, edges.options.recorders)

@@ -33,21 +33,6 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _fly(arguments: argparse.Namespace, argv: list[str]) -> int:
     lifetime = Lifetime()
-<<<<<<< HEAD
-    scenario = load_scenario(arguments.scenario)
-    if arguments.bridged:
-        scenario = scenario.bridged()
-    scenario.uav(arguments.uav)  # refuses an id that is not in the file
-    load_agent(scenario, arguments.uav)
-    if arguments.lockstep:
-        environment.prefer_throughput()
-    elif arguments.bridged:
-        environment.prefer_punctuality(flies=True)
-    with ros_node("controller", f"/uav{arguments.uav}", argv) as node:
-        uav = Uav(node, scenario, arguments.uav, Edges(scenario, flight_options(arguments)))
-        lifetime.serve(node, uav.endpoints)
-    return 0
-=======
     given = overrides(
         {
             "scenario": arguments.scenario,
@@ -72,7 +57,6 @@ def _fly(arguments: argparse.Namespace, argv: list[str]) -> int:
 
         node.assign(configure, lifetime.end)
         return serve_managed(node, lifetime, autostart=told["autostart"] and not arguments.managed)
->>>>>>> e250cf7 (UAV and bridge are managed nodes with described parameters; the launcher drives them; names move with the fleet's namespace)
 
 
 if __name__ == "__main__":

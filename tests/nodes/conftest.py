@@ -74,7 +74,10 @@ class Ros:
     def node(self, name: str, **options):
         import rclpy
 
-        node = rclpy.create_node(name, context=self.context, **options)
+        return self.adopt(rclpy.create_node(name, context=self.context, **options))
+
+    def adopt(self, node):
+        """Serve a node that was made with our context, and take it away at the end."""
         self._nodes.append(node)
         self.executor.add_node(node)
         return node

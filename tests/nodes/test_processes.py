@@ -1,0 +1,96 @@
+"""Each executable as a process: it comes up under its name, and a signal ends it cleanly."""
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rclpy")
+
+ROOT = Path(__file__).resolve().parents[2]
+PATIENCE_S = 60
+
+pytestmark = [pytest.mark.ros, pytest.mark.slow]
+
+
+@pytest.fixture
+def start(domain, tmp_path):
+    """Starts modules of ptnsbc_nodes as processes of their own."""
+    running = []
+
+    def begin(module, *arguments):
+        environment = {**os.environ, "ROS_DOMAIN_ID": str(domain)}
+        process = subprocess.Popen(
+            [sys.executable, "-m", f"ptnsbc_nodes.{module}", *map(str, arguments)],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            env=environment,
+            cwd=ROOT,
+        )
+        running.append(process)
+        return process
+
+    yield begin
+    for process in running:
+        if process.poll() is None:
+            process.kill()
+            process.communicate()
+
+
+def commands(tmp_path):
+    """Name in the graph of each kind of process: how it is started."""
+    found = {
+        "/uav1/controller": ("uav_node", "--scenario", "paper_5", "--uav", 1),
+        "/uav2/controller": ("uav_node", "--scenario", "paper_5", "--uav", 2, "--managed"),
+        "/sim": ("sim_node", "--scenario", "paper_5"),
+        "/recorder": ("recorder", "--bag", tmp_path / "bag", "--uavs", 1, 2),
+    }
+    try:
+        import pymavlink  # noqa: F401
+    except ImportError:
+        return found
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        link = ("--connect", f"udpin:127.0.0.1:{probe.getsockname()[1]}")
+    bridge = ("bridge_node", "--scenario", "experiment_4", "--uav", 3, *link)
+    return {**found, "/uav3/bridge": bridge}
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=lambda n: n.name)
+def test_a_signal_ends_every_process_cleanly(ros, start, tmp_path, number):
+    processes = {name: start(*words) for name, words in commands(tmp_path).items()}
+    looker = ros.node("looker")
+
+    def up():
+        for name, process in processes.items():
+            assert process.poll() is None, (name, process.communicate())
+        seen = looker.get_node_names_and_namespaces()
+        return processes.keys() <= {f"{space.rstrip('/')}/{name}" for name, space in seen}
+
+    ros.spin_until(up, timeout=PATIENCE_S)
+    for process in processes.values():
+        process.send_signal(number)
+    for name, process in processes.items():
+        _, err = process.communicate(timeout=PATIENCE_S)
+        assert process.returncode == 0, (name, err)
+        assert "Traceback" not in err, (name, err)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (("--ros-args", "--params-file", "nowhere.yaml"), "nowhere.yaml"),
+        (("--scenario", "paper_5", "--ros-args", "-r", "bad"), "bad"),
+    ],
+)
+def test_arguments_that_ros_refuses_are_one_line_and_exit_2(start, arguments, says):
+    process = start("uav_node", *arguments)
+    out, err = process.communicate(timeout=PATIENCE_S)
+    assert (process.returncode, out) == (2, "")
+    assert err.startswith("uav: ") and says in err
+    assert err.count("\n") == 1
