@@ -74,6 +74,11 @@ class Managed(LifecycleNode):
         if self.state != "finalized":
             self.trigger_shutdown()
 
+    def destroy_node(self) -> None:
+        """Also what rclpy forgets: the transition topic, by which the node would stay in the graph."""
+        self._state_machine.destroy_when_not_in_use()
+        super().destroy_node()
+
     def on_configure(self, _state: LifecycleState) -> TransitionCallbackReturn:
         """Make the topics and what belongs to them."""
         return self._carried_out(self._configure)

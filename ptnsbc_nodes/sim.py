@@ -12,6 +12,7 @@ from collections.abc import Callable
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
+from ptnsbc_core.types import Array
 from ptnsbc_nodes import topics
 from ptnsbc_nodes.edges import Edges
 from ptnsbc_nodes.endpoints import LOST, READY, RECORDED, RECORDER, Endpoints
@@ -146,17 +147,26 @@ class Sim:
     def _on_tick_timer(self) -> None:
         now_ns = self._clock_ns()
         periods = self._pace.tick(now_ns)
-        fresh = {
-            i: wrench.values
-            for i, wrench in self._wrenches.items()
-            if i in self._alive and now_ns - wrench.stamp_ns <= self._stale_ns
-        }
+        fresh = self._fresh(now_ns)
         for _ in range(min(periods, self._catch_up)):
             self._world.step(fresh)
         self._senses.publish(now_ns)
         leg = self._epochs.at(now_ns)
         if leg is not None:
             self._flown((now_ns - leg.first_t0_ns) // self._period_ns)
+
+    def _fresh(self, now_ns: int) -> dict[int, Array]:
+        """Real time: the wrenches that still count."""
+        return {
+            i: wrench.values
+            for i, wrench in self._wrenches.items()
+            if i in self._alive and now_ns - wrench.stamp_ns <= self._stale_ns
+        }
+
+    def _silent(self, now_ns: int) -> str:
+        """Real time, in flight: whose vehicles hover because their UAVs say nothing."""
+        silent = [f"uav{i}" for i in self._world.ids if i not in self._fresh(now_ns)]
+        return f"hovering without setpoints: {' '.join(silent)}" if silent else ""
 
     def _flown(self, ticks: int) -> None:
         if not self._running:
@@ -201,7 +211,8 @@ class Sim:
             "latency_p99_ms": f"{1e3 * latency.percentile_s(99):.3f}",
             "latency_max_ms": f"{1e3 * latency.max_s:.3f}",
         }
-        level = Level.WARN if missing else Level.OK
-        message = f"waiting for {' '.join(missing)}" if missing else ""
+        silent = "" if self._lockstep or not self._running else self._silent(stamp_ns)
+        message = f"waiting for {' '.join(missing)}" if missing else silent
+        level = Level.WARN if message else Level.OK
         send = self._status if stamp_ns >= 0 else self._early_status
         send(diagnostics(max(stamp_ns, 0), "sim: world", level, message, values))

@@ -50,6 +50,7 @@ class Uav:
             self._seen_ns
         ) = -1  # stamp of the newest tick done, now and at the last look
         self._active = False
+        self._missed_told = 0
         self._born_ns = self._clock_ns()
         self._subscribe(uav_id, edges)
         self._status = self.endpoints.publisher(topics.DIAGNOSTICS, edges.options.recorders)
@@ -230,4 +231,7 @@ class Uav:
             return Level.ERROR, "own odometry is stale: no setpoints"
         if self._epochs.announced and self._pilot.tally.holding:
             return Level.WARN, "holding"
+        missed, self._missed_told = self._pace.missed - self._missed_told, self._pace.missed
+        if missed > 0:
+            return Level.WARN, f"{missed} ticks missed since the last status"
         return (Level.WARN, f"waiting for {' '.join(missing)}") if missing else (Level.OK, "")

@@ -35,7 +35,7 @@ assert found and found.origin, '$name: built, but cannot be found'
 assert pathlib.Path(found.origin).with_name('py.typed').exists(), '$name: py.typed is missing'
 ") || die "$name: not importable from install/"
 done
-for program in ptnsbc_nodes/{uav_node,sim_node,recorder,fleet} ptnsbc_tools/ptnsbc; do
+for program in ptnsbc_nodes/{uav,sim,recorder,bridge,fleet} ptnsbc_tools/ptnsbc; do
   [ -x "install/${program%/*}/lib/$program" ] || die "$program: 'ros2 run' would not find it"
 done
 printf 'ros2_ws: all packages are ros.ament_python and installed\n'

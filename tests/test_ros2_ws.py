@@ -104,7 +104,7 @@ def setup_text(name: str) -> str:
 
 def test_entry_points_are_found():
     programs = {program for _, program, _ in entry_points()}
-    assert programs == {"uav_node", "sim_node", "recorder", "fleet", "bridge", "ptnsbc"}
+    assert programs == {"uav", "sim", "recorder", "fleet", "bridge", "ptnsbc"}
     for name in ALL:  # a setup.py whose entry points this file does not see checks nothing
         assert ("console_scripts" in setup_text(name)) == any(
             package == name for package, _, _ in entry_points()
@@ -149,9 +149,9 @@ def test_launched_nodes_understand_their_arguments(launch_file, monkeypatch, loc
     understood = []
     for node, body in ((sim_node, "_simulate"), (uav_node, "_fly")):
         monkeypatch.setattr(node, body, lambda arguments, _: understood.append(arguments) or 0)
-    mains = {"sim_node": sim_node.main, "uav_node": uav_node.main}
+    mains = {"sim": sim_node.main, "uav": uav_node.main}
     lines = launch_file["command_lines"](Path("/a b.yaml"), (1, 7), lockstep=lockstep, bag=bag)
-    expected = ["sim_node", "uav_node", "uav_node"]
+    expected = ["sim", "uav", "uav"]
     assert [executable for executable, _ in lines] == ["recorder", *expected][not bag :]
     for executable, arguments in lines:
         if executable == "recorder":

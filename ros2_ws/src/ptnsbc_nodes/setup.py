@@ -42,8 +42,8 @@ setup(
     license="Apache-2.0",
     entry_points={
         "console_scripts": [
-            "uav_node = ptnsbc_nodes.uav_node:main",
-            "sim_node = ptnsbc_nodes.sim_node:main",
+            "uav = ptnsbc_nodes.uav_node:main",
+            "sim = ptnsbc_nodes.sim_node:main",
             "recorder = ptnsbc_nodes.recorder:main",
             "fleet = ptnsbc_nodes.fleet_node:main",
             "bridge = ptnsbc_nodes.bridge_node:main",

@@ -37,8 +37,8 @@ def command_lines(
     recorder += ["--attach", f"scenario.yaml={scenario}"]
     return [
         *([("recorder", recorder)] if bag else []),
-        ("sim_node", common),
-        *(("uav_node", [*common, "--uav", str(uav_id)]) for uav_id in uav_ids),
+        ("sim", common),
+        *(("uav", [*common, "--uav", str(uav_id)]) for uav_id in uav_ids),
     ]
 
 
@@ -64,7 +64,7 @@ def nodes(context: LaunchContext) -> list[Node | RegisterEventHandler]:
     path.write_text(scenario.text, encoding="utf-8")
     lines = command_lines(path, scenario.uav_ids, lockstep=lockstep, bag=bag)
     crew = [_node(executable, arguments) for executable, arguments in lines]
-    sim = crew[[executable for executable, _ in lines].index("sim_node")]
+    sim = crew[[executable for executable, _ in lines].index("sim")]
     layout = Path(get_package_share_directory("ptnsbc_bringup")) / "rviz" / "formation.rviz"
     rviz = Node(
         package="rviz2",
