@@ -1,7 +1,7 @@
 # One command for everything. `make` alone lists them.
 SHELL := /bin/bash
 .DEFAULT_GOAL := help
-.PHONY: help setup test demo commands bench lint format colcon clean
+.PHONY: help setup test demo docs commands bench lint format colcon clean
 
 BIN  := .venv/bin
 # Workers of the test run; `make test JOBS=1` runs in one process.
@@ -25,6 +25,9 @@ test: setup  ## Run the tests and say why any are skipped
 
 demo: setup  ## Fly a formation, record it, verify it
 	@time $(BIN)/ptnsbc demo $(ARGS)
+
+docs: setup  ## Make the parts of the pages that are made of the code
+	@$(BIN)/python -m docs.make $(ARGS)
 
 commands: setup  ## Run every command in README and docs, in a scratch clone
 	@time $(BIN)/python -m docs.commands $(ARGS)

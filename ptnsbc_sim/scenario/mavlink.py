@@ -36,55 +36,86 @@ class WorldOrigin(Block):
     """Where the origin of the world frame is on the Earth."""
 
     latitude_deg: Annotated[Number, Field(ge=-90, le=90)]
+    """North is positive."""
     longitude_deg: Annotated[Number, Field(ge=-180, le=180)]
+    """East is positive."""
     altitude_m: Number
+    """Above sea level."""
 
 
 class Geofence(Block):
     """Where the vehicles may be, world frame; a vehicle outside lands."""
 
-    radius_m: Positive | None = None  # horizontally from the world's origin
+    radius_m: Positive | None = None
+    """Horizontally from the world's origin."""
     box_min_m: Vec3 | None = None
+    """A corner; both or none."""
     box_max_m: Vec3 | None = None
+    """The corner opposite."""
 
 
 class VehicleLimits(Block):
     """What a setpoint may ask for, whatever the vehicle's own parameters allow."""
 
     horizontal_m_s: Positive = 5.0
+    """The vehicle's own parameters count where they are lower, here and below."""
     up_m_s: Positive = 3.0
+    """Climb."""
     down_m_s: Positive = 1.5
+    """Descent."""
     acceleration_m_s2: Positive = 5.0
+    """Of velocity setpoints."""
     tilt_rad: Annotated[Number, Field(gt=0, lt=1.5707963)] = 0.61
+    """Of attitude setpoints."""
 
 
 class MavlinkVehicle(Block):
     """What differs between the vehicles."""
 
     connect: str | None = None
+    """`udpin:ADDRESS:PORT`, `udpout:ADDRESS:PORT`, `serial:DEVICE[:BAUD]`; each once.
+    Default: `udpin:127.0.0.1:14540`, 14541, …"""
     sysid: UavId | None = None
-    origin_m: Vec3 | None = None  # surveyed: its local origin in the world frame
-    signing_key: str | None = None  # path of a key file
+    """Each once. Default: 1, 2, … in the order of `uavs`."""
+    origin_m: Vec3 | None = None
+    """Surveyed place of the vehicle's local origin in the world frame. Default: by GPS."""
+    signing_key: str | None = None
+    """Path of a key file, each once."""
     autopilot: Autopilot | None = None
+    """For mixed fleets; default as above."""
 
 
 class Mavlink(Block):
     """Flight controllers instead of the simulator."""
 
     autopilot: Autopilot = "px4"
+    """`generic` takes attitude targets only."""
     setpoint: SetpointKind = "velocity"
+    """What is sent, see [hardware.md](hardware.md#setpoints)."""
     rate_hz: Annotated[Count, Field(ge=20, le=100)] = 50
+    """Of the setpoints."""
     acceleration_feed_forward: Flag = False
+    """Adds the rate of change of the velocity setpoint."""
     takeoff_height_m: Positive = 3.0
+    """Above where each vehicle stands."""
     near: Literal["links", "all"] = "links"
+    """`links`: a vehicle keeps clear of those it has an edge with; `all`: of all, and hears them."""
     world_origin: WorldOrigin | None = None
+    """Where the world's origin is on the Earth. Default: the leader's place."""
     height: Literal["origin", "ground"] = "origin"
+    """`origin`: heights by each vehicle's GPS origin; `ground`: above where each stands, for level ground."""
     hover_thrust: Annotated[Number, Field(gt=0.05, lt=0.95)] = 0.5
+    """Where the vehicle has a parameter for it, that counts."""
     battery_land_percent: Annotated[NotNegative, Field(le=90)] = 20.0
+    """Below it the vehicle lands."""
     geofence: Geofence = Geofence()
+    """Where the vehicles may be, world frame; one outside lands."""
     limits: VehicleLimits = VehicleLimits()
+    """What a setpoint may ask for."""
     vehicles: dict[UavId, MavlinkVehicle] = Field(default_factory=dict)
-    overrides: dict[str, Any] = Field(default_factory=dict)  # dotted keys of the file
+    """What differs between them, by UAV id:"""
+    overrides: dict[str, Any] = Field(default_factory=dict)
+    """Dotted keys below `gains` and `formation`, for real vehicles only: their inner loops are slower."""
 
 
 class VehicleLink(NamedTuple):

@@ -1,15 +1,9 @@
 """The mavlink block: defaults that fit PX4's simulations, and everything twice refused."""
 
-import re
-from pathlib import Path
-
 import pytest
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_sim.scenario import load_scenario
-from ptnsbc_sim.scenario.mavlink import Mavlink
-
-PAGE = Path(__file__).resolve().parents[3] / "docs" / "scenarios.md"
 
 
 def scenario(**block):
@@ -75,14 +69,3 @@ def test_overrides_hold_with_real_vehicles_only():
     assert real.bridged().text == real.text
     with pytest.raises(PtnsbcError, match=r"gains.formation.kapa: unknown key"):
         scenario(overrides={"gains.formation.kapa": 1.1}).bridged()
-
-
-def test_the_page_has_every_key_with_its_default():
-    section = PAGE.read_text(encoding="utf-8").partition("## `mavlink`")[2].partition("\n## ")[0]
-    for name, field in Mavlink.model_fields.items():
-        row = re.search(rf"^\| `{name}\b[^|]*\| [^|]*\| ([^|]*) \|", section, re.MULTILINE)
-        assert row, name
-        if isinstance(field.default, str | bool | int | float):
-            default = field.default
-            shown = str(default).lower() if isinstance(default, bool) else default
-            assert row[1] == (shown if isinstance(shown, str) else f"{shown:g}"), name

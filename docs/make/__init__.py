@@ -1,0 +1,1 @@
+"""The parts of pages that say what the code says, made of the code: `python -m docs.make`."""

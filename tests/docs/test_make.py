@@ -1,0 +1,126 @@
+"""The made parts of the pages: as the code is now, with every key and option in them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+
+from docs.make import __main__ as command
+from docs.make import cli, scenarios
+from docs.make.markdown import RegionError, remade, table
+from docs.make.schema import REQUIRED, meanings, rows
+from ptnsbc_sim.scenario import load_scenario, model
+from ptnsbc_sim.scenario.fields import Block
+
+
+def test_the_committed_pages_are_what_is_made():
+    stale = [path.name for path, text in command.made().items() if path.read_text("utf-8") != text]
+    assert not stale, "make docs"
+
+
+def test_making_twice_changes_nothing():
+    page = "# A\n\n<!-- made: one -->\nold\n<!-- /made -->\n\nText.\n"
+    once = remade(page, {"one": "new\n"})
+    assert once == "# A\n\n<!-- made: one -->\n\nnew\n\n<!-- /made -->\n\nText.\n"
+    assert remade(once, {"one": "new\n"}) == once
+
+
+@pytest.mark.parametrize("regions", [{}, {"two": ""}, {"one": "", "two": ""}])
+def test_a_page_and_its_generator_name_the_same_regions(regions):
+    with pytest.raises(RegionError, match="expected"):
+        remade("<!-- made: one -->\n<!-- /made -->\n", regions)
+
+
+def test_a_bar_in_a_cell_does_not_end_it():
+    assert table(("A", "B"), [("a|b", "")]) == "| A | B |\n|---|---|\n| a\\|b | |\n"
+
+
+def test_check_says_what_is_stale_and_writes_nothing(tmp_path, monkeypatch, capsys):
+    page = tmp_path / "cli.md"
+    stale = "".join(f"<!-- made: {name} -->\n<!-- /made -->\n" for name in cli.regions())
+    page.write_text(stale, encoding="utf-8")
+    (tmp_path / "verdict.schema.json").write_text(command.schema.text(), encoding="utf-8")
+    monkeypatch.setattr(command, "DOCS", tmp_path)
+    monkeypatch.setattr(command, "PAGES", {"cli.md": "docs.make.cli"})
+    assert command.main(["--check"]) == 1
+    assert page.read_text("utf-8") == stale
+    assert command.main([]) == 0
+    assert command.main(["--check"]) == 0
+    assert "cli.md: made anew" in capsys.readouterr().out
+
+
+def _blocks(kind: type[Block]) -> Iterator[type[Block]]:
+    for below in kind.__subclasses__():
+        yield below
+        yield from _blocks(below)
+
+
+@pytest.mark.parametrize("block", sorted(set(_blocks(Block)), key=lambda block: block.__name__))
+def test_every_key_has_a_meaning(block):
+    assert set(meanings(block)) == set(block.model_fields)
+
+
+def test_rows_say_what_the_schema_says():
+    found = {row.key: row for row in rows(model.ScenarioFile)}
+    assert found["timing.control_hz"][1:5] == ("whole", "Hz", "> 0, ≤ 2000", REQUIRED)
+    assert found["world.gust_m_s"][1:5] == ("vector", "m/s", "each ≥ 0", "[0, 0, 0]")
+    assert found["world.obstacles[].keep_out_m"][1:5] == ("number", "m", "> 0", REQUIRED)
+    assert found["formation.offsets_m"][1:5] == ("vector by id", "m", "", REQUIRED)
+    assert found["formation.task"].range.startswith("`distance_angles`, ")
+    assert found["mavlink.vehicles.N.sysid"][1:5] == ("whole", "", "1 to 254", "none")
+    assert found["communication.loss"][1:5] == ("number", "", "≥ 0, < 1", "0")
+
+
+def _resolved(plant: str) -> dict[str, object]:
+    """Every gain of a scenario that sets none but the formation's deadline, dotted."""
+    file = load_scenario(
+        "paper_5", {"plant.kind": plant, "gains": {"formation": {"deadline_s": 5}}}
+    ).file
+    tree = file.gains.model_dump()
+    nested = {name: value for name, value in tree.items() if isinstance(value, dict)}
+    flat = {
+        f"{name}.{key}": value for name, block in nested.items() for key, value in block.items()
+    }
+    return {**flat, "profile": tree["profile"]}
+
+
+def _cells(page: str) -> list[list[str]]:
+    return [[cell.strip() for cell in line.split("|")[1:-1]] for line in page.splitlines()[2:]]
+
+
+@pytest.mark.parametrize("plant", scenarios.PLANTS)
+def test_defaults_of_gains_are_those_of_a_flight(plant):
+    """By another way than the page is made: through the loader of a scenario."""
+    made, flown = scenarios.regions(), _resolved(plant)
+    side = scenarios.PLANTS.index(plant)
+    documented = {row[0].strip("`"): row[3] for row in _cells(made["gains"])}
+    for loop, *values in _cells(made["loops"]):
+        keys = ("deadline_s", "residual", "scale", "kappa_1_s", "profile")
+        documented |= {
+            f"{loop.strip('`')}.{key}": value for key, value in zip(keys, values, strict=True)
+        }
+    told = {
+        key: cell.split(" / ")[-1 if side else 0].strip("`") for key, cell in documented.items()
+    }
+    compared = [key for key in told if key in flown and told[key] != "**required**"]
+    assert len(compared) > 55
+    for key in compared:
+        value = flown[key]
+        shown = (
+            {None: "none", True: "true", False: "false"}.get(value)
+            if value is None or isinstance(value, bool)
+            else value
+        )
+        assert told[key] == (f"{shown:g}" if isinstance(shown, int | float) else shown), key
+
+
+def test_every_command_has_its_options():
+    made = cli.regions()
+    assert {"check", "simulate", "fleet", "bag-repair"} <= set(made)
+    assert "| `--set` | `KEY=VALUE` | |" in made["simulate"]
+    assert "| `--lockstep`, `--real-time` | | `--real-time` |" in made["fleet"]
+    assert "| `--output`, `-o` | `DIR` |" in made["record"]
+    assert "| `--type` | `px4`, `arducopter`, `stm32` |" in made["autopilot"]
+    assert "`ptnsbc bridge [SCENARIO] [OPTIONS]`" in made["bridge"]
+    assert "| `--uav` | `N` | **required** |" in made["bridge"]
