@@ -136,7 +136,7 @@ def test_what_ends_too_early_is_found(tmp_path):
 def test_a_block_beside_goes_on_until_the_page_is_over(tmp_path):
     done, beside = _outcomes(
         tmp_path,
-        ('beside, until "ready"', "echo ready; touch up; sleep 60"),
+        ('beside, until "ready"', "touch up; echo ready; sleep 60"),
         ("", "test -e up"),
     )
     assert [outcome.problem for outcome in (*done, *beside)] == ["", "", ""]
