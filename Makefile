@@ -20,8 +20,10 @@ setup:  ## Make .venv from a lock; quick when nothing has changed
 # Jazzy leaves field type checks off: Point().x = 1 would be sent as 5e-324.
 test: export ROS_PYTHON_CHECK_FIELDS := 1
 test: export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
+test: PYTEST := $(BIN)/python -m pytest -rs -q
 test: setup  ## Run the tests and say why any are skipped
-	@time $(BIN)/python -m pytest -rs -q $(if $(filter-out 1,$(JOBS)),-n $(JOBS)) $(ARGS)
+	@time $(PYTEST) $(if $(filter-out 1,$(JOBS)),-n $(JOBS)) -m 'not alone' $(ARGS)
+	@$(if $(ARGS),,time $(PYTEST) -m alone)
 
 demo: setup  ## Fly a formation, record it, verify it
 	@time $(BIN)/ptnsbc demo $(ARGS)

@@ -32,6 +32,17 @@ def _shared(name: str) -> None:
 if importlib.util.find_spec("pymavlink"):
     _shared("mavlink_wires")
     _shared("mavlink_fleet")
+    _shared("mavlink_processes")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """What flies in real time is not flown by one of several workers."""
+    if "PYTEST_XDIST_WORKER" not in os.environ:
+        return
+    beside = pytest.mark.skip(reason="needs the machine for itself: pytest -m alone, without -n")
+    for item in items:
+        if "alone" in item.keywords:
+            item.add_marker(beside)
 
 
 @contextmanager

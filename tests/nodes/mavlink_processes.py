@@ -1,0 +1,158 @@
+"""Fleets as users fly them: commands as processes of their own, stand-ins on real UDP, one at a time."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+from contextlib import contextmanager
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+COMMAND = "ptnsbc_tools.cli"
+PATIENCE_S = 300
+_GOODBYE = (0, 130)
+
+_SCENARIO = """
+extends: {base}
+timing: {{duration_s: {duration_s}}}
+mavlink:
+  autopilot: {autopilot}
+  setpoint: {setpoint}
+  vehicles:
+    1: {{connect: "udpin:127.0.0.1:{0}"}}
+    2: {{connect: "udpin:127.0.0.1:{1}"}}
+    3: {{connect: "udpin:127.0.0.1:{2}"}}
+    4: {{connect: "udpin:127.0.0.1:{3}"}}
+"""
+
+
+def _free_ports(count):
+    """The first of `count` ports in a row that nobody listens at, nor at those 40 above for the vehicles."""
+    for first in range(15200, 15900, 10):
+        with_room = []
+        try:
+            for offset in (*range(count), *range(40, 40 + count)):
+                probe = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+                with_room.append(probe)
+                probe.bind(("127.0.0.1", first + offset))
+            return first
+        except OSError:
+            continue
+        finally:
+            for probe in with_room:
+                probe.close()
+    raise AssertionError("no free ports from 15200 to 15900")
+
+
+def write_scenario(path, *, duration_s, autopilot="px4", setpoint="velocity"):
+    """`experiment_4` on ports of its own; only these keys differ from the shipped file."""
+    first = _free_ports(4)
+    base = ROOT / "scenarios" / "experiment_4.yaml"
+    kinds = {"duration_s": duration_s, "autopilot": autopilot, "setpoint": setpoint}
+    path.write_text(_SCENARIO.format(*range(first, first + 4), base=base, **kinds))
+    return path
+
+
+class Program:
+    """A command as a process of its own, and what it has said."""
+
+    def __init__(self, module, *arguments, domain):
+        self.lines, self.out = [], ""
+        environment = {**os.environ, "ROS_DOMAIN_ID": str(domain), "PYTHONUNBUFFERED": "1"}
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", module, *map(str, arguments)],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            env=environment,
+            cwd=ROOT,
+        )
+        # A fleet that hangs fails its test, instead of hanging that too.
+        self._watchdog = threading.Timer(PATIENCE_S, self.process.kill)
+        self._watchdog.daemon = True
+        self._watchdog.start()
+        self._heard = threading.Condition()
+        self._readers = [
+            threading.Thread(target=read, daemon=True) for read in (self._read, self._collect)
+        ]
+        for reader in self._readers:
+            reader.start()
+
+    def _read(self):
+        for line in self.process.stderr:
+            with self._heard:
+                self.lines.append(line.rstrip())
+                self._heard.notify_all()
+        with self._heard:
+            self._heard.notify_all()
+
+    def _collect(self):
+        self.out = self.process.stdout.read()
+
+    def said(self, *texts):
+        """Whether each of these texts is in one of its lines."""
+        return all(any(text in line for line in self.lines) for text in texts)
+
+    def wait_for(self, *texts, patience_s=150):
+        """Return when it has said all of this."""
+
+        def over():
+            return self.said(*texts) or self.process.poll() is not None
+
+        with self._heard:
+            self._heard.wait_for(over, patience_s)
+        assert self.said(*texts), self.lines
+
+    def finish(self, number=None):
+        """Its exit code, after a signal when one is given."""
+        if number is not None and self.process.poll() is None:
+            self.process.send_signal(number)
+        code = self.process.wait(PATIENCE_S)
+        self._watchdog.cancel()
+        for reader in self._readers:
+            reader.join()
+        return code
+
+    def told(self):
+        """The JSON it has printed."""
+        return json.loads(self.out)
+
+
+@contextmanager
+def stand_ins(path, domain, *options):
+    """Four flight controllers for the scenario at `path`, RTK receivers as the paper's experiment had."""
+    program = Program(
+        COMMAND, "autopilot", "--scenario", path, "--gcs", "", "--boot-time", "0.1",
+        "--gnss", "rtk", *options, domain=domain,
+    )  # fmt: skip
+    try:
+        yield program
+    finally:
+        assert program.finish(signal.SIGINT) in _GOODBYE, program.lines
+
+
+@contextmanager
+def flying(module, *arguments, domain):
+    """A fleet that is ended with the test, whatever comes."""
+    program = Program(module, *arguments, domain=domain)
+    try:
+        yield program
+    finally:
+        program.finish(signal.SIGINT)
+
+
+def pid_of(module, number, logs):
+    """The process of one UAV of this fleet and of no other."""
+    for entry in Path("/proc").iterdir():
+        try:
+            command = (entry / "cmdline").read_bytes().decode().replace("\0", " ")
+        except OSError:
+            continue
+        if all(word in command for word in (module, f"--uav {number}", str(logs))):
+            return int(entry.name)
+    raise AssertionError(f"no {module} of UAV {number}")
