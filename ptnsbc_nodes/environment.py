@@ -65,7 +65,7 @@ def prepare() -> None:
 
 
 def prefer_throughput() -> None:
-    """For lock-step, for all threads there are: who has been woken does not interrupt who woke it.
+    """For lock-step: who has been woken does not interrupt who woke it.
 
     Six processes wake each other at every message, and it costs less to finish first what one has begun
     (`bench --only lockstep`). Not for the recorder, which would fall behind. Where it may not be asked
@@ -75,7 +75,7 @@ def prefer_throughput() -> None:
 
 
 def prefer_punctuality(*, flies: bool) -> bool:
-    """For real vehicles, for all threads there are: run before everything that is not in a hurry.
+    """For real vehicles: run before everything that is not in a hurry.
 
     A setpoint that waits for a compiler on the same host is a late setpoint, and one that waits for half a
     second ends the flight. Round robin, so that those who fly do not hold each other up; who does not fly, as
@@ -86,7 +86,7 @@ def prefer_punctuality(*, flies: bool) -> bool:
 
 
 def _schedule(policy: int, priority: int) -> bool:
-    """Ask for a scheduling policy for every thread of this process; later ones inherit it."""
+    """Ask for a scheduling policy for all threads of this process: a node has some before it has a word."""
     try:
         for thread in os.listdir("/proc/self/task"):
             with suppress(ProcessLookupError):  # it has just ended

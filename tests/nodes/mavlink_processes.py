@@ -14,7 +14,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 COMMAND = "ptnsbc_tools.cli"
-PATIENCE_S = 300
+PATIENCE_S = 600
 _GOODBYE = (0, 130)
 
 _SCENARIO = """
@@ -131,6 +131,8 @@ def stand_ins(path, domain, *options):
         "--gnss", "rtk", *options, domain=domain,
     )  # fmt: skip
     try:
+        # Both compile at their first start, and half the time each when they do it side by side.
+        program.wait_for("system 4 at", patience_s=PATIENCE_S)
         yield program
     finally:
         assert program.finish(signal.SIGINT) in _GOODBYE, program.lines
