@@ -29,6 +29,7 @@ SCENARIO_ATTACHMENT = "scenario.yaml"
 OURS = Names()
 
 _PLANNER = re.compile(r"uav(\d+): planner")
+_LINK = re.compile(r"bridge(\d+): link")
 _SIM = "sim: world"
 _LATENCY = re.compile(r"latency_(\w+)_ms")
 
@@ -159,6 +160,24 @@ def _counter(rows: list[tuple[int, dict[str, str]]]) -> Counters:
     )
 
 
+def _sent(statuses: list[Diagnostics]) -> dict[int, Series]:
+    """Odometry messages that each bridge had sent (T, 1), and the stamp of the newest of them."""
+    counts: dict[int, dict[int, int]] = {}
+    for told in statuses:
+        for status in told.statuses:
+            match = _LINK.fullmatch(status.name)
+            stamp, _, count = status.values.get("states_sent", "").partition(" ")
+            if match and stamp.isdecimal() and count.isdecimal() and int(count):
+                counts.setdefault(int(match[1]), {})[int(stamp)] = int(count)
+    return {uav: _series(found) for uav, found in counts.items()}
+
+
+def _series(counts: dict[int, int]) -> Series:
+    stamps = sorted(counts)
+    values = np.array([[float(counts[stamp])] for stamp in stamps])
+    return Series(np.array(stamps, dtype=np.int64), values)
+
+
 def _latency(statuses: list[Diagnostics]) -> dict[str, float]:
     for told in reversed(statuses):
         for status in told.statuses:
@@ -203,6 +222,7 @@ def read_recording(
         estimate=collector.tracks(names.estimate),
         truth=collector.tracks(names.truth),
         counters=_counters(collector.statuses),
+        sent=_sent(collector.statuses),
         epochs=epochs,
         latency=_latency(collector.statuses),
     )

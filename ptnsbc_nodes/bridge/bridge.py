@@ -71,6 +71,13 @@ class Outlets(NamedTuple):
     say: Callable[[str], None]
 
 
+class Told(NamedTuple):
+    """What the formation has heard of this vehicle."""
+
+    messages: int  # odometry
+    stamp_ns: int  # of the newest
+
+
 @dataclass
 class Inlets:
     """What others say; written by the thread of the node, read by that of the bridge."""
@@ -117,6 +124,7 @@ class Bridge:
         self._stream = self._make_stream(block.hover_thrust)
         self._epochs = Epochs()
         self.orders = Orders(Stream.NONE, None, True)
+        self.told = Told(0, 0)
         self.latency = Latency()
         self._parameters_told = False
         self.flew = False
@@ -159,13 +167,17 @@ class Bridge:
         now_s = self._clocks.steady_s()
         sample = self.vehicle.hear(message, now_s)
         if sample is not None:
-            publish = self._outlets.odom if self.orders.told else self._outlets.track
+            publish = self._tell if self.orders.told else self._outlets.track
             self.teller.hear(sample, self._clocks, publish)
             if self.orders.stream is Stream.PLANNER and self.teller.odometry is not None:
                 self._stream.hover.flown(now_s, self.teller.odometry)
         answer = self._upkeep.heard(message, now_s)
         if answer is not None:
             self.link.send(answer)
+
+    def _tell(self, stamp_ns: int, odometry: Array) -> None:
+        self._outlets.odom(stamp_ns, odometry)
+        self.told = Told(self.told.messages + 1, stamp_ns)
 
     def tick(self, now_s: float) -> None:
         """One period of the stream."""

@@ -18,7 +18,7 @@ def report(name: str, stamp_ns: int, bridge: Bridge, missing: Sequence[str]) -> 
     """A DiagnosticArray about one bridge: step, fault, link counters, latency."""
     procedure, vehicle, latency = bridge.procedure, bridge.vehicle, bridge.latency
     age_s = bridge.controller.age_s(bridge.now_s())
-    battery = vehicle.battery_percent
+    battery, told = vehicle.battery_percent, bridge.told
     values = {
         **readiness(missing),
         "step": procedure.step.value,
@@ -35,6 +35,8 @@ def report(name: str, stamp_ns: int, bridge: Bridge, missing: Sequence[str]) -> 
         "received": str(bridge.link.received),
         "sent": str(bridge.link.sent),
         "unsent": str(bridge.link.unsent),
+        # Both at one instant: whoever has the bag can count what is missing in it.
+        "states_sent": f"{told.stamp_ns} {told.messages}",
         "states_old": str(bridge.teller.old),
         "states_skewed": str(bridge.teller.skewed),
         "states_invalid": str(vehicle.invalid_samples),

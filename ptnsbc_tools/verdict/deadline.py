@@ -37,7 +37,7 @@ class UavVerdict:
     encounter_s: float  # time in encounter windows
     saturated_s: float  # until the deadline
     holding_s: float  # until the deadline
-    missing: int  # odometry messages, of one per control period
+    missing: int  # odometry messages, of those sent or of one per control period
     longest_gap_s: float  # between two of them
 
 
@@ -164,7 +164,7 @@ def _measured(
     reached = times[-1] >= deadline - 1e-9
     at = float(np.interp(deadline, times, error)) if reached else None
     after = error[(times >= deadline - 1e-9) & counted]
-    cover = coverage(recording, recording.odometry[uav])
+    cover = coverage(recording, uav, recording.odometry[uav])
     found = UavVerdict(
         uav=uav,
         verdict=MET,

@@ -25,7 +25,7 @@ class Effort:
     peak_at_s: float
     energy: float  # integral of |u|^2 (54) [N^2 s]
     energy_above_hover: float  # the same of the force beyond the weight, and the torque
-    missing: int  # wrench messages, of one per control period
+    missing: int  # wrench messages, of one per odometry sent or per control period
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ def effort(recording: Recording, uav: int) -> Effort | None:
         peak_at_s=float(times[peak]),
         energy=float(np.sum((held_force**2 + held_torque**2) * seconds)),
         energy_above_hover=float(np.sum(((held_force - weight) ** 2 + held_torque**2) * seconds)),
-        missing=coverage(recording, series).missing,
+        missing=coverage(recording, uav, series).missing,
     )
 
 

@@ -72,6 +72,8 @@ class Recording:
     counters: Mapping[int, Counters]  # per UAV; may lack UAVs
     epochs: tuple[tuple[int, str], ...]  # (t0 [ns], leg), ascending; empty when not recorded
     truth: Mapping[int, Series] = field(default_factory=dict)  # (T, 13) per UAV, of simulators
+    # (T, 1) per UAV: odometry messages sent until each stamp, as a bridge counts them
+    sent: Mapping[int, Series] = field(default_factory=dict)
     latency: Mapping[str, float] = field(default_factory=dict)  # of the sim node, newest figures
     leg: int = 0  # which of the formation legs is looked at
     window_s: float | None = None  # look no further than this after its epoch
