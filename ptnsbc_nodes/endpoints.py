@@ -13,15 +13,15 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 
 from ptnsbc_nodes import qos
-from ptnsbc_nodes.topics import SHARED, Role, Topic, message_class
+from ptnsbc_nodes.topics import SHARED, STATUS_RATE, Role, Topic, message_class
 
 RECORDER = "recorder"
 """Name of the recorder among the processes of a flight."""
 
-LOST = Topic("/formation/lost", "std_msgs/msg/Header", Role.LATCHED)
+LOST = Topic("/formation/lost", "std_msgs/msg/Header", Role.LATCHED, "once a loss")
 """Names of processes (uavN, recorder) that have ended, from the launcher: nobody waits for them."""
 
-READY = Topic("/formation/ready", "diagnostic_msgs/msg/DiagnosticArray", Role.EVENT)
+READY = Topic("/formation/ready", "diagnostic_msgs/msg/DiagnosticArray", Role.EVENT, STATUS_RATE)
 """/diagnostics of lock-step nodes before simulated time begins: how long that takes is chance, and
 /diagnostics is in the bag."""
 

@@ -1,6 +1,6 @@
 """The topics of a formation: names, message types, and what is at stake when one is lost.
 
-The table of docs and architecture in one place. Importing this needs no ROS; `message_class` does.
+The table in `docs/architecture.md` is made of this. Importing this needs no ROS; `message_class` does.
 """
 
 from __future__ import annotations
@@ -20,23 +20,32 @@ class Role(Enum):
     LATCHED = "latched"  # the last message matters, also to those who come later
 
 
+CONTROL_RATE, SENSOR_RATE, STATUS_RATE = "control", "sensor", "5 Hz"
+
+
 class Topic(NamedTuple):
-    """Name and type of a topic."""
+    """Name, type and delivery of a topic, and how often there is a message on it, for readers."""
 
     name: str
     type: str  # package/msg/Name
     role: Role
+    rate: str = CONTROL_RATE
 
 
-EPOCH = Topic("/formation/epoch", "std_msgs/msg/Header", Role.LATCHED)
-DIAGNOSTICS = Topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", Role.EVENT)
-MARKERS = Topic("/formation/markers", "visualization_msgs/msg/MarkerArray", Role.EVENT)
-ORIGIN = Topic("/formation/origin", "sensor_msgs/msg/NavSatFix", Role.LATCHED)
+EPOCH = Topic("/formation/epoch", "std_msgs/msg/Header", Role.LATCHED, "once a leg")
+"""A leg begins: stamp t0, frame_id its name."""
+DIAGNOSTICS = Topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", Role.EVENT, STATUS_RATE)
+"""State and counters of every node."""
+MARKERS = Topic("/formation/markers", "visualization_msgs/msg/MarkerArray", Role.EVENT, STATUS_RATE)
+"""The flight drawn, for viewers; with real vehicles in bags only."""
+ORIGIN = Topic("/formation/origin", "sensor_msgs/msg/NavSatFix", Role.LATCHED, "once")
 """Where the leader's local origin is on the Earth; from its bridge to the others."""
-EMERGENCY = Topic("/formation/emergency", "std_msgs/msg/Header", Role.EVENT)
+EMERGENCY = Topic("/formation/emergency", "std_msgs/msg/Header", Role.EVENT, "on demand")
 """frame_id `land` or `kill`, from an operator to all bridges: needs no leader to be alive."""
 CLOCK = Topic("/clock", "rosgraph_msgs/msg/Clock", Role.STATE)
-TF = Topic("/tf", "tf2_msgs/msg/TFMessage", Role.EVENT)
+"""Time of the simulated world."""
+TF = Topic("/tf", "tf2_msgs/msg/TFMessage", Role.EVENT, "20 Hz")
+"""Frames of the bodies; the recorder makes it of the odometry, in flight only where tf2_msgs is installed."""
 
 
 SHARED = frozenset({DIAGNOSTICS.name, CLOCK.name, TF.name})
@@ -49,22 +58,22 @@ def odom(uav: int) -> Topic:
 
 
 def truth(uav: int) -> Topic:
-    """Simulated flights with imperfections only: where a UAV really is. Nobody flies by it, the verdict does."""
+    """Where a UAV really is, when positions are noisy, gusts blow or messages get lost: the verdict is judged by it."""
     return _state(uav, "truth", "nav_msgs/msg/Odometry")
 
 
 def near(uav: int) -> Topic:
-    """Obstacles and other UAVs inside the detection range."""
-    return _state(uav, "near", "sensor_msgs/msg/PointCloud2")
+    """Obstacles and other UAVs inside the detection range: x y z radius vx vy vz."""
+    return _state(uav, "near", "sensor_msgs/msg/PointCloud2")._replace(rate=SENSOR_RATE)
 
 
 def formation_state(uav: int) -> Topic:
-    """What a UAV tells its children."""
+    """What a UAV tells its children, and the leader those with a leader link: its odometry."""
     return _state(uav, "formation_state", "nav_msgs/msg/Odometry")
 
 
 def leader_estimate(uav: int) -> Topic:
-    """What a UAV believes of the leader, to its neighbours in the estimator graph."""
+    """What a UAV believes of the leader, to its neighbours in the estimator graph; velocities in the world."""
     return _state(uav, "leader_estimate", "nav_msgs/msg/Odometry")
 
 
@@ -85,7 +94,7 @@ def tick(uav: int) -> Topic:
 
 def snapshot(uav: int) -> Topic:
     """Real time only: what the controller remembers, once a second (`ticklog`)."""
-    return _note(uav, "snapshot", "std_msgs/msg/Float64MultiArray")
+    return _note(uav, "snapshot", "std_msgs/msg/Float64MultiArray")._replace(rate="1 Hz")
 
 
 def track(uav: int) -> Topic:
@@ -95,7 +104,7 @@ def track(uav: int) -> Topic:
 
 def limits(uav: int) -> Topic:
     """Speed [m/s] and acceleration [m/s^2] of a real vehicle, from its bridge to its planner."""
-    return Topic(f"/uav{uav}/limits", "std_msgs/msg/Float64MultiArray", Role.LATCHED)
+    return Topic(f"/uav{uav}/limits", "std_msgs/msg/Float64MultiArray", Role.LATCHED, "once")
 
 
 def of_uav(uav: int) -> tuple[Topic, ...]:

@@ -10,22 +10,28 @@ from importlib import import_module
 from pathlib import Path
 
 from docs.make.markdown import RegionError, remade
+from ptnsbc_nodes import environment
 from ptnsbc_tools.verdict import schema
 
 DOCS = Path(__file__).resolve().parents[1]
-PAGES = {"scenarios.md": "docs.make.scenarios", "cli.md": "docs.make.cli"}
+SCHEMA = "verdict.schema.json"
+PAGES = {
+    "scenarios.md": "docs.make.scenarios",
+    "cli.md": "docs.make.cli",
+    "architecture.md": "docs.make.architecture",
+}
 
 
-def made() -> dict[Path, str]:
-    """Every file that is made, wholly or in part, and what it should hold."""
-    found = {DOCS / "verdict.schema.json": schema.text()}
-    for name, module in PAGES.items():
-        path = DOCS / name
-        try:
-            found[path] = remade(path.read_text(encoding="utf-8"), import_module(module).regions())
-        except RegionError as error:
-            raise RegionError(f"{path}: {error}") from None
-    return found
+def made(name: str) -> str:
+    """What a file should hold that is made, wholly or in part."""
+    if name == SCHEMA:
+        return schema.text()
+    environment.prepare()  # before the nodes are imported
+    text = (DOCS / name).read_text(encoding="utf-8")
+    try:
+        return remade(text, import_module(PAGES[name]).regions())
+    except RegionError as error:
+        raise RegionError(f"{DOCS / name}: {error}") from None
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -34,11 +40,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--check", action="store_true", help="write nothing, say what is stale")
     check = parser.parse_args(arguments).check
     try:
-        stale = [item for item in made().items() if item[0].read_text("utf-8") != item[1]]
+        texts = {DOCS / name: made(name) for name in (SCHEMA, *PAGES)}
     except RegionError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
-    for path, text in stale:
+    stale = {path: text for path, text in texts.items() if path.read_text("utf-8") != text}
+    for path, text in stale.items():
         print(f"{path}: {'stale: make docs' if check else 'made anew'}")
         if not check:
             beside = path.with_name(f".{path.name}.part")

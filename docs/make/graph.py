@@ -1,0 +1,119 @@
+"""Who publishes and who hears what: the nodes of a flight made for real, and asked for their topics."""
+
+from __future__ import annotations
+
+import re
+import tempfile
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import rclpy
+from rclpy.context import Context
+from rclpy.node import Node
+
+from ptnsbc_nodes import topics
+from ptnsbc_nodes.bag import BagWriter
+from ptnsbc_nodes.bridge.bridge import WANTED_MESSAGES
+from ptnsbc_nodes.bridge.node import BridgeNode
+from ptnsbc_nodes.domain import reserved_domain
+from ptnsbc_nodes.edges import Edges, FlightOptions
+from ptnsbc_nodes.mavlink.link import Link
+from ptnsbc_nodes.mavlink.transport import connect
+from ptnsbc_nodes.recorder import Recorder, topic_info
+from ptnsbc_nodes.sim import Sim
+from ptnsbc_nodes.topics import recorded
+from ptnsbc_nodes.tower import Tower
+from ptnsbc_nodes.transforms import Transforms
+from ptnsbc_nodes.uav import Uav
+from ptnsbc_sim.scenario import Scenario, load_scenario
+
+REAL_TIME, LOCKSTEP, BRIDGED = "real time", "lock-step", "flight controllers"
+SCENARIO = "experiment_4"  # has a truth, and a MAVLink block
+_OURS = re.compile(r"^/(?:uav(\d+)|formation|diagnostics$|clock$|tf$)")
+
+
+class End(NamedTuple):
+    """One publisher or subscription."""
+
+    topic: str  # with N in place of the number of a UAV
+    type: str
+    node: str  # uav, bridge, sim, recorder, launcher
+    own: bool  # of the UAV that the topic belongs to
+    leads: bool  # the leader's, where the node is of a UAV
+    mode: str  # REAL_TIME, LOCKSTEP or BRIDGED
+    publishes: bool
+    profile: Any
+
+
+def ends() -> list[End]:
+    """Every end of every topic of ours, in all three kinds of flight."""
+    with reserved_domain() as domain:
+        return [
+            *_flight(domain, REAL_TIME, FlightOptions(recorded=True)),
+            *_flight(domain, LOCKSTEP, FlightOptions(lockstep=True, recorded=True)),
+            *_flight(domain, BRIDGED, FlightOptions(recorded=True, bridged=True)),
+        ]
+
+
+def _flight(domain: int, mode: str, options: FlightOptions) -> Iterator[End]:
+    scenario = load_scenario(SCENARIO)
+    with ExitStack() as stack:
+        context = stack.enter_context(_context(domain))
+        edges = Edges(scenario, options)
+        made: list[tuple[str, int, Node]] = []
+
+        def node(kind: str, uav: int = 0) -> Node:
+            name = "controller" if kind == "uav" else kind
+            one = rclpy.create_node(name, context=context, namespace=f"/uav{uav}" if uav else "")
+            stack.callback(one.destroy_node)
+            made.append((kind, uav, one))
+            return one
+
+        for uav in scenario.uav_ids:
+            Uav(node("uav", uav), scenario, uav, edges)
+            if options.bridged:
+                link = Link(connect("udpout:127.0.0.1:9"), uav, WANTED_MESSAGES, None)
+                stack.callback(link.close)
+                BridgeNode(node("bridge", uav), scenario, uav, edges, link, False, lambda: None)
+        if not options.bridged:
+            Sim(node("sim"), scenario, edges, lambda: None)
+        stack.enter_context(_recorder(node("recorder"), scenario, options))
+        tower = stack.enter_context(Tower(domain))
+        made.append(("launcher", 0, tower._node))
+        for kind, uav, one in made:
+            yield from _ends(kind, uav, one, mode, scenario.leader_id)
+
+
+@contextmanager
+def _context(domain: int) -> Iterator[Context]:
+    context = Context()
+    rclpy.init(context=context, domain_id=domain)
+    try:
+        yield context
+    finally:
+        rclpy.shutdown(context=context)
+
+
+@contextmanager
+def _recorder(node: Node, scenario: Scenario, options: FlightOptions) -> Iterator[Recorder]:
+    uavs, lockstep = scenario.uav_ids, options.lockstep
+    told = {"lockstep": lockstep, "with_truth": not options.bridged}
+    infos = [topic_info(one, lockstep=lockstep) for one in topics.in_bag(uavs, **told)]
+    with tempfile.TemporaryDirectory() as folder, BagWriter(Path(folder) / "bag", infos) as writer:
+        yield Recorder(node, writer, recorded(uavs, **told), Transforms(uavs), lockstep=lockstep)
+
+
+def _ends(kind: str, uav: int, node: Node, mode: str, leader: int) -> Iterator[End]:
+    for publishes, found in ((True, node.publishers), (False, node.subscriptions)):
+        for one in found:
+            belongs = _OURS.match(one.topic_name)
+            if not belongs:
+                continue
+            name = re.sub(r"^/uav\d+/", "/uavN/", one.topic_name)
+            package = one.msg_type.__module__.partition(".")[0]
+            kind_of_message = f"{package}/msg/{one.msg_type.__name__}"
+            own = belongs[1] is not None and int(belongs[1]) == uav
+            leads = uav == leader
+            yield End(name, kind_of_message, kind, own, leads, mode, publishes, one.qos_profile)
