@@ -1,6 +1,6 @@
-"""A bag of one gigabyte through every command that reads bags: peak memory and time of each.
+"""Bags of growing size through every command that reads bags: peak memory and time of each.
 
-`python -m bench.huge [--gigabytes 1] [--keep DIR]`. The bag is a real flight, over and over, uncompressed.
+`python -m bench.huge [--gigabytes 0.25 0.5 1]`. A bag is a real flight, over and over, uncompressed.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ _COMMANDS = {
     "bag info --check": ("bag", "info", "{bag}", "--check"),
     "verify": ("verify", "{bag}"),
     "replay --rerun": ("replay", "{bag}", "--rerun"),
+    "report": ("report", "{bag}", "-o", "{report}"),
     "bag repair": ("bag", "repair", "{bag}", "-o", "{repaired}"),
 }
 
@@ -35,7 +36,7 @@ def write(bag: Path, size: int) -> None:
     from ptnsbc_tools.flight_bag import write_flight
 
     scenario = paper(_FLIGHT_S)
-    short = read_bag(write_flight(fly(scenario), bag.with_name("short")))
+    short = read_bag(write_flight(fly(scenario), bag.with_name("short"), overwrite=True))
     infos = [TopicInfo(topic.name, topic.type) for topic in short.topics.values()]
     attachments = {name: short.attachment(name) for name in short.attachments}
     length_ns = short.end_ns + scenario.dt_ns
@@ -53,31 +54,35 @@ def write(bag: Path, size: int) -> None:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """One line per command."""
+    """One line per command and size."""
     parser = argparse.ArgumentParser(prog="bench.huge", description=__doc__)
-    parser.add_argument("--gigabytes", type=float, default=1.0)
+    parser.add_argument("--gigabytes", type=float, nargs="+", default=[0.25, 0.5, 1.0])
     parser.add_argument("--read", type=Path, help=argparse.SUPPRESS)
     options = parser.parse_args(argv)
     if options.read is not None:
         count = sum(1 for _ in read_bag(options.read).messages())
         print(f"{count} messages")
         return 0
-    with tempfile.TemporaryDirectory(prefix="bench-") as name:
-        bag = Path(name) / "huge"
-        say("writing the bag")
-        write(bag, round(options.gigabytes * 1e9))
-        size = sum(file.stat().st_size for file in bag.iterdir())
-        print(f"{size / 1e9:.2f} GB")
-        for what, words in _COMMANDS.items():
-            say(what)
-            _measure(what, _words(words, bag))
+    for gigabytes in options.gigabytes:
+        with tempfile.TemporaryDirectory(prefix="bench-") as name:
+            _one_size(Path(name) / "huge", gigabytes)
     return 0
+
+
+def _one_size(bag: Path, gigabytes: float) -> None:
+    say("writing the bag")
+    write(bag, round(gigabytes * 1e9))
+    size = sum(file.stat().st_size for file in bag.iterdir())
+    for what, words in _COMMANDS.items():
+        say(what)
+        _measure(f"{size / 1e9:.2f} GB, {what}", _words(words, bag))
 
 
 def _words(words: tuple[str, ...] | None, bag: Path) -> list[str]:
     if words is None:
         return ["-m", "bench.huge", "--read", str(bag)]
-    named = (word.format(bag=bag, repaired=bag.with_name("repaired")) for word in words)
+    beside = {"repaired": bag.with_name("repaired"), "report": bag.with_name("report")}
+    named = (word.format(bag=bag, **beside) for word in words)
     return ["-m", "ptnsbc_tools.cli", *named]
 
 
@@ -89,7 +94,8 @@ def _measure(what: str, words: Sequence[str]) -> None:
     peak_kb = int(done.stdout.splitlines()[-1])
     seconds = time.monotonic() - began
     print(
-        f"{what:20s} {peak_kb / 1024:7.0f} MB peak, {seconds:6.1f} s, exit code {done.returncode}"
+        f"{what:28s} {peak_kb / 1024:7.0f} MB peak, {seconds:6.1f} s, exit code {done.returncode}",
+        flush=True,
     )
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from array import array
 from collections.abc import Callable
 from pathlib import Path
 
@@ -20,10 +19,11 @@ from ptnsbc_nodes.wire import (
     decode_wrench,
 )
 from ptnsbc_sim.scenario import Scenario, load_scenario, scenario_from_text
-from ptnsbc_tools.diagnostics import Diagnostics, decode_diagnostics
+from ptnsbc_tools.diagnostics import Diagnostics, Status, decode_diagnostics
 from ptnsbc_tools.foreign import Names, Source, check_types, open_source
-from ptnsbc_tools.verdict import Counters, Recording, Series
-from ptnsbc_tools.verdict.recording import FORMATION
+from ptnsbc_tools.spool import Spool, Writer
+from ptnsbc_tools.verdict import Recording, Track
+from ptnsbc_tools.verdict.recording import COUNTERS, FORMATION
 
 SCENARIO_ATTACHMENT = "scenario.yaml"
 OURS = Names()
@@ -57,41 +57,54 @@ def _scenario(source: Source, given: Path | None) -> Scenario:
     return scenario_from_text(text, source=f"{source.path.name}:{SCENARIO_ATTACHMENT}")
 
 
-class _Track:
-    """Numbers of one topic, packed: a long flight must not become millions of objects."""
+class Counted:
+    """What nodes count on /diagnostics."""
 
-    def __init__(self) -> None:
-        self._stamps = array("q")
-        self._logged = array("q")
-        self._values = array("d")
-        self._width = 0
+    def __init__(self, spool: Spool) -> None:
+        self.latency: dict[str, float] = {}  # the newest figures
+        self._spool = spool
+        self._counters: dict[int, Writer] = {}
+        self._sent: dict[int, Writer] = {}
 
-    def add(self, message: Stamped, log_ns: int) -> None:
-        self._stamps.append(message.stamp_ns)
-        self._logged.append(log_ns)
-        self._values.frombytes(message.values.tobytes())
-        self._width = message.values.size
+    def take(self, told: Diagnostics) -> None:
+        """Take an array of diagnostics."""
+        for status in told.statuses:
+            if planner := _PLANNER.fullmatch(status.name):
+                values = np.array([_number(status.values, key) for key in COUNTERS])
+                self._count(self._counters, int(planner[1]), told.stamp_ns, values)
+            elif link := _LINK.fullmatch(status.name):
+                stamp, _, count = status.values.get("states_sent", "").partition(" ")
+                if stamp.isdecimal() and count.isdecimal() and int(count):
+                    self._count(self._sent, int(link[1]), int(stamp), np.array([float(count)]))
+            elif status.name == _SIM:
+                self.latency = _latency(status)
 
-    def series(self) -> Series:
-        stamps = np.frombuffer(self._stamps, np.int64)
-        if stamps.size > 1 and not stamps.any():  # whoever sent them left the header empty
-            stamps = np.frombuffer(self._logged, np.int64)
-        values = np.frombuffer(self._values, np.float64).reshape(-1, self._width)
-        # A stamp may come twice, when a link repeats; the last one is what counted.
-        stamps, first = np.unique(stamps[::-1], return_index=True)
-        return Series(stamps, values[::-1][first])
+    def _count(self, of: dict[int, Writer], uav: int, stamp_ns: int, values: Array) -> None:
+        if stamp_ns >= 0:
+            if uav not in of:
+                of[uav] = Writer(self._spool)
+            of[uav].add(stamp_ns, stamp_ns, values)
+
+    def counters(self) -> dict[int, Track]:
+        """What each UAV counted, by `COUNTERS`."""
+        return {uav: written.track() for uav, written in self._counters.items()}
+
+    def sent(self) -> dict[int, Track]:
+        """Odometry messages that each bridge had sent (T, 1), at the stamp of the newest of them."""
+        return {uav: written.track() for uav, written in self._sent.items()}
 
 
 class _Collector:
     """Messages of a bag sorted by topic, decoded one by one."""
 
     def __init__(self, source: Source, names: Names, uavs: tuple[int, ...]) -> None:
-        self.epochs: list[tuple[int, str]] = []
-        self.statuses: list[Diagnostics] = []
+        self.epochs: set[tuple[int, str]] = set()
+        self._spool = Spool()
+        self.counted = Counted(self._spool)
         self._source = source
         self._names = names
         self._uavs = uavs
-        self._tracks: dict[str, _Track] = {}
+        self._tracks: dict[str, Writer] = {}
         self._decoders: dict[str, Callable[[bytes], Stamped]] = {}
         for uav in uavs:
             self._decoders[names.of(names.odom, uav)] = decode_odometry
@@ -115,18 +128,20 @@ class _Collector:
         topic, data = message.topic, message.data
         if topic == topics.EPOCH.name:
             epoch = decode_header(data)
-            self.epochs.append((epoch.stamp_ns, epoch.frame_id))
+            self.epochs.add((epoch.stamp_ns, epoch.frame_id))
         elif topic == topics.DIAGNOSTICS.name:
-            self.statuses.append(decode_diagnostics(data))
+            self.counted.take(decode_diagnostics(data))
         else:
-            track = self._tracks.setdefault(topic, _Track())
-            track.add(self._decoders[topic](data), message.stamp_ns)
+            if topic not in self._tracks:
+                self._tracks[topic] = Writer(self._spool)
+            told = self._decoders[topic](data)
+            self._tracks[topic].add(told.stamp_ns, message.stamp_ns, told.values)
 
-    def tracks(self, pattern: str) -> dict[int, Series]:
+    def tracks(self, pattern: str) -> dict[int, Track]:
         """What each UAV said on one of its topics."""
         topics_of = {uav: self._names.of(pattern, uav) for uav in self._uavs}
         held = {uav: topic for uav, topic in topics_of.items() if topic in self._tracks}
-        return {uav: self._tracks[topic].series() for uav, topic in held.items()}
+        return {uav: self._tracks[topic].track() for uav, topic in held.items()}
 
 
 def _number(values: dict[str, str], key: str) -> float:
@@ -136,56 +151,10 @@ def _number(values: dict[str, str], key: str) -> float:
         return 0.0
 
 
-def _counters(statuses: list[Diagnostics]) -> dict[int, Counters]:
-    rows: dict[int, list[tuple[int, dict[str, str]]]] = {}
-    for told in statuses:
-        for status in told.statuses:
-            match = _PLANNER.fullmatch(status.name)
-            if match and told.stamp_ns >= 0:
-                rows.setdefault(int(match[1]), []).append((told.stamp_ns, status.values))
-    return {uav: _counter(sorted(found, key=lambda row: row[0])) for uav, found in rows.items()}
-
-
-def _counter(rows: list[tuple[int, dict[str, str]]]) -> Counters:
-    def column(key: str) -> Array:
-        return np.array([_number(values, key) for _, values in rows])
-
-    return Counters(
-        np.array([stamp for stamp, _ in rows], dtype=np.int64),
-        column("avoidance_active_s"),
-        column("saturated_s"),
-        column("holding_s"),
-        column("missed_ticks"),
-        column("priority_violation_max"),
-    )
-
-
-def _sent(statuses: list[Diagnostics]) -> dict[int, Series]:
-    """Odometry messages that each bridge had sent (T, 1), and the stamp of the newest of them."""
-    counts: dict[int, dict[int, int]] = {}
-    for told in statuses:
-        for status in told.statuses:
-            match = _LINK.fullmatch(status.name)
-            stamp, _, count = status.values.get("states_sent", "").partition(" ")
-            if match and stamp.isdecimal() and count.isdecimal() and int(count):
-                counts.setdefault(int(match[1]), {})[int(stamp)] = int(count)
-    return {uav: _series(found) for uav, found in counts.items()}
-
-
-def _series(counts: dict[int, int]) -> Series:
-    stamps = sorted(counts)
-    values = np.array([[float(counts[stamp])] for stamp in stamps])
-    return Series(np.array(stamps, dtype=np.int64), values)
-
-
-def _latency(statuses: list[Diagnostics]) -> dict[str, float]:
-    for told in reversed(statuses):
-        for status in told.statuses:
-            if status.name == _SIM:
-                found = {key: _LATENCY.fullmatch(key) for key in status.values}
-                figures = {m[1]: _number(status.values, key) for key, m in found.items() if m}
-                return figures if any(figures.values()) else {}  # lock-step has no latency
-    return {}
+def _latency(status: Status) -> dict[str, float]:
+    found = {key: _LATENCY.fullmatch(key) for key in status.values}
+    figures = {m[1]: _number(status.values, key) for key, m in found.items() if m}
+    return figures if any(figures.values()) else {}  # lock-step has no latency
 
 
 def read_recording(
@@ -211,9 +180,9 @@ def read_recording(
     collector = _Collector(source, names, flown.uav_ids)
     collector.collect()
     odometry = collector.tracks(names.odom)
-    epochs = tuple(sorted(set(collector.epochs)))
+    epochs = tuple(sorted(collector.epochs))
     if epoch_s is not None and odometry:
-        first_ns = min(int(series.t_ns[0]) for series in odometry.values())
+        first_ns = min(track.first_ns for track in odometry.values())
         epochs = ((first_ns + round(epoch_s * 1e9), FORMATION),)
     return Recording(
         scenario=flown,
@@ -221,8 +190,8 @@ def read_recording(
         wrench=collector.tracks(names.wrench),
         estimate=collector.tracks(names.estimate),
         truth=collector.tracks(names.truth),
-        counters=_counters(collector.statuses),
-        sent=_sent(collector.statuses),
+        counters=collector.counted.counters(),
+        sent=collector.counted.sent(),
         epochs=epochs,
-        latency=_latency(collector.statuses),
+        latency=collector.counted.latency,
     )

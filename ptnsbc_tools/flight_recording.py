@@ -6,26 +6,27 @@ import numpy as np
 
 from ptnsbc_sim import swarm
 from ptnsbc_sim.swarm import Flight
-from ptnsbc_tools.verdict import Counters, Recording, Series
+from ptnsbc_tools.verdict import Recording, Series
+from ptnsbc_tools.verdict.recording import COUNTERS
 
 STATUS_HZ = 5
 
 
-def _counters(flight: Flight, row: int) -> Counters:
+def _counters(flight: Flight, row: int) -> Series:
     """What /diagnostics would have told: cumulative, five times a second, in milliseconds."""
     scenario = flight.scenario
     log = flight.track.diagnostics[:, row]
     dt = scenario.dt_ns * 1e-9
     chosen = slice(None, None, max(scenario.control_hz // STATUS_HZ, 1))
     stamps = flight.t_ns[chosen]
-    return Counters(
-        stamps,
-        np.round(np.cumsum(log[:, swarm.ACTIVE_ROWS] > 0) * dt, 3)[chosen],
-        np.round(np.cumsum(log[:, swarm.SATURATED] > 0) * dt, 3)[chosen],
-        np.round(np.cumsum(log[:, swarm.HOLDING] > 0) * dt, 3)[chosen],
-        np.zeros(stamps.size),
-        np.maximum.accumulate(log[:, swarm.PRIORITY_VIOLATION])[chosen],
-    )
+    columns = {
+        "avoidance_active_s": np.round(np.cumsum(log[:, swarm.ACTIVE_ROWS] > 0) * dt, 3)[chosen],
+        "saturated_s": np.round(np.cumsum(log[:, swarm.SATURATED] > 0) * dt, 3)[chosen],
+        "holding_s": np.round(np.cumsum(log[:, swarm.HOLDING] > 0) * dt, 3)[chosen],
+        "missed_ticks": np.zeros(stamps.size),
+        "priority_violation_max": np.maximum.accumulate(log[:, swarm.PRIORITY_VIOLATION])[chosen],
+    }
+    return Series(stamps, np.stack([columns[name] for name in COUNTERS], axis=1))
 
 
 def recording_of(flight: Flight) -> Recording:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,11 +11,13 @@ import numpy as np
 
 from ptnsbc_core.types import Array
 from ptnsbc_tools.charts import style
-from ptnsbc_tools.limits import SHARE_OF_START
-from ptnsbc_tools.verdict.deadline import formation_errors
-from ptnsbc_tools.verdict.recording import Recording, complete
+from ptnsbc_tools.charts.draw import fill
+from ptnsbc_tools.charts.flight import Shown
+from ptnsbc_tools.charts.space import errors
+from ptnsbc_tools.charts.status import Status
+from ptnsbc_tools.verdict.recording import Recording, tolerance_of
 
-_FLOOR_M = 1e-4
+_POINTS = 4000  # of a path
 
 
 def _look(index: int) -> dict[str, Any]:
@@ -58,38 +62,35 @@ def _limits(axes: Any) -> tuple[Any, Any, Any]:
     return axes.get_xlim3d(), axes.get_ylim3d(), axes.get_zlim3d()
 
 
-def _error(axes: Any, recording: Recording, times: Array, errors: dict[int, Array]) -> None:
-    tolerance = recording.scenario.file.formation.tolerance_m
-    band = max(tolerance, *(SHARE_OF_START * error[0] for error in errors.values()))
-    for index, (uav, error) in enumerate(errors.items()):
-        axes.semilogy(times, np.maximum(error, _FLOOR_M), label=f"UAV {uav}", **_look(index))
-    deadline = recording.scenario.gains.formation.deadline_s
-    axes.axvline(deadline, color="black", linewidth=1)
-    axes.annotate(f"deadline {deadline:g} s", (deadline, axes.get_ylim()[1]), fontsize=8,
-                  xytext=(4, -10), textcoords="offset points")  # fmt: skip
-    axes.axhspan(_FLOOR_M, band, color=style.GOOD, alpha=0.08, label=f"widest band {band:.2f} m")
-    axes.axhline(tolerance, color="black", linewidth=0.8, linestyle=":",
-                 label=f"limit at the deadline {tolerance:g} m")  # fmt: skip
-    axes.set(xlabel="time after the epoch [s]", ylabel="formation error [m]")
-    axes.set_title("Formation error; leader: distance from its trajectory", fontsize=9)
-    axes.grid(alpha=0.3, which="both")
-    axes.legend(fontsize=7, ncol=2, loc="upper right")
+def _paths(legs: Sequence[Recording]) -> dict[int, Array]:
+    """Positions (T, 3) [m] of every UAV through all legs, thinned."""
+    every = max(sum(leg.samples for leg in legs) // _POINTS, 1)
+    parts = [leg.positions(grid[::every]) for leg in legs for grid in leg.grids()]
+    return {uav: np.concatenate([part[uav] for part in parts]) for uav in parts[0]}
 
 
-def draw(recording: Recording, path: Path) -> Path:
-    """Draw a recording into a PNG and return its path."""
+def draw(recording: Recording, path: Path, tolerance: float | None = None) -> Path:
+    """Draw all legs of a recording that has a verdict into a PNG and return its path.
+
+    Args:
+        recording: the flight.
+        path: PNG to write.
+        tolerance: [m], the scenario's by default.
+    """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    grid = complete(recording).grid()
-    positions = recording.positions(grid)
+    forms = range(len(recording.forms))
+    legs = [leg for number in forms if (leg := replace(recording, leg=number)).samples > 1]
+    positions = _paths(legs)
     figure = Figure(figsize=(12, 9), layout="constrained")
     FigureCanvasAgg(figure)  # no pyplot: it would look for a screen
     panels = figure.add_gridspec(2, 2, height_ratios=(3, 2))
     _from_above(figure.add_subplot(panels[0, 0]), recording, positions)
     _in_space(figure.add_subplot(panels[0, 1], projection="3d"), recording, positions)
-    errors = formation_errors(recording, grid, positions)
-    _error(figure.add_subplot(panels[1, :]), recording, recording.times(grid), errors)
+    chart = errors(Shown(recording, Status(), tolerance_of(recording, tolerance), None, ""))
+    if chart is not None:
+        fill(figure.add_subplot(panels[1, :]), chart)
     scenario = recording.scenario
     figure.suptitle(
         f"{scenario.name}: {scenario.plant_kind}, task {scenario.file.formation.task}, "

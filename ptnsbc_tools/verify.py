@@ -35,6 +35,6 @@ def verify(bag: Path, choice: Choice, *, picture: Path | None, json: bool) -> Ve
     if picture is not None:
         from ptnsbc_tools.picture import draw
 
-        drawn = draw(recording, picture)
+        drawn = draw(recording, picture, choice.tolerance)
     result.show(verdict, json=json, extra={"picture": drawn})
     return verdict

@@ -8,8 +8,8 @@ from ptnsbc_core.types import Array
 from ptnsbc_tools.charts.chart import Chart, Curve, Limit, Mark
 from ptnsbc_tools.charts.flight import Shown
 from ptnsbc_tools.charts.style import Look, look
-from ptnsbc_tools.charts.thin import Points
-from ptnsbc_tools.verdict import Series
+from ptnsbc_tools.charts.thin import Points, Thinner
+from ptnsbc_tools.verdict import Track
 
 FLOOR_M = 1e-4  # of logarithmic axes
 
@@ -29,11 +29,15 @@ def curve_of(flight: Shown, uav: int, t: Array, values: Array) -> Curve:
     return Curve(label(flight, uav), look_of(flight, uav), t, values, (uav,))
 
 
-def in_time(flight: Shown, series: Series) -> Points:
-    """What was told in the time shown."""
-    grid = flight.grid()
-    inside = (series.t_ns >= grid[0]) & (series.t_ns <= grid[-1])
-    return Points(flight.times(series.t_ns[inside]), series.values[inside, 0])
+def in_time(flight: Shown, track: Track) -> Points | None:
+    """What was told in the time shown, None when nothing was."""
+    begin, end = track.span(*flight.window_ns)
+    if begin == end:
+        return None
+    found = Thinner(end - begin)
+    for block in track.blocks(begin, end):
+        found.add(flight.times(block.t_ns), block.values[:, 0])
+    return found.points()
 
 
 def chart_of(

@@ -20,7 +20,10 @@ class FigureError(PtnsbcError):
     """A figure that cannot be drawn or written."""
 
 
-def _fill(axes: Any, chart: Chart) -> None:
+def fill(axes: Any, chart: Chart) -> None:
+    """Draw a chart into axes of its own."""
+    if chart.log:
+        axes.set_yscale("log")
     for span in chart.spans:
         axes.axvspan(span.begin, span.end, color=style.OBSTACLE, alpha=0.12, linewidth=0)
     if chart.band is not None:
@@ -40,6 +43,15 @@ def _fill(axes: Any, chart: Chart) -> None:
         axes.axvline(mark.t, color="black", linewidth=1)
         axes.annotate(mark.label, (mark.t, 1.0), xycoords=("data", "axes fraction"),
                       xytext=(4, -10), textcoords="offset points", fontsize=8)  # fmt: skip
+    if not chart.log:
+        axes.set_ylim(bottom=0)
+    unit = f" [{chart.unit}]" if chart.unit else ""
+    axes.set(xlabel="time after the epoch [s]", ylabel=f"{chart.quantity}{unit}")
+    axes.set_title(chart.title, fontsize=10)
+    axes.grid(alpha=0.3, which="both" if chart.log else "major")
+    axes.margins(x=0.01)
+    if 1 < len(chart.curves) <= _MOST_IN_LEGEND:
+        axes.legend(fontsize=7, ncol=2 if len(chart.curves) > 6 else 1, loc="best")
 
 
 def figure_of(chart: Chart, heading: str) -> Any:
@@ -50,18 +62,8 @@ def figure_of(chart: Chart, heading: str) -> Any:
     figure = Figure(figsize=(style.WIDTH_IN, style.HEIGHT_IN), layout="constrained")
     FigureCanvasAgg(figure)  # no pyplot: it would look for a screen
     axes = figure.add_subplot()
-    if chart.log:
-        axes.set_yscale("log")
-    _fill(axes, chart)
-    if not chart.log:
-        axes.set_ylim(bottom=0)
-    unit = f" [{chart.unit}]" if chart.unit else ""
-    axes.set(xlabel="time after the epoch [s]", ylabel=f"{chart.quantity}{unit}")
+    fill(axes, chart)
     axes.set_title(f"{heading}: {chart.title}", fontsize=10)
-    axes.grid(alpha=0.3, which="both" if chart.log else "major")
-    axes.margins(x=0.01)
-    if 1 < len(chart.curves) <= _MOST_IN_LEGEND:
-        axes.legend(fontsize=7, ncol=2 if len(chart.curves) > 6 else 1, loc="best")
     return figure
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,8 +13,8 @@ from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_tools.charts.status import Status, read_status
-from ptnsbc_tools.verdict import Recording, Verdict, verdict_on
-from ptnsbc_tools.verdict.recording import NANO
+from ptnsbc_tools.verdict import Recording, Track, Verdict, verdict_on
+from ptnsbc_tools.verdict.recording import NANO, tolerance_of
 from ptnsbc_tools.verdict.windows import Window, joined, rises
 from ptnsbc_tools.verify import Choice
 
@@ -45,15 +46,34 @@ class Shown:
         """Whether formation errors can be measured."""
         return self.scenario.leader_id in self.recording.odometry
 
-    def grid(self) -> NDArray[np.int64]:
-        """Instants shown: from just before the epoch as long as every UAV is there, or any is."""
+    def _shown(self) -> tuple[Track, int, int]:
+        """Whose stamps are the instants shown, and which of them."""
         tracks = [self.recording.odometry[uav] for uav in self.uavs]
-        first = min(int(track.t_ns[0]) for track in tracks)
-        last = min(int(track.t_ns[-1]) for track in tracks)
-        start = max(first, self.recording.start_ns - round(_BEFORE_S / NANO))
-        stamps = tracks[0].t_ns
-        chosen = stamps[(stamps >= start) & (stamps <= last)]
-        return chosen if chosen.size > 1 else stamps
+        last = min(track.last_ns for track in tracks)
+        first = max(
+            min(track.first_ns for track in tracks),
+            self.recording.start_ns - round(_BEFORE_S / NANO),
+        )
+        begin, end = tracks[0].span(first, last)
+        return (tracks[0], begin, end) if end - begin > 1 else (tracks[0], 0, tracks[0].size)
+
+    @property
+    def samples(self) -> int:
+        """How many instants are shown."""
+        _, begin, end = self._shown()
+        return end - begin
+
+    @property
+    def window_ns(self) -> Window:
+        """First and last instant shown: from just before the epoch as long as every UAV is there, or any is."""
+        track, begin, end = self._shown()
+        return track.rows(begin, begin + 1).first_ns, track.rows(end - 1, end).last_ns
+
+    def grids(self) -> Iterator[NDArray[np.int64]]:
+        """Instants shown, block by block."""
+        track, begin, end = self._shown()
+        for block in track.blocks(begin, end):
+            yield block.t_ns
 
     def times(self, stamps: NDArray[np.int64]) -> Array:
         """Seconds (T,) after the epoch."""
@@ -72,13 +92,12 @@ class Shown:
 
 def shown(recording: Recording, status: Status, tolerance_m: float | None = None) -> Shown:
     """Judge a recording, or say why not; the tolerance is the scenario's by default."""
-    if tolerance_m is None:
-        tolerance_m = recording.scenario.file.formation.tolerance_m
+    limit_m = tolerance_of(recording, tolerance_m)
     try:
-        verdict, problem = verdict_on(recording, tolerance_m), ""
+        verdict, problem = verdict_on(recording, limit_m), ""
     except PtnsbcError as error:
         verdict, problem = None, str(error)
-    return Shown(recording, status, tolerance_m, verdict, problem)
+    return Shown(recording, status, limit_m, verdict, problem)
 
 
 def read_shown(bag: Path, choice: Choice) -> Shown:

@@ -7,21 +7,27 @@ import numpy as np
 from ptnsbc_tools.charts.chart import Chart, Curve, Limit
 from ptnsbc_tools.charts.common import chart_of, curve_of
 from ptnsbc_tools.charts.flight import Shown
+from ptnsbc_tools.charts.thin import Thinner
+from ptnsbc_tools.verdict.recording import NANO
 
 
 def _inputs(flight: Shown, columns: slice, until_s: float | None) -> tuple[Curve, ...]:
     curves = []
-    grid = flight.grid()
+    first_ns, last_ns = flight.window_ns
+    if until_s is not None:
+        epoch_ns = flight.recording.start_ns
+        first_ns = max(first_ns, epoch_ns)
+        last_ns = min(last_ns, epoch_ns + round(until_s / NANO))
     for uav in flight.uavs:
-        series = flight.recording.wrench.get(uav)
-        if series is None:
+        track = flight.recording.wrench.get(uav)
+        begin, end = (0, 0) if track is None else track.span(first_ns, last_ns)
+        if track is None or end - begin < 2:
             continue
-        inside = (series.t_ns >= grid[0]) & (series.t_ns <= grid[-1])
-        t = flight.times(series.t_ns[inside])
-        size = np.linalg.norm(series.values[inside][:, columns], axis=1)
-        chosen = slice(None) if until_s is None else (t >= 0) & (t <= until_s)
-        if t[chosen].size > 1:
-            curves.append(curve_of(flight, uav, t[chosen], size[chosen]))
+        found = Thinner(end - begin)
+        for block in track.blocks(begin, end):
+            size = np.linalg.norm(block.values[:, columns], axis=1)
+            found.add(flight.times(block.t_ns), size)
+        curves.append(curve_of(flight, uav, *found.points()))
     return tuple(curves)
 
 

@@ -8,6 +8,7 @@ from ptnsbc_tools.charts.chart import Chart, Curve, Limit, Mark
 from ptnsbc_tools.charts.common import FLOOR_M, chart_of, curve_of, in_time
 from ptnsbc_tools.charts.flight import Shown
 from ptnsbc_tools.charts.style import look
+from ptnsbc_tools.charts.thin import Gathered
 
 _FLOOR_MS = 0.1
 
@@ -16,14 +17,16 @@ def estimator(flight: Shown) -> Chart | None:
     """How far off each follower's idea of the leader's place is."""
     if not flight.has_leader:
         return None
-    grid = flight.grid()
-    leader = flight.recording.odometry[flight.scenario.leader_id].at(grid)[:, :3]
-    curves = []
-    for uav in flight.scenario.followers:
-        series = flight.recording.estimate.get(uav)
-        if series is not None:
-            error = np.linalg.norm(series.at(grid)[:, :3] - leader, axis=1)
-            curves.append(curve_of(flight, uav, flight.times(grid), np.maximum(error, FLOOR_M)))
+    tracks = flight.recording.estimate
+    told = {uav: tracks[uav] for uav in flight.scenario.followers if uav in tracks}
+    truth = flight.recording.odometry[flight.scenario.leader_id]
+    found = Gathered[int](flight.samples)
+    for grid in flight.grids():
+        leader = truth.at(grid)[:, :3]
+        for uav, track in told.items():
+            error = np.linalg.norm(track.at(grid)[:, :3] - leader, axis=1)
+            found.add(uav, flight.times(grid), np.maximum(error, FLOOR_M))
+    curves = [curve_of(flight, uav, *points) for uav, points in found.points().items()]
     deadline = flight.scenario.gains.estimator.deadline_s
     marks = (Mark(deadline, f"its deadline {deadline:g} s"),)
     return chart_of(
@@ -35,9 +38,9 @@ def _told(flight: Shown, key: str) -> list[Curve]:
     curves = []
     for uav in flight.uavs:
         series = flight.status.planner.get(uav, {}).get(key)
-        if series is not None:
-            t, values = in_time(flight, series)
-            curves.append(curve_of(flight, uav, t, values))
+        points = None if series is None else in_time(flight, series)
+        if points is not None:
+            curves.append(curve_of(flight, uav, *points))
     return curves
 
 
@@ -58,9 +61,8 @@ def missed(flight: Shown) -> Chart | None:
     """Ticks missed since the epoch."""
     curves = []
     for curve in _told(flight, "missed_ticks"):
-        if curve.values.size:
-            gained = curve.values - curve.values[0]
-            curves.append(Curve(curve.label, curve.look, curve.t, gained, curve.uavs))
+        gained = curve.values - curve.values[0]
+        curves.append(Curve(curve.label, curve.look, curve.t, gained, curve.uavs))
     if not any(curve.values.any() for curve in curves):
         return None
     return chart_of("missed", "Missed ticks", "", curves)
@@ -71,9 +73,9 @@ def latency(flight: Shown) -> Chart | None:
     curves = []
     for number, name in enumerate(("p50", "p99", "max")):
         series = flight.status.sim.get(f"latency_{name}_ms")
-        if series is not None and series.values.any():
-            t, values = in_time(flight, series)
-            curves.append(Curve(name, look(number), t, values, ()))
+        points = None if series is None else in_time(flight, series)
+        if points is not None and points.values.any():
+            curves.append(Curve(name, look(number), *points, ()))
     period = 1e3 / flight.scenario.control_hz
     limits = (Limit(period, f"control period {period:g} ms"),)
     note = "Age of a wrench when it arrives; percentiles since the start."
@@ -84,9 +86,10 @@ def age(flight: Shown) -> Chart | None:
     """How old what a UAV knew of its neighbours was, step by step."""
     curves = []
     for uav in flight.uavs:
-        if uav in flight.status.age_ms:
-            t, values = in_time(flight, flight.status.age_ms[uav])
-            curves.append(curve_of(flight, uav, t, np.maximum(values, _FLOOR_MS)))
+        series = flight.status.age_ms.get(uav)
+        points = None if series is None else in_time(flight, series)
+        if points is not None:
+            curves.append(curve_of(flight, uav, points.t, np.maximum(points.values, _FLOOR_MS)))
     stale = 1e3 * flight.scenario.file.communication.stale_s
     limits = (Limit(stale, f"stale, {stale:g} ms"),)
     note = "The oldest that went into each step, by the clocks of sender and receiver."

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from itertools import combinations, product
 
 import numpy as np
 
+from ptnsbc_core.types import Array
 from ptnsbc_tools.charts.chart import Chart, Curve, Limit, Mark, Span
 from ptnsbc_tools.charts.common import FLOOR_M, chart_of, curve_of, look_of
 from ptnsbc_tools.charts.flight import Shown
 from ptnsbc_tools.charts.style import DASHES, Look, look
-from ptnsbc_tools.charts.thin import Points
+from ptnsbc_tools.charts.thin import Gathered, Points
 from ptnsbc_tools.limits import SHARE_OF_START
 from ptnsbc_tools.verdict import Recording, VerdictError
 from ptnsbc_tools.verdict.deadline import formation_errors
@@ -25,19 +27,21 @@ def _spans(flight: Shown) -> tuple[Span, ...]:
     """Time in which the error of anybody is excused."""
     counters = flight.recording.counters
     found = [w for uav in flight.uavs for w in encounters(flight.scenario, counters, uav)]
-    end = float(flight.times(flight.grid()[-1:])[0])
+    _, end = flight.seconds(flight.window_ns)
     spans = (flight.seconds(window) for window in joined(found))
     return tuple(Span(begin, min(close, end)) for begin, close in spans if begin < end)
 
 
 def _leg_errors(flight: Shown, leg: Recording) -> dict[int, Points]:
     """Error of every UAV over one leg, in the time of the flight; empty when it was not flown."""
+    found = Gathered[int](leg.samples)
     try:
-        grid = leg.grid()
+        for grid in leg.grids():
+            for uav, error in formation_errors(leg, grid, leg.positions(grid)).items():
+                found.add(uav, flight.times(grid), error)
     except VerdictError:
         return {}
-    found = formation_errors(leg, grid, leg.positions(grid))
-    return {uav: Points(flight.times(grid), error) for uav, error in found.items()}
+    return found.points()
 
 
 def _joined(pieces: list[Points]) -> Points:
@@ -101,14 +105,14 @@ def _left_out(curves: list[Curve]) -> str:
 
 def between(flight: Shown) -> Chart | None:
     """Distances of all pairs of UAVs."""
-    grid = flight.grid()
-    t, ids = flight.times(grid), flight.scenario.uav_ids
-    places = {uav: flight.recording.odometry[uav].at(grid)[:, :3] for uav in flight.uavs}
+    ids, found = flight.scenario.uav_ids, Gathered[tuple[int, int]](flight.samples)
+    for t, places in _places(flight):
+        for pair in combinations(flight.uavs, 2):
+            found.add(pair, t, np.linalg.norm(places[pair[0]] - places[pair[1]], axis=1))
     curves = []
-    for a, b in combinations(flight.uavs, 2):
-        distance = np.linalg.norm(places[a] - places[b], axis=1)
+    for (a, b), points in found.points().items():
         style = Look(look(ids.index(a)).colour, (ids.index(b) - ids.index(a) - 1) % len(DASHES))
-        curves.append(Curve(f"UAV {a} – {b}", style, t, distance, (a, b)))
+        curves.append(Curve(f"UAV {a} – {b}", style, *points, (a, b)))
     keep_out = flight.scenario.uav_keep_out_m
     limits = (Limit(keep_out, f"keep-out {keep_out:g} m"),)
     kept, note = _tightest(curves), _left_out(curves)
@@ -117,15 +121,22 @@ def between(flight: Shown) -> Chart | None:
 
 def obstacles(flight: Shown) -> Chart | None:
     """Distances of all UAVs from the centres of all obstacles."""
-    grid = flight.grid()
-    t, found = flight.times(grid), flight.scenario.obstacles
+    known, found = flight.scenario.obstacles, Gathered[tuple[int, int]](flight.samples)
+    for t, places in _places(flight):
+        for uav, (number, one) in product(flight.uavs, enumerate(known)):
+            found.add((uav, number), t, np.linalg.norm(places[uav] - one.position, axis=1))
     curves = []
-    for uav, (number, obstacle) in product(flight.uavs, enumerate(found)):
-        place = flight.recording.odometry[uav].at(grid)[:, :3]
-        distance = np.linalg.norm(place - obstacle.position, axis=1)
+    for (uav, number), points in found.points().items():
         style = Look(look_of(flight, uav).colour, number % len(DASHES))
-        curves.append(Curve(f"UAV {uav} – {obstacle.name}", style, t, distance, (uav,)))
-    radii = sorted({float(obstacle.keep_out_m) for obstacle in found})
+        curves.append(Curve(f"UAV {uav} – {known[number].name}", style, *points, (uav,)))
+    radii = sorted({float(one.keep_out_m) for one in known})
     limits = tuple(Limit(radius, f"keep-out {radius:g} m") for radius in radii)
     kept, note = _tightest(curves), _left_out(curves)
     return chart_of("obstacles", "Separation from obstacles", "m", kept, limits=limits, note=note)
+
+
+def _places(flight: Shown) -> Iterator[tuple[Array, dict[int, Array]]]:
+    """Times (T,) [s] and positions (T, 3) [m] of all UAVs, block by block."""
+    tracks = flight.recording.odometry
+    for grid in flight.grids():
+        yield flight.times(grid), {uav: tracks[uav].at(grid)[:, :3] for uav in flight.uavs}

@@ -16,7 +16,8 @@ from ptnsbc_nodes.wire import WireError, decode_integers
 from ptnsbc_tools.bag_reader import SCENARIO_ATTACHMENT
 from ptnsbc_tools.diagnostics import Diagnostics, decode_diagnostics
 from ptnsbc_tools.foreign import open_source
-from ptnsbc_tools.verdict import Series
+from ptnsbc_tools.spool import Spool, Writer
+from ptnsbc_tools.verdict import Track
 
 _STATUS = topics.DIAGNOSTICS.name
 _TICK = re.compile(r"/uav(\d+)/tick")
@@ -31,17 +32,17 @@ SIM_KEYS = ("latency_p50_ms", "latency_p99_ms", "latency_max_ms", "missed_ticks"
 class Status:
     """Values over time; a key that nobody told is missing."""
 
-    planner: Mapping[int, Mapping[str, Series]] = field(default_factory=dict)  # by UAV, by key
-    sim: Mapping[str, Series] = field(default_factory=dict)  # by key
-    age_ms: Mapping[int, Series] = field(default_factory=dict)  # (T, 1) by UAV, see `ages`
+    planner: Mapping[int, Mapping[str, Track]] = field(default_factory=dict)  # by UAV, by key
+    sim: Mapping[str, Track] = field(default_factory=dict)  # by key
+    age_ms: Mapping[int, Track] = field(default_factory=dict)  # (T, 1) by UAV, see `ages`
 
 
 class _Rows:
     """Samples by key, as they come."""
 
-    def __init__(self) -> None:
-        self._t: dict[str, list[int]] = {}
-        self._values: dict[str, list[float]] = {}
+    def __init__(self, spool: Spool) -> None:
+        self._spool = spool
+        self._tracks: dict[str, Writer] = {}
 
     def add(self, stamp_ns: int, keys: Iterable[str], values: Mapping[str, str]) -> None:
         for key in keys:
@@ -50,61 +51,63 @@ class _Rows:
             except (KeyError, ValueError):
                 continue
             if math.isfinite(value):
-                self._t.setdefault(key, []).append(stamp_ns)
-                self._values.setdefault(key, []).append(value)
+                if key not in self._tracks:
+                    self._tracks[key] = Writer(self._spool)
+                self._tracks[key].add(stamp_ns, stamp_ns, np.array([value]))
 
-    def series(self) -> dict[str, Series]:
-        found = {}
-        for key, stamps in self._t.items():
-            t_ns, first = np.unique(np.array(stamps, dtype=np.int64), return_index=True)
-            found[key] = Series(t_ns, np.array(self._values[key])[first][:, None])
-        return found
+    def tracks(self) -> dict[str, Track]:
+        return {key: written.track() for key, written in self._tracks.items()}
 
 
-def status_of(arrays: Iterable[Diagnostics]) -> Status:
-    """Sorted by node and by key."""
-    planners: dict[int, _Rows] = {}
-    sim = _Rows()
-    for array in arrays:
+class Teller:
+    """Takes in what nodes tell, sorted by node and by key."""
+
+    def __init__(self) -> None:
+        self._spool = Spool()
+        self._planners: dict[int, _Rows] = {}
+        self._sim = _Rows(self._spool)
+        self._ages: dict[int, Writer] = {}
+
+    def told(self, array: Diagnostics) -> None:
+        """Take an array of diagnostics."""
         for status in array.statuses:
             match = _PLANNER.fullmatch(status.name)
             if match:
-                rows = planners.setdefault(int(match[1]), _Rows())
+                rows = self._planners.setdefault(int(match[1]), _Rows(self._spool))
                 rows.add(array.stamp_ns, PLANNER_KEYS, status.values)
             elif status.name == _SIM:
-                sim.add(array.stamp_ns, SIM_KEYS, status.values)
-    planner = {uav: rows.series() for uav, rows in sorted(planners.items())}
-    return Status(planner, sim.series())
+                self._sim.add(array.stamp_ns, SIM_KEYS, status.values)
 
-
-def ages(notes: Iterable[TickNote]) -> Series:
-    """Age [ms] of the oldest message of a neighbour that went into each step (T, 1)."""
-    found = {}
-    for note in notes:
+    def noted(self, uav: int, note: TickNote) -> None:
+        """Take the age [ms] of the oldest message of a neighbour that went into a step."""
         stamps = [used.stamp_ns for name, used in note.used.items() if name not in _OWN]
         if stamps:
-            found[note.moment.now_ns] = (note.moment.now_ns - min(stamps)) * 1e-6
-    t_ns = np.array(sorted(found), dtype=np.int64)
-    return Series(t_ns, np.array([found[int(t)] for t in t_ns]).reshape(-1, 1))
+            now_ns = note.moment.now_ns
+            age_ms = np.array([(now_ns - min(stamps)) * 1e-6])
+            if uav not in self._ages:
+                self._ages[uav] = Writer(self._spool)
+            self._ages[uav].add(now_ns, now_ns, age_ms)
+
+    def status(self) -> Status:
+        """All that was taken."""
+        planner = {uav: rows.tracks() for uav, rows in sorted(self._planners.items())}
+        ages = {uav: written.track() for uav, written in sorted(self._ages.items())}
+        return Status(planner, self._sim.tracks(), ages)
 
 
 def read_status(path: Path) -> Status:
     """The status of a bag's nodes; empty where none was recorded."""
     source = open_source(path, SCENARIO_ATTACHMENT)
     types = source.types()
-    arrays: list[Diagnostics] = []
-    notes: dict[int, list[TickNote]] = {}
+    teller = Teller()
     ticks = {name: int(found[1]) for name in types if (found := _TICK.fullmatch(name))}
     for message in source.messages([name for name in (_STATUS, *ticks) if name in types]):
         try:
             if message.topic == _STATUS:
-                arrays.append(decode_diagnostics(message.data))
+                teller.told(decode_diagnostics(message.data))
             else:
                 row = decode_integers(message.data)
-                note = tick_note(row.label, row.values.tolist())
-                notes.setdefault(ticks[message.topic], []).append(note)
+                teller.noted(ticks[message.topic], tick_note(row.label, row.values.tolist()))
         except WireError:  # nothing is judged here
             continue
-    found_ages = {uav: ages(noted) for uav, noted in sorted(notes.items())}
-    told = status_of(arrays)
-    return Status(told.planner, told.sim, {uav: s for uav, s in found_ages.items() if s.t_ns.size})
+    return teller.status()

@@ -16,7 +16,7 @@ from ptnsbc_tools.charts.space import deadlines
 from ptnsbc_tools.charts.style import COLOURS, DARK_COLOURS, look
 from ptnsbc_tools.charts.thin import thin
 from ptnsbc_tools.report.pack import Pack
-from ptnsbc_tools.verdict import Series
+from ptnsbc_tools.verdict import Series, Track
 from ptnsbc_tools.verdict.recording import NANO
 
 _FRAME_HZ = 25  # the script draws straight lines between frames
@@ -31,7 +31,7 @@ def content(flight: Shown) -> str:
     pack = Pack()
     text: dict[str, Any] = {
         "colours": {"light": COLOURS, "dark": DARK_COLOURS},
-        "space": _space(flight, pack) if flight.uavs and flight.grid().size > 1 else None,
+        "space": _space(flight, pack) if flight.uavs and flight.samples > 1 else None,
         "charts": _charts(flight, pack),
     }
     return pack.encode(text)
@@ -39,8 +39,7 @@ def content(flight: Shown) -> str:
 
 def _frames(flight: Shown) -> np.ndarray[Any, np.dtype[np.int64]]:
     """Evenly spaced instants [ns] from the first to the last shown."""
-    grid = flight.grid()
-    first, last = int(grid[0]), int(grid[-1])
+    first, last = flight.window_ns
     most = max(_MOST_ROWS // len(flight.uavs), 2)
     count = min(int((last - first) * NANO * _FRAME_HZ) + 2, most)
     return first + np.round(np.linspace(0, last - first, count)).astype(np.int64)
@@ -48,17 +47,31 @@ def _frames(flight: Shown) -> np.ndarray[Any, np.dtype[np.int64]]:
 
 def _poses(flight: Shown, stamps: np.ndarray[Any, np.dtype[np.int64]]) -> Array:
     """Position and quaternion (F, N, 7) of every UAV."""
-    tracks = (_steady(flight.recording.odometry[uav]) for uav in flight.uavs)
-    return np.stack([track.at(stamps) for track in tracks], axis=1)
+    tracks = (flight.recording.odometry[uav] for uav in flight.uavs)
+    return np.stack([_poses_of(track, stamps) for track in tracks], axis=1)
 
 
-def _steady(odometry: Series) -> Series:
+def _poses_of(odometry: Track, stamps: np.ndarray[Any, np.dtype[np.int64]]) -> Array:
+    """Position and quaternion (F, 7) of one UAV."""
+    found = []
+    before, done = Series(np.empty(0, np.int64), np.empty((0, 7))), 0
+    for block in odometry.blocks():
+        poses = np.concatenate((before.values, block.values[:, :7]))
+        near = Series(np.concatenate((before.t_ns, block.t_ns)), _steady(poses))
+        last = block.last_ns == odometry.last_ns
+        until = stamps.size if last else int(np.searchsorted(stamps, block.last_ns, side="right"))
+        if until > done:
+            found.append(near.at(stamps[done:until]))
+        before, done = near.rows(near.size - 1, near.size), until
+    return np.concatenate(found)
+
+
+def _steady(poses: Array) -> Array:
     """Poses (T, 7) whose quaternions do not change sign: halfway between both would be nothing."""
-    poses = odometry.values[:, :7].copy()
     turns = poses[:, 3:]
     flips = np.sum(turns[1:] * turns[:-1], axis=1) < 0
     turns[1:][np.cumsum(flips) % 2 == 1] *= -1.0
-    return Series(odometry.t_ns, poses)
+    return poses
 
 
 def _space(flight: Shown, pack: Pack) -> dict[str, Any]:

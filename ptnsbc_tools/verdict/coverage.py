@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ptnsbc_core.types import Array
-from ptnsbc_tools.verdict.recording import NANO, Recording, Series
+from ptnsbc_tools.verdict.recording import NANO, Recording
+from ptnsbc_tools.verdict.track import Track
 
 LONGEST_GAP_S = 0.25
 """Longest silence [s] that is only counted: nobody knows what a UAV did in a longer one."""
@@ -23,43 +23,49 @@ class Coverage:
     gap_at_s: float  # after the epoch, where the longest gap begins
 
 
-def coverage(recording: Recording, uav: int, series: Series) -> Coverage:
+def coverage(recording: Recording, uav: int, track: Track) -> Coverage:
     """From the epoch to the end of the judged time, both of which end a gap as a message does.
 
     Args:
         recording: the flight.
-        uav: whose series it is.
-        series: stamped like its odometry.
+        uav: whose track it is.
+        track: stamped like its odometry.
     """
     start_ns, end_ns = recording.start_ns, recording.end_ns
-    stamps = _within(series, start_ns, end_ns)
-    edges = np.concatenate(([start_ns], stamps, [end_ns]))
-    gaps = np.diff(edges)
-    longest = int(np.argmax(gaps))
+    longest_ns, at_ns, last_ns = -1, start_ns, start_ns
+    stamps = (block.t_ns for block in track.blocks(*track.span(start_ns, end_ns)))
+    for block in chain(stamps, [np.array([end_ns])]):
+        edges = np.concatenate(([last_ns], block))
+        gaps = np.diff(edges)
+        longest = int(np.argmax(gaps))
+        if gaps[longest] > longest_ns:
+            longest_ns, at_ns = int(gaps[longest]), int(edges[longest])
+        last_ns = int(edges[-1])
     return Coverage(
-        missing=_missing(recording, recording.sent.get(uav), series),
-        longest_gap_s=float(gaps[longest]) * NANO,
-        gap_at_s=float(edges[longest] - start_ns) * NANO,
+        missing=_missing(recording, recording.sent.get(uav), track),
+        longest_gap_s=float(longest_ns) * NANO,
+        gap_at_s=float(at_ns - start_ns) * NANO,
     )
 
 
-def _within(series: Series, start_ns: int, end_ns: int) -> NDArray[np.int64]:
-    return series.t_ns[(series.t_ns >= start_ns) & (series.t_ns <= end_ns)]
-
-
-def _missing(recording: Recording, sent: Series | None, series: Series) -> int:
+def _missing(recording: Recording, sent: Track | None, track: Track) -> int:
     """Messages that should be there and are not; real vehicles have rates of their own."""
     start_ns, end_ns = recording.start_ns, recording.end_ns
     if sent is None:
         # In all, not gap by gap: a late message and the early one after it are none too few.
         expected = round((end_ns - start_ns) / recording.scenario.dt_ns) + 1
-        return max(expected - _within(series, start_ns, end_ns).size, 0)
+        return max(expected - _count(track, start_ns, end_ns), 0)
     # From the last count before the epoch to the first one after the end: exact at both.
-    first = max(int(np.searchsorted(sent.t_ns, start_ns, side="right")) - 1, 0)
-    last = min(int(np.searchsorted(sent.t_ns, end_ns)), sent.t_ns.size - 1)
-    expected = round(float(sent.values[last, 0] - sent.values[first, 0]))
-    found = _within(series, int(sent.t_ns[first]) + 1, int(sent.t_ns[last]))
-    return max(expected - found.size, 0)
+    first = max(sent.index(start_ns, "right") - 1, 0)
+    last = min(sent.index(end_ns, "left"), sent.size - 1)
+    before, after = sent.rows(first, first + 1), sent.rows(last, last + 1)
+    expected = round(float(after.values[0, 0] - before.values[0, 0]))
+    return max(expected - _count(track, before.last_ns + 1, after.last_ns), 0)
+
+
+def _count(track: Track, first_ns: int, last_ns: int) -> int:
+    first, end = track.span(first_ns, last_ns)
+    return max(end - first, 0)
 
 
 def _early_end(recording: Recording) -> str:
@@ -69,7 +75,7 @@ def _early_end(recording: Recording) -> str:
     last_ns = due_ns - scenario.dt_ns  # a flight of n periods ends with message n - 1
     if (last_ns - end_ns) * NANO <= LONGEST_GAP_S:
         return ""
-    first = min(scenario.uav_ids, key=lambda uav: int(recording.odometry[uav].t_ns[-1]))
+    first = min(scenario.uav_ids, key=lambda uav: recording.odometry[uav].last_ns)
     lengths = (f"{(t_ns - start_ns) * NANO:.2f} s" for t_ns in (end_ns, due_ns))
     return f"/uav{first}/odom ends after {' of '.join(lengths)}"
 
@@ -86,26 +92,26 @@ def incomplete(recording: Recording, uav: int) -> str:
     return ", ".join(text for text in found if text)
 
 
-def _first_bad_s(recording: Recording, series: Series | None) -> float | None:
-    if series is None:
+def _first_bad_s(recording: Recording, track: Track | None) -> float | None:
+    if track is None:
         return None
-    judged = (series.t_ns >= recording.start_ns) & (series.t_ns <= recording.end_ns)
-    bad = series.t_ns[judged & ~np.isfinite(series.values).all(axis=1)]
-    return float(bad[0] - recording.start_ns) * NANO if bad.size else None
+    for block in track.blocks(*track.span(recording.start_ns, recording.end_ns)):
+        bad = np.flatnonzero(~np.isfinite(block.values).all(axis=1))
+        if bad.size:
+            return float(block.t_ns[bad[0]] - recording.start_ns) * NANO
+    return None
 
 
-def not_finite(recording: Recording, uav: int, times: Array, error: Array) -> str:
+def not_finite(recording: Recording, uav: int, bad_error_s: float | None) -> str:
     """Since when a UAV's numbers are none; empty when all are finite.
 
     Args:
         recording: the flight.
         uav: whose odometry and wrench.
-        times: (T,) [s] of the error.
-        error: (T,) [m]; it is none either when the leader's odometry is not.
+        bad_error_s: since when its formation error is none, which it is too when the leader's odometry is not.
     """
     own = [_first_bad_s(recording, of.get(uav)) for of in (recording.odometry, recording.wrench)]
     since = [time for time in own if time is not None]
     if since:
         return f"state not finite from t = {min(since):.2f} s"
-    bad = np.flatnonzero(~np.isfinite(error))
-    return f"error not finite from t = {times[bad[0]]:.2f} s" if bad.size else ""
+    return "" if bad_error_s is None else f"error not finite from t = {bad_error_s:.2f} s"

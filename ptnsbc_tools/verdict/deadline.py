@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 from ptnsbc_core.trajectory import reference
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario.build import trajectory_vector
-from ptnsbc_tools.limits import SHARE_OF_START
 from ptnsbc_tools.verdict.coverage import coverage, incomplete, not_finite
-from ptnsbc_tools.verdict.recording import NANO, Recording
-from ptnsbc_tools.verdict.windows import encounters, inside
+from ptnsbc_tools.verdict.recording import NANO, Recording, gained
+from ptnsbc_tools.verdict.running import ErrorFigures
 
 MET, MISSED, VOID = "met", "missed", "void"
 
@@ -57,31 +56,13 @@ def formation_errors(
     return errors
 
 
-def settling_time(
-    times: Array, error: Array, band: float, counted: NDArray[np.bool_]
-) -> float | None:
-    """When the error has left the band for the last time; None when it ends outside.
-
-    Args:
-        times: (T,) [s] after the epoch.
-        error: (T,) [m].
-        band: tolerance [m].
-        counted: (T,) False where an exit is excused: in encounters after the deadline.
-    """
-    outside = np.flatnonzero((error > band) & counted)
-    if outside.size == 0:
-        return 0.0
-    last = int(outside[-1])
-    return None if last == times.size - 1 else float(times[last + 1])
-
-
 def _gained(recording: Recording, uav: int, name: str, span_s: tuple[float, float]) -> float:
     """What a counter gained between two times after the epoch."""
     counters = recording.counters.get(uav)
     if counters is None:
         return 0.0
     begin, end = (recording.start_ns + round(time / NANO) for time in span_s)
-    return counters.gained(name, begin, end)
+    return gained(counters, name, begin, end)
 
 
 def _left_again(found: UavVerdict) -> bool:
@@ -122,17 +103,14 @@ def _causes(recording: Recording, found: UavVerdict, end_s: float, avoiding: boo
     return causes
 
 
-def judge(
-    recording: Recording, grid: NDArray[np.int64], uav: int, error: Array, tolerance: float
-) -> UavVerdict:
-    """The verdict on one UAV from its formation error (T,) [m]."""
-    found, avoiding = _measured(recording, grid, uav, error, tolerance)
-    times = recording.times(grid)
-    nonsense = not_finite(recording, uav, times, error)
+def judge(recording: Recording, uav: int, figures: ErrorFigures, tolerance: float) -> UavVerdict:
+    """The verdict on one UAV from the figures of its formation error over the whole leg."""
+    found = _measured(recording, uav, figures, tolerance)
+    nonsense = not_finite(recording, uav, figures.not_finite_s)
     if nonsense:
         # Comparisons with NaN are false: it would pass for an error that never left the band.
         return replace(found, verdict=MISSED, reason=nonsense, settling_s=None)
-    end_s = float(times[-1])
+    end_s = figures.end_s
     short = found.error_at_deadline_m is None
     miss = f"recording ends after {end_s:.2f} s" if short else _miss(found, end_s)
     hole = incomplete(recording, uav)
@@ -143,46 +121,34 @@ def judge(
         return replace(found, verdict=VOID, reason=miss)
     if not miss:
         return found
-    causes = _causes(recording, found, end_s, avoiding)
+    causes = _causes(recording, found, end_s, bool(figures.avoiding))
     verdict = VOID if causes else MISSED
     return replace(found, verdict=verdict, reason=", ".join([miss, *causes]))
 
 
 def _measured(
-    recording: Recording, grid: NDArray[np.int64], uav: int, error: Array, tolerance: float
-) -> tuple[UavVerdict, bool]:
-    """All figures of one UAV, and whether it was keeping clear at the deadline."""
-    scenario = recording.scenario
-    deadline = scenario.gains.formation.deadline_s
-    times = recording.times(grid)
-    windows = encounters(scenario, recording.counters, uav)
-    counted = ~inside(windows, grid)
-    # What was under way at the deadline, or before it, excuses no late settling.
-    later = [window for window in windows if (window[0] - recording.start_ns) * NANO > deadline]
-    unexcused = ~inside(later, grid)
-    band = max(tolerance, SHARE_OF_START * float(error[0]))
-    reached = times[-1] >= deadline - 1e-9
-    at = float(np.interp(deadline, times, error)) if reached else None
-    after = error[(times >= deadline - 1e-9) & counted]
+    recording: Recording, uav: int, figures: ErrorFigures, tolerance: float
+) -> UavVerdict:
+    """All figures of one UAV."""
+    deadline = recording.scenario.gains.formation.deadline_s
+    start, at = figures.start_error, figures.at_deadline
     cover = coverage(recording, uav, recording.odometry[uav])
-    found = UavVerdict(
+    return UavVerdict(
         uav=uav,
         verdict=MET,
         reason="",
         deadline_s=deadline,
-        start_error_m=float(error[0]),
-        band_m=band,
-        settling_s=settling_time(times, error, band, unexcused),
+        start_error_m=start,
+        band_m=figures.band,
+        settling_s=figures.settling_s,
         tolerance_m=tolerance,
         error_at_deadline_m=at,
-        residual=at / float(error[0]) if at is not None and error[0] > 0 else None,
-        max_error_after_m=float(after.max()) if after.size else None,
-        rmse_after_m=float(np.sqrt(np.mean(after**2))) if after.size else None,
-        encounter_s=float(np.sum(np.diff(times)[~counted[1:]])),
+        residual=at / start if at is not None and start > 0 else None,
+        max_error_after_m=figures.max_after,
+        rmse_after_m=figures.rmse_after,
+        encounter_s=figures.encounter_s,
         saturated_s=_gained(recording, uav, "saturated_s", (0.0, deadline)),
         holding_s=_gained(recording, uav, "holding_s", (0.0, deadline)),
         missing=cover.missing,
         longest_gap_s=cover.longest_gap_s,
     )
-    avoiding = reached and not counted[int(np.searchsorted(times, deadline - 1e-9))]
-    return found, bool(avoiding)

@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 
 from ptnsbc_core.types import Array
 from ptnsbc_tools.verdict.coverage import coverage
-from ptnsbc_tools.verdict.recording import NANO, Recording, Series
+from ptnsbc_tools.verdict.recording import NANO, Recording
+from ptnsbc_tools.verdict.running import Instant, max_of
+from ptnsbc_tools.verdict.track import BLOCK, Series
 
 
 @dataclass(frozen=True)
@@ -49,100 +51,160 @@ class EstimatorError:
     max_after_m: float | None
 
 
-def _held(recording: Recording, series: Series) -> tuple[Array, Array]:
-    """Inputs (K, 6) that acted in the judged time, and for how long (K,) [s] each.
+class _Inputs:
+    """Figures of the inputs of one UAV, block by block."""
 
-    An input is held until the next one is recorded, the last one until the end: a message that is
-    missing must not take its time out of an integral.
-    """
-    start_ns, end_ns = recording.start_ns, recording.end_ns
-    at_epoch = max(int(np.searchsorted(series.t_ns, start_ns, side="right")) - 1, 0)
-    acted = slice(at_epoch, int(np.searchsorted(series.t_ns, end_ns, side="right")))
-    edges = np.clip(np.append(series.t_ns[acted], end_ns), start_ns, end_ns)
-    return series.values[acted], np.diff(edges) * NANO
+    def __init__(self, recording: Recording) -> None:
+        self._recording = recording
+        self._weight = recording.scenario.mass_kg * recording.scenario.gravity_m_s2
+        self.first: tuple[float, float] | None = None  # |u| and force at the epoch
+        self.peak = self.peak_force = -np.inf
+        self.peak_at_s = 0.0
+        self.energy = self.above_hover = 0.0
+
+    def add(self, block: Series, next_ns: int) -> None:
+        """Take inputs that acted one after the other, the last until `next_ns`.
+
+        An input is held until the next one is recorded: a message that is missing must not take its time
+        out of an integral.
+        """
+        start_ns, end_ns = self._recording.start_ns, self._recording.end_ns
+        force = np.linalg.norm(block.values[:, :3], axis=1)
+        torque = np.linalg.norm(block.values[:, 3:], axis=1)
+        edges = np.clip(np.append(block.t_ns, next_ns), start_ns, end_ns)
+        seconds = np.diff(edges) * NANO
+        self.energy += float(np.sum((force**2 + torque**2) * seconds))
+        beyond = (force - self._weight) ** 2 + torque**2
+        self.above_hover += float(np.sum(beyond * seconds))
+        judged = block.t_ns >= start_ns
+        if judged.any():
+            times = self._recording.times(block.t_ns[judged])
+            self._take_peak(times, force[judged], np.hypot(force, torque)[judged])
+
+    def _take_peak(self, times: Array, force: Array, whole: Array) -> None:
+        if self.first is None:
+            self.first = float(whole[0]), float(force[0])
+        self.peak_force = max_of(self.peak_force, force.max())
+        peak = int(np.argmax(whole))  # the first that is no number, if there is one
+        if whole[peak] > self.peak or np.isnan(whole[peak]) > np.isnan(self.peak):
+            self.peak, self.peak_at_s = float(whole[peak]), float(times[peak])
+
+    def effort(self, uav: int, missing: int) -> Effort | None:
+        """All of them; None when there was no input in the judged time."""
+        if self.first is None:
+            return None
+        return Effort(
+            uav=uav,
+            initial_input=self.first[0],
+            initial_above_hover_n=self.first[1] - self._weight,
+            peak_input=self.peak,
+            peak_force_n=self.peak_force,
+            peak_at_s=self.peak_at_s,
+            energy=self.energy,
+            energy_above_hover=self.above_hover,
+            missing=missing,
+        )
 
 
 def effort(recording: Recording, uav: int) -> Effort | None:
     """Input figures of one UAV; None when its wrench was not recorded."""
-    series = recording.wrench.get(uav)
-    if series is None:
+    track = recording.wrench.get(uav)
+    if track is None:
         return None
-    chosen = (series.t_ns >= recording.start_ns) & (series.t_ns <= recording.end_ns)
-    if not chosen.any():
-        return None
-    times = recording.times(series.t_ns[chosen])
-    force, torque = _norms(series.values[chosen])
-    whole = np.hypot(force, torque)
-    weight = recording.scenario.mass_kg * recording.scenario.gravity_m_s2
-    peak = int(np.argmax(whole))
-    held, seconds = _held(recording, series)
-    held_force, held_torque = _norms(held)
-    return Effort(
-        uav=uav,
-        initial_input=float(whole[0]),
-        initial_above_hover_n=float(force[0] - weight),
-        peak_input=float(whole[peak]),
-        peak_force_n=float(force.max()),
-        peak_at_s=float(times[peak]),
-        energy=float(np.sum((held_force**2 + held_torque**2) * seconds)),
-        energy_above_hover=float(np.sum(((held_force - weight) ** 2 + held_torque**2) * seconds)),
-        missing=coverage(recording, uav, series).missing,
-    )
+    figures = _Inputs(recording)
+    # What was said last before the epoch acts at it.
+    first = max(track.index(recording.start_ns, "right") - 1, 0)
+    end = track.index(recording.end_ns, "right")
+    for begin in range(first, end, BLOCK):
+        last = min(begin + BLOCK, end)
+        following = track.rows(last, last + 1).first_ns if last < end else recording.end_ns
+        figures.add(track.rows(begin, last), following)
+    return figures.effort(uav, coverage(recording, uav, track).missing)
 
 
-def _norms(wrench: Array) -> tuple[Array, Array]:
-    """|force| [N] and |torque| [N m], (T,) each."""
-    return np.linalg.norm(wrench[:, :3], axis=1), np.linalg.norm(wrench[:, 3:], axis=1)
+class _Pair:
+    """The closest approach of two, block by block."""
+
+    def __init__(self, names: tuple[str, str], keep_out: float) -> None:
+        self._names = names
+        self._keep_out = keep_out
+        self._closest = np.inf
+        self._at_s: float | None = None
+        self._inside_s = 0.0
+        self._inside_since: float | None = None  # of the newest sample, when it is inside
+
+    def add(self, times: Array, distance: Array) -> None:
+        """Take (T,) [s] and (T,) [m]."""
+        distance = np.where(np.isfinite(distance), distance, np.inf)  # NaN is neither near nor far
+        closest = int(np.argmin(distance))
+        if self._at_s is None or distance[closest] < self._closest:
+            self._closest, self._at_s = float(distance[closest]), float(times[closest])
+        inside = distance < self._keep_out
+        period = np.diff(times, append=times[-1])
+        self._inside_s += float(np.sum(period[inside]))
+        if self._inside_since is not None:
+            self._inside_s += float(times[0] - self._inside_since)
+        self._inside_since = float(times[-1]) if inside[-1] else None
+
+    def separation(self) -> Separation:
+        """What was found."""
+        at_s = self._at_s or 0.0
+        return Separation(*self._names, self._closest, at_s, self._keep_out, self._inside_s)
 
 
-def _separation(
-    names: tuple[str, str], distance: Array, keep_out: float, times: Array
-) -> Separation:
-    distance = np.where(np.isfinite(distance), distance, np.inf)  # NaN is neither near nor far
-    closest = int(np.argmin(distance))
-    period = np.diff(times, append=times[-1])
-    return Separation(
-        names[0],
-        names[1],
-        float(distance[closest]),
-        float(times[closest]),
-        keep_out,
-        float(np.sum(period[distance < keep_out])),
-    )
+class Separations:
+    """Closest approach of every pair of UAVs and of every UAV and obstacle."""
+
+    def __init__(self, recording: Recording) -> None:
+        scenario = recording.scenario
+        self._recording = recording
+        self._pairs = {
+            (a, b): _Pair((f"uav{a}", f"uav{b}"), scenario.uav_keep_out_m)
+            for a, b in combinations(scenario.uav_ids, 2)
+        }
+        self._obstacles = [
+            (uav, one.position, _Pair((f"uav{uav}", one.name), one.keep_out_m))
+            for uav in scenario.uav_ids
+            for one in scenario.obstacles
+        ]
+
+    def add(self, grid: NDArray[np.int64], positions: dict[int, Array]) -> None:
+        """Take the positions (T, 3) [m] of all UAVs at (T,) [ns]."""
+        times = self._recording.times(grid)
+        for (a, b), pair in self._pairs.items():
+            pair.add(times, np.linalg.norm(positions[a] - positions[b], axis=1))
+        for uav, place, pair in self._obstacles:
+            pair.add(times, np.linalg.norm(positions[uav] - place, axis=1))
+
+    def found(self) -> list[Separation]:
+        """Worst margin first."""
+        pairs = [*self._pairs.values(), *(pair for _, _, pair in self._obstacles)]
+        found = [pair.separation() for pair in pairs]
+        return sorted(found, key=lambda pair: pair.distance_m - pair.keep_out_m)
 
 
-def separations(
-    recording: Recording, grid: NDArray[np.int64], positions: dict[int, Array]
-) -> list[Separation]:
-    """Closest approach of every pair of UAVs and of every UAV and obstacle, worst margin first."""
-    scenario = recording.scenario
-    times = recording.times(grid)
-    found = []
-    for a, b in combinations(scenario.uav_ids, 2):
-        distance = np.linalg.norm(positions[a] - positions[b], axis=1)
-        names = (f"uav{a}", f"uav{b}")
-        found.append(_separation(names, distance, scenario.uav_keep_out_m, times))
-    for uav in scenario.uav_ids:
-        for obstacle in scenario.obstacles:
-            distance = np.linalg.norm(positions[uav] - obstacle.position, axis=1)
-            names = (f"uav{uav}", obstacle.name)
-            found.append(_separation(names, distance, obstacle.keep_out_m, times))
-    return sorted(found, key=lambda pair: pair.distance_m - pair.keep_out_m)
+class EstimatorErrors:
+    """Errors of the followers' leader estimates, as far as they were recorded."""
 
+    def __init__(self, recording: Recording) -> None:
+        self._recording = recording
+        self._deadline_s = deadline = recording.scenario.gains.estimator.deadline_s
+        tracks = recording.estimate
+        self._tracks = {u: tracks[u] for u in recording.scenario.followers if u in tracks}
+        self._at = {uav: Instant(deadline) for uav in self._tracks}
+        self._max: dict[int, float] = {}
 
-def estimator_error(
-    recording: Recording, grid: NDArray[np.int64], leader: Array, uav: int
-) -> EstimatorError | None:
-    """Error of one follower's leader estimate; None when it was not recorded."""
-    series = recording.estimate.get(uav)
-    if series is None:
-        return None
-    times = recording.times(grid)
-    deadline = recording.scenario.gains.estimator.deadline_s
-    error = np.linalg.norm(series.at(grid)[:, :3] - leader, axis=1)
-    after = error[times >= deadline]
-    return EstimatorError(
-        uav,
-        float(np.interp(deadline, times, error)) if times[-1] >= deadline else None,
-        float(after.max()) if after.size else None,
-    )
+    def add(self, grid: NDArray[np.int64], positions: dict[int, Array]) -> None:
+        """Take the positions (T, 3) [m] of all UAVs at (T,) [ns]."""
+        times = self._recording.times(grid)
+        leader = positions[self._recording.scenario.leader_id]
+        for uav, track in self._tracks.items():
+            error = np.linalg.norm(track.at(grid)[:, :3] - leader, axis=1)
+            self._at[uav].add(times, error)
+            after = error[times >= self._deadline_s]
+            if after.size:
+                self._max[uav] = max_of(self._max.get(uav, -np.inf), after.max())
+
+    def found(self) -> list[EstimatorError]:
+        """One per follower."""
+        return [EstimatorError(u, self._at[u].value, self._max.get(u)) for u in self._tracks]

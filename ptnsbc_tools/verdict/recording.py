@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import Scenario
+from ptnsbc_tools.verdict.track import Track
 
 NANO = 1e-9
 FORMATION = "form"  # leg with a deadline
@@ -20,45 +21,25 @@ class VerdictError(PtnsbcError):
     """A recording that cannot be judged."""
 
 
-@dataclass(frozen=True)
-class Series:
-    """Samples of one quantity of one UAV."""
-
-    t_ns: NDArray[np.int64]  # (T,) ascending
-    values: Array  # (T, width)
-
-    def at(self, t_ns: NDArray[np.int64]) -> Array:
-        """Values at other times, linear in between; exact where the times coincide."""
-        base = self.t_ns[0]  # wall-clock stamps do not fit a float64 to the nanosecond
-        own = (self.t_ns - base).astype(np.float64)
-        wanted = (t_ns - base).astype(np.float64)
-        columns = [np.interp(wanted, own, column) for column in self.values.T]
-        return np.stack(columns, axis=1)
-
-    def last(self, t_ns: NDArray[np.int64]) -> Array:
-        """The newest values at other times, the first ones before that: for counters."""
-        index = np.searchsorted(self.t_ns, t_ns, side="right") - 1
-        return self.values[np.maximum(index, 0)]
+COUNTERS = (
+    "avoidance_active_s",
+    "saturated_s",
+    "holding_s",
+    "missed_ticks",  # since the process started
+    "priority_violation_max",  # [m/s]
+)
+"""Columns of what a UAV counts on /diagnostics, from its start on."""
 
 
-@dataclass(frozen=True)
-class Counters:
-    """Cumulative counters of one UAV from /diagnostics, all (T,)."""
+def gained(counters: Track, name: str, start_ns: int, end_ns: int) -> float:
+    """By how much a counter rose between two instants."""
+    column = COUNTERS.index(name)
 
-    t_ns: NDArray[np.int64]
-    avoidance_active_s: Array
-    saturated_s: Array
-    holding_s: Array
-    missed_ticks: Array  # since the process started
-    priority_violation_max: Array  # [m/s]
+    def before(end: int) -> float:
+        return float(counters.rows(end - 1, end).values[0, column])
 
-    def gained(self, name: str, start_ns: int, end_ns: int) -> float:
-        """By how much a counter rose between two instants."""
-        values: Array = getattr(self, name)
-        before = int(np.searchsorted(self.t_ns, start_ns, side="left")) - 1
-        after = int(np.searchsorted(self.t_ns, end_ns, side="right")) - 1
-        first = float(values[before]) if before >= 0 else 0.0
-        return max(float(values[after]) - first, 0.0) if after >= 0 else 0.0
+    first, last = counters.index(start_ns, "left"), counters.index(end_ns, "right")
+    return max(before(last) - (before(first) if first else 0.0), 0.0) if last else 0.0
 
 
 @dataclass(frozen=True)
@@ -66,14 +47,14 @@ class Recording:
     """A whole flight, of the simulator, a fleet or real vehicles alike."""
 
     scenario: Scenario
-    odometry: Mapping[int, Series]  # (T, 13) per UAV
-    wrench: Mapping[int, Series]  # (T, 6) per UAV; may lack UAVs
-    estimate: Mapping[int, Series]  # (T, 13) per UAV; may lack UAVs
-    counters: Mapping[int, Counters]  # per UAV; may lack UAVs
+    odometry: Mapping[int, Track]  # (T, 13) per UAV
+    wrench: Mapping[int, Track]  # (T, 6) per UAV; may lack UAVs
+    estimate: Mapping[int, Track]  # (T, 13) per UAV; may lack UAVs
+    counters: Mapping[int, Track]  # (T, 5) per UAV, `COUNTERS`; may lack UAVs
     epochs: tuple[tuple[int, str], ...]  # (t0 [ns], leg), ascending; empty when not recorded
-    truth: Mapping[int, Series] = field(default_factory=dict)  # (T, 13) per UAV, of simulators
+    truth: Mapping[int, Track] = field(default_factory=dict)  # (T, 13) per UAV, of simulators
     # (T, 1) per UAV: odometry messages sent until each stamp, as a bridge counts them
-    sent: Mapping[int, Series] = field(default_factory=dict)
+    sent: Mapping[int, Track] = field(default_factory=dict)
     latency: Mapping[str, float] = field(default_factory=dict)  # of the sim node, newest figures
     leg: int = 0  # which of the formation legs is looked at
     window_s: float | None = None  # look no further than this after its epoch
@@ -82,7 +63,7 @@ class Recording:
     def forms(self) -> tuple[int, ...]:
         """Epochs [ns] of the formation legs; the first message when none was recorded."""
         found = tuple(t0_ns for t0_ns, leg in self.epochs if leg == FORMATION)
-        return found or (min(int(series.t_ns[0]) for series in self.odometry.values()),)
+        return found or (min(track.first_ns for track in self.odometry.values()),)
 
     @property
     def first_ns(self) -> int:
@@ -102,8 +83,7 @@ class Recording:
     @property
     def end_ns(self) -> int:
         """When it is over: with the leg, or at the last instant that all UAVs recorded."""
-        last = min(int(series.t_ns[-1]) for series in self.odometry.values())
-        return self._ended(last)
+        return self._ended(min(track.last_ns for track in self.odometry.values()))
 
     def _ended(self, last_ns: int) -> int:
         later = [t0_ns for t0_ns, _ in self.epochs if t0_ns > self.start_ns]
@@ -111,16 +91,27 @@ class Recording:
             later.append(self.start_ns + round(self.window_s / NANO))
         return min([last_ns, *later])
 
-    def grid(self) -> NDArray[np.int64]:
-        """The judged instants: the leader's stamps from the epoch to the end of the leg."""
-        stamps = self.odometry[self.scenario.leader_id].t_ns
-        inside = stamps[(stamps >= self.start_ns) & (stamps <= self.end_ns)]
-        if inside.size < 2:
+    @property
+    def samples(self) -> int:
+        """How many instants are judged."""
+        first, end = self.odometry[self.scenario.leader_id].span(self.start_ns, self.end_ns)
+        return end - first
+
+    def grids(self) -> Iterator[NDArray[np.int64]]:
+        """The judged instants, block by block: the leader's stamps from the epoch to the end of the leg."""
+        leader = self.odometry[self.scenario.leader_id]
+        first, end = leader.span(self.start_ns, self.end_ns)
+        if self.samples < 2:
             raise VerdictError(
                 "the recording holds no formation flight: expected odometry of the leader after "
                 f"the epoch at {self.start_ns * NANO:.3f} s"
             )
-        return inside
+        for block in leader.blocks(first, end):
+            yield block.t_ns
+
+    def grid(self) -> NDArray[np.int64]:
+        """All of them at once, for short flights."""
+        return np.concatenate(list(self.grids()))
 
     def times(self, stamps: NDArray[np.int64]) -> Array:
         """Seconds (T,) after the epoch."""
@@ -144,3 +135,8 @@ def complete(recording: Recording) -> Recording:
         names = ", ".join(f"/uav{uav}/odom" for uav in missing)
         raise VerdictError(f"no message on {names}: expected odometry of every UAV in the scenario")
     return recording
+
+
+def tolerance_of(recording: Recording, given: float | None) -> float:
+    """The hard limit at the deadline [m]: what is given, or the scenario's."""
+    return recording.scenario.file.formation.tolerance_m if given is None else given

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -21,12 +21,25 @@ from ptnsbc_tools.verdict.deadline import (
 from ptnsbc_tools.verdict.figures import (
     Effort,
     EstimatorError,
+    EstimatorErrors,
     Separation,
+    Separations,
     effort,
-    estimator_error,
-    separations,
 )
-from ptnsbc_tools.verdict.recording import NANO, Recording, VerdictError, complete
+from ptnsbc_tools.verdict.recording import (
+    COUNTERS,
+    NANO,
+    Recording,
+    VerdictError,
+    complete,
+    gained,
+    tolerance_of,
+)
+from ptnsbc_tools.verdict.running import ErrorFigures
+from ptnsbc_tools.verdict.track import Track
+
+_VIOLATION = COUNTERS.index("priority_violation_max")
+_Watcher = Separations | EstimatorErrors
 
 
 @dataclass(frozen=True)
@@ -101,22 +114,18 @@ def _plain(value: Any) -> Any:
 
 def verdict_on(recording: Recording, tolerance: float | None = None) -> Verdict:
     """Judge a recording; `tolerance` [m] is the hard limit at the deadline, by default the scenario's."""
-    if tolerance is None:
-        tolerance = recording.scenario.file.formation.tolerance_m
     with np.errstate(all="ignore"):  # what is not finite is named in the verdict
-        return _verdict_on(recording, tolerance)
+        return _verdict_on(recording, tolerance_of(recording, tolerance))
 
 
 def _verdict_on(recording: Recording, tolerance: float) -> Verdict:
     scenario = complete(recording).scenario
-    legs = _legs(recording, tolerance)
-    grid = recording.grid()
-    positions = recording.positions(grid)
-    leader = positions[scenario.leader_id]
-    efforts = [effort(recording, uav) for uav in scenario.uav_ids]
-    known = tuple(one for one in efforts if one is not None)
-    pairs = separations(recording, grid, positions)
-    estimators = [estimator_error(recording, grid, leader, uav) for uav in scenario.followers]
+    pairs, estimators = Separations(recording), EstimatorErrors(recording)
+    legs = _legs(recording, tolerance, (pairs, estimators))
+    found = [effort(recording, uav) for uav in scenario.uav_ids]
+    efforts = tuple(one for one in found if one is not None)
+    separations = tuple(pairs.found())
+    start_ns, end_ns = recording.start_ns, legs[0].end_ns
     counters = recording.counters.values()
     return Verdict(
         scenario=scenario.name,
@@ -125,48 +134,64 @@ def _verdict_on(recording: Recording, tolerance: float) -> Verdict:
         profile=scenario.gains.profile,
         avoidance=scenario.file.formation.avoidance,
         judged_by=recording.judged_by,
-        epoch_s=recording.start_ns * NANO,
-        duration_s=float(grid[-1] - recording.start_ns) * NANO,
-        uavs=legs[0].uavs,
-        efforts=known,
-        separations=tuple(pairs),
-        estimators=tuple(one for one in estimators if one is not None),
-        energy=sum(one.energy for one in known),
-        inside_keep_out_s=sum(pair.inside_s for pair in pairs),
-        missed_ticks=int(
-            sum(one.gained("missed_ticks", recording.start_ns, int(grid[-1])) for one in counters)
-        ),
-        priority_violation_m_s=max(
-            (float(one.priority_violation_max[-1]) for one in counters if one.t_ns.size),
-            default=0.0,
-        ),
+        epoch_s=start_ns * NANO,
+        duration_s=legs[0].verdict.duration_s,
+        uavs=legs[0].verdict.uavs,
+        efforts=efforts,
+        separations=separations,
+        estimators=tuple(estimators.found()),
+        energy=sum(one.energy for one in efforts),
+        inside_keep_out_s=sum(pair.inside_s for pair in separations),
+        missed_ticks=int(sum(gained(one, "missed_ticks", start_ns, end_ns) for one in counters)),
+        priority_violation_m_s=max((_newest(one)[_VIOLATION] for one in counters), default=0.0),
         latency_ms=dict(recording.latency),
-        legs=legs,
+        legs=tuple(leg.verdict for leg in legs),
     )
 
 
-def _legs(recording: Recording, tolerance: float) -> tuple[LegVerdict, ...]:
+def _newest(counters: Track) -> list[float]:
+    return [float(value) for value in counters.rows(counters.size - 1, counters.size).values[0]]
+
+
+class _Judged(NamedTuple):
+    """A leg and where it ends."""
+
+    verdict: LegVerdict
+    end_ns: int
+
+
+def _legs(recording: Recording, tolerance: float, first: Sequence[_Watcher]) -> list[_Judged]:
+    """All legs; who watches the first one sees the positions too."""
     found = []
     for number in range(len(recording.forms)):
         leg = dataclasses.replace(recording, leg=number)
         try:
-            found.append(_leg(leg, tolerance))
+            found.append(_leg(leg, tolerance, () if number else first))
         except VerdictError as error:
             if number == 0:
                 raise
             epoch_s = leg.start_ns * NANO
-            found.append(LegVerdict(number + 1, epoch_s, 0.0, str(error), ()))
-    return tuple(found)
+            void = LegVerdict(number + 1, epoch_s, 0.0, str(error), ())
+            found.append(_Judged(void, leg.start_ns))
+    return found
 
 
-def _leg(recording: Recording, tolerance: float) -> LegVerdict:
-    grid = recording.grid()
-    errors = formation_errors(recording, grid, recording.positions(grid))
+def _leg(recording: Recording, tolerance: float, watchers: Sequence[_Watcher]) -> _Judged:
     uavs = recording.scenario.uav_ids
-    return LegVerdict(
+    figures = {uav: ErrorFigures(recording, uav, tolerance) for uav in uavs}
+    end_ns = recording.start_ns
+    for grid in recording.grids():
+        positions = recording.positions(grid)
+        for uav, error in formation_errors(recording, grid, positions).items():
+            figures[uav].add(grid, error)
+        for watcher in watchers:
+            watcher.add(grid, positions)
+        end_ns = int(grid[-1])
+    leg = LegVerdict(
         recording.leg + 1,
         recording.start_ns * NANO,
-        float(grid[-1] - recording.start_ns) * NANO,
+        float(end_ns - recording.start_ns) * NANO,
         "",
-        tuple(judge(recording, grid, uav, errors[uav], tolerance) for uav in uavs),
+        tuple(judge(recording, uav, figures[uav], tolerance) for uav in uavs),
     )
+    return _Judged(leg, end_ns)

@@ -16,10 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ptnsbc_sim.scenario import Scenario, agent_config
-from ptnsbc_tools.verdict.recording import Counters
+from ptnsbc_tools.verdict.recording import COUNTERS
+from ptnsbc_tools.verdict.track import Track
 
 Window = tuple[int, int]  # [ns], inclusive
 
+_ACTIVE = COUNTERS.index("avoidance_active_s")
 _PAUSE_S = 1.0
 _TIME_CONSTANTS = 3.0
 _SLOWEST_RECOVERY_S = 10.0  # a loop without kappa would never return
@@ -32,12 +34,18 @@ def recovery_s(scenario: Scenario) -> float:
     return _PAUSE_S + min(_TIME_CONSTANTS / rate if rate > 0 else np.inf, _SLOWEST_RECOVERY_S)
 
 
-def rises(counters: Counters) -> list[Window]:
+def rises(counters: Track) -> list[Window]:
     """Spans in which a UAV was keeping clear."""
-    active = counters.avoidance_active_s
-    steps = np.diff(active, prepend=active[:1]) > 0
-    before = np.concatenate((counters.t_ns[:1], counters.t_ns[:-1]))
-    return [(int(before[k]), int(counters.t_ns[k])) for k in np.flatnonzero(steps)]
+    found: list[Window] = []
+    last_ns, last = np.empty(0, np.int64), np.empty(0)
+    for block in counters.blocks():
+        stamps = np.concatenate((last_ns if last_ns.size else block.t_ns[:1], block.t_ns))
+        active = block.values[:, _ACTIVE]
+        steps = np.diff(active, prepend=last if last.size else active[:1]) > 0
+        spans = [(int(stamps[k]), int(stamps[k + 1])) for k in np.flatnonzero(steps)]
+        found = joined([*found, *spans])
+        last_ns, last = block.t_ns[-1:], active[-1:]
+    return found
 
 
 def joined(windows: Iterable[Window]) -> list[Window]:
@@ -61,7 +69,7 @@ def ancestors(scenario: Scenario, uav_id: int) -> list[int]:
     return chain
 
 
-def encounters(scenario: Scenario, counters: Mapping[int, Counters], uav_id: int) -> list[Window]:
+def encounters(scenario: Scenario, counters: Mapping[int, Track], uav_id: int) -> list[Window]:
     """Encounter windows of one UAV, recovery included."""
     extra_ns = round(recovery_s(scenario) * 1e9)
     spans = [

@@ -11,7 +11,8 @@ from ptnsbc_core.trajectory import reference
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import Scenario, load_scenario
 from ptnsbc_sim.scenario.build import trajectory_vector
-from ptnsbc_tools.verdict import Counters, Recording, Series
+from ptnsbc_tools.verdict import Recording, Series
+from ptnsbc_tools.verdict.recording import COUNTERS
 
 Errors = Callable[[Array], Array]
 HZ = 100
@@ -19,13 +20,13 @@ HZ = 100
 
 def counters(
     seconds: float, active: Callable[[Array], Array] = np.zeros_like, **values: Any
-) -> Counters:
+) -> Series:
     """Counters at 5 Hz; `active` gives avoidance_active_s over time."""
     t = np.arange(0.0, seconds, 0.2)
-    columns = {name: np.zeros(t.size) for name in ("saturated_s", "holding_s", "missed_ticks")}
-    columns["priority_violation_max"] = np.zeros(t.size)
+    columns = {name: np.zeros(t.size) for name in COUNTERS} | {"avoidance_active_s": active(t)}
     columns |= {name: np.full(t.size, value) for name, value in values.items()}
-    return Counters(np.round(t * 1e9).astype(np.int64), active(t), **columns)
+    rows = np.stack([columns[name] for name in COUNTERS], axis=1)
+    return Series(np.round(t * 1e9).astype(np.int64), rows)
 
 
 def flight(
@@ -81,5 +82,5 @@ def fly() -> Callable[..., Recording]:
 
 
 @pytest.fixture
-def count() -> Callable[..., Counters]:
+def count() -> Callable[..., Series]:
     return counters

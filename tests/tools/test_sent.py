@@ -6,8 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ptnsbc_tools.bag_reader import _sent
+from ptnsbc_tools.bag_reader import Counted
 from ptnsbc_tools.diagnostics import Diagnostics, Status
+from ptnsbc_tools.spool import Spool
 from ptnsbc_tools.verdict import Recording, Series, verdict_on
 
 Fly = Callable[..., Recording]
@@ -64,7 +65,11 @@ def test_counts_are_read_from_the_diagnostics_of_bridges() -> None:
         told("bridge4: link", "rubbish"),
         told("uav1: planner", f"{stamp} 9"),
     ]
-    found = _sent(statuses)
+    counted = Counted(Spool())
+    for array in statuses:
+        counted.take(array)
+    found = counted.sent()
     assert list(found) == [2]
-    assert found[2].t_ns.tolist() == [stamp, stamp + 20_000_000]
-    assert found[2].values.tolist() == [[7.0], [8.0]]
+    (block,) = found[2].blocks()
+    assert block.t_ns.tolist() == [stamp, stamp + 20_000_000]
+    assert block.values.tolist() == [[7.0], [8.0]]

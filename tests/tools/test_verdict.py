@@ -11,6 +11,7 @@ import pytest
 from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_tools.tables import verdict_tables
 from ptnsbc_tools.verdict import Recording, VerdictError, verdict_on
+from ptnsbc_tools.verdict.recording import COUNTERS
 from ptnsbc_tools.verdict.verdict import Verdict
 
 Fly = Callable[..., Recording]
@@ -115,7 +116,7 @@ def test_an_error_after_the_deadline_is_missed(fly: Fly) -> None:
 def test_only_what_came_before_the_exit_voids_it(fly: Fly, count: Callable[..., Any]) -> None:
     def saturated(since: int) -> dict[int, Any]:
         counters = count(12.0, saturated_s=0.7)
-        counters.saturated_s[:since] = 0.0
+        counters.values[:since, COUNTERS.index("saturated_s")] = 0.0
         return {4: counters}
 
     assert of(verdict_on(fly({4: bump}, counters=saturated(5))), 4).verdict == "missed"
@@ -159,7 +160,7 @@ def test_a_miss_with_a_cause_is_void(
     fly: Fly, count: Callable[..., Any], name: str, reason: str
 ) -> None:
     others = {4: count(12.0, **{name: 0.7})}
-    others[4].__dict__[name][:3] = 0.0
+    others[4].values[:3, COUNTERS.index(name)] = 0.0
     verdict = verdict_on(fly({4: decay(2.0, 0.5)}, counters=others))
     assert of(verdict, 4).verdict == "void"
     assert of(verdict, 4).reason.endswith(reason)
@@ -175,7 +176,7 @@ def test_ticks_missed_before_the_epoch_do_not_count(fly: Fly, count: Callable[..
     early = {4: count(12.0, missed_ticks=17)}
     recording = fly(counters=early, epochs=((2_000_000_000, "form"),))
     assert verdict_on(recording).missed_ticks == 0
-    early[4].missed_ticks[30:] += 3
+    early[4].values[30:, COUNTERS.index("missed_ticks")] += 3
     assert verdict_on(recording).missed_ticks == 3
 
 

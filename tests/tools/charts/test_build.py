@@ -14,7 +14,7 @@ from ptnsbc_tools.charts.build import CHARTS, charts
 from ptnsbc_tools.charts.common import FLOOR_M
 from ptnsbc_tools.charts.flight import shown
 from ptnsbc_tools.charts.space import MOST_PAIRS
-from ptnsbc_tools.charts.status import Status, ages, status_of
+from ptnsbc_tools.charts.status import Status, Teller
 from ptnsbc_tools.diagnostics import Diagnostics
 from ptnsbc_tools.diagnostics import Status as One
 from ptnsbc_tools.verdict import Series
@@ -113,12 +113,19 @@ def told(stamp, name, **values):
     return Diagnostics(stamp, (One(name, 0, "", {k: str(v) for k, v in values.items()}),))
 
 
+def status(arrays):
+    teller = Teller()
+    for array in arrays:
+        teller.told(array)
+    return teller.status()
+
+
 def test_what_the_nodes_told_over_time(fly):
     seconds = range(0, 10)
     arrays = [told(s * 10**9, "uav2: planner", gain=s / 2, missed_ticks=7 + s) for s in seconds]
     arrays += [told(s * 10**9, "sim: world", latency_p99_ms=3 + s) for s in seconds]
     arrays += [told(0, "uav2: planner", gain="nonsense"), told(0, "battery", gain=1)]
-    found = drawn(fly(), status_of(arrays))
+    found = drawn(fly(), status(arrays))
     np.testing.assert_allclose(found["gain"].curves[0].values, np.arange(10) / 2)
     np.testing.assert_allclose(found["missed"].curves[0].values, np.arange(10))  # since the epoch
     assert [curve.label for curve in found["latency"].curves] == ["p99"]
@@ -136,10 +143,13 @@ def test_the_age_of_what_a_step_was_made_of(fly):
         note(30, own=30),  # nobody's message: no age
         note(40, own=31, state1=40),
     ]
-    series = ages(notes)
-    assert series.t_ns.tolist() == [20 * 10**6, 40 * 10**6]
-    np.testing.assert_allclose(series.values[:, 0], [7.0, 0.0])
-    chart = drawn(fly(), Status(age_ms={2: series}))["age"]
+    teller = Teller()
+    for one in notes:
+        teller.noted(2, one)
+    (block,) = teller.status().age_ms[2].blocks()
+    assert block.t_ns.tolist() == [20 * 10**6, 40 * 10**6]
+    np.testing.assert_allclose(block.values[:, 0], [7.0, 0.0])
+    chart = drawn(fly(), teller.status())["age"]
     np.testing.assert_allclose(chart.curves[0].values, [7.0, 0.1])  # the axis is logarithmic
     assert [limit.value for limit in chart.limits] == [500.0]
 
@@ -147,7 +157,7 @@ def test_the_age_of_what_a_step_was_made_of(fly):
 def test_lockstep_has_neither_latency_nor_missed_ticks(fly):
     arrays = [told(s * 10**9, "sim: world", latency_p99_ms="0.000") for s in range(9)]
     arrays += [told(s * 10**9, "uav2: planner", missed_ticks=0) for s in range(9)]
-    assert not {"latency", "missed"} & drawn(fly(), status_of(arrays)).keys()
+    assert not {"latency", "missed"} & drawn(fly(), status(arrays)).keys()
 
 
 def test_a_flight_that_cannot_be_judged_shows_what_there_is(fly):

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from ptnsbc_tools.charts.thin import thin
+from ptnsbc_tools.charts.thin import Thinner, thin
 
 CURVES = arrays(
     np.float64,
@@ -40,3 +40,15 @@ def test_a_needle_keeps_its_height_and_its_time():
 def test_what_is_short_is_left_alone():
     t, values = np.arange(5.0), np.arange(5.0)
     assert thin(t, values, 8).t is t
+
+
+@given(CURVES, st.integers(8, 60), st.data())
+def test_in_pieces_as_at_once(values, points, data):
+    t = np.arange(values.size, dtype=np.float64)
+    cuts = sorted(data.draw(st.lists(st.integers(0, values.size), max_size=6)))
+    thinner = Thinner(values.size, points)
+    for begin, end in zip([0, *cuts], [*cuts, values.size], strict=True):
+        thinner.add(t[begin:end], values[begin:end])
+    whole = thin(t, values, points)
+    np.testing.assert_array_equal(thinner.points().t, whole.t)
+    np.testing.assert_array_equal(thinner.points().values, whole.values)
