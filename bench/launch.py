@@ -81,11 +81,19 @@ def fleet(scenario: Scenario, *, lockstep: bool, bag: bool) -> Flown:
     )
 
 
-def bare(scenario: Scenario, *, lockstep: bool, bag: bool) -> Flown:
-    """The same processes without a mind; `bag` adds one that hears everything and drops it."""
+def bare(scenario: Scenario, *, lockstep: bool, bag: bool, typed: bool = False) -> Flown:
+    """The same processes without a mind.
+
+    Args:
+        scenario: who flies, who hears whom, how long.
+        lockstep: as fast as it goes, or by the wall clock.
+        bag: with one process more that hears everything and drops it.
+        typed: messages are objects, as in any rclpy program; else bytes that nobody decodes.
+    """
     roles = [("recorder", 0)] if bag else []
     roles += [("sim", 0), *(("uav", i) for i in scenario.uav_ids)]
-    flags = [flag for flag, on in (("--lockstep", lockstep), ("--recorded", bag)) if on]
+    chosen = (("--lockstep", lockstep), ("--recorded", bag), ("--typed", typed))
+    flags = [flag for flag, on in chosen if on]
     with (
         tempfile.TemporaryDirectory(prefix="bench-") as name,
         own_domain() as domain,

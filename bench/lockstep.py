@@ -1,4 +1,8 @@
-"""Lock-step: steps per second of the whole fleet, beside the bare ping-pong."""
+"""Lock-step: steps per second of the whole fleet, beside two bare ping-pongs.
+
+One passes message objects, as programs with rclpy do; the other passes bytes on that nobody looks into, and
+shows what the machine could do at best.
+"""
 
 from __future__ import annotations
 
@@ -17,23 +21,23 @@ def measure(plan: Plan) -> Sequence[Row]:
     scenario = paper(plan.of(10.0, 3.0))
     found = take_turns(
         {
-            "bare ping-pong": lambda: bare(scenario, lockstep=True, bag=False),
+            "bare ping-pong": lambda: bare(scenario, lockstep=True, bag=False, typed=True),
+            "bare bytes": lambda: bare(scenario, lockstep=True, bag=False),
             "fleet": lambda: fleet(scenario, lockstep=True, bag=False),
-            "bare ping-pong with a listener to all": lambda: bare(
-                scenario, lockstep=True, bag=True
-            ),
+            "bare bytes with a listener to all": lambda: bare(scenario, lockstep=True, bag=True),
             "fleet with a bag": lambda: fleet(scenario, lockstep=True, bag=True),
         },
         plan.of(3, 1),
         "lock-step, N = 5",
     )
     return [
-        _row("", found["fleet"], found["bare ping-pong"], "bare ping-pong"),
+        _row("", found["fleet"], found["bare ping-pong"], "bare ping-pong, message objects"),
+        _row("", found["fleet"], found["bare bytes"], "bare ping-pong, bytes not decoded"),
         _row(
             ", recorded",
             found["fleet with a bag"],
-            found["bare ping-pong with a listener to all"],
-            "bare, heard by one more",
+            found["bare bytes with a listener to all"],
+            "bare bytes, heard by one more",
         ),
     ]
 
