@@ -18,12 +18,20 @@ import time
 import numpy as np
 
 from ptnsbc_nodes.bridge.bridge import WANTED_MESSAGES
+from ptnsbc_nodes.bridge.vehicle import Vehicle
+from ptnsbc_nodes.mavlink.autopilots import PX4
 from ptnsbc_nodes.mavlink.dialect import mavlink
 from ptnsbc_nodes.mavlink.link import Link
 from ptnsbc_nodes.mavlink.signing import Signer
 from ptnsbc_nodes.mavlink.transport import Packet, connect
 
 _KEY = bytes(range(32))
+_ARMED = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | mavlink.MAV_MODE_FLAG_SAFETY_ARMED
+# Where the vehicle of the fuzzed link is, ENU and FLU, and what a state may stray from it: one step of noise.
+_STILL = np.array(
+    [2.0, 1.0, 3.0, 0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5), 0.1, -0.2, -0.3, 0.1, -0.2, -0.3]
+)
+_NOISE = 1.1
 
 
 class _Given:
@@ -68,27 +76,67 @@ def _broken(rng: random.Random, frames: list[bytes]) -> bytes:
     return bytes(data[: rng.randint(1, len(data))]) if kind < 0.6 else bytes(data)
 
 
+class _Flight:
+    """A vehicle in the air behind a link, and what of it broken packets have changed."""
+
+    def __init__(self, signed: bool) -> None:
+        self.given = _Given()
+        self.link = Link(self.given, 1, WANTED_MESSAGES, Signer(_KEY) if signed else None)
+        self._vehicle = Vehicle(PX4, signed=signed)
+        self._now_s = 1000.0
+        self.passed = self.affected = 0
+        for _ in range(3):
+            self.real()
+        self._told = self._facts()
+
+    def real(self) -> None:
+        """What the vehicle itself says, on a link without faults: it stands still in the air."""
+        boot_ms = round(1e3 * self._now_s)
+        for message in (
+            mavlink.MAVLink_attitude_quaternion_message(boot_ms, 1, 0, 0, 0, 0.1, 0.2, 0.3),
+            mavlink.MAVLink_local_position_ned_message(boot_ms, 1, 2, -3, 0.1, 0.2, 0.3),
+            mavlink.MAVLink_heartbeat_message(2, 12, _ARMED, 6 << 16, 4, 3),
+        ):
+            self._vehicle.hear(message, self._now_s)
+        self._now_s += 0.02
+
+    def broken(self, packets: list[bytes]) -> float:
+        """Feed broken packets, and after each that passes what is real; the time it took [s]."""
+        self.given.packets = packets
+        began = time.perf_counter()
+        while self.given.packets:
+            for message in self.link.poll(self._now_s):
+                self.passed += 1
+                sample = self._vehicle.hear(message, self._now_s)
+                strayed = sample is not None and np.abs(sample.odometry - _STILL).max() > _NOISE
+                self.affected += strayed or self._facts() != self._told
+                self.real()
+        return time.perf_counter() - began
+
+    def _facts(self) -> tuple[object, ...]:
+        vehicle = self._vehicle
+        return vehicle.mode, vehicle.armed, vehicle.landed, vehicle.rebooted, vehicle.stranger
+
+
 def fuzz(packets: int, signed: bool) -> None:
-    """Feed broken packets; how many passed, how fast, and how memory grew."""
+    """Feed broken packets; how many passed, how many changed anything, how fast, and how memory grew."""
     rng, frames = random.Random(1), _traffic(signed)
     known = set(frames)
-    given = _Given()
-    link = Link(given, 1, WANTED_MESSAGES, Signer(_KEY) if signed else None)
-    passed, spent, fed = 0, 0.0, 0
-    settled_kb = 0
+    flight = _Flight(signed)
+    spent, fed, settled_kb = 0.0, 0, 0
     while fed < packets:
-        given.packets = [d for d in (_broken(rng, frames) for _ in range(10_000)) if d not in known]
-        fed += len(given.packets)
-        began = time.perf_counter()
-        while given.packets:
-            passed += sum(1 for _ in link.poll(0.0))
-        spent += time.perf_counter() - began
+        batch = [d for d in (_broken(rng, frames) for _ in range(10_000)) if d not in known]
+        fed += len(batch)
+        spent += flight.broken(batch)
         settled_kb = settled_kb or resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
         print(f"{fed} of {packets}", end="\r", file=sys.stderr)
     grown = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - settled_kb
-    counts = ", ".join(f"{name} {count}" for name, count in link.counts.items() if count)
+    counts = ", ".join(f"{name} {count}" for name, count in flight.link.counts.items() if count)
     what = "signed" if signed else "unsigned"
-    print(f"fuzz {what}: {fed} packets, {passed} passed, {fed / spent:.0f}/s, memory +{grown} kB")
+    print(
+        f"fuzz {what}: {fed} packets, {flight.passed} with a right checksum, "
+        f"{flight.affected} affected anything, {fed / spent:.0f}/s, memory +{grown} kB"
+    )
     print(f"  {counts}")
 
 

@@ -111,7 +111,7 @@ class Bridge:
         self._config: AgentConfig = agent_config(scenario, uav_id)
         self._autopilot = autopilot = AUTOPILOTS[reached.autopilot]
         self._decode = decode_wrench if block.setpoint == "attitude" else decode_velocity
-        self.vehicle = Vehicle(autopilot)
+        self.vehicle = Vehicle(autopilot, signed=link.signed)
         self._commands = Commands(autopilot, reached.sysid)
         self._upkeep = Upkeep(autopilot, reached.sysid, self._commands, self.vehicle, _STATE_HZ)
         self.world = WorldFrame(scenario, uav_id, autopilot.earth_radius_m)

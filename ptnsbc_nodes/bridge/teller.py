@@ -8,7 +8,8 @@ from typing import NamedTuple
 from ptnsbc_core.kinematics import velocity_enu
 from ptnsbc_core.types import Array
 from ptnsbc_nodes.bridge.controller import Controller, Told
-from ptnsbc_nodes.bridge.vehicle import Sample, Vehicle
+from ptnsbc_nodes.bridge.pose import Sample
+from ptnsbc_nodes.bridge.vehicle import Vehicle
 from ptnsbc_nodes.bridge.world import WorldFrame
 from ptnsbc_nodes.mavlink.timesync import TimeSync
 
@@ -65,7 +66,8 @@ class Teller:
             return f"no heartbeat for {silence:.1f} s"
         if vehicle.fix_lost(now_s):
             return "GPS fix lost"
-        if vehicle.position_s is None or now_s - vehicle.position_s > _STATE_S:
+        position_s = vehicle.pose.position_s
+        if position_s is None or now_s - position_s > _STATE_S:
             return "no LOCAL_POSITION_NED or ODOMETRY from the vehicle"
         if self._world.lack:
             return f"the world frame lacks {self._world.lack}"

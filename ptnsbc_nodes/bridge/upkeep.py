@@ -16,6 +16,7 @@ _HEARTBEAT_S = 1.0
 _TIME_FAST_S, _TIME_SLOW_S = 0.1, 0.5
 _FAST_ANSWERS = 10
 _REQUEST_S = 1.0
+_CONFIRM_S = 0.2  # HEARTBEAT comes once a second, and a pilot is not to wait for it
 _INTERVALS_S = 5.0
 _SILENT_S = 1.0
 _ASKED_ANYWAY = 2
@@ -48,6 +49,7 @@ class Upkeep:
         self.parameters = ParameterReader(autopilot.parameters, autopilot.encoding)
         self._asked = 0
         self._heartbeat, self._time, self._origin, self._intervals = (_Due() for _ in range(4))
+        self._confirm = _Due()
 
     def messages(self, now_s: float, healthy: bool, suspicious: bool) -> Iterator[Any]:
         """What to send now.
@@ -66,7 +68,7 @@ class Upkeep:
                 mavlink.MAV_STATE_ACTIVE,
                 3,
             )
-        if self._vehicle.heartbeat_s is None:
+        if self._vehicle.heartbeat_s is None and not self._vehicle.unconfirmed:
             return
         fast = suspicious or self.sync.answers < _FAST_ANSWERS
         if self._time.now(now_s, _TIME_FAST_S if fast else _TIME_SLOW_S):
@@ -79,10 +81,12 @@ class Upkeep:
 
     def _requests(self, now_s: float) -> Iterator[Any]:
         vehicle = self._vehicle
+        if vehicle.unconfirmed and self._confirm.now(now_s, _CONFIRM_S):
+            yield self._commands.request(mavlink.MAVLINK_MSG_ID_HEARTBEAT)
         if vehicle.anchor is None and self._origin.now(now_s, _REQUEST_S):
             yield self._commands.request(mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN)
             yield self._commands.request(mavlink.MAVLINK_MSG_ID_HOME_POSITION)
-        silent = vehicle.position_s is None or now_s - vehicle.position_s > _SILENT_S
+        silent = vehicle.pose.position_s is None or now_s - vehicle.pose.position_s > _SILENT_S
         # Requests may get lost one by one, a rebooted vehicle has forgotten them, and what comes
         # unasked comes too slowly.
         asking = silent or vehicle.landed is None or self._asked < _ASKED_ANYWAY

@@ -11,24 +11,23 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ptnsbc_core.kinematics import rotation_from_quaternion
-from ptnsbc_core.types import ODOMETRY_SIZE, Array
+from ptnsbc_core.types import Array
+from ptnsbc_nodes.bridge.pose import Pose, Sample
 from ptnsbc_nodes.mavlink import frames
 from ptnsbc_nodes.mavlink.autopilots import AUTOPILOTS, Autopilot, Mode
 from ptnsbc_nodes.mavlink.dialect import mavlink
+from ptnsbc_nodes.mavlink.doubt import Twice
 from ptnsbc_nodes.mavlink.frames import GeoPoint
 
 _MILLI, _MICRO = 1e-3, 1e-6
 _DEGREES_E7 = 1e-7
 _BACKWARDS_S = 0.5
+_YOUNG_S = 60.0  # a clock that shows more has not just begun
 _TWIN_STEPS, _TWIN_WINDOW_S = 3, 3.0
-_ATTITUDE_AGE_S = 0.2
 _FIX_3D = 3
 _NO_FIX_S = 1.0
 _LOW_BATTERY_S = 3.0
 _WARNING = mavlink.MAV_SEVERITY_WARNING
-_FARTHEST_M = 1e5
-_NORM_SLACK = 0.05
 
 _BOOTING = (
     mavlink.MAV_STATE_UNINIT,
@@ -47,13 +46,6 @@ _MULTIROTORS = (
 )
 
 
-class Sample(NamedTuple):
-    """One state of the vehicle in its own local frame, axes ENU and FLU."""
-
-    boot_s: float  # time since the vehicle's boot
-    odometry: Array  # (13,)
-
-
 class Anchor(NamedTuple):
     """A point known in both frames."""
 
@@ -61,16 +53,20 @@ class Anchor(NamedTuple):
     local_enu: Array  # (3,) the same point in the vehicle's local frame [m]
 
 
-class _Attitude(NamedTuple):
-    boot_s: float
-    quaternion: Array  # (4,) x y z w, FLU to ENU
-    rates: Array  # (3,) [rad/s], FLU
+class _Told(NamedTuple):
+    """What counts on an unsigned link when it was said twice."""
+
+    state: Twice
+    origin: Twice
+    home: Twice
+    landed: Twice
 
 
 class Vehicle:
     """The newest of everything from one vehicle."""
 
-    def __init__(self, autopilot: Autopilot) -> None:
+    def __init__(self, autopilot: Autopilot, *, signed: bool = True) -> None:
+        """`signed`: whether every message can be believed; otherwise changes need two."""
         self._autopilot = autopilot
         self.heartbeat_s: float | None = None
         self.stranger = ""
@@ -80,12 +76,12 @@ class Vehicle:
         self.landed: bool | None = None
         self.battery_percent: float | None = None
         self.anchor: Anchor | None = None
-        self.position_s: float | None = None  # when the newest position came
         self.text = ""  # newest warning or error
-        self.invalid_samples = 0
-        self._attitude: _Attitude | None = None
-        self._uses_odometry = False
-        self._boot_s: float | None = None
+        self.pose = Pose(signed=signed)
+        self._told = None if signed else _Told(Twice(), Twice(), Twice(), Twice())
+        self._ahead_s: float | None = None  # our clock before the vehicle's time since boot
+        self._odd_ahead_s: float | None = None
+        self._restarted_s: float | None = None
         self._booting = False
         self._backwards: deque[float] = deque(maxlen=_TWIN_STEPS)
         self._had_fix = False
@@ -118,11 +114,17 @@ class Vehicle:
 
     @property
     def rebooted(self) -> bool:
-        """Whether the vehicle says so, or time since boot went back and it is disarmed since."""
-        return self._booting or (bool(self._backwards) and not self.armed and self._after_step())
+        """Whether the vehicle says so, or time since boot began anew and it is disarmed since."""
+        return self._booting or (not self.armed and self._after_restart())
 
-    def _after_step(self) -> bool:
-        return self.heartbeat_s is not None and self.heartbeat_s >= self._backwards[-1]
+    def _after_restart(self) -> bool:
+        restarted_s, heartbeat_s = self._restarted_s, self.heartbeat_s
+        return restarted_s is not None and heartbeat_s is not None and heartbeat_s >= restarted_s
+
+    @property
+    def unconfirmed(self) -> bool:
+        """Whether a HEARTBEAT has told something new that the next one must confirm."""
+        return self._told is not None and self._told.state.doubts
 
     def hear(self, message: Any, now_s: float) -> Sample | None:
         """Take a message in; a new state of the vehicle when it completes one."""
@@ -132,6 +134,10 @@ class Vehicle:
     def _heartbeat(self, message: Any, now_s: float) -> None:
         if message.autopilot == mavlink.MAV_AUTOPILOT_INVALID:
             return  # a gimbal or a camera with the autopilot's component id
+        m = message
+        told = (m.type, m.autopilot, m.base_mode, m.custom_mode, m.system_status)
+        if self._told is not None and not self._told.state.admits(told):
+            return
         self.heartbeat_s = now_s
         self.stranger = self._strangeness(message)
         self._booting = message.system_status in _BOOTING
@@ -156,94 +162,50 @@ class Vehicle:
         return ""
 
     def _time(self, boot_s: float, now_s: float) -> None:
-        if self._boot_s is not None and boot_s < self._boot_s - _BACKWARDS_S:
+        """Notice a clock that steps back; once is an accident, twice in a row another boot."""
+        ahead_s = now_s - boot_s
+        if self._ahead_s is None or abs(ahead_s - self._ahead_s) < _BACKWARDS_S:
+            self._ahead_s, self._odd_ahead_s = ahead_s, None
+            return
+        went_back = ahead_s > self._ahead_s
+        odd_s, self._odd_ahead_s = self._odd_ahead_s, ahead_s
+        if odd_s is not None and abs(ahead_s - odd_s) < _BACKWARDS_S:
+            if went_back and boot_s < _YOUNG_S:
+                self._restarted_s = now_s
+            self._ahead_s, self._odd_ahead_s = ahead_s, None
+        elif went_back:
             self._backwards.append(now_s)
-            self._attitude = None
-        self._boot_s = boot_s
+            self.pose.forget_attitude()
 
     def _on_system_time(self, message: Any, now_s: float) -> None:
         self._time(message.time_boot_ms * _MILLI, now_s)
 
-    def _on_attitude(self, message: Any, now_s: float) -> None:
-        boot_s = message.time_boot_ms * _MILLI
-        self._time(boot_s, now_s)
-        if message.get_type() == "ATTITUDE":
-            wxyz = frames.quaternion_from_euler_ned(message.roll, message.pitch, message.yaw)
-        else:
-            wxyz = np.array([message.q1, message.q2, message.q3, message.q4])
-        rates = np.array([message.rollspeed, message.pitchspeed, message.yawspeed])
-        self._keep_attitude(boot_s, wxyz, rates)
-
-    def _keep_attitude(self, boot_s: float, wxyz: Array, rates: Array) -> None:
-        norm = float(np.sqrt(wxyz @ wxyz))
-        if not abs(norm - 1.0) <= _NORM_SLACK or not np.isfinite(rates).all():
-            self.invalid_samples += 1
-            return
-        self._attitude = _Attitude(
-            boot_s,
-            frames.quaternion_ned_frd_to_enu_flu(wxyz / norm),
-            frames.vector_frd_to_flu(rates),
-        )
-
-    def _on_position(self, message: Any, now_s: float) -> Sample | None:
-        boot_s = message.time_boot_ms * _MILLI
-        self._time(boot_s, now_s)
-        self._uses_odometry = False
-        attitude = self._attitude
-        position = frames.vector_ned_to_enu(np.array([message.x, message.y, message.z]))
-        velocity = frames.vector_ned_to_enu(np.array([message.vx, message.vy, message.vz]))
-        self.position_s = now_s
-        if attitude is None or abs(boot_s - attitude.boot_s) > _ATTITUDE_AGE_S:
-            return None
-        if not np.isfinite(velocity).all():
-            self.invalid_samples += 1
-            return None
-        turn = rotation_from_quaternion(attitude.quaternion)
-        return self._sample(boot_s, position, attitude, turn.T @ velocity)
-
-    def _on_odometry(self, message: Any, now_s: float) -> Sample | None:
-        """ODOMETRY, for controllers that send neither position nor attitude alone."""
-        if self.position_s is not None and not self._uses_odometry:
-            return None
-        if (message.frame_id, message.child_frame_id) != (
-            mavlink.MAV_FRAME_LOCAL_NED,
-            mavlink.MAV_FRAME_BODY_FRD,
-        ):
-            return None
-        boot_s = message.time_usec * _MICRO
-        self._time(boot_s, now_s)
-        self._uses_odometry, self.position_s = True, now_s
-        rates = np.array([message.rollspeed, message.pitchspeed, message.yawspeed])
-        self._keep_attitude(boot_s, np.array(message.q), rates)
-        if self._attitude is None or self._attitude.boot_s != boot_s:
-            return None
-        position = frames.vector_ned_to_enu(np.array([message.x, message.y, message.z]))
-        velocity = frames.vector_frd_to_flu(np.array([message.vx, message.vy, message.vz]))
-        return self._sample(boot_s, position, self._attitude, velocity)
-
-    def _sample(
-        self, boot_s: float, position: Array, attitude: _Attitude, velocity_flu: Array
-    ) -> Sample | None:
-        odometry = np.empty(ODOMETRY_SIZE)
-        odometry[0:3] = position
-        odometry[3:7] = attitude.quaternion
-        odometry[7:10] = velocity_flu
-        odometry[10:13] = attitude.rates
-        if not np.isfinite(odometry).all() or np.abs(position).max() > _FARTHEST_M:
-            self.invalid_samples += 1
-            return None
-        return Sample(boot_s, odometry)
+    def _on_pose(self, message: Any, now_s: float) -> Sample | None:
+        kind = message.get_type()
+        odometry = kind == "ODOMETRY"
+        self._time(message.time_usec * _MICRO if odometry else message.time_boot_ms * _MILLI, now_s)
+        if odometry:
+            return self.pose.on_odometry(message, now_s)
+        if kind == "LOCAL_POSITION_NED":
+            return self.pose.on_position(message, now_s)
+        self.pose.on_attitude(message, now_s)
+        return None
 
     def _on_origin(self, message: Any, now_s: float) -> None:
         place = _place(message)
-        self.anchor = Anchor(place, np.zeros(3))
+        if self._told is None or self._told.origin.admits(place):
+            self.anchor = Anchor(place, np.zeros(3))
 
     def _on_home(self, message: Any, now_s: float) -> None:
         if self.anchor is None or self.anchor.local_enu.any():
             local = frames.vector_ned_to_enu(np.array([message.x, message.y, message.z]))
-            self.anchor = Anchor(_place(message), local)
+            place = _place(message)
+            if self._told is None or self._told.home.admits((place, *local.tolist())):
+                self.anchor = Anchor(place, local)
 
     def _on_landed(self, message: Any, now_s: float) -> None:
+        if self._told is not None and not self._told.landed.admits(message.landed_state):
+            return
         if message.landed_state == mavlink.MAV_LANDED_STATE_UNDEFINED:
             self.landed = None
         else:
@@ -279,10 +241,10 @@ def _place(message: Any) -> GeoPoint:
 _HANDLERS: Mapping[str, Callable[[Vehicle, Any, float], Sample | None]] = {
     "HEARTBEAT": Vehicle._heartbeat,
     "SYSTEM_TIME": Vehicle._on_system_time,
-    "ATTITUDE": Vehicle._on_attitude,
-    "ATTITUDE_QUATERNION": Vehicle._on_attitude,
-    "LOCAL_POSITION_NED": Vehicle._on_position,
-    "ODOMETRY": Vehicle._on_odometry,
+    "ATTITUDE": Vehicle._on_pose,
+    "ATTITUDE_QUATERNION": Vehicle._on_pose,
+    "LOCAL_POSITION_NED": Vehicle._on_pose,
+    "ODOMETRY": Vehicle._on_pose,
     "GPS_GLOBAL_ORIGIN": Vehicle._on_origin,
     "HOME_POSITION": Vehicle._on_home,
     "EXTENDED_SYS_STATE": Vehicle._on_landed,

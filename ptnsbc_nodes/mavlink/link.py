@@ -65,6 +65,11 @@ class Link:
         self.sent = 0
         self.unsent = 0
 
+    @property
+    def signed(self) -> bool:
+        """Whether only signed packets get through."""
+        return self._signer is not None
+
     def fileno(self) -> int:
         """For select()."""
         return self._transport.fileno()

@@ -91,7 +91,7 @@ class ParameterReader:
                 yield name
 
     def heard(self, message: Any) -> None:
-        """Keep a PARAM_VALUE, if it is one of ours."""
+        """Keep a PARAM_VALUE, if it is one that was asked for; the first answer counts."""
         name = str(message.param_id)
-        if name in self._asked:
+        if self._asked.get(name) and name not in self.values:
             self.values[name] = decoded(raw_value(message), message.param_type, self._encoding)

@@ -95,7 +95,7 @@ def test_a_quaternion_that_is_none():
     vehicle = Vehicle(PX4)
     vehicle.hear(mavlink.MAVLink_attitude_quaternion_message(1, 0, 0, 0, 0, 0, 0, 0), 0.0)
     assert vehicle.hear(position(1), 0.0) is None
-    assert vehicle.invalid_samples == 1
+    assert vehicle.pose.invalid == 1
 
 
 @pytest.mark.parametrize(
@@ -133,6 +133,7 @@ def test_a_reboot_is_time_that_went_back_and_a_vehicle_that_is_disarmed():
     vehicle.hear(heartbeat(base_mode=ARMED), 100.0)
     vehicle.hear(attitude(90_000), 100.0)
     vehicle.hear(attitude(1_500), 101.0)
+    vehicle.hear(attitude(1_520), 101.02)
     assert not vehicle.rebooted  # armed as far as we know: its clock may have jumped
     vehicle.hear(heartbeat(), 101.5)
     assert vehicle.rebooted
