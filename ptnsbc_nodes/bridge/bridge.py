@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from ptnsbc_core.types import AgentConfig, Array
 from ptnsbc_nodes.bridge.commands import Commands
 from ptnsbc_nodes.bridge.controller import Controller
-from ptnsbc_nodes.bridge.guard import Allowed, Guard, allowed
+from ptnsbc_nodes.bridge.guard import Guard, allowed
 from ptnsbc_nodes.bridge.hover import HoverThrust
+from ptnsbc_nodes.bridge.ports import Inlets, Outlets, Told
 from ptnsbc_nodes.bridge.procedure import Procedure
 from ptnsbc_nodes.bridge.setpoints import Setpoints
 from ptnsbc_nodes.bridge.steps import Orders, Seen, Step, Stream
@@ -24,17 +23,15 @@ from ptnsbc_nodes.bridge.world import WorldFrame
 from ptnsbc_nodes.epochs import Epochs
 from ptnsbc_nodes.mavlink.autopilots import (
     AUTOPILOTS,
-    absent,
-    advice,
+    findings,
     hover_thrust,
     limits,
     refusal,
 )
 from ptnsbc_nodes.mavlink.dialect import mavlink
-from ptnsbc_nodes.mavlink.frames import GeoPoint
 from ptnsbc_nodes.mavlink.link import Link
 from ptnsbc_nodes.pacing import Latency
-from ptnsbc_nodes.wire import HeaderFields, Stamped, WireError, decode_velocity, decode_wrench
+from ptnsbc_nodes.wire import Stamped, WireError, decode_velocity, decode_wrench
 from ptnsbc_sim.scenario import Scenario, agent_config
 
 _NAMES = (
@@ -58,35 +55,6 @@ _NAMES = (
 WANTED_MESSAGES = frozenset(getattr(mavlink, f"MAVLINK_MSG_ID_{name}") for name in _NAMES)
 _STATE_HZ = 50.0
 _TWIN_S = 3.0
-
-
-class Outlets(NamedTuple):
-    """Where a bridge tells what."""
-
-    odom: Callable[[int, Array], None]  # stamp [ns], odometry (13,)
-    track: Callable[[int, Array], None]  # the same, of a vehicle that has left the formation
-    origin: Callable[[GeoPoint], None]  # of the leader, for all
-    limits: Callable[[Allowed], None]  # for the planner
-    lost: Callable[[], None]  # this vehicle has left the formation
-    say: Callable[[str], None]
-
-
-class Told(NamedTuple):
-    """What the formation has heard of this vehicle."""
-
-    messages: int  # odometry
-    stamp_ns: int  # of the newest
-
-
-@dataclass
-class Inlets:
-    """What others say; written by the thread of the node, read by that of the bridge."""
-
-    setpoint: bytes | None = None  # newest
-    legs: list[HeaderFields] = field(default_factory=list)  # epochs as they are announced
-    leader_origin: GeoPoint | None = None
-    controller_ready: bool = False
-    halt: str = ""  # "land" or "kill"
 
 
 class Bridge:
@@ -230,7 +198,7 @@ class Bridge:
         if self._parameters_told or self.vehicle.heartbeat_s is None or not reader.done(now_s):
             return
         self._parameters_told = True
-        for line in self._parameter_lines():
+        for line in findings(self._autopilot, reader.values, self.block.rate_hz):
             self._outlets.say(line)
         self.guard.limits = allowed(self.block.limits, limits(reader.values))
         self._stream.hover.value = hover_thrust(reader.values) or self.block.hover_thrust
@@ -242,16 +210,6 @@ class Bridge:
             return ""
         values = self._upkeep.parameters.values
         return refusal(self._autopilot, values, self.block.setpoint) or ""
-
-    def _parameter_lines(self) -> Iterator[str]:
-        values = self._upkeep.parameters.values
-        for name, value in values.items():
-            yield f"{name} = {value:g}"
-        missing = absent(self._autopilot, values)
-        if missing:
-            yield f"not answered: {' '.join(missing)}"
-        for line in advice(values, self.block.rate_hz):
-            yield f"warning: {line}"
 
     def seen(self, now_s: float) -> Seen:
         """Everything the procedure decides by."""

@@ -20,9 +20,10 @@ from rclpy.serialization import deserialize_message
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.types import Array
 from ptnsbc_nodes import handover, topics
-from ptnsbc_nodes.bridge.bridge import Bridge, Outlets
+from ptnsbc_nodes.bridge.bridge import Bridge
 from ptnsbc_nodes.bridge.guard import Allowed
 from ptnsbc_nodes.bridge.near import Surroundings
+from ptnsbc_nodes.bridge.ports import Outlets
 from ptnsbc_nodes.bridge.report import report
 from ptnsbc_nodes.bridge.steps import Step
 from ptnsbc_nodes.bridge.teller import Clocks

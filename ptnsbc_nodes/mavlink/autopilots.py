@@ -242,3 +242,14 @@ def refusal(autopilot: Autopilot, values: Mapping[str, float], setpoint: str) ->
             f"GUID_OPTIONS={options | _THRUST_AS_THRUST}, for mavlink.setpoint: attitude"
         )
     return None
+
+
+def findings(autopilot: Autopilot, values: Mapping[str, float], rate_hz: float) -> Iterator[str]:
+    """What an operator is told of the parameters that were read."""
+    for name, value in values.items():
+        yield f"{name} = {value:g}"
+    missing = absent(autopilot, values)
+    if missing:
+        yield f"not answered: {' '.join(missing)}"
+    for line in advice(values, rate_hz):
+        yield f"warning: {line}"

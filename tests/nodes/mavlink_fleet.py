@@ -16,8 +16,9 @@ from ptnsbc_nodes.autopilot.codec import Codec
 from ptnsbc_nodes.autopilot.launch import KINDS
 from ptnsbc_nodes.autopilot.starts import Fleet, starts
 from ptnsbc_nodes.autopilot.vehicle import COMPANION, IMPOSTOR
-from ptnsbc_nodes.bridge.bridge import WANTED_MESSAGES, Bridge, Outlets
+from ptnsbc_nodes.bridge.bridge import WANTED_MESSAGES, Bridge
 from ptnsbc_nodes.bridge.near import Surroundings
+from ptnsbc_nodes.bridge.ports import Outlets
 from ptnsbc_nodes.bridge.teller import Clocks
 from ptnsbc_nodes.edges import Edges, FlightOptions
 from ptnsbc_nodes.epochs import Epochs
