@@ -1,12 +1,14 @@
-"""Which processes a flight consists of, and their command lines."""
+"""Which processes a flight consists of, which of them this computer runs, and their command lines."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
+from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_nodes.children import Command
 from ptnsbc_nodes.endpoints import RECORDER
 from ptnsbc_nodes.provenance import provenance
@@ -15,6 +17,10 @@ from ptnsbc_sim.scenario import Scenario
 SIM = "sim"
 
 _AIRBORNE_S = 240.0  # boot, position, arming and take-off of a real vehicle
+
+
+class CrewError(PtnsbcError):
+    """A process that the flight does not have."""
 
 
 @dataclass(frozen=True)
@@ -30,10 +36,28 @@ class FleetOptions:
     log_dir: Path | None = None  # one log per process; a new temporary folder by default
     meta: Mapping[str, str] = field(default_factory=dict)  # into the bag, beside our own
     ready_timeout_s: float | None = None  # from the first process to the last one ready
+    only: frozenset[str] = frozenset()  # names of the processes of this computer, see `chosen`
+
+    @property
+    def shared(self) -> bool:
+        """Whether other computers run the rest of the fleet."""
+        return bool(self.only)
+
+    @property
+    def leads(self) -> bool:
+        """Whether this computer starts and ends the flight: the one that records it."""
+        return not self.only or RECORDER in self.only
+
+    @property
+    def recorded(self) -> bool:
+        """Whether a recorder listens, here or elsewhere."""
+        return self.bag is not None or self.shared
 
     @property
     def patience_s(self) -> float:
         """The time-out, by default with room for a slow machine."""
+        if self.shared and self.ready_timeout_s is None:
+            return math.inf  # others are started by other hands
         default = 30.0 + 5.0 * len(self.scenario.uav_ids)
         if self.backend == "mavlink":
             default += _AIRBORNE_S
@@ -41,11 +65,11 @@ class FleetOptions:
 
 
 def commands(options: FleetOptions, scenario_file: Path) -> list[Command]:
-    """All processes in the order of their start: the recorder must miss nothing."""
+    """The processes of this computer in the order of their start: the recorder must miss nothing."""
     common = ["--scenario", str(scenario_file)]
     if options.lockstep:
         common.append("--lockstep")
-    if options.bag is not None:
+    if options.recorded:
         common.append("--recorded")
     crew = [] if options.bag is None else [_recorder(options, options.bag, scenario_file)]
     if options.backend == "mavlink":
@@ -57,7 +81,33 @@ def commands(options: FleetOptions, scenario_file: Path) -> list[Command]:
         arguments = (*common, "--uav", str(i), "--managed")
         node = f"/uav{i}/controller"
         crew.append(Command(f"uav{i}", "ptnsbc_nodes.uav_node", arguments, uav=i, managed=node))
-    return crew
+    return [command for command in crew if not options.only or command.name in options.only]
+
+
+def names(scenario: Scenario, backend: str) -> list[str]:
+    """All processes of a flight on all computers, the recorder first."""
+    ids = scenario.uav_ids
+    vehicles = [f"bridge{i}" for i in ids] if backend == "mavlink" else [SIM]
+    return [RECORDER, *vehicles, *(f"uav{i}" for i in ids)]
+
+
+def chosen(text: str, scenario: Scenario, backend: str) -> frozenset[str]:
+    """Names of processes from a list such as `recorder,sim,1,2`: a number is a UAV, with its bridge."""
+    there = names(scenario, backend)
+    picked: set[str] = set()
+    for word in text.replace(",", " ").split():
+        meant = {f"uav{word}", f"bridge{word}"} if word.isdecimal() else {word}
+        found = meant.intersection(there)
+        if not found:
+            numbers = ", ".join(map(str, scenario.uav_ids))
+            raise CrewError(
+                f"--only: {word!r} is no process of {scenario.name}: expected some of "
+                f"{', '.join(there)}, or the numbers of UAVs ({numbers})"
+            )
+        picked |= found
+    if not picked:
+        raise CrewError(f"--only: nothing named: expected some of {', '.join(there)}")
+    return frozenset(picked)
 
 
 def _bridge(options: FleetOptions, common: Sequence[str], uav: int) -> Command:

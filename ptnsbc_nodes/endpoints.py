@@ -21,6 +21,9 @@ RECORDER = "recorder"
 LOST = Topic("/formation/lost", "std_msgs/msg/Header", Role.LATCHED, "once a loss")
 """Names of processes (uavN, recorder) that have ended, from the launcher: nobody waits for them."""
 
+OVER = Topic("/formation/over", "std_msgs/msg/Header", Role.LATCHED, "once a flight")
+"""The flight is over: from the launcher that leads to those on other computers."""
+
 READY = Topic("/formation/ready", "diagnostic_msgs/msg/DiagnosticArray", Role.EVENT, STATUS_RATE)
 """/diagnostics of lock-step nodes before simulated time begins: how long that takes is chance, and
 /diagnostics is in the bag."""

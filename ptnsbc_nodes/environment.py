@@ -10,8 +10,12 @@ from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 
+from ptnsbc_nodes import network
+
 PARENT = "PTNSBC_PARENT"
 """Process id of the launcher; a process that finds it set does not outlive the launcher."""
+NETWORK = "PTNSBC_NETWORK"
+"""A Fast DDS profile (`ptnsbc network`): the switch from this host alone to the computers it names."""
 
 _DEFAULTS = {
     # A fleet on one host; spread over hosts, the user widens it.
@@ -22,41 +26,16 @@ _DEFAULTS = {
 # Every UAV is a process: more threads than one each only get into each other's way.
 _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 _PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
+_RMW = "rmw_fastrtps_cpp"
 _SPARE_PEERS = 12  # for viewers, a command line, a second recorder
 _PR_SET_PDEATHSIG = 1
-
-# LOCALHOST of rmw_fastrtps probes 32 participants only, and always uses shared memory. So the same
-# by hand: no multicast, as many peers on this host as there are, UDP alone.
-_DISCOVERY = """<?xml version="1.0" encoding="UTF-8"?>
-<dds xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles"><profiles>
-<transport_descriptors><transport_descriptor>
-  <transport_id>udp</transport_id><type>UDPv4</type>
-  <sendBufferSize>1048576</sendBufferSize><receiveBufferSize>4194304</receiveBufferSize>
-  <maxInitialPeersRange>{peers}</maxInitialPeersRange>
-</transport_descriptor></transport_descriptors>
-<participant profile_name="fleet" is_default_profile="true"><rtps>
-  <userTransports><transport_id>udp</transport_id></userTransports>
-  <useBuiltinTransports>false</useBuiltinTransports>
-  <builtin>
-    <metatrafficUnicastLocatorList><locator/></metatrafficUnicastLocatorList>
-    <initialPeersList>
-      <locator><udpv4><address>127.0.0.1</address></udpv4></locator>
-    </initialPeersList>
-    <discovery_config>
-      <initialAnnouncements>
-        <count>10</count><period><sec>0</sec><nanosec>200000000</nanosec></period>
-      </initialAnnouncements>
-      <leaseAnnouncement><sec>3</sec></leaseAnnouncement><leaseDuration><sec>10</sec></leaseDuration>
-    </discovery_config>
-  </builtin>
-</rtps></participant>
-</profiles></dds>
-"""
 
 
 def prepare() -> None:
     """Fill in what is not set. With ROS from wheels rclpy.init() fails without it."""
     _stay_with_parent()
+    if os.environ.get(NETWORK):
+        os.environ.update(_joined(os.environ))
     for name, value in _DEFAULTS.items():
         os.environ.setdefault(name, value)
     # The wheels put the ament index into the environment's prefix, but tell nobody.
@@ -109,17 +88,35 @@ def for_children(domain: int, processes: int, folder: Path) -> dict[str, str]:
     child["PYTHONPATH"] = os.pathsep.join(filter(None, (root, child.get("PYTHONPATH"))))
     if _discovery_is_ours(child):
         profile = folder / "discovery.xml"
-        profile.write_text(_DISCOVERY.format(peers=processes + _SPARE_PEERS), encoding="utf-8")
+        # LOCALHOST of rmw_fastrtps probes 32 participants only, and always uses shared memory. So the
+        # same by hand: no multicast, as many peers on this host as there are, UDP alone.
+        profile.write_text(network.localhost(processes + _SPARE_PEERS), encoding="utf-8")
         child[_PROFILES[0]] = str(profile)
         # Whatever else it is set to, rmw_fastrtps would override the profile.
         child["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "SYSTEM_DEFAULT"
     return child
 
 
+def _joined(environment: Mapping[str, str]) -> dict[str, str]:
+    """The settings of a process on a network; NetworkError when they would not be heeded."""
+    profile = str(network.checked(Path(environment[NETWORK])))
+    if environment.get("RMW_IMPLEMENTATION", _RMW) != _RMW:
+        raise network.NetworkError(
+            f"RMW_IMPLEMENTATION={environment['RMW_IMPLEMENTATION']}: {NETWORK} is a profile of Fast DDS: "
+            f"expected {_RMW}, or the settings of that middleware and no {NETWORK}"
+        )
+    return {
+        NETWORK: profile,
+        _PROFILES[0]: profile,
+        # Whatever else it is set to, rmw_fastrtps would override the profile.
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT",
+    }
+
+
 def _discovery_is_ours(environment: Mapping[str, str]) -> bool:
     return (
         environment["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST"
-        and environment.get("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp") == "rmw_fastrtps_cpp"
+        and environment.get("RMW_IMPLEMENTATION", _RMW) == _RMW
         and "ROS_DISCOVERY_SERVER" not in environment
         and not any(name in environment for name in _PROFILES)
     )

@@ -69,9 +69,9 @@ def run(
     body: Callable[[argparse.Namespace, list[str]], int],
 ) -> int:
     """Parse and run `body(arguments, argv)`; a user's error is one line on stderr and exit 2."""
-    environment.prepare()
     full = list(sys.argv if argv is None else (parser.prog, *argv))
     try:
+        environment.prepare()
         arguments = parser.parse_args(without_ros(full[1:]))
         return body(arguments, full)
     except PtnsbcError as error:

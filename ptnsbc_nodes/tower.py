@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import rclpy
@@ -14,11 +14,11 @@ from rclpy.task import Future
 from std_srvs.srv import Trigger
 
 from ptnsbc_nodes import topics
-from ptnsbc_nodes.endpoints import LOST, READY, Endpoints
+from ptnsbc_nodes.endpoints import LOST, OVER, READY, Endpoints
 from ptnsbc_nodes.manager import Manager
 from ptnsbc_nodes.spin import make_executor
 from ptnsbc_nodes.standstill import ENDED_S, WAITED
-from ptnsbc_nodes.wire import HeaderTemplate
+from ptnsbc_nodes.wire import HeaderTemplate, decode_header
 
 _SIGN_OF_LIFE_S = 2.0  # who is kept waiting tells it five times a second
 
@@ -26,7 +26,10 @@ _SIGN_OF_LIFE_S = 2.0  # who is kept waiting tells it five times a second
 class Tower:
     """One rclpy node in a context of its own; use it as a context manager."""
 
-    def __init__(self, domain: int) -> None:
+    def __init__(self, domain: int, name: str = "fleet") -> None:
+        self.gone: set[str] = set()  # processes that have ended on other computers
+        self.over = False  # said by the launcher that leads
+        self._tell_over: Callable[[bytes], None] | None = None
         self.waiting: dict[str, str] = {}  # process name: what it waits for, empty when ready
         self._context = Context()
         rclpy.init(
@@ -35,7 +38,7 @@ class Tower:
             signal_handler_options=SignalHandlerOptions.NO,
         )
         self._node = rclpy.create_node(
-            "fleet", context=self._context, start_parameter_services=False, enable_rosout=False
+            name, context=self._context, start_parameter_services=False, enable_rosout=False
         )
         self._executor: Any = make_executor(self._context)
         self._executor.add_node(self._node)
@@ -49,6 +52,25 @@ class Tower:
         hear = self._node.create_subscription
         self._ear: Any = hear(DiagnosticArray, topics.DIAGNOSTICS.name, self._on_status, 50)
         hear(DiagnosticArray, READY.name, self._on_status, 50)
+
+    def share(self, *, leads: bool) -> None:
+        """Hear who ends on other computers; tell of the end of the flight, or hear of it."""
+        self._ends.listen(LOST, self._on_lost, required=False)
+        if leads:
+            self._tell_over = self._ends.publisher(OVER, 0)
+        else:
+            self._ends.listen(OVER, self._on_over)
+
+    @property
+    def led(self) -> bool:
+        """Whether the launcher that leads is there; only for one that follows."""
+        return OVER.name not in self._ends.unheard()
+
+    def end(self, patience_s: float) -> None:
+        """Tell all launchers that follow of the end, and wait until they have heard it."""
+        if self._tell_over is not None:
+            self._tell_over(HeaderTemplate(OVER.name).encode(0))
+            self._ends.flush(patience_s)
 
     def __enter__(self) -> Tower:
         return self
@@ -132,6 +154,12 @@ class Tower:
     def lose(self, name: str) -> None:
         """Tell everybody to wait for this process no longer."""
         self._tell_lost(HeaderTemplate(name).encode(0))
+
+    def _on_lost(self, data: bytes) -> None:
+        self.gone.add(decode_header(data).frame_id)
+
+    def _on_over(self, _data: bytes) -> None:
+        self.over = True
 
     def _on_status(self, message: Any) -> None:
         for status in message.status:

@@ -15,15 +15,18 @@ from ptnsbc_tools import options
 from ptnsbc_tools.autopilot.command import autopilot
 from ptnsbc_tools.bags.command import app as bags
 from ptnsbc_tools.bridge.command import bridge
+from ptnsbc_tools.network.command import app as network_app
 from ptnsbc_tools.options import (
     AllowArmingOption,
     AvoidanceOption,
     BagArgument,
     BagOption,
+    DomainOption,
     DurationOption,
     EpochOption,
     FlownOption,
     JsonOption,
+    NetworkOption,
     OdomOption,
     OverwriteOption,
     PlantOption,
@@ -192,6 +195,17 @@ def fleet(
         typer.Option("--backend", help="The simulator, or a MAVLink bridge per flight controller."),
     ] = "sim",
     allow_arming: AllowArmingOption = False,
+    only: Annotated[
+        str,
+        typer.Option(
+            "--only",
+            metavar="PROCESSES",
+            help="Start these on this computer, others elsewhere: recorder,sim,1,2. Who has the "
+            "recorder waits for all, starts the flight and ends it.",
+        ),
+    ] = "",
+    network: NetworkOption = None,
+    domain: DomainOption = None,
     plant: PlantOption = None,
     task: TaskOption = None,
     profile: ProfileOption = None,
@@ -205,10 +219,12 @@ def fleet(
 ) -> None:
     """Fly a scenario with one ROS 2 process per UAV; ends with the verdict.
 
-    The vehicles are simulated, or real flight controllers (--backend mavlink).
+    The vehicles are simulated, or real flight controllers (--backend mavlink). Nothing leaves this
+    host unless --network says where to.
     """
     from ptnsbc_tools import fleet as command
 
+    options.join(network, domain)
     given = options.overrides(
         plant=plant,
         task=task,
@@ -226,6 +242,7 @@ def fleet(
         bag=bag,
         overwrite=overwrite,
         json=json,
+        only=only,
     )
     raise typer.Exit(command.fleet(chosen, wishes))
 
@@ -255,6 +272,7 @@ app.command()(bridge)
 app.command()(stop)
 app.command()(replay)
 app.add_typer(bags, name="bag")
+app.add_typer(network_app, name="network")
 
 
 def main() -> None:

@@ -6,7 +6,7 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -18,7 +18,7 @@ from ptnsbc_tools.bag_reader import read_recording
 from ptnsbc_tools.verdict import verdict_on
 
 if TYPE_CHECKING:
-    from ptnsbc_nodes.fleet import FleetResult
+    from ptnsbc_nodes.fleet import FleetOptions, FleetResult
 
 DEMO_SCENARIO = "paper_5"
 _NO_VERDICT = 1
@@ -39,31 +39,38 @@ class Wishes:
     overwrite: bool = False
     picture: Path | None = None
     json: bool = False
+    only: str = ""  # processes of this computer, all if empty
 
 
 def _say(line: str) -> None:
     print(line, file=sys.stderr, flush=True)
 
 
-def _launch(scenario: Scenario, bag: Path, wishes: Wishes) -> FleetResult:
+def _options(scenario: Scenario, wishes: Wishes) -> FleetOptions:
     from ptnsbc_nodes import environment
 
     environment.prepare()
     try:
-        from ptnsbc_nodes.fleet import FleetOptions, run_fleet
+        from ptnsbc_nodes.fleet import FleetOptions, chosen
     except ImportError as error:
         raise RosMissingError(
             f"{error.name} is not installed: install the extra [ros] or source ROS 2, or fly "
             "without it: ptnsbc simulate"
         ) from None
-    options = FleetOptions(
+    return FleetOptions(
         scenario,
         lockstep=wishes.lockstep,
         backend=wishes.backend,
         allow_arming=wishes.allow_arming,
-        bag=bag,
+        bag=wishes.bag,
         overwrite=wishes.overwrite,
+        only=chosen(wishes.only, scenario, wishes.backend) if wishes.only else frozenset(),
     )
+
+
+def _fly(options: FleetOptions) -> FleetResult:
+    from ptnsbc_nodes.fleet import run_fleet
+
     return run_fleet(options, _say)
 
 
@@ -119,17 +126,32 @@ def fleet(scenario: Scenario, wishes: Wishes) -> int:
     if wishes.backend == "mavlink":
         scenario = scenario.bridged()
     result.preflight(scenario, quiet=wishes.json)
+    options = _options(scenario, wishes)
+    if not options.leads:
+        return _taken_part(_fly(options), wishes)
     with ExitStack() as stack:
         bag = wishes.bag
         if bag is None:  # the verdict needs one all the same
             folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="ptnsbc-"))
             bag = Path(folder) / "bag"
-        flown = _launch(scenario, bag, wishes)
+        flown = _fly(replace(options, bag=bag))
         for line in _losses(flown):
             _say(line)
         if flown.interrupted and not bag.exists():
             return flown.exit_code
         return _judged(bag, flown, wishes)
+
+
+def _taken_part(flown: FleetResult, wishes: Wishes) -> int:
+    """How it went on a computer that flew a part of the fleet: the verdict is where the bag is."""
+    for name in flown.died:
+        _say(f"{name} ended before its time")
+    _say(f"over after {flown.flight_s:.1f} s; the verdict is on the computer with the recorder")
+    if wishes.json:
+        facts = _facts(flown)
+        del facts["recorded"]
+        console.print_json({"fleet": facts})
+    return flown.exit_code
 
 
 def demo_wishes(folder: Path, *, json: bool) -> Wishes:

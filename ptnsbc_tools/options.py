@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -85,6 +86,24 @@ EpochOption = Annotated[
     float | None,
     typer.Option("--epoch", metavar="S", min=0.0, help="Of a bag without: after its start."),
 ]
+HIGHEST_DOMAIN = 101  # above, the ports reach into those that systems hand out
+NetworkOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--network",
+        metavar="PROFILE",
+        help="Fly with other computers: a file from `ptnsbc network`; PTNSBC_NETWORK.",
+    ),
+]
+DomainOption = Annotated[
+    int | None,
+    typer.Option(
+        "--domain",
+        min=0,
+        max=HIGHEST_DOMAIN,
+        help="ROS domain, the same on all computers of a fleet; ROS_DOMAIN_ID.",
+    ),
+]
 ODOM, WRENCH = "/uav{n}/odom", "/uav{n}/setpoint/wrench"
 
 
@@ -109,6 +128,16 @@ def overrides(
         **dict(_setting(text) for text in settings or ()),
     }
     return {key: value for key, value in given.items() if value is not None}
+
+
+def join(network: Path | None, domain: int | None) -> None:
+    """Put what the command line says of network and domain where ROS and our processes look for it."""
+    from ptnsbc_nodes.environment import NETWORK
+
+    if network is not None:
+        os.environ[NETWORK] = str(network)
+    if domain is not None:
+        os.environ["ROS_DOMAIN_ID"] = str(domain)
 
 
 def _setting(text: str) -> tuple[str, Any]:

@@ -29,7 +29,7 @@ setup(
     name=NAME,
     version=project_version(),
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={"": ["py.typed", "*.json", "*.yaml", "assets/*"]},
+    package_data={"": ["py.typed", "*.json", "*.yaml", "assets/*", "profiles/*"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),

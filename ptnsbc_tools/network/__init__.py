@@ -1,0 +1,1 @@
+"""`ptnsbc network`: profiles of a fleet on several computers."""

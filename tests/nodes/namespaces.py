@@ -1,0 +1,130 @@
+"""Computers that are none: network namespaces of the kernel, joined by a virtual cable.
+
+Needs root, iproute2 and nftables. The delay of a real network is missing: only loss is made here.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+CABLE = "cable"
+PATIENCE_S = 240  # a first flight compiles the laws
+
+_RULES = """
+table inet cable {{
+  counter sent {{ }}
+  chain outgoing {{
+    type filter hook output priority 0;
+    oifname "{cable}" counter name sent
+  }}
+  chain incoming {{
+    type filter hook input priority 0;
+    iifname "{cable}" ip protocol udp numgen random mod 100 < {percent} drop
+  }}
+}}
+"""
+
+
+def _run(*words: str, text: str | None = None) -> str:
+    done = subprocess.run(words, input=text, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise OSError(f"{' '.join(words)}: {done.stderr.strip() or done.returncode}")
+    return done.stdout
+
+
+class Computer:
+    """One network namespace, with one address on the cable."""
+
+    def __init__(self, name: str, address: str) -> None:
+        self.name = name
+        self.address = address
+
+    def prepare(self, loss_percent: int) -> None:
+        """Loopback, the cable as the way to everywhere, and the loss of packets that come in."""
+        ip = ("ip", "-n", self.name)
+        _run(*ip, "address", "add", f"{self.address}/24", "dev", CABLE)
+        for device in ("lo", CABLE):
+            _run(*ip, "link", "set", device, "up")
+        _run(*ip, "route", "add", "default", "dev", CABLE)
+        rules = _RULES.format(cable=CABLE, percent=loss_percent)
+        _run(*self.inside("nft", "-f", "-"), text=rules)
+
+    def inside(self, *words: str) -> tuple[str, ...]:
+        """The command line that runs `words` on this computer."""
+        return ("ip", "netns", "exec", self.name, *words)
+
+    def start(self, *words: str, **environment: str) -> subprocess.Popen[str]:
+        """Start `python ...` there."""
+        inherited = {
+            key: value
+            for key, value in os.environ.items()
+            if not key.startswith(("ROS_DOMAIN", "ROS_AUTOMATIC", "FASTRTPS_", "FASTDDS_"))
+        }
+        return subprocess.Popen(
+            self.inside(sys.executable, *words),
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            cwd=ROOT,
+            env={**inherited, **environment},
+        )
+
+    def ptnsbc(self, *words: object, **environment: str) -> subprocess.Popen[str]:
+        """Start `ptnsbc ...` there."""
+        return self.start("-m", "ptnsbc_tools.cli", *map(str, words), **environment)
+
+    def packets_sent(self) -> int:
+        """Packets that have left this computer over the cable."""
+        rules = json.loads(_run(*self.inside("nft", "-j", "list", "counters")))
+        (counter,) = [entry["counter"] for entry in rules["nftables"] if "counter" in entry]
+        return int(counter["packets"])
+
+
+def missing() -> str | None:
+    """Why there can be no namespaces here; None when there can."""
+    if os.geteuid() != 0:
+        return "network namespaces need root"
+    for program, package in {"ip": "iproute2", "nft": "nftables"}.items():
+        if shutil.which(program) is None:
+            return f"{program} is not installed (package {package})"
+    try:
+        with two_computers():
+            return None
+    except OSError as error:
+        return f"no network namespaces here: {error}"
+
+
+@contextmanager
+def two_computers(loss_percent: int = 0) -> Iterator[tuple[Computer, Computer]]:
+    """Two computers on a cable; each loses so many of the packets it gets."""
+    first, second = (Computer(f"ptnsbc{os.getpid()}-{i}", f"10.77.0.{i}") for i in (1, 2))
+    with ExitStack() as stack:
+        for computer in (first, second):
+            _run("ip", "netns", "add", computer.name)
+            stack.callback(_run, "ip", "netns", "delete", computer.name)
+            _run(*computer.inside("sysctl", "-qw", "net.ipv6.conf.all.disable_ipv6=1"))
+        cable = ("ip", "link", "add", CABLE, "netns", first.name, "type", "veth")
+        _run(*cable, "peer", "name", CABLE, "netns", second.name)
+        for computer in (first, second):
+            computer.prepare(loss_percent)
+        yield first, second
+
+
+def finished(process: subprocess.Popen[str]) -> tuple[int, str, str]:
+    """Exit code and what was said; a process that hangs is ended."""
+    try:
+        out, err = process.communicate(timeout=PATIENCE_S)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        out, err = process.communicate()
+        raise AssertionError(f"still running after {PATIENCE_S} s:\n{out}\n{err}") from None
+    return process.returncode, out, err
