@@ -80,8 +80,10 @@ def _flight(domain: int, mode: str, options: FlightOptions) -> Iterator[End]:
         if not options.bridged:
             Sim(node("sim"), scenario, edges, lambda: None)
         stack.enter_context(_recorder(node("recorder"), scenario, options))
-        tower = stack.enter_context(Tower(domain))
-        made.append(("launcher", 0, tower._node))
+        for leads in (True, False):
+            tower = stack.enter_context(Tower(domain, "fleet" if leads else "fleet_elsewhere"))
+            tower.share(leads=leads)
+            made.append(("launcher", 0, tower._node))
         for kind, uav, one in made:
             yield from _ends(kind, uav, one, mode, scenario.leader_id)
 
