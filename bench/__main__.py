@@ -28,6 +28,7 @@ SECTIONS = (
     "many",
     "rerun",
     "autopilot",
+    "bridge",
 )
 _NARROWEST = 150
 

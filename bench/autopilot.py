@@ -51,7 +51,7 @@ def _fly(seconds: float) -> float:
             env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])},
         )
         try:
-            _wait(child, log)
+            wait_ready(child, log)
             goals = [("127.0.0.1", port + 1 + n) for n in range(_COUNT)]
             _stream(channel, goals, _CLIMB_S)
             before = look(child.pid)
@@ -63,7 +63,8 @@ def _fly(seconds: float) -> float:
     return (after.cpu_s - before.cpu_s) / (after.at - before.at)
 
 
-def _wait(child: subprocess.Popen[bytes], log: IO[str]) -> None:
+def wait_ready(child: subprocess.Popen[bytes], log: IO[str]) -> None:
+    """Return when four vehicles of a process have opened their ports."""
     end = time.monotonic() + _READY_S
     while time.monotonic() < end and child.poll() is None:
         text = os.pread(log.fileno(), 1 << 16, 0).decode()

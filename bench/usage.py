@@ -14,7 +14,7 @@ from typing import NamedTuple
 _PERIOD_S = 0.5
 _TICKS_PER_S = os.sysconf("SC_CLK_TCK")
 _PAGE_MB = os.sysconf("SC_PAGE_SIZE") / 2**20
-_ROLE = re.compile(r"ptnsbc_nodes\.(uav|sim|recorder)|--role (uav|sim|recorder)")
+_ROLE = re.compile(r"ptnsbc_nodes\.(uav|sim|recorder|bridge)|--role (uav|sim|recorder)")
 
 
 class Usage(NamedTuple):
@@ -59,7 +59,7 @@ class Sampler:
         self._began = time.monotonic()
 
     def usage(self) -> dict[str, Usage]:
-        """By role: uav (mean), sim, recorder; a role that was seen less than twice is left out."""
+        """By role: uav and bridge (mean), sim, recorder; a role that was seen less than twice is left out."""
         found: dict[str, list[Usage]] = defaultdict(list)
         for (role, _), samples in self._samples.items():
             counted = [sample for sample in samples if sample.at >= self._began]
