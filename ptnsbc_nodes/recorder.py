@@ -30,7 +30,6 @@ import rclpy  # noqa: E402
 from rclpy.clock import Clock, ClockType  # noqa: E402
 from rclpy.context import Context  # noqa: E402
 from rclpy.event_handler import SubscriptionEventCallbacks  # noqa: E402
-from rclpy.executors import Executor  # noqa: E402
 from rclpy.node import Node  # noqa: E402
 from rclpy.qos import QoSDurabilityPolicy, QoSReliabilityPolicy  # noqa: E402
 from rclpy.signals import SignalHandlerOptions  # noqa: E402
@@ -41,7 +40,7 @@ from ptnsbc_nodes.bag.msgdef import has_header  # noqa: E402
 from ptnsbc_nodes.bag.reorder import Held, ReorderBuffer  # noqa: E402
 from ptnsbc_nodes.endpoints import RECORDED, full_name  # noqa: E402
 from ptnsbc_nodes.rosargs import RosArgumentsError, ros_errors, without_ros  # noqa: E402
-from ptnsbc_nodes.spin import make_executor, spin_for  # noqa: E402
+from ptnsbc_nodes.spin import drain, make_executor, spin_for  # noqa: E402
 from ptnsbc_nodes.topics import Topic  # noqa: E402
 from ptnsbc_nodes.transforms import Transforms  # noqa: E402
 
@@ -268,7 +267,7 @@ def _record(context: Context, options: argparse.Namespace, stop: _StopSignal) ->
         print("ready", file=sys.stderr, flush=True)
         while not stop.came:
             spin_for(executor, _SIGNAL_CHECK)
-        _drain(executor, recorder)
+        drain(executor, lambda: recorder.received, _QUIET, _DRAIN_LIMIT)
         recorder.finish()
     executor.remove_node(node)
     executor.shutdown()
@@ -283,15 +282,6 @@ def _pictures(scenario: str | None) -> Pictures | None:
     from ptnsbc_sim.scenario import load_scenario
 
     return Pictures(load_scenario(scenario, {}))
-
-
-def _drain(executor: Executor, recorder: Recorder) -> None:
-    """Take in what the UAVs sent before the signal and is still in the queues."""
-    end = time.monotonic() + _DRAIN_LIMIT
-    before = -1
-    while recorder.received != before and time.monotonic() < end:
-        before = recorder.received
-        spin_for(executor, _QUIET)
 
 
 def _summary(writer: BagWriter, recorder: Recorder) -> dict[str, Any]:

@@ -15,18 +15,17 @@ environment.prepare()
 
 import rclpy  # noqa: E402
 from rclpy.context import Context  # noqa: E402
-from rclpy.executors import Executor  # noqa: E402
 from rclpy.signals import SignalHandlerOptions  # noqa: E402
 
 from ptnsbc_nodes.bag import BagWriter, Limits  # noqa: E402
 from ptnsbc_nodes.listener import OURS, Listener  # noqa: E402
 from ptnsbc_nodes.provenance import provenance  # noqa: E402
-from ptnsbc_nodes.spin import make_executor, spin_for  # noqa: E402
+from ptnsbc_nodes.spin import drain, make_executor, spin_for  # noqa: E402
 from ptnsbc_nodes.stop import StopRequest  # noqa: E402
 
 _SLICE_S = 0.1
 _QUIET_S = 0.2
-_DRAIN_LIMIT_S = 2.0
+_DRAIN_LIMIT_S = 2.0  # a fleet that flies on has no last message
 
 
 class RecordError(PtnsbcError):
@@ -84,7 +83,7 @@ def _record(
         end = time.monotonic() + (wishes.duration_s or float("inf"))
         while not stop.came and time.monotonic() < end:
             spin_for(executor, _SLICE_S)
-        _drain(executor, listener)
+        drain(executor, lambda: listener.received, _QUIET_S, _DRAIN_LIMIT_S)
     executor.remove_node(node)
     executor.shutdown()
     node.destroy_node()
@@ -101,11 +100,3 @@ def _record(
         "lost": listener.lost,
         "interrupted": stop.came,
     }
-
-
-def _drain(executor: Executor, listener: Listener) -> None:
-    """Take in what is still in the queues; a fleet that flies on has no last message."""
-    end, before = time.monotonic() + _DRAIN_LIMIT_S, -1
-    while listener.received != before and time.monotonic() < end:
-        before = listener.received
-        spin_for(executor, _QUIET_S)

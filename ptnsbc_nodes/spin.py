@@ -5,6 +5,8 @@ The EventsExecutor receives an Odometry for a quarter of what the SingleThreaded
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 
@@ -37,6 +39,14 @@ def spin(executor: Executor, context: Context) -> None:
 def spin_for(executor: Executor, seconds: float) -> None:
     """Serve callbacks for a while, for loops with something else to look at."""
     executor.spin_until_future_complete(Future(), timeout_sec=seconds)
+
+
+def drain(executor: Executor, received: Callable[[], int], quiet_s: float, limit_s: float) -> None:
+    """Take in what is still in the queues: until nothing more is `received` for a while, or the limit."""
+    end, before = time.monotonic() + limit_s, -1
+    while received() != before and time.monotonic() < end:
+        before = received()
+        spin_for(executor, quiet_s)
 
 
 @cache

@@ -16,29 +16,6 @@ from ptnsbc_tools.autopilot.command import autopilot
 from ptnsbc_tools.bags.command import app as bags
 from ptnsbc_tools.bridge.command import bridge
 from ptnsbc_tools.network.command import app as network_app
-from ptnsbc_tools.options import (
-    AllowArmingOption,
-    AvoidanceOption,
-    BagArgument,
-    BagOption,
-    DomainOption,
-    DurationOption,
-    EpochOption,
-    FlownOption,
-    JsonOption,
-    NetworkOption,
-    OdomOption,
-    OverwriteOption,
-    PlantOption,
-    ProfileOption,
-    ScenarioArgument,
-    SeedOption,
-    SetOption,
-    TaskOption,
-    ToleranceOption,
-    WindowOption,
-    WrenchOption,
-)
 from ptnsbc_tools.plot.command import plot
 from ptnsbc_tools.record.command import record
 from ptnsbc_tools.replay.command import replay
@@ -95,73 +72,58 @@ def _main(
 
 @app.command()
 def check(
-    scenario: ScenarioArgument,
-    plant: PlantOption = None,
-    task: TaskOption = None,
-    profile: ProfileOption = None,
-    avoidance: AvoidanceOption = None,
-    duration: DurationOption = None,
-    settings: SetOption = None,
-    json: JsonOption = False,
+    context: typer.Context,
+    scenario: options.ScenarioArgument,
+    plant: options.PlantOption = None,
+    task: options.TaskOption = None,
+    profile: options.ProfileOption = None,
+    avoidance: options.AvoidanceOption = None,
+    duration: options.DurationOption = None,
+    settings: options.SetOption = None,
+    json: options.JsonOption = False,
 ) -> None:
     """Check a scenario before anything arms: graph, shape, spacing, gains, deadline, obstacles."""
     from ptnsbc_tools.check import command
 
-    given = options.overrides(
-        plant=plant,
-        task=task,
-        profile=profile,
-        avoidance=avoidance,
-        duration=duration,
-        settings=settings,
-    )
-    command.run(options.scenario_with(scenario, given), json=json)
+    command.run(options.chosen(context), json=json)
 
 
 @app.command()
 def simulate(
-    scenario: ScenarioArgument,
-    plant: PlantOption = None,
-    task: TaskOption = None,
-    profile: ProfileOption = None,
-    avoidance: AvoidanceOption = None,
-    seed: SeedOption = None,
-    duration: DurationOption = None,
-    settings: SetOption = None,
-    bag: BagOption = None,
-    overwrite: OverwriteOption = False,
-    json: JsonOption = False,
+    context: typer.Context,
+    scenario: options.ScenarioArgument,
+    plant: options.PlantOption = None,
+    task: options.TaskOption = None,
+    profile: options.ProfileOption = None,
+    avoidance: options.AvoidanceOption = None,
+    seed: options.SeedOption = None,
+    duration: options.DurationOption = None,
+    settings: options.SetOption = None,
+    bag: options.BagOption = None,
+    overwrite: options.OverwriteOption = False,
+    json: options.JsonOption = False,
 ) -> None:
     """Fly a scenario in this process, without ROS, as fast as it goes; ends with the verdict."""
     from ptnsbc_tools import result
     from ptnsbc_tools import simulate as command
 
-    given = options.overrides(
-        plant=plant,
-        task=task,
-        profile=profile,
-        avoidance=avoidance,
-        seed=seed,
-        duration=duration,
-        settings=settings,
-    )
-    chosen = options.scenario_with(scenario, given)
+    chosen = options.chosen(context)
     result.leave(command.simulate(chosen, bag, overwrite=overwrite, json=json))
 
 
 @app.command()
 def verify(
-    bag: BagArgument,
-    scenario: FlownOption = None,
-    tolerance: ToleranceOption = None,
-    window: WindowOption = None,
-    odom: OdomOption = options.ODOM,
-    wrench: WrenchOption = options.WRENCH,
-    epoch: EpochOption = None,
+    bag: options.BagArgument,
+    scenario: options.FlownOption = None,
+    tolerance: options.ToleranceOption = None,
+    window: options.WindowOption = None,
+    odom: options.OdomOption = options.ODOM,
+    wrench: options.WrenchOption = options.WRENCH,
+    epoch: options.EpochOption = None,
     picture: Annotated[
         Path | None, typer.Option("--picture", metavar="PNG", help="Draw the flight as well.")
     ] = None,
-    json: JsonOption = False,
+    json: options.JsonOption = False,
 ) -> None:
     """Judge a recorded flight: deadline met, missed or void, input, energy and separations.
 
@@ -182,7 +144,8 @@ def verify(
 
 @app.command()
 def fleet(
-    scenario: ScenarioArgument,
+    context: typer.Context,
+    scenario: options.ScenarioArgument,
     lockstep: Annotated[
         bool,
         typer.Option(
@@ -194,7 +157,7 @@ def fleet(
         Literal["sim", "mavlink"],
         typer.Option("--backend", help="The simulator, or a MAVLink bridge per flight controller."),
     ] = "sim",
-    allow_arming: AllowArmingOption = False,
+    allow_arming: options.AllowArmingOption = False,
     only: Annotated[
         str,
         typer.Option(
@@ -204,18 +167,18 @@ def fleet(
             "recorder waits for all, starts the flight and ends it.",
         ),
     ] = "",
-    network: NetworkOption = None,
-    domain: DomainOption = None,
-    plant: PlantOption = None,
-    task: TaskOption = None,
-    profile: ProfileOption = None,
-    avoidance: AvoidanceOption = None,
-    seed: SeedOption = None,
-    duration: DurationOption = None,
-    settings: SetOption = None,
-    bag: BagOption = None,
-    overwrite: OverwriteOption = False,
-    json: JsonOption = False,
+    network: options.NetworkOption = None,
+    domain: options.DomainOption = None,
+    plant: options.PlantOption = None,
+    task: options.TaskOption = None,
+    profile: options.ProfileOption = None,
+    avoidance: options.AvoidanceOption = None,
+    seed: options.SeedOption = None,
+    duration: options.DurationOption = None,
+    settings: options.SetOption = None,
+    bag: options.BagOption = None,
+    overwrite: options.OverwriteOption = False,
+    json: options.JsonOption = False,
 ) -> None:
     """Fly a scenario with one ROS 2 process per UAV; ends with the verdict.
 
@@ -225,16 +188,7 @@ def fleet(
     from ptnsbc_tools import fleet as command
 
     options.join(network, domain)
-    given = options.overrides(
-        plant=plant,
-        task=task,
-        profile=profile,
-        avoidance=avoidance,
-        seed=seed,
-        duration=duration,
-        settings=settings,
-    )
-    chosen = options.scenario_with(scenario, given)
+    chosen = options.chosen(context)
     wishes = command.Wishes(
         lockstep=lockstep,
         backend=backend,
@@ -249,11 +203,11 @@ def fleet(
 
 @app.command()
 def demo(
-    duration: DurationOption = None,
+    duration: options.DurationOption = None,
     folder: Annotated[
         Path, typer.Option("--out", metavar="DIR", help="Folder for the bag and the picture.")
     ] = Path("out"),
-    json: JsonOption = False,
+    json: options.JsonOption = False,
 ) -> None:
     """Fly Simulation 1 of the paper with a fleet in lock-step: bag, verdict and picture."""
     from ptnsbc_tools import fleet as command

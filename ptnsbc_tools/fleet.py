@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_sim.scenario import Scenario
-from ptnsbc_tools import console, result
+from ptnsbc_tools import console, result, ros
 from ptnsbc_tools.bag_reader import read_recording
 from ptnsbc_tools.verdict import verdict_on
 
@@ -22,10 +22,6 @@ if TYPE_CHECKING:
 
 DEMO_SCENARIO = "paper_5"
 _NO_VERDICT = 1
-
-
-class RosMissingError(PtnsbcError):
-    """ROS 2 is not installed."""
 
 
 @dataclass(frozen=True)
@@ -47,16 +43,8 @@ def _say(line: str) -> None:
 
 
 def _options(scenario: Scenario, wishes: Wishes) -> FleetOptions:
-    from ptnsbc_nodes import environment
-
-    environment.prepare()
-    try:
+    with ros.needed(f"{ros.WAY_OUT}, or fly without it: ptnsbc simulate"):
         from ptnsbc_nodes.fleet import FleetOptions, chosen
-    except ImportError as error:
-        raise RosMissingError(
-            f"{error.name} is not installed: install the extra [ros] or source ROS 2, or fly "
-            "without it: ptnsbc simulate"
-        ) from None
     return FleetOptions(
         scenario,
         lockstep=wishes.lockstep,

@@ -107,27 +107,27 @@ DomainOption = Annotated[
 ODOM, WRENCH = "/uav{n}/odom", "/uav{n}/setpoint/wrench"
 
 
-def overrides(
-    *,
-    plant: str | None = None,
-    task: str | None = None,
-    profile: str | None = None,
-    avoidance: str | None = None,
-    seed: int | None = None,
-    duration: float | None = None,
-    settings: list[str] | None = None,
-) -> dict[str, Any]:
-    """Dotted keys of the scenario file from the options that were given."""
-    given = {
-        "plant.kind": plant,
-        "formation.task": task,
-        "gains.profile": profile,
-        "formation.avoidance": avoidance,
-        "seed": seed,
-        "timing.duration_s": duration,
-        **dict(_setting(text) for text in settings or ()),
-    }
+_KEYS = {
+    "plant": "plant.kind",
+    "task": "formation.task",
+    "profile": "gains.profile",
+    "avoidance": "formation.avoidance",
+    "seed": "seed",
+    "duration": "timing.duration_s",
+}
+"""Options that stand for a key of the scenario file."""
+
+
+def overrides(**options: Any) -> dict[str, Any]:
+    """Dotted keys of the scenario file from options by the name of their variable; others are left alone."""
+    given = {key: options.get(name) for name, key in _KEYS.items()}
+    given |= dict(_setting(text) for text in options.get("settings") or ())
     return {key: value for key, value in given.items() if value is not None}
+
+
+def chosen(context: typer.Context) -> Scenario:
+    """The scenario that the arguments and options of a command make."""
+    return scenario_with(context.params["scenario"], overrides(**context.params))
 
 
 def join(network: Path | None, domain: int | None) -> None:

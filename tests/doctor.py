@@ -5,9 +5,24 @@ from __future__ import annotations
 from collections import Counter
 from pathlib import Path
 
+import pytest
 from mcap.reader import make_reader
 from mcap.records import Channel, Chunk, DataEnd, Footer, Header, MessageIndex, Schema, Statistics
 from mcap.stream_reader import StreamReader, breakup_chunk
+
+
+def read_by_another(bag: Path) -> Counter[str]:
+    """Messages by topic of a bag, in order and each deserialised, by rosbags; skips where it is missing."""
+    highlevel = pytest.importorskip("rosbags.highlevel")
+    counts: Counter[str] = Counter()
+    with highlevel.AnyReader([bag]) as reader:
+        last_ns = 0
+        for connection, stamp_ns, data in reader.messages():
+            reader.deserialize(data, connection.msgtype)
+            assert stamp_ns >= last_ns
+            last_ns = stamp_ns
+            counts[connection.topic] += 1
+    return counts
 
 
 def examine(file: Path) -> Counter[str]:

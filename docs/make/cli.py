@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from types import NoneType
 from typing import Any, Literal, NamedTuple, get_args, get_origin, get_type_hints
 
-from typer import Typer
+from typer import Context, Typer
 from typer.models import ArgumentInfo
 
 from docs.make.markdown import table
@@ -59,6 +59,8 @@ def commands(of: Typer, before: str = "") -> Iterator[tuple[str, Callable[..., A
 def _parameters(command: Callable[..., Any]) -> Iterator[Parameter]:
     hints = get_type_hints(command, include_extras=True)
     for name, one in inspect.signature(command).parameters.items():
+        if hints[name] is Context:
+            continue
         kind, told = get_args(hints[name])
         kinds = [part for part in get_args(kind) if part is not NoneType]
         if NoneType in get_args(kind):

@@ -8,15 +8,10 @@ from typing import Annotated
 
 import typer
 
-from ptnsbc_core.errors import PtnsbcError
-from ptnsbc_tools import options
+from ptnsbc_tools import options, ros
 from ptnsbc_tools.options import AllowArmingOption, SetOption
 
 _EXAMPLE = "experiment_4"
-
-
-class BridgeSetupError(PtnsbcError):
-    """Something that a bridge needs is not installed."""
 
 
 def bridge(
@@ -44,16 +39,9 @@ def bridge(
     Ctrl-C lands a flying vehicle; a second one ends the bridge at once, and the vehicle's own
     failsafe acts.
     """
-    from ptnsbc_nodes import environment
-
-    environment.prepare()
-    try:
+    with ros.needed("install the extras [ros,mavlink] or source ROS 2"):
         from ptnsbc_nodes.bridge_node import BridgeOptions
         from ptnsbc_nodes.bridge_node import bridge as run
-    except ImportError as error:
-        raise BridgeSetupError(
-            f"{error.name} is not installed: install the extras [ros,mavlink] or source ROS 2"
-        ) from None
     given = options.overrides(settings=settings)
     if connect is not None:
         given[f"mavlink.vehicles.{uav}.connect"] = connect

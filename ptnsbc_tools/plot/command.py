@@ -8,19 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from ptnsbc_core.errors import PtnsbcError
-from ptnsbc_tools import console
-from ptnsbc_tools.options import (
-    ODOM,
-    WRENCH,
-    BagArgument,
-    EpochOption,
-    FlownOption,
-    JsonOption,
-    OdomOption,
-    ToleranceOption,
-    WindowOption,
-    WrenchOption,
-)
+from ptnsbc_tools import console, options
 
 if TYPE_CHECKING:
     from ptnsbc_tools.charts.flight import Shown
@@ -33,7 +21,7 @@ class PlotError(PtnsbcError):
 
 
 def plot(
-    bag: BagArgument,
+    bag: options.BagArgument,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -56,13 +44,13 @@ def plot(
     form: Annotated[
         Literal["png", "svg"], typer.Option("--format", help="Of the files in a folder.")
     ] = "png",
-    scenario: FlownOption = None,
-    tolerance: ToleranceOption = None,
-    window: WindowOption = None,
-    odom: OdomOption = ODOM,
-    wrench: WrenchOption = WRENCH,
-    epoch: EpochOption = None,
-    json: JsonOption = False,
+    scenario: options.FlownOption = None,
+    tolerance: options.ToleranceOption = None,
+    window: options.WindowOption = None,
+    odom: options.OdomOption = options.ODOM,
+    wrench: options.WrenchOption = options.WRENCH,
+    epoch: options.EpochOption = None,
+    json: options.JsonOption = False,
 ) -> None:
     """Draw a recorded flight: errors, inputs, separations, estimator, gain, timing."""
     from ptnsbc_tools.charts import draw, flight

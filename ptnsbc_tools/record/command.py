@@ -5,22 +5,14 @@ from __future__ import annotations
 import sys
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
-from ptnsbc_core.errors import PtnsbcError
-from ptnsbc_tools import console
+from ptnsbc_tools import console, ros
 from ptnsbc_tools.options import JsonOption, OverwriteOption
 
-if TYPE_CHECKING:
-    pass
-
 _MEGABYTE = 1_000_000
-
-
-class RosMissingError(PtnsbcError):
-    """ROS 2 is not installed."""
 
 
 def record(
@@ -84,17 +76,10 @@ def record(
 
 
 def _needed() -> Any:
-    from ptnsbc_nodes import environment
-
-    environment.prepare()
-    try:
+    with ros.needed():
         from ptnsbc_nodes.bag import Limits
         from ptnsbc_nodes.listener import OURS
         from ptnsbc_nodes.recording import Wishes, record
-    except ImportError as error:
-        raise RosMissingError(
-            f"{error.name} is not installed: install the extra [ros] or source ROS 2"
-        ) from None
     return record, Wishes, Limits, OURS
 
 

@@ -6,16 +6,10 @@ import sys
 from pathlib import Path
 from typing import NamedTuple
 
-from ptnsbc_core.errors import PtnsbcError
-from ptnsbc_nodes import environment
 from ptnsbc_nodes.bag import read_bag
-from ptnsbc_tools import console
+from ptnsbc_tools import console, ros
 
 _INTERRUPTED = 130
-
-
-class RosMissingError(PtnsbcError):
-    """ROS 2 is not installed."""
 
 
 class Choice(NamedTuple):
@@ -32,13 +26,8 @@ class Choice(NamedTuple):
 def publish(path: Path, choice: Choice, *, json: bool) -> int:
     """Play; returns the exit code."""
     bag = read_bag(path)
-    environment.prepare()
-    try:
+    with ros.needed():
         from ptnsbc_nodes import player
-    except ImportError as error:
-        raise RosMissingError(
-            f"{error.name} is not installed: install the extra [ros] or source ROS 2"
-        ) from None
     wishes = player.Wishes(**choice._asdict())
     with console.progress("playing") as advance:
         played = player.play(bag, wishes, _say, advance)

@@ -8,19 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ptnsbc_core.errors import PtnsbcError
-from ptnsbc_tools import console
-from ptnsbc_tools.options import (
-    ODOM,
-    WRENCH,
-    BagArgument,
-    EpochOption,
-    FlownOption,
-    JsonOption,
-    OdomOption,
-    ToleranceOption,
-    WindowOption,
-    WrenchOption,
-)
+from ptnsbc_tools import console, options
 
 if TYPE_CHECKING:
     from ptnsbc_tools.charts.flight import Shown
@@ -35,23 +23,23 @@ class ReportError(PtnsbcError):
 
 
 def report(
-    bag: BagArgument,
+    bag: options.BagArgument,
     out: Annotated[
         Path | None,
         typer.Option(
             "--out", "-o", metavar="DIR", help="Folder for the page. Default: BAG-report beside it."
         ),
     ] = None,
-    scenario: FlownOption = None,
-    tolerance: ToleranceOption = None,
-    window: WindowOption = None,
-    odom: OdomOption = ODOM,
-    wrench: WrenchOption = WRENCH,
-    epoch: EpochOption = None,
+    scenario: options.FlownOption = None,
+    tolerance: options.ToleranceOption = None,
+    window: options.WindowOption = None,
+    odom: options.OdomOption = options.ODOM,
+    wrench: options.WrenchOption = options.WRENCH,
+    epoch: options.EpochOption = None,
     pictures: Annotated[
         bool, typer.Option("--pictures/--no-pictures", help="Figures as PNG beside the page.")
     ] = True,
-    json: JsonOption = False,
+    json: options.JsonOption = False,
 ) -> None:
     """Show a recorded flight: one page that works offline, with playback and figures.
 

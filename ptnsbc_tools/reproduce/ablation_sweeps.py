@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+
 from ptnsbc_core.timebase import peak_gain
 from ptnsbc_tools.reproduce.flights import Flown, flown
 from ptnsbc_tools.reproduce.part import Cell, Column, Part, Table
@@ -12,6 +14,9 @@ DEADLINES_S = (3.0, 4.0, 5.0, 7.0, 10.0)
 DEFAULT_Q, DEFAULT_TF_S = 0.02, 5.0
 PLANTS = ("rigid_body_6dof", "quadrotor")
 _AFTER_S = 10.0
+
+Swept = Mapping[str, Mapping[float, Flown]]
+"""Flights by plant and by the value that is swept."""
 
 _COLUMNS = (
     Column("deadline met"),
@@ -58,52 +63,55 @@ def _row(plant: str, first: Cell, one: Flown, gain: float) -> tuple[Cell, ...]:
     )
 
 
-def _met(flights: dict[float, Flown]) -> str:
+def _met(flights: Mapping[float, Flown]) -> str:
     """For which values all UAVs kept the deadline."""
     good = [value for value, one in flights.items() if one.met() == len(one.verdict.uavs)]
     return ", ".join(f"{value:g}" for value in good) if good else "none"
 
 
+def _rows(flights: Swept, peak: Callable[[float], float]) -> tuple[tuple[Cell, ...], ...]:
+    """A row for each flight; `peak` is the largest gain at a value."""
+    return tuple(
+        _row(plant, f"{value:g}", one, peak(value))
+        for plant, some in flights.items()
+        for value, one in some.items()
+    )
+
+
+def _promise(flights: Swept, values: str) -> str:
+    """On which plant the deadlines are met for which values."""
+    said = (
+        f"on `{plant}` all deadlines are met for {values.format(_met(some))}"
+        for plant, some in flights.items()
+    )
+    return "; ".join(said).capitalize()
+
+
 def _by_residual() -> Table:
     flights = {plant: {q: flight(plant, q, DEFAULT_TF_S) for q in RESIDUALS} for plant in PLANTS}
-    rows = [
-        _row(plant, f"{q:g}", one, peak_gain(DEFAULT_TF_S, q))
-        for plant, some in flights.items()
-        for q, one in some.items()
-    ]
+    rows = _rows(flights, lambda q: peak_gain(DEFAULT_TF_S, q))
     return Table(
         "ablation_residual",
         f"Residual q, tf = {DEFAULT_TF_S:g} s",
         (Column("plant"), Column("q"), *_COLUMNS),
-        tuple(rows),
-        "; ".join(
-            f"on `{plant}` all deadlines are met for q = {_met(some)}"
-            for plant, some in flights.items()
-        ).capitalize()
-        + ". After tf only κ is left, and no q changes what follows.",
+        rows,
+        _promise(flights, "q = {}") + ". After tf only κ is left, and no q changes what follows.",
     )
 
 
 def _by_deadline() -> Table:
     flights = {plant: {tf: flight(plant, DEFAULT_Q, tf) for tf in DEADLINES_S} for plant in PLANTS}
-    rows = [
-        _row(plant, f"{tf:g}", one, peak_gain(tf, DEFAULT_Q))
-        for plant, some in flights.items()
-        for tf, one in some.items()
-    ]
+    rows = _rows(flights, lambda tf: peak_gain(tf, DEFAULT_Q))
     body = flights[PLANTS[0]]
     slow, fast = body[10.0], body[5.0]
     return Table(
         "ablation_deadline",
         f"Deadline tf, q = {DEFAULT_Q:g}",
         (Column("plant"), Column("tf, s"), *_COLUMNS),
-        tuple(rows),
-        "; ".join(
-            f"on `{plant}` all deadlines are met for tf = {_met(some)} s"
-            for plant, some in flights.items()
-        ).capitalize()
-        + f". Half the time, 5 s for 10 s, costs on `{PLANTS[0]}` {fast.peak_input() - fast.weight_n:.1f} N at most "
-        f"beyond the weight for {slow.peak_input() - slow.weight_n:.1f} N, and {fast.energy_beyond_hover():.0f} N²s "
+        rows,
+        _promise(flights, "tf = {} s") + f". Half the time, 5 s for 10 s, costs on `{PLANTS[0]}` "
+        f"{fast.peak_input() - fast.weight_n:.1f} N at most beyond the weight for "
+        f"{slow.peak_input() - slow.weight_n:.1f} N, and {fast.energy_beyond_hover():.0f} N²s "
         f"beyond hover for {slow.energy_beyond_hover():.0f} N²s.",
     )
 

@@ -12,6 +12,8 @@ from ptnsbc_tools.reproduce.flights import Flown
 from ptnsbc_tools.reproduce.part import Figure
 from ptnsbc_tools.reproduce.workshop import Workshop, times_column
 
+_TELLING = (5, 6)  # those that the short page shows
+
 
 def columns(flown: Flown) -> dict[str, Array]:
     """Time and positions of all UAVs."""
@@ -49,14 +51,18 @@ def in_space(workshop: Workshop, flown: Flown, number: int, suffix: str) -> Figu
     spheres(axes, flown)
     tidy_3d(axes)
     made.legend(*axes.get_legend_handles_labels(), loc="upper center", ncols=3)
-    name = f"fig_{number:02d}_{flown.scenario.name}_3d"
+    note = "dots: starts, squares: the end, grey: keep-out spheres"
+    return _kept(workshop, flown, made, (number, "3d"), f"Trajectories in space{suffix}; {note}")
+
+
+def _kept(
+    workshop: Workshop, flown: Flown, made: Any, which: tuple[int, str], caption: str
+) -> Figure:
+    """Write a figure, `which` is its number in the paper and the end of its name."""
+    number, end = which
+    name = f"fig_{number:02d}_{flown.scenario.name}_{end}"
     workshop.figure(name, made, columns(flown))
-    return Figure(
-        name,
-        f"Fig. {number}",
-        f"Trajectories in space{suffix}; dots: starts, squares: the end, grey: keep-out spheres",
-        telling=number == 5,
-    )
+    return Figure(name, f"Fig. {number}", caption, telling=number in _TELLING)
 
 
 def space(made: Any) -> Any:
@@ -88,14 +94,8 @@ def from_above(workshop: Workshop, flown: Flown, number: int, suffix: str) -> Fi
     axes = made.add_subplot()
     draw_from_above(axes, flown)
     style.legend(made, axes, columns=3)
-    name = f"fig_{number:02d}_{flown.scenario.name}_xy"
-    workshop.figure(name, made, columns(flown))
-    return Figure(
-        name,
-        f"Fig. {number}",
-        f"Trajectories from above{suffix}; a path across a grey disc passes above or below the sphere",
-        telling=number == 6,
-    )
+    note = "a path across a grey disc passes above or below the sphere"
+    return _kept(workshop, flown, made, (number, "xy"), f"Trajectories from above{suffix}; {note}")
 
 
 def draw_from_above(axes: Any, flown: Flown) -> None:
