@@ -37,8 +37,10 @@ commands: setup  ## Run every command in README and docs, in a scratch clone
 bench: setup  ## Measure the figures that the README quotes
 	@time $(BIN)/python -m bench $(ARGS)
 
-lint: setup  ## ruff (style, layering), formatting, mypy
+lint: setup  ## ruff (style, layering), formatting, mypy; docker/
 	@time { $(BIN)/ruff check . && $(BIN)/ruff format --check . && $(BIN)/mypy; }
+	@$(BIN)/hadolint docker/Dockerfile
+	@$(BIN)/check-jsonschema --builtin-schema vendor.compose-spec docker/compose.yaml
 
 format: setup  ## Let ruff format the code and fix what it can
 	@$(BIN)/ruff format . && $(BIN)/ruff check --fix .
