@@ -109,9 +109,21 @@ def _judged(bag: Path, flown: FleetResult, wishes: Wishes) -> int:
     return flown.exit_code or verdict.exit_code
 
 
+def in_flight(scenario: Scenario) -> Iterator[str]:
+    """What flying real vehicles changes in a scenario, one line each."""
+    for key, value in scenario.mavlink.overrides.items():
+        own: Any = scenario.file
+        for name in key.split("."):
+            own = getattr(own, name, None)
+        before = "the default" if own is None else own
+        yield f"in flight: {key}: {value} instead of {before} (mavlink.overrides)"
+
+
 def fleet(scenario: Scenario, wishes: Wishes) -> int:
     """Fly with one process per UAV, judge the bag; returns the exit code."""
     if wishes.backend == "mavlink":
+        for line in in_flight(scenario):
+            _say(line)
         scenario = scenario.bridged()
     result.preflight(scenario, quiet=wishes.json)
     options = _options(scenario, wishes)

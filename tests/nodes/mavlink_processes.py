@@ -9,8 +9,11 @@ import socket
 import subprocess
 import sys
 import threading
+import time
 from contextlib import contextmanager
 from pathlib import Path
+
+from ptnsbc_nodes.autopilot.control import ask
 
 ROOT = Path(__file__).resolve().parents[2]
 COMMAND = "ptnsbc_tools.cli"
@@ -146,6 +149,22 @@ def flying(module, *arguments, domain):
         yield program
     finally:
         program.finish(signal.SIGINT)
+
+
+def free_port():
+    """A UDP port that nobody listens at."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+def mode_of(control, system, other_than, patience_s=10.0):
+    """The mode of a stand-in once it is another one, asked at its control port; each answer takes it a tick."""
+    end = time.monotonic() + patience_s
+    while True:
+        mode = json.loads(ask(control, f"{system} state"))[0]["mode"]
+        if mode != other_than or time.monotonic() > end:
+            return mode
 
 
 def pid_of(module, number, logs):

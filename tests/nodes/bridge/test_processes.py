@@ -1,4 +1,4 @@
-"""Fleets of real processes over real UDP: the command of the manual, and one in which a process is killed.
+"""Fleets of real processes over real UDP: the command of the manual, and one in which processes are killed.
 
 In real time and as many processes as the host can carry: nothing else runs beside them.
 """
@@ -11,7 +11,16 @@ import pytest
 pytest.importorskip("rclpy")
 pytest.importorskip("pymavlink")
 
-from mavlink_processes import COMMAND, Program, flying, pid_of, stand_ins, write_scenario
+from mavlink_processes import (
+    COMMAND,
+    Program,
+    flying,
+    free_port,
+    mode_of,
+    pid_of,
+    stand_ins,
+    write_scenario,
+)
 
 from ptnsbc_nodes.bag import read_bag
 
@@ -44,6 +53,7 @@ def test_the_command_flies_four_stand_ins_into_formation(
         code = fleet.finish()
         told = fleet.told()
         assert code == 0, "\n".join((*fleet.lines, str(told)))
+    assert fleet.said("in flight: gains.formation.deadline_s: 10 instead of 5.0")
     steps = ("taking off", "airborne", "in formation", "landing", "done")
     assert fleet.said(*(f"bridge{i}: {step}" for i in FOUR for step in steps))
     assert vehicles.said(*(f"{i}: disarmed: landed" for i in FOUR))
@@ -52,24 +62,27 @@ def test_the_command_flies_four_stand_ins_into_formation(
     assert min(pair["distance_m"] for pair in told["separations"]) > 0.5
 
 
-def test_a_uav_process_killed_and_the_operators_stop(tmp_path, domain):
+def test_a_uav_process_and_a_bridge_killed_and_the_operators_stop(tmp_path, domain):
     path = write_scenario(tmp_path / "four.yaml", duration_s=60)
-    logs = tmp_path / "logs"
+    logs, control = tmp_path / "logs", free_port()
     command = (
         "ptnsbc_nodes.fleet_node", "--scenario", path, "--backend", "mavlink", "--allow-arming",
         "--bag", tmp_path / "bag", "--log-dir", logs,
     )  # fmt: skip
     with (
-        stand_ins(path, domain, "--param", "COM_OBL_RC_ACT=5"),
+        stand_ins(path, domain, "--param", "COM_OBL_RC_ACT=5", "--control", control),
         flying(*command, domain=domain) as fleet,
     ):
         fleet.wait_for(*(f"bridge{i}: in formation" for i in FOUR))
         os.kill(pid_of("ptnsbc_nodes.uav_node", 3, logs), signal.SIGKILL)
         fleet.wait_for("uav3 (pid ", "bridge3: no setpoints: ", patience_s=20)
+        os.kill(pid_of("ptnsbc_nodes.bridge_node", 4, logs), signal.SIGKILL)
+        fleet.wait_for("bridge4 (pid ", patience_s=20)
+        assert mode_of(control, 4, other_than="OFFBOARD") == "HOLD"  # by its own failsafe
         stop = Program(COMMAND, "stop", "--domain", domain, domain=domain)
         assert stop.finish() == 0, stop.lines
-        fleet.wait_for(*(f"bridge{i}: done" for i in FOUR), patience_s=90)
-        assert fleet.finish() == 1  # one process died
+        fleet.wait_for(*(f"bridge{i}: done" for i in (1, 2, 3)), patience_s=90)
+        assert fleet.finish() == 1  # two processes died
     bag = read_bag(tmp_path / "bag")
     assert bag.topics["/uav1/odom"].messages > 100
     assert len(list(bag.messages(["/formation/epoch"]))) == 2  # form, and the operator's landing
