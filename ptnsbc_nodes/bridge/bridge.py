@@ -235,6 +235,7 @@ class Bridge:
             landed=vehicle.landed,
             height_m=0.0 if odometry is None else float(odometry[2]) - self._ground_m,
             speed_m_s=0.0 if odometry is None else float(np.sqrt(odometry[7:10] @ odometry[7:10])),
+            turned=odometry is None or self._stream.turned(odometry),
             leg=None if leg is None else leg.name,
             battery_low=f"battery at {vehicle.battery_percent:.0f} %, below {percent:g}"
             if low

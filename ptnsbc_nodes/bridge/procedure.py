@@ -42,6 +42,7 @@ class Procedure:
     ) -> None:
         self._pilotage = Pilotage(autopilot, takeoff_height_m, allow_arming)
         self._course = Course(log)
+        self._turned = False
 
     @property
     def step(self) -> Step:
@@ -61,7 +62,7 @@ class Procedure:
     @property
     def ready(self) -> bool:
         """Whether the formation may begin, as far as this vehicle is concerned."""
-        return self.step in (Step.AIRBORNE, Step.FLY)
+        return self.step is Step.FLY or (self.step is Step.AIRBORNE and self._turned)
 
     def fail(self, reason: str) -> None:
         """The bridge itself has failed."""
@@ -71,6 +72,7 @@ class Procedure:
         """What to do at `seen.now_s`; changes the step as far as what was seen allows."""
         course = self._course
         course.begin(seen.now_s)
+        self._turned = seen.turned
         for _ in Step:  # a step may be over before it began
             before = course.step
             react(course, seen)

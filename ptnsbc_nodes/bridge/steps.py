@@ -77,6 +77,7 @@ class Seen:
     landed: bool | None = None  # None: the vehicle does not tell
     height_m: float = 0.0  # above the place of arming
     speed_m_s: float = 0.0
+    turned: bool = True  # has the heading with which the formation begins
     leg: str | None = None  # announced, and its epoch has come
     battery_low: str = ""
     fence: str = ""

@@ -6,7 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from ptnsbc_core.algebra import wrap
 from ptnsbc_core.kinematics import rotation_from_quaternion, yaw_of
+from ptnsbc_core.trajectory import reference
 from ptnsbc_core.types import AgentConfig, Array
 from ptnsbc_nodes.bridge.attitude import (
     AttitudeTarget,
@@ -26,6 +28,8 @@ from ptnsbc_nodes.mavlink.autopilots import Autopilot
 from ptnsbc_sim.scenario.mavlink import SetpointKind
 
 _CLIMB_M_S = 1.0
+_TURN_RAD_S = 0.7
+_TURNED_RAD = 0.2
 _AHEAD_M = 1.0  # a target no farther above the vehicle than this
 _LEASH_M = 1.5
 _LONGEST_STEP_S = 0.1
@@ -61,6 +65,7 @@ class SetpointStream:
         self._guard = guard
         self._messages = messages
         self._climb_to_m = climb_to_m
+        self._heading = reference(config.trajectory, 0.0).yaw
         self._feed_forward = feed_forward
         self._point_hold = PointHold(config.controller.gravity)
         self._turning = Turning()
@@ -74,6 +79,10 @@ class SetpointStream:
         self._pushed = np.zeros(3)
         self._now_s = float("inf")
         self._dt = 0.0
+
+    def turned(self, odometry: Array) -> bool:
+        """Whether the vehicle has the heading with which the formation begins, where it climbed by itself."""
+        return self._climb is None or abs(wrap(yaw_of(odometry) - self._heading)) < _TURNED_RAD
 
     def message(
         self,
@@ -118,10 +127,15 @@ class SetpointStream:
             self._point_hold.reset()
 
     def _climbing(self, odometry: Array) -> Place:
-        """Straight up from where it stood, at a walking pace, then stay there."""
+        """Straight up from where it stood, at a walking pace, turning to the formation's heading; then stay.
+
+        A formation that begins with a turn swings: the wrench tells tilt and heading as one rotation.
+        """
         if self._climb is None:
             self._climb = Place(odometry)
         place, height = self._climb, float(odometry[2])
+        most = self._dt * _TURN_RAD_S
+        place.yaw = wrap(place.yaw + min(max(wrap(self._heading - place.yaw), -most), most))
         pace = min(_CLIMB_M_S, self._guard.limits.up_m_s)
         up = min(place.position[2] + self._dt * pace, height + _AHEAD_M)
         place.position[2] = min(up, self._ground_m + self._climb_to_m)

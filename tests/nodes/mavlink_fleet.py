@@ -271,7 +271,7 @@ class MavlinkFleet:
 
     def recording(self):
         """The flight as what a verdict is computed from."""
-        from ptnsbc_tools.verdict.recording import Recording, Series
+        from ptnsbc_tools.verdict import Recording, Series
 
         def series(pairs):
             return Series(np.array([t for t, _ in pairs]), np.array([v for _, v in pairs]))

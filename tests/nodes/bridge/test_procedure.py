@@ -84,6 +84,14 @@ class Flight:
         return self.run(until=Step.AIRBORNE).run(until=Step.FLY, leg="form").run(1.0)
 
 
+def test_the_formation_waits_until_the_vehicle_has_turned():
+    flight = Flight().run(until=Step.AIRBORNE, turned=False)
+    flight.run(5.0)
+    assert not flight.procedure.ready
+    flight.run(0.1, turned=True)
+    assert flight.procedure.ready
+
+
 @pytest.mark.parametrize("autopilot", [PX4, ARDUPILOT])
 def test_from_heartbeat_to_disarmed(autopilot):
     flight = Flight(autopilot).flying()

@@ -152,6 +152,20 @@ def test_take_off_is_a_target_that_climbs_at_a_walking_pace(config):
     assert message.y == pytest.approx(1.2)
 
 
+def test_take_off_turns_to_the_heading_with_which_the_formation_begins(config):
+    stream = make(config)
+    send(stream, Stream.HOLD, 1.0, state(euler=(0, 0, 3.0)), armed=False)
+    assert stream.turned(state(euler=(0, 0, 3.0)))  # not on its way yet
+    headings = []
+    for n in range(300):
+        message = send(stream, Stream.CLIMB, 1.0 + 0.02 * n, state(euler=(0, 0, 3.0)))
+        headings.append(math.pi / 2 - message.yaw)  # ENU
+    assert np.abs(np.diff(np.unwrap(headings))).max() <= 0.7 * 0.02 + 1e-9
+    assert headings[-1] == pytest.approx(0.0)  # the leader of experiment_4 looks east
+    assert not stream.turned(state(euler=(0, 0, 0.3)))
+    assert stream.turned(state(euler=(0, 0, -0.1)))
+
+
 def test_a_blocked_vehicle_is_not_left_behind_by_its_target(config):
     stream = make(config)
     send(stream, Stream.HOLD, 1.0, state((0, 0, 0)), armed=False)
