@@ -148,8 +148,8 @@ class BridgeNode:
         missing = self.endpoints.unheard()
         if self._thread is None:
             missing.append("activation")
-        if not self.bridge.procedure.ready:
-            missing.append(self.bridge.procedure.step.value)
+        if self.bridge.procedure.awaited:
+            missing.append(self.bridge.procedure.awaited)
         return missing
 
     def _listen(self, scenario: Scenario, uav_id: int) -> None:

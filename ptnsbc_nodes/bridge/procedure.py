@@ -64,6 +64,14 @@ class Procedure:
         """Whether the formation may begin, as far as this vehicle is concerned."""
         return self.step is Step.FLY or (self.step is Step.AIRBORNE and self._turned)
 
+    @property
+    def awaited(self) -> str:
+        """What keeps the formation waiting for this vehicle; empty when nothing does."""
+        if self.ready:
+            return ""
+        turning = "turning to the formation's heading"
+        return turning if self.step is Step.AIRBORNE else self.step.value
+
     def fail(self, reason: str) -> None:
         """The bridge itself has failed."""
         self._course.blame(reason)

@@ -88,8 +88,10 @@ def test_the_formation_waits_until_the_vehicle_has_turned():
     flight = Flight().run(until=Step.AIRBORNE, turned=False)
     flight.run(5.0)
     assert not flight.procedure.ready
+    assert flight.procedure.awaited == "turning to the formation's heading"
     flight.run(0.1, turned=True)
     assert flight.procedure.ready
+    assert flight.procedure.awaited == ""
 
 
 @pytest.mark.parametrize("autopilot", [PX4, ARDUPILOT])
