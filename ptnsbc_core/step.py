@@ -34,6 +34,7 @@ from ptnsbc_core.planner import (
     leader_tracking,
 )
 from ptnsbc_core.quadrotor_control import quadrotor_control
+from ptnsbc_core.sighting import sighted
 from ptnsbc_core.tasks.clearance import clearance
 from ptnsbc_core.tasks.encounters import none_met
 from ptnsbc_core.timebase import Clock, loop_gain
@@ -151,6 +152,10 @@ def _behaviour(
     velocity = velocity_enu(inputs.parent)
     parent = Neighbour(moved(inputs.parent, inputs.parent_age_s, velocity), velocity)
     leader = Neighbour(part(estimate, 0, 3), part(estimate, 3, 3))
+    if config.sight_m > 0.0:
+        near, age_s = inputs.near, inputs.near_age_s
+        parent = sighted(parent, near, age_s, config.sight_m)
+        leader = sighted(leader, near, age_s, config.sight_m)
     return formation(position, parent, leader, armed, clock, config)
 
 

@@ -135,6 +135,7 @@ class AgentConfig(NamedTuple):
     filter: FilterConfig
     controller: ControllerConfig
     trajectory: Array  # (12,) kind and its parameters, see trajectory.py
+    sight_m: float  # a near object so close to where a neighbour says it is counts as that neighbour; 0: none does
     stale_s: float  # parent or leader silent for longer: hold
     hold_gain: float  # [1/s]
     land_speed: float  # [m/s]

@@ -25,9 +25,10 @@ from ptnsbc_core.types import (
     AgentState,
     Array,
 )
-from ptnsbc_sim.chance.build import Chance, chance
+from ptnsbc_sim.chance.build import Chance, chance, sight_draws, sight_of
 from ptnsbc_sim.chance.gusts import blow
-from ptnsbc_sim.chance.odometer import ERROR_SIZE, believed, beside
+from ptnsbc_sim.chance.odometer import believed, no_error
+from ptnsbc_sim.chance.sight import beside
 from ptnsbc_sim.plants.build import obstacle_rows, plant_config, start_states
 from ptnsbc_sim.plants.contract import PlantConfig
 from ptnsbc_sim.plants.integrate import advance, odometry
@@ -104,7 +105,9 @@ class Flight(NamedTuple):
         )
         if not len(self.track.truth):
             return rows
-        return beside(rows, truth[row], self.track.odometry[tick, row])
+        draws = sight_draws(self.scenario, self.scenario.uav_ids[row], tick)
+        seen = self.track.odometry[tick, row]
+        return beside(rows, truth[row], seen, draws, sight_of(self.scenario))
 
 
 @leaf
@@ -175,7 +178,9 @@ def sense(crew: Crew, wiring: Wiring, track: Track, tick: int, luck: Chance | No
                 row, true[tick], wiring.obstacles, wiring.uav_keep_out_m, wiring.range_m
             )
             if luck is not None:
-                near = beside(near, true[tick, row], track.odometry[tick, row])
+                draws = luck.sights[tick // wiring.near_every, row]
+                seen = track.odometry[tick, row]
+                near = beside(near, true[tick, row], seen, draws, luck.sight)
             crew.nears[row] = near
 
 
@@ -185,6 +190,7 @@ def _believed(track: Track, tick: int, row: int, wiring: Wiring, luck: Chance) -
     return believed(
         track.truth[tick, row],
         track.truth[max(tick - luck.odometer.delay, 0), row],
+        track.truth[max(tick - luck.odometer.known, 0), row],
         luck.errors[row],
         luck.fixes[tick, row],
         tick,
@@ -246,9 +252,9 @@ def _first_seen(truth: Array, dt: float, luck: Chance | None) -> Array:
     """Odometry vectors (N, 13) that the UAVs see at the first tick, from the true ones."""
     if luck is None:
         return truth
-    error = np.zeros((len(truth), ERROR_SIZE))
+    kind = luck.odometer
     rows = [
-        believed(own, own[0:3], error[row], luck.fixes[0, row], 0, dt, luck.odometer)
+        believed(own, own, own, no_error(kind), luck.fixes[0, row], 0, dt, kind)
         for row, own in enumerate(truth)
     ]
     return np.stack(rows)

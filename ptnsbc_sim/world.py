@@ -10,7 +10,6 @@ from ptnsbc_core.algebra import put
 from ptnsbc_core.kernel import kernel, kernel_list
 from ptnsbc_core.types import ODOMETRY_SIZE, PLANT_RIGID_BODY, Array
 from ptnsbc_sim.chance.build import Surroundings
-from ptnsbc_sim.chance.odometer import beside
 from ptnsbc_sim.plants.build import obstacle_rows, plant_config, start_states
 from ptnsbc_sim.plants.contract import PlantConfig
 from ptnsbc_sim.plants.integrate import advance, odometry
@@ -111,7 +110,10 @@ class World:
             float(scenario.uav_keep_out_m),
             float(scenario.sensor.range_m),
         )
-        return beside(rows, self._truth[row], self._odometry[row]) if self._around else rows
+        if not self._around:
+            return rows
+        seen = self._odometry[row]
+        return self._around[row].beside(self._ticks[uav_id], rows, self._truth[row], seen)
 
     def step(self, wrenches: Mapping[int, Array]) -> None:
         """Advance all by one control period; a UAV without a wrench (6,) stays where it is, as in a hold failsafe."""

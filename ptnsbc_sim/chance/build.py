@@ -11,26 +11,26 @@ from numpy.typing import NDArray
 from ptnsbc_core.types import Array
 from ptnsbc_sim.chance import gusts as wind
 from ptnsbc_sim.chance import odometer as position
-from ptnsbc_sim.chance import streams
+from ptnsbc_sim.chance import sight, streams
 from ptnsbc_sim.chance.gusts import Gusts, blow, gusts
 from ptnsbc_sim.chance.links import last_heard
-from ptnsbc_sim.chance.odometer import Odometer, believed, odometer
+from ptnsbc_sim.chance.odometer import EXACT, Odometer, believed, no_error, odometer
+from ptnsbc_sim.chance.sight import Sight, beside
 from ptnsbc_sim.scenario import Scenario
-
-_EXACT = Odometer(0, 0, 0.0, 0.0, 0.0, 0.0)
 
 
 def odometer_of(scenario: Scenario) -> Odometer:
     """The estimator of every UAV."""
     block = scenario.sensor.positioning
     if block is None:
-        return _EXACT
+        return EXACT
     return odometer(
         float(block.noise_m),
         float(block.acceleration_noise_m_s2),
         float(block.rate_hz),
         scenario.control_hz // block.rate_hz,
         round(block.latency_s * scenario.control_hz),
+        round((block.latency_s - block.unknown_latency_s) * scenario.control_hz),
     )
 
 
@@ -41,16 +41,33 @@ def gusts_of(scenario: Scenario) -> Gusts:
     return gusts(scenario.wind_m_s, deviation, float(world.gust_time_s), scenario.dt_ns * 1e-9)
 
 
+def sight_draws(scenario: Scenario, uav_id: int, tick: int) -> Array:
+    """Standard normal numbers (6 objects,) for what one UAV sees near it at a tick."""
+    address = (scenario.seed, streams.SIGHT, uav_id)
+    return streams.normal(address, tick // scenario.near_every, _sight_width(scenario))
+
+
+def _sight_width(scenario: Scenario) -> int:
+    return sight.DRAWS * (len(scenario.uav_ids) - 1 + len(scenario.file.world.obstacles))
+
+
+def sight_of(scenario: Scenario) -> Sight:
+    """The near-object sensor of every UAV."""
+    return Sight(float(scenario.sensor.noise_m), float(scenario.sensor.velocity_noise_m_s))
+
+
 class Chance(NamedTuple):
-    """Everything that goes wrong in one flight of T ticks and N UAVs; the last two change in place."""
+    """Everything that goes wrong in one flight of T ticks and N UAVs; `errors` and `gust` change in place."""
 
     odometer: Odometer
     gusts: Gusts
     fixes: Array  # (T, N, 6) standard normal
     blows: Array  # (T, N, 3) standard normal
     heard: NDArray[np.int64]  # (T, N, 2 + K) tick of the newest message that came through, -1: none
-    errors: Array  # (N, 9)
+    errors: Array  # (N, ...), a row of `odometer.no_error` each
     gust: Array  # (N, 3) [m/s]
+    sights: Array  # (T / near_every, N, 6 objects) standard normal
+    sight: Sight
 
 
 def chance(scenario: Scenario, neighbours: int) -> Chance | None:
@@ -59,18 +76,21 @@ def chance(scenario: Scenario, neighbours: int) -> Chance | None:
         return None
     ids, ticks, seed = scenario.uav_ids, scenario.ticks, scenario.seed
 
-    def table(kind: int, width: int) -> Array:
-        found = [streams.normals((seed, kind, uav), ticks, width) for uav in ids]
+    def table(kind: int, width: int, every: int = 1) -> Array:
+        found = [streams.normals((seed, kind, uav), -(-ticks // every), width) for uav in ids]
         return np.ascontiguousarray(np.stack(found, axis=1))
 
+    kind = odometer_of(scenario)
     return Chance(
-        odometer_of(scenario),
+        kind,
         gusts_of(scenario),
         table(streams.ODOMETER, position.DRAWS),
         table(streams.GUST, wind.DRAWS),
         last_heard(scenario, neighbours),
-        np.zeros((len(ids), position.ERROR_SIZE)),
+        np.stack([no_error(kind)] * len(ids)),
         np.zeros((len(ids), wind.DRAWS)),
+        table(streams.SIGHT, _sight_width(scenario), scenario.near_every),
+        sight_of(scenario),
     )
 
 
@@ -79,6 +99,7 @@ class Surroundings:
 
     def __init__(self, scenario: Scenario, uav_id: int, wind_m_s: Array) -> None:
         """`wind_m_s` (3,) is the wind of its plant, changed in place."""
+        self._scenario, self._uav = scenario, uav_id
         self._odometer = odometer_of(scenario)
         self._gusts = gusts_of(scenario)
         self._fixes = (scenario.seed, streams.ODOMETER, uav_id)
@@ -86,7 +107,7 @@ class Surroundings:
         self._dt = scenario.dt_ns * 1e-9
         self._wind = wind_m_s
         self._gust = np.zeros(wind.DRAWS)
-        self._error = np.zeros(position.ERROR_SIZE)
+        self._error = no_error(self._odometer)
         self._past: deque[Array] = deque(maxlen=self._odometer.delay + 1)
 
     def blow(self, tick: int) -> None:
@@ -97,5 +118,11 @@ class Surroundings:
     def believed(self, tick: int, truth: Array) -> Array:
         """Odometry vector (13,) that the UAV sees at `tick`; to be asked once a tick, in order."""
         self._past.append(truth[0:3].copy())
-        draws = streams.normal(self._fixes, tick, position.DRAWS)
-        return believed(truth, self._past[0], self._error, draws, tick, self._dt, self._odometer)
+        draws, kind = streams.normal(self._fixes, tick, position.DRAWS), self._odometer
+        reckoned = self._past[max(len(self._past) - 1 - kind.known, 0)]
+        return believed(truth, self._past[0], reckoned, self._error, draws, tick, self._dt, kind)
+
+    def beside(self, tick: int, near: Array, truth: Array, seen: Array) -> Array:
+        """Near objects (M, 7) as it places them, from where they are and its true and believed odometry (13,)."""
+        draws = sight_draws(self._scenario, self._uav, tick)
+        return beside(near, truth, seen, draws, sight_of(self._scenario))

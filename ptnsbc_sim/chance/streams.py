@@ -16,7 +16,7 @@ from ptnsbc_core.types import Array
 BLOCK_TICKS = 1024
 
 # What a stream is for: the first word of its address.
-ODOMETER, GUST, STATE_LINK, ESTIMATE_LINK = 0, 1, 2, 3
+ODOMETER, GUST, STATE_LINK, ESTIMATE_LINK, SIGHT = 0, 1, 2, 3, 4
 
 Address = tuple[int, ...]
 """Seed, what for, and the ids of the UAVs it concerns."""

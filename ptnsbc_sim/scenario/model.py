@@ -74,6 +74,8 @@ class Positioning(Block):
     """Of the fixes; divides `control_hz`."""
     latency_s: Annotated[NotNegative, Field(le=1)] = 0.0
     """A fix comes so late; a multiple of the control period."""
+    unknown_latency_s: NotNegative = 0.0
+    """What the estimator on board does not reckon with of that; all of it where fixes carry no time stamp."""
     acceleration_noise_m_s2: Positive = 0.05
     """Standard deviation of the accelerometer's error between fixes; it sets the filter's gains."""
 
@@ -85,6 +87,10 @@ class Sensor(Block):
     """Of the near-object sensor; `check` wants more than the largest keep-out."""
     rate_hz: Count
     """Of the near-object sensor; divides `control_hz`."""
+    noise_m: NotNegative = 0.0
+    """Standard deviation of where the near-object sensor sees something, per axis."""
+    velocity_noise_m_s: NotNegative = 0.0
+    """Standard deviation of how it sees it move, per axis."""
     positioning: Positioning | None = None
     """How well a UAV knows where it is; exactly without it."""
 
@@ -195,6 +201,8 @@ class Formation(Block):
     """Reference point of the leader's children, relative to the leader."""
     uav_keep_out_m: Positive
     """Distance that UAVs keep from each other."""
+    sight_m: NotNegative = 0.0
+    """A near object so close to where parent or leader say they are counts as them; at most half the keep-out."""
     tolerance_m: Positive = 0.05
     """The verdict's limit at the deadline."""
 

@@ -171,9 +171,11 @@ class Scenario:
 
     @property
     def imperfect(self) -> bool:
-        """Whether anything goes wrong by chance: noisy positions, gusts or lost messages."""
+        """Whether anything goes wrong by chance: noisy positions or sensors, gusts or lost messages."""
         return (
             self.sensor.positioning is not None
+            or self.sensor.noise_m > 0.0
+            or self.sensor.velocity_noise_m_s > 0.0
             or any(self.file.world.gust_m_s)
             or self.file.communication.loss > 0.0
         )

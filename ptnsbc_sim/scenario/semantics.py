@@ -51,11 +51,17 @@ def _positioning(fixes: Positioning, control_hz: int) -> Problems:
             f"sensor.positioning.rate_hz: {fixes.rate_hz}: expected a divisor of "
             f"timing.control_hz ({control_hz})"
         )
-    late = fixes.latency_s * control_hz
-    if abs(late - round(late)) > 1e-9:
+    for key in ("latency_s", "unknown_latency_s"):
+        late = float(getattr(fixes, key))
+        if abs(late * control_hz - round(late * control_hz)) > 1e-9:
+            yield (
+                f"sensor.positioning.{key}: {late:g}: expected a multiple of the control period, "
+                f"{1 / control_hz:g} s"
+            )
+    if fixes.unknown_latency_s > fixes.latency_s:
         yield (
-            f"sensor.positioning.latency_s: {fixes.latency_s:g}: expected a multiple of the control "
-            f"period, {1 / control_hz:g} s"
+            f"sensor.positioning.unknown_latency_s: {fixes.unknown_latency_s:g}: expected at most "
+            f"latency_s ({fixes.latency_s:g}), which it is a part of"
         )
 
 
@@ -112,6 +118,15 @@ def _offsets(file: ScenarioFile) -> Problems:
             yield f"formation.offsets_m.{uav}: missing: expected its offset from the leader"
 
 
+def _sight(file: ScenarioFile) -> Problems:
+    shape = file.formation
+    if shape.sight_m > 0.5 * shape.uav_keep_out_m:
+        yield (
+            f"formation.sight_m: {shape.sight_m:g}: expected at most half of formation.uav_keep_out_m "
+            f"({shape.uav_keep_out_m:g}), or one UAV may be taken for another"
+        )
+
+
 def _plant(file: ScenarioFile) -> Problems:
     plant = file.plant
     if plant.kind == "quadrotor" and plant.quadrotor is None:
@@ -130,6 +145,7 @@ _CHECKS: tuple[Callable[[ScenarioFile], Problems], ...] = (
     _names,
     _members,
     _offsets,
+    _sight,
     _plant,
     mavlink.problems,
 )

@@ -28,6 +28,18 @@ FIXES = {"noise_m": 0.02, "rate_hz": 10}
         ),
         ("sensor.positioning", {"noise_m": 0.02}, "sensor.positioning.rate_hz: missing"),
         ("sensor.positioning", {**FIXES, "noise": 1}, '"noise_m"'),
+        (
+            "sensor.positioning",
+            {**FIXES, "latency_s": 0.05, "unknown_latency_s": 0.06},
+            "unknown_latency_s: 0.06: expected at most latency_s (0.05)",
+        ),
+        (
+            "sensor.positioning",
+            {**FIXES, "latency_s": 0.05, "unknown_latency_s": 0.004},
+            "unknown_latency_s: 0.004: expected a multiple",
+        ),
+        ("sensor.noise_m", -0.01, "sensor.noise_m: -0.01: expected >= 0"),
+        ("formation.sight_m", 0.3, "expected at most half of formation.uav_keep_out_m (0.5)"),
         ("formation.tolerance_m", 0, "expected > 0"),
         ("gains.formation.time_base", "no", "expected true or false"),
     ],
@@ -53,6 +65,8 @@ def test_what_is_imperfect() -> None:
         ("communication.loss", 0.01),
         ("world.gust_m_s", [0, 0, 0.1]),
         ("sensor.positioning", FIXES),
+        ("sensor.noise_m", 0.01),
+        ("sensor.velocity_noise_m_s", 0.01),
     ):
         assert load_scenario("paper_5", {key: value}).imperfect
 
