@@ -54,6 +54,8 @@ _NAMES = (
 )
 WANTED_MESSAGES = frozenset(getattr(mavlink, f"MAVLINK_MSG_ID_{name}") for name in _NAMES)
 _STATE_HZ = 50.0
+_ANGLES = frozenset({mavlink.MAVLINK_MSG_ID_ATTITUDE})
+_STREAMED_S = 0.1
 _TWIN_S = 3.0
 
 
@@ -150,6 +152,9 @@ class Bridge:
     def tick(self, now_s: float) -> None:
         """One period of the stream."""
         self._take_in()
+        # PX4 sends both; angles come unasked, twice as often, and tell what the quaternion tells.
+        twice = now_s - self.vehicle.pose.quaternion_s < _STREAMED_S
+        self.link.needless = _ANGLES if twice else frozenset()
         self._find_place()
         self._judge_parameters(now_s)
         seen = self.seen(now_s)

@@ -42,6 +42,7 @@ class Pose:
 
     def __init__(self, *, signed: bool) -> None:
         self.position_s: float | None = None  # when the newest position came
+        self.quaternion_s = float("-inf")  # when the newest ATTITUDE_QUATERNION came
         self.invalid = 0
         self._attitude: _Attitude | None = None
         self._uses_odometry = False
@@ -63,6 +64,7 @@ class Pose:
         if message.get_type() == "ATTITUDE":
             wxyz = frames.quaternion_from_euler_ned(message.roll, message.pitch, message.yaw)
         else:
+            self.quaternion_s = now_s
             wxyz = np.array([message.q1, message.q2, message.q3, message.q4])
         rates = np.array([message.rollspeed, message.pitchspeed, message.yawspeed])
         self._keep_attitude(boot_s, wxyz, rates, now_s)

@@ -61,6 +61,8 @@ class Link:
         self._peer_s = 0.0
         self._rival_s: float | None = None
         self.counts: Counter[str] = Counter({reason.value: 0 for reason in Dropped})
+        self.needless: frozenset[int] = frozenset()
+        """Wanted messages that tell nothing new just now: not decoded either."""
         self.received = 0
         self.sent = 0
         self.unsent = 0
@@ -127,7 +129,7 @@ class Link:
             return self._drop(Dropped.OTHER_COMPONENT)
         if self._signer is not None and not self._authentic(frame, sender, now_s):
             return None
-        if frame.message_id not in self._wanted:
+        if frame.message_id not in self._wanted or frame.message_id in self.needless:
             self.received += 1
             return None
         message = self._decoded(frame)

@@ -7,8 +7,10 @@ pytest.importorskip("pymavlink")
 from mavlink_fleet import BASE_NS, START_S, MavlinkFleet
 
 from ptnsbc_nodes.autopilot.faults import inject
+from ptnsbc_nodes.autopilot.vehicle import COMPANION
 from ptnsbc_nodes.bridge.steps import Step
 from ptnsbc_nodes.mavlink.autopilots import Mode
+from ptnsbc_nodes.mavlink.dialect import mavlink
 from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_tools.verdict import verdict_on
 
@@ -200,6 +202,18 @@ def test_the_planner_is_slowed_down_to_the_vehicle():
     assert limits.max_speed == pytest.approx(0.4)
     sent = [m for _, m in fleet.uavs[1].setpoints if m.get_type().startswith("SET_POSITION")]
     assert max((m.vx**2 + m.vy**2) ** 0.5 for m in sent) <= 0.4 + 1e-6
+
+
+def test_angles_are_heard_only_while_no_quaternions_come():
+    fleet, uav = one()
+    angles = frozenset({mavlink.MAVLINK_MSG_ID_ATTITUDE})
+    assert uav.link.needless == angles
+    quaternions = mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION
+    uav.vehicle.set_interval(quaternions, -1.0, COMPANION, fleet.now_s)
+    fleet.run(3.0)
+    assert uav.link.needless == frozenset()
+    assert (uav.step, uav.bridge.procedure.fault) == (Step.FLY, ""), fleet.report()
+    assert told_last_s(fleet, uav) < 0.1
 
 
 def test_stop_and_kill_in_flight():
