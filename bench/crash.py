@@ -14,7 +14,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
@@ -26,6 +26,7 @@ _HZ = 1000.0
 _EARLIEST_S, _LATEST_S = 0.6, 2.5
 _BEFORE_FIRST_S = 60.0
 _SIDE_BY_SIDE = 5
+_LOOK_S = 0.01
 _FOREVER_S = 3600.0
 
 
@@ -55,6 +56,7 @@ def _killed(bags: dict[Path, float], settings: Mapping[str, str] | None) -> Iter
     try:
         began = {bag: _began(bag, process) for bag, process in running.items()}
         for bag, after_s in sorted(bags.items(), key=lambda item: began[item[0]] + item[1]):
+            # Nothing is waited for: the moment is the experiment.
             time.sleep(max(began[bag] + after_s - time.monotonic(), 0.0))
             ended[bag] = time.time_ns()
             running[bag].kill()
@@ -84,7 +86,8 @@ def _began(bag: Path, process: subprocess.Popen[bytes]) -> float:
         empty = empty or size
         if size > empty:
             return time.monotonic()
-        time.sleep(0.01)
+        with suppress(subprocess.TimeoutExpired):  # a file that grows wakes nobody
+            process.wait(_LOOK_S)
     raise RuntimeError(f"{bag}: no message in {_BEFORE_FIRST_S:g} s")
 
 
@@ -157,6 +160,7 @@ def _write(bag: Path) -> None:
             count += 1
             writer.flush_if_due(time.monotonic())
             due += 1.0 / _HZ
+            # As often as a fleet speaks.
             time.sleep(max(due - time.monotonic(), 0.0))
 
 

@@ -139,17 +139,14 @@ def wait_ready(crew: list[Child]) -> None:
                 raise BenchError(f"bare fleet: {child.obituary()}")
         if time.monotonic() > deadline:
             raise BenchError(f"bare fleet: not ready: {', '.join(c.name for c in waiting)}")
-        time.sleep(_LOOK_S)
+        time.sleep(_LOOK_S)  # a line in a log wakes nobody
         waiting = [child for child in waiting if not child.says(READY)]
 
 
 def _wait_landed(crew: list[Child], duration_s: float) -> None:
-    deadline = time.monotonic() + 60.0 + 10.0 * duration_s
     (sim,) = (child for child in crew if child.name == "sim0")
-    while sim.exit_code is None:
-        if time.monotonic() > deadline:
-            raise BenchError(f"bare fleet: the sim does not end\n{sim.tail()}")
-        time.sleep(_LOOK_S)
+    if sim.wait(60.0 + 10.0 * duration_s) is None:
+        raise BenchError(f"bare fleet: the sim does not end\n{sim.tail()}")
 
 
 def counts_of(child: Child) -> dict[str, float]:

@@ -7,10 +7,10 @@ import subprocess
 import sys
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-_POLL_S = 0.02
 _TAIL_LINES = 12
 _PATIENCE_S = 10.0
 # What a process is given to end in after the harder signals.
@@ -53,6 +53,12 @@ class Child:
     def exit_code(self) -> int | None:
         """None while it runs; minus the signal's number when one ended it."""
         return self._process.poll()
+
+    def wait(self, timeout_s: float) -> int | None:
+        """Its exit code once it has ended; None when it has not in time."""
+        with suppress(subprocess.TimeoutExpired):
+            self._process.wait(max(timeout_s, 0.0))
+        return self.exit_code
 
     def send(self, number: signal.Signals) -> None:
         """Send a signal, if it still runs."""
@@ -100,5 +106,5 @@ def end(children: Sequence[Child], patience_s: float = _PATIENCE_S) -> None:
         for child in left:
             child.send(number)
         deadline = time.monotonic() + limit_s
-        while any(child.exit_code is None for child in left) and time.monotonic() < deadline:
-            time.sleep(_POLL_S)
+        for child in left:
+            child.wait(deadline - time.monotonic())

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
 from rclpy.duration import Duration
@@ -40,11 +41,29 @@ _LATCHED = QoSProfile(
 )
 
 _LOCKSTEP_HISTORY = 1000
+_SENT = "sent "
 
 
-class _Outlet(NamedTuple):
-    publisher: Publisher
-    readers: int  # subscriptions that must match before the flight
+class _Outlet:
+    """A publisher that counts."""
+
+    def __init__(self, publisher: Publisher, readers: int) -> None:
+        self.publisher = publisher
+        self.readers = readers  # subscriptions that must match before the flight
+        self.sent = 0
+        self._publish = publisher.publish
+
+    def send(self, data: bytes) -> None:
+        self.sent += 1
+        self._publish(data)
+
+
+class Sent(NamedTuple):
+    """How many messages a process has published, by topic."""
+
+    since_ns: int  # when `before` was counted, by the node's clock; -1: from the start
+    before: dict[str, int]
+    sent: dict[str, int]  # in all
 
 
 def fleet_namespace(namespace: str) -> str:
@@ -63,6 +82,12 @@ def full_name(node: Node, topic: Topic) -> str:
     )
 
 
+def sent_in(lines: Iterable[str]) -> Sent | None:
+    """What a process says in its log that it has sent; None when it does not."""
+    told = [line.removeprefix(_SENT) for line in lines if line.startswith(_SENT)]
+    return Sent(**json.loads(told[-1])) if told else None
+
+
 class Endpoints:
     """Raw publishers and subscriptions: bytes in, bytes out, no message objects."""
 
@@ -73,15 +98,16 @@ class Endpoints:
         self._outlets: list[_Outlet] = []
         self._subscriptions: list[Subscription] = []
         self._awaited: list[Subscription] = []
+        self._before: tuple[int, dict[str, int]] | None = None
 
     def publisher(self, topic: Topic, readers: int) -> Callable[[bytes], None]:
         """A publisher of serialised messages; `readers` subscriptions must match it."""
         publisher = self._node.create_publisher(
             message_class(topic), full_name(self._node, topic), self._offered(topic)
         )
-        self._outlets.append(_Outlet(publisher, readers))
-        publish: Callable[[bytes], None] = publisher.publish
-        return publish
+        outlet = _Outlet(publisher, readers)
+        self._outlets.append(outlet)
+        return outlet.send
 
     def listen(self, topic: Topic, callback: Callable[[bytes], None], required: bool = True) -> str:
         """Hear serialised messages; a `required` topic needs a publisher before the flight.
@@ -111,6 +137,19 @@ class Endpoints:
             for outlet in self._outlets
             if outlet.publisher.get_subscription_count() < outlet.readers
         ]
+
+    def begin(self, now_ns: int) -> None:
+        """The first leg has been announced: from here on every message counts."""
+        if self._before is None:
+            self._before = (now_ns, self._counts())
+
+    def account(self) -> str:
+        """What was sent, in a line for the log that `sent_in` reads: to compare a bag with."""
+        since_ns, before = self._before or (-1, {})
+        return _SENT + json.dumps(Sent(since_ns, before, self._counts())._asdict())
+
+    def _counts(self) -> dict[str, int]:
+        return {outlet.publisher.topic_name: outlet.sent for outlet in self._outlets}
 
     def flush(self, timeout_s: float) -> None:
         """Wait until reliable readers have everything: leaving earlier would cut their bags."""

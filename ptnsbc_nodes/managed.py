@@ -67,6 +67,10 @@ class Managed(LifecycleNode):
         if self.work is not None:
             self.work.endpoints.flush(timeout_s)
 
+    def account(self) -> str:
+        """What it has sent."""
+        return "" if self.work is None else self.work.endpoints.account()
+
     def finish(self) -> None:
         """Take everything away and tell that it is over; the process ends next."""
         self._end = lambda: None

@@ -24,7 +24,7 @@ from ptnsbc_nodes.stop import StopRequest
 from ptnsbc_nodes.topics import CLOCK, Role, Topic
 from ptnsbc_nodes.wire import ClockTemplate
 
-_SLICE_S = 0.05  # a signal is noticed between two of these
+_LOOK_S = 0.05
 _HISTORY = 1000  # of reliable topics: a reader that is slow for a moment loses nothing
 _FLUSH_S = 1.0
 _REPORT_S = 0.5
@@ -108,10 +108,10 @@ class _Player:
         """Until every topic has a reader, or the patience is over."""
         end = time.monotonic() + self._wishes.wait_s
         publishers = self._publishers.values()
-        while time.monotonic() < end and not self._stop.came:
+        # Asked again and again: a match is an event of an executor, and here is none.
+        while time.monotonic() < end and not self._stop.wait(_LOOK_S):
             if all(publisher.get_subscription_count() for publisher in publishers):
                 return
-            time.sleep(_SLICE_S)
 
     def play(self, advance: Callable[[int, int], None]) -> Played:
         played = self._played
@@ -132,7 +132,7 @@ class _Player:
         for message in self._events():
             after_ns = message.stamp_ns - self._start_ns
             due = began + after_ns * 1e-9 / self._wishes.rate
-            if not self._sleep_until(due):
+            if self._stop.wait(due - time.monotonic()):
                 return
             self._played.latest_s = max(self._played.latest_s, time.monotonic() - due)
             publisher = self._clock if message.topic == "" else self._publishers[message.topic]
@@ -156,15 +156,6 @@ class _Player:
                 yield BagMessage("", next_ns, self._template.encode(next_ns))
                 next_ns += period_ns
             yield message
-
-    def _sleep_until(self, due: float) -> bool:
-        """False when a signal has come."""
-        while not self._stop.came:
-            left = due - time.monotonic()
-            if left <= 0:
-                return True
-            time.sleep(min(left, _SLICE_S))
-        return False
 
 
 def _publishers(

@@ -84,6 +84,8 @@ def run(
 class _Flushed(Protocol):
     def flush(self, timeout_s: float) -> None: ...
 
+    def account(self) -> str: ...
+
 
 class Lifetime:
     """From the start of a process to SIGINT, SIGTERM or its own end.
@@ -114,6 +116,7 @@ class Lifetime:
             # Python sees a signal only between two calls.
             executor.spin_until_future_complete(self._done, timeout_sec=_SIGNAL_CHECK_S)
         endpoints.flush(_FLUSH_S)
+        print(endpoints.account(), flush=True)
         executor.remove_node(node)
 
     def _on_signal(self, _number: int, _frame: FrameType | None) -> None:

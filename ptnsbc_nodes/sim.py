@@ -94,6 +94,8 @@ class Sim:
 
     def _on_epoch(self, data: bytes) -> None:
         self._epochs.announce(*decode_header(data))
+        if not self._lockstep:
+            self.endpoints.begin(self._clock_ns())
         self._start()
 
     def _on_recorded(self, data: bytes) -> None:

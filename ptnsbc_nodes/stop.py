@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import select
 import signal
 import threading
+import weakref
 from types import FrameType
 from typing import Any
 
@@ -18,6 +21,10 @@ class StopRequest:
 
     def __init__(self) -> None:
         self.count = 0
+        # A signal wakes who waits: the call goes on after its handler, unless there is something to read.
+        self._come, self._tell = os.pipe()
+        weakref.finalize(self, os.close, self._come)
+        weakref.finalize(self, os.close, self._tell)
         self._before: dict[signal.Signals, Any] = {}
 
     @property
@@ -34,5 +41,13 @@ class StopRequest:
         for number, handler in self._before.items():
             signal.signal(number, handler)
 
+    def wait(self, seconds: float) -> bool:
+        """Sleep until one comes, at most so long; whether one has come."""
+        if not self.came and seconds > 0:
+            select.select([self._come], [], [], seconds)
+        return self.came
+
     def _on_signal(self, _number: int, _frame: FrameType | None) -> None:
         self.count += 1
+        if self.count == 1:
+            os.write(self._tell, b"!")

@@ -149,6 +149,8 @@ class Uav:
 
     def _on_epoch(self, data: bytes) -> None:
         t0_ns, leg = decode_header(data)
+        if not self._lockstep:
+            self.endpoints.begin(self._clock_ns())
         if self._ticker is not None and self._inbox.own is not None:
             self._ticker.align(self._inbox.own.stamp_ns)
         try:

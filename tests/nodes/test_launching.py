@@ -2,9 +2,11 @@
 
 import os
 import resource
+import select
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -78,29 +80,27 @@ def program(tmp_path, monkeypatch):
     return start
 
 
-def wait_for_line(child: Child, line: str) -> None:
-    deadline = time.monotonic() + 10
-    while not child.says(line):
-        assert time.monotonic() < deadline, child.tail()
-        time.sleep(0.01)
-
-
 def wait_for_exit(child: Child) -> None:
     os.waitid(os.P_PID, child.pid, os.WEXITED | os.WNOWAIT)  # its status stays for the child object
 
 
 DEAF = """
-import signal, time
+import select
+import signal
 signal.signal(signal.SIGINT, signal.SIG_IGN)
 signal.signal(signal.SIGTERM, signal.SIG_IGN)
-print("deaf", flush=True)
-time.sleep(60)
+open("{pipe}", "w").close()
+while True:
+    signal.pause()
 """
 
 
-def test_a_deaf_process_is_ended_all_the_same(program):
-    child = program(DEAF)
-    wait_for_line(child, "deaf")
+def test_a_deaf_process_is_ended_all_the_same(program, tmp_path):
+    os.mkfifo(tmp_path / "deaf")
+    opened = os.open(tmp_path / "deaf", os.O_RDONLY | os.O_NONBLOCK)
+    child = program(DEAF.format(pipe=tmp_path / "deaf"))
+    assert select.select([opened], [], [], 20)[0], child.tail()
+    os.close(opened)
     end([child], patience_s=0.3)
     assert child.exit_code == -signal.SIGKILL
     assert "signal SIGKILL" in child.obituary()
@@ -119,6 +119,18 @@ def test_new_lines_come_once_and_whole(program):
     wait_for_exit(child)
     assert child.new_lines() == ["one", "two"]
     assert child.new_lines() == []
+
+
+def test_a_signal_wakes_who_waits_for_it():
+    with StopRequest() as stop:
+        assert not stop.wait(0.0)
+        began = time.monotonic()
+        sender = threading.Timer(0.05, os.kill, (os.getpid(), signal.SIGTERM))
+        sender.start()
+        assert stop.wait(30.0)
+        sender.join()
+        assert time.monotonic() - began < 15.0
+        assert stop.wait(30.0)
 
 
 def test_a_stop_request_gives_the_handlers_back():

@@ -58,6 +58,12 @@ class Flight:
     def publish(self, topic, data: bytes) -> None:
         self._publishers[topic].publish(data)
 
+    def publish_paced(self, order) -> None:
+        for topic, data in order:
+            self.publish(topic, data)
+            # As a fleet does: best effort holds no message back for a reader that is not so quick.
+            time.sleep(0.002)
+
 
 def record(ros, path: Path, lockstep: bool, order) -> Recorder:
     """Publish `order`, a list of (topic, bytes), and record it."""
@@ -181,9 +187,7 @@ def test_process(ros, tmp_path, how, lockstep):
     process.wait_ready()
     flight = Flight(ros, messages(1), lockstep=lockstep)
     order = mixed(1, ticks=10)
-    for topic, data in order:
-        flight.publish(topic, data)
-        time.sleep(0.002)
+    flight.publish_paced(order)
     # At once: what is under way must still get in.
     code, out, err = process.end(how)
     assert code == 0, err
@@ -213,9 +217,7 @@ def test_killed_process_keeps_what_was_flushed(ros, tmp_path):
     process = Process(ros.domain, "--bag", str(tmp_path / "flight"), "--uavs", "1")
     process.wait_ready()
     flight = Flight(ros, messages(1), lockstep=False)
-    for topic, data in mixed(1, ticks=10):
-        flight.publish(topic, data)
-        time.sleep(0.002)
+    flight.publish_paced(mixed(1, ticks=10))
     ros.spin_until(lambda: readable(tmp_path / "flight.part") == 41 + 2)  # and /tf
     process.end(signal.SIGKILL)
     assert readable(tmp_path / "flight.part") == 41 + 2
