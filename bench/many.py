@@ -67,7 +67,10 @@ def _fly(load: Load, seconds: float) -> Recorded:
     with tempfile.TemporaryDirectory(prefix="bench-") as name, own_domain(), Sampler() as sampler:
         folder = Path(name)
 
+        lines: list[str] = []
+
         def progress(line: str) -> None:
+            lines.append(line)
             if line.endswith("started"):
                 sampler.begin()
 
@@ -80,7 +83,7 @@ def _fly(load: Load, seconds: float) -> Recorded:
         )
         flown = run_fleet(options, progress)
         if flown.died or flown.interrupted:
-            raise BenchError(f"fleet of {_UAVS}: interrupted or lost {flown.died}")
+            raise BenchError("\n".join([f"fleet of {_UAVS}:", *lines]))
         count = in_lockstep if load.lockstep else in_real_time
         kept = tuple(count(read_bag(folder / "bag"), _told(flown)))
         size = sum(file.stat().st_size for file in (folder / "bag").iterdir())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import time
 from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
@@ -153,9 +154,9 @@ class Endpoints:
 
     def flush(self, timeout_s: float) -> None:
         """Wait until reliable readers have everything: leaving earlier would cut their bags."""
-        patience = Duration(seconds=timeout_s / max(len(self._outlets), 1))
+        end = time.monotonic() + timeout_s
         for outlet in self._outlets:
-            outlet.publisher.wait_for_all_acked(patience)
+            outlet.publisher.wait_for_all_acked(Duration(seconds=max(end - time.monotonic(), 0.0)))
 
     def close(self) -> None:
         """Take all topics away."""
