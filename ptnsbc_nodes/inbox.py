@@ -152,6 +152,13 @@ class Inbox:
         links = (*self._states.values(), *self._estimates.values())
         return [self.own, self.near, *(link.before(cutoff_ns) for link in links)]
 
+    def names(self, uav_id: int) -> list[str]:
+        """The topics of what is `held`, this being the UAV `uav_id`."""
+        own = [topics.odom(uav_id), topics.near(uav_id)]
+        states = [topics.formation_state(i) for i in self._states]
+        estimates = [topics.leader_estimate(i) for i in self._estimates]
+        return [topic.name for topic in (*own, *states, *estimates)]
+
     def known(
         self, now_ns: int, cutoff_ns: int, mode: int = MODE_HOLD, start_age_s: float = 0.0
     ) -> Known:

@@ -13,6 +13,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
 from ptnsbc_nodes import topics
+from ptnsbc_nodes.clockwatch import ClockWatch
 from ptnsbc_nodes.edges import Edges
 from ptnsbc_nodes.endpoints import LOST, READY, Endpoints
 from ptnsbc_nodes.epochs import EpochError, Epochs
@@ -46,6 +47,7 @@ class Uav:
         self._outbox = Outbox(self.endpoints, edges, uav_id)
         self._epochs = Epochs()
         self._pace = Pace(self._period_ns)
+        self._clocks = ClockWatch(self._inbox.names(uav_id))
         self._done_ns = (
             self._seen_ns
         ) = -1  # stamp of the newest tick done, now and at the last look
@@ -102,6 +104,8 @@ class Uav:
             missing += self.endpoints.unread()
         if self._inbox.own is None and self._odom_name not in missing:
             missing.append(self._odom_name)
+        if self._clocks.offset is not None and not self._epochs.announced:
+            missing.append(f"another time: {self._clocks.offset}")
         return missing
 
     def _subscribe(self, uav_id: int, edges: Edges) -> None:
@@ -183,6 +187,7 @@ class Uav:
     def _on_tick_timer(self) -> None:
         now_ns = self._clock_ns()
         periods = self._pace.tick(now_ns)
+        self._clocks.look(now_ns, self._inbox.held(NO_CUTOFF_NS))
         own = self._inbox.own
         # The setpoint is the proof of life: without fresh odometry there must be none.
         if own is not None and not self._stale(own, now_ns):
@@ -230,7 +235,11 @@ class Uav:
         if not self._active:
             return Level.WARN, "inactive"
         if not self._lockstep and own is not None and self._stale(own, stamp_ns):
-            return Level.ERROR, "own odometry is stale: no setpoints"
+            told = "own odometry is stale: no setpoints"
+            offset = self._clocks.offset
+            return Level.ERROR, told if offset is None else f"{told}; {offset}"
+        if self._clocks.offset is not None:
+            return Level.WARN, str(self._clocks.offset)
         if self._epochs.announced and self._pilot.tally.holding:
             return Level.WARN, "holding"
         missed, self._missed_told = self._pace.missed - self._missed_told, self._pace.missed

@@ -68,3 +68,17 @@ def test_the_fleet_forms_by_its_deadline(pair, profile):
     assert pair[1].packets_sent() > 1000  # it was the cable, and no other way
     assert "uav4, uav5: running" in away_err
     assert json.loads(away_out)["fleet"]["died"] == []
+
+
+def test_nothing_leaves_the_host_unless_told(tmp_path):
+    """The cable is the way to everywhere, multicast too; with a profile the same flight uses it."""
+    with namespaces.two_computers() as (alone, other):
+        flight = ("fleet", *FLIGHT, "--lockstep", "--duration", 1)
+        namespaces.finished(alone.ptnsbc(*flight))
+        namespaces.finished(alone.ptnsbc("stop", "--domain", 31))
+        assert alone.packets_sent() == 0
+        file = tmp_path / "fleet.xml"
+        call = alone.ptnsbc("network", "peers", alone.address, other.address, "-o", file)
+        namespaces.finished(call)
+        namespaces.finished(alone.ptnsbc("stop", "--domain", 31, PTNSBC_NETWORK=str(file)))
+        assert alone.packets_sent() > 0

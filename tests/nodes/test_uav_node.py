@@ -258,6 +258,19 @@ def test_real_time_waits_for_its_recorder_before_the_flight_and_not_in_it(ros, s
     ros.spin_until(lambda: not said & set(uav.waiting_for()))
 
 
+def test_no_flight_begins_by_clocks_that_differ(ros, scenario):
+    others = Others(ros, scenario, LEADER, lockstep=False)
+
+    def told():
+        others.odom(time.time_ns() - int(0.3e9))
+        return any("another time" in what for what in others.uav.waiting_for())
+
+    ros.spin_until(told)
+    refused = call(ros, others.node, "start")
+    assert not refused.success
+    assert f"s ahead of /uav{LEADER}/odom" in refused.message
+
+
 def test_real_time_setpoints_end_with_the_odometry(ros, scenario):
     others = Others(ros, scenario, LEADER, lockstep=False)
     others.odom(time.time_ns() - int(0.4e9))  # of 0.5 s
