@@ -79,8 +79,8 @@ class Vehicle:
         self.text = ""  # newest warning or error
         self.pose = Pose(signed=signed)
         self._told = None if signed else _Told(Twice(), Twice(), Twice(), Twice())
-        self._ahead_s: float | None = None  # our clock before the vehicle's time since boot
-        self._odd_ahead_s: float | None = None
+        self._boot: tuple[float, float] | None = None  # newest time since boot, and when it came
+        self._odd_boot_s: float | None = None  # one that does not follow it
         self._restarted_s: float | None = None
         self._booting = False
         self._backwards: deque[float] = deque(maxlen=_TWIN_STEPS)
@@ -162,17 +162,21 @@ class Vehicle:
         return ""
 
     def _time(self, boot_s: float, now_s: float) -> None:
-        """Notice a clock that steps back; once is an accident, twice in a row another boot."""
-        ahead_s = now_s - boot_s
-        if self._ahead_s is None or abs(ahead_s - self._ahead_s) < _BACKWARDS_S:
-            self._ahead_s, self._odd_ahead_s = ahead_s, None
+        """Notice a clock that steps back; once is an accident, twice in a row another boot.
+
+        Messages that were held up make no step: they are late, and still in their order.
+        """
+        last_s, heard_s = self._boot or (boot_s, now_s)
+        step_s, elapsed_s = boot_s - last_s, now_s - heard_s
+        if -_BACKWARDS_S <= step_s <= elapsed_s + _BACKWARDS_S:
+            self._boot, self._odd_boot_s = (boot_s, now_s), None
             return
-        went_back = ahead_s > self._ahead_s
-        odd_s, self._odd_ahead_s = self._odd_ahead_s, ahead_s
-        if odd_s is not None and abs(ahead_s - odd_s) < _BACKWARDS_S:
+        went_back = step_s < 0.0
+        odd_s, self._odd_boot_s = self._odd_boot_s, boot_s
+        if odd_s is not None and abs(boot_s - odd_s) < _BACKWARDS_S:
             if went_back and boot_s < _YOUNG_S:
                 self._restarted_s = now_s
-            self._ahead_s, self._odd_ahead_s = ahead_s, None
+            self._boot, self._odd_boot_s = (boot_s, now_s), None
         elif went_back:
             self._backwards.append(now_s)
             self.pose.forget_attitude()

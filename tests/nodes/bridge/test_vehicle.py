@@ -139,6 +139,19 @@ def test_a_reboot_is_time_that_went_back_and_a_vehicle_that_is_disarmed():
     assert vehicle.rebooted
 
 
+def test_messages_that_were_held_up_are_no_reboot():
+    vehicle = Vehicle(PX4)
+    for n in range(50):
+        vehicle.hear(attitude(20_000 + 20 * n), 100.0 + 0.02 * n)
+    for n in range(50, 250):  # a host that stood still for five seconds has them all at once
+        vehicle.hear(attitude(20_000 + 20 * n), 106.0)
+    for n in range(300, 350):
+        vehicle.hear(attitude(20_000 + 20 * n), 100.0 + 0.02 * n)
+    vehicle.hear(heartbeat(), 107.5)
+    assert not vehicle.rebooted
+    assert not vehicle.twin(107.5)
+
+
 def test_two_vehicles_with_one_id_are_time_to_and_fro():
     vehicle = Vehicle(PX4)
     for n in range(3):
