@@ -109,24 +109,45 @@ def without_time_base(scenario: Scenario, kappa_1_s: float) -> Scenario:
     return _changed(scenario, changes)
 
 
-def _tuned(scenario: Scenario, law: str, settle_s: float) -> Scenario:
-    """The scenario whose gain (linear_cascade) or nominal deadline (the others) makes it settle in time."""
-    watched = max(_LONGER * settle_s, settle_s + 2.0)
-    free = _changed(scenario, {"world.obstacles": [], "timing.duration_s": watched})
-
-    def of(one: Scenario, value: float) -> Scenario:
-        if law == "linear_cascade":
-            return without_time_base(one, value)
-        return _changed(one, {"gains.formation.deadline_s": value})
-
-    def settles(value: float) -> float | None:
-        return settled_s(_fly_by(of(free, value), law))
-
+def _with(scenario: Scenario, law: str, value: float) -> Scenario:
+    """The scenario with what is tuned: the constant gain (linear_cascade) or the nominal deadline (the others)."""
     if law == "linear_cascade":
-        ladder = [0.4 * 1.15**step for step in range(22)]
-    else:
-        ladder = [8.0 * settle_s * 0.8**step for step in range(16)]
-    return of(scenario, tuned(settles, settle_s, ladder))
+        return without_time_base(scenario, value)
+    return _changed(scenario, {"gains.formation.deadline_s": value})
+
+
+def _settles(scenario: Scenario, law: str, watched_s: float) -> Callable[[float], float | None]:
+    """When the law settles in free space, by what is tuned."""
+    free = _changed(scenario, {"world.obstacles": [], "timing.duration_s": watched_s})
+    return lambda value: settled_s(_fly_by(_with(free, law, value), law))
+
+
+def _ladder(law: str, settle_s: float) -> list[float]:
+    """Values from gentle to firm."""
+    if law == "linear_cascade":
+        return [0.4 * 1.15**step for step in range(22)]
+    return [8.0 * settle_s * 0.8**step for step in range(16)]
+
+
+def _tuned(scenario: Scenario, law: str, settle_s: float) -> Scenario:
+    """The scenario with the gentlest value that makes it settle in time."""
+    settles = _settles(scenario, law, max(_LONGER * settle_s, settle_s + 2.0))
+    return _with(scenario, law, tuned(settles, settle_s, _ladder(law, settle_s)))
+
+
+def earliest_s(scenario: Scenario) -> float:
+    """The earliest that `linear_cascade` settles in free space with any of the gains that tuning tries [s].
+
+    Raises:
+        BaselineError: it settles with none of them.
+    """
+    law, deadline_s = "linear_cascade", float(scenario.gains.formation.deadline_s)
+    settles = _settles(scenario, law, _LONGER * deadline_s)
+    found = [settles(value) for value in _ladder(law, deadline_s)]
+    times = [time for time in found if time is not None]
+    if not times:
+        raise BaselineError(f"{law}: no constant gain settles within {_LONGER * deadline_s:g} s")
+    return min(times)
 
 
 def fly(

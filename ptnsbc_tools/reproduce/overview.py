@@ -39,9 +39,8 @@ def run(workshop: Workshop) -> Part:
         "overview",
         "Every scenario",
         "The promise: at 5 s every UAV within the tolerance of its place, from then on within that or 2 % of its "
-        "start error, and nothing touched. The tolerance is 0.05 m, except in `experiment_4`: its UAVs "
-        "do not know so well where they are. A missed deadline is `void` where actuators were at their limit or a "
-        "UAV gave way (`docs/verdict.md`).",
+        "start error, and nothing touched. The tolerance is 0.05 m. A missed deadline is `void` where actuators were "
+        "at their limit or a UAV gave way (`docs/verdict.md`).",
         tables=(
             flights_table(
                 "overview",
