@@ -25,8 +25,19 @@ class Command:
     module: str
     arguments: tuple[str, ...]
     uav: int | None = None  # id of the UAV that ends with it
-    managed: str | None = None  # full name of its node, when the launcher drives its life cycle
+    managed: str | None = None  # its node below the fleet, when the launcher drives its life cycle
     ends: bool = False  # by itself, with 0, when the flight is over
+
+
+EXECUTABLES = {
+    "ptnsbc_nodes.uav_node": "uav",
+    "ptnsbc_nodes.sim_node": "sim",
+    "ptnsbc_nodes.recorder": "recorder",
+    "ptnsbc_nodes.bridge_node": "bridge",
+    "ptnsbc_nodes.fleet_node": "fleet",
+    "ptnsbc_nodes.tower_node": "tower",
+}
+"""What `ros2 run ptnsbc_nodes` and launch files call each module."""
 
 
 class Child:

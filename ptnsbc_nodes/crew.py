@@ -110,6 +110,12 @@ def chosen(text: str, scenario: Scenario, backend: str) -> frozenset[str]:
     return frozenset(picked)
 
 
+def tower_arguments(options: FleetOptions, scenario_file: Path) -> tuple[str, ...]:
+    """Of the process that takes these to active and starts the flight, where our launcher does not."""
+    kind = ["--bridged"] if options.backend == "mavlink" else []
+    return ("--scenario", str(scenario_file), "--manage", *kind)
+
+
 def _bridge(options: FleetOptions, common: Sequence[str], uav: int) -> Command:
     arguments = [*common, "--uav", str(uav), "--managed"]
     if options.allow_arming:

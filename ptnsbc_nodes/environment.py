@@ -24,7 +24,7 @@ _DEFAULTS = {
     "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
 }
 # Every UAV is a process: more threads than one each only get into each other's way.
-_ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 _PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 _RMW = "rmw_fastrtps_cpp"
 _SPARE_PEERS = 12  # for viewers, a command line, a second recorder
@@ -81,7 +81,7 @@ def for_children(domain: int, processes: int, folder: Path) -> dict[str, str]:
     child = dict(os.environ)
     child[PARENT] = str(os.getpid())
     child["ROS_DOMAIN_ID"] = str(domain)
-    for name in _ONE_THREAD:
+    for name in ONE_THREAD:
         child.setdefault(name, "1")
     # `-m ptnsbc_nodes...` must find the same code, installed or not.
     root = str(Path(__file__).resolve().parent.parent)

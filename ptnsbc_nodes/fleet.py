@@ -62,7 +62,7 @@ def run_fleet(options: FleetOptions, progress: Report = lambda line: None) -> Fl
     """
     if options.bag is not None and options.bag.exists() and not options.overwrite:
         raise FleetError(f"{options.bag} exists: choose another name or pass --overwrite")
-    _refuse_nonsense(options)
+    refuse_nonsense(options)
     log_dir = Path(options.log_dir or tempfile.mkdtemp(prefix="ptnsbc-")).resolve()
     log_dir.mkdir(parents=True, exist_ok=True)
     scenario_file = log_dir / "scenario.yaml"
@@ -125,7 +125,8 @@ def _recorded(flight: Flight) -> Mapping[str, Any]:
     return found if isinstance(found, dict) else {}
 
 
-def _refuse_nonsense(options: FleetOptions) -> None:
+def refuse_nonsense(options: FleetOptions) -> None:
+    """FleetError when the options do not go together."""
     if options.bag is not None and not options.leads:
         raise FleetError(
             f"--bag {options.bag}: the recorder is not among --only "

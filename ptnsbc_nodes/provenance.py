@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import platform
+import re
 import subprocess
 from functools import cache
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import PackageNotFoundError, distributions, version
 from pathlib import Path
 
-_PACKAGES = ("ptnsbc", "numpy", "numba", "ros-rclpy", "ros-rmw-fastrtps-cpp")
+_OURS = ("ptnsbc", "ptnsbc_nodes")  # as pip and as colcon install it
+_PACKAGES = ("numpy", "numba", "ros-rclpy", "ros-rmw-fastrtps-cpp")
 _ROOT = Path(__file__).resolve().parent.parent
 _PATIENCE_S = 5.0
 
@@ -17,6 +19,7 @@ _PATIENCE_S = 5.0
 def provenance() -> dict[str, str]:
     """Versions of what the result depends on, and the commit when this is a checkout."""
     facts = {"python": platform.python_version(), "machine": platform.machine()}
+    facts["ptnsbc"] = own_version()
     for name in _PACKAGES:
         try:
             facts[name] = version(name)
@@ -24,6 +27,22 @@ def provenance() -> dict[str, str]:
             continue
     commit = _commit()
     return facts | ({"commit": commit} if commit else {})
+
+
+def own_version() -> str:
+    """The version of the code that runs, wherever other versions may lie about.
+
+    In a checkout it is that of pyproject.toml, not that of the metadata some installation has left there;
+    elsewhere that of the distribution in the folder of the code.
+    """
+    project = _ROOT / "pyproject.toml"
+    if project.is_file():
+        found = re.search(r'^version = "(.+)"$', project.read_text(encoding="utf-8"), re.MULTILINE)
+        return found[1] if found else "unknown"
+    for name in _OURS:
+        for found_there in distributions(name=name, path=[str(_ROOT)]):
+            return found_there.version
+    return "unknown"
 
 
 def _commit() -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import rclpy
@@ -14,7 +14,7 @@ from rclpy.task import Future
 from std_srvs.srv import Trigger
 
 from ptnsbc_nodes import topics
-from ptnsbc_nodes.endpoints import LOST, OVER, READY, Endpoints
+from ptnsbc_nodes.endpoints import LOST, OVER, READY, Endpoints, full_name
 from ptnsbc_nodes.manager import Manager
 from ptnsbc_nodes.spin import make_executor
 from ptnsbc_nodes.standstill import ENDED_S, WAITED
@@ -26,13 +26,14 @@ _SIGN_OF_LIFE_S = 2.0  # who is kept waiting tells it five times a second
 class Tower:
     """One rclpy node in a context of its own; use it as a context manager."""
 
-    def __init__(self, domain: int, name: str = "fleet") -> None:
+    def __init__(self, domain: int, name: str = "fleet", ros_arguments: Sequence[str] = ()) -> None:
         self.gone: set[str] = set()  # processes that have ended on other computers
         self.over = False  # said by the launcher that leads
         self._tell_over: Callable[[bytes], None] | None = None
         self.waiting: dict[str, str] = {}  # process name: what it waits for, empty when ready
         self._context = Context()
         rclpy.init(
+            args=list(ros_arguments),
             context=self._context,
             domain_id=domain,
             signal_handler_options=SignalHandlerOptions.NO,
@@ -46,12 +47,12 @@ class Tower:
         self._tell_lost = self._ends.publisher(LOST, 0)
         self._tell_bridges = self._ends.publisher(topics.EMERGENCY, 1)
         self._manager = Manager(self._node)
-        self._start = self._node.create_client(Trigger, "/formation/start")
+        self._start = self._node.create_client(Trigger, f"{self._ends.fleet}/formation/start")
         self._heard_s: dict[str, float] = {}  # when each process was heard of last
         self._kept_waiting = (0.0, "")  # for how long, by whom: from the sim, newest
         hear = self._node.create_subscription
         self._ear: Any = hear(DiagnosticArray, topics.DIAGNOSTICS.name, self._on_status, 50)
-        hear(DiagnosticArray, READY.name, self._on_status, 50)
+        hear(DiagnosticArray, full_name(self._node, READY), self._on_status, 50)
 
     def share(self, *, leads: bool) -> None:
         """Hear who ends on other computers; tell of the end of the flight, or hear of it."""
@@ -64,7 +65,7 @@ class Tower:
     @property
     def led(self) -> bool:
         """Whether the launcher that leads is there; only for one that follows."""
-        return OVER.name not in self._ends.unheard()
+        return full_name(self._node, OVER) not in self._ends.unheard()
 
     def end(self, patience_s: float) -> None:
         """Tell all launchers that follow of the end, and wait until they have heard it."""
@@ -83,8 +84,13 @@ class Tower:
         rclpy.shutdown(context=self._context)
 
     def manage(self, name: str, node: str) -> None:
-        """Configure and activate the node of the process `name`, as soon as it is there."""
-        self._manager.manage(name, node)
+        """Configure and activate the node of the process `name`, as soon as it is there.
+
+        Args:
+            name: As on /diagnostics.
+            node: Its name below the namespace of the fleet, `/uav3/controller`.
+        """
+        self._manager.manage(name, self._ends.fleet + node)
 
     @property
     def refused(self) -> list[str]:
@@ -122,7 +128,7 @@ class Tower:
 
     def call(self, name: str, patience_s: float) -> str | None:
         """Call /formation/`name`, waiting until it is there; returns why it did not work."""
-        client = self._node.create_client(Trigger, f"/formation/{name}")
+        client = self._node.create_client(Trigger, f"{self._ends.fleet}/formation/{name}")
         deadline = time.monotonic() + patience_s
         while not client.service_is_ready() and time.monotonic() < deadline:
             self.spin(0.1)
@@ -136,9 +142,10 @@ class Tower:
     def emergency(self, what: str, patience_s: float = 2.0) -> bool:
         """Tell all bridges to `land` or `kill`, without the leader; False when none listens."""
         deadline = time.monotonic() + patience_s
-        while topics.EMERGENCY.name in self._ends.unread() and time.monotonic() < deadline:
+        emergency = full_name(self._node, topics.EMERGENCY)
+        while emergency in self._ends.unread() and time.monotonic() < deadline:
             self.spin(0.1)
-        heard = topics.EMERGENCY.name not in self._ends.unread()
+        heard = emergency not in self._ends.unread()
         self._tell_bridges(HeaderTemplate(what).encode(0))
         self._ends.flush(1.0)
         return heard

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -16,6 +15,7 @@ from ptnsbc_tools.autopilot.command import autopilot
 from ptnsbc_tools.bags.command import app as bags
 from ptnsbc_tools.bridge.command import bridge
 from ptnsbc_tools.network.command import app as network_app
+from ptnsbc_tools.params.command import params
 from ptnsbc_tools.plot.command import plot
 from ptnsbc_tools.record.command import record
 from ptnsbc_tools.replay.command import replay
@@ -53,10 +53,9 @@ app = typer.Typer(
 
 def _version(wanted: bool) -> None:
     if wanted:
-        try:
-            print(f"ptnsbc {version('ptnsbc')}")
-        except PackageNotFoundError:  # run from a checkout that is not installed
-            print("ptnsbc (not installed)")
+        from ptnsbc_nodes.provenance import own_version
+
+        print(f"ptnsbc {own_version()}")
         raise typer.Exit
 
 
@@ -222,6 +221,7 @@ app.command()(plot)
 app.command()(reproduce)
 app.command()(autopilot)
 app.command()(record)
+app.command()(params)
 app.command()(bridge)
 app.command()(stop)
 app.command()(replay)

@@ -9,6 +9,7 @@ venv=$(cd .. && pwd)/.venv
 [ -x "$venv/bin/colcon" ] || die "no colcon in .venv; run: make setup"
 # colcon builds with the python3 it finds first.
 export PATH="$venv/bin:$PATH" VIRTUAL_ENV="$venv" COLCON_DEFAULT_EXECUTOR=sequential COLCON_LOG_LEVEL=error
+colcon() { "$venv/bin/python" "$venv/bin/colcon" "$@"; }
 
 seen=$(colcon list --base-paths src)
 for package in src/*/; do
@@ -35,7 +36,9 @@ assert found and found.origin, '$name: built, but cannot be found'
 assert pathlib.Path(found.origin).with_name('py.typed').exists(), '$name: py.typed is missing'
 ") || die "$name: not importable from install/"
 done
-for program in ptnsbc_nodes/{uav,sim,recorder,bridge,fleet} ptnsbc_tools/ptnsbc; do
-  [ -x "install/${program%/*}/lib/$program" ] || die "$program: 'ros2 run' would not find it"
+for program in ptnsbc_nodes/{uav,sim,recorder,bridge,tower,fleet} ptnsbc_tools/ptnsbc; do
+  program=install/${program%/*}/lib/$program
+  [ -x "$program" ] || die "$program: 'ros2 run' would not find it"
+  (set +u; program=$PWD/$program; source install/local_setup.bash; cd / && "$program" --help >/dev/null) || die "$program does not start"
 done
 printf 'ros2_ws: all packages are ros.ament_python and installed\n'

@@ -8,6 +8,8 @@
                                           said TEXT; Ctrl-C when the page is over, unless it has ended
     <!-- run: with --duration 3 -->       these words added to its one line, to make it short
     <!-- run: exits 1 -->                 with this code and no other
+    <!-- run: where ros2 -->              only where there is such a program; one of the others may
+                                          follow, as in `where ros2: for 3 s`
 
 Without a comment a block is run as it stands and must exit with 0.
 """
@@ -15,6 +17,7 @@ Without a comment a block is run as it stands and must exit with 0.
 from __future__ import annotations
 
 import re
+import shutil
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
@@ -83,6 +86,7 @@ _FORMS = (
     (r"with (?P<words>\S.*)", How.RUN),
     (r"exits (?P<code>\d+)", How.RUN),
 )
+_WHERE = re.compile(r"where (?P<program>[\w.-]+)(: (?P<rest>\S.*))?")
 _INSTALL = re.compile(r"(^|[;&|(]\s*|sudo )((python[\d.]*|uv) -m )?(pip[\d.]*|uv pip) install\b")
 _COMMENT = re.compile(r"<!--\s*run:\s*(.*?)\s*-->", re.DOTALL)
 
@@ -90,6 +94,13 @@ _COMMENT = re.compile(r"<!--\s*run:\s*(.*?)\s*-->", re.DOTALL)
 def marker_of(text: str, place: str) -> Marker:
     """The marker that a comment holds."""
     said = " ".join(text.split())
+    needed = _WHERE.fullmatch(said)
+    if needed:
+        if shutil.which(needed["program"]) is None:
+            return Marker(How.SKIP, f"{needed['program']} is not installed")
+        if needed["rest"] is None:
+            return Marker()
+        said = needed["rest"]
     for form, how in _FORMS:
         found = re.fullmatch(form, said)
         if found:
@@ -101,7 +112,10 @@ def marker_of(text: str, place: str) -> Marker:
                 given.get("words") or "",
                 int(given.get("code") or 0),
             )
-    forms = 'no, REASON | by .ci/run | [each] for N s | beside, until "TEXT" | with WORDS | exits N'
+    forms = (
+        'no, REASON | by .ci/run | [each] for N s | beside, until "TEXT" | with WORDS | exits N | '
+        "where PROGRAM[: ...]"
+    )
     raise PageError(f"{place}: run: {said}: expected {forms}")
 
 

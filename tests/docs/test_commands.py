@@ -46,6 +46,10 @@ def _outcomes(tmp_path: Path, *marked: tuple[str, str]):
     ("text", "how"),
     [
         ("no, needs a container engine", How.SKIP),
+        ("where no-such-program", How.SKIP),
+        ("where no-such-program: for 3 s", How.SKIP),
+        ("where bash", How.RUN),
+        ("where bash: for 3 s", How.FOR),
         ("by .ci/run", How.ELSEWHERE),
         ("for 3 s", How.FOR),
         ("each for 3 s", How.EACH),

@@ -1,20 +1,18 @@
-"""Start a formation: one process per UAV, the simulator and, with a bag, the recorder.
+"""A whole flight on this computer, with the processes of `ptnsbc fleet`: started, activated, flown, ended.
 
-    ros2 launch ptnsbc_bringup fleet.launch.py scenario:=paper_5 bag:=flight
-    ros2 service call /formation/start std_srvs/srv/Trigger
+    ros2 launch ptnsbc_bringup fleet.launch.py scenario:=paper_5 rviz:=true record:=flight
+    ros2 launch ptnsbc_bringup fleet.launch.py --show-args
 
-The second command begins the flight; the leader refuses it until all are ready. `launch` comes with
-ROS from apt only; with the ROS wheels, `ros2 run ptnsbc_nodes fleet` does all of it.
+`launch` comes with ROS from apt; with the ROS wheels, `ptnsbc fleet` does the same.
 """
 
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Sequence
 from pathlib import Path
 
 from ament_index_python.packages import get_package_share_directory
-from launch import LaunchContext, LaunchDescription
+from launch import LaunchContext, LaunchDescription, LaunchDescriptionEntity
 from launch.actions import DeclareLaunchArgument, EmitEvent, OpaqueFunction, RegisterEventHandler
 from launch.conditions import IfCondition
 from launch.event_handlers import OnProcessExit
@@ -22,70 +20,137 @@ from launch.events import Shutdown
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
+from ptnsbc_nodes.children import EXECUTABLES, Command
+from ptnsbc_nodes.crew import FleetOptions, commands, tower_arguments
+from ptnsbc_nodes.environment import ONE_THREAD
+from ptnsbc_nodes.fleet import refuse_nonsense
+from ptnsbc_nodes.warmup import load_agent, load_world
 from ptnsbc_sim.scenario import load_scenario
 
-RECORDER_PATIENCE_S = "60"  # what is still queued belongs into the bag
-
-
-def command_lines(
-    scenario: Path, uav_ids: Sequence[int], *, lockstep: bool, bag: str
-) -> list[tuple[str, list[str]]]:
-    """Executables of ptnsbc_nodes and their arguments, in the order of their start."""
-    clock = ["--lockstep"] if lockstep else []
-    common = ["--scenario", str(scenario), *clock, *(["--recorded"] if bag else [])]
-    recorder = ["--bag", bag, "--uavs", *map(str, uav_ids), *clock]
-    recorder += ["--attach", f"scenario.yaml={scenario}"]
-    return [
-        *([("recorder", recorder)] if bag else []),
-        ("sim", common),
-        *(("uav", [*common, "--uav", str(uav_id)]) for uav_id in uav_ids),
-    ]
-
-
-def _node(executable: str, arguments: list[str]) -> Node:
-    patience = {"sigterm_timeout": RECORDER_PATIENCE_S} if executable == "recorder" else {}
-    # No name and no namespace: each process names its own node.
-    return Node(
-        package="ptnsbc_nodes",
-        executable=executable,
-        arguments=arguments,
-        output="screen",
-        **patience,
-    )
-
-
-def nodes(context: LaunchContext) -> list[Node | RegisterEventHandler]:
-    """Build the actions once the arguments are known: the scenario says how many UAVs there are."""
-    scenario = load_scenario(LaunchConfiguration("scenario").perform(context))
-    lockstep = LaunchConfiguration("lockstep").perform(context).lower() in ("true", "1")
-    bag = LaunchConfiguration("bag").perform(context)
-    # Without its `extends`: what the bag carries has to be read anywhere.
-    path = Path(tempfile.mkdtemp(prefix="ptnsbc-")) / "scenario.yaml"
-    path.write_text(scenario.text, encoding="utf-8")
-    lines = command_lines(path, scenario.uav_ids, lockstep=lockstep, bag=bag)
-    crew = [_node(executable, arguments) for executable, arguments in lines]
-    sim = crew[[executable for executable, _ in lines].index("sim")]
-    layout = Path(get_package_share_directory("ptnsbc_bringup")) / "rviz" / "formation.rviz"
-    rviz = Node(
-        package="rviz2",
-        executable="rviz2",
-        arguments=["-d", str(layout)],
-        condition=IfCondition(LaunchConfiguration("rviz")),
-    )
-    end = RegisterEventHandler(
-        OnProcessExit(target_action=sim, on_exit=[EmitEvent(event=Shutdown(reason="sim is done"))])
-    )
-    return [*crew, rviz, end]
+# [s] between SIGINT and the harder signals: a recorder completes its bag, a bridge lands its vehicle.
+PATIENCE_S = {"ptnsbc_nodes.recorder": "60", "ptnsbc_nodes.bridge_node": "240"}
+FLAGS = ("true", "false")
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Declare the arguments; `ros2 launch ... --show-args` lists them."""
+    """Declare the arguments; the processes depend on the scenario and are made when it is known."""
+    argument = DeclareLaunchArgument
     return LaunchDescription(
         [
-            DeclareLaunchArgument("scenario", description="scenario file or name"),
-            DeclareLaunchArgument("lockstep", default_value="false", description="or real time"),
-            DeclareLaunchArgument("bag", default_value="", description="record into this folder"),
-            DeclareLaunchArgument("rviz", default_value="false", description="show the formation"),
-            OpaqueFunction(function=nodes),
+            argument("scenario", default_value="paper_5", description="scenario file or name"),
+            argument(
+                "backend",
+                default_value="sim",
+                choices=["sim", "mavlink"],
+                description="the simulator, or a MAVLink bridge per flight controller",
+            ),
+            argument(
+                "allow_arming",
+                default_value="false",
+                choices=FLAGS,
+                description="arm real vehicles and take off",
+            ),
+            argument(
+                "lockstep",
+                default_value="false",
+                choices=FLAGS,
+                description="as fast as it goes, the same bytes every time; or by the wall clock",
+            ),
+            argument("record", default_value="", description="record into this folder"),
+            argument(
+                "rviz", default_value="false", choices=FLAGS, description="show the formation"
+            ),
+            argument(
+                "foxglove",
+                default_value="false",
+                choices=FLAGS,
+                description="foxglove_bridge on port 8765; the layout is in share/ptnsbc_bringup",
+            ),
+            OpaqueFunction(function=flight),
         ]
     )
+
+
+def flight(context: LaunchContext) -> list[LaunchDescriptionEntity]:
+    """All processes of a flight, and what ends it."""
+    options = _options(context)
+    # Compiled once, before a dozen processes would do it side by side.
+    load_agent(options.scenario, options.scenario.leader_id)
+    if options.backend == "sim":
+        load_world(options.scenario)
+    # Without its `extends`: what the bag carries has to be read anywhere.
+    file = Path(tempfile.mkdtemp(prefix="ptnsbc-")) / "scenario.yaml"
+    file.write_text(options.scenario.text, encoding="utf-8")
+    crew = commands(options, file)
+    nodes = [_node(command) for command in crew]
+    tower = Command("tower", "ptnsbc_nodes.tower_node", tower_arguments(options, file))
+    return [*nodes, _node(tower), *_ends(options, crew, nodes), *_viewers()]
+
+
+def _options(context: LaunchContext) -> FleetOptions:
+    def told(name: str) -> str:
+        return LaunchConfiguration(name).perform(context)
+
+    scenario, record = load_scenario(told("scenario")), told("record")
+    options = FleetOptions(
+        scenario.bridged() if told("backend") == "mavlink" else scenario,
+        backend=told("backend"),
+        allow_arming=told("allow_arming") == "true",
+        lockstep=told("lockstep") == "true",
+        bag=Path(record).absolute() if record else None,
+    )
+    refuse_nonsense(options)
+    return options
+
+
+def _node(command: Command) -> Node:
+    patience = PATIENCE_S.get(command.module)
+    return Node(
+        package="ptnsbc_nodes",
+        executable=EXECUTABLES[command.module],
+        # Relative, so that a namespace around all of it moves the whole fleet.
+        namespace="" if command.uav is None else f"uav{command.uav}",
+        arguments=list(command.arguments),
+        additional_env=dict.fromkeys(ONE_THREAD, "1"),
+        output="screen",
+        **({} if patience is None else {"sigterm_timeout": patience}),
+    )
+
+
+def _ends(
+    options: FleetOptions, crew: list[Command], nodes: list[Node]
+) -> list[RegisterEventHandler]:
+    """The flight is over with the sim, with the last bridge, or with a UAV that lock-step waits for."""
+    running = {id(node) for command, node in zip(crew, nodes, strict=True) if command.ends}
+
+    def gone(node: Node, reason: str) -> list[EmitEvent]:
+        running.discard(id(node))
+        return [] if running else [EmitEvent(event=Shutdown(reason=reason))]
+
+    handlers = []
+    for command, node in zip(crew, nodes, strict=True):
+        if command.ends:
+            on_exit = lambda _event, _context, node=node: gone(node, "the flight is over")  # noqa: E731
+        elif options.lockstep and command.uav is not None:
+            on_exit = [EmitEvent(event=Shutdown(reason=f"{command.name} has ended"))]
+        else:
+            continue
+        handlers.append(RegisterEventHandler(OnProcessExit(target_action=node, on_exit=on_exit)))
+    return handlers
+
+
+def _viewers() -> list[Node]:
+    layout = Path(get_package_share_directory("ptnsbc_bringup")) / "rviz" / "formation.rviz"
+    return [
+        Node(
+            package="rviz2",
+            executable="rviz2",
+            arguments=["-d", str(layout)],
+            condition=IfCondition(LaunchConfiguration("rviz")),
+        ),
+        Node(
+            package="foxglove_bridge",
+            executable="foxglove_bridge",
+            condition=IfCondition(LaunchConfiguration("foxglove")),
+        ),
+    ]

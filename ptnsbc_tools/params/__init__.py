@@ -1,0 +1,1 @@
+"""`ptnsbc params`: a scenario as a ROS parameter file."""

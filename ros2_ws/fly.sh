@@ -1,0 +1,121 @@
+#!/usr/bin/env bash
+# From a clean copy of this checkout: colcon builds it, plain and with --symlink-install, and the executables of
+# the plain build fly 10 s of paper_5, from another folder and without the sources. Then pip installs the same,
+# twice, over what an older version left. Needs .venv (make setup). What is installed there of this project
+# is not seen: everything runs in environments like it that have the project from one place only.
+set -euo pipefail
+cd "$(dirname "${BASH_SOURCE[0]}")/.."
+
+say() { printf 'ros2_ws: [%3d s] %s\n' "$SECONDS" "$*"; }
+die() { printf 'ros2_ws: error: %s\n' "$*" >&2; exit 1; }
+[ -x .venv/bin/colcon ] || die "no colcon in .venv; run: make setup"
+
+mkdir -p out
+scratch=$(mktemp -d "$PWD/out/colcon-XXXXXX")  # on the disk of .venv, whose files it shares by hard links
+trap 'rm -rf "$scratch"' EXIT
+unset PYTHONPATH
+export PTNSBC_CACHE_DIR=$scratch/cache PIP_DISABLE_PIP_VERSION_CHECK=1
+version=$(sed -n 's/^version = "\(.*\)"$/\1/p' pyproject.toml)
+
+# Without what lies about in this checkout: build/, *.egg-info, ros2_ws/install.
+copy() {
+  mkdir -p "$scratch/$1"
+  git ls-files -z --cached --others --exclude-standard | while IFS= read -rd '' name; do
+    if [ -e "$name" ]; then printf '%s\0' "$name"; fi
+  done | xargs -0 cp -a --parents -t "$scratch/$1"
+}
+
+bare() {
+  mkdir "$scratch/$1"
+  cp -al .venv/. "$scratch/$1"
+  (cd "$scratch/$1" && rm -rf bin/ptnsbc lib/ptnsbc_nodes share/ptnsbc share/ament_index/resource_index/packages/ptnsbc_* \
+    lib/python*/site-packages/{ptnsbc-*,ptnsbc_*,__editable__*ptnsbc*,__editable___ptnsbc*,__pycache__/__editable___ptnsbc*})
+}
+
+# In a workspace that was built, from another folder: what a shell with its setup.bash would do.
+within() {
+  (set +u && cd / && source "$scratch/$1/ros2_ws/install/local_setup.bash" && PATH="$scratch/env/bin:$PATH" && "${@:2}")
+}
+
+# Where every module of ours is found, each below a folder: places FOLDER PYTHON
+places() {
+  "$2" - "$(realpath "$1")" <<'PYTHON'
+import importlib.util, pkgutil, sys
+for name in ("ptnsbc_core", "ptnsbc_sim", "ptnsbc_nodes", "ptnsbc_tools"):
+    package = importlib.import_module(name)
+    for module in pkgutil.walk_packages(package.__path__, f"{name}."):
+        place = importlib.util.find_spec(module.name).origin
+        assert place.startswith(f"{sys.argv[1]}/"), f"{module.name} is {place}: expected it below {sys.argv[1]}"
+        assert "ghost" not in module.name, f"{place} was left by another version"
+PYTHON
+}
+
+check_version() {
+  local said
+  said=$("${@:2}" --version)
+  [ "$said" = "ptnsbc $version" ] || die "$1: ptnsbc --version says '$said': expected 'ptnsbc $version'"
+}
+
+# A module that is no more, as an older version leaves it where builds put things.
+haunt() {
+  mkdir -p "$1"
+  touch "$1/ghost.py"
+}
+
+build() {
+  ln -sfn ../env "$scratch/$1/.venv"
+  "$scratch/$1/ros2_ws/check.sh" "${@:2}"
+}
+
+# One process per vehicle, as ros2 run and launch start them; the leader starts when nobody waits any more.
+fly() {
+  local programs=$scratch/plain/ros2_ws/install/ptnsbc_nodes/lib/ptnsbc_nodes uav pids=()
+  local common=(--scenario "$scratch/flight.yaml" --lockstep)
+  "$programs/recorder" --bag "$scratch/bag" --uavs 1 2 3 4 5 --lockstep --attach "scenario.yaml=$scratch/flight.yaml" &
+  pids+=($!)
+  for uav in 1 2 3 4 5; do
+    "$programs/uav" "${common[@]}" --recorded --uav "$uav" &
+    pids+=($!)
+  done
+  "$programs/sim" "${common[@]}" --recorded &
+  local sim=$!
+  python - <<'PYTHON' || { kill "${pids[@]}" "$sim"; return 1; }
+import os, sys, time
+from ptnsbc_nodes import environment
+environment.prepare()
+from ptnsbc_nodes.tower import Tower
+end, names = time.monotonic() + 120, ["sim", *(f"uav{i}" for i in range(1, 6))]
+with Tower(int(os.environ["ROS_DOMAIN_ID"])) as tower:
+    while tower.missing(names) or tower.start(patience_s=2.0) is not None:
+        tower.spin(0.1)
+        if time.monotonic() > end:
+            sys.exit(f"not ready: {tower.missing(names)}")
+PYTHON
+  wait "$sim"
+  kill -INT "${pids[@]}"
+  wait "${pids[@]}"
+}
+
+say "colcon build, from a clean copy"
+bare env
+copy plain
+build plain
+haunt "$scratch/plain/ros2_ws/build/ptnsbc_nodes/build/lib/ptnsbc_nodes"
+say "again, over what an older version left"
+build plain
+[ ! -e "$scratch/env/bin/ptnsbc" ] || die "the environment is not bare"
+check_version "colcon build" within plain "$scratch/plain/ros2_ws/install/ptnsbc_tools/lib/ptnsbc_tools/ptnsbc"
+
+say "a flight of 10 s with the installed executables, the sources gone"
+rm -rf "$scratch"/plain/ptnsbc_* "$scratch"/plain/ros2_ws/{src,build}
+within plain places "$scratch/plain/ros2_ws/install" python
+sed 's/^  duration_s: .*/  duration_s: 10/' scenarios/paper_5.yaml >"$scratch/flight.yaml"
+within plain python -c "
+from ptnsbc_nodes.warmup import load_agent, load_world
+from ptnsbc_sim.scenario import load_scenario
+scenario = load_scenario('$scratch/flight.yaml')
+load_agent(scenario, 1)
+load_world(scenario)"
+export ROS_DOMAIN_ID=${ROS_DOMAIN_ID:-$((RANDOM % 100 + 1))}
+within plain fly
+within plain ptnsbc verify "$scratch/bag"

@@ -1,0 +1,100 @@
+"""One UAV on its own computer: its controller, and the bridge to its flight controller if it has one.
+
+    ros2 launch ptnsbc_bringup uav.launch.py uav:=2 params:=paper_5.params.yaml
+    ros2 launch ptnsbc_bringup uav.launch.py uav:=2 scenario:=experiment_4 bridge:=true allow_arming:=true
+
+Both nodes activate themselves, and the formation starts when the leader is told to:
+
+    ros2 service call /formation/start std_srvs/srv/Trigger
+
+The parameter file is made by `ptnsbc params`; the same file serves on every computer of the fleet.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from launch import LaunchContext, LaunchDescription
+from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from launch.substitutions import LaunchConfiguration
+from launch_ros.actions import Node
+
+from ptnsbc_nodes.environment import ONE_THREAD
+
+LANDING_S = "240"  # a bridge that is told to end lands its vehicle first
+FLAGS = ("true", "false")
+
+
+def generate_launch_description() -> LaunchDescription:
+    """Declare the arguments."""
+    argument = DeclareLaunchArgument
+    return LaunchDescription(
+        [
+            argument("uav", description="id of this UAV"),
+            argument("params", default_value="", description="parameter file of the fleet"),
+            argument("scenario", default_value="", description="or a scenario file or name"),
+            argument(
+                "bridge",
+                default_value="false",
+                choices=FLAGS,
+                description="fly a flight controller over MAVLink",
+            ),
+            argument(
+                "allow_arming",
+                default_value="false",
+                choices=FLAGS,
+                description="arm the vehicle and take off",
+            ),
+            argument(
+                "recorded",
+                default_value="false",
+                choices=FLAGS,
+                description="be ready only when a recorder listens",
+            ),
+            argument(
+                "autostart",
+                default_value="true",
+                choices=FLAGS,
+                description="false: wait to be configured and activated",
+            ),
+            argument(
+                "use_sim_time", default_value="false", choices=FLAGS, description="follow /clock"
+            ),
+            OpaqueFunction(function=uav),
+        ]
+    )
+
+
+def uav(context: LaunchContext) -> list[Node]:
+    """The nodes of one UAV."""
+
+    def told(name: str) -> str:
+        return LaunchConfiguration(name).perform(context)
+
+    common = ["--recorded"] if told("recorded") == "true" else []
+    common += ["--uav", told("uav")]
+    if told("scenario"):
+        common += ["--scenario", told("scenario")]
+    if told("autostart") != "true":
+        common.append("--managed")
+    bridged = told("bridge") == "true"
+    controller = _node("uav", [*common, *(["--bridged"] if bridged else [])], told)
+    if not bridged:
+        return [controller]
+    arming = ["--allow-arming"] if told("allow_arming") == "true" else []
+    return [controller, _node("bridge", [*common, *arming], told, sigterm_timeout=LANDING_S)]
+
+
+def _node(executable, arguments, told, **patience) -> Node:
+    params = [str(Path(told("params")).expanduser().absolute())] if told("params") else []
+    return Node(
+        package="ptnsbc_nodes",
+        executable=executable,
+        # Relative, so that a namespace around it moves the whole fleet.
+        namespace=f"uav{told('uav')}",
+        arguments=arguments,
+        parameters=[*params, {"use_sim_time": told("use_sim_time") == "true"}],
+        additional_env=dict.fromkeys(ONE_THREAD, "1"),
+        output="screen",
+        **patience,
+    )
