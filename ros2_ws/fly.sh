@@ -79,18 +79,7 @@ fly() {
   done
   "$programs/sim" "${common[@]}" --recorded &
   local sim=$!
-  python - <<'PYTHON' || { kill "${pids[@]}" "$sim"; return 1; }
-import os, sys, time
-from ptnsbc_nodes import environment
-environment.prepare()
-from ptnsbc_nodes.tower import Tower
-end, names = time.monotonic() + 120, ["sim", *(f"uav{i}" for i in range(1, 6))]
-with Tower(int(os.environ["ROS_DOMAIN_ID"])) as tower:
-    while tower.missing(names) or tower.start(patience_s=2.0) is not None:
-        tower.spin(0.1)
-        if time.monotonic() > end:
-            sys.exit(f"not ready: {tower.missing(names)}")
-PYTHON
+  "$programs/tower" --scenario "$scratch/flight.yaml" --patience 300 || { kill "${pids[@]}" "$sim"; return 1; }
   wait "$sim"
   kill -INT "${pids[@]}"
   wait "${pids[@]}"
@@ -118,4 +107,30 @@ load_agent(scenario, 1)
 load_world(scenario)"
 export ROS_DOMAIN_ID=${ROS_DOMAIN_ID:-$((RANDOM % 100 + 1))}
 within plain fly
-within plain ptnsbc verify "$scratch/bag"
+within plain "$scratch/plain/ros2_ws/install/ptnsbc_tools/lib/ptnsbc_tools/ptnsbc" verify "$scratch/bag"
+
+say "colcon build --symlink-install"
+copy linked
+build linked --symlink-install
+check_version "colcon build --symlink-install" within linked "$scratch/linked/ros2_ws/install/ptnsbc_tools/lib/ptnsbc_tools/ptnsbc"
+within linked places "$scratch/linked" python
+
+say "pip install ., over what older versions left"
+copy wheel
+haunt "$scratch/wheel/build/lib/ptnsbc_nodes"
+mkdir "$scratch/wheel/ptnsbc.egg-info"
+printf 'Metadata-Version: 2.1\nName: ptnsbc\nVersion: 0.0.1\n' >"$scratch/wheel/ptnsbc.egg-info/PKG-INFO"
+pip=("$scratch/env/bin/python" -m pip --quiet --no-input install --no-deps --no-build-isolation --no-index)
+"${pip[@]}" "$scratch/wheel"
+check_version "pip install" "$scratch/env/bin/ptnsbc"
+(cd / && places "$scratch/env" "$scratch/env/bin/python")
+check_version "pip install, in another checkout" env -C "$scratch/linked" "$scratch/env/bin/ptnsbc"
+
+say "pip install -e ., over that"
+"${pip[@]}" -e "$scratch/linked"
+check_version "pip install -e" "$scratch/env/bin/ptnsbc"
+(cd / && places "$scratch/linked" "$scratch/env/bin/python")
+
+say "the workspace again, with an older version installed by pip"
+check_version "colcon build, pip beside" within linked "$scratch/linked/ros2_ws/install/ptnsbc_tools/lib/ptnsbc_tools/ptnsbc"
+say "all of it from where it was meant to be"
