@@ -45,8 +45,8 @@ lint: setup  ## ruff (style, layering), formatting, mypy; docker/
 format: setup  ## Let ruff format the code and fix what it can
 	@$(BIN)/ruff format . && $(BIN)/ruff check --fix .
 
-colcon: setup  ## Build the ROS workspace and check what colcon sees
-	@time ros2_ws/check.sh
+colcon: setup  ## Build the ROS workspace from a clean copy, fly from what is installed, compare with pip
+	@time ros2_ws/fly.sh
 
 clean:  ## Remove .venv and everything built
 	rm -rf .venv .venv.lock build *.egg-info out ros2_ws/{build,install,log} .mypy_cache .pytest_cache .ruff_cache
