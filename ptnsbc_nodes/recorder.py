@@ -21,28 +21,25 @@ from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any
 
+import rclpy
+from rclpy.clock import Clock, ClockType
+from rclpy.context import Context
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.node import Node
+from rclpy.qos import QoSDurabilityPolicy, QoSReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
+
 from ptnsbc_core.errors import PtnsbcError
-from ptnsbc_nodes import environment
-
-environment.prepare()
-
-import rclpy  # noqa: E402
-from rclpy.clock import Clock, ClockType  # noqa: E402
-from rclpy.context import Context  # noqa: E402
-from rclpy.event_handler import SubscriptionEventCallbacks  # noqa: E402
-from rclpy.node import Node  # noqa: E402
-from rclpy.qos import QoSDurabilityPolicy, QoSReliabilityPolicy  # noqa: E402
-from rclpy.signals import SignalHandlerOptions  # noqa: E402
-
-from ptnsbc_nodes import qos, topics, wire  # noqa: E402
-from ptnsbc_nodes.bag import BagError, BagWriter, TopicInfo  # noqa: E402
-from ptnsbc_nodes.bag.msgdef import has_header  # noqa: E402
-from ptnsbc_nodes.bag.reorder import Held, ReorderBuffer  # noqa: E402
-from ptnsbc_nodes.endpoints import RECORDED, full_name  # noqa: E402
-from ptnsbc_nodes.rosargs import RosArgumentsError, ros_errors, without_ros  # noqa: E402
-from ptnsbc_nodes.spin import drain, make_executor, spin_for  # noqa: E402
-from ptnsbc_nodes.topics import Topic  # noqa: E402
-from ptnsbc_nodes.transforms import Transforms  # noqa: E402
+from ptnsbc_nodes import environment, qos, topics, wire
+from ptnsbc_nodes.bag import BagError, BagWriter, TopicInfo
+from ptnsbc_nodes.bag.msgdef import has_header
+from ptnsbc_nodes.bag.reorder import Held, ReorderBuffer
+from ptnsbc_nodes.endpoints import RECORDED, full_name
+from ptnsbc_nodes.network import NetworkError
+from ptnsbc_nodes.rosargs import RosArgumentsError, ros_errors, without_ros
+from ptnsbc_nodes.spin import drain, make_executor, spin_for
+from ptnsbc_nodes.topics import Topic
+from ptnsbc_nodes.transforms import Transforms
 
 if TYPE_CHECKING:
     from ptnsbc_nodes.pictures import Pictures
@@ -207,6 +204,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     stop = _StopSignal()
     context = Context()
     try:
+        environment.prepare()
         options = _parser().parse_args(without_ros(arguments))
         if options.punctual:
             environment.prefer_punctuality(flies=False)
@@ -215,7 +213,7 @@ def main(argv: Sequence[str] | None = None) -> int:
                 args=arguments, context=context, signal_handler_options=SignalHandlerOptions.NO
             )
         print(json.dumps(_record(context, options, stop)), flush=True)
-    except RosArgumentsError as error:
+    except (RosArgumentsError, NetworkError) as error:
         print(f"recorder: {error}", file=sys.stderr)
         return 2
     except PtnsbcError as error:
