@@ -9,10 +9,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from ptnsbc_core.algebra import saturation, wrap
-from ptnsbc_core.kernel import kernel
-from ptnsbc_core.timebase import step_gain
-from ptnsbc_core.types import Array, EstimatorConfig
+from ptnsbc_core.algebra import put, saturation, wrap
+from ptnsbc_core.kernel import kernel, leaf
+from ptnsbc_core.kinematics import odometry_to_estimate, state_to_estimate
+from ptnsbc_core.timebase import Clock, step_gain
+from ptnsbc_core.types import (
+    NEVER_HEARD_S,
+    AgentConfig,
+    AgentInputs,
+    AgentState,
+    Array,
+    EstimatorConfig,
+)
 
 _YAW = 6
 
@@ -56,3 +64,51 @@ def estimator_step(
         out[i] = estimate[i] + dt * rate
     out[_YAW] = wrap(out[_YAW])
     return out
+
+
+@leaf
+def _moved_on(estimate: Array, age_s: float) -> Array:
+    """Estimate (7,) of `age_s` ago carried to the present with its own velocity."""
+    out = estimate.copy()
+    for i in range(3):
+        out[i] += age_s * estimate[3 + i]
+    return out
+
+
+@leaf
+def estimated_leader(
+    state: AgentState, inputs: AgentInputs, clock: Clock, frozen: bool, config: AgentConfig
+) -> tuple[Array, bool]:
+    """Leader estimate (7,) at this tick, and whether it rests on anything heard."""
+    if config.leader:
+        return state_to_estimate(inputs.own), True
+    pinned = config.estimator.pinned and inputs.leader_age_s < NEVER_HEARD_S
+    leader = np.zeros(7)
+    if pinned:
+        leader = _moved_on(state_to_estimate(inputs.leader), inputs.leader_age_s)
+        if not state.heard:
+            return leader, True
+    if frozen:
+        still = state.estimate.copy()
+        for i in range(3, 6):
+            still[i] = 0.0
+        return still, state.heard
+    count = inputs.estimates.shape[0]
+    others = np.empty((count, 7))
+    heard = np.zeros(count)
+    anything = pinned
+    for k in range(count):
+        if inputs.estimate_age_s[k] <= config.stale_s:
+            age_s = inputs.estimate_age_s[k]
+            put(others[k], 0, _moved_on(odometry_to_estimate(inputs.estimates[k]), age_s))
+            heard[k] = 1.0
+            anything = True
+    if not anything:
+        return state.estimate.copy(), state.heard
+    # everything heard is carried to the present, so the own estimate must be too: compared one tick late
+    # it settles v dt behind, which the angle tasks multiply along the chain
+    present = state.estimate
+    if config.estimator.feed_forward:
+        present = _moved_on(state.estimate, clock.dt)
+    g = disagreement(present, others, heard, leader, pinned)
+    return estimator_step(state.estimate, g, clock.t, clock.dt, config.estimator), True

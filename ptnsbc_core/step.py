@@ -11,39 +11,21 @@ from typing import NamedTuple
 import numpy as np
 
 from ptnsbc_core.adaptation import started
-from ptnsbc_core.algebra import moved, part, put, wrap
+from ptnsbc_core.algebra import part, put, wrap
 from ptnsbc_core.command_filter import filter_step
 from ptnsbc_core.controller import Command, Control, rigid_body_control
-from ptnsbc_core.estimator import disagreement, estimator_step
+from ptnsbc_core.estimator import estimated_leader
 from ptnsbc_core.kernel import kernel, leaf
-from ptnsbc_core.kinematics import (
-    estimate_to_odometry,
-    odometry_to_estimate,
-    state_to_estimate,
-    velocity_enu,
-    yaw_of,
-)
-from ptnsbc_core.planner import (
-    Armed,
-    Behaviour,
-    Neighbour,
-    attitude,
-    composed,
-    formation,
-    hold,
-    leader_tracking,
-)
+from ptnsbc_core.kinematics import estimate_to_odometry, state_to_estimate, velocity_enu, yaw_of
+from ptnsbc_core.mission import behaviour_of_mission, desired_yaw, held, hold_place, lost
+from ptnsbc_core.planner import Armed, Behaviour, attitude, composed
 from ptnsbc_core.quadrotor_control import quadrotor_control
-from ptnsbc_core.sighting import sighted
 from ptnsbc_core.tasks.clearance import clearance
 from ptnsbc_core.tasks.encounters import none_met
 from ptnsbc_core.timebase import Clock, loop_gain
-from ptnsbc_core.trajectory import Reference, reference
 from ptnsbc_core.types import (
     MODE_FORMATION,
     MODE_HOLD,
-    MODE_LAND,
-    NEVER_HEARD_S,
     PLANT_RIGID_BODY,
     AgentConfig,
     AgentDiagnostics,
@@ -80,86 +62,6 @@ def initial_state(own: Array, config: AgentConfig) -> AgentState:
 
 
 @leaf
-def _moved_on(estimate: Array, age_s: float) -> Array:
-    """Estimate (7,) of `age_s` ago carried to the present with its own velocity."""
-    out = estimate.copy()
-    for i in range(3):
-        out[i] += age_s * estimate[3 + i]
-    return out
-
-
-@leaf
-def estimated_leader(
-    state: AgentState, inputs: AgentInputs, clock: Clock, frozen: bool, config: AgentConfig
-) -> tuple[Array, bool]:
-    """Leader estimate (7,) at this tick, and whether it rests on anything heard."""
-    if config.leader:
-        return state_to_estimate(inputs.own), True
-    pinned = config.estimator.pinned and inputs.leader_age_s < NEVER_HEARD_S
-    leader = np.zeros(7)
-    if pinned:
-        leader = _moved_on(state_to_estimate(inputs.leader), inputs.leader_age_s)
-        if not state.heard:
-            return leader, True
-    if frozen:
-        still = state.estimate.copy()
-        for i in range(3, 6):
-            still[i] = 0.0
-        return still, state.heard
-    count = inputs.estimates.shape[0]
-    others = np.empty((count, 7))
-    heard = np.zeros(count)
-    anything = pinned
-    for k in range(count):
-        if inputs.estimate_age_s[k] <= config.stale_s:
-            age_s = inputs.estimate_age_s[k]
-            put(others[k], 0, _moved_on(odometry_to_estimate(inputs.estimates[k]), age_s))
-            heard[k] = 1.0
-            anything = True
-    if not anything:
-        return state.estimate.copy(), state.heard
-    # everything heard is carried to the present, so the own estimate must be too: compared one tick late
-    # it settles v dt behind, which the angle tasks multiply along the chain
-    present = state.estimate
-    if config.estimator.feed_forward:
-        present = _moved_on(state.estimate, clock.dt)
-    g = disagreement(present, others, heard, leader, pinned)
-    return estimator_step(state.estimate, g, clock.t, clock.dt, config.estimator), True
-
-
-@leaf
-def _lost(inputs: AgentInputs, start_t: float, config: AgentConfig) -> bool:
-    """Whether the parent or a leader link has been silent for too long (never heard counts after stale_s)."""
-    if config.leader or start_t < config.stale_s:
-        return False
-    if inputs.parent_age_s > config.stale_s:
-        return True
-    return config.estimator.pinned and inputs.leader_age_s > config.stale_s
-
-
-@leaf
-def _behaviour(
-    inputs: AgentInputs, estimate: Array, armed: Armed, clock: Clock, config: AgentConfig
-) -> Behaviour:
-    """The mission behaviour: leader tracking for the leader, formation for a follower that has heard."""
-    position = part(inputs.own, 0, 3)
-    if config.leader:
-        desired = reference(config.trajectory, clock.start_t)
-        return leader_tracking(position, desired, armed, clock, config)
-    if inputs.parent_age_s >= NEVER_HEARD_S:
-        rest = Reference(position, np.zeros(3), 0.0)
-        return leader_tracking(position, rest, armed, clock, config)
-    velocity = velocity_enu(inputs.parent)
-    parent = Neighbour(moved(inputs.parent, inputs.parent_age_s, velocity), velocity)
-    leader = Neighbour(part(estimate, 0, 3), part(estimate, 3, 3))
-    if config.sight_m > 0.0:
-        near, age_s = inputs.near, inputs.near_age_s
-        parent = sighted(parent, near, age_s, config.sight_m)
-        leader = sighted(leader, near, age_s, config.sight_m)
-    return formation(position, parent, leader, armed, clock, config)
-
-
-@leaf
 def _controlled(
     state: AgentState, inputs: AgentInputs, command: Command, clock: Clock, config: AgentConfig
 ) -> Control:
@@ -185,31 +87,6 @@ def _controlled(
         state.observer,
         config.filter.max_rate,
     )
-
-
-@leaf
-def _hold_place(state: AgentState, inputs: AgentInputs, holding: bool) -> Array:
-    """Where to hold (4,): where the UAV was when holding began."""
-    if holding and state.mode == MODE_FORMATION:
-        place = np.empty(4)
-        put(place, 0, inputs.own[0:3])
-        place[3] = yaw_of(inputs.own)
-        return place
-    return state.hold.copy()
-
-
-@leaf
-def _held(
-    behaviour: Behaviour, inputs: AgentInputs, place: Array, config: AgentConfig
-) -> Behaviour:
-    """The mission behaviour replaced by keeping a place, or by descending over it."""
-    velocity = hold(part(inputs.own, 0, 3), place, config)
-    if inputs.mode == MODE_LAND:
-        velocity[2] = -config.land_speed
-    jacobian = np.zeros((3, 3))
-    for i in range(3):
-        jacobian[i, i] = 1.0
-    return Behaviour(velocity, jacobian, behaviour.error, behaviour.singular_value)
 
 
 class Planned(NamedTuple):
@@ -273,18 +150,6 @@ def _told(inputs: AgentInputs, planned: Planned, config: AgentConfig) -> Array:
     return out
 
 
-@leaf
-def _desired_yaw(
-    estimate: Array, place: Array, holding: bool, clock: Clock, config: AgentConfig
-) -> float:
-    """Heading to keep [rad]: of the place held, of the trajectory (leader), or of the leader (follower)."""
-    if holding:
-        return float(place[3])
-    if config.leader:
-        return reference(config.trajectory, clock.start_t).yaw
-    return float(estimate[6])
-
-
 @kernel
 def step(
     state: AgentState, inputs: AgentInputs, t: float, dt: float, config: AgentConfig
@@ -302,15 +167,15 @@ def step(
         The state for the next tick and what to send now.
     """
     clock = Clock(t, inputs.start_age_s, dt)
-    holding = inputs.mode != MODE_FORMATION or _lost(inputs, clock.start_t, config)
+    holding = inputs.mode != MODE_FORMATION or lost(inputs, clock.start_t, config)
     estimate, heard = estimated_leader(state, inputs, clock, holding, config)
-    place = _hold_place(state, inputs, holding)
-    yaw = _desired_yaw(estimate, place, holding, clock, config)
+    place = hold_place(state, inputs, holding)
+    yaw = desired_yaw(estimate, place, holding, clock, config)
 
     errors = state.start_error.copy()
     arms = state.mode == _NOT_YET or t < state.last_t or state.heard != heard
     armed = Armed(arms, part(errors, 0, 3), part(errors, 3, 3))
-    behaviour = _behaviour(inputs, estimate, armed, clock, config)
+    behaviour = behaviour_of_mission(inputs, estimate, armed, clock, config)
     rates, euler_error = np.zeros(3), np.zeros(3)
     if config.controller.plant == PLANT_RIGID_BODY:  # a quadrotor's attitude is its controller's
         rates, euler_error = attitude(inputs.own, yaw, armed, clock, config)
@@ -318,7 +183,7 @@ def step(
         put(errors, 0, behaviour.error)
         put(errors, 3, euler_error)
     if holding:
-        behaviour = _held(behaviour, inputs, place, config)
+        behaviour = held(behaviour, inputs, place, config)
 
     planned = _planned(state, inputs, behaviour, rates, yaw, dt, config)
     command = planned.command

@@ -16,6 +16,7 @@ import numpy as np
 
 from ptnsbc_core.algebra import cross3, norm3, put, saturation, transpose_times, wrap
 from ptnsbc_core.controller import limit_wrench
+from ptnsbc_core.estimator import estimated_leader
 from ptnsbc_core.kernel import kernel
 from ptnsbc_core.kinematics import (
     body_rates,
@@ -25,7 +26,6 @@ from ptnsbc_core.kinematics import (
     rotation_from_quaternion,
     velocity_enu,
 )
-from ptnsbc_core.step import estimated_leader
 from ptnsbc_core.timebase import Clock
 from ptnsbc_core.trajectory import reference
 from ptnsbc_core.types import (
