@@ -25,7 +25,7 @@ from ptnsbc_nodes.rosargs import ros_errors, without_ros
 from ptnsbc_nodes.spin import make_executor
 
 USER_ERROR = 2
-_FLUSH_S = 8.0  # less than the launcher waits; a recorder that is busy is seconds behind
+_FLUSH_S = 5.0  # half of what the launcher waits; a recorder that is busy is seconds behind
 _SIGNAL_CHECK_S = 0.2
 
 
