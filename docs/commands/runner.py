@@ -15,7 +15,7 @@ from typing import NamedTuple
 from docs.commands.blocks import Block, How
 
 _INTERRUPTED = 130
-_LONGEST_S = 120.0
+_LONGEST_S = 240.0
 _ENDING_S = 60.0
 _LOOK_S = 0.05
 _TAIL_LINES = 25

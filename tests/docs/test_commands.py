@@ -128,7 +128,7 @@ def test_what_ci_runs_is_looked_up_there(tmp_path):
 
 
 def test_ctrl_c_ends_what_runs_for_a_time(tmp_path):
-    done, _ = _outcomes(tmp_path, ("for 0 s", "sleep 60"), ("each for 0 s", "sleep 60\nsleep 60"))
+    done, _ = _outcomes(tmp_path, ("for 1 s", "sleep 60"), ("each for 1 s", "sleep 60\nsleep 60"))
     assert [outcome.problem for outcome in done] == ["", ""]
 
 

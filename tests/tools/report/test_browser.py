@@ -145,6 +145,7 @@ def test_the_line_in_the_figures_follows(tab: Any) -> None:
     edges = []
     for time in (1, 5):
         page.evaluate(f"page.clock.seek({time})")
+        cursor.wait_for()  # shown with the next frame
         edges.append(cursor.bounding_box()["x"])
     axis = page.evaluate(APART)
     assert edges[1] - edges[0] == pytest.approx(axis, abs=2)
