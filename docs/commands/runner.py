@@ -65,7 +65,7 @@ class _Process:
         while self.code is None and (text is None or text not in self.output):
             if time.monotonic() > end:
                 return False
-            time.sleep(_LOOK_S)
+            time.sleep(_LOOK_S)  # what stands in a log wakes nobody
         return True
 
     def interrupt(self) -> bool:
