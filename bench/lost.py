@@ -1,7 +1,9 @@
 """What a recorder lost: messages that processes say they published, against those in the bag.
 
 In lock-step nothing is published before the flight, and all messages count. In real time those count that were
-published after the process had heard of the first leg; the bag's own stamps tell which these are.
+published after the process had heard of the first leg; the bag's own stamps tell which these are. What a step
+sends is stamped like the odometry it was made of, and two steps can be made of the same one: where that happens
+across the announcement, the steps after it that share that odometry count for nothing.
 """
 
 from __future__ import annotations
@@ -18,6 +20,13 @@ from ptnsbc_nodes.wire import decode_floats, decode_integers, peek_sequence_stam
 from ptnsbc_tools.diagnostics import decode_diagnostics
 
 _MADE = (topics.TF.name,)  # by the recorder itself
+
+
+_Since = Callable[[bytes], bool]
+"""Whether a message counts."""
+
+_Counting = Callable[[str], tuple[_Since, int]]
+"""Of a topic: which of its messages count, and how many of those sent do not."""
 
 
 class Kept(NamedTuple):
@@ -42,15 +51,15 @@ def in_real_time(bag: Bag, told: Mapping[str, Sent]) -> Iterator[Kept]:
     """By topic, of /diagnostics by process; `told` is what each process has sent, by its name."""
     for process, one in told.items():
         uav = process.removeprefix("uav")
-        counts = _of_uav(bag, int(uav), one) if uav.isdecimal() else _of_sim(one)
+        counting = _of_uav(bag, int(uav), one) if uav.isdecimal() else _of_sim(one)
         for topic, sent in one.sent.items():
+            after = sent - one.before[topic]
             if topic == topics.DIAGNOSTICS.name:
-                yield Kept(
-                    f"{topic} of {process}", sent - one.before[topic], _said(bag, process, one)
-                )
+                yield Kept(f"{topic} of {process}", after, _said(bag, process, one))
             elif topic in bag.topics and topic not in (*_MADE, topics.EPOCH.name):
-                recorded = sum(counts(topic, message.data) for message in bag.messages([topic]))
-                yield Kept(topic, sent - one.before[topic], recorded)
+                since, left_out = counting(topic)
+                recorded = sum(since(message.data) for message in bag.messages([topic]))
+                yield Kept(topic, after - left_out, recorded)
 
 
 def _said(bag: Bag, process: str, one: Sent) -> int:
@@ -60,34 +69,36 @@ def _said(bag: Bag, process: str, one: Sent) -> int:
     )
 
 
-def _of_sim(one: Sent) -> Callable[[str, bytes], bool]:
-    """Whether a message counts: the sim stamps all by its own clock."""
+def _of_sim(one: Sent) -> _Counting:
+    """The sim stamps all by its own clock."""
 
-    def counts(topic: str, data: bytes) -> bool:
+    def counting(topic: str) -> tuple[_Since, int]:
         peek = peek_sequence_stamp if topic == topics.MARKERS.name else peek_stamp
-        return (peek(data) or 0) > one.since_ns
+        return lambda data: (peek(data) or 0) > one.since_ns, 0
 
-    return counts
+    return counting
 
 
-def _of_uav(bag: Bag, uav: int, one: Sent) -> Callable[[str, bytes], bool]:
-    """Whether a message counts: it belongs to the first step after the announcement, or to a later one.
-
-    What a step sends is stamped like the odometry it was made of. Two steps are never made of the same one
-    there, or the first of them would be counted too.
-    """
+def _of_uav(bag: Bag, uav: int, one: Sent) -> _Counting:
+    """What a step sends has the stamp of the odometry it was made of, but for the notes of the steps themselves."""
     notes = [_note(m.data) for m in bag.messages([topics.tick(uav).name])]
-    first = next(note for note in notes if note.moment.now_ns > one.since_ns)
-    made_of_ns = first.used[OWN].stamp_ns
+    after = [note for note in notes if note.moment.now_ns > one.since_ns]
+    before = [_made_of_ns(note) for note in notes if note.moment.now_ns <= one.since_ns]
+    heard_ns = max(before, default=-1)
+    shared = sum(_made_of_ns(note) <= heard_ns for note in after)
 
-    def counts(topic: str, data: bytes) -> bool:
+    def counting(topic: str) -> tuple[_Since, int]:
         if topic == topics.tick(uav).name:
-            return _note(data).moment.now_ns > one.since_ns
+            return lambda data: _note(data).moment.now_ns > one.since_ns, 0
         if topic == topics.snapshot(uav).name:
-            return bool(decode_floats(data).values[0] >= first.sequence)
-        return peek_stamp(data) >= made_of_ns
+            return lambda data: bool(decode_floats(data).values[0] >= after[0].sequence), 0
+        return lambda data: peek_stamp(data) > heard_ns, shared
 
-    return counts
+    return counting
+
+
+def _made_of_ns(note: TickNote) -> int:
+    return note.used[OWN].stamp_ns
 
 
 def _note(data: bytes) -> TickNote:

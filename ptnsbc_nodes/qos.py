@@ -29,7 +29,7 @@ EVENT = _keep_last(10, reliable=True)
 LATCHED = _keep_last(1, reliable=True, latched=True)
 
 RECORDER_REALTIME = _keep_last(100, reliable=False)
-RECORDER_LOCKSTEP = _keep_last(1000, reliable=True)
+RECORDER_RELIABLE = _keep_last(1000, reliable=True)
 RECORDER_LATCHED = _keep_last(100, reliable=True, latched=True)
 
 
@@ -45,9 +45,12 @@ def profile(topic: Topic, *, lockstep: bool) -> QoSProfile:
 def recorder_profile(topic: Topic, *, lockstep: bool) -> QoSProfile:
     """The profile with which the recorder requests `topic`: fits every publisher of ours.
 
-    In real time it is best effort even where the publisher is reliable, so that a slow disk never
-    holds a UAV up; the deep queue covers the pauses.
+    What comes at the control rate is best effort in real time, as it is offered; the deep queue covers the
+    pauses. The rest is rare and reliable: while twenty UAVs are introduced to each other, best effort lost a
+    status now and then.
     """
     if topic.role is Role.LATCHED:
         return RECORDER_LATCHED
-    return RECORDER_LOCKSTEP if lockstep else RECORDER_REALTIME
+    if lockstep or topic.role is Role.EVENT:
+        return RECORDER_RELIABLE
+    return RECORDER_REALTIME

@@ -51,3 +51,4 @@ def test_recorder_fits_every_publisher(lockstep):
         state = topic.role is topics.Role.STATE
         reliable = offered.reliability == rclpy_qos.QoSReliabilityPolicy.RELIABLE
         assert reliable == (lockstep or not state)
+        assert requested.reliability == offered.reliability
