@@ -12,6 +12,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 _TAIL_LINES = 12
+# As `python -m`, but without the current folder on the path: a yaml.py that lies there is nobody's YAML.
+# (`python -P` does the same, from Python 3.11 on.)
+_RUN_MODULE = (
+    "import sys; sys.path[:] = filter(None, sys.path); import runpy; "
+    "runpy.run_module(sys.argv.pop(1), run_name='__main__', alter_sys=True)"
+)
 _PATIENCE_S = 10.0
 # What a process is given to end in after the harder signals.
 _HARDER = {signal.SIGTERM: 3.0, signal.SIGKILL: 5.0}
@@ -37,7 +43,7 @@ EXECUTABLES = {
     "ptnsbc_nodes.fleet_node": "fleet",
     "ptnsbc_nodes.tower_node": "tower",
 }
-"""What `ros2 run ptnsbc_nodes` and launch files call each module."""
+"""What `ros2 run ptnsbc_nodes`, `ptnsbc node` and launch files call each module."""
 
 
 class Child:
@@ -50,7 +56,7 @@ class Child:
         self._read = 0
         with self.log.open("wb") as log:
             self._process = subprocess.Popen(
-                [sys.executable, "-m", command.module, *command.arguments],
+                [sys.executable, "-c", _RUN_MODULE, command.module, *command.arguments],
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=subprocess.STDOUT,

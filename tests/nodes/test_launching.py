@@ -41,6 +41,18 @@ def test_a_users_domain_that_is_no_number_is_refused(monkeypatch):
         pass
 
 
+def test_what_lies_in_the_current_folder_is_not_imported(own_discovery, monkeypatch, tmp_path):
+    folder = tmp_path / "users"
+    (folder / "ptnsbc_nodes").mkdir(parents=True)
+    for name in ("numpy.py", "yaml.py", "rclpy.py", "ptnsbc_nodes/__init__.py"):
+        (folder / name).write_text("raise SystemExit('this is not it')")
+    monkeypatch.chdir(folder)
+    command = Command("sim", "ptnsbc_nodes.sim_node", ("--version",))
+    child = Child(command, environment.for_children(5, 1, tmp_path), tmp_path)
+    assert child.wait(60.0) == 0, child.tail()
+    assert child.last_line().startswith("ptnsbc ")
+
+
 @pytest.fixture
 def own_discovery(monkeypatch):
     for name in (
