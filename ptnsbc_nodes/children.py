@@ -34,6 +34,11 @@ class Command:
     managed: str | None = None  # its node below the fleet, when the launcher drives its life cycle
     ends: bool = False  # by itself, with 0, when the flight is over
 
+    @property
+    def lost(self) -> str:
+        """Whom the flight has lost with it: a bridge takes its UAV along."""
+        return self.name if self.uav is None else f"uav{self.uav}"
+
 
 EXECUTABLES = {
     "ptnsbc_nodes.uav_node": "uav",

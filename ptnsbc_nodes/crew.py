@@ -116,6 +116,11 @@ def tower_arguments(options: FleetOptions, scenario_file: Path) -> tuple[str, ..
     return ("--scenario", str(scenario_file), "--manage", *kind)
 
 
+def loss_arguments(command: Command, scenario_file: Path) -> tuple[str, ...]:
+    """Of the process that tells the others that this one has ended, where our launcher does not."""
+    return ("--scenario", str(scenario_file), "--lose", command.lost)
+
+
 def _bridge(options: FleetOptions, common: Sequence[str], uav: int) -> Command:
     arguments = [*common, "--uav", str(uav), "--managed"]
     if options.allow_arming:

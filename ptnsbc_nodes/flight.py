@@ -260,8 +260,7 @@ class Flight:
             if not (child.command.ends and code == 0):
                 self.died.append(child)
                 self._progress(child.obituary())
-                uav = child.command.uav
-                lost.add(child.name if uav is None else f"uav{uav}")
+                lost.add(child.command.lost)
             for name in lost:
                 self._tower.lose(name)
         for name in self._tower.gone.intersection(self._elsewhere) - self._told:

@@ -1,6 +1,6 @@
 """Takes the nodes of a flight to active and starts it when all are ready: what `fleet` does, for launch files.
 
-`python -m ptnsbc_nodes.tower_node --scenario FILE [--manage] [--bridged]`
+`python -m ptnsbc_nodes.tower_node --scenario FILE [--manage] [--bridged] [--lose NAME]`
 """
 
 from __future__ import annotations
@@ -34,6 +34,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--patience", type=float, metavar="S", help="give up after so long; 30 s + 5 s per UAV"
     )
+    parser.add_argument(
+        "--lose", metavar="NAME", help="instead, tell all that this process has ended, until Ctrl-C"
+    )
     return run(parser, argv, _serve)
 
 
@@ -44,9 +47,12 @@ def _serve(arguments: argparse.Namespace, argv: list[str]) -> int:
         backend="mavlink" if arguments.bridged else "sim",
         ready_timeout_s=arguments.patience,
     )
+    name = f"lost_{arguments.lose}" if arguments.lose else "fleet"
     with ros_errors():
-        tower = Tower(int(os.environ.get("ROS_DOMAIN_ID", "0")), ros_arguments=argv[1:])
+        tower = Tower(int(os.environ.get("ROS_DOMAIN_ID", "0")), name, argv[1:])
     with StopRequest() as stop, tower:
+        if arguments.lose:
+            return _mourn(tower, arguments.lose, stop)
         uavs = [f"uav{i}" for i in scenario.uav_ids]
         bridges = [f"bridge{i}" for i in scenario.uav_ids] if arguments.bridged else []
         if arguments.manage:
@@ -86,6 +92,15 @@ def _start(tower: Tower, names: Sequence[str], patience_s: float, stop: StopRequ
             told = time.monotonic()
             _say("; ".join(lines))
     return False
+
+
+def _mourn(tower: Tower, name: str, stop: StopRequest) -> int:
+    """Say who has ended, to those who come later too: nobody is to wait for it."""
+    tower.lose(name)
+    _say(f"{name} has ended: nobody waits for it")
+    while not stop.came:
+        tower.spin(_LOOK_S)
+    return 0
 
 
 def _land(tower: Tower, duration_s: float, stop: StopRequest) -> None:

@@ -84,6 +84,11 @@ class Shutdown:
         self.reason = reason
 
 
+class ProcessExited:
+    def __init__(self, *, returncode, **_):
+        self.returncode = returncode
+
+
 class EmitEvent(LaunchDescriptionEntity):
     def __init__(self, *, event, **kwargs):
         super().__init__(**kwargs)
@@ -144,6 +149,7 @@ MODULES = {
     "launch.conditions": (IfCondition,),
     "launch.event_handlers": (OnProcessExit,),
     "launch.events": (Shutdown,),
+    "launch.events.process": (ProcessExited,),
     "launch.substitutions": (LaunchConfiguration,),
     "launch_ros": (),
     "launch_ros.actions": (Node,),

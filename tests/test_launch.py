@@ -228,39 +228,52 @@ def test_an_argument_outside_its_choices_is_refused(evaluate):
         evaluate("uav")
 
 
-def ends(kind, entities, node_index):
-    """Reasons for a shutdown when the process of a node ends."""
-    target = [entity for entity in entities if kind.is_node(entity)][node_index]
-    reasons = []
-    for entity in entities:
-        handler = getattr(entity, "event_handler", None)
-        if handler is not None and handler.target_action is target:
-            reasons += [event.event.reason for event in handler.handle(None, None)]
-    return reasons
+class Follow:
+    """What a launch file does when its processes end, one after the other."""
+
+    def __init__(self, kind, entities):
+        self._kind, self._entities = kind, entities
+        self._nodes = [entity for entity in entities if kind.is_node(entity)]
+
+    def end(self, index, returncode=0):
+        """The reason for a shutdown, or the arguments of what is started."""
+        found = []
+        for entity in self._entities:
+            handler = getattr(entity, "event_handler", None)
+            if handler is not None and handler.target_action is self._nodes[index]:
+                event = SimpleNamespace(returncode=returncode)
+                found += handler.handle(event, None)
+        return [
+            self._kind.started(entity).arguments[-2:]
+            if self._kind.is_node(entity)
+            else entity.event.reason
+            for entity in found
+        ]
 
 
+OVER, LOST_2 = ["the flight is over"], [["--lose", "uav2"]]
+MAVLINK = {"scenario": "experiment_4", "backend": "mavlink", "allow_arming": "true"}
+
+
+@pytest.mark.parametrize("lockstep", ["true", "false"])
 @pytest.mark.parametrize(
-    ("arguments", "order", "reasons"),
+    ("arguments", "ended"),
     [
-        ({"scenario": "paper_5"}, [0], ["the flight is over"]),
-        ({"scenario": "paper_5"}, [2], []),  # a UAV in real time: the others fly on
-        ({"scenario": "paper_5", "lockstep": "true"}, [2], ["uav2 has ended"]),
-        (
-            {"scenario": "experiment_4", "backend": "mavlink", "allow_arming": "true"},
-            [0, 1, 2, 3],
-            ["the flight is over"],
-        ),
+        ({}, [(0, 0, OVER)]),  # the sim
+        ({}, [(0, 1, OVER)]),
+        ({}, [(2, 1, LOST_2), (0, 0, OVER)]),
+        ({"record": "flight"}, [(0, 1, [["--lose", "recorder"]])]),
+        ({}, [*((i, 0, [["--lose", f"uav{i}"]]) for i in range(1, 5)), (5, 0, ["no UAV is left"])]),
+        (MAVLINK, [(0, 0, []), (1, 0, []), (2, 0, []), (3, 0, OVER)]),  # every bridge has landed
+        (MAVLINK, [(1, 1, LOST_2), (0, 0, []), (2, 0, []), (3, 0, OVER)]),
     ],
 )
-def test_what_ends_a_flight(monkeypatch, evaluate, kind, arguments, order, reasons):
+def test_what_ends_a_flight(evaluate, kind, lockstep, arguments, ended):
     if not isinstance(kind, StandIn):
         pytest.skip("asks the stand-in's event handlers")
-    entities, _ = evaluate("fleet", **arguments)
-    assert [reason for index in order for reason in ends(kind, entities, index)] == reasons
-
-
-def test_every_executable_is_installed():
-    shell = (ROOT / "ros2_ws" / "src" / "ptnsbc_nodes" / "setup.py").read_text()
-    for module, name in EXECUTABLES.items():
-        assert f'"{name} = {module}:main"' in shell
-        assert callable(importlib.import_module(module).main)
+    if "backend" in arguments and lockstep == "true":
+        pytest.skip("real vehicles do not wait")
+    entities, _ = evaluate("fleet", lockstep=lockstep, **arguments)
+    follow = Follow(kind, entities)
+    for index, code, what in ended:
+        assert follow.end(index, code) == what, (index, code)

@@ -17,11 +17,12 @@ from launch.actions import DeclareLaunchArgument, EmitEvent, OpaqueFunction, Reg
 from launch.conditions import IfCondition
 from launch.event_handlers import OnProcessExit
 from launch.events import Shutdown
+from launch.events.process import ProcessExited
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
 from ptnsbc_nodes.children import EXECUTABLES, Command
-from ptnsbc_nodes.crew import FleetOptions, commands, tower_arguments
+from ptnsbc_nodes.crew import FleetOptions, commands, loss_arguments, tower_arguments
 from ptnsbc_nodes.environment import ONE_THREAD
 from ptnsbc_nodes.fleet import refuse_nonsense
 from ptnsbc_nodes.warmup import load_agent, load_world
@@ -83,8 +84,8 @@ def flight(context: LaunchContext) -> list[LaunchDescriptionEntity]:
     file.write_text(options.scenario.text, encoding="utf-8")
     crew = commands(options, file)
     nodes = [_node(command) for command in crew]
-    tower = Command("tower", "ptnsbc_nodes.tower_node", tower_arguments(options, file))
-    return [*nodes, _node(tower), *_ends(options, crew, nodes), *_viewers()]
+    tower = _tower(tower_arguments(options, file))
+    return [*nodes, tower, *_ends(crew, nodes, file), *_viewers()]
 
 
 def _options(context: LaunchContext) -> FleetOptions:
@@ -117,26 +118,32 @@ def _node(command: Command) -> Node:
     )
 
 
-def _ends(
-    options: FleetOptions, crew: list[Command], nodes: list[Node]
-) -> list[RegisterEventHandler]:
-    """The flight is over with the sim, with the last bridge, or with a UAV that lock-step waits for."""
-    running = {id(node) for command, node in zip(crew, nodes, strict=True) if command.ends}
+def _tower(arguments: tuple[str, ...]) -> Node:
+    return _node(Command("tower", "ptnsbc_nodes.tower_node", arguments))
 
-    def gone(node: Node, reason: str) -> list[EmitEvent]:
-        running.discard(id(node))
-        return [] if running else [EmitEvent(event=Shutdown(reason=reason))]
 
-    handlers = []
-    for command, node in zip(crew, nodes, strict=True):
-        if command.ends:
-            on_exit = lambda _event, _context, node=node: gone(node, "the flight is over")  # noqa: E731
-        elif options.lockstep and command.uav is not None:
-            on_exit = [EmitEvent(event=Shutdown(reason=f"{command.name} has ended"))]
-        else:
-            continue
-        handlers.append(RegisterEventHandler(OnProcessExit(target_action=node, on_exit=on_exit)))
-    return handlers
+def _ends(crew: list[Command], nodes: list[Node], file: Path) -> list[RegisterEventHandler]:
+    """The flight is over with the sim, the last bridge or the last UAV; of others that end the rest is told."""
+    flies = {command.name for command in crew if command.ends}
+    uavs = {command.name for command in crew if command.uav is not None and not command.ends}
+
+    def gone(command: Command, event: ProcessExited) -> list[LaunchDescriptionEntity]:
+        flies.discard(command.name)
+        uavs.discard(command.name)
+        if not flies:
+            return [EmitEvent(event=Shutdown(reason="the flight is over"))]
+        if not uavs:
+            return [EmitEvent(event=Shutdown(reason="no UAV is left"))]
+        landed = command.ends and event.returncode == 0
+        return [] if landed else [_tower(loss_arguments(command, file))]
+
+    def handler(command: Command, node: Node) -> RegisterEventHandler:
+        on_exit = OnProcessExit(
+            target_action=node, on_exit=lambda event, _context: gone(command, event)
+        )
+        return RegisterEventHandler(on_exit)
+
+    return [handler(command, node) for command, node in zip(crew, nodes, strict=True)]
 
 
 def _viewers() -> list[Node]:
