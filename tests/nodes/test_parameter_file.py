@@ -34,3 +34,29 @@ def test_a_node_reads_the_same_scenario_from_it(ros, tmp_path, name):
     told.declare_scenario()
     changed = load_scenario(name, {"gains.hold.gain_1_s": 0.75})
     assert (told.uav, told.scenario.file) == (2, changed.file)
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize(("uav", "gain"), [(1, 0.5), (10, 0.25), (2, 0.75)])
+def test_uav1_and_uav10_have_their_own(ros, tmp_path, uav, gain):
+    """A name with a digit more is another name, and so is a key with a number in it."""
+    from ptnsbc_nodes.parameters import SCENARIO, UAV, Parameters
+
+    file = tmp_path / "params.yaml"
+    file.write_text(
+        "/**: {ros__parameters: {scenario: paper_20, gains: {hold: {gain_1_s: 0.75}},"
+        " communication: {tree: {2: 1, 20: 2}}}}\n"
+        "/uav1/controller: {ros__parameters: {gains.hold.gain_1_s: 0.5}}\n"
+        "/uav10/controller: {ros__parameters: {gains.hold.gain_1_s: 0.25}}\n",
+        encoding="utf-8",
+    )
+    node = ros.node(
+        "controller",
+        namespace=f"/uav{uav}",
+        automatically_declare_parameters_from_overrides=True,
+        cli_args=["--ros-args", "--params-file", str(file)],
+    )
+    told = Parameters(node, (*SCENARIO, UAV))
+    told.declare_scenario()
+    assert (told.uav, told.scenario.file.gains.hold.gain_1_s) == (uav, gain)
+    assert (told.scenario.parent(2), told.scenario.parent(20)) == (1, 2)

@@ -1,6 +1,8 @@
 """Each executable as a process: it comes up under its name, and a signal ends it cleanly."""
 
+import contextlib
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -94,3 +96,79 @@ def test_arguments_that_ros_refuses_are_one_line_and_exit_2(start, arguments, sa
     assert (process.returncode, out) == (2, "")
     assert err.startswith("uav: ") and says in err
     assert err.count("\n") == 1
+
+
+COLUMNS = {"publishes": 3, "hears": 4}
+PARAMETERS = {
+    "describe_parameters",
+    "get_parameter_types",
+    "get_parameters",
+    "list_parameters",
+    "set_parameters",
+    "set_parameters_atomically",
+}
+LIFECYCLE = {
+    "change_state",
+    "get_state",
+    "get_available_states",
+    "get_available_transitions",
+    "get_transition_graph",
+}
+
+
+def listed(what, node):
+    """Topics that docs/architecture.md lists for a kind of node, with N for the number of a UAV."""
+    text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    rows = text.partition("<!-- made: topics -->")[2].partition("<!-- /made -->")[0].splitlines()
+    cells = [[cell.strip(" `") for cell in row.split("|")[1:-1]] for row in rows if "`/" in row]
+    return {row[0] for row in cells if node in row[COLUMNS[what]]}
+
+
+def plain(names):
+    return {re.sub(r"^/uav\d+/(?!bridge/)", "/uavN/", name) for name in names}
+
+
+# What paper_5 has no use for, and what a bridge has without an operator and with other settings.
+UNUSED = {
+    "/sim": {"publishes": {"/uavN/truth"}, "hears": {"/formation/recorded"}},
+    "/uav3/bridge": {"publishes": set(), "hears": {"/uavN/setpoint/wrench"}},
+}
+
+
+@pytest.mark.parametrize("name", ["/sim", "/uav3/bridge"])
+def test_the_graph_shows_what_the_architecture_lists(ros, start, tmp_path, name):
+    """As `ros2 node info` asks, of a process as it is started."""
+    words = commands(tmp_path).get(name)
+    if words is None:
+        pytest.skip("pymavlink is not installed")
+    process, looker = start(*words), ros.node("looker")
+    space, _, node = name.rpartition("/")
+    managed = name.endswith("bridge")
+    kind = "bridge" if managed else "sim"
+    own = {f"{name}/{service}" for service in (PARAMETERS | LIFECYCLE if managed else PARAMETERS)}
+    asked = {
+        "publishes": looker.get_publisher_names_and_types_by_node,
+        "hears": looker.get_subscriber_names_and_types_by_node,
+        "serves": looker.get_service_names_and_types_by_node,
+        "calls": looker.get_client_names_and_types_by_node,
+    }
+    besides = {"/parameter_events", *([f"{name}/transition_event"] if managed else ())}
+    expected = {
+        "publishes": (listed("publishes", kind) | besides) - UNUSED[name]["publishes"],
+        "hears": listed("hears", kind) - UNUSED[name]["hears"],
+        "serves": own | {f"{name}/get_type_description"},
+        "calls": set(),
+    }
+
+    def shown():
+        assert process.poll() is None, process.communicate()
+        if (node, space or "/") not in looker.get_node_names_and_namespaces():
+            return {}
+        return {
+            what: plain(topic for topic, _ in ask(node, space or "/"))
+            for what, ask in asked.items()
+        }
+
+    with contextlib.suppress(TimeoutError):
+        ros.spin_until(lambda: shown() == expected, timeout=PATIENCE_S)
+    assert shown() == expected

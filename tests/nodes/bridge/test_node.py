@@ -1,0 +1,64 @@
+"""The bridge as a managed node: when it may leave its vehicle alone."""
+
+import pytest
+
+pytest.importorskip("rclpy")
+pytest.importorskip("pymavlink")
+
+from rclpy.lifecycle import TransitionCallbackReturn
+
+from ptnsbc_nodes.bridge.bridge import WANTED_MESSAGES
+from ptnsbc_nodes.bridge.node import BridgeNode, FlyingError
+from ptnsbc_nodes.bridge.steps import Step
+from ptnsbc_nodes.edges import Edges, FlightOptions
+from ptnsbc_nodes.managed import Managed
+from ptnsbc_nodes.mavlink.link import Link
+from ptnsbc_nodes.mavlink.transport import connect
+from ptnsbc_sim.scenario import load_scenario
+
+pytestmark = pytest.mark.ros
+
+SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
+UAV = 3
+
+
+@pytest.fixture
+def active(ros):
+    """A bridge that speaks to nobody; its `bridge` is not turned, so that a test says where it is."""
+    scenario = load_scenario("experiment_4").bridged()
+    node = Managed("bridge", namespace=f"/uav{UAV}", context=ros.context, enable_rosout=False)
+    ros.adopt(node)
+    edges = Edges(scenario, FlightOptions(bridged=True))
+
+    def make():
+        link = Link(connect("udpout:127.0.0.1:9"), UAV, WANTED_MESSAGES, None)
+        shell = BridgeNode(node, scenario, UAV, edges, link, True, lambda: None)
+        shell.bridge.turn = lambda: None
+        return shell
+
+    node.assign(make, lambda: None)
+    node.autostart()
+    yield node
+    node.work.close()
+
+
+@pytest.mark.parametrize("step", [Step.TAKEOFF, Step.AIRBORNE, Step.FLY, Step.LAND])
+def test_in_flight_it_refuses_to_be_deactivated(active, step):
+    bridge = active.work.bridge
+    bridge.vehicle.armed = True
+    bridge.procedure._course.step = step
+    assert active.trigger_deactivate() is FAILURE
+    assert isinstance(active.refusal, FlyingError)
+    assert f"bridge3: {step.value}: expected a vehicle that is not flown" in str(active.refusal)
+    assert active.state == "active"
+    bridge.vehicle.armed = False
+    assert active.trigger_deactivate() is SUCCESS
+    assert active.state == "inactive"
+
+
+@pytest.mark.parametrize("step", [Step.HEARTBEAT, Step.YIELDED])
+def test_what_somebody_else_flies_it_may_leave(active, step):
+    active.work.bridge.vehicle.armed = True
+    active.work.bridge.procedure._course.step = step
+    assert active.trigger_deactivate() is SUCCESS
+    assert active.trigger_activate() is SUCCESS
