@@ -21,6 +21,7 @@ from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_nodes import environment
 from ptnsbc_nodes.edges import FlightOptions
 from ptnsbc_nodes.managed import Managed
+from ptnsbc_nodes.provenance import add_version
 from ptnsbc_nodes.rosargs import ros_errors, without_ros
 from ptnsbc_nodes.spin import make_executor
 
@@ -34,6 +35,7 @@ class Arguments(argparse.ArgumentParser):
 
     def __init__(self, name: str, description: str, *, scenario: bool = True) -> None:
         super().__init__(prog=name, description=description)
+        add_version(self)
         self.add_argument(
             "--scenario", required=scenario, help="scenario file, or name of a built-in"
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import platform
 import re
 import subprocess
@@ -43,6 +44,11 @@ def own_version() -> str:
         for found_there in distributions(name=name, path=[str(_ROOT)]):
             return found_there.version
     return "unknown"
+
+
+def add_version(parser: argparse.ArgumentParser) -> None:
+    """Let a program answer --version, all of them alike."""
+    parser.add_argument("--version", action="version", version=f"ptnsbc {own_version()}")
 
 
 def _commit() -> str:

@@ -36,6 +36,7 @@ from ptnsbc_nodes.bag.msgdef import has_header
 from ptnsbc_nodes.bag.reorder import Held, ReorderBuffer
 from ptnsbc_nodes.endpoints import RECORDED, full_name
 from ptnsbc_nodes.network import NetworkError
+from ptnsbc_nodes.provenance import add_version
 from ptnsbc_nodes.rosargs import RosArgumentsError, ros_errors, without_ros
 from ptnsbc_nodes.spin import drain, make_executor, spin_for
 from ptnsbc_nodes.topics import Topic
@@ -309,6 +310,7 @@ def _pair(text: str) -> tuple[str, str]:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="recorder", description="Record a flight into a bag.")
+    add_version(parser)
     parser.add_argument("--bag", type=Path, required=True, help="folder to create")
     parser.add_argument("--uavs", type=int, nargs="+", required=True, metavar="N")
     parser.add_argument("--lockstep", action="store_true", help="same flight, same bytes")

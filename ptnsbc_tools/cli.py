@@ -15,6 +15,7 @@ from ptnsbc_tools.autopilot.command import autopilot
 from ptnsbc_tools.bags.command import app as bags
 from ptnsbc_tools.bridge.command import bridge
 from ptnsbc_tools.network.command import app as network_app
+from ptnsbc_tools.node.command import SETTINGS, node
 from ptnsbc_tools.params.command import params
 from ptnsbc_tools.plot.command import plot
 from ptnsbc_tools.record.command import record
@@ -223,6 +224,7 @@ app.command()(autopilot)
 app.command()(record)
 app.command()(params)
 app.command()(bridge)
+app.command(context_settings=SETTINGS)(node)
 app.command()(stop)
 app.command()(replay)
 app.add_typer(bags, name="bag")

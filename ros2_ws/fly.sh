@@ -28,7 +28,7 @@ copy() {
 bare() {
   mkdir "$scratch/$1"
   cp -al .venv/. "$scratch/$1"
-  (cd "$scratch/$1" && rm -rf bin/ptnsbc lib/ptnsbc_nodes share/ptnsbc share/ament_index/resource_index/packages/ptnsbc_* \
+  (cd "$scratch/$1" && rm -rf bin/ptnsbc lib/ptnsbc_* share/ptnsbc* share/ament_index/resource_index/packages/ptnsbc_* \
     lib/python*/site-packages/{ptnsbc-*,ptnsbc_*,__editable__*ptnsbc*,__editable___ptnsbc*,__pycache__/__editable___ptnsbc*})
 }
 
@@ -54,6 +54,19 @@ check_version() {
   local said
   said=$("${@:2}" --version)
   [ "$said" = "ptnsbc $version" ] || die "$1: ptnsbc --version says '$said': expected 'ptnsbc $version'"
+}
+
+# What `ros2 run` finds, and what is on the path; every one of them tells the version when run as told.
+#   check_programs WHAT, where ptnsbc_nodes and ptnsbc_tools are, COMMAND...
+names=
+check_programs() {
+  local what=$1 nodes=$2 tools=$3 found program
+  shift 3
+  found=$(cd "$nodes/lib" && ls ptnsbc_nodes/*; cd "$tools/lib" && ls ptnsbc_tools/*; cd "$tools" && ls bin/ptnsbc*)
+  [ "$found" = "${names:=$found}" ] || die "$what: programs: ${found//$'\n'/ }: expected as colcon made them: ${names//$'\n'/ }"
+  for program in "$nodes"/lib/ptnsbc_nodes/* "$tools/lib/ptnsbc_tools/ptnsbc" "$tools/bin/ptnsbc"; do
+    check_version "$what: $program" "$@" "$program"
+  done
 }
 
 # A module that is no more, as an older version leaves it where builds put things.
@@ -93,11 +106,13 @@ haunt "$scratch/plain/ros2_ws/build/ptnsbc_nodes/build/lib/ptnsbc_nodes"
 say "again, over what an older version left"
 build plain
 [ ! -e "$scratch/env/bin/ptnsbc" ] || die "the environment is not bare"
-check_version "colcon build" within plain "$scratch/plain/ros2_ws/install/ptnsbc_tools/lib/ptnsbc_tools/ptnsbc"
+installed=$scratch/plain/ros2_ws/install
+check_programs "colcon build" "$installed"/ptnsbc_{nodes,tools} within plain
 
 say "a flight of 10 s with the installed executables, the sources gone"
 rm -rf "$scratch"/plain/ptnsbc_* "$scratch"/plain/ros2_ws/{src,build}
-within plain places "$scratch/plain/ros2_ws/install" python
+within plain places "$installed" python
+within plain "$installed/ptnsbc_tools/bin/ptnsbc" check paper_5 >/dev/null
 sed 's/^  duration_s: .*/  duration_s: 10/' scenarios/paper_5.yaml >"$scratch/flight.yaml"
 within plain python -c "
 from ptnsbc_nodes.warmup import load_agent, load_world
@@ -107,12 +122,12 @@ load_agent(scenario, 1)
 load_world(scenario)"
 export ROS_DOMAIN_ID=${ROS_DOMAIN_ID:-$((RANDOM % 100 + 1))}
 within plain fly
-within plain "$scratch/plain/ros2_ws/install/ptnsbc_tools/lib/ptnsbc_tools/ptnsbc" verify "$scratch/bag"
+within plain ptnsbc verify "$scratch/bag"
 
 say "colcon build --symlink-install"
 copy linked
 build linked --symlink-install
-check_version "colcon build --symlink-install" within linked "$scratch/linked/ros2_ws/install/ptnsbc_tools/lib/ptnsbc_tools/ptnsbc"
+check_programs "colcon build --symlink-install" "$scratch"/linked/ros2_ws/install/ptnsbc_{nodes,tools} within linked
 within linked places "$scratch/linked" python
 
 say "pip install ., over what older versions left"
@@ -122,15 +137,20 @@ mkdir "$scratch/wheel/ptnsbc.egg-info"
 printf 'Metadata-Version: 2.1\nName: ptnsbc\nVersion: 0.0.1\n' >"$scratch/wheel/ptnsbc.egg-info/PKG-INFO"
 pip=("$scratch/env/bin/python" -m pip --quiet --no-input install --no-deps --no-build-isolation --no-index)
 "${pip[@]}" "$scratch/wheel"
-check_version "pip install" "$scratch/env/bin/ptnsbc"
+check_programs "pip install" "$scratch"/env{,} env -C /
 (cd / && places "$scratch/env" "$scratch/env/bin/python")
 check_version "pip install, in another checkout" env -C "$scratch/linked" "$scratch/env/bin/ptnsbc"
 
 say "pip install -e ., over that"
 "${pip[@]}" -e "$scratch/linked"
-check_version "pip install -e" "$scratch/env/bin/ptnsbc"
+check_programs "pip install -e" "$scratch"/env{,} env -C /
 (cd / && places "$scratch/linked" "$scratch/env/bin/python")
 
 say "the workspace again, with an older version installed by pip"
-check_version "colcon build, pip beside" within linked "$scratch/linked/ros2_ws/install/ptnsbc_tools/lib/ptnsbc_tools/ptnsbc"
+check_programs "colcon build, pip beside" "$scratch"/linked/ros2_ws/install/ptnsbc_{nodes,tools} within linked
+
+say "pip uninstall"
+"$scratch/env/bin/python" -m pip --quiet uninstall --yes ptnsbc
+left=$(cd "$scratch/env" && find . -path '*ptnsbc*' -not -type d -not -path '*/__pycache__/*')
+[ -z "$left" ] || die "pip uninstall left ${left//$'\n'/ }"
 say "all of it from where it was meant to be"

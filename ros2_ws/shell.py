@@ -7,10 +7,30 @@ import shutil
 from pathlib import Path
 from typing import Any
 
-from setuptools import find_packages, setup
+from setuptools import Distribution, find_packages, setup
 from setuptools.command.build_py import build_py
 
+from distutils.command.install_data import install_data  # isort: skip  (setuptools provides it)
+
 PROJECT = Path(__file__).resolve().parents[1] / "pyproject.toml"
+
+PROGRAMS = {
+    "ptnsbc_nodes": {
+        "uav": "ptnsbc_nodes.uav_node:main",
+        "sim": "ptnsbc_nodes.sim_node:main",
+        "recorder": "ptnsbc_nodes.recorder:main",
+        "fleet": "ptnsbc_nodes.fleet_node:main",
+        "bridge": "ptnsbc_nodes.bridge_node:main",
+        "tower": "ptnsbc_nodes.tower_node:main",
+    },
+    "ptnsbc_tools": {"ptnsbc": "ptnsbc_tools.cli:main"},
+}
+"""What `ros2 run` finds in each package, made by colcon or by pip: name and function."""
+
+# pip makes bin/ptnsbc, with its Python; names as plain as `sim` do not belong beside it.
+_BESIDE_PIPS = """#!/bin/sh
+exec "$(dirname -- "$0")/../../bin/ptnsbc"{words} "$@"
+"""
 
 
 class FreshBuild(build_py):
@@ -20,6 +40,29 @@ class FreshBuild(build_py):
         for package in {name.partition(".")[0] for name in self.packages or ()}:
             shutil.rmtree(Path(self.build_lib) / package, ignore_errors=True)
         super().run()
+
+
+class WithPrograms(install_data):
+    """Also writes what makes an environment of pip's one that `ros2 run` finds the programs in."""
+
+    def run(self) -> None:
+        super().run()
+        for package, programs in PROGRAMS.items():
+            folder = Path(self.install_dir) / "lib" / package
+            folder.mkdir(parents=True, exist_ok=True)
+            for name in programs:
+                words = f" node {name}" if package == "ptnsbc_nodes" else ""
+                program = folder / name
+                program.write_text(_BESIDE_PIPS.format(words=words), encoding="utf-8")
+                program.chmod(0o755)
+                self.outfiles.append(str(program))
+
+
+class EditableToo(Distribution):
+    """`pip install -e` asks for this before it installs data files, and a plain Distribution has no answer."""
+
+    def has_data(self) -> bool:
+        return bool(self.has_data_files())
 
 
 def project_version() -> str:
@@ -58,9 +101,10 @@ def install(name: str, description: str, *, packages: list[str], **options: Any)
     )
 
 
-def install_linked(here: Path, description: str, scripts: tuple[str, ...] = ()) -> None:
-    """Install the package behind the link `here`/NAME, with its console scripts."""
+def install_linked(here: Path, description: str, **options: Any) -> None:
+    """Install the package behind the link `here`/NAME, with its programs."""
     name = here.name
+    programs = PROGRAMS.get(name, {})
     package = here / name
     if not (package / "__init__.py").is_file():
         # Without this, a link to nowhere builds without a complaint, and empty.
@@ -72,5 +116,6 @@ def install_linked(here: Path, description: str, scripts: tuple[str, ...] = ()) 
         name,
         description,
         packages=find_packages(where=str(here), include=[name, f"{name}.*"]),
-        entry_points={"console_scripts": list(scripts)},
+        entry_points={"console_scripts": [f"{key} = {main}" for key, main in programs.items()]},
+        **options,
     )

@@ -1,12 +1,14 @@
 """The ROS workspace holds links to the packages at the root; these must hold, or fail aloud."""
 
 import importlib
+import importlib.util
 import re
 import shutil
 import subprocess
 import sys
 import xml.etree.ElementTree as ET
 from pathlib import Path
+from typing import get_args, get_type_hints
 
 import pytest
 
@@ -84,30 +86,57 @@ def test_broken_link_stops_the_build(copied_workspace, target):
     assert "Traceback" not in result.stderr
 
 
-def test_console_scripts_are_the_wheels():
-    shells = (SRC / "ptnsbc_tools" / "setup.py").read_text()
-    wheel = (ROOT / "pyproject.toml").read_text()
-    assert "ptnsbc = ptnsbc_tools.cli:main" in shells
-    assert 'ptnsbc = "ptnsbc_tools.cli:main"' in wheel
+def load_shell():
+    spec = importlib.util.spec_from_file_location("ros2_ws_shell", ROOT / "ros2_ws" / "shell.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+SHELL = load_shell()
 
 
 def entry_points() -> list[tuple[str, str, str]]:
-    """Package, program and target of every console script, from the text of every setup.py."""
-    line = re.compile(r'"([\w-]+) = ([\w.]+:\w+)"')
-    return [(name, *hit) for name in ALL for hit in line.findall(setup_text(name))]
+    """Package, program and function of every program."""
+    return [
+        (package, program, target)
+        for package, programs in SHELL.PROGRAMS.items()
+        for program, target in programs.items()
+    ]
 
 
-def setup_text(name: str) -> str:
-    return (SRC / name / "setup.py").read_text()
+def test_the_command_line_is_the_wheels():
+    wheel = (ROOT / "pyproject.toml").read_text()
+    assert f'ptnsbc = "{SHELL.PROGRAMS["ptnsbc_tools"]["ptnsbc"]}"' in wheel
 
 
-def test_entry_points_are_found():
-    programs = {program for _, program, _ in entry_points()}
-    assert programs == {"uav", "sim", "recorder", "fleet", "bridge", "tower", "ptnsbc"}
-    for name in ALL:  # a setup.py whose entry points this file does not see checks nothing
-        assert (":main" in setup_text(name)) == any(
-            package == name for package, _, _ in entry_points()
-        )
+def test_launch_files_and_ptnsbc_node_know_every_program():
+    from ptnsbc_nodes.children import EXECUTABLES
+    from ptnsbc_tools.node.command import node
+
+    nodes = SHELL.PROGRAMS["ptnsbc_nodes"]
+    assert {name: f"{module}:main" for module, name in EXECUTABLES.items()} == nodes
+    kind = get_type_hints(node)["name"]
+    assert set(get_args(kind)) == set(nodes)
+
+
+def test_pip_writes_what_ros2_run_finds(tmp_path):
+    """Without the rest of an installation: ros2_ws/fly.sh compares whole ones."""
+    distribution = SHELL.EditableToo({"name": "ptnsbc", "data_files": [("share/x", [])]})
+    assert distribution.has_data()  # what `pip install -e` asks
+    command = SHELL.WithPrograms(distribution)
+    command.install_dir = str(tmp_path / "prefix")
+    command.run()
+    (tmp_path / "prefix" / "bin").mkdir()
+    pips = tmp_path / "prefix" / "bin" / "ptnsbc"
+    pips.write_text('#!/bin/sh\nprintf "%s " "$@"\n')
+    pips.chmod(0o755)
+    for package, program, _ in entry_points():
+        place = tmp_path / "prefix" / "lib" / package / program
+        assert str(place) in command.get_outputs()
+        said = subprocess.run([place, "--uav", "a b"], capture_output=True, text=True, check=True)
+        before = f"node {program} " if package == "ptnsbc_nodes" else ""
+        assert said.stdout == f"{before}--uav a b "
 
 
 @pytest.mark.parametrize(("package", "program", "target"), entry_points())

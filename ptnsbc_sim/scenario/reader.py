@@ -96,8 +96,10 @@ def _one_line(text: object) -> str:
 def folders() -> list[Path]:
     """Where a scenario given by name is looked for: the source tree, an installed copy, here."""
     root = Path(__file__).resolve().parents[2]
-    shared = Path(sysconfig.get_path("data")) / "share" / "ptnsbc" / "scenarios"
-    return [root / "scenarios", shared, Path.cwd() / "scenarios", Path.cwd()]
+    # pip and colcon install the code into PREFIX/lib/pythonX.Y/site-packages, Debian's pip somewhat deeper.
+    prefixes = dict.fromkeys((*root.parents[2:3], Path(sysconfig.get_path("data"))))
+    shared = [prefix / "share" / "ptnsbc" / "scenarios" for prefix in prefixes]
+    return [root / "scenarios", *shared, Path.cwd() / "scenarios", Path.cwd()]
 
 
 def available() -> list[str]:

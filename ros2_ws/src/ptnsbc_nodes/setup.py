@@ -11,12 +11,4 @@ from shell import install_linked  # noqa: E402
 install_linked(
     HERE,
     "The ROS 2 nodes: UAV, simulator, recorder and fleet",
-    (
-        "uav = ptnsbc_nodes.uav_node:main",
-        "sim = ptnsbc_nodes.sim_node:main",
-        "recorder = ptnsbc_nodes.recorder:main",
-        "fleet = ptnsbc_nodes.fleet_node:main",
-        "bridge = ptnsbc_nodes.bridge_node:main",
-        "tower = ptnsbc_nodes.tower_node:main",
-    ),
 )

@@ -11,5 +11,5 @@ from shell import install_linked  # noqa: E402
 install_linked(
     HERE,
     "The command line: check, demo, verify, replay, report and sweep",
-    ("ptnsbc = ptnsbc_tools.cli:main",),
+    data_files=[("bin", ["bin/ptnsbc"])],
 )

@@ -1,0 +1,1 @@
+"""`ptnsbc node`: one process of a flight by itself."""
