@@ -29,6 +29,7 @@ SECTIONS = (
     "rerun",
     "autopilot",
     "bridge",
+    "network",
 )
 _NARROWEST = 150
 

@@ -29,7 +29,6 @@ def _shared(name: str) -> None:
     spec.loader.exec_module(module)
 
 
-_shared("namespaces")
 if importlib.util.find_spec("pymavlink"):
     _shared("mavlink_wires")
     _shared("mavlink_fleet")

@@ -3,8 +3,9 @@
 import json
 import signal
 
-import namespaces
 import pytest
+
+from bench import namespaces
 
 pytest.importorskip("rclpy")
 

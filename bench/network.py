@@ -1,0 +1,126 @@
+"""A fleet on two computers (network namespaces), a fifth of the packets between them lost: starts and deadlines.
+
+Three UAVs, sim and recorder on one, two UAVs on the other, with the profiles that `ptnsbc network` writes. A start
+counts when the flight begins within a minute and a half. Needs root, iproute2 and nftables.
+"""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import NamedTuple
+
+from bench import namespaces
+from bench.launch import BenchError
+from bench.namespaces import Computer
+from bench.session import Plan, say
+from bench.table import Row
+from ptnsbc_nodes.warmup import load_agent, load_world
+from ptnsbc_sim.scenario import load_scenario
+
+_DOMAIN = 71
+_LOST_PERCENT = 20
+_PATIENCE_S = 90.0
+_FARTHEST = 5  # the UAV with the longest way to the leader, on the other computer
+
+Pair = tuple[Computer, Computer]
+
+
+class Case(NamedTuple):
+    """What flies, and how its processes find each other."""
+
+    found_by: str
+    plant: str
+    times: int
+
+    @property
+    def name(self) -> str:
+        """As in the table."""
+        return f"{self.found_by}, {self.plant}, {_LOST_PERCENT} % lost"
+
+
+class Flown(NamedTuple):
+    """What came of one flight."""
+
+    verdict: str
+    settled_s: float | None  # of UAV 5 after the epoch
+
+
+def measure(plan: Plan) -> Sequence[Row]:
+    """Rows of this section."""
+    reason = namespaces.missing()
+    if reason is not None:
+        raise BenchError(reason)
+    for plant in ("quadrotor", "rigid_body_6dof"):  # compiled before the patience runs
+        scenario = load_scenario("paper_5", {"plant.kind": plant})
+        load_agent(scenario, scenario.leader_id)
+        load_world(scenario)
+    cases = [
+        Case("static peers", "quadrotor", plan.of(4, 1)),
+        Case("static peers", "rigid_body_6dof", plan.of(4, 1)),
+        Case("discovery server", "rigid_body_6dof", plan.of(12, 1)),
+    ]
+    return [row for case in cases for row in _rows(case)]
+
+
+def _rows(case: Case) -> Iterator[Row]:
+    flown = []
+    for turn in range(case.times):
+        say(f"network: {case.name}, {turn + 1} of {case.times}")
+        with namespaces.two_computers(_LOST_PERCENT) as pair, _profile(case, pair) as profile:
+            flown.append(_fly(case, pair, profile))
+    begun = [one for one in flown if one is not None]
+    settled = [one.settled_s for one in begun if one.settled_s is not None]
+    met = sum(one.verdict == "met" for one in begun)
+    yield Row(f"{case.name}: starts", [float(len(begun))], f"of {case.times}")
+    yield Row(f"{case.name}: deadline met", [float(met)], f"of {len(begun)}")
+    if settled:
+        yield Row(f"{case.name}: UAV {_FARTHEST} settled after", settled, "s")
+
+
+@contextmanager
+def _profile(case: Case, pair: Pair) -> Iterator[Path]:
+    """The file that both computers fly with, and the server where there is one."""
+    ground, away = pair
+    with tempfile.TemporaryDirectory(prefix="bench-") as folder:
+        file = Path(folder) / "fleet.xml"
+        if case.found_by == "static peers":
+            namespaces.finished(
+                ground.ptnsbc("network", "peers", ground.address, away.address, "-o", file)
+            )
+            yield file
+            return
+        namespaces.finished(ground.ptnsbc("network", "server", ground.address, "-o", file))
+        server = ground.ptnsbc("network", "serve", ground.address)
+        try:
+            yield file
+        finally:
+            server.send_signal(signal.SIGINT)
+            namespaces.finished(server)
+
+
+def _fly(case: Case, pair: Pair, profile: Path) -> Flown | None:
+    """None when the fleet does not get ready."""
+    words = ("paper_5", "--domain", _DOMAIN, "--plant", case.plant, "--duration", 8)
+    ground, away = pair
+    running = [
+        computer.ptnsbc("fleet", *words, "--json", "--only", only, "--network", profile)
+        for computer, only in ((away, "4,5"), (ground, "recorder,sim,1,2,3"))
+    ]
+    try:
+        out, _ = running[1].communicate(timeout=_PATIENCE_S)
+    except subprocess.TimeoutExpired:
+        for process in running:
+            process.send_signal(signal.SIGINT)
+        said = [namespaces.finished(process)[2] for process in running]
+        say("\n".join(["network: it does not start:", *said[1].splitlines()[-4:]]))
+        return None
+    namespaces.finished(running[0])
+    told = json.loads(out)
+    (last,) = [uav for uav in told["uavs"] if uav["uav"] == _FARTHEST]
+    return Flown(told["verdict"], last["settling_s"])
