@@ -118,7 +118,8 @@ def _fly(case: Case, pair: Pair, profile: Path) -> Flown | None:
         for process in running:
             process.send_signal(signal.SIGINT)
         said = [namespaces.finished(process)[2] for process in running]
-        say("\n".join(["network: it does not start:", *said[1].splitlines()[-4:]]))
+        waits = [line for line in said[1].splitlines() if " waits for " in line]
+        say("\n".join(["network: it did not start in time:", *waits[-4:]]))
         return None
     namespaces.finished(running[0])
     told = json.loads(out)

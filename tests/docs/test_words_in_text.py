@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
 import re
 import subprocess
@@ -12,6 +13,7 @@ import pytest
 import typer.main
 from markdown_it import MarkdownIt
 
+from ptnsbc_nodes.children import EXECUTABLES
 from ptnsbc_tools.cli import app
 
 ROOT = Path(__file__).parents[2]
@@ -45,15 +47,25 @@ def _words(span: str) -> list[str]:
 
 
 @pytest.mark.parametrize(("page", "span"), _mentioned("ptnsbc"))
-def test_ptnsbc(page, span):
+def test_ptnsbc(page, span, capsys):
     command, words = COMMANDS, _words(span)[1:]
     while words and words[0] in getattr(command, "commands", {}):
         command = command.commands[words.pop(0)]
     at_the_root = command is COMMANDS and words and re.fullmatch(r"[a-z]\w*", words[0])
     assert not at_the_root, f"{page}: `{span}`: no command {words[0]}"
     known = {option for one in command.params for option in (*one.opts, *one.secondary_opts)}
+    if command is COMMANDS.commands["node"] and words:
+        known |= _options_of_a_process(words[0], capsys)
     given = {word for word in re.findall(r"(?:^|[\s|])(--[a-z][\w-]*)", " ".join(words))}
     assert given <= known | {"--help"}, f"{page}: `{span}`"
+
+
+def _options_of_a_process(name, capsys):
+    pytest.importorskip("rclpy")
+    modules = {executable: module for module, executable in EXECUTABLES.items()}
+    with pytest.raises(SystemExit):
+        importlib.import_module(modules[name]).main(["--help"])
+    return set(re.findall(r"--[a-z][\w-]*", capsys.readouterr().out))
 
 
 @pytest.mark.parametrize(("page", "span"), _mentioned("make"))
