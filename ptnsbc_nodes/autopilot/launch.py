@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
@@ -87,7 +87,17 @@ def stations(options: Options, t: float, say: Callable[[str], None]) -> list[Sta
         AutopilotError: an option that cannot be.
     """
     chosen = starts(options.fleet)
-    return [_station(options, n, start, t, say) for n, start in enumerate(chosen)]
+    made = [_station(options, n, start, t, say) for n, start in enumerate(chosen)]
+    for name, value in options.parameters.items():
+        _set_parameter([station.vehicle for station in made], name, value)
+    return made
+
+
+def _set_parameter(vehicles: Sequence[Vehicle], name: str, value: float) -> None:
+    """Set it where there is one of that name: vehicles of a mixed fleet have few in common."""
+    owners = [vehicle for vehicle in vehicles if name in vehicle.parameters]
+    for vehicle in owners or vehicles[:1]:  # who has none says which there are
+        vehicle.set_parameter(name, value)
 
 
 def _station(
@@ -112,8 +122,6 @@ def _station(
     impostor = Endpoint(Address(HOST, 0), None, Codec(system, key=key, link_id=IMPOSTOR))
     # Last, because it compiles: what is wrong above is said at once.
     vehicle = KINDS[kind](system, start.body, t, boot_time=options.boot_time, say=tell)
-    for name, value in options.parameters.items():
-        vehicle.set_parameter(name, value)
     return Station(vehicle, endpoints, impostor)
 
 

@@ -12,7 +12,6 @@ pytest.importorskip("rclpy")
 pytestmark = [
     pytest.mark.ros,
     pytest.mark.slow,
-    pytest.mark.alone,
     pytest.mark.skipif(namespaces.missing() is not None, reason=str(namespaces.missing())),
 ]
 
@@ -62,6 +61,7 @@ def fly(pair, *words):
     return namespaces.finished(first), namespaces.finished(second)
 
 
+@pytest.mark.alone
 def test_the_fleet_forms_by_its_deadline(pair, profile):
     (code, out, err), (away_code, away_out, away_err) = fly(
         pair, "--duration", 8, "--network", profile

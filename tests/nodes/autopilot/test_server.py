@@ -181,6 +181,15 @@ def test_parameters_instead_of_the_defaults():
     assert made[0].vehicle.parameters["COM_OBL_RC_ACT"] == 5
 
 
+def test_a_parameter_goes_to_those_of_a_mixed_fleet_that_have_it(tmp_path: Path):
+    file = tmp_path / "mixed.yaml"
+    file.write_text("extends: experiment_4\nmavlink: {vehicles: {2: {autopilot: ardupilot}}}\n")
+    options = Options(fleet=Fleet(scenario=str(file)), parameters={"GUID_OPTIONS": 8.0})
+    first, second = (s.vehicle.parameters for s in stations(options, 0.0, lambda _line: None)[:2])
+    assert "GUID_OPTIONS" not in first
+    assert second["GUID_OPTIONS"] == 8
+
+
 def test_addresses_times_and_parameters():
     assert parse_parameter("A=2") == ("A", 2.0)
     for wrong in ("A", "=2", "A=x"):

@@ -27,27 +27,22 @@ from ptnsbc_nodes.bag import read_bag
 pytestmark = [pytest.mark.ros, pytest.mark.slow, pytest.mark.alone]
 
 FOUR = range(1, 5)
+MIXED = ("px4", "ardupilot", "ardupilot", "px4")
 
 
-@pytest.mark.parametrize(
-    ("autopilot", "setpoint", "parameter"),
-    [
-        ("px4", "velocity", "COM_OBL_RC_ACT=5"),
-        ("px4", "attitude", "COM_OBL_RC_ACT=5"),
-        ("ardupilot", "velocity", "GUID_TIMEOUT=3"),
-        ("ardupilot", "attitude", "GUID_OPTIONS=8"),
-    ],
-)
-def test_the_command_flies_four_stand_ins_into_formation(
-    tmp_path, domain, autopilot, setpoint, parameter
-):
-    """`ptnsbc fleet scenarios/experiment_4.yaml --backend mavlink`, 13 s of its 50."""
+@pytest.mark.parametrize("setpoint", ["velocity", "attitude"])
+def test_the_command_flies_stand_ins_of_both_kinds_into_formation(tmp_path, domain, setpoint):
+    """`ptnsbc fleet scenarios/experiment_4.yaml --backend mavlink`, 13 s of its 50, kinds in one fleet.
+
+    Fleets of one kind fly in test_fleet_mavlink.py, by a clock of the tests.
+    """
     path = write_scenario(
-        tmp_path / "four.yaml", duration_s=13, autopilot=autopilot, setpoint=setpoint
+        tmp_path / "four.yaml", duration_s=13, setpoint=setpoint, autopilots=MIXED
     )
     command = (COMMAND, "fleet", path, "--backend", "mavlink", "--allow-arming", "--json")
+    parameters = ("--param", "COM_OBL_RC_ACT=5", "--param", "GUID_OPTIONS=8")
     with (
-        stand_ins(path, domain, "--param", parameter) as vehicles,
+        stand_ins(path, domain, *parameters) as vehicles,
         flying(*command, "--bag", tmp_path / "bag", domain=domain) as fleet,
     ):
         code = fleet.finish()
@@ -56,7 +51,8 @@ def test_the_command_flies_four_stand_ins_into_formation(
     assert fleet.said("in flight: gains.formation.deadline_s: 10 instead of 5.0")
     steps = ("taking off", "airborne", "in formation", "landing", "done")
     assert fleet.said(*(f"bridge{i}: {step}" for i in FOUR for step in steps))
-    assert vehicles.said(*(f"{i}: disarmed: landed" for i in FOUR))
+    kinds = ("px4 1", "arducopter 2", "arducopter 3", "px4 4")
+    assert vehicles.said(*(f"{kind}: disarmed: landed" for kind in kinds))
     assert told["verdict"] == "met"
     assert [uav["verdict"] for uav in told["uavs"]] == ["met"] * 4
     assert min(pair["distance_m"] for pair in told["separations"]) > 0.5
