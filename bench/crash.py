@@ -72,7 +72,7 @@ def _killed(bags: dict[Path, float], settings: Mapping[str, str] | None) -> Iter
 def _start(bag: Path, settings: Mapping[str, str] | None) -> subprocess.Popen[bytes]:
     words = ["-m", "bench.crash", "--write", str(bag)]
     if settings is not None:
-        words = ["-m", "ptnsbc_nodes.recorder", "--bag", str(bag), "--uavs", *"12345"]
+        words = ["-m", "ptnsbc_nodes.recorder_node", "--bag", str(bag), "--uavs", *"12345"]
     quiet = subprocess.DEVNULL
     return subprocess.Popen([sys.executable, *words], stdout=quiet, stderr=quiet, env=settings)
 

@@ -73,7 +73,7 @@ def measure(plan: Plan) -> Sequence[Row]:
 def _recorder(folder: Path, _scenario: Path) -> Command:
     bag = tempfile.mkdtemp(dir=folder)
     arguments = ("--bag", f"{bag}/bag", "--uavs", *_UAVS)
-    return Command("listener", "ptnsbc_nodes.recorder", arguments)
+    return Command("listener", "ptnsbc_nodes.recorder_node", arguments)
 
 
 def _bare(_folder: Path, scenario: Path) -> Command:

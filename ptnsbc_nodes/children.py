@@ -43,7 +43,7 @@ class Command:
 EXECUTABLES = {
     "ptnsbc_nodes.uav_node": "uav",
     "ptnsbc_nodes.sim_node": "sim",
-    "ptnsbc_nodes.recorder": "recorder",
+    "ptnsbc_nodes.recorder_node": "recorder",
     "ptnsbc_nodes.bridge_node": "bridge",
     "ptnsbc_nodes.fleet_node": "fleet",
     "ptnsbc_nodes.tower_node": "tower",

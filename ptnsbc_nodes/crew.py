@@ -149,7 +149,7 @@ def _recorder(options: FleetOptions, bag: Path, scenario_file: Path) -> Command:
         arguments += ["--draw", str(scenario_file), "--punctual"]
     if options.overwrite:
         arguments.append("--overwrite")
-    return Command(RECORDER, "ptnsbc_nodes.recorder", tuple(arguments))
+    return Command(RECORDER, "ptnsbc_nodes.recorder_node", tuple(arguments))
 
 
 def _meta(options: FleetOptions) -> Mapping[str, str]:

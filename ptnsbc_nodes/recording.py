@@ -19,12 +19,10 @@ from rclpy.signals import SignalHandlerOptions  # noqa: E402
 
 from ptnsbc_nodes.bag import BagWriter, Limits  # noqa: E402
 from ptnsbc_nodes.listener import OURS, Listener  # noqa: E402
+from ptnsbc_nodes.listening import account, listen, listening_node  # noqa: E402
 from ptnsbc_nodes.provenance import provenance  # noqa: E402
-from ptnsbc_nodes.spin import drain, make_executor, spin_for  # noqa: E402
 from ptnsbc_nodes.stop import StopRequest  # noqa: E402
 
-_SLICE_S = 0.1
-_QUIET_S = 0.2
 _DRAIN_LIMIT_S = 2.0  # a fleet that flies on has no last message
 
 
@@ -64,39 +62,23 @@ def record(wishes: Wishes, say: Callable[[str], None]) -> Mapping[str, Any]:
 def _record(
     context: Context, wishes: Wishes, stop: StopRequest, say: Callable[[str], None]
 ) -> Mapping[str, Any]:
-    node = rclpy.create_node(
-        "record", context=context, start_parameter_services=False, enable_rosout=False
-    )
-    executor = make_executor(context)
-    executor.add_node(node)
-    writer = BagWriter(
-        wishes.bag,
-        [],
-        attachments=wishes.attachments,
-        metadata={"mode": "beside", **provenance(), **wishes.meta},
-        overwrite=wishes.overwrite,
-        limits=wishes.limits,
-    )
-    with writer:
-        listener = Listener(node, writer, wishes.topics, say)
-        say("ready")
-        end = time.monotonic() + (wishes.duration_s or float("inf"))
-        while not stop.came and time.monotonic() < end:
-            spin_for(executor, _SLICE_S)
-        drain(executor, lambda: listener.received, _QUIET_S, _DRAIN_LIMIT_S)
-    executor.remove_node(node)
-    executor.shutdown()
-    node.destroy_node()
-    counts = writer.counts
-    if not any(counts.values()):
+    with listening_node(context, "record") as (node, executor):
+        with BagWriter(
+            wishes.bag,
+            [],
+            attachments=wishes.attachments,
+            metadata={"mode": "beside", **provenance(), **wishes.meta},
+            overwrite=wishes.overwrite,
+            limits=wishes.limits,
+        ) as writer:
+            listener = Listener(node, writer, wishes.topics, say)
+            say("ready")
+            end = time.monotonic() + (wishes.duration_s or float("inf"))
+            listen(executor, listener, lambda: stop.came or time.monotonic() >= end, _DRAIN_LIMIT_S)
+        found = account(writer, listener, interrupted=stop.came)
+    if not found["messages"]:
         raise RecordError(
             f"no message on {', '.join(wishes.topics)}: does a fleet run in this ROS domain? "
             f"the empty bag is in {writer.directory}"
         )
-    return {
-        "bag": str(writer.directory),
-        "messages": sum(counts.values()),
-        "topics": counts,
-        "lost": listener.lost,
-        "interrupted": stop.came,
-    }
+    return found

@@ -18,7 +18,7 @@ PROGRAMS = {
     "ptnsbc_nodes": {
         "uav": "ptnsbc_nodes.uav_node:main",
         "sim": "ptnsbc_nodes.sim_node:main",
-        "recorder": "ptnsbc_nodes.recorder:main",
+        "recorder": "ptnsbc_nodes.recorder_node:main",
         "fleet": "ptnsbc_nodes.fleet_node:main",
         "bridge": "ptnsbc_nodes.bridge_node:main",
         "tower": "ptnsbc_nodes.tower_node:main",

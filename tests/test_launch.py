@@ -11,7 +11,7 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from ptnsbc_nodes import bridge_node, recorder, sim_node, tower_node, uav_node, warmup
+from ptnsbc_nodes import bridge_node, recorder_node, sim_node, tower_node, uav_node, warmup
 from ptnsbc_nodes.children import EXECUTABLES
 from ptnsbc_nodes.crew import FleetOptions, commands
 from ptnsbc_nodes.flight import FleetError
@@ -181,7 +181,7 @@ def understood(monkeypatch):
 
     def ask(one):
         if one.executable == "recorder":
-            return recorder._parser().parse_args(one.arguments) is not None
+            return recorder_node._parser().parse_args(one.arguments) is not None
         # As launch_ros starts it.
         words = [*one.arguments, "--ros-args", "-r", f"__ns:=/{one.namespace}"]
         return bodies[one.executable][0].main(words) == 0

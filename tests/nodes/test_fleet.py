@@ -187,7 +187,7 @@ def test_without_its_sim_the_flight_ends_and_the_bag_is_complete(launch, tmp_pat
 def test_without_its_recorder_the_flight_goes_on_and_the_bag_can_be_mended(launch, tmp_path):
     flight = launch("--duration", "12", "--bag", str(tmp_path / "bag"))
     flight.wait_for("steps/s")
-    os.kill(flight.pid_of("ptnsbc_nodes.recorder"), signal.SIGKILL)
+    os.kill(flight.pid_of("ptnsbc_nodes.recorder_node"), signal.SIGKILL)
     assert flight.finish() == 1
     assert any("recorder (pid " in line and "signal SIGKILL" in line for line in flight.lines)
     assert any("sim: 12.00 s" in line for line in flight.lines)

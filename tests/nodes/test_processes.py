@@ -50,7 +50,7 @@ def commands(tmp_path):
         "/uav1/controller": ("uav_node", "--scenario", "paper_5", "--uav", 1),
         "/uav2/controller": ("uav_node", "--scenario", "paper_5", "--uav", 2, "--managed"),
         "/sim": ("sim_node", "--scenario", "paper_5"),
-        "/recorder": ("recorder", "--bag", tmp_path / "bag", "--uavs", 1, 2),
+        "/recorder": ("recorder_node", "--bag", tmp_path / "bag", "--uavs", 1, 2),
     }
     try:
         import pymavlink  # noqa: F401

@@ -18,7 +18,8 @@ pytest.importorskip("rclpy")
 
 from ptnsbc_nodes import qos, topics, wire
 from ptnsbc_nodes.bag import BagError, BagWriter, read_bag
-from ptnsbc_nodes.recorder import Recorder, main, stamp_of, topic_info
+from ptnsbc_nodes.recorder import Recorder, stamp_of, topic_info
+from ptnsbc_nodes.recorder_node import main
 from ptnsbc_nodes.transforms import Transforms
 
 ROOT = Path(__file__).parents[2]
@@ -154,7 +155,7 @@ class Process:
 
     def __init__(self, domain: int, *arguments: str) -> None:
         self.popen = subprocess.Popen(
-            [sys.executable, "-m", "ptnsbc_nodes.recorder", *arguments],
+            [sys.executable, "-m", "ptnsbc_nodes.recorder_node", *arguments],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,

@@ -29,7 +29,7 @@ from ptnsbc_nodes.warmup import load_agent, load_world
 from ptnsbc_sim.scenario import load_scenario
 
 # [s] between SIGINT and the harder signals: a recorder completes its bag, a bridge lands its vehicle.
-PATIENCE_S = {"ptnsbc_nodes.recorder": "60", "ptnsbc_nodes.bridge_node": "240"}
+PATIENCE_S = {"ptnsbc_nodes.recorder_node": "60", "ptnsbc_nodes.bridge_node": "240"}
 FLAGS = ("true", "false")
 
 
