@@ -20,6 +20,7 @@ from bench.launch import BenchError
 from bench.namespaces import Computer
 from bench.session import Plan, say
 from bench.table import Row
+from ptnsbc_nodes.network import SERVER_PORT
 from ptnsbc_nodes.warmup import load_agent, load_world
 from ptnsbc_sim.scenario import load_scenario
 
@@ -34,14 +35,15 @@ Pair = tuple[Computer, Computer]
 class Case(NamedTuple):
     """What flies, and how its processes find each other."""
 
-    found_by: str
+    servers: int  # 0: static peers
     plant: str
     times: int
 
     @property
     def name(self) -> str:
         """As in the table."""
-        return f"{self.found_by}, {self.plant}, {_LOST_PERCENT} % lost"
+        found_by = ("static peers", "a server", "two servers")[self.servers]
+        return f"{found_by}, {self.plant}, {_LOST_PERCENT} % lost"
 
 
 class Flown(NamedTuple):
@@ -61,9 +63,10 @@ def measure(plan: Plan) -> Sequence[Row]:
         load_agent(scenario, scenario.leader_id)
         load_world(scenario)
     cases = [
-        Case("static peers", "quadrotor", plan.of(4, 1)),
-        Case("static peers", "rigid_body_6dof", plan.of(4, 1)),
-        Case("discovery server", "rigid_body_6dof", plan.of(12, 1)),
+        Case(0, "quadrotor", plan.of(4, 1)),
+        Case(0, "rigid_body_6dof", plan.of(4, 1)),
+        Case(1, "rigid_body_6dof", plan.of(12, 1)),
+        Case(2, "rigid_body_6dof", plan.of(12, 1)),
     ]
     return [row for case in cases for row in _rows(case)]
 
@@ -85,23 +88,23 @@ def _rows(case: Case) -> Iterator[Row]:
 
 @contextmanager
 def _profile(case: Case, pair: Pair) -> Iterator[Path]:
-    """The file that both computers fly with, and the server where there is one."""
+    """The file that both computers fly with, and its servers, all on the ground."""
     ground, away = pair
+    places = [f"{ground.address}:{SERVER_PORT + number}" for number in range(case.servers)]
+    words = ("server", *places) if places else ("peers", ground.address, away.address)
     with tempfile.TemporaryDirectory(prefix="bench-") as folder:
         file = Path(folder) / "fleet.xml"
-        if case.found_by == "static peers":
-            namespaces.finished(
-                ground.ptnsbc("network", "peers", ground.address, away.address, "-o", file)
-            )
-            yield file
-            return
-        namespaces.finished(ground.ptnsbc("network", "server", ground.address, "-o", file))
-        server = ground.ptnsbc("network", "serve", ground.address)
+        namespaces.finished(ground.ptnsbc("network", *words, "-o", file))
+        servers = [
+            ground.ptnsbc("network", "serve", place, "--id", number)
+            for number, place in enumerate(places)
+        ]
         try:
             yield file
         finally:
-            server.send_signal(signal.SIGINT)
-            namespaces.finished(server)
+            for server in servers:
+                server.send_signal(signal.SIGINT)
+                namespaces.finished(server)
 
 
 def _fly(case: Case, pair: Pair, profile: Path) -> Flown | None:
