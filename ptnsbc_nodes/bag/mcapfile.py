@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
-from typing import IO
+from typing import IO, NamedTuple
 
 from mcap.reader import SeekingReader
 from mcap.records import Attachment, Channel, ChunkIndex, Metadata, Schema
@@ -15,6 +15,16 @@ from mcap.records import Attachment, Channel, ChunkIndex, Metadata, Schema
 from ptnsbc_nodes.bag.chunk import RECORD_HEAD, BagMessage, Entry, chosen, parse_chunk, unpacked
 from ptnsbc_nodes.bag.errors import BagError, DamagedError
 from ptnsbc_nodes.bag.walk import MAGIC, Damage, walk
+
+
+class Chunk(NamedTuple):
+    """Where a chunk is and what it holds: a long bag has thousands, and they are kept while it is read."""
+
+    first_ns: int  # log time
+    last_ns: int
+    start: int  # of its record in the file
+    size: int  # with the head of the record
+    channels: frozenset[int]  # one object for all chunks that hold the same; empty: nobody knows
 
 
 @dataclass
@@ -27,7 +37,7 @@ class Contents:
     attachments: list[str] = field(default_factory=list)
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)  # by name of the record
     span_ns: tuple[int, int] | None = None  # log time; None without messages
-    chunks: list[ChunkIndex] = field(default_factory=list)  # empty: read in the order of the file
+    chunks: list[Chunk] = field(default_factory=list)  # empty: read in the order of the file
     damage: Damage = field(default_factory=Damage)
 
     def take(self, record: object) -> None:
@@ -76,11 +86,10 @@ def indexed(path: Path, contents: Contents, wanted: frozenset[str] | None) -> It
     names = _names(contents, wanted)
     with path.open("rb") as stream, in_words(path):
         for chunk in contents.chunks:
-            offsets = chunk.message_index_offsets
-            if offsets and not offsets.keys() & names.keys():
+            if chunk.channels and chunk.channels.isdisjoint(names):
                 continue
-            stream.seek(chunk.chunk_start_offset + RECORD_HEAD.size)
-            data = unpacked(parse_chunk(stream.read(chunk.chunk_length - RECORD_HEAD.size)))
+            stream.seek(chunk.start + RECORD_HEAD.size)
+            data = unpacked(parse_chunk(stream.read(chunk.size - RECORD_HEAD.size)))
             yield from chosen(data, names)
 
 
@@ -121,8 +130,20 @@ def _by_library(path: Path, wanted: frozenset[str] | None) -> Iterator[BagMessag
             yield BagMessage(channel.topic, message.log_time, message.data)
 
 
-def _in_order(chunks: list[ChunkIndex]) -> bool:
-    return all(a.message_end_time <= b.message_start_time for a, b in pairwise(chunks))
+def _in_order(chunks: list[Chunk]) -> bool:
+    return all(a.last_ns <= b.first_ns for a, b in pairwise(chunks))
+
+
+def _chunks(indexes: Iterable[ChunkIndex]) -> list[Chunk]:
+    """In order of log time."""
+    known: dict[frozenset[int], frozenset[int]] = {}
+    found = []
+    for index in indexes:
+        channels = frozenset(index.message_index_offsets)
+        channels = known.setdefault(channels, channels)
+        span = index.message_start_time, index.message_end_time
+        found.append(Chunk(*span, index.chunk_start_offset, index.chunk_length, channels))
+    return sorted(found, key=lambda chunk: chunk.first_ns)
 
 
 def _names(contents: Contents, wanted: frozenset[str] | None) -> dict[int, str]:
@@ -149,7 +170,7 @@ def _summarised(reader: SeekingReader) -> Contents | None:
         channels=dict(summary.channels),
         counts=dict(statistics.channel_message_counts),
         attachments=[index.name for index in summary.attachment_indexes],
-        chunks=sorted(summary.chunk_indexes, key=lambda chunk: chunk.message_start_time),
+        chunks=_chunks(summary.chunk_indexes),
     )
     if statistics.message_count:
         found.span_ns = (statistics.message_start_time, statistics.message_end_time)
