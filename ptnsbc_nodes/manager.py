@@ -9,12 +9,17 @@ from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from rclpy.node import Node
 
-_STEPS = (Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE)
+_CONFIGURE, _ACTIVATE = Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE
+_STEPS = (_CONFIGURE, _ACTIVATE)
 _ANSWER_S = 5.0
 
 
 class _Ward:
-    """One node on its way to active."""
+    """One node on its way to active.
+
+    Requests arrive and answers may not: over a network that loses packets a discovery server may never tell the
+    node who has asked. So an unanswered step counts as perhaps made, and the other one is tried.
+    """
 
     def __init__(self, node: Node, name: str) -> None:
         self._node = node
@@ -22,7 +27,7 @@ class _Ward:
         self._steps = list(_STEPS)
         self._asked_s = float("-inf")
         self._call: Any = None
-        self._unanswered = False
+        self._doubtful = False  # whether an answer was lost: a refusal then says nothing
         self.refused = False
 
     @property
@@ -33,8 +38,13 @@ class _Ward:
         """Ask for the next transition when nothing is being waited for."""
         silent = time.monotonic() - self._asked_s > _ANSWER_S
         if not self.done and silent and self._client.service_is_ready():
-            self._unanswered = self._call is not None
+            if self._call is not None:
+                self._doubtful = True
+                self._turn()
             self._ask()
+
+    def arrived(self) -> None:
+        self._steps.clear()
 
     def close(self) -> None:
         self._node.destroy_client(self._client)
@@ -49,13 +59,22 @@ class _Ward:
     def _on_answer(self, call: Any) -> None:
         if call is not self._call or self.done:
             return
-        # A transition whose answer was lost has been made: asked for again, it is refused.
-        self.refused = not (call.result().success or self._unanswered)
-        self._unanswered, self._call = False, None
-        if not self.refused:
+        self._call = None
+        made = bool(call.result().success)
+        self.refused = not (made or self._doubtful)
+        if self.refused:
+            return
+        if made and self._steps[0] == _ACTIVATE:
+            self._steps.clear()
+        elif self._steps == [_ACTIVATE, _CONFIGURE]:  # not configured yet, or active already
+            self._turn()
+        else:
             self._steps.pop(0)
-            if self._steps:
-                self._ask()
+        if self._steps:
+            self._ask()
+
+    def _turn(self) -> None:
+        self._steps.append(self._steps.pop(0))
 
 
 class Manager:
@@ -80,3 +99,8 @@ class Manager:
                     self.refused.append(name)
                 ward.close()
                 del self._wards[name]
+
+    def arrived(self, name: str) -> None:
+        """It is active, as its own diagnostics say: whatever its answers were, nothing more is asked of it."""
+        if name in self._wards:
+            self._wards[name].arrived()

@@ -12,6 +12,8 @@ from ptnsbc_nodes.wire.cdr import split_stamp
 from ptnsbc_sim.scenario import Scenario
 
 STATUS_HZ = 5
+INACTIVE = "activation"
+"""What a node that is configured and no more says that it waits for."""
 
 
 def status_every(scenario: Scenario) -> int:

@@ -18,6 +18,7 @@ from ptnsbc_nodes.endpoints import LOST, OVER, READY, Endpoints, full_name
 from ptnsbc_nodes.manager import Manager
 from ptnsbc_nodes.spin import make_executor
 from ptnsbc_nodes.standstill import ENDED_S, WAITED
+from ptnsbc_nodes.status import INACTIVE
 from ptnsbc_nodes.wire import HeaderTemplate, decode_header
 
 _SIGN_OF_LIFE_S = 2.0  # who is kept waiting tells it five times a second
@@ -175,6 +176,8 @@ class Tower:
                 ready = values["ready"] == "true"
                 name = status.name.partition(":")[0]
                 self._heard_s[name] = time.monotonic()
+                if INACTIVE not in values.get("waiting_for", ""):
+                    self._manager.arrived(name)
                 if WAITED in values:
                     self._kept_waiting = (float(values[WAITED]), values["waiting_for"])
                 self.waiting[name] = "" if ready else values.get("waiting_for", "") or "something"

@@ -23,7 +23,7 @@ from ptnsbc_nodes.outbox import Notes, Outbox
 from ptnsbc_nodes.pacing import Pace
 from ptnsbc_nodes.pilot import Pilot, moment
 from ptnsbc_nodes.services import Instruments, LegServices
-from ptnsbc_nodes.status import STATUS_HZ, Level, diagnostics, readiness, status_every
+from ptnsbc_nodes.status import INACTIVE, STATUS_HZ, Level, diagnostics, readiness, status_every
 from ptnsbc_nodes.ticker import Ticker
 from ptnsbc_nodes.wire import Stamped, decode_header, decode_near, decode_odometry
 from ptnsbc_sim.scenario import Scenario, agent_config
@@ -97,7 +97,7 @@ class Uav:
         """
         missing = self.endpoints.unheard()
         if not self._active:
-            missing.append("activation")
+            missing.append(INACTIVE)
         if self._lockstep:
             return missing + self.endpoints.unread()
         if self._recorded and not self._epochs.announced:

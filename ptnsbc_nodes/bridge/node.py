@@ -32,7 +32,7 @@ from ptnsbc_nodes.endpoints import LOST, Endpoints
 from ptnsbc_nodes.handover import PlannerLimits
 from ptnsbc_nodes.letters import WORLD_FRAME
 from ptnsbc_nodes.mavlink.link import Link
-from ptnsbc_nodes.status import STATUS_HZ
+from ptnsbc_nodes.status import INACTIVE, STATUS_HZ
 from ptnsbc_nodes.wire import HeaderTemplate, OdometryTemplate, decode_header, encode_near
 from ptnsbc_sim.scenario import Scenario
 
@@ -147,7 +147,7 @@ class BridgeNode:
         """Empty when the formation may begin."""
         missing = self.endpoints.unheard()
         if self._thread is None:
-            missing.append("activation")
+            missing.append(INACTIVE)
         if self.bridge.procedure.awaited:
             missing.append(self.bridge.procedure.awaited)
         return missing

@@ -11,8 +11,10 @@ pytest.importorskip("rclpy")
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from rclpy.lifecycle import TransitionCallbackReturn
+from rclpy.task import Future
 
 from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_nodes import manager as manager_module
 from ptnsbc_nodes import topics, wire
 from ptnsbc_nodes.edges import Edges, FlightOptions
 from ptnsbc_nodes.endpoints import Endpoints, fleet_namespace
@@ -162,6 +164,46 @@ def test_the_manager_names_who_refuses(ros, managed):
         return manager.refused == ["uav3"]
 
     ros.spin_until(refused)
+
+
+class Unanswered:
+    """A client whose requests arrive, and whose answers get lost: all of them, or those to some requests."""
+
+    def __init__(self, client, lost):
+        self._client, self._lost = client, lost
+
+    def service_is_ready(self):
+        return self._client.service_is_ready()
+
+    def call_async(self, request):
+        answer = self._client.call_async(request)
+        return Future() if self._lost(request.transition.id) else answer
+
+
+@pytest.mark.parametrize(
+    "lost",
+    [lambda _: True, lambda transition: transition == CONFIGURE, lambda t: t == ACTIVATE],
+    ids=["all", "configure", "activate"],
+)
+def test_a_manager_that_gets_no_answer_goes_on(ros, managed, monkeypatch, lost):
+    """As over a lossy network, where a discovery server never told the node who asks."""
+    node, fleet = managed(), ros.node("fleet")
+    make, destroy = fleet.create_client, fleet.destroy_client
+    monkeypatch.setattr(fleet, "create_client", lambda *of: Unanswered(make(*of), lost))
+    monkeypatch.setattr(fleet, "destroy_client", lambda client: destroy(client._client))
+    monkeypatch.setattr(manager_module, "_ANSWER_S", 0.05)
+    manager = Manager(fleet)
+    manager.manage("uav3", "/uav3/controller")
+
+    def arrived():
+        manager.look()
+        return node.state == "active"
+
+    ros.spin_until(arrived)
+    assert manager.refused == []
+    manager.arrived("uav3")  # as it says itself on /diagnostics
+    manager.look()
+    assert manager._wards == {}
 
 
 class Ear:
