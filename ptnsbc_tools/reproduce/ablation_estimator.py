@@ -104,14 +104,13 @@ def _figure(workshop: Workshop, flights: dict[Case, Flown]) -> Figure:
         sheet[f"case{index + 1}_worst_error_m"] = worst
     for case in CASES[::2]:
         axes.axvline(case.deadline_s, color="black", linewidth=0.6)
-    axes.set(xlabel="time after the epoch [s]", ylabel="worst error of the estimate [m]")
+    axes.set(xlabel="time after the epoch [s]", ylabel="worst error [m]")
     axes.set_xlim(0, _SHOWN_S)
     style.legend(made, axes, columns=1)
     name = "fig_a1_estimator"
     workshop.figure(name, made, sheet)
-    return Figure(
-        name, "Fig. A1", "Worst error of the estimated leader position; lines: deadlines tf2"
-    )
+    caption = "Largest error of any follower's estimate of the leader's position; upright lines: deadlines tf2"
+    return Figure(name, "Fig. A1", caption)
 
 
 def _table(flights: dict[Case, Flown]) -> Table:

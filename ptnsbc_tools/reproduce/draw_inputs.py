@@ -7,7 +7,7 @@ from typing import Any
 
 from ptnsbc_tools.reproduce import style
 from ptnsbc_tools.reproduce.draw_paths import uav_label
-from ptnsbc_tools.reproduce.draw_shape import deadline, panels
+from ptnsbc_tools.reproduce.draw_shape import DEADLINE_NOTE, deadline, panels
 from ptnsbc_tools.reproduce.flights import Flown
 from ptnsbc_tools.reproduce.part import Figure
 from ptnsbc_tools.reproduce.workshop import Curves, Workshop, times_column
@@ -49,7 +49,8 @@ def whole(workshop: Workshop, flights: Mapping[str, Flown], number: int, suffix:
     style.legend(made, rows[0][0], columns=3)
     name = f"fig_{number:02d}_{flights['paper'].scenario.name}_input"
     workshop.figure(name, made, sheet(shown, end_s))
-    return Figure(name, f"Fig. {number}", f"Input of the UAVs{suffix}; dotted: the weight")
+    caption = f"Input of the UAVs{suffix}; dotted: the weight, {DEADLINE_NOTE}"
+    return Figure(name, f"Fig. {number}", caption)
 
 
 def first_second(

@@ -11,6 +11,7 @@ from ptnsbc_core.types import Array
 from ptnsbc_tools.reproduce import style
 from ptnsbc_tools.reproduce.draw_inputs import INPUT_LABEL, hover
 from ptnsbc_tools.reproduce.draw_paths import uav_label
+from ptnsbc_tools.reproduce.draw_shape import DEADLINE_NOTE
 from ptnsbc_tools.reproduce.flights import Flown
 from ptnsbc_tools.reproduce.part import Figure
 from ptnsbc_tools.reproduce.rivalry import PRINTED
@@ -33,7 +34,7 @@ def pair(
     top = 1.4 * max(float(one.inputs[_shown(one)].max()) for one in both)
     first = _one(workshop, both[0], top, f"fig_{numbers[0]}_paper_5_free_ours")
     second = _one(workshop, both[1], top, f"fig_{numbers[1]}_paper_5_free_{law}")
-    rest = "logarithmic; line: the deadline, dotted: the weight"
+    rest = f"logarithmic, nothing below {_LEAST:g} shown; dotted: the weight, {DEADLINE_NOTE}"
     return (
         Figure(
             first,
@@ -56,8 +57,9 @@ def _one(workshop: Workshop, one: Flown, top: float, name: str) -> str:
     sheet = {"time_s": times_column(one.times[shown])}
     for row, uav in enumerate(one.scenario.uav_ids):
         values = np.maximum(one.inputs[shown, row], _LEAST)
-        axes.semilogy(one.times[shown], values, label=uav_label(one, uav), **style.look(row))
+        axes.plot(one.times[shown], values, label=uav_label(one, uav), **style.look(row))
         sheet[f"uav{uav}_input_n_nm"] = one.inputs[shown, row]
+    style.log_scale(axes)
     hover(axes, one)
     axes.axvline(one.scenario.gains.formation.deadline_s, color="black", linewidth=0.6)
     axes.set(xlabel="time after the epoch [s]", ylabel=INPUT_LABEL)
@@ -72,13 +74,16 @@ def all_laws(workshop: Workshop, panels: Mapping[str, Mapping[str, Flown]]) -> F
     made = style.figure(52 * len(panels) + 12)
     grid = made.subplots(len(panels), 1, sharex=True, sharey=True)
     sheet: dict[str, Array] = {}
+    first, odd = next(iter(panels.values())), ""
     for axes, (title, flights), letter in zip(grid, panels.items(), "abc", strict=True):
         for index, (law, one) in enumerate(flights.items()):
             shown = one.times <= _BEGINNING_S
             worst = one.inputs[shown].max(axis=1)
             sheet.setdefault("time_s", times_column(one.times[shown]))
             sheet[f"{letter}_{law}_input_n_nm"] = worst
-            axes.semilogy(one.times[shown], worst, label=law, **style.look(index))
+            axes.plot(one.times[shown], worst, label=law, **style.look(index))
+        style.log_scale(axes)
+        odd += "".join(f"; ({letter}) black: {law}" for law in flights if law not in first)
         hover(axes, next(iter(flights.values())))
         axes.set_title(f"({letter}) {title}", loc="left")
         axes.set(ylabel=INPUT_LABEL, xlim=(0, _BEGINNING_S))
@@ -89,6 +94,6 @@ def all_laws(workshop: Workshop, panels: Mapping[str, Mapping[str, Flown]]) -> F
     return Figure(
         name,
         "Fig. A2",
-        "Largest input of any UAV by law; dotted: the weight",
+        f"Largest input of any UAV by law; dotted: the weight{odd}",
         telling=True,
     )

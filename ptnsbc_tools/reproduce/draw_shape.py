@@ -17,6 +17,7 @@ from ptnsbc_tools.reproduce.part import Figure
 from ptnsbc_tools.reproduce.workshop import Workshop, times_column
 
 SPLIT_S = 6.0
+DEADLINE_NOTE = "upright line: the deadline"
 _SHORTEST_ARM_M = 0.05
 _SHOWN = ("paper", "soft")
 
@@ -61,6 +62,8 @@ def panels(
         left.set_xlim(0, SPLIT_S)
         right.set_xlim(SPLIT_S, end_s)
         left.set_title(titles[row], loc="left")
+        style.round_ticks(left.xaxis, 6)
+        style.round_ticks(left.yaxis, 5)
         if row < rows - 1:
             left.tick_params(labelbottom=False)
             right.tick_params(labelbottom=False)
@@ -100,17 +103,15 @@ def distances(workshop: Workshop, flights: Mapping[str, Flown], number: int, suf
         flown = flights[profile]
         value, desired = task_values(flown)[:, :, 0], desired_values(flown)[:, 0]
         _curves(axes, flown, value, desired)
-        axes[0].set_ylabel("distance to parent [m]")
         for row, uav in enumerate(flown.scenario.uav_ids):
             if uav != flown.scenario.leader_id:
                 sheet[f"{profile}_uav{uav}_distance_m"] = value[:, row]
+    made.supylabel("distance to parent [m]", fontsize=8)
     style.legend(made, rows[0][0], columns=4)
     name = f"fig_{number:02d}_{flights['paper'].scenario.name}_distance"
     workshop.figure(name, made, sheet)
-    return Figure(
-        name, f"Fig. {number}", f"Distance of each UAV to its parent{suffix}; thin lines: desired",
-        telling=number == 9,
-    )  # fmt: skip
+    caption = f"Distance of each UAV to its parent{suffix}; thin lines: desired, {DEADLINE_NOTE}"
+    return Figure(name, f"Fig. {number}", caption, telling=number == 9)
 
 
 def angles(workshop: Workshop, flights: Mapping[str, Flown], number: int, suffix: str) -> Figure:
@@ -137,9 +138,11 @@ def angles(workshop: Workshop, flights: Mapping[str, Flown], number: int, suffix
     style.legend(made, rows[0][0], columns=4)
     name = f"fig_{number:02d}_{flights['paper'].scenario.name}_angle"
     workshop.figure(name, made, sheet)
-    return Figure(
-        name, f"Fig. {number}", f"Angles of each UAV in XOY and XOZ{suffix}; thin lines: desired"
+    caption = (
+        f"Angles of each UAV in XOY and XOZ{suffix}; thin lines: desired, {DEADLINE_NOTE}. The XOZ angle of UAV 3 "
+        "begins late: in Table 2 it shares x and z with its parent, and there is none"
     )
+    return Figure(name, f"Fig. {number}", caption)
 
 
 def unwrapped(flown: Flown, column: int) -> Array:
@@ -185,6 +188,5 @@ def leader_yaw(
     style.legend(made, axes[0], columns=3)
     name = f"fig_{number:02d}_{flights['paper'].scenario.name}_yaw"
     workshop.figure(name, made, sheet)
-    return Figure(
-        name, f"Fig. {number}", f"Yaw of the leader{suffix}; line: deadline of the attitude loop"
-    )
+    caption = f"Yaw of the leader{suffix}; upright line: deadline of the attitude loop"
+    return Figure(name, f"Fig. {number}", caption)

@@ -11,8 +11,16 @@ from ptnsbc_core.types import Array
 from ptnsbc_tools.limits import TOLERANCE_M
 from ptnsbc_tools.reproduce import style
 from ptnsbc_tools.reproduce.draw_inputs import INPUT_LABEL, hover, sheet
-from ptnsbc_tools.reproduce.draw_paths import columns, space, spheres, tidy_3d, uav_label
-from ptnsbc_tools.reproduce.draw_shape import deadline, panels
+from ptnsbc_tools.reproduce.draw_paths import (
+    columns,
+    discs,
+    level,
+    space,
+    spheres,
+    tidy_3d,
+    uav_label,
+)
+from ptnsbc_tools.reproduce.draw_shape import DEADLINE_NOTE, deadline, panels
 from ptnsbc_tools.reproduce.flights import Flown
 from ptnsbc_tools.reproduce.part import Figure
 from ptnsbc_tools.reproduce.workshop import Workshop, times_column
@@ -20,6 +28,11 @@ from ptnsbc_tools.verdict.windows import ancestors
 
 LIMIT_N = 500.0  # what the paper says no input exceeds
 _THIN, _THICK = 0.6, 1.2
+_ROW_MM, _REST_MM = 32.0, 20.0  # of a figure with panels one below the other
+
+
+def _titles(flights: Mapping[str, Flown]) -> tuple[str, ...]:
+    return tuple(f"({letter}) profile {name}" for letter, name in zip("abc", flights, strict=False))
 
 
 def chain(flown: Flown, uav: int) -> int:
@@ -46,32 +59,30 @@ def in_space(workshop: Workshop, flown: Flown, number: int) -> Figure:
     for row, uav in enumerate(flown.scenario.uav_ids):
         path, look = flown.positions[:, row], _look(flown, uav)
         axes.plot(*path.T, **look)
+        axes.scatter(*path[0], color=look["color"], s=4, marker="o", depthshade=False)
         axes.scatter(*path[-1], color=look["color"], s=6, marker="s", depthshade=False)
     spheres(axes, flown)
-    tidy_3d(axes, zoom=1.0)
+    tidy_3d(axes)
     made.legend(*axes.get_legend_handles_labels(), loc="upper center", ncols=3)
     name = f"fig_{number}_{flown.scenario.name}_3d"
     workshop.figure(name, made, columns(flown))
-    return Figure(name, f"Fig. {number}", "Trajectories of 20 UAVs in space; squares: the end")
+    caption = (
+        "Trajectories of 20 UAVs in space; dots: starts, squares: the end, grey: keep-out spheres"
+    )
+    return Figure(name, f"Fig. {number}", caption)
 
 
 def from_above(workshop: Workshop, flown: Flown, number: int) -> Figure:
     """Trajectories in the X-Y plane."""
-    from matplotlib.patches import Circle
-
     made = style.figure(96)
     axes = made.add_subplot()
-    for obstacle in flown.scenario.obstacles:
-        centre = (float(obstacle.position[0]), float(obstacle.position[1]))
-        axes.add_patch(
-            Circle(centre, obstacle.keep_out_m, color=style.GREY, alpha=0.3, linewidth=0)
-        )
+    discs(axes, flown)
     for row, uav in enumerate(flown.scenario.uav_ids):
         path, look = flown.positions[:, row], _look(flown, uav)
         axes.plot(path[:, 0], path[:, 1], **look)
         axes.plot(*path[0, :2], marker="o", color=look["color"], markersize=2)
         axes.plot(*path[-1, :2], marker="s", color=look["color"], markersize=2.5)
-    axes.set(xlabel="x (east) [m]", ylabel="y (north) [m]", aspect="equal")
+    level(axes)
     style.legend(made, axes, columns=3)
     name = f"fig_{number}_{flown.scenario.name}_xy"
     workshop.figure(name, made, columns(flown))
@@ -96,10 +107,9 @@ def distance_errors(flown: Flown) -> Array:
 
 def distance_error(workshop: Workshop, flights: Mapping[str, Flown], number: int) -> Figure:
     """Distance errors of all followers."""
-    made = style.figure(90)
+    made = style.figure(_ROW_MM * len(flights) + _REST_MM)
     some = next(iter(flights.values()))
-    titles = tuple(f"({'ab'[k]}) profile {name}" for k, name in enumerate(flights))
-    rows = panels(made, len(flights), titles, some.scenario.duration_s)
+    rows = panels(made, len(flights), _titles(flights), some.scenario.duration_s)
     found = {"time_s": times_column(some.times)}
     for axes, (profile, flown) in zip(rows, flights.items(), strict=True):
         errors = distance_errors(flown)
@@ -111,31 +121,32 @@ def distance_error(workshop: Workshop, flights: Mapping[str, Flown], number: int
             found[f"{profile}_uav{uav}_distance_error_m"] = errors[:, row]
         for one in axes:
             one.set_yscale("symlog", linthresh=TOLERANCE_M)
+            one.minorticks_off()
             one.set_yticks((-1, -0.1, 0, 0.1, 1), ("−1", "−0.1", "0", "0.1", "1"))
             for limit in (-TOLERANCE_M, TOLERANCE_M):
                 one.axhline(limit, color="black", linewidth=0.6, linestyle=":")
         deadline(axes[0], flown)
-        axes[0].set_ylabel("distance error [m]")
+    made.supylabel("distance to parent less the desired one [m]", fontsize=8)
     style.legend(made, rows[0][0], columns=3)
     name = f"fig_{number}_{some.scenario.name}_distance_error"
     workshop.figure(name, made, found)
     return Figure(
         name,
         f"Fig. {number}",
-        "Error of the distance to the parent; dotted: 0.05 m, line: the deadline",
+        f"Error of the distance to the parent; dotted: 0.05 m, linear within and logarithmic beyond, {DEADLINE_NOTE}",
     )
 
 
 def inputs(workshop: Workshop, flights: Mapping[str, Flown], number: int) -> Figure:
     """Inputs of all UAVs, beside the limit that the paper names."""
-    made = style.figure(90)
+    made = style.figure(_ROW_MM * len(flights) + _REST_MM)
     some = next(iter(flights.values()))
-    titles = tuple(f"({'ab'[k]}) profile {name}" for k, name in enumerate(flights))
-    rows = panels(made, len(flights), titles, some.scenario.duration_s)
+    rows = panels(made, len(flights), _titles(flights), some.scenario.duration_s)
     for axes, flown in zip(rows, flights.values(), strict=True):
         for one in axes:
             for row, uav in enumerate(flown.scenario.uav_ids):
-                one.semilogy(flown.times, flown.inputs[:, row], **_look(flown, uav))
+                one.plot(flown.times, flown.inputs[:, row], **_look(flown, uav))
+            style.log_scale(one)
             one.axhline(LIMIT_N, color="black", linewidth=0.8, linestyle="--")
             hover(one, flown)
         deadline(axes[0], flown)
@@ -143,7 +154,7 @@ def inputs(workshop: Workshop, flights: Mapping[str, Flown], number: int) -> Fig
     style.legend(made, rows[0][0], columns=3)
     name = f"fig_{number}_{some.scenario.name}_input"
     workshop.figure(name, made, sheet(flights, some.scenario.duration_s))
-    caption = "Input of 20 UAVs; dashed: 500 N, dotted: the weight"
+    caption = f"Input of 20 UAVs; dashed: 500 N, dotted: the weight, {DEADLINE_NOTE}"
     return Figure(name, f"Fig. {number}", caption, telling=True)
 
 
@@ -151,10 +162,10 @@ def five(
     workshop: Workshop, flights: Mapping[str, Flown], number: int, uavs: tuple[int, ...]
 ) -> Figure:
     """Inputs of five of the UAVs."""
-    made = style.figure(80)
+    made = style.figure(_ROW_MM * len(flights) + _REST_MM)
     some = next(iter(flights.values()))
-    titles = tuple(f"({'ab'[k]}) profile {name}" for k, name in enumerate(flights))
-    rows = panels(made, len(flights), titles, some.scenario.duration_s)
+    end_s = some.scenario.duration_s
+    rows = panels(made, len(flights), _titles(flights), end_s, one_scale=False)
     found = {"time_s": times_column(some.times)}
     for axes, (profile, flown) in zip(rows, flights.items(), strict=True):
         for index, uav in enumerate(uavs):
@@ -170,5 +181,5 @@ def five(
     style.legend(made, rows[0][0], columns=3)
     name = f"fig_{number}_{some.scenario.name}_input_{uavs[0]}_{uavs[-1]}"
     workshop.figure(name, made, found)
-    caption = f"Input of UAV {uavs[0]} to UAV {uavs[-1]}; dotted: the weight"
+    caption = f"Input of UAV {uavs[0]} to UAV {uavs[-1]}; dotted: the weight, {DEADLINE_NOTE}"
     return Figure(name, f"Fig. {number}", caption)

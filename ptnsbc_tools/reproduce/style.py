@@ -71,6 +71,23 @@ def legend(made: Any, axes: Any, columns: int) -> None:
     made.legend(handles, labels, loc="outside upper center", ncols=columns)
 
 
+def log_scale(axes: Any) -> None:
+    """A logarithmic vertical axis with numbers at 1, 2 and 5 of each decade, written out."""
+    from matplotlib.ticker import LogLocator, StrMethodFormatter
+
+    axes.set_yscale("log")
+    axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axes.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axes.minorticks_off()
+
+
+def round_ticks(axis: Any, count: int) -> None:
+    """At most `count` intervals on an axis, at 1, 2 and 5 of a decade."""
+    from matplotlib.ticker import MaxNLocator
+
+    axis.set_major_locator(MaxNLocator(count, steps=[1, 2, 5, 10]))
+
+
 def save(made: Any, folder: Path, name: str) -> None:
     """Write a figure as PNG and SVG, the same bytes every time."""
     folder.mkdir(parents=True, exist_ok=True)

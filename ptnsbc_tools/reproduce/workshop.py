@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,7 +33,10 @@ class Workshop:
             [f"{value:.6g}" for value in column.tolist()] + [""] * (longest - len(column))
             for column in columns.values()
         ]
-        lines = [",".join(columns), *(",".join(row) for row in zip(*texts, strict=True))]
+        heads = [
+            re.sub(r"\W+", "_", column) for column in columns
+        ]  # a comma would be a column more
+        lines = [",".join(heads), *(",".join(row) for row in zip(*texts, strict=True))]
         (folder / f"{name}.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
 
     def figure(self, name: str, made: Any, columns: Curves) -> None:

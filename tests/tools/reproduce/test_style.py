@@ -10,6 +10,7 @@ from ptnsbc_tools.reproduce import (
     draw_paths,
     draw_shape,
     draw_swarm,
+    experiment,
     style,
 )
 from ptnsbc_tools.reproduce.flights import Flown, flown
@@ -22,6 +23,7 @@ DRAWINGS = {
     "angle": lambda shop, flights: draw_shape.angles(shop, flights, 11, ""),
     "input": lambda shop, flights: draw_inputs.whole(shop, flights, 15, ""),
     "first": lambda shop, flights: draw_inputs.first_second(shop, flights, 17, ""),
+    "tall": lambda shop, flights: draw_paths.in_space(shop, experiment.flight(1), 33, ""),
     "energy": lambda shop, flights: draw_energy.energy(shop, flights),
     "swarm": lambda shop, flights: draw_swarm.distance_error(shop, flights, 26),
     "five": lambda shop, flights: draw_swarm.five(shop, flights, 28, (1, 2, 3, 4, 5)),
@@ -44,11 +46,25 @@ def test_no_legend_covers_a_panel(tmp_path: Path, monkeypatch) -> None:
             made.canvas.draw()
             assert made.get_figwidth() * 25.4 == style.COLUMN_MM
             boxes = [axes.get_window_extent() for axes in made.axes]
+            assert all(_inside(label, made.bbox) for label in _labels(made)), name
             for legend in made.legends:
                 found = legend.get_window_extent()
                 assert not any(found.overlaps(box) for box in boxes), name
                 assert found.x0 >= 0 and found.x1 <= made.bbox.x1, name
     assert len(kept) == len(DRAWINGS)
+
+
+def _labels(made) -> list:
+    """The names of all axes of a figure."""
+    found = [axis.label for axes in made.axes for axis in axes._axis_map.values()]
+    return [label for label in [*found, made._supxlabel, made._supylabel] if label is not None]
+
+
+def _inside(label, page) -> bool:
+    box = label.get_window_extent()
+    return not label.get_text() or (
+        box.x0 >= 0 and box.y0 >= 0 and box.x1 <= page.x1 and box.y1 <= page.y1
+    )
 
 
 def test_the_same_bytes_twice(tmp_path: Path) -> None:
@@ -64,8 +80,10 @@ def test_the_same_bytes_twice(tmp_path: Path) -> None:
 def test_a_sheet_holds_what_is_drawn(tmp_path: Path) -> None:
     columns = {
         "time_s": np.array([0.0, 0.01]),
-        "x_m": np.array([1.0, np.nan]),
+        "x, told_m": np.array([1.0, np.nan]),
         "y_m": np.array([3.0]),
     }
     Workshop(tmp_path, lambda line: None).curves("sheet", columns)
-    assert (tmp_path / "curves" / "sheet.csv").read_text() == "time_s,x_m,y_m\n0,1,3\n0.01,nan,\n"
+    assert (
+        tmp_path / "curves" / "sheet.csv"
+    ).read_text() == "time_s,x_told_m,y_m\n0,1,3\n0.01,nan,\n"
