@@ -1,7 +1,7 @@
 # One command for everything. `make` alone lists them.
 SHELL := /bin/bash
 .DEFAULT_GOAL := help
-.PHONY: help setup test demo docs commands bench lint format colcon clean
+.PHONY: help setup test demo docs results commands bench lint format colcon clean
 
 BIN  := .venv/bin
 # Workers of the test run; `make test JOBS=1` runs in one process.
@@ -31,6 +31,9 @@ demo: setup  ## Fly a formation, record it, verify it
 
 docs: setup  ## Make the parts of the pages that are made of the code
 	@$(BIN)/python -m docs.make $(ARGS)
+
+results: setup  ## Fly the paper again: docs/results.md and its pictures
+	@time $(BIN)/ptnsbc reproduce --docs docs $(ARGS)
 
 commands: setup  ## Run every command in README and docs, in a scratch clone
 	@time $(BIN)/python -m docs.commands $(ARGS)

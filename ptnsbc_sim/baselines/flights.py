@@ -34,6 +34,9 @@ LAWS = ("ours", *_REACHING, "linear_cascade")
 _ROBUST = (0.6, 0.4)  # [m/s^2], [rad/s^2]: one and a half to two times the disturbances of Table 2
 _WIDTH = (0.05, 0.1)  # [m/s], [rad/s]: as wide as the boundaries of our controller
 _LONGER = 2.0  # deadlines that a flight is watched for while a gain is tuned
+_ACCELERATION = "gains.filter.max_acceleration_m_s2"
+_WIDER = 2.0  # how much higher the limit of the command filter may be for a cascade
+_SPARE = 1.05  # the gentlest gain is just not outside the band for good, and any other limit puts it there
 _IN_BAND = 3.912  # ln 50: time constants until 2 % of an error are left
 
 
@@ -123,16 +126,42 @@ def _settles(scenario: Scenario, law: str, watched_s: float) -> Callable[[float]
 
 
 def _ladder(law: str, settle_s: float) -> list[float]:
-    """Values from gentle to firm."""
+    """Values from gentle to firm; a constant gain begins where 2 % of an error are left at `settle_s`."""
     if law == "linear_cascade":
-        return [0.4 * 1.15**step for step in range(22)]
+        return [_IN_BAND / settle_s * 1.08**step for step in range(25)]
     return [8.0 * settle_s * 0.8**step for step in range(16)]
+
+
+def _watched_s(settle_s: float) -> float:
+    return max(_LONGER * settle_s, settle_s + 2.0)
 
 
 def _tuned(scenario: Scenario, law: str, settle_s: float) -> Scenario:
     """The scenario with the gentlest value that makes it settle in time."""
-    settles = _settles(scenario, law, max(_LONGER * settle_s, settle_s + 2.0))
+    settles = _settles(scenario, law, _watched_s(settle_s))
     return _with(scenario, law, tuned(settles, settle_s, _ladder(law, settle_s)))
+
+
+def opened(scenario: Scenario, settle_s: float) -> Scenario:
+    """The scenario of `linear_cascade` behind a command filter opened as little as settling in time needs.
+
+    Behind the scenario's filter no constant gain may do: what it asks for at the start is cut. With twice the
+    acceleration limit the gentlest gain is found, and with a little more than that the lowest limit.
+
+    Raises:
+        BaselineError: no gain does with twice the limit either.
+    """
+    law, limit = "linear_cascade", float(scenario.gains.filter.max_acceleration_m_s2)
+    wide = _tuned(_changed(scenario, {_ACCELERATION: _WIDER * limit}), law, settle_s)
+    gain = _SPARE * float(wide.gains.formation.kappa_1_s)
+    found = _changed(wide, {"gains.formation.kappa_1_s": gain})
+    free = _changed(found, {"world.obstacles": [], "timing.duration_s": _watched_s(settle_s)})
+
+    def settles(acceleration: float) -> float | None:
+        return settled_s(_fly_by(_changed(free, {_ACCELERATION: acceleration}), law))
+
+    ladder = np.geomspace(limit, _WIDER * limit, 9).tolist()
+    return _changed(found, {_ACCELERATION: tuned(settles, settle_s, ladder)})
 
 
 def earliest_s(scenario: Scenario) -> float:
@@ -156,6 +185,8 @@ def fly(
     actuator_limit_n: float | None = None,
     settle_s: float | None = None,
     progress: Progress | None = None,
+    *,
+    open_filter: bool = False,
 ) -> Flight:
     """Fly a scenario by one of LAWS.
 
@@ -167,6 +198,7 @@ def fly(
             the deadline), else its nominal deadline (by default the scenario's). Without actuator
             limit and obstacles: a law is tuned for what it was made for.
         progress: called with (ticks done, ticks in all) now and then.
+        open_filter: `linear_cascade` gets a command filter that lets it settle in time, see `opened`.
 
     Returns:
         The flight; its scenario holds what was tuned.
@@ -185,7 +217,8 @@ def fly(
     if law == "linear_cascade" and settle_s is None:
         settle_s = scenario.gains.formation.deadline_s
     if settle_s is not None:
-        scenario = _tuned(scenario, law, settle_s)
+        wide = open_filter and law == "linear_cascade"
+        scenario = opened(scenario, settle_s) if wide else _tuned(scenario, law, settle_s)
     if actuator_limit_n is not None:
         scenario = _changed(scenario, {"plant.rigid_body.max_force_n": float(actuator_limit_n)})
     return _fly_by(scenario, law, progress)

@@ -54,8 +54,9 @@ def told(workshop: Workshop, seeds: Sequence[int]) -> Iterator[int]:
         yield seed
 
 
-def draws_table(flights: Sequence[Flown]) -> Table:
-    """The experiment by seed."""
+def draws_table(flights: Sequence[Flown], which: str) -> Table:
+    """The experiment by seed; `which` says of what kind these are."""
+    first, last = flights[0].scenario.seed, flights[-1].scenario.seed
     rows: list[tuple[Cell, ...]] = [
         (
             one.scenario.seed,
@@ -71,8 +72,8 @@ def draws_table(flights: Sequence[Flown]) -> Table:
     ]
     close = sum(one.worst_at_deadline_m() <= TOLERANCE_M for one in flights)
     return Table(
-        "experiment",
-        "The experiment, by seed of its noise, losses and gusts; the worst UAV of each",
+        f"experiment_{first}_{last}",
+        f"The experiment, {which}: by seed of its noise, losses and gusts, the worst UAV of each",
         (
             Column("seed"),
             Column("deadline met"),
@@ -125,7 +126,7 @@ def causes_table(workshop: Workshop) -> Table:
     own_m, pair_m, share = blind_bound()
     return Table(
         "experiment_causes",
-        f"What the error at the deadline comes from, {len(DRAWS)} draws each",
+        f"What the error at the deadline comes from, seeds {DRAWS[0]} to {DRAWS[-1]}",
         (
             Column("cause"),
             Column("RMS of all UAVs, m", 4),

@@ -63,7 +63,7 @@ def initial_claim(
     newtons = [f"{law} {one.initial_input():.0f}" for law, one in flights.items()]
     told = f"against the gentler of the two: {_listed(found)} (inputs: {', '.join(newtons)})"
     if matched is not None:
-        told += f". Tuned to settle when ours does: {_listed(_least(matched, laws))}"
+        told += f". The baselines tuned to settle when profile soft does: {_listed(_least(matched, laws))}"
     many = len(flights["ours, soft"].scenario.uav_ids) > _FIVE
     return Claim(
         key,
