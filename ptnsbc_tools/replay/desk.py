@@ -18,6 +18,7 @@ from ptnsbc_tools.replay.seat import Seat
 from ptnsbc_tools.replay.shelf import Shelf
 
 _KEPT_SNAPSHOTS = 8
+_KEPT_STATUSES = 64  # twelve seconds of them; those of steps that are not made stay for nobody
 
 
 class Desk:
@@ -87,3 +88,5 @@ class Desk:
                 seat = self.seats.get(int(uav))
                 if seat is not None:
                     seat.told.setdefault(int(ticks), []).append(status.values)
+                    if len(seat.told) > _KEPT_STATUSES:
+                        del seat.told[next(iter(seat.told))]

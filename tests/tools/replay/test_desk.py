@@ -1,0 +1,21 @@
+"""What waits on the desk of a re-run for its step, and for how long."""
+
+import pytest
+
+pytest.importorskip("rclpy")
+
+from ptnsbc_nodes import topics
+from ptnsbc_nodes.bag import BagMessage
+from ptnsbc_nodes.status import Level, diagnostics
+from ptnsbc_sim.scenario import load_scenario
+from ptnsbc_tools.replay.desk import Desk
+
+
+def test_counters_of_steps_that_are_not_made_do_not_pile_up():
+    desk = Desk(load_scenario("paper_5"), [1])
+    told = desk.seats[1].told
+    for tick in range(0, 5000, 20):
+        data = diagnostics(tick, "uav1: planner", Level.OK, "", {"ticks": str(tick)})
+        desk.put(BagMessage(topics.DIAGNOSTICS.name, tick, bytes(data)))
+        assert tick in told  # the newest is there for its step
+    assert len(told) < 100
