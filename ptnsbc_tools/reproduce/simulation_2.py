@@ -51,7 +51,7 @@ def run(workshop: Workshop) -> Part:
         "Scenario `paper_20`, 60 s: the paper prints neither graph, nor formation, nor starts, so they are ours. "
         f"Trajectories are those of profile `{_BEST}` on the six-input plant; distances and inputs are shown for the "
         "printed gains too, inputs also without the command filter, as printed. The starts are within 0.6 m of a shape "
-        "of the same kind; what happens from starts anywhere in the box is measured in part *ablation_starts*.",
+        "of the same kind; `ptnsbc reproduce --only ablation_starts` measures starts anywhere in the box.",
         figures=figures,
         tables=(table,),
         claims=(

@@ -40,7 +40,7 @@ def _row(one: Flown) -> tuple[Cell, ...]:
         one.peak_input(),
         one.verdict.energy,
         one.energy_beyond_hover(),
-        _reason(one),
+        reason(one),
     )
 
 
@@ -49,7 +49,7 @@ def flights_table(name: str, title: str, flights: Iterable[Flown], meaning: str)
     return Table(name, title, _COLUMNS, tuple(_row(one) for one in flights), meaning)
 
 
-def _reason(one: Flown) -> str:
+def reason(one: Flown) -> str:
     """Why the worst UAV lost the deadline; empty when all kept it."""
     missed = [uav for uav in one.verdict.uavs if uav.verdict != "met"]
     if not missed:

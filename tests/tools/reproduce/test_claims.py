@@ -232,6 +232,9 @@ def test_the_experiment_in_wind() -> None:
         "holds when lucky: 3 of 4 draws"
     )
     assert claims.experiment_claim(hurried, hurried, calm).verdict == FAILS
+    table = experiment_causes.draws_table([*windy, *hurried], "some draws")
+    assert [str(row[-1])[:3] for row in table.rows] == ["", "", "", "UAV"]
+    assert "in 3 they stay there" in table.meaning
 
 
 def test_told_places_alone_would_not_keep_the_experiment_s_promise() -> None:
