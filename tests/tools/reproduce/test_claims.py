@@ -44,6 +44,7 @@ def test_formation_in_five_seconds(scenario: str) -> None:
     claim = claims.formation_claim(scenario, found)
     assert claim.verdict == "holds when the profile is soft"
     assert "soft: 5 of 5" in claim.ours
+    assert claims.formation_claim(scenario, {"paper": found["paper"]}).verdict == FAILS
     assert found["soft"].clearance_m() > 0.0
     settled = found["soft"].settled_s()
     assert settled is not None and settled < 5.0
@@ -56,14 +57,16 @@ def test_twenty_uavs_in_five_seconds_below_500_n() -> None:
     }
     assert claims.shape_claim(found).verdict == "holds when the profile is soft"
     assert "soft: 20 of 20" in claims.shape_claim(found).ours
+    assert claims.shape_claim({"paper": found["paper"]}).verdict == FAILS
     assert claims.limit_claim(found, LIMIT_N).verdict == HOLDS
     assert claims.limit_claim(found, 20.0).verdict == FAILS
     assert max(one.peak_input() for one in found.values()) < LIMIT_N / 10
 
 
 def test_velocities_follow_their_commands_after_tf3() -> None:
-    claim = claims.velocity_claim(flights("paper_5_free"))
-    assert claim.verdict == "holds when the profile is soft"
+    found = flights("paper_5_free")
+    assert claims.velocity_claim(found).verdict == "holds when the profile is soft"
+    assert claims.velocity_claim({"paper": found["paper"]}).verdict == FAILS
 
 
 def test_the_first_force_of_profile_soft_is_the_weight() -> None:
@@ -127,6 +130,8 @@ def test_the_initial_input_is_far_below_that_of_the_baselines_but_not_as_printed
         assert settled is not None and settled < 5.0  # or it would be no rival
     assert rivalry.spent_claim(found, found, laws).verdict.startswith("holds when ")
     assert "the profile is soft" in rivalry.spent_claim(found, found, laws).verdict
+    thrifty = {**found, laws[0]: found["ours, soft"]}
+    assert rivalry.spent_claim(thrifty, found, laws).verdict == FAILS
 
 
 def test_with_twenty_uavs_the_initial_input_is_far_below_too_but_not_as_printed() -> None:
@@ -156,6 +161,8 @@ def test_with_limited_actuators_the_baselines_are_in_time_too() -> None:
     claim = rivalry.saturated_claim(found, limit_n, laws)
     assert "the profile is soft" in claim.verdict
     assert claim.verdict.endswith("do too")
+    late = {**found, "ours, soft": found["ours, paper"]}
+    assert rivalry.saturated_claim(late, limit_n, laws).verdict == FAILS
 
 
 def test_the_cascade_is_compared_at_the_settling_it_reaches() -> None:
