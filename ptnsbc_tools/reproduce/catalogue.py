@@ -30,11 +30,11 @@ class Experiment:
 
 
 EXPERIMENTS = (
-    Experiment("overview", "all scenarios", 15),
-    Experiment("simulation_1", "paper_5, paper_5_free", 15),
-    Experiment("baselines", "paper_5_free, paper_20", 40),
-    Experiment("simulation_2", "paper_20", 25),
-    Experiment("experiment", "experiment_4", 25),
+    Experiment("overview", "all scenarios", 25),
+    Experiment("simulation_1", "paper_5, paper_5_free", 40),
+    Experiment("baselines", "paper_5_free, paper_20", 100),
+    Experiment("simulation_2", "paper_20", 35),
+    Experiment("experiment", "experiment_4", 85),
     Experiment("ablation_profiles", "paper_5, both plants", 50),
     Experiment("ablation_starts", "paper_20, both plants", 40),
     Experiment("ablation_estimator", "paper_5_free", 4),

@@ -181,5 +181,6 @@ def five(
     style.legend(made, rows[0][0], columns=3)
     name = f"fig_{number}_{some.scenario.name}_input_{uavs[0]}_{uavs[-1]}"
     workshop.figure(name, made, found)
-    caption = f"Input of UAV {uavs[0]} to UAV {uavs[-1]}; dotted: the weight, {DEADLINE_NOTE}"
+    note = f"each profile on a scale of its own; dotted: the weight, {DEADLINE_NOTE}"
+    caption = f"Input of UAV {uavs[0]} to UAV {uavs[-1]}, {note}"
     return Figure(name, f"Fig. {number}", caption)
