@@ -29,6 +29,7 @@ def _shared(name: str) -> None:
     spec.loader.exec_module(module)
 
 
+_shared("own_services")
 if importlib.util.find_spec("pymavlink"):
     _shared("mavlink_wires")
     _shared("mavlink_fleet")

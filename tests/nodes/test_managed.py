@@ -5,6 +5,7 @@ import time
 
 import numpy as np
 import pytest
+from own_services import LIFECYCLE, PARAMETERS
 
 pytest.importorskip("rclpy")
 
@@ -138,9 +139,7 @@ def test_an_error_of_ours_ends_the_process(managed):
     assert node.broken and node.ended
 
 
-def test_the_manager_takes_nodes_to_active(ros, managed):
-    node = managed()
-    manager = Manager(ros.node("fleet"))
+def take_to_active(ros, manager, node):
     manager.manage("uav3", "/uav3/controller")
 
     def arrived():
@@ -149,6 +148,11 @@ def test_the_manager_takes_nodes_to_active(ros, managed):
 
     ros.spin_until(arrived)
     assert manager.refused == []
+
+
+def test_the_manager_takes_nodes_to_active(ros, managed):
+    node = managed()
+    take_to_active(ros, Manager(ros.node("fleet")), node)
 
 
 def test_the_manager_names_who_refuses(ros, managed):
@@ -193,14 +197,7 @@ def test_a_manager_that_gets_no_answer_goes_on(ros, managed, monkeypatch, lost):
     monkeypatch.setattr(fleet, "destroy_client", lambda client: destroy(client._client))
     monkeypatch.setattr(manager_module, "_ANSWER_S", 0.05)
     manager = Manager(fleet)
-    manager.manage("uav3", "/uav3/controller")
-
-    def arrived():
-        manager.look()
-        return node.state == "active"
-
-    ros.spin_until(arrived)
-    assert manager.refused == []
+    take_to_active(ros, manager, node)
     manager.arrived("uav3")  # as it says itself on /diagnostics
     manager.look()
     assert manager._wards == {}
@@ -249,21 +246,6 @@ def test_an_inactive_node_sends_no_setpoints(ros, managed):
     ros.spin_until(flies)
 
 
-LIFECYCLE = {
-    "change_state",
-    "get_state",
-    "get_available_states",
-    "get_available_transitions",
-    "get_transition_graph",
-}
-PARAMETERS = {
-    "describe_parameters",
-    "get_parameter_types",
-    "get_parameters",
-    "list_parameters",
-    "set_parameters",
-    "set_parameters_atomically",
-}
 LEGS = {f"/formation/{leg}" for leg in ("start", "hold", "land", "stop")}
 
 

@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from own_services import LIFECYCLE, PARAMETERS
 
 pytest.importorskip("rclpy")
 
@@ -99,21 +100,6 @@ def test_arguments_that_ros_refuses_are_one_line_and_exit_2(start, arguments, sa
 
 
 COLUMNS = {"publishes": 3, "hears": 4}
-PARAMETERS = {
-    "describe_parameters",
-    "get_parameter_types",
-    "get_parameters",
-    "list_parameters",
-    "set_parameters",
-    "set_parameters_atomically",
-}
-LIFECYCLE = {
-    "change_state",
-    "get_state",
-    "get_available_states",
-    "get_available_transitions",
-    "get_transition_graph",
-}
 
 
 def listed(what, node):
