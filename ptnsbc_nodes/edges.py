@@ -64,3 +64,7 @@ class Edges:
     def epoch_readers(self) -> int:
         """How many nodes hear the epoch: all UAVs; in real time not every flight has a sim."""
         return len(self._scenario.uav_ids) + self.wrench_readers()
+
+    def epoch_listeners(self) -> dict[int, int]:
+        """How many nodes of each UAV hear the epoch: its controller, and its bridge."""
+        return dict.fromkeys(self._scenario.uav_ids, 1 + self.options.bridged)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import re
 import time
-from collections.abc import Callable, Iterable
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping
 from typing import NamedTuple
 
 from rclpy.duration import Duration
@@ -138,6 +139,17 @@ class Endpoints:
             for outlet in self._outlets
             if outlet.publisher.get_subscription_count() < outlet.readers
         ]
+
+    def deaf(self, topic: Topic, readers: Mapping[int, int]) -> list[str]:
+        """UAVs of which fewer nodes than there should be are known to hear a topic.
+
+        `unread` counts readers, whoever they are: a viewer may stand in for a UAV that has not been found yet.
+        """
+        name = full_name(self._node, topic)
+        infos = self._node.get_subscriptions_info_by_topic(name)
+        heard = Counter(info.node_namespace for info in infos)
+        short = [uav for uav, nodes in readers.items() if heard[f"{self.fleet}/uav{uav}"] < nodes]
+        return [f"{name} at uav{uav}" for uav in short]
 
     def begin(self, now_ns: int) -> None:
         """The first leg has been announced: from here on every message counts."""

@@ -57,7 +57,9 @@ class Uav:
         self._subscribe(uav_id, edges)
         self._status = self.endpoints.publisher(topics.DIAGNOSTICS, edges.options.recorders)
         self._early_status = self.endpoints.publisher(READY, 0)
-        self._services = self._serve(edges) if uav_id == scenario.leader_id else None
+        leads = uav_id == scenario.leader_id
+        self._services = self._serve(edges) if leads else None
+        self._listeners = edges.epoch_listeners() if leads else {}
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._status_timer = node.create_timer(1.0 / STATUS_HZ, self._on_status_timer, clock=steady)
         self._ticker: Ticker | None = None
@@ -101,7 +103,7 @@ class Uav:
         if self._lockstep:
             return missing + self.endpoints.unread()
         if self._recorded and not self._epochs.announced:
-            missing += self.endpoints.unread()
+            missing += self.endpoints.unread() + self.endpoints.deaf(topics.EPOCH, self._listeners)
         if self._inbox.own is None and self._odom_name not in missing:
             missing.append(self._odom_name)
         if self._clocks.offset is not None and not self._epochs.announced:

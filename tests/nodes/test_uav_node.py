@@ -258,6 +258,30 @@ def test_real_time_waits_for_its_recorder_before_the_flight_and_not_in_it(ros, s
     ros.spin_until(lambda: not said & set(uav.waiting_for()))
 
 
+def test_the_leader_begins_when_every_uav_hears_it_and_not_others_instead(ros, scenario):
+    """Viewers, a recorder beside and the sim hear the epoch too: their number says nothing."""
+    uav = Uav(
+        ros.node("controller", namespace=f"/uav{LEADER}"),
+        scenario,
+        LEADER,
+        Edges(scenario, FlightOptions(recorded=True)),
+    )
+    uav.activate()
+    for number in range(2 * len(scenario.uav_ids)):
+        Endpoints(ros.node(f"viewer{number}"), False).listen(topics.EPOCH, lambda _: None)
+    ros.spin_until(lambda: topics.EPOCH.name not in uav.waiting_for())
+
+    def deaf():
+        return {what for what in uav.waiting_for() if what.startswith(f"{topics.EPOCH.name} at ")}
+
+    others = [i for i in scenario.uav_ids if i != LEADER]
+    ros.spin_until(lambda: deaf() == {f"{topics.EPOCH.name} at uav{i}" for i in others})
+    for i in others:
+        ends = Endpoints(ros.node("controller", namespace=f"/uav{i}"), False)
+        ends.listen(topics.EPOCH, lambda _: None)
+    ros.spin_until(lambda: not deaf())
+
+
 def test_no_flight_begins_by_clocks_that_differ(ros, scenario):
     others = Others(ros, scenario, LEADER, lockstep=False)
 
