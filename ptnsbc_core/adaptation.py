@@ -2,39 +2,44 @@
 
 from __future__ import annotations
 
-import numpy as np
-
-from ptnsbc_core.algebra import put
-from ptnsbc_core.kernel import kernel
-from ptnsbc_core.types import Array, ControllerConfig
+from ptnsbc_core.kernel import leaf
+from ptnsbc_core.types import ControllerConfig, Observer, Parameters, Vector3
 
 
-@kernel
+@leaf
+def _adapted(
+    value: float, nominal: float, gain: float, product: float, dt: float, share: float
+) -> float:
+    span = share * nominal
+    return min(max(value - dt * gain * product, nominal - span), nominal + span)
+
+
+@leaf
 def adapted_parameters(
-    parameters: Array, regressor_error: Array, frozen: bool, dt: float, config: ControllerConfig
-) -> Array:
-    """Psi_hat (4,) after one step of Psi_dot = -Gamma^-1 Y^T V~, (50), kept within mass_range of nominal.
+    parameters: Parameters, product: Parameters, dt: float, config: ControllerConfig
+) -> Parameters:
+    """Psi_hat after one step of Psi_dot = -Gamma^-1 Y^T V~, (50), kept within mass_range of nominal.
 
     Args:
-        parameters: (4,) m [kg], Ixx, Iyy, Izz [kg m^2].
-        regressor_error: (4,) Y^T V~.
-        frozen: an actuator is at its limit, so the error says nothing about the parameters.
+        parameters: before the step.
+        product: Y^T V~ of each parameter.
         dt: step [s].
         config: gains and nominal values.
     """
-    out = parameters.copy()
-    if frozen:
-        return out
-    for i in range(4):
-        gain = config.adaptation[0] if i == 0 else config.adaptation[1]
-        nominal = config.nominal[i]
-        span = config.mass_range * nominal
-        step = out[i] - dt * gain * regressor_error[i]
-        out[i] = min(max(step, nominal - span), nominal + span)
-    return out
+    nominal, share = config.nominal, config.mass_range
+    linear, angular = config.adaptation
+    inertia, turn = parameters.inertia, product.inertia
+    return Parameters(
+        _adapted(parameters.mass, nominal.mass, linear, product.mass, dt, share),
+        (
+            _adapted(inertia[0], nominal.inertia[0], angular, turn[0], dt, share),
+            _adapted(inertia[1], nominal.inertia[1], angular, turn[1], dt, share),
+            _adapted(inertia[2], nominal.inertia[2], angular, turn[2], dt, share),
+        ),
+    )
 
 
-@kernel
+@leaf
 def adapted_bound(
     bound: float, error_norm: float, which: int, dt: float, config: ControllerConfig
 ) -> float:
@@ -53,19 +58,42 @@ def adapted_bound(
     return min(bound + dt * (growth - config.bound_leak * bound), config.bound_cap[which])
 
 
-@kernel
-def started(velocity: Array) -> Array:
-    """Observer (12,) at a velocity (3,) [m/s, ENU], with no disturbance known."""
-    out = np.zeros(12)
-    put(out, 0, velocity)
-    return out
+@leaf
+def started(velocity: Vector3) -> Observer:
+    """Observer at a velocity [m/s, ENU], with no disturbance known."""
+    zero = (0.0, 0.0, 0.0)
+    return Observer(velocity, zero, zero, zero)
 
 
-@kernel
+@leaf
+def _observed_axis(
+    axis: int,
+    observer: Observer,
+    velocity: float,
+    frozen: bool,
+    dt: float,
+    config: ControllerConfig,
+) -> Vector3:
+    """Velocity, disturbance and trend of one axis after the measurement."""
+    pole, cap = config.observer_bandwidth, config.bound_cap[0]
+    disturbance, trend = observer.disturbance[axis], observer.trend[axis]
+    predicted = observer.velocity[axis] + dt * (observer.acceleration[axis] + disturbance)
+    miss = velocity - predicted
+    corrected = predicted + 3.0 * pole * dt * miss
+    if frozen:
+        return corrected, disturbance, trend
+    moved = disturbance + dt * (trend + 3.0 * pole * pole * miss)
+    kept = min(max(moved, -cap), cap)
+    if moved != kept:
+        return corrected, kept, 0.0  # at the cap the trend would wind up
+    return corrected, kept, trend + dt * pole * pole * pole * miss
+
+
+@leaf
 def observed(
-    observer: Array, velocity: Array, frozen: bool, dt: float, config: ControllerConfig
-) -> Array:
-    """Disturbance observer (12,) after one measurement of the velocity (3,) [m/s, ENU].
+    observer: Observer, velocity: Vector3, frozen: bool, dt: float, config: ControllerConfig
+) -> Observer:
+    """Disturbance observer after one measurement of the velocity [m/s, ENU].
 
     Not in the paper. The thrust of a quadrotor follows the attitude, so the gain that keeps delta_hat sat()
     small in (49) is not to be had; the observer compares the measured velocity with what the last
@@ -73,17 +101,9 @@ def observed(
     steadily, so that gusts and sway of about 1 rad/s leave a lag of second order only. Three poles at
     `observer_bandwidth` (as dt goes to 0).
     """
-    out = observer.copy()
-    pole = config.observer_bandwidth
-    cap = config.bound_cap[0]
-    for i in range(3):
-        predicted = observer[i] + dt * (observer[6 + i] + observer[3 + i])
-        miss = velocity[i] - predicted
-        out[i] = predicted + 3.0 * pole * dt * miss
-        if not frozen:
-            moved = observer[3 + i] + dt * (observer[9 + i] + 3.0 * pole * pole * miss)
-            out[3 + i] = min(max(moved, -cap), cap)
-            out[9 + i] = observer[9 + i] + dt * pole * pole * pole * miss
-            if moved != out[3 + i]:
-                out[9 + i] = 0.0  # at the cap the trend would wind up
-    return out
+    x = _observed_axis(0, observer, velocity[0], frozen, dt, config)
+    y = _observed_axis(1, observer, velocity[1], frozen, dt, config)
+    z = _observed_axis(2, observer, velocity[2], frozen, dt, config)
+    return Observer(
+        (x[0], y[0], z[0]), (x[1], y[1], z[1]), observer.acceleration, (x[2], y[2], z[2])
+    )

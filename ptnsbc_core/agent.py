@@ -11,8 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ptnsbc_core.algebra import put
+from ptnsbc_core.algebra import put3
 from ptnsbc_core.kernel import kernel, kernel_list, leaf
+from ptnsbc_core.kinematics import put_estimate
 from ptnsbc_core.step import initial_state, step
 from ptnsbc_core.types import (
     MODE_HOLD,
@@ -33,7 +34,7 @@ LEADER_AGE, NEAR_AGE, MODE, START_AGE = (PARENT_AGE + k for k in range(1, 5))
 ESTIMATES = START_AGE + 1
 
 # Where the fields of AgentOutputs stand in `Told.vector`.
-_VELOCITY, _WRENCH, _ESTIMATE, _ERROR, _FIGURES, _TOLD_SIZE = 0, 4, 10, 23, 26, 33
+_VELOCITY, _WRENCH, _ESTIMATE, _ERROR, _TOLD_SIZE = 0, 4, 10, 23, 33
 
 
 class Known:
@@ -101,16 +102,7 @@ class Told:
     @property
     def diagnostics(self) -> AgentDiagnostics:
         """Why the UAV does what it does."""
-        error = self.vector[_ERROR:_FIGURES]
-        gain, singular_value, rows, saturated, holding, *rest = self.vector[_FIGURES:].tolist()
-        return AgentDiagnostics(
-            error, gain, singular_value, int(rows), saturated > 0.0, holding > 0.0, *rest
-        )
-
-    @property
-    def outputs(self) -> AgentOutputs:
-        """All of it with names."""
-        return AgentOutputs(self.velocity, self.wrench, self.leader_estimate, self.diagnostics)
+        return diagnostics_of(self.vector[_ERROR:])
 
 
 class _Flight(NamedTuple):
@@ -147,24 +139,51 @@ def _advance(
     state, outputs = step(flight.state, _inputs(known, near), t, dt, flight.config)
     flights[0] = _Flight(flight.config, state)
     told = np.empty(_TOLD_SIZE)
-    put(told, _VELOCITY, outputs.velocity)
-    put(told, _WRENCH, outputs.wrench)
-    put(told, _ESTIMATE, outputs.leader_estimate)
-    why = outputs.diagnostics
-    put(told, _ERROR, why.error)
-    told[_FIGURES] = why.gain
-    told[_FIGURES + 1] = why.singular_value
-    told[_FIGURES + 2] = why.active_rows
-    told[_FIGURES + 3] = 1.0 if why.saturated else 0.0
-    told[_FIGURES + 4] = 1.0 if why.holding else 0.0
-    told[_FIGURES + 5] = why.priority_violation
-    told[_FIGURES + 6] = why.velocity_error
+    put_velocity(told[_VELOCITY:_WRENCH], outputs)
+    put_wrench(told[_WRENCH:_ESTIMATE], outputs)
+    put_estimate(told[_ESTIMATE:_ERROR], outputs.estimate)
+    put_diagnostics(told[_ERROR:], outputs.diagnostics)
     return told
+
+
+@leaf
+def put_velocity(out: Array, outputs: AgentOutputs) -> None:
+    """The velocity setpoint into (4,): [m/s, ENU] and yaw rate [rad/s]."""
+    put3(out, 0, outputs.velocity)
+    out[3] = outputs.yaw_rate
+
+
+@leaf
+def put_wrench(out: Array, outputs: AgentOutputs) -> None:
+    """Force and torque into (6,): [N], [N m], body FLU."""
+    put3(out, 0, outputs.force)
+    put3(out, 3, outputs.torque)
+
+
+@leaf
+def put_diagnostics(out: Array, why: AgentDiagnostics) -> None:
+    """Diagnostics in the order of their fields into (10,)."""
+    put3(out, 0, why.error)
+    out[3] = why.gain
+    out[4] = why.singular_value
+    out[5] = why.active_rows
+    out[6] = 1.0 if why.saturated else 0.0
+    out[7] = 1.0 if why.holding else 0.0
+    out[8] = why.priority_violation
+    out[9] = why.velocity_error
 
 
 @kernel
 def _first(flights: MutableSequence[_Flight]) -> AgentState:
     return flights[0].state
+
+
+def diagnostics_of(row: Array) -> AgentDiagnostics:
+    """The diagnostics that `put_diagnostics` has put into (10,)."""
+    x, y, z, gain, singular_value, rows, saturated, holding, *rest = row.tolist()
+    return AgentDiagnostics(
+        (x, y, z), gain, singular_value, int(rows), saturated > 0.0, holding > 0.0, *rest
+    )
 
 
 class Agent:
@@ -190,6 +209,6 @@ class Agent:
         """One tick, see `step`: t [s] since the latest epoch, dt [s] the control period."""
         return Told(_advance(self._flights, known.vector, known.near, t, dt))
 
-    def step(self, inputs: AgentInputs, t: float, dt: float) -> AgentOutputs:
-        """The same with names for every number that goes in and comes out."""
-        return self.advance(Known.of(inputs), t, dt).outputs
+    def step(self, inputs: AgentInputs, t: float, dt: float) -> Told:
+        """The same with a name for every number that goes in."""
+        return self.advance(Known.of(inputs), t, dt)

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ptnsbc_core.kernel import kernel, leaf
-from ptnsbc_core.types import Array
+from ptnsbc_core.types import Array, Matrix3, Triple, Vector3
 
 _SWEEPS = 12
 
@@ -26,83 +26,67 @@ class Eigen3(NamedTuple):
 
 
 @leaf
-def dot3(a: Array, b: Array) -> float:
+def dot3(a: Triple, b: Triple) -> float:
     """Scalar product of two (3,) vectors."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @leaf
-def norm3(a: Array) -> float:
+def norm3(a: Triple) -> float:
     """Euclidean norm of a (3,) vector."""
     return math.sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2])
 
 
 @leaf
-def cross3(a: Array, b: Array) -> Array:
-    """Vector product a x b, (3,)."""
-    c = np.empty(3)
-    c[0] = a[1] * b[2] - a[2] * b[1]
-    c[1] = a[2] * b[0] - a[0] * b[2]
-    c[2] = a[0] * b[1] - a[1] * b[0]
-    return c
+def cross3(a: Triple, b: Triple) -> Vector3:
+    """Vector product a x b."""
+    return (
+        a[1] * b[2] - a[2] * b[1],
+        a[2] * b[0] - a[0] * b[2],
+        a[0] * b[1] - a[1] * b[0],
+    )
 
 
 @leaf
-def plus(a: Array, b: Array) -> Array:
-    """Sum of two (3,) vectors.
-
-    Written out, as everything here: an expression of whole arrays compiles to loops for any shape and
-    stride, which made the compiled step three times as large.
-    """
-    out = np.empty(3)
-    for i in range(3):
-        out[i] = a[i] + b[i]
-    return out
+def plus(a: Triple, b: Triple) -> Vector3:
+    """Sum of two (3,) vectors."""
+    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
 
 
 @leaf
-def minus(a: Array, b: Array) -> Array:
+def minus(a: Triple, b: Triple) -> Vector3:
     """Difference a - b of two (3,) vectors."""
-    out = np.empty(3)
-    for i in range(3):
-        out[i] = a[i] - b[i]
-    return out
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
 @leaf
-def scaled(factor: float, v: Array) -> Array:
+def scaled(factor: float, v: Triple) -> Vector3:
     """A (3,) vector times a number."""
-    out = np.empty(3)
-    for i in range(3):
-        out[i] = factor * v[i]
-    return out
+    return factor * v[0], factor * v[1], factor * v[2]
 
 
 @leaf
-def divided(v: Array, by: float) -> Array:
+def divided(v: Triple, by: float) -> Vector3:
     """A (3,) vector divided by a number."""
-    out = np.empty(3)
-    for i in range(3):
-        out[i] = v[i] / by
-    return out
+    return v[0] / by, v[1] / by, v[2] / by
 
 
 @leaf
-def moved(a: Array, factor: float, b: Array) -> Array:
+def moved(a: Triple, factor: float, b: Triple) -> Vector3:
     """The (3,) vector a + factor b."""
-    out = np.empty(3)
-    for i in range(3):
-        out[i] = a[i] + factor * b[i]
-    return out
+    return a[0] + factor * b[0], a[1] + factor * b[1], a[2] + factor * b[2]
 
 
 @leaf
-def part(v: Array, at: int, count: int) -> Array:
-    """Copy (count,) of the entries of a vector from `at` on."""
-    out = np.empty(count)
-    for i in range(count):
-        out[i] = v[at + i]
-    return out
+def three(v: Triple, at: int) -> Vector3:
+    """Three entries of a vector from `at` on."""
+    return v[at], v[at + 1], v[at + 2]
+
+
+@leaf
+def put3(out: Array, at: int, v: Triple) -> None:
+    """Write a (3,) vector into `out` from entry `at` on."""
+    out[at], out[at + 1], out[at + 2] = v[0], v[1], v[2]
 
 
 @leaf
@@ -113,22 +97,19 @@ def put(out: Array, at: int, values: Array) -> None:
 
 
 @leaf
-def times(m: Array, v: Array) -> Array:
-    """Product (r, 3) (3,) -> (r,)."""
-    out = np.empty(m.shape[0])
-    for i in range(m.shape[0]):
-        out[i] = m[i, 0] * v[0] + m[i, 1] * v[1] + m[i, 2] * v[2]
-    return out
+def times(m: Array | Matrix3, v: Triple) -> Vector3:
+    """Product (3, 3) (3,)."""
+    return dot3(m[0], v), dot3(m[1], v), dot3(m[2], v)
 
 
 @leaf
-def transpose_times(m: Array, v: Array) -> Array:
-    """Product of the transpose of m (r, 3) with v (r,) -> (3,)."""
-    out = np.zeros(3)
-    for i in range(m.shape[0]):
-        for j in range(3):
-            out[j] += m[i, j] * v[i]
-    return out
+def transpose_times(m: Array | Matrix3, v: Triple) -> Vector3:
+    """Product of the transpose of m (3, 3) with v (3,)."""
+    return (
+        m[0][0] * v[0] + m[1][0] * v[1] + m[2][0] * v[2],
+        m[0][1] * v[0] + m[1][1] * v[1] + m[2][1] * v[2],
+        m[0][2] * v[0] + m[1][2] * v[1] + m[2][2] * v[2],
+    )
 
 
 @leaf
@@ -144,15 +125,15 @@ def saturation(x: float, width: float) -> float:
 
 
 @leaf
-def limited(v: Array, limit: float) -> Array:
+def limited(v: Triple, limit: float) -> Vector3:
     """V (3,) scaled down to the norm `limit` where it is longer."""
     length = norm3(v)
     if length > limit:
         return scaled(limit / length, v)
-    return v
+    return three(v, 0)
 
 
-@kernel
+@leaf
 def _rotate(a: Array, vectors: Array, p: int, q: int) -> None:
     """One Jacobi rotation that zeroes a[p, q], applied to `a` and `vectors` in place."""
     if a[p, q] == 0.0:
@@ -195,11 +176,11 @@ def eigen3(gram: Array) -> Eigen3:
 
 
 @leaf
-def gram3(m: Array) -> Array:
+def gram3(m: Array | Matrix3) -> Array:
     """Gram matrix of m (r, 3): (3, 3)."""
     out = np.zeros((3, 3))
-    for r in range(m.shape[0]):
+    for r in range(len(m)):
         for i in range(3):
             for j in range(3):
-                out[i, j] += m[r, i] * m[r, j]
+                out[i, j] += m[r][i] * m[r][j]
     return out

@@ -10,19 +10,21 @@ from typing import NamedTuple
 
 from ptnsbc_core.algebra import minus, moved, norm3, scaled
 from ptnsbc_core.kernel import leaf
-from ptnsbc_core.types import Array
+from ptnsbc_core.types import Vector3
 
 
 class Filtered(NamedTuple):
     """Reference after one step, its rate during the step, and whether a limit cut it."""
 
-    value: Array  # (3,) [m/s] or [rad/s]
-    rate: Array  # (3,) [m/s^2] or [rad/s^2]
+    value: Vector3  # [m/s] or [rad/s]
+    rate: Vector3  # [m/s^2] or [rad/s^2]
     saturated: bool
 
 
 @leaf
-def filter_step(state: Array, target: Array, bandwidth: float, limit: float, dt: float) -> Filtered:
+def filter_step(
+    state: Vector3, target: Vector3, bandwidth: float, limit: float, dt: float
+) -> Filtered:
     """Move `state` (3,) towards `target` (3,) at `bandwidth` [1/s], by at most `limit` per second."""
     gain = min(bandwidth, 1.0 / dt)
     rate = scaled(gain, minus(target, state))

@@ -7,10 +7,10 @@ feed-forward removes it.
 
 from __future__ import annotations
 
-import numpy as np
+from typing import NamedTuple
 
-from ptnsbc_core.algebra import put, saturation, wrap
-from ptnsbc_core.kernel import kernel, leaf
+from ptnsbc_core.algebra import minus, moved, plus, saturation, wrap
+from ptnsbc_core.kernel import leaf
 from ptnsbc_core.kinematics import odometry_to_estimate, state_to_estimate
 from ptnsbc_core.timebase import Clock, step_gain
 from ptnsbc_core.types import (
@@ -18,97 +18,106 @@ from ptnsbc_core.types import (
     AgentConfig,
     AgentInputs,
     AgentState,
-    Array,
+    Estimate,
     EstimatorConfig,
+    Vector3,
 )
 
-_YAW = 6
+NONE = Estimate((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0)
+"""No disagreement."""
 
 
-@kernel
-def disagreement(
-    estimate: Array, estimates: Array, heard: Array, leader: Array, pinned: bool
-) -> Array:
-    """g_i (7,) = sum_j a_ij (X_i - X_j) + b_i (X_i - X_1), (46); yaw differences are wrapped.
+class Heard(NamedTuple):
+    """What was heard at this tick, compared with the own estimate."""
 
-    Args:
-        estimate: (7,) own estimate.
-        estimates: (K, 7) neighbours' estimates, `heard` (K,) 1 where there is one.
-        leader: (7,) the leader's state, used when `pinned`.
-        pinned: whether the leader's state is at hand.
-    """
-    g = np.zeros(7)
-    for k in range(estimates.shape[0]):
-        if heard[k] > 0.0:
-            for i in range(_YAW):
-                g[i] += estimate[i] - estimates[k, i]
-            g[_YAW] += wrap(estimate[_YAW] - estimates[k, _YAW])
-    if pinned:
-        for i in range(_YAW):
-            g[i] += estimate[i] - leader[i]
-        g[_YAW] += wrap(estimate[_YAW] - leader[_YAW])
-    return g
-
-
-@kernel
-def estimator_step(
-    estimate: Array, g: Array, t: float, dt: float, config: EstimatorConfig
-) -> Array:
-    """One step of (44), (7,): X_dot = -Xi_2 g - k_1 g - k_2 sat(g / width), plus v_hat for the position."""
-    gain = step_gain(t, dt, config.duration_s, config.residual) / config.lambda_min + config.k1
-    out = np.empty(7)
-    for i in range(7):
-        rate = -gain * g[i] - config.k2 * saturation(g[i], config.boundary)
-        if config.feed_forward and i < 3:
-            rate += estimate[3 + i]
-        out[i] = estimate[i] + dt * rate
-    out[_YAW] = wrap(out[_YAW])
-    return out
+    disagreement: Estimate  # g_i
+    anything: bool
 
 
 @leaf
-def _moved_on(estimate: Array, age_s: float) -> Array:
-    """Estimate (7,) of `age_s` ago carried to the present with its own velocity."""
-    out = estimate.copy()
-    for i in range(3):
-        out[i] += age_s * estimate[3 + i]
-    return out
+def disagreeing(g: Estimate, estimate: Estimate, other: Estimate) -> Estimate:
+    """One more term of g_i = sum_j a_ij (X_i - X_j) + b_i (X_i - X_1), (46); yaw differences are wrapped."""
+    return Estimate(
+        plus(g.position, minus(estimate.position, other.position)),
+        plus(g.velocity, minus(estimate.velocity, other.velocity)),
+        g.yaw + wrap(estimate.yaw - other.yaw),
+    )
+
+
+@leaf
+def _stepped(value: float, g: float, gain: float, dt: float, config: EstimatorConfig) -> float:
+    rate = -gain * g - config.k2 * saturation(g, config.boundary)
+    return value + dt * rate
+
+
+@leaf
+def _stepped3(
+    value: Vector3, g: Vector3, forward: Vector3, gain: float, dt: float, config: EstimatorConfig
+) -> Vector3:
+    k2, width = config.k2, config.boundary
+    return (
+        value[0] + dt * (-gain * g[0] - k2 * saturation(g[0], width) + forward[0]),
+        value[1] + dt * (-gain * g[1] - k2 * saturation(g[1], width) + forward[1]),
+        value[2] + dt * (-gain * g[2] - k2 * saturation(g[2], width) + forward[2]),
+    )
+
+
+@leaf
+def estimator_step(
+    estimate: Estimate, g: Estimate, t: float, dt: float, config: EstimatorConfig
+) -> Estimate:
+    """One step of (44): X_dot = -Xi_2 g - k_1 g - k_2 sat(g / width), plus v_hat for the position."""
+    gain = step_gain(t, dt, config.duration_s, config.residual) / config.lambda_min + config.k1
+    forward = estimate.velocity if config.feed_forward else (0.0, 0.0, 0.0)
+    return Estimate(
+        _stepped3(estimate.position, g.position, forward, gain, dt, config),
+        _stepped3(estimate.velocity, g.velocity, (0.0, 0.0, 0.0), gain, dt, config),
+        wrap(_stepped(estimate.yaw, g.yaw, gain, dt, config)),
+    )
+
+
+@leaf
+def _moved_on(estimate: Estimate, age_s: float) -> Estimate:
+    """Estimate of `age_s` ago carried to the present with its own velocity."""
+    velocity = estimate.velocity
+    return Estimate(moved(estimate.position, age_s, velocity), velocity, estimate.yaw)
+
+
+@leaf
+def _heard(present: Estimate, inputs: AgentInputs, pinned: bool, config: AgentConfig) -> Heard:
+    """Neighbours' estimates and the leader's state, carried to the present, against the own estimate."""
+    g, anything = NONE, pinned
+    for k in range(inputs.estimates.shape[0]):
+        age_s = inputs.estimate_age_s[k]
+        if age_s <= config.stale_s:
+            other = _moved_on(odometry_to_estimate(inputs.estimates[k]), age_s)
+            g, anything = disagreeing(g, present, other), True
+    if pinned:
+        leader = _moved_on(state_to_estimate(inputs.leader), inputs.leader_age_s)
+        g = disagreeing(g, present, leader)
+    return Heard(g, anything)
 
 
 @leaf
 def estimated_leader(
     state: AgentState, inputs: AgentInputs, clock: Clock, frozen: bool, config: AgentConfig
-) -> tuple[Array, bool]:
-    """Leader estimate (7,) at this tick, and whether it rests on anything heard."""
+) -> tuple[Estimate, bool]:
+    """Leader estimate at this tick, and whether it rests on anything heard."""
     if config.leader:
         return state_to_estimate(inputs.own), True
     pinned = config.estimator.pinned and inputs.leader_age_s < NEVER_HEARD_S
-    leader = np.zeros(7)
-    if pinned:
-        leader = _moved_on(state_to_estimate(inputs.leader), inputs.leader_age_s)
-        if not state.heard:
-            return leader, True
+    if pinned and not state.heard:
+        return _moved_on(state_to_estimate(inputs.leader), inputs.leader_age_s), True
     if frozen:
-        still = state.estimate.copy()
-        for i in range(3, 6):
-            still[i] = 0.0
-        return still, state.heard
-    count = inputs.estimates.shape[0]
-    others = np.empty((count, 7))
-    heard = np.zeros(count)
-    anything = pinned
-    for k in range(count):
-        if inputs.estimate_age_s[k] <= config.stale_s:
-            age_s = inputs.estimate_age_s[k]
-            put(others[k], 0, _moved_on(odometry_to_estimate(inputs.estimates[k]), age_s))
-            heard[k] = 1.0
-            anything = True
-    if not anything:
-        return state.estimate.copy(), state.heard
+        last = state.estimate
+        return Estimate(last.position, (0.0, 0.0, 0.0), last.yaw), state.heard
     # everything heard is carried to the present, so the own estimate must be too: compared one tick late
     # it settles v dt behind, which the angle tasks multiply along the chain
     present = state.estimate
     if config.estimator.feed_forward:
         present = _moved_on(state.estimate, clock.dt)
-    g = disagreement(present, others, heard, leader, pinned)
-    return estimator_step(state.estimate, g, clock.t, clock.dt, config.estimator), True
+    heard = _heard(present, inputs, pinned, config)
+    if not heard.anything:
+        return state.estimate, state.heard
+    step = estimator_step(state.estimate, heard.disagreement, clock.t, clock.dt, config.estimator)
+    return step, True

@@ -6,10 +6,10 @@ import math
 
 import numpy as np
 
-from ptnsbc_core.algebra import put
+from ptnsbc_core.algebra import put3, three, times
 from ptnsbc_core.errors import AttitudeError
 from ptnsbc_core.kernel import kernel, leaf
-from ptnsbc_core.types import ODOMETRY_SIZE, Array
+from ptnsbc_core.types import Array, Estimate, Matrix3, Triple, Vector3
 
 SINGULAR_COSINE = 1e-6
 """|cos(pitch)| below which Euler rates are refused."""
@@ -29,13 +29,24 @@ def rotation_from_euler(euler: Array) -> Array:
 
 
 @leaf
+def rotation(q: Array, at: int) -> Matrix3:
+    """Rows of R, body to world, from the unit quaternion x y z w that begins at entry `at`."""
+    x, y, z, w = q[at], q[at + 1], q[at + 2], q[at + 3]
+    return (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+    )
+
+
+@leaf
 def rotation_from_quaternion(q: Array) -> Array:
     """R (3, 3), body to world, from a unit quaternion x y z w."""
-    x, y, z, w = q[0], q[1], q[2], q[3]
     r = np.empty((3, 3))
-    r[0, 0], r[0, 1], r[0, 2] = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
-    r[1, 0], r[1, 1], r[1, 2] = 2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)
-    r[2, 0], r[2, 1], r[2, 2] = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
+    rows = rotation(q, 0)
+    put3(r[0], 0, rows[0])
+    put3(r[1], 0, rows[1])
+    put3(r[2], 0, rows[2])
     return r
 
 
@@ -54,37 +65,37 @@ def quaternion_from_euler(euler: Array) -> Array:
 
 
 @kernel
-def euler_from_rotation(r: Array) -> Array:
+def euler_from_rotation(r: Array | Matrix3) -> Vector3:
     """(roll, pitch, yaw) [rad] of R (3, 3); pitch in [-pi/2, pi/2]."""
-    euler = np.empty(3)
-    euler[0] = math.atan2(r[2, 1], r[2, 2])
-    euler[1] = math.asin(min(max(-r[2, 0], -1.0), 1.0))
-    euler[2] = math.atan2(r[1, 0], r[0, 0])
-    return euler
+    return (
+        math.atan2(r[2][1], r[2][2]),
+        math.asin(min(max(-r[2][0], -1.0), 1.0)),
+        math.atan2(r[1][0], r[0][0]),
+    )
 
 
 @kernel
-def euler_rates(euler: Array, rates: Array) -> Array:
+def euler_rates(euler: Triple, rates: Triple) -> Vector3:
     """(3), (4): Euler angle rates [rad/s] = W(euler) body rates. Infinite at cos(pitch) = 0, see `checked_pitch`."""
     sf, cf = math.sin(euler[0]), math.cos(euler[0])
     ct, tt = math.cos(euler[1]), math.tan(euler[1])
-    out = np.empty(3)
-    out[0] = rates[0] + sf * tt * rates[1] + cf * tt * rates[2]
-    out[1] = cf * rates[1] - sf * rates[2]
-    out[2] = (sf * rates[1] + cf * rates[2]) / ct
-    return out
+    return (
+        rates[0] + sf * tt * rates[1] + cf * tt * rates[2],
+        cf * rates[1] - sf * rates[2],
+        (sf * rates[1] + cf * rates[2]) / ct,
+    )
 
 
 @kernel
-def body_rates(euler: Array, rates: Array) -> Array:
+def body_rates(euler: Triple, rates: Triple) -> Vector3:
     """Body rates [rad/s] = W^-1(euler) Euler rates; regular everywhere."""
     sf, cf = math.sin(euler[0]), math.cos(euler[0])
     st, ct = math.sin(euler[1]), math.cos(euler[1])
-    out = np.empty(3)
-    out[0] = rates[0] - st * rates[2]
-    out[1] = cf * rates[1] + sf * ct * rates[2]
-    out[2] = -sf * rates[1] + cf * ct * rates[2]
-    return out
+    return (
+        rates[0] - st * rates[2],
+        cf * rates[1] + sf * ct * rates[2],
+        -sf * rates[1] + cf * ct * rates[2],
+    )
 
 
 def checked_pitch(pitch_rad: float) -> float:
@@ -102,13 +113,9 @@ def checked_pitch(pitch_rad: float) -> float:
 
 
 @leaf
-def velocity_enu(odometry: Array) -> Array:
-    """World velocity (3,) [m/s] of an odometry vector whose twist is in the body frame."""
-    r = rotation_from_quaternion(odometry[3:7])
-    out = np.empty(3)
-    for i in range(3):
-        out[i] = r[i, 0] * odometry[7] + r[i, 1] * odometry[8] + r[i, 2] * odometry[9]
-    return out
+def velocity_enu(odometry: Array) -> Vector3:
+    """World velocity [m/s] of an odometry vector whose twist is in the body frame."""
+    return times(rotation(odometry, 3), three(odometry, 7))
 
 
 @leaf
@@ -118,32 +125,25 @@ def yaw_of(odometry: Array) -> float:
     return math.atan2(2.0 * (x * y + w * z), 1.0 - 2.0 * (y * y + z * z))
 
 
-@kernel
-def estimate_to_odometry(estimate: Array) -> Array:
-    """Leader estimate (7,) p v yaw to an odometry vector (13,) with the twist in the world frame."""
-    out = np.zeros(ODOMETRY_SIZE)
-    put(out, 0, estimate[0:3])
-    out[5] = math.sin(0.5 * estimate[6])
-    out[6] = math.cos(0.5 * estimate[6])
-    put(out, 7, estimate[3:6])
-    return out
+@leaf
+def put_estimate(out: Array, estimate: Estimate) -> None:
+    """Write a leader estimate into `out` (13,), as an odometry vector with the twist in the world frame."""
+    put3(out, 0, estimate.position)
+    out[3] = 0.0
+    out[4] = 0.0
+    out[5] = math.sin(0.5 * estimate.yaw)
+    out[6] = math.cos(0.5 * estimate.yaw)
+    put3(out, 7, estimate.velocity)
+    put3(out, 10, (0.0, 0.0, 0.0))
 
 
-@kernel
-def odometry_to_estimate(odometry: Array) -> Array:
-    """Inverse of `estimate_to_odometry`, (7,)."""
-    out = np.empty(7)
-    put(out, 0, odometry[0:3])
-    put(out, 3, odometry[7:10])
-    out[6] = yaw_of(odometry)
-    return out
+@leaf
+def odometry_to_estimate(odometry: Array) -> Estimate:
+    """The leader estimate of an odometry vector with the twist in the world frame."""
+    return Estimate(three(odometry, 0), three(odometry, 7), yaw_of(odometry))
 
 
-@kernel
-def state_to_estimate(odometry: Array) -> Array:
-    """(7,) p v yaw of a UAV's own odometry vector (twist in the body frame)."""
-    out = np.empty(7)
-    put(out, 0, odometry[0:3])
-    put(out, 3, velocity_enu(odometry))
-    out[6] = yaw_of(odometry)
-    return out
+@leaf
+def state_to_estimate(odometry: Array) -> Estimate:
+    """Position, velocity and yaw of a UAV's own odometry vector (twist in the body frame)."""
+    return Estimate(three(odometry, 0), velocity_enu(odometry), yaw_of(odometry))

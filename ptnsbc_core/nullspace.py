@@ -10,9 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ptnsbc_core.algebra import eigen3, gram3, put, times, transpose_times
-from ptnsbc_core.kernel import kernel
-from ptnsbc_core.types import Array
+from ptnsbc_core.algebra import dot3, eigen3, gram3, moved, put3, times, transpose_times
+from ptnsbc_core.kernel import kernel, leaf
+from ptnsbc_core.types import Array, Matrix3, Vector3
 
 RANK_TOLERANCE = 1e-9
 """Share of the largest eigenvalue of the Gram matrix below which a direction counts as free."""
@@ -21,24 +21,24 @@ RANK_TOLERANCE = 1e-9
 class Solution(NamedTuple):
     """Velocity of a task, and how well the task determines it."""
 
-    velocity: Array  # (3,) [m/s, ENU]
+    velocity: Vector3  # [m/s, ENU]
     singular_value: float  # smallest of the Jacobian
 
 
 @kernel
 def damped_solve(
-    jacobian: Array, rate: Array, fallback: Array, threshold: float, damping: float
+    jacobian: Matrix3, rate: Vector3, fallback: Vector3, threshold: float, damping: float
 ) -> Solution:
     """J^+ rate + (I - J^+ J) fallback with the pseudo-inverse damped near a singularity.
 
     Each singular value s below `threshold` is damped by damping^2 (1 - (s/threshold)^2); what the damping
-    takes away from the task, a lower-priority velocity `fallback` (3,) fills. Away from singularities J^+ J is
+    takes away from the task, a lower-priority velocity `fallback` fills. Away from singularities J^+ J is
     the identity and the fallback has no say. Singular values come from the Gram matrix: for three unknowns
     that is the decomposition of the design without LAPACK.
     """
     parts = eigen3(gram3(jacobian))
     pulled = transpose_times(jacobian, rate)
-    out = np.zeros(3)
+    out = (0.0, 0.0, 0.0)
     smallest = np.inf
     for k in range(3):
         value = max(parts.values[k], 0.0)
@@ -46,15 +46,11 @@ def damped_solve(
         damped = value
         if value < threshold * threshold:
             damped += damping * damping * (1.0 - value / (threshold * threshold))
-        seen = 0.0
-        free = 0.0
-        for i in range(3):
-            seen += parts.vectors[i, k] * pulled[i]
-            free += parts.vectors[i, k] * fallback[i]
+        direction = (parts.vectors[0, k], parts.vectors[1, k], parts.vectors[2, k])
+        along = dot3(direction, fallback)
         if damped > 0.0:
-            free = seen / damped + (1.0 - value / damped) * free
-        for i in range(3):
-            out[i] += parts.vectors[i, k] * free
+            along = dot3(direction, pulled) / damped + (1.0 - value / damped) * along
+        out = moved(out, along, direction)
     return Solution(out, math.sqrt(smallest))
 
 
@@ -83,7 +79,8 @@ def compose(velocities: Array, jacobians: Array, rows: Array) -> Array:
 
     Args:
         velocities: (L, 3) each task's own velocity [m/s, ENU], highest priority first.
-        jacobians: (R, 3) the rows of all tasks stacked in the same order.
+        jacobians: (R, 3) the rows of the tasks stacked in the same order; nobody is below the last one, whose
+            rows may be left out.
         rows: (L,) how many rows each task has; a task may have none.
 
     Returns:
@@ -94,32 +91,31 @@ def compose(velocities: Array, jacobians: Array, rows: Array) -> Array:
     above = 0
     for level in range(velocities.shape[0]):
         if above == 0:
-            put(parts[level], 0, velocities[level])
+            put3(parts[level], 0, velocities[level])
         else:
-            put(parts[level], 0, times(projector(jacobians[:above]), velocities[level]))
+            put3(parts[level], 0, times(projector(jacobians[:above]), velocities[level]))
         above += int(rows[level])
     return parts
 
 
 @kernel
-def scaled_to_limit(parts: Array, limit: float) -> Array:
+def scaled_to_limit(parts: Array, limit: float) -> Vector3:
     """Sum of the parts (L, 3) within a speed limit [m/s]; the lowest priorities give way first."""
-    total = np.zeros(3)
+    total = (0.0, 0.0, 0.0)
     for level in range(parts.shape[0]):
         room = _share_within(total, parts[level], limit)
-        for i in range(3):
-            total[i] += room * parts[level, i]
+        total = moved(total, room, parts[level])
         if room < 1.0:
             break
     return total
 
 
-@kernel
-def _share_within(base: Array, addition: Array, limit: float) -> float:
+@leaf
+def _share_within(base: Vector3, addition: Array, limit: float) -> float:
     """Largest s in [0, 1] with |base + s addition| <= limit, for |base| <= limit."""
-    a = addition[0] * addition[0] + addition[1] * addition[1] + addition[2] * addition[2]
-    b = base[0] * addition[0] + base[1] * addition[1] + base[2] * addition[2]
-    c = base[0] * base[0] + base[1] * base[1] + base[2] * base[2] - limit * limit
+    a = dot3(addition, addition)
+    b = dot3(base, addition)
+    c = dot3(base, base) - limit * limit
     if a == 0.0 or a + 2.0 * b + c <= 0.0:
         return 1.0
     return max(0.0, (-b + math.sqrt(max(b * b - a * c, 0.0))) / a)

@@ -6,23 +6,33 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ptnsbc_core.algebra import limited, minus, moved, norm3, plus, put, scaled, times, wrap
+from ptnsbc_core.algebra import (
+    dot3,
+    limited,
+    minus,
+    moved,
+    norm3,
+    plus,
+    put3,
+    scaled,
+    times,
+    wrap,
+)
 from ptnsbc_core.kernel import kernel, leaf
-from ptnsbc_core.kinematics import body_rates, euler_from_rotation, rotation_from_quaternion
+from ptnsbc_core.kinematics import body_rates, euler_from_rotation, rotation
 from ptnsbc_core.nullspace import compose, damped_solve, scaled_to_limit
 from ptnsbc_core.tasks.clearance import Clearance
 from ptnsbc_core.tasks.registry import evaluate, task_error
 from ptnsbc_core.timebase import Clock, holding_gain, loop_rate, onset
 from ptnsbc_core.trajectory import Reference
-from ptnsbc_core.types import AgentConfig, Array
+from ptnsbc_core.types import AgentConfig, Array, Vector3
 
 
 class Behaviour(NamedTuple):
-    """Velocity that one behaviour asks for, and the task it comes from."""
+    """Velocity that one behaviour asks for, and how it stands with the task it comes from."""
 
-    velocity: Array  # (3,) [m/s, ENU]
-    jacobian: Array  # (3, 3) scaled rows
-    error: Array  # (3,) sigma_d - sigma, the task's own units
+    velocity: Vector3  # [m/s, ENU]
+    error: Vector3  # sigma_d - sigma, the task's own units
     singular_value: float
 
 
@@ -30,39 +40,36 @@ class Armed(NamedTuple):
     """Errors at the epoch, from which the profile `reference` plans; `now` at the tick that arms."""
 
     now: bool
-    task: Array  # (3,)
-    attitude: Array  # (3,) [rad]
+    task: Vector3
+    attitude: Vector3  # [rad]
 
 
 class Neighbour(NamedTuple):
     """Position and velocity of another UAV, moved on to the present."""
 
-    position: Array  # (3,) [m, ENU]
-    velocity: Array  # (3,) [m/s, ENU]
+    position: Vector3  # [m, ENU]
+    velocity: Vector3  # [m/s, ENU]
 
 
 @kernel
 def leader_tracking(
-    position: Array, reference: Reference, armed: Armed, clock: Clock, config: AgentConfig
+    position: Vector3, desired: Reference, armed: Armed, clock: Clock, config: AgentConfig
 ) -> Behaviour:
     """Leader tracking, missing in the paper: sigma = p_1, J = I, p_dot = c p_r_dot + Lambda G (p_r - p_1).
 
     c(t) keeps the feed-forward of a trajectory that is already moving at t = 0 from being a step; what it
     leaves out is gone at tf, where the gain still is.
     """
-    error = minus(reference.position, position)
+    error = minus(desired.position, position)
     start = error if armed.now else armed.task
     rate = loop_rate(config.formation, error, start, clock)
-    jacobian = np.zeros((3, 3))
-    for i in range(3):
-        jacobian[i, i] = 1.0
-    forward = moved(rate, onset(config.formation, clock), reference.velocity)
-    return Behaviour(forward, jacobian, error, 1.0)
+    forward = moved(rate, onset(config.formation, clock), desired.velocity)
+    return Behaviour(forward, error, 1.0)
 
 
 @kernel
 def formation(
-    position: Array,
+    position: Vector3,
     parent: Neighbour,
     leader: Neighbour,
     armed: Armed,
@@ -82,37 +89,33 @@ def formation(
     start = error if armed.now else armed.task
     rate = loop_rate(config.formation, error, start, clock)
     relative = minus(parent.velocity, leader.velocity)
-    drift = times(geometry.parent, relative)
-    jacobian = np.empty((3, 3))
-    asked = np.empty(3)
-    for row in range(3):
-        scale = config.row_scale[row]
-        asked[row] = scale * (rate[row] - drift[row])
-        for i in range(3):
-            jacobian[row, i] = scale * geometry.own[row, i]
+    left = minus(rate, times(geometry.parent, relative))
+    scale = config.row_scale
+    asked = (scale[0] * left[0], scale[1] * left[1], scale[2] * left[2])
+    own = geometry.own
+    jacobian = (scaled(scale[0], own[0]), scaled(scale[1], own[1]), scaled(scale[2], own[2]))
     behind = minus(config.offset, minus(position, parent.position))
     fallback = moved(relative, holding_gain(config.formation, clock), behind)
     solved = damped_solve(jacobian, asked, fallback, config.damping_threshold, config.damping_max)
-    return Behaviour(plus(leader.velocity, solved.velocity), jacobian, error, solved.singular_value)
+    return Behaviour(plus(leader.velocity, solved.velocity), error, solved.singular_value)
 
 
 @leaf
-def hold(position: Array, where: Array, config: AgentConfig) -> Array:
-    """Velocity (3,) [m/s, ENU] that keeps a place (4,), within the speed limit."""
+def hold(position: Vector3, where: Vector3, config: AgentConfig) -> Vector3:
+    """Velocity [m/s, ENU] that keeps a place, within the speed limit."""
     return limited(scaled(config.hold_gain, minus(where, position)), 0.5 * config.filter.max_speed)
 
 
 @kernel
 def attitude(
     own: Array, yaw: float, armed: Armed, clock: Clock, config: AgentConfig
-) -> tuple[Array, Array]:
+) -> tuple[Vector3, Vector3]:
     """Attitude behaviour of the 6-DOF plant, missing in the paper: w = W^-1 Lambda G (beta_d - beta).
 
-    Returns the body rates (3,) [rad/s] and the Euler error (3,) [rad]; beta_d = (0, 0, yaw).
+    Returns the body rates [rad/s] and the Euler error [rad]; beta_d = (0, 0, yaw).
     """
-    euler = euler_from_rotation(rotation_from_quaternion(own[3:7]))
-    error = np.empty(3)
-    error[0], error[1], error[2] = -euler[0], -euler[1], wrap(yaw - euler[2])
+    euler = euler_from_rotation(rotation(own, 3))
+    error = (-euler[0], -euler[1], wrap(yaw - euler[2]))
     start = error if armed.now else armed.attitude
     rate = loop_rate(config.attitude, error, start, clock)
     return body_rates(euler, rate), error
@@ -121,37 +124,34 @@ def attitude(
 class Composed(NamedTuple):
     """Velocity after composition and the speed limit."""
 
-    velocity: Array  # (3,) [m/s, ENU]
+    velocity: Vector3  # [m/s, ENU]
     limited: bool
     violation: float  # [m/s] how far the sum, cut to the speed limit, misses the top task's rows
 
 
-@kernel
-def composed(top: Clearance, jacobian: Array, max_speed: float) -> Composed:
+@leaf
+def composed(top: Clearance, max_speed: float) -> Composed:
     """Clearance first, the behaviour below it in its null space, within the speed limit [m/s]."""
-    above = top.jacobian.shape[0]
-    if above == 0:
+    if top.jacobian.shape[0] == 0:
         free = limited(top.below, max_speed)
         return Composed(free, norm3(top.below) > max_speed, 0.0)
+    return _composed_below(top, max_speed)
+
+
+@kernel
+def _composed_below(top: Clearance, max_speed: float) -> Composed:
+    above = top.jacobian.shape[0]
     velocities = np.empty((2, 3))
-    put(velocities[0], 0, top.velocity)
-    put(velocities[1], 0, top.below)
-    stacked = np.empty((above + 3, 3))
-    for row in range(above):
-        put(stacked[row], 0, top.jacobian[row])
-    for row in range(3):
-        put(stacked[above + row], 0, jacobian[row])
+    put3(velocities[0], 0, top.velocity)
+    put3(velocities[1], 0, top.below)
     rows = np.empty(2)
     rows[0], rows[1] = above, 3
-    parts = compose(velocities, stacked, rows)
+    parts = compose(velocities, top.jacobian, rows)
     out = scaled_to_limit(parts, max_speed)
+    cut = minus(plus(parts[0], parts[1]), out)
+    whole = max(abs(cut[0]), abs(cut[1]), abs(cut[2]))
     change = 0.0
-    whole = 0.0
-    for i in range(3):
-        whole = max(whole, abs(parts[0, i] + parts[1, i] - out[i]))
+    missed = minus(out, top.velocity)
     for row in range(above):
-        miss = 0.0
-        for i in range(3):
-            miss += top.jacobian[row, i] * (out[i] - top.velocity[i])
-        change = max(change, abs(miss))
+        change = max(change, abs(dot3(top.jacobian[row], missed)))
     return Composed(out, whole > 1e-9, change)

@@ -8,10 +8,7 @@ is in both ends of the difference, and cancels. The same goes for velocities.
 
 from __future__ import annotations
 
-import math
-
-import numpy as np
-
+from ptnsbc_core.algebra import minus, moved, norm3, three
 from ptnsbc_core.kernel import kernel
 from ptnsbc_core.planner import Neighbour
 from ptnsbc_core.types import Array
@@ -27,17 +24,11 @@ def sighted(told: Neighbour, near: Array, near_age_s: float, within_m: float) ->
         near_age_s: age of `near`, by which its objects are moved on.
         within_m: objects farther from where it says it is are others; with none left, or 0, `told` counts.
     """
-    closest, found = within_m, -1
+    closest, found = within_m, told
     for row in range(near.shape[0]):
-        square = 0.0
-        for i in range(3):
-            square += (near[row, i] + near_age_s * near[row, 4 + i] - told.position[i]) ** 2
-        if math.sqrt(square) < closest:
-            closest, found = math.sqrt(square), row
-    if found < 0:
-        return told
-    position, velocity = np.empty(3), np.empty(3)
-    for i in range(3):
-        velocity[i] = near[found, 4 + i]
-        position[i] = near[found, i] + near_age_s * velocity[i]
-    return Neighbour(position, velocity)
+        velocity = three(near[row], 4)
+        position = moved(near[row], near_age_s, velocity)
+        distance = norm3(minus(position, told.position))
+        if distance < closest:
+            closest, found = distance, Neighbour(position, velocity)
+    return found

@@ -8,15 +8,13 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
-
 from ptnsbc_core.adaptation import started
-from ptnsbc_core.algebra import part, put, wrap
+from ptnsbc_core.algebra import three, wrap
 from ptnsbc_core.command_filter import filter_step
 from ptnsbc_core.controller import Command, Control, rigid_body_control
 from ptnsbc_core.estimator import estimated_leader
 from ptnsbc_core.kernel import kernel, leaf
-from ptnsbc_core.kinematics import estimate_to_odometry, state_to_estimate, velocity_enu, yaw_of
+from ptnsbc_core.kinematics import state_to_estimate, velocity_enu, yaw_of
 from ptnsbc_core.mission import behaviour_of_mission, desired_yaw, held, hold_place, lost
 from ptnsbc_core.planner import Armed, Behaviour, attitude, composed
 from ptnsbc_core.quadrotor_control import quadrotor_control
@@ -27,12 +25,15 @@ from ptnsbc_core.types import (
     MODE_FORMATION,
     MODE_HOLD,
     PLANT_RIGID_BODY,
+    Adapted,
     AgentConfig,
     AgentDiagnostics,
     AgentInputs,
     AgentOutputs,
     AgentState,
     Array,
+    Place,
+    Vector3,
 )
 
 _NOT_YET = -1
@@ -41,21 +42,17 @@ _NOT_YET = -1
 @kernel
 def initial_state(own: Array, config: AgentConfig) -> AgentState:
     """State before the first tick, from the UAV's own odometry vector (13,)."""
-    hold_at = np.zeros(4)
-    put(hold_at, 0, own[0:3])
-    hold_at[3] = yaw_of(own)
-    command = np.zeros(6)
-    put(command, 0, velocity_enu(own))
+    velocity, zero = velocity_enu(own), (0.0, 0.0, 0.0)
     return AgentState(
         state_to_estimate(own),
         False,
-        command,
-        config.controller.nominal.copy(),
-        np.zeros(2),
-        started(velocity_enu(own)),
+        velocity,
+        zero,
+        Adapted(config.controller.nominal, (0.0, 0.0), started(velocity)),
         none_met(),
-        np.zeros(6),
-        hold_at,
+        zero,
+        zero,
+        Place(three(own, 0), yaw_of(own)),
         _NOT_YET,
         0.0,
     )
@@ -65,28 +62,12 @@ def initial_state(own: Array, config: AgentConfig) -> AgentState:
 def _controlled(
     state: AgentState, inputs: AgentInputs, command: Command, clock: Clock, config: AgentConfig
 ) -> Control:
-    """Wrench by the law of the plant's kind."""
+    """Force and torque by the law of the plant's kind."""
     inner = Clock(clock.start_t, clock.start_t, clock.dt)  # inner loops arm once
-    if config.controller.plant == PLANT_RIGID_BODY:
-        return rigid_body_control(
-            inputs.own,
-            command,
-            state.parameters,
-            state.bound,
-            inner,
-            config.controller,
-            state.observer,
-        )
-    return quadrotor_control(
-        inputs.own,
-        command,
-        state.parameters,
-        state.bound,
-        inner,
-        config.controller,
-        state.observer,
-        config.filter.max_rate,
-    )
+    own, before, law = inputs.own, state.adapted, config.controller
+    if law.plant == PLANT_RIGID_BODY:
+        return rigid_body_control(own, command, before, inner, law)
+    return quadrotor_control(own, command, before, inner, law, config.filter.max_rate)
 
 
 class Planned(NamedTuple):
@@ -104,14 +85,14 @@ def _planned(
     state: AgentState,
     inputs: AgentInputs,
     behaviour: Behaviour,
-    rates: Array,
+    rates: Vector3,
     yaw: float,
     dt: float,
     config: AgentConfig,
 ) -> Planned:
     """Clearance above the behaviour, the speed limit, and the command filter."""
     top = clearance(
-        part(inputs.own, 0, 3),
+        three(inputs.own, 0),
         behaviour.velocity,
         inputs.near,
         inputs.near_age_s,
@@ -120,34 +101,30 @@ def _planned(
         config.clearance,
     )
     limits = config.filter
-    velocity = composed(top, behaviour.jacobian, limits.max_speed)
+    wanted = composed(top, limits.max_speed)
     linear = filter_step(
-        part(state.command, 0, 3), velocity.velocity, limits.bandwidth, limits.max_acceleration, dt
+        state.velocity, wanted.velocity, limits.bandwidth, limits.max_acceleration, dt
     )
     angular = filter_step(
-        part(state.command, 3, 3), rates, limits.rate_bandwidth, limits.max_rate_acceleration, dt
+        state.rates, rates, limits.rate_bandwidth, limits.max_rate_acceleration, dt
     )
     return Planned(
         Command(linear.value, linear.rate, angular.value, angular.rate, yaw),
         top.encounters,
         top.jacobian.shape[0],
-        velocity.limited or linear.saturated,
-        velocity.violation,
+        wanted.limited or linear.saturated,
+        wanted.violation,
     )
 
 
 @leaf
-def _told(inputs: AgentInputs, planned: Planned, config: AgentConfig) -> Array:
-    """Velocity setpoint (4,): [m/s, ENU] and yaw rate [rad/s], for a vehicle that closes its own loops."""
-    command = planned.command
-    out = np.empty(4)
-    put(out, 0, command.velocity)
-    out[3] = command.rates[2]
-    if config.controller.plant != PLANT_RIGID_BODY:
-        off = wrap(command.yaw - yaw_of(inputs.own))
-        most = config.filter.max_rate
-        out[3] = min(max(config.controller.attitude_gain[1] * off, -most), most)
-    return out
+def _yaw_rate(inputs: AgentInputs, command: Command, config: AgentConfig) -> float:
+    """Yaw rate setpoint [rad/s] for a vehicle that closes its own loops."""
+    if config.controller.plant == PLANT_RIGID_BODY:
+        return command.rates[2]
+    off = wrap(command.yaw - yaw_of(inputs.own))
+    most = config.filter.max_rate
+    return min(max(config.controller.attitude_gain[1] * off, -most), most)
 
 
 @kernel
@@ -172,34 +149,29 @@ def step(
     place = hold_place(state, inputs, holding)
     yaw = desired_yaw(estimate, place, holding, clock, config)
 
-    errors = state.start_error.copy()
     arms = state.mode == _NOT_YET or t < state.last_t or state.heard != heard
-    armed = Armed(arms, part(errors, 0, 3), part(errors, 3, 3))
+    armed = Armed(arms, state.start_error, state.start_attitude)
     behaviour = behaviour_of_mission(inputs, estimate, armed, clock, config)
-    rates, euler_error = np.zeros(3), np.zeros(3)
+    rates, euler_error = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     if config.controller.plant == PLANT_RIGID_BODY:  # a quadrotor's attitude is its controller's
         rates, euler_error = attitude(inputs.own, yaw, armed, clock, config)
-    if arms:
-        put(errors, 0, behaviour.error)
-        put(errors, 3, euler_error)
+    start_error = behaviour.error if arms else state.start_error
+    start_attitude = euler_error if arms else state.start_attitude
     if holding:
         behaviour = held(behaviour, inputs, place, config)
 
     planned = _planned(state, inputs, behaviour, rates, yaw, dt, config)
     command = planned.command
     control = _controlled(state, inputs, command, clock, config)
-    stored = np.empty(6)
-    put(stored, 0, command.velocity)
-    put(stored, 3, command.rates)
     after = AgentState(
         estimate,
         heard,
-        stored,
-        control.parameters,
-        control.bound,
-        control.observer,
+        command.velocity,
+        command.rates,
+        control.adapted,
         planned.encounters,
-        errors,
+        start_error,
+        start_attitude,
         place,
         max(inputs.mode, MODE_HOLD) if holding else MODE_FORMATION,
         t,
@@ -214,7 +186,8 @@ def step(
         planned.violation,
         control.velocity_error,
     )
+    yaw_rate = _yaw_rate(inputs, command, config)
     outputs = AgentOutputs(
-        _told(inputs, planned, config), control.wrench, estimate_to_odometry(estimate), diagnostics
+        command.velocity, yaw_rate, control.force, control.torque, estimate, diagnostics
     )
     return after, outputs

@@ -11,9 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ptnsbc_core.algebra import scaled
 from ptnsbc_core.errors import GainError
 from ptnsbc_core.kernel import kernel, leaf
-from ptnsbc_core.types import PROFILE_REFERENCE, PROFILE_SOFT, Array, LoopGain
+from ptnsbc_core.types import PROFILE_REFERENCE, PROFILE_SOFT, LoopGain, Vector3
 
 
 class Clock(NamedTuple):
@@ -70,26 +71,28 @@ def holding_gain(gain: LoopGain, clock: Clock) -> float:
 
 
 @kernel
-def loop_rate(gain: LoopGain, error: Array, start_error: Array, clock: Clock) -> Array:
-    """Task rate [unit/s] that a loop asks for an error (m,): G e, or the profile `reference` around e(t0)(1 - h).
+def loop_rate(gain: LoopGain, error: Vector3, start_error: Vector3, clock: Clock) -> Vector3:
+    """Task rate [unit/s] that a loop asks for an error: G e, or the profile `reference` around e(t0)(1 - h).
 
     `reference` follows the error's own prescribed decay, so noise meets kappa only, never Xi.
     """
     if gain.profile == PROFILE_REFERENCE:
         now = h(clock.t / gain.duration_s)
         rise = h((clock.t + clock.dt) / gain.duration_s) - now
-        rate = np.empty(error.shape[0])
-        for i in range(error.shape[0]):
-            planned = start_error[i] * (1.0 - now)
-            rate[i] = start_error[i] * rise / clock.dt + gain.scale * gain.kappa * (
-                error[i] - planned
-            )
-        return rate
-    g = loop_gain(gain, clock)
-    rate = np.empty(error.shape[0])
-    for i in range(error.shape[0]):
-        rate[i] = g * error[i]
-    return rate
+        return (
+            _planned_rate(gain, error[0], start_error[0], now, rise, clock.dt),
+            _planned_rate(gain, error[1], start_error[1], now, rise, clock.dt),
+            _planned_rate(gain, error[2], start_error[2], now, rise, clock.dt),
+        )
+    return scaled(loop_gain(gain, clock), error)
+
+
+@leaf
+def _planned_rate(
+    gain: LoopGain, error: float, start_error: float, now: float, rise: float, dt: float
+) -> float:
+    planned = start_error * (1.0 - now)
+    return start_error * rise / dt + gain.scale * gain.kappa * (error - planned)
 
 
 def peak_gain(duration_s: float, residual: float) -> float:

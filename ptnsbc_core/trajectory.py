@@ -1,7 +1,7 @@
 """The leader's desired trajectory: a parameter vector, so that every process computes the same curve.
 
-Layout (12,): circle [0, cx, cy, cz, radius, rate, phase, yaw, ...] with x = cx + r sin(rate t + phase),
-y = cy + r cos(rate t + phase), as the paper writes it; line [1, px, py, pz, vx, vy, vz, yaw, ...].
+Layout (8,): circle [0, cx, cy, cz, radius, rate, phase, yaw] with x = cx + r sin(rate t + phase),
+y = cy + r cos(rate t + phase), as the paper writes it; line [1, px, py, pz, vx, vy, vz, yaw].
 """
 
 from __future__ import annotations
@@ -9,35 +9,28 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numpy as np
-
-from ptnsbc_core.algebra import part
+from ptnsbc_core.algebra import moved
 from ptnsbc_core.kernel import kernel
-from ptnsbc_core.types import TRAJECTORY_CIRCLE, Array
+from ptnsbc_core.types import TRAJECTORY_CIRCLE, Vector3
 
 
 class Reference(NamedTuple):
     """Desired state of the leader at one time, world ENU."""
 
-    position: Array  # (3,) [m]
-    velocity: Array  # (3,) [m/s]
+    position: Vector3  # [m]
+    velocity: Vector3  # [m/s]
     yaw: float  # [rad]
 
 
 @kernel
-def reference(trajectory: Array, t: float) -> Reference:
+def reference(trajectory: tuple[float, ...], t: float) -> Reference:
     """Desired state at t [s] since the first epoch."""
-    position = part(trajectory, 1, 3)
-    velocity = np.zeros(3)
+    x, y, z = trajectory[1], trajectory[2], trajectory[3]
     if int(trajectory[0]) == TRAJECTORY_CIRCLE:
         radius, rate = trajectory[4], trajectory[5]
         angle = rate * t + trajectory[6]
-        position[0] += radius * math.sin(angle)
-        position[1] += radius * math.cos(angle)
-        velocity[0] = radius * rate * math.cos(angle)
-        velocity[1] = -radius * rate * math.sin(angle)
-        return Reference(position, velocity, trajectory[7])
-    for i in range(3):
-        velocity[i] = trajectory[4 + i]
-        position[i] += velocity[i] * t
-    return Reference(position, velocity, trajectory[7])
+        sine, cosine = math.sin(angle), math.cos(angle)
+        along = (radius * rate * cosine, -radius * rate * sine, 0.0)
+        return Reference((x + radius * sine, y + radius * cosine, z), along, trajectory[7])
+    along = (trajectory[4], trajectory[5], trajectory[6])
+    return Reference(moved((x, y, z), t, along), along, trajectory[7])

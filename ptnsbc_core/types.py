@@ -14,6 +14,13 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+# Inside the kernels a vector is three numbers: an array lives on the heap and is counted by whoever holds it,
+# which took three quarters of a step.
+Vector3 = tuple[float, float, float]
+Matrix3 = tuple[Vector3, Vector3, Vector3]  # rows
+Triple = Array | Vector3
+Pair = tuple[float, float]
+
 ODOMETRY_SIZE = 13
 NEAR_COLUMNS = 7
 
@@ -45,6 +52,45 @@ TRAJECTORY_CIRCLE, TRAJECTORY_LINE = 0, 1
 
 NEVER_HEARD_S = 1e9
 """Age given to a neighbour of which nothing has been received yet [s]."""
+
+
+class Estimate(NamedTuple):
+    """What is believed of the leader, world ENU; also the difference of two."""
+
+    position: Vector3  # [m]
+    velocity: Vector3  # [m/s]
+    yaw: float  # [rad]
+
+
+class Place(NamedTuple):
+    """Where to be, world ENU."""
+
+    position: Vector3  # [m]
+    yaw: float  # [rad]
+
+
+class Parameters(NamedTuple):
+    """Psi of (49), of a body whose axes are its principal ones."""
+
+    mass: float  # [kg]
+    inertia: Vector3  # [kg m^2]
+
+
+class Observer(NamedTuple):
+    """Disturbance observer, world ENU."""
+
+    velocity: Vector3  # [m/s] as last measured and corrected
+    disturbance: Vector3  # [m/s^2]
+    acceleration: Vector3  # [m/s^2] that the last command should give
+    trend: Vector3  # [m/s^3] of the disturbance
+
+
+class Adapted(NamedTuple):
+    """What the controller has learned."""
+
+    parameters: Parameters  # Psi_hat
+    bound: Pair  # delta_hat of force [m/s^2] and torque [rad/s^2]
+    observer: Observer
 
 
 class LoopGain(NamedTuple):
@@ -98,23 +144,21 @@ class ControllerConfig(NamedTuple):
 
     plant: int  # PLANT_*
     gravity: float  # [m/s^2]
-    nominal: Array  # (4,) m [kg], Ixx, Iyy, Izz [kg m^2]: Psi at the start, and Omega_0
+    nominal: Parameters  # Psi at the start, and Omega_0
     force: LoopGain  # velocity loop
     torque: LoopGain  # body-rate loop
-    boundary: (
-        Array  # (2,) width of the saturation of the velocity [m/s] and of the rate error [rad/s]
-    )
-    adaptation: Array  # (2,) 1/Gamma for mass and for inertia
+    boundary: Pair  # width of the saturation of the velocity [m/s] and of the rate error [rad/s]
+    adaptation: Pair  # 1/Gamma for mass and for inertia
     mass_range: float  # |m_hat - m| <= mass_range * m (the same for inertia)
     bound_rate: float  # 1/Upsilon
     bound_leak: float  # [1/s]
-    bound_dead_zone: Array  # (2,) |error|_1 below which the bound does not grow [m/s], [rad/s]
-    bound_cap: Array  # (2,) [m/s^2], [rad/s^2]
+    bound_dead_zone: Pair  # |error|_1 below which the bound does not grow [m/s], [rad/s]
+    bound_cap: Pair  # [m/s^2], [rad/s^2]
     observer_bandwidth: float  # [1/s] of the disturbance observer, quadrotor only; 0: off
-    attitude_gain: Array  # (2,) tilt and yaw, quadrotor only [1/s]
+    attitude_gain: Pair  # tilt and yaw, quadrotor only [1/s]
     max_tilt: float  # [rad], quadrotor only
     max_thrust: float  # [N]
-    max_torque: Array  # (3,) [N m]
+    max_torque: Vector3  # [N m]
 
 
 class AgentConfig(NamedTuple):
@@ -122,10 +166,10 @@ class AgentConfig(NamedTuple):
 
     leader: bool
     task: int  # TASK_*
-    desired: Array  # (3,) desired task value sigma_d
-    offset: Array  # (3,) [m, ENU] desired position relative to the parent
-    anchor: Array  # (3,) [m], ENU: reference k = leader position + anchor (zero: the leader itself)
-    row_scale: Array  # (3,) scaling of the task rows, so that every row is in metres
+    desired: Vector3  # desired task value sigma_d
+    offset: Vector3  # [m, ENU] desired position relative to the parent
+    anchor: Vector3  # [m, ENU] reference k = leader position + anchor (zero: the leader itself)
+    row_scale: Vector3  # scaling of the task rows, so that every row is in metres
     formation: LoopGain  # also the leader's tracking loop
     attitude: LoopGain  # 6-DOF plant: Euler angles to their desired values
     damping_threshold: float  # singular value [1] below which the pseudo-inverse is damped
@@ -134,7 +178,7 @@ class AgentConfig(NamedTuple):
     clearance: ClearanceConfig
     filter: FilterConfig
     controller: ControllerConfig
-    trajectory: Array  # (12,) kind and its parameters, see trajectory.py
+    trajectory: tuple[float, ...]  # (8,) kind and its parameters, see trajectory.py
     sight_m: float  # a near object so close to where a neighbour says it is counts as that neighbour; 0: none does
     stale_s: float  # parent or leader silent for longer: hold
     hold_gain: float  # [1/s]
@@ -162,17 +206,15 @@ class AgentInputs(NamedTuple):
 class AgentState(NamedTuple):
     """What one UAV carries from tick to tick."""
 
-    estimate: Array  # (7,) leader position [m], velocity [m/s], yaw [rad], world ENU
+    estimate: Estimate  # of the leader
     heard: bool  # the estimate has been initialised from a message
-    command: Array  # (6,) filtered velocity [m/s, ENU] and body rate [rad/s, FLU]
-    parameters: Array  # (4,) Psi_hat: m [kg], Ixx, Iyy, Izz [kg m^2]
-    bound: Array  # (2,) delta_hat of force [m/s^2] and torque [rad/s^2]
-    observer: (
-        Array  # (9,) velocity [m/s, ENU], disturbance [m/s^2, ENU], last modelled acceleration
-    )
+    velocity: Vector3  # filtered [m/s, ENU]
+    rates: Vector3  # filtered [rad/s, FLU]
+    adapted: Adapted
     encounters: Array  # (8, 7) x y z side active_s quiet_s used
-    start_error: Array  # (6,) task error and attitude error at the epoch (profile `reference`)
-    hold: Array  # (4,) position [m, ENU] and yaw [rad] where holding began
+    start_error: Vector3  # task error at the epoch (profile `reference`)
+    start_attitude: Vector3  # attitude error at the epoch [rad]
+    hold: Place  # where holding began
     mode: int  # MODE_* of the previous tick; -1 before the first
     last_t: float  # t of the previous tick, to notice a new epoch [s]
 
@@ -180,7 +222,7 @@ class AgentState(NamedTuple):
 class AgentDiagnostics(NamedTuple):
     """Why the UAV does what it does, one tick."""
 
-    error: Array  # (3,) task error sigma_d - sigma (leader: position error [m])
+    error: Vector3  # task error sigma_d - sigma (leader: position error [m])
     gain: float  # G(t) of the formation loop [1/s]
     singular_value: float  # smallest singular value of the scaled task Jacobian
     active_rows: int  # clearance rows that changed the velocity
@@ -193,7 +235,9 @@ class AgentDiagnostics(NamedTuple):
 class AgentOutputs(NamedTuple):
     """What one UAV sends at this tick."""
 
-    velocity: Array  # (4,) velocity setpoint [m/s, ENU] and yaw rate [rad/s]
-    wrench: Array  # (6,) force [N] and torque [N m], body FLU (quadrotor: force = (0, 0, thrust))
-    leader_estimate: Array  # (13,) odometry vector, velocities in the world frame
+    velocity: Vector3  # setpoint [m/s, ENU]
+    yaw_rate: float  # setpoint [rad/s]
+    force: Vector3  # [N], body FLU (quadrotor: (0, 0, thrust))
+    torque: Vector3  # [N m], body FLU
+    estimate: Estimate  # of the leader
     diagnostics: AgentDiagnostics

@@ -129,5 +129,5 @@ def _path(scenario: Scenario) -> Any:
     path.scale.x = _LINE_M
     trajectory = agent_config(scenario, scenario.leader_id).trajectory
     times = np.linspace(0.0, float(scenario.duration_s), _PATH_POINTS)
-    path.points = [_point(reference(trajectory, t)[0]) for t in times]
+    path.points = [_point(np.array(reference(trajectory, t).position)) for t in times]
     return path

@@ -9,7 +9,7 @@ re-run can begin there, behind a message that the recording lacks.
 from __future__ import annotations
 
 import zlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -92,21 +92,35 @@ class SnapshotTemplate:
 
     def encode(self, sequence: int, pilot: Pilot) -> bytes:
         """State, counters and limits after step number `sequence`."""
-        fields = [np.ravel(np.asarray(field, dtype=np.float64)) for field in pilot.state]
         rest = (pilot.tally.counters(), pilot.limits)
-        return self._template.floats(np.concatenate(([sequence], *fields, *rest)))
+        return self._template.floats(np.concatenate(([sequence], *_leaves(pilot.state), *rest)))
 
 
 def _length(state: AgentState) -> int:
     return 1 + sum(_sizes(state)) + Tally.SIZE + len(Limits._fields)
 
 
+def _leaves(value: Any) -> Iterator[Floats]:
+    """The numbers of a tree of tuples, in order."""
+    if isinstance(value, tuple):
+        for part in value:
+            yield from _leaves(part)
+    else:
+        yield np.ravel(np.asarray(value, dtype=np.float64))
+
+
+def _like(value: Any, numbers: Iterator[float]) -> Any:
+    """The next numbers in the shape and types of `value`."""
+    if isinstance(value, tuple):
+        parts = [_like(part, numbers) for part in value]
+        return type(value)(*parts) if hasattr(value, "_fields") else tuple(parts)
+    if isinstance(value, np.ndarray):
+        return np.fromiter(numbers, np.float64, value.size).reshape(value.shape)
+    return type(value)(next(numbers))
+
+
 def _sizes(state: AgentState) -> list[int]:
-    return [int(np.size(field)) for field in _fields(state)]
-
-
-def _fields(state: AgentState) -> Sequence[Any]:
-    return tuple(state)
+    return [sum(leaf.size for leaf in _leaves(field)) for field in state]
 
 
 def _label(state: AgentState) -> str:
@@ -128,13 +142,8 @@ def recall(label: str, numbers: Floats, like: AgentState) -> Memory:
     """What a snapshot holds; WireError when it is not of a state `like` this one."""
     if label != _label(like) or len(numbers) != _length(like):
         raise WireError(f"snapshot with {label!r}: expected {_label(like)!r}")
-    at = 1
-    found: list[Any] = []
-    for field, size in zip(_fields(like), _sizes(like), strict=True):
-        part = numbers[at : at + size]
-        array = isinstance(field, np.ndarray)
-        found.append(part.reshape(field.shape).copy() if array else type(field)(part[0]))
-        at += size
+    at = 1 + sum(_sizes(like))
     counters = numbers[at : at + Tally.SIZE]
     limits = Limits(*(float(number) for number in numbers[at + Tally.SIZE :]))
-    return Memory(int(numbers[0]), AgentState(*found), counters, limits)
+    state: AgentState = _like(like, iter(numbers[1:at].tolist()))
+    return Memory(int(numbers[0]), state, counters, limits)

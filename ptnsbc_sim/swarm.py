@@ -12,8 +12,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ptnsbc_core.agent import put_diagnostics, put_velocity, put_wrench
 from ptnsbc_core.algebra import put
 from ptnsbc_core.kernel import KernelList, kernel, kernel_list, leaf
+from ptnsbc_core.kinematics import put_estimate
 from ptnsbc_core.step import initial_state, step
 from ptnsbc_core.types import (
     MODE_FORMATION,
@@ -121,7 +123,7 @@ def _heard(track: Track, sent: int, row: int) -> Array:
     """Odometry vector (13,) that UAV number `row` sent at tick `sent`; zeros when there is none."""
     if sent < 0 or row < 0:
         return np.zeros(ODOMETRY_SIZE)
-    return track.odometry[sent, row].copy()
+    return track.odometry[sent, row]
 
 
 @leaf
@@ -148,7 +150,7 @@ def inputs_of(
     pinned = wiring.pinned[row] > 0
     behind = tick % wiring.near_every
     return AgentInputs(
-        track.odometry[tick, row].copy(),
+        track.odometry[tick, row],
         _heard(track, from_parent, parent),
         _age(tick, from_parent, wiring.dt_ns) if parent >= 0 else NEVER_HEARD_S,
         _heard(track, from_leader, wiring.leader if pinned else -1),
@@ -202,19 +204,10 @@ def _believed(track: Track, tick: int, row: int, wiring: Wiring, luck: Chance) -
 @leaf
 def note(track: Track, tick: int, row: int, out: AgentOutputs) -> None:
     """Write one UAV's outputs of one tick into the track."""
-    put(track.velocity[tick, row], 0, out.velocity)
-    put(track.wrench[tick, row], 0, out.wrench)
-    put(track.estimate[tick, row], 0, out.leader_estimate)
-    told = out.diagnostics
-    log = track.diagnostics[tick, row]
-    put(log, 0, told.error)
-    log[3] = told.gain
-    log[4] = told.singular_value
-    log[5] = told.active_rows
-    log[6] = told.saturated
-    log[7] = told.holding
-    log[8] = told.priority_violation
-    log[9] = told.velocity_error
+    put_velocity(track.velocity[tick, row], out)
+    put_wrench(track.wrench[tick, row], out)
+    put_estimate(track.estimate[tick, row], out.estimate)
+    put_diagnostics(track.diagnostics[tick, row], out.diagnostics)
 
 
 @kernel
@@ -236,8 +229,8 @@ def _fly(
             if luck is not None:
                 wind = crew.plants[row].wind
                 blow(luck.gust[row], wind, luck.blows[tick, row], tick, luck.gusts)
-            body = advance(crew.bodies[row], out.wrench, t, dt, wiring.substeps, crew.plants[row])
-            put(crew.bodies[row], 0, body)
+            wrench, plant = track.wrench[tick, row], crew.plants[row]
+            advance(crew.bodies[row], wrench, t, dt, wiring.substeps, plant)
 
 
 @kernel

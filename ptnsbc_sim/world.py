@@ -34,7 +34,7 @@ def _advance_row(
 ) -> Array:
     """One row of states (N, 17) by one control period, in place; who is not flying is stopped. Its odometry (13,)."""
     if flying:
-        put(states[row], 0, advance(states[row], wrench, t, dt, substeps, plants[row]))
+        advance(states[row], wrench, t, dt, substeps, plants[row])
     elif plants[row].kind == PLANT_RIGID_BODY:
         for i in range(6, 12):
             states[row, i] = 0.0

@@ -7,15 +7,15 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from ptnsbc_core.agent import diagnostics_of
 from ptnsbc_core.errors import PtnsbcError
-from ptnsbc_core.types import AgentDiagnostics, Array
+from ptnsbc_core.types import Array
 from ptnsbc_nodes import environment, topics
 from ptnsbc_nodes.bag import BagError, BagWriter
 from ptnsbc_nodes.letters import WORLD_FRAME, Letters
 from ptnsbc_nodes.provenance import provenance
 from ptnsbc_nodes.transforms import Transforms
 from ptnsbc_nodes.wire import ClockTemplate, HeaderTemplate, Stamped, encode_near
-from ptnsbc_sim import swarm
 from ptnsbc_sim.swarm import Flight
 from ptnsbc_tools.bag_reader import SCENARIO_ATTACHMENT
 
@@ -26,20 +26,6 @@ Message = tuple[str, bytes]  # topic, CDR
 
 class BagSupportError(PtnsbcError):
     """The ROS message packages that a bag needs are not installed."""
-
-
-def told(log: Array) -> AgentDiagnostics:
-    """The diagnostics of one step from its row (10,) of a flight."""
-    return AgentDiagnostics(
-        error=log[swarm.ERROR],
-        gain=float(log[swarm.GAIN]),
-        singular_value=float(log[swarm.SINGULAR_VALUE]),
-        active_rows=int(log[swarm.ACTIVE_ROWS]),
-        saturated=bool(log[swarm.SATURATED]),
-        holding=bool(log[swarm.HOLDING]),
-        priority_violation=float(log[swarm.PRIORITY_VIOLATION]),
-        velocity_error=float(log[swarm.VELOCITY_ERROR]),
-    )
 
 
 class _Places:
@@ -104,7 +90,7 @@ class _Status:
     def at(self, tick: int, stamp_ns: int) -> Iterator[Message]:
         """Messages of one tick, in the order that a lock-step bag gives them."""
         for row, tally in enumerate(self._tallies):
-            tally.add(told(self._flight.track.diagnostics[tick, row]), self._dt)
+            tally.add(diagnostics_of(self._flight.track.diagnostics[tick, row]), self._dt)
         if tick % self._every:
             return
         self._places.tick = tick

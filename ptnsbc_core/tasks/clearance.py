@@ -14,75 +14,120 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ptnsbc_core.algebra import divided, dot3, minus, moved, norm3, put, times
-from ptnsbc_core.kernel import kernel
+from ptnsbc_core.algebra import (
+    divided,
+    dot3,
+    minus,
+    moved,
+    norm3,
+    put3,
+    scaled,
+    three,
+    times,
+)
+from ptnsbc_core.kernel import kernel, leaf
 from ptnsbc_core.nullspace import projector
 from ptnsbc_core.tasks import encounters as memory
 from ptnsbc_core.timebase import step_gain
-from ptnsbc_core.types import AVOIDANCE_OFF, AVOIDANCE_SWITCHED, Array, ClearanceConfig
+from ptnsbc_core.types import (
+    AVOIDANCE_OFF,
+    AVOIDANCE_SWITCHED,
+    Array,
+    ClearanceConfig,
+    Triple,
+    Vector3,
+)
 
 _SWEEPS = 60
 _TOLERANCE = 1e-9
 _COINCIDENT_M = 1e-6
 
 
-class Demands(NamedTuple):
-    """One row per near object: normal . v >= least."""
+_NOTHING: Vector3 = (0.0, 0.0, 0.0)
 
-    normals: Array  # (M, 3) from the object to the UAV
+
+class Demand(NamedTuple):
+    """What one near object asks for: normal . v >= least."""
+
+    normal: Vector3  # from the object to the UAV
+    least: float  # [m/s], -inf where the two coincide
+    depth: float  # d_d - d [m], positive inside
+
+
+class Demands(NamedTuple):
+    """One row per near object."""
+
+    normals: Array  # (M, 3)
     least: Array  # (M,) [m/s]
-    depth: Array  # (M,) d_d - d [m], positive inside
+    depth: Array  # (M,) [m]
 
 
 class Clearance(NamedTuple):
     """The top-priority task at one tick."""
 
-    velocity: Array  # (3,) J^+ of the binding demands [m/s]; zero without any
+    velocity: Vector3  # J^+ of the binding demands [m/s]; zero without any
     jacobian: Array  # (A, 3) their normals
-    below: Array  # (3,) velocity for the level below: the formation's, with circulation added
+    below: Vector3  # velocity for the level below: the formation's, with circulation added
     encounters: Array  # memory after this tick
+
+
+@leaf
+def demand(
+    position: Vector3,
+    near: Array,
+    age_s: float,
+    encounters: Array,
+    dt: float,
+    config: ClearanceConfig,
+) -> Demand:
+    """Of one near object (7,), moved on by its velocity since it was seen."""
+    velocity = three(near, 4)
+    centre = moved(near, age_s, velocity)
+    away = minus(position, centre)
+    distance = norm3(away)
+    if distance < _COINCIDENT_M:
+        return Demand(_NOTHING, -np.inf, -np.inf)
+    normal = divided(away, distance)
+    depth = near[3] + config.margin_m - distance
+    alpha = config.gain.kappa
+    if depth > 0.0:
+        since = memory.active_time(encounters, centre)
+        alpha += step_gain(since, dt, config.gain.duration_s, config.gain.residual)
+    return Demand(normal, dot3(normal, velocity) + config.gain.scale * alpha * depth, depth)
 
 
 @kernel
 def demands(
-    position: Array,
+    position: Vector3,
     near: Array,
     age_s: float,
     encounters: Array,
     dt: float,
     config: ClearanceConfig,
 ) -> Demands:
-    """Rows for the near objects (M, 7), moved on by their velocity since they were seen."""
+    """Rows for the near objects (M, 7)."""
     count = near.shape[0]
-    normals = np.zeros((count, 3))
-    least = np.full(count, -np.inf)
-    depth = np.full(count, -np.inf)
+    normals = np.empty((count, 3))
+    least = np.empty(count)
+    depth = np.empty(count)
     for m in range(count):
-        centre = moved(near[m], age_s, near[m, 4:7])
-        away = minus(position, centre)
-        distance = norm3(away)
-        if distance < _COINCIDENT_M:
-            continue
-        put(normals[m], 0, divided(away, distance))
-        depth[m] = near[m, 3] + config.margin_m - distance
-        alpha = config.gain.kappa
-        if depth[m] > 0.0:
-            since = memory.active_time(encounters, centre)
-            alpha += step_gain(since, dt, config.gain.duration_s, config.gain.residual)
-        least[m] = dot3(normals[m], near[m, 4:7]) + config.gain.scale * alpha * depth[m]
+        one = demand(position, near[m], age_s, encounters, dt, config)
+        put3(normals[m], 0, one.normal)
+        least[m] = one.least
+        depth[m] = one.depth
     return Demands(normals, least, depth)
 
 
 @kernel
-def nearest_admissible(velocity: Array, rows: Demands) -> Array:
-    """Multipliers (M,) [m/s] of the admissible velocity nearest to `velocity` (3,), by Hildreth's sweeps.
+def nearest_admissible(velocity: Vector3, rows: Demands) -> Array:
+    """Multipliers (M,) [m/s] of the admissible velocity nearest to `velocity`, by Hildreth's sweeps.
 
     The admissible velocity is velocity + sum of multiplier * normal; a positive multiplier marks a demand
     that binds. Demands that contradict each other end at the sweep limit with the last compromise.
     """
     count = rows.least.shape[0]
     multipliers = np.zeros(count)
-    v = velocity.copy()
+    v = velocity
     for _ in range(_SWEEPS):
         change = 0.0
         for m in range(count):
@@ -92,48 +137,42 @@ def nearest_admissible(velocity: Array, rows: Demands) -> Array:
             if step != 0.0:
                 multipliers[m] = new
                 change = max(change, abs(step))
-                for i in range(3):
-                    v[i] += step * rows.normals[m, i]
+                v = moved(v, step, rows.normals[m])
         if change < _TOLERANCE:
             break
     return multipliers
 
 
 @kernel
-def tangent(normal: Array) -> Array:
-    """Unit vector along e_z x n (3,), or e_x x n where n is nearly vertical."""
-    out = np.zeros(3)
+def tangent(normal: Triple) -> Vector3:
+    """Unit vector along e_z x n, or e_x x n where n is nearly vertical."""
     length = math.hypot(normal[0], normal[1])
     if length > 0.1:
-        out[0], out[1] = -normal[1] / length, normal[0] / length
-        return out
+        return -normal[1] / length, normal[0] / length, 0.0
     length = math.hypot(normal[1], normal[2])
-    out[1], out[2] = -normal[2] / length, normal[1] / length
-    return out
+    return 0.0, -normal[2] / length, normal[1] / length
 
 
 @kernel
 def _circulated(
-    velocity: Array,
+    velocity: Vector3,
     rows: Demands,
     multipliers: Array,
     near: Array,
     encounters: Array,
     config: ClearanceConfig,
-) -> Array:
+) -> Vector3:
     """Add to `velocity` a motion around what blocks it, in proportion to how much it blocks."""
-    out = velocity.copy()
+    out = velocity
     for m in range(multipliers.shape[0]):
         if multipliers[m] <= 0.0:
             continue
-        slot = memory.find(encounters, near[m, 0:3])
+        slot = memory.find(encounters, near[m])
         if slot < 0:
             continue
         rise = min(encounters[slot, memory.ACTIVE_S] / config.ramp_s, 1.0)
         push = config.circulation * rise * multipliers[m] * encounters[slot, memory.SIDE]
-        way = tangent(rows.normals[m])
-        for i in range(3):
-            out[i] += push * way[i]
+        out = moved(out, push, tangent(rows.normals[m]))
     return out
 
 
@@ -148,53 +187,72 @@ def _binding(rows: Demands, multipliers: Array) -> Array:
     count = 0
     for m in range(multipliers.shape[0]):
         if multipliers[m] > 0.0:
-            put(out[count], 0, rows.normals[m])
+            put3(out[count], 0, rows.normals[m])
             count += 1
     return out
 
 
 @kernel
-def _velocity_of(jacobian: Array, admissible: Array) -> Array:
-    """Part of the admissible velocity (3,) in the row space of the binding normals: J^+ least."""
+def _velocity_of(jacobian: Array, admissible: Vector3) -> Vector3:
+    """Part of the admissible velocity in the row space of the binding normals: J^+ least."""
     if jacobian.shape[0] == 0:
-        return np.zeros(3)
+        return 0.0, 0.0, 0.0
     return minus(admissible, times(projector(jacobian), admissible))
+
+
+@leaf
+def _free(
+    position: Vector3,
+    velocity: Vector3,
+    near: Array,
+    age_s: float,
+    encounters: Array,
+    dt: float,
+    config: ClearanceConfig,
+) -> bool:
+    """Whether no encounter is remembered and no near object asks for more than `velocity` gives it."""
+    if memory.any_met(encounters):
+        return False
+    for m in range(near.shape[0]):
+        one = demand(position, near[m], age_s, encounters, dt, config)
+        if one.least > dot3(one.normal, velocity):
+            return False
+    return True
 
 
 @kernel
 def set_based(
-    position: Array,
-    velocity: Array,
+    position: Vector3,
+    velocity: Vector3,
     near: Array,
     age_s: float,
     encounters: Array,
     dt: float,
     config: ClearanceConfig,
 ) -> Clearance:
-    """Least change of the formation velocity (3,) that keeps clear of all near objects (M, 7)."""
+    """Least change of the formation velocity that keeps clear of all near objects (M, 7)."""
     rows = demands(position, near, age_s, encounters, dt, config)
     multipliers = nearest_admissible(velocity, rows)
     side = np.zeros(multipliers.shape[0])
     for m in range(multipliers.shape[0]):
         if multipliers[m] > 0.0:
-            side[m] = dot3(minus(velocity, near[m, 4:7]), tangent(rows.normals[m]))
+            side[m] = dot3(minus(velocity, three(near[m], 4)), tangent(rows.normals[m]))
     after = memory.update(encounters, near, multipliers, side, dt, config)
     below = velocity
     if memory.any_met(after):
         below = _circulated(velocity, rows, multipliers, near, after, config)
         multipliers = nearest_admissible(below, rows)
-    admissible = below.copy()
+    admissible = below
     for m in range(multipliers.shape[0]):
-        for i in range(3):
-            admissible[i] += multipliers[m] * rows.normals[m, i]
+        admissible = moved(admissible, multipliers[m], rows.normals[m])
     jacobian = _binding(rows, multipliers)
     return Clearance(_velocity_of(jacobian, admissible), jacobian, below, after)
 
 
 @kernel
 def switched(
-    position: Array,
-    velocity: Array,
+    position: Vector3,
+    velocity: Vector3,
     near: Array,
     age_s: float,
     encounters: Array,
@@ -205,39 +263,34 @@ def switched(
     rows = demands(position, near, age_s, encounters, dt, config)
     deepest = -1
     for m in range(rows.depth.shape[0]):
-        if rows.depth[m] > -np.inf and (deepest < 0 or rows.depth[m] > rows.depth[deepest]):
+        if rows.depth[m] > 0.0 and (deepest < 0 or rows.depth[m] > rows.depth[deepest]):
             deepest = m
     hits = np.zeros(rows.depth.shape[0])
     jacobian = np.empty((0, 3))
-    out = np.zeros(3)
-    inside = False
+    out = (0.0, 0.0, 0.0)
     if deepest >= 0:
-        inside = rows.depth[deepest] > 0.0
-        jacobian = np.empty((1, 3))
-        put(jacobian[0], 0, rows.normals[deepest])
-        if inside:
-            hits[deepest] = 1.0
-            for i in range(3):
-                out[i] = rows.least[deepest] * rows.normals[deepest, i]
+        hits[deepest] = 1.0
+        jacobian = rows.normals[deepest : deepest + 1].copy()
+        out = scaled(rows.least[deepest], rows.normals[deepest])
     after = memory.update(encounters, near, hits, np.zeros(hits.shape[0]), dt, config)
-    if not inside:
-        jacobian = np.empty((0, 3))
     return Clearance(out, jacobian, velocity, after)
 
 
-@kernel
+@leaf
 def clearance(
-    position: Array,
-    velocity: Array,
+    position: Vector3,
+    velocity: Vector3,
     near: Array,
     age_s: float,
     encounters: Array,
     dt: float,
     config: ClearanceConfig,
 ) -> Clearance:
-    """The rule that the configuration names; without near objects nothing but the memory's ageing."""
-    if config.rule == AVOIDANCE_OFF:
-        return Clearance(np.zeros(3), np.empty((0, 3)), velocity, encounters)
+    """The rule that the configuration names; what asks for nothing changes nothing."""
     if config.rule == AVOIDANCE_SWITCHED:
         return switched(position, velocity, near, age_s, encounters, dt, config)
+    if config.rule == AVOIDANCE_OFF or _free(
+        position, velocity, near, age_s, encounters, dt, config
+    ):
+        return Clearance(_NOTHING, np.empty((0, 3)), velocity, encounters)
     return set_based(position, velocity, near, age_s, encounters, dt, config)

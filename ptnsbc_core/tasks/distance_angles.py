@@ -7,37 +7,28 @@ by zero when the three are collinear. Singular when the angle at k is 90 degrees
 
 from __future__ import annotations
 
-import numpy as np
-
-from ptnsbc_core.algebra import minus, norm3
+from ptnsbc_core.algebra import divided, minus, norm3, scaled
 from ptnsbc_core.kernel import kernel
 from ptnsbc_core.tasks.angles import signed_angle
 from ptnsbc_core.tasks.contract import TaskGeometry
-from ptnsbc_core.types import Array
+from ptnsbc_core.types import Triple
 
 
 @kernel
-def distance_angles(own: Array, parent: Array, reference: Array) -> TaskGeometry:
+def distance_angles(own: Triple, parent: Triple, reference: Triple) -> TaskGeometry:
     """Evaluate the task at positions (3,) [m, ENU]."""
-    value = np.empty(3)
-    j_own = np.empty((3, 3))
-    j_parent = np.empty((3, 3))
-    j_reference = np.zeros((3, 3))
-    periodic = np.ones(3)
-    periodic[0] = 0.0
     away = minus(own, parent)
     distance = norm3(away)
-    value[0] = distance
-    for i in range(3):
-        j_own[0, i] = away[i] / max(distance, 1e-9)
-        j_parent[0, i] = -j_own[0, i]
-    to_parent = minus(parent, own)
-    to_reference = minus(reference, own)
-    for row in range(1, 3):
-        at = signed_angle(to_parent, to_reference, 0, row)
-        value[row] = at.angle
-        for i in range(3):
-            j_own[row, i] = -(at.d_a[i] + at.d_b[i])
-            j_parent[row, i] = at.d_a[i]
-            j_reference[row, i] = at.d_b[i]
-    return TaskGeometry(value, j_own, j_parent, j_reference, periodic)
+    outwards = divided(away, max(distance, 1e-9))
+    back, ahead = minus(parent, own), minus(reference, own)
+    flat = signed_angle((back[0], back[1]), (ahead[0], ahead[1]))
+    upright = signed_angle((back[0], back[2]), (ahead[0], ahead[2]))
+    (fax, fay), (fbx, fby) = flat.d_a, flat.d_b
+    (uax, uaz), (ubx, ubz) = upright.d_a, upright.d_b
+    return TaskGeometry(
+        (distance, flat.angle, upright.angle),
+        (outwards, (-(fax + fbx), -(fay + fby), 0.0), (-(uax + ubx), 0.0, -(uaz + ubz))),
+        (scaled(-1.0, outwards), (fax, fay, 0.0), (uax, 0.0, uaz)),
+        ((0.0, 0.0, 0.0), (fbx, fby, 0.0), (ubx, 0.0, ubz)),
+        (0.0, 1.0, 1.0),
+    )

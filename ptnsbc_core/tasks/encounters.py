@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from ptnsbc_core.algebra import dot3, minus, put3
 from ptnsbc_core.kernel import kernel, leaf
-from ptnsbc_core.types import Array, ClearanceConfig
+from ptnsbc_core.types import Array, ClearanceConfig, Triple, Vector3
 
 SLOTS = 8
 SIDE, ACTIVE_S, QUIET_S, USED = 3, 4, 5, 6
@@ -22,17 +23,16 @@ def none_met() -> Array:
     return np.zeros((SLOTS, 7))
 
 
-@kernel
-def find(encounters: Array, centre: Array) -> int:
-    """Slot of the encounter nearest to `centre` (3,) within SAME_PLACE_M, or -1."""
+@leaf
+def find(encounters: Array, centre: Triple) -> int:
+    """Slot of the encounter nearest to `centre` within SAME_PLACE_M, or -1."""
     best = -1
     least = SAME_PLACE_M * SAME_PLACE_M
     for slot in range(SLOTS):
         if encounters[slot, USED] == 0.0:
             continue
-        square = 0.0
-        for i in range(3):
-            square += (encounters[slot, i] - centre[i]) ** 2
+        off = minus(encounters[slot], centre)
+        square = dot3(off, off)
         if square < least:
             least = square
             best = slot
@@ -49,8 +49,8 @@ def any_met(encounters: Array) -> bool:
 
 
 @kernel
-def active_time(encounters: Array, centre: Array) -> float:
-    """How long the encounter at `centre` (3,) has been binding [s]; 0 for a new one."""
+def active_time(encounters: Array, centre: Vector3) -> float:
+    """How long the encounter at `centre` has been binding [s]; 0 for a new one."""
     slot = find(encounters, centre)
     if slot < 0:
         return 0.0
@@ -92,11 +92,10 @@ def update(
     for m in range(binding.shape[0]):
         if binding[m] <= 0.0:
             continue
-        slot = find(out, near[m, 0:3])
+        slot = find(out, near[m])
         if slot < 0:
             slot = _open(out, side[m])
-        for i in range(3):
-            out[slot, i] = near[m, i]
+        put3(out[slot], 0, near[m])
         if out[slot, QUIET_S] > 0.0:  # once a tick, also when two near objects share the place
             out[slot, ACTIVE_S] += dt
         out[slot, QUIET_S] = 0.0

@@ -5,16 +5,16 @@ from __future__ import annotations
 import numpy as np
 
 from ptnsbc_core.algebra import eigen3, gram3, minus, wrap
-from ptnsbc_core.kernel import kernel
+from ptnsbc_core.kernel import kernel, leaf
 from ptnsbc_core.tasks.contract import TaskGeometry
 from ptnsbc_core.tasks.distance_angles import distance_angles
 from ptnsbc_core.tasks.parent_angle import parent_angle
 from ptnsbc_core.tasks.relative_position import relative_position
-from ptnsbc_core.types import TASK_DISTANCE_ANGLES, TASK_PARENT_ANGLE, Array
+from ptnsbc_core.types import TASK_DISTANCE_ANGLES, TASK_PARENT_ANGLE, Array, Triple, Vector3
 
 
 @kernel
-def evaluate(task: int, own: Array, parent: Array, reference: Array) -> TaskGeometry:
+def evaluate(task: int, own: Triple, parent: Triple, reference: Triple) -> TaskGeometry:
     """Value and Jacobians of the task of this kind at positions (3,) [m, ENU]."""
     if task == TASK_DISTANCE_ANGLES:
         return distance_angles(own, parent, reference)
@@ -23,27 +23,28 @@ def evaluate(task: int, own: Array, parent: Array, reference: Array) -> TaskGeom
     return relative_position(own, parent, reference)
 
 
-@kernel
-def task_error(geometry: TaskGeometry, desired: Array) -> Array:
-    """Signed error sigma_d - sigma (3,), angles wrapped; the printed absolute value diverges."""
-    error = minus(desired, geometry.value)
-    for i in range(3):
-        if geometry.periodic[i] > 0.0:
-            error[i] = wrap(error[i])
-    return error
+@leaf
+def task_error(geometry: TaskGeometry, desired: Vector3) -> Vector3:
+    """Signed error sigma_d - sigma, angles wrapped; the printed absolute value diverges."""
+    error, periodic = minus(desired, geometry.value), geometry.periodic
+    return (
+        wrap(error[0]) if periodic[0] > 0.0 else error[0],
+        wrap(error[1]) if periodic[1] > 0.0 else error[1],
+        wrap(error[2]) if periodic[2] > 0.0 else error[2],
+    )
 
 
 def desired_value(
     task: int, own_offset: Array, parent_offset: Array, reference_offset: Array
-) -> Array:
-    """Desired task value (3,) of a formation given as offsets from the leader [m, ENU]."""
+) -> Vector3:
+    """Desired task value of a formation given as offsets from the leader [m, ENU]."""
     return evaluate(task, own_offset, parent_offset, reference_offset).value
 
 
 def conditioning(
-    task: int, own_offset: Array, parent_offset: Array, reference_offset: Array, row_scale: Array
+    task: int, own_offset: Array, parent_offset: Array, reference_offset: Array, row_scale: Vector3
 ) -> float:
     """Smallest singular value of the task's scaled Jacobian at the desired formation."""
-    jacobian = evaluate(task, own_offset, parent_offset, reference_offset).own
-    smallest = float(np.min(eigen3(gram3(jacobian * row_scale.reshape(3, 1))).values))
+    jacobian = np.array(evaluate(task, own_offset, parent_offset, reference_offset).own)
+    smallest = float(np.min(eigen3(gram3(jacobian * np.array(row_scale).reshape(3, 1))).values))
     return float(np.sqrt(max(smallest, 0.0)))

@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from ptnsbc_core.algebra import minus
 from ptnsbc_core.kernel import kernel
-from ptnsbc_core.tasks.contract import TaskGeometry
-from ptnsbc_core.types import Array
+from ptnsbc_core.tasks.contract import FIXED, TaskGeometry
+from ptnsbc_core.types import Triple
 
 
 @kernel
-def relative_position(own: Array, parent: Array, reference: Array) -> TaskGeometry:
+def relative_position(own: Triple, parent: Triple, reference: Triple) -> TaskGeometry:
     """Evaluate the task at positions (3,) [m, ENU]; the reference takes no part."""
-    j_own = np.zeros((3, 3))
-    j_parent = np.zeros((3, 3))
-    for i in range(3):
-        j_own[i, i] = 1.0
-        j_parent[i, i] = -1.0
-    return TaskGeometry(minus(own, parent), j_own, j_parent, np.zeros((3, 3)), np.zeros(3))
+    with_own = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+    with_parent = ((-1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0))
+    return TaskGeometry(minus(own, parent), with_own, with_parent, FIXED, (0.0, 0.0, 0.0))

@@ -14,9 +14,9 @@ import numpy as np
 
 from ptnsbc_core.algebra import wrap
 from ptnsbc_core.kernel import kernel, leaf
-from ptnsbc_core.kinematics import rotation_from_quaternion, yaw_of
+from ptnsbc_core.kinematics import rotation, yaw_of
 from ptnsbc_core.quadrotor_control import attitude_error, desired_rotation
-from ptnsbc_core.types import Array
+from ptnsbc_core.types import Array, Matrix3
 from ptnsbc_sim.plants.contract import PlantConfig
 from ptnsbc_sim.plants.integrate import advance
 
@@ -150,13 +150,14 @@ def _turn_heading(nav: Array, loop: Array, target: Array, gains: LoopGains, dt: 
 
 
 @leaf
-def _wanted_rates(rotation: Array, desired: Array, target: Array, gains: LoopGains) -> Array:
+def _wanted_rates(present: Matrix3, desired: Matrix3, target: Array, gains: LoopGains) -> Array:
     """Body rates (3,) [rad/s] that turn R to R_d, plus those commanded."""
-    out = attitude_error(rotation, desired)
+    turn = attitude_error(present, desired)
+    out = np.empty(3)
     for i in range(3):
         gain = gains.yaw_gain if i == 2 else gains.tilt_gain
         most = gains.max_yaw_rate if i == 2 else gains.max_rate
-        out[i] = min(max(gain * out[i], -most), most)
+        out[i] = min(max(gain * turn[i], -most), most)
         if math.isfinite(target[18 + i]):
             out[i] = min(max(out[i] + target[18 + i], -most), most)
     return out
@@ -185,16 +186,16 @@ def _wrench(
     out = np.zeros(6)
     kind = target[0]
     most = plant.max_thrust * min(max(target[13], 0.0), 1.0)
-    rotation = rotation_from_quaternion(nav[3:7])
+    present = rotation(nav, 3)
     rates = np.zeros(3)
     if kind == TRAJECTORY:
         _turn_heading(nav, loop, target, gains, dt)
         force = _wanted_force(nav, loop, target, gains, plant, dt)
-        out[2] = force[0] * rotation[0, 2] + force[1] * rotation[1, 2] + force[2] * rotation[2, 2]
-        rates = _wanted_rates(rotation, desired_rotation(force, loop[3]), target, gains)
+        out[2] = force[0] * present[0][2] + force[1] * present[1][2] + force[2] * present[2][2]
+        rates = _wanted_rates(present, desired_rotation(force, loop[3]), target, gains)
     elif kind == ATTITUDE:
         out[2] = _attitude_thrust(nav, loop, target, gains, plant, dt)
-        rates = _wanted_rates(rotation, rotation_from_quaternion(target[14:18]), target, gains)
+        rates = _wanted_rates(present, rotation(target, 14), target, gains)
     elif kind == RATES:
         out[2] = target[12] * plant.max_thrust
         for i in range(3):
@@ -262,7 +263,7 @@ def fly(
     for n in range(steps):
         _estimate(body, craft.errors, nav)
         wrench = _wrench(nav, craft.loop, craft.target, gains, plant, dt)
-        body[:] = advance(body, wrench, t + n * dt, dt, 1, plant)
+        advance(body, wrench, t + n * dt, dt, 1, plant)
         _stand(body, craft.loop)
     _estimate(body, craft.errors, nav)
 

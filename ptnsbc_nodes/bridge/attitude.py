@@ -40,7 +40,7 @@ def from_wrench(
     """
     time = max(flight_s, 0.0)
     gain = loop_gain(config.torque, Clock(time, time, 0.01))
-    rates = odometry[10:13] + wrench[3:6] / (config.nominal[1:4] * gain)
+    rates = odometry[10:13] + wrench[3:6] / (np.array(config.nominal.inertia) * gain)
     tilt, yaw = config.attitude_gain
     turn = rates / np.array([tilt, tilt, yaw])
     wanted = product(odometry[3:7], exponential(turn))
@@ -53,7 +53,7 @@ def understood(wrench: Array, config: ControllerConfig) -> Array:
     A torque at its limit says "more", not how much: the attitude read from it is a little ahead of the
     vehicle's own, and turns as the vehicle does.
     """
-    return np.asarray(np.abs(wrench[3:6]) < _AT_LIMIT * config.max_torque)
+    return np.asarray(np.abs(wrench[3:6]) < _AT_LIMIT * np.array(config.max_torque))
 
 
 def product(a: Array, b: Array) -> Array:

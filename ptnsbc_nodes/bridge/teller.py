@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NamedTuple
 
+import numpy as np
+
 from ptnsbc_core.kinematics import velocity_enu
 from ptnsbc_core.types import Array
 from ptnsbc_nodes.bridge.controller import Controller, Told
@@ -99,7 +101,7 @@ class Teller:
         # Carried to the present with its own velocity, as a UAV does with what its neighbours say:
         # compared with them a little late, it would fly that little ahead of its place.
         age_s = max(now_s - sampled_s, 0.0)
-        odometry[0:3] += offset + age_s * velocity_enu(odometry)
+        odometry[0:3] += offset + age_s * np.array(velocity_enu(odometry))
         self.odometry = odometry
         stamp_ns = self._stamp(clocks.ros_ns())
         self._told_s = now_s

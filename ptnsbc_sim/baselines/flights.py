@@ -11,9 +11,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-import numpy as np
-
 from ptnsbc_core.kernel import kernel, kernel_list
+from ptnsbc_core.types import Vector3
 from ptnsbc_sim import swarm
 from ptnsbc_sim.baselines.errors import BaselineError
 from ptnsbc_sim.baselines.reaching import EXPONENTIAL, TWO_SIDED, Reaching
@@ -61,9 +60,13 @@ def _fly_terminal(
                 crew.states[row], inputs, t, dt, crew.configs[row], laws[row]
             )
             note(track, tick, row, out)
-            crew.bodies[row] = advance(
-                crew.bodies[row], out.wrench, t, dt, wiring.substeps, crew.plants[row]
-            )
+            wrench, plant = track.wrench[tick, row], crew.plants[row]
+            advance(crew.bodies[row], wrench, t, dt, wiring.substeps, plant)
+
+
+def _place(scenario: Scenario, uav_id: int) -> Vector3:
+    x, y, z = scenario.offset(uav_id).tolist()
+    return x, y, z
 
 
 def _changed(scenario: Scenario, changes: Mapping[str, Any]) -> Scenario:
@@ -81,10 +84,7 @@ def _terminal(scenario: Scenario, law: str) -> list[Terminal]:
     gains = scenario.gains
     position = _axis(kind, power, float(gains.formation.deadline_s), 0)
     attitude = _axis(kind, power, float(gains.attitude.deadline_s), 1)
-    return [
-        Terminal(np.ascontiguousarray(scenario.offset(uav)), position, attitude)
-        for uav in scenario.uav_ids
-    ]
+    return [Terminal(_place(scenario, uav), position, attitude) for uav in scenario.uav_ids]
 
 
 def _fly_by(scenario: Scenario, law: str, progress: Progress | None = None) -> Flight:

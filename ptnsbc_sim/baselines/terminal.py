@@ -12,18 +12,26 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numpy as np
-
-from ptnsbc_core.algebra import cross3, norm3, put, saturation, transpose_times, wrap
-from ptnsbc_core.controller import limit_wrench
+from ptnsbc_core.algebra import (
+    cross3,
+    divided,
+    minus,
+    norm3,
+    plus,
+    saturation,
+    scaled,
+    three,
+    transpose_times,
+    wrap,
+)
+from ptnsbc_core.controller import axiswise, limited_force, limited_torque
 from ptnsbc_core.estimator import estimated_leader
-from ptnsbc_core.kernel import kernel
+from ptnsbc_core.kernel import kernel, leaf
 from ptnsbc_core.kinematics import (
     body_rates,
-    estimate_to_odometry,
     euler_from_rotation,
     euler_rates,
-    rotation_from_quaternion,
+    rotation,
     velocity_enu,
 )
 from ptnsbc_core.timebase import Clock
@@ -36,6 +44,8 @@ from ptnsbc_core.types import (
     AgentOutputs,
     AgentState,
     Array,
+    Estimate,
+    Vector3,
 )
 from ptnsbc_sim.baselines.reaching import Reaching, phi, slope
 
@@ -52,7 +62,7 @@ class Axis(NamedTuple):
 class Terminal(NamedTuple):
     """The law of one UAV."""
 
-    place: Array  # (3,) [m, ENU] desired position relative to the leader
+    place: Vector3  # [m, ENU] desired position relative to the leader
     position: Axis
     attitude: Axis
 
@@ -60,75 +70,69 @@ class Terminal(NamedTuple):
 class Desired(NamedTuple):
     """Where a UAV should be."""
 
-    position: Array  # (3,) [m, ENU]
-    velocity: Array  # (3,) [m/s]
-    acceleration: Array  # (3,) [m/s^2]
+    position: Vector3  # [m, ENU]
+    velocity: Vector3  # [m/s]
+    acceleration: Vector3  # [m/s^2]
     yaw: float  # [rad]
 
 
+@leaf
+def _demanded_axis(error: float, rate: float, forward: float, axis: Axis) -> float:
+    s = rate + phi(error, axis.sliding)
+    steer = slope(error, axis.sliding) * rate + phi(s, axis.reaching)
+    return forward - steer - axis.robust * saturation(s, axis.width)
+
+
 @kernel
-def demanded(error: Array, rate: Array, forward: Array, axis: Axis) -> Array:
-    """Acceleration (3,) for an error (3,), its rate (3,) and that of the reference (3,)."""
-    out = np.empty(3)
-    for i in range(3):
-        s = rate[i] + phi(error[i], axis.sliding)
-        steer = slope(error[i], axis.sliding) * rate[i] + phi(s, axis.reaching)
-        out[i] = forward[i] - steer - axis.robust * saturation(s, axis.width)
-    return out
+def demanded(error: Vector3, rate: Vector3, forward: Vector3, axis: Axis) -> Vector3:
+    """Acceleration for an error, its rate and that of the reference."""
+    return (
+        _demanded_axis(error[0], rate[0], forward[0], axis),
+        _demanded_axis(error[1], rate[1], forward[1], axis),
+        _demanded_axis(error[2], rate[2], forward[2], axis),
+    )
 
 
 @kernel
 def desired(
-    estimate: Array, heard: bool, own: Array, clock: Clock, config: AgentConfig, place: Array
+    estimate: Estimate, heard: bool, own: Array, clock: Clock, config: AgentConfig, place: Vector3
 ) -> Desired:
     """The leader's trajectory, or the place beside the leader's estimate; before it is heard of: here."""
-    still = np.zeros(3)
+    still = (0.0, 0.0, 0.0)
     if config.leader:
         now = reference(config.trajectory, clock.start_t)
         later = reference(config.trajectory, clock.start_t + clock.dt)
-        acceleration = np.empty(3)
-        for i in range(3):
-            acceleration[i] = (later.velocity[i] - now.velocity[i]) / clock.dt
+        acceleration = divided(minus(later.velocity, now.velocity), clock.dt)
         return Desired(now.position, now.velocity, acceleration, now.yaw)
     if not heard:
-        return Desired(own[0:3].copy(), still, still, 0.0)
-    position = np.empty(3)
-    for i in range(3):
-        position[i] = estimate[i] + place[i]
-    return Desired(position, estimate[3:6].copy(), still, float(estimate[6]))
+        return Desired(three(own, 0), still, still, 0.0)
+    return Desired(plus(estimate.position, place), estimate.velocity, still, estimate.yaw)
 
 
 @kernel
-def turning_forward(euler: Array, rates: Array) -> Array:
-    """(3,) d/dt(W^-1) euler_dot: what body rates need beside W^-1 euler_ddot, at Euler rates (3,)."""
+def turning_forward(euler: Vector3, rates: Vector3) -> Vector3:
+    """d/dt(W^-1) euler_dot: what body rates need beside W^-1 euler_ddot, at these Euler rates."""
     sf, cf = math.sin(euler[0]), math.cos(euler[0])
     st, ct = math.sin(euler[1]), math.cos(euler[1])
     p, q, r = rates[0], rates[1], rates[2]
-    out = np.empty(3)
-    out[0] = -ct * q * r
-    out[1] = -sf * p * q + (cf * p * ct - sf * st * q) * r
-    out[2] = -cf * p * q - (sf * p * ct + cf * st * q) * r
-    return out
+    return (
+        -ct * q * r,
+        -sf * p * q + (cf * p * ct - sf * st * q) * r,
+        -cf * p * q - (sf * p * ct + cf * st * q) * r,
+    )
 
 
 @kernel
-def torque_for(own: Array, yaw: float, law: Axis, inertia: Array) -> Array:
-    """Torque (3,) [N m, FLU] that levels the body and turns it to the heading."""
-    euler = euler_from_rotation(rotation_from_quaternion(own[3:7]))
-    rates = own[10:13].copy()
+def torque_for(own: Array, yaw: float, law: Axis, inertia: Vector3) -> Vector3:
+    """Torque [N m, FLU] that levels the body and turns it to the heading."""
+    euler = euler_from_rotation(rotation(own, 3))
+    rates = three(own, 10)
     turning = euler_rates(euler, rates)
-    error = euler.copy()
-    error[2] = wrap(euler[2] - yaw)
-    still = np.zeros(3)
-    wanted = body_rates(euler, demanded(error, turning, still, law))
+    error = (euler[0], euler[1], wrap(euler[2] - yaw))
+    wanted = body_rates(euler, demanded(error, turning, (0.0, 0.0, 0.0), law))
     extra = turning_forward(euler, turning)
-    momentum = np.empty(3)
-    for i in range(3):
-        momentum[i] = inertia[i] * rates[i]
-    out = cross3(rates, momentum)
-    for i in range(3):
-        out[i] += inertia[i] * (wanted[i] + extra[i])
-    return out
+    gyroscopic = cross3(rates, axiswise(inertia, rates))
+    return plus(gyroscopic, axiswise(inertia, plus(wanted, extra)))
 
 
 @kernel
@@ -140,37 +144,33 @@ def terminal_step(
     config: AgentConfig,
     law: Terminal,
 ) -> tuple[AgentState, AgentOutputs]:
-    """One tick, as `ptnsbc_core.agent.step`: pure, the same inputs and outputs."""
+    """One tick, as `ptnsbc_core.step.step`: pure, the same inputs and outputs."""
     clock = Clock(t, inputs.start_age_s, dt)
     estimate, heard = estimated_leader(state, inputs, clock, False, config)
     goal = desired(estimate, heard, inputs.own, clock, config, law.place)
-    speed = velocity_enu(inputs.own)
-    error, rate = np.empty(3), np.empty(3)
-    for i in range(3):
-        error[i] = inputs.own[i] - goal.position[i]
-        rate[i] = speed[i] - goal.velocity[i]
-    force = demanded(error, rate, goal.acceleration, law.position)
-    force[2] += config.controller.gravity
-    body = transpose_times(rotation_from_quaternion(inputs.own[3:7]), force)
-    wrench = np.empty(6)
-    for i in range(3):
-        wrench[i] = config.controller.nominal[0] * body[i]
-    put(wrench, 3, torque_for(inputs.own, goal.yaw, law.attitude, config.controller.nominal[1:4]))
-    saturated = limit_wrench(wrench, config.controller)
+    error = minus(inputs.own, goal.position)
+    rate = minus(velocity_enu(inputs.own), goal.velocity)
+    plant = config.controller
+    asked = demanded(error, rate, goal.acceleration, law.position)
+    asked = plus(asked, (0.0, 0.0, plant.gravity))
+    body = transpose_times(rotation(inputs.own, 3), asked)
+    force = limited_force(scaled(plant.nominal.mass, body), plant)
+    turn = torque_for(inputs.own, goal.yaw, law.attitude, plant.nominal.inertia)
+    torque = limited_torque(turn, plant)
     after = AgentState(
         estimate,
         heard,
-        state.command,
-        state.parameters,
-        state.bound,
-        state.observer,
+        state.velocity,
+        state.rates,
+        state.adapted,
         state.encounters,
         state.start_error,
+        state.start_attitude,
         state.hold,
         MODE_FORMATION,
         t,
     )
-    told = np.zeros(4)
-    put(told, 0, goal.velocity)
-    diagnostics = AgentDiagnostics(-error, 0.0, 1.0, 0, saturated, False, 0.0, norm3(rate))
-    return after, AgentOutputs(told, wrench, estimate_to_odometry(estimate), diagnostics)
+    saturated = force.saturated or torque.saturated
+    away = scaled(-1.0, error)
+    diagnostics = AgentDiagnostics(away, 0.0, 1.0, 0, saturated, False, 0.0, norm3(rate))
+    return after, AgentOutputs(goal.velocity, 0.0, force.value, torque.value, estimate, diagnostics)

@@ -49,10 +49,9 @@ def _derivative(x: Array, wrench: Array, push: Array, config: PlantConfig, out: 
 
 @kernel
 def advance(
-    x: Array, wrench: Array, t: float, dt: float, substeps: int, config: PlantConfig
-) -> Array:
-    """State (17,) after one control period dt [s] from t [s] under a held wrench (6,)."""
-    out = x.copy()
+    out: Array, wrench: Array, t: float, dt: float, substeps: int, config: PlantConfig
+) -> None:
+    """State `out` (17,), in place, by one control period dt [s] from t [s] under a held wrench (6,)."""
     slopes = np.empty((4, STATE_SIZE))
     mid = np.empty(STATE_SIZE)
     push = np.empty((3, 6))  # at the start, middle and end of a substep
@@ -77,4 +76,3 @@ def advance(
         if config.kind != PLANT_RIGID_BODY:
             quadrotor_normalise(out)
         put(push[0], 0, push[2])
-    return out

@@ -1,6 +1,6 @@
 """From a scenario to the constants of one UAV.
 
-Scalars are exactly float, int or bool and arrays contiguous float64: numba types the kernels by
+Scalars are exactly float, int or bool and vectors tuples of float: numba types the kernels by
 them, and one UAV with another type would compile everything a second time.
 """
 
@@ -28,18 +28,20 @@ from ptnsbc_core.types import (
     EstimatorConfig,
     FilterConfig,
     LoopGain,
+    Parameters,
+    Vector3,
 )
 from ptnsbc_sim.scenario.gains import Loop
 from ptnsbc_sim.scenario.model import Circle
 from ptnsbc_sim.scenario.scenario import Scenario
 
-TRAJECTORY_SIZE = 12
 _SHORTEST_ARM_M = 1e-3
 _UPRIGHT = np.pi / 2  # the tilt limit of a plant that is not tilted
 
 
-def _vector(*numbers: float) -> Array:
-    return np.array(numbers, dtype=np.float64)
+def _three(vector: Iterable[float]) -> Vector3:
+    x, y, z = (float(number) for number in vector)
+    return x, y, z
 
 
 def _loop(scenario: Scenario, loop: Loop) -> LoopGain:
@@ -65,8 +67,8 @@ def _loop(scenario: Scenario, loop: Loop) -> LoopGain:
     )
 
 
-def trajectory_vector(scenario: Scenario) -> Array:
-    """The leader's reference as ptnsbc_core.trajectory reads it."""
+def trajectory_vector(scenario: Scenario) -> tuple[float, ...]:
+    """The leader's reference (8,) as ptnsbc_core.trajectory reads it."""
     path = scenario.file.leader.trajectory
     numbers: Iterable[float]
     if isinstance(path, Circle):
@@ -74,16 +76,13 @@ def trajectory_vector(scenario: Scenario) -> Array:
         numbers = (TRAJECTORY_CIRCLE, *path.centre_m, *motion, path.yaw_rad)
     else:
         numbers = (TRAJECTORY_LINE, *path.position_m, *path.velocity_m_s, path.yaw_rad)
-    vector = np.zeros(TRAJECTORY_SIZE)
-    values = np.array(tuple(numbers), dtype=np.float64)
-    vector[: values.size] = values
-    return vector
+    return tuple(float(number) for number in numbers)
 
 
 def reference_offset(scenario: Scenario, uav_id: int) -> Array:
     """The reference k of a follower, from the leader: the leader itself or the heading anchor."""
     if scenario.parent(uav_id) == scenario.leader_id:
-        return _vector(*scenario.file.formation.heading_anchor_m)
+        return np.array(scenario.file.formation.heading_anchor_m, dtype=np.float64)
     return np.zeros(3)
 
 
@@ -95,11 +94,11 @@ def _offset_from_parent(scenario: Scenario, uav_id: int) -> Array:
     return scenario.offset(uav_id) - scenario.offset(parent)
 
 
-def _desired(scenario: Scenario, uav_id: int) -> tuple[Array, Array]:
+def _desired(scenario: Scenario, uav_id: int) -> tuple[Vector3, Vector3]:
     """Desired task value and the row scale that puts every row in metres."""
     parent = scenario.parent(uav_id)
     if parent is None:
-        return np.zeros(3), np.ones(3)
+        return (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)
     task = scenario.file.formation.task
     own, above = scenario.offset(uav_id), scenario.offset(parent)
     arm = float(np.hypot(*(own - above)[:2]))
@@ -116,11 +115,11 @@ def _desired(scenario: Scenario, uav_id: int) -> tuple[Array, Array]:
         where = f"{scenario.source}: formation.offsets_m.{uav_id}"
         raise FormationError(f"{where}: {error}") from None
     scale = {
-        "distance_angles": _vector(1.0, arm, arm),
-        "parent_angle": _vector(1.0, arm, 1.0),
-        "relative_position": np.ones(3),
+        "distance_angles": (1.0, arm, arm),
+        "parent_angle": (1.0, arm, 1.0),
+        "relative_position": (1.0, 1.0, 1.0),
     }[task]
-    return np.ascontiguousarray(value, dtype=np.float64), scale
+    return value, scale
 
 
 def _estimator(scenario: Scenario, uav_id: int) -> EstimatorConfig:
@@ -162,14 +161,14 @@ def _filter(scenario: Scenario) -> FilterConfig:
     )
 
 
-def _limits(scenario: Scenario) -> tuple[float, float, Array]:
+def _limits(scenario: Scenario) -> tuple[float, float, Vector3]:
     """Tilt [rad], thrust or force [N], torque [N m] of the plant."""
     if PLANTS[scenario.plant_kind] == PLANT_QUADROTOR:
         limits = scenario.quadrotor
-        torque = _vector(*limits.max_torque_nm)
+        torque = _three(limits.max_torque_nm)
         return float(limits.max_tilt_rad), float(limits.max_thrust_n), torque
     body = scenario.plant.rigid_body
-    return float(_UPRIGHT), float(body.max_force_n), _vector(*body.max_torque_nm)
+    return float(_UPRIGHT), float(body.max_force_n), _three(body.max_torque_nm)
 
 
 def _controller(scenario: Scenario) -> ControllerConfig:
@@ -179,18 +178,18 @@ def _controller(scenario: Scenario) -> ControllerConfig:
     return ControllerConfig(
         plant=PLANTS[scenario.plant_kind],
         gravity=float(scenario.gravity_m_s2),
-        nominal=_vector(scenario.mass_kg, *scenario.inertia_kg_m2),
+        nominal=Parameters(float(scenario.mass_kg), _three(scenario.inertia_kg_m2)),
         force=_loop(scenario, gains.force),
         torque=_loop(scenario, gains.torque),
-        boundary=_vector(gains.boundary.velocity_m_s, gains.boundary.rate_rad_s),
-        adaptation=_vector(1.0 / adaptation.gamma_mass, 1.0 / adaptation.gamma_inertia),
+        boundary=(float(gains.boundary.velocity_m_s), float(gains.boundary.rate_rad_s)),
+        adaptation=(float(1.0 / adaptation.gamma_mass), float(1.0 / adaptation.gamma_inertia)),
         mass_range=float(adaptation.mass_range),
         bound_rate=float(1.0 / adaptation.upsilon),
         bound_leak=float(adaptation.leak_1_s),
-        bound_dead_zone=_vector(adaptation.dead_zone_m_s, adaptation.dead_zone_rad_s),
-        bound_cap=_vector(adaptation.cap_m_s2, adaptation.cap_rad_s2),
+        bound_dead_zone=(float(adaptation.dead_zone_m_s), float(adaptation.dead_zone_rad_s)),
+        bound_cap=(float(adaptation.cap_m_s2), float(adaptation.cap_rad_s2)),
         observer_bandwidth=float(gains.observer.bandwidth_1_s),
-        attitude_gain=_vector(gains.pointing.tilt_1_s, gains.pointing.yaw_1_s),
+        attitude_gain=(float(gains.pointing.tilt_1_s), float(gains.pointing.yaw_1_s)),
         max_tilt=max_tilt,
         max_thrust=max_thrust,
         max_torque=max_torque,
@@ -206,8 +205,8 @@ def agent_config(scenario: Scenario, uav_id: int) -> AgentConfig:
         leader=bool(uav_id == scenario.leader_id),
         task=TASKS[scenario.file.formation.task],
         desired=desired,
-        offset=_offset_from_parent(scenario, uav_id),
-        anchor=reference_offset(scenario, uav_id),
+        offset=_three(_offset_from_parent(scenario, uav_id)),
+        anchor=_three(reference_offset(scenario, uav_id)),
         row_scale=row_scale,
         formation=_loop(scenario, gains.formation),
         attitude=_loop(scenario, gains.attitude),

@@ -56,7 +56,7 @@ def elsewhere(one: Flown) -> int:
 
 
 def _row_scale(one: Flown, uav: int) -> Array:
-    return agent_config(one.scenario, uav).row_scale
+    return np.array(agent_config(one.scenario, uav).row_scale)
 
 
 def _row(workshop: Workshop, plant: str, task: str) -> tuple[Cell, ...]:

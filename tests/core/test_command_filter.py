@@ -5,8 +5,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from on_arrays import on_arrays
 
 from ptnsbc_core.command_filter import filter_step
+
+filter_step = on_arrays(filter_step)
 
 vectors = arrays(np.float64, 3, elements=st.floats(-10.0, 10.0))
 

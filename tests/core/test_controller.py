@@ -1,41 +1,75 @@
 """Controller (39)-(42), (49)-(52) on the plant that it is written for."""
 
+from typing import NamedTuple
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from on_arrays import on_arrays, tuples
 
-from ptnsbc_core.controller import (
-    Command,
-    rigid_body_control,
-    sliding_term,
-    torque_model,
-    torque_regressor_error,
-)
+from ptnsbc_core import controller as laws
+from ptnsbc_core.adaptation import started
+from ptnsbc_core.controller import Command
 from ptnsbc_core.kinematics import quaternion_from_euler, rotation_from_euler
 from ptnsbc_core.timebase import Clock
-from ptnsbc_core.types import PROFILE_PAPER, ControllerConfig, LoopGain
+from ptnsbc_core.types import PROFILE_PAPER, Adapted, ControllerConfig, LoopGain, Parameters
 from ptnsbc_sim.plants import rigid_body
 from ptnsbc_sim.plants.contract import PlantConfig
 from ptnsbc_sim.plants.integrate import advance, initial_state
 from ptnsbc_sim.scenario import agent_config, load_scenario
+
+sliding_term = on_arrays(laws.sliding_term)
+torque_model = on_arrays(laws.torque_model)
+torque_regressor_error = on_arrays(laws.torque_regressor_error)
 
 MASS, INERTIA, GRAVITY = 1.2, np.array([0.019, 0.022, 0.031]), 9.81
 seeds = st.integers(0, 2**31)
 SCENARIO = load_scenario("paper_5", {"plant.kind": "rigid_body_6dof"})
 
 
+def psi(numbers: np.ndarray) -> Parameters:
+    return Parameters(float(numbers[0]), tuples(numbers[1:4]))
+
+
+class Controlled(NamedTuple):
+    """What the law gives, as arrays."""
+
+    wrench: np.ndarray
+    parameters: np.ndarray
+    bound: np.ndarray
+    saturated: bool
+    velocity_error: float
+
+
+def control(own, command, parameters, bound, clock, config) -> Controlled:
+    """`rigid_body_control` with Psi_hat (4,) and delta_hat (2,)."""
+    before = Adapted(psi(parameters), tuples(bound), started((0.0, 0.0, 0.0)))
+    out = laws.rigid_body_control(own, tuples(command), before, clock, config)
+    learned = out.adapted
+    return Controlled(
+        np.array([*out.force, *out.torque]),
+        np.array([learned.parameters.mass, *learned.parameters.inertia]),
+        np.array(learned.bound),
+        out.saturated,
+        out.velocity_error,
+    )
+
+
+NOMINAL = np.array([MASS, *INERTIA])
+
+
 def config_of(**changes) -> ControllerConfig:
     """Nothing adapts and nothing limits unless asked."""
     base = agent_config(SCENARIO, 1).controller._replace(
-        nominal=np.array([MASS, *INERTIA]),
+        nominal=psi(np.array([MASS, *INERTIA])),
         force=LoopGain(1.0, 1e-3, 1.0, 0.0, PROFILE_PAPER),
         torque=LoopGain(1.0, 1e-3, 1.0, 0.0, PROFILE_PAPER),
-        adaptation=np.zeros(2),
+        adaptation=(0.0, 0.0),
         bound_rate=0.0,
         bound_leak=0.0,
         max_thrust=1e9,
-        max_torque=np.full(3, 1e9),
+        max_torque=(1e9, 1e9, 1e9),
     )
     return base._replace(**changes)
 
@@ -118,15 +152,8 @@ def test_without_error_the_body_does_what_the_reference_does(seed: int) -> None:
         rotation_from_euler(euler) @ velocity, rng.normal(size=3), rates, rng.normal(size=3), 0.0
     )
     config = config_of()
-    out = rigid_body_control(
-        own_of(euler, velocity, rates),
-        command,
-        config.nominal,
-        np.zeros(2),
-        Clock(0.0, 0.0, 0.01),
-        config,
-        np.zeros(9),
-    )
+    own, clock = own_of(euler, velocity, rates), Clock(0.0, 0.0, 0.01)
+    out = control(own, command, NOMINAL, np.zeros(2), clock, config)
     linear, angular = acceleration(euler, velocity, rates, out.wrench)
     np.testing.assert_allclose(linear, command.acceleration, atol=1e-11)
     np.testing.assert_allclose(angular, command.rates_dot, atol=1e-11)
@@ -141,7 +168,7 @@ def test_error_dynamics_are_those_of_the_design(seed: int) -> None:
     command = Command(*rng.normal(size=(4, 3)), 0.0)
     config, bound, clock = config_of(), np.array([0.7, 1.3]), Clock(0.4, 0.4, 0.01)
     own = own_of(euler, velocity, rates)
-    out = rigid_body_control(own, command, config.nominal, bound, clock, config, np.zeros(9))
+    out = control(own, command, NOMINAL, bound, clock, config)
     linear, angular = acceleration(euler, velocity, rates, out.wrench)
     r = rotation_from_euler(euler)
     error, rate_error = velocity - r.T @ command.velocity, rates - command.rates
@@ -167,15 +194,16 @@ def closed_loop(
     each=lambda *_: None,
 ):
     """Rigid body held at zero velocity and rates; `each` sees (error, parameters, bound) at every tick."""
-    parameters, bound = config.nominal.copy(), np.zeros(2)
+    parameters = np.array([config.nominal.mass, *config.nominal.inertia])
+    bound, state = np.zeros(2), state.copy()
     command = Command(np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3), 0.0)
     for k in range(round(seconds / dt)):
         own = rigid_body.odometry(state)
         each(state[6:12], parameters, bound)
         clock = Clock(k * dt, k * dt, dt)
-        out = rigid_body_control(own, command, parameters, bound, clock, config, np.zeros(9))
+        out = control(own, command, parameters, bound, clock, config)
         parameters, bound = out.parameters, out.bound
-        state = advance(state, out.wrench, k * dt, dt, 1, plant)
+        advance(state, out.wrench, k * dt, dt, 1, plant)
     return state, parameters, bound
 
 
@@ -207,13 +235,13 @@ def test_lyapunov_rate_is_minus_the_feedback(seed: int) -> None:
     rng, euler, velocity, rates = random_motion(seed)
     truth = np.array([MASS, *INERTIA])
     estimate = truth * rng.uniform(0.8, 1.2, 4)
-    adaptation = np.array([0.4, 1e-4])
+    adaptation = (0.4, 1e-4)
     loop = LoopGain(1.0, 0.1, 1.0, 5.0, PROFILE_PAPER)
     config = config_of(force=loop, torque=loop, adaptation=adaptation, mass_range=0.9)
     command, dt = Command(*rng.normal(size=(4, 3)), 0.0), 0.01
     clock = Clock(2.0, 2.0, dt)
     own = own_of(euler, velocity, rates)
-    out = rigid_body_control(own, command, estimate, np.zeros(2), clock, config, np.zeros(9))
+    out = control(own, command, estimate, np.zeros(2), clock, config)
     linear, angular = acceleration(euler, velocity, rates, out.wrench)
     r = rotation_from_euler(euler)
     error, rate_error = r @ velocity - command.velocity, rates - command.rates
@@ -233,10 +261,10 @@ def energies(adaptation: float) -> tuple[np.ndarray, float]:
     """V = (Omega V~.V~ + Gamma Psi~^2) / 2 over 6 s with a wrong mass, and the mass found."""
     truth = np.array([MASS, *INERTIA])
     config = config_of(
-        nominal=WRONG,
+        nominal=psi(WRONG),
         force=LoopGain(1.0, 0.1, 1.0, 5.0, PROFILE_PAPER),
         torque=LoopGain(1.0, 0.1, 1.0, 5.0, PROFILE_PAPER),
-        adaptation=np.array([adaptation, 0.0]),
+        adaptation=(adaptation, 0.0),
         mass_range=0.9,
     )
     plant, seen = plant_of(), []
@@ -270,9 +298,9 @@ def test_bound_takes_a_constant_push_into_the_boundary() -> None:
         force=LoopGain(1.0, 1e-2, 1.0, 2.0, PROFILE_PAPER),
         torque=LoopGain(1.0, 1e-2, 1.0, 2.0, PROFILE_PAPER),
         bound_rate=2.5,
-        bound_dead_zone=np.array([0.01, 0.02]),
-        bound_cap=np.array([2.0, 5.0]),
-        boundary=np.array([0.05, 0.1]),
+        bound_dead_zone=(0.01, 0.02),
+        bound_cap=(2.0, 5.0),
+        boundary=(0.05, 0.1),
     )
     plant = plant_of(push)
     state = initial_state(np.zeros(3), np.zeros(3), plant)
@@ -287,14 +315,14 @@ def test_bound_takes_a_constant_push_into_the_boundary() -> None:
 
 def test_limits_are_kept_told_and_freeze_the_adaptation() -> None:
     config = config_of(
-        max_thrust=10.0, max_torque=np.array([0.1, 0.2, 0.3]), adaptation=np.ones(2), bound_rate=1.0
+        max_thrust=10.0, max_torque=(0.1, 0.2, 0.3), adaptation=(1.0, 1.0), bound_rate=1.0
     )
     own = own_of(np.zeros(3), np.array([9.0, 0, 0]), np.array([50.0, -50, 50]))
     command = Command(np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3), 0.0)
     clock = Clock(0.5, 0.5, 0.01)
-    out = rigid_body_control(own, command, config.nominal, np.zeros(2), clock, config, np.zeros(9))
+    out = control(own, command, NOMINAL, np.zeros(2), clock, config)
     assert out.saturated
     assert np.linalg.norm(out.wrench[:3]) == pytest.approx(10.0)
     np.testing.assert_allclose(out.wrench[3:], [-0.1, 0.2, -0.3])
-    np.testing.assert_array_equal(out.parameters, config.nominal)
+    np.testing.assert_array_equal(out.parameters, NOMINAL)
     np.testing.assert_array_equal(out.bound, np.zeros(2))

@@ -4,16 +4,17 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from on_arrays import tuples
 from scipy.spatial.transform import Rotation
 
 from ptnsbc_core.errors import AttitudeError
 from ptnsbc_core.kinematics import (
     body_rates,
     checked_pitch,
-    estimate_to_odometry,
     euler_from_rotation,
     euler_rates,
     odometry_to_estimate,
+    put_estimate,
     quaternion_from_euler,
     rotation_from_euler,
     rotation_from_quaternion,
@@ -21,6 +22,7 @@ from ptnsbc_core.kinematics import (
     velocity_enu,
     yaw_of,
 )
+from ptnsbc_core.types import Estimate
 
 ONES = np.ones(3)
 angle = st.floats(-np.pi, np.pi)
@@ -88,7 +90,7 @@ def test_w_by_finite_differences_of_the_attitude(euler: np.ndarray, rates: np.nd
 
     def after(t: float) -> np.ndarray:
         r = rotation_from_euler(euler) @ Rotation.from_rotvec(t * rates).as_matrix()
-        return euler_from_rotation(r)
+        return np.array(euler_from_rotation(r))
 
     moved = after(step) - after(-step)
     moved = (moved + np.pi) % (2.0 * np.pi) - np.pi
@@ -138,16 +140,19 @@ def test_accessors_of_an_odometry_vector(
     off = (yaw_of(own) - euler[2] + np.pi) % (2.0 * np.pi) - np.pi
     assert abs(off) < 1e-12
     estimate = state_to_estimate(own)
-    np.testing.assert_array_equal(estimate[0:3], position)
-    np.testing.assert_array_equal(estimate[3:6], velocity_enu(own))
-    assert estimate[6] == yaw_of(own)
+    np.testing.assert_array_equal(estimate.position, position)
+    assert estimate.velocity == velocity_enu(own)
+    assert estimate.yaw == yaw_of(own)
 
 
 @given(position=vectors, velocity=vectors, yaw=st.floats(-3.1, 3.1))
 def test_an_estimate_survives_the_message(
     position: np.ndarray, velocity: np.ndarray, yaw: float
 ) -> None:
-    estimate = np.concatenate([position, velocity, [yaw]])
-    message = estimate_to_odometry(estimate)
+    message = np.empty(13)
+    put_estimate(message, Estimate(tuples(position), tuples(velocity), yaw))
     assert np.linalg.norm(message[3:7]) == pytest.approx(1.0)
-    np.testing.assert_allclose(odometry_to_estimate(message), estimate, atol=1e-14)
+    back = odometry_to_estimate(message)
+    np.testing.assert_array_equal(back.position, position)
+    np.testing.assert_array_equal(back.velocity, velocity)
+    assert back.yaw == pytest.approx(yaw, abs=1e-14)

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from on_arrays import on_arrays
 
 from ptnsbc_core.nullspace import (
     compose,
@@ -12,6 +13,9 @@ from ptnsbc_core.nullspace import (
     projector,
     scaled_to_limit,
 )
+
+damped_solve = on_arrays(damped_solve)
+scaled_to_limit = on_arrays(scaled_to_limit)
 
 NEVER = 1e-9  # a threshold below every singular value here: no damping
 NOTHING = np.zeros(3)

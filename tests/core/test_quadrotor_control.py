@@ -4,28 +4,28 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from on_arrays import on_arrays, tuples
 from scipy.spatial.transform import Rotation
 
+from ptnsbc_core import quadrotor_control as laws
 from ptnsbc_core.adaptation import started
 from ptnsbc_core.controller import Command
 from ptnsbc_core.kinematics import rotation_from_quaternion, velocity_enu
-from ptnsbc_core.quadrotor_control import (
-    attitude_error,
-    desired_rotation,
-    quadrotor_control,
-    rate_reference,
-    tilt_limited,
-)
 from ptnsbc_core.timebase import Clock
-from ptnsbc_core.types import ControllerConfig
+from ptnsbc_core.types import Adapted, ControllerConfig
 from ptnsbc_sim.plants.build import plant_config
 from ptnsbc_sim.plants.integrate import advance, initial_state, odometry
 from ptnsbc_sim.scenario import agent_config, load_scenario
 
+attitude_error = on_arrays(laws.attitude_error)
+desired_rotation = on_arrays(laws.desired_rotation)
+rate_reference = on_arrays(laws.rate_reference)
+tilt_limited = on_arrays(laws.tilt_limited)
+
 SCENARIO = load_scenario("paper_5")
 AGENT = agent_config(SCENARIO, 1)
 CONFIG: ControllerConfig = AGENT.controller
-WEIGHT = CONFIG.nominal[0] * CONFIG.gravity
+WEIGHT = CONFIG.nominal.mass * CONFIG.gravity
 DT = 0.01
 
 seeds = st.integers(0, 2**31)
@@ -76,7 +76,7 @@ def test_tilt_limit(force: np.ndarray) -> None:
 def test_rate_reference_can_always_be_braked(turn: np.ndarray) -> None:
     """Half the torque stops the rate within the angle that is left: w^2 <= 2 (M / 2 I) |angle|."""
     rates = rate_reference(turn, 12.0, CONFIG)
-    braking = 0.5 * CONFIG.max_torque / CONFIG.nominal[1:4]
+    braking = 0.5 * np.array(CONFIG.max_torque) / CONFIG.nominal.inertia
     assert np.all(np.abs(rates) <= 12.0)
     assert np.all(rates**2 <= 2.0 * braking * np.abs(turn) * (1.0 + 1e-12) + 1e-300)
     assert np.all(rates * turn >= 0.0)
@@ -93,15 +93,14 @@ def at_rest(attitude: tuple[float, float, float]) -> np.ndarray:
 
 
 def control(own: np.ndarray, k: int, carried, config: ControllerConfig = CONFIG, velocity=None):
-    parameters, bound, observer = carried
-    velocity = np.zeros(3) if velocity is None else velocity
-    command = Command(velocity, np.zeros(3), np.zeros(3), np.zeros(3), 0.0)
+    still = np.zeros(3)
+    command = Command(still if velocity is None else velocity, still, still, still, 0.0)
     clock = Clock(k * DT, k * DT, DT)
-    return quadrotor_control(own, command, parameters, bound, clock, config, observer, 12.0)
+    return laws.quadrotor_control(own, tuples(command), carried, clock, config, 12.0)
 
 
-def fresh(own: np.ndarray):
-    return CONFIG.nominal.copy(), np.zeros(2), started(velocity_enu(own))
+def fresh(own: np.ndarray) -> Adapted:
+    return Adapted(CONFIG.nominal, (0.0, 0.0), started(velocity_enu(own)))
 
 
 @pytest.mark.parametrize("attitude", [(0.0, 0.0, 0.0), (1.0, 1.0, 1.0)])
@@ -109,9 +108,9 @@ def test_at_rest_the_first_thrust_carries_the_weight(attitude) -> None:
     """Table 2 starts at (1, 1, 1): the thrust is that of hovering, whatever the attitude is."""
     own = odometry(at_rest(attitude), plant_config(SCENARIO, 1))
     out = control(own, 0, fresh(own))
-    np.testing.assert_allclose(out.wrench[:3], [0, 0, WEIGHT], rtol=1e-12)
+    np.testing.assert_allclose(out.force, [0, 0, WEIGHT], rtol=1e-12)
     if attitude == (0.0, 0.0, 0.0):
-        np.testing.assert_allclose(out.wrench[3:], np.zeros(3), atol=1e-12)
+        np.testing.assert_allclose(out.torque, np.zeros(3), atol=1e-12)
         assert not out.saturated
 
 
@@ -127,11 +126,11 @@ def flown(start: np.ndarray, seconds: float, push=None, config: ControllerConfig
     for k in range(round(seconds / DT)):
         own = odometry(state, plant)
         out = control(own, k, carried, config)
-        carried = out.parameters, out.bound, out.observer
+        carried = out.adapted
         tilts.append(np.arccos(np.clip(rotation_from_quaternion(own[3:7])[2, 2], -1.0, 1.0)))
         velocities.append(velocity_enu(own))
-        observers.append(out.observer[3:6].copy())
-        state = advance(state, out.wrench, k * DT, DT, 5, plant)
+        observers.append(carried.observer.disturbance)
+        advance(state, np.array([*out.force, *out.torque]), k * DT, DT, 5, plant)
     return np.array(tilts), np.array(velocities), np.array(observers)
 
 
@@ -149,7 +148,7 @@ def test_recovery_from_a_tilt(attitude) -> None:
 def test_observer_converges_to_a_constant_push() -> None:
     """Without the mass estimate, which would take its share of a vertical push."""
     push = np.array([0.5, -0.3, 0.2, 0.0, 0.0, 0.0])
-    config = CONFIG._replace(adaptation=np.zeros(2))
+    config = CONFIG._replace(adaptation=(0.0, 0.0))
     _, velocities, observers = flown(at_rest((0.0, 0.0, 0.0)), 8.0, push, config)
     np.testing.assert_allclose(observers[-1], push[:3], atol=1e-3)
     np.testing.assert_allclose(velocities[-1], np.zeros(3), atol=1e-3)
@@ -172,6 +171,6 @@ def test_limits_are_kept_and_told() -> None:
     own[10:13] = [40.0, -40.0, 40.0]
     out = control(own, 50, fresh(own), velocity=np.array([50.0, 0.0, 50.0]))
     assert out.saturated
-    assert out.wrench[2] == CONFIG.max_thrust
-    np.testing.assert_allclose(out.wrench[3:], CONFIG.max_torque * [-1, 1, -1])
-    np.testing.assert_array_equal(out.parameters, CONFIG.nominal)
+    assert out.force[2] == CONFIG.max_thrust
+    np.testing.assert_allclose(out.torque, CONFIG.max_torque * np.array([-1, 1, -1]))
+    assert out.adapted.parameters == CONFIG.nominal

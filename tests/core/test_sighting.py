@@ -2,9 +2,12 @@
 
 import numpy as np
 import pytest
+from on_arrays import on_arrays
 
 from ptnsbc_core.planner import Neighbour
 from ptnsbc_core.sighting import sighted
+
+sighted = on_arrays(sighted)
 
 TOLD = Neighbour(np.array([1.0, 2.0, 3.0]), np.array([0.5, 0.0, 0.0]))
 NOTHING = np.empty((0, 7))

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from on_arrays import on_arrays
 from scipy.integrate import solve_ivp
 
 from ptnsbc_core.errors import GainError
@@ -20,7 +21,10 @@ from ptnsbc_core.timebase import (
 )
 from ptnsbc_core.types import PROFILE_PAPER, PROFILE_REFERENCE, PROFILE_SOFT, LoopGain
 
+loop_rate = on_arrays(loop_rate)
+
 H = np.poly1d([-20, 70, -84, 35, 0, 0, 0, 0])
+
 TF, Q = 5.0, 1e-2
 
 durations = st.floats(0.1, 100.0)

@@ -2,14 +2,17 @@
 
 import numpy as np
 import pytest
+from on_arrays import on_arrays
 
 from ptnsbc_core.trajectory import reference
 from ptnsbc_core.types import TRAJECTORY_CIRCLE, TRAJECTORY_LINE
 from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_sim.scenario.build import trajectory_vector
 
-LINE = np.array([TRAJECTORY_LINE, 1.0, 2, 3, 0.5, -0.25, 0.1, 0.7, 0, 0, 0, 0])
-CIRCLE = np.array([TRAJECTORY_CIRCLE, 1.0, 2, 3, 4.0, 0.3, 0.6, -0.2, 0, 0, 0, 0])
+reference = on_arrays(reference)
+
+LINE = np.array([TRAJECTORY_LINE, 1.0, 2, 3, 0.5, -0.25, 0.1, 0.7])
+CIRCLE = np.array([TRAJECTORY_CIRCLE, 1.0, 2, 3, 4.0, 0.3, 0.6, -0.2])
 
 
 @pytest.mark.parametrize("t", [0.0, 7.0, 31.4])

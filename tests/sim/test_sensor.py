@@ -59,5 +59,5 @@ def test_numbers_are_those_of_a_point_cloud(seed: int) -> None:
     np.testing.assert_array_equal(seen, seen.astype(np.float32).astype(np.float64))
     for row, other in zip(seen, (0, 2, 3), strict=False):
         np.testing.assert_array_equal(row[:3], fleet[other, :3].astype(np.float32))
-        np.testing.assert_array_equal(row[4:], velocity_enu(fleet[other]).astype(np.float32))
+        np.testing.assert_array_equal(row[4:], np.float32(velocity_enu(fleet[other])))
     assert seen[3, 3] == pytest.approx(obstacles[0, 3], rel=1e-6)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from on_arrays import on_arrays
 
 from ptnsbc_core.algebra import limited
 from ptnsbc_core.planner import composed
@@ -20,6 +21,11 @@ from ptnsbc_core.types import (
     ClearanceConfig,
     LoopGain,
 )
+
+clearance = on_arrays(clearance)
+composed = on_arrays(composed)
+limited = on_arrays(limited)
+tangent = on_arrays(tangent)
 
 DT, KAPPA, KEEP_OUT = 0.01, 3.0, 1.5
 FREE = np.inf
@@ -42,7 +48,7 @@ def result(position, wanted, near, config, memory=None, age: float = 0.0):
     """The clearance task and the composed velocity."""
     memory = none_met() if memory is None else memory
     top: Clearance = clearance(position, wanted, near, age, memory, DT, config)
-    return top, composed(top, np.eye(3), FREE).velocity
+    return top, composed(top, FREE).velocity
 
 
 @given(seed=seeds)

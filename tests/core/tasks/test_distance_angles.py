@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from on_arrays import on_arrays
 
 from ptnsbc_core.algebra import wrap
 from ptnsbc_core.nullspace import damped_solve
@@ -11,7 +12,14 @@ from ptnsbc_core.tasks.distance_angles import distance_angles
 from ptnsbc_core.tasks.registry import conditioning, desired_value, evaluate, task_error
 from ptnsbc_core.types import TASK_DISTANCE_ANGLES
 
+damped_solve = on_arrays(damped_solve)
+distance_angles = on_arrays(distance_angles)
+desired_value = on_arrays(desired_value)
+evaluate = on_arrays(evaluate)
+task_error = on_arrays(task_error)
+
 ONES = np.ones(3)
+EQUAL = (1.0, 1.0, 1.0)
 LEADER = np.zeros(3)
 ANCHOR = np.array([2.0, 0.0, 0.0])
 OFFSETS = {
@@ -83,12 +91,12 @@ def test_conditioning_of_paper_5(
     uav: int, parent: int, reference: np.ndarray, least: float
 ) -> None:
     own, above = OFFSETS[uav], OFFSETS[parent]
-    assert conditioning(TASK_DISTANCE_ANGLES, own, above, reference, ONES) == pytest.approx(
+    assert conditioning(TASK_DISTANCE_ANGLES, own, above, reference, EQUAL) == pytest.approx(
         least, abs=5e-4
     )
     jacobian = evaluate(TASK_DISTANCE_ANGLES, own, above, reference).own
     singular = np.linalg.svd(jacobian, compute_uv=False)[-1]
-    assert conditioning(TASK_DISTANCE_ANGLES, own, above, reference, ONES) == pytest.approx(
+    assert conditioning(TASK_DISTANCE_ANGLES, own, above, reference, EQUAL) == pytest.approx(
         singular
     )
 
@@ -102,8 +110,8 @@ def test_a_follower_of_the_leader_needs_a_heading_anchor() -> None:
 def test_right_angle_at_the_reference_is_singular() -> None:
     """A right-angled V, UAV 3 and 4 on its arms behind the leader: 90 degrees at k."""
     v3, v4 = np.array([-1.0, -1, 0]), np.array([1.0, -1, 0])
-    assert conditioning(TASK_DISTANCE_ANGLES, v4, v3, LEADER, ONES) == pytest.approx(0.0, abs=1e-7)
-    assert conditioning(TASK_DISTANCE_ANGLES, v4, v3 * 1.3, LEADER, ONES) < 1e-7
+    assert conditioning(TASK_DISTANCE_ANGLES, v4, v3, LEADER, EQUAL) == pytest.approx(0.0, abs=1e-7)
+    assert conditioning(TASK_DISTANCE_ANGLES, v4, v3 * 1.3, LEADER, EQUAL) < 1e-7
     flatter = v4 * np.array([1.0, 0.7, 1.0])
     assert (
         conditioning(TASK_DISTANCE_ANGLES, flatter, v3 * np.array([1, 0.7, 1]), LEADER, ONES) > 0.1

@@ -4,9 +4,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from on_arrays import on_arrays
 
 from ptnsbc_core.tasks.registry import evaluate, task_error
 from ptnsbc_core.types import TASKS
+
+evaluate = on_arrays(evaluate)
+task_error = on_arrays(task_error)
 
 every_task = pytest.mark.parametrize("task", TASKS.values(), ids=TASKS.keys())
 FIELDS = ("own", "parent", "reference")

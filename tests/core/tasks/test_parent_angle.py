@@ -4,11 +4,14 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from on_arrays import on_arrays
 
 from ptnsbc_core.tasks.parent_angle import parent_angle
 from ptnsbc_core.tasks.registry import conditioning
 from ptnsbc_core.tasks.relative_position import relative_position
 from ptnsbc_core.types import TASK_DISTANCE_ANGLES, TASK_PARENT_ANGLE, TASK_RELATIVE_POSITION
+
+parent_angle = on_arrays(parent_angle)
 
 ONES = np.ones(3)
 

@@ -48,8 +48,8 @@ def test_the_reference_is_fed_forward() -> None:
 def test_turning_forward_by_differences() -> None:
     """d/dt (W^-1) euler_dot along a straight line of Euler angles."""
     euler, turning, step = np.array([0.4, -0.7, 1.2]), np.array([0.9, -1.1, 0.6]), 1e-6
-    after = body_rates(euler + step * turning, turning)
-    before = body_rates(euler - step * turning, turning)
+    after = np.array(body_rates(euler + step * turning, turning))
+    before = np.array(body_rates(euler - step * turning, turning))
     np.testing.assert_allclose(
         turning_forward(euler, turning), (after - before) / (2 * step), atol=1e-8
     )
@@ -68,6 +68,6 @@ def test_a_body_that_starts_at_one_radian_is_level_before_its_deadline(kind, pow
     for tick in range(150):
         wrench = np.zeros(6)
         wrench[3:6] = torque_for(odometry(state, plant), 0.3, law, INERTIA)
-        state = advance(state, wrench, tick * 0.01, 0.01, 5, plant)
+        advance(state, wrench, tick * 0.01, 0.01, 5, plant)
     np.testing.assert_allclose(state[3:6], [0.0, 0.0, 0.3], atol=0.01)
     assert np.abs(state[9:12]).max() < 0.05

@@ -66,7 +66,7 @@ def test_velocity_is_the_rate_of_the_position_between_fixes() -> None:
     )  # the twist is in the body frame
     seen = told(truth, kind, np.random.default_rng(2).standard_normal((500, 6)))
     for tick in range(405, 408):
-        mean = 0.5 * (velocity_enu(seen[tick]) + velocity_enu(seen[tick + 1]))
+        mean = 0.5 * np.add(velocity_enu(seen[tick]), velocity_enu(seen[tick + 1]))
         step = (seen[tick + 1, 0:3] - seen[tick, 0:3]) / DT
         np.testing.assert_allclose(step, mean, atol=1e-9)
     np.testing.assert_array_equal(seen[:, 3:7], truth[:, 3:7])
