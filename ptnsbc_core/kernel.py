@@ -79,7 +79,7 @@ COMPILED: bool = _COMPILE is not None
 
 
 def kernel(law: Callable[P, R]) -> Callable[P, R]:
-    """Mark a law as a kernel: scalars, small float64 arrays and NamedTuples in and out, no I/O, no globals."""
+    """Mark a law as a kernel: scalars, tuples, float64 arrays and NamedTuples in and out, no I/O, no globals."""
     return law if _COMPILE is None else _COMPILE[0](law)
 
 

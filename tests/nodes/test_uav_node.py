@@ -164,7 +164,9 @@ def test_lockstep_output_is_that_of_the_kernel(ros, scenario):
             start_age_s=tick * dt_ns * 1e-9,
         )
         state, out = step(state, told, tick * dt_ns * 1e-9, dt_ns * 1e-9, config)
-        assert others.wrenches[tick].values.tobytes() == out.wrench.tobytes()
+        assert (
+            others.wrenches[tick].values.tobytes() == np.array([*out.force, *out.torque]).tobytes()
+        )
 
 
 def test_lockstep_goes_on_without_a_lost_neighbour(ros, scenario):
