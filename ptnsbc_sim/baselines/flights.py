@@ -11,6 +11,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from ptnsbc_core.kernel import kernel, kernel_list
 from ptnsbc_core.types import Vector3
 from ptnsbc_sim import swarm
