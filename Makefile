@@ -4,8 +4,8 @@ SHELL := /bin/bash
 .PHONY: help setup test demo docs results commands bench lint format colcon clean
 
 BIN  := .venv/bin
-# Workers of the test run; `make test JOBS=1` runs in one process.
-JOBS ?= $(shell n=$$(nproc 2>/dev/null || echo 1); echo $$((n > 8 ? 8 : n)))
+# Workers of the test run; `make test JOBS=1` runs in one process. One more than cores: a third of the time tests wait.
+JOBS ?= $(shell n=$$(nproc 2>/dev/null || echo 1); echo $$((n > 7 ? 8 : n + 1)))
 # More for the command behind a target: make test ARGS="-k frames", make demo ARGS="--help"
 ARGS ?=
 # The interpreter for .venv: make setup PYTHON=python3.12
@@ -22,7 +22,7 @@ test: export ROS_PYTHON_CHECK_FIELDS := 1
 test: export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 test: PYTEST := $(BIN)/python -m pytest -rs -q
 test: setup  ## Run the tests and say why any are skipped
-	@time $(PYTEST) $(if $(filter-out 1,$(JOBS)),-n $(JOBS)) -m 'not alone' $(ARGS)
+	@time $(PYTEST) $(if $(filter-out 1,$(JOBS)),-n $(JOBS) --maxschedchunk 4) -m 'not alone' $(ARGS)
 	@# Flights in real time: what fails is flown once more, another program may have had the machine.
 	@$(if $(ARGS),,time $(PYTEST) -m alone || time $(PYTEST) -m alone --last-failed)
 

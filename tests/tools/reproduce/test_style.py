@@ -1,5 +1,6 @@
 """Figures: legends beside the curves, the width of a column, the same bytes every time."""
 
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -30,6 +31,7 @@ DRAWINGS = {
 }
 
 
+@lru_cache
 def flights() -> dict[str, Flown]:
     common = {"plant.kind": "rigid_body_6dof", "timing.duration_s": 8.0}
     return {name: flown("paper_5", {**common, "gains.profile": name}) for name in ("paper", "soft")}
