@@ -21,10 +21,11 @@ setup:  ## Make .venv from a lock; quick when nothing has changed
 test: export ROS_PYTHON_CHECK_FIELDS := 1
 test: export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 test: PYTEST := $(BIN)/python -m pytest -rs -q
+test: ALONE := $(PYTEST) -m alone tests/nodes
 test: setup  ## Run the tests and say why any are skipped
 	@time $(PYTEST) $(if $(filter-out 1,$(JOBS)),-n $(JOBS) --maxschedchunk 4) -m 'not alone' $(ARGS)
 	@# Flights in real time: what fails is flown once more, another program may have had the machine.
-	@$(if $(ARGS),,time $(PYTEST) -m alone || time $(PYTEST) -m alone --last-failed)
+	@$(if $(ARGS),,time $(ALONE) || time $(ALONE) --last-failed)
 
 demo: setup  ## Fly a formation, record it, verify it
 	@time $(BIN)/ptnsbc demo $(ARGS)

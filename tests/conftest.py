@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
@@ -18,11 +19,18 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     others busy meanwhile, which would compile the same. Everything else stays in the order of the files.
     """
     items.sort(key=_turn)
+    for item in items:
+        if "alone" in item.keywords and not _place(item).startswith("nodes/"):
+            raise pytest.UsageError(f"{item.nodeid}: make test flies `alone` of tests/nodes only")
+
+
+def _place(item: pytest.Item) -> str:
+    return os.path.relpath(item.path, HERE)
 
 
 def _turn(item: pytest.Item) -> int:
     if "compiles" in item.keywords:
         return 0
-    if item.path.relative_to(HERE).as_posix().startswith(WITHOUT_LAWS):
+    if _place(item).startswith(WITHOUT_LAWS):
         return 1
     return 2 if "slow" in item.keywords else 3

@@ -112,33 +112,25 @@ class RegisterEventHandler(LaunchDescriptionEntity):
         self.event_handler = event_handler
 
 
+_NODE_KEYWORDS = {"executable", "package", "name", "namespace", "parameters", "remappings"}
+_NODE_KEYWORDS |= {"arguments", "ros_arguments", "additional_env", "output", "condition"}
+_NODE_KEYWORDS |= {"on_exit", "sigterm_timeout", "sigkill_timeout"}
+
+
 class Node(LaunchDescriptionEntity):
-    def __init__(
-        self,
-        *,
-        executable,
-        package=None,
-        name=None,
-        namespace=None,
-        parameters=None,
-        remappings=None,
-        ros_arguments=None,
-        arguments=None,
-        output="log",
-        additional_env=None,
-        sigterm_timeout="5",
-        sigkill_timeout="5",
-        on_exit=None,
-        **kwargs,
-    ):
-        super().__init__(**kwargs)
-        assert all(isinstance(word, str) for word in arguments or ()), arguments
-        assert all(isinstance(v, str) for v in (additional_env or {}).values())
-        assert isinstance(sigterm_timeout, str)
-        assert parameters is None or isinstance(parameters, list)
-        self.package, self.executable = package, executable
-        self.namespace, self.arguments = namespace, list(arguments or ())
-        self.parameters, self.sigterm_timeout = parameters, sigterm_timeout
+    def __init__(self, **given):
+        unknown = given.keys() - _NODE_KEYWORDS
+        if unknown:
+            raise TypeError(f"Node: unexpected {', '.join(sorted(unknown))}")
+        super().__init__(condition=given.get("condition"))
+        self.package, self.executable = given.get("package"), given["executable"]
+        self.namespace, self.arguments = given.get("namespace"), list(given.get("arguments") or ())
+        self.parameters = given.get("parameters")
+        self.sigterm_timeout = given.get("sigterm_timeout", "5")
+        assert all(isinstance(word, str) for word in self.arguments), self.arguments
+        assert all(isinstance(v, str) for v in given.get("additional_env", {}).values())
+        assert isinstance(self.sigterm_timeout, str)
+        assert self.parameters is None or isinstance(self.parameters, list)
 
 
 MODULES = {
