@@ -23,7 +23,7 @@ test: export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 test: PYTEST := $(BIN)/python -m pytest -rs -q
 test: ALONE := $(PYTEST) -m alone tests/nodes
 test: setup  ## Run the tests and say why any are skipped
-	@time $(PYTEST) $(if $(filter-out 1,$(JOBS)),-n $(JOBS) --maxschedchunk 4) -m 'not alone' $(ARGS)
+	@time $(PYTEST) $(if $(filter-out 1,$(JOBS)),-n $(JOBS) --maxschedchunk 1) -m 'not alone' $(ARGS)
 	@# Flights in real time: what fails is flown once more, another program may have had the machine.
 	@$(if $(ARGS),,time $(ALONE) || time $(ALONE) --last-failed)
 
