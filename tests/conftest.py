@@ -2,26 +2,41 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 HERE = Path(__file__).parent
 # Folders and files below tests/ that run, or read bags, without a compiled law.
-WITHOUT_LAWS = ("nodes/bag/", "docs/", "nodes/mavlink/", "test_")
+WITHOUT_LAWS = ("nodes/bag/", "nodes/mavlink/", "docs/test_commands", "docs/test_words", "test_")
+COMPILES, WITHOUT, LONG, SHORT = range(4)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Long tests before short ones: no worker is left with one when the others have run out of work.
 
-    Before them, on an empty cache one worker compiles the laws with the first test; what needs none keeps the
-    others busy meanwhile, which would compile the same. Everything else stays in the order of the files.
+    Before them, on an empty cache one worker compiles the laws with the first test, while what needs none keeps
+    the others busy. Everything else stays in the order of the files.
     """
     items.sort(key=_turn)
     for item in items:
         if "alone" in item.keywords and not _place(item).startswith("nodes/"):
             raise pytest.UsageError(f"{item.nodeid}: make test flies `alone` of tests/nodes only")
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
+    """Who needs the laws waits for the worker that compiles them, instead of compiling the same beside it."""
+    turn = _turn(item)
+    with Path(__file__).open() as lock:
+        if turn != WITHOUT:
+            fcntl.flock(lock, fcntl.LOCK_EX if turn == COMPILES else fcntl.LOCK_SH)
+        if turn != COMPILES:
+            lock.close()
+        return (yield)
 
 
 def _place(item: pytest.Item) -> str:
@@ -30,7 +45,7 @@ def _place(item: pytest.Item) -> str:
 
 def _turn(item: pytest.Item) -> int:
     if "compiles" in item.keywords:
-        return 0
+        return COMPILES
     if _place(item).startswith(WITHOUT_LAWS):
-        return 1
-    return 2 if "slow" in item.keywords else 3
+        return WITHOUT
+    return LONG if "slow" in item.keywords else SHORT
