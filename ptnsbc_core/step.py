@@ -18,7 +18,7 @@ from ptnsbc_core.kinematics import state_to_estimate, velocity_enu, yaw_of
 from ptnsbc_core.mission import behaviour_of_mission, desired_yaw, held, hold_place, lost
 from ptnsbc_core.planner import Armed, Behaviour, attitude, composed
 from ptnsbc_core.quadrotor_control import quadrotor_control
-from ptnsbc_core.tasks.clearance import clearance
+from ptnsbc_core.tasks.clearance import Around, clearance
 from ptnsbc_core.tasks.encounters import none_met
 from ptnsbc_core.timebase import Clock, loop_gain
 from ptnsbc_core.types import (
@@ -91,15 +91,8 @@ def _planned(
     config: AgentConfig,
 ) -> Planned:
     """Clearance above the behaviour, the speed limit, and the command filter."""
-    top = clearance(
-        three(inputs.own, 0),
-        behaviour.velocity,
-        inputs.near,
-        inputs.near_age_s,
-        state.encounters,
-        dt,
-        config.clearance,
-    )
+    around = Around(inputs.near, inputs.near_age_s, state.encounters, dt)
+    top = clearance(three(inputs.own, 0), behaviour.velocity, around, config.clearance)
     limits = config.filter
     wanted = composed(top, limits.max_speed)
     linear = filter_step(

@@ -46,6 +46,15 @@ _COINCIDENT_M = 1e-6
 _NOTHING: Vector3 = (0.0, 0.0, 0.0)
 
 
+class Around(NamedTuple):
+    """What a UAV sees, and what it remembers of it."""
+
+    near: Array  # (M, 7) x y z [m, ENU] keep-out radius [m] vx vy vz [m/s, ENU]
+    age_s: float  # of `near`: its objects are moved on by their velocity
+    encounters: Array  # (8, 7) memory before this tick
+    dt: float  # control period [s]
+
+
 class Demand(NamedTuple):
     """What one near object asks for: normal . v >= least."""
 
@@ -72,17 +81,11 @@ class Clearance(NamedTuple):
 
 
 @leaf
-def demand(
-    position: Vector3,
-    near: Array,
-    age_s: float,
-    encounters: Array,
-    dt: float,
-    config: ClearanceConfig,
-) -> Demand:
-    """Of one near object (7,), moved on by its velocity since it was seen."""
+def demand(position: Vector3, which: int, around: Around, config: ClearanceConfig) -> Demand:
+    """Of the near object in row `which`."""
+    near = around.near[which]
     velocity = three(near, 4)
-    centre = moved(near, age_s, velocity)
+    centre = moved(near, around.age_s, velocity)
     away = minus(position, centre)
     distance = norm3(away)
     if distance < _COINCIDENT_M:
@@ -91,27 +94,20 @@ def demand(
     depth = near[3] + config.margin_m - distance
     alpha = config.gain.kappa
     if depth > 0.0:
-        since = memory.active_time(encounters, centre)
-        alpha += step_gain(since, dt, config.gain.duration_s, config.gain.residual)
+        since = memory.active_time(around.encounters, centre)
+        alpha += step_gain(since, around.dt, config.gain.duration_s, config.gain.residual)
     return Demand(normal, dot3(normal, velocity) + config.gain.scale * alpha * depth, depth)
 
 
 @kernel
-def demands(
-    position: Vector3,
-    near: Array,
-    age_s: float,
-    encounters: Array,
-    dt: float,
-    config: ClearanceConfig,
-) -> Demands:
-    """Rows for the near objects (M, 7)."""
-    count = near.shape[0]
+def demands(position: Vector3, around: Around, config: ClearanceConfig) -> Demands:
+    """Rows for all near objects."""
+    count = around.near.shape[0]
     normals = np.empty((count, 3))
     least = np.empty(count)
     depth = np.empty(count)
     for m in range(count):
-        one = demand(position, near[m], age_s, encounters, dt, config)
+        one = demand(position, m, around, config)
         put3(normals[m], 0, one.normal)
         least[m] = one.least
         depth[m] = one.depth
@@ -201,20 +197,12 @@ def _velocity_of(jacobian: Array, admissible: Vector3) -> Vector3:
 
 
 @leaf
-def _free(
-    position: Vector3,
-    velocity: Vector3,
-    near: Array,
-    age_s: float,
-    encounters: Array,
-    dt: float,
-    config: ClearanceConfig,
-) -> bool:
+def _free(position: Vector3, velocity: Vector3, around: Around, config: ClearanceConfig) -> bool:
     """Whether no encounter is remembered and no near object asks for more than `velocity` gives it."""
-    if memory.any_met(encounters):
+    if memory.any_met(around.encounters):
         return False
-    for m in range(near.shape[0]):
-        one = demand(position, near[m], age_s, encounters, dt, config)
+    for m in range(around.near.shape[0]):
+        one = demand(position, m, around, config)
         if one.least > dot3(one.normal, velocity):
             return False
     return True
@@ -222,25 +210,19 @@ def _free(
 
 @kernel
 def set_based(
-    position: Vector3,
-    velocity: Vector3,
-    near: Array,
-    age_s: float,
-    encounters: Array,
-    dt: float,
-    config: ClearanceConfig,
+    position: Vector3, velocity: Vector3, around: Around, config: ClearanceConfig
 ) -> Clearance:
-    """Least change of the formation velocity that keeps clear of all near objects (M, 7)."""
-    rows = demands(position, near, age_s, encounters, dt, config)
+    """Least change of the formation velocity that keeps clear of all near objects."""
+    rows = demands(position, around, config)
     multipliers = nearest_admissible(velocity, rows)
     side = np.zeros(multipliers.shape[0])
     for m in range(multipliers.shape[0]):
         if multipliers[m] > 0.0:
-            side[m] = dot3(minus(velocity, three(near[m], 4)), tangent(rows.normals[m]))
-    after = memory.update(encounters, near, multipliers, side, dt, config)
+            side[m] = dot3(minus(velocity, three(around.near[m], 4)), tangent(rows.normals[m]))
+    after = memory.update(around.encounters, around.near, multipliers, side, around.dt, config)
     below = velocity
     if memory.any_met(after):
-        below = _circulated(velocity, rows, multipliers, near, after, config)
+        below = _circulated(velocity, rows, multipliers, around.near, after, config)
         multipliers = nearest_admissible(below, rows)
     admissible = below
     for m in range(multipliers.shape[0]):
@@ -251,16 +233,10 @@ def set_based(
 
 @kernel
 def switched(
-    position: Vector3,
-    velocity: Vector3,
-    near: Array,
-    age_s: float,
-    encounters: Array,
-    dt: float,
-    config: ClearanceConfig,
+    position: Vector3, velocity: Vector3, around: Around, config: ClearanceConfig
 ) -> Clearance:
     """The paper's rule (36)-(38) for the object deepest inside its keep-out; (34) with (d_d - d) kept signed."""
-    rows = demands(position, near, age_s, encounters, dt, config)
+    rows = demands(position, around, config)
     deepest = -1
     for m in range(rows.depth.shape[0]):
         if rows.depth[m] > 0.0 and (deepest < 0 or rows.depth[m] > rows.depth[deepest]):
@@ -272,25 +248,18 @@ def switched(
         hits[deepest] = 1.0
         jacobian = rows.normals[deepest : deepest + 1].copy()
         out = scaled(rows.least[deepest], rows.normals[deepest])
-    after = memory.update(encounters, near, hits, np.zeros(hits.shape[0]), dt, config)
+    idle = np.zeros(hits.shape[0])
+    after = memory.update(around.encounters, around.near, hits, idle, around.dt, config)
     return Clearance(out, jacobian, velocity, after)
 
 
 @leaf
 def clearance(
-    position: Vector3,
-    velocity: Vector3,
-    near: Array,
-    age_s: float,
-    encounters: Array,
-    dt: float,
-    config: ClearanceConfig,
+    position: Vector3, velocity: Vector3, around: Around, config: ClearanceConfig
 ) -> Clearance:
     """The rule that the configuration names; what asks for nothing changes nothing."""
     if config.rule == AVOIDANCE_SWITCHED:
-        return switched(position, velocity, near, age_s, encounters, dt, config)
-    if config.rule == AVOIDANCE_OFF or _free(
-        position, velocity, near, age_s, encounters, dt, config
-    ):
-        return Clearance(_NOTHING, np.empty((0, 3)), velocity, encounters)
-    return set_based(position, velocity, near, age_s, encounters, dt, config)
+        return switched(position, velocity, around, config)
+    if config.rule == AVOIDANCE_OFF or _free(position, velocity, around, config):
+        return Clearance(_NOTHING, np.empty((0, 3)), velocity, around.encounters)
+    return set_based(position, velocity, around, config)
