@@ -12,10 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ptnsbc_core.agent import put_diagnostics, put_velocity, put_wrench
 from ptnsbc_core.algebra import put
 from ptnsbc_core.kernel import KernelList, kernel, kernel_list, leaf
-from ptnsbc_core.kinematics import put_estimate
 from ptnsbc_core.step import initial_state, step
 from ptnsbc_core.types import (
     MODE_FORMATION,
@@ -23,7 +21,6 @@ from ptnsbc_core.types import (
     ODOMETRY_SIZE,
     AgentConfig,
     AgentInputs,
-    AgentOutputs,
     AgentState,
     Array,
 )
@@ -31,45 +28,16 @@ from ptnsbc_sim.chance.build import Chance, chance, sight_draws, sight_of
 from ptnsbc_sim.chance.gusts import blow
 from ptnsbc_sim.chance.odometer import believed, no_error
 from ptnsbc_sim.chance.sight import beside
-from ptnsbc_sim.plants.build import obstacle_rows, plant_config, start_states
+from ptnsbc_sim.plants.build import plant_config, start_states
 from ptnsbc_sim.plants.contract import PlantConfig
 from ptnsbc_sim.plants.integrate import advance, odometry
 from ptnsbc_sim.scenario import Scenario, agent_config
 from ptnsbc_sim.sensor import near_objects
+from ptnsbc_sim.track import DIAGNOSTICS_SIZE, Track, note
+from ptnsbc_sim.wiring import Wiring, wiring_of
 from ptnsbc_sim.world import measure_all
 
 CHUNK_TICKS = 500
-
-# Columns of Flight.diagnostics
-ERROR, GAIN, SINGULAR_VALUE, ACTIVE_ROWS = slice(0, 3), 3, 4, 5
-SATURATED, HOLDING, PRIORITY_VIOLATION, VELOCITY_ERROR = 6, 7, 8, 9
-DIAGNOSTICS_SIZE = 10
-
-
-class Wiring(NamedTuple):
-    """Who hears whom, as rows of the swarm; constant during a flight."""
-
-    leader: int
-    parent: NDArray[np.int64]  # (N,) row of the parent, -1 for the leader
-    pinned: NDArray[np.int64]  # (N,) 1 where the leader is heard
-    neighbours: NDArray[np.int64]  # (N, K) rows, -1 beyond the last
-    obstacles: Array  # (O, 7)
-    uav_keep_out_m: float
-    range_m: float
-    near_every: int
-    substeps: int
-    dt_ns: int
-
-
-class Track(NamedTuple):
-    """What a flight leaves behind, one row per tick; also the buffer that the kernel fills."""
-
-    odometry: Array  # (T, N, 13)
-    velocity: Array  # (T, N, 4)
-    wrench: Array  # (T, N, 6)
-    estimate: Array  # (T, N, 13)
-    diagnostics: Array  # (T, N, 10)
-    truth: Array  # (T, N, 13) where everybody really was; (0, N, 13) when that is what the odometry says
 
 
 class Crew(NamedTuple):
@@ -201,15 +169,6 @@ def _believed(track: Track, tick: int, row: int, wiring: Wiring, luck: Chance) -
     )
 
 
-@leaf
-def note(track: Track, tick: int, row: int, out: AgentOutputs) -> None:
-    """Write one UAV's outputs of one tick into the track."""
-    put_velocity(track.velocity[tick, row], out)
-    put_wrench(track.wrench[tick, row], out)
-    put_estimate(track.estimate[tick, row], out.estimate)
-    put_diagnostics(track.diagnostics[tick, row], out.diagnostics)
-
-
 @kernel
 def _fly(
     first: int, count: int, wiring: Wiring, crew: Crew, track: Track, luck: Chance | None
@@ -251,29 +210,6 @@ def _first_seen(truth: Array, dt: float, luck: Chance | None) -> Array:
         for row, own in enumerate(truth)
     ]
     return np.stack(rows)
-
-
-def wiring_of(scenario: Scenario) -> Wiring:
-    """The scenario's graph and sensors by row."""
-    ids = scenario.uav_ids
-    row = {uav_id: index for index, uav_id in enumerate(ids)}
-    neighbours = [scenario.estimator_neighbours(uav_id) for uav_id in ids]
-    table = np.full((len(ids), max(1, *(len(some) for some in neighbours))), -1, dtype=np.int64)
-    for index, some in enumerate(neighbours):
-        table[index, : len(some)] = [row[uav_id] for uav_id in some]
-    parents = [scenario.parent(uav_id) for uav_id in ids]
-    return Wiring(
-        row[scenario.leader_id],
-        np.array([-1 if parent is None else row[parent] for parent in parents], dtype=np.int64),
-        np.array([int(scenario.pinned(uav_id)) for uav_id in ids], dtype=np.int64),
-        table,
-        obstacle_rows(scenario),
-        float(scenario.uav_keep_out_m),
-        float(scenario.sensor.range_m),
-        int(scenario.near_every),
-        int(scenario.physics_hz // scenario.control_hz),
-        int(scenario.dt_ns),
-    )
 
 
 Loop = Callable[[int, int, Wiring, Crew, Track, Chance | None], None]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ptnsbc_sim import swarm
+from ptnsbc_sim import track
 from ptnsbc_sim.swarm import Flight
 from ptnsbc_tools.verdict import Recording, Series
 from ptnsbc_tools.verdict.recording import COUNTERS
@@ -20,11 +20,11 @@ def _counters(flight: Flight, row: int) -> Series:
     chosen = slice(None, None, max(scenario.control_hz // STATUS_HZ, 1))
     stamps = flight.t_ns[chosen]
     columns = {
-        "avoidance_active_s": np.round(np.cumsum(log[:, swarm.ACTIVE_ROWS] > 0) * dt, 3)[chosen],
-        "saturated_s": np.round(np.cumsum(log[:, swarm.SATURATED] > 0) * dt, 3)[chosen],
-        "holding_s": np.round(np.cumsum(log[:, swarm.HOLDING] > 0) * dt, 3)[chosen],
+        "avoidance_active_s": np.round(np.cumsum(log[:, track.ACTIVE_ROWS] > 0) * dt, 3)[chosen],
+        "saturated_s": np.round(np.cumsum(log[:, track.SATURATED] > 0) * dt, 3)[chosen],
+        "holding_s": np.round(np.cumsum(log[:, track.HOLDING] > 0) * dt, 3)[chosen],
         "missed_ticks": np.zeros(stamps.size),
-        "priority_violation_max": np.maximum.accumulate(log[:, swarm.PRIORITY_VIOLATION])[chosen],
+        "priority_violation_max": np.maximum.accumulate(log[:, track.PRIORITY_VIOLATION])[chosen],
     }
     return Series(stamps, np.stack([columns[name] for name in COUNTERS], axis=1))
 

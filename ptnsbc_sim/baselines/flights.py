@@ -23,7 +23,9 @@ from ptnsbc_sim.baselines.terminal import Axis, Terminal, terminal_step
 from ptnsbc_sim.chance.build import Chance
 from ptnsbc_sim.plants.integrate import advance
 from ptnsbc_sim.scenario import Scenario, scenario_from_text
-from ptnsbc_sim.swarm import Crew, Flight, Track, Wiring, inputs_of, note, sense
+from ptnsbc_sim.swarm import Crew, Flight, inputs_of, sense
+from ptnsbc_sim.track import Track, note
+from ptnsbc_sim.wiring import Wiring
 
 Progress = Callable[[int, int], None]
 

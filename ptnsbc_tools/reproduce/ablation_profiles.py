@@ -6,7 +6,7 @@ from itertools import product
 
 import numpy as np
 
-from ptnsbc_sim.swarm import ACTIVE_ROWS
+from ptnsbc_sim.track import ACTIVE_ROWS
 from ptnsbc_tools.reproduce.claims import kept
 from ptnsbc_tools.reproduce.flights import Flown, flown
 from ptnsbc_tools.reproduce.intrusions import BEFORE_S, Intrusion, deepest

@@ -9,7 +9,8 @@ import numpy as np
 
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import agent_config
-from ptnsbc_sim.swarm import ERROR, fly
+from ptnsbc_sim.swarm import fly
+from ptnsbc_sim.track import ERROR
 from ptnsbc_tools.limits import TOLERANCE_M
 from ptnsbc_tools.reproduce.ablation_profiles import PLANTS, TASKS
 from ptnsbc_tools.reproduce.flights import Flown, judged, scenario

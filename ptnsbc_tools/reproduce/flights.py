@@ -12,7 +12,8 @@ import numpy as np
 
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import Scenario, load_scenario
-from ptnsbc_sim.swarm import VELOCITY_ERROR, Flight, fly
+from ptnsbc_sim.swarm import Flight, fly
+from ptnsbc_sim.track import VELOCITY_ERROR
 from ptnsbc_tools.flight_recording import recording_of
 from ptnsbc_tools.verdict import Verdict, verdict_on
 from ptnsbc_tools.verdict.deadline import formation_errors

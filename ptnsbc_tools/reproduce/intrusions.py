@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ptnsbc_core.types import Array
-from ptnsbc_sim.swarm import PRIORITY_VIOLATION, SINGULAR_VALUE
+from ptnsbc_sim.track import PRIORITY_VIOLATION, SINGULAR_VALUE
 from ptnsbc_tools.reproduce.flights import Flown
 
 BEFORE_S = 4.0  # how long before it goes in the formation task is looked at

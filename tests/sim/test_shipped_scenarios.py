@@ -9,7 +9,8 @@ import pytest
 from ptnsbc_core.trajectory import reference
 from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_sim.scenario.build import trajectory_vector
-from ptnsbc_sim.swarm import HOLDING, PRIORITY_VIOLATION, Flight, fly
+from ptnsbc_sim.swarm import Flight, fly
+from ptnsbc_sim.track import HOLDING, PRIORITY_VIOLATION
 
 PLANTS = ("quadrotor", "rigid_body_6dof")
 DEADLINE_S = 5.0

@@ -11,15 +11,9 @@ from ptnsbc_core.trajectory import reference
 from ptnsbc_core.types import MODE_FORMATION, NEVER_HEARD_S, TASKS, AgentInputs
 from ptnsbc_sim.scenario import agent_config, load_scenario
 from ptnsbc_sim.scenario.build import trajectory_vector
-from ptnsbc_sim.swarm import (
-    ACTIVE_ROWS,
-    CHUNK_TICKS,
-    HOLDING,
-    PRIORITY_VIOLATION,
-    Flight,
-    fly,
-    wiring_of,
-)
+from ptnsbc_sim.swarm import CHUNK_TICKS, Flight, fly
+from ptnsbc_sim.track import ACTIVE_ROWS, HOLDING, PRIORITY_VIOLATION
+from ptnsbc_sim.wiring import wiring_of
 from ptnsbc_sim.world import World
 
 PLANTS = ("quadrotor", "rigid_body_6dof")

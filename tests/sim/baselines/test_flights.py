@@ -5,11 +5,12 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from ptnsbc_sim import swarm
+from ptnsbc_sim import swarm, track
 from ptnsbc_sim.baselines import LAWS, BaselineError, fly, settled_s
 from ptnsbc_sim.baselines.settling import tuned
 from ptnsbc_sim.scenario import load_scenario
-from ptnsbc_sim.swarm import SATURATED, Flight
+from ptnsbc_sim.swarm import Flight
+from ptnsbc_sim.track import SATURATED
 
 SCENARIO = {"plant.kind": "rigid_body_6dof", "timing.duration_s": 7.0}
 WEIGHT_N = 1.2 * 9.81
@@ -77,7 +78,7 @@ def test_the_cascade_has_constant_gains_and_is_tuned_the_same_every_time() -> No
     settled = settled_s(once)
     assert settled is not None
     assert 4.0 < settled <= 5.0
-    gain = once.track.diagnostics[:, :, swarm.GAIN]
+    gain = once.track.diagnostics[:, :, track.GAIN]
     np.testing.assert_allclose(gain, gains.formation.kappa_1_s)
 
 

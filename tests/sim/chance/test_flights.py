@@ -9,7 +9,8 @@ from ptnsbc_core.agent import Agent
 from ptnsbc_core.types import MODE_FORMATION, NEVER_HEARD_S, AgentInputs
 from ptnsbc_sim.chance.links import Losses, last_heard, losses
 from ptnsbc_sim.scenario import Scenario, agent_config, load_scenario
-from ptnsbc_sim.swarm import HOLDING, Flight, fly
+from ptnsbc_sim.swarm import Flight, fly
+from ptnsbc_sim.track import HOLDING
 from ptnsbc_sim.world import World
 
 SHORT = 1.5

@@ -1,0 +1,35 @@
+"""What a headless flight leaves behind, tick by tick."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from ptnsbc_core.agent import put_diagnostics, put_velocity, put_wrench
+from ptnsbc_core.kernel import leaf
+from ptnsbc_core.kinematics import put_estimate
+from ptnsbc_core.types import AgentOutputs, Array
+
+# Columns of Track.diagnostics
+ERROR, GAIN, SINGULAR_VALUE, ACTIVE_ROWS = slice(0, 3), 3, 4, 5
+SATURATED, HOLDING, PRIORITY_VIOLATION, VELOCITY_ERROR = 6, 7, 8, 9
+DIAGNOSTICS_SIZE = 10
+
+
+class Track(NamedTuple):
+    """What a flight leaves behind, one row per tick; also the buffer that the kernel fills."""
+
+    odometry: Array  # (T, N, 13)
+    velocity: Array  # (T, N, 4)
+    wrench: Array  # (T, N, 6)
+    estimate: Array  # (T, N, 13)
+    diagnostics: Array  # (T, N, 10)
+    truth: Array  # (T, N, 13) where everybody really was; (0, N, 13) when that is what the odometry says
+
+
+@leaf
+def note(track: Track, tick: int, row: int, out: AgentOutputs) -> None:
+    """Write one UAV's outputs of one tick into the track."""
+    put_velocity(track.velocity[tick, row], out)
+    put_wrench(track.wrench[tick, row], out)
+    put_estimate(track.estimate[tick, row], out.estimate)
+    put_diagnostics(track.diagnostics[tick, row], out.diagnostics)

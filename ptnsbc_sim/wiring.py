@@ -1,0 +1,50 @@
+"""Who hears whom in a headless flight, and how its sensors and its physics are timed."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ptnsbc_core.types import Array
+from ptnsbc_sim.plants.build import obstacle_rows
+from ptnsbc_sim.scenario import Scenario
+
+
+class Wiring(NamedTuple):
+    """Who hears whom, as rows of the swarm; constant during a flight."""
+
+    leader: int
+    parent: NDArray[np.int64]  # (N,) row of the parent, -1 for the leader
+    pinned: NDArray[np.int64]  # (N,) 1 where the leader is heard
+    neighbours: NDArray[np.int64]  # (N, K) rows, -1 beyond the last
+    obstacles: Array  # (O, 7)
+    uav_keep_out_m: float
+    range_m: float
+    near_every: int
+    substeps: int
+    dt_ns: int
+
+
+def wiring_of(scenario: Scenario) -> Wiring:
+    """The scenario's graph and sensors by row."""
+    ids = scenario.uav_ids
+    row = {uav_id: index for index, uav_id in enumerate(ids)}
+    neighbours = [scenario.estimator_neighbours(uav_id) for uav_id in ids]
+    table = np.full((len(ids), max(1, *(len(some) for some in neighbours))), -1, dtype=np.int64)
+    for index, some in enumerate(neighbours):
+        table[index, : len(some)] = [row[uav_id] for uav_id in some]
+    parents = [scenario.parent(uav_id) for uav_id in ids]
+    return Wiring(
+        row[scenario.leader_id],
+        np.array([-1 if parent is None else row[parent] for parent in parents], dtype=np.int64),
+        np.array([int(scenario.pinned(uav_id)) for uav_id in ids], dtype=np.int64),
+        table,
+        obstacle_rows(scenario),
+        float(scenario.uav_keep_out_m),
+        float(scenario.sensor.range_m),
+        int(scenario.near_every),
+        int(scenario.physics_hz // scenario.control_hz),
+        int(scenario.dt_ns),
+    )
