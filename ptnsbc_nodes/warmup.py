@@ -14,13 +14,14 @@ from ptnsbc_sim.world import World
 
 
 def load_agent(scenario: Scenario, uav_id: int) -> None:
-    """Compile the laws, or load them from the cache: one step on zeros."""
+    """Compile the laws, or load them from the cache: one step on zeros, as `Pilot` makes it."""
     config = agent_config(scenario, uav_id)
     own = np.zeros(ODOMETRY_SIZE)
     own[6] = 1.0
     inbox = Inbox(Edges(scenario, FlightOptions()).senders(uav_id))
     inbox.own = Stamped(0, own)
-    Agent(config, own).advance(inbox.known(0, 0), 0.0, scenario.dt_ns * 1e-9)
+    known = inbox.known(0, 0)
+    Agent(config, known.inputs.own).advance(known, 0.0, scenario.dt_ns * 1e-9)
 
 
 def load_world(scenario: Scenario) -> None:

@@ -13,7 +13,6 @@ from ptnsbc_tools.cli import app
 ROOT = Path(__file__).parents[2]
 
 
-@pytest.mark.compiles
 @pytest.mark.slow
 def test_the_table_is_that_of_the_flight():
     """`make demo` flies the same: a fleet in lock-step and one process give the same verdict."""

@@ -1,0 +1,52 @@
+"""What a process loads before a flight is all that it needs in it."""
+
+import gc
+
+import pytest
+from numba.core.dispatcher import Dispatcher
+
+from ptnsbc_nodes.edges import Edges, FlightOptions
+from ptnsbc_nodes.epochs import Epochs
+from ptnsbc_nodes.inbox import NO_CUTOFF_NS
+from ptnsbc_nodes.pilot import Pilot, moment
+from ptnsbc_nodes.warmup import load_agent, load_world
+from ptnsbc_nodes.wire import Stamped
+from ptnsbc_sim.scenario import agent_config, load_scenario
+from ptnsbc_sim.world import World
+
+
+@pytest.mark.compiles
+@pytest.mark.slow
+def test_after_loading_no_tick_waits_for_a_law():
+    """Neither compiled nor read from the cache: other tests may have loaded more, never less."""
+    scenario = load_scenario("paper_5")
+    load_agent(scenario, scenario.leader_id)
+    load_world(scenario)
+    edges = Edges(scenario, FlightOptions())
+    pilots = {i: Pilot(agent_config(scenario, i), edges.senders(i)) for i in scenario.uav_ids}
+    before = loaded()
+    fly(scenario, edges, pilots, ticks=20)
+    assert loaded() - before == set()
+
+
+def loaded():
+    """Name and argument types of every compiled law in this process."""
+    laws = [one for one in gc.get_objects() if isinstance(one, Dispatcher)]
+    return {(law.py_func.__qualname__, kinds) for law in laws for kinds in law.overloads}
+
+
+def fly(scenario, edges, pilots, ticks):
+    """Every UAV as its process ticks, the first ones before the epoch."""
+    world, epochs = World(scenario), Epochs()
+    epochs.announce(10 * scenario.dt_ns, "form")
+    for k in range(ticks):
+        now_ns = k * scenario.dt_ns
+        at = moment(now_ns, scenario.dt_ns, epochs.at(now_ns), 0)
+        for i, pilot in pilots.items():
+            pilot.inbox.own = Stamped(now_ns, world.odometry(i))
+            pilot.inbox.near = Stamped(now_ns, world.near(i))
+            for other in edges.senders(i).states:
+                pilot.inbox.hear_state(other, Stamped(now_ns, world.odometry(other)))
+            for other in edges.senders(i).estimators:
+                pilot.inbox.hear_estimate(other, Stamped(now_ns, world.odometry(other)))
+        world.step({i: pilot.step(at, NO_CUTOFF_NS).wrench for i, pilot in pilots.items()})
