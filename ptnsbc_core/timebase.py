@@ -27,9 +27,14 @@ class Clock(NamedTuple):
 
 @leaf
 def h(s: float) -> float:
-    """Time base (32) with the sign that converges; s = t / tf [1], clamped to [0, 1]."""
+    """Time base (32) with the sign that converges; s = t / tf [1], clamped to [0, 1].
+
+    h(s) + h(1 - s) = 1: near 1 the polynomial itself would round to values above 1 and fall again.
+    """
     s = min(max(s, 0.0), 1.0)
-    return ((((-20.0 * s + 70.0) * s - 84.0) * s + 35.0) * s) * s * s * s
+    r = min(s, 1.0 - s)
+    rise = (((-20.0 * r + 70.0) * r - 84.0) * r + 35.0) * r * r * r * r
+    return rise if s <= 0.5 else 1.0 - rise
 
 
 @kernel

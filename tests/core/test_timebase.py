@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from on_arrays import on_arrays
 from scipy.integrate import solve_ivp
@@ -110,6 +110,7 @@ def test_step_gain_meets_the_closed_form_at_every_step(
 
 
 @given(duration=durations, residual=residuals, share=st.floats(0.0, 3.0))
+@example(duration=1.0, residual=0.5, share=0.99999)  # the polynomial itself rounds above 1 here
 def test_step_gain_never_overshoots(duration: float, residual: float, share: float) -> None:
     for dt in (duration / 1000.0, duration / 3.0, 2.0 * duration):
         gain = step_gain(share * duration, dt, duration, residual)
