@@ -24,9 +24,8 @@ test: PYTEST := $(BIN)/python -m pytest -rs -q
 test: ALONE := $(PYTEST) -m alone tests/nodes
 test: setup  ## Run the tests and say why any are skipped
 	@time $(PYTEST) $(if $(filter-out 1,$(JOBS)),-n $(JOBS) --maxschedchunk 1) -m 'not alone' $(ARGS)
-	@# Flights in real time, one over MAVLink beside one over a network: each takes one core of two. What fails is
-	@# flown once more by itself, another program may have had the machine.
-	@$(if $(ARGS),,time $(ALONE) $(if $(filter-out 1,$(JOBS)),-n 2 --dist loadgroup) || time $(ALONE) --last-failed)
+	@# Flights in real time: what fails is flown once more, another program may have had the machine.
+	@$(if $(ARGS),,time $(ALONE) || time $(ALONE) --last-failed)
 
 demo: setup  ## Fly a formation, record it, verify it
 	@time $(BIN)/ptnsbc demo $(ARGS)

@@ -62,7 +62,6 @@ def fly(pair, *words):
 
 
 @pytest.mark.alone
-@pytest.mark.xdist_group("computers")
 def test_the_fleet_forms_by_its_deadline(pair, profile):
     (code, out, err), (away_code, away_out, away_err) = fly(
         pair, "--duration", 8, "--network", profile

@@ -1,6 +1,6 @@
 """Fleets of real processes over real UDP: the command of the manual, and one in which processes are killed.
 
-In real time, one after the other.
+In real time and as many processes as the host can carry: nothing else runs beside them.
 """
 
 import os
@@ -24,12 +24,7 @@ from mavlink_processes import (
 
 from ptnsbc_nodes.bag import read_bag
 
-pytestmark = [
-    pytest.mark.ros,
-    pytest.mark.slow,
-    pytest.mark.alone,
-    pytest.mark.xdist_group("vehicles"),
-]
+pytestmark = [pytest.mark.ros, pytest.mark.slow, pytest.mark.alone]
 
 FOUR = range(1, 5)
 MIXED = ("px4", "ardupilot", "ardupilot", "px4")
