@@ -87,7 +87,7 @@ class Launched:
                     for handler in self._handlers:
                         if handler.target_action is node and self.reason is None:
                             self.take(handler.handle(event, None))
-            time.sleep(0.05)  # as launch does, it looks after its processes
+            time.sleep(0.05)  # what is waited for stands in logs, too, and a log wakes nobody
 
     def end(self):
         for number in (signal.SIGINT, signal.SIGKILL):
