@@ -65,7 +65,11 @@ class FleetOptions:
 
 
 def commands(options: FleetOptions, scenario_file: Path) -> list[Command]:
-    """The processes of this computer in the order of their start: the recorder must miss nothing."""
+    """The processes of this computer in the order of their start: the recorder must miss nothing.
+
+    The sim comes last. In real time a UAV ticks from its first odometry on, and twenty that do so while others
+    are still loading make them load three times as long.
+    """
     common = ["--scenario", str(scenario_file)]
     if options.lockstep:
         common.append("--lockstep")
@@ -75,12 +79,12 @@ def commands(options: FleetOptions, scenario_file: Path) -> list[Command]:
     if options.backend == "mavlink":
         common.append("--bridged")
         crew += [_bridge(options, common, i) for i in options.scenario.uav_ids]
-    else:
-        crew.append(Command(SIM, "ptnsbc_nodes.sim_node", tuple(common), ends=True))
     for i in options.scenario.uav_ids:
         arguments = (*common, "--uav", str(i), "--managed")
         node = f"/uav{i}/controller"
         crew.append(Command(f"uav{i}", "ptnsbc_nodes.uav_node", arguments, uav=i, managed=node))
+    if options.backend != "mavlink":
+        crew.append(Command(SIM, "ptnsbc_nodes.sim_node", tuple(common), ends=True))
     return [command for command in crew if not options.only or command.name in options.only]
 
 

@@ -251,6 +251,7 @@ class Follow:
         ]
 
 
+SIM = 5  # after the five UAVs
 OVER, LOST_2 = ["the flight is over"], [["--lose", "uav2"]]
 MAVLINK = {"scenario": "experiment_4", "backend": "mavlink", "allow_arming": "true"}
 
@@ -259,11 +260,14 @@ MAVLINK = {"scenario": "experiment_4", "backend": "mavlink", "allow_arming": "tr
 @pytest.mark.parametrize(
     ("arguments", "ended"),
     [
-        ({}, [(0, 0, OVER)]),  # the sim
-        ({}, [(0, 1, OVER)]),
-        ({}, [(2, 1, LOST_2), (0, 0, OVER)]),
+        ({}, [(SIM, 0, OVER)]),
+        ({}, [(SIM, 1, OVER)]),
+        ({}, [(1, 1, LOST_2), (SIM, 0, OVER)]),
         ({"record": "flight"}, [(0, 1, [["--lose", "recorder"]])]),
-        ({}, [*((i, 0, [["--lose", f"uav{i}"]]) for i in range(1, 5)), (5, 0, ["no UAV is left"])]),
+        (
+            {},
+            [*((i, 0, [["--lose", f"uav{i + 1}"]]) for i in range(4)), (4, 0, ["no UAV is left"])],
+        ),
         (MAVLINK, [(0, 0, []), (1, 0, []), (2, 0, []), (3, 0, OVER)]),  # every bridge has landed
         (MAVLINK, [(1, 1, LOST_2), (0, 0, []), (2, 0, []), (3, 0, OVER)]),
     ],

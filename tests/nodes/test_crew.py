@@ -44,9 +44,15 @@ def test_two_computers_run_the_fleet_of_one(paper_5):
     parts = [chosen(text, paper_5, "sim") for text in ("recorder,sim,1,2,3", "4,5")]
     first = started(FleetOptions(paper_5, only=parts[0], bag=Path("bag")))
     second = started(FleetOptions(paper_5, only=parts[1]))
-    assert [*first, *second] == everything
+    assert sorted([*first, *second]) == sorted(everything)
     whole = started(FleetOptions(paper_5, bag=Path("bag")))
     assert {**first, **second} == whole
+
+
+def test_the_recorder_is_there_first_and_the_world_last(paper_5):
+    first, *others, last = started(FleetOptions(paper_5, bag=Path("bag")))
+    assert (first, last) == ("recorder", "sim")
+    assert others == ["uav1", "uav2", "uav3", "uav4", "uav5"]
 
 
 def test_the_computer_with_the_recorder_leads(paper_5):
