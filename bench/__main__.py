@@ -43,12 +43,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     for section in options.only or SECTIONS:
         say(f"{section} …")
         try:
-            found = import_module(f"bench.{section}").measure(plan)
+            for row in import_module(f"bench.{section}").measure(plan):
+                rows.append(dataclasses.replace(row, section=section))
         except (ImportError, PtnsbcError) as error:
             failed[section] = str(error)
             say(f"{section} failed: {error}")
-            continue
-        rows += [dataclasses.replace(row, section=section) for row in found]
     _show(options, rows, failed, machine.facts())
     return int(bool(failed))
 

@@ -13,7 +13,7 @@ from rclpy.signals import SignalHandlerOptions
 
 from ptnsbc_nodes import environment, topics
 from ptnsbc_nodes.endpoints import READY
-from ptnsbc_nodes.spin import make_executor, spin_for
+from ptnsbc_nodes.spin import Slices, make_executor
 from ptnsbc_tools.diagnostics import decode_diagnostics
 
 _TURN_S = 0.1
@@ -39,6 +39,7 @@ class Observer:
             )
         self._executor = make_executor(self._context)
         self._executor.add_node(self._node)
+        self._slices = Slices(self._executor)
         self._thread = threading.Thread(target=self._run, daemon=True)
 
     def __enter__(self) -> Observer:
@@ -54,7 +55,7 @@ class Observer:
         self._over.set()
         self._thread.join()
         self._executor.remove_node(self._node)
-        spin_for(self._executor, 0.0)
+        self._slices.serve(0.0)
         self._node.destroy_node()
         self._executor.shutdown()
         rclpy.shutdown(context=self._context)
@@ -76,4 +77,4 @@ class Observer:
 
     def _run(self) -> None:
         while not self._over.is_set():
-            spin_for(self._executor, _TURN_S)
+            self._slices.serve(_TURN_S)
