@@ -51,6 +51,7 @@ class Listener:
     ) -> None:
         self.received = 0
         self.lost = 0  # as far as DDS reports it
+        self.after_each: Callable[[], None] = lambda: None  # called after each message
         self._node = node
         self._writer = writer
         self._patterns = patterns
@@ -110,6 +111,7 @@ class Listener:
             frame = transforms.of(topic.name, data) if transforms else None
             if frame is not None and topics.TF.name not in self._known:
                 self._writer.write(topics.TF.name, now_ns, frame, stamp_ns)
+            self.after_each()
 
         return hear
 

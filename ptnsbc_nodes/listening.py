@@ -12,7 +12,7 @@ from rclpy.executors import Executor
 from rclpy.node import Node
 
 from ptnsbc_nodes.bag import BagWriter
-from ptnsbc_nodes.spin import drain, make_executor, spin_for
+from ptnsbc_nodes.spin import Slices, make_executor
 
 _SLICE_S = 0.1  # Python sees a signal only between two calls of the executor
 _QUIET_S = 0.2  # without a message: what was on its way has arrived
@@ -23,6 +23,7 @@ class Hears(Protocol):
 
     received: int
     lost: int  # as far as DDS reports it
+    after_each: Callable[[], None]  # called after each message
 
 
 @contextmanager
@@ -43,9 +44,11 @@ def listening_node(context: Context, name: str) -> Iterator[tuple[Node, Executor
 
 def listen(executor: Executor, hears: Hears, over: Callable[[], bool], limit_s: float) -> None:
     """Serve until it is over, then take in what is still in the queues, for so long at most."""
+    slices = Slices(executor)
+    hears.after_each = slices.look
     while not over():
-        spin_for(executor, _SLICE_S)
-    drain(executor, lambda: hears.received, _QUIET_S, limit_s)
+        slices.serve(_SLICE_S)
+    slices.drain(lambda: hears.received, _QUIET_S, limit_s)
 
 
 def account(writer: BagWriter, hears: Hears, **more: Any) -> Mapping[str, Any]:

@@ -74,6 +74,7 @@ class Recorder:
     ) -> None:
         self.received = 0
         self.lost = 0  # as far as DDS reports it: gaps in the network, not in our own queue
+        self.after_each: Callable[[], None] = lambda: None  # called after each message
         self._ticks = 0
         self._acknowledgement = wire.HeaderTemplate("recorder")
         self._node = node
@@ -127,6 +128,7 @@ class Recorder:
             picture = None if self._pictures is None else self._pictures.of(topic.name, data)
             if picture is not None:
                 self._writer.write(topics.MARKERS.name, now_ns, picture, stamp_ns)
+            self.after_each()
 
         return record
 
@@ -145,6 +147,7 @@ class Recorder:
             transform = self._transforms.of(topic.name, data)
             if transform is not None:
                 self._write_sorted(order.push(last_ns, topics.TF.name, transform))
+            self.after_each()
 
         return record
 

@@ -9,9 +9,9 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import rclpy
 from rclpy.context import Context
@@ -48,7 +48,7 @@ def main(argv: Sequence[str] | None = None) -> int:
                 rclpy.init(
                     args=arguments, context=context, signal_handler_options=SignalHandlerOptions.NO
                 )
-            print(json.dumps(_record(context, options, stop)), flush=True)
+            _record(context, options, stop)
         except (RosArgumentsError, NetworkError) as error:
             print(f"recorder: {error}", file=sys.stderr)
             return 2
@@ -60,7 +60,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     return 0
 
 
-def _record(context: Context, options: argparse.Namespace, stop: StopRequest) -> Mapping[str, Any]:
+def _record(context: Context, options: argparse.Namespace, stop: StopRequest) -> None:
     lockstep = options.lockstep
     kinds = {"lockstep": lockstep, "with_truth": options.truth}
     infos = [topic_info(one, lockstep=lockstep) for one in topics.in_bag(options.uavs, **kinds)]
@@ -83,7 +83,8 @@ def _record(context: Context, options: argparse.Namespace, stop: StopRequest) ->
             print("ready", file=sys.stderr, flush=True)
             listen(executor, recorder, lambda: stop.came, _DRAIN_LIMIT_S)
             recorder.finish()
-        return account(writer, recorder, late=recorder.late)
+        # Before the middleware is taken down: whether that ends is not ours to promise.
+        print(json.dumps(account(writer, recorder, late=recorder.late)), flush=True)
 
 
 def _pictures(scenario: str | None) -> Pictures | None:

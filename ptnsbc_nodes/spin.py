@@ -5,6 +5,7 @@ The EventsExecutor receives an Odometry for a quarter of what the SingleThreaded
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from functools import cache
@@ -36,17 +37,35 @@ def spin(executor: Executor, context: Context) -> None:
         return
 
 
-def spin_for(executor: Executor, seconds: float) -> None:
-    """Serve callbacks for a while, for loops with something else to look at."""
-    executor.spin_until_future_complete(Future(), timeout_sec=seconds)
+class Slices:
+    """Callbacks served for a while at a time, and hardly longer however many messages wait.
 
+    The EventsExecutor looks at its timeout only when its queue is empty. Who listens to more than it can
+    take in would never come back from a call of it, and never see the signal that ends it.
+    """
 
-def drain(executor: Executor, received: Callable[[], int], quiet_s: float, limit_s: float) -> None:
-    """Take in what is still in the queues: until nothing more is `received` for a while, or the limit."""
-    end, before = time.monotonic() + limit_s, -1
-    while received() != before and time.monotonic() < end:
-        before = received()
-        spin_for(executor, quiet_s)
+    def __init__(self, executor: Executor) -> None:
+        self._executor = executor
+        self._over = Future()
+        self._end = math.inf
+
+    def serve(self, seconds: float) -> None:
+        """Serve callbacks for a while."""
+        self._over, self._end = Future(), time.monotonic() + seconds
+        self._executor.spin_until_future_complete(self._over, timeout_sec=seconds)
+
+    def look(self) -> None:
+        """To be called by callbacks: the last one of a slice whose time is over."""
+        if time.monotonic() >= self._end:
+            self._end = math.inf
+            self._over.set_result(None)
+
+    def drain(self, received: Callable[[], int], quiet_s: float, limit_s: float) -> None:
+        """Take in what is still in the queues: until nothing more is `received` for a while, or the limit."""
+        end, before = time.monotonic() + limit_s, -1
+        while received() != before and time.monotonic() < end:
+            before = received()
+            self.serve(quiet_s)
 
 
 @cache
