@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import fcntl
 import os
+import signal
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -13,6 +14,10 @@ HERE = Path(__file__).parent
 # Folders and files below tests/ that run, or read bags, without a compiled law.
 WITHOUT_LAWS = ("nodes/bag/", "nodes/mavlink/", "docs/test_commands", "docs/test_words", "test_")
 COMPILES, WITHOUT, LONG, SHORT = range(4)
+
+# As for `make test &`: whatever the tests start would ignore it too, and be waited for.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

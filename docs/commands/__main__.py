@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import signal
 import subprocess
 import sys
 import tempfile
@@ -26,6 +27,10 @@ _LEFT_OUT = ("CHANGELOG.md",)  # tells of commands that were
 def main(arguments: Sequence[str] | None = None) -> int:
     """Exit code 0 when every block did what its page says, 1 when one did not, 2 for a bad page."""
     options = _parser().parse_args(arguments)
+    if (
+        signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+    ):  # as for `make commands &`: the shells would inherit it
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         pages = {name: blocks_of(ROOT / name, name) for name in options.pages or _pages()}
     except (PageError, OSError) as error:

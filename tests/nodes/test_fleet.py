@@ -215,7 +215,7 @@ def test_a_process_that_dies_before_the_flight_is_shown_with_its_log(launch, tmp
 def test_who_is_late_is_named(tmp_path):
     scenario = load_scenario("paper_5")
     options = FleetOptions(scenario, lockstep=True, log_dir=tmp_path, ready_timeout_s=0.0)
-    with pytest.raises(FleetError, match=r"not ready in time: sim"):
+    with pytest.raises(FleetError, match=r"not ready in time: uav1"):
         run_fleet(options)
 
 
