@@ -24,6 +24,7 @@ from ptnsbc_nodes.managed import Managed
 from ptnsbc_nodes.provenance import add_version
 from ptnsbc_nodes.rosargs import ros_errors, without_ros
 from ptnsbc_nodes.spin import make_executor
+from ptnsbc_nodes.warmup import spare_linear_algebra
 
 USER_ERROR = 2
 _FLUSH_S = 5.0  # half of what the launcher waits; a recorder that is busy is seconds behind
@@ -75,6 +76,7 @@ def run(
     try:
         environment.prepare()
         arguments = parser.parse_args(without_ros(full[1:]))
+        spare_linear_algebra()
         return body(arguments, full)
     except PtnsbcError as error:
         print(f"{parser.prog}: {error}", file=sys.stderr)

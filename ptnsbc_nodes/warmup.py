@@ -2,15 +2,35 @@
 
 from __future__ import annotations
 
+import sys
+from importlib import import_module
+
 import numpy as np
 
 from ptnsbc_core.agent import Agent
+from ptnsbc_core.kernel import COMPILED
 from ptnsbc_core.types import ODOMETRY_SIZE
 from ptnsbc_nodes.edges import Edges, FlightOptions
 from ptnsbc_nodes.inbox import Inbox
 from ptnsbc_nodes.wire import Stamped
 from ptnsbc_sim.scenario import Scenario, agent_config
 from ptnsbc_sim.world import World
+
+
+_BLAS = "scipy.linalg"
+
+
+def spare_linear_algebra() -> None:
+    """Let numba come up without SciPy's BLAS, which it loads with the first law: 0.25 s of every process's start.
+
+    No law uses it. For programs of our own: where it has been called, numba compiles no `np.dot` for anybody.
+    """
+    if COMPILED and _BLAS not in sys.modules:
+        sys.modules[_BLAS] = None  # type: ignore[assignment] # as Python says: not to be found
+        try:
+            import_module("numba.np.arraymath")  # looks for it once
+        finally:
+            del sys.modules[_BLAS]
 
 
 def load_agent(scenario: Scenario, uav_id: int) -> None:
