@@ -16,7 +16,6 @@ from ptnsbc_nodes.wire import Stamped
 from ptnsbc_sim.scenario import Scenario, agent_config
 from ptnsbc_sim.world import World
 
-
 _BLAS = "scipy.linalg"
 
 
