@@ -171,6 +171,22 @@ def test_a_neighbour_never_heard_is_waited_for_and_then_held_for() -> None:
     np.testing.assert_allclose(places, np.tile([1.0, 2.0, 3.0], (300, 1)), atol=1e-3)
 
 
+def test_a_neighbours_estimate_counts_until_it_is_stale() -> None:
+    config = config_of(2)
+    here = message((0.5, 0.2, 7.0))
+    state = initial_state(here, config)._replace(heard=True)
+
+    def estimated(ages: list[float], *neighbours: np.ndarray) -> bytes:
+        heard = {"estimates": np.array(neighbours), "estimate_age_s": np.array(ages)}
+        out = step(state, inputs_of(here, 2.0, **heard), 2.0, DT, config)
+        return numbers(out[1].estimate)
+
+    right, wrong = message(), message(LEADER_AT + 100.0)
+    stale = config.stale_s
+    assert estimated([0.01, stale], right, wrong) != estimated([0.01, stale], right, right)
+    assert estimated([0.01, 1.01 * stale], right, wrong) == estimated([0.01], right)
+
+
 @pytest.mark.parametrize("plant", PLANTS)
 def test_hold_leg_stays_in_place_and_land_leg_descends_over_it(plant: str) -> None:
     flown = Flown(1, plant, at=(0.0, 5.0, 6.0))
