@@ -15,7 +15,7 @@ from pathlib import Path
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_nodes.children import Child, Command, end
 from ptnsbc_nodes.crew import SIM, FleetOptions, names
-from ptnsbc_nodes.endpoints import RECORDER
+from ptnsbc_nodes.endpoints import RECORDER, sent_in
 from ptnsbc_nodes.stop import StopRequest
 from ptnsbc_nodes.tower import Tower
 
@@ -197,7 +197,13 @@ class Flight:
         end([child for child in self.children if child.name != RECORDER])
         end(self.children, _RECORDER_PATIENCE_S)
         for child in self.children:
-            if child.exit_code != 0 and child not in self.died:
+            if child.exit_code == 0 or child in self.died:
+                continue
+            if child.exit_code == -signal.SIGKILL and _had_finished(child):
+                self._progress(
+                    f"{child.name} (pid {child.pid}) had finished and did not go: killed"
+                )
+            else:
                 self.died.append(child)
                 self._progress(f"at the end: {child.obituary()}")
 
@@ -268,3 +274,9 @@ class Flight:
             self._progress(f"{name} has ended, on another computer")
             if name.startswith("uav"):
                 self.lost_elsewhere.append(name)
+
+
+def _had_finished(child: Child) -> bool:
+    """Whether the last it said is what it had done: the middleware does not always let go of a process."""
+    last = child.last_line()
+    return last.startswith("{") if child.name == RECORDER else sent_in([last]) is not None
