@@ -80,7 +80,8 @@ class Bridge:
         self._leads = uav_id == scenario.leader_id
         self._config: AgentConfig = agent_config(scenario, uav_id)
         self._autopilot = autopilot = AUTOPILOTS[reached.autopilot]
-        self._decode = decode_wrench if block.setpoint == "attitude" else decode_velocity
+        self.setpoint = reached.setpoint
+        self._decode = decode_wrench if self.setpoint == "attitude" else decode_velocity
         self.vehicle = Vehicle(autopilot, signed=link.signed)
         self._commands = Commands(autopilot, reached.sysid)
         self._upkeep = Upkeep(autopilot, reached.sysid, self._commands, self.vehicle, _STATE_HZ)
@@ -214,7 +215,7 @@ class Bridge:
         if not self._parameters_told:
             return ""
         values = self._upkeep.parameters.values
-        return refusal(self._autopilot, values, self.block.setpoint) or ""
+        return refusal(self._autopilot, values, self.setpoint) or ""
 
     def seen(self, now_s: float) -> Seen:
         """Everything the procedure decides by."""
@@ -287,7 +288,7 @@ class Bridge:
     def _make_stream(self, hover: float) -> SetpointStream:
         return SetpointStream(
             self._autopilot,
-            self.block.setpoint,
+            self.setpoint,
             self._config,
             self.guard,
             self._messages,

@@ -154,7 +154,7 @@ class BridgeNode:
 
     def _listen(self, scenario: Scenario, uav_id: int) -> None:
         listen, inlets = self.endpoints.listen, self.bridge.inlets
-        attitude = scenario.mavlink.setpoint == "attitude"
+        attitude = self.bridge.setpoint == "attitude"
         wanted = topics.wrench_setpoint if attitude else topics.velocity_setpoint
         listen(wanted(uav_id), lambda data: setattr(inlets, "setpoint", data))
         listen(topics.EPOCH, self._on_epoch)

@@ -83,6 +83,8 @@ class MavlinkVehicle(Block):
     """Path of a key file, each once."""
     autopilot: Autopilot | None = None
     """For mixed fleets; default as above."""
+    setpoint: SetpointKind | None = None
+    """For mixed fleets; default as above."""
 
 
 class Mavlink(Block):
@@ -124,6 +126,7 @@ class VehicleLink(NamedTuple):
     connect: str
     sysid: int
     autopilot: Autopilot
+    setpoint: SetpointKind
     origin_m: tuple[float, float, float] | None
     signing_key: str | None
 
@@ -136,6 +139,7 @@ def vehicle_link(block: Mavlink, uav_ids: tuple[int, ...], uav_id: int) -> Vehic
         own.connect or f"udpin:127.0.0.1:{FIRST_PORT + number}",
         own.sysid or number + 1,
         own.autopilot or block.autopilot,
+        own.setpoint or block.setpoint,
         own.origin_m,
         own.signing_key,
     )

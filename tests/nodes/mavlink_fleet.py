@@ -99,7 +99,7 @@ class Uav:
         others = [i for i in scenario.uav_ids if i != uav_id]
         self.surroundings = Surroundings(scenario, others)
         self.template = OdometryTemplate("map", "x")
-        attitude = scenario.mavlink.setpoint == "attitude"
+        attitude = scenario.vehicle_link(uav_id).setpoint == "attitude"
         self.letter = WrenchTemplate("x") if attitude else VelocityTemplate("map")
         self.attitude = attitude
         self.began = False

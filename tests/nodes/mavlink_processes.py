@@ -27,10 +27,13 @@ timing: {{duration_s: {duration_s}}}
 leader: {{trajectory: {{centre_m: [0, 0, 4]}}}}
 mavlink:
   takeoff_height_m: 2
-  setpoint: {setpoint}
   vehicles:
 """
-_VEHICLE = '    {uav}: {{autopilot: {kind}, connect: "udpin:127.0.0.1:{port}"}}\n'
+_VEHICLE = (
+    '    {uav}: {{autopilot: {kind}, setpoint: {setpoint}, connect: "udpin:127.0.0.1:{port}"}}\n'
+)
+# Down as fast as they climb: how they land is no matter of these flights.
+_LANDING = {"px4": "MPC_LAND_SPEED=1.5", "ardupilot": "LAND_SPD_MS=1.5"}
 
 
 def _free_ports(count):
@@ -51,14 +54,15 @@ def _free_ports(count):
     raise AssertionError("no free ports from 15200 to 15900")
 
 
-def write_scenario(path, *, duration_s, setpoint="velocity", autopilots=("px4",) * 4):
-    """`experiment_4` on ports of its own; only these keys differ from the shipped file."""
+def write_scenario(path, *, duration_s, fleet=(("px4", "velocity"),) * 4):
+    """`experiment_4` on ports of its own, each vehicle of a kind and with setpoints of a kind."""
     base = ROOT / "scenarios" / "experiment_4.yaml"
-    first = _free_ports(len(autopilots))
+    first = _free_ports(len(fleet))
     vehicles = (
-        _VEHICLE.format(uav=n + 1, kind=kind, port=first + n) for n, kind in enumerate(autopilots)
+        _VEHICLE.format(uav=n + 1, kind=kind, setpoint=setpoint, port=first + n)
+        for n, (kind, setpoint) in enumerate(fleet)
     )
-    head = _SCENARIO.format(base=base, duration_s=duration_s, setpoint=setpoint)
+    head = _SCENARIO.format(base=base, duration_s=duration_s)
     path.write_text(head + "".join(vehicles))
     return path
 
@@ -129,11 +133,12 @@ class Program:
 
 
 @contextmanager
-def stand_ins(path, domain, *options):
+def stand_ins(path, domain, *options, kinds=("px4",)):
     """Four flight controllers for the scenario at `path`, RTK receivers as the paper's experiment had."""
+    landing = [word for kind in kinds for word in ("--param", _LANDING[kind])]
     program = Program(
         COMMAND, "autopilot", "--scenario", path, "--gcs", "", "--boot-time", "0",
-        "--gnss", "rtk", *options, domain=domain,
+        "--gnss", "rtk", *landing, *options, domain=domain,
     )  # fmt: skip
     try:
         # Both compile at their first start, and half the time each when they do it side by side.

@@ -27,22 +27,24 @@ from ptnsbc_nodes.bag import read_bag
 pytestmark = [pytest.mark.ros, pytest.mark.slow, pytest.mark.alone]
 
 FOUR = range(1, 5)
-MIXED = ("px4", "ardupilot", "ardupilot", "px4")
+MIXED = (
+    ("px4", "velocity"),
+    ("ardupilot", "velocity"),
+    ("ardupilot", "attitude"),
+    ("px4", "attitude"),
+)
 
 
-@pytest.mark.parametrize("setpoint", ["velocity", "attitude"])
-def test_the_command_flies_stand_ins_of_both_kinds_into_formation(tmp_path, domain, setpoint):
-    """`ptnsbc fleet scenarios/experiment_4.yaml --backend mavlink`, 13 s of its 50, kinds in one fleet.
+def test_the_command_flies_stand_ins_of_both_kinds_into_formation(tmp_path, domain):
+    """`ptnsbc fleet scenarios/experiment_4.yaml --backend mavlink`, 13 s of its 50, all kinds in one fleet.
 
     Fleets of one kind fly in test_fleet_mavlink.py, by a clock of the tests.
     """
-    path = write_scenario(
-        tmp_path / "four.yaml", duration_s=13, setpoint=setpoint, autopilots=MIXED
-    )
+    path = write_scenario(tmp_path / "four.yaml", duration_s=13, fleet=MIXED)
     command = (COMMAND, "fleet", path, "--backend", "mavlink", "--allow-arming", "--json")
     parameters = ("--param", "COM_OBL_RC_ACT=5", "--param", "GUID_OPTIONS=8")
     with (
-        stand_ins(path, domain, *parameters) as vehicles,
+        stand_ins(path, domain, *parameters, kinds=("px4", "ardupilot")) as vehicles,
         flying(*command, "--bag", tmp_path / "bag", domain=domain) as fleet,
     ):
         code = fleet.finish()
@@ -51,8 +53,8 @@ def test_the_command_flies_stand_ins_of_both_kinds_into_formation(tmp_path, doma
     assert fleet.said("in flight: gains.formation.deadline_s: 10 instead of 5.0")
     steps = ("taking off", "airborne", "in formation", "landing", "done")
     assert fleet.said(*(f"bridge{i}: {step}" for i in FOUR for step in steps))
-    kinds = ("px4 1", "arducopter 2", "arducopter 3", "px4 4")
-    assert vehicles.said(*(f"{kind}: disarmed: landed" for kind in kinds))
+    landed = ("px4 1", "arducopter 2", "arducopter 3", "px4 4")
+    assert vehicles.said(*(f"{kind}: disarmed: landed" for kind in landed))
     assert told["verdict"] == "met"
     assert [uav["verdict"] for uav in told["uavs"]] == ["met"] * 4
     assert min(pair["distance_m"] for pair in told["separations"]) > 0.5

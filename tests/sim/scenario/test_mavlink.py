@@ -20,11 +20,17 @@ def test_without_an_entry_a_vehicle_is_the_px4_simulation_of_its_number():
 def test_own_entries_win():
     block = {
         "autopilot": "ardupilot",
-        "vehicles": {2: {"connect": "serial:/dev/ttyACM0:921600", "sysid": 42, "autopilot": "px4"}},
+        "setpoint": "attitude",
+        "vehicles": {
+            2: {"connect": "serial:/dev/ttyACM0:921600", "sysid": 42, "autopilot": "px4"},
+            3: {"setpoint": "velocity"},
+        },
     }
     link = scenario(**block).vehicle_link(2)
-    assert link == ("serial:/dev/ttyACM0:921600", 42, "px4", None, None)
-    assert scenario(**block).vehicle_link(1).autopilot == "ardupilot"
+    assert link == ("serial:/dev/ttyACM0:921600", 42, "px4", "attitude", None, None)
+    others = [scenario(**block).vehicle_link(uav) for uav in (1, 3)]
+    assert [other.autopilot for other in others] == ["ardupilot", "ardupilot"]
+    assert [other.setpoint for other in others] == ["attitude", "velocity"]
 
 
 @pytest.mark.parametrize(
