@@ -11,8 +11,11 @@ from pathlib import Path
 import pytest
 
 HERE = Path(__file__).parent
-# Folders and files below tests/ that run, or read bags, without a compiled law.
-WITHOUT_LAWS = ("nodes/bag/", "nodes/mavlink/", "docs/test_commands", "docs/test_words", "test_")
+# Folders and files below tests/ that run, or read bags, without a compiled law, or with a second's worth of them.
+WITHOUT_LAWS = (
+    *("nodes/bag/", "nodes/mavlink/", "nodes/test_recorder", "tools/report/"),
+    *("docs/test_commands", "docs/test_words", "test_"),
+)
 COMPILES, WITHOUT, LONG, SHORT = range(4)
 
 # As for `make test &`: whatever the tests start would ignore it too, and be waited for.
