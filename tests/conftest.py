@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 
 HERE = Path(__file__).parent
-# Folders and files below tests/ that run, or read bags, without a compiled law, or with a second's worth of them.
+# Folders and files below tests/ that run, or read bags, without a compiled law.
 WITHOUT_LAWS = (
-    *("nodes/bag/", "nodes/mavlink/", "nodes/test_recorder", "tools/report/"),
+    *("nodes/bag/", "nodes/mavlink/", "nodes/test_recorder"),
     *("docs/test_commands", "docs/test_words", "test_"),
 )
 COMPILES, WITHOUT, LONG, SHORT = range(4)
