@@ -119,12 +119,14 @@ def two_computers(loss_percent: int = 0) -> Iterator[tuple[Computer, Computer]]:
         yield first, second
 
 
-def finished(process: subprocess.Popen[str]) -> tuple[int, str, str]:
+def finished(
+    process: subprocess.Popen[str], patience_s: float = PATIENCE_S
+) -> tuple[int, str, str]:
     """Exit code and what was said; a process that hangs is ended."""
     try:
-        out, err = process.communicate(timeout=PATIENCE_S)
+        out, err = process.communicate(timeout=patience_s)
     except subprocess.TimeoutExpired:
         process.kill()
         out, err = process.communicate()
-        raise AssertionError(f"still running after {PATIENCE_S} s:\n{out}\n{err}") from None
+        raise AssertionError(f"still running after {patience_s} s:\n{out}\n{err}") from None
     return process.returncode, out, err
