@@ -59,7 +59,10 @@ def fly(pair, *words):
     second = away.ptnsbc("fleet", *FLIGHT, "--only", "4,5", *words)
     first = ground.ptnsbc("fleet", *FLIGHT, "--only", "recorder,sim,1,2,3", *words)
     # A discovery server does not always introduce everybody; compiled and flown it is within 70 s.
-    return tuple(namespaces.finished(one, patience_s=100) for one in (first, second))
+    try:
+        return tuple(namespaces.finished(one, patience_s=100) for one in (first, second))
+    finally:
+        second.kill()  # when the first has not ended: it would wait for it for ever
 
 
 @pytest.mark.alone
