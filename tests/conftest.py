@@ -13,8 +13,12 @@ import pytest
 HERE = Path(__file__).parent
 # Folders and files below tests/ that run, or read bags, without a compiled law.
 WITHOUT_LAWS = (
-    *("nodes/bag/", "nodes/mavlink/", "nodes/test_recorder"),
-    *("docs/test_commands", "docs/test_words", "test_"),
+    "nodes/bag/",
+    "nodes/mavlink/",
+    "nodes/test_recorder",
+    "docs/test_commands",
+    "docs/test_words",
+    "test_",
 )
 COMPILES, WITHOUT, LONG, SHORT = range(4)
 
