@@ -17,10 +17,10 @@ from bench.launch import BenchError
 from bench.session import Plan, say
 from bench.table import Row, Target
 from bench.usage import look
-from ptnsbc_nodes.autopilot.codec import Codec
-from ptnsbc_nodes.autopilot.flight import Body
-from ptnsbc_nodes.autopilot.px4 import Px4
-from ptnsbc_nodes.mavlink.dialect import mavlink
+from ptnsbc_io.mavlink.dialect import mavlink
+from ptnsbc_sim.autopilot.codec import Codec
+from ptnsbc_sim.autopilot.firmware.px4 import Px4
+from ptnsbc_sim.autopilot.physics.body import Body
 
 _COUNT, _STREAM_HZ, _READY_S = 4, 50.0, 300.0
 _VELOCITY_YAW = 0x09C7  # position, acceleration and yaw rate ignored

@@ -23,7 +23,7 @@ from bench.observer import Observer
 from bench.session import Plan, own_domain, say
 from bench.table import Row
 from bench.usage import Sampler, Usage, look
-from ptnsbc_nodes.fleet import FleetOptions, run_fleet
+from ptnsbc_nodes.fleet.fleet import FleetOptions, run_fleet
 from ptnsbc_sim.scenario import Scenario, load_scenario
 
 _SETPOINTS = ("velocity", "attitude")

@@ -19,8 +19,8 @@ from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
-from ptnsbc_nodes.bag import BagWriter, TopicInfo
-from ptnsbc_nodes.bag.repair import repair
+from ptnsbc_io.bag import BagWriter, TopicInfo
+from ptnsbc_io.bag.repair import repair
 
 _HZ = 1000.0
 _EARLIEST_S, _LATEST_S = 0.6, 2.5
@@ -72,7 +72,7 @@ def _killed(bags: dict[Path, float], settings: Mapping[str, str] | None) -> Iter
 def _start(bag: Path, settings: Mapping[str, str] | None) -> subprocess.Popen[bytes]:
     words = ["-m", "bench.crash", "--write", str(bag)]
     if settings is not None:
-        words = ["-m", "ptnsbc_nodes.recorder_node", "--bag", str(bag), "--uavs", *"12345"]
+        words = ["-m", "ptnsbc_nodes.recording.main", "--bag", str(bag), "--uavs", *"12345"]
     quiet = subprocess.DEVNULL
     return subprocess.Popen([sys.executable, *words], stdout=quiet, stderr=quiet, env=settings)
 
@@ -128,7 +128,7 @@ def _source(folder: Path) -> Iterator[Mapping[str, str]]:
     """A process that publishes for as long as recorders come and go; gives the environment of both."""
     from bench.scenarios import paper
     from bench.session import own_domain
-    from ptnsbc_nodes import environment
+    from ptnsbc_nodes.runtime import environment
 
     scenario, go = folder / "scenario.yaml", folder / "go"
     scenario.write_text(paper(1.0).text, encoding="utf-8")
@@ -148,7 +148,7 @@ def _source(folder: Path) -> Iterator[Mapping[str, str]]:
 
 def _write(bag: Path) -> None:
     """Write as the recorder does in real time, until killed."""
-    from ptnsbc_nodes.wire import HeaderTemplate
+    from ptnsbc_io.wire import HeaderTemplate
 
     template = HeaderTemplate("count")
     topics = [TopicInfo(f"/topic{k}", "std_msgs/msg/Header") for k in range(5)]

@@ -14,8 +14,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from bench.session import say
-from ptnsbc_nodes.bag import BagWriter, TopicInfo, read_bag
-from ptnsbc_nodes.wire.cdr import write_stamp
+from ptnsbc_io.bag import BagWriter, TopicInfo, read_bag
+from ptnsbc_io.wire.cdr import write_stamp
 
 _FLIGHT_S = 20.0
 _UNSTAMPED = ("/formation/markers", "/tf", "/formation/epoch")
@@ -33,7 +33,7 @@ def write(bag: Path, size: int) -> None:
     """One flight after the other, each message with the stamp of its round."""
     from bench.scenarios import paper
     from ptnsbc_sim.swarm import fly
-    from ptnsbc_tools.flight_bag import write_flight
+    from ptnsbc_tools.reading.flight_bag import write_flight
 
     scenario = paper(_FLIGHT_S)
     short = read_bag(write_flight(fly(scenario), bag.with_name("short"), overwrite=True))

@@ -16,9 +16,9 @@ from bench.pingpong import READY
 from bench.session import own_domain
 from bench.usage import Sampler, Usage
 from ptnsbc_core.errors import PtnsbcError
-from ptnsbc_nodes import environment
-from ptnsbc_nodes.children import Child, Command, end
-from ptnsbc_nodes.fleet import FleetOptions, FleetResult, run_fleet
+from ptnsbc_nodes.fleet.child_process import Child, Command, end
+from ptnsbc_nodes.fleet.fleet import FleetOptions, FleetResult, run_fleet
+from ptnsbc_nodes.runtime import environment
 from ptnsbc_sim.scenario import Scenario
 
 _LOOK_S = 0.05

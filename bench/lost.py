@@ -12,12 +12,12 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from typing import NamedTuple
 
-from ptnsbc_nodes import topics
-from ptnsbc_nodes.bag import Bag
-from ptnsbc_nodes.endpoints import Sent
-from ptnsbc_nodes.ticklog import OWN, TickNote, tick_note
-from ptnsbc_nodes.wire import decode_floats, decode_integers, peek_sequence_stamp, peek_stamp
-from ptnsbc_tools.diagnostics import decode_diagnostics
+from ptnsbc_io.bag import Bag
+from ptnsbc_io.wire import decode_floats, decode_integers, peek_sequence_stamp, peek_stamp
+from ptnsbc_nodes.comm import topics
+from ptnsbc_nodes.comm.endpoints import Sent
+from ptnsbc_nodes.uav.step_log import OWN, TickNote, tick_note
+from ptnsbc_tools.reading.diagnostics import decode_diagnostics
 
 _MADE = (topics.TF.name,)  # by the recorder itself
 

@@ -16,9 +16,9 @@ from bench.scenarios import grid
 from bench.session import Plan, own_domain, say
 from bench.table import Row, Target
 from bench.usage import Sampler
-from ptnsbc_nodes.bag import read_bag
-from ptnsbc_nodes.endpoints import RECORDER, Sent, sent_in
-from ptnsbc_nodes.fleet import FleetOptions, FleetResult, run_fleet
+from ptnsbc_io.bag import read_bag
+from ptnsbc_nodes.comm.endpoints import RECORDER, Sent, sent_in
+from ptnsbc_nodes.fleet.fleet import FleetOptions, FleetResult, run_fleet
 
 _UAVS = 20
 _PATIENCE_S = 600.0  # the machine may be busy before what is measured begins

@@ -17,13 +17,13 @@ import time
 
 import numpy as np
 
+from ptnsbc_io.mavlink.autopilots import PX4
+from ptnsbc_io.mavlink.dialect import mavlink
+from ptnsbc_io.mavlink.link import Link
+from ptnsbc_io.mavlink.signing import Signer
+from ptnsbc_io.mavlink.transport import Packet, connect
 from ptnsbc_nodes.bridge.bridge import WANTED_MESSAGES
 from ptnsbc_nodes.bridge.vehicle import Vehicle
-from ptnsbc_nodes.mavlink.autopilots import PX4
-from ptnsbc_nodes.mavlink.dialect import mavlink
-from ptnsbc_nodes.mavlink.link import Link
-from ptnsbc_nodes.mavlink.signing import Signer
-from ptnsbc_nodes.mavlink.transport import Packet, connect
 
 _KEY = bytes(range(32))
 _ARMED = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | mavlink.MAV_MODE_FLAG_SAFETY_ARMED

@@ -20,7 +20,7 @@ from bench.launch import BenchError
 from bench.namespaces import Computer
 from bench.session import Plan, say
 from bench.table import Row
-from ptnsbc_nodes.warmup import load_agent, load_world
+from ptnsbc_nodes.runtime.warmup import load_agent, load_world
 from ptnsbc_sim.scenario import load_scenario
 
 _DOMAIN = 71

@@ -11,10 +11,11 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.context import Context
 from rclpy.signals import SignalHandlerOptions
 
-from ptnsbc_nodes import environment, topics
-from ptnsbc_nodes.endpoints import READY
-from ptnsbc_nodes.spin import Slices, make_executor
-from ptnsbc_tools.diagnostics import decode_diagnostics
+from ptnsbc_nodes.comm import topics
+from ptnsbc_nodes.comm.endpoints import READY
+from ptnsbc_nodes.runtime import environment
+from ptnsbc_nodes.runtime.executor import Slices, make_executor
+from ptnsbc_tools.reading.diagnostics import decode_diagnostics
 
 _TURN_S = 0.1
 

@@ -22,11 +22,12 @@ from bench.scenarios import paper
 from bench.session import Plan, own_domain, take_turns
 from bench.table import Row
 from bench.usage import look
-from ptnsbc_nodes import environment, topics
-from ptnsbc_nodes.children import Child, Command, end
-from ptnsbc_nodes.endpoints import Endpoints
-from ptnsbc_nodes.process import Arguments, Lifetime, ros_node, run
-from ptnsbc_nodes.wire import OdometryTemplate, VelocityTemplate, WrenchTemplate
+from ptnsbc_io.wire import OdometryTemplate, VelocityTemplate, WrenchTemplate
+from ptnsbc_nodes.comm import topics
+from ptnsbc_nodes.comm.endpoints import Endpoints
+from ptnsbc_nodes.fleet.child_process import Child, Command, end
+from ptnsbc_nodes.runtime import environment
+from ptnsbc_nodes.runtime.process import Arguments, Lifetime, ros_node, run
 
 _UAVS = ("1", "2", "3", "4", "5")
 _HZ = 100.0
@@ -73,7 +74,7 @@ def measure(plan: Plan) -> Sequence[Row]:
 def _recorder(folder: Path, _scenario: Path) -> Command:
     bag = tempfile.mkdtemp(dir=folder)
     arguments = ("--bag", f"{bag}/bag", "--uavs", *_UAVS)
-    return Command("listener", "ptnsbc_nodes.recorder_node", arguments)
+    return Command("listener", "ptnsbc_nodes.recording.main", arguments)
 
 
 def _bare(_folder: Path, scenario: Path) -> Command:

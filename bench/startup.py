@@ -62,7 +62,7 @@ def _compile() -> dict[str, float]:
 
     from bench.scenarios import paper
     from bench.step import lapack_loop
-    from ptnsbc_nodes.warmup import load_agent, load_world
+    from ptnsbc_nodes.runtime.warmup import load_agent, load_world
     from ptnsbc_sim.swarm import fly
 
     scenario = paper(0.1)
@@ -80,7 +80,7 @@ def _compile() -> dict[str, float]:
 
 def _ready(plan: Plan) -> list[Row]:
     from bench.scenarios import paper
-    from ptnsbc_nodes.warmup import load_agent
+    from ptnsbc_nodes.runtime.warmup import load_agent
 
     scenario = paper(1.0)
     load_agent(scenario, int(_LEADER))
@@ -88,7 +88,7 @@ def _ready(plan: Plan) -> list[Row]:
         folder = Path(name)
         file = folder / "scenario.yaml"
         file.write_text(scenario.text, encoding="utf-8")
-        own = ("ptnsbc_nodes.uav_node", "--scenario", str(file), "--uav", _LEADER, "--lockstep")
+        own = ("ptnsbc_nodes.uav.main", "--scenario", str(file), "--uav", _LEADER, "--lockstep")
         found = take_turns(
             {
                 "bare node": lambda: _start(folder, __spec__.name, "node"),
@@ -112,8 +112,8 @@ def _start(folder: Path, module: str, *arguments: str) -> Start:
     from bench.launch import BenchError
     from bench.observer import Observer
     from bench.usage import look
-    from ptnsbc_nodes import environment
-    from ptnsbc_nodes.children import Child, Command, end
+    from ptnsbc_nodes.fleet.child_process import Child, Command, end
+    from ptnsbc_nodes.runtime import environment
 
     with own_domain() as domain, Observer(domain) as observer:
         settings = environment.for_children(domain, 2, folder)

@@ -8,16 +8,16 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from ptnsbc_core.adaptation import started
 from ptnsbc_core.algebra import three, wrap
-from ptnsbc_core.command_filter import filter_step
-from ptnsbc_core.controller import Command, Control, rigid_body_control
+from ptnsbc_core.control.adaptation import started
+from ptnsbc_core.control.command_filter import filter_step
+from ptnsbc_core.control.quadrotor_control import quadrotor_control
+from ptnsbc_core.control.rigid_body_control import Command, Control, rigid_body_control
 from ptnsbc_core.estimator import estimated_leader
 from ptnsbc_core.kernel import kernel, leaf
 from ptnsbc_core.kinematics import state_to_estimate, velocity_enu, yaw_of
 from ptnsbc_core.mission import behaviour_of_mission, desired_yaw, held, hold_place, lost
 from ptnsbc_core.planner import Armed, Behaviour, attitude, composed
-from ptnsbc_core.quadrotor_control import quadrotor_control
 from ptnsbc_core.tasks.clearance import Around, clearance
 from ptnsbc_core.tasks.encounters import none_met
 from ptnsbc_core.timebase import Clock, loop_gain

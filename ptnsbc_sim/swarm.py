@@ -24,10 +24,10 @@ from ptnsbc_core.types import (
     AgentState,
     Array,
 )
-from ptnsbc_sim.chance.build import Chance, chance, sight_draws, sight_of
-from ptnsbc_sim.chance.gusts import blow
-from ptnsbc_sim.chance.odometer import believed, no_error
-from ptnsbc_sim.chance.sight import beside
+from ptnsbc_sim.disturbances.build import Chance, chance, sight_draws, sight_of
+from ptnsbc_sim.disturbances.gusts import blow
+from ptnsbc_sim.disturbances.position_noise import believed, no_error
+from ptnsbc_sim.disturbances.sensor_noise import beside
 from ptnsbc_sim.plants.build import plant_config, start_states
 from ptnsbc_sim.plants.contract import PlantConfig
 from ptnsbc_sim.plants.integrate import advance, odometry

@@ -9,7 +9,7 @@ import numpy as np
 from ptnsbc_core.algebra import put
 from ptnsbc_core.kernel import kernel, kernel_list
 from ptnsbc_core.types import ODOMETRY_SIZE, PLANT_RIGID_BODY, Array
-from ptnsbc_sim.chance.build import Surroundings
+from ptnsbc_sim.disturbances.build import Surroundings
 from ptnsbc_sim.plants.build import obstacle_rows, plant_config, start_states
 from ptnsbc_sim.plants.contract import PlantConfig
 from ptnsbc_sim.plants.integrate import advance, odometry

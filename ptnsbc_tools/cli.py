@@ -11,18 +11,18 @@ from typer.core import TyperGroup
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_tools import options
-from ptnsbc_tools.autopilot.command import autopilot
-from ptnsbc_tools.bags.command import app as bags
-from ptnsbc_tools.bridge.command import bridge
-from ptnsbc_tools.network.command import app as network_app
-from ptnsbc_tools.node.command import SETTINGS, node
-from ptnsbc_tools.params.command import params
-from ptnsbc_tools.plot.command import plot
-from ptnsbc_tools.record.command import record
-from ptnsbc_tools.replay.command import replay
-from ptnsbc_tools.report.command import report
-from ptnsbc_tools.reproduce.command import reproduce
-from ptnsbc_tools.stop.command import stop
+from ptnsbc_tools.commands.autopilot import autopilot
+from ptnsbc_tools.commands.bag import app as bags
+from ptnsbc_tools.commands.bridge import bridge
+from ptnsbc_tools.commands.network import app as network_app
+from ptnsbc_tools.commands.node import SETTINGS, node
+from ptnsbc_tools.commands.params import params
+from ptnsbc_tools.commands.plot import plot
+from ptnsbc_tools.commands.record import record
+from ptnsbc_tools.commands.replay import replay
+from ptnsbc_tools.commands.report import report
+from ptnsbc_tools.commands.reproduce import reproduce
+from ptnsbc_tools.commands.stop import stop
 
 REFUSED, INTERRUPTED = 2, 130
 
@@ -54,7 +54,7 @@ app = typer.Typer(
 
 def _version(wanted: bool) -> None:
     if wanted:
-        from ptnsbc_nodes.provenance import own_version
+        from ptnsbc_nodes.runtime.provenance import own_version
 
         print(f"ptnsbc {own_version()}")
         raise typer.Exit
@@ -83,9 +83,9 @@ def check(
     json: options.JsonOption = False,
 ) -> None:
     """Check a scenario before anything arms: graph, shape, spacing, gains, deadline, obstacles."""
-    from ptnsbc_tools.check import command
+    from ptnsbc_tools.commands import check
 
-    command.run(options.chosen(context), json=json)
+    check.run(options.chosen(context), json=json)
 
 
 @app.command()
@@ -105,7 +105,7 @@ def simulate(
 ) -> None:
     """Fly a scenario in this process, without ROS, as fast as it goes; ends with the verdict."""
     from ptnsbc_tools import result
-    from ptnsbc_tools import simulate as command
+    from ptnsbc_tools.commands import simulate as command
 
     chosen = options.chosen(context)
     result.leave(command.simulate(chosen, bag, overwrite=overwrite, json=json))
@@ -134,8 +134,8 @@ def verify(
     of others (MCAP, sqlite3) need --scenario, and their topics named.
     """
     from ptnsbc_tools import result
-    from ptnsbc_tools import verify as command
-    from ptnsbc_tools.foreign import Names
+    from ptnsbc_tools.commands import verify as command
+    from ptnsbc_tools.reading.foreign import Names
 
     names = Names(odom=odom, wrench=wrench)
     choice = command.Choice(scenario, tolerance, window, epoch, names)
@@ -185,7 +185,7 @@ def fleet(
     The vehicles are simulated, or real flight controllers (--backend mavlink). Nothing leaves this
     host unless --network says where to.
     """
-    from ptnsbc_tools import fleet as command
+    from ptnsbc_tools.commands import fleet as command
 
     options.join(network, domain)
     chosen = options.chosen(context)
@@ -210,7 +210,7 @@ def demo(
     json: options.JsonOption = False,
 ) -> None:
     """Fly Simulation 1 of the paper with a fleet in lock-step: bag, verdict and picture."""
-    from ptnsbc_tools import fleet as command
+    from ptnsbc_tools.commands import fleet as command
 
     given = options.overrides(duration=duration)
     chosen = options.scenario_with(command.DEMO_SCENARIO, given)

@@ -132,7 +132,7 @@ def chosen(context: typer.Context) -> Scenario:
 
 def join(network: Path | None, domain: int | None) -> None:
     """Put what the command line says of network and domain where ROS and our processes look for it."""
-    from ptnsbc_nodes.environment import NETWORK
+    from ptnsbc_nodes.runtime.environment import NETWORK
 
     if network is not None:
         os.environ[NETWORK] = str(network)

@@ -17,7 +17,7 @@ class RosMissingError(PtnsbcError):
 @contextmanager
 def needed(way_out: str = WAY_OUT) -> Iterator[None]:
     """Around the imports of what needs ROS: its environment first, one line when one fails."""
-    from ptnsbc_nodes import environment
+    from ptnsbc_nodes.runtime import environment
 
     environment.prepare()
     try:

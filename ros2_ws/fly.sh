@@ -41,7 +41,7 @@ within() {
 places() {
   "$2" - "$(realpath "$1")" <<'PYTHON'
 import importlib.util, pkgutil, sys
-for name in ("ptnsbc_core", "ptnsbc_sim", "ptnsbc_nodes", "ptnsbc_tools"):
+for name in ("ptnsbc_core", "ptnsbc_io", "ptnsbc_sim", "ptnsbc_nodes", "ptnsbc_tools"):
     package = importlib.import_module(name)
     for module in pkgutil.walk_packages(package.__path__, f"{name}."):
         place = importlib.util.find_spec(module.name).origin
@@ -115,7 +115,7 @@ within plain places "$installed" python
 within plain "$installed/ptnsbc_tools/bin/ptnsbc" check paper_5 >/dev/null
 sed 's/^  duration_s: .*/  duration_s: 10/' scenarios/paper_5.yaml >"$scratch/flight.yaml"
 within plain python -c "
-from ptnsbc_nodes.warmup import load_agent, load_world
+from ptnsbc_nodes.runtime.warmup import load_agent, load_world
 from ptnsbc_sim.scenario import load_scenario
 scenario = load_scenario('$scratch/flight.yaml')
 load_agent(scenario, 1)

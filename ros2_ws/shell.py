@@ -16,12 +16,12 @@ PROJECT = Path(__file__).resolve().parents[1] / "pyproject.toml"
 
 PROGRAMS = {
     "ptnsbc_nodes": {
-        "uav": "ptnsbc_nodes.uav_node:main",
-        "sim": "ptnsbc_nodes.sim_node:main",
-        "recorder": "ptnsbc_nodes.recorder_node:main",
-        "fleet": "ptnsbc_nodes.fleet_node:main",
-        "bridge": "ptnsbc_nodes.bridge_node:main",
-        "tower": "ptnsbc_nodes.tower_node:main",
+        "uav": "ptnsbc_nodes.uav.main:main",
+        "sim": "ptnsbc_nodes.sim.main:main",
+        "recorder": "ptnsbc_nodes.recording.main:main",
+        "fleet": "ptnsbc_nodes.fleet.main:main",
+        "bridge": "ptnsbc_nodes.bridge.main:main",
+        "tower": "ptnsbc_nodes.fleet.coordinator_main:main",
     },
     "ptnsbc_tools": {"ptnsbc": "ptnsbc_tools.cli:main"},
 }

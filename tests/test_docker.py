@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from ptnsbc_nodes import network
+from ptnsbc_nodes.runtime import dds_profiles
 from ptnsbc_sim.scenario import load_scenario
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -39,7 +39,7 @@ def commands(compose, profile: str, **given: str) -> dict[str, list[str]]:
     [("sim", "sim", {}), ("bridge", "mavlink", {"VEHICLES": VEHICLES})],
 )
 def test_every_process_of_the_fleet_has_one_container(compose, profile, backend, given):
-    crew = pytest.importorskip("ptnsbc_nodes.crew")
+    crew = pytest.importorskip("ptnsbc_nodes.fleet.process_list")
     scenario = load_scenario("paper_5")
     run = commands(compose, profile, **given)
     assert sorted(run) == sorted(crew.names(scenario, backend))
@@ -70,7 +70,7 @@ def test_the_profile_names_the_address_of_every_container(compose):
         service["networks"]["fleet"]["ipv4_address"] for service in compose["services"].values()
     ]
     assert len(set(addresses)) == len(addresses)
-    expected = network.static_peers(addresses, 8)
+    expected = dds_profiles.static_peers(addresses, 8)
     assert (DOCKER / "fleet.xml").read_text() == f"{expected}\n"
     settings = compose["services"]["uav1"]["environment"]
     assert f"./fleet.xml:{settings['PTNSBC_NETWORK']}:ro" in compose["services"]["uav1"]["volumes"]

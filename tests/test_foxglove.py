@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from ptnsbc_nodes.bag import read_bag
+from ptnsbc_io.bag import read_bag
 
 ROOT = Path(__file__).parents[1]
 HERE = ROOT / "tests" / "foxglove"

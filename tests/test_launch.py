@@ -11,10 +11,15 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from ptnsbc_nodes import bridge_node, recorder_node, sim_node, tower_node, uav_node, warmup
-from ptnsbc_nodes.children import EXECUTABLES
-from ptnsbc_nodes.crew import FleetOptions, commands
-from ptnsbc_nodes.flight import FleetError
+from ptnsbc_nodes.bridge import main as bridge_main
+from ptnsbc_nodes.fleet import coordinator_main
+from ptnsbc_nodes.fleet.child_process import EXECUTABLES
+from ptnsbc_nodes.fleet.process_list import FleetOptions, commands
+from ptnsbc_nodes.fleet.supervisor import FleetError
+from ptnsbc_nodes.recording import main as recorder_main
+from ptnsbc_nodes.runtime import warmup
+from ptnsbc_nodes.sim import main as sim_main
+from ptnsbc_nodes.uav import main as uav_main
 from ptnsbc_sim.scenario import load_scenario
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -23,7 +28,7 @@ NO_LAUNCH = "ROS's launch_ros is not installed: it comes with ROS from apt and h
 
 
 def _load(name):
-    path = Path(__file__).with_name(f"{name}.py")
+    path = ROOT / "tests" / "support" / f"{name}.py"
     spec = importlib.util.spec_from_file_location(name, path)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
@@ -174,14 +179,14 @@ def test_viewers_come_when_asked_for(kind, evaluate, viewer, package):
 @pytest.fixture
 def understood(monkeypatch):
     """Whether a process understands its arguments, without running it."""
-    bodies = {"uav": (uav_node, "_fly"), "sim": (sim_node, "_simulate")}
-    bodies |= {"bridge": (bridge_node, "_bridge"), "tower": (tower_node, "_serve")}
+    bodies = {"uav": (uav_main, "_fly"), "sim": (sim_main, "_simulate")}
+    bodies |= {"bridge": (bridge_main, "_bridge"), "tower": (coordinator_main, "_serve")}
     for module, body in bodies.values():
         monkeypatch.setattr(module, body, lambda arguments, _argv: 0)
 
     def ask(one):
         if one.executable == "recorder":
-            return recorder_node._parser().parse_args(one.arguments) is not None
+            return recorder_main._parser().parse_args(one.arguments) is not None
         # As launch_ros starts it.
         words = [*one.arguments, "--ros-args", "-r", f"__ns:=/{one.namespace}"]
         return bodies[one.executable][0].main(words) == 0

@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 import yaml
 
-from ptnsbc_nodes import topics
-from ptnsbc_nodes.bag import read_bag
-from ptnsbc_nodes.wire import decode_header
-from ptnsbc_tools.diagnostics import decode_diagnostics
+from ptnsbc_io.bag import read_bag
+from ptnsbc_io.wire import decode_header
+from ptnsbc_nodes.comm import topics
+from ptnsbc_tools.reading.diagnostics import decode_diagnostics
 
 ROOT = Path(__file__).parents[1]
 BRINGUP = ROOT / "ros2_ws" / "src" / "ptnsbc_bringup"

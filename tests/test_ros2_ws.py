@@ -14,7 +14,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 SRC = ROOT / "ros2_ws" / "src"
-LINKED = ["ptnsbc_core", "ptnsbc_sim", "ptnsbc_nodes", "ptnsbc_tools"]
+LINKED = ["ptnsbc_core", "ptnsbc_io", "ptnsbc_sim", "ptnsbc_nodes", "ptnsbc_tools"]
 ALL = [*LINKED, "ptnsbc_bringup"]
 VERSION = re.search(r'^version = "(.+)"$', (ROOT / "pyproject.toml").read_text(), re.M).group(1)
 
@@ -111,8 +111,8 @@ def test_the_command_line_is_the_wheels():
 
 
 def test_launch_files_and_ptnsbc_node_know_every_program():
-    from ptnsbc_nodes.children import EXECUTABLES
-    from ptnsbc_tools.node.command import node
+    from ptnsbc_nodes.fleet.child_process import EXECUTABLES
+    from ptnsbc_tools.commands.node import node
 
     nodes = SHELL.PROGRAMS["ptnsbc_nodes"]
     assert {name: f"{module}:main" for module, name in EXECUTABLES.items()} == nodes

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from ptnsbc_nodes.bag import read_bag
-from ptnsbc_tools.bag_reader import read_recording
+from ptnsbc_io.bag import read_bag
+from ptnsbc_tools.reading.bag_reader import read_recording
 from ptnsbc_tools.verdict import verdict_on
 
 sys.path.insert(0, str(Path(__file__).parent))

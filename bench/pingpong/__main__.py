@@ -10,9 +10,9 @@ from pathlib import Path
 from bench.pingpong.sim import BareRecorder, BareSim
 from bench.pingpong.uav import BareUav
 from bench.pingpong.wires import RawWires, TypedWires
-from ptnsbc_nodes import environment
-from ptnsbc_nodes.edges import Edges
-from ptnsbc_nodes.process import Arguments, Lifetime, flight_options, ros_node, run
+from ptnsbc_nodes.comm.graph import Edges
+from ptnsbc_nodes.runtime import environment
+from ptnsbc_nodes.runtime.process import Arguments, Lifetime, flight_options, ros_node, run
 from ptnsbc_sim.scenario import load_scenario
 
 ROLES = ("uav", "sim", "recorder")

@@ -9,7 +9,7 @@ from pathlib import Path
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
-from ptnsbc_nodes.endpoints import Endpoints
+from ptnsbc_nodes.comm.endpoints import Endpoints
 
 READY = "ready"
 

@@ -10,15 +10,15 @@ from rclpy.node import Node
 
 from bench.pingpong.ready import when_ready
 from bench.pingpong.wires import Send, Wires, status
-from ptnsbc_nodes import qos, topics
-from ptnsbc_nodes.edges import Edges
-from ptnsbc_nodes.endpoints import Endpoints
-from ptnsbc_nodes.letters import WORLD_FRAME
-from ptnsbc_nodes.markers import Scene
-from ptnsbc_nodes.pacing import Latency, Pace
-from ptnsbc_nodes.status import status_every
-from ptnsbc_nodes.topics import Topic
-from ptnsbc_nodes.wire import ClockTemplate, OdometryTemplate, encode_near
+from ptnsbc_io.wire import ClockTemplate, OdometryTemplate, encode_near
+from ptnsbc_nodes.comm import qos, topics
+from ptnsbc_nodes.comm.agent_messages import WORLD_FRAME
+from ptnsbc_nodes.comm.diagnostics import status_every
+from ptnsbc_nodes.comm.endpoints import Endpoints
+from ptnsbc_nodes.comm.graph import Edges
+from ptnsbc_nodes.comm.markers import Scene
+from ptnsbc_nodes.comm.topics import Topic
+from ptnsbc_nodes.runtime.pacing import Latency, Pace
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.world import World
 

@@ -9,13 +9,13 @@ from rclpy.node import Node
 
 from bench.pingpong.ready import when_ready
 from bench.pingpong.wires import Send, Wires, status
-from ptnsbc_nodes import topics
-from ptnsbc_nodes.edges import Edges
-from ptnsbc_nodes.letters import WORLD_FRAME
-from ptnsbc_nodes.pacing import Pace
-from ptnsbc_nodes.status import status_every
-from ptnsbc_nodes.ticker import Ticker
-from ptnsbc_nodes.wire import OdometryTemplate, VelocityTemplate, WrenchTemplate
+from ptnsbc_io.wire import OdometryTemplate, VelocityTemplate, WrenchTemplate
+from ptnsbc_nodes.comm import topics
+from ptnsbc_nodes.comm.agent_messages import WORLD_FRAME
+from ptnsbc_nodes.comm.diagnostics import status_every
+from ptnsbc_nodes.comm.graph import Edges
+from ptnsbc_nodes.runtime.pacing import Pace
+from ptnsbc_nodes.runtime.timer import Ticker
 from ptnsbc_sim.scenario import Scenario
 
 

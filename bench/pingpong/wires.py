@@ -8,12 +8,12 @@ from typing import Any, Protocol
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message
 
-from ptnsbc_nodes.endpoints import Endpoints, full_name
-from ptnsbc_nodes.status import Level, diagnostics
-from ptnsbc_nodes.tally import Tally
-from ptnsbc_nodes.topics import Topic, message_class
-from ptnsbc_nodes.wire import peek_stamp
-from ptnsbc_nodes.wire.cdr import split_stamp, write_stamp
+from ptnsbc_io.wire import peek_stamp
+from ptnsbc_io.wire.cdr import split_stamp, write_stamp
+from ptnsbc_nodes.comm.diagnostics import Level, diagnostics
+from ptnsbc_nodes.comm.endpoints import Endpoints, full_name
+from ptnsbc_nodes.comm.topics import Topic, message_class
+from ptnsbc_nodes.uav.counters import Tally
 
 Send = Callable[[int], None]
 

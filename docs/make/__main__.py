@@ -10,7 +10,7 @@ from importlib import import_module
 from pathlib import Path
 
 from docs.make.markdown import RegionError, remade
-from ptnsbc_nodes import environment
+from ptnsbc_nodes.runtime import environment
 from ptnsbc_tools.verdict import schema
 
 DOCS = Path(__file__).resolve().parents[1]

@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 from docs.make.graph import BRIDGED, LOCKSTEP, REAL_TIME, End, ends
 from docs.make.markdown import table
-from ptnsbc_nodes import endpoints, topics
-from ptnsbc_nodes.topics import Role, Topic
+from ptnsbc_nodes.comm import endpoints, topics
+from ptnsbc_nodes.comm.topics import Role, Topic
 
 _N = 0  # stands for the number of a UAV in the names below
 _NODES = ("uav", "bridge", "sim", "recorder", "launcher")

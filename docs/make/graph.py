@@ -13,20 +13,20 @@ import rclpy
 from rclpy.context import Context
 from rclpy.node import Node
 
-from ptnsbc_nodes import topics
-from ptnsbc_nodes.bag import BagWriter
+from ptnsbc_io.bag import BagWriter
+from ptnsbc_io.mavlink.link import Link
+from ptnsbc_io.mavlink.transport import connect
 from ptnsbc_nodes.bridge.bridge import WANTED_MESSAGES
 from ptnsbc_nodes.bridge.node import BridgeNode
-from ptnsbc_nodes.domain import reserved_domain
-from ptnsbc_nodes.edges import Edges, FlightOptions
-from ptnsbc_nodes.mavlink.link import Link
-from ptnsbc_nodes.mavlink.transport import connect
-from ptnsbc_nodes.recorder import Recorder, topic_info
-from ptnsbc_nodes.sim import Sim
-from ptnsbc_nodes.topics import recorded
-from ptnsbc_nodes.tower import Tower
-from ptnsbc_nodes.transforms import Transforms
-from ptnsbc_nodes.uav import Uav
+from ptnsbc_nodes.comm import topics
+from ptnsbc_nodes.comm.graph import Edges, FlightOptions
+from ptnsbc_nodes.comm.tf import Transforms
+from ptnsbc_nodes.comm.topics import recorded
+from ptnsbc_nodes.fleet.coordinator_node import Tower
+from ptnsbc_nodes.recording.fleet_recorder import Recorder, topic_info
+from ptnsbc_nodes.runtime.ros_domain import reserved_domain
+from ptnsbc_nodes.sim.node import Sim
+from ptnsbc_nodes.uav.node import Uav
 from ptnsbc_sim.scenario import Scenario, load_scenario
 
 REAL_TIME, LOCKSTEP, BRIDGED = "real time", "lock-step", "flight controllers"

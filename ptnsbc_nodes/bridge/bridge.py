@@ -7,31 +7,25 @@ from typing import Any
 import numpy as np
 
 from ptnsbc_core.types import AgentConfig, Array
+from ptnsbc_io.mavlink.autopilots import AUTOPILOTS, findings, hover_thrust, limits, refusal
+from ptnsbc_io.mavlink.dialect import mavlink
+from ptnsbc_io.mavlink.link import Link
+from ptnsbc_io.wire import Stamped, WireError, decode_velocity, decode_wrench
 from ptnsbc_nodes.bridge.commands import Commands
 from ptnsbc_nodes.bridge.controller import Controller
-from ptnsbc_nodes.bridge.guard import Guard, allowed
-from ptnsbc_nodes.bridge.hover import HoverThrust
+from ptnsbc_nodes.bridge.link_maintenance import Upkeep
 from ptnsbc_nodes.bridge.ports import Inlets, Outlets, Told
-from ptnsbc_nodes.bridge.procedure import Procedure
-from ptnsbc_nodes.bridge.setpoints import Setpoints
-from ptnsbc_nodes.bridge.steps import Orders, Seen, Step, Stream
-from ptnsbc_nodes.bridge.stream import SetpointStream
-from ptnsbc_nodes.bridge.teller import Clocks, Teller
-from ptnsbc_nodes.bridge.upkeep import Upkeep
+from ptnsbc_nodes.bridge.procedure.procedure import Procedure
+from ptnsbc_nodes.bridge.procedure.steps import Orders, Seen, Step, Stream
+from ptnsbc_nodes.bridge.setpoint.guard import Guard, allowed
+from ptnsbc_nodes.bridge.setpoint.hover_thrust import HoverThrust
+from ptnsbc_nodes.bridge.setpoint.messages import Setpoints
+from ptnsbc_nodes.bridge.setpoint.stream import SetpointStream
+from ptnsbc_nodes.bridge.state_publisher import Clocks, Teller
 from ptnsbc_nodes.bridge.vehicle import Vehicle
 from ptnsbc_nodes.bridge.world import WorldFrame
-from ptnsbc_nodes.epochs import Epochs
-from ptnsbc_nodes.mavlink.autopilots import (
-    AUTOPILOTS,
-    findings,
-    hover_thrust,
-    limits,
-    refusal,
-)
-from ptnsbc_nodes.mavlink.dialect import mavlink
-from ptnsbc_nodes.mavlink.link import Link
-from ptnsbc_nodes.pacing import Latency
-from ptnsbc_nodes.wire import Stamped, WireError, decode_velocity, decode_wrench
+from ptnsbc_nodes.comm.legs import Epochs
+from ptnsbc_nodes.runtime.pacing import Latency
 from ptnsbc_sim.scenario import Scenario, agent_config
 
 _NAMES = (

@@ -7,10 +7,10 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
-from ptnsbc_nodes.bridge.steps import Ask
-from ptnsbc_nodes.mavlink.autopilots import Autopilot, Mode
-from ptnsbc_nodes.mavlink.dialect import mavlink
-from ptnsbc_nodes.mavlink.link import AUTOPILOT_COMPONENT
+from ptnsbc_io.mavlink.autopilots import Autopilot, Mode
+from ptnsbc_io.mavlink.dialect import mavlink
+from ptnsbc_io.mavlink.link import AUTOPILOT_COMPONENT
+from ptnsbc_nodes.bridge.procedure.steps import Ask
 
 _FORCE = 21196
 """`param2` of the disarm command that also works in the air: a magic number of MAVLink's own."""

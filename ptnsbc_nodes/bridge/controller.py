@@ -14,7 +14,7 @@ import numpy as np
 
 from ptnsbc_core.kinematics import yaw_of
 from ptnsbc_core.types import Array
-from ptnsbc_nodes.wire import Stamped
+from ptnsbc_io.wire import Stamped
 
 _REMEMBERED = 300
 _NEVER = float("-inf")

@@ -19,21 +19,21 @@ from rclpy.serialization import deserialize_message
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.types import Array
-from ptnsbc_nodes import handover, topics
+from ptnsbc_io.mavlink.link import Link
+from ptnsbc_io.wire import HeaderTemplate, OdometryTemplate, decode_header, encode_near
 from ptnsbc_nodes.bridge.bridge import Bridge
-from ptnsbc_nodes.bridge.guard import Allowed
-from ptnsbc_nodes.bridge.near import Surroundings
+from ptnsbc_nodes.bridge.near_objects import Surroundings
 from ptnsbc_nodes.bridge.ports import Outlets
+from ptnsbc_nodes.bridge.procedure.steps import Step
 from ptnsbc_nodes.bridge.report import report
-from ptnsbc_nodes.bridge.steps import Step
-from ptnsbc_nodes.bridge.teller import Clocks
-from ptnsbc_nodes.edges import Edges
-from ptnsbc_nodes.endpoints import LOST, Endpoints
-from ptnsbc_nodes.handover import PlannerLimits
-from ptnsbc_nodes.letters import WORLD_FRAME
-from ptnsbc_nodes.mavlink.link import Link
-from ptnsbc_nodes.status import INACTIVE, STATUS_HZ
-from ptnsbc_nodes.wire import HeaderTemplate, OdometryTemplate, decode_header, encode_near
+from ptnsbc_nodes.bridge.setpoint.guard import Allowed
+from ptnsbc_nodes.bridge.state_publisher import Clocks
+from ptnsbc_nodes.comm import topics, vehicle_messages
+from ptnsbc_nodes.comm.agent_messages import WORLD_FRAME
+from ptnsbc_nodes.comm.diagnostics import INACTIVE, STATUS_HZ
+from ptnsbc_nodes.comm.endpoints import LOST, Endpoints
+from ptnsbc_nodes.comm.graph import Edges
+from ptnsbc_nodes.comm.vehicle_messages import PlannerLimits
 from ptnsbc_sim.scenario import Scenario
 
 _STOPS = ("land", "kill")
@@ -80,7 +80,7 @@ class BridgeNode:
         outlets = Outlets(
             odom=self._tell,
             track=lambda stamp, odom: self._send_track(self._odometry.encode(stamp, odom)),
-            origin=lambda place: self._send_origin(handover.encode_origin(place)),
+            origin=lambda place: self._send_origin(vehicle_messages.encode_origin(place)),
             limits=self._tell_limits,
             lost=lambda: self._send_lost(HeaderTemplate(self._uav).encode(0)),
             say=self._say,
@@ -175,7 +175,7 @@ class BridgeNode:
         self.bridge.inlets.legs.append(decode_header(data))
 
     def _on_origin(self, data: bytes) -> None:
-        self.bridge.inlets.leader_origin = handover.decode_origin(data)
+        self.bridge.inlets.leader_origin = vehicle_messages.decode_origin(data)
 
     def _on_emergency(self, data: bytes) -> None:
         what = decode_header(data).frame_id
@@ -224,7 +224,7 @@ class BridgeNode:
     def _tell_limits(self, limits: Allowed) -> None:
         told = PlannerLimits(limits.planner_m_s, limits.acceleration_m_s2)
         self._say(f"planner: at most {told.speed_m_s:g} m/s, {told.acceleration_m_s2:g} m/s^2")
-        self._send_limits(handover.encode_limits(told))
+        self._send_limits(vehicle_messages.encode_limits(told))
 
     def _tell_near(self) -> None:
         now_s, odometry = self._clocks.steady_s(), self.bridge.teller.odometry

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from ptnsbc_core.types import Array
-from ptnsbc_nodes.bridge.guard import Allowed
-from ptnsbc_nodes.mavlink.frames import GeoPoint
-from ptnsbc_nodes.wire import HeaderFields
+from ptnsbc_io.mavlink.frames import GeoPoint
+from ptnsbc_io.wire import HeaderFields
+from ptnsbc_nodes.bridge.setpoint.guard import Allowed
 
 
 class Outlets(NamedTuple):

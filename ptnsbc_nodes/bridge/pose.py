@@ -11,9 +11,9 @@ import numpy as np
 
 from ptnsbc_core.kinematics import rotation_from_quaternion
 from ptnsbc_core.types import ODOMETRY_SIZE, Array
-from ptnsbc_nodes.mavlink import frames
-from ptnsbc_nodes.mavlink.dialect import mavlink
-from ptnsbc_nodes.mavlink.doubt import Smooth
+from ptnsbc_io.mavlink import frames
+from ptnsbc_io.mavlink.dialect import mavlink
+from ptnsbc_io.mavlink.plausibility import Smooth
 
 _MILLI, _MICRO = 1e-3, 1e-6
 _ATTITUDE_AGE_S = 0.2

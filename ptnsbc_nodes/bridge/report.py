@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from ptnsbc_nodes.bridge.steps import Step
-from ptnsbc_nodes.status import Level, diagnostics, readiness
+from ptnsbc_nodes.bridge.procedure.steps import Step
+from ptnsbc_nodes.comm.diagnostics import Level, diagnostics, readiness
 
 if TYPE_CHECKING:
     from ptnsbc_nodes.bridge.bridge import Bridge

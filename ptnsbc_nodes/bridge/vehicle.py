@@ -12,12 +12,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ptnsbc_core.types import Array
+from ptnsbc_io.mavlink import frames
+from ptnsbc_io.mavlink.autopilots import AUTOPILOTS, Autopilot, Mode
+from ptnsbc_io.mavlink.dialect import mavlink
+from ptnsbc_io.mavlink.frames import GeoPoint
+from ptnsbc_io.mavlink.plausibility import Twice
 from ptnsbc_nodes.bridge.pose import Pose, Sample
-from ptnsbc_nodes.mavlink import frames
-from ptnsbc_nodes.mavlink.autopilots import AUTOPILOTS, Autopilot, Mode
-from ptnsbc_nodes.mavlink.dialect import mavlink
-from ptnsbc_nodes.mavlink.doubt import Twice
-from ptnsbc_nodes.mavlink.frames import GeoPoint
 
 _MILLI, _MICRO = 1e-3, 1e-6
 _DEGREES_E7 = 1e-7

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from ptnsbc_core.types import Array
+from ptnsbc_io.mavlink import frames
+from ptnsbc_io.mavlink.frames import GeoPoint
 from ptnsbc_nodes.bridge.vehicle import Anchor
-from ptnsbc_nodes.mavlink import frames
-from ptnsbc_nodes.mavlink.frames import GeoPoint
 from ptnsbc_sim.scenario import Scenario
 
 

@@ -20,7 +20,7 @@ from ptnsbc_sim.baselines.errors import BaselineError
 from ptnsbc_sim.baselines.reaching import EXPONENTIAL, TWO_SIDED, Reaching
 from ptnsbc_sim.baselines.settling import settled_s, tuned
 from ptnsbc_sim.baselines.terminal import Axis, Terminal, terminal_step
-from ptnsbc_sim.chance.build import Chance
+from ptnsbc_sim.disturbances.build import Chance
 from ptnsbc_sim.plants.integrate import advance
 from ptnsbc_sim.scenario import Scenario, scenario_from_text
 from ptnsbc_sim.swarm import Crew, Flight, inputs_of, sense

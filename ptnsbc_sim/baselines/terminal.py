@@ -24,7 +24,7 @@ from ptnsbc_core.algebra import (
     transpose_times,
     wrap,
 )
-from ptnsbc_core.controller import axiswise, limited_force, limited_torque
+from ptnsbc_core.control.rigid_body_control import axiswise, limited_force, limited_torque
 from ptnsbc_core.estimator import estimated_leader
 from ptnsbc_core.kernel import kernel, leaf
 from ptnsbc_core.kinematics import (

@@ -7,13 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from ptnsbc_core.types import LEGS
-from ptnsbc_nodes import topics
-from ptnsbc_nodes.bag import Bag, BagMessage
-from ptnsbc_nodes.edges import Edges, FlightOptions
-from ptnsbc_nodes.epochs import Epochs
-from ptnsbc_nodes.wire import WireError, decode_floats, decode_header
+from ptnsbc_io.bag import Bag, BagMessage
+from ptnsbc_io.wire import WireError, decode_floats, decode_header
+from ptnsbc_nodes.comm import topics
+from ptnsbc_nodes.comm.graph import Edges, FlightOptions
+from ptnsbc_nodes.comm.legs import Epochs
 from ptnsbc_sim.scenario import Scenario
-from ptnsbc_tools.diagnostics import decode_diagnostics
+from ptnsbc_tools.reading.diagnostics import decode_diagnostics
 from ptnsbc_tools.replay.seat import Seat
 from ptnsbc_tools.replay.shelf import Shelf
 

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from ptnsbc_nodes.wire import Stamped, decode_odometry, decode_velocity, decode_wrench
-from ptnsbc_nodes.wire.cdr import WireError
+from ptnsbc_io.wire import Stamped, decode_odometry, decode_velocity, decode_wrench
+from ptnsbc_io.wire.cdr import WireError
 
 _ODOMETRY = (
     *(f"pose.position.{axis}" for axis in "xyz"),

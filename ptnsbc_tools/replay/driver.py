@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Mapping
 from typing import Generic, NamedTuple, TypeVar
 
-from ptnsbc_nodes.wire import WireError
+from ptnsbc_io.wire import WireError
 from ptnsbc_tools.replay.desk import Desk
 from ptnsbc_tools.replay.difference import Difference, Mismatch
 from ptnsbc_tools.replay.seat import Seat

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from ptnsbc_nodes import topics
-from ptnsbc_nodes.pilot import moment
-from ptnsbc_nodes.wire import WireError, peek_stamp
+from ptnsbc_io.wire import WireError, peek_stamp
+from ptnsbc_nodes.comm import topics
+from ptnsbc_nodes.uav.controller import moment
 from ptnsbc_tools.replay.desk import Desk
 from ptnsbc_tools.replay.difference import Mismatch
 from ptnsbc_tools.replay.driver import Driver, Place

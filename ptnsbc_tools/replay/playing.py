@@ -6,14 +6,14 @@ import sys
 from pathlib import Path
 from typing import NamedTuple
 
-from ptnsbc_nodes.bag import read_bag
+from ptnsbc_io.bag import read_bag
 from ptnsbc_tools import console, ros
 
 _INTERRUPTED = 130
 
 
 class Choice(NamedTuple):
-    """The options of the command; see `ptnsbc_nodes.player.Wishes`."""
+    """The options of the command; see `ptnsbc_nodes.recording.player.Wishes`."""
 
     topics: tuple[str, ...]
     rate: float
@@ -27,7 +27,7 @@ def publish(path: Path, choice: Choice, *, json: bool) -> int:
     """Play; returns the exit code."""
     bag = read_bag(path)
     with ros.needed():
-        from ptnsbc_nodes import player
+        from ptnsbc_nodes.recording import player
     wishes = player.Wishes(**choice._asdict())
     with console.progress("playing") as advance:
         played = player.play(bag, wishes, _say, advance)

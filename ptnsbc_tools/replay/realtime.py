@@ -1,10 +1,10 @@
-"""Re-run of a real-time bag: each UAV noted what its steps were made of (`ptnsbc_nodes.ticklog`)."""
+"""Re-run of a real-time bag: each UAV noted what its steps were made of (`ptnsbc_nodes.uav.step_log`)."""
 
 from __future__ import annotations
 
-from ptnsbc_nodes import topics
-from ptnsbc_nodes.ticklog import TickNote, tick_note
-from ptnsbc_nodes.wire import decode_integers
+from ptnsbc_io.wire import decode_integers
+from ptnsbc_nodes.comm import topics
+from ptnsbc_nodes.uav.step_log import TickNote, tick_note
 from ptnsbc_tools.replay.desk import Desk
 from ptnsbc_tools.replay.difference import Mismatch
 from ptnsbc_tools.replay.driver import Driver, Place

@@ -10,9 +10,9 @@ from contextlib import AbstractContextManager, nullcontext
 from functools import partial
 from typing import NamedTuple
 
-from ptnsbc_nodes import topics
-from ptnsbc_nodes.bag import Bag, BagError, BagMessage
-from ptnsbc_nodes.wire import WireError
+from ptnsbc_io.bag import Bag, BagError, BagMessage
+from ptnsbc_io.wire import WireError
+from ptnsbc_nodes.comm import topics
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_tools.replay.desk import Desk
 from ptnsbc_tools.replay.difference import Difference

@@ -11,12 +11,13 @@ import numpy as np
 
 from ptnsbc_core.agent import Agent, Told
 from ptnsbc_core.types import ODOMETRY_SIZE, AgentConfig, AgentState
-from ptnsbc_nodes import topics
-from ptnsbc_nodes.inbox import NO_CUTOFF_NS, Inbox, Senders
-from ptnsbc_nodes.letters import Letters
-from ptnsbc_nodes.pilot import Limits, Moment, Pilot
-from ptnsbc_nodes.ticklog import Memory, SnapshotTemplate, TickNote, checksum, recall, sources
-from ptnsbc_nodes.wire import Stamped, WireError, decode_floats
+from ptnsbc_io.wire import Stamped, WireError, decode_floats
+from ptnsbc_nodes.comm import topics
+from ptnsbc_nodes.comm.agent_messages import Letters
+from ptnsbc_nodes.comm.graph import Senders
+from ptnsbc_nodes.uav.controller import Limits, Moment, Pilot
+from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS, Inbox
+from ptnsbc_nodes.uav.step_log import Memory, SnapshotTemplate, TickNote, checksum, recall, sources
 from ptnsbc_sim.scenario import Scenario, agent_config
 from ptnsbc_tools.replay.difference import (
     Difference,

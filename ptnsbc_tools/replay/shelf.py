@@ -5,8 +5,8 @@ from __future__ import annotations
 from bisect import bisect_left, insort
 from collections.abc import Callable
 
-from ptnsbc_nodes.wire import Stamped, decode_near, decode_odometry, peek_stamp
-from ptnsbc_nodes.wire.cdr import WireError
+from ptnsbc_io.wire import Stamped, decode_near, decode_odometry, peek_stamp
+from ptnsbc_io.wire.cdr import WireError
 
 KEPT_NS = 5_000_000_000
 """How long a message is kept behind the newest; what a step still holds after that is kept by the step."""

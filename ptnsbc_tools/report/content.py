@@ -9,12 +9,12 @@ import numpy as np
 from ptnsbc_core.trajectory import reference
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario.build import trajectory_vector
-from ptnsbc_tools.charts.build import charts
-from ptnsbc_tools.charts.chart import Chart
-from ptnsbc_tools.charts.flight import Shown
-from ptnsbc_tools.charts.space import deadlines
-from ptnsbc_tools.charts.style import COLOURS, DARK_COLOURS, look
-from ptnsbc_tools.charts.thin import thin
+from ptnsbc_tools.plotting.build import charts
+from ptnsbc_tools.plotting.chart import Chart
+from ptnsbc_tools.plotting.flight import Shown
+from ptnsbc_tools.plotting.space import deadlines
+from ptnsbc_tools.plotting.style import COLOURS, DARK_COLOURS, look
+from ptnsbc_tools.plotting.thin import thin
 from ptnsbc_tools.report.pack import Pack
 from ptnsbc_tools.verdict import Series, Track
 from ptnsbc_tools.verdict.recording import NANO

@@ -9,7 +9,7 @@ from html import escape
 from importlib.resources import files
 from string import Template
 
-from ptnsbc_tools.charts.flight import Shown
+from ptnsbc_tools.plotting.flight import Shown
 from ptnsbc_tools.report.content import content
 from ptnsbc_tools.report.pack import compressed
 from ptnsbc_tools.report.tables import html_table

@@ -25,7 +25,9 @@ class Experiment:
 
     def load(self) -> Callable[[Workshop], Part]:
         """The function that runs it."""
-        run: Callable[[Workshop], Part] = import_module(f"ptnsbc_tools.reproduce.{self.name}").run
+        run: Callable[[Workshop], Part] = import_module(
+            f"ptnsbc_tools.reproduce.experiments.{self.name}"
+        ).run
         return run
 
 

@@ -15,9 +15,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from ptnsbc_nodes.stop import StopRequest
-from ptnsbc_tools.reproduce import flights, style
+from ptnsbc_nodes.runtime.signals import StopRequest
+from ptnsbc_tools.reproduce import flights
 from ptnsbc_tools.reproduce.catalogue import Experiment
+from ptnsbc_tools.reproduce.figures import style
 from ptnsbc_tools.reproduce.flights import Setting
 from ptnsbc_tools.reproduce.part import Part, ReproduceError
 from ptnsbc_tools.reproduce.workshop import Workshop

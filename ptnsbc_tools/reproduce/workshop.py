@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ptnsbc_core.types import Array
-from ptnsbc_tools.reproduce import style
+from ptnsbc_tools.reproduce.figures import style
 
 Curves = Mapping[str, Array]
 """Columns (T,) of one sheet by name; the names end in their unit."""

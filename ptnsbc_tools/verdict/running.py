@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ptnsbc_core.types import Array
-from ptnsbc_tools.limits import SHARE_OF_START
 from ptnsbc_tools.verdict.recording import NANO, Recording
+from ptnsbc_tools.verdict.tolerances import SHARE_OF_START
 from ptnsbc_tools.verdict.windows import encounters, inside
 
 _EXACT_S = 1e-9

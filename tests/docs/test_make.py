@@ -10,8 +10,8 @@ from docs.make import __main__ as command
 from docs.make import cli, scenarios
 from docs.make.markdown import RegionError, remade, table
 from docs.make.schema import REQUIRED, meanings, rows
-from ptnsbc_nodes import topics
-from ptnsbc_nodes.bag import read_bag
+from ptnsbc_io.bag import read_bag
+from ptnsbc_nodes.comm import topics
 from ptnsbc_sim.scenario import load_scenario, model
 from ptnsbc_sim.scenario.fields import Block
 

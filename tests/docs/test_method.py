@@ -51,7 +51,7 @@ def test_modules_exist_and_so_do_tests(equation, where):
         assert (ROOT / name).is_file() or (ROOT / "ptnsbc_core" / name).is_file(), name
     known = {
         name
-        for folder in ("core", "sim", "tools")
+        for folder in ("core", "io", "sim", "tools")
         for path in (ROOT / "tests" / folder).rglob("test_*.py")
         for name in re.findall(r"^def (test_\w+)", path.read_text(encoding="utf-8"), re.MULTILINE)
     }

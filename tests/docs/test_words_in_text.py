@@ -13,7 +13,7 @@ import pytest
 import typer.main
 from markdown_it import MarkdownIt
 
-from ptnsbc_nodes.children import EXECUTABLES
+from ptnsbc_nodes.fleet.child_process import EXECUTABLES
 from ptnsbc_tools.cli import app
 
 ROOT = Path(__file__).parents[2]

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import importlib.util
 import os
-import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
 import pytest
 
@@ -16,24 +13,9 @@ import pytest
 os.environ.setdefault("ROS_PYTHON_CHECK_FIELDS", "1")
 os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 
-from ptnsbc_nodes import environment
+from ptnsbc_nodes.runtime import environment
 
 environment.prepare()
-
-
-def _shared(name: str) -> None:
-    """Make a module beside this file importable by tests in any folder."""
-    path = Path(__file__).with_name(f"{name}.py")
-    spec = importlib.util.spec_from_file_location(name, path)
-    module = sys.modules[name] = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-
-
-_shared("own_services")
-if importlib.util.find_spec("pymavlink"):
-    _shared("mavlink_wires")
-    _shared("mavlink_fleet")
-    _shared("mavlink_processes")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -75,7 +57,7 @@ class Ros:
     def __init__(self, domain: int) -> None:
         import rclpy
 
-        from ptnsbc_nodes.spin import make_executor
+        from ptnsbc_nodes.runtime.executor import make_executor
 
         self.domain = domain
         self.context = rclpy.Context()

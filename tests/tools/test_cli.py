@@ -9,13 +9,13 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from ptnsbc_nodes import topics
-from ptnsbc_nodes.bag import BagWriter, TopicInfo
-from ptnsbc_nodes.wire import HeaderTemplate, OdometryTemplate, WrenchTemplate
+from ptnsbc_io.bag import BagWriter, TopicInfo
+from ptnsbc_io.wire import HeaderTemplate, OdometryTemplate, WrenchTemplate
+from ptnsbc_nodes.comm import topics
 from ptnsbc_tools import console
-from ptnsbc_tools.bag_reader import SCENARIO_ATTACHMENT
 from ptnsbc_tools.cli import app
 from ptnsbc_tools.console import COMPILING
+from ptnsbc_tools.reading.bag_reader import SCENARIO_ATTACHMENT
 from ptnsbc_tools.verdict import Recording, Series
 
 Fly = Callable[..., Recording]
@@ -110,7 +110,7 @@ def test_interrupt_is_130(monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("ptnsbc_tools.check.command.run", interrupt, raising=False)
+    monkeypatch.setattr("ptnsbc_tools.commands.check.run", interrupt, raising=False)
     monkeypatch.setattr("ptnsbc_tools.options.scenario_with", interrupt)
     code, _, err = run("check", "paper_5")
     assert (code, err) == (130, "interrupted\n")

@@ -1,7 +1,7 @@
 """What `ptnsbc fleet --backend mavlink` changes in a scenario is said before it flies."""
 
 from ptnsbc_sim.scenario import load_scenario
-from ptnsbc_tools.fleet import in_flight
+from ptnsbc_tools.commands.fleet import in_flight
 
 
 def test_every_override_is_told_beside_what_the_file_says() -> None:

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from ptnsbc_tools import fleet
+from ptnsbc_tools.commands import fleet
 
 RECORDED = {"messages": 900, "lost": 0, "late": 0}
 

@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ptnsbc_tools.bag_reader import Counted
-from ptnsbc_tools.diagnostics import Diagnostics, Status
-from ptnsbc_tools.spool import Spool
+from ptnsbc_tools.reading.bag_reader import Counted
+from ptnsbc_tools.reading.diagnostics import Diagnostics, Status
+from ptnsbc_tools.reading.spool import Spool
 from ptnsbc_tools.verdict import Recording, Series, verdict_on
 
 Fly = Callable[..., Recording]

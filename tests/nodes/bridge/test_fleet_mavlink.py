@@ -6,11 +6,11 @@ pytest.importorskip("pymavlink")
 
 from mavlink_fleet import BASE_NS, START_S, MavlinkFleet
 
-from ptnsbc_nodes.autopilot.faults import inject
-from ptnsbc_nodes.autopilot.vehicle import COMPANION
-from ptnsbc_nodes.bridge.steps import Step
-from ptnsbc_nodes.mavlink.autopilots import Mode
-from ptnsbc_nodes.mavlink.dialect import mavlink
+from ptnsbc_io.mavlink.autopilots import Mode
+from ptnsbc_io.mavlink.dialect import mavlink
+from ptnsbc_nodes.bridge.procedure.steps import Step
+from ptnsbc_sim.autopilot.faults import inject
+from ptnsbc_sim.autopilot.vehicle import COMPANION
 from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_tools.verdict import verdict_on
 

@@ -7,13 +7,13 @@ pytest.importorskip("pymavlink")
 
 from rclpy.lifecycle import TransitionCallbackReturn
 
+from ptnsbc_io.mavlink.link import Link
+from ptnsbc_io.mavlink.transport import connect
 from ptnsbc_nodes.bridge.bridge import WANTED_MESSAGES
 from ptnsbc_nodes.bridge.node import BridgeNode, FlyingError
-from ptnsbc_nodes.bridge.steps import Step
-from ptnsbc_nodes.edges import Edges, FlightOptions
-from ptnsbc_nodes.managed import Managed
-from ptnsbc_nodes.mavlink.link import Link
-from ptnsbc_nodes.mavlink.transport import connect
+from ptnsbc_nodes.bridge.procedure.steps import Step
+from ptnsbc_nodes.comm.graph import Edges, FlightOptions
+from ptnsbc_nodes.runtime.lifecycle_node import Managed
 from ptnsbc_sim.scenario import load_scenario
 
 pytestmark = pytest.mark.ros

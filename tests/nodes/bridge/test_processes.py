@@ -22,7 +22,7 @@ from mavlink_processes import (
     write_scenario,
 )
 
-from ptnsbc_nodes.bag import read_bag
+from ptnsbc_io.bag import read_bag
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow, pytest.mark.alone]
 
@@ -64,7 +64,7 @@ def test_a_uav_process_and_a_bridge_killed_and_the_operators_stop(tmp_path, doma
     path = write_scenario(tmp_path / "four.yaml", duration_s=60)
     logs, control = tmp_path / "logs", free_port()
     command = (
-        "ptnsbc_nodes.fleet_node", "--scenario", path, "--backend", "mavlink", "--allow-arming",
+        "ptnsbc_nodes.fleet.main", "--scenario", path, "--backend", "mavlink", "--allow-arming",
         "--bag", tmp_path / "bag", "--log-dir", logs,
     )  # fmt: skip
     with (
@@ -72,9 +72,9 @@ def test_a_uav_process_and_a_bridge_killed_and_the_operators_stop(tmp_path, doma
         flying(*command, domain=domain) as fleet,
     ):
         fleet.wait_for(*(f"bridge{i}: in formation" for i in FOUR))
-        os.kill(pid_of("ptnsbc_nodes.uav_node", 3, logs), signal.SIGKILL)
+        os.kill(pid_of("ptnsbc_nodes.uav.main", 3, logs), signal.SIGKILL)
         fleet.wait_for("uav3 (pid ", "bridge3: no setpoints: ", patience_s=20)
-        os.kill(pid_of("ptnsbc_nodes.bridge_node", 4, logs), signal.SIGKILL)
+        os.kill(pid_of("ptnsbc_nodes.bridge.main", 4, logs), signal.SIGKILL)
         fleet.wait_for("bridge4 (pid ", patience_s=20)
         assert mode_of(control, 4, other_than="OFFBOARD") == "HOLD"  # by its own failsafe
         stop = Program(COMMAND, "stop", "--domain", domain, domain=domain)

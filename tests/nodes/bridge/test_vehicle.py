@@ -10,15 +10,15 @@ pytest.importorskip("pymavlink")
 from mavlink_wires import heartbeat
 
 from ptnsbc_core.kinematics import velocity_enu, yaw_of
+from ptnsbc_io.mavlink.autopilots import ARDUPILOT, PX4, Mode
+from ptnsbc_io.mavlink.dialect import mavlink
+from ptnsbc_io.mavlink.frames import GeoPoint
+from ptnsbc_io.mavlink.timesync import TimeSync
+from ptnsbc_io.wire import Stamped
 from ptnsbc_nodes.bridge.controller import Controller, Told, wanted_yaw
-from ptnsbc_nodes.bridge.teller import Clocks, Teller
+from ptnsbc_nodes.bridge.state_publisher import Clocks, Teller
 from ptnsbc_nodes.bridge.vehicle import Anchor, Vehicle
 from ptnsbc_nodes.bridge.world import WorldFrame
-from ptnsbc_nodes.mavlink.autopilots import ARDUPILOT, PX4, Mode
-from ptnsbc_nodes.mavlink.dialect import mavlink
-from ptnsbc_nodes.mavlink.frames import GeoPoint
-from ptnsbc_nodes.mavlink.timesync import TimeSync
-from ptnsbc_nodes.wire import Stamped
 from ptnsbc_sim.scenario import load_scenario
 
 ARMED = mavlink.MAV_MODE_FLAG_SAFETY_ARMED
@@ -52,7 +52,7 @@ def test_attitude_as_angles_and_odometry_say_the_same():
     vehicle = Vehicle(PX4)
     vehicle.hear(angles, 0.0)
     one = vehicle.hear(position(1000, (1, 2, 3)), 0.0).odometry
-    from ptnsbc_nodes.mavlink.frames import quaternion_from_euler_ned
+    from ptnsbc_io.mavlink.frames import quaternion_from_euler_ned
 
     message = mavlink.MAVLink_odometry_message(
         1_000_000,

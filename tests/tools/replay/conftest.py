@@ -8,15 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ptnsbc_nodes import topics
-from ptnsbc_nodes.bag import BagMessage, BagWriter, TopicInfo, read_bag
-from ptnsbc_nodes.edges import Edges, FlightOptions
-from ptnsbc_nodes.epochs import Epochs
-from ptnsbc_nodes.inbox import NO_CUTOFF_NS
-from ptnsbc_nodes.letters import Letters
-from ptnsbc_nodes.pilot import Limits, Pilot, moment
-from ptnsbc_nodes.ticklog import SnapshotTemplate, TickTemplate
-from ptnsbc_nodes.wire import HeaderTemplate, Stamped, decode_near, decode_odometry, encode_near
+from ptnsbc_io.bag import BagMessage, BagWriter, TopicInfo, read_bag
+from ptnsbc_io.wire import HeaderTemplate, Stamped, decode_near, decode_odometry, encode_near
+from ptnsbc_nodes.comm import topics
+from ptnsbc_nodes.comm.agent_messages import Letters
+from ptnsbc_nodes.comm.graph import Edges, FlightOptions
+from ptnsbc_nodes.comm.legs import Epochs
+from ptnsbc_nodes.uav.controller import Limits, Pilot, moment
+from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS
+from ptnsbc_nodes.uav.step_log import SnapshotTemplate, TickTemplate
 from ptnsbc_sim.scenario import Scenario, agent_config, load_scenario
 from ptnsbc_sim.world import World
 
@@ -36,7 +36,7 @@ def scenario() -> Scenario:
 def headless(scenario: Scenario, tmp_path_factory: pytest.TempPathFactory) -> Path:
     pytest.importorskip("rclpy")  # for the messages of /diagnostics and the markers
     from ptnsbc_sim.swarm import fly
-    from ptnsbc_tools.flight_bag import write_flight
+    from ptnsbc_tools.reading.flight_bag import write_flight
 
     return write_flight(fly(scenario), tmp_path_factory.mktemp("headless") / "flight")
 

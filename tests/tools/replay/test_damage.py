@@ -14,12 +14,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ptnsbc_core.errors import PtnsbcError
-from ptnsbc_nodes import topics
-from ptnsbc_nodes.bag import BagWriter, TopicInfo, read_bag
-from ptnsbc_nodes.bag.health import ailments
-from ptnsbc_nodes.bag.repair import repair
-from ptnsbc_nodes.wire import HeaderTemplate, OdometryTemplate, encode_near
-from ptnsbc_tools.bag_reader import read_recording
+from ptnsbc_io.bag import BagWriter, TopicInfo, read_bag
+from ptnsbc_io.bag.health import ailments
+from ptnsbc_io.bag.repair import repair
+from ptnsbc_io.wire import HeaderTemplate, OdometryTemplate, encode_near
+from ptnsbc_nodes.comm import topics
+from ptnsbc_tools.reading.bag_reader import read_recording
 from ptnsbc_tools.replay.rerun import rerun
 from ptnsbc_tools.verdict import verdict_on
 

@@ -4,9 +4,9 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from ptnsbc_nodes import topics
-from ptnsbc_nodes.bag import BagMessage
-from ptnsbc_nodes.status import Level, diagnostics
+from ptnsbc_io.bag import BagMessage
+from ptnsbc_nodes.comm import topics
+from ptnsbc_nodes.comm.diagnostics import Level, diagnostics
 from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_tools.replay.desk import Desk
 

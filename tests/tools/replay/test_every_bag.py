@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from ptnsbc_nodes.bag import BagWriter, Limits, TopicInfo, read_bag
-from ptnsbc_nodes.bag.health import ailments
-from ptnsbc_nodes.bag.repair import repair
-from ptnsbc_nodes.ticklog import tick_note
-from ptnsbc_nodes.wire import decode_integers
+from ptnsbc_io.bag import BagWriter, Limits, TopicInfo, read_bag
+from ptnsbc_io.bag.health import ailments
+from ptnsbc_io.bag.repair import repair
+from ptnsbc_io.wire import decode_integers
+from ptnsbc_nodes.uav.step_log import tick_note
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
 import doctor

@@ -15,11 +15,11 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from ptnsbc_nodes import topics
-from ptnsbc_nodes.bag import BagTopic, read_bag
-from ptnsbc_nodes.bag.layout import TopicInfo, qos_profiles, to_yaml
-from ptnsbc_nodes.player import profile
-from ptnsbc_nodes.wire import decode_clock
+from ptnsbc_io.bag import BagTopic, read_bag
+from ptnsbc_io.bag.layout import TopicInfo, qos_profiles, to_yaml
+from ptnsbc_io.wire import decode_clock
+from ptnsbc_nodes.comm import topics
+from ptnsbc_nodes.recording.player import profile
 
 pytestmark = pytest.mark.ros
 

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from ptnsbc_nodes.bag import BagError, BagMessage, read_bag
-from ptnsbc_nodes.ticklog import tick_note
-from ptnsbc_nodes.wire import decode_integers, peek_stamp
+from ptnsbc_io.bag import BagError, BagMessage, read_bag
+from ptnsbc_io.wire import decode_integers, peek_stamp
+from ptnsbc_nodes.uav.step_log import tick_note
 from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_tools.replay.rerun import rerun
 
@@ -69,7 +69,7 @@ def test_equal(again, request, scenario, kind):
 def test_equal_where_links_lose_and_positions_are_noisy(tmp_path):
     """What is lost follows from seed, edge and tick; odometry is recorded as the UAV saw it."""
     from ptnsbc_sim.swarm import fly
-    from ptnsbc_tools.flight_bag import write_flight
+    from ptnsbc_tools.reading.flight_bag import write_flight
 
     flown = load_scenario("experiment_4", {"timing.duration_s": 1.0, "communication.loss": 0.3})
     assert flown.imperfect

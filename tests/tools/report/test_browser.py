@@ -10,10 +10,10 @@ from typing import Any
 
 import pytest
 
-from ptnsbc_tools.charts.flight import read_shown, shown
-from ptnsbc_tools.charts.status import Status
+from ptnsbc_tools.commands.verify import Choice
+from ptnsbc_tools.plotting.flight import read_shown, shown
+from ptnsbc_tools.plotting.status import Status
 from ptnsbc_tools.report.page import page
-from ptnsbc_tools.verify import Choice
 
 playwright = pytest.importorskip("playwright.sync_api", reason="needs playwright (extra [dev])")
 

@@ -11,8 +11,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ptnsbc_tools.charts.flight import shown
-from ptnsbc_tools.charts.status import Status
+from ptnsbc_tools.plotting.flight import shown
+from ptnsbc_tools.plotting.status import Status
 from ptnsbc_tools.report.content import content
 from ptnsbc_tools.verdict import Series
 

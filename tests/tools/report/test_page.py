@@ -11,8 +11,8 @@ import pytest
 from rich.table import Table
 from rich.text import Text
 
-from ptnsbc_tools.charts.flight import shown
-from ptnsbc_tools.charts.status import Status
+from ptnsbc_tools.plotting.flight import shown
+from ptnsbc_tools.plotting.status import Status
 from ptnsbc_tools.report.page import page
 from ptnsbc_tools.report.tables import html_table
 from ptnsbc_tools.verdict import Series

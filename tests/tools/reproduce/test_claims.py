@@ -8,19 +8,17 @@ import pytest
 from ptnsbc_sim.baselines import BaselineError
 from ptnsbc_sim.scenario import agent_config
 from ptnsbc_sim.world import World
-from ptnsbc_tools.reproduce import (
+from ptnsbc_tools.reproduce import claims, intrusions, rivalry
+from ptnsbc_tools.reproduce.claims import FAILS, HOLDS
+from ptnsbc_tools.reproduce.experiments import (
     ablation_estimator,
     ablation_starts,
     baselines,
-    claims,
     cost,
     experiment,
     experiment_causes,
-    intrusions,
-    rivalry,
 )
-from ptnsbc_tools.reproduce.claims import FAILS, HOLDS
-from ptnsbc_tools.reproduce.draw_swarm import LIMIT_N
+from ptnsbc_tools.reproduce.figures.swarm import LIMIT_N
 from ptnsbc_tools.reproduce.flights import flown
 
 SECONDS = 12.0

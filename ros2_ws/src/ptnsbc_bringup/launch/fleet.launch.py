@@ -21,15 +21,15 @@ from launch.events.process import ProcessExited
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
-from ptnsbc_nodes.children import EXECUTABLES, Command
-from ptnsbc_nodes.crew import FleetOptions, commands, loss_arguments, tower_arguments
-from ptnsbc_nodes.environment import ONE_THREAD
-from ptnsbc_nodes.fleet import refuse_nonsense
-from ptnsbc_nodes.warmup import load_agent, load_world
+from ptnsbc_nodes.fleet.child_process import EXECUTABLES, Command
+from ptnsbc_nodes.fleet.fleet import refuse_nonsense
+from ptnsbc_nodes.fleet.process_list import FleetOptions, commands, loss_arguments, tower_arguments
+from ptnsbc_nodes.runtime.environment import ONE_THREAD
+from ptnsbc_nodes.runtime.warmup import load_agent, load_world
 from ptnsbc_sim.scenario import load_scenario
 
 # [s] between SIGINT and the harder signals: a recorder completes its bag, a bridge lands its vehicle.
-PATIENCE_S = {"ptnsbc_nodes.recorder_node": "60", "ptnsbc_nodes.bridge_node": "240"}
+PATIENCE_S = {"ptnsbc_nodes.recording.main": "60", "ptnsbc_nodes.bridge.main": "240"}
 FLAGS = ("true", "false")
 
 
@@ -119,7 +119,7 @@ def _node(command: Command) -> Node:
 
 
 def _tower(arguments: tuple[str, ...]) -> Node:
-    return _node(Command("tower", "ptnsbc_nodes.tower_node", arguments))
+    return _node(Command("tower", "ptnsbc_nodes.fleet.coordinator_main", arguments))
 
 
 def _ends(crew: list[Command], nodes: list[Node], file: Path) -> list[RegisterEventHandler]:

@@ -19,7 +19,7 @@ from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
-from ptnsbc_nodes.environment import ONE_THREAD
+from ptnsbc_nodes.runtime.environment import ONE_THREAD
 
 LANDING_S = "240"  # a bridge that is told to end lands its vehicle first
 FLAGS = ("true", "false")

@@ -1,0 +1,1 @@
+"""Command filter and time-base-generator sliding-mode controllers for both plants."""

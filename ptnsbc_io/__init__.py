@@ -1,0 +1,1 @@
+"""Bytes: CDR messages, MCAP bags, MAVLink. Nothing of ROS, nothing of flight."""

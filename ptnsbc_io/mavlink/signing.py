@@ -1,0 +1,96 @@
+"""MAVLink 2 message signing (mavlink.io, Message Signing): key files, and signatures checked.
+
+pymavlink remembers the timestamp of a packet before it has verified the signature, so that one
+forged packet locks the true sender out. Here the signature comes first.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import time
+from pathlib import Path
+from typing import Any
+
+from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_io.mavlink.framing import SIGNATURE_SIZE, Frame
+
+KEY_BYTES = 32
+_EPOCH_2015_S = 1420070400
+_TICKS_PER_S = 100_000  # timestamps count 10 us
+_NEW_STREAM_AGE = 60 * _TICKS_PER_S
+_SHARED_BITS = 0o077
+
+
+class KeyFileError(PtnsbcError):
+    """A signing key that cannot be used."""
+
+
+def read_key(path: Path) -> bytes:
+    """The secret key (32 bytes) in a file: as it is, or as 64 hexadecimal digits.
+
+    Raises:
+        KeyFileError: not readable, of another size, or readable for others.
+    """
+    try:
+        mode, raw = path.stat().st_mode, path.read_bytes()
+    except OSError as error:
+        raise KeyFileError(f"{path}: {error.strerror}: expected a readable key file") from None
+    if mode & _SHARED_BITS:
+        raise KeyFileError(
+            f"{path}: mode {mode & 0o777:o}: expected a key that others cannot read: chmod 600"
+        )
+    text = raw.strip()
+    if len(text) == 2 * KEY_BYTES:
+        try:
+            return bytes.fromhex(text.decode("ascii"))
+        except ValueError:  # UnicodeDecodeError is one too
+            pass
+    if len(raw) != KEY_BYTES:
+        raise KeyFileError(
+            f"{path}: {len(raw)} bytes: expected {KEY_BYTES}, or {2 * KEY_BYTES} hexadecimal "
+            "digits: head -c 32 /dev/urandom | xxd -p -c 64"
+        )
+    return raw
+
+
+def timestamp_now() -> int:
+    """The signing clock: units of 10 us since 2015."""
+    return max(int((time.time() - _EPOCH_2015_S) * _TICKS_PER_S), 0)
+
+
+class Signer:
+    """One side of a signed link."""
+
+    def __init__(self, key: bytes, link_id: int = 0, timestamp: int | None = None) -> None:
+        self.key = key
+        self.link_id = link_id
+        self._newest = timestamp_now() if timestamp is None else timestamp
+        self._streams: dict[tuple[int, int, int], int] = {}
+
+    def arm(self, codec: Any) -> None:
+        """Let pymavlink sign the packet that it packs next."""
+        # Never behind the wall clock, so that a restart is not taken for a replay; and never
+        # behind what we sent or believed already.
+        self._newest = max(self._newest + 1, timestamp_now())
+        codec.signing.secret_key = self.key
+        codec.signing.link_id = self.link_id
+        codec.signing.timestamp = self._newest
+        codec.signing.sign_outgoing = True
+
+    def genuine(self, frame: Frame) -> bool:
+        """Whether the signature was made with our key; says nothing about when."""
+        digest = hashlib.sha256(self.key + frame.data[:-6]).digest()[:6]
+        return hmac.compare_digest(digest, frame.data[-6:])
+
+    def fresh(self, frame: Frame) -> bool:
+        """Whether a genuine frame is newer than all before it of its stream; remembers it then."""
+        block = frame.data[-SIGNATURE_SIZE:]
+        stamp = int.from_bytes(block[1:7], "little")
+        stream = (block[0], frame.sysid, frame.compid)
+        last = self._streams.get(stream)
+        if (stamp + _NEW_STREAM_AGE < self._newest) if last is None else (stamp <= last):
+            return False
+        self._streams[stream] = stamp
+        self._newest = max(self._newest, stamp)
+        return True

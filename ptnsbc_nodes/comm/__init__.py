@@ -1,0 +1,1 @@
+"""What travels between processes: topics, quality of service, messages, the communication graph."""

@@ -1,0 +1,52 @@
+"""What one UAV says at a tick, as bytes: the same in its process, in a headless bag and in a re-run."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ptnsbc_core.agent import Told
+from ptnsbc_core.types import Array
+from ptnsbc_io.wire import OdometryTemplate, Stamped, VelocityTemplate, WrenchTemplate
+
+WORLD_FRAME = "map"
+
+
+class Letters:
+    """Patched byte templates of one UAV; messages carry the stamp of the odometry they rest on."""
+
+    def __init__(self, uav_id: int) -> None:
+        body = f"uav{uav_id}/base_link"
+        self._state = OdometryTemplate(WORLD_FRAME, body)
+        # Velocities of an estimate are in the world frame, not in the body of whoever sends it.
+        self._estimate = OdometryTemplate(WORLD_FRAME, WORLD_FRAME)
+        self._velocity = VelocityTemplate(WORLD_FRAME)
+        self._wrench = WrenchTemplate(body)
+        self._twist = np.zeros(6)
+
+    def wrench(self, stamp_ns: int, wrench: Array) -> bytes:
+        """geometry_msgs/WrenchStamped of (6,) force and torque, body FLU."""
+        return self._wrench.encode(stamp_ns, wrench)
+
+    def state(self, own: Stamped) -> bytes:
+        """nav_msgs/Odometry of the own odometry vector (13,)."""
+        return self._state.encode(own.stamp_ns, own.values)
+
+    def estimate(self, stamp_ns: int, estimate: Array) -> bytes:
+        """nav_msgs/Odometry of a leader estimate (13,), velocities in the world frame."""
+        return self._estimate.encode(stamp_ns, estimate)
+
+    def velocity(self, stamp_ns: int, velocity: Array) -> bytes:
+        """geometry_msgs/TwistStamped of (4,) velocity, ENU, and yaw rate."""
+        self._twist[0:3] = velocity[0:3]
+        self._twist[5] = velocity[3]
+        return self._velocity.encode(stamp_ns, self._twist)
+
+    def all(self, own: Stamped, outputs: Told) -> tuple[bytes, bytes, bytes, bytes]:
+        """State, estimate, velocity and wrench of one tick: in the order of `topics.outputs`."""
+        stamp_ns = own.stamp_ns
+        return (
+            self.state(own),
+            self.estimate(stamp_ns, outputs.leader_estimate),
+            self.velocity(stamp_ns, outputs.velocity),
+            self.wrench(stamp_ns, outputs.wrench),
+        )

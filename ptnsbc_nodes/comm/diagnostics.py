@@ -1,0 +1,53 @@
+"""What the nodes tell about themselves on /diagnostics: cumulative counters, mostly."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from enum import IntEnum
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+
+from ptnsbc_io.wire.cdr import split_stamp
+from ptnsbc_nodes.comm.serialize import encode
+from ptnsbc_sim.scenario import Scenario
+
+STATUS_HZ = 5
+INACTIVE = "activation"
+"""What a node that is configured and no more says that it waits for."""
+
+
+def status_every(scenario: Scenario) -> int:
+    """Ticks from one status to the next."""
+    return max(scenario.control_hz // STATUS_HZ, 1)
+
+
+class Level(IntEnum):
+    """diagnostic_msgs/DiagnosticStatus levels."""
+
+    OK = 0
+    WARN = 1
+    ERROR = 2
+
+
+def diagnostics(
+    stamp_ns: int, name: str, level: Level, message: str, values: Mapping[str, str]
+) -> bytes:
+    """A DiagnosticArray with one status, serialised; `name` is like `uav3: planner`."""
+    status = DiagnosticStatus(
+        level=bytes([level]),
+        name=name,
+        message=message,
+        hardware_id=name.partition(":")[0],
+        values=[KeyValue(key=key, value=value) for key, value in values.items()],
+    )
+    array = DiagnosticArray(status=[status])
+    array.header.stamp.sec, array.header.stamp.nanosec = split_stamp(stamp_ns)
+    return encode(array)
+
+
+def readiness(waiting_for: Sequence[str]) -> dict[str, str]:
+    """The values every node starts its status with."""
+    return {
+        "ready": "false" if waiting_for else "true",
+        "waiting_for": " ".join(waiting_for),
+    }

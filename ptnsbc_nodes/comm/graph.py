@@ -1,0 +1,87 @@
+"""Who hears whom in one flight, and how many: the tree edges of the scenario, and no others."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ptnsbc_sim.disturbances.links import Losses, losses
+from ptnsbc_sim.scenario import Scenario
+
+LEAD_TICKS = 4
+"""In lock-step a vehicle is at most this many ticks ahead of the slowest: bounds what an inbox keeps."""
+
+
+@dataclass(frozen=True)
+class FlightOptions:
+    """How a flight is run; the same for all its processes."""
+
+    lockstep: bool = False
+    recorded: bool = False  # a recorder must hear every topic before the flight
+    bridged: bool = False  # flight controllers instead of the sim
+
+    @property
+    def recorders(self) -> int:
+        """Readers that the recorder adds to each topic."""
+        return int(self.recorded)
+
+
+@dataclass(frozen=True)
+class Senders:
+    """Whom one UAV listens to: the tree edges that end at it, and no others."""
+
+    parent: int | None
+    leader: int | None  # None unless pinned
+    estimators: tuple[int, ...]  # ascending: the order of the rows of AgentInputs.estimates
+    losses: Losses | None = None  # which of their messages the scenario wants lost
+
+    @property
+    def states(self) -> tuple[int, ...]:
+        """UAVs whose formation_state is needed; a child of the leader hears it once."""
+        return tuple(sorted({i for i in (self.parent, self.leader) if i is not None}))
+
+
+class Edges:
+    """The communication graph of one flight, seen from its topics."""
+
+    def __init__(self, scenario: Scenario, options: FlightOptions) -> None:
+        self._scenario = scenario
+        self.options = options
+
+    def senders(self, uav_id: int) -> Senders:
+        """Whom this UAV hears."""
+        scenario = self._scenario
+        return Senders(
+            parent=scenario.parent(uav_id),
+            leader=scenario.leader_id if scenario.pinned(uav_id) else None,
+            estimators=scenario.estimator_neighbours(uav_id),
+            losses=losses(scenario, uav_id),
+        )
+
+    def linked(self, uav_id: int) -> tuple[int, ...]:
+        """UAVs that this one has an edge with, in either direction, ascending."""
+        hears = {i: self.senders(i) for i in self._scenario.uav_ids}
+        heard = {i: {*who.states, *who.estimators} for i, who in hears.items()}
+        others = (i for i in hears if i in heard[uav_id] or uav_id in heard[i])
+        return tuple(sorted(set(others) - {uav_id}))
+
+    def state_readers(self, uav_id: int) -> int:
+        """How many nodes hear the formation_state of this UAV."""
+        heard = sum(uav_id in self.senders(other).states for other in self._scenario.uav_ids)
+        return heard + self.options.recorders
+
+    def estimate_readers(self, uav_id: int) -> int:
+        """How many nodes hear the leader_estimate of this UAV."""
+        heard = sum(uav_id in self.senders(other).estimators for other in self._scenario.uav_ids)
+        return heard + self.options.recorders
+
+    def wrench_readers(self) -> int:
+        """How many nodes hear a wrench; in real time a bridge may fly instead of the sim."""
+        return int(self.options.lockstep) + self.options.recorders
+
+    def epoch_readers(self) -> int:
+        """How many nodes hear the epoch: all UAVs; in real time not every flight has a sim."""
+        return len(self._scenario.uav_ids) + self.wrench_readers()
+
+    def epoch_listeners(self) -> dict[int, int]:
+        """How many nodes of each UAV hear the epoch: its controller, and its bridge."""
+        return dict.fromkeys(self._scenario.uav_ids, 1 + self.options.bridged)

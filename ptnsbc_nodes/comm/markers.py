@@ -1,0 +1,133 @@
+"""What RViz and Foxglove draw: UAVs, keep-outs, tree edges, the leader's path; and /tf."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from geometry_msgs.msg import Point, TransformStamped
+from std_msgs.msg import ColorRGBA
+from visualization_msgs.msg import Marker, MarkerArray
+
+from ptnsbc_core.trajectory import reference
+from ptnsbc_core.types import Array
+from ptnsbc_io.wire.cdr import split_stamp
+from ptnsbc_nodes.comm.agent_messages import WORLD_FRAME
+from ptnsbc_nodes.comm.serialize import encode
+from ptnsbc_sim.scenario import Scenario, agent_config
+from ptnsbc_sim.world import World
+
+_LEADER = (0.95, 0.55, 0.1, 1.0)  # red, green, blue, opacity
+_FOLLOWER = (0.15, 0.45, 0.85, 1.0)
+_KEEP_OUT = (0.8, 0.1, 0.1, 0.35)
+_EDGE = (0.5, 0.5, 0.5, 0.9)
+_PATH = (0.95, 0.55, 0.1, 0.5)
+_UAV_DIAMETER_M = 0.4
+_LINE_M = 0.04
+_PATH_POINTS = 200
+
+
+_TIME, _PLACE = struct.Struct("<iI"), struct.Struct("<3d")
+_SOMETIME, _SOMEWHERE = (0x7AB0C0DE, 0x3AB0C0DE), (-1.25e297, -1.5e297, -1.75e297)
+
+
+class Scene:
+    """The markers of one flight: serialised once, then only times and places are written into the bytes."""
+
+    def __init__(self, scenario: Scenario, world: World) -> None:
+        self._world = world
+        children = {i: parent for i in world.ids if (parent := scenario.parent(i)) is not None}
+        self._shown = [*world.ids, *(end for edge in children.items() for end in edge)]
+        self._buffer = bytearray(encode(MarkerArray(markers=_all_markers(scenario, len(children)))))
+        self._times_at = _find_all(self._buffer, _TIME.pack(*_SOMETIME))
+        self._places_at = _find_all(self._buffer, _PLACE.pack(*_SOMEWHERE))
+
+    def markers(self, stamp_ns: int) -> bytes:
+        """A serialised MarkerArray of this instant."""
+        stamp = split_stamp(stamp_ns)
+        for at in self._times_at:
+            _TIME.pack_into(self._buffer, at, *stamp)
+        for at, i in zip(self._places_at, self._shown, strict=True):
+            _PLACE.pack_into(self._buffer, at, *self._world.odometry(i)[0:3])
+        return bytes(self._buffer)
+
+    def transforms(self, stamp_ns: int) -> list[TransformStamped]:
+        """Pose of every body frame in the world frame."""
+        return [_transform(stamp_ns, i, self._world.odometry(i)) for i in self._world.ids]
+
+
+def _transform(stamp_ns: int, uav_id: int, odometry: Array) -> TransformStamped:
+    stamped = TransformStamped(child_frame_id=f"uav{uav_id}/base_link")
+    stamped.header.frame_id = WORLD_FRAME
+    stamped.header.stamp.sec, stamped.header.stamp.nanosec = split_stamp(stamp_ns)
+    x, y, z, qx, qy, qz, qw = (float(value) for value in odometry[0:7])
+    place, turn = stamped.transform.translation, stamped.transform.rotation
+    place.x, place.y, place.z = x, y, z
+    turn.x, turn.y, turn.z, turn.w = qx, qy, qz, qw
+    return stamped
+
+
+def _all_markers(scenario: Scenario, edges: int) -> list[Any]:
+    """Every marker, with placeholders for what changes: first the UAVs, then the ends of the tree's edges."""
+    somewhere = np.array(_SOMEWHERE)
+    shown = []
+    for i in scenario.uav_ids:
+        shown.append(_sphere("uavs", i, _UAV_DIAMETER_M, _colour(i == scenario.leader_id)))
+        shown[-1].pose.position = _point(somewhere)
+    tree = _marker("tree", 0, Marker.LINE_LIST, _EDGE)
+    tree.scale.x = _LINE_M
+    tree.points = [_point(somewhere) for _ in range(2 * edges)]
+    shown += [tree, *_keep_outs(scenario), _path(scenario)]
+    for marker in shown:
+        marker.header.stamp.sec, marker.header.stamp.nanosec = _SOMETIME
+    return shown
+
+
+def _find_all(buffer: bytearray, pattern: bytes) -> list[int]:
+    found = [buffer.find(pattern)]
+    while found[-1] >= 0:
+        found.append(buffer.find(pattern, found[-1] + len(pattern)))
+    return found[:-1]
+
+
+def _colour(leader: bool) -> Sequence[float]:
+    return _LEADER if leader else _FOLLOWER
+
+
+def _point(place: Array) -> Point:
+    return Point(x=float(place[0]), y=float(place[1]), z=float(place[2]))
+
+
+def _marker(namespace: str, number: int, kind: int, colour: Sequence[float]) -> Any:
+    marker = Marker(ns=namespace, id=number, type=kind, action=Marker.ADD)
+    marker.header.frame_id = WORLD_FRAME
+    marker.pose.orientation.w = 1.0
+    red, green, blue, opacity = colour
+    marker.color = ColorRGBA(r=red, g=green, b=blue, a=opacity)
+    return marker
+
+
+def _sphere(namespace: str, number: int, diameter_m: float, colour: Sequence[float]) -> Any:
+    marker = _marker(namespace, number, Marker.SPHERE, colour)
+    marker.scale.x = marker.scale.y = marker.scale.z = float(diameter_m)
+    return marker
+
+
+def _keep_outs(scenario: Scenario) -> list[Any]:
+    spheres = []
+    for number, obstacle in enumerate(scenario.obstacles):
+        sphere = _sphere("obstacles", number, 2 * obstacle.keep_out_m, _KEEP_OUT)
+        sphere.pose.position = _point(obstacle.position)
+        spheres.append(sphere)
+    return spheres
+
+
+def _path(scenario: Scenario) -> Any:
+    path = _marker("leader_path", 0, Marker.LINE_STRIP, _PATH)
+    path.scale.x = _LINE_M
+    trajectory = agent_config(scenario, scenario.leader_id).trajectory
+    times = np.linspace(0.0, float(scenario.duration_s), _PATH_POINTS)
+    path.points = [_point(np.array(reference(trajectory, t).position)) for t in times]
+    return path

@@ -1,0 +1,56 @@
+"""Quality of service of our topics.
+
+State and setpoints are best effort in real time: at 20 % loss and 50 ms delay the 99th percentile
+of the latency is 55 ms, and 2.2 s if delivery is reliable, because what is repeated is already old.
+In lock-step every message counts and time does not.
+"""
+
+from __future__ import annotations
+
+from rclpy.qos import QoSDurabilityPolicy, QoSHistoryPolicy, QoSProfile, QoSReliabilityPolicy
+
+from ptnsbc_nodes.comm.topics import Role, Topic
+
+
+def _keep_last(depth: int, *, reliable: bool, latched: bool = False) -> QoSProfile:
+    reliability = QoSReliabilityPolicy.RELIABLE if reliable else QoSReliabilityPolicy.BEST_EFFORT
+    durability = QoSDurabilityPolicy.TRANSIENT_LOCAL if latched else QoSDurabilityPolicy.VOLATILE
+    return QoSProfile(
+        history=QoSHistoryPolicy.KEEP_LAST,
+        depth=depth,
+        reliability=reliability,
+        durability=durability,
+    )
+
+
+STATE_REALTIME = _keep_last(1, reliable=False)
+STATE_LOCKSTEP = _keep_last(10, reliable=True)
+EVENT = _keep_last(10, reliable=True)
+LATCHED = _keep_last(1, reliable=True, latched=True)
+
+RECORDER_REALTIME = _keep_last(100, reliable=False)
+RECORDER_RELIABLE = _keep_last(1000, reliable=True)
+RECORDER_LATCHED = _keep_last(100, reliable=True, latched=True)
+
+
+def profile(topic: Topic, *, lockstep: bool) -> QoSProfile:
+    """The profile with which publishers offer and nodes request `topic`."""
+    if topic.role is Role.LATCHED:
+        return LATCHED
+    if topic.role is Role.EVENT:
+        return EVENT
+    return STATE_LOCKSTEP if lockstep else STATE_REALTIME
+
+
+def recorder_profile(topic: Topic, *, lockstep: bool) -> QoSProfile:
+    """The profile with which the recorder requests `topic`: fits every publisher of ours.
+
+    What comes at the control rate is best effort in real time, as it is offered; the deep queue covers the
+    pauses. The rest is rare and reliable: while twenty UAVs are introduced to each other, best effort lost a
+    status now and then.
+    """
+    if topic.role is Role.LATCHED:
+        return RECORDER_LATCHED
+    if lockstep or topic.role is Role.EVENT:
+        return RECORDER_RELIABLE
+    return RECORDER_REALTIME

@@ -1,0 +1,1 @@
+"""All processes of one flight: start, supervise, coordinate, end."""

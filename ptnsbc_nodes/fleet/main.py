@@ -1,0 +1,60 @@
+"""Fly a fleet: `python -m ptnsbc_nodes.fleet.main --scenario paper_5 --lockstep --bag DIR`."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from ptnsbc_nodes.fleet.fleet import FleetOptions, FleetResult, run_fleet
+from ptnsbc_nodes.runtime.process import Arguments, run
+from ptnsbc_sim.scenario import load_scenario
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Fly until the scenario's duration is over, SIGINT or SIGTERM."""
+    parser = Arguments("fleet", "A formation on this host, one process per UAV")
+    parser.add_argument("--duration", type=float, metavar="S", help="instead of the scenario's")
+    parser.add_argument("--bag", type=Path, help="record into this folder")
+    parser.add_argument("--overwrite", action="store_true", help="replace an existing bag")
+    parser.add_argument("--backend", choices=("sim", "mavlink"), default="sim")
+    parser.add_argument("--allow-arming", action="store_true", help="of real vehicles")
+    parser.add_argument("--log-dir", type=Path, help="where each process writes its log")
+    return run(parser, argv, _fly)
+
+
+def _fly(arguments: argparse.Namespace, _argv: list[str]) -> int:
+    scenario = load_scenario(arguments.scenario, {"timing.duration_s": arguments.duration})
+    if arguments.backend == "mavlink":
+        scenario = scenario.bridged()
+    options = FleetOptions(
+        scenario=scenario,
+        backend=arguments.backend,
+        allow_arming=arguments.allow_arming,
+        lockstep=arguments.lockstep,
+        bag=arguments.bag,
+        overwrite=arguments.overwrite,
+        log_dir=arguments.log_dir,
+    )
+    result = run_fleet(options, _say)
+    _say(_summary(result))
+    return result.exit_code
+
+
+def _say(line: str) -> None:
+    print(f"fleet: {line}", file=sys.stderr, flush=True)
+
+
+def _summary(result: FleetResult) -> str:
+    end = "interrupted" if result.interrupted else "landed"
+    lost = f", lost {', '.join(result.died)}" if result.died else ""
+    kept = f", {result.recorded.get('messages', 0)} messages in {result.bag}" if result.bag else ""
+    for what in ("lost", "late"):
+        if result.recorded.get(what):
+            kept += f", {result.recorded[what]} {what}"
+    return f"{end} after {result.flight_s:.1f} s (start-up {result.startup_s:.1f} s){lost}{kept}"
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

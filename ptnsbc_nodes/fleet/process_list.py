@@ -1,0 +1,164 @@
+"""Which processes a flight consists of, which of them this computer runs, and their command lines."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_nodes.comm.endpoints import RECORDER
+from ptnsbc_nodes.fleet.child_process import Command
+from ptnsbc_nodes.runtime.provenance import provenance
+from ptnsbc_sim.scenario import Scenario
+
+SIM = "sim"
+
+_AIRBORNE_S = 240.0  # boot, position, arming and take-off of a real vehicle
+
+
+class CrewError(PtnsbcError):
+    """A process that the flight does not have."""
+
+
+@dataclass(frozen=True)
+class FleetOptions:
+    """What to fly, and how."""
+
+    scenario: Scenario
+    lockstep: bool = False
+    backend: Literal["sim", "mavlink"] = "sim"
+    allow_arming: bool = False  # of real vehicles
+    bag: Path | None = None  # folder to record into
+    overwrite: bool = False  # replace that folder
+    log_dir: Path | None = None  # one log per process; a new temporary folder by default
+    meta: Mapping[str, str] = field(default_factory=dict)  # into the bag, beside our own
+    ready_timeout_s: float | None = None  # from the first process to the last one ready
+    only: frozenset[str] = frozenset()  # names of the processes of this computer, see `chosen`
+
+    @property
+    def shared(self) -> bool:
+        """Whether other computers run the rest of the fleet."""
+        return bool(self.only)
+
+    @property
+    def leads(self) -> bool:
+        """Whether this computer starts and ends the flight: the one that records it."""
+        return not self.only or RECORDER in self.only
+
+    @property
+    def recorded(self) -> bool:
+        """Whether a recorder listens, here or elsewhere."""
+        return self.bag is not None or self.shared
+
+    @property
+    def patience_s(self) -> float:
+        """The time-out, by default with room for a slow machine."""
+        if self.shared and self.ready_timeout_s is None:
+            return math.inf  # others are started by other hands
+        default = 30.0 + 5.0 * len(self.scenario.uav_ids)
+        if self.backend == "mavlink":
+            default += _AIRBORNE_S
+        return default if self.ready_timeout_s is None else self.ready_timeout_s
+
+
+def commands(options: FleetOptions, scenario_file: Path) -> list[Command]:
+    """The processes of this computer in the order of their start: the recorder must miss nothing.
+
+    The sim comes last. In real time a UAV ticks from its first odometry on, and twenty that do so while others
+    are still loading make them load three times as long.
+    """
+    common = ["--scenario", str(scenario_file)]
+    if options.lockstep:
+        common.append("--lockstep")
+    if options.recorded:
+        common.append("--recorded")
+    crew = [] if options.bag is None else [_recorder(options, options.bag, scenario_file)]
+    if options.backend == "mavlink":
+        common.append("--bridged")
+        crew += [_bridge(options, common, i) for i in options.scenario.uav_ids]
+    for i in options.scenario.uav_ids:
+        arguments = (*common, "--uav", str(i), "--managed")
+        node = f"/uav{i}/controller"
+        crew.append(Command(f"uav{i}", "ptnsbc_nodes.uav.main", arguments, uav=i, managed=node))
+    if options.backend != "mavlink":
+        crew.append(Command(SIM, "ptnsbc_nodes.sim.main", tuple(common), ends=True))
+    return [command for command in crew if not options.only or command.name in options.only]
+
+
+def names(scenario: Scenario, backend: str) -> list[str]:
+    """All processes of a flight on all computers, the recorder first."""
+    ids = scenario.uav_ids
+    vehicles = [f"bridge{i}" for i in ids] if backend == "mavlink" else [SIM]
+    return [RECORDER, *vehicles, *(f"uav{i}" for i in ids)]
+
+
+def chosen(text: str, scenario: Scenario, backend: str) -> frozenset[str]:
+    """Names of processes from a list such as `recorder,sim,1,2`: a number is a UAV, with its bridge."""
+    there = names(scenario, backend)
+    picked: set[str] = set()
+    for word in text.replace(",", " ").split():
+        meant = {f"uav{word}", f"bridge{word}"} if word.isdecimal() else {word}
+        found = meant.intersection(there)
+        if not found:
+            numbers = ", ".join(map(str, scenario.uav_ids))
+            raise CrewError(
+                f"--only: {word!r} is no process of {scenario.name}: expected some of "
+                f"{', '.join(there)}, or the numbers of UAVs ({numbers})"
+            )
+        picked |= found
+    if not picked:
+        raise CrewError(f"--only: nothing named: expected some of {', '.join(there)}")
+    return frozenset(picked)
+
+
+def tower_arguments(options: FleetOptions, scenario_file: Path) -> tuple[str, ...]:
+    """Of the process that takes these to active and starts the flight, where our launcher does not."""
+    kind = ["--bridged"] if options.backend == "mavlink" else []
+    return ("--scenario", str(scenario_file), "--manage", *kind)
+
+
+def loss_arguments(command: Command, scenario_file: Path) -> tuple[str, ...]:
+    """Of the process that tells the others that this one has ended, where our launcher does not."""
+    return ("--scenario", str(scenario_file), "--lose", command.lost)
+
+
+def _bridge(options: FleetOptions, common: Sequence[str], uav: int) -> Command:
+    arguments = [*common, "--uav", str(uav), "--managed"]
+    if options.allow_arming:
+        arguments.append("--allow-arming")
+    name = f"bridge{uav}"
+    return Command(
+        name,
+        "ptnsbc_nodes.bridge.main",
+        tuple(arguments),
+        uav=uav,
+        managed=f"/uav{uav}/bridge",
+        ends=True,
+    )
+
+
+def _recorder(options: FleetOptions, bag: Path, scenario_file: Path) -> Command:
+    arguments = ["--bag", str(bag), "--uavs", *map(str, options.scenario.uav_ids)]
+    arguments += ["--attach", f"scenario.yaml={scenario_file}"]
+    for key, value in _meta(options).items():
+        arguments += ["--meta", f"{key}={value}"]
+    if options.lockstep:
+        arguments.append("--lockstep")
+    if options.scenario.imperfect:
+        arguments.append("--truth")
+    if options.backend == "mavlink":
+        arguments += ["--draw", str(scenario_file), "--punctual"]
+    if options.overwrite:
+        arguments.append("--overwrite")
+    return Command(RECORDER, "ptnsbc_nodes.recording.main", tuple(arguments))
+
+
+def _meta(options: FleetOptions) -> Mapping[str, str]:
+    own = {
+        "mode": "lockstep" if options.lockstep else "realtime",
+        "scenario": options.scenario.name,
+    }
+    return own | provenance() | dict(options.meta)

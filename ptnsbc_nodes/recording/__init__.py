@@ -1,0 +1,1 @@
+"""Recording topics into bags, and playing bags back onto topics."""

@@ -1,0 +1,199 @@
+"""A bag back onto its topics: recorded bytes, types and quality of service, paced by the recorded times."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from typing import Any
+
+import rclpy
+import yaml
+from rclpy.context import Context
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
+
+from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_io.bag import Bag, BagMessage, BagTopic
+from ptnsbc_io.wire import ClockTemplate
+from ptnsbc_nodes.comm import topics
+from ptnsbc_nodes.comm.topics import CLOCK, Role, Topic
+from ptnsbc_nodes.runtime.signals import StopRequest
+
+_LOOK_S = 0.05
+_HISTORY = 1000  # of reliable topics: a reader that is slow for a moment loses nothing
+_FLUSH_S = 1.0
+_REPORT_S = 0.5
+
+
+class PlayError(PtnsbcError):
+    """A bag that cannot be played."""
+
+
+@dataclass(frozen=True)
+class Wishes:
+    """What to play, and how."""
+
+    topics: Sequence[str] = ("*",)  # patterns
+    rate: float = 1.0
+    start_s: float = 0.0  # after the first message of the bag
+    loop: bool = False
+    clock_hz: float | None = None  # publish /clock of the bag's time instead of the recorded one
+    wait_s: float = 1.0  # for readers, before the first message
+
+
+@dataclass
+class Played:
+    """What was played."""
+
+    messages: int = 0
+    rounds: int = 0
+    latest_s: float = 0.0  # by how much a message came too late at most
+    interrupted: bool = False
+
+
+def play(
+    bag: Bag,
+    wishes: Wishes,
+    say: Callable[[str], None],
+    advance: Callable[[int, int], None] = lambda done, total: None,
+) -> Played:
+    """Play a bag; SIGINT and SIGTERM end it in order.
+
+    Raises:
+        PlayError: no topic of it can be published, or it ends before `start_s`.
+    """
+    context = Context()
+    with StopRequest() as stop:
+        rclpy.init(args=[], context=context, signal_handler_options=SignalHandlerOptions.NO)
+        node = rclpy.create_node(
+            "player", context=context, start_parameter_services=False, enable_rosout=False
+        )
+        try:
+            player = _Player(node, bag, wishes, stop, say)
+            player.wait()
+            return player.play(advance)
+        finally:
+            node.destroy_node()
+            rclpy.shutdown(context=context)
+
+
+class _Player:
+    def __init__(
+        self, node: Node, bag: Bag, wishes: Wishes, stop: StopRequest, say: Callable[[str], None]
+    ) -> None:
+        self._bag = bag
+        self._wishes = wishes
+        self._stop = stop
+        self._played = Played()
+        self._publishers: dict[str, Publisher] = dict(_publishers(node, bag, wishes, say))
+        if not self._publishers:
+            raise PlayError(f"{bag.path}: no topic to play: {', '.join(wishes.topics)} chosen")
+        self._start_ns = bag.start_ns + round(wishes.start_s * 1e9)
+        if self._start_ns > bag.end_ns:
+            length = (bag.end_ns - bag.start_ns) * 1e-9
+            raise PlayError(
+                f"start {wishes.start_s:g} s: expected less than the {length:.3f} s of the bag"
+            )
+        self._clock = None
+        if wishes.clock_hz is not None:
+            self._clock = node.create_publisher(topics.message_class(CLOCK), CLOCK.name, 10)
+        self._template = ClockTemplate()
+
+    def wait(self) -> None:
+        """Until every topic has a reader, or the patience is over."""
+        end = time.monotonic() + self._wishes.wait_s
+        publishers = self._publishers.values()
+        # Asked again and again: a match is an event of an executor, and here is none.
+        while time.monotonic() < end and not self._stop.wait(_LOOK_S):
+            if all(publisher.get_subscription_count() for publisher in publishers):
+                return
+
+    def play(self, advance: Callable[[int, int], None]) -> Played:
+        played = self._played
+        while not self._stop.came:
+            self._round(advance)
+            played.rounds += 1
+            if not self._wishes.loop:
+                break
+        played.interrupted = self._stop.came
+        for publisher in self._publishers.values():
+            publisher.wait_for_all_acked(Duration(seconds=_FLUSH_S / len(self._publishers)))
+        return played
+
+    def _round(self, advance: Callable[[int, int], None]) -> None:
+        """Once through the bag. Due times are counted from the start: no error adds up."""
+        length_ns = self._bag.end_ns - self._start_ns
+        began, told = time.monotonic(), 0.0
+        for message in self._events():
+            after_ns = message.stamp_ns - self._start_ns
+            due = began + after_ns * 1e-9 / self._wishes.rate
+            if self._stop.wait(due - time.monotonic()):
+                return
+            self._played.latest_s = max(self._played.latest_s, time.monotonic() - due)
+            publisher = self._clock if message.topic == "" else self._publishers[message.topic]
+            if publisher is not None:
+                publisher.publish(message.data)
+            self._played.messages += message.topic != ""
+            if time.monotonic() - told > _REPORT_S:
+                told = time.monotonic()
+                advance(after_ns // 1_000_000, max(length_ns // 1_000_000, 1))
+
+    def _events(self) -> Iterator[BagMessage]:
+        """Messages to publish, between them ticks of the clock (topic "")."""
+        period_ns = None
+        if self._clock is not None and self._wishes.clock_hz:
+            period_ns = max(round(1e9 * self._wishes.rate / self._wishes.clock_hz), 1)
+        next_ns = self._start_ns
+        for message in self._bag.messages(self._publishers):
+            if message.stamp_ns < self._start_ns:
+                continue
+            while period_ns is not None and next_ns <= message.stamp_ns:
+                yield BagMessage("", next_ns, self._template.encode(next_ns))
+                next_ns += period_ns
+            yield message
+
+
+def _publishers(
+    node: Node, bag: Bag, wishes: Wishes, say: Callable[[str], None]
+) -> Iterator[tuple[str, Publisher]]:
+    for topic in bag.topics.values():
+        chosen = any(fnmatchcase(topic.name, pattern) for pattern in wishes.topics)
+        ours = wishes.clock_hz is not None and topic.name == CLOCK.name
+        if not chosen or ours or not topic.messages:
+            continue
+        try:
+            kind = topics.message_class(Topic(topic.name, topic.type, Role.STATE))
+        except (ImportError, AttributeError, ValueError):
+            say(f"{topic.name} is left out: {topic.type} is not installed")
+            continue
+        yield topic.name, node.create_publisher(kind, topic.name, profile(topic))
+
+
+def profile(topic: BagTopic) -> QoSProfile:
+    """What the publishers of a recorded topic offered; reliable where the bag does not say."""
+    found = _offered(topic.offered_qos)
+    reliable = str(found.get("reliability", "reliable")).lower() in ("reliable", "1")
+    latched = str(found.get("durability", "volatile")).lower() in ("transient_local", "1")
+    depth = int(found.get("depth", 0) or 0)
+    if reliable and not latched:
+        depth = max(depth, _HISTORY)
+    return QoSProfile(
+        depth=max(depth, 1),
+        reliability=QoSReliabilityPolicy.RELIABLE if reliable else QoSReliabilityPolicy.BEST_EFFORT,
+        durability=QoSDurabilityPolicy.TRANSIENT_LOCAL if latched else QoSDurabilityPolicy.VOLATILE,
+    )
+
+
+def _offered(text: str) -> Mapping[str, Any]:
+    """The first profile of rosbag2's YAML: words since version 9, numbers before."""
+    try:
+        profiles = yaml.safe_load(text)
+    except yaml.YAMLError:
+        return {}
+    first = profiles[0] if isinstance(profiles, list) and profiles else {}
+    return first if isinstance(first, dict) else {}

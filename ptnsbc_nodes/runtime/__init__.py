@@ -1,0 +1,1 @@
+"""What every process needs: executor, signals, life cycle, parameters, environment, clocks."""

@@ -1,0 +1,163 @@
+"""Who may hear whom: Fast DDS profiles for one host, for known computers, and for a discovery server.
+
+The profiles lie in `profiles/` and are filled in here. None of them uses multicast, so that nothing is
+said to a network that nobody has named.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+import socket
+from collections.abc import Sequence
+from importlib.resources import files
+from pathlib import Path
+from string import Template
+from typing import NamedTuple
+from xml.etree import ElementTree
+
+from ptnsbc_core.errors import PtnsbcError
+
+LOOPBACK = "127.0.0.1"
+SERVER_PORT = 11811
+PROCESSES = 32
+"""Processes that are looked for on each host by default."""
+
+# rmw_fastrtps numbers the servers of ROS_DISCOVERY_SERVER in the same way: `DS SERVER <id>`.
+_SERVER_PREFIX = "44.53.{:02x}.5f.45.50.52.4f.53.49.4d.41"
+_WRITERS = "writers.xml"  # not on one host, where nothing is lost and each question costs time
+_MOST_PROCESSES = 120  # a domain has 250 ports, two for each process
+
+
+class NetworkError(PtnsbcError):
+    """A network that no fleet can fly over."""
+
+
+class Server(NamedTuple):
+    """Where a discovery server listens."""
+
+    address: str
+    port: int = SERVER_PORT
+
+
+def localhost(processes: int) -> str:
+    """The profile of a fleet on this host: nothing leaves it, nothing from outside is heard."""
+    return _peers((LOOPBACK,), processes, "A fleet on one host")
+
+
+def static_peers(addresses: Sequence[str], processes: int = PROCESSES) -> str:
+    """The profile of a fleet on these computers; the same file for all of them.
+
+    Args:
+        addresses: IPv4 address of each computer, or a name that resolves to one.
+        processes: As many are looked for on each computer.
+    """
+    if not addresses:
+        raise NetworkError("no computer named: expected the address of each computer of the fleet")
+    if not 1 <= processes <= _MOST_PROCESSES:
+        raise NetworkError(
+            f"{processes} processes on each computer: expected 1 to {_MOST_PROCESSES}, "
+            "as many as a domain has ports for"
+        )
+    hosts = dict.fromkeys((LOOPBACK, *map(resolved, addresses)))
+    title = f"A fleet on {', '.join(addresses)}"
+    return _peers(tuple(hosts), processes, title, _shipped(_WRITERS))
+
+
+def discovery_client(servers: Sequence[Server], *, everything: bool = False) -> str:
+    """The profile of a fleet whose processes find each other through servers.
+
+    Args:
+        servers: In the order of their ids, 0 first.
+        everything: Learn of every topic, not only of one's own: for the tools that list them.
+    """
+    if not servers:
+        raise NetworkError("no server named: expected ADDRESS or ADDRESS:PORT of one")
+    return _filled(
+        "client.xml",
+        title=f"Through the discovery server {', '.join(f'{s.address}:{s.port}' for s in servers)}",
+        kind="SUPER_CLIENT" if everything else "CLIENT",
+        writers=_shipped(_WRITERS),
+        servers="".join(_remote(number, server) for number, server in enumerate(servers)),
+    )
+
+
+def server(text: str) -> Server:
+    """ADDRESS or ADDRESS:PORT of a discovery server."""
+    address, colon, port = text.partition(":")
+    if colon and not (port.isdecimal() and 0 < int(port) < 2**16):
+        raise NetworkError(f"{text}: expected a port from 1 to 65535 behind the colon")
+    return Server(resolved(address), int(port) if colon else SERVER_PORT)
+
+
+def resolved(address: str) -> str:
+    """The IPv4 address behind a name; an address stays what it is."""
+    try:
+        return str(ipaddress.IPv4Address(address))
+    except ValueError:
+        pass
+    try:
+        return socket.gethostbyname(address)
+    except OSError as error:
+        raise NetworkError(
+            f"{address!r}: {error.strerror or error}: expected an IPv4 address or a known name"
+        ) from None
+
+
+def checked(profile: Path) -> Path:
+    """The absolute path of a profile that can be read.
+
+    Fast DDS goes on without one that it cannot read, by multicast to everybody: so it is refused here.
+    """
+    try:
+        root = ElementTree.parse(profile).getroot()
+    except OSError as error:
+        raise NetworkError(
+            f"{profile}: {error.strerror}: expected a profile, as `ptnsbc network` writes it"
+        ) from None
+    except ElementTree.ParseError as error:
+        raise NetworkError(
+            f"{profile}: {error}: expected XML, as `ptnsbc network` writes it"
+        ) from None
+    if not any(_plain(element.tag) == "participant" for element in root.iter()):
+        raise NetworkError(
+            f"{profile}: no <participant> in it: expected a profile, as `ptnsbc network` writes it"
+        )
+    return profile.resolve()
+
+
+def _plain(tag: str) -> str:
+    return tag.rpartition("}")[2]
+
+
+def _peers(hosts: Sequence[str], processes: int, title: str, writers: str = "") -> str:
+    return _filled(
+        "peers.xml",
+        title=title,
+        processes=str(processes),
+        writers=writers,
+        interfaces="".join(f"<address>{host}</address>" for host in hosts),
+        peers="".join(
+            f"<locator><udpv4><address>{host}</address></udpv4></locator>" for host in hosts
+        ),
+    )
+
+
+def _remote(number: int, server: Server) -> str:
+    return (
+        f'<RemoteServer prefix="{_SERVER_PREFIX.format(number)}"><metatrafficUnicastLocatorList>'
+        f"<locator><udpv4><address>{server.address}</address><port>{server.port}</port></udpv4>"
+        "</locator></metatrafficUnicastLocatorList></RemoteServer>"
+    )
+
+
+def _filled(template: str, **values: str) -> str:
+    return Template(_shipped(template)).substitute(values)
+
+
+def _shipped(name: str) -> str:
+    return (
+        files("ptnsbc_nodes.runtime")
+        .joinpath("profiles", name)
+        .read_text(encoding="utf-8")
+        .rstrip("\n")
+    )

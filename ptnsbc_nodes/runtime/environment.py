@@ -1,0 +1,134 @@
+"""Settings that ROS reads from the environment, set before rclpy starts; the user's own win."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+import sys
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+
+from ptnsbc_nodes.runtime import dds_profiles
+
+PARENT = "PTNSBC_PARENT"
+"""Process id of the launcher; a process that finds it set does not outlive the launcher."""
+NETWORK = "PTNSBC_NETWORK"
+"""A Fast DDS profile (`ptnsbc network`): the switch from this host alone to the computers it names."""
+
+_DEFAULTS = {
+    # A fleet on one host; spread over hosts, the user widens it.
+    "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+    # Shared memory is no faster here, and a killed process leaves its segments behind.
+    "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
+}
+# Every UAV is a process: more threads than one each only get into each other's way.
+ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+_PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
+_RMW = "rmw_fastrtps_cpp"
+_SPARE_PEERS = 12  # for viewers, a command line, a second recorder
+_PR_SET_PDEATHSIG = 1
+
+
+def prepare() -> None:
+    """Fill in what is not set. With ROS from wheels rclpy.init() fails without it."""
+    _stay_with_parent()
+    if os.environ.get(NETWORK):
+        os.environ.update(_joined(os.environ))
+    for name, value in _DEFAULTS.items():
+        os.environ.setdefault(name, value)
+    # The wheels put the ament index into the environment's prefix, but tell nobody.
+    if (Path(sys.prefix) / "share" / "ament_index").is_dir():
+        os.environ.setdefault("AMENT_PREFIX_PATH", sys.prefix)
+
+
+def prefer_throughput() -> None:
+    """For lock-step: who has been woken does not interrupt who woke it.
+
+    Six processes wake each other at every message, and it costs less to finish first what one has begun
+    (`bench --only lockstep`). Not for the recorder, which would fall behind. Where it may not be asked
+    for, everything works all the same.
+    """
+    _schedule(os.SCHED_BATCH, 0)
+
+
+def prefer_punctuality(*, flies: bool) -> bool:
+    """For real vehicles: run before everything that is not in a hurry.
+
+    A setpoint that waits for a compiler on the same host is a late setpoint, and one that waits for half a
+    second ends the flight. Round robin, so that those who fly do not hold each other up; who does not fly, as
+    the recorder, comes after them. The kernel keeps a twentieth of the time for everybody else. False where
+    it may not be asked for: everything works all the same.
+    """
+    return _schedule(os.SCHED_RR, os.sched_get_priority_min(os.SCHED_RR) + flies)
+
+
+def _schedule(policy: int, priority: int) -> bool:
+    """Ask for a scheduling policy for all threads of this process: a node has some before it has a word."""
+    try:
+        for thread in os.listdir("/proc/self/task"):
+            with suppress(ProcessLookupError):  # it has just ended
+                os.sched_setscheduler(int(thread), policy, os.sched_param(priority))
+    except OSError:
+        return False
+    return True
+
+
+def for_children(domain: int, processes: int, folder: Path) -> dict[str, str]:
+    """Environment of the processes of a fleet; the discovery profile is written into `folder`."""
+    prepare()
+    child = dict(os.environ)
+    child[PARENT] = str(os.getpid())
+    child["ROS_DOMAIN_ID"] = str(domain)
+    for name in ONE_THREAD:
+        child.setdefault(name, "1")
+    # `-m ptnsbc_nodes...` must find the same code, installed or not.
+    root = str(Path(__file__).resolve().parents[2])
+    child["PYTHONPATH"] = os.pathsep.join(filter(None, (root, child.get("PYTHONPATH"))))
+    if _discovery_is_ours(child):
+        profile = folder / "discovery.xml"
+        # LOCALHOST of rmw_fastrtps probes 32 participants only, and always uses shared memory. So the
+        # same by hand: no multicast, as many peers on this host as there are, UDP alone.
+        profile.write_text(dds_profiles.localhost(processes + _SPARE_PEERS), encoding="utf-8")
+        child[_PROFILES[0]] = str(profile)
+        # Whatever else it is set to, rmw_fastrtps would override the profile.
+        child["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "SYSTEM_DEFAULT"
+    return child
+
+
+def _joined(environment: Mapping[str, str]) -> dict[str, str]:
+    """The settings of a process on a network; NetworkError when they would not be heeded."""
+    profile = str(dds_profiles.checked(Path(environment[NETWORK])))
+    if environment.get("RMW_IMPLEMENTATION", _RMW) != _RMW:
+        raise dds_profiles.NetworkError(
+            f"RMW_IMPLEMENTATION={environment['RMW_IMPLEMENTATION']}: {NETWORK} is a profile of Fast DDS: "
+            f"expected {_RMW}, or the settings of that middleware and no {NETWORK}"
+        )
+    return {
+        NETWORK: profile,
+        _PROFILES[0]: profile,
+        # Whatever else it is set to, rmw_fastrtps would override the profile.
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT",
+    }
+
+
+def _discovery_is_ours(environment: Mapping[str, str]) -> bool:
+    return (
+        environment["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST"
+        and environment.get("RMW_IMPLEMENTATION", _RMW) == _RMW
+        and "ROS_DISCOVERY_SERVER" not in environment
+        and not any(name in environment for name in _PROFILES)
+    )
+
+
+def _stay_with_parent() -> None:
+    """End with the launcher, even when it is killed: an orphan would fly on unseen."""
+    parent = os.environ.get(PARENT)
+    if parent is None or not sys.platform.startswith("linux"):
+        return
+    if parent == str(os.getpid()):  # the launcher itself, called from another fleet
+        return
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, int(signal.SIGTERM))
+    if os.getppid() != int(parent):
+        raise SystemExit("the launcher has ended")

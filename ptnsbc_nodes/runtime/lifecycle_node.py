@@ -1,0 +1,158 @@
+"""A node with a life cycle: configured, activated, deactivated and cleaned up by whoever manages the fleet.
+
+What it does at each transition is the business of its `Work`. A user's error refuses a transition and
+is logged; any other ends the process.
+"""
+
+from __future__ import annotations
+
+import gc
+import traceback
+from collections.abc import Callable
+from typing import Any, Protocol
+
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+
+from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_nodes.comm.endpoints import Endpoints
+
+
+class Work(Protocol):
+    """What a configured node has: topics from the start, and more while it is active."""
+
+    endpoints: Endpoints
+
+    def activate(self) -> None:
+        """Begin."""
+
+    def deactivate(self) -> None:
+        """Stop, so that `activate` can begin again; a PtnsbcError refuses."""
+
+    def close(self) -> None:
+        """Take everything away from the node."""
+
+
+class Managed(LifecycleNode):
+    """`make` is what `configure` does; a PtnsbcError from it refuses. `on_end` ends the process."""
+
+    def __init__(self, name: str, **options: Any) -> None:
+        super().__init__(name, **options)
+        self.work: Work | None = None
+        self.refusal: PtnsbcError | None = None  # of the newest transition
+        self._by_itself = False  # nobody asks: who starts it hears of a refusal
+        self.broken = False  # by an error that is not the user's
+        self._make: Callable[[], Work] | None = None
+        self._end: Callable[[], None] = lambda: None
+        self._guard_requests()
+
+    def assign(self, make: Callable[[], Work], on_end: Callable[[], None]) -> None:
+        """Say what to do; before the node is served."""
+        self._make, self._end = make, on_end
+
+    @property
+    def state(self) -> str:
+        """unconfigured, inactive, active or finalized."""
+        return str(self._state_machine.current_state[1])
+
+    def autostart(self) -> None:
+        """Configure and activate; raises what refuses it."""
+        self._by_itself = True
+        for trigger in (self.trigger_configure, self.trigger_activate):
+            if trigger() is not TransitionCallbackReturn.SUCCESS and self.refusal is not None:
+                raise self.refusal
+        self._by_itself = False
+
+    def flush(self, timeout_s: float) -> None:
+        """Wait until reliable readers have everything."""
+        if self.work is not None:
+            self.work.endpoints.flush(timeout_s)
+
+    def account(self) -> str:
+        """What it has sent."""
+        return "" if self.work is None else self.work.endpoints.account()
+
+    def finish(self) -> None:
+        """Take everything away and tell that it is over; the process ends next."""
+        self._end = lambda: None
+        self._close()
+        if self.state != "finalized":
+            self.trigger_shutdown()
+
+    def destroy_node(self) -> None:
+        """Also what rclpy forgets: the transition topic, by which the node would stay in the graph."""
+        self._state_machine.destroy_when_not_in_use()
+        super().destroy_node()
+
+    def on_configure(self, _state: LifecycleState) -> TransitionCallbackReturn:
+        """Make the topics and what belongs to them."""
+        return self._carried_out(self._configure)
+
+    def on_activate(self, _state: LifecycleState) -> TransitionCallbackReturn:
+        """Begin to act."""
+        return self._carried_out(self._activate)
+
+    def on_deactivate(self, _state: LifecycleState) -> TransitionCallbackReturn:
+        """Stop acting."""
+        return self._carried_out(self._deactivate)
+
+    def on_cleanup(self, _state: LifecycleState) -> TransitionCallbackReturn:
+        """Take the topics away."""
+        return self._carried_out(self._close)
+
+    def on_shutdown(self, _state: LifecycleState) -> TransitionCallbackReturn:
+        """End the process, whatever it was doing."""
+        self._end()
+        return TransitionCallbackReturn.SUCCESS
+
+    def _configure(self) -> None:
+        if self._make is not None:
+            self.work = self._make()
+
+    def _activate(self) -> None:
+        # What was made so far lives as long as the node works: no collection need look at it.
+        gc.freeze()
+        if self.work is not None:
+            self.work.activate()
+
+    def _deactivate(self) -> None:
+        if self.work is not None:
+            self.work.deactivate()
+
+    def _close(self) -> None:
+        if self.work is not None:
+            self.work.close()
+            self.work = None
+
+    def _carried_out(self, transition: Callable[[], object]) -> TransitionCallbackReturn:
+        self.refusal = None
+        try:
+            transition()
+        except PtnsbcError as error:
+            self.refusal = error
+            if not self._by_itself:
+                self.get_logger().error(" ".join(str(error).split()))
+            return TransitionCallbackReturn.FAILURE
+        except Exception:  # rclpy would go on without a word
+            self.broken = True
+            self.get_logger().fatal(traceback.format_exc())
+            self._end()
+            return TransitionCallbackReturn.ERROR
+        return TransitionCallbackReturn.SUCCESS
+
+    def _guard_requests(self) -> None:
+        """A transition that is not possible now is refused; in rclpy it ends the process."""
+        change = self._service_change_state.callback
+
+        def guarded(request: Any, response: Any) -> Any:
+            possible = {one[0]: one[1] for one in self._state_machine.available_transitions}
+            wanted = request.transition
+            if wanted.label in possible.values() or (not wanted.label and wanted.id in possible):
+                return change(request, response)
+            self.get_logger().error(
+                f"transition {wanted.label or wanted.id}: not possible now, {self.state}: expected "
+                f"one of {', '.join(possible.values())}"
+            )
+            response.success = False
+            return response
+
+        self._service_change_state.callback = guarded

@@ -1,0 +1,197 @@
+"""The ROS parameters of a flight's processes: how they fly, and every single value of the scenario.
+
+Parameters that say which flight it is are read-only. Those of the scenario can be changed until the
+node is configured: all processes of a flight must agree on them, and on what the bag says they were.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
+)
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_nodes.comm.graph import FlightOptions
+from ptnsbc_nodes.runtime.scenario_parameters import Leaf, Value, leaves
+from ptnsbc_sim.scenario import Scenario, load_scenario, scenario_from_text
+from ptnsbc_sim.scenario.model import ScenarioFile
+
+_LARGEST = sys.float_info.max
+_INTEGERS = (-(2**63), 2**63 - 1)
+
+
+class ParameterError(PtnsbcError):
+    """A parameter that a process cannot be started with."""
+
+
+class Fixed(NamedTuple):
+    """A read-only parameter."""
+
+    name: str
+    default: Value
+    description: str
+    low: float = -math.inf
+    high: float = math.inf
+
+    def leaf(self, value: Value) -> Leaf:
+        """With the value that it has."""
+        return Leaf(self.name, value, self.description, self.low, self.high, "")
+
+
+SCENARIO = (
+    Fixed("scenario", "", "scenario file, or name of a built-in"),
+    Fixed("scenario_text", "", "the scenario itself, instead of a file"),
+    Fixed("lockstep", False, "tick with the simulation, not with the clock"),
+    Fixed("recorded", False, "be ready only when a recorder listens"),
+)
+UAV = Fixed("uav", 0, "id of the UAV; 0: that of the namespace", 0, 254)
+BRIDGED = Fixed("bridged", False, "flight controllers fly, there is no sim")
+AUTOSTART = Fixed("autostart", True, "configure and activate without being asked")
+
+
+def overrides(given: Mapping[str, Value | None]) -> list[Parameter]:
+    """What the command line says, for the constructor of a node; None and False say nothing."""
+    return [
+        Parameter(name, value=value)
+        for name, value in given.items()
+        if value is not None and value is not False
+    ]
+
+
+class Parameters:
+    """The parameters of one node, declared; the node must have declared all that it was given.
+
+    Raises:
+        ParameterError: a value of the wrong type, out of its range, or for another kind of node.
+        ScenarioError: the scenario cannot be read with these values.
+    """
+
+    def __init__(self, node: Node, fixed: Sequence[Fixed], *, bridged: bool = False) -> None:
+        self._node = node
+        self._bridged = bridged
+        self._given = {
+            name: _plain(parameter.value)
+            for name, parameter in node.get_parameters_by_prefix("").items()
+        }
+        for one in fixed:
+            self._declare(one.leaf(self._value(one.name, one.default)), read_only=True)
+        self._changed = {
+            key: value
+            for key, value in self._given.items()
+            if key.partition(".")[0] in ScenarioFile.model_fields
+        }
+        self.scenario = self._read({})
+        self.uav = self._uav() if UAV in fixed else 0
+
+    def declare_scenario(self, may_change: Callable[[], bool] = lambda: False) -> None:
+        """Declare every single value of the scenario; `may_change` says whether it still may."""
+        self._may_change = may_change
+        for leaf in leaves(self.scenario):
+            self._declare(leaf, read_only=False)
+        for key in self._changed.keys() - {leaf.key for leaf in leaves(self.scenario)}:
+            # A list, or something below an id.
+            about = ParameterDescriptor(description=f"{key} of the scenario", read_only=True)
+            self._node.undeclare_parameter(key)
+            self._node.declare_parameter(key, self._changed[key], about, ignore_override=True)
+        self._node.add_on_set_parameters_callback(self._on_set)
+
+    def __getitem__(self, name: str) -> Any:
+        """The value of a declared parameter."""
+        return self._node.get_parameter(name).value
+
+    @property
+    def options(self) -> FlightOptions:
+        """The options all processes of a flight share."""
+        return FlightOptions(self["lockstep"], self["recorded"], self._is_bridged)
+
+    @property
+    def _is_bridged(self) -> bool:
+        return self._bridged or bool(self._node.has_parameter("bridged") and self["bridged"])
+
+    def _value(self, name: str, default: Value) -> Value:
+        value = self._given.get(name, default)
+        if isinstance(default, float) and type(value) is int:
+            value = float(value)
+        if type(value) is not type(default):
+            raise ParameterError(f"parameter {name}: {value!r}: expected {type(default).__name__}")
+        return value
+
+    def _declare(self, leaf: Leaf, *, read_only: bool) -> None:
+        if not isinstance(leaf.value, str) and not leaf.low <= leaf.value <= leaf.high:
+            raise ParameterError(
+                f"parameter {leaf.key}: {leaf.value}: expected {leaf.low:g} to {leaf.high:g}"
+            )
+        # What was given is declared already, without description and range.
+        if self._node.has_parameter(leaf.key):
+            self._node.undeclare_parameter(leaf.key)
+        about = descriptor(leaf, read_only=read_only)
+        self._node.declare_parameter(leaf.key, leaf.value, about, ignore_override=True)
+
+    def _uav(self) -> int:
+        last = self._node.get_namespace().rpartition("/")[2].removeprefix("uav")
+        uav = int(self["uav"]) or (int(last) if last.isdecimal() else 0)
+        if uav == 0:
+            raise ParameterError("parameter uav: not given: expected --uav N, or a namespace /uavN")
+        self.scenario.uav(uav)  # refuses an id that is not in the file
+        return uav
+
+    def _read(self, changes: Mapping[str, Any]) -> Scenario:
+        """The scenario with what was given and `changes` in place of its own values."""
+        given = {**self._changed, **changes}
+        text, name = self["scenario_text"], self["scenario"]
+        if bool(text) == bool(name):
+            raise ParameterError(
+                "parameter scenario: expected a scenario file or name (--scenario), or else its "
+                f"text in scenario_text, {'not both' if text else 'neither is given'}"
+            )
+        read = scenario_from_text(text, given) if text else load_scenario(name, given)
+        return read.bridged() if self._is_bridged else read
+
+    def _on_set(self, parameters: Iterable[Parameter]) -> SetParametersResult:
+        changes = {p.name: _plain(p.value) for p in parameters if self._of_scenario(p.name)}
+        if not changes:
+            return SetParametersResult(successful=True)
+        if not self._may_change():
+            reason = "fixed since the node was configured; clean it up first"
+            return SetParametersResult(successful=False, reason=reason)
+        try:
+            self.scenario = self._read(changes)
+        except PtnsbcError as error:
+            return SetParametersResult(successful=False, reason=" ".join(str(error).split()))
+        self._changed.update(changes)
+        return SetParametersResult(successful=True)
+
+    def _of_scenario(self, name: str) -> bool:
+        return name.partition(".")[0] in ScenarioFile.model_fields
+
+
+def descriptor(leaf: Leaf, *, read_only: bool) -> ParameterDescriptor:
+    """What `ros2 param describe` tells of a value."""
+    about = ParameterDescriptor(
+        description=leaf.description, additional_constraints=leaf.rule, read_only=read_only
+    )
+    if (leaf.low, leaf.high) == (-math.inf, math.inf):
+        return about
+    if type(leaf.value) is float:
+        low, high = max(leaf.low, -_LARGEST), min(leaf.high, _LARGEST)
+        about.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
+    elif type(leaf.value) is int:
+        ends = zip((leaf.low, leaf.high), _INTEGERS, strict=True)
+        low_int, high_int = (int(end) if math.isfinite(end) else last for end, last in ends)
+        about.integer_range = [IntegerRange(from_value=low_int, to_value=high_int)]
+    return about
+
+
+def _plain(value: Any) -> Any:
+    """Arrays as lists, as they are in a scenario file."""
+    return value if isinstance(value, Value | None) else list(value)

@@ -1,0 +1,176 @@
+"""What every node process does alike: arguments, one rclpy node, one thread, a clean end."""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import signal
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from types import FrameType
+from typing import Any, NoReturn, Protocol
+
+import rclpy
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Future
+
+from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_nodes.comm.graph import FlightOptions
+from ptnsbc_nodes.runtime import environment
+from ptnsbc_nodes.runtime.executor import make_executor
+from ptnsbc_nodes.runtime.lifecycle_node import Managed
+from ptnsbc_nodes.runtime.provenance import add_version
+from ptnsbc_nodes.runtime.ros_args import ros_errors, without_ros
+from ptnsbc_nodes.runtime.warmup import spare_linear_algebra
+
+USER_ERROR = 2
+_FLUSH_S = 5.0  # half of what the launcher waits; a recorder that is busy is seconds behind
+_SIGNAL_CHECK_S = 0.2
+
+
+class Arguments(argparse.ArgumentParser):
+    """Arguments of a node besides those of ROS; a wrong one is refused in one line."""
+
+    def __init__(self, name: str, description: str, *, scenario: bool = True) -> None:
+        super().__init__(prog=name, description=description)
+        add_version(self)
+        self.add_argument(
+            "--scenario", required=scenario, help="scenario file, or name of a built-in"
+        )
+        self.add_argument("--lockstep", action="store_true", help="tick with the simulation")
+        self.add_argument(
+            "--recorded", action="store_true", help="be ready only when a recorder listens"
+        )
+        self.add_argument(
+            "--bridged", action="store_true", help="flight controllers fly, there is no sim"
+        )
+
+    def error(self, message: str) -> NoReturn:
+        """Print one line and exit with 2."""
+        print(f"{self.prog}: {message}", file=sys.stderr)
+        raise SystemExit(USER_ERROR)
+
+
+def namespace_of(uav: int | None) -> str:
+    """Where the nodes of a UAV live, inside the namespace of the fleet."""
+    return "" if uav is None else f"/uav{uav}"
+
+
+def flight_options(arguments: argparse.Namespace) -> FlightOptions:
+    """The options all processes of a flight share."""
+    return FlightOptions(
+        lockstep=arguments.lockstep, recorded=arguments.recorded, bridged=arguments.bridged
+    )
+
+
+def run(
+    parser: Arguments,
+    argv: Sequence[str] | None,
+    body: Callable[[argparse.Namespace, list[str]], int],
+) -> int:
+    """Parse and run `body(arguments, argv)`; a user's error is one line on stderr and exit 2."""
+    full = list(sys.argv if argv is None else (parser.prog, *argv))
+    try:
+        environment.prepare()
+        arguments = parser.parse_args(without_ros(full[1:]))
+        spare_linear_algebra()
+        return body(arguments, full)
+    except PtnsbcError as error:
+        print(f"{parser.prog}: {error}", file=sys.stderr)
+        return USER_ERROR
+    except KeyboardInterrupt:  # before rclpy had its handlers in place
+        return 0
+
+
+class _Flushed(Protocol):
+    def flush(self, timeout_s: float) -> None: ...
+
+    def account(self) -> str: ...
+
+
+class Lifetime:
+    """From the start of a process to SIGINT, SIGTERM or its own end.
+
+    Instead of rclpy's signal handlers: those shut the context down under our feet, and the last
+    messages of a flight could not be waited for.
+    """
+
+    def __init__(self) -> None:
+        self._done = Future()
+        self._signalled = False
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._on_signal)
+
+    def end(self) -> None:
+        """Leave after the running callback."""
+        if not self._done.done():
+            self._done.set_result(None)
+
+    def serve(self, node: Node, endpoints: _Flushed) -> None:
+        """Run callbacks until the end, then let readers catch up."""
+        executor: Any = make_executor(node.context)
+        executor.add_node(node)
+        # What was made so far lives as long as the process: no collection need look at it.
+        gc.collect()
+        gc.freeze()
+        while not (self._signalled or self._done.done()) and node.context.ok():
+            # Python sees a signal only between two calls.
+            executor.spin_until_future_complete(self._done, timeout_sec=_SIGNAL_CHECK_S)
+        endpoints.flush(_FLUSH_S)
+        print(endpoints.account(), flush=True)
+        executor.remove_node(node)
+
+    def _on_signal(self, _number: int, _frame: FrameType | None) -> None:
+        self._signalled = True
+
+
+@contextmanager
+def ros_node(
+    name: str, namespace: str, argv: Sequence[str], make: Any = rclpy.create_node, **options: Any
+) -> Iterator[Any]:
+    """One rclpy node, made by `make`, without the services that cost each tick a little."""
+    with ros_errors():
+        rclpy.init(args=list(argv), signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        node = make(
+            name,
+            namespace=namespace,
+            enable_rosout=False,
+            **{"start_parameter_services": False, **options},
+        )
+        try:
+            yield node
+        finally:
+            node.destroy_node()
+    finally:
+        rclpy.try_shutdown()
+
+
+@contextmanager
+def parameter_node(
+    name: str,
+    namespace: str,
+    argv: Sequence[str],
+    overrides: Sequence[Parameter],
+    make: Any = rclpy.create_node,
+) -> Iterator[Any]:
+    """A node that has declared whatever it was given; `parameters` says what is meant by it."""
+    options = {
+        "start_parameter_services": True,
+        "parameter_overrides": list(overrides),
+        "automatically_declare_parameters_from_overrides": True,
+    }
+    with ros_node(name, namespace, argv, make, **options) as node:
+        yield node
+
+
+def serve_managed(node: Managed, lifetime: Lifetime, *, autostart: bool) -> int:
+    """Serve a managed node until the end of its process; returns the exit code."""
+    if autostart:
+        node.autostart()
+    lifetime.serve(node, node)
+    node.finish()
+    return int(node.broken)

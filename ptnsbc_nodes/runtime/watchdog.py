@@ -1,0 +1,46 @@
+"""Lock-step: whoever keeps everybody waiting is named.
+
+The rule. Nobody has answered the sim for `SAID_S`: it says whom it waits for, and tells the launcher. A
+UAV that only waits for others tells the launcher that it does, so it is alive; one that does not, for
+`ENDED_S`, is ended by the launcher, and from then on counts as every other that was killed. A recorder is
+named and left alone: a disk that takes long is no reason to lose a bag.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+
+from ptnsbc_nodes.comm.diagnostics import STATUS_HZ, Level, diagnostics, readiness
+
+SAID_S = 3.0
+ENDED_S = 10.0
+WAITED = "waited_s"
+"""Key of /formation/ready: for how long the sim has waited for those in `waiting_for`."""
+
+
+class Standstill:
+    """Notices that a flight does not go on.
+
+    Args:
+        send: publisher of a serialised DiagnosticArray.
+    """
+
+    def __init__(self, send: Callable[[bytes], None]) -> None:
+        self._send = send
+        self._mark: object = None
+        self._looks = 0
+
+    def look(self, mark: object, awaited: Callable[[], list[str]]) -> None:
+        """Call it `STATUS_HZ` times a second; `mark` changes when the flight goes on."""
+        # Looks are counted, not seconds: who did not run for a while has not waited for anybody.
+        self._looks = self._looks + 1 if mark == self._mark else 0
+        self._mark = mark
+        if self._looks < SAID_S * STATUS_HZ:
+            return
+        names, waited_s = awaited(), self._looks / STATUS_HZ
+        message = f"no answer from {' '.join(names)} for {waited_s:.0f} s"
+        if self._looks == round(SAID_S * STATUS_HZ):
+            print(f"sim: {message}", file=sys.stderr, flush=True)
+        values = {**readiness(names), WAITED: f"{waited_s:.1f}"}
+        self._send(diagnostics(0, "sim: world", Level.ERROR, message, values))

@@ -1,0 +1,51 @@
+"""Process of the vehicles: `python -m ptnsbc_nodes.sim.main --scenario FILE [--lockstep]`."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+
+from ptnsbc_nodes.comm import topics
+from ptnsbc_nodes.comm.graph import Edges
+from ptnsbc_nodes.runtime import environment
+from ptnsbc_nodes.runtime.parameters import SCENARIO, ParameterError, Parameters, overrides
+from ptnsbc_nodes.runtime.process import Arguments, Lifetime, parameter_node, run
+from ptnsbc_nodes.runtime.warmup import load_world
+from ptnsbc_nodes.sim.node import Sim
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Simulate until the flight is over, SIGINT or SIGTERM."""
+    parser = Arguments("sim", "Simulated vehicles of a formation", scenario=False)
+    parser.add_argument("--duration", type=float, metavar="S", help="instead of the scenario's")
+    return run(parser, argv, _simulate)
+
+
+def _simulate(arguments: argparse.Namespace, argv: list[str]) -> int:
+    lifetime = Lifetime()
+    given = overrides(
+        {
+            "scenario": arguments.scenario,
+            "lockstep": arguments.lockstep,
+            "recorded": arguments.recorded,
+            "timing.duration_s": arguments.duration,
+        }
+    )
+    with parameter_node("sim", "", argv, given) as node:
+        told = Parameters(node, SCENARIO)
+        told.declare_scenario()
+        if node.get_parameter("use_sim_time").value:
+            raise ParameterError("parameter use_sim_time: true: expected false, the sim makes time")
+        if not topics.tf_is_available():
+            print("sim: no live /tf, tf2_msgs is not installed; bags have it", file=sys.stderr)
+        load_world(told.scenario)
+        if told.options.lockstep:
+            environment.prefer_throughput()
+        sim = Sim(node, told.scenario, Edges(told.scenario, told.options), lifetime.end)
+        lifetime.serve(node, sim.endpoints)
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

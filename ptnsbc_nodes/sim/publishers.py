@@ -1,0 +1,75 @@
+"""What the simulated world tells: odometry, near objects, time, and pictures of it all."""
+
+from __future__ import annotations
+
+from importlib import import_module
+
+from ptnsbc_io.wire import ClockTemplate, OdometryTemplate, encode_near
+from ptnsbc_nodes.comm import topics
+from ptnsbc_nodes.comm.agent_messages import WORLD_FRAME
+from ptnsbc_nodes.comm.diagnostics import status_every
+from ptnsbc_nodes.comm.endpoints import Endpoints
+from ptnsbc_nodes.comm.graph import FlightOptions
+from ptnsbc_nodes.comm.markers import Scene
+from ptnsbc_nodes.comm.serialize import encode
+from ptnsbc_sim.scenario import Scenario
+from ptnsbc_sim.world import World
+
+
+class Senses:
+    """Publishers of the sim: all at once in real time, one vehicle at a time in lock-step."""
+
+    def __init__(
+        self, endpoints: Endpoints, scenario: Scenario, world: World, options: FlightOptions
+    ) -> None:
+        self._world = world
+        self._near_every = scenario.near_every
+        self._scene_every = status_every(scenario)
+        self._calls = 0
+        self._scene = Scene(scenario, world)
+        self._clock = ClockTemplate()
+        ids, readers = world.ids, options.recorders
+        self._odometry = {i: OdometryTemplate(WORLD_FRAME, f"uav{i}/base_link") for i in ids}
+        self._send_odom = {i: endpoints.publisher(topics.odom(i), 1 + readers) for i in ids}
+        self._send_truth = (
+            {i: endpoints.publisher(topics.truth(i), readers) for i in ids}
+            if scenario.imperfect
+            else {}
+        )
+        self._send_near = {i: endpoints.publisher(topics.near(i), 1 + readers) for i in ids}
+        self._send_clock = endpoints.publisher(topics.CLOCK, readers)
+        self._send_markers = endpoints.publisher(topics.MARKERS, readers)
+        # For viewers only: the recorder makes its own.
+        self._send_tf = endpoints.publisher(topics.TF, 0) if topics.tf_is_available() else None
+
+    def publish(self, stamp_ns: int) -> None:
+        """Tell the world's state of now; near objects and pictures at their own rates."""
+        for i in self._world.ids:
+            self.vehicle(i, self._calls, stamp_ns)
+        self.time(stamp_ns)
+        if self._calls % self._scene_every == 0:
+            self.picture(stamp_ns)
+        self._calls += 1
+
+    def vehicle(self, uav_id: int, tick: int, stamp_ns: int) -> None:
+        """Tell one UAV its odometry, and at its sensor's turn what is near."""
+        state = self._world.odometry(uav_id)
+        self._send_odom[uav_id](self._odometry[uav_id].encode(stamp_ns, state))
+        if uav_id in self._send_truth:
+            truth = self._world.truth(uav_id)
+            self._send_truth[uav_id](self._odometry[uav_id].encode(stamp_ns, truth))
+        if tick % self._near_every == 0:
+            seen = self._world.near(uav_id)
+            self._send_near[uav_id](encode_near(stamp_ns, WORLD_FRAME, seen))
+
+    def time(self, stamp_ns: int) -> None:
+        """Tell the time."""
+        self._send_clock(self._clock.encode(stamp_ns))
+
+    def picture(self, stamp_ns: int) -> None:
+        """Tell what viewers draw."""
+        self._send_markers(self._scene.markers(stamp_ns))
+        if self._send_tf is not None:
+            transforms = self._scene.transforms(stamp_ns)
+            message = import_module("tf2_msgs.msg").TFMessage(transforms=transforms)
+            self._send_tf(encode(message))

@@ -1,0 +1,1 @@
+"""The process of one UAV: inbox, control step, outbox."""

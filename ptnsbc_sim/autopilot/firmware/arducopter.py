@@ -1,0 +1,295 @@
+"""The personality of ArduCopter 4.7: GUIDED and its take-off. Sources: docs/autopilot.md."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from ptnsbc_core.types import Array
+from ptnsbc_io.mavlink.dialect import mavlink
+from ptnsbc_sim.autopilot.commands import Request, custom_mode, whole
+from ptnsbc_sim.autopilot.firmware.firmware import Status
+from ptnsbc_sim.autopilot.firmware.guided import Guided, Limits, Seen, Submode
+from ptnsbc_sim.autopilot.parameters import ARDUCOPTER, Parameters
+from ptnsbc_sim.autopilot.physics import targets
+from ptnsbc_sim.autopilot.physics.airframe import LoopGains, hover_share
+from ptnsbc_sim.autopilot.physics.frames import attitude_swap, euler_of
+from ptnsbc_sim.autopilot.physics.geodesy import ARDUPILOT_RADIUS_M
+from ptnsbc_sim.autopilot.vehicle import Vehicle
+
+_DONE = int(mavlink.MAV_RESULT_ACCEPTED)
+_DENIED = int(mavlink.MAV_RESULT_DENIED)
+_FAILED = int(mavlink.MAV_RESULT_FAILED)
+_UNSUPPORTED = int(mavlink.MAV_RESULT_UNSUPPORTED)
+
+STABILIZE, ALT_HOLD, GUIDED, LOITER, RTL, LAND, BRAKE = 0, 2, 4, 5, 6, 9, 17
+MODES = {
+    "STABILIZE": STABILIZE,
+    "ALT_HOLD": ALT_HOLD,
+    "GUIDED": GUIDED,
+    "LOITER": LOITER,
+    "RTL": RTL,
+    "LAND": LAND,
+    "BRAKE": BRAKE,
+}
+_NAMES = {number: name for name, number in MODES.items()}
+_NEED_POSITION = (GUIDED, LOITER, RTL, BRAKE)
+_MANUAL = (STABILIZE, ALT_HOLD)
+
+THRUST_IS_THRUST = 8
+"""Bit of GUID_OPTIONS: the thrust of SET_ATTITUDE_TARGET is a thrust, not a climb rate."""
+
+_SPOOL_UP_S = 1.0
+_SINK_M_S = 0.5
+_SLOW_BELOW_M = 10.0
+_ARRIVED_M = 0.2
+
+
+class ArduCopter(Vehicle):
+    """ArduCopter on a quadrotor without a transmitter."""
+
+    autopilot = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
+    capabilities = mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST
+    version_word = 4 << 24 | 7 << 16
+    refusal = _FAILED
+    earth_radius_m = ARDUPILOT_RADIUS_M
+    ready_s = (20.0, 40.0)
+    rates_hz = (
+        {mavlink.MAVLINK_MSG_ID_HEARTBEAT: 1.0},
+        {mavlink.MAVLINK_MSG_ID_HEARTBEAT: 1.0},
+    )
+
+    def default_parameters(self) -> Parameters:
+        """ArduCopter's; the hover thrust has been learned."""
+        learned = {"MAV_SYSID": self.system, "MOT_THST_HOVER": hover_share(self.body.plant)}
+        return Parameters({**ARDUCOPTER, **learned}, bytewise=False)
+
+    def gains(self) -> LoopGains:
+        """From PSC_*, WP_* and ATC_*."""
+        p = self.parameters
+        speed, up, down = p["WP_SPD"], p["WP_SPD_UP"], p["WP_SPD_DN"]
+        return LoopGains(
+            p["PSC_NE_POS_P"],
+            1.0,
+            p["PSC_NE_VEL_P"],
+            4.0,
+            0.4,
+            2.0,
+            speed + 1.0,
+            up,
+            down,
+            5.0,
+            math.radians(p["ATC_ANGLE_MAX"]),
+            9.0,
+            4.5,
+            3.8,
+            1.0,
+        )
+
+    def limits(self) -> Limits:
+        """Of GUIDED."""
+        p = self.parameters
+        return Limits(p["WP_SPD"], p["WP_SPD_UP"], p["WP_SPD_DN"], p["WP_ACC"])
+
+    # State.
+
+    def on_boot(self, t: float) -> None:
+        """In STABILIZE."""
+        self.mode = STABILIZE
+        self._transmitter = False
+        self._announced = False
+        self._auto_armed = False  # whether something has asked to leave the ground
+        self._land_complete = True
+        self._place = targets.Place(self.flight.position_enu.copy(), 0.0)
+        self._guided = Guided(self._seen(), t)
+
+    def _seen(self) -> Seen:
+        flight = self.flight
+        heading = euler_of(attitude_swap(flight.attitude_enu)).yaw
+        return Seen(flight.position_enu.copy(), flight.velocity_enu.copy(), heading)
+
+    @property
+    def mode_name(self) -> str:
+        """Name of the mode."""
+        return _NAMES[self.mode]
+
+    def status(self) -> Status:
+        """HEARTBEAT; standby while the land detector says landed, armed or not."""
+        flags = (
+            mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
+            | mavlink.MAV_MODE_FLAG_STABILIZE_ENABLED
+            | mavlink.MAV_MODE_FLAG_MANUAL_INPUT_ENABLED
+        )
+        if self.mode not in _MANUAL:
+            flags |= mavlink.MAV_MODE_FLAG_GUIDED_ENABLED
+        if self.armed:
+            flags |= mavlink.MAV_MODE_FLAG_SAFETY_ARMED
+        landed = self._land_complete
+        state = mavlink.MAV_STATE_STANDBY if landed else mavlink.MAV_STATE_ACTIVE
+        return Status(flags, self.mode, state)
+
+    def landed_state(self) -> int:
+        """By the land detector and the mode."""
+        if self._land_complete:
+            return int(mavlink.MAV_LANDED_STATE_ON_GROUND)
+        if self.mode == LAND:
+            return int(mavlink.MAV_LANDED_STATE_LANDING)
+        if self.mode == GUIDED and self._guided.submode is Submode.TAKE_OFF:
+            return int(mavlink.MAV_LANDED_STATE_TAKEOFF)
+        return int(mavlink.MAV_LANDED_STATE_IN_AIR)
+
+    # Arming and modes.
+
+    def arming_problem(self, t: float) -> str | None:
+        """The first check that fails."""
+        if self.faults.refuse_arming:
+            return "Compasses inconsistent"
+        if self.mode in _NEED_POSITION and not self.position_valid(t):
+            return "Need Position Estimate"
+        if self.mode in (LAND, RTL, BRAKE):
+            return f"{self.mode_name} mode not armable"
+        if self.flight.battery <= 0.07:
+            return "Battery below minimum arming voltage"
+        return None
+
+    def on_armed(self, t: float) -> None:
+        """On the ground, motors at idle, nothing asked for."""
+        self._auto_armed = False
+        self._guided = Guided(self._seen(), t)
+
+    def on_disarmed(self, t: float) -> None:
+        """The mode stays."""
+        self._auto_armed = False
+
+    def _choose(self, mode: int, t: float) -> bool:
+        if mode in _NEED_POSITION and not self.position_valid(t):
+            self.tell(f"Mode change to {_NAMES[mode]} failed: requires position", t)
+            return False
+        if mode != self.mode:
+            self.log(f"mode {_NAMES[mode]}")
+        seen = self._seen()
+        self.mode = mode
+        self._place = targets.Place(seen.position, euler_of(self.flight.attitude_enu).yaw)
+        self._place = self._place.ahead(seen.velocity)
+        self._guided = Guided(seen, t)
+        return True
+
+    def set_mode(self, request: Request, t: float) -> int:
+        """param1 says that custom modes are meant, param2 is the mode."""
+        if not custom_mode(request):
+            return _UNSUPPORTED
+        mode = whole(request.params[1])
+        if mode not in _NAMES:
+            return _FAILED
+        return _DONE if self._choose(mode, t) else _FAILED
+
+    def take_off(self, request: Request, t: float) -> int:
+        """Only in GUIDED, armed and landed; param7 is the height above home."""
+        height = request.params[6]
+        ready = self.mode == GUIDED and self.armed and self._land_complete
+        if not ready or not math.isfinite(height) or height <= 0.0:
+            return _FAILED
+        self._guided.take_off(self._seen(), float(self.home_local_enu[2]) + height)
+        self._auto_armed = True
+        return _DONE
+
+    def land(self, t: float) -> int:
+        """Changes the mode."""
+        return _DONE if self._choose(LAND, t) else _FAILED
+
+    def return_home(self, t: float) -> int:
+        """Changes the mode."""
+        return _DONE if self._choose(RTL, t) else _FAILED
+
+    def pilot(self, mode: str, t: float) -> bool:
+        """A transmitter's switch; sticks centred."""
+        if mode.upper() not in MODES:
+            return False
+        self._transmitter = True
+        self._choose(MODES[mode.upper()], t)
+        return True
+
+    # Setpoints: silently ignored outside GUIDED.
+
+    def on_trajectory(self, message: Any, t: float) -> None:
+        """SET_POSITION_TARGET_LOCAL_NED; it ends a take-off, on the ground too. A wrong one stops."""
+        seen = self._seen()
+        if self.mode == GUIDED and not self._guided.trajectory(message, seen, t):
+            self._guided = Guided(seen, t)
+
+    def on_attitude(self, message: Any, t: float) -> None:
+        """SET_ATTITUDE_TARGET; a positive climb rate or thrust leaves the ground."""
+        if self.mode != GUIDED:
+            return
+        as_thrust = bool(whole(self.parameters["GUID_OPTIONS"]) & THRUST_IS_THRUST)
+        if not self._guided.attitude(message, self.limits(), as_thrust, t):
+            self._guided = Guided(self._seen(), t)
+        if self.armed and self._guided.lifts and message.thrust > 0.0:
+            self._auto_armed = True
+
+    # Rules that act by themselves.
+
+    def watch(self, t: float) -> None:
+        """Land detector, disarming, loss of the position."""
+        if not self._announced and self.position_valid(t):
+            self._announced = True
+            self.tell("EKF3 IMU0 is using GPS", t, mavlink.MAV_SEVERITY_INFO)
+        if not self.in_contact:
+            self._land_complete = False
+        elif self.landed and not self._land_complete:
+            self._land_complete = True
+            self._auto_armed = False
+            self.log("landed")
+        if not self.armed:
+            return
+        if self.mode in _NEED_POSITION and not self.position_valid(t):
+            self.tell("EKF Failsafe: LAND", t)
+            self._choose(LAND, t)
+        if self._land_complete and self.lifted and self.mode in (LAND, RTL):
+            self.disarm("landed", t)
+            return
+        delay, stood = self.parameters["DISARM_DELAY"], self._stood_s(t)
+        if self._land_complete and not self._auto_armed and 0.0 < delay < stood:
+            self.disarm("standing", t)
+
+    def _stood_s(self, t: float) -> float:
+        return min(self.flight.standing_s, t - self.armed_t)
+
+    # What the airframe follows.
+
+    def aim(self, t: float) -> Array:
+        """Motors off, at idle, or the mode's own target."""
+        if not self.armed:
+            return targets.OFF_TARGET
+        flies = not self._land_complete or self._lifting()
+        if t - self.armed_t < _SPOOL_UP_S or not flies:
+            return targets.IDLE_TARGET
+        if self.mode == GUIDED:
+            timeout_s = self.parameters["GUID_TIMEOUT"]
+            return self._guided.aim(self._seen(), self.limits(), timeout_s, t)
+        if self.mode in _MANUAL and not self._transmitter:
+            return targets.sink(_SINK_M_S)
+        if self.mode == LAND:
+            return self._landing(t)
+        if self.mode == RTL:
+            return self._way_home()
+        return targets.hold(self._place)
+
+    def _lifting(self) -> bool:
+        """Whether the ground may be left: by a take-off, or by an attitude target that climbs."""
+        guided = self.mode == GUIDED and self._auto_armed
+        return guided and (self._guided.submode is Submode.TAKE_OFF or self._guided.lifts)
+
+    def _landing(self, t: float) -> Array:
+        if not self.position_valid(t):
+            return targets.sink(_SINK_M_S)
+        return targets.land(self._place, self._landing_speed())
+
+    def _landing_speed(self) -> float:
+        above = self.flight.position_enu[2] - self.home_local_enu[2]
+        return self.parameters["LAND_SPD_MS" if above < _SLOW_BELOW_M else "WP_SPD_DN"]
+
+    def _way_home(self) -> Array:
+        height = self.home_local_enu[2] + self.parameters["RTL_ALT_M"]
+        way = targets.way_home(self.flight.position_enu, self.home_local_enu, height, self._place)
+        return targets.land(way, self._landing_speed()) if way.over_home else targets.hold(way)

@@ -1,0 +1,167 @@
+"""From options to stand-ins on their ports."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import NamedTuple
+
+from ptnsbc_io.mavlink.signing import read_key
+from ptnsbc_sim.autopilot.codec import AutopilotError, Codec
+from ptnsbc_sim.autopilot.firmware.arducopter import ArduCopter
+from ptnsbc_sim.autopilot.firmware.px4 import Px4
+from ptnsbc_sim.autopilot.firmware.stm32 import Stm32
+from ptnsbc_sim.autopilot.server import Address, Endpoint, Station
+from ptnsbc_sim.autopilot.starts import Fleet, Start, starts
+from ptnsbc_sim.autopilot.vehicle import GCS, IMPOSTOR, Vehicle
+
+KINDS: dict[str, type[Vehicle]] = {"px4": Px4, "arducopter": ArduCopter, "stm32": Stm32}
+
+PORT_BASE = 14540
+"""PX4's: vehicle i sends to 14540 + i and listens on 14580 + i."""
+
+HOST, ANY = "127.0.0.1", "0.0.0.0"
+_LISTEN_OFFSET, _LAST_OWN_PORT = 40, 9
+_GCS_OFFSET = 3990  # from 14580 + i to 18570 + i, as PX4's simulation
+_LAST_PORT = 65535
+
+
+@dataclass(frozen=True)
+class Network:
+    """Who talks where."""
+
+    port_base: int | None = None  # PORT_BASE, or as the scenario has it
+    connect: str | None = None  # instead of the port pairs: udpin:HOST:PORT or udpout:HOST:PORT
+    gcs: Address | None = field(default_factory=lambda: Address(HOST, 14550))
+    key: str | None = None  # file; {n} stands for the system id
+
+
+@dataclass(frozen=True)
+class Options:
+    """Everything asked for."""
+
+    kind: str | None = None  # px4, or as the scenario has it
+    fleet: Fleet = field(default_factory=Fleet)
+    network: Network = field(default_factory=Network)
+    boot_time: float = 1.0
+    parameters: Mapping[str, float] = field(default_factory=dict)  # instead of the defaults
+
+
+class Ends(NamedTuple):
+    """Where a stand-in listens, and to whom it sends before anybody has called."""
+
+    listen: Address
+    partner: Address | None
+
+
+def parse_address(text: str, what: str) -> Address:
+    """HOST:PORT.
+
+    Raises:
+        AutopilotError: it is not.
+    """
+    host, colon, port = text.rpartition(":")
+    if not colon or not host or not port.isdigit() or not 0 < int(port) <= _LAST_PORT:
+        raise AutopilotError(f"{what} {text!r}: expected HOST:PORT, as 127.0.0.1:14550")
+    return Address(host, int(port))
+
+
+def parse_parameter(text: str) -> tuple[str, float]:
+    """NAME=VALUE.
+
+    Raises:
+        AutopilotError: it is not.
+    """
+    name, equals, value = text.partition("=")
+    try:
+        return name.strip(), float(value if equals and name.strip() else "")
+    except ValueError:
+        raise AutopilotError(f'param "{text}": expected NAME=NUMBER') from None
+
+
+def stations(options: Options, t: float, say: Callable[[str], None]) -> list[Station]:
+    """Vehicles with closed sockets, booted at t [s].
+
+    Raises:
+        AutopilotError: an option that cannot be.
+    """
+    chosen = starts(options.fleet)
+    made = [_station(options, n, start, t, say) for n, start in enumerate(chosen)]
+    for name, value in options.parameters.items():
+        _set_parameter([station.vehicle for station in made], name, value)
+    return made
+
+
+def _set_parameter(vehicles: Sequence[Vehicle], name: str, value: float) -> None:
+    """Set it where there is one of that name: vehicles of a mixed fleet have few in common."""
+    owners = [vehicle for vehicle in vehicles if name in vehicle.parameters]
+    for vehicle in owners or vehicles[:1]:  # who has none says which there are
+        vehicle.set_parameter(name, value)
+
+
+def _station(
+    options: Options, n: int, start: Start, t: float, say: Callable[[str], None]
+) -> Station:
+    network, system = options.network, start.system
+    kind = options.kind or start.kind or "px4"
+    if kind not in KINDS:
+        raise AutopilotError(f"type {kind!r}: expected one of {', '.join(KINDS)}")
+
+    def tell(line: str) -> None:
+        say(f"{kind} {system}: {line}")
+
+    path = network.key.replace("{n}", str(system)) if network.key else start.key
+    key = None if path is None else read_key(Path(path))
+    ends = _companion(network, n, start)
+    endpoints = [Endpoint(ends.listen, ends.partner, Codec(system, key=key))]
+    if network.gcs is not None:
+        listen = _checked(HOST, (ends.listen.port or PORT_BASE + n) + _GCS_OFFSET)
+        endpoints.append(Endpoint(listen, network.gcs, Codec(system, key=key, link_id=GCS)))
+    # Whoever uses this system id as well does so from a port of its own.
+    impostor = Endpoint(Address(HOST, 0), None, Codec(system, key=key, link_id=IMPOSTOR))
+    # Last, because it compiles: what is wrong above is said at once.
+    vehicle = KINDS[kind](system, start.body, t, boot_time=options.boot_time, say=tell)
+    return Station(vehicle, endpoints, impostor)
+
+
+def _companion(network: Network, n: int, start: Start) -> Ends:
+    """The companion's link: as told, else as the scenario's bridge expects it, else PX4's pair of ports."""
+    if network.connect is not None:
+        return _told(network.connect, n)
+    if network.port_base is None and start.connect is not None:
+        return _opposite(start.connect)
+    base = network.port_base or PORT_BASE
+    # PX4's simulations beyond the tenth all send to the tenth's port.
+    there = base + (min(n, _LAST_OWN_PORT) if network.port_base is None else n)
+    return Ends(_checked(HOST, base + n + _LISTEN_OFFSET), _checked(HOST, there))
+
+
+def _told(connect: str, n: int) -> Ends:
+    kind, _, rest = connect.partition(":")
+    if kind not in ("udpin", "udpout"):
+        raise AutopilotError(f"connect {connect!r}: expected udpin:HOST:PORT or udpout:HOST:PORT")
+    host, port = parse_address(rest, "connect")
+    there = _checked(host, port + n)
+    return Ends(there, None) if kind == "udpin" else Ends(Address(ANY, 0), there)
+
+
+def _opposite(connect: str) -> Ends:
+    """The vehicle's end of what the bridge connects to."""
+    kind, _, rest = connect.partition(":")
+    if kind not in ("udpin", "udpout"):
+        raise AutopilotError(
+            f"the scenario's mavlink connect {connect!r}: expected udpin or udpout; "
+            "give the stand-in's with --connect"
+        )
+    host, port = parse_address(rest, "the scenario's mavlink connect")
+    if kind == "udpout":
+        return Ends(Address(host, port), None)
+    partner = Address(HOST if host == ANY else host, port)
+    return Ends(_checked(HOST, port + _LISTEN_OFFSET), partner)
+
+
+def _checked(host: str, port: int) -> Address:
+    if not 0 < port <= _LAST_PORT:
+        raise AutopilotError(f"port {port}: expected 1 to {_LAST_PORT}; choose a lower --port-base")
+    return Address(host, port)

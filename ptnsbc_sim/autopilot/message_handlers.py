@@ -1,0 +1,111 @@
+"""What a stand-in answers to each kind of message; commands are in `commands`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+from ptnsbc_io.mavlink.dialect import mavlink
+from ptnsbc_sim.autopilot.commands import Request, request_of
+
+if TYPE_CHECKING:
+    from ptnsbc_sim.autopilot.vehicle import Vehicle
+
+Answer = Callable[["Vehicle", Any, int, float], None]
+
+UNADDRESSED = ("HEARTBEAT", "PING", "TIMESYNC")
+"""Messages that are for everybody, or say otherwise for whom they are."""
+
+
+def _heartbeat(vehicle: Vehicle, message: Any, link: int, t: float) -> None:
+    if message.type == mavlink.MAV_TYPE_GCS:
+        vehicle.gcs_heard[link] = t
+
+
+def _command(vehicle: Vehicle, message: Any, link: int, t: float) -> None:
+    """The ack comes before what the command makes it send."""
+    request = request_of(message)
+    run = vehicle.commands.get(request.command)
+    result = mavlink.MAV_RESULT_UNSUPPORTED if run is None else run(vehicle, request, link, t)
+    if result != mavlink.MAV_RESULT_ACCEPTED:
+        known = mavlink.enums["MAV_CMD"].get(request.command)
+        name = f"command {request.command}" if known is None else known.name
+        answer = mavlink.enums["MAV_RESULT"][result].name
+        vehicle.log(f"{name} from system {request.system}: {answer}")
+    ack = mavlink.MAVLink_command_ack_message(
+        request.command, result, 0, 0, request.system, request.component
+    )
+    vehicle.answer_first(link, ack)
+
+
+def _timesync(vehicle: Vehicle, message: Any, link: int, t: float) -> None:
+    """https://mavlink.io/en/services/timesync.html: tc1 = 0 is a question, ts1 comes back as it was."""
+    if message.tc1 == 0:
+        vehicle.send(link, mavlink.MAVLink_timesync_message(vehicle.clock.ns(t), message.ts1))
+
+
+def _ping(vehicle: Vehicle, message: Any, link: int, _t: float) -> None:
+    if (message.target_system, message.target_component) == (0, 0):
+        answer = mavlink.MAVLink_ping_message(
+            message.time_usec, message.seq, message.get_srcSystem(), message.get_srcComponent()
+        )
+        vehicle.send(link, answer)
+
+
+def _parameter(vehicle: Vehicle, name: str) -> Any:
+    sent = vehicle.parameters.encoded(name)
+    return mavlink.MAVLink_param_value_message(
+        name.encode(), sent.value, sent.type, sent.size, sent.place
+    )
+
+
+def _param_read(vehicle: Vehicle, message: Any, link: int, _t: float) -> None:
+    """By name when the index is -1; nothing is said of a parameter that does not exist."""
+    name: str | None = message.param_id
+    if message.param_index >= 0:
+        name = vehicle.parameters.name_at(message.param_index)
+    if name is not None and name in vehicle.parameters:
+        vehicle.send(link, _parameter(vehicle, name))
+
+
+def _param_list(vehicle: Vehicle, _message: Any, link: int, _t: float) -> None:
+    vehicle.send_slowly(link, [_parameter(vehicle, name) for name in vehicle.parameters])
+
+
+def _param_set(vehicle: Vehicle, message: Any, link: int, _t: float) -> None:
+    """PARAM_VALUE says what it is now, whether or not it was taken."""
+    name = message.param_id
+    if name not in vehicle.parameters:
+        return
+    value = vehicle.parameters.decoded(name, message.param_value, message.param_type)
+    if value is not None:
+        vehicle.set_parameter(name, value)
+    vehicle.send(link, _parameter(vehicle, name))
+
+
+def _set_mode(vehicle: Vehicle, message: Any, _link: int, t: float) -> None:
+    vehicle.set_mode(Request.old_mode(message), t)
+
+
+def _trajectory(vehicle: Vehicle, message: Any, _link: int, t: float) -> None:
+    vehicle.on_trajectory(message, t)
+
+
+def _attitude(vehicle: Vehicle, message: Any, _link: int, t: float) -> None:
+    vehicle.on_attitude(message, t)
+
+
+ANSWERS: dict[str, Answer] = {
+    "HEARTBEAT": _heartbeat,
+    "COMMAND_LONG": _command,
+    "COMMAND_INT": _command,
+    "TIMESYNC": _timesync,
+    "PING": _ping,
+    "PARAM_REQUEST_READ": _param_read,
+    "PARAM_REQUEST_LIST": _param_list,
+    "PARAM_SET": _param_set,
+    "SET_MODE": _set_mode,
+    "SET_POSITION_TARGET_LOCAL_NED": _trajectory,
+    "SET_ATTITUDE_TARGET": _attitude,
+}
+"""By message name; anything else is ignored."""

@@ -1,0 +1,273 @@
+"""Inner loops and physics of one vehicle as one kernel: estimate, position, velocity, attitude, rates, plant, ground.
+
+All kernels of the stand-in are in this file: numba notices edits here by the file's date, edits of the plant
+by the digest of `ptnsbc_core.kernel`. Everything is ENU/FLU; MAVLink's frames end in `frames`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from ptnsbc_core.algebra import wrap
+from ptnsbc_core.control.quadrotor_control import attitude_error, desired_rotation
+from ptnsbc_core.kernel import kernel, leaf
+from ptnsbc_core.kinematics import rotation, yaw_of
+from ptnsbc_core.types import Array, Matrix3
+from ptnsbc_sim.plants.contract import PlantConfig
+from ptnsbc_sim.plants.integrate import advance
+
+PHYSICS_HZ = 250
+
+# What the motors follow.
+OFF, IDLE, TRAJECTORY, ATTITUDE, RATES = 0.0, 1.0, 2.0, 3.0, 4.0
+
+# Rows of a target. NaN: not commanded.
+KIND = 0
+POSITION, VELOCITY, ACCELERATION = slice(1, 4), slice(4, 7), slice(7, 10)  # ENU, position local
+YAW, YAW_RATE, THRUST, THRUST_CAP = 10, 11, 12, 13  # ENU; thrusts as shares of the largest
+QUATERNION, BODY_RATES = slice(14, 18), slice(18, 21)  # x y z w; FLU
+CLIMB = 21  # with an attitude: climb rate [m/s] instead of a thrust
+TARGET_SIZE = 22
+
+# Rows of the loop state.
+INTEGRAL, HEADING, CONTACT, THRUST_OUT = slice(0, 3), 3, 4, 5
+LOOP_SIZE = 6
+
+# Rows of the errors of the estimate: position less origin, velocity [ENU], yaw.
+ERROR_POSITION, ERROR_VELOCITY, ERROR_YAW = slice(0, 3), slice(3, 6), 6
+ERROR_SIZE = 7
+
+_IDLE_SHARE = 0.08
+_LIFT_OFF_M = 0.02
+_RATE_GAIN = 25.0  # [1/s]
+_MOST_INTEGRAL = 3.0  # [m/s^2]
+
+
+class LoopGains(NamedTuple):
+    """Gains and limits of the loops, from the autopilot's parameters."""
+
+    position: float  # [1/s] horizontal
+    height: float  # [1/s]
+    velocity: float  # [1/s] horizontal
+    climb: float  # [1/s]
+    velocity_integral: float  # [1/s^2]
+    climb_integral: float  # [1/s^2]
+    max_speed: float  # [m/s]
+    max_up: float  # [m/s]
+    max_down: float  # [m/s]
+    max_acceleration: float  # [m/s^2] horizontal
+    max_tilt: float  # [rad]
+    tilt_gain: float  # [1/s]
+    yaw_gain: float  # [1/s]
+    max_rate: float  # [rad/s]
+    max_yaw_rate: float  # [rad/s]
+
+
+def no_target() -> Array:
+    """A target with nothing commanded and the motors off."""
+    target = np.full(TARGET_SIZE, np.nan)
+    target[KIND], target[THRUST_CAP] = OFF, 1.0
+    return target
+
+
+@leaf
+def _estimate(body: Array, errors: Array, nav: Array) -> None:
+    """What the vehicle believes, as an odometry vector (13,) with the velocity in ENU."""
+    for i in range(3):
+        nav[i] = body[i] + errors[i]
+        nav[7 + i] = body[7 + i] + errors[3 + i]
+        nav[10 + i] = body[10 + i]
+    c, s = math.cos(0.5 * errors[6]), math.sin(0.5 * errors[6])
+    x, y, z, w = body[3], body[4], body[5], body[6]
+    nav[3], nav[4] = c * x - s * y, c * y + s * x
+    nav[5], nav[6] = c * z + s * w, c * w - s * z
+
+
+@leaf
+def _wanted_velocity(nav: Array, target: Array, gains: LoopGains) -> Array:
+    """Velocity setpoint (3,) of the position loop, NaN where an axis has neither position nor velocity."""
+    out = target[4:7].copy()
+    for i in range(3):
+        place = target[1 + i]
+        if math.isfinite(place):
+            gain = gains.height if i == 2 else gains.position
+            ahead = out[i] if math.isfinite(out[i]) else 0.0
+            out[i] = ahead + gain * (place - nav[i])
+    speed = math.hypot(out[0], out[1])
+    if speed > gains.max_speed:
+        out[0] *= gains.max_speed / speed
+        out[1] *= gains.max_speed / speed
+    if math.isfinite(out[2]):
+        out[2] = min(max(out[2], -gains.max_down), gains.max_up)
+    return out
+
+
+@leaf
+def _wanted_force(
+    nav: Array, loop: Array, target: Array, gains: LoopGains, plant: PlantConfig, dt: float
+) -> Array:
+    """Force (3,) [N, ENU] of the velocity loop, within the tilt limit."""
+    velocity = _wanted_velocity(nav, target, gains)
+    force = np.zeros(3)
+    for i in range(3):
+        ahead = target[7 + i]
+        pull = ahead if math.isfinite(ahead) else 0.0
+        if math.isfinite(velocity[i]):
+            error = velocity[i] - nav[7 + i]
+            gain = gains.climb if i == 2 else gains.velocity
+            step = gains.climb_integral if i == 2 else gains.velocity_integral
+            grown = loop[i] + step * error * dt
+            loop[i] = min(max(grown, -_MOST_INTEGRAL), _MOST_INTEGRAL)
+            pull += gain * error + loop[i]
+        force[i] = pull
+    sideways = math.hypot(force[0], force[1])
+    if sideways > gains.max_acceleration:
+        force[0] *= gains.max_acceleration / sideways
+        force[1] *= gains.max_acceleration / sideways
+    force[2] = max(force[2] + plant.gravity, 0.3 * plant.gravity)
+    most = force[2] * math.tan(gains.max_tilt)
+    sideways = math.hypot(force[0], force[1])
+    if sideways > most:
+        force[0] *= most / sideways
+        force[1] *= most / sideways
+    return force * plant.mass
+
+
+@leaf
+def _turn_heading(nav: Array, loop: Array, target: Array, gains: LoopGains, dt: float) -> None:
+    """Move the heading setpoint towards the commanded one, or with the commanded rate."""
+    if math.isfinite(target[10]):
+        most = gains.max_yaw_rate * dt
+        loop[3] = wrap(loop[3] + min(max(wrap(target[10] - loop[3]), -most), most))
+    elif math.isfinite(target[11]):
+        loop[3] = wrap(loop[3] + target[11] * dt)
+        lead = wrap(loop[3] - yaw_of(nav))
+        loop[3] = wrap(yaw_of(nav) + min(max(lead, -0.5), 0.5))
+
+
+@leaf
+def _wanted_rates(present: Matrix3, desired: Matrix3, target: Array, gains: LoopGains) -> Array:
+    """Body rates (3,) [rad/s] that turn R to R_d, plus those commanded."""
+    turn = attitude_error(present, desired)
+    out = np.empty(3)
+    for i in range(3):
+        gain = gains.yaw_gain if i == 2 else gains.tilt_gain
+        most = gains.max_yaw_rate if i == 2 else gains.max_rate
+        out[i] = min(max(gain * turn[i], -most), most)
+        if math.isfinite(target[18 + i]):
+            out[i] = min(max(out[i] + target[18 + i], -most), most)
+    return out
+
+
+@leaf
+def _attitude_thrust(
+    nav: Array, loop: Array, target: Array, gains: LoopGains, plant: PlantConfig, dt: float
+) -> float:
+    """Thrust [N] with a commanded attitude: as told, or what the climb rate needs at this tilt."""
+    climb = target[21]
+    if not math.isfinite(climb):
+        return target[12] * plant.max_thrust
+    error = climb - nav[9]
+    grown = loop[2] + gains.climb_integral * error * dt
+    loop[2] = min(max(grown, -_MOST_INTEGRAL), _MOST_INTEGRAL)
+    upright = 1.0 - 2.0 * (nav[3] * nav[3] + nav[4] * nav[4])
+    return plant.mass * (plant.gravity + gains.climb * error + loop[2]) / max(upright, 0.5)
+
+
+@kernel
+def _wrench(
+    nav: Array, loop: Array, target: Array, gains: LoopGains, plant: PlantConfig, dt: float
+) -> Array:
+    """Thrust and torques (6,) for the target, from what the vehicle believes."""
+    out = np.zeros(6)
+    kind = target[0]
+    most = plant.max_thrust * min(max(target[13], 0.0), 1.0)
+    present = rotation(nav, 3)
+    rates = np.zeros(3)
+    if kind == TRAJECTORY:
+        _turn_heading(nav, loop, target, gains, dt)
+        force = _wanted_force(nav, loop, target, gains, plant, dt)
+        out[2] = force[0] * present[0][2] + force[1] * present[1][2] + force[2] * present[2][2]
+        rates = _wanted_rates(present, desired_rotation(force, loop[3]), target, gains)
+    elif kind == ATTITUDE:
+        out[2] = _attitude_thrust(nav, loop, target, gains, plant, dt)
+        rates = _wanted_rates(present, rotation(target, 14), target, gains)
+    elif kind == RATES:
+        out[2] = target[12] * plant.max_thrust
+        for i in range(3):
+            rates[i] = min(max(target[18 + i], -gains.max_rate), gains.max_rate)
+    elif kind == IDLE:
+        out[2] = _IDLE_SHARE * plant.max_thrust
+    if kind != TRAJECTORY:
+        loop[0:2] = 0.0
+        loop[3] = yaw_of(nav)
+        if not math.isfinite(target[21]):
+            loop[2] = 0.0
+    out[2] = min(max(out[2], 0.0), most)
+    if kind >= TRAJECTORY:
+        for i in range(3):
+            out[3 + i] = plant.inertia[i] * _RATE_GAIN * (rates[i] - nav[10 + i])
+    loop[5] = out[2] / plant.max_thrust
+    return out
+
+
+@leaf
+def _stand(body: Array, loop: Array) -> None:
+    """The ground at z = 0: what sinks into it stands on it, level and still."""
+    if body[2] <= 0.0:
+        half = 0.5 * math.atan2(
+            2.0 * (body[3] * body[4] + body[6] * body[5]),
+            1.0 - 2.0 * (body[4] * body[4] + body[5] * body[5]),
+        )
+        body[2:5] = 0.0
+        body[5], body[6] = math.sin(half), math.cos(half)
+        body[7], body[8], body[9] = 0.0, 0.0, max(body[9], 0.0)
+        body[10:13] = 0.0
+        loop[0:3] = 0.0
+        loop[4] = 1.0
+    elif body[2] > _LIFT_OFF_M:
+        loop[4] = 0.0
+
+
+class Craft(NamedTuple):
+    """What one vehicle carries from period to period; changed in place."""
+
+    body: Array  # (17,) plant state of the quadrotor
+    loop: Array  # (6,) state of the loops
+    nav: (
+        Array  # (13,) belief: position [local ENU], quaternion x y z w, velocity [ENU], rates [FLU]
+    )
+    errors: Array  # (7,) of the belief
+    target: Array  # (22,) what to follow
+
+
+@kernel
+def fly(
+    craft: Craft,
+    gains: LoopGains,
+    plants: Sequence[PlantConfig],
+    t: float,
+    dt: float,
+    steps: int,
+) -> None:
+    """Advance a vehicle by `steps` periods dt [s] from t [s], in place; errors and target are held.
+
+    `plants` is a list of the vehicle's one plant: a list is handed over as one pointer.
+    """
+    plant = plants[0]
+    body, nav = craft.body, craft.nav
+    for n in range(steps):
+        _estimate(body, craft.errors, nav)
+        wrench = _wrench(nav, craft.loop, craft.target, gains, plant, dt)
+        advance(body, wrench, t + n * dt, dt, 1, plant)
+        _stand(body, craft.loop)
+    _estimate(body, craft.errors, nav)
+
+
+def hover_share(plant: PlantConfig) -> float:
+    """Share of the largest thrust that carries the weight."""
+    return plant.mass * plant.gravity / plant.max_thrust

@@ -1,0 +1,64 @@
+"""Messages between UAVs that get lost on the way: each by itself, at the receiver."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ptnsbc_sim.disturbances import random_streams
+from ptnsbc_sim.scenario import Scenario
+
+
+@dataclass(frozen=True)
+class Losses:
+    """Which messages one UAV never gets; the same for a re-run, as it follows from stamp and seed."""
+
+    seed: int
+    share: float
+    receiver: int
+    period_ns: int
+
+    def state(self, sender: int, stamp_ns: int) -> bool:
+        """Whether the formation_state of this stamp is lost."""
+        return self._lost(random_streams.STATE_LINK, sender, stamp_ns)
+
+    def estimate(self, sender: int, stamp_ns: int) -> bool:
+        """Whether the leader_estimate of this stamp is lost."""
+        return self._lost(random_streams.ESTIMATE_LINK, sender, stamp_ns)
+
+    def _lost(self, kind: int, sender: int, stamp_ns: int) -> bool:
+        address = (self.seed, kind, self.receiver, sender)
+        return random_streams.uniform(address, max(stamp_ns, 0) // self.period_ns) < self.share
+
+
+def losses(scenario: Scenario, uav_id: int) -> Losses | None:
+    """What one UAV does not hear; None where links lose nothing."""
+    share = scenario.file.communication.loss
+    return Losses(scenario.seed, share, uav_id, scenario.dt_ns) if share > 0.0 else None
+
+
+def _last_heard(scenario: Scenario, kind: int, receiver: int, sender: int) -> NDArray[np.int64]:
+    """Tick of the newest message (T,) that has come through before each tick; -1: none."""
+    ticks = scenario.ticks
+    address = (scenario.seed, kind, receiver, sender)
+    lost = random_streams.below(address, ticks, scenario.file.communication.loss)
+    sent = np.where(lost, -1, np.arange(ticks, dtype=np.int64))
+    return np.concatenate(([-1], np.maximum.accumulate(sent)[:-1]))
+
+
+def last_heard(scenario: Scenario, width: int) -> NDArray[np.int64]:
+    """Newest message (T, N, 2 + width) heard before each tick: of the parent, the leader, the neighbours; -1: none."""
+    ids = scenario.uav_ids
+    table = np.full((scenario.ticks, len(ids), 2 + width), -1, dtype=np.int64)
+    for row, uav in enumerate(ids):
+        parent = scenario.parent(uav)
+        if parent is not None:
+            table[:, row, 0] = _last_heard(scenario, random_streams.STATE_LINK, uav, parent)
+        if scenario.pinned(uav):
+            leader = scenario.leader_id
+            table[:, row, 1] = _last_heard(scenario, random_streams.STATE_LINK, uav, leader)
+        for k, other in enumerate(scenario.estimator_neighbours(uav)):
+            table[:, row, 2 + k] = _last_heard(scenario, random_streams.ESTIMATE_LINK, uav, other)
+    return table

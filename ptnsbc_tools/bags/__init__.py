@@ -1,1 +1,0 @@
-"""`ptnsbc bag`: what is in a bag, and making one whole again."""

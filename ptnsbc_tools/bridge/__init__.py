@@ -1,1 +1,0 @@
-"""`ptnsbc bridge`: one flight controller on the topics of one UAV."""

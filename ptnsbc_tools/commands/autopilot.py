@@ -1,0 +1,153 @@
+"""Run stand-in flight controllers until interrupted."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+if TYPE_CHECKING:
+    from ptnsbc_sim.autopilot.fault_port import Timed
+    from ptnsbc_sim.autopilot.launch import Options
+    from ptnsbc_sim.autopilot.server import Station
+
+Kind = Literal["px4", "arducopter", "stm32"]
+
+
+def autopilot(
+    kind: Annotated[
+        Kind | None,
+        typer.Option("--type", help="Whose rules; px4, or as the scenario has it."),
+    ] = None,
+    count: Annotated[
+        int | None,
+        typer.Option(
+            "--count", min=1, max=99, help="Vehicles; as many as the scenario has, else 1."
+        ),
+    ] = None,
+    scenario: Annotated[
+        str | None,
+        typer.Option(
+            "--scenario",
+            metavar="SCENARIO",
+            help="Starts (on the ground), plant, wind, and its mavlink block: ports, ids, keys.",
+        ),
+    ] = None,
+    port_base: Annotated[
+        int | None,
+        typer.Option(
+            "--port-base",
+            min=1,
+            max=61000,
+            help="Vehicle i from 0 sends to this port + i and listens 40 above; 14540, or as the "
+            "scenario has it.",
+        ),
+    ] = None,
+    connect: Annotated[
+        str | None,
+        typer.Option(
+            "--connect",
+            metavar="udpin:HOST:PORT | udpout:HOST:PORT",
+            help="Instead of the pair of ports; vehicle i from 0 takes PORT + i.",
+        ),
+    ] = None,
+    gcs: Annotated[
+        str, typer.Option("--gcs", metavar="HOST:PORT", help='Ground station\'s link; "" for none.')
+    ] = "127.0.0.1:14550",
+    gnss: Annotated[
+        Literal["plain", "rtk", "perfect"],
+        typer.Option("--gnss", help="Receiver; plain drifts as a simulated PX4 does."),
+    ] = "plain",
+    origin_spread: Annotated[
+        float,
+        typer.Option("--origin-spread", metavar="M", min=0.0, help="Local origins so far away."),
+    ] = 0.0,
+    yaw: Annotated[
+        float | None,
+        typer.Option("--yaw", metavar="DEG", help="ENU yaw at boot; any when not given."),
+    ] = None,
+    battery: Annotated[
+        float, typer.Option("--battery", min=0.0, max=1.0, help="Charge at the start.")
+    ] = 1.0,
+    boot_time: Annotated[
+        float,
+        typer.Option("--boot-time", min=0.0, help="Scales the time until the position is valid."),
+    ] = 1.0,
+    key: Annotated[
+        str | None,
+        typer.Option("--key", metavar="FILE", help="Sign, and drop unsigned; {n}: system id."),
+    ] = None,
+    parameters: Annotated[
+        list[str] | None,
+        typer.Option("--param", metavar="NAME=VALUE", help="Instead of a default. Repeatable."),
+    ] = None,
+    control: Annotated[
+        int | None,
+        typer.Option("--control", metavar="PORT", min=1, max=65535, help="Take faults here."),
+    ] = None,
+    faults: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--fault",
+            metavar="'SECONDS SYSTEM FAULT VALUE'",
+            help='As "20 1 gps off"; docs/autopilot.md has the list. Repeatable.',
+        ),
+    ] = None,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Of errors, yaws and origins.")] = 1,
+) -> None:
+    """Stand-in flight controllers: real MAVLink on real UDP around simulated quadrotors.
+
+    For tests and demonstrations without hardware. Runs until Ctrl-C.
+    """
+    from ptnsbc_sim.autopilot.fault_port import parse_timed
+    from ptnsbc_sim.autopilot.launch import Network, Options, parse_address, parse_parameter
+    from ptnsbc_sim.autopilot.starts import Fleet
+
+    fleet = Fleet(count, scenario, gnss, origin_spread, yaw, seed, battery)
+    address = parse_address(gcs, "gcs") if gcs else None
+    timed = [parse_timed(text) for text in faults or ()]
+    network = Network(port_base, connect, address, key)
+    changed = dict(parse_parameter(text) for text in parameters or ())
+    run(Options(kind, fleet, network, boot_time, changed), control, timed)
+
+
+def run(options: Options, control_port: int | None, timed: list[Timed]) -> None:
+    """Build the vehicles, open the ports, and serve."""
+    from ptnsbc_nodes.runtime import environment
+    from ptnsbc_nodes.runtime.signals import StopRequest
+    from ptnsbc_sim.autopilot.fault_port import Control
+    from ptnsbc_sim.autopilot.launch import stations
+    from ptnsbc_sim.autopilot.server import serve
+
+    began = time.monotonic()
+
+    def say(line: str) -> None:
+        print(f"{time.monotonic() - began:9.2f} {line}", file=sys.stderr, flush=True)
+
+    with StopRequest() as stop:
+        say("autopilot: starting; the first start compiles for some seconds")
+        start_t = time.monotonic()
+        fleet = stations(options, start_t, say)
+        vehicles = [station.vehicle for station in fleet]
+        with Control(vehicles, start_t, port=control_port, timed=timed, say=say) as control:
+            # A flight controller has a processor of its own; this one shares it with all the others.
+            environment.prefer_punctuality(flies=True)
+            serve(fleet, lambda: stop.came, control.poll, lambda: _ready(fleet, say))
+        for station in fleet:
+            dropped = sum(end.codec.dropped for end in station.endpoints)
+            if dropped:
+                say(f"autopilot: system {station.vehicle.system}: {dropped} packets dropped")
+        say("autopilot: stopped")
+
+
+def _ready(fleet: list[Station], say: Callable[[str], None]) -> None:
+    for station in fleet:
+        ends = ", ".join(
+            f"{end.listen.port or 'any'} -> {end.partner.port if end.partner else 'who calls'}"
+            for end in station.endpoints
+        )
+        place = " ".join(f"{v:.2f}" for v in station.vehicle.flight.truth_enu)
+        say(f"autopilot: system {station.vehicle.system} at {place} m, udp {ends}")

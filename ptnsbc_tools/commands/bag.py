@@ -1,0 +1,134 @@
+"""`ptnsbc bag info` and `ptnsbc bag repair`."""
+
+from __future__ import annotations
+
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.table import Table
+
+from ptnsbc_tools import console
+from ptnsbc_tools.options import JsonOption
+
+if TYPE_CHECKING:
+    from ptnsbc_io.bag import Bag
+    from ptnsbc_io.bag.repair import Repaired
+
+app = typer.Typer(no_args_is_help=True, help="What is in a bag, and making one whole again.")
+
+BagArgument = Annotated[
+    Path, typer.Argument(metavar="BAG", help="Folder of a bag, or its .mcap file.")
+]
+
+
+@app.command()
+def info(
+    bag: BagArgument,
+    check: Annotated[
+        bool, typer.Option("--check", help="Read all of it and compare every checksum.")
+    ] = False,
+    json: JsonOption = False,
+) -> None:
+    """Topics, times, metadata and attachments of a bag; with --check also whether it is whole.
+
+    Also opens what a killed recording left. Exit codes: 0, 1 damaged or cut (--check), 2 refused.
+    """
+    from ptnsbc_io.bag import read_bag
+    from ptnsbc_io.bag.health import ailments
+
+    found = read_bag(bag, salvage=True)
+    wrong = ailments(found) if check else None
+    if json:
+        console.print_json(_as_json(found, wrong))
+    else:
+        _show(found, wrong)
+    if wrong:
+        raise typer.Exit(1)
+
+
+@app.command()
+def repair(
+    bag: Annotated[
+        Path,
+        typer.Argument(metavar="BAG", help="Bag, the .part of a killed recording, or .mcap file."),
+    ],
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", metavar="DIR", help="Write the repaired bag there."),
+    ] = None,
+    discard: Annotated[
+        bool, typer.Option("--discard", help="Remove the damaged bag when its repair is in place.")
+    ] = False,
+    json: JsonOption = False,
+) -> None:
+    """Restore index and metadata.yaml of a bag that was cut or damaged, from what is readable.
+
+    A killed recording DIR.part becomes DIR. A damaged bag DIR is replaced, and kept as DIR.original.
+    """
+    from ptnsbc_io.bag.repair import repair as work
+
+    with console.progress("repairing") as advance:
+        made = work(bag, output, discard=discard, advance=advance)
+    if json:
+        told = made._asdict() | {"bag": str(made.bag)}
+        told["original"] = None if made.original is None else str(made.original)
+        console.print_json(told)
+        return
+    for line in _told(made):
+        print(line)
+
+
+def _told(made: Repaired) -> list[str]:
+    lost = []
+    if made.cut:
+        lost.append("the end was missing")
+    if made.damaged_chunks:
+        lost.append(f"{made.damaged_chunks} damaged chunks are left out")
+    what = "; ".join(lost) or "nothing was missing"
+    kept = f"original: {made.original}" if made.original else "original: discarded"
+    return [f"{made.messages} messages rescued; {what}", f"bag: {made.bag}", kept]
+
+
+def _as_json(bag: Bag, wrong: list[str] | None) -> dict[str, Any]:
+    return {
+        "files": [str(path) for path, _ in bag.pieces],
+        "start_ns": bag.start_ns,
+        "end_ns": bag.end_ns,
+        "messages": sum(topic.messages for topic in bag.topics.values()),
+        "topics": [
+            {"name": topic.name, "type": topic.type, "messages": topic.messages}
+            for topic in bag.topics.values()
+        ],
+        "metadata": dict(bag.metadata),
+        "attachments": list(bag.attachments),
+        "wrong": wrong,
+    }
+
+
+def _show(bag: Bag, wrong: list[str] | None) -> None:
+    out = console.out()
+    table = Table(title=", ".join(path.name for path, _ in bag.pieces))
+    table.add_column("topic")
+    table.add_column("type")
+    table.add_column("messages", justify="right")
+    for topic in bag.topics.values():
+        table.add_row(topic.name, topic.type, str(topic.messages))
+    out.print(table)
+    total = sum(topic.messages for topic in bag.topics.values())
+    print(f"{total} messages, {_when(bag.start_ns)} to {_when(bag.end_ns)}")
+    for key, value in bag.metadata.items():
+        print(f"{key}: {value}")
+    print(f"attachments: {', '.join(bag.attachments) or 'none'}")
+    for line in wrong or ():
+        print(f"wrong: {line}")
+    if wrong == []:
+        print("whole: every checksum is right")
+
+
+def _when(stamp_ns: int) -> str:
+    """Wall time of a real-time bag, seconds of a simulated one."""
+    if stamp_ns < 10**17:  # before 1973: simulated time
+        return f"{stamp_ns * 1e-9:.3f} s"
+    return f"{datetime.fromtimestamp(stamp_ns * 1e-9, tz=timezone.utc):%Y-%m-%d %H:%M:%S.%f} UTC"

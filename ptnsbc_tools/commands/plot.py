@@ -1,0 +1,111 @@
+"""`ptnsbc plot BAG`: the figures of a flight, one file each, or one of them under a name."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_tools import console, options
+
+if TYPE_CHECKING:
+    from ptnsbc_tools.plotting.flight import Shown
+
+ALL = "all"
+
+
+class PlotError(PtnsbcError):
+    """A wish that cannot be met."""
+
+
+def plot(
+    bag: options.BagArgument,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out",
+            "-o",
+            metavar="DIR|FILE",
+            help="Folder, or FILE.png or FILE.svg for one figure. "
+            "Default: BAG-figures beside the bag.",
+        ),
+    ] = None,
+    what: Annotated[
+        str,
+        typer.Option(
+            "--what",
+            metavar="NAMES",
+            help="all, or of: errors, inputs, separations, force, force-first, torque, torque-first, "
+            "between, obstacles, estimator, gain, conditioning, missed, latency, age; with commas.",
+        ),
+    ] = ALL,
+    form: Annotated[
+        Literal["png", "svg"], typer.Option("--format", help="Of the files in a folder.")
+    ] = "png",
+    scenario: options.FlownOption = None,
+    tolerance: options.ToleranceOption = None,
+    window: options.WindowOption = None,
+    odom: options.OdomOption = options.ODOM,
+    wrench: options.WrenchOption = options.WRENCH,
+    epoch: options.EpochOption = None,
+    json: options.JsonOption = False,
+) -> None:
+    """Draw a recorded flight: errors, inputs, separations, estimator, gain, timing."""
+    from ptnsbc_tools.commands.verify import Choice
+    from ptnsbc_tools.plotting import draw, flight
+    from ptnsbc_tools.reading.foreign import Names
+
+    keys = _keys(what)
+    one = out is not None and out.suffix.lower() in draw.FORMATS
+    if one and len(keys) != 1:
+        raise PlotError(
+            f"--out {out}: one file for {len(keys)} figures: expected a folder, or --what with one name"
+        )
+    choice = Choice(scenario, tolerance, window, epoch, Names(odom=odom, wrench=wrench))
+    with console.patience(f"reading {bag}"):
+        shown = flight.read_shown(bag, choice)
+    if shown.problem:
+        console.err().print(f"warning: no verdict: {shown.problem}", soft_wrap=True)
+    folder = out or bag.parent / f"{bag.stem if bag.is_file() else bag.name}-figures"
+    written = _draw(shown, keys, folder, f".{form}", one)
+    if json:
+        console.print_json({"figures": [str(path) for path in written]})
+    else:
+        for path in written:
+            print(path)
+
+
+def _keys(what: str) -> list[str]:
+    from ptnsbc_tools.plotting.build import CHARTS
+
+    groups = {
+        ALL: list(CHARTS),
+        "inputs": ["force", "force-first", "torque", "torque-first"],
+        "separations": ["between", "obstacles"],
+        **{key: [key] for key in CHARTS},
+    }
+    names = [name.strip() for name in what.split(",") if name.strip()]
+    unknown = [name for name in names if name not in groups]
+    if unknown or not names:
+        raise PlotError(f"--what {what}: expected one or more of {', '.join(groups)}")
+    return list(dict.fromkeys(key for name in names for key in groups[name]))
+
+
+def _draw(shown: Shown, keys: list[str], out: Path, suffix: str, one: bool) -> list[Path]:
+    from ptnsbc_tools.plotting import draw
+    from ptnsbc_tools.plotting.build import CHARTS
+
+    written: list[Path] = []
+    with console.progress("drawing") as advance:
+        for done, key in enumerate(keys, start=1):
+            chart = CHARTS[key](shown) if shown.uavs else None
+            if chart is not None:
+                path = out if one else out / f"{key}{suffix}"
+                written.append(draw.save(draw.figure_of(chart, shown.scenario.name), path))
+            advance(done, len(keys))
+    if not written:
+        reason = shown.problem or "the bag holds nothing of it"
+        raise PlotError(f"nothing to draw for {', '.join(keys)}: {reason}")
+    return written

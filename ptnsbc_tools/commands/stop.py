@@ -1,0 +1,53 @@
+"""Land a flying fleet, from any terminal."""
+
+from __future__ import annotations
+
+import os
+import sys
+from typing import Annotated
+
+import typer
+
+from ptnsbc_core.errors import PtnsbcError
+
+_SERVICE_S = 3.0
+_BRIDGES_S = 3.0
+_HIGHEST_DOMAIN = 232
+
+
+class StopError(PtnsbcError):
+    """Nobody was there to stop."""
+
+
+def stop(
+    kill: Annotated[
+        bool, typer.Option("--kill", help="Stop all motors at once: what is in the air falls.")
+    ] = False,
+    domain: Annotated[
+        int | None,
+        typer.Option(
+            "--domain",
+            min=0,
+            max=_HIGHEST_DOMAIN,
+            help="ROS domain, as the fleet printed it; ROS_DOMAIN_ID.",
+        ),
+    ] = None,
+) -> None:
+    """Land every vehicle of a flying fleet: by its leader, and every bridge by itself besides."""
+    from ptnsbc_nodes.runtime import environment
+
+    environment.prepare()
+    from ptnsbc_nodes.fleet.coordinator_node import Tower
+
+    number = int(os.environ.get("ROS_DOMAIN_ID", "0")) if domain is None else domain
+    with Tower(number) as tower:
+        # Bridges first and directly: an emergency stop must not wait for a leader that hangs.
+        bridges = tower.emergency("kill" if kill else "land", _BRIDGES_S)
+        refusal = tower.call("stop", _SERVICE_S)
+    if refusal is not None and not bridges:
+        raise StopError(
+            f"domain {number}: no bridge listens, and {refusal}: expected a fleet there"
+        )
+    done = "motors stop" if kill else "landing"
+    told = "bridges and leader" if bridges and not refusal else "bridges" if bridges else "leader"
+    print(f"{done}: {told} told", file=sys.stderr)

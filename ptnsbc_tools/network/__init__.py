@@ -1,1 +1,0 @@
-"""`ptnsbc network`: profiles of a fleet on several computers."""

@@ -1,1 +1,0 @@
-"""`ptnsbc node`: one process of a flight by itself."""

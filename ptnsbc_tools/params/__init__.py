@@ -1,1 +1,0 @@
-"""`ptnsbc params`: a scenario as a ROS parameter file."""

@@ -1,1 +1,0 @@
-"""`ptnsbc plot`: figures of a recorded flight as PNG or SVG."""

@@ -1,0 +1,1 @@
+"""Bags and headless flights as recordings that can be judged and shown."""

@@ -1,0 +1,190 @@
+"""A headless flight as a bag: the topics, stamps and bytes that a lock-step fleet would record."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from ptnsbc_core.agent import diagnostics_of
+from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_core.types import Array
+from ptnsbc_io.bag import BagError, BagWriter
+from ptnsbc_io.wire import ClockTemplate, HeaderTemplate, Stamped, encode_near
+from ptnsbc_nodes.comm import topics
+from ptnsbc_nodes.comm.agent_messages import WORLD_FRAME, Letters
+from ptnsbc_nodes.comm.tf import Transforms
+from ptnsbc_nodes.runtime import environment
+from ptnsbc_nodes.runtime.provenance import provenance
+from ptnsbc_sim.swarm import Flight
+from ptnsbc_tools.reading.bag_reader import SCENARIO_ATTACHMENT
+
+LEG = "form"
+
+Message = tuple[str, bytes]  # topic, CDR
+
+
+class BagSupportError(PtnsbcError):
+    """The ROS message packages that a bag needs are not installed."""
+
+
+class _Places:
+    """The flight as the world that markers are drawn from."""
+
+    def __init__(self, flight: Flight) -> None:
+        self.ids = flight.scenario.uav_ids
+        self.tick = 0
+        self._flight = flight
+        self._row = {uav: row for row, uav in enumerate(self.ids)}
+
+    def odometry(self, uav_id: int) -> Array:
+        """Odometry vector (13,) at the tick in hand."""
+        return self._flight.track.odometry[self.tick, self._row[uav_id]]
+
+
+class _UavMessages:
+    """What one UAV and its sensors say at each tick."""
+
+    def __init__(self, flight: Flight, row: int) -> None:
+        uav = flight.scenario.uav_ids[row]
+        self._flight = flight
+        self._row = row
+        self._near_every = flight.wiring.near_every
+        self._truth = topics.truth(uav).name
+        self._names = [topic.name for topic in topics.of_uav(uav)]
+        self._letters = Letters(uav)
+
+    def at(self, tick: int, stamp_ns: int) -> Iterator[Message]:
+        """Messages of one tick."""
+        odom, near, state, estimate, velocity, wrench = self._names
+        track, row, letters = self._flight.track, self._row, self._letters
+        own = letters.state(Stamped(stamp_ns, track.odometry[tick, row]))
+        yield odom, own
+        if len(track.truth):
+            yield self._truth, letters.state(Stamped(stamp_ns, track.truth[tick, row]))
+        if tick % self._near_every == 0:
+            yield near, encode_near(stamp_ns, WORLD_FRAME, self._flight.near(tick, row))
+        yield state, own
+        yield estimate, letters.estimate(stamp_ns, track.estimate[tick, row])
+        yield velocity, letters.velocity(stamp_ns, track.velocity[tick, row])
+        yield wrench, letters.wrench(stamp_ns, track.wrench[tick, row])
+
+
+class _Status:
+    """The /diagnostics of all UAVs and the sim, and the pictures; both five times a second."""
+
+    def __init__(self, flight: Flight) -> None:
+        from ptnsbc_nodes.comm.diagnostics import STATUS_HZ
+        from ptnsbc_nodes.comm.markers import Scene
+        from ptnsbc_nodes.uav.counters import Tally
+
+        scenario = flight.scenario
+        self._flight = flight
+        self._every = max(scenario.control_hz // STATUS_HZ, 1)
+        self._dt = scenario.dt_ns * 1e-9
+        self._tallies = [Tally() for _ in scenario.uav_ids]
+        self._places = _Places(flight)
+        # Only `ids` and `odometry` of a World are read.
+        self._scene = Scene(scenario, self._places)  # type: ignore[arg-type]
+
+    def at(self, tick: int, stamp_ns: int) -> Iterator[Message]:
+        """Messages of one tick, in the order that a lock-step bag gives them."""
+        for row, tally in enumerate(self._tallies):
+            tally.add(diagnostics_of(self._flight.track.diagnostics[tick, row]), self._dt)
+        if tick % self._every:
+            return
+        self._places.tick = tick
+        for data in sorted(self._diagnostics(tick, stamp_ns)):
+            yield topics.DIAGNOSTICS.name, data
+        yield topics.MARKERS.name, self._scene.markers(stamp_ns)
+
+    def _diagnostics(self, tick: int, stamp_ns: int) -> Iterator[bytes]:
+        from ptnsbc_nodes.comm.diagnostics import Level, diagnostics, readiness
+
+        for uav, tally in zip(self._flight.scenario.uav_ids, self._tallies, strict=True):
+            values = {**readiness([]), "mode": LEG, "missed_ticks": "0", **tally.values()}
+            level, text = (Level.WARN, "holding") if tally.holding else (Level.OK, "")
+            yield diagnostics(stamp_ns, f"uav{uav}: planner", level, text, values)
+        still = {f"latency_{name}_ms": "0.000" for name in ("p50", "p99", "max")}
+        values = {**readiness([]), "ticks": str(tick), "missed_ticks": "0", **still}
+        yield diagnostics(stamp_ns, "sim: world", Level.OK, "", values)
+
+
+def _as_received(data: bytes) -> bytes:
+    """A message as a subscriber gets it: DDS fills it up with zeros to a multiple of four bytes."""
+    return data + bytes(-len(data) % 4)
+
+
+def messages(flight: Flight) -> Iterator[tuple[int, list[Message]]]:
+    """Stamp [ns] and sorted messages of every tick."""
+    clock = ClockTemplate()
+    uavs = [_UavMessages(flight, row) for row in range(len(flight.scenario.uav_ids))]
+    status = _Status(flight)
+    transforms = Transforms(flight.scenario.uav_ids)
+    for tick, stamp in enumerate(flight.t_ns):
+        stamp_ns = int(stamp)
+        found: list[Message] = [(topics.CLOCK.name, clock.encode(stamp_ns))]
+        if tick == 0:
+            found.append((topics.EPOCH.name, HeaderTemplate(LEG).encode(stamp_ns)))
+        for uav in uavs:
+            found.extend(uav.at(tick, stamp_ns))
+        made = [transforms.of(topic, data) for topic, data in found]
+        found.extend((topics.TF.name, data) for data in made if data is not None)
+        found.extend(status.at(tick, stamp_ns))
+        found.sort(key=lambda message: message[0])
+        yield stamp_ns, [(topic, _as_received(data)) for topic, data in found]
+
+
+def prepare_bag(directory: Path, *, overwrite: bool) -> None:
+    """Refuse a bag that could not be written, before the flight instead of after it."""
+    environment.prepare()
+    try:
+        import_module("ptnsbc_nodes.recording.fleet_recorder")
+        import_module("ptnsbc_nodes.comm.markers")
+    except ImportError as error:
+        raise BagSupportError(
+            f"--bag: {error.name} is not installed: install the extra [ros], or source ROS 2"
+        ) from None
+    if directory.exists() and not overwrite:
+        raise BagError(f"{directory} exists: choose another name or pass --overwrite")
+
+
+def write_flight(
+    flight: Flight,
+    directory: Path,
+    *,
+    overwrite: bool = False,
+    progress: Callable[[int, int], None] | None = None,
+) -> Path:
+    """Write a flight into a bag and return its folder.
+
+    Args:
+        flight: from `ptnsbc_sim.swarm.fly`.
+        directory: the bag's folder.
+        overwrite: replace an existing bag.
+        progress: called with (ticks done, ticks in all) now and then.
+    """
+    prepare_bag(directory, overwrite=overwrite)
+    from ptnsbc_nodes.recording.fleet_recorder import topic_info
+
+    scenario = flight.scenario
+    infos: list[Any] = [
+        topic_info(topic, lockstep=True)
+        for topic in topics.in_bag(scenario.uav_ids, with_truth=scenario.imperfect)
+    ]
+    attachments = {SCENARIO_ATTACHMENT: scenario.text.encode()}
+    every = max(len(flight.t_ns) // 100, 1)
+    with BagWriter(
+        directory,
+        infos,
+        attachments=attachments,
+        metadata={"mode": "headless", "scenario": scenario.name} | provenance(),
+        overwrite=overwrite,
+    ) as writer:
+        for tick, (stamp_ns, found) in enumerate(messages(flight), start=1):
+            for topic, data in found:
+                writer.write(topic, stamp_ns, data)
+            if progress is not None and (tick % every == 0 or tick == len(flight.t_ns)):
+                progress(tick, len(flight.t_ns))
+    return writer.directory

@@ -1,1 +1,0 @@
-"""`ptnsbc record`: a bag of whatever flies."""

@@ -1,0 +1,1 @@
+"""The experiments of `ptnsbc reproduce`: one module each, with a function `run`."""

@@ -1,1 +1,0 @@
-"""`ptnsbc stop`: every vehicle of a flying fleet lands, or stops its motors."""

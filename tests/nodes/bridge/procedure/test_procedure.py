@@ -1,0 +1,362 @@
+"""The procedure against a vehicle played by a few lines: every row of the fault table, no sleeping."""
+
+from dataclasses import replace
+
+import pytest
+
+pytest.importorskip("pymavlink")
+
+from ptnsbc_io.mavlink.autopilots import ARDUPILOT, PX4, Mode
+from ptnsbc_nodes.bridge.procedure.procedure import Procedure
+from ptnsbc_nodes.bridge.procedure.steps import STOP_S, Ask, Seen, Step, Stream
+
+DT = 0.05
+HEIGHT = 3.0
+
+
+class Flight:
+    """A procedure, and a vehicle that obeys it until a test says otherwise."""
+
+    def __init__(self, autopilot=PX4, allow_arming=True):
+        self.lines = []
+        self.procedure = Procedure(autopilot, HEIGHT, allow_arming, self.lines.append)
+        self.autopilot = autopilot
+        self.seen = Seen(
+            now_s=0.0,
+            heartbeat_age_s=0.1,
+            parameters=True,
+            state=True,
+            controller_age_s=0.05,
+            controller_ready=True,
+            mode=Mode.HOLD,
+            mode_name="4",
+            landed=True,
+        )
+        self.history = []  # (time, step, orders)
+        self.deaf = set()  # commands that the vehicle does not follow
+        self.obeys = True
+
+    @property
+    def step(self):
+        return self.procedure.step
+
+    def run(self, seconds=1000.0, until=None, **changes):
+        """Time goes on, with `changes` in what is seen, until a step or for a while."""
+        self.seen = replace(self.seen, **changes)
+        end = self.seen.now_s + seconds
+        while self.seen.now_s < end and self.step is not until:
+            orders = self.procedure.advance(self.seen)
+            self.history.append((self.seen.now_s, self.step, orders))
+            self.seen = replace(self.seen, now_s=self.seen.now_s + DT)
+            if self.obeys:
+                self._obey(orders)
+        if until is not None:
+            assert self.step is until, self.lines
+        return self
+
+    def _obey(self, orders):
+        new = {}
+        ask = None if orders.ask in self.deaf else orders.ask
+        if ask is Ask.OWN_MODE:
+            new["mode"] = Mode.OWN
+        elif ask is Ask.ARM:
+            new["armed"] = True
+        elif ask is Ask.LAND:
+            new["mode"] = Mode.LAND
+        elif ask in (Ask.DISARM, Ask.KILL):
+            new["armed"] = False
+        climbing = ask is Ask.TAKEOFF or orders.stream is Stream.CLIMB
+        if self.seen.armed and climbing:
+            new.update(height_m=HEIGHT, landed=False)
+        if self.seen.mode is Mode.LAND and self.seen.armed:
+            height = self.seen.height_m - 0.7 * DT
+            new["height_m"] = max(height, 0.0)
+            new.update({"landed": True, "armed": False} if height < 0.0 else {})
+        self.seen = replace(self.seen, **new)
+
+    def streams(self, since_s=0.0):
+        return {orders.stream for t, _, orders in self.history if t >= since_s}
+
+    def asked(self, since_s=0.0):
+        return [orders.ask for t, _, orders in self.history if orders.ask and t >= since_s]
+
+    def flying(self):
+        return self.run(until=Step.AIRBORNE).run(until=Step.FLY, leg="form").run(1.0)
+
+
+def test_the_formation_waits_until_the_vehicle_has_turned():
+    flight = Flight().run(until=Step.AIRBORNE, turned=False)
+    flight.run(5.0)
+    assert not flight.procedure.ready
+    assert flight.procedure.awaited == "turning to the formation's heading"
+    flight.run(0.1, turned=True)
+    assert flight.procedure.ready
+    assert flight.procedure.awaited == ""
+
+
+@pytest.mark.parametrize("autopilot", [PX4, ARDUPILOT])
+def test_from_heartbeat_to_disarmed(autopilot):
+    flight = Flight(autopilot).flying()
+    steps = list(dict.fromkeys(step for _, step, _ in flight.history))
+    # steps that are over before they begin are passed within one call
+    assert steps[-4:] == [Step.ARM, Step.TAKEOFF, Step.AIRBORNE, Step.FLY][-len(steps[-4:]) :]
+    assert flight.history[-1][2].stream is Stream.PLANNER
+    flight.run(until=Step.DONE, leg="land")
+    assert flight.procedure.fault == ""
+    asked = list(dict.fromkeys(flight.asked()))
+    expected = [Ask.OWN_MODE, Ask.ARM, Ask.TAKEOFF, Ask.LAND]
+    assert asked == [ask for ask in expected if ask is not Ask.TAKEOFF or autopilot is ARDUPILOT]
+
+
+def test_px4_hears_setpoints_for_more_than_a_second_before_offboard():
+    flight = Flight().run(until=Step.ARM)
+    began = next(t for t, _, orders in flight.history if orders.stream is Stream.HOLD)
+    asked = next(t for t, _, orders in flight.history if orders.ask is Ask.OWN_MODE)
+    assert asked - began > 1.0
+
+
+def test_ardupilot_gets_no_setpoint_before_it_is_in_the_air():
+    flight = Flight(ARDUPILOT).run(until=Step.TAKEOFF)
+    assert flight.streams() == {Stream.NONE}
+    assert Ask.TAKEOFF in flight.run(until=Step.AIRBORNE).asked()
+
+
+def test_nothing_is_armed_without_permission():
+    flight = Flight(allow_arming=False).run(300.0)
+    assert flight.step is Step.ARM
+    assert Ask.ARM not in flight.asked()
+    # a pilot arms: still no take-off
+    flight.run(10.0, armed=True)
+    assert Stream.CLIMB not in flight.streams()
+    # and flies it up by hand: then it is ours
+    flight.run(until=Step.AIRBORNE, landed=False, height_m=5.0)
+    flight.run(1.0)
+    assert flight.history[-1][2].stream is Stream.HOLD
+
+
+def test_a_vehicle_in_somebodys_hands_is_not_asked_to_change_its_mode():
+    flight = Flight()
+    flight.run(60.0, armed=True, landed=False, height_m=8.0, mode=Mode.OTHER)
+    assert flight.step is Step.MODE
+    assert flight.asked() == []
+    flight.run(until=Step.AIRBORNE, mode=Mode.OWN)
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"heartbeat_age_s": float("inf")}, "waiting for a heartbeat: not within 120 s"),
+        ({"stranger": "autopilot 8: expected px4"}, "autopilot 8: expected px4"),
+        ({"parameters": False}, "reading parameters: not within 20 s"),
+        ({"refusal": "GUID_OPTIONS=0"}, "GUID_OPTIONS=0"),
+        ({"state": False, "lack": "no GPS fix"}, "position: not within 120 s: no GPS fix"),
+        ({"controller_age_s": 9.0}, "controller: not within 180 s: no fresh setpoints"),
+        ({"controller_ready": False}, "controller: not within 180 s"),
+        ({"twin": True}, "two vehicles with this system id"),
+        ({"battery_low": "battery at 9 %"}, "not armed: battery at 9 %"),
+        ({"fence": "outside the geofence"}, "not armed: outside the geofence"),
+    ],
+)
+def test_every_step_before_arming_has_a_limit_and_a_reason(changes, reason):
+    flight = Flight().run(until=Step.FAILED, **changes)
+    assert reason in flight.procedure.fault
+    assert Ask.ARM not in flight.asked()
+
+
+def test_a_mode_that_is_not_confirmed():
+    flight = Flight()
+    flight.deaf = {Ask.OWN_MODE}
+    flight.run(until=Step.FAILED, complaint="OFFBOARD: TEMPORARILY_REJECTED")
+    assert "OFFBOARD not confirmed (OFFBOARD: TEMPORARILY_REJECTED)" in flight.procedure.fault
+    assert flight.asked().count(Ask.OWN_MODE) == pytest.approx(10, abs=1)
+
+
+def test_arming_refused():
+    flight = Flight()
+    flight.deaf = {Ask.ARM}
+    flight.run(until=Step.FAILED, complaint="arm: DENIED, Compass not calibrated")
+    assert "arming refused (arm: DENIED, Compass not calibrated)" in flight.procedure.fault
+    assert flight.history[-1][2] == (Stream.NONE, None, False)
+
+
+def test_a_vehicle_that_does_not_climb_is_landed():
+    flight = Flight(ARDUPILOT)
+    flight.deaf = {Ask.TAKEOFF}
+    flight.run(until=Step.LAND)
+    assert "taking off: not within 60 s: at 0.0 m of 3 m" in flight.procedure.fault
+
+
+def test_disarmed_again_before_it_took_off():
+    flight = Flight(ARDUPILOT)
+    flight.deaf = {Ask.TAKEOFF}
+    flight.run(until=Step.TAKEOFF).run(until=Step.FAILED, armed=False)
+    assert "disarmed before it took off" in flight.procedure.fault
+
+
+def test_position_lost_before_arming_goes_back_and_waits():
+    flight = Flight().run(until=Step.STREAM).run(until=Step.STATE, state=False)
+    assert flight.history[-1][2].stream is Stream.NONE
+    flight.run(until=Step.AIRBORNE, state=True)
+
+
+def test_setpoints_stop_first_a_hold_then_silence_then_the_failsafe():
+    flight = Flight().flying()
+    stopped = flight.seen.now_s
+    age = 0.05
+    while age < 2.0:  # setpoints age from now on
+        age += DT
+        flight.run(DT, controller_age_s=age)
+    held = [t for t, _, orders in flight.history if t >= stopped and orders.stream is Stream.HOLD]
+    silent = [t for t, _, o in flight.history if t >= stopped and o.stream is Stream.NONE]
+    assert 0.1 < max(held) - min(held) < 0.5
+    assert silent[0] - stopped <= 0.6
+    assert flight.streams(silent[0]) == {Stream.NONE}
+    assert flight.step is Step.FAILSAFE
+    assert flight.asked(stopped) == []
+
+
+def test_after_a_failsafe_hold_px4_comes_back_by_itself():
+    flight = Flight().flying()
+    flight.run(3.0, controller_age_s=1.0)
+    flight.run(1.0, mode=Mode.HOLD)
+    back = flight.seen.now_s
+    flight.run(0.9, controller_age_s=0.05)
+    assert flight.streams(back) == {Stream.NONE}
+    flight.run(0.5)
+    assert flight.history[-1][2].stream is Stream.HOLD
+    flight.run(0.5, mode=Mode.OWN)
+    assert flight.step is Step.FLY
+    # one late HEARTBEAT of the failsafe is no pilot
+    flight.run(0.3, mode=Mode.HOLD).run(1.0, mode=Mode.OWN)
+    assert flight.step is Step.FLY
+    assert flight.asked(back) == []
+
+
+def test_after_a_failsafe_that_a_pilot_kept_the_bridge_yields():
+    flight = Flight().flying()
+    flight.run(3.0, controller_age_s=1.0)
+    flight.run(30.0, mode=Mode.HOLD, controller_age_s=0.05)
+    assert flight.step is Step.YIELDED
+    assert flight.history[-1][2].stream is Stream.NONE
+
+
+def test_a_failsafe_that_lands_is_left_alone():
+    flight = Flight().flying()
+    flight.obeys = False
+    flight.run(1.0, controller_age_s=1.0)
+    flight.run(5.0, mode=Mode.LAND)
+    flight.run(5.0, controller_age_s=0.05)
+    assert flight.step is Step.YIELDED
+    flight.run(until=Step.FAILED, armed=False)
+    assert "no setpoints: the controller is silent" in flight.procedure.fault
+
+
+@pytest.mark.parametrize("mode", [Mode.OTHER, Mode.HOLD, Mode.RETURN, Mode.LAND])
+def test_the_pilot_takes_over_and_nobody_fights(mode):
+    flight = Flight().flying()
+    flight.obeys = False
+    taken = flight.seen.now_s
+    flight.run(60.0, mode=mode, mode_name="3", leg="form")
+    assert flight.step is Step.YIELDED
+    assert "the pilot took over: mode 3" in flight.procedure.fault
+    assert flight.streams(taken + DT) == {Stream.NONE}
+    assert flight.asked(taken) == []
+    assert not flight.history[-1][2].told
+    # even the operator's landing is the pilot's to fly now
+    flight.run(5.0, leg="land", halt="land")
+    assert flight.asked(taken) == []
+    # and switching back does not hand it over again unseen
+    flight.run(5.0, mode=Mode.OWN)
+    assert flight.streams(taken + DT) == {Stream.NONE}
+
+
+def test_the_pilot_takes_over_before_arming():
+    flight = Flight()
+    flight.deaf = {Ask.ARM}
+    flight.run(until=Step.ARM).run(until=Step.FAILED, mode=Mode.OTHER)
+    assert "before arming" in flight.procedure.fault
+
+
+@pytest.mark.parametrize(
+    "change", [{"battery_low": "battery at 15 %"}, {"fence": "outside the geofence"}]
+)
+def test_low_battery_and_fence_land_this_vehicle_alone(change):
+    flight = Flight().flying().run(until=Step.LAND, **change)
+    assert not flight.history[-1][2].told  # the others must not follow it down
+    flight.run(until=Step.DONE)
+    assert flight.procedure.fault == next(iter(change.values()))
+
+
+def test_gps_lost():
+    flight = Flight().flying()
+    flight.run(until=Step.FAILSAFE, state=False, lack="GPS fix lost", controller_age_s=0.6)
+    assert flight.procedure.fault == "no setpoints: GPS fix lost"
+    assert flight.history[-1][2].stream is Stream.NONE
+
+
+def test_heartbeat_lost_and_found():
+    flight = Flight().flying()
+    flight.run(5.0, heartbeat_age_s=4.0, state=False, lack="vehicle silent", controller_age_s=4.0)
+    assert flight.step is Step.FAILSAFE
+    flight.run(until=Step.FLY, heartbeat_age_s=0.1, state=True, controller_age_s=0.05)
+
+
+def test_rebooted_in_flight():
+    flight = Flight().flying().run(until=Step.FAILED, rebooted=True, armed=False)
+    assert flight.procedure.fault == "the vehicle rebooted in flight"
+    gone = flight.seen.now_s
+    flight.run(60.0, rebooted=False)
+    assert flight.asked(gone - DT) == []  # it is not armed again
+
+
+def test_disarmed_in_flight():
+    flight = Flight().flying().run(until=Step.FAILED, armed=False)
+    assert flight.procedure.fault == "disarmed in flight"
+
+
+def test_a_twin_in_flight_changes_nothing():
+    flight = Flight().flying().run(5.0, twin=True)
+    assert flight.step is Step.FLY
+
+
+def test_stop_lands_and_kill_disarms_in_the_air():
+    flight = Flight().flying().run(until=Step.LAND, halt="land").run(until=Step.DONE)
+    assert flight.procedure.fault == ""
+    flight = Flight().flying().run(until=Step.FAILED, halt="kill")
+    assert Ask.KILL in flight.asked()
+    assert "by the operator" in flight.procedure.fault
+    assert not flight.seen.armed
+
+
+def test_stop_before_arming_ends_it():
+    assert Flight().run(until=Step.STREAM).run(until=Step.DONE, halt="land").procedure.fault == ""
+
+
+def test_setpoints_go_on_until_the_landing_is_confirmed():
+    flight = Flight().flying()
+    flight.deaf = {Ask.LAND}
+    began = flight.seen.now_s
+    flight.run(3.0, leg="land")
+    assert flight.streams(began) == {Stream.HOLD}
+    assert flight.asked(began).count(Ask.LAND) == 3
+    flight.run(1.0, mode=Mode.LAND)
+    assert flight.history[-1][2].stream is Stream.NONE
+    # a pilot may still take it out of the landing
+    flight.obeys = False
+    flight.run(until=Step.YIELDED, mode=Mode.OTHER)
+
+
+def test_a_vehicle_that_stays_armed_on_the_ground_is_disarmed():
+    flight = Flight().flying()
+    flight.obeys = False
+    flight.run(0.1, leg="land").run(4.0, mode=Mode.LAND, landed=True, height_m=0.0)
+    assert Ask.DISARM not in flight.asked()
+    flight.run(3.0)
+    assert Ask.DISARM in flight.asked()
+
+
+def test_no_stream_outlives_stale_setpoints_in_any_step():
+    flight = Flight().flying().run(10.0, controller_age_s=STOP_S + 0.01)
+    assert flight.history[-1][2].stream is Stream.NONE
+    flight = Flight().run(until=Step.AIRBORNE).run(10.0, controller_age_s=STOP_S + 0.01)
+    assert flight.history[-1][2].stream is Stream.NONE

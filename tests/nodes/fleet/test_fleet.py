@@ -1,0 +1,239 @@
+"""Whole fleets of real processes: equal bytes, deaths in flight, and nobody left behind."""
+
+import os
+import select
+import signal
+import subprocess
+import sys
+import threading
+import time
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy")
+
+from ptnsbc_io import wire
+from ptnsbc_io.bag import BagError, read_bag
+from ptnsbc_nodes.fleet import main
+from ptnsbc_nodes.fleet.fleet import FleetError, FleetOptions, run_fleet
+from ptnsbc_sim.scenario import load_scenario, scenario_from_text
+from ptnsbc_sim.swarm import fly
+
+pytestmark = [pytest.mark.ros, pytest.mark.slow]
+
+PATIENCE_S = 240  # the first flight compiles the laws
+
+
+class Launched:
+    """`fleet_node` as a process of its own, with the lines it has said."""
+
+    def __init__(self, log_dir: Path, *arguments: str) -> None:
+        self.log_dir = log_dir
+        self.lines: list[str] = []
+        environment = {k: v for k, v in os.environ.items() if k != "ROS_DOMAIN_ID"}
+        command = [sys.executable, "-m", "ptnsbc_nodes.fleet.main", "--scenario", "paper_5"]
+        self.process = subprocess.Popen(
+            [*command, "--lockstep", "--log-dir", str(log_dir), *arguments],
+            stderr=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            env=environment,
+            cwd=Path(main.__file__).parents[2],
+        )
+        # A fleet that hangs fails its test, instead of hanging that too.
+        self._watchdog = threading.Timer(PATIENCE_S, self.process.kill)
+        self._watchdog.daemon = True
+        self._watchdog.start()
+
+    def wait_for(self, *texts: str) -> None:
+        """Return after the next line that has all of this."""
+        for line in self.process.stderr:
+            self.lines.append(line.rstrip())
+            if all(text in line for text in texts):
+                return
+        raise AssertionError(f"never said {texts}: {self.lines}")
+
+    def finish(self) -> int:
+        out, err = self.process.communicate()
+        self._watchdog.cancel()
+        assert out == ""
+        self.lines += err.splitlines()
+        return self.process.returncode
+
+    def running(self) -> dict[int, str]:
+        """Processes of this fleet besides the launcher: all of them name its scenario file."""
+        found = {}
+        for entry in Path("/proc").iterdir():
+            if entry.name.isdecimal() and int(entry.name) != self.process.pid:
+                try:
+                    words = (entry / "cmdline").read_bytes().decode().split("\0")
+                except OSError:
+                    continue
+                if any(str(self.log_dir / "scenario.yaml") in word for word in words):
+                    found[int(entry.name)] = " ".join(words)
+        return found
+
+    def pid_of(self, words: str) -> int:
+        (pid,) = [pid for pid, command in self.running().items() if words in command]
+        return pid
+
+    def all_end(self, within_s: float) -> bool:
+        deadline = time.monotonic() + within_s
+        for pid in self.running():
+            with suppress(ProcessLookupError):
+                end = os.pidfd_open(pid)
+                select.select([end], [], [], max(deadline - time.monotonic(), 0.0))
+                os.close(end)
+        return not self.running()
+
+
+@pytest.fixture
+def launch(tmp_path):
+    launched = []
+
+    def start(*arguments: str) -> Launched:
+        launched.append(Launched(tmp_path / f"logs{len(launched)}", *arguments))
+        return launched[-1]
+
+    yield start
+    for fleet in launched:
+        if fleet.process.poll() is None:
+            fleet.process.kill()
+            fleet.process.wait()
+
+
+def counts(bag):
+    return {name: topic.messages for name, topic in bag.topics.items()}
+
+
+def test_lockstep_flights_have_the_bytes_of_each_other_and_of_the_headless_one(launch, tmp_path):
+    for name in ("a", "b"):
+        flight = launch("--duration", "1", "--bag", str(tmp_path / name / "bag"))
+        assert flight.finish() == 0, flight.lines
+        assert not flight.running()
+    files = sorted(path.name for path in (tmp_path / "a" / "bag").iterdir())
+    assert files == ["bag_0.mcap", "metadata.yaml"]
+    for file in files:
+        first, second = (tmp_path / name / "bag" / file for name in ("a", "b"))
+        assert first.read_bytes() == second.read_bytes(), file
+
+    bag = read_bag(tmp_path / "a" / "bag")
+    scenario = load_scenario("paper_5", {"timing.duration_s": 1})
+    told = counts(bag)
+    assert told["/clock"] == told["/uav5/setpoint/wrench"] == scenario.ticks
+    assert told["/diagnostics"] == 5 * (1 + len(scenario.uav_ids))
+    track = fly(scenario).track
+    expected = {
+        "odom": (wire.decode_odometry, track.odometry),
+        "formation_state": (wire.decode_odometry, track.odometry),
+        "leader_estimate": (wire.decode_odometry, track.estimate),
+        "setpoint/wrench": (wire.decode_wrench, track.wrench),
+    }
+    for row, uav in enumerate(scenario.uav_ids):
+        for topic, (decode, values) in expected.items():
+            for message in bag.messages([f"/uav{uav}/{topic}"]):
+                stamp_ns, found = decode(message.data)
+                assert message.stamp_ns == stamp_ns
+                tick = stamp_ns // scenario.dt_ns
+                assert found.tobytes() == np.ascontiguousarray(values[tick, row]).tobytes()
+
+
+def test_who_dies_in_flight_is_named_and_the_others_fly_on(launch, tmp_path):
+    """One UAV is killed, one hangs; without the sim there is nothing left to fly, and the bag is complete."""
+    flight = launch("--duration", "200", "--bag", str(tmp_path / "bag"))
+    flight.wait_for("started")
+    os.kill(flight.pid_of("--uav 3"), signal.SIGKILL)
+    flight.wait_for("uav3 (pid ", "signal SIGKILL")
+    flight.wait_for("steps/s")
+    os.kill(flight.pid_of("--uav 5"), signal.SIGSTOP)
+    flight.wait_for("sim: no answer from", "uav5 for 3 s")  # uav4, which needs it, may be named too
+    flight.wait_for("uav5 (pid ", "is stuck: it is ended")
+    flight.wait_for("uav5 (pid ", "signal SIGKILL")
+    flight.wait_for("steps/s")
+    os.kill(flight.pid_of("sim.main"), signal.SIGKILL)
+    flight.wait_for("sim (pid ", "signal SIGKILL")
+    assert flight.finish() == 1
+    assert "lost uav3, uav5, sim" in flight.lines[-1]
+    assert not flight.running()
+    bag = read_bag(tmp_path / "bag")
+    told = counts(bag)
+    killed, hung, flew = (told[f"/uav{i}/setpoint/wrench"] for i in (3, 5, 1))
+    assert killed < hung < min(flew, told["/uav3/odom"])
+    # Its vehicle hovers where it was lost.
+    last = [wire.decode_odometry(m.data).values for m in bag.messages(["/uav3/odom"])][-2:]
+    assert last[0].tolist() == last[1].tolist()
+    assert scenario_from_text(bag.attachment("scenario.yaml").decode()).name == "paper_5"
+
+
+def test_without_its_recorder_the_flight_goes_on_and_the_bag_can_be_mended(launch, tmp_path):
+    """To its end, without one of the UAVs as well."""
+    flight = launch("--duration", "12", "--bag", str(tmp_path / "bag"))
+    flight.wait_for("steps/s")
+    os.kill(flight.pid_of("ptnsbc_nodes.recording.fleet_recorder"), signal.SIGKILL)
+    flight.wait_for("recorder (pid ", "signal SIGKILL")
+    os.kill(flight.pid_of("--uav 3"), signal.SIGKILL)
+    assert flight.finish() == 1
+    assert any("sim: 12.00 s" in line for line in flight.lines)
+    assert "lost recorder, uav3" in flight.lines[-1]
+    assert not flight.running()
+    with pytest.raises(BagError, match="ptnsbc bag repair"):
+        read_bag(tmp_path / "bag")
+    assert counts(read_bag(tmp_path / "bag.part", salvage=True))["/uav1/odom"] > 100
+
+
+def test_ctrl_c_ends_the_flight_in_order(launch, tmp_path):
+    flight = launch("--duration", "200", "--bag", str(tmp_path / "bag"))
+    flight.wait_for("steps/s")
+    flight.process.send_signal(signal.SIGINT)
+    assert flight.finish() == 130
+    assert "interrupted" in flight.lines[-1]
+    assert not flight.running()
+    told = counts(read_bag(tmp_path / "bag"))
+    assert told["/uav1/odom"] > 100
+
+
+def test_no_process_outlives_a_killed_launcher(launch):
+    flight = launch("--duration", "600")
+    flight.wait_for("started")
+    assert len(flight.running()) == 6
+    flight.process.kill()
+    assert flight.all_end(within_s=15)
+
+
+def test_a_process_that_dies_before_the_flight_is_shown_with_its_log(launch, tmp_path):
+    (tmp_path / "file").write_text("")
+    flight = launch("--bag", str(tmp_path / "file" / "bag"))
+    assert flight.finish() == 2
+    text = "\n".join(flight.lines)
+    assert "before the flight: recorder (pid " in text
+    assert "cannot be created" in text
+    assert not flight.running()
+
+
+def test_who_is_late_is_named(tmp_path):
+    scenario = load_scenario("paper_5")
+    options = FleetOptions(scenario, lockstep=True, log_dir=tmp_path, ready_timeout_s=0.0)
+    with pytest.raises(FleetError, match=r"not ready in time: uav1"):
+        run_fleet(options)
+
+
+def test_an_existing_bag_is_refused_before_anything_starts(tmp_path):
+    (tmp_path / "bag").mkdir()
+    said = []
+    options = FleetOptions(load_scenario("paper_5"), bag=tmp_path / "bag")
+    with pytest.raises(FleetError, match="choose another name or pass --overwrite"):
+        run_fleet(options, said.append)
+    assert said == []
+
+
+def test_a_bad_scenario_is_one_line_and_exit_2(tmp_path, capsys):
+    path = tmp_path / "bad.yaml"
+    path.write_text("name: bad\n")
+    assert main.main(["--scenario", str(path)]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith("fleet: ")
+    assert "bad.yaml" in err

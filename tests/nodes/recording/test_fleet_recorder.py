@@ -1,0 +1,251 @@
+"""The recorder inside a process and as a process of its own."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy")
+
+from ptnsbc_io import wire
+from ptnsbc_io.bag import BagError, BagWriter, read_bag
+from ptnsbc_nodes.comm import qos, topics
+from ptnsbc_nodes.comm.tf import Transforms
+from ptnsbc_nodes.recording.fleet_recorder import Recorder, stamp_of, topic_info
+from ptnsbc_nodes.recording.main import main
+
+ROOT = Path(__file__).parents[3]
+TICK_NS = 10_000_000
+ODOM = wire.OdometryTemplate("map", "uav1")
+VELOCITY = wire.VelocityTemplate("map")
+RECORDED = topics.recorded([1])
+
+
+def messages(ticks: int) -> dict[topics.Topic, list[bytes]]:
+    """A short flight of UAV 1, by topic."""
+    stamps = [k * TICK_NS for k in range(ticks)]
+    return {
+        topics.odom(1): [ODOM.encode(s, np.full(13, s)) for s in stamps],
+        topics.near(1): [wire.encode_near(s, "map", np.ones((2, 7))) for s in stamps],
+        topics.velocity_setpoint(1): [VELOCITY.encode(s, np.ones(6)) for s in stamps],
+        topics.CLOCK: [wire.ClockTemplate().encode(s) for s in stamps],
+        topics.EPOCH: [wire.HeaderTemplate("leg 1").encode(3 * TICK_NS)],
+    }
+
+
+class Flight:
+    """Publishers that match the recorder before the first message."""
+
+    def __init__(self, ros, recorded, *, lockstep: bool) -> None:
+        self.node = node = ros.node("uav")
+        self._publishers = {
+            topic: node.create_publisher(
+                topics.message_class(topic), topic.name, qos.profile(topic, lockstep=lockstep)
+            )
+            for topic in recorded
+        }
+        ros.spin_until(lambda: all(p.get_subscription_count() for p in self._publishers.values()))
+        # The other end may learn of the match a little later.
+        ros.spin_for(0.3)
+
+    def publish(self, topic, data: bytes) -> None:
+        self._publishers[topic].publish(data)
+
+    def publish_paced(self, order) -> None:
+        for topic, data in order:
+            self.publish(topic, data)
+            # As a fleet does: best effort holds no message back for a reader that is not so quick.
+            time.sleep(0.002)
+
+
+def record(ros, path: Path, lockstep: bool, order) -> Recorder:
+    """Publish `order`, a list of (topic, bytes), and record it."""
+    infos = [topic_info(topic, lockstep=lockstep) for topic in topics.in_bag([1])]
+    with BagWriter(path, infos) as writer:
+        node = ros.node("recorder")
+        recorder = Recorder(node, writer, RECORDED, Transforms([1]), lockstep=lockstep)
+        flight = Flight(ros, messages(1), lockstep=lockstep)
+        for count, (topic, data) in enumerate(order, start=1):
+            flight.publish(topic, data)
+            if count % 5 == 0:
+                ros.spin_until(lambda c=count: recorder.received >= c)
+        ros.spin_until(lambda: recorder.received == len(order))
+        recorder.finish()
+    ros.remove(node)
+    ros.remove(flight.node)
+    return recorder
+
+
+def mixed(seed: int, ticks: int = 40) -> list[tuple[topics.Topic, bytes]]:
+    """The flight, each topic in order, the topics mixed up to 10 ticks apart."""
+    rng = random.Random(seed)
+    lag = {topic: rng.randrange(10) for topic in messages(1)}
+    keyed = [
+        (tick + lag[topic], i, topic, data)
+        for i, (topic, datas) in enumerate(messages(ticks).items())
+        for tick, data in enumerate(datas)
+    ]
+    return [(topic, data) for *_, topic, data in sorted(keyed, key=lambda m: m[:2])]
+
+
+def test_lockstep_gives_the_same_bytes(ros, tmp_path):
+    contents = set()
+    for seed in (1, 2, 3):
+        path = tmp_path / str(seed) / "flight"
+        recorder = record(ros, path, True, mixed(seed))
+        assert recorder.late == 0
+        contents.add((path / "flight_0.mcap").read_bytes())
+        contents.add((path / "metadata.yaml").read_bytes())
+    assert len(contents) == 2
+    got = list(read_bag(path).messages())
+    assert [m.stamp_ns for m in got if m.topic == "/uav1/odom"] == [k * TICK_NS for k in range(40)]
+    assert [m.stamp_ns for m in got if m.topic == "/formation/epoch"] == [3 * TICK_NS]
+    assert [m.stamp_ns for m in got if m.topic == "/tf"] == [k * 5 * TICK_NS for k in range(8)]
+    keys = [(m.stamp_ns, m.topic) for m in got]
+    assert keys == sorted(keys)
+
+
+def test_real_time(ros, tmp_path):
+    before = time.time_ns()
+    order = mixed(1, ticks=10)
+    record(ros, tmp_path / "flight", False, order)
+    bag = read_bag(tmp_path / "flight")
+    got = list(bag.messages())
+    sent = [m.data for m in got if m.topic != "/tf"]
+    assert sorted(sent) == sorted(data for _, data in order)
+    assert len(got) - len(sent) == 2  # 10 ticks are two periods of /tf
+    assert all(before <= m.stamp_ns <= time.time_ns() for m in got)
+
+
+def test_real_time_keeps_the_publish_time(ros, tmp_path):
+    reader = pytest.importorskip("mcap.reader")
+    record(ros, tmp_path / "flight", False, mixed(1, ticks=10))
+    with (tmp_path / "flight" / "flight_0.mcap").open("rb") as stream:
+        for _, _, message in reader.make_reader(stream).iter_messages(topics=["/uav1/odom"]):
+            assert message.publish_time == wire.peek_stamp(message.data)
+
+
+def test_quality_of_service_is_that_of_the_publishers():
+    odom = topics.odom(1)
+    assert topic_info(odom, lockstep=False)[2:] == ("best_effort", "volatile", 1)
+    assert topic_info(odom, lockstep=True)[2:] == ("reliable", "volatile", 10)
+    assert topic_info(topics.EPOCH, lockstep=False)[2:] == ("reliable", "transient_local", 1)
+
+
+def test_stamps():
+    assert stamp_of(topics.odom(1), ODOM.encode(5, np.ones(13))) == 5
+    assert stamp_of(topics.CLOCK, wire.ClockTemplate().encode(6)) == 6
+    assert stamp_of(topics.MARKERS, b"\0\1\0\0" + bytes(4)) is None
+    tf = b"\0\1\0\0\1\0\0\0" + wire.HeaderTemplate("map").encode(7)[4:]
+    assert stamp_of(topics.TF, tf) == 7
+    assert stamp_of(topics.odom(1), b"rubbish") is None
+    assert stamp_of(topics.odom(1), ODOM.encode(-1, np.ones(13))) is None
+
+
+class Process:
+    """The recorder as launch starts it."""
+
+    def __init__(self, domain: int, *arguments: str) -> None:
+        self.popen = subprocess.Popen(
+            [sys.executable, "-m", "ptnsbc_nodes.recording.main", *arguments],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            cwd=ROOT,
+            env={**os.environ, "ROS_DOMAIN_ID": str(domain)},
+        )
+
+    def wait_ready(self) -> None:
+        assert self.popen.stderr is not None
+        while (line := self.popen.stderr.readline()) != "ready\n":
+            assert line, "the recorder ended before it was ready"
+
+    def end(self, how: signal.Signals) -> tuple[int, str, str]:
+        self.popen.send_signal(how)
+        out, err = self.popen.communicate(timeout=20)
+        return self.popen.returncode, out, err
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("lockstep", [False, True])
+def test_process(ros, tmp_path, how, lockstep):
+    scenario = tmp_path / "scenario.yaml"
+    scenario.write_text("n: 1\n")
+    process = Process(
+        ros.domain, "--bag", str(tmp_path / "flight"), "--uavs", "1",
+        "--attach", f"scenario.yaml={scenario}", "--meta", "seed=7",
+        *(["--lockstep"] if lockstep else []),
+    )  # fmt: skip
+    process.wait_ready()
+    flight = Flight(ros, messages(1), lockstep=lockstep)
+    order = mixed(1, ticks=10)
+    flight.publish_paced(order)
+    # At once: what is under way must still get in.
+    code, out, err = process.end(how)
+    assert code == 0, err
+    (line,) = out.splitlines()
+    report = json.loads(line)
+    assert report["bag"] == str(tmp_path / "flight")
+    assert report["messages"] == len(order) + 2 == sum(report["topics"].values())
+    assert report["topics"]["/tf"] == 2
+    assert report["topics"]["/uav1/odom"] == 10
+    assert (report["lost"], report["late"]) == (0, 0)
+    bag = read_bag(tmp_path / "flight")
+    assert bag.metadata == {"seed": "7"}
+    assert bag.attachment("scenario.yaml") == b"n: 1\n"
+    assert len(list(bag.messages())) == len(order) + 2
+
+
+def readable(part: Path) -> int:
+    """Messages that a recording which is not complete has on disk."""
+    try:
+        return len(list(read_bag(part, salvage=True).messages()))
+    except BagError:  # no message yet
+        return 0
+
+
+@pytest.mark.ros
+def test_killed_process_keeps_what_was_flushed(ros, tmp_path):
+    process = Process(ros.domain, "--bag", str(tmp_path / "flight"), "--uavs", "1")
+    process.wait_ready()
+    flight = Flight(ros, messages(1), lockstep=False)
+    flight.publish_paced(mixed(1, ticks=10))
+    ros.spin_until(lambda: readable(tmp_path / "flight.part") == 41 + 2)  # and /tf
+    process.end(signal.SIGKILL)
+    assert readable(tmp_path / "flight.part") == 41 + 2
+
+
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        ([], "exists: choose another name or pass --overwrite"),
+        (["--attach", "a=/no/such/file"], "--attach a=/no/such/file: No such file"),
+    ],
+)
+def test_errors_in_words(tmp_path, capfd, more, message):
+    old = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    if not more:
+        (tmp_path / "flight").mkdir()
+    assert main(["--bag", str(tmp_path / "flight"), "--uavs", "1", *more]) == 1
+    for number, handler in old.items():
+        signal.signal(number, handler)
+    captured = capfd.readouterr()
+    assert message in captured.err
+    assert captured.out == ""
+
+
+@pytest.mark.parametrize("text", ["name", "=value"])
+def test_wrong_pair(text, capfd):
+    with pytest.raises(SystemExit):
+        main(["--bag", "x", "--uavs", "1", "--meta", text])
+    assert "expected name=value" in capfd.readouterr().err

@@ -1,0 +1,46 @@
+"""Missed ticks, latencies, and the phase of the tick."""
+
+import pytest
+
+from ptnsbc_nodes.runtime.pacing import Latency, Pace
+from ptnsbc_nodes.runtime.timer import delay_ns
+
+PERIOD = 10
+
+
+def paced(*times):
+    pace = Pace(PERIOD)
+    return [pace.tick(t) for t in times], pace.missed
+
+
+def test_ticks_on_time():
+    assert paced(0, 10, 20, 30) == ([1, 1, 1, 1], 0)
+
+
+def test_jitter_below_a_period_misses_nothing():
+    assert paced(0, 19, 20, 35, 40) == ([1, 1, 1, 1, 1], 0)
+
+
+def test_a_gap_counts_the_ticks_in_it():
+    assert paced(0, 10, 45, 50) == ([1, 1, 3, 1], 2)
+
+
+def test_the_grid_starts_at_the_earliest_tick():
+    # The first was 8 late: a later one that is 11 late has missed one.
+    assert paced(8, 10, 31) == ([1, 1, 2], 1)
+
+
+def test_latency_percentiles():
+    latency = Latency()
+    assert latency.percentile_s(50) == 0.0
+    for ms in range(1, 101):
+        latency.add(ms * 1e-3)
+    assert latency.percentile_s(50) == pytest.approx(0.0505)
+    assert latency.max_s == 0.1
+
+
+@pytest.mark.parametrize(
+    ("now", "wait"), [(1000, 300), (1299, 1), (1300, 0), (1301, 999), (51_000, 300), (500, 800)]
+)
+def test_ticks_fall_a_third_of_a_period_behind_the_stamps(now, wait):
+    assert delay_ns(now, stamp_ns=1000, period_ns=1000) == wait

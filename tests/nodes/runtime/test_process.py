@@ -1,0 +1,160 @@
+"""Each executable as a process: it comes up under its name, and a signal ends it cleanly."""
+
+import contextlib
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from own_services import LIFECYCLE, PARAMETERS
+
+pytest.importorskip("rclpy")
+
+ROOT = Path(__file__).resolve().parents[3]
+PATIENCE_S = 60
+
+pytestmark = [pytest.mark.ros, pytest.mark.slow]
+
+
+@pytest.fixture
+def start(domain, tmp_path):
+    """Starts modules of ptnsbc_nodes as processes of their own."""
+    running = []
+
+    def begin(module, *arguments):
+        environment = {**os.environ, "ROS_DOMAIN_ID": str(domain)}
+        process = subprocess.Popen(
+            [sys.executable, "-m", f"ptnsbc_nodes.{module}", *map(str, arguments)],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            env=environment,
+            cwd=ROOT,
+        )
+        running.append(process)
+        return process
+
+    yield begin
+    for process in running:
+        if process.poll() is None:
+            process.kill()
+            process.communicate()
+
+
+def commands(tmp_path):
+    """Name in the graph of each kind of process: how it is started."""
+    found = {
+        "/uav1/controller": ("uav.main", "--scenario", "paper_5", "--uav", 1),
+        "/uav2/controller": ("uav.main", "--scenario", "paper_5", "--uav", 2, "--managed"),
+        "/sim": ("sim.main", "--scenario", "paper_5"),
+        "/recorder": ("recording.main", "--bag", tmp_path / "bag", "--uavs", 1, 2),
+    }
+    try:
+        import pymavlink  # noqa: F401
+    except ImportError:
+        return found
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        link = ("--connect", f"udpin:127.0.0.1:{probe.getsockname()[1]}")
+    bridge = ("bridge.main", "--scenario", "experiment_4", "--uav", 3, *link)
+    return {**found, "/uav3/bridge": bridge}
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=lambda n: n.name)
+def test_a_signal_ends_every_process_cleanly(ros, start, tmp_path, number):
+    processes = {name: start(*words) for name, words in commands(tmp_path).items()}
+    looker = ros.node("looker")
+
+    def up():
+        for name, process in processes.items():
+            assert process.poll() is None, (name, process.communicate())
+        seen = looker.get_node_names_and_namespaces()
+        return processes.keys() <= {f"{space.rstrip('/')}/{name}" for name, space in seen}
+
+    ros.spin_until(up, timeout=PATIENCE_S)
+    for process in processes.values():
+        process.send_signal(number)
+    for name, process in processes.items():
+        _, err = process.communicate(timeout=PATIENCE_S)
+        assert process.returncode == 0, (name, err)
+        assert "Traceback" not in err, (name, err)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (("--ros-args", "--params-file", "nowhere.yaml"), "nowhere.yaml"),
+        (("--scenario", "paper_5", "--ros-args", "-r", "bad"), "bad"),
+    ],
+)
+def test_arguments_that_ros_refuses_are_one_line_and_exit_2(start, arguments, says):
+    process = start("uav.main", *arguments)
+    out, err = process.communicate(timeout=PATIENCE_S)
+    assert (process.returncode, out) == (2, "")
+    assert err.startswith("uav: ") and says in err
+    assert err.count("\n") == 1
+
+
+COLUMNS = {"publishes": 3, "hears": 4}
+
+
+def listed(what, node):
+    """Topics that docs/architecture.md lists for a kind of node, with N for the number of a UAV."""
+    text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    rows = text.partition("<!-- made: topics -->")[2].partition("<!-- /made -->")[0].splitlines()
+    cells = [[cell.strip(" `") for cell in row.split("|")[1:-1]] for row in rows if "`/" in row]
+    return {row[0] for row in cells if node in row[COLUMNS[what]]}
+
+
+def plain(names):
+    return {re.sub(r"^/uav\d+/(?!bridge/)", "/uavN/", name) for name in names}
+
+
+# What paper_5 has no use for, and what a bridge has without an operator and with other settings.
+UNUSED = {
+    "/sim": {"publishes": {"/uavN/truth"}, "hears": {"/formation/recorded"}},
+    "/uav3/bridge": {"publishes": set(), "hears": {"/uavN/setpoint/wrench"}},
+}
+
+
+@pytest.mark.parametrize("name", ["/sim", "/uav3/bridge"])
+def test_the_graph_shows_what_the_architecture_lists(ros, start, tmp_path, name):
+    """As `ros2 node info` asks, of a process as it is started."""
+    words = commands(tmp_path).get(name)
+    if words is None:
+        pytest.skip("pymavlink is not installed")
+    process, looker = start(*words), ros.node("looker")
+    space, _, node = name.rpartition("/")
+    managed = name.endswith("bridge")
+    kind = "bridge" if managed else "sim"
+    own = {f"{name}/{service}" for service in (PARAMETERS | LIFECYCLE if managed else PARAMETERS)}
+    asked = {
+        "publishes": looker.get_publisher_names_and_types_by_node,
+        "hears": looker.get_subscriber_names_and_types_by_node,
+        "serves": looker.get_service_names_and_types_by_node,
+        "calls": looker.get_client_names_and_types_by_node,
+    }
+    besides = {"/parameter_events", *([f"{name}/transition_event"] if managed else ())}
+    expected = {
+        "publishes": (listed("publishes", kind) | besides) - UNUSED[name]["publishes"],
+        "hears": listed("hears", kind) - UNUSED[name]["hears"],
+        "serves": own | {f"{name}/get_type_description"},
+        "calls": set(),
+    }
+
+    def shown():
+        assert process.poll() is None, process.communicate()
+        if (node, space or "/") not in looker.get_node_names_and_namespaces():
+            return {}
+        return {
+            what: plain(topic for topic, _ in ask(node, space or "/"))
+            for what, ask in asked.items()
+        }
+
+    with contextlib.suppress(TimeoutError):
+        ros.spin_until(lambda: shown() == expected, timeout=PATIENCE_S)
+    assert shown() == expected

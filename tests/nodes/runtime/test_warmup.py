@@ -1,0 +1,77 @@
+"""What a process loads before a flight is all that it needs in it."""
+
+import gc
+import subprocess
+import sys
+
+import pytest
+from numba.core.dispatcher import Dispatcher
+
+from ptnsbc_io.wire import Stamped
+from ptnsbc_nodes.comm.graph import Edges, FlightOptions
+from ptnsbc_nodes.comm.legs import Epochs
+from ptnsbc_nodes.runtime.warmup import load_agent, load_world
+from ptnsbc_nodes.uav.controller import Pilot, moment
+from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS
+from ptnsbc_sim.scenario import agent_config, load_scenario
+from ptnsbc_sim.world import World
+
+
+@pytest.mark.compiles
+@pytest.mark.slow
+def test_after_loading_no_tick_waits_for_a_law():
+    """Neither compiled nor read from the cache: other tests may have loaded more, never less."""
+    scenario = load_scenario("paper_5")
+    load_agent(scenario, scenario.leader_id)
+    load_world(scenario)
+    edges = Edges(scenario, FlightOptions())
+    pilots = {i: Pilot(agent_config(scenario, i), edges.senders(i)) for i in scenario.uav_ids}
+    before = loaded()
+    fly(scenario, edges, pilots, ticks=20)
+    assert loaded() - before == set()
+
+
+_SPARING = """
+import sys
+from ptnsbc_nodes.runtime.warmup import load_agent, load_world, spare_linear_algebra
+from ptnsbc_sim.scenario import load_scenario
+spare_linear_algebra()
+scenario = load_scenario("paper_5")
+load_agent(scenario, 2)
+load_world(scenario)
+print("scipy.linalg" in sys.modules)
+from scipy.linalg import norm
+print(norm([3.0, 4.0]))
+"""
+
+
+@pytest.mark.slow
+def test_a_process_without_linear_algebra_has_its_laws_and_can_have_it_later():
+    told = subprocess.run(
+        [sys.executable, "-c", _SPARING], capture_output=True, text=True, check=True
+    )
+    assert told.stdout.split() == ["False", "5.0"]
+
+
+def loaded():
+    """Name and argument types of every compiled law in this process."""
+    # by type: isinstance asks what a weak proxy stands for, which may be gone
+    laws = [one for one in gc.get_objects() if issubclass(type(one), Dispatcher)]
+    return {(law.py_func.__qualname__, kinds) for law in laws for kinds in law.overloads}
+
+
+def fly(scenario, edges, pilots, ticks):
+    """Every UAV as its process ticks, the first ones before the epoch."""
+    world, epochs = World(scenario), Epochs()
+    epochs.announce(10 * scenario.dt_ns, "form")
+    for k in range(ticks):
+        now_ns = k * scenario.dt_ns
+        at = moment(now_ns, scenario.dt_ns, epochs.at(now_ns), 0)
+        for i, pilot in pilots.items():
+            pilot.inbox.own = Stamped(now_ns, world.odometry(i))
+            pilot.inbox.near = Stamped(now_ns, world.near(i))
+            for other in edges.senders(i).states:
+                pilot.inbox.hear_state(other, Stamped(now_ns, world.odometry(other)))
+            for other in edges.senders(i).estimators:
+                pilot.inbox.hear_estimate(other, Stamped(now_ns, world.odometry(other)))
+        world.step({i: pilot.step(at, NO_CUTOFF_NS).wrench for i, pilot in pilots.items()})

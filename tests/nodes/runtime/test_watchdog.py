@@ -1,0 +1,46 @@
+"""Who keeps a lock-step flight waiting: named once, told again and again, and nobody who goes on."""
+
+import pytest
+
+pytest.importorskip("rclpy")
+
+from ptnsbc_nodes.comm.diagnostics import STATUS_HZ
+from ptnsbc_nodes.runtime.watchdog import ENDED_S, SAID_S, Standstill
+from ptnsbc_tools.reading.diagnostics import decode_diagnostics
+
+pytestmark = pytest.mark.ros
+
+
+@pytest.fixture
+def sent():
+    return []
+
+
+@pytest.fixture
+def standstill(sent):
+    return Standstill(sent.append)
+
+
+def looks(standstill, seconds, mark=7):
+    for _ in range(round(seconds * STATUS_HZ)):
+        standstill.look(mark, lambda: ["uav3", "uav5"])
+
+
+def test_said_once_and_told_until_it_is_over(standstill, sent, capsys):
+    looks(standstill, SAID_S)  # the first of them only takes the mark
+    assert sent == []
+    looks(standstill, ENDED_S)
+    assert capsys.readouterr().err == "sim: no answer from uav3 uav5 for 3 s\n"
+    (status,) = decode_diagnostics(sent[-1]).statuses
+    assert status.name == "sim: world"
+    assert status.values["waiting_for"] == "uav3 uav5"
+    assert float(status.values["waited_s"]) == pytest.approx(SAID_S + ENDED_S - 1 / STATUS_HZ)
+    told = len(sent)
+    looks(standstill, SAID_S, mark=8)
+    assert len(sent) == told
+
+
+def test_a_slow_flight_is_none_that_stands_still(standstill, sent):
+    for mark in range(20):
+        looks(standstill, SAID_S - 0.2, mark)
+    assert sent == []

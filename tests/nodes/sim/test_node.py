@@ -1,0 +1,165 @@
+"""The sim node, with the UAVs played by the test."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy")
+
+from rclpy.serialization import deserialize_message
+from visualization_msgs.msg import Marker, MarkerArray
+
+from ptnsbc_io import wire
+from ptnsbc_nodes.comm import topics
+from ptnsbc_nodes.comm.endpoints import LOST, Endpoints
+from ptnsbc_nodes.comm.graph import Edges, FlightOptions
+from ptnsbc_nodes.sim import main
+from ptnsbc_nodes.sim.node import Sim
+from ptnsbc_sim.scenario import load_scenario
+from ptnsbc_sim.world import World
+
+pytestmark = pytest.mark.ros
+
+TICKS = 12
+
+
+@pytest.fixture(scope="module")
+def scenario():
+    return load_scenario("paper_5", {"timing.duration_s": TICKS / 100})
+
+
+class Pilots:
+    """All UAVs in one node; `hands_off` do not answer."""
+
+    def __init__(self, ros, scenario, *, lockstep=True):
+        self.ros, self.scenario = ros, scenario
+        self.ended = self.mute = False
+        self.hands_off = set()
+        self.odometry = {i: [] for i in scenario.uav_ids}
+        self.near = {i: [] for i in scenario.uav_ids}
+        self.clock, self.markers = [], []
+        node = ros.node("pilots")
+        ends = Endpoints(node, lockstep)
+        self.send = {i: ends.publisher(topics.wrench_setpoint(i), 1) for i in scenario.uav_ids}
+        self.announce = ends.publisher(topics.EPOCH, 1)
+        self.lose = ends.publisher(LOST, 1)
+        for i in scenario.uav_ids:
+            ends.listen(topics.odom(i), lambda data, i=i: self.fly(i, wire.decode_odometry(data)))
+            ends.listen(
+                topics.near(i), lambda data, i=i: self.near[i].append(wire.decode_near(data))
+            )
+        ends.listen(topics.CLOCK, lambda data: self.clock.append(wire.decode_clock(data)))
+        ends.listen(topics.MARKERS, self.markers.append)
+        self.sim = Sim(
+            ros.node("sim"), scenario, Edges(scenario, FlightOptions(lockstep=lockstep)), self.end
+        )
+        ros.spin_until(lambda: not ends.unread() and not ends.unheard())
+        ros.spin_until(lambda: not self.sim.waiting_for())
+
+    def end(self):
+        self.ended = True
+
+    def fly(self, i, message):
+        self.odometry[i].append(message)
+        if i not in self.hands_off:
+            self.push(i, message.stamp_ns)
+
+    def push(self, i, stamp_ns):
+        self.send[i](wire.WrenchTemplate("x").encode(stamp_ns, wrench(i)))
+
+    def start(self):
+        self.announce(wire.HeaderTemplate("form").encode(0))
+
+    def ticks(self, i):
+        return [message.stamp_ns // self.scenario.dt_ns for message in self.odometry[i]]
+
+
+def wrench(i):
+    return np.array([0.0, 0.0, 11.0 + i, 0.01 * i, 0.0, 0.0])
+
+
+def test_lockstep_flight_is_that_of_the_world(ros, scenario):
+    pilots = Pilots(ros, scenario)
+    ros.spin_for(0.05)
+    assert not pilots.clock  # nothing before the epoch
+    pilots.start()
+    ros.spin_until(lambda: pilots.ended)
+    ros.spin_until(lambda: len(pilots.clock) == TICKS)
+    world = World(scenario)
+    for tick in range(TICKS):
+        for i in world.ids:
+            assert pilots.ticks(i)[tick] == tick
+            assert pilots.odometry[i][tick].values.tobytes() == world.odometry(i).tobytes()
+            if tick % scenario.near_every == 0:
+                near = pilots.near[i][tick // scenario.near_every]
+                assert near.stamp_ns == tick * scenario.dt_ns
+                assert near.values.tobytes() == world.near(i).tobytes()
+        world.step({i: wrench(i) for i in world.ids})
+    assert len(pilots.odometry[1]) == TICKS
+
+
+def test_lockstep_waits_for_the_wrench_of_the_tick(ros, scenario):
+    pilots = Pilots(ros, scenario)
+    pilots.hands_off = {4}
+    pilots.start()
+    ros.spin_until(lambda: pilots.ticks(4) == [0])
+    pilots.push(4, 7 * scenario.dt_ns)  # of another tick
+    ros.spin_for(0.1)
+    assert pilots.ticks(4) == [0]
+    # the others go on to where near objects would need UAV 4, and the time that all have reached is 0
+    assert pilots.ticks(1) == list(range(scenario.near_every))
+    assert pilots.clock == [0]
+    pilots.push(4, 0)
+    ros.spin_until(lambda: pilots.clock == [0, scenario.dt_ns])
+
+
+def test_lockstep_goes_on_without_a_lost_uav_which_stays_in_place(ros, scenario):
+    pilots = Pilots(ros, scenario)
+    pilots.hands_off = {4}
+    pilots.start()
+    ros.spin_until(lambda: pilots.ticks(4) == [0])
+    pilots.lose(wire.HeaderTemplate("uav4").encode(0))
+    ros.spin_until(lambda: pilots.ended)
+    ros.spin_until(lambda: len(pilots.odometry[4]) == TICKS)
+    assert np.ptp([m.values[0:3] for m in pilots.odometry[4]], axis=0).max() == 0.0
+    assert np.ptp([m.values[2] for m in pilots.odometry[1]]) > 0.0
+
+
+def test_real_time_runs_by_the_clock_and_hovers_without_wrenches(ros, scenario):
+    pilots = Pilots(ros, scenario, lockstep=False)
+    pilots.hands_off = set(scenario.uav_ids)
+    ros.spin_until(lambda: len(pilots.odometry[1]) > 20)
+    stamps = np.diff([message.stamp_ns for message in pilots.odometry[1]])
+    assert np.median(stamps) == pytest.approx(scenario.dt_ns, rel=0.2)
+    assert np.ptp([m.values[0:3] for m in pilots.odometry[1]], axis=0).max() == 0.0
+    assert not pilots.ended
+    now = pilots.odometry[1][-1].stamp_ns
+    pilots.announce(wire.HeaderTemplate("form").encode(now))
+    ros.spin_until(lambda: pilots.ended)
+
+
+def test_markers_show_uavs_obstacles_edges_and_path(ros, scenario):
+    pilots = Pilots(ros, scenario)
+    pilots.start()
+    ros.spin_until(lambda: pilots.markers)
+    markers = deserialize_message(pilots.markers[0], MarkerArray).markers
+    kinds = {}
+    for marker in markers:
+        kinds.setdefault(marker.ns, []).append(marker)
+        assert marker.header.frame_id == "map"
+        assert marker.color.a > 0
+    assert [marker.id for marker in kinds["uavs"]] == list(scenario.uav_ids)
+    assert [marker.scale.x for marker in kinds["obstacles"]] == [3.0, 3.0]
+    (tree,) = kinds["tree"]
+    assert tree.type == Marker.LINE_LIST
+    assert len(tree.points) == 2 * 4
+    (path,) = kinds["leader_path"]
+    assert path.type == Marker.LINE_STRIP
+    assert max(point.x for point in path.points) <= 5.0
+
+
+def test_a_users_error_is_one_line_and_exit_2(capsys):
+    assert main.main(["--scenario", "nowhere.yaml"]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith("sim: ")
+    assert err.count("\n") == 1

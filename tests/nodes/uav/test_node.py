@@ -1,0 +1,332 @@
+"""One UAV node, with everybody else played by the test."""
+
+import time
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy")
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.serialization import deserialize_message
+from std_srvs.srv import Trigger
+
+from ptnsbc_core.step import initial_state, step
+from ptnsbc_core.types import NEVER_HEARD_S, AgentInputs
+from ptnsbc_io import wire
+from ptnsbc_nodes.comm import topics
+from ptnsbc_nodes.comm.endpoints import LOST, READY, Endpoints
+from ptnsbc_nodes.comm.graph import Edges, FlightOptions
+from ptnsbc_nodes.uav import main
+from ptnsbc_nodes.uav.node import Uav
+from ptnsbc_sim.scenario import agent_config, load_scenario
+
+pytestmark = pytest.mark.ros
+
+FOLLOWER, PARENT, LEADER, NEIGHBOURS = 3, 2, 1, (2, 4)
+
+
+@pytest.fixture(scope="module")
+def scenario():
+    return load_scenario("paper_5")
+
+
+def body(number: int) -> np.ndarray:
+    odometry = np.zeros(13)
+    odometry[0:3] = number, 0.5 * number, 1.0
+    odometry[6] = 1.0
+    return odometry
+
+
+class Others:
+    """Everybody that one UAV talks to: sends what it hears, keeps what it says."""
+
+    def __init__(self, ros, scenario, uav_id, *, lockstep=True):
+        self.ros, self.scenario, self.uav_id = ros, scenario, uav_id
+        node = ros.node("others")
+        self.node = node
+        ends = Endpoints(node, lockstep)
+        edges = Edges(scenario, FlightOptions(lockstep=lockstep))
+        senders = edges.senders(uav_id)
+        self.send_odom = ends.publisher(topics.odom(uav_id), 1)
+        self.send_near = ends.publisher(topics.near(uav_id), 1)
+        self.send_state = {i: ends.publisher(topics.formation_state(i), 1) for i in senders.states}
+        self.send_estimate = {
+            i: ends.publisher(topics.leader_estimate(i), 1) for i in senders.estimators
+        }
+        self.lose = ends.publisher(LOST, 1)
+        self.announce = None if uav_id == LEADER else ends.publisher(topics.EPOCH, 1)
+        self.wrenches, self.states, self.status, self.epochs = [], [], [], []
+        listen = ends.listen
+        listen(topics.wrench_setpoint(uav_id), self.keep(self.wrenches, wire.decode_wrench))
+        listen(topics.formation_state(uav_id), self.keep(self.states, wire.decode_odometry))
+        for topic, readers in (
+            (topics.formation_state(uav_id), edges.state_readers(uav_id) - 1),
+            (topics.leader_estimate(uav_id), edges.estimate_readers(uav_id)),
+        ):
+            for _ in range(readers):
+                listen(topic, lambda data: None)
+        listen(topics.velocity_setpoint(uav_id), lambda data: None)
+        for topic in (topics.DIAGNOSTICS, READY):
+            listen(topic, self.keep(self.status, decode_status), required=topic is not READY)
+        if uav_id == LEADER:
+            listen(topics.EPOCH, self.keep(self.epochs, wire.decode_header))
+            for _ in range(3):  # with the leader itself all UAVs, but no sim
+                listen(topics.EPOCH, lambda data: None)
+        self.template = wire.OdometryTemplate("map", "x")
+        self.uav = Uav(ros.node("controller", namespace=f"/uav{uav_id}"), scenario, uav_id, edges)
+        self.uav.activate()
+        ros.spin_until(lambda: not ends.unread() and not ends.unheard())
+
+    @staticmethod
+    def keep(where, decode):
+        return lambda data: where.append(decode(data))
+
+    def odom(self, stamp_ns):
+        self.send_odom(self.template.encode(stamp_ns, body(self.uav_id)))
+
+    def near(self, stamp_ns, rows=()):
+        rows = np.array(rows, dtype=float).reshape(-1, 7)
+        self.send_near(wire.encode_near(stamp_ns, "map", rows))
+
+    def neighbours(self, stamp_ns, without=()):
+        for kind in (self.send_state, self.send_estimate):
+            for i, send in kind.items():
+                if i not in without:
+                    send(self.template.encode(stamp_ns, body(i)))
+
+    def form(self, stamp_ns=0, leg="form"):
+        self.announce(wire.HeaderTemplate(leg).encode(stamp_ns))
+
+    def settle(self):
+        """Let everything sent so far arrive and be answered."""
+        self.ros.spin_for(0.1)
+
+    def ticks(self):
+        return [wrench.stamp_ns // self.scenario.dt_ns for wrench in self.wrenches]
+
+    def newest(self):
+        self.status.clear()
+        self.ros.spin_until(lambda: self.status)
+        return self.status[-1]
+
+
+def decode_status(data):
+    (status,) = deserialize_message(data, DiagnosticArray).status
+    return status.level, status.message, {pair.key: pair.value for pair in status.values}
+
+
+def test_lockstep_tick_waits_for_all_it_needs(ros, scenario):
+    others = Others(ros, scenario, FOLLOWER)
+    dt = scenario.dt_ns
+    others.odom(0)
+    others.near(0)
+    others.settle()
+    assert others.ticks() == []  # the epoch is not known
+    others.form()
+    ros.spin_until(lambda: others.ticks() == [0])
+    others.odom(dt)
+    others.neighbours(0, without=(PARENT,))
+    others.settle()
+    assert others.ticks() == [0]
+    others.neighbours(0)
+    ros.spin_until(lambda: others.ticks() == [0, 1])
+    assert others.states[-1].values.tolist() == body(FOLLOWER).tolist()
+
+
+def test_lockstep_output_is_that_of_the_kernel(ros, scenario):
+    others = Others(ros, scenario, FOLLOWER)
+    dt_ns = scenario.dt_ns
+    rows = [[1.0, 2.0, 3.0, 0.5, 0.0, 0.25, 0.0]]
+    others.form()
+    for tick in range(3):
+        others.odom(tick * dt_ns)
+        if tick == 0:
+            others.near(0, rows)
+        else:
+            others.neighbours((tick - 1) * dt_ns)
+        ros.spin_until(lambda tick=tick: others.ticks() == list(range(tick + 1)))
+
+    config = agent_config(scenario, FOLLOWER)
+    state = initial_state(body(FOLLOWER), config)
+    for tick in range(3):
+        heard = tick > 0
+        age = dt_ns * 1e-9 if heard else NEVER_HEARD_S
+        told = AgentInputs(
+            own=body(FOLLOWER),
+            parent=body(PARENT) if heard else np.zeros(13),
+            parent_age_s=age,
+            leader=body(LEADER) if heard else np.zeros(13),
+            leader_age_s=age,
+            estimates=np.array([body(i) if heard else np.zeros(13) for i in NEIGHBOURS]),
+            estimate_age_s=np.full(2, age),
+            near=np.array(rows),
+            near_age_s=tick * dt_ns * 1e-9,
+            mode=0,
+            start_age_s=tick * dt_ns * 1e-9,
+        )
+        state, out = step(state, told, tick * dt_ns * 1e-9, dt_ns * 1e-9, config)
+        assert (
+            others.wrenches[tick].values.tobytes() == np.array([*out.force, *out.torque]).tobytes()
+        )
+
+
+def test_lockstep_goes_on_without_a_lost_neighbour(ros, scenario):
+    others = Others(ros, scenario, FOLLOWER)
+    others.form()
+    others.odom(0)
+    others.near(0)
+    ros.spin_until(lambda: others.ticks() == [0])
+    others.odom(scenario.dt_ns)
+    others.neighbours(0, without=(PARENT,))
+    others.settle()
+    assert others.ticks() == [0]
+    others.lose(wire.HeaderTemplate(f"uav{PARENT}").encode(0))
+    ros.spin_until(lambda: others.ticks() == [0, 1])
+
+
+def test_lockstep_says_what_it_waits_for(ros, scenario):
+    uav = Uav(
+        ros.node("controller"), scenario, FOLLOWER, Edges(scenario, FlightOptions(lockstep=True))
+    )
+    missing = uav.waiting_for()
+    assert f"/uav{FOLLOWER}/odom" in missing
+    assert f"/uav{PARENT}/formation_state" in missing
+    assert f"/uav{FOLLOWER}/setpoint/wrench" in missing
+    # Nobody but the recorder reads it, and there is none.
+    assert f"/uav{FOLLOWER}/setpoint/velocity" not in missing
+    # Not an edge of the tree.
+    assert "/uav5/formation_state" not in missing
+
+
+def call(ros, node, name):
+    client = node.create_client(Trigger, f"/formation/{name}")
+    ros.spin_until(client.service_is_ready)
+    future = client.call_async(Trigger.Request())
+    ros.spin_until(future.done)
+    return future.result()
+
+
+def test_leader_serves_the_legs_of_a_lockstep_flight(ros, scenario):
+    others = Others(ros, scenario, LEADER)
+    early = call(ros, others.node, "hold")
+    assert not early.success
+    assert "call /formation/start first" in early.message
+    too_early = call(ros, others.node, "start")
+    assert (too_early.success, too_early.message) == (
+        False,
+        "the leader waits for /formation/epoch",
+    )
+    Endpoints(others.node, lockstep=True).listen(topics.EPOCH, lambda data: None)
+    ros.spin_until(lambda: not others.uav.waiting_for())
+    assert call(ros, others.node, "start").success
+    ros.spin_until(lambda: others.epochs == [(0, "form")])
+    others.odom(0)
+    others.near(0)
+    ros.spin_until(lambda: others.ticks() == [0])
+    assert call(ros, others.node, "land").success
+    ros.spin_until(lambda: others.epochs == [(0, "form"), (500_000_000, "land")])
+
+
+def test_real_time_hovers_before_the_epoch_and_flies_after_it(ros, scenario):
+    others = Others(ros, scenario, LEADER, lockstep=False)
+    assert f"/uav{LEADER}/odom" in others.newest()[2]["waiting_for"]
+    others.odom(time.time_ns())
+    ros.spin_until(lambda: others.wrenches)
+    _, _, values = others.newest()
+    assert (values["mode"], values["ready"]) == ("waiting", "true")
+    before = time.time_ns()
+    assert call(ros, others.node, "start").success
+    ros.spin_until(lambda: others.epochs)
+    assert others.epochs[0].frame_id == "form"
+    assert before + 500_000_000 <= others.epochs[0].stamp_ns <= time.time_ns() + 500_000_000
+
+    def flying():
+        others.odom(time.time_ns())
+        return others.status and others.status[-1][2]["mode"] == "form"
+
+    ros.spin_until(flying)
+
+
+def test_real_time_waits_for_its_recorder_before_the_flight_and_not_in_it(ros, scenario):
+    """What is to be recorded must be heard from the first step on; a recorder that dies stops nobody."""
+    edges = Edges(scenario, FlightOptions(recorded=True))
+    uav = Uav(ros.node("controller"), scenario, FOLLOWER, edges)
+    uav.activate()
+    said = {topics.tick(FOLLOWER).name, topics.snapshot(FOLLOWER).name}
+    assert said <= set(uav.waiting_for())
+    assert topics.wrench_setpoint(FOLLOWER).name in uav.waiting_for()
+    leader = Endpoints(ros.node("leader"), False).publisher(topics.EPOCH, 1)
+    ros.spin_until(lambda: topics.EPOCH.name not in uav.waiting_for())
+    leader(wire.HeaderTemplate("form").encode(time.time_ns() + 10**12))
+    ros.spin_until(lambda: not said & set(uav.waiting_for()))
+
+
+def test_the_leader_begins_when_every_uav_hears_it_and_not_others_instead(ros, scenario):
+    """Viewers, a recorder beside and the sim hear the epoch too: their number says nothing."""
+    uav = Uav(
+        ros.node("controller", namespace=f"/uav{LEADER}"),
+        scenario,
+        LEADER,
+        Edges(scenario, FlightOptions(recorded=True)),
+    )
+    uav.activate()
+    for number in range(2 * len(scenario.uav_ids)):
+        Endpoints(ros.node(f"viewer{number}"), False).listen(topics.EPOCH, lambda _: None)
+    ros.spin_until(lambda: topics.EPOCH.name not in uav.waiting_for())
+
+    def deaf():
+        return {what for what in uav.waiting_for() if what.startswith(f"{topics.EPOCH.name} at ")}
+
+    others = [i for i in scenario.uav_ids if i != LEADER]
+    ros.spin_until(lambda: deaf() == {f"{topics.EPOCH.name} at uav{i}" for i in others})
+    for i in others:
+        ends = Endpoints(ros.node("controller", namespace=f"/uav{i}"), False)
+        ends.listen(topics.EPOCH, lambda _: None)
+    ros.spin_until(lambda: not deaf())
+
+
+def test_no_flight_begins_by_clocks_that_differ(ros, scenario):
+    others = Others(ros, scenario, LEADER, lockstep=False)
+
+    def told():
+        others.odom(time.time_ns() - int(0.3e9))
+        return any("another time" in what for what in others.uav.waiting_for())
+
+    ros.spin_until(told)
+    refused = call(ros, others.node, "start")
+    assert not refused.success
+    assert f"s ahead of /uav{LEADER}/odom" in refused.message
+
+
+def test_real_time_setpoints_end_with_the_odometry(ros, scenario):
+    others = Others(ros, scenario, LEADER, lockstep=False)
+    others.odom(time.time_ns() - int(0.4e9))  # of 0.5 s
+    ros.spin_until(lambda: others.wrenches)
+    ros.spin_until(lambda: "stale" in others.newest()[1])
+    count = len(others.wrenches)
+    others.settle()
+    assert len(others.wrenches) == count
+    assert others.newest()[0] == b"\x02"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        (["--scenario", "nowhere.yaml", "--uav", "1"], "nowhere.yaml"),
+        (["--scenario", "paper_5", "--uav", "9"], "UAV 9: expected one of 1, 2, 3, 4, 5"),
+        (["--scenario", "paper_5"], "--uav"),
+        (["--scenario", "paper_5", "--uav", "x"], "invalid int value: 'x'"),
+    ],
+)
+def test_a_users_error_is_one_line_and_exit_2(arguments, line, capsys):
+    try:
+        code = main.main(arguments)
+    except SystemExit as exit:
+        code = exit.code
+    assert code == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith("uav: ")
+    assert line in err
+    assert err.count("\n") == 1

@@ -1,0 +1,84 @@
+"""Notes of real time: what they name is what comes out, and a pilot goes on from a snapshot bit for bit."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ptnsbc_core.types import MODE_FORMATION
+from ptnsbc_io.wire import Stamped, WireError, decode_floats, decode_integers
+from ptnsbc_nodes.comm.graph import Senders
+from ptnsbc_nodes.uav import step_log
+from ptnsbc_nodes.uav.controller import Moment, Pilot
+from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS
+from ptnsbc_sim.scenario import agent_config, load_scenario
+
+SENDERS = Senders(parent=2, leader=1, estimators=(2, 4))
+STEP_NS = 10_000_000
+
+
+def odometry(rng: np.random.Generator, stamp_ns: int) -> Stamped:
+    values = rng.normal(size=13)
+    values[3:7] = (0.0, 0.0, 0.0, 1.0)
+    return Stamped(stamp_ns, values)
+
+
+def fed(pilot: Pilot, rng: np.random.Generator, k: int) -> Moment:
+    """A pilot that has heard everybody before step `k`, and that step."""
+    now_ns = (k + 1) * STEP_NS
+    pilot.inbox.own = odometry(rng, now_ns - 1)
+    pilot.inbox.near = Stamped(now_ns - 2, rng.normal(size=(2, 7)))
+    for uav in SENDERS.states:
+        pilot.inbox.hear_state(uav, odometry(rng, now_ns - 3))
+    for uav in SENDERS.estimators:
+        pilot.inbox.hear_estimate(uav, odometry(rng, now_ns - 4))
+    return Moment(now_ns, STEP_NS, MODE_FORMATION, STEP_NS, STEP_NS, True)
+
+
+def pilot() -> Pilot:
+    return Pilot(agent_config(load_scenario("paper_5_free"), 3), SENDERS)
+
+
+def test_a_tick_names_its_inputs():
+    flown, rng = pilot(), np.random.default_rng(1)
+    at = fed(flown, rng, 0)
+    flown.inbox.near = None
+    held = flown.inbox.held(NO_CUTOFF_NS)
+    label, numbers = decode_integers(step_log.TickTemplate(SENDERS).encode(7, at, held))
+    note = step_log.tick_note(label, numbers.tolist())
+    assert (note.sequence, note.moment) == (7, at)
+    assert list(note.used) == ["own", "state1", "state2", "estimate2", "estimate4"]
+    for source, message in zip(step_log.sources(SENDERS), held, strict=True):
+        if message is not None:
+            used = note.used[source]
+            assert used == (message.stamp_ns, step_log.checksum(message))
+            changed = message.values.copy()
+            changed.reshape(-1).view(np.uint8)[5] ^= 1
+            assert used.checksum != step_log.checksum(Stamped(message.stamp_ns, changed))
+
+
+@pytest.mark.slow
+def test_a_pilot_goes_on_from_a_snapshot():
+    first, rng = pilot(), np.random.default_rng(2)
+    for k in range(5):
+        first.step(fed(first, rng, k), NO_CUTOFF_NS)
+    data = step_log.SnapshotTemplate(first).encode(4, first)
+    second = pilot()
+    memory = step_log.recall(*decode_floats(data), like=first.state)
+    assert memory.sequence == 4
+    assert memory.limits == first.limits
+    second.resume(memory.state, memory.counters)
+    states = [np.random.default_rng(3), np.random.default_rng(3)]
+    for k in range(5, 8):
+        flown, again = (
+            one.step(fed(one, rng, k), NO_CUTOFF_NS)
+            for one, rng in zip((first, second), states, strict=True)
+        )
+        assert flown.vector.tobytes() == again.vector.tobytes()
+    assert first.tally.values() == second.tally.values()
+
+
+@pytest.mark.parametrize("label", ["", "sequence now_ns", "own own_checksum"])
+def test_foreign_notes_are_refused(label):
+    with pytest.raises(WireError, match="expected sequence now_ns"):
+        step_log.tick_note(label, [0] * len(label.split()))

@@ -1,0 +1,282 @@
+"""A whole MAVLink fleet in one process and on one clock that only tests move.
+
+Bridges, UAV controllers and stand-in flight controllers are the real ones and talk in real MAVLink
+bytes; played are the wires between them, ROS, and time. So a flight takes as long as it computes,
+and comes out the same on every machine.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+
+from ptnsbc_core.trajectory import reference
+from ptnsbc_io.mavlink.link import Link
+from ptnsbc_io.mavlink.transport import Packet
+from ptnsbc_io.wire import HeaderFields, OdometryTemplate, Stamped, VelocityTemplate, WrenchTemplate
+from ptnsbc_nodes.bridge.bridge import WANTED_MESSAGES, Bridge
+from ptnsbc_nodes.bridge.near_objects import Surroundings
+from ptnsbc_nodes.bridge.ports import Outlets
+from ptnsbc_nodes.bridge.state_publisher import Clocks
+from ptnsbc_nodes.comm.graph import Edges, FlightOptions
+from ptnsbc_nodes.comm.legs import Epochs
+from ptnsbc_nodes.comm.vehicle_messages import limited
+from ptnsbc_nodes.uav.controller import Pilot, moment
+from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS
+from ptnsbc_sim.autopilot.codec import Codec
+from ptnsbc_sim.autopilot.launch import KINDS
+from ptnsbc_sim.autopilot.starts import Fleet, starts
+from ptnsbc_sim.autopilot.vehicle import COMPANION, IMPOSTOR
+from ptnsbc_sim.scenario import agent_config
+
+STEP_S = 0.004  # of the stand-ins
+BASE_NS = 1_700_000_000_000_000_000
+START_S = 1000.0
+HERE, ELSEWHERE = ("127.0.0.1", 14580), ("127.0.0.1", 50000)
+
+
+class Wire:
+    """The bridge's end of a link: datagrams that take a while."""
+
+    stream = False
+
+    def __init__(self, clock, delay_s):
+        self.clock, self.delay_s = clock, delay_s
+        self.to_bridge, self.to_vehicle = deque(), deque()
+        self.cut = False
+
+    def put(self, data, sender=HERE):
+        if not self.cut:
+            self.to_bridge.append((self.clock() + self.delay_s, Packet(data, sender)))
+
+    def receive(self):
+        if self.to_bridge and self.to_bridge[0][0] <= self.clock():
+            return self.to_bridge.popleft()[1]
+        return None
+
+    def send(self, data, address):
+        if self.cut or address is None:
+            return False
+        self.to_vehicle.append((self.clock() + self.delay_s, data))
+        return True
+
+    def due(self):
+        while self.to_vehicle and self.to_vehicle[0][0] <= self.clock():
+            yield self.to_vehicle.popleft()[1]
+
+    def close(self):
+        pass
+
+
+class Uav:
+    """One vehicle with its bridge and its controller."""
+
+    def __init__(self, fleet, uav_id, start, kind, signer=None):
+        scenario = fleet.scenario
+        self.id, self.fleet = uav_id, fleet
+        self.lines, self.stamps, self.odometry, self.tracks, self.wrenches = [], [], [], [], []
+        self.setpoints = []  # (time, message) as the vehicle got them
+        self.alive = True  # the UAV process
+        self.bridged = True  # the bridge process
+        self.lost = 0
+        kind = kind or start.kind or "px4"
+        self.codec, self.other_codec = Codec(start.system), Codec(start.system)
+        self.vehicle = KINDS[kind](
+            start.system, start.body, fleet.now_s, boot_time=0.1, say=self.lines.append
+        )
+        self.wire = Wire(lambda: fleet.now_s, fleet.delay_s)
+        edges = Edges(scenario, FlightOptions(bridged=True))
+        self.pilot = Pilot(agent_config(scenario, uav_id), edges.senders(uav_id))
+        self.senders = edges.senders(uav_id)
+        self.epochs = Epochs()
+        others = [i for i in scenario.uav_ids if i != uav_id]
+        self.surroundings = Surroundings(scenario, others)
+        self.template = OdometryTemplate("map", "x")
+        attitude = scenario.vehicle_link(uav_id).setpoint == "attitude"
+        self.letter = WrenchTemplate("x") if attitude else VelocityTemplate("map")
+        self.attitude = attitude
+        self.began = False
+        outlets = Outlets(
+            odom=self.tell,
+            track=lambda stamp, odom: self.tracks.append((fleet.now_s, odom.copy())),
+            origin=fleet.place_leader,
+            limits=self.limit,
+            lost=self.lose,
+            say=lambda line: self.lines.append(f"{fleet.now_s - START_S:7.2f} bridge {line}"),
+        )
+        clocks = Clocks(lambda: fleet.now_s, lambda: BASE_NS + round((fleet.now_s - START_S) * 1e9))
+        self.link = Link(self.wire, start.system, WANTED_MESSAGES, signer)
+        self.bridge = Bridge(scenario, uav_id, self.link, outlets, clocks, True)
+        self.bridge.inlets.controller_ready = True
+
+    def lose(self):
+        self.lost += 1
+
+    def limit(self, limits):
+        self.pilot.config = limited(self.pilot.config, limits.planner_m_s, limits.acceleration_m_s2)
+
+    def tell(self, stamp_ns, odometry):
+        self.stamps.append(stamp_ns)
+        self.odometry.append(odometry.copy())
+        if self.alive:
+            self.pilot.inbox.own = Stamped(stamp_ns, odometry)
+        data = self.template.encode(stamp_ns, odometry)
+        for other in self.fleet.uavs.values():
+            if other is not self:
+                other.surroundings.hear(self.id, self.fleet.now_s, data)
+
+    def announce(self, t0_ns, leg):
+        self.epochs.announce(t0_ns, leg)
+        self.bridge.inlets.legs.append(HeaderFields(t0_ns, leg))
+
+    def control(self, now_ns, near):
+        """One tick of the UAV process."""
+        own = self.pilot.inbox.own
+        stale_ns = self.pilot.config.stale_s * 1e9
+        if not self.alive or own is None or now_ns - own.stamp_ns > stale_ns:
+            return None
+        if near:
+            rows = self.surroundings.rows(self.fleet.now_s, own.values[0:3])
+            self.pilot.inbox.near = Stamped(now_ns, rows)
+        leg = self.epochs.at(now_ns)
+        if leg is not None and not self.began:
+            self.began = True
+            self.pilot.restart()
+        period_ns = self.fleet.scenario.dt_ns
+        out = self.pilot.step(moment(now_ns, period_ns, leg, BASE_NS), NO_CUTOFF_NS)
+        values = (
+            out.wrench if self.attitude else np.array([*out.velocity[0:3], 0, 0, out.velocity[3]])
+        )
+        self.bridge.inlets.setpoint = self.letter.encode(own.stamp_ns, values)
+        self.wrenches.append((own.stamp_ns, out.wrench.copy()))
+        return own, Stamped(own.stamp_ns, out.leader_estimate.copy())
+
+    def exchange(self):
+        """Bytes both ways, and a step of the vehicle."""
+        now_s = self.fleet.now_s
+        for data in self.wire.due():
+            for message in self.codec.decode(data):
+                if message.get_type().startswith("SET_"):
+                    self.setpoints.append((now_s, message))
+                self._send(self.vehicle.handle(message, COMPANION, now_s))
+        self._send(self.vehicle.step(now_s))
+        if self.bridged and not self.bridge.procedure.over:
+            self.bridge.serve()
+
+    def _send(self, outgoing):
+        for link, message in outgoing:
+            if link == COMPANION:
+                self.wire.put(self.codec.encode(message))
+            elif link == IMPOSTOR:
+                self.wire.put(self.other_codec.encode(message), ELSEWHERE)
+
+    @property
+    def step(self):
+        return self.bridge.procedure.step
+
+
+class MavlinkFleet:
+    """All vehicles of a scenario; `run` moves the clock."""
+
+    def __init__(
+        self, scenario, kind=None, gnss="rtk", delay_s=0.005, seed=1, spread_m=0.0, count=None
+    ):
+        self.scenario, self.delay_s, self.now_s = scenario, delay_s, START_S
+        self.uavs = {}
+        path = scenario.source
+        begun = starts(Fleet(None, path, gnss, spread_m, None, seed))
+        for uav_id, start in list(zip(scenario.uav_ids, begun, strict=True))[:count]:
+            self.uavs[uav_id] = Uav(self, uav_id, start, kind)
+        self.ticks = 0
+        self.began_ns = None
+        self.legs = []
+
+    def set_parameter(self, name, value):
+        """A parameter of every vehicle that has it."""
+        for uav in self.uavs.values():
+            if name in uav.vehicle.parameters:
+                uav.vehicle.set_parameter(name, value)
+
+    def leader_error_m(self):
+        """How far the leader is from its reference now."""
+        leader = self.scenario.leader_id
+        uav = self.uavs[leader]
+        t = (uav.stamps[-1] - self.legs[0][0]) * 1e-9
+        wanted = reference(agent_config(self.scenario, leader).trajectory, t).position
+        return float(np.linalg.norm(uav.odometry[-1][0:3] - wanted))
+
+    def place_leader(self, place):
+        for uav in self.uavs.values():
+            uav.bridge.inlets.leader_origin = place
+
+    @property
+    def now_ns(self):
+        return BASE_NS + round((self.now_s - START_S) * 1e9)
+
+    def announce(self, leg, lead_s=0.5):
+        t0_ns = self.now_ns + round(lead_s * 1e9)
+        self.legs.append((t0_ns, leg))
+        for uav in self.uavs.values():
+            uav.announce(t0_ns, leg)
+
+    def run(self, seconds, until=None):
+        """Let time pass; with `until`, no longer than that becomes true, and it must."""
+        end = self.now_s + seconds
+        while self.now_s < end:
+            self.now_s += STEP_S
+            for uav in self.uavs.values():
+                uav.exchange()
+            if (self.now_s - START_S) * self.scenario.control_hz >= self.ticks:
+                self.ticks += 1
+                self._tick()
+            if until is not None and until():
+                return self
+        assert until is None, f"not within {seconds} s: {self.report()}"
+        return self
+
+    def _tick(self):
+        near = self.ticks % self.scenario.near_every == 0
+        told = {i: uav.control(self.now_ns, near) for i, uav in self.uavs.items()}
+        for uav in self.uavs.values():
+            for i in uav.senders.states:
+                if told.get(i) is not None:
+                    uav.pilot.inbox.hear_state(i, told[i][0])
+            for i in uav.senders.estimators:
+                if told.get(i) is not None:
+                    uav.pilot.inbox.hear_estimate(i, told[i][1])
+
+    def airborne(self):
+        return self.run(90, until=lambda: all(u.bridge.procedure.ready for u in self.uavs.values()))
+
+    def form(self):
+        self.announce("form")
+        return self
+
+    def land(self):
+        self.announce("land")
+        return self.run(90, until=lambda: all(u.bridge.procedure.over for u in self.uavs.values()))
+
+    def report(self):
+        return "\n".join(
+            f"{i}: {uav.step} {uav.bridge.procedure.fault}\n  " + "\n  ".join(uav.lines[-12:])
+            for i, uav in self.uavs.items()
+        )
+
+    def recording(self):
+        """The flight as what a verdict is computed from."""
+        from ptnsbc_tools.verdict import Recording, Series
+
+        def series(pairs):
+            return Series(np.array([t for t, _ in pairs]), np.array([v for _, v in pairs]))
+
+        return Recording(
+            scenario=self.scenario,
+            odometry={
+                i: Series(np.array(u.stamps), np.array(u.odometry)) for i, u in self.uavs.items()
+            },
+            wrench={i: series(u.wrenches) for i, u in self.uavs.items()},
+            estimate={},
+            counters={},
+            epochs=tuple(self.legs),
+        )

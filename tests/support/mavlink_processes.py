@@ -1,0 +1,186 @@
+"""Fleets as users fly them: commands as processes of their own, stand-ins on real UDP, one at a time."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from contextlib import contextmanager
+from pathlib import Path
+
+from ptnsbc_sim.autopilot.fault_port import ask
+
+ROOT = Path(__file__).resolve().parents[2]
+COMMAND = "ptnsbc_tools.cli"
+PATIENCE_S = 600
+_GOODBYE = (0, 130)
+
+# Four metres lower than the shipped file: climbing and landing take longer than a short flight otherwise.
+_SCENARIO = """
+extends: {base}
+timing: {{duration_s: {duration_s}}}
+leader: {{trajectory: {{centre_m: [0, 0, 4]}}}}
+mavlink:
+  takeoff_height_m: 2
+  vehicles:
+"""
+_VEHICLE = (
+    '    {uav}: {{autopilot: {kind}, setpoint: {setpoint}, connect: "udpin:127.0.0.1:{port}"}}\n'
+)
+# Down as fast as they climb: how they land is no matter of these flights.
+_LANDING = {"px4": "MPC_LAND_SPEED=1.5", "ardupilot": "LAND_SPD_MS=1.5"}
+
+
+def _free_ports(count):
+    """The first of `count` ports in a row that nobody listens at, nor at those 40 above for the vehicles."""
+    for first in range(15200, 15900, 10):
+        with_room = []
+        try:
+            for offset in (*range(count), *range(40, 40 + count)):
+                probe = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+                with_room.append(probe)
+                probe.bind(("127.0.0.1", first + offset))
+            return first
+        except OSError:
+            continue
+        finally:
+            for probe in with_room:
+                probe.close()
+    raise AssertionError("no free ports from 15200 to 15900")
+
+
+def write_scenario(path, *, duration_s, fleet=(("px4", "velocity"),) * 4):
+    """`experiment_4` on ports of its own, each vehicle of a kind and with setpoints of a kind."""
+    base = ROOT / "scenarios" / "experiment_4.yaml"
+    first = _free_ports(len(fleet))
+    vehicles = (
+        _VEHICLE.format(uav=n + 1, kind=kind, setpoint=setpoint, port=first + n)
+        for n, (kind, setpoint) in enumerate(fleet)
+    )
+    head = _SCENARIO.format(base=base, duration_s=duration_s)
+    path.write_text(head + "".join(vehicles))
+    return path
+
+
+class Program:
+    """A command as a process of its own, and what it has said."""
+
+    def __init__(self, module, *arguments, domain):
+        self.lines, self.out = [], ""
+        environment = {**os.environ, "ROS_DOMAIN_ID": str(domain), "PYTHONUNBUFFERED": "1"}
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", module, *map(str, arguments)],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            env=environment,
+            cwd=ROOT,
+        )
+        # A fleet that hangs fails its test, instead of hanging that too.
+        self._watchdog = threading.Timer(PATIENCE_S, self.process.kill)
+        self._watchdog.daemon = True
+        self._watchdog.start()
+        self._heard = threading.Condition()
+        self._readers = [
+            threading.Thread(target=read, daemon=True) for read in (self._read, self._collect)
+        ]
+        for reader in self._readers:
+            reader.start()
+
+    def _read(self):
+        for line in self.process.stderr:
+            with self._heard:
+                self.lines.append(line.rstrip())
+                self._heard.notify_all()
+        with self._heard:
+            self._heard.notify_all()
+
+    def _collect(self):
+        self.out = self.process.stdout.read()
+
+    def said(self, *texts):
+        """Whether each of these texts is in one of its lines."""
+        return all(any(text in line for line in self.lines) for text in texts)
+
+    def wait_for(self, *texts, patience_s=150):
+        """Return when it has said all of this."""
+
+        def over():
+            return self.said(*texts) or self.process.poll() is not None
+
+        with self._heard:
+            self._heard.wait_for(over, patience_s)
+        assert self.said(*texts), self.lines
+
+    def finish(self, number=None):
+        """Its exit code, after a signal when one is given."""
+        if number is not None and self.process.poll() is None:
+            self.process.send_signal(number)
+        code = self.process.wait(PATIENCE_S)
+        self._watchdog.cancel()
+        for reader in self._readers:
+            reader.join()
+        return code
+
+    def told(self):
+        """The JSON it has printed."""
+        return json.loads(self.out)
+
+
+@contextmanager
+def stand_ins(path, domain, *options, kinds=("px4",)):
+    """Four flight controllers for the scenario at `path`, RTK receivers as the paper's experiment had."""
+    landing = [word for kind in kinds for word in ("--param", _LANDING[kind])]
+    program = Program(
+        COMMAND, "autopilot", "--scenario", path, "--gcs", "", "--boot-time", "0",
+        "--gnss", "rtk", *landing, *options, domain=domain,
+    )  # fmt: skip
+    try:
+        # Both compile at their first start, and half the time each when they do it side by side.
+        program.wait_for("system 4 at", patience_s=PATIENCE_S)
+        yield program
+    finally:
+        assert program.finish(signal.SIGINT) in _GOODBYE, program.lines
+
+
+@contextmanager
+def flying(module, *arguments, domain):
+    """A fleet that is ended with the test, whatever comes."""
+    program = Program(module, *arguments, domain=domain)
+    try:
+        yield program
+    finally:
+        program.finish(signal.SIGINT)
+
+
+def free_port():
+    """A UDP port that nobody listens at."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+def mode_of(control, system, other_than, patience_s=10.0):
+    """The mode of a stand-in once it is another one, asked at its control port; each answer takes it a tick."""
+    end = time.monotonic() + patience_s
+    while True:
+        mode = json.loads(ask(control, f"{system} state"))[0]["mode"]
+        if mode != other_than or time.monotonic() > end:
+            return mode
+
+
+def pid_of(module, number, logs):
+    """The process of one UAV of this fleet and of no other."""
+    for entry in Path("/proc").iterdir():
+        try:
+            command = (entry / "cmdline").read_bytes().decode().replace("\0", " ")
+        except OSError:
+            continue
+        if all(word in command for word in (module, f"--uav {number}", str(logs))):
+            return int(entry.name)
+    raise AssertionError(f"no {module} of UAV {number}")

@@ -1,0 +1,178 @@
+"""The figures of flights whose every number is known in advance."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ptnsbc_nodes.uav.controller import Moment
+from ptnsbc_nodes.uav.step_log import TickNote, Used
+from ptnsbc_sim.scenario import load_scenario
+from ptnsbc_tools.plotting.build import CHARTS, charts
+from ptnsbc_tools.plotting.common import FLOOR_M
+from ptnsbc_tools.plotting.flight import shown
+from ptnsbc_tools.plotting.space import MOST_PAIRS
+from ptnsbc_tools.plotting.status import Status, Teller
+from ptnsbc_tools.reading.diagnostics import Diagnostics
+from ptnsbc_tools.reading.diagnostics import Status as One
+from ptnsbc_tools.verdict import Series
+
+
+def drawn(recording, status=None):
+    return {chart.key: chart for chart in charts(shown(recording, status or Status()))}
+
+
+def test_errors_with_deadline_tolerance_and_band(fly):
+    chart = drawn(fly({3: lambda t: 4.0 * np.exp(-t)}))["errors"]
+    third = chart.curves[2]
+    assert (third.label, third.uavs) == ("UAV 3", (3,))
+    np.testing.assert_allclose(third.values, np.maximum(4.0 * np.exp(-third.t), FLOOR_M))
+    assert chart.curves[0].label == "UAV 1 (leader)"
+    assert [mark.t for mark in chart.marks] == [5.0]
+    assert [limit.value for limit in chart.limits] == [0.05]
+    assert chart.band == (FLOOR_M, pytest.approx(0.08))  # 2 % of four metres
+
+
+def test_every_leg_with_its_deadline_and_a_gap_between(fly):
+    legs = ((0, "form"), (9 * 10**9, "hold"), (12 * 10**9, "form"))
+    chart = drawn(fly({3: lambda t: 1.0 + 0 * t}, seconds=20.0, epochs=legs))["errors"]
+    assert [(mark.t, mark.label) for mark in chart.marks] == [
+        (5.0, "deadline 5 s"),
+        (17.0, "deadline 5 s, leg 2"),
+    ]
+    third = chart.curves[2]
+    (gap,) = np.flatnonzero(np.isnan(third.values))
+    assert (third.t[gap - 1], third.t[gap + 1]) == (9.0, 12.0)
+    assert third.t[-1] == pytest.approx(19.99)
+    np.testing.assert_allclose(np.delete(third.values, gap), 1.0)
+
+
+def test_time_in_which_an_error_is_excused(fly, count):
+    active = count(12.0, active=lambda t: np.clip(t - 7.0, 0.0, 1.0))
+    recording = fly()
+    recording = replace(recording, counters={**recording.counters, 4: active})
+    (span,) = drawn(recording)["errors"].spans
+    assert span.begin == pytest.approx(7.0)
+    assert 8.0 < span.end <= 12.0
+
+
+def test_inputs_against_weight_and_limit(fly):
+    recording = fly()
+    series = recording.wrench[2]
+    values = series.values.copy()
+    values[50] = [3.0, 4.0, 0.0, 0.0, 0.6, 0.8]
+    found = drawn(replace(recording, wrench={**recording.wrench, 2: Series(series.t_ns, values)}))
+    scenario = recording.scenario
+    weight = scenario.mass_kg * scenario.gravity_m_s2
+    assert found["force"].curves[1].values[50] == pytest.approx(5.0)
+    assert found["torque"].curves[1].values[50] == pytest.approx(1.0)
+    assert [limit.value for limit in found["force"].limits] == [pytest.approx(weight), 25.9]
+    first = found["force-first"].curves[0].t
+    assert (first[0], first[-1], first.size) == (0.0, 1.0, 101)
+
+
+def test_separations_are_distances_with_their_keep_outs(fly):
+    recording = fly(scenario=load_scenario("paper_5", {"timing.duration_s": 12.0}))
+    found = drawn(recording)
+    between = {curve.label: curve for curve in found["between"].curves}
+    assert len(between) == 10
+    offset = recording.scenario.offset(2) - recording.scenario.offset(3)
+    np.testing.assert_allclose(between["UAV 2 – 3"].values, np.linalg.norm(offset))
+    assert [limit.value for limit in found["between"].limits] == [0.5]
+    away = {curve.label: curve for curve in found["obstacles"].curves}
+    assert len(away) == 10
+    start = recording.odometry[1].values[0, :3] - recording.scenario.obstacles[0].position
+    assert away["UAV 1 – O1"].values[0] == pytest.approx(np.linalg.norm(start))
+    assert [limit.value for limit in found["obstacles"].limits] == [1.5]
+
+
+def test_only_the_tightest_pairs_of_many(fly, monkeypatch):
+    monkeypatch.setattr("ptnsbc_tools.plotting.space.MOST_PAIRS", 3)
+    chart = drawn(fly({5: lambda t: -1.0 - 0 * t}))["between"]
+    # Five, moved a metre west, is 0.2 m east and 2.4 m south of the leader, and closer to 4 and 3.
+    closest = [float(curve.values.min()) for curve in chart.curves]
+    assert len(chart.curves) == 3 < MOST_PAIRS
+    assert max(closest) < 1.5
+    assert chart.note == "The 3 tightest of 10 pairs."
+
+
+def test_the_estimate_of_the_leader(fly):
+    recording = fly()
+    series = recording.odometry[1]
+    moved = series.values.copy()
+    moved[:, 2] += 0.25
+    recording = replace(recording, estimate={4: Series(series.t_ns, moved)})
+    (curve,) = drawn(recording)["estimator"].curves
+    assert curve.label == "UAV 4"
+    np.testing.assert_allclose(curve.values, 0.25)
+
+
+def told(stamp, name, **values):
+    return Diagnostics(stamp, (One(name, 0, "", {k: str(v) for k, v in values.items()}),))
+
+
+def status(arrays):
+    teller = Teller()
+    for array in arrays:
+        teller.told(array)
+    return teller.status()
+
+
+def test_what_the_nodes_told_over_time(fly):
+    seconds = range(0, 10)
+    arrays = [told(s * 10**9, "uav2: planner", gain=s / 2, missed_ticks=7 + s) for s in seconds]
+    arrays += [told(s * 10**9, "sim: world", latency_p99_ms=3 + s) for s in seconds]
+    arrays += [told(0, "uav2: planner", gain="nonsense"), told(0, "battery", gain=1)]
+    found = drawn(fly(), status(arrays))
+    np.testing.assert_allclose(found["gain"].curves[0].values, np.arange(10) / 2)
+    np.testing.assert_allclose(found["missed"].curves[0].values, np.arange(10))  # since the epoch
+    assert [curve.label for curve in found["latency"].curves] == ["p99"]
+    assert [limit.value for limit in found["latency"].limits] == [10.0]
+
+
+def test_the_age_of_what_a_step_was_made_of(fly):
+    def note(now_ms, **stamps_ms):
+        moment = Moment(now_ms * 10**6, 10**7, 0, 0, 0, True)
+        used = {name: Used(ms * 10**6, 0) for name, ms in stamps_ms.items()}
+        return TickNote(0, moment, used)
+
+    notes = [
+        note(20, own=20, near=1, state1=18, estimate3=13),
+        note(30, own=30),  # nobody's message: no age
+        note(40, own=31, state1=40),
+    ]
+    teller = Teller()
+    for one in notes:
+        teller.noted(2, one)
+    (block,) = teller.status().age_ms[2].blocks()
+    assert block.t_ns.tolist() == [20 * 10**6, 40 * 10**6]
+    np.testing.assert_allclose(block.values[:, 0], [7.0, 0.0])
+    chart = drawn(fly(), teller.status())["age"]
+    np.testing.assert_allclose(chart.curves[0].values, [7.0, 0.1])  # the axis is logarithmic
+    assert [limit.value for limit in chart.limits] == [500.0]
+
+
+def test_lockstep_has_neither_latency_nor_missed_ticks(fly):
+    arrays = [told(s * 10**9, "sim: world", latency_p99_ms="0.000") for s in range(9)]
+    arrays += [told(s * 10**9, "uav2: planner", missed_ticks=0) for s in range(9)]
+    assert not {"latency", "missed"} & drawn(fly(), status(arrays)).keys()
+
+
+def test_a_flight_that_cannot_be_judged_shows_what_there_is(fly):
+    recording = fly()
+    odometry = {uav: series for uav, series in recording.odometry.items() if uav != 3}
+    flight = shown(replace(recording, odometry=odometry), Status())
+    assert flight.verdict is None
+    assert "/uav3/odom" in flight.problem
+    keys = [chart.key for chart in charts(flight)]
+    assert "errors" not in keys
+    assert {"force", "between"} <= set(keys)
+    nothing = shown(replace(recording, odometry={}), Status())
+    assert list(charts(nothing)) == []
+
+
+def test_names_are_keys():
+    for name, make in CHARTS.items():
+        assert make.__name__ == name.replace("-", "_")

@@ -1,0 +1,46 @@
+"""The picture beside a verdict: every leg is in it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import matplotlib.axes
+import numpy as np
+import pytest
+
+from ptnsbc_tools.plotting.picture import draw
+
+LEGS = ((0, "form"), (12 * 10**9, "form"))
+
+
+@pytest.fixture
+def drawn(monkeypatch):
+    """Curves by their label, as they are drawn."""
+    curves: dict[str, list[np.ndarray]] = {}
+    plot = matplotlib.axes.Axes.plot
+
+    def noted(self: Any, x: Any, y: Any, *rest: Any, label: str = "", **look: Any) -> Any:
+        curves.setdefault(label, []).append(np.stack(np.broadcast_arrays(x, y)))
+        return plot(self, x, y, *rest, label=label, **look)
+
+    monkeypatch.setattr(matplotlib.axes.Axes, "plot", noted)
+    return curves
+
+
+def test_every_leg_is_drawn(fly, drawn, tmp_path: Path) -> None:
+    away = {2: lambda t: np.where(t > 12.0, 3.0, 0.0)}
+    recording = fly(away, seconds=20.0, epochs=LEGS)
+    path = draw(recording, tmp_path / "flight.png", 0.07)
+    assert path.read_bytes().startswith(b"\x89PNG")
+    from_above, error = drawn["UAV 2"]
+    assert from_above[0].max() - from_above[0].min() > 3.0
+    assert error[0].max() == pytest.approx(19.99)
+    assert np.nanmax(error[1][error[0] > 12.0]) == pytest.approx(3.0)
+    assert np.nanmax(error[1][error[0] < 12.0]) < 0.01
+
+
+def test_a_long_path_is_thinned(fly, drawn, tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr("ptnsbc_tools.plotting.picture._POINTS", 100)
+    draw(fly(), tmp_path / "flight.png")
+    assert drawn["UAV 2"][0].shape == (2, 100)
