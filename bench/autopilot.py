@@ -20,7 +20,7 @@ from bench.usage import look
 from ptnsbc_io.mavlink.dialect import mavlink
 from ptnsbc_sim.autopilot.codec import Codec
 from ptnsbc_sim.autopilot.firmware.px4 import Px4
-from ptnsbc_sim.autopilot.physics.body import Body
+from ptnsbc_sim.autopilot.physics.body import VehicleDescription
 
 _COUNT, _STREAM_HZ, _READY_S = 4, 50.0, 300.0
 _VELOCITY_YAW = 0x09C7  # position, acceleration and yaw rate ignored
@@ -109,7 +109,7 @@ def _messages(system: int, beat: int) -> list[mavlink.MAVLink_message]:
 
 def _fast(seconds: float) -> float:
     """Simulated seconds per second of one vehicle without sockets, messages packed."""
-    vehicle, codec, t = Px4(1, Body(), 0.0, boot_time=0.0), Codec(1), 0.0
+    vehicle, codec, t = Px4(1, VehicleDescription(), 0.0, boot_time=0.0), Codec(1), 0.0
     began = time.process_time()
     while t < seconds:
         t += 0.004

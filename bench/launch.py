@@ -16,7 +16,7 @@ from bench.pingpong import READY
 from bench.session import own_domain
 from bench.usage import Sampler, Usage
 from ptnsbc_core.errors import PtnsbcError
-from ptnsbc_nodes.fleet.child_process import Child, Command, end
+from ptnsbc_nodes.fleet.child_process import ChildProcess, ProcessCommand, end
 from ptnsbc_nodes.fleet.fleet import FleetOptions, FleetResult, run_fleet
 from ptnsbc_nodes.runtime import environment
 from ptnsbc_sim.scenario import Scenario
@@ -106,14 +106,14 @@ def bare(scenario: Scenario, *, lockstep: bool, bag: bool, typed: bool = False) 
         file, go = folder / "scenario.yaml", folder / "go"
         file.write_text(scenario.text, encoding="utf-8")
         settings = environment.for_children(domain, len(roles) + 1, folder)
-        crew: list[Child] = []
+        crew: list[ChildProcess] = []
         try:
             for role, uav in roles:
                 words = ("--scenario", str(file), "--role", role, "--uav", str(uav))
-                command = Command(
+                command = ProcessCommand(
                     f"{role}{uav}", _MODULE, (*words, "--go", str(go), *flags), uav or None
                 )
-                crew.append(Child(command, settings, folder))
+                crew.append(ChildProcess(command, settings, folder))
             wait_ready(crew)
             sampler.begin()
             go.touch()
@@ -133,7 +133,7 @@ def bare(scenario: Scenario, *, lockstep: bool, bag: bool, typed: bool = False) 
     )
 
 
-def wait_ready(crew: list[Child]) -> None:
+def wait_ready(crew: list[ChildProcess]) -> None:
     deadline = time.monotonic() + 60.0 + 5.0 * len(crew)
     waiting = list(crew)
     while waiting:
@@ -146,13 +146,13 @@ def wait_ready(crew: list[Child]) -> None:
         waiting = [child for child in waiting if not child.says(READY)]
 
 
-def _wait_landed(crew: list[Child], duration_s: float) -> None:
+def _wait_landed(crew: list[ChildProcess], duration_s: float) -> None:
     (sim,) = (child for child in crew if child.name == "sim0")
     if sim.wait(60.0 + 10.0 * duration_s) is None:
         raise BenchError(f"bare fleet: the sim does not end\n{sim.tail()}")
 
 
-def counts_of(child: Child) -> dict[str, float]:
+def counts_of(child: ChildProcess) -> dict[str, float]:
     try:
         found: dict[str, float] = json.loads(child.last_line())
     except ValueError:

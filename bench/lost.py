@@ -15,7 +15,7 @@ from typing import NamedTuple
 from ptnsbc_io.bag import Bag
 from ptnsbc_io.wire import decode_floats, decode_integers, peek_sequence_stamp, peek_stamp
 from ptnsbc_nodes.comm import topics
-from ptnsbc_nodes.comm.endpoints import Sent
+from ptnsbc_nodes.comm.endpoints import PublishCounters
 from ptnsbc_nodes.uav.step_log import OWN, TickNote, tick_note
 from ptnsbc_tools.reading.diagnostics import decode_diagnostics
 
@@ -37,7 +37,7 @@ class Kept(NamedTuple):
     recorded: int
 
 
-def in_lockstep(bag: Bag, told: Mapping[str, Sent]) -> Iterator[Kept]:
+def in_lockstep(bag: Bag, told: Mapping[str, PublishCounters]) -> Iterator[Kept]:
     """By topic; `told` is what each process has sent, by its name."""
     sent: Counter[str] = Counter()
     for one in told.values():
@@ -47,7 +47,7 @@ def in_lockstep(bag: Bag, told: Mapping[str, Sent]) -> Iterator[Kept]:
             yield Kept(topic.name, sent[topic.name], topic.messages)
 
 
-def in_real_time(bag: Bag, told: Mapping[str, Sent]) -> Iterator[Kept]:
+def in_real_time(bag: Bag, told: Mapping[str, PublishCounters]) -> Iterator[Kept]:
     """By topic, of /diagnostics by process; `told` is what each process has sent, by its name."""
     for process, one in told.items():
         uav = process.removeprefix("uav")
@@ -62,14 +62,14 @@ def in_real_time(bag: Bag, told: Mapping[str, Sent]) -> Iterator[Kept]:
                 yield Kept(topic, after - left_out, recorded)
 
 
-def _said(bag: Bag, process: str, one: Sent) -> int:
+def _said(bag: Bag, process: str, one: PublishCounters) -> int:
     found = (decode_diagnostics(m.data) for m in bag.messages([topics.DIAGNOSTICS.name]))
     return sum(
         a.stamp_ns > one.since_ns and a.statuses[0].name.startswith(f"{process}:") for a in found
     )
 
 
-def _of_sim(one: Sent) -> _Counting:
+def _of_sim(one: PublishCounters) -> _Counting:
     """The sim stamps all by its own clock."""
 
     def counting(topic: str) -> tuple[_Since, int]:
@@ -79,7 +79,7 @@ def _of_sim(one: Sent) -> _Counting:
     return counting
 
 
-def _of_uav(bag: Bag, uav: int, one: Sent) -> _Counting:
+def _of_uav(bag: Bag, uav: int, one: PublishCounters) -> _Counting:
     """What a step sends has the stamp of the odometry it was made of, but for the notes of the steps themselves."""
     notes = [_note(m.data) for m in bag.messages([topics.tick(uav).name])]
     after = [note for note in notes if note.moment.now_ns > one.since_ns]

@@ -17,7 +17,7 @@ from bench.session import Plan, own_domain, say
 from bench.table import Row, Target
 from bench.usage import Sampler
 from ptnsbc_io.bag import read_bag
-from ptnsbc_nodes.comm.endpoints import RECORDER, Sent, sent_in
+from ptnsbc_nodes.comm.endpoints import RECORDER, PublishCounters, sent_in
 from ptnsbc_nodes.fleet.fleet import FleetOptions, FleetResult, run_fleet
 
 _UAVS = 20
@@ -99,7 +99,7 @@ def _fly(load: Load, seconds: float) -> Recorded:
     )
 
 
-def _told(flown: FleetResult) -> dict[str, Sent]:
+def _told(flown: FleetResult) -> dict[str, PublishCounters]:
     """What each process has sent."""
     found = {}
     for process in flown.processes:

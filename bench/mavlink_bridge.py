@@ -19,11 +19,11 @@ import numpy as np
 
 from ptnsbc_io.mavlink.autopilots import PX4
 from ptnsbc_io.mavlink.dialect import mavlink
-from ptnsbc_io.mavlink.link import Link
+from ptnsbc_io.mavlink.link import MavlinkLink
 from ptnsbc_io.mavlink.signing import Signer
 from ptnsbc_io.mavlink.transport import Packet, connect
 from ptnsbc_nodes.bridge.bridge import WANTED_MESSAGES
-from ptnsbc_nodes.bridge.vehicle import Vehicle
+from ptnsbc_nodes.bridge.vehicle import VehicleMonitor
 
 _KEY = bytes(range(32))
 _ARMED = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | mavlink.MAV_MODE_FLAG_SAFETY_ARMED
@@ -81,8 +81,8 @@ class _Flight:
 
     def __init__(self, signed: bool) -> None:
         self.given = _Given()
-        self.link = Link(self.given, 1, WANTED_MESSAGES, Signer(_KEY) if signed else None)
-        self._vehicle = Vehicle(PX4, signed=signed)
+        self.link = MavlinkLink(self.given, 1, WANTED_MESSAGES, Signer(_KEY) if signed else None)
+        self._vehicle = VehicleMonitor(PX4, signed=signed)
         self._now_s = 1000.0
         self.passed = self.affected = 0
         for _ in range(3):
@@ -143,7 +143,7 @@ def fuzz(packets: int, signed: bool) -> None:
 def cost(seconds: float) -> None:
     """CPU of a link that takes 50 states a second in and sends 50 setpoints, and its turnaround."""
     port = _free_port()
-    link = Link(connect(f"udpin:127.0.0.1:{port}"), 1, WANTED_MESSAGES)
+    link = MavlinkLink(connect(f"udpin:127.0.0.1:{port}"), 1, WANTED_MESSAGES)
     frames = _traffic(signed=False)
     over = threading.Event()
 

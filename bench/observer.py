@@ -14,7 +14,7 @@ from rclpy.signals import SignalHandlerOptions
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.endpoints import READY
 from ptnsbc_nodes.runtime import environment
-from ptnsbc_nodes.runtime.executor import Slices, make_executor
+from ptnsbc_nodes.runtime.executor import BoundedSpin, make_executor
 from ptnsbc_tools.reading.diagnostics import decode_diagnostics
 
 _TURN_S = 0.1
@@ -40,7 +40,7 @@ class Observer:
             )
         self._executor = make_executor(self._context)
         self._executor.add_node(self._node)
-        self._slices = Slices(self._executor)
+        self._slices = BoundedSpin(self._executor)
         self._thread = threading.Thread(target=self._run, daemon=True)
 
     def __enter__(self) -> Observer:

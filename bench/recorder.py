@@ -25,9 +25,9 @@ from bench.usage import look
 from ptnsbc_io.wire import OdometryTemplate, VelocityTemplate, WrenchTemplate
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.endpoints import Endpoints
-from ptnsbc_nodes.fleet.child_process import Child, Command, end
+from ptnsbc_nodes.fleet.child_process import ChildProcess, ProcessCommand, end
 from ptnsbc_nodes.runtime import environment
-from ptnsbc_nodes.runtime.process import Arguments, Lifetime, ros_node, run
+from ptnsbc_nodes.runtime.process import Arguments, ProcessLifetime, ros_node, run
 
 _UAVS = ("1", "2", "3", "4", "5")
 _HZ = 100.0
@@ -71,27 +71,28 @@ def measure(plan: Plan) -> Sequence[Row]:
     ]
 
 
-def _recorder(folder: Path, _scenario: Path) -> Command:
+def _recorder(folder: Path, _scenario: Path) -> ProcessCommand:
     bag = tempfile.mkdtemp(dir=folder)
     arguments = ("--bag", f"{bag}/bag", "--uavs", *_UAVS)
-    return Command("listener", "ptnsbc_nodes.recording.main", arguments)
+    return ProcessCommand("listener", "ptnsbc_nodes.recording.main", arguments)
 
 
-def _bare(_folder: Path, scenario: Path) -> Command:
+def _bare(_folder: Path, scenario: Path) -> ProcessCommand:
     arguments = ("--scenario", str(scenario), "--role", "recorder")
-    return Command("listener", "bench.pingpong", arguments)
+    return ProcessCommand("listener", "bench.pingpong", arguments)
 
 
-def _listen(listener: Callable[[Path, Path], Command], hz: float, seconds: float) -> Heard:
+def _listen(listener: Callable[[Path, Path], ProcessCommand], hz: float, seconds: float) -> Heard:
     with tempfile.TemporaryDirectory(prefix="bench-") as name, own_domain() as domain:
         folder = Path(name)
         scenario, go = folder / "scenario.yaml", folder / "go"
         scenario.write_text(paper(1.0).text, encoding="utf-8")
         settings = environment.for_children(domain, 2, folder)
         words = ("--scenario", str(scenario), "--hz", str(hz), "--seconds", str(seconds))
-        source = Command("source", "bench.recorder", (*words, "--go", str(go)))
+        source = ProcessCommand("source", "bench.recorder", (*words, "--go", str(go)))
         crew = [
-            Child(command, settings, folder) for command in (listener(folder, scenario), source)
+            ChildProcess(command, settings, folder)
+            for command in (listener(folder, scenario), source)
         ]
         try:
             wait_ready(crew)
@@ -161,7 +162,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _serve(arguments: argparse.Namespace, argv: list[str]) -> int:
-    lifetime = Lifetime()
+    lifetime = ProcessLifetime()
     with ros_node("source", "", argv) as node:
         source = Source(node, arguments, lifetime.end)
         lifetime.serve(node, source.endpoints)

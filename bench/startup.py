@@ -112,13 +112,13 @@ def _start(folder: Path, module: str, *arguments: str) -> Start:
     from bench.launch import BenchError
     from bench.observer import Observer
     from bench.usage import look
-    from ptnsbc_nodes.fleet.child_process import Child, Command, end
+    from ptnsbc_nodes.fleet.child_process import ChildProcess, ProcessCommand, end
     from ptnsbc_nodes.runtime import environment
 
     with own_domain() as domain, Observer(domain) as observer:
         settings = environment.for_children(domain, 2, folder)
         began = time.monotonic()
-        child = Child(Command("node", module, arguments), settings, folder)
+        child = ChildProcess(ProcessCommand("node", module, arguments), settings, folder)
         try:
             while (heard_at := observer.first_at()) is None:
                 if child.exit_code is not None or time.monotonic() > began + _DEADLINE_S:

@@ -9,7 +9,7 @@ import numpy as np
 from bench.scenarios import paper
 from bench.session import Plan, cpu_seconds, take_turns
 from bench.table import Row, Target
-from ptnsbc_core.agent import Agent, Known
+from ptnsbc_core.agent import Agent, PackedInputs
 from ptnsbc_core.algebra import eigen3, gram3
 from ptnsbc_core.kernel import kernel
 from ptnsbc_core.step import initial_state, step
@@ -76,7 +76,7 @@ def measure(plan: Plan) -> Sequence[Row]:
     config, known, dt = agent_config(scenario, _FOLLOWER), inputs(scenario, _FOLLOWER), 0.01
     agent, state = Agent(config, known.own), initial_state(known.own, config)
 
-    vector = Known.of(known)
+    vector = PackedInputs.of(known)
 
     def agent_advance() -> object:
         return agent.advance(vector, _T_S, dt)

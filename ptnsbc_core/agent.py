@@ -27,17 +27,17 @@ from ptnsbc_core.types import (
     Array,
 )
 
-# Where the fields of AgentInputs stand in `Known.vector`; the estimates (K, 13) and their ages (K,) follow.
+# Where the fields of AgentInputs stand in `PackedInputs.vector`; the estimates (K, 13) and their ages (K,) follow.
 OWN, PARENT, LEADER = 0, ODOMETRY_SIZE, 2 * ODOMETRY_SIZE
 PARENT_AGE = 3 * ODOMETRY_SIZE
 LEADER_AGE, NEAR_AGE, MODE, START_AGE = (PARENT_AGE + k for k in range(1, 5))
 ESTIMATES = START_AGE + 1
 
-# Where the fields of AgentOutputs stand in `Told.vector`.
+# Where the fields of AgentOutputs stand in `PackedOutputs.vector`.
 _VELOCITY, _WRENCH, _ESTIMATE, _ERROR, _TOLD_SIZE = 0, 4, 10, 23, 33
 
 
-class Known:
+class PackedInputs:
     """What goes into a step, see `AgentInputs`; nothing has been heard at first.
 
     Attributes:
@@ -57,7 +57,7 @@ class Known:
         self.near = near
 
     @classmethod
-    def of(cls, inputs: AgentInputs) -> Known:
+    def of(cls, inputs: AgentInputs) -> PackedInputs:
         """The vector of `inputs`."""
         known = cls(len(inputs.estimates), inputs.near)
         vector = known.vector
@@ -76,7 +76,7 @@ class Known:
         return _inputs(self.vector, self.near)
 
 
-class Told:
+class PackedOutputs:
     """What a step gave, see `AgentOutputs`: each property reads it from `vector` (33,)."""
 
     __slots__ = ("vector",)
@@ -105,7 +105,7 @@ class Told:
         return diagnostics_of(self.vector[_ERROR:])
 
 
-class _Flight(NamedTuple):
+class _AgentMemory(NamedTuple):
     """What stays with the kernels from step to step."""
 
     config: AgentConfig
@@ -133,11 +133,11 @@ def _inputs(known: Array, near: Array) -> AgentInputs:
 
 @kernel
 def _advance(
-    flights: MutableSequence[_Flight], known: Array, near: Array, t: float, dt: float
+    flights: MutableSequence[_AgentMemory], known: Array, near: Array, t: float, dt: float
 ) -> Array:
     flight = flights[0]
     state, outputs = step(flight.state, _inputs(known, near), t, dt, flight.config)
-    flights[0] = _Flight(flight.config, state)
+    flights[0] = _AgentMemory(flight.config, state)
     told = np.empty(_TOLD_SIZE)
     put_velocity(told[_VELOCITY:_WRENCH], outputs)
     put_wrench(told[_WRENCH:_ESTIMATE], outputs)
@@ -174,7 +174,7 @@ def put_diagnostics(out: Array, why: AgentDiagnostics) -> None:
 
 
 @kernel
-def _first(flights: MutableSequence[_Flight]) -> AgentState:
+def _first(flights: MutableSequence[_AgentMemory]) -> AgentState:
     return flights[0].state
 
 
@@ -191,13 +191,13 @@ class Agent:
 
     def __init__(self, config: AgentConfig, own: Array) -> None:
         """Start from the UAV's own odometry vector (13,)."""
-        self._flights = kernel_list([_Flight(config, initial_state(own, config))])
+        self._flights = kernel_list([_AgentMemory(config, initial_state(own, config))])
 
     @classmethod
     def resumed(cls, config: AgentConfig, state: AgentState) -> Agent:
         """An agent that goes on where another one was."""
         agent = cls.__new__(cls)
-        agent._flights = kernel_list([_Flight(config, state)])
+        agent._flights = kernel_list([_AgentMemory(config, state)])
         return agent
 
     @property
@@ -205,10 +205,10 @@ class Agent:
         """What the next step starts from."""
         return _first(self._flights)
 
-    def advance(self, known: Known, t: float, dt: float) -> Told:
+    def advance(self, known: PackedInputs, t: float, dt: float) -> PackedOutputs:
         """One tick, see `step`: t [s] since the latest epoch, dt [s] the control period."""
-        return Told(_advance(self._flights, known.vector, known.near, t, dt))
+        return PackedOutputs(_advance(self._flights, known.vector, known.near, t, dt))
 
-    def step(self, inputs: AgentInputs, t: float, dt: float) -> Told:
+    def step(self, inputs: AgentInputs, t: float, dt: float) -> PackedOutputs:
         """The same with a name for every number that goes in."""
-        return self.advance(Known.of(inputs), t, dt)
+        return self.advance(PackedInputs.of(inputs), t, dt)

@@ -27,7 +27,7 @@ NONE = Estimate((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0)
 """No disagreement."""
 
 
-class Heard(NamedTuple):
+class EstimatorMeasurements(NamedTuple):
     """What was heard at this tick, compared with the own estimate."""
 
     disagreement: Estimate  # g_i
@@ -84,7 +84,9 @@ def _moved_on(estimate: Estimate, age_s: float) -> Estimate:
 
 
 @leaf
-def _heard(present: Estimate, inputs: AgentInputs, pinned: bool, config: AgentConfig) -> Heard:
+def _heard(
+    present: Estimate, inputs: AgentInputs, pinned: bool, config: AgentConfig
+) -> EstimatorMeasurements:
     """Neighbours' estimates and the leader's state, carried to the present, against the own estimate."""
     g, anything = NONE, pinned
     for k in range(inputs.estimates.shape[0]):
@@ -95,7 +97,7 @@ def _heard(present: Estimate, inputs: AgentInputs, pinned: bool, config: AgentCo
     if pinned:
         leader = _moved_on(state_to_estimate(inputs.leader), inputs.leader_age_s)
         g = disagreeing(g, present, leader)
-    return Heard(g, anything)
+    return EstimatorMeasurements(g, anything)
 
 
 @leaf

@@ -5,7 +5,7 @@ from __future__ import annotations
 from ptnsbc_core.algebra import moved, three
 from ptnsbc_core.kernel import leaf
 from ptnsbc_core.kinematics import velocity_enu, yaw_of
-from ptnsbc_core.planner import Armed, Behaviour, Neighbour, formation, hold, leader_tracking
+from ptnsbc_core.planner import Behaviour, EpochErrors, Neighbour, formation, hold, leader_tracking
 from ptnsbc_core.sighting import sighted
 from ptnsbc_core.timebase import Clock
 from ptnsbc_core.trajectory import Reference, reference
@@ -17,7 +17,7 @@ from ptnsbc_core.types import (
     AgentInputs,
     AgentState,
     Estimate,
-    Place,
+    PoseTarget,
 )
 
 
@@ -33,7 +33,7 @@ def lost(inputs: AgentInputs, start_t: float, config: AgentConfig) -> bool:
 
 @leaf
 def behaviour_of_mission(
-    inputs: AgentInputs, estimate: Estimate, armed: Armed, clock: Clock, config: AgentConfig
+    inputs: AgentInputs, estimate: Estimate, armed: EpochErrors, clock: Clock, config: AgentConfig
 ) -> Behaviour:
     """The mission behaviour: leader tracking for the leader, formation for a follower that has heard."""
     position = three(inputs.own, 0)
@@ -54,15 +54,17 @@ def behaviour_of_mission(
 
 
 @leaf
-def hold_place(state: AgentState, inputs: AgentInputs, holding: bool) -> Place:
+def hold_place(state: AgentState, inputs: AgentInputs, holding: bool) -> PoseTarget:
     """Where to hold: where the UAV was when holding began."""
     if holding and state.mode == MODE_FORMATION:
-        return Place(three(inputs.own, 0), yaw_of(inputs.own))
+        return PoseTarget(three(inputs.own, 0), yaw_of(inputs.own))
     return state.hold
 
 
 @leaf
-def held(behaviour: Behaviour, inputs: AgentInputs, place: Place, config: AgentConfig) -> Behaviour:
+def held(
+    behaviour: Behaviour, inputs: AgentInputs, place: PoseTarget, config: AgentConfig
+) -> Behaviour:
     """The mission behaviour replaced by keeping a place, or by descending over it."""
     velocity = hold(three(inputs.own, 0), place.position, config)
     if inputs.mode == MODE_LAND:
@@ -72,7 +74,7 @@ def held(behaviour: Behaviour, inputs: AgentInputs, place: Place, config: AgentC
 
 @leaf
 def desired_yaw(
-    estimate: Estimate, place: Place, holding: bool, clock: Clock, config: AgentConfig
+    estimate: Estimate, place: PoseTarget, holding: bool, clock: Clock, config: AgentConfig
 ) -> float:
     """Heading to keep [rad]: of the place held, of the trajectory (leader), or of the leader (follower)."""
     if holding:

@@ -21,7 +21,7 @@ from ptnsbc_core.algebra import (
 from ptnsbc_core.kernel import kernel, leaf
 from ptnsbc_core.kinematics import body_rates, euler_from_rotation, rotation
 from ptnsbc_core.nullspace import compose, damped_solve, scaled_to_limit
-from ptnsbc_core.tasks.clearance import Clearance
+from ptnsbc_core.tasks.clearance import ClearanceTask
 from ptnsbc_core.tasks.registry import evaluate, task_error
 from ptnsbc_core.timebase import Clock, holding_gain, loop_rate, onset
 from ptnsbc_core.trajectory import Reference
@@ -36,7 +36,7 @@ class Behaviour(NamedTuple):
     singular_value: float
 
 
-class Armed(NamedTuple):
+class EpochErrors(NamedTuple):
     """Errors at the epoch, from which the profile `reference` plans; `now` at the tick that arms."""
 
     now: bool
@@ -53,7 +53,7 @@ class Neighbour(NamedTuple):
 
 @kernel
 def leader_tracking(
-    position: Vector3, desired: Reference, armed: Armed, clock: Clock, config: AgentConfig
+    position: Vector3, desired: Reference, armed: EpochErrors, clock: Clock, config: AgentConfig
 ) -> Behaviour:
     """Leader tracking, missing in the paper: sigma = p_1, J = I, p_dot = c p_r_dot + Lambda G (p_r - p_1).
 
@@ -72,7 +72,7 @@ def formation(
     position: Vector3,
     parent: Neighbour,
     leader: Neighbour,
-    armed: Armed,
+    armed: EpochErrors,
     clock: Clock,
     config: AgentConfig,
 ) -> Behaviour:
@@ -108,7 +108,7 @@ def hold(position: Vector3, where: Vector3, config: AgentConfig) -> Vector3:
 
 @kernel
 def attitude(
-    own: Array, yaw: float, armed: Armed, clock: Clock, config: AgentConfig
+    own: Array, yaw: float, armed: EpochErrors, clock: Clock, config: AgentConfig
 ) -> tuple[Vector3, Vector3]:
     """Attitude behaviour of the 6-DOF plant, missing in the paper: w = W^-1 Lambda G (beta_d - beta).
 
@@ -121,7 +121,7 @@ def attitude(
     return body_rates(euler, rate), error
 
 
-class Composed(NamedTuple):
+class ComposedVelocity(NamedTuple):
     """Velocity after composition and the speed limit."""
 
     velocity: Vector3  # [m/s, ENU]
@@ -130,16 +130,16 @@ class Composed(NamedTuple):
 
 
 @leaf
-def composed(top: Clearance, max_speed: float) -> Composed:
+def composed(top: ClearanceTask, max_speed: float) -> ComposedVelocity:
     """Clearance first, the behaviour below it in its null space, within the speed limit [m/s]."""
     if top.jacobian.shape[0] == 0:
         free = limited(top.below, max_speed)
-        return Composed(free, norm3(top.below) > max_speed, 0.0)
+        return ComposedVelocity(free, norm3(top.below) > max_speed, 0.0)
     return _composed_below(top, max_speed)
 
 
 @kernel
-def _composed_below(top: Clearance, max_speed: float) -> Composed:
+def _composed_below(top: ClearanceTask, max_speed: float) -> ComposedVelocity:
     above = top.jacobian.shape[0]
     velocities = np.empty((2, 3))
     put3(velocities[0], 0, top.velocity)
@@ -154,4 +154,4 @@ def _composed_below(top: Clearance, max_speed: float) -> Composed:
     missed = minus(out, top.velocity)
     for row in range(above):
         change = max(change, abs(dot3(top.jacobian[row], missed)))
-    return Composed(out, whole > 1e-9, change)
+    return ComposedVelocity(out, whole > 1e-9, change)

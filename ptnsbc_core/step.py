@@ -12,27 +12,31 @@ from ptnsbc_core.algebra import three, wrap
 from ptnsbc_core.control.adaptation import started
 from ptnsbc_core.control.command_filter import filter_step
 from ptnsbc_core.control.quadrotor_control import quadrotor_control
-from ptnsbc_core.control.rigid_body_control import Command, Control, rigid_body_control
+from ptnsbc_core.control.rigid_body_control import (
+    ControlInput,
+    VelocityReference,
+    rigid_body_control,
+)
 from ptnsbc_core.estimator import estimated_leader
 from ptnsbc_core.kernel import kernel, leaf
 from ptnsbc_core.kinematics import state_to_estimate, velocity_enu, yaw_of
 from ptnsbc_core.mission import behaviour_of_mission, desired_yaw, held, hold_place, lost
-from ptnsbc_core.planner import Armed, Behaviour, attitude, composed
-from ptnsbc_core.tasks.clearance import Around, clearance
+from ptnsbc_core.planner import Behaviour, EpochErrors, attitude, composed
+from ptnsbc_core.tasks.clearance import ObstacleView, clearance
 from ptnsbc_core.tasks.encounters import none_met
 from ptnsbc_core.timebase import Clock, loop_gain
 from ptnsbc_core.types import (
     MODE_FORMATION,
     MODE_HOLD,
     PLANT_RIGID_BODY,
-    Adapted,
+    AdaptationState,
     AgentConfig,
     AgentDiagnostics,
     AgentInputs,
     AgentOutputs,
     AgentState,
     Array,
-    Place,
+    PoseTarget,
     Vector3,
 )
 
@@ -48,11 +52,11 @@ def initial_state(own: Array, config: AgentConfig) -> AgentState:
         False,
         velocity,
         zero,
-        Adapted(config.controller.nominal, (0.0, 0.0), started(velocity)),
+        AdaptationState(config.controller.nominal, (0.0, 0.0), started(velocity)),
         none_met(),
         zero,
         zero,
-        Place(three(own, 0), yaw_of(own)),
+        PoseTarget(three(own, 0), yaw_of(own)),
         _NOT_YET,
         0.0,
     )
@@ -60,8 +64,12 @@ def initial_state(own: Array, config: AgentConfig) -> AgentState:
 
 @leaf
 def _controlled(
-    state: AgentState, inputs: AgentInputs, command: Command, clock: Clock, config: AgentConfig
-) -> Control:
+    state: AgentState,
+    inputs: AgentInputs,
+    command: VelocityReference,
+    clock: Clock,
+    config: AgentConfig,
+) -> ControlInput:
     """Force and torque by the law of the plant's kind."""
     inner = Clock(clock.start_t, clock.start_t, clock.dt)  # inner loops arm once
     own, before, law = inputs.own, state.adapted, config.controller
@@ -70,10 +78,10 @@ def _controlled(
     return quadrotor_control(own, command, before, inner, law, config.filter.max_rate)
 
 
-class Planned(NamedTuple):
+class PlannerOutput(NamedTuple):
     """What the planner hands to the controller."""
 
-    command: Command
+    command: VelocityReference
     encounters: Array  # (8, 7)
     active_rows: int
     saturated: bool
@@ -89,9 +97,9 @@ def _planned(
     yaw: float,
     dt: float,
     config: AgentConfig,
-) -> Planned:
+) -> PlannerOutput:
     """Clearance above the behaviour, the speed limit, and the command filter."""
-    around = Around(inputs.near, inputs.near_age_s, state.encounters, dt)
+    around = ObstacleView(inputs.near, inputs.near_age_s, state.encounters, dt)
     top = clearance(three(inputs.own, 0), behaviour.velocity, around, config.clearance)
     limits = config.filter
     wanted = composed(top, limits.max_speed)
@@ -101,8 +109,8 @@ def _planned(
     angular = filter_step(
         state.rates, rates, limits.rate_bandwidth, limits.max_rate_acceleration, dt
     )
-    return Planned(
-        Command(linear.value, linear.rate, angular.value, angular.rate, yaw),
+    return PlannerOutput(
+        VelocityReference(linear.value, linear.rate, angular.value, angular.rate, yaw),
         top.encounters,
         top.jacobian.shape[0],
         wanted.limited or linear.saturated,
@@ -111,7 +119,7 @@ def _planned(
 
 
 @leaf
-def _yaw_rate(inputs: AgentInputs, command: Command, config: AgentConfig) -> float:
+def _yaw_rate(inputs: AgentInputs, command: VelocityReference, config: AgentConfig) -> float:
     """Yaw rate setpoint [rad/s] for a vehicle that closes its own loops."""
     if config.controller.plant == PLANT_RIGID_BODY:
         return command.rates[2]
@@ -143,7 +151,7 @@ def step(
     yaw = desired_yaw(estimate, place, holding, clock, config)
 
     arms = state.mode == _NOT_YET or t < state.last_t or state.heard != heard
-    armed = Armed(arms, state.start_error, state.start_attitude)
+    armed = EpochErrors(arms, state.start_error, state.start_attitude)
     behaviour = behaviour_of_mission(inputs, estimate, armed, clock, config)
     rates, euler_error = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     if config.controller.plant == PLANT_RIGID_BODY:  # a quadrotor's attitude is its controller's

@@ -62,21 +62,21 @@ class Estimate(NamedTuple):
     yaw: float  # [rad]
 
 
-class Place(NamedTuple):
+class PoseTarget(NamedTuple):
     """Where to be, world ENU."""
 
     position: Vector3  # [m]
     yaw: float  # [rad]
 
 
-class Parameters(NamedTuple):
+class InertialParameters(NamedTuple):
     """Psi of (49), of a body whose axes are its principal ones."""
 
     mass: float  # [kg]
     inertia: Vector3  # [kg m^2]
 
 
-class Observer(NamedTuple):
+class DisturbanceObserver(NamedTuple):
     """Disturbance observer, world ENU."""
 
     velocity: Vector3  # [m/s] as last measured and corrected
@@ -85,12 +85,12 @@ class Observer(NamedTuple):
     trend: Vector3  # [m/s^3] of the disturbance
 
 
-class Adapted(NamedTuple):
+class AdaptationState(NamedTuple):
     """What the controller has learned."""
 
-    parameters: Parameters  # Psi_hat
+    parameters: InertialParameters  # Psi_hat
     bound: Pair  # delta_hat of force [m/s^2] and torque [rad/s^2]
-    observer: Observer
+    observer: DisturbanceObserver
 
 
 class LoopGain(NamedTuple):
@@ -144,7 +144,7 @@ class ControllerConfig(NamedTuple):
 
     plant: int  # PLANT_*
     gravity: float  # [m/s^2]
-    nominal: Parameters  # Psi at the start, and Omega_0
+    nominal: InertialParameters  # Psi at the start, and Omega_0
     force: LoopGain  # velocity loop
     torque: LoopGain  # body-rate loop
     boundary: Pair  # width of the saturation of the velocity [m/s] and of the rate error [rad/s]
@@ -210,11 +210,11 @@ class AgentState(NamedTuple):
     heard: bool  # the estimate has been initialised from a message
     velocity: Vector3  # filtered [m/s, ENU]
     rates: Vector3  # filtered [rad/s, FLU]
-    adapted: Adapted
+    adapted: AdaptationState
     encounters: Array  # (8, 7) x y z side active_s quiet_s used
     start_error: Vector3  # task error at the epoch (profile `reference`)
     start_attitude: Vector3  # attitude error at the epoch [rad]
-    hold: Place  # where holding began
+    hold: PoseTarget  # where holding began
     mode: int  # MODE_* of the previous tick; -1 before the first
     last_t: float  # t of the previous tick, to notice a new epoch [s]
 

@@ -24,7 +24,7 @@ from ptnsbc_core.types import (
     AgentState,
     Array,
 )
-from ptnsbc_sim.disturbances.build import Chance, chance, sight_draws, sight_of
+from ptnsbc_sim.disturbances.build import Disturbances, chance, sight_draws, sight_of
 from ptnsbc_sim.disturbances.gusts import blow
 from ptnsbc_sim.disturbances.position_noise import believed, no_error
 from ptnsbc_sim.disturbances.sensor_noise import beside
@@ -33,14 +33,14 @@ from ptnsbc_sim.plants.contract import PlantConfig
 from ptnsbc_sim.plants.integrate import advance, odometry
 from ptnsbc_sim.scenario import Scenario, agent_config
 from ptnsbc_sim.sensor import near_objects
-from ptnsbc_sim.track import DIAGNOSTICS_SIZE, Track, note
+from ptnsbc_sim.track import DIAGNOSTICS_SIZE, FlightTrack, note
 from ptnsbc_sim.wiring import Wiring, wiring_of
 from ptnsbc_sim.world import measure_all
 
 CHUNK_TICKS = 500
 
 
-class Crew(NamedTuple):
+class SwarmState(NamedTuple):
     """The UAVs of a flight, by row: constants, and what is carried from tick to tick (changed in place)."""
 
     configs: Sequence[AgentConfig]
@@ -50,12 +50,12 @@ class Crew(NamedTuple):
     nears: MutableSequence[Array]  # (M, 7) each, last reading of the near-object sensor
 
 
-class Flight(NamedTuple):
+class HeadlessFlight(NamedTuple):
     """A headless flight."""
 
     scenario: Scenario
     t_ns: NDArray[np.int64]  # (T,)
-    track: Track
+    track: FlightTrack
     wiring: Wiring
 
     @property
@@ -87,7 +87,7 @@ def _age(tick: int, sent: int, dt_ns: int) -> float:
 
 
 @leaf
-def _heard(track: Track, sent: int, row: int) -> Array:
+def _heard(track: FlightTrack, sent: int, row: int) -> Array:
     """Odometry vector (13,) that UAV number `row` sent at tick `sent`; zeros when there is none."""
     if sent < 0 or row < 0:
         return np.zeros(ODOMETRY_SIZE)
@@ -96,7 +96,7 @@ def _heard(track: Track, sent: int, row: int) -> Array:
 
 @leaf
 def inputs_of(
-    wiring: Wiring, track: Track, near: Array, tick: int, row: int, luck: Chance | None
+    wiring: Wiring, track: FlightTrack, near: Array, tick: int, row: int, luck: Disturbances | None
 ) -> AgentInputs:
     """What UAV number `row` knows at `tick`: what was sent at the tick before, or longer ago if that got lost."""
     parent = wiring.parent[row]
@@ -133,7 +133,9 @@ def inputs_of(
 
 
 @kernel
-def sense(crew: Crew, wiring: Wiring, track: Track, tick: int, luck: Chance | None) -> None:
+def sense(
+    crew: SwarmState, wiring: Wiring, track: FlightTrack, tick: int, luck: Disturbances | None
+) -> None:
     """Measure every UAV's odometry, and the near objects when the sensor's turn has come."""
     size = crew.bodies.shape[0]
     true = track.odometry if luck is None else track.truth
@@ -155,7 +157,7 @@ def sense(crew: Crew, wiring: Wiring, track: Track, tick: int, luck: Chance | No
 
 
 @kernel
-def _believed(track: Track, tick: int, row: int, wiring: Wiring, luck: Chance) -> Array:
+def _believed(track: FlightTrack, tick: int, row: int, wiring: Wiring, luck: Disturbances) -> Array:
     """Odometry vector (13,) that UAV number `row` sees, from its true one."""
     return believed(
         track.truth[tick, row],
@@ -171,7 +173,12 @@ def _believed(track: Track, tick: int, row: int, wiring: Wiring, luck: Chance) -
 
 @kernel
 def _fly(
-    first: int, count: int, wiring: Wiring, crew: Crew, track: Track, luck: Chance | None
+    first: int,
+    count: int,
+    wiring: Wiring,
+    crew: SwarmState,
+    track: FlightTrack,
+    luck: Disturbances | None,
 ) -> None:
     """Ticks first .. first + count - 1 of the whole swarm into `track`.
 
@@ -200,7 +207,7 @@ def _starts(configs: Sequence[AgentConfig], seen: Array) -> MutableSequence[Agen
     return states
 
 
-def _first_seen(truth: Array, dt: float, luck: Chance | None) -> Array:
+def _first_seen(truth: Array, dt: float, luck: Disturbances | None) -> Array:
     """Odometry vectors (N, 13) that the UAVs see at the first tick, from the true ones."""
     if luck is None:
         return truth
@@ -212,11 +219,11 @@ def _first_seen(truth: Array, dt: float, luck: Chance | None) -> Array:
     return np.stack(rows)
 
 
-Loop = Callable[[int, int, Wiring, Crew, Track, Chance | None], None]
+Loop = Callable[[int, int, Wiring, SwarmState, FlightTrack, Disturbances | None], None]
 """Flies so many ticks from the first: the law is in it."""
 
 
-def fly(scenario: Scenario, progress: Callable[[int, int], None] | None = None) -> Flight:
+def fly(scenario: Scenario, progress: Callable[[int, int], None] | None = None) -> HeadlessFlight:
     """Fly a scenario headless.
 
     Args:
@@ -231,7 +238,7 @@ def fly(scenario: Scenario, progress: Callable[[int, int], None] | None = None) 
 
 def flown(
     scenario: Scenario, loop: Loop, progress: Callable[[int, int], None] | None = None
-) -> Flight:
+) -> HeadlessFlight:
     """As `fly`, with the law in `loop`."""
     ticks, size = scenario.ticks, len(scenario.uav_ids)
     plants = [plant_config(scenario, uav_id) for uav_id in scenario.uav_ids]
@@ -241,7 +248,7 @@ def flown(
     wiring = wiring_of(scenario)
     luck = chance(scenario, wiring.neighbours.shape[1])
     seen = _first_seen(measure_all(bodies, plant_list), wiring.dt_ns * 1e-9, luck)
-    crew = Crew(
+    crew = SwarmState(
         configs,
         plant_list,
         _starts(configs, seen),
@@ -249,7 +256,7 @@ def flown(
         kernel_list([np.empty((0, 7)) for _ in range(size)]),
     )
     widths = (ODOMETRY_SIZE, 4, 6, ODOMETRY_SIZE, DIAGNOSTICS_SIZE, ODOMETRY_SIZE)
-    track = Track(*(np.zeros((ticks, size, width)) for width in widths))
+    track = FlightTrack(*(np.zeros((ticks, size, width)) for width in widths))
     if luck is None:
         track = track._replace(truth=np.zeros((0, size, ODOMETRY_SIZE)))
     for first in range(0, ticks, CHUNK_TICKS):
@@ -258,4 +265,4 @@ def flown(
         if progress is not None:
             progress(first + count, ticks)
     t_ns = np.arange(ticks, dtype=np.int64) * scenario.dt_ns
-    return Flight(scenario, t_ns, track, wiring)
+    return HeadlessFlight(scenario, t_ns, track, wiring)

@@ -15,7 +15,7 @@ SATURATED, HOLDING, PRIORITY_VIOLATION, VELOCITY_ERROR = 6, 7, 8, 9
 DIAGNOSTICS_SIZE = 10
 
 
-class Track(NamedTuple):
+class FlightTrack(NamedTuple):
     """What a flight leaves behind, one row per tick; also the buffer that the kernel fills."""
 
     odometry: Array  # (T, N, 13)
@@ -27,7 +27,7 @@ class Track(NamedTuple):
 
 
 @leaf
-def note(track: Track, tick: int, row: int, out: AgentOutputs) -> None:
+def note(track: FlightTrack, tick: int, row: int, out: AgentOutputs) -> None:
     """Write one UAV's outputs of one tick into the track."""
     put_velocity(track.velocity[tick, row], out)
     put_wrench(track.wrench[tick, row], out)

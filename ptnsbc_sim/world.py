@@ -9,7 +9,7 @@ import numpy as np
 from ptnsbc_core.algebra import put
 from ptnsbc_core.kernel import kernel, kernel_list
 from ptnsbc_core.types import ODOMETRY_SIZE, PLANT_RIGID_BODY, Array
-from ptnsbc_sim.disturbances.build import Surroundings
+from ptnsbc_sim.disturbances.build import VehicleDisturbances
 from ptnsbc_sim.plants.build import obstacle_rows, plant_config, start_states
 from ptnsbc_sim.plants.contract import PlantConfig
 from ptnsbc_sim.plants.integrate import advance, odometry
@@ -71,14 +71,14 @@ class World:
         self._substeps = scenario.physics_hz // scenario.control_hz
         self._truth = measure_all(self._states, self._plants)
         self._odometry = self._truth
-        self._around: list[Surroundings] = []
+        self._around: list[VehicleDisturbances] = []
         if scenario.imperfect:
             self._begin_chance(plants)
 
     def _begin_chance(self, plants: list[PlantConfig]) -> None:
         self._odometry = self._truth.copy()
         for row, (uav_id, plant) in enumerate(zip(self.ids, plants, strict=True)):
-            around = Surroundings(self._scenario, uav_id, plant.wind)
+            around = VehicleDisturbances(self._scenario, uav_id, plant.wind)
             self._odometry[row] = around.believed(0, self._truth[row])
             self._around.append(around)
 

@@ -138,7 +138,7 @@ def verify(
     from ptnsbc_tools.reading.foreign import Names
 
     names = Names(odom=odom, wrench=wrench)
-    choice = command.Choice(scenario, tolerance, window, epoch, names)
+    choice = command.ReadOptions(scenario, tolerance, window, epoch, names)
     result.leave(command.verify(bag, choice, picture=picture, json=json))
 
 
@@ -189,7 +189,7 @@ def fleet(
 
     options.join(network, domain)
     chosen = options.chosen(context)
-    wishes = command.Wishes(
+    wishes = command.FleetRequest(
         lockstep=lockstep,
         backend=backend,
         allow_arming=allow_arming,

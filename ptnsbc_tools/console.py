@@ -80,7 +80,7 @@ def progress(label: str) -> Iterator[Advance]:
             task = bar.add_task(label, total=None)
             yield lambda done, total: bar.update(task, completed=done, total=total)
         return
-    yield _Lines(label)
+    yield _ProgressLines(label)
 
 
 def _bar() -> Progress:
@@ -88,7 +88,7 @@ def _bar() -> Progress:
     return Progress(*columns, console=err(), transient=True)
 
 
-class _Lines:
+class _ProgressLines:
     """Progress as plain lines, no more than one every few seconds."""
 
     def __init__(self, label: str) -> None:

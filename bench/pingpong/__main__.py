@@ -10,9 +10,9 @@ from pathlib import Path
 from bench.pingpong.sim import BareRecorder, BareSim
 from bench.pingpong.uav import BareUav
 from bench.pingpong.wires import RawWires, TypedWires
-from ptnsbc_nodes.comm.graph import Edges
+from ptnsbc_nodes.comm.graph import CommunicationGraph
 from ptnsbc_nodes.runtime import environment
-from ptnsbc_nodes.runtime.process import Arguments, Lifetime, flight_options, ros_node, run
+from ptnsbc_nodes.runtime.process import Arguments, ProcessLifetime, flight_options, ros_node, run
 from ptnsbc_sim.scenario import load_scenario
 
 ROLES = ("uav", "sim", "recorder")
@@ -29,9 +29,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _serve(arguments: argparse.Namespace, argv: list[str]) -> int:
-    lifetime, scenario = Lifetime(), load_scenario(arguments.scenario)
+    lifetime, scenario = ProcessLifetime(), load_scenario(arguments.scenario)
     options = flight_options(arguments)
-    edges = Edges(scenario, options)
+    edges = CommunicationGraph(scenario, options)
     name = f"{arguments.role}{arguments.uav or ''}"
     if options.lockstep and arguments.role != "recorder":  # as the processes it stands beside
         environment.prefer_throughput()

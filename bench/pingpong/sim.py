@@ -15,7 +15,7 @@ from ptnsbc_nodes.comm import qos, topics
 from ptnsbc_nodes.comm.agent_messages import WORLD_FRAME
 from ptnsbc_nodes.comm.diagnostics import status_every
 from ptnsbc_nodes.comm.endpoints import Endpoints
-from ptnsbc_nodes.comm.graph import Edges
+from ptnsbc_nodes.comm.graph import CommunicationGraph
 from ptnsbc_nodes.comm.markers import Scene
 from ptnsbc_nodes.comm.topics import Topic
 from ptnsbc_nodes.runtime.pacing import Latency, Pace
@@ -33,7 +33,7 @@ class BareSim:
         node: Node,
         wires: Wires,
         scenario: Scenario,
-        edges: Edges,
+        edges: CommunicationGraph,
         go: Path,
         on_end: Callable[[], None],
     ) -> None:

@@ -13,7 +13,7 @@ from ptnsbc_io.wire import OdometryTemplate, VelocityTemplate, WrenchTemplate
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.agent_messages import WORLD_FRAME
 from ptnsbc_nodes.comm.diagnostics import status_every
-from ptnsbc_nodes.comm.graph import Edges
+from ptnsbc_nodes.comm.graph import CommunicationGraph
 from ptnsbc_nodes.runtime.pacing import Pace
 from ptnsbc_nodes.runtime.timer import Ticker
 from ptnsbc_sim.scenario import Scenario
@@ -23,7 +23,7 @@ class BareUav:
     """Answers like a UAV: four messages when odometry, near objects and neighbours are in."""
 
     def __init__(
-        self, node: Node, wires: Wires, scenario: Scenario, uav_id: int, edges: Edges
+        self, node: Node, wires: Wires, scenario: Scenario, uav_id: int, edges: CommunicationGraph
     ) -> None:
         self.endpoints = wires.endpoints
         self._wires = wires
@@ -42,7 +42,7 @@ class BareUav:
             self._ticker = Ticker(node, self._period_ns, self._on_timer)
         when_ready(node, self.endpoints, None, lambda: None)
 
-    def _listen(self, uav_id: int, edges: Edges) -> None:
+    def _listen(self, uav_id: int, edges: CommunicationGraph) -> None:
         senders = edges.senders(uav_id)
         heard = [topics.formation_state(i) for i in senders.states]
         heard += [topics.leader_estimate(i) for i in senders.estimators]
@@ -52,7 +52,7 @@ class BareUav:
         for index, topic in enumerate(heard):
             self._wires.listen(topic, self._hearer(index))
 
-    def _senders(self, uav_id: int, edges: Edges) -> tuple[Send, ...]:
+    def _senders(self, uav_id: int, edges: CommunicationGraph) -> tuple[Send, ...]:
         body, zeros = f"uav{uav_id}/base_link", np.zeros(13)
         state = OdometryTemplate(WORLD_FRAME, body).encode(0, zeros)
         estimate = OdometryTemplate(WORLD_FRAME, WORLD_FRAME).encode(0, zeros)

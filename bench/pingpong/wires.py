@@ -10,10 +10,10 @@ from rclpy.serialization import deserialize_message
 
 from ptnsbc_io.wire import peek_stamp
 from ptnsbc_io.wire.cdr import split_stamp, write_stamp
-from ptnsbc_nodes.comm.diagnostics import Level, diagnostics
+from ptnsbc_nodes.comm.diagnostics import DiagnosticLevel, diagnostics
 from ptnsbc_nodes.comm.endpoints import Endpoints, full_name
 from ptnsbc_nodes.comm.topics import Topic, message_class
-from ptnsbc_nodes.uav.counters import Tally
+from ptnsbc_nodes.uav.counters import UavCounters
 
 Send = Callable[[int], None]
 
@@ -31,8 +31,8 @@ def sender(endpoints: Endpoints, topic: Topic, readers: int, message: bytes) -> 
 
 def status(name: str) -> bytes:
     """A DiagnosticArray of the size of ours."""
-    values = {key: "0.000000" for key in Tally().values()}
-    return diagnostics(0, f"{name}: planner", Level.OK, "", values)
+    values = {key: "0.000000" for key in UavCounters().values()}
+    return diagnostics(0, f"{name}: planner", DiagnosticLevel.OK, "", values)
 
 
 class Wires(Protocol):

@@ -14,19 +14,19 @@ from rclpy.context import Context
 from rclpy.node import Node
 
 from ptnsbc_io.bag import BagWriter
-from ptnsbc_io.mavlink.link import Link
+from ptnsbc_io.mavlink.link import MavlinkLink
 from ptnsbc_io.mavlink.transport import connect
 from ptnsbc_nodes.bridge.bridge import WANTED_MESSAGES
 from ptnsbc_nodes.bridge.node import BridgeNode
 from ptnsbc_nodes.comm import topics
-from ptnsbc_nodes.comm.graph import Edges, FlightOptions
+from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions
 from ptnsbc_nodes.comm.tf import Transforms
 from ptnsbc_nodes.comm.topics import recorded
-from ptnsbc_nodes.fleet.coordinator_node import Tower
-from ptnsbc_nodes.recording.fleet_recorder import Recorder, topic_info
+from ptnsbc_nodes.fleet.coordinator_node import Coordinator
+from ptnsbc_nodes.recording.fleet_recorder import FleetRecorder, topic_info
 from ptnsbc_nodes.runtime.ros_domain import reserved_domain
-from ptnsbc_nodes.sim.node import Sim
-from ptnsbc_nodes.uav.node import Uav
+from ptnsbc_nodes.sim.node import SimNode
+from ptnsbc_nodes.uav.node import UavNode
 from ptnsbc_sim.scenario import Scenario, load_scenario
 
 REAL_TIME, LOCKSTEP, BRIDGED = "real time", "lock-step", "flight controllers"
@@ -61,7 +61,7 @@ def _flight(domain: int, mode: str, options: FlightOptions) -> Iterator[End]:
     scenario = load_scenario(SCENARIO)
     with ExitStack() as stack:
         context = stack.enter_context(_context(domain))
-        edges = Edges(scenario, options)
+        edges = CommunicationGraph(scenario, options)
         made: list[tuple[str, int, Node]] = []
 
         def node(kind: str, uav: int = 0) -> Node:
@@ -72,16 +72,18 @@ def _flight(domain: int, mode: str, options: FlightOptions) -> Iterator[End]:
             return one
 
         for uav in scenario.uav_ids:
-            Uav(node("uav", uav), scenario, uav, edges)
+            UavNode(node("uav", uav), scenario, uav, edges)
             if options.bridged:
-                link = Link(connect("udpout:127.0.0.1:9"), uav, WANTED_MESSAGES, None)
+                link = MavlinkLink(connect("udpout:127.0.0.1:9"), uav, WANTED_MESSAGES, None)
                 stack.callback(link.close)
                 BridgeNode(node("bridge", uav), scenario, uav, edges, link, False, lambda: None)
         if not options.bridged:
-            Sim(node("sim"), scenario, edges, lambda: None)
+            SimNode(node("sim"), scenario, edges, lambda: None)
         stack.enter_context(_recorder(node("recorder"), scenario, options))
         for leads in (True, False):
-            tower = stack.enter_context(Tower(domain, "fleet" if leads else "fleet_elsewhere"))
+            tower = stack.enter_context(
+                Coordinator(domain, "fleet" if leads else "fleet_elsewhere")
+            )
             tower.share(leads=leads)
             made.append(("launcher", 0, tower._node))
         for kind, uav, one in made:
@@ -99,12 +101,14 @@ def _context(domain: int) -> Iterator[Context]:
 
 
 @contextmanager
-def _recorder(node: Node, scenario: Scenario, options: FlightOptions) -> Iterator[Recorder]:
+def _recorder(node: Node, scenario: Scenario, options: FlightOptions) -> Iterator[FleetRecorder]:
     uavs, lockstep = scenario.uav_ids, options.lockstep
     told = {"lockstep": lockstep, "with_truth": not options.bridged}
     infos = [topic_info(one, lockstep=lockstep) for one in topics.in_bag(uavs, **told)]
     with tempfile.TemporaryDirectory() as folder, BagWriter(Path(folder) / "bag", infos) as writer:
-        yield Recorder(node, writer, recorded(uavs, **told), Transforms(uavs), lockstep=lockstep)
+        yield FleetRecorder(
+            node, writer, recorded(uavs, **told), Transforms(uavs), lockstep=lockstep
+        )
 
 
 def _ends(kind: str, uav: int, node: Node, mode: str, leader: int) -> Iterator[End]:

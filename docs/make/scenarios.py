@@ -13,7 +13,7 @@ PLANTS = ("quadrotor", "rigid_body_6dof")
 _HEADINGS = ("Key", "Type", "Unit", "Default", "Range", "Meaning")
 _BLOCKS = {
     "timing": model.Timing,
-    "world": model.World,
+    "world": model.Surroundings,
     "sensor": model.Sensor,
     "plant": model.Plant,
     "communication": model.Communication,

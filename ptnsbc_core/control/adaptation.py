@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ptnsbc_core.kernel import leaf
-from ptnsbc_core.types import ControllerConfig, Observer, Parameters, Vector3
+from ptnsbc_core.types import ControllerConfig, DisturbanceObserver, InertialParameters, Vector3
 
 
 @leaf
@@ -16,8 +16,8 @@ def _adapted(
 
 @leaf
 def adapted_parameters(
-    parameters: Parameters, product: Parameters, dt: float, config: ControllerConfig
-) -> Parameters:
+    parameters: InertialParameters, product: InertialParameters, dt: float, config: ControllerConfig
+) -> InertialParameters:
     """Psi_hat after one step of Psi_dot = -Gamma^-1 Y^T V~, (50), kept within mass_range of nominal.
 
     Args:
@@ -29,7 +29,7 @@ def adapted_parameters(
     nominal, share = config.nominal, config.mass_range
     linear, angular = config.adaptation
     inertia, turn = parameters.inertia, product.inertia
-    return Parameters(
+    return InertialParameters(
         _adapted(parameters.mass, nominal.mass, linear, product.mass, dt, share),
         (
             _adapted(inertia[0], nominal.inertia[0], angular, turn[0], dt, share),
@@ -59,16 +59,16 @@ def adapted_bound(
 
 
 @leaf
-def started(velocity: Vector3) -> Observer:
+def started(velocity: Vector3) -> DisturbanceObserver:
     """Observer at a velocity [m/s, ENU], with no disturbance known."""
     zero = (0.0, 0.0, 0.0)
-    return Observer(velocity, zero, zero, zero)
+    return DisturbanceObserver(velocity, zero, zero, zero)
 
 
 @leaf
 def _observed_axis(
     axis: int,
-    observer: Observer,
+    observer: DisturbanceObserver,
     velocity: float,
     frozen: bool,
     dt: float,
@@ -91,8 +91,12 @@ def _observed_axis(
 
 @leaf
 def observed(
-    observer: Observer, velocity: Vector3, frozen: bool, dt: float, config: ControllerConfig
-) -> Observer:
+    observer: DisturbanceObserver,
+    velocity: Vector3,
+    frozen: bool,
+    dt: float,
+    config: ControllerConfig,
+) -> DisturbanceObserver:
     """Disturbance observer after one measurement of the velocity [m/s, ENU].
 
     Not in the paper. The thrust of a quadrotor follows the attitude, so the gain that keeps delta_hat sat()
@@ -104,6 +108,6 @@ def observed(
     x = _observed_axis(0, observer, velocity[0], frozen, dt, config)
     y = _observed_axis(1, observer, velocity[1], frozen, dt, config)
     z = _observed_axis(2, observer, velocity[2], frozen, dt, config)
-    return Observer(
+    return DisturbanceObserver(
         (x[0], y[0], z[0]), (x[1], y[1], z[1]), observer.acceleration, (x[2], y[2], z[2])
     )

@@ -24,8 +24,8 @@ from ptnsbc_core.algebra import (
 )
 from ptnsbc_core.control.adaptation import observed
 from ptnsbc_core.control.rigid_body_control import (
-    Command,
-    Control,
+    ControlInput,
+    VelocityReference,
     axiswise,
     learned,
     limited_torque,
@@ -38,12 +38,12 @@ from ptnsbc_core.kernel import kernel, leaf
 from ptnsbc_core.kinematics import rotation
 from ptnsbc_core.timebase import Clock
 from ptnsbc_core.types import (
-    Adapted,
+    AdaptationState,
     Array,
     ControllerConfig,
+    DisturbanceObserver,
+    InertialParameters,
     Matrix3,
-    Observer,
-    Parameters,
     Triple,
     Vector3,
 )
@@ -163,12 +163,12 @@ def _thrust(wanted: Vector3, config: ControllerConfig) -> _Thrust:
 @kernel
 def quadrotor_control(
     own: Array,
-    command: Command,
-    before: Adapted,
+    command: VelocityReference,
+    before: AdaptationState,
     clock: Clock,
     config: ControllerConfig,
     max_rate: float,
-) -> Control:
+) -> ControlInput:
     """Thrust and torques from the odometry vector (13,): force (0, 0, T) and torque in body FLU."""
     attitude = rotation(own, 3)
     rates = three(own, 10)
@@ -192,10 +192,10 @@ def quadrotor_control(
     modelled = torque_model(rates, reference, still, parameters.inertia)
     torque = limited_torque(plus(modelled, axiswise(nominal.inertia, turning)), config)
     saturated = lift.saturated or torque.saturated
-    product = Parameters(
+    product = InertialParameters(
         dot3(model, error), torque_regressor_error(rates, reference, still, rate_error)
     )
     errors = (one_norm(error), one_norm(rate_error))
-    observer = Observer(seen.velocity, seen.disturbance, given, seen.trend)
+    observer = DisturbanceObserver(seen.velocity, seen.disturbance, given, seen.trend)
     after = learned(before, observer, product, errors, saturated, clock.dt, config)
-    return Control((0.0, 0.0, lift.thrust), torque.value, after, saturated, norm3(error))
+    return ControlInput((0.0, 0.0, lift.thrust), torque.value, after, saturated, norm3(error))

@@ -25,18 +25,18 @@ from ptnsbc_core.kernel import kernel, leaf
 from ptnsbc_core.kinematics import rotation
 from ptnsbc_core.timebase import Clock, loop_gain
 from ptnsbc_core.types import (
-    Adapted,
+    AdaptationState,
     Array,
     ControllerConfig,
+    DisturbanceObserver,
+    InertialParameters,
     LoopGain,
-    Observer,
     Pair,
-    Parameters,
     Vector3,
 )
 
 
-class Command(NamedTuple):
+class VelocityReference(NamedTuple):
     """Filtered reference of one tick."""
 
     velocity: Vector3  # [m/s, ENU]
@@ -46,17 +46,17 @@ class Command(NamedTuple):
     yaw: float  # [rad] desired, for plants that are steered by attitude
 
 
-class Control(NamedTuple):
+class ControlInput(NamedTuple):
     """Input of one tick, body FLU, and what has been learned after it."""
 
     force: Vector3  # [N]
     torque: Vector3  # [N m]
-    adapted: Adapted
+    adapted: AdaptationState
     saturated: bool
     velocity_error: float  # [m/s]
 
 
-class Clipped(NamedTuple):
+class LimitedInput(NamedTuple):
     """A force or torque within its limits, and whether it was outside."""
 
     value: Vector3
@@ -120,31 +120,37 @@ def one_norm(v: Vector3) -> float:
 
 @leaf
 def learned(
-    before: Adapted,
-    observer: Observer,
-    product: Parameters,
+    before: AdaptationState,
+    observer: DisturbanceObserver,
+    product: InertialParameters,
     errors: Pair,
     frozen: bool,
     dt: float,
     config: ControllerConfig,
-) -> Adapted:
+) -> AdaptationState:
     """Psi_hat and delta_hat after one step, from Y^T V~ and |V~|_1 of both parts; as they were when `frozen`.
 
     An actuator at its limit says nothing about the parameters.
     """
     if frozen:
-        return Adapted(before.parameters, before.bound, observer)
+        return AdaptationState(before.parameters, before.bound, observer)
     bound = (
         adapted_bound(before.bound[0], errors[0], 0, dt, config),
         adapted_bound(before.bound[1], errors[1], 1, dt, config),
     )
-    return Adapted(adapted_parameters(before.parameters, product, dt, config), bound, observer)
+    return AdaptationState(
+        adapted_parameters(before.parameters, product, dt, config), bound, observer
+    )
 
 
 @kernel
 def rigid_body_control(
-    own: Array, command: Command, before: Adapted, clock: Clock, config: ControllerConfig
-) -> Control:
+    own: Array,
+    command: VelocityReference,
+    before: AdaptationState,
+    clock: Clock,
+    config: ControllerConfig,
+) -> ControlInput:
     """Wrench of the plant `rigid_body_6dof` from its odometry vector (13,) and the filtered command."""
     r = rotation(own, 3)
     rates = three(own, 10)
@@ -161,26 +167,26 @@ def rigid_body_control(
     force = limited_force(moved(scaled(parameters.mass, model), nominal.mass, feedback), config)
     torque = limited_torque(plus(modelled, axiswise(nominal.inertia, turning)), config)
     saturated = force.saturated or torque.saturated
-    product = Parameters(
+    product = InertialParameters(
         dot3(model, error),
         torque_regressor_error(rates, command.rates, command.rates_dot, rate_error),
     )
     errors = (one_norm(error), one_norm(rate_error))
     after = learned(before, before.observer, product, errors, saturated, clock.dt, config)
-    return Control(force.value, torque.value, after, saturated, norm3(error))
+    return ControlInput(force.value, torque.value, after, saturated, norm3(error))
 
 
 @leaf
-def limited_force(force: Vector3, config: ControllerConfig) -> Clipped:
+def limited_force(force: Vector3, config: ControllerConfig) -> LimitedInput:
     """Force within the actuators' limit, its direction kept."""
     length = norm3(force)
     if length > config.max_thrust:
-        return Clipped(scaled(config.max_thrust / length, force), True)
-    return Clipped(force, False)
+        return LimitedInput(scaled(config.max_thrust / length, force), True)
+    return LimitedInput(force, False)
 
 
 @leaf
-def limited_torque(torque: Vector3, config: ControllerConfig) -> Clipped:
+def limited_torque(torque: Vector3, config: ControllerConfig) -> LimitedInput:
     """Torque within the limit of each axis."""
     most = config.max_torque
     value = (
@@ -188,4 +194,4 @@ def limited_torque(torque: Vector3, config: ControllerConfig) -> Clipped:
         min(max(torque[1], -most[1]), most[1]),
         min(max(torque[2], -most[2]), most[2]),
     )
-    return Clipped(value, norm3(minus(torque, value)) > 0.0)
+    return LimitedInput(value, norm3(minus(torque, value)) > 0.0)

@@ -46,7 +46,7 @@ _COINCIDENT_M = 1e-6
 _NOTHING: Vector3 = (0.0, 0.0, 0.0)
 
 
-class Around(NamedTuple):
+class ObstacleView(NamedTuple):
     """What a UAV sees, and what it remembers of it."""
 
     near: Array  # (M, 7) x y z [m, ENU] keep-out radius [m] vx vy vz [m/s, ENU]
@@ -71,7 +71,7 @@ class Demands(NamedTuple):
     depth: Array  # (M,) [m]
 
 
-class Clearance(NamedTuple):
+class ClearanceTask(NamedTuple):
     """The top-priority task at one tick."""
 
     velocity: Vector3  # J^+ of the binding demands [m/s]; zero without any
@@ -81,7 +81,7 @@ class Clearance(NamedTuple):
 
 
 @leaf
-def demand(position: Vector3, which: int, around: Around, config: ClearanceConfig) -> Demand:
+def demand(position: Vector3, which: int, around: ObstacleView, config: ClearanceConfig) -> Demand:
     """Of the near object in row `which`."""
     near = around.near[which]
     velocity = three(near, 4)
@@ -100,7 +100,7 @@ def demand(position: Vector3, which: int, around: Around, config: ClearanceConfi
 
 
 @kernel
-def demands(position: Vector3, around: Around, config: ClearanceConfig) -> Demands:
+def demands(position: Vector3, around: ObstacleView, config: ClearanceConfig) -> Demands:
     """Rows for all near objects."""
     count = around.near.shape[0]
     normals = np.empty((count, 3))
@@ -197,7 +197,9 @@ def _velocity_of(jacobian: Array, admissible: Vector3) -> Vector3:
 
 
 @leaf
-def _free(position: Vector3, velocity: Vector3, around: Around, config: ClearanceConfig) -> bool:
+def _free(
+    position: Vector3, velocity: Vector3, around: ObstacleView, config: ClearanceConfig
+) -> bool:
     """Whether no encounter is remembered and no near object asks for more than `velocity` gives it."""
     if memory.any_met(around.encounters):
         return False
@@ -210,8 +212,8 @@ def _free(position: Vector3, velocity: Vector3, around: Around, config: Clearanc
 
 @kernel
 def set_based(
-    position: Vector3, velocity: Vector3, around: Around, config: ClearanceConfig
-) -> Clearance:
+    position: Vector3, velocity: Vector3, around: ObstacleView, config: ClearanceConfig
+) -> ClearanceTask:
     """Least change of the formation velocity that keeps clear of all near objects."""
     rows = demands(position, around, config)
     multipliers = nearest_admissible(velocity, rows)
@@ -228,13 +230,13 @@ def set_based(
     for m in range(multipliers.shape[0]):
         admissible = moved(admissible, multipliers[m], rows.normals[m])
     jacobian = _binding(rows, multipliers)
-    return Clearance(_velocity_of(jacobian, admissible), jacobian, below, after)
+    return ClearanceTask(_velocity_of(jacobian, admissible), jacobian, below, after)
 
 
 @kernel
 def switched(
-    position: Vector3, velocity: Vector3, around: Around, config: ClearanceConfig
-) -> Clearance:
+    position: Vector3, velocity: Vector3, around: ObstacleView, config: ClearanceConfig
+) -> ClearanceTask:
     """The paper's rule (36)-(38) for the object deepest inside its keep-out; (34) with (d_d - d) kept signed."""
     rows = demands(position, around, config)
     deepest = -1
@@ -250,16 +252,16 @@ def switched(
         out = scaled(rows.least[deepest], rows.normals[deepest])
     idle = np.zeros(hits.shape[0])
     after = memory.update(around.encounters, around.near, hits, idle, around.dt, config)
-    return Clearance(out, jacobian, velocity, after)
+    return ClearanceTask(out, jacobian, velocity, after)
 
 
 @leaf
 def clearance(
-    position: Vector3, velocity: Vector3, around: Around, config: ClearanceConfig
-) -> Clearance:
+    position: Vector3, velocity: Vector3, around: ObstacleView, config: ClearanceConfig
+) -> ClearanceTask:
     """The rule that the configuration names; what asks for nothing changes nothing."""
     if config.rule == AVOIDANCE_SWITCHED:
         return switched(position, velocity, around, config)
     if config.rule == AVOIDANCE_OFF or _free(position, velocity, around, config):
-        return Clearance(_NOTHING, np.empty((0, 3)), velocity, around.encounters)
+        return ClearanceTask(_NOTHING, np.empty((0, 3)), velocity, around.encounters)
     return set_based(position, velocity, around, config)

@@ -3,7 +3,7 @@
 from ptnsbc_io.bag.chunk import BagMessage
 from ptnsbc_io.bag.errors import BagError
 from ptnsbc_io.bag.layout import TopicInfo
-from ptnsbc_io.bag.pieces import Limits
+from ptnsbc_io.bag.pieces import SplitLimits
 from ptnsbc_io.bag.reader import Bag, BagTopic, read_bag
 from ptnsbc_io.bag.writer import BagWriter
 
@@ -11,7 +11,7 @@ __all__ = [
     "BagError",
     "TopicInfo",
     "BagWriter",
-    "Limits",
+    "SplitLimits",
     "Bag",
     "BagTopic",
     "BagMessage",

@@ -27,7 +27,7 @@ COMPRESSIONS = {
 }
 
 
-class Limits(NamedTuple):
+class SplitLimits(NamedTuple):
     """When a bag goes on in another file; None: never."""
 
     size_bytes: int | None = None
@@ -99,7 +99,7 @@ class Piece:
         """Whether it has no message yet."""
         return self._start_ns is None
 
-    def is_full(self, limits: Limits, log_ns: int) -> bool:
+    def is_full(self, limits: SplitLimits, log_ns: int) -> bool:
         """Whether a message logged at `log_ns` belongs into the next file."""
         if self._start_ns is None:
             return False

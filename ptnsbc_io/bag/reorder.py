@@ -14,7 +14,7 @@ from typing import NamedTuple
 HOLD_TICKS = 20
 
 
-class Held(NamedTuple):
+class PendingMessage(NamedTuple):
     """A message that waits for its turn."""
 
     stamp_ns: int
@@ -37,18 +37,18 @@ class ReorderBuffer:
     def __init__(self, shared: frozenset[str] = frozenset(), hold_ticks: int = HOLD_TICKS) -> None:
         self._shared = shared
         self._hold_ticks = hold_ticks
-        self._held: dict[int, list[Held]] = {}
+        self._held: dict[int, list[PendingMessage]] = {}
         self._stamps: list[int] = []  # heap of the keys of _held
         self._arrivals: dict[str, int] = {}
         self._released_ns = -1
         self.late = 0  # messages that came after their tick was released: order not reproducible
 
-    def push(self, stamp_ns: int, topic: str, data: bytes) -> Iterator[Held]:
+    def push(self, stamp_ns: int, topic: str, data: bytes) -> Iterator[PendingMessage]:
         """Take a message in; returns those whose turn has come."""
         arrival = self._arrivals.get(topic, 0)
         if topic not in self._shared:
             self._arrivals[topic] = arrival + 1
-        message = Held(stamp_ns, topic, arrival, data)
+        message = PendingMessage(stamp_ns, topic, arrival, data)
         if stamp_ns <= self._released_ns:
             self.late += 1
             return iter((message,))
@@ -58,12 +58,12 @@ class ReorderBuffer:
         self._held[stamp_ns].append(message)
         return self._release(self._hold_ticks)
 
-    def flush(self) -> Iterator[Held]:
+    def flush(self) -> Iterator[PendingMessage]:
         """Everything that is still held, in order."""
         return self._release(0)
 
-    def _release(self, keep: int) -> Iterator[Held]:
-        released: list[Held] = []
+    def _release(self, keep: int) -> Iterator[PendingMessage]:
+        released: list[PendingMessage] = []
         while len(self._stamps) > keep:
             self._released_ns = heapq.heappop(self._stamps)
             released += sorted(self._held.pop(self._released_ns))

@@ -41,7 +41,7 @@ class Repaired(NamedTuple):
     last_ns: int  # log time of the newest message [ns]
 
 
-class _Places(NamedTuple):
+class _FileIndex(NamedTuple):
     source: Path
     target: Path
     moved: Path | None  # where the source goes when the target takes its place
@@ -89,7 +89,7 @@ def repair(
     return Repaired(places.target, original, total, damage.chunks, damage.cut, last_ns)
 
 
-def _places(path: Path, target: Path | None) -> _Places:
+def _places(path: Path, target: Path | None) -> _FileIndex:
     path = Path(os.path.abspath(path))
     part = path.with_name(path.name + PART)
     source = part if not path.exists() and part.exists() else path
@@ -105,7 +105,7 @@ def _places(path: Path, target: Path | None) -> _Places:
     for place in [moved] if moved else [target]:
         if place.exists():
             raise BagError(f"{place} exists: move it away, or choose another place with --output")
-    return _Places(source, target, moved)
+    return _FileIndex(source, target, moved)
 
 
 def _refuse_leftover(beside: Path) -> None:
@@ -119,7 +119,7 @@ def _remove(beside: Path) -> None:
         shutil.rmtree(place, ignore_errors=True)
 
 
-def _swap(places: _Places, beside: Path, *, discard: bool) -> Path | None:
+def _swap(places: _FileIndex, beside: Path, *, discard: bool) -> Path | None:
     original = places.source
     if places.moved is not None:
         places.source.rename(places.moved)

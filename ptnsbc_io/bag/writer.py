@@ -24,7 +24,7 @@ from ptnsbc_io.bag.layout import (
     declared,
     to_yaml,
 )
-from ptnsbc_io.bag.pieces import COMPRESSIONS, Limits, Piece
+from ptnsbc_io.bag.pieces import COMPRESSIONS, Piece, SplitLimits
 
 METADATA_RECORD = "ptnsbc"
 FLUSH_PERIOD = 0.5  # [s]: with the time it takes to look, and to write, below the promised second
@@ -56,7 +56,7 @@ class BagWriter:
         metadata: Mapping[str, str] | None = None,
         compression: str = "zstd",
         overwrite: bool = False,
-        limits: Limits = Limits(),  # noqa: B008 - immutable
+        limits: SplitLimits = SplitLimits(),  # noqa: B008 - immutable
     ) -> None:
         if compression not in COMPRESSIONS:
             known = ", ".join(COMPRESSIONS)

@@ -18,7 +18,7 @@ _DEGREE = 0.017453292519943295
 _THRUST_AS_THRUST = 8  # bit 3 of GUID_OPTIONS
 
 
-class Mode(Enum):
+class FlightMode(Enum):
     """A flight mode as the bridge sees it."""
 
     OWN = "own"  # OFFBOARD, GUIDED: setpoints are followed
@@ -36,7 +36,7 @@ class ModeNumbers(NamedTuple):
     sub: int
 
 
-class Limits(NamedTuple):
+class AutopilotLimits(NamedTuple):
     """What the vehicle itself can be asked for; None where nothing is known."""
 
     horizontal_m_s: float | None
@@ -60,7 +60,7 @@ class Autopilot(NamedTuple):
     name: str
     number: int  # MAV_AUTOPILOT
     own_mode: str  # what its manual calls the mode in which setpoints are followed
-    modes: Mapping[ModeNumbers, Mode]
+    modes: Mapping[ModeNumbers, FlightMode]
     packed: bool  # custom_mode holds main in its third byte and sub in its fourth
     encoding: Encoding
     earth_radius_m: float  # of its local projection
@@ -70,18 +70,22 @@ class Autopilot(NamedTuple):
     rates: Rates
     parameters: tuple[str, ...]
 
-    def mode(self, base_mode: int, custom_mode: int) -> Mode:
+    def mode(self, base_mode: int, custom_mode: int) -> FlightMode:
         """The mode that a HEARTBEAT tells."""
         if self.attitude_only:
             guided = base_mode & mavlink.MAV_MODE_FLAG_GUIDED_ENABLED
-            return Mode.OWN if guided else self.modes.get(ModeNumbers(custom_mode, 0), Mode.OTHER)
+            return (
+                FlightMode.OWN
+                if guided
+                else self.modes.get(ModeNumbers(custom_mode, 0), FlightMode.OTHER)
+            )
         if self.packed:
             numbers = ModeNumbers(custom_mode >> 16 & 0xFF, custom_mode >> 24 & 0xFF)
         else:
             numbers = ModeNumbers(custom_mode, 0)
-        return self.modes.get(numbers, Mode.OTHER)
+        return self.modes.get(numbers, FlightMode.OTHER)
 
-    def numbers(self, mode: Mode) -> ModeNumbers:
+    def numbers(self, mode: FlightMode) -> ModeNumbers:
         """How to ask for a mode."""
         return next(numbers for numbers, known in self.modes.items() if known is mode)
 
@@ -92,12 +96,12 @@ PX4 = Autopilot(
     number=mavlink.MAV_AUTOPILOT_PX4,
     own_mode="OFFBOARD",
     modes={
-        ModeNumbers(6, 0): Mode.OWN,
-        ModeNumbers(_PX4_AUTO, 3): Mode.HOLD,
-        ModeNumbers(_PX4_AUTO, 6): Mode.LAND,
-        ModeNumbers(_PX4_AUTO, 9): Mode.LAND,  # precision landing
-        ModeNumbers(_PX4_AUTO, 5): Mode.RETURN,
-        ModeNumbers(_PX4_AUTO, 2): Mode.TAKEOFF,
+        ModeNumbers(6, 0): FlightMode.OWN,
+        ModeNumbers(_PX4_AUTO, 3): FlightMode.HOLD,
+        ModeNumbers(_PX4_AUTO, 6): FlightMode.LAND,
+        ModeNumbers(_PX4_AUTO, 9): FlightMode.LAND,  # precision landing
+        ModeNumbers(_PX4_AUTO, 5): FlightMode.RETURN,
+        ModeNumbers(_PX4_AUTO, 2): FlightMode.TAKEOFF,
     },
     packed=True,
     encoding=Encoding.BYTEWISE,
@@ -126,11 +130,11 @@ ARDUPILOT = Autopilot(
     number=mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA,
     own_mode="GUIDED",
     modes={
-        ModeNumbers(4, 0): Mode.OWN,
-        ModeNumbers(17, 0): Mode.HOLD,  # BRAKE
-        ModeNumbers(9, 0): Mode.LAND,
-        ModeNumbers(6, 0): Mode.RETURN,
-        ModeNumbers(21, 0): Mode.RETURN,  # SMART_RTL
+        ModeNumbers(4, 0): FlightMode.OWN,
+        ModeNumbers(17, 0): FlightMode.HOLD,  # BRAKE
+        ModeNumbers(9, 0): FlightMode.LAND,
+        ModeNumbers(6, 0): FlightMode.RETURN,
+        ModeNumbers(21, 0): FlightMode.RETURN,  # SMART_RTL
     },
     packed=False,
     encoding=Encoding.C_CAST,
@@ -192,7 +196,7 @@ def absent(autopilot: Autopilot, values: Mapping[str, float]) -> list[str]:
     return missing
 
 
-def limits(values: Mapping[str, float]) -> Limits:
+def limits(values: Mapping[str, float]) -> AutopilotLimits:
     """The vehicle's own limits from its parameters, whichever autopilot it is."""
 
     def lowest(*found: float | None) -> float | None:
@@ -203,7 +207,7 @@ def limits(values: Mapping[str, float]) -> Limits:
 
     get = values.get
     tilt_deg = lowest(get("MPC_TILTMAX_AIR"), get("ATC_ANGLE_MAX"), centi("ANGLE_MAX"))
-    return Limits(
+    return AutopilotLimits(
         lowest(get("MPC_XY_VEL_MAX"), get("WP_SPD"), centi("WPNAV_SPEED")),
         lowest(get("MPC_Z_VEL_MAX_UP"), get("WP_SPD_UP"), centi("WPNAV_SPEED_UP")),
         lowest(get("MPC_Z_VEL_MAX_DN"), get("WP_SPD_DN"), centi("WPNAV_SPEED_DN")),

@@ -38,7 +38,7 @@ class Dropped(Enum):
     OTHER_ADDRESS = "other_address"  # the same system id from a second place
 
 
-class Link:
+class MavlinkLink:
     """Decoded messages of one vehicle in, packed messages out."""
 
     def __init__(

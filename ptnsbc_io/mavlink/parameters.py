@@ -29,7 +29,7 @@ _INTEGERS: Mapping[int, str] = {
 }
 
 
-class ParameterError(PtnsbcError):
+class MavlinkParameterError(PtnsbcError):
     """A parameter that cannot be understood."""
 
 
@@ -45,7 +45,9 @@ def decoded(raw: bytes, kind: int, encoding: Encoding) -> float:
     if kind in _INTEGERS and encoding is Encoding.BYTEWISE:
         return float(struct.unpack(_INTEGERS[kind], raw)[0])
     if kind not in _INTEGERS and kind != mavlink.MAV_PARAM_TYPE_REAL32:
-        raise ParameterError(f"parameter of type {kind}: expected REAL32 or an integer of 32 bits")
+        raise MavlinkParameterError(
+            f"parameter of type {kind}: expected REAL32 or an integer of 32 bits"
+        )
     return float(struct.unpack("<f", raw)[0])
 
 

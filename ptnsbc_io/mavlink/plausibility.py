@@ -14,7 +14,7 @@ import numpy as np
 from ptnsbc_core.types import Array
 
 
-class Twice:
+class ConfirmedValue:
     """A value that may change, but not by one message alone."""
 
     def __init__(self) -> None:
@@ -35,7 +35,7 @@ class Twice:
         return known
 
 
-class Smooth:
+class RateLimitedValue:
     """Numbers (n,) that move no faster than a vehicle can."""
 
     def __init__(self, step: Array, rate: Array) -> None:

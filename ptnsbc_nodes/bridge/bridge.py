@@ -9,20 +9,20 @@ import numpy as np
 from ptnsbc_core.types import AgentConfig, Array
 from ptnsbc_io.mavlink.autopilots import AUTOPILOTS, findings, hover_thrust, limits, refusal
 from ptnsbc_io.mavlink.dialect import mavlink
-from ptnsbc_io.mavlink.link import Link
+from ptnsbc_io.mavlink.link import MavlinkLink
 from ptnsbc_io.wire import Stamped, WireError, decode_velocity, decode_wrench
 from ptnsbc_nodes.bridge.commands import Commands
-from ptnsbc_nodes.bridge.controller import Controller
-from ptnsbc_nodes.bridge.link_maintenance import Upkeep
-from ptnsbc_nodes.bridge.ports import Inlets, Outlets, Told
+from ptnsbc_nodes.bridge.controller import ControllerSetpoints
+from ptnsbc_nodes.bridge.link_maintenance import LinkMaintenance
+from ptnsbc_nodes.bridge.ports import BridgeInputs, BridgeOutputs, SharedVehicleState
 from ptnsbc_nodes.bridge.procedure.procedure import Procedure
-from ptnsbc_nodes.bridge.procedure.steps import Orders, Seen, Step, Stream
-from ptnsbc_nodes.bridge.setpoint.guard import Guard, allowed
+from ptnsbc_nodes.bridge.procedure.steps import ProcedureOutput, Step, Stream, VehicleSnapshot
+from ptnsbc_nodes.bridge.setpoint.guard import SetpointGuard, allowed
 from ptnsbc_nodes.bridge.setpoint.hover_thrust import HoverThrust
 from ptnsbc_nodes.bridge.setpoint.messages import Setpoints
 from ptnsbc_nodes.bridge.setpoint.stream import SetpointStream
-from ptnsbc_nodes.bridge.state_publisher import Clocks, Teller
-from ptnsbc_nodes.bridge.vehicle import Vehicle
+from ptnsbc_nodes.bridge.state_publisher import Clocks, StatePublisher
+from ptnsbc_nodes.bridge.vehicle import VehicleMonitor
 from ptnsbc_nodes.bridge.world import WorldFrame
 from ptnsbc_nodes.comm.legs import Epochs
 from ptnsbc_nodes.runtime.pacing import Latency
@@ -60,14 +60,14 @@ class Bridge:
         self,
         scenario: Scenario,
         uav_id: int,
-        link: Link,
-        outlets: Outlets,
+        link: MavlinkLink,
+        outlets: BridgeOutputs,
         clocks: Clocks,
         allow_arming: bool,
     ) -> None:
         block, reached = scenario.mavlink, scenario.vehicle_link(uav_id)
         self.block = block
-        self.inlets = Inlets()
+        self.inlets = BridgeInputs()
         self.link = link
         self._outlets = outlets
         self._clocks = clocks
@@ -76,20 +76,22 @@ class Bridge:
         self._autopilot = autopilot = AUTOPILOTS[reached.autopilot]
         self.setpoint = reached.setpoint
         self._decode = decode_wrench if self.setpoint == "attitude" else decode_velocity
-        self.vehicle = Vehicle(autopilot, signed=link.signed)
+        self.vehicle = VehicleMonitor(autopilot, signed=link.signed)
         self._commands = Commands(autopilot, reached.sysid)
-        self._upkeep = Upkeep(autopilot, reached.sysid, self._commands, self.vehicle, _STATE_HZ)
+        self._upkeep = LinkMaintenance(
+            autopilot, reached.sysid, self._commands, self.vehicle, _STATE_HZ
+        )
         self.world = WorldFrame(scenario, uav_id, autopilot.earth_radius_m)
         self.world.begin()
-        self.controller = Controller()
-        self.teller = Teller(self.vehicle, self.world, self._upkeep.sync, self.controller)
+        self.controller = ControllerSetpoints()
+        self.teller = StatePublisher(self.vehicle, self.world, self._upkeep.sync, self.controller)
         self.procedure = Procedure(autopilot, block.takeoff_height_m, allow_arming, outlets.say)
-        self.guard = Guard(block.geofence, allowed(block.limits, limits({})))
+        self.guard = SetpointGuard(block.geofence, allowed(block.limits, limits({})))
         self._messages = Setpoints(autopilot, reached.sysid)
         self._stream = self._make_stream(block.hover_thrust)
         self._epochs = Epochs()
-        self.orders = Orders(Stream.NONE, None, True)
-        self.told = Told(0, 0)
+        self.orders = ProcedureOutput(Stream.NONE, None, True)
+        self.told = SharedVehicleState(0, 0)
         self.latency = Latency()
         self._parameters_told = False
         self.flew = False
@@ -142,7 +144,7 @@ class Bridge:
 
     def _tell(self, stamp_ns: int, odometry: Array) -> None:
         self._outlets.odom(stamp_ns, odometry)
-        self.told = Told(self.told.messages + 1, stamp_ns)
+        self.told = SharedVehicleState(self.told.messages + 1, stamp_ns)
 
     def tick(self, now_s: float) -> None:
         """One period of the stream."""
@@ -211,7 +213,7 @@ class Bridge:
         values = self._upkeep.parameters.values
         return refusal(self._autopilot, values, self.setpoint) or ""
 
-    def seen(self, now_s: float) -> Seen:
+    def seen(self, now_s: float) -> VehicleSnapshot:
         """Everything the procedure decides by."""
         vehicle, odometry = self.vehicle, self.teller.odometry
         leg = self._epochs.at(self._clocks.ros_ns())
@@ -219,7 +221,7 @@ class Bridge:
         low = vehicle.battery_below(percent, now_s)
         rival_s = self.link.rival_heard_s
         lack = self.teller.lack(now_s)
-        return Seen(
+        return VehicleSnapshot(
             now_s=now_s,
             heartbeat_age_s=vehicle.heartbeat_age_s(now_s),
             stranger=vehicle.stranger,

@@ -7,10 +7,10 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
-from ptnsbc_io.mavlink.autopilots import Autopilot, Mode
+from ptnsbc_io.mavlink.autopilots import Autopilot, FlightMode
 from ptnsbc_io.mavlink.dialect import mavlink
 from ptnsbc_io.mavlink.link import AUTOPILOT_COMPONENT
-from ptnsbc_nodes.bridge.procedure.steps import Ask
+from ptnsbc_nodes.bridge.procedure.steps import CommandRequest
 
 _FORCE = 21196
 """`param2` of the disarm command that also works in the air: a magic number of MAVLink's own."""
@@ -40,24 +40,24 @@ class Commands:
         self.refused = ""
         """Newest answer that was not a plain yes to something we care about."""
 
-    def message(self, ask: Ask, takeoff_height_m: float) -> Any:
+    def message(self, ask: CommandRequest, takeoff_height_m: float) -> Any:
         """The command for an intention of the procedure."""
-        if ask is Ask.OWN_MODE:
+        if ask is CommandRequest.OWN_MODE:
             return self._own_mode()
-        if ask is Ask.ARM:
+        if ask is CommandRequest.ARM:
             return self._long(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, "arm", (1.0,))
-        if ask is Ask.DISARM:
+        if ask is CommandRequest.DISARM:
             return self._long(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, "disarm", (0.0,))
-        if ask is Ask.KILL:
+        if ask is CommandRequest.KILL:
             return self._long(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, "disarm", (0.0, _FORCE))
-        if ask is Ask.TAKEOFF:
+        if ask is CommandRequest.TAKEOFF:
             parameters = (0.0, 0.0, 0.0, _NO_YAW, 0.0, 0.0, takeoff_height_m)
             return self._long(mavlink.MAV_CMD_NAV_TAKEOFF, "take off", parameters)
         return self._land()
 
     def leave(self) -> Any:
         """After landing: out of the own mode, into which PX4 would arm straight the next time."""
-        return self._mode(Mode.HOLD, "hold mode")
+        return self._mode(FlightMode.HOLD, "hold mode")
 
     def intervals(self, state_hz: float) -> list[Any]:
         """Requests for the messages that the bridge lives on; ArduPilot sends none unasked."""
@@ -89,9 +89,9 @@ class Commands:
         if self._autopilot.attitude_only:
             base = mavlink.MAV_MODE_GUIDED_DISARMED
             return self._long(mavlink.MAV_CMD_DO_SET_MODE, name, (float(base),))
-        return self._mode(Mode.OWN, name)
+        return self._mode(FlightMode.OWN, name)
 
-    def _mode(self, mode: Mode, name: str) -> Any:
+    def _mode(self, mode: FlightMode, name: str) -> Any:
         numbers = self._autopilot.numbers(mode)
         parameters = (float(_CUSTOM), float(numbers.main), float(numbers.sub))
         return self._long(mavlink.MAV_CMD_DO_SET_MODE, name, parameters)
@@ -102,7 +102,7 @@ class Commands:
         if self._autopilot.attitude_only or self._sent[-1] % 2 == 0:
             parameters = (0.0, 0.0, 0.0, _NO_YAW, 0.0, 0.0, 0.0)
             return self._long(mavlink.MAV_CMD_NAV_LAND, "land", parameters)
-        return self._mode(Mode.LAND, "land")
+        return self._mode(FlightMode.LAND, "land")
 
     def _long(self, command: int, name: str, parameters: Sequence[float]) -> Any:
         if name:

@@ -20,7 +20,7 @@ _REMEMBERED = 300
 _NEVER = float("-inf")
 
 
-class Told(NamedTuple):
+class PublishedOdometry(NamedTuple):
     """An odometry that went to the UAV process."""
 
     sampled_s: float  # when the vehicle was there, steady clock
@@ -28,23 +28,23 @@ class Told(NamedTuple):
     odometry: Array  # (13,) world frame
 
 
-class Wanted(NamedTuple):
+class SetpointReply(NamedTuple):
     """A setpoint and the odometry that it answers."""
 
     values: Array  # (6,) twist or wrench
-    told: Told
+    told: PublishedOdometry
 
 
-class Controller:
+class ControllerSetpoints:
     """The newest setpoint of each kind and how old it is."""
 
     def __init__(self) -> None:
-        self._told: OrderedDict[int, Told] = OrderedDict()
-        self.newest: Wanted | None = None
+        self._told: OrderedDict[int, PublishedOdometry] = OrderedDict()
+        self.newest: SetpointReply | None = None
         self.foreign = 0  # setpoints that answer no odometry of ours
         self.nonsense = 0  # setpoints that are not finite
 
-    def tell(self, stamp_ns: int, told: Told) -> None:
+    def tell(self, stamp_ns: int, told: PublishedOdometry) -> None:
         """Remember an odometry that is being sent."""
         self._told[stamp_ns] = told
         while len(self._told) > _REMEMBERED:
@@ -61,7 +61,7 @@ class Controller:
             return False
         if self.newest is not None and told.sampled_s < self.newest.told.sampled_s:
             return False
-        self.newest = Wanted(setpoint.values, told)
+        self.newest = SetpointReply(setpoint.values, told)
         return True
 
     def age_s(self, now_s: float) -> float:
@@ -70,7 +70,7 @@ class Controller:
         return now_s - sampled_s
 
 
-def wanted_yaw(wanted: Wanted, yaw_gain_1_s: float) -> float:
+def wanted_yaw(wanted: SetpointReply, yaw_gain_1_s: float) -> float:
     """Heading [rad, ENU] that a twist (6,) asks for.
 
     The controller tells a yaw rate, `gain * (yaw_d - yaw)`; a heading holds where a rate drifts.

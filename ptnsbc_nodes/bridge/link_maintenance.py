@@ -7,10 +7,10 @@ from typing import Any
 
 from ptnsbc_io.mavlink.autopilots import Autopilot
 from ptnsbc_io.mavlink.dialect import mavlink
-from ptnsbc_io.mavlink.parameters import ParameterError, ParameterReader
+from ptnsbc_io.mavlink.parameters import MavlinkParameterError, ParameterReader
 from ptnsbc_io.mavlink.timesync import TimeSync
 from ptnsbc_nodes.bridge.commands import Commands
-from ptnsbc_nodes.bridge.vehicle import Vehicle
+from ptnsbc_nodes.bridge.vehicle import VehicleMonitor
 
 _HEARTBEAT_S = 1.0
 _TIME_FAST_S, _TIME_SLOW_S = 0.1, 0.5
@@ -35,11 +35,16 @@ class _Due:
         return True
 
 
-class Upkeep:
+class LinkMaintenance:
     """Messages that are due, whatever the flight does."""
 
     def __init__(
-        self, autopilot: Autopilot, sysid: int, commands: Commands, vehicle: Vehicle, hz: float
+        self,
+        autopilot: Autopilot,
+        sysid: int,
+        commands: Commands,
+        vehicle: VehicleMonitor,
+        hz: float,
     ) -> None:
         self._sysid = sysid
         self._commands = commands
@@ -104,7 +109,7 @@ class Upkeep:
         elif kind == "PARAM_VALUE":
             try:
                 self.parameters.heard(message)
-            except ParameterError as error:
+            except MavlinkParameterError as error:
                 self._vehicle.text = str(error)
         elif kind == "COMMAND_ACK":
             self._commands.heard(message)

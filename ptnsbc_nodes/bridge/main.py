@@ -11,13 +11,20 @@ from types import FrameType
 from typing import TYPE_CHECKING, cast
 
 from ptnsbc_core.errors import PtnsbcError
-from ptnsbc_nodes.comm.graph import Edges
+from ptnsbc_nodes.comm.graph import CommunicationGraph
 from ptnsbc_nodes.runtime import environment
-from ptnsbc_nodes.runtime.lifecycle_node import Managed
-from ptnsbc_nodes.runtime.parameters import AUTOSTART, SCENARIO, UAV, Fixed, Parameters, overrides
+from ptnsbc_nodes.runtime.lifecycle_node import ManagedNode
+from ptnsbc_nodes.runtime.parameters import (
+    AUTOSTART,
+    SCENARIO,
+    UAV,
+    NodeParameters,
+    ReadOnlyParameter,
+    overrides,
+)
 from ptnsbc_nodes.runtime.process import (
     Arguments,
-    Lifetime,
+    ProcessLifetime,
     namespace_of,
     parameter_node,
     run,
@@ -27,7 +34,7 @@ from ptnsbc_nodes.runtime.scenario_parameters import Value
 from ptnsbc_sim.scenario import Scenario
 
 if TYPE_CHECKING:
-    from ptnsbc_io.mavlink.link import Link
+    from ptnsbc_io.mavlink.link import MavlinkLink
     from ptnsbc_nodes.bridge.node import BridgeNode
 
 
@@ -48,7 +55,7 @@ class BridgeOptions:
     recorded: bool = False
 
 
-class _LandingLifetime(Lifetime):
+class _LandingLifetime(ProcessLifetime):
     """The first request to end lands the vehicle, the second one ends the process."""
 
     def __init__(self) -> None:
@@ -77,8 +84,8 @@ _FIXED = (
     *SCENARIO,
     UAV,
     AUTOSTART,
-    Fixed("signing_key", "", "key file, instead of the scenario's"),
-    Fixed("allow_arming", False, "arm and take off"),
+    ReadOnlyParameter("signing_key", "", "key file, instead of the scenario's"),
+    ReadOnlyParameter("allow_arming", False, "arm and take off"),
 )
 
 
@@ -123,8 +130,8 @@ def bridge(scenario: Scenario, options: BridgeOptions, argv: Sequence[str]) -> i
 def _serve(given: Mapping[str, Value | None], argv: Sequence[str], *, managed: bool) -> int:
     lifetime = _LandingLifetime()
     namespace = namespace_of(cast("int | None", given["uav"]))
-    with parameter_node("bridge", namespace, argv, overrides(given), Managed) as node:
-        told = Parameters(node, _FIXED, bridged=True)
+    with parameter_node("bridge", namespace, argv, overrides(given), ManagedNode) as node:
+        told = NodeParameters(node, _FIXED, bridged=True)
         told.declare_scenario(may_change=lambda: node.state == "unconfigured")
         if not environment.prefer_punctuality(flies=True):
             print(_UNPUNCTUAL, file=sys.stderr, flush=True)
@@ -133,23 +140,23 @@ def _serve(given: Mapping[str, Value | None], argv: Sequence[str], *, managed: b
         return code if lifetime.shell is None else code or lifetime.shell.exit_code
 
 
-def _opened(node: Managed, told: Parameters, lifetime: _LandingLifetime) -> BridgeNode:
+def _opened(node: ManagedNode, told: NodeParameters, lifetime: _LandingLifetime) -> BridgeNode:
     """The bridge with its link open; what configuring does."""
     key = Path(told["signing_key"]) if told["signing_key"] else None
     link = _open(told.scenario, told.uav, key)
     from ptnsbc_nodes.bridge.node import BridgeNode
 
-    edges = Edges(told.scenario, told.options)
+    edges = CommunicationGraph(told.scenario, told.options)
     lifetime.shell = BridgeNode(
         node, told.scenario, told.uav, edges, link, told["allow_arming"], lifetime.end
     )
     return lifetime.shell
 
 
-def _open(scenario: Scenario, uav_id: int, key_file: Path | None) -> Link:
+def _open(scenario: Scenario, uav_id: int, key_file: Path | None) -> MavlinkLink:
     """The link to the vehicle of one UAV."""
     try:
-        from ptnsbc_io.mavlink.link import Link
+        from ptnsbc_io.mavlink.link import MavlinkLink
         from ptnsbc_io.mavlink.signing import Signer, read_key
         from ptnsbc_io.mavlink.transport import connect
         from ptnsbc_nodes.bridge.bridge import WANTED_MESSAGES
@@ -163,7 +170,7 @@ def _open(scenario: Scenario, uav_id: int, key_file: Path | None) -> Link:
         )
     key = key_file or (Path(reached.signing_key) if reached.signing_key else None)
     signer = None if key is None else Signer(read_key(key))
-    return Link(connect(reached.connect), reached.sysid, WANTED_MESSAGES, signer)
+    return MavlinkLink(connect(reached.connect), reached.sysid, WANTED_MESSAGES, signer)
 
 
 if __name__ == "__main__":

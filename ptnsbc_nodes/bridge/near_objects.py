@@ -19,7 +19,7 @@ _MOVING_S = 0.5
 _FORGET_S = 5.0
 
 
-class Surroundings:
+class NearObjects:
     """Newest odometry of the others, as bytes until it is needed."""
 
     def __init__(self, scenario: Scenario, others: Iterable[int]) -> None:

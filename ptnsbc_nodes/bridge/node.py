@@ -19,20 +19,20 @@ from rclpy.serialization import deserialize_message
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.types import Array
-from ptnsbc_io.mavlink.link import Link
+from ptnsbc_io.mavlink.link import MavlinkLink
 from ptnsbc_io.wire import HeaderTemplate, OdometryTemplate, decode_header, encode_near
 from ptnsbc_nodes.bridge.bridge import Bridge
-from ptnsbc_nodes.bridge.near_objects import Surroundings
-from ptnsbc_nodes.bridge.ports import Outlets
+from ptnsbc_nodes.bridge.near_objects import NearObjects
+from ptnsbc_nodes.bridge.ports import BridgeOutputs
 from ptnsbc_nodes.bridge.procedure.steps import Step
 from ptnsbc_nodes.bridge.report import report
-from ptnsbc_nodes.bridge.setpoint.guard import Allowed
+from ptnsbc_nodes.bridge.setpoint.guard import SetpointLimits
 from ptnsbc_nodes.bridge.state_publisher import Clocks
 from ptnsbc_nodes.comm import topics, vehicle_messages
 from ptnsbc_nodes.comm.agent_messages import WORLD_FRAME
 from ptnsbc_nodes.comm.diagnostics import INACTIVE, STATUS_HZ
 from ptnsbc_nodes.comm.endpoints import LOST, Endpoints
-from ptnsbc_nodes.comm.graph import Edges
+from ptnsbc_nodes.comm.graph import CommunicationGraph
 from ptnsbc_nodes.comm.vehicle_messages import PlannerLimits
 from ptnsbc_sim.scenario import Scenario
 
@@ -55,8 +55,8 @@ class BridgeNode:
         node: Node,
         scenario: Scenario,
         uav_id: int,
-        edges: Edges,
-        link: Link,
+        edges: CommunicationGraph,
+        link: MavlinkLink,
         allow_arming: bool,
         on_end: Callable[[], None],
     ) -> None:
@@ -77,7 +77,7 @@ class BridgeNode:
         self._status = publisher(topics.DIAGNOSTICS, recorders)
         clocks = Clocks(time.monotonic, lambda: int(node.get_clock().now().nanoseconds))
         self._clocks = clocks
-        outlets = Outlets(
+        outlets = BridgeOutputs(
             odom=self._tell,
             track=lambda stamp, odom: self._send_track(self._odometry.encode(stamp, odom)),
             origin=lambda place: self._send_origin(vehicle_messages.encode_origin(place)),
@@ -88,7 +88,7 @@ class BridgeNode:
         self.bridge = Bridge(scenario, uav_id, link, outlets, clocks, allow_arming)
         nearby = scenario.mavlink.near == "all"
         others = [i for i in scenario.uav_ids if i != uav_id] if nearby else edges.linked(uav_id)
-        self._surroundings = Surroundings(scenario, others)
+        self._surroundings = NearObjects(scenario, others)
         self._near_s = 1.0 / scenario.sensor.rate_hz
         self._next_near_s = 0.0
         self._listen(scenario, uav_id)
@@ -221,7 +221,7 @@ class BridgeNode:
     def _tell(self, stamp_ns: int, odometry: Array) -> None:
         self._send_odom(self._odometry.encode(stamp_ns, odometry))
 
-    def _tell_limits(self, limits: Allowed) -> None:
+    def _tell_limits(self, limits: SetpointLimits) -> None:
         told = PlannerLimits(limits.planner_m_s, limits.acceleration_m_s2)
         self._say(f"planner: at most {told.speed_m_s:g} m/s, {told.acceleration_m_s2:g} m/s^2")
         self._send_limits(vehicle_messages.encode_limits(told))

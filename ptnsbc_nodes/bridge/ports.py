@@ -9,21 +9,21 @@ from typing import NamedTuple
 from ptnsbc_core.types import Array
 from ptnsbc_io.mavlink.frames import GeoPoint
 from ptnsbc_io.wire import HeaderFields
-from ptnsbc_nodes.bridge.setpoint.guard import Allowed
+from ptnsbc_nodes.bridge.setpoint.guard import SetpointLimits
 
 
-class Outlets(NamedTuple):
+class BridgeOutputs(NamedTuple):
     """Where a bridge tells what."""
 
     odom: Callable[[int, Array], None]  # stamp [ns], odometry (13,)
     track: Callable[[int, Array], None]  # the same, of a vehicle that has left the formation
     origin: Callable[[GeoPoint], None]  # of the leader, for all
-    limits: Callable[[Allowed], None]  # for the planner
+    limits: Callable[[SetpointLimits], None]  # for the planner
     lost: Callable[[], None]  # this vehicle has left the formation
     say: Callable[[str], None]
 
 
-class Told(NamedTuple):
+class SharedVehicleState(NamedTuple):
     """What the formation has heard of this vehicle."""
 
     messages: int  # odometry
@@ -31,7 +31,7 @@ class Told(NamedTuple):
 
 
 @dataclass
-class Inlets:
+class BridgeInputs:
     """What others say; written by the thread of the node, read by that of the bridge."""
 
     setpoint: bytes | None = None  # newest

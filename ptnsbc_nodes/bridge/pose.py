@@ -13,7 +13,7 @@ from ptnsbc_core.kinematics import rotation_from_quaternion
 from ptnsbc_core.types import ODOMETRY_SIZE, Array
 from ptnsbc_io.mavlink import frames
 from ptnsbc_io.mavlink.dialect import mavlink
-from ptnsbc_io.mavlink.plausibility import Smooth
+from ptnsbc_io.mavlink.plausibility import RateLimitedValue
 
 _MILLI, _MICRO = 1e-3, 1e-6
 _ATTITUDE_AGE_S = 0.2
@@ -24,7 +24,7 @@ _PLACE = (np.array([0.2] * 3 + [0.5] * 3), np.array([15.0] * 3 + [20.0] * 3))  #
 _TURN = (np.array([0.1] * 6 + [1.0] * 3), np.array([5.0] * 6 + [40.0] * 3))  # [1, rad/s]
 
 
-class Sample(NamedTuple):
+class VehicleState(NamedTuple):
     """One state of the vehicle in its own local frame, axes ENU and FLU."""
 
     boot_s: float  # time since the vehicle's boot
@@ -46,8 +46,8 @@ class Pose:
         self.invalid = 0
         self._attitude: _Attitude | None = None
         self._uses_odometry = False
-        self._places = None if signed else Smooth(*_PLACE)
-        self._turns = None if signed else Smooth(*_TURN)
+        self._places = None if signed else RateLimitedValue(*_PLACE)
+        self._turns = None if signed else RateLimitedValue(*_TURN)
 
     @property
     def doubted(self) -> int:
@@ -82,7 +82,7 @@ class Pose:
         if self._turns is None or self._turns.admits(told, now_s):
             self._attitude = _Attitude(boot_s, quaternion, frames.vector_frd_to_flu(rates))
 
-    def on_position(self, message: Any, now_s: float) -> Sample | None:
+    def on_position(self, message: Any, now_s: float) -> VehicleState | None:
         """LOCAL_POSITION_NED: a sample with the attitude told before."""
         boot_s = message.time_boot_ms * _MILLI
         self._uses_odometry = False
@@ -100,7 +100,7 @@ class Pose:
         turn = rotation_from_quaternion(attitude.quaternion)
         return self._sample(boot_s, position, attitude, turn.T @ velocity)
 
-    def on_odometry(self, message: Any, now_s: float) -> Sample | None:
+    def on_odometry(self, message: Any, now_s: float) -> VehicleState | None:
         """ODOMETRY, for controllers that send neither position nor attitude alone."""
         if self.position_s is not None and not self._uses_odometry:
             return None
@@ -128,7 +128,7 @@ class Pose:
 
     def _sample(
         self, boot_s: float, position: Array, attitude: _Attitude, velocity_flu: Array
-    ) -> Sample | None:
+    ) -> VehicleState | None:
         odometry = np.empty(ODOMETRY_SIZE)
         odometry[0:3] = position
         odometry[3:7] = attitude.quaternion
@@ -137,4 +137,4 @@ class Pose:
         if not np.isfinite(odometry).all() or np.abs(position).max() > _FARTHEST_M:
             self.invalid += 1
             return None
-        return Sample(boot_s, odometry)
+        return VehicleState(boot_s, odometry)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from ptnsbc_nodes.bridge.procedure.steps import Step
-from ptnsbc_nodes.comm.diagnostics import Level, diagnostics, readiness
+from ptnsbc_nodes.comm.diagnostics import DiagnosticLevel, diagnostics, readiness
 
 if TYPE_CHECKING:
     from ptnsbc_nodes.bridge.bridge import Bridge
@@ -50,11 +50,15 @@ def report(name: str, stamp_ns: int, bridge: Bridge, missing: Sequence[str]) -> 
     return diagnostics(stamp_ns, f"{name}: link", level, message, values)
 
 
-def _verdict(bridge: Bridge, missing: Sequence[str]) -> tuple[Level, str]:
+def _verdict(bridge: Bridge, missing: Sequence[str]) -> tuple[DiagnosticLevel, str]:
     procedure = bridge.procedure
     if procedure.fault and procedure.step is not Step.FLY:
-        return Level.ERROR, f"{procedure.step.value}: {procedure.fault}"
+        return DiagnosticLevel.ERROR, f"{procedure.step.value}: {procedure.fault}"
     lack = bridge.teller.lack(bridge.now_s())
     if lack:
-        return Level.WARN, lack
-    return (Level.WARN, f"waiting for {' '.join(missing)}") if missing else (Level.OK, "")
+        return DiagnosticLevel.WARN, lack
+    return (
+        (DiagnosticLevel.WARN, f"waiting for {' '.join(missing)}")
+        if missing
+        else (DiagnosticLevel.OK, "")
+    )

@@ -10,9 +10,9 @@ import numpy as np
 from ptnsbc_core.kinematics import velocity_enu
 from ptnsbc_core.types import Array
 from ptnsbc_io.mavlink.timesync import TimeSync
-from ptnsbc_nodes.bridge.controller import Controller, Told
-from ptnsbc_nodes.bridge.pose import Sample
-from ptnsbc_nodes.bridge.vehicle import Vehicle
+from ptnsbc_nodes.bridge.controller import ControllerSetpoints, PublishedOdometry
+from ptnsbc_nodes.bridge.pose import VehicleState
+from ptnsbc_nodes.bridge.vehicle import VehicleMonitor
 from ptnsbc_nodes.bridge.world import WorldFrame
 
 OLDEST_S = 0.3
@@ -34,11 +34,15 @@ class Clocks(NamedTuple):
 Publish = Callable[[int, Array], None]
 
 
-class Teller:
+class StatePublisher:
     """Decides what of the vehicle's state is told, and remembers it for the answers."""
 
     def __init__(
-        self, vehicle: Vehicle, world: WorldFrame, sync: TimeSync, controller: Controller
+        self,
+        vehicle: VehicleMonitor,
+        world: WorldFrame,
+        sync: TimeSync,
+        controller: ControllerSetpoints,
     ) -> None:
         self._vehicle = vehicle
         self._world = world
@@ -79,7 +83,7 @@ class Teller:
             return "the vehicle's clock jumped"
         return "" if self.fresh(now_s) else "no valid, fresh state from the vehicle"
 
-    def hear(self, sample: Sample, clocks: Clocks, publish: Publish) -> None:
+    def hear(self, sample: VehicleState, clocks: Clocks, publish: Publish) -> None:
         """Publish a new state, when everything about it is known and nothing speaks against it."""
         now_s = clocks.steady_s()
         self._sync.heard(sample.boot_s, now_s)
@@ -105,7 +109,7 @@ class Teller:
         self.odometry = odometry
         stamp_ns = self._stamp(clocks.ros_ns())
         self._told_s = now_s
-        self._controller.tell(stamp_ns, Told(min(sampled_s, now_s), now_s, odometry))
+        self._controller.tell(stamp_ns, PublishedOdometry(min(sampled_s, now_s), now_s, odometry))
         publish(stamp_ns, odometry)
 
     def _timely(self, age_s: float, now_s: float) -> bool:

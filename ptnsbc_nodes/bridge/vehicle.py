@@ -13,11 +13,11 @@ import numpy as np
 
 from ptnsbc_core.types import Array
 from ptnsbc_io.mavlink import frames
-from ptnsbc_io.mavlink.autopilots import AUTOPILOTS, Autopilot, Mode
+from ptnsbc_io.mavlink.autopilots import AUTOPILOTS, Autopilot, FlightMode
 from ptnsbc_io.mavlink.dialect import mavlink
 from ptnsbc_io.mavlink.frames import GeoPoint
-from ptnsbc_io.mavlink.plausibility import Twice
-from ptnsbc_nodes.bridge.pose import Pose, Sample
+from ptnsbc_io.mavlink.plausibility import ConfirmedValue
+from ptnsbc_nodes.bridge.pose import Pose, VehicleState
 
 _MILLI, _MICRO = 1e-3, 1e-6
 _DEGREES_E7 = 1e-7
@@ -56,13 +56,13 @@ class Anchor(NamedTuple):
 class _Told(NamedTuple):
     """What counts on an unsigned link when it was said twice."""
 
-    state: Twice
-    origin: Twice
-    home: Twice
-    landed: Twice
+    state: ConfirmedValue
+    origin: ConfirmedValue
+    home: ConfirmedValue
+    landed: ConfirmedValue
 
 
-class Vehicle:
+class VehicleMonitor:
     """The newest of everything from one vehicle."""
 
     def __init__(self, autopilot: Autopilot, *, signed: bool = True) -> None:
@@ -70,7 +70,7 @@ class Vehicle:
         self._autopilot = autopilot
         self.heartbeat_s: float | None = None
         self.stranger = ""
-        self.mode = Mode.OTHER
+        self.mode = FlightMode.OTHER
         self.mode_name = ""
         self.armed = False
         self.landed: bool | None = None
@@ -78,7 +78,11 @@ class Vehicle:
         self.anchor: Anchor | None = None
         self.text = ""  # newest warning or error
         self.pose = Pose(signed=signed)
-        self._told = None if signed else _Told(Twice(), Twice(), Twice(), Twice())
+        self._told = (
+            None
+            if signed
+            else _Told(ConfirmedValue(), ConfirmedValue(), ConfirmedValue(), ConfirmedValue())
+        )
         self._boot: tuple[float, float] | None = None  # newest time since boot, and when it came
         self._odd_boot_s: float | None = None  # one that does not follow it
         self._restarted_s: float | None = None
@@ -126,7 +130,7 @@ class Vehicle:
         """Whether a HEARTBEAT has told something new that the next one must confirm."""
         return self._told is not None and self._told.state.doubts
 
-    def hear(self, message: Any, now_s: float) -> Sample | None:
+    def hear(self, message: Any, now_s: float) -> VehicleState | None:
         """Take a message in; a new state of the vehicle when it completes one."""
         handler = _HANDLERS.get(message.get_type())
         return handler(self, message, now_s) if handler else None
@@ -145,7 +149,7 @@ class Vehicle:
         self.mode = self._autopilot.mode(message.base_mode, message.custom_mode)
         self.mode_name = (
             self._autopilot.own_mode
-            if self.mode is Mode.OWN
+            if self.mode is FlightMode.OWN
             else f"{self.mode.value} (custom_mode {message.custom_mode})"
         )
 
@@ -184,7 +188,7 @@ class Vehicle:
     def _on_system_time(self, message: Any, now_s: float) -> None:
         self._time(message.time_boot_ms * _MILLI, now_s)
 
-    def _on_pose(self, message: Any, now_s: float) -> Sample | None:
+    def _on_pose(self, message: Any, now_s: float) -> VehicleState | None:
         kind = message.get_type()
         odometry = kind == "ODOMETRY"
         self._time(message.time_usec * _MICRO if odometry else message.time_boot_ms * _MILLI, now_s)
@@ -242,18 +246,18 @@ def _place(message: Any) -> GeoPoint:
     )
 
 
-_HANDLERS: Mapping[str, Callable[[Vehicle, Any, float], Sample | None]] = {
-    "HEARTBEAT": Vehicle._heartbeat,
-    "SYSTEM_TIME": Vehicle._on_system_time,
-    "ATTITUDE": Vehicle._on_pose,
-    "ATTITUDE_QUATERNION": Vehicle._on_pose,
-    "LOCAL_POSITION_NED": Vehicle._on_pose,
-    "ODOMETRY": Vehicle._on_pose,
-    "GPS_GLOBAL_ORIGIN": Vehicle._on_origin,
-    "HOME_POSITION": Vehicle._on_home,
-    "EXTENDED_SYS_STATE": Vehicle._on_landed,
-    "SYS_STATUS": Vehicle._on_battery,
-    "BATTERY_STATUS": Vehicle._on_battery,
-    "GPS_RAW_INT": Vehicle._on_gps,
-    "STATUSTEXT": Vehicle._on_text,
+_HANDLERS: Mapping[str, Callable[[VehicleMonitor, Any, float], VehicleState | None]] = {
+    "HEARTBEAT": VehicleMonitor._heartbeat,
+    "SYSTEM_TIME": VehicleMonitor._on_system_time,
+    "ATTITUDE": VehicleMonitor._on_pose,
+    "ATTITUDE_QUATERNION": VehicleMonitor._on_pose,
+    "LOCAL_POSITION_NED": VehicleMonitor._on_pose,
+    "ODOMETRY": VehicleMonitor._on_pose,
+    "GPS_GLOBAL_ORIGIN": VehicleMonitor._on_origin,
+    "HOME_POSITION": VehicleMonitor._on_home,
+    "EXTENDED_SYS_STATE": VehicleMonitor._on_landed,
+    "SYS_STATUS": VehicleMonitor._on_battery,
+    "BATTERY_STATUS": VehicleMonitor._on_battery,
+    "GPS_RAW_INT": VehicleMonitor._on_gps,
+    "STATUSTEXT": VehicleMonitor._on_text,
 }

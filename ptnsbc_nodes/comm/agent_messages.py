@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from ptnsbc_core.agent import Told
+from ptnsbc_core.agent import PackedOutputs
 from ptnsbc_core.types import Array
 from ptnsbc_io.wire import OdometryTemplate, Stamped, VelocityTemplate, WrenchTemplate
 
 WORLD_FRAME = "map"
 
 
-class Letters:
+class AgentMessages:
     """Patched byte templates of one UAV; messages carry the stamp of the odometry they rest on."""
 
     def __init__(self, uav_id: int) -> None:
@@ -41,7 +41,7 @@ class Letters:
         self._twist[5] = velocity[3]
         return self._velocity.encode(stamp_ns, self._twist)
 
-    def all(self, own: Stamped, outputs: Told) -> tuple[bytes, bytes, bytes, bytes]:
+    def all(self, own: Stamped, outputs: PackedOutputs) -> tuple[bytes, bytes, bytes, bytes]:
         """State, estimate, velocity and wrench of one tick: in the order of `topics.outputs`."""
         stamp_ns = own.stamp_ns
         return (

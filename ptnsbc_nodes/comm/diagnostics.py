@@ -21,7 +21,7 @@ def status_every(scenario: Scenario) -> int:
     return max(scenario.control_hz // STATUS_HZ, 1)
 
 
-class Level(IntEnum):
+class DiagnosticLevel(IntEnum):
     """diagnostic_msgs/DiagnosticStatus levels."""
 
     OK = 0
@@ -30,7 +30,7 @@ class Level(IntEnum):
 
 
 def diagnostics(
-    stamp_ns: int, name: str, level: Level, message: str, values: Mapping[str, str]
+    stamp_ns: int, name: str, level: DiagnosticLevel, message: str, values: Mapping[str, str]
 ) -> bytes:
     """A DiagnosticArray with one status, serialised; `name` is like `uav3: planner`."""
     status = DiagnosticStatus(

@@ -60,7 +60,7 @@ class _Outlet:
         self._publish(data)
 
 
-class Sent(NamedTuple):
+class PublishCounters(NamedTuple):
     """How many messages a process has published, by topic."""
 
     since_ns: int  # when `before` was counted, by the node's clock; -1: from the start
@@ -84,10 +84,10 @@ def full_name(node: Node, topic: Topic) -> str:
     )
 
 
-def sent_in(lines: Iterable[str]) -> Sent | None:
+def sent_in(lines: Iterable[str]) -> PublishCounters | None:
     """What a process says in its log that it has sent; None when it does not."""
     told = [line.removeprefix(_SENT) for line in lines if line.startswith(_SENT)]
-    return Sent(**json.loads(told[-1])) if told else None
+    return PublishCounters(**json.loads(told[-1])) if told else None
 
 
 class Endpoints:
@@ -159,7 +159,7 @@ class Endpoints:
     def account(self) -> str:
         """What was sent, in a line for the log that `sent_in` reads: to compare a bag with."""
         since_ns, before = self._before or (-1, {})
-        return _SENT + json.dumps(Sent(since_ns, before, self._counts())._asdict())
+        return _SENT + json.dumps(PublishCounters(since_ns, before, self._counts())._asdict())
 
     def _counts(self) -> dict[str, int]:
         return {outlet.publisher.topic_name: outlet.sent for outlet in self._outlets}

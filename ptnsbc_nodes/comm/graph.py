@@ -40,7 +40,7 @@ class Senders:
         return tuple(sorted({i for i in (self.parent, self.leader) if i is not None}))
 
 
-class Edges:
+class CommunicationGraph:
     """The communication graph of one flight, seen from its topics."""
 
     def __init__(self, scenario: Scenario, options: FlightOptions) -> None:

@@ -24,7 +24,7 @@ _HARDER = {signal.SIGTERM: 3.0, signal.SIGKILL: 5.0}
 
 
 @dataclass(frozen=True)
-class Command:
+class ProcessCommand:
     """A Python module to run as a process."""
 
     name: str  # of the process, in messages and of its log
@@ -51,10 +51,12 @@ EXECUTABLES = {
 """What `ros2 run ptnsbc_nodes`, `ptnsbc node` and launch files call each module."""
 
 
-class Child:
+class ChildProcess:
     """One running process."""
 
-    def __init__(self, command: Command, environment: Mapping[str, str], log_dir: Path) -> None:
+    def __init__(
+        self, command: ProcessCommand, environment: Mapping[str, str], log_dir: Path
+    ) -> None:
         self.command = command
         self.name = command.name
         self.log = log_dir / f"{command.name}.log"
@@ -116,7 +118,7 @@ class Child:
         return f"{self.name} (pid {self.pid}) has ended: {how}, {self.log}\n{self.tail()}"
 
 
-def end(children: Sequence[Child], patience_s: float = _PATIENCE_S) -> None:
+def end(children: Sequence[ChildProcess], patience_s: float = _PATIENCE_S) -> None:
     """End processes together, ever harder; none is left when this returns.
 
     Args:

@@ -12,7 +12,7 @@ import time
 from collections.abc import Sequence
 
 from ptnsbc_core.errors import PtnsbcError
-from ptnsbc_nodes.fleet.coordinator_node import Tower
+from ptnsbc_nodes.fleet.coordinator_node import Coordinator
 from ptnsbc_nodes.fleet.process_list import SIM, FleetOptions
 from ptnsbc_nodes.runtime.process import Arguments, run
 from ptnsbc_nodes.runtime.ros_args import ros_errors
@@ -23,7 +23,7 @@ _LOOK_S = 0.05
 _REPORT_S = 5.0
 
 
-class TowerError(PtnsbcError):
+class CoordinatorError(PtnsbcError):
     """A flight that could not be started."""
 
 
@@ -49,7 +49,7 @@ def _serve(arguments: argparse.Namespace, argv: list[str]) -> int:
     )
     name = f"lost_{arguments.lose}" if arguments.lose else "fleet"
     with ros_errors():
-        tower = Tower(int(os.environ.get("ROS_DOMAIN_ID", "0")), name, argv[1:])
+        tower = Coordinator(int(os.environ.get("ROS_DOMAIN_ID", "0")), name, argv[1:])
     with StopRequest() as stop, tower:
         if arguments.lose:
             return _mourn(tower, arguments.lose, stop)
@@ -65,14 +65,14 @@ def _serve(arguments: argparse.Namespace, argv: list[str]) -> int:
     return 0
 
 
-def _manage(tower: Tower, scenario: Scenario, *, bridged: bool) -> None:
+def _manage(tower: Coordinator, scenario: Scenario, *, bridged: bool) -> None:
     for i in scenario.uav_ids:
         tower.manage(f"uav{i}", f"/uav{i}/controller")
         if bridged:
             tower.manage(f"bridge{i}", f"/uav{i}/bridge")
 
 
-def _start(tower: Tower, names: Sequence[str], patience_s: float, stop: StopRequest) -> bool:
+def _start(tower: Coordinator, names: Sequence[str], patience_s: float, stop: StopRequest) -> bool:
     """Wait until all are ready, and start; False when a signal came first."""
     began = told = time.monotonic()
     refusal: str | None = "/formation/start was not called"
@@ -85,16 +85,16 @@ def _start(tower: Tower, names: Sequence[str], patience_s: float, stop: StopRequ
                 return True
         lines = [f"{name} waits for {what}" for name, what in waiting.items()] or [str(refusal)]
         if tower.refused:
-            raise TowerError(f"{', '.join(tower.refused)} refused to be activated")
+            raise CoordinatorError(f"{', '.join(tower.refused)} refused to be activated")
         if time.monotonic() - began > patience_s:
-            raise TowerError(f"not ready in time: {'; '.join(lines)}")
+            raise CoordinatorError(f"not ready in time: {'; '.join(lines)}")
         if time.monotonic() - told > _REPORT_S:
             told = time.monotonic()
             _say("; ".join(lines))
     return False
 
 
-def _mourn(tower: Tower, name: str, stop: StopRequest) -> int:
+def _mourn(tower: Coordinator, name: str, stop: StopRequest) -> int:
     """Say who has ended, to those who come later too: nobody is to wait for it."""
     tower.lose(name)
     _say(f"{name} has ended: nobody waits for it")
@@ -103,7 +103,7 @@ def _mourn(tower: Tower, name: str, stop: StopRequest) -> int:
     return 0
 
 
-def _land(tower: Tower, duration_s: float, stop: StopRequest) -> None:
+def _land(tower: Coordinator, duration_s: float, stop: StopRequest) -> None:
     """Land real vehicles when the time is over; at a signal their bridges do by themselves."""
     over_s = time.monotonic() + duration_s
     while not stop.came and time.monotonic() < over_s:

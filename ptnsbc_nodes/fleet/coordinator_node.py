@@ -17,14 +17,14 @@ from ptnsbc_io.wire import HeaderTemplate, decode_header
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.diagnostics import INACTIVE
 from ptnsbc_nodes.comm.endpoints import LOST, OVER, READY, Endpoints, full_name
-from ptnsbc_nodes.fleet.lifecycle_manager import Manager
+from ptnsbc_nodes.fleet.lifecycle_manager import LifecycleManager
 from ptnsbc_nodes.runtime.executor import make_executor
 from ptnsbc_nodes.runtime.watchdog import ENDED_S, WAITED
 
 _SIGN_OF_LIFE_S = 2.0  # who is kept waiting tells it five times a second
 
 
-class Tower:
+class Coordinator:
     """One rclpy node in a context of its own; use it as a context manager."""
 
     def __init__(self, domain: int, name: str = "fleet", ros_arguments: Sequence[str] = ()) -> None:
@@ -47,7 +47,7 @@ class Tower:
         self._ends = Endpoints(self._node, lockstep=True)
         self._tell_lost = self._ends.publisher(LOST, 0)
         self._tell_bridges = self._ends.publisher(topics.EMERGENCY, 1)
-        self._manager = Manager(self._node)
+        self._manager = LifecycleManager(self._node)
         self._start = self._node.create_client(Trigger, f"{self._ends.fleet}/formation/start")
         self._heard_s: dict[str, float] = {}  # when each process was heard of last
         self._kept_waiting = (0.0, "")  # for how long, by whom: from the sim, newest
@@ -74,7 +74,7 @@ class Tower:
             self._tell_over(HeaderTemplate(OVER.name).encode(0))
             self._ends.flush(patience_s)
 
-    def __enter__(self) -> Tower:
+    def __enter__(self) -> Coordinator:
         return self
 
     def __exit__(self, *_: object) -> None:

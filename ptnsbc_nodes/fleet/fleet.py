@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any
 
 from ptnsbc_nodes.comm.endpoints import RECORDER
-from ptnsbc_nodes.fleet.coordinator_node import Tower
+from ptnsbc_nodes.fleet.coordinator_node import Coordinator
 from ptnsbc_nodes.fleet.process_list import FleetOptions, chosen, commands, names
-from ptnsbc_nodes.fleet.supervisor import FleetError, Flight, Report
+from ptnsbc_nodes.fleet.supervisor import FleetError, Report, Supervisor
 from ptnsbc_nodes.runtime import environment
 from ptnsbc_nodes.runtime.ros_domain import reserved_domain
 from ptnsbc_nodes.runtime.signals import StopRequest
@@ -72,8 +72,8 @@ def run_fleet(options: FleetOptions, progress: Report = lambda line: None) -> Fl
     with StopRequest() as stop, reserved_domain() as domain:
         settings = environment.for_children(domain, _most_processes(options, len(crew)), log_dir)
         progress(f"domain {domain}, logs in {log_dir}")
-        with Tower(domain, _tower_name(options)) as tower:
-            flight = Flight(options, tower, stop, progress)
+        with Coordinator(domain, _tower_name(options)) as tower:
+            flight = Supervisor(options, tower, stop, progress)
             began = time.monotonic()
             try:
                 flight.start(crew, settings, log_dir, began + options.patience_s)
@@ -107,7 +107,7 @@ def _tower_name(options: FleetOptions) -> str:
     return "fleet" if options.leads else f"fleet_{min(options.only)}"
 
 
-def _lost(flight: Flight) -> Iterator[int]:
+def _lost(flight: Supervisor) -> Iterator[int]:
     for child in flight.died:
         if child.command.uav is not None:
             yield child.command.uav
@@ -115,7 +115,7 @@ def _lost(flight: Flight) -> Iterator[int]:
         yield int(name.removeprefix("uav"))
 
 
-def _recorded(flight: Flight) -> Mapping[str, Any]:
+def _recorded(flight: Supervisor) -> Mapping[str, Any]:
     recorder = next((child for child in flight.children if child.name == RECORDER), None)
     summary = recorder.last_line() if recorder else ""
     try:

@@ -14,7 +14,7 @@ _STEPS = (_CONFIGURE, _ACTIVATE)
 _ANSWER_S = 5.0
 
 
-class _Ward:
+class _NodeOnItsWay:
     """One node on its way to active.
 
     Requests arrive and answers may not: over a network that loses packets a discovery server may never tell the
@@ -77,18 +77,18 @@ class _Ward:
         self._steps.append(self._steps.pop(0))
 
 
-class Manager:
+class LifecycleManager:
     """Takes any number of nodes to active; ask it to `look` now and then."""
 
     def __init__(self, node: Node) -> None:
         self._node = node
-        self._wards: dict[str, _Ward] = {}
+        self._wards: dict[str, _NodeOnItsWay] = {}
         self.refused: list[str] = []
         """Names of those that refused a transition."""
 
     def manage(self, name: str, node: str) -> None:
         """Take the node with this full name to active; `name` is for `refused`."""
-        self._wards[name] = _Ward(self._node, node)
+        self._wards[name] = _NodeOnItsWay(self._node, node)
 
     def look(self) -> None:
         """Go on with all that have not arrived yet."""

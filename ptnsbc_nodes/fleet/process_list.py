@@ -10,7 +10,7 @@ from typing import Literal
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_nodes.comm.endpoints import RECORDER
-from ptnsbc_nodes.fleet.child_process import Command
+from ptnsbc_nodes.fleet.child_process import ProcessCommand
 from ptnsbc_nodes.runtime.provenance import provenance
 from ptnsbc_sim.scenario import Scenario
 
@@ -19,7 +19,7 @@ SIM = "sim"
 _AIRBORNE_S = 240.0  # boot, position, arming and take-off of a real vehicle
 
 
-class CrewError(PtnsbcError):
+class ProcessListError(PtnsbcError):
     """A process that the flight does not have."""
 
 
@@ -64,7 +64,7 @@ class FleetOptions:
         return default if self.ready_timeout_s is None else self.ready_timeout_s
 
 
-def commands(options: FleetOptions, scenario_file: Path) -> list[Command]:
+def commands(options: FleetOptions, scenario_file: Path) -> list[ProcessCommand]:
     """The processes of this computer in the order of their start: the recorder must miss nothing.
 
     The sim comes last. In real time a UAV ticks from its first odometry on, and twenty that do so while others
@@ -82,9 +82,11 @@ def commands(options: FleetOptions, scenario_file: Path) -> list[Command]:
     for i in options.scenario.uav_ids:
         arguments = (*common, "--uav", str(i), "--managed")
         node = f"/uav{i}/controller"
-        crew.append(Command(f"uav{i}", "ptnsbc_nodes.uav.main", arguments, uav=i, managed=node))
+        crew.append(
+            ProcessCommand(f"uav{i}", "ptnsbc_nodes.uav.main", arguments, uav=i, managed=node)
+        )
     if options.backend != "mavlink":
-        crew.append(Command(SIM, "ptnsbc_nodes.sim.main", tuple(common), ends=True))
+        crew.append(ProcessCommand(SIM, "ptnsbc_nodes.sim.main", tuple(common), ends=True))
     return [command for command in crew if not options.only or command.name in options.only]
 
 
@@ -104,13 +106,13 @@ def chosen(text: str, scenario: Scenario, backend: str) -> frozenset[str]:
         found = meant.intersection(there)
         if not found:
             numbers = ", ".join(map(str, scenario.uav_ids))
-            raise CrewError(
+            raise ProcessListError(
                 f"--only: {word!r} is no process of {scenario.name}: expected some of "
                 f"{', '.join(there)}, or the numbers of UAVs ({numbers})"
             )
         picked |= found
     if not picked:
-        raise CrewError(f"--only: nothing named: expected some of {', '.join(there)}")
+        raise ProcessListError(f"--only: nothing named: expected some of {', '.join(there)}")
     return frozenset(picked)
 
 
@@ -120,17 +122,17 @@ def tower_arguments(options: FleetOptions, scenario_file: Path) -> tuple[str, ..
     return ("--scenario", str(scenario_file), "--manage", *kind)
 
 
-def loss_arguments(command: Command, scenario_file: Path) -> tuple[str, ...]:
+def loss_arguments(command: ProcessCommand, scenario_file: Path) -> tuple[str, ...]:
     """Of the process that tells the others that this one has ended, where our launcher does not."""
     return ("--scenario", str(scenario_file), "--lose", command.lost)
 
 
-def _bridge(options: FleetOptions, common: Sequence[str], uav: int) -> Command:
+def _bridge(options: FleetOptions, common: Sequence[str], uav: int) -> ProcessCommand:
     arguments = [*common, "--uav", str(uav), "--managed"]
     if options.allow_arming:
         arguments.append("--allow-arming")
     name = f"bridge{uav}"
-    return Command(
+    return ProcessCommand(
         name,
         "ptnsbc_nodes.bridge.main",
         tuple(arguments),
@@ -140,7 +142,7 @@ def _bridge(options: FleetOptions, common: Sequence[str], uav: int) -> Command:
     )
 
 
-def _recorder(options: FleetOptions, bag: Path, scenario_file: Path) -> Command:
+def _recorder(options: FleetOptions, bag: Path, scenario_file: Path) -> ProcessCommand:
     arguments = ["--bag", str(bag), "--uavs", *map(str, options.scenario.uav_ids)]
     arguments += ["--attach", f"scenario.yaml={scenario_file}"]
     for key, value in _meta(options).items():
@@ -153,7 +155,7 @@ def _recorder(options: FleetOptions, bag: Path, scenario_file: Path) -> Command:
         arguments += ["--draw", str(scenario_file), "--punctual"]
     if options.overwrite:
         arguments.append("--overwrite")
-    return Command(RECORDER, "ptnsbc_nodes.recording.main", tuple(arguments))
+    return ProcessCommand(RECORDER, "ptnsbc_nodes.recording.main", tuple(arguments))
 
 
 def _meta(options: FleetOptions) -> Mapping[str, str]:

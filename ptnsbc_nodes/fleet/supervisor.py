@@ -14,8 +14,8 @@ from pathlib import Path
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_nodes.comm.endpoints import RECORDER, sent_in
-from ptnsbc_nodes.fleet.child_process import Child, Command, end
-from ptnsbc_nodes.fleet.coordinator_node import Tower
+from ptnsbc_nodes.fleet.child_process import ChildProcess, ProcessCommand, end
+from ptnsbc_nodes.fleet.coordinator_node import Coordinator
 from ptnsbc_nodes.fleet.process_list import SIM, FleetOptions, names
 from ptnsbc_nodes.runtime.signals import StopRequest
 
@@ -34,14 +34,14 @@ class FleetError(PtnsbcError):
     """A fleet that could not take off."""
 
 
-class Flight:
+class Supervisor:
     """The running processes of this computer."""
 
     def __init__(
-        self, options: FleetOptions, tower: Tower, stop: StopRequest, progress: Report
+        self, options: FleetOptions, tower: Coordinator, stop: StopRequest, progress: Report
     ) -> None:
-        self.children: list[Child] = []
-        self.died: list[Child] = []
+        self.children: list[ChildProcess] = []
+        self.died: list[ChildProcess] = []
         self.lost_elsewhere: list[str] = []  # UAVs that have ended on other computers
         self._options = options
         self._tower = tower
@@ -58,7 +58,7 @@ class Flight:
 
     def start(
         self,
-        crew: Sequence[Command],
+        crew: Sequence[ProcessCommand],
         settings: Mapping[str, str],
         log_dir: Path,
         deadline: float,
@@ -71,7 +71,7 @@ class Flight:
                 pass
             if self._stop.came:
                 return
-            self.children.append(Child(command, settings, log_dir))
+            self.children.append(ChildProcess(command, settings, log_dir))
             if command.managed is not None:
                 self._tower.manage(command.name, command.managed)
         if self._options.leads:
@@ -276,7 +276,7 @@ class Flight:
                 self.lost_elsewhere.append(name)
 
 
-def _had_finished(child: Child) -> bool:
+def _had_finished(child: ChildProcess) -> bool:
     """Whether the last it said is what it had done: the middleware does not always let go of a process."""
     last = child.last_line()
     return last.startswith("{") if child.name == RECORDER else sent_in([last]) is not None

@@ -20,14 +20,14 @@ from rclpy.qos import QoSDurabilityPolicy, QoSReliabilityPolicy
 from ptnsbc_io import wire
 from ptnsbc_io.bag import BagWriter, TopicInfo
 from ptnsbc_io.bag.msgdef import has_header
-from ptnsbc_io.bag.reorder import Held, ReorderBuffer
+from ptnsbc_io.bag.reorder import PendingMessage, ReorderBuffer
 from ptnsbc_nodes.comm import qos, topics
 from ptnsbc_nodes.comm.endpoints import RECORDED, full_name
 from ptnsbc_nodes.comm.tf import Transforms
 from ptnsbc_nodes.comm.topics import Topic
 
 if TYPE_CHECKING:
-    from ptnsbc_nodes.recording.marker_frames import Pictures
+    from ptnsbc_nodes.recording.marker_frames import MarkerFrames
 
 _FLUSH_CHECK = 0.1  # [s]
 _ACK_TICKS = 25
@@ -51,7 +51,7 @@ def topic_info(topic: Topic, *, lockstep: bool) -> TopicInfo:
     )
 
 
-class Recorder:
+class FleetRecorder:
     """Subscriptions of `node` that write into an open `writer`.
 
     Args:
@@ -71,7 +71,7 @@ class Recorder:
         transforms: Transforms,
         *,
         lockstep: bool,
-        pictures: Pictures | None = None,
+        pictures: MarkerFrames | None = None,
     ) -> None:
         self.received = 0
         self.lost = 0  # as far as DDS reports it: gaps in the network, not in our own queue
@@ -158,7 +158,7 @@ class Recorder:
         if self._ticks % _ACK_TICKS == 0:
             self._acknowledge.publish(self._acknowledgement.encode(stamp_ns))
 
-    def _write_sorted(self, messages: Iterable[Held]) -> None:
+    def _write_sorted(self, messages: Iterable[PendingMessage]) -> None:
         for message in messages:
             self._writer.write(message.topic, message.stamp_ns, message.data)
             self._writer.flush_if_due(message.stamp_ns * 1e-9)

@@ -21,7 +21,7 @@ from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_io.bag import BagError, BagWriter
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.tf import Transforms
-from ptnsbc_nodes.recording.fleet_recorder import Recorder, topic_info
+from ptnsbc_nodes.recording.fleet_recorder import FleetRecorder, topic_info
 from ptnsbc_nodes.recording.session import account, listen, listening_node
 from ptnsbc_nodes.runtime import environment
 from ptnsbc_nodes.runtime.dds_profiles import NetworkError
@@ -30,7 +30,7 @@ from ptnsbc_nodes.runtime.ros_args import RosArgumentsError, ros_errors, without
 from ptnsbc_nodes.runtime.signals import StopRequest
 
 if TYPE_CHECKING:
-    from ptnsbc_nodes.recording.marker_frames import Pictures
+    from ptnsbc_nodes.recording.marker_frames import MarkerFrames
 
 _DRAIN_LIMIT_S = 50.0  # under load the queues hold seconds, and the launcher waits a minute
 
@@ -73,7 +73,7 @@ def _record(context: Context, options: argparse.Namespace, stop: StopRequest) ->
             metadata=dict(options.meta),
             overwrite=options.overwrite,
         ) as writer:
-            recorder = Recorder(
+            recorder = FleetRecorder(
                 node,
                 writer,
                 topics.recorded(options.uavs, **kinds),
@@ -88,13 +88,13 @@ def _record(context: Context, options: argparse.Namespace, stop: StopRequest) ->
         print(json.dumps(account(writer, recorder, late=recorder.late)), flush=True)
 
 
-def _pictures(scenario: str | None) -> Pictures | None:
+def _pictures(scenario: str | None) -> MarkerFrames | None:
     if scenario is None:
         return None
-    from ptnsbc_nodes.recording.marker_frames import Pictures
+    from ptnsbc_nodes.recording.marker_frames import MarkerFrames
     from ptnsbc_sim.scenario import load_scenario
 
-    return Pictures(load_scenario(scenario, {}))
+    return MarkerFrames(load_scenario(scenario, {}))
 
 
 def _content(name: str, path: str) -> bytes:

@@ -12,7 +12,7 @@ from ptnsbc_sim.scenario import Scenario
 _PERIOD_NS = 10**9 // STATUS_HZ
 
 
-class Pictures:
+class MarkerFrames:
     """One picture at the first odometry of the leader in each period, once everybody has been heard."""
 
     def __init__(self, scenario: Scenario) -> None:

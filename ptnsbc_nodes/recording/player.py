@@ -35,7 +35,7 @@ class PlayError(PtnsbcError):
 
 
 @dataclass(frozen=True)
-class Wishes:
+class PlayOptions:
     """What to play, and how."""
 
     topics: Sequence[str] = ("*",)  # patterns
@@ -58,7 +58,7 @@ class Played:
 
 def play(
     bag: Bag,
-    wishes: Wishes,
+    wishes: PlayOptions,
     say: Callable[[str], None],
     advance: Callable[[int, int], None] = lambda done, total: None,
 ) -> Played:
@@ -84,7 +84,12 @@ def play(
 
 class _Player:
     def __init__(
-        self, node: Node, bag: Bag, wishes: Wishes, stop: StopRequest, say: Callable[[str], None]
+        self,
+        node: Node,
+        bag: Bag,
+        wishes: PlayOptions,
+        stop: StopRequest,
+        say: Callable[[str], None],
     ) -> None:
         self._bag = bag
         self._wishes = wishes
@@ -159,7 +164,7 @@ class _Player:
 
 
 def _publishers(
-    node: Node, bag: Bag, wishes: Wishes, say: Callable[[str], None]
+    node: Node, bag: Bag, wishes: PlayOptions, say: Callable[[str], None]
 ) -> Iterator[tuple[str, Publisher]]:
     for topic in bag.topics.values():
         chosen = any(fnmatchcase(topic.name, pattern) for pattern in wishes.topics)

@@ -17,9 +17,9 @@ import rclpy  # noqa: E402
 from rclpy.context import Context  # noqa: E402
 from rclpy.signals import SignalHandlerOptions  # noqa: E402
 
-from ptnsbc_io.bag import BagWriter, Limits  # noqa: E402
+from ptnsbc_io.bag import BagWriter, SplitLimits  # noqa: E402
 from ptnsbc_nodes.recording.session import account, listen, listening_node  # noqa: E402
-from ptnsbc_nodes.recording.topic_recorder import OURS, Listener  # noqa: E402
+from ptnsbc_nodes.recording.topic_recorder import OURS, TopicRecorder  # noqa: E402
 from ptnsbc_nodes.runtime.provenance import provenance  # noqa: E402
 from ptnsbc_nodes.runtime.signals import StopRequest  # noqa: E402
 
@@ -31,19 +31,19 @@ class RecordError(PtnsbcError):
 
 
 @dataclass(frozen=True)
-class Wishes:
+class RecordOptions:
     """What to record, and how."""
 
     bag: Path
     topics: Sequence[str] = OURS  # patterns
-    limits: Limits = field(default_factory=Limits)
+    limits: SplitLimits = field(default_factory=SplitLimits)
     overwrite: bool = False
     duration_s: float | None = None  # None: until a signal
     attachments: Mapping[str, bytes] = field(default_factory=dict)
     meta: Mapping[str, str] = field(default_factory=dict)
 
 
-def record(wishes: Wishes, say: Callable[[str], None]) -> Mapping[str, Any]:
+def record(wishes: RecordOptions, say: Callable[[str], None]) -> Mapping[str, Any]:
     """Record until the time is over or a signal; returns what was recorded.
 
     Raises:
@@ -60,7 +60,7 @@ def record(wishes: Wishes, say: Callable[[str], None]) -> Mapping[str, Any]:
 
 
 def _record(
-    context: Context, wishes: Wishes, stop: StopRequest, say: Callable[[str], None]
+    context: Context, wishes: RecordOptions, stop: StopRequest, say: Callable[[str], None]
 ) -> Mapping[str, Any]:
     with listening_node(context, "record") as (node, executor):
         with BagWriter(
@@ -71,7 +71,7 @@ def _record(
             overwrite=wishes.overwrite,
             limits=wishes.limits,
         ) as writer:
-            listener = Listener(node, writer, wishes.topics, say)
+            listener = TopicRecorder(node, writer, wishes.topics, say)
             say("ready")
             end = time.monotonic() + (wishes.duration_s or float("inf"))
             listen(executor, listener, lambda: stop.came or time.monotonic() >= end, _DRAIN_LIMIT_S)

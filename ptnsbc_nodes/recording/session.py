@@ -12,13 +12,13 @@ from rclpy.executors import Executor
 from rclpy.node import Node
 
 from ptnsbc_io.bag import BagWriter
-from ptnsbc_nodes.runtime.executor import Slices, make_executor
+from ptnsbc_nodes.runtime.executor import BoundedSpin, make_executor
 
 _SLICE_S = 0.1  # Python sees a signal only between two calls of the executor
 _QUIET_S = 0.2  # without a message: what was on its way has arrived
 
 
-class Hears(Protocol):
+class RecordingSource(Protocol):
     """Subscriptions that write into a bag."""
 
     received: int
@@ -42,16 +42,18 @@ def listening_node(context: Context, name: str) -> Iterator[tuple[Node, Executor
         node.destroy_node()
 
 
-def listen(executor: Executor, hears: Hears, over: Callable[[], bool], limit_s: float) -> None:
+def listen(
+    executor: Executor, hears: RecordingSource, over: Callable[[], bool], limit_s: float
+) -> None:
     """Serve until it is over, then take in what is still in the queues, for so long at most."""
-    slices = Slices(executor)
+    slices = BoundedSpin(executor)
     hears.after_each = slices.look
     while not over():
         slices.serve(_SLICE_S)
     slices.drain(lambda: hears.received, _QUIET_S, limit_s)
 
 
-def account(writer: BagWriter, hears: Hears, **more: Any) -> Mapping[str, Any]:
+def account(writer: BagWriter, hears: RecordingSource, **more: Any) -> Mapping[str, Any]:
     """What was recorded, once the bag is complete."""
     counts = writer.counts
     return {

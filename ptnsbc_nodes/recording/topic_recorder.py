@@ -36,7 +36,7 @@ _QUEUE = 1000
 _OWN_ODOMETRY = re.compile(r"/uav(\d+)/odom")
 
 
-class Listener:
+class TopicRecorder:
     """Subscriptions of `node` that write into an open `writer`.
 
     Args:

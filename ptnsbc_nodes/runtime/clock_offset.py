@@ -57,7 +57,7 @@ class _Least:
         return min(self._before, self._now)
 
 
-class ClockWatch:
+class ClockOffsetMonitor:
     """Compares our clock with the stamps of messages.
 
     Args:

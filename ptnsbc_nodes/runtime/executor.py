@@ -37,7 +37,7 @@ def spin(executor: Executor, context: Context) -> None:
         return
 
 
-class Slices:
+class BoundedSpin:
     """Callbacks served for a while at a time, and hardly longer however many messages wait.
 
     The EventsExecutor looks at its timeout only when its queue is empty. Who listens to more than it can

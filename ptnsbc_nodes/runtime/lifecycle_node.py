@@ -1,6 +1,6 @@
 """A node with a life cycle: configured, activated, deactivated and cleaned up by whoever manages the fleet.
 
-What it does at each transition is the business of its `Work`. A user's error refuses a transition and
+What it does at each transition is the business of its `ConfiguredNode`. A user's error refuses a transition and
 is logged; any other ends the process.
 """
 
@@ -17,7 +17,7 @@ from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_nodes.comm.endpoints import Endpoints
 
 
-class Work(Protocol):
+class ConfiguredNode(Protocol):
     """What a configured node has: topics from the start, and more while it is active."""
 
     endpoints: Endpoints
@@ -32,20 +32,20 @@ class Work(Protocol):
         """Take everything away from the node."""
 
 
-class Managed(LifecycleNode):
+class ManagedNode(LifecycleNode):
     """`make` is what `configure` does; a PtnsbcError from it refuses. `on_end` ends the process."""
 
     def __init__(self, name: str, **options: Any) -> None:
         super().__init__(name, **options)
-        self.work: Work | None = None
+        self.work: ConfiguredNode | None = None
         self.refusal: PtnsbcError | None = None  # of the newest transition
         self._by_itself = False  # nobody asks: who starts it hears of a refusal
         self.broken = False  # by an error that is not the user's
-        self._make: Callable[[], Work] | None = None
+        self._make: Callable[[], ConfiguredNode] | None = None
         self._end: Callable[[], None] = lambda: None
         self._guard_requests()
 
-    def assign(self, make: Callable[[], Work], on_end: Callable[[], None]) -> None:
+    def assign(self, make: Callable[[], ConfiguredNode], on_end: Callable[[], None]) -> None:
         """Say what to do; before the node is served."""
         self._make, self._end = make, on_end
 

@@ -22,7 +22,7 @@ from rclpy.parameter import Parameter
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_nodes.comm.graph import FlightOptions
-from ptnsbc_nodes.runtime.scenario_parameters import Leaf, Value, leaves
+from ptnsbc_nodes.runtime.scenario_parameters import ScenarioParameter, Value, leaves
 from ptnsbc_sim.scenario import Scenario, load_scenario, scenario_from_text
 from ptnsbc_sim.scenario.model import ScenarioFile
 
@@ -30,11 +30,11 @@ _LARGEST = sys.float_info.max
 _INTEGERS = (-(2**63), 2**63 - 1)
 
 
-class ParameterError(PtnsbcError):
+class ScenarioParameterError(PtnsbcError):
     """A parameter that a process cannot be started with."""
 
 
-class Fixed(NamedTuple):
+class ReadOnlyParameter(NamedTuple):
     """A read-only parameter."""
 
     name: str
@@ -43,20 +43,20 @@ class Fixed(NamedTuple):
     low: float = -math.inf
     high: float = math.inf
 
-    def leaf(self, value: Value) -> Leaf:
+    def leaf(self, value: Value) -> ScenarioParameter:
         """With the value that it has."""
-        return Leaf(self.name, value, self.description, self.low, self.high, "")
+        return ScenarioParameter(self.name, value, self.description, self.low, self.high, "")
 
 
 SCENARIO = (
-    Fixed("scenario", "", "scenario file, or name of a built-in"),
-    Fixed("scenario_text", "", "the scenario itself, instead of a file"),
-    Fixed("lockstep", False, "tick with the simulation, not with the clock"),
-    Fixed("recorded", False, "be ready only when a recorder listens"),
+    ReadOnlyParameter("scenario", "", "scenario file, or name of a built-in"),
+    ReadOnlyParameter("scenario_text", "", "the scenario itself, instead of a file"),
+    ReadOnlyParameter("lockstep", False, "tick with the simulation, not with the clock"),
+    ReadOnlyParameter("recorded", False, "be ready only when a recorder listens"),
 )
-UAV = Fixed("uav", 0, "id of the UAV; 0: that of the namespace", 0, 254)
-BRIDGED = Fixed("bridged", False, "flight controllers fly, there is no sim")
-AUTOSTART = Fixed("autostart", True, "configure and activate without being asked")
+UAV = ReadOnlyParameter("uav", 0, "id of the UAV; 0: that of the namespace", 0, 254)
+BRIDGED = ReadOnlyParameter("bridged", False, "flight controllers fly, there is no sim")
+AUTOSTART = ReadOnlyParameter("autostart", True, "configure and activate without being asked")
 
 
 def overrides(given: Mapping[str, Value | None]) -> list[Parameter]:
@@ -68,7 +68,7 @@ def overrides(given: Mapping[str, Value | None]) -> list[Parameter]:
     ]
 
 
-class Parameters:
+class NodeParameters:
     """The parameters of one node, declared; the node must have declared all that it was given.
 
     Raises:
@@ -76,7 +76,9 @@ class Parameters:
         ScenarioError: the scenario cannot be read with these values.
     """
 
-    def __init__(self, node: Node, fixed: Sequence[Fixed], *, bridged: bool = False) -> None:
+    def __init__(
+        self, node: Node, fixed: Sequence[ReadOnlyParameter], *, bridged: bool = False
+    ) -> None:
         self._node = node
         self._bridged = bridged
         self._given = {
@@ -123,12 +125,14 @@ class Parameters:
         if isinstance(default, float) and type(value) is int:
             value = float(value)
         if type(value) is not type(default):
-            raise ParameterError(f"parameter {name}: {value!r}: expected {type(default).__name__}")
+            raise ScenarioParameterError(
+                f"parameter {name}: {value!r}: expected {type(default).__name__}"
+            )
         return value
 
-    def _declare(self, leaf: Leaf, *, read_only: bool) -> None:
+    def _declare(self, leaf: ScenarioParameter, *, read_only: bool) -> None:
         if not isinstance(leaf.value, str) and not leaf.low <= leaf.value <= leaf.high:
-            raise ParameterError(
+            raise ScenarioParameterError(
                 f"parameter {leaf.key}: {leaf.value}: expected {leaf.low:g} to {leaf.high:g}"
             )
         # What was given is declared already, without description and range.
@@ -141,7 +145,9 @@ class Parameters:
         last = self._node.get_namespace().rpartition("/")[2].removeprefix("uav")
         uav = int(self["uav"]) or (int(last) if last.isdecimal() else 0)
         if uav == 0:
-            raise ParameterError("parameter uav: not given: expected --uav N, or a namespace /uavN")
+            raise ScenarioParameterError(
+                "parameter uav: not given: expected --uav N, or a namespace /uavN"
+            )
         self.scenario.uav(uav)  # refuses an id that is not in the file
         return uav
 
@@ -150,7 +156,7 @@ class Parameters:
         given = {**self._changed, **changes}
         text, name = self["scenario_text"], self["scenario"]
         if bool(text) == bool(name):
-            raise ParameterError(
+            raise ScenarioParameterError(
                 "parameter scenario: expected a scenario file or name (--scenario), or else its "
                 f"text in scenario_text, {'not both' if text else 'neither is given'}"
             )
@@ -175,7 +181,7 @@ class Parameters:
         return name.partition(".")[0] in ScenarioFile.model_fields
 
 
-def descriptor(leaf: Leaf, *, read_only: bool) -> ParameterDescriptor:
+def descriptor(leaf: ScenarioParameter, *, read_only: bool) -> ParameterDescriptor:
     """What `ros2 param describe` tells of a value."""
     about = ParameterDescriptor(
         description=leaf.description, additional_constraints=leaf.rule, read_only=read_only

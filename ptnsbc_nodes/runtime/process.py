@@ -21,7 +21,7 @@ from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_nodes.comm.graph import FlightOptions
 from ptnsbc_nodes.runtime import environment
 from ptnsbc_nodes.runtime.executor import make_executor
-from ptnsbc_nodes.runtime.lifecycle_node import Managed
+from ptnsbc_nodes.runtime.lifecycle_node import ManagedNode
 from ptnsbc_nodes.runtime.provenance import add_version
 from ptnsbc_nodes.runtime.ros_args import ros_errors, without_ros
 from ptnsbc_nodes.runtime.warmup import spare_linear_algebra
@@ -91,7 +91,7 @@ class _Flushed(Protocol):
     def account(self) -> str: ...
 
 
-class Lifetime:
+class ProcessLifetime:
     """From the start of a process to SIGINT, SIGTERM or its own end.
 
     Instead of rclpy's signal handlers: those shut the context down under our feet, and the last
@@ -167,7 +167,7 @@ def parameter_node(
         yield node
 
 
-def serve_managed(node: Managed, lifetime: Lifetime, *, autostart: bool) -> int:
+def serve_managed(node: ManagedNode, lifetime: ProcessLifetime, *, autostart: bool) -> int:
     """Serve a managed node until the end of its process; returns the exit code."""
     if autostart:
         node.autostart()

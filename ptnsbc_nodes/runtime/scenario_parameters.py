@@ -17,7 +17,7 @@ from ptnsbc_sim.scenario import Scenario
 Value = bool | int | float | str
 
 
-class Leaf(NamedTuple):
+class ScenarioParameter(NamedTuple):
     """One value, by its dotted key."""
 
     key: str  # as for `--set`
@@ -28,12 +28,12 @@ class Leaf(NamedTuple):
     rule: str  # what a range cannot say: open ends, choices
 
 
-def leaves(scenario: Scenario) -> Iterator[Leaf]:
+def leaves(scenario: Scenario) -> Iterator[ScenarioParameter]:
     """All of them, in the order of the file, defaults filled in."""
     return _below("", scenario.file)
 
 
-def _below(prefix: str, block: BaseModel) -> Iterator[Leaf]:
+def _below(prefix: str, block: BaseModel) -> Iterator[ScenarioParameter]:
     about = " ".join((type(block).__doc__ or "").split())
     for name, field in type(block).model_fields.items():
         value, key = getattr(block, name), prefix + name
@@ -41,7 +41,7 @@ def _below(prefix: str, block: BaseModel) -> Iterator[Leaf]:
             yield from _below(f"{key}.", value)
         elif isinstance(value, Value):
             description = field.description or f"{name}, of: {about}"
-            yield Leaf(key, value, description, *_limits(field))
+            yield ScenarioParameter(key, value, description, *_limits(field))
 
 
 def _limits(field: FieldInfo) -> tuple[float, float, str]:

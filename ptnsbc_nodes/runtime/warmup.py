@@ -11,7 +11,7 @@ from ptnsbc_core.agent import Agent
 from ptnsbc_core.kernel import COMPILED
 from ptnsbc_core.types import ODOMETRY_SIZE
 from ptnsbc_io.wire import Stamped
-from ptnsbc_nodes.comm.graph import Edges, FlightOptions
+from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions
 from ptnsbc_nodes.uav.inbox import Inbox
 from ptnsbc_sim.scenario import Scenario, agent_config
 from ptnsbc_sim.world import World
@@ -37,7 +37,7 @@ def load_agent(scenario: Scenario, uav_id: int) -> None:
     config = agent_config(scenario, uav_id)
     own = np.zeros(ODOMETRY_SIZE)
     own[6] = 1.0
-    inbox = Inbox(Edges(scenario, FlightOptions()).senders(uav_id))
+    inbox = Inbox(CommunicationGraph(scenario, FlightOptions()).senders(uav_id))
     inbox.own = Stamped(0, own)
     known = inbox.known(0, 0)
     Agent(config, known.inputs.own).advance(known, 0.0, scenario.dt_ns * 1e-9)

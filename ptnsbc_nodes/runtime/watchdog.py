@@ -11,7 +11,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 
-from ptnsbc_nodes.comm.diagnostics import STATUS_HZ, Level, diagnostics, readiness
+from ptnsbc_nodes.comm.diagnostics import STATUS_HZ, DiagnosticLevel, diagnostics, readiness
 
 SAID_S = 3.0
 ENDED_S = 10.0
@@ -19,7 +19,7 @@ WAITED = "waited_s"
 """Key of /formation/ready: for how long the sim has waited for those in `waiting_for`."""
 
 
-class Standstill:
+class LockstepWatchdog:
     """Notices that a flight does not go on.
 
     Args:
@@ -43,4 +43,4 @@ class Standstill:
         if self._looks == round(SAID_S * STATUS_HZ):
             print(f"sim: {message}", file=sys.stderr, flush=True)
         values = {**readiness(names), WAITED: f"{waited_s:.1f}"}
-        self._send(diagnostics(0, "sim: world", Level.ERROR, message, values))
+        self._send(diagnostics(0, "sim: world", DiagnosticLevel.ERROR, message, values))

@@ -7,28 +7,30 @@ from typing import NamedTuple
 from ptnsbc_core.types import Array
 from ptnsbc_io.wire import Stamped
 from ptnsbc_nodes.comm.diagnostics import status_every
-from ptnsbc_nodes.sim.lockstep_scheduler import Turns
-from ptnsbc_nodes.sim.publishers import Senses
+from ptnsbc_nodes.sim.lockstep_scheduler import LockstepScheduler
+from ptnsbc_nodes.sim.publishers import SimPublishers
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.world import World
 
 
-class Told(NamedTuple):
+class StatePublished(NamedTuple):
     """Some vehicles have been told their state."""
 
     tick: int
     together: bool  # all of them, at the same tick, which is one of those where the status is due
 
 
-class Round:
+class LockstepWorld:
     """The vehicles of `world` and their turns; who is lost stays where it is."""
 
-    def __init__(self, scenario: Scenario, world: World, senses: Senses) -> None:
+    def __init__(self, scenario: Scenario, world: World, senses: SimPublishers) -> None:
         self._world = world
         self._senses = senses
         self._period_ns = scenario.dt_ns
         self._status_every = status_every(scenario)
-        self._turns = Turns(world.ids, scenario.ticks, (scenario.near_every, self._status_every))
+        self._turns = LockstepScheduler(
+            world.ids, scenario.ticks, (scenario.near_every, self._status_every)
+        )
         self._lost: set[int] = set()
         self._time_told = 0  # ticks
         self.answers = 0
@@ -61,7 +63,7 @@ class Round:
             self._senses.time(k * self._period_ns)
             self._time_told = k + 1
 
-    def tell(self) -> Told | None:
+    def tell(self) -> StatePublished | None:
         """Tell everybody whose turn it is; None if it is nobody's."""
         due = self._turns.due()
         if not due:
@@ -76,7 +78,7 @@ class Round:
             self._senses.picture(tick * self._period_ns)
         for i in self._lost.intersection(due):
             self._step(i, None)
-        return Told(tick, together)
+        return StatePublished(tick, together)
 
     def _step(self, uav_id: int, wrench: Array | None) -> None:
         self._world.step_one(uav_id, wrench)

@@ -13,7 +13,7 @@ from collections.abc import Iterable, Sequence
 from ptnsbc_nodes.comm.graph import LEAD_TICKS
 
 
-class Turns:
+class LockstepScheduler:
     """Ticks of all vehicles.
 
     Args:

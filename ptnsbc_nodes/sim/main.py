@@ -7,12 +7,17 @@ import sys
 from collections.abc import Sequence
 
 from ptnsbc_nodes.comm import topics
-from ptnsbc_nodes.comm.graph import Edges
+from ptnsbc_nodes.comm.graph import CommunicationGraph
 from ptnsbc_nodes.runtime import environment
-from ptnsbc_nodes.runtime.parameters import SCENARIO, ParameterError, Parameters, overrides
-from ptnsbc_nodes.runtime.process import Arguments, Lifetime, parameter_node, run
+from ptnsbc_nodes.runtime.parameters import (
+    SCENARIO,
+    NodeParameters,
+    ScenarioParameterError,
+    overrides,
+)
+from ptnsbc_nodes.runtime.process import Arguments, ProcessLifetime, parameter_node, run
 from ptnsbc_nodes.runtime.warmup import load_world
-from ptnsbc_nodes.sim.node import Sim
+from ptnsbc_nodes.sim.node import SimNode
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -23,7 +28,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _simulate(arguments: argparse.Namespace, argv: list[str]) -> int:
-    lifetime = Lifetime()
+    lifetime = ProcessLifetime()
     given = overrides(
         {
             "scenario": arguments.scenario,
@@ -33,16 +38,20 @@ def _simulate(arguments: argparse.Namespace, argv: list[str]) -> int:
         }
     )
     with parameter_node("sim", "", argv, given) as node:
-        told = Parameters(node, SCENARIO)
+        told = NodeParameters(node, SCENARIO)
         told.declare_scenario()
         if node.get_parameter("use_sim_time").value:
-            raise ParameterError("parameter use_sim_time: true: expected false, the sim makes time")
+            raise ScenarioParameterError(
+                "parameter use_sim_time: true: expected false, the sim makes time"
+            )
         if not topics.tf_is_available():
             print("sim: no live /tf, tf2_msgs is not installed; bags have it", file=sys.stderr)
         load_world(told.scenario)
         if told.options.lockstep:
             environment.prefer_throughput()
-        sim = Sim(node, told.scenario, Edges(told.scenario, told.options), lifetime.end)
+        sim = SimNode(
+            node, told.scenario, CommunicationGraph(told.scenario, told.options), lifetime.end
+        )
         lifetime.serve(node, sim.endpoints)
     return 0
 

@@ -15,14 +15,14 @@ from rclpy.node import Node
 from ptnsbc_core.types import Array
 from ptnsbc_io.wire import Stamped, decode_header, decode_wrench
 from ptnsbc_nodes.comm import topics
-from ptnsbc_nodes.comm.diagnostics import STATUS_HZ, Level, diagnostics, readiness
+from ptnsbc_nodes.comm.diagnostics import STATUS_HZ, DiagnosticLevel, diagnostics, readiness
 from ptnsbc_nodes.comm.endpoints import LOST, READY, RECORDED, RECORDER, Endpoints
-from ptnsbc_nodes.comm.graph import Edges
+from ptnsbc_nodes.comm.graph import CommunicationGraph
 from ptnsbc_nodes.comm.legs import Epochs
 from ptnsbc_nodes.runtime.pacing import Latency, Pace, Progress
-from ptnsbc_nodes.runtime.watchdog import Standstill
-from ptnsbc_nodes.sim.lockstep import Round
-from ptnsbc_nodes.sim.publishers import Senses
+from ptnsbc_nodes.runtime.watchdog import LockstepWatchdog
+from ptnsbc_nodes.sim.lockstep import LockstepWorld
+from ptnsbc_nodes.sim.publishers import SimPublishers
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.world import World
 
@@ -30,11 +30,11 @@ _MAX_CATCH_UP_S = 0.5
 _LEAD_TICKS = 400  # well below the depth of the queues to the recorder
 
 
-class Sim:
+class SimNode:
     """The world as one rclpy node; calls `on_end` when the flight is over."""
 
     def __init__(
-        self, node: Node, scenario: Scenario, edges: Edges, on_end: Callable[[], None]
+        self, node: Node, scenario: Scenario, edges: CommunicationGraph, on_end: Callable[[], None]
     ) -> None:
         self.node = node
         self._on_end = on_end
@@ -45,14 +45,14 @@ class Sim:
         self._stale_ns = round(scenario.file.communication.stale_s * 1e9)
         self._catch_up = max(round(_MAX_CATCH_UP_S * scenario.control_hz), 1)
         self._world = World(scenario)
-        self._senses = Senses(self.endpoints, scenario, self._world, edges.options)
+        self._senses = SimPublishers(self.endpoints, scenario, self._world, edges.options)
         self._epochs = Epochs()
         self._pace = Pace(self._period_ns)
         self._latency = Latency()
         self._progress = Progress(scenario.control_hz)
         self._alive = set(self._world.ids)
         self._wrenches: dict[int, Stamped] = {}
-        self._round = Round(scenario, self._world, self._senses)
+        self._round = LockstepWorld(scenario, self._world, self._senses)
         self._running = False
         self._to_record = edges.options.recorded
         self._recorded = edges.options.lockstep and edges.options.recorded
@@ -61,7 +61,7 @@ class Sim:
         self._listen()
         self._status = self.endpoints.publisher(topics.DIAGNOSTICS, edges.options.recorders)
         self._early_status = self.endpoints.publisher(READY, 0)
-        self._standstill = Standstill(self._early_status)
+        self._standstill = LockstepWatchdog(self._early_status)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         node.create_timer(1.0 / STATUS_HZ, self._on_status_timer, clock=steady)
         if not self._lockstep:
@@ -215,6 +215,6 @@ class Sim:
         }
         silent = "" if self._lockstep or not self._running else self._silent(stamp_ns)
         message = f"waiting for {' '.join(missing)}" if missing else silent
-        level = Level.WARN if message else Level.OK
+        level = DiagnosticLevel.WARN if message else DiagnosticLevel.OK
         send = self._status if stamp_ns >= 0 else self._early_status
         send(diagnostics(max(stamp_ns, 0), "sim: world", level, message, values))

@@ -16,7 +16,7 @@ from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.world import World
 
 
-class Senses:
+class SimPublishers:
     """Publishers of the sim: all at once in real time, one vehicle at a time in lock-step."""
 
     def __init__(

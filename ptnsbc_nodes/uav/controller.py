@@ -7,15 +7,15 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from ptnsbc_core.agent import Agent, Told
+from ptnsbc_core.agent import Agent, PackedOutputs
 from ptnsbc_core.types import MODE_HOLD, AgentConfig, AgentState, Array
 from ptnsbc_nodes.comm.graph import Senders
 from ptnsbc_nodes.comm.legs import Leg
-from ptnsbc_nodes.uav.counters import Tally
+from ptnsbc_nodes.uav.counters import UavCounters
 from ptnsbc_nodes.uav.inbox import Inbox
 
 
-class Moment(NamedTuple):
+class StepTime(NamedTuple):
     """When a step is made, how long it lasts, and on which leg."""
 
     now_ns: int
@@ -26,14 +26,14 @@ class Moment(NamedTuple):
     flying: bool  # a leg is in force: the step counts
 
 
-def moment(now_ns: int, elapsed_ns: int, leg: Leg | None, born_ns: int) -> Moment:
+def moment(now_ns: int, elapsed_ns: int, leg: Leg | None, born_ns: int) -> StepTime:
     """The step at `now_ns`; before the first leg the UAV hovers where it is."""
     if leg is None:
-        return Moment(now_ns, elapsed_ns, MODE_HOLD, born_ns, born_ns, False)
-    return Moment(now_ns, elapsed_ns, leg.mode, leg.t0_ns, leg.first_t0_ns, True)
+        return StepTime(now_ns, elapsed_ns, MODE_HOLD, born_ns, born_ns, False)
+    return StepTime(now_ns, elapsed_ns, leg.mode, leg.t0_ns, leg.first_t0_ns, True)
 
 
-class Limits(NamedTuple):
+class VehicleSpeedLimits(NamedTuple):
     """Constants that do not follow from the scenario alone: a vehicle may allow less."""
 
     max_speed: float  # [m/s]
@@ -44,22 +44,22 @@ class Limits(NamedTuple):
         return config._replace(filter=config.filter._replace(**self._asdict()))
 
 
-class Pilot:
+class UavController:
     """Inbox, control law and counters of one UAV."""
 
     def __init__(self, config: AgentConfig, senders: Senders) -> None:
         self.config = config
         self.inbox = Inbox(senders)
-        self.tally = Tally()
+        self.tally = UavCounters()
         self.steps = 0  # since the agent began
         self._agent: Agent | None = None
         self._flown = config  # what the agent began with
 
     @property
-    def limits(self) -> Limits:
+    def limits(self) -> VehicleSpeedLimits:
         """What of the constants may be set by the vehicle, as the agent flies with it."""
         flown = self._flown.filter
-        return Limits(flown.max_speed, flown.max_acceleration)
+        return VehicleSpeedLimits(flown.max_speed, flown.max_acceleration)
 
     @property
     def state(self) -> AgentState:
@@ -78,7 +78,7 @@ class Pilot:
         self.tally.restore(counters)
         self._flown = self.config
 
-    def step(self, at: Moment, cutoff_ns: int) -> Told:
+    def step(self, at: StepTime, cutoff_ns: int) -> PackedOutputs:
         """One control step on what the inbox holds; the own odometry must be there."""
         start_age_s = (at.now_ns - at.first_t0_ns) * 1e-9
         known = self.inbox.known(at.now_ns, cutoff_ns, at.mode, start_age_s)

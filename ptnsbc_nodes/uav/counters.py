@@ -7,7 +7,7 @@ from typing import Any
 from ptnsbc_core.types import AgentDiagnostics, Array
 
 
-class Tally:
+class UavCounters:
     """Cumulative counters of one UAV since its start, and the newest figures of its planner."""
 
     SIZE = 5  # numbers in `counters`

@@ -24,7 +24,7 @@ from ptnsbc_core.agent import (
     PARENT,
     PARENT_AGE,
     START_AGE,
-    Known,
+    PackedInputs,
 )
 from ptnsbc_core.types import MODE_HOLD, NEAR_COLUMNS, ODOMETRY_SIZE, Array
 from ptnsbc_io.wire import Stamped
@@ -44,7 +44,7 @@ _NOTHING_NEAR = np.zeros((0, NEAR_COLUMNS))
 _KEPT = LEAD_TICKS + 2  # in lock-step a sender is at most LEAD_TICKS ahead, and its k-1 is needed
 
 
-class Link:
+class MessageQueue:
     """The last messages of one sender: its tick k may arrive before we have used its k-1."""
 
     __slots__ = ("_messages", "newest_ns")
@@ -77,10 +77,10 @@ class Inbox:
         self.senders = senders
         self.own: Stamped | None = None
         self.near: Stamped | None = None
-        self._states = {i: Link() for i in senders.states}
-        self._estimates = {i: Link() for i in senders.estimators}
+        self._states = {i: MessageQueue() for i in senders.states}
+        self._estimates = {i: MessageQueue() for i in senders.estimators}
         self._awaited = [*self._states.items(), *self._estimates.items()]
-        self._known = Known(len(self._estimates), _NOTHING_NEAR)
+        self._known = PackedInputs(len(self._estimates), _NOTHING_NEAR)
         self._own_row = self._known.vector[OWN:PARENT]
         self._places = tuple(self._rows())
 
@@ -93,7 +93,7 @@ class Inbox:
             ears[topics.leader_estimate(i)] = self._ear(link, partial(self.hear_estimate, i))
         return ears
 
-    def _ear(self, link: Link, careful: Hear) -> Hear:
+    def _ear(self, link: MessageQueue, careful: Hear) -> Hear:
         """The direct way where no message is to be lost."""
         return link.put if self.senders.losses is None else careful
 
@@ -144,7 +144,7 @@ class Inbox:
 
     def known(
         self, now_ns: int, cutoff_ns: int, mode: int = MODE_HOLD, start_age_s: float = 0.0
-    ) -> Known:
+    ) -> PackedInputs:
         """What goes into the step at `now_ns`, valid until the next call; the own odometry must have been heard."""
         if self.own is None:
             raise ValueError("inputs asked for before the own odometry: expected `own` to be set")
@@ -163,8 +163,8 @@ class Inbox:
                 vector[age_at] = _age_s(message, now_ns)
         return known
 
-    def _rows(self) -> Iterator[tuple[Link, Array, int]]:
-        """Each link, the part (13,) of `Known.vector` for its message, and the offset of its age."""
+    def _rows(self) -> Iterator[tuple[MessageQueue, Array, int]]:
+        """Each link, the part (13,) of `PackedInputs.vector` for its message, and the offset of its age."""
         known, senders = self._known, self.senders
         if senders.parent is not None:
             yield self._states[senders.parent], known.vector[PARENT:LEADER], PARENT_AGE

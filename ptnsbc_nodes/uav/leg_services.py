@@ -17,7 +17,7 @@ LEAD_NS = 500_000_000
 _LEGS = {"start": FIRST_LEG, "hold": "hold", "land": "land", "stop": "land"}
 
 
-class Instruments(NamedTuple):
+class LegServiceCallbacks(NamedTuple):
     """What the services need of their node."""
 
     publish: Callable[[bytes], None]  # /formation/epoch
@@ -33,7 +33,9 @@ class LegServices:
     `LEAD_NS`, but a stop in real time begins at once.
     """
 
-    def __init__(self, node: Node, fleet: str, instruments: Instruments, lockstep: bool) -> None:
+    def __init__(
+        self, node: Node, fleet: str, instruments: LegServiceCallbacks, lockstep: bool
+    ) -> None:
         self._node = node
         self._tools = instruments
         self._lockstep = lockstep

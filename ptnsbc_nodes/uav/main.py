@@ -5,20 +5,27 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 
-from ptnsbc_nodes.comm.graph import Edges
+from ptnsbc_nodes.comm.graph import CommunicationGraph
 from ptnsbc_nodes.runtime import environment
-from ptnsbc_nodes.runtime.lifecycle_node import Managed
-from ptnsbc_nodes.runtime.parameters import AUTOSTART, BRIDGED, SCENARIO, UAV, Parameters, overrides
+from ptnsbc_nodes.runtime.lifecycle_node import ManagedNode
+from ptnsbc_nodes.runtime.parameters import (
+    AUTOSTART,
+    BRIDGED,
+    SCENARIO,
+    UAV,
+    NodeParameters,
+    overrides,
+)
 from ptnsbc_nodes.runtime.process import (
     Arguments,
-    Lifetime,
+    ProcessLifetime,
     namespace_of,
     parameter_node,
     run,
     serve_managed,
 )
 from ptnsbc_nodes.runtime.warmup import load_agent
-from ptnsbc_nodes.uav.node import Uav
+from ptnsbc_nodes.uav.node import UavNode
 
 _FIXED = (*SCENARIO, UAV, BRIDGED, AUTOSTART)
 
@@ -32,7 +39,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _fly(arguments: argparse.Namespace, argv: list[str]) -> int:
-    lifetime = Lifetime()
+    lifetime = ProcessLifetime()
     given = overrides(
         {
             "scenario": arguments.scenario,
@@ -43,8 +50,8 @@ def _fly(arguments: argparse.Namespace, argv: list[str]) -> int:
         }
     )
     namespace = namespace_of(arguments.uav)
-    with parameter_node("controller", namespace, argv, given, Managed) as node:
-        told = Parameters(node, _FIXED)
+    with parameter_node("controller", namespace, argv, given, ManagedNode) as node:
+        told = NodeParameters(node, _FIXED)
         told.declare_scenario(may_change=lambda: node.state == "unconfigured")
         load_agent(told.scenario, told.uav)
         if told.options.lockstep:
@@ -52,8 +59,10 @@ def _fly(arguments: argparse.Namespace, argv: list[str]) -> int:
         elif told.options.bridged:
             environment.prefer_punctuality(flies=True)
 
-        def configure() -> Uav:
-            return Uav(node, told.scenario, told.uav, Edges(told.scenario, told.options))
+        def configure() -> UavNode:
+            return UavNode(
+                node, told.scenario, told.uav, CommunicationGraph(told.scenario, told.options)
+            )
 
         node.assign(configure, lifetime.end)
         return serve_managed(node, lifetime, autostart=told["autostart"] and not arguments.managed)

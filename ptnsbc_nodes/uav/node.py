@@ -17,29 +17,31 @@ from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.diagnostics import (
     INACTIVE,
     STATUS_HZ,
-    Level,
+    DiagnosticLevel,
     diagnostics,
     readiness,
     status_every,
 )
 from ptnsbc_nodes.comm.endpoints import LOST, READY, Endpoints
-from ptnsbc_nodes.comm.graph import Edges
+from ptnsbc_nodes.comm.graph import CommunicationGraph
 from ptnsbc_nodes.comm.legs import EpochError, Epochs
 from ptnsbc_nodes.comm.vehicle_messages import decode_limits, limited
-from ptnsbc_nodes.runtime.clock_offset import ClockWatch
+from ptnsbc_nodes.runtime.clock_offset import ClockOffsetMonitor
 from ptnsbc_nodes.runtime.pacing import Pace
 from ptnsbc_nodes.runtime.timer import Ticker
-from ptnsbc_nodes.uav.controller import Pilot, moment
+from ptnsbc_nodes.uav.controller import UavController, moment
 from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS, Hear
-from ptnsbc_nodes.uav.leg_services import Instruments, LegServices
-from ptnsbc_nodes.uav.outbox import Notes, Outbox
+from ptnsbc_nodes.uav.leg_services import LegServiceCallbacks, LegServices
+from ptnsbc_nodes.uav.outbox import Outbox, StepLogPublisher
 from ptnsbc_sim.scenario import Scenario, agent_config
 
 
-class Uav:
+class UavNode:
     """The controller of one UAV: one rclpy node, one tick; it only listens until `activate`."""
 
-    def __init__(self, node: Node, scenario: Scenario, uav_id: int, edges: Edges) -> None:
+    def __init__(
+        self, node: Node, scenario: Scenario, uav_id: int, edges: CommunicationGraph
+    ) -> None:
         self.node = node
         self.endpoints = Endpoints(node, edges.options.lockstep)
         self._name = f"uav{uav_id}"
@@ -49,12 +51,12 @@ class Uav:
         self._period_ns = scenario.dt_ns
         self._near_every = scenario.near_every
         self._status_every = status_every(scenario)
-        self._pilot = Pilot(agent_config(scenario, uav_id), edges.senders(uav_id))
+        self._pilot = UavController(agent_config(scenario, uav_id), edges.senders(uav_id))
         self._inbox = self._pilot.inbox
         self._outbox = Outbox(self.endpoints, edges, uav_id)
         self._epochs = Epochs()
         self._pace = Pace(self._period_ns)
-        self._clocks = ClockWatch(self._inbox.names(uav_id))
+        self._clocks = ClockOffsetMonitor(self._inbox.names(uav_id))
         self._done_ns = (
             self._seen_ns
         ) = -1  # stamp of the newest tick done, now and at the last look
@@ -72,7 +74,7 @@ class Uav:
         self._ticker: Ticker | None = None
         self._notes = None
         if not self._lockstep:
-            self._notes = Notes(self.endpoints, edges, uav_id, scenario.control_hz)
+            self._notes = StepLogPublisher(self.endpoints, edges, uav_id, scenario.control_hz)
 
     def activate(self) -> None:
         """Begin to tick. In real time control begins anew, where the vehicle is by then."""
@@ -117,7 +119,7 @@ class Uav:
             missing.append(f"another time: {self._clocks.offset}")
         return missing
 
-    def _subscribe(self, uav_id: int, edges: Edges) -> None:
+    def _subscribe(self, uav_id: int, edges: CommunicationGraph) -> None:
         listen = self.endpoints.listen
         self._odom_name = listen(topics.odom(uav_id), self._on_odom)
         listen(topics.near(uav_id), self._on_near, required=self._lockstep)
@@ -128,8 +130,8 @@ class Uav:
         if self._carried:
             listen(topics.limits(uav_id), self._on_limits)
 
-    def _serve(self, edges: Edges) -> LegServices:
-        instruments = Instruments(
+    def _serve(self, edges: CommunicationGraph) -> LegServices:
+        instruments = LegServiceCallbacks(
             publish=self.endpoints.publisher(topics.EPOCH, edges.epoch_readers()),
             now_ns=self._flight_ns,
             epochs=self._epochs,
@@ -239,19 +241,23 @@ class Uav:
         send = self._status if stamp_ns >= 0 else self._early_status
         send(diagnostics(max(stamp_ns, 0), f"{self._name}: planner", level, message, values))
 
-    def _verdict(self, stamp_ns: int, missing: list[str]) -> tuple[Level, str]:
+    def _verdict(self, stamp_ns: int, missing: list[str]) -> tuple[DiagnosticLevel, str]:
         own = self._inbox.own
         if not self._active:
-            return Level.WARN, "inactive"
+            return DiagnosticLevel.WARN, "inactive"
         if not self._lockstep and own is not None and self._stale(own, stamp_ns):
             told = "own odometry is stale: no setpoints"
             offset = self._clocks.offset
-            return Level.ERROR, told if offset is None else f"{told}; {offset}"
+            return DiagnosticLevel.ERROR, told if offset is None else f"{told}; {offset}"
         if self._clocks.offset is not None:
-            return Level.WARN, str(self._clocks.offset)
+            return DiagnosticLevel.WARN, str(self._clocks.offset)
         if self._epochs.announced and self._pilot.tally.holding:
-            return Level.WARN, "holding"
+            return DiagnosticLevel.WARN, "holding"
         missed, self._missed_told = self._pace.missed - self._missed_told, self._pace.missed
         if missed > 0:
-            return Level.WARN, f"{missed} ticks missed since the last status"
-        return (Level.WARN, f"waiting for {' '.join(missing)}") if missing else (Level.OK, "")
+            return DiagnosticLevel.WARN, f"{missed} ticks missed since the last status"
+        return (
+            (DiagnosticLevel.WARN, f"waiting for {' '.join(missing)}")
+            if missing
+            else (DiagnosticLevel.OK, "")
+        )

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from ptnsbc_core.agent import Told
+from ptnsbc_core.agent import PackedOutputs
 from ptnsbc_io.wire import Stamped
 from ptnsbc_nodes.comm import topics
-from ptnsbc_nodes.comm.agent_messages import Letters
+from ptnsbc_nodes.comm.agent_messages import AgentMessages
 from ptnsbc_nodes.comm.endpoints import Endpoints
-from ptnsbc_nodes.comm.graph import Edges
-from ptnsbc_nodes.uav.controller import Moment, Pilot
+from ptnsbc_nodes.comm.graph import CommunicationGraph
+from ptnsbc_nodes.uav.controller import StepTime, UavController
 from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS
 from ptnsbc_nodes.uav.step_log import SnapshotTemplate, TickTemplate
 
@@ -16,8 +16,8 @@ from ptnsbc_nodes.uav.step_log import SnapshotTemplate, TickTemplate
 class Outbox:
     """Publishers of one UAV."""
 
-    def __init__(self, endpoints: Endpoints, edges: Edges, uav_id: int) -> None:
-        self._letters = Letters(uav_id)
+    def __init__(self, endpoints: Endpoints, edges: CommunicationGraph, uav_id: int) -> None:
+        self._letters = AgentMessages(uav_id)
         publisher = endpoints.publisher
         self._send_wrench = publisher(topics.wrench_setpoint(uav_id), edges.wrench_readers())
         self._send_state = publisher(topics.formation_state(uav_id), edges.state_readers(uav_id))
@@ -26,7 +26,7 @@ class Outbox:
         )
         self._send_velocity = publisher(topics.velocity_setpoint(uav_id), edges.options.recorders)
 
-    def send(self, own: Stamped, outputs: Told) -> None:
+    def send(self, own: Stamped, outputs: PackedOutputs) -> None:
         """Publish the tick computed from `own`; the wrench first, the plant waits for it."""
         letters, stamp_ns = self._letters, own.stamp_ns
         self._send_wrench(letters.wrench(stamp_ns, outputs.wrench))
@@ -35,10 +35,12 @@ class Outbox:
         self._send_velocity(letters.velocity(stamp_ns, outputs.velocity))
 
 
-class Notes:
+class StepLogPublisher:
     """Publishers of what makes the steps of one UAV in real time repeatable (`ticklog`)."""
 
-    def __init__(self, endpoints: Endpoints, edges: Edges, uav_id: int, every: int) -> None:
+    def __init__(
+        self, endpoints: Endpoints, edges: CommunicationGraph, uav_id: int, every: int
+    ) -> None:
         readers = edges.options.recorders
         self._every = every  # steps from one snapshot to the next
         self._template = TickTemplate(edges.senders(uav_id))
@@ -46,7 +48,7 @@ class Notes:
         self._send_snapshot = endpoints.publisher(topics.snapshot(uav_id), readers)
         self._snapshot: SnapshotTemplate | None = None
 
-    def send(self, at: Moment, pilot: Pilot) -> None:
+    def send(self, at: StepTime, pilot: UavController) -> None:
         """Publish what the step `at` was made of, and now and then what it left behind."""
         sequence = pilot.steps - 1
         held = pilot.inbox.held(NO_CUTOFF_NS)

@@ -18,15 +18,15 @@ from ptnsbc_core.types import AgentState
 from ptnsbc_io.wire import RowTemplate, Stamped, WireError
 from ptnsbc_io.wire.cdr import Floats
 from ptnsbc_nodes.comm.graph import Senders
-from ptnsbc_nodes.uav.controller import Limits, Moment, Pilot
-from ptnsbc_nodes.uav.counters import Tally
+from ptnsbc_nodes.uav.controller import StepTime, UavController, VehicleSpeedLimits
+from ptnsbc_nodes.uav.counters import UavCounters
 
-_WHEN = ("sequence", *Moment._fields)
+_WHEN = ("sequence", *StepTime._fields)
 _NOTHING = (-1, 0)
 OWN = "own"
 
 
-class Used(NamedTuple):
+class UsedMessage(NamedTuple):
     """One message that went into a step."""
 
     stamp_ns: int
@@ -37,8 +37,8 @@ class TickNote(NamedTuple):
     """A decoded `/uavN/tick`."""
 
     sequence: int  # steps of this agent before this one; 0 again when the controller begins anew
-    moment: Moment
-    used: dict[str, Used]  # by the names of `sources`; what was not there is left out
+    moment: StepTime
+    used: dict[str, UsedMessage]  # by the names of `sources`; what was not there is left out
 
 
 def sources(senders: Senders) -> tuple[str, ...]:
@@ -59,7 +59,7 @@ class TickTemplate:
         names = [name for source in sources(senders) for name in (source, f"{source}_checksum")]
         self._template = RowTemplate(" ".join((*_WHEN, *names)), len(_WHEN) + len(names))
 
-    def encode(self, sequence: int, moment: Moment, held: Iterable[Stamped | None]) -> bytes:
+    def encode(self, sequence: int, moment: StepTime, held: Iterable[Stamped | None]) -> bytes:
         """The note of one step made of the messages `held`, in the order of `sources`."""
         numbers: list[int] = [sequence, *moment]
         for message in held:
@@ -74,10 +74,10 @@ def tick_note(label: str, numbers: list[int]) -> TickNote:
     if tuple(names[: len(_WHEN)]) != _WHEN or not paired:
         raise WireError(f"tick with {label!r}: expected {' '.join(_WHEN)} and pairs after it")
     sequence, now_ns, elapsed_ns, mode, t0_ns, first_t0_ns, flying = numbers[: len(_WHEN)]
-    when = Moment(now_ns, elapsed_ns, mode, t0_ns, first_t0_ns, bool(flying))
+    when = StepTime(now_ns, elapsed_ns, mode, t0_ns, first_t0_ns, bool(flying))
     first = len(_WHEN)
     pairs = zip(names[first::2], numbers[first::2], numbers[first + 1 :: 2], strict=True)
-    used = {name: Used(stamp, crc) for name, stamp, crc in pairs if stamp >= 0}
+    used = {name: UsedMessage(stamp, crc) for name, stamp, crc in pairs if stamp >= 0}
     if OWN not in used:
         raise WireError("tick without an own odometry: expected one, no step is made without")
     return TickNote(sequence, when, used)
@@ -86,18 +86,18 @@ def tick_note(label: str, numbers: list[int]) -> TickNote:
 class SnapshotTemplate:
     """Encoder of what one controller remembers."""
 
-    def __init__(self, like: Pilot) -> None:
+    def __init__(self, like: UavController) -> None:
         self.label = _label(like.state)
         self._template = RowTemplate(self.label, _length(like.state))
 
-    def encode(self, sequence: int, pilot: Pilot) -> bytes:
+    def encode(self, sequence: int, pilot: UavController) -> bytes:
         """State, counters and limits after step number `sequence`."""
         rest = (pilot.tally.counters(), pilot.limits)
         return self._template.floats(np.concatenate(([sequence], *_leaves(pilot.state), *rest)))
 
 
 def _length(state: AgentState) -> int:
-    return 1 + sum(_sizes(state)) + Tally.SIZE + len(Limits._fields)
+    return 1 + sum(_sizes(state)) + UavCounters.SIZE + len(VehicleSpeedLimits._fields)
 
 
 def _leaves(value: Any) -> Iterator[Floats]:
@@ -126,24 +126,31 @@ def _sizes(state: AgentState) -> list[int]:
 def _label(state: AgentState) -> str:
     counts = zip(state._fields, _sizes(state), strict=True)
     words = (f"{name}:{size}" for name, size in counts)
-    return " ".join(("sequence:1", *words, f"tally:{Tally.SIZE}", f"limits:{len(Limits._fields)}"))
+    return " ".join(
+        (
+            "sequence:1",
+            *words,
+            f"tally:{UavCounters.SIZE}",
+            f"limits:{len(VehicleSpeedLimits._fields)}",
+        )
+    )
 
 
-class Memory(NamedTuple):
+class ControllerSnapshot(NamedTuple):
     """A decoded `/uavN/snapshot`."""
 
     sequence: int  # the step after which it was taken
     state: AgentState
     counters: Floats  # (Tally.SIZE,)
-    limits: Limits
+    limits: VehicleSpeedLimits
 
 
-def recall(label: str, numbers: Floats, like: AgentState) -> Memory:
+def recall(label: str, numbers: Floats, like: AgentState) -> ControllerSnapshot:
     """What a snapshot holds; WireError when it is not of a state `like` this one."""
     if label != _label(like) or len(numbers) != _length(like):
         raise WireError(f"snapshot with {label!r}: expected {_label(like)!r}")
     at = 1 + sum(_sizes(like))
-    counters = numbers[at : at + Tally.SIZE]
-    limits = Limits(*(float(number) for number in numbers[at + Tally.SIZE :]))
+    counters = numbers[at : at + UavCounters.SIZE]
+    limits = VehicleSpeedLimits(*(float(number) for number in numbers[at + UavCounters.SIZE :]))
     state: AgentState = _like(like, iter(numbers[1:at].tolist()))
-    return Memory(int(numbers[0]), state, counters, limits)
+    return ControllerSnapshot(int(numbers[0]), state, counters, limits)

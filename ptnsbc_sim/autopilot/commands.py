@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from ptnsbc_io.mavlink.dialect import mavlink
 
 if TYPE_CHECKING:
-    from ptnsbc_sim.autopilot.vehicle import Vehicle
+    from ptnsbc_sim.autopilot.vehicle import StandInVehicle
 
 FORCE = 21196
 """param2 of COMPONENT_ARM_DISARM that overrides the checks.
@@ -69,7 +69,7 @@ def custom_mode(request: Request) -> bool:
     return base > 0 and bool(base & mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED)
 
 
-def _arm(vehicle: Vehicle, request: Request, _link: int, t: float) -> int:
+def _arm(vehicle: StandInVehicle, request: Request, _link: int, t: float) -> int:
     wanted, force = whole(request.params[0]), whole(request.params[1]) == FORCE
     if wanted not in (0, 1):
         return int(_DENIED)
@@ -90,50 +90,50 @@ def _arm(vehicle: Vehicle, request: Request, _link: int, t: float) -> int:
     return int(_DONE)
 
 
-def _set_mode(vehicle: Vehicle, request: Request, _link: int, t: float) -> int:
+def _set_mode(vehicle: StandInVehicle, request: Request, _link: int, t: float) -> int:
     return vehicle.set_mode(request, t)
 
 
-def _take_off(vehicle: Vehicle, request: Request, _link: int, t: float) -> int:
+def _take_off(vehicle: StandInVehicle, request: Request, _link: int, t: float) -> int:
     return vehicle.take_off(request, t)
 
 
-def _land(vehicle: Vehicle, _request: Request, _link: int, t: float) -> int:
+def _land(vehicle: StandInVehicle, _request: Request, _link: int, t: float) -> int:
     return vehicle.land(t)
 
 
-def _return(vehicle: Vehicle, _request: Request, _link: int, t: float) -> int:
+def _return(vehicle: StandInVehicle, _request: Request, _link: int, t: float) -> int:
     return vehicle.return_home(t)
 
 
-def _interval(vehicle: Vehicle, request: Request, link: int, t: float) -> int:
+def _interval(vehicle: StandInVehicle, request: Request, link: int, t: float) -> int:
     known = vehicle.set_interval(whole(request.params[0]), request.params[1], link, t)
     return int(_DONE if known else _FAILED)
 
 
-def _get_interval(vehicle: Vehicle, request: Request, link: int, _t: float) -> int:
+def _get_interval(vehicle: StandInVehicle, request: Request, link: int, _t: float) -> int:
     message_id = whole(request.params[0])
     interval = vehicle.interval_us(message_id, link)
     vehicle.send(link, mavlink.MAVLink_message_interval_message(message_id, interval))
     return int(_DONE)
 
 
-def _message(vehicle: Vehicle, request: Request, link: int, t: float) -> int:
+def _message(vehicle: StandInVehicle, request: Request, link: int, t: float) -> int:
     sent = vehicle.request_message(whole(request.params[0]), link, t)
     return int(_DONE if sent else _DENIED)
 
 
-def _version(vehicle: Vehicle, _request: Request, link: int, t: float) -> int:
+def _version(vehicle: StandInVehicle, _request: Request, link: int, t: float) -> int:
     sent = vehicle.request_message(mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION, link, t)
     return int(_DONE if sent else _DENIED)
 
 
-def _get_home(vehicle: Vehicle, _request: Request, link: int, t: float) -> int:
+def _get_home(vehicle: StandInVehicle, _request: Request, link: int, t: float) -> int:
     sent = vehicle.request_message(mavlink.MAVLINK_MSG_ID_HOME_POSITION, link, t)
     return int(_DONE if sent else _DENIED)
 
 
-def _set_home(vehicle: Vehicle, request: Request, link: int, t: float) -> int:
+def _set_home(vehicle: StandInVehicle, request: Request, link: int, t: float) -> int:
     """Here only: a home elsewhere is of no use to a stand-in."""
     if whole(request.params[0]) != 1 or not vehicle.position_valid(t):
         return int(_DENIED)
@@ -142,7 +142,7 @@ def _set_home(vehicle: Vehicle, request: Request, link: int, t: float) -> int:
     return int(_DONE)
 
 
-def _reboot(vehicle: Vehicle, request: Request, _link: int, t: float) -> int:
+def _reboot(vehicle: StandInVehicle, request: Request, _link: int, t: float) -> int:
     if whole(request.params[0]) != 1:
         return int(_DENIED)
     if vehicle.armed:
@@ -151,7 +151,7 @@ def _reboot(vehicle: Vehicle, request: Request, _link: int, t: float) -> int:
     return int(_DONE)
 
 
-def _terminate(vehicle: Vehicle, request: Request, _link: int, t: float) -> int:
+def _terminate(vehicle: StandInVehicle, request: Request, _link: int, t: float) -> int:
     if request.params[0] < 0.5:
         return int(_DENIED)
     if vehicle.armed:
@@ -159,7 +159,7 @@ def _terminate(vehicle: Vehicle, request: Request, _link: int, t: float) -> int:
     return int(_DONE)
 
 
-Run = Callable[["Vehicle", Request, int, float], int]
+Run = Callable[["StandInVehicle", Request, int, float], int]
 
 COMMANDS: dict[int, Run] = {
     mavlink.MAV_CMD_COMPONENT_ARM_DISARM: _arm,

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from ptnsbc_sim.autopilot.codec import AutopilotError
 from ptnsbc_sim.autopilot.faults import obey
-from ptnsbc_sim.autopilot.vehicle import Vehicle
+from ptnsbc_sim.autopilot.vehicle import StandInVehicle
 
 _HOST = "127.0.0.1"
 _LINE_BYTES = 4096
@@ -40,12 +40,12 @@ def parse_timed(text: str) -> Timed:
     return Timed(at_s, line)
 
 
-class Control:
+class FaultPort:
     """Obeys lines; call `poll` every tick."""
 
     def __init__(
         self,
-        vehicles: Sequence[Vehicle],
+        vehicles: Sequence[StandInVehicle],
         start_t: float,
         *,
         port: int | None = None,
@@ -59,7 +59,7 @@ class Control:
         self._say = say
         self._socket: socket.socket | None = None
 
-    def __enter__(self) -> Control:
+    def __enter__(self) -> FaultPort:
         if self._port is None:
             return self
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)

@@ -12,7 +12,7 @@ from ptnsbc_io.mavlink.dialect import mavlink
 from ptnsbc_sim.autopilot.codec import AutopilotError
 
 if TYPE_CHECKING:
-    from ptnsbc_sim.autopilot.vehicle import Vehicle
+    from ptnsbc_sim.autopilot.vehicle import StandInVehicle
 
 IMPOSTOR_PERIOD_S = 0.2
 _IMPOSTOR_OLDER_MS = 90_000
@@ -28,7 +28,7 @@ class Faults:
     duplicate: bool = False  # somebody else sends with our system id
 
 
-def impostor(vehicle: Vehicle, t: float) -> list[Any]:
+def impostor(vehicle: StandInVehicle, t: float) -> list[Any]:
     """What somebody with our system id sends: disarmed, 50 m north of our origin, booted long before us."""
     flags = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
     return [
@@ -57,50 +57,50 @@ def _number(word: str, what: str) -> float:
     return value
 
 
-def _gps(vehicle: Vehicle, word: str, t: float) -> None:
+def _gps(vehicle: StandInVehicle, word: str, t: float) -> None:
     if _choice(word, "off", "on", "gps"):
         vehicle.flight.navigation.regain()
     else:
         vehicle.flight.navigation.lose(t)
 
 
-def _heartbeat(vehicle: Vehicle, word: str, _t: float) -> None:
+def _heartbeat(vehicle: StandInVehicle, word: str, _t: float) -> None:
     vehicle.faults.no_heartbeat = not _choice(word, "off", "on", "heartbeat")
 
 
-def _radio(vehicle: Vehicle, word: str, _t: float) -> None:
+def _radio(vehicle: StandInVehicle, word: str, _t: float) -> None:
     vehicle.faults.mute = not _choice(word, "off", "on", "radio")
 
 
-def _arming(vehicle: Vehicle, word: str, _t: float) -> None:
+def _arming(vehicle: StandInVehicle, word: str, _t: float) -> None:
     vehicle.faults.refuse_arming = not _choice(word, "refuse", "allow", "arming")
 
 
-def _duplicate(vehicle: Vehicle, word: str, _t: float) -> None:
+def _duplicate(vehicle: StandInVehicle, word: str, _t: float) -> None:
     vehicle.faults.duplicate = _choice(word, "off", "on", "duplicate")
 
 
-def _battery(vehicle: Vehicle, word: str, _t: float) -> None:
+def _battery(vehicle: StandInVehicle, word: str, _t: float) -> None:
     charge = _number(word, "battery")
     if not 0.0 <= charge <= 1.0:
         raise AutopilotError(f"fault battery {word}: expected 0 to 1")
     vehicle.flight.battery = charge
 
 
-def _clock(vehicle: Vehicle, word: str, _t: float) -> None:
+def _clock(vehicle: StandInVehicle, word: str, _t: float) -> None:
     vehicle.clock.jump(_number(word, "clock"))
 
 
-def _mode(vehicle: Vehicle, word: str, t: float) -> None:
+def _mode(vehicle: StandInVehicle, word: str, t: float) -> None:
     if not vehicle.pilot(word, t):
         raise AutopilotError(f"fault mode {word!r}: expected a mode of this autopilot, as LAND")
 
 
-def _reboot(vehicle: Vehicle, _word: str, t: float) -> None:
+def _reboot(vehicle: StandInVehicle, _word: str, t: float) -> None:
     vehicle.reboot(t)
 
 
-FAULTS: dict[str, Callable[[Vehicle, str, float], None]] = {
+FAULTS: dict[str, Callable[[StandInVehicle, str, float], None]] = {
     "gps": _gps,
     "heartbeat": _heartbeat,
     "radio": _radio,
@@ -113,7 +113,7 @@ FAULTS: dict[str, Callable[[Vehicle, str, float], None]] = {
 }
 
 
-def inject(vehicle: Vehicle, what: str, value: str, t: float) -> None:
+def inject(vehicle: StandInVehicle, what: str, value: str, t: float) -> None:
     """Break or mend something: see FAULTS.
 
     Raises:
@@ -125,7 +125,7 @@ def inject(vehicle: Vehicle, what: str, value: str, t: float) -> None:
     vehicle.log(f"fault: {what} {value}".rstrip())
 
 
-def obey(vehicles: Sequence[Vehicle], line: str, t: float) -> str:
+def obey(vehicles: Sequence[StandInVehicle], line: str, t: float) -> str:
     """Do what a line says, for one system id or `all`; the answer, `ok` or the states asked for.
 
     Raises:
@@ -143,7 +143,7 @@ def obey(vehicles: Sequence[Vehicle], line: str, t: float) -> str:
     return "ok"
 
 
-def state(vehicle: Vehicle) -> dict[str, Any]:
+def state(vehicle: StandInVehicle) -> dict[str, Any]:
     """What is true of a vehicle, for those who judge from outside."""
     flight = vehicle.flight
     return {

@@ -12,11 +12,11 @@ from ptnsbc_sim.autopilot.codec import AutopilotError, Codec
 from ptnsbc_sim.autopilot.firmware.arducopter import ArduCopter
 from ptnsbc_sim.autopilot.firmware.px4 import Px4
 from ptnsbc_sim.autopilot.firmware.stm32 import Stm32
-from ptnsbc_sim.autopilot.server import Address, Endpoint, Station
+from ptnsbc_sim.autopilot.server import Address, Endpoint, VehicleServer
 from ptnsbc_sim.autopilot.starts import Fleet, Start, starts
-from ptnsbc_sim.autopilot.vehicle import GCS, IMPOSTOR, Vehicle
+from ptnsbc_sim.autopilot.vehicle import GCS, IMPOSTOR, StandInVehicle
 
-KINDS: dict[str, type[Vehicle]] = {"px4": Px4, "arducopter": ArduCopter, "stm32": Stm32}
+KINDS: dict[str, type[StandInVehicle]] = {"px4": Px4, "arducopter": ArduCopter, "stm32": Stm32}
 
 PORT_BASE = 14540
 """PX4's: vehicle i sends to 14540 + i and listens on 14580 + i."""
@@ -48,7 +48,7 @@ class Options:
     parameters: Mapping[str, float] = field(default_factory=dict)  # instead of the defaults
 
 
-class Ends(NamedTuple):
+class LinkAddresses(NamedTuple):
     """Where a stand-in listens, and to whom it sends before anybody has called."""
 
     listen: Address
@@ -80,7 +80,7 @@ def parse_parameter(text: str) -> tuple[str, float]:
         raise AutopilotError(f'param "{text}": expected NAME=NUMBER') from None
 
 
-def stations(options: Options, t: float, say: Callable[[str], None]) -> list[Station]:
+def stations(options: Options, t: float, say: Callable[[str], None]) -> list[VehicleServer]:
     """Vehicles with closed sockets, booted at t [s].
 
     Raises:
@@ -93,7 +93,7 @@ def stations(options: Options, t: float, say: Callable[[str], None]) -> list[Sta
     return made
 
 
-def _set_parameter(vehicles: Sequence[Vehicle], name: str, value: float) -> None:
+def _set_parameter(vehicles: Sequence[StandInVehicle], name: str, value: float) -> None:
     """Set it where there is one of that name: vehicles of a mixed fleet have few in common."""
     owners = [vehicle for vehicle in vehicles if name in vehicle.parameters]
     for vehicle in owners or vehicles[:1]:  # who has none says which there are
@@ -102,7 +102,7 @@ def _set_parameter(vehicles: Sequence[Vehicle], name: str, value: float) -> None
 
 def _station(
     options: Options, n: int, start: Start, t: float, say: Callable[[str], None]
-) -> Station:
+) -> VehicleServer:
     network, system = options.network, start.system
     kind = options.kind or start.kind or "px4"
     if kind not in KINDS:
@@ -122,10 +122,10 @@ def _station(
     impostor = Endpoint(Address(HOST, 0), None, Codec(system, key=key, link_id=IMPOSTOR))
     # Last, because it compiles: what is wrong above is said at once.
     vehicle = KINDS[kind](system, start.body, t, boot_time=options.boot_time, say=tell)
-    return Station(vehicle, endpoints, impostor)
+    return VehicleServer(vehicle, endpoints, impostor)
 
 
-def _companion(network: Network, n: int, start: Start) -> Ends:
+def _companion(network: Network, n: int, start: Start) -> LinkAddresses:
     """The companion's link: as told, else as the scenario's bridge expects it, else PX4's pair of ports."""
     if network.connect is not None:
         return _told(network.connect, n)
@@ -134,19 +134,19 @@ def _companion(network: Network, n: int, start: Start) -> Ends:
     base = network.port_base or PORT_BASE
     # PX4's simulations beyond the tenth all send to the tenth's port.
     there = base + (min(n, _LAST_OWN_PORT) if network.port_base is None else n)
-    return Ends(_checked(HOST, base + n + _LISTEN_OFFSET), _checked(HOST, there))
+    return LinkAddresses(_checked(HOST, base + n + _LISTEN_OFFSET), _checked(HOST, there))
 
 
-def _told(connect: str, n: int) -> Ends:
+def _told(connect: str, n: int) -> LinkAddresses:
     kind, _, rest = connect.partition(":")
     if kind not in ("udpin", "udpout"):
         raise AutopilotError(f"connect {connect!r}: expected udpin:HOST:PORT or udpout:HOST:PORT")
     host, port = parse_address(rest, "connect")
     there = _checked(host, port + n)
-    return Ends(there, None) if kind == "udpin" else Ends(Address(ANY, 0), there)
+    return LinkAddresses(there, None) if kind == "udpin" else LinkAddresses(Address(ANY, 0), there)
 
 
-def _opposite(connect: str) -> Ends:
+def _opposite(connect: str) -> LinkAddresses:
     """The vehicle's end of what the bridge connects to."""
     kind, _, rest = connect.partition(":")
     if kind not in ("udpin", "udpout"):
@@ -156,9 +156,9 @@ def _opposite(connect: str) -> Ends:
         )
     host, port = parse_address(rest, "the scenario's mavlink connect")
     if kind == "udpout":
-        return Ends(Address(host, port), None)
+        return LinkAddresses(Address(host, port), None)
     partner = Address(HOST if host == ANY else host, port)
-    return Ends(_checked(HOST, port + _LISTEN_OFFSET), partner)
+    return LinkAddresses(_checked(HOST, port + _LISTEN_OFFSET), partner)
 
 
 def _checked(host: str, port: int) -> Address:

@@ -9,20 +9,20 @@ from ptnsbc_io.mavlink.dialect import mavlink
 from ptnsbc_sim.autopilot.commands import Request, request_of
 
 if TYPE_CHECKING:
-    from ptnsbc_sim.autopilot.vehicle import Vehicle
+    from ptnsbc_sim.autopilot.vehicle import StandInVehicle
 
-Answer = Callable[["Vehicle", Any, int, float], None]
+Answer = Callable[["StandInVehicle", Any, int, float], None]
 
 UNADDRESSED = ("HEARTBEAT", "PING", "TIMESYNC")
 """Messages that are for everybody, or say otherwise for whom they are."""
 
 
-def _heartbeat(vehicle: Vehicle, message: Any, link: int, t: float) -> None:
+def _heartbeat(vehicle: StandInVehicle, message: Any, link: int, t: float) -> None:
     if message.type == mavlink.MAV_TYPE_GCS:
         vehicle.gcs_heard[link] = t
 
 
-def _command(vehicle: Vehicle, message: Any, link: int, t: float) -> None:
+def _command(vehicle: StandInVehicle, message: Any, link: int, t: float) -> None:
     """The ack comes before what the command makes it send."""
     request = request_of(message)
     run = vehicle.commands.get(request.command)
@@ -38,13 +38,13 @@ def _command(vehicle: Vehicle, message: Any, link: int, t: float) -> None:
     vehicle.answer_first(link, ack)
 
 
-def _timesync(vehicle: Vehicle, message: Any, link: int, t: float) -> None:
+def _timesync(vehicle: StandInVehicle, message: Any, link: int, t: float) -> None:
     """https://mavlink.io/en/services/timesync.html: tc1 = 0 is a question, ts1 comes back as it was."""
     if message.tc1 == 0:
         vehicle.send(link, mavlink.MAVLink_timesync_message(vehicle.clock.ns(t), message.ts1))
 
 
-def _ping(vehicle: Vehicle, message: Any, link: int, _t: float) -> None:
+def _ping(vehicle: StandInVehicle, message: Any, link: int, _t: float) -> None:
     if (message.target_system, message.target_component) == (0, 0):
         answer = mavlink.MAVLink_ping_message(
             message.time_usec, message.seq, message.get_srcSystem(), message.get_srcComponent()
@@ -52,14 +52,14 @@ def _ping(vehicle: Vehicle, message: Any, link: int, _t: float) -> None:
         vehicle.send(link, answer)
 
 
-def _parameter(vehicle: Vehicle, name: str) -> Any:
+def _parameter(vehicle: StandInVehicle, name: str) -> Any:
     sent = vehicle.parameters.encoded(name)
     return mavlink.MAVLink_param_value_message(
         name.encode(), sent.value, sent.type, sent.size, sent.place
     )
 
 
-def _param_read(vehicle: Vehicle, message: Any, link: int, _t: float) -> None:
+def _param_read(vehicle: StandInVehicle, message: Any, link: int, _t: float) -> None:
     """By name when the index is -1; nothing is said of a parameter that does not exist."""
     name: str | None = message.param_id
     if message.param_index >= 0:
@@ -68,11 +68,11 @@ def _param_read(vehicle: Vehicle, message: Any, link: int, _t: float) -> None:
         vehicle.send(link, _parameter(vehicle, name))
 
 
-def _param_list(vehicle: Vehicle, _message: Any, link: int, _t: float) -> None:
+def _param_list(vehicle: StandInVehicle, _message: Any, link: int, _t: float) -> None:
     vehicle.send_slowly(link, [_parameter(vehicle, name) for name in vehicle.parameters])
 
 
-def _param_set(vehicle: Vehicle, message: Any, link: int, _t: float) -> None:
+def _param_set(vehicle: StandInVehicle, message: Any, link: int, _t: float) -> None:
     """PARAM_VALUE says what it is now, whether or not it was taken."""
     name = message.param_id
     if name not in vehicle.parameters:
@@ -83,15 +83,15 @@ def _param_set(vehicle: Vehicle, message: Any, link: int, _t: float) -> None:
     vehicle.send(link, _parameter(vehicle, name))
 
 
-def _set_mode(vehicle: Vehicle, message: Any, _link: int, t: float) -> None:
+def _set_mode(vehicle: StandInVehicle, message: Any, _link: int, t: float) -> None:
     vehicle.set_mode(Request.old_mode(message), t)
 
 
-def _trajectory(vehicle: Vehicle, message: Any, _link: int, t: float) -> None:
+def _trajectory(vehicle: StandInVehicle, message: Any, _link: int, t: float) -> None:
     vehicle.on_trajectory(message, t)
 
 
-def _attitude(vehicle: Vehicle, message: Any, _link: int, t: float) -> None:
+def _attitude(vehicle: StandInVehicle, message: Any, _link: int, t: float) -> None:
     vehicle.on_attitude(message, t)
 
 

@@ -24,7 +24,7 @@ class Encoded(NamedTuple):
     place: int
 
 
-class Parameters:
+class AutopilotParameters:
     """Named values; an `int` is an INT32, a `float` a REAL32. The order is that of the index."""
 
     def __init__(self, values: Mapping[str, Value], *, bytewise: bool) -> None:

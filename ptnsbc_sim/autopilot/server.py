@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 from ptnsbc_sim.autopilot.codec import AutopilotError, Codec
-from ptnsbc_sim.autopilot.vehicle import COMPANION, IMPOSTOR, Outgoing, Vehicle
+from ptnsbc_sim.autopilot.vehicle import COMPANION, IMPOSTOR, Outgoing, StandInVehicle
 
 TICK_HZ = 250
 _BUFFER = 65535
@@ -84,10 +84,10 @@ class Endpoint:
 
 
 @dataclass
-class Station:
+class VehicleServer:
     """A vehicle and its links, in the vehicle's order."""
 
-    vehicle: Vehicle
+    vehicle: StandInVehicle
     endpoints: Sequence[Endpoint]
     impostor: Endpoint
 
@@ -113,7 +113,7 @@ class Station:
 
 
 def serve(
-    stations: Sequence[Station],
+    stations: Sequence[VehicleServer],
     stop: Callable[[], bool],
     each: Callable[[float], None] = lambda _now: None,
     ready: Callable[[], None] = lambda: None,
@@ -137,7 +137,7 @@ def serve(
 
 
 def _loop(
-    stations: Sequence[Station], stop: Callable[[], bool], each: Callable[[float], None]
+    stations: Sequence[VehicleServer], stop: Callable[[], bool], each: Callable[[float], None]
 ) -> None:
     period = 1.0 / TICK_HZ
     due = time.monotonic()

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ptnsbc_sim.autopilot.codec import AutopilotError
-from ptnsbc_sim.autopilot.physics.body import Body, default_plant
+from ptnsbc_sim.autopilot.physics.body import VehicleDescription, default_plant
 from ptnsbc_sim.autopilot.physics.geodesy import PX4_HOME, Geodetic
 from ptnsbc_sim.autopilot.physics.navigation import QUALITIES
 from ptnsbc_sim.plants.build import plant_config
@@ -35,7 +35,7 @@ class Start:
     """One vehicle to be: its MAVLink system id and its body; the rest is the scenario's, None without one."""
 
     system: int
-    body: Body
+    body: VehicleDescription
     kind: str | None = None
     connect: str | None = None  # how the bridge reaches it
     key: str | None = None
@@ -76,7 +76,7 @@ def _datum(scenario: Scenario) -> Geodetic:
     return Geodetic(origin.latitude_deg, origin.longitude_deg, origin.altitude_m)
 
 
-def _body(fleet: Fleet, n: int, scenario: Scenario | None) -> Body:
+def _body(fleet: Fleet, n: int, scenario: Scenario | None) -> VehicleDescription:
     random = np.random.default_rng((fleet.seed, n))
     yaw = random.uniform(-np.pi, np.pi) if fleet.yaw_deg is None else np.radians(fleet.yaw_deg)
     ground, plant, datum = np.array((_SPACING_M * n, 0.0, 0.0)), default_plant(), PX4_HOME
@@ -84,7 +84,7 @@ def _body(fleet: Fleet, n: int, scenario: Scenario | None) -> Body:
         uav_id = scenario.uav_ids[n]
         ground = scenario.uav(uav_id).position * np.array((1.0, 1.0, 0.0))
         plant, datum = plant_config(scenario, uav_id), _datum(scenario)
-    return Body(
+    return VehicleDescription(
         plant,
         ground,
         float(yaw),

@@ -14,15 +14,15 @@ from ptnsbc_sim.autopilot.physics.frames import attitude_swap, body_swap, euler_
 from ptnsbc_sim.autopilot.physics.geodesy import Geodetic, geodetic
 
 if TYPE_CHECKING:
-    from ptnsbc_sim.autopilot.vehicle import Vehicle
+    from ptnsbc_sim.autopilot.vehicle import StandInVehicle
 
-Builder = Callable[["Vehicle", float], Any]
+Builder = Callable[["StandInVehicle", float], Any]
 
 _UNKNOWN_16 = 65535
 _UNIT_QUATERNION = [1.0, 0.0, 0.0, 0.0]
 
 
-def _on_earth(vehicle: Vehicle, local_enu: Array) -> Geodetic:
+def _on_earth(vehicle: StandInVehicle, local_enu: Array) -> Geodetic:
     """Where a place (3,) of the vehicle's local frame is, as the vehicle believes."""
     world_enu = local_enu + vehicle.flight.navigation.origin_enu
     return geodetic(vehicle.body.datum, world_enu, vehicle.earth_radius_m)
@@ -32,7 +32,7 @@ def _e7(degrees: float) -> int:
     return round(degrees * 1e7)
 
 
-def _attitude(vehicle: Vehicle, t: float) -> Any:
+def _attitude(vehicle: StandInVehicle, t: float) -> Any:
     flight = vehicle.flight
     euler = euler_of(attitude_swap(flight.attitude_enu))
     return mavlink.MAVLink_attitude_message(
@@ -40,7 +40,7 @@ def _attitude(vehicle: Vehicle, t: float) -> Any:
     )
 
 
-def _attitude_quaternion(vehicle: Vehicle, t: float) -> Any:
+def _attitude_quaternion(vehicle: StandInVehicle, t: float) -> Any:
     flight = vehicle.flight
     return mavlink.MAVLink_attitude_quaternion_message(
         vehicle.clock.ms(t),
@@ -50,7 +50,7 @@ def _attitude_quaternion(vehicle: Vehicle, t: float) -> Any:
     )
 
 
-def _local_position(vehicle: Vehicle, t: float) -> Any:
+def _local_position(vehicle: StandInVehicle, t: float) -> Any:
     if not vehicle.position_valid(t):
         return None
     flight = vehicle.flight
@@ -61,7 +61,7 @@ def _local_position(vehicle: Vehicle, t: float) -> Any:
     )
 
 
-def _in_body(vehicle: Vehicle) -> Array:
+def _in_body(vehicle: StandInVehicle) -> Array:
     """Estimated velocity (3,) in FRD."""
     w, x, y, z = vehicle.flight.attitude_enu
     u, v, s = (float(value) for value in vehicle.flight.velocity_enu)
@@ -78,7 +78,7 @@ def _covariance(quality_variance: float) -> list[float]:
     return out
 
 
-def _odometry(vehicle: Vehicle, t: float) -> Any:
+def _odometry(vehicle: StandInVehicle, t: float) -> Any:
     if not vehicle.position_valid(t):
         return None
     flight = vehicle.flight
@@ -99,7 +99,7 @@ def _odometry(vehicle: Vehicle, t: float) -> Any:
     )
 
 
-def _global_position(vehicle: Vehicle, t: float) -> Any:
+def _global_position(vehicle: StandInVehicle, t: float) -> Any:
     if not vehicle.position_valid(t):
         return None
     place = _on_earth(vehicle, vehicle.flight.position_enu)
@@ -118,7 +118,7 @@ def _global_position(vehicle: Vehicle, t: float) -> Any:
     )
 
 
-def _gps_raw(vehicle: Vehicle, t: float) -> Any:
+def _gps_raw(vehicle: StandInVehicle, t: float) -> Any:
     fix = vehicle.flight.navigation.fix_type
     place = _on_earth(vehicle, vehicle.flight.position_enu)
     error_m = max(vehicle.flight.body.quality.position_m, 0.01)
@@ -137,7 +137,7 @@ def _gps_raw(vehicle: Vehicle, t: float) -> Any:
     )
 
 
-def _home(vehicle: Vehicle, t: float) -> Any:
+def _home(vehicle: StandInVehicle, t: float) -> Any:
     if not vehicle.position_valid(t):
         return None
     place = _on_earth(vehicle, vehicle.home_local_enu)
@@ -154,7 +154,7 @@ def _home(vehicle: Vehicle, t: float) -> Any:
     )
 
 
-def _origin(vehicle: Vehicle, t: float) -> Any:
+def _origin(vehicle: StandInVehicle, t: float) -> Any:
     if not vehicle.position_valid(t):
         return None
     place = _on_earth(vehicle, np.zeros(3))

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Any
 from ptnsbc_io.mavlink.dialect import mavlink
 
 if TYPE_CHECKING:
-    from ptnsbc_sim.autopilot.vehicle import Vehicle
+    from ptnsbc_sim.autopilot.vehicle import StandInVehicle
 
 _UNKNOWN_16 = 65535
 
 
-def heartbeat(vehicle: Vehicle, _t: float) -> Any:
+def heartbeat(vehicle: StandInVehicle, _t: float) -> Any:
     """HEARTBEAT."""
     status = vehicle.status()
     return mavlink.MAVLink_heartbeat_message(
@@ -25,7 +25,7 @@ def heartbeat(vehicle: Vehicle, _t: float) -> Any:
     )
 
 
-def _sensors(vehicle: Vehicle, t: float) -> tuple[int, int]:
+def _sensors(vehicle: StandInVehicle, t: float) -> tuple[int, int]:
     """Bits of the sensors present, and of the healthy ones."""
     base = (
         mavlink.MAV_SYS_STATUS_SENSOR_3D_GYRO
@@ -42,7 +42,7 @@ def _sensors(vehicle: Vehicle, t: float) -> tuple[int, int]:
     return base | gps | ready, healthy
 
 
-def sys_status(vehicle: Vehicle, t: float) -> Any:
+def sys_status(vehicle: StandInVehicle, t: float) -> Any:
     """SYS_STATUS."""
     present, healthy = _sensors(vehicle, t)
     flight = vehicle.flight
@@ -63,7 +63,7 @@ def sys_status(vehicle: Vehicle, t: float) -> Any:
     )
 
 
-def battery(vehicle: Vehicle, _t: float) -> Any:
+def battery(vehicle: StandInVehicle, _t: float) -> Any:
     """BATTERY_STATUS."""
     flight = vehicle.flight
     cells = [round(flight.battery_v * 1000.0 / 4)] * 4 + [_UNKNOWN_16] * 6
@@ -82,14 +82,14 @@ def battery(vehicle: Vehicle, _t: float) -> Any:
     )
 
 
-def extended_state(vehicle: Vehicle, _t: float) -> Any:
+def extended_state(vehicle: StandInVehicle, _t: float) -> Any:
     """EXTENDED_SYS_STATE."""
     return mavlink.MAVLink_extended_sys_state_message(
         mavlink.MAV_VTOL_STATE_UNDEFINED, vehicle.landed_state()
     )
 
 
-def estimator(vehicle: Vehicle, t: float) -> Any:
+def estimator(vehicle: StandInVehicle, t: float) -> Any:
     """ESTIMATOR_STATUS."""
     flags = mavlink.ESTIMATOR_ATTITUDE | mavlink.ESTIMATOR_POS_VERT_ABS
     if vehicle.position_valid(t):
@@ -105,7 +105,7 @@ def estimator(vehicle: Vehicle, t: float) -> Any:
     )
 
 
-def version(vehicle: Vehicle, _t: float) -> Any:
+def version(vehicle: StandInVehicle, _t: float) -> Any:
     """AUTOPILOT_VERSION."""
     capabilities = (
         mavlink.MAV_PROTOCOL_CAPABILITY_MAVLINK2
@@ -129,11 +129,11 @@ def version(vehicle: Vehicle, _t: float) -> Any:
     )
 
 
-def system_time(vehicle: Vehicle, t: float) -> Any:
+def system_time(vehicle: StandInVehicle, t: float) -> Any:
     """SYSTEM_TIME, which knows no date."""
     return mavlink.MAVLink_system_time_message(0, vehicle.clock.ms(t))
 
 
-def timesync(vehicle: Vehicle, t: float) -> Any:
+def timesync(vehicle: StandInVehicle, t: float) -> Any:
     """TIMESYNC, a question."""
     return mavlink.MAVLink_timesync_message(0, vehicle.clock.ns(t))

@@ -17,9 +17,9 @@ from ptnsbc_io.mavlink.dialect import mavlink
 from ptnsbc_sim.autopilot.clock import BootClock
 from ptnsbc_sim.autopilot.codec import AutopilotError
 from ptnsbc_sim.autopilot.faults import IMPOSTOR_PERIOD_S, Faults, impostor
-from ptnsbc_sim.autopilot.firmware.firmware import Personality
+from ptnsbc_sim.autopilot.firmware.firmware import Firmware
 from ptnsbc_sim.autopilot.message_handlers import ANSWERS, UNADDRESSED
-from ptnsbc_sim.autopilot.physics.body import Body, Flight
+from ptnsbc_sim.autopilot.physics.body import VehicleDescription, VehiclePhysics
 from ptnsbc_sim.autopilot.streams import Streams
 from ptnsbc_sim.autopilot.telemetry import BUILDERS
 
@@ -46,11 +46,17 @@ def _nothing(_line: str) -> None:
     pass
 
 
-class Vehicle(Personality):
+class StandInVehicle(Firmware):
     """One flight controller and the vehicle under it."""
 
     def __init__(
-        self, system: int, body: Body, t: float, *, boot_time: float = 1.0, say: Say = _nothing
+        self,
+        system: int,
+        body: VehicleDescription,
+        t: float,
+        *,
+        boot_time: float = 1.0,
+        say: Say = _nothing,
     ) -> None:
         """Args:
         system: MAVLink system id.
@@ -63,7 +69,7 @@ class Vehicle(Personality):
         self.component = 1
         self.body = body
         self.parameters = self.default_parameters()
-        self.flight = Flight(body, self.gains(), t)
+        self.flight = VehiclePhysics(body, self.gains(), t)
         self.clock = BootClock(t)
         self.faults = Faults()
         self.boots = 0

@@ -20,11 +20,11 @@ from ptnsbc_sim.baselines.errors import BaselineError
 from ptnsbc_sim.baselines.reaching import EXPONENTIAL, TWO_SIDED, Reaching
 from ptnsbc_sim.baselines.settling import settled_s, tuned
 from ptnsbc_sim.baselines.terminal import Axis, Terminal, terminal_step
-from ptnsbc_sim.disturbances.build import Chance
+from ptnsbc_sim.disturbances.build import Disturbances
 from ptnsbc_sim.plants.integrate import advance
 from ptnsbc_sim.scenario import Scenario, scenario_from_text
-from ptnsbc_sim.swarm import Crew, Flight, inputs_of, sense
-from ptnsbc_sim.track import Track, note
+from ptnsbc_sim.swarm import HeadlessFlight, SwarmState, inputs_of, sense
+from ptnsbc_sim.track import FlightTrack, note
 from ptnsbc_sim.wiring import Wiring
 
 Progress = Callable[[int, int], None]
@@ -48,9 +48,9 @@ def _fly_terminal(
     first: int,
     count: int,
     wiring: Wiring,
-    crew: Crew,
-    track: Track,
-    luck: Chance | None,
+    crew: SwarmState,
+    track: FlightTrack,
+    luck: Disturbances | None,
     laws: Sequence[Terminal],
 ) -> None:
     """As the loop of the swarm, with another law; wind does not act on this plant."""
@@ -91,14 +91,19 @@ def _terminal(scenario: Scenario, law: str) -> list[Terminal]:
     return [Terminal(_place(scenario, uav), position, attitude) for uav in scenario.uav_ids]
 
 
-def _fly_by(scenario: Scenario, law: str, progress: Progress | None = None) -> Flight:
+def _fly_by(scenario: Scenario, law: str, progress: Progress | None = None) -> HeadlessFlight:
     """One flight by a law that needs no tuning any more."""
     if law not in _REACHING:
         return swarm.fly(scenario, progress)
     laws = kernel_list(_terminal(scenario, law))
 
     def loop(
-        first: int, count: int, wiring: Wiring, crew: Crew, track: Track, luck: Chance | None
+        first: int,
+        count: int,
+        wiring: Wiring,
+        crew: SwarmState,
+        track: FlightTrack,
+        luck: Disturbances | None,
     ) -> None:
         _fly_terminal(first, count, wiring, crew, track, luck, laws)
 
@@ -191,7 +196,7 @@ def fly(
     progress: Progress | None = None,
     *,
     open_filter: bool = False,
-) -> Flight:
+) -> HeadlessFlight:
     """Fly a scenario by one of LAWS.
 
     Args:

@@ -10,13 +10,13 @@ from ptnsbc_core.trajectory import reference
 from ptnsbc_core.types import Array
 from ptnsbc_sim.baselines.errors import BaselineError
 from ptnsbc_sim.scenario.build import trajectory_vector
-from ptnsbc_sim.swarm import Flight
+from ptnsbc_sim.swarm import HeadlessFlight
 
 SHARE_OF_START = 0.02
 _HALVINGS = 7
 
 
-def formation_errors(flight: Flight) -> Array:
+def formation_errors(flight: HeadlessFlight) -> Array:
     """Formation error (T, N) [m]: of the leader from its trajectory, of a follower from its place beside the leader."""
     scenario, places = flight.scenario, flight.truth[:, :, :3]
     leader = scenario.uav_ids.index(scenario.leader_id)
@@ -27,7 +27,7 @@ def formation_errors(flight: Flight) -> Array:
     return np.asarray(np.linalg.norm(places - goals, axis=2))
 
 
-def settled_s(flight: Flight) -> float | None:
+def settled_s(flight: HeadlessFlight) -> float | None:
     """When the last UAV entered its band for good [s]; None when one is outside at the end.
 
     The band is the verdict's: 2 % of the start error or the scenario's tolerance, whichever is larger.

@@ -14,12 +14,18 @@ from ptnsbc_sim.disturbances import position_noise as position
 from ptnsbc_sim.disturbances import random_streams, sensor_noise
 from ptnsbc_sim.disturbances.gusts import Gusts, blow, gusts
 from ptnsbc_sim.disturbances.links import last_heard
-from ptnsbc_sim.disturbances.position_noise import EXACT, Odometer, believed, no_error, odometer
-from ptnsbc_sim.disturbances.sensor_noise import Sight, beside
+from ptnsbc_sim.disturbances.position_noise import (
+    EXACT,
+    PositionNoise,
+    believed,
+    no_error,
+    odometer,
+)
+from ptnsbc_sim.disturbances.sensor_noise import SensorNoise, beside
 from ptnsbc_sim.scenario import Scenario
 
 
-def odometer_of(scenario: Scenario) -> Odometer:
+def odometer_of(scenario: Scenario) -> PositionNoise:
     """The estimator of every UAV."""
     block = scenario.sensor.positioning
     if block is None:
@@ -51,15 +57,15 @@ def _sight_width(scenario: Scenario) -> int:
     return sensor_noise.DRAWS * (len(scenario.uav_ids) - 1 + len(scenario.file.world.obstacles))
 
 
-def sight_of(scenario: Scenario) -> Sight:
+def sight_of(scenario: Scenario) -> SensorNoise:
     """The near-object sensor of every UAV."""
-    return Sight(float(scenario.sensor.noise_m), float(scenario.sensor.velocity_noise_m_s))
+    return SensorNoise(float(scenario.sensor.noise_m), float(scenario.sensor.velocity_noise_m_s))
 
 
-class Chance(NamedTuple):
+class Disturbances(NamedTuple):
     """Everything that goes wrong in one flight of T ticks and N UAVs; `errors` and `gust` change in place."""
 
-    odometer: Odometer
+    odometer: PositionNoise
     gusts: Gusts
     fixes: Array  # (T, N, 6) standard normal
     blows: Array  # (T, N, 3) standard normal
@@ -67,10 +73,10 @@ class Chance(NamedTuple):
     errors: Array  # (N, ...), a row of `odometer.no_error` each
     gust: Array  # (N, 3) [m/s]
     sights: Array  # (T / near_every, N, 6 objects) standard normal
-    sight: Sight
+    sight: SensorNoise
 
 
-def chance(scenario: Scenario, neighbours: int) -> Chance | None:
+def chance(scenario: Scenario, neighbours: int) -> Disturbances | None:
     """The imperfections of a flight, None when there are none; `neighbours` is the width of the wiring."""
     if not scenario.imperfect:
         return None
@@ -83,7 +89,7 @@ def chance(scenario: Scenario, neighbours: int) -> Chance | None:
         return np.ascontiguousarray(np.stack(found, axis=1))
 
     kind = odometer_of(scenario)
-    return Chance(
+    return Disturbances(
         kind,
         gusts_of(scenario),
         table(random_streams.ODOMETER, position.DRAWS),
@@ -96,7 +102,7 @@ def chance(scenario: Scenario, neighbours: int) -> Chance | None:
     )
 
 
-class Surroundings:
+class VehicleDisturbances:
     """The wind around one vehicle and what it believes of itself, tick by tick."""
 
     def __init__(self, scenario: Scenario, uav_id: int, wind_m_s: Array) -> None:

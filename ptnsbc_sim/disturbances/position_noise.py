@@ -32,7 +32,7 @@ DRAWS = 6
 _NOW, _THEN, _SHAKES = 0, 6, 12
 
 
-class Odometer(NamedTuple):
+class PositionNoise(NamedTuple):
     """Constants of the estimator; `every` is 0 for one without error."""
 
     every: int  # control periods between two fixes
@@ -44,21 +44,21 @@ class Odometer(NamedTuple):
     beta_1_s: float  # beta over the time between two fixes
 
 
-EXACT = Odometer(0, 0, 0, 0.0, 0.0, 0.0, 0.0)
+EXACT = PositionNoise(0, 0, 0, 0.0, 0.0, 0.0, 0.0)
 
 
 def odometer(
     noise_m: float, shake_m_s2: float, rate_hz: float, every: int, delay: int, known: int
-) -> Odometer:
+) -> PositionNoise:
     """The estimator with the gains that are best for its noise (Kalata's tracking index)."""
     index = shake_m_s2 / (rate_hz * rate_hz * noise_m)
     root = (4.0 + index - math.sqrt(8.0 * index + index * index)) / 4.0
     alpha = 1.0 - root * root
     beta = 2.0 * (2.0 - alpha) - 4.0 * math.sqrt(1.0 - alpha)
-    return Odometer(every, delay, known, noise_m, shake_m_s2, alpha, beta * rate_hz)
+    return PositionNoise(every, delay, known, noise_m, shake_m_s2, alpha, beta * rate_hz)
 
 
-def spread_m(kind: Odometer, dt: float) -> float:
+def spread_m(kind: PositionNoise, dt: float) -> float:
     """Standard deviation per axis of the believed position [m] when a fix has just come in.
 
     No linear estimator that is given these fixes and this accelerometer has a smaller one: the covariance of
@@ -73,7 +73,7 @@ def spread_m(kind: Odometer, dt: float) -> float:
     return math.sqrt(place + 2.0 * late * both + late * late * speed + pushed * pushed)
 
 
-def no_error(kind: Odometer) -> Array:
+def no_error(kind: PositionNoise) -> Array:
     """Error (12 + 3 (known + 1),) before the first tick: e, h, and a of the latest control periods."""
     return np.zeros(_SHAKES + 3 * (kind.known + 1))
 
@@ -88,7 +88,7 @@ def _carried_on(error: Array, which: int, shake: int, dt: float) -> None:
 
 @leaf
 def _corrected(
-    error: Array, late: Array, reckoned: Array, draws: Array, lag: float, kind: Odometer
+    error: Array, late: Array, reckoned: Array, draws: Array, lag: float, kind: PositionNoise
 ) -> None:
     for i in range(3):
         miss = late[i] + kind.noise_m * draws[i] - (reckoned[i] + error[_THEN + i])
@@ -108,7 +108,7 @@ def believed(
     draws: Array,
     tick: int,
     dt: float,
-    kind: Odometer,
+    kind: PositionNoise,
 ) -> Array:
     """Odometry vector (13,) that the UAV sees at `tick`.
 

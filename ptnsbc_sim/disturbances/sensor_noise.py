@@ -14,7 +14,7 @@ DRAWS = 6
 """Random numbers per object: noise of its position and of its velocity."""
 
 
-class Sight(NamedTuple):
+class SensorNoise(NamedTuple):
     """How well the sensor sees, per axis."""
 
     noise_m: float
@@ -22,7 +22,7 @@ class Sight(NamedTuple):
 
 
 @kernel
-def beside(near: Array, truth: Array, seen: Array, draws: Array, kind: Sight) -> Array:
+def beside(near: Array, truth: Array, seen: Array, draws: Array, kind: SensorNoise) -> Array:
     """Near objects (M, 7) as a UAV places them.
 
     What the sensor measures is where something is from here and how it moves against this vehicle; the

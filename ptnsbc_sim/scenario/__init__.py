@@ -7,7 +7,7 @@ from ptnsbc_sim.scenario.scenario import (
     Disturbance,
     Obstacle,
     Scenario,
-    Vehicle,
+    UavStart,
     load_scenario,
     scenario_from_text,
 )
@@ -17,7 +17,7 @@ __all__ = [
     "ScenarioError",
     "Disturbance",
     "Obstacle",
-    "Vehicle",
+    "UavStart",
     "agent_config",
     "available",
     "load_scenario",

@@ -27,8 +27,8 @@ from ptnsbc_core.types import (
     ControllerConfig,
     EstimatorConfig,
     FilterConfig,
+    InertialParameters,
     LoopGain,
-    Parameters,
     Vector3,
 )
 from ptnsbc_sim.scenario.gains import Loop
@@ -178,7 +178,7 @@ def _controller(scenario: Scenario) -> ControllerConfig:
     return ControllerConfig(
         plant=PLANTS[scenario.plant_kind],
         gravity=float(scenario.gravity_m_s2),
-        nominal=Parameters(float(scenario.mass_kg), _three(scenario.inertia_kg_m2)),
+        nominal=InertialParameters(float(scenario.mass_kg), _three(scenario.inertia_kg_m2)),
         force=_loop(scenario, gains.force),
         torque=_loop(scenario, gains.torque),
         boundary=(float(gains.boundary.velocity_m_s), float(gains.boundary.rate_rad_s)),

@@ -45,7 +45,7 @@ class Estimator(Block):
     """False: the gain is `k1_1_s` from the first instant."""
 
 
-class Clearance(Loop):
+class ClearanceGains(Loop):
     """Keeping clear of obstacles and of each other."""
 
     margin_m: NotNegative
@@ -118,7 +118,7 @@ class Pointing(Block):
     """Of the heading."""
 
 
-class Observer(Block):
+class ObserverGains(Block):
     """Disturbance observer of the quadrotor's velocity loop; 0 switches it off."""
 
     bandwidth_1_s: NotNegative
@@ -158,7 +158,7 @@ class Gains(Block):
     """Velocity loop."""
     torque: Loop
     """Body-rate loop."""
-    clearance: Clearance
+    clearance: ClearanceGains
     """Loop of keeping clear; counts from the start of each encounter."""
     filter: Filter
     """Command filter."""
@@ -168,7 +168,7 @@ class Gains(Block):
     """Width of the saturation in the controller."""
     pointing: Pointing
     """From thrust direction and heading to body rates, quadrotor."""
-    observer: Observer
+    observer: ObserverGains
     """Disturbance observer."""
     damping: Damping
     """Damping near a singularity."""

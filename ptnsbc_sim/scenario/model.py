@@ -50,7 +50,7 @@ class ObstacleBlock(Block):
     """Radius of the sphere to stay out of."""
 
 
-class World(Block):
+class Surroundings(Block):
     """What surrounds the UAVs."""
 
     gravity_m_s2: NotNegative = 9.81
@@ -233,7 +233,7 @@ class ScenarioFile(Block):
     """Of all that happens by chance: see [below](#chance)."""
     timing: Timing
     """Rates and length."""
-    world: World = World()
+    world: Surroundings = Surroundings()
     """What surrounds the UAVs."""
     sensor: Sensor
     """What a UAV sees."""

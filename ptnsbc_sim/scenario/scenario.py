@@ -32,7 +32,7 @@ class Disturbance(NamedTuple):
     offset: Array  # (6,)
 
 
-class Vehicle(NamedTuple):
+class UavStart(NamedTuple):
     """One UAV's start."""
 
     id: int
@@ -209,12 +209,12 @@ class Scenario:
             return self
         return scenario_from_text(self.text, self.mavlink.overrides, source=self.source)
 
-    def uav(self, uav_id: int) -> Vehicle:
+    def uav(self, uav_id: int) -> UavStart:
         """Start and disturbance of one UAV."""
         for block in self.file.uavs:
             if block.id == uav_id:
                 waves = (*block.disturbance_m_s2, *block.disturbance_rad_s2)
-                return Vehicle(
+                return UavStart(
                     block.id,
                     np.array(block.position_m, dtype=np.float64),
                     np.array(block.attitude_rad, dtype=np.float64),

@@ -12,7 +12,7 @@ import typer
 if TYPE_CHECKING:
     from ptnsbc_sim.autopilot.fault_port import Timed
     from ptnsbc_sim.autopilot.launch import Options
-    from ptnsbc_sim.autopilot.server import Station
+    from ptnsbc_sim.autopilot.server import VehicleServer
 
 Kind = Literal["px4", "arducopter", "stm32"]
 
@@ -118,7 +118,7 @@ def run(options: Options, control_port: int | None, timed: list[Timed]) -> None:
     """Build the vehicles, open the ports, and serve."""
     from ptnsbc_nodes.runtime import environment
     from ptnsbc_nodes.runtime.signals import StopRequest
-    from ptnsbc_sim.autopilot.fault_port import Control
+    from ptnsbc_sim.autopilot.fault_port import FaultPort
     from ptnsbc_sim.autopilot.launch import stations
     from ptnsbc_sim.autopilot.server import serve
 
@@ -132,7 +132,7 @@ def run(options: Options, control_port: int | None, timed: list[Timed]) -> None:
         start_t = time.monotonic()
         fleet = stations(options, start_t, say)
         vehicles = [station.vehicle for station in fleet]
-        with Control(vehicles, start_t, port=control_port, timed=timed, say=say) as control:
+        with FaultPort(vehicles, start_t, port=control_port, timed=timed, say=say) as control:
             # A flight controller has a processor of its own; this one shares it with all the others.
             environment.prefer_punctuality(flies=True)
             serve(fleet, lambda: stop.came, control.poll, lambda: _ready(fleet, say))
@@ -143,7 +143,7 @@ def run(options: Options, control_port: int | None, timed: list[Timed]) -> None:
         say("autopilot: stopped")
 
 
-def _ready(fleet: list[Station], say: Callable[[str], None]) -> None:
+def _ready(fleet: list[VehicleServer], say: Callable[[str], None]) -> None:
     for station in fleet:
         ends = ", ".join(
             f"{end.listen.port or 'any'} -> {end.partner.port if end.partner else 'who calls'}"

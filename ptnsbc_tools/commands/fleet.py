@@ -25,7 +25,7 @@ _NO_VERDICT = 1
 
 
 @dataclass(frozen=True)
-class Wishes:
+class FleetRequest:
     """How a fleet is to be flown, and what is to be kept of it."""
 
     lockstep: bool
@@ -42,7 +42,7 @@ def _say(line: str) -> None:
     print(line, file=sys.stderr, flush=True)
 
 
-def _options(scenario: Scenario, wishes: Wishes) -> FleetOptions:
+def _options(scenario: Scenario, wishes: FleetRequest) -> FleetOptions:
     with ros.needed(f"{ros.WAY_OUT}, or fly without it: ptnsbc simulate"):
         from ptnsbc_nodes.fleet.fleet import FleetOptions, chosen
     return FleetOptions(
@@ -87,7 +87,7 @@ def _losses(flown: FleetResult) -> Iterator[str]:
         yield f"{recorded['late']} messages came too late to be sorted: bytes differ between runs"
 
 
-def _judged(bag: Path, flown: FleetResult, wishes: Wishes) -> int:
+def _judged(bag: Path, flown: FleetResult, wishes: FleetRequest) -> int:
     """Judge and show the bag; without one that can be read, still tell how the flight ended."""
     extra: dict[str, Any] = {"bag": wishes.bag, "fleet": _facts(flown)}
     try:
@@ -119,7 +119,7 @@ def in_flight(scenario: Scenario) -> Iterator[str]:
         yield f"in flight: {key}: {value} instead of {before} (mavlink.overrides)"
 
 
-def fleet(scenario: Scenario, wishes: Wishes) -> int:
+def fleet(scenario: Scenario, wishes: FleetRequest) -> int:
     """Fly with one process per UAV, judge the bag; returns the exit code."""
     if wishes.backend == "mavlink":
         for line in in_flight(scenario):
@@ -142,7 +142,7 @@ def fleet(scenario: Scenario, wishes: Wishes) -> int:
         return _judged(bag, flown, wishes)
 
 
-def _taken_part(flown: FleetResult, wishes: Wishes) -> int:
+def _taken_part(flown: FleetResult, wishes: FleetRequest) -> int:
     """How it went on a computer that flew a part of the fleet: the verdict is where the bag is."""
     for name in flown.died:
         _say(f"{name} ended before its time")
@@ -154,8 +154,8 @@ def _taken_part(flown: FleetResult, wishes: Wishes) -> int:
     return flown.exit_code
 
 
-def demo_wishes(folder: Path, *, json: bool) -> Wishes:
+def demo_wishes(folder: Path, *, json: bool) -> FleetRequest:
     """Lock-step, into a new folder named after the moment."""
     bag = folder / f"demo-{datetime.now():%Y%m%d-%H%M%S}"
     picture = bag.with_name(f"{bag.name}.png")
-    return Wishes(lockstep=True, bag=bag, picture=picture, json=json)
+    return FleetRequest(lockstep=True, bag=bag, picture=picture, json=json)

@@ -53,7 +53,7 @@ def plot(
     json: options.JsonOption = False,
 ) -> None:
     """Draw a recorded flight: errors, inputs, separations, estimator, gain, timing."""
-    from ptnsbc_tools.commands.verify import Choice
+    from ptnsbc_tools.commands.verify import ReadOptions
     from ptnsbc_tools.plotting import draw, flight
     from ptnsbc_tools.reading.foreign import Names
 
@@ -63,7 +63,7 @@ def plot(
         raise PlotError(
             f"--out {out}: one file for {len(keys)} figures: expected a folder, or --what with one name"
         )
-    choice = Choice(scenario, tolerance, window, epoch, Names(odom=odom, wrench=wrench))
+    choice = ReadOptions(scenario, tolerance, window, epoch, Names(odom=odom, wrench=wrench))
     with console.patience(f"reading {bag}"):
         shown = flight.read_shown(bag, choice)
     if shown.problem:

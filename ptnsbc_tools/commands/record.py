@@ -77,10 +77,10 @@ def record(
 
 def _needed() -> Any:
     with ros.needed():
-        from ptnsbc_io.bag import Limits
-        from ptnsbc_nodes.recording.record import Wishes, record
+        from ptnsbc_io.bag import SplitLimits
+        from ptnsbc_nodes.recording.record import RecordOptions, record
         from ptnsbc_nodes.recording.topic_recorder import OURS
-    return record, Wishes, Limits, OURS
+    return record, RecordOptions, SplitLimits, OURS
 
 
 def _of_scenario(name: str | None) -> dict[str, Any]:

@@ -70,7 +70,7 @@ def replay(
     from ptnsbc_tools.replay import playing
 
     chosen = tuple(topics or ("*",))
-    wishes = playing.Choice(chosen, rate, start, loop, clock, wait)
+    wishes = playing.PlayArguments(chosen, rate, start, loop, clock, wait)
     raise typer.Exit(playing.publish(bag, wishes, json=json))
 
 

@@ -11,7 +11,7 @@ from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_tools import console, options
 
 if TYPE_CHECKING:
-    from ptnsbc_tools.commands.verify import Choice
+    from ptnsbc_tools.commands.verify import ReadOptions
     from ptnsbc_tools.plotting.flight import Shown
 
 PAGE = "index.html"
@@ -48,11 +48,11 @@ def report(
     """
     if not bag.exists():
         raise ReportError(f"{bag}: no such bag")
-    from ptnsbc_tools.commands.verify import Choice
+    from ptnsbc_tools.commands.verify import ReadOptions
     from ptnsbc_tools.reading.foreign import Names
 
     names = Names(odom=odom, wrench=wrench)
-    choice = Choice(scenario, tolerance, window, epoch, names)
+    choice = ReadOptions(scenario, tolerance, window, epoch, names)
     folder = out or bag.parent / f"{bag.stem if bag.is_file() else bag.name}-report"
     shown = _read(bag, choice)
     path = _write_page(bag, folder, shown)
@@ -73,7 +73,7 @@ def report(
         raise typer.Exit(NO_VERDICT)
 
 
-def _read(bag: Path, choice: Choice) -> Shown:
+def _read(bag: Path, choice: ReadOptions) -> Shown:
     from ptnsbc_tools.plotting import flight
 
     with console.patience(f"reading {bag}"):

@@ -13,7 +13,7 @@ from ptnsbc_tools.reproduce.catalogue import EXPERIMENTS
 
 if TYPE_CHECKING:
     from ptnsbc_tools.reproduce.catalogue import Experiment
-    from ptnsbc_tools.reproduce.runner import Made
+    from ptnsbc_tools.reproduce.runner import TimedResult
 
 _NAMES = ", ".join(one.name for one in EXPERIMENTS)
 
@@ -59,7 +59,7 @@ def reproduce(
 
 def _run(
     experiments: tuple[Experiment, ...], place: Path, jobs: int, given: dict[str, Any]
-) -> list[Made]:
+) -> list[TimedResult]:
     from ptnsbc_tools import console
     from ptnsbc_tools.reproduce import progress
     from ptnsbc_tools.reproduce.runner import run_all
@@ -82,7 +82,7 @@ def _command(only: list[str] | None, docs: Path | None, settings: list[str] | No
     return shlex.join(words + (["--docs", str(docs)] if docs else []))
 
 
-def _report(made: list[Made], place: Path, docs: Path | None, command: str) -> None:
+def _report(made: list[TimedResult], place: Path, docs: Path | None, command: str) -> None:
     from ptnsbc_tools.reproduce import report, source
     from ptnsbc_tools.reproduce.document import Origin
 
@@ -92,7 +92,7 @@ def _report(made: list[Made], place: Path, docs: Path | None, command: str) -> N
         report.write_docs(origin, made, place, docs)
 
 
-def _show(made: list[Made], folder: Path, *, json: bool) -> None:
+def _show(made: list[TimedResult], folder: Path, *, json: bool) -> None:
     from ptnsbc_tools import console
     from ptnsbc_tools.reproduce import report
 

@@ -37,10 +37,10 @@ def stop(
     from ptnsbc_nodes.runtime import environment
 
     environment.prepare()
-    from ptnsbc_nodes.fleet.coordinator_node import Tower
+    from ptnsbc_nodes.fleet.coordinator_node import Coordinator
 
     number = int(os.environ.get("ROS_DOMAIN_ID", "0")) if domain is None else domain
-    with Tower(number) as tower:
+    with Coordinator(number) as tower:
         # Bridges first and directly: an emergency stop must not wait for a leader that hangs.
         bridges = tower.emergency("kill" if kill else "land", _BRIDGES_S)
         refusal = tower.call("stop", _SERVICE_S)

@@ -12,7 +12,7 @@ from ptnsbc_tools.verdict import Recording, Verdict, verdict_on
 
 
 @dataclass(frozen=True)
-class Choice:
+class ReadOptions:
     """What is judged, and how."""
 
     scenario: Path | None = None
@@ -27,7 +27,7 @@ class Choice:
         return replace(recording, window_s=self.window_s)
 
 
-def verify(bag: Path, choice: Choice, *, picture: Path | None, json: bool) -> Verdict:
+def verify(bag: Path, choice: ReadOptions, *, picture: Path | None, json: bool) -> Verdict:
     """Read a bag, judge it, print the verdict."""
     recording = choice.read(bag)
     verdict = verdict_on(recording, choice.tolerance)

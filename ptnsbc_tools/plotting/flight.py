@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import Scenario
-from ptnsbc_tools.commands.verify import Choice
-from ptnsbc_tools.plotting.status import Status, read_status
+from ptnsbc_tools.commands.verify import ReadOptions
+from ptnsbc_tools.plotting.status import StatusSeries, read_status
 from ptnsbc_tools.verdict import Recording, Track, Verdict, verdict_on
 from ptnsbc_tools.verdict.recording import NANO, tolerance_of
 from ptnsbc_tools.verdict.windows import Window, joined, rises
@@ -26,7 +26,7 @@ class Shown:
     """What of a flight is shown."""
 
     recording: Recording
-    status: Status
+    status: StatusSeries
     tolerance_m: float
     verdict: Verdict | None
     problem: str  # why there is no verdict, else empty
@@ -90,7 +90,7 @@ class Shown:
         return joined(rises(counters)) if counters is not None else []
 
 
-def shown(recording: Recording, status: Status, tolerance_m: float | None = None) -> Shown:
+def shown(recording: Recording, status: StatusSeries, tolerance_m: float | None = None) -> Shown:
     """Judge a recording, or say why not; the tolerance is the scenario's by default."""
     limit_m = tolerance_of(recording, tolerance_m)
     try:
@@ -100,7 +100,7 @@ def shown(recording: Recording, status: Status, tolerance_m: float | None = None
     return Shown(recording, status, limit_m, verdict, problem)
 
 
-def read_shown(bag: Path, choice: Choice) -> Shown:
+def read_shown(bag: Path, choice: ReadOptions) -> Shown:
     """Read a bag and judge it.
 
     Raises:

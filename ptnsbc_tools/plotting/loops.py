@@ -8,7 +8,7 @@ from ptnsbc_tools.plotting.chart import Chart, Curve, Limit, Mark
 from ptnsbc_tools.plotting.common import FLOOR_M, chart_of, curve_of, in_time
 from ptnsbc_tools.plotting.flight import Shown
 from ptnsbc_tools.plotting.style import look
-from ptnsbc_tools.plotting.thin import Gathered
+from ptnsbc_tools.plotting.thin import ThinnedCurves
 
 _FLOOR_MS = 0.1
 
@@ -20,7 +20,7 @@ def estimator(flight: Shown) -> Chart | None:
     tracks = flight.recording.estimate
     told = {uav: tracks[uav] for uav in flight.scenario.followers if uav in tracks}
     truth = flight.recording.odometry[flight.scenario.leader_id]
-    found = Gathered[int](flight.samples)
+    found = ThinnedCurves[int](flight.samples)
     for grid in flight.grids():
         leader = truth.at(grid)[:, :3]
         for uav, track in told.items():

@@ -14,7 +14,7 @@ from ptnsbc_tools.plotting import style
 from ptnsbc_tools.plotting.draw import fill
 from ptnsbc_tools.plotting.flight import Shown
 from ptnsbc_tools.plotting.space import errors
-from ptnsbc_tools.plotting.status import Status
+from ptnsbc_tools.plotting.status import StatusSeries
 from ptnsbc_tools.verdict.recording import Recording, tolerance_of
 
 _POINTS = 4000  # of a path
@@ -88,7 +88,7 @@ def draw(recording: Recording, path: Path, tolerance: float | None = None) -> Pa
     panels = figure.add_gridspec(2, 2, height_ratios=(3, 2))
     _from_above(figure.add_subplot(panels[0, 0]), recording, positions)
     _in_space(figure.add_subplot(panels[0, 1], projection="3d"), recording, positions)
-    chart = errors(Shown(recording, Status(), tolerance_of(recording, tolerance), None, ""))
+    chart = errors(Shown(recording, StatusSeries(), tolerance_of(recording, tolerance), None, ""))
     if chart is not None:
         fill(figure.add_subplot(panels[1, :]), chart)
     scenario = recording.scenario

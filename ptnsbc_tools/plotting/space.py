@@ -13,7 +13,7 @@ from ptnsbc_tools.plotting.chart import Chart, Curve, Limit, Mark, Span
 from ptnsbc_tools.plotting.common import FLOOR_M, chart_of, curve_of, look_of
 from ptnsbc_tools.plotting.flight import Shown
 from ptnsbc_tools.plotting.style import DASHES, Look, look
-from ptnsbc_tools.plotting.thin import Gathered, Points
+from ptnsbc_tools.plotting.thin import Points, ThinnedCurves
 from ptnsbc_tools.verdict import Recording, VerdictError
 from ptnsbc_tools.verdict.deadline import formation_errors
 from ptnsbc_tools.verdict.recording import NANO
@@ -34,7 +34,7 @@ def _spans(flight: Shown) -> tuple[Span, ...]:
 
 def _leg_errors(flight: Shown, leg: Recording) -> dict[int, Points]:
     """Error of every UAV over one leg, in the time of the flight; empty when it was not flown."""
-    found = Gathered[int](leg.samples)
+    found = ThinnedCurves[int](leg.samples)
     try:
         for grid in leg.grids():
             for uav, error in formation_errors(leg, grid, leg.positions(grid)).items():
@@ -105,7 +105,7 @@ def _left_out(curves: list[Curve]) -> str:
 
 def between(flight: Shown) -> Chart | None:
     """Distances of all pairs of UAVs."""
-    ids, found = flight.scenario.uav_ids, Gathered[tuple[int, int]](flight.samples)
+    ids, found = flight.scenario.uav_ids, ThinnedCurves[tuple[int, int]](flight.samples)
     for t, places in _places(flight):
         for pair in combinations(flight.uavs, 2):
             found.add(pair, t, np.linalg.norm(places[pair[0]] - places[pair[1]], axis=1))
@@ -121,7 +121,7 @@ def between(flight: Shown) -> Chart | None:
 
 def obstacles(flight: Shown) -> Chart | None:
     """Distances of all UAVs from the centres of all obstacles."""
-    known, found = flight.scenario.obstacles, Gathered[tuple[int, int]](flight.samples)
+    known, found = flight.scenario.obstacles, ThinnedCurves[tuple[int, int]](flight.samples)
     for t, places in _places(flight):
         for uav, (number, one) in product(flight.uavs, enumerate(known)):
             found.add((uav, number), t, np.linalg.norm(places[uav] - one.position, axis=1))

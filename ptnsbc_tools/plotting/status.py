@@ -15,8 +15,8 @@ from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.uav.step_log import TickNote, tick_note
 from ptnsbc_tools.reading.bag_reader import SCENARIO_ATTACHMENT
 from ptnsbc_tools.reading.diagnostics import Diagnostics, decode_diagnostics
+from ptnsbc_tools.reading.disk_track import DiskTrack, Writer
 from ptnsbc_tools.reading.foreign import open_source
-from ptnsbc_tools.reading.spool import Spool, Writer
 from ptnsbc_tools.verdict import Track
 
 _STATUS = topics.DIAGNOSTICS.name
@@ -29,7 +29,7 @@ SIM_KEYS = ("latency_p50_ms", "latency_p99_ms", "latency_max_ms", "missed_ticks"
 
 
 @dataclass(frozen=True)
-class Status:
+class StatusSeries:
     """Values over time; a key that nobody told is missing."""
 
     planner: Mapping[int, Mapping[str, Track]] = field(default_factory=dict)  # by UAV, by key
@@ -40,7 +40,7 @@ class Status:
 class _Rows:
     """Samples by key, as they come."""
 
-    def __init__(self, spool: Spool) -> None:
+    def __init__(self, spool: DiskTrack) -> None:
         self._spool = spool
         self._tracks: dict[str, Writer] = {}
 
@@ -59,11 +59,11 @@ class _Rows:
         return {key: written.track() for key, written in self._tracks.items()}
 
 
-class Teller:
+class StatusCollector:
     """Takes in what nodes tell, sorted by node and by key."""
 
     def __init__(self) -> None:
-        self._spool = Spool()
+        self._spool = DiskTrack()
         self._planners: dict[int, _Rows] = {}
         self._sim = _Rows(self._spool)
         self._ages: dict[int, Writer] = {}
@@ -88,18 +88,18 @@ class Teller:
                 self._ages[uav] = Writer(self._spool)
             self._ages[uav].add(now_ns, now_ns, age_ms)
 
-    def status(self) -> Status:
+    def status(self) -> StatusSeries:
         """All that was taken."""
         planner = {uav: rows.tracks() for uav, rows in sorted(self._planners.items())}
         ages = {uav: written.track() for uav, written in sorted(self._ages.items())}
-        return Status(planner, self._sim.tracks(), ages)
+        return StatusSeries(planner, self._sim.tracks(), ages)
 
 
-def read_status(path: Path) -> Status:
+def read_status(path: Path) -> StatusSeries:
     """The status of a bag's nodes; empty where none was recorded."""
     source = open_source(path, SCENARIO_ATTACHMENT)
     types = source.types()
-    teller = Teller()
+    teller = StatusCollector()
     ticks = {name: int(found[1]) for name in types if (found := _TICK.fullmatch(name))}
     for message in source.messages([name for name in (_STATUS, *ticks) if name in types]):
         try:

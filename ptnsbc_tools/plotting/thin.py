@@ -67,7 +67,7 @@ class Thinner:
         return Points(np.concatenate(t), np.concatenate(values))
 
 
-class Gathered(Generic[Key]):
+class ThinnedCurves(Generic[Key]):
     """Thinned curves by key.
 
     Args:

@@ -13,9 +13,9 @@ from ptnsbc_io.bag import Bag, BagError, BagMessage
 from ptnsbc_io.wire import Stamped, WireError, decode_header, decode_odometry, decode_wrench
 from ptnsbc_nodes.comm import topics
 from ptnsbc_sim.scenario import Scenario, load_scenario, scenario_from_text
-from ptnsbc_tools.reading.diagnostics import Diagnostics, Status, decode_diagnostics
+from ptnsbc_tools.reading.diagnostics import Diagnostics, DiagnosticStatus, decode_diagnostics
+from ptnsbc_tools.reading.disk_track import DiskTrack, Writer
 from ptnsbc_tools.reading.foreign import Names, Source, check_types, open_source
-from ptnsbc_tools.reading.spool import Spool, Writer
 from ptnsbc_tools.verdict import Recording, Track
 from ptnsbc_tools.verdict.recording import COUNTERS, FORMATION
 
@@ -51,10 +51,10 @@ def _scenario(source: Source, given: Path | None) -> Scenario:
     return scenario_from_text(text, source=f"{source.path.name}:{SCENARIO_ATTACHMENT}")
 
 
-class Counted:
+class DiagnosticCounters:
     """What nodes count on /diagnostics."""
 
-    def __init__(self, spool: Spool) -> None:
+    def __init__(self, spool: DiskTrack) -> None:
         self.latency: dict[str, float] = {}  # the newest figures
         self._spool = spool
         self._counters: dict[int, Writer] = {}
@@ -93,8 +93,8 @@ class _Collector:
 
     def __init__(self, source: Source, names: Names, uavs: tuple[int, ...]) -> None:
         self.epochs: set[tuple[int, str]] = set()
-        self._spool = Spool()
-        self.counted = Counted(self._spool)
+        self._spool = DiskTrack()
+        self.counted = DiagnosticCounters(self._spool)
         self._source = source
         self._names = names
         self._uavs = uavs
@@ -145,7 +145,7 @@ def _number(values: dict[str, str], key: str) -> float:
         return 0.0
 
 
-def _latency(status: Status) -> dict[str, float]:
+def _latency(status: DiagnosticStatus) -> dict[str, float]:
     found = {key: _LATENCY.fullmatch(key) for key in status.values}
     figures = {m[1]: _number(status.values, key) for key, m in found.items() if m}
     return figures if any(figures.values()) else {}  # lock-step has no latency

@@ -10,7 +10,7 @@ from ptnsbc_io.wire.cdr import align, byte_order, read_stamp, require, skip_stri
 _WHAT = "diagnostic_msgs/DiagnosticArray"
 
 
-class Status(NamedTuple):
+class DiagnosticStatus(NamedTuple):
     """One status of an array."""
 
     name: str  # "uav3: planner"
@@ -23,7 +23,7 @@ class Diagnostics(NamedTuple):
     """A decoded array."""
 
     stamp_ns: int
-    statuses: tuple[Status, ...]
+    statuses: tuple[DiagnosticStatus, ...]
 
 
 class _Cursor:
@@ -56,7 +56,7 @@ class _Cursor:
         return read_stamp(self._data, self._order, 4, _WHAT)
 
 
-def _status(cursor: _Cursor) -> Status:
+def _status(cursor: _Cursor) -> DiagnosticStatus:
     level = cursor.octet()
     name, message = cursor.text(), cursor.text()
     cursor.text()  # hardware_id
@@ -64,7 +64,7 @@ def _status(cursor: _Cursor) -> Status:
     for _ in range(cursor.count()):
         key = cursor.text()
         values[key] = cursor.text()
-    return Status(name, level, message, values)
+    return DiagnosticStatus(name, level, message, values)
 
 
 def decode_diagnostics(data: bytes) -> Diagnostics:

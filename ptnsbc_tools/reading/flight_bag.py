@@ -13,11 +13,11 @@ from ptnsbc_core.types import Array
 from ptnsbc_io.bag import BagError, BagWriter
 from ptnsbc_io.wire import ClockTemplate, HeaderTemplate, Stamped, encode_near
 from ptnsbc_nodes.comm import topics
-from ptnsbc_nodes.comm.agent_messages import WORLD_FRAME, Letters
+from ptnsbc_nodes.comm.agent_messages import WORLD_FRAME, AgentMessages
 from ptnsbc_nodes.comm.tf import Transforms
 from ptnsbc_nodes.runtime import environment
 from ptnsbc_nodes.runtime.provenance import provenance
-from ptnsbc_sim.swarm import Flight
+from ptnsbc_sim.swarm import HeadlessFlight
 from ptnsbc_tools.reading.bag_reader import SCENARIO_ATTACHMENT
 
 LEG = "form"
@@ -29,10 +29,10 @@ class BagSupportError(PtnsbcError):
     """The ROS message packages that a bag needs are not installed."""
 
 
-class _Places:
+class _MarkerWorld:
     """The flight as the world that markers are drawn from."""
 
-    def __init__(self, flight: Flight) -> None:
+    def __init__(self, flight: HeadlessFlight) -> None:
         self.ids = flight.scenario.uav_ids
         self.tick = 0
         self._flight = flight
@@ -46,14 +46,14 @@ class _Places:
 class _UavMessages:
     """What one UAV and its sensors say at each tick."""
 
-    def __init__(self, flight: Flight, row: int) -> None:
+    def __init__(self, flight: HeadlessFlight, row: int) -> None:
         uav = flight.scenario.uav_ids[row]
         self._flight = flight
         self._row = row
         self._near_every = flight.wiring.near_every
         self._truth = topics.truth(uav).name
         self._names = [topic.name for topic in topics.of_uav(uav)]
-        self._letters = Letters(uav)
+        self._letters = AgentMessages(uav)
 
     def at(self, tick: int, stamp_ns: int) -> Iterator[Message]:
         """Messages of one tick."""
@@ -74,17 +74,17 @@ class _UavMessages:
 class _Status:
     """The /diagnostics of all UAVs and the sim, and the pictures; both five times a second."""
 
-    def __init__(self, flight: Flight) -> None:
+    def __init__(self, flight: HeadlessFlight) -> None:
         from ptnsbc_nodes.comm.diagnostics import STATUS_HZ
         from ptnsbc_nodes.comm.markers import Scene
-        from ptnsbc_nodes.uav.counters import Tally
+        from ptnsbc_nodes.uav.counters import UavCounters
 
         scenario = flight.scenario
         self._flight = flight
         self._every = max(scenario.control_hz // STATUS_HZ, 1)
         self._dt = scenario.dt_ns * 1e-9
-        self._tallies = [Tally() for _ in scenario.uav_ids]
-        self._places = _Places(flight)
+        self._tallies = [UavCounters() for _ in scenario.uav_ids]
+        self._places = _MarkerWorld(flight)
         # Only `ids` and `odometry` of a World are read.
         self._scene = Scene(scenario, self._places)  # type: ignore[arg-type]
 
@@ -100,15 +100,17 @@ class _Status:
         yield topics.MARKERS.name, self._scene.markers(stamp_ns)
 
     def _diagnostics(self, tick: int, stamp_ns: int) -> Iterator[bytes]:
-        from ptnsbc_nodes.comm.diagnostics import Level, diagnostics, readiness
+        from ptnsbc_nodes.comm.diagnostics import DiagnosticLevel, diagnostics, readiness
 
         for uav, tally in zip(self._flight.scenario.uav_ids, self._tallies, strict=True):
             values = {**readiness([]), "mode": LEG, "missed_ticks": "0", **tally.values()}
-            level, text = (Level.WARN, "holding") if tally.holding else (Level.OK, "")
+            level, text = (
+                (DiagnosticLevel.WARN, "holding") if tally.holding else (DiagnosticLevel.OK, "")
+            )
             yield diagnostics(stamp_ns, f"uav{uav}: planner", level, text, values)
         still = {f"latency_{name}_ms": "0.000" for name in ("p50", "p99", "max")}
         values = {**readiness([]), "ticks": str(tick), "missed_ticks": "0", **still}
-        yield diagnostics(stamp_ns, "sim: world", Level.OK, "", values)
+        yield diagnostics(stamp_ns, "sim: world", DiagnosticLevel.OK, "", values)
 
 
 def _as_received(data: bytes) -> bytes:
@@ -116,7 +118,7 @@ def _as_received(data: bytes) -> bytes:
     return data + bytes(-len(data) % 4)
 
 
-def messages(flight: Flight) -> Iterator[tuple[int, list[Message]]]:
+def messages(flight: HeadlessFlight) -> Iterator[tuple[int, list[Message]]]:
     """Stamp [ns] and sorted messages of every tick."""
     clock = ClockTemplate()
     uavs = [_UavMessages(flight, row) for row in range(len(flight.scenario.uav_ids))]
@@ -151,7 +153,7 @@ def prepare_bag(directory: Path, *, overwrite: bool) -> None:
 
 
 def write_flight(
-    flight: Flight,
+    flight: HeadlessFlight,
     directory: Path,
     *,
     overwrite: bool = False,

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from ptnsbc_sim import track
-from ptnsbc_sim.swarm import Flight
+from ptnsbc_sim.swarm import HeadlessFlight
 from ptnsbc_tools.verdict import Recording, Series
 from ptnsbc_tools.verdict.recording import COUNTERS
 
 STATUS_HZ = 5
 
 
-def _counters(flight: Flight, row: int) -> Series:
+def _counters(flight: HeadlessFlight, row: int) -> Series:
     """What /diagnostics would have told: cumulative, five times a second, in milliseconds."""
     scenario = flight.scenario
     log = flight.track.diagnostics[:, row]
@@ -29,7 +29,7 @@ def _counters(flight: Flight, row: int) -> Series:
     return Series(stamps, np.stack([columns[name] for name in COUNTERS], axis=1))
 
 
-def recording_of(flight: Flight) -> Recording:
+def recording_of(flight: HeadlessFlight) -> Recording:
     """Everything the verdict needs from a flight."""
     track, ids = flight.track, flight.scenario.uav_ids
     return Recording(

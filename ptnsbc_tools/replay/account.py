@@ -9,7 +9,7 @@ from typing import Any
 from rich.table import Table
 
 from ptnsbc_tools.replay.rerun import EQUAL, Rerun
-from ptnsbc_tools.replay.seat import Account
+from ptnsbc_tools.replay.uav_replay import Account
 
 
 def as_json(done: Rerun, seconds: float) -> dict[str, Any]:

@@ -8,9 +8,9 @@ from collections.abc import Mapping
 from typing import Generic, NamedTuple, TypeVar
 
 from ptnsbc_io.wire import WireError
-from ptnsbc_tools.replay.desk import Desk
 from ptnsbc_tools.replay.difference import Difference, Mismatch
-from ptnsbc_tools.replay.seat import Seat
+from ptnsbc_tools.replay.replay_state import ReplayState
+from ptnsbc_tools.replay.uav_replay import UavReplay
 
 WINDOW_NS = 1_000_000_000
 """How much later than a step its inputs and outputs may have been recorded."""
@@ -18,7 +18,7 @@ WINDOW_NS = 1_000_000_000
 S = TypeVar("S")
 
 
-class Place(NamedTuple):
+class StepIndex(NamedTuple):
     """A step as the flight counts it."""
 
     tick: int
@@ -30,7 +30,7 @@ class Driver(ABC, Generic[S]):
 
     triggers: Mapping[str, int]  # topic whose messages stand for steps, and the UAV
 
-    def __init__(self, desk: Desk) -> None:
+    def __init__(self, desk: ReplayState) -> None:
         self.desk = desk
         self._due: deque[tuple[int, int, S]] = deque()  # log time, UAV, step
 
@@ -39,11 +39,11 @@ class Driver(ABC, Generic[S]):
         """The step that a trigger stands for."""
 
     @abstractmethod
-    def place(self, step: S) -> Place:
+    def place(self, step: S) -> StepIndex:
         """Where in the flight a step is."""
 
     @abstractmethod
-    def make(self, seat: Seat, step: S) -> Mismatch | None:
+    def make(self, seat: UavReplay, step: S) -> Mismatch | None:
         """Make a step; what of it differs from the recording."""
 
     def take(self, topic: str, log_ns: int, data: bytes) -> None:

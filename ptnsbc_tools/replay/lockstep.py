@@ -5,16 +5,16 @@ from __future__ import annotations
 from ptnsbc_io.wire import WireError, peek_stamp
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.uav.controller import moment
-from ptnsbc_tools.replay.desk import Desk
 from ptnsbc_tools.replay.difference import Mismatch
-from ptnsbc_tools.replay.driver import Driver, Place
-from ptnsbc_tools.replay.seat import MissingError, Seat
+from ptnsbc_tools.replay.driver import Driver, StepIndex
+from ptnsbc_tools.replay.replay_state import ReplayState
+from ptnsbc_tools.replay.uav_replay import MissingError, UavReplay
 
 
 class Lockstep(Driver[int]):
     """A step is the stamp of an own odometry."""
 
-    def __init__(self, desk: Desk) -> None:
+    def __init__(self, desk: ReplayState) -> None:
         super().__init__(desk)
         self.triggers = {topics.odom(uav).name: uav for uav in desk.seats}
         self._period_ns = desk.scenario.dt_ns
@@ -32,11 +32,11 @@ class Lockstep(Driver[int]):
             )
         return stamp_ns
 
-    def place(self, step: int) -> Place:
+    def place(self, step: int) -> StepIndex:
         """Ticks are counted from simulated time 0."""
-        return Place(step // self._period_ns, step)
+        return StepIndex(step // self._period_ns, step)
 
-    def make(self, seat: Seat, step: int) -> Mismatch | None:
+    def make(self, seat: UavReplay, step: int) -> Mismatch | None:
         """The step at `step` [ns], from the messages of the tick before."""
         leg = self.desk.epochs.at(step)
         if leg is None:
@@ -54,7 +54,7 @@ class Lockstep(Driver[int]):
         found = seat.compare(outputs, self.desk.shelves)
         return found or seat.compare_counters()
 
-    def _fetch(self, seat: Seat, now_ns: int) -> None:
+    def _fetch(self, seat: UavReplay, now_ns: int) -> None:
         """Put what the tick was made of into the inbox."""
         expected_ns = self._next_ns[seat.uav]
         if now_ns != expected_ns:
@@ -70,7 +70,7 @@ class Lockstep(Driver[int]):
             elif now_ns > 0:
                 self._hold(seat, name, topic.name, now_ns - self._period_ns)
 
-    def _hold(self, seat: Seat, name: str, topic: str, due_ns: int) -> None:
+    def _hold(self, seat: UavReplay, name: str, topic: str, due_ns: int) -> None:
         """The message that is due; an older one only of a UAV that has ended."""
         shelf = self.desk.shelves[topic]
         due = shelf.read(due_ns)

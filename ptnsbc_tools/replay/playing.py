@@ -12,7 +12,7 @@ from ptnsbc_tools import console, ros
 _INTERRUPTED = 130
 
 
-class Choice(NamedTuple):
+class PlayArguments(NamedTuple):
     """The options of the command; see `ptnsbc_nodes.recording.player.Wishes`."""
 
     topics: tuple[str, ...]
@@ -23,12 +23,12 @@ class Choice(NamedTuple):
     wait_s: float
 
 
-def publish(path: Path, choice: Choice, *, json: bool) -> int:
+def publish(path: Path, choice: PlayArguments, *, json: bool) -> int:
     """Play; returns the exit code."""
     bag = read_bag(path)
     with ros.needed():
         from ptnsbc_nodes.recording import player
-    wishes = player.Wishes(**choice._asdict())
+    wishes = player.PlayOptions(**choice._asdict())
     with console.progress("playing") as advance:
         played = player.play(bag, wishes, _say, advance)
     if json:

@@ -5,10 +5,10 @@ from __future__ import annotations
 from ptnsbc_io.wire import decode_integers
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.uav.step_log import TickNote, tick_note
-from ptnsbc_tools.replay.desk import Desk
 from ptnsbc_tools.replay.difference import Mismatch
-from ptnsbc_tools.replay.driver import Driver, Place
-from ptnsbc_tools.replay.seat import MissingError, Seat
+from ptnsbc_tools.replay.driver import Driver, StepIndex
+from ptnsbc_tools.replay.replay_state import ReplayState
+from ptnsbc_tools.replay.uav_replay import MissingError, UavReplay
 
 _KEPT_STAMPS = 2000  # per UAV: several seconds
 
@@ -16,7 +16,7 @@ _KEPT_STAMPS = 2000  # per UAV: several seconds
 class Realtime(Driver[TickNote]):
     """A step is a note."""
 
-    def __init__(self, desk: Desk) -> None:
+    def __init__(self, desk: ReplayState) -> None:
         super().__init__(desk)
         self.triggers = {topics.tick(uav).name: uav for uav in desk.seats}
         self._sent: dict[int, dict[int, int]] = {uav: {} for uav in desk.seats}  # steps by stamp
@@ -33,11 +33,11 @@ class Realtime(Driver[TickNote]):
             del sent[next(iter(sent))]
         return note
 
-    def place(self, step: TickNote) -> Place:
+    def place(self, step: TickNote) -> StepIndex:
         """Ticks are counted by the process."""
-        return Place(step.sequence, step.moment.now_ns)
+        return StepIndex(step.sequence, step.moment.now_ns)
 
-    def make(self, seat: Seat, step: TickNote) -> Mismatch | None:
+    def make(self, seat: UavReplay, step: TickNote) -> Mismatch | None:
         """The step of a note, if the pilot has made all before it."""
         snapshot = self.desk.snapshot(seat.uav, step.sequence)
         if step.sequence == 0:  # the controller has begun, or begins anew
@@ -64,14 +64,14 @@ class Realtime(Driver[TickNote]):
             found = seat.compare_snapshot(step.sequence, snapshot)
         return found
 
-    def _leave_out(self, seat: Seat, step: TickNote, snapshot: bytes | None) -> None:
+    def _leave_out(self, seat: UavReplay, step: TickNote, snapshot: bytes | None) -> None:
         """Do not make a step; go on behind it if there is a snapshot."""
         self._skip(seat, step, 1)
         seat.lose_thread()
         if snapshot is not None:
             seat.resume(step.sequence, snapshot)
 
-    def _skip(self, seat: Seat, step: TickNote, steps: int) -> None:
+    def _skip(self, seat: UavReplay, step: TickNote, steps: int) -> None:
         if step.moment.flying:
             t_s = self.desk.seconds(step.moment.now_ns)
             seat.account.skip(t_s, steps, self._why[seat.uav])

@@ -14,12 +14,12 @@ from ptnsbc_io.bag import Bag, BagError, BagMessage
 from ptnsbc_io.wire import WireError
 from ptnsbc_nodes.comm import topics
 from ptnsbc_sim.scenario import Scenario
-from ptnsbc_tools.replay.desk import Desk
 from ptnsbc_tools.replay.difference import Difference
 from ptnsbc_tools.replay.lockstep import Lockstep
 from ptnsbc_tools.replay.parallel import side_by_side
 from ptnsbc_tools.replay.realtime import Realtime
-from ptnsbc_tools.replay.seat import Account
+from ptnsbc_tools.replay.replay_state import ReplayState
+from ptnsbc_tools.replay.uav_replay import Account
 
 Advance = Callable[[int, int], None]
 Progress = Callable[[], AbstractContextManager[Advance]]
@@ -85,7 +85,7 @@ def _of(
     bag: Bag, scenario: Scenario, uavs: Sequence[int], noted: bool, progress: Progress = _unseen
 ) -> dict[int, Account]:
     """Accounts of some UAVs."""
-    desk = Desk(scenario, uavs)
+    desk = ReplayState(scenario, uavs)
     driver: Realtime | Lockstep = Realtime(desk) if noted else Lockstep(desk)
     with progress() as advance:  # here: a bar has a thread, and threads do not survive a fork
         for message in _shown(bag, desk.wanted(bag), advance):

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 from ptnsbc_core.errors import PtnsbcError
 
 if TYPE_CHECKING:
-    from ptnsbc_tools.reproduce.part import Part
-    from ptnsbc_tools.reproduce.workshop import Workshop
+    from ptnsbc_tools.reproduce.experiment_folder import ExperimentFolder
+    from ptnsbc_tools.reproduce.experiment_result import ExperimentResult
 
 
 @dataclass(frozen=True)
@@ -23,9 +23,9 @@ class Experiment:
     seconds: float  # on one core, laws compiled: for the order and the progress bar
     alone: bool = False  # measured by the clock: nothing else may run
 
-    def load(self) -> Callable[[Workshop], Part]:
+    def load(self) -> Callable[[ExperimentFolder], ExperimentResult]:
         """The function that runs it."""
-        run: Callable[[Workshop], Part] = import_module(
+        run: Callable[[ExperimentFolder], ExperimentResult] = import_module(
             f"ptnsbc_tools.reproduce.experiments.{self.name}"
         ).run
         return run

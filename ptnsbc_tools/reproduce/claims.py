@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from ptnsbc_tools.reproduce.flights import Flown
-from ptnsbc_tools.reproduce.part import Claim
+from ptnsbc_tools.reproduce.experiment_result import Claim
+from ptnsbc_tools.reproduce.flights import JudgedFlight
 
 HOLDS, FAILS = "holds", "does not hold"
 _PRINTED = "paper"
@@ -24,12 +24,12 @@ def verdict(by_case: Mapping[str, bool], printed: str = _PRINTED) -> str:
     return f"holds when {' or '.join(good)}" if good else FAILS
 
 
-def kept(flown: Flown) -> bool:
+def kept(flown: JudgedFlight) -> bool:
     """Deadline met by all UAVs, and nothing touched."""
     return flown.met() == len(flown.verdict.uavs) and flown.clearance_m() >= 0.0
 
 
-def formation_claim(scenario: str, flights: Mapping[str, Flown]) -> Claim:
+def formation_claim(scenario: str, flights: Mapping[str, JudgedFlight]) -> Claim:
     """All UAVs in formation within the deadline, for each profile."""
     key, where, figures = _FORMATION[scenario]
     told = [
@@ -48,7 +48,7 @@ def formation_claim(scenario: str, flights: Mapping[str, Flown]) -> Claim:
     )
 
 
-def velocity_claim(flights: Mapping[str, Flown]) -> Claim:
+def velocity_claim(flights: Mapping[str, JudgedFlight]) -> Claim:
     """The velocity error stays within the sliding boundary from tf3 on."""
     some = next(iter(flights.values())).scenario.gains
     deadline_s, width = some.force.deadline_s, some.boundary.velocity_m_s
@@ -66,7 +66,7 @@ def velocity_claim(flights: Mapping[str, Flown]) -> Claim:
     )
 
 
-def shape_claim(flights: Mapping[str, Flown]) -> Claim:
+def shape_claim(flights: Mapping[str, JudgedFlight]) -> Claim:
     """Twenty UAVs in formation by the deadline, past the obstacles."""
     told = [
         f"{profile}: {one.met()} of {len(one.verdict.uavs)} UAVs, room beyond keep-outs at least "
@@ -84,7 +84,7 @@ def shape_claim(flights: Mapping[str, Flown]) -> Claim:
     )
 
 
-def limit_claim(flights: Mapping[str, Flown], limit_n: float) -> Claim:
+def limit_claim(flights: Mapping[str, JudgedFlight], limit_n: float) -> Claim:
     """No input of any UAV above a limit; the first of the flights is the printed law."""
     told = [f"{profile}: {one.peak_input():.1f} at most" for profile, one in flights.items()]
     cases = {
@@ -101,7 +101,9 @@ def limit_claim(flights: Mapping[str, Flown], limit_n: float) -> Claim:
     )
 
 
-def experiment_claim(flights: Sequence[Flown], fresh: Sequence[Flown], calm: Flown) -> Claim:
+def experiment_claim(
+    flights: Sequence[JudgedFlight], fresh: Sequence[JudgedFlight], calm: JudgedFlight
+) -> Claim:
     """Four quadrotors form up and follow in every draw of what chance does to them, and without it.
 
     Args:

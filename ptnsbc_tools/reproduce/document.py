@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
-from ptnsbc_tools.reproduce.part import Claim, Figure, Part, Table, written
+from ptnsbc_tools.reproduce.experiment_result import Claim, ExperimentResult, Figure, Table, written
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,9 @@ Numbers in brackets are the paper's equation numbers; words such as *settled* ar
 """
 
 
-def document(origin: Origin, parts: Sequence[Part], *, images: str, all_figures: bool) -> str:
+def document(
+    origin: Origin, parts: Sequence[ExperimentResult], *, images: str, all_figures: bool
+) -> str:
     """The whole text.
 
     Args:
@@ -54,7 +56,7 @@ def _claims(claims: Iterable[Claim]) -> str:
     return f"## Claims\n\n{_grid(head, rows)}\n"
 
 
-def _part(part: Part, images: str, *, all_figures: bool) -> str:
+def _part(part: ExperimentResult, images: str, *, all_figures: bool) -> str:
     lines = [f"## {part.title}", "", part.text, ""]
     if part.timed:
         lines += ["Measured by the clock: these numbers differ from run to run.", ""]

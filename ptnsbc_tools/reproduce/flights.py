@@ -12,7 +12,7 @@ import numpy as np
 
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import Scenario, load_scenario
-from ptnsbc_sim.swarm import Flight, fly
+from ptnsbc_sim.swarm import HeadlessFlight, fly
 from ptnsbc_sim.track import VELOCITY_ERROR
 from ptnsbc_tools.reading.flight_recording import recording_of
 from ptnsbc_tools.verdict import Verdict, verdict_on
@@ -26,10 +26,10 @@ _INITIAL_S = 0.1
 
 
 @dataclass(frozen=True)
-class Flown:
+class JudgedFlight:
     """One flight and its verdict."""
 
-    flight: Flight
+    flight: HeadlessFlight
     verdict: Verdict
 
     @property
@@ -124,9 +124,9 @@ class Flown:
         return sum(one.energy_above_hover for one in self.verdict.efforts)
 
 
-def judged(flight: Flight) -> Flown:
+def judged(flight: HeadlessFlight) -> JudgedFlight:
     """A flight with its verdict."""
-    return Flown(flight, verdict_on(recording_of(flight)))
+    return JudgedFlight(flight, verdict_on(recording_of(flight)))
 
 
 _given: dict[str, Any] = {}
@@ -156,11 +156,11 @@ def scenario(name: str, changes: Setting | None = None) -> Scenario:
 
 
 @lru_cache(maxsize=16)
-def _flown(name: str, changes: tuple[tuple[str, Any], ...]) -> Flown:
+def _flown(name: str, changes: tuple[tuple[str, Any], ...]) -> JudgedFlight:
     return judged(fly(scenario(name, dict(changes))))
 
 
-def flown(name: str, changes: Setting | None = None) -> Flown:
+def flown(name: str, changes: Setting | None = None) -> JudgedFlight:
     """A scenario by name with dotted keys changed, flown and judged."""
     return _flown(name, tuple(sorted((changes or {}).items())))
 

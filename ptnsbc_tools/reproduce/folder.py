@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from ptnsbc_tools.reproduce.part import ReproduceError
+from ptnsbc_tools.reproduce.experiment_result import ReproduceError
 
 RESULTS = "results.json"
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from ptnsbc_core.types import Array
 from ptnsbc_sim.track import PRIORITY_VIOLATION, SINGULAR_VALUE
-from ptnsbc_tools.reproduce.flights import Flown
+from ptnsbc_tools.reproduce.flights import JudgedFlight
 
 BEFORE_S = 4.0  # how long before it goes in the formation task is looked at
 
@@ -41,7 +41,7 @@ class _Object(NamedTuple):
     keep_out_m: float
 
 
-def _objects(one: Flown) -> Iterator[_Object]:
+def _objects(one: JudgedFlight) -> Iterator[_Object]:
     for obstacle in one.scenario.obstacles:
         places = np.broadcast_to(obstacle.position, one.positions[:, 0].shape)
         yield _Object(obstacle.name, None, places, obstacle.keep_out_m)
@@ -50,7 +50,7 @@ def _objects(one: Flown) -> Iterator[_Object]:
         yield _Object(f"UAV {uav}", row, one.positions[:, row], keep_out_m)
 
 
-def deepest(one: Flown) -> Intrusion:
+def deepest(one: JudgedFlight) -> Intrusion:
     """The deepest of a flight."""
     found = [
         _seen(one, row, thing)
@@ -61,7 +61,7 @@ def deepest(one: Flown) -> Intrusion:
     return min(found, key=lambda intrusion: intrusion.room_m)
 
 
-def _seen(one: Flown, row: int, thing: _Object) -> Intrusion:
+def _seen(one: JudgedFlight, row: int, thing: _Object) -> Intrusion:
     """The closest moment of one UAV and one object."""
     away = one.positions[:, row] - thing.places
     distance = np.linalg.norm(away, axis=1)

@@ -10,11 +10,11 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from ptnsbc_tools import console
 from ptnsbc_tools.reproduce.catalogue import Experiment
-from ptnsbc_tools.reproduce.runner import News
+from ptnsbc_tools.reproduce.runner import ExperimentProgress
 
 
 @contextmanager
-def shown(experiments: Sequence[Experiment]) -> Iterator[Callable[[News], None]]:
+def shown(experiments: Sequence[Experiment]) -> Iterator[Callable[[ExperimentProgress], None]]:
     """What the runner tells, on stderr."""
     weights = {one.name: one.seconds for one in experiments}
     if not sys.stderr.isatty():
@@ -24,7 +24,7 @@ def shown(experiments: Sequence[Experiment]) -> Iterator[Callable[[News], None]]
     with Progress(*columns, console=console.err(), transient=True) as bar:
         task = bar.add_task("starting", total=sum(weights.values()))
 
-        def tell(news: News) -> None:
+        def tell(news: ExperimentProgress) -> None:
             advance = weights[news.experiment] if news.done else 0.0
             bar.update(task, advance=advance, description=f"{news.experiment}: {news.line}")
 
@@ -37,7 +37,7 @@ class _Lines:
     def __init__(self, total: int) -> None:
         self._done, self._total = 0, total
 
-    def __call__(self, news: News) -> None:
+    def __call__(self, news: ExperimentProgress) -> None:
         if not news.done:
             return
         self._done += 1

@@ -11,14 +11,14 @@ from typing import Any
 from rich.table import Table as RichTable
 
 from ptnsbc_tools.reproduce.document import Origin, document
+from ptnsbc_tools.reproduce.experiment_result import ExperimentResult, ReproduceError, rounded
 from ptnsbc_tools.reproduce.folder import RESULTS
-from ptnsbc_tools.reproduce.part import Part, ReproduceError, rounded
-from ptnsbc_tools.reproduce.runner import Made
+from ptnsbc_tools.reproduce.runner import TimedResult
 
 _IMAGES = "img/results"
 
 
-def _untimed(made: Sequence[Made]) -> list[dict[str, Any]]:
+def _untimed(made: Sequence[TimedResult]) -> list[dict[str, Any]]:
     """The parts as they are the same every time; of a timed one only that it was run."""
     return [
         {"name": one.part.name, "timed": True} if one.part.timed else one.part.as_json()
@@ -26,13 +26,13 @@ def _untimed(made: Sequence[Made]) -> list[dict[str, Any]]:
     ]
 
 
-def summary(made: Sequence[Made]) -> dict[str, Any]:
+def summary(made: Sequence[TimedResult]) -> dict[str, Any]:
     """Claims and run time, for `--json`."""
     claims = [rounded(vars(claim)) for one in made for claim in one.part.claims]
     return {"claims": claims, "seconds": {one.part.name: round(one.seconds, 1) for one in made}}
 
 
-def write(origin: Origin, made: Sequence[Made], place: Path) -> None:
+def write(origin: Origin, made: Sequence[TimedResult], place: Path) -> None:
     """Write results.md, results.json and timing.json into the folder of a run."""
     parts = [one.part for one in made]
     text = document(origin, parts, images="figures", all_figures=True)
@@ -47,7 +47,7 @@ def _write_json(path: Path, data: Any) -> None:
     path.write_text(json.dumps(data, indent=1, allow_nan=False) + "\n", encoding="utf-8")
 
 
-def write_docs(origin: Origin, made: Sequence[Made], place: Path, docs: Path) -> None:
+def write_docs(origin: Origin, made: Sequence[TimedResult], place: Path, docs: Path) -> None:
     """Write results.md with the few telling figures into a folder of documents."""
     parts = [one.part for one in made]
     try:
@@ -65,11 +65,11 @@ def write_docs(origin: Origin, made: Sequence[Made], place: Path, docs: Path) ->
         raise ReproduceError(f"--docs {docs}: {error.strerror}: expected to write there") from None
 
 
-def _telling(parts: Sequence[Part]) -> list[str]:
+def _telling(parts: Sequence[ExperimentResult]) -> list[str]:
     return [figure.name for part in parts for figure in part.figures if figure.telling]
 
 
-def claims_table(made: Sequence[Made]) -> RichTable:
+def claims_table(made: Sequence[TimedResult]) -> RichTable:
     """The verdicts for a terminal."""
     table = RichTable(title="Claims of the paper", title_justify="left")
     for name in ("claim", "its number", "verdict", "where"):

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from ptnsbc_tools.reproduce.claims import FAILS, verdict
-from ptnsbc_tools.reproduce.flights import Flown
-from ptnsbc_tools.reproduce.part import Claim
+from ptnsbc_tools.reproduce.experiment_result import Claim
+from ptnsbc_tools.reproduce.flights import JudgedFlight
 
 PRINTED = "ours, paper, unfiltered"
 CASES = (PRINTED, "ours, paper", "ours, soft")
@@ -23,18 +23,18 @@ _CONDITIONS = {
 _FIVE = 5
 
 
-def initial_reduction(flights: Mapping[str, Flown], mine: str, law: str) -> float:
+def initial_reduction(flights: Mapping[str, JudgedFlight], mine: str, law: str) -> float:
     """By how many percent our initial input is below that of a law; negative when above."""
     return 100.0 * (1.0 - flights[mine].initial_input() / flights[law].initial_input())
 
 
-def compared(flights: Mapping[str, Flown], mine: str, law: str) -> str:
+def compared(flights: Mapping[str, JudgedFlight], mine: str, law: str) -> str:
     """The same in words."""
     found = initial_reduction(flights, mine, law)
     return f"{abs(found):.0f} % {'below' if found >= 0 else 'above'}"
 
 
-def _least(flights: Mapping[str, Flown], laws: Sequence[str]) -> dict[str, float]:
+def _least(flights: Mapping[str, JudgedFlight], laws: Sequence[str]) -> dict[str, float]:
     """The smallest reduction against any of the laws, by case of ours."""
     return {mine: min(initial_reduction(flights, mine, law) for law in laws) for mine in CASES}
 
@@ -53,8 +53,8 @@ def _verdict(cases: Mapping[str, bool]) -> str:
 
 def initial_claim(
     key: str,
-    flights: Mapping[str, Flown],
-    matched: Mapping[str, Flown] | None,
+    flights: Mapping[str, JudgedFlight],
+    matched: Mapping[str, JudgedFlight] | None,
     percent: float,
     laws: Sequence[str],
 ) -> Claim:
@@ -76,7 +76,9 @@ def initial_claim(
     )
 
 
-def saturated_claim(flights: Mapping[str, Flown], limit_n: float, laws: Sequence[str]) -> Claim:
+def saturated_claim(
+    flights: Mapping[str, JudgedFlight], limit_n: float, laws: Sequence[str]
+) -> Claim:
     """Only ours keeps the deadline with real actuators: what the smaller input is said to be good for."""
     deadline_s = flights["ours, soft"].scenario.gains.formation.deadline_s
     within = {law: one.within_at(deadline_s) for law, one in flights.items()}
@@ -97,7 +99,7 @@ def saturated_claim(flights: Mapping[str, Flown], limit_n: float, laws: Sequence
 
 
 def spent_claim(
-    flights: Mapping[str, Flown], matched: Mapping[str, Flown], laws: Sequence[str]
+    flights: Mapping[str, JudgedFlight], matched: Mapping[str, JudgedFlight], laws: Sequence[str]
 ) -> Claim:
     """Less energy than predefined-time control without a time base."""
     least = {

@@ -18,15 +18,15 @@ from typing import Any, NamedTuple
 from ptnsbc_nodes.runtime.signals import StopRequest
 from ptnsbc_tools.reproduce import flights
 from ptnsbc_tools.reproduce.catalogue import Experiment
+from ptnsbc_tools.reproduce.experiment_folder import ExperimentFolder
+from ptnsbc_tools.reproduce.experiment_result import ExperimentResult, ReproduceError
 from ptnsbc_tools.reproduce.figures import style
 from ptnsbc_tools.reproduce.flights import Setting
-from ptnsbc_tools.reproduce.part import Part, ReproduceError
-from ptnsbc_tools.reproduce.workshop import Workshop
 
 _LOOK_S = 0.1
 
 
-class News(NamedTuple):
+class ExperimentProgress(NamedTuple):
     """What an experiment is doing now; `done` when it has ended."""
 
     experiment: str
@@ -35,10 +35,10 @@ class News(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Made:
+class TimedResult:
     """A part, and how long it took."""
 
-    part: Part
+    part: ExperimentResult
     seconds: float
 
 
@@ -61,22 +61,22 @@ def _follow(parent: Any) -> None:
     os._exit(1)
 
 
-def _work(experiment: Experiment, folder: Path) -> Made:
+def _work(experiment: Experiment, folder: Path) -> TimedResult:
     """In a worker: one experiment."""
 
     def tell(line: str) -> None:
         if _told is not None:
-            _told.put(News(experiment.name, line))
+            _told.put(ExperimentProgress(experiment.name, line))
 
-    return work(experiment, Workshop(folder, tell))
+    return work(experiment, ExperimentFolder(folder, tell))
 
 
-def work(experiment: Experiment, workshop: Workshop) -> Made:
+def work(experiment: Experiment, workshop: ExperimentFolder) -> TimedResult:
     """Run one experiment in this process."""
     started = time.monotonic()
     with style.applied():
         part = experiment.load()(workshop)
-    return Made(part, time.monotonic() - started)
+    return TimedResult(part, time.monotonic() - started)
 
 
 @contextmanager
@@ -101,9 +101,9 @@ def run_all(
     experiments: Sequence[Experiment],
     folder: Path,
     jobs: int,
-    tell: Callable[[News], None],
+    tell: Callable[[ExperimentProgress], None],
     settings: Setting | None = None,
-) -> list[Made]:
+) -> list[TimedResult]:
     """Run experiments into a folder; the results in the order given.
 
     Those that measure time come last, one by one. `settings` change the scenarios of all of them.
@@ -112,7 +112,7 @@ def run_all(
         KeyboardInterrupt: SIGINT or SIGTERM came.
         ReproduceError: a worker died.
     """
-    done: dict[str, Made] = {}
+    done: dict[str, TimedResult] = {}
     with StopRequest() as stop, _pool(jobs, settings or {}) as (pool, told):
         together = sorted((one for one in experiments if not one.alone), key=lambda x: -x.seconds)
         rounds = [together, *([one] for one in experiments if one.alone)]
@@ -121,11 +121,11 @@ def run_all(
             for future in _finished(futures, told, stop, tell):
                 name = futures[future]
                 done[name] = _result(future, name)
-                tell(News(name, f"done in {done[name].seconds:.0f} s", done=True))
+                tell(ExperimentProgress(name, f"done in {done[name].seconds:.0f} s", done=True))
     return [done[one.name] for one in experiments]
 
 
-def _result(future: Future[Made], name: str) -> Made:
+def _result(future: Future[TimedResult], name: str) -> TimedResult:
     try:
         return future.result()
     except BrokenExecutor:
@@ -137,8 +137,11 @@ def _result(future: Future[Made], name: str) -> Made:
 
 
 def _finished(
-    futures: Iterable[Future[Made]], told: Any, stop: StopRequest, tell: Callable[[News], None]
-) -> Iterator[Future[Made]]:
+    futures: Iterable[Future[TimedResult]],
+    told: Any,
+    stop: StopRequest,
+    tell: Callable[[ExperimentProgress], None],
+) -> Iterator[Future[TimedResult]]:
     """Futures as they complete, passing on the news meanwhile."""
     waiting = list(futures)  # in order: those that end in the same moment too
     while waiting:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from ptnsbc_tools.reproduce.flights import Flown
-from ptnsbc_tools.reproduce.part import Cell, Column, Table
+from ptnsbc_tools.reproduce.experiment_result import Cell, Column, Table
+from ptnsbc_tools.reproduce.flights import JudgedFlight
 
 _COLUMNS = (
     Column("scenario"),
@@ -25,7 +25,7 @@ _COLUMNS = (
 )
 
 
-def _row(one: Flown) -> tuple[Cell, ...]:
+def _row(one: JudgedFlight) -> tuple[Cell, ...]:
     return (
         one.scenario.name,
         one.scenario.plant_kind,
@@ -44,12 +44,12 @@ def _row(one: Flown) -> tuple[Cell, ...]:
     )
 
 
-def flights_table(name: str, title: str, flights: Iterable[Flown], meaning: str) -> Table:
+def flights_table(name: str, title: str, flights: Iterable[JudgedFlight], meaning: str) -> Table:
     """Verdicts of flights, the worst UAV of each."""
     return Table(name, title, _COLUMNS, tuple(_row(one) for one in flights), meaning)
 
 
-def reason(one: Flown) -> str:
+def reason(one: JudgedFlight) -> str:
     """Why the worst UAV lost the deadline; empty when all kept it."""
     missed = [uav for uav in one.verdict.uavs if uav.verdict != "met"]
     if not missed:

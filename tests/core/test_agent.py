@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ptnsbc_core.agent import Agent, Known
+from ptnsbc_core.agent import Agent, PackedInputs
 from ptnsbc_core.kinematics import put_estimate, yaw_of
 from ptnsbc_core.step import initial_state, step
 from ptnsbc_core.types import MODE_HOLD, NEVER_HEARD_S, AgentInputs, AgentOutputs
@@ -47,11 +47,11 @@ def random_inputs(rng: np.random.Generator, neighbours: int, near: int) -> Agent
 @given(seed=st.integers(0, 2**32 - 1), neighbours=st.integers(0, 3), near=st.integers(0, 3))
 def test_known_is_the_inputs_in_a_row(seed: int, neighbours: int, near: int) -> None:
     inputs = random_inputs(np.random.default_rng(seed), neighbours, near)
-    assert numbers(Known.of(inputs).inputs) == numbers(inputs)
+    assert numbers(PackedInputs.of(inputs).inputs) == numbers(inputs)
 
 
 def test_known_has_heard_nothing_at_first() -> None:
-    nothing = Known(2, np.empty((0, 7))).inputs
+    nothing = PackedInputs(2, np.empty((0, 7))).inputs
     ages = (nothing.parent_age_s, nothing.leader_age_s, nothing.near_age_s)
     assert ages == (NEVER_HEARD_S,) * 3
     assert (nothing.estimate_age_s == NEVER_HEARD_S).all()
@@ -65,7 +65,7 @@ def test_agent_is_step_with_its_state_kept() -> None:
     for k in range(3):
         inputs = random_inputs(rng, 2, 3)
         state, expected = step(state, inputs, k * DT, DT, config)
-        told = agent.advance(Known.of(inputs), k * DT, DT)
+        told = agent.advance(PackedInputs.of(inputs), k * DT, DT)
         assert told.vector.tobytes() == vector(expected).tobytes()
         assert numbers(agent.state) == numbers(state)
     again = Agent.resumed(config, state)

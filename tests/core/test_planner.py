@@ -7,7 +7,7 @@ from on_arrays import on_arrays
 from ptnsbc_core.kinematics import euler_rates, quaternion_from_euler
 from ptnsbc_core.nullspace import damped_solve
 from ptnsbc_core.planner import (
-    Armed,
+    EpochErrors,
     Neighbour,
     attitude,
     composed,
@@ -15,7 +15,7 @@ from ptnsbc_core.planner import (
     hold,
     leader_tracking,
 )
-from ptnsbc_core.tasks.clearance import Clearance
+from ptnsbc_core.tasks.clearance import ClearanceTask
 from ptnsbc_core.tasks.encounters import none_met
 from ptnsbc_core.tasks.registry import evaluate, task_error
 from ptnsbc_core.timebase import Clock, loop_gain
@@ -36,7 +36,7 @@ task_error = on_arrays(task_error)
 
 DT, TF = 0.01, 5.0
 FOLLOWERS = (2, 3, 4, 5)
-NONE = Armed(False, np.zeros(3), np.zeros(3))
+NONE = EpochErrors(False, np.zeros(3), np.zeros(3))
 
 
 def by_the_design(position, parent, leader, clock, config):
@@ -141,7 +141,7 @@ def test_leader_reaches_a_place_in_closed_form(profile: int) -> None:
     position, start = np.zeros(3), np.array([4.0, -3.0, 8.0])
     for k in range(round(TF / DT)):
         clock = Clock(k * DT, k * DT, DT)
-        armed = Armed(k == 0, start, np.zeros(3))
+        armed = EpochErrors(k == 0, start, np.zeros(3))
         desired = reference(trajectory, k * DT)
         position = position + DT * leader_tracking(position, desired, armed, clock, config).velocity
     left = 0.0 if profile == PROFILE_REFERENCE else 1e-2 / 1.01
@@ -195,7 +195,7 @@ def test_hold_is_proportional_and_limited() -> None:
 
 
 def test_speed_limit_takes_from_the_formation_first() -> None:
-    top = Clearance(
+    top = ClearanceTask(
         np.array([3.0, 0, 0]), np.array([[1.0, 0, 0]]), np.array([-9.0, 8, 0]), none_met()
     )
     out = composed(top, 5.0)

@@ -9,7 +9,7 @@ import pytest
 from ptnsbc_core.trajectory import reference
 from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_sim.scenario.build import trajectory_vector
-from ptnsbc_sim.swarm import Flight, fly
+from ptnsbc_sim.swarm import HeadlessFlight, fly
 from ptnsbc_sim.track import HOLDING, PRIORITY_VIOLATION
 
 PLANTS = ("quadrotor", "rigid_body_6dof")
@@ -17,11 +17,11 @@ DEADLINE_S = 5.0
 
 
 @lru_cache
-def flight(name: str, plant: str, seconds: float) -> Flight:
+def flight(name: str, plant: str, seconds: float) -> HeadlessFlight:
     return fly(load_scenario(name, {"plant.kind": plant, "timing.duration_s": seconds}))
 
 
-def errors(flown: Flight, tick: int) -> np.ndarray:
+def errors(flown: HeadlessFlight, tick: int) -> np.ndarray:
     """Distance (N,) [m] from the place at one tick."""
     scenario, places = flown.scenario, flown.track.odometry[tick, :, :3]
     wanted = places[0] + np.array([scenario.offset(uav) for uav in scenario.uav_ids])
@@ -29,7 +29,7 @@ def errors(flown: Flight, tick: int) -> np.ndarray:
     return np.linalg.norm(places - wanted, axis=1)
 
 
-def separation(flown: Flight) -> float:
+def separation(flown: HeadlessFlight) -> float:
     """Smallest distance [m] of two UAVs in the whole flight."""
     places = flown.track.odometry[:, :, :3]
     pairs = combinations(range(places.shape[1]), 2)

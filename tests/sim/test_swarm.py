@@ -11,7 +11,7 @@ from ptnsbc_core.trajectory import reference
 from ptnsbc_core.types import MODE_FORMATION, NEVER_HEARD_S, TASKS, AgentInputs
 from ptnsbc_sim.scenario import agent_config, load_scenario
 from ptnsbc_sim.scenario.build import trajectory_vector
-from ptnsbc_sim.swarm import CHUNK_TICKS, Flight, fly
+from ptnsbc_sim.swarm import CHUNK_TICKS, HeadlessFlight, fly
 from ptnsbc_sim.track import ACTIVE_ROWS, HOLDING, PRIORITY_VIOLATION
 from ptnsbc_sim.wiring import wiring_of
 from ptnsbc_sim.world import World
@@ -20,12 +20,14 @@ PLANTS = ("quadrotor", "rigid_body_6dof")
 
 
 @lru_cache
-def flight(name: str, plant: str, task: str = "distance_angles", seconds: float = 60) -> Flight:
+def flight(
+    name: str, plant: str, task: str = "distance_angles", seconds: float = 60
+) -> HeadlessFlight:
     changes = {"plant.kind": plant, "formation.task": task, "timing.duration_s": seconds}
     return fly(load_scenario(name, changes))
 
 
-def errors(flown: Flight) -> np.ndarray:
+def errors(flown: HeadlessFlight) -> np.ndarray:
     """Distance (T, N) [m] from the place: of the leader on its circle, of a follower beside the leader."""
     scenario, places = flown.scenario, flown.track.odometry[:, :, :3]
     path = trajectory_vector(scenario)
@@ -34,7 +36,7 @@ def errors(flown: Flight) -> np.ndarray:
     return np.linalg.norm(places - wanted, axis=2)
 
 
-def busy(flown: Flight, seconds: float = 2.0) -> np.ndarray:
+def busy(flown: HeadlessFlight, seconds: float = 2.0) -> np.ndarray:
     """(T,) where some UAV gives way to something, or did within the last `seconds`."""
     active = (flown.track.diagnostics[:, :, ACTIVE_ROWS] > 0.0).any(axis=1)
     window = round(seconds * flown.scenario.control_hz)
@@ -127,7 +129,7 @@ def test_a_longer_flight_begins_with_the_shorter_one() -> None:
         assert a[: len(b)].tobytes() == b.tobytes()
 
 
-def told(flown: Flight, tick: int, row: int, near: np.ndarray) -> AgentInputs:
+def told(flown: HeadlessFlight, tick: int, row: int, near: np.ndarray) -> AgentInputs:
     """What a process would know: its own odometry of now, all others' messages of the tick before."""
     scenario, track = flown.scenario, flown.track
     uav = scenario.uav_ids[row]

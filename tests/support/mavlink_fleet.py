@@ -12,17 +12,17 @@ from collections import deque
 import numpy as np
 
 from ptnsbc_core.trajectory import reference
-from ptnsbc_io.mavlink.link import Link
+from ptnsbc_io.mavlink.link import MavlinkLink
 from ptnsbc_io.mavlink.transport import Packet
 from ptnsbc_io.wire import HeaderFields, OdometryTemplate, Stamped, VelocityTemplate, WrenchTemplate
 from ptnsbc_nodes.bridge.bridge import WANTED_MESSAGES, Bridge
-from ptnsbc_nodes.bridge.near_objects import Surroundings
-from ptnsbc_nodes.bridge.ports import Outlets
+from ptnsbc_nodes.bridge.near_objects import NearObjects
+from ptnsbc_nodes.bridge.ports import BridgeOutputs
 from ptnsbc_nodes.bridge.state_publisher import Clocks
-from ptnsbc_nodes.comm.graph import Edges, FlightOptions
+from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions
 from ptnsbc_nodes.comm.legs import Epochs
 from ptnsbc_nodes.comm.vehicle_messages import limited
-from ptnsbc_nodes.uav.controller import Pilot, moment
+from ptnsbc_nodes.uav.controller import UavController, moment
 from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS
 from ptnsbc_sim.autopilot.codec import Codec
 from ptnsbc_sim.autopilot.launch import KINDS
@@ -86,18 +86,18 @@ class Uav:
             start.system, start.body, fleet.now_s, boot_time=0.1, say=self.lines.append
         )
         self.wire = Wire(lambda: fleet.now_s, fleet.delay_s)
-        edges = Edges(scenario, FlightOptions(bridged=True))
-        self.pilot = Pilot(agent_config(scenario, uav_id), edges.senders(uav_id))
+        edges = CommunicationGraph(scenario, FlightOptions(bridged=True))
+        self.pilot = UavController(agent_config(scenario, uav_id), edges.senders(uav_id))
         self.senders = edges.senders(uav_id)
         self.epochs = Epochs()
         others = [i for i in scenario.uav_ids if i != uav_id]
-        self.surroundings = Surroundings(scenario, others)
+        self.surroundings = NearObjects(scenario, others)
         self.template = OdometryTemplate("map", "x")
         attitude = scenario.vehicle_link(uav_id).setpoint == "attitude"
         self.letter = WrenchTemplate("x") if attitude else VelocityTemplate("map")
         self.attitude = attitude
         self.began = False
-        outlets = Outlets(
+        outlets = BridgeOutputs(
             odom=self.tell,
             track=lambda stamp, odom: self.tracks.append((fleet.now_s, odom.copy())),
             origin=fleet.place_leader,
@@ -106,7 +106,7 @@ class Uav:
             say=lambda line: self.lines.append(f"{fleet.now_s - START_S:7.2f} bridge {line}"),
         )
         clocks = Clocks(lambda: fleet.now_s, lambda: BASE_NS + round((fleet.now_s - START_S) * 1e9))
-        self.link = Link(self.wire, start.system, WANTED_MESSAGES, signer)
+        self.link = MavlinkLink(self.wire, start.system, WANTED_MESSAGES, signer)
         self.bridge = Bridge(scenario, uav_id, self.link, outlets, clocks, True)
         self.bridge.inlets.controller_ready = True
 

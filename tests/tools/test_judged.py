@@ -54,7 +54,7 @@ def test_an_unreadable_bag_does_not_hide_the_flight(
 ) -> None:
     bag = tmp_path / "bag"
     bag.mkdir()
-    wishes = fleet.Wishes(lockstep=True, bag=bag, json=True)
+    wishes = fleet.FleetRequest(lockstep=True, bag=bag, json=True)
     result = flown(exit_code=ended, died=("recorder",), interrupted=ended == 130)
     assert fleet._judged(bag, result, wishes) == code
     out, err = capsys.readouterr()

@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ptnsbc_tools.reading.bag_reader import Counted
-from ptnsbc_tools.reading.diagnostics import Diagnostics, Status
-from ptnsbc_tools.reading.spool import Spool
+from ptnsbc_tools.reading.bag_reader import DiagnosticCounters
+from ptnsbc_tools.reading.diagnostics import Diagnostics, DiagnosticStatus
+from ptnsbc_tools.reading.disk_track import DiskTrack
 from ptnsbc_tools.verdict import Recording, Series, verdict_on
 
 Fly = Callable[..., Recording]
@@ -52,7 +52,7 @@ def test_what_is_lost_before_the_epoch_does_not_count(bridged: Fly) -> None:
 
 
 def told(name: str, value: str) -> Diagnostics:
-    return Diagnostics(0, (Status(name, 0, "", {"states_sent": value}),))
+    return Diagnostics(0, (DiagnosticStatus(name, 0, "", {"states_sent": value}),))
 
 
 def test_counts_are_read_from_the_diagnostics_of_bridges() -> None:
@@ -65,7 +65,7 @@ def test_counts_are_read_from_the_diagnostics_of_bridges() -> None:
         told("bridge4: link", "rubbish"),
         told("uav1: planner", f"{stamp} 9"),
     ]
-    counted = Counted(Spool())
+    counted = DiagnosticCounters(DiskTrack())
     for array in statuses:
         counted.take(array)
     found = counted.sent()

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-from ptnsbc_io.mavlink.autopilots import Mode
-from ptnsbc_nodes.bridge.procedure.progress import Course
+from ptnsbc_io.mavlink.autopilots import FlightMode
+from ptnsbc_nodes.bridge.procedure.progress import FlightProgress
 from ptnsbc_nodes.bridge.procedure.steps import (
     HEARTBEAT_LOST_S,
     RECOVERED_S,
     STALE_S,
-    Pilotage,
-    Seen,
+    ProcedureOptions,
     Step,
+    VehicleSnapshot,
 )
 
 _STREAM_S = 1.5  # PX4 wants more than one second of setpoints before OFFBOARD
@@ -23,7 +23,7 @@ _SETTLED_S = 1.0
 _VERDICT_S = 3.0
 
 
-def _heartbeat(course: Course, pilotage: Pilotage, seen: Seen) -> None:
+def _heartbeat(course: FlightProgress, pilotage: ProcedureOptions, seen: VehicleSnapshot) -> None:
     if seen.stranger:
         course.blame(seen.stranger)
         course.go(Step.FAILED, seen)
@@ -31,7 +31,7 @@ def _heartbeat(course: Course, pilotage: Pilotage, seen: Seen) -> None:
         course.go(Step.PARAMETERS, seen)
 
 
-def _parameters(course: Course, pilotage: Pilotage, seen: Seen) -> None:
+def _parameters(course: FlightProgress, pilotage: ProcedureOptions, seen: VehicleSnapshot) -> None:
     if seen.refusal:
         course.blame(seen.refusal)
         course.go(Step.FAILED, seen)
@@ -39,12 +39,12 @@ def _parameters(course: Course, pilotage: Pilotage, seen: Seen) -> None:
         course.go(Step.STATE, seen)
 
 
-def _state(course: Course, pilotage: Pilotage, seen: Seen) -> None:
+def _state(course: FlightProgress, pilotage: ProcedureOptions, seen: VehicleSnapshot) -> None:
     if course.lasts(seen.state, seen, _SETTLED_S):
         course.go(Step.CONTROLLER, seen)
 
 
-def _controller(course: Course, pilotage: Pilotage, seen: Seen) -> None:
+def _controller(course: FlightProgress, pilotage: ProcedureOptions, seen: VehicleSnapshot) -> None:
     good = seen.state and seen.controller_ready and seen.controller_age_s < STALE_S
     if not seen.state:
         course.go(Step.STATE, seen)
@@ -52,24 +52,24 @@ def _controller(course: Course, pilotage: Pilotage, seen: Seen) -> None:
         course.go(Step.STREAM, seen)
 
 
-def _stream(course: Course, pilotage: Pilotage, seen: Seen) -> None:
+def _stream(course: FlightProgress, pilotage: ProcedureOptions, seen: VehicleSnapshot) -> None:
     if course.lapsed(seen):
         course.go(Step.STATE, seen)
     elif course.age(seen) >= _STREAM_S or not pilotage.autopilot.stream_first:
         course.go(Step.MODE, seen)
 
 
-def _mode(course: Course, pilotage: Pilotage, seen: Seen) -> None:
+def _mode(course: FlightProgress, pilotage: ProcedureOptions, seen: VehicleSnapshot) -> None:
     if course.lapsed(seen):
         course.go(Step.STATE, seen)
-    elif seen.mode is Mode.OWN:
+    elif seen.mode is FlightMode.OWN:
         course.go(Step.ARM, seen)
 
 
-def _arm(course: Course, pilotage: Pilotage, seen: Seen) -> None:
+def _arm(course: FlightProgress, pilotage: ProcedureOptions, seen: VehicleSnapshot) -> None:
     if course.lapsed(seen):
         course.go(Step.STATE, seen)
-    elif seen.mode is not Mode.OWN:
+    elif seen.mode is not FlightMode.OWN:
         course.blame(f"the pilot took over before arming: mode {seen.mode_name}")
         course.go(Step.FAILED, seen)
     elif seen.armed and seen.landed is False:
@@ -79,7 +79,7 @@ def _arm(course: Course, pilotage: Pilotage, seen: Seen) -> None:
         course.go(Step.TAKEOFF, seen)
 
 
-def _takeoff(course: Course, pilotage: Pilotage, seen: Seen) -> None:
+def _takeoff(course: FlightProgress, pilotage: ProcedureOptions, seen: VehicleSnapshot) -> None:
     there = (
         abs(seen.height_m - pilotage.takeoff_height_m) < _ARRIVED_M and seen.speed_m_s < _STILL_M_S
     )
@@ -87,18 +87,18 @@ def _takeoff(course: Course, pilotage: Pilotage, seen: Seen) -> None:
         course.go(Step.AIRBORNE, seen)
 
 
-def _airborne(course: Course, pilotage: Pilotage, seen: Seen) -> None:
+def _airborne(course: FlightProgress, pilotage: ProcedureOptions, seen: VehicleSnapshot) -> None:
     if seen.leg in ("form", "hold"):
         course.go(Step.FLY, seen)
 
 
-def _failsafe(course: Course, pilotage: Pilotage, seen: Seen) -> None:
+def _failsafe(course: FlightProgress, pilotage: ProcedureOptions, seen: VehicleSnapshot) -> None:
     if not seen.armed:
         if course.age(seen) < _VERDICT_S:
             return None  # what became of it, a reboot perhaps, is not heard in one message
         course.blame("landed by its failsafe" if seen.landed else "disarmed in flight")
         return course.go(Step.FAILED, seen)
-    if course.age(seen) > _MODE_LAG_S and seen.mode not in (Mode.OWN, Mode.HOLD):
+    if course.age(seen) > _MODE_LAG_S and seen.mode not in (FlightMode.OWN, FlightMode.HOLD):
         # The failsafe lands or returns, or a pilot has it: not ours any more.
         return course.go(Step.YIELDED, seen)
     good = seen.controller_age_s < STALE_S and seen.heartbeat_age_s < HEARTBEAT_LOST_S
@@ -107,12 +107,12 @@ def _failsafe(course: Course, pilotage: Pilotage, seen: Seen) -> None:
     return None
 
 
-def _resume(course: Course, seen: Seen) -> None:
+def _resume(course: FlightProgress, seen: VehicleSnapshot) -> None:
     """Send setpoints again: PX4 then returns to OFFBOARD by itself, unless a pilot took it.
 
     The mode is never asked for: who switched to Hold in the meantime keeps the vehicle.
     """
-    if seen.mode is Mode.OWN:
+    if seen.mode is FlightMode.OWN:
         course.say("setpoints are back, the formation goes on")
         course.grace_s = seen.now_s + _MODE_LAG_S
         course.go(course.before_failsafe, seen)
@@ -122,16 +122,16 @@ def _resume(course: Course, seen: Seen) -> None:
         course.go(Step.YIELDED, seen)
 
 
-def _yielded(course: Course, pilotage: Pilotage, seen: Seen) -> None:
+def _yielded(course: FlightProgress, pilotage: ProcedureOptions, seen: VehicleSnapshot) -> None:
     if not seen.armed:
         course.go(Step.FAILED, seen)
 
 
-def _land(course: Course, pilotage: Pilotage, seen: Seen) -> None:
+def _land(course: FlightProgress, pilotage: ProcedureOptions, seen: VehicleSnapshot) -> None:
     if not seen.armed:
         return course.go(Step.DONE, seen)
-    course.confirmed = course.confirmed or seen.mode is Mode.LAND
-    if seen.mode not in (Mode.LAND, Mode.OWN) and _taken(course, seen):
+    course.confirmed = course.confirmed or seen.mode is FlightMode.LAND
+    if seen.mode not in (FlightMode.LAND, FlightMode.OWN) and _taken(course, seen):
         course.blame(f"the pilot took over while landing: mode {seen.mode_name}")
         return course.go(Step.YIELDED, seen)
     if not seen.landed:
@@ -141,21 +141,21 @@ def _land(course: Course, pilotage: Pilotage, seen: Seen) -> None:
     return None
 
 
-def _taken(course: Course, seen: Seen) -> bool:
+def _taken(course: FlightProgress, seen: VehicleSnapshot) -> bool:
     """Whether a mode that is not ours can only be somebody's wish."""
     return course.confirmed or course.age(seen) > 2 * _MODE_LAG_S
 
 
-def _kill(course: Course, pilotage: Pilotage, seen: Seen) -> None:
+def _kill(course: FlightProgress, pilotage: ProcedureOptions, seen: VehicleSnapshot) -> None:
     if not seen.armed:
         course.go(Step.FAILED, seen)
 
 
-def _nothing(course: Course, pilotage: Pilotage, seen: Seen) -> None:
+def _nothing(course: FlightProgress, pilotage: ProcedureOptions, seen: VehicleSnapshot) -> None:
     """Nothing to wait for; a flight in formation is ended by what `reactions` see."""
 
 
-HANDLERS: Mapping[Step, Callable[[Course, Pilotage, Seen], None]] = {
+HANDLERS: Mapping[Step, Callable[[FlightProgress, ProcedureOptions, VehicleSnapshot], None]] = {
     Step.HEARTBEAT: _heartbeat,
     Step.PARAMETERS: _parameters,
     Step.STATE: _state,

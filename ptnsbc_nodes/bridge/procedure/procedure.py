@@ -12,9 +12,16 @@ from collections.abc import Callable, Mapping
 from ptnsbc_io.mavlink.autopilots import Autopilot
 from ptnsbc_nodes.bridge.procedure.handlers import HANDLERS
 from ptnsbc_nodes.bridge.procedure.orders import orders
-from ptnsbc_nodes.bridge.procedure.progress import Course
+from ptnsbc_nodes.bridge.procedure.progress import FlightProgress
 from ptnsbc_nodes.bridge.procedure.reactions import react
-from ptnsbc_nodes.bridge.procedure.steps import OVER, Orders, Pilotage, Seen, Step, because
+from ptnsbc_nodes.bridge.procedure.steps import (
+    OVER,
+    ProcedureOptions,
+    ProcedureOutput,
+    Step,
+    VehicleSnapshot,
+    because,
+)
 
 _LIMITS_S: Mapping[Step, float] = {
     Step.HEARTBEAT: 120.0,
@@ -40,8 +47,8 @@ class Procedure:
         allow_arming: bool,
         log: Callable[[str], None] = lambda line: None,
     ) -> None:
-        self._pilotage = Pilotage(autopilot, takeoff_height_m, allow_arming)
-        self._course = Course(log)
+        self._pilotage = ProcedureOptions(autopilot, takeoff_height_m, allow_arming)
+        self._course = FlightProgress(log)
         self._turned = False
 
     @property
@@ -76,7 +83,7 @@ class Procedure:
         """The bridge itself has failed."""
         self._course.blame(reason)
 
-    def advance(self, seen: Seen) -> Orders:
+    def advance(self, seen: VehicleSnapshot) -> ProcedureOutput:
         """What to do at `seen.now_s`; changes the step as far as what was seen allows."""
         course = self._course
         course.begin(seen.now_s)
@@ -93,13 +100,13 @@ class Procedure:
             self._expire(seen, limit)
         return orders(course, self._pilotage, seen)
 
-    def _limited(self, seen: Seen) -> bool:
+    def _limited(self, seen: VehicleSnapshot) -> bool:
         """Whether the step's limit counts: a pilot may take as long as it takes."""
         if self.step is Step.ARM:
             return self._pilotage.allow_arming
         return not (self.step is Step.MODE and seen.armed)
 
-    def _expire(self, seen: Seen, limit: float) -> None:
+    def _expire(self, seen: VehicleSnapshot, limit: float) -> None:
         step = self.step
         waited = {
             Step.STATE: seen.lack,

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from ptnsbc_nodes.bridge.procedure.steps import STOP_S, Ask, Seen, Step
+from ptnsbc_nodes.bridge.procedure.steps import STOP_S, CommandRequest, Step, VehicleSnapshot
 
 _AGAIN_S = 1.0  # a command without its confirmation is sent again
 
 
-class Course:
+class FlightProgress:
     """The step of a flight, and what has been seen in it so far."""
 
     def __init__(self, log: Callable[[str], None]) -> None:
         self._log = log
         self._since_s = float("nan")
-        self._asked: dict[Ask, float] = {}
+        self._asked: dict[CommandRequest, float] = {}
         self._good_since_s: float | None = None
         self.step = Step.HEARTBEAT
         self.fault = ""
@@ -31,7 +31,7 @@ class Course:
         if self._since_s != self._since_s:
             self._since_s = now_s
 
-    def go(self, step: Step, seen: Seen) -> None:
+    def go(self, step: Step, seen: VehicleSnapshot) -> None:
         """Begin a step."""
         self._log(f"{step.value}{f': {self.fault}' if step is Step.FAILED else ''}")
         self.step = step
@@ -50,15 +50,15 @@ class Course:
             self.fault = "; ".join(filter(None, (self.fault, reason)))
         self._log(reason)
 
-    def age(self, seen: Seen) -> float:
+    def age(self, seen: VehicleSnapshot) -> float:
         """How long this step has lasted [s]."""
         return seen.now_s - self._since_s
 
-    def lapsed(self, seen: Seen) -> bool:
+    def lapsed(self, seen: VehicleSnapshot) -> bool:
         """Before arming: whether position or controller went away again."""
         return not seen.state or seen.controller_age_s > STOP_S
 
-    def lasts(self, good: bool, seen: Seen, seconds: float) -> bool:
+    def lasts(self, good: bool, seen: VehicleSnapshot, seconds: float) -> bool:
         """Whether something has been good for so long without a break."""
         if not good:
             self._good_since_s = None
@@ -67,11 +67,11 @@ class Course:
             self._good_since_s = seen.now_s
         return seen.now_s - self._good_since_s >= seconds
 
-    def good_for(self, seen: Seen) -> float:
+    def good_for(self, seen: VehicleSnapshot) -> float:
         """How long it has been good [s]."""
         return 0.0 if self._good_since_s is None else seen.now_s - self._good_since_s
 
-    def due(self, ask: Ask | None, seen: Seen) -> Ask | None:
+    def due(self, ask: CommandRequest | None, seen: VehicleSnapshot) -> CommandRequest | None:
         """The command, when it is time to send it (again)."""
         if ask is None:
             return None

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from ptnsbc_io.mavlink.autopilots import Mode
-from ptnsbc_nodes.bridge.procedure.progress import Course
+from ptnsbc_io.mavlink.autopilots import FlightMode
+from ptnsbc_nodes.bridge.procedure.progress import FlightProgress
 from ptnsbc_nodes.bridge.procedure.steps import (
     BEFORE_ARMING,
     FLYING,
@@ -11,13 +11,13 @@ from ptnsbc_nodes.bridge.procedure.steps import (
     OVER,
     SETTING_OUT,
     STOP_S,
-    Seen,
     Step,
+    VehicleSnapshot,
     because,
 )
 
 
-def react(course: Course, seen: Seen) -> None:
+def react(course: FlightProgress, seen: VehicleSnapshot) -> None:
     """Change the step when something has happened that counts in any of them."""
     if course.step in OVER:
         return
@@ -42,7 +42,7 @@ def react(course: Course, seen: Seen) -> None:
         course.go(Step.LAND, seen)
 
 
-def _react_in_flight(course: Course, seen: Seen) -> None:
+def _react_in_flight(course: FlightProgress, seen: VehicleSnapshot) -> None:
     if not seen.armed:
         if course.step is Step.TAKEOFF and seen.height_m < LIFTED_M:
             course.blame(f"disarmed before it took off{because(seen)}")
@@ -51,8 +51,8 @@ def _react_in_flight(course: Course, seen: Seen) -> None:
         return course.go(Step.FAILED, seen)
     silent = seen.controller_age_s > STOP_S
     # After a failsafe has ended the last HEARTBEAT of it may still be on its way.
-    failsafe_left = seen.mode is Mode.HOLD and seen.now_s < course.grace_s
-    if seen.mode is not Mode.OWN and not silent and not failsafe_left:
+    failsafe_left = seen.mode is FlightMode.HOLD and seen.now_s < course.grace_s
+    if seen.mode is not FlightMode.OWN and not silent and not failsafe_left:
         course.blame(f"the pilot took over: mode {seen.mode_name}")
         return course.go(Step.YIELDED, seen)
     if seen.halt or seen.leg == "land":

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import NamedTuple
 
-from ptnsbc_io.mavlink.autopilots import Autopilot, Mode
+from ptnsbc_io.mavlink.autopilots import Autopilot, FlightMode
 
 STALE_S = 0.25
 """A setpoint computed from older odometry is not followed: the vehicle is held where it is."""
@@ -47,7 +47,7 @@ class Stream(Enum):
     PLANNER = "planner"  # what the UAV process wants
 
 
-class Ask(Enum):
+class CommandRequest(Enum):
     """A command to the vehicle."""
 
     OWN_MODE = "own mode"
@@ -59,7 +59,7 @@ class Ask(Enum):
 
 
 @dataclass(frozen=True)
-class Seen:
+class VehicleSnapshot:
     """What the bridge knows of vehicle, controller and fleet at one instant."""
 
     now_s: float
@@ -71,7 +71,7 @@ class Seen:
     lack: str = ""  # what keeps it from that
     controller_age_s: float = float("inf")  # of the newest setpoint, by the odometry it rests on
     controller_ready: bool = False
-    mode: Mode = Mode.OTHER
+    mode: FlightMode = FlightMode.OTHER
     mode_name: str = ""
     armed: bool = False
     landed: bool | None = None  # None: the vehicle does not tell
@@ -87,7 +87,7 @@ class Seen:
     complaint: str = ""  # newest refusal or warning of the vehicle
 
 
-class Pilotage(NamedTuple):
+class ProcedureOptions(NamedTuple):
     """What is settled before the flight."""
 
     autopilot: Autopilot
@@ -95,11 +95,11 @@ class Pilotage(NamedTuple):
     allow_arming: bool
 
 
-class Orders(NamedTuple):
+class ProcedureOutput(NamedTuple):
     """What to do now."""
 
     stream: Stream
-    ask: Ask | None
+    ask: CommandRequest | None
     told: bool
     """Whether the formation hears of this vehicle as a member; otherwise only as something near."""
 
@@ -118,6 +118,6 @@ FLYING = (Step.TAKEOFF, Step.AIRBORNE, Step.FLY)
 OVER = (Step.DONE, Step.FAILED)
 
 
-def because(seen: Seen) -> str:
+def because(seen: VehicleSnapshot) -> str:
     """What the vehicle says about it, in brackets; empty when it says nothing."""
     return f" ({seen.complaint})" if seen.complaint else ""

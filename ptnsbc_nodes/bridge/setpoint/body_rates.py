@@ -19,7 +19,7 @@ _LONGEST_S = 0.2
 _CONJUGATE = np.array([-1.0, -1.0, -1.0, 1.0])
 
 
-class Turning:
+class BodyRateEstimator:
     """Rates (3,) [rad/s, FLU of the target] of a sequence of attitude targets, smoothed."""
 
     def __init__(self) -> None:

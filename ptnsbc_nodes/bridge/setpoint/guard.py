@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ptnsbc_core.types import Array
-from ptnsbc_io.mavlink.autopilots import Limits
+from ptnsbc_io.mavlink.autopilots import AutopilotLimits
 from ptnsbc_sim.scenario.mavlink import Geofence, VehicleLimits
 
 _APPROACH_1_S = 1.0  # speed towards the fence per metre of room
@@ -17,7 +17,7 @@ _SLACK_M = 1.0
 _EPSILON = 1e-9
 
 
-class Allowed(NamedTuple):
+class SetpointLimits(NamedTuple):
     """The smaller of what the scenario and the vehicle allow."""
 
     horizontal_m_s: float
@@ -32,13 +32,13 @@ class Allowed(NamedTuple):
         return min(self.horizontal_m_s, self.up_m_s)
 
 
-def allowed(wanted: VehicleLimits, own: Limits) -> Allowed:
+def allowed(wanted: VehicleLimits, own: AutopilotLimits) -> SetpointLimits:
     """The limits of the scenario taken down to the vehicle's."""
 
     def lower(ours: float, theirs: float | None) -> float:
         return ours if theirs is None else min(ours, theirs)
 
-    return Allowed(
+    return SetpointLimits(
         lower(wanted.horizontal_m_s, own.horizontal_m_s),
         lower(wanted.up_m_s, own.up_m_s),
         lower(wanted.down_m_s, own.down_m_s),
@@ -47,10 +47,10 @@ def allowed(wanted: VehicleLimits, own: Limits) -> Allowed:
     )
 
 
-class Guard:
+class SetpointGuard:
     """Clamps setpoints and counts how often."""
 
-    def __init__(self, fence: Geofence, limits: Allowed) -> None:
+    def __init__(self, fence: Geofence, limits: SetpointLimits) -> None:
         self.limits = limits
         self._radius_m = fence.radius_m
         self._low = None if fence.box_min_m is None else np.array(fence.box_min_m)

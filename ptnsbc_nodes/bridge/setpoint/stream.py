@@ -11,7 +11,7 @@ from ptnsbc_core.kinematics import rotation_from_quaternion, yaw_of
 from ptnsbc_core.trajectory import reference
 from ptnsbc_core.types import AgentConfig, Array
 from ptnsbc_io.mavlink.autopilots import Autopilot
-from ptnsbc_nodes.bridge.controller import Wanted, wanted_yaw
+from ptnsbc_nodes.bridge.controller import SetpointReply, wanted_yaw
 from ptnsbc_nodes.bridge.procedure.steps import Stream
 from ptnsbc_nodes.bridge.setpoint.attitude import (
     AttitudeTarget,
@@ -21,8 +21,8 @@ from ptnsbc_nodes.bridge.setpoint.attitude import (
     tilt_limited,
     understood,
 )
-from ptnsbc_nodes.bridge.setpoint.body_rates import Turning
-from ptnsbc_nodes.bridge.setpoint.guard import Guard
+from ptnsbc_nodes.bridge.setpoint.body_rates import BodyRateEstimator
+from ptnsbc_nodes.bridge.setpoint.guard import SetpointGuard
 from ptnsbc_nodes.bridge.setpoint.hover_thrust import HoverThrust
 from ptnsbc_nodes.bridge.setpoint.messages import Setpoints
 from ptnsbc_sim.scenario.mavlink import SetpointKind
@@ -37,7 +37,7 @@ _ALL_AXES = np.ones(3, dtype=bool)
 _PUSH_S = 0.1  # smoothing of the feed-forward: the planner passes the noise of positions on
 
 
-class Place:
+class HoldPoint:
     """A point to be at and a heading to keep."""
 
     def __init__(self, odometry: Array) -> None:
@@ -53,7 +53,7 @@ class SetpointStream:
         autopilot: Autopilot,
         kind: SetpointKind,
         config: AgentConfig,
-        guard: Guard,
+        guard: SetpointGuard,
         messages: Setpoints,
         hover: HoverThrust,
         feed_forward: bool,
@@ -68,11 +68,11 @@ class SetpointStream:
         self._heading = reference(config.trajectory, 0.0).yaw
         self._feed_forward = feed_forward
         self._point_hold = PointHold(config.controller.gravity)
-        self._turning = Turning()
+        self._turning = BodyRateEstimator()
         self.hover = hover
         self._carried = Stream.NONE
-        self._place: Place | None = None
-        self._climb: Place | None = None
+        self._place: HoldPoint | None = None
+        self._climb: HoldPoint | None = None
         self._ground_m = 0.0
         self._reference: Array | None = None  # of position_velocity
         self._last: Array | None = None  # velocity setpoint before, for the feed-forward
@@ -90,7 +90,7 @@ class SetpointStream:
         now_s: float,
         odometry: Array,
         offset: Array,
-        wanted: Wanted | None,
+        wanted: SetpointReply | None,
         armed: bool,
         flight_s: float,
     ) -> Any:
@@ -119,20 +119,20 @@ class SetpointStream:
 
     def _begin(self, carried: Stream, odometry: Array, armed: bool) -> None:
         self._carried = carried
-        self._place = Place(odometry)
+        self._place = HoldPoint(odometry)
         self._reference = self._last = None
-        self._turning = Turning()
+        self._turning = BodyRateEstimator()
         if not armed:
             self._climb, self._ground_m = None, float(odometry[2])
             self._point_hold.reset()
 
-    def _climbing(self, odometry: Array) -> Place:
+    def _climbing(self, odometry: Array) -> HoldPoint:
         """Straight up from where it stood, at a walking pace, turning to the formation's heading; then stay.
 
         A formation that begins with a turn swings: the wrench tells tilt and heading as one rotation.
         """
         if self._climb is None:
-            self._climb = Place(odometry)
+            self._climb = HoldPoint(odometry)
         place, height = self._climb, float(odometry[2])
         most = self._dt * _TURN_RAD_S
         place.yaw = wrap(place.yaw + min(max(wrap(self._heading - place.yaw), -most), most))
@@ -141,7 +141,7 @@ class SetpointStream:
         place.position[2] = min(up, self._ground_m + self._climb_to_m)
         return place
 
-    def _held(self, place: Place, odometry: Array, offset: Array, armed: bool) -> Any:
+    def _held(self, place: HoldPoint, odometry: Array, offset: Array, armed: bool) -> Any:
         position = self._guard.place(place.position)
         if not self._autopilot.attitude_only:
             return self._messages.place(self._now_s, position - offset, place.yaw)
@@ -154,7 +154,9 @@ class SetpointStream:
         rates = self._turning.of(quaternion, _ALL_AXES, self._now_s)
         return self._pulled(quaternion, rates, along)
 
-    def _planned(self, wanted: Wanted, odometry: Array, offset: Array, flight_s: float) -> Any:
+    def _planned(
+        self, wanted: SetpointReply, odometry: Array, offset: Array, flight_s: float
+    ) -> Any:
         controller = self._config.controller
         if self._kind == "attitude":
             quaternion = from_wrench(

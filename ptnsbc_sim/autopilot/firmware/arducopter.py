@@ -8,14 +8,14 @@ from typing import Any
 from ptnsbc_core.types import Array
 from ptnsbc_io.mavlink.dialect import mavlink
 from ptnsbc_sim.autopilot.commands import Request, custom_mode, whole
-from ptnsbc_sim.autopilot.firmware.firmware import Status
-from ptnsbc_sim.autopilot.firmware.guided import Guided, Limits, Seen, Submode
-from ptnsbc_sim.autopilot.parameters import ARDUCOPTER, Parameters
+from ptnsbc_sim.autopilot.firmware.firmware import HeartbeatFields
+from ptnsbc_sim.autopilot.firmware.guided import EstimatedState, Guided, Submode, WaypointLimits
+from ptnsbc_sim.autopilot.parameters import ARDUCOPTER, AutopilotParameters
 from ptnsbc_sim.autopilot.physics import targets
 from ptnsbc_sim.autopilot.physics.airframe import LoopGains, hover_share
 from ptnsbc_sim.autopilot.physics.frames import attitude_swap, euler_of
 from ptnsbc_sim.autopilot.physics.geodesy import ARDUPILOT_RADIUS_M
-from ptnsbc_sim.autopilot.vehicle import Vehicle
+from ptnsbc_sim.autopilot.vehicle import StandInVehicle
 
 _DONE = int(mavlink.MAV_RESULT_ACCEPTED)
 _DENIED = int(mavlink.MAV_RESULT_DENIED)
@@ -45,7 +45,7 @@ _SLOW_BELOW_M = 10.0
 _ARRIVED_M = 0.2
 
 
-class ArduCopter(Vehicle):
+class ArduCopter(StandInVehicle):
     """ArduCopter on a quadrotor without a transmitter."""
 
     autopilot = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
@@ -59,10 +59,10 @@ class ArduCopter(Vehicle):
         {mavlink.MAVLINK_MSG_ID_HEARTBEAT: 1.0},
     )
 
-    def default_parameters(self) -> Parameters:
+    def default_parameters(self) -> AutopilotParameters:
         """ArduCopter's; the hover thrust has been learned."""
         learned = {"MAV_SYSID": self.system, "MOT_THST_HOVER": hover_share(self.body.plant)}
-        return Parameters({**ARDUCOPTER, **learned}, bytewise=False)
+        return AutopilotParameters({**ARDUCOPTER, **learned}, bytewise=False)
 
     def gains(self) -> LoopGains:
         """From PSC_*, WP_* and ATC_*."""
@@ -86,10 +86,10 @@ class ArduCopter(Vehicle):
             1.0,
         )
 
-    def limits(self) -> Limits:
+    def limits(self) -> WaypointLimits:
         """Of GUIDED."""
         p = self.parameters
-        return Limits(p["WP_SPD"], p["WP_SPD_UP"], p["WP_SPD_DN"], p["WP_ACC"])
+        return WaypointLimits(p["WP_SPD"], p["WP_SPD_UP"], p["WP_SPD_DN"], p["WP_ACC"])
 
     # State.
 
@@ -100,20 +100,20 @@ class ArduCopter(Vehicle):
         self._announced = False
         self._auto_armed = False  # whether something has asked to leave the ground
         self._land_complete = True
-        self._place = targets.Place(self.flight.position_enu.copy(), 0.0)
+        self._place = targets.TargetPoint(self.flight.position_enu.copy(), 0.0)
         self._guided = Guided(self._seen(), t)
 
-    def _seen(self) -> Seen:
+    def _seen(self) -> EstimatedState:
         flight = self.flight
         heading = euler_of(attitude_swap(flight.attitude_enu)).yaw
-        return Seen(flight.position_enu.copy(), flight.velocity_enu.copy(), heading)
+        return EstimatedState(flight.position_enu.copy(), flight.velocity_enu.copy(), heading)
 
     @property
     def mode_name(self) -> str:
         """Name of the mode."""
         return _NAMES[self.mode]
 
-    def status(self) -> Status:
+    def status(self) -> HeartbeatFields:
         """HEARTBEAT; standby while the land detector says landed, armed or not."""
         flags = (
             mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
@@ -126,7 +126,7 @@ class ArduCopter(Vehicle):
             flags |= mavlink.MAV_MODE_FLAG_SAFETY_ARMED
         landed = self._land_complete
         state = mavlink.MAV_STATE_STANDBY if landed else mavlink.MAV_STATE_ACTIVE
-        return Status(flags, self.mode, state)
+        return HeartbeatFields(flags, self.mode, state)
 
     def landed_state(self) -> int:
         """By the land detector and the mode."""
@@ -169,7 +169,7 @@ class ArduCopter(Vehicle):
             self.log(f"mode {_NAMES[mode]}")
         seen = self._seen()
         self.mode = mode
-        self._place = targets.Place(seen.position, euler_of(self.flight.attitude_enu).yaw)
+        self._place = targets.TargetPoint(seen.position, euler_of(self.flight.attitude_enu).yaw)
         self._place = self._place.ahead(seen.velocity)
         self._guided = Guided(seen, t)
         return True

@@ -9,12 +9,12 @@ from typing import Any, ClassVar, NamedTuple
 from ptnsbc_core.types import Array
 from ptnsbc_io.mavlink.dialect import mavlink
 from ptnsbc_sim.autopilot.commands import COMMANDS, Request, Run
-from ptnsbc_sim.autopilot.parameters import Parameters
+from ptnsbc_sim.autopilot.parameters import AutopilotParameters
 from ptnsbc_sim.autopilot.physics.airframe import LoopGains
 from ptnsbc_sim.autopilot.physics.geodesy import PX4_RADIUS_M
 
 
-class Status(NamedTuple):
+class HeartbeatFields(NamedTuple):
     """The fields of HEARTBEAT that change."""
 
     base_mode: int
@@ -22,7 +22,7 @@ class Status(NamedTuple):
     system_status: int
 
 
-class Personality(ABC):
+class Firmware(ABC):
     """Constants and rules of one kind of autopilot."""
 
     mav_type: ClassVar[int] = mavlink.MAV_TYPE_QUADROTOR
@@ -38,7 +38,7 @@ class Personality(ABC):
     commands: ClassVar[Mapping[int, Run]] = COMMANDS
 
     @abstractmethod
-    def default_parameters(self) -> Parameters:
+    def default_parameters(self) -> AutopilotParameters:
         """Parameters after a factory reset."""
 
     @abstractmethod
@@ -51,7 +51,7 @@ class Personality(ABC):
         """Name of the mode that is flown."""
 
     @abstractmethod
-    def status(self) -> Status:
+    def status(self) -> HeartbeatFields:
         """Mode and state for HEARTBEAT."""
 
     @abstractmethod

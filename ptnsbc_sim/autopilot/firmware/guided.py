@@ -40,7 +40,7 @@ class Submode(Enum):
     ANGLE = 3
 
 
-class Limits(NamedTuple):
+class WaypointLimits(NamedTuple):
     """From WP_*."""
 
     speed: float  # [m/s]
@@ -49,7 +49,7 @@ class Limits(NamedTuple):
     acceleration: float  # [m/s^2]
 
 
-class Seen(NamedTuple):
+class EstimatedState(NamedTuple):
     """Estimate of now, ENU."""
 
     position: Array  # (3,) [m]
@@ -60,7 +60,7 @@ class Seen(NamedTuple):
 class Guided:
     """State of the mode; made anew each time it is entered."""
 
-    def __init__(self, seen: Seen, t: float) -> None:
+    def __init__(self, seen: EstimatedState, t: float) -> None:
         self.submode = Submode.VELOCITY
         self.place = seen.position.copy()  # position target, ENU
         self.yaw: float | None = yaw_swap(seen.heading_ned_rad)
@@ -76,12 +76,12 @@ class Guided:
 
     # What arrives.
 
-    def take_off(self, seen: Seen, height_m: float) -> None:
+    def take_off(self, seen: EstimatedState, height_m: float) -> None:
         """Climb over this place."""
         self.submode, self.take_off_height = Submode.TAKE_OFF, height_m
         self.place = seen.position.copy()
 
-    def trajectory(self, message: Any, seen: Seen, t: float) -> bool:
+    def trajectory(self, message: Any, seen: EstimatedState, t: float) -> bool:
         """A SET_POSITION_TARGET_LOCAL_NED, partly ignored vectors ignored whole; False when not valid."""
         wanted = setpoints.trajectory(message)
         position = wanted.position_ned if np.isfinite(wanted.position_ned).all() else None
@@ -100,7 +100,9 @@ class Guided:
         self._latest_t = t
         return True
 
-    def _go(self, position: Array, velocity: Array | None, frame: int, seen: Seen) -> None:
+    def _go(
+        self, position: Array, velocity: Array | None, frame: int, seen: EstimatedState
+    ) -> None:
         if frame in _BODY:
             position = rotate_heading(position, seen.heading_ned_rad)
         self.place = world_swap(position)
@@ -112,7 +114,7 @@ class Guided:
             self.submode, self._wanted = Submode.VELOCITY, self._in_enu(velocity, frame, seen)
             self._shaped = self._wanted
 
-    def _move(self, velocity: Array | None, frame: int, seen: Seen) -> None:
+    def _move(self, velocity: Array | None, frame: int, seen: EstimatedState) -> None:
         if self.submode is not Submode.VELOCITY:
             self.place, self._shaped = seen.position.copy(), seen.velocity.copy()
         self.submode = Submode.VELOCITY
@@ -120,12 +122,12 @@ class Guided:
             self._wanted = self._in_enu(velocity, frame, seen)
 
     @staticmethod
-    def _in_enu(velocity: Array, frame: int, seen: Seen) -> Array:
+    def _in_enu(velocity: Array, frame: int, seen: EstimatedState) -> Array:
         if frame in _BODY:
             velocity = rotate_heading(velocity, seen.heading_ned_rad)
         return world_swap(velocity)
 
-    def _turn(self, wanted: setpoints.Trajectory, seen: Seen) -> None:
+    def _turn(self, wanted: setpoints.Trajectory, seen: EstimatedState) -> None:
         self.yaw_rate = -wanted.yaw_rate_ned_rad_s
         if math.isfinite(wanted.yaw_ned_rad):
             relative = seen.heading_ned_rad if wanted.frame in _BODY else 0.0
@@ -133,7 +135,9 @@ class Guided:
         elif math.isfinite(self.yaw_rate):
             self.yaw = None
 
-    def attitude(self, message: Any, limits: Limits, thrust_is_thrust: bool, t: float) -> bool:
+    def attitude(
+        self, message: Any, limits: WaypointLimits, thrust_is_thrust: bool, t: float
+    ) -> bool:
         """A SET_ATTITUDE_TARGET; False when not valid.
 
         Its thrust is a climb rate about 0.5 unless GUID_OPTIONS says otherwise.
@@ -161,7 +165,9 @@ class Guided:
 
     # What is followed.
 
-    def aim(self, seen: Seen, limits: Limits, timeout_s: float, t: float) -> Array:
+    def aim(
+        self, seen: EstimatedState, limits: WaypointLimits, timeout_s: float, t: float
+    ) -> Array:
         """Target (22,) at t [s]; without setpoints for `timeout_s` it stops, and stays in the mode."""
         dt = min(t - self._stepped_t, _MOST_STEP_S)
         self._stepped_t = t
@@ -176,13 +182,15 @@ class Guided:
         if self.submode is Submode.TAKE_OFF:
             left = self.take_off_height - float(seen.position[2])
             climb = min(left, limits.up)
-            return targets.climb(targets.Place(self.place, yaw_swap(seen.heading_ned_rad)), climb)
+            return targets.climb(
+                targets.TargetPoint(self.place, yaw_swap(seen.heading_ned_rad)), climb
+            )
         if self.submode is Submode.VELOCITY:
             self._shape(limits, dt)
             self._lead(seen, dt)
         return self._target()
 
-    def _shape(self, limits: Limits, dt: float) -> None:
+    def _shape(self, limits: WaypointLimits, dt: float) -> None:
         """Velocity towards the wanted one, within speed and acceleration."""
         goal = self._wanted.copy()
         speed = math.hypot(goal[0], goal[1])
@@ -195,7 +203,7 @@ class Guided:
         self._shaped = goal if length <= most else before + step * (most / length)
         self._acceleration = (self._shaped - before) / dt if dt > 0.0 else np.zeros(3)
 
-    def _lead(self, seen: Seen, dt: float) -> None:
+    def _lead(self, seen: EstimatedState, dt: float) -> None:
         """Move the position target on, no further ahead than the leash."""
         self.place = self.place + self._shaped * dt
         off = self.place - seen.position
@@ -224,7 +232,7 @@ class Guided:
                 self._attitude[airframe.QUATERNION], rates, dt
             )
 
-    def _angle(self, seen: Seen, silent: bool) -> Array:
+    def _angle(self, seen: EstimatedState, silent: bool) -> Array:
         if silent:
             level = targets.sink(0.0)
             level[airframe.YAW] = yaw_swap(seen.heading_ned_rad)

@@ -7,7 +7,7 @@ from typing import Any
 
 from ptnsbc_io.mavlink.dialect import mavlink
 from ptnsbc_sim.autopilot.commands import Request, custom_mode, whole
-from ptnsbc_sim.autopilot.firmware.firmware import Status
+from ptnsbc_sim.autopilot.firmware.firmware import HeartbeatFields
 from ptnsbc_sim.autopilot.firmware.px4_offboard import (
     LiftOff,
     Offboard,
@@ -26,13 +26,13 @@ from ptnsbc_sim.autopilot.firmware.px4_tables import (
     RATES_HZ,
     RTL,
     TAKEOFF,
-    Mode,
+    Px4Mode,
 )
-from ptnsbc_sim.autopilot.parameters import PX4, Parameters
+from ptnsbc_sim.autopilot.parameters import PX4, AutopilotParameters
 from ptnsbc_sim.autopilot.physics import targets
 from ptnsbc_sim.autopilot.physics.airframe import LoopGains
 from ptnsbc_sim.autopilot.physics.frames import attitude_swap, euler_of
-from ptnsbc_sim.autopilot.vehicle import Vehicle
+from ptnsbc_sim.autopilot.vehicle import StandInVehicle
 
 _DONE = int(mavlink.MAV_RESULT_ACCEPTED)
 _LATER = int(mavlink.MAV_RESULT_TEMPORARILY_REJECTED)
@@ -52,7 +52,7 @@ _FIXED_FLAGS = (
 )
 
 
-class Px4Modes(Vehicle):
+class Px4Modes(StandInVehicle):
     """What is asked of a PX4 1.16 on a quadrotor without a transmitter."""
 
     autopilot = mavlink.MAV_AUTOPILOT_PX4
@@ -63,9 +63,9 @@ class Px4Modes(Vehicle):
     ready_s = (3.0, 8.0)
     rates_hz = RATES_HZ
 
-    def default_parameters(self) -> Parameters:
+    def default_parameters(self) -> AutopilotParameters:
         """PX4's, with our system id."""
-        return Parameters({**PX4, "MAV_SYS_ID": self.system}, bytewise=True)
+        return AutopilotParameters({**PX4, "MAV_SYS_ID": self.system}, bytewise=True)
 
     def gains(self) -> LoopGains:
         """From MPC_* and MC_*."""
@@ -102,9 +102,9 @@ class Px4Modes(Vehicle):
         self._height = 0.0
         self._warned_charge = 1.0
 
-    def _here(self) -> targets.Place:
+    def _here(self) -> targets.TargetPoint:
         yaw = euler_of(self.flight.attitude_enu).yaw
-        return targets.Place(self.flight.position_enu.copy(), yaw)
+        return targets.TargetPoint(self.flight.position_enu.copy(), yaw)
 
     @property
     def mode_name(self) -> str:
@@ -116,7 +116,7 @@ class Px4Modes(Vehicle):
         """Whether something else is flown than the user wants."""
         return self.armed and self.active != self.mode
 
-    def status(self) -> Status:
+    def status(self) -> HeartbeatFields:
         """HEARTBEAT shows the mode that is flown."""
         flags = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
         manual = mavlink.MAV_MODE_FLAG_MANUAL_INPUT_ENABLED
@@ -125,7 +125,7 @@ class Px4Modes(Vehicle):
         if self.armed:
             flags |= mavlink.MAV_MODE_FLAG_SAFETY_ARMED
             state = mavlink.MAV_STATE_CRITICAL if self.failsafe else mavlink.MAV_STATE_ACTIVE
-        return Status(flags, self.active.word, state)
+        return HeartbeatFields(flags, self.active.word, state)
 
     def landed_state(self) -> int:
         """On the ground until it has left it; landing and take-off only where the mode says so."""
@@ -175,14 +175,14 @@ class Px4Modes(Vehicle):
         self.active = self.mode
         self._lift = LiftOff()
 
-    def _can_run(self, mode: Mode, t: float) -> bool:
+    def _can_run(self, mode: Px4Mode, t: float) -> bool:
         if mode == OFFBOARD:
             return self._offboard_ready(t)
         if mode in MANUAL_MODES and not self._transmitter:
             return False
         return mode not in NEED_POSITION or self.position_valid(t) or mode == LAND
 
-    def _choose(self, mode: Mode, t: float) -> int:
+    def _choose(self, mode: Px4Mode, t: float) -> int:
         """Change the mode; disarmed it is always taken, arming checks it."""
         if self.armed and not self._can_run(mode, t):
             self.tell(f"Switching to mode '{mode.name}' is currently not available", t)

@@ -18,14 +18,16 @@ LIFT_SHARE_OF_RAMP = 2.5 / 3.0
 _UNIT_TOLERANCE = 0.1
 
 
-class Wanted(NamedTuple):
+class OffboardSetpoint(NamedTuple):
     """A setpoint that PX4 takes."""
 
     target: Array  # (22,)
     climbs: bool  # whether it asks to leave the ground
 
 
-def read_trajectory(message: Any, heading_ned_rad: float, height_m: float) -> Wanted | str:
+def read_trajectory(
+    message: Any, heading_ned_rad: float, height_m: float
+) -> OffboardSetpoint | str:
     """A SET_POSITION_TARGET_LOCAL_NED, or what PX4 says of it.
 
     LOCAL_NED and BODY_NED only, no forces, at least one number; a body frame has no position.
@@ -42,10 +44,10 @@ def read_trajectory(message: Any, heading_ned_rad: float, height_m: float) -> Wa
     if not (wanted.positions or wanted.velocities or wanted.accelerations):
         return f"{name} invalid"
     higher = bool(wanted.position_ned[2] < -height_m)
-    return Wanted(setpoints.trajectory_target(wanted), higher or wanted.climbs)
+    return OffboardSetpoint(setpoints.trajectory_target(wanted), higher or wanted.climbs)
 
 
-def read_attitude(message: Any) -> Wanted | None:
+def read_attitude(message: Any) -> OffboardSetpoint | None:
     """A SET_ATTITUDE_TARGET: attitude or all body rates, with a thrust; None for anything else.
 
     Of the rates beside an attitude PX4 takes only that of yaw, as a feed-forward about the vertical.
@@ -59,17 +61,17 @@ def read_attitude(message: Any) -> Wanted | None:
     if wanted.attitude_ned is not None:
         turn = wanted.rates_frd[2] * setpoints.down_in_body(wanted.attitude_ned)
         wanted = wanted._replace(rates_frd=turn)
-    return Wanted(setpoints.attitude_target(wanted), False)
+    return OffboardSetpoint(setpoints.attitude_target(wanted), False)
 
 
 class Offboard:
     """The latest setpoint and how long they have been coming."""
 
     def __init__(self) -> None:
-        self._wanted = Wanted(targets.IDLE_TARGET, False)
+        self._wanted = OffboardSetpoint(targets.IDLE_TARGET, False)
         self._latest_t = self._since_t = -math.inf
 
-    def take(self, wanted: Wanted, t: float, loss_s: float) -> None:
+    def take(self, wanted: OffboardSetpoint, t: float, loss_s: float) -> None:
         """A setpoint at t [s]; after a gap of more than `loss_s` a new stream begins."""
         if not self.fresh(t, loss_s):
             self._since_t = t

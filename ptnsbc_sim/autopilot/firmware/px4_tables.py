@@ -8,7 +8,7 @@ from typing import NamedTuple
 from ptnsbc_io.mavlink.dialect import mavlink
 
 
-class Mode(NamedTuple):
+class Px4Mode(NamedTuple):
     """A flight mode as in custom_mode."""
 
     name: str
@@ -21,15 +21,15 @@ class Mode(NamedTuple):
         return self.main << 16 | self.sub << 24
 
 
-MANUAL, ALTCTL, POSCTL = Mode("MANUAL", 1), Mode("ALTCTL", 2), Mode("POSCTL", 3)
+MANUAL, ALTCTL, POSCTL = Px4Mode("MANUAL", 1), Px4Mode("ALTCTL", 2), Px4Mode("POSCTL", 3)
 TAKEOFF, HOLD, RTL, LAND = (
-    Mode("TAKEOFF", 4, 2),
-    Mode("HOLD", 4, 3),
-    Mode("RTL", 4, 5),
-    Mode("LAND", 4, 6),
+    Px4Mode("TAKEOFF", 4, 2),
+    Px4Mode("HOLD", 4, 3),
+    Px4Mode("RTL", 4, 5),
+    Px4Mode("LAND", 4, 6),
 )
-OFFBOARD, STABILIZED = Mode("OFFBOARD", 6), Mode("STABILIZED", 7)
-DESCEND = Mode("DESCEND", 4, 6)  # shown as LAND: HEARTBEAT has no word for it
+OFFBOARD, STABILIZED = Px4Mode("OFFBOARD", 6), Px4Mode("STABILIZED", 7)
+DESCEND = Px4Mode("DESCEND", 4, 6)  # shown as LAND: HEARTBEAT has no word for it
 MODES = (MANUAL, ALTCTL, POSCTL, TAKEOFF, HOLD, RTL, LAND, OFFBOARD, STABILIZED)
 MANUAL_MODES = (MANUAL, ALTCTL, POSCTL, STABILIZED)
 PASSING_MODES = (TAKEOFF, RTL, LAND)  # forgotten when the motors stop

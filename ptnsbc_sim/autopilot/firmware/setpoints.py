@@ -73,7 +73,7 @@ class Trajectory(NamedTuple):
         return bool(self.velocity_ned[2] < 0.0 or self.acceleration_ned[2] < 0.0)
 
 
-class AttitudeTarget(NamedTuple):
+class AttitudeSetpoint(NamedTuple):
     """An attitude target; NaN where a field is ignored, None without attitude."""
 
     attitude_ned: Quaternion | None
@@ -122,13 +122,13 @@ def trajectory_target(wanted: Trajectory) -> Array:
     return target
 
 
-def attitude(message: Any) -> AttitudeTarget:
+def attitude(message: Any) -> AttitudeSetpoint:
     """What a SET_ATTITUDE_TARGET says, by its type mask."""
     mask = message.type_mask
     rates = (message.body_roll_rate, message.body_pitch_rate, message.body_yaw_rate)
     ignored = mask & mavlink.ATTITUDE_TARGET_TYPEMASK_ATTITUDE_IGNORE
     no_thrust = mask & mavlink.ATTITUDE_TARGET_TYPEMASK_THROTTLE_IGNORE
-    return AttitudeTarget(
+    return AttitudeSetpoint(
         None if ignored else Quaternion(*(float(v) for v in message.q)),
         _fields(mask, _BODY_RATES, rates),
         math.nan if no_thrust else message.thrust,
@@ -146,7 +146,7 @@ def down_in_body(q: Quaternion) -> Array:
     return np.array((2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)))
 
 
-def attitude_target(wanted: AttitudeTarget) -> Array:
+def attitude_target(wanted: AttitudeSetpoint) -> Array:
     """A target (22,) of the airframe; ignored rates are zero where there is no attitude."""
     target = airframe.no_target()
     rates = body_swap(wanted.rates_frd)

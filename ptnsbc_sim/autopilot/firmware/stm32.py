@@ -13,12 +13,12 @@ from ptnsbc_core.types import Array
 from ptnsbc_io.mavlink.dialect import mavlink
 from ptnsbc_sim.autopilot.commands import COMMANDS, Request, whole
 from ptnsbc_sim.autopilot.firmware import setpoints
-from ptnsbc_sim.autopilot.firmware.firmware import Status
-from ptnsbc_sim.autopilot.parameters import STM32, Parameters
+from ptnsbc_sim.autopilot.firmware.firmware import HeartbeatFields
+from ptnsbc_sim.autopilot.parameters import STM32, AutopilotParameters
 from ptnsbc_sim.autopilot.physics import targets
 from ptnsbc_sim.autopilot.physics.airframe import LoopGains
 from ptnsbc_sim.autopilot.physics.frames import euler_of
-from ptnsbc_sim.autopilot.vehicle import Vehicle
+from ptnsbc_sim.autopilot.vehicle import StandInVehicle
 
 _DONE = int(mavlink.MAV_RESULT_ACCEPTED)
 _DENIED = int(mavlink.MAV_RESULT_DENIED)
@@ -47,7 +47,7 @@ _COMMANDS = {
 }
 
 
-class Stm32(Vehicle):
+class Stm32(StandInVehicle):
     """Armed, it follows quaternion, thrust and body rates; without them it comes down level."""
 
     autopilot = mavlink.MAV_AUTOPILOT_GENERIC
@@ -58,9 +58,9 @@ class Stm32(Vehicle):
     rates_hz = (_RATES_HZ, {mavlink.MAVLINK_MSG_ID_HEARTBEAT: 1.0})
     commands = _COMMANDS
 
-    def default_parameters(self) -> Parameters:
+    def default_parameters(self) -> AutopilotParameters:
         """Three."""
-        return Parameters(STM32, bytewise=False)
+        return AutopilotParameters(STM32, bytewise=False)
 
     def gains(self) -> LoopGains:
         """Only the attitude loop and the descent matter."""
@@ -72,7 +72,7 @@ class Stm32(Vehicle):
         self._target = targets.IDLE_TARGET
         self._latest_t = -math.inf
         self._guided = False
-        self._land_at: targets.Place | None = None
+        self._land_at: targets.TargetPoint | None = None
 
     @property
     def mode_name(self) -> str:
@@ -81,7 +81,7 @@ class Stm32(Vehicle):
             return "LAND"
         return "GUIDED" if self._guided else "STABILIZE"
 
-    def status(self) -> Status:
+    def status(self) -> HeartbeatFields:
         """Base mode only: custom_mode has no meaning."""
         flags = mavlink.MAV_MODE_FLAG_STABILIZE_ENABLED
         if self._guided:
@@ -90,7 +90,7 @@ class Stm32(Vehicle):
         if self.armed:
             flags |= mavlink.MAV_MODE_FLAG_SAFETY_ARMED
             state = mavlink.MAV_STATE_ACTIVE
-        return Status(flags, 0, state)
+        return HeartbeatFields(flags, 0, state)
 
     def landed_state(self) -> int:
         """On the ground or not."""
@@ -135,7 +135,9 @@ class Stm32(Vehicle):
             return _DENIED
         if self._land_at is None:
             flight = self.flight
-            here = targets.Place(flight.position_enu.copy(), euler_of(flight.attitude_enu).yaw)
+            here = targets.TargetPoint(
+                flight.position_enu.copy(), euler_of(flight.attitude_enu).yaw
+            )
             self._land_at = here.ahead(flight.velocity_enu)
             self.log("landing")
         return _DONE

@@ -233,7 +233,7 @@ def _stand(body: Array, loop: Array) -> None:
         loop[4] = 0.0
 
 
-class Craft(NamedTuple):
+class AirframeState(NamedTuple):
     """What one vehicle carries from period to period; changed in place."""
 
     body: Array  # (17,) plant state of the quadrotor
@@ -247,7 +247,7 @@ class Craft(NamedTuple):
 
 @kernel
 def fly(
-    craft: Craft,
+    craft: AirframeState,
     gains: LoopGains,
     plants: Sequence[PlantConfig],
     t: float,

@@ -9,10 +9,15 @@ import numpy as np
 from ptnsbc_core.kernel import kernel_list
 from ptnsbc_core.types import PLANT_QUADROTOR, Array
 from ptnsbc_sim.autopilot.physics import airframe
-from ptnsbc_sim.autopilot.physics.airframe import PHYSICS_HZ, Craft, LoopGains
+from ptnsbc_sim.autopilot.physics.airframe import PHYSICS_HZ, AirframeState, LoopGains
 from ptnsbc_sim.autopilot.physics.frames import Quaternion
 from ptnsbc_sim.autopilot.physics.geodesy import PX4_HOME, Geodetic
-from ptnsbc_sim.autopilot.physics.navigation import QUALITIES, UPDATE_HZ, Navigation, Quality
+from ptnsbc_sim.autopilot.physics.navigation import (
+    QUALITIES,
+    UPDATE_HZ,
+    Navigation,
+    ReceiverAccuracy,
+)
 from ptnsbc_sim.plants.contract import PlantConfig
 from ptnsbc_sim.plants.integrate import initial_state
 
@@ -44,23 +49,23 @@ def default_plant() -> PlantConfig:
 
 
 @dataclass(frozen=True)
-class Body:
+class VehicleDescription:
     """One vehicle: what it is, where it stands, how well it knows that."""
 
     plant: PlantConfig = field(default_factory=default_plant)
     start_enu: Array = field(default_factory=lambda: np.zeros(3))  # (3,) [m], on the ground z = 0
     yaw_rad: float = 0.0  # ENU
-    quality: Quality = QUALITIES["plain"]
+    quality: ReceiverAccuracy = QUALITIES["plain"]
     origin_spread_m: float = 0.0
     datum: Geodetic = PX4_HOME  # where ENU is zero
     battery: float = 1.0  # charge at the start
     seed: int = 0
 
 
-class Flight:
+class VehiclePhysics:
     """State of one vehicle; `advance` moves it to a time."""
 
-    def __init__(self, body: Body, gains: LoopGains, t: float) -> None:
+    def __init__(self, body: VehicleDescription, gains: LoopGains, t: float) -> None:
         self.body = body
         self.gains = gains
         self.target = airframe.no_target()
@@ -96,7 +101,9 @@ class Flight:
                 self._slow(1.0 / UPDATE_HZ)
 
     def _fly(self, count: int) -> None:
-        craft = Craft(self._state, self._loop, self._nav, self.navigation.errors, self.target)
+        craft = AirframeState(
+            self._state, self._loop, self._nav, self.navigation.errors, self.target
+        )
         airframe.fly(craft, self.gains, self._plants, self.t, _PERIOD_S, count)
         self._ticks += count
 

@@ -24,7 +24,7 @@ _AT_REST_SHARE, _SHARE_TAU_S = 0.1, 2.0
 _DEAD_RECKONING_M_S2 = 0.3  # growth of the velocity error without satellites, [m/s per sqrt(s)]
 
 
-class Quality(NamedTuple):
+class ReceiverAccuracy(NamedTuple):
     """Standard deviations and correlation times of one kind of receiver."""
 
     position_m: float  # horizontal, per axis
@@ -38,9 +38,9 @@ class Quality(NamedTuple):
 
 
 QUALITIES = {
-    "plain": Quality(0.45, 0.35, 60.0, 0.33, 0.04, 40.0, 0.017, 3),
-    "rtk": Quality(0.014, 0.02, 20.0, 0.01, 0.008, 1.0, 0.005, 6),
-    "perfect": Quality(0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 0.0, 6),
+    "plain": ReceiverAccuracy(0.45, 0.35, 60.0, 0.33, 0.04, 40.0, 0.017, 3),
+    "rtk": ReceiverAccuracy(0.014, 0.02, 20.0, 0.01, 0.008, 1.0, 0.005, 6),
+    "perfect": ReceiverAccuracy(0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 0.0, 6),
 }
 """Receivers to choose from; `plain` is what was measured, `rtk` what the paper's experiment had.
 
@@ -51,7 +51,9 @@ With `rtk` a velocity error cannot last: in seconds it would show in positions k
 class Navigation:
     """Errors of one vehicle's estimate. The same seed gives the same errors."""
 
-    def __init__(self, quality: Quality, start_enu: Array, spread_m: float, seed: int) -> None:
+    def __init__(
+        self, quality: ReceiverAccuracy, start_enu: Array, spread_m: float, seed: int
+    ) -> None:
         self.quality = quality
         self._random = np.random.default_rng(seed)
         self._spread_m = spread_m

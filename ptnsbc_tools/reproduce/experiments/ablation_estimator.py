@@ -8,17 +8,17 @@ import numpy as np
 
 from ptnsbc_core.types import Array
 from ptnsbc_tools.reproduce.claims import FAILS, HOLDS
+from ptnsbc_tools.reproduce.experiment_folder import ExperimentFolder, times_column
+from ptnsbc_tools.reproduce.experiment_result import Claim, Column, ExperimentResult, Figure, Table
 from ptnsbc_tools.reproduce.figures import style
-from ptnsbc_tools.reproduce.flights import Flown, flown
-from ptnsbc_tools.reproduce.part import Claim, Column, Figure, Part, Table
-from ptnsbc_tools.reproduce.workshop import Workshop, times_column
+from ptnsbc_tools.reproduce.flights import JudgedFlight, flown
 from ptnsbc_tools.verdict.tolerances import TOLERANCE_M
 
 _SHOWN_S = 15.0
 _FLOOR_M = 1e-6
 
 
-class Case(NamedTuple):
+class EstimatorVariant(NamedTuple):
     """One estimator: who hears the leader, tf2, and whether its velocity is fed forward."""
 
     links: str
@@ -34,7 +34,7 @@ class Case(NamedTuple):
 
 # One link makes lambda_min small: with tf2 = 1.5 s the gain would be too large for a period of 10 ms.
 CASES = tuple(
-    Case(links, heard, deadline_s, forward)
+    EstimatorVariant(links, heard, deadline_s, forward)
     for links, heard, deadline_s in (
         ("all hear the leader", (2, 3, 4, 5), 1.5),
         ("only UAV 2 does", (2,), 3.0),
@@ -43,7 +43,7 @@ CASES = tuple(
 )
 
 
-def flight(case: Case, duration_s: float = 30.0) -> Flown:
+def flight(case: EstimatorVariant, duration_s: float = 30.0) -> JudgedFlight:
     """`paper_5_free` on the six-input plant, profile `soft`, with another estimator."""
     return flown(
         "paper_5_free",
@@ -57,7 +57,7 @@ def flight(case: Case, duration_s: float = 30.0) -> Flown:
     )
 
 
-def estimate_errors(one: Flown) -> Array:
+def estimate_errors(one: JudgedFlight) -> Array:
     """Error (T, followers) [m] of the estimated position of the leader, from the second tick on."""
     track, leader = one.flight.track, one.scenario.uav_ids.index(one.scenario.leader_id)
     rows = [row for row in range(len(one.scenario.uav_ids)) if row != leader]
@@ -65,12 +65,12 @@ def estimate_errors(one: Flown) -> Array:
     return np.asarray(np.linalg.norm(off, axis=2))
 
 
-def worst_from(one: Flown, seconds: float) -> float:
+def worst_from(one: JudgedFlight, seconds: float) -> float:
     """Largest error of any follower from a time on [m]."""
     return float(estimate_errors(one)[one.times[1:] >= seconds].max())
 
 
-def estimator_claim(with_forward: Flown, without: Flown) -> Claim:
+def estimator_claim(with_forward: JudgedFlight, without: JudgedFlight) -> Claim:
     """Everybody knows the leader from tf2 on, to the tolerance of the formation."""
     deadline_s = with_forward.scenario.gains.estimator.deadline_s
     ours, printed = worst_from(with_forward, deadline_s), worst_from(without, deadline_s)
@@ -91,7 +91,7 @@ def estimator_claim(with_forward: Flown, without: Flown) -> Claim:
     )
 
 
-def _figure(workshop: Workshop, flights: dict[Case, Flown]) -> Figure:
+def _figure(workshop: ExperimentFolder, flights: dict[EstimatorVariant, JudgedFlight]) -> Figure:
     made = style.figure(66)
     axes = made.add_subplot()
     sheet: dict[str, Array] = {}
@@ -113,7 +113,7 @@ def _figure(workshop: Workshop, flights: dict[Case, Flown]) -> Figure:
     return Figure(name, "Fig. A1", caption)
 
 
-def _table(flights: dict[Case, Flown]) -> Table:
+def _table(flights: dict[EstimatorVariant, JudgedFlight]) -> Table:
     rows = tuple(
         (
             case.links,
@@ -147,13 +147,13 @@ def _table(flights: dict[Case, Flown]) -> Table:
     )
 
 
-def run(workshop: Workshop) -> Part:
+def run(workshop: ExperimentFolder) -> ExperimentResult:
     """Fly the four estimators."""
     flights = {}
     for case in CASES:
         workshop.tell(f"flying: {case.label}")
         flights[case] = flight(case)
-    return Part(
+    return ExperimentResult(
         "ablation_estimator",
         "Ablation: the leader estimator",
         "Scenario `paper_5_free` on the six-input plant, profile `soft`, 30 s.",

@@ -8,10 +8,10 @@ import numpy as np
 
 from ptnsbc_sim.track import ACTIVE_ROWS
 from ptnsbc_tools.reproduce.claims import kept
-from ptnsbc_tools.reproduce.flights import Flown, flown
+from ptnsbc_tools.reproduce.experiment_folder import ExperimentFolder
+from ptnsbc_tools.reproduce.experiment_result import Cell, Column, ExperimentResult, Table
+from ptnsbc_tools.reproduce.flights import JudgedFlight, flown
 from ptnsbc_tools.reproduce.intrusions import BEFORE_S, Intrusion, deepest
-from ptnsbc_tools.reproduce.part import Cell, Column, Part, Table
-from ptnsbc_tools.reproduce.workshop import Workshop
 
 PLANTS = ("rigid_body_6dof", "quadrotor")
 PROFILES = ("paper", "soft", "reference")
@@ -22,9 +22,9 @@ Intrusions = dict[tuple[str, str], Intrusion]
 """By profile and task, in the order flown."""
 
 
-def run(workshop: Workshop) -> Part:
+def run(workshop: ExperimentFolder) -> ExperimentResult:
     """Fly every combination."""
-    return Part(
+    return ExperimentResult(
         "ablation_profiles",
         "Ablation: gain profile, formation task, avoidance rule",
         "Scenario `paper_5`, 60 s, every combination. *Room* is the smallest distance to any UAV or obstacle less "
@@ -33,7 +33,7 @@ def run(workshop: Workshop) -> Part:
     )
 
 
-def _flight(plant: str, profile: str, task: str, rule: str) -> Flown:
+def _flight(plant: str, profile: str, task: str, rule: str) -> JudgedFlight:
     return flown(
         "paper_5",
         {
@@ -45,13 +45,13 @@ def _flight(plant: str, profile: str, task: str, rule: str) -> Flown:
     )
 
 
-def switches(one: Flown) -> int:
+def switches(one: JudgedFlight) -> int:
     """How often a UAV began or stopped to give way."""
     active = one.flight.track.diagnostics[:, :, ACTIVE_ROWS] > 0
     return int(np.abs(np.diff(active.astype(np.int64), axis=0)).sum())
 
 
-def _tables(workshop: Workshop, plant: str) -> tuple[Table, ...]:
+def _tables(workshop: ExperimentFolder, plant: str) -> tuple[Table, ...]:
     """Every combination on one plant, and where `switched` went inside a keep-out."""
     rows: list[tuple[Cell, ...]] = []
     good: list[str] = []

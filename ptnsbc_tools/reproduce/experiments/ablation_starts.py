@@ -11,10 +11,10 @@ from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import agent_config
 from ptnsbc_sim.swarm import fly
 from ptnsbc_sim.track import ERROR
+from ptnsbc_tools.reproduce.experiment_folder import ExperimentFolder
+from ptnsbc_tools.reproduce.experiment_result import Cell, Column, ExperimentResult, Table
 from ptnsbc_tools.reproduce.experiments.ablation_profiles import PLANTS, TASKS
-from ptnsbc_tools.reproduce.flights import Flown, judged, scenario
-from ptnsbc_tools.reproduce.part import Cell, Column, Part, Table
-from ptnsbc_tools.reproduce.workshop import Workshop
+from ptnsbc_tools.reproduce.flights import JudgedFlight, judged, scenario
 from ptnsbc_tools.verdict.tolerances import TOLERANCE_M
 
 DRAWS = 6
@@ -33,7 +33,7 @@ def starts(draw: int, count: int, height_m: float) -> Array:
     return np.stack(found)
 
 
-def flight(plant: str, task: str, draw: int | None) -> Flown:
+def flight(plant: str, task: str, draw: int | None) -> JudgedFlight:
     """`paper_20` without obstacles from one draw, or from the starts of the file."""
     changes: dict[str, Any] = {
         "plant.kind": plant,
@@ -48,7 +48,7 @@ def flight(plant: str, task: str, draw: int | None) -> Flown:
     return judged(fly(scenario("paper_20", changes)))
 
 
-def elsewhere(one: Flown) -> int:
+def elsewhere(one: JudgedFlight) -> int:
     """How many followers end with their task fulfilled in a wrong place: another shape with the same sigma."""
     scales = np.stack([_row_scale(one, uav) for uav in one.scenario.uav_ids])
     task = np.abs(one.flight.track.diagnostics[-1, :, ERROR]) * scales
@@ -56,11 +56,11 @@ def elsewhere(one: Flown) -> int:
     return int(np.sum(wrong & (task.max(axis=1) <= 2.0 * TOLERANCE_M)))
 
 
-def _row_scale(one: Flown, uav: int) -> Array:
+def _row_scale(one: JudgedFlight, uav: int) -> Array:
     return np.array(agent_config(one.scenario, uav).row_scale)
 
 
-def _row(workshop: Workshop, plant: str, task: str) -> tuple[Cell, ...]:
+def _row(workshop: ExperimentFolder, plant: str, task: str) -> tuple[Cell, ...]:
     workshop.tell(f"flying {plant}, {task}")
     found = [flight(plant, task, draw) for draw in range(DRAWS)]
     count = len(found[0].verdict.uavs)
@@ -77,19 +77,19 @@ def _row(workshop: Workshop, plant: str, task: str) -> tuple[Cell, ...]:
     )
 
 
-def _there(one: Flown) -> int:
+def _there(one: JudgedFlight) -> int:
     """How many are in their place at the end, however late."""
     return int(np.sum(one.errors()[-1] <= TOLERANCE_M))
 
 
-def _saturated_share(found: Sequence[Flown]) -> float:
+def _saturated_share(found: Sequence[JudgedFlight]) -> float:
     return float(np.mean([uav.saturated_s for one in found for uav in one.verdict.uavs]))
 
 
-def run(workshop: Workshop) -> Part:
+def run(workshop: ExperimentFolder) -> ExperimentResult:
     """Fly every task from every draw."""
     rows = tuple(_row(workshop, plant, task) for plant in PLANTS for task in TASKS)
-    return Part(
+    return ExperimentResult(
         "ablation_starts",
         "Ablation: starts of the twenty",
         f"Scenario `paper_20` without its obstacles, profile `soft`, {SECONDS:g} s, from its own starts and from "

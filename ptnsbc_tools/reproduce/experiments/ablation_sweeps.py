@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 from ptnsbc_core.timebase import peak_gain
-from ptnsbc_tools.reproduce.flights import Flown, flown
-from ptnsbc_tools.reproduce.part import Cell, Column, Part, Table
-from ptnsbc_tools.reproduce.workshop import Workshop
+from ptnsbc_tools.reproduce.experiment_folder import ExperimentFolder
+from ptnsbc_tools.reproduce.experiment_result import Cell, Column, ExperimentResult, Table
+from ptnsbc_tools.reproduce.flights import JudgedFlight, flown
 
 RESIDUALS = (0.2, 0.1, 0.02, 0.01, 0.001, 0.0001)
 DEADLINES_S = (3.0, 4.0, 5.0, 7.0, 10.0)
@@ -15,7 +15,7 @@ DEFAULT_Q, DEFAULT_TF_S = 0.02, 5.0
 PLANTS = ("rigid_body_6dof", "quadrotor")
 _AFTER_S = 10.0
 
-Swept = Mapping[str, Mapping[float, Flown]]
+Swept = Mapping[str, Mapping[float, JudgedFlight]]
 """Flights by plant and by the value that is swept."""
 
 _COLUMNS = (
@@ -32,7 +32,7 @@ _COLUMNS = (
 )
 
 
-def flight(plant: str, q: float, tf_s: float) -> Flown:
+def flight(plant: str, q: float, tf_s: float) -> JudgedFlight:
     """`paper_5_free` under profile `soft` with another residual or deadline."""
     return flown(
         "paper_5_free",
@@ -45,7 +45,7 @@ def flight(plant: str, q: float, tf_s: float) -> Flown:
     )
 
 
-def _row(plant: str, first: Cell, one: Flown, gain: float) -> tuple[Cell, ...]:
+def _row(plant: str, first: Cell, one: JudgedFlight, gain: float) -> tuple[Cell, ...]:
     uavs = one.verdict.uavs
     return (
         plant,
@@ -63,7 +63,7 @@ def _row(plant: str, first: Cell, one: Flown, gain: float) -> tuple[Cell, ...]:
     )
 
 
-def _met(flights: Mapping[float, Flown]) -> str:
+def _met(flights: Mapping[float, JudgedFlight]) -> str:
     """For which values all UAVs kept the deadline."""
     good = [value for value, one in flights.items() if one.met() == len(one.verdict.uavs)]
     return ", ".join(f"{value:g}" for value in good) if good else "none"
@@ -116,12 +116,12 @@ def _by_deadline() -> Table:
     )
 
 
-def run(workshop: Workshop) -> Part:
+def run(workshop: ExperimentFolder) -> ExperimentResult:
     """Fly both sweeps."""
     workshop.tell("sweeping q")
     residual = _by_residual()
     workshop.tell("sweeping tf")
-    return Part(
+    return ExperimentResult(
         "ablation_sweeps",
         "Ablation: residual and deadline",
         "Scenario `paper_5_free`, profile `soft`, until 10 s after the deadline.",

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from itertools import product
 
+from ptnsbc_tools.reproduce.experiment_folder import ExperimentFolder
+from ptnsbc_tools.reproduce.experiment_result import Cell, Column, ExperimentResult, Table
 from ptnsbc_tools.reproduce.experiments.ablation_estimator import worst_from
-from ptnsbc_tools.reproduce.flights import Flown, flown
-from ptnsbc_tools.reproduce.part import Cell, Column, Part, Table
-from ptnsbc_tools.reproduce.workshop import Workshop
+from ptnsbc_tools.reproduce.flights import JudgedFlight, flown
 
 LOOPS = {
     "formation": ("gains.formation.time_base", "gains.attitude.time_base"),
@@ -17,7 +17,7 @@ LOOPS = {
 _DURATION_S = 20.0
 
 
-def flight(on: tuple[bool, ...], profile: str = "soft") -> Flown:
+def flight(on: tuple[bool, ...], profile: str = "soft") -> JudgedFlight:
     """`paper_5_free` on the six-input plant with the time base of some loops switched off."""
     switches = {key: way for keys, way in zip(LOOPS.values(), on, strict=True) for key in keys}
     return flown(
@@ -31,7 +31,7 @@ def flight(on: tuple[bool, ...], profile: str = "soft") -> Flown:
     )
 
 
-def _row(on: tuple[bool, ...], one: Flown) -> tuple[Cell, ...]:
+def _row(on: tuple[bool, ...], one: JudgedFlight) -> tuple[Cell, ...]:
     gains = one.scenario.gains
     return (
         *("on" if way else "off" for way in on),
@@ -47,7 +47,7 @@ def _row(on: tuple[bool, ...], one: Flown) -> tuple[Cell, ...]:
     )
 
 
-def _meaning(flights: dict[tuple[bool, ...], Flown]) -> str:
+def _meaning(flights: dict[tuple[bool, ...], JudgedFlight]) -> str:
     """Which loops cannot do without, from the flights with one of them switched off."""
     needed = []
     for index, loop in enumerate(LOOPS):
@@ -62,7 +62,7 @@ def _meaning(flights: dict[tuple[bool, ...], Flown]) -> str:
     )
 
 
-def run(workshop: Workshop) -> Part:
+def run(workshop: ExperimentFolder) -> ExperimentResult:
     """Fly all combinations."""
     tables = []
     for profile in ("soft", "paper"):
@@ -71,7 +71,7 @@ def run(workshop: Workshop) -> Part:
             workshop.tell(f"flying {profile}, {on}")
             flights[on] = flight(on, profile)
         tables.append(_table(profile, flights))
-    return Part(
+    return ExperimentResult(
         "ablation_time_base",
         "Ablation: the time base in each loop",
         f"Scenario `paper_5_free` on the six-input plant, {_DURATION_S:g} s. Off means the constant gain "
@@ -80,7 +80,7 @@ def run(workshop: Workshop) -> Part:
     )
 
 
-def _table(profile: str, flights: dict[tuple[bool, ...], Flown]) -> Table:
+def _table(profile: str, flights: dict[tuple[bool, ...], JudgedFlight]) -> Table:
     return Table(
         f"ablation_time_base_{profile}",
         f"Time base on and off, profile `{profile}`",

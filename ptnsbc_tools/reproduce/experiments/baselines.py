@@ -12,9 +12,10 @@ from typing import NamedTuple
 
 from ptnsbc_sim import baselines
 from ptnsbc_sim.scenario import Scenario
+from ptnsbc_tools.reproduce.experiment_folder import ExperimentFolder
+from ptnsbc_tools.reproduce.experiment_result import Cell, Column, ExperimentResult, Table
 from ptnsbc_tools.reproduce.figures import rivals
-from ptnsbc_tools.reproduce.flights import UNFILTERED, Flown, judged, scenario
-from ptnsbc_tools.reproduce.part import Cell, Column, Part, Table
+from ptnsbc_tools.reproduce.flights import UNFILTERED, JudgedFlight, judged, scenario
 from ptnsbc_tools.reproduce.rivalry import (
     CASES,
     PRINTED,
@@ -23,7 +24,6 @@ from ptnsbc_tools.reproduce.rivalry import (
     saturated_claim,
     spent_claim,
 )
-from ptnsbc_tools.reproduce.workshop import Workshop
 
 SCENARIO = "paper_5_free"
 PREDEFINED = ("ptsmc_exponential", "ptsmc_two_sided")
@@ -50,7 +50,7 @@ _COLUMNS = (
 )
 
 
-class Way(NamedTuple):
+class LawVariant(NamedTuple):
     """How a law is flown."""
 
     profile: str = BEST
@@ -61,7 +61,7 @@ class Way(NamedTuple):
     open_filter: bool = False  # as little as lets the cascade settle in time
 
 
-def _chosen(way: Way) -> Scenario:
+def _chosen(way: LawVariant) -> Scenario:
     """The six-input plant in free space: the baselines avoid nothing."""
     settings = {
         "plant.kind": "rigid_body_6dof",
@@ -74,22 +74,22 @@ def _chosen(way: Way) -> Scenario:
 
 
 @lru_cache(maxsize=32)
-def flight(law: str, way: Way) -> Flown:
+def flight(law: str, way: LawVariant) -> JudgedFlight:
     """One law, flown and judged."""
     chosen = _chosen(way)
     flown = baselines.fly(chosen, law, way.limit_n, way.settle_s, open_filter=way.open_filter)
     return judged(flown)
 
 
-def ours(name: str = SCENARIO, limit_n: float | None = None) -> dict[str, Flown]:
+def ours(name: str = SCENARIO, limit_n: float | None = None) -> dict[str, JudgedFlight]:
     """The method as printed, and under its three profiles behind the command filter."""
-    way = Way(name=name, limit_n=limit_n)
+    way = LawVariant(name=name, limit_n=limit_n)
     printed = way._replace(profile="paper", filtered=False)
     found = {PRINTED: flight("ours", printed)}
     return {**found, **{f"ours, {p}": flight("ours", way._replace(profile=p)) for p in PROFILES}}
 
 
-def _rivals(way: Way) -> dict[str, Flown]:
+def _rivals(way: LawVariant) -> dict[str, JudgedFlight]:
     """The baselines; where no gain makes the cascade settle in time, behind a command filter opened for it."""
     found = {law: flight(law, way) for law in PREDEFINED}
     try:
@@ -99,27 +99,27 @@ def _rivals(way: Way) -> dict[str, Flown]:
     return found
 
 
-def same_deadline(name: str = SCENARIO, limit_n: float | None = None) -> dict[str, Flown]:
+def same_deadline(name: str = SCENARIO, limit_n: float | None = None) -> dict[str, JudgedFlight]:
     """All laws, promised the scenario's deadline; the cascade tuned to settle by it."""
-    return {**ours(name, limit_n), **_rivals(Way(name=name, limit_n=limit_n))}
+    return {**ours(name, limit_n), **_rivals(LawVariant(name=name, limit_n=limit_n))}
 
 
-def same_settling(settle_s: float) -> dict[str, Flown]:
+def same_settling(settle_s: float) -> dict[str, JudgedFlight]:
     """All laws, tuned to settle when ours does with its deadline; with the printed gains it never settles."""
-    other = flight("ours", Way(profile="reference", settle_s=settle_s))
-    return {**ours(), "ours, reference": other, **_rivals(Way(settle_s=settle_s))}
+    other = flight("ours", LawVariant(profile="reference", settle_s=settle_s))
+    return {**ours(), "ours, reference": other, **_rivals(LawVariant(settle_s=settle_s))}
 
 
-def cascade_settling() -> tuple[float, dict[str, Flown]]:
+def cascade_settling() -> tuple[float, dict[str, JudgedFlight]]:
     """The earliest settling that the cascade can reach behind the command filter [s], and all laws tuned to it."""
-    way = Way()
+    way = LawVariant()
     settle_s = baselines.earliest_s(_chosen(way))
     tuned = way._replace(settle_s=settle_s)
     mine = {f"ours, {p}": flight("ours", tuned._replace(profile=p)) for p in (BEST, "reference")}
     return settle_s, {**mine, **{law: flight(law, tuned) for law in (*PREDEFINED, CASCADE)}}
 
 
-def _row(law: str, one: Flown, deadline_s: float) -> tuple[Cell, ...]:
+def _row(law: str, one: JudgedFlight, deadline_s: float) -> tuple[Cell, ...]:
     peak = max(one.verdict.efforts, key=lambda effort: effort.peak_input)
     size = len(one.verdict.uavs)
     return (
@@ -140,7 +140,7 @@ def _row(law: str, one: Flown, deadline_s: float) -> tuple[Cell, ...]:
 def _table(
     name: str,
     title: str,
-    flights: Mapping[str, Flown],
+    flights: Mapping[str, JudgedFlight],
     laws: Sequence[str],
     settle_s: float | None = None,
 ) -> Table:
@@ -160,7 +160,7 @@ def _table(
 
 
 def _opened(scenario: Scenario) -> str:
-    limit = _chosen(Way()).gains.filter.max_acceleration_m_s2
+    limit = _chosen(LawVariant()).gains.filter.max_acceleration_m_s2
     wider, kappa = scenario.gains.filter.max_acceleration_m_s2, scenario.gains.formation.kappa_1_s
     return (
         f" Behind the command filter of {limit:g} m/s² no constant gain makes `{CASCADE}` settle in time: what it asks "
@@ -169,7 +169,7 @@ def _opened(scenario: Scenario) -> str:
     )
 
 
-def _unmatched(flights: Mapping[str, Flown], settle_s: float) -> str:
+def _unmatched(flights: Mapping[str, JudgedFlight], settle_s: float) -> str:
     """The rows that a table of the same settling shows although they do not settle then."""
     settled = {law: one.settled_s() for law, one in flights.items()}
     told = [
@@ -182,7 +182,7 @@ def _unmatched(flights: Mapping[str, Flown], settle_s: float) -> str:
     return f" No match, and shown for comparison only: {'; '.join(told)}."
 
 
-def run(workshop: Workshop) -> Part:
+def run(workshop: ExperimentFolder) -> ExperimentResult:
     """Fly, compare and draw."""
     workshop.tell("flying at the same deadline")
     nominal = same_deadline()
@@ -207,7 +207,7 @@ def run(workshop: Workshop) -> Part:
     }
     sets = dict(zip(titles, (nominal, matched, held, cascade, twenty), strict=True))
     workshop.tell("drawing")
-    return Part(
+    return ExperimentResult(
         "baselines",
         "Baselines",
         f"Scenario `{SCENARIO}`, {DURATION_S:g} s, six-input plant. The two controllers that the paper compares "

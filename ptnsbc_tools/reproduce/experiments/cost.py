@@ -11,12 +11,12 @@ import yaml
 
 from ptnsbc_core.agent import Agent
 from ptnsbc_core.types import MODE_FORMATION, AgentInputs
-from ptnsbc_nodes.comm.graph import Edges, FlightOptions
+from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions
 from ptnsbc_sim.scenario import Scenario, agent_config, load_scenario, scenario_from_text
 from ptnsbc_sim.world import World
 from ptnsbc_tools.reproduce.claims import FAILS, HOLDS
-from ptnsbc_tools.reproduce.part import Claim, Column, Part, Table
-from ptnsbc_tools.reproduce.workshop import Workshop
+from ptnsbc_tools.reproduce.experiment_folder import ExperimentFolder
+from ptnsbc_tools.reproduce.experiment_result import Claim, Column, ExperimentResult, Table
 
 SIZES = (5, 10, 20, 50)
 _SPACING_M = 2.0
@@ -28,7 +28,7 @@ _T_S = 2.0
 _SLOW = {"deadline_s": 60, "residual": 0.1, "k1_1_s": 5, "k2": 3.5, "boundary": 1.2}
 
 
-class Load(NamedTuple):
+class TickLoad(NamedTuple):
     """What the busiest follower and the leader have to do in one tick, in messages between UAVs."""
 
     heard: int  # messages of other UAVs that arrive
@@ -65,16 +65,16 @@ def tree(size: int, *, all_linked: bool = True) -> Scenario:
     return scenario_from_text(yaml.safe_dump(file), source=f"tree of {size}")
 
 
-def load_of(scenario: Scenario) -> Load:
+def load_of(scenario: Scenario) -> TickLoad:
     """Messages per tick, from the same graph that the processes subscribe by."""
-    edges = Edges(scenario, FlightOptions())
+    edges = CommunicationGraph(scenario, FlightOptions())
     heard = [
         len(edges.senders(uav).states) + len(edges.senders(uav).estimators)
         for uav in scenario.followers
     ]
     sent = {u: edges.state_readers(u) + edges.estimate_readers(u) for u in scenario.uav_ids}
     leads = sent.pop(scenario.leader_id)
-    return Load(max(heard), max(sent.values()), leads, float(scenario.topology.lambda_min))
+    return TickLoad(max(heard), max(sent.values()), leads, float(scenario.topology.lambda_min))
 
 
 def _inputs(scenario: Scenario, world: World, uav: int) -> AgentInputs:
@@ -97,24 +97,24 @@ def _inputs(scenario: Scenario, world: World, uav: int) -> AgentInputs:
     )
 
 
-class Sample(NamedTuple):
+class TimedFollower(NamedTuple):
     """A follower whose step is timed."""
 
     agent: Agent
     known: AgentInputs
 
 
-def _samples(scenario: Scenario) -> list[Sample]:
+def _samples(scenario: Scenario) -> list[TimedFollower]:
     """The deepest followers."""
     world = World(scenario)
     found = []
     for uav in scenario.followers[-_SAMPLED:]:
         known = _inputs(scenario, world, uav)
-        found.append(Sample(Agent(agent_config(scenario, uav), known.own), known))
+        found.append(TimedFollower(Agent(agent_config(scenario, uav), known.own), known))
     return found
 
 
-def _step_us(samples: list[Sample]) -> float:
+def _step_us(samples: list[TimedFollower]) -> float:
     """Time of one control step [µs], mean of the samples."""
     found = []
     for agent, known in samples:
@@ -132,7 +132,7 @@ def step_times(scenarios: dict[int, Scenario]) -> dict[int, float]:
     return {size: min(one[size] for one in rounds) for size in scenarios}
 
 
-def cost_claim(loads: dict[int, Load], times: dict[int, float]) -> Claim:
+def cost_claim(loads: dict[int, TickLoad], times: dict[int, float]) -> Claim:
     """A UAV computes and hears the same, however many there are."""
     sizes = sorted(loads)
     least, large, most = sizes[0], sizes[-2], sizes[-1]
@@ -151,7 +151,7 @@ def cost_claim(loads: dict[int, Load], times: dict[int, float]) -> Claim:
     )
 
 
-def run(workshop: Workshop) -> Part:
+def run(workshop: ExperimentFolder) -> ExperimentResult:
     """Measure."""
     scenarios = {size: tree(size) for size in SIZES}
     loads = {size: load_of(one) for size, one in scenarios.items()}
@@ -193,7 +193,7 @@ def run(workshop: Workshop) -> Part:
         "message has N − 1 readers; where only its children do, λmin(H) falls with N instead, and the estimator needs "
         "that much more gain or time.",
     )
-    return Part(
+    return ExperimentResult(
         "cost",
         "Cost of one UAV",
         "Time of `Agent.step` from Python, best of seven rounds; messages of the busiest follower counted in the graph "

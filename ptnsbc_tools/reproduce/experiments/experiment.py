@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 
 from ptnsbc_tools.reproduce.claims import experiment_claim
+from ptnsbc_tools.reproduce.experiment_folder import ExperimentFolder
+from ptnsbc_tools.reproduce.experiment_result import ExperimentResult, Figure
 from ptnsbc_tools.reproduce.experiments.experiment_causes import causes_table, draws_table, told
 from ptnsbc_tools.reproduce.figures import style
 from ptnsbc_tools.reproduce.figures.paths import (
@@ -16,9 +18,7 @@ from ptnsbc_tools.reproduce.figures.paths import (
     links,
     shape_note,
 )
-from ptnsbc_tools.reproduce.flights import Flown, flown
-from ptnsbc_tools.reproduce.part import Figure, Part
-from ptnsbc_tools.reproduce.workshop import Workshop
+from ptnsbc_tools.reproduce.flights import JudgedFlight, flown
 
 _DRIFT = "they start tilted by 1 rad, as printed, and drift 0.6 m until they are level"
 SNAPSHOTS_S = (0.0, 2.0, 23.0, 50.0)
@@ -26,12 +26,12 @@ SEEDS = tuple(range(1, 25))  # its gains were searched on these
 FRESH = tuple(range(101, 117))  # and on none of these
 
 
-def flight(seed: int) -> Flown:
+def flight(seed: int) -> JudgedFlight:
     """The experiment with one draw of its noise, losses and gusts."""
     return flown("experiment_4", {"seed": seed})
 
 
-def _paths(workshop: Workshop, one: Flown) -> Figure:
+def _paths(workshop: ExperimentFolder, one: JudgedFlight) -> Figure:
     made = style.figure(100)
     axes = made.add_subplot()
     draw_from_above(axes, one)
@@ -46,12 +46,12 @@ def _paths(workshop: Workshop, one: Flown) -> Figure:
     )
 
 
-def _instants(one: Flown) -> list[int]:
+def _instants(one: JudgedFlight) -> list[int]:
     """Ticks of the snapshots; the last one when the flight ends with it."""
     return [int(np.argmin(np.abs(one.times - seconds))) for seconds in SNAPSHOTS_S]
 
 
-def _snapshot(axes: Any, one: Flown, tick: int) -> None:
+def _snapshot(axes: Any, one: JudgedFlight, tick: int) -> None:
     """Where everybody is, who follows whom, and the desired places."""
     scenario, places = one.scenario, one.positions[tick]
     leader = places[scenario.uav_ids.index(scenario.leader_id)]
@@ -73,7 +73,7 @@ def _snapshot(axes: Any, one: Flown, tick: int) -> None:
         style.round_ticks(axis, 4)
 
 
-def _snapshots(workshop: Workshop, one: Flown) -> Figure:
+def _snapshots(workshop: ExperimentFolder, one: JudgedFlight) -> Figure:
     made = style.figure(88)
     grid = made.subplots(2, 2)
     ticks = _instants(one)
@@ -94,12 +94,12 @@ def _snapshots(workshop: Workshop, one: Flown) -> Figure:
     return Figure(name, "Fig. 34", caption)
 
 
-def run(workshop: Workshop) -> Part:
+def run(workshop: ExperimentFolder) -> ExperimentResult:
     """Fly, draw and judge the experiment."""
     flights = [flight(seed) for seed in told(workshop, SEEDS)]
     fresh = [flight(seed) for seed in told(workshop, FRESH)]
     first, calm = flights[0], flown("experiment_4_calm")
-    return Part(
+    return ExperimentResult(
         "experiment",
         "The experiment: four quadrotors",
         "Scenario `experiment_4`, 50 s, on the quadrotor plant: position noise and rate of an RTK receiver, latency, "

@@ -11,10 +11,10 @@ from scipy.stats import maxwell
 from ptnsbc_sim.disturbances.build import odometer_of
 from ptnsbc_sim.disturbances.position_noise import spread_m
 from ptnsbc_sim.swarm import fly
-from ptnsbc_tools.reproduce.flights import Flown, judged, scenario
-from ptnsbc_tools.reproduce.part import Cell, Column, Table
+from ptnsbc_tools.reproduce.experiment_folder import ExperimentFolder
+from ptnsbc_tools.reproduce.experiment_result import Cell, Column, Table
+from ptnsbc_tools.reproduce.flights import JudgedFlight, judged, scenario
 from ptnsbc_tools.reproduce.summary import reason
-from ptnsbc_tools.reproduce.workshop import Workshop
 from ptnsbc_tools.verdict.tolerances import TOLERANCE_M
 
 DRAWS = range(1, 25)
@@ -48,14 +48,14 @@ CAUSES: dict[str, tuple[str, dict[str, Any]]] = {
 }
 
 
-def told(workshop: Workshop, seeds: Sequence[int]) -> Iterator[int]:
+def told(workshop: ExperimentFolder, seeds: Sequence[int]) -> Iterator[int]:
     """The seeds, each told as it is flown."""
     for seed in seeds:
         workshop.tell(f"flying seed {seed}")
         yield seed
 
 
-def draws_table(flights: Sequence[Flown], which: str) -> Table:
+def draws_table(flights: Sequence[JudgedFlight], which: str) -> Table:
     """The experiment by seed; `which` says of what kind these are."""
     first, last = flights[0].scenario.seed, flights[-1].scenario.seed
     rows: list[tuple[Cell, ...]] = [
@@ -118,7 +118,7 @@ def _errors(case: str) -> np.ndarray:
     return np.array([[uav.error_at_deadline_m for uav in one.verdict.uavs] for one in flights])
 
 
-def causes_table(workshop: Workshop) -> Table:
+def causes_table(workshop: ExperimentFolder) -> Table:
     """Error at the deadline, one cause at a time."""
     rows: list[tuple[Cell, ...]] = []
     for case in CAUSES:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from ptnsbc_tools.reproduce.claims import kept
-from ptnsbc_tools.reproduce.flights import Flown, flown
-from ptnsbc_tools.reproduce.part import Part
+from ptnsbc_tools.reproduce.experiment_folder import ExperimentFolder
+from ptnsbc_tools.reproduce.experiment_result import ExperimentResult
+from ptnsbc_tools.reproduce.flights import JudgedFlight, flown
 from ptnsbc_tools.reproduce.summary import flights_table
-from ptnsbc_tools.reproduce.workshop import Workshop
 
 SCENARIOS = {
     "paper_5_free": ("rigid_body_6dof", "quadrotor"),
@@ -18,7 +18,7 @@ SCENARIOS = {
 OURS, PRINTED = "soft", "paper"
 
 
-def flights(profile: str, workshop: Workshop) -> list[Flown]:
+def flights(profile: str, workshop: ExperimentFolder) -> list[JudgedFlight]:
     """Every scenario on its plants."""
     found = []
     for scenario, plants in SCENARIOS.items():
@@ -28,14 +28,14 @@ def flights(profile: str, workshop: Workshop) -> list[Flown]:
     return found
 
 
-def _told(some: list[Flown]) -> str:
+def _told(some: list[JudgedFlight]) -> str:
     return f"{sum(kept(one) for one in some)} of {len(some)} flights"
 
 
-def run(workshop: Workshop) -> Part:
+def run(workshop: ExperimentFolder) -> ExperimentResult:
     """Fly all of them twice."""
     ours, printed = flights(OURS, workshop), flights(PRINTED, workshop)
-    return Part(
+    return ExperimentResult(
         "overview",
         "Every scenario",
         "The promise: at 5 s every UAV within the tolerance of its place, from then on within that or 2 % of its "

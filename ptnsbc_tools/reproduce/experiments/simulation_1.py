@@ -3,23 +3,23 @@
 from __future__ import annotations
 
 from ptnsbc_tools.reproduce.claims import formation_claim, kept, velocity_claim
+from ptnsbc_tools.reproduce.experiment_folder import ExperimentFolder
+from ptnsbc_tools.reproduce.experiment_result import ExperimentResult, Figure, Table
 from ptnsbc_tools.reproduce.figures import energy, inputs, paths, shape
-from ptnsbc_tools.reproduce.flights import Flown, flown
-from ptnsbc_tools.reproduce.part import Figure, Part, Table
+from ptnsbc_tools.reproduce.flights import JudgedFlight, flown
 from ptnsbc_tools.reproduce.summary import flights_table
-from ptnsbc_tools.reproduce.workshop import Workshop
 
 PROFILES = ("paper", "soft", "reference")
 PLANTS = ("rigid_body_6dof", "quadrotor")
 SCENARIOS = {"paper_5": "", "paper_5_free": ", without obstacles"}
 
 
-def flight(scenario: str, profile: str, plant: str = "rigid_body_6dof") -> Flown:
+def flight(scenario: str, profile: str, plant: str = "rigid_body_6dof") -> JudgedFlight:
     """One of the flights of Simulation 1."""
     return flown(scenario, {"plant.kind": plant, "gains.profile": profile})
 
 
-def run(workshop: Workshop) -> Part:
+def run(workshop: ExperimentFolder) -> ExperimentResult:
     """Fly, draw and judge Simulation 1."""
     figures: list[Figure] = []
     for first, (scenario, suffix) in enumerate(SCENARIOS.items()):
@@ -37,7 +37,7 @@ def run(workshop: Workshop) -> Part:
         ]
     figures.append(energy.energy(workshop, {p: flight("paper_5", p) for p in ("paper", "soft")}))
     workshop.tell("flying the quadrotor")
-    return Part(
+    return ExperimentResult(
         name="simulation_1",
         title="Simulation 1: five UAVs",
         text=(

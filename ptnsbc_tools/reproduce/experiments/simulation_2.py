@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from ptnsbc_tools.reproduce.claims import kept, limit_claim, shape_claim
+from ptnsbc_tools.reproduce.experiment_folder import ExperimentFolder
+from ptnsbc_tools.reproduce.experiment_result import ExperimentResult, Figure
 from ptnsbc_tools.reproduce.figures import swarm
-from ptnsbc_tools.reproduce.flights import UNFILTERED, Flown, flown
-from ptnsbc_tools.reproduce.part import Figure, Part
+from ptnsbc_tools.reproduce.flights import UNFILTERED, JudgedFlight, flown
 from ptnsbc_tools.reproduce.summary import flights_table
-from ptnsbc_tools.reproduce.workshop import Workshop
 
 PROFILES = ("paper", "soft", "reference")
 PLANTS = ("rigid_body_6dof", "quadrotor")
@@ -15,19 +15,19 @@ _BEST = "soft"
 _PRINTED = "paper, no command filter"
 
 
-def flight(profile: str, plant: str = "rigid_body_6dof") -> Flown:
+def flight(profile: str, plant: str = "rigid_body_6dof") -> JudgedFlight:
     """One flight of Simulation 2."""
     return flown("paper_20", {"plant.kind": plant, "gains.profile": profile})
 
 
-def unfiltered() -> Flown:
+def unfiltered() -> JudgedFlight:
     """The printed law: printed gains and no command filter."""
     return flown(
         "paper_20", {"plant.kind": "rigid_body_6dof", "gains.profile": "paper", **UNFILTERED}
     )
 
 
-def run(workshop: Workshop) -> Part:
+def run(workshop: ExperimentFolder) -> ExperimentResult:
     """Fly, draw and judge Simulation 2."""
     flights = {}
     for profile in PROFILES:
@@ -45,7 +45,7 @@ def run(workshop: Workshop) -> Part:
         everything,
         f"All twenty UAVs keep the deadline and touch nothing with: {told or 'none'}.",
     )
-    return Part(
+    return ExperimentResult(
         "simulation_2",
         "Simulation 2: twenty UAVs",
         "Scenario `paper_20`, 60 s: the paper prints neither graph, nor formation, nor starts, so they are ours. "
@@ -61,7 +61,7 @@ def run(workshop: Workshop) -> Part:
     )
 
 
-def _figures(workshop: Workshop, flights: dict[str, Flown]) -> tuple[Figure, ...]:
+def _figures(workshop: ExperimentFolder, flights: dict[str, JudgedFlight]) -> tuple[Figure, ...]:
     shown = {name: flights[name] for name in ("paper", _BEST)}
     pushed = {_PRINTED: flights[_PRINTED], **shown}
     uavs = flights[_BEST].scenario.uav_ids

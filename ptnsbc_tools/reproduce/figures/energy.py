@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 
 from ptnsbc_core.types import Array
+from ptnsbc_tools.reproduce.experiment_folder import ExperimentFolder, times_column
+from ptnsbc_tools.reproduce.experiment_result import Figure
 from ptnsbc_tools.reproduce.figures import style
 from ptnsbc_tools.reproduce.figures.paths import uav_label
-from ptnsbc_tools.reproduce.flights import Flown
-from ptnsbc_tools.reproduce.part import Figure
-from ptnsbc_tools.reproduce.workshop import Workshop, times_column
+from ptnsbc_tools.reproduce.flights import JudgedFlight
 
 
-def spent(flown: Flown, beyond_hover: bool) -> Array:
+def spent(flown: JudgedFlight, beyond_hover: bool) -> Array:
     """(54) from the epoch until t (T, N) [N^2 s]; an input acts until the next one."""
     wrench = flown.flight.track.wrench
     force = flown.force - (flown.weight_n if beyond_hover else 0.0)
@@ -23,14 +23,14 @@ def spent(flown: Flown, beyond_hover: bool) -> Array:
     return np.asarray(np.cumsum(rate, axis=0) * flown.scenario.dt_ns * 1e-9)
 
 
-def _panel(axes: Any, flown: Flown, beyond_hover: bool) -> Array:
+def _panel(axes: Any, flown: JudgedFlight, beyond_hover: bool) -> Array:
     found = spent(flown, beyond_hover)
     for row, uav in enumerate(flown.scenario.uav_ids):
         axes.plot(flown.times, found[:, row], label=uav_label(flown, uav), **style.look(row))
     return found
 
 
-def energy(workshop: Workshop, flights: Mapping[str, Flown]) -> Figure:
+def energy(workshop: ExperimentFolder, flights: Mapping[str, JudgedFlight]) -> Figure:
     """Energy of each UAV under two profiles."""
     made = style.figure(96)
     grid = made.subplots(2, 2, sharex=True, sharey="row")

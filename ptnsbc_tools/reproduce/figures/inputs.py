@@ -5,18 +5,18 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from ptnsbc_tools.reproduce.experiment_folder import Curves, ExperimentFolder, times_column
+from ptnsbc_tools.reproduce.experiment_result import Figure
 from ptnsbc_tools.reproduce.figures import style
 from ptnsbc_tools.reproduce.figures.paths import uav_label
 from ptnsbc_tools.reproduce.figures.shape import DEADLINE_NOTE, deadline, panels
-from ptnsbc_tools.reproduce.flights import Flown
-from ptnsbc_tools.reproduce.part import Figure
-from ptnsbc_tools.reproduce.workshop import Curves, Workshop, times_column
+from ptnsbc_tools.reproduce.flights import JudgedFlight
 
 INPUT_LABEL = "‖u‖ [N, N m]"
 _SHOWN = ("paper", "soft")
 
 
-def sheet(flights: Mapping[str, Flown], end_s: float) -> Curves:
+def sheet(flights: Mapping[str, JudgedFlight], end_s: float) -> Curves:
     """Inputs of every UAV until `end_s`."""
     some = next(iter(flights.values()))
     chosen = some.times < end_s - 1e-9
@@ -27,12 +27,14 @@ def sheet(flights: Mapping[str, Flown], end_s: float) -> Curves:
     return found
 
 
-def hover(axes: Any, flown: Flown) -> None:
+def hover(axes: Any, flown: JudgedFlight) -> None:
     """A line at the weight."""
     axes.axhline(flown.weight_n, color="black", linewidth=0.6, linestyle=":")
 
 
-def whole(workshop: Workshop, flights: Mapping[str, Flown], number: int, suffix: str) -> Figure:
+def whole(
+    workshop: ExperimentFolder, flights: Mapping[str, JudgedFlight], number: int, suffix: str
+) -> Figure:
     """Inputs of the whole flight."""
     shown = {profile: flights[profile] for profile in _SHOWN}
     made = style.figure(80)
@@ -54,7 +56,7 @@ def whole(workshop: Workshop, flights: Mapping[str, Flown], number: int, suffix:
 
 
 def first_second(
-    workshop: Workshop, flights: Mapping[str, Flown], number: int, suffix: str
+    workshop: ExperimentFolder, flights: Mapping[str, JudgedFlight], number: int, suffix: str
 ) -> Figure:
     """Inputs of the first second."""
     shown = {profile: flights[profile] for profile in _SHOWN}

@@ -7,17 +7,17 @@ from typing import Any
 import numpy as np
 
 from ptnsbc_core.types import Array
+from ptnsbc_tools.reproduce.experiment_folder import ExperimentFolder, times_column
+from ptnsbc_tools.reproduce.experiment_result import Figure
 from ptnsbc_tools.reproduce.figures import style
-from ptnsbc_tools.reproduce.flights import Flown
-from ptnsbc_tools.reproduce.part import Figure
-from ptnsbc_tools.reproduce.workshop import Workshop, times_column
+from ptnsbc_tools.reproduce.flights import JudgedFlight
 
 _TELLING = (5, 6)  # those that the short page shows
 FORMATION_S = (5.0, 20.0, 35.0, 50.0)  # when the lines from above join each UAV to its parent
 _MARKS = "dots: starts, squares: the end"
 
 
-def columns(flown: Flown) -> dict[str, Array]:
+def columns(flown: JudgedFlight) -> dict[str, Array]:
     """Time and positions of all UAVs."""
     found = {"time_s": times_column(flown.times)}
     for row, uav in enumerate(flown.scenario.uav_ids):
@@ -26,12 +26,12 @@ def columns(flown: Flown) -> dict[str, Array]:
     return found
 
 
-def uav_label(flown: Flown, uav: int) -> str:
+def uav_label(flown: JudgedFlight, uav: int) -> str:
     """Name of a UAV in a legend."""
     return f"UAV {uav} (leader)" if uav == flown.scenario.leader_id else f"UAV {uav}"
 
 
-def spheres(axes: Any, flown: Flown) -> None:
+def spheres(axes: Any, flown: JudgedFlight) -> None:
     """The obstacles' keep-outs in 3-D."""
     turn, rise = np.meshgrid(np.linspace(0, 2 * np.pi, 25), np.linspace(0, np.pi, 13))
     ball = np.stack([np.cos(turn) * np.sin(rise), np.sin(turn) * np.sin(rise), np.cos(rise)])
@@ -40,7 +40,7 @@ def spheres(axes: Any, flown: Flown) -> None:
         axes.plot_surface(x, y, z, color=style.GREY, alpha=0.3, linewidth=0)
 
 
-def in_space(workshop: Workshop, flown: Flown, number: int, suffix: str) -> Figure:
+def in_space(workshop: ExperimentFolder, flown: JudgedFlight, number: int, suffix: str) -> Figure:
     """Trajectories in 3-D."""
     made = style.figure(80)
     axes = space(made)
@@ -58,7 +58,7 @@ def in_space(workshop: Workshop, flown: Flown, number: int, suffix: str) -> Figu
 
 
 def _kept(
-    workshop: Workshop, flown: Flown, made: Any, which: tuple[int, str], caption: str
+    workshop: ExperimentFolder, flown: JudgedFlight, made: Any, which: tuple[int, str], caption: str
 ) -> Figure:
     """Write a figure, `which` is its number in the paper and the end of its name."""
     number, end = which
@@ -90,7 +90,7 @@ def tidy_3d(axes: Any, zoom: float = 0.96) -> None:
         axis.set_tick_params(pad=-1)
 
 
-def from_above(workshop: Workshop, flown: Flown, number: int, suffix: str) -> Figure:
+def from_above(workshop: ExperimentFolder, flown: JudgedFlight, number: int, suffix: str) -> Figure:
     """Trajectories in the X-Y plane."""
     made = style.figure(96)
     axes = made.add_subplot()
@@ -102,7 +102,7 @@ def from_above(workshop: Workshop, flown: Flown, number: int, suffix: str) -> Fi
     return _kept(workshop, flown, made, (number, "xy"), f"Trajectories from above{suffix}; {note}")
 
 
-def draw_from_above(axes: Any, flown: Flown) -> None:
+def draw_from_above(axes: Any, flown: JudgedFlight) -> None:
     """Paths, obstacles, starts, ends and the formation at a few instants."""
     discs(axes, flown)
     for seconds in FORMATION_S:
@@ -115,7 +115,7 @@ def draw_from_above(axes: Any, flown: Flown) -> None:
     level(axes)
 
 
-def discs(axes: Any, flown: Flown) -> None:
+def discs(axes: Any, flown: JudgedFlight) -> None:
     """The obstacles' keep-outs from above, with their names."""
     from matplotlib.patches import Circle
 
@@ -127,7 +127,7 @@ def discs(axes: Any, flown: Flown) -> None:
         axes.annotate(obstacle.name, centre, ha="center", va="center", fontsize=7)
 
 
-def links(axes: Any, flown: Flown, tick: int) -> None:
+def links(axes: Any, flown: JudgedFlight, tick: int) -> None:
     """A line from every follower to its parent at one tick, from above."""
     scenario, places = flown.scenario, flown.positions[tick]
     for row, uav in enumerate(scenario.uav_ids):

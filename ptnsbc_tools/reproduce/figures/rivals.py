@@ -8,26 +8,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ptnsbc_core.types import Array
+from ptnsbc_tools.reproduce.experiment_folder import ExperimentFolder, times_column
+from ptnsbc_tools.reproduce.experiment_result import Figure
 from ptnsbc_tools.reproduce.figures import style
 from ptnsbc_tools.reproduce.figures.inputs import INPUT_LABEL, hover
 from ptnsbc_tools.reproduce.figures.paths import uav_label
 from ptnsbc_tools.reproduce.figures.shape import DEADLINE_NOTE
-from ptnsbc_tools.reproduce.flights import Flown
-from ptnsbc_tools.reproduce.part import Figure
+from ptnsbc_tools.reproduce.flights import JudgedFlight
 from ptnsbc_tools.reproduce.rivalry import PRINTED
-from ptnsbc_tools.reproduce.workshop import Workshop, times_column
 
 SHOWN_S = 6.0
 _BEGINNING_S = 3.0
 _LEAST = 1.0  # of an input on a logarithmic axis
 
 
-def _shown(one: Flown) -> NDArray[np.bool_]:
+def _shown(one: JudgedFlight) -> NDArray[np.bool_]:
     return np.asarray(one.times <= SHOWN_S)
 
 
 def pair(
-    workshop: Workshop, flights: Mapping[str, Flown], law: str, numbers: tuple[int, int]
+    workshop: ExperimentFolder,
+    flights: Mapping[str, JudgedFlight],
+    law: str,
+    numbers: tuple[int, int],
 ) -> tuple[Figure, Figure]:
     """Ours, as printed, and one baseline in two figures with the same axes."""
     both = (flights[PRINTED], flights[law])
@@ -49,7 +52,7 @@ def pair(
     )
 
 
-def _one(workshop: Workshop, one: Flown, top: float, name: str) -> str:
+def _one(workshop: ExperimentFolder, one: JudgedFlight, top: float, name: str) -> str:
     """Inputs of every UAV until shortly after the deadline."""
     made = style.figure(62)
     axes = made.add_subplot()
@@ -69,7 +72,9 @@ def _one(workshop: Workshop, one: Flown, top: float, name: str) -> str:
     return name
 
 
-def all_laws(workshop: Workshop, panels: Mapping[str, Mapping[str, Flown]]) -> Figure:
+def all_laws(
+    workshop: ExperimentFolder, panels: Mapping[str, Mapping[str, JudgedFlight]]
+) -> Figure:
     """The largest input of any UAV for every law, a panel for each way to compare."""
     made = style.figure(52 * len(panels) + 12)
     grid = made.subplots(len(panels), 1, sharex=True, sharey=True)

@@ -11,10 +11,10 @@ from ptnsbc_core.tasks.registry import evaluate
 from ptnsbc_core.types import TASK_DISTANCE_ANGLES, Array
 from ptnsbc_sim.scenario import agent_config
 from ptnsbc_sim.scenario.build import reference_offset
+from ptnsbc_tools.reproduce.experiment_folder import ExperimentFolder, times_column
+from ptnsbc_tools.reproduce.experiment_result import Figure
 from ptnsbc_tools.reproduce.figures import style
-from ptnsbc_tools.reproduce.flights import Flown
-from ptnsbc_tools.reproduce.part import Figure
-from ptnsbc_tools.reproduce.workshop import Workshop, times_column
+from ptnsbc_tools.reproduce.flights import JudgedFlight
 
 SPLIT_S = 6.0
 DEADLINE_NOTE = "upright line: the deadline"
@@ -22,7 +22,7 @@ _SHORTEST_ARM_M = 0.05
 _SHOWN = ("paper", "soft")
 
 
-def task_values(flown: Flown) -> Array:
+def task_values(flown: JudgedFlight) -> Array:
     """σ (T, N, 3) of (23) where the UAVs are: distance to the parent [m], angles in XOY and XOZ [rad].
 
     Zero for the leader. Not the σ that a UAV computes: that one is a tick old.
@@ -42,7 +42,7 @@ def task_values(flown: Flown) -> Array:
     return value
 
 
-def desired_values(flown: Flown) -> Array:
+def desired_values(flown: JudgedFlight) -> Array:
     """Desired σ (N, 3)."""
     scenario = flown.scenario
     return np.stack([agent_config(scenario, uav).desired for uav in scenario.uav_ids])
@@ -72,7 +72,7 @@ def panels(
     return found
 
 
-def deadline(axes: Any, flown: Flown) -> None:
+def deadline(axes: Any, flown: JudgedFlight) -> None:
     """A line at the deadline."""
     axes.axvline(flown.scenario.gains.formation.deadline_s, color="black", linewidth=0.6)
 
@@ -82,7 +82,7 @@ def _both(axes: tuple[Any, Any], times: Array, values: Array, **look: Any) -> No
         one.plot(times, values, **look)
 
 
-def _curves(axes: tuple[Any, Any], flown: Flown, values: Array, desired: Array) -> None:
+def _curves(axes: tuple[Any, Any], flown: JudgedFlight, values: Array, desired: Array) -> None:
     """Values (T, N) of the followers beside the desired ones (N,)."""
     for row, uav in enumerate(flown.scenario.uav_ids):
         if uav == flown.scenario.leader_id:
@@ -93,7 +93,9 @@ def _curves(axes: tuple[Any, Any], flown: Flown, values: Array, desired: Array) 
     deadline(axes[0], flown)
 
 
-def distances(workshop: Workshop, flights: Mapping[str, Flown], number: int, suffix: str) -> Figure:
+def distances(
+    workshop: ExperimentFolder, flights: Mapping[str, JudgedFlight], number: int, suffix: str
+) -> Figure:
     """Distance of each follower to its parent."""
     made = style.figure(80)
     sheet = {"time_s": times_column(flights["paper"].times)}
@@ -114,7 +116,9 @@ def distances(workshop: Workshop, flights: Mapping[str, Flown], number: int, suf
     return Figure(name, f"Fig. {number}", caption, telling=number == 9)
 
 
-def angles(workshop: Workshop, flights: Mapping[str, Flown], number: int, suffix: str) -> Figure:
+def angles(
+    workshop: ExperimentFolder, flights: Mapping[str, JudgedFlight], number: int, suffix: str
+) -> Figure:
     """The two angles of (23)."""
     made = style.figure(140)
     sheet = {"time_s": times_column(flights["paper"].times)}
@@ -145,7 +149,7 @@ def angles(workshop: Workshop, flights: Mapping[str, Flown], number: int, suffix
     return Figure(name, f"Fig. {number}", caption)
 
 
-def unwrapped(flown: Flown, column: int) -> Array:
+def unwrapped(flown: JudgedFlight, column: int) -> Array:
     """An angle (T, N) [rad] without jumps, ending within half a turn of the desired one.
 
     NaN where a UAV and its parent coincide in the plane: Table 2 starts UAV 2 and 3 so, and there is no angle.
@@ -163,14 +167,14 @@ def unwrapped(flown: Flown, column: int) -> Array:
     return np.asarray(value)
 
 
-def yaw(flown: Flown, row: int) -> Array:
+def yaw(flown: JudgedFlight, row: int) -> Array:
     """Yaw (T,) [rad] of one UAV."""
     x, y, z, w = flown.flight.track.odometry[:, row, 3:7].T
     return np.asarray(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
 
 
 def leader_yaw(
-    workshop: Workshop, flights: Mapping[str, Flown], number: int, suffix: str
+    workshop: ExperimentFolder, flights: Mapping[str, JudgedFlight], number: int, suffix: str
 ) -> Figure:
     """Yaw of the leader under every profile."""
     made = style.figure(52)

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 
 from ptnsbc_core.types import Array
+from ptnsbc_tools.reproduce.experiment_folder import ExperimentFolder, times_column
+from ptnsbc_tools.reproduce.experiment_result import Figure
 from ptnsbc_tools.reproduce.figures import style
 from ptnsbc_tools.reproduce.figures.inputs import INPUT_LABEL, hover, sheet
 from ptnsbc_tools.reproduce.figures.paths import (
@@ -20,9 +22,7 @@ from ptnsbc_tools.reproduce.figures.paths import (
     uav_label,
 )
 from ptnsbc_tools.reproduce.figures.shape import DEADLINE_NOTE, deadline, panels
-from ptnsbc_tools.reproduce.flights import Flown
-from ptnsbc_tools.reproduce.part import Figure
-from ptnsbc_tools.reproduce.workshop import Workshop, times_column
+from ptnsbc_tools.reproduce.flights import JudgedFlight
 from ptnsbc_tools.verdict.tolerances import TOLERANCE_M
 from ptnsbc_tools.verdict.windows import ancestors
 
@@ -31,17 +31,17 @@ _THIN, _THICK = 0.6, 1.2
 _ROW_MM, _REST_MM = 32.0, 20.0  # of a figure with panels one below the other
 
 
-def _titles(flights: Mapping[str, Flown]) -> tuple[str, ...]:
+def _titles(flights: Mapping[str, JudgedFlight]) -> tuple[str, ...]:
     return tuple(f"({letter}) profile {name}" for letter, name in zip("abc", flights, strict=False))
 
 
-def chain(flown: Flown, uav: int) -> int:
+def chain(flown: JudgedFlight, uav: int) -> int:
     """The leader's child that a UAV follows, itself or through others; 0 for the leader."""
     above = ancestors(flown.scenario, uav)  # itself first, the leader last
     return above[-2] if len(above) > 1 else 0
 
 
-def _look(flown: Flown, uav: int) -> dict[str, Any]:
+def _look(flown: JudgedFlight, uav: int) -> dict[str, Any]:
     """Colour by chain, the leader black and thick, one label per chain."""
     found = chain(flown, uav)
     if found == 0:
@@ -52,7 +52,7 @@ def _look(flown: Flown, uav: int) -> dict[str, Any]:
     return {**look, "label": f"chain of UAV {found}"} if uav == found else look
 
 
-def in_space(workshop: Workshop, flown: Flown, number: int) -> Figure:
+def in_space(workshop: ExperimentFolder, flown: JudgedFlight, number: int) -> Figure:
     """Trajectories in 3-D."""
     made = style.figure(84)
     axes = space(made)
@@ -72,7 +72,7 @@ def in_space(workshop: Workshop, flown: Flown, number: int) -> Figure:
     return Figure(name, f"Fig. {number}", caption)
 
 
-def from_above(workshop: Workshop, flown: Flown, number: int) -> Figure:
+def from_above(workshop: ExperimentFolder, flown: JudgedFlight, number: int) -> Figure:
     """Trajectories in the X-Y plane."""
     made = style.figure(96)
     axes = made.add_subplot()
@@ -92,7 +92,7 @@ def from_above(workshop: Workshop, flown: Flown, number: int) -> Figure:
     return Figure(name, f"Fig. {number}", caption, telling=True)
 
 
-def distance_errors(flown: Flown) -> Array:
+def distance_errors(flown: JudgedFlight) -> Array:
     """Distance to the parent less the desired one (T, N) [m], zero for the leader."""
     scenario, places = flown.scenario, flown.positions
     found = np.zeros(places.shape[:2])
@@ -105,7 +105,9 @@ def distance_errors(flown: Flown) -> Array:
     return found
 
 
-def distance_error(workshop: Workshop, flights: Mapping[str, Flown], number: int) -> Figure:
+def distance_error(
+    workshop: ExperimentFolder, flights: Mapping[str, JudgedFlight], number: int
+) -> Figure:
     """Distance errors of all followers."""
     made = style.figure(_ROW_MM * len(flights) + _REST_MM)
     some = next(iter(flights.values()))
@@ -137,7 +139,7 @@ def distance_error(workshop: Workshop, flights: Mapping[str, Flown], number: int
     )
 
 
-def inputs(workshop: Workshop, flights: Mapping[str, Flown], number: int) -> Figure:
+def inputs(workshop: ExperimentFolder, flights: Mapping[str, JudgedFlight], number: int) -> Figure:
     """Inputs of all UAVs, beside the limit that the paper names."""
     made = style.figure(_ROW_MM * len(flights) + _REST_MM)
     some = next(iter(flights.values()))
@@ -159,7 +161,10 @@ def inputs(workshop: Workshop, flights: Mapping[str, Flown], number: int) -> Fig
 
 
 def five(
-    workshop: Workshop, flights: Mapping[str, Flown], number: int, uavs: tuple[int, ...]
+    workshop: ExperimentFolder,
+    flights: Mapping[str, JudgedFlight],
+    number: int,
+    uavs: tuple[int, ...],
 ) -> Figure:
     """Inputs of five of the UAVs."""
     made = style.figure(_ROW_MM * len(flights) + _REST_MM)

@@ -5,7 +5,7 @@ import pytest
 from on_arrays import on_arrays
 
 from ptnsbc_core.control.adaptation import adapted_bound, adapted_parameters, observed, started
-from ptnsbc_core.types import ControllerConfig, Parameters
+from ptnsbc_core.types import ControllerConfig, InertialParameters
 from ptnsbc_sim.scenario import agent_config, load_scenario
 
 observed = on_arrays(observed)
@@ -29,7 +29,7 @@ def config() -> ControllerConfig:
 
 def test_parameters_move_against_the_regressor(config: ControllerConfig) -> None:
     nominal = config.nominal
-    out = adapted_parameters(nominal, Parameters(1.0, (-0.1, 0.0, 0.2)), DT, config)
+    out = adapted_parameters(nominal, InertialParameters(1.0, (-0.1, 0.0, 0.2)), DT, config)
     assert out.mass - nominal.mass == pytest.approx(-DT * 0.4, abs=1e-15)
     moved = np.array(out.inertia) - nominal.inertia
     np.testing.assert_allclose(moved, -DT * 0.2 * np.array([-0.1, 0.0, 0.2]), atol=1e-15)
@@ -40,7 +40,7 @@ def test_parameters_stay_in_their_range(config: ControllerConfig) -> None:
     for sign, edge in ((1.0, 0.7), (-1.0, 1.3)):
         out, much = nominal, sign * 1e4
         for _ in range(100):
-            out = adapted_parameters(out, Parameters(much, (much, much, much)), DT, config)
+            out = adapted_parameters(out, InertialParameters(much, (much, much, much)), DT, config)
         assert out.mass == pytest.approx(edge * nominal.mass)
         np.testing.assert_allclose(out.inertia, edge * np.array(nominal.inertia))
 

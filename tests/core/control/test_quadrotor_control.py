@@ -9,10 +9,10 @@ from scipy.spatial.transform import Rotation
 
 from ptnsbc_core.control import quadrotor_control as laws
 from ptnsbc_core.control.adaptation import started
-from ptnsbc_core.control.rigid_body_control import Command
+from ptnsbc_core.control.rigid_body_control import VelocityReference
 from ptnsbc_core.kinematics import rotation_from_quaternion, velocity_enu
 from ptnsbc_core.timebase import Clock
-from ptnsbc_core.types import Adapted, ControllerConfig
+from ptnsbc_core.types import AdaptationState, ControllerConfig
 from ptnsbc_sim.plants.build import plant_config
 from ptnsbc_sim.plants.integrate import advance, initial_state, odometry
 from ptnsbc_sim.scenario import agent_config, load_scenario
@@ -94,13 +94,13 @@ def at_rest(attitude: tuple[float, float, float]) -> np.ndarray:
 
 def control(own: np.ndarray, k: int, carried, config: ControllerConfig = CONFIG, velocity=None):
     still = np.zeros(3)
-    command = Command(still if velocity is None else velocity, still, still, still, 0.0)
+    command = VelocityReference(still if velocity is None else velocity, still, still, still, 0.0)
     clock = Clock(k * DT, k * DT, DT)
     return laws.quadrotor_control(own, tuples(command), carried, clock, config, 12.0)
 
 
-def fresh(own: np.ndarray) -> Adapted:
-    return Adapted(CONFIG.nominal, (0.0, 0.0), started(velocity_enu(own)))
+def fresh(own: np.ndarray) -> AdaptationState:
+    return AdaptationState(CONFIG.nominal, (0.0, 0.0), started(velocity_enu(own)))
 
 
 @pytest.mark.parametrize("attitude", [(0.0, 0.0, 0.0), (1.0, 1.0, 1.0)])

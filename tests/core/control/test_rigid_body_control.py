@@ -10,10 +10,16 @@ from on_arrays import on_arrays, tuples
 
 from ptnsbc_core.control import rigid_body_control as laws
 from ptnsbc_core.control.adaptation import started
-from ptnsbc_core.control.rigid_body_control import Command
+from ptnsbc_core.control.rigid_body_control import VelocityReference
 from ptnsbc_core.kinematics import quaternion_from_euler, rotation_from_euler
 from ptnsbc_core.timebase import Clock
-from ptnsbc_core.types import PROFILE_PAPER, Adapted, ControllerConfig, LoopGain, Parameters
+from ptnsbc_core.types import (
+    PROFILE_PAPER,
+    AdaptationState,
+    ControllerConfig,
+    InertialParameters,
+    LoopGain,
+)
 from ptnsbc_sim.plants import rigid_body
 from ptnsbc_sim.plants.contract import PlantConfig
 from ptnsbc_sim.plants.integrate import advance, initial_state
@@ -28,8 +34,8 @@ seeds = st.integers(0, 2**31)
 SCENARIO = load_scenario("paper_5", {"plant.kind": "rigid_body_6dof"})
 
 
-def psi(numbers: np.ndarray) -> Parameters:
-    return Parameters(float(numbers[0]), tuples(numbers[1:4]))
+def psi(numbers: np.ndarray) -> InertialParameters:
+    return InertialParameters(float(numbers[0]), tuples(numbers[1:4]))
 
 
 class Controlled(NamedTuple):
@@ -44,7 +50,7 @@ class Controlled(NamedTuple):
 
 def control(own, command, parameters, bound, clock, config) -> Controlled:
     """`rigid_body_control` with Psi_hat (4,) and delta_hat (2,)."""
-    before = Adapted(psi(parameters), tuples(bound), started((0.0, 0.0, 0.0)))
+    before = AdaptationState(psi(parameters), tuples(bound), started((0.0, 0.0, 0.0)))
     out = laws.rigid_body_control(own, tuples(command), before, clock, config)
     learned = out.adapted
     return Controlled(
@@ -148,7 +154,7 @@ def test_regressor_is_the_derivative_of_the_model(seed: int) -> None:
 @given(seed=seeds)
 def test_without_error_the_body_does_what_the_reference_does(seed: int) -> None:
     rng, euler, velocity, rates = random_motion(seed)
-    command = Command(
+    command = VelocityReference(
         rotation_from_euler(euler) @ velocity, rng.normal(size=3), rates, rng.normal(size=3), 0.0
     )
     config = config_of()
@@ -165,7 +171,7 @@ def test_without_error_the_body_does_what_the_reference_does(seed: int) -> None:
 def test_error_dynamics_are_those_of_the_design(seed: int) -> None:
     """World velocity error: R(-G e - delta sat(e)); rate error: I e_dot = I w x e - I(G e + delta sat(e))."""
     rng, euler, velocity, rates = random_motion(seed)
-    command = Command(*rng.normal(size=(4, 3)), 0.0)
+    command = VelocityReference(*rng.normal(size=(4, 3)), 0.0)
     config, bound, clock = config_of(), np.array([0.7, 1.3]), Clock(0.4, 0.4, 0.01)
     own = own_of(euler, velocity, rates)
     out = control(own, command, NOMINAL, bound, clock, config)
@@ -196,7 +202,7 @@ def closed_loop(
     """Rigid body held at zero velocity and rates; `each` sees (error, parameters, bound) at every tick."""
     parameters = np.array([config.nominal.mass, *config.nominal.inertia])
     bound, state = np.zeros(2), state.copy()
-    command = Command(np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3), 0.0)
+    command = VelocityReference(np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3), 0.0)
     for k in range(round(seconds / dt)):
         own = rigid_body.odometry(state)
         each(state[6:12], parameters, bound)
@@ -238,7 +244,7 @@ def test_lyapunov_rate_is_minus_the_feedback(seed: int) -> None:
     adaptation = (0.4, 1e-4)
     loop = LoopGain(1.0, 0.1, 1.0, 5.0, PROFILE_PAPER)
     config = config_of(force=loop, torque=loop, adaptation=adaptation, mass_range=0.9)
-    command, dt = Command(*rng.normal(size=(4, 3)), 0.0), 0.01
+    command, dt = VelocityReference(*rng.normal(size=(4, 3)), 0.0), 0.01
     clock = Clock(2.0, 2.0, dt)
     own = own_of(euler, velocity, rates)
     out = control(own, command, estimate, np.zeros(2), clock, config)
@@ -318,7 +324,7 @@ def test_limits_are_kept_told_and_freeze_the_adaptation() -> None:
         max_thrust=10.0, max_torque=(0.1, 0.2, 0.3), adaptation=(1.0, 1.0), bound_rate=1.0
     )
     own = own_of(np.zeros(3), np.array([9.0, 0, 0]), np.array([50.0, -50, 50]))
-    command = Command(np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3), 0.0)
+    command = VelocityReference(np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3), 0.0)
     clock = Clock(0.5, 0.5, 0.01)
     out = control(own, command, NOMINAL, np.zeros(2), clock, config)
     assert out.saturated

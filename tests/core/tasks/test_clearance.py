@@ -10,7 +10,7 @@ from on_arrays import on_arrays
 
 from ptnsbc_core.algebra import limited
 from ptnsbc_core.planner import composed
-from ptnsbc_core.tasks.clearance import Around, Clearance, clearance, tangent
+from ptnsbc_core.tasks.clearance import ClearanceTask, ObstacleView, clearance, tangent
 from ptnsbc_core.tasks.encounters import SIDE, USED, none_met
 from ptnsbc_core.timebase import step_gain
 from ptnsbc_core.types import (
@@ -47,7 +47,7 @@ def object_at(centre, velocity=(0.0, 0.0, 0.0), keep_out: float = KEEP_OUT) -> n
 def result(position, wanted, near, config, memory=None, age: float = 0.0):
     """The clearance task and the composed velocity."""
     memory = none_met() if memory is None else memory
-    top: Clearance = clearance(position, wanted, Around(near, age, memory, DT), config)
+    top: ClearanceTask = clearance(position, wanted, ObstacleView(near, age, memory, DT), config)
     return top, composed(top, FREE).velocity
 
 

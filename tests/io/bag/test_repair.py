@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from ptnsbc_io import wire
-from ptnsbc_io.bag import BagError, BagWriter, Limits, TopicInfo, read_bag
+from ptnsbc_io.bag import BagError, BagWriter, SplitLimits, TopicInfo, read_bag
 from ptnsbc_io.bag.health import ailments
 from ptnsbc_io.bag.repair import repair
 
@@ -35,7 +35,7 @@ def flight(tmp_path) -> Path:
 
 @pytest.fixture(scope="module")
 def split(tmp_path_factory) -> Path:
-    limits = Limits(duration_ns=TICKS // 4)
+    limits = SplitLimits(duration_ns=TICKS // 4)
     return write(tmp_path_factory.mktemp("split") / "flight", limits=limits)
 
 
@@ -177,7 +177,7 @@ def test_split_bag_reads_as_one(split):
 
 
 def test_split_by_size(tmp_path):
-    path = write(tmp_path / "flight", compression="none", limits=Limits(size_bytes=1 << 20))
+    path = write(tmp_path / "flight", compression="none", limits=SplitLimits(size_bytes=1 << 20))
     sizes = [p.stat().st_size for p in path.glob("*.mcap")]
     assert len(sizes) > 2
     assert max(sizes) < 3 << 20, "a chunk more than the limit"
@@ -185,7 +185,7 @@ def test_split_by_size(tmp_path):
 
 
 def test_more_than_ten_pieces_stay_in_order(tmp_path):
-    path = write(tmp_path / "flight", limits=Limits(duration_ns=TICKS // 12))
+    path = write(tmp_path / "flight", limits=SplitLimits(duration_ns=TICKS // 12))
     assert (path / "flight_11.mcap").exists()
     stamps = [m.stamp_ns for m in read_bag(path).messages(["/uav1/odom"])]
     assert stamps == list(range(TICKS))

@@ -16,7 +16,7 @@ from mavlink_wires import Far, arrived, heartbeat, settled
 
 from ptnsbc_io.mavlink.dialect import mavlink
 from ptnsbc_io.mavlink.framing import Broken, Framer
-from ptnsbc_io.mavlink.link import Link
+from ptnsbc_io.mavlink.link import MavlinkLink
 from ptnsbc_io.mavlink.signing import KeyFileError, Signer, read_key
 from ptnsbc_io.mavlink.transport import ConnectError, connect
 
@@ -30,7 +30,9 @@ def make():
     open_things = []
 
     def factory(key=None, far_key=None, sysid=1, compid=1):
-        link = Link(connect(f"udpin:127.0.0.1:{free_port()}"), 1, WANTED, key and Signer(key))
+        link = MavlinkLink(
+            connect(f"udpin:127.0.0.1:{free_port()}"), 1, WANTED, key and Signer(key)
+        )
         port = link._transport._socket.getsockname()[1]
         far = Far(port, sysid, compid, far_key)
         open_things.extend((link, far))
@@ -195,7 +197,7 @@ def test_messages_nobody_wants_are_not_decoded(make):
 
 def test_udpout_speaks_first(make):
     far = Far()
-    link = Link(connect(f"udpout:127.0.0.1:{far.port}"), 1, WANTED)
+    link = MavlinkLink(connect(f"udpout:127.0.0.1:{far.port}"), 1, WANTED)
     link.send(heartbeat())
     assert far.receive() is not None
     far.send(heartbeat(custom_mode=4))
@@ -207,7 +209,7 @@ def test_udpout_speaks_first(make):
 def test_a_serial_line_brings_frames_in_pieces():
     master, slave = pty.openpty()
     tty.setraw(slave)
-    link = Link(connect(f"serial:{os.ttyname(slave)}:57600"), 1, WANTED)
+    link = MavlinkLink(connect(f"serial:{os.ttyname(slave)}:57600"), 1, WANTED)
     codec = wires.codec()
     frames = [heartbeat(custom_mode=n).pack(codec) for n in range(3)]
     # noise that looks like the header of a long frame must not swallow what follows
@@ -300,7 +302,7 @@ def test_fuzzed_packets_neither_pass_nor_crash_nor_pile_up(key):
         frames.append(mavlink.MAVLink_local_position_ned_message(n, 1, 2, 3, 0, 0, 0).pack(codec))
         frames.append(heartbeat(custom_mode=n).pack(codec))
     transport = _Loop([])
-    link = Link(transport, 1, WANTED, Signer(key) if key else None)
+    link = MavlinkLink(transport, 1, WANTED, Signer(key) if key else None)
     passed = 0
     sizes = []
     tracemalloc.start()

@@ -41,7 +41,7 @@ def test_values_travel(raw, kind, encoding, expected):
 
 
 def test_a_type_of_64_bits_is_refused():
-    with pytest.raises(parameters.ParameterError, match="expected REAL32"):
+    with pytest.raises(parameters.MavlinkParameterError, match="expected REAL32"):
         decoded(b"\0\0\0\0", mavlink.MAV_PARAM_TYPE_INT64, Encoding.BYTEWISE)
 
 

@@ -11,11 +11,11 @@ import mavlink_wires as wires
 from mavlink_wires import heartbeat
 
 from ptnsbc_core.kinematics import quaternion_from_euler
-from ptnsbc_io.mavlink.autopilots import PX4, Mode
+from ptnsbc_io.mavlink.autopilots import PX4, FlightMode
 from ptnsbc_io.mavlink.dialect import mavlink
 from ptnsbc_io.mavlink.frames import quaternion_enu_flu_to_ned_frd
-from ptnsbc_io.mavlink.plausibility import Smooth, Twice
-from ptnsbc_nodes.bridge.vehicle import Vehicle
+from ptnsbc_io.mavlink.plausibility import ConfirmedValue, RateLimitedValue
+from ptnsbc_nodes.bridge.vehicle import VehicleMonitor
 
 ARMED = mavlink.MAV_MODE_FLAG_SAFETY_ARMED | mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
 OFFBOARD, HOLD = 6 << 16, 4 << 16 | 3 << 24
@@ -23,7 +23,7 @@ DT = 0.02
 
 
 def test_a_change_counts_when_it_is_said_twice():
-    twice = Twice()
+    twice = ConfirmedValue()
     assert [twice.admits(value) for value in "aabacbccd"] == [
         False, True, False, True, False, False, False, True, False
     ]  # fmt: skip
@@ -31,7 +31,7 @@ def test_a_change_counts_when_it_is_said_twice():
 
 
 def test_a_jump_counts_when_the_next_one_follows_it():
-    smooth = Smooth(np.array([0.2]), np.array([10.0]))
+    smooth = RateLimitedValue(np.array([0.2]), np.array([10.0]))
     path = [0.0, 0.1, 0.3, 9.0, 0.5, 7.0, 7.1, 7.2, float("nan"), float("nan"), 7.3]
     told = [smooth.admits(np.array([x]), DT * n) for n, x in enumerate(path)]
     assert told == [False, True, True, False, True, False, True, True, False, False, True]
@@ -42,7 +42,7 @@ class Flown:
     """A vehicle on an unsigned link that flies a circle: 50 Hz of states, everything else now and then."""
 
     def __init__(self, mode=OFFBOARD):
-        self.vehicle = Vehicle(PX4, signed=False)
+        self.vehicle = VehicleMonitor(PX4, signed=False)
         self.mode, self.n = mode, 0
         self.samples = []
         for _ in range(100):
@@ -79,19 +79,19 @@ class Flown:
 
 def test_a_real_change_costs_one_message():
     flown = Flown()
-    assert (flown.vehicle.mode, flown.vehicle.armed) == (Mode.OWN, True)
+    assert (flown.vehicle.mode, flown.vehicle.armed) == (FlightMode.OWN, True)
     flown.hear(heartbeat(base_mode=ARMED, custom_mode=HOLD))
-    assert flown.vehicle.mode is Mode.OWN
+    assert flown.vehicle.mode is FlightMode.OWN
     assert flown.vehicle.unconfirmed  # and the bridge asks for another one
     flown.hear(heartbeat(base_mode=ARMED, custom_mode=HOLD))
-    assert flown.vehicle.mode is Mode.HOLD
+    assert flown.vehicle.mode is FlightMode.HOLD
     assert not flown.vehicle.unconfirmed
 
 
 def test_a_signed_vehicle_is_believed_at_once():
-    vehicle = Vehicle(PX4, signed=True)
+    vehicle = VehicleMonitor(PX4, signed=True)
     vehicle.hear(heartbeat(base_mode=ARMED, custom_mode=HOLD), 0.0)
-    assert vehicle.mode is Mode.HOLD
+    assert vehicle.mode is FlightMode.HOLD
 
 
 KINDS = [

@@ -6,7 +6,7 @@ pytest.importorskip("pymavlink")
 
 from mavlink_fleet import BASE_NS, START_S, MavlinkFleet
 
-from ptnsbc_io.mavlink.autopilots import Mode
+from ptnsbc_io.mavlink.autopilots import FlightMode
 from ptnsbc_io.mavlink.dialect import mavlink
 from ptnsbc_nodes.bridge.procedure.steps import Step
 from ptnsbc_sim.autopilot.faults import inject
@@ -84,11 +84,11 @@ def test_setpoints_end_the_stream_ends_the_failsafe_acts_and_then_the_pilot():
     until(fleet, uav, Step.FAILSAFE, 2.0)
     fleet.run(0.5)
     assert uav.setpoints[-1][0] - stopped <= 0.6
-    fleet.run(3.0, until=lambda: uav.bridge.vehicle.mode is Mode.HOLD)  # PX4's own failsafe
+    fleet.run(3.0, until=lambda: uav.bridge.vehicle.mode is FlightMode.HOLD)  # PX4's own failsafe
     assert uav.lost == 1
     uav.alive = True  # PX4 returns to OFFBOARD by itself; nobody asks it to
     until(fleet, uav, Step.FLY)
-    assert uav.bridge.vehicle.mode is Mode.OWN
+    assert uav.bridge.vehicle.mode is FlightMode.OWN
     fleet.run(3.0)
     assert uav.step is Step.FLY
     taken = fleet.now_s

@@ -7,13 +7,13 @@ pytest.importorskip("pymavlink")
 
 from rclpy.lifecycle import TransitionCallbackReturn
 
-from ptnsbc_io.mavlink.link import Link
+from ptnsbc_io.mavlink.link import MavlinkLink
 from ptnsbc_io.mavlink.transport import connect
 from ptnsbc_nodes.bridge.bridge import WANTED_MESSAGES
 from ptnsbc_nodes.bridge.node import BridgeNode, FlyingError
 from ptnsbc_nodes.bridge.procedure.steps import Step
-from ptnsbc_nodes.comm.graph import Edges, FlightOptions
-from ptnsbc_nodes.runtime.lifecycle_node import Managed
+from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions
+from ptnsbc_nodes.runtime.lifecycle_node import ManagedNode
 from ptnsbc_sim.scenario import load_scenario
 
 pytestmark = pytest.mark.ros
@@ -26,12 +26,12 @@ UAV = 3
 def active(ros):
     """A bridge that speaks to nobody; its `bridge` is not turned, so that a test says where it is."""
     scenario = load_scenario("experiment_4").bridged()
-    node = Managed("bridge", namespace=f"/uav{UAV}", context=ros.context, enable_rosout=False)
+    node = ManagedNode("bridge", namespace=f"/uav{UAV}", context=ros.context, enable_rosout=False)
     ros.adopt(node)
-    edges = Edges(scenario, FlightOptions(bridged=True))
+    edges = CommunicationGraph(scenario, FlightOptions(bridged=True))
 
     def make():
-        link = Link(connect("udpout:127.0.0.1:9"), UAV, WANTED_MESSAGES, None)
+        link = MavlinkLink(connect("udpout:127.0.0.1:9"), UAV, WANTED_MESSAGES, None)
         shell = BridgeNode(node, scenario, UAV, edges, link, True, lambda: None)
         shell.bridge.turn = lambda: None
         return shell

@@ -10,14 +10,14 @@ pytest.importorskip("pymavlink")
 from mavlink_wires import heartbeat
 
 from ptnsbc_core.kinematics import velocity_enu, yaw_of
-from ptnsbc_io.mavlink.autopilots import ARDUPILOT, PX4, Mode
+from ptnsbc_io.mavlink.autopilots import ARDUPILOT, PX4, FlightMode
 from ptnsbc_io.mavlink.dialect import mavlink
 from ptnsbc_io.mavlink.frames import GeoPoint
 from ptnsbc_io.mavlink.timesync import TimeSync
 from ptnsbc_io.wire import Stamped
-from ptnsbc_nodes.bridge.controller import Controller, Told, wanted_yaw
-from ptnsbc_nodes.bridge.state_publisher import Clocks, Teller
-from ptnsbc_nodes.bridge.vehicle import Anchor, Vehicle
+from ptnsbc_nodes.bridge.controller import ControllerSetpoints, PublishedOdometry, wanted_yaw
+from ptnsbc_nodes.bridge.state_publisher import Clocks, StatePublisher
+from ptnsbc_nodes.bridge.vehicle import Anchor, VehicleMonitor
 from ptnsbc_nodes.bridge.world import WorldFrame
 from ptnsbc_sim.scenario import load_scenario
 
@@ -36,7 +36,7 @@ def attitude(boot_ms, yaw_ned=0.0):
 
 
 def test_a_vehicle_facing_east_that_flies_north():
-    vehicle = Vehicle(PX4)
+    vehicle = VehicleMonitor(PX4)
     vehicle.hear(attitude(1000, math.pi / 2), 0.0)
     sample = vehicle.hear(position(1010, (3, 4, -5), (2, 0, -1)), 0.0)
     assert sample.boot_s == 1.01
@@ -49,7 +49,7 @@ def test_a_vehicle_facing_east_that_flies_north():
 
 def test_attitude_as_angles_and_odometry_say_the_same():
     angles = mavlink.MAVLink_attitude_message(1000, 0.1, 0.2, 0.7, 0, 0, 0)
-    vehicle = Vehicle(PX4)
+    vehicle = VehicleMonitor(PX4)
     vehicle.hear(angles, 0.0)
     one = vehicle.hear(position(1000, (1, 2, 3)), 0.0).odometry
     from ptnsbc_io.mavlink.frames import quaternion_from_euler_ned
@@ -71,7 +71,7 @@ def test_attitude_as_angles_and_odometry_say_the_same():
         [0.0] * 21,
         [0.0] * 21,
     )
-    other = Vehicle(PX4).hear(message, 0.0).odometry
+    other = VehicleMonitor(PX4).hear(message, 0.0).odometry
     assert other == pytest.approx(one)
     assert vehicle.hear(message, 0.0) is None  # one source at a time
 
@@ -86,13 +86,13 @@ def test_attitude_as_angles_and_odometry_say_the_same():
     ],
 )
 def test_states_that_cannot_be_flown_by(broken):
-    vehicle = Vehicle(PX4)
+    vehicle = VehicleMonitor(PX4)
     vehicle.hear(attitude(1000), 0.0)
     assert vehicle.hear(broken, 0.0) is None
 
 
 def test_a_quaternion_that_is_none():
-    vehicle = Vehicle(PX4)
+    vehicle = VehicleMonitor(PX4)
     vehicle.hear(mavlink.MAVLink_attitude_quaternion_message(1, 0, 0, 0, 0, 0, 0, 0), 0.0)
     assert vehicle.hear(position(1), 0.0) is None
     assert vehicle.pose.invalid == 1
@@ -101,35 +101,35 @@ def test_a_quaternion_that_is_none():
 @pytest.mark.parametrize(
     ("autopilot", "custom", "mode"),
     [
-        (PX4, 6 << 16, Mode.OWN),
-        (PX4, 4 << 16 | 3 << 24, Mode.HOLD),
-        (PX4, 4 << 16 | 6 << 24, Mode.LAND),
-        (PX4, 3 << 16, Mode.OTHER),
-        (ARDUPILOT, 4, Mode.OWN),
-        (ARDUPILOT, 9, Mode.LAND),
-        (ARDUPILOT, 5, Mode.OTHER),
+        (PX4, 6 << 16, FlightMode.OWN),
+        (PX4, 4 << 16 | 3 << 24, FlightMode.HOLD),
+        (PX4, 4 << 16 | 6 << 24, FlightMode.LAND),
+        (PX4, 3 << 16, FlightMode.OTHER),
+        (ARDUPILOT, 4, FlightMode.OWN),
+        (ARDUPILOT, 9, FlightMode.LAND),
+        (ARDUPILOT, 5, FlightMode.OTHER),
     ],
 )
 def test_modes(autopilot, custom, mode):
-    vehicle = Vehicle(autopilot)
+    vehicle = VehicleMonitor(autopilot)
     base = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | ARMED
     vehicle.hear(heartbeat(autopilot=autopilot.number, base_mode=base, custom_mode=custom), 1.0)
     assert (vehicle.mode, vehicle.armed, vehicle.stranger) == (mode, True, "")
 
 
 def test_strangers_are_named():
-    vehicle = Vehicle(PX4)
+    vehicle = VehicleMonitor(PX4)
     vehicle.hear(heartbeat(autopilot=mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA), 1.0)
     assert vehicle.stranger == ("MAV_AUTOPILOT 3 (ardupilot): expected px4, see mavlink.autopilot")
     vehicle.hear(heartbeat(type=mavlink.MAV_TYPE_FIXED_WING), 1.0)
     assert "MAV_TYPE 1: expected a multirotor" in vehicle.stranger
-    gimbal = Vehicle(PX4)
+    gimbal = VehicleMonitor(PX4)
     gimbal.hear(heartbeat(autopilot=mavlink.MAV_AUTOPILOT_INVALID), 1.0)
     assert gimbal.heartbeat_s is None
 
 
 def test_a_reboot_is_time_that_went_back_and_a_vehicle_that_is_disarmed():
-    vehicle = Vehicle(PX4)
+    vehicle = VehicleMonitor(PX4)
     vehicle.hear(heartbeat(base_mode=ARMED), 100.0)
     vehicle.hear(attitude(90_000), 100.0)
     vehicle.hear(attitude(1_500), 101.0)
@@ -140,7 +140,7 @@ def test_a_reboot_is_time_that_went_back_and_a_vehicle_that_is_disarmed():
 
 
 def test_messages_that_were_held_up_are_no_reboot():
-    vehicle = Vehicle(PX4)
+    vehicle = VehicleMonitor(PX4)
     for n in range(50):
         vehicle.hear(attitude(20_000 + 20 * n), 100.0 + 0.02 * n)
     for n in range(50, 250):  # a host that stood still for five seconds has them all at once
@@ -153,7 +153,7 @@ def test_messages_that_were_held_up_are_no_reboot():
 
 
 def test_two_vehicles_with_one_id_are_time_to_and_fro():
-    vehicle = Vehicle(PX4)
+    vehicle = VehicleMonitor(PX4)
     for n in range(3):
         vehicle.hear(attitude(90_000 + n), 100.0 + 0.1 * n)
         assert not vehicle.twin(100.0 + 0.1 * n)
@@ -163,7 +163,7 @@ def test_two_vehicles_with_one_id_are_time_to_and_fro():
 
 
 def test_gps_battery_landing_and_texts():
-    vehicle = Vehicle(PX4)
+    vehicle = VehicleMonitor(PX4)
 
     def gps(fix):
         return mavlink.MAVLink_gps_raw_int_message(0, fix, 0, 0, 0, 0, 0, 0, 0, 9)
@@ -201,12 +201,12 @@ class Flown:
         self.now = 100.0
         self.wall_ns = 10**18
         scenario = load_scenario("experiment_4", overrides)
-        self.vehicle = Vehicle(PX4)
+        self.vehicle = VehicleMonitor(PX4)
         self.world = WorldFrame(scenario, uav, PX4.earth_radius_m)
         self.world.begin()
         self.sync = TimeSync()
-        self.controller = Controller()
-        self.teller = Teller(self.vehicle, self.world, self.sync, self.controller)
+        self.controller = ControllerSetpoints()
+        self.teller = StatePublisher(self.vehicle, self.world, self.sync, self.controller)
         self.clocks = Clocks(lambda: self.now, lambda: self.wall_ns)
         self.out = Heard()
         self.boot_at = 90.0
@@ -332,11 +332,11 @@ def test_without_heartbeat_or_fix_nothing_is_told():
 
 
 def test_only_answers_to_our_own_odometry_count():
-    controller = Controller()
+    controller = ControllerSetpoints()
     odometry = np.zeros(13)
     odometry[6] = 1.0
     for n in range(3):
-        controller.tell(n, Told(10.0 + n, 10.0 + n, odometry))
+        controller.tell(n, PublishedOdometry(10.0 + n, 10.0 + n, odometry))
     assert controller.age_s(20.0) == math.inf
     assert not controller.hear(Stamped(77, np.zeros(6)))
     assert not controller.hear(Stamped(1, np.full(6, math.nan)))
@@ -349,7 +349,7 @@ def test_only_answers_to_our_own_odometry_count():
 def test_a_heading_is_read_from_the_yaw_rate_that_would_lead_there():
     odometry = np.zeros(13)
     odometry[5:7] = math.sin(0.5), math.cos(0.5)  # yaw 1.0
-    controller = Controller()
-    controller.tell(1, Told(0.0, 0.0, odometry))
+    controller = ControllerSetpoints()
+    controller.tell(1, PublishedOdometry(0.0, 0.0, odometry))
     controller.hear(Stamped(1, np.array([0, 0, 0, 0, 0, 3.0 * 0.2])))
     assert wanted_yaw(controller.newest, 3.0) == pytest.approx(1.2)

@@ -11,7 +11,7 @@ from rclpy.serialization import deserialize_message
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
-from ptnsbc_nodes.comm.diagnostics import Level, diagnostics, readiness
+from ptnsbc_nodes.comm.diagnostics import DiagnosticLevel, diagnostics, readiness
 from ptnsbc_nodes.comm.serialize import encode
 
 
@@ -48,7 +48,7 @@ def test_gaps_are_zero():
 
 def test_diagnostics_message():
     data = diagnostics(
-        1_500_000_000, "uav3: planner", Level.WARN, "holding", readiness(["/a", "/b"])
+        1_500_000_000, "uav3: planner", DiagnosticLevel.WARN, "holding", readiness(["/a", "/b"])
     )
     message = deserialize_message(data, DiagnosticArray)
     assert (message.header.stamp.sec, message.header.stamp.nanosec) == (1, 500_000_000)

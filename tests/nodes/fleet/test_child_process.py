@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from ptnsbc_nodes.fleet import child_process
-from ptnsbc_nodes.fleet.child_process import Child, Command, end
+from ptnsbc_nodes.fleet.child_process import ChildProcess, ProcessCommand, end
 from ptnsbc_nodes.runtime import environment
 from ptnsbc_nodes.runtime.ros_domain import DomainError, reserved_domain
 from ptnsbc_nodes.runtime.signals import StopRequest
@@ -48,8 +48,8 @@ def test_what_lies_in_the_current_folder_is_not_imported(own_discovery, monkeypa
     for name in ("numpy.py", "yaml.py", "rclpy.py", "ptnsbc_nodes/__init__.py"):
         (folder / name).write_text("raise SystemExit('this is not it')")
     monkeypatch.chdir(folder)
-    command = Command("sim", "ptnsbc_nodes.sim.main", ("--version",))
-    child = Child(command, environment.for_children(5, 1, tmp_path), tmp_path)
+    command = ProcessCommand("sim", "ptnsbc_nodes.sim.main", ("--version",))
+    child = ChildProcess(command, environment.for_children(5, 1, tmp_path), tmp_path)
     assert child.wait(60.0) == 0, child.tail()
     assert child.last_line().startswith("ptnsbc ")
 
@@ -86,14 +86,14 @@ def program(tmp_path, monkeypatch):
     monkeypatch.setattr(child_process, "_HARDER", {signal.SIGTERM: 0.3, signal.SIGKILL: 5.0})
     settings = {**os.environ, "PYTHONPATH": str(tmp_path)}
 
-    def start(text: str) -> Child:
+    def start(text: str) -> ChildProcess:
         (tmp_path / "program.py").write_text(text)
-        return Child(Command("program", "program", ()), settings, tmp_path)
+        return ChildProcess(ProcessCommand("program", "program", ()), settings, tmp_path)
 
     return start
 
 
-def wait_for_exit(child: Child) -> None:
+def wait_for_exit(child: ChildProcess) -> None:
     os.waitid(os.P_PID, child.pid, os.WEXITED | os.WNOWAIT)  # its status stays for the child object
 
 

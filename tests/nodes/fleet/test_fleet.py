@@ -172,7 +172,7 @@ def test_without_its_recorder_the_flight_goes_on_and_the_bag_can_be_mended(launc
     """To its end, without one of the UAVs as well."""
     flight = launch("--duration", "12", "--bag", str(tmp_path / "bag"))
     flight.wait_for("steps/s")
-    os.kill(flight.pid_of("ptnsbc_nodes.recording.fleet_recorder"), signal.SIGKILL)
+    os.kill(flight.pid_of("ptnsbc_nodes.recording.main"), signal.SIGKILL)
     flight.wait_for("recorder (pid ", "signal SIGKILL")
     os.kill(flight.pid_of("--uav 3"), signal.SIGKILL)
     assert flight.finish() == 1

@@ -28,7 +28,7 @@ pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
 @pytest.fixture
 def api(monkeypatch):
-    place = ROOT / "tests" / "launch_stand_in.py"
+    place = ROOT / "tests" / "support" / "launch_stand_in.py"
     spec = importlib.util.spec_from_file_location("launch_stand_in", place)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)

@@ -7,7 +7,7 @@ import pytest
 pytest.importorskip("rclpy")
 
 from ptnsbc_nodes.fleet.fleet import FleetError, run_fleet
-from ptnsbc_nodes.fleet.process_list import CrewError, FleetOptions, chosen, commands, names
+from ptnsbc_nodes.fleet.process_list import FleetOptions, ProcessListError, chosen, commands, names
 from ptnsbc_sim.scenario import load_scenario
 
 
@@ -35,7 +35,7 @@ def test_a_number_is_a_uav_with_its_bridge(paper_5):
     ],
 )
 def test_others_are_refused(paper_5, text, backend, words):
-    with pytest.raises(CrewError, match=words):
+    with pytest.raises(ProcessListError, match=words):
         chosen(text, paper_5, backend)
 
 

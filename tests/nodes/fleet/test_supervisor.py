@@ -10,9 +10,9 @@ import pytest
 pytest.importorskip("rclpy")
 
 from ptnsbc_nodes.fleet import supervisor as flights
-from ptnsbc_nodes.fleet.child_process import Child, Command
+from ptnsbc_nodes.fleet.child_process import ChildProcess, ProcessCommand
 from ptnsbc_nodes.fleet.process_list import FleetOptions
-from ptnsbc_nodes.fleet.supervisor import Flight
+from ptnsbc_nodes.fleet.supervisor import Supervisor
 from ptnsbc_sim.scenario import load_scenario
 
 _STAYS = "import signal, sys; print(sys.argv[1], flush=True); signal.pause()"
@@ -35,9 +35,9 @@ def ended(tmp_path, monkeypatch):
     def end(name: str, last: str) -> tuple[list[str], list[str]]:
         said: list[str] = []
         tower = SimpleNamespace(end=lambda _seconds: None)
-        flight = Flight(FleetOptions(load_scenario("paper_5")), tower, None, said.append)
+        flight = Supervisor(FleetOptions(load_scenario("paper_5")), tower, None, said.append)
         environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
-        child = Child(Command(name, "stays", (last,)), environment, Path(tmp_path))
+        child = ChildProcess(ProcessCommand(name, "stays", (last,)), environment, Path(tmp_path))
         flight.children.append(child)
         while not child.last_line():
             assert child.wait(0.02) is None, child.tail()

@@ -20,7 +20,7 @@ from ptnsbc_io import wire
 from ptnsbc_io.bag import BagError, BagWriter, read_bag
 from ptnsbc_nodes.comm import qos, topics
 from ptnsbc_nodes.comm.tf import Transforms
-from ptnsbc_nodes.recording.fleet_recorder import Recorder, stamp_of, topic_info
+from ptnsbc_nodes.recording.fleet_recorder import FleetRecorder, stamp_of, topic_info
 from ptnsbc_nodes.recording.main import main
 
 ROOT = Path(__file__).parents[3]
@@ -67,12 +67,12 @@ class Flight:
             time.sleep(0.002)
 
 
-def record(ros, path: Path, lockstep: bool, order) -> Recorder:
+def record(ros, path: Path, lockstep: bool, order) -> FleetRecorder:
     """Publish `order`, a list of (topic, bytes), and record it."""
     infos = [topic_info(topic, lockstep=lockstep) for topic in topics.in_bag([1])]
     with BagWriter(path, infos) as writer:
         node = ros.node("recorder")
-        recorder = Recorder(node, writer, RECORDED, Transforms([1]), lockstep=lockstep)
+        recorder = FleetRecorder(node, writer, RECORDED, Transforms([1]), lockstep=lockstep)
         flight = Flight(ros, messages(1), lockstep=lockstep)
         for count, (topic, data) in enumerate(order, start=1):
             flight.publish(topic, data)

@@ -78,9 +78,9 @@ def test_a_slice_ends_although_more_is_waiting(ros):
     from rclpy.duration import Duration
     from std_msgs.msg import Empty
 
-    from ptnsbc_nodes.runtime.executor import Slices
+    from ptnsbc_nodes.runtime.executor import BoundedSpin
 
-    node, slices, heard = ros.node("behind"), Slices(ros.executor), []
+    node, slices, heard = ros.node("behind"), BoundedSpin(ros.executor), []
 
     def hear(message):
         heard.append(message)

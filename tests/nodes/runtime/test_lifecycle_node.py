@@ -18,11 +18,11 @@ from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_io import wire
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.endpoints import Endpoints, fleet_namespace
-from ptnsbc_nodes.comm.graph import Edges, FlightOptions
+from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions
 from ptnsbc_nodes.fleet import lifecycle_manager as manager_module
-from ptnsbc_nodes.fleet.lifecycle_manager import Manager
-from ptnsbc_nodes.runtime.lifecycle_node import Managed
-from ptnsbc_nodes.uav.node import Uav
+from ptnsbc_nodes.fleet.lifecycle_manager import LifecycleManager
+from ptnsbc_nodes.runtime.lifecycle_node import ManagedNode
+from ptnsbc_nodes.uav.node import UavNode
 from ptnsbc_sim.scenario import load_scenario
 
 pytestmark = pytest.mark.ros
@@ -43,7 +43,7 @@ def managed(ros, scenario):
     """Makes the managed node of one UAV."""
 
     def make(uav_id=FOLLOWER, *, lockstep=False, namespace=None, cli_args=()):
-        node = Managed(
+        node = ManagedNode(
             "controller",
             namespace=f"/uav{uav_id}" if namespace is None else namespace,
             context=ros.context,
@@ -51,10 +51,10 @@ def managed(ros, scenario):
             cli_args=["--ros-args", *cli_args],
         )
         ros.adopt(node)
-        edges = Edges(scenario, FlightOptions(lockstep=lockstep))
+        edges = CommunicationGraph(scenario, FlightOptions(lockstep=lockstep))
         node.ended = False
         node.assign(
-            lambda: Uav(node, scenario, uav_id, edges), lambda: setattr(node, "ended", True)
+            lambda: UavNode(node, scenario, uav_id, edges), lambda: setattr(node, "ended", True)
         )
         return node
 
@@ -153,7 +153,7 @@ def take_to_active(ros, manager, node):
 
 def test_the_manager_takes_nodes_to_active(ros, managed):
     node = managed()
-    take_to_active(ros, Manager(ros.node("fleet")), node)
+    take_to_active(ros, LifecycleManager(ros.node("fleet")), node)
 
 
 def test_the_manager_names_who_refuses(ros, managed):
@@ -161,7 +161,7 @@ def test_the_manager_names_who_refuses(ros, managed):
         raise PtnsbcError("no")
 
     managed().assign(refuse, lambda: None)
-    manager = Manager(ros.node("fleet"))
+    manager = LifecycleManager(ros.node("fleet"))
     manager.manage("uav3", "/uav3/controller")
 
     def refused():
@@ -197,7 +197,7 @@ def test_a_manager_that_gets_no_answer_goes_on(ros, managed, monkeypatch, lost):
     monkeypatch.setattr(fleet, "create_client", lambda *of: Unanswered(make(*of), lost))
     monkeypatch.setattr(fleet, "destroy_client", lambda client: destroy(client._client))
     monkeypatch.setattr(manager_module, "_ANSWER_S", 0.05)
-    manager = Manager(fleet)
+    manager = LifecycleManager(fleet)
     take_to_active(ros, manager, node)
     manager.arrived("uav3")  # as it says itself on /diagnostics
     manager.look()

@@ -19,7 +19,7 @@ def test_no_value_is_in_it_twice():
 @pytest.mark.ros
 @pytest.mark.parametrize("name", available())
 def test_a_node_reads_the_same_scenario_from_it(ros, tmp_path, name):
-    from ptnsbc_nodes.runtime.parameters import SCENARIO, UAV, Parameters
+    from ptnsbc_nodes.runtime.parameters import SCENARIO, UAV, NodeParameters
 
     scenario = load_scenario(name)
     file = tmp_path / "params.yaml"
@@ -30,7 +30,7 @@ def test_a_node_reads_the_same_scenario_from_it(ros, tmp_path, name):
         automatically_declare_parameters_from_overrides=True,
         cli_args=["--ros-args", "--params-file", str(file), "-p", "gains.hold.gain_1_s:=0.75"],
     )
-    told = Parameters(node, (*SCENARIO, UAV))
+    told = NodeParameters(node, (*SCENARIO, UAV))
     told.declare_scenario()
     changed = load_scenario(name, {"gains.hold.gain_1_s": 0.75})
     assert (told.uav, told.scenario.file) == (2, changed.file)
@@ -40,7 +40,7 @@ def test_a_node_reads_the_same_scenario_from_it(ros, tmp_path, name):
 @pytest.mark.parametrize(("uav", "gain"), [(1, 0.5), (10, 0.25), (2, 0.75)])
 def test_uav1_and_uav10_have_their_own(ros, tmp_path, uav, gain):
     """A name with a digit more is another name, and so is a key with a number in it."""
-    from ptnsbc_nodes.runtime.parameters import SCENARIO, UAV, Parameters
+    from ptnsbc_nodes.runtime.parameters import SCENARIO, UAV, NodeParameters
 
     file = tmp_path / "params.yaml"
     file.write_text(
@@ -56,7 +56,7 @@ def test_uav1_and_uav10_have_their_own(ros, tmp_path, uav, gain):
         automatically_declare_parameters_from_overrides=True,
         cli_args=["--ros-args", "--params-file", str(file)],
     )
-    told = Parameters(node, (*SCENARIO, UAV))
+    told = NodeParameters(node, (*SCENARIO, UAV))
     told.declare_scenario()
     assert (told.uav, told.scenario.file.gains.hold.gain_1_s) == (uav, gain)
     assert (told.scenario.parent(2), told.scenario.parent(20)) == (1, 2)

@@ -12,8 +12,8 @@ from ptnsbc_nodes.runtime.parameters import (
     BRIDGED,
     SCENARIO,
     UAV,
-    ParameterError,
-    Parameters,
+    NodeParameters,
+    ScenarioParameterError,
     overrides,
 )
 from ptnsbc_sim.scenario import load_scenario
@@ -37,7 +37,7 @@ def told(ros):
             automatically_declare_parameters_from_overrides=True,
             cli_args=["--ros-args", *ros_args],
         )
-        parameters = Parameters(node, FIXED)
+        parameters = NodeParameters(node, FIXED)
         parameters.declare_scenario(may_change=lambda: open_)
         return node, parameters
 
@@ -140,5 +140,5 @@ def test_what_a_node_cannot_start_with_is_said(told, given, ros_args, says):
 
 
 def test_without_id_and_namespace_there_is_no_uav(told):
-    with pytest.raises(ParameterError, match="expected --uav N, or a namespace /uavN"):
+    with pytest.raises(ScenarioParameterError, match="expected --uav N, or a namespace /uavN"):
         told(namespace="/somewhere")

@@ -8,10 +8,10 @@ import pytest
 from numba.core.dispatcher import Dispatcher
 
 from ptnsbc_io.wire import Stamped
-from ptnsbc_nodes.comm.graph import Edges, FlightOptions
+from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions
 from ptnsbc_nodes.comm.legs import Epochs
 from ptnsbc_nodes.runtime.warmup import load_agent, load_world
-from ptnsbc_nodes.uav.controller import Pilot, moment
+from ptnsbc_nodes.uav.controller import UavController, moment
 from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS
 from ptnsbc_sim.scenario import agent_config, load_scenario
 from ptnsbc_sim.world import World
@@ -24,8 +24,10 @@ def test_after_loading_no_tick_waits_for_a_law():
     scenario = load_scenario("paper_5")
     load_agent(scenario, scenario.leader_id)
     load_world(scenario)
-    edges = Edges(scenario, FlightOptions())
-    pilots = {i: Pilot(agent_config(scenario, i), edges.senders(i)) for i in scenario.uav_ids}
+    edges = CommunicationGraph(scenario, FlightOptions())
+    pilots = {
+        i: UavController(agent_config(scenario, i), edges.senders(i)) for i in scenario.uav_ids
+    }
     before = loaded()
     fly(scenario, edges, pilots, ticks=20)
     assert loaded() - before == set()

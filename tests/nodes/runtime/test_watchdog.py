@@ -5,7 +5,7 @@ import pytest
 pytest.importorskip("rclpy")
 
 from ptnsbc_nodes.comm.diagnostics import STATUS_HZ
-from ptnsbc_nodes.runtime.watchdog import ENDED_S, SAID_S, Standstill
+from ptnsbc_nodes.runtime.watchdog import ENDED_S, SAID_S, LockstepWatchdog
 from ptnsbc_tools.reading.diagnostics import decode_diagnostics
 
 pytestmark = pytest.mark.ros
@@ -18,7 +18,7 @@ def sent():
 
 @pytest.fixture
 def standstill(sent):
-    return Standstill(sent.append)
+    return LockstepWatchdog(sent.append)
 
 
 def looks(standstill, seconds, mark=7):

@@ -4,12 +4,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ptnsbc_nodes.comm.graph import LEAD_TICKS
-from ptnsbc_nodes.sim.lockstep_scheduler import Turns
+from ptnsbc_nodes.sim.lockstep_scheduler import LockstepScheduler
 
 IDS = (1, 2, 3)
 
 
-def tell_all(turns: Turns) -> list[int]:
+def tell_all(turns: LockstepScheduler) -> list[int]:
     due = turns.due()
     for i in due:
         turns.tell(i)
@@ -17,7 +17,7 @@ def tell_all(turns: Turns) -> list[int]:
 
 
 def test_one_vehicle_need_not_wait_for_another():
-    turns = Turns(IDS, 9, (5,))
+    turns = LockstepScheduler(IDS, 9, (5,))
     assert tell_all(turns) == [1, 2, 3]
     assert turns.due() == []
     turns.step(2)
@@ -27,7 +27,7 @@ def test_one_vehicle_need_not_wait_for_another():
 
 
 def test_all_wait_at_a_meeting():
-    turns = Turns(IDS, 9, (2, 3))
+    turns = LockstepScheduler(IDS, 9, (2, 3))
     for _ in range(2):
         tell_all(turns)
         turns.step(1)
@@ -44,7 +44,7 @@ def test_all_wait_at_a_meeting():
     st.lists(st.integers(1, 9), min_size=0, max_size=2),
 )
 def test_any_order_of_answers(answers: list[int], meetings: list[int]):
-    turns = Turns(IDS, 1000, meetings)
+    turns = LockstepScheduler(IDS, 1000, meetings)
     for who in answers:
         for i in tell_all(turns):
             assert turns.at(i) - turns.slowest <= LEAD_TICKS
@@ -58,7 +58,7 @@ def test_any_order_of_answers(answers: list[int], meetings: list[int]):
 
 
 def test_nobody_is_told_the_end():
-    turns = Turns(IDS, 2, ())
+    turns = LockstepScheduler(IDS, 2, ())
     for _ in range(2):
         for i in tell_all(turns):
             turns.step(i)

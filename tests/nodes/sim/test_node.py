@@ -11,9 +11,9 @@ from visualization_msgs.msg import Marker, MarkerArray
 from ptnsbc_io import wire
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.endpoints import LOST, Endpoints
-from ptnsbc_nodes.comm.graph import Edges, FlightOptions
+from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions
 from ptnsbc_nodes.sim import main
-from ptnsbc_nodes.sim.node import Sim
+from ptnsbc_nodes.sim.node import SimNode
 from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_sim.world import World
 
@@ -49,8 +49,11 @@ class Pilots:
             )
         ends.listen(topics.CLOCK, lambda data: self.clock.append(wire.decode_clock(data)))
         ends.listen(topics.MARKERS, self.markers.append)
-        self.sim = Sim(
-            ros.node("sim"), scenario, Edges(scenario, FlightOptions(lockstep=lockstep)), self.end
+        self.sim = SimNode(
+            ros.node("sim"),
+            scenario,
+            CommunicationGraph(scenario, FlightOptions(lockstep=lockstep)),
+            self.end,
         )
         ros.spin_until(lambda: not ends.unread() and not ends.unheard())
         ros.spin_until(lambda: not self.sim.waiting_for())

@@ -8,7 +8,7 @@ import pytest
 from ptnsbc_core.types import MODE_HOLD, NEVER_HEARD_S, AgentInputs
 from ptnsbc_io.wire import Stamped
 from ptnsbc_nodes.comm.graph import LEAD_TICKS, Senders
-from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS, Inbox, Link
+from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS, Inbox, MessageQueue
 from ptnsbc_sim.disturbances.links import Losses
 
 PERIOD = 10_000_000
@@ -42,7 +42,7 @@ def test_a_child_of_the_leader_hears_it_once():
 
 
 def test_link_keeps_the_message_that_a_fast_neighbour_overtook():
-    link = Link()
+    link = MessageQueue()
     assert link.before(NO_CUTOFF_NS) is None
     link.put(message(6))
     link.put(message(7))

@@ -16,9 +16,9 @@ from ptnsbc_core.types import NEVER_HEARD_S, AgentInputs
 from ptnsbc_io import wire
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.endpoints import LOST, READY, Endpoints
-from ptnsbc_nodes.comm.graph import Edges, FlightOptions
+from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions
 from ptnsbc_nodes.uav import main
-from ptnsbc_nodes.uav.node import Uav
+from ptnsbc_nodes.uav.node import UavNode
 from ptnsbc_sim.scenario import agent_config, load_scenario
 
 pytestmark = pytest.mark.ros
@@ -46,7 +46,7 @@ class Others:
         node = ros.node("others")
         self.node = node
         ends = Endpoints(node, lockstep)
-        edges = Edges(scenario, FlightOptions(lockstep=lockstep))
+        edges = CommunicationGraph(scenario, FlightOptions(lockstep=lockstep))
         senders = edges.senders(uav_id)
         self.send_odom = ends.publisher(topics.odom(uav_id), 1)
         self.send_near = ends.publisher(topics.near(uav_id), 1)
@@ -74,7 +74,9 @@ class Others:
             for _ in range(3):  # with the leader itself all UAVs, but no sim
                 listen(topics.EPOCH, lambda data: None)
         self.template = wire.OdometryTemplate("map", "x")
-        self.uav = Uav(ros.node("controller", namespace=f"/uav{uav_id}"), scenario, uav_id, edges)
+        self.uav = UavNode(
+            ros.node("controller", namespace=f"/uav{uav_id}"), scenario, uav_id, edges
+        )
         self.uav.activate()
         ros.spin_until(lambda: not ends.unread() and not ends.unheard())
 
@@ -186,8 +188,11 @@ def test_lockstep_goes_on_without_a_lost_neighbour(ros, scenario):
 
 
 def test_lockstep_says_what_it_waits_for(ros, scenario):
-    uav = Uav(
-        ros.node("controller"), scenario, FOLLOWER, Edges(scenario, FlightOptions(lockstep=True))
+    uav = UavNode(
+        ros.node("controller"),
+        scenario,
+        FOLLOWER,
+        CommunicationGraph(scenario, FlightOptions(lockstep=True)),
     )
     missing = uav.waiting_for()
     assert f"/uav{FOLLOWER}/odom" in missing
@@ -250,8 +255,8 @@ def test_real_time_hovers_before_the_epoch_and_flies_after_it(ros, scenario):
 
 def test_real_time_waits_for_its_recorder_before_the_flight_and_not_in_it(ros, scenario):
     """What is to be recorded must be heard from the first step on; a recorder that dies stops nobody."""
-    edges = Edges(scenario, FlightOptions(recorded=True))
-    uav = Uav(ros.node("controller"), scenario, FOLLOWER, edges)
+    edges = CommunicationGraph(scenario, FlightOptions(recorded=True))
+    uav = UavNode(ros.node("controller"), scenario, FOLLOWER, edges)
     uav.activate()
     said = {topics.tick(FOLLOWER).name, topics.snapshot(FOLLOWER).name}
     assert said <= set(uav.waiting_for())
@@ -264,11 +269,11 @@ def test_real_time_waits_for_its_recorder_before_the_flight_and_not_in_it(ros, s
 
 def test_the_leader_begins_when_every_uav_hears_it_and_not_others_instead(ros, scenario):
     """Viewers, a recorder beside and the sim hear the epoch too: their number says nothing."""
-    uav = Uav(
+    uav = UavNode(
         ros.node("controller", namespace=f"/uav{LEADER}"),
         scenario,
         LEADER,
-        Edges(scenario, FlightOptions(recorded=True)),
+        CommunicationGraph(scenario, FlightOptions(recorded=True)),
     )
     uav.activate()
     for number in range(2 * len(scenario.uav_ids)):

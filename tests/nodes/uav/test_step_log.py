@@ -9,7 +9,7 @@ from ptnsbc_core.types import MODE_FORMATION
 from ptnsbc_io.wire import Stamped, WireError, decode_floats, decode_integers
 from ptnsbc_nodes.comm.graph import Senders
 from ptnsbc_nodes.uav import step_log
-from ptnsbc_nodes.uav.controller import Moment, Pilot
+from ptnsbc_nodes.uav.controller import StepTime, UavController
 from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS
 from ptnsbc_sim.scenario import agent_config, load_scenario
 
@@ -23,7 +23,7 @@ def odometry(rng: np.random.Generator, stamp_ns: int) -> Stamped:
     return Stamped(stamp_ns, values)
 
 
-def fed(pilot: Pilot, rng: np.random.Generator, k: int) -> Moment:
+def fed(pilot: UavController, rng: np.random.Generator, k: int) -> StepTime:
     """A pilot that has heard everybody before step `k`, and that step."""
     now_ns = (k + 1) * STEP_NS
     pilot.inbox.own = odometry(rng, now_ns - 1)
@@ -32,11 +32,11 @@ def fed(pilot: Pilot, rng: np.random.Generator, k: int) -> Moment:
         pilot.inbox.hear_state(uav, odometry(rng, now_ns - 3))
     for uav in SENDERS.estimators:
         pilot.inbox.hear_estimate(uav, odometry(rng, now_ns - 4))
-    return Moment(now_ns, STEP_NS, MODE_FORMATION, STEP_NS, STEP_NS, True)
+    return StepTime(now_ns, STEP_NS, MODE_FORMATION, STEP_NS, STEP_NS, True)
 
 
-def pilot() -> Pilot:
-    return Pilot(agent_config(load_scenario("paper_5_free"), 3), SENDERS)
+def pilot() -> UavController:
+    return UavController(agent_config(load_scenario("paper_5_free"), 3), SENDERS)
 
 
 def test_a_tick_names_its_inputs():

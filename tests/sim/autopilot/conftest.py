@@ -9,9 +9,9 @@ import pytest
 
 from ptnsbc_io.mavlink.dialect import mavlink
 from ptnsbc_sim.autopilot.codec import Codec
-from ptnsbc_sim.autopilot.physics.body import Body
+from ptnsbc_sim.autopilot.physics.body import VehicleDescription
 from ptnsbc_sim.autopilot.physics.navigation import QUALITIES
-from ptnsbc_sim.autopilot.vehicle import COMPANION, GCS, Vehicle
+from ptnsbc_sim.autopilot.vehicle import COMPANION, GCS, StandInVehicle
 
 STEP_S = 0.004
 VELOCITY_YAW = 0x09C7  # position, acceleration and yaw rate ignored
@@ -20,7 +20,7 @@ VELOCITY_YAW = 0x09C7  # position, acceleration and yaw rate ignored
 class Companion:
     """Speaks to one vehicle; keeps all it sent, by type."""
 
-    def __init__(self, vehicle: Vehicle) -> None:
+    def __init__(self, vehicle: StandInVehicle) -> None:
         self.vehicle = vehicle
         self.t = 0.0
         self._heard: list[tuple[float, int, Any]] = []
@@ -143,12 +143,12 @@ class Companion:
 def companion() -> Callable[..., Companion]:
     """Makes a vehicle of a class, booted and ready, and a companion for it."""
 
-    def make(kind: type[Vehicle], *, ready: bool = True, **changes: Any) -> Companion:
+    def make(kind: type[StandInVehicle], *, ready: bool = True, **changes: Any) -> Companion:
         boot_time = changes.pop("boot_time", 0.0 if ready else 1.0)
         made = Companion(
             kind(
                 1,
-                Body(**{"quality": QUALITIES["perfect"], "seed": 3, **changes}),
+                VehicleDescription(**{"quality": QUALITIES["perfect"], "seed": 3, **changes}),
                 0.0,
                 boot_time=boot_time,
             )

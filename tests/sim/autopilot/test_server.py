@@ -10,7 +10,7 @@ import pytest
 
 from ptnsbc_io.mavlink.dialect import mavlink
 from ptnsbc_sim.autopilot.codec import AutopilotError, Codec
-from ptnsbc_sim.autopilot.fault_port import Control, Timed, ask, parse_timed
+from ptnsbc_sim.autopilot.fault_port import FaultPort, Timed, ask, parse_timed
 from ptnsbc_sim.autopilot.launch import Network, Options, parse_address, parse_parameter, stations
 from ptnsbc_sim.autopilot.server import Address, serve
 from ptnsbc_sim.autopilot.starts import Fleet
@@ -38,7 +38,7 @@ def serving(options, timed=()):
     vehicles = [station.vehicle for station in fleet]
 
     def body():
-        with Control(vehicles, began, port=port, timed=timed, say=lambda _line: None) as control:
+        with FaultPort(vehicles, began, port=port, timed=timed, say=lambda _line: None) as control:
             serve(fleet, stop.is_set, control.poll, ready.set)
 
     ready = threading.Event()

@@ -13,7 +13,7 @@ from ptnsbc_sim.autopilot.firmware.arducopter import ArduCopter
 from ptnsbc_sim.autopilot.firmware.px4 import Px4
 from ptnsbc_sim.autopilot.firmware.stm32 import Stm32
 from ptnsbc_sim.autopilot.physics import targets
-from ptnsbc_sim.autopilot.physics.body import Body, Flight
+from ptnsbc_sim.autopilot.physics.body import VehicleDescription, VehiclePhysics
 from ptnsbc_sim.autopilot.physics.navigation import QUALITIES
 
 ACCEPTED, DENIED = 0, 2
@@ -67,7 +67,8 @@ def test_home_and_origin_on_request(companion):
 def test_every_vehicle_has_an_origin_of_its_own():
     plain = QUALITIES["plain"]
     origins = [
-        Px4(n, Body(seed=n, quality=plain), 0.0).flight.navigation.origin_enu for n in (1, 2)
+        Px4(n, VehicleDescription(seed=n, quality=plain), 0.0).flight.navigation.origin_enu
+        for n in (1, 2)
     ]
     assert 0.01 < np.linalg.norm(origins[0] - origins[1]) < 5.0
 
@@ -94,10 +95,10 @@ def test_the_same_seed_and_messages_give_the_same_bytes(companion):
 
 def test_physics_do_not_depend_on_how_often_they_are_advanced(companion):
     gains = companion(Px4).vehicle.gains()
-    climb = targets.climb(targets.Place(np.zeros(3), 0.5), 1.0)
+    climb = targets.climb(targets.TargetPoint(np.zeros(3), 0.5), 1.0)
     ends = []
     for steps in (40, 1000):
-        flight = Flight(Body(seed=4), gains, 0.0)
+        flight = VehiclePhysics(VehicleDescription(seed=4), gains, 0.0)
         flight.target = climb
         for n in range(steps):
             flight.advance(4.0 * (n + 1) / steps)

@@ -9,7 +9,7 @@ from ptnsbc_sim import swarm, track
 from ptnsbc_sim.baselines import LAWS, BaselineError, fly, settled_s
 from ptnsbc_sim.baselines.settling import tuned
 from ptnsbc_sim.scenario import load_scenario
-from ptnsbc_sim.swarm import Flight
+from ptnsbc_sim.swarm import HeadlessFlight
 from ptnsbc_sim.track import SATURATED
 
 SCENARIO = {"plant.kind": "rigid_body_6dof", "timing.duration_s": 7.0}
@@ -18,11 +18,11 @@ WITHOUT = ("ptsmc_exponential", "ptsmc_two_sided")
 
 
 @lru_cache
-def flight(law: str, limit_n: float | None = None, settle_s: float | None = None) -> Flight:
+def flight(law: str, limit_n: float | None = None, settle_s: float | None = None) -> HeadlessFlight:
     return fly(load_scenario("paper_5_free", SCENARIO), law, limit_n, settle_s)
 
 
-def inputs(flown: Flight) -> np.ndarray:
+def inputs(flown: HeadlessFlight) -> np.ndarray:
     return np.linalg.norm(flown.track.wrench, axis=2)
 
 

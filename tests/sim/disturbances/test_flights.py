@@ -9,7 +9,7 @@ from ptnsbc_core.agent import Agent
 from ptnsbc_core.types import MODE_FORMATION, NEVER_HEARD_S, AgentInputs
 from ptnsbc_sim.disturbances.links import Losses, last_heard, losses
 from ptnsbc_sim.scenario import Scenario, agent_config, load_scenario
-from ptnsbc_sim.swarm import Flight, fly
+from ptnsbc_sim.swarm import HeadlessFlight, fly
 from ptnsbc_sim.track import HOLDING
 from ptnsbc_sim.world import World
 
@@ -17,7 +17,7 @@ SHORT = 1.5
 
 
 @lru_cache
-def flight(seed: int = 1, seconds: float = SHORT, loss: float = 0.2) -> Flight:
+def flight(seed: int = 1, seconds: float = SHORT, loss: float = 0.2) -> HeadlessFlight:
     changes = {"seed": seed, "timing.duration_s": seconds, "communication.loss": loss}
     return fly(load_scenario("experiment_4", changes))
 
@@ -58,7 +58,9 @@ def received(scenario: Scenario, uav: int, tick: int, sent: int | None, estimate
     return -1
 
 
-def inputs(flown: Flight, world: World, tick: int, uav: int, near: np.ndarray) -> AgentInputs:
+def inputs(
+    flown: HeadlessFlight, world: World, tick: int, uav: int, near: np.ndarray
+) -> AgentInputs:
     """What the process of a UAV knows, from what others sent."""
     scenario, track = flown.scenario, flown.track
     rows = {other: row for row, other in enumerate(scenario.uav_ids)}

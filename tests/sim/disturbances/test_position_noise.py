@@ -6,7 +6,7 @@ import pytest
 from ptnsbc_core.kinematics import quaternion_from_euler, velocity_enu
 from ptnsbc_sim.disturbances.position_noise import (
     EXACT,
-    Odometer,
+    PositionNoise,
     believed,
     no_error,
     odometer,
@@ -17,7 +17,7 @@ HZ, DT = 100, 0.01
 NOISE, SHAKE, RATE = 0.02, 0.05, 10
 
 
-def told(truth: np.ndarray, kind: Odometer, draws: np.ndarray) -> np.ndarray:
+def told(truth: np.ndarray, kind: PositionNoise, draws: np.ndarray) -> np.ndarray:
     """Odometry (T, 13) that a UAV sees of a true track (T, 13)."""
     error = no_error(kind)
     seen = np.empty_like(truth)
@@ -29,7 +29,7 @@ def told(truth: np.ndarray, kind: Odometer, draws: np.ndarray) -> np.ndarray:
     return seen
 
 
-def kind_of(delay: int, known: int) -> Odometer:
+def kind_of(delay: int, known: int) -> PositionNoise:
     return odometer(NOISE, SHAKE, RATE, HZ // RATE, delay, known)
 
 

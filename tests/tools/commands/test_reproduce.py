@@ -13,8 +13,8 @@ from typer.testing import CliRunner
 
 from ptnsbc_tools.cli import app
 from ptnsbc_tools.reproduce.catalogue import EXPERIMENTS
+from ptnsbc_tools.reproduce.experiment_folder import ExperimentFolder
 from ptnsbc_tools.reproduce.runner import work
-from ptnsbc_tools.reproduce.workshop import Workshop
 
 SMALL = "ablation_estimator"
 
@@ -64,7 +64,7 @@ def test_a_part_is_the_same_bytes_in_a_process_of_its_own(tmp_path: Path) -> Non
     assert [claim["key"] for claim in told["claims"]] == ["estimator"]
     experiment = next(one for one in EXPERIMENTS if one.name == SMALL)
     here = tmp_path / "here"
-    made = work(experiment, Workshop(here, lambda line: None))
+    made = work(experiment, ExperimentFolder(here, lambda line: None))
     files = [path.relative_to(here) for path in here.rglob("*.*")]
     assert len(files) == 3
     for path in files:

@@ -7,21 +7,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ptnsbc_nodes.uav.controller import Moment
-from ptnsbc_nodes.uav.step_log import TickNote, Used
+from ptnsbc_nodes.uav.controller import StepTime
+from ptnsbc_nodes.uav.step_log import TickNote, UsedMessage
 from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_tools.plotting.build import CHARTS, charts
 from ptnsbc_tools.plotting.common import FLOOR_M
 from ptnsbc_tools.plotting.flight import shown
 from ptnsbc_tools.plotting.space import MOST_PAIRS
-from ptnsbc_tools.plotting.status import Status, Teller
+from ptnsbc_tools.plotting.status import StatusCollector, StatusSeries
 from ptnsbc_tools.reading.diagnostics import Diagnostics
-from ptnsbc_tools.reading.diagnostics import Status as One
+from ptnsbc_tools.reading.diagnostics import DiagnosticStatus as One
 from ptnsbc_tools.verdict import Series
 
 
 def drawn(recording, status=None):
-    return {chart.key: chart for chart in charts(shown(recording, status or Status()))}
+    return {chart.key: chart for chart in charts(shown(recording, status or StatusSeries()))}
 
 
 def test_errors_with_deadline_tolerance_and_band(fly):
@@ -114,7 +114,7 @@ def told(stamp, name, **values):
 
 
 def status(arrays):
-    teller = Teller()
+    teller = StatusCollector()
     for array in arrays:
         teller.told(array)
     return teller.status()
@@ -134,8 +134,8 @@ def test_what_the_nodes_told_over_time(fly):
 
 def test_the_age_of_what_a_step_was_made_of(fly):
     def note(now_ms, **stamps_ms):
-        moment = Moment(now_ms * 10**6, 10**7, 0, 0, 0, True)
-        used = {name: Used(ms * 10**6, 0) for name, ms in stamps_ms.items()}
+        moment = StepTime(now_ms * 10**6, 10**7, 0, 0, 0, True)
+        used = {name: UsedMessage(ms * 10**6, 0) for name, ms in stamps_ms.items()}
         return TickNote(0, moment, used)
 
     notes = [
@@ -143,7 +143,7 @@ def test_the_age_of_what_a_step_was_made_of(fly):
         note(30, own=30),  # nobody's message: no age
         note(40, own=31, state1=40),
     ]
-    teller = Teller()
+    teller = StatusCollector()
     for one in notes:
         teller.noted(2, one)
     (block,) = teller.status().age_ms[2].blocks()
@@ -163,13 +163,13 @@ def test_lockstep_has_neither_latency_nor_missed_ticks(fly):
 def test_a_flight_that_cannot_be_judged_shows_what_there_is(fly):
     recording = fly()
     odometry = {uav: series for uav, series in recording.odometry.items() if uav != 3}
-    flight = shown(replace(recording, odometry=odometry), Status())
+    flight = shown(replace(recording, odometry=odometry), StatusSeries())
     assert flight.verdict is None
     assert "/uav3/odom" in flight.problem
     keys = [chart.key for chart in charts(flight)]
     assert "errors" not in keys
     assert {"force", "between"} <= set(keys)
-    nothing = shown(replace(recording, odometry={}), Status())
+    nothing = shown(replace(recording, odometry={}), StatusSeries())
     assert list(charts(nothing)) == []
 
 

@@ -11,10 +11,10 @@ import pytest
 from ptnsbc_io.bag import BagMessage, BagWriter, TopicInfo, read_bag
 from ptnsbc_io.wire import HeaderTemplate, Stamped, decode_near, decode_odometry, encode_near
 from ptnsbc_nodes.comm import topics
-from ptnsbc_nodes.comm.agent_messages import Letters
-from ptnsbc_nodes.comm.graph import Edges, FlightOptions
+from ptnsbc_nodes.comm.agent_messages import AgentMessages
+from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions
 from ptnsbc_nodes.comm.legs import Epochs
-from ptnsbc_nodes.uav.controller import Limits, Pilot, moment
+from ptnsbc_nodes.uav.controller import UavController, VehicleSpeedLimits, moment
 from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS
 from ptnsbc_nodes.uav.step_log import SnapshotTemplate, TickTemplate
 from ptnsbc_sim.scenario import Scenario, agent_config, load_scenario
@@ -45,18 +45,18 @@ class _Process:
     """One UAV as its process ticks in real time, without ROS around it."""
 
     def __init__(self, scenario: Scenario, uav: int) -> None:
-        senders = Edges(scenario, FlightOptions()).senders(uav)
+        senders = CommunicationGraph(scenario, FlightOptions()).senders(uav)
         self.uav = uav
         self.senders = senders
         self.wrench = np.zeros(6)
         self._carried = uav == CARRIED
         self.epochs = Epochs()
-        self._pilot = Pilot(agent_config(scenario, uav), senders)
+        self._pilot = UavController(agent_config(scenario, uav), senders)
         self.inbox = self._pilot.inbox
         if self._carried:
-            slow = Limits(0.8, 1.1)  # [m/s], [m/s^2]: what its vehicle allows
+            slow = VehicleSpeedLimits(0.8, 1.1)  # [m/s], [m/s^2]: what its vehicle allows
             self._pilot.config = slow.on(self._pilot.config)
-        self._letters = Letters(uav)
+        self._letters = AgentMessages(uav)
         self._tick = TickTemplate(senders)
         self._snapshot: SnapshotTemplate | None = None
 
@@ -90,7 +90,7 @@ def _real_time(scenario: Scenario, writer: BagWriter) -> None:
     rng = np.random.default_rng(7)
     world = World(scenario)
     crew = [_Process(scenario, uav) for uav in world.ids]
-    letters = {uav: Letters(uav) for uav in world.ids}
+    letters = {uav: AgentMessages(uav) for uav in world.ids}
     on_air: dict[str, bytes] = {}
     writer.write(topics.EPOCH.name, START_NS, HeaderTemplate("form").encode(START_NS + 10**8))
     for k in range(scenario.ticks):

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from ptnsbc_tools.plotting.flight import shown
-from ptnsbc_tools.plotting.status import Status
+from ptnsbc_tools.plotting.status import StatusSeries
 from ptnsbc_tools.report.content import content
 from ptnsbc_tools.verdict import Series
 
@@ -23,7 +23,7 @@ class Unpacked:
     """The text, and the arrays it points to."""
 
     def __init__(self, recording) -> None:
-        data = gzip.decompress(base64.b64decode(content(shown(recording, Status()))))
+        data = gzip.decompress(base64.b64decode(content(shown(recording, StatusSeries()))))
         (size,) = struct.unpack_from("<I", data)
         self.text = json.loads(data[4 : 4 + size])
         self.space = self.text["space"]

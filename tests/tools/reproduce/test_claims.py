@@ -115,7 +115,7 @@ def test_with_few_links_the_graph_weakens_instead() -> None:
 
 
 def test_the_initial_input_is_far_below_that_of_the_baselines_but_not_as_printed() -> None:
-    laws, way = baselines.PREDEFINED, baselines.Way()
+    laws, way = baselines.PREDEFINED, baselines.LawVariant()
     found = {**baselines.ours(), **{law: baselines.flight(law, way) for law in laws}}
     claim = rivalry.initial_claim("initial", found, None, 60.0, laws)
     assert claim.verdict == (
@@ -133,7 +133,7 @@ def test_the_initial_input_is_far_below_that_of_the_baselines_but_not_as_printed
 
 
 def test_with_twenty_uavs_the_initial_input_is_far_below_too_but_not_as_printed() -> None:
-    laws, way = baselines.PREDEFINED, baselines.Way(name="paper_20")
+    laws, way = baselines.PREDEFINED, baselines.LawVariant(name="paper_20")
     found = {**baselines.ours("paper_20"), **{law: baselines.flight(law, way) for law in laws}}
     claim = rivalry.initial_claim("twenty", found, None, 66.0, laws)
     assert claim.said.startswith("With twenty UAVs") and claim.number == "at least 66 %"
@@ -149,7 +149,7 @@ def test_with_twenty_uavs_the_initial_input_is_far_below_too_but_not_as_printed(
 
 def test_with_limited_actuators_the_baselines_are_in_time_too() -> None:
     limit_n, laws = 23.5, baselines.PREDEFINED
-    way = baselines.Way(limit_n=limit_n)
+    way = baselines.LawVariant(limit_n=limit_n)
     found = {
         **baselines.ours(limit_n=limit_n),
         **{law: baselines.flight(law, way) for law in laws},
@@ -178,18 +178,20 @@ def test_the_cascade_is_compared_at_the_settling_it_reaches() -> None:
 def test_a_cascade_behind_an_opened_filter_settles_when_ours_does() -> None:
     wanted_s = 4.0
     with pytest.raises(BaselineError):
-        baselines.flight(baselines.CASCADE, baselines.Way(settle_s=wanted_s))
-    one = baselines.flight(baselines.CASCADE, baselines.Way(settle_s=wanted_s, open_filter=True))
+        baselines.flight(baselines.CASCADE, baselines.LawVariant(settle_s=wanted_s))
+    one = baselines.flight(
+        baselines.CASCADE, baselines.LawVariant(settle_s=wanted_s, open_filter=True)
+    )
     settled = one.settled_s()
     assert settled is not None and wanted_s - baselines.MATCHED_S < settled <= wanted_s
     assert 10.0 < one.scenario.gains.filter.max_acceleration_m_s2 < 15.0
-    ours = baselines.flight("ours", baselines.Way())
+    ours = baselines.flight("ours", baselines.LawVariant())
     assert ours.initial_input() < 0.6 * one.initial_input()
 
 
 def test_what_settles_at_another_time_is_named() -> None:
-    late = baselines.flight("ours", baselines.Way(profile="reference"))
-    good = baselines.flight("ours", baselines.Way())
+    late = baselines.flight("ours", baselines.LawVariant(profile="reference"))
+    good = baselines.flight("ours", baselines.LawVariant())
     settled_s = good.settled_s()
     assert settled_s is not None
     table = baselines._table("t", "T", {"ours, soft": good, "ours, reference": late}, (), settled_s)

@@ -3,7 +3,15 @@
 import math
 
 from ptnsbc_tools.reproduce.document import Origin, document
-from ptnsbc_tools.reproduce.part import Claim, Column, Figure, Part, Table, rounded, written
+from ptnsbc_tools.reproduce.experiment_result import (
+    Claim,
+    Column,
+    ExperimentResult,
+    Figure,
+    Table,
+    rounded,
+    written,
+)
 
 ORIGIN = Origin("ptnsbc reproduce", "abc", "def", "seed 1")
 TABLE = Table(
@@ -14,7 +22,7 @@ TABLE = Table(
     "It means it.",
 )
 CLAIM = Claim("k", "It flies", "5 s", "4 s", "holds when soft", "Fig. 5")
-PART = Part(
+PART = ExperimentResult(
     "one", "Part one", "Text.", (Figure("f1", "Fig. 1", "first", telling=True), Figure("f2", "Fig. 2", "second")),
     (TABLE,), (CLAIM,),
 )  # fmt: skip
@@ -44,6 +52,6 @@ def test_a_document_has_claims_tables_and_the_asked_for_figures() -> None:
 
 
 def test_what_is_timed_says_so() -> None:
-    timed = Part("two", "Part two", "Text.", timed=True)
+    timed = ExperimentResult("two", "Part two", "Text.", timed=True)
     assert "by the clock" in document(ORIGIN, [timed], images="img", all_figures=True)
     assert "by the clock" not in document(ORIGIN, [PART], images="img", all_figures=True)

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
+from ptnsbc_tools.reproduce.experiment_result import ReproduceError
 from ptnsbc_tools.reproduce.folder import RESULTS, beside, refuse
-from ptnsbc_tools.reproduce.part import ReproduceError
 
 
 def results(folder: Path, *names: str) -> Path:

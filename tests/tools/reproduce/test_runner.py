@@ -8,9 +8,9 @@ import pytest
 
 from ptnsbc_tools.reproduce import runner
 from ptnsbc_tools.reproduce.catalogue import Experiment
-from ptnsbc_tools.reproduce.part import Part, ReproduceError
-from ptnsbc_tools.reproduce.runner import News, run_all
-from ptnsbc_tools.reproduce.workshop import Workshop
+from ptnsbc_tools.reproduce.experiment_folder import ExperimentFolder
+from ptnsbc_tools.reproduce.experiment_result import ExperimentResult, ReproduceError
+from ptnsbc_tools.reproduce.runner import ExperimentProgress, run_all
 
 
 class Quick(Experiment):
@@ -20,13 +20,13 @@ class Quick(Experiment):
         return {"one": _part, "two": _part, "timed": _part, "killed": _killed}[self.name]
 
 
-def _part(workshop: Workshop) -> Part:
+def _part(workshop: ExperimentFolder) -> ExperimentResult:
     workshop.tell("working")
     (workshop.folder / "made").mkdir(exist_ok=True)
-    return Part("quick", "Quick", str(os.getpid()))
+    return ExperimentResult("quick", "Quick", str(os.getpid()))
 
 
-def _killed(workshop: Workshop) -> Part:
+def _killed(workshop: ExperimentFolder) -> ExperimentResult:
     os.kill(os.getpid(), signal.SIGKILL)
     raise AssertionError
 
@@ -36,7 +36,7 @@ def quick(name: str, seconds: float, alone: bool = False) -> Quick:
 
 
 def test_results_come_in_the_order_given_and_timed_ones_are_run_last(tmp_path: Path) -> None:
-    told: list[News] = []
+    told: list[ExperimentProgress] = []
     given = [quick("timed", 9, alone=True), quick("one", 1), quick("two", 2)]
     made = run_all(given, tmp_path, 1, told.append)
     assert len(made) == 3

@@ -21,7 +21,7 @@ from launch.events.process import ProcessExited
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
-from ptnsbc_nodes.fleet.child_process import EXECUTABLES, Command
+from ptnsbc_nodes.fleet.child_process import EXECUTABLES, ProcessCommand
 from ptnsbc_nodes.fleet.fleet import refuse_nonsense
 from ptnsbc_nodes.fleet.process_list import FleetOptions, commands, loss_arguments, tower_arguments
 from ptnsbc_nodes.runtime.environment import ONE_THREAD
@@ -104,7 +104,7 @@ def _options(context: LaunchContext) -> FleetOptions:
     return options
 
 
-def _node(command: Command) -> Node:
+def _node(command: ProcessCommand) -> Node:
     patience = PATIENCE_S.get(command.module)
     return Node(
         package="ptnsbc_nodes",
@@ -119,15 +119,15 @@ def _node(command: Command) -> Node:
 
 
 def _tower(arguments: tuple[str, ...]) -> Node:
-    return _node(Command("tower", "ptnsbc_nodes.fleet.coordinator_main", arguments))
+    return _node(ProcessCommand("tower", "ptnsbc_nodes.fleet.coordinator_main", arguments))
 
 
-def _ends(crew: list[Command], nodes: list[Node], file: Path) -> list[RegisterEventHandler]:
+def _ends(crew: list[ProcessCommand], nodes: list[Node], file: Path) -> list[RegisterEventHandler]:
     """The flight is over with the sim, the last bridge or the last UAV; of others that end the rest is told."""
     flies = {command.name for command in crew if command.ends}
     uavs = {command.name for command in crew if command.uav is not None and not command.ends}
 
-    def gone(command: Command, event: ProcessExited) -> list[LaunchDescriptionEntity]:
+    def gone(command: ProcessCommand, event: ProcessExited) -> list[LaunchDescriptionEntity]:
         flies.discard(command.name)
         uavs.discard(command.name)
         if not flies:
@@ -137,7 +137,7 @@ def _ends(crew: list[Command], nodes: list[Node], file: Path) -> list[RegisterEv
         landed = command.ends and event.returncode == 0
         return [] if landed else [_tower(loss_arguments(command, file))]
 
-    def handler(command: Command, node: Node) -> RegisterEventHandler:
+    def handler(command: ProcessCommand, node: Node) -> RegisterEventHandler:
         on_exit = OnProcessExit(
             target_action=node, on_exit=lambda event, _context: gone(command, event)
         )

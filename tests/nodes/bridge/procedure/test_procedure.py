@@ -6,9 +6,15 @@ import pytest
 
 pytest.importorskip("pymavlink")
 
-from ptnsbc_io.mavlink.autopilots import ARDUPILOT, PX4, Mode
+from ptnsbc_io.mavlink.autopilots import ARDUPILOT, PX4, FlightMode
 from ptnsbc_nodes.bridge.procedure.procedure import Procedure
-from ptnsbc_nodes.bridge.procedure.steps import STOP_S, Ask, Seen, Step, Stream
+from ptnsbc_nodes.bridge.procedure.steps import (
+    STOP_S,
+    CommandRequest,
+    Step,
+    Stream,
+    VehicleSnapshot,
+)
 
 DT = 0.05
 HEIGHT = 3.0
@@ -21,14 +27,14 @@ class Flight:
         self.lines = []
         self.procedure = Procedure(autopilot, HEIGHT, allow_arming, self.lines.append)
         self.autopilot = autopilot
-        self.seen = Seen(
+        self.seen = VehicleSnapshot(
             now_s=0.0,
             heartbeat_age_s=0.1,
             parameters=True,
             state=True,
             controller_age_s=0.05,
             controller_ready=True,
-            mode=Mode.HOLD,
+            mode=FlightMode.HOLD,
             mode_name="4",
             landed=True,
         )
@@ -57,18 +63,18 @@ class Flight:
     def _obey(self, orders):
         new = {}
         ask = None if orders.ask in self.deaf else orders.ask
-        if ask is Ask.OWN_MODE:
-            new["mode"] = Mode.OWN
-        elif ask is Ask.ARM:
+        if ask is CommandRequest.OWN_MODE:
+            new["mode"] = FlightMode.OWN
+        elif ask is CommandRequest.ARM:
             new["armed"] = True
-        elif ask is Ask.LAND:
-            new["mode"] = Mode.LAND
-        elif ask in (Ask.DISARM, Ask.KILL):
+        elif ask is CommandRequest.LAND:
+            new["mode"] = FlightMode.LAND
+        elif ask in (CommandRequest.DISARM, CommandRequest.KILL):
             new["armed"] = False
-        climbing = ask is Ask.TAKEOFF or orders.stream is Stream.CLIMB
+        climbing = ask is CommandRequest.TAKEOFF or orders.stream is Stream.CLIMB
         if self.seen.armed and climbing:
             new.update(height_m=HEIGHT, landed=False)
-        if self.seen.mode is Mode.LAND and self.seen.armed:
+        if self.seen.mode is FlightMode.LAND and self.seen.armed:
             height = self.seen.height_m - 0.7 * DT
             new["height_m"] = max(height, 0.0)
             new.update({"landed": True, "armed": False} if height < 0.0 else {})
@@ -104,27 +110,34 @@ def test_from_heartbeat_to_disarmed(autopilot):
     flight.run(until=Step.DONE, leg="land")
     assert flight.procedure.fault == ""
     asked = list(dict.fromkeys(flight.asked()))
-    expected = [Ask.OWN_MODE, Ask.ARM, Ask.TAKEOFF, Ask.LAND]
-    assert asked == [ask for ask in expected if ask is not Ask.TAKEOFF or autopilot is ARDUPILOT]
+    expected = [
+        CommandRequest.OWN_MODE,
+        CommandRequest.ARM,
+        CommandRequest.TAKEOFF,
+        CommandRequest.LAND,
+    ]
+    assert asked == [
+        ask for ask in expected if ask is not CommandRequest.TAKEOFF or autopilot is ARDUPILOT
+    ]
 
 
 def test_px4_hears_setpoints_for_more_than_a_second_before_offboard():
     flight = Flight().run(until=Step.ARM)
     began = next(t for t, _, orders in flight.history if orders.stream is Stream.HOLD)
-    asked = next(t for t, _, orders in flight.history if orders.ask is Ask.OWN_MODE)
+    asked = next(t for t, _, orders in flight.history if orders.ask is CommandRequest.OWN_MODE)
     assert asked - began > 1.0
 
 
 def test_ardupilot_gets_no_setpoint_before_it_is_in_the_air():
     flight = Flight(ARDUPILOT).run(until=Step.TAKEOFF)
     assert flight.streams() == {Stream.NONE}
-    assert Ask.TAKEOFF in flight.run(until=Step.AIRBORNE).asked()
+    assert CommandRequest.TAKEOFF in flight.run(until=Step.AIRBORNE).asked()
 
 
 def test_nothing_is_armed_without_permission():
     flight = Flight(allow_arming=False).run(300.0)
     assert flight.step is Step.ARM
-    assert Ask.ARM not in flight.asked()
+    assert CommandRequest.ARM not in flight.asked()
     # a pilot arms: still no take-off
     flight.run(10.0, armed=True)
     assert Stream.CLIMB not in flight.streams()
@@ -136,10 +149,10 @@ def test_nothing_is_armed_without_permission():
 
 def test_a_vehicle_in_somebodys_hands_is_not_asked_to_change_its_mode():
     flight = Flight()
-    flight.run(60.0, armed=True, landed=False, height_m=8.0, mode=Mode.OTHER)
+    flight.run(60.0, armed=True, landed=False, height_m=8.0, mode=FlightMode.OTHER)
     assert flight.step is Step.MODE
     assert flight.asked() == []
-    flight.run(until=Step.AIRBORNE, mode=Mode.OWN)
+    flight.run(until=Step.AIRBORNE, mode=FlightMode.OWN)
 
 
 @pytest.mark.parametrize(
@@ -160,20 +173,20 @@ def test_a_vehicle_in_somebodys_hands_is_not_asked_to_change_its_mode():
 def test_every_step_before_arming_has_a_limit_and_a_reason(changes, reason):
     flight = Flight().run(until=Step.FAILED, **changes)
     assert reason in flight.procedure.fault
-    assert Ask.ARM not in flight.asked()
+    assert CommandRequest.ARM not in flight.asked()
 
 
 def test_a_mode_that_is_not_confirmed():
     flight = Flight()
-    flight.deaf = {Ask.OWN_MODE}
+    flight.deaf = {CommandRequest.OWN_MODE}
     flight.run(until=Step.FAILED, complaint="OFFBOARD: TEMPORARILY_REJECTED")
     assert "OFFBOARD not confirmed (OFFBOARD: TEMPORARILY_REJECTED)" in flight.procedure.fault
-    assert flight.asked().count(Ask.OWN_MODE) == pytest.approx(10, abs=1)
+    assert flight.asked().count(CommandRequest.OWN_MODE) == pytest.approx(10, abs=1)
 
 
 def test_arming_refused():
     flight = Flight()
-    flight.deaf = {Ask.ARM}
+    flight.deaf = {CommandRequest.ARM}
     flight.run(until=Step.FAILED, complaint="arm: DENIED, Compass not calibrated")
     assert "arming refused (arm: DENIED, Compass not calibrated)" in flight.procedure.fault
     assert flight.history[-1][2] == (Stream.NONE, None, False)
@@ -181,14 +194,14 @@ def test_arming_refused():
 
 def test_a_vehicle_that_does_not_climb_is_landed():
     flight = Flight(ARDUPILOT)
-    flight.deaf = {Ask.TAKEOFF}
+    flight.deaf = {CommandRequest.TAKEOFF}
     flight.run(until=Step.LAND)
     assert "taking off: not within 60 s: at 0.0 m of 3 m" in flight.procedure.fault
 
 
 def test_disarmed_again_before_it_took_off():
     flight = Flight(ARDUPILOT)
-    flight.deaf = {Ask.TAKEOFF}
+    flight.deaf = {CommandRequest.TAKEOFF}
     flight.run(until=Step.TAKEOFF).run(until=Step.FAILED, armed=False)
     assert "disarmed before it took off" in flight.procedure.fault
 
@@ -218,16 +231,16 @@ def test_setpoints_stop_first_a_hold_then_silence_then_the_failsafe():
 def test_after_a_failsafe_hold_px4_comes_back_by_itself():
     flight = Flight().flying()
     flight.run(3.0, controller_age_s=1.0)
-    flight.run(1.0, mode=Mode.HOLD)
+    flight.run(1.0, mode=FlightMode.HOLD)
     back = flight.seen.now_s
     flight.run(0.9, controller_age_s=0.05)
     assert flight.streams(back) == {Stream.NONE}
     flight.run(0.5)
     assert flight.history[-1][2].stream is Stream.HOLD
-    flight.run(0.5, mode=Mode.OWN)
+    flight.run(0.5, mode=FlightMode.OWN)
     assert flight.step is Step.FLY
     # one late HEARTBEAT of the failsafe is no pilot
-    flight.run(0.3, mode=Mode.HOLD).run(1.0, mode=Mode.OWN)
+    flight.run(0.3, mode=FlightMode.HOLD).run(1.0, mode=FlightMode.OWN)
     assert flight.step is Step.FLY
     assert flight.asked(back) == []
 
@@ -235,7 +248,7 @@ def test_after_a_failsafe_hold_px4_comes_back_by_itself():
 def test_after_a_failsafe_that_a_pilot_kept_the_bridge_yields():
     flight = Flight().flying()
     flight.run(3.0, controller_age_s=1.0)
-    flight.run(30.0, mode=Mode.HOLD, controller_age_s=0.05)
+    flight.run(30.0, mode=FlightMode.HOLD, controller_age_s=0.05)
     assert flight.step is Step.YIELDED
     assert flight.history[-1][2].stream is Stream.NONE
 
@@ -244,14 +257,16 @@ def test_a_failsafe_that_lands_is_left_alone():
     flight = Flight().flying()
     flight.obeys = False
     flight.run(1.0, controller_age_s=1.0)
-    flight.run(5.0, mode=Mode.LAND)
+    flight.run(5.0, mode=FlightMode.LAND)
     flight.run(5.0, controller_age_s=0.05)
     assert flight.step is Step.YIELDED
     flight.run(until=Step.FAILED, armed=False)
     assert "no setpoints: the controller is silent" in flight.procedure.fault
 
 
-@pytest.mark.parametrize("mode", [Mode.OTHER, Mode.HOLD, Mode.RETURN, Mode.LAND])
+@pytest.mark.parametrize(
+    "mode", [FlightMode.OTHER, FlightMode.HOLD, FlightMode.RETURN, FlightMode.LAND]
+)
 def test_the_pilot_takes_over_and_nobody_fights(mode):
     flight = Flight().flying()
     flight.obeys = False
@@ -266,14 +281,14 @@ def test_the_pilot_takes_over_and_nobody_fights(mode):
     flight.run(5.0, leg="land", halt="land")
     assert flight.asked(taken) == []
     # and switching back does not hand it over again unseen
-    flight.run(5.0, mode=Mode.OWN)
+    flight.run(5.0, mode=FlightMode.OWN)
     assert flight.streams(taken + DT) == {Stream.NONE}
 
 
 def test_the_pilot_takes_over_before_arming():
     flight = Flight()
-    flight.deaf = {Ask.ARM}
-    flight.run(until=Step.ARM).run(until=Step.FAILED, mode=Mode.OTHER)
+    flight.deaf = {CommandRequest.ARM}
+    flight.run(until=Step.ARM).run(until=Step.FAILED, mode=FlightMode.OTHER)
     assert "before arming" in flight.procedure.fault
 
 
@@ -323,7 +338,7 @@ def test_stop_lands_and_kill_disarms_in_the_air():
     flight = Flight().flying().run(until=Step.LAND, halt="land").run(until=Step.DONE)
     assert flight.procedure.fault == ""
     flight = Flight().flying().run(until=Step.FAILED, halt="kill")
-    assert Ask.KILL in flight.asked()
+    assert CommandRequest.KILL in flight.asked()
     assert "by the operator" in flight.procedure.fault
     assert not flight.seen.armed
 
@@ -334,25 +349,25 @@ def test_stop_before_arming_ends_it():
 
 def test_setpoints_go_on_until_the_landing_is_confirmed():
     flight = Flight().flying()
-    flight.deaf = {Ask.LAND}
+    flight.deaf = {CommandRequest.LAND}
     began = flight.seen.now_s
     flight.run(3.0, leg="land")
     assert flight.streams(began) == {Stream.HOLD}
-    assert flight.asked(began).count(Ask.LAND) == 3
-    flight.run(1.0, mode=Mode.LAND)
+    assert flight.asked(began).count(CommandRequest.LAND) == 3
+    flight.run(1.0, mode=FlightMode.LAND)
     assert flight.history[-1][2].stream is Stream.NONE
     # a pilot may still take it out of the landing
     flight.obeys = False
-    flight.run(until=Step.YIELDED, mode=Mode.OTHER)
+    flight.run(until=Step.YIELDED, mode=FlightMode.OTHER)
 
 
 def test_a_vehicle_that_stays_armed_on_the_ground_is_disarmed():
     flight = Flight().flying()
     flight.obeys = False
-    flight.run(0.1, leg="land").run(4.0, mode=Mode.LAND, landed=True, height_m=0.0)
-    assert Ask.DISARM not in flight.asked()
+    flight.run(0.1, leg="land").run(4.0, mode=FlightMode.LAND, landed=True, height_m=0.0)
+    assert CommandRequest.DISARM not in flight.asked()
     flight.run(3.0)
-    assert Ask.DISARM in flight.asked()
+    assert CommandRequest.DISARM in flight.asked()
 
 
 def test_no_stream_outlives_stale_setpoints_in_any_step():

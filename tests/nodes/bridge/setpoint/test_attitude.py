@@ -13,10 +13,10 @@ from ptnsbc_core.control.quadrotor_control import (
     desired_rotation,
     quadrotor_control,
 )
-from ptnsbc_core.control.rigid_body_control import Command
+from ptnsbc_core.control.rigid_body_control import VelocityReference
 from ptnsbc_core.kinematics import quaternion_from_euler, rotation_from_quaternion, velocity_enu
 from ptnsbc_core.timebase import Clock
-from ptnsbc_core.types import Adapted
+from ptnsbc_core.types import AdaptationState
 from ptnsbc_nodes.bridge.setpoint import attitude
 from ptnsbc_nodes.bridge.setpoint.hover_thrust import HoverThrust
 from ptnsbc_sim.scenario import agent_config, load_scenario
@@ -39,9 +39,9 @@ def state(euler=(0, 0, 0), rates=(0, 0, 0), velocity=(0, 0, 0)):
 def test_the_wrench_is_read_back_to_the_attitude_that_the_controller_meant(config, euler, push):
     odometry, still = state(euler, (0.1, -0.1, 0.05)), (0.0, 0.0, 0.0)
     yaw = euler[2] + 0.05
-    command = Command(tuple(map(float, push)), still, still, still, yaw)
+    command = VelocityReference(tuple(map(float, push)), still, still, still, yaw)
     controller = config.controller
-    before = Adapted(controller.nominal, (0.0, 0.0), started(velocity_enu(odometry)))
+    before = AdaptationState(controller.nominal, (0.0, 0.0), started(velocity_enu(odometry)))
     clock = Clock(5.0, 5.0, 0.01)
     control = quadrotor_control(
         odometry, command, before, clock, controller, config.filter.max_rate

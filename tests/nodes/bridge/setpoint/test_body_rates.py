@@ -12,7 +12,7 @@ pytest.importorskip("pymavlink")
 from ptnsbc_core.kinematics import quaternion_from_euler, rotation_from_quaternion
 from ptnsbc_io.mavlink.autopilots import ARDUPILOT, GENERIC, PX4
 from ptnsbc_nodes.bridge.setpoint.attitude import AttitudeTarget
-from ptnsbc_nodes.bridge.setpoint.body_rates import Turning, about_vertical
+from ptnsbc_nodes.bridge.setpoint.body_rates import BodyRateEstimator, about_vertical
 from ptnsbc_nodes.bridge.setpoint.messages import Setpoints
 
 ALL = np.ones(3, dtype=bool)
@@ -26,7 +26,7 @@ def quaternion(roll=0.0, pitch=0.0, yaw=0.0):
 
 def after(targets, known=ALL):
     """Rates with the last of some targets, one every DT."""
-    turning = Turning()
+    turning = BodyRateEstimator()
     for n, target in enumerate(targets):
         rates = turning.of(target, known, DT * n)
     return rates
@@ -50,7 +50,7 @@ def test_a_new_target_is_no_motion_of_the_old_one():
 
 
 def test_a_target_that_is_sent_again_does_not_stop():
-    turning = Turning()
+    turning = BodyRateEstimator()
     for n in range(SETTLED):
         for _ in range(2):  # the stream is quicker than the controller
             rates = turning.of(quaternion(yaw=0.5 * DT * n), ALL, DT * n)
@@ -64,7 +64,7 @@ def test_about_an_axis_that_is_not_understood_there_is_no_rate():
 
 
 def test_after_a_gap_it_begins_anew():
-    turning = Turning()
+    turning = BodyRateEstimator()
     for n in range(SETTLED):
         turning.of(quaternion(yaw=0.5 * DT * n), ALL, DT * n)
     assert turning.of(quaternion(yaw=1.1), ALL, DT * SETTLED + 1.0).tolist() == [0, 0, 0]
@@ -75,7 +75,7 @@ def test_a_vehicle_that_lags_is_not_chased_round():
 
     A vehicle that adds the rates to its own would turn for ever if they were the vehicle's.
     """
-    turning, yaw, goal, fastest = Turning(), 0.0, 1.5, 0.0
+    turning, yaw, goal, fastest = BodyRateEstimator(), 0.0, 1.5, 0.0
     for n in range(500):
         ahead = min(goal - yaw, 0.15)
         known = np.array([True, True, goal - yaw < 0.15])

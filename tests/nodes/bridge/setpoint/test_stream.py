@@ -12,16 +12,16 @@ pytest.importorskip("pymavlink")
 from ptnsbc_core.kinematics import quaternion_from_euler, rotation_from_quaternion
 from ptnsbc_io.mavlink.autopilots import ARDUPILOT, GENERIC, PX4, advice, limits, refusal
 from ptnsbc_io.mavlink.dialect import mavlink
-from ptnsbc_nodes.bridge.controller import Told, Wanted
+from ptnsbc_nodes.bridge.controller import PublishedOdometry, SetpointReply
 from ptnsbc_nodes.bridge.procedure.steps import Stream
-from ptnsbc_nodes.bridge.setpoint.guard import Allowed, Guard, allowed
+from ptnsbc_nodes.bridge.setpoint.guard import SetpointGuard, SetpointLimits, allowed
 from ptnsbc_nodes.bridge.setpoint.hover_thrust import HoverThrust
 from ptnsbc_nodes.bridge.setpoint.messages import Setpoints
 from ptnsbc_nodes.bridge.setpoint.stream import SetpointStream
 from ptnsbc_sim.scenario import agent_config, load_scenario
 from ptnsbc_sim.scenario.mavlink import Geofence, VehicleLimits
 
-LIMITS = Allowed(5.0, 3.0, 1.5, 5.0, 0.6)
+LIMITS = SetpointLimits(5.0, 3.0, 1.5, 5.0, 0.6)
 BOX = Geofence(box_min_m=[-5, -5, 0], box_max_m=[5, 5, 10])
 
 
@@ -39,7 +39,7 @@ def state(position=(0, 0, 3), euler=(0, 0, 0), velocity=(0, 0, 0), rates=(0, 0, 
 
 
 def make(config, kind="velocity", autopilot=PX4, fence=None, feed_forward=False):
-    guard = Guard(fence or Geofence(), LIMITS)
+    guard = SetpointGuard(fence or Geofence(), LIMITS)
     hover = HoverThrust(0.5, 9.81)
     return SetpointStream(
         autopilot, kind, config, guard, Setpoints(autopilot, 3), hover, feed_forward, 3.0
@@ -50,7 +50,9 @@ def send(stream, carried, now_s=1.0, odometry=None, values=None, offset=(0, 0, 0
     odometry = state() if odometry is None else odometry
     wanted = None
     if values is not None:
-        wanted = Wanted(np.array(values, dtype=float), Told(now_s, now_s, odometry))
+        wanted = SetpointReply(
+            np.array(values, dtype=float), PublishedOdometry(now_s, now_s, odometry)
+        )
     return stream.message(carried, now_s, odometry, np.array(offset, float), wanted, armed, 5.0)
 
 
@@ -71,7 +73,7 @@ def test_speeds_are_clamped_and_counted(config):
 
 
 def test_the_fence_slows_down_and_then_lands():
-    guard = Guard(BOX, LIMITS)
+    guard = SetpointGuard(BOX, LIMITS)
     inward = np.array([-1.0, 0.0, 0.0])
     near = np.array([4.9, 0.0, 5.0])
     assert guard.velocity(inward, near) == pytest.approx(inward)
@@ -80,7 +82,7 @@ def test_the_fence_slows_down_and_then_lands():
     assert guard.clamped["fence"] == 2
     assert guard.breach(np.array([5.5, 0, 5.0])) == ""
     assert "x = 6.1 m" in guard.breach(np.array([6.1, 0, 5.0]))
-    ring = Guard(Geofence(radius_m=10), LIMITS)
+    ring = SetpointGuard(Geofence(radius_m=10), LIMITS)
     assert ring.velocity(np.array([0, 3.0, 1.0]), np.array([0, 9.5, 2.0])) == pytest.approx(
         [0, 0.5, 1.0]
     )
@@ -93,7 +95,7 @@ vectors = st.tuples(*[st.floats(-50, 50)] * 3).map(np.array)
 
 @given(vectors, vectors)
 def test_no_setpoint_leads_out_of_the_fence_or_beyond_the_limits(velocity, position):
-    guard = Guard(Geofence(radius_m=6, box_min_m=[-5, -5, 0], box_max_m=[5, 5, 10]), LIMITS)
+    guard = SetpointGuard(Geofence(radius_m=6, box_min_m=[-5, -5, 0], box_max_m=[5, 5, 10]), LIMITS)
     out = guard.velocity(velocity, position)
     assert math.hypot(out[0], out[1]) <= 5.0 + 1e-6
     assert -1.5 - 1e-6 <= out[2] <= 3.0 + 1e-6

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import numpy as np
 
+from ptnsbc_tools.reproduce.experiment_folder import ExperimentFolder
 from ptnsbc_tools.reproduce.experiments import experiment
 from ptnsbc_tools.reproduce.figures import energy, inputs, paths, shape, style, swarm
-from ptnsbc_tools.reproduce.flights import Flown, flown
-from ptnsbc_tools.reproduce.workshop import Workshop
+from ptnsbc_tools.reproduce.flights import JudgedFlight, flown
 
 DRAWINGS = {
     "3d": lambda shop, flights: paths.in_space(shop, flights["paper"], 5, ""),
@@ -25,7 +25,7 @@ DRAWINGS = {
 
 
 @lru_cache
-def flights() -> dict[str, Flown]:
+def flights() -> dict[str, JudgedFlight]:
     common = {"plant.kind": "rigid_body_6dof", "timing.duration_s": 8.0}
     return {name: flown("paper_5", {**common, "gains.profile": name}) for name in ("paper", "soft")}
 
@@ -33,7 +33,7 @@ def flights() -> dict[str, Flown]:
 def test_no_legend_covers_a_panel(tmp_path: Path, monkeypatch) -> None:
     kept = []
     monkeypatch.setattr(style, "save", lambda made, folder, name: kept.append((name, made)))
-    shop = Workshop(tmp_path, lambda line: None)
+    shop = ExperimentFolder(tmp_path, lambda line: None)
     with style.applied():
         for draw in DRAWINGS.values():
             draw(shop, flights())
@@ -65,7 +65,9 @@ def _inside(label, page) -> bool:
 def test_the_same_bytes_twice(tmp_path: Path) -> None:
     for folder in ("a", "b"):
         with style.applied():
-            shape.leader_yaw(Workshop(tmp_path / folder, lambda line: None), flights(), 13, "")
+            shape.leader_yaw(
+                ExperimentFolder(tmp_path / folder, lambda line: None), flights(), 13, ""
+            )
     files = sorted(path.relative_to(tmp_path / "a") for path in (tmp_path / "a").rglob("*.*"))
     assert {path.suffix for path in files} == {".png", ".svg", ".csv"}
     for path in files:
@@ -78,7 +80,7 @@ def test_a_sheet_holds_what_is_drawn(tmp_path: Path) -> None:
         "x, told_m": np.array([1.0, np.nan]),
         "y_m": np.array([3.0]),
     }
-    Workshop(tmp_path, lambda line: None).curves("sheet", columns)
+    ExperimentFolder(tmp_path, lambda line: None).curves("sheet", columns)
     assert (
         tmp_path / "curves" / "sheet.csv"
     ).read_text() == "time_s,x_told_m,y_m\n0,1,3\n0.01,nan,\n"

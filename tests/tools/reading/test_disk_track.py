@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ptnsbc_tools.reading import spool
-from ptnsbc_tools.reading.spool import Spool, SpoolError, Writer
+from ptnsbc_tools.reading import disk_track as spool
+from ptnsbc_tools.reading.disk_track import DiskTrack, SpoolError, Writer
 from ptnsbc_tools.verdict import Series, Track
 
 STAMPS = st.lists(st.integers(-5, 60), min_size=1, max_size=60) | st.lists(
@@ -21,7 +21,7 @@ STAMPS = st.lists(st.integers(-5, 60), min_size=1, max_size=60) | st.lists(
 
 def written(stamps: list[int], width: int = 3) -> tuple[Track, Series]:
     """A track on the disk and what it should hold: of two with one stamp the last, by stamp."""
-    writer = Writer(Spool())
+    writer = Writer(DiskTrack())
     rows: dict[int, list[float]] = {}
     empty = len(stamps) > 1 and not any(stamps)
     for number, stamp in enumerate(stamps):

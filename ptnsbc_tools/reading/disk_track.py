@@ -31,7 +31,7 @@ class SpoolError(PtnsbcError):
     """No room for what is read."""
 
 
-class Spool:
+class DiskTrack:
     """A temporary file that goes with the last who uses it."""
 
     def __init__(self) -> None:
@@ -72,7 +72,7 @@ def _row(width: int) -> np.dtype[np.void]:
 class Spooled(Track):
     """A track whose samples are in a spool."""
 
-    def __init__(self, spool: Spool, pieces: list[_Piece], size: int, width: int) -> None:
+    def __init__(self, spool: DiskTrack, pieces: list[_Piece], size: int, width: int) -> None:
         self._spool = spool
         self._pieces = pieces
         self._size = size
@@ -145,7 +145,7 @@ class Spooled(Track):
 class Writer:
     """A track while it is read from a bag, message by message."""
 
-    def __init__(self, spool: Spool) -> None:
+    def __init__(self, spool: DiskTrack) -> None:
         self._spool = spool
         self._pieces: list[_Piece] = []
         self._buffer = bytearray()

@@ -60,7 +60,7 @@ class Claim:
 
 
 @dataclass(frozen=True)
-class Part:
+class ExperimentResult:
     """The results of one experiment."""
 
     name: str

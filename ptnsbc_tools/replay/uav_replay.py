@@ -9,15 +9,22 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ptnsbc_core.agent import Agent, Told
+from ptnsbc_core.agent import Agent, PackedOutputs
 from ptnsbc_core.types import ODOMETRY_SIZE, AgentConfig, AgentState
 from ptnsbc_io.wire import Stamped, WireError, decode_floats
 from ptnsbc_nodes.comm import topics
-from ptnsbc_nodes.comm.agent_messages import Letters
+from ptnsbc_nodes.comm.agent_messages import AgentMessages
 from ptnsbc_nodes.comm.graph import Senders
-from ptnsbc_nodes.uav.controller import Limits, Moment, Pilot
+from ptnsbc_nodes.uav.controller import StepTime, UavController, VehicleSpeedLimits
 from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS, Inbox
-from ptnsbc_nodes.uav.step_log import Memory, SnapshotTemplate, TickNote, checksum, recall, sources
+from ptnsbc_nodes.uav.step_log import (
+    ControllerSnapshot,
+    SnapshotTemplate,
+    TickNote,
+    checksum,
+    recall,
+    sources,
+)
 from ptnsbc_sim.scenario import Scenario, agent_config
 from ptnsbc_tools.replay.difference import (
     Difference,
@@ -26,7 +33,7 @@ from ptnsbc_tools.replay.difference import (
     of_numbers,
     of_texts,
 )
-from ptnsbc_tools.replay.shelf import Shelf
+from ptnsbc_tools.replay.topic_buffer import TopicBuffer
 
 _SENSORS = ("own", "near")
 OUTPUTS = ("formation_state", "leader_estimate", "setpoint/velocity", "setpoint/wrench")
@@ -74,7 +81,7 @@ def source_topics(uav: int, senders: Senders) -> dict[str, topics.Topic]:
     return {name: known[name] for name in sources(senders)}
 
 
-class Seat:
+class UavReplay:
     """A pilot, and what its UAV said."""
 
     def __init__(self, scenario: Scenario, uav: int, senders: Senders) -> None:
@@ -85,9 +92,9 @@ class Seat:
         self.outputs = [f"/uav{uav}/{name}" for name in OUTPUTS]
         self.told: dict[int, list[dict[str, str]]] = {}  # counters of /diagnostics by their ticks
         self._config = agent_config(scenario, uav)
-        self.pilot = Pilot(self._config, senders)
+        self.pilot = UavController(self._config, senders)
         self._put = _places(self.pilot.inbox)
-        self._letters = Letters(uav)
+        self._letters = AgentMessages(uav)
         self._next: int | None = None  # number of the step that the pilot is ready for
         self._held: dict[str, Stamped] = {}
         self._snapshot: SnapshotTemplate | None = None
@@ -103,12 +110,12 @@ class Seat:
         self.lose_thread(limits)
         self._next = 0
 
-    def lose_thread(self, limits: Limits | None = None) -> None:
+    def lose_thread(self, limits: VehicleSpeedLimits | None = None) -> None:
         """A step was left out: only a snapshot helps."""
         self._next = None
         self._held.clear()
         config = self._config if limits is None else limits.on(self._config)
-        self.pilot = Pilot(config, self.senders)
+        self.pilot = UavController(config, self.senders)
         self._put = _places(self.pilot.inbox)
 
     def resume(self, sequence: int, snapshot: bytes) -> None:
@@ -118,7 +125,7 @@ class Seat:
         self.pilot.resume(memory.state, memory.counters)
         self._next = sequence + 1
 
-    def _recalled(self, snapshot: bytes) -> Memory:
+    def _recalled(self, snapshot: bytes) -> ControllerSnapshot:
         row = decode_floats(snapshot)
         numbers = np.asarray(row.values, dtype=np.float64)
         return recall(row.label, numbers, like=_any_state(self._config))
@@ -129,7 +136,7 @@ class Seat:
             self._held[name] = message
             self._put[name](message)
 
-    def fetch(self, note: TickNote, shelves: Mapping[str, Shelf]) -> Mismatch | None:
+    def fetch(self, note: TickNote, shelves: Mapping[str, TopicBuffer]) -> Mismatch | None:
         """Put what a real-time step was made of into the inbox; the first sensor message that is another one.
 
         A UAV that ticks twice on one odometry sends two messages with one stamp. Where none of those
@@ -159,7 +166,7 @@ class Seat:
             self.hold(name, (same or found)[-1])
         return wrong
 
-    def step(self, at: Moment, cutoff_ns: int = NO_CUTOFF_NS) -> Told:
+    def step(self, at: StepTime, cutoff_ns: int = NO_CUTOFF_NS) -> PackedOutputs:
         """One control step on what is in the inbox."""
         self.account.steps += 1
         if self._next is not None:
@@ -167,7 +174,10 @@ class Seat:
         return self.pilot.step(at, cutoff_ns)
 
     def compare(
-        self, outputs: Told, shelves: Mapping[str, Shelf], expected: int | None = None
+        self,
+        outputs: PackedOutputs,
+        shelves: Mapping[str, TopicBuffer],
+        expected: int | None = None,
     ) -> Mismatch | None:
         """The first output that differs.
 
@@ -200,7 +210,7 @@ class Seat:
         return None
 
     @staticmethod
-    def _may_lack(shelf: Shelf, found: list[bytes], expected: int | None) -> bool:
+    def _may_lack(shelf: TopicBuffer, found: list[bytes], expected: int | None) -> bool:
         if expected is None:
             return False
         return len(found) < expected or found is shelf.at(shelf.newest_ns)

@@ -18,7 +18,7 @@ Curves = Mapping[str, Array]
 
 
 @dataclass(frozen=True)
-class Workshop:
+class ExperimentFolder:
     """The folder of one run, and who is told about progress."""
 
     folder: Path

@@ -21,7 +21,7 @@ DECODERS: dict[str, Callable[[bytes], Stamped]] = {
 }
 
 
-class Shelf:
+class TopicBuffer:
     """Messages of one topic by stamp; several may carry the same."""
 
     def __init__(self, type_name: str) -> None:

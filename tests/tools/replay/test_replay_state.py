@@ -6,16 +6,16 @@ pytest.importorskip("rclpy")
 
 from ptnsbc_io.bag import BagMessage
 from ptnsbc_nodes.comm import topics
-from ptnsbc_nodes.comm.diagnostics import Level, diagnostics
+from ptnsbc_nodes.comm.diagnostics import DiagnosticLevel, diagnostics
 from ptnsbc_sim.scenario import load_scenario
-from ptnsbc_tools.replay.desk import Desk
+from ptnsbc_tools.replay.replay_state import ReplayState
 
 
 def test_counters_of_steps_that_are_not_made_do_not_pile_up():
-    desk = Desk(load_scenario("paper_5"), [1])
+    desk = ReplayState(load_scenario("paper_5"), [1])
     told = desk.seats[1].told
     for tick in range(0, 5000, 20):
-        data = diagnostics(tick, "uav1: planner", Level.OK, "", {"ticks": str(tick)})
+        data = diagnostics(tick, "uav1: planner", DiagnosticLevel.OK, "", {"ticks": str(tick)})
         desk.put(BagMessage(topics.DIAGNOSTICS.name, tick, bytes(data)))
         assert tick in told  # the newest is there for its step
     assert len(told) < 100

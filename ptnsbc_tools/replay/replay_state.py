@@ -10,27 +10,27 @@ from ptnsbc_core.types import LEGS
 from ptnsbc_io.bag import Bag, BagMessage
 from ptnsbc_io.wire import WireError, decode_floats, decode_header
 from ptnsbc_nodes.comm import topics
-from ptnsbc_nodes.comm.graph import Edges, FlightOptions
+from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions
 from ptnsbc_nodes.comm.legs import Epochs
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_tools.reading.diagnostics import decode_diagnostics
-from ptnsbc_tools.replay.seat import Seat
-from ptnsbc_tools.replay.shelf import Shelf
+from ptnsbc_tools.replay.topic_buffer import TopicBuffer
+from ptnsbc_tools.replay.uav_replay import UavReplay
 
 _KEPT_SNAPSHOTS = 8
 _KEPT_STATUSES = 64  # twelve seconds of them; those of steps that are not made stay for nobody
 
 
-class Desk:
+class ReplayState:
     """Shelves, legs and seats of one re-run, or of some of its UAVs."""
 
     def __init__(self, scenario: Scenario, uavs: Sequence[int]) -> None:
-        edges = Edges(scenario, FlightOptions())
+        edges = CommunicationGraph(scenario, FlightOptions())
         self.scenario = scenario
-        self.seats = {uav: Seat(scenario, uav, edges.senders(uav)) for uav in uavs}
+        self.seats = {uav: UavReplay(scenario, uav, edges.senders(uav)) for uav in uavs}
         needed = {topic for uav in uavs for topic in topics.of_uav(uav)}
         needed.update(topic for seat in self.seats.values() for topic in seat.inputs.values())
-        self.shelves = {topic.name: Shelf(topic.type) for topic in needed}
+        self.shelves = {topic.name: TopicBuffer(topic.type) for topic in needed}
         self.epochs = Epochs()
         self.first_t0_ns: int | None = None
         self._snapshots: dict[int, list[tuple[int, bytes]]] = {uav: [] for uav in uavs}
