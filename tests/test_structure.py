@@ -1,0 +1,236 @@
+"""The structure of the packages: which module imports which, how classes, folders and test files are named.
+
+The import graph is read from the source. An import inside a function or under TYPE_CHECKING counts as well.
+The lists of exceptions are exact: an entry that is needed no longer fails its test, so remove it.
+"""
+
+from __future__ import annotations
+
+import ast
+from collections import Counter, defaultdict
+from collections.abc import Iterator, Mapping
+from functools import cache
+from graphlib import CycleError, TopologicalSorter
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+
+LAYERS = ("ptnsbc_core", "ptnsbc_io", "ptnsbc_sim", "ptnsbc_nodes", "ptnsbc_tools")
+"""From bottom to top: a package imports itself and those before it."""
+
+LARGEST_FOLDER = 15
+
+Arrow = tuple[str, str]
+
+# Import circles that are left: the arrow to remove of each.
+CIRCLES: set[Arrow] = {
+    ("ptnsbc_sim.autopilot.commands", "ptnsbc_sim.autopilot.vehicle"),
+    ("ptnsbc_sim.autopilot.faults", "ptnsbc_sim.autopilot.vehicle"),
+    ("ptnsbc_sim.autopilot.message_handlers", "ptnsbc_sim.autopilot.vehicle"),
+    ("ptnsbc_sim.autopilot.telemetry", "ptnsbc_sim.autopilot.vehicle"),
+    ("ptnsbc_sim.autopilot.telemetry_state", "ptnsbc_sim.autopilot.vehicle"),
+    ("ptnsbc_sim.scenario.mavlink", "ptnsbc_sim.scenario.model"),
+    ("ptnsbc_tools.plotting.flight", "ptnsbc_tools.commands.verify"),
+}
+
+# Circles between the rooms of ptnsbc_nodes that are left: the arrow to remove of each.
+ROOM_CIRCLES: set[Arrow] = {
+    ("ptnsbc_nodes.runtime", "ptnsbc_nodes.uav"),
+}
+
+# Class names that more than one class has.
+SAME_NAMES: set[str] = set()
+
+# Folders above LARGEST_FOLDER modules, and why.
+LARGE_FOLDERS: dict[str, str] = {
+    "ptnsbc_nodes/runtime": "not yet divided",
+    "ptnsbc_tools/commands": "one module for each command",
+}
+
+# Tests of no single module, and what they test.
+TESTS_OF_MORE: dict[str, str] = {
+    "tests/core/tasks/test_jacobians.py": "all tasks",
+    "tests/nodes/bridge/test_failure_table.py": "docs/hardware.md",
+    "tests/nodes/bridge/test_fleet_mavlink.py": "a fleet of bridges",
+    "tests/nodes/bridge/test_processes.py": "the processes of a bridged UAV",
+    "tests/nodes/fleet/test_computers.py": "a fleet on two computers",
+    "tests/nodes/fleet/test_launched.py": "a fleet by `ros2 launch`",
+    "tests/sim/test_shipped_scenarios.py": "scenarios/",
+}
+
+# Tests that do not stand where their module stands yet: move or rename them.
+TESTS_TO_MOVE: set[str] = {
+    "tests/sim/autopilot/test_arducopter.py",
+    "tests/sim/autopilot/test_frames.py",
+    "tests/sim/autopilot/test_navigation.py",
+    "tests/sim/autopilot/test_px4.py",
+    "tests/sim/autopilot/test_px4_offboard.py",
+    "tests/sim/autopilot/test_px4_setpoints.py",
+    "tests/sim/autopilot/test_stm32.py",
+    "tests/sim/disturbances/test_flights.py",
+    "tests/sim/scenario/test_chance.py",
+    "tests/sim/scenario/test_errors.py",
+    "tests/tools/replay/test_damage.py",
+    "tests/tools/replay/test_every_bag.py",
+    "tests/tools/replay/test_publish.py",
+    "tests/tools/report/test_browser.py",
+    "tests/tools/test_in_flight.py",
+    "tests/tools/test_judged.py",
+    "tests/tools/test_sent.py",
+    "tests/tools/verdict/test_legs.py",
+}
+
+
+def _module(path: Path) -> str:
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+SOURCES = {_module(path): path for layer in LAYERS for path in sorted((ROOT / layer).rglob("*.py"))}
+
+
+@cache
+def _trees() -> dict[str, ast.Module]:
+    return {module: ast.parse(path.read_text()) for module, path in SOURCES.items()}
+
+
+def _imported(module: str, known: Mapping[str, object], tree: ast.Module) -> Iterator[str]:
+    """The modules out of `known` that a module names in an import statement."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            for alias in node.names:
+                if alias.name in known:
+                    yield alias.name
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{module}: relative import"
+            for alias in node.names:
+                name = f"{node.module}.{alias.name}"
+                if name in known:
+                    yield name
+                elif node.module in known:
+                    yield str(node.module)
+
+
+@cache
+def _import_graph() -> dict[str, set[str]]:
+    """The modules that each module imports."""
+    return {
+        module: set(_imported(module, SOURCES, tree)) - {module}
+        for module, tree in _trees().items()
+    }
+
+
+def _room(module: str) -> str:
+    """`ptnsbc_nodes.bridge` of `ptnsbc_nodes.bridge.setpoint.stream`."""
+    return ".".join(module.split(".")[:2])
+
+
+def _rooms(package: str) -> dict[str, set[str]]:
+    rooms: dict[str, set[str]] = defaultdict(set)
+    for module, imports in _import_graph().items():
+        if module.startswith(f"{package}."):
+            inside = {_room(name) for name in imports if name.startswith(f"{package}.")}
+            rooms[_room(module)] |= inside - {_room(module)}
+    return rooms
+
+
+def _circle(graph: Mapping[str, set[str]]) -> list[str]:
+    """One circle of arrows "a imports b", empty without any."""
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        return list(reversed(error.args[1]))
+    return []
+
+
+def _check_circles(graph: Mapping[str, set[str]], exceptions: set[Arrow]) -> None:
+    rest = {
+        module: {name for name in imports if (module, name) not in exceptions}
+        for module, imports in graph.items()
+    }
+    circle = _circle(rest)
+    assert not circle, "import circle: " + " -> ".join(circle)
+    for module, name in sorted(exceptions):
+        with_it = {**rest, module: rest.get(module, set()) | {name}}
+        needed = name in graph.get(module, set()) and _circle(with_it)
+        assert needed, f"{module} -> {name} closes no circle any more: remove the exception"
+
+
+def test_no_circle_between_modules() -> None:
+    _check_circles(_import_graph(), CIRCLES)
+
+
+def test_no_circle_between_the_rooms_of_the_nodes() -> None:
+    _check_circles(_rooms("ptnsbc_nodes"), ROOM_CIRCLES)
+
+
+def test_no_package_imports_from_one_above_it() -> None:
+    level = {layer: index for index, layer in enumerate(LAYERS)}
+    upward = [
+        f"{module} -> {name}"
+        for module, imports in _import_graph().items()
+        for name in sorted(imports)
+        if level[name.split(".")[0]] > level[module.split(".")[0]]
+    ]
+    assert upward == []
+
+
+def test_no_two_classes_share_a_name() -> None:
+    where = defaultdict(list)
+    for module, tree in _trees().items():
+        for node in ast.walk(tree):
+            if isinstance(node, ast.ClassDef):
+                where[node.name].append(f"{module}.{node.name}")
+    shared = {name: places for name, places in where.items() if len(places) > 1}
+    assert set(shared) == SAME_NAMES, shared
+
+
+def test_no_folder_is_crowded() -> None:
+    count = Counter(
+        str(path.parent.relative_to(ROOT))
+        for path in SOURCES.values()
+        if path.name != "__init__.py"
+    )
+    crowded = {folder: number for folder, number in count.items() if number > LARGEST_FOLDER}
+    assert set(crowded) == set(LARGE_FOLDERS), crowded
+
+
+def _homeless_tests() -> set[str]:
+    """Test files below tests/<package> without a module or package of their name at their place.
+
+    A test of a whole package may also stand in it: tests/tools/check/test_check.py.
+    """
+    found = set()
+    for layer in LAYERS:
+        tests = ROOT / "tests" / layer.removeprefix("ptnsbc_")
+        for path in tests.rglob("test_*.py"):
+            folder = ROOT / layer / path.relative_to(tests).parent
+            place = folder / path.stem.removeprefix("test_")
+            module, package = place.with_suffix(".py"), place / "__init__.py"
+            if not (module.exists() or package.exists() or place.name == folder.name):
+                found.add(str(path.relative_to(ROOT)))
+    return found
+
+
+def test_tests_stand_where_their_modules_stand() -> None:
+    assert _homeless_tests() == TESTS_TO_MOVE | set(TESTS_OF_MORE)
+
+
+def test_a_circle_and_a_needless_exception_are_found() -> None:
+    graph = {"a": {"b"}, "b": {"c"}, "c": {"a"}}
+    with pytest.raises(AssertionError, match="import circle: "):
+        _check_circles(graph, set())
+    _check_circles(graph, {("c", "a")})
+    with pytest.raises(AssertionError, match="a -> c closes no circle"):
+        _check_circles(graph, {("c", "a"), ("a", "c")})
+
+
+def test_imports_in_functions_and_of_submodules_count() -> None:
+    source = "import p.a\ndef f():\n    from p import b, name\n    from q import other\n"
+    assert list(_imported("m", {"p": 0, "p.a": 0, "p.b": 0}, ast.parse(source))) == [
+        "p.a",
+        "p.b",
+        "p",
+    ]
