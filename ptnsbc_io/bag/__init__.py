@@ -1,11 +1,10 @@
-"""Bags: rosbag2 folders with MCAP inside, written and read without ROS."""
+"""Bags: rosbag2 folders with MCAP files, written and read without ROS."""
 
-from ptnsbc_io.bag.chunk import BagMessage
 from ptnsbc_io.bag.errors import BagError
-from ptnsbc_io.bag.layout import TopicInfo
-from ptnsbc_io.bag.pieces import SplitLimits
+from ptnsbc_io.bag.metadata import TopicInfo
 from ptnsbc_io.bag.reader import Bag, BagTopic, read_bag
-from ptnsbc_io.bag.writer import BagWriter
+from ptnsbc_io.bag.records import BagMessage
+from ptnsbc_io.bag.writer import BagWriter, SplitLimits
 
 __all__ = [
     "BagError",

@@ -6,8 +6,8 @@ from ptnsbc_core.errors import PtnsbcError
 
 
 class BagError(PtnsbcError):
-    """A bag that cannot be written or read; the text says which file, why, and the way out."""
+    """A bag cannot be written or read; the text names the file, the reason and the way out."""
 
 
 class DamagedError(BagError):
-    """A bag with damage that salvage or repair can get around."""
+    """A bag is damaged, and salvage or repair can read around the damage."""

@@ -1,4 +1,4 @@
-"""Reading a bag message by message, with an error in words for every way a file can be broken."""
+"""Reading a bag message by message, with a plain message for every way in which a file can be broken."""
 
 from __future__ import annotations
 
@@ -8,13 +8,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
-from ptnsbc_io.bag import mcapfile
-from ptnsbc_io.bag.chunk import BagMessage
-from ptnsbc_io.bag.errors import BagError, DamagedError
-from ptnsbc_io.bag.mcapfile import Contents
-from ptnsbc_io.bag.writer import METADATA_RECORD
+import yaml
 
-_PIECE = re.compile(r"_(\d+)\.mcap$")
+from ptnsbc_io.bag import mcap_file
+from ptnsbc_io.bag.errors import BagError, DamagedError
+from ptnsbc_io.bag.mcap_file import Contents
+from ptnsbc_io.bag.metadata import METADATA_FILE, METADATA_RECORD
+from ptnsbc_io.bag.records import BagMessage
+
+_FILE_NUMBER = re.compile(r"_(\d+)\.mcap$")
 
 
 class BagTopic(NamedTuple):
@@ -28,7 +30,7 @@ class BagTopic(NamedTuple):
 
 @dataclass(frozen=True)
 class Bag:
-    """A bag that has been opened; nothing of its messages is held in memory."""
+    """An open bag; its messages are not held in memory."""
 
     path: Path  # the .mcap file, the first one of a bag that was split
     topics: Mapping[str, BagTopic]
@@ -36,14 +38,14 @@ class Bag:
     metadata: Mapping[str, str]
     start_ns: int
     end_ns: int
-    cut: bool  # found without its end (only with `salvage`)
+    cut: bool  # its end is missing (only with `salvage`)
     salvage: bool  # read around damage instead of raising
-    pieces: tuple[tuple[Path, Contents], ...] = ()  # its files, in order
+    files: tuple[tuple[Path, Contents], ...] = ()  # in order
 
     def messages(self, topics: Iterable[str] | None = None) -> Iterator[BagMessage]:
         """Messages of `topics` (all by default), in order of log time within each file.
 
-        With `salvage` in the order of the file, and without what is damaged.
+        With `salvage` they come in the order of the file, without what is damaged.
         """
         wanted = None if topics is None else frozenset(topics)
         unknown = sorted((wanted or frozenset()) - self.topics.keys())
@@ -53,19 +55,19 @@ class Bag:
         return self._messages(wanted)
 
     def _messages(self, wanted: frozenset[str] | None) -> Iterator[BagMessage]:
-        for path, contents in self.pieces:
+        for path, contents in self.files:
             if self.salvage or not contents.chunks:
-                yield from mcapfile.walked(path, wanted, lenient=self.salvage)
+                yield from mcap_file.messages_in_file_order(path, wanted, salvage=self.salvage)
             else:
-                yield from mcapfile.indexed(path, contents, wanted)
+                yield from mcap_file.messages_by_time(path, contents, wanted)
 
     def attachment(self, name: str) -> bytes:
         """The content of the attachment `name`."""
-        for path, contents in self.pieces:
+        for path, contents in self.files:
             if name in contents.attachments:
-                data = mcapfile.attachment(path, name, lenient=self.salvage)
-                if data is not None:
-                    return data
+                for record in mcap_file.attachments(path, salvage=self.salvage):
+                    if record.name == name:
+                        return bytes(record.data)
         known = ", ".join(self.attachments) or "none"
         raise BagError(f"{self.path}: no attachment {name!r}: expected one of {known}")
 
@@ -81,16 +83,32 @@ def read_bag(path: Path | str, *, salvage: bool = False) -> Bag:
     Raises:
         BagError: The path is missing, is no MCAP file, is cut, is damaged or holds no message.
     """
-    files = mcap_files(Path(path))
-    pieces = tuple((file, _opened(file, salvage=salvage)) for file in files)
-    bag = _joined(pieces, salvage=salvage)
-    if not any(topic.messages for topic in bag.topics.values()):
-        raise BagError(f"{bag.path} holds no message: did the recorder run while the UAVs did?")
-    return bag
+    files = tuple((file, _read_contents(file, salvage)) for file in mcap_files(Path(path)))
+    topics: dict[str, BagTopic] = {}
+    metadata: dict[str, str] = {}
+    for _, contents in files:
+        metadata.update(contents.metadata.get(METADATA_RECORD, {}))
+        for topic in _topics(contents):
+            before = topics[topic.name].messages if topic.name in topics else 0
+            topics[topic.name] = topic._replace(messages=before + topic.messages)
+    spans = [contents.span_ns for _, contents in files if contents.span_ns]
+    if not any(topic.messages for topic in topics.values()):
+        raise BagError(f"{files[0][0]} holds no message: did the recorder run while the UAVs did?")
+    return Bag(
+        path=files[0][0],
+        topics=topics,
+        attachments=tuple(dict.fromkeys(name for _, c in files for name in c.attachments)),
+        metadata=metadata,
+        start_ns=min((first for first, _ in spans), default=0),
+        end_ns=max((last for _, last in spans), default=0),
+        cut=any(contents.damage.cut for _, contents in files),
+        salvage=salvage,
+        files=files,
+    )
 
 
 def mcap_files(path: Path) -> list[Path]:
-    """The MCAP files of a bag, in order; BagError when there are none, or of several bags."""
+    """The MCAP files of a bag, in order; BagError when there are none, or those of several bags."""
     if not path.exists():
         part = path.with_name(path.name + ".part")
         hint = ""
@@ -102,27 +120,27 @@ def mcap_files(path: Path) -> list[Path]:
     files = list(path.glob("*.mcap"))
     if not files:
         raise BagError(f"{path}: no .mcap file in this folder: expected a rosbag2 folder")
-    if len({_PIECE.sub("", file.name) for file in files}) > 1:
+    if len({_FILE_NUMBER.sub("", file.name) for file in files}) > 1:
         names = ", ".join(sorted(file.name for file in files))
         raise BagError(f"{path}: several .mcap files ({names}): name one of them")
-    return sorted(files, key=_piece_number)
+    return sorted(files, key=_file_number)
 
 
-def _piece_number(file: Path) -> int:
-    found = _PIECE.search(file.name)
+def _file_number(file: Path) -> int:
+    found = _FILE_NUMBER.search(file.name)
     return int(found[1]) if found else 0
 
 
-def _opened(file: Path, *, salvage: bool) -> Contents:
+def _read_contents(file: Path, salvage: bool) -> Contents:
     try:
-        contents = mcapfile.contents_of(file)
+        contents = mcap_file.read_summary(file)
     except DamagedError:
         if not salvage:
             raise
         contents = None
     if contents is not None:
         return contents
-    contents = mcapfile.contents_found(file)
+    contents = mcap_file.scan_records(file)
     if not salvage and contents.damage.cut:
         held = sum(contents.counts.values())
         raise DamagedError(
@@ -130,29 +148,6 @@ def _opened(file: Path, *, salvage: bool) -> Contents:
             f"{held} messages are readable; rescue them with: ptnsbc bag repair"
         )
     return contents
-
-
-def _joined(pieces: tuple[tuple[Path, Contents], ...], *, salvage: bool) -> Bag:
-    topics: dict[str, BagTopic] = {}
-    metadata: dict[str, str] = {}
-    spans = []
-    for _, contents in pieces:
-        metadata.update(contents.metadata.get(METADATA_RECORD, {}))
-        spans += [contents.span_ns] if contents.span_ns else []
-        for topic in _topics(contents):
-            before = topics[topic.name].messages if topic.name in topics else 0
-            topics[topic.name] = topic._replace(messages=before + topic.messages)
-    return Bag(
-        path=pieces[0][0],
-        topics=topics,
-        attachments=tuple(dict.fromkeys(name for _, c in pieces for name in c.attachments)),
-        metadata=metadata,
-        start_ns=min((first for first, _ in spans), default=0),
-        end_ns=max((last for _, last in spans), default=0),
-        cut=any(contents.damage.cut for _, contents in pieces),
-        salvage=salvage,
-        pieces=pieces,
-    )
 
 
 def _topics(contents: Contents) -> Iterator[BagTopic]:
@@ -164,3 +159,42 @@ def _topics(contents: Contents) -> Iterator[BagTopic]:
             contents.counts.get(channel.id, 0),
             channel.metadata.get("offered_qos_profiles", ""),
         )
+
+
+def find_problems(bag: Bag) -> list[str]:
+    """What is wrong with an open bag, empty when it is whole; reads all of it with its checksums."""
+    return [*_file_problems(bag), *_metadata_problems(bag)]
+
+
+def _file_problems(bag: Bag) -> Iterator[str]:
+    for path, contents in bag.files:
+        if contents.damage.cut:
+            yield f"{path.name}: its end is missing"
+            continue
+        try:
+            held = sum(1 for _ in mcap_file.messages_in_file_order(path, None, salvage=False))
+        except DamagedError:
+            yield f"{path.name}: a damaged chunk"
+            continue
+        summarised = sum(contents.counts.values())
+        if held != summarised:
+            yield f"{path.name}: {held} messages, its summary says {summarised}"
+
+
+def _metadata_problems(bag: Bag) -> Iterator[str]:
+    path = bag.path.with_name(METADATA_FILE)
+    if not path.is_file():
+        yield f"{METADATA_FILE} is missing"
+        return
+    try:
+        stated = yaml.safe_load(path.read_text(encoding="utf-8"))["rosbag2_bagfile_information"]
+        names, messages = stated["relative_file_paths"], stated["message_count"]
+    except (OSError, ValueError, KeyError, TypeError, yaml.YAMLError):
+        yield f"{METADATA_FILE} cannot be read"
+        return
+    files = [file.name for file, _ in bag.files]
+    held = sum(topic.messages for topic in bag.topics.values())
+    if names != files:
+        yield f"{METADATA_FILE} lists {', '.join(map(str, names))}, there is {', '.join(files)}"
+    elif messages != held:
+        yield f"{METADATA_FILE} says {messages} messages, the files hold {held}"

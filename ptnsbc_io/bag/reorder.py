@@ -1,8 +1,8 @@
-"""The order of messages in a lock-step bag: by stamp and topic, whatever order they arrived in.
+"""The order of messages in a lock-step bag: by stamp and topic, independent of their arrival.
 
-DDS keeps the order of one publisher but not between publishers, so the same flight arrives
-differently each time. Messages are held until so many later stamps are there that nothing older
-can be under way.
+DDS keeps the order of the messages of one publisher, but not between publishers: the same flight
+arrives in another order each time. The buffer holds a message until 20 later stamps have arrived; no
+older message can be under way then.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ HOLD_TICKS = 20
 
 
 class PendingMessage(NamedTuple):
-    """A message that waits for its turn."""
+    """A message in the buffer."""
 
     stamp_ns: int
     topic: str
@@ -26,11 +26,11 @@ class PendingMessage(NamedTuple):
 class ReorderBuffer:
     """Sorts messages by (stamp, topic, arrival in that topic) over a window of `hold_ticks` stamps.
 
-    A tick is a stamp that occurs: the length of a tick need not be known, and a stamp far ahead (an
-    epoch announced in advance) does not push the others out.
+    The window counts stamps that occur. So the length of a tick need not be known, and a stamp far
+    ahead (an epoch announced in advance) releases no other message.
 
     Args:
-        shared: Topics with several publishers, whose arrival within the topic is chance too.
+        shared: Topics with several publishers; the order of arrival within them is random too.
         hold_ticks: Length of the window.
     """
 
@@ -41,10 +41,12 @@ class ReorderBuffer:
         self._stamps: list[int] = []  # heap of the keys of _held
         self._arrivals: dict[str, int] = {}
         self._released_ns = -1
-        self.late = 0  # messages that came after their tick was released: order not reproducible
+        self.late = (
+            0  # messages that came after their stamp was released: the order is not reproducible
+        )
 
     def push(self, stamp_ns: int, topic: str, data: bytes) -> Iterator[PendingMessage]:
-        """Take a message in; returns those whose turn has come."""
+        """Add a message; returns the messages that are released now."""
         arrival = self._arrivals.get(topic, 0)
         if topic not in self._shared:
             self._arrivals[topic] = arrival + 1
@@ -59,7 +61,7 @@ class ReorderBuffer:
         return self._release(self._hold_ticks)
 
     def flush(self) -> Iterator[PendingMessage]:
-        """Everything that is still held, in order."""
+        """All messages that are still held, in order."""
         return self._release(0)
 
     def _release(self, keep: int) -> Iterator[PendingMessage]:

@@ -1,6 +1,7 @@
-"""A bag that lacks its end, its index or its metadata.yaml, made whole again from what is readable.
+"""Repairs a bag that lacks its end, its index or its metadata.yaml, from what is readable.
 
-Everything is written beside and renamed at the end; what was there before is kept unless told otherwise.
+The repaired bag is written beside its name and renamed at the end. The damaged bag is kept unless the
+caller asks to discard it.
 """
 
 from __future__ import annotations
@@ -12,26 +13,26 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import yaml
-from mcap.records import Attachment, Channel, Schema
+from mcap.records import Channel, Schema
 
-from ptnsbc_io.bag import mcapfile
-from ptnsbc_io.bag.chunk import Entry
+from ptnsbc_io.bag import mcap_file
 from ptnsbc_io.bag.errors import BagError, DamagedError
-from ptnsbc_io.bag.layout import Declared
-from ptnsbc_io.bag.mcapfile import Contents
+from ptnsbc_io.bag.mcap_file import Contents
+from ptnsbc_io.bag.metadata import TopicDeclaration
 from ptnsbc_io.bag.reader import mcap_files
-from ptnsbc_io.bag.walk import Damage, walk
+from ptnsbc_io.bag.records import Damage, MessageRecord, walk
 from ptnsbc_io.bag.writer import BagWriter
 
-PART = ".part"
-ORIGINAL = ".original"
-_BESIDE = ".repairing"
+_PART = ".part"
+_ORIGINAL = ".original"
+_REPAIRING = ".repairing"
+_PROGRESS_EVERY = 5000  # messages
 
-Advance = Callable[[int, int], None]
+Progress = Callable[[int, int], None]
 
 
 class Repaired(NamedTuple):
-    """What a repair made."""
+    """The result of a repair."""
 
     bag: Path
     original: Path | None  # where the damaged bag is now; None: it was discarded
@@ -41,10 +42,11 @@ class Repaired(NamedTuple):
     last_ns: int  # log time of the newest message [ns]
 
 
-class _FileIndex(NamedTuple):
+class _Paths(NamedTuple):
     source: Path
     target: Path
-    moved: Path | None  # where the source goes when the target takes its place
+    moved: Path | None  # where the source goes when the target takes its name
+    temporary: Path  # where the repaired bag is written
 
 
 def repair(
@@ -52,79 +54,72 @@ def repair(
     target: Path | None = None,
     *,
     discard: bool = False,
-    advance: Advance = lambda done, total: None,
+    advance: Progress = lambda done, total: None,
 ) -> Repaired:
-    """Make a bag whole.
+    """Repair a bag.
 
     Args:
         path: folder of a bag, of a recording that was killed (with or without its `.part`), or a file.
         target: where to write it; by default where the recording would have been.
         discard: remove the damaged bag once the repaired one is in place.
-        advance: called now and then with messages done and in all.
+        advance: called now and then with the messages done and the messages in all.
 
     Raises:
-        BagError: nothing readable, or something is in the way.
+        BagError: no message is readable, or a path exists that the repair needs.
     """
-    places = _places(path, target)
-    files = mcap_files(places.source)
-    found = [_contents(file) for file in files]
-    total = sum(sum(one.counts.values()) for one in found)
+    paths = _find_paths(path, target)
+    files = mcap_files(paths.source)
+    contents = [_read_contents(file) for file in files]
+    total = sum(sum(one.counts.values()) for one in contents)
     if total == 0:
-        raise BagError(f"{places.source}: no message can be read: there is nothing to rescue")
-    beside = places.target.with_name(places.target.name + _BESIDE)
-    _refuse_leftover(beside)
-    writer = _writer(beside, places.target.name, files, found)
+        raise BagError(f"{paths.source}: no message can be read: there is nothing to rescue")
+    writer = _writer(paths, files, contents)
     damage = Damage()
     last_ns = 0
     try:
         with writer:
-            for done, last in enumerate(_copied(writer, files, found, damage), start=1):
-                last_ns = max(last_ns, last)
-                if done % 5000 == 0 or done == total:
+            for done, log_ns in enumerate(_copy(writer, files, contents, damage), start=1):
+                last_ns = max(last_ns, log_ns)
+                if done % _PROGRESS_EVERY == 0 or done == total:
                     advance(done, total)
-        original = _swap(places, beside, discard=discard)
+        original = _rename(paths, discard)
     except BaseException:
-        _remove(beside)
+        for leftover in _temporaries(paths.temporary):
+            shutil.rmtree(leftover, ignore_errors=True)
         raise
-    return Repaired(places.target, original, total, damage.chunks, damage.cut, last_ns)
+    return Repaired(paths.target, original, total, damage.chunks, damage.cut, last_ns)
 
 
-def _places(path: Path, target: Path | None) -> _FileIndex:
+def _find_paths(path: Path, target: Path | None) -> _Paths:
     path = Path(os.path.abspath(path))
-    part = path.with_name(path.name + PART)
+    part = path.with_name(path.name + _PART)
     source = part if not path.exists() and part.exists() else path
     if not source.exists():
         raise BagError(f"{path}: no such bag")
     if target is None:
-        name = source.name.removesuffix(PART)
+        name = source.name.removesuffix(_PART)
         target = source.with_name(name if source.is_dir() else f"{source.stem}.repaired")
     target = Path(os.path.abspath(target))
-    moved = None
-    if target == source:
-        moved = source.with_name(source.name + ORIGINAL)
-    for place in [moved] if moved else [target]:
-        if place.exists():
-            raise BagError(f"{place} exists: move it away, or choose another place with --output")
-    return _FileIndex(source, target, moved)
+    moved = source.with_name(source.name + _ORIGINAL) if target == source else None
+    occupied = moved or target
+    if occupied.exists():
+        raise BagError(f"{occupied} exists: move it away, or choose another place with --output")
+    temporary = target.with_name(target.name + _REPAIRING)
+    for leftover in _temporaries(temporary):
+        if leftover.exists():
+            raise BagError(f"{leftover} exists, of a repair that was interrupted: remove it first")
+    return _Paths(source, target, moved, temporary)
 
 
-def _refuse_leftover(beside: Path) -> None:
-    for place in (beside, beside.with_name(beside.name + PART)):
-        if place.exists():
-            raise BagError(f"{place} exists, of a repair that was interrupted: remove it first")
+def _temporaries(temporary: Path) -> tuple[Path, Path]:
+    return temporary, temporary.with_name(temporary.name + _PART)
 
 
-def _remove(beside: Path) -> None:
-    for place in (beside, beside.with_name(beside.name + PART)):
-        shutil.rmtree(place, ignore_errors=True)
-
-
-def _swap(places: _FileIndex, beside: Path, *, discard: bool) -> Path | None:
-    original = places.source
-    if places.moved is not None:
-        places.source.rename(places.moved)
-        original = places.moved
-    beside.rename(places.target)
+def _rename(paths: _Paths, discard: bool) -> Path | None:
+    original = paths.source
+    if paths.moved is not None:
+        original = paths.source.rename(paths.moved)
+    paths.temporary.rename(paths.target)
     if not discard:
         return original
     if original.is_dir():
@@ -134,11 +129,11 @@ def _swap(places: _FileIndex, beside: Path, *, discard: bool) -> Path | None:
     return None
 
 
-def _contents(file: Path) -> Contents:
-    """What the records say; what the first chunk would have said may be in the summary too."""
-    found = mcapfile.contents_found(file)
+def _read_contents(file: Path) -> Contents:
+    """The contents by the records; the summary completes what a damaged first chunk declared."""
+    found = mcap_file.scan_records(file)
     try:
-        summary = mcapfile.contents_of(file)
+        summary = mcap_file.read_summary(file)
     except DamagedError:
         summary = None
     if summary is not None:
@@ -148,29 +143,34 @@ def _contents(file: Path) -> Contents:
     return found
 
 
-def _writer(beside: Path, name: str, files: list[Path], found: list[Contents]) -> BagWriter:
-    topics: dict[str, Declared] = {}
+def _writer(paths: _Paths, files: list[Path], found: list[Contents]) -> BagWriter:
+    topics: dict[str, TopicDeclaration] = {}
     records: dict[str, Mapping[str, str]] = {}
     for contents in found:
         records |= contents.metadata
         for channel in contents.channels.values():
             schema = contents.schemas.get(channel.schema_id)
             if schema is not None:
-                topics.setdefault(channel.topic, _declared(channel, schema))
+                topics.setdefault(channel.topic, _declaration(channel, schema))
     foreign = {topic.message_encoding for topic in topics.values()} - {"cdr"}
     if foreign:
         raise BagError(
             f"{files[0]}: messages in {', '.join(sorted(foreign))}: expected cdr (ROS 2)"
         )
-    records.pop("rosbag2", None)  # written anew
-    writer = BagWriter(beside, list(topics.values()), attachments=_attachments(files))
-    writer.name = name
+    records.pop("rosbag2", None)  # the writer makes a new one
+    attachments = {
+        record.name: bytes(record.data)
+        for file in files
+        for record in mcap_file.attachments(file, salvage=True)
+    }
+    writer = BagWriter(paths.temporary, list(topics.values()), attachments=attachments)
+    writer.name = paths.target.name
     writer.records.update(records)
     return writer
 
 
-def _declared(channel: Channel, schema: Schema) -> Declared:
-    return Declared(
+def _declaration(channel: Channel, schema: Schema) -> TopicDeclaration:
+    return TopicDeclaration(
         channel.topic,
         schema.name,
         schema.data,
@@ -190,30 +190,16 @@ def _qos(text: str) -> list[dict[str, Any]]:
     return profiles if isinstance(profiles, list) else []
 
 
-def _attachments(files: list[Path]) -> dict[str, bytes]:
-    found = {}
-    for file in files:
-        with mcapfile.in_words(file), file.open("rb") as stream:
-            for record in walk(stream, Damage()):
-                if isinstance(record, Attachment):
-                    found[record.name] = bytes(record.data)
-    return found
-
-
-def _copied(
+def _copy(
     writer: BagWriter, files: list[Path], found: list[Contents], damage: Damage
 ) -> Iterator[int]:
-    """Write every readable message; gives the log time of each."""
+    """Write every readable message; yields the log time of each."""
     for file, contents in zip(files, found, strict=True):
         writer.split()
-        own = Damage()
-        with mcapfile.in_words(file), file.open("rb") as stream:
-            for record in walk(stream, own):
-                if isinstance(record, Entry) and record.channel_id in contents.channels:
+        with mcap_file.open_mcap(file) as stream:
+            for record in walk(stream, damage):
+                if isinstance(record, MessageRecord) and record.channel_id in contents.channels:
                     topic = contents.channels[record.channel_id].topic
-                    writer.write(
-                        topic, record.log_ns, record.data, record.publish_ns, record.sequence
-                    )
-                    yield record.log_ns
-        damage.chunks += own.chunks
-        damage.cut = damage.cut or own.cut
+                    log_ns = record.log_ns
+                    writer.write(topic, log_ns, record.data, record.publish_ns, record.sequence)
+                    yield log_ns

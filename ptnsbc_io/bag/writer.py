@@ -1,33 +1,164 @@
 """Writing a bag: a rosbag2 folder with MCAP files, the same bytes for the same input.
 
-The folder is written beside its name (`<dir>.part`) and renamed when it is complete. A bag that is
-left by an exception or Ctrl-C is completed all the same; one that is killed stays as `<dir>.part`
-and is readable up to its last chunk.
+The writer fills `<dir>.part` and renames it to `<dir>` when the bag is complete. An exception or Ctrl-C
+completes the bag too. A killed writer leaves `<dir>.part`, readable up to its last chunk.
 """
 
 from __future__ import annotations
 
 import os
+import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
+from typing import IO, Any, NamedTuple
+
+from mcap.writer import CompressionType, Writer
 
 from ptnsbc_io.bag.errors import BagError
-from ptnsbc_io.bag.folder import make_part, put_in_place
 from ptnsbc_io.bag.interrupt import InterruptGuard
-from ptnsbc_io.bag.layout import (
-    Declared,
-    FileCount,
-    TopicCount,
+from ptnsbc_io.bag.metadata import (
+    METADATA_FILE,
+    METADATA_RECORD,
+    FileSummary,
+    TopicDeclaration,
     TopicInfo,
     bag_information,
-    declared,
+    declare,
     to_yaml,
 )
-from ptnsbc_io.bag.pieces import COMPRESSIONS, Piece, SplitLimits
 
-METADATA_RECORD = "ptnsbc"
-FLUSH_PERIOD = 0.5  # [s]: with the time it takes to look, and to write, below the promised second
+COMPRESSIONS = {
+    "zstd": CompressionType.ZSTD,
+    "lz4": CompressionType.LZ4,
+    "none": CompressionType.NONE,
+}
+FLUSH_PERIOD = 0.5  # [s]: with the time to notice and to write, below the promised second
+
+_LIBRARY = "ptnsbc"  # without a version, which would differ between equal bags
+_CHUNK_SIZE = 1 << 20  # [bytes], before compression
+_MEDIA_TYPES = {
+    ".yaml": "application/yaml",
+    ".json": "application/json",
+    ".txt": "text/plain",
+    ".md": "text/markdown",
+}
+
+
+class SplitLimits(NamedTuple):
+    """When a bag goes on in another file; None: never."""
+
+    size_bytes: int | None = None
+    duration_ns: int | None = None  # in log time
+
+
+class McapFileWriter:
+    """One MCAP file while it is written; it is complete in itself, also as a part of a split bag.
+
+    Args:
+        path: File to create.
+        topics: Every topic that will be written.
+        attachments: Files to carry inside, by name.
+        metadata: Metadata records by name.
+        compression: Of the chunks.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        topics: Sequence[TopicDeclaration],
+        attachments: Mapping[str, bytes],
+        metadata: Mapping[str, Mapping[str, str]],
+        compression: CompressionType,
+    ) -> None:
+        self.path = path
+        self.counts: list[int] = []  # messages of each topic
+        self.start_ns: int | None = None  # None without messages
+        self._end_ns = 0
+        self._channels: list[int] = []
+        self._schemas: dict[tuple[str, bytes], int] = {}
+        self._stream: IO[bytes] = path.open("wb")
+        self._writer = Writer(self._stream, chunk_size=_CHUNK_SIZE, compression=compression)
+        self._writer.start(profile="ros2", library=_LIBRARY)
+        for name, data in sorted(attachments.items()):
+            media_type = _MEDIA_TYPES.get(Path(name).suffix, "application/octet-stream")
+            self._writer.add_attachment(0, 0, name, media_type, data)
+        for name, pairs in sorted(metadata.items()):
+            self._writer.add_metadata(name, dict(pairs))
+        for topic in topics:
+            self.declare(topic)
+        self.flush()
+
+    def declare(self, topic: TopicDeclaration) -> None:
+        """Add a topic; it gets the next number."""
+        key = (topic.type, topic.schema)
+        if key not in self._schemas:
+            self._schemas[key] = self._writer.register_schema(
+                name=topic.type, encoding=topic.schema_encoding, data=topic.schema
+            )
+        self._channels.append(
+            self._writer.register_channel(
+                topic=topic.name,
+                message_encoding=topic.message_encoding,
+                schema_id=self._schemas[key],
+                metadata=topic.channel_metadata,
+            )
+        )
+        self.counts.append(0)
+
+    @property
+    def summary(self) -> FileSummary:
+        """Name, times and number of messages so far."""
+        return FileSummary(self.path.name, self.start_ns or 0, self._end_ns, sum(self.counts))
+
+    def is_full(self, limits: SplitLimits, log_ns: int) -> bool:
+        """Whether a message logged at `log_ns` belongs into the next file."""
+        if self.start_ns is None:
+            return False
+        if limits.duration_ns is not None and log_ns - self.start_ns >= limits.duration_ns:
+            return True
+        # The open chunk is not in the file yet: the file may exceed the limit by one chunk.
+        return limits.size_bytes is not None and self._stream.tell() >= limits.size_bytes
+
+    def add(self, topic: int, log_ns: int, publish_ns: int, sequence: int, data: bytes) -> None:
+        """Append a message of topic number `topic`."""
+        self._writer.add_message(self._channels[topic], log_ns, data, publish_ns, sequence)
+        self.counts[topic] += 1
+        self.start_ns = log_ns if self.start_ns is None else min(log_ns, self.start_ns)
+        self._end_ns = max(log_ns, self._end_ns)
+
+    def flush(self) -> None:
+        """Close the chunk and pass it to the operating system; from then on it survives a crash."""
+        self._writer.flush()
+        self._stream.flush()
+
+    def finish(self, information: Mapping[str, Any]) -> None:
+        """Write rosbag2's record, the index and the summary, and close the file."""
+        with self._stream:
+            record = {"serialized_metadata": to_yaml(dict(information))}
+            self._writer.add_metadata("rosbag2", record)
+            self._writer.finish()
+
+
+class _WriteGuard(InterruptGuard):
+    """Delays Ctrl-C while a bag is written, and turns an error of the disk into a BagError."""
+
+    def __init__(self, part: Path) -> None:
+        super().__init__()
+        self._part = part
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        super().__exit__(kind, error, trace)
+        if isinstance(error, OSError):
+            raise BagError(
+                f"{self._part} cannot be written ({error.strerror}): "
+                "what is in it can be rescued with: ptnsbc bag repair"
+            ) from error
 
 
 class BagWriter:
@@ -43,14 +174,14 @@ class BagWriter:
         limits: When to go on in another file.
 
     Attributes:
-        name: What the files are called; changed before `open`, not after.
-        records: Further metadata records, by name; the same.
+        name: Prefix of the file names; it may be changed before `open`.
+        records: Metadata records by name; more may be added before `open`.
     """
 
     def __init__(
         self,
         directory: Path,
-        topics: Sequence[TopicInfo | Declared],
+        topics: Sequence[TopicInfo | TopicDeclaration],
         *,
         attachments: Mapping[str, bytes] | None = None,
         metadata: Mapping[str, str] | None = None,
@@ -63,24 +194,24 @@ class BagWriter:
             raise BagError(f"compression {compression!r}: expected one of {known}")
         # Absolute, so that `.` has a name and a later chdir changes nothing.
         self.directory = Path(os.path.abspath(directory))
-        self._part = self.directory.with_name(self.directory.name + ".part")
-        self._asked = tuple(topics)
-        self._topics: tuple[Declared, ...] = ()
-        self._attachments = dict(attachments or {})
+        self.name = self.directory.name
         self.records: dict[str, Mapping[str, str]] = {
             METADATA_RECORD: dict(sorted((metadata or {}).items()))
         }
+        self._part = self.directory.with_name(self.directory.name + ".part")
+        self._requested = tuple(topics)
+        self._topics: tuple[TopicDeclaration, ...] = ()
+        self._attachments = dict(attachments or {})
         self._compression = COMPRESSIONS[compression]
         self._overwrite = overwrite
         self._limits = limits
-        self.name = self.directory.name
-        self._number: dict[str, int] = {}  # of each topic
+        self._numbers: dict[str, int] = {}  # of the topics
         self._counts: list[int] = []  # messages of each topic
-        self._files: list[FileCount] = []  # those that are complete
-        self._piece: Piece | None = None
-        self._unflushed = 0
+        self._finished: list[FileSummary] = []
+        self._file: McapFileWriter | None = None
+        self._unflushed = 0  # messages
         self._last_flush: float | None = None
-        self._guard = InterruptGuard()
+        self._guard = _WriteGuard(self._part)
 
     def __enter__(self) -> BagWriter:
         self.open()
@@ -92,40 +223,39 @@ class BagWriter:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        # Completed whatever happened: the last seconds before a crash are the ones wanted.
+        # Completed after an error too: the last seconds before a crash are wanted most.
         self.close()
 
     @property
     def counts(self) -> dict[str, int]:
         """Messages written so far, by topic."""
-        return {name: self._counts[number] for name, number in self._number.items()}
+        return {name: self._counts[number] for name, number in self._numbers.items()}
 
     def open(self) -> None:
-        """Create the file and write what is known before the first message."""
+        """Create the first file and write what is known before the first message."""
         # Definitions first: an unknown type must not leave a folder behind.
         self._topics = tuple(
-            topic if isinstance(topic, Declared) else declared(topic) for topic in self._asked
+            topic if isinstance(topic, TopicDeclaration) else declare(topic)
+            for topic in self._requested
         )
-        make_part(self.directory, self._part, overwrite=self._overwrite)
-        self._number = {topic.name: number for number, topic in enumerate(self._topics)}
+        self._make_part()
+        self._numbers = {topic.name: number for number, topic in enumerate(self._topics)}
         self._counts = [0] * len(self._topics)
         self._guard.install()
-        try:
-            self._piece = self._next_piece()
-        except OSError as error:
-            raise self._disk_error(error) from error
+        with self._guard:
+            self._file = self._next_file()
 
     def add(self, topic: TopicInfo) -> None:
-        """A topic that was not known at the start."""
-        if self._piece is None:
+        """Add a topic that was not known at the start."""
+        if self._file is None:
             raise BagError(f"{self.directory}: topic {topic.name}: expected an open bag")
-        new = declared(topic)
-        if topic.name not in self._number:
-            self._number[topic.name] = len(self._topics)
-            self._topics = (*self._topics, new)
+        declared = declare(topic)
+        if topic.name not in self._numbers:
+            self._numbers[topic.name] = len(self._topics)
+            self._topics = (*self._topics, declared)
             self._counts.append(0)
             with self._guard:
-                self._piece.declare(new)
+                self._file.declare(declared)
 
     def write(
         self,
@@ -138,100 +268,111 @@ class BagWriter:
         """Append a serialised message.
 
         Args:
-            topic: One of the topics given at the start.
+            topic: A topic given at the start or added since.
             stamp_ns: Log time [ns]; readers order by it.
             data: The message in CDR.
-            publish_ns: Time of publication [ns], the log time when absent.
-            sequence: Number of the message; counted per topic when absent.
+            publish_ns: Time of publication [ns]; by default the log time.
+            sequence: Number of the message; by default counted per topic.
         """
-        number = self._number.get(topic)
-        if self._piece is None:
+        number = self._numbers.get(topic)
+        if self._file is None:
             raise BagError(f"{self.directory}: message on {topic}: expected an open bag")
         if number is None:
-            known = ", ".join(self._number)
+            known = ", ".join(self._numbers)
             raise BagError(f"{self.directory}: topic {topic}: expected one of {known}")
         if stamp_ns < 0 or (publish_ns is not None and publish_ns < 0):
             raise BagError(f"{topic}: time {stamp_ns}, {publish_ns} ns: expected not negative")
         publish_ns = stamp_ns if publish_ns is None else publish_ns
         sequence = self._counts[number] if sequence is None else sequence
-        try:
-            with self._guard:
-                if self._piece.is_full(self._limits, stamp_ns):
-                    self._split(self._piece)
-                self._piece.add(number, stamp_ns, publish_ns, sequence, data)
-                self._counts[number] += 1
-                self._unflushed += 1
-        except OSError as error:
-            raise self._disk_error(error) from error
+        with self._guard:
+            if self._file.is_full(self._limits, stamp_ns):
+                self._finish_file(self._file)
+                self._file = self._next_file()
+            self._file.add(number, stamp_ns, publish_ns, sequence, data)
+            self._counts[number] += 1
+            self._unflushed += 1
 
     def split(self) -> None:
-        """Go on in another file, unless this one is still empty."""
-        if self._piece is None or self._piece.is_empty:
-            return
-        try:
+        """Go on in another file, unless this one has no message yet."""
+        if self._file is not None and self._file.start_ns is not None:
             with self._guard:
-                self._split(self._piece)
-        except OSError as error:
-            raise self._disk_error(error) from error
+                self._finish_file(self._file)
+                self._file = self._next_file()
 
     def flush_if_due(self, now: float) -> None:
         """Close the chunk when FLUSH_PERIOD has passed since the last one.
 
-        Where chunks end decides about the bytes of the file: live recording passes wall time, and
-        lock-step, where the same flight gives the same bytes, time of the flight.
+        The ends of chunks show in the bytes of the file. Live recording passes wall time. Lock-step,
+        where the same flight gives the same bytes, passes the time of the flight.
 
         Args:
             now: Any clock that does not jump [s].
         """
         if self._last_flush is None:
             self._last_flush = now
-        if now - self._last_flush < FLUSH_PERIOD or not self._unflushed or self._piece is None:
+        if now - self._last_flush < FLUSH_PERIOD or not self._unflushed or self._file is None:
             return
-        try:
-            with self._guard:
-                self._piece.flush()
-        except OSError as error:
-            raise self._disk_error(error) from error
+        with self._guard:
+            self._file.flush()
         self._last_flush = now
         self._unflushed = 0
 
     def close(self) -> None:
-        """Complete the bag and give it its name; does nothing the second time."""
-        piece, self._piece = self._piece, None
-        if piece is None:
+        """Complete the bag and rename its folder; does nothing the second time."""
+        file, self._file = self._file, None
+        if file is None:
             return
         try:
             with self._guard:
-                self._complete(piece)
-                self._describe()
-                put_in_place(self.directory, self._part, overwrite=self._overwrite)
-        except OSError as error:
-            raise self._disk_error(error) from error
+                self._finish_file(file)
+                topics = zip(self._topics, self._counts, strict=True)
+                information = bag_information(self._finished, topics)
+                text = to_yaml({"rosbag2_bagfile_information": information})
+                (self._part / METADATA_FILE).write_text(text, encoding="utf-8")
+                self._rename_part()
         finally:
             self._guard.remove()
 
-    def _disk_error(self, error: OSError) -> BagError:
-        return BagError(
-            f"{self._part} cannot be written ({error.strerror}): "
-            "what is in it can be rescued with: ptnsbc bag repair"
+    def _next_file(self) -> McapFileWriter:
+        path = self._part / f"{self.name}_{len(self._finished)}.mcap"
+        return McapFileWriter(
+            path, self._topics, self._attachments, self.records, self._compression
         )
 
-    def _split(self, piece: Piece) -> None:
-        self._complete(piece)
-        self._piece = self._next_piece()
+    def _finish_file(self, file: McapFileWriter) -> None:
+        """Close a file; a record inside says of the file what metadata.yaml says of the bag."""
+        self._finished.append(file.summary)
+        topics = zip(self._topics, file.counts, strict=False)
+        file.finish(bag_information([file.summary], topics))
 
-    def _next_piece(self) -> Piece:
-        path = self._part / f"{self.name}_{len(self._files)}.mcap"
-        return Piece(path, self._topics, self._attachments, self.records, self._compression)
+    def _make_part(self) -> None:
+        """Create `<dir>.part`; BagError when it or `<dir>` exists."""
+        way_out = "choose another name or pass --overwrite"
+        if self.directory.exists() and not self._overwrite:
+            raise BagError(f"{self.directory} exists: {way_out}")
+        if self._part.exists():
+            if not self._overwrite:
+                raise BagError(
+                    f"{self._part} exists, a recording that was killed or still runs: "
+                    f"rescue it with ptnsbc bag repair, {way_out}"
+                )
+            shutil.rmtree(self._part)
+        try:
+            self._part.mkdir(parents=True)
+        except OSError as error:
+            raise BagError(f"{self._part}: cannot be created: {error.strerror}") from error
 
-    def _complete(self, piece: Piece) -> None:
-        """Close a file; it says of itself what metadata.yaml says of the bag."""
-        counts = map(TopicCount, self._topics, piece.counts)
-        self._files.append(piece.count)
-        piece.finish(bag_information([piece.count], list(counts)))
-
-    def _describe(self) -> None:
-        counts = list(map(TopicCount, self._topics, self._counts))
-        information = bag_information(self._files, counts)
-        text = to_yaml({"rosbag2_bagfile_information": information})
-        (self._part / "metadata.yaml").write_text(text, encoding="utf-8")
+    def _rename_part(self) -> None:
+        """Rename `<dir>.part` to `<dir>`; with `overwrite` the old bag is removed only then."""
+        old = self.directory.with_name(self.directory.name + ".old")
+        try:
+            if self._overwrite and self.directory.exists():
+                # Moved away first: the old bag or the new one exists at any time.
+                self.directory.rename(old)
+            self._part.rename(self.directory)
+        except OSError as error:
+            raise BagError(
+                f"{self.directory} appeared while the bag was written ({error.strerror}): "
+                f"the bag is complete in {self._part}"
+            ) from error
+        shutil.rmtree(old, ignore_errors=True)

@@ -19,7 +19,7 @@ from rclpy.qos import QoSDurabilityPolicy, QoSReliabilityPolicy
 
 from ptnsbc_io import wire
 from ptnsbc_io.bag import BagWriter, TopicInfo
-from ptnsbc_io.bag.msgdef import has_header
+from ptnsbc_io.bag.definitions import has_header
 from ptnsbc_io.bag.reorder import PendingMessage, ReorderBuffer
 from ptnsbc_nodes.comm import qos, topics
 from ptnsbc_nodes.comm.endpoints import RECORDED, full_name

@@ -36,10 +36,10 @@ def info(
     Also opens what a killed recording left. Exit codes: 0, 1 damaged or cut (--check), 2 refused.
     """
     from ptnsbc_io.bag import read_bag
-    from ptnsbc_io.bag.health import ailments
+    from ptnsbc_io.bag.reader import find_problems
 
     found = read_bag(bag, salvage=True)
-    wrong = ailments(found) if check else None
+    wrong = find_problems(found) if check else None
     if json:
         console.print_json(_as_json(found, wrong))
     else:
@@ -93,7 +93,7 @@ def _told(made: Repaired) -> list[str]:
 
 def _as_json(bag: Bag, wrong: list[str] | None) -> dict[str, Any]:
     return {
-        "files": [str(path) for path, _ in bag.pieces],
+        "files": [str(path) for path, _ in bag.files],
         "start_ns": bag.start_ns,
         "end_ns": bag.end_ns,
         "messages": sum(topic.messages for topic in bag.topics.values()),
@@ -109,7 +109,7 @@ def _as_json(bag: Bag, wrong: list[str] | None) -> dict[str, Any]:
 
 def _show(bag: Bag, wrong: list[str] | None) -> None:
     out = console.out()
-    table = Table(title=", ".join(path.name for path, _ in bag.pieces))
+    table = Table(title=", ".join(path.name for path, _ in bag.files))
     table.add_column("topic")
     table.add_column("type")
     table.add_column("messages", justify="right")

@@ -16,7 +16,7 @@ import yaml
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_io.bag import BagError, BagMessage, read_bag
-from ptnsbc_io.bag.health import METADATA
+from ptnsbc_io.bag.metadata import METADATA_FILE
 from ptnsbc_sim.scenario import Scenario
 
 UAV = "{n}"
@@ -132,12 +132,12 @@ def open_source(path: Path, attachment: str) -> Source:
 
 def _needs_rosbags(folder: Path) -> bool:
     """Whether a folder holds sqlite3, or what rosbag2 compressed itself."""
-    if not (folder / METADATA).is_file():
+    if not (folder / METADATA_FILE).is_file():
         return False
     if not any(folder.glob("*.mcap")):
         return True
     try:
-        told = yaml.safe_load((folder / METADATA).read_text(encoding="utf-8"))
+        told = yaml.safe_load((folder / METADATA_FILE).read_text(encoding="utf-8"))
         return bool(told["rosbag2_bagfile_information"].get("compression_mode"))
     except (OSError, ValueError, KeyError, TypeError, AttributeError, yaml.YAMLError):
         return False

@@ -8,7 +8,7 @@ import pytest
 
 from ptnsbc_io import wire
 from ptnsbc_io.bag import BagError, BagWriter, SplitLimits, TopicInfo, read_bag
-from ptnsbc_io.bag.health import ailments
+from ptnsbc_io.bag.reader import find_problems
 from ptnsbc_io.bag.repair import repair
 
 TOPICS = (
@@ -47,7 +47,7 @@ def whole(path: Path) -> bool:
     """Both by our own measure and by that of an independent reader, which must decode everything."""
     highlevel = pytest.importorskip("rosbags.highlevel")
     bag = read_bag(path)
-    assert ailments(bag) == []
+    assert find_problems(bag) == []
     assert bag.metadata == {"seed": "7"}
     assert bag.attachment("scenario.yaml") == b"n: 1\n"
     with highlevel.AnyReader([path]) as reader:
@@ -98,7 +98,7 @@ def test_damaged_chunk_in_place(flight):
     content = bytearray(file.read_bytes())
     content[len(content) // 2] ^= 0xFF
     file.write_bytes(content)
-    assert ailments(read_bag(flight)) == ["flight_0.mcap: a damaged chunk"]
+    assert find_problems(read_bag(flight)) == ["flight_0.mcap: a damaged chunk"]
     made = repair(flight)
     assert (made.damaged_chunks, made.cut) == (1, False)
     assert made.original == flight.with_name("flight.original")
@@ -138,7 +138,7 @@ def test_missing_metadata(flight):
     before = contents(flight)
     text = (flight / "metadata.yaml").read_text()
     (flight / "metadata.yaml").unlink()
-    assert ailments(read_bag(flight)) == ["metadata.yaml is missing"]
+    assert find_problems(read_bag(flight)) == ["metadata.yaml is missing"]
     repair(flight)
     assert (flight / "metadata.yaml").read_text() == text
     assert contents(flight) == before

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import subprocess
@@ -14,7 +13,7 @@ import numpy as np
 import pytest
 
 from ptnsbc_io import wire
-from ptnsbc_io.bag import BagError, BagWriter, TopicInfo, msgdef, read_bag
+from ptnsbc_io.bag import BagError, BagWriter, TopicInfo, read_bag
 
 TOPICS = (
     TopicInfo("/uav1/odom", "nav_msgs/msg/Odometry", "best_effort", "volatile", 1),
@@ -125,35 +124,6 @@ def test_same_input_same_bytes(tmp_path, compression):
     assert names == ["flight_0.mcap", "metadata.yaml"]
     for name in names:
         assert (first / name).read_bytes() == (second / name).read_bytes()
-
-
-def test_without_ros_the_same_bytes(tmp_path, monkeypatch):
-    """The table that is shipped says what the installed packages say."""
-    first = write_bag(tmp_path / "a" / "flight")
-    monkeypatch.setattr(msgdef, "_share_file", lambda *_: None)
-    msgdef.definition.cache_clear()
-    second = write_bag(tmp_path / "b" / "flight")
-    msgdef.definition.cache_clear()
-    assert (first / "flight_0.mcap").read_bytes() == (second / "flight_0.mcap").read_bytes()
-
-
-def test_shipped_definitions_are_jazzys():
-    typesys = pytest.importorskip("rosbags.typesys")
-    store = typesys.get_typestore(typesys.Stores.ROS2_JAZZY)
-    for name, entry in json.loads(msgdef._SHIPPED.read_text()).items():
-        assert entry["hash"] == store.hash_rihs01(name)
-        package, _, short = name.split("/")
-        path = msgdef._share_file(package, f"{short}.msg")
-        if path is not None:
-            assert entry["msg"] == path.read_text()
-            assert entry["hash"] == msgdef._type_hash(package, short)
-
-
-@pytest.mark.parametrize("type_name", ["no_such_msgs/msg/Thing", "nav_msgs/Odometry"])
-def test_unknown_type_leaves_nothing_behind(tmp_path, type_name):
-    with pytest.raises(BagError, match=r"no definition of no_such|expected package/msg/Name"):
-        BagWriter(tmp_path / "x", [TopicInfo("/a", type_name)]).open()
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_existing_target(tmp_path):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ptnsbc_io import wire
-from ptnsbc_io.bag.msgdef import definition
+from ptnsbc_io.bag.definitions import definition
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.tf import Transforms
 

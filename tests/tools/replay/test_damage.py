@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_io.bag import BagWriter, TopicInfo, read_bag
-from ptnsbc_io.bag.health import ailments
+from ptnsbc_io.bag.reader import find_problems
 from ptnsbc_io.bag.repair import repair
 from ptnsbc_io.wire import HeaderTemplate, OdometryTemplate, encode_near
 from ptnsbc_nodes.comm import topics
@@ -43,7 +43,7 @@ def used(path: Path, scenario) -> None:
     for use in (
         lambda: verdict_on(read_recording(path)),
         lambda: rerun(read_bag(path), scenario),
-        lambda: ailments(read_bag(path, salvage=True)),
+        lambda: find_problems(read_bag(path, salvage=True)),
         lambda: repair(path, path.parent / "repaired"),
     ):
         try:

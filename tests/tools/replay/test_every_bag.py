@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from ptnsbc_io.bag import BagWriter, SplitLimits, TopicInfo, read_bag
-from ptnsbc_io.bag.health import ailments
+from ptnsbc_io.bag.reader import find_problems
 from ptnsbc_io.bag.repair import repair
 from ptnsbc_io.wire import decode_integers
 from ptnsbc_nodes.uav.step_log import tick_note
@@ -52,7 +52,7 @@ def test_it_is_sound(bag):
     counts = doctor.read_by_another(bag)
     ours = Counter({t.name: t.messages for t in read_bag(bag).topics.values() if t.messages})
     assert counts == examined == ours
-    assert ailments(read_bag(bag)) == []
+    assert find_problems(read_bag(bag)) == []
 
 
 def test_what_was_published_is_there(realtime, scenario):

@@ -16,7 +16,7 @@ import pytest
 pytest.importorskip("rclpy")
 
 from ptnsbc_io.bag import BagTopic, read_bag
-from ptnsbc_io.bag.layout import TopicInfo, qos_profiles, to_yaml
+from ptnsbc_io.bag.metadata import TopicInfo, qos_profiles, to_yaml
 from ptnsbc_io.wire import decode_clock
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.recording.player import profile

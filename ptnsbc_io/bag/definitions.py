@@ -1,8 +1,9 @@
-"""What a bag says about a message type: its full definition (ros2msg) and its RIHS01 hash.
+"""The definition (ros2msg) and the type hash (RIHS01) of a message type, as bags carry them.
 
 Both come from the share folders of the installed ROS packages. Where a package is absent (a machine
 without ROS; tf2_msgs, which has no wheel) they come from `definitions.json` beside this file, which
-holds Jazzy's text for the types of this project.
+holds Jazzy's text for the types of this project. The texts of `rosbags` lack the comments, so bags would
+change with the machine.
 """
 
 from __future__ import annotations
@@ -19,8 +20,8 @@ from typing import NamedTuple
 from ptnsbc_io.bag.errors import BagError
 
 _PRIMITIVE = re.compile(r"bool|byte|char|float(32|64)|u?int(8|16|32|64)|w?string")
-_RULE = "=" * 80
-_SHIPPED = Path(__file__).with_name("definitions.json")
+_SEPARATOR = "=" * 80
+_TABLE_FILE = Path(__file__).with_name("definitions.json")
 
 
 class Definition(NamedTuple):
@@ -34,16 +35,17 @@ class Definition(NamedTuple):
 def definition(type_name: str) -> Definition:
     """The definition of `type_name`, written as in ROS 2: `nav_msgs/msg/Odometry`."""
     package, name = _split(type_name)
-    text = _msg_text(package, name)
-    parts, seen, waiting = [text], {(package, name)}, list(_nested(package, text))
-    while waiting:
-        key = waiting.pop(0)
+    parts: list[str] = []
+    seen: set[tuple[str, str]] = set()
+    queue = [(package, name)]
+    while queue:
+        key = queue.pop(0)
         if key in seen:
             continue
         seen.add(key)
         text = _msg_text(*key)
-        parts.append(f"{_RULE}\nMSG: {key[0]}/{key[1]}\n{text}")
-        waiting.extend(_nested(key[0], text))
+        parts.append(f"{_SEPARATOR}\nMSG: {key[0]}/{key[1]}\n{text}" if parts else text)
+        queue.extend(_nested(key[0], text))
     return Definition("\n".join(parts), _type_hash(package, name))
 
 
@@ -52,10 +54,8 @@ def has_header(type_name: str) -> bool:
     """Whether messages of this type start with a std_msgs/Header, or are a Header or a Clock."""
     if type_name in ("std_msgs/msg/Header", "rosgraph_msgs/msg/Clock"):
         return True
-    package, name = _split(type_name)
-    lines = (line.split("#")[0].split() for line in _msg_text(package, name).splitlines())
-    first = next((words for words in lines if words), [""])
-    return first[0] in ("std_msgs/Header", "Header")
+    first = next(_field_types(_msg_text(*_split(type_name))), "")
+    return first in ("std_msgs/Header", "Header")
 
 
 def _split(type_name: str) -> tuple[str, str]:
@@ -65,21 +65,25 @@ def _split(type_name: str) -> tuple[str, str]:
     return parts[0], parts[2]
 
 
-def _nested(package: str, text: str) -> Iterator[tuple[str, str]]:
-    """The message types that the fields in `text` use, as (package, name)."""
+def _field_types(text: str) -> Iterator[str]:
+    """The first word of every line of a .msg file that is not empty."""
     for line in text.splitlines():
         words = line.split("#")[0].split()
-        if not words:
-            continue
-        field_type = re.sub(r"(\[.*\])|(<=\d+)", "", words[0])
-        if _PRIMITIVE.fullmatch(field_type):
-            continue
-        owner, _, name = field_type.rpartition("/")
-        yield owner.split("/")[0] or package, name
+        if words:
+            yield words[0]
+
+
+def _nested(package: str, text: str) -> Iterator[tuple[str, str]]:
+    """The message types that the fields in `text` use, as (package, name)."""
+    for word in _field_types(text):
+        field_type = re.sub(r"(\[.*\])|(<=\d+)", "", word)
+        if not _PRIMITIVE.fullmatch(field_type):
+            owner, _, name = field_type.rpartition("/")
+            yield owner.split("/")[0] or package, name
 
 
 def _share_file(package: str, filename: str) -> Path | None:
-    # The wheels set no AMENT_PREFIX_PATH; their share folder is the environment's own.
+    # The wheels set no AMENT_PREFIX_PATH; their share folder is in the prefix of the environment.
     prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
     for prefix in [*filter(None, prefixes), sys.prefix]:
         path = Path(prefix, "share", package, "msg", filename)
@@ -89,8 +93,8 @@ def _share_file(package: str, filename: str) -> Path | None:
 
 
 @cache
-def _shipped() -> dict[str, dict[str, str]]:
-    table: dict[str, dict[str, str]] = json.loads(_SHIPPED.read_text())
+def _table() -> dict[str, dict[str, str]]:
+    table: dict[str, dict[str, str]] = json.loads(_TABLE_FILE.read_text())
     return table
 
 
@@ -113,7 +117,7 @@ def _type_hash(package: str, name: str) -> str:
 
 
 def _from_table(package: str, name: str) -> dict[str, str]:
-    entry = _shipped().get(f"{package}/msg/{name}")
+    entry = _table().get(f"{package}/msg/{name}")
     if entry is None:
         raise BagError(
             f"no definition of {package}/msg/{name}: install the ROS package {package}, "

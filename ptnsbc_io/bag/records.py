@@ -1,0 +1,224 @@
+"""The records of an MCAP file: the messages in a chunk, and a walk through a file around its damage.
+
+The MCAP library makes an object of every record and stops at the first damage. Here a message costs
+one `struct` call, and the walk goes on behind a damaged chunk. Every length is checked before it is
+used: a damaged length must not ask for gigabytes.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+import zlib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from io import BytesIO
+from operator import attrgetter
+from typing import IO, Any, NamedTuple, TypeAlias
+
+import zstandard
+from mcap.data_stream import ReadDataStream
+from mcap.opcode import Opcode
+from mcap.records import Attachment, Channel, Chunk, Message, Metadata, Schema
+
+MAGIC = b"\x89MCAP0\r\n"
+LARGEST_CHUNK = 1 << 30  # [bytes], uncompressed
+RECORD_HEAD = struct.Struct("<BQ")  # opcode, length of the body
+_MESSAGE = struct.Struct("<BQHIQQ")
+# A chunk before the name of its compression: head, start, end, size, checksum, length of the name.
+_BEFORE_COMPRESSION = RECORD_HEAD.size + 8 + 8 + 8 + 4
+_COMPRESSION = re.compile(rb"\x04\0\0\0zstd|\x03\0\0\0lz4")
+_BLOCK = 1 << 22  # [bytes], read at once in the search for a chunk
+_RECORD_TYPES: dict[int, Any] = {
+    Opcode.SCHEMA: Schema,
+    Opcode.CHANNEL: Channel,
+    Opcode.ATTACHMENT: Attachment,
+    Opcode.METADATA: Metadata,
+}
+
+
+class BagMessage(NamedTuple):
+    """One message of a bag."""
+
+    topic: str
+    stamp_ns: int  # log time [ns]
+    data: bytes  # CDR
+
+
+class MessageRecord(NamedTuple):
+    """One message of a file."""
+
+    channel_id: int
+    sequence: int
+    log_ns: int
+    publish_ns: int
+    data: bytes
+
+
+Record: TypeAlias = Schema | Channel | Attachment | Metadata | MessageRecord
+
+
+@dataclass
+class Damage:
+    """What a walk could not read."""
+
+    chunks: int = 0  # damaged chunks, lost with all their messages
+    cut: bool = False  # the file ends inside a record, or before its footer
+
+    def __bool__(self) -> bool:
+        return self.cut or self.chunks > 0
+
+
+def chunk_data(body: bytes) -> bytes:
+    """The decompressed records of a chunk record; ValueError when the chunk is damaged.
+
+    Args:
+        body: the chunk record without opcode and length.
+    """
+    chunk = Chunk.read(ReadDataStream(BytesIO(body)))
+    if len(chunk.data) > len(body):
+        raise ValueError("chunk is cut")
+    if chunk.uncompressed_size > LARGEST_CHUNK:
+        raise ValueError(f"chunk of {chunk.uncompressed_size} bytes")
+    if chunk.compression == "zstd":
+        if zstandard.frame_content_size(chunk.data) > LARGEST_CHUNK:
+            raise ValueError("size in a compressed frame")
+        data = bytes(zstandard.decompress(chunk.data, chunk.uncompressed_size))
+    elif chunk.compression == "lz4":
+        import lz4.frame
+
+        data = lz4.frame.decompress(chunk.data)
+    elif chunk.compression == "":
+        data = chunk.data
+    else:
+        raise ValueError(f"compression {chunk.compression!r}")
+    if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
+        raise ValueError("checksum of a chunk")
+    return data
+
+
+def chunk_records(data: bytes) -> Iterator[Schema | Channel | MessageRecord]:
+    """The schemas, channels and messages of a decompressed chunk, in the order of the file."""
+    at = 0
+    while at < len(data):
+        end = _record_end(data, at)
+        opcode = data[at]
+        if opcode == Opcode.MESSAGE:
+            if end - at < _MESSAGE.size:
+                raise ValueError("length of a message")
+            _, _, channel_id, sequence, log_ns, publish_ns = _MESSAGE.unpack_from(data, at)
+            body = data[at + _MESSAGE.size : end]
+            yield MessageRecord(channel_id, sequence, log_ns, publish_ns, body)
+        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+            body = data[at + RECORD_HEAD.size : end]
+            yield _RECORD_TYPES[opcode].read(ReadDataStream(BytesIO(body)))
+        at = end
+
+
+def chunk_messages(data: bytes, topics: Mapping[int, str]) -> list[BagMessage]:
+    """The messages of some channels in a decompressed chunk, in order of log time.
+
+    Messages of equal time stay in the order of the file. This is the fast path of reading: it makes
+    no object for a message of another channel.
+
+    Args:
+        data: decompressed chunk.
+        topics: topic by channel id.
+    """
+    found = []
+    at, end = 0, len(data)
+    while at < end:
+        if data[at] != Opcode.MESSAGE or end - at < _MESSAGE.size:
+            at = _record_end(data, at)
+            continue
+        _, length, channel_id, _, log_ns, _ = _MESSAGE.unpack_from(data, at)
+        start, at = at + _MESSAGE.size, at + RECORD_HEAD.size + length
+        if not start <= at <= end:
+            raise ValueError("length of a message")
+        if channel_id in topics:
+            found.append(BagMessage(topics[channel_id], log_ns, data[start:at]))
+    found.sort(key=attrgetter("stamp_ns"))
+    return found
+
+
+def _record_end(data: bytes, at: int) -> int:
+    if len(data) - at < RECORD_HEAD.size:
+        raise ValueError("end of a chunk")
+    end = at + RECORD_HEAD.size + int(RECORD_HEAD.unpack_from(data, at)[1])
+    if end > len(data):
+        raise ValueError("length of a record")
+    return end
+
+
+def walk(stream: IO[bytes], damage: Damage) -> Iterator[Record]:
+    """All readable records except indexes, in the order of the file.
+
+    A damaged chunk is left out. Behind a damaged length the walk goes on at the next bytes that look
+    like a chunk.
+
+    Args:
+        stream: an MCAP file whose magic bytes have been checked.
+        damage: filled in on the way.
+    """
+    size = stream.seek(0, 2)
+    offset = len(MAGIC)
+    while True:
+        stream.seek(offset)
+        head = stream.read(RECORD_HEAD.size)
+        if len(head) < RECORD_HEAD.size:
+            damage.cut = True
+            return
+        opcode, length = RECORD_HEAD.unpack(head)
+        if opcode == Opcode.FOOTER:
+            return
+        end = offset + RECORD_HEAD.size + length
+        records = _read_records(stream, opcode, length) if end <= size else None
+        if records is not None:
+            yield from records
+            offset = end
+            continue
+        following = _next_chunk(stream, offset + 1)
+        if following is not None or (opcode == Opcode.CHUNK and end <= size):
+            damage.chunks += 1
+        if following is None and end > size:
+            damage.cut = True
+            return
+        offset = end if following is None else following
+
+
+def _read_records(stream: IO[bytes], opcode: int, length: int) -> list[Record] | None:
+    """The records that a record of the file stands for; None when it is damaged."""
+    if not (0 < opcode <= Opcode.DATA_END or opcode >= 0x80):
+        return None
+    if opcode not in (*_RECORD_TYPES, Opcode.CHUNK, Opcode.MESSAGE):
+        return []
+    body = stream.read(length)
+    try:
+        if opcode == Opcode.CHUNK:
+            # The whole list before the first record is used: a chunk counts whole, or not at all.
+            # Declarations come first: a reader must know a channel before its messages.
+            records = list(chunk_records(chunk_data(body)))
+            return sorted(records, key=lambda record: isinstance(record, MessageRecord))
+        if opcode == Opcode.MESSAGE:
+            found = Message.read(ReadDataStream(BytesIO(body)), len(body))
+            times = found.log_time, found.publish_time
+            return [MessageRecord(found.channel_id, found.sequence, *times, found.data)]
+        return [_RECORD_TYPES[opcode].read(ReadDataStream(BytesIO(body)))]
+    except Exception:
+        # Broad on purpose: damaged bytes surface as struct, zstd, CRC, key, value or EOF errors.
+        return None
+
+
+def _next_chunk(stream: IO[bytes], offset: int) -> int | None:
+    """Offset of the next chunk, found by the name of its compression; None when there is none."""
+    stream.seek(offset)
+    kept, base = b"", offset
+    while block := stream.read(_BLOCK):
+        window = kept + block
+        for match in _COMPRESSION.finditer(window):
+            start = match.start() - _BEFORE_COMPRESSION
+            if start >= 0 and window[start] == Opcode.CHUNK:
+                return base + start
+        kept = window[-2 * _BEFORE_COMPRESSION :]
+        base += len(window) - len(kept)
+    return None
