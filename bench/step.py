@@ -76,7 +76,7 @@ def measure(plan: Plan) -> Sequence[Row]:
     config, known, dt = agent_config(scenario, _FOLLOWER), inputs(scenario, _FOLLOWER), 0.01
     agent, state = Agent(config, known.own), initial_state(known.own, config)
 
-    vector = PackedInputs.of(known)
+    vector = PackedInputs.pack(known)
 
     def agent_advance() -> object:
         return agent.advance(vector, _T_S, dt)

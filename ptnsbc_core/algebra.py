@@ -1,8 +1,8 @@
-"""Small linear algebra for three dimensions, written out.
+"""Linear algebra for three dimensions, written out.
 
-Why not NumPy inside the kernels: numba hands `@` and `linalg.svd` to BLAS and LAPACK, which costs more than
-the laws themselves at this size and whose summation order may depend on memory alignment, while headless
-flight, processes and replay must agree bit for bit. `bench` prints both costs.
+The kernels do not use NumPy's `@` and `linalg.svd`: numba hands them to BLAS and LAPACK. At this size these cost
+more than the laws themselves, and their summation order may depend on memory alignment. Headless flight,
+processes and replay must agree bit for bit. `bench` prints both costs.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ptnsbc_core.kernel import kernel, leaf
-from ptnsbc_core.types import Array, Matrix3, Triple, Vector3
+from ptnsbc_core.kernel import inline_kernel, kernel
+from ptnsbc_core.types import Array, Matrix3, Vector3, Vector3Like
 
 _SWEEPS = 12
 
@@ -25,20 +25,26 @@ class Eigen3(NamedTuple):
     vectors: Array
 
 
-@leaf
-def dot3(a: Triple, b: Triple) -> float:
+@inline_kernel
+def dot3(a: Vector3Like, b: Vector3Like) -> float:
     """Scalar product of two (3,) vectors."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@leaf
-def norm3(a: Triple) -> float:
+@inline_kernel
+def norm3(a: Vector3Like) -> float:
     """Euclidean norm of a (3,) vector."""
     return math.sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2])
 
 
-@leaf
-def cross3(a: Triple, b: Triple) -> Vector3:
+@inline_kernel
+def norm1(a: Vector3Like) -> float:
+    """Sum of the magnitudes of a (3,) vector."""
+    return abs(a[0]) + abs(a[1]) + abs(a[2])
+
+
+@inline_kernel
+def cross3(a: Vector3Like, b: Vector3Like) -> Vector3:
     """Vector product a x b."""
     return (
         a[1] * b[2] - a[2] * b[1],
@@ -47,63 +53,69 @@ def cross3(a: Triple, b: Triple) -> Vector3:
     )
 
 
-@leaf
-def plus(a: Triple, b: Triple) -> Vector3:
+@inline_kernel
+def add3(a: Vector3Like, b: Vector3Like) -> Vector3:
     """Sum of two (3,) vectors."""
     return a[0] + b[0], a[1] + b[1], a[2] + b[2]
 
 
-@leaf
-def minus(a: Triple, b: Triple) -> Vector3:
+@inline_kernel
+def sub3(a: Vector3Like, b: Vector3Like) -> Vector3:
     """Difference a - b of two (3,) vectors."""
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
-@leaf
-def scaled(factor: float, v: Triple) -> Vector3:
-    """A (3,) vector times a number."""
-    return factor * v[0], factor * v[1], factor * v[2]
+@inline_kernel
+def scale3(a: float, x: Vector3Like) -> Vector3:
+    """Scalar a times a (3,) vector."""
+    return a * x[0], a * x[1], a * x[2]
 
 
-@leaf
-def divided(v: Triple, by: float) -> Vector3:
-    """A (3,) vector divided by a number."""
-    return v[0] / by, v[1] / by, v[2] / by
+@inline_kernel
+def div3(x: Vector3Like, a: float) -> Vector3:
+    """A (3,) vector divided by a scalar."""
+    return x[0] / a, x[1] / a, x[2] / a
 
 
-@leaf
-def moved(a: Triple, factor: float, b: Triple) -> Vector3:
-    """The (3,) vector a + factor b."""
-    return a[0] + factor * b[0], a[1] + factor * b[1], a[2] + factor * b[2]
+@inline_kernel
+def hadamard3(a: Vector3Like, b: Vector3Like) -> Vector3:
+    """Product of two (3,) vectors entry by entry."""
+    return a[0] * b[0], a[1] * b[1], a[2] * b[2]
 
 
-@leaf
-def three(v: Triple, at: int) -> Vector3:
-    """Three entries of a vector from `at` on."""
+@inline_kernel
+def axpy(a: float, x: Vector3Like, y: Vector3Like) -> Vector3:
+    """The (3,) vector a x + y."""
+    return y[0] + a * x[0], y[1] + a * x[1], y[2] + a * x[2]
+
+
+@inline_kernel
+def load3(v: Vector3Like, at: int) -> Vector3:
+    """The (3,) vector that begins at entry `at`."""
     return v[at], v[at + 1], v[at + 2]
 
 
-@leaf
-def put3(out: Array, at: int, v: Triple) -> None:
+@inline_kernel
+def store3(out: Array, at: int, v: Vector3Like) -> None:
     """Write a (3,) vector into `out` from entry `at` on."""
     out[at], out[at + 1], out[at + 2] = v[0], v[1], v[2]
 
 
-@leaf
-def put(out: Array, at: int, values: Array) -> None:
+@inline_kernel
+def store(out: Array, at: int, values: Array) -> None:
     """Write a vector into `out` from entry `at` on."""
     for i in range(values.shape[0]):
         out[at + i] = values[i]
 
 
-@leaf
-def times(m: Array | Matrix3, v: Triple) -> Vector3:
+@inline_kernel
+def matvec(m: Array | Matrix3, v: Vector3Like) -> Vector3:
     """Product (3, 3) (3,)."""
     return dot3(m[0], v), dot3(m[1], v), dot3(m[2], v)
 
 
-@leaf
-def transpose_times(m: Array | Matrix3, v: Triple) -> Vector3:
+@inline_kernel
+def matvec_transposed(m: Array | Matrix3, v: Vector3Like) -> Vector3:
     """Product of the transpose of m (3, 3) with v (3,)."""
     return (
         m[0][0] * v[0] + m[1][0] * v[1] + m[2][0] * v[2],
@@ -112,29 +124,29 @@ def transpose_times(m: Array | Matrix3, v: Triple) -> Vector3:
     )
 
 
-@leaf
-def wrap(angle: float) -> float:
+@inline_kernel
+def wrap_angle(angle: float) -> float:
     """Angle [rad] wrapped to [-pi, pi)."""
     return (angle + math.pi) % (2.0 * math.pi) - math.pi
 
 
-@leaf
+@inline_kernel
 def saturation(x: float, width: float) -> float:
     """(47): slope 1/width inside +-width, sign outside."""
     return min(max(x / width, -1.0), 1.0)
 
 
-@leaf
-def limited(v: Triple, limit: float) -> Vector3:
-    """V (3,) scaled down to the norm `limit` where it is longer."""
+@inline_kernel
+def limit_norm(v: Vector3Like, limit: float) -> Vector3:
+    """The vector v (3,), scaled down to the norm `limit` where it is longer."""
     length = norm3(v)
     if length > limit:
-        return scaled(limit / length, v)
-    return three(v, 0)
+        return scale3(limit / length, v)
+    return load3(v, 0)
 
 
-@leaf
-def _rotate(a: Array, vectors: Array, p: int, q: int) -> None:
+@inline_kernel
+def _jacobi_rotation(a: Array, vectors: Array, p: int, q: int) -> None:
     """One Jacobi rotation that zeroes a[p, q], applied to `a` and `vectors` in place."""
     if a[p, q] == 0.0:
         return
@@ -167,15 +179,15 @@ def eigen3(gram: Array) -> Eigen3:
         off = abs(a[0, 1]) + abs(a[0, 2]) + abs(a[1, 2])
         if off <= 1e-15 * (abs(a[0, 0]) + abs(a[1, 1]) + abs(a[2, 2])):
             break
-        _rotate(a, vectors, 0, 1)
-        _rotate(a, vectors, 0, 2)
-        _rotate(a, vectors, 1, 2)
+        _jacobi_rotation(a, vectors, 0, 1)
+        _jacobi_rotation(a, vectors, 0, 2)
+        _jacobi_rotation(a, vectors, 1, 2)
     for i in range(3):
         values[i] = a[i, i]
     return Eigen3(values, vectors)
 
 
-@leaf
+@inline_kernel
 def gram3(m: Array | Matrix3) -> Array:
     """Gram matrix of m (r, 3): (3, 3)."""
     out = np.zeros((3, 3))

@@ -1,10 +1,10 @@
-"""Every error that this project raises on purpose: one base, messages with value, expectation and way out."""
+"""The errors that this project raises on purpose. A message says the value, the expectation and the way out."""
 
 from __future__ import annotations
 
 
 class PtnsbcError(Exception):
-    """Base of all errors a user can cause; its text is shown without a traceback."""
+    """Base of all errors that a user can cause; only its text is shown, without a traceback."""
 
 
 class GainError(PtnsbcError):

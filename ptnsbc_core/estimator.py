@@ -1,20 +1,19 @@
-"""Leader estimator (43)-(48), equations.md section 5: position, velocity and yaw of the leader.
+"""Leader estimator (43)-(48), docs/method.md: position, velocity and yaw of the leader.
 
-The factor 1/lambda_min(H) makes the networked error reach the residual at tf2 whatever the graph is. The
-saturation (47) alone leaves an error in proportion to the leader's speed; the estimated velocity as
-feed-forward removes it.
+The factor 1/lambda_min(H) makes the networked error reach the residual at tf2 for every graph. The saturation
+(47) alone leaves an error in proportion to the leader's speed; the estimated velocity as feed-forward removes it.
 """
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
-from ptnsbc_core.algebra import minus, moved, plus, saturation, wrap
-from ptnsbc_core.kernel import leaf
+from ptnsbc_core.algebra import add3, axpy, saturation, sub3, wrap_angle
+from ptnsbc_core.kernel import inline_kernel
 from ptnsbc_core.kinematics import odometry_to_estimate, state_to_estimate
 from ptnsbc_core.timebase import Clock, step_gain
 from ptnsbc_core.types import (
-    NEVER_HEARD_S,
+    NEVER_RECEIVED_S,
     AgentConfig,
     AgentInputs,
     AgentState,
@@ -23,35 +22,35 @@ from ptnsbc_core.types import (
     Vector3,
 )
 
-NONE = Estimate((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0)
+NO_DISAGREEMENT = Estimate((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0)
 """No disagreement."""
 
 
 class EstimatorMeasurements(NamedTuple):
-    """What was heard at this tick, compared with the own estimate."""
+    """Received states and estimates, compared with the own estimate."""
 
     disagreement: Estimate  # g_i
-    anything: bool
+    received: bool  # from anyone
 
 
-@leaf
-def disagreeing(g: Estimate, estimate: Estimate, other: Estimate) -> Estimate:
+@inline_kernel
+def add_disagreement(g: Estimate, estimate: Estimate, other: Estimate) -> Estimate:
     """One more term of g_i = sum_j a_ij (X_i - X_j) + b_i (X_i - X_1), (46); yaw differences are wrapped."""
     return Estimate(
-        plus(g.position, minus(estimate.position, other.position)),
-        plus(g.velocity, minus(estimate.velocity, other.velocity)),
-        g.yaw + wrap(estimate.yaw - other.yaw),
+        add3(g.position, sub3(estimate.position, other.position)),
+        add3(g.velocity, sub3(estimate.velocity, other.velocity)),
+        g.yaw + wrap_angle(estimate.yaw - other.yaw),
     )
 
 
-@leaf
-def _stepped(value: float, g: float, gain: float, dt: float, config: EstimatorConfig) -> float:
+@inline_kernel
+def _euler_step(value: float, g: float, gain: float, dt: float, config: EstimatorConfig) -> float:
     rate = -gain * g - config.k2 * saturation(g, config.boundary)
     return value + dt * rate
 
 
-@leaf
-def _stepped3(
+@inline_kernel
+def _euler_step3(
     value: Vector3, g: Vector3, forward: Vector3, gain: float, dt: float, config: EstimatorConfig
 ) -> Vector3:
     k2, width = config.k2, config.boundary
@@ -62,7 +61,7 @@ def _stepped3(
     )
 
 
-@leaf
+@inline_kernel
 def estimator_step(
     estimate: Estimate, g: Estimate, t: float, dt: float, config: EstimatorConfig
 ) -> Estimate:
@@ -70,56 +69,56 @@ def estimator_step(
     gain = step_gain(t, dt, config.duration_s, config.residual) / config.lambda_min + config.k1
     forward = estimate.velocity if config.feed_forward else (0.0, 0.0, 0.0)
     return Estimate(
-        _stepped3(estimate.position, g.position, forward, gain, dt, config),
-        _stepped3(estimate.velocity, g.velocity, (0.0, 0.0, 0.0), gain, dt, config),
-        wrap(_stepped(estimate.yaw, g.yaw, gain, dt, config)),
+        _euler_step3(estimate.position, g.position, forward, gain, dt, config),
+        _euler_step3(estimate.velocity, g.velocity, (0.0, 0.0, 0.0), gain, dt, config),
+        wrap_angle(_euler_step(estimate.yaw, g.yaw, gain, dt, config)),
     )
 
 
-@leaf
-def _moved_on(estimate: Estimate, age_s: float) -> Estimate:
-    """Estimate of `age_s` ago carried to the present with its own velocity."""
+@inline_kernel
+def _extrapolate(estimate: Estimate, age_s: float) -> Estimate:
+    """Estimate of `age_s` ago, extrapolated to the present with its own velocity."""
     velocity = estimate.velocity
-    return Estimate(moved(estimate.position, age_s, velocity), velocity, estimate.yaw)
+    return Estimate(axpy(age_s, velocity, estimate.position), velocity, estimate.yaw)
 
 
-@leaf
-def _heard(
+@inline_kernel
+def _measurements(
     present: Estimate, inputs: AgentInputs, pinned: bool, config: AgentConfig
 ) -> EstimatorMeasurements:
-    """Neighbours' estimates and the leader's state, carried to the present, against the own estimate."""
-    g, anything = NONE, pinned
+    """Disagreement of the own estimate with the neighbours' estimates and the leader's state at present."""
+    g, received = NO_DISAGREEMENT, pinned
     for k in range(inputs.estimates.shape[0]):
         age_s = inputs.estimate_age_s[k]
         if age_s <= config.stale_s:
-            other = _moved_on(odometry_to_estimate(inputs.estimates[k]), age_s)
-            g, anything = disagreeing(g, present, other), True
+            other = _extrapolate(odometry_to_estimate(inputs.estimates[k]), age_s)
+            g, received = add_disagreement(g, present, other), True
     if pinned:
-        leader = _moved_on(state_to_estimate(inputs.leader), inputs.leader_age_s)
-        g = disagreeing(g, present, leader)
-    return EstimatorMeasurements(g, anything)
+        leader = _extrapolate(state_to_estimate(inputs.leader), inputs.leader_age_s)
+        g = add_disagreement(g, present, leader)
+    return EstimatorMeasurements(g, received)
 
 
-@leaf
-def estimated_leader(
+@inline_kernel
+def leader_estimate(
     state: AgentState, inputs: AgentInputs, clock: Clock, frozen: bool, config: AgentConfig
 ) -> tuple[Estimate, bool]:
-    """Leader estimate at this tick, and whether it rests on anything heard."""
+    """Leader estimate at this tick, and whether it has been initialised from a message."""
     if config.leader:
         return state_to_estimate(inputs.own), True
-    pinned = config.estimator.pinned and inputs.leader_age_s < NEVER_HEARD_S
-    if pinned and not state.heard:
-        return _moved_on(state_to_estimate(inputs.leader), inputs.leader_age_s), True
+    pinned = config.estimator.pinned and inputs.leader_age_s < NEVER_RECEIVED_S
+    if pinned and not state.estimate_valid:
+        return _extrapolate(state_to_estimate(inputs.leader), inputs.leader_age_s), True
     if frozen:
         last = state.estimate
-        return Estimate(last.position, (0.0, 0.0, 0.0), last.yaw), state.heard
-    # everything heard is carried to the present, so the own estimate must be too: compared one tick late
-    # it settles v dt behind, which the angle tasks multiply along the chain
+        return Estimate(last.position, (0.0, 0.0, 0.0), last.yaw), state.estimate_valid
+    # Received states are extrapolated to the present, so the own estimate must be too. Compared one tick late, it
+    # settles v dt behind, and the angle tasks multiply that error along the chain.
     present = state.estimate
     if config.estimator.feed_forward:
-        present = _moved_on(state.estimate, clock.dt)
-    heard = _heard(present, inputs, pinned, config)
-    if not heard.anything:
-        return state.estimate, state.heard
-    step = estimator_step(state.estimate, heard.disagreement, clock.t, clock.dt, config.estimator)
-    return step, True
+        present = _extrapolate(state.estimate, clock.dt)
+    measurements = _measurements(present, inputs, pinned, config)
+    if not measurements.received:
+        return state.estimate, state.estimate_valid
+    g = measurements.disagreement
+    return estimator_step(state.estimate, g, clock.t, clock.dt, config.estimator), True

@@ -83,7 +83,7 @@ def kernel(law: Callable[P, R]) -> Callable[P, R]:
     return law if _COMPILE is None else _COMPILE[0](law)
 
 
-def leaf(law: Callable[P, R]) -> Callable[P, R]:
+def inline_kernel(law: Callable[P, R]) -> Callable[P, R]:
     """A short kernel that becomes part of its caller.
 
     Between two compiled functions every array travels as seven words and a reference count; within one the

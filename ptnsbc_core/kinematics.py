@@ -1,4 +1,4 @@
-"""Kinematics (1)-(6) with the rotation matrix that is one, and the accessors of an odometry vector."""
+"""Kinematics (1)-(6) with a corrected rotation matrix, and the accessors of an odometry vector."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ import math
 
 import numpy as np
 
-from ptnsbc_core.algebra import put3, three, times
+from ptnsbc_core.algebra import load3, matvec, store3
 from ptnsbc_core.errors import AttitudeError
-from ptnsbc_core.kernel import kernel, leaf
-from ptnsbc_core.types import Array, Estimate, Matrix3, Triple, Vector3
+from ptnsbc_core.kernel import inline_kernel, kernel
+from ptnsbc_core.types import Array, Estimate, Matrix3, Vector3, Vector3Like
 
 SINGULAR_COSINE = 1e-6
 """|cos(pitch)| below which Euler rates are refused."""
@@ -28,7 +28,7 @@ def rotation_from_euler(euler: Array) -> Array:
     return r
 
 
-@leaf
+@inline_kernel
 def rotation(q: Array, at: int) -> Matrix3:
     """Rows of R, body to world, from the unit quaternion x y z w that begins at entry `at`."""
     x, y, z, w = q[at], q[at + 1], q[at + 2], q[at + 3]
@@ -39,14 +39,14 @@ def rotation(q: Array, at: int) -> Matrix3:
     )
 
 
-@leaf
+@inline_kernel
 def rotation_from_quaternion(q: Array) -> Array:
     """R (3, 3), body to world, from a unit quaternion x y z w."""
     r = np.empty((3, 3))
     rows = rotation(q, 0)
-    put3(r[0], 0, rows[0])
-    put3(r[1], 0, rows[1])
-    put3(r[2], 0, rows[2])
+    store3(r[0], 0, rows[0])
+    store3(r[1], 0, rows[1])
+    store3(r[2], 0, rows[2])
     return r
 
 
@@ -75,7 +75,7 @@ def euler_from_rotation(r: Array | Matrix3) -> Vector3:
 
 
 @kernel
-def euler_rates(euler: Triple, rates: Triple) -> Vector3:
+def euler_rates(euler: Vector3Like, rates: Vector3Like) -> Vector3:
     """(3), (4): Euler angle rates [rad/s] = W(euler) body rates. Infinite at cos(pitch) = 0, see `checked_pitch`."""
     sf, cf = math.sin(euler[0]), math.cos(euler[0])
     ct, tt = math.cos(euler[1]), math.tan(euler[1])
@@ -87,7 +87,7 @@ def euler_rates(euler: Triple, rates: Triple) -> Vector3:
 
 
 @kernel
-def body_rates(euler: Triple, rates: Triple) -> Vector3:
+def body_rates(euler: Vector3Like, rates: Vector3Like) -> Vector3:
     """Body rates [rad/s] = W^-1(euler) Euler rates; regular everywhere."""
     sf, cf = math.sin(euler[0]), math.cos(euler[0])
     st, ct = math.sin(euler[1]), math.cos(euler[1])
@@ -99,7 +99,7 @@ def body_rates(euler: Triple, rates: Triple) -> Vector3:
 
 
 def checked_pitch(pitch_rad: float) -> float:
-    """The pitch, if W is finite there.
+    """The pitch, when W is finite at it.
 
     Raises:
         AttitudeError: cos(pitch) is zero for all practical purposes.
@@ -112,38 +112,38 @@ def checked_pitch(pitch_rad: float) -> float:
     return pitch_rad
 
 
-@leaf
+@inline_kernel
 def velocity_enu(odometry: Array) -> Vector3:
     """World velocity [m/s] of an odometry vector whose twist is in the body frame."""
-    return times(rotation(odometry, 3), three(odometry, 7))
+    return matvec(rotation(odometry, 3), load3(odometry, 7))
 
 
-@leaf
+@inline_kernel
 def yaw_of(odometry: Array) -> float:
     """Yaw [rad] of an odometry vector."""
     x, y, z, w = odometry[3], odometry[4], odometry[5], odometry[6]
     return math.atan2(2.0 * (x * y + w * z), 1.0 - 2.0 * (y * y + z * z))
 
 
-@leaf
-def put_estimate(out: Array, estimate: Estimate) -> None:
+@inline_kernel
+def store_estimate(out: Array, estimate: Estimate) -> None:
     """Write a leader estimate into `out` (13,), as an odometry vector with the twist in the world frame."""
-    put3(out, 0, estimate.position)
+    store3(out, 0, estimate.position)
     out[3] = 0.0
     out[4] = 0.0
     out[5] = math.sin(0.5 * estimate.yaw)
     out[6] = math.cos(0.5 * estimate.yaw)
-    put3(out, 7, estimate.velocity)
-    put3(out, 10, (0.0, 0.0, 0.0))
+    store3(out, 7, estimate.velocity)
+    store3(out, 10, (0.0, 0.0, 0.0))
 
 
-@leaf
+@inline_kernel
 def odometry_to_estimate(odometry: Array) -> Estimate:
     """The leader estimate of an odometry vector with the twist in the world frame."""
-    return Estimate(three(odometry, 0), three(odometry, 7), yaw_of(odometry))
+    return Estimate(load3(odometry, 0), load3(odometry, 7), yaw_of(odometry))
 
 
-@leaf
+@inline_kernel
 def state_to_estimate(odometry: Array) -> Estimate:
     """Position, velocity and yaw of a UAV's own odometry vector (twist in the body frame)."""
-    return Estimate(three(odometry, 0), velocity_enu(odometry), yaw_of(odometry))
+    return Estimate(load3(odometry, 0), velocity_enu(odometry), yaw_of(odometry))

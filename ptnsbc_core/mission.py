@@ -1,29 +1,35 @@
-"""What one UAV is to do at this tick: follow the trajectory, keep its place in the formation, hold, or land."""
+"""What one UAV does at this tick: follow the trajectory, keep its formation position, hold, or land."""
 
 from __future__ import annotations
 
-from ptnsbc_core.algebra import moved, three
-from ptnsbc_core.kernel import leaf
+from ptnsbc_core.algebra import axpy, limit_norm, load3, scale3, sub3
+from ptnsbc_core.association import associate
+from ptnsbc_core.behaviours.contract import Behaviour, EpochErrors, Neighbour
+from ptnsbc_core.behaviours.formation import formation
+from ptnsbc_core.behaviours.leader_tracking import leader_tracking
+from ptnsbc_core.kernel import inline_kernel
 from ptnsbc_core.kinematics import velocity_enu, yaw_of
-from ptnsbc_core.planner import Behaviour, EpochErrors, Neighbour, formation, hold, leader_tracking
-from ptnsbc_core.sighting import sighted
 from ptnsbc_core.timebase import Clock
 from ptnsbc_core.trajectory import Reference, reference
 from ptnsbc_core.types import (
     MODE_FORMATION,
     MODE_LAND,
-    NEVER_HEARD_S,
+    NEVER_RECEIVED_S,
     AgentConfig,
     AgentInputs,
     AgentState,
     Estimate,
     PoseTarget,
+    Vector3,
 )
 
 
-@leaf
-def lost(inputs: AgentInputs, start_t: float, config: AgentConfig) -> bool:
-    """Whether the parent or a leader link has been silent for too long (never heard counts after stale_s)."""
+@inline_kernel
+def link_lost(inputs: AgentInputs, start_t: float, config: AgentConfig) -> bool:
+    """Whether the parent or a leader link has been silent for longer than stale_s.
+
+    A link on which nothing was ever received counts as lost from stale_s after the first epoch.
+    """
     if config.leader or start_t < config.stale_s:
         return False
     if inputs.parent_age_s > config.stale_s:
@@ -31,54 +37,65 @@ def lost(inputs: AgentInputs, start_t: float, config: AgentConfig) -> bool:
     return config.estimator.pinned and inputs.leader_age_s > config.stale_s
 
 
-@leaf
-def behaviour_of_mission(
-    inputs: AgentInputs, estimate: Estimate, armed: EpochErrors, clock: Clock, config: AgentConfig
+@inline_kernel
+def mission_behaviour(
+    inputs: AgentInputs, estimate: Estimate, epoch: EpochErrors, clock: Clock, config: AgentConfig
 ) -> Behaviour:
-    """The mission behaviour: leader tracking for the leader, formation for a follower that has heard."""
-    position = three(inputs.own, 0)
+    """Leader tracking for the leader, formation for a follower.
+
+    A follower that has not received its parent's state stays where it is.
+    """
+    position = load3(inputs.own, 0)
     if config.leader:
         desired = reference(config.trajectory, clock.start_t)
-        return leader_tracking(position, desired, armed, clock, config)
-    if inputs.parent_age_s >= NEVER_HEARD_S:
+        return leader_tracking(position, desired, epoch, clock, config)
+    if inputs.parent_age_s >= NEVER_RECEIVED_S:
         rest = Reference(position, (0.0, 0.0, 0.0), 0.0)
-        return leader_tracking(position, rest, armed, clock, config)
+        return leader_tracking(position, rest, epoch, clock, config)
     velocity = velocity_enu(inputs.parent)
-    parent = Neighbour(moved(inputs.parent, inputs.parent_age_s, velocity), velocity)
+    parent = Neighbour(axpy(inputs.parent_age_s, velocity, inputs.parent), velocity)
     leader = Neighbour(estimate.position, estimate.velocity)
-    if config.sight_m > 0.0:
+    if config.association_gate_m > 0.0:
         near, age_s = inputs.near, inputs.near_age_s
-        parent = sighted(parent, near, age_s, config.sight_m)
-        leader = sighted(leader, near, age_s, config.sight_m)
-    return formation(position, parent, leader, armed, clock, config)
+        parent = associate(parent, near, age_s, config.association_gate_m)
+        leader = associate(leader, near, age_s, config.association_gate_m)
+    return formation(position, parent, leader, epoch, clock, config)
 
 
-@leaf
-def hold_place(state: AgentState, inputs: AgentInputs, holding: bool) -> PoseTarget:
-    """Where to hold: where the UAV was when holding began."""
+@inline_kernel
+def hold_target(state: AgentState, inputs: AgentInputs, holding: bool) -> PoseTarget:
+    """Pose to hold: that of the UAV when holding began."""
     if holding and state.mode == MODE_FORMATION:
-        return PoseTarget(three(inputs.own, 0), yaw_of(inputs.own))
+        return PoseTarget(load3(inputs.own, 0), yaw_of(inputs.own))
     return state.hold
 
 
-@leaf
-def held(
-    behaviour: Behaviour, inputs: AgentInputs, place: PoseTarget, config: AgentConfig
+@inline_kernel
+def hold_velocity(position: Vector3, target: Vector3, config: AgentConfig) -> Vector3:
+    """Velocity [m/s, ENU] that holds a position, at most half of the speed limit."""
+    return limit_norm(
+        scale3(config.hold_gain, sub3(target, position)), 0.5 * config.filter.max_speed
+    )
+
+
+@inline_kernel
+def hold_behaviour(
+    behaviour: Behaviour, inputs: AgentInputs, target: PoseTarget, config: AgentConfig
 ) -> Behaviour:
-    """The mission behaviour replaced by keeping a place, or by descending over it."""
-    velocity = hold(three(inputs.own, 0), place.position, config)
+    """The mission behaviour with its velocity replaced by holding a position, or by descending over it."""
+    velocity = hold_velocity(load3(inputs.own, 0), target.position, config)
     if inputs.mode == MODE_LAND:
         velocity = (velocity[0], velocity[1], -config.land_speed)
     return Behaviour(velocity, behaviour.error, behaviour.singular_value)
 
 
-@leaf
+@inline_kernel
 def desired_yaw(
-    estimate: Estimate, place: PoseTarget, holding: bool, clock: Clock, config: AgentConfig
+    estimate: Estimate, target: PoseTarget, holding: bool, clock: Clock, config: AgentConfig
 ) -> float:
-    """Heading to keep [rad]: of the place held, of the trajectory (leader), or of the leader (follower)."""
+    """Desired heading [rad]: of the pose held, of the trajectory (leader), or of the leader (follower)."""
     if holding:
-        return place.yaw
+        return target.yaw
     if config.leader:
         return reference(config.trajectory, clock.start_t).yaw
     return estimate.yaw

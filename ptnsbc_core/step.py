@@ -1,15 +1,17 @@
-"""One control step of one UAV: estimator, behaviours, null-space, command filter, controller.
+"""One control step of one UAV: estimator, behaviours, null-space composition, command filter, controller.
 
-`step` is the only place where the laws meet. The headless swarm calls it, and by way of `agent` the processes
-and every replay.
+`step` is the only place where the laws meet. The headless swarm calls it; the processes and every replay call it
+through `agent`.
 """
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
-from ptnsbc_core.algebra import three, wrap
-from ptnsbc_core.control.adaptation import started
+from ptnsbc_core.algebra import load3, wrap_angle
+from ptnsbc_core.behaviours.attitude import attitude
+from ptnsbc_core.behaviours.contract import Behaviour, EpochErrors
+from ptnsbc_core.control.adaptation import initial_observer
 from ptnsbc_core.control.command_filter import filter_step
 from ptnsbc_core.control.quadrotor_control import quadrotor_control
 from ptnsbc_core.control.rigid_body_control import (
@@ -17,13 +19,19 @@ from ptnsbc_core.control.rigid_body_control import (
     VelocityReference,
     rigid_body_control,
 )
-from ptnsbc_core.estimator import estimated_leader
-from ptnsbc_core.kernel import kernel, leaf
+from ptnsbc_core.estimator import leader_estimate
+from ptnsbc_core.kernel import inline_kernel, kernel
 from ptnsbc_core.kinematics import state_to_estimate, velocity_enu, yaw_of
-from ptnsbc_core.mission import behaviour_of_mission, desired_yaw, held, hold_place, lost
-from ptnsbc_core.planner import Behaviour, EpochErrors, attitude, composed
+from ptnsbc_core.mission import (
+    desired_yaw,
+    hold_behaviour,
+    hold_target,
+    link_lost,
+    mission_behaviour,
+)
+from ptnsbc_core.nullspace import compose_with_clearance
 from ptnsbc_core.tasks.clearance import ObstacleView, clearance
-from ptnsbc_core.tasks.encounters import none_met
+from ptnsbc_core.tasks.obstacle_memory import empty_memory
 from ptnsbc_core.timebase import Clock, loop_gain
 from ptnsbc_core.types import (
     MODE_FORMATION,
@@ -40,7 +48,7 @@ from ptnsbc_core.types import (
     Vector3,
 )
 
-_NOT_YET = -1
+_NO_MODE = -1
 
 
 @kernel
@@ -52,44 +60,46 @@ def initial_state(own: Array, config: AgentConfig) -> AgentState:
         False,
         velocity,
         zero,
-        AdaptationState(config.controller.nominal, (0.0, 0.0), started(velocity)),
-        none_met(),
+        AdaptationState(config.controller.nominal, (0.0, 0.0), initial_observer(velocity)),
+        empty_memory(),
         zero,
         zero,
-        PoseTarget(three(own, 0), yaw_of(own)),
-        _NOT_YET,
+        PoseTarget(load3(own, 0), yaw_of(own)),
+        _NO_MODE,
         0.0,
     )
 
 
-@leaf
-def _controlled(
+@inline_kernel
+def _control(
     state: AgentState,
     inputs: AgentInputs,
     command: VelocityReference,
     clock: Clock,
     config: AgentConfig,
 ) -> ControlInput:
-    """Force and torque by the law of the plant's kind."""
-    inner = Clock(clock.start_t, clock.start_t, clock.dt)  # inner loops arm once
-    own, before, law = inputs.own, state.adapted, config.controller
-    if law.plant == PLANT_RIGID_BODY:
-        return rigid_body_control(own, command, before, inner, law)
-    return quadrotor_control(own, command, before, inner, law, config.filter.max_rate)
+    """Force and torque by the controller of the plant's kind."""
+    inner = Clock(
+        clock.start_t, clock.start_t, clock.dt
+    )  # only the first epoch starts the inner loops
+    own, before, controller = inputs.own, state.adapted, config.controller
+    if controller.plant == PLANT_RIGID_BODY:
+        return rigid_body_control(own, command, before, inner, controller)
+    return quadrotor_control(own, command, before, inner, controller, config.filter.max_rate)
 
 
 class PlannerOutput(NamedTuple):
-    """What the planner hands to the controller."""
+    """Command of the planner to the controller."""
 
     command: VelocityReference
-    encounters: Array  # (8, 7)
+    obstacle_memory: Array  # (8, 7)
     active_rows: int
     saturated: bool
     violation: float  # [m/s]
 
 
-@leaf
-def _planned(
+@inline_kernel
+def _plan(
     state: AgentState,
     inputs: AgentInputs,
     behaviour: Behaviour,
@@ -99,33 +109,33 @@ def _planned(
     config: AgentConfig,
 ) -> PlannerOutput:
     """Clearance above the behaviour, the speed limit, and the command filter."""
-    around = ObstacleView(inputs.near, inputs.near_age_s, state.encounters, dt)
-    top = clearance(three(inputs.own, 0), behaviour.velocity, around, config.clearance)
+    view = ObstacleView(inputs.near, inputs.near_age_s, state.obstacle_memory, dt)
+    task = clearance(load3(inputs.own, 0), behaviour.velocity, view, config.clearance)
     limits = config.filter
-    wanted = composed(top, limits.max_speed)
+    composed = compose_with_clearance(task, limits.max_speed)
     linear = filter_step(
-        state.velocity, wanted.velocity, limits.bandwidth, limits.max_acceleration, dt
+        state.velocity, composed.velocity, limits.bandwidth, limits.max_acceleration, dt
     )
     angular = filter_step(
         state.rates, rates, limits.rate_bandwidth, limits.max_rate_acceleration, dt
     )
     return PlannerOutput(
         VelocityReference(linear.value, linear.rate, angular.value, angular.rate, yaw),
-        top.encounters,
-        top.jacobian.shape[0],
-        wanted.limited or linear.saturated,
-        wanted.violation,
+        task.memory,
+        task.jacobian.shape[0],
+        composed.limited or linear.saturated,
+        composed.violation,
     )
 
 
-@leaf
+@inline_kernel
 def _yaw_rate(inputs: AgentInputs, command: VelocityReference, config: AgentConfig) -> float:
     """Yaw rate setpoint [rad/s] for a vehicle that closes its own loops."""
     if config.controller.plant == PLANT_RIGID_BODY:
         return command.rates[2]
-    off = wrap(command.yaw - yaw_of(inputs.own))
-    most = config.filter.max_rate
-    return min(max(config.controller.attitude_gain[1] * off, -most), most)
+    error = wrap_angle(command.yaw - yaw_of(inputs.own))
+    limit = config.filter.max_rate
+    return min(max(config.controller.attitude_gain[1] * error, -limit), limit)
 
 
 @kernel
@@ -135,7 +145,7 @@ def step(
     """One tick: pure, no clock, no randomness, no I/O.
 
     Args:
-        state: what the previous tick left (`initial_state` before the first).
+        state: of the previous tick; `initial_state` before the first.
         inputs: what the UAV knows now.
         t: time since the latest epoch [s].
         dt: control period [s].
@@ -145,35 +155,35 @@ def step(
         The state for the next tick and what to send now.
     """
     clock = Clock(t, inputs.start_age_s, dt)
-    holding = inputs.mode != MODE_FORMATION or lost(inputs, clock.start_t, config)
-    estimate, heard = estimated_leader(state, inputs, clock, holding, config)
-    place = hold_place(state, inputs, holding)
-    yaw = desired_yaw(estimate, place, holding, clock, config)
+    holding = inputs.mode != MODE_FORMATION or link_lost(inputs, clock.start_t, config)
+    estimate, estimate_valid = leader_estimate(state, inputs, clock, holding, config)
+    target = hold_target(state, inputs, holding)
+    yaw = desired_yaw(estimate, target, holding, clock, config)
 
-    arms = state.mode == _NOT_YET or t < state.last_t or state.heard != heard
-    armed = EpochErrors(arms, state.start_error, state.start_attitude)
-    behaviour = behaviour_of_mission(inputs, estimate, armed, clock, config)
+    at_epoch = state.mode == _NO_MODE or t < state.last_t or state.estimate_valid != estimate_valid
+    epoch = EpochErrors(at_epoch, state.start_error, state.start_attitude)
+    behaviour = mission_behaviour(inputs, estimate, epoch, clock, config)
     rates, euler_error = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
-    if config.controller.plant == PLANT_RIGID_BODY:  # a quadrotor's attitude is its controller's
-        rates, euler_error = attitude(inputs.own, yaw, armed, clock, config)
-    start_error = behaviour.error if arms else state.start_error
-    start_attitude = euler_error if arms else state.start_attitude
+    if config.controller.plant == PLANT_RIGID_BODY:  # a quadrotor's controller sets its attitude
+        rates, euler_error = attitude(inputs.own, yaw, epoch, clock, config)
+    start_error = behaviour.error if at_epoch else state.start_error
+    start_attitude = euler_error if at_epoch else state.start_attitude
     if holding:
-        behaviour = held(behaviour, inputs, place, config)
+        behaviour = hold_behaviour(behaviour, inputs, target, config)
 
-    planned = _planned(state, inputs, behaviour, rates, yaw, dt, config)
+    planned = _plan(state, inputs, behaviour, rates, yaw, dt, config)
     command = planned.command
-    control = _controlled(state, inputs, command, clock, config)
+    control = _control(state, inputs, command, clock, config)
     after = AgentState(
         estimate,
-        heard,
+        estimate_valid,
         command.velocity,
         command.rates,
         control.adapted,
-        planned.encounters,
+        planned.obstacle_memory,
         start_error,
         start_attitude,
-        place,
+        target,
         max(inputs.mode, MODE_HOLD) if holding else MODE_FORMATION,
         t,
     )

@@ -1,7 +1,7 @@
-"""Time-base generator (12)-(15), (31), (32), (45), (52) as implemented in equations.md section 2.
+"""Time-base generator (12)-(15), (31), (32), (45), (52), docs/method.md.
 
-h rises from 0 to 1 on [0, tf] with three vanishing derivatives at both ends; Xi = h_dot / (1 - h + q) drives
-x_dot = -Xi x to the residual q / (1 + q) of its start at tf, whatever the start is.
+h rises from 0 to 1 on [0, tf] with three vanishing derivatives at both ends. The gain Xi = h_dot / (1 - h + q)
+drives x_dot = -Xi x to the residual q / (1 + q) of its start value at tf, for every start value.
 """
 
 from __future__ import annotations
@@ -11,9 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ptnsbc_core.algebra import scaled
+from ptnsbc_core.algebra import scale3
 from ptnsbc_core.errors import GainError
-from ptnsbc_core.kernel import kernel, leaf
+from ptnsbc_core.kernel import inline_kernel, kernel
 from ptnsbc_core.types import PROFILE_REFERENCE, PROFILE_SOFT, LoopGain, Vector3
 
 
@@ -21,11 +21,11 @@ class Clock(NamedTuple):
     """Times of one tick [s]."""
 
     t: float  # since the latest epoch
-    start_t: float  # since the first epoch: the soft profile counts from it, so a re-arm stays firm
+    start_t: float  # since the first epoch; the soft profile does not restart at a later one
     dt: float  # control period
 
 
-@leaf
+@inline_kernel
 def h(s: float) -> float:
     """Time base (32) with the sign that converges; s = t / tf [1], clamped to [0, 1].
 
@@ -45,16 +45,16 @@ def h_rate(s: float, duration_s: float) -> float:
     return 140.0 * r * r * r / duration_s
 
 
-@leaf
+@inline_kernel
 def step_gain(t: float, dt: float, duration_s: float, residual: float) -> float:
     """Exact gain of the step from t to t + dt [1/s]: an Euler step with it meets (15) at every dt."""
     now = h(t / duration_s)
     return (h((t + dt) / duration_s) - now) / (dt * (1.0 - now + residual))
 
 
-@leaf
-def onset(gain: LoopGain, clock: Clock) -> float:
-    """c(t) [1]: 1, or h(t) for the profile `soft`, whose input then starts at zero."""
+@inline_kernel
+def soft_start(gain: LoopGain, clock: Clock) -> float:
+    """c(t) [1]: 1, or h(t) for the profile `soft`, whose input starts at zero."""
     if gain.profile == PROFILE_SOFT:
         return h(clock.start_t / gain.duration_s)
     return 1.0
@@ -64,22 +64,22 @@ def onset(gain: LoopGain, clock: Clock) -> float:
 def loop_gain(gain: LoopGain, clock: Clock) -> float:
     """G(t) = Lambda (Xi(t) + kappa c(t)) [1/s]."""
     xi = step_gain(clock.t, clock.dt, gain.duration_s, gain.residual)
-    return gain.scale * (xi + gain.kappa * onset(gain, clock))
+    return gain.scale * (xi + gain.kappa * soft_start(gain, clock))
 
 
 @kernel
-def holding_gain(gain: LoopGain, clock: Clock) -> float:
-    """Gain [1/s] on an error that no plan was made for: G(t), or kappa alone for the profile `reference`."""
+def fallback_gain(gain: LoopGain, clock: Clock) -> float:
+    """Gain [1/s] on an error without a planned decay: G(t), or kappa alone for the profile `reference`."""
     if gain.profile == PROFILE_REFERENCE:
         return gain.scale * gain.kappa
     return loop_gain(gain, clock)
 
 
 @kernel
-def loop_rate(gain: LoopGain, error: Vector3, start_error: Vector3, clock: Clock) -> Vector3:
-    """Task rate [unit/s] that a loop asks for an error: G e, or the profile `reference` around e(t0)(1 - h).
+def task_rate(gain: LoopGain, error: Vector3, start_error: Vector3, clock: Clock) -> Vector3:
+    """Task rate [unit/s] for an error: G e, or by the profile `reference` the rate of its plan e(t0)(1 - h).
 
-    `reference` follows the error's own prescribed decay, so noise meets kappa only, never Xi.
+    `reference` feeds the planned decay forward. Only kappa, never Xi, acts on the deviation and so on noise.
     """
     if gain.profile == PROFILE_REFERENCE:
         now = h(clock.t / gain.duration_s)
@@ -89,10 +89,10 @@ def loop_rate(gain: LoopGain, error: Vector3, start_error: Vector3, clock: Clock
             _planned_rate(gain, error[1], start_error[1], now, rise, clock.dt),
             _planned_rate(gain, error[2], start_error[2], now, rise, clock.dt),
         )
-    return scaled(loop_gain(gain, clock), error)
+    return scale3(loop_gain(gain, clock), error)
 
 
-@leaf
+@inline_kernel
 def _planned_rate(
     gain: LoopGain, error: float, start_error: float, now: float, rise: float, dt: float
 ) -> float:
@@ -119,5 +119,5 @@ def peak_gain(duration_s: float, residual: float) -> float:
 
 
 def feasible_deadline(error_m: float, max_speed: float, max_acceleration: float) -> float:
-    """Shortest tf [s] for a start error [m] under limits [m/s], [m/s^2] (equations.md section 2)."""
+    """Shortest tf [s] for a start error [m] under limits [m/s], [m/s^2], from the peaks of h_dot and h_ddot."""
     return max(2.1875 * error_m / max_speed, math.sqrt(7.513 * error_m / max_acceleration))

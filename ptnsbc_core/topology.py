@@ -17,7 +17,7 @@ class Topology(NamedTuple):
     leader: int
     order: tuple[int, ...]  # ids, ascending
     parent: Mapping[int, int]  # follower: parent
-    pinned: frozenset[int]  # followers that hear the leader itself
+    pinned: frozenset[int]  # followers that receive the leader's state
     neighbours: Mapping[
         int, tuple[int, ...]
     ]  # follower: neighbours in the estimator graph, ascending
@@ -27,7 +27,7 @@ class Topology(NamedTuple):
     depth: Mapping[int, int]  # hops from the leader
 
 
-def validate(
+def validated_topology(
     leader: int,
     uavs: Sequence[int],
     tree: Mapping[int, int],
@@ -142,7 +142,7 @@ def _neighbours(
 def _check_reach(
     followers: Sequence[int], pinned: frozenset[int], neighbours: Mapping[int, tuple[int, ...]]
 ) -> None:
-    """Every follower must get the leader's state directly or through estimates, or H is singular."""
+    """Every follower must receive the leader's state directly or through estimates, or H is singular."""
     reached = set(pinned)
     frontier = list(pinned)
     while frontier:

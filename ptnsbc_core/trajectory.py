@@ -1,4 +1,4 @@
-"""The leader's desired trajectory: a parameter vector, so that every process computes the same curve.
+"""The leader's desired trajectory: a parameter vector from which every process computes the same curve.
 
 Layout (8,): circle [0, cx, cy, cz, radius, rate, phase, yaw] with x = cx + r sin(rate t + phase),
 y = cy + r cos(rate t + phase), as the paper writes it; line [1, px, py, pz, vx, vy, vz, yaw].
@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from ptnsbc_core.algebra import moved
+from ptnsbc_core.algebra import axpy
 from ptnsbc_core.kernel import kernel
 from ptnsbc_core.types import TRAJECTORY_CIRCLE, Vector3
 
@@ -33,4 +33,4 @@ def reference(trajectory: tuple[float, ...], t: float) -> Reference:
         along = (radius * rate * cosine, -radius * rate * sine, 0.0)
         return Reference((x + radius * sine, y + radius * cosine, z), along, trajectory[7])
     along = (trajectory[4], trajectory[5], trajectory[6])
-    return Reference(moved((x, y, z), t, along), along, trajectory[7])
+    return Reference(axpy(t, along, (x, y, z)), along, trajectory[7])

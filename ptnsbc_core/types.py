@@ -14,17 +14,17 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-# Inside the kernels a vector is three numbers: an array lives on the heap and is counted by whoever holds it,
-# which took three quarters of a step.
+# Inside the kernels a vector is three numbers. An array lives on the heap and is reference-counted, which took three
+# quarters of a step.
 Vector3 = tuple[float, float, float]
 Matrix3 = tuple[Vector3, Vector3, Vector3]  # rows
-Triple = Array | Vector3
-Pair = tuple[float, float]
+Vector3Like = Array | Vector3
+Vector2 = tuple[float, float]
 
 ODOMETRY_SIZE = 13
 NEAR_COLUMNS = 7
 
-# Gain profiles (equations.md section 2): G(t) = Xi(t) + kappa c(t)
+# Gain profiles (docs/method.md): G(t) = Xi(t) + kappa c(t)
 PROFILE_PAPER, PROFILE_SOFT, PROFILE_REFERENCE = 0, 1, 2
 PROFILES = {"paper": PROFILE_PAPER, "soft": PROFILE_SOFT, "reference": PROFILE_REFERENCE}
 
@@ -50,12 +50,12 @@ LEGS = {"form": MODE_FORMATION, "hold": MODE_HOLD, "land": MODE_LAND}
 
 TRAJECTORY_CIRCLE, TRAJECTORY_LINE = 0, 1
 
-NEVER_HEARD_S = 1e9
-"""Age given to a neighbour of which nothing has been received yet [s]."""
+NEVER_RECEIVED_S = 1e9
+"""Age of a neighbour from which nothing has been received yet [s]."""
 
 
 class Estimate(NamedTuple):
-    """What is believed of the leader, world ENU; also the difference of two."""
+    """Estimated state of the leader, world ENU; also the difference of two."""
 
     position: Vector3  # [m]
     velocity: Vector3  # [m/s]
@@ -63,7 +63,7 @@ class Estimate(NamedTuple):
 
 
 class PoseTarget(NamedTuple):
-    """Where to be, world ENU."""
+    """Position and heading to hold, world ENU."""
 
     position: Vector3  # [m]
     yaw: float  # [rad]
@@ -79,17 +79,17 @@ class InertialParameters(NamedTuple):
 class DisturbanceObserver(NamedTuple):
     """Disturbance observer, world ENU."""
 
-    velocity: Vector3  # [m/s] as last measured and corrected
+    velocity: Vector3  # [m/s] estimate after the last measurement
     disturbance: Vector3  # [m/s^2]
-    acceleration: Vector3  # [m/s^2] that the last command should give
+    acceleration: Vector3  # [m/s^2] that the last command gives by the model
     trend: Vector3  # [m/s^3] of the disturbance
 
 
 class AdaptationState(NamedTuple):
-    """What the controller has learned."""
+    """Adaptive part of the controller's state."""
 
     parameters: InertialParameters  # Psi_hat
-    bound: Pair  # delta_hat of force [m/s^2] and torque [rad/s^2]
+    bound: Vector2  # delta_hat of force [m/s^2] and torque [rad/s^2]
     observer: DisturbanceObserver
 
 
@@ -104,7 +104,7 @@ class LoopGain(NamedTuple):
 
 
 class EstimatorConfig(NamedTuple):
-    """Leader estimator (44)-(48) as corrected in equations.md section 5."""
+    """Leader estimator (44)-(48) as corrected in docs/method.md."""
 
     duration_s: float  # tf2 [s]
     residual: float  # q2
@@ -112,24 +112,24 @@ class EstimatorConfig(NamedTuple):
     k1: float  # [1/s]
     k2: float  # [unit/s], bound on the leader's rate of change
     boundary: float  # width of the saturation, [unit of the estimated quantity]
-    pinned: bool  # hears the leader itself
+    pinned: bool  # receives the leader's state
     feed_forward: bool  # add the estimated leader velocity
 
 
 class ClearanceConfig(NamedTuple):
-    """Obstacle and collision avoidance (33)-(38), equations.md section 4."""
+    """Obstacle and collision avoidance (33)-(38), docs/method.md."""
 
     rule: int  # AVOIDANCE_*
     margin_m: float  # added to the keep-out radius of every near object
-    gain: LoopGain  # alpha; the time base counts from the start of an encounter
+    gain: LoopGain  # alpha; the time base counts from when a constraint begins to bind
     circulation: float  # tangential speed per blocked speed, 1
     ramp_s: float  # rise time of the circulation
-    timeout_s: float  # an encounter longer than this tries the other side
-    forget_s: float  # an encounter quiet for longer than this has ended
+    timeout_s: float  # after binding for longer than this the other side is tried
+    forget_s: float  # an object that did not bind for longer than this is forgotten
 
 
 class FilterConfig(NamedTuple):
-    """Command filter, equations.md section 6."""
+    """Command filter, docs/method.md."""
 
     bandwidth: float  # [1/s], velocity
     rate_bandwidth: float  # [1/s], body rates
@@ -140,22 +140,22 @@ class FilterConfig(NamedTuple):
 
 
 class ControllerConfig(NamedTuple):
-    """Sliding-mode controller (49)-(52) as corrected in equations.md section 7."""
+    """Sliding-mode controller (49)-(52) as corrected in docs/method.md."""
 
     plant: int  # PLANT_*
     gravity: float  # [m/s^2]
     nominal: InertialParameters  # Psi at the start, and Omega_0
     force: LoopGain  # velocity loop
     torque: LoopGain  # body-rate loop
-    boundary: Pair  # width of the saturation of the velocity [m/s] and of the rate error [rad/s]
-    adaptation: Pair  # 1/Gamma for mass and for inertia
+    boundary: Vector2  # width of the saturation of the velocity [m/s] and of the rate error [rad/s]
+    adaptation: Vector2  # 1/Gamma for mass and for inertia
     mass_range: float  # |m_hat - m| <= mass_range * m (the same for inertia)
     bound_rate: float  # 1/Upsilon
     bound_leak: float  # [1/s]
-    bound_dead_zone: Pair  # |error|_1 below which the bound does not grow [m/s], [rad/s]
-    bound_cap: Pair  # [m/s^2], [rad/s^2]
+    bound_dead_zone: Vector2  # |error|_1 below which the bound does not grow [m/s], [rad/s]
+    bound_cap: Vector2  # [m/s^2], [rad/s^2]
     observer_bandwidth: float  # [1/s] of the disturbance observer, quadrotor only; 0: off
-    attitude_gain: Pair  # tilt and yaw, quadrotor only [1/s]
+    attitude_gain: Vector2  # tilt and yaw, quadrotor only [1/s]
     max_tilt: float  # [rad], quadrotor only
     max_thrust: float  # [N]
     max_torque: Vector3  # [N m]
@@ -179,14 +179,14 @@ class AgentConfig(NamedTuple):
     filter: FilterConfig
     controller: ControllerConfig
     trajectory: tuple[float, ...]  # (8,) kind and its parameters, see trajectory.py
-    sight_m: float  # a near object so close to where a neighbour says it is counts as that neighbour; 0: none does
-    stale_s: float  # parent or leader silent for longer: hold
+    association_gate_m: float  # within it a near object is taken to be parent or leader; 0: never
+    stale_s: float  # the UAV holds when parent or leader are silent for longer
     hold_gain: float  # [1/s]
     land_speed: float  # [m/s]
 
 
 class AgentInputs(NamedTuple):
-    """What one UAV knows at this tick. Ages are seconds since the message's stamp; NEVER_HEARD_S when none."""
+    """What one UAV knows at this tick. Ages count from a message's stamp; NEVER_RECEIVED_S without a message."""
 
     own: Array  # (13,) odometry vector
     parent: Array  # (13,) odometry vector of the parent
@@ -200,21 +200,21 @@ class AgentInputs(NamedTuple):
     near: Array  # (M, 7) x y z [m, ENU] keep-out radius [m] vx vy vz [m/s, ENU]
     near_age_s: float
     mode: int  # MODE_*
-    start_age_s: float  # time since the first epoch: c(t) of the soft profile counts from it
+    start_age_s: float  # time since the first epoch, from which c(t) of the soft profile counts
 
 
 class AgentState(NamedTuple):
     """What one UAV carries from tick to tick."""
 
     estimate: Estimate  # of the leader
-    heard: bool  # the estimate has been initialised from a message
+    estimate_valid: bool  # the estimate has been initialised from a message
     velocity: Vector3  # filtered [m/s, ENU]
     rates: Vector3  # filtered [rad/s, FLU]
     adapted: AdaptationState
-    encounters: Array  # (8, 7) x y z side active_s quiet_s used
+    obstacle_memory: Array  # (8, 7) x y z side active_s quiet_s used
     start_error: Vector3  # task error at the epoch (profile `reference`)
     start_attitude: Vector3  # attitude error at the epoch [rad]
-    hold: PoseTarget  # where holding began
+    hold: PoseTarget  # the pose at which holding began
     mode: int  # MODE_* of the previous tick; -1 before the first
     last_t: float  # t of the previous tick, to notice a new epoch [s]
 

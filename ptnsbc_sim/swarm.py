@@ -12,12 +12,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ptnsbc_core.algebra import put
-from ptnsbc_core.kernel import KernelList, kernel, kernel_list, leaf
+from ptnsbc_core.algebra import store
+from ptnsbc_core.kernel import KernelList, inline_kernel, kernel, kernel_list
 from ptnsbc_core.step import initial_state, step
 from ptnsbc_core.types import (
     MODE_FORMATION,
-    NEVER_HEARD_S,
+    NEVER_RECEIVED_S,
     ODOMETRY_SIZE,
     AgentConfig,
     AgentInputs,
@@ -80,13 +80,13 @@ class HeadlessFlight(NamedTuple):
         return beside(rows, truth[row], seen, draws, sight_of(self.scenario))
 
 
-@leaf
+@inline_kernel
 def _age(tick: int, sent: int, dt_ns: int) -> float:
     """Seconds since a message of tick `sent`, -1: none was heard."""
-    return ((tick - sent) * dt_ns) * 1e-9 if sent >= 0 else NEVER_HEARD_S
+    return ((tick - sent) * dt_ns) * 1e-9 if sent >= 0 else NEVER_RECEIVED_S
 
 
-@leaf
+@inline_kernel
 def _heard(track: FlightTrack, sent: int, row: int) -> Array:
     """Odometry vector (13,) that UAV number `row` sent at tick `sent`; zeros when there is none."""
     if sent < 0 or row < 0:
@@ -94,7 +94,7 @@ def _heard(track: FlightTrack, sent: int, row: int) -> Array:
     return track.odometry[sent, row]
 
 
-@leaf
+@inline_kernel
 def inputs_of(
     wiring: Wiring, track: FlightTrack, near: Array, tick: int, row: int, luck: Disturbances | None
 ) -> AgentInputs:
@@ -114,15 +114,15 @@ def inputs_of(
             sent = luck.heard[tick, row, 2 + k]
         ages[k] = _age(tick, sent, wiring.dt_ns)
         if sent >= 0:
-            put(estimates[k], 0, track.estimate[sent, wiring.neighbours[row, k]])
+            store(estimates[k], 0, track.estimate[sent, wiring.neighbours[row, k]])
     pinned = wiring.pinned[row] > 0
     behind = tick % wiring.near_every
     return AgentInputs(
         track.odometry[tick, row],
         _heard(track, from_parent, parent),
-        _age(tick, from_parent, wiring.dt_ns) if parent >= 0 else NEVER_HEARD_S,
+        _age(tick, from_parent, wiring.dt_ns) if parent >= 0 else NEVER_RECEIVED_S,
         _heard(track, from_leader, wiring.leader if pinned else -1),
-        _age(tick, from_leader, wiring.dt_ns) if pinned else NEVER_HEARD_S,
+        _age(tick, from_leader, wiring.dt_ns) if pinned else NEVER_RECEIVED_S,
         estimates,
         ages,
         near,
@@ -140,10 +140,10 @@ def sense(
     size = crew.bodies.shape[0]
     true = track.odometry if luck is None else track.truth
     for row in range(size):
-        put(true[tick, row], 0, odometry(crew.bodies[row], crew.plants[row]))
+        store(true[tick, row], 0, odometry(crew.bodies[row], crew.plants[row]))
     if luck is not None:
         for row in range(size):
-            put(track.odometry[tick, row], 0, _believed(track, tick, row, wiring, luck))
+            store(track.odometry[tick, row], 0, _believed(track, tick, row, wiring, luck))
     if tick % wiring.near_every == 0:
         for row in range(size):
             near = near_objects(

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from ptnsbc_core.agent import put_diagnostics, put_velocity, put_wrench
-from ptnsbc_core.kernel import leaf
-from ptnsbc_core.kinematics import put_estimate
+from ptnsbc_core.agent import store_diagnostics, store_velocity, store_wrench
+from ptnsbc_core.kernel import inline_kernel
+from ptnsbc_core.kinematics import store_estimate
 from ptnsbc_core.types import AgentOutputs, Array
 
 # Columns of Track.diagnostics
@@ -26,10 +26,10 @@ class FlightTrack(NamedTuple):
     truth: Array  # (T, N, 13) where everybody really was; (0, N, 13) when that is what the odometry says
 
 
-@leaf
+@inline_kernel
 def note(track: FlightTrack, tick: int, row: int, out: AgentOutputs) -> None:
     """Write one UAV's outputs of one tick into the track."""
-    put_velocity(track.velocity[tick, row], out)
-    put_wrench(track.wrench[tick, row], out)
-    put_estimate(track.estimate[tick, row], out.estimate)
-    put_diagnostics(track.diagnostics[tick, row], out.diagnostics)
+    store_velocity(track.velocity[tick, row], out)
+    store_wrench(track.wrench[tick, row], out)
+    store_estimate(track.estimate[tick, row], out.estimate)
+    store_diagnostics(track.diagnostics[tick, row], out.diagnostics)

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from ptnsbc_core.algebra import put
+from ptnsbc_core.algebra import store
 from ptnsbc_core.kernel import kernel, kernel_list
 from ptnsbc_core.types import ODOMETRY_SIZE, PLANT_RIGID_BODY, Array
 from ptnsbc_sim.disturbances.build import VehicleDisturbances
@@ -49,7 +49,7 @@ def measure_all(states: Array, plants: Sequence[PlantConfig]) -> Array:
     """Odometry vectors (N, 13) of all plant states (N, 17)."""
     out = np.empty((states.shape[0], ODOMETRY_SIZE))
     for row in range(states.shape[0]):
-        put(out[row], 0, odometry(states[row], plants[row]))
+        store(out[row], 0, odometry(states[row], plants[row]))
     return out
 
 

@@ -2,7 +2,7 @@
 
 The law of (49) gives a world-frame force; its direction within the tilt limit, with the heading kept, is
 the desired attitude; a geometric attitude error asks for body rates; the same law with tf3 closes the
-body-rate loop (equations.md section 7).
+body-rate loop (docs/method.md).
 """
 
 from __future__ import annotations
@@ -11,30 +11,30 @@ import math
 from typing import NamedTuple
 
 from ptnsbc_core.algebra import (
+    add3,
     cross3,
-    divided,
+    div3,
     dot3,
-    minus,
+    hadamard3,
+    load3,
+    matvec,
+    matvec_transposed,
+    norm1,
     norm3,
-    plus,
-    scaled,
-    three,
-    times,
-    transpose_times,
+    scale3,
+    sub3,
 )
-from ptnsbc_core.control.adaptation import observed
+from ptnsbc_core.control.adaptation import observer_step
 from ptnsbc_core.control.rigid_body_control import (
     ControlInput,
     VelocityReference,
-    axiswise,
-    learned,
-    limited_torque,
-    one_norm,
+    adaptation_step,
+    saturate_torque,
     sliding_term,
     torque_model,
     torque_regressor_error,
 )
-from ptnsbc_core.kernel import kernel, leaf
+from ptnsbc_core.kernel import inline_kernel, kernel
 from ptnsbc_core.kinematics import rotation
 from ptnsbc_core.timebase import Clock
 from ptnsbc_core.types import (
@@ -44,33 +44,33 @@ from ptnsbc_core.types import (
     DisturbanceObserver,
     InertialParameters,
     Matrix3,
-    Triple,
     Vector3,
+    Vector3Like,
 )
 
-_BRAKING_SHARE = 0.5
-"""Share of the torque that the rate reference counts on for braking; the rest is for the rate loop."""
+_BRAKING_FRACTION = 0.5
+"""Fraction of the torque that the rate reference may use for braking; the rest is for the rate loop."""
 
-_LEAST_LIFT = 0.3
-"""Smallest vertical specific force, as a share of gravity: a quadrotor has to keep pulling up to steer."""
+_MIN_LIFT_FRACTION = 0.3
+"""Least vertical specific force, as a fraction of gravity: without thrust a quadrotor cannot steer."""
 
 
-@leaf
-def tilt_limited(force: Vector3, config: ControllerConfig) -> Vector3:
-    """Force [N, ENU] within the tilt limit: the vertical part is kept, the horizontal one gives way."""
-    lift = max(force[2], _LEAST_LIFT * config.nominal.mass * config.gravity)
-    most = lift * math.tan(config.max_tilt)
+@inline_kernel
+def limit_tilt(force: Vector3, config: ControllerConfig) -> Vector3:
+    """Force [N, ENU] within the tilt limit: the horizontal part is reduced, the vertical part is kept."""
+    lift = max(force[2], _MIN_LIFT_FRACTION * config.nominal.mass * config.gravity)
+    limit = lift * math.tan(config.max_tilt)
     horizontal = math.hypot(force[0], force[1])
-    share = most / horizontal if horizontal > most else 1.0
-    return share * force[0], share * force[1], lift
+    scale = limit / horizontal if horizontal > limit else 1.0
+    return scale * force[0], scale * force[1], lift
 
 
 @kernel
-def desired_rotation(force: Triple, yaw: float) -> Matrix3:
-    """R_d: body z along the force, body y square to it and to the heading [rad]."""
-    up = divided(force, norm3(force))
+def desired_rotation(force: Vector3Like, yaw: float) -> Matrix3:
+    """R_d: body z along the force, body y perpendicular to it and to the heading [rad]."""
+    up = div3(force, norm3(force))
     left = cross3(up, (math.cos(yaw), math.sin(yaw), 0.0))
-    left = divided(left, norm3(left))
+    left = div3(left, norm3(left))
     forward = cross3(left, up)
     return (
         (forward[0], left[0], up[0]),
@@ -80,7 +80,7 @@ def desired_rotation(force: Triple, yaw: float) -> Matrix3:
 
 
 @kernel
-def half_turn(relative: Matrix3) -> Vector3:
+def half_turn_vector(relative: Matrix3) -> Vector3:
     """Rotation vector of length pi [rad] of a rotation by half a turn: R = 2 a a^T - I."""
     first, second, third = relative
     if first[0] >= second[1] and first[0] >= third[2]:
@@ -89,11 +89,11 @@ def half_turn(relative: Matrix3) -> Vector3:
         axis = (first[1], second[1] + 1.0, third[1])
     else:
         axis = (first[2], second[2], third[2] + 1.0)
-    return scaled(math.pi / norm3(axis), axis)
+    return scale3(math.pi / norm3(axis), axis)
 
 
-@leaf
-def _transposed(m: Array | Matrix3) -> Matrix3:
+@inline_kernel
+def _transpose(m: Array | Matrix3) -> Matrix3:
     return (
         (m[0][0], m[1][0], m[2][0]),
         (m[0][1], m[1][1], m[2][1]),
@@ -104,60 +104,60 @@ def _transposed(m: Array | Matrix3) -> Matrix3:
 @kernel
 def attitude_error(present: Array | Matrix3, desired: Array | Matrix3) -> Vector3:
     """Rotation vector [rad], body frame, from R to R_d (both (3, 3))."""
-    columns = _transposed(desired)
+    columns = _transpose(desired)
     # R^T R_d, by columns of R_d
-    x = transpose_times(present, columns[0])
-    y = transpose_times(present, columns[1])
-    z = transpose_times(present, columns[2])
+    x = matvec_transposed(present, columns[0])
+    y = matvec_transposed(present, columns[1])
+    z = matvec_transposed(present, columns[2])
     trace = x[0] + y[1] + z[2]
     twist = (y[2] - z[1], z[0] - x[2], x[1] - y[0])
     sine = 0.5 * norm3(twist)
     angle = math.atan2(sine, 0.5 * (trace - 1.0))
     if sine < 1e-9:
         if trace < 0.0:  # half a turn: the axis is in the symmetric part
-            return half_turn(_transposed((x, y, z)))
-        return scaled(0.5, twist)
-    return scaled(0.5 * angle / sine, twist)
+            return half_turn_vector(_transpose((x, y, z)))
+        return scale3(0.5, twist)
+    return scale3(0.5 * angle / sine, twist)
 
 
-@leaf
-def _rate_about(
-    turn: float, gain: float, axis: int, max_rate: float, config: ControllerConfig
+@inline_kernel
+def _axis_rate(
+    error: float, gain: float, axis: int, max_rate: float, config: ControllerConfig
 ) -> float:
-    braking = _BRAKING_SHARE * config.max_torque[axis] / config.nominal.inertia[axis]
-    most = min(max_rate, math.sqrt(2.0 * braking * abs(turn)))
-    return min(max(gain * turn, -most), most)
+    braking = _BRAKING_FRACTION * config.max_torque[axis] / config.nominal.inertia[axis]
+    limit = min(max_rate, math.sqrt(2.0 * braking * abs(error)))
+    return min(max(gain * error, -limit), limit)
 
 
-@leaf
-def rate_reference(turn: Vector3, max_rate: float, config: ControllerConfig) -> Vector3:
+@inline_kernel
+def rate_reference(error: Vector3, max_rate: float, config: ControllerConfig) -> Vector3:
     """Body rates [rad/s] for an attitude error [rad], never faster than the torques can brake.
 
-    A proportional law alone asks, after a large error, for a rate that the limited torque cannot stop in
-    time; started tilted by 1 rad the vehicle then swings for ever.
+    After a large error a proportional law alone asks for a rate that the limited torque cannot stop in time. A
+    vehicle that starts with a tilt of 1 rad then oscillates for ever.
     """
     tilt, yaw = config.attitude_gain
     return (
-        _rate_about(turn[0], tilt, 0, max_rate, config),
-        _rate_about(turn[1], tilt, 1, max_rate, config),
-        _rate_about(turn[2], yaw, 2, max_rate, config),
+        _axis_rate(error[0], tilt, 0, max_rate, config),
+        _axis_rate(error[1], tilt, 1, max_rate, config),
+        _axis_rate(error[2], yaw, 2, max_rate, config),
     )
 
 
 class _Thrust(NamedTuple):
-    """Thrust of one tick and the force it is to give."""
+    """Thrust of one tick and the force that it gives at the desired attitude."""
 
     force: Vector3  # [N, ENU] within the tilt limit
     thrust: float  # [N]
     saturated: bool
 
 
-@leaf
-def _thrust(wanted: Vector3, config: ControllerConfig) -> _Thrust:
-    force = tilt_limited(wanted, config)
+@inline_kernel
+def _thrust(desired: Vector3, config: ControllerConfig) -> _Thrust:
+    force = limit_tilt(desired, config)
     length = norm3(force)
-    cut = norm3(minus(wanted, force)) > 0.0 or length > config.max_thrust
-    return _Thrust(force, min(length, config.max_thrust), cut)
+    saturated = norm3(sub3(desired, force)) > 0.0 or length > config.max_thrust
+    return _Thrust(force, min(length, config.max_thrust), saturated)
 
 
 @kernel
@@ -171,31 +171,33 @@ def quadrotor_control(
 ) -> ControlInput:
     """Thrust and torques from the odometry vector (13,): force (0, 0, T) and torque in body FLU."""
     attitude = rotation(own, 3)
-    rates = three(own, 10)
-    velocity = times(attitude, three(own, 7))
+    rates = load3(own, 10)
+    velocity = matvec(attitude, load3(own, 7))
     parameters, nominal, bound = before.parameters, config.nominal, before.bound
-    error = minus(velocity, command.velocity)
-    seen = observed(before.observer, velocity, clock.start_t <= 0.0, clock.dt, config)
-    model = plus(command.acceleration, (0.0, 0.0, config.gravity))
+    error = sub3(velocity, command.velocity)
+    observer = observer_step(before.observer, velocity, clock.start_t <= 0.0, clock.dt, config)
+    model = add3(command.acceleration, (0.0, 0.0, config.gravity))
     feedback = sliding_term(error, config.force, bound[0], config.boundary[0], clock)
-    asked = scaled(nominal.mass, minus(feedback, seen.disturbance))
-    lift = _thrust(plus(scaled(parameters.mass, model), asked), config)
-    # what this command does to the velocity, along the thrust axis of now
+    correction = scale3(nominal.mass, sub3(feedback, observer.disturbance))
+    lift = _thrust(add3(scale3(parameters.mass, model), correction), config)
+    # the acceleration that this command gives, along the present thrust axis
     up = (attitude[0][2], attitude[1][2], attitude[2][2])
-    given = divided(scaled(lift.thrust, up), parameters.mass)
-    given = minus(given, (0.0, 0.0, config.gravity))
-    turn = attitude_error(attitude, desired_rotation(lift.force, command.yaw))
-    reference = rate_reference(turn, max_rate, config)
-    rate_error = minus(rates, reference)
-    still = (0.0, 0.0, 0.0)
-    turning = sliding_term(rate_error, config.torque, bound[1], config.boundary[1], clock)
-    modelled = torque_model(rates, reference, still, parameters.inertia)
-    torque = limited_torque(plus(modelled, axiswise(nominal.inertia, turning)), config)
+    acceleration = div3(scale3(lift.thrust, up), parameters.mass)
+    acceleration = sub3(acceleration, (0.0, 0.0, config.gravity))
+    rotation_error = attitude_error(attitude, desired_rotation(lift.force, command.yaw))
+    reference = rate_reference(rotation_error, max_rate, config)
+    rate_error = sub3(rates, reference)
+    zero = (0.0, 0.0, 0.0)
+    rate_feedback = sliding_term(rate_error, config.torque, bound[1], config.boundary[1], clock)
+    rate_model = torque_model(rates, reference, zero, parameters.inertia)
+    torque = saturate_torque(add3(rate_model, hadamard3(nominal.inertia, rate_feedback)), config)
     saturated = lift.saturated or torque.saturated
     product = InertialParameters(
-        dot3(model, error), torque_regressor_error(rates, reference, still, rate_error)
+        dot3(model, error), torque_regressor_error(rates, reference, zero, rate_error)
     )
-    errors = (one_norm(error), one_norm(rate_error))
-    observer = DisturbanceObserver(seen.velocity, seen.disturbance, given, seen.trend)
-    after = learned(before, observer, product, errors, saturated, clock.dt, config)
+    errors = (norm1(error), norm1(rate_error))
+    predicted = DisturbanceObserver(
+        observer.velocity, observer.disturbance, acceleration, observer.trend
+    )
+    after = adaptation_step(before, predicted, product, errors, saturated, clock.dt, config)
     return ControlInput((0.0, 0.0, lift.thrust), torque.value, after, saturated, norm3(error))

@@ -6,7 +6,7 @@ import math
 from typing import NamedTuple
 
 from ptnsbc_core.kernel import kernel
-from ptnsbc_core.types import Pair
+from ptnsbc_core.types import Vector2
 
 SOFTENING_M2 = 0.05**2
 """Added to squared projected lengths: the gradient of an angle stays below 10 rad/m when points coincide."""
@@ -16,12 +16,12 @@ class SignedAngle(NamedTuple):
     """Angle from a to b in a plane and its gradients with respect to both."""
 
     angle: float  # [rad], (-pi, pi]
-    d_a: Pair  # [rad/m]
-    d_b: Pair  # [rad/m]
+    d_a: Vector2  # [rad/m]
+    d_b: Vector2  # [rad/m]
 
 
 @kernel
-def signed_angle(a: Pair, b: Pair) -> SignedAngle:
+def signed_angle(a: Vector2, b: Vector2) -> SignedAngle:
     """Angle from a to b, vectors projected on a plane: atan2(a x b, a . b) in place of (24).
 
     The gradients are those of the design's rule, (-Q0 a)^T/|a|^2 and (Q0 b)^T/|b|^2, softened where a

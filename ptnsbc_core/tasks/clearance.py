@@ -1,8 +1,8 @@
-"""Clearance from obstacles and other UAVs, (33)-(38), equations.md section 4.
+"""Clearance from obstacles and other UAVs, (33)-(38), see docs/method.md.
 
-`set_based`: every near object demands n.v >= n.v_o - alpha (d - d_d); the formation velocity is changed as
-little as possible so that all demands hold, and the demands that bind become the rows of the top-priority
-task. `switched`: the paper's rule, avoidance first inside d_d and formation first outside.
+`set_based`: every near object gives a constraint n.v >= n.v_o - alpha (d - d_d). The formation velocity is changed
+as little as possible so that all constraints hold. The binding constraints become the rows of the task with the
+highest priority. `switched`: the paper's rule, avoidance first inside d_d and formation first outside.
 
 Positions [m] and velocities [m/s] are world ENU; d_d is the object's keep-out radius plus the own margin.
 """
@@ -15,27 +15,28 @@ from typing import NamedTuple
 import numpy as np
 
 from ptnsbc_core.algebra import (
-    divided,
+    axpy,
+    div3,
     dot3,
-    minus,
-    moved,
+    load3,
+    matvec,
     norm3,
-    put3,
-    scaled,
-    three,
-    times,
+    scale3,
+    store3,
+    sub3,
 )
-from ptnsbc_core.kernel import kernel, leaf
-from ptnsbc_core.nullspace import projector
-from ptnsbc_core.tasks import encounters as memory
+from ptnsbc_core.kernel import inline_kernel, kernel
+from ptnsbc_core.nullspace import null_space_projector
+from ptnsbc_core.tasks import obstacle_memory
+from ptnsbc_core.tasks.contract import ClearanceTask
 from ptnsbc_core.timebase import step_gain
 from ptnsbc_core.types import (
     AVOIDANCE_OFF,
     AVOIDANCE_SWITCHED,
     Array,
     ClearanceConfig,
-    Triple,
     Vector3,
+    Vector3Like,
 )
 
 _SWEEPS = 60
@@ -43,104 +44,98 @@ _TOLERANCE = 1e-9
 _COINCIDENT_M = 1e-6
 
 
-_NOTHING: Vector3 = (0.0, 0.0, 0.0)
-
-
 class ObstacleView(NamedTuple):
-    """What a UAV sees, and what it remembers of it."""
+    """The near objects that a UAV senses, and its memory of them."""
 
     near: Array  # (M, 7) x y z [m, ENU] keep-out radius [m] vx vy vz [m/s, ENU]
-    age_s: float  # of `near`: its objects are moved on by their velocity
-    encounters: Array  # (8, 7) memory before this tick
+    age_s: float  # of `near`, by which its objects are extrapolated
+    memory: Array  # (8, 7) obstacle memory before this tick
     dt: float  # control period [s]
 
 
-class Demand(NamedTuple):
-    """What one near object asks for: normal . v >= least."""
+class ClearanceConstraint(NamedTuple):
+    """Constraint of one near object: normal . v >= bound."""
 
     normal: Vector3  # from the object to the UAV
-    least: float  # [m/s], -inf where the two coincide
+    bound: float  # [m/s], -inf where the two coincide
     depth: float  # d_d - d [m], positive inside
 
 
-class Demands(NamedTuple):
+class ClearanceConstraints(NamedTuple):
     """One row per near object."""
 
     normals: Array  # (M, 3)
-    least: Array  # (M,) [m/s]
+    bound: Array  # (M,) [m/s]
     depth: Array  # (M,) [m]
 
 
-class ClearanceTask(NamedTuple):
-    """The top-priority task at one tick."""
-
-    velocity: Vector3  # J^+ of the binding demands [m/s]; zero without any
-    jacobian: Array  # (A, 3) their normals
-    below: Vector3  # velocity for the level below: the formation's, with circulation added
-    encounters: Array  # memory after this tick
-
-
-@leaf
-def demand(position: Vector3, which: int, around: ObstacleView, config: ClearanceConfig) -> Demand:
-    """Of the near object in row `which`."""
-    near = around.near[which]
-    velocity = three(near, 4)
-    centre = moved(near, around.age_s, velocity)
-    away = minus(position, centre)
+@inline_kernel
+def constraint(
+    position: Vector3, which: int, view: ObstacleView, config: ClearanceConfig
+) -> ClearanceConstraint:
+    """Constraint of the near object in row `which`."""
+    near = view.near[which]
+    velocity = load3(near, 4)
+    centre = axpy(view.age_s, velocity, near)
+    away = sub3(position, centre)
     distance = norm3(away)
     if distance < _COINCIDENT_M:
-        return Demand(_NOTHING, -np.inf, -np.inf)
-    normal = divided(away, distance)
+        return ClearanceConstraint((0.0, 0.0, 0.0), -np.inf, -np.inf)
+    normal = div3(away, distance)
     depth = near[3] + config.margin_m - distance
     alpha = config.gain.kappa
     if depth > 0.0:
-        since = memory.active_time(around.encounters, centre)
-        alpha += step_gain(since, around.dt, config.gain.duration_s, config.gain.residual)
-    return Demand(normal, dot3(normal, velocity) + config.gain.scale * alpha * depth, depth)
+        since = obstacle_memory.active_time(view.memory, centre)
+        alpha += step_gain(since, view.dt, config.gain.duration_s, config.gain.residual)
+    return ClearanceConstraint(
+        normal, dot3(normal, velocity) + config.gain.scale * alpha * depth, depth
+    )
 
 
 @kernel
-def demands(position: Vector3, around: ObstacleView, config: ClearanceConfig) -> Demands:
-    """Rows for all near objects."""
-    count = around.near.shape[0]
+def constraints(
+    position: Vector3, view: ObstacleView, config: ClearanceConfig
+) -> ClearanceConstraints:
+    """Constraints of all near objects."""
+    count = view.near.shape[0]
     normals = np.empty((count, 3))
-    least = np.empty(count)
+    bound = np.empty(count)
     depth = np.empty(count)
     for m in range(count):
-        one = demand(position, m, around, config)
-        put3(normals[m], 0, one.normal)
-        least[m] = one.least
+        one = constraint(position, m, view, config)
+        store3(normals[m], 0, one.normal)
+        bound[m] = one.bound
         depth[m] = one.depth
-    return Demands(normals, least, depth)
+    return ClearanceConstraints(normals, bound, depth)
 
 
 @kernel
-def nearest_admissible(velocity: Vector3, rows: Demands) -> Array:
-    """Multipliers (M,) [m/s] of the admissible velocity nearest to `velocity`, by Hildreth's sweeps.
+def admissible_multipliers(velocity: Vector3, rows: ClearanceConstraints) -> Array:
+    """Multipliers (M,) [m/s] of the admissible velocity nearest to `velocity`, by Hildreth's method.
 
-    The admissible velocity is velocity + sum of multiplier * normal; a positive multiplier marks a demand
-    that binds. Demands that contradict each other end at the sweep limit with the last compromise.
+    The admissible velocity is velocity + sum of multiplier * normal. A positive multiplier marks a binding
+    constraint. For constraints that contradict each other the iteration ends at the sweep limit.
     """
-    count = rows.least.shape[0]
+    count = rows.bound.shape[0]
     multipliers = np.zeros(count)
     v = velocity
     for _ in range(_SWEEPS):
         change = 0.0
         for m in range(count):
-            lack = rows.least[m] - dot3(rows.normals[m], v)
-            new = max(0.0, multipliers[m] + lack) if lack > -np.inf else 0.0
+            deficit = rows.bound[m] - dot3(rows.normals[m], v)
+            new = max(0.0, multipliers[m] + deficit) if deficit > -np.inf else 0.0
             step = new - multipliers[m]
             if step != 0.0:
                 multipliers[m] = new
                 change = max(change, abs(step))
-                v = moved(v, step, rows.normals[m])
+                v = axpy(step, rows.normals[m], v)
         if change < _TOLERANCE:
             break
     return multipliers
 
 
 @kernel
-def tangent(normal: Triple) -> Vector3:
+def tangent(normal: Vector3Like) -> Vector3:
     """Unit vector along e_z x n, or e_x x n where n is nearly vertical."""
     length = math.hypot(normal[0], normal[1])
     if length > 0.1:
@@ -150,31 +145,31 @@ def tangent(normal: Triple) -> Vector3:
 
 
 @kernel
-def _circulated(
+def _add_circulation(
     velocity: Vector3,
-    rows: Demands,
+    rows: ClearanceConstraints,
     multipliers: Array,
     near: Array,
-    encounters: Array,
+    memory: Array,
     config: ClearanceConfig,
 ) -> Vector3:
-    """Add to `velocity` a motion around what blocks it, in proportion to how much it blocks."""
+    """`velocity` plus a tangential motion around each blocking object, in proportion to how much it blocks."""
     out = velocity
     for m in range(multipliers.shape[0]):
         if multipliers[m] <= 0.0:
             continue
-        slot = memory.find(encounters, near[m])
+        slot = obstacle_memory.find_slot(memory, near[m])
         if slot < 0:
             continue
-        rise = min(encounters[slot, memory.ACTIVE_S] / config.ramp_s, 1.0)
-        push = config.circulation * rise * multipliers[m] * encounters[slot, memory.SIDE]
-        out = moved(out, push, tangent(rows.normals[m]))
+        ramp = min(memory[slot, obstacle_memory.ACTIVE_S] / config.ramp_s, 1.0)
+        speed = config.circulation * ramp * multipliers[m] * memory[slot, obstacle_memory.SIDE]
+        out = axpy(speed, tangent(rows.normals[m]), out)
     return out
 
 
 @kernel
-def _binding(rows: Demands, multipliers: Array) -> Array:
-    """Normals (A, 3) of the demands that bind."""
+def _binding_normals(rows: ClearanceConstraints, multipliers: Array) -> Array:
+    """Normals (A, 3) of the binding constraints."""
     count = 0
     for m in range(multipliers.shape[0]):
         if multipliers[m] > 0.0:
@@ -183,85 +178,85 @@ def _binding(rows: Demands, multipliers: Array) -> Array:
     count = 0
     for m in range(multipliers.shape[0]):
         if multipliers[m] > 0.0:
-            put3(out[count], 0, rows.normals[m])
+            store3(out[count], 0, rows.normals[m])
             count += 1
     return out
 
 
 @kernel
-def _velocity_of(jacobian: Array, admissible: Vector3) -> Vector3:
-    """Part of the admissible velocity in the row space of the binding normals: J^+ least."""
+def _row_space_velocity(jacobian: Array, admissible: Vector3) -> Vector3:
+    """Part of the admissible velocity in the row space of the binding normals: J^+ bound."""
     if jacobian.shape[0] == 0:
         return 0.0, 0.0, 0.0
-    return minus(admissible, times(projector(jacobian), admissible))
+    return sub3(admissible, matvec(null_space_projector(jacobian), admissible))
 
 
-@leaf
-def _free(
-    position: Vector3, velocity: Vector3, around: ObstacleView, config: ClearanceConfig
+@inline_kernel
+def _unconstrained(
+    position: Vector3, velocity: Vector3, view: ObstacleView, config: ClearanceConfig
 ) -> bool:
-    """Whether no encounter is remembered and no near object asks for more than `velocity` gives it."""
-    if memory.any_met(around.encounters):
+    """Whether the memory is empty and `velocity` satisfies the constraints of all near objects."""
+    if obstacle_memory.any_used(view.memory):
         return False
-    for m in range(around.near.shape[0]):
-        one = demand(position, m, around, config)
-        if one.least > dot3(one.normal, velocity):
+    for m in range(view.near.shape[0]):
+        one = constraint(position, m, view, config)
+        if one.bound > dot3(one.normal, velocity):
             return False
     return True
 
 
 @kernel
 def set_based(
-    position: Vector3, velocity: Vector3, around: ObstacleView, config: ClearanceConfig
+    position: Vector3, velocity: Vector3, view: ObstacleView, config: ClearanceConfig
 ) -> ClearanceTask:
-    """Least change of the formation velocity that keeps clear of all near objects."""
-    rows = demands(position, around, config)
-    multipliers = nearest_admissible(velocity, rows)
+    """The least change of the formation velocity that satisfies all constraints."""
+    rows = constraints(position, view, config)
+    multipliers = admissible_multipliers(velocity, rows)
     side = np.zeros(multipliers.shape[0])
     for m in range(multipliers.shape[0]):
         if multipliers[m] > 0.0:
-            side[m] = dot3(minus(velocity, three(around.near[m], 4)), tangent(rows.normals[m]))
-    after = memory.update(around.encounters, around.near, multipliers, side, around.dt, config)
-    below = velocity
-    if memory.any_met(after):
-        below = _circulated(velocity, rows, multipliers, around.near, after, config)
-        multipliers = nearest_admissible(below, rows)
-    admissible = below
+            side[m] = dot3(sub3(velocity, load3(view.near[m], 4)), tangent(rows.normals[m]))
+    after = obstacle_memory.update(view.memory, view.near, multipliers, side, view.dt, config)
+    secondary = velocity
+    if obstacle_memory.any_used(after):
+        secondary = _add_circulation(velocity, rows, multipliers, view.near, after, config)
+        multipliers = admissible_multipliers(secondary, rows)
+    admissible = secondary
     for m in range(multipliers.shape[0]):
-        admissible = moved(admissible, multipliers[m], rows.normals[m])
-    jacobian = _binding(rows, multipliers)
-    return ClearanceTask(_velocity_of(jacobian, admissible), jacobian, below, after)
+        admissible = axpy(multipliers[m], rows.normals[m], admissible)
+    jacobian = _binding_normals(rows, multipliers)
+    return ClearanceTask(_row_space_velocity(jacobian, admissible), jacobian, secondary, after)
 
 
 @kernel
 def switched(
-    position: Vector3, velocity: Vector3, around: ObstacleView, config: ClearanceConfig
+    position: Vector3, velocity: Vector3, view: ObstacleView, config: ClearanceConfig
 ) -> ClearanceTask:
-    """The paper's rule (36)-(38) for the object deepest inside its keep-out; (34) with (d_d - d) kept signed."""
-    rows = demands(position, around, config)
+    """The paper's rule (36)-(38) for the near object with the largest depth; (34) with (d_d - d) kept signed."""
+    rows = constraints(position, view, config)
     deepest = -1
     for m in range(rows.depth.shape[0]):
         if rows.depth[m] > 0.0 and (deepest < 0 or rows.depth[m] > rows.depth[deepest]):
             deepest = m
-    hits = np.zeros(rows.depth.shape[0])
+    binding = np.zeros(rows.depth.shape[0])
     jacobian = np.empty((0, 3))
     out = (0.0, 0.0, 0.0)
     if deepest >= 0:
-        hits[deepest] = 1.0
+        binding[deepest] = 1.0
         jacobian = rows.normals[deepest : deepest + 1].copy()
-        out = scaled(rows.least[deepest], rows.normals[deepest])
-    idle = np.zeros(hits.shape[0])
-    after = memory.update(around.encounters, around.near, hits, idle, around.dt, config)
+        out = scale3(rows.bound[deepest], rows.normals[deepest])
+    no_side = np.zeros(binding.shape[0])
+    after = obstacle_memory.update(view.memory, view.near, binding, no_side, view.dt, config)
     return ClearanceTask(out, jacobian, velocity, after)
 
 
-@leaf
+@inline_kernel
 def clearance(
-    position: Vector3, velocity: Vector3, around: ObstacleView, config: ClearanceConfig
+    position: Vector3, velocity: Vector3, view: ObstacleView, config: ClearanceConfig
 ) -> ClearanceTask:
-    """The rule that the configuration names; what asks for nothing changes nothing."""
+    """The clearance task by the rule of the configuration; it has no rows while no constraint binds."""
     if config.rule == AVOIDANCE_SWITCHED:
-        return switched(position, velocity, around, config)
-    if config.rule == AVOIDANCE_OFF or _free(position, velocity, around, config):
-        return ClearanceTask(_NOTHING, np.empty((0, 3)), velocity, around.encounters)
-    return set_based(position, velocity, around, config)
+        return switched(position, velocity, view, config)
+    if config.rule == AVOIDANCE_OFF or _unconstrained(position, velocity, view, config):
+        return ClearanceTask((0.0, 0.0, 0.0), np.empty((0, 3)), velocity, view.memory)
+    return set_based(position, velocity, view, config)

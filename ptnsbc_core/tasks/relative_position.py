@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from ptnsbc_core.algebra import minus
+from ptnsbc_core.algebra import sub3
 from ptnsbc_core.kernel import kernel
-from ptnsbc_core.tasks.contract import FIXED, TaskGeometry
-from ptnsbc_core.types import Triple
+from ptnsbc_core.tasks.contract import ZERO, TaskGeometry
+from ptnsbc_core.types import Vector3Like
 
 
 @kernel
-def relative_position(own: Triple, parent: Triple, reference: Triple) -> TaskGeometry:
-    """Evaluate the task at positions (3,) [m, ENU]; the reference takes no part."""
+def relative_position(
+    own: Vector3Like, parent: Vector3Like, reference: Vector3Like
+) -> TaskGeometry:
+    """Evaluate the task at positions (3,) [m, ENU]; the reference is not used."""
     with_own = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
     with_parent = ((-1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0))
-    return TaskGeometry(minus(own, parent), with_own, with_parent, FIXED, (0.0, 0.0, 0.0))
+    return TaskGeometry(sub3(own, parent), with_own, with_parent, ZERO, (0.0, 0.0, 0.0))

@@ -40,7 +40,7 @@ def load_agent(scenario: Scenario, uav_id: int) -> None:
     inbox = Inbox(CommunicationGraph(scenario, FlightOptions()).senders(uav_id))
     inbox.own = Stamped(0, own)
     known = inbox.known(0, 0)
-    Agent(config, known.inputs.own).advance(known, 0.0, scenario.dt_ns * 1e-9)
+    Agent(config, known.unpack().own).advance(known, 0.0, scenario.dt_ns * 1e-9)
 
 
 def load_world(scenario: Scenario) -> None:

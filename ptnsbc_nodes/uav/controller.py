@@ -83,7 +83,7 @@ class UavController:
         start_age_s = (at.now_ns - at.first_t0_ns) * 1e-9
         known = self.inbox.known(at.now_ns, cutoff_ns, at.mode, start_age_s)
         if self._agent is None:
-            self._agent = Agent(self.config, known.inputs.own)
+            self._agent = Agent(self.config, known.unpack().own)
             self._flown = self.config
             self.steps = 0
         self.steps += 1

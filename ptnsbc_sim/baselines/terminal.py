@@ -13,20 +13,21 @@ import math
 from typing import NamedTuple
 
 from ptnsbc_core.algebra import (
+    add3,
     cross3,
-    divided,
-    minus,
+    div3,
+    hadamard3,
+    load3,
+    matvec_transposed,
     norm3,
-    plus,
     saturation,
-    scaled,
-    three,
-    transpose_times,
-    wrap,
+    scale3,
+    sub3,
+    wrap_angle,
 )
-from ptnsbc_core.control.rigid_body_control import axiswise, limited_force, limited_torque
-from ptnsbc_core.estimator import estimated_leader
-from ptnsbc_core.kernel import kernel, leaf
+from ptnsbc_core.control.rigid_body_control import saturate_force, saturate_torque
+from ptnsbc_core.estimator import leader_estimate
+from ptnsbc_core.kernel import inline_kernel, kernel
 from ptnsbc_core.kinematics import (
     body_rates,
     euler_from_rotation,
@@ -76,7 +77,7 @@ class Desired(NamedTuple):
     yaw: float  # [rad]
 
 
-@leaf
+@inline_kernel
 def _demanded_axis(error: float, rate: float, forward: float, axis: Axis) -> float:
     s = rate + phi(error, axis.sliding)
     steer = slope(error, axis.sliding) * rate + phi(s, axis.reaching)
@@ -102,11 +103,11 @@ def desired(
     if config.leader:
         now = reference(config.trajectory, clock.start_t)
         later = reference(config.trajectory, clock.start_t + clock.dt)
-        acceleration = divided(minus(later.velocity, now.velocity), clock.dt)
+        acceleration = div3(sub3(later.velocity, now.velocity), clock.dt)
         return Desired(now.position, now.velocity, acceleration, now.yaw)
     if not heard:
-        return Desired(three(own, 0), still, still, 0.0)
-    return Desired(plus(estimate.position, place), estimate.velocity, still, estimate.yaw)
+        return Desired(load3(own, 0), still, still, 0.0)
+    return Desired(add3(estimate.position, place), estimate.velocity, still, estimate.yaw)
 
 
 @kernel
@@ -126,13 +127,13 @@ def turning_forward(euler: Vector3, rates: Vector3) -> Vector3:
 def torque_for(own: Array, yaw: float, law: Axis, inertia: Vector3) -> Vector3:
     """Torque [N m, FLU] that levels the body and turns it to the heading."""
     euler = euler_from_rotation(rotation(own, 3))
-    rates = three(own, 10)
+    rates = load3(own, 10)
     turning = euler_rates(euler, rates)
-    error = (euler[0], euler[1], wrap(euler[2] - yaw))
+    error = (euler[0], euler[1], wrap_angle(euler[2] - yaw))
     wanted = body_rates(euler, demanded(error, turning, (0.0, 0.0, 0.0), law))
     extra = turning_forward(euler, turning)
-    gyroscopic = cross3(rates, axiswise(inertia, rates))
-    return plus(gyroscopic, axiswise(inertia, plus(wanted, extra)))
+    gyroscopic = cross3(rates, hadamard3(inertia, rates))
+    return add3(gyroscopic, hadamard3(inertia, add3(wanted, extra)))
 
 
 @kernel
@@ -146,24 +147,24 @@ def terminal_step(
 ) -> tuple[AgentState, AgentOutputs]:
     """One tick, as `ptnsbc_core.step.step`: pure, the same inputs and outputs."""
     clock = Clock(t, inputs.start_age_s, dt)
-    estimate, heard = estimated_leader(state, inputs, clock, False, config)
+    estimate, heard = leader_estimate(state, inputs, clock, False, config)
     goal = desired(estimate, heard, inputs.own, clock, config, law.place)
-    error = minus(inputs.own, goal.position)
-    rate = minus(velocity_enu(inputs.own), goal.velocity)
+    error = sub3(inputs.own, goal.position)
+    rate = sub3(velocity_enu(inputs.own), goal.velocity)
     plant = config.controller
     asked = demanded(error, rate, goal.acceleration, law.position)
-    asked = plus(asked, (0.0, 0.0, plant.gravity))
-    body = transpose_times(rotation(inputs.own, 3), asked)
-    force = limited_force(scaled(plant.nominal.mass, body), plant)
+    asked = add3(asked, (0.0, 0.0, plant.gravity))
+    body = matvec_transposed(rotation(inputs.own, 3), asked)
+    force = saturate_force(scale3(plant.nominal.mass, body), plant)
     turn = torque_for(inputs.own, goal.yaw, law.attitude, plant.nominal.inertia)
-    torque = limited_torque(turn, plant)
+    torque = saturate_torque(turn, plant)
     after = AgentState(
         estimate,
         heard,
         state.velocity,
         state.rates,
         state.adapted,
-        state.encounters,
+        state.obstacle_memory,
         state.start_error,
         state.start_attitude,
         state.hold,
@@ -171,6 +172,6 @@ def terminal_step(
         t,
     )
     saturated = force.saturated or torque.saturated
-    away = scaled(-1.0, error)
+    away = scale3(-1.0, error)
     diagnostics = AgentDiagnostics(away, 0.0, 1.0, 0, saturated, False, 0.0, norm3(rate))
     return after, AgentOutputs(goal.velocity, 0.0, force.value, torque.value, estimate, diagnostics)

@@ -22,7 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ptnsbc_core.kernel import kernel, leaf
+from ptnsbc_core.kernel import inline_kernel, kernel
 from ptnsbc_core.kinematics import rotation_from_quaternion
 from ptnsbc_core.types import Array
 
@@ -78,7 +78,7 @@ def no_error(kind: PositionNoise) -> Array:
     return np.zeros(_SHAKES + 3 * (kind.known + 1))
 
 
-@leaf
+@inline_kernel
 def _carried_on(error: Array, which: int, shake: int, dt: float) -> None:
     for i in range(3):
         a = error[shake + i]
@@ -86,7 +86,7 @@ def _carried_on(error: Array, which: int, shake: int, dt: float) -> None:
         error[which + 3 + i] += dt * a
 
 
-@leaf
+@inline_kernel
 def _corrected(
     error: Array, late: Array, reckoned: Array, draws: Array, lag: float, kind: PositionNoise
 ) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from ptnsbc_core.kernel import leaf
+from ptnsbc_core.kernel import inline_kernel
 from ptnsbc_core.types import Array
 
 STATE_SIZE = 17
@@ -29,7 +29,7 @@ class PlantConfig(NamedTuple):
     offset: Array  # (6,)
 
 
-@leaf
+@inline_kernel
 def disturbance(config: PlantConfig, t: float, out: Array) -> None:
     """Disturbance acceleration at t [s] into `out` (6,): linear [m/s^2] then angular [rad/s^2] (Table 2)."""
     for i in range(6):

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ptnsbc_core.algebra import put
-from ptnsbc_core.kernel import kernel, leaf
+from ptnsbc_core.algebra import store
+from ptnsbc_core.kernel import inline_kernel, kernel
 from ptnsbc_core.kinematics import quaternion_from_euler
 from ptnsbc_core.types import PLANT_RIGID_BODY, Array
 from ptnsbc_sim.plants import quadrotor, rigid_body
@@ -22,16 +22,16 @@ quadrotor_odometry = quadrotor.odometry
 def initial_state(position: Array, euler: Array, config: PlantConfig) -> Array:
     """State (17,) at rest at `position` (3,) [m] with attitude `euler` (3,) [rad]; the motors carry the weight."""
     x = np.zeros(STATE_SIZE)
-    put(x, 0, position)
+    store(x, 0, position)
     if config.kind == PLANT_RIGID_BODY:
-        put(x, 3, euler)
+        store(x, 3, euler)
         return x
-    put(x, 3, quaternion_from_euler(euler))
+    store(x, 3, quaternion_from_euler(euler))
     x[13] = config.mass * config.gravity
     return x
 
 
-@leaf
+@inline_kernel
 def odometry(x: Array, config: PlantConfig) -> Array:
     """Odometry vector (13,) of a plant state (17,)."""
     if config.kind == PLANT_RIGID_BODY:
@@ -39,7 +39,7 @@ def odometry(x: Array, config: PlantConfig) -> Array:
     return quadrotor_odometry(x)
 
 
-@leaf
+@inline_kernel
 def _derivative(x: Array, wrench: Array, push: Array, config: PlantConfig, out: Array) -> None:
     if config.kind == PLANT_RIGID_BODY:
         rigid_derivative(x, wrench, push, config, out)
@@ -75,4 +75,4 @@ def advance(
             out[i] += step / 6.0 * (slopes[0, i] + 2.0 * middle + slopes[3, i])
         if config.kind != PLANT_RIGID_BODY:
             quadrotor_normalise(out)
-        put(push[0], 0, push[2])
+        store(push[0], 0, push[2])

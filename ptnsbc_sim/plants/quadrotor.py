@@ -10,14 +10,14 @@ import math
 
 import numpy as np
 
-from ptnsbc_core.algebra import put
-from ptnsbc_core.kernel import leaf
+from ptnsbc_core.algebra import store
+from ptnsbc_core.kernel import inline_kernel
 from ptnsbc_core.kinematics import rotation_from_quaternion
 from ptnsbc_core.types import ODOMETRY_SIZE, Array
 from ptnsbc_sim.plants.contract import PlantConfig
 
 
-@leaf
+@inline_kernel
 def derivative(x: Array, wrench: Array, push: Array, config: PlantConfig, out: Array) -> None:
     """x_dot into `out` (17,), for commanded thrust wrench[2] and torques wrench[3:6], disturbance (6,)."""
     a, b, c, d = x[3], x[4], x[5], x[6]
@@ -45,7 +45,7 @@ def derivative(x: Array, wrench: Array, push: Array, config: PlantConfig, out: A
         out[14 + i] = (min(max(wrench[3 + i], -most), most) - x[14 + i]) * rate
 
 
-@leaf
+@inline_kernel
 def normalise(x: Array) -> None:
     """Bring the quaternion of a state (17,) back to unit length, in place."""
     length = math.sqrt(x[3] * x[3] + x[4] * x[4] + x[5] * x[5] + x[6] * x[6])
@@ -53,13 +53,13 @@ def normalise(x: Array) -> None:
         x[i] /= length
 
 
-@leaf
+@inline_kernel
 def odometry(x: Array) -> Array:
     """Odometry vector (13,) of a state (17,): the velocity turned into the body frame."""
     out = np.empty(ODOMETRY_SIZE)
-    put(out, 0, x[0:7])
+    store(out, 0, x[0:7])
     rotation = rotation_from_quaternion(x[3:7])
     for i in range(3):
         out[7 + i] = rotation[0, i] * x[7] + rotation[1, i] * x[8] + rotation[2, i] * x[9]
-    put(out, 10, x[10:13])
+    store(out, 10, x[10:13])
     return out

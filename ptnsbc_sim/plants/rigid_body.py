@@ -10,14 +10,14 @@ import math
 
 import numpy as np
 
-from ptnsbc_core.algebra import put
-from ptnsbc_core.kernel import leaf
+from ptnsbc_core.algebra import store
+from ptnsbc_core.kernel import inline_kernel
 from ptnsbc_core.kinematics import quaternion_from_euler
 from ptnsbc_core.types import ODOMETRY_SIZE, Array
 from ptnsbc_sim.plants.contract import PlantConfig
 
 
-@leaf
+@inline_kernel
 def derivative(x: Array, wrench: Array, push: Array, config: PlantConfig, out: Array) -> None:
     """x_dot into `out` (17,), for a wrench (6,) in body FLU and a disturbance acceleration `push` (6,)."""
     sf, cf = math.sin(x[3]), math.cos(x[3])
@@ -44,11 +44,11 @@ def derivative(x: Array, wrench: Array, push: Array, config: PlantConfig, out: A
         out[i] = 0.0
 
 
-@leaf
+@inline_kernel
 def odometry(x: Array) -> Array:
     """Odometry vector (13,) of a state (17,)."""
     out = np.empty(ODOMETRY_SIZE)
-    put(out, 0, x[0:3])
-    put(out, 3, quaternion_from_euler(x[3:6]))
-    put(out, 7, x[6:12])
+    store(out, 0, x[0:3])
+    store(out, 3, quaternion_from_euler(x[3:6]))
+    store(out, 7, x[6:12])
     return out

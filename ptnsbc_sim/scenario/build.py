@@ -217,7 +217,7 @@ def agent_config(scenario: Scenario, uav_id: int) -> AgentConfig:
         filter=_filter(scenario),
         controller=_controller(scenario),
         trajectory=trajectory_vector(scenario),
-        sight_m=float(scenario.file.formation.sight_m),
+        association_gate_m=float(scenario.file.formation.sight_m),
         stale_s=float(scenario.file.communication.stale_s),
         hold_gain=float(gains.hold.gain_1_s),
         land_speed=float(gains.hold.land_speed_m_s),

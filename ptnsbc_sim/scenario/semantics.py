@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 
 from ptnsbc_core.errors import GainError, TopologyError
 from ptnsbc_core.timebase import peak_gain
-from ptnsbc_core.topology import Topology, validate
+from ptnsbc_core.topology import Topology, validated_topology
 from ptnsbc_sim.scenario import mavlink
 from ptnsbc_sim.scenario.model import Positioning, ScenarioFile
 from ptnsbc_sim.scenario.problems import ScenarioError
@@ -175,7 +175,7 @@ def checked(file: ScenarioFile, source: str) -> Topology:
             raise ScenarioError(f"{source}: {problem}")
     links = file.communication
     try:
-        topology = validate(
+        topology = validated_topology(
             file.leader.id,
             [uav.id for uav in file.uavs],
             links.tree,

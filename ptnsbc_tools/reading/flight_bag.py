@@ -7,7 +7,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from ptnsbc_core.agent import diagnostics_of
+from ptnsbc_core.agent import load_diagnostics
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.types import Array
 from ptnsbc_io.bag import BagError, BagWriter
@@ -91,7 +91,7 @@ class _Status:
     def at(self, tick: int, stamp_ns: int) -> Iterator[Message]:
         """Messages of one tick, in the order that a lock-step bag gives them."""
         for row, tally in enumerate(self._tallies):
-            tally.add(diagnostics_of(self._flight.track.diagnostics[tick, row]), self._dt)
+            tally.add(load_diagnostics(self._flight.track.diagnostics[tick, row]), self._dt)
         if tick % self._every:
             return
         self._places.tick = tick

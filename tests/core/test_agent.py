@@ -6,9 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ptnsbc_core.agent import Agent, PackedInputs
-from ptnsbc_core.kinematics import put_estimate, yaw_of
+from ptnsbc_core.kinematics import store_estimate, yaw_of
 from ptnsbc_core.step import initial_state, step
-from ptnsbc_core.types import MODE_HOLD, NEVER_HEARD_S, AgentInputs, AgentOutputs
+from ptnsbc_core.types import MODE_HOLD, NEVER_RECEIVED_S, AgentInputs, AgentOutputs
 from ptnsbc_sim.scenario import agent_config, load_scenario
 
 DT = 0.01
@@ -22,7 +22,7 @@ def numbers(value) -> bytes:
 
 def vector(outputs: AgentOutputs) -> np.ndarray:
     estimate = np.empty(13)
-    put_estimate(estimate, outputs.estimate)
+    store_estimate(estimate, outputs.estimate)
     moving = (*outputs.velocity, outputs.yaw_rate, *outputs.force, *outputs.torque)
     error, *rest = outputs.diagnostics
     return np.array([*moving, *estimate, *error, *map(float, rest)])
@@ -47,14 +47,14 @@ def random_inputs(rng: np.random.Generator, neighbours: int, near: int) -> Agent
 @given(seed=st.integers(0, 2**32 - 1), neighbours=st.integers(0, 3), near=st.integers(0, 3))
 def test_known_is_the_inputs_in_a_row(seed: int, neighbours: int, near: int) -> None:
     inputs = random_inputs(np.random.default_rng(seed), neighbours, near)
-    assert numbers(PackedInputs.of(inputs).inputs) == numbers(inputs)
+    assert numbers(PackedInputs.pack(inputs).unpack()) == numbers(inputs)
 
 
 def test_known_has_heard_nothing_at_first() -> None:
-    nothing = PackedInputs(2, np.empty((0, 7))).inputs
+    nothing = PackedInputs(2, np.empty((0, 7))).unpack()
     ages = (nothing.parent_age_s, nothing.leader_age_s, nothing.near_age_s)
-    assert ages == (NEVER_HEARD_S,) * 3
-    assert (nothing.estimate_age_s == NEVER_HEARD_S).all()
+    assert ages == (NEVER_RECEIVED_S,) * 3
+    assert (nothing.estimate_age_s == NEVER_RECEIVED_S).all()
     assert nothing.mode == MODE_HOLD
 
 
@@ -65,7 +65,7 @@ def test_agent_is_step_with_its_state_kept() -> None:
     for k in range(3):
         inputs = random_inputs(rng, 2, 3)
         state, expected = step(state, inputs, k * DT, DT, config)
-        told = agent.advance(PackedInputs.of(inputs), k * DT, DT)
+        told = agent.advance(PackedInputs.pack(inputs), k * DT, DT)
         assert told.vector.tobytes() == vector(expected).tobytes()
         assert numbers(agent.state) == numbers(state)
     again = Agent.resumed(config, state)

@@ -12,18 +12,18 @@ from ptnsbc_core.algebra import (
     dot3,
     eigen3,
     gram3,
-    limited,
+    limit_norm,
+    matvec,
+    matvec_transposed,
     norm3,
     saturation,
-    times,
-    transpose_times,
-    wrap,
+    wrap_angle,
 )
 
 cross3 = on_arrays(cross3)
-limited = on_arrays(limited)
-times = on_arrays(times)
-transpose_times = on_arrays(transpose_times)
+limit_norm = on_arrays(limit_norm)
+matvec = on_arrays(matvec)
+matvec_transposed = on_arrays(matvec_transposed)
 
 numbers = st.floats(-10.0, 10.0).map(lambda x: 0.0 if abs(x) < 1e-6 else x)
 vectors = arrays(np.float64, 3, elements=numbers)
@@ -39,8 +39,8 @@ def test_products_of_vectors(a: np.ndarray, b: np.ndarray) -> None:
 
 @given(m=arrays(np.float64, (3, 3), elements=numbers), v=vectors)
 def test_products_of_matrices(m: np.ndarray, v: np.ndarray) -> None:
-    np.testing.assert_allclose(times(m, v), m @ v, atol=1e-11)
-    np.testing.assert_allclose(transpose_times(m, v), m.T @ v, atol=1e-11)
+    np.testing.assert_allclose(matvec(m, v), m @ v, atol=1e-11)
+    np.testing.assert_allclose(matvec_transposed(m, v), m.T @ v, atol=1e-11)
 
 
 @given(m=matrices)
@@ -69,15 +69,15 @@ def test_eigen_decomposition_of_special_matrices(gram: np.ndarray) -> None:
 
 @given(angle=st.floats(-100.0, 100.0))
 def test_wrap(angle: float) -> None:
-    wrapped = wrap(angle)
+    wrapped = wrap_angle(angle)
     assert -np.pi <= wrapped < np.pi
     assert np.cos(wrapped) == pytest.approx(np.cos(angle), abs=1e-12)
     assert np.sin(wrapped) == pytest.approx(np.sin(angle), abs=1e-12)
 
 
 def test_wrap_by_hand() -> None:
-    assert wrap(3.5) == pytest.approx(3.5 - 2.0 * np.pi)
-    assert wrap(np.pi) == -np.pi
+    assert wrap_angle(3.5) == pytest.approx(3.5 - 2.0 * np.pi)
+    assert wrap_angle(np.pi) == -np.pi
 
 
 @given(x=st.floats(-5.0, 5.0), width=st.floats(0.01, 3.0))
@@ -88,7 +88,7 @@ def test_saturation_is_47(x: float, width: float) -> None:
 
 @given(v=vectors, limit=st.floats(0.1, 5.0))
 def test_limited_keeps_the_direction(v: np.ndarray, limit: float) -> None:
-    out = limited(v, limit)
+    out = limit_norm(v, limit)
     assert norm3(out) <= limit * (1.0 + 1e-12)
     np.testing.assert_allclose(np.cross(out, v), np.zeros(3), atol=1e-10)
     if norm3(v) <= limit:

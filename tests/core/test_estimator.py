@@ -5,7 +5,7 @@ import pytest
 from on_arrays import tuples
 
 from ptnsbc_core import estimator as laws
-from ptnsbc_core.topology import Topology, validate
+from ptnsbc_core.topology import Topology, validated_topology
 from ptnsbc_core.types import Estimate, EstimatorConfig
 
 DT = 0.01
@@ -21,9 +21,9 @@ def vector(estimate: Estimate) -> np.ndarray:
 
 def disagreement(own: np.ndarray, others: list[np.ndarray]) -> np.ndarray:
     """g_i (7,) of an estimate (7,) and of those that were heard (K, 7)."""
-    g = laws.NONE
+    g = laws.NO_DISAGREEMENT
     for other in others:
-        g = laws.disagreeing(g, estimate_of(own), estimate_of(other))
+        g = laws.add_disagreement(g, estimate_of(own), estimate_of(other))
     return vector(g)
 
 
@@ -36,7 +36,7 @@ ALL = [2, 3, 4, 5]
 
 def chain(pinned: list[int]) -> Topology:
     edges = [(2, 3), (3, 4), (4, 5)]
-    return validate(1, [1, *ALL], {2: 1, 3: 2, 4: 3, 5: 4}, pinned, edges)
+    return validated_topology(1, [1, *ALL], {2: 1, 3: 2, 4: 3, 5: 4}, pinned, edges)
 
 
 def config_of(topology: Topology, uav: int, **changes) -> EstimatorConfig:

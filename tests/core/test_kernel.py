@@ -57,7 +57,7 @@ def test_interpreted_form_on_request() -> None:
 def test_a_cache_that_cannot_be_written_still_compiles(tmp_path: Path) -> None:
     blocked = tmp_path / "file"
     blocked.write_text("")
-    code = "from ptnsbc_core.algebra import wrap; print(wrap(7.0))"
+    code = "from ptnsbc_core.algebra import wrap_angle; print(wrap_angle(7.0))"
     said = run("-c", code, PTNSBC_CACHE_DIR=str(blocked))
     assert float(said) == pytest.approx(7.0 - 2.0 * np.pi)
 

@@ -14,11 +14,11 @@ from ptnsbc_core.kinematics import (
     euler_from_rotation,
     euler_rates,
     odometry_to_estimate,
-    put_estimate,
     quaternion_from_euler,
     rotation_from_euler,
     rotation_from_quaternion,
     state_to_estimate,
+    store_estimate,
     velocity_enu,
     yaw_of,
 )
@@ -150,7 +150,7 @@ def test_an_estimate_survives_the_message(
     position: np.ndarray, velocity: np.ndarray, yaw: float
 ) -> None:
     message = np.empty(13)
-    put_estimate(message, Estimate(tuples(position), tuples(velocity), yaw))
+    store_estimate(message, Estimate(tuples(position), tuples(velocity), yaw))
     assert np.linalg.norm(message[3:7]) == pytest.approx(1.0)
     back = odometry_to_estimate(message)
     np.testing.assert_array_equal(back.position, position)

@@ -9,13 +9,17 @@ from on_arrays import on_arrays
 
 from ptnsbc_core.nullspace import (
     compose,
+    compose_with_clearance,
     damped_solve,
-    projector,
-    scaled_to_limit,
+    limit_by_priority,
+    null_space_projector,
 )
+from ptnsbc_core.tasks.contract import ClearanceTask
+from ptnsbc_core.tasks.obstacle_memory import empty_memory
 
+compose_with_clearance = on_arrays(compose_with_clearance)
 damped_solve = on_arrays(damped_solve)
-scaled_to_limit = on_arrays(scaled_to_limit)
+limit_by_priority = on_arrays(limit_by_priority)
 
 NEVER = 1e-9  # a threshold below every singular value here: no damping
 NOTHING = np.zeros(3)
@@ -31,7 +35,7 @@ def rows_of(seed: int, count: int) -> np.ndarray:
 @given(seed=seeds, count=st.integers(1, 4))
 def test_projector_is_a_symmetric_idempotent_null_space(seed: int, count: int) -> None:
     jacobian = rows_of(seed, count)
-    n = projector(jacobian)
+    n = null_space_projector(jacobian)
     np.testing.assert_allclose(n, n.T, atol=1e-15)
     np.testing.assert_allclose(n @ n, n, atol=1e-13)
     np.testing.assert_allclose(jacobian @ n, np.zeros((count, 3)), atol=1e-6)
@@ -43,8 +47,8 @@ def test_projector_is_a_symmetric_idempotent_null_space(seed: int, count: int) -
 
 def test_projector_of_dependent_rows_frees_what_none_of_them_holds() -> None:
     same = np.array([[1.0, 0, 0], [1.0, 0, 0]])
-    np.testing.assert_allclose(projector(same), np.diag([0.0, 1, 1]), atol=1e-15)
-    np.testing.assert_array_equal(projector(np.empty((0, 3))), np.eye(3))
+    np.testing.assert_allclose(null_space_projector(same), np.diag([0.0, 1, 1]), atol=1e-15)
+    np.testing.assert_array_equal(null_space_projector(np.empty((0, 3))), np.eye(3))
 
 
 @given(seed=seeds)
@@ -66,7 +70,9 @@ def test_projection_on_one_level_as_in_11_disturbs_the_first_task() -> None:
     jacobians = np.array([[1.0, 0, 0], [1.0, 1.0, 0], [0, 0, 1.0]])
     velocities = np.array([[1.0, 0, 0], [0, 1.0, 0], [1.0, 0.0, 1.0]])
     n2 = np.eye(3) - np.linalg.pinv(jacobians[1:2]) @ jacobians[1:2]
-    printed = velocities[0] + projector(jacobians[:1]) @ velocities[1] + n2 @ velocities[2]
+    printed = (
+        velocities[0] + null_space_projector(jacobians[:1]) @ velocities[1] + n2 @ velocities[2]
+    )
     assert jacobians[0] @ printed - jacobians[0] @ velocities[0] == pytest.approx(0.5)
     total = compose(velocities, jacobians, np.ones(3)).sum(axis=0)
     np.testing.assert_allclose(total, [1.0, 1.0, 1.0], atol=1e-14)
@@ -163,7 +169,7 @@ parts3 = arrays(np.float64, (3, 3), elements=st.floats(-3.0, 3.0))
 @given(parts=parts3, limit=st.floats(0.5, 6.0))
 def test_the_lowest_priority_gives_way_first(parts: np.ndarray, limit: float) -> None:
     parts[0] *= min(1.0, 0.9 * limit / max(np.linalg.norm(parts[0]), 1e-9))
-    out = scaled_to_limit(parts, limit)
+    out = limit_by_priority(parts, limit)
     assert np.linalg.norm(out) <= limit * (1.0 + 1e-9)
     total = parts[0].copy()
     for level in (1, 2):
@@ -179,4 +185,17 @@ def test_the_lowest_priority_gives_way_first(parts: np.ndarray, limit: float) ->
 
 def test_scaling_by_hand() -> None:
     parts = np.array([[3.0, 0, 0], [0, 8.0, 0], [0, 0, 1.0]])
-    np.testing.assert_allclose(scaled_to_limit(parts, 5.0), [3.0, 4.0, 0.0])
+    np.testing.assert_allclose(limit_by_priority(parts, 5.0), [3.0, 4.0, 0.0])
+
+
+def test_speed_limit_takes_from_the_formation_first() -> None:
+    top = ClearanceTask(
+        np.array([3.0, 0, 0]), np.array([[1.0, 0, 0]]), np.array([-9.0, 8, 0]), empty_memory()
+    )
+    out = compose_with_clearance(top, 5.0)
+    np.testing.assert_allclose(out.velocity, [3.0, 4.0, 0.0], atol=1e-12)
+    assert out.limited
+    assert out.violation == pytest.approx(0.0, abs=1e-12)
+    free = compose_with_clearance(top, 50.0)
+    np.testing.assert_allclose(free.velocity, [3.0, 8.0, 0.0])
+    assert not free.limited

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from ptnsbc_core.agent import Agent
-from ptnsbc_core.kinematics import put_estimate, velocity_enu
+from ptnsbc_core.kinematics import store_estimate, velocity_enu
 from ptnsbc_core.step import initial_state, step
 from ptnsbc_core.types import (
     MODE_FORMATION,
     MODE_HOLD,
     MODE_LAND,
-    NEVER_HEARD_S,
+    NEVER_RECEIVED_S,
     AgentConfig,
     AgentInputs,
     Estimate,
@@ -39,7 +39,7 @@ def config_of(uav: int, plant: str = "quadrotor") -> AgentConfig:
 
 def message(position=LEADER_AT, velocity=(0.0, 0.0, 0.0), yaw: float = 0.0) -> np.ndarray:
     out = np.empty(13)
-    put_estimate(out, Estimate(tuple(map(float, position)), tuple(map(float, velocity)), yaw))
+    store_estimate(out, Estimate(tuple(map(float, position)), tuple(map(float, velocity)), yaw))
     return out
 
 
@@ -162,7 +162,7 @@ def test_a_silent_neighbour_makes_it_hold_where_it_is(plant: str, silent: str) -
 
 def test_a_neighbour_never_heard_is_waited_for_and_then_held_for() -> None:
     flown = Flown(2, at=(1.0, 2.0, 3.0))
-    silence = {"parent_age_s": NEVER_HEARD_S, "leader_age_s": NEVER_HEARD_S}
+    silence = {"parent_age_s": NEVER_RECEIVED_S, "leader_age_s": NEVER_RECEIVED_S}
     stale = config_of(2).stale_s
     places = flown.fly(3.0, **silence)
     holding = [out.diagnostics.holding for out in flown.told]
@@ -174,7 +174,7 @@ def test_a_neighbour_never_heard_is_waited_for_and_then_held_for() -> None:
 def test_a_neighbours_estimate_counts_until_it_is_stale() -> None:
     config = config_of(2)
     here = message((0.5, 0.2, 7.0))
-    state = initial_state(here, config)._replace(heard=True)
+    state = initial_state(here, config)._replace(estimate_valid=True)
 
     def estimated(ages: list[float], *neighbours: np.ndarray) -> bytes:
         heard = {"estimates": np.array(neighbours), "estimate_age_s": np.array(ages)}
@@ -217,10 +217,10 @@ def test_a_second_hold_is_where_the_second_hold_began() -> None:
 def test_first_message_of_the_leader_is_the_first_estimate() -> None:
     config = config_of(2)
     state = initial_state(message((1.0, 1, 1)), config)
-    assert not state.heard
+    assert not state.estimate_valid
     leader = message((4.0, 5, 6), (0.0, 0, 0), 0.7)
     after, out = step(state, inputs_of(message((1.0, 1, 1)), 0.0, leader=leader), 0.0, DT, config)
-    assert after.heard
+    assert after.estimate_valid
     np.testing.assert_allclose(vector(after.estimate), [4, 5, 6, 0, 0, 0, 0.7], atol=1e-12)
     assert out.estimate == after.estimate
 
@@ -235,7 +235,7 @@ def test_an_unpinned_follower_learns_of_the_leader_from_its_neighbours() -> None
         said = inputs_of(
             own,
             k * DT,
-            leader_age_s=NEVER_HEARD_S,
+            leader_age_s=NEVER_RECEIVED_S,
             estimates=estimates,
             estimate_age_s=np.array([0.0]),
         )

@@ -14,14 +14,14 @@ from ptnsbc_core.timebase import (
     h,
     h_rate,
     loop_gain,
-    loop_rate,
-    onset,
     peak_gain,
+    soft_start,
     step_gain,
+    task_rate,
 )
 from ptnsbc_core.types import PROFILE_PAPER, PROFILE_REFERENCE, PROFILE_SOFT, LoopGain
 
-loop_rate = on_arrays(loop_rate)
+task_rate = on_arrays(task_rate)
 
 H = np.poly1d([-20, 70, -84, 35, 0, 0, 0, 0])
 
@@ -179,7 +179,7 @@ def test_rearm_stays_firm() -> None:
     """A new epoch takes the time base back to zero, not the constant part."""
     soft = gain_of(PROFILE_SOFT)
     rearmed = Clock(0.0, 12.0, 1e-3)
-    assert onset(soft, rearmed) == 1.0
+    assert soft_start(soft, rearmed) == 1.0
     assert loop_gain(soft, rearmed) == pytest.approx(1.5 * 2.0)
 
 
@@ -189,7 +189,7 @@ def test_reference_profile_follows_its_plan_exactly(dt: float) -> None:
     start = np.array([2.0, -1.0, 0.3])
     error = start.copy()
     for k in range(round(TF / dt)):
-        error = error - dt * loop_rate(gain, error, start, Clock(k * dt, k * dt, dt))
+        error = error - dt * task_rate(gain, error, start, Clock(k * dt, k * dt, dt))
         np.testing.assert_allclose(error, start * (1.0 - h((k + 1) * dt / TF)), atol=1e-12)
 
 
@@ -200,7 +200,7 @@ def test_reference_profile_shows_noise_to_kappa_only() -> None:
     for t in (0.0, 0.7 * TF, TF):
         clock = Clock(t, t, 0.01)
         on = start * (1.0 - h(t / TF))
-        more = loop_rate(gain, on + noise, start, clock) - loop_rate(gain, on, start, clock)
+        more = task_rate(gain, on + noise, start, clock) - task_rate(gain, on, start, clock)
         np.testing.assert_allclose(more, 2.0 * noise, atol=1e-12)
 
 
@@ -208,7 +208,7 @@ def test_loop_rate_is_gain_times_error_elsewhere() -> None:
     error = np.array([2.0, -1.0, 0.3])
     clock = Clock(2.0, 2.0, 0.01)
     for profile in (PROFILE_PAPER, PROFILE_SOFT):
-        rate = loop_rate(gain_of(profile), error, np.zeros(3), clock)
+        rate = task_rate(gain_of(profile), error, np.zeros(3), clock)
         np.testing.assert_allclose(rate, loop_gain(gain_of(profile), clock) * error)
 
 

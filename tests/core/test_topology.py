@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ptnsbc_core.errors import TopologyError
-from ptnsbc_core.topology import estimator_matrix, validate
+from ptnsbc_core.topology import estimator_matrix, validated_topology
 
 TREE = {2: 1, 3: 2, 4: 3, 5: 4}
 CHAIN = [(2, 3), (3, 4), (4, 5)]
@@ -13,7 +13,7 @@ CHAIN = [(2, 3), (3, 4), (4, 5)]
 def chain(followers: int, pinned: list[int]):
     ids = list(range(1, followers + 2))
     tree = {uav: uav - 1 for uav in ids[1:]}
-    return validate(1, ids, tree, pinned, [(uav, uav + 1) for uav in ids[1:-1]])
+    return validated_topology(1, ids, tree, pinned, [(uav, uav + 1) for uav in ids[1:-1]])
 
 
 def test_all_followers_pinned_on_a_chain_of_four() -> None:
@@ -38,7 +38,7 @@ def test_matrix_by_hand() -> None:
 
 
 def test_what_a_topology_says() -> None:
-    topology = validate(1, [3, 1, 2, 5, 4], {2: 1, 3: 1, 4: 2, 5: 4}, [2, 3, 4, 5], [])
+    topology = validated_topology(1, [3, 1, 2, 5, 4], {2: 1, 3: 1, 4: 2, 5: 4}, [2, 3, 4, 5], [])
     assert topology.order == (1, 2, 3, 4, 5)
     assert topology.depth == {1: 0, 2: 1, 3: 1, 4: 2, 5: 3}
     assert topology.neighbours == {2: (), 3: (), 4: (), 5: ()}
@@ -46,7 +46,7 @@ def test_what_a_topology_says() -> None:
 
 
 def test_a_leader_alone() -> None:
-    topology = validate(7, [7], {}, [], [])
+    topology = validated_topology(7, [7], {}, [], [])
     assert (topology.matrix.shape, topology.lambda_min, topology.depth) == ((0, 0), 1.0, {7: 0})
 
 
@@ -77,4 +77,6 @@ def test_graphs_that_cannot_carry_a_formation(changed: dict, said: str) -> None:
         **changed,
     }
     with pytest.raises(TopologyError, match=said):
-        validate(given["leader"], given["uavs"], given["tree"], given["links"], given["edges"])
+        validated_topology(
+            given["leader"], given["uavs"], given["tree"], given["links"], given["edges"]
+        )

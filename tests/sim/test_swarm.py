@@ -8,7 +8,7 @@ import pytest
 
 from ptnsbc_core.agent import Agent
 from ptnsbc_core.trajectory import reference
-from ptnsbc_core.types import MODE_FORMATION, NEVER_HEARD_S, TASKS, AgentInputs
+from ptnsbc_core.types import MODE_FORMATION, NEVER_RECEIVED_S, TASKS, AgentInputs
 from ptnsbc_sim.scenario import agent_config, load_scenario
 from ptnsbc_sim.scenario.build import trajectory_vector
 from ptnsbc_sim.swarm import CHUNK_TICKS, HeadlessFlight, fly
@@ -134,7 +134,7 @@ def told(flown: HeadlessFlight, tick: int, row: int, near: np.ndarray) -> AgentI
     scenario, track = flown.scenario, flown.track
     uav = scenario.uav_ids[row]
     rows = {other: number for number, other in enumerate(scenario.uav_ids)}
-    age = scenario.dt_ns * 1e-9 if tick else NEVER_HEARD_S
+    age = scenario.dt_ns * 1e-9 if tick else NEVER_RECEIVED_S
     parent, pinned = scenario.parent(uav), scenario.pinned(uav)
     neighbours = scenario.estimator_neighbours(uav)
 
@@ -149,9 +149,9 @@ def told(flown: HeadlessFlight, tick: int, row: int, near: np.ndarray) -> AgentI
     return AgentInputs(
         track.odometry[tick, row].copy(),
         sent(parent),
-        age if parent is not None else NEVER_HEARD_S,
+        age if parent is not None else NEVER_RECEIVED_S,
         sent(scenario.leader_id if pinned else None),
-        age if pinned else NEVER_HEARD_S,
+        age if pinned else NEVER_RECEIVED_S,
         estimates,
         np.full(len(neighbours), age),
         near,

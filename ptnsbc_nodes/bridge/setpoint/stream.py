@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ptnsbc_core.algebra import wrap
+from ptnsbc_core.algebra import wrap_angle
 from ptnsbc_core.kinematics import rotation_from_quaternion, yaw_of
 from ptnsbc_core.trajectory import reference
 from ptnsbc_core.types import AgentConfig, Array
@@ -82,7 +82,9 @@ class SetpointStream:
 
     def turned(self, odometry: Array) -> bool:
         """Whether the vehicle has the heading with which the formation begins, where it climbed by itself."""
-        return self._climb is None or abs(wrap(yaw_of(odometry) - self._heading)) < _TURNED_RAD
+        return (
+            self._climb is None or abs(wrap_angle(yaw_of(odometry) - self._heading)) < _TURNED_RAD
+        )
 
     def message(
         self,
@@ -135,7 +137,9 @@ class SetpointStream:
             self._climb = HoldPoint(odometry)
         place, height = self._climb, float(odometry[2])
         most = self._dt * _TURN_RAD_S
-        place.yaw = wrap(place.yaw + min(max(wrap(self._heading - place.yaw), -most), most))
+        place.yaw = wrap_angle(
+            place.yaw + min(max(wrap_angle(self._heading - place.yaw), -most), most)
+        )
         pace = min(_CLIMB_M_S, self._guard.limits.up_m_s)
         up = min(place.position[2] + self._dt * pace, height + _AHEAD_M)
         place.position[2] = min(up, self._ground_m + self._climb_to_m)

@@ -12,9 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ptnsbc_core.algebra import wrap
+from ptnsbc_core.algebra import wrap_angle
 from ptnsbc_core.control.quadrotor_control import attitude_error, desired_rotation
-from ptnsbc_core.kernel import kernel, leaf
+from ptnsbc_core.kernel import inline_kernel, kernel
 from ptnsbc_core.kinematics import rotation, yaw_of
 from ptnsbc_core.types import Array, Matrix3
 from ptnsbc_sim.plants.contract import PlantConfig
@@ -74,7 +74,7 @@ def no_target() -> Array:
     return target
 
 
-@leaf
+@inline_kernel
 def _estimate(body: Array, errors: Array, nav: Array) -> None:
     """What the vehicle believes, as an odometry vector (13,) with the velocity in ENU."""
     for i in range(3):
@@ -87,7 +87,7 @@ def _estimate(body: Array, errors: Array, nav: Array) -> None:
     nav[5], nav[6] = c * z + s * w, c * w - s * z
 
 
-@leaf
+@inline_kernel
 def _wanted_velocity(nav: Array, target: Array, gains: LoopGains) -> Array:
     """Velocity setpoint (3,) of the position loop, NaN where an axis has neither position nor velocity."""
     out = target[4:7].copy()
@@ -106,7 +106,7 @@ def _wanted_velocity(nav: Array, target: Array, gains: LoopGains) -> Array:
     return out
 
 
-@leaf
+@inline_kernel
 def _wanted_force(
     nav: Array, loop: Array, target: Array, gains: LoopGains, plant: PlantConfig, dt: float
 ) -> Array:
@@ -137,19 +137,19 @@ def _wanted_force(
     return force * plant.mass
 
 
-@leaf
+@inline_kernel
 def _turn_heading(nav: Array, loop: Array, target: Array, gains: LoopGains, dt: float) -> None:
     """Move the heading setpoint towards the commanded one, or with the commanded rate."""
     if math.isfinite(target[10]):
         most = gains.max_yaw_rate * dt
-        loop[3] = wrap(loop[3] + min(max(wrap(target[10] - loop[3]), -most), most))
+        loop[3] = wrap_angle(loop[3] + min(max(wrap_angle(target[10] - loop[3]), -most), most))
     elif math.isfinite(target[11]):
-        loop[3] = wrap(loop[3] + target[11] * dt)
-        lead = wrap(loop[3] - yaw_of(nav))
-        loop[3] = wrap(yaw_of(nav) + min(max(lead, -0.5), 0.5))
+        loop[3] = wrap_angle(loop[3] + target[11] * dt)
+        lead = wrap_angle(loop[3] - yaw_of(nav))
+        loop[3] = wrap_angle(yaw_of(nav) + min(max(lead, -0.5), 0.5))
 
 
-@leaf
+@inline_kernel
 def _wanted_rates(present: Matrix3, desired: Matrix3, target: Array, gains: LoopGains) -> Array:
     """Body rates (3,) [rad/s] that turn R to R_d, plus those commanded."""
     turn = attitude_error(present, desired)
@@ -163,7 +163,7 @@ def _wanted_rates(present: Matrix3, desired: Matrix3, target: Array, gains: Loop
     return out
 
 
-@leaf
+@inline_kernel
 def _attitude_thrust(
     nav: Array, loop: Array, target: Array, gains: LoopGains, plant: PlantConfig, dt: float
 ) -> float:
@@ -215,7 +215,7 @@ def _wrench(
     return out
 
 
-@leaf
+@inline_kernel
 def _stand(body: Array, loop: Array) -> None:
     """The ground at z = 0: what sinks into it stands on it, level and still."""
     if body[2] <= 0.0:

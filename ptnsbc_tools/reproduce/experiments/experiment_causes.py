@@ -142,5 +142,5 @@ def causes_table(workshop: ExperimentFolder) -> Table:
         f"{1e3 * own_m:.1f} mm per axis (steady Kalman filter, carried over the latency); two of them are "
         f"{1e3 * pair_m:.1f} mm off each other, so even a perfect controller that goes by told places keeps "
         f"{TOLERANCE_M:g} m in {100 * share:.1f} % of flights and no more. A follower that sees its neighbours is not "
-        "bound by that: its own error cancels (`ptnsbc_core/sighting.py`).",
+        "bound by that: its own error cancels (`ptnsbc_core/association.py`).",
     )

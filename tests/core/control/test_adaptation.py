@@ -4,12 +4,17 @@ import numpy as np
 import pytest
 from on_arrays import on_arrays
 
-from ptnsbc_core.control.adaptation import adapted_bound, adapted_parameters, observed, started
+from ptnsbc_core.control.adaptation import (
+    adapt_bound,
+    adapt_parameters,
+    initial_observer,
+    observer_step,
+)
 from ptnsbc_core.types import ControllerConfig, InertialParameters
 from ptnsbc_sim.scenario import agent_config, load_scenario
 
-observed = on_arrays(observed)
-started = on_arrays(started)
+observer_step = on_arrays(observer_step)
+initial_observer = on_arrays(initial_observer)
 
 DT = 0.01
 
@@ -29,7 +34,7 @@ def config() -> ControllerConfig:
 
 def test_parameters_move_against_the_regressor(config: ControllerConfig) -> None:
     nominal = config.nominal
-    out = adapted_parameters(nominal, InertialParameters(1.0, (-0.1, 0.0, 0.2)), DT, config)
+    out = adapt_parameters(nominal, InertialParameters(1.0, (-0.1, 0.0, 0.2)), DT, config)
     assert out.mass - nominal.mass == pytest.approx(-DT * 0.4, abs=1e-15)
     moved = np.array(out.inertia) - nominal.inertia
     np.testing.assert_allclose(moved, -DT * 0.2 * np.array([-0.1, 0.0, 0.2]), atol=1e-15)
@@ -40,7 +45,7 @@ def test_parameters_stay_in_their_range(config: ControllerConfig) -> None:
     for sign, edge in ((1.0, 0.7), (-1.0, 1.3)):
         out, much = nominal, sign * 1e4
         for _ in range(100):
-            out = adapted_parameters(out, InertialParameters(much, (much, much, much)), DT, config)
+            out = adapt_parameters(out, InertialParameters(much, (much, much, much)), DT, config)
         assert out.mass == pytest.approx(edge * nominal.mass)
         np.testing.assert_allclose(out.inertia, edge * np.array(nominal.inertia))
 
@@ -49,7 +54,7 @@ def test_bound_is_capped_where_the_printed_one_grows_for_ever(config: Controller
     """A constant error of 0.2 m/s, as noise leaves it: (51) adds 0.5 m/s^2 every second, for ever."""
     bound = printed = 0.0
     for _ in range(10_000):
-        bound = adapted_bound(bound, 0.2, 0, DT, config)
+        bound = adapt_bound(bound, 0.2, 0, DT, config)
         printed += DT * config.bound_rate * 0.2
     assert printed == pytest.approx(50.0)
     assert bound == 2.0
@@ -58,25 +63,25 @@ def test_bound_is_capped_where_the_printed_one_grows_for_ever(config: Controller
 def test_bound_settles_where_leak_and_growth_meet(config: ControllerConfig) -> None:
     bound = 0.0
     for _ in range(20_000):
-        bound = adapted_bound(bound, 0.04, 0, DT, config)
+        bound = adapt_bound(bound, 0.04, 0, DT, config)
     assert bound == pytest.approx(2.5 * 0.04 / 0.1)
 
 
 def test_bound_leaks_inside_its_dead_zone(config: ControllerConfig) -> None:
     bound = 1.0
     for _ in range(1000):
-        bound = adapted_bound(bound, 0.009, 0, DT, config)
+        bound = adapt_bound(bound, 0.009, 0, DT, config)
     assert bound == pytest.approx((1.0 - 0.1 * DT) ** 1000)
 
 
 def push_seen(push: np.ndarray, ticks: int, config: ControllerConfig, dt=DT, frozen=False):
     """Observer after `ticks` of a body under a known acceleration and an unknown `push`."""
     velocity, told = np.array([1.0, -2.0, 0.5]), np.array([0.3, 0.0, -0.2])
-    observer = started(velocity)
+    observer = initial_observer(velocity)
     for _ in range(ticks):
         observer = observer._replace(acceleration=told)
         velocity = velocity + dt * (told + push)
-        observer = observed(observer, velocity, frozen, dt, config)
+        observer = observer_step(observer, velocity, frozen, dt, config)
     return observer
 
 
@@ -92,11 +97,11 @@ def test_observer_has_three_poles_at_its_bandwidth(config: ControllerConfig) -> 
 def test_observer_follows_a_swaying_push_to_second_order(config: ControllerConfig) -> None:
     """At 1 rad/s the share that is missed is |s^2 (s + 3 w) / (s + w)^3| at s = j: 0.046 for w = 8 1/s."""
     dt, s, w = 1e-3, 1j, 8.0
-    observer, velocity, missed = started(np.zeros(3)), np.zeros(3), []
+    observer, velocity, missed = initial_observer(np.zeros(3)), np.zeros(3), []
     for tick in range(12_000):
         push = np.array([np.sin(tick * dt), 0.0, 0.0])
         velocity = velocity + dt * push
-        observer = observed(observer, velocity, False, dt, config)
+        observer = observer_step(observer, velocity, False, dt, config)
         missed.append(abs(observer.disturbance[0] - push[0]))
     assert max(missed[-7000:]) == pytest.approx(abs(s**2 * (s + 3 * w) / (s + w) ** 3), rel=0.03)
 

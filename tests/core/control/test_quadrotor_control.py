@@ -8,7 +8,7 @@ from on_arrays import on_arrays, tuples
 from scipy.spatial.transform import Rotation
 
 from ptnsbc_core.control import quadrotor_control as laws
-from ptnsbc_core.control.adaptation import started
+from ptnsbc_core.control.adaptation import initial_observer
 from ptnsbc_core.control.rigid_body_control import VelocityReference
 from ptnsbc_core.kinematics import rotation_from_quaternion, velocity_enu
 from ptnsbc_core.timebase import Clock
@@ -20,7 +20,7 @@ from ptnsbc_sim.scenario import agent_config, load_scenario
 attitude_error = on_arrays(laws.attitude_error)
 desired_rotation = on_arrays(laws.desired_rotation)
 rate_reference = on_arrays(laws.rate_reference)
-tilt_limited = on_arrays(laws.tilt_limited)
+tilt_limited = on_arrays(laws.limit_tilt)
 
 SCENARIO = load_scenario("paper_5")
 AGENT = agent_config(SCENARIO, 1)
@@ -100,7 +100,7 @@ def control(own: np.ndarray, k: int, carried, config: ControllerConfig = CONFIG,
 
 
 def fresh(own: np.ndarray) -> AdaptationState:
-    return AdaptationState(CONFIG.nominal, (0.0, 0.0), started(velocity_enu(own)))
+    return AdaptationState(CONFIG.nominal, (0.0, 0.0), initial_observer(velocity_enu(own)))
 
 
 @pytest.mark.parametrize("attitude", [(0.0, 0.0, 0.0), (1.0, 1.0, 1.0)])

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from on_arrays import on_arrays, tuples
 
 from ptnsbc_core.control import rigid_body_control as laws
-from ptnsbc_core.control.adaptation import started
+from ptnsbc_core.control.adaptation import initial_observer
 from ptnsbc_core.control.rigid_body_control import VelocityReference
 from ptnsbc_core.kinematics import quaternion_from_euler, rotation_from_euler
 from ptnsbc_core.timebase import Clock
@@ -50,7 +50,7 @@ class Controlled(NamedTuple):
 
 def control(own, command, parameters, bound, clock, config) -> Controlled:
     """`rigid_body_control` with Psi_hat (4,) and delta_hat (2,)."""
-    before = AdaptationState(psi(parameters), tuples(bound), started((0.0, 0.0, 0.0)))
+    before = AdaptationState(psi(parameters), tuples(bound), initial_observer((0.0, 0.0, 0.0)))
     out = laws.rigid_body_control(own, tuples(command), before, clock, config)
     learned = out.adapted
     return Controlled(

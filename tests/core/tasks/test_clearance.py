@@ -8,10 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from on_arrays import on_arrays
 
-from ptnsbc_core.algebra import limited
-from ptnsbc_core.planner import composed
+from ptnsbc_core.algebra import limit_norm
+from ptnsbc_core.nullspace import compose_with_clearance
 from ptnsbc_core.tasks.clearance import ClearanceTask, ObstacleView, clearance, tangent
-from ptnsbc_core.tasks.encounters import SIDE, USED, none_met
+from ptnsbc_core.tasks.obstacle_memory import SIDE, USED, empty_memory
 from ptnsbc_core.timebase import step_gain
 from ptnsbc_core.types import (
     AVOIDANCE_OFF,
@@ -23,8 +23,8 @@ from ptnsbc_core.types import (
 )
 
 clearance = on_arrays(clearance)
-composed = on_arrays(composed)
-limited = on_arrays(limited)
+compose_with_clearance = on_arrays(compose_with_clearance)
+limit_norm = on_arrays(limit_norm)
 tangent = on_arrays(tangent)
 
 DT, KAPPA, KEEP_OUT = 0.01, 3.0, 1.5
@@ -46,9 +46,9 @@ def object_at(centre, velocity=(0.0, 0.0, 0.0), keep_out: float = KEEP_OUT) -> n
 
 def result(position, wanted, near, config, memory=None, age: float = 0.0):
     """The clearance task and the composed velocity."""
-    memory = none_met() if memory is None else memory
+    memory = empty_memory() if memory is None else memory
     top: ClearanceTask = clearance(position, wanted, ObstacleView(near, age, memory, DT), config)
-    return top, composed(top, FREE).velocity
+    return top, compose_with_clearance(top, FREE).velocity
 
 
 @given(seed=seeds)
@@ -70,10 +70,10 @@ def test_one_object_is_the_closed_form(seed: int) -> None:
 def test_alpha_is_rearmed_at_every_encounter_inside() -> None:
     """Inside, the time base of the encounter adds to kappa: it has reached its peak after half a second."""
     near = object_at((0.0, 0, 0))[np.newaxis]
-    position, memory, pushes = np.array([1.0, 0.0, 0.0]), none_met(), []
+    position, memory, pushes = np.array([1.0, 0.0, 0.0]), empty_memory(), []
     for _ in range(120):
         top, velocity = result(position, np.zeros(3), near, config_of(), memory)
-        memory = top.encounters
+        memory = top.memory
         pushes.append(velocity[0])
     assert pushes[0] == pytest.approx(FIRST * 0.5)
     assert max(pushes) == pytest.approx((KAPPA + 2.7228 * 5.0) * 0.5, rel=0.08)
@@ -135,12 +135,12 @@ def test_what_was_seen_some_time_ago_has_moved_on() -> None:
 def fly(config, wanted_at, start, near, seconds: float, noise: float = 0.0):
     """Single integrator: positions, velocities, number of binding rows, last memory."""
     rng = np.random.default_rng(0)
-    position, memory = np.array(start, dtype=float), none_met()
+    position, memory = np.array(start, dtype=float), empty_memory()
     positions, velocities, rows = [], [], []
     for k in range(round(seconds / DT)):
         seen = position + noise * rng.normal(size=3)
         top, velocity = result(seen, wanted_at(position), near(k * DT), config, memory)
-        memory = top.encounters
+        memory = top.memory
         position = position + DT * velocity
         positions.append(position)
         velocities.append(velocity)
@@ -215,7 +215,7 @@ def test_switched_chatters_where_set_based_glides(noise: float, ratio: float) ->
 
 
 def to_goal(position: np.ndarray) -> np.ndarray:
-    return limited(np.array([4.0, 0, 0]) - position, 1.0)
+    return limit_norm(np.array([4.0, 0, 0]) - position, 1.0)
 
 
 @pytest.mark.parametrize("rule", [AVOIDANCE_SET_BASED, AVOIDANCE_SWITCHED])
@@ -249,10 +249,10 @@ def test_time_out_takes_the_other_side_of_a_wall() -> None:
     side = {}
     for timeout in (1e9, 3.0):
         config = config_of(circulation=0.6, timeout_s=timeout)
-        memory, position, sides = none_met(), np.array([-2.0, 0.3, 0.0]), set()
+        memory, position, sides = empty_memory(), np.array([-2.0, 0.3, 0.0]), set()
         for _ in range(1500):
             top, velocity = result(position, to_goal(position), wall(0.0), config, memory)
-            memory = top.encounters
+            memory = top.memory
             sides |= set(memory[memory[:, USED] > 0.0, SIDE])
             position = position + DT * velocity
         side[timeout] = sides

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from on_arrays import on_arrays
 
-from ptnsbc_core.algebra import wrap
+from ptnsbc_core.algebra import wrap_angle
 from ptnsbc_core.nullspace import damped_solve
 from ptnsbc_core.tasks.distance_angles import distance_angles
 from ptnsbc_core.tasks.registry import conditioning, desired_value, evaluate, task_error
@@ -43,7 +43,7 @@ def test_value_by_hand() -> None:
 
 @pytest.mark.parametrize("quadrant", range(8))
 def test_signed_angle_in_all_quadrants(quadrant: int) -> None:
-    angle = wrap(np.pi / 8 + quadrant * np.pi / 4)
+    angle = wrap_angle(np.pi / 8 + quadrant * np.pi / 4)
     reference = np.array([np.cos(angle), np.sin(angle), 0.3])
     value = distance_angles(np.zeros(3), np.array([2.0, 0, 0.1]), reference).value
     assert value[1] == pytest.approx(angle)
@@ -63,7 +63,7 @@ def test_24_takes_the_wrong_branch_in_half_the_cases() -> None:
         own, parent, reference = rng.normal(size=(3, 3))
         ours = distance_angles(own, parent, reference).value[1]
         printed = printed_angle((parent - own)[:2], (reference - own)[:2])
-        wrong += abs(wrap(printed - ours)) > 1e-6
+        wrong += abs(wrap_angle(printed - ours)) > 1e-6
     assert wrong / 2000 == pytest.approx(0.5, abs=0.03)
 
 

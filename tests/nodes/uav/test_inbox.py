@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ptnsbc_core.types import MODE_HOLD, NEVER_HEARD_S, AgentInputs
+from ptnsbc_core.types import MODE_HOLD, NEVER_RECEIVED_S, AgentInputs
 from ptnsbc_io.wire import Stamped
 from ptnsbc_nodes.comm.graph import LEAD_TICKS, Senders
 from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS, Inbox, MessageQueue
@@ -32,7 +32,7 @@ def hear_all(inbox: Inbox, tick: int) -> None:
 
 
 def known(inbox: Inbox, *when) -> AgentInputs:
-    return inbox.known(*when).inputs
+    return inbox.known(*when).unpack()
 
 
 def test_a_child_of_the_leader_hears_it_once():
@@ -59,9 +59,9 @@ def test_inputs_before_anything_is_heard():
     inbox = Inbox(FOLLOWER)
     inbox.own = message(0, 1.0)
     inputs = known(inbox, 0, 0)
-    assert inputs.parent_age_s == inputs.leader_age_s == inputs.near_age_s == NEVER_HEARD_S
+    assert inputs.parent_age_s == inputs.leader_age_s == inputs.near_age_s == NEVER_RECEIVED_S
     assert inputs.estimates.shape == (2, 13)
-    assert (inputs.estimate_age_s == NEVER_HEARD_S).all()
+    assert (inputs.estimate_age_s == NEVER_RECEIVED_S).all()
     assert inputs.near.shape == (0, 7)
     assert inputs.mode == MODE_HOLD
 
@@ -181,4 +181,4 @@ def test_lost_messages_are_not_heard_and_not_waited_for():
     inputs = known(inbox, 40 * PERIOD, 40 * PERIOD)
     assert inputs.parent[0] == 20 + 3
     assert inputs.parent_age_s == inputs.leader_age_s == 37 * PERIOD * 1e-9
-    np.testing.assert_array_equal(inputs.estimate_age_s, [PERIOD * 1e-9, NEVER_HEARD_S])
+    np.testing.assert_array_equal(inputs.estimate_age_s, [PERIOD * 1e-9, NEVER_RECEIVED_S])

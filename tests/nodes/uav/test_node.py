@@ -12,7 +12,7 @@ from rclpy.serialization import deserialize_message
 from std_srvs.srv import Trigger
 
 from ptnsbc_core.step import initial_state, step
-from ptnsbc_core.types import NEVER_HEARD_S, AgentInputs
+from ptnsbc_core.types import NEVER_RECEIVED_S, AgentInputs
 from ptnsbc_io import wire
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.endpoints import LOST, READY, Endpoints
@@ -153,7 +153,7 @@ def test_lockstep_output_is_that_of_the_kernel(ros, scenario):
     state = initial_state(body(FOLLOWER), config)
     for tick in range(3):
         heard = tick > 0
-        age = dt_ns * 1e-9 if heard else NEVER_HEARD_S
+        age = dt_ns * 1e-9 if heard else NEVER_RECEIVED_S
         told = AgentInputs(
             own=body(FOLLOWER),
             parent=body(PARENT) if heard else np.zeros(13),

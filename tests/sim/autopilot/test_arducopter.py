@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from ptnsbc_core.algebra import wrap
+from ptnsbc_core.algebra import wrap_angle
 from ptnsbc_io.mavlink.dialect import mavlink
 from ptnsbc_sim.autopilot.firmware.arducopter import GUIDED, LAND, STABILIZE, ArduCopter
 from ptnsbc_sim.autopilot.physics.frames import attitude_swap, euler_of
@@ -189,9 +189,11 @@ def test_an_attitude_turns_on_with_the_rates_beside_it_until_it_times_out(flying
     level = (math.cos(0.5 * start), 0.0, 0.0, math.sin(0.5 * start))
     flying.send(mavlink.MAVLink_set_attitude_target_message(0, 1, 1, 0, level, 0, 0, 0.5, 0.5))
     flying.run(0.9)
-    assert 0.25 < wrap(heading(flying) - start) < 0.5  # to the right
+    assert 0.25 < wrap_angle(heading(flying) - start) < 0.5  # to the right
     flying.run(3.0)
-    assert wrap(heading(flying) - start) == pytest.approx(0.5, abs=0.1)  # a second of it, no more
+    assert wrap_angle(heading(flying) - start) == pytest.approx(
+        0.5, abs=0.1
+    )  # a second of it, no more
 
 
 def test_after_an_attitude_it_levels_and_keeps_its_height(flying):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ptnsbc_core.agent import Agent
-from ptnsbc_core.types import MODE_FORMATION, NEVER_HEARD_S, AgentInputs
+from ptnsbc_core.types import MODE_FORMATION, NEVER_RECEIVED_S, AgentInputs
 from ptnsbc_sim.disturbances.links import Losses, last_heard, losses
 from ptnsbc_sim.scenario import Scenario, agent_config, load_scenario
 from ptnsbc_sim.swarm import HeadlessFlight, fly
@@ -68,12 +68,12 @@ def inputs(
     def state(other: int | None) -> tuple[np.ndarray, float]:
         sent = received(scenario, uav, tick, other, False)
         if sent < 0 or other is None:
-            return np.zeros(13), NEVER_HEARD_S
+            return np.zeros(13), NEVER_RECEIVED_S
         age = ((tick - sent) * scenario.dt_ns) * 1e-9
         return track.odometry[sent, rows[other]].copy(), age
 
     others = scenario.estimator_neighbours(uav)
-    estimates, ages = np.zeros((len(others), 13)), np.full(len(others), NEVER_HEARD_S)
+    estimates, ages = np.zeros((len(others), 13)), np.full(len(others), NEVER_RECEIVED_S)
     for k, other in enumerate(others):
         sent = received(scenario, uav, tick, other, True)
         if sent >= 0:

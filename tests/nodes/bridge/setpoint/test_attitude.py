@@ -7,7 +7,7 @@ import pytest
 
 pytest.importorskip("pymavlink")
 
-from ptnsbc_core.control.adaptation import started
+from ptnsbc_core.control.adaptation import initial_observer
 from ptnsbc_core.control.quadrotor_control import (
     attitude_error,
     desired_rotation,
@@ -41,7 +41,9 @@ def test_the_wrench_is_read_back_to_the_attitude_that_the_controller_meant(confi
     yaw = euler[2] + 0.05
     command = VelocityReference(tuple(map(float, push)), still, still, still, yaw)
     controller = config.controller
-    before = AdaptationState(controller.nominal, (0.0, 0.0), started(velocity_enu(odometry)))
+    before = AdaptationState(
+        controller.nominal, (0.0, 0.0), initial_observer(velocity_enu(odometry))
+    )
     clock = Clock(5.0, 5.0, 0.01)
     control = quadrotor_control(
         odometry, command, before, clock, controller, config.filter.max_rate

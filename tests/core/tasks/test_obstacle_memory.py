@@ -1,17 +1,17 @@
-"""Memory of encounters: recognised by place, ended when quiet, the other side after the time-out."""
+"""Obstacle memory: an object is recognised by position, forgotten when quiet, and passed on the other side in time."""
 
 import numpy as np
 import pytest
 
-from ptnsbc_core.tasks.encounters import (
+from ptnsbc_core.tasks.obstacle_memory import (
     ACTIVE_S,
     QUIET_S,
     SIDE,
     SLOTS,
     USED,
     active_time,
-    find,
-    none_met,
+    empty_memory,
+    find_slot,
     update,
 )
 from ptnsbc_core.types import PROFILE_PAPER, ClearanceConfig, LoopGain
@@ -35,20 +35,20 @@ def met(memory: np.ndarray, near: np.ndarray, ticks: int = 1, side: float = 1.0,
 
 
 def test_a_new_encounter_takes_a_slot_and_the_side_it_is_on() -> None:
-    memory = met(none_met(), near_of((0, 0, 0), (5, 0, 0)), side=-0.3)
+    memory = met(empty_memory(), near_of((0, 0, 0), (5, 0, 0)), side=-0.3)
     assert memory[:, USED].sum() == 2
-    slot = find(memory, np.array([5.2, 0.1, 0.0]))
+    slot = find_slot(memory, np.array([5.2, 0.1, 0.0]))
     np.testing.assert_allclose(memory[slot], [5, 0, 0, -1, DT, 0, 1])
-    assert find(memory, np.array([2.5, 0.0, 0.0])) == -1
-    assert met(none_met(), near_of((0, 0, 0)), side=0.0)[0, SIDE] == 1.0
+    assert find_slot(memory, np.array([2.5, 0.0, 0.0])) == -1
+    assert met(empty_memory(), near_of((0, 0, 0)), side=0.0)[0, SIDE] == 1.0
 
 
 def test_what_does_not_bind_is_not_met() -> None:
-    np.testing.assert_array_equal(met(none_met(), near_of((0, 0, 0)), hit=0.0), none_met())
+    np.testing.assert_array_equal(met(empty_memory(), near_of((0, 0, 0)), hit=0.0), empty_memory())
 
 
 def test_an_encounter_is_followed_while_its_object_moves() -> None:
-    memory = none_met()
+    memory = empty_memory()
     for k in range(15):
         memory = met(memory, near_of((0.5 * k, 0, 0)))
     assert memory[:, USED].sum() == 1
@@ -56,7 +56,7 @@ def test_an_encounter_is_followed_while_its_object_moves() -> None:
 
 
 def test_an_encounter_ends_when_it_has_been_quiet() -> None:
-    memory = met(none_met(), near_of((0, 0, 0)), ticks=5)
+    memory = met(empty_memory(), near_of((0, 0, 0)), ticks=5)
     for _ in range(9):
         memory = met(memory, near_of((0, 0, 0)), hit=0.0)
     assert active_time(memory, np.zeros(3)) == pytest.approx(5 * DT)
@@ -68,7 +68,7 @@ def test_an_encounter_ends_when_it_has_been_quiet() -> None:
 
 
 def test_time_out_tries_the_other_side_and_starts_anew() -> None:
-    memory = met(none_met(), near_of((0, 0, 0)), ticks=20)
+    memory = met(empty_memory(), near_of((0, 0, 0)), ticks=20)
     assert (memory[0, SIDE], memory[0, ACTIVE_S]) == (1.0, pytest.approx(2.0))
     memory = met(memory, near_of((0, 0, 0)))
     assert (memory[0, SIDE], memory[0, ACTIVE_S]) == (-1.0, 0.0)
@@ -77,18 +77,18 @@ def test_time_out_tries_the_other_side_and_starts_anew() -> None:
 
 
 def test_a_ninth_object_takes_the_slot_that_is_quiet_longest() -> None:
-    memory = none_met()
+    memory = empty_memory()
     for k in range(SLOTS):
         memory = update(memory, near_of((3.0 * k, 0, 0)), np.ones(1), np.ones(1), 0.01, CONFIG)
     assert memory[:, USED].sum() == SLOTS
     memory = update(memory, near_of((0, 50, 0)), np.ones(1), np.ones(1), 0.01, CONFIG)
     assert memory[:, USED].sum() == SLOTS
-    assert find(memory, np.array([0.0, 50, 0])) == 0
-    assert find(memory, np.zeros(3)) == -1
+    assert find_slot(memory, np.array([0.0, 50, 0])) == 0
+    assert find_slot(memory, np.zeros(3)) == -1
 
 
 def test_the_memory_given_is_left_alone() -> None:
-    memory = met(none_met(), near_of((0, 0, 0)))
+    memory = met(empty_memory(), near_of((0, 0, 0)))
     before = memory.copy()
     met(memory, near_of((0, 0, 0), (4, 4, 4)), ticks=3)
     np.testing.assert_array_equal(memory, before)

@@ -1,35 +1,22 @@
-"""Behaviours: the formation law against what (30) prints, leader and attitude in closed form, the limit."""
+"""The formation law: at the deadline in place, where (30) as printed is not, and at a singularity."""
 
 import numpy as np
 import pytest
 from on_arrays import on_arrays
 
-from ptnsbc_core.kinematics import euler_rates, quaternion_from_euler
+from ptnsbc_core.behaviours.contract import EpochErrors, Neighbour
+from ptnsbc_core.behaviours.formation import formation
+from ptnsbc_core.behaviours.leader_tracking import leader_tracking
 from ptnsbc_core.nullspace import damped_solve
-from ptnsbc_core.planner import (
-    EpochErrors,
-    Neighbour,
-    attitude,
-    composed,
-    formation,
-    hold,
-    leader_tracking,
-)
-from ptnsbc_core.tasks.clearance import ClearanceTask
-from ptnsbc_core.tasks.encounters import none_met
 from ptnsbc_core.tasks.registry import evaluate, task_error
 from ptnsbc_core.timebase import Clock, loop_gain
 from ptnsbc_core.trajectory import reference
-from ptnsbc_core.types import PROFILE_PAPER, PROFILE_REFERENCE, PROFILE_SOFT, TASKS
+from ptnsbc_core.types import PROFILE_PAPER, TASKS
 from ptnsbc_sim.scenario import agent_config, load_scenario
 
-attitude = on_arrays(attitude)
-composed = on_arrays(composed)
 damped_solve = on_arrays(damped_solve)
-euler_rates = on_arrays(euler_rates)
 evaluate = on_arrays(evaluate)
 formation = on_arrays(formation)
-hold = on_arrays(hold)
 leader_tracking = on_arrays(leader_tracking)
 reference = on_arrays(reference)
 task_error = on_arrays(task_error)
@@ -130,78 +117,3 @@ def test_leaders_velocity_stays_outside_the_damping() -> None:
     out = formation(position, parent, leader, NONE, Clock(1.0, 1.0, DT), config)
     assert out.singular_value < 1e-6
     np.testing.assert_allclose(out.velocity, moving, atol=1e-12)
-
-
-@pytest.mark.parametrize("profile", [PROFILE_PAPER, PROFILE_SOFT, PROFILE_REFERENCE])
-def test_leader_reaches_a_place_in_closed_form(profile: int) -> None:
-    config = agent_config(load_scenario("paper_5"), 1)
-    loop = config.formation._replace(kappa=0.0, profile=profile, scale=1.0, residual=1e-2)
-    trajectory = (1.0, 4.0, -3.0, 8.0, 0.0, 0.0, 0.0, 0.0)
-    config = config._replace(formation=loop, trajectory=trajectory)
-    position, start = np.zeros(3), np.array([4.0, -3.0, 8.0])
-    for k in range(round(TF / DT)):
-        clock = Clock(k * DT, k * DT, DT)
-        armed = EpochErrors(k == 0, start, np.zeros(3))
-        desired = reference(trajectory, k * DT)
-        position = position + DT * leader_tracking(position, desired, armed, clock, config).velocity
-    left = 0.0 if profile == PROFILE_REFERENCE else 1e-2 / 1.01
-    np.testing.assert_allclose(start - position, left * start, atol=1e-9)
-
-
-def test_leader_stays_on_the_circle() -> None:
-    config = agent_config(load_scenario("paper_5"), 1)
-    position = np.array([0.0, 1.0, 1.0])
-    for k in range(round(12.0 / DT)):
-        clock = Clock(k * DT, k * DT, DT)
-        desired = reference(config.trajectory, k * DT)
-        position = position + DT * leader_tracking(position, desired, NONE, clock, config).velocity
-        if k * DT > TF:
-            assert (
-                np.linalg.norm(reference(config.trajectory, (k + 1) * DT).position - position)
-                < 0.01
-            )
-
-
-def test_attitude_decays_in_closed_form() -> None:
-    """beta_dot = W W^-1 Lambda G beta~: the Euler angles decay as if they were alone."""
-    config = agent_config(load_scenario("paper_5", {"plant.kind": "rigid_body_6dof"}), 1)
-    loop = config.attitude._replace(kappa=0.0, profile=PROFILE_PAPER, scale=1.0)
-    config = config._replace(attitude=loop)
-    euler, own = np.ones(3), np.zeros(13)
-    for k in range(round(loop.duration_s / DT)):
-        own[3:7] = quaternion_from_euler(euler)
-        rates, error = attitude(own, 0.2, NONE, Clock(k * DT, k * DT, DT), config)
-        np.testing.assert_allclose(error, [-euler[0], -euler[1], 0.2 - euler[2]], atol=1e-12)
-        euler = euler + DT * euler_rates(euler, rates)
-    left = loop.residual / (1.0 + loop.residual)
-    np.testing.assert_allclose(euler, [left, left, 0.2 + 0.8 * left], rtol=1e-9)
-
-
-def test_yaw_is_turned_the_short_way() -> None:
-    config = agent_config(load_scenario("paper_5", {"plant.kind": "rigid_body_6dof"}), 1)
-    own = np.zeros(13)
-    own[3:7] = quaternion_from_euler(np.array([0.0, 0.0, 3.0]))
-    _, error = attitude(own, -3.0, NONE, Clock(0.0, 0.0, DT), config)
-    assert error[2] == pytest.approx(2.0 * np.pi - 6.0)
-
-
-def test_hold_is_proportional_and_limited() -> None:
-    config = agent_config(load_scenario("paper_5"), 1)
-    config = config._replace(hold_gain=1.0, filter=config.filter._replace(max_speed=4.0))
-    place = np.array([1.0, 2.0, 3.0])
-    np.testing.assert_allclose(hold(np.array([1.0, 1.0, 3.0]), place, config), [0, 1, 0])
-    far = hold(np.array([31.0, 2.0, 43.0]), place, config)
-    np.testing.assert_allclose(far, [-1.2, 0, -1.6])
-
-
-def test_speed_limit_takes_from_the_formation_first() -> None:
-    top = ClearanceTask(
-        np.array([3.0, 0, 0]), np.array([[1.0, 0, 0]]), np.array([-9.0, 8, 0]), none_met()
-    )
-    out = composed(top, 5.0)
-    np.testing.assert_allclose(out.velocity, [3.0, 4.0, 0.0], atol=1e-12)
-    assert out.limited
-    assert out.violation == pytest.approx(0.0, abs=1e-12)
-    free = composed(top, 50.0)
-    np.testing.assert_allclose(free.velocity, [3.0, 8.0, 0.0])
-    assert not free.limited

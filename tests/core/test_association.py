@@ -1,15 +1,15 @@
-"""Which near object is a neighbour, and that the own error cancels in what is seen."""
+"""Data association: which near object is a neighbour, and that the own position error cancels."""
 
 import numpy as np
 import pytest
 from on_arrays import on_arrays
 
-from ptnsbc_core.planner import Neighbour
-from ptnsbc_core.sighting import sighted
+from ptnsbc_core.association import associate
+from ptnsbc_core.behaviours.contract import Neighbour
 
-sighted = on_arrays(sighted)
+associate = on_arrays(associate)
 
-TOLD = Neighbour(np.array([1.0, 2.0, 3.0]), np.array([0.5, 0.0, 0.0]))
+REPORTED = Neighbour(np.array([1.0, 2.0, 3.0]), np.array([0.5, 0.0, 0.0]))
 NOTHING = np.empty((0, 7))
 
 
@@ -22,24 +22,24 @@ def same(a: Neighbour, b: Neighbour) -> bool:
 
 
 @pytest.mark.parametrize(
-    ("near", "within_m"),
+    ("near", "gate_m"),
     [(NOTHING, 0.2), (np.array([row(1.3, 2, 3)]), 0.2), (np.array([row(1.01, 2, 3)]), 0.0)],
 )
-def test_without_anything_close_enough_a_neighbour_is_where_it_says(near, within_m) -> None:
-    assert same(sighted(TOLD, near, 0.0, within_m), TOLD)
+def test_without_anything_close_enough_a_neighbour_is_where_it_says(near, gate_m) -> None:
+    assert same(associate(REPORTED, near, 0.0, gate_m), REPORTED)
 
 
 def test_the_nearest_one_is_taken_and_moved_on_by_its_age() -> None:
     near = np.array([row(1.15, 2, 3), row(0.95, 2, 3, 1.0, 2.0, 0.0), row(-4, 0, 0)])
-    seen = sighted(TOLD, near, 0.02, 0.2)
+    seen = associate(REPORTED, near, 0.02, 0.2)
     np.testing.assert_allclose(seen.position, (0.97, 2.04, 3.0), atol=1e-12)
     np.testing.assert_allclose(seen.velocity, (1.0, 2.0, 0.0))
 
 
 def test_the_sensor_s_age_counts_in_the_choice() -> None:
     near = np.array([row(0.7, 2, 3, 3.0, 0.0, 0.0), row(1.15, 2, 3)])
-    assert sighted(TOLD, near, 0.1, 0.2).position[0] == pytest.approx(1.0)
-    assert sighted(TOLD, near, 0.0, 0.2).position[0] == pytest.approx(1.15)
+    assert associate(REPORTED, near, 0.1, 0.2).position[0] == pytest.approx(1.0)
+    assert associate(REPORTED, near, 0.0, 0.2).position[0] == pytest.approx(1.15)
 
 
 def test_the_own_error_cancels_in_the_difference() -> None:
@@ -47,7 +47,7 @@ def test_the_own_error_cancels_in_the_difference() -> None:
     own, other = np.zeros(3), np.array([1.2, -0.6, 0.1])
     own_error, its_error = np.array([0.02, -0.03, 0.01]), np.array([-0.04, 0.01, 0.02])
     near = np.array([row(*(other + own_error))])
-    told = Neighbour(other + its_error, np.zeros(3))
-    seen = sighted(told, near, 0.0, 0.2).position - (own + own_error)
+    reported = Neighbour(other + its_error, np.zeros(3))
+    seen = associate(reported, near, 0.0, 0.2).position - (own + own_error)
     np.testing.assert_allclose(seen, other - own, atol=1e-12)
-    assert np.linalg.norm((told.position - (own + own_error)) - (other - own)) > 0.05
+    assert np.linalg.norm((reported.position - (own + own_error)) - (other - own)) > 0.05

@@ -1,0 +1,26 @@
+"""Behaviour of the leader: it tracks its trajectory. The paper does not give this law."""
+
+from __future__ import annotations
+
+from ptnsbc_core.algebra import axpy, sub3
+from ptnsbc_core.behaviours.contract import Behaviour, EpochErrors
+from ptnsbc_core.kernel import kernel
+from ptnsbc_core.timebase import Clock, soft_start, task_rate
+from ptnsbc_core.trajectory import Reference
+from ptnsbc_core.types import AgentConfig, Vector3
+
+
+@kernel
+def leader_tracking(
+    position: Vector3, desired: Reference, epoch: EpochErrors, clock: Clock, config: AgentConfig
+) -> Behaviour:
+    """p_dot = c p_r_dot + Lambda G (p_r - p_1): sigma = p_1, J = I.
+
+    The trajectory may already move at t = 0. c(t) keeps its feed-forward from being a step. The error that c(t)
+    leaves decays by tf, because the gain acts until then.
+    """
+    error = sub3(desired.position, position)
+    start_error = error if epoch.at_epoch else epoch.task
+    rate = task_rate(config.formation, error, start_error, clock)
+    velocity = axpy(soft_start(config.formation, clock), desired.velocity, rate)
+    return Behaviour(velocity, error, 1.0)
