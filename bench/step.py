@@ -13,9 +13,10 @@ from ptnsbc_core.agent import Agent, PackedInputs
 from ptnsbc_core.algebra import eigen3, gram3
 from ptnsbc_core.kernel import kernel
 from ptnsbc_core.step import initial_state, step
-from ptnsbc_core.types import MODE_FORMATION, AgentInputs, Array
-from ptnsbc_sim.scenario import Scenario, agent_config
+from ptnsbc_core.types import Array
+from ptnsbc_sim.scenario import agent_config
 from ptnsbc_sim.world import World
+from ptnsbc_tools.reproduce.experiments.cost import follower_inputs
 
 SVD = "NumPy 3×3 SVD"
 _MATRIX = np.array([[2.0, 0.3, -0.1], [0.2, 1.0, 0.4], [-0.3, 0.1, 0.5]])
@@ -27,28 +28,6 @@ _MICRO, _NANO = 1e6, 1e9
 def numpy_svd() -> object:
     """The reference: what one step costs to those who write it with NumPy, many times over."""
     return np.linalg.svd(_MATRIX)
-
-
-def inputs(scenario: Scenario, uav_id: int) -> AgentInputs:
-    """What a follower knows in flight: parent, leader, neighbours' estimates, near objects."""
-    world = World(scenario)
-    parent = scenario.parent(uav_id)
-    neighbours = scenario.estimator_neighbours(uav_id)
-    age_s = scenario.dt_ns * 1e-9
-    leader = world.odometry(scenario.leader_id)
-    return AgentInputs(
-        own=world.odometry(uav_id).copy(),
-        parent=world.odometry(scenario.leader_id if parent is None else parent).copy(),
-        parent_age_s=age_s,
-        leader=leader.copy(),
-        leader_age_s=age_s,
-        estimates=np.stack([leader] * len(neighbours)),
-        estimate_age_s=np.full(len(neighbours), age_s),
-        near=world.near(uav_id),
-        near_age_s=0.0,
-        mode=MODE_FORMATION,
-        start_age_s=_T_S,
-    )
 
 
 @kernel
@@ -73,7 +52,8 @@ def measure(plan: Plan) -> Sequence[Row]:
     """Rows of this section."""
     calls, repeats = plan.of(3000, 300), plan.of(15, 3)
     scenario = paper(1.0)
-    config, known, dt = agent_config(scenario, _FOLLOWER), inputs(scenario, _FOLLOWER), 0.01
+    config, dt = agent_config(scenario, _FOLLOWER), 0.01
+    known = follower_inputs(scenario, World(scenario), _FOLLOWER)
     agent, state = Agent(config, known.own), initial_state(known.own, config)
 
     vector = PackedInputs.pack(known)

@@ -4,16 +4,12 @@ from __future__ import annotations
 
 import shlex
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated
 
 import typer
 
 from ptnsbc_tools.options import JsonOption, SetOption
 from ptnsbc_tools.reproduce.catalogue import EXPERIMENTS
-
-if TYPE_CHECKING:
-    from ptnsbc_tools.reproduce.catalogue import Experiment
-    from ptnsbc_tools.reproduce.runner import TimedResult
 
 _NAMES = ", ".join(one.name for one in EXPERIMENTS)
 
@@ -42,62 +38,37 @@ def reproduce(
     command gives the same bytes, except for what is measured by the clock: timing.json and the
     part `cost` of results.md.
     """
-    from ptnsbc_tools import options
-    from ptnsbc_tools.reproduce import folder as folders
-    from ptnsbc_tools.reproduce.catalogue import chosen
+    from ptnsbc_tools import console, options
+    from ptnsbc_tools.reproduce import output
+    from ptnsbc_tools.reproduce.catalogue import select
 
-    experiments = chosen(only)
-    given = options.overrides(settings=settings)
-    folders.refuse(folder, [one.name for one in experiments])
-    from ptnsbc_tools.reproduce import flights  # not above: loads the laws, a refusal need not wait
+    experiments = select(only)
+    changes = options.overrides(settings=settings)
+    output.check_free(folder, [one.name for one in experiments])
+    # Not above: this loads the laws, and a refusal does not wait for them.
+    from ptnsbc_tools.reproduce import flights, report, runner
 
-    with flights.using(given), folders.beside(folder) as place:
-        made = _run(experiments, place, jobs, given)
-        _report(made, place, docs, _command(only, docs, settings))
-    _show(made, folder, json=json)
-
-
-def _run(
-    experiments: tuple[Experiment, ...], place: Path, jobs: int, given: dict[str, Any]
-) -> list[TimedResult]:
-    from ptnsbc_tools import console
-    from ptnsbc_tools.reproduce import progress
-    from ptnsbc_tools.reproduce.runner import run_all
-
-    with console.compiling():  # once here, or every process would compile for itself
-        from ptnsbc_tools.reproduce import flights
-
-        flights.warm()
-    with progress.shown(experiments) as tell:
-        return run_all(experiments, place, jobs, tell, given)
+    with flights.using(changes), output.temporary_folder(folder) as place:
+        with console.compiling():  # once here, or every process would compile for itself
+            flights.compile_laws()
+        with runner.progress_shown(experiments) as on_progress:
+            results = runner.run_all(experiments, place, jobs, on_progress, changes)
+        origin = report.Origin.of(_command(only, docs, settings))
+        report.write(origin, results, place)
+        if docs is not None:
+            report.write_docs(origin, results, place, docs)
+    if json:
+        console.print_json({**report.summary(results), "folder": str(folder)})
+        return
+    console.out().print(report.claims_table(results))
+    print(f"results: {folder / 'results.md'}")
 
 
 def _command(only: list[str] | None, docs: Path | None, settings: list[str] | None) -> str:
-    """The command as it should be repeated: without what changes no result."""
+    """The command line that repeats this run, without the options that change no result."""
     words = ["ptnsbc", "reproduce"]
     for name in only or ():
         words += ["--only", name]
     for setting in settings or ():
         words += ["--set", setting]
     return shlex.join(words + (["--docs", str(docs)] if docs else []))
-
-
-def _report(made: list[TimedResult], place: Path, docs: Path | None, command: str) -> None:
-    from ptnsbc_tools.reproduce import report, source
-    from ptnsbc_tools.reproduce.document import Origin
-
-    origin = Origin(command, source.commit(), source.digest(), source.seeds())
-    report.write(origin, made, place)
-    if docs is not None:
-        report.write_docs(origin, made, place, docs)
-
-
-def _show(made: list[TimedResult], folder: Path, *, json: bool) -> None:
-    from ptnsbc_tools import console
-    from ptnsbc_tools.reproduce import report
-
-    if json:
-        console.print_json({**report.summary(made), "folder": str(folder)})
-        return
-    console.out().print(report.claims_table(made))
-    print(f"results: {folder / 'results.md'}")

@@ -1,4 +1,4 @@
-"""The experiments by name. Loads nothing: `--help` and a refusal need no laws."""
+"""The experiments by name. This module loads no laws, so that `--help` and a refusal are quick."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from typing import TYPE_CHECKING
 from ptnsbc_core.errors import PtnsbcError
 
 if TYPE_CHECKING:
-    from ptnsbc_tools.reproduce.experiment_folder import ExperimentFolder
     from ptnsbc_tools.reproduce.experiment_result import ExperimentResult
+    from ptnsbc_tools.reproduce.output import ExperimentFolder
 
 
 @dataclass(frozen=True)
 class Experiment:
-    """One part of the reproduction, in the module of its name beside this one."""
+    """One part of the reproduction; its code is the module of the same name in `experiments/`."""
 
     name: str
-    needs: str  # what it flies
-    seconds: float  # on one core, laws compiled: for the order and the progress bar
-    alone: bool = False  # measured by the clock: nothing else may run
+    scenarios: str  # what it flies
+    seconds: float  # on one core with compiled laws: for the order and the progress bar
+    alone: bool = False  # measures time: no other experiment may run beside it
 
     def load(self) -> Callable[[ExperimentFolder], ExperimentResult]:
         """The function that runs it."""
@@ -46,9 +46,9 @@ EXPERIMENTS = (
 )
 
 
-def chosen(names: list[str] | None) -> tuple[Experiment, ...]:
-    """The experiments of these names, in the order of the catalogue; all of them for none."""
-    known = [one.name for one in EXPERIMENTS]
+def select(names: list[str] | None) -> tuple[Experiment, ...]:
+    """The experiments of these names in the order of the catalogue; all of them when no name is given."""
+    known = [experiment.name for experiment in EXPERIMENTS]
     for name in names or ():
         if name not in known:
             raise PtnsbcError(f"--only {name}: expected one of {', '.join(known)}")

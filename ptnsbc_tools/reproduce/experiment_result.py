@@ -1,4 +1,4 @@
-"""What an experiment of `ptnsbc reproduce` hands back: figures, tables and claims, as plain data."""
+"""What an experiment of `ptnsbc reproduce` returns: figures, tables and claims as plain data."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ptnsbc_core.errors import PtnsbcError
 
 Cell = str | float | int | None
 
-_DIGITS = 6  # of a number in results.json: what is beyond them differs between processors
+_DIGITS = 6  # of a number in results.json: further digits differ between processors
 
 
 class ReproduceError(PtnsbcError):
@@ -25,12 +25,12 @@ class Figure:
     name: str  # fig_05_trajectories_3d
     title: str  # Fig. 5
     caption: str
-    telling: bool = False  # one of the few that docs/results.md shows
+    telling: bool = False  # docs/results.md shows it
 
 
 @dataclass(frozen=True)
 class Column:
-    """Heading of a column, with its unit, and how its numbers are written."""
+    """Heading of a column with its unit, and the decimals of its numbers."""
 
     title: str
     digits: int = 2
@@ -69,16 +69,16 @@ class ExperimentResult:
     figures: tuple[Figure, ...] = ()
     tables: tuple[Table, ...] = ()
     claims: tuple[Claim, ...] = ()
-    timed: bool = False  # measured by the clock: not the same bytes twice
+    timed: bool = False  # contains measured times: two runs differ
 
     def as_json(self) -> dict[str, Any]:
-        """Plain types only, numbers rounded, what does not exist is null."""
+        """Plain types; numbers are rounded, and a number that does not exist is null."""
         plain: dict[str, Any] = rounded(dataclasses.asdict(self))
         return plain
 
 
 def rounded(value: Any) -> Any:
-    """A tree of plain values with floats at six significant digits."""
+    """A tree of plain values with its floats rounded to six significant digits."""
     if isinstance(value, dict):
         return {key: rounded(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
@@ -88,7 +88,7 @@ def rounded(value: Any) -> Any:
     return value
 
 
-def written(cell: Cell, digits: int = 2) -> str:
+def cell_text(cell: Cell, digits: int = 2) -> str:
     """A cell as text."""
     if cell is None:
         return "–"

@@ -1,4 +1,4 @@
-"""Flights of the experiments, each flown once per process, with what figures and tables ask of them."""
+"""Flights of the experiments, each flown once per process, with the numbers that tables and claims need."""
 
 from __future__ import annotations
 
@@ -20,7 +20,10 @@ from ptnsbc_tools.verdict.deadline import formation_errors
 
 Setting = Mapping[str, Any]
 SCENARIOS = ("paper_5", "paper_5_free", "paper_20", "experiment_4", "experiment_4_calm")
-# The printed law has no command filter; ours limits what it asks for.
+PLANTS = ("rigid_body_6dof", "quadrotor")
+PROFILES = ("paper", "soft", "reference")
+TASKS = ("distance_angles", "parent_angle", "relative_position")
+# The printed law has no command filter; ours limits the commanded acceleration and speed.
 UNFILTERED = {"gains.filter.max_acceleration_m_s2": 1000.0, "gains.filter.max_speed_m_s": 100.0}
 _INITIAL_S = 0.1
 
@@ -38,13 +41,23 @@ class JudgedFlight:
         return self.flight.scenario
 
     @property
+    def uavs(self) -> tuple[int, ...]:
+        """Ids of the UAVs, in the order of the rows of a track."""
+        return self.flight.scenario.uav_ids
+
+    @property
+    def deadline_s(self) -> float:
+        """Deadline of the formation."""
+        return self.flight.scenario.gains.formation.deadline_s
+
+    @property
     def times(self) -> Array:
         """(T,) [s] after the epoch."""
         return np.round(self.flight.t_ns * 1e-9, 9)
 
     @property
     def positions(self) -> Array:
-        """(T, N, 3) [m], ENU, where everybody really was."""
+        """True positions (T, N, 3) [m], ENU."""
         return self.flight.truth[:, :, :3]
 
     @property
@@ -67,14 +80,18 @@ class JudgedFlight:
         recording = recording_of(self.flight)
         grid = recording.grid()
         found = formation_errors(recording, grid, recording.positions(grid))
-        return np.stack([found[uav] for uav in self.scenario.uav_ids], axis=1)
+        return np.stack([found[uav] for uav in self.uavs], axis=1)
+
+    def errors_at(self, seconds: float) -> Array:
+        """Formation error (N,) [m] at a time, whatever the deadline of the scenario is."""
+        return np.asarray(self.errors()[int(np.searchsorted(self.times, seconds - 1e-9))])
 
     def initial_input(self) -> float:
-        """Largest |u| of any UAV in the first 0.1 s: at t = 0 itself nobody has heard anybody."""
+        """Largest |u| of any UAV in the first 0.1 s: at t = 0 itself no UAV has received a message."""
         return float(self.inputs[self.times < _INITIAL_S].max())
 
     def initial_beyond_hover_n(self) -> float:
-        """The same of the force, less the weight."""
+        """Largest force of any UAV in the first 0.1 s, less the weight."""
         return float(self.force[self.times < _INITIAL_S].max() - self.weight_n)
 
     def peak_input(self) -> float:
@@ -87,33 +104,37 @@ class JudgedFlight:
         return float(log[self.times >= seconds].max())
 
     def settled_s(self) -> float | None:
-        """When the last UAV had settled; None when one never did."""
-        found = [one.settling_s for one in self.verdict.uavs]
-        return None if None in found else max(time for time in found if time is not None)
+        """When the last UAV settled; None when a UAV never did."""
+        times = [uav.settling_s for uav in self.verdict.uavs]
+        return None if None in times else max(time for time in times if time is not None)
 
     def met(self) -> int:
         """How many UAVs kept the deadline."""
-        return sum(one.verdict == "met" for one in self.verdict.uavs)
+        return sum(uav.verdict == "met" for uav in self.verdict.uavs)
+
+    def met_text(self) -> str:
+        """Like `4 of 5`."""
+        return f"{self.met()} of {len(self.uavs)}"
+
+    def all_met(self) -> bool:
+        """Whether every UAV kept the deadline."""
+        return self.met() == len(self.uavs)
+
+    def kept_promise(self) -> bool:
+        """Deadline met by all UAVs, and no keep-out entered."""
+        return self.all_met() and self.clearance_m() >= 0.0
 
     def worst_at_deadline_m(self) -> float:
         """Largest formation error at the deadline."""
-        return max(one.error_at_deadline_m or 0.0 for one in self.verdict.uavs)
-
-    def worst_error_at(self, seconds: float) -> float:
-        """Largest formation error at a time [m], whatever the scenario promises."""
-        return float(self._errors_at(seconds).max())
-
-    def within_at(self, seconds: float) -> int:
-        """How many UAVs are within the tolerance at a time, whatever the scenario promises."""
-        tolerance_m = self.verdict.uavs[0].tolerance_m
-        return int(np.sum(self._errors_at(seconds) <= tolerance_m))
-
-    def _errors_at(self, seconds: float) -> Array:
-        return np.asarray(self.errors()[int(np.searchsorted(self.times, seconds - 1e-9))])
+        return max(uav.error_at_deadline_m or 0.0 for uav in self.verdict.uavs)
 
     def worst_after_m(self) -> float:
-        """Largest formation error after it, outside encounters."""
-        return max(one.max_error_after_m or 0.0 for one in self.verdict.uavs)
+        """Largest formation error after the deadline, outside encounters."""
+        return max(uav.max_error_after_m or 0.0 for uav in self.verdict.uavs)
+
+    def within_at(self, seconds: float) -> int:
+        """How many UAVs are within the tolerance at a time, whatever the deadline of the scenario is."""
+        return int(np.sum(self.errors_at(seconds) <= self.verdict.uavs[0].tolerance_m))
 
     def clearance_m(self) -> float:
         """Smallest distance to any UAV or obstacle, less its keep-out."""
@@ -123,26 +144,34 @@ class JudgedFlight:
         """(54) without what hovering costs, all UAVs [N^2 s]."""
         return sum(one.energy_above_hover for one in self.verdict.efforts)
 
+    def missed_reason(self) -> str:
+        """Why the worst UAV missed the deadline; empty when all met it."""
+        missed = [uav for uav in self.verdict.uavs if uav.verdict != "met"]
+        if not missed:
+            return ""
+        worst = max(missed, key=lambda uav: uav.error_at_deadline_m or 0.0)
+        return f"UAV {worst.uav} {worst.verdict}: {worst.reason}"
 
-def judged(flight: HeadlessFlight) -> JudgedFlight:
+
+def judge(flight: HeadlessFlight) -> JudgedFlight:
     """A flight with its verdict."""
     return JudgedFlight(flight, verdict_on(recording_of(flight)))
 
 
-_given: dict[str, Any] = {}
+_settings: dict[str, Any] = {}
 
 
 def use(settings: Setting) -> None:
-    """Change these dotted keys, and no others, in every scenario of this process; an experiment's own come on top."""
-    _given.clear()
-    _given.update(settings)
-    _flown.cache_clear()
+    """Change these dotted keys in every scenario of this process; the changes of an experiment are applied after."""
+    _settings.clear()
+    _settings.update(settings)
+    _fly_once.cache_clear()
 
 
 @contextmanager
 def using(settings: Setting) -> Iterator[None]:
-    """The same inside the block."""
-    before = dict(_given)
+    """`use` these settings inside the block."""
+    before = dict(_settings)
     use(settings)
     try:
         yield
@@ -152,21 +181,21 @@ def using(settings: Setting) -> Iterator[None]:
 
 def scenario(name: str, changes: Setting | None = None) -> Scenario:
     """A scenario by name, with the keys of this run and of an experiment changed."""
-    return load_scenario(name, {**_given, **(changes or {})})
+    return load_scenario(name, {**_settings, **(changes or {})})
 
 
 @lru_cache(maxsize=16)
-def _flown(name: str, changes: tuple[tuple[str, Any], ...]) -> JudgedFlight:
-    return judged(fly(scenario(name, dict(changes))))
+def _fly_once(name: str, changes: tuple[tuple[str, Any], ...]) -> JudgedFlight:
+    return judge(fly(scenario(name, dict(changes))))
 
 
-def flown(name: str, changes: Setting | None = None) -> JudgedFlight:
+def fly_judged(name: str, changes: Setting | None = None) -> JudgedFlight:
     """A scenario by name with dotted keys changed, flown and judged."""
-    return _flown(name, tuple(sorted((changes or {}).items())))
+    return _fly_once(name, tuple(sorted((changes or {}).items())))
 
 
-def warm() -> None:
+def compile_laws() -> None:
     """Read every scenario; compile the laws, or load them from the cache."""
     for name in SCENARIOS:
-        scenario(name)  # what cannot be read is said before anything is compiled
+        scenario(name)  # an unreadable scenario is reported before anything is compiled
     fly(scenario("paper_5", {"timing.duration_s": 0.01}))

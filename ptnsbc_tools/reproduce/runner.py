@@ -1,4 +1,4 @@
-"""Experiments in processes of their own, as many at a time as there are jobs."""
+"""Experiments in processes of their own, as many at a time as there are jobs, and their progress on stderr."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import multiprocessing
 import os
 import queue
 import signal
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -15,15 +16,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
 from ptnsbc_nodes.runtime.signals import StopRequest
+from ptnsbc_tools import console
 from ptnsbc_tools.reproduce import flights
 from ptnsbc_tools.reproduce.catalogue import Experiment
-from ptnsbc_tools.reproduce.experiment_folder import ExperimentFolder
 from ptnsbc_tools.reproduce.experiment_result import ExperimentResult, ReproduceError
 from ptnsbc_tools.reproduce.figures import style
 from ptnsbc_tools.reproduce.flights import Setting
+from ptnsbc_tools.reproduce.output import ExperimentFolder
 
-_LOOK_S = 0.1
+_POLL_S = 0.1
 
 
 class ExperimentProgress(NamedTuple):
@@ -36,58 +40,55 @@ class ExperimentProgress(NamedTuple):
 
 @dataclass(frozen=True)
 class TimedResult:
-    """A part, and how long it took."""
+    """The result of an experiment, and how long it took."""
 
     part: ExperimentResult
     seconds: float
 
 
-_told: Any = None  # in a worker: the queue to the parent
+_progress_queue: Any = None  # in a worker: the queue to the parent
 
 
-def _begin(told: Any, settings: Setting) -> None:
-    """In a worker, once: Ctrl-C is the parent's to answer, and without a parent there is no work."""
-    global _told
-    _told = told
+def _start_worker(progress_queue: Any, settings: Setting) -> None:
+    """Prepare a worker process: the parent handles Ctrl-C, and the worker ends when the parent has ended."""
+    global _progress_queue
+    _progress_queue = progress_queue
     flights.use(settings)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = multiprocessing.parent_process()
     if parent is not None:
-        threading.Thread(target=_follow, args=(parent,), daemon=True).start()
+        threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
 
 
-def _follow(parent: Any) -> None:
+def _end_with(parent: Any) -> None:
     parent.join()
     os._exit(1)
 
 
-def _work(experiment: Experiment, folder: Path) -> TimedResult:
-    """In a worker: one experiment."""
+def _run_in_worker(experiment: Experiment, folder: Path) -> TimedResult:
+    def report(line: str) -> None:
+        _progress_queue.put(ExperimentProgress(experiment.name, line))
 
-    def tell(line: str) -> None:
-        if _told is not None:
-            _told.put(ExperimentProgress(experiment.name, line))
-
-    return work(experiment, ExperimentFolder(folder, tell))
+    return run_one(experiment, ExperimentFolder(folder, report))
 
 
-def work(experiment: Experiment, workshop: ExperimentFolder) -> TimedResult:
+def run_one(experiment: Experiment, output: ExperimentFolder) -> TimedResult:
     """Run one experiment in this process."""
     started = time.monotonic()
     with style.applied():
-        part = experiment.load()(workshop)
+        part = experiment.load()(output)
     return TimedResult(part, time.monotonic() - started)
 
 
 @contextmanager
-def _pool(jobs: int, settings: Setting) -> Iterator[tuple[ProcessPoolExecutor, Any]]:
-    """Worker processes that end with the block, whatever they are at."""
+def _worker_pool(jobs: int, settings: Setting) -> Iterator[tuple[ProcessPoolExecutor, Any]]:
+    """Worker processes; an error in the block terminates them at once."""
     # Not forked: a copy of a process with threads may hang.
     context = multiprocessing.get_context("spawn")
-    told = context.Queue()
-    pool = ProcessPoolExecutor(jobs, context, _begin, (told, settings))
+    progress_queue = context.Queue()
+    pool = ProcessPoolExecutor(jobs, context, _start_worker, (progress_queue, settings))
     try:
-        yield pool, told
+        yield pool, progress_queue
     except BaseException:
         pool.shutdown(wait=False, cancel_futures=True)
         for child in multiprocessing.active_children():
@@ -101,27 +102,27 @@ def run_all(
     experiments: Sequence[Experiment],
     folder: Path,
     jobs: int,
-    tell: Callable[[ExperimentProgress], None],
+    on_progress: Callable[[ExperimentProgress], None],
     settings: Setting | None = None,
 ) -> list[TimedResult]:
-    """Run experiments into a folder; the results in the order given.
+    """Run experiments into a folder; the results are in the order given.
 
-    Those that measure time come last, one by one. `settings` change the scenarios of all of them.
+    Experiments that measure time come last, one by one. `settings` change the scenarios of all experiments.
 
     Raises:
         KeyboardInterrupt: SIGINT or SIGTERM came.
         ReproduceError: a worker died.
     """
     done: dict[str, TimedResult] = {}
-    with StopRequest() as stop, _pool(jobs, settings or {}) as (pool, told):
+    with StopRequest() as stop, _worker_pool(jobs, settings or {}) as (pool, progress_queue):
         together = sorted((one for one in experiments if not one.alone), key=lambda x: -x.seconds)
-        rounds = [together, *([one] for one in experiments if one.alone)]
-        for some in rounds:
-            futures = {pool.submit(_work, one, folder): one.name for one in some}
-            for future in _finished(futures, told, stop, tell):
+        for batch in [together, *([one] for one in experiments if one.alone)]:
+            futures = {pool.submit(_run_in_worker, one, folder): one.name for one in batch}
+            for future in _as_completed(futures, progress_queue, stop, on_progress):
                 name = futures[future]
                 done[name] = _result(future, name)
-                tell(ExperimentProgress(name, f"done in {done[name].seconds:.0f} s", done=True))
+                line = f"done in {done[name].seconds:.0f} s"
+                on_progress(ExperimentProgress(name, line, done=True))
     return [done[one.name] for one in experiments]
 
 
@@ -136,19 +137,49 @@ def _result(future: Future[TimedResult], name: str) -> TimedResult:
         raise ReproduceError(f"{name}: {error}: expected to write its results") from None
 
 
-def _finished(
+def _as_completed(
     futures: Iterable[Future[TimedResult]],
-    told: Any,
+    progress_queue: Any,
     stop: StopRequest,
-    tell: Callable[[ExperimentProgress], None],
+    on_progress: Callable[[ExperimentProgress], None],
 ) -> Iterator[Future[TimedResult]]:
-    """Futures as they complete, passing on the news meanwhile."""
-    waiting = list(futures)  # in order: those that end in the same moment too
+    """Futures as they complete; progress is passed on meanwhile."""
+    waiting = list(futures)  # in order, also for those that end at the same moment
     while waiting:
         if stop.came:
             raise KeyboardInterrupt
         with suppress(queue.Empty):
-            tell(told.get(timeout=_LOOK_S))
+            on_progress(progress_queue.get(timeout=_POLL_S))
         for future in [one for one in waiting if one.done()]:
             waiting.remove(future)
             yield future
+
+
+@contextmanager
+def progress_shown(
+    experiments: Sequence[Experiment],
+) -> Iterator[Callable[[ExperimentProgress], None]]:
+    """Progress on stderr: a bar on a terminal, otherwise one line for each experiment that has ended."""
+    seconds = {one.name: one.seconds for one in experiments}
+    if not sys.stderr.isatty():
+        ended: list[str] = []
+
+        def print_line(progress: ExperimentProgress) -> None:
+            if progress.done:
+                ended.append(progress.experiment)
+                count = f"({len(ended)} of {len(seconds)})"
+                print(
+                    f"{progress.experiment}: {progress.line} {count}", file=sys.stderr, flush=True
+                )
+
+        yield print_line
+        return
+    columns = (BarColumn(), TimeElapsedColumn(), TextColumn("{task.description}"))
+    with Progress(*columns, console=console.err(), transient=True) as bar:
+        task = bar.add_task("starting", total=sum(seconds.values()))
+
+        def move_bar(progress: ExperimentProgress) -> None:
+            advance = seconds[progress.experiment] if progress.done else 0.0
+            bar.update(task, advance=advance, description=f"{progress.experiment}: {progress.line}")
+
+        yield move_bar

@@ -1,4 +1,4 @@
-"""What one UAV computes and hears, with more and more UAVs in the formation."""
+"""What one UAV computes and receives, with more and more UAVs in the formation."""
 
 from __future__ import annotations
 
@@ -15,43 +15,41 @@ from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions
 from ptnsbc_sim.scenario import Scenario, agent_config, load_scenario, scenario_from_text
 from ptnsbc_sim.world import World
 from ptnsbc_tools.reproduce.claims import FAILS, HOLDS
-from ptnsbc_tools.reproduce.experiment_folder import ExperimentFolder
 from ptnsbc_tools.reproduce.experiment_result import Claim, Column, ExperimentResult, Table
+from ptnsbc_tools.reproduce.output import ExperimentFolder
 
 SIZES = (5, 10, 20, 50)
 _SPACING_M = 2.0
-_RANGE_M = 1.5  # nobody is in range: near objects cost per object, not per UAV of the swarm
+_RANGE_M = 1.5  # no UAV is in range: near objects cost per object, not per UAV of the swarm
 _CALLS, _ROUNDS, _SAMPLED = 1000, 7, 5
-_SAME = 1.25  # of two times on a machine that is not ours alone
+_SAME = 1.25  # largest ratio of two times that count as the same: other programs run too
 _T_S = 2.0
 # With one link into a deep tree H is nearly singular, and the gain Xi / lambda_min has to stay small.
 _SLOW = {"deadline_s": 60, "residual": 0.1, "k1_1_s": 5, "k2": 3.5, "boundary": 1.2}
 
 
 class TickLoad(NamedTuple):
-    """What the busiest follower and the leader have to do in one tick, in messages between UAVs."""
+    """Messages between UAVs in one tick, of the busiest follower and of the leader."""
 
-    heard: int  # messages of other UAVs that arrive
-    sent: int  # messages that leave it, one for each reader
+    received: int  # from other UAVs
+    sent: int  # one for each reader
     sent_by_leader: int
     lambda_min: float
 
 
-def tree(size: int, *, all_linked: bool = True) -> Scenario:
-    """`size` UAVs 2 m apart; UAV i forms up on i // 2. The leader is heard by all, or by its children."""
-    paper: dict[str, Any] = yaml.safe_load(load_scenario("paper_5").text)
+def binary_tree(size: int, timing: dict[str, Any], sensor: dict[str, Any]) -> dict[str, Any]:
+    """A scenario of `size` UAVs 2 m apart around a hovering leader; UAV i forms up on i // 2 and hears the leader."""
     followers = range(2, size + 1)
     columns = math.ceil(math.sqrt(size))
     places = [[-_SPACING_M * (k // columns), _SPACING_M * (k % columns), 0.0] for k in range(size)]
-    file = {
+    return {
         "name": f"tree_{size}",
-        "timing": {"control_hz": 100, "physics_hz": 500, "duration_s": 5},
-        "sensor": {"range_m": _RANGE_M, "rate_hz": 10},
-        "plant": paper["plant"],
-        "gains": {"formation": {"deadline_s": 5}, "estimator": _SLOW},
+        "timing": timing,
+        "sensor": sensor,
+        "plant": yaml.safe_load(load_scenario("paper_5").text)["plant"],
         "communication": {
             "tree": {i: i // 2 for i in followers},
-            "leader_links": [i for i in followers if all_linked or i // 2 == 1],
+            "leader_links": list(followers),
             "estimator_edges": [[i // 2, i] for i in followers if i // 2 != 1],
         },
         "leader": {"id": 1, "trajectory": {"kind": "line", "position_m": [0, 0, 3]}},
@@ -62,23 +60,35 @@ def tree(size: int, *, all_linked: bool = True) -> Scenario:
         },
         "uavs": [{"id": k + 1, "position_m": [x, y, 3.0]} for k, (x, y, _) in enumerate(places)],
     }
+
+
+def tree(size: int, *, all_linked: bool = True) -> Scenario:
+    """A tree of UAVs; all of them, or the children of the leader alone, have a leader link."""
+    timing = {"control_hz": 100, "physics_hz": 500, "duration_s": 5}
+    file = binary_tree(size, timing, {"range_m": _RANGE_M, "rate_hz": 10})
+    file["gains"] = {"formation": {"deadline_s": 5}, "estimator": _SLOW}
+    if not all_linked:
+        links = file["communication"]
+        links["leader_links"] = [i for i in links["leader_links"] if i // 2 == 1]
     return scenario_from_text(yaml.safe_dump(file), source=f"tree of {size}")
 
 
-def load_of(scenario: Scenario) -> TickLoad:
-    """Messages per tick, from the same graph that the processes subscribe by."""
+def tick_load(scenario: Scenario) -> TickLoad:
+    """Messages per tick, from the graph by which the processes subscribe."""
     edges = CommunicationGraph(scenario, FlightOptions())
-    heard = [
+    received = [
         len(edges.senders(uav).states) + len(edges.senders(uav).estimators)
         for uav in scenario.followers
     ]
     sent = {u: edges.state_readers(u) + edges.estimate_readers(u) for u in scenario.uav_ids}
-    leads = sent.pop(scenario.leader_id)
-    return TickLoad(max(heard), max(sent.values()), leads, float(scenario.topology.lambda_min))
+    by_leader = sent.pop(scenario.leader_id)
+    return TickLoad(
+        max(received), max(sent.values()), by_leader, float(scenario.topology.lambda_min)
+    )
 
 
-def _inputs(scenario: Scenario, world: World, uav: int) -> AgentInputs:
-    """What a UAV knows in flight."""
+def follower_inputs(scenario: Scenario, world: World, uav: int) -> AgentInputs:
+    """What a follower knows in flight: parent, leader, neighbours' estimates, near objects."""
     parent, age_s = scenario.parent(uav), scenario.dt_ns * 1e-9
     leader = world.odometry(scenario.leader_id)
     neighbours = scenario.estimator_neighbours(uav)
@@ -97,27 +107,20 @@ def _inputs(scenario: Scenario, world: World, uav: int) -> AgentInputs:
     )
 
 
-class TimedFollower(NamedTuple):
-    """A follower whose step is timed."""
-
-    agent: Agent
-    known: AgentInputs
-
-
-def _samples(scenario: Scenario) -> list[TimedFollower]:
-    """The deepest followers."""
+def _followers(scenario: Scenario) -> list[tuple[Agent, AgentInputs]]:
+    """The deepest followers, each with what it knows."""
     world = World(scenario)
     found = []
     for uav in scenario.followers[-_SAMPLED:]:
-        known = _inputs(scenario, world, uav)
-        found.append(TimedFollower(Agent(agent_config(scenario, uav), known.own), known))
+        known = follower_inputs(scenario, world, uav)
+        found.append((Agent(agent_config(scenario, uav), known.own), known))
     return found
 
 
-def _step_us(samples: list[TimedFollower]) -> float:
-    """Time of one control step [µs], mean of the samples."""
+def _step_us(followers: list[tuple[Agent, AgentInputs]]) -> float:
+    """Time of one control step [µs], mean over the followers."""
     found = []
-    for agent, known in samples:
+    for agent, known in followers:
         started = time.perf_counter()
         for _ in range(_CALLS):
             agent.step(known, _T_S, 0.01)
@@ -127,13 +130,13 @@ def _step_us(samples: list[TimedFollower]) -> float:
 
 def step_times(scenarios: dict[int, Scenario]) -> dict[int, float]:
     """Time of a control step [µs] by size: the best of rounds that take turns."""
-    samples = {size: _samples(one) for size, one in scenarios.items()}
-    rounds = [{size: _step_us(some) for size, some in samples.items()} for _ in range(_ROUNDS)]
+    followers = {size: _followers(one) for size, one in scenarios.items()}
+    rounds = [{size: _step_us(some) for size, some in followers.items()} for _ in range(_ROUNDS)]
     return {size: min(one[size] for one in rounds) for size in scenarios}
 
 
 def cost_claim(loads: dict[int, TickLoad], times: dict[int, float]) -> Claim:
-    """A UAV computes and hears the same, however many there are."""
+    """A UAV computes and receives the same, whatever the size of the formation is."""
     sizes = sorted(loads)
     least, large, most = sizes[0], sizes[-2], sizes[-1]
     # The smallest tree has no UAV with two children below the leader's; from the next on all are alike.
@@ -143,7 +146,7 @@ def cost_claim(loads: dict[int, TickLoad], times: dict[int, float]) -> Claim:
         "More UAVs cost a UAV neither computation nor communication",
         "independent of N",
         f"control step {times[least]:.1f} µs at N = {least}, {times[most]:.1f} µs at N = {most}; a follower hears "
-        f"{loads[least].heard} and {loads[most].heard} messages per tick and sends {loads[least].sent} and "
+        f"{loads[least].received} and {loads[most].received} messages per tick and sends {loads[least].sent} and "
         f"{loads[most].sent}; the leader is heard by "
         f"{loads[least].sent_by_leader} and {loads[most].sent_by_leader}",
         f"{HOLDS} when the leader's readers are not counted" if same else FAILS,
@@ -151,42 +154,30 @@ def cost_claim(loads: dict[int, TickLoad], times: dict[int, float]) -> Claim:
     )
 
 
-def run(workshop: ExperimentFolder) -> ExperimentResult:
-    """Measure."""
+def run(output: ExperimentFolder) -> ExperimentResult:
+    """Measure the control step and count messages for every size."""
     scenarios = {size: tree(size) for size in SIZES}
-    loads = {size: load_of(one) for size, one in scenarios.items()}
-    sparse = {size: load_of(tree(size, all_linked=False)) for size in SIZES}
-    workshop.tell("measuring the control step")
+    loads = {size: tick_load(one) for size, one in scenarios.items()}
+    sparse = {size: tick_load(tree(size, all_linked=False)) for size in SIZES}
+    output.progress("measuring the control step")
     times = step_times(scenarios)
-    rows = tuple(
-        (
-            size,
-            times[size],
-            loads[size].heard,
-            loads[size].sent,
-            loads[size].sent_by_leader,
-            loads[size].lambda_min,
-            sparse[size].heard,
-            sparse[size].sent,
-            sparse[size].sent_by_leader,
-            sparse[size].lambda_min,
-        )
-        for size in SIZES
-    )
+    rows = tuple((size, times[size], *loads[size], *sparse[size]) for size in SIZES)
     table = Table(
         "cost",
         "One UAV among N: a binary tree, follower i forms up on i // 2",
         (
             Column("N"),
             Column("control step, µs", 1),
-            Column("heard per tick, all linked"),
-            Column("sent per tick, all linked"),
-            Column("readers of the leader, all linked"),
-            Column("λmin(H), all linked", 4),
-            Column("heard per tick, children linked"),
-            Column("sent per tick, children linked"),
-            Column("readers of the leader, children linked"),
-            Column("λmin(H), children linked", 4),
+            *(
+                Column(f"{what}, {linked} linked", digits)
+                for linked in ("all", "children")
+                for what, digits in (
+                    ("heard per tick", 2),
+                    ("sent per tick", 2),
+                    ("readers of the leader", 2),
+                    ("λmin(H)", 4),
+                )
+            ),
         ),
         rows,
         "A follower's work does not depend on N. Where everybody hears the leader, as in (53), its one "

@@ -2,48 +2,43 @@
 
 from __future__ import annotations
 
-from ptnsbc_tools.reproduce.claims import kept, limit_claim, shape_claim
-from ptnsbc_tools.reproduce.experiment_folder import ExperimentFolder
+from ptnsbc_tools.reproduce.claims import twenty_formation_claim, twenty_inputs_claim
+from ptnsbc_tools.reproduce.columns import verdicts_table
 from ptnsbc_tools.reproduce.experiment_result import ExperimentResult, Figure
-from ptnsbc_tools.reproduce.figures import swarm
-from ptnsbc_tools.reproduce.flights import UNFILTERED, JudgedFlight, flown
-from ptnsbc_tools.reproduce.summary import flights_table
+from ptnsbc_tools.reproduce.figures import formation, inputs, paths
+from ptnsbc_tools.reproduce.flights import PROFILES, UNFILTERED, JudgedFlight, fly_judged
+from ptnsbc_tools.reproduce.output import ExperimentFolder
 
-PROFILES = ("paper", "soft", "reference")
-PLANTS = ("rigid_body_6dof", "quadrotor")
 _BEST = "soft"
 _PRINTED = "paper, no command filter"
 
 
-def flight(profile: str, plant: str = "rigid_body_6dof") -> JudgedFlight:
-    """One flight of Simulation 2."""
-    return flown("paper_20", {"plant.kind": plant, "gains.profile": profile})
+def _flight(profile: str, plant: str = "rigid_body_6dof", filtered: bool = True) -> JudgedFlight:
+    changes = {"plant.kind": plant, "gains.profile": profile}
+    return fly_judged("paper_20", changes if filtered else {**changes, **UNFILTERED})
 
 
-def unfiltered() -> JudgedFlight:
-    """The printed law: printed gains and no command filter."""
-    return flown(
-        "paper_20", {"plant.kind": "rigid_body_6dof", "gains.profile": "paper", **UNFILTERED}
-    )
-
-
-def run(workshop: ExperimentFolder) -> ExperimentResult:
+def run(output: ExperimentFolder) -> ExperimentResult:
     """Fly, draw and judge Simulation 2."""
     flights = {}
     for profile in PROFILES:
-        workshop.tell(f"flying profile {profile}")
-        flights[profile] = flight(profile)
-    workshop.tell("flying the quadrotor")
-    everything = [*flights.values(), *(flight(profile, "quadrotor") for profile in PROFILES)]
-    workshop.tell("drawing")
-    figures = _figures(workshop, {_PRINTED: unfiltered(), **flights})
-    good = [one for one in everything if kept(one)]
-    told = ", ".join(f"`{o.scenario.gains.profile}` on `{o.scenario.plant_kind}`" for o in good)
-    table = flights_table(
+        output.progress(f"flying profile {profile}")
+        flights[profile] = _flight(profile)
+    output.progress("flying the quadrotor")
+    both_plants = [*flights.values(), *(_flight(profile, "quadrotor") for profile in PROFILES)]
+    output.progress("drawing")
+    with_printed = {_PRINTED: _flight("paper", filtered=False), **flights}
+    figures = _figures(output, with_printed)
+    good = ", ".join(
+        f"`{one.scenario.gains.profile}` on `{one.scenario.plant_kind}`"
+        for one in both_plants
+        if one.kept_promise()
+    )
+    table = verdicts_table(
         "simulation_2_verdicts",
         "Every flight of Simulation 2, the worst UAV of each",
-        everything,
-        f"All twenty UAVs keep the deadline and touch nothing with: {told or 'none'}.",
+        both_plants,
+        f"All twenty UAVs keep the deadline and touch nothing with: {good or 'none'}.",
     )
     return ExperimentResult(
         "simulation_2",
@@ -55,21 +50,21 @@ def run(workshop: ExperimentFolder) -> ExperimentResult:
         figures=figures,
         tables=(table,),
         claims=(
-            shape_claim(flights),
-            limit_claim({_PRINTED: unfiltered(), **flights}, swarm.LIMIT_N),
+            twenty_formation_claim(flights),
+            twenty_inputs_claim(with_printed, inputs.PAPER_LIMIT_N),
         ),
     )
 
 
-def _figures(workshop: ExperimentFolder, flights: dict[str, JudgedFlight]) -> tuple[Figure, ...]:
-    shown = {name: flights[name] for name in ("paper", _BEST)}
-    pushed = {_PRINTED: flights[_PRINTED], **shown}
-    uavs = flights[_BEST].scenario.uav_ids
-    fives = [uavs[first : first + 5] for first in range(0, len(uavs), 5)]
+def _figures(output: ExperimentFolder, flights: dict[str, JudgedFlight]) -> tuple[Figure, ...]:
+    best = flights[_BEST]
+    shown = {name: flights[name] for name in (_PRINTED, "paper", _BEST)}
+    filtered = {name: flights[name] for name in ("paper", _BEST)}
+    fives = [best.uavs[first : first + 5] for first in range(0, len(best.uavs), 5)]
     return (
-        swarm.in_space(workshop, flights[_BEST], 24),
-        swarm.from_above(workshop, flights[_BEST], 25),
-        swarm.distance_error(workshop, shown, 26),
-        swarm.inputs(workshop, pushed, 27),
-        *(swarm.five(workshop, pushed, 28 + k, five) for k, five in enumerate(fives)),
+        paths.in_space(output, best, 24, "of 20 UAVs in space"),
+        paths.from_above(output, best, 25, "of 20 UAVs from above", telling=True),
+        formation.distance_errors(output, filtered, 26),
+        inputs.with_limit(output, shown, 27),
+        *(inputs.five_uavs(output, shown, 28 + k, five) for k, five in enumerate(fives)),
     )

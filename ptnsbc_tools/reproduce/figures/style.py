@@ -1,4 +1,4 @@
-"""How every figure looks: a journal's column, its units, and colours that all eyes tell apart."""
+"""How every figure looks: the width of a journal's column, its fonts, and colours that all readers can tell apart."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ DASHES: tuple[Any, ...] = (
 )  # fmt: skip
 GREY = "#7F7F7F"
 
-_RULES = {
+_SETTINGS = {
     "font.family": "DejaVu Sans",  # comes with Matplotlib: the same glyphs everywhere
     "font.size": 7.5,
     "axes.titlesize": 8,
@@ -41,34 +41,39 @@ _RULES = {
 }
 
 
-def look(index: int) -> dict[str, Any]:
+def line(index: int) -> dict[str, Any]:
     """Colour and dash of curve number `index`."""
     return {"color": COLOURS[index % len(COLOURS)], "linestyle": DASHES[index % len(DASHES)]}
 
 
-def figure(height_mm: float, width_mm: float = COLUMN_MM) -> Any:
+def stacked_mm(rows: int) -> float:
+    """Height of a figure with so many rows of panels."""
+    return 32.0 * rows + 20.0
+
+
+def figure(height_mm: float) -> Any:
     """An empty figure of a journal's column width."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    made = Figure(figsize=(width_mm / _MM_PER_INCH, height_mm / _MM_PER_INCH))
-    FigureCanvasAgg(made)  # no pyplot: it would look for a screen
-    return made
+    drawing = Figure(figsize=(COLUMN_MM / _MM_PER_INCH, height_mm / _MM_PER_INCH))
+    FigureCanvasAgg(drawing)  # no pyplot: it would look for a screen
+    return drawing
 
 
 @contextmanager
 def applied() -> Iterator[None]:
-    """Matplotlib by our rules, inside."""
+    """Matplotlib with our settings inside the block."""
     import matplotlib
 
-    with matplotlib.rc_context(_RULES):
+    with matplotlib.rc_context(_SETTINGS):
         yield
 
 
-def legend(made: Any, axes: Any, columns: int) -> None:
+def legend(drawing: Any, axes: Any, columns: int) -> None:
     """The legend of one panel above all of them, where it covers no curve."""
     handles, labels = axes.get_legend_handles_labels()
-    made.legend(handles, labels, loc="outside upper center", ncols=columns)
+    drawing.legend(handles, labels, loc="outside upper center", ncols=columns)
 
 
 def log_scale(axes: Any) -> None:
@@ -88,8 +93,8 @@ def round_ticks(axis: Any, count: int) -> None:
     axis.set_major_locator(MaxNLocator(count, steps=[1, 2, 5, 10]))
 
 
-def save(made: Any, folder: Path, name: str) -> None:
+def save(drawing: Any, folder: Path, name: str) -> None:
     """Write a figure as PNG and SVG, the same bytes every time."""
     folder.mkdir(parents=True, exist_ok=True)
-    made.savefig(folder / f"{name}.png", dpi=_DPI, metadata={"Software": "ptnsbc"})
-    made.savefig(folder / f"{name}.svg", metadata={"Date": None, "Creator": "ptnsbc"})
+    drawing.savefig(folder / f"{name}.png", dpi=_DPI, metadata={"Software": "ptnsbc"})
+    drawing.savefig(folder / f"{name}.svg", metadata={"Date": None, "Creator": "ptnsbc"})

@@ -13,8 +13,8 @@ from typer.testing import CliRunner
 
 from ptnsbc_tools.cli import app
 from ptnsbc_tools.reproduce.catalogue import EXPERIMENTS
-from ptnsbc_tools.reproduce.experiment_folder import ExperimentFolder
-from ptnsbc_tools.reproduce.runner import work
+from ptnsbc_tools.reproduce.output import ExperimentFolder
+from ptnsbc_tools.reproduce.runner import run_one
 
 SMALL = "ablation_estimator"
 
@@ -50,7 +50,7 @@ def test_a_folder_of_other_things_is_refused(tmp_path: Path) -> None:
 def test_every_part_names_what_it_needs() -> None:
     assert len({one.name for one in EXPERIMENTS}) == len(EXPERIMENTS)
     for one in EXPERIMENTS:
-        assert one.needs and one.seconds > 0
+        assert one.scenarios and one.seconds > 0
         assert callable(one.load())
 
 
@@ -64,7 +64,7 @@ def test_a_part_is_the_same_bytes_in_a_process_of_its_own(tmp_path: Path) -> Non
     assert [claim["key"] for claim in told["claims"]] == ["estimator"]
     experiment = next(one for one in EXPERIMENTS if one.name == SMALL)
     here = tmp_path / "here"
-    made = work(experiment, ExperimentFolder(here, lambda line: None))
+    made = run_one(experiment, ExperimentFolder(here, lambda line: None))
     files = [path.relative_to(here) for path in here.rglob("*.*")]
     assert len(files) == 3
     for path in files:

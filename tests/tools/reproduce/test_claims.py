@@ -8,25 +8,27 @@ import pytest
 from ptnsbc_sim.baselines import BaselineError
 from ptnsbc_sim.scenario import agent_config
 from ptnsbc_sim.world import World
-from ptnsbc_tools.reproduce import claims, intrusions, rivalry
+from ptnsbc_tools.reproduce import claims
 from ptnsbc_tools.reproduce.claims import FAILS, HOLDS
 from ptnsbc_tools.reproduce.experiments import (
     ablation_estimator,
+    ablation_profiles,
     ablation_starts,
     baselines,
     cost,
     experiment,
-    experiment_causes,
 )
-from ptnsbc_tools.reproduce.figures.swarm import LIMIT_N
-from ptnsbc_tools.reproduce.flights import flown
+from ptnsbc_tools.reproduce.figures.inputs import PAPER_LIMIT_N
+from ptnsbc_tools.reproduce.flights import fly_judged
 
 SECONDS = 12.0
 
 
 def flights(scenario: str) -> dict:
     common = {"plant.kind": "rigid_body_6dof", "timing.duration_s": SECONDS}
-    return {name: flown(scenario, {**common, "gains.profile": name}) for name in ("paper", "soft")}
+    return {
+        name: fly_judged(scenario, {**common, "gains.profile": name}) for name in ("paper", "soft")
+    }
 
 
 def test_words_of_a_verdict() -> None:
@@ -51,14 +53,15 @@ def test_formation_in_five_seconds(scenario: str) -> None:
 def test_twenty_uavs_in_five_seconds_below_500_n() -> None:
     common = {"plant.kind": "rigid_body_6dof", "timing.duration_s": 8.0}
     found = {
-        name: flown("paper_20", {**common, "gains.profile": name}) for name in ("paper", "soft")
+        name: fly_judged("paper_20", {**common, "gains.profile": name})
+        for name in ("paper", "soft")
     }
-    assert claims.shape_claim(found).verdict == "holds when the profile is soft"
-    assert "soft: 20 of 20" in claims.shape_claim(found).ours
-    assert claims.shape_claim({"paper": found["paper"]}).verdict == FAILS
-    assert claims.limit_claim(found, LIMIT_N).verdict == HOLDS
-    assert claims.limit_claim(found, 20.0).verdict == FAILS
-    assert max(one.peak_input() for one in found.values()) < LIMIT_N / 10
+    assert claims.twenty_formation_claim(found).verdict == "holds when the profile is soft"
+    assert "soft: 20 of 20" in claims.twenty_formation_claim(found).ours
+    assert claims.twenty_formation_claim({"paper": found["paper"]}).verdict == FAILS
+    assert claims.twenty_inputs_claim(found, PAPER_LIMIT_N).verdict == HOLDS
+    assert claims.twenty_inputs_claim(found, 20.0).verdict == FAILS
+    assert max(one.peak_input() for one in found.values()) < PAPER_LIMIT_N / 10
 
 
 def test_velocities_follow_their_commands_after_tf3() -> None:
@@ -77,18 +80,18 @@ def test_the_estimate_needs_the_velocity_of_the_leader() -> None:
     ours, printed = (ablation_estimator.flight(case, 8.0) for case in ablation_estimator.CASES[:2])
     claim = ablation_estimator.estimator_claim(ours, printed)
     assert claim.verdict == "holds when the leader's velocity is fed forward"
-    assert ablation_estimator.worst_from(ours, 5.0) < 1e-3
+    assert ablation_estimator.worst_estimate_from(ours, 5.0) < 1e-3
     assert ablation_estimator.estimator_claim(printed, printed).verdict == FAILS
     assert ablation_estimator.estimator_claim(ours, ours).verdict == HOLDS
 
 
 def test_a_follower_hears_no_more_when_there_are_more() -> None:
-    loads = {size: cost.load_of(cost.tree(size)) for size in (5, 20, 50)}
+    loads = {size: cost.tick_load(cost.tree(size)) for size in (5, 20, 50)}
     assert (
         loads[50].sent == loads[20].sent == 5
     )  # state to two children, estimate to these and its parent
     assert (
-        loads[50].heard == loads[20].heard == 5
+        loads[50].received == loads[20].received == 5
     )  # parent, leader, own parent's and two children's
     assert loads[50].sent_by_leader == 49
     flat, steep = dict.fromkeys(loads, 10.0), {5: 10.0, 20: 20.0, 50: 30.0}
@@ -102,14 +105,14 @@ def test_a_follower_computes_with_no_more_when_there_are_more() -> None:
     for size in (20, 50):
         scenario = cost.tree(size)
         deepest = scenario.followers[-1]
-        known = cost._inputs(scenario, World(scenario), deepest)
+        known = cost.follower_inputs(scenario, World(scenario), deepest)
         config = agent_config(scenario, deepest)
         sizes.append([np.shape(part) for part in (*known, *config) if isinstance(part, np.ndarray)])
     assert sizes[0] == sizes[1]
 
 
 def test_with_few_links_the_graph_weakens_instead() -> None:
-    few = {size: cost.load_of(cost.tree(size, all_linked=False)) for size in (5, 50)}
+    few = {size: cost.tick_load(cost.tree(size, all_linked=False)) for size in (5, 50)}
     assert few[50].sent_by_leader == few[5].sent_by_leader == 2
     assert few[50].lambda_min < few[5].lambda_min / 5
 
@@ -117,34 +120,34 @@ def test_with_few_links_the_graph_weakens_instead() -> None:
 def test_the_initial_input_is_far_below_that_of_the_baselines_but_not_as_printed() -> None:
     laws, way = baselines.PREDEFINED, baselines.LawVariant()
     found = {**baselines.ours(), **{law: baselines.flight(law, way) for law in laws}}
-    claim = rivalry.initial_claim("initial", found, None, 60.0, laws)
+    claim = claims.initial_claim("initial", found, None, 60.0, laws)
     assert claim.verdict == (
         "holds when the printed gains are flown behind a command filter or the profile is soft"
     )
-    assert rivalry.initial_claim("x", found, None, 99.0, laws).verdict == FAILS
+    assert claims.initial_claim("x", found, None, 99.0, laws).verdict == FAILS
     for law in laws:
-        assert rivalry.initial_reduction(found, "ours, soft", law) > 90.0
+        assert claims.initial_reduction(found, "ours, soft", law) > 90.0
         settled = found[law].settled_s()
         assert settled is not None and settled < 5.0  # or it would be no rival
-    assert rivalry.spent_claim(found, found, laws).verdict.startswith("holds when ")
-    assert "the profile is soft" in rivalry.spent_claim(found, found, laws).verdict
+    assert claims.energy_claim(found, found, laws).verdict.startswith("holds when ")
+    assert "the profile is soft" in claims.energy_claim(found, found, laws).verdict
     thrifty = {**found, laws[0]: found["ours, soft"]}
-    assert rivalry.spent_claim(thrifty, found, laws).verdict == FAILS
+    assert claims.energy_claim(thrifty, found, laws).verdict == FAILS
 
 
 def test_with_twenty_uavs_the_initial_input_is_far_below_too_but_not_as_printed() -> None:
     laws, way = baselines.PREDEFINED, baselines.LawVariant(name="paper_20")
     found = {**baselines.ours("paper_20"), **{law: baselines.flight(law, way) for law in laws}}
-    claim = rivalry.initial_claim("twenty", found, None, 66.0, laws)
+    claim = claims.initial_claim("twenty", found, None, 66.0, laws)
     assert claim.said.startswith("With twenty UAVs") and claim.number == "at least 66 %"
     assert claim.verdict == (
         "holds when the printed gains are flown behind a command filter or the profile is soft"
     )
     for law in laws:
-        assert rivalry.initial_reduction(found, rivalry.PRINTED, law) < 66.0
-        assert rivalry.initial_reduction(found, "ours, soft", law) > 90.0
+        assert claims.initial_reduction(found, claims.PRINTED, law) < 66.0
+        assert claims.initial_reduction(found, "ours, soft", law) > 90.0
         assert found[law].within_at(5.0) == 20  # or it would be no rival
-    assert rivalry.initial_claim("twenty", found, None, 99.0, laws).verdict == FAILS
+    assert claims.initial_claim("twenty", found, None, 99.0, laws).verdict == FAILS
 
 
 def test_with_limited_actuators_the_baselines_are_in_time_too() -> None:
@@ -156,11 +159,11 @@ def test_with_limited_actuators_the_baselines_are_in_time_too() -> None:
     }
     assert max(one.force.max() for one in found.values()) <= limit_n * (1 + 1e-9)
     assert found["ours, soft"].within_at(5.0) == 5
-    claim = rivalry.saturated_claim(found, limit_n, laws)
+    claim = claims.saturated_claim(found, limit_n, laws)
     assert "the profile is soft" in claim.verdict
     assert claim.verdict.endswith("do too")
     late = {**found, "ours, soft": found["ours, paper"]}
-    assert rivalry.saturated_claim(late, limit_n, laws).verdict == FAILS
+    assert claims.saturated_claim(late, limit_n, laws).verdict == FAILS
 
 
 def test_the_cascade_is_compared_at_the_settling_it_reaches() -> None:
@@ -204,15 +207,15 @@ def test_what_settles_at_another_time_is_named() -> None:
 def test_switched_lets_in_what_the_formation_told_before() -> None:
     """The depth is that of turning the command round, and the null space of the avoidance lets nothing through."""
     settings = {"plant.kind": "quadrotor", "timing.duration_s": 47.0, "gains.profile": "soft"}
-    switched = flown("paper_5", {**settings, "formation.avoidance": "switched"})
-    found = intrusions.deepest(switched)
+    switched = fly_judged("paper_5", {**settings, "formation.avoidance": "switched"})
+    found = ablation_profiles.deepest_intrusion(switched)
     assert (found.uav, found.into) == (5, "O2")
     assert found.room_m == pytest.approx(switched.clearance_m(), abs=1e-6)
     assert -found.room_m == pytest.approx(found.stopping_m, rel=0.15)
     assert found.singular_value < 0.05
     assert found.priority_violation_m_s < 1e-9
-    ours = intrusions.deepest(flown("paper_5", settings))
-    assert ours.room_m > 0.0 and ours.told_m_s < 0.5 * found.told_m_s
+    ours = ablation_profiles.deepest_intrusion(fly_judged("paper_5", settings))
+    assert ours.room_m > 0.0 and ours.commanded_m_s < 0.5 * found.commanded_m_s
 
 
 def test_starts_from_anywhere_are_in_the_box_and_apart() -> None:
@@ -225,30 +228,30 @@ def test_starts_from_anywhere_are_in_the_box_and_apart() -> None:
 
 def test_the_experiment_in_wind() -> None:
     short = {"timing.duration_s": 12.0}
-    calm = flown("experiment_4_calm", short)
+    calm = fly_judged("experiment_4_calm", short)
     assert calm.worst_at_deadline_m() < 0.05
-    windy = [flown("experiment_4", {"seed": seed, **short}) for seed in (1, 2, 3)]
+    windy = [fly_judged("experiment_4", {"seed": seed, **short}) for seed in (1, 2, 3)]
     assert {one.verdict.uavs[0].tolerance_m for one in windy} == {0.05}
-    fresh = [flown("experiment_4", {"seed": seed, **short}) for seed in experiment.FRESH[:2]]
-    assert not set(experiment.FRESH) & {*experiment.SEEDS, *experiment_causes.DRAWS}
+    fresh = [fly_judged("experiment_4", {"seed": seed, **short}) for seed in experiment.FRESH[:2]]
+    assert not set(experiment.FRESH) & set(experiment.SEEDS)
     claim = claims.experiment_claim(windy, fresh, calm)
     assert claim.verdict == HOLDS
     assert "3 of 3 draws on which gains were chosen and in 2 of 2 fresh ones" in claim.ours
-    hurried = [flown("experiment_4", {"gains.formation.deadline_s": 2.5, **short})]
+    hurried = [fly_judged("experiment_4", {"gains.formation.deadline_s": 2.5, **short})]
     assert claims.experiment_claim(windy, hurried, calm).verdict == (
         "holds when lucky: 3 of 4 draws"
     )
     assert claims.experiment_claim(hurried, hurried, calm).verdict == FAILS
-    table = experiment_causes.draws_table([*windy, *hurried], "some draws")
+    table = experiment.seeds_table([*windy, *hurried], "some draws")
     assert [str(row[-1])[:3] for row in table.rows] == ["", "", "", "UAV"]
     assert "in 3 they stay there" in table.meaning
 
 
 def test_told_places_alone_would_not_keep_the_experiment_s_promise() -> None:
-    own_m, pair_m, share = experiment_causes.blind_bound()
+    own_m, pair_m, share = experiment.fixes_only_bound()
     assert own_m == pytest.approx(0.0095, abs=1e-4)
     assert pair_m == pytest.approx(own_m * 6**0.5)
     assert 0.98 < share < 0.995
     short = {"timing.duration_s": 6.0, "formation.sight_m": 0}
-    blind = [flown("experiment_4", {"seed": seed, **short}) for seed in range(1, 7)]
+    blind = [fly_judged("experiment_4", {"seed": seed, **short}) for seed in range(1, 7)]
     assert max(one.worst_at_deadline_m() for one in blind) > 0.05

@@ -14,10 +14,10 @@ def test_settings_of_the_run_reach_every_scenario_and_yield_to_the_experiment() 
 
 def test_a_flight_is_flown_once_and_again_after_a_change() -> None:
     short = {"timing.duration_s": 6.0}
-    first = flights.flown("paper_5_free", short)
-    assert flights.flown("paper_5_free", short) is first
+    first = flights.fly_judged("paper_5_free", short)
+    assert flights.fly_judged("paper_5_free", short) is first
     with flights.using({"gains.formation.kappa_1_s": 0.5}):
-        changed = flights.flown("paper_5_free", short)
+        changed = flights.fly_judged("paper_5_free", short)
     assert changed is not first
     assert changed.worst_at_deadline_m() > first.worst_at_deadline_m()
     assert first.inputs.shape == (600, 5)

@@ -8,8 +8,8 @@ import pytest
 
 from ptnsbc_tools.reproduce import runner
 from ptnsbc_tools.reproduce.catalogue import Experiment
-from ptnsbc_tools.reproduce.experiment_folder import ExperimentFolder
 from ptnsbc_tools.reproduce.experiment_result import ExperimentResult, ReproduceError
+from ptnsbc_tools.reproduce.output import ExperimentFolder
 from ptnsbc_tools.reproduce.runner import ExperimentProgress, run_all
 
 
@@ -20,13 +20,13 @@ class Quick(Experiment):
         return {"one": _part, "two": _part, "timed": _part, "killed": _killed}[self.name]
 
 
-def _part(workshop: ExperimentFolder) -> ExperimentResult:
-    workshop.tell("working")
-    (workshop.folder / "made").mkdir(exist_ok=True)
+def _part(output: ExperimentFolder) -> ExperimentResult:
+    output.progress("working")
+    (output.folder / "made").mkdir(exist_ok=True)
     return ExperimentResult("quick", "Quick", str(os.getpid()))
 
 
-def _killed(workshop: ExperimentFolder) -> ExperimentResult:
+def _killed(output: ExperimentFolder) -> ExperimentResult:
     os.kill(os.getpid(), signal.SIGKILL)
     raise AssertionError
 

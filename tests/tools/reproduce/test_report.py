@@ -2,16 +2,16 @@
 
 import math
 
-from ptnsbc_tools.reproduce.document import Origin, document
 from ptnsbc_tools.reproduce.experiment_result import (
     Claim,
     Column,
     ExperimentResult,
     Figure,
     Table,
+    cell_text,
     rounded,
-    written,
 )
+from ptnsbc_tools.reproduce.report import Origin, results_page
 
 ORIGIN = Origin("ptnsbc reproduce", "abc", "def", "seed 1")
 TABLE = Table(
@@ -29,10 +29,10 @@ PART = ExperimentResult(
 
 
 def test_cells() -> None:
-    assert written(1.23456, 3) == "1.235"
-    assert written(7) == "7"
-    assert written(None) == "–"
-    assert written("a | b") == "a | b"
+    assert cell_text(1.23456, 3) == "1.235"
+    assert cell_text(7) == "7"
+    assert cell_text(None) == "–"
+    assert cell_text("a | b") == "a | b"
 
 
 def test_rounding_reaches_everywhere_and_keeps_integers() -> None:
@@ -41,17 +41,17 @@ def test_rounding_reaches_everywhere_and_keeps_integers() -> None:
 
 
 def test_a_document_has_claims_tables_and_the_asked_for_figures() -> None:
-    text = document(ORIGIN, [PART], images="img", all_figures=False)
+    text = results_page(ORIGIN, [PART], images="img", all_figures=False)
     assert "commit `abc`" in text
     assert "| It flies | 5 s | 4 s | **holds when soft** | Fig. 5 |" in text
     assert "| name | x, m |\n| --- | ---: |\n| a | 1.235 |\n| b | – |" in text
     assert "It means it." in text
     assert "(img/f1.png)" in text
     assert "(img/f2.png)" not in text
-    assert "(img/f2.png)" in document(ORIGIN, [PART], images="img", all_figures=True)
+    assert "(img/f2.png)" in results_page(ORIGIN, [PART], images="img", all_figures=True)
 
 
 def test_what_is_timed_says_so() -> None:
     timed = ExperimentResult("two", "Part two", "Text.", timed=True)
-    assert "by the clock" in document(ORIGIN, [timed], images="img", all_figures=True)
-    assert "by the clock" not in document(ORIGIN, [PART], images="img", all_figures=True)
+    assert "by the clock" in results_page(ORIGIN, [timed], images="img", all_figures=True)
+    assert "by the clock" not in results_page(ORIGIN, [PART], images="img", all_figures=True)

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from ptnsbc_tools.reproduce.experiment_result import ReproduceError
-from ptnsbc_tools.reproduce.folder import RESULTS, beside, refuse
+from ptnsbc_tools.reproduce.output import RESULTS, check_free, temporary_folder
 
 
 def results(folder: Path, *names: str) -> Path:
@@ -16,27 +16,27 @@ def results(folder: Path, *names: str) -> Path:
 
 
 def test_new_empty_or_own_folders_are_taken(tmp_path: Path) -> None:
-    refuse(tmp_path / "new", ["a"])
-    refuse(tmp_path, ["a"])
-    refuse(results(tmp_path / "own", "a"), ["a", "b"])
+    check_free(tmp_path / "new", ["a"])
+    check_free(tmp_path, ["a"])
+    check_free(results(tmp_path / "own", "a"), ["a", "b"])
 
 
 def test_other_things_are_left_alone(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("x")
     with pytest.raises(ReproduceError, match="holds other things than results"):
-        refuse(tmp_path, ["a"])
+        check_free(tmp_path, ["a"])
     with pytest.raises(ReproduceError, match="is a file"):
-        refuse(tmp_path / "file", ["a"])
+        check_free(tmp_path / "file", ["a"])
 
 
 def test_a_part_does_not_replace_the_whole(tmp_path: Path) -> None:
     with pytest.raises(ReproduceError, match="holds results of b"):
-        refuse(results(tmp_path / "own", "a", "b"), ["a"])
+        check_free(results(tmp_path / "own", "a", "b"), ["a"])
 
 
 def test_what_fails_leaves_nothing(tmp_path: Path) -> None:
     goal = results(tmp_path / "goal", "a")
-    with pytest.raises(KeyboardInterrupt), beside(goal) as place:
+    with pytest.raises(KeyboardInterrupt), temporary_folder(goal) as place:
         (place / "half").write_text("x")
         raise KeyboardInterrupt
     assert [path.name for path in tmp_path.iterdir()] == ["goal"]
@@ -45,7 +45,7 @@ def test_what_fails_leaves_nothing(tmp_path: Path) -> None:
 
 def test_what_is_done_takes_its_place(tmp_path: Path) -> None:
     goal = results(tmp_path / "sub", "a")
-    with beside(goal) as place:
+    with temporary_folder(goal) as place:
         (place / "whole").write_text("x")
     assert [path.name for path in tmp_path.iterdir()] == ["sub"]
     assert [path.name for path in goal.iterdir()] == ["whole"]
@@ -56,6 +56,6 @@ def test_a_place_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("x")
     with (
         pytest.raises(ReproduceError, match="expected a place to write"),
-        beside(tmp_path / "file" / "goal"),
+        temporary_folder(tmp_path / "file" / "goal"),
     ):
         pass

@@ -5,38 +5,40 @@ from pathlib import Path
 
 import numpy as np
 
-from ptnsbc_tools.reproduce.experiment_folder import ExperimentFolder
 from ptnsbc_tools.reproduce.experiments import experiment
-from ptnsbc_tools.reproduce.figures import energy, inputs, paths, shape, style, swarm
-from ptnsbc_tools.reproduce.flights import JudgedFlight, flown
+from ptnsbc_tools.reproduce.figures import formation, inputs, paths, style
+from ptnsbc_tools.reproduce.flights import JudgedFlight, fly_judged
+from ptnsbc_tools.reproduce.output import ExperimentFolder
 
 DRAWINGS = {
-    "3d": lambda shop, flights: paths.in_space(shop, flights["paper"], 5, ""),
-    "xy": lambda shop, flights: paths.from_above(shop, flights["paper"], 6, ""),
-    "distance": lambda shop, flights: shape.distances(shop, flights, 9, ""),
-    "angle": lambda shop, flights: shape.angles(shop, flights, 11, ""),
-    "input": lambda shop, flights: inputs.whole(shop, flights, 15, ""),
-    "first": lambda shop, flights: inputs.first_second(shop, flights, 17, ""),
-    "tall": lambda shop, flights: paths.in_space(shop, experiment.flight(1), 33, ""),
-    "energy": lambda shop, flights: energy.energy(shop, flights),
-    "swarm": lambda shop, flights: swarm.distance_error(shop, flights, 26),
-    "five": lambda shop, flights: swarm.five(shop, flights, 28, (1, 2, 3, 4, 5)),
+    "3d": lambda output, flights: paths.in_space(output, flights["paper"], 5, "in space"),
+    "xy": lambda output, flights: paths.from_above(output, flights["paper"], 6, "from above"),
+    "distance": lambda output, flights: formation.distances(output, flights, 9, ""),
+    "angle": lambda output, flights: formation.angles(output, flights, 11, ""),
+    "input": lambda output, flights: inputs.whole_flight(output, flights, 15, ""),
+    "first": lambda output, flights: inputs.first_second(output, flights, 17, ""),
+    "tall": lambda output, flights: paths.in_space(output, experiment.flight(1), 33, "in space"),
+    "energy": lambda output, flights: inputs.energy(output, flights),
+    "swarm": lambda output, flights: formation.distance_errors(output, flights, 26),
+    "five": lambda output, flights: inputs.five_uavs(output, flights, 28, (1, 2, 3, 4, 5)),
 }
 
 
 @lru_cache
 def flights() -> dict[str, JudgedFlight]:
     common = {"plant.kind": "rigid_body_6dof", "timing.duration_s": 8.0}
-    return {name: flown("paper_5", {**common, "gains.profile": name}) for name in ("paper", "soft")}
+    return {
+        name: fly_judged("paper_5", {**common, "gains.profile": name}) for name in ("paper", "soft")
+    }
 
 
 def test_no_legend_covers_a_panel(tmp_path: Path, monkeypatch) -> None:
     kept = []
     monkeypatch.setattr(style, "save", lambda made, folder, name: kept.append((name, made)))
-    shop = ExperimentFolder(tmp_path, lambda line: None)
+    output = ExperimentFolder(tmp_path, lambda line: None)
     with style.applied():
         for draw in DRAWINGS.values():
-            draw(shop, flights())
+            draw(output, flights())
         for name, made in kept:
             made.canvas.draw()
             assert made.get_figwidth() * 25.4 == style.COLUMN_MM
@@ -65,7 +67,7 @@ def _inside(label, page) -> bool:
 def test_the_same_bytes_twice(tmp_path: Path) -> None:
     for folder in ("a", "b"):
         with style.applied():
-            shape.leader_yaw(
+            formation.leader_yaw(
                 ExperimentFolder(tmp_path / folder, lambda line: None), flights(), 13, ""
             )
     files = sorted(path.relative_to(tmp_path / "a") for path in (tmp_path / "a").rglob("*.*"))
@@ -80,7 +82,7 @@ def test_a_sheet_holds_what_is_drawn(tmp_path: Path) -> None:
         "x, told_m": np.array([1.0, np.nan]),
         "y_m": np.array([3.0]),
     }
-    ExperimentFolder(tmp_path, lambda line: None).curves("sheet", columns)
+    ExperimentFolder(tmp_path, lambda line: None).write_curves("sheet", columns)
     assert (
         tmp_path / "curves" / "sheet.csv"
     ).read_text() == "time_s,x_told_m,y_m\n0,1,3\n0.01,nan,\n"
