@@ -1,13 +1,16 @@
 # One command for everything. `make` alone lists them.
 SHELL := /bin/bash
 .DEFAULT_GOAL := help
-.PHONY: help setup test demo docs results commands bench lint format colcon clean
+.PHONY: help setup test repeat demo docs results commands bench lint format colcon clean
 
 BIN  := .venv/bin
 # Workers of the test run; `make test JOBS=1` runs in one process. One more than cores: a third of the time tests wait.
 JOBS ?= $(shell n=$$(nproc 2>/dev/null || echo 1); echo $$((n > 7 ? 8 : n + 1)))
 # More for the command behind a target: make test ARGS="-k frames", make demo ARGS="--help"
 ARGS ?=
+# make repeat: how often the whole suite runs, and how often the part that starts processes
+N ?= 8
+PROCESSES ?= 30
 # The interpreter for .venv: make setup PYTHON=python3.12
 export PYTHON ?=
 
@@ -18,14 +21,13 @@ setup:  ## Make .venv from a lock; quick when nothing has changed
 	@requirements/setup.sh
 
 # Jazzy leaves field type checks off: Point().x = 1 would be sent as 5e-324.
-test: export ROS_PYTHON_CHECK_FIELDS := 1
-test: export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
-test: PYTEST := $(BIN)/python -m pytest -rs -q
-test: ALONE := $(PYTEST) -m alone tests/nodes
-test: setup  ## Run the tests and say why any are skipped
-	@time $(PYTEST) $(if $(filter-out 1,$(JOBS)),-n $(JOBS) --maxschedchunk 1) -m 'not alone' $(ARGS)
-	@# Flights in real time: what fails is flown once more, another program may have had the machine.
-	@$(if $(ARGS),,time $(ALONE) || time $(ALONE) --last-failed)
+test repeat: export ROS_PYTHON_CHECK_FIELDS := 1
+test repeat: export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
+test: setup  ## Run the tests, those in real time last, and say why any are skipped
+	@time $(BIN)/python tests/run.py $(JOBS) $(ARGS)
+
+repeat: setup  ## Run the tests N times, every second time beside busy loops
+	@$(BIN)/python tests/repeat.py $(N) $(PROCESSES) $(JOBS)
 
 demo: setup  ## Fly a formation, record it, verify it
 	@time $(BIN)/ptnsbc demo $(ARGS)

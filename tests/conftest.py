@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fcntl
+import json
 import os
 import signal
 import sys
@@ -11,8 +12,11 @@ from pathlib import Path
 
 import pytest
 
+sys.path.insert(0, str(Path(__file__).parent / "support"))
+
+import real_time
+
 HERE = Path(__file__).parent
-sys.path.insert(0, str(HERE / "support"))
 # Folders and files below tests/ that run, or read bags, without a compiled law.
 WITHOUT_LAWS = (
     "io/bag/",
@@ -24,9 +28,30 @@ WITHOUT_LAWS = (
 )
 COMPILES, WITHOUT, LONG, SHORT = range(4)
 
+COUNTED = ("passed", "failed", "skipped", real_time.NOT_JUDGED)
+
 # As for `make test &`: whatever the tests start would ignore it too, and be waited for.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """For `make test`, whose summary is of two runs."""
+    parser.addoption("--counts", type=Path, help="write the numbers of passed, failed … to a file")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Judge flights in real time by the machine they had."""
+    config.pluginmanager.register(real_time.RealTime())
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Write the file of `--counts`; a test that could not begin or end has failed."""
+    file = terminalreporter.config.getoption("counts")
+    if file:
+        counts = {kind: len(terminalreporter.stats.get(kind, ())) for kind in COUNTED}
+        counts["failed"] += len(terminalreporter.stats.get("error", ()))
+        file.write_text(json.dumps(counts), encoding="utf-8")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -37,8 +62,10 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """
     items.sort(key=_turn)
     for item in items:
-        if "alone" in item.keywords and not _place(item).startswith("nodes/"):
-            raise pytest.UsageError(f"{item.nodeid}: make test flies `alone` of tests/nodes only")
+        if "alone" in item.keywords and not _place(item).startswith(("nodes/", "support/")):
+            raise pytest.UsageError(
+                f"{item.nodeid}: make test flies `alone` of tests/nodes and tests/support only"
+            )
 
 
 @pytest.hookimpl(wrapper=True)
