@@ -97,7 +97,7 @@ class _Flight:
             mavlink.MAVLink_local_position_ned_message(boot_ms, 1, 2, -3, 0.1, 0.2, 0.3),
             mavlink.MAVLink_heartbeat_message(2, 12, _ARMED, 6 << 16, 4, 3),
         ):
-            self._vehicle.hear(message, self._now_s)
+            self._vehicle.on_message(message, self._now_s)
         self._now_s += 0.02
 
     def broken(self, packets: list[bytes]) -> float:
@@ -107,7 +107,7 @@ class _Flight:
         while self.given.packets:
             for message in self.link.poll(self._now_s):
                 self.passed += 1
-                sample = self._vehicle.hear(message, self._now_s)
+                sample = self._vehicle.on_message(message, self._now_s)
                 strayed = sample is not None and np.abs(sample.odometry - _STILL).max() > _NOISE
                 self.affected += strayed or self._facts() != self._told
                 self.real()
@@ -115,7 +115,7 @@ class _Flight:
 
     def _facts(self) -> tuple[object, ...]:
         vehicle = self._vehicle
-        return vehicle.mode, vehicle.armed, vehicle.landed, vehicle.rebooted, vehicle.stranger
+        return vehicle.mode, vehicle.armed, vehicle.landed, vehicle.rebooted, vehicle.wrong_vehicle
 
 
 def fuzz(packets: int, signed: bool) -> None:

@@ -1,4 +1,4 @@
-"""Commands to the vehicle, and what it answered: every one is acknowledged, none is believed."""
+"""Commands to the vehicle, and its refusals; a command counts only when the vehicle's state confirms it."""
 
 from __future__ import annotations
 
@@ -12,21 +12,22 @@ from ptnsbc_io.mavlink.dialect import mavlink
 from ptnsbc_io.mavlink.link import AUTOPILOT_COMPONENT
 from ptnsbc_nodes.bridge.procedure.steps import CommandRequest
 
-_FORCE = 21196
+_FORCE = 21196.0
 """`param2` of the disarm command that also works in the air: a magic number of MAVLink's own."""
 
-_CUSTOM = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
 _NO_YAW = math.nan
-
+_ARMING = {
+    CommandRequest.ARM: ("arm", (1.0,)),
+    CommandRequest.DISARM: ("disarm", (0.0,)),
+    CommandRequest.KILL: ("disarm", (0.0, _FORCE)),
+}
 _RATES_HZ = {
+    mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 50.0,
+    mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: 50.0,
     mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 2.0,
     mavlink.MAVLINK_MSG_ID_SYS_STATUS: 1.0,
     mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: 2.0,
 }
-_STATE_IDS = (
-    mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
-    mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION,
-)
 
 
 class Commands:
@@ -36,43 +37,39 @@ class Commands:
         self._autopilot = autopilot
         self._sysid = sysid
         self._sent: Counter[int] = Counter()
+        self._landings = 0
         self._names: dict[int, str] = {}
         self.refused = ""
-        """Newest answer that was not a plain yes to something we care about."""
+        """Newest COMMAND_ACK that was not a plain yes to a named command."""
 
-    def message(self, ask: CommandRequest, takeoff_height_m: float) -> Any:
-        """The command for an intention of the procedure."""
-        if ask is CommandRequest.OWN_MODE:
+    def message(self, request: CommandRequest, takeoff_height_m: float) -> Any:
+        """The command for a request of the procedure."""
+        if request in _ARMING:
+            return self._long(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, *_ARMING[request])
+        if request is CommandRequest.OWN_MODE:
             return self._own_mode()
-        if ask is CommandRequest.ARM:
-            return self._long(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, "arm", (1.0,))
-        if ask is CommandRequest.DISARM:
-            return self._long(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, "disarm", (0.0,))
-        if ask is CommandRequest.KILL:
-            return self._long(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, "disarm", (0.0, _FORCE))
-        if ask is CommandRequest.TAKEOFF:
+        if request is CommandRequest.TAKEOFF:
             parameters = (0.0, 0.0, 0.0, _NO_YAW, 0.0, 0.0, takeoff_height_m)
             return self._long(mavlink.MAV_CMD_NAV_TAKEOFF, "take off", parameters)
         return self._land()
 
-    def leave(self) -> Any:
-        """After landing: out of the own mode, into which PX4 would arm straight the next time."""
+    def leave_own_mode(self) -> Any:
+        """After landing: leave the own mode, in which PX4 would arm at once the next time."""
         return self._mode(FlightMode.HOLD, "hold mode")
 
-    def intervals(self, state_hz: float) -> list[Any]:
-        """Requests for the messages that the bridge lives on; ArduPilot sends none unasked."""
-        rates = {**dict.fromkeys(_STATE_IDS, state_hz), **_RATES_HZ}
+    def intervals(self) -> list[Any]:
+        """Requests for the messages that the bridge needs; ArduPilot sends none without them."""
         return [
             self._long(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, "", (float(number), 1e6 / hz))
-            for number, hz in rates.items()
+            for number, hz in _RATES_HZ.items()
         ]
 
     def request(self, message_id: int) -> Any:
-        """Ask for one message, once."""
+        """The request for one message, once."""
         return self._long(mavlink.MAV_CMD_REQUEST_MESSAGE, "", (float(message_id),))
 
-    def heard(self, message: Any) -> None:
-        """A COMMAND_ACK."""
+    def on_ack(self, message: Any) -> None:
+        """COMMAND_ACK."""
         name = self._names.get(message.command, "")
         if not name:
             return
@@ -87,19 +84,20 @@ class Commands:
     def _own_mode(self) -> Any:
         name = self._autopilot.own_mode
         if self._autopilot.attitude_only:
-            base = mavlink.MAV_MODE_GUIDED_DISARMED
-            return self._long(mavlink.MAV_CMD_DO_SET_MODE, name, (float(base),))
+            base = float(mavlink.MAV_MODE_GUIDED_DISARMED)
+            return self._long(mavlink.MAV_CMD_DO_SET_MODE, name, (base,))
         return self._mode(FlightMode.OWN, name)
 
     def _mode(self, mode: FlightMode, name: str) -> Any:
         numbers = self._autopilot.numbers(mode)
-        parameters = (float(_CUSTOM), float(numbers.main), float(numbers.sub))
+        custom = float(mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED)
+        parameters = (custom, float(numbers.main), float(numbers.sub))
         return self._long(mavlink.MAV_CMD_DO_SET_MODE, name, parameters)
 
     def _land(self) -> Any:
-        """By mode and by command in turn: one of the two is understood by everybody."""
-        self._sent[-1] += 1
-        if self._autopilot.attitude_only or self._sent[-1] % 2 == 0:
+        """By mode and by command in turn: every autopilot understands one of the two."""
+        self._landings += 1
+        if self._autopilot.attitude_only or self._landings % 2 == 0:
             parameters = (0.0, 0.0, 0.0, _NO_YAW, 0.0, 0.0, 0.0)
             return self._long(mavlink.MAV_CMD_NAV_LAND, "land", parameters)
         return self._mode(FlightMode.LAND, "land")

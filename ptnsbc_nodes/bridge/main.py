@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, cast
@@ -34,45 +33,36 @@ from ptnsbc_nodes.runtime.scenario_parameters import Value
 from ptnsbc_sim.scenario import Scenario
 
 if TYPE_CHECKING:
-    from ptnsbc_io.mavlink.link import MavlinkLink
     from ptnsbc_nodes.bridge.node import BridgeNode
 
-
-_UNPUNCTUAL = "bridge: no right to real-time scheduling: a busy host may hold setpoints up (ulimit -r above 0 gives it)"
+_NO_REAL_TIME = (
+    "bridge: no right to real-time scheduling: a busy host may delay setpoints "
+    "(ulimit -r above 0 grants it)"
+)
 
 
 class BridgeError(PtnsbcError):
     """A bridge that cannot be opened."""
 
 
-@dataclass(frozen=True)
-class BridgeOptions:
-    """Which vehicle, and what may be done with it."""
-
-    uav: int
-    allow_arming: bool = False
-    signing_key: Path | None = None  # instead of the scenario's
-    recorded: bool = False
-
-
 class _LandingLifetime(ProcessLifetime):
-    """The first request to end lands the vehicle, the second one ends the process."""
+    """The first request to end lands the vehicle; the second one ends the process."""
 
     def __init__(self) -> None:
         super().__init__()
-        self.shell: BridgeNode | None = None
-        self._asked = False
+        self.bridge: BridgeNode | None = None
+        self._requested = False
 
     def land_or_end(self) -> None:
-        """Land what flies; end when nothing does, or when asked again."""
+        """Land a flying vehicle; end when none flies, or at the second request."""
         if not self._lands():
             self.end()
 
     def _lands(self) -> bool:
-        asked, self._asked = self._asked, True
-        if asked or self.shell is None or not self.shell.land():
+        repeated, self._requested = self._requested, True
+        if repeated or self.bridge is None or not self.bridge.land():
             return False
-        print("bridge: landing; once more to end at once", file=sys.stderr, flush=True)
+        print("bridge: landing; interrupt once more to end at once", file=sys.stderr, flush=True)
         return True
 
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
@@ -90,7 +80,7 @@ _FIXED = (
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Bridge until the vehicle has landed, or for ever when it never flies."""
+    """Bridge until the vehicle has landed; a bridge whose vehicle never flies runs until a signal."""
     parser = Arguments("bridge", "MAVLink bridge of one UAV", scenario=False)
     parser.add_argument("--uav", type=int, metavar="N", help="id of this UAV")
     parser.add_argument("--connect", help="instead of the scenario's link to the vehicle")
@@ -115,14 +105,23 @@ def _bridge(arguments: argparse.Namespace, argv: list[str]) -> int:
     return _serve(given, argv, managed=arguments.managed)
 
 
-def bridge(scenario: Scenario, options: BridgeOptions, argv: Sequence[str]) -> int:
-    """Bridge one vehicle until it has landed, or a signal; `argv` is for ROS."""
+def bridge(
+    scenario: Scenario,
+    uav: int,
+    signing_key: Path | None,
+    argv: Sequence[str],
+    *,
+    allow_arming: bool,
+) -> int:
+    """Bridge one vehicle until it has landed, or a signal; `argv` is for ROS.
+
+    `signing_key` is used instead of the scenario's.
+    """
     given: dict[str, Value | None] = {
         "scenario_text": scenario.text,
-        "uav": options.uav,
-        "recorded": options.recorded,
-        "signing_key": str(options.signing_key or ""),
-        "allow_arming": options.allow_arming,
+        "uav": uav,
+        "signing_key": str(signing_key or ""),
+        "allow_arming": allow_arming,
     }
     return _serve(given, argv, managed=False)
 
@@ -131,46 +130,42 @@ def _serve(given: Mapping[str, Value | None], argv: Sequence[str], *, managed: b
     lifetime = _LandingLifetime()
     namespace = namespace_of(cast("int | None", given["uav"]))
     with parameter_node("bridge", namespace, argv, overrides(given), ManagedNode) as node:
-        told = NodeParameters(node, _FIXED, bridged=True)
-        told.declare_scenario(may_change=lambda: node.state == "unconfigured")
+        parameters = NodeParameters(node, _FIXED, bridged=True)
+        parameters.declare_scenario(may_change=lambda: node.state == "unconfigured")
         if not environment.prefer_punctuality(flies=True):
-            print(_UNPUNCTUAL, file=sys.stderr, flush=True)
-        node.assign(lambda: _opened(node, told, lifetime), lifetime.land_or_end)
-        code = serve_managed(node, lifetime, autostart=told["autostart"] and not managed)
-        return code if lifetime.shell is None else code or lifetime.shell.exit_code
+            print(_NO_REAL_TIME, file=sys.stderr, flush=True)
+
+        def configure() -> BridgeNode:
+            lifetime.bridge = _open(node, parameters, lifetime.end)
+            return lifetime.bridge
+
+        node.assign(configure, lifetime.land_or_end)
+        code = serve_managed(node, lifetime, autostart=parameters["autostart"] and not managed)
+        return code if lifetime.bridge is None else code or lifetime.bridge.exit_code
 
 
-def _opened(node: ManagedNode, told: NodeParameters, lifetime: _LandingLifetime) -> BridgeNode:
-    """The bridge with its link open; what configuring does."""
-    key = Path(told["signing_key"]) if told["signing_key"] else None
-    link = _open(told.scenario, told.uav, key)
-    from ptnsbc_nodes.bridge.node import BridgeNode
-
-    edges = CommunicationGraph(told.scenario, told.options)
-    lifetime.shell = BridgeNode(
-        node, told.scenario, told.uav, edges, link, told["allow_arming"], lifetime.end
-    )
-    return lifetime.shell
-
-
-def _open(scenario: Scenario, uav_id: int, key_file: Path | None) -> MavlinkLink:
-    """The link to the vehicle of one UAV."""
+def _open(node: ManagedNode, parameters: NodeParameters, on_end: Callable[[], None]) -> BridgeNode:
+    """The bridge with an open link to its vehicle."""
+    scenario, uav = parameters.scenario, parameters.uav
     try:
         from ptnsbc_io.mavlink.link import MavlinkLink
         from ptnsbc_io.mavlink.signing import Signer, read_key
         from ptnsbc_io.mavlink.transport import connect
         from ptnsbc_nodes.bridge.bridge import WANTED_MESSAGES
+        from ptnsbc_nodes.bridge.node import BridgeNode
     except ImportError as error:
         raise BridgeError(f"{error.name} is not installed: install the extra [mavlink]") from None
-    reached = scenario.vehicle_link(uav_id)
+    settings = scenario.vehicle_link(uav)
     if scenario.plant_kind != "quadrotor":
         raise BridgeError(
             f"{scenario.source}: plant.kind: {scenario.plant_kind}: expected quadrotor, "
-            "flight controllers fly nothing else here"
+            "the only plant that flight controllers fly here"
         )
-    key = key_file or (Path(reached.signing_key) if reached.signing_key else None)
-    signer = None if key is None else Signer(read_key(key))
-    return MavlinkLink(connect(reached.connect), reached.sysid, WANTED_MESSAGES, signer)
+    key = parameters["signing_key"] or settings.signing_key
+    signer = Signer(read_key(Path(key))) if key else None
+    link = MavlinkLink(connect(settings.connect), settings.sysid, WANTED_MESSAGES, signer)
+    edges = CommunicationGraph(scenario, parameters.options)
+    return BridgeNode(node, scenario, uav, edges, link, parameters["allow_arming"], on_end)
 
 
 if __name__ == "__main__":

@@ -1,12 +1,10 @@
-"""Near objects of a vehicle without a sensor for them: the scenario's obstacles, and what others tell.
+"""Near objects of a vehicle without a sensor for them: the scenario's obstacles and the other UAVs.
 
-Of other UAVs a bridge hears those that its UAV has an edge with (`mavlink.near: links`), or all. One
-that falls silent stays where it was for a while, then it is forgotten.
+A bridge receives the odometry of the UAVs that its UAV has an edge with (`mavlink.near: links`), or of all.
+A UAV that falls silent stays where it was for a while; then it is forgotten.
 """
 
 from __future__ import annotations
-
-from collections.abc import Iterable
 
 import numpy as np
 
@@ -20,29 +18,28 @@ _FORGET_S = 5.0
 
 
 class NearObjects:
-    """Newest odometry of the others, as bytes until it is needed."""
+    """The obstacles, and the newest odometry of the other UAVs as bytes until it is needed."""
 
-    def __init__(self, scenario: Scenario, others: Iterable[int]) -> None:
-        self.others = tuple(others)
-        self._heard: dict[int, tuple[float, bytes]] = {}
+    def __init__(self, scenario: Scenario) -> None:
+        self._newest: dict[int, tuple[float, bytes]] = {}
         self._keep_out_m = float(scenario.uav_keep_out_m)
         self._range_m = float(scenario.sensor.range_m)
         rows = [(*o.position, o.keep_out_m, 0.0, 0.0, 0.0) for o in scenario.obstacles]
         self._obstacles = np.array(rows, dtype=np.float64).reshape(-1, NEAR_COLUMNS)
 
-    def hear(self, uav_id: int, now_s: float, data: bytes) -> None:
+    def on_odometry(self, uav_id: int, now_s: float, data: bytes) -> None:
         """Keep the odometry of another UAV."""
-        self._heard[uav_id] = (now_s, data)
+        self._newest[uav_id] = (now_s, data)
 
     def rows(self, now_s: float, position: Array) -> Array:
         """x y z keep-out vx vy vz (M, 7) [m, m/s, ENU] within the scenario's detection range."""
-        moving = [self._moving(now_s - heard_s, data) for heard_s, data in self._heard.values()]
-        known = [row for row in moving if row is not None]
+        uavs = [self._row(now_s - arrived_s, data) for arrived_s, data in self._newest.values()]
+        known = [row for row in uavs if row is not None]
         rows = np.vstack([np.array(known).reshape(-1, NEAR_COLUMNS), self._obstacles])
         away = rows[:, 0:3] - position
         return np.asarray(rows[np.einsum("ij,ij->i", away, away) <= self._range_m**2])
 
-    def _moving(self, age_s: float, data: bytes) -> Array | None:
+    def _row(self, age_s: float, data: bytes) -> Array | None:
         if age_s > _FORGET_S:
             return None
         try:

@@ -12,30 +12,40 @@ from ptnsbc_io.wire import HeaderFields
 from ptnsbc_nodes.bridge.setpoint.guard import SetpointLimits
 
 
+@dataclass
+class BridgeInputs:
+    """What the bridge receives: the thread of the node writes it, the thread of the bridge reads it."""
+
+    setpoint: bytes | None = None  # newest
+    legs: list[HeaderFields] = field(
+        default_factory=list
+    )  # epochs in the order of their announcement
+    leader_origin: GeoPoint | None = None
+    controller_ready: bool = False
+    stop_request: str = ""  # "land" or "kill"
+
+
 class BridgeOutputs(NamedTuple):
-    """Where a bridge tells what."""
+    """What the bridge publishes."""
 
     odom: Callable[[int, Array], None]  # stamp [ns], odometry (13,)
     track: Callable[[int, Array], None]  # the same, of a vehicle that has left the formation
-    origin: Callable[[GeoPoint], None]  # of the leader, for all
+    origin: Callable[[GeoPoint], None]  # the leader's place, for all bridges
     limits: Callable[[SetpointLimits], None]  # for the planner
     lost: Callable[[], None]  # this vehicle has left the formation
-    say: Callable[[str], None]
+    log: Callable[[str], None]  # a line for the operator
 
 
-class SharedVehicleState(NamedTuple):
-    """What the formation has heard of this vehicle."""
+class Clocks(NamedTuple):
+    """The steady clock, which never jumps, and the clock that stamps messages."""
 
-    messages: int  # odometry
-    stamp_ns: int  # of the newest
+    steady_s: Callable[[], float]
+    ros_ns: Callable[[], int]
 
 
-@dataclass
-class BridgeInputs:
-    """What others say; written by the thread of the node, read by that of the bridge."""
+class BridgePorts(NamedTuple):
+    """Everything that connects a bridge to its process."""
 
-    setpoint: bytes | None = None  # newest
-    legs: list[HeaderFields] = field(default_factory=list)  # epochs as they are announced
-    leader_origin: GeoPoint | None = None
-    controller_ready: bool = False
-    halt: str = ""  # "land" or "kill"
+    inputs: BridgeInputs
+    outputs: BridgeOutputs
+    clocks: Clocks

@@ -1,6 +1,6 @@
-"""Where the vehicle is, from the messages it tells it in: in its own local frame, axes ENU and FLU.
+"""The vehicle's pose from its MAVLink messages: in its own local frame, axes ENU and FLU.
 
-No sockets and no ROS: messages in, samples out, all times on our steady clock [s].
+No sockets and no ROS: messages in, states out, all times on our steady clock [s].
 """
 
 from __future__ import annotations
@@ -18,10 +18,11 @@ from ptnsbc_io.mavlink.plausibility import RateLimitedValue
 _MILLI, _MICRO = 1e-3, 1e-6
 _ATTITUDE_AGE_S = 0.2
 _FARTHEST_M = 1e5
-_NORM_SLACK = 0.05
-# Of what a quadrotor does, an estimator that resets by decimetres included.
-_PLACE = (np.array([0.2] * 3 + [0.5] * 3), np.array([15.0] * 3 + [20.0] * 3))  # [m, m/s]
-_TURN = (np.array([0.1] * 6 + [1.0] * 3), np.array([5.0] * 6 + [40.0] * 3))  # [1, rad/s]
+_NORM_TOLERANCE = 0.05
+_LOCAL_FRAMES = (mavlink.MAV_FRAME_LOCAL_NED, mavlink.MAV_FRAME_BODY_FRD)
+# Steps and rates that a quadrotor can have; an estimator may reset by decimetres.
+_POSITION = (np.array([0.2] * 3 + [0.5] * 3), np.array([15.0] * 3 + [20.0] * 3))  # [m, m/s]
+_ATTITUDE = (np.array([0.1] * 6 + [1.0] * 3), np.array([5.0] * 6 + [40.0] * 3))  # [1, rad/s]
 
 
 class VehicleState(NamedTuple):
@@ -37,98 +38,94 @@ class _Attitude(NamedTuple):
     rates: Array  # (3,) [rad/s], FLU
 
 
+def boot_time_s(message: Any) -> float:
+    """Time since the vehicle's boot that a pose message carries."""
+    if message.get_type() == "ODOMETRY":
+        return float(message.time_usec * _MICRO)
+    return float(message.time_boot_ms * _MILLI)
+
+
 class Pose:
     """The newest attitude and position; `signed`: whether every message can be believed."""
 
     def __init__(self, *, signed: bool) -> None:
-        self.position_s: float | None = None  # when the newest position came
-        self.quaternion_s = float("-inf")  # when the newest ATTITUDE_QUATERNION came
+        self.position_s: float | None = None  # when the newest position arrived
+        self.quaternion_s = float("-inf")  # when the newest ATTITUDE_QUATERNION arrived
         self.invalid = 0
         self._attitude: _Attitude | None = None
         self._uses_odometry = False
-        self._places = None if signed else RateLimitedValue(*_PLACE)
-        self._turns = None if signed else RateLimitedValue(*_TURN)
+        self._plausible_position = None if signed else RateLimitedValue(*_POSITION)
+        self._plausible_attitude = None if signed else RateLimitedValue(*_ATTITUDE)
 
     @property
     def doubted(self) -> int:
-        """Messages that one more would have confirmed."""
-        return sum(each.doubted for each in (self._places, self._turns) if each is not None)
+        """Implausible messages: each would have counted if the next one had confirmed it."""
+        both = (self._plausible_position, self._plausible_attitude)
+        return sum(each.doubted for each in both if each is not None)
 
     def forget_attitude(self) -> None:
-        """The vehicle's clock is another one now."""
+        """Drop the attitude: its time belongs to another clock now."""
         self._attitude = None
 
     def on_attitude(self, message: Any, now_s: float) -> None:
         """ATTITUDE or ATTITUDE_QUATERNION."""
-        boot_s = message.time_boot_ms * _MILLI
         if message.get_type() == "ATTITUDE":
             wxyz = frames.quaternion_from_euler_ned(message.roll, message.pitch, message.yaw)
         else:
             self.quaternion_s = now_s
             wxyz = np.array([message.q1, message.q2, message.q3, message.q4])
-        rates = np.array([message.rollspeed, message.pitchspeed, message.yawspeed])
-        self._keep_attitude(boot_s, wxyz, rates, now_s)
+        self._keep_attitude(message, wxyz, now_s)
 
-    def _keep_attitude(self, boot_s: float, wxyz: Array, rates: Array, now_s: float) -> None:
+    def _keep_attitude(self, message: Any, wxyz: Array, now_s: float) -> None:
+        rates = np.array([message.rollspeed, message.pitchspeed, message.yawspeed])
         norm = float(np.sqrt(wxyz @ wxyz))
-        if not abs(norm - 1.0) <= _NORM_SLACK or not np.isfinite(rates).all():
+        if not abs(norm - 1.0) <= _NORM_TOLERANCE or not np.isfinite(rates).all():
             self.invalid += 1
             return
         quaternion = frames.quaternion_ned_frd_to_enu_flu(wxyz / norm)
-        turn = rotation_from_quaternion(
-            quaternion
-        )  # a quaternion may change its sign and mean the same
-        told = np.concatenate((turn[:, 0], turn[:, 2], rates))
-        if self._turns is None or self._turns.admits(told, now_s):
-            self._attitude = _Attitude(boot_s, quaternion, frames.vector_frd_to_flu(rates))
+        # The rotation is compared, because a quaternion may change its sign and mean the same.
+        rotation = rotation_from_quaternion(quaternion)
+        numbers = np.concatenate((rotation[:, 0], rotation[:, 2], rates))
+        if self._plausible_attitude is None or self._plausible_attitude.admits(numbers, now_s):
+            body_rates = frames.vector_frd_to_flu(rates)
+            self._attitude = _Attitude(boot_time_s(message), quaternion, body_rates)
 
     def on_position(self, message: Any, now_s: float) -> VehicleState | None:
-        """LOCAL_POSITION_NED: a sample with the attitude told before."""
-        boot_s = message.time_boot_ms * _MILLI
-        self._uses_odometry = False
-        attitude = self._attitude
-        position = frames.vector_ned_to_enu(np.array([message.x, message.y, message.z]))
+        """LOCAL_POSITION_NED: a state with the newest attitude."""
+        self._uses_odometry, self.position_s = False, now_s
+        attitude, boot_s = self._attitude, boot_time_s(message)
         velocity = frames.vector_ned_to_enu(np.array([message.vx, message.vy, message.vz]))
-        self.position_s = now_s
         if attitude is None or abs(boot_s - attitude.boot_s) > _ATTITUDE_AGE_S:
             return None
         if not np.isfinite(velocity).all():
             self.invalid += 1
             return None
-        if not self._steady(position, velocity, now_s):
-            return None
-        turn = rotation_from_quaternion(attitude.quaternion)
-        return self._sample(boot_s, position, attitude, turn.T @ velocity)
+        rotation = rotation_from_quaternion(attitude.quaternion)
+        return self._state(message, attitude, velocity, rotation.T @ velocity, now_s)
 
     def on_odometry(self, message: Any, now_s: float) -> VehicleState | None:
         """ODOMETRY, for controllers that send neither position nor attitude alone."""
         if self.position_s is not None and not self._uses_odometry:
             return None
-        if (message.frame_id, message.child_frame_id) != (
-            mavlink.MAV_FRAME_LOCAL_NED,
-            mavlink.MAV_FRAME_BODY_FRD,
+        if (message.frame_id, message.child_frame_id) != _LOCAL_FRAMES:
+            return None
+        self._uses_odometry, self.position_s = True, now_s
+        self._keep_attitude(message, np.array(message.q), now_s)
+        if self._attitude is None or self._attitude.boot_s != boot_time_s(message):
+            return None
+        velocity = frames.vector_frd_to_flu(np.array([message.vx, message.vy, message.vz]))
+        return self._state(message, self._attitude, velocity, velocity, now_s)
+
+    def _state(
+        self, message: Any, attitude: _Attitude, velocity: Array, velocity_flu: Array, now_s: float
+    ) -> VehicleState | None:
+        """The state, if its position and its velocity as sent follow those before."""
+        position = frames.vector_ned_to_enu(np.array([message.x, message.y, message.z]))
+        plausible = self._plausible_position
+        if plausible is not None and not plausible.admits(
+            np.concatenate((position, velocity)), now_s
         ):
             return None
-        boot_s = message.time_usec * _MICRO
-        self._uses_odometry, self.position_s = True, now_s
-        rates = np.array([message.rollspeed, message.pitchspeed, message.yawspeed])
-        self._keep_attitude(boot_s, np.array(message.q), rates, now_s)
-        if self._attitude is None or self._attitude.boot_s != boot_s:
-            return None
-        position = frames.vector_ned_to_enu(np.array([message.x, message.y, message.z]))
-        velocity = frames.vector_frd_to_flu(np.array([message.vx, message.vy, message.vz]))
-        if not self._steady(position, velocity, now_s):
-            return None
-        return self._sample(boot_s, position, self._attitude, velocity)
-
-    def _steady(self, position: Array, velocity: Array, now_s: float) -> bool:
-        """Whether a place and a velocity, of whatever frame, follow those before."""
-        told = np.concatenate((position, velocity))
-        return self._places is None or self._places.admits(told, now_s)
-
-    def _sample(
-        self, boot_s: float, position: Array, attitude: _Attitude, velocity_flu: Array
-    ) -> VehicleState | None:
         odometry = np.empty(ODOMETRY_SIZE)
         odometry[0:3] = position
         odometry[3:7] = attitude.quaternion
@@ -137,4 +134,4 @@ class Pose:
         if not np.isfinite(odometry).all() or np.abs(position).max() > _FARTHEST_M:
             self.invalid += 1
             return None
-        return VehicleState(boot_s, odometry)
+        return VehicleState(boot_time_s(message), odometry)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections import Counter
 from typing import NamedTuple
 
 import numpy as np
@@ -11,31 +11,28 @@ from ptnsbc_core.kinematics import velocity_enu
 from ptnsbc_core.types import Array
 from ptnsbc_io.mavlink.timesync import TimeSync
 from ptnsbc_nodes.bridge.controller import ControllerSetpoints, PublishedOdometry
+from ptnsbc_nodes.bridge.ports import BridgePorts
 from ptnsbc_nodes.bridge.pose import VehicleState
 from ptnsbc_nodes.bridge.vehicle import VehicleMonitor
 from ptnsbc_nodes.bridge.world import WorldFrame
 
-OLDEST_S = 0.3
-"""A state older than this is not forwarded: whoever flies by it flies into the past."""
+_OLDEST_S = 0.3  # a controller that flies by an older state flies into the past
 _AHEAD_S = 0.05  # a clock that is a little fast
-_STATE_S = 0.5
+_FRESH_S = 0.5
 _HEARTBEAT_S = 3.0
 _STEP_NS = 1000
 _JUMP_BACK_NS = 50_000_000
 
 
-class Clocks(NamedTuple):
-    """Ours: one that never jumps, and the one that stamps messages."""
+class SharedVehicleState(NamedTuple):
+    """How much of this vehicle the formation has received."""
 
-    steady_s: Callable[[], float]
-    ros_ns: Callable[[], int]
-
-
-Publish = Callable[[int, Array], None]
+    messages: int  # odometry
+    stamp_ns: int  # of the newest
 
 
 class StatePublisher:
-    """Decides what of the vehicle's state is told, and remembers it for the answers."""
+    """Decides which states of the vehicle are published, and remembers them for the replies."""
 
     def __init__(
         self,
@@ -43,29 +40,41 @@ class StatePublisher:
         world: WorldFrame,
         sync: TimeSync,
         controller: ControllerSetpoints,
+        ports: BridgePorts,
     ) -> None:
         self._vehicle = vehicle
-        self._world = world
+        self.world = world
         self._sync = sync
         self._controller = controller
+        self._ports = ports
+        self.odometry: Array | None = None  # newest (13,), world frame
+        self._local_position: Array | None = None  # (3,) in the vehicle's own frame
+        self._ground_m = 0.0
         self._stamp_ns = 0
-        self._told_s = float("-inf")
+        self.shared = SharedVehicleState(0, 0)
+        self._published_s = float("-inf")
         self._clock_fault_s = float("-inf")
-        self.odometry: Array | None = None  # newest, world frame
-        self.old = 0  # states that came too late
-        self.newest_local: Array | None = None  # (3,) position in the vehicle's own frame
-        self.skewed = 0  # states whose time does not fit our clock
+        self.dropped: Counter[str] = Counter(old=0, skewed=0)
+        self._present = True
 
-    def suspicious(self, now_s: float) -> bool:
-        """Whether the vehicle's clock did not fit just now."""
-        return now_s - self._clock_fault_s < _STATE_S
+    @property
+    def height_m(self) -> float:
+        """Height above the place of arming."""
+        return 0.0 if self.odometry is None else float(self.odometry[2]) - self._ground_m
 
-    def fresh(self, now_s: float) -> bool:
-        """Whether a state was told just now."""
-        return now_s - self._told_s < _STATE_S
+    @property
+    def speed_m_s(self) -> float:
+        """Speed of the vehicle."""
+        if self.odometry is None:
+            return 0.0
+        return float(np.sqrt(self.odometry[7:10] @ self.odometry[7:10]))
 
-    def lack(self, now_s: float) -> str:
-        """What keeps the vehicle's state from being told, empty when nothing does."""
+    def clock_jumped(self, now_s: float) -> bool:
+        """Whether the vehicle's clock did not fit ours just now."""
+        return now_s - self._clock_fault_s < _FRESH_S
+
+    def fault(self, now_s: float) -> str:
+        """Why the vehicle's state is not published; empty when it is."""
         vehicle = self._vehicle
         silence = vehicle.heartbeat_age_s(now_s)
         if silence > _HEARTBEAT_S:
@@ -73,24 +82,46 @@ class StatePublisher:
         if vehicle.fix_lost(now_s):
             return "GPS fix lost"
         position_s = vehicle.pose.position_s
-        if position_s is None or now_s - position_s > _STATE_S:
+        if position_s is None or now_s - position_s > _FRESH_S:
             return "no LOCAL_POSITION_NED or ODOMETRY from the vehicle"
-        if self._world.lack:
-            return f"the world frame lacks {self._world.lack}"
+        if self.world.missing:
+            return f"the world frame lacks {self.world.missing}"
         if not self._sync.ready(now_s):
             return "no answers to TIMESYNC yet"
-        if self.suspicious(now_s):
+        if self.clock_jumped(now_s):
             return "the vehicle's clock jumped"
-        return "" if self.fresh(now_s) else "no valid, fresh state from the vehicle"
+        fresh = now_s - self._published_s < _FRESH_S
+        return "" if fresh else "no valid, fresh state from the vehicle"
 
-    def hear(self, sample: VehicleState, clocks: Clocks, publish: Publish) -> None:
-        """Publish a new state, when everything about it is known and nothing speaks against it."""
+    def update_world(self) -> None:
+        """Locate the world frame until the vehicle is armed; the leader's bridge publishes the place."""
+        world, vehicle = self.world, self._vehicle
+        world.vehicle_at(vehicle.anchor)
+        if self._local_position is not None:
+            place = world.define_by_leader(self._local_position)
+            if place is not None:
+                self._ports.outputs.origin(place)
+        if self._ports.inputs.leader_origin is not None:
+            world.leader_at(self._ports.inputs.leader_origin)
+        if vehicle.armed:
+            world.freeze()
+        elif self.odometry is not None:
+            self._ground_m = float(self.odometry[2])
+
+    def report_presence(self, present: bool) -> None:
+        """Report the vehicle as lost, once each time it leaves the formation."""
+        if self._present and not present:
+            self._ports.outputs.lost()
+        self._present = present
+
+    def on_state(self, state: VehicleState, in_formation: bool) -> None:
+        """Publish a new state, if all about it is known and nothing is wrong with it."""
+        clocks, vehicle = self._ports.clocks, self._vehicle
         now_s = clocks.steady_s()
-        self._sync.heard(sample.boot_s, now_s)
-        self.newest_local = sample.odometry[0:3].copy()
-        self._world.stands_at(float(sample.odometry[2]))
-        offset = self._world.offset
-        vehicle = self._vehicle
+        self._sync.heard(state.boot_s, now_s)
+        self._local_position = state.odometry[0:3].copy()
+        self.world.on_height(float(state.odometry[2]))
+        offset = self.world.offset
         if (
             offset is None
             or not self._sync.ready(now_s)
@@ -98,32 +129,37 @@ class StatePublisher:
             or vehicle.fix_lost(now_s)
         ):
             return
-        sampled_s = self._sync.ours(sample.boot_s)
+        sampled_s = self._sync.ours(state.boot_s)
         if sampled_s is None or not self._timely(now_s - sampled_s, now_s):
             return
-        odometry = sample.odometry.copy()
-        # Carried to the present with its own velocity, as a UAV does with what its neighbours say:
-        # compared with them a little late, it would fly that little ahead of its place.
+        odometry = state.odometry.copy()
+        # The state is carried to the present with its own velocity, as a UAV does with its neighbours'
+        # states. Compared with those at an older instant, the vehicle would fly that little ahead of its place.
         age_s = max(now_s - sampled_s, 0.0)
         odometry[0:3] += offset + age_s * np.array(velocity_enu(odometry))
         self.odometry = odometry
         stamp_ns = self._stamp(clocks.ros_ns())
-        self._told_s = now_s
-        self._controller.tell(stamp_ns, PublishedOdometry(min(sampled_s, now_s), now_s, odometry))
-        publish(stamp_ns, odometry)
+        self._published_s = now_s
+        published = PublishedOdometry(min(sampled_s, now_s), now_s, odometry)
+        self._controller.remember(stamp_ns, published)
+        if in_formation:
+            self._ports.outputs.odom(stamp_ns, odometry)
+            self.shared = SharedVehicleState(self.shared.messages + 1, stamp_ns)
+        else:
+            self._ports.outputs.track(stamp_ns, odometry)
 
     def _timely(self, age_s: float, now_s: float) -> bool:
-        if -_AHEAD_S <= age_s <= OLDEST_S:
+        if -_AHEAD_S <= age_s <= _OLDEST_S:
             return True
-        if age_s < 0.0 or age_s > 2 * OLDEST_S:
-            self.skewed += 1
+        if age_s < 0.0 or age_s > 2 * _OLDEST_S:
+            self.dropped["skewed"] += 1
             self._clock_fault_s = now_s
         else:
-            self.old += 1
+            self.dropped["old"] += 1
         return False
 
     def _stamp(self, stamp_ns: int) -> int:
-        """Rising stamps, unless the wall clock itself was set back."""
+        """A stamp later than the last, unless the wall clock itself was set back."""
         behind = self._stamp_ns - stamp_ns
         if 0 <= behind < _JUMP_BACK_NS:
             stamp_ns = self._stamp_ns + _STEP_NS

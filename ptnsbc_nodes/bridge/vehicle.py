@@ -1,12 +1,12 @@
-"""What one flight controller has told: state, mode, battery, origin, and its oddities.
+"""What one flight controller reports: state, mode, battery, origin, reboots and duplicates.
 
 No sockets and no ROS: messages in, facts out, all times on our steady clock [s].
 """
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Callable, Mapping
+from collections import defaultdict, deque
+from collections.abc import Callable, Hashable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,17 +17,16 @@ from ptnsbc_io.mavlink.autopilots import AUTOPILOTS, Autopilot, FlightMode
 from ptnsbc_io.mavlink.dialect import mavlink
 from ptnsbc_io.mavlink.frames import GeoPoint
 from ptnsbc_io.mavlink.plausibility import ConfirmedValue
-from ptnsbc_nodes.bridge.pose import Pose, VehicleState
+from ptnsbc_nodes.bridge.pose import Pose, VehicleState, boot_time_s
 
-_MILLI, _MICRO = 1e-3, 1e-6
+_MILLI = 1e-3
 _DEGREES_E7 = 1e-7
 _BACKWARDS_S = 0.5
 _YOUNG_S = 60.0  # a clock that shows more has not just begun
-_TWIN_STEPS, _TWIN_WINDOW_S = 3, 3.0
+_DUPLICATE_STEPS, _DUPLICATE_WINDOW_S = 3, 3.0
 _FIX_3D = 3
 _NO_FIX_S = 1.0
 _LOW_BATTERY_S = 3.0
-_WARNING = mavlink.MAV_SEVERITY_WARNING
 
 _BOOTING = (
     mavlink.MAV_STATE_UNINIT,
@@ -53,171 +52,176 @@ class Anchor(NamedTuple):
     local_enu: Array  # (3,) the same point in the vehicle's local frame [m]
 
 
-class _Told(NamedTuple):
-    """What counts on an unsigned link when it was said twice."""
+class _BootClock:
+    """The vehicle's time since boot: notices when it begins anew, and when it jumps to and fro."""
 
-    state: ConfirmedValue
-    origin: ConfirmedValue
-    home: ConfirmedValue
-    landed: ConfirmedValue
+    def __init__(self) -> None:
+        self._newest: tuple[float, float] | None = None  # time since boot, and when it arrived
+        self._unexpected_s: float | None = None  # a time since boot that does not follow it
+        self.restarted_s: float | None = None
+        self._backward_steps: deque[float] = deque(maxlen=_DUPLICATE_STEPS)
+
+    def update(self, boot_s: float, now_s: float) -> bool:
+        """Take a time since boot; returns whether it stepped back once.
+
+        One step back is an accident; two in a row are another boot. Messages that were held up make no
+        step: they arrive late, but in their order.
+        """
+        last_s, arrived_s = self._newest or (boot_s, now_s)
+        step_s, elapsed_s = boot_s - last_s, now_s - arrived_s
+        if -_BACKWARDS_S <= step_s <= elapsed_s + _BACKWARDS_S:
+            self._newest, self._unexpected_s = (boot_s, now_s), None
+            return False
+        went_back = step_s < 0.0
+        before_s, self._unexpected_s = self._unexpected_s, boot_s
+        if before_s is not None and abs(boot_s - before_s) < _BACKWARDS_S:
+            if went_back and boot_s < _YOUNG_S:
+                self.restarted_s = now_s
+            self._newest, self._unexpected_s = (boot_s, now_s), None
+            return False
+        if went_back:
+            self._backward_steps.append(now_s)
+        return went_back
+
+    def jumps_to_and_fro(self, now_s: float) -> bool:
+        """Whether the time has stepped back several times just now."""
+        steps = self._backward_steps
+        return len(steps) == _DUPLICATE_STEPS and now_s - steps[0] <= _DUPLICATE_WINDOW_S
 
 
 class VehicleMonitor:
-    """The newest of everything from one vehicle."""
+    """The newest facts about one vehicle."""
 
     def __init__(self, autopilot: Autopilot, *, signed: bool = True) -> None:
-        """`signed`: whether every message can be believed; otherwise changes need two."""
-        self._autopilot = autopilot
+        """`signed`: whether every message can be believed; otherwise a change needs two messages."""
+        self.autopilot = autopilot
         self.heartbeat_s: float | None = None
-        self.stranger = ""
+        self.wrong_vehicle = ""  # why this is not the expected vehicle
         self.mode = FlightMode.OTHER
         self.mode_name = ""
         self.armed = False
         self.landed: bool | None = None
         self.battery_percent: float | None = None
         self.anchor: Anchor | None = None
-        self.text = ""  # newest warning or error
+        self.warning = ""  # newest STATUSTEXT that is a warning or an error
         self.pose = Pose(signed=signed)
-        self._told = (
-            None
-            if signed
-            else _Told(ConfirmedValue(), ConfirmedValue(), ConfirmedValue(), ConfirmedValue())
+        self._confirmed: Mapping[str, ConfirmedValue] | None = (
+            None if signed else defaultdict(ConfirmedValue)
         )
-        self._boot: tuple[float, float] | None = None  # newest time since boot, and when it came
-        self._odd_boot_s: float | None = None  # one that does not follow it
-        self._restarted_s: float | None = None
+        self._clock = _BootClock()
         self._booting = False
-        self._backwards: deque[float] = deque(maxlen=_TWIN_STEPS)
         self._had_fix = False
         self._no_fix_since_s: float | None = None
-        self._low_since_s: float | None = None
+        self._low_battery_since_s: float | None = None
         self._chunks: dict[int, str] = {}
 
     def heartbeat_age_s(self, now_s: float) -> float:
-        """Infinite before the first."""
+        """Infinite before the first HEARTBEAT."""
         return float("inf") if self.heartbeat_s is None else now_s - self.heartbeat_s
 
     def fix_lost(self, now_s: float) -> bool:
-        """Whether a GPS fix that was there is gone; a vehicle that never had one needs none."""
-        since = self._no_fix_since_s
-        return self._had_fix and since is not None and now_s - since >= _NO_FIX_S
+        """Whether a GPS fix is gone; a vehicle that never had one needs none."""
+        since_s = self._no_fix_since_s
+        return self._had_fix and since_s is not None and now_s - since_s >= _NO_FIX_S
 
     def battery_below(self, percent: float, now_s: float) -> bool:
-        """Whether the battery has been below `percent` for a while."""
+        """Whether the battery has been below `percent` for some seconds."""
         if self.battery_percent is None or self.battery_percent >= percent:
-            self._low_since_s = None
+            self._low_battery_since_s = None
             return False
-        if self._low_since_s is None:
-            self._low_since_s = now_s
-        return now_s - self._low_since_s >= _LOW_BATTERY_S
+        if self._low_battery_since_s is None:
+            self._low_battery_since_s = now_s
+        return now_s - self._low_battery_since_s >= _LOW_BATTERY_S
 
-    def twin(self, now_s: float) -> bool:
-        """Whether time since boot jumps to and fro: two vehicles speak with one id."""
-        steps = self._backwards
-        return len(steps) == _TWIN_STEPS and now_s - steps[0] <= _TWIN_WINDOW_S
+    def duplicate_sysid(self, now_s: float) -> bool:
+        """Whether two vehicles speak with one id: the time since boot jumps to and fro."""
+        return self._clock.jumps_to_and_fro(now_s)
 
     @property
     def rebooted(self) -> bool:
-        """Whether the vehicle says so, or time since boot began anew and it is disarmed since."""
-        return self._booting or (not self.armed and self._after_restart())
-
-    def _after_restart(self) -> bool:
-        restarted_s, heartbeat_s = self._restarted_s, self.heartbeat_s
-        return restarted_s is not None and heartbeat_s is not None and heartbeat_s >= restarted_s
+        """Whether the vehicle says that it boots, or its clock began anew and it is disarmed since."""
+        restarted_s, heartbeat_s = self._clock.restarted_s, self.heartbeat_s
+        heard_since = (
+            restarted_s is not None and heartbeat_s is not None and heartbeat_s >= restarted_s
+        )
+        return self._booting or (not self.armed and heard_since)
 
     @property
     def unconfirmed(self) -> bool:
-        """Whether a HEARTBEAT has told something new that the next one must confirm."""
-        return self._told is not None and self._told.state.doubts
+        """Whether the newest HEARTBEAT brought a change that the next one must confirm."""
+        return self._confirmed is not None and self._confirmed["heartbeat"].doubts
 
-    def hear(self, message: Any, now_s: float) -> VehicleState | None:
-        """Take a message in; a new state of the vehicle when it completes one."""
+    def on_message(self, message: Any, now_s: float) -> VehicleState | None:
+        """Take in a message; returns the vehicle's new state when the message completes one."""
         handler = _HANDLERS.get(message.get_type())
         return handler(self, message, now_s) if handler else None
 
-    def _heartbeat(self, message: Any, now_s: float) -> None:
+    def _believed(self, kind: str, value: Hashable) -> bool:
+        return self._confirmed is None or self._confirmed[kind].admits(value)
+
+    def _on_heartbeat(self, message: Any, now_s: float) -> None:
         if message.autopilot == mavlink.MAV_AUTOPILOT_INVALID:
             return  # a gimbal or a camera with the autopilot's component id
         m = message
-        told = (m.type, m.autopilot, m.base_mode, m.custom_mode, m.system_status)
-        if self._told is not None and not self._told.state.admits(told):
+        value = (m.type, m.autopilot, m.base_mode, m.custom_mode, m.system_status)
+        if not self._believed("heartbeat", value):
             return
         self.heartbeat_s = now_s
-        self.stranger = self._strangeness(message)
+        self.wrong_vehicle = self._mismatch(message)
         self._booting = message.system_status in _BOOTING
         self.armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
-        self.mode = self._autopilot.mode(message.base_mode, message.custom_mode)
+        self.mode = self.autopilot.mode(message.base_mode, message.custom_mode)
         self.mode_name = (
-            self._autopilot.own_mode
+            self.autopilot.own_mode
             if self.mode is FlightMode.OWN
             else f"{self.mode.value} (custom_mode {message.custom_mode})"
         )
 
-    def _strangeness(self, message: Any) -> str:
-        if message.autopilot != self._autopilot.number:
+    def _mismatch(self, message: Any) -> str:
+        if message.autopilot != self.autopilot.number:
             known = {a.number: a.name for a in AUTOPILOTS.values()}
             found = known.get(message.autopilot, "unknown")
             return (
                 f"MAV_AUTOPILOT {message.autopilot} ({found}): expected "
-                f"{self._autopilot.name}, see mavlink.autopilot"
+                f"{self.autopilot.name}, see mavlink.autopilot"
             )
         if message.type not in _MULTIROTORS:
             return f"MAV_TYPE {message.type}: expected a multirotor"
         return ""
 
-    def _time(self, boot_s: float, now_s: float) -> None:
-        """Notice a clock that steps back; once is an accident, twice in a row another boot.
-
-        Messages that were held up make no step: they are late, and still in their order.
-        """
-        last_s, heard_s = self._boot or (boot_s, now_s)
-        step_s, elapsed_s = boot_s - last_s, now_s - heard_s
-        if -_BACKWARDS_S <= step_s <= elapsed_s + _BACKWARDS_S:
-            self._boot, self._odd_boot_s = (boot_s, now_s), None
-            return
-        went_back = step_s < 0.0
-        odd_s, self._odd_boot_s = self._odd_boot_s, boot_s
-        if odd_s is not None and abs(boot_s - odd_s) < _BACKWARDS_S:
-            if went_back and boot_s < _YOUNG_S:
-                self._restarted_s = now_s
-            self._boot, self._odd_boot_s = (boot_s, now_s), None
-        elif went_back:
-            self._backwards.append(now_s)
+    def _on_time(self, message: Any, now_s: float) -> None:
+        if self._clock.update(boot_time_s(message), now_s):
             self.pose.forget_attitude()
 
-    def _on_system_time(self, message: Any, now_s: float) -> None:
-        self._time(message.time_boot_ms * _MILLI, now_s)
-
-    def _on_pose(self, message: Any, now_s: float) -> VehicleState | None:
-        kind = message.get_type()
-        odometry = kind == "ODOMETRY"
-        self._time(message.time_usec * _MICRO if odometry else message.time_boot_ms * _MILLI, now_s)
-        if odometry:
-            return self.pose.on_odometry(message, now_s)
-        if kind == "LOCAL_POSITION_NED":
-            return self.pose.on_position(message, now_s)
+    def _on_attitude(self, message: Any, now_s: float) -> None:
+        self._on_time(message, now_s)
         self.pose.on_attitude(message, now_s)
-        return None
+
+    def _on_position(self, message: Any, now_s: float) -> VehicleState | None:
+        self._on_time(message, now_s)
+        return self.pose.on_position(message, now_s)
+
+    def _on_odometry(self, message: Any, now_s: float) -> VehicleState | None:
+        self._on_time(message, now_s)
+        return self.pose.on_odometry(message, now_s)
 
     def _on_origin(self, message: Any, now_s: float) -> None:
         place = _place(message)
-        if self._told is None or self._told.origin.admits(place):
+        if self._believed("origin", place):
             self.anchor = Anchor(place, np.zeros(3))
 
     def _on_home(self, message: Any, now_s: float) -> None:
         if self.anchor is None or self.anchor.local_enu.any():
             local = frames.vector_ned_to_enu(np.array([message.x, message.y, message.z]))
             place = _place(message)
-            if self._told is None or self._told.home.admits((place, *local.tolist())):
+            if self._believed("home", (place, *local.tolist())):
                 self.anchor = Anchor(place, local)
 
     def _on_landed(self, message: Any, now_s: float) -> None:
-        if self._told is not None and not self._told.landed.admits(message.landed_state):
-            return
-        if message.landed_state == mavlink.MAV_LANDED_STATE_UNDEFINED:
-            self.landed = None
-        else:
-            self.landed = message.landed_state == mavlink.MAV_LANDED_STATE_ON_GROUND
+        state = message.landed_state
+        if self._believed("landed", state):
+            unknown = state == mavlink.MAV_LANDED_STATE_UNDEFINED
+            self.landed = None if unknown else state == mavlink.MAV_LANDED_STATE_ON_GROUND
 
     def _on_battery(self, message: Any, now_s: float) -> None:
         if 0 <= message.battery_remaining <= 100:
@@ -230,14 +234,14 @@ class VehicleMonitor:
             self._no_fix_since_s = now_s
 
     def _on_text(self, message: Any, now_s: float) -> None:
-        """STATUSTEXT; PX4 sends long ones in chunks, with a tab at the end."""
-        if message.severity > _WARNING:
+        """STATUSTEXT; PX4 sends long texts in chunks, with a tab at the end."""
+        if message.severity > mavlink.MAV_SEVERITY_WARNING:
             return
         text = str(message.text)
         if getattr(message, "id", 0):
             text = self._chunks.get(message.id, "") * bool(message.chunk_seq) + text
             self._chunks = {message.id: text}
-        self.text = text.strip()
+        self.warning = text.strip()
 
 
 def _place(message: Any) -> GeoPoint:
@@ -247,12 +251,12 @@ def _place(message: Any) -> GeoPoint:
 
 
 _HANDLERS: Mapping[str, Callable[[VehicleMonitor, Any, float], VehicleState | None]] = {
-    "HEARTBEAT": VehicleMonitor._heartbeat,
-    "SYSTEM_TIME": VehicleMonitor._on_system_time,
-    "ATTITUDE": VehicleMonitor._on_pose,
-    "ATTITUDE_QUATERNION": VehicleMonitor._on_pose,
-    "LOCAL_POSITION_NED": VehicleMonitor._on_pose,
-    "ODOMETRY": VehicleMonitor._on_pose,
+    "HEARTBEAT": VehicleMonitor._on_heartbeat,
+    "SYSTEM_TIME": VehicleMonitor._on_time,
+    "ATTITUDE": VehicleMonitor._on_attitude,
+    "ATTITUDE_QUATERNION": VehicleMonitor._on_attitude,
+    "LOCAL_POSITION_NED": VehicleMonitor._on_position,
+    "ODOMETRY": VehicleMonitor._on_odometry,
     "GPS_GLOBAL_ORIGIN": VehicleMonitor._on_origin,
     "HOME_POSITION": VehicleMonitor._on_home,
     "EXTENDED_SYS_STATE": VehicleMonitor._on_landed,
@@ -261,3 +265,4 @@ _HANDLERS: Mapping[str, Callable[[VehicleMonitor, Any, float], VehicleState | No
     "GPS_RAW_INT": VehicleMonitor._on_gps,
     "STATUSTEXT": VehicleMonitor._on_text,
 }
+VEHICLE_MESSAGES = tuple(_HANDLERS)

@@ -14,70 +14,71 @@ from ptnsbc_sim.scenario import Scenario
 class WorldFrame:
     """Offset of a vehicle's local origin, from a survey or from GPS.
 
-    Without `mavlink.world_origin` the leader tells where the world is: it stands at its start in the
-    scenario, on the ground, when its position is first known. Its bridge tells the others.
+    Without `mavlink.world_origin` the leader defines the world: when its position is first known, it stands
+    on the ground at its start in the scenario. The leader's bridge publishes that place for the others.
     """
 
     def __init__(self, scenario: Scenario, uav_id: int, earth_radius_m: float) -> None:
-        block = scenario.mavlink
+        settings = scenario.mavlink
         self._radius_m = earth_radius_m
         self._leads = uav_id == scenario.leader_id
-        self._on_ground = block.height == "ground"
+        self._on_ground = settings.height == "ground"
         surveyed = scenario.vehicle_link(uav_id).origin_m
         self._surveyed = None if surveyed is None else np.array(surveyed, dtype=np.float64)
         self._start = scenario.uav(scenario.leader_id).position * np.array([1.0, 1.0, 0.0])
-        self._reference: GeoPoint | None = None
-        self._reference_enu = np.zeros(3)
-        if block.world_origin is not None:
-            given = block.world_origin
-            self._reference = GeoPoint(given.latitude_deg, given.longitude_deg, given.altitude_m)
-        self._given = self._reference is not None
+        given = settings.world_origin
+        self._given = given is not None
+        self._reference = (
+            None
+            if given is None
+            else GeoPoint(given.latitude_deg, given.longitude_deg, given.altitude_m)
+        )
         self._anchor: Anchor | None = None
         self._ground_z_m: float | None = None
-        self._frozen = False
+        self.frozen = False
         self.offset: Array | None = None
         """World position of the local origin (3,) [m], ENU; None while it is not known."""
+        self._update()  # a surveyed vehicle has nothing to wait for
 
     @property
     def needs_leader(self) -> bool:
-        """Whether the leader's bridge has to tell where the world is."""
+        """Whether this bridge needs the leader's place."""
         return not (self._given or self._leads or self._surveyed is not None)
 
     def leader_at(self, place: GeoPoint) -> None:
-        """Where on the Earth the leader stands, that is, where the world has its start."""
-        if not self._given:
-            self._reference, self._reference_enu = place, self._start
+        """Take the leader's place on the Earth from its bridge."""
+        if not self._given and not self._leads:
+            self._reference = place
             self._update()
 
-    def stands(self, local_enu: Array) -> GeoPoint | None:
-        """The leader's place on the Earth, to tell the others; it is taken once, and by the leader alone."""
-        if self._given or not self._leads or self._anchor is None or self._reference is not None:
+    def define_by_leader(self, local_enu: Array) -> GeoPoint | None:
+        """The leader's place on the Earth at its first position (3,) [m]; None for others and afterwards."""
+        if not self._leads or self._anchor is None or self._reference is not None:
             return None
         away = local_enu - self._anchor.local_enu
-        place = frames.place_at(away, self._anchor.place, self._radius_m)
-        self.leader_at(place)
-        return place
+        self._reference = frames.place_at(away, self._anchor.place, self._radius_m)
+        self._update()
+        return self._reference
 
     def vehicle_at(self, anchor: Anchor | None) -> None:
-        """Where this vehicle's local frame is on the Earth."""
-        if anchor is None or anchor is self._anchor:
-            return
-        self._anchor = anchor
-        self._update()
+        """Take the place of this vehicle's local frame on the Earth."""
+        if anchor is not None and anchor is not self._anchor:
+            self._anchor = anchor
+            self._update()
 
-    def stands_at(self, local_z_m: float) -> None:
-        """Height that the vehicle shows while it stands on the ground."""
-        if self._on_ground and not (self._frozen and self.offset is not None):
+    def on_height(self, local_z_m: float) -> None:
+        """Take the height that the vehicle reports; until the world is frozen it stands on the ground."""
+        if self._on_ground and not self._settled:
             self._ground_z_m = local_z_m
             self._update()
 
     def freeze(self) -> None:
-        """From arming on the world must not move."""
-        self._frozen = True
+        """Keep the offset from now on: after arming the world must not move."""
+        self.frozen = True
 
     @property
-    def lack(self) -> str:
-        """What is missing, empty when nothing is."""
+    def missing(self) -> str:
+        """What is missing for the offset; empty when nothing is."""
         if self.offset is not None:
             return ""
         if self._surveyed is None and self._anchor is None:
@@ -86,23 +87,23 @@ class WorldFrame:
             return "the place of the leader"
         return "the height of the ground"
 
+    @property
+    def _settled(self) -> bool:
+        return self.frozen and self.offset is not None
+
     def _update(self) -> None:
-        if self._frozen and self.offset is not None:
+        if self._settled:
             return
-        offset = self._surveyed
-        if offset is None:
-            if self._anchor is None or self._reference is None:
-                return
+        if self._surveyed is not None:
+            offset = self._surveyed.copy()
+        elif self._anchor is not None and self._reference is not None:
             away = frames.offset_enu(self._anchor.place, self._reference, self._radius_m)
-            offset = self._reference_enu + away - self._anchor.local_enu
-        offset = offset.copy()
+            reference_enu = np.zeros(3) if self._given else self._start
+            offset = reference_enu + away - self._anchor.local_enu
+        else:
+            return
         if self._on_ground:
             if self._ground_z_m is None:
                 return
             offset[2] = -self._ground_z_m
         self.offset = offset
-
-    def begin(self) -> None:
-        """For a surveyed vehicle there is nothing to wait for."""
-        if self._surveyed is not None:
-            self._update()

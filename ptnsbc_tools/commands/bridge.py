@@ -40,10 +40,9 @@ def bridge(
     failsafe acts.
     """
     with ros.needed("install the extras [ros,mavlink] or source ROS 2"):
-        from ptnsbc_nodes.bridge.main import BridgeOptions
         from ptnsbc_nodes.bridge.main import bridge as run
     given = options.overrides(settings=settings)
     if connect is not None:
         given[f"mavlink.vehicles.{uav}.connect"] = connect
     chosen = options.scenario_with(scenario, given).bridged()
-    sys.exit(run(chosen, BridgeOptions(uav, allow_arming, signing_key), sys.argv[:1]))
+    sys.exit(run(chosen, uav, signing_key, sys.argv[:1], allow_arming=allow_arming))

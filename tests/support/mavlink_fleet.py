@@ -17,8 +17,7 @@ from ptnsbc_io.mavlink.transport import Packet
 from ptnsbc_io.wire import HeaderFields, OdometryTemplate, Stamped, VelocityTemplate, WrenchTemplate
 from ptnsbc_nodes.bridge.bridge import WANTED_MESSAGES, Bridge
 from ptnsbc_nodes.bridge.near_objects import NearObjects
-from ptnsbc_nodes.bridge.ports import BridgeOutputs
-from ptnsbc_nodes.bridge.state_publisher import Clocks
+from ptnsbc_nodes.bridge.ports import BridgeInputs, BridgeOutputs, BridgePorts, Clocks
 from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions
 from ptnsbc_nodes.comm.legs import Epochs
 from ptnsbc_nodes.comm.vehicle_messages import limited
@@ -90,45 +89,46 @@ class Uav:
         self.pilot = UavController(agent_config(scenario, uav_id), edges.senders(uav_id))
         self.senders = edges.senders(uav_id)
         self.epochs = Epochs()
-        others = [i for i in scenario.uav_ids if i != uav_id]
-        self.surroundings = NearObjects(scenario, others)
-        self.template = OdometryTemplate("map", "x")
+        self.near_objects = NearObjects(scenario)
+        self.odometry_template = OdometryTemplate("map", "x")
         attitude = scenario.vehicle_link(uav_id).setpoint == "attitude"
-        self.letter = WrenchTemplate("x") if attitude else VelocityTemplate("map")
+        self.setpoint_template = WrenchTemplate("x") if attitude else VelocityTemplate("map")
         self.attitude = attitude
         self.began = False
-        outlets = BridgeOutputs(
-            odom=self.tell,
+        outputs = BridgeOutputs(
+            odom=self.on_odometry,
             track=lambda stamp, odom: self.tracks.append((fleet.now_s, odom.copy())),
-            origin=fleet.place_leader,
-            limits=self.limit,
-            lost=self.lose,
-            say=lambda line: self.lines.append(f"{fleet.now_s - START_S:7.2f} bridge {line}"),
+            origin=fleet.set_leader_origin,
+            limits=self.on_limits,
+            lost=self.on_lost,
+            log=lambda line: self.lines.append(f"{fleet.now_s - START_S:7.2f} bridge {line}"),
         )
+        self.inputs = BridgeInputs(controller_ready=True)
         clocks = Clocks(lambda: fleet.now_s, lambda: BASE_NS + round((fleet.now_s - START_S) * 1e9))
         self.link = MavlinkLink(self.wire, start.system, WANTED_MESSAGES, signer)
-        self.bridge = Bridge(scenario, uav_id, self.link, outlets, clocks, True)
-        self.bridge.inlets.controller_ready = True
+        self.bridge = Bridge(
+            scenario, uav_id, self.link, BridgePorts(self.inputs, outputs, clocks), True
+        )
 
-    def lose(self):
+    def on_lost(self):
         self.lost += 1
 
-    def limit(self, limits):
+    def on_limits(self, limits):
         self.pilot.config = limited(self.pilot.config, limits.planner_m_s, limits.acceleration_m_s2)
 
-    def tell(self, stamp_ns, odometry):
+    def on_odometry(self, stamp_ns, odometry):
         self.stamps.append(stamp_ns)
         self.odometry.append(odometry.copy())
         if self.alive:
             self.pilot.inbox.own = Stamped(stamp_ns, odometry)
-        data = self.template.encode(stamp_ns, odometry)
+        data = self.odometry_template.encode(stamp_ns, odometry)
         for other in self.fleet.uavs.values():
             if other is not self:
-                other.surroundings.hear(self.id, self.fleet.now_s, data)
+                other.near_objects.on_odometry(self.id, self.fleet.now_s, data)
 
     def announce(self, t0_ns, leg):
         self.epochs.announce(t0_ns, leg)
-        self.bridge.inlets.legs.append(HeaderFields(t0_ns, leg))
+        self.inputs.legs.append(HeaderFields(t0_ns, leg))
 
     def control(self, now_ns, near):
         """One tick of the UAV process."""
@@ -137,7 +137,7 @@ class Uav:
         if not self.alive or own is None or now_ns - own.stamp_ns > stale_ns:
             return None
         if near:
-            rows = self.surroundings.rows(self.fleet.now_s, own.values[0:3])
+            rows = self.near_objects.rows(self.fleet.now_s, own.values[0:3])
             self.pilot.inbox.near = Stamped(now_ns, rows)
         leg = self.epochs.at(now_ns)
         if leg is not None and not self.began:
@@ -148,7 +148,7 @@ class Uav:
         values = (
             out.wrench if self.attitude else np.array([*out.velocity[0:3], 0, 0, out.velocity[3]])
         )
-        self.bridge.inlets.setpoint = self.letter.encode(own.stamp_ns, values)
+        self.inputs.setpoint = self.setpoint_template.encode(own.stamp_ns, values)
         self.wrenches.append((own.stamp_ns, out.wrench.copy()))
         return own, Stamped(own.stamp_ns, out.leader_estimate.copy())
 
@@ -206,9 +206,9 @@ class MavlinkFleet:
         wanted = reference(agent_config(self.scenario, leader).trajectory, t).position
         return float(np.linalg.norm(uav.odometry[-1][0:3] - wanted))
 
-    def place_leader(self, place):
+    def set_leader_origin(self, place):
         for uav in self.uavs.values():
-            uav.bridge.inlets.leader_origin = place
+            uav.inputs.leader_origin = place
 
     @property
     def now_ns(self):

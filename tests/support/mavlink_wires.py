@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import select
 import socket
 import time
@@ -23,6 +24,16 @@ def heartbeat(**changes):
         "system_status": mavlink.MAV_STATE_STANDBY,
     }
     return mavlink.MAVLink_heartbeat_message(**{**fields, **changes}, mavlink_version=3)
+
+
+def position(boot_ms, xyz=(0, 0, 0), v=(0, 0, 0)):
+    return mavlink.MAVLink_local_position_ned_message(boot_ms, *xyz, *v)
+
+
+def attitude(boot_ms, yaw_ned=0.0):
+    half = 0.5 * yaw_ned
+    q = (math.cos(half), 0.0, 0.0, math.sin(half))
+    return mavlink.MAVLink_attitude_quaternion_message(boot_ms, *q, 0.1, 0.2, 0.3)
 
 
 class Far:

@@ -1,28 +1,31 @@
-"""A flight of one vehicle as a state machine: from the first heartbeat to disarmed.
+"""A flight of one vehicle as a state machine, from the first heartbeat to disarmed.
 
-Pure: `advance` gets what the bridge has seen at an instant and answers what to do; time is a number.
-Every step waits for its confirmation, has a time limit, and a reason when it fails. Nothing is
-slept for, nothing is taken for granted because it was asked for.
+The procedure is pure: `advance` takes a snapshot of the vehicle and returns what to do; time is a number.
+Every step waits for its confirmation, has a time limit, and gives a reason when it fails. The procedure
+never sleeps, and never takes a request for its result.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-from ptnsbc_io.mavlink.autopilots import Autopilot
-from ptnsbc_nodes.bridge.procedure.handlers import HANDLERS
-from ptnsbc_nodes.bridge.procedure.orders import orders
-from ptnsbc_nodes.bridge.procedure.progress import FlightProgress
-from ptnsbc_nodes.bridge.procedure.reactions import react
+from ptnsbc_io.mavlink.autopilots import Autopilot, FlightMode
 from ptnsbc_nodes.bridge.procedure.steps import (
+    LIFTED_M,
     OVER,
+    RECOVERED_S,
+    STALE_S,
+    STOP_S,
+    CommandRequest,
     ProcedureOptions,
     ProcedureOutput,
     Step,
+    Stream,
     VehicleSnapshot,
-    because,
 )
+from ptnsbc_nodes.bridge.procedure.transitions import FlightProgress, advance
 
+_GROUNDED_S = 5.0
 _LIMITS_S: Mapping[Step, float] = {
     Step.HEARTBEAT: 120.0,
     Step.PARAMETERS: 20.0,
@@ -45,21 +48,23 @@ class Procedure:
         autopilot: Autopilot,
         takeoff_height_m: float,
         allow_arming: bool,
-        log: Callable[[str], None] = lambda line: None,
+        log: Callable[[str], None],
     ) -> None:
-        self._pilotage = ProcedureOptions(autopilot, takeoff_height_m, allow_arming)
-        self._course = FlightProgress(log)
-        self._turned = False
+        self._options = ProcedureOptions(autopilot, takeoff_height_m, allow_arming)
+        self._progress = FlightProgress(self._options, log)
+        self._heading_reached = False
+        self.output = ProcedureOutput(Stream.NONE, None, True)
+        """What `advance` returned last."""
 
     @property
     def step(self) -> Step:
         """Where in the flight the vehicle is."""
-        return self._course.step
+        return self._progress.step
 
     @property
     def fault(self) -> str:
         """Why the flight did not go as planned, in the order in which it went wrong."""
-        return self._course.fault
+        return self._progress.fault
 
     @property
     def over(self) -> bool:
@@ -69,7 +74,7 @@ class Procedure:
     @property
     def ready(self) -> bool:
         """Whether the formation may begin, as far as this vehicle is concerned."""
-        return self.step is Step.FLY or (self.step is Step.AIRBORNE and self._turned)
+        return self.step is Step.FLY or (self.step is Step.AIRBORNE and self._heading_reached)
 
     @property
     def awaited(self) -> str:
@@ -80,41 +85,86 @@ class Procedure:
         return turning if self.step is Step.AIRBORNE else self.step.value
 
     def fail(self, reason: str) -> None:
-        """The bridge itself has failed."""
-        self._course.blame(reason)
+        """Record that the bridge itself has failed."""
+        self._progress.report_fault(reason)
 
-    def advance(self, seen: VehicleSnapshot) -> ProcedureOutput:
-        """What to do at `seen.now_s`; changes the step as far as what was seen allows."""
-        course = self._course
-        course.begin(seen.now_s)
-        self._turned = seen.turned
-        for _ in Step:  # a step may be over before it began
-            before = course.step
-            react(course, seen)
-            if course.step is before:
-                HANDLERS[course.step](course, self._pilotage, seen)
-            if course.step is before:
+    def advance(self, snapshot: VehicleSnapshot) -> ProcedureOutput:
+        """What to do at `snapshot.now_s`; the step changes as far as the snapshot allows."""
+        progress = self._progress
+        self._heading_reached = snapshot.heading_reached
+        for _ in Step:  # one snapshot may complete several steps
+            if not advance(progress, snapshot):
                 break
-        limit = _LIMITS_S.get(course.step)
-        if limit is not None and course.age(seen) > limit and self._limited(seen):
-            self._expire(seen, limit)
-        return orders(course, self._pilotage, seen)
+        limit_s = self._limit_s(snapshot)
+        if progress.age_s(snapshot) > limit_s:
+            self._expire(snapshot, limit_s)
+        stream, command = self._stream_and_command(snapshot)
+        due = progress.due(command, snapshot)
+        self.output = ProcedureOutput(stream, due, self._in_formation(snapshot))
+        return self.output
 
-    def _limited(self, seen: VehicleSnapshot) -> bool:
-        """Whether the step's limit counts: a pilot may take as long as it takes."""
-        if self.step is Step.ARM:
-            return self._pilotage.allow_arming
-        return not (self.step is Step.MODE and seen.armed)
+    def _limit_s(self, snapshot: VehicleSnapshot) -> float:
+        """The time limit of this step; there is none while the bridge waits for a pilot."""
+        pilot_arms = self.step is Step.ARM and not self._options.allow_arming
+        pilot_flies = self.step is Step.MODE and snapshot.armed
+        unlimited = pilot_arms or pilot_flies
+        return float("inf") if unlimited else _LIMITS_S.get(self.step, float("inf"))
 
-    def _expire(self, seen: VehicleSnapshot, limit: float) -> None:
-        step = self.step
-        waited = {
-            Step.STATE: seen.lack,
-            Step.CONTROLLER: seen.lack or "no fresh setpoints from a controller that is ready",
-            Step.MODE: f"{self._pilotage.autopilot.own_mode} not confirmed",
+    def _expire(self, snapshot: VehicleSnapshot, limit_s: float) -> None:
+        step, options = self.step, self._options
+        missing = {
+            Step.STATE: snapshot.state_fault,
+            Step.CONTROLLER: snapshot.state_fault
+            or "no fresh setpoints from a controller that is ready",
+            Step.MODE: f"{options.autopilot.own_mode} not confirmed",
             Step.ARM: "arming refused",
-            Step.TAKEOFF: f"at {seen.height_m:.1f} m of {self._pilotage.takeoff_height_m:g} m",
+            Step.TAKEOFF: f"at {snapshot.height_m:.1f} m of {options.takeoff_height_m:g} m",
         }.get(step, "")
-        detail = f": {waited}" if waited else ""
-        self._course.blame(f"{step.value}: not within {limit:g} s{detail}{because(seen)}")
-        self._course.go(Step.LAND if step is Step.TAKEOFF else Step.FAILED, seen)
+        detail = f": {missing}" if missing else ""
+        reason = f"{step.value}: not within {limit_s:g} s{detail}{snapshot.vehicle_reason}"
+        following = Step.LAND if step is Step.TAKEOFF else Step.FAILED
+        self._progress.enter(following, snapshot, reason)
+
+    def _stream_and_command(
+        self, snapshot: VehicleSnapshot
+    ) -> tuple[Stream, CommandRequest | None]:
+        progress, autopilot, step = self._progress, self._options.autopilot, self.step
+        early = Stream.HOLD if autopilot.stream_first else Stream.NONE
+        if step is Step.STREAM:
+            return early, None
+        if step is Step.MODE:
+            # Somebody flies a vehicle that is armed already, and only they may change its mode.
+            return early, None if snapshot.armed else CommandRequest.OWN_MODE
+        if step is Step.ARM:
+            may_arm = self._options.allow_arming and not snapshot.armed
+            return early, CommandRequest.ARM if may_arm else None
+        if step is Step.TAKEOFF:
+            if autopilot.climbs:
+                return Stream.CLIMB, None
+            return Stream.NONE, CommandRequest.TAKEOFF if snapshot.height_m < LIFTED_M else None
+        if step is Step.AIRBORNE:
+            return (Stream.CLIMB if progress.climbed else Stream.HOLD), None
+        if step is Step.FLY:
+            fresh = snapshot.controller_age_s <= STALE_S
+            return Stream.PLANNER if fresh else Stream.HOLD, None
+        if step is Step.LAND:
+            return self._landing(snapshot)
+        if step is Step.FAILSAFE:
+            recovered = progress.good_for_s(snapshot) > RECOVERED_S
+            return (Stream.HOLD if recovered else Stream.NONE), None
+        return Stream.NONE, CommandRequest.KILL if step is Step.KILL else None
+
+    def _landing(self, snapshot: VehicleSnapshot) -> tuple[Stream, CommandRequest | None]:
+        landed_s = self._progress.current(snapshot).landed_since_s
+        if landed_s is not None and snapshot.now_s - landed_s > _GROUNDED_S:
+            return Stream.NONE, CommandRequest.DISARM
+        if snapshot.mode is FlightMode.LAND:
+            return Stream.NONE, None
+        # Until the vehicle confirms its landing it still needs setpoints, if there are any.
+        fresh = snapshot.controller_age_s <= STOP_S and snapshot.mode is FlightMode.OWN
+        return (Stream.HOLD if fresh else Stream.NONE), CommandRequest.LAND
+
+    def _in_formation(self, snapshot: VehicleSnapshot) -> bool:
+        if self.step in (Step.YIELDED, Step.KILL, *OVER):
+            return False
+        return self.step is not Step.LAND or snapshot.leg == "land"

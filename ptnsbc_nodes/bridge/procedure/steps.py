@@ -1,4 +1,4 @@
-"""The words a flight is told in: its steps, what is seen, what is asked for."""
+"""The vocabulary of a flight: its steps, the snapshot of the vehicle, and the output of the procedure."""
 
 from __future__ import annotations
 
@@ -11,9 +11,10 @@ from ptnsbc_io.mavlink.autopilots import Autopilot, FlightMode
 STALE_S = 0.25
 """A setpoint computed from older odometry is not followed: the vehicle is held where it is."""
 STOP_S = 0.5
-"""Held no longer than this: then the stream stops, and the vehicle's own failsafe acts."""
+"""The vehicle is held no longer than this. Then the stream stops, and the vehicle's own failsafe acts."""
 HEARTBEAT_LOST_S = 3.0
-RECOVERED_S = 1.0  # setpoints fresh for so long are back
+RECOVERED_S = 1.0
+"""Setpoints count as recovered once they have been fresh for this long."""
 LIFTED_M = 0.3
 
 
@@ -38,13 +39,19 @@ class Step(Enum):
     FAILED = "failed"
 
 
+SETTING_OUT = (Step.STREAM, Step.MODE, Step.ARM)
+BEFORE_ARMING = (Step.HEARTBEAT, Step.PARAMETERS, Step.STATE, Step.CONTROLLER, *SETTING_OUT)
+FLYING = (Step.TAKEOFF, Step.AIRBORNE, Step.FLY)
+OVER = (Step.DONE, Step.FAILED)
+
+
 class Stream(Enum):
     """What the setpoint stream carries."""
 
     NONE = "none"
-    HOLD = "hold"  # the place where holding began
+    HOLD = "hold"  # the position at which holding began
     CLIMB = "climb"  # straight up to the take-off height
-    PLANNER = "planner"  # what the UAV process wants
+    PLANNER = "planner"  # the setpoints of the UAV process
 
 
 class CommandRequest(Enum):
@@ -64,27 +71,31 @@ class VehicleSnapshot:
 
     now_s: float
     heartbeat_age_s: float = float("inf")
-    stranger: str = ""  # why this is not the vehicle that was expected
-    parameters: bool = False  # read
-    refusal: str = ""  # why it cannot be flown with these parameters
-    state: bool = False  # fresh odometry in the world frame is being told
-    lack: str = ""  # what keeps it from that
-    controller_age_s: float = float("inf")  # of the newest setpoint, by the odometry it rests on
+    wrong_vehicle: str = ""  # why this is not the expected vehicle
+    parameters_read: bool = False
+    parameter_refusal: str = ""  # why the vehicle cannot be flown with its parameters
+    state_fault: str = ""  # why no fresh odometry in the world frame is published; empty when it is
+    controller_age_s: float = float("inf")  # age of the odometry that the newest setpoint answers
     controller_ready: bool = False
     mode: FlightMode = FlightMode.OTHER
     mode_name: str = ""
     armed: bool = False
-    landed: bool | None = None  # None: the vehicle does not tell
+    landed: bool | None = None  # None: the vehicle does not report it
     height_m: float = 0.0  # above the place of arming
     speed_m_s: float = 0.0
-    turned: bool = True  # has the heading with which the formation begins
-    leg: str | None = None  # announced, and its epoch has come
+    heading_reached: bool = True  # the heading with which the formation begins
+    leg: str | None = None  # the announced leg whose epoch has come
     battery_low: str = ""
-    fence: str = ""
+    fence_breach: str = ""
     rebooted: bool = False
-    twin: bool = False  # a second vehicle with this system id
-    halt: str = ""  # "land" or "kill", from the operator, or from the end of this process
-    complaint: str = ""  # newest refusal or warning of the vehicle
+    duplicate_sysid: bool = False  # a second vehicle uses this system id
+    stop_request: str = ""  # "land" or "kill", by the operator or at the end of this process
+    vehicle_warning: str = ""  # newest refusal or warning of the vehicle
+
+    @property
+    def vehicle_reason(self) -> str:
+        """The vehicle's own reason in brackets; empty when it gives none."""
+        return f" ({self.vehicle_warning})" if self.vehicle_warning else ""
 
 
 class ProcedureOptions(NamedTuple):
@@ -99,25 +110,6 @@ class ProcedureOutput(NamedTuple):
     """What to do now."""
 
     stream: Stream
-    ask: CommandRequest | None
-    told: bool
-    """Whether the formation hears of this vehicle as a member; otherwise only as something near."""
-
-
-BEFORE_ARMING = (
-    Step.HEARTBEAT,
-    Step.PARAMETERS,
-    Step.STATE,
-    Step.CONTROLLER,
-    Step.STREAM,
-    Step.MODE,
-    Step.ARM,
-)
-SETTING_OUT = (Step.STREAM, Step.MODE, Step.ARM)
-FLYING = (Step.TAKEOFF, Step.AIRBORNE, Step.FLY)
-OVER = (Step.DONE, Step.FAILED)
-
-
-def because(seen: VehicleSnapshot) -> str:
-    """What the vehicle says about it, in brackets; empty when it says nothing."""
-    return f" ({seen.complaint})" if seen.complaint else ""
+    command: CommandRequest | None
+    in_formation: bool
+    """Whether the formation follows this vehicle's odometry; otherwise the others only avoid it."""

@@ -1,7 +1,7 @@
-"""Attitude targets: from the controller's wrench, and a small point hold for what takes nothing else.
+"""Attitude targets: quaternion, body rates and thrust, from the controller's wrench or for holding a point.
 
-The controller of ptnsbc_core asks for torques; a flight controller closes the attitude and rate loops
-itself and asks for an attitude. So the torque is read backwards through the two loops that made it:
+The controller of ptnsbc_core asks for torques. A flight controller closes the attitude and rate loops
+itself and takes an attitude. So the torque is read backwards through the two loops that made it:
 rates_d = rates + torque / (inertia G), turn = rates_d / attitude_gain, q_d = q exp(turn).
 """
 
@@ -17,17 +17,19 @@ from ptnsbc_core.timebase import Clock, loop_gain
 from ptnsbc_core.types import Array, ControllerConfig
 
 _AT_LIMIT = 1.0 - 1e-9
+_ALL_AXES = np.ones(3, dtype=bool)
+_CONJUGATE = np.array([-1.0, -1.0, -1.0, 1.0])
 
 
 class AttitudeTarget(NamedTuple):
-    """What SET_ATTITUDE_TARGET carries, in our frames."""
+    """What SET_ATTITUDE_TARGET carries, in ENU and FLU."""
 
     quaternion: Array  # (4,) x y z w, FLU to ENU
     rates: Array  # (3,) [rad/s] at which the target itself turns, FLU of the target
     thrust: float  # 0 to 1
 
 
-def from_wrench(
+def attitude_from_wrench(
     wrench: Array,
     odometry: Array,
     flight_s: float,
@@ -43,20 +45,20 @@ def from_wrench(
     rates = odometry[10:13] + wrench[3:6] / (np.array(config.nominal.inertia) * gain)
     tilt, yaw = config.attitude_gain
     turn = rates / np.array([tilt, tilt, yaw])
-    wanted = product(odometry[3:7], exponential(turn))
-    return tilt_limited(wanted, max_tilt_rad)
+    desired = quaternion_product(odometry[3:7], quaternion_exp(turn))
+    return limit_tilt(desired, max_tilt_rad)
 
 
-def understood(wrench: Array, config: ControllerConfig) -> Array:
-    """Axes (3,) whose torque is within its limit: only there does `from_wrench` find what was meant.
+def unsaturated_axes(wrench: Array, config: ControllerConfig) -> Array:
+    """Axes (3,) whose torque is within its limit: only there is `attitude_from_wrench` exact.
 
-    A torque at its limit says "more", not how much: the attitude read from it is a little ahead of the
-    vehicle's own, and turns as the vehicle does.
+    A torque at its limit says "more", not how much. The attitude read from it is a little ahead of the
+    vehicle's own attitude, and turns as the vehicle does.
     """
     return np.asarray(np.abs(wrench[3:6]) < _AT_LIMIT * np.array(config.max_torque))
 
 
-def product(a: Array, b: Array) -> Array:
+def quaternion_product(a: Array, b: Array) -> Array:
     """Quaternion a b, both x y z w."""
     ax, ay, az, aw = a
     bx, by, bz, bw = b
@@ -70,45 +72,46 @@ def product(a: Array, b: Array) -> Array:
     )
 
 
-def exponential(turn: Array) -> Array:
+def quaternion_exp(turn: Array) -> Array:
     """Quaternion (4,) x y z w of a rotation vector (3,) [rad]."""
     angle = math.sqrt(float(turn @ turn))
-    share = 0.5 if angle < 1e-9 else math.sin(0.5 * angle) / angle
-    return np.array([*(share * turn), math.cos(0.5 * angle)])
+    scale = 0.5 if angle < 1e-9 else math.sin(0.5 * angle) / angle
+    return np.array([*(scale * turn), math.cos(0.5 * angle)])
 
 
-def tilt_limited(quaternion: Array, max_tilt_rad: float) -> Array:
-    """The attitude with its thrust axis no farther from vertical than allowed, turned straight back."""
+def limit_tilt(quaternion: Array, max_tilt_rad: float) -> Array:
+    """The attitude turned straight back until its thrust axis is within the allowed tilt."""
     up = rotation_from_quaternion(quaternion)[:, 2]
     tilt = math.acos(min(max(float(up[2]), -1.0), 1.0))
     level = math.hypot(up[0], up[1])
     if tilt <= max_tilt_rad or level < 1e-9:
         return quaternion
-    axis = np.array([-up[1], up[0], 0.0]) / level  # towards more tilt
-    back = product(exponential(-(tilt - max_tilt_rad) * axis), quaternion)
+    axis = np.array([-up[1], up[0], 0.0]) / level  # a turn about it increases the tilt
+    back = quaternion_product(quaternion_exp(-(tilt - max_tilt_rad) * axis), quaternion)
     return back / math.sqrt(float(back @ back))
 
 
-def pointing(force_enu: Array, yaw_enu_rad: float) -> Array:
-    """Attitude (4,) x y z w whose z is along a force (3,) and whose x points along a heading."""
+def attitude_from_force(force_enu: Array, yaw_enu_rad: float) -> Array:
+    """Attitude (4,) x y z w whose z axis is along a force (3,) and whose x axis has a heading."""
     up = force_enu / math.sqrt(float(force_enu @ force_enu))
     level = math.hypot(up[0], up[1])
     tilt = math.acos(min(max(float(up[2]), -1.0), 1.0))
     axis = np.zeros(3) if level < 1e-9 else np.array([-up[1], up[0], 0.0]) / level
-    return product(exponential(tilt * axis), exponential(np.array([0.0, 0.0, yaw_enu_rad])))
+    heading = quaternion_exp(np.array([0.0, 0.0, yaw_enu_rad]))
+    return quaternion_product(quaternion_exp(tilt * axis), heading)
 
 
 class PointHold:
     """Acceleration towards a point: proportional, damped, with a slow integral against the wind.
 
-    For vehicles that take attitude targets only, before the formation begins and when it fails.
+    It is for vehicles that take attitude targets only, before the formation begins and when it fails.
     """
 
     _STIFFNESS_1_S2 = 1.4
     _DAMPING_1_S = 2.2
     _INTEGRAL_1_S3 = 0.3
-    _MOST_M_S2 = 2.5
-    _MOST_INTEGRAL_M_S2 = 2.0
+    _MAX_M_S2 = 2.5
+    _MAX_INTEGRAL_M_S2 = 2.0
 
     def __init__(self, gravity_m_s2: float) -> None:
         self._gravity = gravity_m_s2
@@ -118,14 +121,159 @@ class PointHold:
         """Forget the wind."""
         self._integral = np.zeros(3)
 
-    def force_per_kg(self, odometry: Array, place_enu: Array, dt: float) -> Array:
-        """Specific force (3,) [m/s^2, ENU] that brings the vehicle to `place_enu` (3,) [m]."""
-        off = place_enu - odometry[0:3]
+    def force_per_kg(self, odometry: Array, position_enu: Array, dt: float) -> Array:
+        """Specific force (3,) [m/s^2, ENU] that brings the vehicle to `position_enu` (3,) [m]."""
+        error = position_enu - odometry[0:3]
         velocity = rotation_from_quaternion(odometry[3:7]) @ odometry[7:10]
-        limit = self._MOST_INTEGRAL_M_S2
-        near = np.clip(off, -0.5, 0.5)
+        limit = self._MAX_INTEGRAL_M_S2
+        near = np.clip(error, -0.5, 0.5)
         self._integral = np.clip(self._integral + dt * self._INTEGRAL_1_S3 * near, -limit, limit)
-        wanted = self._STIFFNESS_1_S2 * off - self._DAMPING_1_S * velocity + self._integral
-        wanted = np.clip(wanted, -self._MOST_M_S2, self._MOST_M_S2)
-        wanted[2] += self._gravity
-        return np.asarray(wanted)
+        force = self._STIFFNESS_1_S2 * error - self._DAMPING_1_S * velocity + self._integral
+        force = np.clip(force, -self._MAX_M_S2, self._MAX_M_S2)
+        force[2] += self._gravity
+        return np.asarray(force)
+
+
+class BodyRateEstimator:
+    """Body rates (3,) [rad/s, FLU of the target] of a sequence of attitude targets, smoothed.
+
+    They are a feed-forward for the vehicle's attitude loop: the vehicle adds them to the rates with which
+    it turns towards the target. So they must be the target's own rates. A target that was computed from the
+    measured attitude and moves with it would feed the vehicle's own turning back to it.
+    """
+
+    _SMOOTHING_S = 0.15
+    _MAX_RAD_S = 2.0
+    _MAX_GAP_S = 0.2
+
+    def __init__(self) -> None:
+        self._rates = np.zeros(3)
+        self._last: Array | None = None
+        self._last_s = 0.0
+        self._known = np.zeros(3, dtype=bool)
+
+    def update(self, quaternion: Array, known: Array, at_s: float) -> Array:
+        """The body rates with this target.
+
+        Args:
+            quaternion: (4,) x y z w, FLU to ENU.
+            known: (3,) axes about which the target is the controller's own; the rate about others is zero.
+            at_s: the instant that the target belongs to; a target that is not newer changes nothing.
+        """
+        last, dt = self._last, at_s - self._last_s
+        if last is not None and dt <= 0.0:
+            return self._rates
+        if last is None or dt > self._MAX_GAP_S:
+            self._rates = np.zeros(3)
+        else:
+            step = quaternion_product(last * _CONJUGATE, quaternion)
+            measured = 2.0 * np.copysign(1.0, step[3]) * step[0:3] / dt
+            if np.abs(measured).max() > self._MAX_RAD_S:
+                measured = np.zeros(3)  # the target jumped: that is no motion of the target
+            smoothed = self._rates + dt / (self._SMOOTHING_S + dt) * (measured - self._rates)
+            self._rates = np.where(known & self._known, smoothed, 0.0)
+        self._last, self._last_s, self._known = quaternion, at_s, known
+        return self._rates
+
+
+def vertical_rate(rates: Array, quaternion: Array) -> float:
+    """The part about the vertical of body rates (3,) [rad/s, FLU] of a target (4,), positive to the left."""
+    return float(rotation_from_quaternion(quaternion)[2] @ rates)
+
+
+class HoverThrust:
+    """Normalised thrust at hover: from a parameter, then from what thrust does to the velocity."""
+
+    _MIN_THRUST, _MAX_THRUST = 0.05, 0.95
+    _RANGE = 0.5  # the estimate stays within this share of its first value
+    _TIME_S = 2.0
+    _SPAN_S = 0.2
+    _LEVEL = (
+        0.5  # upward part of the thrust axis; a vehicle tilted farther shows nothing about hovering
+    )
+
+    def __init__(self, first: float, gravity_m_s2: float) -> None:
+        self.value = first
+        self._bounds = (first * (1.0 - self._RANGE), min(first * (1.0 + self._RANGE), 0.9))
+        self._gravity = gravity_m_s2
+        self._since: tuple[float, float] | None = None  # (time, upward velocity)
+        self._sum = 0.0
+        self._count = 0
+
+    def on_sent(self, thrust: float) -> None:
+        """Count a thrust that was sent."""
+        self._sum += thrust
+        self._count += 1
+
+    def on_odometry(self, now_s: float, odometry: Array) -> None:
+        """Learn from every new odometry (13,) while the bridge sends the thrust."""
+        rotation = rotation_from_quaternion(odometry[3:7])
+        climb = float(rotation[2] @ odometry[7:10])
+        if self._since is None or now_s - self._since[0] > 2 * self._SPAN_S:
+            return self._restart(now_s, climb)
+        span = now_s - self._since[0]
+        if span < self._SPAN_S or not self._count:
+            return None
+        lift = ((climb - self._since[1]) / span + self._gravity) / max(rotation[2, 2], self._LEVEL)
+        if lift > 0.2 * self._gravity and rotation[2, 2] > self._LEVEL:
+            measured = self._sum / self._count * self._gravity / lift
+            share = span / (self._TIME_S + span)
+            self.value += share * (measured - self.value)
+            self.value = min(max(self.value, self._bounds[0]), self._bounds[1])
+        return self._restart(now_s, climb)
+
+    def _restart(self, now_s: float, climb: float) -> None:
+        self._since = (now_s, climb)
+        self._sum, self._count = 0.0, 0
+
+    def normalised(self, force_n: float, mass_kg: float) -> float:
+        """Thrust 0 to 1 for a force along body z [N]."""
+        thrust = self.value * force_n / (mass_kg * self._gravity)
+        return min(max(thrust, self._MIN_THRUST), self._MAX_THRUST)
+
+
+class AttitudeTargets:
+    """Complete attitude targets for one vehicle: their body rates, and the thrust that its hover thrust asks for."""
+
+    def __init__(self, config: ControllerConfig, hover_thrust: float) -> None:
+        self._config = config
+        self.hover = HoverThrust(hover_thrust, config.gravity)
+        self._point_hold = PointHold(config.gravity)
+        self._body_rates = BodyRateEstimator()
+
+    def restart(self, armed: bool) -> None:
+        """Begin a new sequence of targets; a vehicle on the ground also forgets the wind."""
+        self._body_rates = BodyRateEstimator()
+        if not armed:
+            self._point_hold.reset()
+
+    def for_wrench(
+        self, wrench: Array, odometry: Array, sampled_s: float, flight_s: float, max_tilt_rad: float
+    ) -> AttitudeTarget:
+        """The target for a wrench (6,) computed from the odometry (13,) sampled at `sampled_s`."""
+        quaternion = attitude_from_wrench(wrench, odometry, flight_s, self._config, max_tilt_rad)
+        known = unsaturated_axes(wrench, self._config)
+        rates = self._body_rates.update(quaternion, known, sampled_s)
+        return self._with_thrust(quaternion, rates, wrench[2] / self._config.nominal[0])
+
+    def for_point(
+        self,
+        position: Array,
+        yaw: float,
+        odometry: Array,
+        now_s: float,
+        dt: float,
+        max_tilt_rad: float,
+    ) -> AttitudeTarget:
+        """The target that holds a point (3,) [m, ENU] with a heading."""
+        force = self._point_hold.force_per_kg(odometry, position, dt)
+        quaternion = limit_tilt(attitude_from_force(force, yaw), max_tilt_rad)
+        along = float(force @ rotation_from_quaternion(odometry[3:7])[:, 2])
+        rates = self._body_rates.update(quaternion, _ALL_AXES, now_s)
+        return self._with_thrust(quaternion, rates, along)
+
+    def _with_thrust(self, quaternion: Array, rates: Array, force_per_kg: float) -> AttitudeTarget:
+        mass = self._config.nominal[0]
+        thrust = self.hover.normalised(force_per_kg * mass, mass)
+        self.hover.on_sent(thrust)
+        return AttitudeTarget(quaternion, rates, thrust)

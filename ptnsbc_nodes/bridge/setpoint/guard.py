@@ -1,4 +1,4 @@
-"""What no setpoint may ask for: clamps that report, and the fence."""
+"""Limits of setpoints: clamps that count, and the geofence."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ptnsbc_core.types import Array
 from ptnsbc_io.mavlink.autopilots import AutopilotLimits
 from ptnsbc_sim.scenario.mavlink import Geofence, VehicleLimits
 
-_APPROACH_1_S = 1.0  # speed towards the fence per metre of room
+_APPROACH_1_S = 1.0  # allowed speed towards the fence per metre of distance
 _SLACK_M = 1.0
 _EPSILON = 1e-9
 
@@ -28,66 +28,58 @@ class SetpointLimits(NamedTuple):
 
     @property
     def planner_m_s(self) -> float:
-        """Speed limit for the planner, which knows one number: descents are clamped besides."""
+        """Speed limit for the planner, which knows one number only; descents are clamped besides."""
         return min(self.horizontal_m_s, self.up_m_s)
 
 
-def allowed(wanted: VehicleLimits, own: AutopilotLimits) -> SetpointLimits:
-    """The limits of the scenario taken down to the vehicle's."""
+def allowed(scenario: VehicleLimits, vehicle: AutopilotLimits) -> SetpointLimits:
+    """The limits of the scenario taken down to those of the vehicle."""
 
-    def lower(ours: float, theirs: float | None) -> float:
+    def lower(name: str) -> float:
+        ours, theirs = float(getattr(scenario, name)), getattr(vehicle, name)
         return ours if theirs is None else min(ours, theirs)
 
-    return SetpointLimits(
-        lower(wanted.horizontal_m_s, own.horizontal_m_s),
-        lower(wanted.up_m_s, own.up_m_s),
-        lower(wanted.down_m_s, own.down_m_s),
-        lower(wanted.acceleration_m_s2, own.acceleration_m_s2),
-        lower(wanted.tilt_rad, own.tilt_rad),
-    )
+    return SetpointLimits(*map(lower, SetpointLimits._fields))
 
 
 class SetpointGuard:
-    """Clamps setpoints and counts how often."""
+    """Clamps setpoints, and counts how often."""
 
     def __init__(self, fence: Geofence, limits: SetpointLimits) -> None:
         self.limits = limits
-        self._radius_m = fence.radius_m
-        self._low = None if fence.box_min_m is None else np.array(fence.box_min_m)
-        self._high = None if fence.box_max_m is None else np.array(fence.box_max_m)
+        self._radius_m = math.inf if fence.radius_m is None else fence.radius_m
+        self._low = np.array([-np.inf] * 3 if fence.box_min_m is None else fence.box_min_m)
+        self._high = np.array([np.inf] * 3 if fence.box_max_m is None else fence.box_max_m)
         self.clamped: Counter[str] = Counter()
 
-    def velocity(self, wanted_enu: Array, position_enu: Array) -> Array:
+    def velocity(self, velocity_enu: Array, position_enu: Array) -> Array:
         """The velocity setpoint (3,) [m/s] that may be sent at this position."""
-        out = self._slowed(np.array(wanted_enu, dtype=np.float64))
-        out = self._boxed(out, position_enu)
-        return self._within_radius(out, position_enu)
+        out = self._limit_speed(np.array(velocity_enu, dtype=np.float64))
+        out = self._limit_to_box(out, position_enu)
+        return self._limit_to_radius(out, position_enu)
 
-    def place(self, wanted_enu: Array) -> Array:
+    def position(self, position_enu: Array) -> Array:
         """The position setpoint (3,) [m] that may be sent: inside the fence."""
-        out = np.array(wanted_enu, dtype=np.float64)
-        if self._low is not None and self._high is not None:
-            out = np.clip(out, self._low, self._high)
+        out = np.clip(np.array(position_enu, dtype=np.float64), self._low, self._high)
         distance = math.hypot(out[0], out[1])
-        if self._radius_m is not None and distance > self._radius_m:
+        if distance > self._radius_m:
             out[0:2] *= self._radius_m / distance
-        if np.abs(out - wanted_enu).max() > _EPSILON:
+        if np.abs(out - position_enu).max() > _EPSILON:
             self.clamped["fence"] += 1
         return out
 
     def breach(self, position_enu: Array) -> str:
-        """Why the vehicle must land, empty while it is inside the fence, or grazes it."""
-        if self._low is not None and self._high is not None:
-            outside = np.maximum(self._low - position_enu, position_enu - self._high)
-            worst = int(np.argmax(outside))
-            if outside[worst] > _SLACK_M:
-                return f"outside the geofence: {'xyz'[worst]} = {position_enu[worst]:.1f} m"
+        """Why the vehicle must land; empty while it is inside the fence or at most a metre outside."""
+        outside = np.maximum(self._low - position_enu, position_enu - self._high)
+        worst = int(np.argmax(outside))
+        if outside[worst] > _SLACK_M:
+            return f"outside the geofence: {'xyz'[worst]} = {position_enu[worst]:.1f} m"
         distance = math.hypot(position_enu[0], position_enu[1])
-        if self._radius_m is not None and distance > self._radius_m + _SLACK_M:
+        if distance > self._radius_m + _SLACK_M:
             return f"outside the geofence: {distance:.1f} m of {self._radius_m:g} m from the origin"
         return ""
 
-    def _slowed(self, out: Array) -> Array:
+    def _limit_speed(self, out: Array) -> Array:
         speed = math.hypot(out[0], out[1])
         if speed > self.limits.horizontal_m_s + _EPSILON:
             out[0:2] *= self.limits.horizontal_m_s / speed
@@ -100,24 +92,22 @@ class SetpointGuard:
             self.clamped["down"] += 1
         return out
 
-    def _boxed(self, out: Array, position: Array) -> Array:
-        if self._low is None or self._high is None:
-            return out
-        most = _APPROACH_1_S * np.maximum(self._high - position, 0.0)
-        least = -_APPROACH_1_S * np.maximum(position - self._low, 0.0)
-        bounded: Array = np.clip(out, least, most)
+    def _limit_to_box(self, out: Array, position: Array) -> Array:
+        high = _APPROACH_1_S * np.maximum(self._high - position, 0.0)
+        low = -_APPROACH_1_S * np.maximum(position - self._low, 0.0)
+        bounded: Array = np.clip(out, low, high)
         if np.abs(bounded - out).max() > _EPSILON:
             self.clamped["fence"] += 1
         return bounded
 
-    def _within_radius(self, out: Array, position: Array) -> Array:
+    def _limit_to_radius(self, out: Array, position: Array) -> Array:
         distance = math.hypot(position[0], position[1])
-        if self._radius_m is None or distance < _EPSILON:
+        if distance < _EPSILON:
             return out
         outward = position[0:2] / distance
         speed = float(outward @ out[0:2])
-        most = _APPROACH_1_S * max(self._radius_m - distance, 0.0)
-        if speed > most + _EPSILON:
-            out[0:2] -= (speed - most) * outward
+        limit = _APPROACH_1_S * max(self._radius_m - distance, 0.0)
+        if speed > limit + _EPSILON:
+            out[0:2] -= (speed - limit) * outward
             self.clamped["fence"] += 1
         return out

@@ -1,215 +1,207 @@
-"""The setpoint stream: what is sent at each tick, for whatever the procedure asks of it."""
+"""The setpoint stream: the message that is sent at each tick, for whatever the procedure asks of it."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ptnsbc_core.algebra import wrap_angle
-from ptnsbc_core.kinematics import rotation_from_quaternion, yaw_of
+from ptnsbc_core.kinematics import yaw_of
 from ptnsbc_core.trajectory import reference
 from ptnsbc_core.types import AgentConfig, Array
-from ptnsbc_io.mavlink.autopilots import Autopilot
-from ptnsbc_nodes.bridge.controller import SetpointReply, wanted_yaw
+from ptnsbc_io.mavlink.autopilots import AUTOPILOTS, limits
+from ptnsbc_nodes.bridge.controller import SetpointReply
 from ptnsbc_nodes.bridge.procedure.steps import Stream
-from ptnsbc_nodes.bridge.setpoint.attitude import (
-    AttitudeTarget,
-    PointHold,
-    from_wrench,
-    pointing,
-    tilt_limited,
-    understood,
-)
-from ptnsbc_nodes.bridge.setpoint.body_rates import BodyRateEstimator
-from ptnsbc_nodes.bridge.setpoint.guard import SetpointGuard
-from ptnsbc_nodes.bridge.setpoint.hover_thrust import HoverThrust
-from ptnsbc_nodes.bridge.setpoint.messages import Setpoints
-from ptnsbc_sim.scenario.mavlink import SetpointKind
+from ptnsbc_nodes.bridge.setpoint.attitude import AttitudeTarget, AttitudeTargets
+from ptnsbc_nodes.bridge.setpoint.guard import SetpointGuard, allowed
+from ptnsbc_nodes.bridge.setpoint.messages import SetpointMessages
+from ptnsbc_nodes.runtime.pacing import Latency
+from ptnsbc_sim.scenario.mavlink import Mavlink, VehicleLink
 
 _CLIMB_M_S = 1.0
 _TURN_RAD_S = 0.7
-_TURNED_RAD = 0.2
-_AHEAD_M = 1.0  # a target no farther above the vehicle than this
+_HEADING_TOLERANCE_RAD = 0.2
+_AHEAD_M = 1.0  # the climbing target is at most this far above the vehicle
 _LEASH_M = 1.5
-_LONGEST_STEP_S = 0.1
-_ALL_AXES = np.ones(3, dtype=bool)
-_PUSH_S = 0.1  # smoothing of the feed-forward: the planner passes the noise of positions on
+_MAX_STEP_S = 0.1
+_SMOOTHING_S = 0.1  # of the feed-forward: the planner passes the noise of positions on
 
 
-class HoldPoint:
-    """A point to be at and a heading to keep."""
+class _HoldPoint:
+    """A position to hold and a heading to keep."""
 
     def __init__(self, odometry: Array) -> None:
         self.position = odometry[0:3].copy()  # (3,) [m], world
         self.yaw = yaw_of(odometry)
 
 
-class SetpointStream:
-    """Turns orders and wishes into messages; the world frame ends here."""
+class _Climb:
+    """The take-off by setpoints: straight up at a walking pace while turning to the formation's heading.
 
-    def __init__(
-        self,
-        autopilot: Autopilot,
-        kind: SetpointKind,
-        config: AgentConfig,
-        guard: SetpointGuard,
-        messages: Setpoints,
-        hover: HoverThrust,
-        feed_forward: bool,
-        climb_to_m: float,
-    ) -> None:
-        self._autopilot = autopilot
-        self._kind = kind
-        self._config = config
-        self._guard = guard
-        self._messages = messages
-        self._climb_to_m = climb_to_m
-        self._heading = reference(config.trajectory, 0.0).yaw
-        self._feed_forward = feed_forward
-        self._point_hold = PointHold(config.controller.gravity)
-        self._turning = BodyRateEstimator()
-        self.hover = hover
-        self._carried = Stream.NONE
-        self._place: HoldPoint | None = None
-        self._climb: HoldPoint | None = None
+    A formation that begins with a turn swings, because the wrench gives tilt and heading as one rotation.
+    """
+
+    def __init__(self, height_m: float, heading: float) -> None:
+        self._height_m = height_m
+        self._heading = heading
         self._ground_m = 0.0
-        self._reference: Array | None = None  # of position_velocity
-        self._last: Array | None = None  # velocity setpoint before, for the feed-forward
-        self._pushed = np.zeros(3)
-        self._now_s = float("inf")
-        self._dt = 0.0
+        self._target: _HoldPoint | None = None
 
-    def turned(self, odometry: Array) -> bool:
-        """Whether the vehicle has the heading with which the formation begins, where it climbed by itself."""
-        return (
-            self._climb is None or abs(wrap_angle(yaw_of(odometry) - self._heading)) < _TURNED_RAD
+    def reset(self, ground_m: float) -> None:
+        """The vehicle stands on the ground at this height of the world."""
+        self._target, self._ground_m = None, ground_m
+
+    def heading_reached(self, odometry: Array) -> bool:
+        """Whether the vehicle has the heading with which the formation begins, if it climbed by setpoints."""
+        error = wrap_angle(yaw_of(odometry) - self._heading)
+        return self._target is None or abs(error) < _HEADING_TOLERANCE_RAD
+
+    def target(self, odometry: Array, dt: float, up_m_s: float) -> _HoldPoint:
+        """The target of this tick."""
+        if self._target is None:
+            self._target = _HoldPoint(odometry)
+        target, turn = self._target, dt * _TURN_RAD_S
+        target.yaw = wrap_angle(
+            target.yaw + min(max(wrap_angle(self._heading - target.yaw), -turn), turn)
         )
+        up = min(target.position[2] + dt * min(_CLIMB_M_S, up_m_s), float(odometry[2]) + _AHEAD_M)
+        target.position[2] = min(up, self._ground_m + self._height_m)
+        return target
 
-    def message(
-        self,
-        carried: Stream,
-        now_s: float,
-        odometry: Array,
-        offset: Array,
-        wanted: SetpointReply | None,
-        armed: bool,
-        flight_s: float,
-    ) -> Any:
-        """The setpoint of this tick; None when there must be none.
 
-        Args:
-            carried: what the procedure asks for.
-            now_s: steady clock.
-            odometry: newest state (13,), world frame.
-            offset: world position of the vehicle's local origin (3,) [m].
-            wanted: newest setpoint of the UAV process.
-            armed: a disarmed vehicle is held where it stands, wherever that is.
-            flight_s: time since the first epoch [s], negative before it.
-        """
-        self._dt = min(max(now_s - self._now_s, 0.0), _LONGEST_STEP_S)
-        self._now_s = now_s
-        if carried is not self._carried or not armed:
-            self._begin(carried, odometry, armed)
-        if carried is Stream.PLANNER and wanted is not None:
-            return self._planned(wanted, odometry, offset, flight_s)
-        if carried is Stream.CLIMB:
-            return self._held(self._climbing(odometry), odometry, offset, armed)
-        if carried is Stream.HOLD and self._place is not None:
-            return self._held(self._place, odometry, offset, armed)
-        return None
+class _VelocityIntegral:
+    """What is derived from the sequence of velocity setpoints: a reference position and an acceleration."""
 
-    def _begin(self, carried: Stream, odometry: Array, armed: bool) -> None:
-        self._carried = carried
-        self._place = HoldPoint(odometry)
+    def __init__(self) -> None:
+        self._reference: Array | None = None
+        self._last: Array | None = None
+        self._acceleration = np.zeros(3)
+
+    def restart(self) -> None:
+        """The next velocity begins a new sequence."""
         self._reference = self._last = None
-        self._turning = BodyRateEstimator()
-        if not armed:
-            self._climb, self._ground_m = None, float(odometry[2])
-            self._point_hold.reset()
 
-    def _climbing(self, odometry: Array) -> HoldPoint:
-        """Straight up from where it stood, at a walking pace, turning to the formation's heading; then stay.
+    def position(self, velocity: Array, odometry: Array, dt: float) -> Array:
+        """The position to which the velocity setpoints lead, at most a leash away from the vehicle.
 
-        A formation that begins with a turn swings: the wrench tells tilt and heading as one rotation.
-        """
-        if self._climb is None:
-            self._climb = HoldPoint(odometry)
-        place, height = self._climb, float(odometry[2])
-        most = self._dt * _TURN_RAD_S
-        place.yaw = wrap_angle(
-            place.yaw + min(max(wrap_angle(self._heading - place.yaw), -most), most)
-        )
-        pace = min(_CLIMB_M_S, self._guard.limits.up_m_s)
-        up = min(place.position[2] + self._dt * pace, height + _AHEAD_M)
-        place.position[2] = min(up, self._ground_m + self._climb_to_m)
-        return place
-
-    def _held(self, place: HoldPoint, odometry: Array, offset: Array, armed: bool) -> Any:
-        position = self._guard.place(place.position)
-        if not self._autopilot.attitude_only:
-            return self._messages.place(self._now_s, position - offset, place.yaw)
-        if not armed:  # nothing may turn before the vehicle is meant to lift
-            level = AttitudeTarget(odometry[3:7], np.zeros(3), 0.0)
-            return self._messages.attitude(self._now_s, level)
-        pull = self._point_hold.force_per_kg(odometry, position, self._dt)
-        quaternion = tilt_limited(pointing(pull, place.yaw), self._guard.limits.tilt_rad)
-        along = float(pull @ rotation_from_quaternion(odometry[3:7])[:, 2])
-        rates = self._turning.of(quaternion, _ALL_AXES, self._now_s)
-        return self._pulled(quaternion, rates, along)
-
-    def _planned(
-        self, wanted: SetpointReply, odometry: Array, offset: Array, flight_s: float
-    ) -> Any:
-        controller = self._config.controller
-        if self._kind == "attitude":
-            quaternion = from_wrench(
-                wanted.values,
-                wanted.told.odometry,
-                flight_s,
-                controller,
-                self._guard.limits.tilt_rad,
-            )
-            known = understood(wanted.values, controller)
-            rates = self._turning.of(quaternion, known, wanted.told.sampled_s)
-            return self._pulled(quaternion, rates, wanted.values[2] / controller.nominal[0])
-        velocity = self._guard.velocity(wanted.values[0:3], odometry[0:3])
-        yaw = wanted_yaw(wanted, controller.attitude_gain[1])
-        push = self._push(velocity) if self._feed_forward else None
-        if self._kind == "velocity":
-            return self._messages.velocity(self._now_s, velocity, push, yaw)
-        place = self._guard.place(self._referred(velocity, odometry)) - offset
-        return self._messages.both(self._now_s, place, velocity, push, yaw)
-
-    def _pulled(self, quaternion: Array, rates: Array, pull_m_s2: float) -> Any:
-        mass = self._config.controller.nominal[0]
-        thrust = self.hover.normalised(pull_m_s2 * mass, mass)
-        self.hover.sent(thrust)
-        return self._messages.attitude(self._now_s, AttitudeTarget(quaternion, rates, thrust))
-
-    def _referred(self, velocity: Array, odometry: Array) -> Array:
-        """Where the velocity setpoints lead, no farther from the vehicle than a leash.
-
-        With both loops closed, the planner's and the vehicle's, the reference is an integral: it ends
-        where the vehicle is where the planner wants it, whatever its velocity estimate drifts by.
+        The planner and the vehicle both close a loop, and the reference is the integral between them. It
+        settles where the vehicle is where the planner wants it, even if the velocity estimate drifts.
         """
         if self._reference is None:
             self._reference = odometry[0:3].copy()
-        self._reference = self._reference + self._dt * velocity
+        self._reference = self._reference + dt * velocity
         off = self._reference - odometry[0:3]
         distance = float(np.sqrt(off @ off))
         if distance > _LEASH_M:
             self._reference = odometry[0:3] + off * (_LEASH_M / distance)
         return np.asarray(self._reference)
 
-    def _push(self, velocity: Array) -> Array:
+    def acceleration(self, velocity: Array, dt: float, limit_m_s2: float) -> Array:
         """Rate of change of the setpoint (3,) [m/s^2], smoothed, within the vehicle's limit."""
         last, self._last = self._last, velocity
-        if last is None or self._dt <= 0.0:
-            self._pushed = np.zeros(3)
-            return self._pushed
-        limit = self._guard.limits.acceleration_m_s2
-        rate = np.clip((velocity - last) / self._dt, -limit, limit)
-        share = self._dt / (_PUSH_S + self._dt)
-        self._pushed = self._pushed + share * (rate - self._pushed)
-        return np.asarray(self._pushed)
+        if last is None or dt <= 0.0:
+            self._acceleration = np.zeros(3)
+        else:
+            rate = np.clip((velocity - last) / dt, -limit_m_s2, limit_m_s2)
+            share = dt / (_SMOOTHING_S + dt)
+            self._acceleration = self._acceleration + share * (rate - self._acceleration)
+        return np.asarray(self._acceleration)
+
+
+class StreamInput(NamedTuple):
+    """What one tick of the stream depends on."""
+
+    stream: Stream  # what the procedure asks for
+    now_s: float  # steady clock
+    odometry: Array  # newest state (13,), world frame
+    offset: Array  # world position of the vehicle's local origin (3,) [m]
+    reply: SetpointReply | None  # newest setpoint of the UAV process
+    armed: bool  # a disarmed vehicle is held where it stands, wherever that is
+    flight_s: float  # time since the first epoch [s], negative before it
+
+
+class SetpointStream:
+    """Turns the procedure's and the controller's requests into messages; the world frame ends here."""
+
+    def __init__(self, link: VehicleLink, mavlink: Mavlink, config: AgentConfig) -> None:
+        autopilot = AUTOPILOTS[link.autopilot]
+        self._attitude_only = autopilot.attitude_only
+        self._setpoint = link.setpoint
+        self._feed_forward = mavlink.acceleration_feed_forward
+        self._yaw_gain = config.controller.attitude_gain[1]
+        self.guard = SetpointGuard(mavlink.geofence, allowed(mavlink.limits, limits({})))
+        self._messages = SetpointMessages(autopilot, link.sysid)
+        self.attitude = AttitudeTargets(config.controller, mavlink.hover_thrust)
+        self.climb = _Climb(mavlink.takeoff_height_m, reference(config.trajectory, 0.0).yaw)
+        self._integral = _VelocityIntegral()
+        self.latency = Latency()
+        self._stream = Stream.NONE
+        self._hold: _HoldPoint | None = None
+        self._last_s = float("inf")
+
+    def message(self, tick: StreamInput) -> Any:
+        """The setpoint of this tick; None when none may be sent."""
+        dt = min(max(tick.now_s - self._last_s, 0.0), _MAX_STEP_S)
+        self._last_s = tick.now_s
+        if tick.stream is not self._stream or not tick.armed:
+            self._restart(tick)
+        if tick.stream is Stream.PLANNER and tick.reply is not None:
+            self.latency.add(tick.now_s - tick.reply.odometry.arrived_s)
+            return self._follow(tick, tick.reply, dt)
+        if tick.stream is Stream.CLIMB:
+            return self._hold_at(
+                self.climb.target(tick.odometry, dt, self.guard.limits.up_m_s), tick, dt
+            )
+        if tick.stream is Stream.HOLD and self._hold is not None:
+            return self._hold_at(self._hold, tick, dt)
+        return None
+
+    def _restart(self, tick: StreamInput) -> None:
+        self._stream = tick.stream
+        self._hold = _HoldPoint(tick.odometry)
+        self._integral.restart()
+        self.attitude.restart(tick.armed)
+        if not tick.armed:
+            self.climb.reset(float(tick.odometry[2]))
+
+    def _hold_at(self, target: _HoldPoint, tick: StreamInput, dt: float) -> Any:
+        now_s, position = tick.now_s, self.guard.position(target.position)
+        if not self._attitude_only:
+            local = position - tick.offset
+            return self._messages.position_target(now_s, target.yaw, position=local)
+        if not tick.armed:  # the rotors must not turn before the vehicle is meant to lift
+            level = AttitudeTarget(tick.odometry[3:7], np.zeros(3), 0.0)
+            return self._messages.attitude(now_s, level)
+        attitude = self.attitude.for_point(
+            position, target.yaw, tick.odometry, now_s, dt, self.guard.limits.tilt_rad
+        )
+        return self._messages.attitude(now_s, attitude)
+
+    def _follow(self, tick: StreamInput, reply: SetpointReply, dt: float) -> Any:
+        """The controller's setpoint as a message."""
+        answered, guard = reply.odometry, self.guard
+        if self._setpoint == "attitude":
+            attitude = self.attitude.for_wrench(
+                reply.values,
+                answered.values,
+                answered.sampled_s,
+                tick.flight_s,
+                guard.limits.tilt_rad,
+            )
+            return self._messages.attitude(tick.now_s, attitude)
+        velocity = guard.velocity(reply.values[0:3], tick.odometry[0:3])
+        acceleration = position = None
+        if self._feed_forward:
+            limit = guard.limits.acceleration_m_s2
+            acceleration = self._integral.acceleration(velocity, dt, limit)
+        if self._setpoint == "position_velocity":
+            target = self._integral.position(velocity, tick.odometry, dt)
+            position = guard.position(target) - tick.offset
+        return self._messages.position_target(
+            tick.now_s,
+            reply.desired_yaw(self._yaw_gain),
+            position=position,
+            velocity=velocity,
+            acceleration=acceleration,
+        )

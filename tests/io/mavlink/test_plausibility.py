@@ -68,13 +68,21 @@ class Flown:
         self.n += 1
 
     def hear(self, message, now=None):
-        sample = self.vehicle.hear(message, 1000.0 + DT * self.n if now is None else now)
+        sample = self.vehicle.on_message(message, 1000.0 + DT * self.n if now is None else now)
         if sample is not None:
             self.samples.append(sample)
 
     def facts(self):
         v = self.vehicle
-        return v.mode, v.armed, v.landed, v.rebooted, v.stranger, v.anchor.place, v.fix_lost(1e9)
+        return (
+            v.mode,
+            v.armed,
+            v.landed,
+            v.rebooted,
+            v.wrong_vehicle,
+            v.anchor.place,
+            v.fix_lost(1e9),
+        )
 
 
 def test_a_real_change_costs_one_message():
@@ -90,7 +98,7 @@ def test_a_real_change_costs_one_message():
 
 def test_a_signed_vehicle_is_believed_at_once():
     vehicle = VehicleMonitor(PX4, signed=True)
-    vehicle.hear(heartbeat(base_mode=ARMED, custom_mode=HOLD), 0.0)
+    vehicle.on_message(heartbeat(base_mode=ARMED, custom_mode=HOLD), 0.0)
     assert vehicle.mode is FlightMode.HOLD
 
 

@@ -72,7 +72,7 @@ def until(fleet, uav, step, seconds=10.0):
     fleet.run(seconds, until=lambda: uav.step is step)
 
 
-def told_last_s(fleet, uav):
+def published_last_s(fleet, uav):
     """How long ago the formation heard of this vehicle."""
     return fleet.now_s - START_S - (uav.stamps[-1] - BASE_NS) * 1e-9
 
@@ -97,7 +97,7 @@ def test_setpoints_end_the_stream_ends_the_failsafe_acts_and_then_the_pilot():
     fleet.run(3.0)
     assert uav.setpoints[-1][0] - taken < 1.6  # HEARTBEAT comes once a second
     assert "the pilot took over" in uav.bridge.procedure.fault
-    assert told_last_s(fleet, uav) > 1.0
+    assert published_last_s(fleet, uav) > 1.0
     assert fleet.now_s - uav.tracks[-1][0] < 0.1
 
 
@@ -130,7 +130,7 @@ def test_gps_lost_in_flight():
     inject(uav.vehicle, "gps", "off", fleet.now_s)
     until(fleet, uav, Step.FAILSAFE, 30.0)
     fleet.run(1.0)
-    assert told_last_s(fleet, uav) > 0.9
+    assert published_last_s(fleet, uav) > 0.9
     assert fleet.now_s - uav.setpoints[-1][0] > 0.9
 
 
@@ -150,7 +150,7 @@ def test_the_vehicles_clock_jumps_and_the_flight_goes_on(jump_s):
     inject(uav.vehicle, "clock", jump_s, fleet.now_s)
     fleet.run(10.0)
     assert uav.step is Step.FLY, fleet.report()
-    assert told_last_s(fleet, uav) < 0.1
+    assert published_last_s(fleet, uav) < 0.1
     for stamp, odometry in list(zip(uav.stamps, uav.odometry, strict=True))[-400:]:
         assert abs(odometry[0]) < 3.0, stamp
 
@@ -185,11 +185,11 @@ def test_a_fence_in_the_way_lands_it_no_farther_than_it_must():
     fleet = MavlinkFleet(scenario(**{"mavlink.takeoff_height_m": 3.0}), count=1)
     fleet.airborne()
     uav = fleet.uavs[1]
-    uav.bridge.guard._high[2] = 5.0  # the leader's path is at 8 m
+    uav.bridge.stream.guard._high[2] = 5.0  # the leader's path is at 8 m
     fleet.form().run(12.0)
-    assert uav.bridge.guard.clamped["fence"] > 100
+    assert uav.bridge.stream.guard.clamped["fence"] > 100
     assert max(odometry[2] for odometry in uav.odometry) < 5.3
-    uav.bridge.guard._high[2] = 3.0  # and now it is outside
+    uav.bridge.stream.guard._high[2] = 3.0  # and now it is outside
     until(fleet, uav, Step.LAND)
     assert "outside the geofence: z = " in uav.bridge.procedure.fault
 
@@ -213,15 +213,15 @@ def test_angles_are_heard_only_while_no_quaternions_come():
     fleet.run(3.0)
     assert uav.link.needless == frozenset()
     assert (uav.step, uav.bridge.procedure.fault) == (Step.FLY, ""), fleet.report()
-    assert told_last_s(fleet, uav) < 0.1
+    assert published_last_s(fleet, uav) < 0.1
 
 
 def test_stop_and_kill_in_flight():
     fleet, uav = one()
-    uav.bridge.inlets.halt = "land"
+    uav.inputs.stop_request = "land"
     until(fleet, uav, Step.DONE, 60.0)
     assert uav.bridge.procedure.fault == ""
     fleet, uav = one()
-    uav.bridge.inlets.halt = "kill"
+    uav.inputs.stop_request = "kill"
     until(fleet, uav, Step.FAILED, 3.0)
     assert not uav.vehicle.armed

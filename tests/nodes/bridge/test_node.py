@@ -32,9 +32,9 @@ def active(ros):
 
     def make():
         link = MavlinkLink(connect("udpout:127.0.0.1:9"), UAV, WANTED_MESSAGES, None)
-        shell = BridgeNode(node, scenario, UAV, edges, link, True, lambda: None)
-        shell.bridge.turn = lambda: None
-        return shell
+        bridge_node = BridgeNode(node, scenario, UAV, edges, link, True, lambda: None)
+        bridge_node.bridge.wait_and_serve = lambda: None
+        return bridge_node
 
     node.assign(make, lambda: None)
     node.autostart()
@@ -46,7 +46,7 @@ def active(ros):
 def test_in_flight_it_refuses_to_be_deactivated(active, step):
     bridge = active.work.bridge
     bridge.vehicle.armed = True
-    bridge.procedure._course.step = step
+    bridge.procedure._progress.step = step
     assert active.trigger_deactivate() is FAILURE
     assert isinstance(active.refusal, FlyingError)
     assert f"bridge3: {step.value}: expected a vehicle that is not flown" in str(active.refusal)
@@ -59,6 +59,6 @@ def test_in_flight_it_refuses_to_be_deactivated(active, step):
 @pytest.mark.parametrize("step", [Step.HEARTBEAT, Step.YIELDED])
 def test_what_somebody_else_flies_it_may_leave(active, step):
     active.work.bridge.vehicle.armed = True
-    active.work.bridge.procedure._course.step = step
+    active.work.bridge.procedure._progress.step = step
     assert active.trigger_deactivate() is SUCCESS
     assert active.trigger_activate() is SUCCESS

@@ -27,19 +27,18 @@ class Flight:
         self.lines = []
         self.procedure = Procedure(autopilot, HEIGHT, allow_arming, self.lines.append)
         self.autopilot = autopilot
-        self.seen = VehicleSnapshot(
+        self.snapshot = VehicleSnapshot(
             now_s=0.0,
             heartbeat_age_s=0.1,
-            parameters=True,
-            state=True,
+            parameters_read=True,
             controller_age_s=0.05,
             controller_ready=True,
             mode=FlightMode.HOLD,
             mode_name="4",
             landed=True,
         )
-        self.history = []  # (time, step, orders)
-        self.deaf = set()  # commands that the vehicle does not follow
+        self.history = []  # (time, step, output)
+        self.ignored = set()  # commands that the vehicle does not follow
         self.obeys = True
 
     @property
@@ -48,54 +47,54 @@ class Flight:
 
     def run(self, seconds=1000.0, until=None, **changes):
         """Time goes on, with `changes` in what is seen, until a step or for a while."""
-        self.seen = replace(self.seen, **changes)
-        end = self.seen.now_s + seconds
-        while self.seen.now_s < end and self.step is not until:
-            orders = self.procedure.advance(self.seen)
-            self.history.append((self.seen.now_s, self.step, orders))
-            self.seen = replace(self.seen, now_s=self.seen.now_s + DT)
+        self.snapshot = replace(self.snapshot, **changes)
+        end = self.snapshot.now_s + seconds
+        while self.snapshot.now_s < end and self.step is not until:
+            output = self.procedure.advance(self.snapshot)
+            self.history.append((self.snapshot.now_s, self.step, output))
+            self.snapshot = replace(self.snapshot, now_s=self.snapshot.now_s + DT)
             if self.obeys:
-                self._obey(orders)
+                self._obey(output)
         if until is not None:
             assert self.step is until, self.lines
         return self
 
-    def _obey(self, orders):
+    def _obey(self, output):
         new = {}
-        ask = None if orders.ask in self.deaf else orders.ask
-        if ask is CommandRequest.OWN_MODE:
+        command = None if output.command in self.ignored else output.command
+        if command is CommandRequest.OWN_MODE:
             new["mode"] = FlightMode.OWN
-        elif ask is CommandRequest.ARM:
+        elif command is CommandRequest.ARM:
             new["armed"] = True
-        elif ask is CommandRequest.LAND:
+        elif command is CommandRequest.LAND:
             new["mode"] = FlightMode.LAND
-        elif ask in (CommandRequest.DISARM, CommandRequest.KILL):
+        elif command in (CommandRequest.DISARM, CommandRequest.KILL):
             new["armed"] = False
-        climbing = ask is CommandRequest.TAKEOFF or orders.stream is Stream.CLIMB
-        if self.seen.armed and climbing:
+        climbing = command is CommandRequest.TAKEOFF or output.stream is Stream.CLIMB
+        if self.snapshot.armed and climbing:
             new.update(height_m=HEIGHT, landed=False)
-        if self.seen.mode is FlightMode.LAND and self.seen.armed:
-            height = self.seen.height_m - 0.7 * DT
+        if self.snapshot.mode is FlightMode.LAND and self.snapshot.armed:
+            height = self.snapshot.height_m - 0.7 * DT
             new["height_m"] = max(height, 0.0)
             new.update({"landed": True, "armed": False} if height < 0.0 else {})
-        self.seen = replace(self.seen, **new)
+        self.snapshot = replace(self.snapshot, **new)
 
     def streams(self, since_s=0.0):
-        return {orders.stream for t, _, orders in self.history if t >= since_s}
+        return {output.stream for t, _, output in self.history if t >= since_s}
 
-    def asked(self, since_s=0.0):
-        return [orders.ask for t, _, orders in self.history if orders.ask and t >= since_s]
+    def requested(self, since_s=0.0):
+        return [output.command for t, _, output in self.history if output.command and t >= since_s]
 
     def flying(self):
         return self.run(until=Step.AIRBORNE).run(until=Step.FLY, leg="form").run(1.0)
 
 
 def test_the_formation_waits_until_the_vehicle_has_turned():
-    flight = Flight().run(until=Step.AIRBORNE, turned=False)
+    flight = Flight().run(until=Step.AIRBORNE, heading_reached=False)
     flight.run(5.0)
     assert not flight.procedure.ready
     assert flight.procedure.awaited == "turning to the formation's heading"
-    flight.run(0.1, turned=True)
+    flight.run(0.1, heading_reached=True)
     assert flight.procedure.ready
     assert flight.procedure.awaited == ""
 
@@ -109,35 +108,39 @@ def test_from_heartbeat_to_disarmed(autopilot):
     assert flight.history[-1][2].stream is Stream.PLANNER
     flight.run(until=Step.DONE, leg="land")
     assert flight.procedure.fault == ""
-    asked = list(dict.fromkeys(flight.asked()))
+    requested = list(dict.fromkeys(flight.requested()))
     expected = [
         CommandRequest.OWN_MODE,
         CommandRequest.ARM,
         CommandRequest.TAKEOFF,
         CommandRequest.LAND,
     ]
-    assert asked == [
-        ask for ask in expected if ask is not CommandRequest.TAKEOFF or autopilot is ARDUPILOT
+    assert requested == [
+        command
+        for command in expected
+        if command is not CommandRequest.TAKEOFF or autopilot is ARDUPILOT
     ]
 
 
 def test_px4_hears_setpoints_for_more_than_a_second_before_offboard():
     flight = Flight().run(until=Step.ARM)
-    began = next(t for t, _, orders in flight.history if orders.stream is Stream.HOLD)
-    asked = next(t for t, _, orders in flight.history if orders.ask is CommandRequest.OWN_MODE)
-    assert asked - began > 1.0
+    began = next(t for t, _, output in flight.history if output.stream is Stream.HOLD)
+    requested = next(
+        t for t, _, output in flight.history if output.command is CommandRequest.OWN_MODE
+    )
+    assert requested - began > 1.0
 
 
 def test_ardupilot_gets_no_setpoint_before_it_is_in_the_air():
     flight = Flight(ARDUPILOT).run(until=Step.TAKEOFF)
     assert flight.streams() == {Stream.NONE}
-    assert CommandRequest.TAKEOFF in flight.run(until=Step.AIRBORNE).asked()
+    assert CommandRequest.TAKEOFF in flight.run(until=Step.AIRBORNE).requested()
 
 
 def test_nothing_is_armed_without_permission():
     flight = Flight(allow_arming=False).run(300.0)
     assert flight.step is Step.ARM
-    assert CommandRequest.ARM not in flight.asked()
+    assert CommandRequest.ARM not in flight.requested()
     # a pilot arms: still no take-off
     flight.run(10.0, armed=True)
     assert Stream.CLIMB not in flight.streams()
@@ -151,7 +154,7 @@ def test_a_vehicle_in_somebodys_hands_is_not_asked_to_change_its_mode():
     flight = Flight()
     flight.run(60.0, armed=True, landed=False, height_m=8.0, mode=FlightMode.OTHER)
     assert flight.step is Step.MODE
-    assert flight.asked() == []
+    assert flight.requested() == []
     flight.run(until=Step.AIRBORNE, mode=FlightMode.OWN)
 
 
@@ -159,80 +162,80 @@ def test_a_vehicle_in_somebodys_hands_is_not_asked_to_change_its_mode():
     ("changes", "reason"),
     [
         ({"heartbeat_age_s": float("inf")}, "waiting for a heartbeat: not within 120 s"),
-        ({"stranger": "autopilot 8: expected px4"}, "autopilot 8: expected px4"),
-        ({"parameters": False}, "reading parameters: not within 20 s"),
-        ({"refusal": "GUID_OPTIONS=0"}, "GUID_OPTIONS=0"),
-        ({"state": False, "lack": "no GPS fix"}, "position: not within 120 s: no GPS fix"),
+        ({"wrong_vehicle": "autopilot 8: expected px4"}, "autopilot 8: expected px4"),
+        ({"parameters_read": False}, "reading parameters: not within 20 s"),
+        ({"parameter_refusal": "GUID_OPTIONS=0"}, "GUID_OPTIONS=0"),
+        ({"state_fault": "no GPS fix"}, "position: not within 120 s: no GPS fix"),
         ({"controller_age_s": 9.0}, "controller: not within 180 s: no fresh setpoints"),
         ({"controller_ready": False}, "controller: not within 180 s"),
-        ({"twin": True}, "two vehicles with this system id"),
+        ({"duplicate_sysid": True}, "two vehicles with this system id"),
         ({"battery_low": "battery at 9 %"}, "not armed: battery at 9 %"),
-        ({"fence": "outside the geofence"}, "not armed: outside the geofence"),
+        ({"fence_breach": "outside the geofence"}, "not armed: outside the geofence"),
     ],
 )
 def test_every_step_before_arming_has_a_limit_and_a_reason(changes, reason):
     flight = Flight().run(until=Step.FAILED, **changes)
     assert reason in flight.procedure.fault
-    assert CommandRequest.ARM not in flight.asked()
+    assert CommandRequest.ARM not in flight.requested()
 
 
 def test_a_mode_that_is_not_confirmed():
     flight = Flight()
-    flight.deaf = {CommandRequest.OWN_MODE}
-    flight.run(until=Step.FAILED, complaint="OFFBOARD: TEMPORARILY_REJECTED")
+    flight.ignored = {CommandRequest.OWN_MODE}
+    flight.run(until=Step.FAILED, vehicle_warning="OFFBOARD: TEMPORARILY_REJECTED")
     assert "OFFBOARD not confirmed (OFFBOARD: TEMPORARILY_REJECTED)" in flight.procedure.fault
-    assert flight.asked().count(CommandRequest.OWN_MODE) == pytest.approx(10, abs=1)
+    assert flight.requested().count(CommandRequest.OWN_MODE) == pytest.approx(10, abs=1)
 
 
 def test_arming_refused():
     flight = Flight()
-    flight.deaf = {CommandRequest.ARM}
-    flight.run(until=Step.FAILED, complaint="arm: DENIED, Compass not calibrated")
+    flight.ignored = {CommandRequest.ARM}
+    flight.run(until=Step.FAILED, vehicle_warning="arm: DENIED, Compass not calibrated")
     assert "arming refused (arm: DENIED, Compass not calibrated)" in flight.procedure.fault
     assert flight.history[-1][2] == (Stream.NONE, None, False)
 
 
 def test_a_vehicle_that_does_not_climb_is_landed():
     flight = Flight(ARDUPILOT)
-    flight.deaf = {CommandRequest.TAKEOFF}
+    flight.ignored = {CommandRequest.TAKEOFF}
     flight.run(until=Step.LAND)
     assert "taking off: not within 60 s: at 0.0 m of 3 m" in flight.procedure.fault
 
 
 def test_disarmed_again_before_it_took_off():
     flight = Flight(ARDUPILOT)
-    flight.deaf = {CommandRequest.TAKEOFF}
+    flight.ignored = {CommandRequest.TAKEOFF}
     flight.run(until=Step.TAKEOFF).run(until=Step.FAILED, armed=False)
     assert "disarmed before it took off" in flight.procedure.fault
 
 
 def test_position_lost_before_arming_goes_back_and_waits():
-    flight = Flight().run(until=Step.STREAM).run(until=Step.STATE, state=False)
+    flight = Flight().run(until=Step.STREAM).run(until=Step.STATE, state_fault="GPS fix lost")
     assert flight.history[-1][2].stream is Stream.NONE
-    flight.run(until=Step.AIRBORNE, state=True)
+    flight.run(until=Step.AIRBORNE, state_fault="")
 
 
 def test_setpoints_stop_first_a_hold_then_silence_then_the_failsafe():
     flight = Flight().flying()
-    stopped = flight.seen.now_s
+    stopped = flight.snapshot.now_s
     age = 0.05
     while age < 2.0:  # setpoints age from now on
         age += DT
         flight.run(DT, controller_age_s=age)
-    held = [t for t, _, orders in flight.history if t >= stopped and orders.stream is Stream.HOLD]
+    held = [t for t, _, output in flight.history if t >= stopped and output.stream is Stream.HOLD]
     silent = [t for t, _, o in flight.history if t >= stopped and o.stream is Stream.NONE]
     assert 0.1 < max(held) - min(held) < 0.5
     assert silent[0] - stopped <= 0.6
     assert flight.streams(silent[0]) == {Stream.NONE}
     assert flight.step is Step.FAILSAFE
-    assert flight.asked(stopped) == []
+    assert flight.requested(stopped) == []
 
 
 def test_after_a_failsafe_hold_px4_comes_back_by_itself():
     flight = Flight().flying()
     flight.run(3.0, controller_age_s=1.0)
     flight.run(1.0, mode=FlightMode.HOLD)
-    back = flight.seen.now_s
+    back = flight.snapshot.now_s
     flight.run(0.9, controller_age_s=0.05)
     assert flight.streams(back) == {Stream.NONE}
     flight.run(0.5)
@@ -242,7 +245,7 @@ def test_after_a_failsafe_hold_px4_comes_back_by_itself():
     # one late HEARTBEAT of the failsafe is no pilot
     flight.run(0.3, mode=FlightMode.HOLD).run(1.0, mode=FlightMode.OWN)
     assert flight.step is Step.FLY
-    assert flight.asked(back) == []
+    assert flight.requested(back) == []
 
 
 def test_after_a_failsafe_that_a_pilot_kept_the_bridge_yields():
@@ -270,16 +273,16 @@ def test_a_failsafe_that_lands_is_left_alone():
 def test_the_pilot_takes_over_and_nobody_fights(mode):
     flight = Flight().flying()
     flight.obeys = False
-    taken = flight.seen.now_s
+    taken = flight.snapshot.now_s
     flight.run(60.0, mode=mode, mode_name="3", leg="form")
     assert flight.step is Step.YIELDED
     assert "the pilot took over: mode 3" in flight.procedure.fault
     assert flight.streams(taken + DT) == {Stream.NONE}
-    assert flight.asked(taken) == []
-    assert not flight.history[-1][2].told
+    assert flight.requested(taken) == []
+    assert not flight.history[-1][2].in_formation
     # even the operator's landing is the pilot's to fly now
-    flight.run(5.0, leg="land", halt="land")
-    assert flight.asked(taken) == []
+    flight.run(5.0, leg="land", stop_request="land")
+    assert flight.requested(taken) == []
     # and switching back does not hand it over again unseen
     flight.run(5.0, mode=FlightMode.OWN)
     assert flight.streams(taken + DT) == {Stream.NONE}
@@ -287,41 +290,41 @@ def test_the_pilot_takes_over_and_nobody_fights(mode):
 
 def test_the_pilot_takes_over_before_arming():
     flight = Flight()
-    flight.deaf = {CommandRequest.ARM}
+    flight.ignored = {CommandRequest.ARM}
     flight.run(until=Step.ARM).run(until=Step.FAILED, mode=FlightMode.OTHER)
     assert "before arming" in flight.procedure.fault
 
 
 @pytest.mark.parametrize(
-    "change", [{"battery_low": "battery at 15 %"}, {"fence": "outside the geofence"}]
+    "change", [{"battery_low": "battery at 15 %"}, {"fence_breach": "outside the geofence"}]
 )
 def test_low_battery_and_fence_land_this_vehicle_alone(change):
     flight = Flight().flying().run(until=Step.LAND, **change)
-    assert not flight.history[-1][2].told  # the others must not follow it down
+    assert not flight.history[-1][2].in_formation  # the others must not follow it down
     flight.run(until=Step.DONE)
     assert flight.procedure.fault == next(iter(change.values()))
 
 
 def test_gps_lost():
     flight = Flight().flying()
-    flight.run(until=Step.FAILSAFE, state=False, lack="GPS fix lost", controller_age_s=0.6)
+    flight.run(until=Step.FAILSAFE, state_fault="GPS fix lost", controller_age_s=0.6)
     assert flight.procedure.fault == "no setpoints: GPS fix lost"
     assert flight.history[-1][2].stream is Stream.NONE
 
 
 def test_heartbeat_lost_and_found():
     flight = Flight().flying()
-    flight.run(5.0, heartbeat_age_s=4.0, state=False, lack="vehicle silent", controller_age_s=4.0)
+    flight.run(5.0, heartbeat_age_s=4.0, state_fault="vehicle silent", controller_age_s=4.0)
     assert flight.step is Step.FAILSAFE
-    flight.run(until=Step.FLY, heartbeat_age_s=0.1, state=True, controller_age_s=0.05)
+    flight.run(until=Step.FLY, heartbeat_age_s=0.1, controller_age_s=0.05)
 
 
 def test_rebooted_in_flight():
     flight = Flight().flying().run(until=Step.FAILED, rebooted=True, armed=False)
     assert flight.procedure.fault == "the vehicle rebooted in flight"
-    gone = flight.seen.now_s
+    gone = flight.snapshot.now_s
     flight.run(60.0, rebooted=False)
-    assert flight.asked(gone - DT) == []  # it is not armed again
+    assert flight.requested(gone - DT) == []  # it is not armed again
 
 
 def test_disarmed_in_flight():
@@ -329,31 +332,34 @@ def test_disarmed_in_flight():
     assert flight.procedure.fault == "disarmed in flight"
 
 
-def test_a_twin_in_flight_changes_nothing():
-    flight = Flight().flying().run(5.0, twin=True)
+def test_a_duplicate_sysid_in_flight_changes_nothing():
+    flight = Flight().flying().run(5.0, duplicate_sysid=True)
     assert flight.step is Step.FLY
 
 
 def test_stop_lands_and_kill_disarms_in_the_air():
-    flight = Flight().flying().run(until=Step.LAND, halt="land").run(until=Step.DONE)
+    flight = Flight().flying().run(until=Step.LAND, stop_request="land").run(until=Step.DONE)
     assert flight.procedure.fault == ""
-    flight = Flight().flying().run(until=Step.FAILED, halt="kill")
-    assert CommandRequest.KILL in flight.asked()
+    flight = Flight().flying().run(until=Step.FAILED, stop_request="kill")
+    assert CommandRequest.KILL in flight.requested()
     assert "by the operator" in flight.procedure.fault
-    assert not flight.seen.armed
+    assert not flight.snapshot.armed
 
 
 def test_stop_before_arming_ends_it():
-    assert Flight().run(until=Step.STREAM).run(until=Step.DONE, halt="land").procedure.fault == ""
+    assert (
+        Flight().run(until=Step.STREAM).run(until=Step.DONE, stop_request="land").procedure.fault
+        == ""
+    )
 
 
 def test_setpoints_go_on_until_the_landing_is_confirmed():
     flight = Flight().flying()
-    flight.deaf = {CommandRequest.LAND}
-    began = flight.seen.now_s
+    flight.ignored = {CommandRequest.LAND}
+    began = flight.snapshot.now_s
     flight.run(3.0, leg="land")
     assert flight.streams(began) == {Stream.HOLD}
-    assert flight.asked(began).count(CommandRequest.LAND) == 3
+    assert flight.requested(began).count(CommandRequest.LAND) == 3
     flight.run(1.0, mode=FlightMode.LAND)
     assert flight.history[-1][2].stream is Stream.NONE
     # a pilot may still take it out of the landing
@@ -365,9 +371,9 @@ def test_a_vehicle_that_stays_armed_on_the_ground_is_disarmed():
     flight = Flight().flying()
     flight.obeys = False
     flight.run(0.1, leg="land").run(4.0, mode=FlightMode.LAND, landed=True, height_m=0.0)
-    assert CommandRequest.DISARM not in flight.asked()
+    assert CommandRequest.DISARM not in flight.requested()
     flight.run(3.0)
-    assert CommandRequest.DISARM in flight.asked()
+    assert CommandRequest.DISARM in flight.requested()
 
 
 def test_no_stream_outlives_stale_setpoints_in_any_step():

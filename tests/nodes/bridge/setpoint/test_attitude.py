@@ -1,9 +1,11 @@
-"""Attitude targets: read from a wrench, limited in tilt, with the thrust that carries the vehicle."""
+"""Attitude targets: quaternion from a wrench, tilt limit, hover thrust, and the target's own body rates."""
 
 import math
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 pytest.importorskip("pymavlink")
 
@@ -17,8 +19,14 @@ from ptnsbc_core.control.rigid_body_control import VelocityReference
 from ptnsbc_core.kinematics import quaternion_from_euler, rotation_from_quaternion, velocity_enu
 from ptnsbc_core.timebase import Clock
 from ptnsbc_core.types import AdaptationState
-from ptnsbc_nodes.bridge.setpoint import attitude
-from ptnsbc_nodes.bridge.setpoint.hover_thrust import HoverThrust
+from ptnsbc_nodes.bridge.setpoint.attitude import (
+    BodyRateEstimator,
+    HoverThrust,
+    attitude_from_wrench,
+    limit_tilt,
+    unsaturated_axes,
+    vertical_rate,
+)
 from ptnsbc_sim.scenario import agent_config, load_scenario
 
 
@@ -49,7 +57,7 @@ def test_the_wrench_is_read_back_to_the_attitude_that_the_controller_meant(confi
         odometry, command, before, clock, controller, config.filter.max_rate
     )
     wrench = np.array([*control.force, *control.torque])
-    wanted = attitude.from_wrench(wrench, odometry, 5.0, controller, 0.7)
+    wanted = attitude_from_wrench(wrench, odometry, 5.0, controller, 0.7)
     gain = controller.force.scale * controller.force.kappa
     force = gain * np.array(push) + np.array([0, 0, 9.81])
     meant = attitude_error(rotation_from_quaternion(odometry[3:7]), desired_rotation(force, yaw))
@@ -63,17 +71,17 @@ def test_a_torque_at_its_limit_does_not_tell_what_was_meant(config):
     controller = config.controller
     wrench = np.array([0, 0, 12.0, 0.1, -1.5, 0.3])
     assert controller.max_torque == (1.5, 1.5, 0.3)
-    assert attitude.understood(wrench, controller).tolist() == [True, False, False]
+    assert unsaturated_axes(wrench, controller).tolist() == [True, False, False]
 
 
 def test_tilt_is_limited_in_the_direction_it_has():
     steep = quaternion_from_euler(np.array([0.0, 1.2, 0.4]))
-    limited = attitude.tilt_limited(steep, 0.6)
+    limited = limit_tilt(steep, 0.6)
     before, after = (rotation_from_quaternion(q)[:, 2] for q in (steep, limited))
     assert math.acos(after[2]) == pytest.approx(0.6)
     assert math.atan2(after[1], after[0]) == pytest.approx(math.atan2(before[1], before[0]))
     gentle = quaternion_from_euler(np.array([0.1, 0.2, 0.4]))
-    assert attitude.tilt_limited(gentle, 0.6).tolist() == gentle.tolist()
+    assert limit_tilt(gentle, 0.6).tolist() == gentle.tolist()
 
 
 def test_hover_thrust_is_learnt_from_what_thrust_does():
@@ -81,8 +89,90 @@ def test_hover_thrust_is_learnt_from_what_thrust_does():
     climb, now = 0.0, 0.0
     for _ in range(1000):  # it really hovers at 0.4
         thrust = hover.normalised(1.2 * 9.81 - 0.6 * climb, 1.2)
-        hover.sent(thrust)
+        hover.on_sent(thrust)
         climb += 0.02 * 9.81 * (thrust / 0.4 - 1.0)
         now += 0.02
-        hover.flown(now, state(velocity=(0, 0, climb)))
+        hover.on_odometry(now, state(velocity=(0, 0, climb)))
     assert hover.value == pytest.approx(0.4, rel=0.03)
+
+
+ALL = np.ones(3, dtype=bool)
+DT = 0.02
+SETTLED = 100  # targets: two seconds
+
+
+def quaternion(roll=0.0, pitch=0.0, yaw=0.0):
+    return quaternion_from_euler(np.array([roll, pitch, yaw]))
+
+
+def after(targets, known=ALL):
+    """Rates with the last of some targets, one every DT."""
+    estimator = BodyRateEstimator()
+    for n, target in enumerate(targets):
+        rates = estimator.update(target, known, DT * n)
+    return rates
+
+
+def test_a_heading_that_turns_left():
+    rates = after([quaternion(yaw=0.5 * DT * n) for n in range(SETTLED)])
+    assert rates == pytest.approx([0, 0, 0.5], abs=1e-4)
+
+
+def test_rates_are_those_of_the_targets_body():
+    # Nose up by 30 degrees, the heading turns left by 1 rad/s: in the body that is half a radian of roll.
+    # FLU: nose up is a negative pitch, and z of the world is (-sin pitch, 0, cos pitch) = (0.5, 0, 0.866).
+    rates = after([quaternion(0.0, -math.pi / 6, DT * n) for n in range(SETTLED)])
+    assert rates == pytest.approx([0.5, 0.0, math.sqrt(0.75)], abs=1e-3)
+
+
+def test_a_new_target_is_no_motion_of_the_old_one():
+    turned = quaternion(yaw=1.0)
+    assert after([quaternion()] * 50 + [turned] * 50).tolist() == [0, 0, 0]
+
+
+def test_a_target_that_is_sent_again_does_not_stop():
+    estimator = BodyRateEstimator()
+    for n in range(SETTLED):
+        for _ in range(2):  # the stream is quicker than the controller
+            rates = estimator.update(quaternion(yaw=0.5 * DT * n), ALL, DT * n)
+    assert rates[2] == pytest.approx(0.5, abs=1e-4)
+
+
+def test_about_an_axis_at_its_torque_limit_there_is_no_rate():
+    targets = [quaternion(yaw=0.5 * DT * n) for n in range(SETTLED)]
+    known = np.array([True, True, False])
+    assert after(targets, known).tolist() == [0, 0, 0]
+
+
+def test_after_a_gap_it_begins_anew():
+    estimator = BodyRateEstimator()
+    for n in range(SETTLED):
+        estimator.update(quaternion(yaw=0.5 * DT * n), ALL, DT * n)
+    assert estimator.update(quaternion(yaw=1.1), ALL, DT * SETTLED + 1.0).tolist() == [0, 0, 0]
+
+
+def test_a_vehicle_that_lags_is_not_chased_round():
+    """The heading of a target that is at most 0.15 rad ahead, as after a torque at its limit.
+
+    A vehicle that adds the rates to its own would turn for ever if they were the vehicle's.
+    """
+    estimator, yaw, goal, fastest = BodyRateEstimator(), 0.0, 1.5, 0.0
+    for n in range(500):
+        ahead = min(goal - yaw, 0.15)
+        known = np.array([True, True, goal - yaw < 0.15])
+        rates = estimator.update(quaternion(yaw=yaw + ahead), known, DT * n)
+        rate = 4.0 * ahead + rates[2]
+        fastest = max(fastest, rate)
+        yaw += DT * rate
+    assert yaw == pytest.approx(goal, abs=0.01)
+    assert fastest <= 4.0 * 0.15 + 1e-9
+
+
+angles = st.floats(-0.6, 0.6)
+
+
+@given(angles, angles, st.floats(-3, 3), st.floats(-2, 2))
+def test_the_part_about_the_vertical_is_that_of_the_heading(roll, pitch, yaw, turn):
+    attitude = quaternion(roll, pitch, yaw)
+    rates = turn * rotation_from_quaternion(attitude)[2]
+    assert vertical_rate(rates, attitude) == pytest.approx(turn, abs=1e-9)

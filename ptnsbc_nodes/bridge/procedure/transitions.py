@@ -1,0 +1,307 @@
+"""The transitions of a flight: what can happen in any step, and what each step waits for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+from ptnsbc_io.mavlink.autopilots import FlightMode
+from ptnsbc_nodes.bridge.procedure.steps import (
+    BEFORE_ARMING,
+    FLYING,
+    HEARTBEAT_LOST_S,
+    LIFTED_M,
+    OVER,
+    RECOVERED_S,
+    SETTING_OUT,
+    STALE_S,
+    STOP_S,
+    CommandRequest,
+    ProcedureOptions,
+    Step,
+    VehicleSnapshot,
+)
+
+_STREAM_S = 1.5  # PX4 wants more than one second of setpoints before OFFBOARD
+_MODE_LAG_S = 2.5  # HEARTBEAT comes once a second
+_ARRIVED_M = 0.5
+_STILL_M_S = 0.5
+_SETTLED_S = 1.0
+_DISARMED_S = 3.0  # the reason of a disarming, a reboot perhaps, takes several messages to arrive
+_REPEAT_S = 1.0  # an unconfirmed command is sent again after this time
+
+
+@dataclass
+class _StepMemory:
+    """What has been seen since the current step began."""
+
+    since_s: float
+    good_since_s: float | None = None
+    landed_since_s: float | None = None
+    land_mode_seen: bool = False
+    requested_s: dict[CommandRequest, float] = field(default_factory=dict)
+
+
+class FlightProgress:
+    """The current step of a flight, and what the procedure remembers of the flight so far."""
+
+    def __init__(self, options: ProcedureOptions, log: Callable[[str], None]) -> None:
+        self.options = options
+        self.log = log
+        self.step = Step.HEARTBEAT
+        self.fault = ""
+        """Why the flight did not go as planned, in the order in which it went wrong."""
+        self.memory: _StepMemory | None = None
+        self.step_before_failsafe = Step.AIRBORNE
+        self.climbed = False
+        self.hold_tolerated_until_s = float("-inf")
+
+    def enter(self, step: Step, snapshot: VehicleSnapshot, reason: str = "") -> None:
+        """Begin a step; `reason` is a fault."""
+        if reason:
+            self.report_fault(reason)
+        self.log(f"{step.value}{f': {self.fault}' if step is Step.FAILED else ''}")
+        self.step = step
+        self.memory = _StepMemory(snapshot.now_s)
+
+    def report_fault(self, reason: str) -> None:
+        """Log a fault, and remember it once."""
+        if reason not in self.fault:
+            self.fault = "; ".join(filter(None, (self.fault, reason)))
+        self.log(reason)
+
+    def current(self, snapshot: VehicleSnapshot) -> _StepMemory:
+        """The memory of this step; the first step begins with the first snapshot."""
+        self.memory = self.memory or _StepMemory(snapshot.now_s)
+        return self.memory
+
+    def age_s(self, snapshot: VehicleSnapshot) -> float:
+        """How long this step has lasted."""
+        return snapshot.now_s - self.current(snapshot).since_s
+
+    def lasts(self, good: bool, snapshot: VehicleSnapshot, seconds: float) -> bool:
+        """Whether a condition has been true for this long without a break."""
+        memory = self.current(snapshot)
+        if not good:
+            memory.good_since_s = None
+        elif memory.good_since_s is None:
+            memory.good_since_s = snapshot.now_s
+        return good and self.good_for_s(snapshot) >= seconds
+
+    def good_for_s(self, snapshot: VehicleSnapshot) -> float:
+        """How long the condition of `lasts` has been true."""
+        since_s = self.current(snapshot).good_since_s
+        return 0.0 if since_s is None else snapshot.now_s - since_s
+
+    def due(
+        self, command: CommandRequest | None, snapshot: VehicleSnapshot
+    ) -> CommandRequest | None:
+        """The command when it is to be sent now, for the first time or again."""
+        requested_s = self.current(snapshot).requested_s
+        if command is None or snapshot.now_s - requested_s.get(command, float("-inf")) < _REPEAT_S:
+            return None
+        requested_s[command] = snapshot.now_s
+        return command
+
+
+def advance(progress: FlightProgress, snapshot: VehicleSnapshot) -> bool:
+    """Change the step as far as the snapshot demands; returns whether it changed."""
+    before = progress.step
+    _react(progress, snapshot)
+    if progress.step is before:
+        _HANDLERS.get(before, _wait)(progress, snapshot)
+    return progress.step is not before
+
+
+def _react(progress: FlightProgress, snapshot: VehicleSnapshot) -> None:
+    """Events that count in any step, worst first."""
+    step = progress.step
+    if step in OVER:
+        return None
+    if snapshot.stop_request == "kill" and step is not Step.KILL and snapshot.armed:
+        return progress.enter(Step.KILL, snapshot, "stopped by the operator in flight")
+    if snapshot.rebooted and step not in BEFORE_ARMING:
+        return progress.enter(Step.FAILED, snapshot, "the vehicle rebooted in flight")
+    if snapshot.duplicate_sysid and step in BEFORE_ARMING:
+        reason = "two vehicles with this system id: give each its own"
+        return progress.enter(Step.FAILED, snapshot, reason)
+    if step in FLYING:
+        return _react_in_flight(progress, snapshot)
+    unfit = (snapshot.battery_low or snapshot.fence_breach) if step in SETTING_OUT else ""
+    if unfit and not snapshot.armed:
+        progress.enter(Step.FAILED, snapshot, f"not armed: {unfit}")
+    elif step in BEFORE_ARMING and snapshot.stop_request:
+        progress.enter(Step.LAND if snapshot.armed else Step.DONE, snapshot)
+    elif step is Step.FAILSAFE and (snapshot.stop_request or snapshot.leg == "land"):
+        progress.enter(Step.LAND, snapshot)
+    return None
+
+
+def _react_in_flight(progress: FlightProgress, snapshot: VehicleSnapshot) -> None:
+    if not snapshot.armed:
+        early = progress.step is Step.TAKEOFF and snapshot.height_m < LIFTED_M
+        reason = f"disarmed before it took off{snapshot.vehicle_reason}"
+        return progress.enter(Step.FAILED, snapshot, reason if early else "disarmed in flight")
+    silent = snapshot.controller_age_s > STOP_S
+    # The last HEARTBEAT of a failsafe may arrive after the failsafe has ended.
+    failsafe_ended = (
+        snapshot.mode is FlightMode.HOLD and snapshot.now_s < progress.hold_tolerated_until_s
+    )
+    if snapshot.mode is not FlightMode.OWN and not silent and not failsafe_ended:
+        reason = f"the pilot took over: mode {snapshot.mode_name}"
+        return progress.enter(Step.YIELDED, snapshot, reason)
+    if snapshot.stop_request or snapshot.leg == "land":
+        return progress.enter(Step.LAND, snapshot)
+    if unfit := snapshot.battery_low or snapshot.fence_breach:
+        return progress.enter(Step.LAND, snapshot, unfit)
+    if silent:
+        progress.step_before_failsafe = progress.step
+        reason = f"no setpoints: {snapshot.state_fault or 'the controller is silent'}"
+        return progress.enter(Step.FAILSAFE, snapshot, reason)
+    return None
+
+
+def _heartbeat(progress: FlightProgress, snapshot: VehicleSnapshot) -> None:
+    if snapshot.wrong_vehicle:
+        progress.enter(Step.FAILED, snapshot, snapshot.wrong_vehicle)
+    elif snapshot.heartbeat_age_s < HEARTBEAT_LOST_S:
+        progress.enter(Step.PARAMETERS, snapshot)
+
+
+def _parameters(progress: FlightProgress, snapshot: VehicleSnapshot) -> None:
+    if snapshot.parameter_refusal:
+        progress.enter(Step.FAILED, snapshot, snapshot.parameter_refusal)
+    elif snapshot.parameters_read:
+        progress.enter(Step.STATE, snapshot)
+
+
+def _state(progress: FlightProgress, snapshot: VehicleSnapshot) -> None:
+    if progress.lasts(not snapshot.state_fault, snapshot, _SETTLED_S):
+        progress.enter(Step.CONTROLLER, snapshot)
+
+
+def _controller(progress: FlightProgress, snapshot: VehicleSnapshot) -> None:
+    good = snapshot.controller_ready and snapshot.controller_age_s < STALE_S
+    if snapshot.state_fault:
+        progress.enter(Step.STATE, snapshot)
+    elif progress.lasts(good, snapshot, _SETTLED_S):
+        progress.enter(Step.STREAM, snapshot)
+
+
+def _stream(progress: FlightProgress, snapshot: VehicleSnapshot) -> None:
+    if _lapsed(snapshot):
+        progress.enter(Step.STATE, snapshot)
+    elif progress.age_s(snapshot) >= _STREAM_S or not progress.options.autopilot.stream_first:
+        progress.enter(Step.MODE, snapshot)
+
+
+def _mode(progress: FlightProgress, snapshot: VehicleSnapshot) -> None:
+    if _lapsed(snapshot):
+        progress.enter(Step.STATE, snapshot)
+    elif snapshot.mode is FlightMode.OWN:
+        progress.enter(Step.ARM, snapshot)
+
+
+def _arm(progress: FlightProgress, snapshot: VehicleSnapshot) -> None:
+    if _lapsed(snapshot):
+        progress.enter(Step.STATE, snapshot)
+    elif snapshot.mode is not FlightMode.OWN:
+        reason = f"the pilot took over before arming: mode {snapshot.mode_name}"
+        progress.enter(Step.FAILED, snapshot, reason)
+    elif snapshot.armed and snapshot.landed is False:
+        progress.enter(Step.AIRBORNE, snapshot)  # a pilot flew it up and handed it over
+    elif snapshot.armed and progress.options.allow_arming:
+        progress.climbed = True
+        progress.enter(Step.TAKEOFF, snapshot)
+
+
+def _lapsed(snapshot: VehicleSnapshot) -> bool:
+    """Whether position or controller were lost again before arming."""
+    return bool(snapshot.state_fault) or snapshot.controller_age_s > STOP_S
+
+
+def _takeoff(progress: FlightProgress, snapshot: VehicleSnapshot) -> None:
+    missing_m = abs(snapshot.height_m - progress.options.takeoff_height_m)
+    arrived = missing_m < _ARRIVED_M and snapshot.speed_m_s < _STILL_M_S
+    if progress.lasts(arrived, snapshot, _SETTLED_S):
+        progress.enter(Step.AIRBORNE, snapshot)
+
+
+def _airborne(progress: FlightProgress, snapshot: VehicleSnapshot) -> None:
+    if snapshot.leg in ("form", "hold"):
+        progress.enter(Step.FLY, snapshot)
+
+
+def _failsafe(progress: FlightProgress, snapshot: VehicleSnapshot) -> None:
+    age_s = progress.age_s(snapshot)
+    if not snapshot.armed:
+        if age_s >= _DISARMED_S:
+            reason = "landed by its failsafe" if snapshot.landed else "disarmed in flight"
+            progress.enter(Step.FAILED, snapshot, reason)
+        return
+    if age_s > _MODE_LAG_S and snapshot.mode not in (FlightMode.OWN, FlightMode.HOLD):
+        # The failsafe lands or returns, or a pilot flies: the bridge has no part in it any more.
+        progress.enter(Step.YIELDED, snapshot)
+        return
+    good = snapshot.controller_age_s < STALE_S and snapshot.heartbeat_age_s < HEARTBEAT_LOST_S
+    if progress.lasts(good, snapshot, RECOVERED_S):
+        _resume(progress, snapshot)
+
+
+def _resume(progress: FlightProgress, snapshot: VehicleSnapshot) -> None:
+    """Send setpoints again: PX4 then returns to OFFBOARD by itself, unless a pilot took over.
+
+    The bridge never requests the mode here: a pilot who switched to Hold in the meantime keeps the vehicle.
+    """
+    if snapshot.mode is FlightMode.OWN:
+        progress.log("setpoints are back, the formation goes on")
+        progress.hold_tolerated_until_s = snapshot.now_s + _MODE_LAG_S
+        progress.enter(progress.step_before_failsafe, snapshot)
+    elif (
+        progress.age_s(snapshot) > RECOVERED_S + 2 * _MODE_LAG_S
+        and progress.good_for_s(snapshot) > RECOVERED_S + _MODE_LAG_S
+    ):
+        progress.enter(Step.YIELDED, snapshot)
+
+
+def _land(progress: FlightProgress, snapshot: VehicleSnapshot) -> None:
+    if not snapshot.armed:
+        progress.enter(Step.DONE, snapshot)
+        return
+    memory = progress.current(snapshot)
+    memory.land_mode_seen = memory.land_mode_seen or snapshot.mode is FlightMode.LAND
+    # Another mode can come from a pilot only once the landing was confirmed, or should have been.
+    settled = memory.land_mode_seen or progress.age_s(snapshot) > 2 * _MODE_LAG_S
+    if settled and snapshot.mode not in (FlightMode.LAND, FlightMode.OWN):
+        reason = f"the pilot took over while landing: mode {snapshot.mode_name}"
+        progress.enter(Step.YIELDED, snapshot, reason)
+    elif not snapshot.landed:
+        memory.landed_since_s = None
+    elif memory.landed_since_s is None:
+        memory.landed_since_s = snapshot.now_s
+
+
+def _wait_for_disarming(progress: FlightProgress, snapshot: VehicleSnapshot) -> None:
+    if not snapshot.armed:
+        progress.enter(Step.FAILED, snapshot)
+
+
+def _wait(progress: FlightProgress, snapshot: VehicleSnapshot) -> None:
+    """Wait for nothing: only `_react` ends a flight in formation, and nothing follows a flight."""
+
+
+_HANDLERS: Mapping[Step, Callable[[FlightProgress, VehicleSnapshot], None]] = {
+    Step.HEARTBEAT: _heartbeat,
+    Step.PARAMETERS: _parameters,
+    Step.STATE: _state,
+    Step.CONTROLLER: _controller,
+    Step.STREAM: _stream,
+    Step.MODE: _mode,
+    Step.ARM: _arm,
+    Step.TAKEOFF: _takeoff,
+    Step.AIRBORNE: _airborne,
+    Step.FAILSAFE: _failsafe,
+    Step.YIELDED: _wait_for_disarming,
+    Step.LAND: _land,
+    Step.KILL: _wait_for_disarming,
+}

@@ -1,0 +1,55 @@
+"""The status of a bridge on /diagnostics: step, fault, link counters and latency."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from ptnsbc_nodes.bridge.bridge import Bridge
+from ptnsbc_nodes.bridge.procedure.steps import Step
+from ptnsbc_nodes.comm.diagnostics import DiagnosticLevel, diagnostics, readiness
+
+_NEVER_S = 1e6
+
+
+def bridge_status(name: str, bridge: Bridge, missing: Sequence[str]) -> bytes:
+    """A DiagnosticArray about one bridge; `missing` is what the formation waits for."""
+    now_s, stamp_ns = bridge.ports.clocks.steady_s(), bridge.ports.clocks.ros_ns()
+    procedure, vehicle, latency = bridge.procedure, bridge.vehicle, bridge.stream.latency
+    state, controller, link = bridge.state_publisher, bridge.controller, bridge.link
+    age_s = controller.age_s(now_s)
+    # Both numbers are of one instant, so that a reader of the bag can count what it lacks.
+    battery, shared = vehicle.battery_percent, state.shared
+    values = {
+        **readiness(missing),
+        "step": procedure.step.value,
+        "fault": procedure.fault,
+        "mode": vehicle.mode_name,
+        "armed": str(vehicle.armed).lower(),
+        "battery_percent": "" if battery is None else f"{battery:.0f}",
+        "stream": procedure.output.stream.value,
+        "setpoint_age_ms": f"{1e3 * age_s:.0f}" if age_s < _NEVER_S else "",
+        "timesync": bridge.maintenance.sync_text,
+        "latency_p50_ms": f"{1e3 * latency.percentile_s(50):.3f}",
+        "latency_p99_ms": f"{1e3 * latency.percentile_s(99):.3f}",
+        "latency_max_ms": f"{1e3 * latency.max_s:.3f}",
+        "received": str(link.received),
+        "sent": str(link.sent),
+        "unsent": str(link.unsent),
+        "states_sent": f"{shared.stamp_ns} {shared.messages}",
+        "states_old": str(state.dropped["old"]),
+        "states_skewed": str(state.dropped["skewed"]),
+        "states_invalid": str(vehicle.pose.invalid),
+        "states_doubted": str(vehicle.pose.doubted),
+        "setpoints_foreign": str(controller.foreign),
+        "setpoints_invalid": str(controller.invalid),
+        **{f"dropped_{reason}": str(count) for reason, count in link.counts.items()},
+        **{f"clamped_{what}": str(count) for what, count in bridge.stream.guard.clamped.items()},
+    }
+    level, message = DiagnosticLevel.OK, ""
+    if procedure.fault and procedure.step is not Step.FLY:
+        level, message = DiagnosticLevel.ERROR, f"{procedure.step.value}: {procedure.fault}"
+    elif fault := state.fault(now_s):
+        level, message = DiagnosticLevel.WARN, fault
+    elif missing:
+        level, message = DiagnosticLevel.WARN, f"waiting for {' '.join(missing)}"
+    return diagnostics(stamp_ns, f"{name}: link", level, message, values)
