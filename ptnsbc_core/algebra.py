@@ -10,19 +10,17 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numpy as np
-
 from ptnsbc_core.kernel import inline_kernel, kernel
-from ptnsbc_core.types import Array, Matrix3, Vector3, Vector3Like
+from ptnsbc_core.types import Array, Matrix3, Vector2, Vector3, Vector3Like
 
 _SWEEPS = 12
 
 
 class Eigen3(NamedTuple):
-    """Eigenvalues (3,), unordered, and eigenvectors as the columns of (3, 3)."""
+    """Eigenvalues, unordered, and the eigenvector of each."""
 
-    values: Array
-    vectors: Array
+    values: Vector3
+    vectors: Matrix3
 
 
 @inline_kernel
@@ -146,53 +144,94 @@ def limit_norm(v: Vector3Like, limit: float) -> Vector3:
 
 
 @inline_kernel
-def _jacobi_rotation(a: Array, vectors: Array, p: int, q: int) -> None:
-    """One Jacobi rotation that zeroes a[p, q], applied to `a` and `vectors` in place."""
-    if a[p, q] == 0.0:
-        return
-    tau = (a[q, q] - a[p, p]) / (2.0 * a[p, q])
+def transpose(m: Array | Matrix3) -> Matrix3:
+    """The transpose of m (3, 3)."""
+    return (
+        (m[0][0], m[1][0], m[2][0]),
+        (m[0][1], m[1][1], m[2][1]),
+        (m[0][2], m[1][2], m[2][2]),
+    )
+
+
+@inline_kernel
+def _jacobi_rotation(on_p: float, on_q: float, between: float) -> Vector2:
+    """Cosine and sine of the rotation that zeroes `between` = a[p, q], for a[p, p] and a[q, q]."""
+    tau = (on_q - on_p) / (2.0 * between)
     tangent = 1.0 / (abs(tau) + math.sqrt(1.0 + tau * tau))
     if tau < 0.0:
         tangent = -tangent
     c = 1.0 / math.sqrt(1.0 + tangent * tangent)
-    s = tangent * c
-    for k in range(3):
-        x, y = a[k, p], a[k, q]
-        a[k, p], a[k, q] = c * x - s * y, s * x + c * y
-    for k in range(3):
-        x, y = a[p, k], a[q, k]
-        a[p, k], a[q, k] = c * x - s * y, s * x + c * y
-    for k in range(3):
-        x, y = vectors[k, p], vectors[k, q]
-        vectors[k, p], vectors[k, q] = c * x - s * y, s * x + c * y
-
-
-@kernel
-def eigen3(gram: Array) -> Eigen3:
-    """Eigen-decomposition of a symmetric (3, 3) matrix by cyclic Jacobi rotations."""
-    a = gram.copy()
-    vectors = np.zeros((3, 3))
-    values = np.empty(3)
-    for i in range(3):
-        vectors[i, i] = 1.0
-    for _ in range(_SWEEPS):
-        off = abs(a[0, 1]) + abs(a[0, 2]) + abs(a[1, 2])
-        if off <= 1e-15 * (abs(a[0, 0]) + abs(a[1, 1]) + abs(a[2, 2])):
-            break
-        _jacobi_rotation(a, vectors, 0, 1)
-        _jacobi_rotation(a, vectors, 0, 2)
-        _jacobi_rotation(a, vectors, 1, 2)
-    for i in range(3):
-        values[i] = a[i, i]
-    return Eigen3(values, vectors)
+    return c, tangent * c
 
 
 @inline_kernel
-def gram3(m: Array | Matrix3) -> Array:
+def _first_turned(x: Vector3, y: Vector3, turn: Vector2) -> Vector3:
+    c, s = turn
+    return c * x[0] - s * y[0], c * x[1] - s * y[1], c * x[2] - s * y[2]
+
+
+@inline_kernel
+def _second_turned(x: Vector3, y: Vector3, turn: Vector2) -> Vector3:
+    c, s = turn
+    return s * x[0] + c * y[0], s * x[1] + c * y[1], s * x[2] + c * y[2]
+
+
+@inline_kernel
+def _turned_01(a: Matrix3, turn: Vector2) -> Matrix3:
+    """Columns 0 and 1 of `a`, given as its columns, turned into each other."""
+    return _first_turned(a[0], a[1], turn), _second_turned(a[0], a[1], turn), a[2]
+
+
+@inline_kernel
+def _turned_02(a: Matrix3, turn: Vector2) -> Matrix3:
+    return _first_turned(a[0], a[2], turn), a[1], _second_turned(a[0], a[2], turn)
+
+
+@inline_kernel
+def _turned_12(a: Matrix3, turn: Vector2) -> Matrix3:
+    return a[0], _first_turned(a[1], a[2], turn), _second_turned(a[1], a[2], turn)
+
+
+@kernel
+def eigen3(gram: Matrix3) -> Eigen3:
+    """Eigen-decomposition of a symmetric (3, 3) matrix by cyclic Jacobi rotations."""
+    a = transpose(gram)  # columns: a[q][p] is the entry in row p and column q
+    v = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+    for _ in range(_SWEEPS):
+        off = abs(a[1][0]) + abs(a[2][0]) + abs(a[2][1])
+        if off <= 1e-15 * (abs(a[0][0]) + abs(a[1][1]) + abs(a[2][2])):
+            break
+        if a[1][0] != 0.0:
+            turn = _jacobi_rotation(a[0][0], a[1][1], a[1][0])
+            a = transpose(_turned_01(transpose(_turned_01(a, turn)), turn))
+            v = _turned_01(v, turn)
+        if a[2][0] != 0.0:
+            turn = _jacobi_rotation(a[0][0], a[2][2], a[2][0])
+            a = transpose(_turned_02(transpose(_turned_02(a, turn)), turn))
+            v = _turned_02(v, turn)
+        if a[2][1] != 0.0:
+            turn = _jacobi_rotation(a[1][1], a[2][2], a[2][1])
+            a = transpose(_turned_12(transpose(_turned_12(a, turn)), turn))
+            v = _turned_12(v, turn)
+    return Eigen3((a[0][0], a[1][1], a[2][2]), v)
+
+
+@inline_kernel
+def _outer_added(gram: Matrix3, row: Vector3Like) -> Matrix3:
+    a, b, c = row[0], row[1], row[2]
+    x, y, z = gram
+    return (
+        (x[0] + a * a, x[1] + a * b, x[2] + a * c),
+        (y[0] + b * a, y[1] + b * b, y[2] + b * c),
+        (z[0] + c * a, z[1] + c * b, z[2] + c * c),
+    )
+
+
+@inline_kernel
+def gram3(m: Array | Matrix3) -> Matrix3:
     """Gram matrix of m (r, 3): (3, 3)."""
-    out = np.zeros((3, 3))
+    zero = (0.0, 0.0, 0.0)
+    out = (zero, zero, zero)
     for r in range(len(m)):
-        for i in range(3):
-            for j in range(3):
-                out[i, j] += m[r][i] * m[r][j]
+        out = _outer_added(out, m[r])
     return out

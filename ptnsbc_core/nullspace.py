@@ -59,7 +59,7 @@ def damped_solve(
         damped = value
         if value < threshold * threshold:
             damped += damping * damping * (1.0 - value / (threshold * threshold))
-        direction = (gram.vectors[0, k], gram.vectors[1, k], gram.vectors[2, k])
+        direction = gram.vectors[k]
         component = dot3(direction, fallback)
         if damped > 0.0:
             component = dot3(direction, projected) / damped + (1.0 - value / damped) * component
@@ -82,7 +82,7 @@ def null_space_projector(jacobian: Array) -> Array:
             continue
         for i in range(3):
             for j in range(3):
-                out[i, j] += gram.vectors[i, k] * gram.vectors[j, k]
+                out[i, j] += gram.vectors[k][i] * gram.vectors[k][j]
     return out
 
 

@@ -16,6 +16,42 @@ from ptnsbc_core.types import NEAR_COLUMNS, Array
 
 
 @kernel
+def store_objects(odometry: Array, obstacles: Array, uav_keep_out_m: float, out: Array) -> None:
+    """Rows (N + O, 7) of all UAVs, then of all obstacles, as any sensor tells them, into `out`."""
+    count = odometry.shape[0]
+    for uav in range(count):
+        speed = velocity_enu(odometry[uav])
+        out[uav, 3] = np.float32(uav_keep_out_m)
+        for i in range(3):
+            out[uav, i] = np.float32(odometry[uav, i])
+            out[uav, 4 + i] = np.float32(speed[i])
+    for which in range(obstacles.shape[0]):
+        for i in range(NEAR_COLUMNS):
+            out[count + which, i] = np.float32(obstacles[which, i])
+
+
+@kernel
+def store_near(
+    who: int, odometry: Array, obstacles: Array, objects: Array, range_m: float, out: Array
+) -> int:
+    """Rows of `objects` within the range of UAV number `who` into `out` (N - 1 + O, 7); returns their number."""
+    count = odometry.shape[0]
+    used = 0
+    x, y, z = odometry[who, 0], odometry[who, 1], odometry[who, 2]
+    for other in range(objects.shape[0]):
+        if other == who:
+            continue
+        place = odometry[other] if other < count else obstacles[other - count]
+        square = (place[0] - x) ** 2 + (place[1] - y) ** 2 + (place[2] - z) ** 2
+        if math.sqrt(square) > range_m:
+            continue
+        for i in range(NEAR_COLUMNS):
+            out[used, i] = objects[other, i]
+        used += 1
+    return used
+
+
+@kernel
 def near_objects(
     who: int, odometry: Array, obstacles: Array, uav_keep_out_m: float, range_m: float
 ) -> Array:
@@ -28,26 +64,8 @@ def near_objects(
         uav_keep_out_m: keep-out radius of a UAV [m].
         range_m: detection range to the centre [m].
     """
-    count = odometry.shape[0]
-    found = np.empty((count + obstacles.shape[0], NEAR_COLUMNS))
-    used = 0
-    own = odometry[who]
-    for other in range(count + obstacles.shape[0]):
-        if other == who:
-            continue
-        row = odometry[other] if other < count else obstacles[other - count]
-        square = (row[0] - own[0]) ** 2 + (row[1] - own[1]) ** 2 + (row[2] - own[2]) ** 2
-        if math.sqrt(square) > range_m:
-            continue
-        for i in range(3):
-            found[used, i] = np.float32(row[i])
-        if other < count:
-            speed = velocity_enu(row)
-            found[used, 3] = np.float32(uav_keep_out_m)
-            for i in range(3):
-                found[used, 4 + i] = np.float32(speed[i])
-        else:
-            for i in range(3, NEAR_COLUMNS):
-                found[used, i] = np.float32(row[i])
-        used += 1
+    objects = np.empty((odometry.shape[0] + obstacles.shape[0], NEAR_COLUMNS))
+    store_objects(odometry, obstacles, uav_keep_out_m, objects)
+    found = np.empty((objects.shape[0] - 1, NEAR_COLUMNS))
+    used = store_near(who, odometry, obstacles, objects, range_m, found)
     return found[:used].copy()

@@ -17,6 +17,7 @@ from ptnsbc_core.kernel import KernelList, inline_kernel, kernel, kernel_list
 from ptnsbc_core.step import initial_state, step
 from ptnsbc_core.types import (
     MODE_FORMATION,
+    NEAR_COLUMNS,
     NEVER_RECEIVED_S,
     ODOMETRY_SIZE,
     AgentConfig,
@@ -29,11 +30,11 @@ from ptnsbc_sim.disturbances.gusts import blow
 from ptnsbc_sim.disturbances.position_noise import believed, no_error
 from ptnsbc_sim.disturbances.sensor_noise import beside
 from ptnsbc_sim.plants.build import plant_config, start_states
-from ptnsbc_sim.plants.contract import PlantConfig
-from ptnsbc_sim.plants.integrate import advance, odometry
+from ptnsbc_sim.plants.contract import PlantConfig, Waves, no_waves
+from ptnsbc_sim.plants.integrate import advance_with, store_odometry
 from ptnsbc_sim.scenario import Scenario, agent_config
-from ptnsbc_sim.sensor import near_objects
-from ptnsbc_sim.track import DIAGNOSTICS_SIZE, FlightTrack, note
+from ptnsbc_sim.sensor import near_objects, store_near, store_objects
+from ptnsbc_sim.track import FlightTrack, note, track_of
 from ptnsbc_sim.wiring import Wiring, wiring_of
 from ptnsbc_sim.world import measure_all
 
@@ -41,13 +42,22 @@ CHUNK_TICKS = 500
 
 
 class SwarmState(NamedTuple):
-    """The UAVs of a flight, by row: constants, and what is carried from tick to tick (changed in place)."""
+    """The UAVs of a flight, by row: constants, what is carried from tick to tick, and room to work in.
+
+    Everything but the constants is changed in place.
+    """
 
     configs: Sequence[AgentConfig]
     plants: Sequence[PlantConfig]
     states: MutableSequence[AgentState]
     bodies: Array  # (N, 17) plant states
-    nears: MutableSequence[Array]  # (M, 7) each, last reading of the near-object sensor
+    objects: Array  # (N + O, 7) what the sensors tell of all UAVs and obstacles
+    near: Array  # (N, N - 1 + O, 7) last reading of the near-object sensor
+    near_count: NDArray[np.int64]  # (N,) rows of it that are used
+    estimates: Array  # (N, K, 13) received leader estimates
+    estimate_age_s: Array  # (N, K)
+    nothing: Array  # (13,) zeros: the message of a sender that is not there
+    waves: Waves
 
 
 class HeadlessFlight(NamedTuple):
@@ -82,50 +92,55 @@ class HeadlessFlight(NamedTuple):
 
 @inline_kernel
 def _age(tick: int, sent: int, dt_ns: int) -> float:
-    """Seconds since a message of tick `sent`, -1: none was heard."""
+    """Seconds since a message of tick `sent`, -1: none was received."""
     return ((tick - sent) * dt_ns) * 1e-9 if sent >= 0 else NEVER_RECEIVED_S
 
 
 @inline_kernel
-def _heard(track: FlightTrack, sent: int, row: int) -> Array:
+def _received(swarm: SwarmState, track: FlightTrack, sent: int, row: int) -> Array:
     """Odometry vector (13,) that UAV number `row` sent at tick `sent`; zeros when there is none."""
     if sent < 0 or row < 0:
-        return np.zeros(ODOMETRY_SIZE)
+        return swarm.nothing
     return track.odometry[sent, row]
 
 
 @inline_kernel
 def inputs_of(
-    wiring: Wiring, track: FlightTrack, near: Array, tick: int, row: int, luck: Disturbances | None
+    swarm: SwarmState,
+    wiring: Wiring,
+    track: FlightTrack,
+    tick: int,
+    row: int,
+    disturbances: Disturbances | None,
 ) -> AgentInputs:
     """What UAV number `row` knows at `tick`: what was sent at the tick before, or longer ago if that got lost."""
     parent = wiring.parent[row]
     from_parent, from_leader = tick - 1, tick - 1
-    if luck is not None:
-        from_parent, from_leader = luck.heard[tick, row, 0], luck.heard[tick, row, 1]
-    count = 0
-    while count < wiring.neighbours.shape[1] and wiring.neighbours[row, count] >= 0:
-        count += 1
-    estimates = np.zeros((count, ODOMETRY_SIZE))
-    ages = np.empty(count)
+    if disturbances is not None:
+        received = disturbances.heard[tick, row]
+        from_parent, from_leader = received[0], received[1]
+    count = wiring.neighbour_count[row]
+    estimates, ages = swarm.estimates[row, :count], swarm.estimate_age_s[row, :count]
     for k in range(count):
         sent = tick - 1
-        if luck is not None:
-            sent = luck.heard[tick, row, 2 + k]
+        if disturbances is not None:
+            sent = disturbances.heard[tick, row, 2 + k]
         ages[k] = _age(tick, sent, wiring.dt_ns)
         if sent >= 0:
             store(estimates[k], 0, track.estimate[sent, wiring.neighbours[row, k]])
+        else:
+            store(estimates[k], 0, swarm.nothing)
     pinned = wiring.pinned[row] > 0
     behind = tick % wiring.near_every
     return AgentInputs(
         track.odometry[tick, row],
-        _heard(track, from_parent, parent),
+        _received(swarm, track, from_parent, parent),
         _age(tick, from_parent, wiring.dt_ns) if parent >= 0 else NEVER_RECEIVED_S,
-        _heard(track, from_leader, wiring.leader if pinned else -1),
+        _received(swarm, track, from_leader, wiring.leader if pinned else -1),
         _age(tick, from_leader, wiring.dt_ns) if pinned else NEVER_RECEIVED_S,
         estimates,
         ages,
-        near,
+        swarm.near[row, : swarm.near_count[row]],
         (behind * wiring.dt_ns) * 1e-9,
         MODE_FORMATION,
         (tick * wiring.dt_ns) * 1e-9,
@@ -134,41 +149,79 @@ def inputs_of(
 
 @kernel
 def sense(
-    crew: SwarmState, wiring: Wiring, track: FlightTrack, tick: int, luck: Disturbances | None
+    swarm: SwarmState,
+    wiring: Wiring,
+    track: FlightTrack,
+    tick: int,
+    disturbances: Disturbances | None,
 ) -> None:
     """Measure every UAV's odometry, and the near objects when the sensor's turn has come."""
-    size = crew.bodies.shape[0]
-    true = track.odometry if luck is None else track.truth
+    size = swarm.bodies.shape[0]
+    true = track.odometry if disturbances is None else track.truth
     for row in range(size):
-        store(true[tick, row], 0, odometry(crew.bodies[row], crew.plants[row]))
-    if luck is not None:
+        store_odometry(true[tick, row], swarm.bodies[row], wiring.plant)
+    if disturbances is not None:
         for row in range(size):
-            store(track.odometry[tick, row], 0, _believed(track, tick, row, wiring, luck))
+            store(track.odometry[tick, row], 0, _believed(track, tick, row, wiring, disturbances))
     if tick % wiring.near_every == 0:
-        for row in range(size):
-            near = near_objects(
-                row, true[tick], wiring.obstacles, wiring.uav_keep_out_m, wiring.range_m
-            )
-            if luck is not None:
-                draws = luck.sights[tick // wiring.near_every, row]
-                seen = track.odometry[tick, row]
-                near = beside(near, true[tick, row], seen, draws, luck.sight)
-            crew.nears[row] = near
+        _sense_near(swarm, wiring, track, tick, disturbances)
 
 
 @kernel
-def _believed(track: FlightTrack, tick: int, row: int, wiring: Wiring, luck: Disturbances) -> Array:
+def _sense_near(
+    swarm: SwarmState,
+    wiring: Wiring,
+    track: FlightTrack,
+    tick: int,
+    disturbances: Disturbances | None,
+) -> None:
+    true = track.odometry[tick] if disturbances is None else track.truth[tick]
+    store_objects(true, wiring.obstacles, wiring.uav_keep_out_m, swarm.objects)
+    for row in range(true.shape[0]):
+        count = store_near(
+            row, true, wiring.obstacles, swarm.objects, wiring.range_m, swarm.near[row]
+        )
+        swarm.near_count[row] = count
+        if disturbances is not None:
+            draws = disturbances.sights[tick // wiring.near_every, row]
+            seen = track.odometry[tick, row]
+            near = beside(swarm.near[row, :count], true[row], seen, draws, disturbances.sight)
+            swarm.near[row, :count] = near
+
+
+@kernel
+def _believed(
+    track: FlightTrack, tick: int, row: int, wiring: Wiring, disturbances: Disturbances
+) -> Array:
     """Odometry vector (13,) that UAV number `row` sees, from its true one."""
     return believed(
         track.truth[tick, row],
-        track.truth[max(tick - luck.odometer.delay, 0), row],
-        track.truth[max(tick - luck.odometer.known, 0), row],
-        luck.errors[row],
-        luck.fixes[tick, row],
+        track.truth[max(tick - disturbances.odometer.delay, 0), row],
+        track.truth[max(tick - disturbances.odometer.known, 0), row],
+        disturbances.errors[row],
+        disturbances.fixes[tick, row],
         tick,
         wiring.dt_ns * 1e-9,
-        luck.odometer,
+        disturbances.odometer,
     )
+
+
+@inline_kernel
+def advance_plant(
+    swarm: SwarmState,
+    wiring: Wiring,
+    track: FlightTrack,
+    tick: int,
+    row: int,
+    disturbances: Disturbances | None,
+) -> None:
+    """One control period of UAV number `row` under the wrench that it has just commanded."""
+    plant = swarm.plants[row]
+    if disturbances is not None:
+        draws = disturbances.blows[tick, row]
+        blow(disturbances.gust[row], plant.wind, draws, tick, disturbances.gusts)
+    t, dt = (tick * wiring.dt_ns) * 1e-9, wiring.dt_ns * 1e-9
+    advance_with(swarm.bodies[row], track.wrench[tick, row], t, dt, plant, swarm.waves)
 
 
 @kernel
@@ -176,27 +229,23 @@ def _fly(
     first: int,
     count: int,
     wiring: Wiring,
-    crew: SwarmState,
+    swarm: SwarmState,
     track: FlightTrack,
-    luck: Disturbances | None,
+    disturbances: Disturbances | None,
 ) -> None:
     """Ticks first .. first + count - 1 of the whole swarm into `track`.
 
-    What depends on `luck` is compiled only for flights that have some: numba drops a branch on None.
+    What depends on `disturbances` is compiled only for flights that have some: numba drops a branch on None.
     """
     dt = wiring.dt_ns * 1e-9
     for tick in range(first, first + count):
         t = (tick * wiring.dt_ns) * 1e-9
-        sense(crew, wiring, track, tick, luck)
-        for row in range(crew.bodies.shape[0]):
-            inputs = inputs_of(wiring, track, crew.nears[row], tick, row, luck)
-            crew.states[row], out = step(crew.states[row], inputs, t, dt, crew.configs[row])
+        sense(swarm, wiring, track, tick, disturbances)
+        for row in range(swarm.bodies.shape[0]):
+            inputs = inputs_of(swarm, wiring, track, tick, row, disturbances)
+            swarm.states[row], out = step(swarm.states[row], inputs, t, dt, swarm.configs[row])
             note(track, tick, row, out)
-            if luck is not None:
-                wind = crew.plants[row].wind
-                blow(luck.gust[row], wind, luck.blows[tick, row], tick, luck.gusts)
-            wrench, plant = track.wrench[tick, row], crew.plants[row]
-            advance(crew.bodies[row], wrench, t, dt, wiring.substeps, plant)
+            advance_plant(swarm, wiring, track, tick, row, disturbances)
 
 
 @kernel
@@ -207,61 +256,79 @@ def _starts(configs: Sequence[AgentConfig], seen: Array) -> MutableSequence[Agen
     return states
 
 
-def _first_seen(truth: Array, dt: float, luck: Disturbances | None) -> Array:
+def _first_seen(truth: Array, dt: float, disturbances: Disturbances | None) -> Array:
     """Odometry vectors (N, 13) that the UAVs see at the first tick, from the true ones."""
-    if luck is None:
+    if disturbances is None:
         return truth
-    kind = luck.odometer
+    kind = disturbances.odometer
     rows = [
-        believed(own, own, own, no_error(kind), luck.fixes[0, row], 0, dt, kind)
+        believed(own, own, own, no_error(kind), disturbances.fixes[0, row], 0, dt, kind)
         for row, own in enumerate(truth)
     ]
     return np.stack(rows)
+
+
+def swarm_of(scenario: Scenario, wiring: Wiring, disturbances: Disturbances | None) -> SwarmState:
+    """The UAVs of a scenario before the first tick."""
+    plants = [plant_config(scenario, uav_id) for uav_id in scenario.uav_ids]
+    configs = kernel_list([agent_config(scenario, uav_id) for uav_id in scenario.uav_ids])
+    bodies = start_states(scenario, plants)
+    plant_list = kernel_list(plants)
+    seen = _first_seen(measure_all(bodies, plant_list), wiring.dt_ns * 1e-9, disturbances)
+    size, objects = len(plants), len(plants) + len(wiring.obstacles)
+    received = wiring.neighbours.shape
+    return SwarmState(
+        configs,
+        plant_list,
+        _starts(configs, seen),
+        bodies,
+        np.zeros((objects, NEAR_COLUMNS)),
+        np.zeros((size, objects - 1, NEAR_COLUMNS)),
+        np.zeros(size, dtype=np.int64),
+        np.zeros((*received, ODOMETRY_SIZE)),
+        np.zeros(received),
+        np.zeros(ODOMETRY_SIZE),
+        no_waves(wiring.substeps),
+    )
 
 
 Loop = Callable[[int, int, Wiring, SwarmState, FlightTrack, Disturbances | None], None]
 """Flies so many ticks from the first: the law is in it."""
 
 
-def fly(scenario: Scenario, progress: Callable[[int, int], None] | None = None) -> HeadlessFlight:
+def fly(
+    scenario: Scenario,
+    progress: Callable[[int, int], None] | None = None,
+    room: FlightTrack | None = None,
+) -> HeadlessFlight:
     """Fly a scenario headless.
 
     Args:
         scenario: what to fly.
         progress: called with (ticks done, ticks in all) now and then.
+        room: the track of an earlier flight of as many ticks and UAVs, which is overwritten.
 
     Returns:
         The whole flight; the same scenario gives the same bytes.
     """
-    return flown(scenario, _fly, progress)
+    return flown(scenario, _fly, progress, room)
 
 
 def flown(
-    scenario: Scenario, loop: Loop, progress: Callable[[int, int], None] | None = None
+    scenario: Scenario,
+    loop: Loop,
+    progress: Callable[[int, int], None] | None = None,
+    room: FlightTrack | None = None,
 ) -> HeadlessFlight:
     """As `fly`, with the law in `loop`."""
     ticks, size = scenario.ticks, len(scenario.uav_ids)
-    plants = [plant_config(scenario, uav_id) for uav_id in scenario.uav_ids]
-    configs = kernel_list([agent_config(scenario, uav_id) for uav_id in scenario.uav_ids])
-    bodies = start_states(scenario, plants)
-    plant_list = kernel_list(plants)
     wiring = wiring_of(scenario)
-    luck = chance(scenario, wiring.neighbours.shape[1])
-    seen = _first_seen(measure_all(bodies, plant_list), wiring.dt_ns * 1e-9, luck)
-    crew = SwarmState(
-        configs,
-        plant_list,
-        _starts(configs, seen),
-        bodies,
-        kernel_list([np.empty((0, 7)) for _ in range(size)]),
-    )
-    widths = (ODOMETRY_SIZE, 4, 6, ODOMETRY_SIZE, DIAGNOSTICS_SIZE, ODOMETRY_SIZE)
-    track = FlightTrack(*(np.zeros((ticks, size, width)) for width in widths))
-    if luck is None:
-        track = track._replace(truth=np.zeros((0, size, ODOMETRY_SIZE)))
+    disturbances = chance(scenario, wiring.neighbours.shape[1])
+    swarm = swarm_of(scenario, wiring, disturbances)
+    track = track_of(ticks, size, with_truth=disturbances is not None, room=room)
     for first in range(0, ticks, CHUNK_TICKS):
         count = min(CHUNK_TICKS, ticks - first)
-        loop(first, count, wiring, crew, track, luck)
+        loop(first, count, wiring, swarm, track, disturbances)
         if progress is not None:
             progress(first + count, ticks)
     t_ns = np.arange(ticks, dtype=np.int64) * scenario.dt_ns

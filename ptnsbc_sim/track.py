@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
+
 from ptnsbc_core.agent import store_diagnostics, store_velocity, store_wrench
 from ptnsbc_core.kernel import inline_kernel
 from ptnsbc_core.kinematics import store_estimate
-from ptnsbc_core.types import AgentOutputs, Array
+from ptnsbc_core.types import ODOMETRY_SIZE, AgentOutputs, Array
 
 # Columns of Track.diagnostics
 ERROR, GAIN, SINGULAR_VALUE, ACTIVE_ROWS = slice(0, 3), 3, 4, 5
@@ -33,3 +35,15 @@ def note(track: FlightTrack, tick: int, row: int, out: AgentOutputs) -> None:
     store_wrench(track.wrench[tick, row], out)
     store_estimate(track.estimate[tick, row], out.estimate)
     store_diagnostics(track.diagnostics[tick, row], out.diagnostics)
+
+
+def track_of(
+    ticks: int, size: int, *, with_truth: bool, room: FlightTrack | None = None
+) -> FlightTrack:
+    """Room for a flight of so many ticks and UAVs: that of an earlier one where it is given and fits."""
+    widths = (ODOMETRY_SIZE, 4, 6, ODOMETRY_SIZE, DIAGNOSTICS_SIZE, ODOMETRY_SIZE)
+    lengths = (ticks,) * 5 + (ticks if with_truth else 0,)
+    shapes = [(length, size, width) for length, width in zip(lengths, widths, strict=True)]
+    if room is not None and [array.shape for array in room] == shapes:
+        return room
+    return FlightTrack(*(np.zeros(shape) for shape in shapes))

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ptnsbc_core.types import Array
+from ptnsbc_core.types import PLANTS, Array
 from ptnsbc_sim.plants.build import obstacle_rows
 from ptnsbc_sim.scenario import Scenario
 
@@ -19,12 +19,14 @@ class Wiring(NamedTuple):
     parent: NDArray[np.int64]  # (N,) row of the parent, -1 for the leader
     pinned: NDArray[np.int64]  # (N,) 1 where the leader is heard
     neighbours: NDArray[np.int64]  # (N, K) rows, -1 beyond the last
+    neighbour_count: NDArray[np.int64]  # (N,)
     obstacles: Array  # (O, 7)
     uav_keep_out_m: float
     range_m: float
     near_every: int
     substeps: int
     dt_ns: int
+    plant: int  # PLANT_* of all UAVs
 
 
 def wiring_of(scenario: Scenario) -> Wiring:
@@ -41,10 +43,12 @@ def wiring_of(scenario: Scenario) -> Wiring:
         np.array([-1 if parent is None else row[parent] for parent in parents], dtype=np.int64),
         np.array([int(scenario.pinned(uav_id)) for uav_id in ids], dtype=np.int64),
         table,
+        np.array([len(some) for some in neighbours], dtype=np.int64),
         obstacle_rows(scenario),
         float(scenario.uav_keep_out_m),
         float(scenario.sensor.range_m),
         int(scenario.near_every),
         int(scenario.physics_hz // scenario.control_hz),
         int(scenario.dt_ns),
+        PLANTS[scenario.plant_kind],
     )

@@ -23,6 +23,7 @@ from ptnsbc_core.algebra import (
     norm3,
     scale3,
     sub3,
+    transpose,
 )
 from ptnsbc_core.control.adaptation import observer_step
 from ptnsbc_core.control.rigid_body_control import (
@@ -92,19 +93,10 @@ def half_turn_vector(relative: Matrix3) -> Vector3:
     return scale3(math.pi / norm3(axis), axis)
 
 
-@inline_kernel
-def _transpose(m: Array | Matrix3) -> Matrix3:
-    return (
-        (m[0][0], m[1][0], m[2][0]),
-        (m[0][1], m[1][1], m[2][1]),
-        (m[0][2], m[1][2], m[2][2]),
-    )
-
-
 @kernel
 def attitude_error(present: Array | Matrix3, desired: Array | Matrix3) -> Vector3:
     """Rotation vector [rad], body frame, from R to R_d (both (3, 3))."""
-    columns = _transpose(desired)
+    columns = transpose(desired)
     # R^T R_d, by columns of R_d
     x = matvec_transposed(present, columns[0])
     y = matvec_transposed(present, columns[1])
@@ -115,7 +107,7 @@ def attitude_error(present: Array | Matrix3, desired: Array | Matrix3) -> Vector
     angle = math.atan2(sine, 0.5 * (trace - 1.0))
     if sine < 1e-9:
         if trace < 0.0:  # half a turn: the axis is in the symmetric part
-            return half_turn_vector(_transpose((x, y, z)))
+            return half_turn_vector(transpose((x, y, z)))
         return scale3(0.5, twist)
     return scale3(0.5 * angle / sine, twist)
 

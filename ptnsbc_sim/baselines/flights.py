@@ -21,9 +21,8 @@ from ptnsbc_sim.baselines.reaching import EXPONENTIAL, TWO_SIDED, Reaching
 from ptnsbc_sim.baselines.settling import settled_s, tuned
 from ptnsbc_sim.baselines.terminal import Axis, Terminal, terminal_step
 from ptnsbc_sim.disturbances.build import Disturbances
-from ptnsbc_sim.plants.integrate import advance
 from ptnsbc_sim.scenario import Scenario, scenario_from_text
-from ptnsbc_sim.swarm import HeadlessFlight, SwarmState, inputs_of, sense
+from ptnsbc_sim.swarm import HeadlessFlight, SwarmState, advance_plant, inputs_of, sense
 from ptnsbc_sim.track import FlightTrack, note
 from ptnsbc_sim.wiring import Wiring
 
@@ -48,24 +47,23 @@ def _fly_terminal(
     first: int,
     count: int,
     wiring: Wiring,
-    crew: SwarmState,
+    swarm_state: SwarmState,
     track: FlightTrack,
-    luck: Disturbances | None,
+    disturbances: Disturbances | None,
     laws: Sequence[Terminal],
 ) -> None:
     """As the loop of the swarm, with another law; wind does not act on this plant."""
     dt = wiring.dt_ns * 1e-9
     for tick in range(first, first + count):
         t = (tick * wiring.dt_ns) * 1e-9
-        sense(crew, wiring, track, tick, luck)
-        for row in range(crew.bodies.shape[0]):
-            inputs = inputs_of(wiring, track, crew.nears[row], tick, row, luck)
-            crew.states[row], out = terminal_step(
-                crew.states[row], inputs, t, dt, crew.configs[row], laws[row]
+        sense(swarm_state, wiring, track, tick, disturbances)
+        for row in range(swarm_state.bodies.shape[0]):
+            inputs = inputs_of(swarm_state, wiring, track, tick, row, disturbances)
+            swarm_state.states[row], out = terminal_step(
+                swarm_state.states[row], inputs, t, dt, swarm_state.configs[row], laws[row]
             )
             note(track, tick, row, out)
-            wrench, plant = track.wrench[tick, row], crew.plants[row]
-            advance(crew.bodies[row], wrench, t, dt, wiring.substeps, plant)
+            advance_plant(swarm_state, wiring, track, tick, row, disturbances)
 
 
 def _place(scenario: Scenario, uav_id: int) -> Vector3:
@@ -101,11 +99,11 @@ def _fly_by(scenario: Scenario, law: str, progress: Progress | None = None) -> H
         first: int,
         count: int,
         wiring: Wiring,
-        crew: SwarmState,
+        swarm_state: SwarmState,
         track: FlightTrack,
-        luck: Disturbances | None,
+        disturbances: Disturbances | None,
     ) -> None:
-        _fly_terminal(first, count, wiring, crew, track, luck, laws)
+        _fly_terminal(first, count, wiring, swarm_state, track, disturbances, laws)
 
     return swarm.flown(scenario, loop, progress)
 

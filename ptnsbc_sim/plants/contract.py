@@ -5,7 +5,9 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from ptnsbc_core.kernel import inline_kernel
+import numpy as np
+
+from ptnsbc_core.kernel import inline_kernel, kernel
 from ptnsbc_core.types import Array
 
 STATE_SIZE = 17
@@ -29,10 +31,84 @@ class PlantConfig(NamedTuple):
     offset: Array  # (6,)
 
 
+class Waves(NamedTuple):
+    """The sines of the disturbances at the instants of one control period: UAVs of equal phases share them."""
+
+    sines: Array  # (2 substeps + 1, 6) at the start, middle and end of every substep
+    phases: Array  # (6,) [rad] that they were computed for
+    at: Array  # (1,) [s] start of the control period; NaN before the first
+
+
 @inline_kernel
-def disturbance(config: PlantConfig, t: float, out: Array) -> None:
-    """Disturbance acceleration at t [s] into `out` (6,): linear [m/s^2] then angular [rad/s^2] (Table 2)."""
+def no_waves(substeps: int) -> Waves:
+    """Room for the sines of one control period, none of them computed yet."""
+    return Waves(np.empty((2 * substeps + 1, 6)), np.empty(6), np.full(1, np.nan))
+
+
+@inline_kernel
+def _sines(phases: Array, t: float, out: Array) -> None:
+    """sin(t + phase) of every axis into `out` (6,); axes of one phase share one sine."""
     for i in range(6):
-        out[i] = config.offset[i]
-        if config.amplitude[i] != 0.0:
-            out[i] += config.amplitude[i] * math.sin(t + config.phase[i])
+        known = -1
+        for j in range(i):
+            if phases[j] == phases[i]:
+                known = j
+        out[i] = out[known] if known >= 0 else math.sin(t + phases[i])
+
+
+@kernel
+def _computed(waves: Waves, phases: Array, t: float, step: float) -> None:
+    """The sines of the control period that begins at t [s] with substeps of `step` [s]."""
+    waves.at[0] = t
+    for i in range(6):
+        waves.phases[i] = phases[i]
+    _sines(phases, t, waves.sines[0])
+    for n in range(waves.sines.shape[0] // 2):
+        _sines(phases, t + (n + 0.5) * step, waves.sines[2 * n + 1])
+        _sines(phases, t + (n + 1) * step, waves.sines[2 * n + 2])
+
+
+@inline_kernel
+def update_waves(waves: Waves, config: PlantConfig, t: float, step: float) -> None:
+    """Have the sines of one vehicle in `waves` for the control period that begins at t [s]."""
+    moving, known = False, waves.at[0] == t
+    for i in range(6):
+        moving = moving or config.amplitude[i] != 0.0
+        known = known and waves.phases[i] == config.phase[i]
+    if moving and not known:
+        _computed(waves, config.phase, t, step)
+
+
+Six = tuple[float, float, float, float, float, float]
+
+
+class Push(NamedTuple):
+    """The disturbance of one vehicle without its sines."""
+
+    amplitude: Six  # [m/s^2] x 3, [rad/s^2] x 3
+    offset: Six
+
+
+@inline_kernel
+def six(v: Array) -> Six:
+    """The numbers of a vector (6,)."""
+    return v[0], v[1], v[2], v[3], v[4], v[5]
+
+
+@inline_kernel
+def _disturbed(offset: float, amplitude: float, sine: float) -> float:
+    return offset + amplitude * sine if amplitude != 0.0 else offset
+
+
+@inline_kernel
+def disturbance(push: Push, sines: Array, instant: int) -> Six:
+    """Disturbance acceleration, linear [m/s^2] then angular [rad/s^2], at one instant of the `Waves` (Table 2)."""
+    a, b = push.offset, push.amplitude
+    return (
+        _disturbed(a[0], b[0], sines[instant, 0]),
+        _disturbed(a[1], b[1], sines[instant, 1]),
+        _disturbed(a[2], b[2], sines[instant, 2]),
+        _disturbed(a[3], b[3], sines[instant, 3]),
+        _disturbed(a[4], b[4], sines[instant, 4]),
+        _disturbed(a[5], b[5], sines[instant, 5]),
+    )

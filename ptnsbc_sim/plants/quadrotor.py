@@ -1,4 +1,4 @@
-"""Plant `quadrotor`: one thrust along body z and three torques through motors with lag and limits.
+"""Plant `quadrotor`: one thrust along body z and load3 torques through motors with lag and limits.
 
 State (17,): position [m, ENU] 0:3, quaternion x y z w 3:7, velocity [m/s, ENU] 7:10, body rates [rad/s]
 10:13, actual thrust [N] 13, actual torques [N m] 14:17. Drag is linear in the air speed, so wind pushes.
@@ -7,59 +7,194 @@ State (17,): position [m, ENU] 0:3, quaternion x y z w 3:7, velocity [m/s, ENU] 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
-import numpy as np
-
-from ptnsbc_core.algebra import store
+from ptnsbc_core.algebra import add3, axpy, load3, matvec_transposed, store3
 from ptnsbc_core.kernel import inline_kernel
-from ptnsbc_core.kinematics import rotation_from_quaternion
-from ptnsbc_core.types import ODOMETRY_SIZE, Array
-from ptnsbc_sim.plants.contract import PlantConfig
+from ptnsbc_core.kinematics import rotation
+from ptnsbc_core.types import Array, Vector3
+from ptnsbc_sim.plants.contract import PlantConfig, Push, Six, disturbance, six
+
+Quaternion = tuple[float, float, float, float]
+
+
+class QuadrotorState(NamedTuple):
+    """A state by its parts, or its rate of change: an array would be read again after every write to another."""
+
+    position: Vector3  # [m, ENU]
+    quaternion: Quaternion  # x y z w
+    velocity: Vector3  # [m/s, ENU]
+    rates: Vector3  # [rad/s] of the body
+    thrust: float  # [N]
+    torque: Vector3  # [N m]
 
 
 @inline_kernel
-def derivative(x: Array, wrench: Array, push: Array, config: PlantConfig, out: Array) -> None:
-    """x_dot into `out` (17,), for commanded thrust wrench[2] and torques wrench[3:6], disturbance (6,)."""
-    a, b, c, d = x[3], x[4], x[5], x[6]
-    p, q, r = x[10], x[11], x[12]
-    for i in range(3):
-        out[i] = x[7 + i]
-    out[3] = 0.5 * (d * p + b * r - c * q)
-    out[4] = 0.5 * (d * q + c * p - a * r)
-    out[5] = 0.5 * (d * r + a * q - b * p)
-    out[6] = -0.5 * (a * p + b * q + c * r)
-    lift = x[13] / config.mass
-    drag = config.drag
-    out[7] = 2.0 * (a * c + d * b) * lift - drag * (x[7] - config.wind[0]) + push[0]
-    out[8] = 2.0 * (b * c - d * a) * lift - drag * (x[8] - config.wind[1]) + push[1]
+def from_array(x: Array) -> QuadrotorState:
+    """The parts of a state (17,)."""
+    quaternion = (x[3], x[4], x[5], x[6])
+    return QuadrotorState(load3(x, 0), quaternion, load3(x, 7), load3(x, 10), x[13], load3(x, 14))
+
+
+@inline_kernel
+def store_state(out: Array, x: QuadrotorState) -> None:
+    """Write a state into `out` (17,)."""
+    store3(out, 0, x.position)
+    out[3], out[4], out[5], out[6] = x.quaternion
+    store3(out, 7, x.velocity)
+    store3(out, 10, x.rates)
+    out[13] = x.thrust
+    store3(out, 14, x.torque)
+
+
+class QuadrotorForces(NamedTuple):
+    """What acts on the vehicle during one control period, but for the disturbance."""
+
+    mass: float  # [kg]
+    inertia: Vector3  # [kg m^2]
+    gravity: float  # [m/s^2]
+    drag: float  # [1/s]
+    wind: Vector3  # [m/s, ENU]
+    motor_rate: float  # [1/s]
+    thrust: float  # [N] commanded, within the limits
+    torque: Vector3  # [N m] commanded, within the limits
+
+
+@inline_kernel
+def _limited(value: float, most: float) -> float:
+    return min(max(value, -most), most)
+
+
+@inline_kernel
+def forces(wrench: Array, config: PlantConfig) -> QuadrotorForces:
+    """For a commanded thrust wrench[2] and torques wrench[3:6]."""
+    most = config.max_torque
+    return QuadrotorForces(
+        config.mass,
+        load3(config.inertia, 0),
+        config.gravity,
+        config.drag,
+        load3(config.wind, 0),
+        1.0 / config.motor_lag_s,
+        min(max(wrench[2], 0.0), config.max_thrust),
+        (
+            _limited(wrench[3], most[0]),
+            _limited(wrench[4], most[1]),
+            _limited(wrench[5], most[2]),
+        ),
+    )
+
+
+@inline_kernel
+def derivative(x: QuadrotorState, acting: QuadrotorForces, push: Six) -> QuadrotorState:
+    """x_dot under these forces and a disturbance acceleration."""
+    a, b, c, d = x.quaternion
+    p, q, r = x.rates
+    u, v, w = x.velocity
+    lift, drag, wind = x.thrust / acting.mass, acting.drag, acting.wind
     up = 1.0 - 2.0 * (a * a + b * b)
-    out[9] = up * lift - config.gravity - drag * (x[9] - config.wind[2]) + push[2]
-    ix, iy, iz = config.inertia[0], config.inertia[1], config.inertia[2]
-    out[10] = (x[14] + (iy - iz) * q * r) / ix + push[3]
-    out[11] = (x[15] + (iz - ix) * r * p) / iy + push[4]
-    out[12] = (x[16] + (ix - iy) * p * q) / iz + push[5]
-    rate = 1.0 / config.motor_lag_s
-    out[13] = (min(max(wrench[2], 0.0), config.max_thrust) - x[13]) * rate
-    for i in range(3):
-        most = config.max_torque[i]
-        out[14 + i] = (min(max(wrench[3 + i], -most), most) - x[14 + i]) * rate
+    ix, iy, iz = acting.inertia
+    rate, torque = acting.motor_rate, acting.torque
+    return QuadrotorState(
+        x.velocity,
+        (
+            0.5 * (d * p + b * r - c * q),
+            0.5 * (d * q + c * p - a * r),
+            0.5 * (d * r + a * q - b * p),
+            -0.5 * (a * p + b * q + c * r),
+        ),
+        (
+            2.0 * (a * c + d * b) * lift - drag * (u - wind[0]) + push[0],
+            2.0 * (b * c - d * a) * lift - drag * (v - wind[1]) + push[1],
+            up * lift - acting.gravity - drag * (w - wind[2]) + push[2],
+        ),
+        (
+            (x.torque[0] + (iy - iz) * q * r) / ix + push[3],
+            (x.torque[1] + (iz - ix) * r * p) / iy + push[4],
+            (x.torque[2] + (ix - iy) * p * q) / iz + push[5],
+        ),
+        (acting.thrust - x.thrust) * rate,
+        (
+            (torque[0] - x.torque[0]) * rate,
+            (torque[1] - x.torque[1]) * rate,
+            (torque[2] - x.torque[2]) * rate,
+        ),
+    )
 
 
 @inline_kernel
-def normalise(x: Array) -> None:
-    """Bring the quaternion of a state (17,) back to unit length, in place."""
-    length = math.sqrt(x[3] * x[3] + x[4] * x[4] + x[5] * x[5] + x[6] * x[6])
-    for i in range(3, 7):
-        x[i] /= length
+def ahead(x: QuadrotorState, factor: float, slope: QuadrotorState) -> QuadrotorState:
+    """x + factor slope."""
+    q, dq = x.quaternion, slope.quaternion
+    return QuadrotorState(
+        axpy(factor, slope.position, x.position),
+        (
+            q[0] + factor * dq[0],
+            q[1] + factor * dq[1],
+            q[2] + factor * dq[2],
+            q[3] + factor * dq[3],
+        ),
+        axpy(factor, slope.velocity, x.velocity),
+        axpy(factor, slope.rates, x.rates),
+        x.thrust + factor * slope.thrust,
+        axpy(factor, slope.torque, x.torque),
+    )
 
 
 @inline_kernel
-def odometry(x: Array) -> Array:
-    """Odometry vector (13,) of a state (17,): the velocity turned into the body frame."""
-    out = np.empty(ODOMETRY_SIZE)
-    store(out, 0, x[0:7])
-    rotation = rotation_from_quaternion(x[3:7])
-    for i in range(3):
-        out[7 + i] = rotation[0, i] * x[7] + rotation[1, i] * x[8] + rotation[2, i] * x[9]
-    store(out, 10, x[10:13])
-    return out
+def _sum(a: QuadrotorState, b: QuadrotorState) -> QuadrotorState:
+    q, r = a.quaternion, b.quaternion
+    return QuadrotorState(
+        add3(a.position, b.position),
+        (q[0] + r[0], q[1] + r[1], q[2] + r[2], q[3] + r[3]),
+        add3(a.velocity, b.velocity),
+        add3(a.rates, b.rates),
+        a.thrust + b.thrust,
+        add3(a.torque, b.torque),
+    )
+
+
+@inline_kernel
+def _normalised(x: QuadrotorState) -> QuadrotorState:
+    """`x` with its quaternion brought back to unit length."""
+    a, b, c, d = x.quaternion
+    length = math.sqrt(a * a + b * b + c * c + d * d)
+    unit = (a / length, b / length, c / length, d / length)
+    return QuadrotorState(x.position, unit, x.velocity, x.rates, x.thrust, x.torque)
+
+
+@inline_kernel
+def step(
+    x: QuadrotorState, acting: QuadrotorForces, pushes: tuple[Six, Six, Six], step_s: float
+) -> QuadrotorState:
+    """One Runge-Kutta step of fourth order; disturbances at its start, middle and end."""
+    half = 0.5 * step_s
+    first = derivative(x, acting, pushes[0])
+    second = derivative(ahead(x, half, first), acting, pushes[1])
+    third = derivative(ahead(x, half, second), acting, pushes[1])
+    fourth = derivative(ahead(x, step_s, third), acting, pushes[2])
+    middle = _sum(second, third)
+    slope = _sum(_sum(first, _sum(middle, middle)), fourth)
+    return _normalised(ahead(x, step_s / 6.0, slope))
+
+
+@inline_kernel
+def advance(out: Array, wrench: Array, step_s: float, config: PlantConfig, sines: Array) -> None:
+    """State `out` (17,), in place, by one control period; `sines` as in `Waves`."""
+    x, acting = from_array(out), forces(wrench, config)
+    push = Push(six(config.amplitude), six(config.offset))
+    now = disturbance(push, sines, 0)
+    for n in range(sines.shape[0] // 2):
+        middle, end = disturbance(push, sines, 2 * n + 1), disturbance(push, sines, 2 * n + 2)
+        x = step(x, acting, (now, middle, end), step_s)
+        now = end
+    store_state(out, x)
+
+
+@inline_kernel
+def store_odometry(out: Array, x: Array) -> None:
+    """Odometry vector of a state (17,) into `out` (13,): the velocity turned into the body frame."""
+    for i in range(7):
+        out[i] = x[i]
+    store3(out, 7, matvec_transposed(rotation(x, 3), load3(x, 7)))
+    store3(out, 10, load3(x, 10))

@@ -13,12 +13,15 @@ import numpy as np
 from ptnsbc_core.algebra import store
 from ptnsbc_core.kernel import inline_kernel
 from ptnsbc_core.kinematics import quaternion_from_euler
-from ptnsbc_core.types import ODOMETRY_SIZE, Array
-from ptnsbc_sim.plants.contract import PlantConfig
+from ptnsbc_core.types import Array
+from ptnsbc_sim.plants.contract import STATE_SIZE, PlantConfig, Push, Six, disturbance, six
+
+_USED = 12
+"""Entries of the state that this plant has."""
 
 
 @inline_kernel
-def derivative(x: Array, wrench: Array, push: Array, config: PlantConfig, out: Array) -> None:
+def derivative(x: Array, wrench: Array, push: Six, config: PlantConfig, out: Array) -> None:
     """x_dot into `out` (17,), for a wrench (6,) in body FLU and a disturbance acceleration `push` (6,)."""
     sf, cf = math.sin(x[3]), math.cos(x[3])
     st, ct = math.sin(x[4]), math.cos(x[4])
@@ -40,15 +43,38 @@ def derivative(x: Array, wrench: Array, push: Array, config: PlantConfig, out: A
     out[9] = (wrench[3] + (iy - iz) * q * r) / ix + push[3]
     out[10] = (wrench[4] + (iz - ix) * r * p) / iy + push[4]
     out[11] = (wrench[5] + (ix - iy) * p * q) / iz + push[5]
-    for i in range(12, out.shape[0]):
-        out[i] = 0.0
 
 
 @inline_kernel
-def odometry(x: Array) -> Array:
-    """Odometry vector (13,) of a state (17,)."""
-    out = np.empty(ODOMETRY_SIZE)
+def _ahead(x: Array, factor: float, slope: Array, out: Array) -> None:
+    for i in range(_USED):
+        out[i] = x[i] + factor * slope[i]
+
+
+@inline_kernel
+def advance(out: Array, wrench: Array, step_s: float, config: PlantConfig, sines: Array) -> None:
+    """State `out` (17,), in place, by one control period; `sines` as in `Waves`."""
+    slopes, mid = np.empty((4, STATE_SIZE)), np.empty(STATE_SIZE)
+    push = Push(six(config.amplitude), six(config.offset))
+    now = disturbance(push, sines, 0)
+    for n in range(sines.shape[0] // 2):
+        middle, end = disturbance(push, sines, 2 * n + 1), disturbance(push, sines, 2 * n + 2)
+        derivative(out, wrench, now, config, slopes[0])
+        _ahead(out, 0.5 * step_s, slopes[0], mid)
+        derivative(mid, wrench, middle, config, slopes[1])
+        _ahead(out, 0.5 * step_s, slopes[1], mid)
+        derivative(mid, wrench, middle, config, slopes[2])
+        _ahead(out, step_s, slopes[2], mid)
+        derivative(mid, wrench, end, config, slopes[3])
+        for i in range(_USED):
+            between = slopes[1, i] + slopes[2, i]
+            out[i] += step_s / 6.0 * (slopes[0, i] + 2.0 * between + slopes[3, i])
+        now = end
+
+
+@inline_kernel
+def store_odometry(out: Array, x: Array) -> None:
+    """Odometry vector of a state (17,) into `out` (13,)."""
     store(out, 0, x[0:3])
     store(out, 3, quaternion_from_euler(x[3:6]))
     store(out, 7, x[6:12])
-    return out

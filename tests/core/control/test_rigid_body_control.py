@@ -22,7 +22,7 @@ from ptnsbc_core.types import (
 )
 from ptnsbc_sim.plants import rigid_body
 from ptnsbc_sim.plants.contract import PlantConfig
-from ptnsbc_sim.plants.integrate import advance, initial_state
+from ptnsbc_sim.plants.integrate import advance, initial_state, odometry
 from ptnsbc_sim.scenario import agent_config, load_scenario
 
 sliding_term = on_arrays(laws.sliding_term)
@@ -204,7 +204,7 @@ def closed_loop(
     bound, state = np.zeros(2), state.copy()
     command = VelocityReference(np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3), 0.0)
     for k in range(round(seconds / dt)):
-        own = rigid_body.odometry(state)
+        own = odometry(state, plant)
         each(state[6:12], parameters, bound)
         clock = Clock(k * dt, k * dt, dt)
         out = control(own, command, parameters, bound, clock, config)
