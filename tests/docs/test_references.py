@@ -1,13 +1,29 @@
-"""What the pages point at in the tests is there."""
+"""What the pages name is there: tests, files and Python modules."""
 
+from __future__ import annotations
+
+import ast
 import re
 from pathlib import Path
 
 import pytest
+from markdown_it import MarkdownIt
 
 ROOT = Path(__file__).parents[2]
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md")])
 _TEST = re.compile(r"(tests/[\w/]+\.py)::(\w+)")
+_FILE = re.compile(r"(?:[\w.-]+/)+[\w.-]+\.py\b")
+_DOTTED = re.compile(r"\b(?:ptnsbc_[a-z]+|bench)(?:\.\w+)+")
+_FILES_BELOW = ("", "ptnsbc_core")  # docs/method.md names modules of the core without it
+_GONE = ("CHANGELOG.md",)  # names what was there
+
+
+def _named(page: Path, pattern: re.Pattern[str]) -> set[str]:
+    """What stands in backticks on a page and matches."""
+    tokens = MarkdownIt("commonmark").enable("table").parse(page.read_text(encoding="utf-8"))
+    spans = [child.content for token in tokens for child in token.children or ()
+             if child.type == "code_inline"]  # fmt: skip
+    return {found for span in spans for found in pattern.findall(span)}
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
@@ -19,3 +35,53 @@ def test_tests_that_are_named_exist(page):
         if not re.search(rf"^def {name}\(", (ROOT / file).read_text(encoding="utf-8"), re.MULTILINE)
     ]
     assert missing == []
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_files_that_are_named_exist(page):
+    missing = {
+        name
+        for name in _named(page, _FILE)
+        if not any((ROOT / below / name).is_file() for below in _FILES_BELOW)
+    }
+    assert page.name in _GONE or missing == set()
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_modules_that_are_named_exist(page):
+    missing = {name for name in _named(page, _DOTTED) if not _exists(name)}
+    assert page.name in _GONE or missing == set()
+
+
+def _exists(name: str) -> bool:
+    """Whether a dotted name is a package, a module, or a name at the top of one (of a class: its first part)."""
+    place, parts = ROOT, name.split(".")
+    while parts and (place / parts[0]).is_dir():
+        place /= parts.pop(0)
+    if not parts:
+        return (place / "__init__.py").is_file()
+    module = place / f"{parts[0]}.py"
+    if module.is_file():
+        parts.pop(0)
+    else:
+        module = place / "__init__.py"
+    return not parts or parts[0] in _top_names(module)
+
+
+def _top_names(module: Path) -> set[str]:
+    found: set[str] = set()
+    for node in ast.parse(module.read_text(encoding="utf-8")).body:
+        if isinstance(node, ast.ClassDef | ast.FunctionDef):
+            found.add(node.name)
+        elif isinstance(node, ast.Import | ast.ImportFrom):
+            found |= {alias.asname or alias.name for alias in node.names}
+        elif isinstance(node, ast.Assign | ast.AnnAssign):
+            targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+            found |= {target.id for target in targets if isinstance(target, ast.Name)}
+    return found
+
+
+def test_a_dotted_name_is_looked_up():
+    assert _exists("ptnsbc_core.step.step") and _exists("ptnsbc_sim.baselines.fly")
+    assert _exists("ptnsbc_core.tasks") and _exists("ptnsbc_core.types.Array")
+    assert not _exists("ptnsbc_core.step.stop") and not _exists("ptnsbc_core.nothing")

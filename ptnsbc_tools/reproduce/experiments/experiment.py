@@ -211,9 +211,10 @@ def run(output: ExperimentFolder) -> ExperimentResult:
         "experiment",
         "The experiment: four quadrotors",
         "Scenario `experiment_4`, 50 s, on the quadrotor plant: position noise and rate of an RTK receiver, latency, "
-        "lost messages, wind with gusts, noise of the sensor that sees the others. What is not printed is chosen, and "
-        f"said in the scenario file. Its gains were searched on seeds {SEEDS[0]} to {SEEDS[-1]}; seeds {FRESH[0]} to "
-        f"{FRESH[-1]} were flown with them afterwards, and nothing was changed for these.",
+        "lost messages, wind with gusts, noise of the sensor that sees the others. Values that the paper does not "
+        "print are chosen; the scenario file names them. Its gains were searched on seeds "
+        f"{SEEDS[0]} to {SEEDS[-1]}; seeds {FRESH[0]} to {FRESH[-1]} were "
+        "flown with them afterwards, and nothing was changed for these.",
         figures=(
             paths.in_space(output, first, 33, f"in space of four quadrotors in wind; {_DRIFT}"),
             _paths(output, first),
