@@ -139,11 +139,11 @@ def wait_ready(crew: list[ChildProcess]) -> None:
     while waiting:
         for child in waiting:
             if child.exit_code is not None:
-                raise BenchError(f"bare fleet: {child.obituary()}")
+                raise BenchError(f"bare fleet: {child.exit_summary()}")
         if time.monotonic() > deadline:
             raise BenchError(f"bare fleet: not ready: {', '.join(c.name for c in waiting)}")
         time.sleep(_LOOK_S)  # a line in a log wakes nobody
-        waiting = [child for child in waiting if not child.says(READY)]
+        waiting = [child for child in waiting if READY not in child.log_lines()]
 
 
 def _wait_landed(crew: list[ChildProcess], duration_s: float) -> None:
@@ -154,9 +154,9 @@ def _wait_landed(crew: list[ChildProcess], duration_s: float) -> None:
 
 def counts_of(child: ChildProcess) -> dict[str, float]:
     try:
-        found: dict[str, float] = json.loads(child.last_line())
+        found: dict[str, float] = json.loads("".join(child.log_lines()[-1:]))
     except ValueError:
-        raise BenchError(f"bare fleet: {child.obituary()}") from None
+        raise BenchError(f"bare fleet: {child.exit_summary()}") from None
     return found
 
 

@@ -17,7 +17,8 @@ from bench.session import Plan, own_domain, say
 from bench.table import Row, Target
 from bench.usage import Sampler
 from ptnsbc_io.bag import read_bag
-from ptnsbc_nodes.comm.endpoints import RECORDER, PublishCounters, sent_in
+from ptnsbc_nodes.comm.endpoints import PublishCounters, sent_in
+from ptnsbc_nodes.comm.topics import RECORDER
 from ptnsbc_nodes.fleet.fleet import FleetOptions, FleetResult, run_fleet
 
 _UAVS = 20

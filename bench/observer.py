@@ -12,7 +12,7 @@ from rclpy.context import Context
 from rclpy.signals import SignalHandlerOptions
 
 from ptnsbc_nodes.comm import topics
-from ptnsbc_nodes.comm.endpoints import READY
+from ptnsbc_nodes.comm.topics import READY
 from ptnsbc_nodes.runtime import environment
 from ptnsbc_nodes.runtime.executor import BoundedSpin, make_executor
 from ptnsbc_tools.reading.diagnostics import decode_diagnostics

@@ -10,6 +10,7 @@ import typer
 from typer.core import TyperGroup
 
 from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_nodes.runtime.signals import exit_on_signal, restore_handlers
 from ptnsbc_tools import options
 from ptnsbc_tools.commands.autopilot import autopilot
 from ptnsbc_tools.commands.bag import app as bags
@@ -25,6 +26,7 @@ from ptnsbc_tools.commands.reproduce import reproduce
 from ptnsbc_tools.commands.stop import stop
 
 REFUSED, INTERRUPTED = 2, 130
+_STARTS_PROCESSES = ("fleet", "demo", "node")
 
 
 class _Commands(TyperGroup):
@@ -40,6 +42,12 @@ class _Commands(TyperGroup):
         except KeyboardInterrupt:
             print("interrupted", file=sys.stderr)
             raise typer.Exit(INTERRUPTED) from None
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        found = super().resolve_command(ctx, args)
+        if found[0] not in _STARTS_PROCESSES:  # those have handlers of their own all the time
+            restore_handlers()
+        return found
 
 
 app = typer.Typer(
@@ -232,7 +240,8 @@ app.add_typer(network_app, name="network")
 
 
 def main() -> None:
-    """Entry point of the console script."""
+    """Run the command line; `ptnsbc_tools.__main__` is the entry point."""
+    exit_on_signal(INTERRUPTED, "interrupted")
     app(prog_name="ptnsbc")
 
 

@@ -36,7 +36,7 @@ assert found and found.origin, '$name: built, but cannot be found'
 assert pathlib.Path(found.origin).with_name('py.typed').exists(), '$name: py.typed is missing'
 ") || die "$name: not importable from install/"
 done
-for program in ptnsbc_nodes/{uav,sim,recorder,bridge,tower,fleet} ptnsbc_tools/ptnsbc; do
+for program in ptnsbc_nodes/{uav,sim,recorder,bridge,coordinator,fleet} ptnsbc_tools/ptnsbc; do
   program=install/${program%/*}/lib/$program
   [ -x "$program" ] || die "$program: 'ros2 run' would not find it"
   (set +u; program=$PWD/$program; source install/local_setup.bash; cd / && "$program" --help >/dev/null) || die "$program does not start"

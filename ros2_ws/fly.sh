@@ -92,7 +92,7 @@ fly() {
   done
   "$programs/sim" "${common[@]}" --recorded &
   local sim=$!
-  "$programs/tower" --scenario "$scratch/flight.yaml" --patience 300 || { kill "${pids[@]}" "$sim"; return 1; }
+  "$programs/coordinator" --scenario "$scratch/flight.yaml" --patience 300 || { kill "${pids[@]}" "$sim"; return 1; }
   wait "$sim"
   kill -INT "${pids[@]}"
   wait "${pids[@]}"

@@ -21,9 +21,9 @@ PROGRAMS = {
         "recorder": "ptnsbc_nodes.recording.main:main",
         "fleet": "ptnsbc_nodes.fleet.main:main",
         "bridge": "ptnsbc_nodes.bridge.main:main",
-        "tower": "ptnsbc_nodes.fleet.coordinator_main:main",
+        "coordinator": "ptnsbc_nodes.fleet.coordinator_main:main",
     },
-    "ptnsbc_tools": {"ptnsbc": "ptnsbc_tools.cli:main"},
+    "ptnsbc_tools": {"ptnsbc": "ptnsbc_tools.__main__:main"},
 }
 """What `ros2 run` finds in each package, made by colcon or by pip: name and function."""
 

@@ -156,7 +156,7 @@ def test_a_fleet_is_that_of_our_launcher(
     ]
     assert [(one.executable, one.arguments) for one in started[:-1]] == expected
     assert {one.package for one in started} == {"ptnsbc_nodes"}
-    assert started[-1].executable == "tower"
+    assert started[-1].executable == "coordinator"
     for one in started:
         wanted = "uav" if one.executable in ("uav", "bridge") else ""
         assert one.namespace.rstrip("1234") == wanted
@@ -180,7 +180,7 @@ def test_viewers_come_when_asked_for(kind, evaluate, viewer, package):
 def understood(monkeypatch):
     """Whether a process understands its arguments, without running it."""
     bodies = {"uav": (uav_main, "_fly"), "sim": (sim_main, "_simulate")}
-    bodies |= {"bridge": (bridge_main, "_bridge"), "tower": (coordinator_main, "_serve")}
+    bodies |= {"bridge": (bridge_main, "_bridge"), "coordinator": (coordinator_main, "_serve")}
     for module, body in bodies.values():
         monkeypatch.setattr(module, body, lambda arguments, _argv: 0)
 

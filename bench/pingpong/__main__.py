@@ -10,9 +10,9 @@ from pathlib import Path
 from bench.pingpong.sim import BareRecorder, BareSim
 from bench.pingpong.uav import BareUav
 from bench.pingpong.wires import RawWires, TypedWires
-from ptnsbc_nodes.comm.graph import CommunicationGraph
+from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions
 from ptnsbc_nodes.runtime import environment
-from ptnsbc_nodes.runtime.process import Arguments, ProcessLifetime, flight_options, ros_node, run
+from ptnsbc_nodes.runtime.process import Arguments, ProcessLifetime, ros_node, run
 from ptnsbc_sim.scenario import load_scenario
 
 ROLES = ("uav", "sim", "recorder")
@@ -30,7 +30,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _serve(arguments: argparse.Namespace, argv: list[str]) -> int:
     lifetime, scenario = ProcessLifetime(), load_scenario(arguments.scenario)
-    options = flight_options(arguments)
+    options = FlightOptions(arguments.lockstep, arguments.recorded, arguments.bridged)
     edges = CommunicationGraph(scenario, options)
     name = f"{arguments.role}{arguments.uav or ''}"
     if options.lockstep and arguments.role != "recorder":  # as the processes it stands beside

@@ -14,8 +14,7 @@ from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.agent_messages import WORLD_FRAME
 from ptnsbc_nodes.comm.diagnostics import status_every
 from ptnsbc_nodes.comm.graph import CommunicationGraph
-from ptnsbc_nodes.runtime.pacing import Pace
-from ptnsbc_nodes.runtime.timer import Ticker
+from ptnsbc_nodes.runtime.pacing import Pace, Ticker
 from ptnsbc_sim.scenario import Scenario
 
 

@@ -18,7 +18,7 @@ from pathlib import Path
 
 from docs.commands.blocks import Block, PageError, blocks_of
 from docs.commands.runner import Outcome, Page
-from ptnsbc_nodes.runtime.ros_domain import reserved_domain
+from ptnsbc_nodes.runtime.environment import reserved_domain
 
 ROOT = Path(__file__).resolve().parents[2]
 _LEFT_OUT = ("CHANGELOG.md",)  # tells of commands that were

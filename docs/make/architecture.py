@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from docs.make.graph import BRIDGED, LOCKSTEP, REAL_TIME, End, ends
 from docs.make.markdown import table
-from ptnsbc_nodes.comm import endpoints, topics
+from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.topics import Role, Topic
 
 _N = 0  # stands for the number of a UAV in the names below
@@ -56,11 +56,10 @@ def _known() -> Iterator[Known]:
     for name, law in vars(topics).items():
         if not name.startswith("_") and _gives_topic(law):
             yield Known(law(_N), inspect.getdoc(law) or "")
-    for module in (topics, endpoints):
-        told = _docstrings(module)
-        for name, one in vars(module).items():
-            if isinstance(one, Topic):
-                yield Known(one, told[name])
+    told = _docstrings(topics)
+    for name, one in vars(topics).items():
+        if isinstance(one, Topic):
+            yield Known(one, told[name])
 
 
 def _gives_topic(law: object) -> bool:

@@ -24,7 +24,7 @@ from ptnsbc_nodes.comm.tf import Transforms
 from ptnsbc_nodes.comm.topics import recorded
 from ptnsbc_nodes.fleet.coordinator_node import Coordinator
 from ptnsbc_nodes.recording.fleet_recorder import FleetRecorder, topic_info
-from ptnsbc_nodes.runtime.ros_domain import reserved_domain
+from ptnsbc_nodes.runtime.environment import reserved_domain
 from ptnsbc_nodes.sim.node import SimNode
 from ptnsbc_nodes.uav.node import UavNode
 from ptnsbc_sim.scenario import Scenario, load_scenario
@@ -81,11 +81,10 @@ def _flight(domain: int, mode: str, options: FlightOptions) -> Iterator[End]:
             SimNode(node("sim"), scenario, edges, lambda: None)
         stack.enter_context(_recorder(node("recorder"), scenario, options))
         for leads in (True, False):
-            tower = stack.enter_context(
-                Coordinator(domain, "fleet" if leads else "fleet_elsewhere")
-            )
-            tower.share(leads=leads)
-            made.append(("launcher", 0, tower._node))
+            name = "fleet" if leads else "fleet_elsewhere"
+            coordinator = stack.enter_context(Coordinator(domain, name))
+            coordinator.share(leads=leads)
+            made.append(("launcher", 0, coordinator._node))
         for kind, uav, one in made:
             yield from _ends(kind, uav, one, mode, scenario.leader_id)
 

@@ -30,8 +30,9 @@ from ptnsbc_nodes.bridge.status import bridge_status
 from ptnsbc_nodes.comm import topics, vehicle_messages
 from ptnsbc_nodes.comm.agent_messages import WORLD_FRAME
 from ptnsbc_nodes.comm.diagnostics import INACTIVE, STATUS_HZ
-from ptnsbc_nodes.comm.endpoints import LOST, Endpoints
+from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.comm.graph import CommunicationGraph
+from ptnsbc_nodes.comm.topics import LOST
 from ptnsbc_nodes.comm.vehicle_messages import PlannerLimits
 from ptnsbc_sim.scenario import Scenario
 

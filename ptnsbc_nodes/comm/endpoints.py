@@ -1,4 +1,4 @@
-"""The topics of one node, all raw, and whether each has found its other end."""
+"""The raw publishers and subscriptions of one node, and whether each has found its other end."""
 
 from __future__ import annotations
 
@@ -12,45 +12,25 @@ from typing import NamedTuple
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
 
 from ptnsbc_nodes.comm import qos
-from ptnsbc_nodes.comm.topics import SHARED, STATUS_RATE, Role, Topic, message_class
+from ptnsbc_nodes.comm.topics import SHARED, Role, Topic, message_class
 
-RECORDER = "recorder"
-"""Name of the recorder among the processes of a flight."""
-
-LOST = Topic("/formation/lost", "std_msgs/msg/Header", Role.LATCHED, "once a loss")
-"""Names of processes (uavN, recorder) that have ended, from the launcher: nobody waits for them."""
-
-OVER = Topic("/formation/over", "std_msgs/msg/Header", Role.LATCHED, "once a flight")
-"""The flight is over: from the launcher that leads to those on other computers."""
-
-READY = Topic("/formation/ready", "diagnostic_msgs/msg/DiagnosticArray", Role.EVENT, STATUS_RATE)
-"""/diagnostics of lock-step nodes before simulated time begins: how long that takes is chance, and
-/diagnostics is in the bag."""
-
-RECORDED = Topic("/formation/recorded", "std_msgs/msg/Header", Role.EVENT)
-"""Stamp up to which the recorder has taken in a lock-step flight; the sim never runs far ahead of it."""
-
-# The last message alone is not enough here: a late joiner must learn the first epoch too, and of
-# every lost UAV.
-_LATCHED = QoSProfile(
-    depth=64,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.TRANSIENT_LOCAL,
-)
+# The last message alone is not enough: a node that joins late must learn the first epoch, and of every lost UAV.
+_LATCHED = qos.keep_last(64, reliable=True, latched=True)
 
 _LOCKSTEP_HISTORY = 1000
 _SENT = "sent "
 
 
-class _Outlet:
-    """A publisher that counts."""
+class _CountingPublisher:
+    """A publisher that counts its messages."""
 
     def __init__(self, publisher: Publisher, readers: int) -> None:
         self.publisher = publisher
+        self.topic_name: str = publisher.topic_name
         self.readers = readers  # subscriptions that must match before the flight
         self.sent = 0
         self._publish = publisher.publish
@@ -85,36 +65,35 @@ def full_name(node: Node, topic: Topic) -> str:
 
 
 def sent_in(lines: Iterable[str]) -> PublishCounters | None:
-    """What a process says in its log that it has sent; None when it does not."""
-    told = [line.removeprefix(_SENT) for line in lines if line.startswith(_SENT)]
-    return PublishCounters(**json.loads(told[-1])) if told else None
+    """The counts that a process has written into its log; None without any."""
+    counts = [line.removeprefix(_SENT) for line in lines if line.startswith(_SENT)]
+    return PublishCounters(**json.loads(counts[-1])) if counts else None
 
 
 class Endpoints:
-    """Raw publishers and subscriptions: bytes in, bytes out, no message objects."""
+    """Raw publishers and subscriptions of one node: bytes in, bytes out, no message objects."""
 
     def __init__(self, node: Node, lockstep: bool) -> None:
         self._node = node
         self.fleet = fleet_namespace(node.get_namespace())
         self._lockstep = lockstep
-        self._outlets: list[_Outlet] = []
+        self._published: list[_CountingPublisher] = []
         self._subscriptions: list[Subscription] = []
         self._awaited: list[Subscription] = []
         self._before: tuple[int, dict[str, int]] | None = None
 
     def publisher(self, topic: Topic, readers: int) -> Callable[[bytes], None]:
-        """A publisher of serialised messages; `readers` subscriptions must match it."""
+        """A publisher of serialised messages; `readers` subscriptions must match it before the flight."""
         publisher = self._node.create_publisher(
             message_class(topic), full_name(self._node, topic), self._offered(topic)
         )
-        outlet = _Outlet(publisher, readers)
-        self._outlets.append(outlet)
-        return outlet.send
+        self._published.append(_CountingPublisher(publisher, readers))
+        return self._published[-1].send
 
     def listen(self, topic: Topic, callback: Callable[[bytes], None], required: bool = True) -> str:
-        """Hear serialised messages; a `required` topic needs a publisher before the flight.
+        """Subscribe to serialised messages; a `required` topic needs a publisher before the flight.
 
-        Returns the topic's name after remapping, as `unheard` tells it.
+        Returns the topic's name after remapping, as `unheard` has it.
         """
         subscription = self._node.create_subscription(
             message_class(topic),
@@ -129,26 +108,26 @@ class Endpoints:
         return str(subscription.topic_name)
 
     def unheard(self) -> list[str]:
-        """Required topics that nobody publishes yet."""
+        """Required topics without a publisher."""
         return [sub.topic_name for sub in self._awaited if sub.get_publisher_count() == 0]
 
     def unread(self) -> list[str]:
         """Published topics that do not have all their readers yet."""
         return [
-            outlet.publisher.topic_name
-            for outlet in self._outlets
-            if outlet.publisher.get_subscription_count() < outlet.readers
+            one.topic_name
+            for one in self._published
+            if one.publisher.get_subscription_count() < one.readers
         ]
 
-    def deaf(self, topic: Topic, readers: Mapping[int, int]) -> list[str]:
-        """UAVs of which fewer nodes than there should be are known to hear a topic.
+    def unmatched(self, topic: Topic, readers: Mapping[int, int]) -> list[str]:
+        """UAVs of which fewer nodes than `readers` are known to subscribe to a topic.
 
-        `unread` counts readers, whoever they are: a viewer may stand in for a UAV that has not been found yet.
+        `unread` counts any reader: a viewer may stand in for a UAV that has not been found yet.
         """
         name = full_name(self._node, topic)
         infos = self._node.get_subscriptions_info_by_topic(name)
-        heard = Counter(info.node_namespace for info in infos)
-        short = [uav for uav, nodes in readers.items() if heard[f"{self.fleet}/uav{uav}"] < nodes]
+        found = Counter(info.node_namespace for info in infos)
+        short = [uav for uav, nodes in readers.items() if found[f"{self.fleet}/uav{uav}"] < nodes]
         return [f"{name} at uav{uav}" for uav in short]
 
     def begin(self, now_ns: int) -> None:
@@ -157,34 +136,34 @@ class Endpoints:
             self._before = (now_ns, self._counts())
 
     def account(self) -> str:
-        """What was sent, in a line for the log that `sent_in` reads: to compare a bag with."""
+        """How many messages were sent, as the line of the log that `sent_in` reads."""
         since_ns, before = self._before or (-1, {})
         return _SENT + json.dumps(PublishCounters(since_ns, before, self._counts())._asdict())
 
-    def _counts(self) -> dict[str, int]:
-        return {outlet.publisher.topic_name: outlet.sent for outlet in self._outlets}
-
     def flush(self, timeout_s: float) -> None:
-        """Wait until reliable readers have everything: leaving earlier would cut their bags."""
+        """Wait until reliable readers have everything: an earlier exit would cut their bags."""
         end = time.monotonic() + timeout_s
-        for outlet in self._outlets:
-            outlet.publisher.wait_for_all_acked(Duration(seconds=max(end - time.monotonic(), 0.0)))
+        for one in self._published:
+            one.publisher.wait_for_all_acked(Duration(seconds=max(end - time.monotonic(), 0.0)))
 
     def close(self) -> None:
-        """Take all topics away."""
-        for outlet in self._outlets:
-            self._node.destroy_publisher(outlet.publisher)
+        """Destroy all publishers and subscriptions."""
+        for one in self._published:
+            self._node.destroy_publisher(one.publisher)
         for subscription in self._subscriptions:
             self._node.destroy_subscription(subscription)
-        self._outlets.clear()
+        self._published.clear()
         self._subscriptions.clear()
         self._awaited.clear()
+
+    def _counts(self) -> dict[str, int]:
+        return {one.topic_name: one.sent for one in self._published}
 
     def _offered(self, topic: Topic) -> QoSProfile:
         profile = self._profile(topic)
         if self._lockstep and topic.role is not Role.LATCHED:
-            # Taking turns keeps all nodes within a few ticks, but not the recorder: what its socket drops
-            # in a burst must still be there when it asks again.
+            # The lock-step rule keeps all nodes within a few ticks, but not the recorder: messages that its
+            # socket drops in a burst must still be there when it asks for them again.
             return QoSProfile(depth=_LOCKSTEP_HISTORY, reliability=profile.reliability)
         return profile
 

@@ -13,8 +13,11 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from ptnsbc_core.trajectory import reference
 from ptnsbc_core.types import Array
+from ptnsbc_io.wire import WireError, decode_odometry
 from ptnsbc_io.wire.cdr import split_stamp
+from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.agent_messages import WORLD_FRAME
+from ptnsbc_nodes.comm.diagnostics import STATUS_HZ
 from ptnsbc_nodes.comm.serialize import encode
 from ptnsbc_sim.scenario import Scenario, agent_config
 from ptnsbc_sim.world import World
@@ -27,7 +30,7 @@ _PATH = (0.95, 0.55, 0.1, 0.5)
 _UAV_DIAMETER_M = 0.4
 _LINE_M = 0.04
 _PATH_POINTS = 200
-
+_PERIOD_NS = 10**9 // STATUS_HZ
 
 _TIME, _PLACE = struct.Struct("<iI"), struct.Struct("<3d")
 _SOMETIME, _SOMEWHERE = (0x7AB0C0DE, 0x3AB0C0DE), (-1.25e297, -1.5e297, -1.75e297)
@@ -56,6 +59,41 @@ class Scene:
     def transforms(self, stamp_ns: int) -> list[TransformStamped]:
         """Pose of every body frame in the world frame."""
         return [_transform(stamp_ns, i, self._world.odometry(i)) for i in self._world.ids]
+
+
+class OdometryMarkers:
+    """/formation/markers made of recorded odometry, for a bag of real vehicles, where no simulator draws.
+
+    One message is made at the leader's first odometry in each period, once every UAV has been heard.
+    """
+
+    def __init__(self, scenario: Scenario) -> None:
+        self.ids = scenario.uav_ids
+        self._uav = {topics.odom(uav).name: uav for uav in self.ids}
+        self._leader = scenario.leader_id
+        self._newest: dict[int, Array] = {}
+        self._period = -1
+        # Only `ids` and `odometry` of a World are read.
+        self._scene = Scene(scenario, self)  # type: ignore[arg-type]
+
+    def odometry(self, uav_id: int) -> Array:
+        """Newest odometry vector (13,) of one UAV."""
+        return self._newest[uav_id]
+
+    def of(self, topic: str, data: bytes) -> bytes | None:
+        """The MarkerArray to record beside a message, None when none is due."""
+        uav = self._uav.get(topic)
+        if uav is None:
+            return None
+        try:
+            stamp_ns, self._newest[uav] = decode_odometry(data)
+        except WireError:  # a broken message of another program
+            return None
+        period = stamp_ns // _PERIOD_NS
+        if uav != self._leader or period == self._period or len(self._newest) < len(self.ids):
+            return None
+        self._period = period
+        return self._scene.markers(stamp_ns)
 
 
 def _transform(stamp_ns: int, uav_id: int, odometry: Array) -> TransformStamped:

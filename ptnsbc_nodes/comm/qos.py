@@ -12,7 +12,8 @@ from rclpy.qos import QoSDurabilityPolicy, QoSHistoryPolicy, QoSProfile, QoSReli
 from ptnsbc_nodes.comm.topics import Role, Topic
 
 
-def _keep_last(depth: int, *, reliable: bool, latched: bool = False) -> QoSProfile:
+def keep_last(depth: int, *, reliable: bool, latched: bool = False) -> QoSProfile:
+    """A profile that keeps the last `depth` messages."""
     reliability = QoSReliabilityPolicy.RELIABLE if reliable else QoSReliabilityPolicy.BEST_EFFORT
     durability = QoSDurabilityPolicy.TRANSIENT_LOCAL if latched else QoSDurabilityPolicy.VOLATILE
     return QoSProfile(
@@ -23,14 +24,14 @@ def _keep_last(depth: int, *, reliable: bool, latched: bool = False) -> QoSProfi
     )
 
 
-STATE_REALTIME = _keep_last(1, reliable=False)
-STATE_LOCKSTEP = _keep_last(10, reliable=True)
-EVENT = _keep_last(10, reliable=True)
-LATCHED = _keep_last(1, reliable=True, latched=True)
+STATE_REALTIME = keep_last(1, reliable=False)
+STATE_LOCKSTEP = keep_last(10, reliable=True)
+EVENT = keep_last(10, reliable=True)
+LATCHED = keep_last(1, reliable=True, latched=True)
 
-RECORDER_REALTIME = _keep_last(100, reliable=False)
-RECORDER_RELIABLE = _keep_last(1000, reliable=True)
-RECORDER_LATCHED = _keep_last(100, reliable=True, latched=True)
+RECORDER_REALTIME = keep_last(100, reliable=False)
+RECORDER_RELIABLE = keep_last(1000, reliable=True)
+RECORDER_LATCHED = keep_last(100, reliable=True, latched=True)
 
 
 def profile(topic: Topic, *, lockstep: bool) -> QoSProfile:

@@ -47,6 +47,18 @@ CLOCK = Topic("/clock", "rosgraph_msgs/msg/Clock", Role.STATE)
 TF = Topic("/tf", "tf2_msgs/msg/TFMessage", Role.EVENT, "20 Hz")
 """Frames of the bodies; the recorder makes it of the odometry, in flight only where tf2_msgs is installed."""
 
+LOST = Topic("/formation/lost", "std_msgs/msg/Header", Role.LATCHED, "once a loss")
+"""Names of processes (uavN, recorder) that have ended, from the launcher: no process waits for them."""
+OVER = Topic("/formation/over", "std_msgs/msg/Header", Role.LATCHED, "once a flight")
+"""The flight is over: from the launcher that leads to those on other computers."""
+READY = Topic("/formation/ready", "diagnostic_msgs/msg/DiagnosticArray", Role.EVENT, STATUS_RATE)
+"""/diagnostics of lock-step nodes before simulated time begins. It has a topic of its own because how long that
+takes is chance, and /diagnostics is in the bag."""
+RECORDED = Topic("/formation/recorded", "std_msgs/msg/Header", Role.EVENT)
+"""Stamp up to which the recorder has taken in a lock-step flight; the sim never runs far ahead of it."""
+
+RECORDER = "recorder"
+"""Name of the recorder among the processes of a flight."""
 
 SHARED = frozenset({DIAGNOSTICS.name, CLOCK.name, TF.name})
 """Names that ROS gives; all others move with the namespace of the fleet (`Endpoints`)."""

@@ -1,25 +1,30 @@
-"""The processes of a fleet: started, watched, ended; each with a log file of its own."""
+"""The processes of a fleet: each is started with a log file of its own, watched, and ended."""
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
 import time
+import weakref
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from ptnsbc_nodes.runtime.environment import REPORT
+from ptnsbc_nodes.runtime.signals import signals_blocked
+
 _TAIL_LINES = 12
-# As `python -m`, but without the current folder on the path: a yaml.py that lies there is nobody's YAML.
+# As `python -m`, but without the current folder on the path: a yaml.py that lies there is not imported.
 # (`python -P` does the same, from Python 3.11 on.)
 _RUN_MODULE = (
     "import sys; sys.path[:] = filter(None, sys.path); import runpy; "
     "runpy.run_module(sys.argv.pop(1), run_name='__main__', alter_sys=True)"
 )
 _PATIENCE_S = 10.0
-# What a process is given to end in after the harder signals.
+# The time that a process has to end after each of the harder signals.
 _HARDER = {signal.SIGTERM: 3.0, signal.SIGKILL: 5.0}
 
 
@@ -30,13 +35,13 @@ class ProcessCommand:
     name: str  # of the process, in messages and of its log
     module: str
     arguments: tuple[str, ...]
-    uav: int | None = None  # id of the UAV that ends with it
+    uav: int | None = None  # id of the UAV that is lost when it ends
     managed: str | None = None  # its node below the fleet, when the launcher drives its life cycle
     ends: bool = False  # by itself, with 0, when the flight is over
 
     @property
     def lost(self) -> str:
-        """Whom the flight has lost with it: a bridge takes its UAV along."""
+        """What the flight loses when it ends: its UAV if it belongs to one, so also for a bridge."""
         return self.name if self.uav is None else f"uav{self.uav}"
 
 
@@ -46,9 +51,9 @@ EXECUTABLES = {
     "ptnsbc_nodes.recording.main": "recorder",
     "ptnsbc_nodes.bridge.main": "bridge",
     "ptnsbc_nodes.fleet.main": "fleet",
-    "ptnsbc_nodes.fleet.coordinator_main": "tower",
+    "ptnsbc_nodes.fleet.coordinator_main": "coordinator",
 }
-"""What `ros2 run ptnsbc_nodes`, `ptnsbc node` and launch files call each module."""
+"""The name of each module in `ros2 run ptnsbc_nodes`, `ptnsbc node` and launch files."""
 
 
 class ChildProcess:
@@ -61,22 +66,39 @@ class ChildProcess:
         self.name = command.name
         self.log = log_dir / f"{command.name}.log"
         self._read = 0
-        with self.log.open("wb") as log:
-            self._process = subprocess.Popen(
-                [sys.executable, "-c", _RUN_MODULE, command.module, *command.arguments],
-                stdin=subprocess.DEVNULL,
-                stdout=log,
-                stderr=subprocess.STDOUT,
-                env=dict(environment),
-                # The terminal's Ctrl-C is for the launcher, which ends the fleet in order.
-                start_new_session=True,
-            )
+        self._report, writer = os.pipe()
+        weakref.finalize(self, os.close, self._report)
+        os.set_blocking(self._report, False)
+        self._received = b""
+        try:
+            # A signal that comes before the process has its handlers waits for them.
+            with self.log.open("wb") as log, signals_blocked():
+                self._process = subprocess.Popen(
+                    [sys.executable, "-c", _RUN_MODULE, command.module, *command.arguments],
+                    stdin=subprocess.DEVNULL,
+                    stdout=log,
+                    stderr=subprocess.STDOUT,
+                    env={**environment, REPORT: str(writer)},
+                    pass_fds=(writer,),
+                    # The terminal's Ctrl-C is for the launcher, which ends the fleet in order.
+                    start_new_session=True,
+                )
+        finally:
+            os.close(writer)
         self.pid = self._process.pid
 
     @property
     def exit_code(self) -> int | None:
-        """None while it runs; minus the signal's number when one ended it."""
+        """None while it runs; minus the signal's number when a signal ended it."""
         return self._process.poll()
+
+    @property
+    def summary(self) -> str | None:
+        """What it reported when it had finished its work (`report_finished`); None before that."""
+        with suppress(BlockingIOError):
+            while part := os.read(self._report, 1 << 16):
+                self._received += part
+        return self._received.decode().rstrip("\n") if self._received.endswith(b"\n") else None
 
     def wait(self, timeout_s: float) -> int | None:
         """Its exit code once it has ended; None when it has not in time."""
@@ -96,21 +118,17 @@ class ChildProcess:
         self._read += len(whole) + len(newline)
         return whole.decode(errors="replace").splitlines()
 
-    def says(self, line: str) -> bool:
-        """Whether its log has this line."""
-        return line in self.log.read_text(errors="replace").splitlines()
-
-    def last_line(self) -> str:
-        """The last line of its log so far."""
-        return "".join(self.log.read_text(errors="replace").splitlines()[-1:])
+    def log_lines(self) -> list[str]:
+        """All lines of its log so far."""
+        return self.log.read_text(errors="replace").splitlines()
 
     def tail(self) -> str:
         """The last lines of the log, indented."""
-        lines = self.log.read_text(errors="replace").splitlines()[-_TAIL_LINES:]
+        lines = self.log_lines()[-_TAIL_LINES:]
         return "\n".join(f"    {line}" for line in lines) or "    (its log is empty)"
 
-    def obituary(self) -> str:
-        """Who it was, how it ended, and its last words."""
+    def exit_summary(self) -> str:
+        """Its name, how it ended, and the last lines of its log."""
         code = self.exit_code
         how = f"exit code {code}"
         if code is not None and code < 0:
@@ -119,7 +137,7 @@ class ChildProcess:
 
 
 def end(children: Sequence[ChildProcess], patience_s: float = _PATIENCE_S) -> None:
-    """End processes together, ever harder; none is left when this returns.
+    """End processes together, with SIGINT, SIGTERM and SIGKILL; all have ended when this returns.
 
     Args:
         children: Those that have ended already are left alone.

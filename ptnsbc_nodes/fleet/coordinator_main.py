@@ -1,4 +1,4 @@
-"""Takes the nodes of a flight to active and starts it when all are ready: what `fleet` does, for launch files.
+"""Process of the coordinator: takes the nodes of a flight to active and starts it, for launch files.
 
 `python -m ptnsbc_nodes.fleet.coordinator_main --scenario FILE [--manage] [--bridged] [--lose NAME]`
 """
@@ -10,14 +10,14 @@ import os
 import sys
 import time
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from ptnsbc_core.errors import PtnsbcError
-from ptnsbc_nodes.fleet.coordinator_node import Coordinator
-from ptnsbc_nodes.fleet.process_list import SIM, FleetOptions
-from ptnsbc_nodes.runtime.process import Arguments, run
-from ptnsbc_nodes.runtime.ros_args import ros_errors
-from ptnsbc_nodes.runtime.signals import StopRequest
-from ptnsbc_sim.scenario import Scenario, load_scenario
+from ptnsbc_nodes.runtime.signals import StopRequest, exit_on_signal
+
+if TYPE_CHECKING:
+    from ptnsbc_nodes.fleet.coordinator_node import Coordinator
+    from ptnsbc_sim.scenario import Scenario
 
 _LOOK_S = 0.05
 _REPORT_S = 5.0
@@ -29,7 +29,10 @@ class CoordinatorError(PtnsbcError):
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Start one flight; real vehicles are told to land when its time is over."""
-    parser = Arguments("tower", "Starts a flight when all its nodes are ready")
+    exit_on_signal()
+    from ptnsbc_nodes.runtime.process import Arguments, run
+
+    parser = Arguments("coordinator", "Starts a flight when all its nodes are ready")
     parser.add_argument("--manage", action="store_true", help="configure and activate them first")
     parser.add_argument(
         "--patience", type=float, metavar="S", help="give up after so long; 30 s + 5 s per UAV"
@@ -41,6 +44,11 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _serve(arguments: argparse.Namespace, argv: list[str]) -> int:
+    from ptnsbc_nodes.fleet.coordinator_node import Coordinator
+    from ptnsbc_nodes.fleet.process_list import FleetOptions
+    from ptnsbc_nodes.runtime.process import ros_errors
+    from ptnsbc_sim.scenario import load_scenario
+
     scenario = load_scenario(arguments.scenario)
     options = FleetOptions(
         scenario,
@@ -48,44 +56,53 @@ def _serve(arguments: argparse.Namespace, argv: list[str]) -> int:
         ready_timeout_s=arguments.patience,
     )
     name = f"lost_{arguments.lose}" if arguments.lose else "fleet"
-    with ros_errors():
-        tower = Coordinator(int(os.environ.get("ROS_DOMAIN_ID", "0")), name, argv[1:])
-    with StopRequest() as stop, tower:
-        if arguments.lose:
-            return _mourn(tower, arguments.lose, stop)
-        uavs = [f"uav{i}" for i in scenario.uav_ids]
-        bridges = [f"bridge{i}" for i in scenario.uav_ids] if arguments.bridged else []
-        if arguments.manage:
-            _manage(tower, scenario, bridged=arguments.bridged)
-        if not _start(tower, [*uavs, *(bridges or [SIM])], options.patience_s, stop):
-            return 0
-        _say("started")
-        if bridges:
-            _land(tower, scenario.duration_s, stop)
+    with StopRequest() as stop:
+        with ros_errors():
+            coordinator = Coordinator(int(os.environ.get("ROS_DOMAIN_ID", "0")), name, argv[1:])
+        with coordinator:
+            if arguments.lose:
+                _report_lost(coordinator, arguments.lose, stop)
+            else:
+                _fly(coordinator, arguments, options.patience_s, scenario, stop)
     return 0
 
 
-def _manage(tower: Coordinator, scenario: Scenario, *, bridged: bool) -> None:
-    for i in scenario.uav_ids:
-        tower.manage(f"uav{i}", f"/uav{i}/controller")
-        if bridged:
-            tower.manage(f"bridge{i}", f"/uav{i}/bridge")
+def _fly(
+    coordinator: Coordinator,
+    arguments: argparse.Namespace,
+    patience_s: float,
+    scenario: Scenario,
+    stop: StopRequest,
+) -> None:
+    if arguments.manage:
+        for i in scenario.uav_ids:
+            coordinator.manage(f"uav{i}", f"/uav{i}/controller")
+            if arguments.bridged:
+                coordinator.manage(f"bridge{i}", f"/uav{i}/bridge")
+    uavs = [f"uav{i}" for i in scenario.uav_ids]
+    vehicles = [f"bridge{i}" for i in scenario.uav_ids] if arguments.bridged else ["sim"]
+    if _start(coordinator, [*uavs, *vehicles], patience_s, stop):
+        _say("started")
+        if arguments.bridged:
+            _land(coordinator, scenario.duration_s, stop)
 
 
-def _start(tower: Coordinator, names: Sequence[str], patience_s: float, stop: StopRequest) -> bool:
+def _start(
+    coordinator: Coordinator, names: Sequence[str], patience_s: float, stop: StopRequest
+) -> bool:
     """Wait until all are ready, and start; False when a signal came first."""
     began = told = time.monotonic()
     refusal: str | None = "/formation/start was not called"
     while not stop.came:
-        tower.spin(_LOOK_S)
-        waiting = tower.missing(names)
+        coordinator.spin(_LOOK_S)
+        waiting = coordinator.missing(names)
         if not waiting:
-            refusal = tower.start(patience_s=2.0)
+            refusal = coordinator.start(patience_s=2.0)
             if refusal is None:
                 return True
         lines = [f"{name} waits for {what}" for name, what in waiting.items()] or [str(refusal)]
-        if tower.refused:
-            raise CoordinatorError(f"{', '.join(tower.refused)} refused to be activated")
+        if coordinator.refused:
+            raise CoordinatorError(f"{', '.join(coordinator.refused)} refused to be activated")
         if time.monotonic() - began > patience_s:
             raise CoordinatorError(f"not ready in time: {'; '.join(lines)}")
         if time.monotonic() - told > _REPORT_S:
@@ -94,29 +111,28 @@ def _start(tower: Coordinator, names: Sequence[str], patience_s: float, stop: St
     return False
 
 
-def _mourn(tower: Coordinator, name: str, stop: StopRequest) -> int:
-    """Say who has ended, to those who come later too: nobody is to wait for it."""
-    tower.lose(name)
-    _say(f"{name} has ended: nobody waits for it")
+def _report_lost(coordinator: Coordinator, name: str, stop: StopRequest) -> None:
+    """Tell all processes, also those that start later, to wait for this one no longer."""
+    coordinator.lose(name)
+    _say(f"{name} has ended: no process waits for it")
     while not stop.came:
-        tower.spin(_LOOK_S)
-    return 0
+        coordinator.spin(_LOOK_S)
 
 
-def _land(tower: Coordinator, duration_s: float, stop: StopRequest) -> None:
-    """Land real vehicles when the time is over; at a signal their bridges do by themselves."""
+def _land(coordinator: Coordinator, duration_s: float, stop: StopRequest) -> None:
+    """Land real vehicles when the time is over; at a signal their bridges land them without being told."""
     over_s = time.monotonic() + duration_s
     while not stop.came and time.monotonic() < over_s:
-        tower.spin(_LOOK_S)
+        coordinator.spin(_LOOK_S)
     if not stop.came:
-        refusal = tower.call("land", patience_s=3.0)
+        refusal = coordinator.call("land", patience_s=3.0)
         if refusal is not None:
             _say(f"{refusal}: every bridge is told to land by itself")
-            tower.emergency("land")
+            coordinator.emergency("land")
 
 
 def _say(line: str) -> None:
-    print(f"tower: {line}", file=sys.stderr, flush=True)
+    print(f"coordinator: {line}", file=sys.stderr, flush=True)
 
 
 if __name__ == "__main__":

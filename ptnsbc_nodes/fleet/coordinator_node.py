@@ -1,4 +1,4 @@
-"""The launcher's own node: who is ready, the start, and word of those who are lost."""
+"""The launcher's own node: which processes are ready, the start of the flight, and word of lost processes."""
 
 from __future__ import annotations
 
@@ -16,12 +16,13 @@ from std_srvs.srv import Trigger
 from ptnsbc_io.wire import HeaderTemplate, decode_header
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.diagnostics import INACTIVE
-from ptnsbc_nodes.comm.endpoints import LOST, OVER, READY, Endpoints, full_name
+from ptnsbc_nodes.comm.endpoints import Endpoints, full_name
+from ptnsbc_nodes.comm.topics import LOST, OVER, READY
 from ptnsbc_nodes.fleet.lifecycle_manager import LifecycleManager
 from ptnsbc_nodes.runtime.executor import make_executor
 from ptnsbc_nodes.runtime.watchdog import ENDED_S, WAITED
 
-_SIGN_OF_LIFE_S = 2.0  # who is kept waiting tells it five times a second
+_SIGN_OF_LIFE_S = 2.0  # a process that is kept waiting says so five times a second
 
 
 class Coordinator:
@@ -29,9 +30,9 @@ class Coordinator:
 
     def __init__(self, domain: int, name: str = "fleet", ros_arguments: Sequence[str] = ()) -> None:
         self.gone: set[str] = set()  # processes that have ended on other computers
-        self.over = False  # said by the launcher that leads
-        self._tell_over: Callable[[bytes], None] | None = None
+        self.over = False  # the launcher that leads has ended the flight
         self.waiting: dict[str, str] = {}  # process name: what it waits for, empty when ready
+        self._publish_over: Callable[[bytes], None] | None = None
         self._context = Context()
         rclpy.init(
             args=list(ros_arguments),
@@ -44,44 +45,44 @@ class Coordinator:
         )
         self._executor: Any = make_executor(self._context)
         self._executor.add_node(self._node)
-        self._ends = Endpoints(self._node, lockstep=True)
-        self._tell_lost = self._ends.publisher(LOST, 0)
-        self._tell_bridges = self._ends.publisher(topics.EMERGENCY, 1)
+        self._endpoints = Endpoints(self._node, lockstep=True)
+        self._publish_lost = self._endpoints.publisher(LOST, 0)
+        self._publish_emergency = self._endpoints.publisher(topics.EMERGENCY, 1)
         self._manager = LifecycleManager(self._node)
-        self._start = self._node.create_client(Trigger, f"{self._ends.fleet}/formation/start")
-        self._heard_s: dict[str, float] = {}  # when each process was heard of last
-        self._kept_waiting = (0.0, "")  # for how long, by whom: from the sim, newest
-        hear = self._node.create_subscription
-        self._ear: Any = hear(DiagnosticArray, topics.DIAGNOSTICS.name, self._on_status, 50)
-        hear(DiagnosticArray, full_name(self._node, READY), self._on_status, 50)
+        self._start = self._client("start")
+        self._last_status_s: dict[str, float] = {}  # when each process sent its last status
+        self._kept_waiting = (0.0, "")  # for how long, by which processes: the sim's newest report
+        subscribe = self._node.create_subscription
+        self._diagnostics: Any = subscribe(
+            DiagnosticArray, topics.DIAGNOSTICS.name, self._on_status, 50
+        )
+        subscribe(DiagnosticArray, full_name(self._node, READY), self._on_status, 50)
 
     def share(self, *, leads: bool) -> None:
-        """Hear who ends on other computers; tell of the end of the flight, or hear of it."""
-        self._ends.listen(LOST, self._on_lost, required=False)
+        """Hear of ends on other computers; publish the end of the flight, or hear of it."""
+        self._endpoints.listen(LOST, self._on_lost, required=False)
         if leads:
-            self._tell_over = self._ends.publisher(OVER, 0)
+            self._publish_over = self._endpoints.publisher(OVER, 0)
         else:
-            self._ends.listen(OVER, self._on_over)
+            self._endpoints.listen(OVER, self._on_over)
 
     @property
     def led(self) -> bool:
-        """Whether the launcher that leads is there; only for one that follows."""
-        return full_name(self._node, OVER) not in self._ends.unheard()
+        """Whether the launcher that leads is there; only for a launcher that follows."""
+        return full_name(self._node, OVER) not in self._endpoints.unheard()
 
     def end(self, patience_s: float) -> None:
         """Tell all launchers that follow of the end, and wait until they have heard it."""
-        if self._tell_over is not None:
-            self._tell_over(HeaderTemplate(OVER.name).encode(0))
-            self._ends.flush(patience_s)
+        if self._publish_over is not None:
+            self._publish_over(HeaderTemplate(OVER.name).encode(0))
+            self._endpoints.flush(patience_s)
 
     def __enter__(self) -> Coordinator:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._executor.remove_node(self._node)
-        self.spin(0.0)  # the EventsExecutor lets go of a node only when it runs the next time
-        self._node.destroy_node()
         self._executor.shutdown()
+        self._node.destroy_node()
         rclpy.shutdown(context=self._context)
 
     def manage(self, name: str, node: str) -> None:
@@ -91,7 +92,7 @@ class Coordinator:
             name: As on /diagnostics.
             node: Its name below the namespace of the fleet, `/uav3/controller`.
         """
-        self._manager.manage(name, self._ends.fleet + node)
+        self._manager.manage(name, self._endpoints.fleet + node)
 
     @property
     def refused(self) -> list[str]:
@@ -114,9 +115,9 @@ class Coordinator:
             self.spin(0.1)
             return "the leader's service /formation/start is not there"
         refusal = self._answer(self._start, "start", patience_s)
-        if refusal is None and self._ear is not None:
-            self._node.destroy_subscription(self._ear)  # in flight not worth its reception
-            self._ear = None
+        if refusal is None and self._diagnostics is not None:
+            self._node.destroy_subscription(self._diagnostics)  # in flight not worth its reception
+            self._diagnostics = None
         return refusal
 
     def stuck(self) -> list[str]:
@@ -125,11 +126,11 @@ class Coordinator:
         if waited_s < ENDED_S:
             return []
         since_s = time.monotonic() - _SIGN_OF_LIFE_S
-        return [name for name in names.split() if self._heard_s.get(name, 0.0) < since_s]
+        return [name for name in names.split() if self._last_status_s.get(name, 0.0) < since_s]
 
     def call(self, name: str, patience_s: float) -> str | None:
         """Call /formation/`name`, waiting until it is there; returns why it did not work."""
-        client = self._node.create_client(Trigger, f"{self._ends.fleet}/formation/{name}")
+        client = self._client(name)
         deadline = time.monotonic() + patience_s
         while not client.service_is_ready() and time.monotonic() < deadline:
             self.spin(0.1)
@@ -140,16 +141,23 @@ class Coordinator:
         finally:
             self._node.destroy_client(client)
 
-    def emergency(self, what: str, patience_s: float = 2.0) -> bool:
-        """Tell all bridges to `land` or `kill`, without the leader; False when none listens."""
+    def emergency(self, order: str, patience_s: float = 2.0) -> bool:
+        """Order all bridges to `land` or `kill`, without the leader; False when none listens."""
         deadline = time.monotonic() + patience_s
         emergency = full_name(self._node, topics.EMERGENCY)
-        while emergency in self._ends.unread() and time.monotonic() < deadline:
+        while emergency in self._endpoints.unread() and time.monotonic() < deadline:
             self.spin(0.1)
-        heard = emergency not in self._ends.unread()
-        self._tell_bridges(HeaderTemplate(what).encode(0))
-        self._ends.flush(1.0)
+        heard = emergency not in self._endpoints.unread()
+        self._publish_emergency(HeaderTemplate(order).encode(0))
+        self._endpoints.flush(1.0)
         return heard
+
+    def lose(self, name: str) -> None:
+        """Tell all processes to wait for this process no longer."""
+        self._publish_lost(HeaderTemplate(name).encode(0))
+
+    def _client(self, name: str) -> Any:
+        return self._node.create_client(Trigger, f"{self._endpoints.fleet}/formation/{name}")
 
     def _answer(self, client: Any, name: str, patience_s: float) -> str | None:
         call = client.call_async(Trigger.Request())
@@ -158,10 +166,6 @@ class Coordinator:
         if response is None:
             return f"the leader does not answer /formation/{name}"
         return None if response.success else str(response.message)
-
-    def lose(self, name: str) -> None:
-        """Tell everybody to wait for this process no longer."""
-        self._tell_lost(HeaderTemplate(name).encode(0))
 
     def _on_lost(self, data: bytes) -> None:
         self.gone.add(decode_header(data).frame_id)
@@ -173,11 +177,10 @@ class Coordinator:
         for status in message.status:
             values = {pair.key: pair.value for pair in status.values}
             if "ready" in values:
-                ready = values["ready"] == "true"
-                name = status.name.partition(":")[0]
-                self._heard_s[name] = time.monotonic()
-                if INACTIVE not in values.get("waiting_for", ""):
+                name, waits_for = status.name.partition(":")[0], values.get("waiting_for", "")
+                self._last_status_s[name] = time.monotonic()
+                if INACTIVE not in waits_for:
                     self._manager.arrived(name)
                 if WAITED in values:
-                    self._kept_waiting = (float(values[WAITED]), values["waiting_for"])
-                self.waiting[name] = "" if ready else values.get("waiting_for", "") or "something"
+                    self._kept_waiting = (float(values[WAITED]), waits_for)
+                self.waiting[name] = "" if values["ready"] == "true" else waits_for or "something"

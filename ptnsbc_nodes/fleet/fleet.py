@@ -1,4 +1,4 @@
-"""A whole flight, or this computer's part of it: a process per UAV, the sim, the recorder."""
+"""A whole flight, or the part of it that this computer flies: one process per UAV, the sim, the recorder."""
 
 from __future__ import annotations
 
@@ -6,17 +6,18 @@ import json
 import os
 import tempfile
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ptnsbc_nodes.comm.endpoints import RECORDER
+from ptnsbc_nodes.comm.topics import RECORDER
+from ptnsbc_nodes.fleet.child_process import ChildProcess
 from ptnsbc_nodes.fleet.coordinator_node import Coordinator
 from ptnsbc_nodes.fleet.process_list import FleetOptions, chosen, commands, names
 from ptnsbc_nodes.fleet.supervisor import FleetError, Report, Supervisor
 from ptnsbc_nodes.runtime import environment
-from ptnsbc_nodes.runtime.ros_domain import reserved_domain
+from ptnsbc_nodes.runtime.environment import reserved_domain
 from ptnsbc_nodes.runtime.signals import StopRequest
 from ptnsbc_nodes.runtime.warmup import load_agent, load_world
 
@@ -37,7 +38,7 @@ class ProcessReport:
 
 @dataclass(frozen=True)
 class FleetResult:
-    """A flight that has ended, whichever way."""
+    """A flight that has ended, in whatever way."""
 
     processes: tuple[ProcessReport, ...]
     died: tuple[str, ...]  # processes that ended before their time
@@ -55,77 +56,64 @@ class FleetResult:
 
 
 def run_fleet(options: FleetOptions, progress: Report = lambda line: None) -> FleetResult:
-    """Fly; `progress` gets a line now and then. FleetError when the fleet does not get ready.
+    """Fly; `progress` gets a line now and then.
 
     SIGINT and SIGTERM end the flight in order, the recorder last. Call it from the main thread: the
     processes end with the thread that started them.
+
+    Raises:
+        FleetError: the options do not go together, or the fleet does not get ready.
     """
     if options.bag is not None and options.bag.exists() and not options.overwrite:
         raise FleetError(f"{options.bag} exists: choose another name or pass --overwrite")
-    refuse_nonsense(options)
+    check_options(options)
     log_dir = Path(options.log_dir or tempfile.mkdtemp(prefix="ptnsbc-")).resolve()
     log_dir.mkdir(parents=True, exist_ok=True)
     scenario_file = log_dir / "scenario.yaml"
     scenario_file.write_text(options.scenario.text, encoding="utf-8")
     _prepare_kernels(options, progress)
-    crew = commands(options, scenario_file)
+    processes = commands(options, scenario_file)
     with StopRequest() as stop, reserved_domain() as domain:
-        settings = environment.for_children(domain, _most_processes(options, len(crew)), log_dir)
+        # A launcher for each process at most, where other computers fly the rest.
+        everywhere = 2 * len(names(options.scenario, options.backend))
+        count = everywhere if options.shared else len(processes) + 1
+        settings = environment.for_children(domain, count, log_dir)
         progress(f"domain {domain}, logs in {log_dir}")
-        with Coordinator(domain, _tower_name(options)) as tower:
-            flight = Supervisor(options, tower, stop, progress)
+        # Launchers on other computers have other names.
+        name = "fleet" if options.leads else f"fleet_{min(options.only)}"
+        with Coordinator(domain, name) as coordinator:
+            supervisor = Supervisor(options, coordinator, stop, progress)
             began = time.monotonic()
             try:
-                flight.start(crew, settings, log_dir, began + options.patience_s)
+                supervisor.start(processes, settings, log_dir, began + options.patience_s)
                 took_off = time.monotonic()
-                flight.watch(options.scenario.duration_s)
+                supervisor.watch(options.scenario.duration_s)
                 landed = time.monotonic()
             finally:
-                flight.end()
+                supervisor.end()
+    children, died = supervisor.children, supervisor.died
+    lost = [child.command.uav for child in died if child.command.uav is not None]
+    lost += [int(name.removeprefix("uav")) for name in supervisor.lost_elsewhere]
     return FleetResult(
-        processes=tuple(
-            ProcessReport(child.name, child.pid, child.exit_code, child.log)
-            for child in flight.children
-        ),
-        died=(*(child.name for child in flight.died), *flight.lost_elsewhere),
-        lost=tuple(dict.fromkeys(_lost(flight))),
+        processes=tuple(ProcessReport(c.name, c.pid, c.exit_code, c.log) for c in children),
+        died=(*(child.name for child in died), *supervisor.lost_elsewhere),
+        lost=tuple(dict.fromkeys(lost)),
         interrupted=stop.came,
         bag=options.bag,
-        recorded=_recorded(flight),
+        recorded=_recorded(children),
         startup_s=took_off - began,
         flight_s=landed - took_off,
     )
 
 
-def _most_processes(options: FleetOptions, here: int) -> int:
-    """Of the whole fleet on one host, with a launcher for each at most."""
-    return 2 * len(names(options.scenario, options.backend)) if options.shared else here + 1
+def _recorded(children: Sequence[ChildProcess]) -> Mapping[str, Any]:
+    """The recorder's summary; empty when it was killed before it had one."""
+    summaries = [child.summary for child in children if child.name == RECORDER]
+    found: Mapping[str, Any] = json.loads(summaries[0]) if summaries and summaries[0] else {}
+    return found
 
 
-def _tower_name(options: FleetOptions) -> str:
-    """Unlike those of the launchers on other computers."""
-    return "fleet" if options.leads else f"fleet_{min(options.only)}"
-
-
-def _lost(flight: Supervisor) -> Iterator[int]:
-    for child in flight.died:
-        if child.command.uav is not None:
-            yield child.command.uav
-    for name in flight.lost_elsewhere:
-        yield int(name.removeprefix("uav"))
-
-
-def _recorded(flight: Supervisor) -> Mapping[str, Any]:
-    recorder = next((child for child in flight.children if child.name == RECORDER), None)
-    summary = recorder.last_line() if recorder else ""
-    try:
-        found = json.loads(summary)
-    except ValueError:  # it was killed before it could tell
-        return {}
-    return found if isinstance(found, dict) else {}
-
-
-def refuse_nonsense(options: FleetOptions) -> None:
+def check_options(options: FleetOptions) -> None:
     """FleetError when the options do not go together."""
     if options.bag is not None and not options.leads:
         raise FleetError(
@@ -149,7 +137,7 @@ def refuse_nonsense(options: FleetOptions) -> None:
 
 
 def _prepare_kernels(options: FleetOptions, progress: Report) -> None:
-    """Compile once, before a dozen processes would do it side by side."""
+    """Compile the laws once; otherwise a dozen processes would compile them side by side."""
     progress("preparing the laws (compiled at first use, then read from the cache)")
     load_agent(options.scenario, options.scenario.leader_id)
     if options.backend == "sim":

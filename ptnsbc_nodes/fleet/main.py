@@ -6,14 +6,21 @@ import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from ptnsbc_nodes.fleet.fleet import FleetOptions, FleetResult, run_fleet
-from ptnsbc_nodes.runtime.process import Arguments, run
-from ptnsbc_sim.scenario import load_scenario
+from ptnsbc_nodes.runtime.signals import exit_on_signal
+
+if TYPE_CHECKING:
+    from ptnsbc_nodes.fleet.fleet import FleetResult
+
+_INTERRUPTED = 130
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Fly until the scenario's duration is over, SIGINT or SIGTERM."""
+    exit_on_signal(_INTERRUPTED)
+    from ptnsbc_nodes.runtime.process import Arguments, run
+
     parser = Arguments("fleet", "A formation on this host, one process per UAV")
     parser.add_argument("--duration", type=float, metavar="S", help="instead of the scenario's")
     parser.add_argument("--bag", type=Path, help="record into this folder")
@@ -25,6 +32,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _fly(arguments: argparse.Namespace, _argv: list[str]) -> int:
+    from ptnsbc_nodes.fleet.fleet import FleetOptions, run_fleet
+    from ptnsbc_sim.scenario import load_scenario
+
     scenario = load_scenario(arguments.scenario, {"timing.duration_s": arguments.duration})
     if arguments.backend == "mavlink":
         scenario = scenario.bridged()

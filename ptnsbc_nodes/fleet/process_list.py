@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Literal
 
 from ptnsbc_core.errors import PtnsbcError
-from ptnsbc_nodes.comm.endpoints import RECORDER
+from ptnsbc_nodes.comm.topics import RECORDER
 from ptnsbc_nodes.fleet.child_process import ProcessCommand
 from ptnsbc_nodes.runtime.provenance import provenance
 from ptnsbc_sim.scenario import Scenario
@@ -20,7 +20,7 @@ _AIRBORNE_S = 240.0  # boot, position, arming and take-off of a real vehicle
 
 
 class ProcessListError(PtnsbcError):
-    """A process that the flight does not have."""
+    """A name in --only of which the flight has no process."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class FleetOptions:
     def patience_s(self) -> float:
         """The time-out, by default with room for a slow machine."""
         if self.shared and self.ready_timeout_s is None:
-            return math.inf  # others are started by other hands
+            return math.inf  # people start the other computers
         default = 30.0 + 5.0 * len(self.scenario.uav_ids)
         if self.backend == "mavlink":
             default += _AIRBORNE_S
@@ -65,29 +65,29 @@ class FleetOptions:
 
 
 def commands(options: FleetOptions, scenario_file: Path) -> list[ProcessCommand]:
-    """The processes of this computer in the order of their start: the recorder must miss nothing.
+    """The processes of this computer in the order of their start.
 
-    The sim comes last. In real time a UAV ticks from its first odometry on, and twenty that do so while others
-    are still loading make them load three times as long.
+    The recorder comes first, because it must miss nothing. The sim comes last: in real time a UAV ticks from its
+    first odometry on, and twenty ticking UAVs make the others load three times as long.
     """
     common = ["--scenario", str(scenario_file)]
     if options.lockstep:
         common.append("--lockstep")
     if options.recorded:
         common.append("--recorded")
-    crew = [] if options.bag is None else [_recorder(options, options.bag, scenario_file)]
+    found = [] if options.bag is None else [_recorder(options, options.bag, scenario_file)]
     if options.backend == "mavlink":
         common.append("--bridged")
-        crew += [_bridge(options, common, i) for i in options.scenario.uav_ids]
+        found += [_bridge(options, common, i) for i in options.scenario.uav_ids]
     for i in options.scenario.uav_ids:
         arguments = (*common, "--uav", str(i), "--managed")
         node = f"/uav{i}/controller"
-        crew.append(
+        found.append(
             ProcessCommand(f"uav{i}", "ptnsbc_nodes.uav.main", arguments, uav=i, managed=node)
         )
     if options.backend != "mavlink":
-        crew.append(ProcessCommand(SIM, "ptnsbc_nodes.sim.main", tuple(common), ends=True))
-    return [command for command in crew if not options.only or command.name in options.only]
+        found.append(ProcessCommand(SIM, "ptnsbc_nodes.sim.main", tuple(common), ends=True))
+    return [command for command in found if not options.only or command.name in options.only]
 
 
 def names(scenario: Scenario, backend: str) -> list[str]:
@@ -116,36 +116,35 @@ def chosen(text: str, scenario: Scenario, backend: str) -> frozenset[str]:
     return frozenset(picked)
 
 
-def tower_arguments(options: FleetOptions, scenario_file: Path) -> tuple[str, ...]:
-    """Of the process that takes these to active and starts the flight, where our launcher does not."""
-    kind = ["--bridged"] if options.backend == "mavlink" else []
-    return ("--scenario", str(scenario_file), "--manage", *kind)
+def coordinator_command(scenario_file: Path, *arguments: str) -> ProcessCommand:
+    """The process that does what our launcher does itself, for other launchers.
 
-
-def loss_arguments(command: ProcessCommand, scenario_file: Path) -> tuple[str, ...]:
-    """Of the process that tells the others that this one has ended, where our launcher does not."""
-    return ("--scenario", str(scenario_file), "--lose", command.lost)
+    With `--manage` it takes the nodes to active and starts the flight; with `--lose NAME` it tells the others
+    that a process has ended.
+    """
+    return ProcessCommand(
+        "coordinator",
+        "ptnsbc_nodes.fleet.coordinator_main",
+        ("--scenario", str(scenario_file), *arguments),
+    )
 
 
 def _bridge(options: FleetOptions, common: Sequence[str], uav: int) -> ProcessCommand:
     arguments = [*common, "--uav", str(uav), "--managed"]
     if options.allow_arming:
         arguments.append("--allow-arming")
-    name = f"bridge{uav}"
+    node = f"/uav{uav}/bridge"
     return ProcessCommand(
-        name,
-        "ptnsbc_nodes.bridge.main",
-        tuple(arguments),
-        uav=uav,
-        managed=f"/uav{uav}/bridge",
-        ends=True,
+        f"bridge{uav}", "ptnsbc_nodes.bridge.main", tuple(arguments), uav, managed=node, ends=True
     )
 
 
 def _recorder(options: FleetOptions, bag: Path, scenario_file: Path) -> ProcessCommand:
     arguments = ["--bag", str(bag), "--uavs", *map(str, options.scenario.uav_ids)]
     arguments += ["--attach", f"scenario.yaml={scenario_file}"]
-    for key, value in _meta(options).items():
+    mode = "lockstep" if options.lockstep else "realtime"
+    meta = {"mode": mode, "scenario": options.scenario.name, **provenance(), **options.meta}
+    for key, value in meta.items():
         arguments += ["--meta", f"{key}={value}"]
     if options.lockstep:
         arguments.append("--lockstep")
@@ -156,11 +155,3 @@ def _recorder(options: FleetOptions, bag: Path, scenario_file: Path) -> ProcessC
     if options.overwrite:
         arguments.append("--overwrite")
     return ProcessCommand(RECORDER, "ptnsbc_nodes.recording.main", tuple(arguments))
-
-
-def _meta(options: FleetOptions) -> Mapping[str, str]:
-    own = {
-        "mode": "lockstep" if options.lockstep else "realtime",
-        "scenario": options.scenario.name,
-    }
-    return own | provenance() | dict(options.meta)

@@ -1,66 +1,47 @@
 """Recording a flight into a bag: every topic of the given UAVs, as bytes.
 
-/tf is made here, out of odometry (`transforms`).
+/tf is made here, out of odometry (`Transforms`).
 
 In real time a message is logged when it arrives. In lock-step it is logged at its own stamp and
-sorted (`bag.reorder`), so that the same command gives the same bytes.
+sorted (`ReorderBuffer`), so that the same command gives the same bytes.
 """
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterable
-from typing import TYPE_CHECKING, Any
 
-from rclpy.clock import Clock, ClockType
-from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
-from rclpy.qos import QoSDurabilityPolicy, QoSReliabilityPolicy
 
 from ptnsbc_io import wire
 from ptnsbc_io.bag import BagWriter, TopicInfo
-from ptnsbc_io.bag.definitions import has_header
 from ptnsbc_io.bag.reorder import PendingMessage, ReorderBuffer
 from ptnsbc_nodes.comm import qos, topics
-from ptnsbc_nodes.comm.endpoints import RECORDED, full_name
+from ptnsbc_nodes.comm.endpoints import full_name
 from ptnsbc_nodes.comm.tf import Transforms
-from ptnsbc_nodes.comm.topics import Topic
+from ptnsbc_nodes.comm.topics import RECORDED, Topic
+from ptnsbc_nodes.recording.recorder import BagRecorder, Derive, describe, stamp_of
 
-if TYPE_CHECKING:
-    from ptnsbc_nodes.recording.marker_frames import MarkerFrames
-
-_FLUSH_CHECK = 0.1  # [s]
 _ACK_TICKS = 25
 
-# Published by every UAV: order of arrival between them is chance even within the topic.
+# Published by every UAV: the order of arrival between UAVs is chance even within the topic.
 _SHARED = frozenset({topics.DIAGNOSTICS.name, topics.TF.name})
-_LISTS = frozenset({topics.MARKERS.type, topics.TF.type})
 
 
 def topic_info(topic: Topic, *, lockstep: bool) -> TopicInfo:
     """How `topic` is described in a bag: the profile that its publishers offer."""
-    profile = qos.profile(topic, lockstep=lockstep)
-    reliable = profile.reliability == QoSReliabilityPolicy.RELIABLE
-    latched = profile.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL
-    return TopicInfo(
-        topic.name,
-        topic.type,
-        "reliable" if reliable else "best_effort",
-        "transient_local" if latched else "volatile",
-        profile.depth,
-    )
+    return describe(topic.name, topic.type, [qos.profile(topic, lockstep=lockstep)])
 
 
-class FleetRecorder:
+class FleetRecorder(BagRecorder):
     """Subscriptions of `node` that write into an open `writer`.
 
     Args:
         node: Its clock gives the log time in real time.
         writer: An open bag with all `recorded` topics and /tf; it stays open at `finish`.
         recorded: What to record.
-        transforms: What makes /tf.
+        transforms: Makes /tf.
         lockstep: Log at the message's own stamp, in an order that does not depend on arrival.
-        pictures: In real time, what makes the markers where no simulator does.
+        draw: Makes the markers in real time, where no simulator does.
     """
 
     def __init__(
@@ -71,30 +52,26 @@ class FleetRecorder:
         transforms: Transforms,
         *,
         lockstep: bool,
-        pictures: MarkerFrames | None = None,
+        draw: Derive | None = None,
     ) -> None:
-        self.received = 0
-        self.lost = 0  # as far as DDS reports it: gaps in the network, not in our own queue
-        self.after_each: Callable[[], None] = lambda: None  # called after each message
+        super().__init__(node, writer)
         self._ticks = 0
         self._acknowledgement = wire.HeaderTemplate("recorder")
-        self._node = node
-        self._writer = writer
         self._transforms = transforms
-        self._pictures = pictures
-        self._order = ReorderBuffer(_SHARED) if lockstep else None
+        self._order = order = ReorderBuffer(_SHARED) if lockstep else None
+        derived: list[tuple[str, Derive]] = [(topics.TF.name, transforms.of)]
+        if draw is not None:
+            derived.append((topics.MARKERS.name, draw))
         for topic in recorded:
-            order = self._order
-            record = self._sorted(topic, order) if order else self._as_it_arrives(topic)
-            self._subscribe(topic, record, lockstep)
+            record = self._in_order(topic, order) if order else self.on_arrival(topic, derived)
+            profile = qos.recorder_profile(topic, lockstep=lockstep)
+            self.subscribe(topic, full_name(node, topic), record, profile)
         if lockstep:
             self._acknowledge = node.create_publisher(
                 topics.message_class(RECORDED), full_name(node, RECORDED), qos.EVENT
             )
-        else:
-            # By wall time: in lock-step, where the bytes would depend on it, by stamp.
-            steady = Clock(clock_type=ClockType.STEADY_TIME)
-            node.create_timer(_FLUSH_CHECK, self._flush, clock=steady)
+        else:  # in lock-step the bytes would depend on wall time: flushed by stamp
+            self.flush_regularly()
 
     @property
     def late(self) -> int:
@@ -106,34 +83,7 @@ class FleetRecorder:
         if self._order:
             self._write_sorted(self._order.flush())
 
-    def _subscribe(self, topic: Topic, record: Callable[[bytes], None], lockstep: bool) -> None:
-        self._node.create_subscription(
-            topics.message_class(topic),
-            full_name(self._node, topic),
-            record,
-            qos.recorder_profile(topic, lockstep=lockstep),
-            raw=True,
-            event_callbacks=SubscriptionEventCallbacks(message_lost=self._count_lost),
-        )
-
-    def _as_it_arrives(self, topic: Topic) -> Callable[[bytes], None]:
-        clock = self._node.get_clock()
-
-        def record(data: bytes) -> None:
-            self.received += 1
-            now_ns, stamp_ns = clock.now().nanoseconds, stamp_of(topic, data)
-            self._writer.write(topic.name, now_ns, data, stamp_ns)
-            transform = self._transforms.of(topic.name, data)
-            if transform is not None:
-                self._writer.write(topics.TF.name, now_ns, transform, stamp_ns)
-            picture = None if self._pictures is None else self._pictures.of(topic.name, data)
-            if picture is not None:
-                self._writer.write(topics.MARKERS.name, now_ns, picture, stamp_ns)
-            self.after_each()
-
-        return record
-
-    def _sorted(self, topic: Topic, order: ReorderBuffer) -> Callable[[bytes], None]:
+    def _in_order(self, topic: Topic, order: ReorderBuffer) -> Callable[[bytes], None]:
         last_ns = 0
 
         def record(data: bytes) -> None:
@@ -143,7 +93,7 @@ class FleetRecorder:
             # An empty list has no stamp; that of its predecessor is the same on every run.
             last_ns = last_ns if stamp_ns is None else stamp_ns
             if topic.name == topics.CLOCK.name:
-                self._tick(last_ns)
+                self._on_tick(last_ns)
             self._write_sorted(order.push(last_ns, topic.name, data))
             transform = self._transforms.of(topic.name, data)
             if transform is not None:
@@ -152,8 +102,8 @@ class FleetRecorder:
 
         return record
 
-    def _tick(self, stamp_ns: int) -> None:
-        """Tell the sim how far we are: events are served in order, so with the clock came the rest."""
+    def _on_tick(self, stamp_ns: int) -> None:
+        """Acknowledge to the sim: events are served in order, so all before this /clock has been received."""
         self._ticks += 1
         if self._ticks % _ACK_TICKS == 0:
             self._acknowledge.publish(self._acknowledgement.encode(stamp_ns))
@@ -162,22 +112,3 @@ class FleetRecorder:
         for message in messages:
             self._writer.write(message.topic, message.stamp_ns, message.data)
             self._writer.flush_if_due(message.stamp_ns * 1e-9)
-
-    def _count_lost(self, event: Any) -> None:
-        self.lost += event.total_count_change
-
-    def _flush(self) -> None:
-        self._writer.flush_if_due(time.monotonic())
-
-
-def stamp_of(topic: Topic, data: bytes) -> int | None:
-    """The header stamp [ns] of a message, of its first element for a list; None without one."""
-    listed = topic.type in _LISTS
-    if not listed and not has_header(topic.type):
-        return None
-    try:
-        stamp_ns = wire.peek_sequence_stamp(data) if listed else wire.peek_stamp(data)
-    except wire.WireError:
-        # Foreign and broken, but it was on the topic: it belongs into the bag.
-        return None
-    return stamp_ns if stamp_ns is not None and stamp_ns >= 0 else None

@@ -1,6 +1,6 @@
 """Process of the recorder: `python -m ptnsbc_nodes.recording.main --bag DIR --uavs N...`.
 
-It says `ready` on stderr when it listens, and at SIGINT or SIGTERM completes the bag and prints one line of JSON
+It says `ready` on stderr when it listens. At SIGINT or SIGTERM it completes the bag and prints one line of JSON
 on stdout.
 """
 
@@ -13,62 +13,68 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import rclpy
-from rclpy.context import Context
-from rclpy.signals import SignalHandlerOptions
-
 from ptnsbc_core.errors import PtnsbcError
-from ptnsbc_io.bag import BagError, BagWriter
-from ptnsbc_nodes.comm import topics
-from ptnsbc_nodes.comm.tf import Transforms
-from ptnsbc_nodes.recording.fleet_recorder import FleetRecorder, topic_info
-from ptnsbc_nodes.recording.session import account, listen, listening_node
-from ptnsbc_nodes.runtime import environment
-from ptnsbc_nodes.runtime.dds_profiles import NetworkError
-from ptnsbc_nodes.runtime.provenance import add_version
-from ptnsbc_nodes.runtime.ros_args import RosArgumentsError, ros_errors, without_ros
-from ptnsbc_nodes.runtime.signals import StopRequest
+from ptnsbc_nodes.runtime.signals import StopRequest, exit_on_signal
 
 if TYPE_CHECKING:
-    from ptnsbc_nodes.recording.marker_frames import MarkerFrames
+    from rclpy.context import Context
 
+_FAILED = 1
 _DRAIN_LIMIT_S = 50.0  # under load the queues hold seconds, and the launcher waits a minute
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Record until SIGINT or SIGTERM."""
-    arguments = list(sys.argv[1:] if argv is None else argv)
+    exit_on_signal()
+    from ptnsbc_nodes.runtime.process import run
+
+    return run(_parser(), argv, _serve, laws=False)
+
+
+def _serve(options: argparse.Namespace, argv: list[str]) -> int:
+    import rclpy
+    from rclpy.context import Context
+    from rclpy.signals import SignalHandlerOptions
+
+    from ptnsbc_nodes.runtime import environment
+    from ptnsbc_nodes.runtime.process import ros_errors
+
+    if options.punctual:
+        environment.prefer_punctuality(flies=False)
     context = Context()
     with StopRequest() as stop:
+        with ros_errors():
+            rclpy.init(args=argv, context=context, signal_handler_options=SignalHandlerOptions.NO)
         try:
-            environment.prepare()
-            options = _parser().parse_args(without_ros(arguments))
-            if options.punctual:
-                environment.prefer_punctuality(flies=False)
-            with ros_errors():
-                rclpy.init(
-                    args=arguments, context=context, signal_handler_options=SignalHandlerOptions.NO
-                )
             _record(context, options, stop)
-        except (RosArgumentsError, NetworkError) as error:
-            print(f"recorder: {error}", file=sys.stderr)
-            return 2
         except PtnsbcError as error:
             print(f"recorder: {error}", file=sys.stderr)
-            return 1
+            return _FAILED
         finally:
             rclpy.try_shutdown(context=context)
     return 0
 
 
 def _record(context: Context, options: argparse.Namespace, stop: StopRequest) -> None:
-    lockstep = options.lockstep
-    kinds = {"lockstep": lockstep, "with_truth": options.truth}
-    infos = [topic_info(one, lockstep=lockstep) for one in topics.in_bag(options.uavs, **kinds)]
-    with listening_node(context, "recorder") as (node, executor):
+    from ptnsbc_io.bag import BagWriter
+    from ptnsbc_nodes.comm import topics
+    from ptnsbc_nodes.comm.tf import Transforms
+    from ptnsbc_nodes.recording.fleet_recorder import FleetRecorder, topic_info
+    from ptnsbc_nodes.recording.recorder import recorder_node
+    from ptnsbc_nodes.runtime.process import report_finished
+
+    draw = None
+    if options.draw is not None:
+        from ptnsbc_nodes.comm.markers import OdometryMarkers
+        from ptnsbc_sim.scenario import load_scenario
+
+        draw = OdometryMarkers(load_scenario(options.draw, {})).of
+    kinds = {"lockstep": options.lockstep, "with_truth": options.truth}
+    every = topics.in_bag(options.uavs, **kinds)
+    with recorder_node(context, "recorder") as (node, executor):
         with BagWriter(
             options.bag,
-            infos,
+            [topic_info(topic, lockstep=options.lockstep) for topic in every],
             attachments={name: _content(name, path) for name, path in options.attach},
             metadata=dict(options.meta),
             overwrite=options.overwrite,
@@ -78,26 +84,21 @@ def _record(context: Context, options: argparse.Namespace, stop: StopRequest) ->
                 writer,
                 topics.recorded(options.uavs, **kinds),
                 Transforms(options.uavs),
-                lockstep=lockstep,
-                pictures=_pictures(options.draw),
+                lockstep=options.lockstep,
+                draw=draw,
             )
             print("ready", file=sys.stderr, flush=True)
-            listen(executor, recorder, lambda: stop.came, _DRAIN_LIMIT_S)
+            recorder.serve(executor, lambda: stop.came, _DRAIN_LIMIT_S)
             recorder.finish()
-        # Before the middleware is taken down: whether that ends is not ours to promise.
-        print(json.dumps(account(writer, recorder, late=recorder.late)), flush=True)
-
-
-def _pictures(scenario: str | None) -> MarkerFrames | None:
-    if scenario is None:
-        return None
-    from ptnsbc_nodes.recording.marker_frames import MarkerFrames
-    from ptnsbc_sim.scenario import load_scenario
-
-    return MarkerFrames(load_scenario(scenario, {}))
+        # Before the middleware is shut down: that does not always return.
+        summary = json.dumps(recorder.summary(late=recorder.late))
+        print(summary, flush=True)
+        report_finished(summary)
 
 
 def _content(name: str, path: str) -> bytes:
+    from ptnsbc_io.bag import BagError
+
     try:
         return Path(path).read_bytes()
     except OSError as error:
@@ -112,6 +113,8 @@ def _pair(text: str) -> tuple[str, str]:
 
 
 def _parser() -> argparse.ArgumentParser:
+    from ptnsbc_nodes.runtime.provenance import add_version
+
     parser = argparse.ArgumentParser(prog="recorder", description="Record a flight into a bag.")
     add_version(parser)
     parser.add_argument("--bag", type=Path, required=True, help="folder to create")

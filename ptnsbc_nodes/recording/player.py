@@ -1,4 +1,4 @@
-"""A bag back onto its topics: recorded bytes, types and quality of service, paced by the recorded times."""
+"""Plays a bag back onto its topics: recorded bytes, types and quality of service, at the recorded times."""
 
 from __future__ import annotations
 
@@ -14,13 +14,14 @@ from rclpy.context import Context
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
+from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_io.bag import Bag, BagMessage, BagTopic
 from ptnsbc_io.wire import ClockTemplate
 from ptnsbc_nodes.comm import topics
+from ptnsbc_nodes.comm.qos import keep_last
 from ptnsbc_nodes.comm.topics import CLOCK, Role, Topic
 from ptnsbc_nodes.runtime.signals import StopRequest
 
@@ -58,11 +59,11 @@ class Played:
 
 def play(
     bag: Bag,
-    wishes: PlayOptions,
+    options: PlayOptions,
     say: Callable[[str], None],
     advance: Callable[[int, int], None] = lambda done, total: None,
 ) -> Played:
-    """Play a bag; SIGINT and SIGTERM end it in order.
+    """Play a bag; SIGINT and SIGTERM end the playback in order.
 
     Raises:
         PlayError: no topic of it can be published, or it ends before `start_s`.
@@ -74,7 +75,7 @@ def play(
             "player", context=context, start_parameter_services=False, enable_rosout=False
         )
         try:
-            player = _Player(node, bag, wishes, stop, say)
+            player = _Player(node, bag, options, stop, say)
             player.wait()
             return player.play(advance)
         finally:
@@ -87,33 +88,33 @@ class _Player:
         self,
         node: Node,
         bag: Bag,
-        wishes: PlayOptions,
+        options: PlayOptions,
         stop: StopRequest,
         say: Callable[[str], None],
     ) -> None:
         self._bag = bag
-        self._wishes = wishes
+        self._options = options
         self._stop = stop
         self._played = Played()
-        self._publishers: dict[str, Publisher] = dict(_publishers(node, bag, wishes, say))
+        self._publishers: dict[str, Publisher] = dict(_publishers(node, bag, options, say))
         if not self._publishers:
-            raise PlayError(f"{bag.path}: no topic to play: {', '.join(wishes.topics)} chosen")
-        self._start_ns = bag.start_ns + round(wishes.start_s * 1e9)
+            raise PlayError(f"{bag.path}: no topic to play: {', '.join(options.topics)} chosen")
+        self._start_ns = bag.start_ns + round(options.start_s * 1e9)
         if self._start_ns > bag.end_ns:
             length = (bag.end_ns - bag.start_ns) * 1e-9
             raise PlayError(
-                f"start {wishes.start_s:g} s: expected less than the {length:.3f} s of the bag"
+                f"start {options.start_s:g} s: expected less than the {length:.3f} s of the bag"
             )
         self._clock = None
-        if wishes.clock_hz is not None:
+        if options.clock_hz is not None:
             self._clock = node.create_publisher(topics.message_class(CLOCK), CLOCK.name, 10)
         self._template = ClockTemplate()
 
     def wait(self) -> None:
-        """Until every topic has a reader, or the patience is over."""
-        end = time.monotonic() + self._wishes.wait_s
+        """Wait until every topic has a reader, for `wait_s` at most."""
+        end = time.monotonic() + self._options.wait_s
         publishers = self._publishers.values()
-        # Asked again and again: a match is an event of an executor, and here is none.
+        # Polled: a match is an event of an executor, and there is none here.
         while time.monotonic() < end and not self._stop.wait(_LOOK_S):
             if all(publisher.get_subscription_count() for publisher in publishers):
                 return
@@ -123,7 +124,7 @@ class _Player:
         while not self._stop.came:
             self._round(advance)
             played.rounds += 1
-            if not self._wishes.loop:
+            if not self._options.loop:
                 break
         played.interrupted = self._stop.came
         for publisher in self._publishers.values():
@@ -131,12 +132,12 @@ class _Player:
         return played
 
     def _round(self, advance: Callable[[int, int], None]) -> None:
-        """Once through the bag. Due times are counted from the start: no error adds up."""
+        """Play the bag once. Due times count from the start, so that no error adds up."""
         length_ns = self._bag.end_ns - self._start_ns
-        began, told = time.monotonic(), 0.0
+        began, reported = time.monotonic(), 0.0
         for message in self._events():
             after_ns = message.stamp_ns - self._start_ns
-            due = began + after_ns * 1e-9 / self._wishes.rate
+            due = began + after_ns * 1e-9 / self._options.rate
             if self._stop.wait(due - time.monotonic()):
                 return
             self._played.latest_s = max(self._played.latest_s, time.monotonic() - due)
@@ -144,15 +145,15 @@ class _Player:
             if publisher is not None:
                 publisher.publish(message.data)
             self._played.messages += message.topic != ""
-            if time.monotonic() - told > _REPORT_S:
-                told = time.monotonic()
+            if time.monotonic() - reported > _REPORT_S:
+                reported = time.monotonic()
                 advance(after_ns // 1_000_000, max(length_ns // 1_000_000, 1))
 
     def _events(self) -> Iterator[BagMessage]:
-        """Messages to publish, between them ticks of the clock (topic "")."""
+        """Messages to publish, and between them ticks of the clock (topic "")."""
         period_ns = None
-        if self._clock is not None and self._wishes.clock_hz:
-            period_ns = max(round(1e9 * self._wishes.rate / self._wishes.clock_hz), 1)
+        if self._clock is not None and self._options.clock_hz:
+            period_ns = max(round(1e9 * self._options.rate / self._options.clock_hz), 1)
         next_ns = self._start_ns
         for message in self._bag.messages(self._publishers):
             if message.stamp_ns < self._start_ns:
@@ -164,12 +165,12 @@ class _Player:
 
 
 def _publishers(
-    node: Node, bag: Bag, wishes: PlayOptions, say: Callable[[str], None]
+    node: Node, bag: Bag, options: PlayOptions, say: Callable[[str], None]
 ) -> Iterator[tuple[str, Publisher]]:
     for topic in bag.topics.values():
-        chosen = any(fnmatchcase(topic.name, pattern) for pattern in wishes.topics)
-        ours = wishes.clock_hz is not None and topic.name == CLOCK.name
-        if not chosen or ours or not topic.messages:
+        matches = any(fnmatchcase(topic.name, pattern) for pattern in options.topics)
+        replaced = options.clock_hz is not None and topic.name == CLOCK.name
+        if not matches or replaced or not topic.messages:
             continue
         try:
             kind = topics.message_class(Topic(topic.name, topic.type, Role.STATE))
@@ -180,18 +181,14 @@ def _publishers(
 
 
 def profile(topic: BagTopic) -> QoSProfile:
-    """What the publishers of a recorded topic offered; reliable where the bag does not say."""
+    """The profile that the publishers of a recorded topic offered; reliable where the bag does not say."""
     found = _offered(topic.offered_qos)
     reliable = str(found.get("reliability", "reliable")).lower() in ("reliable", "1")
     latched = str(found.get("durability", "volatile")).lower() in ("transient_local", "1")
     depth = int(found.get("depth", 0) or 0)
     if reliable and not latched:
         depth = max(depth, _HISTORY)
-    return QoSProfile(
-        depth=max(depth, 1),
-        reliability=QoSReliabilityPolicy.RELIABLE if reliable else QoSReliabilityPolicy.BEST_EFFORT,
-        durability=QoSDurabilityPolicy.TRANSIENT_LOCAL if latched else QoSDurabilityPolicy.VOLATILE,
-    )
+    return keep_last(max(depth, 1), reliable=reliable, latched=latched)
 
 
 def _offered(text: str) -> Mapping[str, Any]:

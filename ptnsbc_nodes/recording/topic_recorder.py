@@ -1,27 +1,36 @@
-"""Recording beside any fleet that runs: topics are found, not known in advance.
+"""Recording beside any fleet that runs, until SIGINT, SIGTERM or the end of its time.
 
-Each topic is subscribed to with what its publishers offer, at once or when it appears. Messages are
-logged when they arrive. /tf is made of odometry where nobody publishes it (`transforms`).
+Topics are found, not known in advance. Each topic is subscribed to with what its publishers offer, at once or
+when it appears. Messages are logged when they arrive. /tf is made of odometry where no process publishes it.
 """
 
 from __future__ import annotations
 
 import re
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
+from pathlib import Path
 from typing import Any
 
+import rclpy
 from rclpy.clock import Clock, ClockType
-from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.context import Context
 from rclpy.node import Node
-from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
+from rclpy.qos import QoSProfile
+from rclpy.signals import SignalHandlerOptions
 
-from ptnsbc_io.bag import BagError, BagWriter, TopicInfo
+from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_io.bag import BagError, BagWriter, SplitLimits
 from ptnsbc_nodes.comm import topics
+from ptnsbc_nodes.comm.qos import keep_last
 from ptnsbc_nodes.comm.tf import Transforms
 from ptnsbc_nodes.comm.topics import Role, Topic
-from ptnsbc_nodes.recording.fleet_recorder import stamp_of, topic_info
+from ptnsbc_nodes.recording.fleet_recorder import topic_info
+from ptnsbc_nodes.recording.recorder import BagRecorder, Derive, describe, recorder_node
+from ptnsbc_nodes.runtime.provenance import provenance
+from ptnsbc_nodes.runtime.signals import StopRequest
 
 OURS = (
     *("/uav*/" + name for name in ("odom", "near", "formation_state", "leader_estimate")),
@@ -31,12 +40,70 @@ OURS = (
 """Topics of a flight, as patterns."""
 
 _LOOK_S = 0.5  # between two looks for new topics
-_FLUSH_CHECK_S = 0.1
 _QUEUE = 1000
+_DRAIN_LIMIT_S = 2.0  # a fleet that flies on has no last message
 _OWN_ODOMETRY = re.compile(r"/uav(\d+)/odom")
 
 
-class TopicRecorder:
+class RecordError(PtnsbcError):
+    """A recording without a single message."""
+
+
+@dataclass(frozen=True)
+class RecordOptions:
+    """What to record, and how."""
+
+    bag: Path
+    topics: Sequence[str] = OURS  # patterns
+    limits: SplitLimits = field(default_factory=SplitLimits)
+    overwrite: bool = False
+    duration_s: float | None = None  # None: until a signal
+    attachments: Mapping[str, bytes] = field(default_factory=dict)
+    meta: Mapping[str, str] = field(default_factory=dict)
+
+
+def record(options: RecordOptions, say: Callable[[str], None]) -> Mapping[str, Any]:
+    """Record until the time is over or a signal comes; returns what was recorded.
+
+    Raises:
+        BagError: the bag cannot be written.
+        RecordError: not one message came.
+    """
+    context = Context()
+    with StopRequest() as stop:
+        rclpy.init(args=[], context=context, signal_handler_options=SignalHandlerOptions.NO)
+        try:
+            return _record(context, options, stop, say)
+        finally:
+            rclpy.shutdown(context=context)
+
+
+def _record(
+    context: Context, options: RecordOptions, stop: StopRequest, say: Callable[[str], None]
+) -> Mapping[str, Any]:
+    with recorder_node(context, "record") as (node, executor):
+        with BagWriter(
+            options.bag,
+            [],
+            attachments=options.attachments,
+            metadata={"mode": "beside", **provenance(), **options.meta},
+            overwrite=options.overwrite,
+            limits=options.limits,
+        ) as writer:
+            recorder = TopicRecorder(node, writer, options.topics, say)
+            say("ready")
+            end = time.monotonic() + (options.duration_s or float("inf"))
+            recorder.serve(executor, lambda: stop.came or time.monotonic() >= end, _DRAIN_LIMIT_S)
+        found = recorder.summary(interrupted=stop.came)
+    if not found["messages"]:
+        raise RecordError(
+            f"no message on {', '.join(options.topics)}: does a fleet run in this ROS domain? "
+            f"the empty bag is in {writer.directory}"
+        )
+    return found
+
+
+class TopicRecorder(BagRecorder):
     """Subscriptions of `node` that write into an open `writer`.
 
     Args:
@@ -49,25 +116,14 @@ class TopicRecorder:
     def __init__(
         self, node: Node, writer: BagWriter, patterns: Sequence[str], say: Callable[[str], None]
     ) -> None:
-        self.received = 0
-        self.lost = 0  # as far as DDS reports it
-        self.after_each: Callable[[], None] = lambda: None  # called after each message
-        self._node = node
-        self._writer = writer
+        super().__init__(node, writer)
         self._patterns = patterns
         self._say = say
         self._known: set[str] = set()
-        self._transforms: dict[str, Transforms] = {}
-        self._frames = topic_info(topics.TF, lockstep=False)
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        node.create_timer(_LOOK_S, self.look, clock=steady)
-        node.create_timer(_FLUSH_CHECK_S, self._flush, clock=steady)
+        self._tf = topic_info(topics.TF, lockstep=False)
+        node.create_timer(_LOOK_S, self.look, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.flush_regularly()
         self.look()
-
-    @property
-    def heard(self) -> int:
-        """Topics that are recorded."""
-        return len(self._writer.counts)
 
     def look(self) -> None:
         """Subscribe to what has appeared since the last look."""
@@ -75,73 +131,35 @@ class TopicRecorder:
             if name in self._known or not any(fnmatchcase(name, p) for p in self._patterns):
                 continue
             offered = [info.qos_profile for info in self._node.get_publishers_info_by_topic(name)]
-            if offered:  # else somebody listens, and nobody speaks yet
+            if offered:  # without a publisher there are subscriptions only
                 self._known.add(name)
-                self._subscribe(name, types[0], offered)
+                self._add(Topic(name, types[0], Role.STATE), offered)
 
-    def _subscribe(self, name: str, kind: str, offered: Sequence[QoSProfile]) -> None:
-        topic = Topic(name, kind, Role.STATE)
-        info = _described(name, kind, offered)
+    def _add(self, topic: Topic, offered: Sequence[QoSProfile]) -> None:
+        info = describe(topic.name, topic.type, offered)
+        reliable = info.reliability == "reliable"
+        latched = info.durability == "transient_local"
         try:
             self._writer.add(info)
-            message_class = topics.message_class(topic)
+            topics.message_class(topic)
         except (BagError, ImportError, AttributeError) as error:
-            self._say(f"{name} is left out: {error}")
+            self._say(f"{topic.name} is left out: {error}")
             return
-        own = _OWN_ODOMETRY.fullmatch(name)
-        if own and kind == topics.odom(1).type and topics.TF.name not in self._known:
-            self._writer.add(self._frames)
-            self._transforms[name] = Transforms([int(own[1])])
-        self._node.create_subscription(
-            message_class,
-            name,
-            self._hearer(topic),
-            _requested(info),
-            raw=True,
-            event_callbacks=SubscriptionEventCallbacks(message_lost=self._count_lost),
+        record = self.on_arrival(topic, self._derived(topic))
+        self.subscribe(
+            topic, topic.name, record, keep_last(_QUEUE, reliable=reliable, latched=latched)
         )
 
-    def _hearer(self, topic: Topic) -> Callable[[bytes], None]:
-        clock, transforms = self._node.get_clock(), self._transforms.get(topic.name)
+    def _derived(self, topic: Topic) -> list[tuple[str, Derive]]:
+        """/tf out of the odometry of a UAV, as long as no process is known to publish /tf."""
+        own = _OWN_ODOMETRY.fullmatch(topic.name)
+        if not own or topic.type != topics.odom(1).type or topics.TF.name in self._known:
+            return []
+        self._writer.add(self._tf)
+        transforms = Transforms([int(own[1])])
 
-        def hear(data: bytes) -> None:
-            self.received += 1
-            now_ns, stamp_ns = clock.now().nanoseconds, stamp_of(topic, data)
-            self._writer.write(topic.name, now_ns, data, stamp_ns)
-            frame = transforms.of(topic.name, data) if transforms else None
-            if frame is not None and topics.TF.name not in self._known:
-                self._writer.write(topics.TF.name, now_ns, frame, stamp_ns)
-            self.after_each()
+        def transform(name: str, data: bytes) -> bytes | None:
+            made = transforms.of(name, data)
+            return None if topics.TF.name in self._known else made
 
-        return hear
-
-    def _count_lost(self, event: Any) -> None:
-        self.lost += event.total_count_change
-
-    def _flush(self) -> None:
-        self._writer.flush_if_due(time.monotonic())
-
-
-def _described(name: str, kind: str, offered: Sequence[QoSProfile]) -> TopicInfo:
-    """What all publishers of a topic offer: the least of them decides."""
-    reliable = all(qos.reliability == QoSReliabilityPolicy.RELIABLE for qos in offered)
-    latched = all(qos.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL for qos in offered)
-    return TopicInfo(
-        name,
-        kind,
-        "reliable" if reliable else "best_effort",
-        "transient_local" if latched else "volatile",
-        max([1, *(qos.depth for qos in offered)]),  # discovery does not tell every depth
-    )
-
-
-def _requested(info: TopicInfo) -> QoSProfile:
-    return QoSProfile(
-        depth=_QUEUE,
-        reliability=QoSReliabilityPolicy.RELIABLE
-        if info.reliability == "reliable"
-        else QoSReliabilityPolicy.BEST_EFFORT,
-        durability=QoSDurabilityPolicy.TRANSIENT_LOCAL
-        if info.durability == "transient_local"
-        else QoSDurabilityPolicy.VOLATILE,
-    )
+        return [(topics.TF.name, transform)]

@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 import ctypes
+import errno
 import os
+import random
 import signal
+import socket
 import sys
-from collections.abc import Mapping
-from contextlib import suppress
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_nodes.runtime import dds_profiles
 
 PARENT = "PTNSBC_PARENT"
 """Process id of the launcher; a process that finds it set does not outlive the launcher."""
+REPORT = "PTNSBC_REPORT_FD"
+"""File descriptor of a pipe to the launcher: a process that has finished its work says so there."""
 NETWORK = "PTNSBC_NETWORK"
 """A Fast DDS profile (`ptnsbc network`): the switch from this host alone to the computers it names."""
 
@@ -29,6 +35,12 @@ _PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 _RMW = "rmw_fastrtps_cpp"
 _SPARE_PEERS = 12  # for viewers, a command line, a second recorder
 _PR_SET_PDEATHSIG = 1
+_DOMAINS = range(1, 102)  # above, the ports reach into those the system hands out
+_FIRST_PARTICIPANTS = 3
+
+
+class DomainError(PtnsbcError):
+    """No usable ROS domain."""
 
 
 def prepare() -> None:
@@ -132,3 +144,45 @@ def _stay_with_parent() -> None:
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, int(signal.SIGTERM))
     if os.getppid() != int(parent):
         raise SystemExit("the launcher has ended")
+
+
+@contextmanager
+def reserved_domain() -> Iterator[int]:
+    """The user's ROS_DOMAIN_ID, or a free domain that stays ours inside the `with`."""
+    given = os.environ.get("ROS_DOMAIN_ID")
+    if given is not None:
+        if not given.isdecimal():
+            raise DomainError(f"ROS_DOMAIN_ID={given!r}: expected a number from 0 to 101")
+        yield int(given)
+        return
+    lock, domain = _locked_domain()
+    with lock:
+        yield domain
+
+
+def _locked_domain() -> tuple[socket.socket, int]:
+    for domain in random.sample(_DOMAINS, len(_DOMAINS)):
+        # An abstract socket: the kernel frees it however this process ends.
+        lock = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        try:
+            lock.bind(f"\0ptnsbc-domain-{domain}")
+        except OSError as error:
+            lock.close()
+            if error.errno != errno.EADDRINUSE:
+                raise
+            continue
+        if _is_unused(domain):
+            return lock, domain
+        lock.close()
+    raise DomainError("every ROS domain from 1 to 101 is in use: set ROS_DOMAIN_ID")
+
+
+def _is_unused(domain: int) -> bool:
+    """Whether nobody listens where the first participants of the domain would."""
+    for participant in range(_FIRST_PARTICIPANTS):
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            try:
+                probe.bind(("", 7400 + 250 * domain + 10 + 2 * participant))
+            except OSError:
+                return False
+    return True

@@ -1,4 +1,4 @@
-"""Running a node until SIGINT or SIGTERM, with the executor that costs least.
+"""The executor that costs least, and calls of it that end in time.
 
 The EventsExecutor receives an Odometry for a quarter of what the SingleThreadedExecutor takes.
 """
@@ -8,15 +8,11 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from functools import cache
-from importlib.metadata import PackageNotFoundError, version
 
 from rclpy.context import Context
-from rclpy.executors import Executor, ExternalShutdownException
+from rclpy.executors import Executor
 from rclpy.experimental import EventsExecutor
 from rclpy.task import Future
-
-_FOREVER = 1000.0  # [s]; only how long one call lasts, the loop goes on
 
 
 def make_executor(context: Context) -> Executor:
@@ -24,24 +20,11 @@ def make_executor(context: Context) -> Executor:
     return EventsExecutor(context=context)
 
 
-def spin(executor: Executor, context: Context) -> None:
-    """Serve callbacks until the context is shut down, which rclpy's signal handlers do."""
-    try:
-        if not _from_wheels():
-            executor.spin()
-            return
-        # In the wheels EventsExecutor.spin() is a busy loop that does not notice the shutdown.
-        while context.ok():
-            executor.spin_until_future_complete(Future(), timeout_sec=_FOREVER)
-    except (ExternalShutdownException, KeyboardInterrupt):
-        return
-
-
 class BoundedSpin:
-    """Callbacks served for a while at a time, and hardly longer however many messages wait.
+    """Calls of an executor that end in time, however many messages wait.
 
-    The EventsExecutor looks at its timeout only when its queue is empty. Who listens to more than it can
-    take in would never come back from a call of it, and never see the signal that ends it.
+    The EventsExecutor looks at its timeout only when its queue is empty. A node that receives more than it can
+    take in would never return from such a call, and would never see the signal that ends it.
     """
 
     def __init__(self, executor: Executor) -> None:
@@ -55,7 +38,7 @@ class BoundedSpin:
         self._executor.spin_until_future_complete(self._over, timeout_sec=seconds)
 
     def look(self) -> None:
-        """To be called by callbacks: the last one of a slice whose time is over."""
+        """Callbacks call this: it ends a call whose time is over."""
         if time.monotonic() >= self._end:
             self._end = math.inf
             self._over.set_result(None)
@@ -66,13 +49,3 @@ class BoundedSpin:
         while received() != before and time.monotonic() < end:
             before = received()
             self.serve(quiet_s)
-
-
-@cache
-def _from_wheels() -> bool:
-    """Whether rclpy is the wheel `ros-rclpy`; apt's distribution is named `rclpy`."""
-    try:
-        version("ros-rclpy")
-    except PackageNotFoundError:
-        return False
-    return True

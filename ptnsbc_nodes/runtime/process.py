@@ -1,13 +1,13 @@
-"""What every node process does alike: arguments, one rclpy node, one thread, a clean end."""
+"""What every node process does alike: arguments, one rclpy node, one thread, an orderly end."""
 
 from __future__ import annotations
 
 import argparse
 import gc
-import signal
+import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import Any, NoReturn, Protocol
 
@@ -16,19 +16,22 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
+from rclpy.utilities import remove_ros_args
 
 from ptnsbc_core.errors import PtnsbcError
-from ptnsbc_nodes.comm.graph import FlightOptions
 from ptnsbc_nodes.runtime import environment
 from ptnsbc_nodes.runtime.executor import make_executor
 from ptnsbc_nodes.runtime.lifecycle_node import ManagedNode
 from ptnsbc_nodes.runtime.provenance import add_version
-from ptnsbc_nodes.runtime.ros_args import ros_errors, without_ros
-from ptnsbc_nodes.runtime.warmup import spare_linear_algebra
+from ptnsbc_nodes.runtime.signals import exit_on_signal, install_handler
 
 USER_ERROR = 2
 _FLUSH_S = 5.0  # half of what the launcher waits; a recorder that is busy is seconds behind
 _SIGNAL_CHECK_S = 0.2
+
+
+class RosArgumentsError(PtnsbcError):
+    """Arguments after --ros-args that rclpy refuses."""
 
 
 class Arguments(argparse.ArgumentParser):
@@ -54,38 +57,75 @@ class Arguments(argparse.ArgumentParser):
         raise SystemExit(USER_ERROR)
 
 
-def namespace_of(uav: int | None) -> str:
-    """Where the nodes of a UAV live, inside the namespace of the fleet."""
-    return "" if uav is None else f"/uav{uav}"
-
-
-def flight_options(arguments: argparse.Namespace) -> FlightOptions:
-    """The options all processes of a flight share."""
-    return FlightOptions(
-        lockstep=arguments.lockstep, recorded=arguments.recorded, bridged=arguments.bridged
-    )
-
-
 def run(
-    parser: Arguments,
+    parser: argparse.ArgumentParser,
     argv: Sequence[str] | None,
     body: Callable[[argparse.Namespace, list[str]], int],
+    *,
+    laws: bool = True,
 ) -> int:
-    """Parse and run `body(arguments, argv)`; a user's error is one line on stderr and exit 2."""
+    """Parse and run `body(arguments, argv)`; a user's error is one line on stderr and exit 2.
+
+    Args:
+        parser: Of the arguments that are not ROS's.
+        argv: The arguments, those of the process by default.
+        body: Returns the exit code.
+        laws: Whether the process computes the compiled laws.
+    """
     full = list(sys.argv if argv is None else (parser.prog, *argv))
     try:
         environment.prepare()
         arguments = parser.parse_args(without_ros(full[1:]))
-        spare_linear_algebra()
-        return body(arguments, full)
+        if laws:
+            from ptnsbc_nodes.runtime.warmup import spare_linear_algebra
+
+            spare_linear_algebra()
+        code = body(arguments, full)
     except PtnsbcError as error:
         print(f"{parser.prog}: {error}", file=sys.stderr)
-        return USER_ERROR
-    except KeyboardInterrupt:  # before rclpy had its handlers in place
-        return 0
+        code = USER_ERROR
+    exit_on_signal(code)  # the work is done: a signal now must not change its exit code
+    return code
 
 
-class _Flushed(Protocol):
+@contextmanager
+def ros_errors() -> Iterator[None]:
+    """Complaints of rclpy about arguments inside the `with`, as RosArgumentsError in one line."""
+    try:
+        yield
+    except RuntimeError as error:  # the only class that they have in common
+        line = " ".join(str(error).split()).partition(", at /")[0]
+        raise RosArgumentsError(line) from None
+
+
+def without_ros(arguments: Sequence[str]) -> list[str]:
+    """The arguments of the program itself.
+
+    Raises:
+        RosArgumentsError: ROS does not understand one of the others.
+    """
+    with ros_errors():
+        own: list[str] = remove_ros_args(["program", *arguments])[1:]
+    return own
+
+
+def namespace_of(uav: int | None) -> str:
+    """The namespace of a UAV's nodes, inside the namespace of the fleet."""
+    return "" if uav is None else f"/uav{uav}"
+
+
+def report_finished(summary: str) -> None:
+    """Tell the launcher, if there is one, that this process has finished its work, and with what result.
+
+    A process may still hang after this, in the shutdown of the middleware.
+    """
+    descriptor = os.environ.pop(environment.REPORT, None)
+    if descriptor is not None:
+        with suppress(OSError), os.fdopen(int(descriptor), "w") as pipe:  # the launcher may be gone
+            pipe.write(f"{summary}\n")
+
+
+class _Endpoints(Protocol):
     def flush(self, timeout_s: float) -> None: ...
 
     def account(self) -> str: ...
@@ -94,22 +134,21 @@ class _Flushed(Protocol):
 class ProcessLifetime:
     """From the start of a process to SIGINT, SIGTERM or its own end.
 
-    Instead of rclpy's signal handlers: those shut the context down under our feet, and the last
-    messages of a flight could not be waited for.
+    It replaces rclpy's signal handlers: those shut the context down at once, and the last messages of a
+    flight could not be waited for.
     """
 
     def __init__(self) -> None:
         self._done = Future()
         self._signalled = False
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, self._on_signal)
+        install_handler(self._on_signal)
 
     def end(self) -> None:
         """Leave after the running callback."""
         if not self._done.done():
             self._done.set_result(None)
 
-    def serve(self, node: Node, endpoints: _Flushed) -> None:
+    def serve(self, node: Node, endpoints: _Endpoints) -> None:
         """Run callbacks until the end, then let readers catch up."""
         executor: Any = make_executor(node.context)
         executor.add_node(node)
@@ -120,8 +159,10 @@ class ProcessLifetime:
             # Python sees a signal only between two calls.
             executor.spin_until_future_complete(self._done, timeout_sec=_SIGNAL_CHECK_S)
         endpoints.flush(_FLUSH_S)
-        print(endpoints.account(), flush=True)
-        executor.remove_node(node)
+        account = endpoints.account()
+        print(account, flush=True)
+        report_finished(account)
+        executor.shutdown()
 
     def _on_signal(self, _number: int, _frame: FrameType | None) -> None:
         self._signalled = True
@@ -131,7 +172,7 @@ class ProcessLifetime:
 def ros_node(
     name: str, namespace: str, argv: Sequence[str], make: Any = rclpy.create_node, **options: Any
 ) -> Iterator[Any]:
-    """One rclpy node, made by `make`, without the services that cost each tick a little."""
+    """One rclpy node, made by `make`, without the services that slow down each tick."""
     with ros_errors():
         rclpy.init(args=list(argv), signal_handler_options=SignalHandlerOptions.NO)
     try:
@@ -157,7 +198,7 @@ def parameter_node(
     overrides: Sequence[Parameter],
     make: Any = rclpy.create_node,
 ) -> Iterator[Any]:
-    """A node that has declared whatever it was given; `parameters` says what is meant by it."""
+    """A node that has declared every parameter it was given; `NodeParameters` reads them."""
     options = {
         "start_parameter_services": True,
         "parameter_overrides": list(overrides),

@@ -1,6 +1,7 @@
-"""The single values of a scenario file, with what the file's types say of each. No ROS in here.
+"""The single values of a scenario as parameters, and a ROS parameter file of them. This module imports no ROS.
 
-What stands in lists or under ids (UAVs, obstacles, tree) has no name of its own and is not among them.
+Values in lists or under ids (UAVs, obstacles, tree) have no name of their own. They are not among the
+parameters; the parameter file has them in `scenario_text`. No value is in the file twice.
 """
 
 from __future__ import annotations
@@ -9,10 +10,12 @@ import math
 from collections.abc import Iterator
 from typing import Any, Literal, NamedTuple, get_args, get_origin
 
+import yaml
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from ptnsbc_sim.scenario import Scenario
+from ptnsbc_sim.scenario.reader import dump, parse
 
 Value = bool | int | float | str
 
@@ -77,3 +80,43 @@ def _choices(annotation: Any) -> tuple[str, ...]:
         return tuple(map(str, get_args(annotation)))
     found = (_choices(part) for part in get_args(annotation))
     return next((choices for choices in found if choices), ())
+
+
+def parameter_file(scenario: Scenario) -> str:
+    """The text of a parameter file that fits every node of the fleet, on any computer."""
+    rest = parse(scenario.text, scenario.source)
+    named: dict[str, Any] = {}
+    for leaf in leaves(scenario):
+        *above, last = leaf.key.split(".")
+        _subtree(named, above)[last] = leaf.value
+        _remove(rest, [*above, last])
+    parts = [
+        f"# {scenario.name} as ROS parameters, for all its nodes: --ros-args --params-file THIS",
+        "/**:",
+        "  ros__parameters:",
+        _indented("scenario_text: |", 4),
+        _indented(dump(rest), 6),
+        _indented(yaml.safe_dump(named, sort_keys=False, allow_unicode=True, width=10**6), 4),
+    ]
+    return "\n".join(parts) + "\n"
+
+
+def _subtree(tree: dict[str, Any], keys: list[str]) -> dict[str, Any]:
+    for key in keys:
+        tree = tree.setdefault(key, {})
+    return tree
+
+
+def _remove(tree: Any, keys: list[str]) -> None:
+    """Take a value out, and the mappings that are empty without it."""
+    first, *others = keys
+    if not isinstance(tree, dict) or first not in tree:
+        return
+    if others:
+        _remove(tree[first], others)
+    if not others or tree[first] == {}:
+        del tree[first]
+
+
+def _indented(text: str, spaces: int) -> str:
+    return "\n".join(" " * spaces + line for line in text.splitlines())

@@ -1,4 +1,7 @@
-"""SIGINT and SIGTERM as a question to ask, for loops that must end in order."""
+"""SIGINT and SIGTERM: an exit at once while a process starts, a question to ask once it has work to put in order.
+
+This module imports the standard library only, so that a process has its handlers before it loads anything else.
+"""
 
 from __future__ import annotations
 
@@ -7,24 +10,62 @@ import select
 import signal
 import threading
 import weakref
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from types import FrameType
 from typing import Any
 
-_NUMBERS = (signal.SIGINT, signal.SIGTERM)
+_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+_Handler = Callable[[int, FrameType | None], None]
+_replaced: dict[signal.Signals, Any] = {}  # handlers from before `exit_on_signal`
+
+
+def exit_on_signal(exit_code: int = 0, message: str = "") -> None:
+    """From now on SIGINT and SIGTERM end this process at once: the first statement of every `main`.
+
+    A process that starts has nothing to put in order yet, and an exception in the middle of an import
+    may be lost. A `StopRequest` takes over when there is something to put in order.
+    """
+
+    def leave(_number: int, _frame: FrameType | None) -> None:
+        if message:
+            os.write(2, f"{message}\n".encode())
+        os._exit(exit_code)
+
+    before = install_handler(leave)
+    if not _replaced:
+        _replaced.update(before)
+
+
+def restore_handlers() -> None:
+    """Give back the handlers from before `exit_on_signal`."""
+    for number, handler in _replaced.items():
+        signal.signal(number, handler)
+    _replaced.clear()
+
+
+@contextmanager
+def signals_blocked() -> Iterator[None]:
+    """A process that is started inside the `with` receives its signals when it installs its handlers."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 class StopRequest:
     """Whether one of the signals has come inside the `with`; their old handlers return after it.
 
-    Outside the main thread Python allows no handlers, and nothing is noticed.
+    Outside the main thread Python allows no handlers, and no signal is noticed.
     """
 
     def __init__(self) -> None:
         self.count = 0
-        # A signal wakes who waits: the call goes on after its handler, unless there is something to read.
-        self._come, self._tell = os.pipe()
-        weakref.finalize(self, os.close, self._come)
-        weakref.finalize(self, os.close, self._tell)
+        # A signal interrupts a waiting `select` only if there is something to read.
+        self._reader, self._writer = os.pipe()
+        weakref.finalize(self, os.close, self._reader)
+        weakref.finalize(self, os.close, self._writer)
         self._before: dict[signal.Signals, Any] = {}
 
     @property
@@ -33,8 +74,7 @@ class StopRequest:
         return self.count > 0
 
     def __enter__(self) -> StopRequest:
-        if threading.current_thread() is threading.main_thread():
-            self._before = {number: signal.signal(number, self._on_signal) for number in _NUMBERS}
+        self._before = install_handler(self._on_signal)
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -44,10 +84,19 @@ class StopRequest:
     def wait(self, seconds: float) -> bool:
         """Sleep until one comes, at most so long; whether one has come."""
         if not self.came and seconds > 0:
-            select.select([self._come], [], [], seconds)
+            select.select([self._reader], [], [], seconds)
         return self.came
 
     def _on_signal(self, _number: int, _frame: FrameType | None) -> None:
         self.count += 1
         if self.count == 1:
-            os.write(self._tell, b"!")
+            os.write(self._writer, b"!")
+
+
+def install_handler(handler: _Handler) -> dict[signal.Signals, Any]:
+    """Set the handler and unblock the signals, which the launcher blocks at the start; returns the old handlers."""
+    if threading.current_thread() is not threading.main_thread():
+        return {}
+    before = {number: signal.signal(number, handler) for number in _SIGNALS}
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, _SIGNALS)
+    return before

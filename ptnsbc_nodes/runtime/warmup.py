@@ -7,12 +7,9 @@ from importlib import import_module
 
 import numpy as np
 
-from ptnsbc_core.agent import Agent
+from ptnsbc_core.agent import OWN, Agent, PackedInputs
 from ptnsbc_core.kernel import COMPILED
-from ptnsbc_core.types import ODOMETRY_SIZE
-from ptnsbc_io.wire import Stamped
-from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions
-from ptnsbc_nodes.uav.inbox import Inbox
+from ptnsbc_core.types import NEAR_COLUMNS
 from ptnsbc_sim.scenario import Scenario, agent_config
 from ptnsbc_sim.world import World
 
@@ -20,31 +17,29 @@ _BLAS = "scipy.linalg"
 
 
 def spare_linear_algebra() -> None:
-    """Let numba come up without SciPy's BLAS, which it loads with the first law: 0.25 s of every process's start.
+    """Load numba without SciPy's BLAS, which costs 0.25 s at the start of every process and which no law uses.
 
-    No law uses it. For programs of our own: where it has been called, numba compiles no `np.dot` for anybody.
+    After this call numba compiles no `np.dot` in this process, so only our own programs make it.
     """
     if COMPILED and _BLAS not in sys.modules:
-        sys.modules[_BLAS] = None  # type: ignore[assignment] # as Python says: not to be found
+        sys.modules[_BLAS] = None  # type: ignore[assignment] # Python then finds no such module
         try:
-            import_module("numba.np.arraymath")  # looks for it once
+            import_module("numba.np.arraymath")  # looks for the module once
         finally:
             del sys.modules[_BLAS]
 
 
 def load_agent(scenario: Scenario, uav_id: int) -> None:
-    """Compile the laws, or load them from the cache: one step on zeros, as `Pilot` makes it."""
-    config = agent_config(scenario, uav_id)
-    own = np.zeros(ODOMETRY_SIZE)
-    own[6] = 1.0
-    inbox = Inbox(CommunicationGraph(scenario, FlightOptions()).senders(uav_id))
-    inbox.own = Stamped(0, own)
-    known = inbox.known(0, 0)
-    Agent(config, known.unpack().own).advance(known, 0.0, scenario.dt_ns * 1e-9)
+    """Compile the laws, or load them from the cache: one step on zeros, as `UavController` makes it."""
+    neighbours = len(scenario.estimator_neighbours(uav_id))
+    inputs = PackedInputs(neighbours, np.zeros((0, NEAR_COLUMNS)))
+    inputs.vector[OWN + 6] = 1.0  # the quaternion of no rotation
+    agent = Agent(agent_config(scenario, uav_id), inputs.unpack().own)
+    agent.advance(inputs, 0.0, scenario.dt_ns * 1e-9)
 
 
 def load_world(scenario: Scenario) -> None:
-    """The same for the vehicles."""
+    """Compile or load the laws of the simulated vehicles in the same way."""
     world = World(scenario)
     world.near(scenario.leader_id)
     world.step({i: np.zeros(6) for i in world.ids})

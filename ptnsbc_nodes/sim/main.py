@@ -6,30 +6,29 @@ import argparse
 import sys
 from collections.abc import Sequence
 
-from ptnsbc_nodes.comm import topics
-from ptnsbc_nodes.comm.graph import CommunicationGraph
-from ptnsbc_nodes.runtime import environment
-from ptnsbc_nodes.runtime.parameters import (
-    SCENARIO,
-    NodeParameters,
-    ScenarioParameterError,
-    overrides,
-)
-from ptnsbc_nodes.runtime.process import Arguments, ProcessLifetime, parameter_node, run
-from ptnsbc_nodes.runtime.warmup import load_world
-from ptnsbc_nodes.sim.node import SimNode
+from ptnsbc_nodes.runtime.signals import exit_on_signal
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Simulate until the flight is over, SIGINT or SIGTERM."""
+    exit_on_signal()
+    from ptnsbc_nodes.runtime.process import Arguments, run
+
     parser = Arguments("sim", "Simulated vehicles of a formation", scenario=False)
     parser.add_argument("--duration", type=float, metavar="S", help="instead of the scenario's")
     return run(parser, argv, _simulate)
 
 
 def _simulate(arguments: argparse.Namespace, argv: list[str]) -> int:
+    from ptnsbc_nodes.comm import topics
+    from ptnsbc_nodes.comm.graph import CommunicationGraph
+    from ptnsbc_nodes.runtime import environment, parameters
+    from ptnsbc_nodes.runtime.process import ProcessLifetime, parameter_node
+    from ptnsbc_nodes.runtime.warmup import load_world
+    from ptnsbc_nodes.sim.node import SimNode
+
     lifetime = ProcessLifetime()
-    given = overrides(
+    given = parameters.overrides(
         {
             "scenario": arguments.scenario,
             "lockstep": arguments.lockstep,
@@ -38,10 +37,10 @@ def _simulate(arguments: argparse.Namespace, argv: list[str]) -> int:
         }
     )
     with parameter_node("sim", "", argv, given) as node:
-        told = NodeParameters(node, SCENARIO)
+        told = parameters.NodeParameters(node, parameters.SCENARIO)
         told.declare_scenario()
         if node.get_parameter("use_sim_time").value:
-            raise ScenarioParameterError(
+            raise parameters.ScenarioParameterError(
                 "parameter use_sim_time: true: expected false, the sim makes time"
             )
         if not topics.tf_is_available():
@@ -49,9 +48,8 @@ def _simulate(arguments: argparse.Namespace, argv: list[str]) -> int:
         load_world(told.scenario)
         if told.options.lockstep:
             environment.prefer_throughput()
-        sim = SimNode(
-            node, told.scenario, CommunicationGraph(told.scenario, told.options), lifetime.end
-        )
+        graph = CommunicationGraph(told.scenario, told.options)
+        sim = SimNode(node, told.scenario, graph, lifetime.end)
         lifetime.serve(node, sim.endpoints)
     return 0
 

@@ -16,9 +16,10 @@ from ptnsbc_core.types import Array
 from ptnsbc_io.wire import Stamped, decode_header, decode_wrench
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.diagnostics import STATUS_HZ, DiagnosticLevel, diagnostics, readiness
-from ptnsbc_nodes.comm.endpoints import LOST, READY, RECORDED, RECORDER, Endpoints
+from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.comm.graph import CommunicationGraph
 from ptnsbc_nodes.comm.legs import Epochs
+from ptnsbc_nodes.comm.topics import LOST, READY, RECORDED, RECORDER
 from ptnsbc_nodes.runtime.pacing import Latency, Pace, Progress
 from ptnsbc_nodes.runtime.watchdog import LockstepWatchdog
 from ptnsbc_nodes.sim.lockstep import LockstepWorld

@@ -5,33 +5,14 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 
-from ptnsbc_nodes.comm.graph import CommunicationGraph
-from ptnsbc_nodes.runtime import environment
-from ptnsbc_nodes.runtime.lifecycle_node import ManagedNode
-from ptnsbc_nodes.runtime.parameters import (
-    AUTOSTART,
-    BRIDGED,
-    SCENARIO,
-    UAV,
-    NodeParameters,
-    overrides,
-)
-from ptnsbc_nodes.runtime.process import (
-    Arguments,
-    ProcessLifetime,
-    namespace_of,
-    parameter_node,
-    run,
-    serve_managed,
-)
-from ptnsbc_nodes.runtime.warmup import load_agent
-from ptnsbc_nodes.uav.node import UavNode
-
-_FIXED = (*SCENARIO, UAV, BRIDGED, AUTOSTART)
+from ptnsbc_nodes.runtime.signals import exit_on_signal
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Fly one UAV until SIGINT or SIGTERM."""
+    exit_on_signal()
+    from ptnsbc_nodes.runtime.process import Arguments, run
+
     parser = Arguments("uav", "Controller of one UAV of a formation", scenario=False)
     parser.add_argument("--uav", type=int, metavar="N", help="id of this UAV")
     parser.add_argument("--managed", action="store_true", help="wait to be configured")
@@ -39,8 +20,15 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _fly(arguments: argparse.Namespace, argv: list[str]) -> int:
-    lifetime = ProcessLifetime()
-    given = overrides(
+    from ptnsbc_nodes.comm.graph import CommunicationGraph
+    from ptnsbc_nodes.runtime import environment, parameters
+    from ptnsbc_nodes.runtime import process as processes
+    from ptnsbc_nodes.runtime.lifecycle_node import ManagedNode
+    from ptnsbc_nodes.runtime.warmup import load_agent
+    from ptnsbc_nodes.uav.node import UavNode
+
+    lifetime = processes.ProcessLifetime()
+    given = parameters.overrides(
         {
             "scenario": arguments.scenario,
             "uav": arguments.uav,
@@ -49,9 +37,10 @@ def _fly(arguments: argparse.Namespace, argv: list[str]) -> int:
             "bridged": arguments.bridged,
         }
     )
-    namespace = namespace_of(arguments.uav)
-    with parameter_node("controller", namespace, argv, given, ManagedNode) as node:
-        told = NodeParameters(node, _FIXED)
+    fixed = (*parameters.SCENARIO, parameters.UAV, parameters.BRIDGED, parameters.AUTOSTART)
+    namespace = processes.namespace_of(arguments.uav)
+    with processes.parameter_node("controller", namespace, argv, given, ManagedNode) as node:
+        told = parameters.NodeParameters(node, fixed)
         told.declare_scenario(may_change=lambda: node.state == "unconfigured")
         load_agent(told.scenario, told.uav)
         if told.options.lockstep:
@@ -60,12 +49,12 @@ def _fly(arguments: argparse.Namespace, argv: list[str]) -> int:
             environment.prefer_punctuality(flies=True)
 
         def configure() -> UavNode:
-            return UavNode(
-                node, told.scenario, told.uav, CommunicationGraph(told.scenario, told.options)
-            )
+            graph = CommunicationGraph(told.scenario, told.options)
+            return UavNode(node, told.scenario, told.uav, graph)
 
         node.assign(configure, lifetime.end)
-        return serve_managed(node, lifetime, autostart=told["autostart"] and not arguments.managed)
+        autostart = told["autostart"] and not arguments.managed
+        return processes.serve_managed(node, lifetime, autostart=autostart)
 
 
 if __name__ == "__main__":

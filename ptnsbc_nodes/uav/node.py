@@ -22,13 +22,13 @@ from ptnsbc_nodes.comm.diagnostics import (
     readiness,
     status_every,
 )
-from ptnsbc_nodes.comm.endpoints import LOST, READY, Endpoints
+from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.comm.graph import CommunicationGraph
 from ptnsbc_nodes.comm.legs import EpochError, Epochs
+from ptnsbc_nodes.comm.topics import LOST, READY
 from ptnsbc_nodes.comm.vehicle_messages import decode_limits, limited
 from ptnsbc_nodes.runtime.clock_offset import ClockOffsetMonitor
-from ptnsbc_nodes.runtime.pacing import Pace
-from ptnsbc_nodes.runtime.timer import Ticker
+from ptnsbc_nodes.runtime.pacing import Pace, Ticker
 from ptnsbc_nodes.uav.controller import UavController, moment
 from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS, Hear
 from ptnsbc_nodes.uav.leg_services import LegServiceCallbacks, LegServices
@@ -112,7 +112,9 @@ class UavNode:
         if self._lockstep:
             return missing + self.endpoints.unread()
         if self._recorded and not self._epochs.announced:
-            missing += self.endpoints.unread() + self.endpoints.deaf(topics.EPOCH, self._listeners)
+            missing += self.endpoints.unread() + self.endpoints.unmatched(
+                topics.EPOCH, self._listeners
+            )
         if self._inbox.own is None and self._odom_name not in missing:
             missing.append(self._odom_name)
         if self._clocks.offset is not None and not self._epochs.announced:

@@ -40,7 +40,7 @@ def bridge(
     failsafe acts.
     """
     with ros.needed("install the extras [ros,mavlink] or source ROS 2"):
-        from ptnsbc_nodes.bridge.main import bridge as run
+        from ptnsbc_nodes.bridge.process import bridge as run
     given = options.overrides(settings=settings)
     if connect is not None:
         given[f"mavlink.vehicles.{uav}.connect"] = connect

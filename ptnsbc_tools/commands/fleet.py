@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_nodes.runtime.signals import restore_handlers
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_tools import console, result, ros
 from ptnsbc_tools.reading.bag_reader import read_recording
@@ -59,7 +60,10 @@ def _options(scenario: Scenario, wishes: FleetRequest) -> FleetOptions:
 def _fly(options: FleetOptions) -> FleetResult:
     from ptnsbc_nodes.fleet.fleet import run_fleet
 
-    return run_fleet(options, _say)
+    try:
+        return run_fleet(options, _say)
+    finally:
+        restore_handlers()
 
 
 def _facts(flown: FleetResult) -> dict[str, Any]:

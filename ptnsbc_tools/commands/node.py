@@ -21,7 +21,7 @@ SETTINGS = {
 def node(
     context: typer.Context,
     name: Annotated[
-        Literal["uav", "sim", "recorder", "bridge", "tower", "fleet"],
+        Literal["uav", "sim", "recorder", "bridge", "coordinator", "fleet"],
         typer.Argument(metavar="NAME", help="Which; its own options and those of ROS follow."),
     ],
 ) -> None:

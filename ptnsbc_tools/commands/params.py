@@ -29,7 +29,7 @@ def params(
 
     For `ros2 launch ptnsbc_bringup uav.launch.py params:=FILE`, or after --ros-args --params-file.
     """
-    from ptnsbc_nodes.runtime.parameter_file import parameter_file
+    from ptnsbc_nodes.runtime.scenario_parameters import parameter_file
 
     text = parameter_file(options.scenario_with(scenario, options.overrides(settings=settings)))
     if out is None:

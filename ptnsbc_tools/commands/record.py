@@ -78,8 +78,7 @@ def record(
 def _needed() -> Any:
     with ros.needed():
         from ptnsbc_io.bag import SplitLimits
-        from ptnsbc_nodes.recording.record import RecordOptions, record
-        from ptnsbc_nodes.recording.topic_recorder import OURS
+        from ptnsbc_nodes.recording.topic_recorder import OURS, RecordOptions, record
     return record, RecordOptions, SplitLimits, OURS
 
 

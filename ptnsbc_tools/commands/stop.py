@@ -40,10 +40,10 @@ def stop(
     from ptnsbc_nodes.fleet.coordinator_node import Coordinator
 
     number = int(os.environ.get("ROS_DOMAIN_ID", "0")) if domain is None else domain
-    with Coordinator(number) as tower:
+    with Coordinator(number) as coordinator:
         # Bridges first and directly: an emergency stop must not wait for a leader that hangs.
-        bridges = tower.emergency("kill" if kill else "land", _BRIDGES_S)
-        refusal = tower.call("stop", _SERVICE_S)
+        bridges = coordinator.emergency("kill" if kill else "land", _BRIDGES_S)
+        refusal = coordinator.call("stop", _SERVICE_S)
     if refusal is not None and not bridges:
         raise StopError(
             f"domain {number}: no bridge listens, and {refusal}: expected a fleet there"

@@ -17,6 +17,7 @@ pytest.importorskip("rclpy")
 
 from ptnsbc_io.bag import read_bag
 from ptnsbc_nodes.fleet.child_process import EXECUTABLES
+from ptnsbc_nodes.runtime.signals import signals_blocked
 
 ROOT = Path(__file__).resolve().parents[3]
 BRINGUP = ROOT / "ros2_ws" / "src" / "ptnsbc_bringup"
@@ -61,7 +62,7 @@ class Launched:
         if node.namespace:
             words += ["--ros-args", "-r", f"__ns:=/{node.namespace}"]
         log = (self._logs / f"{len(self.running)}.log").open("wb")
-        with log:
+        with log, signals_blocked():  # what `end` sends waits for the handlers of the process
             process = subprocess.Popen(
                 words, cwd=ROOT, env=self._environment, stdout=log, stderr=subprocess.STDOUT
             )
@@ -115,7 +116,7 @@ def launched(api, domain, tmp_path):
 
 def test_lockstep_goes_on_without_a_uav_that_is_killed(api, launched, tmp_path):
     scenario = tmp_path / "short.yaml"
-    scenario.write_text("name: short\nextends: paper_5\ntiming: {duration_s: 6}\n")
+    scenario.write_text("name: short\nextends: paper_5\ntiming: {duration_s: 20}\n")
     context = api.LaunchContext()
     context.launch_configurations.update(
         scenario=str(scenario), lockstep="true", record=str(tmp_path / "bag")
@@ -123,16 +124,15 @@ def test_lockstep_goes_on_without_a_uav_that_is_killed(api, launched, tmp_path):
     file = runpy.run_path(str(BRINGUP / "launch" / "fleet.launch.py"))
     for entity in file["generate_launch_description"]().entities:
         launched.take(entity.visit(context) or [])
-    tower = launched.process("tower")
-    launched.until(lambda: tower.poll() is not None)
-    assert tower.returncode == 0, launched.logs()
+    launched.until(lambda: "coordinator: started" in launched.logs())
     launched.process("uav", "5").kill()
     launched.until(lambda: launched.reason is not None)
     launched.end()
     assert launched.reason == "the flight is over"
     assert launched.process("sim").returncode == 0
+    assert launched.process("coordinator", "--manage").returncode == 0, launched.logs()
     assert launched.process("--lose", "uav5").returncode == 0
     assert launched.process("recorder").returncode == 0
     counts = {name: topic.messages for name, topic in read_bag(tmp_path / "bag").topics.items()}
-    assert counts["/clock"] == counts["/uav1/setpoint/wrench"] == 600
-    assert counts["/uav5/setpoint/wrench"] < 600
+    assert counts["/clock"] == counts["/uav1/setpoint/wrench"] == 2000
+    assert counts["/uav5/setpoint/wrench"] < 2000

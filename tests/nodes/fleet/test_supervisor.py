@@ -15,8 +15,16 @@ from ptnsbc_nodes.fleet.process_list import FleetOptions
 from ptnsbc_nodes.fleet.supervisor import Supervisor
 from ptnsbc_sim.scenario import load_scenario
 
-_STAYS = "import signal, sys; print(sys.argv[1], flush=True); signal.pause()"
-SENT = 'sent {"since_ns": -1, "before": {}, "sent": {"/uav2/odom": 5}}'
+ROOT = Path(__file__).resolve().parents[3]
+
+_STAYS = """
+import signal, sys
+from ptnsbc_nodes.runtime.process import report_finished
+if sys.argv[1] == "finished":
+    report_finished("5 messages")
+print("here", flush=True)
+signal.pause()
+"""
 
 
 def kill(children, _patience_s=0.0):
@@ -28,18 +36,19 @@ def kill(children, _patience_s=0.0):
 
 @pytest.fixture
 def ended(tmp_path, monkeypatch):
-    """Names of those that died, and what was said, when a process must be killed that has `last` in its log."""
+    """Names of the processes that died, and what was said, when a process must be killed."""
     (tmp_path / "stays.py").write_text(_STAYS)
     monkeypatch.setattr(flights, "end", kill)
 
-    def end(name: str, last: str) -> tuple[list[str], list[str]]:
+    def end(name: str, state: str) -> tuple[list[str], list[str]]:
         said: list[str] = []
-        tower = SimpleNamespace(end=lambda _seconds: None)
-        flight = Supervisor(FleetOptions(load_scenario("paper_5")), tower, None, said.append)
-        environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
-        child = ChildProcess(ProcessCommand(name, "stays", (last,)), environment, Path(tmp_path))
+        coordinator = SimpleNamespace(end=lambda _seconds: None)
+        flight = Supervisor(FleetOptions(load_scenario("paper_5")), coordinator, None, said.append)
+        folders = os.pathsep.join([str(ROOT), str(tmp_path)])
+        environment = {**os.environ, "PYTHONPATH": folders}
+        child = ChildProcess(ProcessCommand(name, "stays", (state,)), environment, Path(tmp_path))
         flight.children.append(child)
-        while not child.last_line():
+        while not child.log_lines():
             assert child.wait(0.02) is None, child.tail()
         flight.end()
         return [child.name for child in flight.died], said
@@ -48,17 +57,17 @@ def ended(tmp_path, monkeypatch):
 
 
 @pytest.mark.ros
-@pytest.mark.parametrize(("name", "last"), [("uav2", SENT), ("recorder", '{"messages": 5}')])
-def test_who_had_finished_but_did_not_go_is_named_and_has_not_died(ended, name, last):
-    died, (line,) = ended(name, last)
+@pytest.mark.parametrize("name", ["uav2", "recorder"])
+def test_a_process_that_has_finished_but_does_not_exit_is_killed_and_has_not_died(ended, name):
+    died, (line,) = ended(name, "finished")
     assert died == []
     assert line.startswith(f"{name} (pid ")
-    assert line.endswith("had finished and did not go: killed")
+    assert line.endswith("had finished its work but did not exit: killed")
 
 
 @pytest.mark.ros
-@pytest.mark.parametrize(("name", "last"), [("uav2", "flying"), ("recorder", "ready")])
-def test_who_had_more_to_do_has_died(ended, name, last):
-    died, (line,) = ended(name, last)
+@pytest.mark.parametrize("name", ["uav2", "recorder"])
+def test_a_process_that_is_killed_at_work_has_died(ended, name):
+    died, (line,) = ended(name, "working")
     assert died == [name]
     assert "signal SIGKILL" in line

@@ -20,8 +20,9 @@ from ptnsbc_io import wire
 from ptnsbc_io.bag import BagError, BagWriter, read_bag
 from ptnsbc_nodes.comm import qos, topics
 from ptnsbc_nodes.comm.tf import Transforms
-from ptnsbc_nodes.recording.fleet_recorder import FleetRecorder, stamp_of, topic_info
+from ptnsbc_nodes.recording.fleet_recorder import FleetRecorder, topic_info
 from ptnsbc_nodes.recording.main import main
+from ptnsbc_nodes.recording.recorder import stamp_of
 
 ROOT = Path(__file__).parents[3]
 TICK_NS = 10_000_000

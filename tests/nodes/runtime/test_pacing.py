@@ -2,8 +2,7 @@
 
 import pytest
 
-from ptnsbc_nodes.runtime.pacing import Latency, Pace
-from ptnsbc_nodes.runtime.timer import delay_ns
+from ptnsbc_nodes.runtime.pacing import Latency, Pace, delay_ns
 
 PERIOD = 10
 

@@ -7,6 +7,7 @@ import signal
 import socket
 import subprocess
 import sys
+import textwrap
 from pathlib import Path
 
 import pytest
@@ -82,6 +83,51 @@ def test_a_signal_ends_every_process_cleanly(ros, start, tmp_path, number):
         _, err = process.communicate(timeout=PATIENCE_S)
         assert process.returncode == 0, (name, err)
         assert "Traceback" not in err, (name, err)
+
+
+NODE = textwrap.dedent(
+    """
+    import time
+    from ptnsbc_nodes.runtime.process import ProcessLifetime, parameter_node, run
+    from ptnsbc_nodes.runtime.process import Arguments
+
+    class Quiet:
+        def flush(self, timeout_s):
+            pass
+
+        def account(self):
+            return "end"
+
+    def body(arguments, argv):
+        lifetime = ProcessLifetime()
+        with parameter_node("spinner", "", argv, []) as node:
+            node.create_timer(0.5, lambda: print("tick", flush=True))
+            lifetime.serve(node, Quiet())
+        print(time.process_time(), flush=True)
+        return 0
+
+    raise SystemExit(run(Arguments("spinner", "", scenario=False), [], body))
+    """
+)
+
+
+def test_a_node_waits_without_burning_the_processor(domain):
+    """EventsExecutor.spin() of the wheels is a busy loop; ours must not be."""
+    process = subprocess.Popen(
+        [sys.executable, "-c", NODE],
+        stdout=subprocess.PIPE,
+        text=True,
+        cwd=ROOT,
+        env={**os.environ, "ROS_DOMAIN_ID": str(domain)},
+    )
+    assert [process.stdout.readline() for _ in range(5)] == ["tick\n"] * 5
+    process.send_signal(signal.SIGTERM)
+    out, _ = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 0
+    *_, end, used_s = out.split()
+    assert end == "end"
+    # The start took about 0.7 s; a busy loop would add the 2.5 s of waiting.
+    assert float(used_s) < 2.0
 
 
 @pytest.mark.parametrize(

@@ -10,8 +10,9 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from ptnsbc_io import wire
 from ptnsbc_nodes.comm import topics
-from ptnsbc_nodes.comm.endpoints import LOST, Endpoints
+from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions
+from ptnsbc_nodes.comm.topics import LOST
 from ptnsbc_nodes.sim import main
 from ptnsbc_nodes.sim.node import SimNode
 from ptnsbc_sim.scenario import load_scenario

@@ -15,8 +15,9 @@ from ptnsbc_core.step import initial_state, step
 from ptnsbc_core.types import NEVER_RECEIVED_S, AgentInputs
 from ptnsbc_io import wire
 from ptnsbc_nodes.comm import topics
-from ptnsbc_nodes.comm.endpoints import LOST, READY, Endpoints
+from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions
+from ptnsbc_nodes.comm.topics import LOST, READY
 from ptnsbc_nodes.uav import main
 from ptnsbc_nodes.uav.node import UavNode
 from ptnsbc_sim.scenario import agent_config, load_scenario

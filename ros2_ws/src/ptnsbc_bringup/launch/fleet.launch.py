@@ -22,8 +22,8 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
 from ptnsbc_nodes.fleet.child_process import EXECUTABLES, ProcessCommand
-from ptnsbc_nodes.fleet.fleet import refuse_nonsense
-from ptnsbc_nodes.fleet.process_list import FleetOptions, commands, loss_arguments, tower_arguments
+from ptnsbc_nodes.fleet.fleet import check_options
+from ptnsbc_nodes.fleet.process_list import FleetOptions, commands, coordinator_command
 from ptnsbc_nodes.runtime.environment import ONE_THREAD
 from ptnsbc_nodes.runtime.warmup import load_agent, load_world
 from ptnsbc_sim.scenario import load_scenario
@@ -82,10 +82,11 @@ def flight(context: LaunchContext) -> list[LaunchDescriptionEntity]:
     # Without its `extends`: what the bag carries has to be read anywhere.
     file = Path(tempfile.mkdtemp(prefix="ptnsbc-")) / "scenario.yaml"
     file.write_text(options.scenario.text, encoding="utf-8")
-    crew = commands(options, file)
-    nodes = [_node(command) for command in crew]
-    tower = _tower(tower_arguments(options, file))
-    return [*nodes, tower, *_ends(crew, nodes, file), *_viewers()]
+    processes = commands(options, file)
+    nodes = [_node(command) for command in processes]
+    bridged = ["--bridged"] if options.backend == "mavlink" else []
+    coordinator = _node(coordinator_command(file, "--manage", *bridged))
+    return [*nodes, coordinator, *_ends(processes, nodes, file), *_viewers()]
 
 
 def _options(context: LaunchContext) -> FleetOptions:
@@ -100,7 +101,7 @@ def _options(context: LaunchContext) -> FleetOptions:
         lockstep=told("lockstep") == "true",
         bag=Path(record).absolute() if record else None,
     )
-    refuse_nonsense(options)
+    check_options(options)
     return options
 
 
@@ -118,14 +119,12 @@ def _node(command: ProcessCommand) -> Node:
     )
 
 
-def _tower(arguments: tuple[str, ...]) -> Node:
-    return _node(ProcessCommand("tower", "ptnsbc_nodes.fleet.coordinator_main", arguments))
-
-
-def _ends(crew: list[ProcessCommand], nodes: list[Node], file: Path) -> list[RegisterEventHandler]:
-    """The flight is over with the sim, the last bridge or the last UAV; of others that end the rest is told."""
-    flies = {command.name for command in crew if command.ends}
-    uavs = {command.name for command in crew if command.uav is not None and not command.ends}
+def _ends(
+    processes: list[ProcessCommand], nodes: list[Node], file: Path
+) -> list[RegisterEventHandler]:
+    """The flight ends with the sim, the last bridge or the last UAV. Of any other end the rest is told."""
+    flies = {command.name for command in processes if command.ends}
+    uavs = {command.name for command in processes if command.uav is not None and not command.ends}
 
     def gone(command: ProcessCommand, event: ProcessExited) -> list[LaunchDescriptionEntity]:
         flies.discard(command.name)
@@ -135,7 +134,7 @@ def _ends(crew: list[ProcessCommand], nodes: list[Node], file: Path) -> list[Reg
         if not uavs:
             return [EmitEvent(event=Shutdown(reason="no UAV is left"))]
         landed = command.ends and event.returncode == 0
-        return [] if landed else [_tower(loss_arguments(command, file))]
+        return [] if landed else [_node(coordinator_command(file, "--lose", command.lost))]
 
     def handler(command: ProcessCommand, node: Node) -> RegisterEventHandler:
         on_exit = OnProcessExit(
@@ -143,7 +142,7 @@ def _ends(crew: list[ProcessCommand], nodes: list[Node], file: Path) -> list[Reg
         )
         return RegisterEventHandler(on_exit)
 
-    return [handler(command, node) for command, node in zip(crew, nodes, strict=True)]
+    return [handler(command, node) for command, node in zip(processes, nodes, strict=True)]
 
 
 def _viewers() -> list[Node]:

@@ -10,7 +10,7 @@ from visualization_msgs.msg import MarkerArray
 
 from ptnsbc_io import wire
 from ptnsbc_nodes.comm import topics
-from ptnsbc_nodes.recording.marker_frames import MarkerFrames
+from ptnsbc_nodes.comm.markers import OdometryMarkers
 from ptnsbc_sim.scenario import load_scenario
 
 PERIOD_NS = 20_000_000
@@ -24,7 +24,7 @@ def told(uav: int, tick: int) -> bytes:
 
 def test_one_picture_a_period_of_everybody_where_last_heard():
     scenario = load_scenario("experiment_4")
-    pictures = MarkerFrames(scenario)
+    pictures = OdometryMarkers(scenario)
     drawn = []
     for tick in range(50):  # one second
         for uav in scenario.uav_ids:
@@ -41,6 +41,6 @@ def test_one_picture_a_period_of_everybody_where_last_heard():
 
 
 def test_other_topics_and_broken_messages_draw_nothing():
-    pictures = MarkerFrames(load_scenario("experiment_4"))
+    pictures = OdometryMarkers(load_scenario("experiment_4"))
     assert pictures.of("/uav1/setpoint/wrench", b"") is None
     assert pictures.of("/uav1/odom", b"\x00\x01") is None

@@ -1,0 +1,157 @@
+"""What the process of one bridge does: it makes the node and its link, and serves them until their end."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING, cast
+
+from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_nodes.comm.graph import CommunicationGraph
+from ptnsbc_nodes.runtime import environment
+from ptnsbc_nodes.runtime.lifecycle_node import ManagedNode
+from ptnsbc_nodes.runtime.parameters import (
+    AUTOSTART,
+    SCENARIO,
+    UAV,
+    NodeParameters,
+    ReadOnlyParameter,
+    overrides,
+)
+from ptnsbc_nodes.runtime.process import (
+    ProcessLifetime,
+    namespace_of,
+    parameter_node,
+    serve_managed,
+)
+from ptnsbc_nodes.runtime.scenario_parameters import Value
+from ptnsbc_sim.scenario import Scenario
+
+if TYPE_CHECKING:
+    from ptnsbc_nodes.bridge.node import BridgeNode
+
+_NO_REAL_TIME = (
+    "bridge: no right to real-time scheduling: a busy host may delay setpoints "
+    "(ulimit -r above 0 grants it)"
+)
+
+
+class BridgeError(PtnsbcError):
+    """A bridge that cannot be opened."""
+
+
+class _LandingLifetime(ProcessLifetime):
+    """The first request to end lands the vehicle; the second one ends the process."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.bridge: BridgeNode | None = None
+        self._requested = False
+
+    def land_or_end(self) -> None:
+        """Land a flying vehicle; end when none flies, or at the second request."""
+        if not self._lands():
+            self.end()
+
+    def _lands(self) -> bool:
+        repeated, self._requested = self._requested, True
+        if repeated or self.bridge is None or not self.bridge.land():
+            return False
+        print("bridge: landing; interrupt once more to end at once", file=sys.stderr, flush=True)
+        return True
+
+    def _on_signal(self, number: int, frame: FrameType | None) -> None:
+        if not self._lands():
+            super()._on_signal(number, frame)
+
+
+_FIXED = (
+    *SCENARIO,
+    UAV,
+    AUTOSTART,
+    ReadOnlyParameter("signing_key", "", "key file, instead of the scenario's"),
+    ReadOnlyParameter("allow_arming", False, "arm and take off"),
+)
+
+
+def run_bridge(arguments: argparse.Namespace, argv: list[str]) -> int:
+    """Bridge as the command line says; returns the exit code."""
+    given: dict[str, Value | None] = {
+        "scenario": arguments.scenario,
+        "uav": arguments.uav,
+        "recorded": arguments.recorded,
+        "signing_key": str(arguments.signing_key or ""),
+        "allow_arming": arguments.allow_arming,
+    }
+    if arguments.connect is not None:
+        if arguments.uav is None:
+            raise BridgeError(f"--connect {arguments.connect}: expected --uav N as well")
+        given[f"mavlink.vehicles.{arguments.uav}.connect"] = arguments.connect
+    return _serve(given, argv, managed=arguments.managed)
+
+
+def bridge(
+    scenario: Scenario,
+    uav: int,
+    signing_key: Path | None,
+    argv: Sequence[str],
+    *,
+    allow_arming: bool,
+) -> int:
+    """Bridge one vehicle until it has landed, or a signal; `argv` is for ROS.
+
+    `signing_key` is used instead of the scenario's.
+    """
+    given: dict[str, Value | None] = {
+        "scenario_text": scenario.text,
+        "uav": uav,
+        "signing_key": str(signing_key or ""),
+        "allow_arming": allow_arming,
+    }
+    return _serve(given, argv, managed=False)
+
+
+def _serve(given: Mapping[str, Value | None], argv: Sequence[str], *, managed: bool) -> int:
+    lifetime = _LandingLifetime()
+    namespace = namespace_of(cast("int | None", given["uav"]))
+    with parameter_node("bridge", namespace, argv, overrides(given), ManagedNode) as node:
+        parameters = NodeParameters(node, _FIXED, bridged=True)
+        parameters.declare_scenario(may_change=lambda: node.state == "unconfigured")
+        if not environment.prefer_punctuality(flies=True):
+            print(_NO_REAL_TIME, file=sys.stderr, flush=True)
+
+        def configure() -> BridgeNode:
+            lifetime.bridge = _open(node, parameters, lifetime.end)
+            return lifetime.bridge
+
+        node.assign(configure, lifetime.land_or_end)
+        code = serve_managed(node, lifetime, autostart=parameters["autostart"] and not managed)
+        return code if lifetime.bridge is None else code or lifetime.bridge.exit_code
+
+
+def _open(node: ManagedNode, parameters: NodeParameters, on_end: Callable[[], None]) -> BridgeNode:
+    """The bridge with an open link to its vehicle."""
+    scenario, uav = parameters.scenario, parameters.uav
+    try:
+        from ptnsbc_io.mavlink.link import MavlinkLink
+        from ptnsbc_io.mavlink.signing import Signer, read_key
+        from ptnsbc_io.mavlink.transport import connect
+        from ptnsbc_nodes.bridge.bridge import WANTED_MESSAGES
+        from ptnsbc_nodes.bridge.node import BridgeNode
+    except ImportError as error:
+        raise BridgeError(f"{error.name} is not installed: install the extra [mavlink]") from None
+    settings = scenario.vehicle_link(uav)
+    if scenario.plant_kind != "quadrotor":
+        raise BridgeError(
+            f"{scenario.source}: plant.kind: {scenario.plant_kind}: expected quadrotor, "
+            "the only plant that flight controllers fly here"
+        )
+    key = parameters["signing_key"] or settings.signing_key
+    signer = Signer(read_key(Path(key))) if key else None
+    link = MavlinkLink(connect(settings.connect), settings.sysid, WANTED_MESSAGES, signer)
+    edges = CommunicationGraph(scenario, parameters.options)
+    return BridgeNode(node, scenario, uav, edges, link, parameters["allow_arming"], on_end)
+

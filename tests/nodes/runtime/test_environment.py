@@ -1,0 +1,104 @@
+"""The environment of the processes: ROS domains, discovery, scheduling, the end of the launcher."""
+
+import os
+import resource
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from ptnsbc_nodes.runtime import environment
+from ptnsbc_nodes.runtime.environment import DomainError, reserved_domain
+
+
+@pytest.fixture
+def no_domain(monkeypatch):
+    monkeypatch.delenv("ROS_DOMAIN_ID", raising=False)
+
+
+def test_two_fleets_get_two_domains(no_domain):
+    with reserved_domain() as first, reserved_domain() as second:
+        assert first != second
+        assert {first, second} <= set(range(1, 102))
+
+
+def test_the_users_domain_wins(monkeypatch):
+    monkeypatch.setenv("ROS_DOMAIN_ID", "77")
+    with reserved_domain() as domain:
+        assert domain == 77
+
+
+def test_a_users_domain_that_is_no_number_is_refused(monkeypatch):
+    monkeypatch.setenv("ROS_DOMAIN_ID", "x")
+    with pytest.raises(DomainError, match="ROS_DOMAIN_ID='x'"), reserved_domain():
+        pass
+
+
+@pytest.fixture
+def own_discovery(monkeypatch):
+    for name in (
+        "FASTRTPS_DEFAULT_PROFILES_FILE",
+        "FASTDDS_DEFAULT_PROFILES_FILE",
+        "ROS_DISCOVERY_SERVER",
+        "RMW_IMPLEMENTATION",
+    ):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+
+
+def test_children_probe_as_many_peers_as_there_are(own_discovery, tmp_path):
+    settings = environment.for_children(5, 43, tmp_path)
+    assert settings["ROS_DOMAIN_ID"] == "5"
+    profile = Path(settings["FASTRTPS_DEFAULT_PROFILES_FILE"]).read_text()
+    assert "<maxInitialPeersRange>55</maxInitialPeersRange>" in profile
+
+
+def test_a_users_discovery_is_left_alone(own_discovery, monkeypatch, tmp_path):
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")
+    settings = environment.for_children(5, 43, tmp_path)
+    assert settings["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "SUBNET"
+    assert "FASTRTPS_DEFAULT_PROFILES_FILE" not in settings
+
+
+def test_a_child_whose_launcher_has_gone_ends(monkeypatch):
+    monkeypatch.setenv(environment.PARENT, "1" if os.getppid() != 1 else "2")
+    code = os.system(
+        f"{sys.executable} -c 'from ptnsbc_nodes.runtime import environment as e; e.prepare()'"
+    )
+    assert os.waitstatus_to_exitcode(code) == 1
+
+
+HURRY = """
+import os, threading
+from ptnsbc_nodes.runtime import environment
+waiting = threading.Event()
+threading.Thread(target=waiting.wait).start()  # a node has threads before it knows whom it flies
+for flies in (False, True):
+    assert environment.prefer_punctuality(flies=flies)
+    for thread in os.listdir("/proc/self/task"):
+        print(os.sched_getscheduler(int(thread)), os.sched_getparam(int(thread)).sched_priority)
+waiting.set()
+"""
+
+
+def _may_hurry():
+    soft, _ = resource.getrlimit(resource.RLIMIT_RTPRIO)
+    return os.geteuid() == 0 or soft > 1
+
+
+@pytest.mark.skipif(not _may_hurry(), reason="no right to real-time scheduling here")
+def test_who_flies_runs_before_who_records_and_both_before_the_rest():
+    root = Path(environment.__file__).parents[2]
+    told = subprocess.run(
+        [sys.executable, "-c", HURRY], capture_output=True, text=True, check=True, cwd=root
+    )
+    assert told.stdout.split() == [str(os.SCHED_RR), "1"] * 2 + [str(os.SCHED_RR), "2"] * 2
+
+
+def test_without_the_right_to_hurry_everything_goes_on(monkeypatch):
+    def refuse(*_):
+        raise PermissionError(1, "Operation not permitted")
+
+    monkeypatch.setattr(os, "sched_setscheduler", refuse)
+    assert environment.prefer_punctuality(flies=True) is False

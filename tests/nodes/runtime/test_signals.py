@@ -1,0 +1,136 @@
+"""SIGINT and SIGTERM: every process has its handlers before anything else, and ends in order."""
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+from ptnsbc_nodes.runtime.signals import (
+    StopRequest,
+    exit_on_signal,
+    restore_handlers,
+    signals_blocked,
+)
+
+ROOT = Path(__file__).resolve().parents[3]
+PATIENCE_S = 120
+
+
+def test_a_signal_wakes_who_waits_for_it():
+    with StopRequest() as stop:
+        assert not stop.wait(0.0)
+        began = time.monotonic()
+        sender = threading.Timer(0.05, os.kill, (os.getpid(), signal.SIGTERM))
+        sender.start()
+        assert stop.wait(30.0)
+        sender.join()
+        assert time.monotonic() - began < 15.0
+        assert stop.wait(30.0)
+
+
+def test_a_stop_request_gives_the_handlers_back():
+    before = signal.getsignal(signal.SIGINT)
+    with StopRequest() as stop:
+        assert not stop.came
+        os.kill(os.getpid(), signal.SIGINT)
+        assert stop.came
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_handlers_of_a_process_can_be_given_back():
+    before = signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)
+    exit_on_signal(3)
+    exit_on_signal(4)
+    restore_handlers()
+    assert (signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)) == before
+
+
+# Sends the process a signal at a moment of its start, once: at the import of a module, or before all of them.
+HOOK = """
+import os, signal, sys
+at, number = os.environ["SIGNAL_AT"], int(os.environ["SIGNAL"])
+
+def send():
+    global at
+    at = None
+    os.write(2, b"signal sent\\n")
+    os.kill(os.getpid(), number)
+
+def on_event(event, arguments):
+    if event == "import" and arguments[0] == at:
+        send()
+
+sys.addaudithook(on_event)
+if at == "start":
+    send()
+"""
+
+SCENARIO = ("--scenario", "paper_5")
+PROCESSES = {
+    "uav": ("ptnsbc_nodes.uav.main", *SCENARIO, "--uav", "1"),
+    "sim": ("ptnsbc_nodes.sim.main", *SCENARIO),
+    "bridge": ("ptnsbc_nodes.bridge.main", *SCENARIO, "--uav", "1"),
+    "recorder": ("ptnsbc_nodes.recording.main", "--bag", "bag", "--uavs", "1"),
+    "coordinator": ("ptnsbc_nodes.fleet.coordinator_main", *SCENARIO),
+    "loss": ("ptnsbc_nodes.fleet.coordinator_main", *SCENARIO, "--lose", "uav5"),
+    "fleet": ("ptnsbc_nodes.fleet.main", *SCENARIO),
+    "ptnsbc fleet": ("ptnsbc_tools", "fleet", "paper_5"),
+}
+INTERRUPTED = {"fleet": 130, "ptnsbc fleet": 130}  # the others end with 0
+LAST = {
+    "uav": "ptnsbc_nodes.uav.node",
+    "sim": "ptnsbc_nodes.sim.node",
+    "bridge": "ptnsbc_nodes.bridge.process",
+    "recorder": "ptnsbc_nodes.recording.fleet_recorder",
+    "coordinator": "ptnsbc_nodes.fleet.lifecycle_manager",
+    "loss": "ptnsbc_nodes.fleet.lifecycle_manager",
+    "fleet": "ptnsbc_nodes.fleet.supervisor",
+    "ptnsbc fleet": "ptnsbc_nodes.fleet.supervisor",
+}
+MOMENTS = ["start", "ptnsbc_nodes.runtime.signals", "argparse", "numpy", "rclpy", "last"]
+
+
+@pytest.mark.ros
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=lambda n: n.name)
+@pytest.mark.parametrize("name", PROCESSES)
+def test_a_signal_at_any_moment_of_the_start_ends_a_process_in_order(
+    name, number, domain, tmp_path
+):
+    pytest.importorskip("rclpy")
+    (tmp_path / "hook").mkdir()
+    (tmp_path / "hook" / "sitecustomize.py").write_text(HOOK)
+    running = {}
+    for moment in MOMENTS:
+        (folder := tmp_path / moment).mkdir()
+        environment = {
+            **os.environ,
+            "PYTHONPATH": os.pathsep.join([str(tmp_path / "hook"), str(ROOT)]),
+            "ROS_DOMAIN_ID": str(domain),
+            "SIGNAL_AT": LAST[name] if moment == "last" else moment,
+            "SIGNAL": str(int(number)),
+        }
+        with signals_blocked():  # as the launcher starts a process
+            running[moment] = subprocess.Popen(
+                [sys.executable, "-m", *PROCESSES[name]],
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                text=True,
+                env=environment,
+                cwd=folder,
+            )
+    ends = {}
+    for moment, process in running.items():
+        try:
+            _, err = process.communicate(timeout=PATIENCE_S)
+        finally:
+            process.kill()
+        assert "signal sent" in err, (moment, err)
+        assert "Traceback" not in err and "KeyboardInterrupt" not in err, (moment, err)
+        ends[moment] = process.returncode
+    assert ends == dict.fromkeys(MOMENTS, INTERRUPTED.get(name, 0))
