@@ -36,16 +36,13 @@ CIRCLES: set[Arrow] = {
 }
 
 # Circles between the rooms of ptnsbc_nodes that are left: the arrow to remove of each.
-ROOM_CIRCLES: set[Arrow] = {
-    ("ptnsbc_nodes.runtime", "ptnsbc_nodes.uav"),
-}
+ROOM_CIRCLES: set[Arrow] = set()
 
 # Class names that more than one class has.
 SAME_NAMES: set[str] = set()
 
 # Folders above LARGEST_FOLDER modules, and why.
 LARGE_FOLDERS: dict[str, str] = {
-    "ptnsbc_nodes/runtime": "not yet divided",
     "ptnsbc_tools/commands": "one module for each command",
 }
 
