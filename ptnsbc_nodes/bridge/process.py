@@ -154,4 +154,3 @@ def _open(node: ManagedNode, parameters: NodeParameters, on_end: Callable[[], No
     link = MavlinkLink(connect(settings.connect), settings.sysid, WANTED_MESSAGES, signer)
     edges = CommunicationGraph(scenario, parameters.options)
     return BridgeNode(node, scenario, uav, edges, link, parameters["allow_arming"], on_end)
-
