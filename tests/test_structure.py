@@ -26,11 +26,6 @@ Arrow = tuple[str, str]
 
 # Import circles that are left: the arrow to remove of each.
 CIRCLES: set[Arrow] = {
-    ("ptnsbc_sim.autopilot.commands", "ptnsbc_sim.autopilot.vehicle"),
-    ("ptnsbc_sim.autopilot.faults", "ptnsbc_sim.autopilot.vehicle"),
-    ("ptnsbc_sim.autopilot.message_handlers", "ptnsbc_sim.autopilot.vehicle"),
-    ("ptnsbc_sim.autopilot.telemetry", "ptnsbc_sim.autopilot.vehicle"),
-    ("ptnsbc_sim.autopilot.telemetry_state", "ptnsbc_sim.autopilot.vehicle"),
     ("ptnsbc_sim.scenario.mavlink", "ptnsbc_sim.scenario.model"),
     ("ptnsbc_tools.plotting.flight", "ptnsbc_tools.commands.verify"),
 }
@@ -59,13 +54,6 @@ TESTS_OF_MORE: dict[str, str] = {
 
 # Tests that do not stand where their module stands yet: move or rename them.
 TESTS_TO_MOVE: set[str] = {
-    "tests/sim/autopilot/test_arducopter.py",
-    "tests/sim/autopilot/test_frames.py",
-    "tests/sim/autopilot/test_navigation.py",
-    "tests/sim/autopilot/test_px4.py",
-    "tests/sim/autopilot/test_px4_offboard.py",
-    "tests/sim/autopilot/test_px4_setpoints.py",
-    "tests/sim/autopilot/test_stm32.py",
     "tests/sim/disturbances/test_flights.py",
     "tests/sim/scenario/test_chance.py",
     "tests/sim/scenario/test_errors.py",

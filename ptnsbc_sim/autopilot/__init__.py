@@ -1,1 +1,1 @@
-"""A stand-in flight controller: real MAVLink on real UDP around the simulated quadrotor. No ROS."""
+"""Test equipment: stand-in flight controllers, real MAVLink on real UDP around the simulated quadrotor. No ROS."""

@@ -1,44 +1,17 @@
-"""What a test or a demonstration can break in a stand-in, in words: `1 gps off`, `all battery 0.1`."""
+"""Fault injection: lines such as `1 gps off` or `all battery 0.1`, by a call, by time, or over UDP."""
 
 from __future__ import annotations
 
 import json
 import math
+import socket
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any, NamedTuple
 
-from ptnsbc_io.mavlink.dialect import mavlink
-from ptnsbc_sim.autopilot.codec import AutopilotError
+from ptnsbc_sim.autopilot.vehicle import AutopilotError, Log, StandInVehicle
 
-if TYPE_CHECKING:
-    from ptnsbc_sim.autopilot.vehicle import StandInVehicle
-
-IMPOSTOR_PERIOD_S = 0.2
-_IMPOSTOR_OLDER_MS = 90_000
-
-
-@dataclass
-class Faults:
-    """Faults that last until they are taken back."""
-
-    no_heartbeat: bool = False
-    mute: bool = False  # neither sends nor answers, flies on
-    refuse_arming: bool = False
-    duplicate: bool = False  # somebody else sends with our system id
-
-
-def impostor(vehicle: StandInVehicle, t: float) -> list[Any]:
-    """What somebody with our system id sends: disarmed, 50 m north of our origin, booted long before us."""
-    flags = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
-    return [
-        mavlink.MAVLink_heartbeat_message(
-            vehicle.mav_type, vehicle.autopilot, flags, 0, mavlink.MAV_STATE_STANDBY, 3
-        ),
-        mavlink.MAVLink_local_position_ned_message(
-            vehicle.clock.ms(t) + _IMPOSTOR_OLDER_MS, 50.0, 0, 0, 0, 0, 0
-        ),
-    ]
+_HOST = "127.0.0.1"
+_LINE_BYTES = 4096
 
 
 def _choice(word: str, off: str, on: str, what: str) -> bool:
@@ -87,17 +60,9 @@ def _battery(vehicle: StandInVehicle, word: str, _t: float) -> None:
     vehicle.flight.battery = charge
 
 
-def _clock(vehicle: StandInVehicle, word: str, _t: float) -> None:
-    vehicle.clock.jump(_number(word, "clock"))
-
-
 def _mode(vehicle: StandInVehicle, word: str, t: float) -> None:
-    if not vehicle.pilot(word, t):
+    if not vehicle.set_mode_by_rc(word, t):
         raise AutopilotError(f"fault mode {word!r}: expected a mode of this autopilot, as LAND")
-
-
-def _reboot(vehicle: StandInVehicle, _word: str, t: float) -> None:
-    vehicle.reboot(t)
 
 
 FAULTS: dict[str, Callable[[StandInVehicle, str, float], None]] = {
@@ -107,14 +72,14 @@ FAULTS: dict[str, Callable[[StandInVehicle, str, float], None]] = {
     "arming": _arming,
     "duplicate": _duplicate,
     "battery": _battery,
-    "clock": _clock,
+    "clock": lambda vehicle, word, _t: vehicle.clock.jump(_number(word, "clock")),
     "mode": _mode,
-    "reboot": _reboot,
+    "reboot": lambda vehicle, _word, t: vehicle.reboot(t),
 }
 
 
 def inject(vehicle: StandInVehicle, what: str, value: str, t: float) -> None:
-    """Break or mend something: see FAULTS.
+    """Inject a fault or take it back: see FAULTS.
 
     Raises:
         AutopilotError: there is no such fault, or it takes no such value.
@@ -125,14 +90,14 @@ def inject(vehicle: StandInVehicle, what: str, value: str, t: float) -> None:
     vehicle.log(f"fault: {what} {value}".rstrip())
 
 
-def obey(vehicles: Sequence[StandInVehicle], line: str, t: float) -> str:
-    """Do what a line says, for one system id or `all`; the answer, `ok` or the states asked for.
+def run_fault_line(vehicles: Sequence[StandInVehicle], line: str, t: float) -> str:
+    """Run one fault line, for one system id or `all`; returns `ok`, or the states as JSON.
 
     Raises:
-        AutopilotError: the line says nothing that can be done.
+        AutopilotError: the line is not a fault, or names no vehicle.
     """
-    who, what, value, *rest = (*line.split(), "", "", "")
-    chosen = [v for v in vehicles if who in ("all", str(v.system))]
+    system, what, value, *rest = (*line.split(), "", "", "")
+    chosen = [v for v in vehicles if system in ("all", str(v.system))]
     if not chosen or not what or any(rest):
         known = ", ".join(str(v.system) for v in vehicles)
         raise AutopilotError(f"{line!r}: expected SYSTEM FAULT VALUE, with SYSTEM of {known}, all")
@@ -144,7 +109,7 @@ def obey(vehicles: Sequence[StandInVehicle], line: str, t: float) -> str:
 
 
 def state(vehicle: StandInVehicle) -> dict[str, Any]:
-    """What is true of a vehicle, for those who judge from outside."""
+    """The true state of a vehicle, for tests and demonstrations."""
     flight = vehicle.flight
     return {
         "system": vehicle.system,
@@ -156,3 +121,108 @@ def state(vehicle: StandInVehicle) -> dict[str, Any]:
         "origin_enu_m": flight.navigation.origin_enu.tolist(),
         "battery": flight.battery,
     }
+
+
+class TimedFault(NamedTuple):
+    """A fault line and its time, in seconds from the start."""
+
+    at_s: float
+    line: str
+
+
+def parse_timed_fault(text: str) -> TimedFault:
+    """`20 1 gps off`: seconds from the start, then a fault line.
+
+    Raises:
+        AutopilotError: the text does not begin with a time.
+    """
+    first, _, line = text.strip().partition(" ")
+    try:
+        at_s = float(first)
+    except ValueError:
+        at_s = math.nan
+    if not (math.isfinite(at_s) and at_s >= 0.0 and line.strip()):
+        raise AutopilotError(
+            f'fault "{text}": expected SECONDS SYSTEM FAULT VALUE, as "20 1 gps off"'
+        )
+    return TimedFault(at_s, line)
+
+
+class FaultPort:
+    """Runs fault lines from a UDP port of this host, and timed ones; call `poll` every tick."""
+
+    def __init__(
+        self,
+        vehicles: Sequence[StandInVehicle],
+        start_t: float,
+        *,
+        port: int | None = None,
+        timed: Sequence[TimedFault] = (),
+        log: Log,
+    ) -> None:
+        self._vehicles = vehicles
+        self._start_t = start_t
+        self._port = port
+        self._timed = sorted(timed, key=lambda fault: fault.at_s)
+        self._log = log
+        self._socket: socket.socket | None = None
+
+    def __enter__(self) -> FaultPort:
+        if self._port is None:
+            return self
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.setblocking(False)
+        try:
+            self._socket.bind((_HOST, self._port))
+        except OSError as error:
+            self._socket.close()
+            raise AutopilotError(
+                f"control port {self._port}: {error.strerror}; expected a free one"
+            ) from None
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._socket is not None:
+            self._socket.close()
+
+    def poll(self, now: float) -> None:
+        """Run the faults that are due and those that have arrived."""
+        while self._timed and now - self._start_t >= self._timed[0].at_s:
+            self._log(self._run(self._timed.pop(0).line, now))
+        while self._socket is not None:
+            try:
+                data, sender = self._socket.recvfrom(_LINE_BYTES)
+            except (BlockingIOError, ConnectionRefusedError):
+                return
+            answer = self._run(data.decode(errors="replace").strip(), now)
+            try:
+                self._socket.sendto(answer.encode(), sender)
+            except OSError:
+                continue
+
+    def _run(self, line: str, now: float) -> str:
+        try:
+            return run_fault_line(self._vehicles, line, now)
+        except AutopilotError as error:
+            return f"error: {error}"
+
+
+def send_fault(port: int, line: str, timeout_s: float = 2.0) -> str:
+    """Send a fault line to the control port of a running stand-in; returns the answer.
+
+    Raises:
+        AutopilotError: no answer comes, or the stand-in refuses the line.
+    """
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as channel:
+        channel.settimeout(timeout_s)
+        try:
+            channel.connect((_HOST, port))
+            channel.send(line.encode())
+            answer = channel.recv(_LINE_BYTES).decode()
+        except OSError:
+            raise AutopilotError(
+                f"control port {port}: no answer; expected a stand-in with --control {port}"
+            ) from None
+    if answer.startswith("error: "):
+        raise AutopilotError(answer.removeprefix("error: "))
+    return answer

@@ -1,4 +1,4 @@
-"""From options to stand-ins on their ports."""
+"""From options or a scenario to stand-ins: where they start, what they are, and their ports."""
 
 from __future__ import annotations
 
@@ -7,16 +7,25 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
+
 from ptnsbc_io.mavlink.signing import read_key
-from ptnsbc_sim.autopilot.codec import AutopilotError, Codec
+from ptnsbc_sim.autopilot.controller import FlightController
 from ptnsbc_sim.autopilot.firmware.arducopter import ArduCopter
 from ptnsbc_sim.autopilot.firmware.px4 import Px4
 from ptnsbc_sim.autopilot.firmware.stm32 import Stm32
-from ptnsbc_sim.autopilot.server import Address, Endpoint, VehicleServer
-from ptnsbc_sim.autopilot.starts import Fleet, Start, starts
-from ptnsbc_sim.autopilot.vehicle import GCS, IMPOSTOR, StandInVehicle
+from ptnsbc_sim.autopilot.physics.body import VehicleDescription, default_plant
+from ptnsbc_sim.autopilot.physics.frames import PX4_HOME, Geodetic
+from ptnsbc_sim.autopilot.physics.navigation import QUALITIES
+from ptnsbc_sim.autopilot.server import Address, Codec, Endpoint, VehicleServer
+from ptnsbc_sim.autopilot.vehicle import GCS, IMPOSTOR, AutopilotError
+from ptnsbc_sim.plants.build import plant_config
+from ptnsbc_sim.scenario import Scenario, load_scenario
 
-KINDS: dict[str, type[StandInVehicle]] = {"px4": Px4, "arducopter": ArduCopter, "stm32": Stm32}
+KINDS: dict[str, type[FlightController]] = {"px4": Px4, "arducopter": ArduCopter, "stm32": Stm32}
+
+_SCENARIO_KINDS = {"px4": "px4", "ardupilot": "arducopter", "generic": "stm32"}
+"""Types of stand-ins by the autopilot names of scenarios."""
 
 PORT_BASE = 14540
 """PX4's: vehicle i sends to 14540 + i and listens on 14580 + i."""
@@ -25,6 +34,31 @@ HOST, ANY = "127.0.0.1", "0.0.0.0"
 _LISTEN_OFFSET, _LAST_OWN_PORT = 40, 9
 _GCS_OFFSET = 3990  # from 14580 + i to 18570 + i, as PX4's simulation
 _LAST_PORT = 65535
+_SPACING_M = 2.0  # between starts without a scenario
+
+
+@dataclass(frozen=True)
+class Fleet:
+    """The vehicles to start: how many, where, and how accurate."""
+
+    count: int | None = None
+    scenario: str | Path | None = None
+    gnss: str = "plain"
+    origin_spread_m: float = 0.0
+    yaw_deg: float | None = None
+    seed: int = 1
+    battery: float = 1.0
+
+
+@dataclass(frozen=True)
+class Start:
+    """One vehicle to start; the last three are from the scenario, None without one."""
+
+    system: int
+    body: VehicleDescription
+    kind: str | None = None
+    connect: str | None = None  # how the bridge reaches it
+    key: str | None = None
 
 
 @dataclass(frozen=True)
@@ -80,6 +114,57 @@ def parse_parameter(text: str) -> tuple[str, float]:
         raise AutopilotError(f'param "{text}": expected NAME=NUMBER') from None
 
 
+def starts(fleet: Fleet) -> list[Start]:
+    """System ids from 1 and bodies, all on the ground; in the order of the scenario's UAVs where there is one.
+
+    Raises:
+        AutopilotError: more vehicles than the scenario has, or an unknown receiver.
+    """
+    if fleet.gnss not in QUALITIES:
+        raise AutopilotError(f"gnss={fleet.gnss}: expected one of {', '.join(QUALITIES)}")
+    if fleet.scenario is None:
+        return [Start(n + 1, _body(fleet, n, None)) for n in range(fleet.count or 1)]
+    scenario = load_scenario(fleet.scenario, {"plant.kind": "quadrotor"})
+    size = len(scenario.uav_ids)
+    count = size if fleet.count is None else fleet.count
+    if count > size:
+        raise AutopilotError(f"count={count}: expected at most {size}, the UAVs of {scenario.name}")
+    return [_start(fleet, n, scenario) for n in range(count)]
+
+
+def _start(fleet: Fleet, n: int, scenario: Scenario) -> Start:
+    link = scenario.vehicle_link(scenario.uav_ids[n])
+    body = _body(fleet, n, scenario)
+    return Start(link.sysid, body, _SCENARIO_KINDS[link.autopilot], link.connect, link.signing_key)
+
+
+def _datum(scenario: Scenario) -> Geodetic:
+    origin = scenario.mavlink.world_origin
+    if origin is None:
+        return PX4_HOME
+    return Geodetic(origin.latitude_deg, origin.longitude_deg, origin.altitude_m)
+
+
+def _body(fleet: Fleet, n: int, scenario: Scenario | None) -> VehicleDescription:
+    random = np.random.default_rng((fleet.seed, n))
+    yaw = random.uniform(-np.pi, np.pi) if fleet.yaw_deg is None else np.radians(fleet.yaw_deg)
+    ground, plant, datum = np.array((_SPACING_M * n, 0.0, 0.0)), default_plant(), PX4_HOME
+    if scenario is not None:
+        uav_id = scenario.uav_ids[n]
+        ground = scenario.uav(uav_id).position * np.array((1.0, 1.0, 0.0))
+        plant, datum = plant_config(scenario, uav_id), _datum(scenario)
+    return VehicleDescription(
+        plant,
+        ground,
+        float(yaw),
+        QUALITIES[fleet.gnss],
+        fleet.origin_spread_m,
+        datum,
+        fleet.battery,
+        int(random.integers(1 << 31)),
+    )
+
+
 def stations(options: Options, t: float, say: Callable[[str], None]) -> list[VehicleServer]:
     """Vehicles with closed sockets, booted at t [s].
 
@@ -93,7 +178,7 @@ def stations(options: Options, t: float, say: Callable[[str], None]) -> list[Veh
     return made
 
 
-def _set_parameter(vehicles: Sequence[StandInVehicle], name: str, value: float) -> None:
+def _set_parameter(vehicles: Sequence[FlightController], name: str, value: float) -> None:
     """Set it where there is one of that name: vehicles of a mixed fleet have few in common."""
     owners = [vehicle for vehicle in vehicles if name in vehicle.parameters]
     for vehicle in owners or vehicles[:1]:  # who has none says which there are

@@ -1,20 +1,18 @@
-"""What a stand-in answers to each kind of message; commands are in `commands`."""
+"""What a stand-in does with each kind of message; commands are in `commands`."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ptnsbc_io.mavlink.dialect import mavlink
-from ptnsbc_sim.autopilot.commands import Request, request_of
+from ptnsbc_sim.autopilot.commands import COMMANDS, mode_request, request_of
+from ptnsbc_sim.autopilot.vehicle import Outgoing, StandInVehicle
 
-if TYPE_CHECKING:
-    from ptnsbc_sim.autopilot.vehicle import StandInVehicle
-
-Answer = Callable[["StandInVehicle", Any, int, float], None]
+Handler = Callable[[StandInVehicle, Any, int, float], None]
 
 UNADDRESSED = ("HEARTBEAT", "PING", "TIMESYNC")
-"""Messages that are for everybody, or say otherwise for whom they are."""
+"""Messages for every system, or with an addressee in another form."""
 
 
 def _heartbeat(vehicle: StandInVehicle, message: Any, link: int, t: float) -> None:
@@ -23,23 +21,25 @@ def _heartbeat(vehicle: StandInVehicle, message: Any, link: int, t: float) -> No
 
 
 def _command(vehicle: StandInVehicle, message: Any, link: int, t: float) -> None:
-    """The ack comes before what the command makes it send."""
     request = request_of(message)
-    run = vehicle.commands.get(request.command)
-    result = mavlink.MAV_RESULT_UNSUPPORTED if run is None else run(vehicle, request, link, t)
+    command = request.command
+    result = mavlink.MAV_RESULT_UNSUPPORTED
+    if command in COMMANDS and (vehicle.command_ids is None or command in vehicle.command_ids):
+        result = COMMANDS[command](vehicle, request, link, t)
     if result != mavlink.MAV_RESULT_ACCEPTED:
-        known = mavlink.enums["MAV_CMD"].get(request.command)
-        name = f"command {request.command}" if known is None else known.name
+        known = mavlink.enums["MAV_CMD"].get(command)
+        name = f"command {command}" if known is None else known.name
         answer = mavlink.enums["MAV_RESULT"][result].name
         vehicle.log(f"{name} from system {request.system}: {answer}")
     ack = mavlink.MAVLink_command_ack_message(
-        request.command, result, 0, 0, request.system, request.component
+        command, result, 0, 0, request.system, request.component
     )
-    vehicle.answer_first(link, ack)
+    # The ack comes before the messages that the command makes it send.
+    vehicle.outgoing.insert(0, Outgoing(link, ack))
 
 
 def _timesync(vehicle: StandInVehicle, message: Any, link: int, t: float) -> None:
-    """https://mavlink.io/en/services/timesync.html: tc1 = 0 is a question, ts1 comes back as it was."""
+    """https://mavlink.io/en/services/timesync.html: tc1 = 0 is a request, ts1 comes back as it was."""
     if message.tc1 == 0:
         vehicle.send(link, mavlink.MAVLink_timesync_message(vehicle.clock.ns(t), message.ts1))
 
@@ -52,60 +52,50 @@ def _ping(vehicle: StandInVehicle, message: Any, link: int, _t: float) -> None:
         vehicle.send(link, answer)
 
 
-def _parameter(vehicle: StandInVehicle, name: str) -> Any:
+def _param_value(vehicle: StandInVehicle, name: str) -> Any:
     sent = vehicle.parameters.encoded(name)
-    return mavlink.MAVLink_param_value_message(
-        name.encode(), sent.value, sent.type, sent.size, sent.place
-    )
+    return mavlink.MAVLink_param_value_message(name.encode(), *sent)
 
 
-def _param_read(vehicle: StandInVehicle, message: Any, link: int, _t: float) -> None:
-    """By name when the index is -1; nothing is said of a parameter that does not exist."""
+def _param_request_read(vehicle: StandInVehicle, message: Any, link: int, _t: float) -> None:
+    """By name when the index is -1; a parameter that does not exist gets no answer."""
     name: str | None = message.param_id
     if message.param_index >= 0:
         name = vehicle.parameters.name_at(message.param_index)
     if name is not None and name in vehicle.parameters:
-        vehicle.send(link, _parameter(vehicle, name))
+        vehicle.send(link, _param_value(vehicle, name))
 
 
-def _param_list(vehicle: StandInVehicle, _message: Any, link: int, _t: float) -> None:
-    vehicle.send_slowly(link, [_parameter(vehicle, name) for name in vehicle.parameters])
+def _param_request_list(vehicle: StandInVehicle, _message: Any, link: int, _t: float) -> None:
+    vehicle.send_slowly(link, [_param_value(vehicle, name) for name in vehicle.parameters])
 
 
 def _param_set(vehicle: StandInVehicle, message: Any, link: int, _t: float) -> None:
-    """PARAM_VALUE says what it is now, whether or not it was taken."""
+    """PARAM_VALUE has the value after the request, whether or not it was taken."""
     name = message.param_id
     if name not in vehicle.parameters:
         return
     value = vehicle.parameters.decoded(name, message.param_value, message.param_type)
     if value is not None:
         vehicle.set_parameter(name, value)
-    vehicle.send(link, _parameter(vehicle, name))
+    vehicle.send(link, _param_value(vehicle, name))
 
 
 def _set_mode(vehicle: StandInVehicle, message: Any, _link: int, t: float) -> None:
-    vehicle.set_mode(Request.old_mode(message), t)
+    vehicle.set_mode(mode_request(message), t)
 
 
-def _trajectory(vehicle: StandInVehicle, message: Any, _link: int, t: float) -> None:
-    vehicle.on_trajectory(message, t)
-
-
-def _attitude(vehicle: StandInVehicle, message: Any, _link: int, t: float) -> None:
-    vehicle.on_attitude(message, t)
-
-
-ANSWERS: dict[str, Answer] = {
+HANDLERS: dict[str, Handler] = {
     "HEARTBEAT": _heartbeat,
     "COMMAND_LONG": _command,
     "COMMAND_INT": _command,
     "TIMESYNC": _timesync,
     "PING": _ping,
-    "PARAM_REQUEST_READ": _param_read,
-    "PARAM_REQUEST_LIST": _param_list,
+    "PARAM_REQUEST_READ": _param_request_read,
+    "PARAM_REQUEST_LIST": _param_request_list,
     "PARAM_SET": _param_set,
     "SET_MODE": _set_mode,
-    "SET_POSITION_TARGET_LOCAL_NED": _trajectory,
-    "SET_ATTITUDE_TARGET": _attitude,
+    "SET_POSITION_TARGET_LOCAL_NED": lambda v, message, _, t: v.on_position_target(message, t),
+    "SET_ATTITUDE_TARGET": lambda v, message, _, t: v.on_attitude_target(message, t),
 }
 """By message name; anything else is ignored."""

@@ -1,4 +1,4 @@
-"""Parameters as the two autopilots send them: PX4 the raw bits of an integer in the float, ArduPilot its value.
+"""Parameters as autopilots send them: PX4 puts the raw bits of an integer into the float, ArduPilot its value.
 
 https://mavlink.io/en/services/parameter.html, "Parameter Encoding".
 """
@@ -14,14 +14,13 @@ from ptnsbc_io.mavlink.dialect import mavlink
 Value = int | float
 
 
-class Encoded(NamedTuple):
-    """A parameter as the fields of PARAM_VALUE."""
+class ParamValueFields(NamedTuple):
+    """A parameter as the fields of PARAM_VALUE after its name."""
 
-    name: str
     value: float
     type: int
-    size: int  # of the whole list
-    place: int
+    param_count: int
+    param_index: int
 
 
 class AutopilotParameters:
@@ -53,13 +52,13 @@ class AutopilotParameters:
         kind = int if isinstance(self._values[name], int) else float
         self._values[name] = kind(value)
 
-    def encoded(self, name: str) -> Encoded:
+    def encoded(self, name: str) -> ParamValueFields:
         """One parameter for the wire."""
         value = self._values[name]
         whole = isinstance(value, int)
         kind = mavlink.MAV_PARAM_TYPE_INT32 if whole else mavlink.MAV_PARAM_TYPE_REAL32
         sent = _bits_as_float(int(value)) if whole and self._bytewise else float(value)
-        return Encoded(name, sent, kind, len(self._names), self._names.index(name))
+        return ParamValueFields(sent, kind, len(self._names), self._names.index(name))
 
     def decoded(self, name: str, sent: float, kind: int) -> Value | None:
         """Value of a PARAM_SET; None when its type is not the parameter's (PX4 insists, ArduPilot does not)."""

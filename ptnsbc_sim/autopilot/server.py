@@ -1,4 +1,4 @@
-"""Stand-ins on UDP: sockets, the wall clock, and nothing else."""
+"""Stand-ins on UDP: MAVLink bytes, sockets and the wall clock."""
 
 from __future__ import annotations
 
@@ -9,13 +9,48 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-from ptnsbc_sim.autopilot.codec import AutopilotError, Codec
-from ptnsbc_sim.autopilot.vehicle import COMPANION, IMPOSTOR, Outgoing, StandInVehicle
+from ptnsbc_io.mavlink.dialect import mavlink
+from ptnsbc_io.mavlink.signing import timestamp_now
+from ptnsbc_sim.autopilot.controller import FlightController
+from ptnsbc_sim.autopilot.vehicle import COMPANION, IMPOSTOR, AutopilotError, Outgoing
 
 TICK_HZ = 250
 _BUFFER = 65535
-_PARTNER_SILENT_S = 5.0
-_MOST_PER_TICK = 200  # a flood must not keep the vehicle from flying
+_PARTNER_TIMEOUT_S = 5.0
+_MOST_PER_TICK = 200  # datagrams; a flood must not delay the physics
+
+
+class Codec:
+    """MAVLink 2 bytes of one vehicle on one link, signed when there is a key."""
+
+    def __init__(
+        self, system: int, component: int = 1, *, key: bytes | None = None, link_id: int = 0
+    ) -> None:
+        self._mavlink = mavlink.MAVLink(None, srcSystem=system, srcComponent=component)
+        self._mavlink.robust_parsing = True
+        self.dropped = 0
+        if key is not None:
+            signing = self._mavlink.signing
+            signing.secret_key = key
+            signing.sign_outgoing = True
+            signing.link_id = link_id
+            signing.timestamp = timestamp_now()
+
+    def encode(self, message: Any) -> bytes:
+        """One packet."""
+        packet = bytes(message.pack(self._mavlink))
+        self._mavlink.seq = (self._mavlink.seq + 1) % 256
+        return packet
+
+    def decode(self, datagram: bytes) -> list[Any]:
+        """The messages in a datagram; broken, unknown and wrongly signed ones are only counted."""
+        out = []
+        for message in self._mavlink.parse_buffer(datagram) or ():
+            if message.get_type() == "BAD_DATA" or message.get_type().startswith("UNKNOWN"):
+                self.dropped += 1
+            else:
+                out.append(message)
+        return out
 
 
 class Address(NamedTuple):
@@ -27,13 +62,13 @@ class Address(NamedTuple):
 
 @dataclass
 class Endpoint:
-    """One UDP socket of one vehicle: where it listens and with whom it talks."""
+    """One UDP socket of one vehicle: the address it listens on, and its partner."""
 
     listen: Address
     partner: Address | None
     codec: Codec
     socket: socket.socket = field(init=False)
-    heard_t: float = -1e9
+    last_heard_t: float = -1e9
 
     def open(self) -> None:
         """Bind.
@@ -53,7 +88,7 @@ class Endpoint:
             ) from None
 
     def receive(self, now: float) -> list[Any]:
-        """The messages that wait."""
+        """The messages that have arrived."""
         out: list[Any] = []
         for _ in range(_MOST_PER_TICK):
             try:
@@ -62,19 +97,19 @@ class Endpoint:
                 break
             messages = self.codec.decode(datagram)
             if messages:
-                self._meet(Address(*source), now)
+                self._update_partner(Address(*source), now)
             out += messages
         return out
 
-    def _meet(self, source: Address, now: float) -> None:
-        """Whoever speaks first is the partner, until silent for long."""
+    def _update_partner(self, source: Address, now: float) -> None:
+        """The first sender is the partner, until it is silent for 5 s."""
         if source == self.partner:
-            self.heard_t = now
-        elif now - self.heard_t > _PARTNER_SILENT_S:
-            self.partner, self.heard_t = source, now
+            self.last_heard_t = now
+        elif now - self.last_heard_t > _PARTNER_TIMEOUT_S:
+            self.partner, self.last_heard_t = source, now
 
     def send(self, message: Any) -> None:
-        """Send to the partner, if there is one; a full or unreachable network loses it."""
+        """Send to the partner, if there is one; the message is lost when the network is full or unreachable."""
         packet = self.codec.encode(message)
         if self.partner is not None:
             try:
@@ -87,17 +122,17 @@ class Endpoint:
 class VehicleServer:
     """A vehicle and its links, in the vehicle's order."""
 
-    vehicle: StandInVehicle
+    vehicle: FlightController
     endpoints: Sequence[Endpoint]
     impostor: Endpoint
 
     @property
     def sockets(self) -> list[Endpoint]:
-        """All of them."""
+        """The sockets of all links."""
         return [*self.endpoints, self.impostor]
 
     def exchange(self, now: float) -> None:
-        """Take what came in, then step and send."""
+        """Handle the messages that came in, then step and send."""
         for link, endpoint in enumerate(self.endpoints):
             for message in endpoint.receive(now):
                 self._send(self.vehicle.handle(message, link, now))

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 if TYPE_CHECKING:
-    from ptnsbc_sim.autopilot.fault_port import Timed
+    from ptnsbc_sim.autopilot.faults import TimedFault
     from ptnsbc_sim.autopilot.launch import Options
     from ptnsbc_sim.autopilot.server import VehicleServer
 
@@ -102,23 +102,22 @@ def autopilot(
 
     For tests and demonstrations without hardware. Runs until Ctrl-C.
     """
-    from ptnsbc_sim.autopilot.fault_port import parse_timed
-    from ptnsbc_sim.autopilot.launch import Network, Options, parse_address, parse_parameter
-    from ptnsbc_sim.autopilot.starts import Fleet
+    from ptnsbc_sim.autopilot.faults import parse_timed_fault
+    from ptnsbc_sim.autopilot.launch import Fleet, Network, Options, parse_address, parse_parameter
 
     fleet = Fleet(count, scenario, gnss, origin_spread, yaw, seed, battery)
     address = parse_address(gcs, "gcs") if gcs else None
-    timed = [parse_timed(text) for text in faults or ()]
+    timed = [parse_timed_fault(text) for text in faults or ()]
     network = Network(port_base, connect, address, key)
     changed = dict(parse_parameter(text) for text in parameters or ())
     run(Options(kind, fleet, network, boot_time, changed), control, timed)
 
 
-def run(options: Options, control_port: int | None, timed: list[Timed]) -> None:
+def run(options: Options, control_port: int | None, timed: list[TimedFault]) -> None:
     """Build the vehicles, open the ports, and serve."""
     from ptnsbc_nodes.runtime import environment
     from ptnsbc_nodes.runtime.signals import StopRequest
-    from ptnsbc_sim.autopilot.fault_port import FaultPort
+    from ptnsbc_sim.autopilot.faults import FaultPort
     from ptnsbc_sim.autopilot.launch import stations
     from ptnsbc_sim.autopilot.server import serve
 
@@ -132,7 +131,7 @@ def run(options: Options, control_port: int | None, timed: list[Timed]) -> None:
         start_t = time.monotonic()
         fleet = stations(options, start_t, say)
         vehicles = [station.vehicle for station in fleet]
-        with FaultPort(vehicles, start_t, port=control_port, timed=timed, say=say) as control:
+        with FaultPort(vehicles, start_t, port=control_port, timed=timed, log=say) as control:
             # A flight controller has a processor of its own; this one shares it with all the others.
             environment.prefer_punctuality(flies=True)
             serve(fleet, lambda: stop.came, control.poll, lambda: _ready(fleet, say))

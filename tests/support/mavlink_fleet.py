@@ -23,9 +23,8 @@ from ptnsbc_nodes.comm.legs import Epochs
 from ptnsbc_nodes.comm.vehicle_messages import limited
 from ptnsbc_nodes.uav.controller import UavController, moment
 from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS
-from ptnsbc_sim.autopilot.codec import Codec
-from ptnsbc_sim.autopilot.launch import KINDS
-from ptnsbc_sim.autopilot.starts import Fleet, starts
+from ptnsbc_sim.autopilot.launch import KINDS, Fleet, starts
+from ptnsbc_sim.autopilot.server import Codec
 from ptnsbc_sim.autopilot.vehicle import COMPANION, IMPOSTOR
 from ptnsbc_sim.scenario import agent_config
 

@@ -13,7 +13,7 @@ import time
 from contextlib import contextmanager
 from pathlib import Path
 
-from ptnsbc_sim.autopilot.fault_port import ask
+from ptnsbc_sim.autopilot.faults import send_fault
 
 ROOT = Path(__file__).resolve().parents[2]
 COMMAND = "ptnsbc_tools.cli"
@@ -169,7 +169,7 @@ def mode_of(control, system, other_than, patience_s=10.0):
     """The mode of a stand-in once it is another one, asked at its control port; each answer takes it a tick."""
     end = time.monotonic() + patience_s
     while True:
-        mode = json.loads(ask(control, f"{system} state"))[0]["mode"]
+        mode = json.loads(send_fault(control, f"{system} state"))[0]["mode"]
         if mode != other_than or time.monotonic() > end:
             return mode
 

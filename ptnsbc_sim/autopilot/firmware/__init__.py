@@ -1,1 +1,1 @@
-"""What each flight controller firmware accepts, refuses and does by itself: PX4, ArduCopter, STM32."""
+"""The rules of each firmware: what PX4, ArduCopter and STM32 accept, refuse and do without a command."""

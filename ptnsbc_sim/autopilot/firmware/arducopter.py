@@ -1,4 +1,4 @@
-"""The personality of ArduCopter 4.7: GUIDED and its take-off. Sources: docs/autopilot.md."""
+"""The firmware of ArduCopter 4.7: modes, arming, GUIDED, failsafes. Sources: docs/autopilot.md."""
 
 from __future__ import annotations
 
@@ -7,15 +7,14 @@ from typing import Any
 
 from ptnsbc_core.types import Array
 from ptnsbc_io.mavlink.dialect import mavlink
-from ptnsbc_sim.autopilot.commands import Request, custom_mode, whole
-from ptnsbc_sim.autopilot.firmware.firmware import HeartbeatFields
+from ptnsbc_sim.autopilot.commands import custom_mode, whole
+from ptnsbc_sim.autopilot.controller import FlightController
 from ptnsbc_sim.autopilot.firmware.guided import EstimatedState, Guided, Submode, WaypointLimits
 from ptnsbc_sim.autopilot.parameters import ARDUCOPTER, AutopilotParameters
 from ptnsbc_sim.autopilot.physics import targets
 from ptnsbc_sim.autopilot.physics.airframe import LoopGains, hover_share
-from ptnsbc_sim.autopilot.physics.frames import attitude_swap, euler_of
-from ptnsbc_sim.autopilot.physics.geodesy import ARDUPILOT_RADIUS_M
-from ptnsbc_sim.autopilot.vehicle import StandInVehicle
+from ptnsbc_sim.autopilot.physics.frames import ARDUPILOT_RADIUS_M
+from ptnsbc_sim.autopilot.vehicle import HeartbeatFields, Request
 
 _DONE = int(mavlink.MAV_RESULT_ACCEPTED)
 _DENIED = int(mavlink.MAV_RESULT_DENIED)
@@ -23,16 +22,16 @@ _FAILED = int(mavlink.MAV_RESULT_FAILED)
 _UNSUPPORTED = int(mavlink.MAV_RESULT_UNSUPPORTED)
 
 STABILIZE, ALT_HOLD, GUIDED, LOITER, RTL, LAND, BRAKE = 0, 2, 4, 5, 6, 9, 17
-MODES = {
-    "STABILIZE": STABILIZE,
-    "ALT_HOLD": ALT_HOLD,
-    "GUIDED": GUIDED,
-    "LOITER": LOITER,
-    "RTL": RTL,
-    "LAND": LAND,
-    "BRAKE": BRAKE,
+_NAMES = {
+    STABILIZE: "STABILIZE",
+    ALT_HOLD: "ALT_HOLD",
+    GUIDED: "GUIDED",
+    LOITER: "LOITER",
+    RTL: "RTL",
+    LAND: "LAND",
+    BRAKE: "BRAKE",
 }
-_NAMES = {number: name for name, number in MODES.items()}
+MODES = {name: number for number, name in _NAMES.items()}
 _NEED_POSITION = (GUIDED, LOITER, RTL, BRAKE)
 _MANUAL = (STABILIZE, ALT_HOLD)
 
@@ -42,10 +41,9 @@ THRUST_IS_THRUST = 8
 _SPOOL_UP_S = 1.0
 _SINK_M_S = 0.5
 _SLOW_BELOW_M = 10.0
-_ARRIVED_M = 0.2
 
 
-class ArduCopter(StandInVehicle):
+class ArduCopter(FlightController):
     """ArduCopter on a quadrotor without a transmitter."""
 
     autopilot = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
@@ -60,7 +58,7 @@ class ArduCopter(StandInVehicle):
     )
 
     def default_parameters(self) -> AutopilotParameters:
-        """ArduCopter's; the hover thrust has been learned."""
+        """ArduCopter's, with the learned hover thrust."""
         learned = {"MAV_SYSID": self.system, "MOT_THST_HOVER": hover_share(self.body.plant)}
         return AutopilotParameters({**ARDUCOPTER, **learned}, bytewise=False)
 
@@ -87,7 +85,7 @@ class ArduCopter(StandInVehicle):
         )
 
     def limits(self) -> WaypointLimits:
-        """Of GUIDED."""
+        """Limits of GUIDED."""
         p = self.parameters
         return WaypointLimits(p["WP_SPD"], p["WP_SPD_UP"], p["WP_SPD_DN"], p["WP_ACC"])
 
@@ -98,22 +96,22 @@ class ArduCopter(StandInVehicle):
         self.mode = STABILIZE
         self._transmitter = False
         self._announced = False
-        self._auto_armed = False  # whether something has asked to leave the ground
+        self._auto_armed = False  # whether a request leads off the ground
         self._land_complete = True
-        self._place = targets.TargetPoint(self.flight.position_enu.copy(), 0.0)
-        self._guided = Guided(self._seen(), t)
+        self._hold_point = targets.TargetPoint(self.flight.position_enu.copy(), 0.0)
+        self._guided = Guided(self._estimate(), t)
 
-    def _seen(self) -> EstimatedState:
+    def _estimate(self) -> EstimatedState:
         flight = self.flight
-        heading = euler_of(attitude_swap(flight.attitude_enu)).yaw
-        return EstimatedState(flight.position_enu.copy(), flight.velocity_enu.copy(), heading)
+        position, velocity = flight.position_enu.copy(), flight.velocity_enu.copy()
+        return EstimatedState(position, velocity, flight.heading_ned)
 
     @property
     def mode_name(self) -> str:
         """Name of the mode."""
         return _NAMES[self.mode]
 
-    def status(self) -> HeartbeatFields:
+    def heartbeat_fields(self) -> HeartbeatFields:
         """HEARTBEAT; standby while the land detector says landed, armed or not."""
         flags = (
             mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
@@ -141,7 +139,7 @@ class ArduCopter(StandInVehicle):
     # Arming and modes.
 
     def arming_problem(self, t: float) -> str | None:
-        """The first check that fails."""
+        """The first failed check."""
         if self.faults.refuse_arming:
             return "Compasses inconsistent"
         if self.mode in _NEED_POSITION and not self.position_valid(t):
@@ -153,35 +151,35 @@ class ArduCopter(StandInVehicle):
         return None
 
     def on_armed(self, t: float) -> None:
-        """On the ground, motors at idle, nothing asked for."""
+        """On the ground, motors at idle, without a take-off request."""
         self._auto_armed = False
-        self._guided = Guided(self._seen(), t)
+        self._guided = Guided(self._estimate(), t)
 
     def on_disarmed(self, t: float) -> None:
-        """The mode stays."""
+        """The mode does not change."""
         self._auto_armed = False
 
-    def _choose(self, mode: int, t: float) -> bool:
+    def _change_mode(self, mode: int, t: float) -> bool:
         if mode in _NEED_POSITION and not self.position_valid(t):
-            self.tell(f"Mode change to {_NAMES[mode]} failed: requires position", t)
+            self.send_text(f"Mode change to {_NAMES[mode]} failed: requires position", t)
             return False
         if mode != self.mode:
             self.log(f"mode {_NAMES[mode]}")
-        seen = self._seen()
+        state = self._estimate()
         self.mode = mode
-        self._place = targets.TargetPoint(seen.position, euler_of(self.flight.attitude_enu).yaw)
-        self._place = self._place.ahead(seen.velocity)
-        self._guided = Guided(seen, t)
+        self._hold_point = targets.TargetPoint(state.position, self.flight.yaw_enu)
+        self._hold_point = self._hold_point.after_braking(state.velocity)
+        self._guided = Guided(state, t)
         return True
 
     def set_mode(self, request: Request, t: float) -> int:
-        """param1 says that custom modes are meant, param2 is the mode."""
+        """param1 selects custom modes, param2 is the mode."""
         if not custom_mode(request):
             return _UNSUPPORTED
         mode = whole(request.params[1])
         if mode not in _NAMES:
             return _FAILED
-        return _DONE if self._choose(mode, t) else _FAILED
+        return _DONE if self._change_mode(mode, t) else _FAILED
 
     def take_off(self, request: Request, t: float) -> int:
         """Only in GUIDED, armed and landed; param7 is the height above home."""
@@ -189,51 +187,51 @@ class ArduCopter(StandInVehicle):
         ready = self.mode == GUIDED and self.armed and self._land_complete
         if not ready or not math.isfinite(height) or height <= 0.0:
             return _FAILED
-        self._guided.take_off(self._seen(), float(self.home_local_enu[2]) + height)
+        self._guided.take_off(self._estimate(), float(self.home_local_enu[2]) + height)
         self._auto_armed = True
         return _DONE
 
     def land(self, t: float) -> int:
-        """Changes the mode."""
-        return _DONE if self._choose(LAND, t) else _FAILED
+        """Change the mode."""
+        return _DONE if self._change_mode(LAND, t) else _FAILED
 
     def return_home(self, t: float) -> int:
-        """Changes the mode."""
-        return _DONE if self._choose(RTL, t) else _FAILED
+        """Change the mode."""
+        return _DONE if self._change_mode(RTL, t) else _FAILED
 
-    def pilot(self, mode: str, t: float) -> bool:
-        """A transmitter's switch; sticks centred."""
+    def set_mode_by_rc(self, mode: str, t: float) -> bool:
+        """A transmitter's switch selects a mode; the sticks are centred."""
         if mode.upper() not in MODES:
             return False
         self._transmitter = True
-        self._choose(MODES[mode.upper()], t)
+        self._change_mode(MODES[mode.upper()], t)
         return True
 
-    # Setpoints: silently ignored outside GUIDED.
+    # Setpoints; outside GUIDED they are ignored without an answer.
 
-    def on_trajectory(self, message: Any, t: float) -> None:
-        """SET_POSITION_TARGET_LOCAL_NED; it ends a take-off, on the ground too. A wrong one stops."""
-        seen = self._seen()
-        if self.mode == GUIDED and not self._guided.trajectory(message, seen, t):
-            self._guided = Guided(seen, t)
+    def on_position_target(self, message: Any, t: float) -> None:
+        """It ends a take-off, on the ground too. One that is not valid stops the vehicle."""
+        state = self._estimate()
+        if self.mode == GUIDED and not self._guided.take_position_target(message, state, t):
+            self._guided = Guided(state, t)
 
-    def on_attitude(self, message: Any, t: float) -> None:
-        """SET_ATTITUDE_TARGET; a positive climb rate or thrust leaves the ground."""
+    def on_attitude_target(self, message: Any, t: float) -> None:
+        """A positive climb rate or thrust leads off the ground."""
         if self.mode != GUIDED:
             return
         as_thrust = bool(whole(self.parameters["GUID_OPTIONS"]) & THRUST_IS_THRUST)
-        if not self._guided.attitude(message, self.limits(), as_thrust, t):
-            self._guided = Guided(self._seen(), t)
-        if self.armed and self._guided.lifts and message.thrust > 0.0:
+        if not self._guided.take_attitude_target(message, self.limits(), as_thrust, t):
+            self._guided = Guided(self._estimate(), t)
+        if self.armed and self._guided.climbs and message.thrust > 0.0:
             self._auto_armed = True
 
-    # Rules that act by themselves.
+    # Rules that act without a command.
 
-    def watch(self, t: float) -> None:
+    def update_mode(self, t: float) -> None:
         """Land detector, disarming, loss of the position."""
         if not self._announced and self.position_valid(t):
             self._announced = True
-            self.tell("EKF3 IMU0 is using GPS", t, mavlink.MAV_SEVERITY_INFO)
+            self.send_text("EKF3 IMU0 is using GPS", t, mavlink.MAV_SEVERITY_INFO)
         if not self.in_contact:
             self._land_complete = False
         elif self.landed and not self._land_complete:
@@ -243,47 +241,42 @@ class ArduCopter(StandInVehicle):
         if not self.armed:
             return
         if self.mode in _NEED_POSITION and not self.position_valid(t):
-            self.tell("EKF Failsafe: LAND", t)
-            self._choose(LAND, t)
+            self.send_text("EKF Failsafe: LAND", t)
+            self._change_mode(LAND, t)
         if self._land_complete and self.lifted and self.mode in (LAND, RTL):
             self.disarm("landed", t)
             return
-        delay, stood = self.parameters["DISARM_DELAY"], self._stood_s(t)
+        delay = self.parameters["DISARM_DELAY"]
+        stood = min(self.flight.standing_s, t - self.armed_t)
         if self._land_complete and not self._auto_armed and 0.0 < delay < stood:
             self.disarm("standing", t)
 
-    def _stood_s(self, t: float) -> float:
-        return min(self.flight.standing_s, t - self.armed_t)
+    # The target of the airframe.
 
-    # What the airframe follows.
-
-    def aim(self, t: float) -> Array:
-        """Motors off, at idle, or the mode's own target."""
+    def airframe_target(self, t: float) -> Array:
+        """Motors off, at idle, or the target of the mode."""
         if not self.armed:
             return targets.OFF_TARGET
-        flies = not self._land_complete or self._lifting()
+        flies = not self._land_complete or self._leaves_ground()
         if t - self.armed_t < _SPOOL_UP_S or not flies:
             return targets.IDLE_TARGET
         if self.mode == GUIDED:
             timeout_s = self.parameters["GUID_TIMEOUT"]
-            return self._guided.aim(self._seen(), self.limits(), timeout_s, t)
+            return self._guided.airframe_target(self._estimate(), self.limits(), timeout_s, t)
         if self.mode in _MANUAL and not self._transmitter:
             return targets.sink(_SINK_M_S)
         if self.mode == LAND:
-            return self._landing(t)
+            if not self.position_valid(t):
+                return targets.sink(_SINK_M_S)
+            return targets.climb(self._hold_point, -self._landing_speed())
         if self.mode == RTL:
             return self._way_home()
-        return targets.hold(self._place)
+        return targets.hold(self._hold_point)
 
-    def _lifting(self) -> bool:
-        """Whether the ground may be left: by a take-off, or by an attitude target that climbs."""
+    def _leaves_ground(self) -> bool:
+        """Whether it may leave the ground: by a take-off, or by an attitude target that climbs."""
         guided = self.mode == GUIDED and self._auto_armed
-        return guided and (self._guided.submode is Submode.TAKE_OFF or self._guided.lifts)
-
-    def _landing(self, t: float) -> Array:
-        if not self.position_valid(t):
-            return targets.sink(_SINK_M_S)
-        return targets.land(self._place, self._landing_speed())
+        return guided and (self._guided.submode is Submode.TAKE_OFF or self._guided.climbs)
 
     def _landing_speed(self) -> float:
         above = self.flight.position_enu[2] - self.home_local_enu[2]
@@ -291,5 +284,7 @@ class ArduCopter(StandInVehicle):
 
     def _way_home(self) -> Array:
         height = self.home_local_enu[2] + self.parameters["RTL_ALT_M"]
-        way = targets.way_home(self.flight.position_enu, self.home_local_enu, height, self._place)
-        return targets.land(way, self._landing_speed()) if way.over_home else targets.hold(way)
+        way = targets.return_point(
+            self.flight.position_enu, self.home_local_enu, height, self._hold_point
+        )
+        return targets.climb(way, -self._landing_speed()) if way.over_home else targets.hold(way)

@@ -16,12 +16,17 @@ from ptnsbc_core.types import Array
 from ptnsbc_io.mavlink.dialect import mavlink
 from ptnsbc_sim.autopilot.firmware import setpoints
 from ptnsbc_sim.autopilot.physics import airframe, targets
-from ptnsbc_sim.autopilot.physics.frames import moved_on, rotate_heading, world_swap, yaw_swap
+from ptnsbc_sim.autopilot.physics.frames import (
+    integrate_rates,
+    rotate_heading,
+    world_swap,
+    yaw_swap,
+)
 
 _LEASH_M = 1.5
 _MOST_STEP_S = 0.1
 _UNIT_TOLERANCE = 1e-3
-_SANE = 1000.0
+_LARGEST_M_S = 1000.0
 _VELOCITY = (
     mavlink.POSITION_TARGET_TYPEMASK_VX_IGNORE
     | mavlink.POSITION_TARGET_TYPEMASK_VY_IGNORE
@@ -32,7 +37,7 @@ FRAMES = (mavlink.MAV_FRAME_LOCAL_NED, mavlink.MAV_FRAME_LOCAL_OFFSET_NED, *_BOD
 
 
 class Submode(Enum):
-    """What GUIDED follows."""
+    """The kind of target that GUIDED follows."""
 
     TAKE_OFF = 0
     VELOCITY = 1
@@ -41,7 +46,7 @@ class Submode(Enum):
 
 
 class WaypointLimits(NamedTuple):
-    """From WP_*."""
+    """Limits of GUIDED, from WP_*."""
 
     speed: float  # [m/s]
     up: float  # [m/s]
@@ -50,7 +55,7 @@ class WaypointLimits(NamedTuple):
 
 
 class EstimatedState(NamedTuple):
-    """Estimate of now, ENU."""
+    """The present estimate, ENU."""
 
     position: Array  # (3,) [m]
     velocity: Array  # (3,) [m/s]
@@ -58,14 +63,14 @@ class EstimatedState(NamedTuple):
 
 
 class Guided:
-    """State of the mode; made anew each time it is entered."""
+    """State of the mode, new each time the mode is entered."""
 
-    def __init__(self, seen: EstimatedState, t: float) -> None:
+    def __init__(self, state: EstimatedState, t: float) -> None:
         self.submode = Submode.VELOCITY
-        self.place = seen.position.copy()  # position target, ENU
-        self.yaw: float | None = yaw_swap(seen.heading_ned_rad)
+        self._position = state.position.copy()  # position target, ENU
+        self.yaw: float | None = yaw_swap(state.heading_ned_rad)
         self.yaw_rate = math.nan
-        self._wanted = np.zeros(3)  # velocity asked for
+        self._requested = np.zeros(3)  # requested velocity
         self._shaped = np.zeros(3)  # velocity within the acceleration
         self._acceleration = np.zeros(3)
         self._attitude = targets.IDLE_TARGET
@@ -74,125 +79,130 @@ class Guided:
         self._latest_t = self._stepped_t = t
         self.take_off_height = 0.0
 
-    # What arrives.
+    # Requests.
 
-    def take_off(self, seen: EstimatedState, height_m: float) -> None:
-        """Climb over this place."""
+    def take_off(self, state: EstimatedState, height_m: float) -> None:
+        """Climb over the present position."""
         self.submode, self.take_off_height = Submode.TAKE_OFF, height_m
-        self.place = seen.position.copy()
+        self._position = state.position.copy()
 
-    def trajectory(self, message: Any, seen: EstimatedState, t: float) -> bool:
-        """A SET_POSITION_TARGET_LOCAL_NED, partly ignored vectors ignored whole; False when not valid."""
-        wanted = setpoints.trajectory(message)
+    def take_position_target(self, message: Any, state: EstimatedState, t: float) -> bool:
+        """Take a SET_POSITION_TARGET_LOCAL_NED; False when it is not valid.
+
+        A vector that is ignored in part is ignored whole.
+        """
+        wanted = setpoints.read_position_target(message)
         position = wanted.position_ned if np.isfinite(wanted.position_ned).all() else None
         velocity = None if message.type_mask & _VELOCITY else wanted.velocity_ned
-        if wanted.frame not in FRAMES or (wanted.force and wanted.accelerations):
+        if wanted.frame not in FRAMES or (
+            wanted.force and np.isfinite(wanted.acceleration_ned).any()
+        ):
             return False
-        if velocity is not None and not (np.abs(velocity) <= _SANE).all():
+        if velocity is not None and not (np.abs(velocity) <= _LARGEST_M_S).all():
             return False
         if position is None and velocity is None:
             return False
-        self._turn(wanted, seen)
+        self._set_yaw(wanted, state)
         if position is not None:
-            self._go(position, velocity, wanted.frame, seen)
+            self._follow_position(position, velocity, wanted.frame, state)
         else:
-            self._move(velocity, wanted.frame, seen)
+            self._follow_velocity(velocity, wanted.frame, state)
         self._latest_t = t
         return True
 
-    def _go(
-        self, position: Array, velocity: Array | None, frame: int, seen: EstimatedState
+    def _follow_position(
+        self, position: Array, velocity: Array | None, frame: int, state: EstimatedState
     ) -> None:
         if frame in _BODY:
-            position = rotate_heading(position, seen.heading_ned_rad)
-        self.place = world_swap(position)
+            position = rotate_heading(position, state.heading_ned_rad)
+        self._position = world_swap(position)
         if frame != mavlink.MAV_FRAME_LOCAL_NED:
-            self.place = self.place + seen.position
+            self._position = self._position + state.position
         if velocity is None:
-            self.submode, self._wanted = Submode.POSITION, np.zeros(3)
+            self.submode, self._requested = Submode.POSITION, np.zeros(3)
         else:
-            self.submode, self._wanted = Submode.VELOCITY, self._in_enu(velocity, frame, seen)
-            self._shaped = self._wanted
+            self.submode, self._requested = Submode.VELOCITY, self._in_enu(velocity, frame, state)
+            self._shaped = self._requested
 
-    def _move(self, velocity: Array | None, frame: int, seen: EstimatedState) -> None:
+    def _follow_velocity(self, velocity: Array | None, frame: int, state: EstimatedState) -> None:
         if self.submode is not Submode.VELOCITY:
-            self.place, self._shaped = seen.position.copy(), seen.velocity.copy()
+            self._position, self._shaped = state.position.copy(), state.velocity.copy()
         self.submode = Submode.VELOCITY
         if velocity is not None:
-            self._wanted = self._in_enu(velocity, frame, seen)
+            self._requested = self._in_enu(velocity, frame, state)
 
     @staticmethod
-    def _in_enu(velocity: Array, frame: int, seen: EstimatedState) -> Array:
+    def _in_enu(velocity: Array, frame: int, state: EstimatedState) -> Array:
         if frame in _BODY:
-            velocity = rotate_heading(velocity, seen.heading_ned_rad)
+            velocity = rotate_heading(velocity, state.heading_ned_rad)
         return world_swap(velocity)
 
-    def _turn(self, wanted: setpoints.Trajectory, seen: EstimatedState) -> None:
+    def _set_yaw(self, wanted: setpoints.PositionTarget, state: EstimatedState) -> None:
         self.yaw_rate = -wanted.yaw_rate_ned_rad_s
         if math.isfinite(wanted.yaw_ned_rad):
-            relative = seen.heading_ned_rad if wanted.frame in _BODY else 0.0
+            relative = state.heading_ned_rad if wanted.frame in _BODY else 0.0
             self.yaw = yaw_swap(wanted.yaw_ned_rad + relative)
         elif math.isfinite(self.yaw_rate):
             self.yaw = None
 
-    def attitude(
+    def take_attitude_target(
         self, message: Any, limits: WaypointLimits, thrust_is_thrust: bool, t: float
     ) -> bool:
-        """A SET_ATTITUDE_TARGET; False when not valid.
+        """Take a SET_ATTITUDE_TARGET; False when it is not valid.
 
-        Its thrust is a climb rate about 0.5 unless GUID_OPTIONS says otherwise.
+        Its thrust is a climb rate about 0.5, unless GUID_OPTIONS makes it a thrust.
         """
-        wanted = setpoints.attitude(message)
+        wanted = setpoints.read_attitude(message)
         rates = np.isfinite(wanted.rates_frd)
-        bad = wanted.attitude_ned is not None and not setpoints.unit(
+        bad = wanted.attitude_ned is not None and not setpoints.is_unit(
             wanted.attitude_ned, _UNIT_TOLERANCE
         )
         if not math.isfinite(wanted.thrust) or bad or rates.any() != rates.all():
             return False
         self.submode, self._latest_t = Submode.ANGLE, t
         self._thrust_is_climb = not thrust_is_thrust
-        self._attitude = setpoints.attitude_target(wanted)
+        self._attitude = setpoints.attitude_airframe_target(wanted)
         share = 2.0 * min(max(wanted.thrust, 0.0), 1.0) - 1.0
         self._climb = share * (limits.up if share > 0.0 else limits.down)
         return True
 
     @property
-    def lifts(self) -> bool:
-        """Whether an attitude target asks to leave the ground."""
+    def climbs(self) -> bool:
+        """Whether an attitude target leads off the ground."""
         if self.submode is not Submode.ANGLE:
             return False
         return self._climb > 0.0 or not self._thrust_is_climb
 
-    # What is followed.
+    # The target of the airframe.
 
-    def aim(
-        self, seen: EstimatedState, limits: WaypointLimits, timeout_s: float, t: float
+    def airframe_target(
+        self, state: EstimatedState, limits: WaypointLimits, timeout_s: float, t: float
     ) -> Array:
-        """Target (22,) at t [s]; without setpoints for `timeout_s` it stops, and stays in the mode."""
+        """Target (22,) at t [s]; without setpoints for `timeout_s` it stops and stays in the mode."""
         dt = min(t - self._stepped_t, _MOST_STEP_S)
         self._stepped_t = t
-        silent = t - self._latest_t > timeout_s
+        timed_out = t - self._latest_t > timeout_s
         if self.submode is Submode.ANGLE:
-            self._advance(dt)
-            return self._angle(seen, silent)
-        if silent:
+            self._advance_attitude(dt)
+            return self._attitude_target(state, timed_out)
+        if timed_out:
             self.yaw_rate = math.nan
             if self.submode is Submode.VELOCITY:
-                self._wanted = np.zeros(3)
+                self._requested = np.zeros(3)
         if self.submode is Submode.TAKE_OFF:
-            left = self.take_off_height - float(seen.position[2])
+            left = self.take_off_height - float(state.position[2])
             climb = min(left, limits.up)
             return targets.climb(
-                targets.TargetPoint(self.place, yaw_swap(seen.heading_ned_rad)), climb
+                targets.TargetPoint(self._position, yaw_swap(state.heading_ned_rad)), climb
             )
         if self.submode is Submode.VELOCITY:
-            self._shape(limits, dt)
-            self._lead(seen, dt)
-        return self._target()
+            self._shape_velocity(limits, dt)
+            self._advance_position(state, dt)
+        return self._position_target()
 
-    def _shape(self, limits: WaypointLimits, dt: float) -> None:
-        """Velocity towards the wanted one, within speed and acceleration."""
-        goal = self._wanted.copy()
+    def _shape_velocity(self, limits: WaypointLimits, dt: float) -> None:
+        """Move the velocity to the requested one, within speed and acceleration limits."""
+        goal = self._requested.copy()
         speed = math.hypot(goal[0], goal[1])
         if speed > limits.speed:
             goal[0:2] *= limits.speed / speed
@@ -203,18 +213,18 @@ class Guided:
         self._shaped = goal if length <= most else before + step * (most / length)
         self._acceleration = (self._shaped - before) / dt if dt > 0.0 else np.zeros(3)
 
-    def _lead(self, seen: EstimatedState, dt: float) -> None:
-        """Move the position target on, no further ahead than the leash."""
-        self.place = self.place + self._shaped * dt
-        off = self.place - seen.position
+    def _advance_position(self, state: EstimatedState, dt: float) -> None:
+        """Move the position target with the velocity, at most the leash ahead of the vehicle."""
+        self._position = self._position + self._shaped * dt
+        off = self._position - state.position
         length = float(np.linalg.norm(off))
         if length > _LEASH_M:
-            self.place = seen.position + off * (_LEASH_M / length)
+            self._position = state.position + off * (_LEASH_M / length)
 
-    def _target(self) -> Array:
+    def _position_target(self) -> Array:
         target = airframe.no_target()
         target[airframe.KIND] = airframe.TRAJECTORY
-        target[airframe.POSITION] = self.place
+        target[airframe.POSITION] = self._position
         target[airframe.VELOCITY] = 0.0
         if self.submode is Submode.VELOCITY:
             target[airframe.VELOCITY] = self._shaped
@@ -224,18 +234,18 @@ class Guided:
         target[airframe.YAW_RATE] = self.yaw_rate
         return target
 
-    def _advance(self, dt: float) -> None:
-        """Turn the attitude on with the rates beside it until the next target comes, or the timeout."""
+    def _advance_attitude(self, dt: float) -> None:
+        """Turn the attitude target with its body rates until the next target, or the timeout."""
         rates = self._attitude[airframe.BODY_RATES]
         if self._attitude[airframe.KIND] == airframe.ATTITUDE and np.isfinite(rates).all():
-            self._attitude[airframe.QUATERNION] = moved_on(
+            self._attitude[airframe.QUATERNION] = integrate_rates(
                 self._attitude[airframe.QUATERNION], rates, dt
             )
 
-    def _angle(self, seen: EstimatedState, silent: bool) -> Array:
-        if silent:
+    def _attitude_target(self, state: EstimatedState, timed_out: bool) -> Array:
+        if timed_out:
             level = targets.sink(0.0)
-            level[airframe.YAW] = yaw_swap(seen.heading_ned_rad)
+            level[airframe.YAW] = yaw_swap(state.heading_ned_rad)
             return level
         if not self._thrust_is_climb:
             return self._attitude

@@ -1,4 +1,4 @@
-"""PX4's offboard stream and its way off the ground."""
+"""PX4's offboard setpoints, and its thrust ramp at take-off."""
 
 from __future__ import annotations
 
@@ -13,103 +13,97 @@ from ptnsbc_sim.autopilot.firmware import setpoints
 from ptnsbc_sim.autopilot.physics import airframe, targets
 
 LIFT_SHARE_OF_RAMP = 2.5 / 3.0
-"""When MPC_TKO_RAMP_T has lifted the vehicle. Measured: first motion about 2.5 s after a climb command."""
+"""Share of MPC_TKO_RAMP_T until the vehicle lifts off. Measured: first motion about 2.5 s after a climb command."""
 
 _UNIT_TOLERANCE = 0.1
 
 
 class OffboardSetpoint(NamedTuple):
-    """A setpoint that PX4 takes."""
+    """A setpoint that PX4 accepts."""
 
     target: Array  # (22,)
-    climbs: bool  # whether it asks to leave the ground
+    climbs: bool  # whether it leads off the ground
 
 
-def read_trajectory(
+def read_position_target(
     message: Any, heading_ned_rad: float, height_m: float
 ) -> OffboardSetpoint | str:
-    """A SET_POSITION_TARGET_LOCAL_NED, or what PX4 says of it.
+    """The setpoint in a SET_POSITION_TARGET_LOCAL_NED, or the text with which PX4 refuses it.
 
-    LOCAL_NED and BODY_NED only, no forces, at least one number; a body frame has no position.
+    PX4 takes LOCAL_NED and BODY_NED, no forces, and at least one number. In BODY_NED it ignores the position.
     """
-    wanted = setpoints.trajectory(message)
+    wanted = setpoints.read_position_target(message)
     name = "SET_POSITION_TARGET_LOCAL_NED"
     if wanted.frame == mavlink.MAV_FRAME_BODY_NED:
-        nowhere = np.full(3, math.nan)
-        wanted = setpoints.turned(wanted._replace(position_ned=nowhere), heading_ned_rad)
+        none = np.full(3, math.nan)
+        wanted = setpoints.heading_to_ned(wanted._replace(position_ned=none), heading_ned_rad)
     elif wanted.frame != mavlink.MAV_FRAME_LOCAL_NED:
         return f"{name} coordinate frame {wanted.frame} unsupported"
-    if wanted.accelerations and wanted.force:
+    acceleration = wanted.acceleration_ned
+    if wanted.force and np.isfinite(acceleration).any():
         return f"{name} force not supported"
-    if not (wanted.positions or wanted.velocities or wanted.accelerations):
+    if not np.isfinite((wanted.position_ned, wanted.velocity_ned, acceleration)).any():
         return f"{name} invalid"
-    higher = bool(wanted.position_ned[2] < -height_m)
-    return OffboardSetpoint(setpoints.trajectory_target(wanted), higher or wanted.climbs)
+    higher = wanted.position_ned[2] < -height_m
+    climbs = bool(higher or wanted.velocity_ned[2] < 0.0 or acceleration[2] < 0.0)
+    return OffboardSetpoint(setpoints.position_airframe_target(wanted), climbs)
 
 
 def read_attitude(message: Any) -> OffboardSetpoint | None:
-    """A SET_ATTITUDE_TARGET: attitude or all body rates, with a thrust; None for anything else.
+    """The setpoint in a SET_ATTITUDE_TARGET with attitude or all body rates, and a thrust; else None.
 
-    Of the rates beside an attitude PX4 takes only that of yaw, as a feed-forward about the vertical.
+    Beside an attitude PX4 takes the yaw rate only, as a feed-forward about the vertical.
     """
-    wanted = setpoints.attitude(message)
+    wanted = setpoints.read_attitude(message)
     rates = bool(np.isfinite(wanted.rates_frd).all())
     if not math.isfinite(wanted.thrust) or (wanted.attitude_ned is None and not rates):
         return None
-    if wanted.attitude_ned is not None and not setpoints.unit(wanted.attitude_ned, _UNIT_TOLERANCE):
+    if wanted.attitude_ned is not None and not setpoints.is_unit(
+        wanted.attitude_ned, _UNIT_TOLERANCE
+    ):
         return None
     if wanted.attitude_ned is not None:
         turn = wanted.rates_frd[2] * setpoints.down_in_body(wanted.attitude_ned)
         wanted = wanted._replace(rates_frd=turn)
-    return OffboardSetpoint(setpoints.attitude_target(wanted), False)
+    return OffboardSetpoint(setpoints.attitude_airframe_target(wanted), False)
 
 
-class Offboard:
-    """The latest setpoint and how long they have been coming."""
+class OffboardStream:
+    """The latest setpoint, and since when setpoints arrive."""
 
     def __init__(self) -> None:
-        self._wanted = OffboardSetpoint(targets.IDLE_TARGET, False)
+        self.setpoint = OffboardSetpoint(targets.IDLE_TARGET, False)
         self._latest_t = self._since_t = -math.inf
 
     def take(self, wanted: OffboardSetpoint, t: float, loss_s: float) -> None:
-        """A setpoint at t [s]; after a gap of more than `loss_s` a new stream begins."""
+        """Take a setpoint at t [s]; after a gap of more than `loss_s` a new stream begins."""
         if not self.fresh(t, loss_s):
             self._since_t = t
-        self._wanted, self._latest_t = wanted, t
+        self.setpoint, self._latest_t = wanted, t
 
     def fresh(self, t: float, loss_s: float) -> bool:
-        """Whether the latest is young enough."""
+        """Whether the latest setpoint is at most `loss_s` old."""
         return t - self._latest_t <= loss_s
 
     def streamed_s(self, t: float) -> float:
-        """How long they have been coming."""
+        """How long setpoints have arrived."""
         return t - self._since_t
 
     @property
-    def target(self) -> Array:
-        """The latest (22,)."""
-        return self._wanted.target
-
-    @property
-    def climbs(self) -> bool:
-        """Whether it asks to leave the ground."""
-        return self._wanted.climbs
-
-    @property
     def needs_position(self) -> bool:
-        """Whether the position must be known to follow it."""
-        return bool(self.target[airframe.KIND] == airframe.TRAJECTORY)
+        """Whether the setpoint needs a valid position."""
+        return bool(self.setpoint.target[airframe.KIND] == airframe.TRAJECTORY)
 
 
-class LiftOff:
-    """From standing to flying: thrust is capped, and the cap rises once a climb is wanted."""
+class TakeoffRamp:
+    """Take-off: the thrust is limited, and the limit rises from the first climb setpoint on."""
 
     def __init__(self) -> None:
         self.flying = False
         self._ramp_t: float | None = None
 
-    def settle(self, in_contact: bool, landed: bool) -> bool:
-        """Follow the ground; True at the moment of landing."""
+    def update(self, in_contact: bool, landed: bool) -> bool:
+        """Update by the ground contact; True at the moment of landing."""
         if not in_contact:
             self.flying = True
         elif self.flying and landed:
@@ -117,10 +111,10 @@ class LiftOff:
             return True
         return False
 
-    def from_ground(
+    def target(
         self, target: Array, climb: bool, hover_share: float, lift_s: float, t: float
     ) -> Array:
-        """Idle, or the target under a cap that reaches the weight `lift_s` after the first wish."""
+        """Idle, or the target with a thrust limit that reaches the weight `lift_s` after the first climb setpoint."""
         if not climb:
             self._ramp_t = None
             return targets.IDLE_TARGET

@@ -19,29 +19,10 @@ from ptnsbc_sim.autopilot.physics.frames import (
     yaw_swap,
 )
 
-_POSITION = (
-    mavlink.POSITION_TARGET_TYPEMASK_X_IGNORE,
-    mavlink.POSITION_TARGET_TYPEMASK_Y_IGNORE,
-    mavlink.POSITION_TARGET_TYPEMASK_Z_IGNORE,
-)
-_VELOCITY = (
-    mavlink.POSITION_TARGET_TYPEMASK_VX_IGNORE,
-    mavlink.POSITION_TARGET_TYPEMASK_VY_IGNORE,
-    mavlink.POSITION_TARGET_TYPEMASK_VZ_IGNORE,
-)
-_ACCELERATION = (
-    mavlink.POSITION_TARGET_TYPEMASK_AX_IGNORE,
-    mavlink.POSITION_TARGET_TYPEMASK_AY_IGNORE,
-    mavlink.POSITION_TARGET_TYPEMASK_AZ_IGNORE,
-)
-_BODY_RATES = (
-    mavlink.ATTITUDE_TARGET_TYPEMASK_BODY_ROLL_RATE_IGNORE,
-    mavlink.ATTITUDE_TARGET_TYPEMASK_BODY_PITCH_RATE_IGNORE,
-    mavlink.ATTITUDE_TARGET_TYPEMASK_BODY_YAW_RATE_IGNORE,
-)
+_YAW_BIT, _YAW_RATE_BIT = 10, 11  # of POSITION_TARGET_TYPEMASK; 0 to 8 are x y z vx vy vz ax ay az
 
 
-class Trajectory(NamedTuple):
+class PositionTarget(NamedTuple):
     """A position target in its own frame; NaN where a field is ignored."""
 
     frame: int
@@ -52,26 +33,6 @@ class Trajectory(NamedTuple):
     yaw_rate_ned_rad_s: float
     force: bool
 
-    @property
-    def positions(self) -> bool:
-        """Whether any axis has a position."""
-        return bool(np.isfinite(self.position_ned).any())
-
-    @property
-    def velocities(self) -> bool:
-        """Whether any axis has a velocity."""
-        return bool(np.isfinite(self.velocity_ned).any())
-
-    @property
-    def accelerations(self) -> bool:
-        """Whether any axis has an acceleration."""
-        return bool(np.isfinite(self.acceleration_ned).any())
-
-    @property
-    def climbs(self) -> bool:
-        """Whether the velocity or the acceleration points up."""
-        return bool(self.velocity_ned[2] < 0.0 or self.acceleration_ned[2] < 0.0)
-
 
 class AttitudeSetpoint(NamedTuple):
     """An attitude target; NaN where a field is ignored, None without attitude."""
@@ -81,35 +42,34 @@ class AttitudeSetpoint(NamedTuple):
     thrust: float
 
 
-def _fields(mask: int, ignored: tuple[int, ...], values: tuple[float, ...]) -> Array:
-    return np.array([math.nan if mask & bit else v for bit, v in zip(ignored, values, strict=True)])
+def _fields(mask: int, first_bit: int, values: tuple[float, ...]) -> Array:
+    """The values, NaN where the mask has their bit to ignore them."""
+    return np.array([math.nan if mask >> first_bit + i & 1 else v for i, v in enumerate(values)])
 
 
-def trajectory(message: Any) -> Trajectory:
-    """What a SET_POSITION_TARGET_LOCAL_NED says, by its type mask."""
+def read_position_target(message: Any) -> PositionTarget:
+    """The fields of a SET_POSITION_TARGET_LOCAL_NED that its type mask does not ignore."""
     m, mask = message, message.type_mask
-    no_yaw = mask & mavlink.POSITION_TARGET_TYPEMASK_YAW_IGNORE
-    no_rate = mask & mavlink.POSITION_TARGET_TYPEMASK_YAW_RATE_IGNORE
-    return Trajectory(
+    return PositionTarget(
         m.coordinate_frame,
-        _fields(mask, _POSITION, (m.x, m.y, m.z)),
-        _fields(mask, _VELOCITY, (m.vx, m.vy, m.vz)),
-        _fields(mask, _ACCELERATION, (m.afx, m.afy, m.afz)),
-        math.nan if no_yaw else m.yaw,
-        math.nan if no_rate else m.yaw_rate,
+        _fields(mask, 0, (m.x, m.y, m.z)),
+        _fields(mask, 3, (m.vx, m.vy, m.vz)),
+        _fields(mask, 6, (m.afx, m.afy, m.afz)),
+        math.nan if mask >> _YAW_BIT & 1 else m.yaw,
+        math.nan if mask >> _YAW_RATE_BIT & 1 else m.yaw_rate,
         bool(mask & mavlink.POSITION_TARGET_TYPEMASK_FORCE_SET),
     )
 
 
-def turned(wanted: Trajectory, heading_ned_rad: float) -> Trajectory:
-    """Velocity and acceleration of a heading-aligned frame in NED."""
+def heading_to_ned(wanted: PositionTarget, heading_ned_rad: float) -> PositionTarget:
+    """The same with velocity and acceleration turned from a heading-aligned frame to NED."""
     return wanted._replace(
         velocity_ned=rotate_heading(wanted.velocity_ned, heading_ned_rad),
         acceleration_ned=rotate_heading(wanted.acceleration_ned, heading_ned_rad),
     )
 
 
-def trajectory_target(wanted: Trajectory) -> Array:
+def position_airframe_target(wanted: PositionTarget) -> Array:
     """A target (22,) of the airframe for a trajectory in local NED."""
     target = airframe.no_target()
     target[airframe.KIND] = airframe.TRAJECTORY
@@ -122,21 +82,21 @@ def trajectory_target(wanted: Trajectory) -> Array:
     return target
 
 
-def attitude(message: Any) -> AttitudeSetpoint:
-    """What a SET_ATTITUDE_TARGET says, by its type mask."""
+def read_attitude(message: Any) -> AttitudeSetpoint:
+    """The fields of a SET_ATTITUDE_TARGET that its type mask does not ignore."""
     mask = message.type_mask
     rates = (message.body_roll_rate, message.body_pitch_rate, message.body_yaw_rate)
     ignored = mask & mavlink.ATTITUDE_TARGET_TYPEMASK_ATTITUDE_IGNORE
     no_thrust = mask & mavlink.ATTITUDE_TARGET_TYPEMASK_THROTTLE_IGNORE
     return AttitudeSetpoint(
         None if ignored else Quaternion(*(float(v) for v in message.q)),
-        _fields(mask, _BODY_RATES, rates),
+        _fields(mask, 0, rates),
         math.nan if no_thrust else message.thrust,
     )
 
 
-def unit(q: Quaternion, tolerance: float) -> bool:
-    """Whether the length of a quaternion is one within a tolerance; never for NaN."""
+def is_unit(q: Quaternion, tolerance: float) -> bool:
+    """Whether the length of a quaternion is one within a tolerance; False for NaN."""
     return abs(math.sqrt(sum(v * v for v in q)) - 1.0) <= tolerance
 
 
@@ -146,7 +106,7 @@ def down_in_body(q: Quaternion) -> Array:
     return np.array((2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)))
 
 
-def attitude_target(wanted: AttitudeSetpoint) -> Array:
+def attitude_airframe_target(wanted: AttitudeSetpoint) -> Array:
     """A target (22,) of the airframe; ignored rates are zero where there is no attitude."""
     target = airframe.no_target()
     rates = body_swap(wanted.rates_frd)

@@ -1,7 +1,7 @@
-"""The personality of a small controller that takes attitude targets only, as in the paper's experiment. Ours.
+"""The firmware of a small controller that takes attitude targets only, as in the paper's experiment. Ours.
 
-Guided is a flag of base_mode, as MAVLink has it for autopilots without modes of their own: DO_SET_MODE or the
-first target sets it. Landing is the only other thing it does by itself.
+Guided is a flag of base_mode, as MAVLink has it for autopilots without custom modes: DO_SET_MODE or the first
+target sets it. Beside that it can land.
 """
 
 from __future__ import annotations
@@ -11,14 +11,13 @@ from typing import Any
 
 from ptnsbc_core.types import Array
 from ptnsbc_io.mavlink.dialect import mavlink
-from ptnsbc_sim.autopilot.commands import COMMANDS, Request, whole
+from ptnsbc_sim.autopilot.commands import whole
+from ptnsbc_sim.autopilot.controller import FlightController
 from ptnsbc_sim.autopilot.firmware import setpoints
-from ptnsbc_sim.autopilot.firmware.firmware import HeartbeatFields
 from ptnsbc_sim.autopilot.parameters import STM32, AutopilotParameters
 from ptnsbc_sim.autopilot.physics import targets
 from ptnsbc_sim.autopilot.physics.airframe import LoopGains
-from ptnsbc_sim.autopilot.physics.frames import euler_of
-from ptnsbc_sim.autopilot.vehicle import StandInVehicle
+from ptnsbc_sim.autopilot.vehicle import HeartbeatFields, Request
 
 _DONE = int(mavlink.MAV_RESULT_ACCEPTED)
 _DENIED = int(mavlink.MAV_RESULT_DENIED)
@@ -34,21 +33,10 @@ _RATES_HZ = {
     mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 5.0,
     mavlink.MAVLINK_MSG_ID_SYS_STATUS: 1.0,
 }
-_COMMANDS = {
-    number: COMMANDS[number]
-    for number in (
-        mavlink.MAV_CMD_COMPONENT_ARM_DISARM,
-        mavlink.MAV_CMD_DO_SET_MODE,
-        mavlink.MAV_CMD_NAV_LAND,
-        mavlink.MAV_CMD_SET_MESSAGE_INTERVAL,
-        mavlink.MAV_CMD_REQUEST_MESSAGE,
-        mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN,
-    )
-}
 
 
-class Stm32(StandInVehicle):
-    """Armed, it follows quaternion, thrust and body rates; without them it comes down level."""
+class Stm32(FlightController):
+    """Armed, it follows quaternion, thrust and body rates; without setpoints it comes down level."""
 
     autopilot = mavlink.MAV_AUTOPILOT_GENERIC
     capabilities = mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST
@@ -56,10 +44,19 @@ class Stm32(StandInVehicle):
     refusal = int(mavlink.MAV_RESULT_TEMPORARILY_REJECTED)
     ready_s = (2.0, 4.0)
     rates_hz = (_RATES_HZ, {mavlink.MAVLINK_MSG_ID_HEARTBEAT: 1.0})
-    commands = _COMMANDS
+    command_ids = frozenset(
+        (
+            mavlink.MAV_CMD_COMPONENT_ARM_DISARM,
+            mavlink.MAV_CMD_DO_SET_MODE,
+            mavlink.MAV_CMD_NAV_LAND,
+            mavlink.MAV_CMD_SET_MESSAGE_INTERVAL,
+            mavlink.MAV_CMD_REQUEST_MESSAGE,
+            mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN,
+        )
+    )
 
     def default_parameters(self) -> AutopilotParameters:
-        """Three."""
+        """Its three parameters."""
         return AutopilotParameters(STM32, bytewise=False)
 
     def gains(self) -> LoopGains:
@@ -68,7 +65,7 @@ class Stm32(StandInVehicle):
         return LoopGains(1.0, 1.0, 2.0, 4.0, 0.0, 2.0, 5.0, 2.0, 2.0, 5.0, tilt, 8.0, 4.0, 6.0, 2.0)
 
     def on_boot(self, t: float) -> None:
-        """Nothing heard."""
+        """Without setpoints."""
         self._target = targets.IDLE_TARGET
         self._latest_t = -math.inf
         self._guided = False
@@ -76,13 +73,13 @@ class Stm32(StandInVehicle):
 
     @property
     def mode_name(self) -> str:
-        """What it does; HEARTBEAT has no name for it."""
+        """The present activity; HEARTBEAT has no mode for it."""
         if self._land_at is not None:
             return "LAND"
         return "GUIDED" if self._guided else "STABILIZE"
 
-    def status(self) -> HeartbeatFields:
-        """Base mode only: custom_mode has no meaning."""
+    def heartbeat_fields(self) -> HeartbeatFields:
+        """Base mode only; custom_mode is not used."""
         flags = mavlink.MAV_MODE_FLAG_STABILIZE_ENABLED
         if self._guided:
             flags |= mavlink.MAV_MODE_FLAG_GUIDED_ENABLED
@@ -93,7 +90,7 @@ class Stm32(StandInVehicle):
         return HeartbeatFields(flags, 0, state)
 
     def landed_state(self) -> int:
-        """On the ground or not."""
+        """On the ground, landing, or in the air."""
         on_ground = self.landed if self.lifted else self.in_contact
         if self._land_at is not None and not on_ground:
             return int(mavlink.MAV_LANDED_STATE_LANDING)
@@ -101,7 +98,7 @@ class Stm32(StandInVehicle):
         return int(landed if on_ground else air)
 
     def arming_problem(self, t: float) -> str | None:
-        """Position and battery."""
+        """The first failed check."""
         if self.faults.refuse_arming:
             return "gyro calibration"
         if not self.position_valid(t):
@@ -109,15 +106,15 @@ class Stm32(StandInVehicle):
         return "battery low" if self.flight.battery <= 0.1 else None
 
     def on_armed(self, t: float) -> None:
-        """Motors at idle until a target comes."""
+        """The motors idle until a target arrives."""
 
     def on_disarmed(self, t: float) -> None:
-        """Neither target nor landing are kept."""
+        """Target and landing end."""
         self._latest_t = -math.inf
         self._land_at = None
 
     def set_mode(self, request: Request, t: float) -> int:
-        """Guided or not; there are no custom modes."""
+        """Set or clear guided; there are no custom modes."""
         base = whole(request.params[0])
         if base < 0 or base & mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED:
             return _UNSUPPORTED
@@ -126,47 +123,42 @@ class Stm32(StandInVehicle):
         return _DONE
 
     def take_off(self, request: Request, t: float) -> int:
-        """Thrust does it."""
+        """Not supported: attitude targets take off by their thrust."""
         return _UNSUPPORTED
 
     def land(self, t: float) -> int:
-        """Down over this place, whatever targets still come."""
+        """Come down over this position; targets that still arrive are ignored."""
         if not self.armed:
             return _DENIED
         if self._land_at is None:
             flight = self.flight
-            here = targets.TargetPoint(
-                flight.position_enu.copy(), euler_of(flight.attitude_enu).yaw
-            )
-            self._land_at = here.ahead(flight.velocity_enu)
+            here = targets.TargetPoint(flight.position_enu.copy(), flight.yaw_enu)
+            self._land_at = here.after_braking(flight.velocity_enu)
             self.log("landing")
         return _DONE
 
     def return_home(self, t: float) -> int:
-        """It knows no home."""
+        """Not supported: it stores no home."""
         return _UNSUPPORTED
 
-    def pilot(self, mode: str, t: float) -> bool:
-        """There are no modes to switch."""
+    def set_mode_by_rc(self, mode: str, t: float) -> bool:
+        """There are no modes to select."""
         return False
 
-    def on_trajectory(self, message: Any, t: float) -> None:
-        """Not understood."""
+    def on_position_target(self, message: Any, t: float) -> None:
+        """Position targets are ignored."""
 
-    def on_attitude(self, message: Any, t: float) -> None:
-        """Attitude and thrust must be there; body rates are added where they are."""
-        wanted = setpoints.attitude(message)
+    def on_attitude_target(self, message: Any, t: float) -> None:
+        """Attitude and thrust are required; body rates are added when present."""
+        wanted = setpoints.read_attitude(message)
         if wanted.attitude_ned is None or not math.isfinite(wanted.thrust):
             return
-        if setpoints.unit(wanted.attitude_ned, _UNIT_TOLERANCE):
-            self._target, self._latest_t = setpoints.attitude_target(wanted), t
+        if setpoints.is_unit(wanted.attitude_ned, _UNIT_TOLERANCE):
+            self._target, self._latest_t = setpoints.attitude_airframe_target(wanted), t
             self._guided = True
 
-    def _stale(self, t: float) -> bool:
-        return t - self._latest_t > self.parameters["ATT_TIMEOUT_S"]
-
-    def watch(self, t: float) -> None:
-        """Motors off after landing, or when it only stands there."""
+    def update_mode(self, t: float) -> None:
+        """Disarm after landing, or after 10 s of standing armed."""
         if not self.armed:
             return
         if self.lifted and self.flight.standing_s > self.parameters["DISARM_LAND_S"]:
@@ -174,13 +166,13 @@ class Stm32(StandInVehicle):
         elif not self.lifted and t - self.armed_t > _STANDS_ARMED_S:
             self.disarm("not taken off in time", t)
 
-    def aim(self, t: float) -> Array:
-        """Landing, else the last target while it is fresh, else down, level, in the air."""
+    def airframe_target(self, t: float) -> Array:
+        """The landing, else the last target while it is fresh, else down and level."""
         if not self.armed:
             return targets.OFF_TARGET
         if self._land_at is not None:
             on_ground = self.landed or not self.lifted
-            return targets.IDLE_TARGET if on_ground else targets.land(self._land_at, _SINK_M_S)
-        if not self._stale(t):
+            return targets.IDLE_TARGET if on_ground else targets.climb(self._land_at, -_SINK_M_S)
+        if t - self._latest_t <= self.parameters["ATT_TIMEOUT_S"]:
             return self._target
         return targets.sink(_SINK_M_S) if self.lifted and not self.landed else targets.IDLE_TARGET

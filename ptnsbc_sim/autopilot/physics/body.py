@@ -10,8 +10,13 @@ from ptnsbc_core.kernel import kernel_list
 from ptnsbc_core.types import PLANT_QUADROTOR, Array
 from ptnsbc_sim.autopilot.physics import airframe
 from ptnsbc_sim.autopilot.physics.airframe import PHYSICS_HZ, AirframeState, LoopGains
-from ptnsbc_sim.autopilot.physics.frames import Quaternion
-from ptnsbc_sim.autopilot.physics.geodesy import PX4_HOME, Geodetic
+from ptnsbc_sim.autopilot.physics.frames import (
+    PX4_HOME,
+    Geodetic,
+    Quaternion,
+    attitude_swap,
+    euler_of,
+)
 from ptnsbc_sim.autopilot.physics.navigation import (
     QUALITIES,
     UPDATE_HZ,
@@ -165,6 +170,16 @@ class VehiclePhysics:
         """Estimated attitude, FLU in ENU."""
         x, y, z, w = (float(v) for v in self._nav[3:7])
         return Quaternion(w, x, y, z)
+
+    @property
+    def yaw_enu(self) -> float:
+        """Estimated yaw [rad]."""
+        return euler_of(self.attitude_enu).yaw
+
+    @property
+    def heading_ned(self) -> float:
+        """Estimated heading [rad]."""
+        return euler_of(attitude_swap(self.attitude_enu)).yaw
 
     @property
     def battery_v(self) -> float:

@@ -209,7 +209,7 @@ def test_angles_are_heard_only_while_no_quaternions_come():
     angles = frozenset({mavlink.MAVLINK_MSG_ID_ATTITUDE})
     assert uav.link.needless == angles
     quaternions = mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION
-    uav.vehicle.set_interval(quaternions, -1.0, COMPANION, fleet.now_s)
+    uav.vehicle.streams[COMPANION].set_interval(quaternions, -1.0, fleet.now_s)
     fleet.run(3.0)
     assert uav.link.needless == frozenset()
     assert (uav.step, uav.bridge.procedure.fault) == (Step.FLY, ""), fleet.report()

@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 
 from ptnsbc_io.mavlink.dialect import mavlink
-from ptnsbc_sim.autopilot.codec import Codec
 from ptnsbc_sim.autopilot.physics.body import VehicleDescription
 from ptnsbc_sim.autopilot.physics.navigation import QUALITIES
+from ptnsbc_sim.autopilot.server import Codec
 from ptnsbc_sim.autopilot.vehicle import COMPANION, GCS, StandInVehicle
 
 STEP_S = 0.004

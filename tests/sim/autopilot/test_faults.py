@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 
 from ptnsbc_io.mavlink.dialect import mavlink
-from ptnsbc_sim.autopilot.codec import AutopilotError
-from ptnsbc_sim.autopilot.faults import inject, obey, state
+from ptnsbc_sim.autopilot.faults import inject, run_fault_line, state
 from ptnsbc_sim.autopilot.firmware.px4 import Px4
-from ptnsbc_sim.autopilot.firmware.px4_tables import HOLD, LAND, OFFBOARD, POSCTL
-from ptnsbc_sim.autopilot.vehicle import IMPOSTOR
+from ptnsbc_sim.autopilot.firmware.px4_modes import HOLD, LAND, OFFBOARD, POSCTL
+from ptnsbc_sim.autopilot.vehicle import IMPOSTOR, AutopilotError
 
 ACCEPTED, REJECTED = 0, 1
 
@@ -19,7 +18,7 @@ def put(companion, name, value, kind):
 
 def test_a_silent_heartbeat_leaves_the_rest(companion):
     px4 = companion(Px4)
-    obey([px4.vehicle], "1 heartbeat off", px4.t)
+    run_fault_line([px4.vehicle], "1 heartbeat off", px4.t)
     start = px4.t
     px4.run(3.0)
     assert not px4.got("HEARTBEAT", since=start)
@@ -30,7 +29,7 @@ def test_without_radio_it_neither_sends_nor_answers_and_fails_safe(companion):
     px4 = companion(Px4)
     px4.put("COM_OBL_RC_ACT", 4)
     px4.airborne(5.0)
-    obey([px4.vehicle], "all radio off", px4.t)
+    run_fault_line([px4.vehicle], "all radio off", px4.t)
     start = px4.t
     assert px4.disarm(force=True) is None
     px4.flown(0, 0, 0, 15.0)
@@ -41,7 +40,7 @@ def test_without_radio_it_neither_sends_nor_answers_and_fails_safe(companion):
 def test_a_reboot_in_flight_stops_the_motors_and_the_clock_begins_anew(companion):
     px4 = companion(Px4)
     px4.airborne()
-    obey([px4.vehicle], "1 reboot", px4.t)
+    run_fault_line([px4.vehicle], "1 reboot", px4.t)
     start = px4.t
     px4.run(1.9)
     assert not [m for t, _, m in px4.heard if t > start]
@@ -67,7 +66,7 @@ def test_the_pilot_takes_over(companion):
     px4 = companion(Px4)
     px4.airborne()
     px4.flown(1.0, 0, 0, 1.0)
-    obey([px4.vehicle], "1 mode posctl", px4.t)
+    run_fault_line([px4.vehicle], "1 mode posctl", px4.t)
     px4.flown(1.0, 0, 0, 3.0)
     assert px4.vehicle.active == POSCTL
     assert np.linalg.norm(px4.vehicle.flight.true_velocity_enu) < 0.1
@@ -76,9 +75,9 @@ def test_the_pilot_takes_over(companion):
 
 def test_refused_arming(companion):
     px4 = companion(Px4)
-    obey([px4.vehicle], "1 arming refuse", px4.t)
+    run_fault_line([px4.vehicle], "1 arming refuse", px4.t)
     assert px4.arm() == REJECTED
-    obey([px4.vehicle], "1 arming allow", px4.t)
+    run_fault_line([px4.vehicle], "1 arming allow", px4.t)
     assert px4.arm() == ACCEPTED
 
 
@@ -88,7 +87,7 @@ def test_a_low_battery_warns_and_lands_where_the_parameter_says(companion, actio
     px4.put("COM_LOW_BAT_ACT", action)
     px4.airborne()
     px4.gcs_heartbeat()
-    obey([px4.vehicle], "1 battery 0.06", px4.t)
+    run_fault_line([px4.vehicle], "1 battery 0.06", px4.t)
     px4.flown(0, 0, 0, 1.0)
     assert px4.vehicle.active == flown
     assert any("battery" in text for text in px4.texts(1))
@@ -98,14 +97,14 @@ def test_a_clock_that_jumps(companion):
     px4 = companion(Px4)
     px4.run(1.0)
     before = px4.last("ATTITUDE").time_boot_ms
-    obey([px4.vehicle], "1 clock 5", px4.t)
+    run_fault_line([px4.vehicle], "1 clock 5", px4.t)
     px4.run(0.1)
     assert px4.last("ATTITUDE").time_boot_ms - before == pytest.approx(5100, abs=30)
 
 
 def test_somebody_else_with_our_system_id(companion):
     px4 = companion(Px4)
-    obey([px4.vehicle], "1 duplicate on", px4.t)
+    run_fault_line([px4.vehicle], "1 duplicate on", px4.t)
     out = [o for n in range(300) for o in px4.vehicle.step(px4.t + n * 0.004)]
     kinds = {o.message.get_type() for o in out if o.link == IMPOSTOR}
     assert kinds == {"HEARTBEAT", "LOCAL_POSITION_NED"}
@@ -117,7 +116,7 @@ def test_somebody_else_with_our_system_id(companion):
 def test_what_cannot_be_done_is_refused(companion, line):
     px4 = companion(Px4)
     with pytest.raises(AutopilotError, match="expected"):
-        obey([px4.vehicle], line, px4.t)
+        run_fault_line([px4.vehicle], line, px4.t)
 
 
 def test_state_tells_the_truth(companion):

@@ -9,11 +9,16 @@ from pathlib import Path
 import pytest
 
 from ptnsbc_io.mavlink.dialect import mavlink
-from ptnsbc_sim.autopilot.codec import AutopilotError, Codec
-from ptnsbc_sim.autopilot.fault_port import FaultPort, Timed, ask, parse_timed
-from ptnsbc_sim.autopilot.launch import Network, Options, parse_address, parse_parameter, stations
-from ptnsbc_sim.autopilot.server import Address, serve
-from ptnsbc_sim.autopilot.starts import Fleet
+from ptnsbc_sim.autopilot.faults import FaultPort, TimedFault, parse_timed_fault, send_fault
+from ptnsbc_sim.autopilot.launch import (
+    Fleet,
+    Network,
+    Options,
+    parse_address,
+    parse_parameter,
+    stations,
+)
+from ptnsbc_sim.autopilot.server import Address, AutopilotError, Codec, serve
 
 LIMIT_S = 20.0
 
@@ -38,7 +43,7 @@ def serving(options, timed=()):
     vehicles = [station.vehicle for station in fleet]
 
     def body():
-        with FaultPort(vehicles, began, port=port, timed=timed, say=lambda _line: None) as control:
+        with FaultPort(vehicles, began, port=port, timed=timed, log=lambda _line: None) as control:
             serve(fleet, stop.is_set, control.poll, ready.set)
 
     ready = threading.Event()
@@ -92,13 +97,13 @@ def test_whoever_calls_a_listening_vehicle_is_answered():
 def test_faults_by_the_port_and_by_time():
     network = Network(connect=f"udpin:127.0.0.1:{free_port()}", gcs=None)
     options = Options(fleet=Fleet(count=1), network=network)
-    with serving(options, [Timed(0.0, "1 battery 0.5")]) as (fleet, port):
-        assert '"system": 1' in ask(port, "all state")
+    with serving(options, [TimedFault(0.0, "1 battery 0.5")]) as (fleet, port):
+        assert '"system": 1' in send_fault(port, "all state")
         assert fleet[0].vehicle.flight.battery == pytest.approx(0.5, abs=0.01)
-        assert ask(port, "1 arming refuse") == "ok"
+        assert send_fault(port, "1 arming refuse") == "ok"
         assert fleet[0].vehicle.faults.refuse_arming
         with pytest.raises(AutopilotError, match="expected one of"):
-            ask(port, "1 nonsense")
+            send_fault(port, "1 nonsense")
 
 
 def test_a_duplicate_sends_from_another_port():
@@ -106,7 +111,7 @@ def test_a_duplicate_sends_from_another_port():
         port = companion.getsockname()[1]
         network = Network(connect=f"udpout:127.0.0.1:{port}", gcs=None)
         with serving(Options(fleet=Fleet(count=1), network=network)) as (_, control):
-            ask(control, "1 duplicate on")
+            send_fault(control, "1 duplicate on")
             end, senders = time.monotonic() + LIMIT_S, set()
             while len(senders) < 2 and time.monotonic() < end:
                 data, sender = companion.recvfrom(65535)
@@ -196,10 +201,10 @@ def test_addresses_times_and_parameters():
         with pytest.raises(AutopilotError):
             parse_parameter(wrong)
     assert parse_address("127.0.0.1:14550", "gcs") == ("127.0.0.1", 14550)
-    assert parse_timed("20 1 gps off") == (20.0, "1 gps off")
+    assert parse_timed_fault("20 1 gps off") == (20.0, "1 gps off")
     for wrong in ("127.0.0.1", "h:0", "h:70000", "h:x"):
         with pytest.raises(AutopilotError):
             parse_address(wrong, "gcs")
     for wrong in ("x 1 gps off", "-1 1 gps off", "20"):
         with pytest.raises(AutopilotError):
-            parse_timed(wrong)
+            parse_timed_fault(wrong)

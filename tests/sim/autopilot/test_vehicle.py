@@ -8,13 +8,13 @@ import pytest
 from ptnsbc_io.mavlink.dialect import mavlink
 from ptnsbc_io.mavlink.framing import Framer
 from ptnsbc_io.mavlink.signing import Signer
-from ptnsbc_sim.autopilot.codec import Codec
 from ptnsbc_sim.autopilot.firmware.arducopter import ArduCopter
 from ptnsbc_sim.autopilot.firmware.px4 import Px4
 from ptnsbc_sim.autopilot.firmware.stm32 import Stm32
 from ptnsbc_sim.autopilot.physics import targets
 from ptnsbc_sim.autopilot.physics.body import VehicleDescription, VehiclePhysics
 from ptnsbc_sim.autopilot.physics.navigation import QUALITIES
+from ptnsbc_sim.autopilot.server import Codec
 
 ACCEPTED, DENIED = 0, 2
 ALL = pytest.mark.parametrize("kind", [Px4, ArduCopter, Stm32])

@@ -8,15 +8,17 @@ from pymavlink.quaternion import Quaternion as Reference
 from pymavlink.rotmat import Vector3
 
 from ptnsbc_sim.autopilot.physics.frames import (
+    PX4_RADIUS_M,
+    Geodetic,
     Quaternion,
     attitude_swap,
     body_swap,
     euler_of,
+    geodetic,
     rotate_heading,
     world_swap,
     yaw_swap,
 )
-from ptnsbc_sim.autopilot.physics.geodesy import PX4_RADIUS_M, Geodetic, geodetic
 
 
 def test_east_north_up_is_north_east_down():

@@ -6,7 +6,7 @@ import pytest
 
 from ptnsbc_io.mavlink.dialect import mavlink
 from ptnsbc_sim.autopilot.firmware.px4 import Px4
-from ptnsbc_sim.autopilot.firmware.px4_tables import DESCEND, HOLD, LAND, OFFBOARD
+from ptnsbc_sim.autopilot.firmware.px4_modes import DESCEND, HOLD, LAND, OFFBOARD
 from ptnsbc_sim.autopilot.vehicle import GCS
 
 ACCEPTED, REJECTED, UNSUPPORTED = 0, 1, 3

@@ -7,7 +7,7 @@ import pytest
 
 from ptnsbc_io.mavlink.dialect import mavlink
 from ptnsbc_sim.autopilot.firmware.px4 import Px4
-from ptnsbc_sim.autopilot.firmware.px4_tables import HOLD, OFFBOARD, POSCTL
+from ptnsbc_sim.autopilot.firmware.px4_modes import HOLD, OFFBOARD, POSCTL
 from ptnsbc_sim.autopilot.physics.navigation import QUALITIES
 
 ACCEPTED, REJECTED = 0, 1
