@@ -60,7 +60,7 @@ def _traffic(signed: bool) -> list[bytes]:
         )
         for message in messages:
             if signed:
-                signer.arm(codec)
+                signer.prepare(codec)
             frames.append(message.pack(codec))
             codec.seq = (codec.seq + 1) % 256
     return frames

@@ -1,4 +1,4 @@
-"""The one place where ENU/FLU (ours, REP-103) meets NED/FRD (MAVLink's), and degrees meet metres.
+"""Conversions between ENU/FLU (ours, REP-103) and NED/FRD (MAVLink's), and between degrees and metres.
 
 World: x_ned = y_enu, y_ned = x_enu, z_ned = -z_enu. Body: x forward in both, y and z change sign.
 Both maps are their own inverses, so each pair of functions is one formula with two names.
@@ -18,7 +18,7 @@ _HALF = math.sqrt(0.5)
 
 
 class GeoPoint(NamedTuple):
-    """A place on the Earth, as GPS_GLOBAL_ORIGIN gives it."""
+    """A point on the Earth, as in GPS_GLOBAL_ORIGIN."""
 
     latitude_deg: float
     longitude_deg: float
@@ -93,11 +93,11 @@ def quaternion_from_euler_ned(roll: float, pitch: float, yaw: float) -> Array:
 
 
 def offset_enu(place: GeoPoint, reference: GeoPoint, earth_radius_m: float) -> Array:
-    """Where `place` is in the ENU frame at `reference`, (3,) [m].
+    """Position of `place` in the ENU frame at `reference`, (3,) [m].
 
-    Azimuthal equidistant on a sphere, as autopilots project: with the radius that the vehicle
-    itself uses, two vehicles that report the same latitude get the same position, which no better
-    ellipsoid would give.
+    Azimuthal equidistant on a sphere, as autopilots project. With the vehicle's own earth radius,
+    two vehicles that report the same latitude get the same position; a more accurate ellipsoid
+    would not give that.
     """
     latitude, reference_latitude = map(math.radians, (place.latitude_deg, reference.latitude_deg))
     turn = math.radians(place.longitude_deg - reference.longitude_deg)
@@ -111,10 +111,10 @@ def offset_enu(place: GeoPoint, reference: GeoPoint, earth_radius_m: float) -> A
     return np.array([stretch * east, stretch * north, place.altitude_m - reference.altitude_m])
 
 
-def place_at(offset: Array, reference: GeoPoint, earth_radius_m: float) -> GeoPoint:
-    """The place at an ENU offset (3,) [m] from `reference`: `offset_enu` backwards, for some hundred metres."""
+def point_at(offset: Array, reference: GeoPoint, earth_radius_m: float) -> GeoPoint:
+    """The point at an ENU offset (3,) [m] from `reference`: the inverse of `offset_enu` for some hundred metres."""
     latitude = reference.latitude_deg + math.degrees(offset[1] / earth_radius_m)
-    # halfway in between, or 30 m north-east would be a millimetre off
+    # the middle latitude: without it, 30 m north-east would be a millimetre off
     middle = math.radians(0.5 * (latitude + reference.latitude_deg))
     longitude = math.degrees(offset[0] / (earth_radius_m * math.cos(middle)))
     return GeoPoint(

@@ -1,4 +1,4 @@
-"""Bytes to MAVLink frames: where one begins and ends, before anything in it is believed."""
+"""Bytes to MAVLink frames: where a frame begins and ends. Its checksum is verified later."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from ptnsbc_io.mavlink.dialect import mavlink
 
 V2, V1 = 0xFD, 0xFE
 SIGNED = 0x01
-"""The incompatibility flag of a signed frame; others are not understood and must be dropped."""
+"""The incompatibility flag of a signed frame; a frame with any other flag must be dropped."""
 
 SIGNATURE_SIZE = 13
 _HEADER_V2, _HEADER_V1, _CHECKSUM = 10, 6, 2
@@ -28,12 +28,12 @@ class Frame(NamedTuple):
 
     @property
     def payload_at(self) -> int:
-        """Where the payload begins."""
+        """Offset of the payload."""
         return _HEADER_V2 if self.version == 2 else _HEADER_V1
 
 
-class Broken(NamedTuple):
-    """Bytes that are no frame."""
+class BrokenFrame(NamedTuple):
+    """Bytes that are not a frame."""
 
     truncated: bool  # a frame begins, but its end is missing
 
@@ -41,41 +41,41 @@ class Broken(NamedTuple):
 class Framer:
     """Cuts datagrams or a stream of bytes into frames.
 
-    A datagram is complete: what lacks its end will never get it. Of a stream the rest is kept until
-    more bytes come, and a frame with a wrong checksum is taken for chance: noise that looks like a
-    header must not swallow the frames behind it.
+    A frame that a datagram cuts is lost. The cut frame of a stream is kept until more bytes arrive.
+    In a stream a frame with a wrong checksum counts as noise: noise that looks like a header must
+    not hide the frames behind it.
     """
 
     def __init__(self, stream: bool) -> None:
         self._stream = stream
         self._rest = b""
 
-    def feed(self, data: bytes) -> Iterator[Frame | Broken]:
-        """Frames of these bytes in order; for each run of bytes between them one `Broken`."""
+    def feed(self, data: bytes) -> Iterator[Frame | BrokenFrame]:
+        """Frames of these bytes in order; for each run of bytes between them one `BrokenFrame`."""
         data, self._rest = self._rest + data, b""
         at, junk = 0, False
         while at < len(data):
             size = _size(data, at)
-            if size is None or (self._stream and _chance(data, at, size)):
+            if size is None or (self._stream and _is_noise(data, at, size)):
                 junk, at = True, at + 1
                 continue
             if junk:
                 junk = False
-                yield Broken(truncated=False)
+                yield BrokenFrame(truncated=False)
             if at + size > len(data):
                 if self._stream:
                     self._rest = data[at:]
                 else:
-                    yield Broken(truncated=True)
+                    yield BrokenFrame(truncated=True)
                 return
             yield _frame(data[at : at + size])
             at += size
         if junk:
-            yield Broken(truncated=False)
+            yield BrokenFrame(truncated=False)
 
 
 def _size(data: bytes, at: int) -> int | None:
-    """Length of the frame that begins at `at`; None when none does."""
+    """Length of the frame that begins at `at`; None when no frame begins there."""
     marker, left = data[at], len(data) - at
     if marker == V2:
         if left < 3:
@@ -89,13 +89,13 @@ def _size(data: bytes, at: int) -> int | None:
     return None
 
 
-def _chance(data: bytes, at: int, size: int) -> bool:
-    """Whether noise only looks like the beginning of a frame; False while that cannot be told."""
+def _is_noise(data: bytes, at: int, size: int) -> bool:
+    """Whether noise looks like the beginning of a frame; False while more bytes are needed to tell."""
     if at + size > len(data):
         return False
     frame = _frame(data[at : at + size])
     kind = mavlink.mavlink_map.get(frame.message_id)
-    if kind is None:  # the checksum needs the dialect; frames of another follow each other too
+    if kind is None:  # without the dialect there is no checksum; another frame must follow
         return at + size < len(data) and data[at + size] not in (V1, V2)
     end = size - _CHECKSUM - (SIGNATURE_SIZE if frame.signed else 0)
     found = mavlink.x25crc(frame.data[1:end] + bytes([kind.crc_extra])).crc

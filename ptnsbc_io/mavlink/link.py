@@ -1,7 +1,7 @@
-"""A link to one vehicle: only what that vehicle says gets through, everything else is counted.
+"""A link to one vehicle: messages of that vehicle are passed on, everything else is dropped and counted.
 
-What is dropped: other system ids and components, unsigned or wrong-signed packets on a signed link,
-replays, and bytes that are no packet. Neither state nor setpoints ever depend on those.
+Dropped are other system ids and components, unsigned or wrongly signed packets on a signed link,
+replays, and bytes that are no packet. Neither state nor setpoints depend on them.
 """
 
 from __future__ import annotations
@@ -14,15 +14,15 @@ from enum import Enum
 from typing import Any
 
 from ptnsbc_io.mavlink.dialect import mavlink
-from ptnsbc_io.mavlink.framing import Broken, Frame, Framer
+from ptnsbc_io.mavlink.framing import BrokenFrame, Frame, Framer
 from ptnsbc_io.mavlink.signing import Signer
 from ptnsbc_io.mavlink.transport import Address, Transport
 
 OWN_COMPONENT = mavlink.MAV_COMP_ID_ONBOARD_COMPUTER
 AUTOPILOT_COMPONENT = mavlink.MAV_COMP_ID_AUTOPILOT1
 
-_FORGET_ADDRESS_S = 3.0
-_MOST_PER_POLL = 200  # a flood must not keep the bridge from its stream
+_ADDRESS_TIMEOUT_S = 3.0
+_MOST_PER_POLL = 200  # packets; a flood must not delay the setpoint stream
 
 
 class Dropped(Enum):
@@ -35,7 +35,7 @@ class Dropped(Enum):
     UNSIGNED = "unsigned"
     WRONG_SIGNED = "wrong_signed"
     REPLAYED = "replayed"
-    OTHER_ADDRESS = "other_address"  # the same system id from a second place
+    OTHER_ADDRESS = "other_address"  # the same system id from a second address
 
 
 class MavlinkLink:
@@ -48,7 +48,7 @@ class MavlinkLink:
         wanted: frozenset[int],
         signer: Signer | None = None,
     ) -> None:
-        """`wanted`: message ids worth decoding; the others are counted as received only."""
+        """`wanted`: message ids to decode; the others are only counted as received."""
         self._transport = transport
         self._sysid = sysid
         self._wanted = wanted
@@ -59,17 +59,17 @@ class MavlinkLink:
         self._decoder: Any = mavlink.MAVLink(None)
         self._peer: Address | None = None
         self._peer_s = 0.0
-        self._rival_s: float | None = None
+        self._duplicate_sysid_s: float | None = None
         self.counts: Counter[str] = Counter({reason.value: 0 for reason in Dropped})
-        self.needless: frozenset[int] = frozenset()
-        """Wanted messages that tell nothing new just now: not decoded either."""
+        self.ignored: frozenset[int] = frozenset()
+        """Wanted messages that carry nothing new at present: they are not decoded either."""
         self.received = 0
         self.sent = 0
         self.unsent = 0
 
     @property
     def signed(self) -> bool:
-        """Whether only signed packets get through."""
+        """Whether only signed packets are accepted."""
         return self._signer is not None
 
     def fileno(self) -> int:
@@ -78,13 +78,13 @@ class MavlinkLink:
 
     @property
     def peer(self) -> Address | None:
-        """Address of the vehicle, once it has been heard; None on a serial line."""
+        """Address of the vehicle, from its first message on; None on a serial line."""
         return self._peer
 
     @property
-    def rival_heard_s(self) -> float | None:
+    def duplicate_sysid_s(self) -> float | None:
         """When a second sender with the vehicle's system id was heard; None when never."""
-        return self._rival_s
+        return self._duplicate_sysid_s
 
     def wait(self, timeout_s: float) -> None:
         """Return when something has arrived, at the latest after `timeout_s`."""
@@ -97,17 +97,17 @@ class MavlinkLink:
             if packet is None:
                 return
             for piece in self._framer.feed(packet.data):
-                if isinstance(piece, Broken):
+                if isinstance(piece, BrokenFrame):
                     self._drop(Dropped.TRUNCATED if piece.truncated else Dropped.MALFORMED)
                     continue
-                message = self._accepted(piece, packet.sender, now_s)
+                message = self._accept(piece, packet.sender, now_s)
                 if message is not None:
                     yield message
 
     def send(self, message: Any) -> bool:
         """Pack, sign where the link is signed, and send; False when it could not be sent."""
         if self._signer is not None:
-            self._signer.arm(self.codec)
+            self._signer.prepare(self.codec)
         done = self._transport.send(message.pack(self.codec), self._peer)
         self.codec.seq = (self.codec.seq + 1) % 256
         self.sent += done
@@ -121,60 +121,60 @@ class MavlinkLink:
     def _drop(self, reason: Dropped) -> None:
         self.counts[reason.value] += 1
 
-    def _accepted(self, frame: Frame, sender: Address | None, now_s: float) -> Any:
-        """The message, when all doors let it through."""
+    def _accept(self, frame: Frame, sender: Address | None, now_s: float) -> Any:
+        """The message, when it passes all checks."""
         if frame.sysid != self._sysid:
             return self._drop(Dropped.OTHER_SYSID)
         if frame.compid != AUTOPILOT_COMPONENT:
             return self._drop(Dropped.OTHER_COMPONENT)
-        if self._signer is not None and not self._authentic(frame, sender, now_s):
+        if self._signer is not None and not self._is_authentic(frame, sender, now_s):
             return None
-        if frame.message_id not in self._wanted or frame.message_id in self.needless:
+        if frame.message_id not in self._wanted or frame.message_id in self.ignored:
             self.received += 1
             return None
-        message = self._decoded(frame)
-        if message is None or not self._at_home(sender, now_s):
+        message = self._decode(frame)
+        if message is None or not self._is_from_peer(sender, now_s):
             return None
         self.received += 1
         return message
 
-    def _authentic(self, frame: Frame, sender: Address | None, now_s: float) -> bool:
+    def _is_authentic(self, frame: Frame, sender: Address | None, now_s: float) -> bool:
         signer = self._signer
         if signer is None:
             return True
         if not frame.signed:
             self._drop(Dropped.UNSIGNED)
-            # PX4 begins with MAVLink 1 and turns to signed MAVLink 2 once it hears that. Somebody
-            # has to begin; an address alone gives nobody power over the vehicle.
-            if self._peer is None and self._decoded(frame) is not None:
-                self._peer, self._peer_s = sender, now_s - _FORGET_ADDRESS_S
+            # PX4 begins with MAVLink 1 and changes to signed MAVLink 2 when it receives that. So we
+            # send to an unsigned address first; an address alone gives no control of the vehicle.
+            if self._peer is None and self._decode(frame) is not None:
+                self._peer, self._peer_s = sender, now_s - _ADDRESS_TIMEOUT_S
             return False
-        if not signer.genuine(frame):
+        if not signer.has_valid_signature(frame):
             self._drop(Dropped.WRONG_SIGNED)
             return False
-        if not signer.fresh(frame):
+        if not signer.is_new(frame):
             self._drop(Dropped.REPLAYED)
             return False
         return True
 
-    def _decoded(self, frame: Frame) -> Any:
-        """The message, or None, counted, when its checksum or its length is wrong."""
-        # pymavlink raises what comes to it on bytes it does not expect: MAVError, struct.error,
-        # UnicodeDecodeError, IndexError. A packet that cannot be decoded is one that never came.
+    def _decode(self, frame: Frame) -> Any:
+        """The message; None, counted, when its checksum or its length is wrong."""
+        # pymavlink raises MAVError, struct.error, UnicodeDecodeError or IndexError on unexpected
+        # bytes. A packet that cannot be decoded counts as malformed.
         with contextlib.suppress(Exception):
             message = self._decoder.decode(bytearray(frame.data))
             if message.get_msgId() == frame.message_id and message.get_type() != "UNKNOWN":
                 return message
         return self._drop(Dropped.MALFORMED)
 
-    def _at_home(self, sender: Address | None, now_s: float) -> bool:
-        """Whether the vehicle speaks from where it always did; a silent one may have moved."""
+    def _is_from_peer(self, sender: Address | None, now_s: float) -> bool:
+        """Whether the sender has the address of the vehicle; after 3 s of silence a new address is taken."""
         if sender is None or self._peer == sender:
             self._peer_s = now_s
             return True
-        if self._peer is None or now_s - self._peer_s >= _FORGET_ADDRESS_S:
+        if self._peer is None or now_s - self._peer_s >= _ADDRESS_TIMEOUT_S:
             self._peer, self._peer_s = sender, now_s
             return True
-        self._rival_s = now_s
+        self._duplicate_sysid_s = now_s
         self._drop(Dropped.OTHER_ADDRESS)
         return False

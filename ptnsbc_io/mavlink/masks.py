@@ -1,7 +1,7 @@
-"""Type masks of setpoint messages, by the names of the fields that count.
+"""Type masks of setpoint messages, by the names of the fields that are used.
 
-MAVLink's masks say what to ignore; written out as numbers they are the classic source of vehicles
-that fly off. Here a caller names what it fills in, and everything else is ignored.
+MAVLink's masks list the fields to ignore; written as numbers they are a classic cause of flyaways.
+Here a caller names the fields that it fills in, and all others are ignored.
 """
 
 from __future__ import annotations
@@ -39,16 +39,16 @@ RATES = ("body_roll_rate", "body_pitch_rate", "body_yaw_rate")
 
 
 class MaskError(PtnsbcError):
-    """A setpoint with fields that the message does not have, or with none."""
+    """A setpoint names a field that the message does not have, or no field."""
 
 
 def position_target(used: Iterable[str]) -> int:
-    """Mask of SET_POSITION_TARGET_LOCAL_NED in which the fields `used` count."""
+    """Mask of SET_POSITION_TARGET_LOCAL_NED that uses the fields `used`."""
     return _mask(used, _POSITION_TARGET, "SET_POSITION_TARGET_LOCAL_NED")
 
 
 def attitude_target(used: Iterable[str]) -> int:
-    """Mask of SET_ATTITUDE_TARGET in which the fields `used` count."""
+    """Mask of SET_ATTITUDE_TARGET that uses the fields `used`."""
     return _mask(used, _ATTITUDE_TARGET, "SET_ATTITUDE_TARGET")
 
 
@@ -56,7 +56,7 @@ def _mask(used: Iterable[str], bits: Mapping[str, int], message: str) -> int:
     wanted = set(used)
     unknown = wanted - bits.keys()
     if unknown or not wanted:
-        # PX4 refuses a setpoint in which everything is ignored, and says nothing.
+        # PX4 drops a setpoint in which everything is ignored, without an answer.
         what = ", ".join(sorted(unknown)) or "no field at all"
         raise MaskError(f"{message}: {what}: expected some of {', '.join(bits)}")
     mask = 0

@@ -1,7 +1,7 @@
-"""Reading parameters of an autopilot: by name, asked again when no answer comes.
+"""Reading parameters of an autopilot by name, with repeated requests when no answer arrives.
 
-Both autopilots squeeze integers into the float of PARAM_VALUE, each in its own way: PX4 puts the
-bits there (bytewise encoding), ArduPilot the number (C cast).
+Both autopilots put integers into the float of PARAM_VALUE: PX4 puts the bits there (bytewise
+encoding), ArduPilot the number (C cast).
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_io.mavlink.dialect import mavlink
 from ptnsbc_io.mavlink.framing import V2
 
-_ASK_AGAIN_S = 0.5
-_MOST_ASKED = 4
-_AT_ONCE = 4
+_RETRY_S = 0.5
+_MAX_REQUESTS = 4
+_PARALLEL = 4
 
 _INTEGERS: Mapping[int, str] = {
     mavlink.MAV_PARAM_TYPE_UINT8: "<Bxxx",
@@ -30,11 +30,11 @@ _INTEGERS: Mapping[int, str] = {
 
 
 class MavlinkParameterError(PtnsbcError):
-    """A parameter that cannot be understood."""
+    """A parameter has an unknown type."""
 
 
 class Encoding(Enum):
-    """How integers travel."""
+    """How integers are encoded."""
 
     BYTEWISE = "bytewise"
     C_CAST = "C cast"
@@ -59,41 +59,41 @@ def raw_value(message: Any) -> bytes:
 
 
 class ParameterReader:
-    """Asks for parameters one after the other, a few at a time, and keeps what is answered.
+    """Requests parameters, a few at a time, and stores the answers.
 
-    An autopilot says nothing about a name that it does not have: after four questions in vain a
-    parameter counts as not there.
+    An autopilot does not answer for a name that it does not have: after four requests without an
+    answer a parameter counts as missing.
     """
 
     def __init__(self, names: Sequence[str], encoding: Encoding) -> None:
         self._encoding = encoding
-        self._asked = dict.fromkeys(names, 0)
+        self._requests = dict.fromkeys(names, 0)
         self._next_s = dict.fromkeys(names, 0.0)
         self.values: dict[str, float] = {}
 
     @property
     def missing(self) -> list[str]:
-        """Names that nothing was heard of."""
-        return [name for name in self._asked if name not in self.values]
+        """Names without an answer."""
+        return [name for name in self._requests if name not in self.values]
 
     def done(self, now_s: float) -> bool:
         """Whether every name is answered or given up."""
         return all(
-            self._asked[name] >= _MOST_ASKED and now_s >= self._next_s[name]
+            self._requests[name] >= _MAX_REQUESTS and now_s >= self._next_s[name]
             for name in self.missing
         )
 
     def due(self, now_s: float) -> Iterator[str]:
-        """Names to ask for now."""
-        open_names = [n for n in self.missing if self._asked[n] < _MOST_ASKED]
-        for name in open_names[:_AT_ONCE]:
+        """Names to request now."""
+        open_names = [n for n in self.missing if self._requests[n] < _MAX_REQUESTS]
+        for name in open_names[:_PARALLEL]:
             if now_s >= self._next_s[name]:
-                self._asked[name] += 1
-                self._next_s[name] = now_s + _ASK_AGAIN_S
+                self._requests[name] += 1
+                self._next_s[name] = now_s + _RETRY_S
                 yield name
 
-    def heard(self, message: Any) -> None:
-        """Keep a PARAM_VALUE, if it is one that was asked for; the first answer counts."""
+    def on_param_value(self, message: Any) -> None:
+        """Store a PARAM_VALUE if it was requested; only the first answer counts."""
         name = str(message.param_id)
-        if self._asked.get(name) and name not in self.values:
+        if self._requests.get(name) and name not in self.values:
             self.values[name] = decoded(raw_value(message), message.param_type, self._encoding)

@@ -1,8 +1,8 @@
-"""What is believed on an unsigned link: a checksum of 16 bits lets one broken packet in 65536 through.
+"""Plausibility checks for an unsigned link: a checksum of 16 bits accepts one broken packet in 65536.
 
-So what contradicts what was heard before counts only when the next message says the same. A vehicle repeats
-itself, an accident does not. It costs a real change one message: 20 ms of a position, and as long as the answer
-to a question takes of a mode.
+A value that contradicts the previous one is accepted only when the next message confirms it. A vehicle repeats
+its state; a broken packet is not repeated. A real change is delayed by one message: 20 ms for a position, one
+request and its answer for a mode.
 """
 
 from __future__ import annotations
@@ -15,23 +15,23 @@ from ptnsbc_core.types import Array
 
 
 class ConfirmedValue:
-    """A value that may change, but not by one message alone."""
+    """A value that changes only when two messages agree."""
 
     def __init__(self) -> None:
         self._known: Hashable | None = None
-        self._doubted: Hashable | None = None
+        self._candidate: Hashable | None = None
 
     @property
-    def doubts(self) -> bool:
-        """Whether the newest message said something that none has confirmed yet."""
-        return self._doubted is not None
+    def unconfirmed(self) -> bool:
+        """Whether the newest message had a new value that no other message has confirmed yet."""
+        return self._candidate is not None
 
-    def admits(self, value: Hashable) -> bool:
-        """Whether to believe this message."""
-        known = value in (self._known, self._doubted)
+    def accepts(self, value: Hashable) -> bool:
+        """Whether this message is plausible."""
+        known = value in (self._known, self._candidate)
         if known:
             self._known = value
-        self._doubted = None if known else value
+        self._candidate = None if known else value
         return known
 
 
@@ -39,18 +39,18 @@ class RateLimitedValue:
     """Numbers (n,) that move no faster than a vehicle can."""
 
     def __init__(self, step: Array, rate: Array) -> None:
-        """`step` (n,): noise and resets that are no reason to doubt; `rate` (n,): per second."""
+        """`step` (n,): largest jump that is plausible at once; `rate` (n,): largest change per second."""
         self._step = step
         self._rate = rate
-        self._seen: list[tuple[Array, float]] = []  # the last believed, and the one in doubt
-        self.doubted = 0
+        self._seen: list[tuple[Array, float]] = []  # the last accepted, and the one not confirmed
+        self.rejected = 0
 
-    def admits(self, numbers: Array, now_s: float) -> bool:
-        """Whether to believe these numbers; never for NaN."""
+    def accepts(self, numbers: Array, now_s: float) -> bool:
+        """Whether these numbers are plausible; False for NaN."""
         if any(self._follows(numbers, now_s, *seen) for seen in self._seen):
             self._seen = [(numbers, now_s)]
             return True
-        self.doubted += bool(self._seen)
+        self.rejected += bool(self._seen)
         self._seen = [*self._seen[:1], (numbers, now_s)] if self._seen else [(numbers, now_s)]
         return False
 

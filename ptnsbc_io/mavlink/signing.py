@@ -1,7 +1,7 @@
 """MAVLink 2 message signing (mavlink.io, Message Signing): key files, and signatures checked.
 
-pymavlink remembers the timestamp of a packet before it has verified the signature, so that one
-forged packet locks the true sender out. Here the signature comes first.
+pymavlink stores the timestamp of a packet before it verifies the signature, so one forged packet
+locks the true sender out. Here the signature is verified first.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ class KeyFileError(PtnsbcError):
 
 
 def read_key(path: Path) -> bytes:
-    """The secret key (32 bytes) in a file: as it is, or as 64 hexadecimal digits.
+    """The secret key (32 bytes) in a file, in binary or as 64 hexadecimal digits.
 
     Raises:
-        KeyFileError: not readable, of another size, or readable for others.
+        KeyFileError: the file is not readable, has another size, or is readable for others.
     """
     try:
         mode, raw = path.stat().st_mode, path.read_bytes()
@@ -68,23 +68,23 @@ class Signer:
         self._newest = timestamp_now() if timestamp is None else timestamp
         self._streams: dict[tuple[int, int, int], int] = {}
 
-    def arm(self, codec: Any) -> None:
-        """Let pymavlink sign the packet that it packs next."""
-        # Never behind the wall clock, so that a restart is not taken for a replay; and never
-        # behind what we sent or believed already.
+    def prepare(self, codec: Any) -> None:
+        """Set pymavlink up to sign the next packet that it packs."""
+        # Never behind the wall clock, so that a restart does not look like a replay; and never
+        # behind what we have sent or accepted.
         self._newest = max(self._newest + 1, timestamp_now())
         codec.signing.secret_key = self.key
         codec.signing.link_id = self.link_id
         codec.signing.timestamp = self._newest
         codec.signing.sign_outgoing = True
 
-    def genuine(self, frame: Frame) -> bool:
-        """Whether the signature was made with our key; says nothing about when."""
+    def has_valid_signature(self, frame: Frame) -> bool:
+        """Whether the signature was made with our key, at any time."""
         digest = hashlib.sha256(self.key + frame.data[:-6]).digest()[:6]
         return hmac.compare_digest(digest, frame.data[-6:])
 
-    def fresh(self, frame: Frame) -> bool:
-        """Whether a genuine frame is newer than all before it of its stream; remembers it then."""
+    def is_new(self, frame: Frame) -> bool:
+        """Whether a validly signed frame is newer than all before it in its stream; stores its timestamp then."""
         block = frame.data[-SIGNATURE_SIZE:]
         stamp = int.from_bytes(block[1:7], "little")
         stream = (block[0], frame.sysid, frame.compid)

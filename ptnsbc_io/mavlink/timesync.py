@@ -1,7 +1,7 @@
-"""The vehicle's clock against ours, by TIMESYNC; without answers, by the quickest messages.
+"""The offset between the vehicle's clock and ours: by TIMESYNC, or without answers by the fastest messages.
 
-Both clocks are monotonic ones: ours the steady clock of this host, the vehicle's the time since its
-boot that every message carries. What NTP does to the wall clock does not matter here.
+Both clocks are monotonic: ours is the steady clock of this host, the vehicle's is the time since its
+boot that every message carries. Steps of the wall clock by NTP have no effect.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ _WINDOW = 16
 _ONE_WAY_WINDOW_S = 5.0
 _JUMP_S = 0.5
 _JUMP_SAMPLES = 3
-_PATIENCE_S = 5.0
+_ANSWER_TIMEOUT_S = 5.0
 
 
 class TimeSync:
@@ -24,50 +24,50 @@ class TimeSync:
     def __init__(self) -> None:
         self._trips: deque[tuple[float, float]] = deque(maxlen=_WINDOW)  # (round trip, offset) [s]
         self._one_way: deque[tuple[float, float]] = deque()  # (arrival, offset) [s]
-        self._asked_ns: deque[int] = deque(maxlen=_WINDOW)
+        self._requested_ns: deque[int] = deque(maxlen=_WINDOW)
         self._first_s: float | None = None
-        self._strangers = 0
+        self._jump_samples = 0
         self.jumps = 0
         self.answers = 0
 
     @property
     def synchronised(self) -> bool:
-        """Whether round trips are known; False while one-way times must do."""
+        """Whether round trips are known; False while the offset is from one-way times."""
         return bool(self._trips)
 
     @property
     def round_trip_s(self) -> float:
-        """The shortest round trip of late; 0 while none is known."""
+        """The shortest of the recent round trips; 0 while none is known."""
         return min((trip for trip, _ in self._trips), default=0.0)
 
-    def ask(self, now_s: float) -> int:
+    def request(self, now_s: float) -> int:
         """The stamp [ns] to send as ts1."""
         stamp_ns = round(now_s / _NANO)
-        self._asked_ns.append(stamp_ns)
+        self._requested_ns.append(stamp_ns)
         return stamp_ns
 
-    def answered(self, theirs_ns: int, ours_ns: int, now_s: float) -> bool:
-        """Take an answer (tc1, ts1) in; False for one that answers nothing we asked."""
-        if ours_ns not in self._asked_ns:
+    def on_answer(self, theirs_ns: int, ours_ns: int, now_s: float) -> bool:
+        """Take an answer (tc1, ts1); False when it answers none of our requests."""
+        if ours_ns not in self._requested_ns:
             return False
-        self._asked_ns.remove(ours_ns)  # each question has one answer; a second is a replay
+        self._requested_ns.remove(ours_ns)  # each request has one answer; a second one is a replay
         trip_s = now_s - ours_ns * _NANO
         if not -_ROUNDING_S <= trip_s <= _SLOWEST_TRIP_S:
             return False
         offset_s = 0.5 * (ours_ns * _NANO + now_s) - theirs_ns * _NANO
         self.answers += 1
-        if self._trips and abs(offset_s - self._offset_of_trips()) > _JUMP_S + trip_s:
-            self._strangers += 1
-            if self._strangers < _JUMP_SAMPLES:
+        if self._trips and abs(offset_s - self._round_trip_offset()) > _JUMP_S + trip_s:
+            self._jump_samples += 1
+            if self._jump_samples < _JUMP_SAMPLES:
                 return False
-            self.forget()
+            self.reset()
             self.jumps += 1
-        self._strangers = 0
+        self._jump_samples = 0
         self._trips.append((trip_s, offset_s))
         return True
 
-    def heard(self, boot_s: float, now_s: float) -> None:
-        """Any message with the time since boot: a bound for the offset from one side."""
+    def on_boot_time(self, boot_s: float, now_s: float) -> None:
+        """Take the time since boot of any message: a bound of the offset from one side."""
         if self._first_s is None:
             self._first_s = now_s
         self._one_way.append((now_s, now_s - boot_s))
@@ -75,26 +75,26 @@ class TimeSync:
             self._one_way.popleft()
 
     def ready(self, now_s: float) -> bool:
-        """Whether times can be converted: by round trips, or after waiting for them in vain."""
+        """Whether times can be converted: by round trips, or after 5 s without any."""
         if self._trips:
             return True
-        return self._first_s is not None and now_s - self._first_s > _PATIENCE_S
+        return self._first_s is not None and now_s - self._first_s > _ANSWER_TIMEOUT_S
 
-    def ours(self, boot_s: float) -> float | None:
+    def to_host_time(self, boot_s: float) -> float | None:
         """The instant on our steady clock [s] of a time since boot; None before anything is known."""
         if self._trips:
-            return boot_s + self._offset_of_trips()
+            return boot_s + self._round_trip_offset()
         if self._one_way:
             return boot_s + min(offset for _, offset in self._one_way)
         return None
 
-    def forget(self) -> None:
-        """Start again: the vehicle's clock is another one now."""
+    def reset(self) -> None:
+        """Start again with a new clock of the vehicle."""
         self._trips.clear()
         self._one_way.clear()
-        self._strangers = 0
+        self._jump_samples = 0
         self._first_s = None
 
-    def _offset_of_trips(self) -> float:
-        # The quickest trip was held up least, so its middle is the truest.
+    def _round_trip_offset(self) -> float:
+        # The fastest round trip was delayed least, so its middle is the most accurate.
         return min(self._trips)[1]

@@ -1,4 +1,4 @@
-"""Where the bytes go: UDP in, UDP out, or a serial port; none of them ever blocks."""
+"""Transports of MAVLink bytes: UDP in, UDP out, or a serial port. None of them blocks."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ _EXPECTED = (
 
 
 class ConnectError(PtnsbcError):
-    """A link that cannot be opened."""
+    """A link cannot be opened."""
 
 
 class Packet(NamedTuple):
-    """Bytes as they came in."""
+    """Received bytes."""
 
     data: bytes
     sender: Address | None  # None on a serial line
 
 
 class Transport(Protocol):
-    """A way to one vehicle."""
+    """A connection to one vehicle."""
 
     stream: bool
-    """Whether bytes come without the borders of datagrams."""
+    """Whether it is a stream of bytes, without datagrams."""
 
     def fileno(self) -> int:
         """For select()."""
@@ -44,14 +44,14 @@ class Transport(Protocol):
         """What has arrived; None when nothing has."""
 
     def send(self, data: bytes, address: Address | None) -> bool:
-        """Send, to `address` where the transport has no address of its own; False when it could not."""
+        """Send, to `address` where the transport has no fixed address; False when that fails."""
 
     def close(self) -> None:
-        """Give the port back."""
+        """Close the port."""
 
 
 class UdpIn:
-    """Listens at an address and answers whoever the link has accepted."""
+    """Listens at an address and sends to the vehicle that the link has accepted."""
 
     stream = False
 
@@ -71,15 +71,15 @@ class UdpIn:
         return self._socket.fileno()
 
     def receive(self) -> Packet | None:
-        """A datagram and who sent it."""
+        """A datagram and its sender."""
         try:
             data, sender = self._socket.recvfrom(_DATAGRAM)
-        except OSError:  # nothing there, or an ICMP error of something we sent
+        except OSError:  # nothing has arrived, or an ICMP error of a packet we sent
             return None
         return Packet(data, sender)
 
     def send(self, data: bytes, address: Address | None) -> bool:
-        """To the vehicle, once there is one."""
+        """Send to the vehicle, once it is known."""
         if address is None:
             return False
         try:
@@ -88,12 +88,12 @@ class UdpIn:
             return False
 
     def close(self) -> None:
-        """Give the port back."""
+        """Close the port."""
         self._socket.close()
 
 
 class UdpOut:
-    """Sends to one address; hears only what comes from there."""
+    """Sends to one address and receives only from there."""
 
     stream = False
 
@@ -120,7 +120,7 @@ class UdpOut:
             return None
 
     def send(self, data: bytes, address: Address | None) -> bool:
-        """To the peer."""
+        """Send to the peer."""
         try:
             return self._socket.send(data) == len(data)
         except OSError:
@@ -137,7 +137,7 @@ class Serial:
     stream = True
 
     def __init__(self, device: str, baud: int) -> None:
-        import serial  # only where one is used
+        import serial  # imported only where a serial port is used
 
         self._errors = (serial.SerialException, OSError)
         try:
@@ -153,7 +153,7 @@ class Serial:
         return number
 
     def receive(self) -> Packet | None:
-        """What the line has brought."""
+        """The bytes that have arrived."""
         try:
             data = self._port.read(_CHUNK)
         except self._errors:
@@ -161,7 +161,7 @@ class Serial:
         return Packet(data, None) if data else None
 
     def send(self, data: bytes, address: Address | None) -> bool:
-        """Out on the line."""
+        """Send on the line."""
         try:
             return bool(self._port.write(data) == len(data))
         except self._errors:
@@ -174,7 +174,7 @@ class Serial:
 
 
 def connect(text: str) -> Transport:
-    """Open what `udpin:0.0.0.0:14540`, `udpout:10.0.0.2:14580` or `serial:/dev/ttyACM0:921600` names."""
+    """Open `udpin:0.0.0.0:14540`, `udpout:10.0.0.2:14580` or `serial:/dev/ttyACM0:921600`."""
     kind, _, where = text.partition(":")
     if kind == "serial" and where:
         device, _, baud = where.partition(":")

@@ -107,7 +107,7 @@ class Bridge:
         self._take_inputs()
         # PX4 sends both. Angles come twice as often without being asked for, and say the same as the quaternion.
         quaternions = now_s - self.vehicle.pose.quaternion_s < _STREAMED_S
-        self.link.needless = _ANGLES if quaternions else frozenset()
+        self.link.ignored = _ANGLES if quaternions else frozenset()
         self.state_publisher.update_world()
         self._apply_parameters(now_s)
         output = self.procedure.advance(self.snapshot(now_s))
@@ -146,7 +146,7 @@ class Bridge:
         leg = self._epochs.at(self.ports.clocks.ros_ns())
         percent = self._mavlink.battery_land_percent
         battery_low = vehicle.battery_below(percent, now_s)
-        rival_s = self.link.rival_heard_s
+        rival_s = self.link.duplicate_sysid_s
         rival = rival_s is not None and now_s - rival_s < _DUPLICATE_S
         return VehicleSnapshot(
             now_s=now_s,

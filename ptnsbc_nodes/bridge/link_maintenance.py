@@ -79,7 +79,7 @@ class LinkMaintenance:
             answer = mavlink.MAVLink_timesync_message(round(now_s * 1e9), message.ts1)
             self.link.send(answer)
         elif kind == "TIMESYNC":
-            self.sync.answered(message.tc1, message.ts1, now_s)
+            self.sync.on_answer(message.tc1, message.ts1, now_s)
         elif kind == "PARAM_VALUE":
             try:
                 self._parameters.heard(message)
@@ -109,7 +109,7 @@ class LinkMaintenance:
             return
         fast = clock_jumped or self.sync.answers < _FAST_ANSWERS
         if self._is_due("time", now_s, _TIME_FAST_S if fast else _TIME_SLOW_S):
-            yield mavlink.MAVLink_timesync_message(0, self.sync.ask(now_s))
+            yield mavlink.MAVLink_timesync_message(0, self.sync.request(now_s))
         for name in self._parameters.due(now_s):
             yield mavlink.MAVLink_param_request_read_message(
                 self._settings.sysid, AUTOPILOT_COMPONENT, name.encode(), -1

@@ -58,10 +58,10 @@ class Pose:
         self._plausible_attitude = None if signed else RateLimitedValue(*_ATTITUDE)
 
     @property
-    def doubted(self) -> int:
+    def rejected(self) -> int:
         """Implausible messages: each would have counted if the next one had confirmed it."""
         both = (self._plausible_position, self._plausible_attitude)
-        return sum(each.doubted for each in both if each is not None)
+        return sum(each.rejected for each in both if each is not None)
 
     def forget_attitude(self) -> None:
         """Drop the attitude: its time belongs to another clock now."""
@@ -86,7 +86,7 @@ class Pose:
         # The rotation is compared, because a quaternion may change its sign and mean the same.
         rotation = rotation_from_quaternion(quaternion)
         numbers = np.concatenate((rotation[:, 0], rotation[:, 2], rates))
-        if self._plausible_attitude is None or self._plausible_attitude.admits(numbers, now_s):
+        if self._plausible_attitude is None or self._plausible_attitude.accepts(numbers, now_s):
             body_rates = frames.vector_frd_to_flu(rates)
             self._attitude = _Attitude(boot_time_s(message), quaternion, body_rates)
 
@@ -122,7 +122,7 @@ class Pose:
         """The state, if its position and its velocity as sent follow those before."""
         position = frames.vector_ned_to_enu(np.array([message.x, message.y, message.z]))
         plausible = self._plausible_position
-        if plausible is not None and not plausible.admits(
+        if plausible is not None and not plausible.accepts(
             np.concatenate((position, velocity)), now_s
         ):
             return None

@@ -118,7 +118,7 @@ class StatePublisher:
         """Publish a new state, if all about it is known and nothing is wrong with it."""
         clocks, vehicle = self._ports.clocks, self._vehicle
         now_s = clocks.steady_s()
-        self._sync.heard(state.boot_s, now_s)
+        self._sync.on_boot_time(state.boot_s, now_s)
         self._local_position = state.odometry[0:3].copy()
         self.world.on_height(float(state.odometry[2]))
         offset = self.world.offset
@@ -129,7 +129,7 @@ class StatePublisher:
             or vehicle.fix_lost(now_s)
         ):
             return
-        sampled_s = self._sync.ours(state.boot_s)
+        sampled_s = self._sync.to_host_time(state.boot_s)
         if sampled_s is None or not self._timely(now_s - sampled_s, now_s):
             return
         odometry = state.odometry.copy()

@@ -39,7 +39,7 @@ def bridge_status(name: str, bridge: Bridge, missing: Sequence[str]) -> bytes:
         "states_old": str(state.dropped["old"]),
         "states_skewed": str(state.dropped["skewed"]),
         "states_invalid": str(vehicle.pose.invalid),
-        "states_doubted": str(vehicle.pose.doubted),
+        "states_doubted": str(vehicle.pose.rejected),
         "setpoints_foreign": str(controller.foreign),
         "setpoints_invalid": str(controller.invalid),
         **{f"dropped_{reason}": str(count) for reason, count in link.counts.items()},

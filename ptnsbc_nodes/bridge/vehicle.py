@@ -157,7 +157,7 @@ class VehicleMonitor:
         return handler(self, message, now_s) if handler else None
 
     def _believed(self, kind: str, value: Hashable) -> bool:
-        return self._confirmed is None or self._confirmed[kind].admits(value)
+        return self._confirmed is None or self._confirmed[kind].accepts(value)
 
     def _on_heartbeat(self, message: Any, now_s: float) -> None:
         if message.autopilot == mavlink.MAV_AUTOPILOT_INVALID:

@@ -56,7 +56,7 @@ class WorldFrame:
         if not self._leads or self._anchor is None or self._reference is not None:
             return None
         away = local_enu - self._anchor.local_enu
-        self._reference = frames.place_at(away, self._anchor.place, self._radius_m)
+        self._reference = frames.point_at(away, self._anchor.place, self._radius_m)
         self._update()
         return self._reference
 

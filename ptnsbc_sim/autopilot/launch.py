@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
@@ -18,7 +18,7 @@ from ptnsbc_sim.autopilot.physics.body import VehicleDescription, default_plant
 from ptnsbc_sim.autopilot.physics.frames import PX4_HOME, Geodetic
 from ptnsbc_sim.autopilot.physics.navigation import QUALITIES
 from ptnsbc_sim.autopilot.server import Address, Codec, Endpoint, VehicleServer
-from ptnsbc_sim.autopilot.vehicle import GCS, IMPOSTOR, AutopilotError
+from ptnsbc_sim.autopilot.vehicle import GCS, IMPOSTOR, AutopilotError, Log
 from ptnsbc_sim.plants.build import plant_config
 from ptnsbc_sim.scenario import Scenario, load_scenario
 
@@ -63,7 +63,7 @@ class Start:
 
 @dataclass(frozen=True)
 class Network:
-    """Who talks where."""
+    """Addresses and keys of the links."""
 
     port_base: int | None = None  # PORT_BASE, or as the scenario has it
     connect: str | None = None  # instead of the port pairs: udpin:HOST:PORT or udpout:HOST:PORT
@@ -73,7 +73,7 @@ class Network:
 
 @dataclass(frozen=True)
 class Options:
-    """Everything asked for."""
+    """All options of the command `ptnsbc autopilot`."""
 
     kind: str | None = None  # px4, or as the scenario has it
     fleet: Fleet = field(default_factory=Fleet)
@@ -83,17 +83,17 @@ class Options:
 
 
 class LinkAddresses(NamedTuple):
-    """Where a stand-in listens, and to whom it sends before anybody has called."""
+    """The address a stand-in listens on, and its partner until another sender appears."""
 
     listen: Address
     partner: Address | None
 
 
 def parse_address(text: str, what: str) -> Address:
-    """HOST:PORT.
+    """The address in `HOST:PORT`.
 
     Raises:
-        AutopilotError: it is not.
+        AutopilotError: the text has another form.
     """
     host, colon, port = text.rpartition(":")
     if not colon or not host or not port.isdigit() or not 0 < int(port) <= _LAST_PORT:
@@ -102,10 +102,10 @@ def parse_address(text: str, what: str) -> Address:
 
 
 def parse_parameter(text: str) -> tuple[str, float]:
-    """NAME=VALUE.
+    """The name and the value in `NAME=VALUE`.
 
     Raises:
-        AutopilotError: it is not.
+        AutopilotError: the text has another form.
     """
     name, equals, value = text.partition("=")
     try:
@@ -115,7 +115,7 @@ def parse_parameter(text: str) -> tuple[str, float]:
 
 
 def starts(fleet: Fleet) -> list[Start]:
-    """System ids from 1 and bodies, all on the ground; in the order of the scenario's UAVs where there is one.
+    """The vehicles to start, all on the ground, with system ids from 1 or those of the scenario.
 
     Raises:
         AutopilotError: more vehicles than the scenario has, or an unknown receiver.
@@ -165,11 +165,11 @@ def _body(fleet: Fleet, n: int, scenario: Scenario | None) -> VehicleDescription
     )
 
 
-def stations(options: Options, t: float, say: Callable[[str], None]) -> list[VehicleServer]:
-    """Vehicles with closed sockets, booted at t [s].
+def stations(options: Options, t: float, say: Log) -> list[VehicleServer]:
+    """The stand-ins, booted at t [s], with closed sockets.
 
     Raises:
-        AutopilotError: an option that cannot be.
+        AutopilotError: an option is not valid.
     """
     chosen = starts(options.fleet)
     made = [_station(options, n, start, t, say) for n, start in enumerate(chosen)]
@@ -179,50 +179,50 @@ def stations(options: Options, t: float, say: Callable[[str], None]) -> list[Veh
 
 
 def _set_parameter(vehicles: Sequence[FlightController], name: str, value: float) -> None:
-    """Set it where there is one of that name: vehicles of a mixed fleet have few in common."""
+    """Set a parameter on the vehicles that have it: the vehicles of a mixed fleet have few in common."""
     owners = [vehicle for vehicle in vehicles if name in vehicle.parameters]
-    for vehicle in owners or vehicles[:1]:  # who has none says which there are
+    for vehicle in (
+        owners or vehicles[:1]
+    ):  # without any, the error of the first one lists its names
         vehicle.set_parameter(name, value)
 
 
-def _station(
-    options: Options, n: int, start: Start, t: float, say: Callable[[str], None]
-) -> VehicleServer:
+def _station(options: Options, n: int, start: Start, t: float, say: Log) -> VehicleServer:
     network, system = options.network, start.system
     kind = options.kind or start.kind or "px4"
     if kind not in KINDS:
         raise AutopilotError(f"type {kind!r}: expected one of {', '.join(KINDS)}")
 
-    def tell(line: str) -> None:
+    def log(line: str) -> None:
         say(f"{kind} {system}: {line}")
 
     path = network.key.replace("{n}", str(system)) if network.key else start.key
     key = None if path is None else read_key(Path(path))
-    ends = _companion(network, n, start)
+    ends = _companion_link(network, n, start)
     endpoints = [Endpoint(ends.listen, ends.partner, Codec(system, key=key))]
     if network.gcs is not None:
         listen = _checked(HOST, (ends.listen.port or PORT_BASE + n) + _GCS_OFFSET)
         endpoints.append(Endpoint(listen, network.gcs, Codec(system, key=key, link_id=GCS)))
-    # Whoever uses this system id as well does so from a port of its own.
+    # A second sender with this system id has a port of its own.
     impostor = Endpoint(Address(HOST, 0), None, Codec(system, key=key, link_id=IMPOSTOR))
-    # Last, because it compiles: what is wrong above is said at once.
-    vehicle = KINDS[kind](system, start.body, t, boot_time=options.boot_time, say=tell)
+    # Last, because it compiles: an error above is reported at once.
+    vehicle = KINDS[kind](system, start.body, t, boot_time=options.boot_time, say=log)
     return VehicleServer(vehicle, endpoints, impostor)
 
 
-def _companion(network: Network, n: int, start: Start) -> LinkAddresses:
-    """The companion's link: as told, else as the scenario's bridge expects it, else PX4's pair of ports."""
+def _companion_link(network: Network, n: int, start: Start) -> LinkAddresses:
+    """The companion's link: by --connect, else as the scenario's bridge expects it, else PX4's pair of ports."""
     if network.connect is not None:
-        return _told(network.connect, n)
+        return _connected(network.connect, n)
     if network.port_base is None and start.connect is not None:
-        return _opposite(start.connect)
+        return _vehicle_end(start.connect)
     base = network.port_base or PORT_BASE
     # PX4's simulations beyond the tenth all send to the tenth's port.
     there = base + (min(n, _LAST_OWN_PORT) if network.port_base is None else n)
     return LinkAddresses(_checked(HOST, base + n + _LISTEN_OFFSET), _checked(HOST, there))
 
 
-def _told(connect: str, n: int) -> LinkAddresses:
+def _connected(connect: str, n: int) -> LinkAddresses:
     kind, _, rest = connect.partition(":")
     if kind not in ("udpin", "udpout"):
         raise AutopilotError(f"connect {connect!r}: expected udpin:HOST:PORT or udpout:HOST:PORT")
@@ -231,8 +231,8 @@ def _told(connect: str, n: int) -> LinkAddresses:
     return LinkAddresses(there, None) if kind == "udpin" else LinkAddresses(Address(ANY, 0), there)
 
 
-def _opposite(connect: str) -> LinkAddresses:
-    """The vehicle's end of what the bridge connects to."""
+def _vehicle_end(connect: str) -> LinkAddresses:
+    """The vehicle's end of the link to which the bridge connects."""
     kind, _, rest = connect.partition(":")
     if kind not in ("udpin", "udpout"):
         raise AutopilotError(

@@ -61,7 +61,7 @@ class AutopilotParameters:
         return ParamValueFields(sent, kind, len(self._names), self._names.index(name))
 
     def decoded(self, name: str, sent: float, kind: int) -> Value | None:
-        """Value of a PARAM_SET; None when its type is not the parameter's (PX4 insists, ArduPilot does not)."""
+        """Value of a PARAM_SET; None when PX4 refuses its type; ArduPilot accepts any type."""
         whole = isinstance(self._values[name], int)
         if not self._bytewise:
             return round(sent) if whole else sent

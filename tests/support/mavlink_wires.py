@@ -53,7 +53,7 @@ class Far:
 
     def pack(self, message):
         if self.signer is not None:
-            self.signer.arm(self.codec)
+            self.signer.prepare(self.codec)
         data = message.pack(self.codec)
         self.codec.seq = (self.codec.seq + 1) % 256
         return data

@@ -1,1 +1,1 @@
-"""The vehicle under a stand-in flight controller: plant, inner loops, positioning, frames. No MAVLink."""
+"""The vehicle under a stand-in flight controller: plant, control loops, positioning, frames. No MAVLink."""

@@ -22,7 +22,7 @@ from ptnsbc_sim.plants.integrate import advance
 
 PHYSICS_HZ = 250
 
-# What the motors follow.
+# Kinds of targets.
 OFF, IDLE, TRAJECTORY, ATTITUDE, RATES = 0.0, 1.0, 2.0, 3.0, 4.0
 
 # Rows of a target. NaN: not commanded.
@@ -76,7 +76,7 @@ def no_target() -> Array:
 
 @inline_kernel
 def _estimate(body: Array, errors: Array, nav: Array) -> None:
-    """What the vehicle believes, as an odometry vector (13,) with the velocity in ENU."""
+    """The estimated state, as an odometry vector (13,) with the velocity in ENU."""
     for i in range(3):
         nav[i] = body[i] + errors[i]
         nav[7 + i] = body[7 + i] + errors[3 + i]
@@ -88,7 +88,7 @@ def _estimate(body: Array, errors: Array, nav: Array) -> None:
 
 
 @inline_kernel
-def _wanted_velocity(nav: Array, target: Array, gains: LoopGains) -> Array:
+def _velocity_setpoint(nav: Array, target: Array, gains: LoopGains) -> Array:
     """Velocity setpoint (3,) of the position loop, NaN where an axis has neither position nor velocity."""
     out = target[4:7].copy()
     for i in range(3):
@@ -107,11 +107,11 @@ def _wanted_velocity(nav: Array, target: Array, gains: LoopGains) -> Array:
 
 
 @inline_kernel
-def _wanted_force(
+def _force_setpoint(
     nav: Array, loop: Array, target: Array, gains: LoopGains, plant: PlantConfig, dt: float
 ) -> Array:
     """Force (3,) [N, ENU] of the velocity loop, within the tilt limit."""
-    velocity = _wanted_velocity(nav, target, gains)
+    velocity = _velocity_setpoint(nav, target, gains)
     force = np.zeros(3)
     for i in range(3):
         ahead = target[7 + i]
@@ -138,7 +138,7 @@ def _wanted_force(
 
 
 @inline_kernel
-def _turn_heading(nav: Array, loop: Array, target: Array, gains: LoopGains, dt: float) -> None:
+def _advance_heading(nav: Array, loop: Array, target: Array, gains: LoopGains, dt: float) -> None:
     """Move the heading setpoint towards the commanded one, or with the commanded rate."""
     if math.isfinite(target[10]):
         most = gains.max_yaw_rate * dt
@@ -150,7 +150,7 @@ def _turn_heading(nav: Array, loop: Array, target: Array, gains: LoopGains, dt: 
 
 
 @inline_kernel
-def _wanted_rates(present: Matrix3, desired: Matrix3, target: Array, gains: LoopGains) -> Array:
+def _rate_setpoint(present: Matrix3, desired: Matrix3, target: Array, gains: LoopGains) -> Array:
     """Body rates (3,) [rad/s] that turn R to R_d, plus those commanded."""
     turn = attitude_error(present, desired)
     out = np.empty(3)
@@ -167,7 +167,7 @@ def _wanted_rates(present: Matrix3, desired: Matrix3, target: Array, gains: Loop
 def _attitude_thrust(
     nav: Array, loop: Array, target: Array, gains: LoopGains, plant: PlantConfig, dt: float
 ) -> float:
-    """Thrust [N] with a commanded attitude: as told, or what the climb rate needs at this tilt."""
+    """Thrust [N] with a commanded attitude: the commanded one, or what the climb rate needs at this tilt."""
     climb = target[21]
     if not math.isfinite(climb):
         return target[12] * plant.max_thrust
@@ -182,20 +182,20 @@ def _attitude_thrust(
 def _wrench(
     nav: Array, loop: Array, target: Array, gains: LoopGains, plant: PlantConfig, dt: float
 ) -> Array:
-    """Thrust and torques (6,) for the target, from what the vehicle believes."""
+    """Thrust and torques (6,) for the target, from the estimated state."""
     out = np.zeros(6)
     kind = target[0]
     most = plant.max_thrust * min(max(target[13], 0.0), 1.0)
     present = rotation(nav, 3)
     rates = np.zeros(3)
     if kind == TRAJECTORY:
-        _turn_heading(nav, loop, target, gains, dt)
-        force = _wanted_force(nav, loop, target, gains, plant, dt)
+        _advance_heading(nav, loop, target, gains, dt)
+        force = _force_setpoint(nav, loop, target, gains, plant, dt)
         out[2] = force[0] * present[0][2] + force[1] * present[1][2] + force[2] * present[2][2]
-        rates = _wanted_rates(present, desired_rotation(force, loop[3]), target, gains)
+        rates = _rate_setpoint(present, desired_rotation(force, loop[3]), target, gains)
     elif kind == ATTITUDE:
         out[2] = _attitude_thrust(nav, loop, target, gains, plant, dt)
-        rates = _wanted_rates(present, rotation(target, 14), target, gains)
+        rates = _rate_setpoint(present, rotation(target, 14), target, gains)
     elif kind == RATES:
         out[2] = target[12] * plant.max_thrust
         for i in range(3):
@@ -216,8 +216,8 @@ def _wrench(
 
 
 @inline_kernel
-def _stand(body: Array, loop: Array) -> None:
-    """The ground at z = 0: what sinks into it stands on it, level and still."""
+def _ground_contact(body: Array, loop: Array) -> None:
+    """The ground at z = 0: a body below it is put on it, level and at rest."""
     if body[2] <= 0.0:
         half = 0.5 * math.atan2(
             2.0 * (body[3] * body[4] + body[6] * body[5]),
@@ -234,15 +234,13 @@ def _stand(body: Array, loop: Array) -> None:
 
 
 class AirframeState(NamedTuple):
-    """What one vehicle carries from period to period; changed in place."""
+    """The state of one vehicle between periods; changed in place."""
 
     body: Array  # (17,) plant state of the quadrotor
     loop: Array  # (6,) state of the loops
-    nav: (
-        Array  # (13,) belief: position [local ENU], quaternion x y z w, velocity [ENU], rates [FLU]
-    )
-    errors: Array  # (7,) of the belief
-    target: Array  # (22,) what to follow
+    nav: Array  # (13,) estimate: local ENU position, quaternion x y z w, ENU velocity, FLU rates
+    errors: Array  # (7,) of the estimate
+    target: Array  # (22,)
 
 
 @kernel
@@ -256,7 +254,7 @@ def fly(
 ) -> None:
     """Advance a vehicle by `steps` periods dt [s] from t [s], in place; errors and target are held.
 
-    `plants` is a list of the vehicle's one plant: a list is handed over as one pointer.
+    `plants` is a list with the vehicle's plant: numba passes a list as one pointer.
     """
     plant = plants[0]
     body, nav = craft.body, craft.nav
@@ -264,7 +262,7 @@ def fly(
         _estimate(body, craft.errors, nav)
         wrench = _wrench(nav, craft.loop, craft.target, gains, plant, dt)
         advance(body, wrench, t + n * dt, dt, 1, plant)
-        _stand(body, craft.loop)
+        _ground_contact(body, craft.loop)
     _estimate(body, craft.errors, nav)
 
 

@@ -1,4 +1,4 @@
-"""The physical vehicle under a stand-in: plant, estimate, battery, ground. Knows nothing of MAVLink."""
+"""The physical vehicle under a stand-in: plant, estimate, battery, ground. Without MAVLink."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def default_plant() -> PlantConfig:
 
 @dataclass(frozen=True)
 class VehicleDescription:
-    """One vehicle: what it is, where it stands, how well it knows that."""
+    """One vehicle: its plant, its start, and the accuracy of its positioning."""
 
     plant: PlantConfig = field(default_factory=default_plant)
     start_enu: Array = field(default_factory=lambda: np.zeros(3))  # (3,) [m], on the ground z = 0
@@ -89,7 +89,7 @@ class VehiclePhysics:
 
     @property
     def t(self) -> float:
-        """Time up to which the physics have come [s]."""
+        """Time of the physics [s]."""
         return self._start_t + self._ticks * _PERIOD_S
 
     def advance(self, t: float) -> None:
@@ -103,7 +103,7 @@ class VehiclePhysics:
             self._fly(count)
             due -= count
             if self._ticks % _NAVIGATION_EVERY == 0:
-                self._slow(1.0 / UPDATE_HZ)
+                self._update_slow_states(1.0 / UPDATE_HZ)
 
     def _fly(self, count: int) -> None:
         craft = AirframeState(
@@ -112,8 +112,8 @@ class VehiclePhysics:
         airframe.fly(craft, self.gains, self._plants, self.t, _PERIOD_S, count)
         self._ticks += count
 
-    def _slow(self, dt: float) -> None:
-        """What moves slowly: errors, battery, how long the vehicle has stood."""
+    def _update_slow_states(self, dt: float) -> None:
+        """Update the slow states: estimation errors, battery, time on the ground."""
         self.navigation.update(dt, self.in_contact)
         load = (self.thrust_share / self.hover_share) ** 1.5
         self.battery = max(0.0, self.battery - (0.02 + 0.98 * load) * dt / HOVER_ENDURANCE_S)
@@ -127,7 +127,7 @@ class VehiclePhysics:
 
     @property
     def standing_s(self) -> float:
-        """How long it has stood."""
+        """How long it has been on the ground."""
         return self.t - self._contact_t if self.in_contact else 0.0
 
     @property
@@ -187,6 +187,6 @@ class VehiclePhysics:
         return _CELLS * (_EMPTY_V + (_FULL_V - _EMPTY_V) * self.battery)
 
     def reboot(self) -> None:
-        """The autopilot starts anew where the vehicle is: motors off, a new origin."""
+        """Restart the estimator at the present position: motors off, a new origin."""
         self.target = airframe.no_target()
         self.navigation.restart(self.truth_enu.copy())

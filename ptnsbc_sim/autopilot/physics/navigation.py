@@ -1,4 +1,4 @@
-"""What satellite navigation makes of a position: slow errors, an origin of its own, and the loss of it.
+"""Errors of a satellite receiver: slow errors of the estimate, a local origin per vehicle, and the loss of the fix.
 
 Errors are Gauss-Markov: e' = a e + sigma sqrt(1 - a^2) n. The velocity error of `plain` is set so that zero
 velocity drifts about 4 m in 12 s while the estimate reads near zero, as measured on a simulated PX4.
@@ -42,9 +42,9 @@ QUALITIES = {
     "rtk": ReceiverAccuracy(0.014, 0.02, 20.0, 0.01, 0.008, 1.0, 0.005, 6),
     "perfect": ReceiverAccuracy(0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 0.0, 6),
 }
-"""Receivers to choose from; `plain` is what was measured, `rtk` what the paper's experiment had.
+"""Receivers to choose from: `plain` as measured, `rtk` as in the paper's experiment.
 
-With `rtk` a velocity error cannot last: in seconds it would show in positions known to centimetres.
+With `rtk` a velocity error is short: it would show within seconds in positions known to centimetres.
 """
 
 
@@ -66,7 +66,7 @@ class Navigation:
         self.restart(start_enu)
 
     def restart(self, position_enu: Array) -> None:
-        """Boot at a position (3,): new errors, and an origin where the first fix says we are."""
+        """Boot at a position (3,): new errors, and the origin at the position of the first fix."""
         quality, random = self.quality, self._random
         self._global = random.standard_normal(3) * self._deviations()
         direction = random.uniform(0.0, 2.0 * math.pi)
@@ -83,12 +83,12 @@ class Navigation:
         self.errors[ERROR_POSITION] = self._global - self.origin_enu
 
     def lose(self, t: float) -> None:
-        """No more satellites from t [s] on."""
+        """Lose the satellites at t [s]."""
         if self._since_lost is None:
             self._since_lost = t
 
     def regain(self) -> None:
-        """Satellites again."""
+        """Receive satellites again."""
         self._since_lost = None
 
     @property
@@ -101,7 +101,7 @@ class Navigation:
         return 0.0 if self._since_lost is None else t - self._since_lost
 
     def update(self, dt: float, at_rest: bool) -> None:
-        """Let the errors move on by dt [s]; at rest on the ground the velocity is known better."""
+        """Advance the errors by dt [s]; at rest on the ground the velocity error is smaller."""
         noise = self._random.standard_normal(6)
         tau, deviations = self.quality.velocity_tau_s, self._velocity_deviations()
         if self._since_lost is not None:

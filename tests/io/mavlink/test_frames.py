@@ -133,6 +133,6 @@ def test_two_origins_see_each_other_from_opposite_sides(north_m, east_m):
 
 @given(st.floats(-200.0, 200.0), st.floats(-200.0, 200.0), st.floats(-20.0, 20.0))
 def test_places_return(east, north, up):
-    there = frames.place_at(np.array([east, north, up]), HOME, PX4_RADIUS)
+    there = frames.point_at(np.array([east, north, up]), HOME, PX4_RADIUS)
     back = frames.offset_enu(there, HOME, PX4_RADIUS)
     assert back == pytest.approx([east, north, up], abs=5e-3)

@@ -15,7 +15,7 @@ import mavlink_wires as wires
 from mavlink_wires import Far, arrived, heartbeat, settled
 
 from ptnsbc_io.mavlink.dialect import mavlink
-from ptnsbc_io.mavlink.framing import Broken, Framer
+from ptnsbc_io.mavlink.framing import BrokenFrame, Framer
 from ptnsbc_io.mavlink.link import MavlinkLink
 from ptnsbc_io.mavlink.signing import KeyFileError, Signer, read_key
 from ptnsbc_io.mavlink.transport import ConnectError, connect
@@ -111,7 +111,7 @@ def test_a_forged_timestamp_does_not_lock_the_vehicle_out(make):
 def test_an_old_recording_is_not_the_start_of_a_stream(make):
     link, far = make(key=KEY, far_key=KEY)
     far.signer = Signer(KEY, timestamp=1000)
-    far.signer.arm = lambda codec: _arm_at(codec, KEY, 1000)
+    far.signer.prepare = lambda codec: _arm_at(codec, KEY, 1000)
     far.send(heartbeat())
     assert settled(link) == []
     assert dropped(link) == {"replayed": 1}
@@ -131,14 +131,14 @@ def test_a_signed_link_signs_and_an_unsigned_vehicle_learns_where_to_answer(make
     assert answer.get_msgbuf()[2] == 1
     checker = Signer(KEY)
     frame = next(Framer(stream=False).feed(bytes(answer.get_msgbuf())))
-    assert checker.genuine(frame)
+    assert checker.has_valid_signature(frame)
 
 
 def test_our_own_timestamps_only_rise():
     codec, signer = wires.codec(), Signer(KEY)
     stamps = []
     for _ in range(50):
-        signer.arm(codec)
+        signer.prepare(codec)
         data = heartbeat().pack(codec)
         stamps.append(int.from_bytes(data[-12:-6], "little"))
     assert sorted(set(stamps)) == stamps
@@ -179,7 +179,7 @@ def test_a_second_vehicle_with_the_same_id_is_noticed_and_not_believed(make):
     twin = Far(far.to[1])
     twin.send(heartbeat(custom_mode=2))
     assert settled(link, now_s=10.5) == []
-    assert link.rival_heard_s == 10.5
+    assert link.duplicate_sysid_s == 10.5
     assert dropped(link) == {"other_address": 1}
     # a vehicle that went silent may come back from elsewhere: a rebooted radio, a new port
     twin.send(heartbeat(custom_mode=2))
@@ -298,7 +298,7 @@ def test_fuzzed_packets_neither_pass_nor_crash_nor_pile_up(key):
     frames = []
     for n in range(30):
         if key:
-            signer.arm(codec)
+            signer.prepare(codec)
         frames.append(mavlink.MAVLink_local_position_ned_message(n, 1, 2, 3, 0, 0, 0).pack(codec))
         frames.append(heartbeat(custom_mode=n).pack(codec))
     transport = _Loop([])
@@ -323,5 +323,5 @@ def test_fuzzed_packets_neither_pass_nor_crash_nor_pile_up(key):
 def test_framer_keeps_nothing_of_a_datagram():
     framer = Framer(stream=False)
     whole = heartbeat().pack(wires.codec())
-    assert list(framer.feed(whole[:10])) == [Broken(truncated=True)]
+    assert list(framer.feed(whole[:10])) == [BrokenFrame(truncated=True)]
     assert next(framer.feed(whole)).data == whole

@@ -24,18 +24,18 @@ DT = 0.02
 
 def test_a_change_counts_when_it_is_said_twice():
     twice = ConfirmedValue()
-    assert [twice.admits(value) for value in "aabacbccd"] == [
+    assert [twice.accepts(value) for value in "aabacbccd"] == [
         False, True, False, True, False, False, False, True, False
     ]  # fmt: skip
-    assert twice.doubts
+    assert twice.unconfirmed
 
 
 def test_a_jump_counts_when_the_next_one_follows_it():
     smooth = RateLimitedValue(np.array([0.2]), np.array([10.0]))
     path = [0.0, 0.1, 0.3, 9.0, 0.5, 7.0, 7.1, 7.2, float("nan"), float("nan"), 7.3]
-    told = [smooth.admits(np.array([x]), DT * n) for n, x in enumerate(path)]
+    told = [smooth.accepts(np.array([x]), DT * n) for n, x in enumerate(path)]
     assert told == [False, True, True, False, True, False, True, True, False, False, True]
-    assert smooth.doubted == 4
+    assert smooth.rejected == 4
 
 
 class Flown:

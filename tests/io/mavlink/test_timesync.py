@@ -9,34 +9,34 @@ BOOT_AT = 100.0  # the vehicle booted when our clock showed this
 
 def trip(sync, sent_s, there_s, back_s, boot_at=BOOT_AT):
     """One question and its answer, with the time it took each way."""
-    ours = sync.ask(sent_s)
+    ours = sync.request(sent_s)
     theirs = round((sent_s + there_s - boot_at) * 1e9)
-    return sync.answered(theirs, ours, sent_s + there_s + back_s)
+    return sync.on_answer(theirs, ours, sent_s + there_s + back_s)
 
 
 def test_even_trips_give_the_offset():
     sync = TimeSync()
     assert trip(sync, 110.0, 0.002, 0.002)
-    assert sync.ours(11.0) == pytest.approx(111.0)
+    assert sync.to_host_time(11.0) == pytest.approx(111.0)
     assert sync.synchronised
 
 
 def test_the_quickest_trip_counts():
     sync = TimeSync()
     trip(sync, 110.0, 0.100, 0.001)
-    assert sync.ours(0.0) == pytest.approx(BOOT_AT - 0.0495)
+    assert sync.to_host_time(0.0) == pytest.approx(BOOT_AT - 0.0495)
     trip(sync, 111.0, 0.001, 0.001)
     trip(sync, 112.0, 0.001, 0.200)
-    assert sync.ours(0.0) == pytest.approx(BOOT_AT)
+    assert sync.to_host_time(0.0) == pytest.approx(BOOT_AT)
     assert sync.round_trip_s == pytest.approx(0.002)
 
 
 def test_answers_to_nothing_and_repeated_answers_are_ignored():
     sync = TimeSync()
-    assert not sync.answered(1, 2, 110.0)
-    ours = sync.ask(110.0)
-    assert sync.answered(10 * 10**9, ours, 110.002)
-    assert not sync.answered(99 * 10**9, ours, 110.004)
+    assert not sync.on_answer(1, 2, 110.0)
+    ours = sync.request(110.0)
+    assert sync.on_answer(10 * 10**9, ours, 110.002)
+    assert not sync.on_answer(99 * 10**9, ours, 110.004)
     assert sync.answers == 1
 
 
@@ -44,11 +44,11 @@ def test_a_jump_is_believed_when_it_stays():
     sync = TimeSync()
     trip(sync, 110.0, 0.001, 0.001)
     assert not trip(sync, 111.0, 0.001, 0.001, boot_at=90.0)  # once may be an accident
-    assert sync.ours(0.0) == pytest.approx(BOOT_AT)
+    assert sync.to_host_time(0.0) == pytest.approx(BOOT_AT)
     trip(sync, 112.0, 0.001, 0.001, boot_at=90.0)
     trip(sync, 113.0, 0.001, 0.001, boot_at=90.0)
     assert sync.jumps == 1
-    assert sync.ours(0.0) == pytest.approx(90.0)
+    assert sync.to_host_time(0.0) == pytest.approx(90.0)
 
 
 def test_single_accidents_never_add_up_to_a_jump():
@@ -61,17 +61,17 @@ def test_single_accidents_never_add_up_to_a_jump():
 
 def test_without_answers_the_quickest_message_must_do():
     sync = TimeSync()
-    assert sync.ours(1.0) is None
+    assert sync.to_host_time(1.0) is None
     for n, late in enumerate((0.03, 0.01, 0.02, 0.05, 0.01, 0.01)):
-        sync.heard(10.0 + n, BOOT_AT + 10.0 + n + late)
+        sync.on_boot_time(10.0 + n, BOOT_AT + 10.0 + n + late)
     assert not sync.synchronised
     assert not sync.ready(BOOT_AT + 14.0)
     assert sync.ready(BOOT_AT + 15.5)
-    assert sync.ours(10.0) == pytest.approx(BOOT_AT + 10.01)
+    assert sync.to_host_time(10.0) == pytest.approx(BOOT_AT + 10.01)
 
 
 def test_a_reboot_starts_again():
     sync = TimeSync()
     trip(sync, 110.0, 0.001, 0.001)
-    sync.forget()
-    assert sync.ours(1.0) is None
+    sync.reset()
+    assert sync.to_host_time(1.0) is None

@@ -53,8 +53,8 @@ class Flown:
         self.synchronise()
 
     def synchronise(self):
-        ours = self.sync.ask(self.now)
-        self.sync.answered(round((self.now - self.boot_at) * 1e9), ours, self.now)
+        ours = self.sync.request(self.now)
+        self.sync.on_answer(round((self.now - self.boot_at) * 1e9), ours, self.now)
 
     def state(self, xyz=(0, 0, 0), late_s=0.01):
         boot_ms = round((self.now - late_s - self.boot_at) * 1e3)

@@ -234,10 +234,10 @@ def test_the_bridge_and_the_stand_in_believe_each_other():
     key, beat = bytes(range(32)), mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3)
     vehicle, signer = Codec(1, key=key), Signer(key)
     (frame,) = Framer(stream=False).feed(vehicle.encode(beat))
-    assert signer.genuine(frame)
-    assert signer.fresh(frame)
+    assert signer.has_valid_signature(frame)
+    assert signer.is_new(frame)
     bridge = mavlink.MAVLink(None, srcSystem=1, srcComponent=191)
-    signer.arm(bridge)
+    signer.prepare(bridge)
     assert len(vehicle.decode(bytes(beat.pack(bridge)))) == 1
 
 
