@@ -82,7 +82,7 @@ class LinkMaintenance:
             self.sync.on_answer(message.tc1, message.ts1, now_s)
         elif kind == "PARAM_VALUE":
             try:
-                self._parameters.heard(message)
+                self._parameters.on_param_value(message)
             except MavlinkParameterError as error:
                 self._vehicle.warning = str(error)
         elif kind == "COMMAND_ACK":

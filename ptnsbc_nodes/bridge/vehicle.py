@@ -149,7 +149,7 @@ class VehicleMonitor:
     @property
     def unconfirmed(self) -> bool:
         """Whether the newest HEARTBEAT brought a change that the next one must confirm."""
-        return self._confirmed is not None and self._confirmed["heartbeat"].doubts
+        return self._confirmed is not None and self._confirmed["heartbeat"].unconfirmed
 
     def on_message(self, message: Any, now_s: float) -> VehicleState | None:
         """Take in a message; returns the vehicle's new state when the message completes one."""
