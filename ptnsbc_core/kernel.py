@@ -1,76 +1,37 @@
 """One source for every law: compiled by numba where present, plain Python elsewhere.
 
-`PTNSBC_JIT=0` selects the interpreted form. The compiled form is cached under a folder named after a
-digest of all kernel sources: numba itself only notices a change in the file of the outermost function, so
-an edited inner law would otherwise keep running in its old form.
+`PTNSBC_JIT=0` selects the interpreted form. The compiled form is kept on disk by `compile_cache`.
 """
 
 from __future__ import annotations
 
-import hashlib
 import os
-import shutil
 from collections.abc import Callable, MutableSequence, Sequence
-from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 
 P = ParamSpec("P")
 R = TypeVar("R")
 T = TypeVar("T")
 
-_ROOT = Path(__file__).resolve().parent.parent
-_SOURCES = ("ptnsbc_core", "ptnsbc_sim")
-_KEPT_CACHES = 3
 
-
-def _source_digest() -> str:
-    digest = hashlib.sha256()
-    for package in _SOURCES:
-        for path in sorted((_ROOT / package).rglob("*.py")):
-            digest.update(path.name.encode())
-            digest.update(path.read_bytes())
-    return digest.hexdigest()[:16]
-
-
-def _cache_root() -> Path:
-    base = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
-    return Path(os.environ.get("PTNSBC_CACHE_DIR") or Path(base) / "ptnsbc")
-
-
-def _prune(root: Path, keep: Path) -> None:
-    """Drop the oldest caches: each edit of a law makes a new one."""
-    try:
-        stale = sorted(
-            (path for path in root.iterdir() if path.is_dir() and path != keep),
-            key=lambda path: path.stat().st_mtime,
-            reverse=True,
-        )[_KEPT_CACHES - 1 :]
-    except OSError:
-        return
-    for path in stale:
-        shutil.rmtree(path, ignore_errors=True)
-
-
-def _compiler() -> tuple[Any, Any] | None:
+def _compiler() -> Callable[..., Any] | None:
+    """Compile with options of numba's `njit`; None when kernels are interpreted."""
     if os.environ.get("PTNSBC_JIT", "1") == "0":
         return None
     try:
         import numba
     except ImportError:
         return None
-    root = _cache_root()
-    cache = root / _source_digest()
-    try:
-        cache.mkdir(parents=True, exist_ok=True)
-    except OSError:
-        cached = False  # a read-only home still flies, it compiles at every start
-    else:
-        cached = True
-        _prune(root, cache)
-        numba.config.CACHE_DIR = str(cache)
-    whole = numba.njit(cache=cached, error_model="numpy")
-    within = numba.njit(cache=cached, error_model="numpy", forceinline=True)
-    return whole, within
+    from ptnsbc_core.compile_cache import CacheFolder, KernelCache, cache_root, source_digest
+
+    folder = CacheFolder(cache_root(), source_digest())
+
+    def compiled(law: Callable[..., Any], **options: bool) -> Any:
+        dispatcher = numba.njit(error_model="numpy", **options)(law)
+        dispatcher._cache = KernelCache(law, folder)
+        return dispatcher
+
+    return compiled
 
 
 _COMPILE = _compiler()
@@ -80,7 +41,7 @@ COMPILED: bool = _COMPILE is not None
 
 def kernel(law: Callable[P, R]) -> Callable[P, R]:
     """Mark a law as a kernel: scalars, tuples, float64 arrays and NamedTuples in and out, no I/O, no globals."""
-    return law if _COMPILE is None else _COMPILE[0](law)
+    return law if _COMPILE is None else _COMPILE(law)
 
 
 def inline_kernel(law: Callable[P, R]) -> Callable[P, R]:
@@ -89,7 +50,7 @@ def inline_kernel(law: Callable[P, R]) -> Callable[P, R]:
     Between two compiled functions every array travels as seven words and a reference count; within one the
     compiler drops most of both. Long kernels stay apart, or each caller would compile them again.
     """
-    return law if _COMPILE is None else _COMPILE[1](law)
+    return law if _COMPILE is None else _COMPILE(law, forceinline=True)
 
 
 def _list_type() -> Any:

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 import ptnsbc_core
-from ptnsbc_core import kernel as module
 from ptnsbc_core.kernel import COMPILED, kernel_list
 
 PROBE = Path(__file__).with_name("step_probe.py")
@@ -52,36 +51,6 @@ def test_probe_reaches_the_branches_that_matter() -> None:
 def test_interpreted_form_on_request() -> None:
     code = "from ptnsbc_core.kernel import COMPILED, kernel; f = lambda x: x; print(COMPILED, kernel(f) is f)"
     assert run("-c", code, PTNSBC_JIT="0").split() == ["False", "True"]
-
-
-def test_a_cache_that_cannot_be_written_still_compiles(tmp_path: Path) -> None:
-    blocked = tmp_path / "file"
-    blocked.write_text("")
-    code = "from ptnsbc_core.algebra import wrap_angle; print(wrap_angle(7.0))"
-    said = run("-c", code, PTNSBC_CACHE_DIR=str(blocked))
-    assert float(said) == pytest.approx(7.0 - 2.0 * np.pi)
-
-
-def test_digest_changes_with_any_law(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    law = tmp_path / "ptnsbc_core" / "tasks" / "law.py"
-    law.parent.mkdir(parents=True)
-    law.write_text("a = 1\n")
-    monkeypatch.setattr(module, "_ROOT", tmp_path)
-    before = module._source_digest()
-    law.write_text("a = 2\n")
-    assert module._source_digest() != before
-    law.write_text("a = 1\n")
-    assert module._source_digest() == before
-
-
-def test_only_the_latest_caches_are_kept(tmp_path: Path) -> None:
-    for age in range(6):
-        folder = tmp_path / f"digest{age}"
-        folder.mkdir()
-        os.utime(folder, (1000.0 - age, 1000.0 - age))
-    keep = tmp_path / "digest5"  # the oldest, and the one in use
-    module._prune(tmp_path, keep)
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["digest0", "digest1", "digest5"]
 
 
 def test_a_kernel_list_is_a_list() -> None:

@@ -1,0 +1,209 @@
+"""The compile cache: no fault of it ends a process, each is said in one line, and what is damaged is replaced."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import ptnsbc_core
+from ptnsbc_core.kernel import COMPILED
+
+if not COMPILED:
+    pytest.skip("numba is absent or switched off: nothing is compiled", allow_module_level=True)
+
+from ptnsbc_core import compile_cache
+from ptnsbc_core.compile_cache import CacheFolder, prune, source_digest
+
+ROOT = Path(ptnsbc_core.__file__).resolve().parent.parent
+KERNELS = 7
+LAWS = """
+from ptnsbc_core.kernel import inline_kernel, kernel
+
+@inline_kernel
+def half(x):
+    return 0.5 * x
+""" + "".join(
+    f"""
+@kernel
+def law_{n}(x):
+    return half(x) + {n}.0
+"""
+    for n in range(KERNELS)
+)
+PRINT = """
+import sys
+from laws import *
+laws = [globals()[f"law_{n}"] for n in range(int(sys.argv[1]))]
+print(*(law(3.0) for law in laws), sum(sum(law.stats.cache_hits.values()) for law in laws))
+"""
+
+
+@pytest.fixture
+def laws(tmp_path: Path) -> Path:
+    """A folder with a module of small kernels."""
+    folder = tmp_path / "laws"
+    folder.mkdir()
+    (folder / "laws.py").write_text(LAWS)
+    return folder
+
+
+def started(laws: Path, cache: Path, before: str = "", count: int = 2) -> subprocess.Popen:
+    """A process that calls kernels and prints the results, and how many kernels came from the cache."""
+    return subprocess.Popen(
+        [sys.executable, "-c", before + PRINT, str(count)],
+        env={
+            **os.environ,
+            "PYTHONPATH": os.pathsep.join([str(ROOT), str(laws)]),
+            "PTNSBC_CACHE_DIR": str(cache),
+        },
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def finished(process: subprocess.Popen) -> tuple[int, list[str]]:
+    """Kernels that came from the cache, and the lines on stderr; the results must be right."""
+    out, error = process.communicate(timeout=120)
+    assert process.returncode == 0, error
+    *results, hits = out.split()
+    assert [float(number) for number in results] == [1.5 + n for n in range(len(results))]
+    return int(hits), error.splitlines()
+
+
+def run(laws: Path, cache: Path, before: str = "", count: int = 2) -> tuple[int, list[str]]:
+    return finished(started(laws, cache, before, count))
+
+
+def files_of(cache: Path) -> list[Path]:
+    """The files of law_0, law_1, ... in the only cache."""
+    (folder,) = cache.iterdir()
+    return sorted(folder.glob("laws.law_*"))
+
+
+def test_damaged_files_are_compiled_again_and_replaced(laws: Path, tmp_path: Path) -> None:
+    cache = tmp_path / "cache"
+    assert run(laws, cache, count=KERNELS) == (0, [])
+    assert run(laws, cache, count=KERNELS) == (KERNELS, [])
+    truncated, empty, zeroed, garbage, flipped, sealed_garbage, other = files_of(cache)
+    whole = truncated.read_bytes()
+    truncated.write_bytes(whole[: len(whole) // 2])
+    empty.write_bytes(b"")
+    zeroed.write_bytes(bytes(zeroed.stat().st_size))
+    garbage.write_bytes(bytes(range(256)) * 40)
+    flipped.write_bytes(flipped.read_bytes()[:-100] + bytes(100))
+    sealed_garbage.write_bytes(compile_cache._sealed(b"no pickle"))
+    other.write_bytes(whole)  # a whole file of another kernel
+    hits, lines = run(laws, cache, count=KERNELS)
+    assert hits == 0
+    (line,) = lines
+    assert line.startswith(f"ptnsbc: compile cache {cache}")
+    assert "is damaged" in line
+    assert run(laws, cache, count=KERNELS) == (KERNELS, [])
+
+
+def test_two_processes_at_once_fill_one_cache(laws: Path, tmp_path: Path) -> None:
+    cache = tmp_path / "cache"
+    both = [started(laws, cache) for _ in range(2)]
+    assert [finished(process)[1] for process in both] == [[], []]
+    assert run(laws, cache) == (2, [])
+    (folder,) = cache.iterdir()
+    assert not [path for path in folder.iterdir() if path.suffix != ".kernel"]
+
+
+def test_a_file_in_the_place_of_the_folder(laws: Path, tmp_path: Path) -> None:
+    blocked = tmp_path / "file"
+    blocked.write_text("mine")
+    hits, (line,) = run(laws, blocked)
+    assert hits == 0
+    assert "Not a directory" in line
+    assert blocked.read_text() == "mine"
+
+
+def test_a_disk_that_takes_no_more(laws: Path, tmp_path: Path) -> None:
+    limit = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (2000, 2000))\n"
+    hits, (line,) = run(laws, tmp_path / "cache", limit)
+    assert hits == 0
+    assert "cannot be written (File too large): the laws are compiled at every start" in line
+    assert files_of(tmp_path / "cache") == []
+
+
+def test_a_read_only_cache_is_read(laws: Path, tmp_path: Path) -> None:
+    cache = tmp_path / "cache"
+    run(laws, cache)
+    read_only = """
+import errno, tempfile
+def mkstemp(**_):
+    raise OSError(errno.EROFS, "Read-only file system")
+tempfile.mkstemp = mkstemp
+"""
+    assert run(laws, cache, read_only) == (2, [])
+    files_of(cache)[0].unlink()
+    hits, (line,) = run(laws, cache, read_only)
+    assert hits == 1
+    assert "cannot be written (Read-only file system)" in line
+
+
+def test_a_cache_of_another_user_is_refused(laws: Path, tmp_path: Path) -> None:
+    cache = tmp_path / "cache"
+    run(laws, cache)
+    before = {path: path.read_bytes() for path in files_of(cache)}
+    other = f"import os; os.geteuid = lambda: {os.geteuid() + 1}\n"
+    hits, (line,) = run(laws, cache, other)
+    assert hits == 0
+    assert f"user {os.geteuid()} owns {cache}" in line
+    assert "set PTNSBC_CACHE_DIR to a folder of your own" in line
+    assert before == {path: path.read_bytes() for path in files_of(cache)}
+
+
+def test_a_file_of_another_user_is_not_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In a folder that everybody can write to."""
+    folder = CacheFolder(tmp_path, "cache")
+    folder.write("law", b"code")
+    assert folder.read("law") == b"code"
+    monkeypatch.setattr(os, "geteuid", lambda: os.getuid() + 1)
+    assert folder.read("law") is None
+    assert "law belongs to user" in capsys.readouterr().err
+
+
+def test_a_cache_that_is_removed_is_made_anew(tmp_path: Path) -> None:
+    folder = CacheFolder(tmp_path, "cache")
+    folder.write("law", b"code")
+    shutil.rmtree(tmp_path)
+    assert folder.read("law") is None
+    folder.write("law", b"code")
+    assert folder.read("law") == b"code"
+    assert folder.path.stat().st_mode & 0o777 == 0o700
+
+
+def test_digest_changes_with_any_law_and_its_place(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    law = tmp_path / "ptnsbc_core" / "tasks" / "law.py"
+    law.parent.mkdir(parents=True)
+    law.write_text("a = 1\n")
+    monkeypatch.setattr(compile_cache, "_ROOT", tmp_path)
+    before = source_digest()
+    law.write_text("a = 2\n")
+    assert source_digest() != before
+    law.write_text("a = 1\n")
+    assert source_digest() == before
+    law.rename(tmp_path / "ptnsbc_core" / "law.py")
+    assert source_digest() != before
+
+
+def test_only_the_latest_caches_are_kept_and_nothing_else_is_removed(tmp_path: Path) -> None:
+    folders = [tmp_path / f"{age:016x}" for age in range(6)]
+    for age, folder in enumerate(folders):
+        folder.mkdir()
+        os.utime(folder, (1000.0 - age, 1000.0 - age))
+    (tmp_path / "photos").mkdir()
+    keep = folders[5]  # the oldest, and the one in use
+    prune(tmp_path, keep)
+    left = {path.name for path in tmp_path.iterdir()}
+    assert left == {folders[0].name, folders[1].name, keep.name, "photos"}
