@@ -13,7 +13,7 @@ from ptnsbc_io.wire.cdr import split_stamp, write_stamp
 from ptnsbc_nodes.comm.diagnostics import DiagnosticLevel, diagnostics
 from ptnsbc_nodes.comm.endpoints import Endpoints, full_name
 from ptnsbc_nodes.comm.topics import Topic, message_class
-from ptnsbc_nodes.uav.counters import UavCounters
+from ptnsbc_nodes.uav.controller import UavCounters
 
 Send = Callable[[int], None]
 

@@ -40,7 +40,7 @@ _NOT_OURS = (Step.YIELDED, Step.HEARTBEAT, Step.DONE, Step.FAILED)
 
 
 class FlyingError(PtnsbcError):
-    """A bridge that was asked to leave its vehicle alone in the air."""
+    """A request to deactivate a bridge whose vehicle flies."""
 
 
 class BridgeNode:
@@ -234,8 +234,8 @@ class _NearPublisher:
         self._period_s = 1.0 / scenario.sensor.rate_hz
         self._next_s = 0.0
         self._send = endpoints.publisher(topics.near(uav_id), 1 + edges.options.recorders)
-        everybody = scenario.mavlink.near == "all"
-        others = set(scenario.uav_ids) - {uav_id} if everybody else edges.linked(uav_id)
+        all_uavs = scenario.mavlink.near == "all"
+        others = set(scenario.uav_ids) - {uav_id} if all_uavs else edges.linked(uav_id)
         for other in others:
             for topic in (topics.odom(other), topics.track(other)):
                 endpoints.listen(topic, self._on_odometry(other), required=False)

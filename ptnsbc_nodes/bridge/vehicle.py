@@ -28,11 +28,7 @@ _FIX_3D = 3
 _NO_FIX_S = 1.0
 _LOW_BATTERY_S = 3.0
 
-_BOOTING = (
-    mavlink.MAV_STATE_UNINIT,
-    mavlink.MAV_STATE_BOOT,
-    mavlink.MAV_STATE_CALIBRATING,
-)
+_BOOTING = (mavlink.MAV_STATE_UNINIT, mavlink.MAV_STATE_BOOT, mavlink.MAV_STATE_CALIBRATING)
 _MULTIROTORS = (
     mavlink.MAV_TYPE_GENERIC,
     mavlink.MAV_TYPE_QUADROTOR,
@@ -139,7 +135,7 @@ class VehicleMonitor:
 
     @property
     def rebooted(self) -> bool:
-        """Whether the vehicle says that it boots, or its clock began anew and it is disarmed since."""
+        """Whether the vehicle reports that it boots, or its clock began anew and it is disarmed since."""
         restarted_s, heartbeat_s = self._clock.restarted_s, self.heartbeat_s
         heard_since = (
             restarted_s is not None and heartbeat_s is not None and heartbeat_s >= restarted_s

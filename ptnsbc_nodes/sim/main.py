@@ -37,19 +37,22 @@ def _simulate(arguments: argparse.Namespace, argv: list[str]) -> int:
         }
     )
     with parameter_node("sim", "", argv, given) as node:
-        told = parameters.NodeParameters(node, parameters.SCENARIO)
-        told.declare_scenario()
+        settings = parameters.NodeParameters(node, parameters.SCENARIO)
+        settings.declare_scenario()
         if node.get_parameter("use_sim_time").value:
             raise parameters.ScenarioParameterError(
-                "parameter use_sim_time: true: expected false, the sim makes time"
+                "parameter use_sim_time: true: expected false, because the sim publishes the time"
             )
         if not topics.tf_is_available():
-            print("sim: no live /tf, tf2_msgs is not installed; bags have it", file=sys.stderr)
-        load_world(told.scenario)
-        if told.options.lockstep:
+            print(
+                "sim: there is no live /tf because tf2_msgs is not installed; bags contain /tf",
+                file=sys.stderr,
+            )
+        load_world(settings.scenario)
+        if settings.options.lockstep:
             environment.prefer_throughput()
-        graph = CommunicationGraph(told.scenario, told.options)
-        sim = SimNode(node, told.scenario, graph, lifetime.end)
+        graph = CommunicationGraph(settings.scenario, settings.options)
+        sim = SimNode(node, settings.scenario, graph, lifetime.end)
         lifetime.serve(node, sim.endpoints)
     return 0
 

@@ -1,4 +1,4 @@
-"""What the simulated world tells: odometry, near objects, time, and pictures of it all."""
+"""What the simulated world publishes: odometry, near objects, time, markers and transforms."""
 
 from __future__ import annotations
 
@@ -27,47 +27,49 @@ class SimPublishers:
         self._scene_every = status_every(scenario)
         self._calls = 0
         self._scene = Scene(scenario, world)
-        self._clock = ClockTemplate()
-        ids, readers = world.ids, options.recorders
-        self._odometry = {i: OdometryTemplate(WORLD_FRAME, f"uav{i}/base_link") for i in ids}
-        self._send_odom = {i: endpoints.publisher(topics.odom(i), 1 + readers) for i in ids}
+        self._clock_template = ClockTemplate()
+        ids, recorders = world.ids, options.recorders
+        self._odometry_templates = {
+            i: OdometryTemplate(WORLD_FRAME, f"uav{i}/base_link") for i in ids
+        }
+        self._send_odom = {i: endpoints.publisher(topics.odom(i), 1 + recorders) for i in ids}
         self._send_truth = (
-            {i: endpoints.publisher(topics.truth(i), readers) for i in ids}
+            {i: endpoints.publisher(topics.truth(i), recorders) for i in ids}
             if scenario.imperfect
             else {}
         )
-        self._send_near = {i: endpoints.publisher(topics.near(i), 1 + readers) for i in ids}
-        self._send_clock = endpoints.publisher(topics.CLOCK, readers)
-        self._send_markers = endpoints.publisher(topics.MARKERS, readers)
-        # For viewers only: the recorder makes its own.
+        self._send_near = {i: endpoints.publisher(topics.near(i), 1 + recorders) for i in ids}
+        self._send_clock = endpoints.publisher(topics.CLOCK, recorders)
+        self._send_markers = endpoints.publisher(topics.MARKERS, recorders)
+        # For viewers only: the recorder makes its own transforms.
         self._send_tf = endpoints.publisher(topics.TF, 0) if topics.tf_is_available() else None
 
     def publish(self, stamp_ns: int) -> None:
-        """Tell the world's state of now; near objects and pictures at their own rates."""
+        """Publish the world's state; near objects and markers at their own rates."""
         for i in self._world.ids:
             self.vehicle(i, self._calls, stamp_ns)
-        self.time(stamp_ns)
+        self.clock(stamp_ns)
         if self._calls % self._scene_every == 0:
-            self.picture(stamp_ns)
+            self.markers(stamp_ns)
         self._calls += 1
 
     def vehicle(self, uav_id: int, tick: int, stamp_ns: int) -> None:
-        """Tell one UAV its odometry, and at its sensor's turn what is near."""
+        """Publish the odometry of one UAV, and at the rate of its sensor the near objects."""
         state = self._world.odometry(uav_id)
-        self._send_odom[uav_id](self._odometry[uav_id].encode(stamp_ns, state))
+        self._send_odom[uav_id](self._odometry_templates[uav_id].encode(stamp_ns, state))
         if uav_id in self._send_truth:
             truth = self._world.truth(uav_id)
-            self._send_truth[uav_id](self._odometry[uav_id].encode(stamp_ns, truth))
+            self._send_truth[uav_id](self._odometry_templates[uav_id].encode(stamp_ns, truth))
         if tick % self._near_every == 0:
-            seen = self._world.near(uav_id)
-            self._send_near[uav_id](encode_near(stamp_ns, WORLD_FRAME, seen))
+            near = self._world.near(uav_id)
+            self._send_near[uav_id](encode_near(stamp_ns, WORLD_FRAME, near))
 
-    def time(self, stamp_ns: int) -> None:
-        """Tell the time."""
-        self._send_clock(self._clock.encode(stamp_ns))
+    def clock(self, stamp_ns: int) -> None:
+        """Publish the time."""
+        self._send_clock(self._clock_template.encode(stamp_ns))
 
-    def picture(self, stamp_ns: int) -> None:
-        """Tell what viewers draw."""
+    def markers(self, stamp_ns: int) -> None:
+        """Publish markers and transforms for viewers."""
         self._send_markers(self._scene.markers(stamp_ns))
         if self._send_tf is not None:
             transforms = self._scene.transforms(stamp_ns)

@@ -1,47 +1,106 @@
-"""One UAV's control step with what it remembers: a UAV process and a re-run of its bag call the same.
+"""One UAV's control step, its memory and its counters: a UAV process and a re-run of its bag call the same.
 
 No ROS in here.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from ptnsbc_core.agent import Agent, PackedOutputs
-from ptnsbc_core.types import MODE_HOLD, AgentConfig, AgentState, Array
+from ptnsbc_core.types import MODE_HOLD, AgentConfig, AgentDiagnostics, AgentState, Array
 from ptnsbc_nodes.comm.graph import Senders
 from ptnsbc_nodes.comm.legs import Leg
-from ptnsbc_nodes.uav.counters import UavCounters
 from ptnsbc_nodes.uav.inbox import Inbox
 
 
 class StepTime(NamedTuple):
-    """When a step is made, how long it lasts, and on which leg."""
+    """The instant of a step, its length and its leg."""
 
     now_ns: int
     elapsed_ns: int  # since the previous step: whole control periods
     mode: int  # MODE_*
-    t0_ns: int  # epoch of the leg, or when the process began
+    t0_ns: int  # epoch of the leg; before the first leg the start of the process
     first_t0_ns: int  # epoch of the first leg
     flying: bool  # a leg is in force: the step counts
 
 
-def moment(now_ns: int, elapsed_ns: int, leg: Leg | None, born_ns: int) -> StepTime:
-    """The step at `now_ns`; before the first leg the UAV hovers where it is."""
+def step_time(now_ns: int, elapsed_ns: int, leg: Leg | None, start_ns: int) -> StepTime:
+    """The step at `now_ns`; before the first leg the UAV hovers, and its time counts from `start_ns`."""
     if leg is None:
-        return StepTime(now_ns, elapsed_ns, MODE_HOLD, born_ns, born_ns, False)
+        return StepTime(now_ns, elapsed_ns, MODE_HOLD, start_ns, start_ns, False)
     return StepTime(now_ns, elapsed_ns, leg.mode, leg.t0_ns, leg.first_t0_ns, True)
 
 
 class VehicleSpeedLimits(NamedTuple):
-    """Constants that do not follow from the scenario alone: a vehicle may allow less."""
+    """Limits that do not follow from the scenario alone: a vehicle may allow less."""
 
     max_speed: float  # [m/s]
     max_acceleration: float  # [m/s^2]
 
-    def on(self, config: AgentConfig) -> AgentConfig:
-        """The constants with these limits in place."""
+    def applied_to(self, config: AgentConfig) -> AgentConfig:
+        """The configuration with these limits."""
         return config._replace(filter=config.filter._replace(**self._asdict()))
+
+
+class UavCounters:
+    """Cumulative counters of one UAV since its start, and the newest figures of its planner; for /diagnostics."""
+
+    SIZE = 5  # numbers in `numbers`
+
+    def __init__(self) -> None:
+        self.ticks = 0
+        self.avoidance_active_s = 0.0
+        self.saturated_s = 0.0
+        self.holding_s = 0.0
+        self.priority_violation_max = 0.0  # [m/s]
+        self._newest: AgentDiagnostics | None = None
+
+    def add(self, step: AgentDiagnostics, dt: float) -> None:
+        """Count one step that lasted `dt` [s]."""
+        self.ticks += 1
+        self.avoidance_active_s += dt * (step.active_rows > 0)
+        self.saturated_s += dt * step.saturated
+        self.holding_s += dt * step.holding
+        self.priority_violation_max = max(self.priority_violation_max, step.priority_violation)
+        self._newest = step
+
+    @property
+    def holding(self) -> bool:
+        """Whether the UAV held its position at the newest step."""
+        return self._newest is not None and bool(self._newest.holding)
+
+    def numbers(self) -> list[float]:
+        """The cumulative counters as numbers."""
+        return [
+            float(self.ticks),
+            self.avoidance_active_s,
+            self.saturated_s,
+            self.holding_s,
+            self.priority_violation_max,
+        ]
+
+    def restore(self, numbers: Array) -> None:
+        """Continue from what `numbers` returned."""
+        self.ticks = int(numbers[0])
+        self.avoidance_active_s, self.saturated_s, self.holding_s, self.priority_violation_max = (
+            float(value) for value in numbers[1:]
+        )
+
+    def values(self) -> dict[str, str]:
+        """Counters and newest figures as key-value strings."""
+        newest: Any = self._newest
+        error = newest.error if newest else (0.0, 0.0, 0.0)
+        return {
+            "avoidance_active_s": f"{self.avoidance_active_s:.3f}",
+            "saturated_s": f"{self.saturated_s:.3f}",
+            "holding_s": f"{self.holding_s:.3f}",
+            "ticks": str(self.ticks),
+            "formation_error": f"{sum(float(e) ** 2 for e in error) ** 0.5:.6f}",
+            "gain": f"{newest.gain if newest else 0.0:.6f}",
+            "sigma_min": f"{newest.singular_value if newest else 0.0:.6f}",
+            "priority_violation_max": f"{self.priority_violation_max:.6g}",
+        }
 
 
 class UavController:
@@ -50,45 +109,45 @@ class UavController:
     def __init__(self, config: AgentConfig, senders: Senders) -> None:
         self.config = config
         self.inbox = Inbox(senders)
-        self.tally = UavCounters()
-        self.steps = 0  # since the agent began
+        self.counters = UavCounters()
+        self.steps = 0  # of this agent
         self._agent: Agent | None = None
-        self._flown = config  # what the agent began with
+        self._agent_config = config  # with which the agent began
 
     @property
     def limits(self) -> VehicleSpeedLimits:
-        """What of the constants may be set by the vehicle, as the agent flies with it."""
-        flown = self._flown.filter
-        return VehicleSpeedLimits(flown.max_speed, flown.max_acceleration)
+        """The speed limits with which the agent flies."""
+        limits = self._agent_config.filter
+        return VehicleSpeedLimits(limits.max_speed, limits.max_acceleration)
 
     @property
     def state(self) -> AgentState:
-        """What the next step starts from; there must have been one."""
+        """The agent's state after the newest step; there must have been one."""
         if self._agent is None:
-            raise ValueError("state asked for before the first step")
+            raise ValueError("state requested before the first step: expected a call of `step`")
         return self._agent.state
 
     def restart(self) -> None:
-        """Forget all steps: the next one begins where the vehicle is then."""
+        """Forget all steps: the next step begins a new agent at the vehicle's position."""
         self._agent = None
 
     def resume(self, state: AgentState, counters: Array) -> None:
-        """Go on from what another pilot remembered."""
+        """Continue from the state and the counters of another controller."""
         self._agent = Agent.resumed(self.config, state)
-        self.tally.restore(counters)
-        self._flown = self.config
+        self.counters.restore(counters)
+        self._agent_config = self.config
 
     def step(self, at: StepTime, cutoff_ns: int) -> PackedOutputs:
-        """One control step on what the inbox holds; the own odometry must be there."""
+        """One control step on the messages of the inbox, which must hold the own odometry."""
         start_age_s = (at.now_ns - at.first_t0_ns) * 1e-9
-        known = self.inbox.known(at.now_ns, cutoff_ns, at.mode, start_age_s)
+        inputs = self.inbox.pack_inputs(at.now_ns, cutoff_ns, at.mode, start_age_s)
         if self._agent is None:
-            self._agent = Agent(self.config, known.unpack().own)
-            self._flown = self.config
+            self._agent = Agent(self.config, inputs.unpack().own)
+            self._agent_config = self.config
             self.steps = 0
         self.steps += 1
         dt = at.elapsed_ns * 1e-9
-        told = self._agent.advance(known, (at.now_ns - at.t0_ns) * 1e-9, dt)
+        outputs = self._agent.advance(inputs, (at.now_ns - at.t0_ns) * 1e-9, dt)
         if at.flying:
-            self.tally.add(told.diagnostics, dt)
-        return told
+            self.counters.add(outputs.diagnostics, dt)
+        return outputs

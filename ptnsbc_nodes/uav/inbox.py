@@ -1,15 +1,14 @@
-"""What one UAV has heard, assembled into the inputs of one control step. No ROS in here.
+"""The messages that one UAV has received, assembled into the inputs of one control step. No ROS in here.
 
 Real time and lock-step differ in two numbers only: `now_ns`, and `cutoff_ns`, before which a
-neighbour's message must be stamped to count. In lock-step the cutoff is the tick itself, so that a
-message of tick k that overtakes the tick does not replace the one of k-1; in real time everything
-that is here counts.
+neighbour's message must be stamped to count. In lock-step the cutoff is the tick itself: a message of
+tick k that arrives before the tick does not replace the message of k-1. In real time every message counts.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 
 import numpy as np
@@ -32,31 +31,30 @@ from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.graph import LEAD_TICKS, Senders
 from ptnsbc_nodes.comm.topics import Topic
 
-Hear = Callable[[Stamped], None]
-"""Keeps one message."""
-
 NO_CUTOFF_NS = 2**63 - 1
 """Cutoff of real time: every message counts, also that of a neighbour whose clock is ahead."""
 
 _NOTHING_NEAR = np.zeros((0, NEAR_COLUMNS))
 
 
-_KEPT = LEAD_TICKS + 2  # in lock-step a sender is at most LEAD_TICKS ahead, and its k-1 is needed
+_QUEUE_LENGTH = (
+    LEAD_TICKS + 2
+)  # in lock-step a sender is at most LEAD_TICKS ahead, and its k-1 is needed
 
 
 class MessageQueue:
-    """The last messages of one sender: its tick k may arrive before we have used its k-1."""
+    """The last messages of one sender: its tick k may arrive before its k-1 is used."""
 
     __slots__ = ("_messages", "newest_ns")
 
     def __init__(self) -> None:
-        self._messages: deque[Stamped] = deque(maxlen=_KEPT)  # the newest first
-        self.newest_ns = -1  # stamp of the newest that has come, lost or not
+        self._messages: deque[Stamped] = deque(maxlen=_QUEUE_LENGTH)  # the newest first
+        self.newest_ns = -1  # stamp of the newest message, lost or not
 
     def put(self, message: Stamped, lost: bool = False) -> None:
         """Keep `message` as the newest; one sender's messages arrive in order.
 
-        One that the scenario wants `lost` has still come: lock-step does not wait for it.
+        A message that the scenario declares `lost` has still arrived: lock-step does not wait for it.
         """
         self.newest_ns = message.stamp_ns
         if not lost:
@@ -71,7 +69,7 @@ class MessageQueue:
 
 
 class Inbox:
-    """Newest messages of everybody one UAV listens to."""
+    """The newest messages of every sender that one UAV listens to."""
 
     def __init__(self, senders: Senders) -> None:
         self.senders = senders
@@ -80,38 +78,38 @@ class Inbox:
         self._states = {i: MessageQueue() for i in senders.states}
         self._estimates = {i: MessageQueue() for i in senders.estimators}
         self._awaited = [*self._states.items(), *self._estimates.items()]
-        self._known = PackedInputs(len(self._estimates), _NOTHING_NEAR)
-        self._own_row = self._known.vector[OWN:PARENT]
-        self._places = tuple(self._rows())
+        self._inputs = PackedInputs(len(self._estimates), _NOTHING_NEAR)
+        self._own_row = self._inputs.vector[OWN:PARENT]
+        self._queue_rows = tuple(self._rows())
 
-    def ears(self) -> dict[Topic, Hear]:
-        """What to do with a message, by the topic that it comes on."""
-        ears: dict[Topic, Hear] = {}
-        for i, link in self._states.items():
-            ears[topics.formation_state(i)] = self._ear(link, partial(self.hear_state, i))
-        for i, link in self._estimates.items():
-            ears[topics.leader_estimate(i)] = self._ear(link, partial(self.hear_estimate, i))
-        return ears
+    def handlers(self) -> Mapping[Topic, Callable[[Stamped], None]]:
+        """The handler of each topic's messages; the queue itself where no message is to be lost."""
+        direct = self.senders.losses is None
+        states = {
+            topics.formation_state(i): queue.put if direct else partial(self.on_state, i)
+            for i, queue in self._states.items()
+        }
+        estimates = {
+            topics.leader_estimate(i): queue.put if direct else partial(self.on_estimate, i)
+            for i, queue in self._estimates.items()
+        }
+        return states | estimates
 
-    def _ear(self, link: MessageQueue, careful: Hear) -> Hear:
-        """The direct way where no message is to be lost."""
-        return link.put if self.senders.losses is None else careful
-
-    def hear_state(self, uav_id: int, message: Stamped) -> None:
+    def on_state(self, uav_id: int, message: Stamped) -> None:
         """Keep a formation_state."""
         losses = self.senders.losses
         lost = losses is not None and losses.state(uav_id, message.stamp_ns)
         self._states[uav_id].put(message, lost)
 
-    def hear_estimate(self, uav_id: int, message: Stamped) -> None:
+    def on_estimate(self, uav_id: int, message: Stamped) -> None:
         """Keep a leader_estimate."""
         losses = self.senders.losses
         lost = losses is not None and losses.estimate(uav_id, message.stamp_ns)
         self._estimates[uav_id].put(message, lost)
 
     def lose(self, uav_id: int) -> None:
-        """Wait for this sender no longer: its process has ended. What it said ages from now on."""
-        self._awaited = [(i, link) for i, link in self._awaited if i != uav_id]
+        """Stop waiting for this sender, whose process has ended. Its last messages age from now on."""
+        self._awaited = [(i, queue) for i, queue in self._awaited if i != uav_id]
 
     def holds_tick(self, period_ns: int, near_every: int) -> bool:
         """Whether everything that the tick of the own odometry needs is here (lock-step)."""
@@ -119,62 +117,56 @@ class Inbox:
             return False
         now_ns = self.own.stamp_ns
         if now_ns > 0:
-            for _, link in self._awaited:
-                if link.newest_ns < now_ns - period_ns:
+            for _, queue in self._awaited:
+                if queue.newest_ns < now_ns - period_ns:
                     return False
         return self.near.stamp_ns == now_ns - now_ns % (period_ns * near_every)
 
-    def awaited(self, now_ns: int, period_ns: int) -> Iterable[int]:
-        """Senders whose message of the tick before `now_ns` is missing; for diagnostics."""
-        for i, link in self._awaited:
-            if link.newest_ns < now_ns - period_ns:
-                yield i
-
     def held(self, cutoff_ns: int) -> list[Stamped | None]:
-        """What `known` is made of: own, near, states, estimates, the latter two by ascending sender."""
-        links = (*self._states.values(), *self._estimates.values())
-        return [self.own, self.near, *(link.before(cutoff_ns) for link in links)]
+        """The messages of `pack_inputs`: own, near, states, estimates, the latter two by ascending sender."""
+        queues = (*self._states.values(), *self._estimates.values())
+        return [self.own, self.near, *(queue.before(cutoff_ns) for queue in queues)]
 
-    def names(self, uav_id: int) -> list[str]:
-        """The topics of what is `held`, this being the UAV `uav_id`."""
+    def topic_names(self, uav_id: int) -> list[str]:
+        """The topics of the `held` messages of the UAV `uav_id`."""
         own = [topics.odom(uav_id), topics.near(uav_id)]
         states = [topics.formation_state(i) for i in self._states]
         estimates = [topics.leader_estimate(i) for i in self._estimates]
         return [topic.name for topic in (*own, *states, *estimates)]
 
-    def known(
+    def pack_inputs(
         self, now_ns: int, cutoff_ns: int, mode: int = MODE_HOLD, start_age_s: float = 0.0
     ) -> PackedInputs:
-        """What goes into the step at `now_ns`, valid until the next call; the own odometry must have been heard."""
+        """The inputs of the step at `now_ns`, valid until the next call; the own odometry must have arrived."""
         if self.own is None:
-            raise ValueError("inputs asked for before the own odometry: expected `own` to be set")
-        known = self._known
-        vector = known.vector
+            raise ValueError("inputs requested before the own odometry: expected `own` to be set")
+        inputs = self._inputs
+        vector = inputs.vector
         self._own_row[:] = self.own.values
         vector[MODE] = mode
         vector[START_AGE] = start_age_s
         if self.near is not None:
-            known.near = self.near.values
+            inputs.near = self.near.values
             vector[NEAR_AGE] = _age_s(self.near, now_ns)
-        for link, row, age_at in self._places:
-            message = link.before(cutoff_ns)
+        for queue, row, age_at in self._queue_rows:
+            message = queue.before(cutoff_ns)
             if message is not None:
                 row[:] = message.values
                 vector[age_at] = _age_s(message, now_ns)
-        return known
+        return inputs
 
     def _rows(self) -> Iterator[tuple[MessageQueue, Array, int]]:
-        """Each link, the part (13,) of `PackedInputs.vector` for its message, and the offset of its age."""
-        known, senders = self._known, self.senders
+        """Each queue, the part (13,) of `PackedInputs.vector` for its message, and the offset of its age."""
+        inputs, senders = self._inputs, self.senders
         if senders.parent is not None:
-            yield self._states[senders.parent], known.vector[PARENT:LEADER], PARENT_AGE
+            yield self._states[senders.parent], inputs.vector[PARENT:LEADER], PARENT_AGE
         if senders.leader is not None:
-            yield self._states[senders.leader], known.vector[LEADER:PARENT_AGE], LEADER_AGE
-        estimates = known.vector[ESTIMATES : known.ages].reshape(-1, ODOMETRY_SIZE)
-        for k, link in enumerate(self._estimates.values()):
-            yield link, estimates[k], known.ages + k
+            yield self._states[senders.leader], inputs.vector[LEADER:PARENT_AGE], LEADER_AGE
+        estimates = inputs.vector[ESTIMATES : inputs.ages].reshape(-1, ODOMETRY_SIZE)
+        for k, queue in enumerate(self._estimates.values()):
+            yield queue, estimates[k], inputs.ages + k
 
 
 def _age_s(message: Stamped, now_ns: int) -> float:
-    # A neighbour's clock may be a little ahead; a message from the future is simply fresh.
+    # A neighbour's clock may be a little ahead: a message from the future is fresh.
     return max(now_ns - message.stamp_ns, 0) * 1e-9

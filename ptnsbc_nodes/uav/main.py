@@ -40,20 +40,20 @@ def _fly(arguments: argparse.Namespace, argv: list[str]) -> int:
     fixed = (*parameters.SCENARIO, parameters.UAV, parameters.BRIDGED, parameters.AUTOSTART)
     namespace = processes.namespace_of(arguments.uav)
     with processes.parameter_node("controller", namespace, argv, given, ManagedNode) as node:
-        told = parameters.NodeParameters(node, fixed)
-        told.declare_scenario(may_change=lambda: node.state == "unconfigured")
-        load_agent(told.scenario, told.uav)
-        if told.options.lockstep:
+        settings = parameters.NodeParameters(node, fixed)
+        settings.declare_scenario(may_change=lambda: node.state == "unconfigured")
+        load_agent(settings.scenario, settings.uav)
+        if settings.options.lockstep:
             environment.prefer_throughput()
-        elif told.options.bridged:
+        elif settings.options.bridged:
             environment.prefer_punctuality(flies=True)
 
         def configure() -> UavNode:
-            graph = CommunicationGraph(told.scenario, told.options)
-            return UavNode(node, told.scenario, told.uav, graph)
+            graph = CommunicationGraph(settings.scenario, settings.options)
+            return UavNode(node, settings.scenario, settings.uav, graph)
 
         node.assign(configure, lifetime.end)
-        autostart = told["autostart"] and not arguments.managed
+        autostart = settings["autostart"] and not arguments.managed
         return processes.serve_managed(node, lifetime, autostart=autostart)
 
 

@@ -1,8 +1,7 @@
-"""One UAV on ROS 2: bytes in, one call of `Agent.step` per tick, bytes out.
+"""One UAV on ROS 2: bytes in, one control step per tick, bytes out.
 
-In real time a node-clock timer ticks at the control rate with the newest of everything. In
-lock-step a tick happens when all that it needs is here: own odometry of tick k, the neighbours'
-messages of k-1.
+In real time a node-clock timer ticks at the control rate with the newest messages. In lock-step a tick
+happens when all its messages are here: the own odometry of tick k, and the neighbours' messages of k-1.
 """
 
 from __future__ import annotations
@@ -29,10 +28,10 @@ from ptnsbc_nodes.comm.topics import LOST, READY
 from ptnsbc_nodes.comm.vehicle_messages import decode_limits, limited
 from ptnsbc_nodes.runtime.clock_offset import ClockOffsetMonitor
 from ptnsbc_nodes.runtime.pacing import Pace, Ticker
-from ptnsbc_nodes.uav.controller import UavController, moment
-from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS, Hear
-from ptnsbc_nodes.uav.leg_services import LegServiceCallbacks, LegServices
-from ptnsbc_nodes.uav.outbox import Outbox, StepLogPublisher
+from ptnsbc_nodes.uav.controller import UavController, step_time
+from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS
+from ptnsbc_nodes.uav.leg_services import LegServices
+from ptnsbc_nodes.uav.outbox import Outbox
 from ptnsbc_sim.scenario import Scenario, agent_config
 
 
@@ -44,132 +43,105 @@ class UavNode:
     ) -> None:
         self.node = node
         self.endpoints = Endpoints(node, edges.options.lockstep)
-        self._name = f"uav{uav_id}"
-        self._lockstep = edges.options.lockstep
-        self._recorded = edges.options.recorded
-        self._carried = edges.options.bridged  # to its start by a bridge, until the first leg
-        self._period_ns = scenario.dt_ns
-        self._near_every = scenario.near_every
-        self._status_every = status_every(scenario)
-        self._pilot = UavController(agent_config(scenario, uav_id), edges.senders(uav_id))
-        self._inbox = self._pilot.inbox
+        self._options = edges.options
+        self._controller = UavController(agent_config(scenario, uav_id), edges.senders(uav_id))
         self._outbox = Outbox(self.endpoints, edges, uav_id)
         self._epochs = Epochs()
-        self._pace = Pace(self._period_ns)
-        self._clocks = ClockOffsetMonitor(self._inbox.names(uav_id))
-        self._done_ns = (
-            self._seen_ns
-        ) = -1  # stamp of the newest tick done, now and at the last look
+        self._timing = _Timing(node, scenario, self._controller.inbox.topic_names(uav_id))
         self._active = False
-        self._missed_told = 0
-        self._born_ns = self._clock_ns()
-        self._subscribe(uav_id, edges)
-        self._status = self.endpoints.publisher(topics.DIAGNOSTICS, edges.options.recorders)
-        self._early_status = self.endpoints.publisher(READY, 0)
-        leads = uav_id == scenario.leader_id
-        self._services = self._serve(edges) if leads else None
-        self._listeners = edges.epoch_listeners() if leads else {}
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._status_timer = node.create_timer(1.0 / STATUS_HZ, self._on_status_timer, clock=steady)
-        self._ticker: Ticker | None = None
-        self._notes = None
-        if not self._lockstep:
-            self._notes = StepLogPublisher(self.endpoints, edges, uav_id, scenario.control_hz)
+        self._at_start = not edges.options.bridged
+        """Whether the UAV is at its start; a bridge brings its vehicle there before the first leg."""
+        self._subscribe(uav_id)
+        self._status = _StatusPublisher(self, f"uav{uav_id}")
+        self._leg_services = (
+            LegServices(
+                node, self.endpoints, edges, self._epochs, self._flight_ns, self.waiting_for
+            )
+            if uav_id == scenario.leader_id
+            else None
+        )
+        if not self._options.lockstep:
+            self._outbox.log_steps(self.endpoints, edges, uav_id, every=scenario.control_hz)
 
     def activate(self) -> None:
         """Begin to tick. In real time control begins anew, where the vehicle is by then."""
         self._active = True
-        if not self._lockstep:
-            self._pilot.restart()
-            self._pace = Pace(self._period_ns)
-            self._ticker = Ticker(self.node, self._period_ns, self._on_tick_timer)
+        if not self._options.lockstep:
+            self._controller.restart()
+            self._timing.start(self._on_tick_timer)
         self._advance()
 
     def deactivate(self) -> None:
-        """Send nothing but diagnostics; go on listening."""
+        """Publish nothing but diagnostics; go on listening."""
         self._active = False
-        if self._ticker is not None:
-            self._ticker.close()
-            self._ticker = None
+        self._timing.stop()
 
     def close(self) -> None:
-        """Take everything away from the node."""
+        """Remove everything from the node."""
         self.deactivate()
-        self.node.destroy_timer(self._status_timer)
-        if self._services is not None:
-            self._services.close()
+        self._status.close()
+        if self._leg_services is not None:
+            self._leg_services.close()
         self.endpoints.close()
 
     def waiting_for(self) -> list[str]:
-        """Topics without their other end; in real time also an odometry not heard yet.
+        """Topics without their other end; in real time also an odometry that has not arrived yet.
 
-        What is to be recorded from the first leg on must have found its recorder; in flight a
-        recorder that ends, or a child, is no reason to wait.
+        Before the first leg a recorded topic waits for its recorder. In flight a recorder or a child that
+        ends is no reason to wait.
         """
         missing = self.endpoints.unheard()
         if not self._active:
             missing.append(INACTIVE)
-        if self._lockstep:
+        if self._options.lockstep:
             return missing + self.endpoints.unread()
-        if self._recorded and not self._epochs.announced:
-            missing += self.endpoints.unread() + self.endpoints.unmatched(
-                topics.EPOCH, self._listeners
-            )
-        if self._inbox.own is None and self._odom_name not in missing:
+        if self._options.recorded and not self._epochs.announced:
+            missing += self.endpoints.unread()
+            if self._leg_services is not None:
+                missing += self._leg_services.missing_listeners()
+        if self._controller.inbox.own is None and self._odom_name not in missing:
             missing.append(self._odom_name)
-        if self._clocks.offset is not None and not self._epochs.announced:
-            missing.append(f"another time: {self._clocks.offset}")
+        offset = self._timing.clock_offset.offset
+        if offset is not None and not self._epochs.announced:
+            missing.append(f"another time: {offset}")
         return missing
 
-    def _subscribe(self, uav_id: int, edges: CommunicationGraph) -> None:
-        listen = self.endpoints.listen
+    def _subscribe(self, uav_id: int) -> None:
+        listen, inbox = self.endpoints.listen, self._controller.inbox
         self._odom_name = listen(topics.odom(uav_id), self._on_odom)
-        listen(topics.near(uav_id), self._on_near, required=self._lockstep)
-        for topic, hear in self._inbox.ears().items():
-            listen(topic, self._hearer(hear))
+        listen(topics.near(uav_id), self._on_near, required=self._options.lockstep)
+        for topic, handler in inbox.handlers().items():
+            listen(topic, self._on_neighbour(handler))
         listen(topics.EPOCH, self._on_epoch)
         listen(LOST, self._on_lost, required=False)
-        if self._carried:
+        if self._options.bridged:
             listen(topics.limits(uav_id), self._on_limits)
 
-    def _serve(self, edges: CommunicationGraph) -> LegServices:
-        instruments = LegServiceCallbacks(
-            publish=self.endpoints.publisher(topics.EPOCH, edges.epoch_readers()),
-            now_ns=self._flight_ns,
-            epochs=self._epochs,
-            waiting_for=self.waiting_for,
-        )
-        return LegServices(self.node, self.endpoints.fleet, instruments, self._lockstep)
-
-    def _clock_ns(self) -> int:
-        return int(self.node.get_clock().now().nanoseconds)
-
     def _flight_ns(self) -> int:
-        return max(self._done_ns, 0) if self._lockstep else self._clock_ns()
+        return max(self._timing.done_ns, 0) if self._options.lockstep else self._timing.now_ns()
 
     def _on_odom(self, data: bytes) -> None:
-        self._inbox.own = decode_odometry(data)
+        self._controller.inbox.own = decode_odometry(data)
         self._advance()
 
     def _on_near(self, data: bytes) -> None:
-        self._inbox.near = decode_near(data)
+        self._controller.inbox.near = decode_near(data)
         self._advance()
 
-    def _hearer(self, hear: Hear) -> Callable[[bytes], None]:
+    def _on_neighbour(self, handler: Callable[[Stamped], None]) -> Callable[[bytes], None]:
         advance = self._advance
 
         def on_message(data: bytes) -> None:
-            hear(decode_odometry(data))
+            handler(decode_odometry(data))
             advance()
 
         return on_message
 
     def _on_epoch(self, data: bytes) -> None:
         t0_ns, leg = decode_header(data)
-        if not self._lockstep:
-            self.endpoints.begin(self._clock_ns())
-        if self._ticker is not None and self._inbox.own is not None:
-            self._ticker.align(self._inbox.own.stamp_ns)
+        if not self._options.lockstep:
+            self.endpoints.begin(self._timing.now_ns())
+        self._timing.align(self._controller.inbox.own)
         try:
             self._epochs.announce(t0_ns, leg)
         except EpochError as error:
@@ -179,87 +151,141 @@ class UavNode:
     def _on_lost(self, data: bytes) -> None:
         name = decode_header(data).frame_id.removeprefix("uav")
         if name.isdecimal():
-            self._inbox.lose(int(name))
+            self._controller.inbox.lose(int(name))
         self._advance()
 
     def _on_limits(self, data: bytes) -> None:
-        """What the vehicle can do, before its formation begins."""
-        self._pilot.config = limited(self._pilot.config, *decode_limits(data))
+        """The limits of the vehicle, before its formation begins."""
+        self._controller.config = limited(self._controller.config, *decode_limits(data))
 
     def _advance(self) -> None:
         """Lock-step: do the tick if everything for it is here."""
-        own = self._inbox.own
-        if not self._lockstep or own is None or own.stamp_ns <= self._done_ns or not self._active:
+        inbox, timing = self._controller.inbox, self._timing
+        own = inbox.own
+        if not self._options.lockstep or own is None or not self._active:
             return
-        if self._inbox.holds_tick(self._period_ns, self._near_every) and self._epochs.announced:
-            now_ns = own.stamp_ns
-            self._tick(own, now_ns, now_ns, self._period_ns)
-            if now_ns // self._period_ns % self._status_every == 0:
-                self._report(now_ns)
+        now_ns = own.stamp_ns
+        if now_ns <= timing.done_ns or not self._epochs.announced:
+            return
+        if inbox.holds_tick(timing.period_ns, timing.near_every):
+            self._tick(own, now_ns, now_ns, timing.period_ns)
+            if now_ns // timing.period_ns % timing.status_every == 0:
+                self._status.publish(now_ns)
 
     def _on_tick_timer(self) -> None:
-        now_ns = self._clock_ns()
-        periods = self._pace.tick(now_ns)
-        self._clocks.look(now_ns, self._inbox.held(NO_CUTOFF_NS))
-        own = self._inbox.own
-        # The setpoint is the proof of life: without fresh odometry there must be none.
-        if own is not None and not self._stale(own, now_ns):
-            self._tick(own, now_ns, NO_CUTOFF_NS, periods * self._period_ns)
+        inbox, timing = self._controller.inbox, self._timing
+        now_ns = timing.now_ns()
+        periods = timing.pace.tick(now_ns)
+        timing.clock_offset.look(now_ns, inbox.held(NO_CUTOFF_NS))
+        # A setpoint proves that the controller has fresh odometry, so there is none without it.
+        if inbox.own is not None and not self._stale(inbox.own, now_ns):
+            self._tick(inbox.own, now_ns, NO_CUTOFF_NS, periods * timing.period_ns)
 
     def _stale(self, own: Stamped, now_ns: int) -> bool:
-        return (now_ns - own.stamp_ns) * 1e-9 > self._pilot.config.stale_s
+        return (now_ns - own.stamp_ns) * 1e-9 > self._controller.config.stale_s
 
     def _tick(self, own: Stamped, now_ns: int, cutoff_ns: int, elapsed_ns: int) -> None:
-        leg = self._epochs.at(now_ns)
+        leg, timing = self._epochs.at(now_ns), self._timing
         if leg is None:  # not announced or still to come
-            self._pace.missed = 0
-        elif self._carried:
-            self._carried = False
-            self._pilot.restart()
-        at = moment(now_ns, elapsed_ns, leg, self._born_ns)
-        outputs = self._pilot.step(at, cutoff_ns)
-        self._done_ns = now_ns
-        self._outbox.send(own, outputs)
-        if self._notes is not None:
-            self._notes.send(at, self._pilot)
+            timing.pace.missed = 0
+        elif not self._at_start:
+            self._at_start = True
+            self._controller.restart()
+        at = step_time(now_ns, elapsed_ns, leg, timing.start_ns)
+        outputs = self._controller.step(at, cutoff_ns)
+        timing.done_ns = now_ns
+        self._outbox.send(own, outputs, at, self._controller)
 
-    def _on_status_timer(self) -> None:
-        if not self._lockstep:
-            self._report(self._clock_ns())
-        elif self._done_ns in (-1, self._seen_ns):  # not begun, or kept waiting: a sign of life
-            self._report(-1)
-        self._seen_ns = self._done_ns
 
-    def _report(self, stamp_ns: int) -> None:
-        missing = self.waiting_for() if stamp_ns < 0 or not self._lockstep else []
-        leg = self._epochs.at(stamp_ns)
+class _Timing:
+    """The clock, the ticks and the periods of one UAV."""
+
+    def __init__(self, node: Node, scenario: Scenario, topic_names: list[str]) -> None:
+        self._node = node
+        self.period_ns = scenario.dt_ns
+        self.near_every = scenario.near_every
+        self.status_every = status_every(scenario)
+        self.start_ns = self.now_ns()
+        self.done_ns = -1  # stamp of the newest tick
+        self.pace = Pace(self.period_ns)
+        self.clock_offset = ClockOffsetMonitor(topic_names)
+        self._ticker: Ticker | None = None
+
+    def now_ns(self) -> int:
+        return int(self._node.get_clock().now().nanoseconds)
+
+    def start(self, on_tick: Callable[[], None]) -> None:
+        """Real time: tick once per period."""
+        self.pace = Pace(self.period_ns)
+        self._ticker = Ticker(self._node, self.period_ns, on_tick)
+
+    def align(self, own: Stamped | None) -> None:
+        """Real time: tick a little after the arrival of the own odometry."""
+        if self._ticker is not None and own is not None:
+            self._ticker.align(own.stamp_ns)
+
+    def stop(self) -> None:
+        if self._ticker is not None:
+            self._ticker.close()
+            self._ticker = None
+
+
+class _StatusPublisher:
+    """The status of one UAV: on /diagnostics, and in lock-step before and between ticks on /formation/ready."""
+
+    def __init__(self, uav: UavNode, name: str) -> None:
+        self._uav = uav
+        self._name = name
+        self._send = uav.endpoints.publisher(topics.DIAGNOSTICS, uav._options.recorders)
+        self._send_ready = uav.endpoints.publisher(READY, 0)
+        self._seen_done_ns = -1
+        self._reported_missed = 0
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._timer = uav.node.create_timer(1.0 / STATUS_HZ, self._on_timer, clock=steady)
+
+    def close(self) -> None:
+        self._uav.node.destroy_timer(self._timer)
+
+    def _on_timer(self) -> None:
+        timing = self._uav._timing
+        if not self._uav._options.lockstep:
+            self.publish(timing.now_ns())
+        elif timing.done_ns in (-1, self._seen_done_ns):
+            # The flight has not begun, or the UAV waits for others: the launcher learns that it is alive.
+            self.publish(-1)
+        self._seen_done_ns = timing.done_ns
+
+    def publish(self, stamp_ns: int) -> None:
+        """Publish the status at an instant of the flight; -1 is outside of the flight."""
+        uav = self._uav
+        missing = uav.waiting_for() if stamp_ns < 0 or not uav._options.lockstep else []
+        leg = uav._epochs.at(stamp_ns)
         values = {
             **readiness(missing),
             "mode": leg.name if leg else "waiting",
-            "missed_ticks": str(self._pace.missed),
-            **self._pilot.tally.values(),
+            "missed_ticks": str(uav._timing.pace.missed),
+            **uav._controller.counters.values(),
         }
         level, message = self._verdict(stamp_ns, missing)
-        send = self._status if stamp_ns >= 0 else self._early_status
+        send = self._send if stamp_ns >= 0 else self._send_ready
         send(diagnostics(max(stamp_ns, 0), f"{self._name}: planner", level, message, values))
 
     def _verdict(self, stamp_ns: int, missing: list[str]) -> tuple[DiagnosticLevel, str]:
-        own = self._inbox.own
-        if not self._active:
+        uav = self._uav
+        own, offset = uav._controller.inbox.own, uav._timing.clock_offset.offset
+        if not uav._active:
             return DiagnosticLevel.WARN, "inactive"
-        if not self._lockstep and own is not None and self._stale(own, stamp_ns):
-            told = "own odometry is stale: no setpoints"
-            offset = self._clocks.offset
-            return DiagnosticLevel.ERROR, told if offset is None else f"{told}; {offset}"
-        if self._clocks.offset is not None:
-            return DiagnosticLevel.WARN, str(self._clocks.offset)
-        if self._epochs.announced and self._pilot.tally.holding:
+        if not uav._options.lockstep and own is not None and uav._stale(own, stamp_ns):
+            stale = "own odometry is stale: no setpoints"
+            return DiagnosticLevel.ERROR, stale if offset is None else f"{stale}; {offset}"
+        if offset is not None:
+            return DiagnosticLevel.WARN, str(offset)
+        if uav._epochs.announced and uav._controller.counters.holding:
             return DiagnosticLevel.WARN, "holding"
-        missed, self._missed_told = self._pace.missed - self._missed_told, self._pace.missed
+        total = uav._timing.pace.missed
+        missed, self._reported_missed = total - self._reported_missed, total
         if missed > 0:
             return DiagnosticLevel.WARN, f"{missed} ticks missed since the last status"
-        return (
-            (DiagnosticLevel.WARN, f"waiting for {' '.join(missing)}")
-            if missing
-            else (DiagnosticLevel.OK, "")
-        )
+        if missing:
+            return DiagnosticLevel.WARN, f"waiting for {' '.join(missing)}"
+        return DiagnosticLevel.OK, ""

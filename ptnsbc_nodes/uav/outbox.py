@@ -1,4 +1,4 @@
-"""What one UAV sends at each tick."""
+"""The messages that one UAV publishes at each tick."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class Outbox:
     """Publishers of one UAV."""
 
     def __init__(self, endpoints: Endpoints, edges: CommunicationGraph, uav_id: int) -> None:
-        self._letters = AgentMessages(uav_id)
+        self._messages = AgentMessages(uav_id)
         publisher = endpoints.publisher
         self._send_wrench = publisher(topics.wrench_setpoint(uav_id), edges.wrench_readers())
         self._send_state = publisher(topics.formation_state(uav_id), edges.state_readers(uav_id))
@@ -25,18 +25,29 @@ class Outbox:
             topics.leader_estimate(uav_id), edges.estimate_readers(uav_id)
         )
         self._send_velocity = publisher(topics.velocity_setpoint(uav_id), edges.options.recorders)
+        self._step_log: _StepLogPublisher | None = None
 
-    def send(self, own: Stamped, outputs: PackedOutputs) -> None:
-        """Publish the tick computed from `own`; the wrench first, the plant waits for it."""
-        letters, stamp_ns = self._letters, own.stamp_ns
-        self._send_wrench(letters.wrench(stamp_ns, outputs.wrench))
-        self._send_state(letters.state(own))
-        self._send_estimate(letters.estimate(stamp_ns, outputs.leader_estimate))
-        self._send_velocity(letters.velocity(stamp_ns, outputs.velocity))
+    def log_steps(
+        self, endpoints: Endpoints, edges: CommunicationGraph, uav_id: int, every: int
+    ) -> None:
+        """Publish the step log from now on, with a snapshot every so many steps."""
+        self._step_log = _StepLogPublisher(endpoints, edges, uav_id, every)
+
+    def send(
+        self, own: Stamped, outputs: PackedOutputs, at: StepTime, controller: UavController
+    ) -> None:
+        """Publish the tick computed from `own`; the wrench first, because the plant waits for it."""
+        messages, stamp_ns = self._messages, own.stamp_ns
+        self._send_wrench(messages.wrench(stamp_ns, outputs.wrench))
+        self._send_state(messages.state(own))
+        self._send_estimate(messages.estimate(stamp_ns, outputs.leader_estimate))
+        self._send_velocity(messages.velocity(stamp_ns, outputs.velocity))
+        if self._step_log is not None:
+            self._step_log.send(at, controller)
 
 
-class StepLogPublisher:
-    """Publishers of what makes the steps of one UAV in real time repeatable (`ticklog`)."""
+class _StepLogPublisher:
+    """Publishers of the step log, with which the steps of a UAV in real time can be repeated."""
 
     def __init__(
         self, endpoints: Endpoints, edges: CommunicationGraph, uav_id: int, every: int
@@ -48,11 +59,11 @@ class StepLogPublisher:
         self._send_snapshot = endpoints.publisher(topics.snapshot(uav_id), readers)
         self._snapshot: SnapshotTemplate | None = None
 
-    def send(self, at: StepTime, pilot: UavController) -> None:
-        """Publish what the step `at` was made of, and now and then what it left behind."""
-        sequence = pilot.steps - 1
-        held = pilot.inbox.held(NO_CUTOFF_NS)
+    def send(self, at: StepTime, controller: UavController) -> None:
+        """Publish the messages that the step `at` used, and at times the state after it."""
+        sequence = controller.steps - 1
+        held = controller.inbox.held(NO_CUTOFF_NS)
         self._send_tick(self._template.encode(sequence, at, held))
         if sequence % self._every == 0:
-            self._snapshot = self._snapshot or SnapshotTemplate(pilot)
-            self._send_snapshot(self._snapshot.encode(sequence, pilot))
+            self._snapshot = self._snapshot or SnapshotTemplate(controller)
+            self._send_snapshot(self._snapshot.encode(sequence, controller))

@@ -1,9 +1,9 @@
-"""What a UAV notes in real time, so that its steps can be re-run from a bag. No ROS in here.
+"""The step log of a UAV in real time, from which its steps can be re-run. No ROS in here.
 
-A recorder cannot know which message a UAV held when it ticked: it says so itself. `/uavN/tick` names
-for each step its instant, its leg, and stamp and checksum of every message that went into it.
-`/uavN/snapshot` holds, now and then, all that the controller remembers *after* the step it names: a
-re-run can begin there, behind a message that the recording lacks.
+A recorder cannot know which messages a UAV held when it ticked, so the UAV publishes it. `/uavN/tick` gives
+for each step its instant, its leg, and stamp and checksum of every message that the step used.
+`/uavN/snapshot` holds, at times, the whole memory of the controller *after* the step it names. A re-run can
+begin there, behind a message that the recording lacks.
 """
 
 from __future__ import annotations
@@ -18,16 +18,15 @@ from ptnsbc_core.types import AgentState
 from ptnsbc_io.wire import RowTemplate, Stamped, WireError
 from ptnsbc_io.wire.cdr import Floats
 from ptnsbc_nodes.comm.graph import Senders
-from ptnsbc_nodes.uav.controller import StepTime, UavController, VehicleSpeedLimits
-from ptnsbc_nodes.uav.counters import UavCounters
+from ptnsbc_nodes.uav.controller import StepTime, UavController, UavCounters, VehicleSpeedLimits
 
-_WHEN = ("sequence", *StepTime._fields)
-_NOTHING = (-1, 0)
+_STEP_FIELDS = ("sequence", *StepTime._fields)
+_NO_MESSAGE = (-1, 0)
 OWN = "own"
 
 
 class UsedMessage(NamedTuple):
-    """One message that went into a step."""
+    """One message that a step used."""
 
     stamp_ns: int
     checksum: int  # of its decoded numbers
@@ -36,64 +35,72 @@ class UsedMessage(NamedTuple):
 class TickNote(NamedTuple):
     """A decoded `/uavN/tick`."""
 
-    sequence: int  # steps of this agent before this one; 0 again when the controller begins anew
+    sequence: int  # steps of this agent before this one; 0 after a restart of the controller
     moment: StepTime
-    used: dict[str, UsedMessage]  # by the names of `sources`; what was not there is left out
+    used: dict[
+        str, UsedMessage
+    ]  # by the names of `sources`; a source without a message is left out
 
 
 def sources(senders: Senders) -> tuple[str, ...]:
-    """Names of what can go into a step, in the order of `Inbox.held`."""
+    """Names of the messages that a step can use, in the order of `Inbox.held`."""
     states = (f"state{i}" for i in senders.states)
     return (OWN, "near", *states, *(f"estimate{i}" for i in senders.estimators))
 
 
 def checksum(message: Stamped) -> int:
-    """Of the numbers alone: they are what a step is made of."""
+    """Checksum of the decoded numbers: a step uses nothing else of a message."""
     return zlib.crc32(message.values.tobytes())
 
 
 class TickTemplate:
-    """Encoder of the notes of one UAV."""
+    """Encoder of `/uavN/tick`."""
 
     def __init__(self, senders: Senders) -> None:
         names = [name for source in sources(senders) for name in (source, f"{source}_checksum")]
-        self._template = RowTemplate(" ".join((*_WHEN, *names)), len(_WHEN) + len(names))
+        self._template = RowTemplate(
+            " ".join((*_STEP_FIELDS, *names)), len(_STEP_FIELDS) + len(names)
+        )
 
     def encode(self, sequence: int, moment: StepTime, held: Iterable[Stamped | None]) -> bytes:
-        """The note of one step made of the messages `held`, in the order of `sources`."""
+        """The tick of one step that used the messages `held`, in the order of `sources`."""
         numbers: list[int] = [sequence, *moment]
         for message in held:
-            numbers += _NOTHING if message is None else (message.stamp_ns, checksum(message))
+            numbers += _NO_MESSAGE if message is None else (message.stamp_ns, checksum(message))
         return self._template.integers(numbers)
 
 
 def tick_note(label: str, numbers: list[int]) -> TickNote:
-    """The note from the content of its message; WireError when it is none."""
+    """The tick in a message; WireError when there is none."""
     names = label.split()
-    paired = len(names) == len(numbers) and (len(names) - len(_WHEN)) % 2 == 0
-    if tuple(names[: len(_WHEN)]) != _WHEN or not paired:
-        raise WireError(f"tick with {label!r}: expected {' '.join(_WHEN)} and pairs after it")
-    sequence, now_ns, elapsed_ns, mode, t0_ns, first_t0_ns, flying = numbers[: len(_WHEN)]
+    paired = len(names) == len(numbers) and (len(names) - len(_STEP_FIELDS)) % 2 == 0
+    if tuple(names[: len(_STEP_FIELDS)]) != _STEP_FIELDS or not paired:
+        raise WireError(
+            f"tick with {label!r}: expected {' '.join(_STEP_FIELDS)} and pairs after it"
+        )
+    sequence, now_ns, elapsed_ns, mode, t0_ns, first_t0_ns, flying = numbers[: len(_STEP_FIELDS)]
     when = StepTime(now_ns, elapsed_ns, mode, t0_ns, first_t0_ns, bool(flying))
-    first = len(_WHEN)
+    first = len(_STEP_FIELDS)
     pairs = zip(names[first::2], numbers[first::2], numbers[first + 1 :: 2], strict=True)
     used = {name: UsedMessage(stamp, crc) for name, stamp, crc in pairs if stamp >= 0}
     if OWN not in used:
-        raise WireError("tick without an own odometry: expected one, no step is made without")
+        raise WireError("tick without an own odometry: expected one, every step uses it")
     return TickNote(sequence, when, used)
 
 
 class SnapshotTemplate:
-    """Encoder of what one controller remembers."""
+    """Encoder of `/uavN/snapshot`."""
 
-    def __init__(self, like: UavController) -> None:
-        self.label = _label(like.state)
-        self._template = RowTemplate(self.label, _length(like.state))
+    def __init__(self, controller: UavController) -> None:
+        self.label = _label(controller.state)
+        self._template = RowTemplate(self.label, _length(controller.state))
 
-    def encode(self, sequence: int, pilot: UavController) -> bytes:
+    def encode(self, sequence: int, controller: UavController) -> bytes:
         """State, counters and limits after step number `sequence`."""
-        rest = (pilot.tally.counters(), pilot.limits)
-        return self._template.floats(np.concatenate(([sequence], *_leaves(pilot.state), *rest)))
+        rest = (controller.counters.numbers(), controller.limits)
+        return self._template.floats(
+            np.concatenate(([sequence], *_leaves(controller.state), *rest))
+        )
 
 
 def _length(state: AgentState) -> int:
@@ -125,15 +132,9 @@ def _sizes(state: AgentState) -> list[int]:
 
 def _label(state: AgentState) -> str:
     counts = zip(state._fields, _sizes(state), strict=True)
-    words = (f"{name}:{size}" for name, size in counts)
-    return " ".join(
-        (
-            "sequence:1",
-            *words,
-            f"tally:{UavCounters.SIZE}",
-            f"limits:{len(VehicleSpeedLimits._fields)}",
-        )
-    )
+    words = " ".join(f"{name}:{size}" for name, size in counts)
+    limits = len(VehicleSpeedLimits._fields)
+    return f"sequence:1 {words} tally:{UavCounters.SIZE} limits:{limits}"
 
 
 class ControllerSnapshot(NamedTuple):
@@ -141,12 +142,12 @@ class ControllerSnapshot(NamedTuple):
 
     sequence: int  # the step after which it was taken
     state: AgentState
-    counters: Floats  # (Tally.SIZE,)
+    counters: Floats  # (UavCounters.SIZE,)
     limits: VehicleSpeedLimits
 
 
-def recall(label: str, numbers: Floats, like: AgentState) -> ControllerSnapshot:
-    """What a snapshot holds; WireError when it is not of a state `like` this one."""
+def decode_snapshot(label: str, numbers: Floats, like: AgentState) -> ControllerSnapshot:
+    """The snapshot in a message; WireError when its state is not of the shape of `like`."""
     if label != _label(like) or len(numbers) != _length(like):
         raise WireError(f"snapshot with {label!r}: expected {_label(like)!r}")
     at = 1 + sum(_sizes(like))

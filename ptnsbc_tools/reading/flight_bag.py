@@ -77,7 +77,7 @@ class _Status:
     def __init__(self, flight: HeadlessFlight) -> None:
         from ptnsbc_nodes.comm.diagnostics import STATUS_HZ
         from ptnsbc_nodes.comm.markers import Scene
-        from ptnsbc_nodes.uav.counters import UavCounters
+        from ptnsbc_nodes.uav.controller import UavCounters
 
         scenario = flight.scenario
         self._flight = flight

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ptnsbc_io.wire import WireError, peek_stamp
 from ptnsbc_nodes.comm import topics
-from ptnsbc_nodes.uav.controller import moment
+from ptnsbc_nodes.uav.controller import step_time
 from ptnsbc_tools.replay.difference import Mismatch
 from ptnsbc_tools.replay.driver import Driver, StepIndex
 from ptnsbc_tools.replay.replay_state import ReplayState
@@ -50,7 +50,7 @@ class Lockstep(Driver[int]):
         if why is not None:
             seat.account.skip(self.desk.seconds(step), 1, why)
             return None
-        outputs = seat.step(moment(step, self._period_ns, leg, 0), step)
+        outputs = seat.step(step_time(step, self._period_ns, leg, 0), step)
         found = seat.compare(outputs, self.desk.shelves)
         return found or seat.compare_counters()
 

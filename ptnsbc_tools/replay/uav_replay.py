@@ -22,7 +22,7 @@ from ptnsbc_nodes.uav.step_log import (
     SnapshotTemplate,
     TickNote,
     checksum,
-    recall,
+    decode_snapshot,
     sources,
 )
 from ptnsbc_sim.scenario import Scenario, agent_config
@@ -114,7 +114,7 @@ class UavReplay:
         """A step was left out: only a snapshot helps."""
         self._next = None
         self._held.clear()
-        config = self._config if limits is None else limits.on(self._config)
+        config = self._config if limits is None else limits.applied_to(self._config)
         self.pilot = UavController(config, self.senders)
         self._put = _places(self.pilot.inbox)
 
@@ -128,7 +128,7 @@ class UavReplay:
     def _recalled(self, snapshot: bytes) -> ControllerSnapshot:
         row = decode_floats(snapshot)
         numbers = np.asarray(row.values, dtype=np.float64)
-        return recall(row.label, numbers, like=_any_state(self._config))
+        return decode_snapshot(row.label, numbers, like=_any_state(self._config))
 
     def hold(self, name: str, message: Stamped) -> None:
         """Put a message where the process had it."""
@@ -217,10 +217,10 @@ class UavReplay:
 
     def compare_counters(self) -> Mismatch | None:
         """The first counter that /diagnostics told differently at this number of steps."""
-        told = self.told.pop(self.pilot.tally.ticks, None)
+        told = self.told.pop(self.pilot.counters.ticks, None)
         if told is None:
             return None
-        own = self.pilot.tally.values()
+        own = self.pilot.counters.values()
         for values in told:
             for key, computed in own.items():
                 recorded = values.get(key)
@@ -253,8 +253,8 @@ class UavReplay:
 def _places(inbox: Inbox) -> dict[str, Callable[[Stamped], None]]:
     """How each kind of message gets into an inbox."""
     senders = inbox.senders
-    states = {f"state{i}": partial(inbox.hear_state, i) for i in senders.states}
-    estimates = {f"estimate{i}": partial(inbox.hear_estimate, i) for i in senders.estimators}
+    states = {f"state{i}": partial(inbox.on_state, i) for i in senders.states}
+    estimates = {f"estimate{i}": partial(inbox.on_estimate, i) for i in senders.estimators}
     own = {name: partial(setattr, inbox, name) for name in ("own", "near")}
     return {**own, **states, **estimates}
 

@@ -21,7 +21,7 @@ from ptnsbc_nodes.bridge.ports import BridgeInputs, BridgeOutputs, BridgePorts, 
 from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions
 from ptnsbc_nodes.comm.legs import Epochs
 from ptnsbc_nodes.comm.vehicle_messages import limited
-from ptnsbc_nodes.uav.controller import UavController, moment
+from ptnsbc_nodes.uav.controller import UavController, step_time
 from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS
 from ptnsbc_sim.autopilot.launch import KINDS, Fleet, starts
 from ptnsbc_sim.autopilot.server import Codec
@@ -85,7 +85,7 @@ class Uav:
         )
         self.wire = Wire(lambda: fleet.now_s, fleet.delay_s)
         edges = CommunicationGraph(scenario, FlightOptions(bridged=True))
-        self.pilot = UavController(agent_config(scenario, uav_id), edges.senders(uav_id))
+        self.controller = UavController(agent_config(scenario, uav_id), edges.senders(uav_id))
         self.senders = edges.senders(uav_id)
         self.epochs = Epochs()
         self.near_objects = NearObjects(scenario)
@@ -113,13 +113,15 @@ class Uav:
         self.lost += 1
 
     def on_limits(self, limits):
-        self.pilot.config = limited(self.pilot.config, limits.planner_m_s, limits.acceleration_m_s2)
+        self.controller.config = limited(
+            self.controller.config, limits.planner_m_s, limits.acceleration_m_s2
+        )
 
     def on_odometry(self, stamp_ns, odometry):
         self.stamps.append(stamp_ns)
         self.odometry.append(odometry.copy())
         if self.alive:
-            self.pilot.inbox.own = Stamped(stamp_ns, odometry)
+            self.controller.inbox.own = Stamped(stamp_ns, odometry)
         data = self.odometry_template.encode(stamp_ns, odometry)
         for other in self.fleet.uavs.values():
             if other is not self:
@@ -131,19 +133,19 @@ class Uav:
 
     def control(self, now_ns, near):
         """One tick of the UAV process."""
-        own = self.pilot.inbox.own
-        stale_ns = self.pilot.config.stale_s * 1e9
+        own = self.controller.inbox.own
+        stale_ns = self.controller.config.stale_s * 1e9
         if not self.alive or own is None or now_ns - own.stamp_ns > stale_ns:
             return None
         if near:
             rows = self.near_objects.rows(self.fleet.now_s, own.values[0:3])
-            self.pilot.inbox.near = Stamped(now_ns, rows)
+            self.controller.inbox.near = Stamped(now_ns, rows)
         leg = self.epochs.at(now_ns)
         if leg is not None and not self.began:
             self.began = True
-            self.pilot.restart()
+            self.controller.restart()
         period_ns = self.fleet.scenario.dt_ns
-        out = self.pilot.step(moment(now_ns, period_ns, leg, BASE_NS), NO_CUTOFF_NS)
+        out = self.controller.step(step_time(now_ns, period_ns, leg, BASE_NS), NO_CUTOFF_NS)
         values = (
             out.wrench if self.attitude else np.array([*out.velocity[0:3], 0, 0, out.velocity[3]])
         )
@@ -240,10 +242,10 @@ class MavlinkFleet:
         for uav in self.uavs.values():
             for i in uav.senders.states:
                 if told.get(i) is not None:
-                    uav.pilot.inbox.hear_state(i, told[i][0])
+                    uav.controller.inbox.on_state(i, told[i][0])
             for i in uav.senders.estimators:
                 if told.get(i) is not None:
-                    uav.pilot.inbox.hear_estimate(i, told[i][1])
+                    uav.controller.inbox.on_estimate(i, told[i][1])
 
     def airborne(self):
         return self.run(90, until=lambda: all(u.bridge.procedure.ready for u in self.uavs.values()))

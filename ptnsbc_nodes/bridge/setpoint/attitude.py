@@ -30,11 +30,7 @@ class AttitudeTarget(NamedTuple):
 
 
 def attitude_from_wrench(
-    wrench: Array,
-    odometry: Array,
-    flight_s: float,
-    config: ControllerConfig,
-    max_tilt_rad: float,
+    wrench: Array, odometry: Array, flight_s: float, config: ControllerConfig, max_tilt_rad: float
 ) -> Array:
     """Attitude (4,) x y z w that a wrench (6,) asks for.
 

@@ -17,7 +17,7 @@ from ptnsbc_nodes.bridge.setpoint.attitude import AttitudeTarget, vertical_rate
 
 _FIELDS = (masks.POSITION, masks.VELOCITY, masks.ACCELERATION)
 _ATTITUDE = {
-    # PX4 lets nobody give roll and pitch rates beside an attitude, and takes the yaw rate about the vertical.
+    # PX4 ignores roll and pitch rates beside an attitude, and takes the yaw rate about the vertical.
     Rates.HEADING: masks.attitude_target(("q", "thrust", "body_yaw_rate")),
     # ArduCopter drops a target that has only some of the three rates. Some of its versions turn the rates
     # into the world frame, and some do not.

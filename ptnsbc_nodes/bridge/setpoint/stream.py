@@ -1,4 +1,4 @@
-"""The setpoint stream: the message that is sent at each tick, for whatever the procedure asks of it."""
+"""The setpoint stream: the message that is sent at each tick, as the procedure requests it."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ class _VelocityIntegral:
 class StreamInput(NamedTuple):
     """What one tick of the stream depends on."""
 
-    stream: Stream  # what the procedure asks for
+    stream: Stream  # what the procedure requests
     now_s: float  # steady clock
     odometry: Array  # newest state (13,), world frame
     offset: Array  # world position of the vehicle's local origin (3,) [m]

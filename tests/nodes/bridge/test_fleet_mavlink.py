@@ -198,7 +198,7 @@ def test_the_planner_is_slowed_down_to_the_vehicle():
     fleet = MavlinkFleet(scenario(), count=1)
     fleet.set_parameter("MPC_XY_VEL_MAX", 0.4)
     fleet.airborne().form().run(8.0)
-    limits = fleet.uavs[1].pilot.config.filter
+    limits = fleet.uavs[1].controller.config.filter
     assert limits.max_speed == pytest.approx(0.4)
     sent = [m for _, m in fleet.uavs[1].setpoints if m.get_type().startswith("SET_POSITION")]
     assert max((m.vx**2 + m.vy**2) ** 0.5 for m in sent) <= 0.4 + 1e-6

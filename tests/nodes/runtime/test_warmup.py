@@ -11,7 +11,7 @@ from ptnsbc_io.wire import Stamped
 from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions
 from ptnsbc_nodes.comm.legs import Epochs
 from ptnsbc_nodes.runtime.warmup import load_agent, load_world
-from ptnsbc_nodes.uav.controller import UavController, moment
+from ptnsbc_nodes.uav.controller import UavController, step_time
 from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS
 from ptnsbc_sim.scenario import agent_config, load_scenario
 from ptnsbc_sim.world import World
@@ -68,12 +68,12 @@ def fly(scenario, edges, pilots, ticks):
     epochs.announce(10 * scenario.dt_ns, "form")
     for k in range(ticks):
         now_ns = k * scenario.dt_ns
-        at = moment(now_ns, scenario.dt_ns, epochs.at(now_ns), 0)
+        at = step_time(now_ns, scenario.dt_ns, epochs.at(now_ns), 0)
         for i, pilot in pilots.items():
             pilot.inbox.own = Stamped(now_ns, world.odometry(i))
             pilot.inbox.near = Stamped(now_ns, world.near(i))
             for other in edges.senders(i).states:
-                pilot.inbox.hear_state(other, Stamped(now_ns, world.odometry(other)))
+                pilot.inbox.on_state(other, Stamped(now_ns, world.odometry(other)))
             for other in edges.senders(i).estimators:
-                pilot.inbox.hear_estimate(other, Stamped(now_ns, world.odometry(other)))
+                pilot.inbox.on_estimate(other, Stamped(now_ns, world.odometry(other)))
         world.step({i: pilot.step(at, NO_CUTOFF_NS).wrench for i, pilot in pilots.items()})

@@ -28,7 +28,7 @@ def scenario():
     return load_scenario("paper_5", {"timing.duration_s": TICKS / 100})
 
 
-class Pilots:
+class Uavs:
     """All UAVs in one node; `hands_off` do not answer."""
 
     def __init__(self, ros, scenario, *, lockstep=True):
@@ -38,7 +38,7 @@ class Pilots:
         self.odometry = {i: [] for i in scenario.uav_ids}
         self.near = {i: [] for i in scenario.uav_ids}
         self.clock, self.markers = [], []
-        node = ros.node("pilots")
+        node = ros.node("uavs")
         ends = Endpoints(node, lockstep)
         self.send = {i: ends.publisher(topics.wrench_setpoint(i), 1) for i in scenario.uav_ids}
         self.announce = ends.publisher(topics.EPOCH, 1)
@@ -82,70 +82,70 @@ def wrench(i):
 
 
 def test_lockstep_flight_is_that_of_the_world(ros, scenario):
-    pilots = Pilots(ros, scenario)
+    uavs = Uavs(ros, scenario)
     ros.spin_for(0.05)
-    assert not pilots.clock  # nothing before the epoch
-    pilots.start()
-    ros.spin_until(lambda: pilots.ended)
-    ros.spin_until(lambda: len(pilots.clock) == TICKS)
+    assert not uavs.clock  # nothing before the epoch
+    uavs.start()
+    ros.spin_until(lambda: uavs.ended)
+    ros.spin_until(lambda: len(uavs.clock) == TICKS)
     world = World(scenario)
     for tick in range(TICKS):
         for i in world.ids:
-            assert pilots.ticks(i)[tick] == tick
-            assert pilots.odometry[i][tick].values.tobytes() == world.odometry(i).tobytes()
+            assert uavs.ticks(i)[tick] == tick
+            assert uavs.odometry[i][tick].values.tobytes() == world.odometry(i).tobytes()
             if tick % scenario.near_every == 0:
-                near = pilots.near[i][tick // scenario.near_every]
+                near = uavs.near[i][tick // scenario.near_every]
                 assert near.stamp_ns == tick * scenario.dt_ns
                 assert near.values.tobytes() == world.near(i).tobytes()
         world.step({i: wrench(i) for i in world.ids})
-    assert len(pilots.odometry[1]) == TICKS
+    assert len(uavs.odometry[1]) == TICKS
 
 
 def test_lockstep_waits_for_the_wrench_of_the_tick(ros, scenario):
-    pilots = Pilots(ros, scenario)
-    pilots.hands_off = {4}
-    pilots.start()
-    ros.spin_until(lambda: pilots.ticks(4) == [0])
-    pilots.push(4, 7 * scenario.dt_ns)  # of another tick
+    uavs = Uavs(ros, scenario)
+    uavs.hands_off = {4}
+    uavs.start()
+    ros.spin_until(lambda: uavs.ticks(4) == [0])
+    uavs.push(4, 7 * scenario.dt_ns)  # of another tick
     ros.spin_for(0.1)
-    assert pilots.ticks(4) == [0]
+    assert uavs.ticks(4) == [0]
     # the others go on to where near objects would need UAV 4, and the time that all have reached is 0
-    assert pilots.ticks(1) == list(range(scenario.near_every))
-    assert pilots.clock == [0]
-    pilots.push(4, 0)
-    ros.spin_until(lambda: pilots.clock == [0, scenario.dt_ns])
+    assert uavs.ticks(1) == list(range(scenario.near_every))
+    assert uavs.clock == [0]
+    uavs.push(4, 0)
+    ros.spin_until(lambda: uavs.clock == [0, scenario.dt_ns])
 
 
 def test_lockstep_goes_on_without_a_lost_uav_which_stays_in_place(ros, scenario):
-    pilots = Pilots(ros, scenario)
-    pilots.hands_off = {4}
-    pilots.start()
-    ros.spin_until(lambda: pilots.ticks(4) == [0])
-    pilots.lose(wire.HeaderTemplate("uav4").encode(0))
-    ros.spin_until(lambda: pilots.ended)
-    ros.spin_until(lambda: len(pilots.odometry[4]) == TICKS)
-    assert np.ptp([m.values[0:3] for m in pilots.odometry[4]], axis=0).max() == 0.0
-    assert np.ptp([m.values[2] for m in pilots.odometry[1]]) > 0.0
+    uavs = Uavs(ros, scenario)
+    uavs.hands_off = {4}
+    uavs.start()
+    ros.spin_until(lambda: uavs.ticks(4) == [0])
+    uavs.lose(wire.HeaderTemplate("uav4").encode(0))
+    ros.spin_until(lambda: uavs.ended)
+    ros.spin_until(lambda: len(uavs.odometry[4]) == TICKS)
+    assert np.ptp([m.values[0:3] for m in uavs.odometry[4]], axis=0).max() == 0.0
+    assert np.ptp([m.values[2] for m in uavs.odometry[1]]) > 0.0
 
 
 def test_real_time_runs_by_the_clock_and_hovers_without_wrenches(ros, scenario):
-    pilots = Pilots(ros, scenario, lockstep=False)
-    pilots.hands_off = set(scenario.uav_ids)
-    ros.spin_until(lambda: len(pilots.odometry[1]) > 20)
-    stamps = np.diff([message.stamp_ns for message in pilots.odometry[1]])
+    uavs = Uavs(ros, scenario, lockstep=False)
+    uavs.hands_off = set(scenario.uav_ids)
+    ros.spin_until(lambda: len(uavs.odometry[1]) > 20)
+    stamps = np.diff([message.stamp_ns for message in uavs.odometry[1]])
     assert np.median(stamps) == pytest.approx(scenario.dt_ns, rel=0.2)
-    assert np.ptp([m.values[0:3] for m in pilots.odometry[1]], axis=0).max() == 0.0
-    assert not pilots.ended
-    now = pilots.odometry[1][-1].stamp_ns
-    pilots.announce(wire.HeaderTemplate("form").encode(now))
-    ros.spin_until(lambda: pilots.ended)
+    assert np.ptp([m.values[0:3] for m in uavs.odometry[1]], axis=0).max() == 0.0
+    assert not uavs.ended
+    now = uavs.odometry[1][-1].stamp_ns
+    uavs.announce(wire.HeaderTemplate("form").encode(now))
+    ros.spin_until(lambda: uavs.ended)
 
 
 def test_markers_show_uavs_obstacles_edges_and_path(ros, scenario):
-    pilots = Pilots(ros, scenario)
-    pilots.start()
-    ros.spin_until(lambda: pilots.markers)
-    markers = deserialize_message(pilots.markers[0], MarkerArray).markers
+    uavs = Uavs(ros, scenario)
+    uavs.start()
+    ros.spin_until(lambda: uavs.markers)
+    markers = deserialize_message(uavs.markers[0], MarkerArray).markers
     kinds = {}
     for marker in markers:
         kinds.setdefault(marker.ns, []).append(marker)

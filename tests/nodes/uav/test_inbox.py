@@ -26,13 +26,13 @@ def near(tick: int) -> Stamped:
 
 def hear_all(inbox: Inbox, tick: int) -> None:
     for i in inbox.senders.states:
-        inbox.hear_state(i, message(tick, 10 * i + tick))
+        inbox.on_state(i, message(tick, 10 * i + tick))
     for i in inbox.senders.estimators:
-        inbox.hear_estimate(i, message(tick, 100 * i + tick))
+        inbox.on_estimate(i, message(tick, 100 * i + tick))
 
 
-def known(inbox: Inbox, *when) -> AgentInputs:
-    return inbox.known(*when).unpack()
+def inputs_of(inbox: Inbox, *when) -> AgentInputs:
+    return inbox.pack_inputs(*when).unpack()
 
 
 def test_a_child_of_the_leader_hears_it_once():
@@ -58,7 +58,7 @@ def test_link_keeps_the_message_that_a_fast_neighbour_overtook():
 def test_inputs_before_anything_is_heard():
     inbox = Inbox(FOLLOWER)
     inbox.own = message(0, 1.0)
-    inputs = known(inbox, 0, 0)
+    inputs = inputs_of(inbox, 0, 0)
     assert inputs.parent_age_s == inputs.leader_age_s == inputs.near_age_s == NEVER_RECEIVED_S
     assert inputs.estimates.shape == (2, 13)
     assert (inputs.estimate_age_s == NEVER_RECEIVED_S).all()
@@ -68,7 +68,7 @@ def test_inputs_before_anything_is_heard():
 
 def test_inputs_without_own_odometry_are_refused():
     with pytest.raises(ValueError, match="own odometry"):
-        known(Inbox(FOLLOWER), 0, 0)
+        inputs_of(Inbox(FOLLOWER), 0, 0)
 
 
 def test_lockstep_inputs_are_the_messages_of_the_tick_before():
@@ -77,7 +77,7 @@ def test_lockstep_inputs_are_the_messages_of_the_tick_before():
     hear_all(inbox, 7)  # overtook our tick 7
     inbox.own, inbox.near = message(7), near(5)
     now = 7 * PERIOD
-    inputs = known(inbox, now, now, 0, 0.07)
+    inputs = inputs_of(inbox, now, now, 0, 0.07)
     assert inputs.parent[0] == 26
     assert inputs.leader[0] == 16
     assert inputs.estimates[:, 0].tolist() == [206, 406]  # ascending ids
@@ -91,7 +91,7 @@ def test_real_time_inputs_are_the_newest():
     hear_all(inbox, 6)
     hear_all(inbox, 7)
     inbox.own = message(7)
-    inputs = known(inbox, 8 * PERIOD, NO_CUTOFF_NS)
+    inputs = inputs_of(inbox, 8 * PERIOD, NO_CUTOFF_NS)
     assert inputs.parent[0] == 27
     assert inputs.parent_age_s == PERIOD * 1e-9
 
@@ -100,7 +100,7 @@ def test_a_neighbours_clock_ahead_of_ours_is_no_negative_age():
     inbox = Inbox(FOLLOWER)
     hear_all(inbox, 9)
     inbox.own = message(7)
-    inputs = known(inbox, 8 * PERIOD, NO_CUTOFF_NS)
+    inputs = inputs_of(inbox, 8 * PERIOD, NO_CUTOFF_NS)
     assert inputs.parent_age_s == 0.0
     assert (inputs.estimate_age_s == 0.0).all()
 
@@ -109,7 +109,7 @@ def test_the_leader_needs_nobody():
     inbox = Inbox(Senders(None, None, ()))
     inbox.own, inbox.near = message(7), near(5)
     assert inbox.holds_tick(PERIOD, NEAR_EVERY)
-    inputs = known(inbox, 7 * PERIOD, 7 * PERIOD)
+    inputs = inputs_of(inbox, 7 * PERIOD, 7 * PERIOD)
     assert inputs.estimates.shape == (0, 13)
     assert not inputs.parent.any()
 
@@ -129,13 +129,13 @@ def test_a_tick_waits_for_each_message_of_the_tick_before(missing):
     inbox.own, inbox.near = message(7), near(5)
     for i in (1, 2):
         if missing != ("state", i):
-            inbox.hear_state(i, message(6))
+            inbox.on_state(i, message(6))
     for i in (2, 4):
         if missing != ("estimate", i):
-            inbox.hear_estimate(i, message(6))
+            inbox.on_estimate(i, message(6))
     assert not inbox.holds_tick(PERIOD, NEAR_EVERY)
     kind, i = missing
-    (inbox.hear_state if kind == "state" else inbox.hear_estimate)(i, message(6))
+    (inbox.on_state if kind == "state" else inbox.on_estimate)(i, message(6))
     assert inbox.holds_tick(PERIOD, NEAR_EVERY)
 
 
@@ -152,13 +152,13 @@ def test_nobody_waits_for_the_lost_and_their_last_message_ages():
     inbox = Inbox(FOLLOWER)
     hear_all(inbox, 3)
     for tick in (5, 6):
-        inbox.hear_state(1, message(tick))
-        inbox.hear_estimate(4, message(tick))
+        inbox.on_state(1, message(tick))
+        inbox.on_estimate(4, message(tick))
     inbox.own, inbox.near = message(7), near(5)
     assert not inbox.holds_tick(PERIOD, NEAR_EVERY)
     inbox.lose(2)
     assert inbox.holds_tick(PERIOD, NEAR_EVERY)
-    inputs = known(inbox, 7 * PERIOD, 7 * PERIOD)
+    inputs = inputs_of(inbox, 7 * PERIOD, 7 * PERIOD)
     assert inputs.parent_age_s == pytest.approx(0.04)
     assert inputs.leader_age_s == pytest.approx(0.01)
     assert inputs.estimate_age_s == pytest.approx([0.04, 0.01])
@@ -177,8 +177,7 @@ def test_lost_messages_are_not_heard_and_not_waited_for():
         hear_all(inbox, tick)
     inbox.own, inbox.near = message(40), near(40)
     assert inbox.holds_tick(PERIOD, NEAR_EVERY)
-    assert list(inbox.awaited(40 * PERIOD, PERIOD)) == []
-    inputs = known(inbox, 40 * PERIOD, 40 * PERIOD)
+    inputs = inputs_of(inbox, 40 * PERIOD, 40 * PERIOD)
     assert inputs.parent[0] == 20 + 3
     assert inputs.parent_age_s == inputs.leader_age_s == 37 * PERIOD * 1e-9
     np.testing.assert_array_equal(inputs.estimate_age_s, [PERIOD * 1e-9, NEVER_RECEIVED_S])

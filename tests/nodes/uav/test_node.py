@@ -281,15 +281,17 @@ def test_the_leader_begins_when_every_uav_hears_it_and_not_others_instead(ros, s
         Endpoints(ros.node(f"viewer{number}"), False).listen(topics.EPOCH, lambda _: None)
     ros.spin_until(lambda: topics.EPOCH.name not in uav.waiting_for())
 
-    def deaf():
+    def missing_listeners():
         return {what for what in uav.waiting_for() if what.startswith(f"{topics.EPOCH.name} at ")}
 
     others = [i for i in scenario.uav_ids if i != LEADER]
-    ros.spin_until(lambda: deaf() == {f"{topics.EPOCH.name} at uav{i}" for i in others})
+    ros.spin_until(
+        lambda: missing_listeners() == {f"{topics.EPOCH.name} at uav{i}" for i in others}
+    )
     for i in others:
         ends = Endpoints(ros.node("controller", namespace=f"/uav{i}"), False)
         ends.listen(topics.EPOCH, lambda _: None)
-    ros.spin_until(lambda: not deaf())
+    ros.spin_until(lambda: not missing_listeners())
 
 
 def test_no_flight_begins_by_clocks_that_differ(ros, scenario):

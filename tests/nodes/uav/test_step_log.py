@@ -1,4 +1,4 @@
-"""Notes of real time: what they name is what comes out, and a pilot goes on from a snapshot bit for bit."""
+"""Notes of real time: what they name is what comes out, and a controller goes on from a snapshot bit for bit."""
 
 from __future__ import annotations
 
@@ -23,24 +23,24 @@ def odometry(rng: np.random.Generator, stamp_ns: int) -> Stamped:
     return Stamped(stamp_ns, values)
 
 
-def fed(pilot: UavController, rng: np.random.Generator, k: int) -> StepTime:
-    """A pilot that has heard everybody before step `k`, and that step."""
+def fed(controller: UavController, rng: np.random.Generator, k: int) -> StepTime:
+    """A controller that has heard everybody before step `k`, and that step."""
     now_ns = (k + 1) * STEP_NS
-    pilot.inbox.own = odometry(rng, now_ns - 1)
-    pilot.inbox.near = Stamped(now_ns - 2, rng.normal(size=(2, 7)))
+    controller.inbox.own = odometry(rng, now_ns - 1)
+    controller.inbox.near = Stamped(now_ns - 2, rng.normal(size=(2, 7)))
     for uav in SENDERS.states:
-        pilot.inbox.hear_state(uav, odometry(rng, now_ns - 3))
+        controller.inbox.on_state(uav, odometry(rng, now_ns - 3))
     for uav in SENDERS.estimators:
-        pilot.inbox.hear_estimate(uav, odometry(rng, now_ns - 4))
+        controller.inbox.on_estimate(uav, odometry(rng, now_ns - 4))
     return StepTime(now_ns, STEP_NS, MODE_FORMATION, STEP_NS, STEP_NS, True)
 
 
-def pilot() -> UavController:
+def controller() -> UavController:
     return UavController(agent_config(load_scenario("paper_5_free"), 3), SENDERS)
 
 
 def test_a_tick_names_its_inputs():
-    flown, rng = pilot(), np.random.default_rng(1)
+    flown, rng = controller(), np.random.default_rng(1)
     at = fed(flown, rng, 0)
     flown.inbox.near = None
     held = flown.inbox.held(NO_CUTOFF_NS)
@@ -58,13 +58,13 @@ def test_a_tick_names_its_inputs():
 
 
 @pytest.mark.slow
-def test_a_pilot_goes_on_from_a_snapshot():
-    first, rng = pilot(), np.random.default_rng(2)
+def test_a_controller_continues_from_a_snapshot():
+    first, rng = controller(), np.random.default_rng(2)
     for k in range(5):
         first.step(fed(first, rng, k), NO_CUTOFF_NS)
     data = step_log.SnapshotTemplate(first).encode(4, first)
-    second = pilot()
-    memory = step_log.recall(*decode_floats(data), like=first.state)
+    second = controller()
+    memory = step_log.decode_snapshot(*decode_floats(data), like=first.state)
     assert memory.sequence == 4
     assert memory.limits == first.limits
     second.resume(memory.state, memory.counters)
@@ -75,7 +75,7 @@ def test_a_pilot_goes_on_from_a_snapshot():
             for one, rng in zip((first, second), states, strict=True)
         )
         assert flown.vector.tobytes() == again.vector.tobytes()
-    assert first.tally.values() == second.tally.values()
+    assert first.counters.values() == second.counters.values()
 
 
 @pytest.mark.parametrize("label", ["", "sequence now_ns", "own own_checksum"])

@@ -14,7 +14,7 @@ from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.agent_messages import AgentMessages
 from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions
 from ptnsbc_nodes.comm.legs import Epochs
-from ptnsbc_nodes.uav.controller import UavController, VehicleSpeedLimits, moment
+from ptnsbc_nodes.uav.controller import UavController, VehicleSpeedLimits, step_time
 from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS
 from ptnsbc_nodes.uav.step_log import SnapshotTemplate, TickTemplate
 from ptnsbc_sim.scenario import Scenario, agent_config, load_scenario
@@ -55,13 +55,13 @@ class _Process:
         self.inbox = self._pilot.inbox
         if self._carried:
             slow = VehicleSpeedLimits(0.8, 1.1)  # [m/s], [m/s^2]: what its vehicle allows
-            self._pilot.config = slow.on(self._pilot.config)
+            self._pilot.config = slow.applied_to(self._pilot.config)
         self._letters = AgentMessages(uav)
         self._tick = TickTemplate(senders)
         self._snapshot: SnapshotTemplate | None = None
 
     def step(self, now_ns: int) -> dict[topics.Topic, bytes]:
-        at = moment(now_ns, PERIOD_NS, self.epochs.at(now_ns), START_NS)
+        at = step_time(now_ns, PERIOD_NS, self.epochs.at(now_ns), START_NS)
         if at.flying and self._carried:  # as a bridge does it that has brought its vehicle here
             self._carried = False
             self._pilot.restart()
@@ -111,11 +111,11 @@ def _real_time(scenario: Scenario, writer: BagWriter) -> None:
             for i in one.senders.states:
                 data = on_air.get(topics.formation_state(i).name)
                 if data is not None and rng.random() > 0.1:
-                    one.inbox.hear_state(i, decode_odometry(data))
+                    one.inbox.on_state(i, decode_odometry(data))
             for i in one.senders.estimators:
                 data = on_air.get(topics.leader_estimate(i).name)
                 if data is not None and rng.random() > 0.1:
-                    one.inbox.hear_estimate(i, decode_odometry(data))
+                    one.inbox.on_estimate(i, decode_odometry(data))
             for _ in range(2 if rng.random() < 0.05 else 1):  # a late timer ticks twice
                 for topic, data in one.step(now_ns).items():
                     writer.write(topic.name, now_ns, data)

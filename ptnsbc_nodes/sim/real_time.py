@@ -1,0 +1,61 @@
+"""The vehicles of the simulation in real time: all step at the control rate with the newest wrenches."""
+
+from __future__ import annotations
+
+from ptnsbc_core.types import Array
+from ptnsbc_io.wire import Stamped
+from ptnsbc_nodes.runtime.pacing import Latency, Pace
+from ptnsbc_nodes.sim.publishers import SimPublishers
+from ptnsbc_sim.scenario import Scenario
+from ptnsbc_sim.world import World
+
+_MAX_CATCH_UP_S = 0.5
+
+
+class RealTimeWorld:
+    """The vehicles of `world` in real time; a vehicle without a fresh wrench hovers."""
+
+    def __init__(self, scenario: Scenario, world: World, publishers: SimPublishers) -> None:
+        self._world = world
+        self._publishers = publishers
+        self._stale_ns = round(scenario.file.communication.stale_s * 1e9)
+        self._catch_up = max(round(_MAX_CATCH_UP_S * scenario.control_hz), 1)
+        self._wrenches: dict[int, Stamped] = {}
+        self._alive = set(world.ids)
+        self.pace = Pace(scenario.dt_ns)
+        self.latency = Latency()
+
+    def begin(self) -> None:
+        """The flight begins: delays by the start of other processes do not count."""
+        self.pace.missed = 0
+        self.latency = Latency()
+
+    def on_wrench(self, uav_id: int, wrench: Stamped, now_ns: int) -> None:
+        """Take the wrench (6,) of one UAV."""
+        self._wrenches[uav_id] = wrench
+        self.latency.add((now_ns - wrench.stamp_ns) * 1e-9)
+
+    def lose(self, uav_id: int) -> None:
+        """Ignore this UAV, whose process has ended."""
+        self._alive.discard(uav_id)
+
+    def tick(self, now_ns: int) -> None:
+        """Step all vehicles to now, and publish their states."""
+        periods = self.pace.tick(now_ns)
+        fresh = self._fresh(now_ns)
+        for _ in range(min(periods, self._catch_up)):
+            self._world.step(fresh)
+        self._publishers.publish(now_ns)
+
+    def hovering(self, now_ns: int) -> str:
+        """Which vehicles hover because their UAVs send no setpoints; empty when none does."""
+        fresh = self._fresh(now_ns)
+        names = [f"uav{i}" for i in self._world.ids if i not in fresh]
+        return f"hovering without setpoints: {' '.join(names)}" if names else ""
+
+    def _fresh(self, now_ns: int) -> dict[int, Array]:
+        return {
+            i: wrench.values
+            for i, wrench in self._wrenches.items()
+            if i in self._alive and now_ns - wrench.stamp_ns <= self._stale_ns
+        }
