@@ -1,8 +1,8 @@
 """A whole MAVLink fleet in one process and on one clock that only tests move.
 
-Bridges, UAV controllers and stand-in flight controllers are the real ones and talk in real MAVLink
-bytes; played are the wires between them, ROS, and time. So a flight takes as long as it computes,
-and comes out the same on every machine.
+Bridges, UAV controllers and stand-in flight controllers are the real ones and exchange real MAVLink bytes.
+The test replaces the wires between them, ROS and time. So a flight takes only as long as its computation, and has
+the same result on every machine.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ HERE, ELSEWHERE = ("127.0.0.1", 14580), ("127.0.0.1", 50000)
 
 
 class Wire:
-    """The bridge's end of a link: datagrams that take a while."""
+    """The bridge's end of a link: datagrams arrive after a delay."""
 
     stream = False
 
@@ -67,7 +67,7 @@ class Wire:
         pass
 
 
-class Uav:
+class FleetUav:
     """One vehicle with its bridge and its controller."""
 
     def __init__(self, fleet, uav_id, start, kind, signer=None):
@@ -76,7 +76,7 @@ class Uav:
         self.lines, self.stamps, self.odometry, self.tracks, self.wrenches = [], [], [], [], []
         self.setpoints = []  # (time, message) as the vehicle got them
         self.alive = True  # the UAV process
-        self.bridged = True  # the bridge process
+        self.bridge_alive = True  # the bridge process
         self.lost = 0
         kind = kind or start.kind or "px4"
         self.codec, self.other_codec = Codec(start.system), Codec(start.system)
@@ -162,7 +162,7 @@ class Uav:
                     self.setpoints.append((now_s, message))
                 self._send(self.vehicle.handle(message, COMPANION, now_s))
         self._send(self.vehicle.step(now_s))
-        if self.bridged and not self.bridge.procedure.over:
+        if self.bridge_alive and not self.bridge.procedure.over:
             self.bridge.serve()
 
     def _send(self, outgoing):
@@ -186,11 +186,10 @@ class MavlinkFleet:
         self.scenario, self.delay_s, self.now_s = scenario, delay_s, START_S
         self.uavs = {}
         path = scenario.source
-        begun = starts(Fleet(None, path, gnss, spread_m, None, seed))
-        for uav_id, start in list(zip(scenario.uav_ids, begun, strict=True))[:count]:
-            self.uavs[uav_id] = Uav(self, uav_id, start, kind)
+        vehicle_starts = starts(Fleet(None, path, gnss, spread_m, None, seed))
+        for uav_id, start in list(zip(scenario.uav_ids, vehicle_starts, strict=True))[:count]:
+            self.uavs[uav_id] = FleetUav(self, uav_id, start, kind)
         self.ticks = 0
-        self.began_ns = None
         self.legs = []
 
     def set_parameter(self, name, value):
@@ -222,7 +221,7 @@ class MavlinkFleet:
             uav.announce(t0_ns, leg)
 
     def run(self, seconds, until=None):
-        """Let time pass; with `until`, no longer than that becomes true, and it must."""
+        """Let time pass; with `until`, only until it becomes true, and it must become true."""
         end = self.now_s + seconds
         while self.now_s < end:
             self.now_s += STEP_S
@@ -238,14 +237,14 @@ class MavlinkFleet:
 
     def _tick(self):
         near = self.ticks % self.scenario.near_every == 0
-        told = {i: uav.control(self.now_ns, near) for i, uav in self.uavs.items()}
+        sent = {i: uav.control(self.now_ns, near) for i, uav in self.uavs.items()}
         for uav in self.uavs.values():
             for i in uav.senders.states:
-                if told.get(i) is not None:
-                    uav.controller.inbox.on_state(i, told[i][0])
+                if sent.get(i) is not None:
+                    uav.controller.inbox.on_state(i, sent[i][0])
             for i in uav.senders.estimators:
-                if told.get(i) is not None:
-                    uav.controller.inbox.on_estimate(i, told[i][1])
+                if sent.get(i) is not None:
+                    uav.controller.inbox.on_estimate(i, sent[i][1])
 
     def airborne(self):
         return self.run(90, until=lambda: all(u.bridge.procedure.ready for u in self.uavs.values()))
@@ -265,7 +264,7 @@ class MavlinkFleet:
         )
 
     def recording(self):
-        """The flight as what a verdict is computed from."""
+        """The flight as the recording of which a verdict is computed."""
         from ptnsbc_tools.verdict import Recording, Series
 
         def series(pairs):

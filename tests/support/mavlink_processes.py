@@ -1,4 +1,4 @@
-"""Fleets as users fly them: commands as processes of their own, stand-ins on real UDP, one at a time."""
+"""Fleets as users fly them: commands in their own processes, stand-ins on real UDP, one fleet at a time."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from ptnsbc_sim.autopilot.faults import send_fault
 ROOT = Path(__file__).resolve().parents[2]
 COMMAND = "ptnsbc_tools.cli"
 PATIENCE_S = 600
-_GOODBYE = (0, 130)
+_INTERRUPTED = (0, 130)
 
-# Four metres lower than the shipped file: climbing and landing take longer than a short flight otherwise.
+# Four metres lower than the shipped file: otherwise climbing and landing take longer than a short flight.
 _SCENARIO = """
 extends: {base}
 timing: {{duration_s: {duration_s}}}
@@ -32,12 +32,12 @@ mavlink:
 _VEHICLE = (
     '    {uav}: {{autopilot: {kind}, setpoint: {setpoint}, connect: "udpin:127.0.0.1:{port}"}}\n'
 )
-# Down as fast as they climb: how they land is no matter of these flights.
+# The vehicles sink as fast as they climb, because these flights do not test the landing.
 _LANDING = {"px4": "MPC_LAND_SPEED=1.5", "ardupilot": "LAND_SPD_MS=1.5"}
 
 
 def _free_ports(count):
-    """The first of `count` ports in a row that nobody listens at, nor at those 40 above for the vehicles."""
+    """The first of `count` free ports in a row; the ports 40 above, for the vehicles, are free as well."""
     for first in range(15200, 15900, 10):
         with_room = []
         try:
@@ -68,7 +68,7 @@ def write_scenario(path, *, duration_s, fleet=(("px4", "velocity"),) * 4):
 
 
 class Program:
-    """A command as a process of its own, and what it has said."""
+    """A command in its own process, and its output."""
 
     def __init__(self, module, *arguments, domain):
         self.lines, self.out = [], ""
@@ -81,11 +81,11 @@ class Program:
             env=environment,
             cwd=ROOT,
         )
-        # A fleet that hangs fails its test, instead of hanging that too.
+        # A fleet that hangs fails its test and does not hang the test.
         self._watchdog = threading.Timer(PATIENCE_S, self.process.kill)
         self._watchdog.daemon = True
         self._watchdog.start()
-        self._heard = threading.Condition()
+        self._new_line = threading.Condition()
         self._readers = [
             threading.Thread(target=read, daemon=True) for read in (self._read, self._collect)
         ]
@@ -94,31 +94,31 @@ class Program:
 
     def _read(self):
         for line in self.process.stderr:
-            with self._heard:
+            with self._new_line:
                 self.lines.append(line.rstrip())
-                self._heard.notify_all()
-        with self._heard:
-            self._heard.notify_all()
+                self._new_line.notify_all()
+        with self._new_line:
+            self._new_line.notify_all()
 
     def _collect(self):
         self.out = self.process.stdout.read()
 
-    def said(self, *texts):
-        """Whether each of these texts is in one of its lines."""
+    def printed(self, *texts):
+        """Whether each of these texts is in one line of stderr."""
         return all(any(text in line for line in self.lines) for text in texts)
 
     def wait_for(self, *texts, patience_s=150):
-        """Return when it has said all of this."""
+        """Wait until stderr contains all of these texts."""
 
         def over():
-            return self.said(*texts) or self.process.poll() is not None
+            return self.printed(*texts) or self.process.poll() is not None
 
-        with self._heard:
-            self._heard.wait_for(over, patience_s)
-        assert self.said(*texts), self.lines
+        with self._new_line:
+            self._new_line.wait_for(over, patience_s)
+        assert self.printed(*texts), self.lines
 
     def finish(self, number=None):
-        """Its exit code, after a signal when one is given."""
+        """The exit code; a signal is sent first if one is given."""
         if number is not None and self.process.poll() is None:
             self.process.send_signal(number)
         code = self.process.wait(PATIENCE_S)
@@ -127,30 +127,30 @@ class Program:
             reader.join()
         return code
 
-    def told(self):
-        """The JSON it has printed."""
+    def json_output(self):
+        """The JSON on stdout."""
         return json.loads(self.out)
 
 
 @contextmanager
 def stand_ins(path, domain, *options, kinds=("px4",)):
-    """Four flight controllers for the scenario at `path`, RTK receivers as the paper's experiment had."""
+    """Four flight controllers for the scenario at `path`, with RTK receivers as in the paper's experiment."""
     landing = [word for kind in kinds for word in ("--param", _LANDING[kind])]
     program = Program(
         COMMAND, "autopilot", "--scenario", path, "--gcs", "", "--boot-time", "0",
         "--gnss", "rtk", *landing, *options, domain=domain,
     )  # fmt: skip
     try:
-        # Both compile at their first start, and half the time each when they do it side by side.
+        # Stand-ins and fleet compile at their first start, one after the other.
         program.wait_for("system 4 at", patience_s=PATIENCE_S)
         yield program
     finally:
-        assert program.finish(signal.SIGINT) in _GOODBYE, program.lines
+        assert program.finish(signal.SIGINT) in _INTERRUPTED, program.lines
 
 
 @contextmanager
 def flying(module, *arguments, domain):
-    """A fleet that is ended with the test, whatever comes."""
+    """A fleet that ends with the test in any case."""
     program = Program(module, *arguments, domain=domain)
     try:
         yield program
@@ -159,14 +159,14 @@ def flying(module, *arguments, domain):
 
 
 def free_port():
-    """A UDP port that nobody listens at."""
+    """A free UDP port."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
         return probe.getsockname()[1]
 
 
 def mode_of(control, system, other_than, patience_s=10.0):
-    """The mode of a stand-in once it is another one, asked at its control port; each answer takes it a tick."""
+    """The mode of a stand-in once it has changed; its control port answers once per tick."""
     end = time.monotonic() + patience_s
     while True:
         mode = json.loads(send_fault(control, f"{system} state"))[0]["mode"]
@@ -175,7 +175,7 @@ def mode_of(control, system, other_than, patience_s=10.0):
 
 
 def pid_of(module, number, logs):
-    """The process of one UAV of this fleet and of no other."""
+    """The process id of one UAV of this fleet."""
     for entry in Path("/proc").iterdir():
         try:
             command = (entry / "cmdline").read_bytes().decode().replace("\0", " ")

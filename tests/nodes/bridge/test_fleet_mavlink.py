@@ -1,4 +1,4 @@
-"""Flights through bridges against the stand-in: whole fleets, and every fault, on a clock of the tests."""
+"""Flights of stand-ins by bridges: whole fleets and every fault, on a clock of the tests."""
 
 import pytest
 
@@ -73,7 +73,7 @@ def until(fleet, uav, step, seconds=10.0):
 
 
 def published_last_s(fleet, uav):
-    """How long ago the formation heard of this vehicle."""
+    """How long ago the formation received this vehicle's odometry."""
     return fleet.now_s - START_S - (uav.stamps[-1] - BASE_NS) * 1e-9
 
 
@@ -86,7 +86,7 @@ def test_setpoints_end_the_stream_ends_the_failsafe_acts_and_then_the_pilot():
     assert uav.setpoints[-1][0] - stopped <= 0.6
     fleet.run(3.0, until=lambda: uav.bridge.vehicle.mode is FlightMode.HOLD)  # PX4's own failsafe
     assert uav.lost == 1
-    uav.alive = True  # PX4 returns to OFFBOARD by itself; nobody asks it to
+    uav.alive = True  # PX4 returns to OFFBOARD by itself, without a request
     until(fleet, uav, Step.FLY)
     assert uav.bridge.vehicle.mode is FlightMode.OWN
     fleet.run(3.0)
@@ -103,7 +103,7 @@ def test_setpoints_end_the_stream_ends_the_failsafe_acts_and_then_the_pilot():
 
 def test_a_bridge_killed_leaves_the_vehicle_to_its_failsafe():
     fleet, uav = one()
-    uav.bridged = False
+    uav.bridge_alive = False
     fleet.run(3.0)
     assert uav.vehicle.mode_name not in ("OFFBOARD",)
     assert uav.vehicle.armed
@@ -204,7 +204,7 @@ def test_the_planner_is_slowed_down_to_the_vehicle():
     assert max((m.vx**2 + m.vy**2) ** 0.5 for m in sent) <= 0.4 + 1e-6
 
 
-def test_angles_are_heard_only_while_no_quaternions_come():
+def test_angles_are_decoded_only_while_no_quaternions_come():
     fleet, uav = one()
     angles = frozenset({mavlink.MAVLINK_MSG_ID_ATTITUDE})
     assert uav.link.ignored == angles

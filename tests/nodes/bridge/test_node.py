@@ -1,4 +1,4 @@
-"""The bridge as a managed node: when it may leave its vehicle alone."""
+"""The bridge as a managed node: when it may be deactivated."""
 
 import pytest
 
@@ -24,7 +24,7 @@ UAV = 3
 
 @pytest.fixture
 def active(ros):
-    """A bridge that speaks to nobody; its `bridge` is not turned, so that a test says where it is."""
+    """A bridge without a vehicle; its `bridge` does not run, so that a test sets its step."""
     scenario = load_scenario("experiment_4").bridged()
     node = ManagedNode("bridge", namespace=f"/uav{UAV}", context=ros.context, enable_rosout=False)
     ros.adopt(node)
@@ -57,7 +57,7 @@ def test_in_flight_it_refuses_to_be_deactivated(active, step):
 
 
 @pytest.mark.parametrize("step", [Step.HEARTBEAT, Step.YIELDED])
-def test_what_somebody_else_flies_it_may_leave(active, step):
+def test_a_vehicle_that_a_pilot_flies_may_be_left(active, step):
     active.work.bridge.vehicle.armed = True
     active.work.bridge.procedure._progress.step = step
     assert active.trigger_deactivate() is SUCCESS

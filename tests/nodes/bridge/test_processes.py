@@ -1,6 +1,6 @@
-"""Fleets of real processes over real UDP: the command of the manual, and one in which processes are killed.
+"""Fleets of real processes over real UDP: the command of the manual, and a fleet in which processes are killed.
 
-In real time and as many processes as the host can carry: nothing else runs beside them.
+They fly in real time with as many processes as the host can carry, so no other test runs beside them.
 """
 
 import os
@@ -38,7 +38,7 @@ MIXED = (
 def test_the_command_flies_stand_ins_of_both_kinds_into_formation(tmp_path, domain):
     """`ptnsbc fleet scenarios/experiment_4.yaml --backend mavlink`, 13 s of its 50, all kinds in one fleet.
 
-    Fleets of one kind fly in test_fleet_mavlink.py, by a clock of the tests.
+    Fleets of one kind fly in test_fleet_mavlink.py, on a clock of the tests.
     """
     path = write_scenario(tmp_path / "four.yaml", duration_s=13, fleet=MIXED)
     command = (COMMAND, "fleet", path, "--backend", "mavlink", "--allow-arming", "--json")
@@ -48,16 +48,16 @@ def test_the_command_flies_stand_ins_of_both_kinds_into_formation(tmp_path, doma
         flying(*command, "--bag", tmp_path / "bag", domain=domain) as fleet,
     ):
         code = fleet.finish()
-        told = fleet.told()
-        assert code == 0, "\n".join((*fleet.lines, str(told)))
-    assert fleet.said("in flight: gains.formation.deadline_s: 10 instead of 5.0")
+        output = fleet.json_output()
+        assert code == 0, "\n".join((*fleet.lines, str(output)))
+    assert fleet.printed("in flight: gains.formation.deadline_s: 10 instead of 5.0")
     steps = ("taking off", "airborne", "in formation", "landing", "done")
-    assert fleet.said(*(f"bridge{i}: {step}" for i in FOUR for step in steps))
+    assert fleet.printed(*(f"bridge{i}: {step}" for i in FOUR for step in steps))
     landed = ("px4 1", "arducopter 2", "arducopter 3", "px4 4")
-    assert vehicles.said(*(f"{kind}: disarmed: landed" for kind in landed))
-    assert told["verdict"] == "met"
-    assert [uav["verdict"] for uav in told["uavs"]] == ["met"] * 4
-    assert min(pair["distance_m"] for pair in told["separations"]) > 0.5
+    assert vehicles.printed(*(f"{kind}: disarmed: landed" for kind in landed))
+    assert output["verdict"] == "met"
+    assert [uav["verdict"] for uav in output["uavs"]] == ["met"] * 4
+    assert min(pair["distance_m"] for pair in output["separations"]) > 0.5
 
 
 def test_a_uav_process_and_a_bridge_killed_and_the_operators_stop(tmp_path, domain):

@@ -1,4 +1,4 @@
-"""The procedure against a vehicle played by a few lines: every row of the fault table, no sleeping."""
+"""The procedure with a vehicle of a few lines: every row of the fault table, without waiting."""
 
 from dataclasses import replace
 
@@ -21,7 +21,7 @@ HEIGHT = 3.0
 
 
 class Flight:
-    """A procedure, and a vehicle that obeys it until a test says otherwise."""
+    """A procedure, and a vehicle that obeys it until a test changes that."""
 
     def __init__(self, autopilot=PX4, allow_arming=True):
         self.lines = []
@@ -38,7 +38,7 @@ class Flight:
             landed=True,
         )
         self.history = []  # (time, step, output)
-        self.ignored = set()  # commands that the vehicle does not follow
+        self.ignored = set()  # commands that the vehicle ignores
         self.obeys = True
 
     @property
@@ -46,7 +46,7 @@ class Flight:
         return self.procedure.step
 
     def run(self, seconds=1000.0, until=None, **changes):
-        """Time goes on, with `changes` in what is seen, until a step or for a while."""
+        """Let time pass with `changes` in the snapshot, until a step or for some seconds."""
         self.snapshot = replace(self.snapshot, **changes)
         end = self.snapshot.now_s + seconds
         while self.snapshot.now_s < end and self.step is not until:
@@ -122,7 +122,7 @@ def test_from_heartbeat_to_disarmed(autopilot):
     ]
 
 
-def test_px4_hears_setpoints_for_more_than_a_second_before_offboard():
+def test_px4_receives_setpoints_for_more_than_a_second_before_offboard():
     flight = Flight().run(until=Step.ARM)
     began = next(t for t, _, output in flight.history if output.stream is Stream.HOLD)
     requested = next(
@@ -150,7 +150,7 @@ def test_nothing_is_armed_without_permission():
     assert flight.history[-1][2].stream is Stream.HOLD
 
 
-def test_a_vehicle_in_somebodys_hands_is_not_asked_to_change_its_mode():
+def test_a_vehicle_that_a_pilot_flies_keeps_its_mode():
     flight = Flight()
     flight.run(60.0, armed=True, landed=False, height_m=8.0, mode=FlightMode.OTHER)
     assert flight.step is Step.MODE
@@ -270,7 +270,7 @@ def test_a_failsafe_that_lands_is_left_alone():
 @pytest.mark.parametrize(
     "mode", [FlightMode.OTHER, FlightMode.HOLD, FlightMode.RETURN, FlightMode.LAND]
 )
-def test_the_pilot_takes_over_and_nobody_fights(mode):
+def test_the_pilot_takes_over_and_the_bridge_yields(mode):
     flight = Flight().flying()
     flight.obeys = False
     taken = flight.snapshot.now_s
