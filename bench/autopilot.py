@@ -1,4 +1,4 @@
-"""Stand-in flight controllers: CPU of four in flight under a setpoint stream, and how fast one flies as an object."""
+"""Stand-in flight controllers: CPU of four in flight under a setpoint stream, and the speed of one without sockets."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import IO
 
@@ -40,31 +41,38 @@ def measure(plan: Plan) -> Sequence[Row]:
 def _fly(seconds: float) -> float:
     """Cores that four vehicles need in the air."""
     say("autopilot: four in the air")
-    with tempfile.TemporaryFile("w+") as log, socket.socket(type=socket.SOCK_DGRAM) as channel:
+    with socket.socket(type=socket.SOCK_DGRAM) as channel:
         channel.bind(("127.0.0.1", 0))
-        port = channel.getsockname()[1]
-        own = ("--count", str(_COUNT), "--boot-time", "0", "--gcs", "", "--gnss", "rtk")
-        where = ("--connect", f"udpin:127.0.0.1:{port + 1}")
+        port = channel.getsockname()[1] + 1
+        goals = [("127.0.0.1", port + n) for n in range(_COUNT)]
+        where = ("--connect", f"udpin:127.0.0.1:{port}")
+        with stand_ins("--count", str(_COUNT), "--boot-time", "0", *where) as pid:
+            _stream(channel, goals, _CLIMB_S)
+            before = look(pid)
+            _stream(channel, goals, seconds)
+            after = look(pid)
+    return (after.cpu_s - before.cpu_s) / (after.at - before.at)
+
+
+@contextmanager
+def stand_ins(*words: str) -> Iterator[int]:
+    """Process id of four stand-ins that have opened their ports."""
+    with tempfile.TemporaryFile("w+") as log:
+        own = ("autopilot", *words, "--gcs", "", "--gnss", "rtk")
         child = subprocess.Popen(
-            [sys.executable, "-m", "ptnsbc_tools.cli", "autopilot", *own, *where],
+            [sys.executable, "-m", "ptnsbc_tools.cli", *own],
             stderr=log,
             env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])},
         )
         try:
-            wait_ready(child, log)
-            goals = [("127.0.0.1", port + 1 + n) for n in range(_COUNT)]
-            _stream(channel, goals, _CLIMB_S)
-            before = look(child.pid)
-            _stream(channel, goals, seconds)
-            after = look(child.pid)
+            _wait_ready(child, log)
+            yield child.pid
         finally:
             child.send_signal(signal.SIGINT)
             child.wait()
-    return (after.cpu_s - before.cpu_s) / (after.at - before.at)
 
 
-def wait_ready(child: subprocess.Popen[bytes], log: IO[str]) -> None:
-    """Return when four vehicles of a process have opened their ports."""
+def _wait_ready(child: subprocess.Popen[bytes], log: IO[str]) -> None:
     end = time.monotonic() + _READY_S
     while time.monotonic() < end and child.poll() is None:
         text = os.pread(log.fileno(), 1 << 16, 0).decode()
@@ -89,22 +97,15 @@ def _stream(channel: socket.socket, goals: list[tuple[str, int]], seconds: float
 
 def _messages(system: int, beat: int) -> list[mavlink.MAVLink_message]:
     frame = mavlink.MAV_FRAME_LOCAL_NED
-    out = [
-        mavlink.MAVLink_set_position_target_local_ned_message(
-            0, system, 1, frame, _VELOCITY_YAW, 0, 0, 0, 0, 0, -0.3, 0, 0, 0, 0, 0
-        )
-    ]
-    if beat % int(_STREAM_HZ) == 0:
-        for command, first, second in (
-            (mavlink.MAV_CMD_DO_SET_MODE, 1, 6),
-            (mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1, 0),
-        ):
-            out.append(
-                mavlink.MAVLink_command_long_message(
-                    system, 1, command, 0, first, second, 0, 0, 0, 0, 0
-                )
-            )
-    return out
+    setpoint = mavlink.MAVLink_set_position_target_local_ned_message(
+        0, system, 1, frame, _VELOCITY_YAW, 0, 0, 0, 0, 0, -0.3, 0, 0, 0, 0, 0
+    )
+    if beat % int(_STREAM_HZ):
+        return [setpoint]
+    long = mavlink.MAVLink_command_long_message
+    mode = long(system, 1, mavlink.MAV_CMD_DO_SET_MODE, 0, 1, 6, 0, 0, 0, 0, 0)
+    arm = long(system, 1, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0, 1, 0, 0, 0, 0, 0, 0)
+    return [setpoint, mode, arm]
 
 
 def _fast(seconds: float) -> float:

@@ -6,18 +6,13 @@ to the setpoint that answers it: ROS both ways, the step of the UAV, and the wai
 
 from __future__ import annotations
 
-import os
-import signal
 import socket
-import subprocess
-import sys
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from bench.autopilot import wait_ready
+from bench.autopilot import stand_ins
 from bench.launch import BenchError
 from bench.observer import Observer
 from bench.session import Plan, own_domain, say
@@ -66,23 +61,23 @@ def _fly(setpoint: str, seconds: float) -> _Flown:
 def _observed(scenario: Scenario, folder: Path) -> _Flown:
     with (
         own_domain() as domain,
-        _stand_ins(folder / "scenario.yaml") as stand_ins,
+        stand_ins("--scenario", str(folder / "scenario.yaml"), "--boot-time", "0.1") as pid,
         Observer(domain) as observer,
         Sampler() as sampler,
     ):
-        before = look(stand_ins)
+        before = look(pid)
 
         def progress(line: str) -> None:
             nonlocal before
             if line.endswith("started"):
                 sampler.begin()
-                before = look(stand_ins)
+                before = look(pid)
 
         options = FleetOptions(
             scenario, backend="mavlink", allow_arming=True, log_dir=folder / "logs"
         )
         result = run_fleet(options, progress)
-        after, told = look(stand_ins), observer.newest()
+        after, told = look(pid), observer.newest()
     if result.died or result.interrupted:
         raise BenchError(f"fleet of four stand-ins: interrupted or lost {result.died}")
     bridges = [values for name, values in told.items() if name.startswith("bridge")]
@@ -102,21 +97,3 @@ def _scenario(setpoint: str, seconds: float) -> Scenario:
     links = {f"mavlink.vehicles.{i}.connect": f"udpin:127.0.0.1:{first + i}" for i in range(1, 5)}
     changes = {"timing.duration_s": seconds, "mavlink.setpoint": setpoint, **links}
     return load_scenario("experiment_4", changes).bridged()
-
-
-@contextmanager
-def _stand_ins(scenario: Path) -> Iterator[int]:
-    """Process of four stand-ins, ready."""
-    own = ("--scenario", str(scenario), "--boot-time", "0.1", "--gcs", "", "--gnss", "rtk")
-    with tempfile.TemporaryFile("w+") as log:
-        child = subprocess.Popen(
-            [sys.executable, "-m", "ptnsbc_tools.cli", "autopilot", *own],
-            stderr=log,
-            env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])},
-        )
-        try:
-            wait_ready(child, log)
-            yield child.pid
-        finally:
-            child.send_signal(signal.SIGINT)
-            child.wait()

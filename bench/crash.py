@@ -14,7 +14,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
@@ -43,7 +43,7 @@ def kills(count: int, seed: int, folder: Path, *, recorder: bool) -> Iterator[Ki
     """Kill `count` recordings, each at a moment of its own."""
     moments = random.Random(seed)
     at_once = 1 if recorder else _SIDE_BY_SIDE
-    with _source(folder) if recorder else _nothing() as settings:
+    with _source(folder) if recorder else nullcontext() as settings:
         for first in range(0, count, at_once):
             numbers = range(first, min(first + at_once, count))
             bags = {folder / f"killed{n}": moments.uniform(_EARLIEST_S, _LATEST_S) for n in numbers}
@@ -116,11 +116,6 @@ def _holes(stamps: list[int]) -> int:
         return 0
     step = min(b - a for a, b in pairwise(stamps) if b > a)
     return round((stamps[-1] - stamps[0]) / step) + 1 - len(set(stamps))
-
-
-@contextmanager
-def _nothing() -> Iterator[None]:
-    yield None
 
 
 @contextmanager

@@ -12,7 +12,7 @@ from pathlib import Path
 from statistics import mean
 
 from bench.observer import Observer
-from bench.pingpong import READY
+from bench.pingpong.endpoints import READY
 from bench.session import own_domain
 from bench.usage import Sampler, Usage
 from ptnsbc_core.errors import PtnsbcError
@@ -21,7 +21,7 @@ from ptnsbc_nodes.fleet.fleet import FleetOptions, FleetResult, run_fleet
 from ptnsbc_nodes.runtime import environment
 from ptnsbc_sim.scenario import Scenario
 
-_LOOK_S = 0.05
+_POLL_S = 0.05
 _MODULE = "bench.pingpong"
 
 
@@ -31,7 +31,7 @@ class BenchError(PtnsbcError):
 
 @dataclass(frozen=True)
 class Flown:
-    """What one flight showed; a figure its mode does not have is 0."""
+    """Figures of one flight; a figure that its mode does not have is 0."""
 
     steps_per_s: float
     missed_percent: float  # of the ticks of all UAVs
@@ -42,12 +42,12 @@ class Flown:
 
 
 def fleet(scenario: Scenario, *, lockstep: bool, bag: bool) -> Flown:
-    """Fly by `run_fleet`, as a user does."""
+    """Fly a fleet as `ptnsbc fleet` does."""
     rate = 0.0
     with (
         tempfile.TemporaryDirectory(prefix="bench-") as folder,
         own_domain() as domain,
-        # Not in lock-step, whose steps are all that is asked for: the reference is not looked at either.
+        # Not in lock-step: there the steps alone are measured, and the reference has no observer either.
         nullcontext() if lockstep else Observer(domain) as observer,
         Sampler() as sampler,
     ):
@@ -71,12 +71,10 @@ def fleet(scenario: Scenario, *, lockstep: bool, bag: bool) -> Flown:
         raise BenchError(f"fleet of {len(scenario.uav_ids)}: interrupted or lost {result.died}")
     uavs = [values for name, values in told.items() if name.startswith("uav")]
     sim = told["sim"] if observer else {}
+    missed, ticks = (sum(int(uav[key]) for uav in uavs) for key in ("missed_ticks", "ticks"))
     return Flown(
         rate,
-        _percent(
-            sum(int(values["missed_ticks"]) for values in uavs),
-            sum(int(values["ticks"]) for values in uavs),
-        ),
+        _percent(missed, ticks),
         float(sim.get("latency_p50_ms", 0.0)),
         float(sim.get("latency_p99_ms", 0.0)),
         _lost(result),
@@ -85,13 +83,13 @@ def fleet(scenario: Scenario, *, lockstep: bool, bag: bool) -> Flown:
 
 
 def bare(scenario: Scenario, *, lockstep: bool, bag: bool, typed: bool = False) -> Flown:
-    """The same processes without a mind.
+    """The same processes without laws.
 
     Args:
-        scenario: who flies, who hears whom, how long.
+        scenario: the UAVs, their communication graph and the duration.
         lockstep: as fast as it goes, or by the wall clock.
-        bag: with one process more that hears everything and drops it.
-        typed: messages are objects, as in any rclpy program; else bytes that nobody decodes.
+        bag: with one more process that subscribes to everything and drops it.
+        typed: messages are objects, as in any rclpy program; otherwise bytes that no process decodes.
     """
     roles = [("recorder", 0)] if bag else []
     roles += [("sim", 0), *(("uav", i) for i in scenario.uav_ids)]
@@ -122,7 +120,7 @@ def bare(scenario: Scenario, *, lockstep: bool, bag: bool, typed: bool = False) 
             end(crew)
         told = {child.name: counts_of(child) for child in crew}
     sim = told["sim0"]
-    uavs = [counts for who, counts in told.items() if who.startswith("uav")]
+    uavs = [counts for process, counts in told.items() if process.startswith("uav")]
     return Flown(
         sim["ticks"] / sim["seconds"],
         _percent(sum(each["missed"] for each in uavs), sum(each["ticks"] for each in uavs)),
@@ -142,7 +140,7 @@ def wait_ready(crew: list[ChildProcess]) -> None:
                 raise BenchError(f"bare fleet: {child.exit_summary()}")
         if time.monotonic() > deadline:
             raise BenchError(f"bare fleet: not ready: {', '.join(c.name for c in waiting)}")
-        time.sleep(_LOOK_S)  # a line in a log wakes nobody
+        time.sleep(_POLL_S)  # a log file gives no notice
         waiting = [child for child in waiting if READY not in child.log_lines()]
 
 

@@ -1,10 +1,9 @@
-"""A listener beside a fleet: what the nodes say on /diagnostics, and when."""
+"""A subscriber beside a fleet: the values of all nodes on /diagnostics, and their times."""
 
 from __future__ import annotations
 
 import threading
 import time
-from types import TracebackType
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
@@ -17,7 +16,7 @@ from ptnsbc_nodes.runtime import environment
 from ptnsbc_nodes.runtime.executor import BoundedSpin, make_executor
 from ptnsbc_tools.reading.diagnostics import decode_diagnostics
 
-_TURN_S = 0.1
+_SLICE_S = 0.1
 
 
 class Observer:
@@ -47,12 +46,7 @@ class Observer:
         self._thread.start()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        value: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._over.set()
         self._thread.join()
         self._executor.remove_node(self._node)
@@ -78,4 +72,4 @@ class Observer:
 
     def _run(self) -> None:
         while not self._over.is_set():
-            self._slices.serve(_TURN_S)
+            self._slices.serve(_SLICE_S)

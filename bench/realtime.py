@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 from bench.launch import Flown, bare, fleet
@@ -71,23 +71,13 @@ def _rows(case: Case, plan: Plan) -> list[Row]:
         row("latency, 99 %", "ms", lambda flown: flown.latency_p99_ms),
     ]
     for role in ("uav", "sim", "recorder") if case.bag else ("uav", "sim"):
-        rows.append(row(f"CPU of {_PROCESS[role]}", "cores", _cores(role)))
-        rows.append(row(f"memory of {_PROCESS[role]}", "MB", _memory(role)))
+        process = _PROCESS[role]
+        rows.append(row(f"CPU of {process}", "cores", lambda flown, r=role: flown.usage[r].cores))
+        rows.append(row(f"memory of {process}", "MB", lambda flown, r=role: flown.usage[r].rss_mb))
     if case.bag:
-        rows.append(Row(f"{case.name}: odometry missing in the bag", _lost(found["fleet"]), "%"))
+        lost = [flown.lost_percent for flown in found["fleet"]]
+        rows.append(Row(f"{case.name}: odometry missing in the bag", lost, "%"))
     return rows
 
 
 _PROCESS = {"uav": "one UAV", "sim": "the sim", "recorder": "the recorder"}
-
-
-def _cores(role: str) -> Callable[[Flown], float]:
-    return lambda flown: flown.usage[role].cores
-
-
-def _memory(role: str) -> Callable[[Flown], float]:
-    return lambda flown: flown.usage[role].rss_mb
-
-
-def _lost(flights: Sequence[Flown]) -> list[float]:
-    return [flown.lost_percent for flown in flights]

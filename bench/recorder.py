@@ -1,6 +1,6 @@
-"""The recorder: CPU time per message, how many per second it takes, and what it loses.
+"""The recorder: CPU time per message, messages per second, and losses.
 
-As a module it is the source: the topics of five UAVs, paced or as fast as one process can.
+Run as a module it is the source: the topics of five UAVs, paced or as fast as one process can publish.
 """
 
 from __future__ import annotations
@@ -17,14 +17,13 @@ import numpy as np
 from rclpy.node import Node
 
 from bench.launch import counts_of, wait_ready
-from bench.pingpong import Send, sender, when_ready
+from bench.pingpong.endpoints import RawEndpoints, Send, when_ready
 from bench.scenarios import paper
 from bench.session import Plan, own_domain, take_turns
 from bench.table import Row
 from bench.usage import look
 from ptnsbc_io.wire import OdometryTemplate, VelocityTemplate, WrenchTemplate
 from ptnsbc_nodes.comm import topics
-from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.fleet.child_process import ChildProcess, ProcessCommand, end
 from ptnsbc_nodes.runtime import environment
 from ptnsbc_nodes.runtime.process import Arguments, ProcessLifetime, ros_node, run
@@ -36,11 +35,11 @@ _PATIENCE_S = 60.0
 _FLOOD = 0.0
 
 
-class Heard(NamedTuple):
+class Received(NamedTuple):
     """One run of a source and a listener."""
 
-    cpu_us: float  # of the listener per message it got
-    rate: float  # messages it got per second
+    cpu_us: float  # of the listener per message received
+    rate: float  # messages received per second
     lost_percent: float
 
 
@@ -58,16 +57,16 @@ def measure(plan: Plan) -> Sequence[Row]:
         "recorder",
     )
 
-    def row(figure: str, unit: str, ends: str, value: Callable[[Heard], float]) -> Row:
+    def row(figure: str, unit: str, ends: str, value: Callable[[Received], float]) -> Row:
         own, other = found[f"recorder{ends}"], found[f"bare listener{ends}"]
         name = "listener that drops"
-        return Row(figure, [value(h) for h in own], unit, name, [value(h) for h in other])
+        return Row(figure, [value(one) for one in own], unit, name, [value(one) for one in other])
 
     return [
-        row("recorder, CPU per message", "µs", "", lambda heard: heard.cpu_us),
-        row("recorder, 5 UAVs at 100 Hz: lost", "%", "", lambda heard: heard.lost_percent),
-        row("recorder, one source flat out", "messages/s", ", flooded", lambda heard: heard.rate),
-        row("recorder, flat out: lost", "%", ", flooded", lambda heard: heard.lost_percent),
+        row("recorder, CPU per message", "µs", "", lambda one: one.cpu_us),
+        row("recorder, 5 UAVs at 100 Hz: lost", "%", "", lambda one: one.lost_percent),
+        row("recorder, one source flat out", "messages/s", ", flooded", lambda one: one.rate),
+        row("recorder, flat out: lost", "%", ", flooded", lambda one: one.lost_percent),
     ]
 
 
@@ -82,7 +81,9 @@ def _bare(_folder: Path, scenario: Path) -> ProcessCommand:
     return ProcessCommand("listener", "bench.pingpong", arguments)
 
 
-def _listen(listener: Callable[[Path, Path], ProcessCommand], hz: float, seconds: float) -> Heard:
+def _listen(
+    listener: Callable[[Path, Path], ProcessCommand], hz: float, seconds: float
+) -> Received:
     with tempfile.TemporaryDirectory(prefix="bench-") as name, own_domain() as domain:
         folder = Path(name)
         scenario, go = folder / "scenario.yaml", folder / "go"
@@ -99,15 +100,15 @@ def _listen(listener: Callable[[Path, Path], ProcessCommand], hz: float, seconds
             before_s = look(crew[0].pid).cpu_s
             go.touch()
             crew[1].wait(_PATIENCE_S + seconds)
-            # What is still queued costs the listener time too, and it does not say when it has it all.
+            # Queued messages cost the listener time too, and it does not report when it has received all of them.
             time.sleep(_SETTLE_S)
             cpu_s = look(crew[0].pid).cpu_s - before_s
         finally:
             end(crew)
-        heard, sent = (counts_of(child) for child in crew)
-    got = float(heard.get("received", heard.get("messages", 0)))
+        received, sent = (counts_of(child) for child in crew)
+    got = float(received.get("received", received.get("messages", 0)))
     lost = 100.0 * (1.0 - got / sent["sent"])
-    return Heard(1e6 * cpu_s / max(got, 1.0), got / sent["seconds"], lost)
+    return Received(1e6 * cpu_s / max(got, 1.0), got / sent["seconds"], lost)
 
 
 class Source:
@@ -121,7 +122,7 @@ class Source:
         self._on_end = on_end
         self._period_s = 1.0 / arguments.hz if arguments.hz else 0.0
         self._seconds = arguments.seconds
-        self.endpoints = Endpoints(node, lockstep=False)
+        self.endpoints = RawEndpoints(node, lockstep=False)
         self._sends = [send for uav in _UAVS for send in self._of(int(uav))]
         when_ready(node, self.endpoints, arguments.go, self._run)
 
@@ -129,7 +130,7 @@ class Source:
         zeros = np.zeros(13)
         odometry = OdometryTemplate("map", f"uav{uav}/base_link").encode(0, zeros)
         return [
-            sender(self.endpoints, topic, 1, message)
+            self.endpoints.sender(topic, 1, message)
             for topic, message in (
                 (topics.odom(uav), odometry),
                 (topics.formation_state(uav), odometry),
@@ -147,13 +148,13 @@ class Source:
             self.sent += len(self._sends)
             now = time.monotonic()
             due = due + self._period_s if self._period_s else now
-            time.sleep(max(due - now, 0.0))  # as often as a fleet speaks, or not at all
+            time.sleep(max(due - now, 0.0))  # at the rate of a fleet, or without a pause
         self.took_s = time.monotonic() - began
         self._on_end()
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """The source; its last line is what it sent, as JSON."""
+    """The source; its last line counts what it sent, as JSON."""
     parser = Arguments("source", "Messages to record")
     parser.add_argument("--hz", type=float, default=_FLOOD)
     parser.add_argument("--seconds", type=float, required=True)

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from itertools import cycle
 from typing import Any, TypeVar
+from unittest.mock import patch
 
 T = TypeVar("T")
 
@@ -26,12 +27,12 @@ class Plan:
     quick: bool = False
 
     def of(self, full: T, quick: T) -> T:
-        """One of two."""
+        """The value for a full or for a quick run."""
         return quick if self.quick else full
 
 
 def say(line: str) -> None:
-    """Progress, beside the table."""
+    """Print progress on stderr."""
     print(f"bench: {line}", file=sys.stderr, flush=True)
 
 
@@ -49,7 +50,7 @@ def take_turns(
 
 
 def cpu_seconds(work: Callable[[], object], calls: int = 1) -> float:
-    """CPU time of one call [s], averaged over `calls`: on a busy machine wall time is chance."""
+    """CPU time of one call [s], averaged over `calls`: other programs do not change it."""
     began = time.thread_time()
     for _ in range(calls):
         work()
@@ -58,21 +59,14 @@ def cpu_seconds(work: Callable[[], object], calls: int = 1) -> float:
 
 @contextmanager
 def own_domain() -> Iterator[int]:
-    """One of our ROS domains, each time the next: a fleet that has just ended is not met again."""
-    before = os.environ.get("ROS_DOMAIN_ID")
+    """One of our ROS domains, another one each time: a fleet that has just ended is not discovered again."""
     domain = next(_DOMAINS)
-    os.environ["ROS_DOMAIN_ID"] = str(domain)
-    try:
+    with patch.dict(os.environ, ROS_DOMAIN_ID=str(domain)):
         yield domain
-    finally:
-        if before is None:
-            del os.environ["ROS_DOMAIN_ID"]
-        else:
-            os.environ["ROS_DOMAIN_ID"] = before
 
 
 class Machine:
-    """What the figures were measured on, and how busy others kept it meanwhile."""
+    """The machine of the figures, and the load of other programs meanwhile."""
 
     def __init__(self) -> None:
         self._load = os.getloadavg()
@@ -116,7 +110,7 @@ def _versions() -> Iterator[tuple[str, str]]:
 
 
 def _busy_s() -> float:
-    """CPU time of everybody on this machine since it was started [s]."""
+    """CPU time of all processes since the machine was started [s]."""
     with open("/proc/stat", encoding="ascii") as file:
         user, nice, system, _idle, _iowait, irq, softirq = map(int, file.readline().split()[1:8])
     return (user + nice + system + irq + softirq) / os.sysconf("SC_CLK_TCK")

@@ -1,4 +1,4 @@
-"""CPU and memory of the processes that this one has started, from /proc."""
+"""CPU and memory of the child processes of this process, from /proc."""
 
 from __future__ import annotations
 
@@ -8,13 +8,12 @@ import threading
 import time
 from collections import defaultdict
 from pathlib import Path
-from types import TracebackType
 from typing import NamedTuple
 
 _PERIOD_S = 0.5
 _TICKS_PER_S = os.sysconf("SC_CLK_TCK")
 _PAGE_MB = os.sysconf("SC_PAGE_SIZE") / 2**20
-_ROLE = re.compile(r"ptnsbc_nodes\.(uav|sim|recorder|bridge)|--role (uav|sim|recorder)")
+_ROLE = re.compile(r"ptnsbc_nodes\.(uav|sim|recording|bridge)\.|--role (uav|sim|recorder)")
 
 
 class Usage(NamedTuple):
@@ -25,7 +24,7 @@ class Usage(NamedTuple):
 
 
 class Sample(NamedTuple):
-    """One look at one process."""
+    """CPU time and memory of one process at one moment."""
 
     at: float  # [s], monotonic
     cpu_s: float
@@ -33,7 +32,7 @@ class Sample(NamedTuple):
 
 
 class Sampler:
-    """Looks at our child processes twice a second inside the `with`, in a thread."""
+    """Samples the child processes twice a second inside the `with` block, in a thread."""
 
     def __init__(self) -> None:
         self._samples: dict[tuple[str, int], list[Sample]] = defaultdict(list)
@@ -45,21 +44,16 @@ class Sampler:
         self._thread.start()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        value: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._over.set()
         self._thread.join()
 
     def begin(self) -> None:
-        """What counts starts now."""
+        """Ignore the samples before now."""
         self._began = time.monotonic()
 
     def usage(self) -> dict[str, Usage]:
-        """By role: uav and bridge (mean), sim, recorder; a role that was seen less than twice is left out."""
+        """By role: uav and bridge (mean), sim, recorder; a role with less than two samples is left out."""
         found: dict[str, list[Usage]] = defaultdict(list)
         for (role, _), samples in self._samples.items():
             counted = [sample for sample in samples if sample.at >= self._began]
@@ -81,11 +75,12 @@ class Sampler:
         except OSError:  # it has just ended
             return
         if role := _ROLE.search(words):
-            self._samples[role[1] or role[2], pid].append(sample)
+            name = (role[1] or role[2]).replace("recording", "recorder")
+            self._samples[name, pid].append(sample)
 
 
 def look(pid: int) -> Sample:
-    """CPU time and memory of a process until now; OSError when it has gone."""
+    """CPU time and memory of a process until now; OSError when it has ended."""
     fields = _stat(pid)
     cpu_s = (int(fields[11]) + int(fields[12])) / _TICKS_PER_S
     return Sample(time.monotonic(), cpu_s, int(fields[21]) * _PAGE_MB)

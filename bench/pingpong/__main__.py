@@ -7,9 +7,9 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
+from bench.pingpong.endpoints import RawEndpoints, TypedEndpoints
 from bench.pingpong.sim import BareRecorder, BareSim
 from bench.pingpong.uav import BareUav
-from bench.pingpong.wires import RawWires, TypedWires
 from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions
 from ptnsbc_nodes.runtime import environment
 from ptnsbc_nodes.runtime.process import Arguments, ProcessLifetime, ros_node, run
@@ -20,7 +20,7 @@ ROLES = ("uav", "sim", "recorder")
 
 def main(argv: Sequence[str] | None = None) -> int:
     """One process of the reference fleet; its last line is what it counted, as JSON."""
-    parser = Arguments("pingpong", "A fleet without a mind")
+    parser = Arguments("pingpong", "A fleet without laws")
     parser.add_argument("--role", choices=ROLES, required=True)
     parser.add_argument("--uav", type=int, default=0)
     parser.add_argument("--go", type=Path, help="the sim begins when this file exists")
@@ -33,35 +33,31 @@ def _serve(arguments: argparse.Namespace, argv: list[str]) -> int:
     options = FlightOptions(arguments.lockstep, arguments.recorded, arguments.bridged)
     edges = CommunicationGraph(scenario, options)
     name = f"{arguments.role}{arguments.uav or ''}"
-    if options.lockstep and arguments.role != "recorder":  # as the processes it stands beside
+    if options.lockstep and arguments.role != "recorder":  # as the processes of a fleet
         environment.prefer_throughput()
     with ros_node(name, "", argv) as node:
-        kind = TypedWires if arguments.typed else RawWires
-        wires = kind(node, options.lockstep)
+        kind = TypedEndpoints if arguments.typed else RawEndpoints
+        endpoints = kind(node, options.lockstep)
         if arguments.role == "uav":
-            uav = BareUav(node, wires, scenario, arguments.uav, edges)
-            lifetime.serve(node, uav.endpoints)
+            uav = BareUav(node, endpoints, scenario, arguments.uav, edges)
+            lifetime.serve(node, endpoints)
             counted = {"ticks": float(uav.ticks), "missed": float(uav.pace.missed)}
         elif arguments.role == "sim":
-            sim = BareSim(node, wires, scenario, edges, arguments.go, lifetime.end)
-            lifetime.serve(node, sim.endpoints)
-            counted = _sim_counts(sim)
+            sim = BareSim(node, endpoints, scenario, edges, arguments.go, lifetime.end)
+            lifetime.serve(node, endpoints)
+            counted = {
+                "ticks": float(sim.ticks),
+                "missed": float(sim.pace.missed),
+                "seconds": (sim.ended_ns - sim.began_ns) * 1e-9,
+                "p50_ms": 1e3 * sim.latency.percentile_s(50),
+                "p99_ms": 1e3 * sim.latency.percentile_s(99),
+            }
         else:
             recorder = BareRecorder(node, scenario, options.lockstep)
             lifetime.serve(node, recorder.endpoints)
             counted = {"received": float(recorder.received)}
     print(json.dumps(counted), flush=True)
     return 0
-
-
-def _sim_counts(sim: BareSim) -> dict[str, float]:
-    return {
-        "ticks": float(sim.ticks),
-        "missed": float(sim.pace.missed),
-        "seconds": (sim.ended_ns - sim.began_ns) * 1e-9,
-        "p50_ms": 1e3 * sim.latency.percentile_s(50),
-        "p99_ms": 1e3 * sim.latency.percentile_s(99),
-    }
 
 
 if __name__ == "__main__":

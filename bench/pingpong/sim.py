@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 from rclpy.node import Node
 
-from bench.pingpong.ready import when_ready
-from bench.pingpong.wires import Send, Wires, status
+from bench.pingpong.endpoints import RawEndpoints, Send, status, when_ready
 from ptnsbc_io.wire import ClockTemplate, OdometryTemplate, encode_near
 from ptnsbc_nodes.comm import qos, topics
 from ptnsbc_nodes.comm.agent_messages import WORLD_FRAME
@@ -31,14 +30,13 @@ class BareSim:
     def __init__(
         self,
         node: Node,
-        wires: Wires,
+        endpoints: RawEndpoints,
         scenario: Scenario,
         edges: CommunicationGraph,
         go: Path,
         on_end: Callable[[], None],
     ) -> None:
-        self.endpoints = wires.endpoints
-        self._wires = wires
+        self._endpoints = endpoints
         self.ticks = 0
         self.pace = Pace(scenario.dt_ns)
         self.latency = Latency()
@@ -59,21 +57,19 @@ class BareSim:
         self._near = self._senders(
             topics.near, readers, lambda i: encode_near(0, WORLD_FRAME, near)
         )
-        clock = ClockTemplate().encode(0)
-        self._clock = wires.sender(topics.CLOCK, readers, clock)
-        self._send_status = wires.sender(topics.DIAGNOSTICS, readers, status("sim"))
-        self._send_markers = self.endpoints.publisher(topics.MARKERS, readers)
+        self._clock = endpoints.sender(topics.CLOCK, readers, ClockTemplate().encode(0))
+        self._send_status = endpoints.sender(topics.DIAGNOSTICS, readers, status("sim"))
+        self._send_markers = endpoints.publisher(topics.MARKERS, readers)
         self._markers = Scene(scenario, World(scenario)).markers(0)
         for i in scenario.uav_ids:
-            wires.listen(topics.wrench_setpoint(i), self._on_wrench)
-        when_ready(node, self.endpoints, go, self._begin)
+            endpoints.listen_stamps(topics.wrench_setpoint(i), self._on_wrench)
+        when_ready(node, endpoints, go, self._begin)
 
     def _senders(
         self, topic: Callable[[int], Topic], readers: int, message: Callable[[int], bytes]
     ) -> list[Send]:
-        return [
-            self._wires.sender(topic(i), 1 + readers, message(i)) for i in self._scenario.uav_ids
-        ]
+        send = self._endpoints.sender
+        return [send(topic(i), 1 + readers, message(i)) for i in self._scenario.uav_ids]
 
     def _begin(self) -> None:
         self.began_ns = self._clock_ns()
@@ -127,7 +123,7 @@ class BareSim:
 
 
 class BareRecorder:
-    """Hears what the recorder hears, and drops it."""
+    """Subscribes to the topics of the recorder, and drops the messages."""
 
     def __init__(self, node: Node, scenario: Scenario, lockstep: bool) -> None:
         self.endpoints = Endpoints(node, lockstep)

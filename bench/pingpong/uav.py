@@ -1,14 +1,13 @@
-"""A UAV without a mind."""
+"""A UAV without laws."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 from rclpy.node import Node
 
-from bench.pingpong.ready import when_ready
-from bench.pingpong.wires import Send, Wires, status
+from bench.pingpong.endpoints import RawEndpoints, Send, status, when_ready
 from ptnsbc_io.wire import OdometryTemplate, VelocityTemplate, WrenchTemplate
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.agent_messages import WORLD_FRAME
@@ -22,10 +21,14 @@ class BareUav:
     """Answers like a UAV: four messages when odometry, near objects and neighbours are in."""
 
     def __init__(
-        self, node: Node, wires: Wires, scenario: Scenario, uav_id: int, edges: CommunicationGraph
+        self,
+        node: Node,
+        endpoints: RawEndpoints,
+        scenario: Scenario,
+        uav_id: int,
+        edges: CommunicationGraph,
     ) -> None:
-        self.endpoints = wires.endpoints
-        self._wires = wires
+        self._endpoints = endpoints
         self.ticks = 0
         self.pace = Pace(scenario.dt_ns)
         self._node = node
@@ -39,17 +42,17 @@ class BareUav:
         self._ticker = None
         if not self._lockstep:
             self._ticker = Ticker(node, self._period_ns, self._on_timer)
-        when_ready(node, self.endpoints, None, lambda: None)
+        when_ready(node, endpoints, None, lambda: None)
 
     def _listen(self, uav_id: int, edges: CommunicationGraph) -> None:
         senders = edges.senders(uav_id)
-        heard = [topics.formation_state(i) for i in senders.states]
-        heard += [topics.leader_estimate(i) for i in senders.estimators]
-        self._heard_ns = [-1] * len(heard)
-        self._wires.listen(topics.odom(uav_id), self._on_odom)
-        self._wires.listen(topics.near(uav_id), self._on_near)
-        for index, topic in enumerate(heard):
-            self._wires.listen(topic, self._hearer(index))
+        received = [topics.formation_state(i) for i in senders.states]
+        received += [topics.leader_estimate(i) for i in senders.estimators]
+        self._received_ns = [-1] * len(received)
+        self._endpoints.listen_stamps(topics.odom(uav_id), self._on_odom)
+        self._endpoints.listen_stamps(topics.near(uav_id), self._on_near)
+        for index, topic in enumerate(received):
+            self._endpoints.listen_stamps(topic, partial(self._on_message, index))
 
     def _senders(self, uav_id: int, edges: CommunicationGraph) -> tuple[Send, ...]:
         body, zeros = f"uav{uav_id}/base_link", np.zeros(13)
@@ -57,7 +60,7 @@ class BareUav:
         estimate = OdometryTemplate(WORLD_FRAME, WORLD_FRAME).encode(0, zeros)
         velocity = VelocityTemplate(WORLD_FRAME).encode(0, zeros[:6])
         wrench = WrenchTemplate(body).encode(0, zeros[:6])
-        sender, readers = self._wires.sender, edges.options.recorders
+        sender, readers = self._endpoints.sender, edges.options.recorders
         self._status_every = status_every(self._scenario)
         self._send_status = sender(topics.DIAGNOSTICS, readers, status(f"uav{uav_id}"))
         # The order of the Outbox: the wrench first.
@@ -68,12 +71,9 @@ class BareUav:
             sender(topics.velocity_setpoint(uav_id), readers, velocity),
         )
 
-    def _hearer(self, index: int) -> Callable[[int], None]:
-        def on_message(stamp_ns: int) -> None:
-            self._heard_ns[index] = stamp_ns
-            self._advance()
-
-        return on_message
+    def _on_message(self, index: int, stamp_ns: int) -> None:
+        self._received_ns[index] = stamp_ns
+        self._advance()
 
     def _on_odom(self, stamp_ns: int) -> None:
         first = self._own_ns < 0
@@ -93,7 +93,7 @@ class BareUav:
         if self._seen_ns != now_ns - now_ns % self._near_ns:
             return
         before_ns = now_ns - self._period_ns
-        if now_ns == 0 or all(stamp_ns >= before_ns for stamp_ns in self._heard_ns):
+        if now_ns == 0 or all(stamp_ns >= before_ns for stamp_ns in self._received_ns):
             self._answer(now_ns)
 
     def _on_timer(self) -> None:
