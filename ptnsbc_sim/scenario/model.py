@@ -135,7 +135,7 @@ class Plant(Block):
 
 
 class Communication(Block):
-    """Who hears whom."""
+    """The communication graph of the formation."""
 
     tree: dict[UavId, UavId]
     """`child: parent`, a tree rooted at the leader."""
@@ -240,7 +240,7 @@ class ScenarioFile(Block):
     plant: Plant
     """The vehicle, the same for all."""
     communication: Communication
-    """Who hears whom."""
+    """The communication graph of the formation."""
     leader: Leader
     """The UAV that the others form around."""
     formation: Formation
