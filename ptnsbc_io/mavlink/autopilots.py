@@ -1,4 +1,4 @@
-"""What differs between autopilots: modes, parameters, encodings, what must come before what.
+"""The differences between autopilots: modes, parameters, encodings, and the order of commands.
 
 PX4: docs.px4.io, Offboard Mode and Parameter Reference. ArduCopter: ardupilot.org, Copter Commands
 in Guided Mode and Complete Parameter List; 4.7 renamed WPNAV_* (centimetres) to WP_* (metres).
@@ -19,14 +19,14 @@ _THRUST_AS_THRUST = 8  # bit 3 of GUID_OPTIONS
 
 
 class FlightMode(Enum):
-    """A flight mode as the bridge sees it."""
+    """A flight mode, as far as the bridge distinguishes them."""
 
-    OWN = "own"  # OFFBOARD, GUIDED: setpoints are followed
-    HOLD = "hold"  # stays where it is by itself
+    OWN = "own"  # OFFBOARD, GUIDED: it follows setpoints
+    HOLD = "hold"  # holds its position
     LAND = "land"
     RETURN = "return"
     TAKEOFF = "takeoff"
-    OTHER = "other"  # somebody flies
+    OTHER = "other"  # for example flown by a pilot
 
 
 class ModeNumbers(NamedTuple):
@@ -37,7 +37,7 @@ class ModeNumbers(NamedTuple):
 
 
 class AutopilotLimits(NamedTuple):
-    """What the vehicle itself can be asked for; None where nothing is known."""
+    """Limits of the vehicle; None where they are not known."""
 
     horizontal_m_s: float | None
     up_m_s: float | None
@@ -47,11 +47,11 @@ class AutopilotLimits(NamedTuple):
 
 
 class Rates(Enum):
-    """Which body rates beside an attitude an autopilot understands."""
+    """The body rates that an autopilot uses beside an attitude."""
 
     ALL = "all"
-    HEADING = "heading"  # by the yaw rate alone, which it takes about the vertical
-    HEADING_BY_ALL = "heading by all"  # all three or none, and in one frame or the other by version
+    HEADING = "heading"  # the yaw rate alone, about the vertical
+    HEADING_BY_ALL = "heading by all"  # all three or none; the frame depends on the version
 
 
 class Autopilot(NamedTuple):
@@ -59,7 +59,7 @@ class Autopilot(NamedTuple):
 
     name: str
     number: int  # MAV_AUTOPILOT
-    own_mode: str  # what its manual calls the mode in which setpoints are followed
+    own_mode: str  # name of the mode that follows setpoints
     modes: Mapping[ModeNumbers, FlightMode]
     packed: bool  # custom_mode holds main in its third byte and sub in its fourth
     encoding: Encoding
@@ -71,7 +71,7 @@ class Autopilot(NamedTuple):
     parameters: tuple[str, ...]
 
     def mode(self, base_mode: int, custom_mode: int) -> FlightMode:
-        """The mode that a HEARTBEAT tells."""
+        """The mode in a HEARTBEAT."""
         if self.attitude_only:
             guided = base_mode & mavlink.MAV_MODE_FLAG_GUIDED_ENABLED
             return (
@@ -85,8 +85,8 @@ class Autopilot(NamedTuple):
             numbers = ModeNumbers(custom_mode, 0)
         return self.modes.get(numbers, FlightMode.OTHER)
 
-    def numbers(self, mode: FlightMode) -> ModeNumbers:
-        """How to ask for a mode."""
+    def mode_numbers(self, mode: FlightMode) -> ModeNumbers:
+        """The numbers with which to request a mode."""
         return next(numbers for numbers, known in self.modes.items() if known is mode)
 
 
@@ -187,8 +187,8 @@ _ALTERNATIVES = (
 )
 
 
-def absent(autopilot: Autopilot, values: Mapping[str, float]) -> list[str]:
-    """Parameters that should be there and are not; of an old and a new name one is enough."""
+def missing_parameters(autopilot: Autopilot, values: Mapping[str, float]) -> list[str]:
+    """Expected parameters without an answer; of an old and a new name one is enough."""
     missing = [name for name in autopilot.parameters if name not in values]
     for names in _ALTERNATIVES:
         if any(name in values for name in names):
@@ -197,7 +197,7 @@ def absent(autopilot: Autopilot, values: Mapping[str, float]) -> list[str]:
 
 
 def limits(values: Mapping[str, float]) -> AutopilotLimits:
-    """The vehicle's own limits from its parameters, whichever autopilot it is."""
+    """The limits of the vehicle from its parameters, for any autopilot."""
 
     def lowest(*found: float | None) -> float | None:
         return min((value for value in found if value is not None and value > 0.0), default=None)
@@ -222,21 +222,21 @@ def hover_thrust(values: Mapping[str, float]) -> float | None:
 
 
 def advice(values: Mapping[str, float], rate_hz: float) -> Iterator[str]:
-    """What a lab should change before it flies, one line each."""
+    """Recommended changes of parameters, one line each."""
     if values.get("COM_OBL_RC_ACT") == 0.0:
         yield "COM_OBL_RC_ACT=0: without a remote control the vehicle sinks and drifts when setpoints stop; 5 is Hold"
     if values.get("COM_OF_LOSS_T", 1.0) * rate_hz < 5.0:
         yield f"COM_OF_LOSS_T={values['COM_OF_LOSS_T']:g} s: fewer than 5 setpoints at {rate_hz:g} Hz"
     if values.get("NAV_DLL_ACT", 0.0) > 0.0:
-        yield f"NAV_DLL_ACT={values['NAV_DLL_ACT']:g}: a ground station must be connected, this bridge is none"
+        yield f"NAV_DLL_ACT={values['NAV_DLL_ACT']:g}: a ground station must be connected, this bridge is not one"
     if values.get("GUID_TIMEOUT", 3.0) > 3.0:
-        yield f"GUID_TIMEOUT={values['GUID_TIMEOUT']:g} s: the vehicle keeps the last velocity so long"
+        yield f"GUID_TIMEOUT={values['GUID_TIMEOUT']:g} s: the vehicle keeps the last velocity for that time"
     if values.get("FS_GCS_ENABLE", 0.0) > 0.0:
-        yield f"FS_GCS_ENABLE={values['FS_GCS_ENABLE']:g}: a ground station must be connected, this bridge is none"
+        yield f"FS_GCS_ENABLE={values['FS_GCS_ENABLE']:g}: a ground station must be connected, this bridge is not one"
 
 
 def refusal(autopilot: Autopilot, values: Mapping[str, float], setpoint: str) -> str | None:
-    """Why this vehicle cannot be flown with setpoints of this kind; None when it can."""
+    """Why the vehicle cannot follow this type of setpoint; None when it can."""
     if autopilot.attitude_only and setpoint != "attitude":
         return f"{autopilot.name}: takes attitude targets only: expected mavlink.setpoint: attitude"
     options = int(values.get("GUID_OPTIONS", 0))
@@ -249,10 +249,10 @@ def refusal(autopilot: Autopilot, values: Mapping[str, float], setpoint: str) ->
 
 
 def findings(autopilot: Autopilot, values: Mapping[str, float], rate_hz: float) -> Iterator[str]:
-    """What an operator is told of the parameters that were read."""
+    """The lines of the log about the parameters that were read."""
     for name, value in values.items():
         yield f"{name} = {value:g}"
-    missing = absent(autopilot, values)
+    missing = missing_parameters(autopilot, values)
     if missing:
         yield f"not answered: {' '.join(missing)}"
     for line in advice(values, rate_hz):

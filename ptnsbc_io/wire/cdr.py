@@ -2,8 +2,7 @@
 
 A message is a 4-byte encapsulation header (representation id, options) and the fields, each
 aligned to its own size *counted from after that header*. We write little-endian and fill alignment
-gaps with zeros; rclpy leaves whatever was in memory there, so only our bytes are the same on every
-run.
+gaps with zeros. rclpy leaves old memory in the gaps, so its bytes differ from run to run.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ _TIME = {"<": struct.Struct("<iI"), ">": struct.Struct(">iI")}
 
 
 class WireError(PtnsbcError):
-    """A buffer that is not the message it should be, or a value that the wire cannot carry."""
+    """A buffer is not the expected message, or CDR cannot carry a value."""
 
 
 class Stamped(NamedTuple):
@@ -81,7 +80,7 @@ def write_stamp(buffer: bytearray, stamp_ns: int, offset: int = _BODY) -> None:
     buffer[offset : offset + 8] = stamp_bytes(stamp_ns)
 
 
-@lru_cache(maxsize=8)  # the messages of one tick all carry the same
+@lru_cache(maxsize=8)  # the messages of one tick have the same stamp
 def stamp_bytes(stamp_ns: int) -> bytes:
     """The builtin_interfaces/Time of a little-endian message."""
     return _TIME["<"].pack(*split_stamp(stamp_ns))
@@ -126,7 +125,9 @@ def pad(buffer: bytearray, size: int) -> None:
 def float_bytes(values: Floats, count: int, what: str) -> bytes:
     """`values` as little-endian float64; WireError unless there are exactly `count`."""
     try:
-        if getattr(values, "dtype", None) is not _LITTLE_FLOAT64:  # as nearly all are: much cheaper
+        if (
+            getattr(values, "dtype", None) is not _LITTLE_FLOAT64
+        ):  # rarely; the conversion is expensive
             values = np.ascontiguousarray(values, "<f8")
         raw = values.tobytes()
     except (TypeError, ValueError) as error:

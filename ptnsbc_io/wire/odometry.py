@@ -47,7 +47,7 @@ _LENGTH = struct.Struct("<I")
 
 
 class OdometryTemplate:
-    """Encoder of Odometry messages whose frames stay the same, put together from prebuilt parts.
+    """Encoder of Odometry messages with fixed frames, assembled from prebuilt parts.
 
     Building the message object and serialising it costs rclpy 31 µs; this costs about one.
     """
@@ -79,14 +79,14 @@ def decode_odometry(buf: bytes) -> Stamped:
     """Stamp [ns] and odom vector (13,) of a serialised Odometry with any frame names."""
     size = len(buf)
     if size > _NUMBERS and buf[:2] == _LITTLE:
-        # Little-endian and whole, as nearly all are: a third of the time of the long way.
+        # Fast path for a little-endian, complete message: a third of the time of the general one.
         seconds, nanoseconds, frame = _START.unpack_from(buf, 4)
         child_at = 16 + (frame + 3 & -4)
         if child_at < size - 4:
             pose_at = 12 + (child_at + _LENGTH.unpack_from(buf, child_at)[0] - 1 & -8)
             if pose_at + _NUMBERS <= size:
                 twist_at = pose_at + _TWIST_AT
-                # Joined as bytes first: one array made from 104 bytes is cheaper than two slices filled in.
+                # Joined as bytes first: one array from 104 bytes is faster than two filled slices.
                 numbers = bytearray(buf[pose_at : pose_at + _POSE])
                 numbers += buf[twist_at : twist_at + _TWIST]
                 stamp_ns = seconds * NANOSECONDS + nanoseconds

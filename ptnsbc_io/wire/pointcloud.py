@@ -1,7 +1,7 @@
-"""sensor_msgs/PointCloud2 of near things: obstacles and other UAVs inside the detection range.
+"""sensor_msgs/PointCloud2 of near objects: obstacles and other UAVs inside the detection range.
 
-We send x y z radius [m] and vx vy vz [m/s] as FLOAT32 in `header.frame_id`. On receipt fields are
-found by name, so that a depth sensor's own driver may publish the topic.
+We send x y z radius [m] and vx vy vz [m/s] as FLOAT32 in `header.frame_id`. On receipt the
+fields are found by name, so the driver of a depth sensor may publish the topic.
 """
 
 from __future__ import annotations
@@ -53,14 +53,14 @@ class _Field(NamedTuple):
 
 
 class _Layout(NamedTuple):
-    """How one sender lays its points out; the same in every message of that sender."""
+    """The layout of the points of one sender, the same in all its messages."""
 
     fields: tuple[_Field, ...]
     big_endian: bool
     point_step: int  # [bytes]
 
 
-def _own_table() -> bytes:
+def _our_table() -> bytes:
     """Our field table, from the number of fields to point_step; it starts aligned to 4."""
     table = bytearray(LITTLE_ENDIAN_HEADER + struct.pack("<I", len(NEAR_FIELDS)))
     for i, name in enumerate(NEAR_FIELDS):
@@ -73,7 +73,7 @@ def _own_table() -> bytes:
     return bytes(table[len(LITTLE_ENDIAN_HEADER) :]) + struct.pack("<I", _STEP)
 
 
-_OWN_TABLE = _own_table()
+_OUR_TABLE = _our_table()
 
 
 @lru_cache(maxsize=64)
@@ -81,7 +81,7 @@ def _prefix(frame_id: str) -> _Prefix:
     buffer = header_bytes(frame_id)
     pad(buffer, 4)
     width_at = len(buffer) + 4
-    buffer += struct.pack("<II", 1, 0) + _OWN_TABLE
+    buffer += struct.pack("<II", 1, 0) + _OUR_TABLE
     return _Prefix(bytes(buffer), width_at)
 
 
@@ -105,21 +105,21 @@ def decode_near(buf: bytes) -> Stamped:
 
     FLOAT32 and FLOAT64 fields in any order are understood and others ignored; clouds may be
     organised (height > 1) or padded. A sender without vx vy vz gives velocity 0, and so does a
-    velocity that is not finite. Points whose x y z radius are not finite are left out: that is how
-    a sensor marks "nothing there".
+    velocity that is not finite. A point whose x y z or radius is not finite is left out: a sensor
+    marks "no return" that way.
     """
     order = byte_order(buf, _WHAT)
     stamp_ns = read_stamp(buf, order, 4, _WHAT)
     shape_at = align(skip_string(buf, order, 12, _WHAT), 4)
-    if order == "<" and buf.startswith(_OWN_TABLE, shape_at + 8):
-        return Stamped(stamp_ns, _own_rows(buf, shape_at))
+    if order == "<" and buf.startswith(_OUR_TABLE, shape_at + 8):
+        return Stamped(stamp_ns, _our_rows(buf, shape_at))
     return Stamped(stamp_ns, _foreign_rows(buf, order, shape_at))
 
 
-def _own_rows(buf: bytes, shape_at: int) -> Floats:
-    """The rows of a message with our field table: a tenth of the cost of looking fields up."""
+def _our_rows(buf: bytes, shape_at: int) -> Floats:
+    """The rows of a message with our field table, at a tenth of the cost of a lookup of the fields."""
     height, width = _integers(buf, "<", shape_at, 2)
-    layout_at = shape_at + 8 + len(_OWN_TABLE)
+    layout_at = shape_at + 8 + len(_OUR_TABLE)
     row_step, size = _integers(buf, "<", layout_at, 2)
     if height != 1:
         return _foreign_rows(buf, "<", shape_at)

@@ -1,6 +1,6 @@
 """tf2_msgs/TFMessage from an Odometry: the pose of the body frame in the world frame.
 
-Written here byte by byte because tf2_msgs has no wheel: a bag holds /tf all the same.
+Encoded here because tf2_msgs has no wheel: so bags hold /tf without it.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _WHAT = "nav_msgs/Odometry"
 def transform_of(odometry: bytes) -> bytes | None:
     """A TFMessage with one transform, `header.frame_id` to `child_frame_id` of a serialised Odometry.
 
-    None when it does not name both frames. WireError when it is no Odometry.
+    None when the Odometry does not name both frames. WireError when it is not an Odometry.
     """
     state = decode_odometry(odometry)
     order = byte_order(odometry, _WHAT)

@@ -89,7 +89,7 @@ class Commands:
         return self._mode(FlightMode.OWN, name)
 
     def _mode(self, mode: FlightMode, name: str) -> Any:
-        numbers = self._autopilot.numbers(mode)
+        numbers = self._autopilot.mode_numbers(mode)
         custom = float(mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED)
         parameters = (custom, float(numbers.main), float(numbers.sub))
         return self._long(mavlink.MAV_CMD_DO_SET_MODE, name, parameters)
