@@ -23,6 +23,8 @@ setup:  ## Make .venv from a lock; quick when nothing has changed
 # Jazzy leaves field type checks off: Point().x = 1 would be sent as 5e-324.
 test repeat: export ROS_PYTHON_CHECK_FIELDS := 1
 test repeat: export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
+# Containers tend to set it: every process of the tests would compile every module of ours.
+test repeat: export PYTHONDONTWRITEBYTECODE :=
 test: setup  ## Run the tests, those in real time last, and say why any are skipped
 	@time $(BIN)/python tests/run.py $(JOBS) $(ARGS)
 

@@ -7,10 +7,13 @@ import json
 import os
 import signal
 import sys
+import tempfile
+import zlib
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from hypothesis import HealthCheck, settings
 
 sys.path.insert(0, str(Path(__file__).parent / "support"))
 
@@ -30,9 +33,37 @@ COMPILES, WITHOUT, LONG, SHORT = range(4)
 
 COUNTED = ("passed", "failed", "skipped", real_time.NOT_JUDGED)
 
+# Neither a slow machine nor chance decides.
+settings.register_profile(
+    "steady", deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow]
+)
+settings.load_profile("steady")
+
 # As for `make test &`: whatever the tests start would ignore it too, and be waited for.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def _each_law_is_compiled_once() -> None:
+    """Workers that need the same law at the same time: one compiles it, the others wait and read it."""
+    try:
+        from numba.core.dispatcher import Dispatcher
+    except ImportError:
+        return
+    # No two of us compile by one another: a law locks a byte, and its callees come before it.
+    file = Path(tempfile.gettempdir(), f"ptnsbc-laws-{os.getuid()}.lock")
+    locks = file.open("a")  # until we end
+    compile_law = Dispatcher.compile
+
+    def compile_or_read(self: Dispatcher, signature: object) -> object:
+        byte = zlib.crc32(f"{self.py_func.__module__}.{self.py_func.__qualname__}".encode())
+        fcntl.lockf(locks, fcntl.LOCK_EX, 1, byte)
+        try:
+            return compile_law(self, signature)
+        finally:
+            fcntl.lockf(locks, fcntl.LOCK_UN, 1, byte)
+
+    Dispatcher.compile = compile_or_read
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -43,6 +74,8 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def pytest_configure(config: pytest.Config) -> None:
     """Judge flights in real time by the machine they had."""
     config.pluginmanager.register(real_time.RealTime())
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        _each_law_is_compiled_once()
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:

@@ -100,7 +100,7 @@ class Ros:
 
         self.executor.spin_until_future_complete(Future(), timeout_sec=seconds)
 
-    def spin_until(self, condition: Callable[[], object], timeout: float = 10.0) -> None:
+    def spin_until(self, condition: Callable[[], object], timeout: float = 60.0) -> None:
         """Serve callbacks until `condition()` is true."""
         end = time.monotonic() + timeout
         while not condition():

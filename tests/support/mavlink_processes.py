@@ -5,13 +5,14 @@ from __future__ import annotations
 import json
 import os
 import signal
-import socket
 import subprocess
 import sys
 import threading
 import time
 from contextlib import contextmanager
 from pathlib import Path
+
+from domain_ports import first_port
 
 from ptnsbc_sim.autopilot.faults import send_fault
 
@@ -36,28 +37,10 @@ _VEHICLE = (
 _LANDING = {"px4": "MPC_LAND_SPEED=1.5", "ardupilot": "LAND_SPD_MS=1.5"}
 
 
-def _free_ports(count):
-    """The first of `count` free ports in a row; the ports 40 above, for the vehicles, are free as well."""
-    for first in range(15200, 15900, 10):
-        with_room = []
-        try:
-            for offset in (*range(count), *range(40, 40 + count)):
-                probe = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-                with_room.append(probe)
-                probe.bind(("127.0.0.1", first + offset))
-            return first
-        except OSError:
-            continue
-        finally:
-            for probe in with_room:
-                probe.close()
-    raise AssertionError("no free ports from 15200 to 15900")
-
-
-def write_scenario(path, *, duration_s, fleet=(("px4", "velocity"),) * 4):
+def write_scenario(path, domain, *, duration_s, fleet=(("px4", "velocity"),) * 4):
     """`experiment_4` on ports of its own, each vehicle of a kind and with setpoints of a kind."""
     base = ROOT / "scenarios" / "experiment_4.yaml"
-    first = _free_ports(len(fleet))
+    first = first_port(domain)
     vehicles = (
         _VEHICLE.format(uav=n + 1, kind=kind, setpoint=setpoint, port=first + n)
         for n, (kind, setpoint) in enumerate(fleet)
@@ -158,14 +141,7 @@ def flying(module, *arguments, domain):
         program.finish(signal.SIGINT)
 
 
-def free_port():
-    """A free UDP port."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
-
-
-def mode_of(control, system, other_than, patience_s=10.0):
+def mode_of(control, system, other_than, patience_s=60.0):
     """The mode of a stand-in once it has changed; its control port answers once per tick."""
     end = time.monotonic() + patience_s
     while True:

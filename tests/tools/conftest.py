@@ -11,11 +11,18 @@ from ptnsbc_core.trajectory import reference
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import Scenario, load_scenario
 from ptnsbc_sim.scenario.build import trajectory_vector
+from ptnsbc_tools import console
 from ptnsbc_tools.verdict import Recording, Series
 from ptnsbc_tools.verdict.recording import COUNTERS
 
 Errors = Callable[[Array], Array]
 HZ = 100
+
+
+@pytest.fixture(autouse=True)
+def no_lines_about_slowness(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a command says does not depend on the load of the machine."""
+    monkeypatch.setattr(console, "_PATIENCE_S", 600.0)
 
 
 def counters(

@@ -11,11 +11,11 @@ import pytest
 pytest.importorskip("rclpy")
 pytest.importorskip("pymavlink")
 
+from domain_ports import first_port
 from mavlink_processes import (
     COMMAND,
     Program,
     flying,
-    free_port,
     mode_of,
     pid_of,
     stand_ins,
@@ -40,7 +40,7 @@ def test_the_command_flies_stand_ins_of_both_kinds_into_formation(tmp_path, doma
 
     Fleets of one kind fly in test_fleet_mavlink.py, on a clock of the tests.
     """
-    path = write_scenario(tmp_path / "four.yaml", duration_s=13, fleet=MIXED)
+    path = write_scenario(tmp_path / "four.yaml", domain, duration_s=13, fleet=MIXED)
     command = (COMMAND, "fleet", path, "--backend", "mavlink", "--allow-arming", "--json")
     parameters = ("--param", "COM_OBL_RC_ACT=5", "--param", "GUID_OPTIONS=8")
     with (
@@ -61,8 +61,8 @@ def test_the_command_flies_stand_ins_of_both_kinds_into_formation(tmp_path, doma
 
 
 def test_a_uav_process_and_a_bridge_killed_and_the_operators_stop(tmp_path, domain):
-    path = write_scenario(tmp_path / "four.yaml", duration_s=60)
-    logs, control = tmp_path / "logs", free_port()
+    path = write_scenario(tmp_path / "four.yaml", domain, duration_s=60)
+    logs, control = tmp_path / "logs", first_port(domain) + 20
     command = (
         "ptnsbc_nodes.fleet.main", "--scenario", path, "--backend", "mavlink", "--allow-arming",
         "--bag", tmp_path / "bag", "--log-dir", logs,
@@ -73,13 +73,13 @@ def test_a_uav_process_and_a_bridge_killed_and_the_operators_stop(tmp_path, doma
     ):
         fleet.wait_for(*(f"bridge{i}: in formation" for i in FOUR))
         os.kill(pid_of("ptnsbc_nodes.uav.main", 3, logs), signal.SIGKILL)
-        fleet.wait_for("uav3 (pid ", "bridge3: no setpoints: ", patience_s=20)
+        fleet.wait_for("uav3 (pid ", "bridge3: no setpoints: ")
         os.kill(pid_of("ptnsbc_nodes.bridge.main", 4, logs), signal.SIGKILL)
-        fleet.wait_for("bridge4 (pid ", patience_s=20)
+        fleet.wait_for("bridge4 (pid ")
         assert mode_of(control, 4, other_than="OFFBOARD") == "HOLD"  # by its own failsafe
         stop = Program(COMMAND, "stop", "--domain", domain, domain=domain)
         assert stop.finish() == 0, stop.lines
-        fleet.wait_for(*(f"bridge{i}: done" for i in (1, 2, 3)), patience_s=90)
+        fleet.wait_for(*(f"bridge{i}: done" for i in (1, 2, 3)))
         assert fleet.finish() == 1  # two processes died
     bag = read_bag(tmp_path / "bag")
     assert bag.topics["/uav1/odom"].messages > 100

@@ -17,7 +17,7 @@ pytestmark = [
 
 # State and wrench of a simulated vehicle travel too, which a real one keeps on board: with a fifth of them lost the
 # attitude loop of the quadrotor has little to spare (docs/fleet.md), the paper's plant has.
-FLIGHT = ("paper_5", "--domain", 31, "--json", "--plant", "rigid_body_6dof")
+FLIGHT = ("paper_5", "--json", "--plant", "rigid_body_6dof")
 
 
 # Not a server with loss: Fast DDS does not always introduce everybody then (docs/fleet.md).
@@ -53,11 +53,12 @@ def profile(network, pair, tmp_path):
     namespaces.finished(server)
 
 
-def fly(pair, *words):
+def fly(pair, domain, *words):
     """Three UAVs, sim and recorder on the first computer, two UAVs on the second."""
     ground, away = pair
-    second = away.ptnsbc("fleet", *FLIGHT, "--only", "4,5", *words)
-    first = ground.ptnsbc("fleet", *FLIGHT, "--only", "recorder,sim,1,2,3", *words)
+    words = (*FLIGHT, "--domain", domain, *words)
+    second = away.ptnsbc("fleet", *words, "--only", "4,5")
+    first = ground.ptnsbc("fleet", *words, "--only", "recorder,sim,1,2,3")
     # A discovery server does not always introduce everybody; compiled and flown it is within 70 s.
     try:
         return tuple(namespaces.finished(one, patience_s=100) for one in (first, second))
@@ -66,9 +67,9 @@ def fly(pair, *words):
 
 
 @pytest.mark.alone
-def test_the_fleet_forms_by_its_deadline(pair, profile):
+def test_the_fleet_forms_by_its_deadline(pair, profile, domain):
     (code, out, err), (away_code, away_out, away_err) = fly(
-        pair, "--duration", 8, "--network", profile
+        pair, domain, "--duration", 8, "--network", profile
     )
     assert (code, away_code) == (0, 0), f"{out}\n{err}\n{away_err}"
     verdict = json.loads(out)
@@ -79,15 +80,15 @@ def test_the_fleet_forms_by_its_deadline(pair, profile):
     assert json.loads(away_out)["fleet"]["died"] == []
 
 
-def test_nothing_leaves_the_host_unless_told(tmp_path):
+def test_nothing_leaves_the_host_unless_told(tmp_path, domain):
     """The cable is the way to everywhere, multicast too; with a profile the same flight uses it."""
     with namespaces.two_computers() as (alone, other):
-        flight = ("fleet", *FLIGHT, "--lockstep", "--duration", 1)
+        flight = ("fleet", *FLIGHT, "--domain", domain, "--lockstep", "--duration", 1)
         namespaces.finished(alone.ptnsbc(*flight))
-        namespaces.finished(alone.ptnsbc("stop", "--domain", 31))
+        namespaces.finished(alone.ptnsbc("stop", "--domain", domain))
         assert alone.packets_sent() == 0
         file = tmp_path / "fleet.xml"
         call = alone.ptnsbc("network", "peers", alone.address, other.address, "-o", file)
         namespaces.finished(call)
-        namespaces.finished(alone.ptnsbc("stop", "--domain", 31, PTNSBC_NETWORK=str(file)))
+        namespaces.finished(alone.ptnsbc("stop", "--domain", domain, PTNSBC_NETWORK=str(file)))
         assert alone.packets_sent() > 0

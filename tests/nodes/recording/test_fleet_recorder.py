@@ -172,7 +172,7 @@ class Process:
 
     def end(self, how: signal.Signals) -> tuple[int, str, str]:
         self.popen.send_signal(how)
-        out, err = self.popen.communicate(timeout=20)
+        out, err = self.popen.communicate(timeout=60)
         return self.popen.returncode, out, err
 
 

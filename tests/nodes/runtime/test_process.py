@@ -4,19 +4,19 @@ import contextlib
 import os
 import re
 import signal
-import socket
 import subprocess
 import sys
 import textwrap
 from pathlib import Path
 
 import pytest
+from domain_ports import first_port
 from own_services import LIFECYCLE, PARAMETERS
 
 pytest.importorskip("rclpy")
 
 ROOT = Path(__file__).resolve().parents[3]
-PATIENCE_S = 60
+PATIENCE_S = 240  # the first flight compiles the laws
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
@@ -46,7 +46,7 @@ def start(domain, tmp_path):
             process.communicate()
 
 
-def commands(tmp_path):
+def commands(tmp_path, domain):
     """Name in the graph of each kind of process: how it is started."""
     found = {
         "/uav1/controller": ("uav.main", "--scenario", "paper_5", "--uav", 1),
@@ -58,16 +58,14 @@ def commands(tmp_path):
         import pymavlink  # noqa: F401
     except ImportError:
         return found
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        link = ("--connect", f"udpin:127.0.0.1:{probe.getsockname()[1]}")
+    link = ("--connect", f"udpin:127.0.0.1:{first_port(domain)}")
     bridge = ("bridge.main", "--scenario", "experiment_4", "--uav", 3, *link)
     return {**found, "/uav3/bridge": bridge}
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=lambda n: n.name)
 def test_a_signal_ends_every_process_cleanly(ros, start, tmp_path, number):
-    processes = {name: start(*words) for name, words in commands(tmp_path).items()}
+    processes = {name: start(*words) for name, words in commands(tmp_path, ros.domain).items()}
     looker = ros.node("looker")
 
     def up():
@@ -102,8 +100,9 @@ NODE = textwrap.dedent(
         lifetime = ProcessLifetime()
         with parameter_node("spinner", "", argv, []) as node:
             node.create_timer(0.5, lambda: print("tick", flush=True))
+            began = time.process_time()
             lifetime.serve(node, Quiet())
-        print(time.process_time(), flush=True)
+            print(time.process_time() - began, flush=True)
         return 0
 
     raise SystemExit(run(Arguments("spinner", "", scenario=False), [], body))
@@ -126,8 +125,8 @@ def test_a_node_waits_without_burning_the_processor(domain):
     assert process.returncode == 0
     *_, end, used_s = out.split()
     assert end == "end"
-    # The start took about 0.7 s; a busy loop would add the 2.5 s of waiting.
-    assert float(used_s) < 2.0
+    # A busy loop takes all of the 2.5 s of waiting that it is given.
+    assert float(used_s) < 0.5
 
 
 @pytest.mark.parametrize(
@@ -170,7 +169,7 @@ UNUSED = {
 @pytest.mark.parametrize("name", ["/sim", "/uav3/bridge"])
 def test_the_graph_shows_what_the_architecture_lists(ros, start, tmp_path, name):
     """As `ros2 node info` asks, of a process as it is started."""
-    words = commands(tmp_path).get(name)
+    words = commands(tmp_path, ros.domain).get(name)
     if words is None:
         pytest.skip("pymavlink is not installed")
     process, looker = start(*words), ros.node("looker")

@@ -7,13 +7,18 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
 pytest.importorskip("rclpy")
+
+import rclpy
+from rclpy.node import Node
 
 from ptnsbc_io.bag import BagTopic, read_bag
 from ptnsbc_io.bag.metadata import TopicInfo, qos_profiles, to_yaml
@@ -25,30 +30,46 @@ pytestmark = pytest.mark.ros
 
 
 @pytest.fixture
-def start() -> Iterator[Callable[..., subprocess.Popen]]:
+def domain() -> Iterator[int]:
+    """A domain that nobody else uses."""
+    with pytest.importorskip("domain_coordinator").domain_id() as number:
+        yield number
+
+
+@pytest.fixture
+def start(domain: int) -> Iterator[Callable[..., subprocess.Popen]]:
     """Start `ptnsbc …` on a domain of our own; whatever still runs at the end is ended."""
-    coordinator = pytest.importorskip("domain_coordinator")
     running: list[subprocess.Popen] = []
-    with coordinator.domain_id() as domain:
-        settings = {**os.environ, "ROS_DOMAIN_ID": str(domain)}
+    settings = {**os.environ, "ROS_DOMAIN_ID": str(domain)}
 
-        def start(*words: object) -> subprocess.Popen:
-            command = [sys.executable, "-m", "ptnsbc_tools.cli", *map(str, words)]
-            pipe = subprocess.PIPE
-            running.append(
-                subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True, env=settings)
-            )
-            return running[-1]
+    def start(*words: object) -> subprocess.Popen:
+        command = [sys.executable, "-m", "ptnsbc_tools.cli", *map(str, words)]
+        pipe = subprocess.PIPE
+        running.append(subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True, env=settings))
+        return running[-1]
 
-        yield start
-        for process in running:
-            process.kill()
-            process.communicate()
+    yield start
+    for process in running:
+        process.kill()
+        process.communicate()
 
 
 def await_line(process: subprocess.Popen, wanted: str) -> None:
     while (line := process.stderr.readline()) != f"{wanted}\n":
         assert line, f"it ended before it said {wanted!r}"
+
+
+@contextmanager
+def observer(domain: int) -> Iterator[Node]:
+    """A node that sees who is there."""
+    context = rclpy.Context()
+    rclpy.init(context=context, domain_id=domain)
+    node = rclpy.create_node("observer", context=context)
+    try:
+        yield node
+    finally:
+        node.destroy_node()
+        rclpy.shutdown(context=context)
 
 
 def contents(path: Path, *left_out: str) -> dict[str, list[bytes]]:
@@ -63,7 +84,7 @@ def contents(path: Path, *left_out: str) -> dict[str, list[bytes]]:
 def test_played_and_recorded_again(start, headless, tmp_path):
     recorder = start("record", "-o", tmp_path / "again", "--scenario", "paper_5", "--json")
     await_line(recorder, "ready")
-    played = start("replay", headless, "--publish", "--wait", 30, "--rate", 0.5, "--json")
+    played = start("replay", headless, "--publish", "--wait", 60, "--rate", 0.5, "--json")
     out, err = played.communicate(timeout=120)
     assert played.returncode == 0, err
     recorder.send_signal(signal.SIGINT)
@@ -93,9 +114,9 @@ def test_split_recording_of_some_topics(start, headless, tmp_path):
         "--split-duration", 0.4, "--json",
     )  # fmt: skip
     await_line(recorder, "ready")
-    played = start("replay", headless, "--publish", "--wait", 5, "--topics", "/uav1/setpoint/*",
+    played = start("replay", headless, "--publish", "--wait", 60, "--topics", "/uav1/setpoint/*",
                    "--clock", 100, "--start", 0.5)  # fmt: skip
-    assert played.wait(60) == 0, played.stderr.read()
+    assert played.wait(120) == 0, played.stderr.read()
     recorder.send_signal(signal.SIGTERM)
     out, err = recorder.communicate(timeout=60)
     assert recorder.returncode == 0, err
@@ -110,10 +131,15 @@ def test_split_recording_of_some_topics(start, headless, tmp_path):
     assert clock[0] >= 500_000_000
 
 
-def test_ctrl_c_ends_a_loop_in_order(start, headless):
-    played = start("replay", headless, "--publish", "--loop", "--wait", 0, "--json")
+def test_ctrl_c_ends_a_loop_in_order(start, domain, headless):
     recorder = start("record", "-o", headless.parent / "none", "--topics", "/nothing/*")
-    await_line(recorder, "ready")  # by then the other one plays
+    played = start("replay", headless, "--publish", "--loop", "--wait", 0, "--json")
+    await_line(recorder, "ready")
+    end = time.monotonic() + 60.0
+    with observer(domain) as node:
+        while not node.count_publishers("/uav1/odom"):
+            assert played.poll() is None and time.monotonic() < end
+            time.sleep(0.05)
     for process, code in ((played, 130), (recorder, 2)):
         process.send_signal(signal.SIGINT)
         _, err = process.communicate(timeout=60)
