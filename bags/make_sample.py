@@ -33,8 +33,8 @@ def _fly() -> dict[str, Any]:
     done = subprocess.run(words, cwd=ROOT, stdout=subprocess.PIPE, text=True, check=False)
     if done.returncode > 1:
         raise SystemExit(done.returncode)
-    told: dict[str, Any] = json.loads(done.stdout)
-    return told
+    verdict: dict[str, Any] = json.loads(done.stdout)
+    return verdict
 
 
 def _manifest(verdict: dict[str, Any]) -> dict[str, Any]:

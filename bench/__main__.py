@@ -14,7 +14,7 @@ from typing import Any
 
 from rich.console import Console
 
-from bench.session import Machine, Plan, say, sentences
+from bench.session import Machine, Plan, print_progress, sentences
 from bench.table import Row, markdown, rich_table
 from ptnsbc_core.errors import PtnsbcError
 
@@ -41,13 +41,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     rows: list[Row] = []
     failed: dict[str, str] = {}
     for section in options.only or SECTIONS:
-        say(f"{section} …")
+        print_progress(f"{section} …")
         try:
             for row in import_module(f"bench.{section}").measure(plan):
                 rows.append(dataclasses.replace(row, section=section))
         except (ImportError, PtnsbcError) as error:
             failed[section] = str(error)
-            say(f"{section} failed: {error}")
+            print_progress(f"{section} failed: {error}")
     _show(options, rows, failed, machine.facts())
     return int(bool(failed))
 

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import IO
 
 from bench.launch import BenchError
-from bench.session import Plan, say
+from bench.session import Plan, print_progress
 from bench.table import Row, Target
 from bench.usage import look
 from ptnsbc_io.mavlink.dialect import mavlink
@@ -40,7 +40,7 @@ def measure(plan: Plan) -> Sequence[Row]:
 
 def _fly(seconds: float) -> float:
     """Cores that four vehicles need in the air."""
-    say("autopilot: four in the air")
+    print_progress("autopilot: four in the air")
     with socket.socket(type=socket.SOCK_DGRAM) as channel:
         channel.bind(("127.0.0.1", 0))
         port = channel.getsockname()[1] + 1

@@ -15,7 +15,7 @@ from typing import NamedTuple
 from bench.autopilot import stand_ins
 from bench.launch import BenchError
 from bench.observer import Observer
-from bench.session import Plan, own_domain, say
+from bench.session import Plan, own_domain, print_progress
 from bench.table import Row
 from bench.usage import Sampler, Usage, look
 from ptnsbc_nodes.fleet.fleet import FleetOptions, run_fleet
@@ -50,7 +50,7 @@ def measure(plan: Plan) -> Sequence[Row]:
 
 
 def _fly(setpoint: str, seconds: float) -> _Flown:
-    say(f"bridge: four in formation by {setpoint}")
+    print_progress(f"bridge: four in formation by {setpoint}")
     with tempfile.TemporaryDirectory(prefix="bench-") as name:
         folder = Path(name)
         scenario = _scenario(setpoint, seconds)
@@ -77,10 +77,10 @@ def _observed(scenario: Scenario, folder: Path) -> _Flown:
             scenario, backend="mavlink", allow_arming=True, log_dir=folder / "logs"
         )
         result = run_fleet(options, progress)
-        after, told = look(pid), observer.newest()
+        after, values_by_node = look(pid), observer.newest()
     if result.died or result.interrupted:
         raise BenchError(f"fleet of four stand-ins: interrupted or lost {result.died}")
-    bridges = [values for name, values in told.items() if name.startswith("bridge")]
+    bridges = [values for name, values in values_by_node.items() if name.startswith("bridge")]
     p50, p99, largest = (
         max(float(values[f"latency_{figure}_ms"]) for values in bridges)
         for figure in ("p50", "p99", "max")

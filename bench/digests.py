@@ -22,7 +22,7 @@ from pathlib import Path
 
 from mcap.reader import make_reader
 
-from bench.session import say
+from bench.session import print_progress
 
 SCENARIOS = ("paper_5", "paper_5_free", "paper_20", "experiment_4", "experiment_4_calm")
 PLANTS = ("quadrotor", "rigid_body_6dof")
@@ -83,9 +83,9 @@ def _lines(options: argparse.Namespace, folder: Path) -> Iterator[str]:
     fly = partial(headless, root=options.root, folder=folder, seconds=options.seconds)
     with ThreadPoolExecutor(options.jobs) as pool:
         for number, line in enumerate(pool.map(fly, cases), 1):
-            say(f"digests: {number} of {len(cases)}: {line}")
+            print_progress(f"digests: {number} of {len(cases)}: {line}")
             yield line
-    say("digests: the fleet in lock-step")
+    print_progress("digests: the fleet in lock-step")
     yield from lockstep(options.root, folder, options.fleet_seconds)
 
 

@@ -13,7 +13,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from bench.session import say
+from bench.session import print_progress
 from ptnsbc_io.bag import BagWriter, TopicInfo, read_bag
 from ptnsbc_io.wire.cdr import write_stamp
 
@@ -70,11 +70,11 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _one_size(bag: Path, gigabytes: float) -> None:
-    say("writing the bag")
+    print_progress("writing the bag")
     write(bag, round(gigabytes * 1e9))
     size = sum(file.stat().st_size for file in bag.iterdir())
     for what, words in _COMMANDS.items():
-        say(what)
+        print_progress(what)
         _measure(f"{size / 1e9:.2f} GB, {what}", _words(words, bag))
 
 

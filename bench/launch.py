@@ -66,11 +66,11 @@ def fleet(scenario: Scenario, *, lockstep: bool, bag: bool) -> Flown:
             log_dir=Path(folder) / "logs",
         )
         result = run_fleet(options, progress)
-        told = observer.newest() if observer else {}
+        values_by_node = observer.newest() if observer else {}
     if result.died or result.interrupted:
         raise BenchError(f"fleet of {len(scenario.uav_ids)}: interrupted or lost {result.died}")
-    uavs = [values for name, values in told.items() if name.startswith("uav")]
-    sim = told["sim"] if observer else {}
+    uavs = [values for name, values in values_by_node.items() if name.startswith("uav")]
+    sim = values_by_node["sim"] if observer else {}
     missed, ticks = (sum(int(uav[key]) for uav in uavs) for key in ("missed_ticks", "ticks"))
     return Flown(
         rate,
@@ -104,23 +104,23 @@ def bare(scenario: Scenario, *, lockstep: bool, bag: bool, typed: bool = False) 
         file, go = folder / "scenario.yaml", folder / "go"
         file.write_text(scenario.text, encoding="utf-8")
         settings = environment.for_children(domain, len(roles) + 1, folder)
-        crew: list[ChildProcess] = []
+        processes: list[ChildProcess] = []
         try:
             for role, uav in roles:
                 words = ("--scenario", str(file), "--role", role, "--uav", str(uav))
                 command = ProcessCommand(
                     f"{role}{uav}", _MODULE, (*words, "--go", str(go), *flags), uav or None
                 )
-                crew.append(ChildProcess(command, settings, folder))
-            wait_ready(crew)
+                processes.append(ChildProcess(command, settings, folder))
+            wait_ready(processes)
             sampler.begin()
             go.touch()
-            _wait_landed(crew, scenario.duration_s)
+            _wait_landed(processes, scenario.duration_s)
         finally:
-            end(crew)
-        told = {child.name: counts_of(child) for child in crew}
-    sim = told["sim0"]
-    uavs = [counts for process, counts in told.items() if process.startswith("uav")]
+            end(processes)
+        counts = {child.name: counts_of(child) for child in processes}
+    sim = counts["sim0"]
+    uavs = [one for process, one in counts.items() if process.startswith("uav")]
     return Flown(
         sim["ticks"] / sim["seconds"],
         _percent(sum(each["missed"] for each in uavs), sum(each["ticks"] for each in uavs)),
@@ -131,9 +131,9 @@ def bare(scenario: Scenario, *, lockstep: bool, bag: bool, typed: bool = False) 
     )
 
 
-def wait_ready(crew: list[ChildProcess]) -> None:
-    deadline = time.monotonic() + 60.0 + 5.0 * len(crew)
-    waiting = list(crew)
+def wait_ready(processes: list[ChildProcess]) -> None:
+    deadline = time.monotonic() + 60.0 + 5.0 * len(processes)
+    waiting = list(processes)
     while waiting:
         for child in waiting:
             if child.exit_code is not None:
@@ -144,8 +144,8 @@ def wait_ready(crew: list[ChildProcess]) -> None:
         waiting = [child for child in waiting if READY not in child.log_lines()]
 
 
-def _wait_landed(crew: list[ChildProcess], duration_s: float) -> None:
-    (sim,) = (child for child in crew if child.name == "sim0")
+def _wait_landed(processes: list[ChildProcess], duration_s: float) -> None:
+    (sim,) = (child for child in processes if child.name == "sim0")
     if sim.wait(60.0 + 10.0 * duration_s) is None:
         raise BenchError(f"bare fleet: the sim does not end\n{sim.tail()}")
 

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 from bench.launch import BenchError
 from bench.scenarios import grid
-from bench.session import Plan, own_domain, say
+from bench.session import Plan, own_domain, print_progress
 from bench.table import Row, Target
 from bench.usage import Sampler
 from ptnsbc_io.bag import Bag, read_bag
@@ -75,7 +75,7 @@ def measure(plan: Plan) -> Sequence[Row]:
     """Rows of this section."""
     rows = []
     for load in _LOADS:
-        say(f"many: {_UAVS} UAVs, {load.name}")
+        print_progress(f"many: {_UAVS} UAVs, {load.name}")
         found = _fly(load, plan.of(20.0, 3.0))
         sent = sum(topic.sent for topic in found.kept)
         lost = sum(max(topic.sent - topic.recorded, 0) for topic in found.kept)
@@ -116,7 +116,7 @@ def _fly(load: Load, seconds: float) -> Recorded:
         size = sum(file.stat().st_size for file in (folder / "bag").iterdir())
     for topic in kept:
         if topic.sent != topic.recorded:
-            say(f"many: {topic.name}: {topic.recorded} of {topic.sent}")
+            print_progress(f"many: {topic.name}: {topic.recorded} of {topic.sent}")
     steps = sum(topic.sent for topic in kept if topic.name.endswith("/setpoint/wrench"))
     return Recorded(
         kept,
@@ -133,7 +133,7 @@ def _published(flown: FleetResult) -> dict[str, PublishCounters]:
         if process.name != RECORDER:
             sent = sent_in(process.log.read_text(errors="replace").splitlines())
             if sent is None:
-                raise BenchError(f"{process.log}: does not say what was sent")
+                raise BenchError(f"{process.log}: has no counts of sent messages")
             found[process.name] = sent
     return found
 

@@ -18,7 +18,7 @@ from typing import NamedTuple
 from bench import namespaces
 from bench.launch import BenchError
 from bench.namespaces import Computer
-from bench.session import Plan, say
+from bench.session import Plan, print_progress
 from bench.table import Row
 from ptnsbc_nodes.runtime.warmup import load_agent, load_world
 from ptnsbc_sim.scenario import load_scenario
@@ -72,7 +72,7 @@ def measure(plan: Plan) -> Sequence[Row]:
 def _rows(case: Case) -> Iterator[Row]:
     flown = []
     for turn in range(case.times):
-        say(f"network: {case.name}, {turn + 1} of {case.times}")
+        print_progress(f"network: {case.name}, {turn + 1} of {case.times}")
         with namespaces.two_computers(_LOST_PERCENT) as pair, _profile(case, pair) as profile:
             flown.append(_fly(case, pair, profile))
     begun = [one for one in flown if one is not None]
@@ -114,11 +114,11 @@ def _fly(case: Case, pair: Pair, profile: Path) -> Flown | None:
             process.send_signal(signal.SIGINT)
         said = [namespaces.finished(process)[2] for process in running]
         waits = [line for line in said[1].splitlines() if " waits for " in line]
-        say("\n".join(["network: it did not start in time:", *waits[-4:]]))
+        print_progress("\n".join(["network: it did not start in time:", *waits[-4:]]))
         return None
     namespaces.finished(running[0])
-    told = json.loads(out)
-    if told["verdict"] is None:
-        raise BenchError(f"{case.name}: {told['error']}")
-    (last,) = [uav for uav in told["uavs"] if uav["uav"] == _FARTHEST]
-    return Flown(told["verdict"], last["settling_s"])
+    verdict = json.loads(out)
+    if verdict["verdict"] is None:
+        raise BenchError(f"{case.name}: {verdict['error']}")
+    (last,) = [uav for uav in verdict["uavs"] if uav["uav"] == _FARTHEST]
+    return Flown(verdict["verdict"], last["settling_s"])

@@ -91,21 +91,21 @@ def _listen(
         settings = environment.for_children(domain, 2, folder)
         words = ("--scenario", str(scenario), "--hz", str(hz), "--seconds", str(seconds))
         source = ProcessCommand("source", "bench.recorder", (*words, "--go", str(go)))
-        crew = [
+        processes = [
             ChildProcess(command, settings, folder)
             for command in (listener(folder, scenario), source)
         ]
         try:
-            wait_ready(crew)
-            before_s = look(crew[0].pid).cpu_s
+            wait_ready(processes)
+            before_s = look(processes[0].pid).cpu_s
             go.touch()
-            crew[1].wait(_PATIENCE_S + seconds)
+            processes[1].wait(_PATIENCE_S + seconds)
             # Queued messages cost the listener time too, and it does not report when it has received all of them.
             time.sleep(_SETTLE_S)
-            cpu_s = look(crew[0].pid).cpu_s - before_s
+            cpu_s = look(processes[0].pid).cpu_s - before_s
         finally:
-            end(crew)
-        received, sent = (counts_of(child) for child in crew)
+            end(processes)
+        received, sent = (counts_of(child) for child in processes)
     got = float(received.get("received", received.get("messages", 0)))
     lost = 100.0 * (1.0 - got / sent["sent"])
     return Received(1e6 * cpu_s / max(got, 1.0), got / sent["seconds"], lost)

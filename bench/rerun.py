@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from bench.scenarios import paper
-from bench.session import Plan, say
+from bench.session import Plan, print_progress
 from bench.table import Row, Target
 from ptnsbc_sim.swarm import fly
 from ptnsbc_tools.reading.flight_bag import write_flight
@@ -21,12 +21,12 @@ _FASTER = 20.0
 def measure(plan: Plan) -> Sequence[Row]:
     """Rows of this section."""
     with tempfile.TemporaryDirectory(prefix="bench-") as name:
-        say("rerun: recording a flight")
+        print_progress("rerun: recording a flight")
         seconds = plan.of(60.0, 3.0)
         bag = write_flight(fly(paper(seconds)), Path(name) / "flight")
         found = []
         for turn in range(plan.of(5, 1)):
-            say(f"rerun: {turn + 1}")
+            print_progress(f"rerun: {turn + 1}")
             found.append(_rerun(bag))
     target = Target(_FASTER, at_least=True)
     return [Row(f"re-run of {seconds:.0f} s", found, "times real time", target=target)]

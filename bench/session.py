@@ -31,7 +31,7 @@ class Plan:
         return quick if self.quick else full
 
 
-def say(line: str) -> None:
+def print_progress(line: str) -> None:
     """Print progress on stderr."""
     print(f"bench: {line}", file=sys.stderr, flush=True)
 
@@ -44,7 +44,7 @@ def take_turns(
     for turn in range(repeats):
         for name, run in runs.items():
             if label:
-                say(f"{label}: {name}, {turn + 1} of {repeats}")
+                print_progress(f"{label}: {name}, {turn + 1} of {repeats}")
             found[name].append(run())
     return found
 

@@ -1,7 +1,7 @@
 """Before the first tick: compiling the laws once, and starting a process with them compiled.
 
 As a module it is one of the processes measured: `compile` with an empty cache, or `node`, an rclpy
-node that does nothing but say that it is there.
+node that publishes its status and does nothing else.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from bench.session import Plan, cpu_seconds, own_domain, say, take_turns
+from bench.session import Plan, cpu_seconds, own_domain, print_progress, take_turns
 from bench.table import Row, Target
 
 _DEADLINE_S = 30.0
@@ -26,7 +26,7 @@ _LEADER = "1"
 
 
 class Start(NamedTuple):
-    """One process, from its creation to its first status heard by another."""
+    """One process, from its creation to its first status received by another process."""
 
     wall_s: float
     cpu_s: float
@@ -38,7 +38,7 @@ def measure(plan: Plan) -> Sequence[Row]:
 
 
 def _compilation() -> list[Row]:
-    say("startup: compiling everything once")
+    print_progress("startup: compiling everything once")
     with tempfile.TemporaryDirectory(prefix="bench-") as folder:
         done = subprocess.run(
             [sys.executable, "-m", __spec__.name, "compile"],
@@ -122,7 +122,7 @@ def _start(folder: Path, module: str, *arguments: str) -> Start:
         try:
             while (heard_at := observer.first_at()) is None:
                 if child.exit_code is not None or time.monotonic() > began + _DEADLINE_S:
-                    raise BenchError(f"{module}: not heard of\n{child.tail()}")
+                    raise BenchError(f"{module}: no status received\n{child.tail()}")
                 time.sleep(_LOOK_S)
             return Start(heard_at - began, look(child.pid).cpu_s)
         finally:

@@ -42,7 +42,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 0
     began = time.monotonic()
     done = [outcome for blocks in pages.values() for outcome in _run(blocks)]
-    return _sum_up(done, time.monotonic() - began)
+    return _print_summary(done, time.monotonic() - began)
 
 
 def _pages() -> list[str]:
@@ -63,9 +63,9 @@ def _run(blocks: Sequence[Block]) -> Iterator[Outcome]:
         subprocess.run(["git", "clone", "--quiet", str(ROOT), str(folder)], check=True)
         with Page(folder, logs, _environment(domain), ci) as page:
             for block in blocks:
-                yield _told(page.run(block))
+                yield _printed(page.run(block))
             for outcome in page.finish():
-                yield _told(outcome)
+                yield _printed(outcome)
 
 
 def _environment(domain: int) -> dict[str, str]:
@@ -82,7 +82,7 @@ def _environment(domain: int) -> dict[str, str]:
     return {**os.environ, **changed}
 
 
-def _told(outcome: Outcome) -> Outcome:
+def _printed(outcome: Outcome) -> Outcome:
     first = outcome.block.lines[0] if outcome.block.lines else ""
     if outcome.skipped:
         what = f"not run   {outcome.skipped}: {first}"
@@ -96,7 +96,7 @@ def _told(outcome: Outcome) -> Outcome:
     return outcome
 
 
-def _sum_up(done: Sequence[Outcome], seconds: float) -> int:
+def _print_summary(done: Sequence[Outcome], seconds: float) -> int:
     failed = [outcome.block.place for outcome in done if outcome.problem]
     blocks = {outcome.block.place for outcome in done}
     skipped = {outcome.block.place for outcome in done if outcome.skipped}
@@ -111,7 +111,9 @@ def _parser() -> argparse.ArgumentParser:
         prog="python -m docs.commands", description="Run every command block of the pages."
     )
     parser.add_argument("pages", nargs="*", metavar="PAGE", help="as docs/bags.md; by default all")
-    parser.add_argument("--list", action="store_true", help="say how each block is run, run none")
+    parser.add_argument(
+        "--list", action="store_true", help="print how each block is run, and run none"
+    )
     return parser
 
 

@@ -1,1 +1,1 @@
-"""The parts of pages that say what the code says, made of the code: `python -m docs.make`."""
+"""The parts of pages that are made from the code: `python -m docs.make`."""

@@ -23,7 +23,7 @@ PAGES = {
 
 
 def made(name: str) -> str:
-    """What a file should hold that is made, wholly or in part."""
+    """The text that a page, made wholly or in part, should have."""
     if name == SCHEMA:
         return schema.text()
     environment.prepare()  # before the nodes are imported
@@ -37,7 +37,7 @@ def made(name: str) -> str:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Exit code 1 with --check when a file is not as it would be made, 2 for a page with wrong regions."""
     parser = argparse.ArgumentParser(prog="python -m docs.make", description="Make the pages.")
-    parser.add_argument("--check", action="store_true", help="write nothing, say what is stale")
+    parser.add_argument("--check", action="store_true", help="write nothing, print stale pages")
     check = parser.parse_args(arguments).check
     try:
         texts = {DOCS / name: made(name) for name in (SCHEMA, *PAGES)}

@@ -25,7 +25,7 @@ _ONLY = {
 
 
 class TopicsError(Exception):
-    """The nodes do something that the tables cannot say."""
+    """The nodes use topics in a way that the tables cannot show."""
 
 
 class Known(NamedTuple):
@@ -56,10 +56,10 @@ def _known() -> Iterator[Known]:
     for name, law in vars(topics).items():
         if not name.startswith("_") and _gives_topic(law):
             yield Known(law(_N), inspect.getdoc(law) or "")
-    told = _docstrings(topics)
+    meanings = _docstrings(topics)
     for name, one in vars(topics).items():
         if isinstance(one, Topic):
-            yield Known(one, told[name])
+            yield Known(one, meanings[name])
 
 
 def _gives_topic(law: object) -> bool:
@@ -84,13 +84,21 @@ def _docstrings(module: ModuleType) -> dict[str, str]:
 
 
 def _row(name: str, known: Known, found: list[End]) -> tuple[str, ...]:
-    sent = _who(name, [end for end in found if end.publishes])
-    heard = _who(name, [end for end in found if not end.publishes])
+    sent = _nodes_of(name, [end for end in found if end.publishes])
+    received = _nodes_of(name, [end for end in found if not end.publishes])
     kind = known.topic.type.replace("/msg/", "/")
-    return f"`{name}`", kind, known.topic.role.value, sent, heard, known.topic.rate, known.meaning
+    return (
+        f"`{name}`",
+        kind,
+        known.topic.role.value,
+        sent,
+        received,
+        known.topic.rate,
+        known.meaning,
+    )
 
 
-def _who(name: str, found: list[End]) -> str:
+def _nodes_of(name: str, found: list[End]) -> str:
     said = []
     for node in _NODES:
         for own in (True, False):
@@ -145,10 +153,10 @@ def _profiles(found: list[End], roles: dict[str, Role], role: Role) -> tuple[str
 
 def _one(found: Iterable[End], what: str) -> str:
     """The profile that all of `found` have."""
-    told = {_profile(end.profile) for end in found}
-    if len(told) > 1:
-        raise TopicsError(f"{what}: several profiles, {', '.join(sorted(told))}: expected one")
-    return next(iter(told), "")
+    profiles = {_profile(end.profile) for end in found}
+    if len(profiles) > 1:
+        raise TopicsError(f"{what}: several profiles, {', '.join(sorted(profiles))}: expected one")
+    return next(iter(profiles), "")
 
 
 def _profile(profile: object) -> str:

@@ -21,13 +21,13 @@ class Parameter(NamedTuple):
 
     name: str  # of the variable
     kind: Any  # without None and without list
-    told: Any  # Typer's ArgumentInfo or OptionInfo
+    info: Any  # Typer's ArgumentInfo or OptionInfo
     default: Any  # inspect.Parameter.empty where it is required
 
     @property
     def is_argument(self) -> bool:
         """Given without a name."""
-        return isinstance(self.told, ArgumentInfo)
+        return isinstance(self.info, ArgumentInfo)
 
     @property
     def is_required(self) -> bool:
@@ -38,7 +38,7 @@ class Parameter(NamedTuple):
     def word(self) -> str:
         """What stands for its value."""
         names = {int: "INTEGER", float: "NUMBER"}
-        return self.told.metavar or names.get(self.kind, self.name.upper())
+        return self.info.metavar or names.get(self.kind, self.name.upper())
 
 
 def regions() -> dict[str, str]:
@@ -61,13 +61,13 @@ def _parameters(command: Callable[..., Any]) -> Iterator[Parameter]:
     for name, one in inspect.signature(command).parameters.items():
         if hints[name] is Context:
             continue
-        kind, told = get_args(hints[name])
+        kind, info = get_args(hints[name])
         kinds = [part for part in get_args(kind) if part is not NoneType]
         if NoneType in get_args(kind):
             (kind,) = kinds
         if get_origin(kind) is list:
             (kind,) = get_args(kind)
-        yield Parameter(name, kind, told, one.default)
+        yield Parameter(name, kind, info, one.default)
 
 
 def _told(path: str, command: Callable[..., Any]) -> str:
@@ -84,7 +84,7 @@ def _place(one: Parameter) -> str:
 
 def _row(one: Parameter) -> tuple[str, ...]:
     default = "**required**" if one.is_required else _default(one)
-    return _names(one), "" if one.is_argument else _value(one), default, one.told.help or ""
+    return _names(one), "" if one.is_argument else _value(one), default, one.info.help or ""
 
 
 def _names(one: Parameter) -> str:
@@ -96,7 +96,7 @@ def _names(one: Parameter) -> str:
 def _declared(one: Parameter) -> list[str]:
     """`--name`, `-n`, `--no-name` as the option was declared."""
     # In an Annotated the first name is where Typer's older form has the default.
-    given = (one.told.default, *(one.told.param_decls or ()))
+    given = (one.info.default, *(one.info.param_decls or ()))
     names = [name for name in given if isinstance(name, str) and name.startswith("-")]
     return [part for name in names or [f"--{one.name}"] for part in name.split("/")]
 
@@ -106,7 +106,7 @@ def _value(one: Parameter) -> str:
         return ""
     if get_origin(one.kind) is Literal:
         return ", ".join(f"`{choice}`" for choice in get_args(one.kind))
-    low, high = one.told.min, one.told.max
+    low, high = one.info.min, one.info.max
     if low is not None and high is not None:
         return f"`{one.word}`, {low:g} to {high:g}"
     return f"`{one.word}`" if low is None else f"`{one.word}`, ≥ {low:g}"

@@ -1,4 +1,4 @@
-"""Who publishes and who hears what: the nodes of a flight made for real, and asked for their topics."""
+"""Publishers and subscriptions of a flight: every node is started and its topics are read."""
 
 from __future__ import annotations
 
@@ -102,11 +102,11 @@ def _context(domain: int) -> Iterator[Context]:
 @contextmanager
 def _recorder(node: Node, scenario: Scenario, options: FlightOptions) -> Iterator[FleetRecorder]:
     uavs, lockstep = scenario.uav_ids, options.lockstep
-    told = {"lockstep": lockstep, "with_truth": not options.bridged}
-    infos = [topic_info(one, lockstep=lockstep) for one in topics.in_bag(uavs, **told)]
+    options_of_bag = {"lockstep": lockstep, "with_truth": not options.bridged}
+    infos = [topic_info(one, lockstep=lockstep) for one in topics.in_bag(uavs, **options_of_bag)]
     with tempfile.TemporaryDirectory() as folder, BagWriter(Path(folder) / "bag", infos) as writer:
         yield FleetRecorder(
-            node, writer, recorded(uavs, **told), Transforms(uavs), lockstep=lockstep
+            node, writer, recorded(uavs, **options_of_bag), Transforms(uavs), lockstep=lockstep
         )
 
 

@@ -62,8 +62,8 @@ def _gains() -> Iterator[Row]:
         if block in loops and key in gains.Loop.model_fields:
             if key not in seen:
                 seen.add(key)
-                told = row.default if key == "time_base" else "below"
-                yield row._replace(key=f"LOOP.{key}", default=told)
+                default = row.default if key == "time_base" else "below"
+                yield row._replace(key=f"LOOP.{key}", default=default)
         else:
             yield row._replace(default=_default(row.key))
 

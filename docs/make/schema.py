@@ -61,9 +61,9 @@ def rows(model: type[BaseModel], prefix: str = "", note: str = "") -> Iterator[R
         inner = list(_blocks(field.annotation))
         if inner and default not in (REQUIRED, "none"):
             default = ""  # that of its keys
-        told = f"{note}{meaning[name]}"
+        text = f"{note}{meaning[name]}"
         yield Row(
-            f"{prefix}{name}", _type(prop, schema, inner), unit, _range(prop, schema), default, told
+            f"{prefix}{name}", _type(prop, schema, inner), unit, _range(prop, schema), default, text
         )
         for block in inner:
             among = f"*{_kind(block)}* " if len(inner) > 1 else ""
