@@ -1,4 +1,4 @@
-"""What rosbag2 (Jazzy, version 9) says of a bag: quality of service of the topics, and metadata.yaml."""
+"""The metadata of rosbag2 (Jazzy, version 9): quality of service of the topics, and metadata.yaml."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class TopicInfo(NamedTuple):
 
 
 class TopicDeclaration(NamedTuple):
-    """A topic with everything that a bag says about it."""
+    """A topic with all that a bag holds about it."""
 
     name: str
     type: str

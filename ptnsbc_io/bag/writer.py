@@ -340,7 +340,7 @@ class BagWriter:
         )
 
     def _finish_file(self, file: McapFileWriter) -> None:
-        """Close a file; a record inside says of the file what metadata.yaml says of the bag."""
+        """Close a file, with a record that describes it as metadata.yaml describes the bag."""
         self._finished.append(file.summary)
         topics = zip(self._topics, file.counts, strict=False)
         file.finish(bag_information([file.summary], topics))

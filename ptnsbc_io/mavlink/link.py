@@ -57,9 +57,11 @@ class MavlinkLink:
         # One system id for vehicle and companion: the companion is a component of the vehicle.
         self.codec: Any = mavlink.MAVLink(None, srcSystem=sysid, srcComponent=OWN_COMPONENT)
         self._decoder: Any = mavlink.MAVLink(None)
-        self._peer: Address | None = None
-        self._peer_s = 0.0
-        self._duplicate_sysid_s: float | None = None
+        self.peer: Address | None = None
+        """Address of the vehicle, from its first message on; None on a serial line."""
+        self._peer_time_s = 0.0
+        self.duplicate_sysid_s: float | None = None
+        """Time of the last message from a second sender with the same system id; None without any."""
         self.counts: Counter[str] = Counter({reason.value: 0 for reason in Dropped})
         self.ignored: frozenset[int] = frozenset()
         """Wanted messages that carry nothing new at present: they are not decoded either."""
@@ -75,16 +77,6 @@ class MavlinkLink:
     def fileno(self) -> int:
         """For select()."""
         return self._transport.fileno()
-
-    @property
-    def peer(self) -> Address | None:
-        """Address of the vehicle, from its first message on; None on a serial line."""
-        return self._peer
-
-    @property
-    def duplicate_sysid_s(self) -> float | None:
-        """When a second sender with the vehicle's system id was heard; None when never."""
-        return self._duplicate_sysid_s
 
     def wait(self, timeout_s: float) -> None:
         """Return when something has arrived, at the latest after `timeout_s`."""
@@ -108,7 +100,7 @@ class MavlinkLink:
         """Pack, sign where the link is signed, and send; False when it could not be sent."""
         if self._signer is not None:
             self._signer.prepare(self.codec)
-        done = self._transport.send(message.pack(self.codec), self._peer)
+        done = self._transport.send(message.pack(self.codec), self.peer)
         self.codec.seq = (self.codec.seq + 1) % 256
         self.sent += done
         self.unsent += not done
@@ -127,7 +119,7 @@ class MavlinkLink:
             return self._drop(Dropped.OTHER_SYSID)
         if frame.compid != AUTOPILOT_COMPONENT:
             return self._drop(Dropped.OTHER_COMPONENT)
-        if self._signer is not None and not self._is_authentic(frame, sender, now_s):
+        if not self._is_authentic(frame, sender, now_s):
             return None
         if frame.message_id not in self._wanted or frame.message_id in self.ignored:
             self.received += 1
@@ -146,8 +138,8 @@ class MavlinkLink:
             self._drop(Dropped.UNSIGNED)
             # PX4 begins with MAVLink 1 and changes to signed MAVLink 2 when it receives that. So we
             # send to an unsigned address first; an address alone gives no control of the vehicle.
-            if self._peer is None and self._decode(frame) is not None:
-                self._peer, self._peer_s = sender, now_s - _ADDRESS_TIMEOUT_S
+            if self.peer is None and self._decode(frame) is not None:
+                self.peer, self._peer_time_s = sender, now_s - _ADDRESS_TIMEOUT_S
             return False
         if not signer.has_valid_signature(frame):
             self._drop(Dropped.WRONG_SIGNED)
@@ -169,12 +161,12 @@ class MavlinkLink:
 
     def _is_from_peer(self, sender: Address | None, now_s: float) -> bool:
         """Whether the sender has the address of the vehicle; after 3 s of silence a new address is taken."""
-        if sender is None or self._peer == sender:
-            self._peer_s = now_s
+        if sender is None or self.peer == sender:
+            self._peer_time_s = now_s
             return True
-        if self._peer is None or now_s - self._peer_s >= _ADDRESS_TIMEOUT_S:
-            self._peer, self._peer_s = sender, now_s
+        if self.peer is None or now_s - self._peer_time_s >= _ADDRESS_TIMEOUT_S:
+            self.peer, self._peer_time_s = sender, now_s
             return True
-        self._duplicate_sysid_s = now_s
+        self.duplicate_sysid_s = now_s
         self._drop(Dropped.OTHER_ADDRESS)
         return False

@@ -50,13 +50,28 @@ class Transport(Protocol):
         """Close the port."""
 
 
-class UdpIn:
-    """Listens at an address and sends to the vehicle that the link has accepted."""
-
+class _UdpSocket:
     stream = False
 
+    def __init__(self) -> None:
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.setblocking(False)
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER)
+
+    def fileno(self) -> int:
+        """For select()."""
+        return self._socket.fileno()
+
+    def close(self) -> None:
+        """Close the port."""
+        self._socket.close()
+
+
+class UdpIn(_UdpSocket):
+    """Listens at an address and sends to the vehicle that the link has accepted."""
+
     def __init__(self, host: str, port: int) -> None:
-        self._socket = _udp_socket()
+        super().__init__()
         try:
             self._socket.bind((host, port))
         except OSError as error:
@@ -65,10 +80,6 @@ class UdpIn:
                 f"udpin:{host}:{port}: {error.strerror}: expected a free port of this host; "
                 "does another bridge or ground station listen there?"
             ) from None
-
-    def fileno(self) -> int:
-        """For select()."""
-        return self._socket.fileno()
 
     def receive(self) -> Packet | None:
         """A datagram and its sender."""
@@ -87,18 +98,12 @@ class UdpIn:
         except OSError:
             return False
 
-    def close(self) -> None:
-        """Close the port."""
-        self._socket.close()
 
-
-class UdpOut:
+class UdpOut(_UdpSocket):
     """Sends to one address and receives only from there."""
 
-    stream = False
-
     def __init__(self, host: str, port: int) -> None:
-        self._socket = _udp_socket()
+        super().__init__()
         try:
             self._socket.connect((host, port))
         except OSError as error:
@@ -107,10 +112,6 @@ class UdpOut:
                 f"udpout:{host}:{port}: {error.strerror}: expected an address that can be reached"
             ) from None
         self._peer: Address = (host, port)
-
-    def fileno(self) -> int:
-        """For select()."""
-        return self._socket.fileno()
 
     def receive(self) -> Packet | None:
         """A datagram of the peer."""
@@ -125,10 +126,6 @@ class UdpOut:
             return self._socket.send(data) == len(data)
         except OSError:
             return False
-
-    def close(self) -> None:
-        """Close the socket."""
-        self._socket.close()
 
 
 class Serial:
@@ -187,10 +184,3 @@ def connect(text: str) -> Transport:
     if not 0 < int(port) < 65536:
         raise ConnectError(f"{text}: port {port}: expected 1 to 65535")
     return (UdpIn if kind == "udpin" else UdpOut)(host, int(port))
-
-
-def _udp_socket() -> socket.socket:
-    opened = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    opened.setblocking(False)
-    opened.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER)
-    return opened

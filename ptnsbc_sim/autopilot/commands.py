@@ -1,4 +1,4 @@
-"""COMMAND_LONG and COMMAND_INT: what each command does and what COMMAND_ACK says of it."""
+"""COMMAND_LONG and COMMAND_INT: what each command does, and the result in its COMMAND_ACK."""
 
 from __future__ import annotations
 

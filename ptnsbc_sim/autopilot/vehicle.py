@@ -27,7 +27,7 @@ COMPANION, GCS, IMPOSTOR = 0, 1, 2
 
 GCS_TIMEOUT_S = 2.5
 SILENT_AT_BOOT_S = 2.0
-_LANDED_AFTER_S = 1.0  # on the ground for so long
+_LANDED_AFTER_S = 1.0  # time on the ground until landed
 _TEXT_CHUNK = 50  # [bytes] of STATUSTEXT
 
 Log = Callable[[str], None]
@@ -223,7 +223,7 @@ class StandInVehicle(ABC):
         return t >= self._ready_at and lost_s < self.dead_reckoning_s
 
     def gcs_on(self, link: int, t: float) -> bool:
-        """Whether a ground station was heard on a link lately; a companion does not count."""
+        """Whether a ground station sent HEARTBEAT on a link lately; a companion does not count."""
         return t - self.gcs_heard.get(link, -math.inf) < GCS_TIMEOUT_S
 
     # Power and arming.

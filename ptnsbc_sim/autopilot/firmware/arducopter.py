@@ -112,7 +112,7 @@ class ArduCopter(FlightController):
         return _NAMES[self.mode]
 
     def heartbeat_fields(self) -> HeartbeatFields:
-        """HEARTBEAT; standby while the land detector says landed, armed or not."""
+        """HEARTBEAT; standby while the land detector reports landed, armed or not."""
         flags = (
             mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
             | mavlink.MAV_MODE_FLAG_STABILIZE_ENABLED

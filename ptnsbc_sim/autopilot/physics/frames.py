@@ -103,7 +103,7 @@ class Geodetic(NamedTuple):
 
 
 PX4_HOME = Geodetic(47.397742, 8.545594, 488.0)
-"""Where PX4's simulations start unless told otherwise."""
+"""The default start of PX4's simulations."""
 
 
 def geodetic(datum: Geodetic, position_enu: Array, radius_m: float) -> Geodetic:
