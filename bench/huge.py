@@ -33,7 +33,7 @@ def write(bag: Path, size: int) -> None:
     """One flight after the other, each message with the stamp of its round."""
     from bench.scenarios import paper
     from ptnsbc_sim.swarm import fly
-    from ptnsbc_tools.reading.flight_bag import write_flight
+    from ptnsbc_tools.reading.headless import write_flight
 
     scenario = paper(_FLIGHT_S)
     short = read_bag(write_flight(fly(scenario), bag.with_name("short"), overwrite=True))

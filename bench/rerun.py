@@ -13,7 +13,7 @@ from bench.scenarios import paper
 from bench.session import Plan, print_progress
 from bench.table import Row, Target
 from ptnsbc_sim.swarm import fly
-from ptnsbc_tools.reading.flight_bag import write_flight
+from ptnsbc_tools.reading.headless import write_flight
 
 _FASTER = 20.0
 

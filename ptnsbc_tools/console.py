@@ -1,4 +1,4 @@
-"""What is said where: results on stdout, progress and errors on stderr."""
+"""Output of the command line: results on stdout, progress and errors on stderr."""
 
 from __future__ import annotations
 
@@ -9,87 +9,93 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import cache
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+if TYPE_CHECKING:
+    from rich.console import Console
 
 _PATIENCE_S = 2.0
 COMPILING = "compiling the laws (once; then read from the cache)"
-_FIXED_WIDTH = 120  # a pipe has no width, and a table cut at 80 columns cannot be read by grep
+_FIXED_WIDTH = 120  # a pipe has no width, and grep cannot read a table that is cut at 80 columns
 
 
 class Advance(Protocol):
-    """What long work calls now and then."""
+    """The function that long work calls now and then."""
 
     def __call__(self, done: int, total: int, /) -> None:
-        """`done` out of `total` steps are done."""
+        """`done` of `total` steps are done."""
 
 
 def out() -> Console:
-    """Stdout as it is now: tests and pipes exchange it."""
+    """A console on the current stdout, which tests and pipes replace."""
+    from rich.console import Console
+
     return Console(file=sys.stdout, width=None if sys.stdout.isatty() else _FIXED_WIDTH)
 
 
 def err() -> Console:
-    """Stderr as it is now."""
+    """A console on the current stderr."""
+    from rich.console import Console
+
     return Console(file=sys.stderr, width=None if sys.stderr.isatty() else _FIXED_WIDTH)
 
 
+def say(line: str) -> None:
+    """One line on stderr, at once."""
+    print(line, file=sys.stderr, flush=True)
+
+
 def print_json(data: Mapping[str, Any]) -> None:
-    """One object on stdout, one line."""
+    """One object on stdout, in one line."""
     print(json.dumps(data, allow_nan=False), flush=True)
 
 
-@contextmanager
-def compiling() -> Iterator[None]:
-    """Around the first use of the laws: a line on stderr when it is not over in a moment."""
-    with _said_late(_say_compiling):
-        yield
+def compiling() -> _LateCall:
+    """Around the first use of the laws: prints a line on stderr when it takes longer than a moment."""
+    return _LateCall(_say_compiling)
 
 
-@contextmanager
-def patience(line: str) -> Iterator[None]:
-    """Around work that cannot tell how far it is: `line` on stderr when it takes its time."""
-    with _said_late(lambda: print(line, file=sys.stderr, flush=True)):
-        yield
+def patience(line: str) -> _LateCall:
+    """Around work without progress: prints `line` on stderr when it takes longer than a moment."""
+    return _LateCall(lambda: say(line))
 
 
-@contextmanager
-def _said_late(say: Callable[[], None]) -> Iterator[None]:
-    timer = threading.Timer(_PATIENCE_S, say)
-    timer.daemon = True
-    timer.start()
-    try:
-        yield
-    finally:
-        timer.cancel()
+class _LateCall:
+    """Calls a function when its block takes longer than a moment."""
+
+    def __init__(self, call: Callable[[], None]) -> None:
+        self._timer = threading.Timer(_PATIENCE_S, call)
+        self._timer.daemon = True
+
+    def __enter__(self) -> None:
+        self._timer.start()
+
+    def __exit__(self, *_: object) -> None:
+        self._timer.cancel()
 
 
 @cache
 def _say_compiling() -> None:
     # Once: the check and the flight may both have to compile.
-    print(COMPILING, file=sys.stderr, flush=True)
+    say(COMPILING)
 
 
 @contextmanager
 def progress(label: str) -> Iterator[Advance]:
-    """A bar on stderr: on a terminal at once, elsewhere a line when work takes longer."""
-    if sys.stderr.isatty():
-        with _bar() as bar:
-            task = bar.add_task(label, total=None)
-            yield lambda done, total: bar.update(task, completed=done, total=total)
+    """Progress on stderr: a bar on a terminal, else a line every few seconds."""
+    if not sys.stderr.isatty():
+        yield _ProgressLines(label)
         return
-    yield _ProgressLines(label)
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-
-def _bar() -> Progress:
     columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
-    return Progress(*columns, console=err(), transient=True)
+    with Progress(*columns, console=err(), transient=True) as bar:
+        task = bar.add_task(label, total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=total)
 
 
 class _ProgressLines:
-    """Progress as plain lines, no more than one every few seconds."""
+    """Progress as plain lines, at most one every few seconds."""
 
     def __init__(self, label: str) -> None:
         self._label = label
@@ -99,4 +105,4 @@ class _ProgressLines:
         now = time.monotonic()
         if now - self._shown > _PATIENCE_S:
             self._shown = now
-            print(f"{self._label}: {100 * done // max(total, 1)} %", file=sys.stderr, flush=True)
+            say(f"{self._label}: {100 * done // max(total, 1)} %")

@@ -1,8 +1,7 @@
-"""Options that several commands share, and the scenario they make."""
+"""Options that several commands share, and the scenario and the read options that they make."""
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -10,6 +9,7 @@ import typer
 
 if TYPE_CHECKING:
     from ptnsbc_sim.scenario import Scenario
+    from ptnsbc_tools.reading.bag_reader import ReadOptions
 
 ScenarioArgument = Annotated[
     str, typer.Argument(metavar="SCENARIO", help="A scenario file, or a name such as paper_5.")
@@ -23,17 +23,15 @@ TaskOption = Annotated[
 ]
 ProfileOption = Annotated[
     Literal["paper", "soft", "reference"] | None,
-    typer.Option("--profile", help="Gain profile of every loop that does not set its own."),
+    typer.Option("--profile", help="Gain profile of every loop that has no profile of its own."),
 ]
 AvoidanceOption = Annotated[
     Literal["off", "set_based", "switched"] | None,
-    typer.Option("--avoidance", help="How obstacles and other UAVs are kept clear of."),
+    typer.Option("--avoidance", help="How UAVs avoid obstacles and each other."),
 ]
 SeedOption = Annotated[
     int | None,
-    typer.Option(
-        "--seed", min=0, help="Of all that happens by chance: noise, gusts, lost messages."
-    ),
+    typer.Option("--seed", min=0, help="Seed of all random disturbances: noise, gusts, losses."),
 ]
 DurationOption = Annotated[
     float | None, typer.Option("--duration", metavar="SECONDS", help="Length of the flight.")
@@ -54,14 +52,14 @@ AllowArmingOption = Annotated[
 ]
 OverwriteOption = Annotated[bool, typer.Option("--overwrite", help="Replace an existing bag.")]
 JsonOption = Annotated[
-    bool, typer.Option("--json", help="One JSON object on stdout and nothing else.")
+    bool, typer.Option("--json", help="Print one JSON object on stdout and nothing else.")
 ]
 BagArgument = Annotated[
     Path, typer.Argument(metavar="BAG", help="Folder of a bag, or its .mcap file.")
 ]
 FlownOption = Annotated[
     Path | None,
-    typer.Option("--scenario", metavar="FILE", help="Instead of the scenario in the bag."),
+    typer.Option("--scenario", metavar="FILE", help="Use this file and not the attached scenario."),
 ]
 ToleranceOption = Annotated[
     float | None,
@@ -69,12 +67,14 @@ ToleranceOption = Annotated[
         "--tolerance",
         metavar="M",
         min=1e-6,
-        help="Hard limit at the deadline; by default the scenario's.",
+        help="Limit of the formation error at the deadline. Default: that of the scenario.",
     ),
 ]
 WindowOption = Annotated[
     float | None,
-    typer.Option("--window", metavar="S", min=0.01, help="Judge so much of each leg, not all."),
+    typer.Option(
+        "--window", metavar="S", min=0.01, help="Judge only the first S seconds of each leg."
+    ),
 ]
 OdomOption = Annotated[
     str, typer.Option("--odom", metavar="TOPIC", help="Odometry; {n} is the id of the UAV.")
@@ -84,15 +84,20 @@ WrenchOption = Annotated[
 ]
 EpochOption = Annotated[
     float | None,
-    typer.Option("--epoch", metavar="S", min=0.0, help="Of a bag without: after its start."),
+    typer.Option(
+        "--epoch",
+        metavar="S",
+        min=0.0,
+        help="Epoch in seconds after the start, for a bag that has none.",
+    ),
 ]
-HIGHEST_DOMAIN = 101  # above, the ports reach into those that systems hand out
+HIGHEST_DOMAIN = 101  # above it the ports overlap those that the system assigns to programs
 NetworkOption = Annotated[
     Path | None,
     typer.Option(
         "--network",
         metavar="PROFILE",
-        help="Fly with other computers: a file from `ptnsbc network`; PTNSBC_NETWORK.",
+        help="Fly with other computers: a file that `ptnsbc network` wrote. Default: PTNSBC_NETWORK.",
     ),
 ]
 DomainOption = Annotated[
@@ -101,7 +106,7 @@ DomainOption = Annotated[
         "--domain",
         min=0,
         max=HIGHEST_DOMAIN,
-        help="ROS domain, the same on all computers of a fleet; ROS_DOMAIN_ID.",
+        help="ROS domain, the same on all computers of a fleet. Default: ROS_DOMAIN_ID.",
     ),
 ]
 ODOM, WRENCH = "/uav{n}/odom", "/uav{n}/setpoint/wrench"
@@ -115,11 +120,11 @@ _KEYS = {
     "seed": "seed",
     "duration": "timing.duration_s",
 }
-"""Options that stand for a key of the scenario file."""
+"""Options that set a key of the scenario file."""
 
 
 def overrides(**options: Any) -> dict[str, Any]:
-    """Dotted keys of the scenario file from options by the name of their variable; others are left alone."""
+    """Dotted keys of the scenario file from options by the name of their variable; ignores other options."""
     given = {key: options.get(name) for name, key in _KEYS.items()}
     given |= dict(_setting(text) for text in options.get("settings") or ())
     return {key: value for key, value in given.items() if value is not None}
@@ -130,29 +135,34 @@ def chosen(context: typer.Context) -> Scenario:
     return scenario_with(context.params["scenario"], overrides(**context.params))
 
 
-def join(network: Path | None, domain: int | None) -> None:
-    """Put what the command line says of network and domain where ROS and our processes look for it."""
-    from ptnsbc_nodes.runtime.environment import NETWORK
-
-    if network is not None:
-        os.environ[NETWORK] = str(network)
-    if domain is not None:
-        os.environ["ROS_DOMAIN_ID"] = str(domain)
-
-
 def _setting(text: str) -> tuple[str, Any]:
     from ptnsbc_sim.scenario.reader import parse
 
     key, found, value = text.partition("=")
     if not found or not key.strip():
         raise typer.BadParameter(f'--set "{text}": expected KEY=VALUE')
-    # Read as the file would be, so that numbers, lists and "5 s" mean the same.
+    # Read like the file, so that numbers, lists and "5 s" mean the same.
     return key.strip(), parse(f"value: {value}", f"--set {key.strip()}")["value"]
 
 
 def scenario_with(name: str, given: dict[str, Any]) -> Scenario:
-    """The scenario of a command line."""
-    # Here, not above: it loads numba, for which `--help` and an early Ctrl-C need not wait.
+    """A scenario with some of its keys replaced."""
+    # Imported here: it loads numba, which `--help` does not need.
     from ptnsbc_sim.scenario import load_scenario
 
     return load_scenario(name, given)
+
+
+def read_options(context: typer.Context) -> ReadOptions:
+    """How a bag is read and judged, from the options of a command."""
+    from ptnsbc_tools.reading.bag_reader import ReadOptions
+    from ptnsbc_tools.reading.bag_sources import TopicNames
+
+    given = context.params
+    return ReadOptions(
+        scenario=given["scenario"],
+        tolerance=given["tolerance"],
+        window_s=given["window"],
+        epoch_s=given["epoch"],
+        names=TopicNames(odom=given["odom"], wrench=given["wrench"]),
+    )

@@ -1,12 +1,15 @@
-"""Findings and verdicts as tables for people."""
+"""Findings and verdicts for people: Rich tables and sentences."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
 
 from rich.table import Table
 from rich.text import Text
 
+from ptnsbc_tools import console
 from ptnsbc_tools.check import Finding
 from ptnsbc_tools.verdict import Verdict
 
@@ -20,16 +23,46 @@ _COLOURS = {
 }
 _PAIRS = 3
 
+# Heading, attribute and digits of each column of numbers
+_Columns = tuple[tuple[str, str, int], ...]
+_DEADLINE: _Columns = (
+    ("settled s", "settling_s", 2),
+    ("of s", "deadline_s", 2),
+    ("start m", "start_error_m", 3),
+    ("band m", "band_m", 3),
+    ("at tf m", "error_at_deadline_m", 4),
+    ("max after m", "max_error_after_m", 4),
+    ("RMSE after m", "rmse_after_m", 4),
+    ("avoiding s", "encounter_s", 1),
+    ("missing", "missing", 0),
+)
+_EFFORT: _Columns = (
+    ("above hover at t0 N", "initial_above_hover_n", 2),
+    ("peak |u|", "peak_input", 2),
+    ("peak force N", "peak_force_n", 2),
+    ("at s", "peak_at_s", 2),
+    ("energy (54)", "energy", 0),
+    ("beyond hover", "energy_above_hover", 1),
+    ("missing", "missing", 0),
+)
+_SEPARATION: _Columns = (
+    ("closest m", "distance_m", 4),
+    ("at s", "at_s", 2),
+    ("keep-out m", "keep_out_m", 2),
+    ("inside s", "inside_s", 2),
+)
 
-def _number(value: float | None, digits: int = 3) -> str:
-    return "-" if value is None else f"{value:.{digits}f}"
+
+def _numbers(of: object, columns: _Columns) -> list[str]:
+    values = ((getattr(of, name), digits) for _, name, digits in columns)
+    return ["-" if value is None else f"{value:.{digits}f}" for value, digits in values]
 
 
-def _table(title: str, left: Iterable[str], right: Iterable[str]) -> Table:
+def _table(title: str, left: Iterable[str], right: _Columns = ()) -> Table:
     table = Table(title=title, title_justify="left", title_style="bold")
     for name in left:
         table.add_column(name, overflow="fold")
-    for name in right:
+    for name, _, _ in right:
         table.add_column(name, justify="right")
     return table
 
@@ -39,107 +72,41 @@ def _word(kind: str) -> Text:
 
 
 def findings_table(name: str, findings: Iterable[Finding]) -> Table:
-    """The pre-flight check, worst first."""
-    table = _table(f"Pre-flight check of {name}", ("", "key", "found", "limit", "change"), ())
+    """The findings of the pre-flight check, the worst first."""
+    table = _table(f"Pre-flight check of {name}", ("", "key", "found", "limit", "change"))
     for one in findings:
         table.add_row(_word(one.severity), one.key, one.value, one.limit, one.advice)
     return table
 
 
 def deadline_table(verdict: Verdict) -> Table:
-    """One row per UAV: did it keep its deadline."""
+    """One row per UAV: whether it met its deadline."""
     title = f"{verdict.scenario}: {verdict.plant}, {verdict.task}, profile {verdict.profile}"
-    table = _table(
-        title,
-        ("UAV", "deadline"),
-        (
-            "settled s",
-            "of s",
-            "start m",
-            "band m",
-            "at tf m",
-            "max after m",
-            "RMSE after m",
-            "avoiding s",
-            "missing",
-        ),
-    )
+    table = _table(title, ("UAV", "deadline"), _DEADLINE)
     for one in verdict.uavs:
-        table.add_row(
-            str(one.uav),
-            _word(one.verdict),
-            _number(one.settling_s, 2),
-            _number(one.deadline_s, 2),
-            _number(one.start_error_m),
-            _number(one.band_m),
-            _number(one.error_at_deadline_m, 4),
-            _number(one.max_error_after_m, 4),
-            _number(one.rmse_after_m, 4),
-            _number(one.encounter_s, 1),
-            str(one.missing),
-        )
-    return table
-
-
-def effort_table(verdict: Verdict) -> Table:
-    """One row per UAV: what the actuators had to give."""
-    table = _table(
-        "Input",
-        ("UAV",),
-        (
-            "above hover at t0 N",
-            "peak |u|",
-            "peak force N",
-            "at s",
-            "energy (54)",
-            "beyond hover",
-            "missing",
-        ),
-    )
-    for one in verdict.efforts:
-        table.add_row(
-            str(one.uav),
-            _number(one.initial_above_hover_n, 2),
-            _number(one.peak_input, 2),
-            _number(one.peak_force_n, 2),
-            _number(one.peak_at_s, 2),
-            _number(one.energy, 0),
-            _number(one.energy_above_hover, 1),
-            str(one.missing),
-        )
-    return table
-
-
-def separation_table(verdict: Verdict) -> Table:
-    """The tightest pairs, and every one that was inside a keep-out."""
-    table = _table("Separation", ("pair",), ("closest m", "at s", "keep-out m", "inside s"))
-    for rank, one in enumerate(verdict.separations):
-        if rank >= _PAIRS and one.inside_s == 0:
-            continue
-        colour = "bold red" if one.inside_s > 0 else ""
-        table.add_row(
-            f"{one.first} - {one.second}",
-            _number(one.distance_m, 4),
-            _number(one.at_s, 2),
-            _number(one.keep_out_m, 2),
-            _number(one.inside_s, 2),
-            style=colour,
-        )
+        table.add_row(str(one.uav), _word(one.verdict), *_numbers(one, _DEADLINE))
     return table
 
 
 def verdict_tables(verdict: Verdict) -> list[Table]:
-    """All tables of a verdict."""
+    """All tables of a verdict: deadlines, input, and the tightest pairs with all that were inside a keep-out."""
     tables = [deadline_table(verdict)]
     if verdict.efforts:
-        tables.append(effort_table(verdict))
+        tables.append(effort := _table("Input", ("UAV",), _EFFORT))
+        for one in verdict.efforts:
+            effort.add_row(str(one.uav), *_numbers(one, _EFFORT))
     if verdict.separations:
-        tables.append(separation_table(verdict))
+        tables.append(separation := _table("Separation", ("pair",), _SEPARATION))
+        for rank, pair in enumerate(verdict.separations):
+            if rank < _PAIRS or pair.inside_s:
+                colour = "bold red" if pair.inside_s > 0 else ""
+                cells = _numbers(pair, _SEPARATION)
+                separation.add_row(f"{pair.first} - {pair.second}", *cells, style=colour)
     return tables
 
 
 def reasons(verdict: Verdict) -> list[Text]:
-    """Why deadlines were not met, one line per UAV, and per leg when there are several."""
+    """Why deadlines were not met: one line per UAV, and per leg when there are several."""
     found = []
     for leg in verdict.legs:
         of_leg = f"leg {leg.number} from {leg.epoch_s - verdict.epoch_s:.2f} s, "
@@ -166,8 +133,8 @@ def verdict_line(verdict: Verdict) -> Text:
         tail += "; judged by true positions"
     if verdict.inside_keep_out_s > 0:
         tail += f"; inside a keep-out for {verdict.inside_keep_out_s:.2f} s"
-    missing = sum(uav.missing for uav in verdict.uavs)
-    missing += sum(effort.missing for effort in verdict.efforts)
+    missing = sum(one.missing for one in verdict.uavs)
+    missing += sum(one.missing for one in verdict.efforts)
     if missing:
         tail += f"; {missing} messages missing"
     if verdict.missed_ticks:
@@ -176,3 +143,22 @@ def verdict_line(verdict: Verdict) -> Text:
         figures = ", ".join(f"{key} {value:.1f} ms" for key, value in verdict.latency_ms.items())
         tail += f"; latency {figures}"
     return Text.assemble("Verdict: ", _word(verdict.verdict), f" ({tail})")
+
+
+def show_verdict(verdict: Verdict, *, json: bool, **extra: Any) -> None:
+    """Print the verdict as tables or as JSON; `extra` goes into the JSON, and its paths below the tables."""
+    files = {key: value for key, value in extra.items() if value is not None}
+    if json:
+        plain = {
+            key: str(value) if isinstance(value, Path) else value for key, value in files.items()
+        }
+        console.print_json({**verdict.as_json(), **plain})
+        return
+    out = console.out()
+    for table in verdict_tables(verdict):
+        out.print(table)
+    for line in [*reasons(verdict), verdict_line(verdict)]:
+        out.print(line, soft_wrap=True)
+    for key, value in files.items():
+        if isinstance(value, Path):
+            print(f"{key}: {value}")

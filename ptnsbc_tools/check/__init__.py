@@ -1,4 +1,4 @@
-"""The pre-flight check: what a scenario promises against what it can keep, before anything arms."""
+"""The pre-flight check of a scenario: graph, shape, spacing, gains, deadlines, obstacles."""
 
 from __future__ import annotations
 
@@ -7,8 +7,14 @@ from collections.abc import Callable, Sequence
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_tools.check.finding import ERROR, INFO, WARNING, CheckError, Finding, Findings
 from ptnsbc_tools.check.gains import feasible, order, printed, steps
-from ptnsbc_tools.check.geometry import graph, shape, spacing, starts_clear
-from ptnsbc_tools.check.surroundings import encounters, sensor
+from ptnsbc_tools.check.geometry import (
+    encounters,
+    graph,
+    sensor,
+    shape,
+    spacing,
+    starts_clear,
+)
 
 __all__ = ["ERROR", "INFO", "WARNING", "CheckError", "Finding", "check", "refuse"]
 
@@ -34,7 +40,7 @@ def check(scenario: Scenario) -> list[Finding]:
 
 
 def refuse(scenario: Scenario, findings: Sequence[Finding]) -> None:
-    """Raise CheckError, one line, when any finding is an error."""
+    """Raise CheckError, in one line, when any finding is an error."""
     errors = [finding for finding in findings if finding.severity == ERROR]
     if errors:
         first = errors[0]

@@ -1,4 +1,4 @@
-"""Pre-flight: gains against the control period, deadlines against the limits of the vehicle."""
+"""Pre-flight checks of gains against the control period, and of deadlines against the limits of the vehicle."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def steps(scenario: Scenario) -> Findings:
 
 
 def order(scenario: Scenario) -> Findings:
-    """Inner loops have to be done before the formation is."""
+    """Deadlines of the inner loops, which must end before the deadline of the formation."""
     gains = scenario.gains
     outer = gains.formation.deadline_s
     for key, inner in (
@@ -72,7 +72,7 @@ def order(scenario: Scenario) -> Findings:
 
 
 def printed(scenario: Scenario) -> Findings:
-    """The printed gains on a vehicle that has to tilt before it can push."""
+    """The printed gains on a quadrotor, which must tilt before it can accelerate sideways."""
     if scenario.gains.profile == "paper" and scenario.plant_kind == "quadrotor":
         yield Finding(
             WARNING,
@@ -83,7 +83,7 @@ def printed(scenario: Scenario) -> Findings:
         )
 
 
-def acceleration_limit(scenario: Scenario) -> float:
+def _acceleration_limit(scenario: Scenario) -> float:
     """Acceleration [m/s^2] that filter and actuators both allow, in the weakest direction."""
     limit, gravity = scenario.gains.filter.max_acceleration_m_s2, scenario.gravity_m_s2
     if scenario.plant_kind != "quadrotor":
@@ -95,11 +95,11 @@ def acceleration_limit(scenario: Scenario) -> float:
 
 
 def feasible(scenario: Scenario) -> Findings:
-    """The formation deadline against speed and acceleration limits, from the actual starts."""
+    """The formation deadline against the limits of speed and acceleration, from the actual starts."""
     deadline = scenario.gains.formation.deadline_s
     path = reference(trajectory_vector(scenario), 0.0)
     speed = scenario.gains.filter.max_speed_m_s - float(np.linalg.norm(path.velocity))
-    acceleration = acceleration_limit(scenario)
+    acceleration = _acceleration_limit(scenario)
     if speed <= 0 or acceleration <= 0:
         yield Finding(
             ERROR,

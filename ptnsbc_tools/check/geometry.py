@@ -1,4 +1,4 @@
-"""Pre-flight: graph, shape and spacing of the formation."""
+"""Pre-flight checks of the geometry: graph, shape, spacing, obstacles and the range of the sensor."""
 
 from __future__ import annotations
 
@@ -8,18 +8,19 @@ import numpy as np
 
 from ptnsbc_core.errors import FormationError
 from ptnsbc_core.tasks.registry import conditioning
-from ptnsbc_core.types import TASKS
+from ptnsbc_core.trajectory import reference
+from ptnsbc_core.types import TASKS, Array
 from ptnsbc_sim.scenario import Scenario, agent_config
-from ptnsbc_sim.scenario.build import reference_offset
+from ptnsbc_sim.scenario.build import reference_offset, trajectory_vector
 from ptnsbc_sim.scenario.semantics import STABILITY_LIMIT, estimator_peak, estimator_step
 from ptnsbc_tools.check.finding import ERROR, INFO, WARNING, Finding, Findings
 
-SINGULAR = 0.02
-"""Smallest singular value [1] of a scaled task below which a formation cannot be held."""
+_SINGULAR = 0.02  # smallest singular value [1] of a scaled task with which a formation can be held
+_PATH_STEP_S = 0.05
 
 
 def graph(scenario: Scenario) -> Findings:
-    """The tree, and what the leader estimator's graph costs in gain."""
+    """The tree, and the gain that the graph of the leader estimator needs."""
     depth = max(scenario.topology.depth.values())
     yield Finding(
         INFO,
@@ -42,7 +43,7 @@ def graph(scenario: Scenario) -> Findings:
     )
 
 
-def _shapeless(scenario: Scenario, uav: int, error: FormationError) -> Finding:
+def _no_shape(scenario: Scenario, uav: int, error: FormationError) -> Finding:
     key = f"formation.offsets_m.{uav}"
     text = str(error).removeprefix(f"{scenario.source}: {key}: ")
     value, _, rest = text.partition(": expected ")
@@ -60,7 +61,7 @@ def shape(scenario: Scenario) -> Findings:
         try:
             row_scale = agent_config(scenario, uav).row_scale
         except FormationError as error:
-            yield _shapeless(scenario, uav, error)
+            yield _no_shape(scenario, uav, error)
             continue
         sigma = conditioning(
             TASKS[task],
@@ -69,13 +70,13 @@ def shape(scenario: Scenario) -> Findings:
             reference_offset(scenario, uav),
             row_scale,
         )
-        singular = not sigma >= SINGULAR  # also when it is no number
+        singular = not sigma >= _SINGULAR  # also when it is NaN
         severity = ERROR if singular else WARNING if sigma < threshold else INFO
         yield Finding(
             severity,
             f"formation.offsets_m.{uav}",
             f"sigma_min of task {task} {sigma:.3f}",
-            f">= {SINGULAR if singular else threshold:g}"
+            f">= {_SINGULAR if singular else threshold:g}"
             + ("" if singular else " or it is damped"),
             ""
             if severity == INFO
@@ -87,11 +88,11 @@ def shape(scenario: Scenario) -> Findings:
 def spacing(scenario: Scenario) -> Findings:
     """Desired positions and starts against the keep-out distance between UAVs."""
     keep_out = scenario.uav_keep_out_m + scenario.gains.clearance.margin_m
-    places = {
+    positions = {
         "formation.offsets_m": {uav: scenario.offset(uav) for uav in scenario.uav_ids},
         "uavs position_m": {uav: scenario.uav(uav).position for uav in scenario.uav_ids},
     }
-    for key, where in places.items():
+    for key, where in positions.items():
         distances = {
             (a, b): float(np.linalg.norm(where[a] - where[b]))
             for a, b in combinations(scenario.uav_ids, 2)
@@ -111,7 +112,7 @@ def spacing(scenario: Scenario) -> Findings:
 
 
 def starts_clear(scenario: Scenario) -> Findings:
-    """Starts against the keep-outs of obstacles."""
+    """Starts against the keep-out distances of obstacles."""
     for index, uav in enumerate(scenario.uav_ids):
         for obstacle in scenario.obstacles:
             distance = float(np.linalg.norm(scenario.uav(uav).position - obstacle.position))
@@ -123,3 +124,47 @@ def starts_clear(scenario: Scenario) -> Findings:
                     f">= {obstacle.keep_out_m:g} m",
                     "start it outside, or lower the obstacle's keep_out_m",
                 )
+
+
+def _path(scenario: Scenario, times: Array) -> Array:
+    vector = trajectory_vector(scenario)
+    return np.stack([reference(vector, float(t)).position for t in times])
+
+
+def encounters(scenario: Scenario) -> Findings:
+    """Obstacles on the path of the formation, which counts as rigid after the deadline."""
+    deadline = scenario.gains.formation.deadline_s
+    if scenario.duration_s <= deadline or not scenario.obstacles:
+        return
+    times = np.arange(deadline, scenario.duration_s, _PATH_STEP_S)
+    path = _path(scenario, times)
+    off = scenario.file.formation.avoidance == "off"
+    for obstacle in scenario.obstacles:
+        for uav in scenario.uav_ids:
+            distance = np.linalg.norm(path + scenario.offset(uav) - obstacle.position, axis=1)
+            closest = int(np.argmin(distance))
+            if distance[closest] >= obstacle.keep_out_m:
+                continue
+            first = times[int(np.argmax(distance < obstacle.keep_out_m))]
+            yield Finding(
+                WARNING if off else INFO,
+                f"world.obstacles {obstacle.name}",
+                f"meets UAV {uav} from t = {first:.1f} s, closest {distance[closest]:.2f} m",
+                f">= {obstacle.keep_out_m:g} m",
+                "set formation.avoidance: set_based" if off else "avoided in flight",
+            )
+
+
+def sensor(scenario: Scenario) -> Findings:
+    """Range of the near-object sensor against the largest keep-out distance."""
+    reach = max(
+        [scenario.uav_keep_out_m, *(obstacle.keep_out_m for obstacle in scenario.obstacles)]
+    )
+    if scenario.sensor.range_m <= reach:
+        yield Finding(
+            ERROR,
+            "sensor.range_m",
+            f"{scenario.sensor.range_m:g} m",
+            f"> {reach:g} m, the largest keep-out",
+            "raise sensor.range_m, or nothing is seen before it is too close",
+        )

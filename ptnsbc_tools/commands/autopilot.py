@@ -1,13 +1,14 @@
-"""Run stand-in flight controllers until interrupted."""
+"""`ptnsbc autopilot`: stand-in flight controllers, until Ctrl-C."""
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
+
+from ptnsbc_tools import console
 
 if TYPE_CHECKING:
     from ptnsbc_sim.autopilot.faults import TimedFault
@@ -20,12 +21,15 @@ Kind = Literal["px4", "arducopter", "stm32"]
 def autopilot(
     kind: Annotated[
         Kind | None,
-        typer.Option("--type", help="Whose rules; px4, or as the scenario has it."),
+        typer.Option("--type", help="Firmware to imitate. Default: px4, or as in the scenario."),
     ] = None,
     count: Annotated[
         int | None,
         typer.Option(
-            "--count", min=1, max=99, help="Vehicles; as many as the scenario has, else 1."
+            "--count",
+            min=1,
+            max=99,
+            help="Number of vehicles. Default: as in the scenario, else 1.",
         ),
     ] = None,
     scenario: Annotated[
@@ -33,7 +37,7 @@ def autopilot(
         typer.Option(
             "--scenario",
             metavar="SCENARIO",
-            help="Starts (on the ground), plant, wind, and its mavlink block: ports, ids, keys.",
+            help="Scenario with starts (on the ground), plant, wind, and ports, ids and keys.",
         ),
     ] = None,
     port_base: Annotated[
@@ -42,8 +46,8 @@ def autopilot(
             "--port-base",
             min=1,
             max=61000,
-            help="Vehicle i from 0 sends to this port + i and listens 40 above; 14540, or as the "
-            "scenario has it.",
+            help="Vehicle i, counted from 0, sends to this port + i and listens 40 above. Default: 14540, "
+            "or as in the scenario.",
         ),
     ] = None,
     connect: Annotated[
@@ -51,52 +55,66 @@ def autopilot(
         typer.Option(
             "--connect",
             metavar="udpin:HOST:PORT | udpout:HOST:PORT",
-            help="Instead of the pair of ports; vehicle i from 0 takes PORT + i.",
+            help="One link and not a pair of ports; vehicle i, counted from 0, takes PORT + i.",
         ),
     ] = None,
     gcs: Annotated[
-        str, typer.Option("--gcs", metavar="HOST:PORT", help='Ground station\'s link; "" for none.')
+        str,
+        typer.Option("--gcs", metavar="HOST:PORT", help='Link of the ground station; "" for none.'),
     ] = "127.0.0.1:14550",
     gnss: Annotated[
         Literal["plain", "rtk", "perfect"],
-        typer.Option("--gnss", help="Receiver; plain drifts as a simulated PX4 does."),
+        typer.Option("--gnss", help="GNSS receiver; plain drifts like that of a simulated PX4."),
     ] = "plain",
     origin_spread: Annotated[
         float,
-        typer.Option("--origin-spread", metavar="M", min=0.0, help="Local origins so far away."),
+        typer.Option(
+            "--origin-spread",
+            metavar="M",
+            min=0.0,
+            help="Distance of the local origins from each other.",
+        ),
     ] = 0.0,
     yaw: Annotated[
         float | None,
-        typer.Option("--yaw", metavar="DEG", help="ENU yaw at boot; any when not given."),
+        typer.Option("--yaw", metavar="DEG", help="ENU yaw at boot. Default: random."),
     ] = None,
     battery: Annotated[
-        float, typer.Option("--battery", min=0.0, max=1.0, help="Charge at the start.")
+        float, typer.Option("--battery", min=0.0, max=1.0, help="Charge at the start, 0 to 1.")
     ] = 1.0,
     boot_time: Annotated[
         float,
-        typer.Option("--boot-time", min=0.0, help="Scales the time until the position is valid."),
+        typer.Option(
+            "--boot-time", min=0.0, help="Factor for the time until the position is valid."
+        ),
     ] = 1.0,
     key: Annotated[
         str | None,
-        typer.Option("--key", metavar="FILE", help="Sign, and drop unsigned; {n}: system id."),
+        typer.Option(
+            "--key",
+            metavar="FILE",
+            help="Key for signing; unsigned packets are dropped. {n} is the system id.",
+        ),
     ] = None,
     parameters: Annotated[
         list[str] | None,
-        typer.Option("--param", metavar="NAME=VALUE", help="Instead of a default. Repeatable."),
+        typer.Option("--param", metavar="NAME=VALUE", help="Value of a parameter. Repeatable."),
     ] = None,
     control: Annotated[
         int | None,
-        typer.Option("--control", metavar="PORT", min=1, max=65535, help="Take faults here."),
+        typer.Option("--control", metavar="PORT", min=1, max=65535, help="Port for faults."),
     ] = None,
     faults: Annotated[
         list[str] | None,
         typer.Option(
             "--fault",
             metavar="'SECONDS SYSTEM FAULT VALUE'",
-            help='As "20 1 gps off"; docs/autopilot.md has the list. Repeatable.',
+            help='A fault, like "20 1 gps off"; docs/autopilot.md lists them. Repeatable.',
         ),
     ] = None,
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Of errors, yaws and origins.")] = 1,
+    seed: Annotated[
+        int, typer.Option("--seed", min=0, help="Seed of errors, yaws and origins.")
+    ] = 1,
 ) -> None:
     """Stand-in flight controllers: real MAVLink on real UDP around simulated quadrotors.
 
@@ -114,7 +132,7 @@ def autopilot(
 
 
 def run(options: Options, control_port: int | None, timed: list[TimedFault]) -> None:
-    """Build the vehicles, open the ports, and serve."""
+    """Build the vehicles, open the ports and serve them."""
     from ptnsbc_nodes.runtime import environment
     from ptnsbc_nodes.runtime.signals import StopRequest
     from ptnsbc_sim.autopilot.faults import FaultPort
@@ -124,7 +142,7 @@ def run(options: Options, control_port: int | None, timed: list[TimedFault]) -> 
     began = time.monotonic()
 
     def say(line: str) -> None:
-        print(f"{time.monotonic() - began:9.2f} {line}", file=sys.stderr, flush=True)
+        console.say(f"{time.monotonic() - began:9.2f} {line}")
 
     with StopRequest() as stop:
         say("autopilot: starting; the first start compiles for some seconds")
@@ -132,7 +150,7 @@ def run(options: Options, control_port: int | None, timed: list[TimedFault]) -> 
         fleet = stations(options, start_t, say)
         vehicles = [station.vehicle for station in fleet]
         with FaultPort(vehicles, start_t, port=control_port, timed=timed, log=say) as control:
-            # A flight controller has a processor of its own; this one shares it with all the others.
+            # A real flight controller has a processor of its own; these share one.
             environment.prefer_punctuality(flies=True)
             serve(fleet, lambda: stop.came, control.poll, lambda: _ready(fleet, say))
         for station in fleet:

@@ -7,33 +7,28 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.table import Table
 
 from ptnsbc_tools import console
-from ptnsbc_tools.options import JsonOption
+from ptnsbc_tools.options import BagArgument, JsonOption
 
 if TYPE_CHECKING:
     from ptnsbc_io.bag import Bag
     from ptnsbc_io.bag.repair import Repaired
 
-app = typer.Typer(no_args_is_help=True, help="What is in a bag, and making one whole again.")
-
-BagArgument = Annotated[
-    Path, typer.Argument(metavar="BAG", help="Folder of a bag, or its .mcap file.")
-]
+app = typer.Typer(no_args_is_help=True, help="Show the content of a bag, or repair a bag.")
 
 
 @app.command()
 def info(
     bag: BagArgument,
     check: Annotated[
-        bool, typer.Option("--check", help="Read all of it and compare every checksum.")
+        bool, typer.Option("--check", help="Read the whole bag and compare every checksum.")
     ] = False,
     json: JsonOption = False,
 ) -> None:
-    """Topics, times, metadata and attachments of a bag; with --check also whether it is whole.
+    """Show topics, times, metadata and attachments of a bag; with --check also whether it is complete.
 
-    Also opens what a killed recording left. Exit codes: 0, 1 damaged or cut (--check), 2 refused.
+    Opens the remains of a killed recording too. Exit codes: 0, 1 damaged or cut (--check), 2 refused.
     """
     from ptnsbc_io.bag import read_bag
     from ptnsbc_io.bag.reader import find_problems
@@ -56,39 +51,39 @@ def repair(
     ],
     output: Annotated[
         Path | None,
-        typer.Option("--output", "-o", metavar="DIR", help="Write the repaired bag there."),
+        typer.Option(
+            "--output", "-o", metavar="DIR", help="Write the repaired bag into this folder."
+        ),
     ] = None,
     discard: Annotated[
-        bool, typer.Option("--discard", help="Remove the damaged bag when its repair is in place.")
+        bool, typer.Option("--discard", help="Remove the damaged bag after the repair.")
     ] = False,
     json: JsonOption = False,
 ) -> None:
-    """Restore index and metadata.yaml of a bag that was cut or damaged, from what is readable.
+    """Restore the index and metadata.yaml of a cut or damaged bag, from all that can be read.
 
-    A killed recording DIR.part becomes DIR. A damaged bag DIR is replaced, and kept as DIR.original.
+    A killed recording DIR.part becomes DIR. A damaged bag DIR is replaced and kept as DIR.original.
     """
     from ptnsbc_io.bag.repair import repair as work
 
     with console.progress("repairing") as advance:
         made = work(bag, output, discard=discard, advance=advance)
     if json:
-        told = made._asdict() | {"bag": str(made.bag)}
-        told["original"] = None if made.original is None else str(made.original)
-        console.print_json(told)
-        return
-    for line in _told(made):
-        print(line)
+        original = None if made.original is None else str(made.original)
+        console.print_json(made._asdict() | {"bag": str(made.bag), "original": original})
+    else:
+        _show_repair(made)
 
 
-def _told(made: Repaired) -> list[str]:
+def _show_repair(made: Repaired) -> None:
     lost = []
     if made.cut:
         lost.append("the end was missing")
     if made.damaged_chunks:
         lost.append(f"{made.damaged_chunks} damaged chunks are left out")
-    what = "; ".join(lost) or "nothing was missing"
-    kept = f"original: {made.original}" if made.original else "original: discarded"
-    return [f"{made.messages} messages rescued; {what}", f"bag: {made.bag}", kept]
+    print(f"{made.messages} messages rescued; {'; '.join(lost) or 'nothing was missing'}")
+    print(f"bag: {made.bag}")
+    print(f"original: {made.original or 'discarded'}")
 
 
 def _as_json(bag: Bag, wrong: list[str] | None) -> dict[str, Any]:
@@ -108,14 +103,15 @@ def _as_json(bag: Bag, wrong: list[str] | None) -> dict[str, Any]:
 
 
 def _show(bag: Bag, wrong: list[str] | None) -> None:
-    out = console.out()
+    from rich.table import Table
+
     table = Table(title=", ".join(path.name for path, _ in bag.files))
     table.add_column("topic")
     table.add_column("type")
     table.add_column("messages", justify="right")
     for topic in bag.topics.values():
         table.add_row(topic.name, topic.type, str(topic.messages))
-    out.print(table)
+    console.out().print(table)
     total = sum(topic.messages for topic in bag.topics.values())
     print(f"{total} messages, {_when(bag.start_ns)} to {_when(bag.end_ns)}")
     for key, value in bag.metadata.items():
@@ -128,7 +124,7 @@ def _show(bag: Bag, wrong: list[str] | None) -> None:
 
 
 def _when(stamp_ns: int) -> str:
-    """Wall time of a real-time bag, seconds of a simulated one."""
+    """Wall time of a real-time bag, seconds of simulated time otherwise."""
     if stamp_ns < 10**17:  # before 1973: simulated time
         return f"{stamp_ns * 1e-9:.3f} s"
     return f"{datetime.fromtimestamp(stamp_ns * 1e-9, tz=timezone.utc):%Y-%m-%d %H:%M:%S.%f} UTC"

@@ -1,73 +1,142 @@
-"""`ptnsbc fleet` and `ptnsbc demo`: a process per UAV, recorded, and the verdict from the bag."""
+"""`ptnsbc fleet`: one ROS 2 process per UAV, recorded, and the verdict from the bag."""
 
 from __future__ import annotations
 
-import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
-from datetime import datetime
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_nodes.runtime.signals import restore_handlers
-from ptnsbc_sim.scenario import Scenario
-from ptnsbc_tools import console, result, ros
-from ptnsbc_tools.reading.bag_reader import read_recording
-from ptnsbc_tools.verdict import verdict_on
+from ptnsbc_tools import console, options, ros
+from ptnsbc_tools.commands.check import preflight
 
 if TYPE_CHECKING:
     from ptnsbc_nodes.fleet.fleet import FleetOptions, FleetResult
+    from ptnsbc_sim.scenario import Scenario
 
-DEMO_SCENARIO = "paper_5"
 _NO_VERDICT = 1
 
 
-@dataclass(frozen=True)
-class FleetRequest:
-    """How a fleet is to be flown, and what is to be kept of it."""
+def fleet(
+    context: typer.Context,
+    scenario: options.ScenarioArgument,
+    lockstep: Annotated[
+        bool,
+        typer.Option(
+            "--lockstep/--real-time",
+            help="As fast as possible, with the same bytes every time, or by the wall clock.",
+        ),
+    ] = False,
+    backend: Annotated[
+        Literal["sim", "mavlink"],
+        typer.Option("--backend", help="The simulator, or a MAVLink bridge per flight controller."),
+    ] = "sim",
+    allow_arming: options.AllowArmingOption = False,
+    only: Annotated[
+        str,
+        typer.Option(
+            "--only",
+            metavar="PROCESSES",
+            help="Start only these processes on this host, and the others elsewhere: recorder,sim,1,2. "
+            "The host that runs the recorder waits for all other hosts, starts the flight and ends it.",
+        ),
+    ] = "",
+    network: options.NetworkOption = None,
+    domain: options.DomainOption = None,
+    plant: options.PlantOption = None,
+    task: options.TaskOption = None,
+    profile: options.ProfileOption = None,
+    avoidance: options.AvoidanceOption = None,
+    seed: options.SeedOption = None,
+    duration: options.DurationOption = None,
+    settings: options.SetOption = None,
+    bag: options.BagOption = None,
+    overwrite: options.OverwriteOption = False,
+    json: options.JsonOption = False,
+) -> None:
+    """Fly a scenario with one ROS 2 process per UAV; ends with the verdict.
 
-    lockstep: bool
-    backend: Literal["sim", "mavlink"] = "sim"
-    allow_arming: bool = False
-    bag: Path | None = None
-    overwrite: bool = False
-    picture: Path | None = None
-    json: bool = False
-    only: str = ""  # processes of this computer, all if empty
+    The vehicles are simulated, or real flight controllers (--backend mavlink). Nothing leaves this
+    host without --network.
+    """
+    ros.select_network(network, domain)
+    names = ("lockstep", "backend", "allow_arming", "only", "bag", "overwrite")
+    given = {name: context.params[name] for name in names}
+    raise typer.Exit(fly_and_judge(options.chosen(context), json, **given))
 
 
-def _say(line: str) -> None:
-    print(line, file=sys.stderr, flush=True)
+def fly_and_judge(
+    scenario: Scenario,
+    json: bool,
+    picture: Path | None = None,
+    *,
+    backend: Literal["sim", "mavlink"] = "sim",
+    only: str = "",
+    bag: Path | None = None,
+    **given: Any,
+) -> int:
+    """Fly with one process per UAV and judge the bag; returns the exit code.
 
-
-def _options(scenario: Scenario, wishes: FleetRequest) -> FleetOptions:
-    with ros.needed(f"{ros.WAY_OUT}, or fly without it: ptnsbc simulate"):
+    Args:
+        scenario: the scenario to fly.
+        json: print the verdict as JSON.
+        picture: PNG to draw.
+        backend: the simulator or flight controllers.
+        only: processes of this host, all when empty.
+        bag: folder to record into, a temporary one by default.
+        given: further fields of `FleetOptions`.
+    """
+    if backend == "mavlink":
+        for line in _flight_overrides(scenario):
+            console.say(line)
+        scenario = scenario.bridged()
+    preflight(scenario, quiet=json)
+    with ros.required(f"{ros.INSTALL}, or fly without it: ptnsbc simulate"):
         from ptnsbc_nodes.fleet.fleet import FleetOptions, chosen
-    return FleetOptions(
-        scenario,
-        lockstep=wishes.lockstep,
-        backend=wishes.backend,
-        allow_arming=wishes.allow_arming,
-        bag=wishes.bag,
-        overwrite=wishes.overwrite,
-        only=chosen(wishes.only, scenario, wishes.backend) if wishes.only else frozenset(),
-    )
+    processes = chosen(only, scenario, backend) if only else frozenset()
+    request = FleetOptions(scenario, backend=backend, bag=bag, only=processes, **given)
+    if not request.leads:
+        return _show_part(_fly(request), json=json)
+    with ExitStack() as stack:
+        if bag is None:  # the verdict is read from a bag
+            folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="ptnsbc-"))
+            request = replace(request, bag=Path(folder) / "bag")
+        flown = _fly(request)
+        for line in _losses(flown):
+            console.say(line)
+        assert request.bag is not None
+        if flown.interrupted and not request.bag.exists():
+            return flown.exit_code
+        return _judge(request.bag, flown, kept=bag, picture=picture, json=json)
 
 
-def _fly(options: FleetOptions) -> FleetResult:
+def _fly(request: FleetOptions) -> FleetResult:
     from ptnsbc_nodes.fleet.fleet import run_fleet
 
     try:
-        return run_fleet(options, _say)
+        return run_fleet(request, console.say)
     finally:
         restore_handlers()
 
 
-def _facts(flown: FleetResult) -> dict[str, Any]:
-    """What the processes have to add to the verdict."""
+def _flight_overrides(scenario: Scenario) -> Iterator[str]:
+    """What real vehicles change in a scenario, one line each."""
+    for key, value in scenario.mavlink.overrides.items():
+        own: Any = scenario.file
+        for name in key.split("."):
+            own = getattr(own, name, None)
+        before = "the default" if own is None else own
+        yield f"in flight: {key}: {value} instead of {before} (mavlink.overrides)"
+
+
+def _fleet_facts(flown: FleetResult) -> dict[str, Any]:
+    """The results of the processes, which the verdict does not have."""
     return {
         "startup_s": round(flown.startup_s, 3),
         "flight_s": round(flown.flight_s, 3),
@@ -91,75 +160,43 @@ def _losses(flown: FleetResult) -> Iterator[str]:
         yield f"{recorded['late']} messages came too late to be sorted: bytes differ between runs"
 
 
-def _judged(bag: Path, flown: FleetResult, wishes: FleetRequest) -> int:
-    """Judge and show the bag; without one that can be read, still tell how the flight ended."""
-    extra: dict[str, Any] = {"bag": wishes.bag, "fleet": _facts(flown)}
+def _judge(
+    bag: Path, flown: FleetResult, *, kept: Path | None, picture: Path | None, json: bool
+) -> int:
+    """Judge the bag and show the verdict; when the bag cannot be read, show how the flight ended."""
+    from ptnsbc_tools.reading.bag_reader import read_recording
+    from ptnsbc_tools.tables import show_verdict
+    from ptnsbc_tools.verdict import verdict_on
+
+    facts = _fleet_facts(flown)
     try:
         recording = read_recording(bag)
         verdict = verdict_on(recording)
     except PtnsbcError as error:
         line = " ".join(str(error).split())
         end = "was interrupted" if flown.interrupted else "is over"
-        _say(f"error: the flight {end} after {flown.flight_s:.1f} s, but has no verdict: {line}")
-        if wishes.json:
-            kept = None if wishes.bag is None else str(wishes.bag)
-            console.print_json({**extra, "verdict": None, "error": line, "bag": kept})
+        console.say(
+            f"error: the flight {end} after {flown.flight_s:.1f} s, but has no verdict: {line}"
+        )
+        if json:
+            place = None if kept is None else str(kept)
+            console.print_json({"bag": place, "fleet": facts, "verdict": None, "error": line})
         return flown.exit_code or _NO_VERDICT
-    if wishes.picture is not None:
-        from ptnsbc_tools.plotting.picture import draw
+    if picture is not None:
+        from ptnsbc_tools.plotting.draw import draw_flight
 
-        extra["picture"] = draw(recording, wishes.picture)
-    result.show(verdict, json=wishes.json, extra=extra)
+        draw_flight(recording, picture)
+    show_verdict(verdict, json=json, bag=kept, fleet=facts, picture=picture)
     return flown.exit_code or verdict.exit_code
 
 
-def in_flight(scenario: Scenario) -> Iterator[str]:
-    """What flying real vehicles changes in a scenario, one line each."""
-    for key, value in scenario.mavlink.overrides.items():
-        own: Any = scenario.file
-        for name in key.split("."):
-            own = getattr(own, name, None)
-        before = "the default" if own is None else own
-        yield f"in flight: {key}: {value} instead of {before} (mavlink.overrides)"
-
-
-def fleet(scenario: Scenario, wishes: FleetRequest) -> int:
-    """Fly with one process per UAV, judge the bag; returns the exit code."""
-    if wishes.backend == "mavlink":
-        for line in in_flight(scenario):
-            _say(line)
-        scenario = scenario.bridged()
-    result.preflight(scenario, quiet=wishes.json)
-    options = _options(scenario, wishes)
-    if not options.leads:
-        return _taken_part(_fly(options), wishes)
-    with ExitStack() as stack:
-        bag = wishes.bag
-        if bag is None:  # the verdict needs one all the same
-            folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="ptnsbc-"))
-            bag = Path(folder) / "bag"
-        flown = _fly(replace(options, bag=bag))
-        for line in _losses(flown):
-            _say(line)
-        if flown.interrupted and not bag.exists():
-            return flown.exit_code
-        return _judged(bag, flown, wishes)
-
-
-def _taken_part(flown: FleetResult, wishes: FleetRequest) -> int:
-    """How it went on a computer that flew a part of the fleet: the verdict is where the bag is."""
+def _show_part(flown: FleetResult, *, json: bool) -> int:
+    """Show how a part of the fleet ended; the host with the recorder shows the verdict."""
     for name in flown.died:
-        _say(f"{name} ended before its time")
-    _say(f"over after {flown.flight_s:.1f} s; the verdict is on the computer with the recorder")
-    if wishes.json:
-        facts = _facts(flown)
+        console.say(f"{name} ended before its time")
+    console.say(f"over after {flown.flight_s:.1f} s; the verdict is on the host with the recorder")
+    if json:
+        facts = _fleet_facts(flown)
         del facts["recorded"]
         console.print_json({"fleet": facts})
     return flown.exit_code
-
-
-def demo_wishes(folder: Path, *, json: bool) -> FleetRequest:
-    """Lock-step, into a new folder named after the moment."""
-    bag = folder / f"demo-{datetime.now():%Y%m%d-%H%M%S}"
-    picture = bag.with_name(f"{bag.name}.png")
-    return FleetRequest(lockstep=True, bag=bag, picture=picture, json=json)

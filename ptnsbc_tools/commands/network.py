@@ -11,16 +11,17 @@ from typing import Annotated
 import typer
 
 from ptnsbc_nodes.runtime import dds_profiles
+from ptnsbc_tools import console
 
 app = typer.Typer(
     no_args_is_help=True,
-    help="Profiles for a fleet on several computers; give one to --network or PTNSBC_NETWORK.",
+    help="Network profiles for a fleet on several computers, for --network or PTNSBC_NETWORK.",
 )
 
 _SERVER = "fast-discovery-server"
 OutputOption = Annotated[
     Path | None,
-    typer.Option("--output", "-o", metavar="FILE", help="Write it there instead of printing it."),
+    typer.Option("--output", "-o", metavar="FILE", help="Write into this file and not to stdout."),
 ]
 
 
@@ -32,60 +33,66 @@ def peers(
     ] = None,
     hosts_file: Annotated[
         Path | None,
-        typer.Option("--hosts", metavar="FILE", help="A file with one HOST per line, # comments."),
+        typer.Option(
+            "--hosts", metavar="FILE", help="File with one HOST per line; # begins a comment."
+        ),
     ] = None,
     processes: Annotated[
         int,
-        typer.Option("--processes", help="How many to look for on each computer, viewers too."),
+        typer.Option(
+            "--processes", help="Processes to look for on each computer, viewers included."
+        ),
     ] = dds_profiles.PROCESSES,
     output: OutputOption = None,
 ) -> None:
-    """Every computer knows all the others: no server, no multicast. The same file on all of them."""
+    """Write a profile that names every computer: no server, no multicast. All computers use the same file."""
     listed = [] if hosts_file is None else _hosts(hosts_file)
-    _put(dds_profiles.static_peers([*(hosts or ()), *listed], processes), output)
+    _write(dds_profiles.static_peers([*(hosts or ()), *listed], processes), output)
 
 
 @app.command()
 def server(
     addresses: Annotated[
-        list[str], typer.Argument(metavar="ADDRESS[:PORT]...", help="Of each discovery server.")
+        list[str],
+        typer.Argument(metavar="ADDRESS[:PORT]...", help="Address of each discovery server."),
     ],
     everything: Annotated[
         bool,
-        typer.Option("--everything", help="Learn of all topics: for `ros2 topic list`, viewers."),
+        typer.Option(
+            "--everything", help="Discover all topics, for `ros2 topic list` and viewers."
+        ),
     ] = False,
     output: OutputOption = None,
 ) -> None:
-    """Processes find each other through a discovery server: few packets, computers may come and go."""
+    """Write a profile for a discovery server: few packets, and computers may join and leave."""
     servers = [dds_profiles.server(address) for address in addresses]
-    _put(dds_profiles.discovery_client(servers, everything=everything), output)
+    _write(dds_profiles.discovery_client(servers, everything=everything), output)
 
 
 @app.command()
 def serve(
     address: Annotated[
-        str, typer.Argument(metavar="ADDRESS[:PORT]", help="Where to listen: one of this host's.")
+        str,
+        typer.Argument(metavar="ADDRESS[:PORT]", help="Address of this host on which to listen."),
     ],
     number: Annotated[
-        int, typer.Option("--id", min=0, max=255, help="Its place in the list of servers.")
+        int, typer.Option("--id", min=0, max=255, help="Its number in the list of servers.")
     ] = 0,
 ) -> None:
     """Run a Fast DDS discovery server until Ctrl-C."""
     from ptnsbc_nodes.runtime import environment
 
     environment.prepare()
-    place = dds_profiles.server(address)
-    beside = (
-        Path(sys.executable).parent / _SERVER
-    )  # the wheels; with ROS from apt it is on the path
-    program = str(beside) if beside.exists() else shutil.which(_SERVER)
+    at = dds_profiles.server(address)
+    installed = Path(sys.executable).parent / _SERVER  # by the wheels; apt installs it on the path
+    program = str(installed) if installed.exists() else shutil.which(_SERVER)
     if program is None:
         raise dds_profiles.NetworkError(
             f"{_SERVER} is not installed: install the extra [ros] or source ROS 2"
         )
-    # No profile of ours: the server would read it and be a client of itself.
+    # Without our profile, with which the server would be a client of itself.
     settings = {key: value for key, value in os.environ.items() if key not in _CLIENT_SETTINGS}
-    words = [program, "-i", str(number), "-l", place.address, "-p", str(place.port)]
+    words = [program, "-i", str(number), "-l", at.address, "-p", str(at.port)]
     os.execve(program, words, settings)
 
 
@@ -106,16 +113,12 @@ def _hosts(file: Path) -> list[str]:
     return [host for line in lines if (host := line.partition("#")[0].strip())]
 
 
-def _put(profile: str, output: Path | None) -> None:
+def _write(profile: str, output: Path | None) -> None:
     if output is None:
         print(profile)
         return
-    part = output.with_name(f"{output.name}.part")
-    try:
+    from ptnsbc_tools.files import replacing
+
+    with replacing(output) as part:
         part.write_text(f"{profile}\n", encoding="utf-8")
-        part.replace(output)
-    except OSError as error:
-        raise dds_profiles.NetworkError(
-            f"{output}: {error.strerror}: expected a writable place"
-        ) from None
-    print(f"{output}: give it to --network, or set PTNSBC_NETWORK to it", file=sys.stderr)
+    console.say(f"{output}: give it to --network, or set PTNSBC_NETWORK to it")

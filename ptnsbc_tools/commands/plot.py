@@ -1,4 +1,4 @@
-"""`ptnsbc plot BAG`: the figures of a flight, one file each, or one of them under a name."""
+"""`ptnsbc plot`: the figures of a flight as files."""
 
 from __future__ import annotations
 
@@ -11,16 +11,17 @@ from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_tools import console, options
 
 if TYPE_CHECKING:
-    from ptnsbc_tools.plotting.flight import Shown
+    from ptnsbc_tools.plotting.flight import FlightView
 
-ALL = "all"
+_ALL = "all"
 
 
 class PlotError(PtnsbcError):
-    """A wish that cannot be met."""
+    """A figure that does not exist, or has nothing to show."""
 
 
 def plot(
+    context: typer.Context,
     bag: options.BagArgument,
     out: Annotated[
         Path | None,
@@ -37,12 +38,12 @@ def plot(
         typer.Option(
             "--what",
             metavar="NAMES",
-            help="all, or of: errors, inputs, separations, force, force-first, torque, torque-first, "
-            "between, obstacles, estimator, gain, conditioning, missed, latency, age; with commas.",
+            help="all, or some of: errors, inputs, separations, force, force-first, torque, torque-first, "
+            "between, obstacles, estimator, gain, conditioning, missed, latency, age; separated by commas.",
         ),
-    ] = ALL,
+    ] = _ALL,
     form: Annotated[
-        Literal["png", "svg"], typer.Option("--format", help="Of the files in a folder.")
+        Literal["png", "svg"], typer.Option("--format", help="Format of the files in a folder.")
     ] = "png",
     scenario: options.FlownOption = None,
     tolerance: options.ToleranceOption = None,
@@ -53,9 +54,8 @@ def plot(
     json: options.JsonOption = False,
 ) -> None:
     """Draw a recorded flight: errors, inputs, separations, estimator, gain, timing."""
-    from ptnsbc_tools.commands.verify import ReadOptions
-    from ptnsbc_tools.plotting import draw, flight
-    from ptnsbc_tools.reading.foreign import Names
+    from ptnsbc_tools.plotting import draw
+    from ptnsbc_tools.plotting.flight import read_view
 
     keys = _keys(what)
     one = out is not None and out.suffix.lower() in draw.FORMATS
@@ -63,9 +63,8 @@ def plot(
         raise PlotError(
             f"--out {out}: one file for {len(keys)} figures: expected a folder, or --what with one name"
         )
-    choice = ReadOptions(scenario, tolerance, window, epoch, Names(odom=odom, wrench=wrench))
     with console.patience(f"reading {bag}"):
-        shown = flight.read_shown(bag, choice)
+        shown = read_view(bag, options.read_options(context))
     if shown.problem:
         console.err().print(f"warning: no verdict: {shown.problem}", soft_wrap=True)
     folder = out or bag.parent / f"{bag.stem if bag.is_file() else bag.name}-figures"
@@ -78,10 +77,10 @@ def plot(
 
 
 def _keys(what: str) -> list[str]:
-    from ptnsbc_tools.plotting.build import CHARTS
+    from ptnsbc_tools.plotting.charts import CHARTS
 
     groups = {
-        ALL: list(CHARTS),
+        _ALL: list(CHARTS),
         "inputs": ["force", "force-first", "torque", "torque-first"],
         "separations": ["between", "obstacles"],
         **{key: [key] for key in CHARTS},
@@ -93,9 +92,9 @@ def _keys(what: str) -> list[str]:
     return list(dict.fromkeys(key for name in names for key in groups[name]))
 
 
-def _draw(shown: Shown, keys: list[str], out: Path, suffix: str, one: bool) -> list[Path]:
+def _draw(shown: FlightView, keys: list[str], out: Path, suffix: str, one: bool) -> list[Path]:
     from ptnsbc_tools.plotting import draw
-    from ptnsbc_tools.plotting.build import CHARTS
+    from ptnsbc_tools.plotting.charts import CHARTS
 
     written: list[Path] = []
     with console.progress("drawing") as advance:
@@ -106,6 +105,6 @@ def _draw(shown: Shown, keys: list[str], out: Path, suffix: str, one: bool) -> l
                 written.append(draw.save(draw.figure_of(chart, shown.scenario.name), path))
             advance(done, len(keys))
     if not written:
-        reason = shown.problem or "the bag holds nothing of it"
+        reason = shown.problem or "the bag has no data for it"
         raise PlotError(f"nothing to draw for {', '.join(keys)}: {reason}")
     return written

@@ -1,8 +1,7 @@
-"""`ptnsbc record`: a recorder beside a fleet that runs already, or starts later."""
+"""`ptnsbc record`: a recorder for a fleet that runs already, or starts later."""
 
 from __future__ import annotations
 
-import sys
 from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Any
@@ -19,7 +18,7 @@ def record(
     output: Annotated[
         Path | None,
         typer.Option(
-            "--output", "-o", metavar="DIR", help="Folder of the bag; bag-<time> if absent."
+            "--output", "-o", metavar="DIR", help="Folder of the bag. Default: bag-<time>."
         ),
     ] = None,
     topics: Annotated[
@@ -27,46 +26,55 @@ def record(
         typer.Option(
             "--topics",
             metavar="PATTERN",
-            help="Names with * and ?, repeatable; default: a flight's.",
+            help="Names with * and ?, repeatable. Default: all topics of a flight.",
         ),
     ] = None,
     scenario: Annotated[
         str | None,
         typer.Option(
-            "--scenario", metavar="SCENARIO", help="What is flown, to be kept in the bag."
+            "--scenario", metavar="SCENARIO", help="Scenario that is flown, to attach to the bag."
         ),
     ] = None,
     split_size: Annotated[
         float | None,
-        typer.Option("--split-size", metavar="MB", min=1.0, help="Go on in another file then."),
+        typer.Option(
+            "--split-size", metavar="MB", min=1.0, help="Start another file at this size."
+        ),
     ] = None,
     split_duration: Annotated[
         float | None,
-        typer.Option("--split-duration", metavar="S", min=0.1, help="Go on in another file then."),
+        typer.Option(
+            "--split-duration", metavar="S", min=0.1, help="Start another file after so long."
+        ),
     ] = None,
     duration: Annotated[
         float | None,
-        typer.Option("--duration", metavar="S", min=0.1, help="Stop by itself; else at Ctrl-C."),
+        typer.Option(
+            "--duration", metavar="S", min=0.1, help="Stop after so long. Default: at Ctrl-C."
+        ),
     ] = None,
     overwrite: OverwriteOption = False,
     json: JsonOption = False,
 ) -> None:
-    """Record topics of a running fleet, with the quality of service that their publishers offer.
+    """Record topics of a running fleet, with the quality of service of their publishers.
 
     Ctrl-C completes the bag. Topics that appear later are recorded from then on.
     """
-    record_, wishes_type, limits_type, ours = _needed()
+    with ros.required():
+        from ptnsbc_io.bag import SplitLimits
+        from ptnsbc_nodes.recording.topic_recorder import OURS, RecordOptions
+        from ptnsbc_nodes.recording.topic_recorder import record as run
     size = None if split_size is None else round(split_size * _MEGABYTE)
     length = None if split_duration is None else round(split_duration * 1e9)
-    wishes = wishes_type(
+    request = RecordOptions(
         bag=output or Path(f"bag-{datetime.now():%Y%m%d-%H%M%S}"),
-        topics=tuple(topics or ours),
-        limits=limits_type(size, length),
+        topics=tuple(topics or OURS),
+        limits=SplitLimits(size, length),
         overwrite=overwrite,
         duration_s=duration,
         **_of_scenario(scenario),
     )
-    done = record_(wishes, lambda line: print(line, file=sys.stderr, flush=True))
+    done = run(request, console.say)
     if json:
         console.print_json(done)
         return
@@ -75,18 +83,11 @@ def record(
     print(f"{done['messages']} messages, {done['lost']} lost: {done['bag']}")
 
 
-def _needed() -> Any:
-    with ros.needed():
-        from ptnsbc_io.bag import SplitLimits
-        from ptnsbc_nodes.recording.topic_recorder import OURS, RecordOptions, record
-    return record, RecordOptions, SplitLimits, OURS
-
-
 def _of_scenario(name: str | None) -> dict[str, Any]:
     if name is None:
         return {}
     from ptnsbc_sim.scenario import load_scenario
-    from ptnsbc_tools.reading.bag_reader import SCENARIO_ATTACHMENT
+    from ptnsbc_tools.reading.bag_sources import SCENARIO_ATTACHMENT
 
     flown = load_scenario(name)
     return {

@@ -1,25 +1,25 @@
-"""`ptnsbc replay`: re-run a bag through the controllers, or play it back onto its topics."""
+"""`ptnsbc replay`: run a bag through the controllers again, or publish it on its topics."""
 
 from __future__ import annotations
 
 import os
 import time
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ptnsbc_tools import console
-from ptnsbc_tools.options import JsonOption
+from ptnsbc_tools import console, ros
+from ptnsbc_tools.options import BagArgument, JsonOption
 
 if TYPE_CHECKING:
+    from rich.table import Table
+
     from ptnsbc_tools.replay.rerun import Rerun
 
 _MOST_JOBS = 4
-
-BagArgument = Annotated[
-    Path, typer.Argument(metavar="BAG", help="Folder of a bag, or its .mcap file.")
-]
+_INTERRUPTED = 130
 
 
 def replay(
@@ -28,21 +28,27 @@ def replay(
         bool, typer.Option("--rerun", help="Feed the recorded inputs through the controllers.")
     ] = False,
     publish: Annotated[
-        bool, typer.Option("--publish", help="Play the bag back onto its topics, over DDS.")
+        bool, typer.Option("--publish", help="Publish the messages on their topics, over DDS.")
     ] = False,
     scenario: Annotated[
         Path | None,
-        typer.Option("--scenario", metavar="FILE", help="--rerun: instead of the one in the bag."),
+        typer.Option(
+            "--scenario",
+            metavar="FILE",
+            help="--rerun: use this file and not the attached scenario.",
+        ),
     ] = None,
     rate: Annotated[
-        float, typer.Option("--rate", metavar="X", min=0.001, help="--publish: times real time.")
+        float,
+        typer.Option(
+            "--rate", metavar="X", min=0.001, help="--publish: speed in multiples of real time."
+        ),
     ] = 1.0,
     start: Annotated[
-        float, typer.Option("--start", metavar="S", min=0.0, help="--publish: skip so much.")
+        float,
+        typer.Option("--start", metavar="S", min=0.0, help="--publish: skip the first S seconds."),
     ] = 0.0,
-    loop: Annotated[
-        bool, typer.Option("--loop", help="--publish: again and again, until Ctrl-C.")
-    ] = False,
+    loop: Annotated[bool, typer.Option("--loop", help="--publish: repeat until Ctrl-C.")] = False,
     topics: Annotated[
         list[str] | None,
         typer.Option(
@@ -51,14 +57,22 @@ def replay(
     ] = None,
     clock: Annotated[
         float | None,
-        typer.Option("--clock", metavar="HZ", min=0.1, help="--publish: /clock of the bag's time."),
+        typer.Option(
+            "--clock",
+            metavar="HZ",
+            min=0.1,
+            help="--publish: also publish the time of the bag on /clock.",
+        ),
     ] = None,
     wait: Annotated[
-        float, typer.Option("--wait", metavar="S", min=0.0, help="--publish: for readers, at most.")
+        float,
+        typer.Option(
+            "--wait", metavar="S", min=0.0, help="--publish: wait at most so long for subscribers."
+        ),
     ] = 1.0,
     json: JsonOption = False,
 ) -> None:
-    """Run a bag through the controllers again (--rerun), or play it back onto its topics (--publish).
+    """Run a bag through the controllers again (--rerun), or publish it on its topics (--publish).
 
     --rerun compares every output of every UAV with the recording, byte for byte, and names the first
     difference. Exit codes: 0 equal, or played; 1 different or void; 2 refused; 130 interrupted.
@@ -67,40 +81,96 @@ def replay(
         raise typer.BadParameter("expected one of --rerun and --publish")
     if rerun:
         raise typer.Exit(_rerun(bag, scenario, json=json))
-    from ptnsbc_tools.replay import playing
-
     chosen = tuple(topics or ("*",))
-    wishes = playing.PlayArguments(chosen, rate, start, loop, clock, wait)
-    raise typer.Exit(playing.publish(bag, wishes, json=json))
+    raise typer.Exit(
+        _publish(
+            bag,
+            json,
+            topics=chosen,
+            rate=rate,
+            start_s=start,
+            loop=loop,
+            clock_hz=clock,
+            wait_s=wait,
+        )
+    )
+
+
+def _publish(path: Path, json: bool, **play_options: Any) -> int:
+    from ptnsbc_io.bag import read_bag
+
+    bag = read_bag(path)
+    with ros.required():
+        from ptnsbc_nodes.recording import player
+    with console.progress("playing") as advance:
+        played = player.play(bag, player.PlayOptions(**play_options), console.say, advance)
+    if json:
+        console.print_json(vars(played))
+    else:
+        late = f"at most {1e3 * played.latest_s:.1f} ms late"
+        print(f"{played.messages} messages played in {played.rounds} rounds, {late}")
+    return _INTERRUPTED if played.interrupted else 0
 
 
 def _rerun(path: Path, scenario: Path | None, *, json: bool) -> int:
-    from ptnsbc_tools.replay import account
-    from ptnsbc_tools.replay.rerun import EQUAL
+    from ptnsbc_io.bag import read_bag
+    from ptnsbc_tools.reading.bag_sources import McapSource, scenario_of
+    from ptnsbc_tools.replay.rerun import EQUAL, rerun
 
     began = time.monotonic()
-    done = _again(path, scenario)
-    seconds = time.monotonic() - began
-    if json:
-        console.print_json(account.as_json(done, seconds))
-    else:
-        out = console.out()
-        out.print(account.table(done))
-        for line in account.lines(done, seconds):
-            out.print(line, soft_wrap=True, highlight=False)
-    return 0 if done.verdict == EQUAL else 1
-
-
-def _again(path: Path, scenario: Path | None) -> Rerun:
-    from ptnsbc_io.bag import read_bag
-    from ptnsbc_tools.reading.bag_reader import scenario_of
-    from ptnsbc_tools.replay.rerun import rerun
-
     bag = read_bag(path)
-    flown = scenario_of(bag, scenario)
+    flown = scenario_of(McapSource(bag), scenario)
     with console.compiling():
         from ptnsbc_nodes.runtime.warmup import load_agent
 
         load_agent(flown, flown.leader_id)
     jobs = min(os.cpu_count() or 1, _MOST_JOBS)
-    return rerun(bag, flown, lambda: console.progress("re-running"), jobs)
+    done = rerun(bag, flown, lambda: console.progress("re-running"), jobs)
+    seconds = time.monotonic() - began
+    if json:
+        console.print_json(done.as_json(seconds))
+    else:
+        out = console.out()
+        out.print(_table(done))
+        for line in _lines(done, seconds):
+            out.print(line, soft_wrap=True, highlight=False)
+    return 0 if done.verdict == EQUAL else 1
+
+
+def _table(done: Rerun) -> Table:
+    from rich.table import Table
+
+    table = Table(title="re-run")
+    for name in ("UAV", "steps", "compared", "before the first leg", "not re-run", "not recorded"):
+        table.add_column(name, justify="right")
+    table.add_column("result")
+    for uav, one in done.accounts.items():
+        left_out = sum(gap.steps for gap in one.gaps)
+        figures = (one.steps, one.compared, one.waiting, left_out, one.unrecorded)
+        void = one.gaps or one.unrecorded or not one.compared
+        result = "void" if void else "equal"
+        if one.difference is not None:
+            result = f"different from tick {one.difference.tick}"
+        table.add_row(str(uav), *map(str, figures), result)
+    return table
+
+
+def _lines(done: Rerun, seconds: float) -> Iterator[str]:
+    """The sentences below the table, the verdict last."""
+    for uav, one in done.accounts.items():
+        for gap in one.gaps:
+            span = f"t = {gap.first_s:.3f} s to {gap.last_s:.3f} s"
+            yield f"uav{uav}: void from {span}, {gap.steps} steps: {gap.reason}"
+        if one.unrecorded:
+            yield f"uav{uav}: {one.unrecorded} of its outputs are not in the recording"
+        if one.silent:
+            yield f"uav{uav}: nothing of it is recorded for the last {one.silent} steps"
+    steps = sum(one.steps for one in done.accounts.values())
+    speed = f"{done.flown_s:.1f} s of flight in {seconds:.1f} s"
+    if done.first is not None:
+        yield f"different: {done.first}"
+    elif done.verdict == "equal":
+        outputs = sum(one.compared for one in done.accounts.values())
+        yield f"equal: {steps} steps, {outputs} outputs, byte for byte; {speed}"
+    else:
+        yield f"void: what could be re-run is equal ({steps} steps), but not all could; {speed}"

@@ -1,4 +1,4 @@
-"""`ptnsbc report BAG`: one page that shows the flight and its verdict, and the figures as PNG."""
+"""`ptnsbc report`: one page that shows the flight and its verdict, and the figures as PNG."""
 
 from __future__ import annotations
 
@@ -11,11 +11,9 @@ from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_tools import console, options
 
 if TYPE_CHECKING:
-    from ptnsbc_tools.commands.verify import ReadOptions
-    from ptnsbc_tools.plotting.flight import Shown
+    from ptnsbc_tools.plotting.flight import FlightView
 
-PAGE = "index.html"
-NO_VERDICT = 1
+_NO_VERDICT = 1
 
 
 class ReportError(PtnsbcError):
@@ -23,11 +21,15 @@ class ReportError(PtnsbcError):
 
 
 def report(
+    context: typer.Context,
     bag: options.BagArgument,
     out: Annotated[
         Path | None,
         typer.Option(
-            "--out", "-o", metavar="DIR", help="Folder for the page. Default: BAG-report beside it."
+            "--out",
+            "-o",
+            metavar="DIR",
+            help="Folder for the page. Default: BAG-report beside the bag.",
         ),
     ] = None,
     scenario: options.FlownOption = None,
@@ -37,24 +39,23 @@ def report(
     wrench: options.WrenchOption = options.WRENCH,
     epoch: options.EpochOption = None,
     pictures: Annotated[
-        bool, typer.Option("--pictures/--no-pictures", help="Figures as PNG beside the page.")
+        bool,
+        typer.Option("--pictures/--no-pictures", help="Write the figures as PNG beside the page."),
     ] = True,
     json: options.JsonOption = False,
 ) -> None:
     """Show a recorded flight: one page that works offline, with playback and figures.
 
-    Exit code 0 when the page shows a verdict, whatever it is; 1 when the flight cannot be judged: the
-    page then says why, and shows what there is; 2 when the bag cannot be read: nothing is written.
+    Exit code 0: the page shows a verdict, whatever it is. 1: the flight cannot be judged; the page
+    says why and shows what is recorded. 2: the bag cannot be read; nothing is written.
     """
     if not bag.exists():
         raise ReportError(f"{bag}: no such bag")
-    from ptnsbc_tools.commands.verify import ReadOptions
-    from ptnsbc_tools.reading.foreign import Names
+    from ptnsbc_tools.plotting.flight import read_view
 
-    names = Names(odom=odom, wrench=wrench)
-    choice = ReadOptions(scenario, tolerance, window, epoch, names)
     folder = out or bag.parent / f"{bag.stem if bag.is_file() else bag.name}-report"
-    shown = _read(bag, choice)
+    with console.patience(f"reading {bag}"):
+        shown = read_view(bag, options.read_options(context))
     path = _write_page(bag, folder, shown)
     drawn = _draw(shown, folder) if pictures and shown.uavs else []
     if json:
@@ -70,41 +71,28 @@ def report(
         print(path)
     if shown.problem:
         console.err().print(f"warning: no verdict: {shown.problem}", soft_wrap=True)
-        raise typer.Exit(NO_VERDICT)
+        raise typer.Exit(_NO_VERDICT)
 
 
-def _read(bag: Path, choice: ReadOptions) -> Shown:
-    from ptnsbc_tools.plotting import flight
-
-    with console.patience(f"reading {bag}"):
-        return flight.read_shown(bag, choice)
-
-
-def _about(bag: Path) -> dict[str, str]:
+def _write_page(bag: Path, folder: Path, shown: FlightView) -> Path:
     from ptnsbc_io.bag import BagError, read_bag
-
-    try:
-        return dict(read_bag(bag).metadata)
-    except BagError:  # of others, sqlite3: says nothing about itself
-        return {}
-
-
-def _write_page(bag: Path, folder: Path, shown: Shown) -> Path:
+    from ptnsbc_tools.files import replacing
     from ptnsbc_tools.report.page import page
 
-    text = page(shown, _about(bag))
-    path, beside = folder / PAGE, folder / f".{PAGE}.part"
     try:
+        metadata = dict(read_bag(bag).metadata)
+    except BagError:  # sqlite3 of other systems, which has no metadata
+        metadata = {}
+    path, text = folder / "index.html", page(shown, metadata)
+    with replacing(path) as part:
         folder.mkdir(parents=True, exist_ok=True)
-        beside.write_text(text, encoding="utf-8")
-        return beside.replace(path)
-    except OSError as error:
-        raise ReportError(f"{path}: cannot be written: {error.strerror}") from error
+        part.write_text(text, encoding="utf-8")
+    return path
 
 
-def _draw(shown: Shown, folder: Path) -> list[Path]:
+def _draw(shown: FlightView, folder: Path) -> list[Path]:
     from ptnsbc_tools.plotting import draw
-    from ptnsbc_tools.plotting.build import CHARTS
+    from ptnsbc_tools.plotting.charts import CHARTS
 
     drawn: list[Path] = []
     with console.progress("drawing") as advance:

@@ -2,33 +2,47 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+import typer
 
-from ptnsbc_sim.scenario import Scenario, scenario_from_text
-from ptnsbc_tools import console, result
-from ptnsbc_tools.verdict import Verdict, verdict_on
+from ptnsbc_tools import console, options
+from ptnsbc_tools.commands.check import preflight
 
 
-def simulate(scenario: Scenario, bag: Path | None, *, overwrite: bool, json: bool) -> Verdict:
-    """Fly headless, record when asked, print the verdict."""
-    # Compiling kernels takes seconds: not before the scenario is known to be worth it.
-    from ptnsbc_tools.reading.flight_bag import prepare_bag, write_flight
-    from ptnsbc_tools.reading.flight_recording import recording_of
+def simulate(
+    context: typer.Context,
+    scenario: options.ScenarioArgument,
+    plant: options.PlantOption = None,
+    task: options.TaskOption = None,
+    profile: options.ProfileOption = None,
+    avoidance: options.AvoidanceOption = None,
+    seed: options.SeedOption = None,
+    duration: options.DurationOption = None,
+    settings: options.SetOption = None,
+    bag: options.BagOption = None,
+    overwrite: options.OverwriteOption = False,
+    json: options.JsonOption = False,
+) -> None:
+    """Fly a scenario in this process, without ROS, as fast as possible; ends with the verdict."""
+    from ptnsbc_sim.scenario import scenario_from_text
+    from ptnsbc_tools.reading.headless import prepare_bag, recording_of, write_flight
+    from ptnsbc_tools.tables import show_verdict
+    from ptnsbc_tools.verdict import verdict_on
 
-    result.preflight(scenario, quiet=json)
+    chosen = options.chosen(context)
+    preflight(chosen, quiet=json)
     if bag is not None:
         prepare_bag(bag, overwrite=overwrite)
 
-    from ptnsbc_sim.swarm import fly
+    from ptnsbc_sim.swarm import fly  # compiles for seconds: only after all checks
 
-    one_tick = {"timing.duration_s": 1 / scenario.control_hz}
-    with console.compiling():  # or the flight would seem to stand still for a minute
-        fly(scenario_from_text(scenario.text, one_tick, source=scenario.source))
+    one_tick = {"timing.duration_s": 1 / chosen.control_hz}
+    with console.compiling():  # the flight's own progress would stand still for a minute
+        fly(scenario_from_text(chosen.text, one_tick, source=chosen.source))
     with console.progress("flying") as advance:
-        flight = fly(scenario, advance)
+        flight = fly(chosen, advance)
     if bag is not None:
         with console.progress("recording") as advance:
             bag = write_flight(flight, bag, overwrite=overwrite, progress=advance)
     verdict = verdict_on(recording_of(flight))
-    result.show(verdict, json=json, extra={"bag": bag})
-    return verdict
+    show_verdict(verdict, json=json, bag=bag)
+    raise typer.Exit(verdict.exit_code)

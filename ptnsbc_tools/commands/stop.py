@@ -1,14 +1,14 @@
-"""Land a flying fleet, from any terminal."""
+"""`ptnsbc stop`: land a flying fleet, from any terminal."""
 
 from __future__ import annotations
 
 import os
-import sys
 from typing import Annotated
 
 import typer
 
 from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_tools import console
 
 _SERVICE_S = 3.0
 _BRIDGES_S = 3.0
@@ -16,12 +16,12 @@ _HIGHEST_DOMAIN = 232
 
 
 class StopError(PtnsbcError):
-    """Nobody was there to stop."""
+    """No process of a fleet answered."""
 
 
 def stop(
     kill: Annotated[
-        bool, typer.Option("--kill", help="Stop all motors at once: what is in the air falls.")
+        bool, typer.Option("--kill", help="Stop all motors at once; vehicles in the air fall.")
     ] = False,
     domain: Annotated[
         int | None,
@@ -29,11 +29,11 @@ def stop(
             "--domain",
             min=0,
             max=_HIGHEST_DOMAIN,
-            help="ROS domain, as the fleet printed it; ROS_DOMAIN_ID.",
+            help="ROS domain that the fleet printed. Default: ROS_DOMAIN_ID.",
         ),
     ] = None,
 ) -> None:
-    """Land every vehicle of a flying fleet: by its leader, and every bridge by itself besides."""
+    """Land every vehicle of a flying fleet, through its leader and through every bridge directly."""
     from ptnsbc_nodes.runtime import environment
 
     environment.prepare()
@@ -41,7 +41,7 @@ def stop(
 
     number = int(os.environ.get("ROS_DOMAIN_ID", "0")) if domain is None else domain
     with Coordinator(number) as coordinator:
-        # Bridges first and directly: an emergency stop must not wait for a leader that hangs.
+        # Bridges first: an emergency stop must not wait for a leader that hangs.
         bridges = coordinator.emergency("kill" if kill else "land", _BRIDGES_S)
         refusal = coordinator.call("stop", _SERVICE_S)
     if refusal is not None and not bridges:
@@ -50,4 +50,4 @@ def stop(
         )
     done = "motors stop" if kill else "landing"
     told = "bridges and leader" if bridges and not refusal else "bridges" if bridges else "leader"
-    print(f"{done}: {told} told", file=sys.stderr)
+    console.say(f"{done}: {told} told")

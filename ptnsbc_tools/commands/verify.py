@@ -2,39 +2,47 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Annotated
 
-from ptnsbc_tools import result
-from ptnsbc_tools.reading.bag_reader import OURS, read_recording
-from ptnsbc_tools.reading.foreign import Names
-from ptnsbc_tools.verdict import Recording, Verdict, verdict_on
+import typer
 
-
-@dataclass(frozen=True)
-class ReadOptions:
-    """What is judged, and how."""
-
-    scenario: Path | None = None
-    tolerance: float | None = None  # by default the scenario's
-    window_s: float | None = None
-    epoch_s: float | None = None
-    names: Names = OURS
-
-    def read(self, bag: Path) -> Recording:
-        """What is judged of a bag."""
-        recording = read_recording(bag, self.scenario, self.names, self.epoch_s)
-        return replace(recording, window_s=self.window_s)
+from ptnsbc_tools import options
 
 
-def verify(bag: Path, choice: ReadOptions, *, picture: Path | None, json: bool) -> Verdict:
-    """Read a bag, judge it, print the verdict."""
-    recording = choice.read(bag)
-    verdict = verdict_on(recording, choice.tolerance)
+def verify(
+    context: typer.Context,
+    bag: options.BagArgument,
+    scenario: options.FlownOption = None,
+    tolerance: options.ToleranceOption = None,
+    window: options.WindowOption = None,
+    odom: options.OdomOption = options.ODOM,
+    wrench: options.WrenchOption = options.WRENCH,
+    epoch: options.EpochOption = None,
+    picture: Annotated[
+        Path | None,
+        typer.Option("--picture", metavar="PNG", help="Draw the flight into this file."),
+    ] = None,
+    json: options.JsonOption = False,
+) -> None:
+    """Judge a recorded flight: deadline met, missed or void, input, energy and separations.
+
+    An error counts from the epoch on, outside encounters. An encounter is a span in which the UAV, or
+    one that it follows, avoids something, and a recovery time of 1 s + 3/kappa after it. The settling
+    time is the last exit from the band: 2 % of the start error or the tolerance, whichever is larger.
+    Only encounters that begin after the deadline excuse an exit. Each formation leg is judged. Bags of
+    other systems (MCAP, sqlite3) need --scenario and the names of their topics.
+    """
+    from ptnsbc_tools.reading.bag_reader import read_recording
+    from ptnsbc_tools.tables import show_verdict
+    from ptnsbc_tools.verdict import verdict_on
+
+    recording = read_recording(bag, options.read_options(context))
+    verdict = verdict_on(recording, tolerance)
     drawn = None
     if picture is not None:
-        from ptnsbc_tools.plotting.picture import draw
+        from ptnsbc_tools.plotting.draw import draw_flight
 
-        drawn = draw(recording, picture, choice.tolerance)
-    result.show(verdict, json=json, extra={"picture": drawn})
-    return verdict
+        drawn = draw_flight(recording, picture, tolerance)
+    show_verdict(verdict, json=json, picture=drawn)
+    raise typer.Exit(verdict.exit_code)

@@ -1,11 +1,33 @@
-"""A figure over time as plain data, for Matplotlib and for the page alike."""
+"""A figure over time as plain data, for Matplotlib and for the report page, with the look of its curves."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from ptnsbc_core.types import Array
-from ptnsbc_tools.plotting.style import Look
+
+# The palette of Okabe and Ito, for all common kinds of colour blindness. On a dark page black and the darkest
+# blue would be invisible.
+COLOURS = ("#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#000000", "#F0E442")
+DARK_COLOURS = (
+    "#4DA6E0", "#E69F00", "#2BBF95", "#F07B2E", "#DD93BB", "#8CD0F5", "#E8E8E8", "#F0E442"
+)  # fmt: skip
+DASHES = ("-", "--", "-.", ":")
+OBSTACLE = "#7F7F7F"
+GOOD = "#009E73"
+
+
+class Look(NamedTuple):
+    """How one curve is drawn."""
+
+    colour: int  # index into COLOURS
+    dash: int  # index into DASHES
+
+
+def look(index: int) -> Look:
+    """Colour and dash of UAV number `index`; dashes distinguish UAVs of the same colour."""
+    return Look(index % len(COLOURS), (index // len(COLOURS)) % len(DASHES))
 
 
 @dataclass(frozen=True)
@@ -16,12 +38,12 @@ class Curve:
     look: Look
     t: Array  # (T,) [s] after the epoch
     values: Array  # (T,)
-    uavs: tuple[int, ...]  # whom it is about: switched off with any of them
+    uavs: tuple[int, ...]  # UAVs that it shows; hidden with any of them
 
 
 @dataclass(frozen=True)
 class Limit:
-    """A horizontal line that something must stay below or above."""
+    """A horizontal line: an upper or lower limit."""
 
     value: float
     label: str
@@ -45,21 +67,21 @@ class Span:
 
 @dataclass(frozen=True)
 class Chart:
-    """Everything in one set of axes."""
+    """The content of one set of axes."""
 
-    key: str  # its name on the command line, and of its file
+    key: str  # name on the command line and of its file
     title: str
     unit: str
     curves: tuple[Curve, ...]
     log: bool = False
     limits: tuple[Limit, ...] = ()
     marks: tuple[Mark, ...] = ()
-    band: tuple[float, float] | None = None  # of values that are good
-    spans: tuple[Span, ...] = ()  # of time in which the error is excused for somebody
+    band: tuple[float, float] | None = None  # good values
+    spans: tuple[Span, ...] = ()  # times in which the error of some UAV is excused
     note: str = ""
 
     @property
     def quantity(self) -> str:
-        """What the vertical axis shows."""
+        """The label of the vertical axis."""
         name = self.title.split(":")[-1].split(",")[0].strip()
         return name[:1].lower() + name[1:]

@@ -1,40 +1,60 @@
-"""Figures as PNG or SVG, the same bytes for the same flight."""
+"""Figures as PNG or SVG by Matplotlib: the same flight gives the same bytes."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ptnsbc_core.errors import PtnsbcError
-from ptnsbc_tools.plotting import style
-from ptnsbc_tools.plotting.chart import Chart
+from ptnsbc_core.types import Array
+from ptnsbc_tools.files import replacing
+from ptnsbc_tools.plotting.chart import COLOURS, DASHES, GOOD, OBSTACLE, Chart, Look, look
+from ptnsbc_tools.plotting.charts import errors
+from ptnsbc_tools.plotting.flight import FlightView
 from ptnsbc_tools.plotting.thin import thin
+from ptnsbc_tools.reading.diagnostics import StatusSeries
+from ptnsbc_tools.verdict.recording import Recording, tolerance_of
 
 FORMATS = (".png", ".svg")
-_POINTS = 6000  # more than the page has pixels, and small enough for an SVG
+_SIZE_IN = (9.0, 4.2)
+_DPI = 110
+_CURVE_POINTS = 6000  # more than the page has pixels, and small enough for an SVG
+_PATH_POINTS = 4000
 _MOST_IN_LEGEND = 12
 _PAPER = {"boxstyle": "square,pad=0.1", "facecolor": "white", "edgecolor": "none", "alpha": 0.8}
 
 
 class FigureError(PtnsbcError):
-    """A figure that cannot be drawn or written."""
+    """A figure that cannot be drawn."""
 
 
-def fill(axes: Any, chart: Chart) -> None:
-    """Draw a chart into axes of its own."""
+def _style(of: Look) -> dict[str, Any]:
+    return {"color": COLOURS[of.colour], "linestyle": DASHES[of.dash]}
+
+
+def _figure(size_in: tuple[float, float]) -> Any:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=size_in, layout="constrained")
+    FigureCanvasAgg(figure)  # pyplot would look for a screen
+    return figure
+
+
+def _draw_chart(axes: Any, chart: Chart) -> None:
     if chart.log:
         axes.set_yscale("log")
     for span in chart.spans:
-        axes.axvspan(span.begin, span.end, color=style.OBSTACLE, alpha=0.12, linewidth=0)
+        axes.axvspan(span.begin, span.end, color=OBSTACLE, alpha=0.12, linewidth=0)
     if chart.band is not None:
-        axes.axhspan(*chart.band, color=style.GOOD, alpha=0.10, linewidth=0)
+        axes.axhspan(*chart.band, color=GOOD, alpha=0.10, linewidth=0)
     for curve in chart.curves:
-        look = {
-            "color": style.COLOURS[curve.look.colour],
-            "linestyle": style.DASHES[curve.look.dash],
-        }
-        points = thin(curve.t, curve.values, _POINTS)
-        axes.plot(points.t, points.values, label=curve.label, linewidth=1.2, **look)
+        points = thin(curve.t, curve.values, _CURVE_POINTS)
+        axes.plot(points.t, points.values, label=curve.label, linewidth=1.2, **_style(curve.look))
     for limit in chart.limits:
         axes.axhline(limit.value, color="black", linewidth=0.9, linestyle=":")
         axes.annotate(limit.label, (1.0, limit.value), xycoords=("axes fraction", "data"),
@@ -56,31 +76,94 @@ def fill(axes: Any, chart: Chart) -> None:
 
 def figure_of(chart: Chart, heading: str) -> Any:
     """A Matplotlib figure of one chart."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(style.WIDTH_IN, style.HEIGHT_IN), layout="constrained")
-    FigureCanvasAgg(figure)  # no pyplot: it would look for a screen
+    figure = _figure(_SIZE_IN)
     axes = figure.add_subplot()
-    fill(axes, chart)
+    _draw_chart(axes, chart)
     axes.set_title(f"{heading}: {chart.title}", fontsize=10)
     return figure
 
 
 def save(figure: Any, path: Path) -> Path:
-    """Write a figure; the suffix says whether PNG or SVG."""
+    """Write a figure; the suffix says whether as PNG or as SVG."""
     import matplotlib
 
     kind = path.suffix.lower()
     if kind not in FORMATS:
         raise FigureError(f"{path}: suffix {kind or 'missing'}: expected {' or '.join(FORMATS)}")
-    beside = path.with_name(f".{path.name}.part")
-    # Without these an SVG carries the date and names of chance.
+    # Without these an SVG contains the date and random names.
     metadata = {"Date": None} if kind == ".svg" else {"Software": None}
-    try:
+    with replacing(path) as part:
         path.parent.mkdir(parents=True, exist_ok=True)
         with matplotlib.rc_context({"svg.hashsalt": "ptnsbc"}):
-            figure.savefig(beside, dpi=style.DPI, format=kind[1:], metadata=metadata)
-        return beside.replace(path)
-    except OSError as error:
-        raise FigureError(f"{path}: cannot be written: {error.strerror}") from error
+            figure.savefig(part, dpi=_DPI, format=kind[1:], metadata=metadata)
+    return path
+
+
+def _from_above(axes: Any, recording: Recording, positions: dict[int, Array]) -> None:
+    from matplotlib.patches import Circle
+
+    for index, (uav, path) in enumerate(positions.items()):
+        style = _style(look(index))
+        leader = " (leader)" if uav == recording.scenario.leader_id else ""
+        axes.plot(path[:, 0], path[:, 1], label=f"UAV {uav}{leader}", linewidth=1.3, **style)
+        axes.plot(*path[0, :2], marker="o", color=style["color"], markersize=4)
+        axes.plot(*path[-1, :2], marker="s", color=style["color"], markersize=5)
+    for obstacle in recording.scenario.obstacles:
+        centre = tuple(obstacle.position[:2])
+        axes.add_patch(Circle(centre, obstacle.keep_out_m, color=OBSTACLE, alpha=0.35))
+        axes.annotate(obstacle.name, centre, ha="center", va="center", fontsize=8)
+    axes.set(xlabel="x (east) [m]", ylabel="y (north) [m]", aspect="equal")
+    axes.set_title("From above; ○ start, □ end, grey: keep-out", fontsize=9)
+    axes.grid(alpha=0.3)
+    axes.legend(fontsize=7, loc="upper right")
+
+
+def _in_space(axes: Any, recording: Recording, positions: dict[int, Array]) -> None:
+    for index, path in enumerate(positions.values()):
+        axes.plot(path[:, 0], path[:, 1], path[:, 2], linewidth=1.3, **_style(look(index)))
+    turn, rise = np.meshgrid(np.linspace(0, 2 * np.pi, 25), np.linspace(0, np.pi, 13))
+    ball = np.stack([np.cos(turn) * np.sin(rise), np.sin(turn) * np.sin(rise), np.cos(rise)])
+    for obstacle in recording.scenario.obstacles:
+        x, y, z = obstacle.position[:, None, None] + obstacle.keep_out_m * ball
+        axes.plot_surface(x, y, z, color=OBSTACLE, alpha=0.3, linewidth=0)
+    axes.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]")
+    limits = axes.get_xlim3d(), axes.get_ylim3d(), axes.get_zlim3d()
+    axes.set_box_aspect([np.ptp(pair) for pair in limits])
+    axes.set_title("In space", fontsize=9)
+
+
+def _paths(legs: Sequence[Recording]) -> dict[int, Array]:
+    """Positions (T, 3) [m] of every UAV through all legs, thinned."""
+    every = max(sum(leg.samples for leg in legs) // _PATH_POINTS, 1)
+    parts = [leg.positions(grid[::every]) for leg in legs for grid in leg.grids()]
+    return {uav: np.concatenate([part[uav] for part in parts]) for uav in parts[0]}
+
+
+def draw_flight(recording: Recording, path: Path, tolerance: float | None = None) -> Path:
+    """Draw a recording that has a verdict: from above, in space, and its formation error.
+
+    Args:
+        recording: the flight, with all its legs.
+        path: PNG to write.
+        tolerance: [m], by default that of the scenario.
+    """
+    forms = range(len(recording.forms))
+    legs = [leg for number in forms if (leg := replace(recording, leg=number)).samples > 1]
+    positions = _paths(legs)
+    figure = _figure((12, 9))
+    panels = figure.add_gridspec(2, 2, height_ratios=(3, 2))
+    _from_above(figure.add_subplot(panels[0, 0]), recording, positions)
+    _in_space(figure.add_subplot(panels[0, 1], projection="3d"), recording, positions)
+    limit_m = tolerance_of(recording, tolerance)
+    chart = errors(FlightView(recording, StatusSeries(), limit_m, None, ""))
+    if chart is not None:
+        _draw_chart(figure.add_subplot(panels[1, :]), chart)
+    scenario = recording.scenario
+    figure.suptitle(
+        f"{scenario.name}: {scenario.plant_kind}, task {scenario.file.formation.task}, "
+        f"profile {scenario.gains.profile}, avoidance {scenario.file.formation.avoidance}"
+    )
+    with replacing(path) as part:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        figure.savefig(part, dpi=_DPI, format="png")
+    return path

@@ -1,4 +1,4 @@
-"""A recording with all that figures need beside it, or the reason why it cannot be judged."""
+"""A recording with the data that figures need, and its verdict or the reason why there is none."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from numpy.typing import NDArray
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import Scenario
-from ptnsbc_tools.commands.verify import ReadOptions
-from ptnsbc_tools.plotting.status import StatusSeries, read_status
+from ptnsbc_tools.reading.bag_reader import ReadOptions, read_recording
+from ptnsbc_tools.reading.diagnostics import StatusSeries, read_status
 from ptnsbc_tools.verdict import Recording, Track, Verdict, verdict_on
+from ptnsbc_tools.verdict.encounters import Window, avoidance_windows, merged
 from ptnsbc_tools.verdict.recording import NANO, tolerance_of
-from ptnsbc_tools.verdict.windows import Window, joined, rises
 
 _BEFORE_S = 2.0  # shown of the time before the epoch
 
 
 @dataclass(frozen=True)
-class Shown:
+class FlightView:
     """What of a flight is shown."""
 
     recording: Recording
@@ -33,21 +33,16 @@ class Shown:
 
     @property
     def scenario(self) -> Scenario:
-        """As it was flown."""
+        """The scenario as it was flown."""
         return self.recording.scenario
 
     @property
     def uavs(self) -> tuple[int, ...]:
-        """Those whose odometry was recorded."""
+        """UAVs whose odometry is recorded."""
         return tuple(uav for uav in self.scenario.uav_ids if uav in self.recording.odometry)
 
-    @property
-    def has_leader(self) -> bool:
-        """Whether formation errors can be measured."""
-        return self.scenario.leader_id in self.recording.odometry
-
-    def _shown(self) -> tuple[Track, int, int]:
-        """Whose stamps are the instants shown, and which of them."""
+    def _instants(self) -> tuple[Track, int, int]:
+        """The track whose stamps are the instants shown, and which of its samples they are."""
         tracks = [self.recording.odometry[uav] for uav in self.uavs]
         last = min(track.last_ns for track in tracks)
         first = max(
@@ -59,19 +54,19 @@ class Shown:
 
     @property
     def samples(self) -> int:
-        """How many instants are shown."""
-        _, begin, end = self._shown()
+        """Number of instants shown."""
+        _, begin, end = self._instants()
         return end - begin
 
     @property
     def window_ns(self) -> Window:
-        """First and last instant shown: from just before the epoch as long as every UAV is there, or any is."""
-        track, begin, end = self._shown()
+        """First and last instant shown: from just before the epoch as long as every UAV is recorded."""
+        track, begin, end = self._instants()
         return track.rows(begin, begin + 1).first_ns, track.rows(end - 1, end).last_ns
 
     def grids(self) -> Iterator[NDArray[np.int64]]:
         """Instants shown, block by block."""
-        track, begin, end = self._shown()
+        track, begin, end = self._instants()
         for block in track.blocks(begin, end):
             yield block.t_ns
 
@@ -85,25 +80,27 @@ class Shown:
         return begin, end
 
     def avoiding(self, uav: int) -> list[Window]:
-        """Spans in which a UAV kept clear of something."""
+        """Spans in which a UAV was avoiding something."""
         counters = self.recording.counters.get(uav)
-        return joined(rises(counters)) if counters is not None else []
+        return [] if counters is None else merged(avoidance_windows(counters))
 
 
-def shown(recording: Recording, status: StatusSeries, tolerance_m: float | None = None) -> Shown:
-    """Judge a recording, or say why not; the tolerance is the scenario's by default."""
+def view_of(
+    recording: Recording, status: StatusSeries, tolerance_m: float | None = None
+) -> FlightView:
+    """Judge a recording, or say why that fails; the tolerance is that of the scenario by default."""
     limit_m = tolerance_of(recording, tolerance_m)
     try:
         verdict, problem = verdict_on(recording, limit_m), ""
     except PtnsbcError as error:
         verdict, problem = None, str(error)
-    return Shown(recording, status, limit_m, verdict, problem)
+    return FlightView(recording, status, limit_m, verdict, problem)
 
 
-def read_shown(bag: Path, choice: ReadOptions) -> Shown:
+def read_view(bag: Path, options: ReadOptions) -> FlightView:
     """Read a bag and judge it.
 
     Raises:
-        PtnsbcError: No bag, cut, damaged, or without a scenario.
+        PtnsbcError: no bag, cut, damaged, or without a scenario.
     """
-    return shown(choice.read(bag), read_status(bag), choice.tolerance)
+    return view_of(read_recording(bag, options), read_status(bag), options.tolerance)

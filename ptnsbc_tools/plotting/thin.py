@@ -1,7 +1,9 @@
-"""Fewer points for the same curve: what stands out stays."""
+"""Fewer points for the same curve: every peak keeps its height and its time."""
 
 from __future__ import annotations
 
+from collections import defaultdict
+from collections.abc import Hashable
 from itertools import pairwise
 from typing import Generic, NamedTuple, TypeVar
 
@@ -10,10 +12,9 @@ from numpy.typing import NDArray
 
 from ptnsbc_core.types import Array
 
-KEPT = 20_000
-"""Points of a curve that are held in memory, more than any figure has."""
+_IN_MEMORY = 20_000  # points of a curve; no figure shows more
 
-Key = TypeVar("Key")
+Key = TypeVar("Key", bound=Hashable)
 
 
 class Points(NamedTuple):
@@ -24,26 +25,25 @@ class Points(NamedTuple):
 
 
 class Thinner:
-    """A curve that arrives block by block, at most `points` of it: the extremes of each of many spans.
+    """Reduces a curve that arrives block by block to the extremes of each of many spans.
 
-    Every peak keeps its height and its time. A span with a value that is none keeps that one too, so
-    that a gap stays a gap.
+    A span that has NaN or infinity in it keeps the first of these too, so that a gap stays a gap.
 
     Args:
-        total: Samples that will come.
-        points: At least 8.
+        total: samples that will arrive.
+        points: largest number of points that are kept, at least 8.
     """
 
-    def __init__(self, total: int, points: int = KEPT) -> None:
+    def __init__(self, total: int, points: int = _IN_MEMORY) -> None:
         self._short = total <= points
         self._edges = np.linspace(0, total, max((points - 2) // 3, 2) + 1).astype(np.int64)
         self._total = total
-        self._taken = 0  # samples that belong to complete spans
-        self._open = Points(np.empty(0), np.empty(0))  # of the span that is not complete
+        self._taken = 0  # samples of complete spans
+        self._open = Points(np.empty(0), np.empty(0))  # samples of the incomplete span
         self._parts: list[Points] = []
 
     def add(self, t: Array, values: Array) -> None:
-        """Take samples (T,) [s] and (T,), ascending."""
+        """Take the next samples (T,) [s] and (T,), ascending."""
         if self._short:
             self._parts.append(Points(t, values))
             return
@@ -53,7 +53,7 @@ class Thinner:
         done = int(self._edges[last]) - self._taken
         if done:
             kept = _extremes(held.values, self._edges[first : last + 1] - self._taken)
-            # The ends of the curve stay too.
+            # Both ends of the curve are kept too.
             kept |= {0} if self._taken == 0 else set()
             kept |= {done - 1} if seen == self._total else set()
             chosen = np.array(sorted(kept), dtype=np.int64)
@@ -62,30 +62,23 @@ class Thinner:
         self._taken += done
 
     def points(self) -> Points:
-        """What is kept."""
+        """The points that are kept."""
         t, values = zip(*self._parts, strict=True)
         return Points(np.concatenate(t), np.concatenate(values))
 
 
 class ThinnedCurves(Generic[Key]):
-    """Thinned curves by key.
-
-    Args:
-        total: Samples that will come of each.
-    """
+    """Thinned curves by key; `total` samples will arrive of each."""
 
     def __init__(self, total: int) -> None:
-        self._total = total
-        self._curves: dict[Key, Thinner] = {}
+        self._curves: dict[Key, Thinner] = defaultdict(lambda: Thinner(total))
 
     def add(self, key: Key, t: Array, values: Array) -> None:
-        """Take samples (T,) [s] and (T,) of one curve."""
-        if key not in self._curves:
-            self._curves[key] = Thinner(self._total)
+        """Take the next samples (T,) [s] and (T,) of one curve."""
         self._curves[key].add(t, values)
 
     def points(self) -> dict[Key, Points]:
-        """What is kept of each, in the order in which they came."""
+        """The points that are kept of each curve, in the order of their first samples."""
         return {key: curve.points() for key, curve in self._curves.items()}
 
 
@@ -99,7 +92,7 @@ def thin(t: Array, values: Array, points: int) -> Points:
 
 
 def _extremes(values: Array, edges: NDArray[np.int64]) -> set[int]:
-    """Numbers of the smallest and the largest value of each span, and of the first that is none."""
+    """Indices of the smallest, the largest and the first non-finite value of each span."""
     kept = set()
     for begin, end in pairwise(edges.tolist()):
         part = values[begin:end]

@@ -1,13 +1,35 @@
-"""diagnostic_msgs/DiagnosticArray to plain text pairs, without ROS: bags are read anywhere."""
+"""/diagnostics of a bag: its messages decoded without ROS, and the counters and values in them over time."""
 
 from __future__ import annotations
 
+import math
+import re
 import struct
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
+
+from ptnsbc_io.wire import WireError, decode_integers
 from ptnsbc_io.wire.cdr import align, byte_order, read_stamp, require, skip_string, string_at
+from ptnsbc_nodes.comm import topics
+from ptnsbc_nodes.uav.step_log import TickNote, tick_note
+from ptnsbc_tools.reading.bag_sources import open_source
+from ptnsbc_tools.reading.disk_track import SampleFile, TrackWriters
+from ptnsbc_tools.verdict import Track
+from ptnsbc_tools.verdict.recording import COUNTERS
 
 _WHAT = "diagnostic_msgs/DiagnosticArray"
+_PLANNER = re.compile(r"uav(\d+): planner")
+_LINK = re.compile(r"bridge(\d+): link")
+_SIM = "sim: world"
+_LATENCY = re.compile(r"latency_(\w+)_ms")
+_TICK = re.compile(r"/uav(\d+)/tick")
+_SENSORS = ("own", "near")  # the messages of a step that no neighbour sent
+_PLANNER_KEYS = ("gain", "sigma_min", "missed_ticks")
+_SIM_KEYS = ("latency_p50_ms", "latency_p99_ms", "latency_max_ms", "missed_ticks")
 
 
 class DiagnosticStatus(NamedTuple):
@@ -27,12 +49,15 @@ class Diagnostics(NamedTuple):
 
 
 class _Cursor:
-    """Where in the buffer the next field is."""
+    """Reads the fields of a message one after the other."""
 
     def __init__(self, data: bytes) -> None:
         self._data = data
         self._order = byte_order(data, _WHAT)
         self._at = 12  # after the encapsulation header and the stamp
+
+    def stamp(self) -> int:
+        return read_stamp(self._data, self._order, 4, _WHAT)
 
     def count(self) -> int:
         self._at = align(self._at, 4)
@@ -52,9 +77,6 @@ class _Cursor:
         self._at += 1
         return self._data[self._at - 1]
 
-    def stamp(self) -> int:
-        return read_stamp(self._data, self._order, 4, _WHAT)
-
 
 def _status(cursor: _Cursor) -> DiagnosticStatus:
     level = cursor.octet()
@@ -73,3 +95,110 @@ def decode_diagnostics(data: bytes) -> Diagnostics:
     stamp_ns = cursor.stamp()
     cursor.text()  # frame_id
     return Diagnostics(stamp_ns, tuple(_status(cursor) for _ in range(cursor.count())))
+
+
+def _number(values: Mapping[str, str], key: str, default: float) -> float:
+    try:
+        return float(values[key])
+    except (KeyError, ValueError):
+        return default
+
+
+class DiagnosticCounters:
+    """The counters of UAVs and bridges, and the newest latency figures of the sim, for the verdict."""
+
+    def __init__(self, file: SampleFile) -> None:
+        self.latency: dict[str, float] = {}
+        self._counters = TrackWriters[int](file)
+        self._sent = TrackWriters[int](file)
+
+    def add(self, array: Diagnostics) -> None:
+        """Take an array of diagnostics."""
+        for status in array.statuses:
+            if planner := _PLANNER.fullmatch(status.name):
+                if array.stamp_ns >= 0:
+                    values = np.array([_number(status.values, key, 0.0) for key in COUNTERS])
+                    self._counters.add(int(planner[1]), array.stamp_ns, values)
+            elif link := _LINK.fullmatch(status.name):
+                stamp, _, count = status.values.get("states_sent", "").partition(" ")
+                if stamp.isdecimal() and count.isdecimal() and int(count):
+                    self._sent.add(int(link[1]), int(stamp), np.array([float(count)]))
+            elif status.name == _SIM:
+                found = {key: _LATENCY.fullmatch(key) for key in status.values}
+                figures = {m[1]: _number(status.values, key, 0.0) for key, m in found.items() if m}
+                # Lock-step has no latency.
+                self.latency = figures if any(figures.values()) else {}
+
+    def counters(self) -> dict[int, Track]:
+        """The counters `COUNTERS` of each UAV."""
+        return self._counters.tracks()
+
+    def sent(self) -> dict[int, Track]:
+        """Odometry messages that each bridge had sent (T, 1), at the stamp of the newest of them."""
+        return self._sent.tracks()
+
+
+@dataclass(frozen=True)
+class StatusSeries:
+    """Values that the nodes published over time; a key without values is missing."""
+
+    planner: Mapping[int, Mapping[str, Track]] = field(default_factory=dict)  # by UAV, by key
+    sim: Mapping[str, Track] = field(default_factory=dict)  # by key
+    age_ms: Mapping[int, Track] = field(default_factory=dict)  # (T, 1) by UAV
+
+
+class StatusCollector:
+    """Collects the values of the nodes by node and key, for figures."""
+
+    def __init__(self) -> None:
+        file = SampleFile()
+        self._planners = TrackWriters[tuple[int, str]](file)
+        self._sim = TrackWriters[str](file)
+        self._ages = TrackWriters[int](file)
+
+    def add_diagnostics(self, array: Diagnostics) -> None:
+        """Take an array of diagnostics."""
+        for status in array.statuses:
+            planner = _PLANNER.fullmatch(status.name)
+            keys = _PLANNER_KEYS if planner else _SIM_KEYS if status.name == _SIM else ()
+            for key in keys:
+                value = _number(status.values, key, math.nan)
+                if not math.isfinite(value):
+                    continue
+                if planner:
+                    self._planners.add((int(planner[1]), key), array.stamp_ns, np.array([value]))
+                else:
+                    self._sim.add(key, array.stamp_ns, np.array([value]))
+
+    def add_tick(self, uav: int, note: TickNote) -> None:
+        """Take the age [ms] of the oldest message of a neighbour that went into a step."""
+        stamps = [used.stamp_ns for name, used in note.used.items() if name not in _SENSORS]
+        if stamps:
+            now_ns = note.moment.now_ns
+            self._ages.add(uav, now_ns, np.array([(now_ns - min(stamps)) * 1e-6]))
+
+    def series(self) -> StatusSeries:
+        """The values collected."""
+        planner: dict[int, dict[str, Track]] = {}
+        for (uav, key), track in sorted(self._planners.tracks().items()):
+            planner.setdefault(uav, {})[key] = track
+        return StatusSeries(planner, self._sim.tracks(), dict(sorted(self._ages.tracks().items())))
+
+
+def read_status(path: Path) -> StatusSeries:
+    """The values that the nodes of a bag published; empty where none was recorded."""
+    source = open_source(path)
+    types = source.types()
+    collector = StatusCollector()
+    ticks = {name: int(found[1]) for name in types if (found := _TICK.fullmatch(name))}
+    wanted = [name for name in (topics.DIAGNOSTICS.name, *ticks) if name in types]
+    for message in source.messages(wanted):
+        try:
+            if message.topic == topics.DIAGNOSTICS.name:
+                collector.add_diagnostics(decode_diagnostics(message.data))
+            else:
+                row = decode_integers(message.data)
+                collector.add_tick(ticks[message.topic], tick_note(row.label, row.values.tolist()))
+        except WireError:  # figures leave a broken message out; the verdict names it
+            continue
+    return collector.series()

@@ -1,15 +1,14 @@
-"""Where two messages that should be equal differ first, in the words of their fields."""
+"""The first difference between two messages that should be equal, named by its field."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from ptnsbc_io.wire import Stamped, decode_odometry, decode_velocity, decode_wrench
-from ptnsbc_io.wire.cdr import WireError
+from ptnsbc_io.wire import Stamped, WireError, decode_odometry, decode_velocity, decode_wrench
 
 _ODOMETRY = (
     *(f"pose.position.{axis}" for axis in "xyz"),
@@ -28,18 +27,27 @@ _FIELDS: dict[str, tuple[Callable[[bytes], Stamped], tuple[str, ...]]] = {
 }
 
 
+class Mismatch(NamedTuple):
+    """A recorded and a computed value that differ."""
+
+    field: str  # topic and field, or what else differs
+    recorded: str
+    computed: str
+    difference: float | None = None  # computed - recorded, where both are numbers
+
+
 @dataclass(frozen=True)
 class Difference:
-    """The first thing of one UAV that did not come out as it was recorded."""
+    """The first value of one UAV that differs from the recording."""
 
     uav: int
     tick: int  # steps of this UAV before it, as the process or the bag counts them
     t_s: float  # after the epoch; negative before it
     stamp_ns: int
-    field: str  # topic and field, or what else differs
+    field: str  # see Mismatch
     recorded: str
     computed: str
-    difference: float | None  # computed - recorded, where both are numbers
+    difference: float | None
 
     def __str__(self) -> str:
         by = "" if self.difference is None else f", difference {self.difference:.3g}"
@@ -48,23 +56,9 @@ class Difference:
             f"recorded {self.recorded}, computed {self.computed}{by}"
         )
 
-    def as_json(self) -> dict[str, Any]:
-        """Plain types only."""
-        return asdict(self)
-
-
-@dataclass(frozen=True)
-class Mismatch:
-    """What differs, before anybody says where."""
-
-    field: str
-    recorded: str
-    computed: str
-    difference: float | None = None
-
 
 def of_numbers(field: str, recorded: float, computed: float) -> Mismatch:
-    """Two numbers, printed so that they can be told apart."""
+    """Two numbers that differ, with all their digits."""
     return Mismatch(field, repr(recorded), repr(computed), computed - recorded)
 
 

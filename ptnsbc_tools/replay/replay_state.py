@@ -1,4 +1,4 @@
-"""Everything of a streaming bag that is still needed for a re-run, and the UAVs it belongs to."""
+"""The messages of a streaming bag that steps of a re-run still need, and the UAVs of the re-run."""
 
 from __future__ import annotations
 
@@ -18,40 +18,40 @@ from ptnsbc_tools.replay.topic_buffer import TopicBuffer
 from ptnsbc_tools.replay.uav_replay import UavReplay
 
 _KEPT_SNAPSHOTS = 8
-_KEPT_STATUSES = 64  # twelve seconds of them; those of steps that are not made stay for nobody
+_KEPT_STATUSES = 64  # twelve seconds; nobody takes the statuses of steps that are not made
 
 
 class ReplayState:
-    """Shelves, legs and seats of one re-run, or of some of its UAVs."""
+    """Buffered messages, epochs and UAVs of one re-run, or of a part of its UAVs."""
 
     def __init__(self, scenario: Scenario, uavs: Sequence[int]) -> None:
         edges = CommunicationGraph(scenario, FlightOptions())
         self.scenario = scenario
-        self.seats = {uav: UavReplay(scenario, uav, edges.senders(uav)) for uav in uavs}
+        self.uavs = {uav: UavReplay(scenario, uav, edges.senders(uav)) for uav in uavs}
         needed = {topic for uav in uavs for topic in topics.of_uav(uav)}
-        needed.update(topic for seat in self.seats.values() for topic in seat.inputs.values())
-        self.shelves = {topic.name: TopicBuffer(topic.type) for topic in needed}
+        needed.update(topic for replay in self.uavs.values() for topic in replay.inputs.values())
+        self.buffers = {topic.name: TopicBuffer(topic.type) for topic in needed}
         self.epochs = Epochs()
         self.first_t0_ns: int | None = None
         self._snapshots: dict[int, list[tuple[int, bytes]]] = {uav: [] for uav in uavs}
         self._snapshot_topics = {topics.snapshot(uav).name: uav for uav in uavs}
 
     def wanted(self, bag: Bag) -> list[str]:
-        """Topics of a bag that `put` understands, and the notes of real time."""
-        notes = [topics.tick(uav).name for uav in self.seats]
+        """Topics of a bag that a re-run reads."""
+        ticks = [topics.tick(uav).name for uav in self.uavs]
         common = (topics.EPOCH.name, topics.DIAGNOSTICS.name)
-        names = (*self.shelves, *self._snapshot_topics, *notes, *common)
+        names = (*self.buffers, *self._snapshot_topics, *ticks, *common)
         return [name for name in names if name in bag.topics]
 
     def put(self, message: BagMessage) -> None:
-        """Keep a message until the steps that need it have been made; WireError when it is broken."""
-        shelf = self.shelves.get(message.topic)
-        if shelf is not None:
-            shelf.put(message.data)
+        """Keep a message until the steps that need it are made; WireError when it is broken."""
+        buffer = self.buffers.get(message.topic)
+        if buffer is not None:
+            buffer.put(message.data)
         elif message.topic == topics.DIAGNOSTICS.name:
-            self._told(message.data)
+            self._put_diagnostics(message.data)
         elif message.topic == topics.EPOCH.name:
-            self._announced(message.data)
+            self._put_epoch(message.data)
         elif message.topic in self._snapshot_topics:
             numbers = decode_floats(message.data).values
             if not numbers.size or not np.isfinite(numbers[0]):
@@ -61,7 +61,7 @@ class ReplayState:
             del kept[:-_KEPT_SNAPSHOTS]
 
     def snapshot(self, uav: int, sequence: int) -> bytes | None:
-        """Take the oldest snapshot after step number `sequence` out; None when there is none."""
+        """Remove and return the snapshot after step number `sequence`; None when there is none."""
         kept = self._snapshots[uav]
         for place, (number, data) in enumerate(kept):
             if number == sequence:
@@ -70,23 +70,23 @@ class ReplayState:
         return None
 
     def seconds(self, stamp_ns: int) -> float:
-        """Time after the first epoch, as far as it is known."""
+        """Time after the first epoch; after zero before an epoch is known."""
         return (stamp_ns - (self.first_t0_ns or 0)) * 1e-9
 
-    def _announced(self, data: bytes) -> None:
+    def _put_epoch(self, data: bytes) -> None:
         epoch = decode_header(data)
         if epoch.frame_id in LEGS:
             self.epochs.announce(epoch.stamp_ns, epoch.frame_id)
             if self.first_t0_ns is None:
                 self.first_t0_ns = epoch.stamp_ns
 
-    def _told(self, data: bytes) -> None:
+    def _put_diagnostics(self, data: bytes) -> None:
         for status in decode_diagnostics(data).statuses:
             name, _, kind = status.name.partition(": ")
             uav, ticks = name.removeprefix("uav"), status.values.get("ticks", "")
             if kind == "planner" and uav.isdecimal() and ticks.isdecimal():
-                seat = self.seats.get(int(uav))
-                if seat is not None:
-                    seat.told.setdefault(int(ticks), []).append(status.values)
-                    if len(seat.told) > _KEPT_STATUSES:
-                        del seat.told[next(iter(seat.told))]
+                replay = self.uavs.get(int(uav))
+                if replay is not None:
+                    replay.recorded_counters.setdefault(int(ticks), []).append(status.values)
+                    if len(replay.recorded_counters) > _KEPT_STATUSES:
+                        del replay.recorded_counters[next(iter(replay.recorded_counters))]

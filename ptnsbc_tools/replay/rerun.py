@@ -1,44 +1,52 @@
-"""A bag through the controllers again: every step from its recorded inputs, every output beside the recorded.
+"""Runs a bag through the controllers again: every step on its recorded inputs, every output compared.
 
-The bag streams by; memory does not grow with it.
+The bag is read as a stream; memory does not grow with its length.
 """
 
 from __future__ import annotations
 
+import dataclasses
+import multiprocessing
+import signal
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from functools import partial
-from typing import NamedTuple
+from multiprocessing.connection import Connection
+from typing import Any, NamedTuple
 
+from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_io.bag import Bag, BagError, BagMessage
 from ptnsbc_io.wire import WireError
 from ptnsbc_nodes.comm import topics
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_tools.replay.difference import Difference
-from ptnsbc_tools.replay.lockstep import Lockstep
-from ptnsbc_tools.replay.parallel import side_by_side
-from ptnsbc_tools.replay.realtime import Realtime
+from ptnsbc_tools.replay.drivers import LockstepDriver, RealTimeDriver
 from ptnsbc_tools.replay.replay_state import ReplayState
 from ptnsbc_tools.replay.uav_replay import Account
 
 Advance = Callable[[int, int], None]
 Progress = Callable[[], AbstractContextManager[Advance]]
+Accounts = dict[int, Account]  # by UAV
 
 EQUAL, DIFFERENT, VOID = "equal", "different", "void"
 
 _EVERY = 5000  # messages between two reports of progress
 
 
-def _unseen() -> AbstractContextManager[Advance]:
+class RerunProcessError(PtnsbcError):
+    """A process of the re-run ended without a result."""
+
+
+def _no_progress() -> AbstractContextManager[Advance]:
     return nullcontext(lambda done, total: None)
 
 
 class Rerun(NamedTuple):
-    """What came of it."""
+    """The result of a re-run."""
 
     realtime: bool
     flown_s: float  # length of the bag
-    accounts: dict[int, Account]  # by UAV
+    accounts: Accounts
 
     @property
     def first(self) -> Difference | None:
@@ -48,65 +56,131 @@ class Rerun(NamedTuple):
 
     @property
     def verdict(self) -> str:
-        """Worst of all UAVs: `different`, `void` when something could not be compared, or `equal`."""
+        """Worst of all UAVs: `different`, `void` when a part could not be compared, or `equal`."""
         if self.first is not None:
             return DIFFERENT
         accounts = self.accounts.values()
         holes = any(one.gaps or one.unrecorded or not one.compared for one in accounts)
         return VOID if holes else EQUAL
 
+    def as_json(self, seconds: float) -> dict[str, Any]:
+        """The result in plain types; `seconds` is the duration of the re-run."""
+        return {
+            "verdict": self.verdict,
+            "mode": "real time" if self.realtime else "lock-step",
+            "first_difference": None if self.first is None else dataclasses.asdict(self.first),
+            "steps": sum(one.steps for one in self.accounts.values()),
+            "compared": sum(one.compared for one in self.accounts.values()),
+            "flown_s": self.flown_s,
+            "took_s": seconds,
+            "times_real_time": self.flown_s / seconds,
+            "uavs": [
+                {"uav": uav, **dataclasses.asdict(one), "gaps": [gap._asdict() for gap in one.gaps]}
+                for uav, one in self.accounts.items()
+            ],
+        }
 
-def rerun(bag: Bag, scenario: Scenario, progress: Progress = _unseen, jobs: int = 1) -> Rerun:
+
+def rerun(bag: Bag, scenario: Scenario, progress: Progress = _no_progress, jobs: int = 1) -> Rerun:
     """Re-run every step of every UAV.
 
     Args:
         bag: a flight of ours, from `read_bag`.
-        scenario: what was flown.
-        progress: entered for what is called now and then with messages done and in all.
-        jobs: processes among which the UAVs are shared out.
+        scenario: the scenario that was flown.
+        progress: gives a function that is called now and then with the messages done and their total.
+        jobs: number of processes; each takes a part of the UAVs.
 
     Raises:
-        BagError: nothing to re-run, or a message that is none.
+        BagError: there is no step to re-run, or a message cannot be read.
     """
-    noted = any(_messages(bag, topics.tick(uav).name) for uav in scenario.uav_ids)
+    realtime = any(_messages(bag, topics.tick(uav).name) for uav in scenario.uav_ids)
     ids = scenario.uav_ids
     groups = [ids[k::jobs] for k in range(min(jobs, len(ids)))]
-    work = [partial(_of, bag, scenario, group, noted) for group in groups]
-    found: dict[int, Account] = {}
-    for part in side_by_side([partial(work[0], progress), *work[1:]]):
+    parts = [partial(_accounts, bag, scenario, group, realtime) for group in groups]
+    found: Accounts = {}
+    for part in _in_parallel([partial(parts[0], progress), *parts[1:]]):
         found |= part
     accounts = {uav: found[uav] for uav in ids}
     if not any(one.steps or one.gaps for one in accounts.values()):
         raise BagError(f"{bag.path}: no step to re-run: expected odometry and an epoch")
-    return Rerun(noted, (bag.end_ns - bag.start_ns) * 1e-9, accounts)
+    return Rerun(realtime, (bag.end_ns - bag.start_ns) * 1e-9, accounts)
 
 
-def _of(
-    bag: Bag, scenario: Scenario, uavs: Sequence[int], noted: bool, progress: Progress = _unseen
-) -> dict[int, Account]:
-    """Accounts of some UAVs."""
-    desk = ReplayState(scenario, uavs)
-    driver: Realtime | Lockstep = Realtime(desk) if noted else Lockstep(desk)
-    with progress() as advance:  # here: a bar has a thread, and threads do not survive a fork
-        for message in _shown(bag, desk.wanted(bag), advance):
+def _accounts(
+    bag: Bag,
+    scenario: Scenario,
+    uavs: Sequence[int],
+    realtime: bool,
+    progress: Progress = _no_progress,
+) -> Accounts:
+    """Re-run some of the UAVs."""
+    state = ReplayState(scenario, uavs)
+    driver: RealTimeDriver | LockstepDriver
+    driver = RealTimeDriver(state) if realtime else LockstepDriver(state)
+    with progress() as advance:  # after the fork: a progress bar has a thread
+        for message in _read(bag, state.wanted(bag), advance):
             try:
-                desk.put(message)
+                state.put(message)
                 if message.topic in driver.triggers:
-                    driver.take(message.topic, message.stamp_ns, message.data)
-                    driver.make_due(message.stamp_ns)
+                    driver.add(message.topic, message.stamp_ns, message.data)
             except WireError as error:
                 raise BagError(f"{bag.path}: a message on {message.topic}: {error}") from None
         driver.make_all()
-    return {uav: seat.account for uav, seat in desk.seats.items()}
+    return {uav: replay.account for uav, replay in state.uavs.items()}
 
 
 def _messages(bag: Bag, name: str) -> int:
     return bag.topics[name].messages if name in bag.topics else 0
 
 
-def _shown(bag: Bag, wanted: list[str], advance: Advance) -> Iterator[BagMessage]:
+def _read(bag: Bag, wanted: list[str], advance: Advance) -> Iterator[BagMessage]:
     total = sum(_messages(bag, name) for name in wanted)
     for done, message in enumerate(bag.messages(wanted), start=1):
         yield message
         if done % _EVERY == 0 or done == total:
             advance(done, total)
+
+
+def _in_parallel(parts: Sequence[Callable[[], Accounts]]) -> list[Accounts]:
+    """The results of all parts: the first in this process, each other in a forked process.
+
+    A forked process needs to load nothing.
+
+    Raises:
+        PtnsbcError: a part raised it, or a process was killed.
+    """
+    forked = multiprocessing.get_context("fork")
+    others = []
+    for part in parts[1:]:
+        receiver, sender = forked.Pipe(duplex=False)
+        process = forked.Process(target=_send, args=(part, sender), daemon=True)
+        process.start()
+        sender.close()
+        others.append((process, receiver))
+    try:
+        return [parts[0](), *(_receive(receiver) for _, receiver in others)]
+    finally:
+        for process, receiver in others:
+            process.kill()
+            process.join()
+            receiver.close()
+
+
+def _send(part: Callable[[], Accounts], to: Connection) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # at Ctrl-C the first process ends the others
+    result: Accounts | PtnsbcError
+    try:
+        result = part()
+    except PtnsbcError as error:
+        result = error
+    to.send(result)
+
+
+def _receive(receiver: Connection) -> Accounts:
+    try:
+        result: Accounts | PtnsbcError = receiver.recv()
+    except EOFError:
+        raise RerunProcessError("a process of the re-run has ended: was it killed?") from None
+    if isinstance(result, PtnsbcError):
+        raise result
+    return result

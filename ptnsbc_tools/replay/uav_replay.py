@@ -1,4 +1,4 @@
-"""One UAV in a re-run: its recorded inputs through its own control step, its outputs beside the recorded."""
+"""One UAV of a re-run: its controller steps on recorded inputs, and its outputs are compared with the recorded."""
 
 from __future__ import annotations
 
@@ -49,17 +49,17 @@ class Gap(NamedTuple):
 
 
 class MissingError(Exception):
-    """A message that a step was made of is not in the recording."""
+    """An input of a step is not in the recording."""
 
 
 @dataclass
 class Account:
-    """What a re-run found out about one UAV."""
+    """The result of a re-run for one UAV."""
 
     steps: int = 0  # re-run
     compared: int = 0  # outputs, counters and snapshots
-    waiting: int = 0  # steps before the first leg that were not re-run: nothing is promised there
-    silent: int = 0  # steps for which nothing of this UAV is recorded
+    waiting: int = 0  # steps before the first leg that were not re-run; they do not count
+    silent: int = 0  # last steps without a recorded output
     unrecorded: int = 0  # single outputs that are not in the recording
     difference: Difference | None = None
     gaps: list[Gap] = field(default_factory=list)
@@ -74,7 +74,7 @@ class Account:
 
 
 def source_topics(uav: int, senders: Senders) -> dict[str, topics.Topic]:
-    """Where each of a UAV's inputs is recorded."""
+    """The topic of each input of a UAV."""
     known = {"own": topics.odom(uav), "near": topics.near(uav)}
     known |= {f"state{i}": topics.formation_state(i) for i in senders.states}
     known |= {f"estimate{i}": topics.leader_estimate(i) for i in senders.estimators}
@@ -82,7 +82,7 @@ def source_topics(uav: int, senders: Senders) -> dict[str, topics.Topic]:
 
 
 class UavReplay:
-    """A pilot, and what its UAV said."""
+    """The controller of a UAV and the recorded outputs."""
 
     def __init__(self, scenario: Scenario, uav: int, senders: Senders) -> None:
         self.uav = uav
@@ -90,58 +90,53 @@ class UavReplay:
         self.account = Account()
         self.inputs = source_topics(uav, senders)
         self.outputs = [f"/uav{uav}/{name}" for name in OUTPUTS]
-        self.told: dict[int, list[dict[str, str]]] = {}  # counters of /diagnostics by their ticks
+        self.recorded_counters: dict[int, list[dict[str, str]]] = {}  # of /diagnostics, by ticks
         self._config = agent_config(scenario, uav)
-        self.pilot = UavController(self._config, senders)
-        self._put = _places(self.pilot.inbox)
-        self._letters = AgentMessages(uav)
-        self._next: int | None = None  # number of the step that the pilot is ready for
+        self.controller = UavController(self._config, senders)
+        self._put = _inbox_setters(self.controller.inbox)
+        self._encoder = AgentMessages(uav)
+        self.next_step: int | None = None  # number of the next step; None: a step was left out
         self._held: dict[str, Stamped] = {}
         self._snapshot: SnapshotTemplate | None = None
 
-    @property
-    def next_step(self) -> int | None:
-        """Number of the step that the pilot is ready for; None: it has missed one."""
-        return self._next
-
     def begin(self, snapshot: bytes | None) -> None:
-        """The controller begins, or begins anew: it remembers nothing; its limits are in its first snapshot."""
-        limits = None if snapshot is None else self._recalled(snapshot).limits
-        self.lose_thread(limits)
-        self._next = 0
+        """The controller starts, or starts again; its limits are in its first snapshot."""
+        limits = None if snapshot is None else self._decode_snapshot(snapshot).limits
+        self.reset(limits)
+        self.next_step = 0
 
-    def lose_thread(self, limits: VehicleSpeedLimits | None = None) -> None:
-        """A step was left out: only a snapshot helps."""
-        self._next = None
+    def reset(self, limits: VehicleSpeedLimits | None = None) -> None:
+        """Forget the state of the controller, because a step was left out; only a snapshot restores it."""
+        self.next_step = None
         self._held.clear()
         config = self._config if limits is None else limits.applied_to(self._config)
-        self.pilot = UavController(config, self.senders)
-        self._put = _places(self.pilot.inbox)
+        self.controller = UavController(config, self.senders)
+        self._put = _inbox_setters(self.controller.inbox)
 
     def resume(self, sequence: int, snapshot: bytes) -> None:
-        """Go on behind the step of a snapshot."""
-        memory = self._recalled(snapshot)
-        self.lose_thread(memory.limits)
-        self.pilot.resume(memory.state, memory.counters)
-        self._next = sequence + 1
+        """Continue after the step of a snapshot."""
+        found = self._decode_snapshot(snapshot)
+        self.reset(found.limits)
+        self.controller.resume(found.state, found.counters)
+        self.next_step = sequence + 1
 
-    def _recalled(self, snapshot: bytes) -> ControllerSnapshot:
+    def _decode_snapshot(self, snapshot: bytes) -> ControllerSnapshot:
         row = decode_floats(snapshot)
         numbers = np.asarray(row.values, dtype=np.float64)
-        return decode_snapshot(row.label, numbers, like=_any_state(self._config))
+        return decode_snapshot(row.label, numbers, like=_empty_state(self._config))
 
     def hold(self, name: str, message: Stamped) -> None:
-        """Put a message where the process had it."""
+        """Put a message into the inbox."""
         if self._held.get(name) is not message:
             self._held[name] = message
             self._put[name](message)
 
-    def fetch(self, note: TickNote, shelves: Mapping[str, TopicBuffer]) -> Mismatch | None:
-        """Put what a real-time step was made of into the inbox; the first sensor message that is another one.
+    def fetch(self, note: TickNote, buffers: Mapping[str, TopicBuffer]) -> Mismatch | None:
+        """Put the inputs of a real-time step into the inbox; returns the first sensor message that differs.
 
-        A UAV that ticks twice on one odometry sends two messages with one stamp. Where none of those
-        recorded is the one that was used, that one is missing: a message of another UAV that was
-        changed is found where that UAV is compared.
+        A UAV that ticks twice on one odometry sends two messages with one stamp. When none of the recorded
+        ones is the one that was used, that one is missing. A message of another UAV that was changed is found
+        when that UAV is compared.
         """
         wrong = None
         for name, used in note.used.items():
@@ -149,11 +144,9 @@ class UavReplay:
             if held is not None and used == (held.stamp_ns, checksum(held)):
                 continue
             if name not in self.inputs:
-                raise WireError(
-                    f"a step was made of {name}, whom it does not hear in this scenario"
-                )
+                raise WireError(f"{name} went into a step: not an input in this scenario")
             topic = self.inputs[name].name
-            found = shelves[topic].read(used.stamp_ns)
+            found = buffers[topic].read(used.stamp_ns)
             same = [message for message in found if checksum(message) == used.checksum]
             if not same and (not found or name not in _SENSORS):
                 raise MissingError(f"{topic} stamped {used.stamp_ns} was used and is not recorded")
@@ -167,61 +160,61 @@ class UavReplay:
         return wrong
 
     def step(self, at: StepTime, cutoff_ns: int = NO_CUTOFF_NS) -> PackedOutputs:
-        """One control step on what is in the inbox."""
+        """Make one control step on the messages in the inbox."""
         self.account.steps += 1
-        if self._next is not None:
-            self._next += 1
-        return self.pilot.step(at, cutoff_ns)
+        if self.next_step is not None:
+            self.next_step += 1
+        return self.controller.step(at, cutoff_ns)
 
     def compare(
         self,
         outputs: PackedOutputs,
-        shelves: Mapping[str, TopicBuffer],
+        buffers: Mapping[str, TopicBuffer],
         expected: int | None = None,
     ) -> Mismatch | None:
         """The first output that differs.
 
         Args:
-            outputs: what the step gave.
-            shelves: what is recorded.
-            expected: messages that carry the stamp of this step, where it may be several; after the
-                last of them that is recorded more may have been on their way.
+            outputs: the outputs of the step.
+            buffers: the recorded messages.
+            expected: number of messages with the stamp of this step, where it may be several; the last
+                ones may be missing at the end of the recording.
         """
-        own = self.pilot.inbox.own
-        if own is None:  # a step was made of it
+        own = self.controller.inbox.own
+        if own is None:  # the step needed it
             raise WireError("no own odometry")
-        recorded = [shelves[name].at(own.stamp_ns) for name in self.outputs]
+        recorded = [buffers[name].at(own.stamp_ns) for name in self.outputs]
         if not any(recorded):
             self.account.silent += 1
             return None
-        # Silent at the end is a process that has ended; silent in between is a hole.
+        # Silence at the end: the process has ended. Silence in between: a gap.
         self.account.unrecorded += len(OUTPUTS) * self.account.silent
         self.account.silent = 0
-        made = self._letters.all(own, outputs)
+        made = self._encoder.all(own, outputs)
         for name, found, computed in zip(OUTPUTS, recorded, made, strict=True):
-            if len(computed) % 4:  # as DDS hands it over
+            if len(computed) % 4:  # as DDS delivers it
                 computed += bytes(-len(computed) % 4)
             if computed in found:
                 self.account.compared += 1
-            elif not found or self._may_lack(shelves[f"/uav{self.uav}/{name}"], found, expected):
+            elif not found or self._may_lack(buffers[f"/uav{self.uav}/{name}"], found, expected):
                 self.account.unrecorded += 1
             else:
                 return of_messages(name, found[0], computed)
         return None
 
     @staticmethod
-    def _may_lack(shelf: TopicBuffer, found: list[bytes], expected: int | None) -> bool:
+    def _may_lack(buffer: TopicBuffer, found: list[bytes], expected: int | None) -> bool:
         if expected is None:
             return False
-        return len(found) < expected or found is shelf.at(shelf.newest_ns)
+        return len(found) < expected or found is buffer.at(buffer.newest_ns)
 
     def compare_counters(self) -> Mismatch | None:
-        """The first counter that /diagnostics told differently at this number of steps."""
-        told = self.told.pop(self.pilot.counters.ticks, None)
-        if told is None:
+        """The first counter of /diagnostics that differs at this number of steps."""
+        found = self.recorded_counters.pop(self.controller.counters.ticks, None)
+        if found is None:
             return None
-        own = self.pilot.counters.values()
-        for values in told:
+        own = self.controller.counters.values()
+        for values in found:
             for key, computed in own.items():
                 recorded = values.get(key)
                 if recorded != computed:
@@ -230,9 +223,9 @@ class UavReplay:
         return None
 
     def compare_snapshot(self, sequence: int, data: bytes) -> Mismatch | None:
-        """The first number of the controller's memory that differs."""
-        self._snapshot = self._snapshot or SnapshotTemplate(self.pilot)
-        made = self._snapshot.encode(sequence, self.pilot)
+        """The first number of the controller state that differs."""
+        self._snapshot = self._snapshot or SnapshotTemplate(self.controller)
+        made = self._snapshot.encode(sequence, self.controller)
         if made == data[: len(made)]:
             self.account.compared += 1
             return None
@@ -250,8 +243,8 @@ class UavReplay:
         return None
 
 
-def _places(inbox: Inbox) -> dict[str, Callable[[Stamped], None]]:
-    """How each kind of message gets into an inbox."""
+def _inbox_setters(inbox: Inbox) -> dict[str, Callable[[Stamped], None]]:
+    """The function that puts each kind of message into an inbox."""
     senders = inbox.senders
     states = {f"state{i}": partial(inbox.on_state, i) for i in senders.states}
     estimates = {f"estimate{i}": partial(inbox.on_estimate, i) for i in senders.estimators}
@@ -259,8 +252,8 @@ def _places(inbox: Inbox) -> dict[str, Callable[[Stamped], None]]:
     return {**own, **states, **estimates}
 
 
-def _any_state(config: AgentConfig) -> AgentState:
-    """A state that lends its shapes."""
+def _empty_state(config: AgentConfig) -> AgentState:
+    """A state that has the shapes of all states."""
     own = np.zeros(ODOMETRY_SIZE)
     own[6] = 1.0
     return Agent(config, own).state

@@ -1,7 +1,15 @@
-"""What the page's script is given: the flight in space, and the figures."""
+"""The data of the page's script: the flight in space and the figures, packed.
+
+The pack is one gzip stream in base64: uint32 length of the text | JSON text, UTF-8, padded to 4 bytes | float32,
+little-endian. A reference [offset, length] stands for each array in the text.
+"""
 
 from __future__ import annotations
 
+import base64
+import gzip
+import json
+import struct
 from typing import Any
 
 import numpy as np
@@ -9,25 +17,49 @@ import numpy as np
 from ptnsbc_core.trajectory import reference
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario.build import trajectory_vector
-from ptnsbc_tools.plotting.build import charts
-from ptnsbc_tools.plotting.chart import Chart
-from ptnsbc_tools.plotting.flight import Shown
-from ptnsbc_tools.plotting.space import deadlines
-from ptnsbc_tools.plotting.style import COLOURS, DARK_COLOURS, look
+from ptnsbc_tools.plotting.chart import COLOURS, DARK_COLOURS, Chart, look
+from ptnsbc_tools.plotting.charts import charts, deadlines
+from ptnsbc_tools.plotting.flight import FlightView
 from ptnsbc_tools.plotting.thin import thin
-from ptnsbc_tools.report.pack import Pack
 from ptnsbc_tools.verdict import Series, Track
 from ptnsbc_tools.verdict.recording import NANO
 
-_FRAME_HZ = 25  # the script draws straight lines between frames
-_MOST_ROWS = 40_000  # frames times UAVs; 28 bytes each
+_FRAME_HZ = 25  # the script interpolates between frames
+_MOST_POSES = 40_000  # frames times UAVs; 28 bytes each
 _MOST_POINTS = 250_000  # of all curves of a page; 8 bytes each
 _CURVE_POINTS = 2000
 _PATH_POINTS = 400
 
 
-def content(flight: Shown) -> str:
-    """Everything, packed."""
+class Pack:
+    """Collects arrays and puts a reference in the place of each."""
+
+    def __init__(self) -> None:
+        self._parts: list[bytes] = []
+        self._floats = 0
+
+    def add(self, values: Array) -> list[int]:
+        """The reference to `values` (any shape, rows first), in floats."""
+        raw = np.ascontiguousarray(values, dtype="<f4").tobytes()
+        reference = [self._floats, len(raw) // 4]
+        self._parts.append(raw)
+        self._floats += reference[1]
+        return reference
+
+    def encode(self, text: dict[str, Any]) -> str:
+        """The pack of `text` and all arrays."""
+        head = json.dumps(text, allow_nan=False, separators=(",", ":")).encode()
+        head += b" " * (-len(head) % 4)
+        return compressed(struct.pack("<I", len(head)) + head + b"".join(self._parts))
+
+
+def compressed(data: bytes) -> str:
+    """Gzip in base64, without the time of day."""
+    return base64.b64encode(gzip.compress(data, 9, mtime=0)).decode("ascii")
+
+
+def content(flight: FlightView) -> str:
+    """The pack of a flight."""
     pack = Pack()
     text: dict[str, Any] = {
         "colours": {"light": COLOURS, "dark": DARK_COLOURS},
@@ -37,15 +69,15 @@ def content(flight: Shown) -> str:
     return pack.encode(text)
 
 
-def _frames(flight: Shown) -> np.ndarray[Any, np.dtype[np.int64]]:
+def _frames(flight: FlightView) -> np.ndarray[Any, np.dtype[np.int64]]:
     """Evenly spaced instants [ns] from the first to the last shown."""
     first, last = flight.window_ns
-    most = max(_MOST_ROWS // len(flight.uavs), 2)
+    most = max(_MOST_POSES // len(flight.uavs), 2)
     count = min(int((last - first) * NANO * _FRAME_HZ) + 2, most)
     return first + np.round(np.linspace(0, last - first, count)).astype(np.int64)
 
 
-def _poses(flight: Shown, stamps: np.ndarray[Any, np.dtype[np.int64]]) -> Array:
+def _poses(flight: FlightView, stamps: np.ndarray[Any, np.dtype[np.int64]]) -> Array:
     """Position and quaternion (F, N, 7) of every UAV."""
     tracks = (flight.recording.odometry[uav] for uav in flight.uavs)
     return np.stack([_poses_of(track, stamps) for track in tracks], axis=1)
@@ -57,7 +89,7 @@ def _poses_of(odometry: Track, stamps: np.ndarray[Any, np.dtype[np.int64]]) -> A
     before, done = Series(np.empty(0, np.int64), np.empty((0, 7))), 0
     for block in odometry.blocks():
         poses = np.concatenate((before.values, block.values[:, :7]))
-        near = Series(np.concatenate((before.t_ns, block.t_ns)), _steady(poses))
+        near = Series(np.concatenate((before.t_ns, block.t_ns)), _same_signs(poses))
         last = block.last_ns == odometry.last_ns
         until = stamps.size if last else int(np.searchsorted(stamps, block.last_ns, side="right"))
         if until > done:
@@ -66,15 +98,15 @@ def _poses_of(odometry: Track, stamps: np.ndarray[Any, np.dtype[np.int64]]) -> A
     return np.concatenate(found)
 
 
-def _steady(poses: Array) -> Array:
-    """Poses (T, 7) whose quaternions do not change sign: halfway between both would be nothing."""
+def _same_signs(poses: Array) -> Array:
+    """Poses (T, 7) whose quaternions do not change sign: the mean of q and -q is zero."""
     turns = poses[:, 3:]
     flips = np.sum(turns[1:] * turns[:-1], axis=1) < 0
     turns[1:][np.cumsum(flips) % 2 == 1] *= -1.0
     return poses
 
 
-def _space(flight: Shown, pack: Pack) -> dict[str, Any]:
+def _space(flight: FlightView, pack: Pack) -> dict[str, Any]:
     scenario = flight.scenario
     stamps = _frames(flight)
     t = flight.times(stamps)
@@ -96,14 +128,14 @@ def _space(flight: Shown, pack: Pack) -> dict[str, Any]:
     }
 
 
-def _legs(flight: Shown, t: Array) -> list[tuple[float, str]]:
-    """Begin [s] and name of every leg after the one that is judged."""
+def _legs(flight: FlightView, t: Array) -> list[tuple[float, str]]:
+    """Begin [s] and name of every leg after the judged one."""
     epochs = flight.recording.epochs
     begun = [((t0_ns - flight.recording.start_ns) * NANO, leg) for t0_ns, leg in epochs]
     return [(begin, leg) for begin, leg in begun if 0 < begin <= float(t[-1])]
 
 
-def _uav(flight: Shown, uav: int) -> dict[str, Any]:
+def _uav(flight: FlightView, uav: int) -> dict[str, Any]:
     scenario = flight.scenario
     leader = uav == scenario.leader_id
     style = look(scenario.uav_ids.index(uav))
@@ -118,7 +150,7 @@ def _uav(flight: Shown, uav: int) -> dict[str, Any]:
     }
 
 
-def _charts(flight: Shown, pack: Pack) -> list[dict[str, Any]]:
+def _charts(flight: FlightView, pack: Pack) -> list[dict[str, Any]]:
     found = list(charts(flight))
     curves = max(sum(len(chart.curves) for chart in found), 1)
     points = min(_CURVE_POINTS, max(_MOST_POINTS // curves, 50))

@@ -1,4 +1,4 @@
-"""The page: verdict and tables as plain HTML, the rest drawn by its script."""
+"""The page: verdict and tables as plain HTML; its script draws the rest."""
 
 from __future__ import annotations
 
@@ -8,17 +8,20 @@ from functools import cache
 from html import escape
 from importlib.resources import files
 from string import Template
+from typing import Any
 
-from ptnsbc_tools.plotting.flight import Shown
-from ptnsbc_tools.report.content import content
-from ptnsbc_tools.report.pack import compressed
-from ptnsbc_tools.report.tables import html_table
+from rich.table import Table
+from rich.text import Text
+
+from ptnsbc_tools.plotting.flight import FlightView
+from ptnsbc_tools.report.content import compressed, content
 from ptnsbc_tools.tables import deadline_table, reasons, verdict_line, verdict_tables
 from ptnsbc_tools.verdict import Verdict
 from ptnsbc_tools.verdict.verdict import LegVerdict
 
 _SCRIPTS = ("data.js", "clock.js", "camera.js", "scene.js", "charts.js", "main.js")
-NO_VERDICT = "none"
+_NO_VERDICT = "none"
+_WORDS = ("met", "missed", "void", "error", "warning")
 
 
 def _asset(name: str) -> str:
@@ -27,7 +30,7 @@ def _asset(name: str) -> str:
 
 @cache
 def _plotly() -> str:
-    """The library, packed: as it is, it would fill the page."""
+    """The library plotly.js, compressed: it is larger than all the rest of the page."""
     library = files("plotly").joinpath("package_data", "plotly.min.js").read_bytes()
     return compressed(library)
 
@@ -36,7 +39,7 @@ def _item(name: str, value: str) -> str:
     return f"<li>{escape(name)} <b>{escape(value)}</b></li>"
 
 
-def _facts(flight: Shown, about: Mapping[str, str]) -> str:
+def _facts(flight: FlightView, about: Mapping[str, str]) -> str:
     scenario = flight.scenario
     facts = {
         "UAVs": str(len(scenario.uav_ids)),
@@ -52,6 +55,40 @@ def _facts(flight: Shown, about: Mapping[str, str]) -> str:
     return "".join(_item(name, str(value)) for name, value in facts.items())
 
 
+def _cell(value: Any) -> str:
+    plain = value.plain if isinstance(value, Text) else str(value)
+    if plain in _WORDS:
+        return f'<span class="word {plain}">{escape(plain)}</span>'
+    return escape(plain)
+
+
+def _name(header: Any) -> str:
+    return escape(header.plain if isinstance(header, Text) else str(header))
+
+
+def html_table(table: Table, title: str = "") -> str:
+    """A Rich table as an HTML table in a box that scrolls by itself; `title` replaces its own."""
+    sides = ["number" if column.justify == "right" else "text" for column in table.columns]
+    head = "".join(
+        f'<th scope="col" class="{side}">{_name(column.header)}</th>'
+        for side, column in zip(sides, table.columns, strict=True)
+    )
+    rows = []
+    for row, *cells in zip(table.rows, *(column.cells for column in table.columns), strict=True):
+        look = ' class="bad"' if row.style else ""
+        inside = "".join(
+            f'<td class="{side}">{_cell(cell)}</td>'
+            for side, cell in zip(sides, cells, strict=True)
+        )
+        rows.append(f"<tr{look}>{inside}</tr>")
+    title = _name(title or table.title or "")
+    return (
+        f'<div class="scroll" tabindex="0" role="region" aria-label="{title}"><table>'
+        f"<caption>{title}</caption><thead><tr>{head}</tr></thead>"
+        f"<tbody>{''.join(rows)}</tbody></table></div>"
+    )
+
+
 def _leg_table(verdict: Verdict, leg: LegVerdict) -> str:
     title = "Deadline, UAV by UAV"
     if len(verdict.legs) > 1:
@@ -59,54 +96,41 @@ def _leg_table(verdict: Verdict, leg: LegVerdict) -> str:
     return html_table(deadline_table(replace(verdict, uavs=leg.uavs)), title)
 
 
-def _reasons(lines: list[str]) -> str:
-    return f"<ul>{''.join(f'<li>{escape(line)}</li>' for line in lines)}</ul>" if lines else ""
-
-
 def _details(summary: str, text: str) -> str:
     return f"<details><summary>{escape(summary)}</summary><pre>{escape(text)}</pre></details>"
 
 
-def _fill(parts: Mapping[str, str]) -> str:
-    empty = dict.fromkeys(
-        ("facts", "reasons", "deadlines", "tables", "details", "notice", "plotly"), ""
-    )
-    assets = {
-        "style": _asset("style.css"),
-        "script": "\n".join(_asset(name) for name in _SCRIPTS),
-    }
-    return Template(_asset("page.html")).substitute({**empty, **assets, **parts})
-
-
-def page(flight: Shown, about: Mapping[str, str]) -> str:
+def page(flight: FlightView, about: Mapping[str, str]) -> str:
     """The whole page of a flight.
 
     Args:
-        flight: What is shown.
-        about: Metadata of the bag.
+        flight: what is shown.
+        about: metadata of the bag.
     """
     verdict, name = flight.verdict, flight.scenario.name
-    line, why, deadlines, tables = f"No verdict: {flight.problem}", [], "", ""
+    line, why, deadlines, tables = f"No verdict: {flight.problem}", "", "", ""
     if verdict is not None:
         line = verdict_line(verdict).plain.partition("(")[2].rstrip(")")
-        why = [one.plain for one in reasons(verdict)]
+        why = "".join(f"<li>{escape(one.plain)}</li>" for one in reasons(verdict))
         _, *others = verdict_tables(verdict)
         deadlines = "".join(_leg_table(verdict, leg) for leg in verdict.legs)
         tables = "".join(html_table(table) for table in others)
     recorded = "\n".join(f"{key}: {value}" for key, value in sorted(about.items()))
-    return _fill(
+    return Template(_asset("page.html")).substitute(
         {
             "title": f"{escape(name)} – flight report",
             "heading": escape(name),
             "facts": _facts(flight, about),
-            "verdict": verdict.verdict if verdict is not None else NO_VERDICT,
+            "verdict": verdict.verdict if verdict is not None else _NO_VERDICT,
             "line": escape(line[:1].upper() + line[1:]),
-            "reasons": _reasons(why),
+            "reasons": f"<ul>{why}</ul>" if why else "",
             "deadlines": deadlines,
             "tables": tables,
             "details": (_details("Recorded with", recorded) if recorded else "")
             + _details("Scenario", flight.scenario.text),
             "data": content(flight),
             "plotly": _plotly(),
+            "style": _asset("style.css"),
+            "script": "\n".join(_asset(name) for name in _SCRIPTS),
         }
     )

@@ -14,7 +14,7 @@ from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import Scenario, load_scenario
 from ptnsbc_sim.swarm import HeadlessFlight, fly
 from ptnsbc_sim.track import VELOCITY_ERROR
-from ptnsbc_tools.reading.flight_recording import recording_of
+from ptnsbc_tools.reading.headless import recording_of
 from ptnsbc_tools.verdict import Verdict, verdict_on
 from ptnsbc_tools.verdict.deadline import formation_errors
 

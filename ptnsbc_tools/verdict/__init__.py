@@ -1,4 +1,4 @@
-"""The verdict on a recorded flight: deadline met, missed or void, and what it cost."""
+"""The verdict on a recorded flight: deadline met, missed or void, with input and separations."""
 
 from ptnsbc_tools.verdict.recording import Recording, VerdictError
 from ptnsbc_tools.verdict.track import Series, Track

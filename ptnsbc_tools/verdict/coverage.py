@@ -1,9 +1,9 @@
-"""Is the recording whole, and made of numbers: messages missing, gaps, an early end, NaN."""
+"""Whether a recording is complete: missing messages, gaps, an early end, numbers that are not finite."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import chain
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,25 +11,24 @@ from ptnsbc_tools.verdict.recording import NANO, Recording
 from ptnsbc_tools.verdict.track import Track
 
 LONGEST_GAP_S = 0.25
-"""Longest silence [s] that is only counted: nobody knows what a UAV did in a longer one."""
+"""Longest silence [s] that is only counted. A longer one makes the verdict void."""
 
 
-@dataclass(frozen=True)
-class Coverage:
-    """How much of the judged time a series covers."""
+class Coverage(NamedTuple):
+    """How much of the judged time a track covers."""
 
-    missing: int  # messages short of as many as were sent, or of one per control period
+    missing: int  # messages missing of those sent, or of one per control period
     longest_gap_s: float
-    gap_at_s: float  # after the epoch, where the longest gap begins
+    gap_at_s: float  # where the longest gap begins, after the epoch
 
 
 def coverage(recording: Recording, uav: int, track: Track) -> Coverage:
-    """From the epoch to the end of the judged time, both of which end a gap as a message does.
+    """Coverage of the time from the epoch to the end of the leg; both ends count as messages.
 
     Args:
         recording: the flight.
-        uav: whose track it is.
-        track: stamped like its odometry.
+        uav: the UAV.
+        track: stamped like the odometry of the UAV.
     """
     start_ns, end_ns = recording.start_ns, recording.end_ns
     longest_ns, at_ns, last_ns = -1, start_ns, start_ns
@@ -41,21 +40,18 @@ def coverage(recording: Recording, uav: int, track: Track) -> Coverage:
         if gaps[longest] > longest_ns:
             longest_ns, at_ns = int(gaps[longest]), int(edges[longest])
         last_ns = int(edges[-1])
-    return Coverage(
-        missing=_missing(recording, recording.sent.get(uav), track),
-        longest_gap_s=float(longest_ns) * NANO,
-        gap_at_s=float(at_ns - start_ns) * NANO,
-    )
+    missing = _missing(recording, recording.sent.get(uav), track)
+    return Coverage(missing, float(longest_ns) * NANO, float(at_ns - start_ns) * NANO)
 
 
 def _missing(recording: Recording, sent: Track | None, track: Track) -> int:
-    """Messages that should be there and are not; real vehicles have rates of their own."""
+    """Messages that were sent and are not recorded; real vehicles have rates of their own."""
     start_ns, end_ns = recording.start_ns, recording.end_ns
     if sent is None:
-        # In all, not gap by gap: a late message and the early one after it are none too few.
+        # The total, not gap by gap: a late message and an early one after it are not a missing one.
         expected = round((end_ns - start_ns) / recording.scenario.dt_ns) + 1
         return max(expected - _count(track, start_ns, end_ns), 0)
-    # From the last count before the epoch to the first one after the end: exact at both.
+    # From the last count before the epoch to the first count after the end: exact at both.
     first = max(sent.index(start_ns, "right") - 1, 0)
     last = min(sent.index(end_ns, "left"), sent.size - 1)
     before, after = sent.rows(first, first + 1), sent.rows(last, last + 1)
@@ -81,7 +77,7 @@ def _early_end(recording: Recording) -> str:
 
 
 def incomplete(recording: Recording, uav: int) -> str:
-    """What is missing of a UAV or of the leader it is measured against; empty: enough is there."""
+    """What the recording lacks of a UAV or of its leader; empty when it is complete enough."""
     found = []
     for name in dict.fromkeys((uav, recording.scenario.leader_id)):
         gap = coverage(recording, name, recording.odometry[name])
@@ -92,7 +88,8 @@ def incomplete(recording: Recording, uav: int) -> str:
     return ", ".join(text for text in found if text)
 
 
-def _first_bad_s(recording: Recording, track: Track | None) -> float | None:
+def first_bad_s(recording: Recording, track: Track | None) -> float | None:
+    """Time after the epoch of the first sample that is not finite; None when all are finite."""
     if track is None:
         return None
     for block in track.blocks(*track.span(recording.start_ns, recording.end_ns)):
@@ -100,18 +97,3 @@ def _first_bad_s(recording: Recording, track: Track | None) -> float | None:
         if bad.size:
             return float(block.t_ns[bad[0]] - recording.start_ns) * NANO
     return None
-
-
-def not_finite(recording: Recording, uav: int, bad_error_s: float | None) -> str:
-    """Since when a UAV's numbers are none; empty when all are finite.
-
-    Args:
-        recording: the flight.
-        uav: whose odometry and wrench.
-        bad_error_s: since when its formation error is none, which it is too when the leader's odometry is not.
-    """
-    own = [_first_bad_s(recording, of.get(uav)) for of in (recording.odometry, recording.wrench)]
-    since = [time for time in own if time is not None]
-    if since:
-        return f"state not finite from t = {min(since):.2f} s"
-    return "" if bad_error_s is None else f"error not finite from t = {bad_error_s:.2f} s"

@@ -1,4 +1,4 @@
-"""Figures beside the verdict: input, energy (54), separations, estimator, timing."""
+"""Further figures of a verdict: input, energy (54), separations, estimator."""
 
 from __future__ import annotations
 
@@ -10,29 +10,29 @@ from numpy.typing import NDArray
 
 from ptnsbc_core.types import Array
 from ptnsbc_tools.verdict.coverage import coverage
+from ptnsbc_tools.verdict.deadline import ValueAt, max_of
 from ptnsbc_tools.verdict.recording import NANO, Recording
-from ptnsbc_tools.verdict.running import Instant, max_of
 from ptnsbc_tools.verdict.track import BLOCK, Series
 
 
 @dataclass(frozen=True)
 class Effort:
-    """What one UAV asked of its actuators."""
+    """The input that one UAV commanded."""
 
     uav: int
     initial_input: float  # |(force, torque)| at the epoch [N, N m]
-    initial_above_hover_n: float  # force at the epoch, less the weight
+    initial_above_hover_n: float  # force at the epoch minus the weight
     peak_input: float  # largest |(force, torque)|
     peak_force_n: float
     peak_at_s: float
     energy: float  # integral of |u|^2 (54) [N^2 s]
-    energy_above_hover: float  # the same of the force beyond the weight, and the torque
-    missing: int  # wrench messages, of one per odometry sent or per control period
+    energy_above_hover: float  # the same of the force above the weight, and of the torque
+    missing: int  # wrench messages missing of one per odometry sent or per control period
 
 
 @dataclass(frozen=True)
 class Separation:
-    """The closest approach of one pair."""
+    """The closest approach of two UAVs, or of a UAV and an obstacle."""
 
     first: str
     second: str
@@ -44,15 +44,15 @@ class Separation:
 
 @dataclass(frozen=True)
 class EstimatorError:
-    """How well one follower knows the leader's position."""
+    """Error of one follower's estimate of the leader's position."""
 
     uav: int
     at_deadline_m: float | None
     max_after_m: float | None
 
 
-class _Inputs:
-    """Figures of the inputs of one UAV, block by block."""
+class _InputFigures:
+    """Figures of the inputs of one UAV, which arrive block by block."""
 
     def __init__(self, recording: Recording) -> None:
         self._recording = recording
@@ -63,10 +63,9 @@ class _Inputs:
         self.energy = self.above_hover = 0.0
 
     def add(self, block: Series, next_ns: int) -> None:
-        """Take inputs that acted one after the other, the last until `next_ns`.
+        """Take the next inputs; the last of them acts until `next_ns`.
 
-        An input is held until the next one is recorded: a message that is missing must not take its time
-        out of an integral.
+        An input acts until the next one that is recorded: a missing message takes no time out of an integral.
         """
         start_ns, end_ns = self._recording.start_ns, self._recording.end_ns
         force = np.linalg.norm(block.values[:, :3], axis=1)
@@ -85,12 +84,12 @@ class _Inputs:
         if self.first is None:
             self.first = float(whole[0]), float(force[0])
         self.peak_force = max_of(self.peak_force, force.max())
-        peak = int(np.argmax(whole))  # the first that is no number, if there is one
+        peak = int(np.argmax(whole))  # the first NaN, if there is one
         if whole[peak] > self.peak or np.isnan(whole[peak]) > np.isnan(self.peak):
             self.peak, self.peak_at_s = float(whole[peak]), float(times[peak])
 
     def effort(self, uav: int, missing: int) -> Effort | None:
-        """All of them; None when there was no input in the judged time."""
+        """All figures; None when there was no input in the judged time."""
         if self.first is None:
             return None
         return Effort(
@@ -111,8 +110,8 @@ def effort(recording: Recording, uav: int) -> Effort | None:
     track = recording.wrench.get(uav)
     if track is None:
         return None
-    figures = _Inputs(recording)
-    # What was said last before the epoch acts at it.
+    figures = _InputFigures(recording)
+    # The last input before the epoch acts at the epoch.
     first = max(track.index(recording.start_ns, "right") - 1, 0)
     end = track.index(recording.end_ns, "right")
     for begin in range(first, end, BLOCK):
@@ -123,7 +122,7 @@ def effort(recording: Recording, uav: int) -> Effort | None:
 
 
 class _Pair:
-    """The closest approach of two, block by block."""
+    """The closest approach of one pair, whose distances arrive block by block."""
 
     def __init__(self, names: tuple[str, str], keep_out: float) -> None:
         self._names = names
@@ -134,7 +133,7 @@ class _Pair:
         self._inside_since: float | None = None  # of the newest sample, when it is inside
 
     def add(self, times: Array, distance: Array) -> None:
-        """Take (T,) [s] and (T,) [m]."""
+        """Take the next distances (T,) [m] at (T,) [s]."""
         distance = np.where(np.isfinite(distance), distance, np.inf)  # NaN is neither near nor far
         closest = int(np.argmin(distance))
         if self._at_s is None or distance[closest] < self._closest:
@@ -147,7 +146,7 @@ class _Pair:
         self._inside_since = float(times[-1]) if inside[-1] else None
 
     def separation(self) -> Separation:
-        """What was found."""
+        """The closest approach so far."""
         at_s = self._at_s or 0.0
         return Separation(*self._names, self._closest, at_s, self._keep_out, self._inside_s)
 
@@ -169,7 +168,7 @@ class Separations:
         ]
 
     def add(self, grid: NDArray[np.int64], positions: dict[int, Array]) -> None:
-        """Take the positions (T, 3) [m] of all UAVs at (T,) [ns]."""
+        """Take the next positions (T, 3) [m] of all UAVs at (T,) [ns]."""
         times = self._recording.times(grid)
         for (a, b), pair in self._pairs.items():
             pair.add(times, np.linalg.norm(positions[a] - positions[b], axis=1))
@@ -177,25 +176,25 @@ class Separations:
             pair.add(times, np.linalg.norm(positions[uav] - place, axis=1))
 
     def found(self) -> list[Separation]:
-        """Worst margin first."""
+        """All pairs, the smallest margin first."""
         pairs = [*self._pairs.values(), *(pair for _, _, pair in self._obstacles)]
         found = [pair.separation() for pair in pairs]
         return sorted(found, key=lambda pair: pair.distance_m - pair.keep_out_m)
 
 
 class EstimatorErrors:
-    """Errors of the followers' leader estimates, as far as they were recorded."""
+    """Errors of the followers' estimates of the leader, as far as they are recorded."""
 
     def __init__(self, recording: Recording) -> None:
         self._recording = recording
         self._deadline_s = deadline = recording.scenario.gains.estimator.deadline_s
         tracks = recording.estimate
         self._tracks = {u: tracks[u] for u in recording.scenario.followers if u in tracks}
-        self._at = {uav: Instant(deadline) for uav in self._tracks}
+        self._at = {uav: ValueAt(deadline) for uav in self._tracks}
         self._max: dict[int, float] = {}
 
     def add(self, grid: NDArray[np.int64], positions: dict[int, Array]) -> None:
-        """Take the positions (T, 3) [m] of all UAVs at (T,) [ns]."""
+        """Take the next positions (T, 3) [m] of all UAVs at (T,) [ns]."""
         times = self._recording.times(grid)
         leader = positions[self._recording.scenario.leader_id]
         for uav, track in self._tracks.items():
@@ -206,5 +205,5 @@ class EstimatorErrors:
                 self._max[uav] = max_of(self._max.get(uav, -np.inf), after.max())
 
     def found(self) -> list[EstimatorError]:
-        """One per follower."""
+        """The errors of every follower."""
         return [EstimatorError(u, self._at[u].value, self._max.get(u)) for u in self._tracks]

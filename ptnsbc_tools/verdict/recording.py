@@ -1,4 +1,4 @@
-"""What a verdict is computed from: plain arrays on one clock, wherever they were recorded."""
+"""The input of a verdict: plain arrays on one clock, from the simulator, a fleet or real vehicles."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ptnsbc_sim.scenario import Scenario
 from ptnsbc_tools.verdict.track import Track
 
 NANO = 1e-9
-FORMATION = "form"  # leg with a deadline
+FORMATION = "form"  # name of the legs that have a deadline
 
 
 class VerdictError(PtnsbcError):
@@ -28,11 +28,11 @@ COUNTERS = (
     "missed_ticks",  # since the process started
     "priority_violation_max",  # [m/s]
 )
-"""Columns of what a UAV counts on /diagnostics, from its start on."""
+"""Columns of the counters that a UAV publishes on /diagnostics, counted from its start."""
 
 
-def gained(counters: Track, name: str, start_ns: int, end_ns: int) -> float:
-    """By how much a counter rose between two instants."""
+def counter_rise(counters: Track, name: str, start_ns: int, end_ns: int) -> float:
+    """Rise of a counter between two instants."""
     column = COUNTERS.index(name)
 
     def before(end: int) -> float:
@@ -44,7 +44,7 @@ def gained(counters: Track, name: str, start_ns: int, end_ns: int) -> float:
 
 @dataclass(frozen=True)
 class Recording:
-    """A whole flight, of the simulator, a fleet or real vehicles alike."""
+    """A whole flight."""
 
     scenario: Scenario
     odometry: Mapping[int, Track]  # (T, 13) per UAV
@@ -52,37 +52,37 @@ class Recording:
     estimate: Mapping[int, Track]  # (T, 13) per UAV; may lack UAVs
     counters: Mapping[int, Track]  # (T, 5) per UAV, `COUNTERS`; may lack UAVs
     epochs: tuple[tuple[int, str], ...]  # (t0 [ns], leg), ascending; empty when not recorded
-    truth: Mapping[int, Track] = field(default_factory=dict)  # (T, 13) per UAV, of simulators
-    # (T, 1) per UAV: odometry messages sent until each stamp, as a bridge counts them
+    truth: Mapping[int, Track] = field(default_factory=dict)  # (T, 13) per UAV; simulators only
+    # (T, 1) per UAV: odometry messages sent until each stamp, counted by the bridge
     sent: Mapping[int, Track] = field(default_factory=dict)
-    latency: Mapping[str, float] = field(default_factory=dict)  # of the sim node, newest figures
-    leg: int = 0  # which of the formation legs is looked at
-    window_s: float | None = None  # look no further than this after its epoch
+    latency: Mapping[str, float] = field(default_factory=dict)  # newest figures of the sim node
+    leg: int = 0  # which of the formation legs is judged
+    window_s: float | None = None  # judge only so many seconds after its epoch
 
     @property
     def forms(self) -> tuple[int, ...]:
-        """Epochs [ns] of the formation legs; the first message when none was recorded."""
+        """Epochs [ns] of the formation legs; the stamp of the first message when none was recorded."""
         found = tuple(t0_ns for t0_ns, leg in self.epochs if leg == FORMATION)
         return found or (min(track.first_ns for track in self.odometry.values()),)
 
     @property
     def first_ns(self) -> int:
-        """Epoch of the first formation leg: the leader's trajectory counts from here."""
+        """Epoch of the first formation leg, from which the leader's trajectory is counted."""
         return self.forms[0]
 
     @property
     def start_ns(self) -> int:
-        """Epoch of the leg: deadlines count from here."""
+        """Epoch of the leg, from which deadlines are counted."""
         return self.forms[self.leg]
 
     @property
     def due_ns(self) -> int:
-        """When the leg should end: at the next epoch, or with the window or the flight."""
+        """When the leg should end: at the next epoch, the end of the window, or the end of the flight."""
         return self._ended(self.first_ns + self.scenario.ticks * self.scenario.dt_ns)
 
     @property
     def end_ns(self) -> int:
-        """When it is over: with the leg, or at the last instant that all UAVs recorded."""
+        """When the judged time ends: with the leg, or at the last instant that is recorded of all UAVs."""
         return self._ended(min(track.last_ns for track in self.odometry.values()))
 
     def _ended(self, last_ns: int) -> int:
@@ -93,7 +93,7 @@ class Recording:
 
     @property
     def samples(self) -> int:
-        """How many instants are judged."""
+        """Number of judged instants."""
         first, end = self.odometry[self.scenario.leader_id].span(self.start_ns, self.end_ns)
         return end - first
 
@@ -110,7 +110,7 @@ class Recording:
             yield block.t_ns
 
     def grid(self) -> NDArray[np.int64]:
-        """All of them at once, for short flights."""
+        """All judged instants at once, for short flights."""
         return np.concatenate(list(self.grids()))
 
     def times(self, stamps: NDArray[np.int64]) -> Array:
@@ -119,7 +119,7 @@ class Recording:
 
     @property
     def judged_by(self) -> str:
-        """What positions are taken from: `truth` where all UAVs have it, else `odometry`."""
+        """The source of positions: `truth` where it is recorded of all UAVs, else `odometry`."""
         return "truth" if all(uav in self.truth for uav in self.scenario.uav_ids) else "odometry"
 
     def positions(self, grid: NDArray[np.int64]) -> dict[int, Array]:
@@ -128,15 +128,14 @@ class Recording:
         return {uav: source[uav].at(grid)[:, :3] for uav in self.scenario.uav_ids}
 
 
-def complete(recording: Recording) -> Recording:
-    """`recording` when every UAV of its scenario is in it, an error otherwise."""
+def require_all_uavs(recording: Recording) -> None:
+    """Raise VerdictError when a UAV of the scenario is missing."""
     missing = [uav for uav in recording.scenario.uav_ids if uav not in recording.odometry]
     if missing:
         names = ", ".join(f"/uav{uav}/odom" for uav in missing)
         raise VerdictError(f"no message on {names}: expected odometry of every UAV in the scenario")
-    return recording
 
 
 def tolerance_of(recording: Recording, given: float | None) -> float:
-    """The hard limit at the deadline [m]: what is given, or the scenario's."""
+    """Limit of the error at the deadline [m]: the given one, or that of the scenario."""
     return recording.scenario.file.formation.tolerance_m if given is None else given

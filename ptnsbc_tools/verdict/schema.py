@@ -1,6 +1,6 @@
-"""The JSON schema of a verdict, made of its classes: `python -m ptnsbc_tools.verdict.schema`.
+"""The JSON schema of a verdict, made from its classes: `python -m ptnsbc_tools.verdict.schema`.
 
-`docs/verdict.schema.json` is what this prints.
+`docs/verdict.schema.json` is the output.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ _WORD = {"enum": [MET, MISSED, VOID]}
 
 
 def schema() -> dict[str, Any]:
-    """JSON schema, draft 2020-12, of what every command prints with --json."""
+    """JSON schema, draft 2020-12, of the verdict that commands print with --json."""
     found = TypeAdapter(Verdict).json_schema()
     made = _plain(found)
-    # Both are worked out from the UAVs, and so no fields of the classes.
+    # Both verdicts follow from those of the UAVs and are therefore no fields of the classes.
     for part in (made, made["$defs"]["LegVerdict"]):
         part["properties"] = {"verdict": _WORD, **part["properties"]}
         part["required"] = ["verdict", *part["required"]]
@@ -34,7 +34,7 @@ def schema() -> dict[str, Any]:
 
 
 def _plain(part: Any) -> Any:
-    """Numbers may be null: a figure that does not exist. Titles say what the keys say."""
+    """A schema in which numbers may be null (a figure that does not exist), without titles."""
     if isinstance(part, list):
         return [_plain(item) for item in part]
     if not isinstance(part, dict):
@@ -49,7 +49,7 @@ def _plain(part: Any) -> Any:
 
 
 def text() -> str:
-    """As it is committed."""
+    """The schema as the committed file holds it."""
     return json.dumps(schema(), indent=2, ensure_ascii=False) + "\n"
 
 

@@ -1,7 +1,7 @@
-"""Samples over time, held in memory or not: whoever looks at all of them does so block by block.
+"""Samples over time, in memory or on the disk, read block by block.
 
-A sum over more than one block is the sum of the blocks' sums. That is part of what it is: the same
-whether the samples are in memory or on the disk.
+A sum over more than one block is the sum of the blocks' sums. It is therefore the same whether the samples are
+in memory or on the disk.
 """
 
 from __future__ import annotations
@@ -16,47 +16,36 @@ from numpy.typing import NDArray
 from ptnsbc_core.types import Array
 
 BLOCK = 8192
-"""Samples looked at together: 82 s at 100 Hz."""
+"""Samples that are read together: 82 s at 100 Hz."""
 
 
 class Track(ABC):
     """Samples of one quantity of one UAV, ascending in time; at least one."""
 
-    @property
-    @abstractmethod
-    def size(self) -> int:
-        """How many there are."""
-
-    @property
-    @abstractmethod
-    def first_ns(self) -> int:
-        """Time of the first."""
-
-    @property
-    @abstractmethod
-    def last_ns(self) -> int:
-        """Time of the last."""
+    size: int  # number of samples
+    first_ns: int  # stamp of the first sample
+    last_ns: int  # stamp of the last sample
 
     @abstractmethod
     def index(self, t_ns: int, side: Literal["left", "right"]) -> int:
-        """How many samples are before `t_ns`; with `right` those at `t_ns` too."""
+        """Number of samples before `t_ns`; with `right` those at `t_ns` too."""
 
     @abstractmethod
     def rows(self, first: int, end: int) -> Series:
         """Samples number `first` to `end - 1`."""
 
     def blocks(self, first: int = 0, end: int | None = None) -> Iterator[Series]:
-        """All of these samples, at most `BLOCK` at a time."""
+        """Samples number `first` to `end - 1`, at most `BLOCK` at a time."""
         end = self.size if end is None else end
         for begin in range(first, end, BLOCK):
             yield self.rows(begin, min(begin + BLOCK, end))
 
     def span(self, first_ns: int, last_ns: int) -> tuple[int, int]:
-        """Numbers of the samples in a time, both ends included, as for `blocks`."""
+        """The samples between two times, both included, as arguments of `blocks`."""
         return self.index(first_ns, "left"), self.index(last_ns, "right")
 
     def at(self, t_ns: NDArray[np.int64]) -> Array:
-        """Values at other times (T,), ascending; linear in between, exact where the times coincide."""
+        """Values at other times (T,), ascending: interpolated linearly, exact where the times coincide."""
         first = max(self.index(int(t_ns[0]), "right") - 1, 0)
         end = max(min(self.index(int(t_ns[-1]), "left") + 1, self.size), first + 1)
         near = self.rows(first, end)
@@ -72,24 +61,12 @@ class Series(Track):
     def __init__(self, t_ns: NDArray[np.int64], values: Array) -> None:
         self.t_ns = t_ns  # (T,) ascending
         self.values = values  # (T, width)
-
-    @property
-    def size(self) -> int:
-        """How many there are."""
-        return self.t_ns.size
-
-    @property
-    def first_ns(self) -> int:
-        """Time of the first."""
-        return int(self.t_ns[0])
-
-    @property
-    def last_ns(self) -> int:
-        """Time of the last."""
-        return int(self.t_ns[-1])
+        self.size = t_ns.size
+        if self.size:
+            self.first_ns, self.last_ns = int(t_ns[0]), int(t_ns[-1])
 
     def index(self, t_ns: int, side: Literal["left", "right"]) -> int:
-        """How many samples are before `t_ns`; with `right` those at `t_ns` too."""
+        """Number of samples before `t_ns`; with `right` those at `t_ns` too."""
         return int(np.searchsorted(self.t_ns, t_ns, side=side))
 
     def rows(self, first: int, end: int) -> Series:

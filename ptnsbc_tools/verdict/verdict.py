@@ -1,4 +1,4 @@
-"""The verdict on a whole recording, as one plain object that tables and JSON are made from."""
+"""The verdict on a whole recording: one plain object, from which tables and JSON are made."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from ptnsbc_tools.verdict.deadline import (
     MET,
     MISSED,
     VOID,
+    ErrorFigures,
     UavVerdict,
     formation_errors,
     judge,
@@ -31,20 +32,18 @@ from ptnsbc_tools.verdict.recording import (
     NANO,
     Recording,
     VerdictError,
-    complete,
-    gained,
+    counter_rise,
+    require_all_uavs,
     tolerance_of,
 )
-from ptnsbc_tools.verdict.running import ErrorFigures
-from ptnsbc_tools.verdict.track import Track
 
 _VIOLATION = COUNTERS.index("priority_violation_max")
-_Watcher = Separations | EstimatorErrors
+_PositionFigures = Separations | EstimatorErrors
 
 
 @dataclass(frozen=True)
 class LegVerdict:
-    """How the UAVs kept the deadline of one formation leg; a leg begins at each epoch with that name."""
+    """How the UAVs kept the deadline of one formation leg, which begins at an epoch with that name."""
 
     number: int  # from 1
     epoch_s: float
@@ -60,19 +59,19 @@ class LegVerdict:
 
 @dataclass(frozen=True)
 class Verdict:
-    """Everything that a recording shows about its deadline and what it cost."""
+    """All results of a recording: deadlines, input, separations, estimators, timing."""
 
     scenario: str
     plant: str
     task: str
     profile: str
     avoidance: str
-    judged_by: str  # truth | odometry: where positions are taken from
+    judged_by: str  # truth | odometry: the source of positions
     epoch_s: float
     duration_s: float
     uavs: tuple[UavVerdict, ...]
     efforts: tuple[Effort, ...]
-    separations: tuple[Separation, ...]  # worst margin first
+    separations: tuple[Separation, ...]  # the smallest margin first
     estimators: tuple[EstimatorError, ...]
     energy: float  # (54), all UAVs
     inside_keep_out_s: float  # summed over pairs
@@ -88,14 +87,14 @@ class Verdict:
 
     @property
     def exit_code(self) -> int:
-        """0 when every UAV met its deadline, else 1: what is void was not shown to be met."""
+        """0 when every UAV met its deadline, else 1: a void deadline was not shown to be met."""
         return 0 if self.verdict == MET else 1
 
     def as_json(self) -> dict[str, Any]:
-        """Plain types only; a figure that does not exist is null."""
+        """The verdict in plain types; a figure that does not exist is null."""
         plain = _plain(dataclasses.asdict(self))
-        for told, leg in zip(plain["legs"], self.legs, strict=True):
-            told["verdict"] = leg.verdict
+        for entry, leg in zip(plain["legs"], self.legs, strict=True):
+            entry["verdict"] = leg.verdict
         return {"verdict": self.verdict, **plain}
 
 
@@ -113,13 +112,14 @@ def _plain(value: Any) -> Any:
 
 
 def verdict_on(recording: Recording, tolerance: float | None = None) -> Verdict:
-    """Judge a recording; `tolerance` [m] is the hard limit at the deadline, by default the scenario's."""
-    with np.errstate(all="ignore"):  # what is not finite is named in the verdict
+    """Judge a recording; `tolerance` [m] limits the error at the deadline, by default as in the scenario."""
+    with np.errstate(all="ignore"):  # the verdict names what is not finite
         return _verdict_on(recording, tolerance_of(recording, tolerance))
 
 
 def _verdict_on(recording: Recording, tolerance: float) -> Verdict:
-    scenario = complete(recording).scenario
+    require_all_uavs(recording)
+    scenario = recording.scenario
     pairs, estimators = Separations(recording), EstimatorErrors(recording)
     legs = _legs(recording, tolerance, (pairs, estimators))
     found = [effort(recording, uav) for uav in scenario.uav_ids]
@@ -142,41 +142,44 @@ def _verdict_on(recording: Recording, tolerance: float) -> Verdict:
         estimators=tuple(estimators.found()),
         energy=sum(one.energy for one in efforts),
         inside_keep_out_s=sum(pair.inside_s for pair in separations),
-        missed_ticks=int(sum(gained(one, "missed_ticks", start_ns, end_ns) for one in counters)),
-        priority_violation_m_s=max((_newest(one)[_VIOLATION] for one in counters), default=0.0),
+        missed_ticks=int(
+            sum(counter_rise(one, "missed_ticks", start_ns, end_ns) for one in counters)
+        ),
+        priority_violation_m_s=max(
+            (float(one.rows(one.size - 1, one.size).values[0, _VIOLATION]) for one in counters),
+            default=0.0,
+        ),
         latency_ms=dict(recording.latency),
         legs=tuple(leg.verdict for leg in legs),
     )
 
 
-def _newest(counters: Track) -> list[float]:
-    return [float(value) for value in counters.rows(counters.size - 1, counters.size).values[0]]
-
-
-class _Judged(NamedTuple):
-    """A leg and where it ends."""
+class _JudgedLeg(NamedTuple):
+    """A leg and the last instant of it that is judged."""
 
     verdict: LegVerdict
     end_ns: int
 
 
-def _legs(recording: Recording, tolerance: float, first: Sequence[_Watcher]) -> list[_Judged]:
-    """All legs; who watches the first one sees the positions too."""
+def _legs(
+    recording: Recording, tolerance: float, of_first: Sequence[_PositionFigures]
+) -> list[_JudgedLeg]:
+    """All legs; the figures `of_first` take the positions of the first leg."""
     found = []
     for number in range(len(recording.forms)):
         leg = dataclasses.replace(recording, leg=number)
         try:
-            found.append(_leg(leg, tolerance, () if number else first))
+            found.append(_leg(leg, tolerance, () if number else of_first))
         except VerdictError as error:
             if number == 0:
                 raise
             epoch_s = leg.start_ns * NANO
             void = LegVerdict(number + 1, epoch_s, 0.0, str(error), ())
-            found.append(_Judged(void, leg.start_ns))
+            found.append(_JudgedLeg(void, leg.start_ns))
     return found
 
 
-def _leg(recording: Recording, tolerance: float, watchers: Sequence[_Watcher]) -> _Judged:
+def _leg(recording: Recording, tolerance: float, others: Sequence[_PositionFigures]) -> _JudgedLeg:
     uavs = recording.scenario.uav_ids
     figures = {uav: ErrorFigures(recording, uav, tolerance) for uav in uavs}
     end_ns = recording.start_ns
@@ -184,8 +187,8 @@ def _leg(recording: Recording, tolerance: float, watchers: Sequence[_Watcher]) -
         positions = recording.positions(grid)
         for uav, error in formation_errors(recording, grid, positions).items():
             figures[uav].add(grid, error)
-        for watcher in watchers:
-            watcher.add(grid, positions)
+        for other in others:
+            other.add(grid, positions)
         end_ns = int(grid[-1])
     leg = LegVerdict(
         recording.leg + 1,
@@ -194,4 +197,4 @@ def _leg(recording: Recording, tolerance: float, watchers: Sequence[_Watcher]) -
         "",
         tuple(judge(recording, uav, figures[uav], tolerance) for uav in uavs),
     )
-    return _Judged(leg, end_ns)
+    return _JudgedLeg(leg, end_ns)

@@ -14,7 +14,7 @@ from ptnsbc_tools.reproduce.experiment_result import Claim, ExperimentResult, Fi
 from ptnsbc_tools.reproduce.figures import style
 from ptnsbc_tools.reproduce.flights import JudgedFlight, fly_judged
 from ptnsbc_tools.reproduce.output import ExperimentFolder, time_column
-from ptnsbc_tools.verdict.tolerances import TOLERANCE_M
+from ptnsbc_tools.verdict.deadline import TOLERANCE_M
 
 _SHOWN_S = 15.0
 _FLOOR_M = 1e-6

@@ -21,7 +21,7 @@ from ptnsbc_tools.reproduce.experiment_result import Cell, Column, ExperimentRes
 from ptnsbc_tools.reproduce.figures import paths, style
 from ptnsbc_tools.reproduce.flights import JudgedFlight, fly_judged, judge, scenario
 from ptnsbc_tools.reproduce.output import ExperimentFolder
-from ptnsbc_tools.verdict.tolerances import TOLERANCE_M
+from ptnsbc_tools.verdict.deadline import TOLERANCE_M
 
 _DRIFT = "they start tilted by 1 rad, as printed, and drift 0.6 m until they are level"
 SNAPSHOTS_S = (0.0, 2.0, 23.0, 50.0)

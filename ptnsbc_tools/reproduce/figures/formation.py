@@ -15,7 +15,7 @@ from ptnsbc_tools.reproduce.figures import panels, style
 from ptnsbc_tools.reproduce.figures.panels import DEADLINE_NOTE
 from ptnsbc_tools.reproduce.flights import JudgedFlight
 from ptnsbc_tools.reproduce.output import ExperimentFolder, time_column
-from ptnsbc_tools.verdict.tolerances import TOLERANCE_M
+from ptnsbc_tools.verdict.deadline import TOLERANCE_M
 
 _SHORTEST_ARM_M = 0.05
 _SHOWN = ("paper", "soft")

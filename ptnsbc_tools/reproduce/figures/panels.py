@@ -7,7 +7,7 @@ from typing import Any
 from ptnsbc_core.types import Array
 from ptnsbc_tools.reproduce.figures import style
 from ptnsbc_tools.reproduce.flights import JudgedFlight
-from ptnsbc_tools.verdict.windows import ancestors
+from ptnsbc_tools.verdict.encounters import ancestors
 
 SPLIT_S = 6.0
 DEADLINE_NOTE = "upright line: the deadline"

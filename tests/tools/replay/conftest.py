@@ -36,7 +36,7 @@ def scenario() -> Scenario:
 def headless(scenario: Scenario, tmp_path_factory: pytest.TempPathFactory) -> Path:
     pytest.importorskip("rclpy")  # for the messages of /diagnostics and the markers
     from ptnsbc_sim.swarm import fly
-    from ptnsbc_tools.reading.flight_bag import write_flight
+    from ptnsbc_tools.reading.headless import write_flight
 
     return write_flight(fly(scenario), tmp_path_factory.mktemp("headless") / "flight")
 

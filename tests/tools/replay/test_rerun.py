@@ -69,7 +69,7 @@ def test_equal(again, request, scenario, kind):
 def test_equal_where_links_lose_and_positions_are_noisy(tmp_path):
     """What is lost follows from seed, edge and tick; odometry is recorded as the UAV saw it."""
     from ptnsbc_sim.swarm import fly
-    from ptnsbc_tools.reading.flight_bag import write_flight
+    from ptnsbc_tools.reading.headless import write_flight
 
     flown = load_scenario("experiment_4", {"timing.duration_s": 1.0, "communication.loss": 0.3})
     assert flown.imperfect

@@ -1,7 +1,7 @@
-"""Bags that others recorded: what the verdict needs of them, whatever wrote them.
+"""Bags of any kind: what wrote them, which topics hold the odometry, and which scenario was flown.
 
-MCAP is read by our own reader, sqlite3 and what rosbag2 compressed itself by rosbags. Both hand
-over the same: topic, log time, CDR.
+MCAP is read by `ptnsbc_io.bag`. The library rosbags reads sqlite3 and the files that rosbag2 compressed. Both
+give the same: topic, log time, CDR.
 """
 
 from __future__ import annotations
@@ -15,19 +15,20 @@ from typing import Any, Protocol
 import yaml
 
 from ptnsbc_core.errors import PtnsbcError
-from ptnsbc_io.bag import BagError, BagMessage, read_bag
+from ptnsbc_io.bag import Bag, BagError, BagMessage, read_bag
 from ptnsbc_io.bag.metadata import METADATA_FILE
-from ptnsbc_sim.scenario import Scenario
+from ptnsbc_sim.scenario import Scenario, load_scenario, scenario_from_text
 
-UAV = "{n}"
+SCENARIO_ATTACHMENT = "scenario.yaml"
+_UAV = "{n}"
 
 
 class TopicPatternError(PtnsbcError):
-    """A pattern that names no UAV."""
+    """A pattern without the id of the UAV."""
 
 
 @dataclass(frozen=True)
-class Names:
+class TopicNames:
     """Names of topics; `{n}` stands for the id of the UAV."""
 
     odom: str = "/uav{n}/odom"
@@ -37,18 +38,22 @@ class Names:
 
     def __post_init__(self) -> None:
         for option, pattern in vars(self).items():
-            if UAV not in pattern:
+            if _UAV not in pattern:
                 raise TopicPatternError(
-                    f"--{option} {pattern!r}: expected {UAV} for the id of the UAV, "
-                    f"like /drone{UAV}/odom"
+                    f"--{option} {pattern!r}: expected {_UAV} for the id of the UAV, "
+                    f"like /drone{_UAV}/odom"
                 )
 
-    def of(self, pattern: str, uav: int) -> str:
+    @staticmethod
+    def of(pattern: str, uav: int) -> str:
         """The topic of one UAV."""
-        return pattern.replace(UAV, str(uav))
+        return pattern.replace(_UAV, str(uav))
 
 
-class Source(Protocol):
+OUR_TOPICS = TopicNames()
+
+
+class BagSource(Protocol):
     """A bag of any kind."""
 
     path: Path
@@ -59,30 +64,34 @@ class Source(Protocol):
     def messages(self, topics: Iterable[str]) -> Iterator[BagMessage]:
         """Messages of these topics."""
 
-    def scenario(self) -> str | None:
-        """Text of the scenario it carries."""
+    def scenario_text(self) -> str | None:
+        """The text of the attached scenario, None without one."""
 
 
-class _Mcap:
-    def __init__(self, path: Path, attachment: str) -> None:
-        self._bag = read_bag(path)
-        self._attachment = attachment
-        self.path = self._bag.path
+class McapSource:
+    """A bag that `ptnsbc_io.bag` reads."""
+
+    def __init__(self, bag: Bag) -> None:
+        self._bag = bag
+        self.path = bag.path
 
     def types(self) -> Mapping[str, str]:
+        """Type of each topic that has messages."""
         return {topic.name: topic.type for topic in self._bag.topics.values() if topic.messages}
 
     def messages(self, topics: Iterable[str]) -> Iterator[BagMessage]:
+        """Messages of these topics."""
         return self._bag.messages(topics)
 
-    def scenario(self) -> str | None:
-        if self._attachment not in self._bag.attachments:
+    def scenario_text(self) -> str | None:
+        """The text of the attached scenario, None without one."""
+        if SCENARIO_ATTACHMENT not in self._bag.attachments:
             return None
-        return self._bag.attachment(self._attachment).decode("utf-8", errors="replace")
+        return self._bag.attachment(SCENARIO_ATTACHMENT).decode("utf-8", errors="replace")
 
 
-class _Rosbag2:
-    """By rosbags; opened anew for every look, so that it can be left at any time."""
+class _RosbagsSource:
+    """A bag that rosbags reads; it is opened for every use, so that reading may stop at any message."""
 
     def __init__(self, folder: Path) -> None:
         self.path = folder
@@ -96,12 +105,12 @@ class _Rosbag2:
         wanted = frozenset(topics)
         with self._open() as reader:
             chosen = [c for c in reader.connections if c.topic in wanted]
-            if not chosen:  # to rosbags that would mean all
+            if not chosen:  # rosbags takes an empty list for all topics
                 return
             for connection, stamp_ns, data in reader.messages(connections=chosen):
                 yield BagMessage(connection.topic, stamp_ns, bytes(data))
 
-    def scenario(self) -> str | None:
+    def scenario_text(self) -> str | None:
         return None
 
     @contextmanager
@@ -114,45 +123,57 @@ class _Rosbag2:
         except (GeneratorExit, PtnsbcError):
             raise
         except Exception as error:
-            # Broad on purpose: damaged files surface as sqlite, YAML, key and value errors.
+            # All exceptions: damaged files raise errors of sqlite and YAML, key errors and value errors.
             raise BagError(
                 f"{self.path} cannot be read ({type(error).__name__}: {error}): expected a folder "
                 "that rosbag2 wrote, with its metadata.yaml"
             ) from error
 
 
-def open_source(path: Path, attachment: str) -> Source:
-    """A bag of any kind; BagError when it is none."""
+def open_source(path: Path) -> BagSource:
+    """Open a bag of any kind; BagError when there is none."""
     folder = path if path.is_dir() else path.parent
     single = path.suffix == ".mcap" and path.is_file()
     if not single and folder.is_dir() and _needs_rosbags(folder):
-        return _Rosbag2(folder)
-    return _Mcap(path, attachment)
+        return _RosbagsSource(folder)
+    return McapSource(read_bag(path))
 
 
 def _needs_rosbags(folder: Path) -> bool:
-    """Whether a folder holds sqlite3, or what rosbag2 compressed itself."""
+    """Whether a folder holds sqlite3 files, or files that rosbag2 compressed."""
     if not (folder / METADATA_FILE).is_file():
         return False
     if not any(folder.glob("*.mcap")):
         return True
     try:
-        told = yaml.safe_load((folder / METADATA_FILE).read_text(encoding="utf-8"))
-        return bool(told["rosbag2_bagfile_information"].get("compression_mode"))
+        metadata = yaml.safe_load((folder / METADATA_FILE).read_text(encoding="utf-8"))
+        return bool(metadata["rosbag2_bagfile_information"].get("compression_mode"))
     except (OSError, ValueError, KeyError, TypeError, AttributeError, yaml.YAMLError):
         return False
 
 
-def check_types(source: Source, names: Names, flown: Scenario) -> None:
-    """Refuse topics that hold something else than is read from them."""
+def scenario_of(source: BagSource, given: Path | None) -> Scenario:
+    """The scenario with which a bag was flown: the given file, else the attached one."""
+    if given is not None:
+        return load_scenario(given)
+    text = source.scenario_text()
+    if text is None:
+        raise BagError(
+            f"{source.path}: no {SCENARIO_ATTACHMENT} attached: name the scenario with --scenario"
+        )
+    return scenario_from_text(text, source=f"{source.path.name}:{SCENARIO_ATTACHMENT}")
+
+
+def check_types(source: BagSource, names: TopicNames, scenario: Scenario) -> None:
+    """Raise BagError when a topic has another type than the expected one."""
     expected = {
         names.odom: "nav_msgs/msg/Odometry",
         names.wrench: "geometry_msgs/msg/WrenchStamped",
+        names.estimate: "nav_msgs/msg/Odometry",
     }
-    expected[names.estimate] = "nav_msgs/msg/Odometry"
     types = source.types()
     for pattern, wanted in expected.items():
-        for uav in flown.uav_ids:
+        for uav in scenario.uav_ids:
             topic = names.of(pattern, uav)
             if types.get(topic, wanted) != wanted:
                 raise BagError(f"{source.path}: {topic} is {types[topic]}: expected {wanted}")

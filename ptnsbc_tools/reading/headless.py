@@ -1,4 +1,4 @@
-"""A headless flight as a bag: the topics, stamps and bytes that a lock-step fleet would record."""
+"""A headless flight as a Recording, and as the bag that a lock-step fleet would record of it."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ from collections.abc import Callable, Iterator
 from importlib import import_module
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from ptnsbc_core.agent import load_diagnostics
 from ptnsbc_core.errors import PtnsbcError
@@ -17,20 +19,55 @@ from ptnsbc_nodes.comm.agent_messages import WORLD_FRAME, AgentMessages
 from ptnsbc_nodes.comm.tf import Transforms
 from ptnsbc_nodes.runtime import environment
 from ptnsbc_nodes.runtime.provenance import provenance
+from ptnsbc_sim import track as columns
 from ptnsbc_sim.swarm import HeadlessFlight
-from ptnsbc_tools.reading.bag_reader import SCENARIO_ATTACHMENT
+from ptnsbc_tools.reading.bag_sources import SCENARIO_ATTACHMENT
+from ptnsbc_tools.verdict import Recording, Series
+from ptnsbc_tools.verdict.recording import COUNTERS, FORMATION
 
-LEG = "form"
+_STATUS_HZ = 5
 
 Message = tuple[str, bytes]  # topic, CDR
 
 
 class BagSupportError(PtnsbcError):
-    """The ROS message packages that a bag needs are not installed."""
+    """The ROS message packages that a bag needs are missing."""
+
+
+def recording_of(flight: HeadlessFlight) -> Recording:
+    """The input of a verdict from a flight, without a bag."""
+    t_ns, track, rows = flight.t_ns, flight.track, list(enumerate(flight.scenario.uav_ids))
+    has_truth = bool(len(track.truth))
+    return Recording(
+        scenario=flight.scenario,
+        odometry={uav: Series(t_ns, track.odometry[:, row]) for row, uav in rows},
+        wrench={uav: Series(t_ns, track.wrench[:, row]) for row, uav in rows},
+        estimate={uav: Series(t_ns, track.estimate[:, row]) for row, uav in rows},
+        truth={uav: Series(t_ns, track.truth[:, row]) for row, uav in rows if has_truth},
+        counters={uav: _counters(flight, row) for row, uav in rows},
+        epochs=((int(t_ns[0]), FORMATION),),
+    )
+
+
+def _counters(flight: HeadlessFlight, row: int) -> Series:
+    """The counters of one UAV as /diagnostics would show them: cumulative, rounded to milliseconds."""
+    scenario = flight.scenario
+    log = flight.track.diagnostics[:, row]
+    dt = scenario.dt_ns * 1e-9
+    chosen = slice(None, None, max(scenario.control_hz // _STATUS_HZ, 1))
+    stamps = flight.t_ns[chosen]
+    values = {
+        "avoidance_active_s": np.round(np.cumsum(log[:, columns.ACTIVE_ROWS] > 0) * dt, 3)[chosen],
+        "saturated_s": np.round(np.cumsum(log[:, columns.SATURATED] > 0) * dt, 3)[chosen],
+        "holding_s": np.round(np.cumsum(log[:, columns.HOLDING] > 0) * dt, 3)[chosen],
+        "missed_ticks": np.zeros(stamps.size),
+        "priority_violation_max": np.maximum.accumulate(log[:, columns.PRIORITY_VIOLATION])[chosen],
+    }
+    return Series(stamps, np.stack([values[name] for name in COUNTERS], axis=1))
 
 
 class _MarkerWorld:
-    """The flight as the world that markers are drawn from."""
+    """The flight as the world from which markers are drawn."""
 
     def __init__(self, flight: HeadlessFlight) -> None:
         self.ids = flight.scenario.uav_ids
@@ -39,12 +76,12 @@ class _MarkerWorld:
         self._row = {uav: row for row, uav in enumerate(self.ids)}
 
     def odometry(self, uav_id: int) -> Array:
-        """Odometry vector (13,) at the tick in hand."""
+        """Odometry vector (13,) at the current tick."""
         return self._flight.track.odometry[self.tick, self._row[uav_id]]
 
 
 class _UavMessages:
-    """What one UAV and its sensors say at each tick."""
+    """The messages of one UAV and its sensors."""
 
     def __init__(self, flight: HeadlessFlight, row: int) -> None:
         uav = flight.scenario.uav_ids[row]
@@ -53,48 +90,47 @@ class _UavMessages:
         self._near_every = flight.wiring.near_every
         self._truth = topics.truth(uav).name
         self._names = [topic.name for topic in topics.of_uav(uav)]
-        self._letters = AgentMessages(uav)
+        self._encoder = AgentMessages(uav)
 
     def at(self, tick: int, stamp_ns: int) -> Iterator[Message]:
         """Messages of one tick."""
         odom, near, state, estimate, velocity, wrench = self._names
-        track, row, letters = self._flight.track, self._row, self._letters
-        own = letters.state(Stamped(stamp_ns, track.odometry[tick, row]))
+        track, row, encoder = self._flight.track, self._row, self._encoder
+        own = encoder.state(Stamped(stamp_ns, track.odometry[tick, row]))
         yield odom, own
         if len(track.truth):
-            yield self._truth, letters.state(Stamped(stamp_ns, track.truth[tick, row]))
+            yield self._truth, encoder.state(Stamped(stamp_ns, track.truth[tick, row]))
         if tick % self._near_every == 0:
             yield near, encode_near(stamp_ns, WORLD_FRAME, self._flight.near(tick, row))
         yield state, own
-        yield estimate, letters.estimate(stamp_ns, track.estimate[tick, row])
-        yield velocity, letters.velocity(stamp_ns, track.velocity[tick, row])
-        yield wrench, letters.wrench(stamp_ns, track.wrench[tick, row])
+        yield estimate, encoder.estimate(stamp_ns, track.estimate[tick, row])
+        yield velocity, encoder.velocity(stamp_ns, track.velocity[tick, row])
+        yield wrench, encoder.wrench(stamp_ns, track.wrench[tick, row])
 
 
-class _Status:
-    """The /diagnostics of all UAVs and the sim, and the pictures; both five times a second."""
+class _StatusMessages:
+    """/diagnostics of all UAVs and of the sim, and the markers; both five times a second."""
 
     def __init__(self, flight: HeadlessFlight) -> None:
-        from ptnsbc_nodes.comm.diagnostics import STATUS_HZ
         from ptnsbc_nodes.comm.markers import Scene
         from ptnsbc_nodes.uav.controller import UavCounters
 
         scenario = flight.scenario
         self._flight = flight
-        self._every = max(scenario.control_hz // STATUS_HZ, 1)
+        self._every = max(scenario.control_hz // _STATUS_HZ, 1)
         self._dt = scenario.dt_ns * 1e-9
-        self._tallies = [UavCounters() for _ in scenario.uav_ids]
-        self._places = _MarkerWorld(flight)
+        self._counters = [UavCounters() for _ in scenario.uav_ids]
+        self._world = _MarkerWorld(flight)
         # Only `ids` and `odometry` of a World are read.
-        self._scene = Scene(scenario, self._places)  # type: ignore[arg-type]
+        self._scene = Scene(scenario, self._world)  # type: ignore[arg-type]
 
     def at(self, tick: int, stamp_ns: int) -> Iterator[Message]:
         """Messages of one tick, in the order that a lock-step bag gives them."""
-        for row, tally in enumerate(self._tallies):
-            tally.add(load_diagnostics(self._flight.track.diagnostics[tick, row]), self._dt)
+        for row, counters in enumerate(self._counters):
+            counters.add(load_diagnostics(self._flight.track.diagnostics[tick, row]), self._dt)
         if tick % self._every:
             return
-        self._places.tick = tick
+        self._world.tick = tick
         for data in sorted(self._diagnostics(tick, stamp_ns)):
             yield topics.DIAGNOSTICS.name, data
         yield topics.MARKERS.name, self._scene.markers(stamp_ns)
@@ -102,10 +138,10 @@ class _Status:
     def _diagnostics(self, tick: int, stamp_ns: int) -> Iterator[bytes]:
         from ptnsbc_nodes.comm.diagnostics import DiagnosticLevel, diagnostics, readiness
 
-        for uav, tally in zip(self._flight.scenario.uav_ids, self._tallies, strict=True):
-            values = {**readiness([]), "mode": LEG, "missed_ticks": "0", **tally.values()}
+        for uav, counters in zip(self._flight.scenario.uav_ids, self._counters, strict=True):
+            values = {**readiness([]), "mode": FORMATION, "missed_ticks": "0", **counters.values()}
             level, text = (
-                (DiagnosticLevel.WARN, "holding") if tally.holding else (DiagnosticLevel.OK, "")
+                (DiagnosticLevel.WARN, "holding") if counters.holding else (DiagnosticLevel.OK, "")
             )
             yield diagnostics(stamp_ns, f"uav{uav}: planner", level, text, values)
         still = {f"latency_{name}_ms": "0.000" for name in ("p50", "p99", "max")}
@@ -114,7 +150,7 @@ class _Status:
 
 
 def _as_received(data: bytes) -> bytes:
-    """A message as a subscriber gets it: DDS fills it up with zeros to a multiple of four bytes."""
+    """A message as a subscriber receives it: DDS pads it with zeros to a multiple of four bytes."""
     return data + bytes(-len(data) % 4)
 
 
@@ -122,13 +158,13 @@ def messages(flight: HeadlessFlight) -> Iterator[tuple[int, list[Message]]]:
     """Stamp [ns] and sorted messages of every tick."""
     clock = ClockTemplate()
     uavs = [_UavMessages(flight, row) for row in range(len(flight.scenario.uav_ids))]
-    status = _Status(flight)
+    status = _StatusMessages(flight)
     transforms = Transforms(flight.scenario.uav_ids)
     for tick, stamp in enumerate(flight.t_ns):
         stamp_ns = int(stamp)
         found: list[Message] = [(topics.CLOCK.name, clock.encode(stamp_ns))]
         if tick == 0:
-            found.append((topics.EPOCH.name, HeaderTemplate(LEG).encode(stamp_ns)))
+            found.append((topics.EPOCH.name, HeaderTemplate(FORMATION).encode(stamp_ns)))
         for uav in uavs:
             found.extend(uav.at(tick, stamp_ns))
         made = [transforms.of(topic, data) for topic, data in found]
@@ -139,7 +175,7 @@ def messages(flight: HeadlessFlight) -> Iterator[tuple[int, list[Message]]]:
 
 
 def prepare_bag(directory: Path, *, overwrite: bool) -> None:
-    """Refuse a bag that could not be written, before the flight instead of after it."""
+    """Refuse a bag that cannot be written, before the flight and not after it."""
     environment.prepare()
     try:
         import_module("ptnsbc_nodes.recording.fleet_recorder")
@@ -165,7 +201,7 @@ def write_flight(
         flight: from `ptnsbc_sim.swarm.fly`.
         directory: the bag's folder.
         overwrite: replace an existing bag.
-        progress: called with (ticks done, ticks in all) now and then.
+        progress: called now and then with the ticks done and their total.
     """
     prepare_bag(directory, overwrite=overwrite)
     from ptnsbc_nodes.recording.fleet_recorder import topic_info

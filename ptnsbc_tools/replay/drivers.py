@@ -1,0 +1,223 @@
+"""The order and the inputs of the steps of a re-run: one driver for lock-step bags, one for real-time bags."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections import deque
+from collections.abc import Mapping
+from typing import Generic, NamedTuple, TypeVar
+
+from ptnsbc_io.wire import WireError, decode_integers, peek_stamp
+from ptnsbc_nodes.comm import topics
+from ptnsbc_nodes.uav.controller import step_time
+from ptnsbc_nodes.uav.step_log import TickNote, tick_note
+from ptnsbc_tools.replay.difference import Difference, Mismatch
+from ptnsbc_tools.replay.replay_state import ReplayState
+from ptnsbc_tools.replay.uav_replay import MissingError, UavReplay
+
+_WINDOW_NS = 1_000_000_000  # by how much later than a step its messages may be recorded
+_KEPT_STAMPS = 2000  # per UAV: several seconds
+
+S = TypeVar("S")
+
+
+class StepIndex(NamedTuple):
+    """A step as the flight counts it."""
+
+    tick: int
+    stamp_ns: int
+
+
+class Driver(ABC, Generic[S]):
+    """Makes the steps of all UAVs in the order of the recording.
+
+    A step waits until all its messages have been read.
+    """
+
+    triggers: Mapping[str, int]  # topics whose messages stand for steps, and their UAVs
+
+    def __init__(self, state: ReplayState) -> None:
+        self.state = state
+        self._due: deque[tuple[int, int, S]] = deque()  # log time, UAV, step
+
+    @abstractmethod
+    def read(self, uav: int, data: bytes) -> S:
+        """The step of a trigger."""
+
+    @abstractmethod
+    def index(self, step: S) -> StepIndex:
+        """The place of a step in the flight."""
+
+    @abstractmethod
+    def make(self, replay: UavReplay, step: S) -> Mismatch | None:
+        """Make a step; returns what differs from the recording."""
+
+    def add(self, topic: str, log_ns: int, data: bytes) -> None:
+        """Take a trigger, and make the steps that were recorded `_WINDOW_NS` before it."""
+        uav = self.triggers[topic]
+        self._due.append((log_ns, uav, self.read(uav, data)))
+        while self._due[0][0] < log_ns - _WINDOW_NS:
+            self._make_first()
+
+    def make_all(self) -> None:
+        """Make the steps that are left."""
+        while self._due:
+            self._make_first()
+
+    def _make_first(self) -> None:
+        _, uav, step = self._due.popleft()
+        replay = self.state.uavs[uav]
+        if replay.account.difference is not None:  # its controller state differs from there on
+            return
+        try:
+            found = self.make(replay, step)
+        except WireError as error:
+            found = Mismatch("an input", f"unreadable ({error})", "nothing")
+        if found is not None:
+            tick, stamp_ns = self.index(step)
+            t_s = self.state.seconds(stamp_ns)
+            replay.account.difference = Difference(uav, tick, t_s, stamp_ns, *found)
+
+
+class LockstepDriver(Driver[int]):
+    """Lock-step and headless bags: the rule of lock-step names the inputs of tick k (docs/lockstep.md).
+
+    A step is the stamp of the UAV's own odometry.
+    """
+
+    def __init__(self, state: ReplayState) -> None:
+        super().__init__(state)
+        self.triggers = {topics.odom(uav).name: uav for uav in state.uavs}
+        self._period_ns = state.scenario.dt_ns
+        self._near_every = state.scenario.near_every
+        self._next_ns = dict.fromkeys(state.uavs, 0)
+        self._gaps: dict[int, str] = {}  # why the steps of a UAV cannot be made any more
+
+    def read(self, uav: int, data: bytes) -> int:
+        """The stamp; WireError when it is no instant of simulated time."""
+        stamp_ns = peek_stamp(data)
+        if stamp_ns % self._period_ns:
+            raise WireError(
+                f"stamp {stamp_ns} ns is no multiple of the period {self._period_ns} ns: expected "
+                f"lock-step, or {topics.tick(uav).name} of real time in the bag"
+            )
+        return stamp_ns
+
+    def index(self, step: int) -> StepIndex:
+        """Ticks are counted from simulated time 0."""
+        return StepIndex(step // self._period_ns, step)
+
+    def make(self, replay: UavReplay, step: int) -> Mismatch | None:
+        """Make the step at `step` [ns] from the messages of the tick before."""
+        leg = self.state.epochs.at(step)
+        if leg is None:
+            return None
+        why = self._gaps.get(replay.uav)
+        if why is None:
+            try:
+                self._fetch(replay, step)
+            except MissingError as missing:
+                self._gaps[replay.uav] = why = str(missing)
+        if why is not None:
+            replay.account.skip(self.state.seconds(step), 1, why)
+            return None
+        outputs = replay.step(step_time(step, self._period_ns, leg, 0), step)
+        found = replay.compare(outputs, self.state.buffers)
+        return found or replay.compare_counters()
+
+    def _fetch(self, replay: UavReplay, now_ns: int) -> None:
+        """Put the inputs of a tick into the inbox."""
+        expected_ns = self._next_ns[replay.uav]
+        if now_ns != expected_ns:
+            raise MissingError(f"{replay.inputs['own'].name} stamped {expected_ns} is not recorded")
+        self._next_ns[replay.uav] = now_ns + self._period_ns
+        tick = now_ns // self._period_ns
+        last_near = (tick - tick % self._near_every) * self._period_ns
+        for name, topic in replay.inputs.items():
+            if name == "own":
+                self._hold(replay, name, topic.name, now_ns)
+            elif name == "near":
+                self._hold(replay, name, topic.name, last_near)
+            elif now_ns > 0:
+                self._hold(replay, name, topic.name, now_ns - self._period_ns)
+
+    def _hold(self, replay: UavReplay, name: str, topic: str, due_ns: int) -> None:
+        """Put in the message that is due; an older one only when its sender has ended."""
+        buffer = self.state.buffers[topic]
+        due = buffer.read(due_ns)
+        if due:
+            replay.hold(name, due[-1])
+            return
+        if name in ("own", "near") or buffer.newest_ns >= due_ns:
+            raise MissingError(f"{topic} stamped {due_ns} is not recorded")
+        last = buffer.before(due_ns)
+        if last is not None:
+            replay.hold(name, last)
+
+
+class RealTimeDriver(Driver[TickNote]):
+    """Real-time bags: each UAV recorded on `/uavN/tick` which messages went into each step.
+
+    A step is such a note (`ptnsbc_nodes.uav.step_log`).
+    """
+
+    def __init__(self, state: ReplayState) -> None:
+        super().__init__(state)
+        self.triggers = {topics.tick(uav).name: uav for uav in state.uavs}
+        self._sent: dict[int, dict[int, int]] = {uav: {} for uav in state.uavs}  # steps by stamp
+        self._why = dict.fromkeys(state.uavs, "the recording begins after the first step")
+
+    def read(self, uav: int, data: bytes) -> TickNote:
+        """The note. All outputs of its step have the stamp of its own odometry."""
+        row = decode_integers(data)
+        note = tick_note(row.label, row.values.tolist())
+        sent = self._sent[uav]
+        own_ns = note.used["own"].stamp_ns
+        sent[own_ns] = sent.get(own_ns, 0) + 1
+        if len(sent) > _KEPT_STAMPS:
+            del sent[next(iter(sent))]
+        return note
+
+    def index(self, step: TickNote) -> StepIndex:
+        """Ticks are counted by the process."""
+        return StepIndex(step.sequence, step.moment.now_ns)
+
+    def make(self, replay: UavReplay, step: TickNote) -> Mismatch | None:
+        """Make the step of a note, if the controller has made all steps before it."""
+        snapshot = self.state.snapshot(replay.uav, step.sequence)
+        if step.sequence == 0:  # the controller has started, or started again
+            replay.begin(snapshot)
+        expected = replay.next_step
+        if expected != step.sequence:
+            if expected is not None:
+                self._why[replay.uav] = f"notes on {topics.tick(replay.uav).name} are not recorded"
+                self._skip(replay, step, step.sequence - expected)
+            self._leave_out(replay, step, snapshot)
+            return None
+        try:
+            wrong = replay.fetch(step, self.state.buffers)
+        except MissingError as missing:
+            self._why[replay.uav] = str(missing)
+            self._leave_out(replay, step, snapshot)
+            return None
+        outputs = replay.step(step.moment)
+        expected = self._sent[replay.uav].get(step.used["own"].stamp_ns, 1)
+        found = wrong or replay.compare(outputs, self.state.buffers, expected)
+        found = found or replay.compare_counters()
+        if found is None and snapshot is not None:
+            found = replay.compare_snapshot(step.sequence, snapshot)
+        return found
+
+    def _leave_out(self, replay: UavReplay, step: TickNote, snapshot: bytes | None) -> None:
+        """Do not make a step; continue after it if there is a snapshot."""
+        self._skip(replay, step, 1)
+        replay.reset()
+        if snapshot is not None:
+            replay.resume(step.sequence, snapshot)
+
+    def _skip(self, replay: UavReplay, step: TickNote, steps: int) -> None:
+        if step.moment.flying:
+            t_s = self.state.seconds(step.moment.now_ns)
+            replay.account.skip(t_s, steps, self._why[replay.uav])
+        else:
+            replay.account.waiting += steps
