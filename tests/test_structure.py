@@ -27,7 +27,6 @@ Arrow = tuple[str, str]
 # Import circles that are left: the arrow to remove of each.
 CIRCLES: set[Arrow] = {
     ("ptnsbc_sim.scenario.mavlink", "ptnsbc_sim.scenario.model"),
-    ("ptnsbc_tools.plotting.flight", "ptnsbc_tools.commands.verify"),
 }
 
 # Circles between the rooms of ptnsbc_nodes that are left: the arrow to remove of each.
@@ -50,6 +49,7 @@ TESTS_OF_MORE: dict[str, str] = {
     "tests/nodes/fleet/test_computers.py": "a fleet on two computers",
     "tests/nodes/fleet/test_launched.py": "a fleet by `ros2 launch`",
     "tests/sim/test_shipped_scenarios.py": "scenarios/",
+    "tests/tools/report/test_browser.py": "report/assets/",
 }
 
 # Tests that do not stand where their module stands yet: move or rename them.
@@ -57,14 +57,6 @@ TESTS_TO_MOVE: set[str] = {
     "tests/sim/disturbances/test_flights.py",
     "tests/sim/scenario/test_chance.py",
     "tests/sim/scenario/test_errors.py",
-    "tests/tools/replay/test_damage.py",
-    "tests/tools/replay/test_every_bag.py",
-    "tests/tools/replay/test_publish.py",
-    "tests/tools/report/test_browser.py",
-    "tests/tools/test_in_flight.py",
-    "tests/tools/test_judged.py",
-    "tests/tools/test_sent.py",
-    "tests/tools/verdict/test_legs.py",
 }
 
 

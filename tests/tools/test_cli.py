@@ -15,7 +15,7 @@ from ptnsbc_nodes.comm import topics
 from ptnsbc_tools import console
 from ptnsbc_tools.cli import app
 from ptnsbc_tools.console import COMPILING
-from ptnsbc_tools.reading.bag_reader import SCENARIO_ATTACHMENT
+from ptnsbc_tools.reading.bag_sources import SCENARIO_ATTACHMENT
 from ptnsbc_tools.verdict import Recording, Series
 
 Fly = Callable[..., Recording]
@@ -110,7 +110,6 @@ def test_interrupt_is_130(monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("ptnsbc_tools.commands.check.run", interrupt, raising=False)
     monkeypatch.setattr("ptnsbc_tools.options.scenario_with", interrupt)
     code, _, err = run("check", "paper_5")
     assert (code, err) == (130, "interrupted\n")
@@ -191,7 +190,7 @@ def test_a_line_says_what_takes_long(
 
 
 def test_seed_says_what_it_is_for() -> None:
-    assert "chance: noise" in run("simulate", "--help")[1]
+    assert "disturbances: noise" in run("simulate", "--help")[1]
 
 
 def test_a_cut_bag_is_one_line(fly: Fly, tmp_path: Path) -> None:

@@ -5,16 +5,17 @@ import subprocess
 import sys
 from importlib.util import find_spec
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
 from ptnsbc_io.bag import read_bag
+from ptnsbc_sim.scenario import load_scenario
+from ptnsbc_tools.commands import fleet
 
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.ros,
-    pytest.mark.skipif(find_spec("rclpy") is None, reason="needs rclpy"),
-]
+needs_rclpy = pytest.mark.skipif(find_spec("rclpy") is None, reason="needs rclpy")
+RECORDED = {"messages": 900, "lost": 0, "late": 0}
 
 
 def run(*words: object) -> tuple[int, str, str]:
@@ -32,6 +33,9 @@ def assert_same_flight(fleet: Path, alone: Path) -> set[str]:
     return {message.topic for message in first}
 
 
+@pytest.mark.slow
+@pytest.mark.ros
+@needs_rclpy
 def test_a_fleet_in_lockstep_flies_what_one_process_flies(tmp_path: Path) -> None:
     """Noise and losses included, and with the same verdict."""
     words = ("experiment_4", "--duration", "3", "--json")
@@ -44,6 +48,9 @@ def test_a_fleet_in_lockstep_flies_what_one_process_flies(tmp_path: Path) -> Non
     assert told["fleet"]["died"] == []
 
 
+@pytest.mark.slow
+@pytest.mark.ros
+@needs_rclpy
 def test_demo_leaves_a_bag_a_verdict_and_a_picture(tmp_path: Path) -> None:
     """Of the flight of `paper_5` as one process flies it."""
     code, out, err = run("demo", "--duration", "2", "--out", tmp_path, "--json")
@@ -55,3 +62,73 @@ def test_demo_leaves_a_bag_a_verdict_and_a_picture(tmp_path: Path) -> None:
     code, simulated, _ = run("simulate", *words)
     assert (code, json.loads(simulated)["uavs"]) == (1, data["uavs"])
     assert "/uav1/truth" not in assert_same_flight(data["bag"], tmp_path / "alone")
+
+
+def flown(**changes: Any) -> Any:
+    facts = {
+        "processes": (),
+        "died": (),
+        "interrupted": False,
+        "recorded": RECORDED,
+        "startup_s": 1.0,
+        "flight_s": 7.0,
+        "exit_code": 0,
+    }
+    return SimpleNamespace(**{**facts, **changes})
+
+
+@pytest.mark.parametrize(
+    ("changes", "lines"),
+    [
+        ({}, []),
+        ({"died": ("uav3",)}, ["uav3 ended before its time"]),
+        ({"recorded": {**RECORDED, "lost": 7}}, ["the recorder lost 7 of 900 messages"]),
+        (
+            {"recorded": {**RECORDED, "late": 2}},
+            ["2 messages came too late to be sorted: bytes differ between runs"],
+        ),
+        (
+            {"died": ("recorder",), "recorded": {}},
+            [
+                "recorder ended before its time",
+                "the recorder left no count of its messages: the bag may be cut",
+            ],
+        ),
+    ],
+)
+def test_losses_are_told(changes: dict[str, Any], lines: list[str]) -> None:
+    assert list(fleet._losses(flown(**changes))) == lines
+
+
+@pytest.mark.parametrize(("ended", "code"), [(0, 1), (1, 1), (130, 130)])
+def test_an_unreadable_bag_does_not_hide_the_flight(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], ended: int, code: int
+) -> None:
+    bag = tmp_path / "bag"
+    bag.mkdir()
+    result = flown(exit_code=ended, died=("recorder",), interrupted=ended == 130)
+    assert fleet._judge(bag, result, kept=bag, picture=None, json=True) == code
+    out, err = capsys.readouterr()
+    assert err.count("\n") == 1
+    how = "was interrupted" if ended == 130 else "is over"
+    assert err.startswith(f"error: the flight {how} after 7.0 s, but has no verdict: ")
+    data = json.loads(out)
+    assert (data["verdict"], data["fleet"]["died"]) == (None, ["recorder"])
+    assert data["fleet"]["recorded"] == RECORDED
+
+
+def test_every_override_is_told_beside_what_the_file_says() -> None:
+    overrides = {"gains.formation.deadline_s": 9, "formation.tolerance_m": 0.3}
+    scenario = load_scenario("paper_5", {"mavlink.overrides": overrides})
+    told = list(fleet._flight_overrides(scenario))
+    assert told == [
+        f"in flight: gains.formation.deadline_s: 9 instead of {scenario.gains.formation.deadline_s} "
+        "(mavlink.overrides)",
+        f"in flight: formation.tolerance_m: 0.3 instead of {scenario.file.formation.tolerance_m} "
+        "(mavlink.overrides)",
+    ]
+    assert scenario.bridged().gains.formation.deadline_s == 9
+
+
+def test_without_overrides_there_is_nothing_to_tell() -> None:
+    assert list(fleet._flight_overrides(load_scenario("paper_5"))) == []

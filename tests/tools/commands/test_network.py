@@ -48,7 +48,10 @@ def test_clients_of_a_server(ptnsbc):
     [
         (("peers",), "no computer named"),
         (("peers", "--hosts", "/nowhere"), "/nowhere: No such file"),
-        (("peers", "10.0.0.1", "-o", "/nowhere/x.xml"), "/nowhere/x.xml: No such file"),
+        (
+            ("peers", "10.0.0.1", "-o", "/nowhere/x.xml"),
+            "/nowhere/x.xml: cannot be written: No such file",
+        ),
         (("server", "10.0.0.1:99999"), "expected a port"),
     ],
 )

@@ -11,8 +11,8 @@ from typer.testing import CliRunner
 
 from ptnsbc_io.wire import OdometryTemplate
 from ptnsbc_tools.cli import app
-from ptnsbc_tools.plotting.flight import shown
-from ptnsbc_tools.plotting.status import StatusSeries
+from ptnsbc_tools.plotting.flight import view_of
+from ptnsbc_tools.reading.diagnostics import StatusSeries
 from ptnsbc_tools.report.page import page
 
 ODOMETRY = "nav_msgs/msg/Odometry"
@@ -52,7 +52,7 @@ def test_a_minute_of_five_uavs_stays_below_five_megabytes(fly) -> None:
         for series in tracks.values():
             series.values[:] += 0.01 * noise.standard_normal(series.values.shape)
     recording.estimate.update(recording.odometry)
-    assert len(page(shown(recording, StatusSeries()), {}).encode()) < 5_000_000
+    assert len(page(view_of(recording, StatusSeries()), {}).encode()) < 5_000_000
 
 
 def test_a_bag_that_cannot_be_read_leaves_nothing(tmp_path: Path) -> None:

@@ -1,20 +1,26 @@
-"""Pictures: the same flight, the same bytes."""
+"""Figures and pictures: the same flight gives the same bytes, and every leg is drawn."""
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Any
+
+import matplotlib.axes
+import numpy as np
 import pytest
 
+from ptnsbc_tools.files import OutputFileError
 from ptnsbc_tools.plotting import draw
-from ptnsbc_tools.plotting.flight import shown
-from ptnsbc_tools.plotting.space import errors
-from ptnsbc_tools.plotting.status import StatusSeries
+from ptnsbc_tools.plotting.charts import errors
+from ptnsbc_tools.plotting.flight import view_of
+from ptnsbc_tools.reading.diagnostics import StatusSeries
 
 
 @pytest.mark.parametrize(("suffix", "start"), [(".png", b"\x89PNG"), (".svg", b"<?xml")])
 def test_the_same_bytes_twice(fly, tmp_path, suffix, start):
     contents = set()
     for name in ("a", "b"):
-        chart = errors(shown(fly(seconds=7.0), StatusSeries()))
+        chart = errors(view_of(fly(seconds=7.0), StatusSeries()))
         path = draw.save(draw.figure_of(chart, "paper_5_free"), tmp_path / name / f"e{suffix}")
         contents.add(path.read_bytes())
     (content,) = contents
@@ -23,9 +29,44 @@ def test_the_same_bytes_twice(fly, tmp_path, suffix, start):
 
 
 def test_other_suffixes_and_places_are_refused(fly, tmp_path):
-    figure = draw.figure_of(errors(shown(fly(seconds=7.0), StatusSeries())), "x")
+    figure = draw.figure_of(errors(view_of(fly(seconds=7.0), StatusSeries())), "x")
     with pytest.raises(draw.FigureError, match=r"suffix \.pdf: expected \.png or \.svg"):
         draw.save(figure, tmp_path / "e.pdf")
     (tmp_path / "file").write_text("")
-    with pytest.raises(draw.FigureError, match="cannot be written"):
+    with pytest.raises(OutputFileError, match="cannot be written"):
         draw.save(figure, tmp_path / "file" / "e.png")
+
+
+LEGS = ((0, "form"), (12 * 10**9, "form"))
+
+
+@pytest.fixture
+def drawn(monkeypatch):
+    """Curves by their label, as they are drawn."""
+    curves: dict[str, list[np.ndarray]] = {}
+    plot = matplotlib.axes.Axes.plot
+
+    def noted(self: Any, x: Any, y: Any, *rest: Any, label: str = "", **look: Any) -> Any:
+        curves.setdefault(label, []).append(np.stack(np.broadcast_arrays(x, y)))
+        return plot(self, x, y, *rest, label=label, **look)
+
+    monkeypatch.setattr(matplotlib.axes.Axes, "plot", noted)
+    return curves
+
+
+def test_every_leg_is_drawn(fly, drawn, tmp_path: Path) -> None:
+    away = {2: lambda t: np.where(t > 12.0, 3.0, 0.0)}
+    recording = fly(away, seconds=20.0, epochs=LEGS)
+    path = draw.draw_flight(recording, tmp_path / "flight.png", 0.07)
+    assert path.read_bytes().startswith(b"\x89PNG")
+    from_above, error = drawn["UAV 2"]
+    assert from_above[0].max() - from_above[0].min() > 3.0
+    assert error[0].max() == pytest.approx(19.99)
+    assert np.nanmax(error[1][error[0] > 12.0]) == pytest.approx(3.0)
+    assert np.nanmax(error[1][error[0] < 12.0]) < 0.01
+
+
+def test_a_long_path_is_thinned(fly, drawn, tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr("ptnsbc_tools.plotting.draw._PATH_POINTS", 100)
+    draw.draw_flight(fly(), tmp_path / "flight.png")
+    assert drawn["UAV 2"][0].shape == (2, 100)

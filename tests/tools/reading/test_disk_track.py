@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ptnsbc_tools.reading import disk_track as spool
-from ptnsbc_tools.reading.disk_track import DiskTrack, SpoolError, Writer
+from ptnsbc_tools.reading import disk_track
+from ptnsbc_tools.reading.disk_track import SampleFile, SampleFileError, TrackWriter
 from ptnsbc_tools.verdict import Series, Track
 
 STAMPS = st.lists(st.integers(-5, 60), min_size=1, max_size=60) | st.lists(
@@ -21,7 +21,7 @@ STAMPS = st.lists(st.integers(-5, 60), min_size=1, max_size=60) | st.lists(
 
 def written(stamps: list[int], width: int = 3) -> tuple[Track, Series]:
     """A track on the disk and what it should hold: of two with one stamp the last, by stamp."""
-    writer = Writer(DiskTrack())
+    writer = TrackWriter(SampleFile())
     rows: dict[int, list[float]] = {}
     empty = len(stamps) > 1 and not any(stamps)
     for number, stamp in enumerate(stamps):
@@ -37,7 +37,7 @@ def written(stamps: list[int], width: int = 3) -> tuple[Track, Series]:
 @given(stamps=STAMPS, data=st.data())
 def test_a_track_on_the_disk_is_that_in_memory(rows, stamps, data):
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(spool, "_ROWS", rows)
+        patch.setattr(disk_track, "_ROWS", rows)
         track, expected = written(stamps)
         assert (track.size, track.first_ns, track.last_ns) == (
             expected.size,
@@ -70,5 +70,5 @@ def test_no_room_is_said_in_one_line(monkeypatch):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr(os, "pwrite", full)
-    with pytest.raises(SpoolError, match=r"No space left on device: .* TMPDIR"):
+    with pytest.raises(SampleFileError, match=r"No space left on device: .* TMPDIR"):
         written([1, 2, 3])

@@ -1,4 +1,4 @@
-"""What waits on the desk of a re-run for its step, and for how long."""
+"""The messages that a re-run keeps for its steps, and for how long."""
 
 import pytest
 
@@ -12,10 +12,10 @@ from ptnsbc_tools.replay.replay_state import ReplayState
 
 
 def test_counters_of_steps_that_are_not_made_do_not_pile_up():
-    desk = ReplayState(load_scenario("paper_5"), [1])
-    told = desk.seats[1].told
+    state = ReplayState(load_scenario("paper_5"), [1])
+    kept = state.uavs[1].recorded_counters
     for tick in range(0, 5000, 20):
         data = diagnostics(tick, "uav1: planner", DiagnosticLevel.OK, "", {"ticks": str(tick)})
-        desk.put(BagMessage(topics.DIAGNOSTICS.name, tick, bytes(data)))
-        assert tick in told  # the newest is there for its step
-    assert len(told) < 100
+        state.put(BagMessage(topics.DIAGNOSTICS.name, tick, bytes(data)))
+        assert tick in kept  # the newest is there for its step
+    assert len(kept) < 100

@@ -10,9 +10,9 @@ from typing import Any
 
 import pytest
 
-from ptnsbc_tools.commands.verify import ReadOptions
-from ptnsbc_tools.plotting.flight import read_shown, shown
-from ptnsbc_tools.plotting.status import StatusSeries
+from ptnsbc_tools.plotting.flight import read_view, view_of
+from ptnsbc_tools.reading.bag_reader import ReadOptions
+from ptnsbc_tools.reading.diagnostics import StatusSeries
 from ptnsbc_tools.report.page import page
 
 playwright = pytest.importorskip("playwright.sync_api", reason="needs playwright (extra [dev])")
@@ -37,7 +37,7 @@ pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium: apt in
 @pytest.fixture(scope="module")
 def address(tmp_path_factory: pytest.TempPathFactory) -> str:
     file = tmp_path_factory.mktemp("report") / "index.html"
-    file.write_text(page(read_shown(SAMPLE, ReadOptions()), {}), encoding="utf-8")
+    file.write_text(page(read_view(SAMPLE, ReadOptions()), {}), encoding="utf-8")
     return file.as_uri()
 
 
@@ -214,7 +214,7 @@ def test_without_script_the_verdict_is_there(tab: Any) -> None:
 def test_a_flight_without_odometry_has_a_page_too(tab: Any, tmp_path: Path) -> None:
     recording = replace(ReadOptions().read(SAMPLE), odometry={}, wrench={}, counters={})
     file = tmp_path / "index.html"
-    file.write_text(page(shown(recording, StatusSeries()), {}), encoding="utf-8")
+    file.write_text(page(view_of(recording, StatusSeries()), {}), encoding="utf-8")
     one = tab(file.as_uri())
     opened = one.ready()
     assert opened.locator(".line").inner_text().startswith("No verdict: no message on /uav1/odom")

@@ -11,9 +11,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ptnsbc_tools.plotting.flight import shown
-from ptnsbc_tools.plotting.status import StatusSeries
-from ptnsbc_tools.report.content import content
+from ptnsbc_tools.plotting.flight import view_of
+from ptnsbc_tools.reading.diagnostics import StatusSeries
+from ptnsbc_tools.report.content import Pack, content
 from ptnsbc_tools.verdict import Series
 
 SECOND = 10**9
@@ -23,7 +23,7 @@ class Unpacked:
     """The text, and the arrays it points to."""
 
     def __init__(self, recording) -> None:
-        data = gzip.decompress(base64.b64decode(content(shown(recording, StatusSeries()))))
+        data = gzip.decompress(base64.b64decode(content(view_of(recording, StatusSeries()))))
         (size,) = struct.unpack_from("<I", data)
         self.text = json.loads(data[4 : 4 + size])
         self.space = self.text["space"]
@@ -80,9 +80,23 @@ def test_encounters_and_legs(fly, count):
 
 
 def test_a_long_flight_of_many_stays_small(fly, monkeypatch):
-    monkeypatch.setattr("ptnsbc_tools.report.content._MOST_ROWS", 500)
+    monkeypatch.setattr("ptnsbc_tools.report.content._MOST_POSES", 500)
     monkeypatch.setattr("ptnsbc_tools.report.content._MOST_POINTS", 2000)
     found = Unpacked(fly())
     assert found.poses().shape == (100, 5, 7)
     sizes = [len(found.array(c["t"])) for chart in found.text["charts"] for c in chart["curves"]]
     assert max(sizes) <= max(2000 // len(sizes), 50)
+
+
+def test_text_and_arrays_come_back():
+    pack = Pack()
+    first = pack.add(np.arange(6.0).reshape(2, 3))
+    second = pack.add(np.array([np.nan, -1.5]))
+    data = gzip.decompress(base64.b64decode(pack.encode({"name": "café", "at": second})))
+    (size,) = struct.unpack_from("<I", data)
+    assert json.loads(data[4 : 4 + size]) == {"name": "café", "at": [6, 2]}
+    assert size % 4 == 0  # the floats behind it must be aligned
+    floats = np.frombuffer(data, "<f4", offset=4 + size)
+    assert first == [0, 6]
+    np.testing.assert_array_equal(floats[:6], np.arange(6.0))
+    np.testing.assert_array_equal(floats[6:], np.float32([np.nan, -1.5]))

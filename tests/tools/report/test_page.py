@@ -11,10 +11,9 @@ import pytest
 from rich.table import Table
 from rich.text import Text
 
-from ptnsbc_tools.plotting.flight import shown
-from ptnsbc_tools.plotting.status import StatusSeries
-from ptnsbc_tools.report.page import page
-from ptnsbc_tools.report.tables import html_table
+from ptnsbc_tools.plotting.flight import view_of
+from ptnsbc_tools.reading.diagnostics import StatusSeries
+from ptnsbc_tools.report.page import html_table, page
 from ptnsbc_tools.verdict import Series
 
 
@@ -25,7 +24,7 @@ def _light_plotly(monkeypatch):
 
 
 def made(recording, **about):
-    return page(shown(recording, StatusSeries()), about)
+    return page(view_of(recording, StatusSeries()), about)
 
 
 class _Text(HTMLParser):
@@ -100,7 +99,7 @@ def test_the_same_flight_gives_the_same_page(fly):
 
 
 def test_names_cannot_break_the_page(fly):
-    flown = shown(fly(), StatusSeries())
+    flown = view_of(fly(), StatusSeries())
     html = page(
         replace(flown, verdict=None, problem="no </script> here & there"), {"<b>": "</pre>"}
     )

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from ptnsbc_sim.scenario import load_scenario
-from ptnsbc_tools.tables import verdict_tables
+from ptnsbc_tools.tables import reasons, verdict_line, verdict_tables
 from ptnsbc_tools.verdict import Recording, VerdictError, verdict_on
 from ptnsbc_tools.verdict.recording import COUNTERS
 from ptnsbc_tools.verdict.verdict import Verdict
@@ -354,3 +354,80 @@ def test_a_missing_uav_is_named(fly: Fly) -> None:
 def test_an_epoch_after_the_end_is_refused(fly: Fly) -> None:
     with pytest.raises(VerdictError, match=r"expected odometry of the leader after"):
         verdict_on(fly(epochs=((60_000_000_000, "form"),)))
+
+
+# Legs
+
+SECOND_S = 12.0
+
+
+def epochs(*legs: tuple[float, str]) -> tuple[tuple[int, str], ...]:
+    return tuple((round(t_s * 1e9), name) for t_s, name in legs)
+
+
+@pytest.fixture
+def twice(fly):
+    """UAV 4 is a metre away from the second epoch on, and back `back` seconds later."""
+
+    def flown(back: float, *more: tuple[float, str], seconds: float = 20.0):
+        away = lambda t: np.where((t > SECOND_S) & (t < SECOND_S + back), 1.0, 0.0)  # noqa: E731
+        legs = epochs((0.0, "form"), (SECOND_S, "form"), *more)
+        return fly({4: away}, seconds=seconds, epochs=legs)
+
+    return flown
+
+
+def test_both_legs_met(twice):
+    verdict = verdict_on(twice(3.0))
+    assert [leg.verdict for leg in verdict.legs] == ["met", "met"]
+    assert verdict.verdict == "met"
+    first, second = verdict.legs
+    assert (first.epoch_s, first.duration_s) == (0.0, pytest.approx(12.0))
+    assert (second.epoch_s, second.duration_s) == (12.0, pytest.approx(7.99))
+    assert second.uavs[3].settling_s == pytest.approx(3.0)
+    assert verdict.uavs == first.uavs
+    assert "10 met in 2 legs" in str(verdict_line(verdict))
+
+
+def test_the_leader_follows_its_path_through_all_legs(twice):
+    """Its trajectory counts from the first epoch: a new one does not begin it anew."""
+    leader = verdict_on(twice(3.0)).legs[1].uavs[0]
+    assert leader.start_error_m == pytest.approx(0.0, abs=1e-9)
+
+
+def test_second_leg_missed(twice):
+    verdict = verdict_on(twice(6.0))
+    assert [leg.verdict for leg in verdict.legs] == ["met", "missed"]
+    assert (verdict.verdict, verdict.exit_code) == ("missed", 1)
+    (line,) = map(str, reasons(verdict))
+    assert line.startswith("leg 2 from 12.00 s, UAV 4 missed: settled after 6.00 s")
+
+
+def test_hold_ends_a_leg_and_is_not_judged(twice):
+    verdict = verdict_on(twice(3.0, (18.0, "hold")))
+    assert len(verdict.legs) == 2
+    assert verdict.legs[1].duration_s == pytest.approx(6.0)
+
+
+def test_a_leg_without_flight_is_void(twice):
+    verdict = verdict_on(twice(0.0, (30.0, "form")))
+    assert [leg.verdict for leg in verdict.legs] == ["met", "met", "void"]
+    assert verdict.verdict == "void"
+    assert "holds no formation flight" in verdict.legs[2].reason
+    told = verdict.as_json()["legs"][2]
+    assert (told["verdict"], told["uavs"]) == ("void", [])
+
+
+def test_window(fly):
+    """Only what is inside counts, and a window shorter than the deadline answers nothing."""
+    flown = fly({2: lambda t: np.where(t > 9.0, 1.0, 0.0)})
+    assert verdict_on(flown).verdict == "missed"
+    assert verdict_on(replace(flown, window_s=8.0)).verdict == "met"
+    short = verdict_on(replace(flown, window_s=4.0))
+    assert short.verdict == "void"
+    assert short.uavs[1].reason == "recording ends after 4.00 s"
+
+
+def test_no_flight_at_all(fly):
+    with pytest.raises(VerdictError, match="no formation flight"):
+        verdict_on(fly(epochs=epochs((100.0, "form"))))

@@ -1,4 +1,4 @@
-"""What is missing of a flight of real vehicles: of the messages that their bridges say they sent."""
+"""Missing messages of a flight of real vehicles, whose bridges count the messages that they sent."""
 
 from collections.abc import Callable
 from typing import Any
@@ -6,9 +6,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ptnsbc_tools.reading.bag_reader import DiagnosticCounters
-from ptnsbc_tools.reading.diagnostics import Diagnostics, DiagnosticStatus
-from ptnsbc_tools.reading.disk_track import DiskTrack
 from ptnsbc_tools.verdict import Recording, Series, verdict_on
 
 Fly = Callable[..., Recording]
@@ -49,27 +46,3 @@ def test_what_was_sent_and_not_recorded_is_missing(bridged: Fly) -> None:
 
 def test_what_is_lost_before_the_epoch_does_not_count(bridged: Fly) -> None:
     assert verdict_on(bridged(3, 4, 30)).uavs[1].missing == 0
-
-
-def told(name: str, value: str) -> Diagnostics:
-    return Diagnostics(0, (DiagnosticStatus(name, 0, "", {"states_sent": value}),))
-
-
-def test_counts_are_read_from_the_diagnostics_of_bridges() -> None:
-    stamp = 1_795_289_342_123_456_789  # does not fit a float
-    statuses = [
-        told("bridge2: link", f"{stamp} 7"),
-        told("bridge2: link", f"{stamp} 7"),  # nothing new since
-        told("bridge2: link", f"{stamp + 20_000_000} 8"),
-        told("bridge3: link", "0 0"),  # nothing sent yet
-        told("bridge4: link", "rubbish"),
-        told("uav1: planner", f"{stamp} 9"),
-    ]
-    counted = DiagnosticCounters(DiskTrack())
-    for array in statuses:
-        counted.take(array)
-    found = counted.sent()
-    assert list(found) == [2]
-    (block,) = found[2].blocks()
-    assert block.t_ns.tolist() == [stamp, stamp + 20_000_000]
-    assert block.values.tolist() == [[7.0], [8.0]]

@@ -1,4 +1,4 @@
-"""Bags of others: sqlite3, MCAP, compressed, their own topics; the verdict is the same."""
+"""Bags of other systems: sqlite3, MCAP, compressed, their own topics; the verdict is the same."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import pytest
 
 from ptnsbc_io.bag import BagError, BagWriter, TopicInfo
 from ptnsbc_io.wire import OdometryTemplate
-from ptnsbc_tools.reading.bag_reader import read_recording
-from ptnsbc_tools.reading.foreign import Names, TopicPatternError
+from ptnsbc_tools.reading.bag_reader import ReadOptions, read_recording
+from ptnsbc_tools.reading.bag_sources import TopicNames, TopicPatternError
 from ptnsbc_tools.verdict import verdict_on
 
 rosbag2 = pytest.importorskip("rosbags.rosbag2")
@@ -20,7 +20,7 @@ STORE = typesys.get_typestore(typesys.Stores.ROS2_JAZZY)
 PLUGIN = {"sqlite3": rosbag2.StoragePlugin.SQLITE3, "mcap": rosbag2.StoragePlugin.MCAP}
 LATE_S = 1.5  # the epoch, after the first message
 WALL_NS = 1_700_000_000_000_000_000
-DRONES = Names(odom="/drone{n}/odom", wrench="/drone{n}/nothing", estimate="/drone{n}/nothing")
+DRONES = TopicNames(odom="/drone{n}/odom", wrench="/drone{n}/nothing", estimate="/drone{n}/nothing")
 
 
 @pytest.fixture
@@ -64,7 +64,7 @@ def record(path: Path, flown, plugin: str, *, stamped: bool = True, compress: st
 @pytest.mark.parametrize("stamped", [True, False])
 def test_the_same_verdict(flown, scenario, tmp_path, plugin, stamped):
     bag = record(tmp_path / "bag", flown, plugin, stamped=stamped)
-    found = verdict_on(read_recording(bag, scenario, DRONES))
+    found = verdict_on(read_recording(bag, ReadOptions(scenario, names=DRONES)))
     expected = verdict_on(flown)
     assert found.verdict == expected.verdict == "met"
     for one, other in zip(found.uavs, expected.uavs, strict=True):
@@ -77,12 +77,12 @@ def test_the_same_verdict(flown, scenario, tmp_path, plugin, stamped):
 @pytest.mark.parametrize(("plugin", "mode"), [("sqlite3", "MESSAGE"), ("sqlite3", "FILE")])
 def test_compressed_by_rosbag2(flown, scenario, tmp_path, plugin, mode):
     bag = record(tmp_path / "bag", flown, plugin, compress=mode)
-    assert verdict_on(read_recording(bag, scenario, DRONES)).verdict == "met"
+    assert verdict_on(read_recording(bag, ReadOptions(scenario, names=DRONES))).verdict == "met"
 
 
 def test_epoch_of_a_bag_without_one(flown, scenario, tmp_path):
     bag = record(tmp_path / "bag", flown, "sqlite3")
-    found = verdict_on(read_recording(bag, scenario, DRONES, epoch_s=LATE_S))
+    found = verdict_on(read_recording(bag, ReadOptions(scenario, epoch_s=LATE_S, names=DRONES)))
     assert found.epoch_s == pytest.approx(WALL_NS * 1e-9 + LATE_S)
     assert found.uavs[2].settling_s == pytest.approx(4.0 - LATE_S)
 
@@ -90,20 +90,20 @@ def test_epoch_of_a_bag_without_one(flown, scenario, tmp_path):
 def test_sqlite_file_stands_for_its_folder(flown, scenario, tmp_path):
     bag = record(tmp_path / "bag", flown, "sqlite3")
     (file,) = bag.glob("*.db3")
-    assert verdict_on(read_recording(file, scenario, DRONES)).verdict == "met"
+    assert verdict_on(read_recording(file, ReadOptions(scenario, names=DRONES))).verdict == "met"
 
 
 @pytest.mark.parametrize("pattern", ["/odom", "/drone{N}/odom", ""])
 def test_pattern_without_a_uav(pattern):
     with pytest.raises(TopicPatternError, match=r"expected \{n\} for the id of the UAV"):
-        Names(odom=pattern)
+        TopicNames(odom=pattern)
 
 
 def test_what_is_missing_is_said(flown, scenario, tmp_path):
     bag = record(tmp_path / "bag", flown, "sqlite3")
     with pytest.raises(BagError, match=r"no scenario\.yaml attached: name the scenario with"):
-        read_recording(bag, None, DRONES)
-    nothing = read_recording(bag, scenario)
+        read_recording(bag, ReadOptions(None, names=DRONES))
+    nothing = read_recording(bag, ReadOptions(scenario))
     with pytest.raises(Exception, match="expected odometry of every UAV"):
         verdict_on(nothing)
 
@@ -112,7 +112,7 @@ def test_other_types_are_refused(flown, scenario, tmp_path):
     with BagWriter(tmp_path / "x", [TopicInfo("/uav1/odom", "std_msgs/msg/Header")]) as writer:
         writer.write("/uav1/odom", 0, b"\0\1\0\0" + bytes(16))
     with pytest.raises(BagError, match=r"/uav1/odom is std_msgs/msg/Header: expected nav_msgs"):
-        read_recording(tmp_path / "x", scenario)
+        read_recording(tmp_path / "x", ReadOptions(scenario))
 
 
 @pytest.mark.parametrize("damage", ["cut", "empty", "metadata"])
@@ -125,4 +125,4 @@ def test_damaged_sqlite(flown, scenario, tmp_path, damage):
     else:
         file.write_bytes(content[: len(content) // 2] if damage == "cut" else b"")
     with pytest.raises(BagError, match=r"cannot be read \(|is damaged"):
-        verdict_on(read_recording(bag, scenario, DRONES))
+        verdict_on(read_recording(bag, ReadOptions(scenario, names=DRONES)))

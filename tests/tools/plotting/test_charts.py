@@ -10,18 +10,19 @@ import pytest
 from ptnsbc_nodes.uav.controller import StepTime
 from ptnsbc_nodes.uav.step_log import TickNote, UsedMessage
 from ptnsbc_sim.scenario import load_scenario
-from ptnsbc_tools.plotting.build import CHARTS, charts
-from ptnsbc_tools.plotting.common import FLOOR_M
-from ptnsbc_tools.plotting.flight import shown
-from ptnsbc_tools.plotting.space import MOST_PAIRS
-from ptnsbc_tools.plotting.status import StatusCollector, StatusSeries
-from ptnsbc_tools.reading.diagnostics import Diagnostics
-from ptnsbc_tools.reading.diagnostics import DiagnosticStatus as One
+from ptnsbc_tools.plotting.charts import CHARTS, FLOOR_M, MOST_PAIRS, charts
+from ptnsbc_tools.plotting.flight import view_of
+from ptnsbc_tools.reading.diagnostics import (
+    Diagnostics,
+    DiagnosticStatus,
+    StatusCollector,
+    StatusSeries,
+)
 from ptnsbc_tools.verdict import Series
 
 
 def drawn(recording, status=None):
-    return {chart.key: chart for chart in charts(shown(recording, status or StatusSeries()))}
+    return {chart.key: chart for chart in charts(view_of(recording, status or StatusSeries()))}
 
 
 def test_errors_with_deadline_tolerance_and_band(fly):
@@ -89,7 +90,7 @@ def test_separations_are_distances_with_their_keep_outs(fly):
 
 
 def test_only_the_tightest_pairs_of_many(fly, monkeypatch):
-    monkeypatch.setattr("ptnsbc_tools.plotting.space.MOST_PAIRS", 3)
+    monkeypatch.setattr("ptnsbc_tools.plotting.charts.MOST_PAIRS", 3)
     chart = drawn(fly({5: lambda t: -1.0 - 0 * t}))["between"]
     # Five, moved a metre west, is 0.2 m east and 2.4 m south of the leader, and closer to 4 and 3.
     closest = [float(curve.values.min()) for curve in chart.curves]
@@ -110,14 +111,16 @@ def test_the_estimate_of_the_leader(fly):
 
 
 def told(stamp, name, **values):
-    return Diagnostics(stamp, (One(name, 0, "", {k: str(v) for k, v in values.items()}),))
+    return Diagnostics(
+        stamp, (DiagnosticStatus(name, 0, "", {k: str(v) for k, v in values.items()}),)
+    )
 
 
 def status(arrays):
-    teller = StatusCollector()
+    collector = StatusCollector()
     for array in arrays:
-        teller.told(array)
-    return teller.status()
+        collector.add_diagnostics(array)
+    return collector.series()
 
 
 def test_what_the_nodes_told_over_time(fly):
@@ -143,13 +146,13 @@ def test_the_age_of_what_a_step_was_made_of(fly):
         note(30, own=30),  # nobody's message: no age
         note(40, own=31, state1=40),
     ]
-    teller = StatusCollector()
+    collector = StatusCollector()
     for one in notes:
-        teller.noted(2, one)
-    (block,) = teller.status().age_ms[2].blocks()
+        collector.add_tick(2, one)
+    (block,) = collector.series().age_ms[2].blocks()
     assert block.t_ns.tolist() == [20 * 10**6, 40 * 10**6]
     np.testing.assert_allclose(block.values[:, 0], [7.0, 0.0])
-    chart = drawn(fly(), teller.status())["age"]
+    chart = drawn(fly(), collector.series())["age"]
     np.testing.assert_allclose(chart.curves[0].values, [7.0, 0.1])  # the axis is logarithmic
     assert [limit.value for limit in chart.limits] == [500.0]
 
@@ -163,13 +166,13 @@ def test_lockstep_has_neither_latency_nor_missed_ticks(fly):
 def test_a_flight_that_cannot_be_judged_shows_what_there_is(fly):
     recording = fly()
     odometry = {uav: series for uav, series in recording.odometry.items() if uav != 3}
-    flight = shown(replace(recording, odometry=odometry), StatusSeries())
+    flight = view_of(replace(recording, odometry=odometry), StatusSeries())
     assert flight.verdict is None
     assert "/uav3/odom" in flight.problem
     keys = [chart.key for chart in charts(flight)]
     assert "errors" not in keys
     assert {"force", "between"} <= set(keys)
-    nothing = shown(replace(recording, odometry={}), StatusSeries())
+    nothing = view_of(replace(recording, odometry={}), StatusSeries())
     assert list(charts(nothing)) == []
 
 
