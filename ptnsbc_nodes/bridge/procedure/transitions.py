@@ -134,6 +134,8 @@ def _react(progress: FlightProgress, snapshot: VehicleSnapshot) -> None:
         progress.enter(Step.LAND if snapshot.armed else Step.DONE, snapshot)
     elif step is Step.FAILSAFE and (snapshot.stop_request or snapshot.leg == "land"):
         progress.enter(Step.LAND, snapshot)
+    elif step in SETTING_OUT and (snapshot.state_fault or snapshot.controller_age_s > STOP_S):
+        progress.enter(Step.STATE, snapshot)  # position or controller were lost again
     return None
 
 
@@ -189,23 +191,17 @@ def _controller(progress: FlightProgress, snapshot: VehicleSnapshot) -> None:
 
 
 def _stream(progress: FlightProgress, snapshot: VehicleSnapshot) -> None:
-    if _lapsed(snapshot):
-        progress.enter(Step.STATE, snapshot)
-    elif progress.age_s(snapshot) >= _STREAM_S or not progress.options.autopilot.stream_first:
+    if progress.age_s(snapshot) >= _STREAM_S or not progress.options.autopilot.stream_first:
         progress.enter(Step.MODE, snapshot)
 
 
 def _mode(progress: FlightProgress, snapshot: VehicleSnapshot) -> None:
-    if _lapsed(snapshot):
-        progress.enter(Step.STATE, snapshot)
-    elif snapshot.mode is FlightMode.OWN:
+    if snapshot.mode is FlightMode.OWN:
         progress.enter(Step.ARM, snapshot)
 
 
 def _arm(progress: FlightProgress, snapshot: VehicleSnapshot) -> None:
-    if _lapsed(snapshot):
-        progress.enter(Step.STATE, snapshot)
-    elif snapshot.mode is not FlightMode.OWN:
+    if snapshot.mode is not FlightMode.OWN:
         reason = f"the pilot took over before arming: mode {snapshot.mode_name}"
         progress.enter(Step.FAILED, snapshot, reason)
     elif snapshot.armed and snapshot.landed is False:
@@ -213,11 +209,6 @@ def _arm(progress: FlightProgress, snapshot: VehicleSnapshot) -> None:
     elif snapshot.armed and progress.options.allow_arming:
         progress.climbed = True
         progress.enter(Step.TAKEOFF, snapshot)
-
-
-def _lapsed(snapshot: VehicleSnapshot) -> bool:
-    """Whether position or controller were lost again before arming."""
-    return bool(snapshot.state_fault) or snapshot.controller_age_s > STOP_S
 
 
 def _takeoff(progress: FlightProgress, snapshot: VehicleSnapshot) -> None:

@@ -113,10 +113,6 @@ class PointHold:
         self._gravity = gravity_m_s2
         self._integral = np.zeros(3)
 
-    def reset(self) -> None:
-        """Forget the wind."""
-        self._integral = np.zeros(3)
-
     def force_per_kg(self, odometry: Array, position_enu: Array, dt: float) -> Array:
         """Specific force (3,) [m/s^2, ENU] that brings the vehicle to `position_enu` (3,) [m]."""
         error = position_enu - odometry[0:3]
@@ -241,7 +237,7 @@ class AttitudeTargets:
         """Begin a new sequence of targets; a vehicle on the ground also forgets the wind."""
         self._body_rates = BodyRateEstimator()
         if not armed:
-            self._point_hold.reset()
+            self._point_hold = PointHold(self._config.gravity)
 
     def for_wrench(
         self, wrench: Array, odometry: Array, sampled_s: float, flight_s: float, max_tilt_rad: float
