@@ -1,0 +1,76 @@
+"""Pages and help texts have plain sentences: none has a clause as its subject ("Who has the recorder waits")."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from itertools import pairwise
+from pathlib import Path
+
+import click
+import pytest
+import typer.main
+from markdown_it import MarkdownIt
+
+from ptnsbc_tools.cli import app
+
+ROOT = Path(__file__).parents[2]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+_VERB = r"(?:is|are|was|were|has|have|comes|counts|goes|stays|wins)"
+# Up to a full stop or a semicolon: a question is not meant, and a label ("What a UAV reports.") has one verb only.
+_CLAUSE = re.compile(
+    rf"(?:^|[.;:] )((?:(?:Who|Whoever) [a-z]|What [a-z]+ [^.;:?,]+? {_VERB}\b)[^.;:?]*[.;](?=\s|$))"
+)
+
+
+def riddles(text: str) -> list[str]:
+    """Sentences whose subject is a clause."""
+    return _CLAUSE.findall(" ".join(text.split()))
+
+
+def _texts(page: Path) -> Iterator[str]:
+    """The paragraphs and cells of a page, code replaced by a dash."""
+    tokens = MarkdownIt("commonmark").enable("table").parse(page.read_text(encoding="utf-8"))
+    for before, token in pairwise(tokens):
+        if token.type == "inline" and before.type != "heading_open":
+            parts = (
+                {"code_inline": "—", "softbreak": " ", "hardbreak": " "}.get(
+                    child.type, child.content
+                )
+                for child in token.children or ()
+            )
+            yield "".join(parts)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_no_sentence_of_a_page_begins_with_a_clause(page):
+    assert [found for text in _texts(page) for found in riddles(text)] == []
+
+
+def _helps(command: click.Command, name: str) -> Iterator[tuple[str, str]]:
+    yield name, command.help or ""
+    for parameter in command.params:
+        yield f"{name} {parameter.name}", getattr(parameter, "help", None) or ""
+    for word, below in getattr(command, "commands", {}).items():
+        yield from _helps(below, f"{name} {word}")
+
+
+def test_no_sentence_of_a_help_begins_with_a_clause():
+    helps = _helps(typer.main.get_command(app), "ptnsbc")
+    assert [(name, found) for name, text in helps for found in riddles(text)] == []
+
+
+@pytest.mark.parametrize(
+    ("text", "count"),
+    [
+        ("Who has the recorder waits for all, and ends.", 1),
+        ("It is named. What does not exist is null.", 1),
+        ("Who is late?", 0),
+        ("What differs between them", 0),
+        ("What surrounds the UAVs.", 0),
+        ("What it prints, and when:", 0),
+        ("The host that runs the recorder waits for all.", 0),
+    ],
+)
+def test_what_counts(text, count):
+    assert len(riddles(text)) == count
