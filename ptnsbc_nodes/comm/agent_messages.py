@@ -1,4 +1,4 @@
-"""What one UAV says at a tick, as bytes: the same in its process, in a headless bag and in a re-run."""
+"""The messages of one UAV at a tick, as bytes: the same in its process, in a headless bag and in a re-run."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ WORLD_FRAME = "map"
 
 
 class AgentMessages:
-    """Patched byte templates of one UAV; messages carry the stamp of the odometry they rest on."""
+    """Byte templates of one UAV; each message carries the stamp of the odometry that it was computed from."""
 
     def __init__(self, uav_id: int) -> None:
         body = f"uav{uav_id}/base_link"
         self._state = OdometryTemplate(WORLD_FRAME, body)
-        # Velocities of an estimate are in the world frame, not in the body of whoever sends it.
+        # Velocities of an estimate are in the world frame, not in the body frame of the sender.
         self._estimate = OdometryTemplate(WORLD_FRAME, WORLD_FRAME)
         self._velocity = VelocityTemplate(WORLD_FRAME)
         self._wrench = WrenchTemplate(body)
@@ -42,7 +42,7 @@ class AgentMessages:
         return self._velocity.encode(stamp_ns, self._twist)
 
     def all(self, own: Stamped, outputs: PackedOutputs) -> tuple[bytes, bytes, bytes, bytes]:
-        """State, estimate, velocity and wrench of one tick: in the order of `topics.outputs`."""
+        """State, estimate, velocity and wrench of one tick, in this order."""
         stamp_ns = own.stamp_ns
         return (
             self.state(own),

@@ -1,4 +1,4 @@
-"""What the nodes tell about themselves on /diagnostics: cumulative counters, mostly."""
+"""What the nodes publish about themselves on /diagnostics: mostly cumulative counters."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from ptnsbc_sim.scenario import Scenario
 
 STATUS_HZ = 5
 INACTIVE = "activation"
-"""What a node that is configured and no more says that it waits for."""
+"""What a node that is configured but not active waits for."""
 
 
 def status_every(scenario: Scenario) -> int:
-    """Ticks from one status to the next."""
+    """Number of ticks from one status to the next."""
     return max(scenario.control_hz // STATUS_HZ, 1)
 
 
@@ -46,7 +46,7 @@ def diagnostics(
 
 
 def readiness(waiting_for: Sequence[str]) -> dict[str, str]:
-    """The values every node starts its status with."""
+    """The first values in the status of every node."""
     return {
         "ready": "false" if waiting_for else "true",
         "waiting_for": " ".join(waiting_for),

@@ -1,4 +1,4 @@
-"""Who hears whom in one flight, and how many: the tree edges of the scenario, and no others."""
+"""Which UAV receives messages from which, and how many nodes read each topic: the edges of the scenario."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class FlightOptions:
 
 @dataclass(frozen=True)
 class Senders:
-    """Whom one UAV listens to: the tree edges that end at it, and no others."""
+    """The senders that one UAV listens to: the edges of the graph that end at it."""
 
     parent: int | None
     leader: int | None  # None unless pinned
@@ -36,7 +36,7 @@ class Senders:
 
     @property
     def states(self) -> tuple[int, ...]:
-        """UAVs whose formation_state is needed; a child of the leader hears it once."""
+        """UAVs whose formation_state is needed; a child of the leader subscribes once."""
         return tuple(sorted({i for i in (self.parent, self.leader) if i is not None}))
 
 
@@ -48,7 +48,7 @@ class CommunicationGraph:
         self.options = options
 
     def senders(self, uav_id: int) -> Senders:
-        """Whom this UAV hears."""
+        """The senders that this UAV listens to."""
         scenario = self._scenario
         return Senders(
             parent=scenario.parent(uav_id),
@@ -59,29 +59,29 @@ class CommunicationGraph:
 
     def linked(self, uav_id: int) -> tuple[int, ...]:
         """UAVs that this one has an edge with, in either direction, ascending."""
-        hears = {i: self.senders(i) for i in self._scenario.uav_ids}
-        heard = {i: {*who.states, *who.estimators} for i, who in hears.items()}
-        others = (i for i in hears if i in heard[uav_id] or uav_id in heard[i])
+        all_senders = {i: self.senders(i) for i in self._scenario.uav_ids}
+        heard = {i: {*one.states, *one.estimators} for i, one in all_senders.items()}
+        others = (i for i in heard if i in heard[uav_id] or uav_id in heard[i])
         return tuple(sorted(set(others) - {uav_id}))
 
     def state_readers(self, uav_id: int) -> int:
-        """How many nodes hear the formation_state of this UAV."""
+        """How many nodes read the formation_state of this UAV."""
         heard = sum(uav_id in self.senders(other).states for other in self._scenario.uav_ids)
         return heard + self.options.recorders
 
     def estimate_readers(self, uav_id: int) -> int:
-        """How many nodes hear the leader_estimate of this UAV."""
+        """How many nodes read the leader_estimate of this UAV."""
         heard = sum(uav_id in self.senders(other).estimators for other in self._scenario.uav_ids)
         return heard + self.options.recorders
 
     def wrench_readers(self) -> int:
-        """How many nodes hear a wrench; in real time a bridge may fly instead of the sim."""
+        """How many nodes read a wrench; in real time a bridge may fly instead of the sim."""
         return int(self.options.lockstep) + self.options.recorders
 
     def epoch_readers(self) -> int:
-        """How many nodes hear the epoch: all UAVs; in real time not every flight has a sim."""
+        """How many nodes read the epoch: all UAVs, and in lock-step the sim; not every real-time flight has one."""
         return len(self._scenario.uav_ids) + self.wrench_readers()
 
     def epoch_listeners(self) -> dict[int, int]:
-        """How many nodes of each UAV hear the epoch: its controller, and its bridge."""
+        """How many nodes of each UAV read the epoch: its controller, and its bridge."""
         return dict.fromkeys(self._scenario.uav_ids, 1 + self.options.bridged)

@@ -1,4 +1,4 @@
-"""The legs of a flight as the leader announces them: from which instant on which mode holds."""
+"""The legs of a flight as the leader announces them: the instant from which each mode holds."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ class Leg(NamedTuple):
 
 
 class Epochs:
-    """Announced legs in the order of their announcement."""
+    """The announced legs, in the order of their announcement."""
 
     def __init__(self) -> None:
         self._legs: list[Leg] = []
 
     def announce(self, t0_ns: int, name: str) -> None:
-        """Add a leg; what the latched topic repeats is known already."""
+        """Add a leg; one that the latched topic repeats is not added again."""
         if name not in LEGS:
             raise EpochError(f"epoch with leg {name!r}: expected one of {', '.join(LEGS)}")
         first_t0_ns = self._legs[0].t0_ns if self._legs else t0_ns
@@ -40,13 +40,13 @@ class Epochs:
 
     @property
     def announced(self) -> bool:
-        """Whether any leg is known, be it in the future."""
+        """Whether any leg is known, also one in the future."""
         return bool(self._legs)
 
     def at(self, now_ns: int) -> Leg | None:
-        """The leg in force: the last announced whose epoch has come.
+        """The leg in force: of those whose epoch has come, the one announced last.
 
-        So a stop at once wins over a hold announced before it for a later instant.
+        So an immediate stop wins over a hold that was announced before it for a later instant.
         """
         for leg in reversed(self._legs):
             if leg.t0_ns <= now_ns:

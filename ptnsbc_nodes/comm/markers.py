@@ -1,4 +1,4 @@
-"""What RViz and Foxglove draw: UAVs, keep-outs, tree edges, the leader's path; and /tf."""
+"""What RViz and Foxglove draw: UAVs, keep-outs, tree edges, the leader's path; and live /tf."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _SOMETIME, _SOMEWHERE = (0x7AB0C0DE, 0x3AB0C0DE), (-1.25e297, -1.5e297, -1.75e29
 
 
 class Scene:
-    """The markers of one flight: serialised once, then only times and places are written into the bytes."""
+    """The markers of one flight: serialised once; then only times and positions are written into the bytes."""
 
     def __init__(self, scenario: Scenario, world: World) -> None:
         self._world = world
@@ -108,7 +108,7 @@ def _transform(stamp_ns: int, uav_id: int, odometry: Array) -> TransformStamped:
 
 
 def _all_markers(scenario: Scenario, edges: int) -> list[Any]:
-    """Every marker, with placeholders for what changes: first the UAVs, then the ends of the tree's edges."""
+    """Every marker, with placeholders for values that change: the UAVs, then the ends of the tree's edges."""
     somewhere = np.array(_SOMEWHERE)
     shown = []
     for i in scenario.uav_ids:

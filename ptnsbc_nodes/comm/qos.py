@@ -1,7 +1,7 @@
 """Quality of service of our topics.
 
 State and setpoints are best effort in real time: at 20 % loss and 50 ms delay the 99th percentile
-of the latency is 55 ms, and 2.2 s if delivery is reliable, because what is repeated is already old.
+of the latency is 55 ms, and 2.2 s if delivery is reliable, because a repeated message is already old.
 In lock-step every message counts and time does not.
 """
 
@@ -46,9 +46,9 @@ def profile(topic: Topic, *, lockstep: bool) -> QoSProfile:
 def recorder_profile(topic: Topic, *, lockstep: bool) -> QoSProfile:
     """The profile with which the recorder requests `topic`: fits every publisher of ours.
 
-    What comes at the control rate is best effort in real time, as it is offered; the deep queue covers the
-    pauses. The rest is rare and reliable: while twenty UAVs are introduced to each other, best effort lost a
-    status now and then.
+    Topics at the control rate are best effort in real time, as they are offered; the deep queue covers pauses
+    of the recorder. The other topics are rare and reliable: during the discovery of twenty UAVs best effort
+    lost a status now and then.
     """
     if topic.role is Role.LATCHED:
         return RECORDER_LATCHED

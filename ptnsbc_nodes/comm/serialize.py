@@ -1,8 +1,7 @@
 """rclpy message objects to bytes that are the same on every run.
 
-rclpy's own serialiser leaves whatever was in memory in the alignment gaps, and bags of two equal
-flights would differ. For the few messages that are built as objects (diagnostics, markers): slow,
-but at 5 Hz.
+rclpy's own serialiser leaves old memory in the alignment gaps, so that bags of two equal flights would differ.
+This one is slow, and serves the few messages that are built as objects (diagnostics, markers) at 5 Hz.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""/tf for a bag, made of the odometry that is recorded: the same with and without tf2_msgs."""
+"""/tf of a bag, made of the recorded odometry: the same with and without tf2_msgs."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _PERIOD_NS = 10**9 // TRANSFORM_HZ
 
 
 class Transforms:
-    """Which odometry messages become transforms: the first of each period, by its own stamp."""
+    """Makes a transform of the first odometry message of each period, by the message's own stamp."""
 
     def __init__(self, uavs: Iterable[int]) -> None:
         self._period = {topics.odom(uav).name: -1 for uav in uavs}
@@ -28,5 +28,5 @@ class Transforms:
                 return None
             self._period[topic] = period
             return transform_of(data)
-        except WireError:  # foreign and broken: it has no pose
+        except WireError:  # a broken message of another program
             return None

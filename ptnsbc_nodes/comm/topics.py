@@ -1,4 +1,4 @@
-"""The topics of a formation: names, message types, and what is at stake when one is lost.
+"""The topics of a formation: names, message types, and how each is delivered.
 
 The table in `docs/architecture.md` is made of this. Importing this needs no ROS; `message_class` does.
 """
@@ -17,7 +17,7 @@ class Role(Enum):
 
     STATE = "state"  # the next message replaces this one
     EVENT = "event"  # each message matters
-    LATCHED = "latched"  # the last message matters, also to those who come later
+    LATCHED = "latched"  # the last message matters, also to nodes that join later
 
 
 CONTROL_RATE, SENSOR_RATE, STATUS_RATE = "control", "sensor", "5 Hz"
@@ -61,7 +61,7 @@ RECORDER = "recorder"
 """Name of the recorder among the processes of a flight."""
 
 SHARED = frozenset({DIAGNOSTICS.name, CLOCK.name, TF.name})
-"""Names that ROS gives; all others move with the namespace of the fleet (`Endpoints`)."""
+"""Names that ROS gives; all other names move with the namespace of the fleet (`Endpoints`)."""
 
 
 def odom(uav: int) -> Topic:
@@ -70,7 +70,7 @@ def odom(uav: int) -> Topic:
 
 
 def truth(uav: int) -> Topic:
-    """Where a UAV really is, when positions are noisy, gusts blow or messages get lost: the verdict is judged by it."""
+    """True state of a UAV, when positions are noisy, gusts blow or messages get lost: the verdict is judged by it."""
     return _state(uav, "truth", "nav_msgs/msg/Odometry")
 
 
@@ -80,12 +80,12 @@ def near(uav: int) -> Topic:
 
 
 def formation_state(uav: int) -> Topic:
-    """What a UAV tells its children, and the leader those with a leader link: its odometry."""
+    """Odometry of a UAV for its children, and of the leader for UAVs with a leader link."""
     return _state(uav, "formation_state", "nav_msgs/msg/Odometry")
 
 
 def leader_estimate(uav: int) -> Topic:
-    """What a UAV believes of the leader, to its neighbours in the estimator graph; velocities in the world."""
+    """A UAV's estimate of the leader, for its neighbours in the estimator graph; velocities in the world."""
     return _state(uav, "leader_estimate", "nav_msgs/msg/Odometry")
 
 
@@ -100,17 +100,17 @@ def wrench_setpoint(uav: int) -> Topic:
 
 
 def tick(uav: int) -> Topic:
-    """Real time only: which messages a step was made of, and when (`ticklog`)."""
+    """Real time only: which messages a step used, and when (`step_log`)."""
     return _note(uav, "tick", "std_msgs/msg/Int64MultiArray")
 
 
 def snapshot(uav: int) -> Topic:
-    """Real time only: what the controller remembers, once a second (`ticklog`)."""
+    """Real time only: the state of the controller, once a second (`step_log`)."""
     return _note(uav, "snapshot", "std_msgs/msg/Float64MultiArray")._replace(rate="1 Hz")
 
 
 def track(uav: int) -> Topic:
-    """Like `odom`, of a vehicle that has left the formation: others still keep clear of it."""
+    """Like `odom`, of a vehicle that has left the formation: other vehicles still keep clear of it."""
     return _state(uav, "track", "nav_msgs/msg/Odometry")
 
 
@@ -132,14 +132,14 @@ def of_uav(uav: int) -> tuple[Topic, ...]:
 
 
 def notes(uav: int) -> tuple[Topic, ...]:
-    """What a UAV notes in real time so that its steps can be re-run; lock-step follows from its rule."""
+    """What a UAV logs in real time so that its steps can be re-run; lock-step steps follow from its rule."""
     return (tick(uav), snapshot(uav))
 
 
 def recorded(
     uavs: Iterable[int], *, lockstep: bool = True, with_truth: bool = False
 ) -> tuple[Topic, ...]:
-    """What a recorder of these UAVs subscribes to; /tf it makes itself, out of odometry."""
+    """The topics that a recorder of these UAVs subscribes to; it makes /tf itself, out of odometry."""
 
     def of_one(uav: int) -> tuple[Topic, ...]:
         noted = () if lockstep else notes(uav)

@@ -1,6 +1,6 @@
-"""What a bridge tells its fleet besides odometry: the vehicle's limits, and where the world is.
+"""What a bridge sends besides odometry: the vehicle's limits, and the origin of the world.
 
-Rare messages, so as message objects: slow, but once.
+These messages are rare, so message objects are fast enough.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from ptnsbc_nodes.comm.serialize import encode
 
 
 class PlannerLimits(NamedTuple):
-    """What a planner may ask of its vehicle."""
+    """The largest speed and acceleration that a planner may command."""
 
     speed_m_s: float
     acceleration_m_s2: float
@@ -35,7 +35,7 @@ def decode_limits(data: bytes) -> PlannerLimits:
 
 
 def limited(config: AgentConfig, speed_m_s: float, acceleration_m_s2: float) -> AgentConfig:
-    """The constants of one UAV with its planner's limits taken down to the vehicle's."""
+    """The constants of one UAV, with its planner's limits lowered to the vehicle's."""
     limits = config.filter
     return config._replace(
         filter=limits._replace(
@@ -57,6 +57,6 @@ def encode_origin(place: GeoPoint) -> bytes:
 
 
 def decode_origin(data: bytes) -> GeoPoint:
-    """The place in a NavSatFix."""
+    """The position in a NavSatFix."""
     fix = deserialize_message(data, NavSatFix)
     return GeoPoint(fix.latitude, fix.longitude, fix.altitude)

@@ -1,4 +1,4 @@
-"""Drives the life cycle of a fleet's nodes: configures and activates each as soon as it is there."""
+"""Drives the life cycle of a fleet's nodes: configures and activates each node as soon as it is there."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ _STEPS = (_CONFIGURE, _ACTIVATE)
 _ANSWER_S = 5.0
 
 
-class _NodeOnItsWay:
+class _ManagedTransitions:
     """One node on its way to active.
 
-    Requests arrive and answers may not: over a network that loses packets a discovery server may never tell the
-    node who has asked. So an unanswered step counts as perhaps made, and the other one is tried.
+    A request may arrive without its answer: over a network that loses packets a discovery server may never introduce
+    the client to the node. A transition without an answer may have happened, so the other one is tried next.
     """
 
     def __init__(self, node: Node, name: str) -> None:
@@ -27,7 +27,7 @@ class _NodeOnItsWay:
         self._steps = list(_STEPS)
         self._asked_s = float("-inf")
         self._call: Any = None
-        self._doubtful = False  # whether an answer was lost: a refusal then says nothing
+        self._doubtful = False  # whether an answer was lost: a refusal then has no meaning
         self.refused = False
 
     @property
@@ -35,7 +35,7 @@ class _NodeOnItsWay:
         return not self._steps or self.refused
 
     def look(self) -> None:
-        """Ask for the next transition when nothing is being waited for."""
+        """Request the next transition when no answer is awaited."""
         silent = time.monotonic() - self._asked_s > _ANSWER_S
         if not self.done and silent and self._client.service_is_ready():
             if self._call is not None:
@@ -78,29 +78,29 @@ class _NodeOnItsWay:
 
 
 class LifecycleManager:
-    """Takes any number of nodes to active; ask it to `look` now and then."""
+    """Takes any number of nodes to active; call `look` regularly."""
 
     def __init__(self, node: Node) -> None:
         self._node = node
-        self._wards: dict[str, _NodeOnItsWay] = {}
+        self._nodes: dict[str, _ManagedTransitions] = {}
         self.refused: list[str] = []
         """Names of those that refused a transition."""
 
     def manage(self, name: str, node: str) -> None:
         """Take the node with this full name to active; `name` is for `refused`."""
-        self._wards[name] = _NodeOnItsWay(self._node, node)
+        self._nodes[name] = _ManagedTransitions(self._node, node)
 
     def look(self) -> None:
-        """Go on with all that have not arrived yet."""
-        for name, ward in list(self._wards.items()):
-            ward.look()
-            if ward.done:
-                if ward.refused:
+        """Continue with all nodes that are not active yet."""
+        for name, one in list(self._nodes.items()):
+            one.look()
+            if one.done:
+                if one.refused:
                     self.refused.append(name)
-                ward.close()
-                del self._wards[name]
+                one.close()
+                del self._nodes[name]
 
     def arrived(self, name: str) -> None:
-        """It is active, as its own diagnostics say: whatever its answers were, nothing more is asked of it."""
-        if name in self._wards:
-            self._wards[name].arrived()
+        """The diagnostics of the process say that its node is active: it gets no further request."""
+        if name in self._nodes:
+            self._nodes[name].arrived()

@@ -1,10 +1,10 @@
-"""Real time: how far the clock of this process is from the clocks of those it hears. No ROS in here.
+"""Real time: how far the clock of this process is from the clocks of its senders. This module imports no ROS.
 
-All that a fleet does by time counts from one epoch, by the clock of each computer: who is ahead begins earlier,
-takes every message for an old one and, beyond `communication.stale_s`, for a stale one. So the clocks must agree.
+All times of a flight count from one epoch, by the clock of each computer. So the clocks must agree: a computer
+that is ahead begins earlier, and takes every message for an old one, beyond `communication.stale_s` for a stale one.
 
-A message cannot have been under way for less than no time: the least age at which messages of one sender
-arrive is their delay plus how far our clock is ahead. The delay of a network that can be flown over is small.
+The least age at which messages of one sender arrive is the delay of the network plus how far our clock is ahead.
+The delay of a network that can carry a flight is small.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _WINDOW_S = 0.5
 
 
 class Offset(NamedTuple):
-    """A clock that is not ours."""
+    """The clock of a sender, compared with ours."""
 
     name: str  # of the topic whose stamps differ
     ahead_s: float  # our clock minus the sender's, plus the least delay of its messages
@@ -40,7 +40,7 @@ class _Least:
         self._before: float | None = None
         self._now: float | None = None
 
-    def hear(self, now_ns: int, message: Stamped) -> None:
+    def add(self, now_ns: int, message: Stamped) -> None:
         if message.stamp_ns == self._stamp_ns:
             return
         self._stamp_ns = message.stamp_ns
@@ -51,7 +51,7 @@ class _Least:
 
     @property
     def age_s(self) -> float | None:
-        """None until a whole window has been heard: a first message may have been late."""
+        """None before the end of the first window: its first message may have been late."""
         if self._before is None or self._now is None:
             return self._before
         return min(self._before, self._now)
@@ -61,7 +61,7 @@ class ClockOffsetMonitor:
     """Compares our clock with the stamps of messages.
 
     Args:
-        names: of the topics, in the order of what is looked at.
+        names: Of the topics, in the order of the messages in `look`.
     """
 
     def __init__(self, names: Sequence[str]) -> None:
@@ -72,11 +72,11 @@ class ClockOffsetMonitor:
         """Take in the newest message of each topic, None where there is none."""
         for least, message in zip(self._least, newest, strict=True):
             if message is not None:
-                least.hear(now_ns, message)
+                least.add(now_ns, message)
 
     @property
     def offset(self) -> Offset | None:
-        """The clock farthest from ours, if it is `LIMIT_S` away or more."""
+        """The clock farthest from ours, if it is at least `LIMIT_S` away."""
         ages = ((name, least.age_s) for name, least in zip(self._names, self._least, strict=True))
         known = [Offset(name, age_s) for name, age_s in ages if age_s is not None]
         worst = max(known, key=lambda one: abs(one.ahead_s), default=None)

@@ -1,7 +1,7 @@
-"""Who may hear whom: Fast DDS profiles for one host, for known computers, and for a discovery server.
+"""Which processes can find each other: Fast DDS profiles for one host, known computers, and a discovery server.
 
-The profiles lie in `profiles/` and are filled in here. None of them uses multicast, so that nothing is
-said to a network that nobody has named.
+The templates lie in `profiles/`; this module fills them in. None of them uses multicast, so that no packet
+reaches a network that the user has not named.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from ptnsbc_core.errors import PtnsbcError
 LOOPBACK = "127.0.0.1"
 SERVER_PORT = 11811
 PROCESSES = 32
-"""Processes that are looked for on each host by default."""
+"""How many processes are looked for on each host by default."""
 
 # rmw_fastrtps numbers the servers of ROS_DISCOVERY_SERVER in the same way: `DS SERVER <id>`.
 _SERVER_PREFIX = "44.53.{:02x}.5f.45.50.52.4f.53.49.4d.41"
-_WRITERS = "writers.xml"  # not on one host, where nothing is lost and each question costs time
+_WRITERS = "writers.xml"  # not on one host, where no packet is lost and each request costs time
 _MOST_PROCESSES = 120  # a domain has 250 ports, two for each process
 
 
@@ -40,7 +40,7 @@ class Server(NamedTuple):
 
 
 def localhost(processes: int) -> str:
-    """The profile of a fleet on this host: nothing leaves it, nothing from outside is heard."""
+    """The profile of a fleet on this host: no packet leaves it, and no packet from outside is heard."""
     return _peers((LOOPBACK,), processes, "A fleet on one host")
 
 
@@ -49,7 +49,7 @@ def static_peers(addresses: Sequence[str], processes: int = PROCESSES) -> str:
 
     Args:
         addresses: IPv4 address of each computer, or a name that resolves to one.
-        processes: As many are looked for on each computer.
+        processes: How many are looked for on each computer.
     """
     if not addresses:
         raise NetworkError("no computer named: expected the address of each computer of the fleet")
@@ -68,7 +68,7 @@ def discovery_client(servers: Sequence[Server], *, everything: bool = False) -> 
 
     Args:
         servers: In the order of their ids, 0 first.
-        everything: Learn of every topic, not only of one's own: for the tools that list them.
+        everything: Learn of every topic, not only of its own: for tools that list topics.
     """
     if not servers:
         raise NetworkError("no server named: expected ADDRESS or ADDRESS:PORT of one")
@@ -106,7 +106,7 @@ def resolved(address: str) -> str:
 def checked(profile: Path) -> Path:
     """The absolute path of a profile that can be read.
 
-    Fast DDS goes on without one that it cannot read, by multicast to everybody: so it is refused here.
+    Fast DDS ignores a profile that it cannot read and uses multicast instead. So this refuses such a profile.
     """
     try:
         root = ElementTree.parse(profile).getroot()
@@ -118,15 +118,11 @@ def checked(profile: Path) -> Path:
         raise NetworkError(
             f"{profile}: {error}: expected XML, as `ptnsbc network` writes it"
         ) from None
-    if not any(_plain(element.tag) == "participant" for element in root.iter()):
+    if not any(element.tag.rpartition("}")[2] == "participant" for element in root.iter()):
         raise NetworkError(
             f"{profile}: no <participant> in it: expected a profile, as `ptnsbc network` writes it"
         )
     return profile.resolve()
-
-
-def _plain(tag: str) -> str:
-    return tag.rpartition("}")[2]
 
 
 def _peers(hosts: Sequence[str], processes: int, title: str, writers: str = "") -> str:

@@ -1,4 +1,7 @@
-"""Settings that ROS reads from the environment, set before rclpy starts; the user's own win."""
+"""Settings of a process before rclpy starts: environment variables, scheduling, and a free ROS domain.
+
+A variable that the user has set wins.
+"""
 
 from __future__ import annotations
 
@@ -17,19 +20,19 @@ from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_nodes.runtime import dds_profiles
 
 PARENT = "PTNSBC_PARENT"
-"""Process id of the launcher; a process that finds it set does not outlive the launcher."""
+"""Process id of the launcher: a process that has it set ends with the launcher."""
 REPORT = "PTNSBC_REPORT_FD"
 """File descriptor of a pipe to the launcher: a process that has finished its work says so there."""
 NETWORK = "PTNSBC_NETWORK"
-"""A Fast DDS profile (`ptnsbc network`): the switch from this host alone to the computers it names."""
+"""A Fast DDS profile (`ptnsbc network`): the fleet then flies over the network that it describes."""
 
 _DEFAULTS = {
-    # A fleet on one host; spread over hosts, the user widens it.
+    # A fleet on one host. The user widens it for more hosts.
     "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
     # Shared memory is no faster here, and a killed process leaves its segments behind.
     "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
 }
-# Every UAV is a process: more threads than one each only get into each other's way.
+# Every UAV is a process: with more threads than one each they would compete for the cores.
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 _PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 _RMW = "rmw_fastrtps_cpp"
@@ -44,43 +47,44 @@ class DomainError(PtnsbcError):
 
 
 def prepare() -> None:
-    """Fill in what is not set. With ROS from wheels rclpy.init() fails without it."""
+    """Set the variables that are not set. With ROS from wheels rclpy.init() fails without them."""
     _stay_with_parent()
     if os.environ.get(NETWORK):
         os.environ.update(_joined(os.environ))
     for name, value in _DEFAULTS.items():
         os.environ.setdefault(name, value)
-    # The wheels put the ament index into the environment's prefix, but tell nobody.
+    # The wheels put the ament index into the environment's prefix, but do not set the variable.
     if (Path(sys.prefix) / "share" / "ament_index").is_dir():
         os.environ.setdefault("AMENT_PREFIX_PATH", sys.prefix)
 
 
 def prefer_throughput() -> None:
-    """For lock-step: who has been woken does not interrupt who woke it.
+    """For lock-step: a process that a message wakes does not interrupt the sender.
 
-    Six processes wake each other at every message, and it costs less to finish first what one has begun
-    (`bench --only lockstep`). Not for the recorder, which would fall behind. Where it may not be asked
-    for, everything works all the same.
+    Six processes wake each other at every message, and each costs less when it finishes its work first
+    (`bench --only lockstep`). The recorder does not use this: it would fall behind. Without the right to
+    change the scheduling the process works all the same.
     """
     _schedule(os.SCHED_BATCH, 0)
 
 
 def prefer_punctuality(*, flies: bool) -> bool:
-    """For real vehicles: run before everything that is not in a hurry.
+    """For real vehicles: real-time scheduling, before all other programs.
 
-    A setpoint that waits for a compiler on the same host is a late setpoint, and one that waits for half a
-    second ends the flight. Round robin, so that those who fly do not hold each other up; who does not fly, as
-    the recorder, comes after them. The kernel keeps a twentieth of the time for everybody else. False where
-    it may not be asked for: everything works all the same.
+    A setpoint that waits half a second for a compiler on the same host ends the flight. The policy is round robin,
+    so that processes that fly share the time; one that does not fly, as the recorder, comes after them. The
+    kernel keeps a twentieth of the time for all other programs.
+
+    Returns False without the right to change the scheduling; the process works all the same.
     """
     return _schedule(os.SCHED_RR, os.sched_get_priority_min(os.SCHED_RR) + flies)
 
 
 def _schedule(policy: int, priority: int) -> bool:
-    """Ask for a scheduling policy for all threads of this process: a node has some before it has a word."""
+    """Set the scheduling policy of all threads of this process: a node has started some already."""
     try:
         for thread in os.listdir("/proc/self/task"):
-            with suppress(ProcessLookupError):  # it has just ended
+            with suppress(ProcessLookupError):  # the thread has just ended
                 os.sched_setscheduler(int(thread), policy, os.sched_param(priority))
     except OSError:
         return False
@@ -88,7 +92,7 @@ def _schedule(policy: int, priority: int) -> bool:
 
 
 def for_children(domain: int, processes: int, folder: Path) -> dict[str, str]:
-    """Environment of the processes of a fleet; the discovery profile is written into `folder`."""
+    """The environment of the processes of a fleet; writes their discovery profile into `folder`."""
     prepare()
     child = dict(os.environ)
     child[PARENT] = str(os.getpid())
@@ -100,17 +104,17 @@ def for_children(domain: int, processes: int, folder: Path) -> dict[str, str]:
     child["PYTHONPATH"] = os.pathsep.join(filter(None, (root, child.get("PYTHONPATH"))))
     if _discovery_is_ours(child):
         profile = folder / "discovery.xml"
-        # LOCALHOST of rmw_fastrtps probes 32 participants only, and always uses shared memory. So the
-        # same by hand: no multicast, as many peers on this host as there are, UDP alone.
+        # LOCALHOST of rmw_fastrtps probes 32 participants only, and always uses shared memory. This profile
+        # does the same with as many peers as there are, and with UDP alone.
         profile.write_text(dds_profiles.localhost(processes + _SPARE_PEERS), encoding="utf-8")
         child[_PROFILES[0]] = str(profile)
-        # Whatever else it is set to, rmw_fastrtps would override the profile.
+        # With any other value rmw_fastrtps would override the profile.
         child["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "SYSTEM_DEFAULT"
     return child
 
 
 def _joined(environment: Mapping[str, str]) -> dict[str, str]:
-    """The settings of a process on a network; NetworkError when they would not be heeded."""
+    """The settings of a process on a network; NetworkError when the middleware would ignore them."""
     profile = str(dds_profiles.checked(Path(environment[NETWORK])))
     if environment.get("RMW_IMPLEMENTATION", _RMW) != _RMW:
         raise dds_profiles.NetworkError(
@@ -120,7 +124,7 @@ def _joined(environment: Mapping[str, str]) -> dict[str, str]:
     return {
         NETWORK: profile,
         _PROFILES[0]: profile,
-        # Whatever else it is set to, rmw_fastrtps would override the profile.
+        # With any other value rmw_fastrtps would override the profile.
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT",
     }
 
@@ -135,7 +139,7 @@ def _discovery_is_ours(environment: Mapping[str, str]) -> bool:
 
 
 def _stay_with_parent() -> None:
-    """End with the launcher, even when it is killed: an orphan would fly on unseen."""
+    """End with the launcher, even when it is killed: an orphan would fly on unnoticed."""
     parent = os.environ.get(PARENT)
     if parent is None or not sys.platform.startswith("linux"):
         return
@@ -148,7 +152,7 @@ def _stay_with_parent() -> None:
 
 @contextmanager
 def reserved_domain() -> Iterator[int]:
-    """The user's ROS_DOMAIN_ID, or a free domain that stays ours inside the `with`."""
+    """The user's ROS_DOMAIN_ID, or a free domain that no other fleet takes inside the `with`."""
     given = os.environ.get("ROS_DOMAIN_ID")
     if given is not None:
         if not given.isdecimal():
@@ -178,7 +182,7 @@ def _locked_domain() -> tuple[socket.socket, int]:
 
 
 def _is_unused(domain: int) -> bool:
-    """Whether nobody listens where the first participants of the domain would."""
+    """Whether the ports of the first participants of the domain are free."""
     for participant in range(_FIRST_PARTICIPANTS):
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
             try:

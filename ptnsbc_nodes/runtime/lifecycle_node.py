@@ -1,7 +1,7 @@
-"""A node with a life cycle: configured, activated, deactivated and cleaned up by whoever manages the fleet.
+"""A node with a life cycle: the manager of the fleet configures, activates, deactivates and cleans it up.
 
-What it does at each transition is the business of its `ConfiguredNode`. A user's error refuses a transition and
-is logged; any other ends the process.
+Its `ConfiguredNode` does the work of each transition. A user's error refuses the transition and is logged; any
+other error ends the process.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from ptnsbc_nodes.comm.endpoints import Endpoints
 
 
 class ConfiguredNode(Protocol):
-    """What a configured node has: topics from the start, and more while it is active."""
+    """What a configured node does: it has topics from the start, and acts while it is active."""
 
     endpoints: Endpoints
 
@@ -29,24 +29,24 @@ class ConfiguredNode(Protocol):
         """Stop, so that `activate` can begin again; a PtnsbcError refuses."""
 
     def close(self) -> None:
-        """Take everything away from the node."""
+        """Remove all topics, timers and services from the node."""
 
 
 class ManagedNode(LifecycleNode):
-    """`make` is what `configure` does; a PtnsbcError from it refuses. `on_end` ends the process."""
+    """A lifecycle node whose work `assign` defines."""
 
     def __init__(self, name: str, **options: Any) -> None:
         super().__init__(name, **options)
         self.work: ConfiguredNode | None = None
         self.refusal: PtnsbcError | None = None  # of the newest transition
-        self._by_itself = False  # nobody asks: who starts it hears of a refusal
-        self.broken = False  # by an error that is not the user's
-        self._make: Callable[[], ConfiguredNode] | None = None
+        self._by_itself = False  # `autostart` raises a refusal instead of logging it
+        self.broken = False  # an error that is not the user's has come up
+        self._make: Callable[[], ConfiguredNode | None] = lambda: None
         self._end: Callable[[], None] = lambda: None
         self._guard_requests()
 
     def assign(self, make: Callable[[], ConfiguredNode], on_end: Callable[[], None]) -> None:
-        """Say what to do; before the node is served."""
+        """Define the node before it is served: `make` configures, `on_end` ends the process."""
         self._make, self._end = make, on_end
 
     @property
@@ -55,7 +55,7 @@ class ManagedNode(LifecycleNode):
         return str(self._state_machine.current_state[1])
 
     def autostart(self) -> None:
-        """Configure and activate; raises what refuses it."""
+        """Configure and activate without being asked; raises the error that refuses it."""
         self._by_itself = True
         for trigger in (self.trigger_configure, self.trigger_activate):
             if trigger() is not TransitionCallbackReturn.SUCCESS and self.refusal is not None:
@@ -68,45 +68,44 @@ class ManagedNode(LifecycleNode):
             self.work.endpoints.flush(timeout_s)
 
     def account(self) -> str:
-        """What it has sent."""
+        """How many messages it has sent, see `Endpoints.account`."""
         return "" if self.work is None else self.work.endpoints.account()
 
     def finish(self) -> None:
-        """Take everything away and tell that it is over; the process ends next."""
+        """Close the node and publish its last transition; the process ends next."""
         self._end = lambda: None
         self._close()
         if self.state != "finalized":
             self.trigger_shutdown()
 
     def destroy_node(self) -> None:
-        """Also what rclpy forgets: the transition topic, by which the node would stay in the graph."""
+        """Destroy also the transition topic, which rclpy forgets: the node would stay in the graph."""
         self._state_machine.destroy_when_not_in_use()
         super().destroy_node()
 
     def on_configure(self, _state: LifecycleState) -> TransitionCallbackReturn:
-        """Make the topics and what belongs to them."""
-        return self._carried_out(self._configure)
+        """Make the topics, timers and services."""
+        return self._transition(self._configure)
 
     def on_activate(self, _state: LifecycleState) -> TransitionCallbackReturn:
         """Begin to act."""
-        return self._carried_out(self._activate)
+        return self._transition(self._activate)
 
     def on_deactivate(self, _state: LifecycleState) -> TransitionCallbackReturn:
         """Stop acting."""
-        return self._carried_out(self._deactivate)
+        return self._transition(self._deactivate)
 
     def on_cleanup(self, _state: LifecycleState) -> TransitionCallbackReturn:
-        """Take the topics away."""
-        return self._carried_out(self._close)
+        """Remove them again."""
+        return self._transition(self._close)
 
     def on_shutdown(self, _state: LifecycleState) -> TransitionCallbackReturn:
-        """End the process, whatever it was doing."""
+        """End the process."""
         self._end()
         return TransitionCallbackReturn.SUCCESS
 
     def _configure(self) -> None:
-        if self._make is not None:
-            self.work = self._make()
+        self.work = self._make()
 
     def _activate(self) -> None:
         # What was made so far lives as long as the node works: no collection need look at it.
@@ -123,16 +122,16 @@ class ManagedNode(LifecycleNode):
             self.work.close()
             self.work = None
 
-    def _carried_out(self, transition: Callable[[], object]) -> TransitionCallbackReturn:
+    def _transition(self, work: Callable[[], object]) -> TransitionCallbackReturn:
         self.refusal = None
         try:
-            transition()
+            work()
         except PtnsbcError as error:
             self.refusal = error
             if not self._by_itself:
                 self.get_logger().error(" ".join(str(error).split()))
             return TransitionCallbackReturn.FAILURE
-        except Exception:  # rclpy would go on without a word
+        except Exception:  # rclpy would ignore it
             self.broken = True
             self.get_logger().fatal(traceback.format_exc())
             self._end()

@@ -22,7 +22,7 @@ _PROGRESS_S = 2.0
 
 
 class Pace:
-    """Counts the ticks of a timer that came a period or more too late."""
+    """Counts the ticks that a timer has missed: those a period or more too late."""
 
     def __init__(self, period_ns: int) -> None:
         self.missed = 0
@@ -33,7 +33,7 @@ class Pace:
         """Periods that have passed since the last tick, at least 1; more than 1 were missed."""
         due_ns = self._due_ns
         if due_ns is None or now_ns < due_ns:
-            due_ns = now_ns  # the grid starts at the earliest tick, not at one that came late
+            due_ns = now_ns  # the grid starts at the earliest tick, not at a late one
         skipped = (now_ns - due_ns) // self._period_ns
         self.missed += skipped
         self._due_ns = due_ns + (skipped + 1) * self._period_ns
@@ -96,10 +96,10 @@ def delay_ns(now_ns: int, stamp_ns: int, period_ns: int) -> int:
 
 
 class Ticker:
-    """Calls back once per period.
+    """A node-clock timer of the control loop, whose phase can be set behind that of incoming messages.
 
-    Two free-running timers of the same rate keep whatever phase they happened to start with. An
-    unlucky UAV would then answer every odometry just too late, a whole period later than others.
+    Two free-running timers of the same rate keep the phase that they started with. By chance a UAV would then
+    answer every odometry just too late, a whole period later than others.
     """
 
     def __init__(self, node: Node, period_ns: int, callback: Callable[[], None]) -> None:
@@ -109,13 +109,13 @@ class Ticker:
         self._once: Timer | None = None
 
     def align(self, stamp_ns: int) -> None:
-        """Tick a little after messages stamped like this one, from now on."""
+        """From now on tick a little after messages with such a stamp."""
         now_ns = int(self._node.get_clock().now().nanoseconds)
         wait_ns = max(delay_ns(now_ns, stamp_ns, self._period_ns), _SHORTEST_NS)
         self._once = self._node.create_timer(wait_ns / NANOSECONDS, self._shift)
 
     def close(self) -> None:
-        """Tick no more."""
+        """Destroy the timers."""
         for timer in (self._timer, self._once):
             if timer is not None:
                 self._node.destroy_timer(timer)

@@ -1,7 +1,7 @@
 """The ROS parameters of a flight's processes: how they fly, and every single value of the scenario.
 
-Parameters that say which flight it is are read-only. Those of the scenario can be changed until the
-node is configured: all processes of a flight must agree on them, and on what the bag says they were.
+Parameters that define the flight are read-only. Parameters of the scenario can be changed until the node is
+configured: all processes of a flight, and its bag, must agree on them.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class ReadOnlyParameter(NamedTuple):
     high: float = math.inf
 
     def leaf(self, value: Value) -> ScenarioParameter:
-        """With the value that it has."""
+        """The parameter with this value."""
         return ScenarioParameter(self.name, value, self.description, self.low, self.high, "")
 
 
@@ -60,7 +60,7 @@ AUTOSTART = ReadOnlyParameter("autostart", True, "configure and activate without
 
 
 def overrides(given: Mapping[str, Value | None]) -> list[Parameter]:
-    """What the command line says, for the constructor of a node; None and False say nothing."""
+    """Options of the command line as parameters for a node; None and False are left out."""
     return [
         Parameter(name, value=value)
         for name, value in given.items()
@@ -69,7 +69,7 @@ def overrides(given: Mapping[str, Value | None]) -> list[Parameter]:
 
 
 class NodeParameters:
-    """The parameters of one node, declared; the node must have declared all that it was given.
+    """Declares the parameters of one node, which must have declared every parameter that it was given.
 
     Raises:
         ParameterError: a value of the wrong type, out of its range, or for another kind of node.
@@ -96,12 +96,12 @@ class NodeParameters:
         self.uav = self._uav() if UAV in fixed else 0
 
     def declare_scenario(self, may_change: Callable[[], bool] = lambda: False) -> None:
-        """Declare every single value of the scenario; `may_change` says whether it still may."""
+        """Declare every single value of the scenario; `may_change` tells whether values may still change."""
         self._may_change = may_change
         for leaf in leaves(self.scenario):
             self._declare(leaf, read_only=False)
         for key in self._changed.keys() - {leaf.key for leaf in leaves(self.scenario)}:
-            # A list, or something below an id.
+            # A list, or a value below an id.
             about = ParameterDescriptor(description=f"{key} of the scenario", read_only=True)
             self._node.undeclare_parameter(key)
             self._node.declare_parameter(key, self._changed[key], about, ignore_override=True)
@@ -113,7 +113,7 @@ class NodeParameters:
 
     @property
     def options(self) -> FlightOptions:
-        """The options all processes of a flight share."""
+        """The options that all processes of a flight share."""
         return FlightOptions(self["lockstep"], self["recorded"], self._is_bridged)
 
     @property
@@ -135,7 +135,7 @@ class NodeParameters:
             raise ScenarioParameterError(
                 f"parameter {leaf.key}: {leaf.value}: expected {leaf.low:g} to {leaf.high:g}"
             )
-        # What was given is declared already, without description and range.
+        # A given parameter is declared already, without description and range.
         if self._node.has_parameter(leaf.key):
             self._node.undeclare_parameter(leaf.key)
         about = descriptor(leaf, read_only=read_only)
@@ -152,7 +152,7 @@ class NodeParameters:
         return uav
 
     def _read(self, changes: Mapping[str, Any]) -> Scenario:
-        """The scenario with what was given and `changes` in place of its own values."""
+        """The scenario with the given values and `changes` in place of its own."""
         given = {**self._changed, **changes}
         text, name = self["scenario_text"], self["scenario"]
         if bool(text) == bool(name):
@@ -182,7 +182,7 @@ class NodeParameters:
 
 
 def descriptor(leaf: ScenarioParameter, *, read_only: bool) -> ParameterDescriptor:
-    """What `ros2 param describe` tells of a value."""
+    """What `ros2 param describe` shows of a value."""
     about = ParameterDescriptor(
         description=leaf.description, additional_constraints=leaf.rule, read_only=read_only
     )

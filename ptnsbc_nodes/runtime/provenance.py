@@ -1,4 +1,4 @@
-"""What flew: versions and the commit, for the metadata of a bag."""
+"""Versions and the commit of the code that flew, for the metadata of a bag."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _PATIENCE_S = 5.0
 
 @cache
 def provenance() -> dict[str, str]:
-    """Versions of what the result depends on, and the commit when this is a checkout."""
+    """Versions of all packages that the result depends on, and the commit when this is a checkout."""
     facts = {"python": platform.python_version(), "machine": platform.machine()}
     facts["ptnsbc"] = own_version()
     for name in _PACKAGES:
@@ -31,23 +31,23 @@ def provenance() -> dict[str, str]:
 
 
 def own_version() -> str:
-    """The version of the code that runs, wherever other versions may lie about.
+    """The version of the code that runs, also where other versions are installed.
 
-    In a checkout it is that of pyproject.toml, not that of the metadata some installation has left there;
-    elsewhere that of the distribution in the folder of the code.
+    In a checkout it is that of pyproject.toml, because an installation may have left old metadata there;
+    elsewhere it is that of the distribution in the folder of the code.
     """
     project = _ROOT / "pyproject.toml"
     if project.is_file():
         found = re.search(r'^version = "(.+)"$', project.read_text(encoding="utf-8"), re.MULTILINE)
         return found[1] if found else "unknown"
     for name in _OURS:
-        for found_there in distributions(name=name, path=[str(_ROOT)]):
-            return found_there.version
+        for distribution in distributions(name=name, path=[str(_ROOT)]):
+            return distribution.version
     return "unknown"
 
 
 def add_version(parser: argparse.ArgumentParser) -> None:
-    """Let a program answer --version, all of them alike."""
+    """Add --version, the same for all programs."""
     parser.add_argument("--version", action="version", version=f"ptnsbc {own_version()}")
 
 

@@ -28,11 +28,11 @@ class ScenarioParameter(NamedTuple):
     description: str
     low: float  # -inf without a limit
     high: float  # inf without a limit
-    rule: str  # what a range cannot say: open ends, choices
+    rule: str  # limits that a range cannot express: open ends, choices
 
 
 def leaves(scenario: Scenario) -> Iterator[ScenarioParameter]:
-    """All of them, in the order of the file, defaults filled in."""
+    """All single values, in the order of the file, with defaults filled in."""
     return _below("", scenario.file)
 
 
@@ -48,7 +48,7 @@ def _below(prefix: str, block: BaseModel) -> Iterator[ScenarioParameter]:
 
 
 def _limits(field: FieldInfo) -> tuple[float, float, str]:
-    """Least and largest value, and in words what these two cannot say."""
+    """Least and largest value, and in words the limits that these two cannot express."""
     low, high, rules = -math.inf, math.inf, []
     for limit in _constraints(field):
         for name, words in (("gt", "more than"), ("lt", "less than")):

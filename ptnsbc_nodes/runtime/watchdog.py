@@ -1,9 +1,9 @@
-"""Lock-step: whoever keeps everybody waiting is named.
+"""Lock-step: names the processes that a flight waits for.
 
-The rule. Nobody has answered the sim for `SAID_S`: it says whom it waits for, and tells the launcher. A
-UAV that only waits for others tells the launcher that it does, so it is alive; one that does not, for
-`ENDED_S`, is ended by the launcher, and from then on counts as every other that was killed. A recorder is
-named and left alone: a disk that takes long is no reason to lose a bag.
+The rule: when no UAV has answered the sim for `SAID_S`, the sim prints the processes that it waits for, and
+tells the launcher. A UAV that only waits for others still sends its status, so it is alive. The launcher ends
+a UAV that has sent none when the wait has lasted `ENDED_S`; the others then fly on without it. A recorder is
+named and left alone: a slow disk is no reason to lose a bag.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ WAITED = "waited_s"
 
 
 class LockstepWatchdog:
-    """Notices that a flight does not go on.
+    """Notices that a flight does not advance.
 
     Args:
-        send: publisher of a serialised DiagnosticArray.
+        send: Publisher of a serialised DiagnosticArray.
     """
 
     def __init__(self, send: Callable[[bytes], None]) -> None:
@@ -32,8 +32,8 @@ class LockstepWatchdog:
         self._looks = 0
 
     def look(self, mark: object, awaited: Callable[[], list[str]]) -> None:
-        """Call it `STATUS_HZ` times a second; `mark` changes when the flight goes on."""
-        # Looks are counted, not seconds: who did not run for a while has not waited for anybody.
+        """Call it `STATUS_HZ` times a second; `mark` changes when the flight advances."""
+        # Calls are counted, not seconds: while the sim itself is suspended it waits for no process.
         self._looks = self._looks + 1 if mark == self._mark else 0
         self._mark = mark
         if self._looks < SAID_S * STATUS_HZ:
