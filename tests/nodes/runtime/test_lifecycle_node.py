@@ -201,7 +201,7 @@ def test_a_manager_that_gets_no_answer_goes_on(ros, managed, monkeypatch, lost):
     take_to_active(ros, manager, node)
     manager.arrived("uav3")  # as it says itself on /diagnostics
     manager.look()
-    assert manager._wards == {}
+    assert manager._nodes == {}
 
 
 class Ear:
