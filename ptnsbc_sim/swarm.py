@@ -25,10 +25,15 @@ from ptnsbc_core.types import (
     AgentState,
     Array,
 )
-from ptnsbc_sim.disturbances.build import Disturbances, chance, sight_draws, sight_of
-from ptnsbc_sim.disturbances.gusts import blow
-from ptnsbc_sim.disturbances.position_noise import believed, no_error
-from ptnsbc_sim.disturbances.sensor_noise import beside
+from ptnsbc_sim.disturbances.build import (
+    Disturbances,
+    flight_disturbances,
+    sensor_noise_of,
+    sensor_noise_samples,
+)
+from ptnsbc_sim.disturbances.gusts import gust_step
+from ptnsbc_sim.disturbances.position_noise import initial_error, measured_odometry
+from ptnsbc_sim.disturbances.sensor_noise import add_sensor_noise
 from ptnsbc_sim.plants.build import plant_config, start_states
 from ptnsbc_sim.plants.contract import PlantConfig, Waves, no_waves
 from ptnsbc_sim.plants.integrate import advance_with, store_odometry
@@ -85,9 +90,9 @@ class HeadlessFlight(NamedTuple):
         )
         if not len(self.track.truth):
             return rows
-        draws = sight_draws(self.scenario, self.scenario.uav_ids[row], tick)
+        samples = sensor_noise_samples(self.scenario, self.scenario.uav_ids[row], tick)
         seen = self.track.odometry[tick, row]
-        return beside(rows, truth[row], seen, draws, sight_of(self.scenario))
+        return add_sensor_noise(rows, truth[row], seen, samples, sensor_noise_of(self.scenario))
 
 
 @inline_kernel
@@ -117,14 +122,14 @@ def inputs_of(
     parent = wiring.parent[row]
     from_parent, from_leader = tick - 1, tick - 1
     if disturbances is not None:
-        received = disturbances.heard[tick, row]
+        received = disturbances.received[tick, row]
         from_parent, from_leader = received[0], received[1]
     count = wiring.neighbour_count[row]
     estimates, ages = swarm.estimates[row, :count], swarm.estimate_age_s[row, :count]
     for k in range(count):
         sent = tick - 1
         if disturbances is not None:
-            sent = disturbances.heard[tick, row, 2 + k]
+            sent = disturbances.received[tick, row, 2 + k]
         ages[k] = _age(tick, sent, wiring.dt_ns)
         if sent >= 0:
             store(estimates[k], 0, track.estimate[sent, wiring.neighbours[row, k]])
@@ -183,9 +188,11 @@ def _sense_near(
         )
         swarm.near_count[row] = count
         if disturbances is not None:
-            draws = disturbances.sights[tick // wiring.near_every, row]
+            samples = disturbances.sensor_samples[tick // wiring.near_every, row]
             seen = track.odometry[tick, row]
-            near = beside(swarm.near[row, :count], true[row], seen, draws, disturbances.sight)
+            near = add_sensor_noise(
+                swarm.near[row, :count], true[row], seen, samples, disturbances.sensor_noise
+            )
             swarm.near[row, :count] = near
 
 
@@ -194,15 +201,15 @@ def _believed(
     track: FlightTrack, tick: int, row: int, wiring: Wiring, disturbances: Disturbances
 ) -> Array:
     """Odometry vector (13,) that UAV number `row` sees, from its true one."""
-    return believed(
+    return measured_odometry(
         track.truth[tick, row],
-        track.truth[max(tick - disturbances.odometer.delay, 0), row],
-        track.truth[max(tick - disturbances.odometer.known, 0), row],
-        disturbances.errors[row],
-        disturbances.fixes[tick, row],
+        track.truth[max(tick - disturbances.position_noise.delay, 0), row],
+        track.truth[max(tick - disturbances.position_noise.compensated, 0), row],
+        disturbances.position_errors[row],
+        disturbances.position_samples[tick, row],
         tick,
         wiring.dt_ns * 1e-9,
-        disturbances.odometer,
+        disturbances.position_noise,
     )
 
 
@@ -218,8 +225,8 @@ def advance_plant(
     """One control period of UAV number `row` under the wrench that it has just commanded."""
     plant = swarm.plants[row]
     if disturbances is not None:
-        draws = disturbances.blows[tick, row]
-        blow(disturbances.gust[row], plant.wind, draws, tick, disturbances.gusts)
+        samples = disturbances.gust_samples[tick, row]
+        gust_step(disturbances.gust[row], plant.wind, samples, tick, disturbances.gusts)
     t, dt = (tick * wiring.dt_ns) * 1e-9, wiring.dt_ns * 1e-9
     advance_with(swarm.bodies[row], track.wrench[tick, row], t, dt, plant, swarm.waves)
 
@@ -260,9 +267,11 @@ def _first_seen(truth: Array, dt: float, disturbances: Disturbances | None) -> A
     """Odometry vectors (N, 13) that the UAVs see at the first tick, from the true ones."""
     if disturbances is None:
         return truth
-    kind = disturbances.odometer
+    kind = disturbances.position_noise
     rows = [
-        believed(own, own, own, no_error(kind), disturbances.fixes[0, row], 0, dt, kind)
+        measured_odometry(
+            own, own, own, initial_error(kind), disturbances.position_samples[0, row], 0, dt, kind
+        )
         for row, own in enumerate(truth)
     ]
     return np.stack(rows)
@@ -323,7 +332,7 @@ def flown(
     """As `fly`, with the law in `loop`."""
     ticks, size = scenario.ticks, len(scenario.uav_ids)
     wiring = wiring_of(scenario)
-    disturbances = chance(scenario, wiring.neighbours.shape[1])
+    disturbances = flight_disturbances(scenario, wiring.neighbours.shape[1])
     swarm = swarm_of(scenario, wiring, disturbances)
     track = track_of(ticks, size, with_truth=disturbances is not None, room=room)
     for first in range(0, ticks, CHUNK_TICKS):

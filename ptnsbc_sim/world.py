@@ -73,13 +73,13 @@ class World:
         self._odometry = self._truth
         self._around: list[VehicleDisturbances] = []
         if scenario.imperfect:
-            self._begin_chance(plants)
+            self._begin_disturbances(plants)
 
-    def _begin_chance(self, plants: list[PlantConfig]) -> None:
+    def _begin_disturbances(self, plants: list[PlantConfig]) -> None:
         self._odometry = self._truth.copy()
         for row, (uav_id, plant) in enumerate(zip(self.ids, plants, strict=True)):
             around = VehicleDisturbances(self._scenario, uav_id, plant.wind)
-            self._odometry[row] = around.believed(0, self._truth[row])
+            self._odometry[row] = around.measured_odometry(0, self._truth[row])
             self._around.append(around)
 
     @property
@@ -113,7 +113,7 @@ class World:
         if not self._around:
             return rows
         seen = self._odometry[row]
-        return self._around[row].beside(self._ticks[uav_id], rows, self._truth[row], seen)
+        return self._around[row].add_sensor_noise(self._ticks[uav_id], rows, self._truth[row], seen)
 
     def step(self, wrenches: Mapping[int, Array]) -> None:
         """Advance all by one control period; a UAV without a wrench (6,) stays where it is, as in a hold failsafe."""
@@ -124,7 +124,7 @@ class World:
         """Advance one vehicle by one control period: they meet nowhere but in the sensor and on the wire."""
         row, tick = self._row[uav_id], self._ticks[uav_id]
         if self._around:
-            self._around[row].blow(tick)
+            self._around[row].gust_step(tick)
         self._truth[row] = _advance_row(
             self._states,
             row,
@@ -136,7 +136,7 @@ class World:
             self._plants,
         )
         if self._around:
-            self._odometry[row] = self._around[row].believed(tick + 1, self._truth[row])
+            self._odometry[row] = self._around[row].measured_odometry(tick + 1, self._truth[row])
         self._ticks[uav_id] = tick + 1
         if tick == self._slowest:
             self._slowest = min(self._ticks.values())

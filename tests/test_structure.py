@@ -25,9 +25,7 @@ LARGEST_FOLDER = 15
 Arrow = tuple[str, str]
 
 # Import circles that are left: the arrow to remove of each.
-CIRCLES: set[Arrow] = {
-    ("ptnsbc_sim.scenario.mavlink", "ptnsbc_sim.scenario.model"),
-}
+CIRCLES: set[Arrow] = set()
 
 # Circles between the rooms of ptnsbc_nodes that are left: the arrow to remove of each.
 ROOM_CIRCLES: set[Arrow] = set()
@@ -53,11 +51,7 @@ TESTS_OF_MORE: dict[str, str] = {
 }
 
 # Tests that do not stand where their module stands yet: move or rename them.
-TESTS_TO_MOVE: set[str] = {
-    "tests/sim/disturbances/test_flights.py",
-    "tests/sim/scenario/test_chance.py",
-    "tests/sim/scenario/test_errors.py",
-}
+TESTS_TO_MOVE: set[str] = set()
 
 
 def _module(path: Path) -> str:

@@ -11,8 +11,7 @@ from typing import Any, NamedTuple, get_args
 
 from pydantic import BaseModel, TypeAdapter
 
-from ptnsbc_sim.scenario.fields import Block, Name, Wave
-from ptnsbc_sim.scenario.units import unit_of
+from ptnsbc_sim.scenario.fields import Block, Name, Wave, unit_of
 
 REQUIRED = "required"
 _MORE_UNITS = {"_deg": "°", "_percent": "%"}  # of keys whose values take no unit

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ptnsbc_sim.disturbances.links import Losses, losses
+from ptnsbc_sim.disturbances.links import MessageLoss, message_loss
 from ptnsbc_sim.scenario import Scenario
 
 LEAD_TICKS = 4
@@ -32,7 +32,7 @@ class Senders:
     parent: int | None
     leader: int | None  # None unless pinned
     estimators: tuple[int, ...]  # ascending: the order of the rows of AgentInputs.estimates
-    losses: Losses | None = None  # which of their messages the scenario wants lost
+    losses: MessageLoss | None = None  # which of their messages the scenario wants lost
 
     @property
     def states(self) -> tuple[int, ...]:
@@ -54,7 +54,7 @@ class CommunicationGraph:
             parent=scenario.parent(uav_id),
             leader=scenario.leader_id if scenario.pinned(uav_id) else None,
             estimators=scenario.estimator_neighbours(uav_id),
-            losses=losses(scenario, uav_id),
+            losses=message_loss(scenario, uav_id),
         )
 
     def linked(self, uav_id: int) -> tuple[int, ...]:

@@ -1,4 +1,4 @@
-"""One entry for all laws: the same scenario flown by ours or by a baseline.
+"""One function for all laws: it flies a scenario by our method or by a baseline.
 
 ours               the method, as `swarm.fly`
 ptsmc_exponential  predefined-time sliding mode, exponential reaching function
@@ -16,9 +16,8 @@ import numpy as np
 from ptnsbc_core.kernel import kernel, kernel_list
 from ptnsbc_core.types import Vector3
 from ptnsbc_sim import swarm
-from ptnsbc_sim.baselines.errors import BaselineError
 from ptnsbc_sim.baselines.reaching import EXPONENTIAL, TWO_SIDED, Reaching
-from ptnsbc_sim.baselines.settling import settled_s, tuned
+from ptnsbc_sim.baselines.settling import BaselineError, settled_s, tuned
 from ptnsbc_sim.baselines.terminal import Axis, Terminal, terminal_step
 from ptnsbc_sim.disturbances.build import Disturbances
 from ptnsbc_sim.scenario import Scenario, scenario_from_text
@@ -76,7 +75,7 @@ def _changed(scenario: Scenario, changes: Mapping[str, Any]) -> Scenario:
 
 
 def _axis(kind: int, power: float, deadline_s: float, which: int) -> Axis:
-    """Half of the deadline for reaching s = 0, half for sliding to e = 0."""
+    """Half of the deadline is for reaching s = 0, half for sliding to e = 0."""
     half = Reaching(kind, 0.5 * deadline_s, power)
     return Axis(half, half, _ROBUST[which], _WIDTH[which])
 
@@ -90,7 +89,7 @@ def _terminal(scenario: Scenario, law: str) -> list[Terminal]:
 
 
 def _fly_by(scenario: Scenario, law: str, progress: Progress | None = None) -> HeadlessFlight:
-    """One flight by a law that needs no tuning any more."""
+    """One flight by a law that is already tuned."""
     if law not in _REACHING:
         return swarm.fly(scenario, progress)
     laws = kernel_list(_terminal(scenario, law))
@@ -109,7 +108,7 @@ def _fly_by(scenario: Scenario, law: str, progress: Progress | None = None) -> H
 
 
 def without_time_base(scenario: Scenario, kappa_1_s: float) -> Scenario:
-    """Constant gains in all loops: kappa for the formation, the attitude as fast as its deadline asks."""
+    """Constant gains in all loops: kappa for the formation, and for the attitude a gain that meets its deadline."""
     loops = ("formation", "attitude", "estimator", "force", "torque")
     changes: dict[str, Any] = {f"gains.{loop}.time_base": False for loop in loops}
     changes["gains.formation.scale"] = 1.0
@@ -120,20 +119,20 @@ def without_time_base(scenario: Scenario, kappa_1_s: float) -> Scenario:
 
 
 def _with(scenario: Scenario, law: str, value: float) -> Scenario:
-    """The scenario with what is tuned: the constant gain (linear_cascade) or the nominal deadline (the others)."""
+    """The scenario with the tuned value: the constant gain (linear_cascade) or the nominal deadline (others)."""
     if law == "linear_cascade":
         return without_time_base(scenario, value)
     return _changed(scenario, {"gains.formation.deadline_s": value})
 
 
 def _settles(scenario: Scenario, law: str, watched_s: float) -> Callable[[float], float | None]:
-    """When the law settles in free space, by what is tuned."""
+    """Settling time of the law in free space, as a function of the tuned value."""
     free = _changed(scenario, {"world.obstacles": [], "timing.duration_s": watched_s})
     return lambda value: settled_s(_fly_by(_with(free, law, value), law))
 
 
 def _ladder(law: str, settle_s: float) -> list[float]:
-    """Values from gentle to firm; a constant gain begins where 2 % of an error are left at `settle_s`."""
+    """Values from gentle to firm. The first constant gain leaves 2 % of an error at `settle_s`."""
     if law == "linear_cascade":
         return [_IN_BAND / settle_s * 1.08**step for step in range(25)]
     return [8.0 * settle_s * 0.8**step for step in range(16)]
@@ -144,19 +143,20 @@ def _watched_s(settle_s: float) -> float:
 
 
 def _tuned(scenario: Scenario, law: str, settle_s: float) -> Scenario:
-    """The scenario with the gentlest value that makes it settle in time."""
+    """The scenario with the gentlest value that settles in time."""
     settles = _settles(scenario, law, _watched_s(settle_s))
     return _with(scenario, law, tuned(settles, settle_s, _ladder(law, settle_s)))
 
 
 def opened(scenario: Scenario, settle_s: float) -> Scenario:
-    """The scenario of `linear_cascade` behind a command filter opened as little as settling in time needs.
+    """The scenario of `linear_cascade` with the lowest limit of the command filter that settles in time.
 
-    Behind the scenario's filter no constant gain may do: what it asks for at the start is cut. With twice the
-    acceleration limit the gentlest gain is found, and with a little more than that the lowest limit.
+    With the scenario's filter it may be that no constant gain settles in time, because the filter limits the
+    command at the start. First the gentlest gain is found with twice the acceleration limit, then the lowest limit
+    for a slightly larger gain.
 
     Raises:
-        BaselineError: no gain does with twice the limit either.
+        BaselineError: no gain settles in time with twice the limit either.
     """
     law, limit = "linear_cascade", float(scenario.gains.filter.max_acceleration_m_s2)
     wide = _tuned(_changed(scenario, {_ACCELERATION: _WIDER * limit}), law, settle_s)
@@ -172,10 +172,10 @@ def opened(scenario: Scenario, settle_s: float) -> Scenario:
 
 
 def earliest_s(scenario: Scenario) -> float:
-    """The earliest that `linear_cascade` settles in free space with any of the gains that tuning tries [s].
+    """Earliest settling time [s] of `linear_cascade` in free space over the gains that tuning tries.
 
     Raises:
-        BaselineError: it settles with none of them.
+        BaselineError: it settles with no gain.
     """
     law, deadline_s = "linear_cascade", float(scenario.gains.formation.deadline_s)
     settles = _settles(scenario, law, _LONGER * deadline_s)

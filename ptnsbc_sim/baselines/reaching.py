@@ -14,7 +14,7 @@ from ptnsbc_core.kernel import kernel
 EXPONENTIAL, TWO_SIDED = 0, 1
 
 FLOOR = 1e-3
-"""|x| below which the slope of phi, infinite at zero, is taken as there [unit of x]."""
+"""Least |x| at which the slope of phi is evaluated [unit of x]; at zero it is infinite."""
 
 
 class Reaching(NamedTuple):

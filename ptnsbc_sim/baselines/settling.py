@@ -1,4 +1,4 @@
-"""When a flight has settled, and how a scalar is tuned for it."""
+"""Settling time of a flight, and tuning of a scalar for it."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ from collections.abc import Callable
 
 import numpy as np
 
+from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.trajectory import reference
 from ptnsbc_core.types import Array
-from ptnsbc_sim.baselines.errors import BaselineError
 from ptnsbc_sim.scenario.build import trajectory_vector
 from ptnsbc_sim.swarm import HeadlessFlight
 
@@ -16,8 +16,12 @@ SHARE_OF_START = 0.02
 _HALVINGS = 7
 
 
+class BaselineError(PtnsbcError):
+    """A comparison that cannot be flown."""
+
+
 def formation_errors(flight: HeadlessFlight) -> Array:
-    """Formation error (T, N) [m]: of the leader from its trajectory, of a follower from its place beside the leader."""
+    """Formation error (T, N) [m]: of the leader from its trajectory, of a follower from its desired offset."""
     scenario, places = flight.scenario, flight.truth[:, :, :3]
     leader = scenario.uav_ids.index(scenario.leader_id)
     offsets = np.array([scenario.offset(uav) for uav in scenario.uav_ids])
@@ -28,13 +32,13 @@ def formation_errors(flight: HeadlessFlight) -> Array:
 
 
 def settled_s(flight: HeadlessFlight) -> float | None:
-    """When the last UAV entered its band for good [s]; None when one is outside at the end.
+    """Time [s] after which all UAVs stay in their bands; None when one is outside at the end.
 
     The band is the verdict's: 2 % of the start error or the scenario's tolerance, whichever is larger.
     """
     error = formation_errors(flight)
     band = np.maximum(SHARE_OF_START * error[0], flight.scenario.file.formation.tolerance_m)
-    outside = ~(error <= band)  # also what is no number
+    outside = ~(error <= band)  # NaN counts as outside
     if outside[-1].any():
         return None
     last = np.flatnonzero(outside.any(axis=1))
@@ -45,12 +49,12 @@ def tuned(settles: Callable[[float], float | None], wanted_s: float, ladder: lis
     """The gentlest value whose flight settles by `wanted_s`.
 
     Args:
-        settles: when a flight with this value settles.
-        wanted_s: by when it should.
+        settles: settling time of a flight with this value.
+        wanted_s: latest settling time.
         ladder: values from gentle to firm; the first that settles in time is refined by halving.
 
     Raises:
-        BaselineError: none of them does.
+        BaselineError: no value settles in time.
     """
     before = None
     for value in ladder:

@@ -1,4 +1,4 @@
-"""Predefined-time sliding-mode control without a time base, for the paper's plant (equations.md section 8).
+"""Predefined-time sliding-mode control without a time base, for the paper's plant (docs/method.md).
 
     e = x - x_d,  s = e_dot + phi_1(e),  a = x_d_ddot - phi_1'(e) e_dot - phi_2(s) - k sat(s / width)
 
@@ -69,7 +69,7 @@ class Terminal(NamedTuple):
 
 
 class Desired(NamedTuple):
-    """Where a UAV should be."""
+    """Desired state of a UAV."""
 
     position: Vector3  # [m, ENU]
     velocity: Vector3  # [m/s]
@@ -98,7 +98,7 @@ def demanded(error: Vector3, rate: Vector3, forward: Vector3, axis: Axis) -> Vec
 def desired(
     estimate: Estimate, heard: bool, own: Array, clock: Clock, config: AgentConfig, place: Vector3
 ) -> Desired:
-    """The leader's trajectory, or the place beside the leader's estimate; before it is heard of: here."""
+    """The leader's trajectory, or the offset from the estimated leader; without an estimate the present position."""
     still = (0.0, 0.0, 0.0)
     if config.leader:
         now = reference(config.trajectory, clock.start_t)
@@ -112,7 +112,7 @@ def desired(
 
 @kernel
 def turning_forward(euler: Vector3, rates: Vector3) -> Vector3:
-    """d/dt(W^-1) euler_dot: what body rates need beside W^-1 euler_ddot, at these Euler rates."""
+    """d/dt(W^-1) euler_dot: the part of the body rates' derivative that is not W^-1 euler_ddot."""
     sf, cf = math.sin(euler[0]), math.cos(euler[0])
     st, ct = math.sin(euler[1]), math.cos(euler[1])
     p, q, r = rates[0], rates[1], rates[2]

@@ -1,4 +1,4 @@
-"""Messages between UAVs that get lost on the way: each by itself, at the receiver."""
+"""Loss of messages between UAVs: independent for every message, at the receiver."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from ptnsbc_sim.scenario import Scenario
 
 
 @dataclass(frozen=True)
-class Losses:
-    """Which messages one UAV never gets; the same for a re-run, as it follows from stamp and seed."""
+class MessageLoss:
+    """The messages that one UAV does not receive. They follow from stamp and seed, so a re-run loses the same."""
 
     seed: int
     share: float
@@ -33,32 +33,37 @@ class Losses:
         return random_streams.uniform(address, max(stamp_ns, 0) // self.period_ns) < self.share
 
 
-def losses(scenario: Scenario, uav_id: int) -> Losses | None:
-    """What one UAV does not hear; None where links lose nothing."""
+def message_loss(scenario: Scenario, uav_id: int) -> MessageLoss | None:
+    """The message loss of one UAV; None for links without loss."""
     share = scenario.file.communication.loss
-    return Losses(scenario.seed, share, uav_id, scenario.dt_ns) if share > 0.0 else None
+    return MessageLoss(scenario.seed, share, uav_id, scenario.dt_ns) if share > 0.0 else None
 
 
-def _last_heard(scenario: Scenario, kind: int, receiver: int, sender: int) -> NDArray[np.int64]:
-    """Tick of the newest message (T,) that has come through before each tick; -1: none."""
+def _last_received(scenario: Scenario, kind: int, receiver: int, sender: int) -> NDArray[np.int64]:
+    """Tick of the newest message (T,) received before each tick; -1: none."""
     ticks = scenario.ticks
     address = (scenario.seed, kind, receiver, sender)
-    lost = random_streams.below(address, ticks, scenario.file.communication.loss)
+    lost = random_streams.uniform_below(address, ticks, scenario.file.communication.loss)
     sent = np.where(lost, -1, np.arange(ticks, dtype=np.int64))
     return np.concatenate(([-1], np.maximum.accumulate(sent)[:-1]))
 
 
-def last_heard(scenario: Scenario, width: int) -> NDArray[np.int64]:
-    """Newest message (T, N, 2 + width) heard before each tick: of the parent, the leader, the neighbours; -1: none."""
+def last_received(scenario: Scenario, width: int) -> NDArray[np.int64]:
+    """Tick of the newest message (T, N, 2 + width) received before each tick; -1: none.
+
+    Columns: from the parent, from the leader, from the neighbours in the estimator graph.
+    """
     ids = scenario.uav_ids
     table = np.full((scenario.ticks, len(ids), 2 + width), -1, dtype=np.int64)
     for row, uav in enumerate(ids):
         parent = scenario.parent(uav)
         if parent is not None:
-            table[:, row, 0] = _last_heard(scenario, random_streams.STATE_LINK, uav, parent)
+            table[:, row, 0] = _last_received(scenario, random_streams.STATE_LINK, uav, parent)
         if scenario.pinned(uav):
             leader = scenario.leader_id
-            table[:, row, 1] = _last_heard(scenario, random_streams.STATE_LINK, uav, leader)
+            table[:, row, 1] = _last_received(scenario, random_streams.STATE_LINK, uav, leader)
         for k, other in enumerate(scenario.estimator_neighbours(uav)):
-            table[:, row, 2 + k] = _last_heard(scenario, random_streams.ESTIMATE_LINK, uav, other)
+            table[:, row, 2 + k] = _last_received(
+                scenario, random_streams.ESTIMATE_LINK, uav, other
+            )
     return table

@@ -1,18 +1,19 @@
-"""What a UAV believes of itself: satellite fixes, rare, noisy and late, fused with inertial measurements.
+"""Position noise: the navigation filter of a UAV, which fuses rare, noisy, late satellite fixes with inertial data.
 
-A steady-state Kalman filter (the alpha-beta filter of Kalata 1984) carries position and velocity on with
-the accelerometer and corrects both at each fix. A fix is compared with what was believed when it was
-measured, as far as the latency is known, and the correction is carried to the present. The filter is
-linear, so its error has dynamics of its own, whatever the vehicle does:
+A steady-state Kalman filter (the alpha-beta filter of Kalata 1984) predicts position and velocity with the
+accelerometer and corrects both at each fix. A fix is compared with the estimate for the time of its measurement, as
+far as the latency is compensated, and the correction is carried to the present. The filter is linear, so its error
+has dynamics of its own, independent of the vehicle's motion:
 
-    e: error now;  h: error `known` ago, by all fixes heard until now
+    e: error now;  h: error `compensated` ago, with all fixes received until now
     between fixes:  e_p += e_v dt + a dt^2 / 2,  e_v += a dt;  h the same with the a of then
-    at a fix:       r = p(t - latency) + n - (p(t - known) + h_p)
-                    h_p += alpha r,  h_v += beta / T r,  e_p += (alpha + known beta / T) r,  e_v += beta / T r
+    at a fix:       r = p(t - latency) + n - (p(t - compensated) + h_p)
+                    h_p += alpha r,  h_v += beta / T r,
+                    e_p += (alpha + compensated beta / T) r,  e_v += beta / T r
 
-and the UAV sees p + e_p and v + e_v. a is the accelerometer's error, new at each instant that a fix is
-measured. What is not known of the latency makes the position lag by velocity times that much. Attitude and
-body rates are inertial and exact here.
+The UAV measures p + e_p and v + e_v. a is the accelerometer's error, new whenever a fix is measured. A latency that
+is not compensated makes the position lag by velocity times that latency. Attitude and body rates are inertial and
+exact here.
 """
 
 from __future__ import annotations
@@ -26,20 +27,20 @@ from ptnsbc_core.kernel import inline_kernel, kernel
 from ptnsbc_core.kinematics import rotation_from_quaternion
 from ptnsbc_core.types import Array
 
-DRAWS = 6
+SAMPLES = 6
 """Random numbers per tick: noise of the fix and error of the accelerometer."""
 
-_NOW, _THEN, _SHAKES = 0, 6, 12
+_NOW, _DELAYED, _ACCELERATION = 0, 6, 12
 
 
 class PositionNoise(NamedTuple):
-    """Constants of the estimator; `every` is 0 for one without error."""
+    """Constants of the estimator; `period` is 0 for one without error."""
 
-    every: int  # control periods between two fixes
+    period: int  # control periods between two fixes
     delay: int  # control periods that a fix is late
-    known: int  # how many of them the estimator reckons with
+    compensated: int  # how many of them the estimator compensates
     noise_m: float  # standard deviation of a fix, per axis
-    shake_m_s2: float  # standard deviation of the accelerometer's error, per axis
+    acceleration_noise_m_s2: float  # standard deviation of the accelerometer's error, per axis
     alpha: float
     beta_1_s: float  # beta over the time between two fixes
 
@@ -47,96 +48,112 @@ class PositionNoise(NamedTuple):
 EXACT = PositionNoise(0, 0, 0, 0.0, 0.0, 0.0, 0.0)
 
 
-def odometer(
-    noise_m: float, shake_m_s2: float, rate_hz: float, every: int, delay: int, known: int
+def position_noise(
+    noise_m: float,
+    acceleration_noise_m_s2: float,
+    rate_hz: float,
+    period: int,
+    delay: int,
+    compensated: int,
 ) -> PositionNoise:
     """The estimator with the gains that are best for its noise (Kalata's tracking index)."""
-    index = shake_m_s2 / (rate_hz * rate_hz * noise_m)
+    index = acceleration_noise_m_s2 / (rate_hz * rate_hz * noise_m)
     root = (4.0 + index - math.sqrt(8.0 * index + index * index)) / 4.0
     alpha = 1.0 - root * root
     beta = 2.0 * (2.0 - alpha) - 4.0 * math.sqrt(1.0 - alpha)
-    return PositionNoise(every, delay, known, noise_m, shake_m_s2, alpha, beta * rate_hz)
+    return PositionNoise(
+        period, delay, compensated, noise_m, acceleration_noise_m_s2, alpha, beta * rate_hz
+    )
 
 
-def spread_m(kind: PositionNoise, dt: float) -> float:
-    """Standard deviation per axis of the believed position [m] when a fix has just come in.
+def position_std_m(kind: PositionNoise, dt: float) -> float:
+    """Standard deviation per axis of the measured position [m] just after a fix.
 
-    No linear estimator that is given these fixes and this accelerometer has a smaller one: the covariance of
-    the steady filter, alpha s^2, beta s^2 / T and beta (2 alpha - beta) s^2 / (2 (1 - alpha) T^2), carried
+    No linear estimator with these fixes and this accelerometer has a smaller one. It is the covariance of the
+    steady filter, alpha s^2, beta s^2 / T and beta (2 alpha - beta) s^2 / (2 (1 - alpha) T^2), carried
     from the instant of the measurement to the present.
     """
-    period, late = kind.every * dt, kind.delay * dt
-    beta, square = kind.beta_1_s * period, kind.noise_m**2
+    period_s, late = kind.period * dt, kind.delay * dt
+    beta, square = kind.beta_1_s * period_s, kind.noise_m**2
     place, both = kind.alpha * square, kind.beta_1_s * square
-    speed = beta * (2.0 * kind.alpha - beta) * square / (2.0 * (1.0 - kind.alpha) * period**2)
-    pushed = 0.5 * late * late * kind.shake_m_s2
+    speed = beta * (2.0 * kind.alpha - beta) * square / (2.0 * (1.0 - kind.alpha) * period_s**2)
+    pushed = 0.5 * late * late * kind.acceleration_noise_m_s2
     return math.sqrt(place + 2.0 * late * both + late * late * speed + pushed * pushed)
 
 
-def no_error(kind: PositionNoise) -> Array:
-    """Error (12 + 3 (known + 1),) before the first tick: e, h, and a of the latest control periods."""
-    return np.zeros(_SHAKES + 3 * (kind.known + 1))
+def initial_error(kind: PositionNoise) -> Array:
+    """Error (12 + 3 (compensated + 1),) before the first tick: e, h, and a of the latest control periods."""
+    return np.zeros(_ACCELERATION + 3 * (kind.compensated + 1))
 
 
 @inline_kernel
-def _carried_on(error: Array, which: int, shake: int, dt: float) -> None:
+def _predict(error: Array, which: int, acceleration: int, dt: float) -> None:
     for i in range(3):
-        a = error[shake + i]
+        a = error[acceleration + i]
         error[which + i] += dt * error[which + 3 + i] + 0.5 * dt * dt * a
         error[which + 3 + i] += dt * a
 
 
 @inline_kernel
-def _corrected(
-    error: Array, late: Array, reckoned: Array, draws: Array, lag: float, kind: PositionNoise
+def _correct(
+    error: Array,
+    late: Array,
+    compensated_position: Array,
+    samples: Array,
+    lag: float,
+    kind: PositionNoise,
 ) -> None:
     for i in range(3):
-        miss = late[i] + kind.noise_m * draws[i] - (reckoned[i] + error[_THEN + i])
-        place, speed = kind.alpha * miss, kind.beta_1_s * miss
-        error[_THEN + i] += place
-        error[_THEN + 3 + i] += speed
+        innovation = (
+            late[i] + kind.noise_m * samples[i] - (compensated_position[i] + error[_DELAYED + i])
+        )
+        place, speed = kind.alpha * innovation, kind.beta_1_s * innovation
+        error[_DELAYED + i] += place
+        error[_DELAYED + 3 + i] += speed
         error[_NOW + i] += place + lag * speed
         error[_NOW + 3 + i] += speed
 
 
 @kernel
-def believed(
+def measured_odometry(
     truth: Array,
     late: Array,
-    reckoned: Array,
+    compensated_position: Array,
     error: Array,
-    draws: Array,
+    samples: Array,
     tick: int,
     dt: float,
     kind: PositionNoise,
 ) -> Array:
-    """Odometry vector (13,) that the UAV sees at `tick`.
+    """Measured odometry vector (13,) at `tick`.
 
     Args:
         truth: (13,) its true odometry vector.
         late: (3,) [m, ENU] where it was `delay` ticks ago.
-        reckoned: (3,) [m, ENU] where it was `known` ticks ago.
+        compensated_position: (3,) [m, ENU] where it was `compensated` ticks ago.
         error: see `no_error`; changed in place.
-        draws: (6,) standard normal numbers of this tick.
+        samples: (6,) standard normal numbers of this tick.
         tick: number of control periods flown.
         dt: control period [s].
         kind: the estimator.
     """
     out = truth.copy()
-    if kind.every == 0:
+    if kind.period == 0:
         return out
-    slots = kind.known + 1
-    last, this = _SHAKES + 3 * ((tick - 1) % slots), _SHAKES + 3 * (tick % slots)
+    slots = kind.compensated + 1
+    last, this = _ACCELERATION + 3 * ((tick - 1) % slots), _ACCELERATION + 3 * (tick % slots)
     if tick > 0:
-        _carried_on(error, _NOW, last, dt)
-    if tick > kind.known:
-        _carried_on(error, _THEN, this, dt)  # what is in it until now: `known` + 1 ticks old
-    if tick % kind.every == 0:
-        lag = min(kind.known, tick) * dt  # before the first tick it stood still
-        _corrected(error, late, reckoned, draws, lag, kind)
-    measured = (tick + kind.delay) % kind.every == 0  # a fix that comes `delay` later
+        _predict(error, _NOW, last, dt)
+    if tick > kind.compensated:
+        _predict(error, _DELAYED, this, dt)  # with the fixes until now: `compensated` + 1 ticks old
+    if tick % kind.period == 0:
+        lag = min(kind.compensated, tick) * dt  # before the first tick it stood still
+        _correct(error, late, compensated_position, samples, lag, kind)
+    measured = (tick + kind.delay) % kind.period == 0  # a fix that comes `delay` later
     for i in range(3):
-        error[this + i] = kind.shake_m_s2 * draws[3 + i] if measured else error[last + i]
+        error[this + i] = (
+            kind.acceleration_noise_m_s2 * samples[3 + i] if measured else error[last + i]
+        )
     rotation = rotation_from_quaternion(truth[3:7])
     for i in range(3):
         out[i] += error[_NOW + i]

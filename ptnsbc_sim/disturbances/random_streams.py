@@ -1,7 +1,7 @@
-"""Random numbers by address: (seed, what for, who, tick) and not by the order in which somebody asks.
+"""Random numbers by address: seed, purpose, UAV and tick. The order of the requests has no effect.
 
-A swarm in one process, a sim node and a UAV node ask for different numbers in different orders, and all must
-get the same. So every stream is cut into blocks of ticks, each made by a generator of its own.
+A swarm in one process, a sim node and a UAV node request numbers in different orders, and all must get the same
+ones. Every stream is therefore divided into blocks of ticks, and each block has a generator of its own.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from ptnsbc_core.types import Array
 
 BLOCK_TICKS = 1024
 
-# What a stream is for: the first word of its address.
-ODOMETER, GUST, STATE_LINK, ESTIMATE_LINK, SIGHT = 0, 1, 2, 3, 4
+# Purposes of streams.
+POSITION, GUST, STATE_LINK, ESTIMATE_LINK, SENSOR = 0, 1, 2, 3, 4
 
 Address = tuple[int, ...]
-"""Seed, what for, and the ids of the UAVs it concerns."""
+"""Seed, purpose, and the ids of the UAVs that the stream concerns."""
 
 
 def _generator(address: Address, block: int) -> np.random.Generator:
@@ -40,13 +40,13 @@ def _uniforms(address: Address, block: int) -> Array:
 
 
 def normal(address: Address, tick: int, width: int) -> Array:
-    """Standard normal numbers (width,) of one tick."""
+    """Standard normal numbers (width,) for one tick."""
     block, row = divmod(tick, BLOCK_TICKS)
     return _normals(address, block, width)[row]
 
 
 def uniform(address: Address, tick: int) -> float:
-    """A number in [0, 1) of one tick."""
+    """One number in [0, 1) for one tick."""
     block, row = divmod(tick, BLOCK_TICKS)
     return float(_uniforms(address, block)[row])
 
@@ -57,7 +57,7 @@ def normals(address: Address, ticks: int, width: int) -> Array:
     return np.concatenate([_normals(address, block, width) for block in blocks])[:ticks]
 
 
-def below(address: Address, ticks: int, share: float) -> NDArray[np.bool_]:
+def uniform_below(address: Address, ticks: int, share: float) -> NDArray[np.bool_]:
     """Whether the numbers of the first ticks (ticks,) are below `share`."""
     blocks = range(-(-ticks // BLOCK_TICKS))
     return np.concatenate([_uniforms(address, block) for block in blocks])[:ticks] < share

@@ -1,1 +1,1 @@
-"""Vehicle models: `rigid_body_6dof`, the paper's, and `quadrotor`, which can fly."""
+"""Vehicle models: `rigid_body_6dof`, the paper's model, and `quadrotor`, a realistic one."""

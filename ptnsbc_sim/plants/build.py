@@ -12,7 +12,7 @@ from ptnsbc_sim.scenario import Scenario
 
 
 def plant_config(scenario: Scenario, uav_id: int) -> PlantConfig:
-    """Constants of one vehicle; the 6-DOF body has no motors and no drag, as in the paper."""
+    """Constants of one vehicle. The 6-DOF body has no motors and no drag, as in the paper."""
     push = scenario.uav(uav_id).disturbance
     kind = PLANTS[scenario.plant_kind]
     if kind == PLANT_RIGID_BODY:

@@ -1,4 +1,4 @@
-"""What a plant needs and what every plant offers."""
+"""Constants of a plant, and the disturbance that acts on every plant."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ptnsbc_core.kernel import inline_kernel, kernel
 from ptnsbc_core.types import Array
 
 STATE_SIZE = 17
-"""Rows of a plant state; a plant that needs fewer leaves the last ones at zero."""
+"""Size of a plant state; the last entries that a plant does not use are zero."""
 
 
 class PlantConfig(NamedTuple):

@@ -1,4 +1,4 @@
-"""Plant `rigid_body_6dof`, (39)-(42) as corrected in equations.md section 7: six inputs, Euler angles.
+"""Plant `rigid_body_6dof`, (39)-(42) as corrected in docs/method.md: six inputs, Euler angles.
 
 State (17,): position [m, ENU] 0:3, Euler angles roll pitch yaw [rad] 3:6, velocity [m/s, body FLU] 6:9, body
 rates [rad/s] 9:12. Omega V_dot = tau - C V + G + Omega d, so forces include Coriolis terms and gravity.

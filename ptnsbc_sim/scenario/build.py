@@ -1,7 +1,7 @@
 """From a scenario to the constants of one UAV.
 
-Scalars are exactly float, int or bool and vectors tuples of float: numba types the kernels by
-them, and one UAV with another type would compile everything a second time.
+Scalars are exactly float, int or bool, and vectors are tuples of float: numba compiles the kernels for these types.
+One UAV with another type would compile everything a second time.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ def trajectory_vector(scenario: Scenario) -> tuple[float, ...]:
 
 
 def reference_offset(scenario: Scenario, uav_id: int) -> Array:
-    """The reference k of a follower, from the leader: the leader itself or the heading anchor."""
+    """Reference k of a follower, relative to the leader: the leader itself or the heading anchor."""
     if scenario.parent(uav_id) == scenario.leader_id:
         return np.array(scenario.file.formation.heading_anchor_m, dtype=np.float64)
     return np.zeros(3)

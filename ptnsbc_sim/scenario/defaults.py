@@ -1,7 +1,7 @@
-"""The gains a scenario file need not give: one table for both plants, one for what differs.
+"""Default gains: one table for both plants, and one for each plant with what differs.
 
-A file's own keys win, key by key. Only `gains.formation.deadline_s` has no default: it is the
-promise that a scenario makes. A loop without a `profile` takes `gains.profile`.
+The keys of a scenario file take precedence, key by key. Only `gains.formation.deadline_s` has no default: it is
+what a scenario promises. A loop without a `profile` uses `gains.profile`.
 """
 
 from __future__ import annotations

@@ -13,26 +13,26 @@ class Loop(Block):
     """One loop: scale * (time-base gain + kappa * profile), or scale * kappa without a time base."""
 
     deadline_s: Positive
-    """Of the loop, counted from the epoch."""
+    """Deadline of the loop, counted from the epoch."""
     residual: Residual
-    """q: share of the start error that is left at the deadline."""
+    """q: fraction of the start error that remains at the deadline."""
     scale: Positive
-    """Λ, multiplies time base and κ."""
+    """Λ: factor of the whole gain, of time base and κ."""
     kappa_1_s: NotNegative
-    """κ: the gain that stays after the deadline."""
+    """κ: constant part of the gain, which acts after the deadline too."""
     profile: Profile | None = None
-    """Overrides `gains.profile` in this loop."""
+    """Profile of this loop, in place of `gains.profile`."""
     time_base: Flag = True
-    """False: without a time base the gain is `scale` times `kappa_1_s` from the first instant."""
+    """False: the loop has no time base, and its gain is always `scale` times `kappa_1_s`."""
 
 
 class Estimator(Block):
     """The distributed estimator of the leader's state; k2 and boundary are per estimated unit."""
 
     deadline_s: Positive
-    """Of the estimates."""
+    """Deadline of the estimates."""
     residual: Residual
-    """As in a loop."""
+    """q: fraction of the start error that remains at the deadline."""
     k1_1_s: NotNegative
     """Linear gain."""
     k2: NotNegative
@@ -40,89 +40,89 @@ class Estimator(Block):
     boundary: Positive
     """Width of the saturation, per estimated unit."""
     feed_forward: Flag
-    """Feeds the estimated velocity forward."""
+    """Whether the estimated velocity is fed forward to the estimated position."""
     time_base: Flag
-    """False: the gain is `k1_1_s` from the first instant."""
+    """False: the estimator has no time base, and its gain is always `k1_1_s`."""
 
 
 class ClearanceGains(Loop):
-    """Keeping clear of obstacles and of each other."""
+    """Clearance from obstacles and from other UAVs."""
 
     margin_m: NotNegative
-    """Added to every keep-out."""
+    """Distance added to every keep-out radius."""
     circulation: NotNegative
-    """Sideways speed per blocked speed."""
+    """Tangential speed per blocked speed."""
     ramp_s: Positive
-    """Rise time of that."""
+    """Rise time of the tangential speed."""
     timeout_s: Positive
-    """Then the other side is tried."""
+    """Duration of an encounter after which the other side is tried."""
     forget_s: Positive
-    """Quiet for so long: the encounter is over."""
+    """An encounter ends when the object has not restricted the velocity for this long."""
 
 
 class Filter(Block):
     """The command filter between the behaviours and the controller."""
 
     bandwidth_1_s: Positive
-    """Of the velocity command."""
+    """Bandwidth of the velocity command."""
     rate_bandwidth_1_s: Positive
-    """Of the body-rate command."""
+    """Bandwidth of the body-rate command."""
     max_speed_m_s: Positive
-    """Of the velocity command."""
+    """Largest velocity command."""
     max_acceleration_m_s2: Positive
-    """Of the velocity command."""
+    """Largest rate of change of the velocity command."""
     max_rate_rad_s: Positive
-    """Of the body-rate command."""
+    """Largest body-rate command."""
     max_rate_acceleration_rad_s2: Positive
-    """Of the body-rate command."""
+    """Largest rate of change of the body-rate command."""
 
 
 class Adaptation(Block):
     """The adaptive part of the controller."""
 
     gamma_mass: Positive
-    """Γ of the mass."""
+    """Γ: inverse adaptation rate of the mass."""
     gamma_inertia: Positive
-    """Γ of the inertia."""
+    """Γ: inverse adaptation rate of the inertia."""
     upsilon: Positive
-    """Υ of the bound on the disturbance."""
+    """Υ: inverse adaptation rate of the disturbance bound."""
     mass_range: Residual
-    """How far mass and inertia may be estimated from nominal, as a share."""
+    """Largest deviation of estimated mass and inertia from nominal, as a fraction."""
     leak_1_s: NotNegative
-    """Lets the bound go down again."""
+    """Rate at which the disturbance bound decays."""
     dead_zone_m_s: NotNegative
-    """Velocity error below which nothing is adapted."""
+    """Velocity error below which the force bound does not grow."""
     dead_zone_rad_s: NotNegative
-    """Likewise of the body rates."""
+    """Body-rate error below which the torque bound does not grow."""
     cap_m_s2: NotNegative
-    """Largest bound on a force per mass."""
+    """Largest force bound, per unit of mass."""
     cap_rad_s2: NotNegative
-    """Largest bound on a torque per inertia."""
+    """Largest torque bound, per unit of inertia."""
 
 
 class Boundary(Block):
     """Width of the saturation in the sliding-mode controller."""
 
     velocity_m_s: Positive
-    """Of the velocity loop."""
+    """Width in the velocity loop."""
     rate_rad_s: Positive
-    """Of the body-rate loop."""
+    """Width in the body-rate loop."""
 
 
 class Pointing(Block):
     """The quadrotor's loop from desired thrust direction and yaw to body rates."""
 
     tilt_1_s: Positive
-    """Of the thrust direction."""
+    """Gain of the thrust direction."""
     yaw_1_s: Positive
-    """Of the heading."""
+    """Gain of the heading."""
 
 
 class ObserverGains(Block):
     """Disturbance observer of the quadrotor's velocity loop; 0 switches it off."""
 
     bandwidth_1_s: NotNegative
-    """Of the disturbance observer, quadrotor; 0 switches it off."""
+    """Bandwidth of the disturbance observer, quadrotor; 0 switches it off."""
 
 
 class Damping(Block):
@@ -135,23 +135,23 @@ class Damping(Block):
 
 
 class Hold(Block):
-    """What a UAV does when it holds or lands."""
+    """Holding a position and landing."""
 
     gain_1_s: Positive
-    """Of the place that is held."""
+    """Gain on the distance from the position that is held."""
     land_speed_m_s: Positive
-    """Of the descent."""
+    """Descent speed."""
 
 
 class Gains(Block):
-    """Every gain of the laws."""
+    """All gains of the laws."""
 
     profile: Profile
-    """See [method.md](method.md#time-base-1215)."""
+    """How the gains start at the epoch, see [method.md](method.md#time-base-1215)."""
     formation: Loop
     """Loop of leader tracking and formation."""
     attitude: Loop
-    """Loop of the attitude, six-input plant."""
+    """Loop of the attitude, plant with six inputs."""
     estimator: Estimator
     """Estimator of the leader's state."""
     force: Loop
@@ -159,7 +159,7 @@ class Gains(Block):
     torque: Loop
     """Body-rate loop."""
     clearance: ClearanceGains
-    """Loop of keeping clear; counts from the start of each encounter."""
+    """Loop of the clearance; its deadline counts from the start of each encounter."""
     filter: Filter
     """Command filter."""
     adaptation: Adaptation
@@ -173,4 +173,4 @@ class Gains(Block):
     damping: Damping
     """Damping near a singularity."""
     hold: Hold
-    """What holds and lands."""
+    """Holding a position and landing."""

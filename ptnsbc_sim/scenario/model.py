@@ -1,4 +1,4 @@
-"""The blocks of a scenario file, as types; what they must satisfy together is in semantics.py."""
+"""The blocks of a scenario file as types. `semantics.py` checks them against each other."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ class Timing(Block):
     """Rates of the control loop and of the plant, and how long to fly."""
 
     control_hz: Annotated[Count, Field(le=2000)]
-    """Control rate: a multiple of 5, with a period of whole nanoseconds."""
+    """Control rate: a multiple of 5 with a period of whole nanoseconds."""
     physics_hz: Annotated[Count, Field(le=20000)]
-    """Rate of the plant's steps, a multiple of `control_hz`."""
+    """Integration rate of the plant, a multiple of `control_hz`."""
     duration_s: Positive
     """Length of the flight, at least one control period."""
 
@@ -43,7 +43,7 @@ class ObstacleBlock(Block):
     """A sphere to keep out of."""
 
     name: Name
-    """Each once."""
+    """Name, unique among the obstacles."""
     position_m: Vec3
     """Centre."""
     keep_out_m: Positive
@@ -54,9 +54,9 @@ class Surroundings(Block):
     """What surrounds the UAVs."""
 
     gravity_m_s2: NotNegative = 9.81
-    """Downwards."""
+    """Acceleration, downwards."""
     wind_m_s: Vec3 = (0.0, 0.0, 0.0)
-    """Pushes the quadrotor by its drag."""
+    """Mean wind; it acts on the quadrotor through its drag."""
     gust_m_s: NotNegativeVec3 = (0.0, 0.0, 0.0)
     """Standard deviation of the gusts around the wind."""
     gust_time_s: Positive = 2.0
@@ -71,52 +71,52 @@ class Positioning(Block):
     noise_m: Positive
     """Standard deviation of a fix, per axis."""
     rate_hz: Count
-    """Of the fixes; divides `control_hz`."""
+    """Rate of the fixes, a divisor of `control_hz`."""
     latency_s: Annotated[NotNegative, Field(le=1)] = 0.0
-    """A fix comes so late; a multiple of the control period."""
+    """Latency of a fix, a multiple of the control period."""
     unknown_latency_s: NotNegative = 0.0
-    """What the estimator on board does not reckon with of that; all of it where fixes carry no time stamp."""
+    """Part of the latency that the estimator on board does not compensate; all of it without time stamps."""
     acceleration_noise_m_s2: Positive = 0.05
     """Standard deviation of the accelerometer's error between fixes; it sets the filter's gains."""
 
 
 class Sensor(Block):
-    """What a UAV sees of obstacles and other UAVs, and how well it knows where it is: exactly by default."""
+    """The near-object sensor of a UAV, and its positioning."""
 
     range_m: Positive
-    """Of the near-object sensor; `check` wants more than the largest keep-out."""
+    """Range of the near-object sensor; `ptnsbc check` expects more than the largest keep-out."""
     rate_hz: Count
-    """Of the near-object sensor; divides `control_hz`."""
+    """Rate of the near-object sensor, a divisor of `control_hz`."""
     noise_m: NotNegative = 0.0
-    """Standard deviation of where the near-object sensor sees something, per axis."""
+    """Standard deviation of a position from the near-object sensor, per axis."""
     velocity_noise_m_s: NotNegative = 0.0
-    """Standard deviation of how it sees it move, per axis."""
+    """Standard deviation of a velocity from the near-object sensor, per axis."""
     positioning: Positioning | None = None
-    """How well a UAV knows where it is; exactly without it."""
+    """Errors of the UAV's own position. Default: none, the position is exact."""
 
 
 class Quadrotor(Block):
     """The limits of a quadrotor."""
 
     max_thrust_n: Positive
-    """More than the weight."""
+    """Largest thrust, above the weight."""
     max_tilt_rad: HalfTurn
-    """Of the thrust from the vertical."""
+    """Largest angle of the thrust from the vertical."""
     max_torque_nm: PositiveVec3
-    """Per body axis."""
+    """Largest torque, per body axis."""
     motor_lag_s: Positive
     """First-order lag of thrust and torques."""
     drag_1_s: NotNegative = 0.0
-    """Per unit of mass, against the air."""
+    """Linear drag relative to the air, per unit of mass."""
 
 
 class RigidBody(Block):
-    """The limits of the paper's plant, which has none: far above any force it asks for."""
+    """Limits of the paper's plant. The paper has none; the defaults are far above any command."""
 
     max_force_n: Positive = 1e6
-    """Limits the controller."""
+    """Largest force of the controller."""
     max_torque_nm: PositiveVec3 = (1e6, 1e6, 1e6)
-    """Limits the controller, per body axis."""
+    """Largest torque of the controller, per body axis."""
 
 
 class Plant(Block):
@@ -125,13 +125,13 @@ class Plant(Block):
     kind: Literal["quadrotor", "rigid_body_6dof"]
     """Vehicle model."""
     mass_kg: Positive
-    """Of each UAV."""
+    """Mass of each UAV."""
     inertia_kg_m2: PositiveVec3
-    """Principal moments."""
+    """Principal moments of inertia."""
     quadrotor: Quadrotor | None = None
-    """Its limits; required for `kind: quadrotor`."""
+    """Limits of the quadrotor; required for `kind: quadrotor`."""
     rigid_body: RigidBody = RigidBody()
-    """Limits of the paper's plant, which has none: far above any force it asks for."""
+    """Limits of the paper's plant."""
 
 
 class Communication(Block):
@@ -140,13 +140,13 @@ class Communication(Block):
     tree: dict[UavId, UavId]
     """`child: parent`, a tree rooted at the leader."""
     leader_links: tuple[UavId, ...]
-    """Followers that hear the leader itself."""
+    """Followers that receive the leader's state."""
     estimator_edges: tuple[tuple[UavId, UavId], ...]
     """Pairs of followers that exchange estimates, both ways."""
     stale_s: Positive = 0.5
-    """Silence after which a UAV holds."""
+    """A UAV holds after its parent or leader has been silent for this long."""
     loss: Share = 0.0
-    """Share of the messages between UAVs that get lost."""
+    """Fraction of the messages between UAVs that is lost."""
 
 
 class Circle(Block):
@@ -155,13 +155,13 @@ class Circle(Block):
     kind: Literal["circle"]
     """Position centre + radius (sin, cos)(rate t + phase): clockwise from north."""
     centre_m: Vec3
-    """Also gives the height."""
+    """Centre; its z is the height."""
     radius_m: NotNegative
-    """Of the circle."""
+    """Radius of the circle."""
     rate_rad_s: Number
     """Angular rate."""
     phase_rad: Number = 0.0
-    """Where it begins."""
+    """Angle at t = 0."""
     yaw_rad: Number = 0.0
     """Heading to hold."""
 
@@ -172,82 +172,82 @@ class Line(Block):
     kind: Literal["line"]
     """Position + velocity t."""
     position_m: Vec3
-    """At the epoch."""
+    """Position at the epoch."""
     velocity_m_s: Vec3 = (0.0, 0.0, 0.0)
-    """Constant."""
+    """Constant velocity."""
     yaw_rad: Number = 0.0
     """Heading to hold."""
 
 
 class Leader(Block):
-    """The UAV that the others form around."""
+    """The UAV around which the others form."""
 
     id: UavId
-    """One of `uavs`."""
+    """Id of one of `uavs`."""
     trajectory: Annotated[Circle | Line, Field(discriminator="kind")]
-    """One of these kinds:"""
+    """Trajectory of the leader, one of these kinds:"""
 
 
 class Formation(Block):
     """The shape to hold and the task that holds it."""
 
     task: Literal["distance_angles", "parent_angle", "relative_position"]
-    """What the followers control, see [method.md](method.md)."""
+    """Task of the followers, see [method.md](method.md)."""
     avoidance: Literal["off", "set_based", "switched"] = "set_based"
-    """How obstacles and other UAVs are kept clear of."""
+    """Rule of the clearance from obstacles and other UAVs."""
     offsets_m: dict[UavId, Vec3]
-    """Every follower's place relative to the leader."""
+    """Desired position of every follower relative to the leader."""
     heading_anchor_m: Vec3 = (2.0, 0.0, 0.0)
     """Reference point of the leader's children, relative to the leader."""
     uav_keep_out_m: Positive
-    """Distance that UAVs keep from each other."""
+    """Least distance between two UAVs."""
     sight_m: NotNegative = 0.0
-    """A near object so close to where parent or leader say they are counts as them; at most half the keep-out."""
+    """Distance within which a detected object is taken to be the parent or the leader; at most half of the keep-out."""
     tolerance_m: Positive = 0.05
-    """The verdict's limit at the deadline."""
+    """Largest error at the deadline that the verdict accepts."""
 
 
 class UavBlock(Block):
-    """One UAV's start and the disturbance it flies in (accelerations)."""
+    """Start of one UAV and the disturbance that acts on it."""
 
     id: UavId
-    """Each once."""
+    """Id, unique."""
     position_m: Vec3
-    """Start."""
+    """Start position."""
     attitude_rad: Vec3 = (0.0, 0.0, 0.0)
     """Roll, pitch, yaw at the start."""
     disturbance_m_s2: Disturbance = STILL
-    """Acceleration; `sin` and `cos` are of 1 rad/s."""
+    """Acceleration that acts on the UAV; `sin` and `cos` have 1 rad/s."""
     disturbance_rad_s2: Disturbance = STILL
-    """Angular acceleration, likewise."""
+    """Angular acceleration that acts on the UAV, in the same form."""
 
 
 class ScenarioFile(Block):
     """A whole file, after `extends`, overrides and default gains."""
 
     name: Name
-    """Of the scenario, in bags and verdicts."""
+    """Name of the scenario, in bags and verdicts."""
     description: str = ""
-    """For people."""
+    """Text for the reader."""
     seed: Annotated[int, Field(strict=True, ge=0, lt=2**32)] = 0
-    """Of all that happens by chance: see [below](#chance)."""
+    """Seed of all random numbers, see [below](#chance)."""
     timing: Timing
-    """Rates and length."""
+    """Rates and duration."""
     world: Surroundings = Surroundings()
     """What surrounds the UAVs."""
     sensor: Sensor
-    """What a UAV sees."""
+    """Sensors of a UAV."""
     plant: Plant
     """The vehicle, the same for all."""
     communication: Communication
     """The communication graph of the formation."""
     leader: Leader
-    """The UAV that the others form around."""
+    """The UAV around which the others form."""
     formation: Formation
     """The shape, and the task that holds it."""
     gains: Gains
-    """Every gain of the laws."""
+    """All gains of the laws."""
     mavlink: Mavlink = Mavlink()
     """Flight controllers instead of the simulator."""
     uavs: Annotated[tuple[UavBlock, ...], Field(min_length=1)]
-    """Starts and disturbances, at least one."""
+    """Starts and disturbances of the UAVs, at least one."""

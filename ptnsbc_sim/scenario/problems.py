@@ -1,4 +1,4 @@
-"""What is wrong with a scenario file, in one line: file, key path, value, expectation, way out."""
+"""Errors in a scenario file, in one line: file, key path, value, expectation, way out."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
 from ptnsbc_core.errors import PtnsbcError
-from ptnsbc_sim.scenario.units import unit_of
+from ptnsbc_sim.scenario.fields import unit_of
 
 _LIMITS = {
     "greater_than": (">", "gt"),
@@ -122,7 +122,7 @@ def _line(detail: ErrorDetails, tree: object) -> str:
     if kind == "union_tag_not_found":
         return f"{where}.kind: missing: expected this key"
     if kind == "unknown_key":
-        return f"{where}: {detail['msg']}"
+        return f"{where}: unknown key: {similar(context['below'][-1], context['known'])}"
     value = context.get("value", detail["input"])
     if kind == "union_tag_invalid":
         where, value = f"{where}.kind", context.get("tag")

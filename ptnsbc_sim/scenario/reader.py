@@ -1,8 +1,7 @@
-"""Scenario files as trees: finding them, YAML, `extends` and overrides. Their meaning: scenario.py.
+"""Scenario files as trees: search, YAML, `extends` and overrides. `scenario.py` gives them their meaning.
 
-A file may start from another: `extends: paper_5` takes that file's content, then the own keys.
-Mappings are merged key by key, lists and single values are replaced whole, and `key: null` removes
-a key.
+A file may extend another: `extends: paper_5` takes the content of that file, then its own keys. Mappings are merged
+key by key, lists and single values are replaced, and `key: null` removes a key.
 """
 
 from __future__ import annotations
@@ -94,7 +93,7 @@ def _one_line(text: object) -> str:
 
 
 def folders() -> list[Path]:
-    """Where a scenario given by name is looked for: the source tree, an installed copy, here."""
+    """Folders in which a scenario given by name is searched: source tree, installed copy, current folder."""
     root = Path(__file__).resolve().parents[2]
     # pip and colcon install the code into PREFIX/lib/pythonX.Y/site-packages, Debian's pip somewhat deeper.
     prefixes = dict.fromkeys((*root.parents[2:3], Path(sysconfig.get_path("data"))))
@@ -213,17 +212,3 @@ def dump(tree: Tree) -> str:
     """`tree` as YAML text that `parse` reads back."""
     text: str = yaml.safe_dump(tree, sort_keys=False, allow_unicode=True, width=120)
     return text
-
-
-__all__ = [
-    "Tree",
-    "available",
-    "dump",
-    "extended",
-    "find",
-    "folders",
-    "merged",
-    "overridden",
-    "parse",
-    "read_text",
-]

@@ -58,7 +58,7 @@ def _disturbance(waves: tuple[Wave, ...]) -> Disturbance:
 
 @dataclass(frozen=True)
 class Scenario:
-    """One flight: who, where, with which laws. Immutable and validated."""
+    """One flight: UAVs, world and gains. Immutable and validated."""
 
     file: ScenarioFile = field(repr=False)
     topology: Topology = field(repr=False)
@@ -74,7 +74,7 @@ class Scenario:
 
     @property
     def seed(self) -> int:
-        """Seed of everything random in a flight."""
+        """Seed of all random numbers of a flight."""
         return self.file.seed
 
     @property
@@ -89,7 +89,7 @@ class Scenario:
 
     @property
     def followers(self) -> tuple[int, ...]:
-        """Ids of all others."""
+        """Ids of all UAVs but the leader."""
         return tuple(uav for uav in self.uav_ids if uav != self.leader_id)
 
     @property
@@ -171,7 +171,7 @@ class Scenario:
 
     @property
     def imperfect(self) -> bool:
-        """Whether anything goes wrong by chance: noisy positions or sensors, gusts or lost messages."""
+        """Whether the flight has random disturbances: position or sensor noise, gusts, lost messages."""
         return (
             self.sensor.positioning is not None
             or self.sensor.noise_m > 0.0
@@ -195,16 +195,16 @@ class Scenario:
 
     @property
     def mavlink(self) -> Mavlink:
-        """How real flight controllers are flown."""
+        """Settings for real flight controllers."""
         return self.file.mavlink
 
     def vehicle_link(self, uav_id: int) -> VehicleLink:
-        """How the flight controller of one UAV is reached."""
+        """Connection to the flight controller of one UAV."""
         self.uav(uav_id)  # names the ids there are when this is not one
         return vehicle_link(self.mavlink, self.uav_ids, uav_id)
 
     def bridged(self) -> Scenario:
-        """The same flight with real vehicles: with `mavlink.overrides` in place; twice is once."""
+        """The scenario for real vehicles, with `mavlink.overrides` applied; applying them again changes nothing."""
         if not self.mavlink.overrides:
             return self
         return scenario_from_text(self.text, self.mavlink.overrides, source=self.source)
@@ -230,15 +230,15 @@ class Scenario:
         return np.array(self.file.formation.offsets_m[uav_id], dtype=np.float64)
 
     def parent(self, uav_id: int) -> int | None:
-        """The UAV that this one forms up on; None for the leader."""
+        """The UAV relative to which this one keeps its position; None for the leader."""
         return self.file.communication.tree.get(uav_id)
 
     def pinned(self, uav_id: int) -> bool:
-        """Whether this follower hears the leader itself."""
+        """Whether this follower receives the leader's state."""
         return uav_id in self.topology.pinned
 
     def estimator_neighbours(self, uav_id: int) -> tuple[int, ...]:
-        """Followers whose leader estimate this one hears, ascending."""
+        """Followers whose leader estimate this one receives, ascending."""
         return tuple(sorted(self.topology.neighbours.get(uav_id, ())))
 
 

@@ -1,13 +1,14 @@
-"""What the blocks of a scenario must satisfy together."""
+"""Checks of a scenario that concern more than one key."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator
 
 from ptnsbc_core.errors import GainError, TopologyError
 from ptnsbc_core.timebase import peak_gain
 from ptnsbc_core.topology import Topology, validated_topology
-from ptnsbc_sim.scenario import mavlink
+from ptnsbc_sim.scenario.mavlink import Geofence, Mavlink, vehicle_link
 from ptnsbc_sim.scenario.model import Positioning, ScenarioFile
 from ptnsbc_sim.scenario.problems import ScenarioError
 
@@ -15,6 +16,9 @@ STABILITY_LIMIT = 2.0
 """An explicit Euler step of a linear decay with rate g is stable for dt g below this."""
 
 NANOSECONDS = 1_000_000_000
+
+_CONNECT = re.compile(r"udp(in|out):[^:\s]+:\d{1,5}|serial:[^:\s]+(:\d+)?")
+_CONNECT_HELP = "expected udpin:ADDRESS:PORT, udpout:ADDRESS:PORT or serial:DEVICE[:BAUD]"
 
 Problems = Iterator[str]
 
@@ -140,6 +144,50 @@ def _plant(file: ScenarioFile) -> Problems:
             )
 
 
+def _mavlink(file: ScenarioFile) -> Problems:
+    block = file.mavlink
+    ids = tuple(uav.id for uav in file.uavs)
+    for uav, vehicle in block.vehicles.items():
+        where = f"mavlink.vehicles.{uav}"
+        if uav not in ids:
+            known = ", ".join(map(str, ids))
+            yield f"{where}: no such UAV; expected one of the ids under uavs: {known}"
+        if vehicle.connect is not None and not _CONNECT.fullmatch(vehicle.connect):
+            yield f'{where}.connect: "{vehicle.connect}": {_CONNECT_HELP}'
+    for key in block.overrides:
+        if key.split(".")[0] not in ("gains", "formation"):
+            yield f"mavlink.overrides.{key}: expected a key below gains or formation"
+    yield from _duplicate_links(block, ids)
+    yield from _fence(block.geofence)
+
+
+def _duplicate_links(block: Mavlink, ids: tuple[int, ...]) -> Problems:
+    links = {uav: vehicle_link(block, ids, uav) for uav in ids}
+    for what in ("sysid", "connect", "signing_key"):
+        first: dict[str, int] = {}
+        for uav, link in links.items():
+            value = getattr(link, what)
+            if value is None:
+                continue
+            # Whichever address it listens at, a port has one listener.
+            key = str(value).rpartition(":")[2] if str(value).startswith("udpin:") else str(value)
+            if key in first:
+                yield (
+                    f"mavlink.vehicles.{uav}.{what}: {value}: duplicate of that of UAV "
+                    f"{first[key]}, give every vehicle its own"
+                )
+            first.setdefault(key, uav)
+
+
+def _fence(fence: Geofence) -> Problems:
+    if (fence.box_min_m is None) != (fence.box_max_m is None):
+        yield "mavlink.geofence: one corner of the box: expected box_min_m and box_max_m, or neither"
+    elif fence.box_min_m is not None and fence.box_max_m is not None:
+        for low, high in zip(fence.box_min_m, fence.box_max_m, strict=True):
+            if low >= high:
+                yield f"mavlink.geofence.box_max_m: {high:g}: expected more than box_min_m, {low:g}"
+
+
 _CHECKS: tuple[Callable[[ScenarioFile], Problems], ...] = (
     _timing,
     _names,
@@ -147,7 +195,7 @@ _CHECKS: tuple[Callable[[ScenarioFile], Problems], ...] = (
     _offsets,
     _sight,
     _plant,
-    mavlink.problems,
+    _mavlink,
 )
 
 
@@ -160,7 +208,7 @@ def estimator_peak(file: ScenarioFile) -> float:
 def estimator_step(file: ScenarioFile, topology: Topology) -> float:
     """Step times fastest rate of the estimator, stable below STABILITY_LIMIT.
 
-    dt (peak gain / lambda_min + k1 + k2 / boundary) lambda_max, equations.md section 5.
+    dt (peak gain / lambda_min + k1 + k2 / boundary) lambda_max, see docs/method.md.
     """
     gains = file.gains.estimator
     peak = estimator_peak(file) / topology.lambda_min

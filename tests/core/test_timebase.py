@@ -1,4 +1,4 @@
-"""Time base: closed forms of equations.md section 2, and why the printed forms cannot stand."""
+"""Time base: closed forms of docs/method.md, and why the printed forms cannot stand."""
 
 import numpy as np
 import pytest

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from scipy.stats import maxwell
 
-from ptnsbc_sim.disturbances.build import odometer_of
-from ptnsbc_sim.disturbances.position_noise import spread_m
+from ptnsbc_sim.disturbances.build import position_noise_of
+from ptnsbc_sim.disturbances.position_noise import position_std_m
 from ptnsbc_sim.swarm import fly
 from ptnsbc_tools.reproduce import columns as col
 from ptnsbc_tools.reproduce.claims import experiment_claim
@@ -152,7 +152,7 @@ def fixes_only_bound() -> tuple[float, float, float]:
         share of flights in which all followers of a perfect controller are within the tolerance.
     """
     flown = scenario("experiment_4")
-    own_m = spread_m(odometer_of(flown), flown.dt_ns * 1e-9)
+    own_m = position_std_m(position_noise_of(flown), flown.dt_ns * 1e-9)
     pair_m = np.sqrt(2.0) * own_m
     share = float(maxwell.cdf(TOLERANCE_M / pair_m)) ** len(flown.followers)
     return own_m, float(np.sqrt(3.0) * pair_m), share

@@ -9,7 +9,7 @@ from ptnsbc_core.types import MODE_HOLD, NEVER_RECEIVED_S, AgentInputs
 from ptnsbc_io.wire import Stamped
 from ptnsbc_nodes.comm.graph import LEAD_TICKS, Senders
 from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS, Inbox, MessageQueue
-from ptnsbc_sim.disturbances.links import Losses
+from ptnsbc_sim.disturbances.links import MessageLoss
 
 PERIOD = 10_000_000
 NEAR_EVERY = 5
@@ -165,7 +165,7 @@ def test_nobody_waits_for_the_lost_and_their_last_message_ages():
 
 
 def test_lost_messages_are_not_heard_and_not_waited_for():
-    class Half(Losses):
+    class Half(MessageLoss):
         def state(self, sender, stamp_ns):
             return stamp_ns // PERIOD >= 4
 

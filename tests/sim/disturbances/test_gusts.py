@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ptnsbc_sim.disturbances.gusts import blow, gusts
+from ptnsbc_sim.disturbances.gusts import gust_step, gusts
 
 DT, TIME = 0.01, 2.0
 
@@ -13,7 +13,7 @@ def wind(ticks: int, seed: int = 1) -> np.ndarray:
     draws = np.random.default_rng(seed).standard_normal((ticks, 3))
     gust, out = np.zeros(3), np.empty((ticks, 3))
     for tick in range(ticks):
-        blow(gust, out[tick], draws[tick], tick, kind)
+        gust_step(gust, out[tick], draws[tick], tick, kind)
     return out
 
 
@@ -34,5 +34,5 @@ def test_stationary_from_the_first_tick() -> None:
 def test_none_is_the_mean_to_the_last_bit() -> None:
     mean = np.array([2.0, -0.3, 0.1])
     out = np.empty(3)
-    blow(np.zeros(3), out, np.ones(3), 0, gusts(mean, np.zeros(3), TIME, DT))
+    gust_step(np.zeros(3), out, np.ones(3), 0, gusts(mean, np.zeros(3), TIME, DT))
     assert out.tobytes() == mean.tobytes()

@@ -7,10 +7,10 @@ from ptnsbc_core.kinematics import quaternion_from_euler, velocity_enu
 from ptnsbc_sim.disturbances.position_noise import (
     EXACT,
     PositionNoise,
-    believed,
-    no_error,
-    odometer,
-    spread_m,
+    initial_error,
+    measured_odometry,
+    position_noise,
+    position_std_m,
 )
 
 HZ, DT = 100, 0.01
@@ -19,18 +19,20 @@ NOISE, SHAKE, RATE = 0.02, 0.05, 10
 
 def told(truth: np.ndarray, kind: PositionNoise, draws: np.ndarray) -> np.ndarray:
     """Odometry (T, 13) that a UAV sees of a true track (T, 13)."""
-    error = no_error(kind)
+    error = initial_error(kind)
     seen = np.empty_like(truth)
     for tick in range(len(truth)):
-        late, reckoned = (truth[max(tick - ago, 0), 0:3].copy() for ago in (kind.delay, kind.known))
-        seen[tick] = believed(
+        late, reckoned = (
+            truth[max(tick - ago, 0), 0:3].copy() for ago in (kind.delay, kind.compensated)
+        )
+        seen[tick] = measured_odometry(
             truth[tick].copy(), late, reckoned, error, draws[tick], tick, DT, kind
         )
     return seen
 
 
 def kind_of(delay: int, known: int) -> PositionNoise:
-    return odometer(NOISE, SHAKE, RATE, HZ // RATE, delay, known)
+    return position_noise(NOISE, SHAKE, RATE, HZ // RATE, delay, known)
 
 
 def moving(ticks: int, speed: np.ndarray) -> np.ndarray:
@@ -112,7 +114,7 @@ def test_late_fixes_correct_the_past_and_the_present_follows() -> None:
     seen = told(standing(ticks), kind, draws)
     a = np.zeros((ticks, 3))
     for tick in range(ticks):
-        measured = (tick + late) % kind.every == 0
+        measured = (tick + late) % kind.period == 0
         a[tick] = SHAKE * draws[tick, 3:6] if measured else a[tick - 1] if tick else 0.0
 
     def forward(p: np.ndarray, v: np.ndarray, first: int, last: int) -> tuple[np.ndarray, ...]:
@@ -121,7 +123,7 @@ def test_late_fixes_correct_the_past_and_the_present_follows() -> None:
         return p, v
 
     p, v, since = np.zeros(3), np.zeros(3), -late
-    for tick in range(0, ticks, kind.every):
+    for tick in range(0, ticks, kind.period):
         p, v = forward(p, v, since, tick - late)
         miss = NOISE * draws[tick, 0:3] - p
         p, v, since = p + kind.alpha * miss, v + kind.beta_1_s * miss, tick - late
@@ -141,10 +143,10 @@ def test_spread_is_that_of_the_steady_kalman_filter_carried_to_the_present() -> 
     aged = np.array([[1.0, 0.05], [0.0, 1.0]])
     pushed = np.array([[0.5 * 0.05**2], [0.05]])
     wanted = aged @ after @ aged.T + SHAKE**2 * pushed @ pushed.T
-    assert spread_m(kind_of(5, 5), DT) == pytest.approx(np.sqrt(wanted[0, 0]), rel=1e-6)
+    assert position_std_m(kind_of(5, 5), DT) == pytest.approx(np.sqrt(wanted[0, 0]), rel=1e-6)
     assert kind_of(0, 0).alpha == pytest.approx(gain[0, 0], rel=1e-6)
 
     ticks = 60_000
     draws = np.random.default_rng(6).standard_normal((ticks, 6))
     found = told(standing(ticks), kind_of(5, 5), draws)[1000 :: HZ // RATE, 0:3].std()
-    assert found == pytest.approx(spread_m(kind_of(5, 5), DT), rel=0.04)
+    assert found == pytest.approx(position_std_m(kind_of(5, 5), DT), rel=0.04)

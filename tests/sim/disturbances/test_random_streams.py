@@ -2,7 +2,13 @@
 
 import numpy as np
 
-from ptnsbc_sim.disturbances.random_streams import BLOCK_TICKS, below, normal, normals, uniform
+from ptnsbc_sim.disturbances.random_streams import (
+    BLOCK_TICKS,
+    normal,
+    normals,
+    uniform,
+    uniform_below,
+)
 
 ADDRESS = (7, 0, 3)
 
@@ -13,7 +19,7 @@ def test_one_tick_alone_is_the_same_as_in_a_table() -> None:
     assert table.shape == (ticks, 6)
     for tick in (ticks - 1, 0, BLOCK_TICKS, BLOCK_TICKS - 1, 17):
         assert normal(ADDRESS, tick, 6).tobytes() == table[tick].tobytes()
-    lost = below(ADDRESS, ticks, 0.3)
+    lost = uniform_below(ADDRESS, ticks, 0.3)
     assert [uniform(ADDRESS, tick) < 0.3 for tick in range(ticks)] == lost.tolist()
 
 
@@ -34,4 +40,4 @@ def test_they_are_normal_and_uniform() -> None:
     found = normals(ADDRESS, 20_000, 1)
     assert abs(found.mean()) < 0.04
     assert abs(found.std() - 1.0) < 0.03
-    assert abs(below(ADDRESS, 20_000, 0.05).mean() - 0.05) < 0.008
+    assert abs(uniform_below(ADDRESS, 20_000, 0.05).mean() - 0.05) < 0.008

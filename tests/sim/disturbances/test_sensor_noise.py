@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ptnsbc_core.kinematics import quaternion_from_euler, velocity_enu
-from ptnsbc_sim.disturbances.sensor_noise import SensorNoise, beside
+from ptnsbc_sim.disturbances.sensor_noise import SensorNoise, add_sensor_noise
 
 NEAR = np.array([[1.0, 2.0, 3.0, 0.5, 0.125, 0.25, 0.375]])
 STILL = np.zeros(6)
@@ -19,20 +19,23 @@ def vehicle(position: tuple[float, ...], velocity: tuple[float, ...]) -> np.ndar
 
 def test_distance_and_motion_against_the_uav_stay_true() -> None:
     truth, seen = vehicle((0, 0, 0), (1, 0, 0)), vehicle((0.03, -0.02, 0.01), (1.1, -0.05, 0.02))
-    moved = beside(NEAR, truth, seen, STILL, SensorNoise(0.0, 0.0))
+    moved = add_sensor_noise(NEAR, truth, seen, STILL, SensorNoise(0.0, 0.0))
     np.testing.assert_allclose(moved[0, :3] - seen[:3], NEAR[0, :3] - truth[:3], atol=1e-6)
     np.testing.assert_allclose(
         moved[0, 4:] - velocity_enu(seen), NEAR[0, 4:] - velocity_enu(truth), atol=1e-6
     )
     assert moved[0, 3] == NEAR[0, 3]
     np.testing.assert_array_equal(moved, moved.astype(np.float32))
-    assert beside(NEAR, truth, truth, STILL, SensorNoise(0.0, 0.0)).tobytes() == NEAR.tobytes()
+    assert (
+        add_sensor_noise(NEAR, truth, truth, STILL, SensorNoise(0.0, 0.0)).tobytes()
+        == NEAR.tobytes()
+    )
 
 
 def test_noise_is_as_wide_as_asked_for_and_its_own_for_every_object() -> None:
     truth, near = vehicle((0, 0, 0), (0, 0, 0)), np.repeat(NEAR, 4000, axis=0)
     draws = np.random.default_rng(4).standard_normal(6 * len(near))
-    off = beside(near, truth, truth, draws, SensorNoise(0.01, 0.03)) - near
+    off = add_sensor_noise(near, truth, truth, draws, SensorNoise(0.01, 0.03)) - near
     assert off[:, :3].std() == pytest.approx(0.01, rel=0.03)
     assert off[:, 4:].std() == pytest.approx(0.03, rel=0.03)
     assert (off[:, 3] == 0.0).all()

@@ -1,4 +1,4 @@
-"""Flights with everything that goes wrong by chance: the same from one seed, by every way."""
+"""Flights with disturbances: one seed gives the same flight, headless and by the processes."""
 
 from functools import lru_cache
 
@@ -7,7 +7,7 @@ import pytest
 
 from ptnsbc_core.agent import Agent
 from ptnsbc_core.types import MODE_FORMATION, NEVER_RECEIVED_S, AgentInputs
-from ptnsbc_sim.disturbances.links import Losses, last_heard, losses
+from ptnsbc_sim.disturbances.links import MessageLoss, last_received, message_loss
 from ptnsbc_sim.scenario import Scenario, agent_config, load_scenario
 from ptnsbc_sim.swarm import HeadlessFlight, fly
 from ptnsbc_sim.track import HOLDING
@@ -49,7 +49,7 @@ def test_where_nothing_is_left_to_chance_the_seed_does_not_matter() -> None:
 
 def received(scenario: Scenario, uav: int, tick: int, sent: int | None, estimate: bool) -> int:
     """Tick of the newest message that got through, as a UAV node finds it; -1: none."""
-    lost = losses(scenario, uav)
+    lost = message_loss(scenario, uav)
     assert lost is not None
     told = lost.estimate if estimate else lost.state
     for before in range(tick - 1, -1, -1):
@@ -132,18 +132,18 @@ def test_who_sees_its_neighbours_is_not_off_by_their_errors() -> None:
 
 def test_as_many_messages_are_lost_as_asked_for_and_a_child_of_the_leader_hears_it_once() -> None:
     scenario = load_scenario("experiment_4", {"communication.loss": 0.05})
-    heard = last_heard(scenario, 2)
+    heard = last_received(scenario, 2)
     ticks = np.arange(scenario.ticks)[:, None]
     fresh = heard[1:, 1:, 1] == ticks[1:] - 1
     assert 1.0 - fresh.mean() == pytest.approx(0.05, abs=0.008)
     row = scenario.uav_ids.index(3)  # its parent is the leader
     np.testing.assert_array_equal(heard[:, row, 0], heard[:, row, 1])
     assert (heard[0] == -1).all()
-    assert losses(load_scenario("paper_5"), 2) is None
+    assert message_loss(load_scenario("paper_5"), 2) is None
 
 
 def test_both_directions_of_a_link_lose_on_their_own() -> None:
-    there, back = Losses(1, 0.5, 2, 10), Losses(1, 0.5, 3, 10)
+    there, back = MessageLoss(1, 0.5, 2, 10), MessageLoss(1, 0.5, 3, 10)
     stamps = range(0, 20_000, 10)
     one = [there.estimate(3, stamp) for stamp in stamps]
     other = [back.estimate(2, stamp) for stamp in stamps]

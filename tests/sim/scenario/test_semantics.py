@@ -1,4 +1,4 @@
-"""What a file may ask of chance, and what it may not."""
+"""Values of a scenario file that are refused because of other keys, and the disturbances that a file may have."""
 
 import math
 
