@@ -21,6 +21,7 @@ from ptnsbc_core.errors import PtnsbcError
 SECTIONS = (
     "step",
     "headless",
+    "sweep",
     "startup",
     "recorder",
     "lockstep",

@@ -1,17 +1,99 @@
-"""Headless flight: ticks of the whole swarm per second, one process, one core."""
+"""Headless flight: ticks of the whole swarm per second, and what each piece of a tick costs; one core."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 from bench.scenarios import grid, paper
 from bench.session import Plan, cpu_seconds, take_turns
 from bench.step import SVD, numpy_svd
 from bench.table import Row, Target
+from ptnsbc_core.kernel import kernel
+from ptnsbc_core.step import step
 from ptnsbc_sim.scenario import Scenario
-from ptnsbc_sim.swarm import fly
+from ptnsbc_sim.swarm import (
+    HeadlessFlight,
+    SwarmState,
+    advance_plant,
+    fly,
+    inputs_of,
+    sense,
+    swarm_of,
+)
+from ptnsbc_sim.track import FlightTrack, note
+from ptnsbc_sim.wiring import Wiring
 
 _SVD_CALLS = 5000
+_TARGETS = {5: 80_000.0, 20: 25_000.0}
+
+
+@kernel
+def _sense(ticks: int, wiring: Wiring, swarm: SwarmState, track: FlightTrack) -> float:
+    for tick in range(ticks):
+        sense(swarm, wiring, track, tick, None)
+    return 0.0
+
+
+@kernel
+def _inputs(ticks: int, wiring: Wiring, swarm: SwarmState, track: FlightTrack) -> float:
+    total = 0.0
+    for tick in range(ticks):
+        for row in range(swarm.bodies.shape[0]):
+            inputs = inputs_of(swarm, wiring, track, tick, row, None)
+            total += inputs.parent[0] + inputs.leader[0] + inputs.estimates.shape[0]
+    return total
+
+
+@kernel
+def _laws(ticks: int, wiring: Wiring, swarm: SwarmState, track: FlightTrack) -> float:
+    dt, total = wiring.dt_ns * 1e-9, 0.0
+    for tick in range(ticks):
+        t = (tick * wiring.dt_ns) * 1e-9
+        for row in range(swarm.bodies.shape[0]):
+            inputs = inputs_of(swarm, wiring, track, tick, row, None)
+            swarm.states[row], out = step(swarm.states[row], inputs, t, dt, swarm.configs[row])
+            total += out.force[2]
+    return total
+
+
+@kernel
+def _noting(ticks: int, wiring: Wiring, swarm: SwarmState, track: FlightTrack) -> float:
+    dt = wiring.dt_ns * 1e-9
+    for tick in range(ticks):
+        t = (tick * wiring.dt_ns) * 1e-9
+        for row in range(swarm.bodies.shape[0]):
+            inputs = inputs_of(swarm, wiring, track, tick, row, None)
+            swarm.states[row], out = step(swarm.states[row], inputs, t, dt, swarm.configs[row])
+            note(track, tick, row, out)
+    return 0.0
+
+
+@kernel
+def _plant(ticks: int, wiring: Wiring, swarm: SwarmState, track: FlightTrack) -> float:
+    for tick in range(ticks):
+        for row in range(swarm.bodies.shape[0]):
+            advance_plant(swarm, wiring, track, tick, row, None)
+    return 0.0
+
+
+_Pass = Callable[[int, Wiring, SwarmState, FlightTrack], float]
+
+
+class _Piece(NamedTuple):
+    """A piece of a tick: a pass over a recorded flight, less a pass that does the same without the piece."""
+
+    whole: _Pass
+    without: _Pass | None
+
+
+_PIECES = {
+    "sensing": _Piece(_sense, None),
+    "inputs": _Piece(_inputs, None),
+    "laws": _Piece(_laws, _inputs),
+    "noting": _Piece(_noting, _laws),
+    "plant": _Piece(_plant, None),
+}
 
 
 def measure(plan: Plan) -> Sequence[Row]:
@@ -24,7 +106,7 @@ def measure(plan: Plan) -> Sequence[Row]:
     for size, scenario in flights.items():
         runs[str(size)] = _ticks_per_s(scenario)
     found = take_turns(runs, plan.of(7, 2))
-    return [
+    rows = [
         Row(
             f"headless flight, N = {size}",
             found[str(size)],
@@ -32,10 +114,13 @@ def measure(plan: Plan) -> Sequence[Row]:
             SVD,
             found["svd"],
             "µs",
-            Target(20_000.0, at_least=True) if size == 5 else None,
+            Target(_TARGETS[size], at_least=True),
         )
         for size in flights
     ]
+    for size, scenario in flights.items():
+        rows += _pieces(size, scenario, plan.of(7, 2))
+    return rows
 
 
 def _svd_us() -> float:
@@ -44,3 +129,33 @@ def _svd_us() -> float:
 
 def _ticks_per_s(scenario: Scenario) -> Callable[[], float]:
     return lambda: scenario.ticks / cpu_seconds(lambda: fly(scenario))
+
+
+def _pieces(size: int, scenario: Scenario, repeats: int) -> list[Row]:
+    """What each piece costs per UAV and tick: each is run over the whole flight alone."""
+    flight = fly(scenario)
+    passes = {piece.whole for piece in _PIECES.values()}
+    for one in passes:
+        _pass_ns(one, flight, 1)
+    runs = {str(id(one)): _timed(one, flight) for one in passes}
+    found = take_turns(runs, repeats)
+    rows = []
+    for name, piece in _PIECES.items():
+        values = found[str(id(piece.whole))]
+        if piece.without is not None:
+            less = found[str(id(piece.without))]
+            values = [whole - part for whole, part in zip(values, less, strict=True)]
+        rows.append(Row(f"{name} per UAV and tick, N = {size}", values, "ns"))
+    return rows
+
+
+def _timed(one: _Pass, flight: HeadlessFlight) -> Callable[[], float]:
+    return lambda: _pass_ns(one, flight, len(flight.t_ns))
+
+
+def _pass_ns(one: _Pass, flight: HeadlessFlight, ticks: int) -> float:
+    """CPU time of one pass per UAV and tick [ns]; it starts as the flight did and changes copies."""
+    swarm = swarm_of(flight.scenario, flight.wiring, None)
+    track = FlightTrack(*(array.copy() for array in flight.track))
+    seconds = cpu_seconds(lambda: one(ticks, flight.wiring, swarm, track))
+    return 1e9 * seconds / (ticks * len(flight.scenario.uav_ids))

@@ -9,9 +9,11 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from ptnsbc_core.algebra import axpy
+import numpy as np
+
+from ptnsbc_core.algebra import axpy, store3
 from ptnsbc_core.kernel import kernel
-from ptnsbc_core.types import TRAJECTORY_CIRCLE, Vector3
+from ptnsbc_core.types import TRAJECTORY_CIRCLE, Array, Vector3
 
 
 class Reference(NamedTuple):
@@ -34,3 +36,12 @@ def reference(trajectory: tuple[float, ...], t: float) -> Reference:
         return Reference((x + radius * sine, y + radius * cosine, z), along, trajectory[7])
     along = (trajectory[4], trajectory[5], trajectory[6])
     return Reference(axpy(t, along, (x, y, z)), along, trajectory[7])
+
+
+@kernel
+def reference_positions(trajectory: tuple[float, ...], times: Array) -> Array:
+    """Desired positions (T, 3) [m] at times (T,) [s] since the first epoch."""
+    out = np.empty((times.shape[0], 3))
+    for k in range(times.shape[0]):
+        store3(out[k], 0, reference(trajectory, times[k]).position)
+    return out

@@ -193,19 +193,23 @@ def _step(node: Any, key: str, path: str, source: str) -> Any:
 
 def overridden(tree: Tree, overrides: Mapping[str, Any], source: str) -> Tree:
     """`tree` with dotted keys (`gains.profile`, `uavs[2].position_m`) set; a None is left out."""
-    result: Tree = yaml.load(dump(tree), Loader=_Loader)
+    return with_keys(yaml.load(dump(tree), Loader=_Loader), overrides, source)
+
+
+def with_keys(tree: Tree, overrides: Mapping[str, Any], source: str) -> Tree:
+    """`tree`, changed in place, with dotted keys set; a None is left out."""
     for path, value in overrides.items():
         if value is None:
             continue
         keys = [key for key in re.split(r"[.\[\]]+", path) if key]
         if not keys:
             raise ScenarioError(f'{source}: override "{path}": expected a dotted key')
-        node: Any = result
+        node: Any = tree
         for key in keys[:-1]:
             step = _step(node, key, path, source)
             node = node[step] if isinstance(node, list) else node.setdefault(step, {})
         node[_step(node, keys[-1], path, source)] = value
-    return result
+    return tree
 
 
 def dump(tree: Tree) -> str:

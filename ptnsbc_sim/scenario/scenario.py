@@ -242,7 +242,7 @@ class Scenario:
         return tuple(sorted(self.topology.neighbours.get(uav_id, ())))
 
 
-def _completed(tree: reader.Tree) -> reader.Tree:
+def completed(tree: reader.Tree) -> reader.Tree:
     """`tree` with default gains; blocks of the wrong type are left for the validation to name."""
     plant, gains = tree.get("plant"), tree.get("gains")
     kind = plant.get("kind") if isinstance(plant, dict) else None
@@ -266,7 +266,7 @@ def scenario_from_text(
         final = reader.overridden(final, given, source)
     if given or "extends" in tree:
         text = reader.dump(final)
-    complete = _completed(final)
+    complete = completed(final)
     try:
         file = ScenarioFile.model_validate(complete)
     except ValidationError as error:

@@ -8,11 +8,17 @@ sys.path.insert(0, str(HERE.parents[1]))
 
 from shell import install_linked  # noqa: E402
 
-SCENARIOS = sorted(f"scenarios/{file.name}" for file in (HERE / "scenarios").glob("*.yaml"))
+
+def _files(folder: str) -> list[str]:
+    return sorted(f"{folder}/{file.name}" for file in (HERE / folder).glob("*.yaml"))
+
 
 install_linked(
     HERE,
     "Plants, sensors, baselines and the headless swarm",
     # Where pip puts them too.
-    data_files=[("share/ptnsbc/scenarios", SCENARIOS)],
+    data_files=[
+        ("share/ptnsbc/scenarios", _files("scenarios")),
+        ("share/ptnsbc/scenarios/families", _files("scenarios/families")),
+    ],
 )

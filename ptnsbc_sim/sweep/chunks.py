@@ -1,0 +1,161 @@
+"""A chunk of a sweep: the rows of some draws as the bytes of a Parquet file.
+
+What goes in and out is plain: the plan as JSON text, the number of the chunk, bytes.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import astuple, fields
+from functools import lru_cache
+from importlib.metadata import PackageNotFoundError, version
+from io import BytesIO
+from typing import TYPE_CHECKING, Any
+
+from ptnsbc_core.compile_cache import source_digest
+from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_sim.scenario.units import unit_of
+from ptnsbc_sim.sweep.axes import Axis, SweepError
+from ptnsbc_sim.sweep.family import family_columns, family_from_text
+from ptnsbc_sim.sweep.plan import SweepPlan, Value
+from ptnsbc_sim.sweep.rows import UNITS, Row, fly_draw
+from ptnsbc_sim.track import FlightTrack
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+CHUNK_DRAWS = 25
+"""Draws of a chunk. A part of the format: a sweep is continued by its chunks, whoever flew them."""
+
+DRAWN = "drawn."
+"""Prefix of the columns that hold what was drawn."""
+
+
+def chunk_count(plan: SweepPlan) -> int:
+    """How many chunks a sweep has."""
+    return -(-plan.draws // CHUNK_DRAWS)
+
+
+def chunk_draws(plan: SweepPlan, index: int) -> range:
+    """The draws of a chunk."""
+    return range(index * CHUNK_DRAWS, min((index + 1) * CHUNK_DRAWS, plan.draws))
+
+
+def fly_chunk(plan_json: str, index: int) -> bytes:
+    """Fly all draws of a chunk, one after the other in the same memory.
+
+    Args:
+        plan_json: `SweepPlan.to_json()`.
+        index: number of the chunk.
+
+    Returns:
+        A Parquet file with the rows of its UAVs.
+
+    Raises:
+        SweepError: a draw that cannot be flown, named.
+    """
+    plan = _plan(plan_json)
+    rows: list[Row] = []
+    drawn: list[Mapping[str, Value]] = []
+    room: FlightTrack | None = None
+    for k in chunk_draws(plan, index):
+        try:
+            found, values, room = fly_draw(plan, k, room)
+        except PtnsbcError as error:
+            raise SweepError(f"draw {k}: {error}") from error
+        rows += found
+        drawn += [values] * len(found)
+    return _parquet(_table(plan, rows, drawn))
+
+
+@lru_cache(maxsize=2)
+def _plan(text: str) -> SweepPlan:
+    return SweepPlan.from_json(text)
+
+
+@lru_cache(maxsize=2)
+def schema(plan: SweepPlan) -> pa.Schema:
+    """Columns of the table, units in the metadata of each, plan and versions in that of the file."""
+    import pyarrow as pa
+
+    types = {"int": pa.int64(), "float": pa.float64(), "str": pa.string(), "bool": pa.bool_()}
+    columns = [
+        pa.field(name, types[kind], metadata=_unit(unit_of(name.rpartition(".")[2]) or ""))
+        for name, kind in drawn_columns(plan).items()
+    ]
+    for field in fields(Row):
+        kind = str(field.type).partition(" ")[0]
+        columns.append(pa.field(field.name, types[kind], metadata=_unit(UNITS[field.name])))
+    return pa.schema(
+        columns, metadata={"ptnsbc.plan": plan.to_json(), "ptnsbc.made_by": _made_by()}
+    )
+
+
+def drawn_columns(plan: SweepPlan) -> dict[str, str]:
+    """Columns of what is drawn, and the kind of each: int, float, str or bool."""
+    found = dict(family_columns(family_from_text(plan.family))) if plan.family else {}
+    found |= {axis.key: _kind(axis) for axis in plan.axes}
+    return {f"{DRAWN}{key}": kind for key, kind in found.items()}
+
+
+def _kind(axis: Axis) -> str:
+    kinds = {type(value) for value in axis.values}
+    if axis.random or (kinds <= {int, float} and kinds != {int}):
+        return "float"
+    return {int: "int", bool: "bool"}.get(kinds.pop(), "str") if len(kinds) == 1 else "str"
+
+
+def _unit(unit: str) -> dict[str, str]:
+    return {"unit": unit} if unit else {}
+
+
+def _made_by() -> str:
+    """Versions that the figures depend on, as JSON; no times and hosts: the same sweep gives the same bytes."""
+    packages = ("ptnsbc", "numpy", "numba")
+    return json.dumps({**dict(_versions(packages)), "kernels": source_digest()})
+
+
+def _versions(packages: Sequence[str]) -> Iterable[tuple[str, str]]:
+    for name in packages:
+        try:
+            yield name, version(name)
+        except PackageNotFoundError:
+            continue
+
+
+def _table(plan: SweepPlan, rows: Sequence[Row], drawn: Sequence[Mapping[str, Value]]) -> pa.Table:
+    import pyarrow as pa
+
+    columns: dict[str, list[Any]] = {
+        name: [_cell(values.get(name.removeprefix(DRAWN)), kind) for values in drawn]
+        for name, kind in drawn_columns(plan).items()
+    }
+    figures = list(zip(*(astuple(row) for row in rows), strict=True))
+    names = (field.name for field in fields(Row))
+    columns |= {name: list(values) for name, values in zip(names, figures, strict=True)}
+    return pa.table(columns, schema=schema(plan))
+
+
+def _cell(value: Value, kind: str) -> Value:
+    if value is None:
+        return None
+    return {"int": int, "float": float, "bool": bool}.get(kind, str)(value)
+
+
+def _parquet(table: pa.Table) -> bytes:
+    import pyarrow.parquet as pq
+
+    out = BytesIO()
+    pq.write_table(table, out, compression="zstd")
+    return out.getvalue()
+
+
+def join_chunks(plan: SweepPlan, chunks: Iterable[bytes]) -> bytes:
+    """The table of a sweep from its chunks, in their order."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    tables = [pq.read_table(BytesIO(chunk)) for chunk in chunks]
+    whole = pa.concat_tables(tables) if tables else schema(plan).empty_table()
+    return _parquet(whole.replace_schema_metadata(schema(plan).metadata))

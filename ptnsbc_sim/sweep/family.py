@@ -1,0 +1,466 @@
+"""Families of scenarios: a small YAML file of distributions over size, tree, shape, starts, path and surroundings.
+
+A family replaces the UAVs, the tree, the shape, the leader's path and, where it names them, the deadline, the
+obstacles and the wind of the base scenario. Vehicle, sensors, gains and task stay the base scenario's.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Field, ValidationError, model_validator
+
+from ptnsbc_core.timebase import feasible_deadline
+from ptnsbc_core.types import Array
+from ptnsbc_sim.scenario import reader
+from ptnsbc_sim.scenario.fields import Block, Count, Name, NotNegative, Number, Positive
+from ptnsbc_sim.scenario.model import Communication
+from ptnsbc_sim.scenario.problems import ScenarioError, scenario_error
+from ptnsbc_sim.scenario.scenario import completed
+from ptnsbc_sim.sweep.starts import Spheres, clear_places, spheres_of
+
+Generator = Callable[[str], np.random.Generator]
+_MOST_TRIES = 200
+_ASIDE_M = 3.0  # obstacles lie so far around starts and goals at most
+_HEIGHT_M = 5.0
+
+# A range is [low, high]; a number alone is that number in every draw.
+Range = Annotated[
+    Number | tuple[Number, Number], Field(description="a number, or [low, high] to draw from")
+]
+CountRange = Annotated[Count | tuple[Count, Count], Field(description="a number, or [low, high]")]
+
+
+class FamilyTree(Block):
+    """Who follows whom."""
+
+    kinds: tuple[Literal["chain", "star", "random"], ...] = ("random",)
+    """One of these is drawn. Followers hear the leader, and the next and the last one by number."""
+    depth: Count = 3
+    """Most hops from the leader, of a random tree."""
+
+
+class FamilyShape(Block):
+    """The formation."""
+
+    kinds: tuple[Literal["v", "line", "grid", "circle", "random"], ...] = ("v",)
+    """One of these is drawn."""
+    spacing_m: Range = 2.0
+    """Between neighbours in the shape; of the random shape the least distance."""
+
+
+class FamilyStarts(Block):
+    """Where the UAVs start."""
+
+    kind: Literal["near", "box", "swap"] = "near"
+    """Beside their places, anywhere in a box, or each follower at the place of another one."""
+    sigma_m: Range = 0.5
+    """Of `near` and `swap`: standard deviation per axis."""
+    box_m: tuple[Positive, Positive, Positive] = (10.0, 10.0, 4.0)
+    """Of `box`: its edges; the lowest places of the formation lie at its bottom."""
+
+
+class FamilyPath(Block):
+    """What the leader flies."""
+
+    kinds: tuple[Literal["hover", "line", "circle"], ...] = ("hover",)
+    """One of these is drawn."""
+    speed_m_s: Range = (0.2, 1.0)
+    """Of a line, in any horizontal direction, and along a circle."""
+    radius_m: Range = (3.0, 8.0)
+    """Of a circle."""
+
+
+class FamilyDeadline(Block):
+    """The promise: one of the two."""
+
+    seconds: Range | None = None
+    """Absolute."""
+    of_feasible: Range | None = None
+    """Multiple of the shortest that the speed and acceleration limits allow for the largest start error."""
+    at_least_s: NotNegative = 1.0
+    """With `of_feasible`: never shorter."""
+    after_s: Positive = 10.0
+    """The flight ends so long after the deadline."""
+
+    @model_validator(mode="after")
+    def _one(self) -> FamilyDeadline:
+        if (self.seconds is None) == (self.of_feasible is None):
+            raise ValueError("expected one of seconds and of_feasible")
+        return self
+
+
+class FamilyObstacles(Block):
+    """Spheres to keep out of."""
+
+    count: CountRange
+    """How many, as far as there is room for them: the table tells how many there were."""
+    keep_out_m: Range = (0.5, 1.5)
+    """Radius."""
+    where: Literal["way", "anywhere"] = "way"
+    """Between starts and places, or anywhere around both."""
+
+
+class FamilyWind(Block):
+    """Wind from any horizontal direction."""
+
+    mean_m_s: Range = 0.0
+    """Speed."""
+    gust_m_s: Range = 0.0
+    """Standard deviation of the gusts, per axis."""
+
+
+class Family(Block):
+    """A family of scenarios."""
+
+    name: Name
+    """Of the family."""
+    description: str = ""
+    """For people."""
+    size: CountRange = 5
+    """UAVs, the leader among them."""
+    tree: FamilyTree = FamilyTree()
+    """Who follows whom."""
+    shape: FamilyShape = FamilyShape()
+    """The formation."""
+    starts: FamilyStarts = FamilyStarts()
+    """Where the UAVs start."""
+    path: FamilyPath = FamilyPath()
+    """What the leader flies."""
+    deadline: FamilyDeadline | None = None
+    """The promise; the base scenario's without it."""
+    obstacles: FamilyObstacles | None = None
+    """Spheres to keep out of; none without it."""
+    delay_s: Range | None = None
+    """Delay of the messages between UAVs, once the scenario has that key."""
+    wind: FamilyWind | None = None
+    """The base scenario's wind without it."""
+
+
+def families() -> list[str]:
+    """The names of the families that can be given without a path."""
+    folders = (folder / "families" for folder in reader.folders()[:-1])
+    return sorted({path.stem for folder in folders for path in folder.glob("*.yaml")})
+
+
+def find_family(name: str | Path) -> Path:
+    """The file of a family, given by path or by name."""
+    given = Path(name).expanduser()
+    if len(given.parts) > 1 or given.suffix:
+        if given.is_file():
+            return given
+        raise ScenarioError(f"{given}: no such family file")
+    for folder in reader.folders()[:-1]:
+        path = folder / "families" / f"{given}.yaml"
+        if path.is_file():
+            return path
+    known = ", ".join(families()) or "none is installed, give a path"
+    raise ScenarioError(f"{given}: no family of this name; expected one of: {known}")
+
+
+def family_from_text(text: str, source: str = "family") -> Family:
+    """A family from YAML text.
+
+    Raises:
+        ScenarioError: the text is no family, or it draws a key that scenarios do not have.
+    """
+    tree = reader.parse(text, source)
+    try:
+        family = Family.model_validate(tree)
+    except ValidationError as error:
+        raise scenario_error(source, error, tree) from None
+    if family.delay_s is not None and "delay_s" not in Communication.model_fields:
+        raise ScenarioError(
+            f"{source}: delay_s: communication.delay_s is not a key of the scenario in this version: "
+            "remove delay_s from the family"
+        )
+    return family
+
+
+def _number(given: float | tuple[float, float], rng: np.random.Generator) -> float:
+    if isinstance(given, tuple):
+        return float(rng.uniform(*given))
+    return float(given)
+
+
+def _count(given: int | tuple[int, int], rng: np.random.Generator) -> int:
+    if isinstance(given, tuple):
+        return int(rng.integers(given[0], given[1] + 1))
+    return given
+
+
+def _one_of(kinds: tuple[str, ...], rng: np.random.Generator) -> str:
+    return kinds[int(rng.integers(len(kinds)))]
+
+
+def _parents(kind: str, size: int, depth: int, rng: np.random.Generator) -> dict[int, int]:
+    """Parent of every follower; UAV 1 leads."""
+    if kind == "chain":
+        return {uav: uav - 1 for uav in range(2, size + 1)}
+    if kind == "star":
+        return dict.fromkeys(range(2, size + 1), 1)
+    hops, parents = {1: 0}, {}
+    for uav in range(2, size + 1):
+        open_to = [other for other, far in hops.items() if far < depth]
+        parents[uav] = open_to[int(rng.integers(len(open_to)))]
+        hops[uav] = hops[parents[uav]] + 1
+    return parents
+
+
+def _v_places(size: int, spacing: float) -> Array:
+    rows = np.array([(uav + 1) // 2 for uav in range(size)], dtype=np.float64)
+    sides = np.array([1.0 if uav % 2 else -1.0 for uav in range(size)])
+    return spacing * np.stack([-0.8 * rows, 0.6 * sides * rows, 0.0 * rows], axis=1)
+
+
+def _line_places(size: int, spacing: float) -> Array:
+    return np.array([[-spacing * uav, 0.0, 0.0] for uav in range(size)])
+
+
+def _grid_places(size: int, spacing: float) -> Array:
+    columns = math.ceil(math.sqrt(size))
+    return np.array(
+        [[-spacing * (uav // columns), spacing * (uav % columns), 0.0] for uav in range(size)]
+    )
+
+
+def _circle_places(size: int, spacing: float) -> Array:
+    """The leader in the middle, the followers around it."""
+    followers = max(size - 1, 1)
+    radius = max(
+        spacing, 0.5 * spacing / math.sin(math.pi / followers) if followers > 1 else spacing
+    )
+    angles = 2.0 * math.pi * np.arange(followers) / followers
+    ring = radius * np.stack([np.cos(angles), np.sin(angles), 0.0 * angles], axis=1)
+    return np.concatenate([np.zeros((1, 3)), ring])[:size]
+
+
+def _random_places(size: int, spacing: float, rng: np.random.Generator) -> Array:
+    half = 1.5 * spacing * math.sqrt(size) * np.array([1.0, 1.0, 0.25])
+    return np.concatenate([np.zeros((1, 3)), _spread(size - 1, half, spacing, rng)])
+
+
+def _spread(count: int, half: Array, apart: float, rng: np.random.Generator) -> Array:
+    """Places (count, 3) in a box around the leader, apart from it and from each other."""
+    found = [np.zeros(3)]
+    while len(found) <= count:
+        place = half * rng.uniform(-1.0, 1.0, 3)
+        level = [math.hypot(*(place - other)[:2]) for other in found]
+        if min(level) >= apart:
+            found.append(place)
+    return np.array(found[1:]).reshape(-1, 3)
+
+
+def _places(kind: str, size: int, spacing: float, rng: np.random.Generator) -> Array:
+    """Places (N, 3) [m] relative to the leader, which is the first."""
+    if kind == "random":
+        return _random_places(size, spacing, rng)
+    make = {"v": _v_places, "line": _line_places, "grid": _grid_places, "circle": _circle_places}
+    return make[kind](size, spacing)
+
+
+def _path(path: FamilyPath, rng: np.random.Generator) -> tuple[dict[str, Any], dict[str, Any]]:
+    """The leader's trajectory, and what was drawn for it."""
+    kind = _one_of(path.kinds, rng)
+    speed, radius = _number(path.speed_m_s, rng), _number(path.radius_m, rng)
+    angle = float(rng.uniform(-math.pi, math.pi))
+    drawn = {"path": kind, "speed_m_s": 0.0, "radius_m": None}
+    if kind == "hover":
+        return {"kind": "line", "position_m": [0.0, 0.0, _HEIGHT_M]}, drawn
+    drawn["speed_m_s"] = speed
+    if kind == "line":
+        velocity = [speed * math.cos(angle), speed * math.sin(angle), 0.0]
+        line = {"kind": "line", "position_m": [0.0, 0.0, _HEIGHT_M], "velocity_m_s": velocity}
+        return line, drawn
+    drawn["radius_m"] = radius
+    centre = [0.0, -radius, _HEIGHT_M]  # begins above the origin
+    circle = {
+        "kind": "circle",
+        "centre_m": centre,
+        "radius_m": radius,
+        "rate_rad_s": speed / radius,
+    }
+    return circle, drawn
+
+
+def _starts(
+    starts: FamilyStarts, goals: Array, spheres: Spheres, rng: np.random.Generator
+) -> list[Array]:
+    sigma = np.full(3, _number(starts.sigma_m, rng))
+    if starts.kind == "box":
+        half = 0.5 * np.array(starts.box_m)
+        centre = goals.mean(axis=0)
+        centre[2] = goals[:, 2].min() + half[2]
+        return clear_places([(centre, half)] * len(goals), False, spheres, rng)
+    places = goals
+    if starts.kind == "swap":  # a cycle: nobody keeps its place
+        cycle = 1 + rng.permutation(len(goals) - 1)
+        places = goals.copy()
+        places[cycle] = goals[np.roll(cycle, 1)]
+    return clear_places([(place, sigma) for place in places], True, spheres, rng)
+
+
+def _obstacles(
+    block: FamilyObstacles,
+    starts: Array,
+    goals: Array,
+    margin_m: float,
+    rng: np.random.Generator,
+) -> list[dict[str, Any]]:
+    """As many as there is room for: none holds a start or a place, none meets another one."""
+    found: list[dict[str, Any]] = []
+    ends = np.concatenate([starts, goals])
+    low, high = ends.min(axis=0) - _ASIDE_M, ends.max(axis=0) + _ASIDE_M
+    for _ in range(_count(block.count, rng)):
+        radius = _number(block.keep_out_m, rng)
+        for _ in range(_MOST_TRIES):
+            if block.where == "way":
+                which, share = int(rng.integers(len(starts))), rng.uniform(0.25, 0.75)
+                place = starts[which] + share * (goals[which] - starts[which])
+                place = place + 0.5 * radius * rng.standard_normal(3)
+            else:
+                place = rng.uniform(low, high)
+            free = np.linalg.norm(ends - place, axis=1).min() > radius + margin_m
+            if free and all(
+                np.linalg.norm(place - np.array(one["position_m"])) > radius + one["keep_out_m"]
+                for one in found
+            ):
+                name = f"O{len(found) + 1}"
+                found.append({"name": name, "position_m": place.tolist(), "keep_out_m": radius})
+                break
+    return found
+
+
+def _deadline_s(
+    block: FamilyDeadline,
+    starts: Array,
+    goals: Array,
+    gains: dict[str, Any],
+    rng: np.random.Generator,
+) -> float:
+    if block.seconds is not None:
+        return _number(block.seconds, rng)
+    assert block.of_feasible is not None
+    own = starts - starts[0] - (goals - goals[0])
+    errors = [float(np.linalg.norm(starts[0] - goals[0])), *np.linalg.norm(own, axis=1).tolist()]
+    limits = gains["filter"]
+    speed, acceleration = limits["max_speed_m_s"], limits["max_acceleration_m_s2"]
+    shortest = feasible_deadline(max(errors), speed, acceleration)
+    return max(_number(block.of_feasible, rng) * shortest, block.at_least_s)
+
+
+def _uavs(base: list[dict[str, Any]], starts: list[Array]) -> list[dict[str, Any]]:
+    """Starts with the attitudes and disturbances of the base scenario's UAVs, over and over."""
+    return [
+        {**base[row % len(base)], "id": row + 1, "position_m": place.tolist()}
+        for row, place in enumerate(starts)
+    ]
+
+
+def _network(parents: dict[int, int], size: int) -> dict[str, Any]:
+    followers = list(range(2, size + 1))
+    edges = [[uav, uav + 1] for uav in followers[:-1]]
+    return {"tree": parents, "leader_links": followers, "estimator_edges": edges}
+
+
+def draw_family(family: Family, tree: reader.Tree, generator: Generator) -> dict[str, Any]:
+    """Draw a scenario of the family into the base scenario `tree`, in place.
+
+    Args:
+        family: what to draw from.
+        tree: the base scenario, after `extends`.
+        generator: the random numbers of one quantity by its name: none depends on what else is drawn.
+
+    Returns:
+        What was drawn, by column of the table.
+    """
+    size = _count(family.size, generator("family size"))
+    rng = generator("family tree")
+    tree_kind = _one_of(family.tree.kinds, rng)
+    parents = _parents(tree_kind, size, family.tree.depth, rng)
+    rng = generator("family shape")
+    shape, spacing = _one_of(family.shape.kinds, rng), _number(family.shape.spacing_m, rng)
+    offsets = _places(shape, size, spacing, rng)
+    trajectory, values = _path(family.path, generator("family path"))
+    goals = np.array([0.0, 0.0, _HEIGHT_M]) + offsets
+    gains = completed(tree)["gains"]
+    margin_m = float(gains["clearance"]["margin_m"])
+    world = dict(tree.get("world") or {})
+    world["obstacles"] = []
+    tree["world"] = world
+    spheres = spheres_of(tree, margin_m)
+    starts = _starts(family.starts, goals, spheres, generator("family starts"))
+    places = np.array(starts)
+    if family.obstacles is not None:
+        room = margin_m + spheres.apart_m
+        rng = generator("family obstacles")
+        world["obstacles"] = _obstacles(family.obstacles, places, goals, room, rng)
+    tree["uavs"] = _uavs(tree["uavs"], starts)
+    tree["communication"] = {**tree["communication"], **_network(parents, size)}
+    tree["leader"] = {"id": 1, "trajectory": trajectory}
+    followers = {uav + 1: offsets[uav].tolist() for uav in range(1, size)}
+    tree["formation"] = {**tree["formation"], "offsets_m": followers}
+    values |= {
+        "size": size,
+        "tree": tree_kind,
+        "shape": shape,
+        "spacing_m": spacing,
+        "obstacles": len(world["obstacles"]),
+    }
+    values |= _draw_deadline(family, tree, places, goals, generator("family deadline"))
+    values |= _draw_surroundings(family, tree, generator("family wind"), generator("family delay"))
+    return values
+
+
+def _draw_deadline(
+    family: Family, tree: reader.Tree, starts: Array, goals: Array, rng: np.random.Generator
+) -> dict[str, Any]:
+    if family.deadline is None:
+        return {}
+    deadline_s = _deadline_s(family.deadline, starts, goals, completed(tree)["gains"], rng)
+    formation = {**tree["gains"].get("formation", {}), "deadline_s": deadline_s}
+    tree["gains"] = {**tree["gains"], "formation": formation}
+    tree["timing"] = {**tree["timing"], "duration_s": deadline_s + family.deadline.after_s}
+    return {"deadline_s": deadline_s}
+
+
+def _draw_surroundings(
+    family: Family, tree: reader.Tree, rng: np.random.Generator, late: np.random.Generator
+) -> dict[str, Any]:
+    values: dict[str, Any] = {}
+    if family.wind is not None:
+        speed, gust = _number(family.wind.mean_m_s, rng), _number(family.wind.gust_m_s, rng)
+        angle = float(rng.uniform(-math.pi, math.pi))
+        tree["world"]["wind_m_s"] = [speed * math.cos(angle), speed * math.sin(angle), 0.0]
+        tree["world"]["gust_m_s"] = [gust, gust, gust]
+        values |= {"wind_m_s": speed, "gust_m_s": gust}
+    if family.delay_s is not None:
+        delay_s = _number(family.delay_s, late)
+        tree["communication"]["delay_s"] = delay_s
+        values["delay_s"] = delay_s
+    return values
+
+
+def family_columns(family: Family) -> dict[str, str]:
+    """Columns of what `draw_family` draws, and the kind of each."""
+    columns = {
+        "path": "str",
+        "speed_m_s": "float",
+        "radius_m": "float",
+        "size": "int",
+        "tree": "str",
+        "shape": "str",
+        "spacing_m": "float",
+        "obstacles": "int",
+    }
+    if family.deadline is not None:
+        columns["deadline_s"] = "float"
+    if family.wind is not None:
+        columns |= {"wind_m_s": "float", "gust_m_s": "float"}
+    if family.delay_s is not None:
+        columns["delay_s"] = "float"
+    return columns

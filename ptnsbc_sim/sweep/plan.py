@@ -1,0 +1,223 @@
+"""What a sweep flies: a base scenario, what varies in it, and the scenario of each draw.
+
+Draw k is a pure function of the plan and k. It does not depend on the number of draws, of workers or of chunks;
+a Latin hypercube alone is made for its number of draws as a whole.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import zlib
+from collections.abc import Mapping
+from copy import deepcopy
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from pydantic import ValidationError
+from scipy.stats import qmc
+
+from ptnsbc_core.types import Array
+from ptnsbc_sim.scenario import Scenario, reader, scenario_from_text
+from ptnsbc_sim.scenario.model import ScenarioFile
+from ptnsbc_sim.scenario.problems import ScenarioError, scenario_error
+from ptnsbc_sim.scenario.scenario import completed
+from ptnsbc_sim.scenario.semantics import checked
+from ptnsbc_sim.sweep.axes import Axis, SweepError
+from ptnsbc_sim.sweep.family import Family, draw_family, family_from_text
+from ptnsbc_sim.sweep.starts import FROM_FILE, Starts, with_starts
+
+FORMAT = 1
+
+Value = float | int | str | bool | None
+"""A drawn value as a column of the table holds it."""
+
+
+@dataclass(frozen=True)
+class SweepPlan:
+    """What a sweep flies.
+
+    Axes of a list or a grid make a grid of all their combinations, each of which is flown `runs` times. Axes of
+    a range are drawn for every flight. Draw k is flight k // cells of grid cell k % cells.
+    """
+
+    scenario: str
+    """Text of the base scenario, after `extends` and with all overrides of plant, task, profile and avoidance."""
+    runs: int
+    """Flights of each cell of the grid; of all, when there is no grid."""
+    seed: int = 0
+    axes: tuple[Axis, ...] = ()
+    latin: bool = False
+    """Draw the ranges from one Latin hypercube over all draws."""
+    starts: Starts = FROM_FILE
+    family: str = ""
+    """Text of a family of scenarios; empty: the base scenario as it is."""
+    stop_after_s: float | None = None
+    """Each flight ends at this time after its start, or with the scenario's duration when that is shorter."""
+    name: str = "sweep"
+    source: str = "scenario"
+    """Where the base scenario comes from, for messages."""
+
+    @property
+    def grid(self) -> tuple[Axis, ...]:
+        """The axes whose values make the grid."""
+        return tuple(axis for axis in self.axes if not axis.random)
+
+    @property
+    def ranges(self) -> tuple[Axis, ...]:
+        """The axes that are drawn for every flight."""
+        return tuple(axis for axis in self.axes if axis.random)
+
+    @property
+    def cells(self) -> int:
+        """Combinations of the grid's values."""
+        return math.prod(len(axis.values) for axis in self.grid)
+
+    @property
+    def draws(self) -> int:
+        """Flights in all."""
+        return self.runs * self.cells
+
+    def to_json(self) -> str:
+        """The plan as text: the same plan gives the same text."""
+        plain = {"format": FORMAT, **dataclasses.asdict(self)}
+        return json.dumps(plain, sort_keys=True, ensure_ascii=False, indent=1)
+
+    @classmethod
+    def from_json(cls, text: str) -> SweepPlan:
+        """The plan that `to_json` wrote."""
+        plain = json.loads(text)
+        if plain.pop("format", None) != FORMAT:
+            raise SweepError(f"plan of another format: expected format {FORMAT}")
+        plain["axes"] = tuple(
+            Axis(axis["key"], axis["kind"], tuple(axis["values"])) for axis in plain["axes"]
+        )
+        plain["starts"] = Starts(plain["starts"]["kind"], tuple(plain["starts"]["numbers"]))
+        return cls(**plain)
+
+
+def plan_of(scenario: Scenario, runs: int, **rest: Any) -> SweepPlan:
+    """A plan over a scenario that has been loaded with its overrides; `rest` are fields of SweepPlan.
+
+    Raises:
+        SweepError: the plan has no flight, or an axis that cannot be.
+        ScenarioError: the first draw is no scenario.
+    """
+    plan = SweepPlan(scenario.text, runs, source=scenario.source, **rest)
+    if runs < 1:
+        raise SweepError(f"runs: {runs}: expected at least 1")
+    keys = [axis.key for axis in plan.axes]
+    if len(set(keys)) < len(keys):
+        raise SweepError(f"vary: a key stands twice: {', '.join(keys)}")
+    if plan.latin and not plan.ranges:
+        raise SweepError("latin: expected an axis with a range, KEY=LO:HI or KEY=MEAN±SIGMA")
+    drawn_scenario(plan, 0)
+    return plan
+
+
+def generator(plan: SweepPlan, k: int, name: str) -> np.random.Generator:
+    """Random numbers of one quantity of draw k, whatever else is drawn."""
+    words = (k, zlib.crc32(name.encode()))
+    return np.random.Generator(np.random.Philox(np.random.SeedSequence(plan.seed, spawn_key=words)))
+
+
+@lru_cache(maxsize=4)
+def _design(seed: int, draws: int, width: int) -> Array:
+    """Latin hypercube (draws, width) in [0, 1)."""
+    words = (zlib.crc32(b"latin hypercube"),)
+    rng = np.random.Generator(np.random.Philox(np.random.SeedSequence(seed, spawn_key=words)))
+    found: Array = qmc.LatinHypercube(width, seed=rng).random(draws)
+    return found
+
+
+@lru_cache(maxsize=4)
+def _base(text: str, source: str) -> reader.Tree:
+    return reader.parse(text, source)
+
+
+@lru_cache(maxsize=4)
+def _family(text: str) -> Family:
+    return family_from_text(text)
+
+
+def _axis_values(plan: SweepPlan, k: int) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    cell = k % plan.cells
+    for axis in reversed(plan.grid):  # the last axis varies fastest
+        cell, which = divmod(cell, len(axis.values))
+        found[axis.key] = axis.values[which]
+    design = _design(plan.seed, plan.draws, len(plan.ranges)) if plan.latin else None
+    for number, axis in enumerate(plan.ranges):
+        share = generator(plan, k, axis.key).random() if design is None else design[k, number]
+        found[axis.key] = axis.at(float(share))
+    return {axis.key: found[axis.key] for axis in plan.axes}
+
+
+def _drawn(plan: SweepPlan, k: int) -> tuple[reader.Tree, dict[str, Value]]:
+    """The scenario tree of draw k, and what was drawn for it."""
+    if not 0 <= k < plan.draws:
+        raise SweepError(f"draw {k}: expected 0 to {plan.draws - 1}")
+    tree = deepcopy(_base(plan.scenario, plan.source))
+    values: dict[str, Value] = {}
+    if plan.family:
+        values |= draw_family(_family(plan.family), tree, lambda name: generator(plan, k, name))
+    axes = _axis_values(plan, k)
+    tree = reader.with_keys(tree, axes, plan.source)
+    values |= {key: _plain(value) for key, value in axes.items()}
+    margin_m = float(completed(tree)["gains"]["clearance"]["margin_m"])
+    with_starts(tree, plan.starts, margin_m, generator(plan, k, "starts"))
+    if "seed" not in axes:
+        tree["seed"] = int(generator(plan, k, "seed").integers(2**32))
+    if plan.stop_after_s is not None:
+        timing = tree["timing"]
+        timing["duration_s"] = min(float(timing["duration_s"]), float(plan.stop_after_s))
+    return tree, values
+
+
+def _plain(value: Any) -> Value:
+    """A value as a column holds it: numbers and words as they are, all else as JSON."""
+    if value is None or isinstance(value, bool | int | float | str):
+        return value
+    return json.dumps(value)
+
+
+def _source(plan: SweepPlan, k: int) -> str:
+    return f"{plan.source}, draw {k}"
+
+
+def drawn_values(plan: SweepPlan, k: int) -> dict[str, Value]:
+    """What was drawn for draw k: the axes' values, and what a family drew."""
+    return _drawn(plan, k)[1]
+
+
+def draw(plan: SweepPlan, k: int) -> Scenario:
+    """The scenario of draw k, with its text, as `simulate --draw K` flies it."""
+    tree, _ = _drawn(plan, k)
+    return scenario_from_text(reader.dump(tree), source=_source(plan, k))
+
+
+def drawn_scenario(plan: SweepPlan, k: int) -> tuple[Scenario, Mapping[str, Value]]:
+    """The scenario of draw k for the loop, and what was drawn: no YAML is written and read, so `text` is empty."""
+    tree, values = _drawn(plan, k)
+    full = completed(tree)
+    try:
+        file = ScenarioFile.model_validate(full)
+    except ValidationError as error:
+        raise scenario_error(_source(plan, k), error, full) from None
+    return Scenario(file, checked(file, _source(plan, k)), "", _source(plan, k)), values
+
+
+__all__ = [
+    "ScenarioError",
+    "SweepError",
+    "SweepPlan",
+    "Value",
+    "draw",
+    "drawn_scenario",
+    "drawn_values",
+    "generator",
+    "plan_of",
+]

@@ -1,0 +1,116 @@
+"""Where the UAVs of a flight start: as the file says, beside that, or anywhere in a box."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ptnsbc_core.types import Array
+from ptnsbc_sim.sweep.axes import SweepError
+
+FILE, NEAR, BOX = "file", "near", "box"
+_MOST_TRIES = 1000
+
+
+@dataclass(frozen=True)
+class Starts:
+    """How the starts are drawn.
+
+    `near`: each coordinate of the file's start plus a normal number. `box`: uniform in X by Y by Z metres,
+    around the mean of the file's starts horizontally, and from the lowest of them upwards. A start is drawn
+    again while another UAV is closer than formation.uav_keep_out_m plus the margin of gains.clearance, or an
+    obstacle closer than its keep_out_m plus that margin. Attitudes stay as they are in the file.
+    """
+
+    kind: str = FILE  # file | near | box
+    numbers: tuple[float, ...] = ()  # near: standard deviation [m]; box: its edges [m]
+
+
+FROM_FILE = Starts()
+
+
+def parse_starts(text: str) -> Starts:
+    """Starts from `file`, `near:SIGMA` or `box:X,Y,Z` (metres)."""
+    kind, _, rest = text.partition(":")
+    expected = f'starts "{text}": expected file, near:SIGMA or box:X,Y,Z with metres above 0'
+    try:
+        numbers = tuple(float(part) for part in rest.split(",")) if rest else ()
+    except ValueError:
+        raise SweepError(expected) from None
+    if len(numbers) != {FILE: 0, NEAR: 1, BOX: 3}.get(kind) or min(numbers, default=1.0) <= 0.0:
+        raise SweepError(expected)
+    return Starts(kind, numbers)
+
+
+@dataclass(frozen=True)
+class Spheres:
+    """What a start must be clear of."""
+
+    centres: Array  # (O, 3) [m]
+    radii: Array  # (O,) [m]
+    apart_m: float  # from every other UAV
+
+
+def clear_places(
+    proposals: Sequence[tuple[Array, Array]],
+    normal: bool,
+    spheres: Spheres,
+    rng: np.random.Generator,
+) -> list[Array]:
+    """A place (3,) for each (centre, spread), clear of the spheres and of the places before it.
+
+    `spread` is the standard deviation per axis for `normal`, half the edges of a box otherwise.
+    """
+    places: list[Array] = []
+    for number, (centre, spread) in enumerate(proposals):
+        for _ in range(_MOST_TRIES):
+            share = rng.standard_normal(3) if normal else rng.uniform(-1.0, 1.0, 3)
+            place = centre + spread * share
+            if _clear(place, places, spheres):
+                places.append(place)
+                break
+        else:
+            raise SweepError(
+                f"starts: no room for UAV number {number + 1} of {len(proposals)} after {_MOST_TRIES} "
+                f"tries: expected {spheres.apart_m:g} m between UAVs; draw from a larger region"
+            )
+    return places
+
+
+def _clear(place: Array, others: Sequence[Array], spheres: Spheres) -> bool:
+    if any(np.linalg.norm(place - other) < spheres.apart_m for other in others):
+        return False
+    return bool((np.linalg.norm(spheres.centres - place, axis=1) >= spheres.radii).all())
+
+
+def spheres_of(tree: dict[Any, Any], margin_m: float) -> Spheres:
+    """What the starts of a scenario tree must be clear of."""
+    obstacles = (tree.get("world") or {}).get("obstacles") or []
+    return Spheres(
+        np.array([one["position_m"] for one in obstacles], dtype=np.float64).reshape(-1, 3),
+        np.array([one["keep_out_m"] + margin_m for one in obstacles], dtype=np.float64),
+        float(tree["formation"]["uav_keep_out_m"]) + margin_m,
+    )
+
+
+def with_starts(
+    tree: dict[Any, Any], starts: Starts, margin_m: float, rng: np.random.Generator
+) -> None:
+    """Draw the starts of a scenario tree, in place."""
+    if starts.kind == FILE:
+        return
+    given = [np.array(uav["position_m"], dtype=np.float64) for uav in tree["uavs"]]
+    if starts.kind == NEAR:
+        proposals = [(place, np.full(3, starts.numbers[0])) for place in given]
+    else:
+        half = 0.5 * np.array(starts.numbers)
+        centre = np.mean(given, axis=0)
+        centre[2] = min(place[2] for place in given) + half[2]
+        proposals = [(centre, half)] * len(given)
+    spheres = spheres_of(tree, margin_m)
+    places = clear_places(proposals, starts.kind == NEAR, spheres, rng)
+    for uav, place in zip(tree["uavs"], places, strict=True):
+        uav["position_m"] = place.tolist()

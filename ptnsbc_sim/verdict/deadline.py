@@ -1,0 +1,285 @@
+"""Whether a UAV met its deadline: settling, the error at the deadline, and what makes the answer void."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ptnsbc_core.trajectory import reference_positions
+from ptnsbc_core.types import Array
+from ptnsbc_sim.scenario.build import trajectory_vector
+from ptnsbc_sim.verdict.coverage import coverage, first_bad_s, incomplete
+from ptnsbc_sim.verdict.encounters import encounters, inside
+from ptnsbc_sim.verdict.recording import NANO, Recording, counter_rise
+
+MET, MISSED, VOID = "met", "missed", "void"
+
+TOLERANCE_M = 0.05
+"""Default limit of the formation error at the deadline."""
+
+SHARE_OF_START = 0.02
+"""Share of the start error that widens the band of the settling time."""
+
+_EXACT_S = 1e-9
+_NONE = np.empty(0)
+
+
+@dataclass(frozen=True)
+class UavVerdict:
+    """How one UAV kept its deadline. Errors in metres, times in seconds after the epoch."""
+
+    uav: int
+    verdict: str  # met | missed | void
+    reason: str  # why not met, empty when met
+    deadline_s: float
+    start_error_m: float
+    band_m: float  # tolerance of the settling time
+    settling_s: float | None  # None: the error ends outside the band
+    tolerance_m: float  # limit of the error at the deadline
+    error_at_deadline_m: float | None  # None: the recording ends before the deadline
+    residual: float | None  # error at the deadline over the start error
+    max_error_after_m: float | None  # after the deadline, outside encounters
+    rmse_after_m: float | None  # after the deadline, outside encounters
+    encounter_s: float  # time inside encounters
+    saturated_s: float  # until the deadline
+    holding_s: float  # until the deadline
+    missing: int  # odometry messages missing of those sent, or of one per control period
+    longest_gap_s: float  # between two odometry messages
+
+
+def formation_errors(
+    recording: Recording, grid: NDArray[np.int64], positions: dict[int, Array]
+) -> dict[int, Array]:
+    """Formation error (T,) [m]: |(p_i - p_1) - o_i|, for the leader |p_1 - p_r(t)|."""
+    scenario = recording.scenario
+    leader = positions[scenario.leader_id]
+    vector = trajectory_vector(scenario)
+    times = np.asarray((grid - recording.first_ns) * NANO, dtype=np.float64)  # of the first leg
+    path = reference_positions(vector, times)
+    errors = {}
+    for uav in scenario.uav_ids:
+        goal = path if uav == scenario.leader_id else leader + scenario.offset(uav)
+        errors[uav] = np.linalg.norm(positions[uav] - goal, axis=1)
+    return errors
+
+
+class ValueAt:
+    """The value of a curve at one time [s], interpolated; None while the curve ends before that time."""
+
+    def __init__(self, t_s: float) -> None:
+        self.value: float | None = None
+        self._t_s = t_s
+        self._last = (_NONE, _NONE)
+
+    def add(self, times: Array, values: Array) -> None:
+        """Take the next samples (T,) [s] and (T,)."""
+        if self.value is None and times[-1] >= self._t_s:
+            t, v = (np.concatenate(pair) for pair in zip(self._last, (times, values), strict=True))
+            self.value = float(np.interp(self._t_s, t, v))
+        self._last = times[-1:], values[-1:]
+
+
+class ErrorFigures:
+    """Figures of the formation error of one UAV, which arrives block by block.
+
+    Args:
+        recording: the leg.
+        uav: the UAV.
+        tolerance: limit of the error at the deadline [m].
+    """
+
+    def __init__(self, recording: Recording, uav: int, tolerance: float) -> None:
+        self._recording = recording
+        self._deadline_s = deadline = recording.scenario.gains.formation.deadline_s
+        self._windows = encounters(recording.scenario, recording.counters, uav)
+        # An encounter that began before the deadline excuses no late settling.
+        start_ns = recording.start_ns
+        self._later = [w for w in self._windows if (w[0] - start_ns) * NANO > deadline]
+        self._tolerance = tolerance
+        self._at = ValueAt(deadline)
+        self._last = _NONE  # time and error of the newest sample
+        self._squares = 0.0  # sum of the squared errors after the deadline
+        self._after = 0  # number of samples in that sum
+        self.start_error = np.nan
+        self.band = tolerance
+        self.settling_s: float | None = 0.0  # None: the error ends outside the band
+        self.max_after: float | None = None
+        self.max_after_all: float | None = None  # inside encounters too
+        self.encounter_s = 0.0
+        self.avoiding: bool | None = None  # at the deadline; None before it
+        self.not_finite_s: float | None = None
+
+    def add(self, grid: NDArray[np.int64], error: Array) -> None:
+        """Take the next errors (T,) [m] at (T,) [ns]."""
+        times = self._recording.times(grid)
+        if not self._last.size:
+            self.start_error = float(error[0])
+            self.band = max(self._tolerance, SHARE_OF_START * self.start_error)
+        counted = ~inside(self._windows, grid)
+        self._take_settling(times, (error > self.band) & ~inside(self._later, grid))
+        self._at.add(times, error)
+        self._take_after(times, error, counted)
+        period = np.diff(times, prepend=self._last[:1])
+        self.encounter_s += float(np.sum(period[~counted[-period.size :]]))
+        bad = np.flatnonzero(~np.isfinite(error))
+        if self.not_finite_s is None and bad.size:
+            self.not_finite_s = float(times[bad[0]])
+        self._last = np.array([times[-1], error[-1]])
+
+    def _take_settling(self, times: Array, outside: NDArray[np.bool_]) -> None:
+        if self.settling_s is None:
+            self.settling_s = float(times[0])
+        found = np.flatnonzero(outside)
+        if found.size:
+            after = int(found[-1]) + 1
+            self.settling_s = float(times[after]) if after < times.size else None
+
+    def _take_after(self, times: Array, error: Array, counted: NDArray[np.bool_]) -> None:
+        reached = times >= self._deadline_s - _EXACT_S
+        if self.avoiding is None and reached.any():
+            self.avoiding = not counted[int(np.argmax(reached))]
+        whole = error[reached]
+        if whole.size:
+            self.max_after_all = max_of(
+                -np.inf if self.max_after_all is None else self.max_after_all, whole.max()
+            )
+        after = error[reached & counted]
+        if after.size:
+            largest = after.max() if self.max_after is None else max_of(self.max_after, after.max())
+            self.max_after = float(largest)
+            self._squares += float(np.sum(after**2))
+            self._after += after.size
+
+    @property
+    def end_s(self) -> float:
+        """Time of the last sample."""
+        return float(self._last[0])
+
+    @property
+    def at_deadline(self) -> float | None:
+        """The error at the deadline [m]; None when the leg ends before it."""
+        if self._at.value is None and self.avoiding is not None:
+            return float(self._last[1])  # the last sample is at the deadline
+        return self._at.value
+
+    @property
+    def rmse_after(self) -> float | None:
+        """Root mean square after the deadline, outside encounters."""
+        return float(np.sqrt(self._squares / self._after)) if self._after else None
+
+
+def max_of(first: float, second: float) -> float:
+    """The larger of two numbers, NaN when one of them is NaN."""
+    return float(np.maximum(first, second))
+
+
+def _rise(recording: Recording, uav: int, name: str, span_s: tuple[float, float]) -> float:
+    """Rise of a counter between two times after the epoch."""
+    counters = recording.counters.get(uav)
+    if counters is None:
+        return 0.0
+    begin, end = (recording.start_ns + round(time / NANO) for time in span_s)
+    return counter_rise(counters, name, begin, end)
+
+
+def _left_again(found: UavVerdict) -> bool:
+    """Whether the error met the tolerance at the deadline and left the band after it."""
+    at, settled = found.error_at_deadline_m, found.settling_s
+    late = settled is None or settled > found.deadline_s
+    return late and at is not None and at <= found.tolerance_m
+
+
+def _miss(found: UavVerdict, end_s: float) -> str:
+    """By how much the deadline was missed, empty when it was met."""
+    settled, band = found.settling_s, f"{found.band_m:.3f} m"
+    if _left_again(found):
+        until = "the end" if settled is None else f"{settled:.2f} s"
+        return f"met at the deadline, but outside {band} again until {until}"
+    if settled is None:
+        return f"outside {band} until the end at {end_s:.2f} s"
+    if settled > found.deadline_s:
+        return f"settled after {settled:.2f} s"
+    error = found.error_at_deadline_m
+    if error is None or error > found.tolerance_m:
+        return f"error at the deadline above {found.tolerance_m:g} m"
+    return ""
+
+
+def _causes(recording: Recording, found: UavVerdict, end_s: float, avoiding: bool) -> list[str]:
+    """What voids a missed deadline: events before the deadline, or before the late exit."""
+    span = (0.0, found.deadline_s)
+    if _left_again(found):
+        span = (found.deadline_s, end_s if found.settling_s is None else found.settling_s)
+    causes = ["avoidance active at the deadline"] if avoiding else []
+    held = _rise(recording, found.uav, "holding_s", span)
+    saturated = _rise(recording, found.uav, "saturated_s", span)
+    if held > 0:
+        causes.append(f"held for {held:.2f} s, link stale")
+    if saturated > 0:
+        causes.append(f"saturated for {saturated:.2f} s")
+    return causes
+
+
+def _not_finite(recording: Recording, uav: int, figures: ErrorFigures) -> str:
+    """The time from which a UAV's numbers are not finite; empty when all are finite.
+
+    The error is not finite either when the leader's odometry is not.
+    """
+    own = [first_bad_s(recording, of.get(uav)) for of in (recording.odometry, recording.wrench)]
+    times = [time for time in own if time is not None]
+    if times:
+        return f"state not finite from t = {min(times):.2f} s"
+    bad_s = figures.not_finite_s
+    return "" if bad_s is None else f"error not finite from t = {bad_s:.2f} s"
+
+
+def judge(recording: Recording, uav: int, figures: ErrorFigures, tolerance: float) -> UavVerdict:
+    """The verdict on one UAV from the figures of its formation error over the whole leg."""
+    found = _measured(recording, uav, figures, tolerance)
+    not_finite = _not_finite(recording, uav, figures)
+    if not_finite:
+        # Comparisons with NaN are false: the error would seem never to leave the band.
+        return replace(found, verdict=MISSED, reason=not_finite, settling_s=None)
+    end_s = figures.end_s
+    short = found.error_at_deadline_m is None
+    miss = f"recording ends after {end_s:.2f} s" if short else _miss(found, end_s)
+    hole = incomplete(recording, uav)
+    if hole:
+        parts = [f"recording incomplete: {hole}", *([miss] if miss and not short else [])]
+        return replace(found, verdict=VOID, reason=", ".join(parts))
+    if short:
+        return replace(found, verdict=VOID, reason=miss)
+    if not miss:
+        return found
+    causes = _causes(recording, found, end_s, bool(figures.avoiding))
+    return replace(found, verdict=VOID if causes else MISSED, reason=", ".join([miss, *causes]))
+
+
+def _measured(
+    recording: Recording, uav: int, figures: ErrorFigures, tolerance: float
+) -> UavVerdict:
+    """All figures of one UAV."""
+    deadline = recording.scenario.gains.formation.deadline_s
+    start, at = figures.start_error, figures.at_deadline
+    cover = coverage(recording, uav, recording.odometry[uav])
+    return UavVerdict(
+        uav=uav,
+        verdict=MET,
+        reason="",
+        deadline_s=deadline,
+        start_error_m=start,
+        band_m=figures.band,
+        settling_s=figures.settling_s,
+        tolerance_m=tolerance,
+        error_at_deadline_m=at,
+        residual=at / start if at is not None and start > 0 else None,
+        max_error_after_m=figures.max_after,
+        rmse_after_m=figures.rmse_after,
+        encounter_s=figures.encounter_s,
+        saturated_s=_rise(recording, uav, "saturated_s", (0.0, deadline)),
+        holding_s=_rise(recording, uav, "holding_s", (0.0, deadline)),
+        missing=cover.missing,
+        longest_gap_s=cover.longest_gap_s,
+    )

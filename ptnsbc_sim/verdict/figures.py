@@ -1,0 +1,209 @@
+"""Further figures of a verdict: input, energy (54), separations, estimator."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ptnsbc_core.types import Array
+from ptnsbc_sim.verdict.coverage import coverage
+from ptnsbc_sim.verdict.deadline import ValueAt, max_of
+from ptnsbc_sim.verdict.recording import NANO, Recording
+from ptnsbc_sim.verdict.track import BLOCK, Series
+
+
+@dataclass(frozen=True)
+class Effort:
+    """The input that one UAV commanded."""
+
+    uav: int
+    initial_input: float  # |(force, torque)| at the epoch [N, N m]
+    initial_above_hover_n: float  # force at the epoch minus the weight
+    peak_input: float  # largest |(force, torque)|
+    peak_force_n: float
+    peak_at_s: float
+    energy: float  # integral of |u|^2 (54) [N^2 s]
+    energy_above_hover: float  # the same of the force above the weight, and of the torque
+    missing: int  # wrench messages missing of one per odometry sent or per control period
+
+
+@dataclass(frozen=True)
+class Separation:
+    """The closest approach of two UAVs, or of a UAV and an obstacle."""
+
+    first: str
+    second: str
+    distance_m: float
+    at_s: float
+    keep_out_m: float
+    inside_s: float  # time closer than keep_out_m
+
+
+@dataclass(frozen=True)
+class EstimatorError:
+    """Error of one follower's estimate of the leader's position."""
+
+    uav: int
+    at_deadline_m: float | None
+    max_after_m: float | None
+
+
+class _InputFigures:
+    """Figures of the inputs of one UAV, which arrive block by block."""
+
+    def __init__(self, recording: Recording) -> None:
+        self._recording = recording
+        self._weight = recording.scenario.mass_kg * recording.scenario.gravity_m_s2
+        self.first: tuple[float, float] | None = None  # |u| and force at the epoch
+        self.peak = self.peak_force = -np.inf
+        self.peak_at_s = 0.0
+        self.energy = self.above_hover = 0.0
+
+    def add(self, block: Series, next_ns: int) -> None:
+        """Take the next inputs; the last of them acts until `next_ns`.
+
+        An input acts until the next one that is recorded: a missing message takes no time out of an integral.
+        """
+        start_ns, end_ns = self._recording.start_ns, self._recording.end_ns
+        force = np.linalg.norm(block.values[:, :3], axis=1)
+        torque = np.linalg.norm(block.values[:, 3:], axis=1)
+        edges = np.clip(np.append(block.t_ns, next_ns), start_ns, end_ns)
+        seconds = np.diff(edges) * NANO
+        self.energy += float(np.sum((force**2 + torque**2) * seconds))
+        beyond = (force - self._weight) ** 2 + torque**2
+        self.above_hover += float(np.sum(beyond * seconds))
+        judged = block.t_ns >= start_ns
+        if judged.any():
+            times = self._recording.times(block.t_ns[judged])
+            self._take_peak(times, force[judged], np.hypot(force, torque)[judged])
+
+    def _take_peak(self, times: Array, force: Array, whole: Array) -> None:
+        if self.first is None:
+            self.first = float(whole[0]), float(force[0])
+        self.peak_force = max_of(self.peak_force, force.max())
+        peak = int(np.argmax(whole))  # the first NaN, if there is one
+        if whole[peak] > self.peak or np.isnan(whole[peak]) > np.isnan(self.peak):
+            self.peak, self.peak_at_s = float(whole[peak]), float(times[peak])
+
+    def effort(self, uav: int, missing: int) -> Effort | None:
+        """All figures; None when there was no input in the judged time."""
+        if self.first is None:
+            return None
+        return Effort(
+            uav=uav,
+            initial_input=self.first[0],
+            initial_above_hover_n=self.first[1] - self._weight,
+            peak_input=self.peak,
+            peak_force_n=self.peak_force,
+            peak_at_s=self.peak_at_s,
+            energy=self.energy,
+            energy_above_hover=self.above_hover,
+            missing=missing,
+        )
+
+
+def effort(recording: Recording, uav: int) -> Effort | None:
+    """Input figures of one UAV; None when its wrench was not recorded."""
+    track = recording.wrench.get(uav)
+    if track is None:
+        return None
+    figures = _InputFigures(recording)
+    # The last input before the epoch acts at the epoch.
+    first = max(track.index(recording.start_ns, "right") - 1, 0)
+    end = track.index(recording.end_ns, "right")
+    for begin in range(first, end, BLOCK):
+        last = min(begin + BLOCK, end)
+        following = track.rows(last, last + 1).first_ns if last < end else recording.end_ns
+        figures.add(track.rows(begin, last), following)
+    return figures.effort(uav, coverage(recording, uav, track).missing)
+
+
+class _Pair:
+    """The closest approach of one pair, whose distances arrive block by block."""
+
+    def __init__(self, names: tuple[str, str], keep_out: float) -> None:
+        self._names = names
+        self._keep_out = keep_out
+        self._closest = np.inf
+        self._at_s: float | None = None
+        self._inside_s = 0.0
+        self._inside_since: float | None = None  # of the newest sample, when it is inside
+
+    def add(self, times: Array, distance: Array) -> None:
+        """Take the next distances (T,) [m] at (T,) [s]."""
+        distance = np.where(np.isfinite(distance), distance, np.inf)  # NaN is neither near nor far
+        closest = int(np.argmin(distance))
+        if self._at_s is None or distance[closest] < self._closest:
+            self._closest, self._at_s = float(distance[closest]), float(times[closest])
+        inside = distance < self._keep_out
+        period = np.diff(times, append=times[-1])
+        self._inside_s += float(np.sum(period[inside]))
+        if self._inside_since is not None:
+            self._inside_s += float(times[0] - self._inside_since)
+        self._inside_since = float(times[-1]) if inside[-1] else None
+
+    def separation(self) -> Separation:
+        """The closest approach so far."""
+        at_s = self._at_s or 0.0
+        return Separation(*self._names, self._closest, at_s, self._keep_out, self._inside_s)
+
+
+class Separations:
+    """Closest approach of every pair of UAVs and of every UAV and obstacle."""
+
+    def __init__(self, recording: Recording) -> None:
+        scenario = recording.scenario
+        self._recording = recording
+        self._pairs = {
+            (a, b): _Pair((f"uav{a}", f"uav{b}"), scenario.uav_keep_out_m)
+            for a, b in combinations(scenario.uav_ids, 2)
+        }
+        self._obstacles = [
+            (uav, one.position, _Pair((f"uav{uav}", one.name), one.keep_out_m))
+            for uav in scenario.uav_ids
+            for one in scenario.obstacles
+        ]
+
+    def add(self, grid: NDArray[np.int64], positions: dict[int, Array]) -> None:
+        """Take the next positions (T, 3) [m] of all UAVs at (T,) [ns]."""
+        times = self._recording.times(grid)
+        for (a, b), pair in self._pairs.items():
+            pair.add(times, np.linalg.norm(positions[a] - positions[b], axis=1))
+        for uav, place, pair in self._obstacles:
+            pair.add(times, np.linalg.norm(positions[uav] - place, axis=1))
+
+    def found(self) -> list[Separation]:
+        """All pairs, the smallest margin first."""
+        pairs = [*self._pairs.values(), *(pair for _, _, pair in self._obstacles)]
+        found = [pair.separation() for pair in pairs]
+        return sorted(found, key=lambda pair: pair.distance_m - pair.keep_out_m)
+
+
+class EstimatorErrors:
+    """Errors of the followers' estimates of the leader, as far as they are recorded."""
+
+    def __init__(self, recording: Recording) -> None:
+        self._recording = recording
+        self._deadline_s = deadline = recording.scenario.gains.estimator.deadline_s
+        tracks = recording.estimate
+        self._tracks = {u: tracks[u] for u in recording.scenario.followers if u in tracks}
+        self._at = {uav: ValueAt(deadline) for uav in self._tracks}
+        self._max: dict[int, float] = {}
+
+    def add(self, grid: NDArray[np.int64], positions: dict[int, Array]) -> None:
+        """Take the next positions (T, 3) [m] of all UAVs at (T,) [ns]."""
+        times = self._recording.times(grid)
+        leader = positions[self._recording.scenario.leader_id]
+        for uav, track in self._tracks.items():
+            error = np.linalg.norm(track.at(grid)[:, :3] - leader, axis=1)
+            self._at[uav].add(times, error)
+            after = error[times >= self._deadline_s]
+            if after.size:
+                self._max[uav] = max_of(self._max.get(uav, -np.inf), after.max())
+
+    def found(self) -> list[EstimatorError]:
+        """The errors of every follower."""
+        return [EstimatorError(u, self._at[u].value, self._max.get(u)) for u in self._tracks]

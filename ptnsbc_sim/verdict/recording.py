@@ -1,0 +1,141 @@
+"""The input of a verdict: plain arrays on one clock, from the simulator, a fleet or real vehicles."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_core.types import Array
+from ptnsbc_sim.scenario import Scenario
+from ptnsbc_sim.verdict.track import Track
+
+NANO = 1e-9
+FORMATION = "form"  # name of the legs that have a deadline
+
+
+class VerdictError(PtnsbcError):
+    """A recording that cannot be judged."""
+
+
+COUNTERS = (
+    "avoidance_active_s",
+    "saturated_s",
+    "holding_s",
+    "missed_ticks",  # since the process started
+    "priority_violation_max",  # [m/s]
+)
+"""Columns of the counters that a UAV publishes on /diagnostics, counted from its start."""
+
+
+def counter_rise(counters: Track, name: str, start_ns: int, end_ns: int) -> float:
+    """Rise of a counter between two instants."""
+    column = COUNTERS.index(name)
+
+    def before(end: int) -> float:
+        return float(counters.rows(end - 1, end).values[0, column])
+
+    first, last = counters.index(start_ns, "left"), counters.index(end_ns, "right")
+    return max(before(last) - (before(first) if first else 0.0), 0.0) if last else 0.0
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A whole flight."""
+
+    scenario: Scenario
+    odometry: Mapping[int, Track]  # (T, 13) per UAV
+    wrench: Mapping[int, Track]  # (T, 6) per UAV; may lack UAVs
+    estimate: Mapping[int, Track]  # (T, 13) per UAV; may lack UAVs
+    counters: Mapping[int, Track]  # (T, 5) per UAV, `COUNTERS`; may lack UAVs
+    epochs: tuple[tuple[int, str], ...]  # (t0 [ns], leg), ascending; empty when not recorded
+    truth: Mapping[int, Track] = field(default_factory=dict)  # (T, 13) per UAV; simulators only
+    # (T, 1) per UAV: odometry messages sent until each stamp, counted by the bridge
+    sent: Mapping[int, Track] = field(default_factory=dict)
+    latency: Mapping[str, float] = field(default_factory=dict)  # newest figures of the sim node
+    leg: int = 0  # which of the formation legs is judged
+    window_s: float | None = None  # judge only so many seconds after its epoch
+
+    @property
+    def forms(self) -> tuple[int, ...]:
+        """Epochs [ns] of the formation legs; the stamp of the first message when none was recorded."""
+        found = tuple(t0_ns for t0_ns, leg in self.epochs if leg == FORMATION)
+        return found or (min(track.first_ns for track in self.odometry.values()),)
+
+    @property
+    def first_ns(self) -> int:
+        """Epoch of the first formation leg, from which the leader's trajectory is counted."""
+        return self.forms[0]
+
+    @property
+    def start_ns(self) -> int:
+        """Epoch of the leg, from which deadlines are counted."""
+        return self.forms[self.leg]
+
+    @property
+    def due_ns(self) -> int:
+        """When the leg should end: at the next epoch, the end of the window, or the end of the flight."""
+        return self._ended(self.first_ns + self.scenario.ticks * self.scenario.dt_ns)
+
+    @property
+    def end_ns(self) -> int:
+        """When the judged time ends: with the leg, or at the last instant that is recorded of all UAVs."""
+        return self._ended(min(track.last_ns for track in self.odometry.values()))
+
+    def _ended(self, last_ns: int) -> int:
+        later = [t0_ns for t0_ns, _ in self.epochs if t0_ns > self.start_ns]
+        if self.window_s is not None:
+            later.append(self.start_ns + round(self.window_s / NANO))
+        return min([last_ns, *later])
+
+    @property
+    def samples(self) -> int:
+        """Number of judged instants."""
+        first, end = self.odometry[self.scenario.leader_id].span(self.start_ns, self.end_ns)
+        return end - first
+
+    def grids(self) -> Iterator[NDArray[np.int64]]:
+        """The judged instants, block by block: the leader's stamps from the epoch to the end of the leg."""
+        leader = self.odometry[self.scenario.leader_id]
+        first, end = leader.span(self.start_ns, self.end_ns)
+        if self.samples < 2:
+            raise VerdictError(
+                "the recording holds no formation flight: expected odometry of the leader after "
+                f"the epoch at {self.start_ns * NANO:.3f} s"
+            )
+        for block in leader.blocks(first, end):
+            yield block.t_ns
+
+    def grid(self) -> NDArray[np.int64]:
+        """All judged instants at once, for short flights."""
+        return np.concatenate(list(self.grids()))
+
+    def times(self, stamps: NDArray[np.int64]) -> Array:
+        """Seconds (T,) after the epoch."""
+        return np.asarray((stamps - self.start_ns) * NANO, dtype=np.float64)
+
+    @property
+    def judged_by(self) -> str:
+        """The source of positions: `truth` where it is recorded of all UAVs, else `odometry`."""
+        return "truth" if all(uav in self.truth for uav in self.scenario.uav_ids) else "odometry"
+
+    def positions(self, grid: NDArray[np.int64]) -> dict[int, Array]:
+        """Position (T, 3) [m], ENU, of every UAV on the grid."""
+        source = self.truth if self.judged_by == "truth" else self.odometry
+        return {uav: source[uav].at(grid)[:, :3] for uav in self.scenario.uav_ids}
+
+
+def require_all_uavs(recording: Recording) -> None:
+    """Raise VerdictError when a UAV of the scenario is missing."""
+    missing = [uav for uav in recording.scenario.uav_ids if uav not in recording.odometry]
+    if missing:
+        names = ", ".join(f"/uav{uav}/odom" for uav in missing)
+        raise VerdictError(f"no message on {names}: expected odometry of every UAV in the scenario")
+
+
+def tolerance_of(recording: Recording, given: float | None) -> float:
+    """Limit of the error at the deadline [m]: the given one, or that of the scenario."""
+    return recording.scenario.file.formation.tolerance_m if given is None else given

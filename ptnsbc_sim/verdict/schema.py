@@ -1,0 +1,57 @@
+"""The JSON schema of a verdict, made from its classes: `python -m ptnsbc_sim.verdict.schema`.
+
+`docs/verdict.schema.json` is the output.
+"""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+from pydantic import TypeAdapter
+
+from ptnsbc_sim.verdict.deadline import MET, MISSED, VOID
+from ptnsbc_sim.verdict.verdict import Verdict
+
+_WORD = {"enum": [MET, MISSED, VOID]}
+
+
+def schema() -> dict[str, Any]:
+    """JSON schema, draft 2020-12, of the verdict that commands print with --json."""
+    found = TypeAdapter(Verdict).json_schema()
+    made = _plain(found)
+    # Both verdicts follow from those of the UAVs and are therefore no fields of the classes.
+    for part in (made, made["$defs"]["LegVerdict"]):
+        part["properties"] = {"verdict": _WORD, **part["properties"]}
+        part["required"] = ["verdict", *part["required"]]
+    made["$defs"]["UavVerdict"]["properties"]["verdict"] = _WORD
+    head = {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": "Verdict of ptnsbc",
+        "description": "simulate, fleet, demo and verify with --json; they add keys of their own.",
+    }
+    return head | {key: value for key, value in made.items() if key not in head}
+
+
+def _plain(part: Any) -> Any:
+    """A schema in which numbers may be null (a figure that does not exist), without titles."""
+    if isinstance(part, list):
+        return [_plain(item) for item in part]
+    if not isinstance(part, dict):
+        return part
+    if part.get("anyOf") == [{"type": "number"}, {"type": "null"}] or part.get("type") == "number":
+        return {"type": ["number", "null"]}
+    return {
+        key: _plain(value)
+        for key, value in part.items()
+        if not (key == "title" and isinstance(value, str))
+    }
+
+
+def text() -> str:
+    """The schema as the committed file holds it."""
+    return json.dumps(schema(), indent=2, ensure_ascii=False) + "\n"
+
+
+if __name__ == "__main__":
+    print(text(), end="")

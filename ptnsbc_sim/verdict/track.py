@@ -1,0 +1,76 @@
+"""Samples over time, in memory or on the disk, read block by block.
+
+A sum over more than one block is the sum of the blocks' sums. It is therefore the same whether the samples are
+in memory or on the disk.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ptnsbc_core.types import Array
+
+BLOCK = 8192
+"""Samples that are read together: 82 s at 100 Hz."""
+
+
+class Track(ABC):
+    """Samples of one quantity of one UAV, ascending in time; at least one."""
+
+    size: int  # number of samples
+    first_ns: int  # stamp of the first sample
+    last_ns: int  # stamp of the last sample
+
+    @abstractmethod
+    def index(self, t_ns: int, side: Literal["left", "right"]) -> int:
+        """Number of samples before `t_ns`; with `right` those at `t_ns` too."""
+
+    @abstractmethod
+    def rows(self, first: int, end: int) -> Series:
+        """Samples number `first` to `end - 1`."""
+
+    def blocks(self, first: int = 0, end: int | None = None) -> Iterator[Series]:
+        """Samples number `first` to `end - 1`, at most `BLOCK` at a time."""
+        end = self.size if end is None else end
+        for begin in range(first, end, BLOCK):
+            yield self.rows(begin, min(begin + BLOCK, end))
+
+    def span(self, first_ns: int, last_ns: int) -> tuple[int, int]:
+        """The samples between two times, both included, as arguments of `blocks`."""
+        return self.index(first_ns, "left"), self.index(last_ns, "right")
+
+    def at(self, t_ns: NDArray[np.int64]) -> Array:
+        """Values at other times (T,), ascending: interpolated linearly, exact where the times coincide."""
+        first = max(self.index(int(t_ns[0]), "right") - 1, 0)
+        end = max(min(self.index(int(t_ns[-1]), "left") + 1, self.size), first + 1)
+        near = self.rows(first, end)
+        if np.array_equal(near.t_ns, t_ns):
+            return near.values
+        base = near.t_ns[0]  # wall-clock stamps do not fit a float64 to the nanosecond
+        own = (near.t_ns - base).astype(np.float64)
+        wanted = (t_ns - base).astype(np.float64)
+        return np.stack([np.interp(wanted, own, column) for column in near.values.T], axis=1)
+
+
+class Series(Track):
+    """Samples in memory."""
+
+    def __init__(self, t_ns: NDArray[np.int64], values: Array) -> None:
+        self.t_ns = t_ns  # (T,) ascending
+        self.values = values  # (T, width)
+        self.size = t_ns.size
+        if self.size:
+            self.first_ns, self.last_ns = int(t_ns[0]), int(t_ns[-1])
+
+    def index(self, t_ns: int, side: Literal["left", "right"]) -> int:
+        """Number of samples before `t_ns`; with `right` those at `t_ns` too."""
+        return int(np.searchsorted(self.t_ns, t_ns, side=side))
+
+    def rows(self, first: int, end: int) -> Series:
+        """Samples number `first` to `end - 1`."""
+        return Series(self.t_ns[first:end], self.values[first:end])

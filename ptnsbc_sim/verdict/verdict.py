@@ -1,0 +1,211 @@
+"""The verdict on a whole recording: one plain object, from which tables and JSON are made."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ptnsbc_sim.verdict.deadline import (
+    MET,
+    MISSED,
+    VOID,
+    ErrorFigures,
+    UavVerdict,
+    formation_errors,
+    judge,
+)
+from ptnsbc_sim.verdict.figures import (
+    Effort,
+    EstimatorError,
+    EstimatorErrors,
+    Separation,
+    Separations,
+    effort,
+)
+from ptnsbc_sim.verdict.recording import (
+    COUNTERS,
+    NANO,
+    Recording,
+    VerdictError,
+    counter_rise,
+    require_all_uavs,
+    tolerance_of,
+)
+
+_VIOLATION = COUNTERS.index("priority_violation_max")
+_PositionFigures = Separations | EstimatorErrors
+
+
+@dataclass(frozen=True)
+class LegVerdict:
+    """How the UAVs kept the deadline of one formation leg, which begins at an epoch with that name."""
+
+    number: int  # from 1
+    epoch_s: float
+    duration_s: float  # judged
+    reason: str  # why the leg as a whole is void, empty when it is not
+    uavs: tuple[UavVerdict, ...]
+
+    @property
+    def verdict(self) -> str:
+        """The worst of its UAVs: missed, else void, else met."""
+        return VOID if self.reason else _worst(uav.verdict for uav in self.uavs)
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """All results of a recording: deadlines, input, separations, estimators, timing."""
+
+    scenario: str
+    plant: str
+    task: str
+    profile: str
+    avoidance: str
+    judged_by: str  # truth | odometry: the source of positions
+    epoch_s: float
+    duration_s: float
+    uavs: tuple[UavVerdict, ...]
+    efforts: tuple[Effort, ...]
+    separations: tuple[Separation, ...]  # the smallest margin first
+    estimators: tuple[EstimatorError, ...]
+    energy: float  # (54), all UAVs
+    inside_keep_out_s: float  # summed over pairs
+    missed_ticks: int
+    priority_violation_m_s: float
+    latency_ms: dict[str, float]
+    legs: tuple[LegVerdict, ...]  # all formation legs; the figures above are of the first
+
+    @property
+    def verdict(self) -> str:
+        """The worst of all UAVs in all legs: missed, else void, else met."""
+        return _worst(leg.verdict for leg in self.legs)
+
+    @property
+    def exit_code(self) -> int:
+        """0 when every UAV met its deadline, else 1: a void deadline was not shown to be met."""
+        return 0 if self.verdict == MET else 1
+
+    def as_json(self) -> dict[str, Any]:
+        """The verdict in plain types; a figure that does not exist is null."""
+        plain = _plain(dataclasses.asdict(self))
+        for entry, leg in zip(plain["legs"], self.legs, strict=True):
+            entry["verdict"] = leg.verdict
+        return {"verdict": self.verdict, **plain}
+
+
+def _worst(verdicts: Iterable[str]) -> str:
+    found = set(verdicts)
+    return next(kind for kind in (MISSED, VOID, MET) if kind in found)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def verdict_on(recording: Recording, tolerance: float | None = None) -> Verdict:
+    """Judge a recording; `tolerance` [m] limits the error at the deadline, by default as in the scenario."""
+    return verdict_and_errors(recording, tolerance)[0]
+
+
+def verdict_and_errors(
+    recording: Recording, tolerance: float | None = None
+) -> tuple[Verdict, Mapping[int, ErrorFigures]]:
+    """The verdict, and the figures of each UAV's formation error in the first leg."""
+    with np.errstate(all="ignore"):  # the verdict names what is not finite
+        return _verdict_on(recording, tolerance_of(recording, tolerance))
+
+
+def _verdict_on(
+    recording: Recording, tolerance: float
+) -> tuple[Verdict, Mapping[int, ErrorFigures]]:
+    require_all_uavs(recording)
+    scenario = recording.scenario
+    pairs, estimators = Separations(recording), EstimatorErrors(recording)
+    legs = _legs(recording, tolerance, (pairs, estimators))
+    found = [effort(recording, uav) for uav in scenario.uav_ids]
+    efforts = tuple(one for one in found if one is not None)
+    separations = tuple(pairs.found())
+    start_ns, end_ns = recording.start_ns, legs[0].end_ns
+    counters = recording.counters.values()
+    verdict = Verdict(
+        scenario=scenario.name,
+        plant=scenario.plant_kind,
+        task=scenario.file.formation.task,
+        profile=scenario.gains.profile,
+        avoidance=scenario.file.formation.avoidance,
+        judged_by=recording.judged_by,
+        epoch_s=start_ns * NANO,
+        duration_s=legs[0].verdict.duration_s,
+        uavs=legs[0].verdict.uavs,
+        efforts=efforts,
+        separations=separations,
+        estimators=tuple(estimators.found()),
+        energy=sum(one.energy for one in efforts),
+        inside_keep_out_s=sum(pair.inside_s for pair in separations),
+        missed_ticks=int(
+            sum(counter_rise(one, "missed_ticks", start_ns, end_ns) for one in counters)
+        ),
+        priority_violation_m_s=max(
+            (float(one.rows(one.size - 1, one.size).values[0, _VIOLATION]) for one in counters),
+            default=0.0,
+        ),
+        latency_ms=dict(recording.latency),
+        legs=tuple(leg.verdict for leg in legs),
+    )
+    return verdict, legs[0].figures
+
+
+class _JudgedLeg(NamedTuple):
+    """A leg and the last instant of it that is judged."""
+
+    verdict: LegVerdict
+    end_ns: int
+    figures: Mapping[int, ErrorFigures]
+
+
+def _legs(
+    recording: Recording, tolerance: float, of_first: Sequence[_PositionFigures]
+) -> list[_JudgedLeg]:
+    """All legs; the figures `of_first` take the positions of the first leg."""
+    found = []
+    for number in range(len(recording.forms)):
+        leg = dataclasses.replace(recording, leg=number)
+        try:
+            found.append(_leg(leg, tolerance, () if number else of_first))
+        except VerdictError as error:
+            if number == 0:
+                raise
+            epoch_s = leg.start_ns * NANO
+            void = LegVerdict(number + 1, epoch_s, 0.0, str(error), ())
+            found.append(_JudgedLeg(void, leg.start_ns, {}))
+    return found
+
+
+def _leg(recording: Recording, tolerance: float, others: Sequence[_PositionFigures]) -> _JudgedLeg:
+    uavs = recording.scenario.uav_ids
+    figures = {uav: ErrorFigures(recording, uav, tolerance) for uav in uavs}
+    end_ns = recording.start_ns
+    for grid in recording.grids():
+        positions = recording.positions(grid)
+        for uav, error in formation_errors(recording, grid, positions).items():
+            figures[uav].add(grid, error)
+        for other in others:
+            other.add(grid, positions)
+        end_ns = int(grid[-1])
+    leg = LegVerdict(
+        recording.leg + 1,
+        recording.start_ns * NANO,
+        float(end_ns - recording.start_ns) * NANO,
+        "",
+        tuple(judge(recording, uav, figures[uav], tolerance) for uav in uavs),
+    )
+    return _JudgedLeg(leg, end_ns, figures)

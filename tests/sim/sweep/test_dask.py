@@ -1,0 +1,40 @@
+"""A sweep on a dask cluster of processes on this machine, workers killed in the middle of it."""
+
+from __future__ import annotations
+
+import os
+import signal
+from pathlib import Path
+
+import pytest
+
+from ptnsbc_sim.scenario import load_scenario
+from ptnsbc_sim.sweep import parse_starts, run
+from ptnsbc_sim.sweep.plan import plan_of
+
+pytest.importorskip("pyarrow")
+distributed = pytest.importorskip("distributed")
+
+pytestmark = pytest.mark.slow
+
+
+def test_the_table_is_the_same_with_two_workers_killed(tmp_path: Path) -> None:
+    scenario = load_scenario("paper_5_free", {"timing.duration_s": 2.0})
+    plan = plan_of(scenario, 200, starts=parse_starts("near:0.3"))
+    here = run(plan, tmp_path / "here", workers=2)
+    with distributed.LocalCluster(
+        n_workers=3, threads_per_worker=1, host="127.0.0.1", dashboard_address=None
+    ) as cluster:
+        killed: list[int] = []
+
+        def kill(done: int, total: int) -> None:
+            if done and len(killed) < 2:
+                victim = next(iter(cluster.workers.values())).pid
+                if victim is not None and victim not in killed:
+                    killed.append(victim)
+                    os.kill(victim, signal.SIGKILL)
+
+        there = run(plan, tmp_path / "there", scheduler=cluster.scheduler_address, progress=kill)
+    assert len(killed) == 2
+    assert not there.failed
+    assert there.table.read_bytes() == here.table.read_bytes()

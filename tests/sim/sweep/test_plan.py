@@ -1,0 +1,147 @@
+"""The draws of a sweep: pure, whatever else is drawn, and scenarios all of them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ptnsbc_sim.scenario import ScenarioError, load_scenario
+from ptnsbc_sim.sweep import SweepError, SweepPlan, draw, drawn_values, parse_axis, parse_starts
+from ptnsbc_sim.sweep.plan import drawn_scenario, plan_of
+
+BASE = load_scenario("paper_5_free", {"timing.duration_s": 0.5})
+KAPPA = "gains.formation.kappa_1_s"
+
+
+def plan_with(runs: int = 20, *axes: str, **rest) -> SweepPlan:
+    return plan_of(BASE, runs, axes=tuple(parse_axis(text) for text in axes), **rest)
+
+
+def positions(plan: SweepPlan, k: int) -> np.ndarray:
+    scenario, _ = drawn_scenario(plan, k)
+    return np.array([uav.position_m for uav in scenario.file.uavs])
+
+
+@given(k=st.integers(0, 19), runs=st.integers(20, 10_000), seed=st.integers(0, 2**40))
+@settings(max_examples=20)
+def test_a_draw_does_not_depend_on_the_number_of_runs(k: int, runs: int, seed: int) -> None:
+    few = plan_with(20, f"{KAPPA}=1:3", starts=parse_starts("near:0.3"), seed=seed)
+    many = replace(few, runs=runs)
+    assert drawn_values(few, k) == drawn_values(many, k)
+    np.testing.assert_array_equal(positions(few, k), positions(many, k))
+
+
+@given(k=st.integers(0, 19))
+@settings(max_examples=10)
+def test_another_axis_changes_no_other_draw(k: int) -> None:
+    one = plan_with(20, f"{KAPPA}=1:3", starts=parse_starts("near:0.3"))
+    two = plan_with(20, "plant.mass_kg=1:1.4", f"{KAPPA}=1:3", starts=parse_starts("near:0.3"))
+    assert drawn_values(one, k)[KAPPA] == drawn_values(two, k)[KAPPA]
+    np.testing.assert_array_equal(positions(one, k), positions(two, k))
+
+
+@given(k=st.integers(0, 49), sigma=st.floats(0.01, 2.0), seed=st.integers(0, 1000))
+@settings(max_examples=30)
+def test_starts_are_clear_of_each_other(k: int, sigma: float, seed: int) -> None:
+    plan = plan_with(50, starts=parse_starts(f"near:{sigma}"), seed=seed)
+    places = positions(plan, k)
+    gaps = np.linalg.norm(places[:, None] - places[None], axis=2)
+    least = BASE.uav_keep_out_m + BASE.gains.clearance.margin_m
+    assert gaps[np.triu_indices(len(places), 1)].min() >= least
+
+
+@given(k=st.integers(0, 49))
+@settings(max_examples=20)
+def test_starts_in_a_box_stay_in_it(k: int) -> None:
+    given_places = np.array([uav.position_m for uav in BASE.file.uavs])
+    places = positions(plan_with(50, starts=parse_starts("box:8,6,4")), k)
+    centre = given_places.mean(axis=0)
+    assert (np.abs(places[:, :2] - centre[:2]) <= [4.0, 3.0]).all()
+    assert (places[:, 2] >= given_places[:, 2].min()).all()
+    assert (places[:, 2] <= given_places[:, 2].min() + 4.0).all()
+
+
+def test_a_box_without_room_is_named() -> None:
+    with pytest.raises(SweepError, match=r"no room for UAV number .* of 5"):
+        plan_with(2, starts=parse_starts("box:0.2,0.2,0.2"))
+
+
+def test_starts_keep_clear_of_obstacles() -> None:
+    scenario = load_scenario("paper_5", {"timing.duration_s": 0.5})
+    plan = plan_of(scenario, 30, starts=parse_starts("box:16,16,12"))
+    for k in range(30):
+        for obstacle in scenario.obstacles:
+            room = np.linalg.norm(positions(plan, k) - obstacle.position, axis=1)
+            assert room.min() >= obstacle.keep_out_m
+
+
+def test_draw_is_the_scenario_that_the_loop_flies() -> None:
+    plan = plan_with(5, f"{KAPPA}=1:3", starts=parse_starts("near:0.3"))
+    for k in range(5):
+        assert draw(plan, k).file == drawn_scenario(plan, k)[0].file
+
+
+def test_several_lists_make_a_grid_with_replicates() -> None:
+    plan = plan_with(2, "plant.mass_kg=1.0,1.2", f"{KAPPA}=1:3:3")
+    assert (plan.cells, plan.draws) == (6, 12)
+    cells = [tuple(drawn_values(plan, k).values()) for k in range(12)]
+    assert cells[:6] == [(m, kappa) for m in (1.0, 1.2) for kappa in (1, 2, 3)]
+    assert cells[:6] == cells[6:]
+    seeds = {drawn_scenario(plan, k)[0].seed for k in range(12)}
+    assert len(seeds) == 12
+
+
+def test_a_latin_hypercube_has_one_draw_in_each_slice() -> None:
+    plan = plan_with(10, f"{KAPPA}=1:2", "plant.mass_kg=1:2", latin=True)
+    for key in (KAPPA, "plant.mass_kg"):
+        values = sorted(float(drawn_values(plan, k)[key]) for k in range(10))
+        assert [int((value - 1.0) * 10) for value in values] == list(range(10))
+
+
+def test_normal_draws_have_the_mean_and_deviation_asked_for() -> None:
+    plan = plan_with(800, f"{KAPPA}=2.0±0.1")
+    values = [drawn_values(plan, k)[KAPPA] for k in range(800)]
+    assert np.mean(values) == pytest.approx(2.0, abs=0.015)
+    assert np.std(values) == pytest.approx(0.1, abs=0.01)
+
+
+def test_a_flight_ends_at_stop_after() -> None:
+    assert drawn_scenario(plan_with(1, stop_after_s=0.2), 0)[0].duration_s == 0.2
+    assert drawn_scenario(plan_with(1, stop_after_s=9.0), 0)[0].duration_s == 0.5
+
+
+def test_a_plan_is_text_and_back() -> None:
+    axes = (
+        f"{KAPPA}=1:3",
+        "plant.mass_kg=1.2±0.1",
+        "formation.task=parent_angle,relative_position",
+    )
+    plan = plan_with(3, *axes, starts=parse_starts("box:9,9,4"), seed=7, stop_after_s=0.3)
+    assert SweepPlan.from_json(plan.to_json()) == plan
+
+
+@pytest.mark.parametrize("text", ["", "a", "a=", "=1:2", "a=2:1", "a=1:2:1", "a=1±0"])
+def test_a_wrong_axis_is_named(text: str) -> None:
+    with pytest.raises(SweepError, match="vary"):
+        parse_axis(text)
+
+
+@pytest.mark.parametrize("text", ["", "near", "near:0", "box:1,2", "box:1,2,x", "there"])
+def test_wrong_starts_are_named(text: str) -> None:
+    with pytest.raises(SweepError, match="starts"):
+        parse_starts(text)
+
+
+def test_wrong_keys_and_draws_are_named() -> None:
+    with pytest.raises(ScenarioError, match=r"draw 0.*kapppa"):
+        plan_with(2, "gains.formation.kapppa=1:3")
+    with pytest.raises(SweepError, match="runs: 0"):
+        plan_with(0)
+    with pytest.raises(SweepError, match="stands twice"):
+        plan_with(2, f"{KAPPA}=1:3", f"{KAPPA}=1,2")
+    with pytest.raises(SweepError, match="draw 2: expected 0 to 1"):
+        draw(plan_with(2), 2)

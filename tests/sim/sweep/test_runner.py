@@ -1,0 +1,165 @@
+"""Sweeps that are flown: the bits of `simulate`, whoever flies, and nothing lost."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+from dataclasses import fields, replace
+from pathlib import Path
+
+import pytest
+
+from ptnsbc_sim.scenario import Scenario, load_scenario
+from ptnsbc_sim.swarm import fly
+from ptnsbc_sim.sweep import SweepError, SweepPlan, draw, parse_axis, parse_starts, run, runner
+from ptnsbc_sim.sweep import chunks as chunks_module
+from ptnsbc_sim.sweep.chunks import CHUNK_DRAWS, chunk_count, fly_chunk
+from ptnsbc_sim.sweep.plan import plan_of
+from ptnsbc_sim.sweep.rows import UNITS, Row, rows_of
+from ptnsbc_sim.verdict.headless import recording_of
+
+pq = pytest.importorskip("pyarrow.parquet")
+KAPPA = "gains.formation.kappa_1_s"
+
+
+def base(name: str = "paper_5_free", **changes) -> Scenario:
+    quick = {"timing.duration_s": 1.2, "gains.formation.deadline_s": 0.8}
+    return load_scenario(name, {**quick, **changes})
+
+
+def small(runs: int = 60, **rest) -> SweepPlan:
+    axes = (parse_axis(f"{KAPPA}=1:3"),)
+    return plan_of(base(), runs, axes=axes, starts=parse_starts("near:0.3"), **rest)
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The table of a sweep that one process has flown."""
+    return run(small(), tmp_path_factory.mktemp("sweep") / "one", workers=1).table
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {"plant.kind": "rigid_body_6dof", "formation.task": "relative_position"},
+        {"world.gust_m_s": [1.0, 1.0, 0.5], "communication.loss": 0.2, "sensor.noise_m": 0.02},
+    ],
+    ids=["quadrotor", "rigid body", "disturbed"],
+)
+def test_a_row_has_the_figures_of_the_headless_flight(changes: dict) -> None:
+    plan = plan_of(base("paper_5", **changes), 4, starts=parse_starts("near:0.2"))
+    from io import BytesIO
+
+    table = pq.read_table(BytesIO(fly_chunk(plan.to_json(), 0))).to_pylist()
+    expected = []
+    for k in range(4):
+        scenario = draw(plan, k)
+        expected += rows_of(k, scenario, recording_of(fly(scenario)))
+    names = [field.name for field in fields(Row)]
+    assert table == [{name: getattr(row, name) for name in names} for row in expected]
+
+
+@pytest.mark.parametrize("workers", [2, 4])
+def test_the_table_is_the_same_for_any_number_of_workers(
+    flown: Path, workers: int, tmp_path: Path
+) -> None:
+    result = run(small(), tmp_path / "sweep", workers=workers)
+    assert not result.failed
+    assert result.table.read_bytes() == flown.read_bytes()
+
+
+def test_the_table_tells_units_plan_and_versions(flown: Path) -> None:
+    table = pq.read_table(flown)
+    assert table.num_rows == 60 * 5
+    assert (
+        table.column(f"drawn.{KAPPA}").to_pylist()[:5]
+        == [table.column(f"drawn.{KAPPA}")[0].as_py()] * 5
+    )
+    assert table.schema.field("settling_s").metadata == {b"unit": b"s"}
+    assert table.schema.field(f"drawn.{KAPPA}").metadata == {b"unit": b"1/s"}
+    assert {"N", "m", "s", "N^2 s", ""} == set(UNITS.values())
+    assert SweepPlan.from_json(table.schema.metadata[b"ptnsbc.plan"].decode()) == small()
+    assert "kernels" in json.loads(table.schema.metadata[b"ptnsbc.made_by"])
+
+
+def test_a_sweep_goes_on_where_it_ended(flown: Path, tmp_path: Path) -> None:
+    seen: list[int] = []
+
+    def interrupted(done: int, total: int) -> None:
+        seen.append(done)
+        if done >= CHUNK_DRAWS:
+            raise KeyboardInterrupt
+
+    folder = tmp_path / "sweep"
+    with pytest.raises(KeyboardInterrupt):
+        run(small(), folder, workers=1, progress=interrupted)
+    assert [path.name for path in (folder / "chunks").iterdir()] == ["00000.parquet"]
+    done: list[int] = []
+    result = run(small(), folder, workers=1, progress=lambda now, total: done.append(now))
+    assert done[0] == CHUNK_DRAWS
+    assert result.table.read_bytes() == flown.read_bytes()
+
+
+def test_a_folder_of_another_plan_is_refused(flown: Path, tmp_path: Path) -> None:
+    with pytest.raises(SweepError, match="another plan"):
+        run(small(61), flown.parent, workers=1)
+    (tmp_path / "file").touch()
+    with pytest.raises(SweepError, match="other files"):
+        run(small(), tmp_path, workers=1)
+
+
+def test_a_chunk_that_fails_is_tried_once_more_and_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tried: list[int] = []
+
+    def broken(text: str, index: int) -> bytes:
+        tried.append(index)
+        if index == 1:
+            raise SweepError("draw 30: no such flight")
+        return fly_chunk(text, index)
+
+    monkeypatch.setattr(runner, "fly_chunk", broken)
+    result = run(small(), tmp_path / "sweep", workers=1)
+    (failed,) = result.failed
+    assert (failed.index, failed.draws) == (1, range(25, 50))
+    assert failed.error == "draw 30: no such flight"
+    assert tried.count(1) == 2
+    draws = set(pq.read_table(result.table).column("draw").to_pylist())
+    assert draws == set(range(25)) | set(range(50, 60))
+
+
+def test_a_draw_that_cannot_be_flown_is_named() -> None:
+    plan = replace(small(2), axes=(parse_axis("plant.mass_kg=1.0,9.0"),))
+    with pytest.raises(SweepError, match=r"draw 1: .*more than the weight"):
+        fly_chunk(plan.to_json(), 0)
+
+
+def _dying_once(text: str, index: int) -> bytes:
+    """As fly_chunk; the process ends at the first try of chunk 1."""
+    mark = Path(os.environ["PTNSBC_TEST_MARK"])
+    if index == 1 and not mark.exists():
+        mark.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return chunks_module.fly_chunk(text, index)
+
+
+def test_a_worker_that_dies_loses_only_its_chunk(
+    flown: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PTNSBC_TEST_MARK", str(tmp_path / "mark"))
+    monkeypatch.setattr(runner, "fly_chunk", _dying_once)
+    result = run(small(), tmp_path / "sweep", workers=2)
+    assert (tmp_path / "mark").exists()
+    assert not result.failed
+    assert result.table.read_bytes() == flown.read_bytes()
+
+
+def test_chunks_cover_all_draws() -> None:
+    plan = small(60)
+    found = [
+        k for index in range(chunk_count(plan)) for k in chunks_module.chunk_draws(plan, index)
+    ]
+    assert found == list(range(60))
