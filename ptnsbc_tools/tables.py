@@ -9,9 +9,9 @@ from typing import Any
 from rich.table import Table
 from rich.text import Text
 
+from ptnsbc_sim.verdict import Verdict
 from ptnsbc_tools import console
 from ptnsbc_tools.check import Finding
-from ptnsbc_tools.verdict import Verdict
 
 _COLOURS = {
     "error": "bold red",

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from ptnsbc_io.bag import read_bag
+from ptnsbc_sim.verdict import verdict_on
 from ptnsbc_tools.reading.bag_reader import read_recording
-from ptnsbc_tools.verdict import verdict_on
 
 sys.path.insert(0, str(Path(__file__).parent))
 import doctor

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from docs.make.markdown import RegionError, remade
 from ptnsbc_nodes.runtime import environment
-from ptnsbc_tools.verdict import schema
+from ptnsbc_sim.verdict import schema
 
 DOCS = Path(__file__).resolve().parents[1]
 SCHEMA = "verdict.schema.json"

@@ -164,9 +164,9 @@ def _judge(
     bag: Path, flown: FleetResult, *, kept: Path | None, picture: Path | None, json: bool
 ) -> int:
     """Judge the bag and show the verdict; when the bag cannot be read, show how the flight ended."""
+    from ptnsbc_sim.verdict import verdict_on
     from ptnsbc_tools.reading.bag_reader import read_recording
     from ptnsbc_tools.tables import show_verdict
-    from ptnsbc_tools.verdict import verdict_on
 
     facts = _fleet_facts(flown)
     try:

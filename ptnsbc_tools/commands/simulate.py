@@ -24,9 +24,10 @@ def simulate(
 ) -> None:
     """Fly a scenario in this process, without ROS, as fast as possible; ends with the verdict."""
     from ptnsbc_sim.scenario import scenario_from_text
-    from ptnsbc_tools.reading.headless import prepare_bag, recording_of, write_flight
+    from ptnsbc_sim.verdict import verdict_on
+    from ptnsbc_sim.verdict.headless import recording_of
+    from ptnsbc_tools.reading.headless import prepare_bag, write_flight
     from ptnsbc_tools.tables import show_verdict
-    from ptnsbc_tools.verdict import verdict_on
 
     chosen = options.chosen(context)
     preflight(chosen, quiet=json)

@@ -33,9 +33,9 @@ def verify(
     Only encounters that begin after the deadline excuse an exit. Each formation leg is judged. Bags of
     other systems (MCAP, sqlite3) need --scenario and the names of their topics.
     """
+    from ptnsbc_sim.verdict import verdict_on
     from ptnsbc_tools.reading.bag_reader import read_recording
     from ptnsbc_tools.tables import show_verdict
-    from ptnsbc_tools.verdict import verdict_on
 
     recording = read_recording(bag, options.read_options(context))
     verdict = verdict_on(recording, tolerance)

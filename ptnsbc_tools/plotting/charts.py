@@ -9,13 +9,13 @@ from itertools import combinations, product
 import numpy as np
 
 from ptnsbc_core.types import Array
+from ptnsbc_sim.verdict import Recording, Track, VerdictError
+from ptnsbc_sim.verdict.deadline import SHARE_OF_START, formation_errors
+from ptnsbc_sim.verdict.encounters import encounters, merged
+from ptnsbc_sim.verdict.recording import NANO
 from ptnsbc_tools.plotting.chart import DASHES, Chart, Curve, Limit, Look, Mark, Span, look
 from ptnsbc_tools.plotting.flight import FlightView
 from ptnsbc_tools.plotting.thin import Points, ThinnedCurves, Thinner
-from ptnsbc_tools.verdict import Recording, Track, VerdictError
-from ptnsbc_tools.verdict.deadline import SHARE_OF_START, formation_errors
-from ptnsbc_tools.verdict.encounters import encounters, merged
-from ptnsbc_tools.verdict.recording import NANO
 
 FLOOR_M = 1e-4  # of logarithmic axes
 MOST_PAIRS = 24  # in one figure

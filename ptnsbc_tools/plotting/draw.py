@@ -11,13 +11,13 @@ import numpy as np
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.types import Array
+from ptnsbc_sim.verdict.recording import Recording, tolerance_of
 from ptnsbc_tools.files import replacing
 from ptnsbc_tools.plotting.chart import COLOURS, DASHES, GOOD, OBSTACLE, Chart, Look, look
 from ptnsbc_tools.plotting.charts import errors
 from ptnsbc_tools.plotting.flight import FlightView
 from ptnsbc_tools.plotting.thin import thin
 from ptnsbc_tools.reading.diagnostics import StatusSeries
-from ptnsbc_tools.verdict.recording import Recording, tolerance_of
 
 FORMATS = (".png", ".svg")
 _SIZE_IN = (9.0, 4.2)

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import Scenario
+from ptnsbc_sim.verdict import Recording, Track, Verdict, verdict_on
+from ptnsbc_sim.verdict.encounters import Window, avoidance_windows, merged
+from ptnsbc_sim.verdict.recording import NANO, tolerance_of
 from ptnsbc_tools.reading.bag_reader import ReadOptions, read_recording
 from ptnsbc_tools.reading.diagnostics import StatusSeries, read_status
-from ptnsbc_tools.verdict import Recording, Track, Verdict, verdict_on
-from ptnsbc_tools.verdict.encounters import Window, avoidance_windows, merged
-from ptnsbc_tools.verdict.recording import NANO, tolerance_of
 
 _BEFORE_S = 2.0  # shown of the time before the epoch
 

@@ -9,6 +9,8 @@ from pathlib import Path
 from ptnsbc_io.bag import BagError, BagMessage
 from ptnsbc_io.wire import Stamped, WireError, decode_header, decode_odometry, decode_wrench
 from ptnsbc_nodes.comm import topics
+from ptnsbc_sim.verdict import Recording, Track
+from ptnsbc_sim.verdict.recording import FORMATION
 from ptnsbc_tools.reading.bag_sources import (
     OUR_TOPICS,
     BagSource,
@@ -19,8 +21,6 @@ from ptnsbc_tools.reading.bag_sources import (
 )
 from ptnsbc_tools.reading.diagnostics import DiagnosticCounters, decode_diagnostics
 from ptnsbc_tools.reading.disk_track import SampleFile, TrackWriters
-from ptnsbc_tools.verdict import Recording, Track
-from ptnsbc_tools.verdict.recording import FORMATION
 
 
 @dataclass(frozen=True)

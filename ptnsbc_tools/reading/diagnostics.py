@@ -16,10 +16,10 @@ from ptnsbc_io.wire import WireError, decode_integers
 from ptnsbc_io.wire.cdr import align, byte_order, read_stamp, require, skip_string, string_at
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.uav.step_log import TickNote, tick_note
+from ptnsbc_sim.verdict import Track
+from ptnsbc_sim.verdict.recording import COUNTERS
 from ptnsbc_tools.reading.bag_sources import open_source
 from ptnsbc_tools.reading.disk_track import SampleFile, TrackWriters
-from ptnsbc_tools.verdict import Track
-from ptnsbc_tools.verdict.recording import COUNTERS
 
 _WHAT = "diagnostic_msgs/DiagnosticArray"
 _PLANNER = re.compile(r"uav(\d+): planner")

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.types import Array
-from ptnsbc_tools.verdict.track import Series, Track
+from ptnsbc_sim.verdict.track import Series, Track
 
 _ROWS = 1024  # of one piece of a track
 _NEVER = -(2**63)

@@ -7,8 +7,6 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from ptnsbc_core.agent import load_diagnostics
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.types import Array
@@ -19,11 +17,9 @@ from ptnsbc_nodes.comm.agent_messages import WORLD_FRAME, AgentMessages
 from ptnsbc_nodes.comm.tf import Transforms
 from ptnsbc_nodes.runtime import environment
 from ptnsbc_nodes.runtime.provenance import provenance
-from ptnsbc_sim import track as columns
 from ptnsbc_sim.swarm import HeadlessFlight
+from ptnsbc_sim.verdict.recording import FORMATION
 from ptnsbc_tools.reading.bag_sources import SCENARIO_ATTACHMENT
-from ptnsbc_tools.verdict import Recording, Series
-from ptnsbc_tools.verdict.recording import COUNTERS, FORMATION
 
 _STATUS_HZ = 5
 
@@ -32,38 +28,6 @@ Message = tuple[str, bytes]  # topic, CDR
 
 class BagSupportError(PtnsbcError):
     """The ROS message packages that a bag needs are missing."""
-
-
-def recording_of(flight: HeadlessFlight) -> Recording:
-    """The input of a verdict from a flight, without a bag."""
-    t_ns, track, rows = flight.t_ns, flight.track, list(enumerate(flight.scenario.uav_ids))
-    has_truth = bool(len(track.truth))
-    return Recording(
-        scenario=flight.scenario,
-        odometry={uav: Series(t_ns, track.odometry[:, row]) for row, uav in rows},
-        wrench={uav: Series(t_ns, track.wrench[:, row]) for row, uav in rows},
-        estimate={uav: Series(t_ns, track.estimate[:, row]) for row, uav in rows},
-        truth={uav: Series(t_ns, track.truth[:, row]) for row, uav in rows if has_truth},
-        counters={uav: _counters(flight, row) for row, uav in rows},
-        epochs=((int(t_ns[0]), FORMATION),),
-    )
-
-
-def _counters(flight: HeadlessFlight, row: int) -> Series:
-    """The counters of one UAV as /diagnostics would show them: cumulative, rounded to milliseconds."""
-    scenario = flight.scenario
-    log = flight.track.diagnostics[:, row]
-    dt = scenario.dt_ns * 1e-9
-    chosen = slice(None, None, max(scenario.control_hz // _STATUS_HZ, 1))
-    stamps = flight.t_ns[chosen]
-    values = {
-        "avoidance_active_s": np.round(np.cumsum(log[:, columns.ACTIVE_ROWS] > 0) * dt, 3)[chosen],
-        "saturated_s": np.round(np.cumsum(log[:, columns.SATURATED] > 0) * dt, 3)[chosen],
-        "holding_s": np.round(np.cumsum(log[:, columns.HOLDING] > 0) * dt, 3)[chosen],
-        "missed_ticks": np.zeros(stamps.size),
-        "priority_violation_max": np.maximum.accumulate(log[:, columns.PRIORITY_VIOLATION])[chosen],
-    }
-    return Series(stamps, np.stack([values[name] for name in COUNTERS], axis=1))
 
 
 class _MarkerWorld:

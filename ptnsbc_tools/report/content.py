@@ -17,12 +17,12 @@ import numpy as np
 from ptnsbc_core.trajectory import reference
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario.build import trajectory_vector
+from ptnsbc_sim.verdict import Series, Track
+from ptnsbc_sim.verdict.recording import NANO
 from ptnsbc_tools.plotting.chart import COLOURS, DARK_COLOURS, Chart, look
 from ptnsbc_tools.plotting.charts import charts, deadlines
 from ptnsbc_tools.plotting.flight import FlightView
 from ptnsbc_tools.plotting.thin import thin
-from ptnsbc_tools.verdict import Series, Track
-from ptnsbc_tools.verdict.recording import NANO
 
 _FRAME_HZ = 25  # the script interpolates between frames
 _MOST_POSES = 40_000  # frames times UAVs; 28 bytes each

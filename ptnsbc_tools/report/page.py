@@ -13,11 +13,11 @@ from typing import Any
 from rich.table import Table
 from rich.text import Text
 
+from ptnsbc_sim.verdict import Verdict
+from ptnsbc_sim.verdict.verdict import LegVerdict
 from ptnsbc_tools.plotting.flight import FlightView
 from ptnsbc_tools.report.content import compressed, content
 from ptnsbc_tools.tables import deadline_table, reasons, verdict_line, verdict_tables
-from ptnsbc_tools.verdict import Verdict
-from ptnsbc_tools.verdict.verdict import LegVerdict
 
 _SCRIPTS = ("data.js", "clock.js", "camera.js", "scene.js", "charts.js", "main.js")
 _NO_VERDICT = "none"

@@ -14,9 +14,9 @@ from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import Scenario, load_scenario
 from ptnsbc_sim.swarm import HeadlessFlight, fly
 from ptnsbc_sim.track import VELOCITY_ERROR
-from ptnsbc_tools.reading.headless import recording_of
-from ptnsbc_tools.verdict import Verdict, verdict_on
-from ptnsbc_tools.verdict.deadline import formation_errors
+from ptnsbc_sim.verdict import Verdict, verdict_on
+from ptnsbc_sim.verdict.deadline import formation_errors
+from ptnsbc_sim.verdict.headless import recording_of
 
 Setting = Mapping[str, Any]
 SCENARIOS = ("paper_5", "paper_5_free", "paper_20", "experiment_4", "experiment_4_calm")

@@ -265,7 +265,7 @@ class MavlinkFleet:
 
     def recording(self):
         """The flight as the recording of which a verdict is computed."""
-        from ptnsbc_tools.verdict import Recording, Series
+        from ptnsbc_sim.verdict import Recording, Series
 
         def series(pairs):
             return Series(np.array([t for t, _ in pairs]), np.array([v for _, v in pairs]))

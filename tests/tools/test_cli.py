@@ -12,11 +12,11 @@ from typer.testing import CliRunner
 from ptnsbc_io.bag import BagWriter, TopicInfo
 from ptnsbc_io.wire import HeaderTemplate, OdometryTemplate, WrenchTemplate
 from ptnsbc_nodes.comm import topics
+from ptnsbc_sim.verdict import Recording, Series
 from ptnsbc_tools import console
 from ptnsbc_tools.cli import app
 from ptnsbc_tools.console import COMPILING
 from ptnsbc_tools.reading.bag_sources import SCENARIO_ATTACHMENT
-from ptnsbc_tools.verdict import Recording, Series
 
 Fly = Callable[..., Recording]
 

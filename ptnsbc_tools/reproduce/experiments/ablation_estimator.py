@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ptnsbc_core.types import Array
+from ptnsbc_sim.verdict.deadline import TOLERANCE_M
 from ptnsbc_tools.reproduce import columns as col
 from ptnsbc_tools.reproduce.claims import FAILS, HOLDS
 from ptnsbc_tools.reproduce.columns import FlightColumn, flights_table
@@ -14,7 +15,6 @@ from ptnsbc_tools.reproduce.experiment_result import Claim, ExperimentResult, Fi
 from ptnsbc_tools.reproduce.figures import style
 from ptnsbc_tools.reproduce.flights import JudgedFlight, fly_judged
 from ptnsbc_tools.reproduce.output import ExperimentFolder, time_column
-from ptnsbc_tools.verdict.deadline import TOLERANCE_M
 
 _SHOWN_S = 15.0
 _FLOOR_M = 1e-6

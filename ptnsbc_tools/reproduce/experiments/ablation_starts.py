@@ -11,10 +11,10 @@ from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import agent_config
 from ptnsbc_sim.swarm import fly
 from ptnsbc_sim.track import ERROR
+from ptnsbc_sim.verdict.deadline import TOLERANCE_M
 from ptnsbc_tools.reproduce.experiment_result import Cell, Column, ExperimentResult, Table
 from ptnsbc_tools.reproduce.flights import PLANTS, TASKS, JudgedFlight, judge, scenario
 from ptnsbc_tools.reproduce.output import ExperimentFolder
-from ptnsbc_tools.verdict.deadline import TOLERANCE_M
 
 DRAWS = 6
 HALF_BOX_M, APART_M = 6.0, 1.0

@@ -14,6 +14,7 @@ from scipy.stats import maxwell
 from ptnsbc_sim.disturbances.build import position_noise_of
 from ptnsbc_sim.disturbances.position_noise import position_std_m
 from ptnsbc_sim.swarm import fly
+from ptnsbc_sim.verdict.deadline import TOLERANCE_M
 from ptnsbc_tools.reproduce import columns as col
 from ptnsbc_tools.reproduce.claims import experiment_claim
 from ptnsbc_tools.reproduce.columns import FlightColumn, flights_table
@@ -21,7 +22,6 @@ from ptnsbc_tools.reproduce.experiment_result import Cell, Column, ExperimentRes
 from ptnsbc_tools.reproduce.figures import paths, style
 from ptnsbc_tools.reproduce.flights import JudgedFlight, fly_judged, judge, scenario
 from ptnsbc_tools.reproduce.output import ExperimentFolder
-from ptnsbc_tools.verdict.deadline import TOLERANCE_M
 
 _DRIFT = "they start tilted by 1 rad, as printed, and drift 0.6 m until they are level"
 SNAPSHOTS_S = (0.0, 2.0, 23.0, 50.0)

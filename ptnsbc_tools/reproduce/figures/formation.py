@@ -10,12 +10,12 @@ from ptnsbc_core.tasks.registry import evaluate
 from ptnsbc_core.types import TASK_DISTANCE_ANGLES, Array
 from ptnsbc_sim.scenario import agent_config
 from ptnsbc_sim.scenario.build import reference_offset
+from ptnsbc_sim.verdict.deadline import TOLERANCE_M
 from ptnsbc_tools.reproduce.experiment_result import Figure
 from ptnsbc_tools.reproduce.figures import panels, style
 from ptnsbc_tools.reproduce.figures.panels import DEADLINE_NOTE
 from ptnsbc_tools.reproduce.flights import JudgedFlight
 from ptnsbc_tools.reproduce.output import ExperimentFolder, time_column
-from ptnsbc_tools.verdict.deadline import TOLERANCE_M
 
 _SHORTEST_ARM_M = 0.05
 _SHOWN = ("paper", "soft")

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 from ptnsbc_core.types import Array
+from ptnsbc_sim.verdict.encounters import ancestors
 from ptnsbc_tools.reproduce.figures import style
 from ptnsbc_tools.reproduce.flights import JudgedFlight
-from ptnsbc_tools.verdict.encounters import ancestors
 
 SPLIT_S = 6.0
 DEADLINE_NOTE = "upright line: the deadline"

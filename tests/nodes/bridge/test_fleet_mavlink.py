@@ -12,7 +12,7 @@ from ptnsbc_nodes.bridge.procedure.steps import Step
 from ptnsbc_sim.autopilot.faults import inject
 from ptnsbc_sim.autopilot.vehicle import COMPANION
 from ptnsbc_sim.scenario import load_scenario
-from ptnsbc_tools.verdict import verdict_on
+from ptnsbc_sim.verdict import verdict_on
 
 AUTOPILOTS = {"px4": "px4", "arducopter": "ardupilot", "stm32": "generic"}
 

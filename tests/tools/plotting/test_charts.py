@@ -10,6 +10,7 @@ import pytest
 from ptnsbc_nodes.uav.controller import StepTime
 from ptnsbc_nodes.uav.step_log import TickNote, UsedMessage
 from ptnsbc_sim.scenario import load_scenario
+from ptnsbc_sim.verdict import Series
 from ptnsbc_tools.plotting.charts import CHARTS, FLOOR_M, MOST_PAIRS, charts
 from ptnsbc_tools.plotting.flight import view_of
 from ptnsbc_tools.reading.diagnostics import (
@@ -18,7 +19,6 @@ from ptnsbc_tools.reading.diagnostics import (
     StatusCollector,
     StatusSeries,
 )
-from ptnsbc_tools.verdict import Series
 
 
 def drawn(recording, status=None):

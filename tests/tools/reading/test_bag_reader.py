@@ -19,9 +19,9 @@ from ptnsbc_io.bag.reader import find_problems
 from ptnsbc_io.bag.repair import repair
 from ptnsbc_io.wire import HeaderTemplate, OdometryTemplate, encode_near
 from ptnsbc_nodes.comm import topics
+from ptnsbc_sim.verdict import verdict_on
 from ptnsbc_tools.reading.bag_reader import read_recording
 from ptnsbc_tools.replay.rerun import rerun
-from ptnsbc_tools.verdict import verdict_on
 
 
 @pytest.fixture(scope="module")

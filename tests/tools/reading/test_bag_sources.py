@@ -9,9 +9,9 @@ import pytest
 
 from ptnsbc_io.bag import BagError, BagWriter, TopicInfo
 from ptnsbc_io.wire import OdometryTemplate
+from ptnsbc_sim.verdict import verdict_on
 from ptnsbc_tools.reading.bag_reader import ReadOptions, read_recording
 from ptnsbc_tools.reading.bag_sources import TopicNames, TopicPatternError
-from ptnsbc_tools.verdict import verdict_on
 
 rosbag2 = pytest.importorskip("rosbags.rosbag2")
 typesys = pytest.importorskip("rosbags.typesys")

@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from ptnsbc_sim.verdict import Series, Track
 from ptnsbc_tools.reading import disk_track
 from ptnsbc_tools.reading.disk_track import SampleFile, SampleFileError, TrackWriter
-from ptnsbc_tools.verdict import Series, Track
 
 STAMPS = st.lists(st.integers(-5, 60), min_size=1, max_size=60) | st.lists(
     st.integers(-(2**40), 2**40), min_size=1, max_size=60, unique=True

@@ -11,10 +11,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from ptnsbc_sim.verdict import Series
 from ptnsbc_tools.plotting.flight import view_of
 from ptnsbc_tools.reading.diagnostics import StatusSeries
 from ptnsbc_tools.report.content import Pack, content
-from ptnsbc_tools.verdict import Series
 
 SECOND = 10**9
 

@@ -11,10 +11,10 @@ import pytest
 from rich.table import Table
 from rich.text import Text
 
+from ptnsbc_sim.verdict import Series
 from ptnsbc_tools.plotting.flight import view_of
 from ptnsbc_tools.reading.diagnostics import StatusSeries
 from ptnsbc_tools.report.page import html_table, page
-from ptnsbc_tools.verdict import Series
 
 
 @pytest.fixture(autouse=True)

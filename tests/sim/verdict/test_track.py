@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ptnsbc_sim.scenario import load_scenario
-from ptnsbc_tools.verdict import figures, track, verdict_on
+from ptnsbc_sim.verdict import figures, track, verdict_on
 
 SUMS = ("rmse", "energy", "encounter_s", "inside")
 LEGS = ((0, "form"), (9 * 10**9, "form"), (17 * 10**9, "hold"))

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ptnsbc_tools.verdict import schema, verdict_on
+from ptnsbc_sim.verdict import schema, verdict_on
 
 ROOT = Path(__file__).parents[3]
 
@@ -17,7 +17,7 @@ ROOT = Path(__file__).parents[3]
 def test_committed_schema_is_that_of_the_code():
     committed = (ROOT / "docs" / "verdict.schema.json").read_text(encoding="utf-8")
     assert committed == schema.text(), (
-        "python -m ptnsbc_tools.verdict.schema > docs/verdict.schema.json"
+        "python -m ptnsbc_sim.verdict.schema > docs/verdict.schema.json"
     )
 
 

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ptnsbc_tools.verdict import Recording, Series, verdict_on
+from ptnsbc_sim.verdict import Recording, Series, verdict_on
 
 Fly = Callable[..., Recording]
 EVERY = 2  # 50 Hz of a vehicle in a scenario with 100 Hz of control

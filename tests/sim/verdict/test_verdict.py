@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from ptnsbc_sim.scenario import load_scenario
+from ptnsbc_sim.verdict import Recording, VerdictError, verdict_on
+from ptnsbc_sim.verdict.recording import COUNTERS
+from ptnsbc_sim.verdict.verdict import Verdict
 from ptnsbc_tools.tables import reasons, verdict_line, verdict_tables
-from ptnsbc_tools.verdict import Recording, VerdictError, verdict_on
-from ptnsbc_tools.verdict.recording import COUNTERS
-from ptnsbc_tools.verdict.verdict import Verdict
 
 Fly = Callable[..., Recording]
 NEVER = np.zeros_like
