@@ -26,7 +26,7 @@ class SweepError(PtnsbcError):
 
 
 @dataclass(frozen=True)
-class Axis:
+class SweepAxis:
     """A dotted key of the scenario (`gains.formation.deadline_s`, `uavs[0].position_m[2]`) that varies."""
 
     key: str
@@ -46,7 +46,7 @@ class Axis:
         return float(first + second * ndtri(max(share, _LEAST)))
 
 
-def parse_axis(text: str) -> Axis:
+def parse_axis(text: str) -> SweepAxis:
     """An axis from KEY=LO:HI (uniform), KEY=MEAN±SIGMA (normal), KEY=LO:HI:N (grid) or KEY=A,B,C (list)."""
     key, found, value = text.partition("=")
     key = key.strip()
@@ -55,18 +55,18 @@ def parse_axis(text: str) -> Axis:
             f'vary "{text}": expected KEY=LO:HI, KEY=MEAN±SIGMA, KEY=LO:HI:N or KEY=A,B,C'
         )
     if match := _GRID.fullmatch(value):
-        return Axis(key, VALUES, _grid(text, match))
+        return SweepAxis(key, VALUES, _grid(text, match))
     if match := _RANGE.fullmatch(value):
         low, high = float(match[1]), float(match[2])
         if not low < high:
             raise SweepError(f'vary "{text}": expected LO below HI')
-        return Axis(key, UNIFORM, (low, high))
+        return SweepAxis(key, UNIFORM, (low, high))
     if match := _NORMAL.fullmatch(value):
         if not float(match[2]) > 0.0:
             raise SweepError(f'vary "{text}": expected a standard deviation above 0')
-        return Axis(key, NORMAL, (float(match[1]), float(match[2])))
+        return SweepAxis(key, NORMAL, (float(match[1]), float(match[2])))
     listed = parse(f"values: [{value}]", f'vary "{text}"')["values"]
-    return Axis(key, VALUES, tuple(listed))
+    return SweepAxis(key, VALUES, tuple(listed))
 
 
 def _grid(text: str, match: re.Match[str]) -> tuple[float | int, ...]:

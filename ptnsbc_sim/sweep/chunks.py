@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING, Any
 from ptnsbc_core.compile_cache import source_digest
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_sim.scenario.units import unit_of
-from ptnsbc_sim.sweep.axes import Axis, SweepError
+from ptnsbc_sim.sweep.axes import SweepAxis, SweepError
 from ptnsbc_sim.sweep.family import family_columns, family_from_text
 from ptnsbc_sim.sweep.plan import SweepPlan, Value
-from ptnsbc_sim.sweep.rows import UNITS, Row, fly_draw
+from ptnsbc_sim.sweep.rows import UNITS, SweepRow, fly_draw
 from ptnsbc_sim.track import FlightTrack
 
 if TYPE_CHECKING:
@@ -56,7 +56,7 @@ def fly_chunk(plan_json: str, index: int) -> bytes:
         SweepError: a draw that cannot be flown, named.
     """
     plan = _plan(plan_json)
-    rows: list[Row] = []
+    rows: list[SweepRow] = []
     drawn: list[Mapping[str, Value]] = []
     room: FlightTrack | None = None
     for k in chunk_draws(plan, index):
@@ -84,7 +84,7 @@ def schema(plan: SweepPlan) -> pa.Schema:
         pa.field(name, types[kind], metadata=_unit(unit_of(name.rpartition(".")[2]) or ""))
         for name, kind in drawn_columns(plan).items()
     ]
-    for field in fields(Row):
+    for field in fields(SweepRow):
         kind = str(field.type).partition(" ")[0]
         columns.append(pa.field(field.name, types[kind], metadata=_unit(UNITS[field.name])))
     return pa.schema(
@@ -99,7 +99,7 @@ def drawn_columns(plan: SweepPlan) -> dict[str, str]:
     return {f"{DRAWN}{key}": kind for key, kind in found.items()}
 
 
-def _kind(axis: Axis) -> str:
+def _kind(axis: SweepAxis) -> str:
     kinds = {type(value) for value in axis.values}
     if axis.random or (kinds <= {int, float} and kinds != {int}):
         return "float"
@@ -124,7 +124,9 @@ def _versions(packages: Sequence[str]) -> Iterable[tuple[str, str]]:
             continue
 
 
-def _table(plan: SweepPlan, rows: Sequence[Row], drawn: Sequence[Mapping[str, Value]]) -> pa.Table:
+def _table(
+    plan: SweepPlan, rows: Sequence[SweepRow], drawn: Sequence[Mapping[str, Value]]
+) -> pa.Table:
     import pyarrow as pa
 
     columns: dict[str, list[Any]] = {
@@ -132,7 +134,7 @@ def _table(plan: SweepPlan, rows: Sequence[Row], drawn: Sequence[Mapping[str, Va
         for name, kind in drawn_columns(plan).items()
     }
     figures = list(zip(*(astuple(row) for row in rows), strict=True))
-    names = (field.name for field in fields(Row))
+    names = (field.name for field in fields(SweepRow))
     columns |= {name: list(values) for name, values in zip(names, figures, strict=True)}
     return pa.table(columns, schema=schema(plan))
 

@@ -26,7 +26,7 @@ from ptnsbc_sim.scenario.model import ScenarioFile
 from ptnsbc_sim.scenario.problems import ScenarioError, scenario_error
 from ptnsbc_sim.scenario.scenario import completed
 from ptnsbc_sim.scenario.semantics import checked
-from ptnsbc_sim.sweep.axes import Axis, SweepError
+from ptnsbc_sim.sweep.axes import SweepAxis, SweepError
 from ptnsbc_sim.sweep.family import Family, draw_family, family_from_text
 from ptnsbc_sim.sweep.starts import FROM_FILE, Starts, with_starts
 
@@ -49,7 +49,7 @@ class SweepPlan:
     runs: int
     """Flights of each cell of the grid; of all, when there is no grid."""
     seed: int = 0
-    axes: tuple[Axis, ...] = ()
+    axes: tuple[SweepAxis, ...] = ()
     latin: bool = False
     """Draw the ranges from one Latin hypercube over all draws."""
     starts: Starts = FROM_FILE
@@ -62,12 +62,12 @@ class SweepPlan:
     """Where the base scenario comes from, for messages."""
 
     @property
-    def grid(self) -> tuple[Axis, ...]:
+    def grid(self) -> tuple[SweepAxis, ...]:
         """The axes whose values make the grid."""
         return tuple(axis for axis in self.axes if not axis.random)
 
     @property
-    def ranges(self) -> tuple[Axis, ...]:
+    def ranges(self) -> tuple[SweepAxis, ...]:
         """The axes that are drawn for every flight."""
         return tuple(axis for axis in self.axes if axis.random)
 
@@ -93,7 +93,7 @@ class SweepPlan:
         if plain.pop("format", None) != FORMAT:
             raise SweepError(f"plan of another format: expected format {FORMAT}")
         plain["axes"] = tuple(
-            Axis(axis["key"], axis["kind"], tuple(axis["values"])) for axis in plain["axes"]
+            SweepAxis(axis["key"], axis["kind"], tuple(axis["values"])) for axis in plain["axes"]
         )
         plain["starts"] = Starts(plain["starts"]["kind"], tuple(plain["starts"]["numbers"]))
         return cls(**plain)

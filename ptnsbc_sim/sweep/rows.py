@@ -16,7 +16,7 @@ from ptnsbc_sim.verdict.recording import counter_rise
 
 
 @dataclass(frozen=True)
-class Row:
+class SweepRow:
     """The figures of one UAV in one flight; times in seconds after the start, None: there is no such figure."""
 
     draw: int
@@ -50,14 +50,14 @@ _UNITS = {"_n2_s": "N^2 s", "_m": "m", "_s": "s", "_n": "N"}
 
 UNITS: dict[str, str] = {
     field.name: next((unit for end, unit in _UNITS.items() if field.name.endswith(end)), "")
-    for field in fields(Row)
+    for field in fields(SweepRow)
 }
 """Unit of each column; empty for words and numbers without one."""
 
 
 def fly_draw(
     plan: SweepPlan, k: int, room: FlightTrack | None = None
-) -> tuple[list[Row], Mapping[str, Value], FlightTrack]:
+) -> tuple[list[SweepRow], Mapping[str, Value], FlightTrack]:
     """Fly draw k of a plan.
 
     Args:
@@ -73,7 +73,7 @@ def fly_draw(
     return rows_of(k, scenario, recording_of(flight)), values, flight.track
 
 
-def rows_of(draw: int, scenario: Scenario, recording: Recording) -> list[Row]:
+def rows_of(draw: int, scenario: Scenario, recording: Recording) -> list[SweepRow]:
     """The rows of one flight."""
     verdict, errors = verdict_and_errors(recording)
     efforts = {one.uav: one for one in verdict.efforts}
@@ -84,7 +84,7 @@ def rows_of(draw: int, scenario: Scenario, recording: Recording) -> list[Row]:
         begin_ns, end_ns = recording.start_ns, recording.end_ns
         room = near[one.uav]
         rows.append(
-            Row(
+            SweepRow(
                 draw=draw,
                 uav=one.uav,
                 verdict=one.verdict,

@@ -16,7 +16,7 @@ from ptnsbc_sim.sweep import SweepError, SweepPlan, draw, parse_axis, parse_star
 from ptnsbc_sim.sweep import chunks as chunks_module
 from ptnsbc_sim.sweep.chunks import CHUNK_DRAWS, chunk_count, fly_chunk
 from ptnsbc_sim.sweep.plan import plan_of
-from ptnsbc_sim.sweep.rows import UNITS, Row, rows_of
+from ptnsbc_sim.sweep.rows import UNITS, SweepRow, rows_of
 from ptnsbc_sim.verdict.headless import recording_of
 
 pq = pytest.importorskip("pyarrow.parquet")
@@ -57,7 +57,7 @@ def test_a_row_has_the_figures_of_the_headless_flight(changes: dict) -> None:
     for k in range(4):
         scenario = draw(plan, k)
         expected += rows_of(k, scenario, recording_of(fly(scenario)))
-    names = [field.name for field in fields(Row)]
+    names = [field.name for field in fields(SweepRow)]
     assert table == [{name: getattr(row, name) for name in names} for row in expected]
 
 
