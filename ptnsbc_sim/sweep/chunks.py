@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from ptnsbc_core.compile_cache import source_digest
 from ptnsbc_core.errors import PtnsbcError
-from ptnsbc_sim.scenario.units import unit_of
+from ptnsbc_sim.scenario.fields import unit_of
 from ptnsbc_sim.sweep.axes import SweepAxis, SweepError
 from ptnsbc_sim.sweep.family import family_columns, family_from_text
 from ptnsbc_sim.sweep.plan import SweepPlan, Value
