@@ -10,7 +10,7 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
-from bench.session import Plan, say
+from bench.session import Plan, print_progress
 from bench.table import Row, Target
 
 _CORES = 2
@@ -23,7 +23,7 @@ def measure(plan: Plan) -> Sequence[Row]:
     try:
         import pyarrow  # noqa: F401
     except ImportError:
-        say("sweep: pyarrow is not installed, skipped")
+        print_progress("sweep: pyarrow is not installed, skipped")
         return []
     runs = plan.of(1000, 100)
     _swept(50)  # compiled or loaded before it counts

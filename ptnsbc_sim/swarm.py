@@ -131,10 +131,9 @@ def inputs_of(
         if disturbances is not None:
             sent = disturbances.received[tick, row, 2 + k]
         ages[k] = _age(tick, sent, wiring.dt_ns)
-        if sent >= 0:
-            store(estimates[k], 0, track.estimate[sent, wiring.neighbours[row, k]])
-        else:
-            store(estimates[k], 0, swarm.nothing)
+        sender = wiring.neighbours[row, k]
+        for i in range(ODOMETRY_SIZE):
+            estimates[k, i] = track.estimate[sent, sender, i] if sent >= 0 else 0.0
     pinned = wiring.pinned[row] > 0
     behind = tick % wiring.near_every
     return AgentInputs(
@@ -252,6 +251,7 @@ def _fly(
             inputs = inputs_of(swarm, wiring, track, tick, row, disturbances)
             swarm.states[row], out = step(swarm.states[row], inputs, t, dt, swarm.configs[row])
             note(track, tick, row, out)
+        for row in range(swarm.bodies.shape[0]):  # apart: the code of both does not fit the cache
             advance_plant(swarm, wiring, track, tick, row, disturbances)
 
 
