@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from ptnsbc_tools.plotting.flight import read_view, view_of
-from ptnsbc_tools.reading.bag_reader import ReadOptions
+from ptnsbc_tools.reading.bag_reader import ReadOptions, read_recording
 from ptnsbc_tools.reading.diagnostics import StatusSeries
 from ptnsbc_tools.report.page import page
 
@@ -212,7 +212,7 @@ def test_without_script_the_verdict_is_there(tab: Any) -> None:
 
 
 def test_a_flight_without_odometry_has_a_page_too(tab: Any, tmp_path: Path) -> None:
-    recording = replace(ReadOptions().read(SAMPLE), odometry={}, wrench={}, counters={})
+    recording = replace(read_recording(SAMPLE), odometry={}, wrench={}, counters={})
     file = tmp_path / "index.html"
     file.write_text(page(view_of(recording, StatusSeries()), {}), encoding="utf-8")
     one = tab(file.as_uri())
