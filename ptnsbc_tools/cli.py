@@ -14,6 +14,7 @@ from ptnsbc_tools.commands import bag, network
 from ptnsbc_tools.commands.autopilot import autopilot
 from ptnsbc_tools.commands.bridge import bridge
 from ptnsbc_tools.commands.check import check
+from ptnsbc_tools.commands.compare import compare
 from ptnsbc_tools.commands.demo import demo
 from ptnsbc_tools.commands.fleet import fleet
 from ptnsbc_tools.commands.node import SETTINGS, node
@@ -25,6 +26,7 @@ from ptnsbc_tools.commands.report import report
 from ptnsbc_tools.commands.reproduce import reproduce
 from ptnsbc_tools.commands.simulate import simulate
 from ptnsbc_tools.commands.stop import stop
+from ptnsbc_tools.commands.sweep import sweep
 from ptnsbc_tools.commands.verify import verify
 
 _REFUSED, _INTERRUPTED = 2, 130
@@ -82,6 +84,8 @@ def _main(
 
 app.command()(check)
 app.command()(simulate)
+app.command()(sweep)
+app.command()(compare)
 app.command()(verify)
 app.command()(fleet)
 app.command()(demo)

@@ -67,7 +67,8 @@ def _table(title: str, left: Iterable[str], right: _Columns = ()) -> Table:
     return table
 
 
-def _word(kind: str) -> Text:
+def word(kind: str) -> Text:
+    """A verdict or a severity in its colour."""
     return Text(kind, style=_COLOURS[kind])
 
 
@@ -75,7 +76,7 @@ def findings_table(name: str, findings: Iterable[Finding]) -> Table:
     """The findings of the pre-flight check, the worst first."""
     table = _table(f"Pre-flight check of {name}", ("", "key", "found", "limit", "change"))
     for one in findings:
-        table.add_row(_word(one.severity), one.key, one.value, one.limit, one.advice)
+        table.add_row(word(one.severity), one.key, one.value, one.limit, one.advice)
     return table
 
 
@@ -84,7 +85,7 @@ def deadline_table(verdict: Verdict) -> Table:
     title = f"{verdict.scenario}: {verdict.plant}, {verdict.task}, profile {verdict.profile}"
     table = _table(title, ("UAV", "deadline"), _DEADLINE)
     for one in verdict.uavs:
-        table.add_row(str(one.uav), _word(one.verdict), *_numbers(one, _DEADLINE))
+        table.add_row(str(one.uav), word(one.verdict), *_numbers(one, _DEADLINE))
     return table
 
 
@@ -112,9 +113,9 @@ def reasons(verdict: Verdict) -> list[Text]:
         of_leg = f"leg {leg.number} from {leg.epoch_s - verdict.epoch_s:.2f} s, "
         where = of_leg if len(verdict.legs) > 1 else ""
         if leg.reason:
-            found.append(Text.assemble(where, _word(leg.verdict), f": {leg.reason}"))
+            found.append(Text.assemble(where, word(leg.verdict), f": {leg.reason}"))
         found += [
-            Text.assemble(where, f"UAV {one.uav} ", _word(one.verdict), f": {one.reason}")
+            Text.assemble(where, f"UAV {one.uav} ", word(one.verdict), f": {one.reason}")
             for one in leg.uavs
             if one.reason
         ]
@@ -142,7 +143,7 @@ def verdict_line(verdict: Verdict) -> Text:
     if verdict.latency_ms:
         figures = ", ".join(f"{key} {value:.1f} ms" for key, value in verdict.latency_ms.items())
         tail += f"; latency {figures}"
-    return Text.assemble("Verdict: ", _word(verdict.verdict), f" ({tail})")
+    return Text.assemble("Verdict: ", word(verdict.verdict), f" ({tail})")
 
 
 def show_verdict(verdict: Verdict, *, json: bool, **extra: Any) -> None:

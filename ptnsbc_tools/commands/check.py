@@ -44,8 +44,8 @@ def check(
     refuse(chosen, findings)
 
 
-def preflight(scenario: Scenario, *, quiet: bool) -> None:
-    """Check a scenario before a flight: show warnings, raise on errors."""
+def preflight(scenario: Scenario, *, quiet: bool, refusing: bool = True) -> None:
+    """Check a scenario before a flight: show warnings, and raise on errors where `refusing`."""
     from ptnsbc_tools.check import INFO, check, refuse
     from ptnsbc_tools.tables import findings_table
 
@@ -54,4 +54,5 @@ def preflight(scenario: Scenario, *, quiet: bool) -> None:
     warnings = [finding for finding in findings if finding.severity != INFO]
     if warnings and not quiet:
         console.err().print(findings_table(scenario.name, warnings))
-    refuse(scenario, findings)
+    if refusing:
+        refuse(scenario, findings)

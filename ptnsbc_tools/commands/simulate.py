@@ -2,15 +2,27 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
 import typer
 
 from ptnsbc_tools import console, options
 from ptnsbc_tools.commands.check import preflight
 
+if TYPE_CHECKING:
+    from ptnsbc_sim.scenario import Scenario
+
 
 def simulate(
     context: typer.Context,
-    scenario: options.ScenarioArgument,
+    scenario: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="[SCENARIO]",
+            help="A scenario file, or a name such as paper_5; or --sweep and --draw.",
+        ),
+    ] = None,
     plant: options.PlantOption = None,
     task: options.TaskOption = None,
     profile: options.ProfileOption = None,
@@ -18,6 +30,14 @@ def simulate(
     seed: options.SeedOption = None,
     duration: options.DurationOption = None,
     settings: options.SetOption = None,
+    sweep: Annotated[
+        Path | None,
+        typer.Option("--sweep", metavar="DIR", help="Fly a draw of the sweep in this folder."),
+    ] = None,
+    draw: Annotated[
+        int | None,
+        typer.Option("--draw", metavar="K", min=0, help="The draw to fly; with --sweep."),
+    ] = None,
     bag: options.BagOption = None,
     overwrite: options.OverwriteOption = False,
     json: options.JsonOption = False,
@@ -29,8 +49,11 @@ def simulate(
     from ptnsbc_tools.reading.headless import prepare_bag, write_flight
     from ptnsbc_tools.tables import show_verdict
 
-    chosen = options.chosen(context)
-    preflight(chosen, quiet=json)
+    if sweep is None and draw is None and scenario is not None:
+        chosen = options.chosen(context)
+    else:
+        chosen = _drawn(context, scenario, sweep, draw)
+    preflight(chosen, quiet=json, refusing=sweep is None)
     if bag is not None:
         prepare_bag(bag, overwrite=overwrite)
 
@@ -47,3 +70,20 @@ def simulate(
     verdict = verdict_on(recording_of(flight))
     show_verdict(verdict, json=json, bag=bag)
     raise typer.Exit(verdict.exit_code)
+
+
+def _drawn(
+    context: typer.Context, scenario: str | None, sweep: Path | None, draw: int | None
+) -> Scenario:
+    """The scenario of a draw, with the overrides of the options."""
+    from ptnsbc_sim.scenario import scenario_from_text
+    from ptnsbc_sim.sweep import SweepError
+    from ptnsbc_sim.sweep import draw as draw_of
+    from ptnsbc_tools.sweeps.table import plan_in
+
+    if scenario is not None or sweep is None or draw is None:
+        raise SweepError("expected a SCENARIO, or --sweep DIR and --draw K")
+
+    found = draw_of(plan_in(sweep), draw)
+    given = options.overrides(**context.params)
+    return scenario_from_text(found.text, given, source=found.source) if given else found

@@ -36,7 +36,8 @@ def _style(of: Look) -> dict[str, Any]:
     return {"color": COLOURS[of.colour], "linestyle": DASHES[of.dash]}
 
 
-def _figure(size_in: tuple[float, float]) -> Any:
+def blank_figure(size_in: tuple[float, float]) -> Any:
+    """A Matplotlib figure without axes."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -76,7 +77,7 @@ def _draw_chart(axes: Any, chart: Chart) -> None:
 
 def figure_of(chart: Chart, heading: str) -> Any:
     """A Matplotlib figure of one chart."""
-    figure = _figure(_SIZE_IN)
+    figure = blank_figure(_SIZE_IN)
     axes = figure.add_subplot()
     _draw_chart(axes, chart)
     axes.set_title(f"{heading}: {chart.title}", fontsize=10)
@@ -150,7 +151,7 @@ def draw_flight(recording: Recording, path: Path, tolerance: float | None = None
     forms = range(len(recording.forms))
     legs = [leg for number in forms if (leg := replace(recording, leg=number)).samples > 1]
     positions = _paths(legs)
-    figure = _figure((12, 9))
+    figure = blank_figure((12, 9))
     panels = figure.add_gridspec(2, 2, height_ratios=(3, 2))
     _from_above(figure.add_subplot(panels[0, 0]), recording, positions)
     _in_space(figure.add_subplot(panels[0, 1], projection="3d"), recording, positions)

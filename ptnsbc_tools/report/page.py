@@ -24,7 +24,8 @@ _NO_VERDICT = "none"
 _WORDS = ("met", "missed", "void", "error", "warning")
 
 
-def _asset(name: str) -> str:
+def asset(name: str) -> str:
+    """The text of a file in assets/."""
     return files(__package__).joinpath("assets", name).read_text("utf-8")
 
 
@@ -116,7 +117,7 @@ def page(flight: FlightView, about: Mapping[str, str]) -> str:
         deadlines = "".join(_leg_table(verdict, leg) for leg in verdict.legs)
         tables = "".join(html_table(table) for table in others)
     recorded = "\n".join(f"{key}: {value}" for key, value in sorted(about.items()))
-    return Template(_asset("page.html")).substitute(
+    return Template(asset("page.html")).substitute(
         {
             "title": f"{escape(name)} – flight report",
             "heading": escape(name),
@@ -130,7 +131,7 @@ def page(flight: FlightView, about: Mapping[str, str]) -> str:
             + _details("Scenario", flight.scenario.text),
             "data": content(flight),
             "plotly": _plotly(),
-            "style": _asset("style.css"),
-            "script": "\n".join(_asset(name) for name in _SCRIPTS),
+            "style": asset("style.css"),
+            "script": "\n".join(asset(name) for name in _SCRIPTS),
         }
     )

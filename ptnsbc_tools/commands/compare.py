@@ -1,0 +1,82 @@
+"""`ptnsbc compare`: two sweeps, or two recorded flights, side by side."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ptnsbc_tools import console, options
+
+if TYPE_CHECKING:
+    from ptnsbc_tools.sweeps.table import FlightTable
+
+_WORSE = 1
+
+
+def compare(
+    a: Annotated[Path, typer.Argument(metavar="A", help="Folder of a sweep, or a bag.")],
+    b: Annotated[Path, typer.Argument(metavar="B", help="Another one of the same kind.")],
+    margin: Annotated[
+        float,
+        typer.Option(
+            "--margin", metavar="M", min=0.0, help="An error that grew by less is not worse."
+        ),
+    ] = 0.001,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the bootstrap.")] = 0,
+    json: options.JsonOption = False,
+) -> None:
+    """Say whether B is worse than A: what was met and the errors, paired by draw, with intervals.
+
+    B is worse when it meets the deadline in fewer flights, or when the largest error after the deadline
+    has grown in the median, and that is no chance at 5 %. Exit code 0: B is not worse. 1: B is worse.
+    2: the two cannot be compared.
+    """
+    from ptnsbc_tools.sweeps import comparison
+
+    with console.patience("reading"):
+        first, second = _both(a, b)
+    found = comparison.compare(first, second, margin_m=margin, seed=seed)
+    if json:
+        console.print_json({"a": str(a), "b": str(b), **comparison.as_json(found)})
+    else:
+        out = console.out()
+        for table in comparison.tables(found):
+            out.print(table)
+        out.print(comparison.line(found), soft_wrap=True)
+    if found.worse:
+        raise typer.Exit(_WORSE)
+
+
+def _both(a: Path, b: Path) -> tuple[FlightTable, FlightTable]:
+    from ptnsbc_sim.sweep.runner import PLAN
+    from ptnsbc_tools.sweeps.comparison import ComparisonError, same_draws
+    from ptnsbc_tools.sweeps.table import read_sweep
+
+    for path in (a, b):
+        if not path.exists():
+            raise ComparisonError(f"{path}: no such sweep or bag")
+    kinds = {(path / PLAN).is_file() for path in (a, b)}
+    if len(kinds) > 1:
+        raise ComparisonError(f"{a}, {b}: expected two sweeps or two bags")
+    if kinds == {False}:
+        return _flight(a), _flight(b)
+    sweeps = read_sweep(a), read_sweep(b)
+    same_draws(sweeps[0].plan, sweeps[1].plan)
+    return sweeps[0].table, sweeps[1].table
+
+
+def _flight(bag: Path) -> FlightTable:
+    from ptnsbc_sim.sweep.rows import rows_of
+    from ptnsbc_tools.reading.bag_reader import read_recording
+    from ptnsbc_tools.sweeps.comparison import ComparisonError
+    from ptnsbc_tools.sweeps.table import table_of
+
+    recording = read_recording(bag)
+    lacking = [uav for uav in recording.scenario.uav_ids if uav not in recording.counters]
+    if lacking:
+        raise ComparisonError(
+            f"{bag}: /diagnostics lacks UAV {lacking[0]}: expected a whole flight"
+        )
+    return table_of(rows_of(0, recording.scenario, recording))

@@ -1,0 +1,197 @@
+"""Figures of a sweep by Matplotlib: success against what was drawn, heat maps, distributions."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ptnsbc_core.types import Array
+from ptnsbc_sim.scenario.fields import unit_of
+from ptnsbc_tools.plotting.chart import COLOURS, GOOD, OBSTACLE
+from ptnsbc_tools.plotting.draw import blank_figure
+from ptnsbc_tools.sweeps.share import share_of
+from ptnsbc_tools.sweeps.table import Column, FlownSweep
+
+_MOST_BINS = 8
+_LEAST_IN_BIN = 10
+_MOST_MAPS = 3
+_FEW = 12  # so many different values are shown one by one
+_MAP_BINS = 6
+_HISTOGRAM_BINS = 40
+_SIZE_IN = (6.4, 4.0)
+START_ERROR = "largest start error [m]"
+
+
+@dataclass(frozen=True)
+class DrawnAxis:
+    """What was drawn for each flight, in groups that are shown side by side."""
+
+    name: str
+    labels: tuple[str, ...]
+    centres: Array  # (G,) where each group is shown
+    group: NDArray[np.int64]  # (D,)
+
+    @property
+    def words(self) -> bool:
+        """Whether the groups are named, not placed."""
+        return np.array_equal(self.centres, np.arange(len(self.labels)))
+
+
+@dataclass(frozen=True)
+class SweepFigure:
+    """A figure and the name of its file."""
+
+    name: str
+    caption: str
+    figure: Any
+
+
+def grouped(name: str, values: Column, most: int = _MOST_BINS) -> DrawnAxis | None:
+    """The flights in groups of one value, or of one bin with as many flights as the others.
+
+    None when all values are the same.
+    """
+    if values.dtype.kind == "f":
+        values = np.where(np.isfinite(values), values, np.nan)
+        if np.isnan(values).any():
+            return None
+    distinct, group = np.unique(values, return_inverse=True)
+    if len(distinct) < 2:
+        return None
+    if values.dtype.kind not in "fiu":
+        labels = tuple(str(one) for one in distinct)
+        return DrawnAxis(name, labels, np.arange(len(distinct), dtype=np.float64), group)
+    if len(distinct) <= min(_FEW, max(len(values) // 3, 2)):
+        labels = tuple(f"{one:g}" for one in distinct)
+        return DrawnAxis(name, labels, distinct.astype(np.float64), group)
+    bins = min(max(len(values) // _LEAST_IN_BIN, 1), most)
+    order = np.argsort(values, kind="stable")
+    group = np.empty(len(values), dtype=np.int64)
+    group[order] = np.arange(len(values)) * bins // len(values)
+    inside = [values[group == one] for one in range(bins)]
+    labels = tuple(f"{part.min():.3g} to {part.max():.3g}" for part in inside)
+    return DrawnAxis(name, labels, np.array([np.mean(part) for part in inside]), group)
+
+
+def _label(key: str) -> str:
+    unit = unit_of(key.rpartition(".")[2])
+    return f"{key} [{unit}]" if unit else key
+
+
+def drawn_axes(sweep: FlownSweep, most: int = _MOST_BINS) -> list[DrawnAxis]:
+    """Everything that differs between the flights: the axes of the plan first, the start error last."""
+    drawn = sweep.table.drawn
+    keys = [axis.key for axis in sweep.plan.axes]
+    keys += [key for key in drawn if key not in keys]
+    found = [grouped(_label(key), drawn[key], most) for key in keys]
+    found.append(grouped(START_ERROR, sweep.table.flights.start_error_m, most))
+    return [one for one in found if one is not None]
+
+
+def _against(sweep: FlownSweep, axis: DrawnAxis) -> Any:
+    met = sweep.table.flights.met
+    shares = [share_of(met[axis.group == one]) for one in range(len(axis.labels))]
+    values = np.array([one.value for one in shares])
+    reach = [
+        [max(one.value - one.low, 0.0) for one in shares],
+        [max(one.high - one.value, 0.0) for one in shares],
+    ]
+    figure = blank_figure(_SIZE_IN)
+    axes = figure.add_subplot()
+    axes.errorbar(axis.centres, values, yerr=reach, fmt="o", capsize=3, color=COLOURS[0])
+    if axis.words:
+        axes.set_xticks(axis.centres, axis.labels)
+    axes.set(xlabel=axis.name, ylabel="share of flights met", ylim=(-0.03, 1.03))
+    axes.set_title(f"{sweep.plan.name}: bars are Wilson intervals at 95 %", fontsize=9)
+    axes.grid(alpha=0.3)
+    return figure
+
+
+def _heat_map(sweep: FlownSweep, first: DrawnAxis, second: DrawnAxis) -> Any:
+    met = sweep.table.flights.met
+    shape = (len(second.labels), len(first.labels))
+    flown, kept = np.zeros(shape), np.zeros(shape)
+    np.add.at(flown, (second.group, first.group), 1)
+    np.add.at(kept, (second.group, first.group), met)
+    with np.errstate(invalid="ignore"):
+        shares = kept / flown
+    figure = blank_figure((7.0, 5.0))
+    axes = figure.add_subplot()
+    image = axes.imshow(shares, origin="lower", aspect="auto", cmap="viridis", vmin=0, vmax=1)
+    for (row, column), count in np.ndenumerate(flown):
+        if count:
+            shown = f"{kept[row, column]:.0f}/{count:.0f}"
+            colour = "black" if shares[row, column] > 0.6 else "white"
+            axes.text(column, row, shown, ha="center", va="center", fontsize=7, color=colour)
+    axes.set_xticks(range(shape[1]), first.labels, rotation=30, ha="right", fontsize=7)
+    axes.set_yticks(range(shape[0]), second.labels, fontsize=7)
+    axes.set(xlabel=first.name, ylabel=second.name)
+    axes.set_title(f"{sweep.plan.name}: flights met of flights flown", fontsize=9)
+    figure.colorbar(image, label="share of flights met")
+    return figure
+
+
+def _pairs(sweep: FlownSweep) -> list[tuple[DrawnAxis, DrawnAxis]]:
+    """The axes of the plan two by two; without two of them those with the largest effect."""
+    axes = drawn_axes(sweep, _MAP_BINS)
+    keys = {_label(axis.key) for axis in sweep.plan.axes}
+    own = [axis for axis in axes if axis.name in keys]
+    if len(own) < 2:
+        met = sweep.table.flights.met
+
+        def effect(axis: DrawnAxis) -> float:
+            means = [met[axis.group == one].mean() for one in range(len(axis.labels))]
+            return float(max(means) - min(means))
+
+        others = sorted((one for one in axes if one not in own), key=effect, reverse=True)
+        own = [*own, *others][:2]
+    return list(combinations(own, 2))[:_MOST_MAPS]
+
+
+def _histogram(axes: Any, values: Array, label: str, *, limit: float | None, name: str) -> None:
+    kept = values[np.isfinite(values)]
+    if len(kept):
+        axes.hist(kept, bins=_HISTOGRAM_BINS, color=COLOURS[0], alpha=0.8)
+    if limit is not None:
+        axes.axvline(limit, color=GOOD, linewidth=1.2)
+        axes.annotate(name, (limit, 1.0), xycoords=("data", "axes fraction"), xytext=(3, -9),
+                      textcoords="offset points", fontsize=7)  # fmt: skip
+    left_out = len(values) - len(kept)
+    axes.set_xlabel(label if not left_out else f"{label}; {left_out} without", fontsize=8)
+    axes.grid(alpha=0.3, color=OBSTACLE)
+
+
+def _distributions(sweep: FlownSweep) -> Any:
+    table, flights = sweep.table, sweep.table.flights
+    obstacles = bool(np.isfinite(flights.closest_obstacle_m).any())
+    figure = blank_figure((11.0 if obstacles else 8.0, 3.4))
+    panels: Sequence[Any] = figure.subplots(1, 3 if obstacles else 2)
+    share = table["settling_s"] / table["deadline_s"]
+    _histogram(panels[0], share, "settled, in deadlines", limit=1.0, name="deadline")
+    panels[0].set_ylabel("UAVs", fontsize=8)
+    closest = flights.closest_uav_m
+    _histogram(panels[1], closest, "closest pair of UAVs [m]", limit=None, name="")
+    panels[1].set_ylabel("flights", fontsize=8)
+    if obstacles:
+        room = flights.closest_obstacle_m
+        _histogram(panels[2], room, "room to the closest obstacle [m]", limit=0.0, name="keep-out")
+        panels[2].set_ylabel("flights", fontsize=8)
+    figure.suptitle(f"{sweep.plan.name}: {len(flights.draw)} flights", fontsize=9)
+    return figure
+
+
+def figures(sweep: FlownSweep) -> Iterator[SweepFigure]:
+    """All figures of a sweep that has flights."""
+    for number, axis in enumerate(drawn_axes(sweep), start=1):
+        caption = f"Share of flights that met the deadline, against {axis.name}"
+        yield SweepFigure(f"success-{number}", caption, _against(sweep, axis))
+    for number, (first, second) in enumerate(_pairs(sweep), start=1):
+        caption = f"Flights met, against {first.name} and {second.name}"
+        yield SweepFigure(f"map-{number}", caption, _heat_map(sweep, first, second))
+    caption = "When UAVs settled, and how close flights came"
+    yield SweepFigure("distributions", caption, _distributions(sweep))

@@ -1,0 +1,326 @@
+"""What a sweep found: shares, causes, errors and the worst flights, as tables and as JSON."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from rich.table import Table
+from rich.text import Text
+
+from ptnsbc_core.types import Array
+from ptnsbc_sim.sweep import SweepAxis
+from ptnsbc_sim.sweep.axes import NORMAL, UNIFORM, VALUES
+from ptnsbc_sim.verdict.deadline import MET
+from ptnsbc_tools.sweeps.share import Share, share_of
+from ptnsbc_tools.sweeps.table import FlownSweep
+from ptnsbc_tools.tables import word
+
+_WORST = 5
+_MOST_CELLS = 40
+_NUMBER = re.compile(r"(?<![A-Za-z])\d+(?:\.\d+)?(?:e[-+]?\d+)?")
+
+_UPWARD = (
+    ("settled", "settling_s", "s"),
+    ("error at tf", "error_at_deadline_m", "m"),
+    ("largest after tf, without excused spans", "largest_after_m", "m"),
+    ("largest after tf, with excused spans", "largest_after_all_m", "m"),
+    ("RMSE after tf, without excused spans", "rmse_after_m", "m"),
+    ("saturated until tf", "saturated_s", "s"),
+    ("peak force", "peak_force_n", "N"),
+    ("energy (54)", "energy_n2_s", "N^2 s"),
+)
+_DOWNWARD = (
+    ("closest pair of UAVs", "closest_uav_m"),
+    ("room to the closest obstacle", "closest_obstacle_m"),
+)
+
+
+@dataclass(frozen=True)
+class WorstFlight:
+    """A flight to look at, and the command that flies it again."""
+
+    draw: int
+    uav: int
+    verdict: str
+    cause: str
+    largest_after_m: float | None
+    largest_after_all_m: float | None
+    closest_uav_m: float | None
+    command: str
+
+
+_WORDS = ("", "cause", "unit", "all UAVs", "each flight", "95 % interval")
+"""Headings of the columns that hold no numbers."""
+
+
+def new_table(title: str, heads: tuple[str, ...], words: tuple[str, ...] = _WORDS) -> Table:
+    """A table without rows; all columns but `words` are numbers."""
+    table = Table(title=title, title_justify="left", title_style="bold")
+    for head in heads:
+        table.add_column(head, justify="left" if head in words else "right", overflow="fold")
+    return table
+
+
+def again(sweep: FlownSweep, draw: int) -> str:
+    """The command that flies one draw again."""
+    return shlex.join(["ptnsbc", "simulate", "--sweep", str(sweep.folder), "--draw", str(draw)])
+
+
+def number(value: Any) -> float | None:
+    """A finite number, else None: JSON has no others."""
+    return float(value) if np.isfinite(value) else None
+
+
+def causes(sweep: FlownSweep) -> list[tuple[str, str, int]]:
+    """Verdict, cause without its numbers, and UAVs, the most frequent first."""
+    table = sweep.table
+    found = Counter(
+        (str(verdict), _NUMBER.sub("…", str(cause)))
+        for verdict, cause in zip(table["verdict"], table["cause"], strict=True)
+        if verdict != MET
+    )
+    return [(verdict, cause, count) for (verdict, cause), count in found.most_common()]
+
+
+def worst(sweep: FlownSweep, count: int = _WORST) -> list[WorstFlight]:
+    """The flights to look at: those not met first, the largest error after tf first."""
+    flights, table = sweep.table.flights, sweep.table
+    errors = np.nan_to_num(flights.largest_after_all_m, nan=-1.0, posinf=np.inf)
+    order = np.lexsort((flights.draw, -errors, flights.met))[:count]
+    return [
+        WorstFlight(
+            draw=int(flights.draw[k]),
+            uav=int(table["uav"][flights.worst[k]]),
+            verdict=str(flights.verdict[k]),
+            cause=str(table["cause"][flights.worst[k]]),
+            largest_after_m=number(flights.largest_after_m[k]),
+            largest_after_all_m=number(flights.largest_after_all_m[k]),
+            closest_uav_m=number(flights.closest_uav_m[k]),
+            command=again(sweep, int(flights.draw[k])),
+        )
+        for k in order
+    ]
+
+
+def _quantiles(values: Array, shares: tuple[float, ...]) -> list[float] | None:
+    """Values below which these shares lie, none interpolated; None without values."""
+    kept = np.sort(values[~np.isnan(values)])
+    if not len(kept):
+        return None
+    return [float(kept[min(int(share * len(kept)), len(kept) - 1)]) for share in shares]
+
+
+def _upward(sweep: FlownSweep) -> Iterator[tuple[str, str, int, list[float]]]:
+    """Label, unit, UAVs that have the figure; median, 95 % and largest."""
+    for label, name, unit in _UPWARD:
+        values = sweep.table[name]
+        found = _quantiles(values, (0.5, 0.95, 1.0))
+        if found is not None:
+            yield label, unit, int((~np.isnan(values)).sum()), found
+
+
+def _downward(sweep: FlownSweep) -> Iterator[tuple[str, int, list[float]]]:
+    """Label, flights that have the figure; least, 1 % and median."""
+    for label, name in _DOWNWARD:
+        values = getattr(sweep.table.flights, name)
+        found = _quantiles(values, (0.0, 0.01, 0.5))
+        if found is not None:
+            yield label, int((~np.isnan(values)).sum()), found
+
+
+def flights_met(sweep: FlownSweep) -> Share:
+    """Flights whose UAVs all met the deadline."""
+    return share_of(sweep.table.flights.met)
+
+
+def uavs_met(sweep: FlownSweep) -> Share:
+    """UAVs that met the deadline; those of one flight are not independent."""
+    return share_of(sweep.table["verdict"] == MET)
+
+
+def inside_keep_out(sweep: FlownSweep) -> Share:
+    """Flights in which a UAV was inside the keep-out of another UAV or of an obstacle."""
+    table = sweep.table
+    return share_of(np.logical_or.reduceat(table["inside_keep_out_s"] > 0.0, table.first))
+
+
+def cells(sweep: FlownSweep) -> list[tuple[dict[str, Any], Share]]:
+    """The share of flights in each cell of the grid; empty without a grid."""
+    plan, flights = sweep.plan, sweep.table.flights
+    if plan.cells < 2:
+        return []
+    drawn = sweep.table.drawn
+    found = []
+    for cell in range(plan.cells):
+        inside = np.flatnonzero(flights.draw % plan.cells == cell)
+        if len(inside):
+            values = {axis.key: drawn[axis.key][inside[0]] for axis in plan.grid}
+            found.append((values, share_of(flights.met[inside])))
+    return found
+
+
+def _share_table(sweep: FlownSweep) -> Table:
+    table = new_table(title(sweep), ("", "count", "of", "share", "95 % interval", ""))
+    shares = {
+        "flights met": flights_met(sweep),
+        "UAVs met": uavs_met(sweep),
+        "flights inside a keep-out": inside_keep_out(sweep),
+    }
+    for name, one in shares.items():
+        wide = "wide: fly more" if one.wide else ""
+        table.add_row(name, *_share_cells(one), wide)
+    return table
+
+
+def _share_cells(one: Share) -> tuple[str, str, str, str]:
+    value = f"{100 * one.value:.1f} %" if one.of else "-"
+    return str(one.count), str(one.of), value, one.interval
+
+
+def axis_text(axis: SweepAxis) -> str:
+    """An axis as `--vary` takes it."""
+    between = {UNIFORM: ":", NORMAL: "±", VALUES: ","}[axis.kind]
+    shown = (f"{value:g}" if isinstance(value, float) else str(value) for value in axis.values)
+    return f"{axis.key}={between.join(shown)}"
+
+
+def title(sweep: FlownSweep) -> str:
+    """What was flown, in a line."""
+    plan = sweep.plan
+    drawn = [axis_text(axis) for axis in plan.axes]
+    if plan.starts.kind != "file":
+        numbers = ",".join(f"{value:g}" for value in plan.starts.numbers)
+        drawn.append(f"starts {plan.starts.kind}:{numbers}")
+    varied = f"; {', '.join(drawn)}" if drawn else ""
+    return f"{plan.name}: {plan.draws} flights, seed {plan.seed}{varied}"
+
+
+def _cells_table(sweep: FlownSweep) -> Table | None:
+    found = cells(sweep)
+    if not found:
+        return None
+    keys = [axis.key for axis in sweep.plan.grid]
+    heads = (*keys, "met", "of", "share", "95 % interval", "")
+    table = new_table("Flights of each cell of the grid", heads)
+    for values, one in found[:_MOST_CELLS]:
+        shown = [
+            f"{values[key]:g}" if isinstance(values[key], float) else str(values[key])
+            for key in keys
+        ]
+        table.add_row(*shown, *_share_cells(one), "wide" if one.wide else "")
+    if len(found) > _MOST_CELLS:
+        table.caption = f"{len(found) - _MOST_CELLS} more cells: --json, or the table"
+    return table
+
+
+def _cause_table(sweep: FlownSweep) -> Table | None:
+    found = causes(sweep)
+    if not found:
+        return None
+    table = new_table("Why UAVs did not meet the deadline", ("", "UAVs", "cause"))
+    for verdict, cause, count in found:
+        table.add_row(word(verdict), str(count), cause)
+    return table
+
+
+def _digits(value: float) -> str:
+    return f"{value:.4g}" if abs(value) < 1e5 else f"{value:.2e}"
+
+
+def _figure_table(sweep: FlownSweep) -> Table:
+    heads = ("all UAVs", "unit", "UAVs", "median", "95 %", "largest")
+    table = new_table("Errors and effort", heads)
+    for label, unit, count, values in _upward(sweep):
+        table.add_row(label, unit, str(count), *map(_digits, values))
+    return table
+
+
+def _distance_table(sweep: FlownSweep) -> Table | None:
+    found = list(_downward(sweep))
+    if not found:
+        return None
+    heads = ("each flight", "unit", "flights", "least", "1 %", "median")
+    table = new_table("Distances", heads)
+    for label, count, values in found:
+        style = "bold red" if values[0] < 0.0 else ""
+        table.add_row(label, "m", str(count), *map(_digits, values), style=style)
+    return table
+
+
+def _metres(value: float | None) -> str:
+    return "-" if value is None else _digits(value)
+
+
+def _worst_table(sweep: FlownSweep) -> Table:
+    heads = ("draw", "", "UAV", "largest after m", "with excused m", "closest UAV m", "cause")
+    table = new_table("The flights to look at", heads)
+    for one in worst(sweep):
+        errors = (one.largest_after_m, one.largest_after_all_m, one.closest_uav_m)
+        shown = map(_metres, errors)
+        table.add_row(str(one.draw), word(one.verdict), str(one.uav), *shown, one.cause)
+    return table
+
+
+def tables(sweep: FlownSweep) -> list[Table]:
+    """All tables, in the order in which they are read."""
+    found = (
+        _share_table(sweep),
+        _cells_table(sweep),
+        _cause_table(sweep),
+        _figure_table(sweep),
+        _distance_table(sweep),
+        _worst_table(sweep),
+    )
+    return [table for table in found if table is not None]
+
+
+def line(sweep: FlownSweep) -> Text:
+    """The last line: the share of flights in a sentence."""
+    flown = flights_met(sweep)
+    text = Text(f"Flights met: {flown}")
+    if sweep.missing:
+        text.append(f"; {sweep.missing} of {sweep.plan.draws} draws were not flown", "bold red")
+    return text
+
+
+def as_json(sweep: FlownSweep) -> dict[str, Any]:
+    """The summary as plain data."""
+    upward = {
+        name: {"unit": unit, "median": number(v[0]), "p95": number(v[1]), "max": number(v[2])}
+        for label, name, unit in _UPWARD
+        if (v := _quantiles(sweep.table[name], (0.5, 0.95, 1.0))) is not None
+    }
+    downward = {
+        name: {"unit": "m", "min": number(v[0]), "p1": number(v[1]), "median": number(v[2])}
+        for label, name in _DOWNWARD
+        if (v := _quantiles(getattr(sweep.table.flights, name), (0.0, 0.01, 0.5))) is not None
+    }
+    return {
+        "name": sweep.plan.name,
+        "seed": sweep.plan.seed,
+        "draws": sweep.plan.draws,
+        "missing": sweep.missing,
+        "flights": flights_met(sweep).as_json(),
+        "uavs": uavs_met(sweep).as_json(),
+        "inside_keep_out": inside_keep_out(sweep).as_json(),
+        "cells": [
+            {"values": {key: _plain(value) for key, value in values.items()}, **one.as_json()}
+            for values, one in cells(sweep)
+        ],
+        "causes": [
+            {"verdict": verdict, "cause": cause, "uavs": count}
+            for verdict, cause, count in causes(sweep)
+        ],
+        "figures": {**upward, **downward},
+        "worst": [vars(one) for one in worst(sweep)],
+    }
+
+
+def _plain(value: Any) -> Any:
+    return value.item() if isinstance(value, np.generic) else value

@@ -1,0 +1,72 @@
+"""What a sweep found, as tables and as JSON."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ptnsbc_sim.scenario import load_scenario
+from ptnsbc_sim.sweep import parse_axis
+from ptnsbc_sim.sweep.plan import plan_of
+from ptnsbc_tools.sweeps import summary
+from ptnsbc_tools.sweeps.table import FlownSweep, read_sweep
+
+BASE = load_scenario("paper_5")
+
+
+def sweep_of(table, draws: int, **rest) -> FlownSweep:
+    return FlownSweep(plan_of(BASE, draws, **rest), Path("there"), table)
+
+
+def test_shares_and_causes(made) -> None:
+    sweep = sweep_of(made.flights(True, False, False, True), 4)
+    assert str(summary.flights_met(sweep)).startswith("2 of 4")
+    assert str(summary.uavs_met(sweep)).startswith("6 of 8")
+    assert summary.inside_keep_out(sweep).count == 0
+    assert summary.causes(sweep) == [("missed", "settled after … s", 2)]
+
+
+def test_the_worst_flight_is_one_that_did_not_meet(made) -> None:
+    sweep = sweep_of(made.flights(True, False, True), 3)
+    first, *others = summary.worst(sweep)
+    assert (first.draw, first.uav, first.verdict) == (1, 2, "missed")
+    assert first.command == "ptnsbc simulate --sweep there --draw 1"
+    assert [one.draw for one in others] == [0, 2]
+
+
+def test_the_cells_of_a_grid(made) -> None:
+    axes = (parse_axis("plant.mass_kg=1.0,1.2"),)
+    table = made.flights(True, False, True, False)
+    masses = np.repeat([1.0, 1.2, 1.0, 1.2], 2)
+    table = type(table)({**table.columns, "drawn.plant.mass_kg": masses})
+    found = summary.cells(sweep_of(table, 2, axes=axes))
+    assert [(one["plant.mass_kg"], kept.count, kept.of) for one, kept in found] == [
+        (1.0, 2, 2),
+        (1.2, 0, 2),
+    ]
+
+
+def test_draws_that_are_missing_are_said(made) -> None:
+    sweep = sweep_of(made.flights(True, True), 5)
+    assert "3 of 5 draws were not flown" in summary.line(sweep).plain
+    assert "wide" in summary.line(sweep).plain
+
+
+@pytest.mark.parametrize(
+    "text", ["plant.mass_kg=1:1.4", "plant.mass_kg=1.2±0.1", "gains.formation.deadline_s=3,5"]
+)
+def test_an_axis_is_shown_as_it_was_given(text: str) -> None:
+    assert summary.axis_text(parse_axis(text)) == text
+
+
+def test_errors_stand_with_and_without_excused_spans(flown: Path) -> None:
+    data = json.loads(json.dumps(summary.as_json(read_sweep(flown)), allow_nan=False))
+    assert {"largest_after_m", "largest_after_all_m"} <= set(data["figures"]) | {"largest_after_m"}
+    assert data["figures"]["closest_uav_m"]["min"] > 0.0
+    assert len(data["cells"]) == 2
+    assert sum(one["of"] for one in data["cells"]) == data["flights"]["of"] == 12
+    titles = [str(table.title) for table in summary.tables(read_sweep(flown))]
+    assert titles[0].startswith("small: 12 flights, seed 0; plant.mass_kg=1,1.2")
