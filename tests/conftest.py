@@ -102,6 +102,14 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             )
 
 
+@pytest.fixture(autouse=True)
+def signal_handlers() -> Iterator[None]:
+    """A test that runs the `main` of a process leaves no handler behind for the tests after it."""
+    yield
+    if "ptnsbc_nodes.runtime.signals" in sys.modules:
+        sys.modules["ptnsbc_nodes.runtime.signals"].restore_handlers()
+
+
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
     """Who needs the laws waits for the worker that compiles them, instead of compiling the same beside it."""
