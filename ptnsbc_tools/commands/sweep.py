@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import shutil
 import sys
+from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -18,6 +20,7 @@ if TYPE_CHECKING:
 
 _BASE = "paper_5_free"
 _LACKING, _INTERRUPTED = 1, 130
+_MOMENT_S = 0.05
 _MADE = ("plan.json", "table.parquet", "chunks", "report")
 
 
@@ -210,7 +213,9 @@ def _fly(plan: SweepPlan, folder: Path, workers: int | None, scheduler: str | No
 
     count = 0
     try:
-        with console.compiling(), console.progress("flying") as advance:
+        if scheduler is None and not (folder / _MADE[1]).exists():
+            _compile(plan)
+        with console.progress("flying") as advance:
 
             def on_progress(done: int, total: int) -> None:
                 nonlocal count
@@ -230,6 +235,14 @@ def _fly(plan: SweepPlan, folder: Path, workers: int | None, scheduler: str | No
     if sum(len(one.draws) for one in flown.failed) == plan.draws:
         raise SweepError(f"no draw could be flown: {flown.failed[0].error}")
     return flown
+
+
+def _compile(plan: SweepPlan) -> None:
+    """Compile the laws, or load them: the sweep's own progress would stand still for a minute."""
+    from ptnsbc_sim.sweep.rows import fly_draw
+
+    with console.compiling(), suppress(PtnsbcError):  # a draw that cannot be flown is named later
+        fly_draw(replace(plan, stop_after_s=_MOMENT_S), 0)
 
 
 def _write_report(found: FlownSweep) -> Path:

@@ -162,7 +162,9 @@ def _histogram(axes: Any, values: Array, label: str, *, limit: float | None, nam
         axes.annotate(name, (limit, 1.0), xycoords=("data", "axes fraction"), xytext=(3, -9),
                       textcoords="offset points", fontsize=7)  # fmt: skip
     left_out = len(values) - len(kept)
-    axes.set_xlabel(label if not left_out else f"{label}; {left_out} without", fontsize=8)
+    axes.set_xlabel(
+        f"{label}; not shown: {left_out} without one" if left_out else label, fontsize=8
+    )
     axes.grid(alpha=0.3, color=OBSTACLE)
 
 
@@ -172,7 +174,7 @@ def _distributions(sweep: FlownSweep) -> Any:
     figure = blank_figure((11.0 if obstacles else 8.0, 3.4))
     panels: Sequence[Any] = figure.subplots(1, 3 if obstacles else 2)
     share = table["settling_s"] / table["deadline_s"]
-    _histogram(panels[0], share, "settled, in deadlines", limit=1.0, name="deadline")
+    _histogram(panels[0], share, "settling time / deadline", limit=1.0, name="deadline")
     panels[0].set_ylabel("UAVs", fontsize=8)
     closest = flights.closest_uav_m
     _histogram(panels[1], closest, "closest pair of UAVs [m]", limit=None, name="")

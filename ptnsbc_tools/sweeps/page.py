@@ -23,7 +23,7 @@ _PAGE = Template("""<!doctype html>
 <meta name="viewport" content="width=device-width, initial-scale=1">
 <meta name="generator" content="ptnsbc sweep">
 <meta http-equiv="Content-Security-Policy" content="default-src 'none'; style-src 'unsafe-inline'; img-src data:">
-<title>$heading – sweep</title>
+<title>$name – sweep</title>
 <style>
 $style
 figure { margin: 0 0 16px; } figure img { max-width: 100%; background: white; border-radius: 12px; }
@@ -31,10 +31,12 @@ figcaption { color: var(--soft); font-size: 13px; }
 </style>
 </head>
 <body>
-<header class="top"><div><p class="kicker">Sweep</p><h1>$heading</h1></div></header>
+<header class="top"><div><p class="kicker">Sweep</p><h1>$name</h1></div></header>
 <main>
-<p class="line">$line</p>
+<p>$heading</p>
+<p><b>$line</b></p>
 $tables
+<p>These commands fly them again:</p>
 <pre>$commands</pre>
 $figures
 <details><summary>Plan</summary><pre>$plan</pre></details>
@@ -62,6 +64,7 @@ def write_report(sweep: FlownSweep) -> Path:
     ]
     commands = "\n".join(one.command for one in summary.worst(sweep))
     text = _PAGE.substitute(
+        name=escape(sweep.plan.name),
         heading=escape(summary.title(sweep)),
         style=asset("style.css"),
         line=escape(summary.line(sweep).plain),

@@ -284,6 +284,10 @@ def line(sweep: FlownSweep) -> Text:
     """The last line: the share of flights in a sentence."""
     flown = flights_met(sweep)
     text = Text(f"Flights met: {flown}")
+    if sweep.table.different < flown.of:
+        text.append(
+            f"; only {sweep.table.different} of them differ: vary the starts or a range", "bold red"
+        )
     if sweep.missing:
         text.append(f"; {sweep.missing} of {sweep.plan.draws} draws were not flown", "bold red")
     return text
@@ -306,6 +310,7 @@ def as_json(sweep: FlownSweep) -> dict[str, Any]:
         "seed": sweep.plan.seed,
         "draws": sweep.plan.draws,
         "missing": sweep.missing,
+        "different": sweep.table.different,
         "flights": flights_met(sweep).as_json(),
         "uavs": uavs_met(sweep).as_json(),
         "inside_keep_out": inside_keep_out(sweep).as_json(),

@@ -89,6 +89,11 @@ class FlightTable:
         return np.array(found, dtype=np.int64)
 
     @property
+    def different(self) -> int:
+        """Flights that differ from each other: flights with the same energy of every UAV are the same flight."""
+        return len({part.tobytes() for part in np.split(self["energy_n2_s"], self.first[1:])})
+
+    @property
     def drawn(self) -> dict[str, Column]:
         """What was drawn for each flight (D,), by key."""
         names = [name for name in self.columns if name.startswith(DRAWN)]

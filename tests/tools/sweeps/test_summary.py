@@ -49,6 +49,15 @@ def test_the_cells_of_a_grid(made) -> None:
     ]
 
 
+def test_flights_that_do_not_differ_are_said(made) -> None:
+    table = made.flights(True, True, True)
+    assert "only 1 of them differ" in summary.line(sweep_of(table, 3)).plain
+    energy = np.array([1.0, 1.0, 2.0, 1.0, 1.0, 2.0])
+    varied = type(table)({**table.columns, "energy_n2_s": energy})
+    assert varied.different == 3
+    assert "differ" not in summary.line(sweep_of(varied, 3)).plain
+
+
 def test_draws_that_are_missing_are_said(made) -> None:
     sweep = sweep_of(made.flights(True, True), 5)
     assert "3 of 5 draws were not flown" in summary.line(sweep).plain
