@@ -34,7 +34,7 @@ LEADER_AGE, NEAR_AGE, MODE, START_AGE = (PARENT_AGE + k for k in range(1, 5))
 ESTIMATES = START_AGE + 1
 
 # Offsets of the fields of AgentOutputs in `PackedOutputs.vector`, and its size.
-_VELOCITY, _WRENCH, _ESTIMATE, _ERROR, _OUTPUT_SIZE = 0, 4, 10, 23, 33
+_VELOCITY, _WRENCH, _ESTIMATE, _REPORTED, _ERROR, _OUTPUT_SIZE = 0, 4, 10, 23, 26, 36
 
 
 class PackedInputs:
@@ -76,7 +76,7 @@ class PackedInputs:
 
 
 class PackedOutputs:
-    """Outputs of a step, see `AgentOutputs`: each property reads from `vector` (33,)."""
+    """Outputs of a step, see `AgentOutputs`: each property reads from `vector` (36,)."""
 
     __slots__ = ("vector",)
 
@@ -96,7 +96,12 @@ class PackedOutputs:
     @property
     def leader_estimate(self) -> Array:
         """Odometry vector (13,), velocities in the world frame."""
-        return self.vector[_ESTIMATE:_ERROR]
+        return self.vector[_ESTIMATE:_REPORTED]
+
+    @property
+    def reported(self) -> Array:
+        """Velocity (3,) [m/s, body FLU] that the neighbours are told."""
+        return self.vector[_REPORTED:_ERROR]
 
     @property
     def diagnostics(self) -> AgentDiagnostics:
@@ -140,7 +145,8 @@ def _advance(
     packed = np.empty(_OUTPUT_SIZE)
     store_velocity(packed[_VELOCITY:_WRENCH], outputs)
     store_wrench(packed[_WRENCH:_ESTIMATE], outputs)
-    store_estimate(packed[_ESTIMATE:_ERROR], outputs.estimate)
+    store_estimate(packed[_ESTIMATE:_REPORTED], outputs.estimate)
+    store3(packed, _REPORTED, outputs.reported)
     store_diagnostics(packed[_ERROR:], outputs.diagnostics)
     return packed
 

@@ -30,5 +30,8 @@ def associate(reported: Neighbour, near: Array, near_age_s: float, gate_m: float
         position = axpy(near_age_s, velocity, near[row])
         distance = norm3(sub3(position, reported.position))
         if distance < least:
-            least, neighbour = distance, Neighbour(position, velocity)
+            least, neighbour = (
+                distance,
+                Neighbour(position, velocity, reported.acceleration, reported.delay_s),
+            )
     return neighbour

@@ -9,8 +9,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from ptnsbc_core.algebra import add3, axpy, saturation, sub3, wrap_angle
+from ptnsbc_core.behaviours.neighbour import extrapolated
 from ptnsbc_core.kernel import inline_kernel
-from ptnsbc_core.kinematics import odometry_to_estimate, state_to_estimate
+from ptnsbc_core.kinematics import odometry_to_estimate, state_to_estimate, yaw_of
 from ptnsbc_core.timebase import Clock, step_gain
 from ptnsbc_core.types import (
     NEVER_RECEIVED_S,
@@ -19,6 +20,7 @@ from ptnsbc_core.types import (
     AgentState,
     Estimate,
     EstimatorConfig,
+    NeighbourMotion,
     Vector3,
 )
 
@@ -76,49 +78,76 @@ def estimator_step(
 
 
 @inline_kernel
-def _extrapolate(estimate: Estimate, age_s: float) -> Estimate:
-    """Estimate of `age_s` ago, extrapolated to the present with its own velocity."""
-    velocity = estimate.velocity
-    return Estimate(axpy(age_s, velocity, estimate.position), velocity, estimate.yaw)
+def _extrapolate(estimate: Estimate, age_s: float, acceleration: Vector3) -> Estimate:
+    """Estimate of `age_s` ago, extrapolated to the present by its velocity and the leader's acceleration."""
+    position = axpy(age_s, estimate.velocity, estimate.position)
+    return Estimate(
+        axpy(0.5 * age_s * age_s, acceleration, position),
+        axpy(age_s, acceleration, estimate.velocity),
+        estimate.yaw,
+    )
+
+
+@inline_kernel
+def _received_leader(inputs: AgentInputs, motion: NeighbourMotion, dt: float) -> Estimate:
+    """The leader's own message, extrapolated to the present."""
+    leader = extrapolated(inputs.leader, motion, inputs.leader_age_s, dt)
+    return Estimate(leader.position, leader.velocity, yaw_of(inputs.leader))
 
 
 @inline_kernel
 def _measurements(
-    present: Estimate, inputs: AgentInputs, pinned: bool, config: AgentConfig
+    present: Estimate,
+    inputs: AgentInputs,
+    pinned: bool,
+    motion: NeighbourMotion,
+    dt: float,
+    config: AgentConfig,
 ) -> EstimatorMeasurements:
     """Disagreement of the own estimate with the neighbours' estimates and the leader's state at present."""
     g, received = NO_DISAGREEMENT, pinned
     for k in range(inputs.estimates.shape[0]):
         age_s = inputs.estimate_age_s[k]
         if age_s <= config.stale_s:
-            other = _extrapolate(odometry_to_estimate(inputs.estimates[k]), age_s)
+            other = odometry_to_estimate(inputs.estimates[k])
+            other = _extrapolate(other, age_s, motion.acceleration)
             g, received = add_disagreement(g, present, other), True
     if pinned:
-        leader = _extrapolate(state_to_estimate(inputs.leader), inputs.leader_age_s)
-        g = add_disagreement(g, present, leader)
+        g = add_disagreement(g, present, _received_leader(inputs, motion, dt))
     return EstimatorMeasurements(g, received)
 
 
 @inline_kernel
 def leader_estimate(
-    state: AgentState, inputs: AgentInputs, clock: Clock, frozen: bool, config: AgentConfig
+    state: AgentState,
+    inputs: AgentInputs,
+    motion: NeighbourMotion,
+    clock: Clock,
+    frozen: bool,
+    config: AgentConfig,
 ) -> tuple[Estimate, bool]:
-    """Leader estimate at this tick, and whether it has been initialised from a message."""
+    """Leader estimate at this tick, and whether it has been initialised from a message.
+
+    `motion` is the leader's, of its own messages; without a leader link its acceleration is zero.
+    """
     if config.leader:
         return state_to_estimate(inputs.own), True
     pinned = config.estimator.pinned and inputs.leader_age_s < NEVER_RECEIVED_S
     if pinned and not state.estimate_valid:
-        return _extrapolate(state_to_estimate(inputs.leader), inputs.leader_age_s), True
+        return _received_leader(inputs, motion, clock.dt), True
     if frozen:
         last = state.estimate
         return Estimate(last.position, (0.0, 0.0, 0.0), last.yaw), state.estimate_valid
     # Received states are extrapolated to the present, so the own estimate must be too. Compared one tick late, it
     # settles v dt behind, and the angle tasks multiply that error along the chain.
-    present = state.estimate
+    before, present = state.estimate, state.estimate
     if config.estimator.feed_forward:
-        present = _extrapolate(state.estimate, clock.dt)
-    measurements = _measurements(present, inputs, pinned, config)
+        present = _extrapolate(state.estimate, clock.dt, motion.acceleration)
+        # The step below adds velocity * dt: of the velocity now, so half a step's change comes off.
+        back = axpy(-0.5 * clock.dt * clock.dt, motion.acceleration, state.estimate.position)
+        before = Estimate(back, present.velocity, present.yaw)
+    measurements = _measurements(present, inputs, pinned, motion, clock.dt, config)
     if not measurements.received:
         return state.estimate, state.estimate_valid
     g = measurements.disagreement
-    return estimator_step(state.estimate, g, clock.t, clock.dt, config.estimator), True
+    return estimator_step(before, g, clock.t, clock.dt, config.estimator), True

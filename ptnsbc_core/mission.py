@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from ptnsbc_core.algebra import axpy, limit_norm, load3, scale3, sub3
+from ptnsbc_core.algebra import limit_norm, load3, scale3, sub3
 from ptnsbc_core.association import associate
 from ptnsbc_core.behaviours.contract import Behaviour, EpochErrors, Neighbour
 from ptnsbc_core.behaviours.formation import formation
 from ptnsbc_core.behaviours.leader_tracking import leader_tracking
+from ptnsbc_core.behaviours.neighbour import extrapolated
 from ptnsbc_core.kernel import inline_kernel
-from ptnsbc_core.kinematics import velocity_enu, yaw_of
+from ptnsbc_core.kinematics import yaw_of
 from ptnsbc_core.timebase import Clock
 from ptnsbc_core.trajectory import Reference, reference
 from ptnsbc_core.types import (
@@ -19,6 +20,7 @@ from ptnsbc_core.types import (
     AgentInputs,
     AgentState,
     Estimate,
+    NeighbourMotions,
     PoseTarget,
     Vector3,
 )
@@ -39,7 +41,12 @@ def link_lost(inputs: AgentInputs, start_t: float, config: AgentConfig) -> bool:
 
 @inline_kernel
 def mission_behaviour(
-    inputs: AgentInputs, estimate: Estimate, epoch: EpochErrors, clock: Clock, config: AgentConfig
+    inputs: AgentInputs,
+    estimate: Estimate,
+    motions: NeighbourMotions,
+    epoch: EpochErrors,
+    clock: Clock,
+    config: AgentConfig,
 ) -> Behaviour:
     """Leader tracking for the leader, formation for a follower.
 
@@ -50,11 +57,10 @@ def mission_behaviour(
         desired = reference(config.trajectory, clock.start_t)
         return leader_tracking(position, desired, epoch, clock, config)
     if inputs.parent_age_s >= NEVER_RECEIVED_S:
-        rest = Reference(position, (0.0, 0.0, 0.0), 0.0)
+        rest = Reference(position, (0.0, 0.0, 0.0), 0.0, (0.0, 0.0, 0.0))
         return leader_tracking(position, rest, epoch, clock, config)
-    velocity = velocity_enu(inputs.parent)
-    parent = Neighbour(axpy(inputs.parent_age_s, velocity, inputs.parent), velocity)
-    leader = Neighbour(estimate.position, estimate.velocity)
+    parent = extrapolated(inputs.parent, motions.parent, inputs.parent_age_s, clock.dt)
+    leader = Neighbour(estimate.position, estimate.velocity, motions.leader.acceleration, 0.0)
     if config.association_gate_m > 0.0:
         near, age_s = inputs.near, inputs.near_age_s
         parent = associate(parent, near, age_s, config.association_gate_m)
@@ -86,7 +92,14 @@ def hold_behaviour(
     velocity = hold_velocity(load3(inputs.own, 0), target.position, config)
     if inputs.mode == MODE_LAND:
         velocity = (velocity[0], velocity[1], -config.land_speed)
-    return Behaviour(velocity, behaviour.error, behaviour.singular_value)
+    return Behaviour(
+        velocity,
+        behaviour.error,
+        behaviour.singular_value,
+        (0.0, 0.0, 0.0),
+        behaviour.slot_start,
+        behaviour.edge_start,
+    )
 
 
 @inline_kernel

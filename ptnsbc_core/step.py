@@ -11,6 +11,7 @@ from typing import NamedTuple
 from ptnsbc_core.algebra import load3, wrap_angle
 from ptnsbc_core.behaviours.attitude import attitude
 from ptnsbc_core.behaviours.contract import Behaviour, EpochErrors
+from ptnsbc_core.behaviours.neighbour import UNKNOWN, neighbour_motion, reported_velocity
 from ptnsbc_core.control.adaptation import initial_observer
 from ptnsbc_core.control.command_filter import filter_step
 from ptnsbc_core.control.quadrotor_control import quadrotor_control
@@ -34,6 +35,7 @@ from ptnsbc_core.tasks.clearance import ObstacleView, clearance
 from ptnsbc_core.tasks.obstacle_memory import empty_memory
 from ptnsbc_core.timebase import Clock, loop_gain
 from ptnsbc_core.types import (
+    APPROACH_PLANNED,
     MODE_FORMATION,
     MODE_HOLD,
     PLANT_RIGID_BODY,
@@ -44,7 +46,9 @@ from ptnsbc_core.types import (
     AgentOutputs,
     AgentState,
     Array,
+    NeighbourMotions,
     PoseTarget,
+    StartErrors,
     Vector3,
 )
 
@@ -62,8 +66,8 @@ def initial_state(own: Array, config: AgentConfig) -> AgentState:
         zero,
         AdaptationState(config.controller.nominal, (0.0, 0.0), initial_observer(velocity)),
         empty_memory(),
-        zero,
-        zero,
+        StartErrors(zero, zero, zero, zero),
+        NeighbourMotions(UNKNOWN, UNKNOWN),
         PoseTarget(load3(own, 0), yaw_of(own)),
         _NO_MODE,
         0.0,
@@ -113,18 +117,40 @@ def _plan(
     task = clearance(load3(inputs.own, 0), behaviour.velocity, view, config.clearance)
     limits = config.filter
     composed = compose_with_clearance(task, limits.max_speed)
+    rows, zero = task.jacobian.shape[0], (0.0, 0.0, 0.0)
+    free = config.approach == APPROACH_PLANNED and rows == 0 and not composed.limited
+    lead = behaviour.acceleration if free else zero
     linear = filter_step(
-        state.velocity, composed.velocity, limits.bandwidth, limits.max_acceleration, dt
+        state.velocity, composed.velocity, lead, limits.bandwidth, limits.max_acceleration, dt
     )
     angular = filter_step(
-        state.rates, rates, limits.rate_bandwidth, limits.max_rate_acceleration, dt
+        state.rates, rates, zero, limits.rate_bandwidth, limits.max_rate_acceleration, dt
     )
     return PlannerOutput(
         VelocityReference(linear.value, linear.rate, angular.value, angular.rate, yaw),
         task.memory,
-        task.jacobian.shape[0],
+        rows,
         composed.limited or linear.saturated,
         composed.violation,
+    )
+
+
+@inline_kernel
+def _motions(
+    state: AgentState, inputs: AgentInputs, clock: Clock, config: AgentConfig
+) -> NeighbourMotions:
+    """What the newest messages of parent and leader say of their motion."""
+    before, start_t = state.motions, clock.start_t
+    limit, stale_s = config.filter.max_acceleration, config.stale_s
+    if config.approach != APPROACH_PLANNED:
+        limit = 0.0  # a measured velocity gives no acceleration worth having
+    return NeighbourMotions(
+        neighbour_motion(
+            before.parent, inputs.parent, inputs.parent_age_s, start_t, stale_s, limit
+        ),
+        neighbour_motion(
+            before.leader, inputs.leader, inputs.leader_age_s, start_t, stale_s, limit
+        ),
     )
 
 
@@ -156,18 +182,29 @@ def step(
     """
     clock = Clock(t, inputs.start_age_s, dt)
     holding = inputs.mode != MODE_FORMATION or link_lost(inputs, clock.start_t, config)
-    estimate, estimate_valid = leader_estimate(state, inputs, clock, holding, config)
+    motions = _motions(state, inputs, clock, config)
+    estimate, estimate_valid = leader_estimate(
+        state, inputs, motions.leader, clock, holding, config
+    )
     target = hold_target(state, inputs, holding)
     yaw = desired_yaw(estimate, target, holding, clock, config)
 
-    at_epoch = state.mode == _NO_MODE or t < state.last_t or state.estimate_valid != estimate_valid
-    epoch = EpochErrors(at_epoch, state.start_error, state.start_attitude)
-    behaviour = mission_behaviour(inputs, estimate, epoch, clock, config)
+    at_epoch = (
+        state.mode == _NO_MODE
+        or t < state.last_t
+        or state.estimate_valid != estimate_valid
+        or (state.motions.parent.time == UNKNOWN.time) != (motions.parent.time == UNKNOWN.time)
+    )
+    epoch = EpochErrors(at_epoch, state.start)
+    behaviour = mission_behaviour(inputs, estimate, motions, epoch, clock, config)
     rates, euler_error = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     if config.controller.plant == PLANT_RIGID_BODY:  # a quadrotor's controller sets its attitude
         rates, euler_error = attitude(inputs.own, yaw, epoch, clock, config)
-    start_error = behaviour.error if at_epoch else state.start_error
-    start_attitude = euler_error if at_epoch else state.start_attitude
+    start = state.start
+    if at_epoch:
+        start = StartErrors(
+            behaviour.error, euler_error, behaviour.slot_start, behaviour.edge_start
+        )
     if holding:
         behaviour = hold_behaviour(behaviour, inputs, target, config)
 
@@ -181,8 +218,8 @@ def step(
         command.rates,
         control.adapted,
         planned.obstacle_memory,
-        start_error,
-        start_attitude,
+        start,
+        motions,
         target,
         max(inputs.mode, MODE_HOLD) if holding else MODE_FORMATION,
         t,
@@ -198,7 +235,10 @@ def step(
         control.velocity_error,
     )
     yaw_rate = _yaw_rate(inputs, command, config)
+    reported = load3(inputs.own, 7)
+    if config.approach == APPROACH_PLANNED:
+        reported = reported_velocity(inputs.own, command.velocity, config.filter.max_acceleration)
     outputs = AgentOutputs(
-        command.velocity, yaw_rate, control.force, control.torque, estimate, diagnostics
+        command.velocity, yaw_rate, control.force, control.torque, estimate, reported, diagnostics
     )
     return after, outputs

@@ -92,6 +92,54 @@ def task_rate(gain: LoopGain, error: Vector3, start_error: Vector3, clock: Clock
     return scale3(loop_gain(gain, clock), error)
 
 
+@kernel
+def task_acceleration(
+    gain: LoopGain, error: Vector3, start_error: Vector3, clock: Clock
+) -> Vector3:
+    """Rate of `task_rate` [unit/s^2] from this step to the next, on an error that decays by it.
+
+    An Euler step with G_k leaves (1 - dt G_k) of an error, so G e changes by G_(k+1) (1 - dt G_k) e - G_k e.
+    """
+    later = Clock(clock.t + clock.dt, clock.start_t + clock.dt, clock.dt)
+    if gain.profile == PROFILE_REFERENCE:
+        return scale3(_rise_change(gain.duration_s, clock) / clock.dt, start_error)
+    now = loop_gain(gain, clock)
+    change = loop_gain(gain, later) * (1.0 - clock.dt * now) - now
+    return scale3(change / clock.dt, error)
+
+
+@inline_kernel
+def _rise_change(duration_s: float, clock: Clock) -> float:
+    """Change of the rate of h from this step to the next [1/s]."""
+    now = h(clock.t / duration_s)
+    then = h((clock.t + clock.dt) / duration_s)
+    after = h((clock.t + 2.0 * clock.dt) / duration_s)
+    return (after - then - (then - now)) / clock.dt
+
+
+@inline_kernel
+def plan_duration(gain: LoopGain) -> float:
+    """Length of the planned approach [s]: it ends one time constant of the feedback before tf."""
+    settling = 1.0 / max(gain.scale * gain.kappa, 1e-9)
+    return max(gain.duration_s - settling, 0.8 * gain.duration_s)
+
+
+class PlanStep(NamedTuple):
+    """The plan E(t) = E_0 (1 - h) of one step, for E_0 = 1."""
+
+    left: float  # 1 - h at the start of the step
+    rate: float  # of h over the step [1/s]
+    acceleration: float  # change of that rate to the next step [1/s^2]
+
+
+@inline_kernel
+def plan_step(duration_s: float, clock: Clock) -> PlanStep:
+    """The plan of `duration_s` at this tick."""
+    now = h(clock.t / duration_s)
+    rate = (h((clock.t + clock.dt) / duration_s) - now) / clock.dt
+    return PlanStep(1.0 - now, rate, _rise_change(duration_s, clock) / clock.dt)
+
+
 @inline_kernel
 def _planned_rate(
     gain: LoopGain, error: float, start_error: float, now: float, rise: float, dt: float

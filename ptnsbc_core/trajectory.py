@@ -22,6 +22,7 @@ class Reference(NamedTuple):
     position: Vector3  # [m]
     velocity: Vector3  # [m/s]
     yaw: float  # [rad]
+    acceleration: Vector3  # [m/s^2]
 
 
 @kernel
@@ -33,9 +34,15 @@ def reference(trajectory: tuple[float, ...], t: float) -> Reference:
         angle = rate * t + trajectory[6]
         sine, cosine = math.sin(angle), math.cos(angle)
         along = (radius * rate * cosine, -radius * rate * sine, 0.0)
-        return Reference((x + radius * sine, y + radius * cosine, z), along, trajectory[7])
+        inward = -radius * rate * rate
+        return Reference(
+            (x + radius * sine, y + radius * cosine, z),
+            along,
+            trajectory[7],
+            (inward * sine, inward * cosine, 0.0),
+        )
     along = (trajectory[4], trajectory[5], trajectory[6])
-    return Reference(axpy(t, along, (x, y, z)), along, trajectory[7])
+    return Reference(axpy(t, along, (x, y, z)), along, trajectory[7], (0.0, 0.0, 0.0))
 
 
 @kernel

@@ -35,6 +35,9 @@ TASKS = {
     "relative_position": TASK_RELATIVE_POSITION,
 }
 
+APPROACH_TASK, APPROACH_PLANNED = 0, 1
+APPROACHES = {"task": APPROACH_TASK, "planned": APPROACH_PLANNED}
+
 AVOIDANCE_OFF, AVOIDANCE_SET_BASED, AVOIDANCE_SWITCHED = 0, 1, 2
 AVOIDANCE = {
     "off": AVOIDANCE_OFF,
@@ -166,8 +169,10 @@ class AgentConfig(NamedTuple):
 
     leader: bool
     task: int  # TASK_*
+    approach: int  # APPROACH_*
     desired: Vector3  # desired task value sigma_d
     offset: Vector3  # [m, ENU] desired position relative to the parent
+    slot: Vector3  # [m, ENU] desired position relative to the leader
     anchor: Vector3  # [m, ENU] reference k = leader position + anchor (zero: the leader itself)
     row_scale: Vector3  # scaling of the task rows, so that every row is in metres
     formation: LoopGain  # also the leader's tracking loop
@@ -203,6 +208,30 @@ class AgentInputs(NamedTuple):
     start_age_s: float  # time since the first epoch, from which c(t) of the soft profile counts
 
 
+class NeighbourMotion(NamedTuple):
+    """Motion that a neighbour commanded in its newest message; two messages give the acceleration."""
+
+    velocity: Vector3  # [m/s, ENU] at the end of the tick that the message was computed in
+    time: float  # [s] stamp of the message, since the first epoch
+    acceleration: Vector3  # [m/s^2, ENU]
+
+
+class NeighbourMotions(NamedTuple):
+    """Motions of those that one UAV hears."""
+
+    parent: NeighbourMotion
+    leader: NeighbourMotion
+
+
+class StartErrors(NamedTuple):
+    """Errors at the epoch; the plans of their decay begin with them."""
+
+    task: Vector3  # sigma_d - sigma, the task's own units (leader: [m])
+    attitude: Vector3  # [rad]
+    slot: Vector3  # [m, ENU] from the UAV to its desired position relative to the leader
+    edge: Vector3  # [m, ENU] from the UAV to its desired position relative to the parent
+
+
 class AgentState(NamedTuple):
     """What one UAV carries from tick to tick."""
 
@@ -212,8 +241,8 @@ class AgentState(NamedTuple):
     rates: Vector3  # filtered [rad/s, FLU]
     adapted: AdaptationState
     obstacle_memory: Array  # (8, 7) x y z side active_s quiet_s used
-    start_error: Vector3  # task error at the epoch (profile `reference`)
-    start_attitude: Vector3  # attitude error at the epoch [rad]
+    start: StartErrors
+    motions: NeighbourMotions
     hold: PoseTarget  # the pose at which holding began
     mode: int  # MODE_* of the previous tick; -1 before the first
     last_t: float  # t of the previous tick, to notice a new epoch [s]
@@ -240,4 +269,5 @@ class AgentOutputs(NamedTuple):
     force: Vector3  # [N], body FLU (quadrotor: (0, 0, thrust))
     torque: Vector3  # [N m], body FLU
     estimate: Estimate  # of the leader
+    reported: Vector3  # [m/s, body FLU] velocity that the neighbours are told
     diagnostics: AgentDiagnostics

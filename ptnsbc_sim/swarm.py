@@ -106,7 +106,7 @@ def _received(swarm: SwarmState, track: FlightTrack, sent: int, row: int) -> Arr
     """Odometry vector (13,) that UAV number `row` sent at tick `sent`; zeros when there is none."""
     if sent < 0 or row < 0:
         return swarm.nothing
-    return track.odometry[sent, row]
+    return track.reported[sent, row]
 
 
 @inline_kernel

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ptnsbc_core.agent import store_diagnostics, store_velocity, store_wrench
+from ptnsbc_core.algebra import store, store3
 from ptnsbc_core.kernel import inline_kernel
 from ptnsbc_core.kinematics import store_estimate
 from ptnsbc_core.types import ODOMETRY_SIZE, AgentOutputs, Array
@@ -25,6 +26,9 @@ class FlightTrack(NamedTuple):
     wrench: Array  # (T, N, 6)
     estimate: Array  # (T, N, 13)
     diagnostics: Array  # (T, N, 10)
+    reported: (
+        Array  # (T, N, 13) formation_state: the odometry with the velocity that the UAV commands
+    )
     truth: Array  # (T, N, 13) where everybody really was; (0, N, 13) when that is what the odometry says
 
 
@@ -35,14 +39,16 @@ def note(track: FlightTrack, tick: int, row: int, out: AgentOutputs) -> None:
     store_wrench(track.wrench[tick, row], out)
     store_estimate(track.estimate[tick, row], out.estimate)
     store_diagnostics(track.diagnostics[tick, row], out.diagnostics)
+    store(track.reported[tick, row], 0, track.odometry[tick, row])
+    store3(track.reported[tick, row], 7, out.reported)
 
 
 def track_of(
     ticks: int, size: int, *, with_truth: bool, room: FlightTrack | None = None
 ) -> FlightTrack:
     """Room for a flight of so many ticks and UAVs: that of an earlier one where it is given and fits."""
-    widths = (ODOMETRY_SIZE, 4, 6, ODOMETRY_SIZE, DIAGNOSTICS_SIZE, ODOMETRY_SIZE)
-    lengths = (ticks,) * 5 + (ticks if with_truth else 0,)
+    widths = (ODOMETRY_SIZE, 4, 6, ODOMETRY_SIZE, DIAGNOSTICS_SIZE, ODOMETRY_SIZE, ODOMETRY_SIZE)
+    lengths = (ticks,) * 6 + (ticks if with_truth else 0,)
     shapes = [(length, size, width) for length, width in zip(lengths, widths, strict=True)]
     if room is not None and [array.shape for array in room] == shapes:
         return room

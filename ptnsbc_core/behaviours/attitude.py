@@ -20,6 +20,6 @@ def attitude(
     """
     euler = euler_from_rotation(rotation(own, 3))
     error = (-euler[0], -euler[1], wrap_angle(yaw - euler[2]))
-    start_error = error if epoch.at_epoch else epoch.attitude
+    start_error = error if epoch.at_epoch else epoch.start.attitude
     rate = task_rate(config.attitude, error, start_error, clock)
     return body_rates(euler, rate), error

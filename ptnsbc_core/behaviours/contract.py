@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from ptnsbc_core.types import Vector3
+from ptnsbc_core.types import StartErrors, Vector3
 
 
 class Behaviour(NamedTuple):
@@ -13,18 +13,24 @@ class Behaviour(NamedTuple):
     velocity: Vector3  # [m/s, ENU]
     error: Vector3  # sigma_d - sigma, the task's own units
     singular_value: float
+    acceleration: (
+        Vector3  # [m/s^2, ENU] rate of `velocity` while the plan is kept: the command filter's lead
+    )
+    slot_start: Vector3  # [m, ENU] start error that the plan of this epoch uses
+    edge_start: Vector3  # [m, ENU] likewise, relative to the parent
 
 
 class EpochErrors(NamedTuple):
-    """Errors at the epoch: the profile `reference` plans their decay."""
+    """Errors at the epoch, of which plans are made."""
 
     at_epoch: bool  # this tick is the epoch: the present errors count
-    task: Vector3
-    attitude: Vector3  # [rad]
+    start: StartErrors
 
 
 class Neighbour(NamedTuple):
-    """Position and velocity of another UAV, extrapolated to the present."""
+    """Motion of another UAV, extrapolated to the present from a message that came `delay_s` later than it could."""
 
     position: Vector3  # [m, ENU]
     velocity: Vector3  # [m/s, ENU]
+    acceleration: Vector3  # [m/s^2, ENU]
+    delay_s: float  # [s]

@@ -1,14 +1,55 @@
-"""Behaviour of a follower: the formation law."""
+"""Behaviour of a follower: the formation law.
+
+Two ways to the formation. `task` is the paper's: the task itself closes every error. `planned` forms by positions
+and holds by the task: all UAVs move on straight lines with one time profile, in the leader's moving frame, and
+feedback acts on deviations from that plan only (docs/method.md, "The planned approach").
+"""
 
 from __future__ import annotations
 
-from ptnsbc_core.algebra import add3, axpy, hadamard3, matvec, scale3, sub3
+from typing import NamedTuple
+
+from ptnsbc_core.algebra import add3, axpy, hadamard3, matvec, norm3, scale3, sub3
 from ptnsbc_core.behaviours.contract import Behaviour, EpochErrors, Neighbour
-from ptnsbc_core.kernel import kernel
-from ptnsbc_core.nullspace import damped_solve
+from ptnsbc_core.kernel import inline_kernel, kernel
+from ptnsbc_core.nullspace import TaskVelocity, damped_solve
+from ptnsbc_core.tasks.contract import TaskGeometry
 from ptnsbc_core.tasks.registry import evaluate, task_error
-from ptnsbc_core.timebase import Clock, fallback_gain, task_rate
-from ptnsbc_core.types import AgentConfig, Vector3
+from ptnsbc_core.timebase import (
+    Clock,
+    PlanStep,
+    fallback_gain,
+    plan_duration,
+    plan_step,
+    step_gain,
+    task_rate,
+)
+from ptnsbc_core.types import (
+    APPROACH_PLANNED,
+    TASK_RELATIVE_POSITION,
+    AgentConfig,
+    Vector3,
+)
+
+_NEAR, _FAR = 0.1, 0.3
+"""Shares of the parent's distance: a position error below the first is the task's, above the second it is not."""
+
+_HANDOVER = 0.2
+"""The task takes over from the positions during this share of tf after tf."""
+
+_FOLLOW = 0.9
+"""rho: share of the parent's velocity beside its plan that a child follows at once."""
+
+_LEAST_LEFT = 0.1
+"""A plan is not begun when less than this share of it is left."""
+
+
+class FormationErrors(NamedTuple):
+    """How far a follower is from the formation."""
+
+    task: Vector3  # sigma_d - sigma, the task's own units
+    slot: Vector3  # [m, ENU] to the desired position relative to the leader
+    edge: Vector3  # [m, ENU] to the desired position relative to the parent
 
 
 @kernel
@@ -20,29 +61,139 @@ def formation(
     clock: Clock,
     config: AgentConfig,
 ) -> Behaviour:
-    """v_L + J^+ [Lambda G e - J_j (v_j - v_L)], in place of (30).
-
-    The reference k is the leader's estimated position plus the anchor. It moves with v_L, so its own term
-    vanishes. v_L stays outside the pseudo-inverse: damping must not slow the feed-forward. Task (23) can be close
-    to singular (UAV 4 starts so in Table 2). In the directions that it cannot steer, a lower task in its null
-    space follows the desired offset from the parent.
-    """
+    """Velocity of a follower for its formation task; the reference k of the task is the leader plus the anchor."""
     reference = add3(leader.position, config.anchor)
     geometry = evaluate(config.task, position, parent.position, reference)
-    error = task_error(geometry, config.desired)
-    start_error = error if epoch.at_epoch else epoch.task
-    rate = task_rate(config.formation, error, start_error, clock)
-    relative_velocity = sub3(parent.velocity, leader.velocity)
-    rate = sub3(rate, matvec(geometry.parent, relative_velocity))
+    errors = FormationErrors(
+        task_error(geometry, config.desired),
+        sub3(add3(leader.position, config.slot), position),
+        sub3(config.offset, sub3(position, parent.position)),
+    )
+    if config.approach == APPROACH_PLANNED:
+        return _planned(errors, geometry, parent, leader, epoch, clock, config)
+    return _by_task(errors, geometry, parent, leader, epoch, clock, config)
+
+
+@inline_kernel
+def _solve(
+    geometry: TaskGeometry, rate: Vector3, fallback: Vector3, config: AgentConfig
+) -> TaskVelocity:
+    """Velocity (3,) for a task rate; `fallback` in the directions that the task cannot steer.
+
+    Task (23) can be close to singular: UAV 4 starts so in Table 2.
+    """
     scale, own = config.row_scale, geometry.own
     jacobian = (scale3(scale[0], own[0]), scale3(scale[1], own[1]), scale3(scale[2], own[2]))
-    offset_error = sub3(config.offset, sub3(position, parent.position))
-    fallback = axpy(fallback_gain(config.formation, clock), offset_error, relative_velocity)
-    solution = damped_solve(
-        jacobian,
-        hadamard3(scale, rate),
-        fallback,
-        config.damping_threshold,
-        config.damping_max,
+    return damped_solve(
+        jacobian, hadamard3(scale, rate), fallback, config.damping_threshold, config.damping_max
     )
-    return Behaviour(add3(leader.velocity, solution.velocity), error, solution.singular_value)
+
+
+@kernel
+def _by_task(
+    errors: FormationErrors,
+    geometry: TaskGeometry,
+    parent: Neighbour,
+    leader: Neighbour,
+    epoch: EpochErrors,
+    clock: Clock,
+    config: AgentConfig,
+) -> Behaviour:
+    """v_L + J^+ [Lambda G e - J_j (v_j - v_L)], in place of (30).
+
+    The reference moves with v_L, so its own term vanishes. v_L stays outside the pseudo-inverse: damping must not
+    slow the feed-forward.
+    """
+    gain = config.formation
+    start_error = errors.task if epoch.at_epoch else epoch.start.task
+    relative = sub3(parent.velocity, leader.velocity)
+    rate = task_rate(gain, errors.task, start_error, clock)
+    rate = sub3(rate, matvec(geometry.parent, relative))
+    fallback = axpy(fallback_gain(gain, clock), errors.edge, relative)
+    solution = _solve(geometry, rate, fallback, config)
+    return Behaviour(
+        add3(leader.velocity, solution.velocity),
+        errors.task,
+        solution.singular_value,
+        (0.0, 0.0, 0.0),
+        errors.slot,
+        errors.edge,
+    )
+
+
+class ParentDeviation(NamedTuple):
+    """Motion of the parent beside its plan, as it was when the parent told it."""
+
+    velocity: Vector3  # [m/s, ENU]
+    acceleration: Vector3  # [m/s^2, ENU]
+
+
+@inline_kernel
+def _parent_deviation(
+    parent: Neighbour, leader: Neighbour, start: Vector3, plan: PlanStep
+) -> ParentDeviation:
+    """Against v_L + h_dot E_0 of the parent's own start error (3,) [m].
+
+    A deviation is not extrapolated. Extrapolated over a delay, it would grow from hop to hop.
+    """
+    acceleration = axpy(-plan.acceleration, start, sub3(parent.acceleration, leader.acceleration))
+    velocity = axpy(-plan.rate, start, sub3(parent.velocity, leader.velocity))
+    return ParentDeviation(axpy(-parent.delay_s, acceleration, velocity), acceleration)
+
+
+@kernel
+def _planned(
+    errors: FormationErrors,
+    geometry: TaskGeometry,
+    parent: Neighbour,
+    leader: Neighbour,
+    epoch: EpochErrors,
+    clock: Clock,
+    config: AgentConfig,
+) -> Behaviour:
+    """v_L + h_dot E_0 + Xi (E - E_0 (1 - h)) + kappa (e - e_0 (1 - h)) + rho d_j; after tf the task.
+
+    E is the error in the leader's frame, e the error relative to the parent, and d_j the velocity of the parent
+    beside its own plan. After tf the task has v_L + J^+ (kappa e_task - rho J_j d_j). A deviation of the parent
+    reaches its child through (rho s + kappa) / (s + kappa): the gain per hop is at most 1.
+    """
+    gain = config.formation
+    kappa = gain.scale * gain.kappa
+    plan = plan_step(plan_duration(gain), clock)
+    slot_start, edge_start = epoch.start.slot, epoch.start.edge
+    if epoch.at_epoch:
+        share = 1.0 / plan.left if plan.left > _LEAST_LEFT else 0.0
+        slot_start, edge_start = scale3(share, errors.slot), scale3(share, errors.edge)
+    beside = _parent_deviation(parent, leader, sub3(slot_start, edge_start), plan)
+    late = parent.delay_s
+    edge = axpy(-late, beside.velocity, errors.edge)
+    edge = axpy(-0.5 * late * late, beside.acceleration, edge)
+
+    follow = scale3(_FOLLOW, beside.velocity)
+    rate = sub3(scale3(kappa, errors.task), matvec(geometry.parent, follow))
+    by_task = _solve(geometry, rate, axpy(kappa, edge, follow), config)
+    weight = _task_weight(norm3(edge), clock.t, config)
+    by_position = axpy(kappa, axpy(-plan.left, edge_start, edge), follow)
+    correction = axpy(weight, by_task.velocity, scale3(1.0 - weight, by_position))
+    xi = gain.scale * step_gain(clock.t, clock.dt, gain.duration_s, gain.residual)
+    correction = axpy(xi, axpy(-plan.left, slot_start, errors.slot), correction)
+    lead = axpy(_FOLLOW, beside.acceleration, leader.acceleration)
+    return Behaviour(
+        add3(axpy(plan.rate, slot_start, leader.velocity), correction),
+        errors.task,
+        by_task.singular_value,
+        axpy(plan.acceleration, slot_start, lead),
+        slot_start,
+        edge_start,
+    )
+
+
+@inline_kernel
+def _task_weight(error_m: float, t: float, config: AgentConfig) -> float:
+    """Share of the task [1] against the positions: 1 near the shape after tf, 0 far from it or before."""
+    if config.task == TASK_RELATIVE_POSITION:
+        return 0.0
+    distance = norm3(config.offset)
+    near = min(max((_FAR * distance - error_m) / ((_FAR - _NEAR) * distance), 0.0), 1.0)
+    duration = config.formation.duration_s
+    return near * min(max((t - duration) / (_HANDOVER * duration), 0.0), 1.0)

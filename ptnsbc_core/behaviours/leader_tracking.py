@@ -5,7 +5,7 @@ from __future__ import annotations
 from ptnsbc_core.algebra import axpy, sub3
 from ptnsbc_core.behaviours.contract import Behaviour, EpochErrors
 from ptnsbc_core.kernel import kernel
-from ptnsbc_core.timebase import Clock, soft_start, task_rate
+from ptnsbc_core.timebase import Clock, loop_gain, soft_start, task_acceleration, task_rate
 from ptnsbc_core.trajectory import Reference
 from ptnsbc_core.types import AgentConfig, Vector3
 
@@ -20,7 +20,15 @@ def leader_tracking(
     leaves decays by tf, because the gain acts until then.
     """
     error = sub3(desired.position, position)
-    start_error = error if epoch.at_epoch else epoch.task
-    rate = task_rate(config.formation, error, start_error, clock)
-    velocity = axpy(soft_start(config.formation, clock), desired.velocity, rate)
-    return Behaviour(velocity, error, 1.0)
+    start_error = error if epoch.at_epoch else epoch.start.task
+    gain = config.formation
+    onset = soft_start(gain, clock)
+    velocity = axpy(onset, desired.velocity, task_rate(gain, error, start_error, clock))
+    # The error grows by what c(t) leaves of the feed-forward, and G acts on that too.
+    later = Clock(clock.t + clock.dt, clock.start_t + clock.dt, clock.dt)
+    onset_after = soft_start(gain, later)
+    on_velocity = loop_gain(gain, later) * (1.0 - onset) + (onset_after - onset) / clock.dt
+    acceleration = task_acceleration(gain, error, start_error, clock)
+    acceleration = axpy(on_velocity, desired.velocity, acceleration)
+    acceleration = axpy(onset_after, desired.acceleration, acceleration)
+    return Behaviour(velocity, error, 1.0, acceleration, error, error)

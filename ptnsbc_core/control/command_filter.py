@@ -23,11 +23,20 @@ class FilterOutput(NamedTuple):
 
 @inline_kernel
 def filter_step(
-    state: Vector3, target: Vector3, bandwidth: float, limit: float, dt: float
+    state: Vector3,
+    target: Vector3,
+    lead: Vector3,
+    bandwidth: float,
+    limit: float,
+    dt: float,
 ) -> FilterOutput:
-    """Move `state` (3,) towards `target` (3,) at `bandwidth` [1/s], by at most `limit` per second."""
+    """Move `state` (3,) towards `target` (3,) at `bandwidth` [1/s], by at most `limit` per second.
+
+    `lead` (3,) is the rate of the target. A target that moves at a known rate is followed without the lag
+    rate / bandwidth of the filter alone.
+    """
     gain = min(bandwidth, 1.0 / dt)
-    rate = scale3(gain, sub3(target, state))
+    rate = axpy(gain, sub3(target, state), lead)
     length = norm3(rate)
     saturated = length > limit
     if saturated:

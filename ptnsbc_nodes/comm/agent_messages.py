@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ptnsbc_core.agent import PackedOutputs
-from ptnsbc_core.types import Array
+from ptnsbc_core.types import ODOMETRY_SIZE, Array
 from ptnsbc_io.wire import OdometryTemplate, Stamped, VelocityTemplate, WrenchTemplate
 
 WORLD_FRAME = "map"
@@ -21,15 +21,22 @@ class AgentMessages:
         self._estimate = OdometryTemplate(WORLD_FRAME, WORLD_FRAME)
         self._velocity = VelocityTemplate(WORLD_FRAME)
         self._wrench = WrenchTemplate(body)
+        self._reported = np.zeros(ODOMETRY_SIZE)
         self._twist = np.zeros(6)
 
     def wrench(self, stamp_ns: int, wrench: Array) -> bytes:
         """geometry_msgs/WrenchStamped of (6,) force and torque, body FLU."""
         return self._wrench.encode(stamp_ns, wrench)
 
-    def state(self, own: Stamped) -> bytes:
-        """nav_msgs/Odometry of the own odometry vector (13,)."""
+    def odometry(self, own: Stamped) -> bytes:
+        """nav_msgs/Odometry of an odometry vector (13,)."""
         return self._state.encode(own.stamp_ns, own.values)
+
+    def state(self, own: Stamped, outputs: PackedOutputs) -> bytes:
+        """nav_msgs/Odometry for the neighbours: the own pose, and the velocity that the UAV commands."""
+        self._reported[:] = own.values
+        self._reported[7:10] = outputs.reported
+        return self._state.encode(own.stamp_ns, self._reported)
 
     def estimate(self, stamp_ns: int, estimate: Array) -> bytes:
         """nav_msgs/Odometry of a leader estimate (13,), velocities in the world frame."""
@@ -45,7 +52,7 @@ class AgentMessages:
         """State, estimate, velocity and wrench of one tick, in this order."""
         stamp_ns = own.stamp_ns
         return (
-            self.state(own),
+            self.state(own, outputs),
             self.estimate(stamp_ns, outputs.leader_estimate),
             self.velocity(stamp_ns, outputs.velocity),
             self.wrench(stamp_ns, outputs.wrench),

@@ -80,7 +80,7 @@ def near(uav: int) -> Topic:
 
 
 def formation_state(uav: int) -> Topic:
-    """Odometry of a UAV for its children, and of the leader for UAVs with a leader link."""
+    """Pose and commanded velocity of a UAV for its children, and of the leader for UAVs with a leader link."""
     return _state(uav, "formation_state", "nav_msgs/msg/Odometry")
 
 

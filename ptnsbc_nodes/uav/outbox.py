@@ -39,7 +39,7 @@ class Outbox:
         """Publish the tick computed from `own`; the wrench first, because the plant waits for it."""
         messages, stamp_ns = self._messages, own.stamp_ns
         self._send_wrench(messages.wrench(stamp_ns, outputs.wrench))
-        self._send_state(messages.state(own))
+        self._send_state(messages.state(own, outputs))
         self._send_estimate(messages.estimate(stamp_ns, outputs.leader_estimate))
         self._send_velocity(messages.velocity(stamp_ns, outputs.velocity))
         if self._step_log is not None:

@@ -46,6 +46,7 @@ from ptnsbc_core.types import (
     AgentState,
     Array,
     Estimate,
+    NeighbourMotion,
     Vector3,
 )
 from ptnsbc_sim.baselines.reaching import Reaching, phi, slope
@@ -147,7 +148,10 @@ def terminal_step(
 ) -> tuple[AgentState, AgentOutputs]:
     """One tick, as `ptnsbc_core.step.step`: pure, the same inputs and outputs."""
     clock = Clock(t, inputs.start_age_s, dt)
-    estimate, heard = leader_estimate(state, inputs, clock, False, config)
+    leader = NeighbourMotion(
+        velocity_enu(inputs.leader), 0.0, (0.0, 0.0, 0.0)
+    )  # as it measures itself
+    estimate, heard = leader_estimate(state, inputs, leader, clock, False, config)
     goal = desired(estimate, heard, inputs.own, clock, config, law.place)
     error = sub3(inputs.own, goal.position)
     rate = sub3(velocity_enu(inputs.own), goal.velocity)
@@ -165,8 +169,8 @@ def terminal_step(
         state.rates,
         state.adapted,
         state.obstacle_memory,
-        state.start_error,
-        state.start_attitude,
+        state.start,
+        state.motions,
         state.hold,
         MODE_FORMATION,
         t,
@@ -174,4 +178,8 @@ def terminal_step(
     saturated = force.saturated or torque.saturated
     away = scale3(-1.0, error)
     diagnostics = AgentDiagnostics(away, 0.0, 1.0, 0, saturated, False, 0.0, norm3(rate))
-    return after, AgentOutputs(goal.velocity, 0.0, force.value, torque.value, estimate, diagnostics)
+    reported = load3(inputs.own, 7)
+    outputs = AgentOutputs(
+        goal.velocity, 0.0, force.value, torque.value, estimate, reported, diagnostics
+    )
+    return after, outputs

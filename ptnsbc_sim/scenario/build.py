@@ -14,6 +14,7 @@ import numpy as np
 from ptnsbc_core.errors import FormationError
 from ptnsbc_core.tasks.registry import desired_value
 from ptnsbc_core.types import (
+    APPROACHES,
     AVOIDANCE,
     PLANT_QUADROTOR,
     PLANTS,
@@ -204,8 +205,10 @@ def agent_config(scenario: Scenario, uav_id: int) -> AgentConfig:
     return AgentConfig(
         leader=bool(uav_id == scenario.leader_id),
         task=TASKS[scenario.file.formation.task],
+        approach=APPROACHES[scenario.file.formation.approach],
         desired=desired,
         offset=_three(_offset_from_parent(scenario, uav_id)),
+        slot=_three(scenario.offset(uav_id)),
         anchor=_three(reference_offset(scenario, uav_id)),
         row_scale=row_scale,
         formation=_loop(scenario, gains.formation),

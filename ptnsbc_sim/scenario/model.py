@@ -193,6 +193,9 @@ class Formation(Block):
 
     task: Literal["distance_angles", "parent_angle", "relative_position"]
     """Task of the followers, see [method.md](method.md)."""
+    approach: Literal["planned", "task"] = "planned"
+    """How the formation comes about: `planned` forms by positions, on straight lines with one time profile, and holds
+    by the task; `task` lets the task itself close every error, as the paper does."""
     avoidance: Literal["off", "set_based", "switched"] = "set_based"
     """Rule of the clearance from obstacles and other UAVs."""
     offsets_m: dict[UavId, Vec3]

@@ -94,6 +94,15 @@ def _acceleration_limit(scenario: Scenario) -> float:
     return min([limit, upwards, *([sideways] if gravity > 0 else [])])
 
 
+def _deadline_for(motion_s: float, uav: int, scenario: Scenario) -> float:
+    """Deadline [s] for a motion of this length: the planned approach of a follower ends a little before it."""
+    if uav == scenario.leader_id or scenario.file.formation.approach == "task":
+        return motion_s
+    # The inverse of ptnsbc_core.timebase.plan_duration.
+    loop = scenario.gains.formation
+    return min(motion_s + 1.0 / max(loop.scale * loop.kappa_1_s, 1e-9), motion_s / 0.8)
+
+
 def feasible(scenario: Scenario) -> Findings:
     """The formation deadline against the limits of speed and acceleration, from the actual starts."""
     deadline = scenario.gains.formation.deadline_s
@@ -112,7 +121,10 @@ def feasible(scenario: Scenario) -> Findings:
     start = {uav: scenario.uav(uav).position for uav in scenario.uav_ids}
     goal = {uav: path.position + scenario.offset(uav) for uav in scenario.uav_ids}
     away = {uav: float(np.linalg.norm(goal[uav] - start[uav])) for uav in scenario.uav_ids}
-    needs = {uav: feasible_deadline(d, speed, acceleration) for uav, d in away.items()}
+    needs = {
+        uav: _deadline_for(feasible_deadline(d, speed, acceleration), uav, scenario)
+        for uav, d in away.items()
+    }
     short = [uav for uav, need in needs.items() if need > deadline]
     for uav in short or [max(needs, key=lambda one: needs[one])]:
         yield Finding(

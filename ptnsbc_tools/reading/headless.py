@@ -60,13 +60,13 @@ class _UavMessages:
         """Messages of one tick."""
         odom, near, state, estimate, velocity, wrench = self._names
         track, row, encoder = self._flight.track, self._row, self._encoder
-        own = encoder.state(Stamped(stamp_ns, track.odometry[tick, row]))
+        own = encoder.odometry(Stamped(stamp_ns, track.odometry[tick, row]))
         yield odom, own
         if len(track.truth):
-            yield self._truth, encoder.state(Stamped(stamp_ns, track.truth[tick, row]))
+            yield self._truth, encoder.odometry(Stamped(stamp_ns, track.truth[tick, row]))
         if tick % self._near_every == 0:
             yield near, encode_near(stamp_ns, WORLD_FRAME, self._flight.near(tick, row))
-        yield state, own
+        yield state, encoder.odometry(Stamped(stamp_ns, track.reported[tick, row]))
         yield estimate, encoder.estimate(stamp_ns, track.estimate[tick, row])
         yield velocity, encoder.velocity(stamp_ns, track.velocity[tick, row])
         yield wrench, encoder.wrench(stamp_ns, track.wrench[tick, row])

@@ -181,7 +181,7 @@ def using(settings: Setting) -> Iterator[None]:
 
 def scenario(name: str, changes: Setting | None = None) -> Scenario:
     """A scenario by name, with the keys of this run and of an experiment changed."""
-    return load_scenario(name, {**_settings, **(changes or {})})
+    return load_scenario(name, {"formation.approach": "task", **_settings, **(changes or {})})
 
 
 @lru_cache(maxsize=16)

@@ -25,7 +25,7 @@ def vector(outputs: AgentOutputs) -> np.ndarray:
     store_estimate(estimate, outputs.estimate)
     moving = (*outputs.velocity, outputs.yaw_rate, *outputs.force, *outputs.torque)
     error, *rest = outputs.diagnostics
-    return np.array([*moving, *estimate, *error, *map(float, rest)])
+    return np.array([*moving, *estimate, *outputs.reported, *error, *map(float, rest)])
 
 
 def random_inputs(rng: np.random.Generator, neighbours: int, near: int) -> AgentInputs:
@@ -83,4 +83,5 @@ def test_told_has_names_for_what_a_step_gives() -> None:
     assert told.leader_estimate[:3].tolist() == list(expected.estimate.position)
     assert told.leader_estimate[7:10].tolist() == list(expected.estimate.velocity)
     assert yaw_of(told.leader_estimate) == pytest.approx(expected.estimate.yaw)
+    assert told.reported.tolist() == list(expected.reported)
     assert told.diagnostics == expected.diagnostics

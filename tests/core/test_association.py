@@ -9,7 +9,7 @@ from ptnsbc_core.behaviours.contract import Neighbour
 
 associate = on_arrays(associate)
 
-REPORTED = Neighbour(np.array([1.0, 2.0, 3.0]), np.array([0.5, 0.0, 0.0]))
+REPORTED = Neighbour(np.array([1.0, 2.0, 3.0]), np.array([0.5, 0.0, 0.0]), np.zeros(3), 0.0)
 NOTHING = np.empty((0, 7))
 
 
@@ -18,7 +18,7 @@ def row(x: float, y: float, z: float, *velocity: float) -> list[float]:
 
 
 def same(a: Neighbour, b: Neighbour) -> bool:
-    return all(x.tobytes() == y.tobytes() for x, y in zip(a, b, strict=True))
+    return all(np.array_equal(x, y) for x, y in zip(a, b, strict=True))
 
 
 @pytest.mark.parametrize(
@@ -47,7 +47,7 @@ def test_the_own_error_cancels_in_the_difference() -> None:
     own, other = np.zeros(3), np.array([1.2, -0.6, 0.1])
     own_error, its_error = np.array([0.02, -0.03, 0.01]), np.array([-0.04, 0.01, 0.02])
     near = np.array([row(*(other + own_error))])
-    reported = Neighbour(other + its_error, np.zeros(3))
+    reported = Neighbour(other + its_error, np.zeros(3), np.zeros(3), 0.0)
     seen = associate(reported, near, 0.0, 0.2).position - (own + own_error)
     np.testing.assert_allclose(seen, other - own, atol=1e-12)
     assert np.linalg.norm((reported.position - (own + own_error)) - (other - own)) > 0.05

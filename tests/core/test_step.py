@@ -254,13 +254,13 @@ def test_a_new_epoch_plans_from_the_error_of_then() -> None:
     config = config_of(1)
     state = initial_state(message((0.0, 1, 1)), config)
     state, _ = step(state, inputs_of(message((0.0, 1, 1)), 0.0), 0.0, DT, config)
-    first = state.start_error
+    first = state.start.task
     np.testing.assert_allclose(first, [0, 4, 7])
     state, _ = step(state, inputs_of(message((0.0, 2, 2)), 3.0), 3.0, DT, config)
-    assert state.start_error == first
+    assert state.start.task == first
     state, _ = step(state, inputs_of(message((0.0, 3, 5)), 4.0), 0.0, DT, config)
     np.testing.assert_allclose(
-        state.start_error, np.array([5 * np.sin(0.4), 5 * np.cos(0.4), 8]) - [0, 3, 5]
+        state.start.task, np.array([5 * np.sin(0.4), 5 * np.cos(0.4), 8]) - [0, 3, 5]
     )
 
 

@@ -15,11 +15,13 @@ from ptnsbc_core.timebase import (
     h_rate,
     loop_gain,
     peak_gain,
+    plan_step,
     soft_start,
     step_gain,
+    task_acceleration,
     task_rate,
 )
-from ptnsbc_core.types import PROFILE_PAPER, PROFILE_REFERENCE, PROFILE_SOFT, LoopGain
+from ptnsbc_core.types import PROFILE_PAPER, PROFILE_REFERENCE, PROFILE_SOFT, PROFILES, LoopGain
 
 task_rate = on_arrays(task_rate)
 
@@ -218,3 +220,26 @@ def test_a_residual_without_bound_takes_the_time_base_out() -> None:
     for t in (0.0, 1.0, 2.5, 4.99, 5.0, 9.0):
         assert loop_gain(gain, Clock(t, t, 0.01)) == 1.5
     assert peak_gain(TF, np.inf) == 0.0
+
+
+@pytest.mark.parametrize("profile", PROFILES.values())
+def test_task_acceleration_is_the_change_of_the_rate_on_the_planned_error(profile: int) -> None:
+    gain = LoopGain(5.0, 1e-2, 1.0, 2.0 if profile != PROFILE_REFERENCE else 0.0, profile)
+    error = start = (1.0, -2.0, 0.5)
+    for k in range(600):
+        clock = Clock(k * 0.01, k * 0.01, 0.01)
+        rate = task_rate(gain, error, start, clock)
+        acceleration = task_acceleration(gain, error, start, clock)
+        error = tuple(e - 0.01 * r for e, r in zip(error, rate, strict=True))
+        later = Clock(clock.t + 0.01, clock.start_t + 0.01, 0.01)
+        after = task_rate(gain, error, start, later)
+        change = (np.array(after) - np.array(rate)) / 0.01
+        np.testing.assert_allclose(acceleration, change, atol=1e-9)
+
+
+def test_plan_step_is_one_minus_h_and_its_differences() -> None:
+    for k in (0, 120, 300, 449, 460):
+        now, after = (plan_step(4.5, Clock(j * 0.01, j * 0.01, 0.01)) for j in (k, k + 1))
+        assert now.left == pytest.approx(1.0 - h(k * 0.01 / 4.5), abs=1e-15)
+        assert now.rate == pytest.approx((now.left - after.left) / 0.01, abs=1e-12)
+        assert now.acceleration == pytest.approx((after.rate - now.rate) / 0.01, abs=1e-9)

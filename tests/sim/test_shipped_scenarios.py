@@ -50,7 +50,7 @@ def test_every_uav_is_in_its_place_at_the_deadline(name: str, plant: str) -> Non
 @pytest.mark.parametrize("plant", PLANTS)
 def test_twenty_pass_both_obstacles_and_stay_in_formation(plant: str) -> None:
     flown = flight("paper_20", plant, 60.0)
-    assert separation(flown) >= 0.9
+    assert separation(flown) >= flown.scenario.uav_keep_out_m
     for obstacle in flown.scenario.obstacles:
         away = np.linalg.norm(flown.track.odometry[:, :, :3] - obstacle.position, axis=2)
         assert away.min() >= 1.45

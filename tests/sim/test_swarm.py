@@ -140,7 +140,7 @@ def told(flown: HeadlessFlight, tick: int, row: int, near: np.ndarray) -> AgentI
 
     def sent(other: int | None) -> np.ndarray:
         heard = tick > 0 and other is not None
-        return track.odometry[tick - 1, rows[other]].copy() if heard else np.zeros(13)
+        return track.reported[tick - 1, rows[other]].copy() if heard else np.zeros(13)
 
     estimates = np.zeros((len(neighbours), 13))
     for k, other in enumerate(neighbours):
@@ -190,7 +190,9 @@ def test_world_and_agents_in_python_fly_the_same_flight(plant: str) -> None:
     size = len(world.ids)
     seen = flown._replace(
         track=flown.track._replace(
-            odometry=np.zeros((100, size, 13)), estimate=np.zeros((100, size, 13))
+            odometry=np.zeros((100, size, 13)),
+            reported=np.zeros((100, size, 13)),
+            estimate=np.zeros((100, size, 13)),
         )
     )
     near = {}
@@ -204,6 +206,8 @@ def test_world_and_agents_in_python_fly_the_same_flight(plant: str) -> None:
         for row, uav in enumerate(world.ids):
             out = agents[uav].step(told(seen, tick, row, near[uav]), t, dt)
             seen.track.estimate[tick, row] = out.leader_estimate
+            seen.track.reported[tick, row] = seen.track.odometry[tick, row]
+            seen.track.reported[tick, row, 7:10] = out.reported
             wrenches[uav] = out.wrench
             assert out.wrench.tobytes() == flown.track.wrench[tick, row].tobytes()
         assert seen.track.odometry[tick].tobytes() == flown.track.odometry[tick].tobytes()

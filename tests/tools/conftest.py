@@ -124,7 +124,7 @@ def _real_time(scenario: Scenario, writer: BagWriter) -> None:
     for k in range(scenario.ticks):
         stamp_ns = START_NS + k * PERIOD_NS + int(rng.integers(0, 200_000))
         for one in crew:
-            odom = letters[one.uav].state(Stamped(stamp_ns, world.odometry(one.uav)))
+            odom = letters[one.uav].odometry(Stamped(stamp_ns, world.odometry(one.uav)))
             writer.write(topics.odom(one.uav).name, stamp_ns, odom)
             if rng.random() > 0.1 or one.inbox.own is None:
                 one.inbox.own = decode_odometry(odom)

@@ -8,14 +8,14 @@ from ptnsbc_core.behaviours.attitude import attitude
 from ptnsbc_core.behaviours.contract import EpochErrors
 from ptnsbc_core.kinematics import euler_rates, quaternion_from_euler
 from ptnsbc_core.timebase import Clock
-from ptnsbc_core.types import PROFILE_PAPER
+from ptnsbc_core.types import PROFILE_PAPER, StartErrors
 from ptnsbc_sim.scenario import agent_config, load_scenario
 
 attitude = on_arrays(attitude)
 euler_rates = on_arrays(euler_rates)
 
 DT = 0.01
-NONE = EpochErrors(False, np.zeros(3), np.zeros(3))
+NONE = EpochErrors(False, StartErrors(*np.zeros((4, 3))))
 
 
 def test_attitude_decays_in_closed_form() -> None:

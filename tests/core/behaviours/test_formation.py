@@ -9,9 +9,10 @@ from ptnsbc_core.behaviours.formation import formation
 from ptnsbc_core.behaviours.leader_tracking import leader_tracking
 from ptnsbc_core.nullspace import damped_solve
 from ptnsbc_core.tasks.registry import evaluate, task_error
-from ptnsbc_core.timebase import Clock, loop_gain
+from ptnsbc_core.timebase import Clock, loop_gain, plan_duration
+from ptnsbc_core.timebase import h as time_base
 from ptnsbc_core.trajectory import reference
-from ptnsbc_core.types import PROFILE_PAPER, TASKS
+from ptnsbc_core.types import APPROACH_TASK, PROFILE_PAPER, TASKS, StartErrors
 from ptnsbc_sim.scenario import agent_config, load_scenario
 
 damped_solve = on_arrays(damped_solve)
@@ -23,7 +24,7 @@ task_error = on_arrays(task_error)
 
 DT, TF = 0.01, 5.0
 FOLLOWERS = (2, 3, 4, 5)
-NONE = EpochErrors(False, np.zeros(3), np.zeros(3))
+NONE = EpochErrors(False, StartErrors(*np.zeros((4, 3))))
 
 
 def by_the_design(position, parent, leader, clock, config):
@@ -53,16 +54,16 @@ def chain(task: str, law, seconds: float = TF, profile: int = PROFILE_PAPER, kap
     configs = {uav: agent_config(scenario, uav) for uav in scenario.uav_ids}
     for uav, config in configs.items():
         loop = config.formation._replace(kappa=kappa, profile=profile, scale=1.0, residual=1e-2)
-        configs[uav] = config._replace(formation=loop)
+        configs[uav] = config._replace(formation=loop, approach=APPROACH_TASK)
     place = {uav: scenario.uav(uav).position.copy() for uav in scenario.uav_ids}
     speed = {}
     for k in range(round(seconds / DT)):
         clock = Clock(k * DT, k * DT, DT)
         desired = reference(configs[1].trajectory, k * DT)
         speed[1] = leader_tracking(place[1], desired, NONE, clock, configs[1]).velocity
-        leader = Neighbour(place[1], speed[1])
+        leader = Neighbour(place[1], speed[1], np.zeros(3), 0.0)
         for uav in FOLLOWERS:
-            parent = Neighbour(place[uav - 1], speed[uav - 1])
+            parent = Neighbour(place[uav - 1], speed[uav - 1], np.zeros(3), 0.0)
             speed[uav] = law(place[uav], parent, leader, clock, configs[uav])
         for uav in place:
             place[uav] = place[uav] + DT * speed[uav]
@@ -92,9 +93,9 @@ def test_without_the_neighbours_velocities_it_is_decimetres_off() -> None:
 
 def test_fallback_steers_where_the_task_cannot() -> None:
     """(23) is singular at a right angle at k; the law still closes on the desired offset."""
-    config = agent_config(load_scenario("paper_5"), 4)
-    parent = Neighbour(np.array([-1.0, -1.0, 0.0]), np.zeros(3))
-    leader = Neighbour(np.zeros(3), np.zeros(3))
+    config = agent_config(load_scenario("paper_5", {"formation.approach": "task"}), 4)
+    parent = Neighbour(np.array([-1.0, -1.0, 0.0]), np.zeros(3), np.zeros(3), 0.0)
+    leader = Neighbour(np.zeros(3), np.zeros(3), np.zeros(3), 0.0)
     position = np.array([1.0, -1.0, 0.0])
     clock = Clock(10.0, 10.0, DT)
     first = formation(position, parent, leader, NONE, clock, config)
@@ -108,12 +109,89 @@ def test_fallback_steers_where_the_task_cannot() -> None:
 
 def test_leaders_velocity_stays_outside_the_damping() -> None:
     """At a singular configuration without error, the UAV moves exactly as the leader does."""
-    config = agent_config(load_scenario("paper_5"), 4)
+    config = agent_config(load_scenario("paper_5", {"formation.approach": "task"}), 4)
     moving = np.array([0.5, -0.2, 0.1])
-    parent, leader = Neighbour(np.array([-1.0, -1.0, 0]), moving), Neighbour(np.zeros(3), moving)
+    still = np.zeros(3)
+    parent = Neighbour(np.array([-1.0, -1.0, 0]), moving, still, 0.0)
+    leader = Neighbour(still, moving, still, 0.0)
     position = np.array([1.0, -1.0, 0.0])
     here = evaluate(config.task, position, parent.position, leader.position).value
     config = config._replace(desired=tuple(here), offset=tuple(position - parent.position))
     out = formation(position, parent, leader, NONE, Clock(1.0, 1.0, DT), config)
     assert out.singular_value < 1e-6
     np.testing.assert_allclose(out.velocity, moving, atol=1e-12)
+
+
+PLANNED = EpochErrors(True, StartErrors(*np.zeros((4, 3))))
+
+
+def planned_chain(task: str, seconds: float, starts: np.ndarray):
+    """Errors (T, 4, 3) [m] in the leader's frame of single integrators that start anywhere."""
+    scenario = load_scenario("paper_5", {"formation.task": task})
+    configs = {uav: agent_config(scenario, uav) for uav in scenario.uav_ids}
+    place = dict(zip(scenario.uav_ids, starts, strict=True))
+    epochs = dict.fromkeys(scenario.uav_ids, PLANNED)
+    errors = []
+    for k in range(round(seconds / DT)):
+        clock = Clock(k * DT, k * DT, DT)
+        lead = np.array([0.5 * k * DT, 0.0, 8.0])
+        place[1] = lead
+        leader = Neighbour(lead, np.array([0.5, 0.0, 0.0]), np.zeros(3), 0.0)
+        errors.append([lead + scenario.offset(uav) - place[uav] for uav in FOLLOWERS])
+        speed = {1: leader.velocity}
+        for uav in FOLLOWERS:
+            parent = Neighbour(place[uav - 1], speed[uav - 1], np.zeros(3), 0.0)
+            out = formation(place[uav], parent, leader, epochs[uav], clock, configs[uav])
+            if k == 0:
+                starts_of = StartErrors(*np.zeros((2, 3)), out.slot_start, out.edge_start)
+                epochs[uav] = EpochErrors(False, starts_of)
+            speed[uav] = out.velocity
+        for uav in FOLLOWERS:
+            place[uav] = place[uav] + DT * speed[uav]
+    return np.array(errors), configs[2].formation
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_planned_approach_is_the_plan_in_closed_form_whatever_the_task(task: str) -> None:
+    """E(t) = E(0) (1 - h): straight lines with one time profile, done before tf."""
+    starts = np.random.default_rng(3).uniform([-6, -6, 1], [6, 6, 6], (5, 3))
+    errors, gain = planned_chain(task, TF, starts)
+    length = plan_duration(gain)
+    assert length < gain.duration_s
+    for k in range(0, len(errors), 25):
+        left = 1.0 - time_base(k * DT / length)
+        np.testing.assert_allclose(errors[k], left * errors[0], atol=1e-9)
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_after_the_approach_the_task_holds_without_a_jump(task: str) -> None:
+    starts = np.random.default_rng(4).uniform([-6, -6, 1], [6, 6, 6], (5, 3))
+    errors, _ = planned_chain(task, 2.0 * TF, starts)
+    assert np.linalg.norm(errors[round(TF / DT) :], axis=2).max() < 1e-6
+
+
+def test_an_error_of_the_parent_does_not_grow_on_its_way_to_the_child() -> None:
+    """Gain per hop |rho j w + kappa| / |j w + kappa| <= 1, whatever the frequency and the delay."""
+    config = agent_config(load_scenario("paper_5", {"formation.task": "relative_position"}), 3)
+    kappa, still = config.formation.scale * config.formation.kappa, np.zeros(3)
+    settled = EpochErrors(False, StartErrors(*np.zeros((4, 3))))
+    slot, offset = np.array(config.slot), np.array(config.offset)
+    for omega in (0.3, 1.0, 3.0, 10.0):
+        for delay in (0, 15):
+            position, seen = slot.copy(), []
+            for k in range(6000):
+                t = 2.0 * TF + k * DT
+                late, phase = delay * DT, omega * (t - delay * DT)
+                x, v, a = np.sin(phase), omega * np.cos(phase), -(omega**2) * np.sin(phase)
+                # As `extrapolated` carries a late message to the present.
+                ahead = np.array([x + v * late + a * late**2 / 2, 0.0, 0.0])
+                speed = np.array([v + a * late, 0.0, 0.0])
+                parent = Neighbour(slot - offset + ahead, speed, np.array([a, 0.0, 0.0]), late)
+                leader = Neighbour(still, still, still, 0.0)
+                out = formation(position, parent, leader, settled, Clock(t, t, DT), config)
+                position = position + DT * out.velocity
+                seen.append(position[0] - slot[0])
+            gain = np.ptp(seen[3000:]) / 2.0
+            assert gain <= 1.0
+            expected = np.hypot(0.9 * omega, kappa) / np.hypot(omega, kappa)
+            np.testing.assert_allclose(gain, expected, rtol=0.03)

@@ -128,7 +128,7 @@ def test_lockstep_flights_have_the_bytes_of_each_other_and_of_the_headless_one(l
     track = fly(scenario).track
     expected = {
         "odom": (wire.decode_odometry, track.odometry),
-        "formation_state": (wire.decode_odometry, track.odometry),
+        "formation_state": (wire.decode_odometry, track.reported),
         "leader_estimate": (wire.decode_odometry, track.estimate),
         "setpoint/wrench": (wire.decode_wrench, track.wrench),
     }

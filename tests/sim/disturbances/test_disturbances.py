@@ -70,7 +70,7 @@ def inputs(
         if sent < 0 or other is None:
             return np.zeros(13), NEVER_RECEIVED_S
         age = ((tick - sent) * scenario.dt_ns) * 1e-9
-        return track.odometry[sent, rows[other]].copy(), age
+        return track.reported[sent, rows[other]].copy(), age
 
     others = scenario.estimator_neighbours(uav)
     estimates, ages = np.zeros((len(others), 13)), np.full(len(others), NEVER_RECEIVED_S)
