@@ -34,10 +34,11 @@ class Share:
     @property
     def interval(self) -> str:
         """`43.3 to 81.9 %`; one bound where the count is none or all."""
+        digits = 1 if self.high - self.low > 0.01 else 3
         if self.count == 0:
-            return f"at most {100 * self.high:.1f} %"
+            return f"at most {100 * self.high:.{digits}f} %"
         if self.count == self.of:
-            return f"at least {100 * self.low:.1f} %"
+            return f"at least {100 * self.low:.{digits}f} %"
         return f"{100 * self.low:.1f} to {100 * self.high:.1f} %"
 
     def __str__(self) -> str:

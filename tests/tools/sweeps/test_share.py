@@ -19,8 +19,9 @@ def test_an_interval_by_hand() -> None:
 
 
 def test_none_and_all_have_one_bound() -> None:
-    assert str(share(0, 1000)) == "0 of 1000, 0.0 % (at most 0.4 %)"
-    assert str(share(1000, 1000)) == "1000 of 1000, 100.0 % (at least 99.6 %)"
+    assert str(share(0, 1000)) == "0 of 1000, 0.0 % (at most 0.383 %)"
+    assert str(share(1000, 1000)) == "1000 of 1000, 100.0 % (at least 99.617 %)"
+    assert share(0, 40).interval == "at most 8.8 %"
     assert share(0, 0).as_json()["share"] is None
     assert str(share(0, 0)) == "0 of 0"
 
