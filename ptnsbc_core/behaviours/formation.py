@@ -34,6 +34,9 @@ from ptnsbc_core.types import (
 _NEAR, _FAR = 0.1, 0.3
 """Shares of the parent's distance: a position error below the first is the task's, above the second it is not."""
 
+_SINGULAR, _CONDITIONED = 0.5, 0.9
+"""Smallest singular values of the task in metres: below the first the positions hold, above the second the task."""
+
 _HANDOVER = 0.2
 """The task takes over from the positions during this share of tf after tf."""
 
@@ -172,7 +175,7 @@ def _planned(
     follow = scale3(_FOLLOW, beside.velocity)
     rate = sub3(scale3(kappa, errors.task), matvec(geometry.parent, follow))
     by_task = _solve(geometry, rate, axpy(kappa, edge, follow), config)
-    weight = _task_weight(norm3(edge), clock.t, config)
+    weight = _task_weight(norm3(edge), by_task.singular_value, clock.t, config)
     by_position = axpy(kappa, axpy(-plan.left, edge_start, edge), follow)
     correction = axpy(weight, by_task.velocity, scale3(1.0 - weight, by_position))
     xi = gain.scale * step_gain(clock.t, clock.dt, gain.duration_s, gain.residual)
@@ -189,11 +192,15 @@ def _planned(
 
 
 @inline_kernel
-def _task_weight(error_m: float, t: float, config: AgentConfig) -> float:
-    """Share of the task [1] against the positions: 1 near the shape after tf, 0 far from it or before."""
+def _task_weight(error_m: float, singular_value: float, t: float, config: AgentConfig) -> float:
+    """Share of the task [1] against the positions: 1 near a well conditioned shape after tf, else less, down to 0.
+
+    An error of the parent reaches the child through J^+ J_j, which grows with 1 / singular_value.
+    """
     if config.task == TASK_RELATIVE_POSITION:
         return 0.0
     distance = norm3(config.offset)
     near = min(max((_FAR * distance - error_m) / ((_FAR - _NEAR) * distance), 0.0), 1.0)
+    near *= min(max((singular_value - _SINGULAR) / (_CONDITIONED - _SINGULAR), 0.0), 1.0)
     duration = config.formation.duration_s
     return near * min(max((t - duration) / (_HANDOVER * duration), 0.0), 1.0)

@@ -195,3 +195,20 @@ def test_an_error_of_the_parent_does_not_grow_on_its_way_to_the_child() -> None:
             assert gain <= 1.0
             expected = np.hypot(0.9 * omega, kappa) / np.hypot(omega, kappa)
             np.testing.assert_allclose(gain, expected, rtol=0.03)
+
+
+@pytest.mark.parametrize(("uav", "by_task"), [(2, False), (3, True)])
+def test_a_badly_conditioned_task_leaves_holding_to_the_positions(uav: int, by_task: bool) -> None:
+    """UAV 2 of paper_5 has a smallest singular value of 0.15, UAV 3 of 1."""
+    config = agent_config(load_scenario("paper_5"), uav)
+    still = np.zeros(3)
+    settled = EpochErrors(False, StartErrors(*np.zeros((4, 3))))
+    leader = Neighbour(still, still, still, 0.0)
+    parent = Neighbour(np.array(config.slot) - np.array(config.offset), still, still, 0.0)
+    error = np.array([0.02, -0.01, 0.03])
+    clock = Clock(3.0 * TF, 3.0 * TF, DT)
+    out = formation(np.array(config.slot) - error, parent, leader, settled, clock, config)
+    kappa = config.formation.scale * config.formation.kappa
+    assert np.allclose(out.velocity, kappa * error, atol=1e-12) is not by_task
+    # Either way the error falls.
+    assert out.velocity @ error > 0.5 * kappa * (error @ error)
