@@ -162,7 +162,7 @@ def _topics(contents: Contents) -> Iterator[BagTopic]:
 
 
 def find_problems(bag: Bag) -> list[str]:
-    """What is wrong with an open bag, empty when it is whole; reads all of it with its checksums."""
+    """Problems of an open bag, none when it is whole; reads all of it with its checksums."""
     return [*_file_problems(bag), *_metadata_problems(bag)]
 
 

@@ -67,7 +67,7 @@ class CommandRequest(Enum):
 
 @dataclass(frozen=True)
 class VehicleSnapshot:
-    """What the bridge knows of vehicle, controller and fleet at one instant."""
+    """Vehicle, controller and fleet as the bridge sees them at one instant."""
 
     now_s: float
     heartbeat_age_s: float = float("inf")
