@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
-from ptnsbc_sim.disturbances.links import MessageLoss, message_loss
+from ptnsbc_sim.disturbances.links import LinkDelay, MessageLoss, link_delay, message_loss
 from ptnsbc_sim.scenario import Scenario
 
 LEAD_TICKS = 4
@@ -33,6 +34,7 @@ class Senders:
     leader: int | None  # None unless pinned
     estimators: tuple[int, ...]  # ascending: the order of the rows of AgentInputs.estimates
     losses: MessageLoss | None = None  # which of their messages the scenario wants lost
+    delays: Mapping[int, LinkDelay] = field(default_factory=dict)  # and how late, by sender
 
     @property
     def states(self) -> tuple[int, ...]:
@@ -50,11 +52,13 @@ class CommunicationGraph:
     def senders(self, uav_id: int) -> Senders:
         """The senders that this UAV listens to."""
         scenario = self._scenario
+        others = (i for i in scenario.uav_ids if i != uav_id)
         return Senders(
             parent=scenario.parent(uav_id),
             leader=scenario.leader_id if scenario.pinned(uav_id) else None,
             estimators=scenario.estimator_neighbours(uav_id),
             losses=message_loss(scenario, uav_id),
+            delays={i: link_delay(scenario, i, uav_id) for i in others},
         )
 
     def linked(self, uav_id: int) -> tuple[int, ...]:

@@ -30,6 +30,7 @@ from ptnsbc_io.wire import Stamped
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.graph import LEAD_TICKS, Senders
 from ptnsbc_nodes.comm.topics import Topic
+from ptnsbc_sim.disturbances.links import NO_DELAY, LinkDelay
 
 NO_CUTOFF_NS = 2**63 - 1
 """Cutoff of real time: every message counts, also that of a neighbour whose clock is ahead."""
@@ -43,12 +44,17 @@ _QUEUE_LENGTH = (
 
 
 class MessageQueue:
-    """The last messages of one sender: its tick k may arrive before its k-1 is used."""
+    """The last messages of one sender: its tick k may arrive before its k-1 is used.
 
-    __slots__ = ("_messages", "newest_ns")
+    A message that the scenario wants late has arrived, but it does not count before its time.
+    """
 
-    def __init__(self) -> None:
-        self._messages: deque[Stamped] = deque(maxlen=_QUEUE_LENGTH)  # the newest first
+    __slots__ = ("_delay_ns", "_messages", "newest_ns")
+
+    def __init__(self, delay: LinkDelay = NO_DELAY) -> None:
+        self._delay_ns = delay.ns
+        length = _QUEUE_LENGTH + delay.ticks
+        self._messages: deque[Stamped] = deque(maxlen=length)  # the newest first
         self.newest_ns = -1  # stamp of the newest message, lost or not
 
     def put(self, message: Stamped, lost: bool = False) -> None:
@@ -60,8 +66,10 @@ class MessageQueue:
         if not lost:
             self._messages.appendleft(message)
 
-    def before(self, cutoff_ns: int) -> Stamped | None:
-        """The newest message stamped before `cutoff_ns` [ns]."""
+    def before(self, cutoff_ns: int, now_ns: int) -> Stamped | None:
+        """The newest message stamped before `cutoff_ns` [ns] that has its delay behind it at `now_ns` [ns]."""
+        if self._delay_ns:
+            cutoff_ns = min(cutoff_ns, now_ns - self._delay_ns + 1)
         for message in self._messages:
             if message.stamp_ns < cutoff_ns:
                 return message
@@ -75,8 +83,9 @@ class Inbox:
         self.senders = senders
         self.own: Stamped | None = None
         self.near: Stamped | None = None
-        self._states = {i: MessageQueue() for i in senders.states}
-        self._estimates = {i: MessageQueue() for i in senders.estimators}
+        delays = senders.delays
+        self._states = {i: MessageQueue(delays.get(i, NO_DELAY)) for i in senders.states}
+        self._estimates = {i: MessageQueue(delays.get(i, NO_DELAY)) for i in senders.estimators}
         self._awaited = [*self._states.items(), *self._estimates.items()]
         self._inputs = PackedInputs(len(self._estimates), _NOTHING_NEAR)
         self._own_row = self._inputs.vector[OWN:PARENT]
@@ -122,10 +131,10 @@ class Inbox:
                     return False
         return self.near.stamp_ns == now_ns - now_ns % (period_ns * near_every)
 
-    def held(self, cutoff_ns: int) -> list[Stamped | None]:
+    def held(self, now_ns: int, cutoff_ns: int) -> list[Stamped | None]:
         """The messages of `pack_inputs`: own, near, states, estimates, the latter two by ascending sender."""
         queues = (*self._states.values(), *self._estimates.values())
-        return [self.own, self.near, *(queue.before(cutoff_ns) for queue in queues)]
+        return [self.own, self.near, *(queue.before(cutoff_ns, now_ns) for queue in queues)]
 
     def topic_names(self, uav_id: int) -> list[str]:
         """The topics of the `held` messages of the UAV `uav_id`."""
@@ -149,7 +158,7 @@ class Inbox:
             inputs.near = self.near.values
             vector[NEAR_AGE] = _age_s(self.near, now_ns)
         for queue, row, age_at in self._queue_rows:
-            message = queue.before(cutoff_ns)
+            message = queue.before(cutoff_ns, now_ns)
             if message is not None:
                 row[:] = message.values
                 vector[age_at] = _age_s(message, now_ns)

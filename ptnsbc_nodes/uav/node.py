@@ -176,7 +176,7 @@ class UavNode:
         inbox, timing = self._controller.inbox, self._timing
         now_ns = timing.now_ns()
         periods = timing.pace.tick(now_ns)
-        timing.clock_offset.look(now_ns, inbox.held(NO_CUTOFF_NS))
+        timing.clock_offset.look(now_ns, inbox.held(NO_CUTOFF_NS, NO_CUTOFF_NS))
         # A setpoint proves that the controller has fresh odometry, so there is none without it.
         if inbox.own is not None and not self._stale(inbox.own, now_ns):
             self._tick(inbox.own, now_ns, NO_CUTOFF_NS, periods * timing.period_ns)

@@ -62,7 +62,7 @@ class _StepLogPublisher:
     def send(self, at: StepTime, controller: UavController) -> None:
         """Publish the messages that the step `at` used, and at times the state after it."""
         sequence = controller.steps - 1
-        held = controller.inbox.held(NO_CUTOFF_NS)
+        held = controller.inbox.held(at.now_ns, NO_CUTOFF_NS)
         self._send_tick(self._template.encode(sequence, at, held))
         if sequence % self._every == 0:
             self._snapshot = self._snapshot or SnapshotTemplate(controller)

@@ -1,8 +1,10 @@
-"""Loss of messages between UAVs: independent for every message, at the receiver."""
+"""Messages between UAVs that get lost or come late. Loss is independent for every message, at the receiver."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +18,7 @@ class MessageLoss:
     """The messages that one UAV does not receive. They follow from stamp and seed, so a re-run loses the same."""
 
     seed: int
-    share: float
+    shares: Mapping[int, float]  # fraction that is lost, by sender
     receiver: int
     period_ns: int
 
@@ -30,22 +32,46 @@ class MessageLoss:
 
     def _lost(self, kind: int, sender: int, stamp_ns: int) -> bool:
         address = (self.seed, kind, self.receiver, sender)
-        return random_streams.uniform(address, max(stamp_ns, 0) // self.period_ns) < self.share
+        number = random_streams.uniform(address, max(stamp_ns, 0) // self.period_ns)
+        return number < self.shares[sender]
 
 
 def message_loss(scenario: Scenario, uav_id: int) -> MessageLoss | None:
-    """The message loss of one UAV; None for links without loss."""
-    share = scenario.file.communication.loss
-    return MessageLoss(scenario.seed, share, uav_id, scenario.dt_ns) if share > 0.0 else None
+    """The message loss of one UAV; None when none of its links loses any."""
+    others = (i for i in scenario.uav_ids if i != uav_id)
+    shares = {i: scenario.link(i, uav_id).loss for i in others}
+    if not any(shares.values()):
+        return None
+    return MessageLoss(scenario.seed, shares, uav_id, scenario.dt_ns)
+
+
+class LinkDelay(NamedTuple):
+    """How late the messages of one sender come."""
+
+    ns: int
+    ticks: int  # in control periods, rounded up
+
+
+NO_DELAY = LinkDelay(0, 0)
+
+
+def link_delay(scenario: Scenario, sender: int, receiver: int) -> LinkDelay:
+    """The delay of one link."""
+    delay_ns = round(scenario.link(sender, receiver).delay_s * 1e9)
+    return LinkDelay(delay_ns, -(-delay_ns // scenario.dt_ns))
 
 
 def _last_received(scenario: Scenario, kind: int, receiver: int, sender: int) -> NDArray[np.int64]:
-    """Tick of the newest message (T,) received before each tick; -1: none."""
+    """Tick of the newest message (T,) received before each tick; -1: none.
+
+    A message is at least one tick old, whatever the delay: at tick k everybody computes what it sends at k.
+    """
     ticks = scenario.ticks
     address = (scenario.seed, kind, receiver, sender)
-    lost = random_streams.uniform_below(address, ticks, scenario.file.communication.loss)
-    sent = np.where(lost, -1, np.arange(ticks, dtype=np.int64))
-    return np.concatenate(([-1], np.maximum.accumulate(sent)[:-1]))
+    lost = random_streams.uniform_below(address, ticks, scenario.link(sender, receiver).loss)
+    sent = np.maximum.accumulate(np.where(lost, -1, np.arange(ticks, dtype=np.int64)))
+    late = min(max(link_delay(scenario, sender, receiver).ticks, 1), ticks)
+    return np.concatenate((np.full(late, -1, dtype=np.int64), sent[: ticks - late]))
 
 
 def last_received(scenario: Scenario, width: int) -> NDArray[np.int64]:

@@ -25,6 +25,7 @@ from ptnsbc_sim.scenario.gains import Gains
 from ptnsbc_sim.scenario.mavlink import Mavlink
 
 STILL = (Wave(amount=0.0, shape="constant"),) * 3
+Delay = Annotated[NotNegative, Field(le=1)]
 HalfTurn = Annotated[Number, Field(gt=0, lt=1.5707963)]
 
 
@@ -72,7 +73,7 @@ class Positioning(Block):
     """Standard deviation of a fix, per axis."""
     rate_hz: Count
     """Rate of the fixes, a divisor of `control_hz`."""
-    latency_s: Annotated[NotNegative, Field(le=1)] = 0.0
+    latency_s: Delay = 0.0
     """Latency of a fix, a multiple of the control period."""
     unknown_latency_s: NotNegative = 0.0
     """Part of the latency that the estimator on board does not compensate; all of it without time stamps."""
@@ -134,6 +135,19 @@ class Plant(Block):
     """Limits of the paper's plant."""
 
 
+class LinkBlock(Block):
+    """The link from one UAV to another, where it differs from the others."""
+
+    sender: UavId
+    """Id of the UAV that sends."""
+    receiver: UavId
+    """Id of the UAV that receives; `tree`, `leader_links` or `estimator_edges` must have the edge."""
+    loss: Share | None = None
+    """Fraction of the messages that is lost. Default: that of all links."""
+    delay_s: Delay | None = None
+    """Time from sending to arrival. Default: that of all links."""
+
+
 class Communication(Block):
     """The communication graph of the formation."""
 
@@ -147,6 +161,10 @@ class Communication(Block):
     """A UAV holds after its parent or leader has been silent for this long."""
     loss: Share = 0.0
     """Fraction of the messages between UAVs that is lost."""
+    delay_s: Delay = 0.0
+    """Time from sending to arrival of a message between UAVs; less than `stale_s`."""
+    links: tuple[LinkBlock, ...] = ()
+    """Single links with a loss or a delay of their own, each in one direction:"""
 
 
 class Circle(Block):

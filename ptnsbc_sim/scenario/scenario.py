@@ -41,6 +41,13 @@ class UavStart(NamedTuple):
     disturbance: Disturbance
 
 
+class LinkQuality(NamedTuple):
+    """What becomes of the messages from one UAV to another."""
+
+    loss: float  # fraction that is lost
+    delay_s: float  # from sending to arrival
+
+
 class Obstacle(NamedTuple):
     """A sphere to keep out of."""
 
@@ -169,15 +176,31 @@ class Scenario:
         """Constant wind (3,), ENU."""
         return np.array(self.file.world.wind_m_s, dtype=np.float64)
 
+    def link(self, sender: int, receiver: int) -> LinkQuality:
+        """Loss and delay of the messages from one UAV to another."""
+        block = self.file.communication
+        for link in block.links:
+            if (link.sender, link.receiver) == (sender, receiver):
+                loss = block.loss if link.loss is None else link.loss
+                return LinkQuality(loss, block.delay_s if link.delay_s is None else link.delay_s)
+        return LinkQuality(block.loss, block.delay_s)
+
+    @property
+    def lossy(self) -> bool:
+        """Whether messages between UAVs get lost or come late."""
+        block = self.file.communication
+        own = any(link.loss or link.delay_s for link in block.links)
+        return own or block.loss > 0.0 or block.delay_s > 0.0
+
     @property
     def imperfect(self) -> bool:
-        """Whether the flight has random disturbances: position or sensor noise, gusts, lost messages."""
+        """Whether the flight has random disturbances: position or sensor noise, gusts, lost or late messages."""
         return (
             self.sensor.positioning is not None
             or self.sensor.noise_m > 0.0
             or self.sensor.velocity_noise_m_s > 0.0
             or any(self.file.world.gust_m_s)
-            or self.file.communication.loss > 0.0
+            or self.lossy
         )
 
     @property

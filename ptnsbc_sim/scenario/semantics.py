@@ -108,6 +108,33 @@ def _members(file: ScenarioFile) -> Problems:
                 yield f"communication.estimator_edges[{index}][{end}]: {uav}: no such UAV; {known}"
 
 
+def _links(file: ScenarioFile) -> Problems:
+    block = file.communication
+    first: dict[tuple[int, int], int] = {}
+    for index, link in enumerate(block.links):
+        where, ends = f"communication.links[{index}]", (link.sender, link.receiver)
+        pair = {ends, ends[::-1]}
+        if not (
+            block.tree.get(link.receiver) == link.sender
+            or (link.sender == file.leader.id and link.receiver in block.leader_links)
+            or pair.intersection(block.estimator_edges)
+        ):
+            yield (
+                f"{where}: no messages from UAV {link.sender} to UAV {link.receiver}: expected an edge "
+                "of communication.tree, leader_links or estimator_edges"
+            )
+        if ends in first:
+            yield f"{where}: duplicate of communication.links[{first[ends]}], give each link once"
+        first.setdefault(ends, index)
+    delays = {f"links[{k}].delay_s": link.delay_s for k, link in enumerate(block.links)}
+    for key, delay_s in {"delay_s": block.delay_s, **delays}.items():
+        if delay_s is not None and delay_s >= block.stale_s:
+            yield (
+                f"communication.{key}: {delay_s:g}: expected less than communication.stale_s "
+                f"({block.stale_s:g}), or the receiver holds for ever"
+            )
+
+
 def _offsets(file: ScenarioFile) -> Problems:
     followers = [uav.id for uav in file.uavs if uav.id != file.leader.id]
     offsets = file.formation.offsets_m
@@ -192,6 +219,7 @@ _CHECKS: tuple[Callable[[ScenarioFile], Problems], ...] = (
     _timing,
     _names,
     _members,
+    _links,
     _offsets,
     _sight,
     _plant,

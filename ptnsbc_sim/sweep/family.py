@@ -18,7 +18,6 @@ from ptnsbc_core.timebase import feasible_deadline
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import reader
 from ptnsbc_sim.scenario.fields import Block, Count, Name, NotNegative, Number, Positive
-from ptnsbc_sim.scenario.model import Communication
 from ptnsbc_sim.scenario.problems import ScenarioError, scenario_error
 from ptnsbc_sim.scenario.scenario import completed
 from ptnsbc_sim.sweep.starts import Spheres, clear_places, spheres_of
@@ -136,7 +135,7 @@ class Family(Block):
     obstacles: FamilyObstacles | None = None
     """Spheres to keep out of; none without it."""
     delay_s: Range | None = None
-    """Delay of the messages between UAVs, once the scenario has that key."""
+    """Delay of the messages between UAVs; the base scenario's without it."""
     wind: FamilyWind | None = None
     """The base scenario's wind without it."""
 
@@ -166,19 +165,13 @@ def family_from_text(text: str, source: str = "family") -> Family:
     """A family from YAML text.
 
     Raises:
-        ScenarioError: the text is no family, or it draws a key that scenarios do not have.
+        ScenarioError: the text is no family.
     """
     tree = reader.parse(text, source)
     try:
-        family = Family.model_validate(tree)
+        return Family.model_validate(tree)
     except ValidationError as error:
         raise scenario_error(source, error, tree) from None
-    if family.delay_s is not None and "delay_s" not in Communication.model_fields:
-        raise ScenarioError(
-            f"{source}: delay_s: communication.delay_s is not a key of the scenario in this version: "
-            "remove delay_s from the family"
-        )
-    return family
 
 
 def _number(given: float | tuple[float, float], rng: np.random.Generator) -> float:
@@ -364,7 +357,7 @@ def _uavs(base: list[dict[str, Any]], starts: list[Array]) -> list[dict[str, Any
 def _network(parents: dict[int, int], size: int) -> dict[str, Any]:
     followers = list(range(2, size + 1))
     edges = [[uav, uav + 1] for uav in followers[:-1]]
-    return {"tree": parents, "leader_links": followers, "estimator_edges": edges}
+    return {"tree": parents, "leader_links": followers, "estimator_edges": edges, "links": []}
 
 
 def draw_family(family: Family, tree: reader.Tree, generator: Generator) -> dict[str, Any]:

@@ -103,7 +103,7 @@ class _Process:
             of(self.uav): data + bytes(-len(data) % 4)
             for of, data in zip(names, self._letters.all(own, outputs), strict=True)
         }
-        held = self.inbox.held(NO_CUTOFF_NS)
+        held = self.inbox.held(NO_CUTOFF_NS, NO_CUTOFF_NS)
         sequence = self._pilot.steps - 1
         said[topics.tick(self.uav)] = self._tick.encode(sequence, at, held)
         if sequence % 50 == 0:

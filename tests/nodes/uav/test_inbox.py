@@ -9,7 +9,7 @@ from ptnsbc_core.types import MODE_HOLD, NEVER_RECEIVED_S, AgentInputs
 from ptnsbc_io.wire import Stamped
 from ptnsbc_nodes.comm.graph import LEAD_TICKS, Senders
 from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS, Inbox, MessageQueue
-from ptnsbc_sim.disturbances.links import MessageLoss
+from ptnsbc_sim.disturbances.links import LinkDelay, MessageLoss
 
 PERIOD = 10_000_000
 NEAR_EVERY = 5
@@ -43,16 +43,16 @@ def test_a_child_of_the_leader_hears_it_once():
 
 def test_link_keeps_the_message_that_a_fast_neighbour_overtook():
     link = MessageQueue()
-    assert link.before(NO_CUTOFF_NS) is None
+    assert link.before(NO_CUTOFF_NS, NO_CUTOFF_NS) is None
     link.put(message(6))
     link.put(message(7))
-    assert link.before(7 * PERIOD).stamp_ns == 6 * PERIOD
-    assert link.before(8 * PERIOD).stamp_ns == 7 * PERIOD
-    assert link.before(6 * PERIOD) is None
+    assert link.before(7 * PERIOD, 7 * PERIOD).stamp_ns == 6 * PERIOD
+    assert link.before(8 * PERIOD, 8 * PERIOD).stamp_ns == 7 * PERIOD
+    assert link.before(6 * PERIOD, 6 * PERIOD) is None
     for tick in range(8, 6 + LEAD_TICKS + 2):  # as far ahead as lock-step lets it go
         link.put(message(tick))
-    assert link.before(7 * PERIOD).stamp_ns == 6 * PERIOD
-    assert link.before(NO_CUTOFF_NS).stamp_ns == (6 + LEAD_TICKS + 1) * PERIOD
+    assert link.before(7 * PERIOD, 7 * PERIOD).stamp_ns == 6 * PERIOD
+    assert link.before(NO_CUTOFF_NS, NO_CUTOFF_NS).stamp_ns == (6 + LEAD_TICKS + 1) * PERIOD
 
 
 def test_inputs_before_anything_is_heard():
@@ -172,7 +172,7 @@ def test_lost_messages_are_not_heard_and_not_waited_for():
         def estimate(self, sender, stamp_ns):
             return sender == 4
 
-    inbox = Inbox(replace(FOLLOWER, losses=Half(1, 0.5, 3, PERIOD)))
+    inbox = Inbox(replace(FOLLOWER, losses=Half(1, {}, 3, PERIOD)))
     for tick in range(40):
         hear_all(inbox, tick)
     inbox.own, inbox.near = message(40), near(40)
@@ -181,3 +181,33 @@ def test_lost_messages_are_not_heard_and_not_waited_for():
     assert inputs.parent[0] == 20 + 3
     assert inputs.parent_age_s == inputs.leader_age_s == 37 * PERIOD * 1e-9
     np.testing.assert_array_equal(inputs.estimate_age_s, [PERIOD * 1e-9, NEVER_RECEIVED_S])
+
+
+@pytest.mark.parametrize(
+    ("delay_ns", "ticks"), [(1, 1), (PERIOD, 1), (PERIOD + 1, 2), (15 * PERIOD, 15)]
+)
+def test_late_messages_are_waited_for_and_count_later(delay_ns, ticks):
+    delay = LinkDelay(delay_ns, ticks)
+    inbox = Inbox(replace(FOLLOWER, delays={2: delay}))
+    for tick in range(40):
+        hear_all(inbox, tick)
+    for tick in range(40, 40 + LEAD_TICKS):  # these overtook our tick 40
+        inbox.on_state(2, message(tick, 20 + tick))
+    inbox.own, inbox.near = message(40), near(40)
+    assert inbox.holds_tick(PERIOD, NEAR_EVERY)
+    inputs = inputs_of(inbox, 40 * PERIOD, 40 * PERIOD)
+    assert inputs.parent[0] == 20 + 40 - ticks
+    assert inputs.parent_age_s == ticks * PERIOD * 1e-9
+    assert inputs.leader_age_s == PERIOD * 1e-9
+    np.testing.assert_array_equal(inputs.estimate_age_s, [ticks * PERIOD * 1e-9, PERIOD * 1e-9])
+
+
+def test_in_real_time_a_late_message_counts_to_the_nanosecond():
+    inbox = Inbox(replace(FOLLOWER, delays=dict.fromkeys((1, 2, 4), LinkDelay(25_000_000, 3))))
+    for tick in range(40):
+        hear_all(inbox, tick)
+    inbox.own = message(39)
+    due_ns = 36 * PERIOD + 25_000_000
+    for now_ns, tick in ((due_ns - 1, 35), (due_ns, 36)):
+        assert inputs_of(inbox, now_ns, NO_CUTOFF_NS).parent[0] == 20 + tick
+        assert inbox.held(now_ns, NO_CUTOFF_NS)[3].stamp_ns == tick * PERIOD

@@ -43,7 +43,7 @@ def test_a_tick_names_its_inputs():
     flown, rng = controller(), np.random.default_rng(1)
     at = fed(flown, rng, 0)
     flown.inbox.near = None
-    held = flown.inbox.held(NO_CUTOFF_NS)
+    held = flown.inbox.held(NO_CUTOFF_NS, NO_CUTOFF_NS)
     label, numbers = decode_integers(step_log.TickTemplate(SENDERS).encode(7, at, held))
     note = step_log.tick_note(label, numbers.tolist())
     assert (note.sequence, note.moment) == (7, at)

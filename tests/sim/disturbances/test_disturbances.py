@@ -1,13 +1,14 @@
 """Flights with disturbances: one seed gives the same flight, headless and by the processes."""
 
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 import pytest
 
 from ptnsbc_core.agent import Agent
 from ptnsbc_core.types import MODE_FORMATION, NEVER_RECEIVED_S, AgentInputs
-from ptnsbc_sim.disturbances.links import MessageLoss, last_received, message_loss
+from ptnsbc_sim.disturbances.links import MessageLoss, last_received, link_delay, message_loss
 from ptnsbc_sim.scenario import Scenario, agent_config, load_scenario
 from ptnsbc_sim.swarm import HeadlessFlight, fly
 from ptnsbc_sim.track import HOLDING
@@ -17,9 +18,18 @@ SHORT = 1.5
 
 
 @lru_cache
-def flight(seed: int = 1, seconds: float = SHORT, loss: float = 0.2) -> HeadlessFlight:
-    changes = {"seed": seed, "timing.duration_s": seconds, "communication.loss": loss}
+def flight(seed: int = 1, seconds: float = SHORT) -> HeadlessFlight:
+    changes = {"seed": seed, "timing.duration_s": seconds, "communication.loss": 0.2}
     return fly(load_scenario("experiment_4", changes))
+
+
+LATE = {
+    "delay_s": 0.035,
+    "links": [
+        {"sender": 1, "receiver": 3, "delay_s": 0.12},
+        {"sender": 3, "receiver": 2, "delay_s": 0.0, "loss": 0.5},
+    ],
+}
 
 
 def test_one_seed_gives_the_same_bytes_and_another_one_others() -> None:
@@ -51,9 +61,12 @@ def received(scenario: Scenario, uav: int, tick: int, sent: int | None, estimate
     """Tick of the newest message that got through, as a UAV node finds it; -1: none."""
     lost = message_loss(scenario, uav)
     assert lost is not None
-    told = lost.estimate if estimate else lost.state
+    if sent is None:
+        return -1
+    told, delay_ns = lost.estimate if estimate else lost.state, link_delay(scenario, sent, uav).ns
     for before in range(tick - 1, -1, -1):
-        if sent is not None and not told(sent, before * scenario.dt_ns):
+        in_time = (tick - before) * scenario.dt_ns >= delay_ns
+        if in_time and not told(sent, before * scenario.dt_ns):
             return before
     return -1
 
@@ -88,9 +101,12 @@ def inputs(
     )
 
 
-def test_world_and_agents_in_python_fly_the_same_flight() -> None:
-    """The loop of the processes: sensors, wind and losses one UAV at a time, and the same bits."""
-    flown = flight(1)
+@pytest.mark.parametrize("communication", [{}, LATE], ids=["lost", "lost and late"])
+def test_world_and_agents_in_python_fly_the_same_flight(communication: dict[str, Any]) -> None:
+    """The loop of the processes: sensors, wind, losses and delays one UAV at a time, and the same bits."""
+    changes = {f"communication.{key}": value for key, value in communication.items()}
+    changes |= {"timing.duration_s": SHORT, "seed": 1, "communication.loss": 0.2}
+    flown = fly(load_scenario("experiment_4", changes))
     scenario, world = flown.scenario, World(flown.scenario)
     agents = {uav: Agent(agent_config(scenario, uav), world.odometry(uav)) for uav in world.ids}
     near = {}
@@ -142,8 +158,36 @@ def test_as_many_messages_are_lost_as_asked_for_and_a_child_of_the_leader_hears_
     assert message_loss(load_scenario("paper_5"), 2) is None
 
 
+@pytest.mark.parametrize(
+    ("delay_s", "ticks"), [(0.0, 1), (0.01, 1), (0.0101, 2), (0.15, 15), (0.4, 40)]
+)
+def test_a_message_counts_when_its_delay_is_over(delay_s: float, ticks: int) -> None:
+    """Of a tick it is one tick old at least; a rounded tick never counts early."""
+    changes = {"communication.delay_s": delay_s, "timing.duration_s": 2.0}
+    heard = last_received(load_scenario("paper_5", changes), 2)
+    expected = np.maximum(np.arange(len(heard)) - ticks, -1)
+    for row, column in ((1, 0), (4, 0), (2, 2)):
+        np.testing.assert_array_equal(heard[:, row, column], expected)
+
+
+def test_a_link_has_a_loss_and_a_delay_of_its_own() -> None:
+    links = [
+        {"sender": 2, "receiver": 3, "delay_s": 0.1},
+        {"sender": 3, "receiver": 2, "loss": 0.5},
+    ]
+    scenario = load_scenario("experiment_4_calm", {"communication.links": links})
+    assert scenario.link(2, 3) == (0.0, 0.1)
+    assert scenario.link(3, 2) == (0.5, 0.0)
+    assert scenario.link(1, 2) == (0.0, 0.0)
+    assert message_loss(scenario, 3) is None
+    lost = message_loss(scenario, 2)
+    assert lost is not None
+    assert not any(lost.state(1, tick * scenario.dt_ns) for tick in range(200))
+    assert link_delay(scenario, 2, 3) == (100_000_000, 10)
+
+
 def test_both_directions_of_a_link_lose_on_their_own() -> None:
-    there, back = MessageLoss(1, 0.5, 2, 10), MessageLoss(1, 0.5, 3, 10)
+    there, back = MessageLoss(1, {3: 0.5}, 2, 10), MessageLoss(1, {2: 0.5}, 3, 10)
     stamps = range(0, 20_000, 10)
     one = [there.estimate(3, stamp) for stamp in stamps]
     other = [back.estimate(2, stamp) for stamp in stamps]

@@ -16,6 +16,21 @@ FIXES = {"noise_m": 0.02, "rate_hz": 10}
     [
         ("communication.loss", 1.0, "communication.loss: 1.0: expected < 1"),
         ("communication.loss", -0.1, "expected >= 0"),
+        ("communication.delay_s", -0.1, "expected >= 0"),
+        ("communication.delay_s", "0.1 m", "expected the unit s"),
+        ("communication.delay_s", 0.5, "less than communication.stale_s (0.5)"),
+        ("communication.links", [{"sender": 1, "receiver": 9}], "no messages from UAV 1 to UAV 9"),
+        ("communication.links", [{"sender": 5, "receiver": 1}], "no messages from UAV 5 to UAV 1"),
+        (
+            "communication.links",
+            [{"sender": 1, "receiver": 2}] * 2,
+            "links[1]: duplicate of communication.links[0]",
+        ),
+        (
+            "communication.links",
+            [{"sender": 1, "receiver": 2, "delay_s": 0.6}],
+            "links[0].delay_s: 0.6: expected less than",
+        ),
         ("world.gust_m_s", [1, -1, 0], "world.gust_m_s[1]: -1: expected >= 0"),
         ("world.gust_time_s", 0, "expected > 0"),
         ("sensor.positioning", {**FIXES, "rate_hz": 30}, "sensor.positioning.rate_hz: 30: "),
@@ -63,6 +78,8 @@ def test_what_is_imperfect() -> None:
     assert not load_scenario("experiment_4_calm").imperfect
     for key, value in (
         ("communication.loss", 0.01),
+        ("communication.delay_s", 0.01),
+        ("communication.links", [{"sender": 1, "receiver": 2, "loss": 0.01}]),
         ("world.gust_m_s", [0, 0, 0.1]),
         ("sensor.positioning", FIXES),
         ("sensor.noise_m", 0.01),

@@ -44,9 +44,12 @@ def test_a_draw_of_a_family_is_text_and_back() -> None:
         assert drawn_values(plan, k) == drawn_values(plan, k)
 
 
-def test_a_delay_is_refused_until_scenarios_have_one() -> None:
-    with pytest.raises(ScenarioError, match=r"communication\.delay_s is not a key"):
-        plan_of_family(find_family("delay").read_text())
+def test_a_delay_is_drawn_for_all_links() -> None:
+    plan = plan_of_family(find_family("delay").read_text())
+    drawn = [drawn_scenario(plan, k) for k in range(8)]
+    delays = [values["delay_s"] for _, values in drawn]
+    assert [scenario.file.communication.delay_s for scenario, _ in drawn] == delays
+    assert 0.0 < min(delays) < 0.1 < max(delays) < 0.2
 
 
 def test_followers_that_swap_start_at_the_place_of_another_one() -> None:

@@ -37,8 +37,10 @@ def assert_same_flight(fleet: Path, alone: Path) -> set[str]:
 @pytest.mark.ros
 @needs_rclpy
 def test_a_fleet_in_lockstep_flies_what_one_process_flies(tmp_path: Path) -> None:
-    """Noise and losses included, and with the same verdict."""
-    words = ("experiment_4", "--duration", "3", "--json")
+    """Noise, losses and delays included, and with the same verdict."""
+    links = "communication.links=[{sender: 1, receiver: 3, delay_s: 0.2, loss: 0.4}]"
+    late = ("--set", "communication.delay_s=0.055", "--set", links)
+    words = ("experiment_4", "--duration", "3", *late, "--json")
     together, flown, err = run("fleet", *words, "--lockstep", "--bag", tmp_path / "fleet")
     alone, simulated, _ = run("simulate", *words, "--bag", tmp_path / "alone")
     assert together == alone == 1, err  # three seconds are too short for the deadline

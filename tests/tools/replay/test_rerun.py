@@ -71,15 +71,15 @@ def test_equal_where_links_lose_and_positions_are_noisy(tmp_path):
     from ptnsbc_sim.swarm import fly
     from ptnsbc_tools.reading.headless import write_flight
 
-    flown = load_scenario("experiment_4", {"timing.duration_s": 1.0, "communication.loss": 0.3})
+    changes = {"timing.duration_s": 1.0, "communication.loss": 0.3, "communication.delay_s": 0.06}
+    flown = load_scenario("experiment_4", changes)
     assert flown.imperfect
     done = rerun(read_bag(write_flight(fly(flown), tmp_path / "lossy")), flown)
     assert done.verdict == "equal", done.first
     assert all(account.steps == flown.ticks for account in done.accounts.values())
-    other = load_scenario(
-        "experiment_4", {"timing.duration_s": 1.0, "communication.loss": 0.3, "seed": 12345}
-    )
-    assert rerun(read_bag(tmp_path / "lossy"), other).verdict == "different"
+    for another in ({"seed": 12345}, {"communication.delay_s": 0.07}):
+        other = load_scenario("experiment_4", changes | another)
+        assert rerun(read_bag(tmp_path / "lossy"), other).verdict == "different"
 
 
 @pytest.mark.parametrize("kind", ["headless", "realtime"])
