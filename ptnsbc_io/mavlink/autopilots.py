@@ -216,6 +216,40 @@ def limits(values: Mapping[str, float]) -> AutopilotLimits:
     )
 
 
+_PX4_WITHOUT_SETPOINTS: Mapping[int, str] = {
+    0: "needs a remote control (COM_OBL_RC_ACT=0), and sinks and drifts without one",
+    1: "needs a remote control (COM_OBL_RC_ACT=1), and sinks and drifts without one",
+    2: "needs a remote control (COM_OBL_RC_ACT=2), and sinks and drifts without one",
+    3: "returns and lands (COM_OBL_RC_ACT=3)",
+    4: "lands (COM_OBL_RC_ACT=4)",
+    5: "hovers until somebody lands it or its battery is low (COM_OBL_RC_ACT=5)",
+    6: "stops its motors (COM_OBL_RC_ACT=6)",
+    7: "stops its motors (COM_OBL_RC_ACT=7)",
+}
+
+
+def fate(autopilot: Autopilot, mode: FlightMode, values: Mapping[str, float]) -> str:
+    """What an armed vehicle does from now on when no companion speaks to it, by its mode and parameters."""
+    if mode is FlightMode.LAND:
+        return "it lands by itself"
+    if mode is FlightMode.RETURN:
+        return "it returns by itself"
+    if mode in (FlightMode.HOLD, FlightMode.TAKEOFF):
+        return "it hovers until somebody lands it or its battery is low"
+    if mode is FlightMode.OTHER:
+        return "its pilot flies it"
+    if autopilot is PX4:
+        action = values.get("COM_OBL_RC_ACT")
+        known = None if action is None else _PX4_WITHOUT_SETPOINTS.get(int(action))
+        return f"without setpoints it {known or 'acts as COM_OBL_RC_ACT says'}"
+    if autopilot is ARDUPILOT:
+        return (
+            f"it keeps its velocity for {values.get('GUID_TIMEOUT', 3.0):g} s (GUID_TIMEOUT), then hovers in GUIDED "
+            "until somebody lands it or its battery is low"
+        )
+    return "its own failsafe acts"
+
+
 def hover_thrust(values: Mapping[str, float]) -> float | None:
     """Normalised thrust at hover, where the vehicle has a parameter for it."""
     return values.get("MPC_THR_HOVER", values.get("MOT_THST_HOVER"))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from ptnsbc_io.mavlink.autopilots import AUTOPILOTS, findings, hover_thrust, limits
+from ptnsbc_io.mavlink.autopilots import AUTOPILOTS, fate, findings, hover_thrust, limits
 from ptnsbc_io.mavlink.dialect import mavlink
 from ptnsbc_io.mavlink.link import MavlinkLink
 from ptnsbc_io.wire import decode_velocity, decode_wrench
@@ -89,7 +89,7 @@ class Bridge:
 
     def leave(self) -> None:
         """After landing: leave the mode in which PX4 would arm at once the next time."""
-        if self.vehicle.autopilot.packed and self.flew and self.procedure.step is Step.DONE:
+        if self.vehicle.autopilot.packed and self.flew and not self.vehicle.armed:
             self.link.send(self.maintenance.commands.leave_own_mode())
 
     def _on_message(self, message: Any) -> None:
@@ -117,6 +117,7 @@ class Bridge:
             height_m = self._mavlink.takeoff_height_m
             self.link.send(self.maintenance.commands.message(output.command, height_m))
         self._send_setpoint(output.stream, now_s)
+        self.maintenance.urgent = self.procedure.step is Step.KILL
         healthy = self.procedure.step is not Step.FAILED
         self.maintenance.send_due(now_s, healthy, self.state_publisher.clock_jumped(now_s))
 
@@ -171,11 +172,33 @@ class Bridge:
             fence_breach="" if odometry is None else self.stream.guard.breach(odometry[0:3]),
             rebooted=vehicle.rebooted,
             duplicate_sysid=vehicle.duplicate_sysid(now_s) or rival,
-            stop_request=inputs.stop_request,
+            stop_request=inputs.order.what,
+            pilots_too=inputs.order.pilots_too,
+            left_behind=self.left_behind,
             vehicle_warning=", ".join(
                 filter(None, (self.maintenance.commands.refused, vehicle.warning))
             ),
         )
+
+    @property
+    def place(self) -> str:
+        """Where the vehicle was last, in the world; empty while that is not known."""
+        odometry = self.state_publisher.odometry
+        if odometry is None:
+            return ""
+        return "({:.1f}, {:.1f}, {:.1f}) m".format(*odometry[0:3])
+
+    @property
+    def fate(self) -> str:
+        """What the vehicle does when this bridge is silent."""
+        vehicle = self.vehicle
+        return fate(vehicle.autopilot, vehicle.mode, self.maintenance.parameters)
+
+    @property
+    def left_behind(self) -> str:
+        """The vehicle's state as the last word about it."""
+        place = f" at {self.place}" if self.place else ""
+        return f"armed{place} in {self.vehicle.mode_name or 'no mode'}: {self.fate}"
 
     def _send_setpoint(self, stream: Stream, now_s: float) -> None:
         odometry, offset = self.state_publisher.odometry, self.state_publisher.world.offset

@@ -36,6 +36,8 @@ class LinkMaintenance:
         self.sync = TimeSync()
         self._parameters = ParameterReader(vehicle.autopilot.parameters, vehicle.autopilot.encoding)
         self.parameters_read = False
+        self.urgent = False
+        """Whether the vehicle's state is asked for more often than it comes: HEARTBEAT comes once a second."""
         self._interval_requests = 0
         self._next_s: dict[str, float] = {}
 
@@ -52,6 +54,11 @@ class LinkMaintenance:
             return ""
         values, setpoint = self._parameters.values, self._settings.setpoint
         return refusal(self._vehicle.autopilot, values, setpoint) or ""
+
+    @property
+    def parameters(self) -> Mapping[str, float]:
+        """The vehicle's parameters as far as they are known."""
+        return self._parameters.values
 
     def take_parameters(self, now_s: float) -> Mapping[str, float] | None:
         """The vehicle's parameters once all are read; None before, and at every later call."""
@@ -114,7 +121,8 @@ class LinkMaintenance:
             yield mavlink.MAVLink_param_request_read_message(
                 self._settings.sysid, AUTOPILOT_COMPONENT, name.encode(), -1
             )
-        if vehicle.unconfirmed and self._is_due("confirmation", now_s, _CONFIRM_S):
+        asking = vehicle.unconfirmed or self.urgent
+        if asking and self._is_due("confirmation", now_s, _CONFIRM_S):
             yield self.commands.request(mavlink.MAVLINK_MSG_ID_HEARTBEAT)
         if vehicle.anchor is None and self._is_due("origin", now_s, _REQUEST_S):
             yield self.commands.request(mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN)
@@ -124,7 +132,7 @@ class LinkMaintenance:
         # Single requests may get lost, a rebooted vehicle has forgotten them, and the rates that a vehicle
         # chooses without them are too slow.
         missing = silent or vehicle.landed is None
-        asking = missing or self._interval_requests < _MIN_INTERVAL_REQUESTS
-        if asking and self._is_due("intervals", now_s, _INTERVALS_S):
+        wanting = missing or self._interval_requests < _MIN_INTERVAL_REQUESTS
+        if wanting and self._is_due("intervals", now_s, _INTERVALS_S):
             self._interval_requests += 1
             yield from self.commands.intervals()

@@ -6,10 +6,14 @@ everything, so that a busy executor never delays the stream.
 
 from __future__ import annotations
 
+import os
 import sys
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.clock import Clock, ClockType
@@ -26,7 +30,7 @@ from ptnsbc_nodes.bridge.near_objects import NearObjects
 from ptnsbc_nodes.bridge.ports import BridgeInputs, BridgeOutputs, BridgePorts, Clocks
 from ptnsbc_nodes.bridge.procedure.steps import Step
 from ptnsbc_nodes.bridge.setpoint.guard import SetpointLimits
-from ptnsbc_nodes.bridge.status import bridge_status
+from ptnsbc_nodes.bridge.status import bridge_status, vehicle_record
 from ptnsbc_nodes.comm import topics, vehicle_messages
 from ptnsbc_nodes.comm.agent_messages import WORLD_FRAME
 from ptnsbc_nodes.comm.diagnostics import INACTIVE, STATUS_HZ
@@ -34,8 +38,20 @@ from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.comm.graph import CommunicationGraph
 from ptnsbc_nodes.comm.topics import LOST
 from ptnsbc_nodes.comm.vehicle_messages import PlannerLimits
+from ptnsbc_nodes.emergency.order_port import OrderPort
+from ptnsbc_nodes.emergency.orders import (
+    LAND,
+    Order,
+    RuntimeFolderError,
+    latch,
+    latched,
+    parse_order,
+    runtime_folder,
+)
+from ptnsbc_nodes.emergency.records import VehicleRecord, write_record
 from ptnsbc_sim.scenario import Scenario
 
+_RECORD_S = 1.0
 _NOT_OURS = (Step.YIELDED, Step.HEARTBEAT, Step.DONE, Step.FAILED)
 
 
@@ -58,7 +74,9 @@ class BridgeNode:
         link: MavlinkLink,
         allow_arming: bool,
         on_end: Callable[[], None],
+        signing_key: str = "",
     ) -> None:
+        """`signing_key`: the path of the key file, for who must reach the vehicle when this process is dead."""
         self.node = node
         self.endpoints = Endpoints(node, lockstep=False)
         self._uav_id = uav_id
@@ -73,6 +91,20 @@ class BridgeNode:
             DiagnosticArray, topics.DIAGNOSTICS.name, self._on_diagnostics, 20, raw=True
         )
         self._subscribe(scenario)
+        settings = scenario.vehicle_link(uav_id)
+        fleet = self.endpoints.fleet.strip("/").replace("/", ".")
+        self._record = VehicleRecord(
+            name=f"{fleet}.{self._name}" if fleet else self._name,
+            pid=os.getpid(),
+            sysid=settings.sysid,
+            autopilot=settings.autopilot,
+            connect=settings.connect,
+            signing_key=signing_key,
+        )
+        self._kept, self._kept_s = self._record, -_RECORD_S  # what the file has, and since when
+        self._folder: Path | None = None
+        self._orders = self._open_order_port()
+        self._keep_record()
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._status_timer = node.create_timer(1.0 / STATUS_HZ, self._on_status_timer, clock=steady)
         self._leaving = False
@@ -103,15 +135,18 @@ class BridgeNode:
 
     def land(self) -> bool:
         """Request a landing; returns whether the vehicle is armed and this bridge flies it."""
-        if self._thread is None or self.bridge.procedure.step in _NOT_OURS:
+        procedure = self.bridge.procedure
+        if self._thread is None or procedure.step in _NOT_OURS or procedure.in_pilots_hands:
             return False
-        inputs = self.bridge.ports.inputs
-        inputs.stop_request = inputs.stop_request or "land"
+        self._take(Order(LAND))
         return self.bridge.vehicle.armed
 
     def close(self) -> None:
         """Stop the thread, and the stream with it; remove everything from the node."""
         self._stop_thread()
+        self._keep_record(ended=True)
+        if self._orders is not None:
+            self._orders.close()
         self.bridge.link.close()
         self.node.destroy_timer(self._status_timer)
         self._unsubscribe_diagnostics()
@@ -168,10 +203,51 @@ class BridgeNode:
         self.bridge.ports.inputs.leader_origin = vehicle_messages.decode_origin(data)
 
     def _on_emergency(self, data: bytes) -> None:
-        request = decode_header(data).frame_id
-        if request in ("land", "kill"):
-            self._log(f"emergency: {request}")
-            self.bridge.ports.inputs.stop_request = request
+        order = parse_order(decode_header(data).frame_id)
+        if order is not None:
+            self._on_order(order)
+
+    def _on_order(self, order: Order) -> None:
+        """An order of the operator; it is latched, so that this bridge obeys it also after a restart."""
+        if self._take(order):
+            self._log(f"emergency: {order.text}")
+            if self._folder is not None:
+                with suppress(OSError):
+                    latch(self._folder, order)
+
+    def _take(self, order: Order) -> bool:
+        return self.bridge.ports.inputs.take(order)
+
+    def _open_order_port(self) -> OrderPort | None:
+        """The socket for orders of this host, and the order that still holds from before."""
+        try:
+            self._folder = runtime_folder(int(os.environ.get("ROS_DOMAIN_ID", "0")))
+            port = OrderPort(
+                self._folder, self._record.name, self._on_order, lambda: self._present().encode()
+            )
+        except RuntimeFolderError as error:
+            self._log(f"warning: no local path for ptnsbc stop: {error}")
+            return None
+        held = latched(self._folder)
+        if held.what:
+            self.bridge.procedure.fail(
+                f"the operator's order {held.text!r} still holds: ptnsbc stop --clear releases it"
+            )
+            self._take(held)
+        return port
+
+    def _present(self) -> VehicleRecord:
+        return vehicle_record(self._record.name, self.bridge, self._record)
+
+    def _keep_record(self, *, ended: bool = False) -> VehicleRecord:
+        """The vehicle's record of now; in its file it is at most a second old, and a change is there at once."""
+        record, now_s = replace(self._present(), ended=ended), time.monotonic()
+        changed = replace(record, place=self._kept.place) != self._kept
+        if self._folder is not None and (changed or now_s >= self._kept_s + _RECORD_S):
+            self._kept, self._kept_s = record, now_s
+            with suppress(OSError):
+                write_record(self._folder, record)
+        return record
 
     def _on_diagnostics(self, data: bytes) -> None:
         """Before arming: whether the UAV process has everything it needs."""
@@ -187,7 +263,8 @@ class BridgeNode:
         if self.bridge.procedure.ready:
             # In flight nothing reads the diagnostics of others, so they are not worth their reception.
             self._unsubscribe_diagnostics()
-        self._send_status(bridge_status(self._name, self.bridge, self.waiting_for()))
+        record = self._keep_record()
+        self._send_status(bridge_status(self._name, record, self.bridge, self.waiting_for()))
 
     def _unsubscribe_diagnostics(self) -> None:
         if self._diagnostics is not None:

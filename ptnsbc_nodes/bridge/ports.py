@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -10,6 +11,7 @@ from ptnsbc_core.types import Array
 from ptnsbc_io.mavlink.frames import GeoPoint
 from ptnsbc_io.wire import HeaderFields
 from ptnsbc_nodes.bridge.setpoint.guard import SetpointLimits
+from ptnsbc_nodes.emergency.orders import Order
 
 
 @dataclass
@@ -22,7 +24,14 @@ class BridgeInputs:
     )  # epochs in the order of their announcement
     leader_origin: GeoPoint | None = None
     controller_ready: bool = False
-    stop_request: str = ""  # "land" or "kill"
+    order: Order = field(default_factory=Order)  # by the operator, or at the end of this process
+    _taking: threading.Lock = field(default_factory=threading.Lock)
+
+    def take(self, order: Order) -> bool:
+        """Take an order: a kill is never taken down to a landing. Returns whether it changes anything."""
+        with self._taking:  # the node and the port for orders have threads of their own
+            before, self.order = self.order, self.order.then(order)
+            return self.order != before
 
 
 class BridgeOutputs(NamedTuple):

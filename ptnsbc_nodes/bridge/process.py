@@ -153,4 +153,6 @@ def _open(node: ManagedNode, parameters: NodeParameters, on_end: Callable[[], No
     signer = Signer(read_key(Path(key))) if key else None
     link = MavlinkLink(connect(settings.connect), settings.sysid, WANTED_MESSAGES, signer)
     edges = CommunicationGraph(scenario, parameters.options)
-    return BridgeNode(node, scenario, uav, edges, link, parameters["allow_arming"], on_end)
+    arming = parameters["allow_arming"]
+    path = str(Path(key).resolve()) if key else ""
+    return BridgeNode(node, scenario, uav, edges, link, arming, on_end, signing_key=path)

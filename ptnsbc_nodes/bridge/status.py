@@ -3,15 +3,40 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from ptnsbc_nodes.bridge.bridge import Bridge
-from ptnsbc_nodes.bridge.procedure.steps import Step
+from ptnsbc_nodes.bridge.procedure.steps import HEARTBEAT_LOST_S, Step
 from ptnsbc_nodes.comm.diagnostics import DiagnosticLevel, diagnostics, readiness
+from ptnsbc_nodes.emergency.records import VehicleRecord
 
 _NEVER_S = 1e6
 
 
-def bridge_status(name: str, bridge: Bridge, missing: Sequence[str]) -> bytes:
+def vehicle_record(name: str, bridge: Bridge, base: VehicleRecord) -> VehicleRecord:
+    """What this bridge knows of its vehicle now; `base` has what does not change."""
+    vehicle, procedure, peer = bridge.vehicle, bridge.procedure, bridge.link.peer
+    silence_s = vehicle.heartbeat_age_s(bridge.ports.clocks.steady_s())
+    return replace(
+        base,
+        name=name,
+        peer="" if peer is None else f"{peer[0]}:{peer[1]}",
+        step=procedure.step.value,
+        order=bridge.ports.inputs.order.text,
+        heard=silence_s < HEARTBEAT_LOST_S,
+        armed=vehicle.armed,
+        landed=bool(vehicle.landed),
+        in_pilots_hands=procedure.in_pilots_hands,
+        mode=vehicle.mode_name,
+        place=bridge.place,
+        fate=bridge.fate if vehicle.armed else "",
+        fault=procedure.fault,
+    )
+
+
+def bridge_status(
+    name: str, record: VehicleRecord, bridge: Bridge, missing: Sequence[str]
+) -> bytes:
     """A DiagnosticArray about one bridge; `missing` is what the formation waits for."""
     now_s, stamp_ns = bridge.ports.clocks.steady_s(), bridge.ports.clocks.ros_ns()
     procedure, vehicle, latency = bridge.procedure, bridge.vehicle, bridge.stream.latency
@@ -25,6 +50,11 @@ def bridge_status(name: str, bridge: Bridge, missing: Sequence[str]) -> bytes:
         "fault": procedure.fault,
         "mode": vehicle.mode_name,
         "armed": str(vehicle.armed).lower(),
+        "heard": str(record.heard).lower(),
+        "landed": str(record.landed).lower(),
+        "in_pilots_hands": str(record.in_pilots_hands).lower(),
+        "place": record.place,
+        "order": record.order,
         "battery_percent": "" if battery is None else f"{battery:.0f}",
         "stream": procedure.output.stream.value,
         "setpoint_age_ms": f"{1e3 * age_s:.0f}" if age_s < _NEVER_S else "",

@@ -28,7 +28,6 @@ _FIX_3D = 3
 _NO_FIX_S = 1.0
 _LOW_BATTERY_S = 3.0
 
-_BOOTING = (mavlink.MAV_STATE_UNINIT, mavlink.MAV_STATE_BOOT, mavlink.MAV_STATE_CALIBRATING)
 _MULTIROTORS = (
     mavlink.MAV_TYPE_GENERIC,
     mavlink.MAV_TYPE_QUADROTOR,
@@ -71,13 +70,18 @@ class _BootClock:
         went_back = step_s < 0.0
         before_s, self._unexpected_s = self._unexpected_s, boot_s
         if before_s is not None and abs(boot_s - before_s) < _BACKWARDS_S:
-            if went_back and boot_s < _YOUNG_S:
-                self.restarted_s = now_s
+            # A clock that shows its old time again has not begun anew: forged messages looked like it.
+            self.restarted_s = now_s if went_back and boot_s < _YOUNG_S else None
             self._newest, self._unexpected_s = (boot_s, now_s), None
             return False
         if went_back:
             self._backward_steps.append(now_s)
         return went_back
+
+    @property
+    def young(self) -> bool:
+        """Whether the vehicle has not been up for long, by its own clock; False while that is not known."""
+        return self._newest is not None and self._newest[0] < _YOUNG_S
 
     def jumps_to_and_fro(self, now_s: float) -> bool:
         """Whether the time has stepped back several times just now."""
@@ -135,12 +139,15 @@ class VehicleMonitor:
 
     @property
     def rebooted(self) -> bool:
-        """Whether the vehicle reports that it boots, or its clock began anew and it is disarmed since."""
+        """Whether the vehicle's clock began anew and it is disarmed since, or it says BOOT with a young clock.
+
+        A disarmed PX4 says UNINIT while its checks fail, so that is no sign of a boot.
+        """
         restarted_s, heartbeat_s = self._clock.restarted_s, self.heartbeat_s
         heard_since = (
             restarted_s is not None and heartbeat_s is not None and heartbeat_s >= restarted_s
         )
-        return self._booting or (not self.armed and heard_since)
+        return (self._booting and self._clock.young) or (not self.armed and heard_since)
 
     @property
     def unconfirmed(self) -> bool:
@@ -164,7 +171,7 @@ class VehicleMonitor:
             return
         self.heartbeat_s = now_s
         self.wrong_vehicle = self._mismatch(message)
-        self._booting = message.system_status in _BOOTING
+        self._booting = message.system_status == mavlink.MAV_STATE_BOOT
         self.armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
         self.mode = self.autopilot.mode(message.base_mode, message.custom_mode)
         self.mode_name = (

@@ -121,6 +121,8 @@ def _report_lost(coordinator: Coordinator, name: str, stop: StopRequest) -> None
 
 def _land(coordinator: Coordinator, duration_s: float, stop: StopRequest) -> None:
     """Land real vehicles when the time is over; at a signal their bridges land them without being told."""
+    from ptnsbc_nodes.fleet.emergency_stop import order_landing
+
     over_s = time.monotonic() + duration_s
     while not stop.came and time.monotonic() < over_s:
         coordinator.spin(_LOOK_S)
@@ -128,7 +130,8 @@ def _land(coordinator: Coordinator, duration_s: float, stop: StopRequest) -> Non
         refusal = coordinator.call("land", patience_s=3.0)
         if refusal is not None:
             _say(f"{refusal}: every bridge is told to land by itself")
-            coordinator.emergency("land")
+            for line in order_landing(coordinator):
+                _say(line)
 
 
 def _say(line: str) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import rclpy
@@ -18,6 +18,8 @@ from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.diagnostics import INACTIVE
 from ptnsbc_nodes.comm.endpoints import Endpoints, full_name
 from ptnsbc_nodes.comm.topics import LOST, OVER, READY
+from ptnsbc_nodes.emergency.orders import Order
+from ptnsbc_nodes.emergency.records import VehicleRecord
 from ptnsbc_nodes.fleet.lifecycle_manager import LifecycleManager
 from ptnsbc_nodes.runtime.executor import make_executor
 from ptnsbc_nodes.runtime.watchdog import ENDED_S, WAITED
@@ -29,9 +31,11 @@ class Coordinator:
     """One rclpy node in a context of its own; use it as a context manager."""
 
     def __init__(self, domain: int, name: str = "fleet", ros_arguments: Sequence[str] = ()) -> None:
+        self.domain = domain
         self.gone: set[str] = set()  # processes that have ended on other computers
         self.over = False  # the launcher that leads has ended the flight
         self.waiting: dict[str, str] = {}  # process name: what it waits for, empty when ready
+        self.vehicles: dict[str, VehicleRecord] = {}  # by bridge: what it reported of its vehicle
         self._publish_over: Callable[[bytes], None] | None = None
         self._context = Context()
         rclpy.init(
@@ -141,16 +145,9 @@ class Coordinator:
         finally:
             self._node.destroy_client(client)
 
-    def emergency(self, order: str, patience_s: float = 2.0) -> bool:
-        """Order all bridges to `land` or `kill`, without the leader; False when none listens."""
-        deadline = time.monotonic() + patience_s
-        emergency = full_name(self._node, topics.EMERGENCY)
-        while emergency in self._endpoints.unread() and time.monotonic() < deadline:
-            self.spin(0.1)
-        heard = emergency not in self._endpoints.unread()
-        self._publish_emergency(HeaderTemplate(order).encode(0))
-        self._endpoints.flush(1.0)
-        return heard
+    def send(self, order: Order) -> None:
+        """Publish an order to all bridges, once; `EmergencyStop` repeats it until all have answered."""
+        self._publish_emergency(HeaderTemplate(order.text).encode(0))
 
     def lose(self, name: str) -> None:
         """Tell all processes to wait for this process no longer."""
@@ -183,4 +180,30 @@ class Coordinator:
                     self._manager.arrived(name)
                 if WAITED in values:
                     self._kept_waiting = (float(values[WAITED]), waits_for)
+                if "order" in values:
+                    self.vehicles[name] = _vehicle(name, values)
                 self.waiting[name] = "" if values["ready"] == "true" else waits_for or "something"
+
+
+def _vehicle(name: str, values: Mapping[str, str]) -> VehicleRecord:
+    """What a bridge of any host reports of its vehicle."""
+
+    def yes(key: str) -> bool:
+        return values.get(key) == "true"
+
+    return VehicleRecord(
+        name=name,
+        pid=0,
+        sysid=0,
+        autopilot="",
+        connect="",
+        step=values.get("step", ""),
+        order=values.get("order", ""),
+        heard=yes("heard"),
+        armed=yes("armed"),
+        landed=yes("landed"),
+        in_pilots_hands=yes("in_pilots_hands"),
+        mode=values.get("mode", ""),
+        place=values.get("place", ""),
+        fault=values.get("fault", ""),
+    )

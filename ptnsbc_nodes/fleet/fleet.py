@@ -6,12 +6,15 @@ import json
 import os
 import tempfile
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from ptnsbc_nodes.comm.topics import RECORDER
+from ptnsbc_nodes.emergency.orders import list_fleet, release, runtime_folder
+from ptnsbc_nodes.emergency.records import forget_dead
 from ptnsbc_nodes.fleet.child_process import ChildProcess
 from ptnsbc_nodes.fleet.coordinator_node import Coordinator
 from ptnsbc_nodes.fleet.process_list import FleetOptions, chosen, commands, names
@@ -73,12 +76,13 @@ def run_fleet(options: FleetOptions, progress: Report = lambda line: None) -> Fl
     scenario_file.write_text(options.scenario.text, encoding="utf-8")
     _prepare_kernels(options, progress)
     processes = commands(options, scenario_file)
-    with StopRequest() as stop, reserved_domain() as domain:
+    with StopRequest() as stop, reserved_domain() as domain, ExitStack() as stack:
         # A launcher for each process at most, where other computers fly the rest.
         everywhere = 2 * len(names(options.scenario, options.backend))
         count = everywhere if options.shared else len(processes) + 1
         settings = environment.for_children(domain, count, log_dir)
         progress(f"domain {domain}, logs in {log_dir}")
+        stack.enter_context(_listed(options, domain, progress))
         # Launchers on other computers have other names.
         name = "fleet" if options.leads else f"fleet_{min(options.only)}"
         with Coordinator(domain, name) as coordinator:
@@ -111,6 +115,24 @@ def _recorded(children: Sequence[ChildProcess]) -> Mapping[str, Any]:
     summaries = [child.summary for child in children if child.name == RECORDER]
     found: Mapping[str, Any] = json.loads(summaries[0]) if summaries and summaries[0] else {}
     return found
+
+
+@contextmanager
+def _listed(options: FleetOptions, domain: int, progress: Report) -> Iterator[None]:
+    """Inside the `with` `ptnsbc stop` knows all bridges of this flight; an order of an earlier flight is released."""
+    if options.backend != "mavlink":
+        yield
+        return
+    folder = runtime_folder(domain)
+    held = release(folder)
+    if held.what:
+        progress(f"the order {held.text!r} of an earlier flight is released")
+    forget_dead(folder)
+    list_fleet(folder, [f"bridge{i}" for i in options.scenario.uav_ids])
+    try:
+        yield
+    finally:
+        list_fleet(folder, [])
 
 
 def check_options(options: FleetOptions) -> None:

@@ -16,6 +16,7 @@ from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_nodes.comm.topics import RECORDER
 from ptnsbc_nodes.fleet.child_process import ChildProcess, ProcessCommand, end
 from ptnsbc_nodes.fleet.coordinator_node import Coordinator
+from ptnsbc_nodes.fleet.emergency_stop import order_landing
 from ptnsbc_nodes.fleet.process_list import SIM, FleetOptions, names
 from ptnsbc_nodes.runtime.signals import StopRequest
 
@@ -182,7 +183,8 @@ class Supervisor:
         refusal = self._coordinator.call(leg, _LANDING_CALL_S)
         if refusal is not None:
             self._progress(f"{refusal}: every bridge is told to land by itself")
-            self._coordinator.emergency("land")
+            for line in order_landing(self._coordinator):
+                self._progress(line)
 
     def end(self) -> None:
         """End all processes, the recorder last, so that its bag is complete."""

@@ -143,9 +143,9 @@ def _origin(vehicle: StandInVehicle, t: float) -> Any:
     )
 
 
-def _heartbeat(vehicle: StandInVehicle, _t: float) -> Any:
+def _heartbeat(vehicle: StandInVehicle, t: float) -> Any:
     return mavlink.MAVLink_heartbeat_message(
-        vehicle.mav_type, vehicle.autopilot, *vehicle.heartbeat_fields(), 3
+        vehicle.mav_type, vehicle.autopilot, *vehicle.heartbeat_fields(t), 3
     )
 
 

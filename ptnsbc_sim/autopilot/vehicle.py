@@ -102,7 +102,7 @@ class StandInVehicle(ABC):
         """Name of the active flight mode."""
 
     @abstractmethod
-    def heartbeat_fields(self) -> HeartbeatFields:
+    def heartbeat_fields(self, t: float) -> HeartbeatFields:
         """Mode and state for HEARTBEAT."""
 
     @abstractmethod

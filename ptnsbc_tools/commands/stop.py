@@ -1,18 +1,31 @@
-"""`ptnsbc stop`: land a flying fleet, from any terminal."""
+"""`ptnsbc stop`: land a flying fleet or stop its motors, from any terminal."""
 
 from __future__ import annotations
 
 import os
-from typing import Annotated
+import select
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_nodes.emergency.orders import KILL, LAND, Order, release, runtime_folder
+from ptnsbc_nodes.emergency.records import forget_dead
 from ptnsbc_tools import console
 
+if TYPE_CHECKING:
+    from ptnsbc_nodes.fleet.coordinator_node import Coordinator
+    from ptnsbc_nodes.fleet.emergency_stop import EmergencyStop
+
 _SERVICE_S = 3.0
-_BRIDGES_S = 3.0
+_DISCOVERY_S = 3.0
 _HIGHEST_DOMAIN = 232
+_MISSING = 1
+_LOOK_S = 0.02
 
 
 class StopError(PtnsbcError):
@@ -23,6 +36,24 @@ def stop(
     kill: Annotated[
         bool, typer.Option("--kill", help="Stop all motors at once; vehicles in the air fall.")
     ] = False,
+    pilots_too: Annotated[
+        bool,
+        typer.Option("--all", help="Also vehicles that a pilot flies; else they are left alone."),
+    ] = False,
+    ready: Annotated[
+        bool,
+        typer.Option(
+            "--ready", help="Find all bridges first, then wait for a key: the order leaves at once."
+        ),
+    ] = False,
+    clear: Annotated[
+        bool,
+        typer.Option("--clear", help="Give no order: release the one that holds on this host."),
+    ] = False,
+    patience: Annotated[
+        float,
+        typer.Option("--patience", min=0.5, help="Repeat the order for at most this time [s]."),
+    ] = 10.0,
     domain: Annotated[
         int | None,
         typer.Option(
@@ -33,21 +64,123 @@ def stop(
         ),
     ] = None,
 ) -> None:
-    """Land every vehicle of a flying fleet, through its leader and through every bridge directly."""
+    """Land every vehicle of a flying fleet, or stop its motors; repeats until every bridge has answered.
+
+    The order holds: a bridge that starts again obeys it too, until a new `ptnsbc fleet` or --clear
+    releases it. Prints what every vehicle does.
+    """
+    number = int(os.environ.get("ROS_DOMAIN_ID", "0")) if domain is None else domain
+    folder = runtime_folder(number)
+    if clear:
+        _release(folder)
+        return
+    from ptnsbc_nodes.fleet.emergency_stop import EmergencyStop
+
+    operation = EmergencyStop(folder, Order(KILL if kill else LAND, pilots_too))
+    try:
+        code = _give(operation, number, patience, ready=ready, kill=kill)
+    finally:
+        operation.close()
+    raise typer.Exit(code)
+
+
+def _release(folder: Path) -> None:
+    held = release(folder)
+    forget_dead(folder)
+    console.say(f"released: {held.text}" if held.what else "no order holds")
+
+
+def _give(
+    operation: EmergencyStop, domain: int, patience: float, *, ready: bool, kill: bool
+) -> int:
+    """Give the order on every path; returns the exit code."""
+    if not ready and operation.bridges and operation.local:
+        operation.begin()
+        done = operation.run(patience)
+        code = _report(operation)
+        if not kill:
+            with _middleware(domain) as coordinator:
+                coordinator.call("stop", _SERVICE_S)  # so that the recording has the leg
+        return code if done else _MISSING
+    if not ready:
+        operation.begin()
+        operation.run(0.1)  # the bridges of this host need not wait for the middleware
+    with _middleware(domain) as coordinator:
+        operation.remote = coordinator
+        if ready:
+            _wait_for_key(operation, coordinator, kill=kill)
+            operation.begin()
+        else:
+            operation.discover(_DISCOVERY_S)
+        if not operation.bridges:
+            return _tell_leader(coordinator, domain, kill=kill)
+        operation.run(patience)
+        code = _report(operation)
+        if not kill:
+            coordinator.call("stop", _SERVICE_S)
+    return code
+
+
+def _middleware(domain: int) -> Coordinator:
     from ptnsbc_nodes.runtime import environment
 
     environment.prepare()
     from ptnsbc_nodes.fleet.coordinator_node import Coordinator
 
-    number = int(os.environ.get("ROS_DOMAIN_ID", "0")) if domain is None else domain
-    with Coordinator(number) as coordinator:
-        # Bridges first: an emergency stop must not wait for a leader that hangs.
-        bridges = coordinator.emergency("kill" if kill else "land", _BRIDGES_S)
-        refusal = coordinator.call("stop", _SERVICE_S)
-    if refusal is not None and not bridges:
+    return Coordinator(domain, f"stop_{os.getpid()}")
+
+
+def _tell_leader(coordinator: Coordinator, domain: int, *, kill: bool) -> int:
+    refusal = coordinator.call("stop", _SERVICE_S)
+    if refusal is not None:
         raise StopError(
-            f"domain {number}: no bridge listens, and {refusal}: expected a fleet there"
+            f"domain {domain}: no bridge listens, and {refusal}: expected a fleet there"
         )
-    done = "motors stop" if kill else "landing"
-    told = "bridges and leader" if bridges and not refusal else "bridges" if bridges else "leader"
-    console.say(f"{done}: {told} told")
+    motors = "; a simulated fleet has no motors to stop" if kill else ""
+    console.say(f"landing: the leader is told, there is no bridge{motors}")
+    return 0
+
+
+def _report(operation: EmergencyStop) -> int:
+    outcomes = operation.outcomes()
+    for outcome in outcomes:
+        console.say(f"{outcome.name}: {outcome.text}")
+    missing = [outcome.name for outcome in outcomes if not outcome.obeyed]
+    if missing:
+        console.say(f"error: not obeyed: {', '.join(missing)}")
+        return _MISSING
+    return 0
+
+
+def _wait_for_key(operation: EmergencyStop, coordinator: Coordinator, *, kill: bool) -> None:
+    """Look for bridges until a key is pressed; Ctrl-C leaves without an order."""
+    what = "STOP ALL MOTORS" if kill else "LAND ALL"
+    known: list[str] | None = None
+    with _single_keys() as descriptor:
+        while not select.select([descriptor], [], [], 0.0)[0]:
+            coordinator.spin(_LOOK_S)
+            operation.look_up()
+            if operation.bridges != known:
+                known = operation.bridges
+                found = ", ".join(known) or "no bridge yet"
+                console.say(f"ready: any key: {what}: {found} (Ctrl-C: no order)")
+        if not os.read(descriptor, 1):
+            raise StopError("--ready: the input has ended: expected a terminal to press a key in")
+
+
+@contextmanager
+def _single_keys() -> Iterator[int]:
+    """The descriptor of stdin; a terminal gives each key at once inside the `with`."""
+    descriptor = sys.stdin.fileno()
+    if not os.isatty(descriptor):
+        yield descriptor
+        return
+    import termios
+    import tty
+
+    before = termios.tcgetattr(descriptor)
+    try:
+        tty.setcbreak(descriptor)
+        yield descriptor
+    finally:
+        termios.tcsetattr(descriptor, termios.TCSADRAIN, before)

@@ -36,7 +36,6 @@ _LIMITS_S: Mapping[Step, float] = {
     Step.ARM: 20.0,
     Step.TAKEOFF: 60.0,
     Step.LAND: 180.0,
-    Step.KILL: 10.0,
 }
 
 
@@ -53,6 +52,8 @@ class Procedure:
         self._options = ProcedureOptions(autopilot, takeoff_height_m, allow_arming)
         self._progress = FlightProgress(self._options, log)
         self._heading_reached = False
+        self.in_pilots_hands = False
+        """Whether a pilot flies the vehicle, as far as the bridge knows."""
         self.output = ProcedureOutput(Stream.NONE, None, True)
         """What `advance` returned last."""
 
@@ -100,6 +101,7 @@ class Procedure:
             self._expire(snapshot, limit_s)
         stream, command = self._stream_and_command(snapshot)
         due = progress.due(command, snapshot)
+        self.in_pilots_hands = progress.in_pilots_hands(snapshot)
         self.output = ProcedureOutput(stream, due, self._in_formation(snapshot))
         return self.output
 

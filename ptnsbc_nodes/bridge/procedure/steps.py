@@ -13,6 +13,10 @@ STALE_S = 0.25
 STOP_S = 0.5
 """The vehicle is held no longer than this. Then the stream stops, and the vehicle's own failsafe acts."""
 HEARTBEAT_LOST_S = 3.0
+SILENT_S = 10.0
+"""A vehicle that must land but has sent nothing for this long is given up: its bridge ends and says so."""
+SILENT_KILL_S = 30.0
+"""The same for a vehicle whose motors must stop: the order is sent for longer."""
 RECOVERED_S = 1.0
 """Setpoints count as recovered once they have been fresh for this long."""
 LIFTED_M = 0.3
@@ -90,7 +94,16 @@ class VehicleSnapshot:
     rebooted: bool = False
     duplicate_sysid: bool = False  # a second vehicle uses this system id
     stop_request: str = ""  # "land" or "kill", by the operator or at the end of this process
+    pilots_too: bool = False  # whether the request counts in a pilot's hands as well
+    left_behind: str = (
+        ""  # where the vehicle is, in which mode, and what it will do without this bridge
+    )
     vehicle_warning: str = ""  # newest refusal or warning of the vehicle
+
+    @property
+    def flown_by_hand(self) -> bool:
+        """Whether it is armed in a mode that only a pilot chooses."""
+        return self.armed and self.mode is FlightMode.OTHER
 
     @property
     def vehicle_reason(self) -> str:

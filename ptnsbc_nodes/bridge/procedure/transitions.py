@@ -14,6 +14,8 @@ from ptnsbc_nodes.bridge.procedure.steps import (
     OVER,
     RECOVERED_S,
     SETTING_OUT,
+    SILENT_KILL_S,
+    SILENT_S,
     STALE_S,
     STOP_S,
     CommandRequest,
@@ -29,6 +31,7 @@ _STILL_M_S = 0.5
 _SETTLED_S = 1.0
 _DISARMED_S = 3.0  # the reason of a disarming, a reboot perhaps, takes several messages to arrive
 _REPEAT_S = 1.0  # an unconfirmed command is sent again after this time
+_REPEAT_KILL_S = 0.2
 
 
 @dataclass
@@ -58,6 +61,8 @@ class FlightProgress:
 
     def enter(self, step: Step, snapshot: VehicleSnapshot, reason: str = "") -> None:
         """Begin a step; `reason` is a fault."""
+        if step in OVER and snapshot.armed and snapshot.left_behind:
+            reason = "; ".join(filter(None, (reason, f"left behind {snapshot.left_behind}")))
         if reason:
             self.report_fault(reason)
         self.log(f"{step.value}{f': {self.fault}' if step is Step.FAILED else ''}")
@@ -93,12 +98,22 @@ class FlightProgress:
         since_s = self.current(snapshot).good_since_s
         return 0.0 if since_s is None else snapshot.now_s - since_s
 
+    def in_pilots_hands(self, snapshot: VehicleSnapshot) -> bool:
+        """Whether a pilot flies the vehicle, as far as the bridge knows."""
+        return self.step is Step.YIELDED or (self.step in BEFORE_ARMING and snapshot.flown_by_hand)
+
+    def stop_request(self, snapshot: VehicleSnapshot) -> str:
+        """The operator's request as far as it is for this vehicle: a pilot's vehicle is left alone."""
+        left_alone = self.in_pilots_hands(snapshot) and not snapshot.pilots_too
+        return "" if left_alone else snapshot.stop_request
+
     def due(
         self, command: CommandRequest | None, snapshot: VehicleSnapshot
     ) -> CommandRequest | None:
         """The command when it is to be sent now, for the first time or again."""
         requested_s = self.current(snapshot).requested_s
-        if command is None or snapshot.now_s - requested_s.get(command, float("-inf")) < _REPEAT_S:
+        repeat_s = _REPEAT_KILL_S if command is CommandRequest.KILL else _REPEAT_S
+        if command is None or snapshot.now_s - requested_s.get(command, float("-inf")) < repeat_s:
             return None
         requested_s[command] = snapshot.now_s
         return command
@@ -115,11 +130,13 @@ def advance(progress: FlightProgress, snapshot: VehicleSnapshot) -> bool:
 
 def _react(progress: FlightProgress, snapshot: VehicleSnapshot) -> None:
     """Events that count in any step, worst first."""
-    step = progress.step
+    step, stop = progress.step, progress.stop_request(snapshot)
     if step in OVER:
         return None
-    if snapshot.stop_request == "kill" and step is not Step.KILL and snapshot.armed:
-        return progress.enter(Step.KILL, snapshot, "stopped by the operator in flight")
+    if stop == "kill" and step is not Step.KILL and (snapshot.armed or step not in BEFORE_ARMING):
+        return progress.enter(Step.KILL, snapshot, "motors stopped by the operator")
+    if _given_up(progress, snapshot, stop):
+        return None
     if snapshot.rebooted and step not in BEFORE_ARMING:
         return progress.enter(Step.FAILED, snapshot, "the vehicle rebooted in flight")
     if snapshot.duplicate_sysid and step in BEFORE_ARMING:
@@ -127,16 +144,37 @@ def _react(progress: FlightProgress, snapshot: VehicleSnapshot) -> None:
         return progress.enter(Step.FAILED, snapshot, reason)
     if step in FLYING:
         return _react_in_flight(progress, snapshot)
+    called_down = bool(stop) or snapshot.leg == "land"
+    if (step is Step.FAILSAFE and called_down) or (step is Step.YIELDED and stop):
+        return progress.enter(Step.LAND, snapshot)
+    return _react_before_arming(progress, snapshot, stop) if step in BEFORE_ARMING else None
+
+
+def _react_before_arming(progress: FlightProgress, snapshot: VehicleSnapshot, stop: str) -> None:
+    step = progress.step
     unfit = (snapshot.battery_low or snapshot.fence_breach) if step in SETTING_OUT else ""
     if unfit and not snapshot.armed:
         progress.enter(Step.FAILED, snapshot, f"not armed: {unfit}")
-    elif step in BEFORE_ARMING and snapshot.stop_request:
+    elif stop:
         progress.enter(Step.LAND if snapshot.armed else Step.DONE, snapshot)
-    elif step is Step.FAILSAFE and (snapshot.stop_request or snapshot.leg == "land"):
-        progress.enter(Step.LAND, snapshot)
     elif step in SETTING_OUT and (snapshot.state_fault or snapshot.controller_age_s > STOP_S):
         progress.enter(Step.STATE, snapshot)  # position or controller were lost again
-    return None
+
+
+def _given_up(progress: FlightProgress, snapshot: VehicleSnapshot, stop: str) -> bool:
+    """Whether the flight has just ended because the vehicle that must come down is silent."""
+    step = progress.step
+    coming_down = step in (Step.LAND, Step.KILL) or (step is Step.YIELDED and snapshot.stop_request)
+    limit_s = SILENT_KILL_S if stop == "kill" else SILENT_S
+    if (
+        not coming_down
+        or snapshot.heartbeat_age_s <= limit_s
+        or progress.age_s(snapshot) < SILENT_S
+    ):
+        return False
+    reason = f"{step.value}: the vehicle has been silent for {snapshot.heartbeat_age_s:.0f} s"
+    progress.enter(Step.FAILED, snapshot, reason)
+    return True
 
 
 def _react_in_flight(progress: FlightProgress, snapshot: VehicleSnapshot) -> None:
@@ -149,7 +187,10 @@ def _react_in_flight(progress: FlightProgress, snapshot: VehicleSnapshot) -> Non
     failsafe_ended = (
         snapshot.mode is FlightMode.HOLD and snapshot.now_s < progress.hold_tolerated_until_s
     )
-    if snapshot.mode is not FlightMode.OWN and not silent and not failsafe_ended:
+    landing = (
+        bool(snapshot.stop_request) and snapshot.mode is FlightMode.LAND
+    )  # told past this bridge
+    if snapshot.mode is not FlightMode.OWN and not (silent or failsafe_ended or landing):
         reason = f"the pilot took over: mode {snapshot.mode_name}"
         return progress.enter(Step.YIELDED, snapshot, reason)
     if snapshot.stop_request or snapshot.leg == "land":

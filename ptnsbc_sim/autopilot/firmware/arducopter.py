@@ -111,7 +111,7 @@ class ArduCopter(FlightController):
         """Name of the mode."""
         return _NAMES[self.mode]
 
-    def heartbeat_fields(self) -> HeartbeatFields:
+    def heartbeat_fields(self, t: float) -> HeartbeatFields:
         """HEARTBEAT; standby while the land detector reports landed, armed or not."""
         flags = (
             mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED

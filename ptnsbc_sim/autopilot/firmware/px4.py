@@ -114,12 +114,13 @@ class Px4(FlightController):
         """Name of the active mode."""
         return self.active.name
 
-    def heartbeat_fields(self) -> HeartbeatFields:
-        """HEARTBEAT shows the active mode."""
+    def heartbeat_fields(self, t: float) -> HeartbeatFields:
+        """HEARTBEAT shows the active mode; a disarmed vehicle is not initialised while its checks fail."""
         flags = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
         manual = mavlink.MAV_MODE_FLAG_MANUAL_INPUT_ENABLED
         flags |= manual if self.active in MANUAL_MODES else _AUTO_FLAGS
-        state = mavlink.MAV_STATE_STANDBY
+        ready = self.armed or self.arming_problem(t) is None
+        state = mavlink.MAV_STATE_STANDBY if ready else mavlink.MAV_STATE_UNINIT
         if self.armed:
             flags |= mavlink.MAV_MODE_FLAG_SAFETY_ARMED
             state = (

@@ -78,7 +78,7 @@ class Stm32(FlightController):
             return "LAND"
         return "GUIDED" if self._guided else "STABILIZE"
 
-    def heartbeat_fields(self) -> HeartbeatFields:
+    def heartbeat_fields(self, t: float) -> HeartbeatFields:
         """Base mode only; custom_mode is not used."""
         flags = mavlink.MAV_MODE_FLAG_STABILIZE_ENABLED
         if self._guided:

@@ -9,7 +9,9 @@ from mavlink_fleet import BASE_NS, START_S, MavlinkFleet
 from ptnsbc_io.mavlink.autopilots import FlightMode
 from ptnsbc_io.mavlink.dialect import mavlink
 from ptnsbc_nodes.bridge.procedure.steps import Step
+from ptnsbc_nodes.emergency.orders import Order
 from ptnsbc_sim.autopilot.faults import inject
+from ptnsbc_sim.autopilot.server import Codec
 from ptnsbc_sim.autopilot.vehicle import COMPANION
 from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_sim.verdict import verdict_on
@@ -117,6 +119,29 @@ def test_a_vehicle_that_is_rebooted_is_not_armed_again():
     assert not uav.vehicle.armed
 
 
+def test_a_px4_that_lands_is_not_initialised_until_its_checks_pass_and_the_flight_is_done():
+    fleet, uav = one()
+    uav.inputs.take(Order("land"))
+    until(fleet, uav, Step.DONE, 60.0)
+    uav.bridge.leave()
+    fleet.run(1.5)
+    assert uav.bridge.procedure.fault == ""
+    assert uav.vehicle.mode_name == "HOLD"  # in OFFBOARD it would arm at once the next time
+
+
+def test_forged_packets_of_a_young_clock_do_not_end_the_flight_at_touchdown():
+    fleet, uav = one()
+    codec = Codec(uav.vehicle.system)
+    for boot_ms in (1_500, 1_504):
+        forged = mavlink.MAVLink_attitude_message(boot_ms, 0, 0, 0, 0, 0, 0)
+        uav.wire.put(codec.encode(forged))
+        fleet.run(0.005)
+    fleet.run(3.0)
+    uav.inputs.take(Order("land"))
+    until(fleet, uav, Step.DONE, 60.0)
+    assert uav.bridge.procedure.fault == ""
+
+
 def test_arming_refused_by_the_vehicle():
     fleet = MavlinkFleet(scenario(), count=1)
     uav = fleet.uavs[1]
@@ -218,10 +243,10 @@ def test_angles_are_decoded_only_while_no_quaternions_come():
 
 def test_stop_and_kill_in_flight():
     fleet, uav = one()
-    uav.inputs.stop_request = "land"
+    uav.inputs.take(Order("land"))
     until(fleet, uav, Step.DONE, 60.0)
     assert uav.bridge.procedure.fault == ""
     fleet, uav = one()
-    uav.inputs.stop_request = "kill"
+    uav.inputs.take(Order("kill"))
     until(fleet, uav, Step.FAILED, 3.0)
     assert not uav.vehicle.armed

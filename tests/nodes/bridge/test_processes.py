@@ -79,6 +79,9 @@ def test_a_uav_process_and_a_bridge_killed_and_the_operators_stop(tmp_path, doma
         assert mode_of(control, 4, other_than="OFFBOARD") == "HOLD"  # by its own failsafe
         stop = Program(COMMAND, "stop", "--domain", domain, domain=domain)
         assert stop.finish() == 0, stop.lines
+        assert stop.printed("bridge1: landing, armed at", "bridge4: its bridge has ended"), (
+            stop.lines
+        )
         fleet.wait_for(*(f"bridge{i}: done" for i in (1, 2, 3)))
         assert fleet.finish() == 1  # two processes died
     bag = read_bag(tmp_path / "bag")

@@ -124,6 +124,39 @@ def test_a_reboot_is_time_that_went_back_and_a_vehicle_that_is_disarmed():
     assert vehicle.rebooted
 
 
+def test_a_disarmed_px4_whose_checks_fail_is_not_initialised_and_has_not_rebooted():
+    vehicle = VehicleMonitor(PX4)
+    vehicle.on_message(attitude(90_000), 100.0)
+    vehicle.on_message(heartbeat(base_mode=ARMED), 100.0)
+    vehicle.on_message(heartbeat(system_status=mavlink.MAV_STATE_UNINIT), 101.0)
+    assert not vehicle.armed
+    assert not vehicle.rebooted
+
+
+def test_a_boot_is_believed_only_of_a_clock_that_is_young():
+    vehicle = VehicleMonitor(PX4)
+    booting = heartbeat(system_status=mavlink.MAV_STATE_BOOT)
+    vehicle.on_message(attitude(90_000), 100.0)
+    vehicle.on_message(booting, 101.0)
+    assert not vehicle.rebooted
+    for boot_ms in (700, 720):
+        vehicle.on_message(attitude(boot_ms), 102.0 + 1e-3 * boot_ms)
+    assert vehicle.rebooted
+
+
+def test_forged_young_times_are_no_reboot_when_the_old_time_goes_on():
+    vehicle = VehicleMonitor(PX4, signed=False)
+    for n in range(100):
+        vehicle.on_message(attitude(90_000 + 20 * n), 100.0 + 0.02 * n)
+        if n in (50, 51):
+            vehicle.on_message(attitude(1_500 + 20 * n), 100.01 + 0.02 * n)
+            vehicle.on_message(attitude(1_520 + 20 * n), 100.012 + 0.02 * n)
+    for t in (102.0, 102.1):  # at touchdown: disarmed
+        vehicle.on_message(heartbeat(), t)
+    assert not vehicle.armed
+    assert not vehicle.rebooted
+
+
 def test_messages_that_were_held_up_are_no_reboot():
     vehicle = VehicleMonitor(PX4)
     for n in range(50):

@@ -346,6 +346,88 @@ def test_stop_lands_and_kill_disarms_in_the_air():
     assert not flight.snapshot.armed
 
 
+def test_a_kill_is_repeated_until_the_motors_stand_still():
+    flight = Flight().flying()
+    flight.ignored = {CommandRequest.KILL}
+    began = flight.snapshot.now_s
+    flight.run(60.0, stop_request="kill")
+    assert flight.step is Step.KILL
+    assert flight.requested(began).count(CommandRequest.KILL) > 250
+    # neither a landing of the fleet nor another order makes less of it
+    flight.run(5.0, leg="land")
+    assert flight.step is Step.KILL
+    flight.ignored = set()
+    flight.run(until=Step.FAILED)
+    assert not flight.snapshot.armed
+
+
+@pytest.mark.parametrize("step", [Step.TAKEOFF, Step.AIRBORNE, Step.FLY, Step.LAND])
+def test_kill_in_every_step_of_the_flight(step):
+    flight = Flight()
+    if step is Step.TAKEOFF:
+        flight.obeys = True
+        flight.run(until=Step.ARM).run(until=Step.TAKEOFF)
+    elif step is Step.AIRBORNE:
+        flight.run(until=Step.AIRBORNE)
+    else:
+        flight.flying()
+    if step is Step.LAND:
+        flight.run(until=Step.LAND, stop_request="land")
+    flight.run(0.2, stop_request="kill")
+    assert CommandRequest.KILL in flight.requested()
+    assert flight.step is Step.FAILED
+    assert not flight.snapshot.armed
+
+
+@pytest.mark.parametrize("request_", ["land", "kill"])
+def test_a_vehicle_in_a_pilots_hands_is_left_alone_unless_all_are_meant(request_):
+    flight = Flight().flying()
+    flight.obeys = False
+    flight.run(until=Step.YIELDED, mode=FlightMode.OTHER)
+    taken = flight.snapshot.now_s
+    flight.run(20.0, stop_request=request_)
+    assert flight.step is Step.YIELDED
+    assert flight.procedure.in_pilots_hands
+    assert flight.requested(taken) == []
+    flight.run(0.2, pilots_too=True)
+    wanted = CommandRequest.KILL if request_ == "kill" else CommandRequest.LAND
+    assert wanted in flight.requested(taken)
+
+
+@pytest.mark.parametrize("request_", ["land", "kill"])
+def test_a_bridge_that_starts_again_in_flight_obeys_the_order_that_holds(request_):
+    flight = Flight()
+    flight.run(
+        5.0, armed=True, landed=False, height_m=8.0, mode=FlightMode.HOLD, stop_request=request_
+    )
+    wanted = CommandRequest.KILL if request_ == "kill" else CommandRequest.LAND
+    assert wanted in flight.requested()
+    by_hand = Flight()
+    by_hand.run(5.0, armed=True, landed=False, mode=FlightMode.OTHER, stop_request=request_)
+    assert by_hand.requested() == []
+
+
+def test_a_vehicle_landed_past_its_bridge_is_no_pilots():
+    flight = Flight().flying()
+    flight.obeys = False
+    flight.run(until=Step.LAND, mode=FlightMode.LAND, stop_request="land")
+
+
+@pytest.mark.parametrize(("request_", "limit_s"), [("land", 10.0), ("kill", 30.0)])
+def test_a_silent_vehicle_that_must_come_down_is_given_up_and_named(request_, limit_s):
+    flight = Flight().flying()
+    flight.obeys = False
+    flight.run(1.0, heartbeat_age_s=5.0, state_fault="silent", controller_age_s=5.0)
+    began = flight.snapshot.now_s
+    where = "armed at (1.0, 2.0, 8.0) m in OFFBOARD: without setpoints it hovers"
+    flight.run(5.0, stop_request=request_, left_behind=where)
+    assert flight.step is (Step.KILL if request_ == "kill" else Step.LAND)
+    flight.run(until=Step.FAILED, heartbeat_age_s=limit_s + 1.0)
+    assert flight.snapshot.now_s - began < 15.0
+    assert f"silent for {limit_s + 1.0:.0f} s" in flight.procedure.fault
+    assert f"left behind {where}" in flight.procedure.fault
+
+
 def test_stop_before_arming_ends_it():
     assert (
         Flight().run(until=Step.STREAM).run(until=Step.DONE, stop_request="land").procedure.fault

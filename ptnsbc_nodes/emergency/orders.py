@@ -1,0 +1,138 @@
+"""The operator's order to all vehicles, and the folder of this host in which it is latched.
+
+The folder is `ptnsbc/<domain>` below `$XDG_RUNTIME_DIR`, or `ptnsbc-<user>/<domain>` in the folder for temporary files.
+It belongs to one user. It holds the latched order, a socket and a record per bridge, and the list of a fleet's bridges.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import stat
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from ptnsbc_core.errors import PtnsbcError
+
+LAND, KILL = "land", "kill"
+_RANKS = {"": 0, LAND: 1, KILL: 2}
+_ALL = "all"
+_ORDER_FILE, _FLEET_FILE = "order.json", "fleet.json"
+_LARGEST_FILE = 1 << 16  # [bytes]
+
+
+class RuntimeFolderError(PtnsbcError):
+    """The folder for orders cannot be used."""
+
+
+class Order(NamedTuple):
+    """What every vehicle must do."""
+
+    what: str = ""  # "land", "kill" or nothing
+    pilots_too: bool = False  # also a vehicle in a pilot's hands
+
+    @property
+    def text(self) -> str:
+        """As `parse_order` reads it."""
+        return f"{self.what} {_ALL}" if self.what and self.pilots_too else self.what
+
+    def then(self, other: Order) -> Order:
+        """The order that holds after another one has come: a kill is never taken down to a landing."""
+        if _RANKS[self.what] > _RANKS[other.what]:
+            return self
+        both = self.what == other.what
+        return Order(other.what, other.pilots_too or (both and self.pilots_too))
+
+
+def parse_order(text: str) -> Order | None:
+    """`land`, `kill`, `land all`, `kill all`; None for anything else."""
+    what, _, rest = text.partition(" ")
+    if not what or what not in _RANKS or rest not in ("", _ALL):
+        return None
+    return Order(what, bool(rest))
+
+
+def runtime_folder(domain: int) -> Path:
+    """The folder of a ROS domain on this host, made if it is missing.
+
+    Raises:
+        RuntimeFolderError: somebody else owns it, or it cannot be made.
+    """
+    given = os.environ.get("XDG_RUNTIME_DIR", "")
+    user = os.getuid()
+    base = (
+        Path(given) / "ptnsbc"
+        if given and Path(given).is_dir()
+        else Path(tempfile.gettempdir()) / f"ptnsbc-{user}"
+    )
+    folder = base / str(domain)
+    try:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        found = os.lstat(base)
+    except OSError as error:
+        raise RuntimeFolderError(
+            f"{folder}: {error.strerror}: expected a folder that this user may write; set XDG_RUNTIME_DIR"
+        ) from None
+    if found.st_uid != user or not stat.S_ISDIR(found.st_mode):
+        raise RuntimeFolderError(
+            f"{base}: not a folder of this user: expected one; set XDG_RUNTIME_DIR"
+        )
+    return folder
+
+
+def latch(folder: Path, order: Order) -> Order:
+    """Keep an order for bridges that start later; returns the order that holds now."""
+    before = latched(folder)
+    holds = before.then(order)
+    if holds != before:
+        write_json(folder / _ORDER_FILE, {"order": holds.text, "since": time.time()})
+    return holds
+
+
+def latched(folder: Path) -> Order:
+    """The order that holds; an empty one when there is none."""
+    found = read_json(folder / _ORDER_FILE)
+    text = found.get("order")
+    return (parse_order(text) if isinstance(text, str) else None) or Order()
+
+
+def release(folder: Path) -> Order:
+    """Release the latch; returns the order that held."""
+    held = latched(folder)
+    (folder / _ORDER_FILE).unlink(missing_ok=True)
+    return held
+
+
+def list_fleet(folder: Path, bridges: Sequence[str]) -> None:
+    """Keep the names of all bridges of a fleet, those of other computers too; an empty list removes it."""
+    if bridges:
+        write_json(folder / _FLEET_FILE, {"bridges": list(bridges)})
+    else:
+        (folder / _FLEET_FILE).unlink(missing_ok=True)
+
+
+def fleet_bridges(folder: Path) -> list[str]:
+    """The names of all bridges of the fleet that a launcher of this host flies."""
+    names = read_json(folder / _FLEET_FILE).get("bridges")
+    return [name for name in names if isinstance(name, str)] if isinstance(names, list) else []
+
+
+def write_json(path: Path, value: dict[str, object]) -> None:
+    """Write beside and rename: a reader never sees half a file."""
+    beside = path.with_name(f".{path.name}.{os.getpid()}")
+    beside.write_text(json.dumps(value), encoding="utf-8")
+    beside.replace(path)
+
+
+def read_json(path: Path) -> dict[str, object]:
+    """The object in a file; empty when there is none, or anything else."""
+    try:
+        if path.stat().st_size > _LARGEST_FILE:
+            return {}
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return {}
+    return found if isinstance(found, dict) else {}

@@ -1,0 +1,129 @@
+"""What a bridge says of its vehicle: in its answers to orders, and in a file that outlives it.
+
+The file tells others how to reach the vehicle when the bridge is dead, and what the vehicle was doing.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+
+from ptnsbc_nodes.emergency.orders import read_json, write_json
+
+_SUFFIX = ".vehicle.json"
+
+
+@dataclass(frozen=True)
+class VehicleRecord:
+    """One vehicle as its bridge knew it last."""
+
+    name: str  # of the bridge
+    pid: int
+    sysid: int
+    autopilot: str
+    connect: str  # the bridge's link
+    peer: str = ""  # "host:port" of the vehicle, once it is known
+    signing_key: str = ""  # path of the key file
+    step: str = ""
+    order: str = ""  # the order that the bridge obeys
+    heard: bool = False  # whether the vehicle sends HEARTBEAT
+    armed: bool = False
+    landed: bool = False
+    in_pilots_hands: bool = False
+    mode: str = ""
+    place: str = ""  # "(x, y, z) m" in the world
+    fate: str = ""  # what the vehicle does without its bridge
+    fault: str = ""
+    ended: bool = False  # the bridge has ended in order
+    written_s: float = 0.0  # wall time
+
+    @property
+    def state(self) -> str:
+        """The vehicle's state in a few words."""
+        if not self.heard:
+            return f"the vehicle is silent, last {self._where}" if self.armed else "no vehicle"
+        return self._where
+
+    @property
+    def _where(self) -> str:
+        armed = "armed" if self.armed else "disarmed"
+        on_ground = ", on the ground" if self.landed else ""
+        place = f" at {self.place}" if self.place else ""
+        return f"{armed}{on_ground}{place} in {self.mode or 'no mode'}"
+
+    @property
+    def alive(self) -> bool:
+        """Whether the bridge's process still exists on this host."""
+        if self.ended:
+            return False
+        try:
+            os.kill(self.pid, 0)
+        except ProcessLookupError:
+            return False
+        except PermissionError:
+            return True
+        with suppress(OSError):  # a dead process whose parent has not looked yet
+            return ") Z " not in Path(f"/proc/{self.pid}/stat").read_text()
+        return True
+
+    def encode(self) -> bytes:
+        """As `parse_record` reads it."""
+        return json.dumps(asdict(self)).encode()
+
+
+_TYPES = {one.name: one.type for one in fields(VehicleRecord)}
+_KINDS: dict[str, type | tuple[type, ...]] = {
+    "str": str,
+    "int": int,
+    "bool": bool,
+    "float": (int, float),
+}
+
+
+def parse_record(found: object) -> VehicleRecord | None:
+    """A record from decoded JSON; None when it is not one."""
+    if not isinstance(found, dict):
+        return None
+    for name, kind in _TYPES.items():
+        if not isinstance(found.get(name), _KINDS[str(kind)]):
+            return None
+    return VehicleRecord(**{name: found[name] for name in _TYPES})
+
+
+def decode_record(data: bytes) -> VehicleRecord | None:
+    """A record from bytes; None when it is not one."""
+    try:
+        return parse_record(json.loads(data))
+    except (ValueError, RecursionError):
+        return None
+
+
+def record_path(folder: Path, name: str) -> Path:
+    """The file of a bridge's record."""
+    return folder / f"{name}{_SUFFIX}"
+
+
+def write_record(folder: Path, record: VehicleRecord) -> None:
+    """Replace the bridge's record."""
+    values = {**asdict(record), "written_s": time.time()}
+    write_json(record_path(folder, record.name), values)
+
+
+def records(folder: Path) -> Iterator[VehicleRecord]:
+    """All records of the folder, by name; broken ones are left out."""
+    for path in sorted(folder.glob(f"*{_SUFFIX}")):
+        found = parse_record(read_json(path))
+        if found is not None:
+            yield found
+
+
+def forget_dead(folder: Path) -> None:
+    """Remove the records of bridges that have ended."""
+    for record in list(records(folder)):
+        if not record.alive:
+            record_path(folder, record.name).unlink(missing_ok=True)

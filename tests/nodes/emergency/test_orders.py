@@ -1,0 +1,87 @@
+"""Orders: how they add up, and the latch in the folder of a domain."""
+
+import json
+import stat
+
+import pytest
+
+from ptnsbc_nodes.emergency.orders import (
+    Order,
+    RuntimeFolderError,
+    fleet_bridges,
+    latch,
+    latched,
+    list_fleet,
+    parse_order,
+    release,
+    runtime_folder,
+)
+
+LAND, KILL = Order("land"), Order("kill")
+
+
+@pytest.mark.parametrize("text", ["land", "kill", "land all", "kill all"])
+def test_an_order_reads_what_it_writes(text):
+    assert parse_order(text).text == text
+
+
+@pytest.mark.parametrize("text", ["", "all", "kill  all", "Kill", "kill none", "start", "x" * 5000])
+def test_anything_else_is_no_order(text):
+    assert parse_order(text) is None
+
+
+def test_a_kill_is_never_taken_down_to_a_landing():
+    assert Order().then(LAND) == LAND
+    assert LAND.then(KILL) == KILL
+    assert KILL.then(LAND) == KILL
+    assert KILL.then(Order("land", pilots_too=True)) == KILL
+    assert KILL.then(Order()) == KILL
+
+
+def test_a_landing_of_a_pilots_vehicle_is_no_order_to_kill_it():
+    assert Order("land", pilots_too=True).then(KILL) == KILL
+    assert LAND.then(Order("land", pilots_too=True)).pilots_too
+    assert Order("land", pilots_too=True).then(LAND).pilots_too
+
+
+def test_the_latch_holds_until_it_is_released(tmp_path):
+    assert latched(tmp_path) == Order()
+    latch(tmp_path, LAND)
+    latch(tmp_path, KILL)
+    assert latch(tmp_path, LAND) == KILL
+    assert latched(tmp_path) == KILL
+    assert release(tmp_path) == KILL
+    assert latched(tmp_path) == Order()
+    assert release(tmp_path) == Order()
+
+
+@pytest.mark.parametrize("content", ["", "[]", "{", '{"order": 5}', '{"order": "up"}', "[" * 9999])
+def test_a_broken_latch_holds_nothing(tmp_path, content):
+    (tmp_path / "order.json").write_text(content)
+    assert latched(tmp_path) == Order()
+
+
+def test_the_bridges_of_a_fleet(tmp_path):
+    list_fleet(tmp_path, ["bridge1", "bridge2"])
+    assert fleet_bridges(tmp_path) == ["bridge1", "bridge2"]
+    list_fleet(tmp_path, [])
+    assert fleet_bridges(tmp_path) == []
+    (tmp_path / "fleet.json").write_text(json.dumps({"bridges": "bridge1"}))
+    assert fleet_bridges(tmp_path) == []
+
+
+def test_the_folder_belongs_to_one_user(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    folder = runtime_folder(42)
+    assert folder == tmp_path / "ptnsbc" / "42"
+    assert stat.S_IMODE(folder.stat().st_mode) & 0o077 == 0
+    monkeypatch.setattr("os.getuid", lambda: 12345)
+    with pytest.raises(RuntimeFolderError, match="not a folder of this user"):
+        runtime_folder(42)
+
+
+def test_a_folder_that_cannot_be_made(tmp_path, monkeypatch):
+    (tmp_path / "ptnsbc").write_text("a file")
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    with pytest.raises(RuntimeFolderError, match="expected a folder"):
+        runtime_folder(1)

@@ -1,0 +1,259 @@
+"""An order to all vehicles: repeated until every bridge has answered; who does not is named."""
+
+import os
+import select
+import subprocess
+import sys
+from dataclasses import replace
+
+import pytest
+
+pytest.importorskip("rclpy")
+pytest.importorskip("pymavlink")
+
+from mavlink_wires import Far, heartbeat
+
+from ptnsbc_io.mavlink.dialect import mavlink
+from ptnsbc_nodes.emergency.order_port import OrderPort
+from ptnsbc_nodes.emergency.orders import Order, latched, list_fleet
+from ptnsbc_nodes.emergency.records import VehicleRecord, write_record
+from ptnsbc_nodes.fleet.emergency_stop import EmergencyStop
+
+ARMED = mavlink.MAV_MODE_FLAG_SAFETY_ARMED
+LAND, KILL = Order("land"), Order("kill")
+PATIENCE_S = 30.0
+
+
+class OneBridge:
+    """The port of a bridge whose vehicle obeys, unless a test changes that."""
+
+    def __init__(self, folder, name, **changes):
+        base = VehicleRecord(
+            name=name,
+            pid=os.getpid(),
+            sysid=1,
+            autopilot="px4",
+            connect="udpin:127.0.0.1:1",
+            heard=True,
+            armed=True,
+            mode="OFFBOARD",
+            place="(1.0, 2.0, 3.0) m",
+            fate="without setpoints it hovers",
+        )
+        self.record = replace(base, **changes)
+        self.folder, self.ignores, self.orders, self.port = folder, 0, [], None
+        write_record(folder, self.record)
+
+    def open(self):
+        self.port = OrderPort(self.folder, self.record.name, self.take, self.answer)
+        return self
+
+    def take(self, order):
+        self.orders.append(order)
+        if len(self.orders) <= self.ignores:
+            return
+        if self.record.in_pilots_hands and not order.pilots_too:
+            self.record = replace(self.record, order=order.text)
+            return
+        fault = "motors stopped by the operator" if order.what == "kill" else ""
+        self.record = replace(
+            self.record, order=order.text, armed=order.what != "kill", fault=fault, mode="LAND"
+        )
+
+    def answer(self):
+        return self.record.encode()
+
+
+@pytest.fixture
+def bridge(tmp_path):
+    made = []
+
+    def make(name, **changes):
+        made.append(OneBridge(tmp_path, name, **changes))
+        return made[-1]
+
+    yield make
+    for one in made:
+        if one.port is not None:
+            one.port.close()
+
+
+@pytest.fixture
+def give(tmp_path):
+    given = []
+
+    def run(order, patience_s=PATIENCE_S, remote=None):
+        given.append(EmergencyStop(tmp_path, order, remote))
+        given[-1].begin()
+        done = given[-1].run(patience_s)
+        return done, {one.name: one for one in given[-1].outcomes()}
+
+    yield run
+    for one in given:
+        one.close()
+
+
+@pytest.fixture
+def dead():
+    process = subprocess.Popen([sys.executable, "-c", ""])
+    process.wait()
+    return process.pid
+
+
+def test_all_motors_stop_and_the_order_is_latched(bridge, give, tmp_path):
+    bridges = [bridge(f"bridge{n}").open() for n in (1, 2, 3)]
+    bridges[1].ignores = 3
+    done, found = give(KILL)
+    assert done
+    assert [one.obeyed for one in found.values()] == [True] * 3
+    assert found["bridge1"].text.startswith("motors stopped after 0.")
+    assert len(bridges[1].orders) > 3  # repeated until it counted
+    assert latched(tmp_path) == KILL
+
+
+def test_a_landing_is_reported_as_what_it_is(bridge, give):
+    bridge("bridge1").open()
+    done, found = give(LAND)
+    assert done
+    assert "landing, armed at (1.0, 2.0, 3.0) m in LAND" in found["bridge1"].text
+
+
+def test_a_vehicle_in_a_pilots_hands_is_left_alone_and_named(bridge, give):
+    bridge("bridge1", in_pilots_hands=True, mode="OTHER").open()
+    done, found = give(KILL)
+    assert done
+    assert found["bridge1"].obeyed
+    assert "in a pilot's hands, left alone (armed at" in found["bridge1"].text
+    assert "--all" in found["bridge1"].text
+
+
+def test_with_all_a_pilots_vehicle_is_ordered_too(bridge, give):
+    bridge("bridge1", in_pilots_hands=True, mode="OTHER").open()
+    done, found = give(Order("kill", pilots_too=True))
+    assert done
+    assert found["bridge1"].text.startswith("motors stopped after")
+
+
+def test_a_bridge_of_the_fleet_that_is_never_heard_of_is_missing(bridge, give, tmp_path):
+    list_fleet(tmp_path, ["bridge1", "bridge2"])
+    bridge("bridge1").open()
+    done, found = give(KILL, 0.5)
+    assert not done
+    assert found["bridge1"].obeyed
+    assert not found["bridge2"].obeyed
+    assert found["bridge2"].text == "silent: it was never heard of"
+
+
+def test_a_vehicle_that_does_not_obey_is_no_success(bridge, give):
+    one = bridge("bridge1").open()
+    one.ignores = 10**9
+    done, found = give(KILL, 0.5)
+    assert not done
+    assert "does not obey: armed at" in found["bridge1"].text
+    assert "without setpoints it hovers" in found["bridge1"].text
+
+
+def test_a_silent_vehicle_is_not_said_to_have_landed(bridge, give):
+    bridge("bridge1", heard=False).open()
+    done, found = give(LAND, 0.5)
+    assert not done
+    assert "the vehicle is silent" in found["bridge1"].text
+
+
+@pytest.mark.parametrize("order", [LAND, KILL])
+def test_the_vehicle_of_a_dead_bridge_is_told_past_it(bridge, give, tmp_path, dead, order):
+    far = Far()
+    port = Far()  # only to find a free one
+    free = port.port
+    port.close()
+    far.to = ("127.0.0.1", free)
+    bridge("bridge1", pid=dead, connect=f"udpin:127.0.0.1:{free}", autopilot="px4")
+    operation = EmergencyStop(tmp_path, order)
+    operation.begin()
+    operation.look()  # opens the port that the dead bridge has left
+    far.send(heartbeat(base_mode=ARMED))
+    told = None
+    while told is None or told.get_type() != "COMMAND_LONG":
+        operation.look()
+        if select.select([far.socket], [], [], 0.0)[0]:
+            told = far.receive()
+    expected = {
+        "land": (mavlink.MAV_CMD_DO_SET_MODE, mavlink.MAV_CMD_NAV_LAND),  # in turn
+        "kill": (mavlink.MAV_CMD_COMPONENT_ARM_DISARM,),
+    }
+    assert told.command in expected[order.what]
+    assert not operation.run(0.05)
+    far.send(heartbeat())  # disarmed
+    assert operation.run(PATIENCE_S)
+    (found,) = operation.outcomes()
+    assert found.obeyed
+    assert "its bridge has ended, the vehicle is disarmed after" in found.text
+    operation.close()
+    far.close()
+
+
+def test_a_bridge_that_hangs_is_passed_by_and_counts_as_missing(bridge, give):
+    far = Far()
+    bridge("bridge1", peer=f"127.0.0.1:{far.port}")  # no port: it does not answer
+    done, found = give(KILL, 1.0)
+    told = far.receive()
+    assert told.command == mavlink.MAV_CMD_COMPONENT_ARM_DISARM
+    assert told.param2 == 21196.0
+    assert not done
+    assert not found["bridge1"].obeyed
+    assert "told past it by MAVLink, without an answer" in found["bridge1"].text
+    far.close()
+
+
+def test_a_pilots_vehicle_is_not_told_past_its_bridge(bridge, give, dead):
+    far = Far()
+    bridge("bridge1", peer=f"127.0.0.1:{far.port}", in_pilots_hands=True)
+    done, _ = give(KILL, 0.7)
+    assert not done
+    assert far.receive(timeout=0.05) is None
+    far.close()
+
+
+class Elsewhere:
+    """Bridges of another host, through the middleware."""
+
+    def __init__(self, *records):
+        self.vehicles = {record.name: record for record in records}
+        self.orders = []
+
+    def send(self, order):
+        self.orders.append(order)
+        if len(self.orders) == 3:  # the first two get lost
+            for name, record in self.vehicles.items():
+                self.vehicles[name] = replace(record, order=order.text, armed=False)
+
+    def spin(self, seconds):
+        pass
+
+
+def test_bridges_of_other_hosts_are_ordered_until_they_report_it(bridge, give):
+    bridge("bridge1").open()
+    record = VehicleRecord("bridge2", 0, 0, "", "", heard=True, armed=True, mode="OFFBOARD")
+    remote = Elsewhere(record)
+    done, found = give(KILL, remote=remote)
+    assert done
+    assert found["bridge2"].obeyed
+    assert len(remote.orders) >= 3
+
+
+def test_a_bridge_that_ended_meanwhile_has_obeyed(bridge, give, tmp_path):
+    one = bridge("bridge1").open()
+    one.ignores = 2
+
+    def answer():
+        if one.record.order:  # it ends before it can answer
+            write_record(tmp_path, replace(one.record, ended=True))
+            return b""
+        return one.record.encode()
+
+    one.answer = answer
+    one.port.close()
+    one.open()
+    done, found = give(KILL)
+    assert done
+    assert found["bridge1"].obeyed
