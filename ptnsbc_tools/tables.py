@@ -18,6 +18,7 @@ _COLOURS = {
     "warning": "yellow",
     "info": "dim",
     "missed": "bold red",
+    "violated": "bold red",
     "void": "yellow",
     "met": "green",
 }
@@ -32,10 +33,11 @@ _DEADLINE: _Columns = (
     ("band m", "band_m", 3),
     ("at tf m", "error_at_deadline_m", 4),
     ("max after m", "max_error_after_m", 4),
-    ("RMSE after m", "rmse_after_m", 4),
-    ("avoiding s", "encounter_s", 1),
-    ("missing", "missing", 0),
+    ("with excused m", "max_error_after_all_m", 4),
+    ("RMSE m", "rmse_after_m", 4),
+    ("excused s", "encounter_s", 1),
 )
+_MISSING: _Columns = (("missing", "missing", 0),)
 _EFFORT: _Columns = (
     ("above hover at t0 N", "initial_above_hover_n", 2),
     ("peak |u|", "peak_input", 2),
@@ -81,11 +83,12 @@ def findings_table(name: str, findings: Iterable[Finding]) -> Table:
 
 
 def deadline_table(verdict: Verdict) -> Table:
-    """One row per UAV: whether it met its deadline."""
+    """One row per UAV: whether it met its deadline and kept its distances."""
     title = f"{verdict.scenario}: {verdict.plant}, {verdict.task}, profile {verdict.profile}"
-    table = _table(title, ("UAV", "deadline"), _DEADLINE)
+    columns = _DEADLINE + (_MISSING if any(one.missing for one in verdict.uavs) else ())
+    table = _table(title, ("UAV", "verdict"), columns)
     for one in verdict.uavs:
-        table.add_row(str(one.uav), word(one.verdict), *_numbers(one, _DEADLINE))
+        table.add_row(str(one.uav), word(one.verdict), *_numbers(one, columns))
     return table
 
 
@@ -99,15 +102,15 @@ def verdict_tables(verdict: Verdict) -> list[Table]:
     if verdict.separations:
         tables.append(separation := _table("Separation", ("pair",), _SEPARATION))
         for rank, pair in enumerate(verdict.separations):
-            if rank < _PAIRS or pair.inside_s:
-                colour = "bold red" if pair.inside_s > 0 else ""
+            if rank < _PAIRS or pair.entered:
+                colour = "bold red" if pair.entered else ""
                 cells = _numbers(pair, _SEPARATION)
                 separation.add_row(f"{pair.first} - {pair.second}", *cells, style=colour)
     return tables
 
 
 def reasons(verdict: Verdict) -> list[Text]:
-    """Why deadlines were not met: one line per UAV, and per leg when there are several."""
+    """Why UAVs are not met, and what met ones owe to encounters: one line per UAV and leg."""
     found = []
     for leg in verdict.legs:
         of_leg = f"leg {leg.number} from {leg.epoch_s - verdict.epoch_s:.2f} s, "
@@ -115,9 +118,9 @@ def reasons(verdict: Verdict) -> list[Text]:
         if leg.reason:
             found.append(Text.assemble(where, word(leg.verdict), f": {leg.reason}"))
         found += [
-            Text.assemble(where, f"UAV {one.uav} ", word(one.verdict), f": {one.reason}")
+            Text.assemble(where, f"UAV {one.uav} ", word(one.verdict), f": {text}")
             for one in leg.uavs
-            if one.reason
+            if (text := one.reason or one.excuse)
         ]
     return found
 
@@ -126,14 +129,19 @@ def verdict_line(verdict: Verdict) -> Text:
     """The last line: the verdict in a sentence."""
     judged = [one.verdict for leg in verdict.legs for one in leg.uavs]
     counts = {kind: judged.count(kind) for kind in _COLOURS}
-    parts = [f"{counts[kind]} {kind}" for kind in ("met", "void", "missed") if counts[kind]]
+    parts = [
+        f"{counts[kind]} {kind}" for kind in ("met", "void", "missed", "violated") if counts[kind]
+    ]
     tail = f"deadline {verdict.uavs[0].deadline_s:g} s: {', '.join(parts)}"
     if len(verdict.legs) > 1:
         tail += f" in {len(verdict.legs)} legs"
     if verdict.judged_by == "truth":
         tail += "; judged by true positions"
-    if verdict.inside_keep_out_s > 0:
+    if any(pair.entered for pair in verdict.separations):
         tail += f"; inside a keep-out for {verdict.inside_keep_out_s:.2f} s"
+    excused = sum(one.excused_outside_s for leg in verdict.legs for one in leg.uavs)
+    if excused:
+        tail += f"; {excused:.2f} s outside the band excused near objects"
     missing = sum(one.missing for one in verdict.uavs)
     missing += sum(one.missing for one in verdict.efforts)
     if missing:

@@ -10,7 +10,7 @@ from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.swarm import fly
 from ptnsbc_sim.sweep.plan import SweepPlan, Value, drawn_scenario
 from ptnsbc_sim.track import FlightTrack
-from ptnsbc_sim.verdict import Recording, Separation, Verdict, verdict_and_errors
+from ptnsbc_sim.verdict import Recording, Separation, Verdict, verdict_on
 from ptnsbc_sim.verdict.headless import recording_of
 from ptnsbc_sim.verdict.recording import counter_rise
 
@@ -21,9 +21,9 @@ class SweepRow:
 
     draw: int
     uav: int
-    verdict: str  # met | missed | void
+    verdict: str  # met | missed | violated | void
     cause: str  # why not met, empty when met
-    flight_verdict: str  # the worst of the flight's UAVs
+    flight_verdict: str  # the worst of the flight's UAVs: violated, missed, void, met
     deadline_s: float
     start_error_m: float
     tolerance_m: float
@@ -34,6 +34,7 @@ class SweepRow:
     largest_after_all_m: float | None  # after the deadline, inside encounters too
     rmse_after_m: float | None  # after the deadline, outside encounters
     encounter_s: float  # time inside encounters, which excuse the error
+    excused_outside_s: float  # of it: after the deadline and outside the band
     avoidance_s: float  # time in which the avoidance changed the velocity
     saturated_s: float  # until the deadline
     holding_s: float  # until the deadline
@@ -75,7 +76,7 @@ def fly_draw(
 
 def rows_of(draw: int, scenario: Scenario, recording: Recording) -> list[SweepRow]:
     """The rows of one flight."""
-    verdict, errors = verdict_and_errors(recording)
+    verdict = verdict_on(recording)
     efforts = {one.uav: one for one in verdict.efforts}
     near = _nearest(scenario, verdict)
     rows = []
@@ -97,9 +98,10 @@ def rows_of(draw: int, scenario: Scenario, recording: Recording) -> list[SweepRo
                 settling_s=one.settling_s,
                 error_at_deadline_m=one.error_at_deadline_m,
                 largest_after_m=one.max_error_after_m,
-                largest_after_all_m=errors[one.uav].max_after_all,
+                largest_after_all_m=one.max_error_after_all_m,
                 rmse_after_m=one.rmse_after_m,
                 encounter_s=one.encounter_s,
+                excused_outside_s=one.excused_outside_s,
                 avoidance_s=counter_rise(counters, "avoidance_active_s", begin_ns, end_ns),
                 saturated_s=one.saturated_s,
                 holding_s=one.holding_s,

@@ -1,9 +1,9 @@
-"""The verdict on a recorded flight: deadline met, missed or void, with input and separations."""
+"""The verdict on a recorded flight: met, missed, violated or void, with input and separations."""
 
-from ptnsbc_sim.verdict.figures import Separation
 from ptnsbc_sim.verdict.recording import Recording, VerdictError
+from ptnsbc_sim.verdict.separation import Separation
 from ptnsbc_sim.verdict.track import Series, Track
-from ptnsbc_sim.verdict.verdict import Verdict, verdict_and_errors, verdict_on
+from ptnsbc_sim.verdict.verdict import Verdict, verdict_on
 
 __all__ = [
     "Recording",
@@ -12,6 +12,5 @@ __all__ = [
     "Track",
     "Verdict",
     "VerdictError",
-    "verdict_and_errors",
     "verdict_on",
 ]

@@ -13,6 +13,9 @@ from ptnsbc_sim.verdict.track import Track
 LONGEST_GAP_S = 0.25
 """Longest silence [s] that is only counted. A longer one makes the verdict void."""
 
+LOST_S = 2.0
+"""Longest silence [s] of the counters, which come 5 times a second, before the end of a leg."""
+
 
 class Coverage(NamedTuple):
     """How much of the judged time a track covers."""
@@ -86,6 +89,14 @@ def incomplete(recording: Recording, uav: int) -> str:
             found.append(f"{span} from t = {gap.gap_at_s:.2f} s")
     found.append(_early_end(recording))
     return ", ".join(text for text in found if text)
+
+
+def silent_from_s(recording: Recording, uav: int) -> float | None:
+    """Time after the epoch from which a UAV's process published no counters; None when it did to the end."""
+    counters = recording.counters.get(uav)
+    if counters is None or (recording.end_ns - counters.last_ns) * NANO <= LOST_S:
+        return None
+    return float(counters.last_ns - recording.start_ns) * NANO
 
 
 def first_bad_s(recording: Recording, track: Track | None) -> float | None:

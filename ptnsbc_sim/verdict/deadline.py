@@ -1,4 +1,4 @@
-"""Whether a UAV met its deadline: settling, the error at the deadline, and what makes the answer void."""
+"""Whether a UAV kept its deadline and its distances: settling, the error when it was due, and the causes of a miss."""
 
 from __future__ import annotations
 
@@ -10,17 +10,21 @@ from numpy.typing import NDArray
 from ptnsbc_core.trajectory import reference_positions
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario.build import trajectory_vector
-from ptnsbc_sim.verdict.coverage import coverage, first_bad_s, incomplete
-from ptnsbc_sim.verdict.encounters import encounters, inside
+from ptnsbc_sim.verdict.coverage import coverage, first_bad_s, incomplete, silent_from_s
+from ptnsbc_sim.verdict.encounters import ancestors, encounters, inside
 from ptnsbc_sim.verdict.recording import NANO, Recording, counter_rise
 
-MET, MISSED, VOID = "met", "missed", "void"
+MET, MISSED, VIOLATED, VOID = "met", "missed", "violated", "void"
+WORST_FIRST = (VIOLATED, MISSED, VOID, MET)
 
 TOLERANCE_M = 0.05
 """Default limit of the formation error at the deadline."""
 
 SHARE_OF_START = 0.02
 """Share of the start error that widens the band of the settling time."""
+
+MOST_EXCUSED = 0.5
+"""Share of the time after the deadline that encounters may excuse at most."""
 
 _EXACT_S = 1e-9
 _NONE = np.empty(0)
@@ -31,9 +35,11 @@ class UavVerdict:
     """How one UAV kept its deadline. Errors in metres, times in seconds after the epoch."""
 
     uav: int
-    verdict: str  # met | missed | void
+    verdict: str  # met | missed | violated | void
     reason: str  # why not met, empty when met
+    excuse: str  # what the figures owe to encounters, empty when nothing
     deadline_s: float
+    due_s: float  # the deadline, or the end of the encounter that lasts over it
     start_error_m: float
     band_m: float  # tolerance of the settling time
     settling_s: float | None  # None: the error ends outside the band
@@ -41,8 +47,10 @@ class UavVerdict:
     error_at_deadline_m: float | None  # None: the recording ends before the deadline
     residual: float | None  # error at the deadline over the start error
     max_error_after_m: float | None  # after the deadline, outside encounters
+    max_error_after_all_m: float | None  # after the deadline, inside encounters too
     rmse_after_m: float | None  # after the deadline, outside encounters
     encounter_s: float  # time inside encounters
+    excused_outside_s: float  # of it: after the deadline and outside the band
     saturated_s: float  # until the deadline
     holding_s: float  # until the deadline
     missing: int  # odometry messages missing of those sent, or of one per control period
@@ -81,6 +89,22 @@ class ValueAt:
         self._last = times[-1:], values[-1:]
 
 
+class _LastExit:
+    """When a curve entered its band for the last time, for samples that arrive block by block."""
+
+    def __init__(self) -> None:
+        self.entered_s: float | None = 0.0  # None: it ends outside
+
+    def add(self, times: Array, outside: NDArray[np.bool_]) -> None:
+        """Take the next samples (T,)."""
+        if self.entered_s is None:
+            self.entered_s = float(times[0])
+        found = np.flatnonzero(outside)
+        if found.size:
+            after = int(found[-1]) + 1
+            self.entered_s = float(times[after]) if after < times.size else None
+
+
 class ErrorFigures:
     """Figures of the formation error of one UAV, which arrives block by block.
 
@@ -94,21 +118,23 @@ class ErrorFigures:
         self._recording = recording
         self._deadline_s = deadline = recording.scenario.gains.formation.deadline_s
         self._windows = encounters(recording.scenario, recording.counters, uav)
-        # An encounter that began before the deadline excuses no late settling.
         start_ns = recording.start_ns
-        self._later = [w for w in self._windows if (w[0] - start_ns) * NANO > deadline]
+        spans = [((a - start_ns) * NANO, (b - start_ns) * NANO) for a, b in self._windows]
+        # Only encounters that begin after the deadline are left out of the settling time.
+        self._later = [w for w, (a, _) in zip(self._windows, spans, strict=True) if a > deadline]
         self._tolerance = tolerance
-        self._at = ValueAt(deadline)
+        self.due_s = next((b for a, b in spans if a <= deadline < b), deadline)
+        self._at, self._at_due = ValueAt(deadline), ValueAt(self.due_s)
+        self._settled, self._regained = _LastExit(), _LastExit()
         self._last = _NONE  # time and error of the newest sample
         self._squares = 0.0  # sum of the squared errors after the deadline
         self._after = 0  # number of samples in that sum
         self.start_error = np.nan
         self.band = tolerance
-        self.settling_s: float | None = 0.0  # None: the error ends outside the band
         self.max_after: float | None = None
         self.max_after_all: float | None = None  # inside encounters too
         self.encounter_s = 0.0
-        self.avoiding: bool | None = None  # at the deadline; None before it
+        self.excused_outside_s = 0.0  # after the deadline, inside encounters and outside the band
         self.not_finite_s: float | None = None
 
     def add(self, grid: NDArray[np.int64], error: Array) -> None:
@@ -118,34 +144,27 @@ class ErrorFigures:
             self.start_error = float(error[0])
             self.band = max(self._tolerance, SHARE_OF_START * self.start_error)
         counted = ~inside(self._windows, grid)
-        self._take_settling(times, (error > self.band) & ~inside(self._later, grid))
+        reached = times >= self._deadline_s - _EXACT_S
+        outside = error > self.band
+        self._settled.add(times, outside & ~inside(self._later, grid))
+        self._regained.add(times, outside & counted & reached)
         self._at.add(times, error)
-        self._take_after(times, error, counted)
+        self._at_due.add(times, error)
+        self._take_after(error[reached], counted[reached])
         period = np.diff(times, prepend=self._last[:1])
-        self.encounter_s += float(np.sum(period[~counted[-period.size :]]))
+        fresh = slice(times.size - period.size, None)  # the first sample of all has no period
+        self.encounter_s += float(np.sum(period[~counted[fresh]]))
+        self.excused_outside_s += float(np.sum(period[(~counted & reached & outside)[fresh]]))
         bad = np.flatnonzero(~np.isfinite(error))
         if self.not_finite_s is None and bad.size:
             self.not_finite_s = float(times[bad[0]])
         self._last = np.array([times[-1], error[-1]])
 
-    def _take_settling(self, times: Array, outside: NDArray[np.bool_]) -> None:
-        if self.settling_s is None:
-            self.settling_s = float(times[0])
-        found = np.flatnonzero(outside)
-        if found.size:
-            after = int(found[-1]) + 1
-            self.settling_s = float(times[after]) if after < times.size else None
-
-    def _take_after(self, times: Array, error: Array, counted: NDArray[np.bool_]) -> None:
-        reached = times >= self._deadline_s - _EXACT_S
-        if self.avoiding is None and reached.any():
-            self.avoiding = not counted[int(np.argmax(reached))]
-        whole = error[reached]
-        if whole.size:
-            self.max_after_all = max_of(
-                -np.inf if self.max_after_all is None else self.max_after_all, whole.max()
-            )
-        after = error[reached & counted]
+    def _take_after(self, error: Array, counted: NDArray[np.bool_]) -> None:
+        if error.size:
+            before = -np.inf if self.max_after_all is None else self.max_after_all
+            self.max_after_all = max_of(before, error.max())
+        after = error[counted]
         if after.size:
             largest = after.max() if self.max_after is None else max_of(self.max_after, after.max())
             self.max_after = float(largest)
@@ -158,11 +177,26 @@ class ErrorFigures:
         return float(self._last[0])
 
     @property
+    def settling_s(self) -> float | None:
+        """When the error entered the band for good; later encounters are left out. None: it ends outside."""
+        return self._settled.entered_s
+
+    @property
+    def regained_s(self) -> float | None:
+        """After which time past the deadline the error is in the band outside encounters; None: never."""
+        return self._regained.entered_s
+
+    @property
     def at_deadline(self) -> float | None:
         """The error at the deadline [m]; None when the leg ends before it."""
-        if self._at.value is None and self.avoiding is not None:
+        if self._at.value is None and self.max_after_all is not None:
             return float(self._last[1])  # the last sample is at the deadline
         return self._at.value
+
+    @property
+    def at_due(self) -> float | None:
+        """The error when it was due [m]; None when the leg ends before."""
+        return self._at_due.value if self.due_s > self._deadline_s else self.at_deadline
 
     @property
     def rmse_after(self) -> float | None:
@@ -191,8 +225,8 @@ def _left_again(found: UavVerdict) -> bool:
     return late and at is not None and at <= found.tolerance_m
 
 
-def _miss(found: UavVerdict, end_s: float) -> str:
-    """By how much the deadline was missed, empty when it was met."""
+def _late(found: UavVerdict, end_s: float) -> str:
+    """By how much the deadline was missed when nothing excuses it, empty when it was met."""
     settled, band = found.settling_s, f"{found.band_m:.3f} m"
     if _left_again(found):
         until = "the end" if settled is None else f"{settled:.2f} s"
@@ -207,19 +241,66 @@ def _miss(found: UavVerdict, end_s: float) -> str:
     return ""
 
 
-def _causes(recording: Recording, found: UavVerdict, end_s: float, avoiding: bool) -> list[str]:
-    """What voids a missed deadline: events before the deadline, or before the late exit."""
-    span = (0.0, found.deadline_s)
+def _unrecovered(found: UavVerdict, figures: ErrorFigures) -> str:
+    """Why an encounter over the deadline does not excuse the miss, empty when it does."""
+    at, regained, due = figures.at_due, figures.regained_s, f"{found.due_s:.2f} s"
+    if at is None:
+        return "an encounter lasts over the deadline until the end"
+    if at > found.tolerance_m:
+        return f"{at:.3f} m off at {due}, when it had to be back after an encounter"
+    if regained is None or regained > found.due_s:
+        until = "the end" if regained is None else f"{regained:.2f} s"
+        return f"back at {due} after an encounter, but outside {found.band_m:.3f} m again until {until}"
+    return ""
+
+
+def _miss(found: UavVerdict, figures: ErrorFigures) -> str:
+    """By how much the deadline was missed, empty when it was met."""
+    miss = _late(found, figures.end_s)
+    if miss and found.due_s > found.deadline_s:
+        unrecovered = _unrecovered(found, figures)
+        miss = f"{miss}, {unrecovered}" if unrecovered else ""
+    after_s = figures.end_s - found.deadline_s
+    if not miss and found.excused_outside_s > MOST_EXCUSED * after_s:
+        return (
+            f"outside {found.band_m:.3f} m near objects for {found.excused_outside_s:.2f} s of the "
+            f"{after_s:.2f} s after the deadline"
+        )
+    return miss
+
+
+def _excuse(found: UavVerdict) -> str:
+    """What a met deadline owes to encounters; empty when nothing."""
+    if not found.excused_outside_s and not _late(found, np.inf):
+        return ""
+    due = f", the deadline counted at {found.due_s:.2f} s" if _late(found, np.inf) else ""
+    return f"outside {found.band_m:.3f} m near objects for {found.excused_outside_s:.2f} s{due}"
+
+
+def _lost(recording: Recording, uav: int) -> list[str]:
+    """The processes that a UAV depends on and that fell silent, in words."""
+    needed = dict.fromkeys([*ancestors(recording.scenario, uav), recording.scenario.leader_id])
+    silent = ((one, silent_from_s(recording, one)) for one in needed)
+    return [f"UAV {one} silent from {t_s:.2f} s" for one, t_s in silent if t_s is not None]
+
+
+def _causes(recording: Recording, found: UavVerdict, end_s: float) -> tuple[list[str], bool]:
+    """What happened before a missed deadline or a late exit, and whether it voids the verdict.
+
+    Only what the UAVs could not help voids it: a lost process, and messages that were late although the
+    scenario neither loses nor delays any.
+    """
+    span = (0.0, found.due_s)
     if _left_again(found):
         span = (found.deadline_s, end_s if found.settling_s is None else found.settling_s)
-    causes = ["avoidance active at the deadline"] if avoiding else []
+    causes = lost = _lost(recording, found.uav)
     held = _rise(recording, found.uav, "holding_s", span)
     saturated = _rise(recording, found.uav, "saturated_s", span)
     if held > 0:
-        causes.append(f"held for {held:.2f} s, link stale")
+        causes = [*causes, f"held for {held:.2f} s, link stale"]
     if saturated > 0:
-        causes.append(f"saturated for {saturated:.2f} s")
-    return causes
+        causes = [*causes, f"at a limit of speed, acceleration or thrust for {saturated:.2f} s"]
+    return causes, bool(lost) or (held > 0 and not recording.scenario.lossy)
 
 
 def _not_finite(recording: Recording, uav: int, figures: ErrorFigures) -> str:
@@ -235,8 +316,30 @@ def _not_finite(recording: Recording, uav: int, figures: ErrorFigures) -> str:
     return "" if bad_s is None else f"error not finite from t = {bad_s:.2f} s"
 
 
-def judge(recording: Recording, uav: int, figures: ErrorFigures, tolerance: float) -> UavVerdict:
-    """The verdict on one UAV from the figures of its formation error over the whole leg."""
+def judge(
+    recording: Recording, uav: int, figures: ErrorFigures, tolerance: float, intrusion: str = ""
+) -> UavVerdict:
+    """The verdict on one UAV.
+
+    Args:
+        recording: the leg.
+        uav: the UAV.
+        figures: its formation error over the whole leg.
+        tolerance: limit of the error at the deadline [m].
+        intrusion: the keep-outs that it entered, in words; empty when it entered none.
+    """
+    found = _of_deadline(recording, uav, figures, tolerance)
+    if not intrusion:
+        return found
+    return replace(
+        found, verdict=VIOLATED, reason=", ".join(filter(None, (intrusion, found.reason)))
+    )
+
+
+def _of_deadline(
+    recording: Recording, uav: int, figures: ErrorFigures, tolerance: float
+) -> UavVerdict:
+    """The verdict on the deadline of one UAV, whatever it came near to."""
     found = _measured(recording, uav, figures, tolerance)
     not_finite = _not_finite(recording, uav, figures)
     if not_finite:
@@ -244,7 +347,7 @@ def judge(recording: Recording, uav: int, figures: ErrorFigures, tolerance: floa
         return replace(found, verdict=MISSED, reason=not_finite, settling_s=None)
     end_s = figures.end_s
     short = found.error_at_deadline_m is None
-    miss = f"recording ends after {end_s:.2f} s" if short else _miss(found, end_s)
+    miss = f"recording ends after {end_s:.2f} s" if short else _miss(found, figures)
     hole = incomplete(recording, uav)
     if hole:
         parts = [f"recording incomplete: {hole}", *([miss] if miss and not short else [])]
@@ -252,9 +355,9 @@ def judge(recording: Recording, uav: int, figures: ErrorFigures, tolerance: floa
     if short:
         return replace(found, verdict=VOID, reason=miss)
     if not miss:
-        return found
-    causes = _causes(recording, found, end_s, bool(figures.avoiding))
-    return replace(found, verdict=VOID if causes else MISSED, reason=", ".join([miss, *causes]))
+        return replace(found, excuse=_excuse(found))
+    causes, void = _causes(recording, found, end_s)
+    return replace(found, verdict=VOID if void else MISSED, reason=", ".join([miss, *causes]))
 
 
 def _measured(
@@ -268,7 +371,9 @@ def _measured(
         uav=uav,
         verdict=MET,
         reason="",
+        excuse="",
         deadline_s=deadline,
+        due_s=figures.due_s,
         start_error_m=start,
         band_m=figures.band,
         settling_s=figures.settling_s,
@@ -276,8 +381,10 @@ def _measured(
         error_at_deadline_m=at,
         residual=at / start if at is not None and start > 0 else None,
         max_error_after_m=figures.max_after,
+        max_error_after_all_m=figures.max_after_all,
         rmse_after_m=figures.rmse_after,
         encounter_s=figures.encounter_s,
+        excused_outside_s=figures.excused_outside_s,
         saturated_s=_rise(recording, uav, "saturated_s", (0.0, deadline)),
         holding_s=_rise(recording, uav, "holding_s", (0.0, deadline)),
         missing=cover.missing,

@@ -26,7 +26,7 @@ _TIME_CONSTANTS = 3.0
 _SLOWEST_RECOVERY_S = 10.0  # without kappa the loop would never recover
 
 
-def _recovery_s(scenario: Scenario) -> float:
+def recovery_s(scenario: Scenario) -> float:
     """How long after its end an encounter still excuses the error."""
     loop = agent_config(scenario, scenario.leader_id).formation  # as flown
     rate = loop.scale * loop.kappa
@@ -70,7 +70,7 @@ def ancestors(scenario: Scenario, uav_id: int) -> list[int]:
 
 def encounters(scenario: Scenario, counters: Mapping[int, Track], uav_id: int) -> list[Window]:
     """Encounters of one UAV, recovery included."""
-    extra_ns = round(_recovery_s(scenario) * 1e9)
+    extra_ns = round(recovery_s(scenario) * 1e9)
     return merged(
         (begin, end + extra_ns)
         for uav in ancestors(scenario, uav_id)

@@ -1,9 +1,8 @@
-"""Further figures of a verdict: input, energy (54), separations, estimator."""
+"""Further figures of a verdict: input, energy (54), estimator."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,18 +27,6 @@ class Effort:
     energy: float  # integral of |u|^2 (54) [N^2 s]
     energy_above_hover: float  # the same of the force above the weight, and of the torque
     missing: int  # wrench messages missing of one per odometry sent or per control period
-
-
-@dataclass(frozen=True)
-class Separation:
-    """The closest approach of two UAVs, or of a UAV and an obstacle."""
-
-    first: str
-    second: str
-    distance_m: float
-    at_s: float
-    keep_out_m: float
-    inside_s: float  # time closer than keep_out_m
 
 
 @dataclass(frozen=True)
@@ -119,67 +106,6 @@ def effort(recording: Recording, uav: int) -> Effort | None:
         following = track.rows(last, last + 1).first_ns if last < end else recording.end_ns
         figures.add(track.rows(begin, last), following)
     return figures.effort(uav, coverage(recording, uav, track).missing)
-
-
-class _Pair:
-    """The closest approach of one pair, whose distances arrive block by block."""
-
-    def __init__(self, names: tuple[str, str], keep_out: float) -> None:
-        self._names = names
-        self._keep_out = keep_out
-        self._closest = np.inf
-        self._at_s: float | None = None
-        self._inside_s = 0.0
-        self._inside_since: float | None = None  # of the newest sample, when it is inside
-
-    def add(self, times: Array, distance: Array) -> None:
-        """Take the next distances (T,) [m] at (T,) [s]."""
-        distance = np.where(np.isfinite(distance), distance, np.inf)  # NaN is neither near nor far
-        closest = int(np.argmin(distance))
-        if self._at_s is None or distance[closest] < self._closest:
-            self._closest, self._at_s = float(distance[closest]), float(times[closest])
-        inside = distance < self._keep_out
-        period = np.diff(times, append=times[-1])
-        self._inside_s += float(np.sum(period[inside]))
-        if self._inside_since is not None:
-            self._inside_s += float(times[0] - self._inside_since)
-        self._inside_since = float(times[-1]) if inside[-1] else None
-
-    def separation(self) -> Separation:
-        """The closest approach so far."""
-        at_s = self._at_s or 0.0
-        return Separation(*self._names, self._closest, at_s, self._keep_out, self._inside_s)
-
-
-class Separations:
-    """Closest approach of every pair of UAVs and of every UAV and obstacle."""
-
-    def __init__(self, recording: Recording) -> None:
-        scenario = recording.scenario
-        self._recording = recording
-        self._pairs = {
-            (a, b): _Pair((f"uav{a}", f"uav{b}"), scenario.uav_keep_out_m)
-            for a, b in combinations(scenario.uav_ids, 2)
-        }
-        self._obstacles = [
-            (uav, one.position, _Pair((f"uav{uav}", one.name), one.keep_out_m))
-            for uav in scenario.uav_ids
-            for one in scenario.obstacles
-        ]
-
-    def add(self, grid: NDArray[np.int64], positions: dict[int, Array]) -> None:
-        """Take the next positions (T, 3) [m] of all UAVs at (T,) [ns]."""
-        times = self._recording.times(grid)
-        for (a, b), pair in self._pairs.items():
-            pair.add(times, np.linalg.norm(positions[a] - positions[b], axis=1))
-        for uav, place, pair in self._obstacles:
-            pair.add(times, np.linalg.norm(positions[uav] - place, axis=1))
-
-    def found(self) -> list[Separation]:
-        """All pairs, the smallest margin first."""
-        pairs = [*self._pairs.values(), *(pair for _, _, pair in self._obstacles)]
-        found = [pair.separation() for pair in pairs]
-        return sorted(found, key=lambda pair: pair.distance_m - pair.keep_out_m)
 
 
 class EstimatorErrors:

@@ -99,15 +99,31 @@ class Recording:
 
     def grids(self) -> Iterator[NDArray[np.int64]]:
         """The judged instants, block by block: the leader's stamps from the epoch to the end of the leg."""
-        leader = self.odometry[self.scenario.leader_id]
-        first, end = leader.span(self.start_ns, self.end_ns)
         if self.samples < 2:
             raise VerdictError(
                 "the recording holds no formation flight: expected odometry of the leader after "
                 f"the epoch at {self.start_ns * NANO:.3f} s"
             )
-        for block in leader.blocks(first, end):
+        yield from self.grids_between(self.start_ns, self.end_ns)
+
+    def grids_between(self, start_ns: int, end_ns: int) -> Iterator[NDArray[np.int64]]:
+        """The leader's stamps between two times, both included, block by block."""
+        leader = self.odometry[self.scenario.leader_id]
+        for block in leader.blocks(*leader.span(start_ns, end_ns)):
             yield block.t_ns
+
+    @property
+    def other_legs_ns(self) -> list[tuple[int, int]]:
+        """Begin and end [ns] of the legs that have no deadline, as far as they are recorded; none in a window."""
+        if self.window_s is not None:
+            return []
+        last_ns = min(track.last_ns for track in self.odometry.values())
+        ends = [*(t0_ns for t0_ns, _ in self.epochs[1:]), last_ns]
+        spans = zip(self.epochs, ends, strict=False)  # without epochs there are no spans
+        found = [
+            (t0_ns, min(end_ns, last_ns)) for (t0_ns, leg), end_ns in spans if leg != FORMATION
+        ]
+        return [(t0_ns, end_ns) for t0_ns, end_ns in found if self.first_ns <= t0_ns <= end_ns]
 
     def grid(self) -> NDArray[np.int64]:
         """All judged instants at once, for short flights."""
@@ -116,6 +132,10 @@ class Recording:
     def times(self, stamps: NDArray[np.int64]) -> Array:
         """Seconds (T,) after the epoch."""
         return np.asarray((stamps - self.start_ns) * NANO, dtype=np.float64)
+
+    def since_first(self, stamps: NDArray[np.int64]) -> Array:
+        """Seconds (T,) after the epoch of the first formation leg."""
+        return np.asarray((stamps - self.first_ns) * NANO, dtype=np.float64)
 
     @property
     def judged_by(self) -> str:

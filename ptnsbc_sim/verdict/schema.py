@@ -10,10 +10,10 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
-from ptnsbc_sim.verdict.deadline import MET, MISSED, VOID
+from ptnsbc_sim.verdict.deadline import MET, MISSED, VIOLATED, VOID
 from ptnsbc_sim.verdict.verdict import Verdict
 
-_WORD = {"enum": [MET, MISSED, VOID]}
+_WORD = {"enum": [MET, MISSED, VIOLATED, VOID]}
 
 
 def schema() -> dict[str, Any]:

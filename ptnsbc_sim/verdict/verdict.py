@@ -1,10 +1,13 @@
-"""The verdict on a whole recording: one plain object, from which tables and JSON are made."""
+"""The verdict on a whole recording: one plain object, from which tables and JSON are made.
+
+Flights in one process, bags and sweeps are judged here and nowhere else.
+"""
 
 from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -12,8 +15,9 @@ import numpy as np
 
 from ptnsbc_sim.verdict.deadline import (
     MET,
-    MISSED,
+    VIOLATED,
     VOID,
+    WORST_FIRST,
     ErrorFigures,
     UavVerdict,
     formation_errors,
@@ -23,8 +27,6 @@ from ptnsbc_sim.verdict.figures import (
     Effort,
     EstimatorError,
     EstimatorErrors,
-    Separation,
-    Separations,
     effort,
 )
 from ptnsbc_sim.verdict.recording import (
@@ -36,9 +38,9 @@ from ptnsbc_sim.verdict.recording import (
     require_all_uavs,
     tolerance_of,
 )
+from ptnsbc_sim.verdict.separation import Separation, Separations, intrusion, joined
 
 _VIOLATION = COUNTERS.index("priority_violation_max")
-_PositionFigures = Separations | EstimatorErrors
 
 
 @dataclass(frozen=True)
@@ -53,7 +55,7 @@ class LegVerdict:
 
     @property
     def verdict(self) -> str:
-        """The worst of its UAVs: missed, else void, else met."""
+        """The worst of its UAVs: violated, else missed, else void, else met."""
         return VOID if self.reason else _worst(uav.verdict for uav in self.uavs)
 
 
@@ -71,10 +73,10 @@ class Verdict:
     duration_s: float
     uavs: tuple[UavVerdict, ...]
     efforts: tuple[Effort, ...]
-    separations: tuple[Separation, ...]  # the smallest margin first
+    separations: tuple[Separation, ...]  # of all legs, the smallest margin first
     estimators: tuple[EstimatorError, ...]
     energy: float  # (54), all UAVs
-    inside_keep_out_s: float  # summed over pairs
+    inside_keep_out_s: float  # summed over pairs and legs
     missed_ticks: int
     priority_violation_m_s: float
     latency_ms: dict[str, float]
@@ -82,12 +84,14 @@ class Verdict:
 
     @property
     def verdict(self) -> str:
-        """The worst of all UAVs in all legs: missed, else void, else met."""
+        """Violated when a keep-out was entered in any leg, else the worst of all UAVs: missed, void, met."""
+        if any(pair.entered for pair in self.separations):
+            return VIOLATED
         return _worst(leg.verdict for leg in self.legs)
 
     @property
     def exit_code(self) -> int:
-        """0 when every UAV met its deadline, else 1: a void deadline was not shown to be met."""
+        """0 when every UAV met its deadline and no keep-out was entered, else 1: void was not shown to be met."""
         return 0 if self.verdict == MET else 1
 
     def as_json(self) -> dict[str, Any]:
@@ -100,7 +104,7 @@ class Verdict:
 
 def _worst(verdicts: Iterable[str]) -> str:
     found = set(verdicts)
-    return next(kind for kind in (MISSED, VOID, MET) if kind in found)
+    return next(kind for kind in WORST_FIRST if kind in found)
 
 
 def _plain(value: Any) -> Any:
@@ -113,30 +117,22 @@ def _plain(value: Any) -> Any:
 
 def verdict_on(recording: Recording, tolerance: float | None = None) -> Verdict:
     """Judge a recording; `tolerance` [m] limits the error at the deadline, by default as in the scenario."""
-    return verdict_and_errors(recording, tolerance)[0]
-
-
-def verdict_and_errors(
-    recording: Recording, tolerance: float | None = None
-) -> tuple[Verdict, Mapping[int, ErrorFigures]]:
-    """The verdict, and the figures of each UAV's formation error in the first leg."""
     with np.errstate(all="ignore"):  # the verdict names what is not finite
         return _verdict_on(recording, tolerance_of(recording, tolerance))
 
 
-def _verdict_on(
-    recording: Recording, tolerance: float
-) -> tuple[Verdict, Mapping[int, ErrorFigures]]:
+def _verdict_on(recording: Recording, tolerance: float) -> Verdict:
     require_all_uavs(recording)
     scenario = recording.scenario
-    pairs, estimators = Separations(recording), EstimatorErrors(recording)
-    legs = _legs(recording, tolerance, (pairs, estimators))
+    estimators = EstimatorErrors(recording)
+    legs = _legs(recording, tolerance, estimators)
     found = [effort(recording, uav) for uav in scenario.uav_ids]
     efforts = tuple(one for one in found if one is not None)
-    separations = tuple(pairs.found())
+    parts = [*(leg.separations for leg in legs), *_without_deadline(recording)]
+    separations = tuple(joined(parts))
     start_ns, end_ns = recording.start_ns, legs[0].end_ns
     counters = recording.counters.values()
-    verdict = Verdict(
+    return Verdict(
         scenario=scenario.name,
         plant=scenario.plant_kind,
         task=scenario.file.formation.task,
@@ -161,51 +157,63 @@ def _verdict_on(
         latency_ms=dict(recording.latency),
         legs=tuple(leg.verdict for leg in legs),
     )
-    return verdict, legs[0].figures
 
 
 class _JudgedLeg(NamedTuple):
-    """A leg and the last instant of it that is judged."""
+    """A leg, the last instant of it that is judged, and its separations."""
 
     verdict: LegVerdict
     end_ns: int
-    figures: Mapping[int, ErrorFigures]
+    separations: list[Separation]
 
 
-def _legs(
-    recording: Recording, tolerance: float, of_first: Sequence[_PositionFigures]
-) -> list[_JudgedLeg]:
-    """All legs; the figures `of_first` take the positions of the first leg."""
+def _legs(recording: Recording, tolerance: float, of_first: EstimatorErrors) -> list[_JudgedLeg]:
+    """All legs; `of_first` takes the positions of the first one."""
     found = []
     for number in range(len(recording.forms)):
         leg = dataclasses.replace(recording, leg=number)
         try:
-            found.append(_leg(leg, tolerance, () if number else of_first))
+            found.append(_leg(leg, tolerance, None if number else of_first))
         except VerdictError as error:
             if number == 0:
                 raise
             epoch_s = leg.start_ns * NANO
             void = LegVerdict(number + 1, epoch_s, 0.0, str(error), ())
-            found.append(_JudgedLeg(void, leg.start_ns, {}))
+            found.append(_JudgedLeg(void, leg.start_ns, []))
     return found
 
 
-def _leg(recording: Recording, tolerance: float, others: Sequence[_PositionFigures]) -> _JudgedLeg:
+def _leg(recording: Recording, tolerance: float, estimators: EstimatorErrors | None) -> _JudgedLeg:
     uavs = recording.scenario.uav_ids
     figures = {uav: ErrorFigures(recording, uav, tolerance) for uav in uavs}
+    pairs = Separations(recording)
     end_ns = recording.start_ns
     for grid in recording.grids():
         positions = recording.positions(grid)
         for uav, error in formation_errors(recording, grid, positions).items():
             figures[uav].add(grid, error)
-        for other in others:
-            other.add(grid, positions)
+        pairs.add(grid, positions)
+        if estimators is not None:
+            estimators.add(grid, positions)
         end_ns = int(grid[-1])
+    separations = pairs.found()
     leg = LegVerdict(
         recording.leg + 1,
         recording.start_ns * NANO,
         float(end_ns - recording.start_ns) * NANO,
         "",
-        tuple(judge(recording, uav, figures[uav], tolerance) for uav in uavs),
+        tuple(
+            judge(recording, uav, figures[uav], tolerance, intrusion(separations, uav))
+            for uav in uavs
+        ),
     )
-    return _JudgedLeg(leg, end_ns, figures)
+    return _JudgedLeg(leg, end_ns, separations)
+
+
+def _without_deadline(recording: Recording) -> Iterator[list[Separation]]:
+    """The separations of the legs that have no deadline: hold and land."""
+    for start_ns, end_ns in recording.other_legs_ns:
+        pairs = Separations(recording)
+        for grid in recording.grids_between(start_ns, end_ns):
+            pairs.add(grid, recording.positions(grid))
+        yield pairs.found()

@@ -25,13 +25,13 @@ def verify(
     ] = None,
     json: options.JsonOption = False,
 ) -> None:
-    """Judge a recorded flight: deadline met, missed or void, input, energy and separations.
+    """Judge a recorded flight: met, missed, violated or void, with input, energy and separations.
 
-    An error counts from the epoch on, outside encounters. An encounter is a span in which the UAV, or
-    one that it follows, avoids something, and a recovery time of 1 s + 3/kappa after it. The settling
-    time is the last exit from the band: 2 % of the start error or the tolerance, whichever is larger.
-    Only encounters that begin after the deadline excuse an exit. Each formation leg is judged. Bags of
-    other systems (MCAP, sqlite3) need --scenario and the names of their topics.
+    A UAV that entered a keep-out is violated. An error counts from the epoch on, outside encounters.
+    An encounter is a span in which the UAV, or one that it follows, avoids something, and a recovery
+    time after it. The settling time is the last exit from the band: 2 % of the start error or the
+    tolerance, whichever is larger. Each formation leg is judged. Bags of other systems (MCAP, sqlite3)
+    need --scenario and the names of their topics.
     """
     from ptnsbc_sim.verdict import verdict_on
     from ptnsbc_tools.reading.bag_reader import read_recording

@@ -21,7 +21,7 @@ from ptnsbc_tools.tables import deadline_table, reasons, verdict_line, verdict_t
 
 _SCRIPTS = ("data.js", "clock.js", "camera.js", "scene.js", "charts.js", "main.js")
 _NO_VERDICT = "none"
-_WORDS = ("met", "missed", "void", "error", "warning")
+_WORDS = ("met", "missed", "violated", "void", "error", "warning")
 
 
 def asset(name: str) -> str:

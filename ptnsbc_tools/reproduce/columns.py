@@ -17,18 +17,20 @@ class FlightColumn(NamedTuple):
     digits: int = 2
 
 
-MET = FlightColumn("deadline met", JudgedFlight.met_text)
+MET = FlightColumn("met", JudgedFlight.met_text)
 SETTLED = FlightColumn("settled, s", JudgedFlight.settled_s)
 ERROR_AT_5_S = FlightColumn("error at 5 s, m", JudgedFlight.worst_at_deadline_m, 4)
 ERROR_AT_TF = ERROR_AT_5_S._replace(title="error at tf, m")
 LARGEST_AFTER = FlightColumn("largest after, m", JudgedFlight.worst_after_m, 4)
+LARGEST_AFTER_ALL = FlightColumn("with excused spans, m", JudgedFlight.worst_after_all_m, 4)
+EXCUSED = FlightColumn("excused, s", JudgedFlight.encounter_s, 1)
 ROOM = FlightColumn("room beyond keep-out, m", JudgedFlight.clearance_m, 3)
 INITIAL_FORCE = FlightColumn("initial force beyond hover, N", JudgedFlight.initial_beyond_hover_n)
 PEAK_INPUT = FlightColumn("peak input", JudgedFlight.peak_input, 1)
 ENERGY = FlightColumn("energy (54), N²s", lambda one: one.verdict.energy, 0)
 BEYOND_HOVER = FlightColumn("beyond hover, N²s", JudgedFlight.energy_beyond_hover, 0)
 ENERGY_BEYOND_HOVER = BEYOND_HOVER._replace(title="energy beyond hover, N²s")
-REASON = FlightColumn("worst UAV that missed it", JudgedFlight.missed_reason)
+REASON = FlightColumn("worst UAV that is not met", JudgedFlight.missed_reason)
 
 _VERDICT_COLUMNS = (
     FlightColumn("scenario", lambda one: one.scenario.name),
@@ -39,6 +41,8 @@ _VERDICT_COLUMNS = (
     SETTLED,
     ERROR_AT_TF,
     LARGEST_AFTER,
+    LARGEST_AFTER_ALL,
+    EXCUSED,
     ROOM,
     INITIAL_FORCE._replace(digits=1),
     PEAK_INPUT,

@@ -109,7 +109,7 @@ class JudgedFlight:
         return None if None in times else max(time for time in times if time is not None)
 
     def met(self) -> int:
-        """How many UAVs kept the deadline."""
+        """How many UAVs kept the deadline and their distances."""
         return sum(uav.verdict == "met" for uav in self.verdict.uavs)
 
     def met_text(self) -> str:
@@ -117,12 +117,12 @@ class JudgedFlight:
         return f"{self.met()} of {len(self.uavs)}"
 
     def all_met(self) -> bool:
-        """Whether every UAV kept the deadline."""
+        """Whether every UAV kept the deadline and its distances."""
         return self.met() == len(self.uavs)
 
     def kept_promise(self) -> bool:
         """Deadline met by all UAVs, and no keep-out entered."""
-        return self.all_met() and self.clearance_m() >= 0.0
+        return self.verdict.verdict == "met"
 
     def worst_at_deadline_m(self) -> float:
         """Largest formation error at the deadline."""
@@ -131,6 +131,14 @@ class JudgedFlight:
     def worst_after_m(self) -> float:
         """Largest formation error after the deadline, outside encounters."""
         return max(uav.max_error_after_m or 0.0 for uav in self.verdict.uavs)
+
+    def worst_after_all_m(self) -> float:
+        """Largest formation error after the deadline, inside encounters too."""
+        return max(uav.max_error_after_all_m or 0.0 for uav in self.verdict.uavs)
+
+    def encounter_s(self) -> float:
+        """The longest time that a UAV spent in encounters."""
+        return max(uav.encounter_s for uav in self.verdict.uavs)
 
     def within_at(self, seconds: float) -> int:
         """How many UAVs are within the tolerance at a time, whatever the deadline of the scenario is."""
@@ -145,7 +153,7 @@ class JudgedFlight:
         return sum(one.energy_above_hover for one in self.verdict.efforts)
 
     def missed_reason(self) -> str:
-        """Why the worst UAV missed the deadline; empty when all met it."""
+        """Why the worst UAV is not met; empty when all are."""
         missed = [uav for uav in self.verdict.uavs if uav.verdict != "met"]
         if not missed:
             return ""

@@ -16,7 +16,7 @@ from rich.text import Text
 from ptnsbc_core.types import Array
 from ptnsbc_sim.sweep import SweepAxis
 from ptnsbc_sim.sweep.axes import NORMAL, UNIFORM, VALUES
-from ptnsbc_sim.verdict.deadline import MET
+from ptnsbc_sim.verdict.deadline import MET, VIOLATED
 from ptnsbc_tools.sweeps.share import Share, share_of
 from ptnsbc_tools.sweeps.table import FlownSweep
 from ptnsbc_tools.tables import word
@@ -31,6 +31,7 @@ _UPWARD = (
     ("largest after tf, without excused spans", "largest_after_m", "m"),
     ("largest after tf, with excused spans", "largest_after_all_m", "m"),
     ("RMSE after tf, without excused spans", "rmse_after_m", "m"),
+    ("outside the band after tf, excused", "excused_outside_s", "s"),
     ("saturated until tf", "saturated_s", "s"),
     ("peak force", "peak_force_n", "N"),
     ("energy (54)", "energy_n2_s", "N^2 s"),
@@ -135,19 +136,18 @@ def _downward(sweep: FlownSweep) -> Iterator[tuple[str, int, list[float]]]:
 
 
 def flights_met(sweep: FlownSweep) -> Share:
-    """Flights whose UAVs all met the deadline."""
+    """Flights whose UAVs all met the deadline and kept their distances."""
     return share_of(sweep.table.flights.met)
 
 
 def uavs_met(sweep: FlownSweep) -> Share:
-    """UAVs that met the deadline; those of one flight are not independent."""
+    """UAVs that met the deadline and kept their distances; those of one flight are not independent."""
     return share_of(sweep.table["verdict"] == MET)
 
 
 def inside_keep_out(sweep: FlownSweep) -> Share:
     """Flights in which a UAV was inside the keep-out of another UAV or of an obstacle."""
-    table = sweep.table
-    return share_of(np.logical_or.reduceat(table["inside_keep_out_s"] > 0.0, table.first))
+    return share_of(sweep.table.flights.verdict == VIOLATED)
 
 
 def cells(sweep: FlownSweep) -> list[tuple[dict[str, Any], Share]]:
@@ -223,7 +223,7 @@ def _cause_table(sweep: FlownSweep) -> Table | None:
     found = causes(sweep)
     if not found:
         return None
-    table = new_table("Why UAVs did not meet the deadline", ("", "UAVs", "cause"))
+    table = new_table("Why UAVs are not met", ("", "UAVs", "cause"))
     for verdict, cause, count in found:
         table.add_row(word(verdict), str(count), cause)
     return table
