@@ -25,6 +25,7 @@ from ptnsbc_core.types import (
     AgentOutputs,
     AgentState,
     Array,
+    OdometryLike,
 )
 
 # Offsets of the fields of AgentInputs in `PackedInputs.vector`; the estimates (K, 13) and their ages (K,) follow.
@@ -194,7 +195,7 @@ def load_diagnostics(row: Array) -> AgentDiagnostics:
 class Agent:
     """One UAV's control step with its configuration and state."""
 
-    def __init__(self, config: AgentConfig, own: Array) -> None:
+    def __init__(self, config: AgentConfig, own: OdometryLike) -> None:
         """Start from the UAV's own odometry vector (13,)."""
         self._memory = kernel_list([_AgentMemory(config, initial_state(own, config))])
 

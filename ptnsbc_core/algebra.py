@@ -11,7 +11,7 @@ import math
 from typing import NamedTuple
 
 from ptnsbc_core.kernel import inline_kernel, kernel
-from ptnsbc_core.types import Array, Matrix3, Vector2, Vector3, Vector3Like
+from ptnsbc_core.types import Array, Matrix3, Odometry, OdometryLike, Vector2, Vector3, Vector3Like
 
 _SWEEPS = 12
 
@@ -88,9 +88,17 @@ def axpy(a: float, x: Vector3Like, y: Vector3Like) -> Vector3:
 
 
 @inline_kernel
-def load3(v: Vector3Like, at: int) -> Vector3:
+def load3(v: Array | tuple[float, ...], at: int) -> Vector3:
     """The (3,) vector that begins at entry `at`."""
     return v[at], v[at + 1], v[at + 2]
+
+
+@inline_kernel
+def odometry_tuple(v: OdometryLike) -> Odometry:
+    """An odometry vector (13,) as its numbers: kernels read them without asking what was written meanwhile."""
+    a, b, c = v[0], v[1], v[2]
+    d, e, f, g = v[3], v[4], v[5], v[6]
+    return a, b, c, d, e, f, g, v[7], v[8], v[9], v[10], v[11], v[12]
 
 
 @inline_kernel

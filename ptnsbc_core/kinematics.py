@@ -9,7 +9,7 @@ import numpy as np
 from ptnsbc_core.algebra import load3, matvec, store3
 from ptnsbc_core.errors import AttitudeError
 from ptnsbc_core.kernel import inline_kernel, kernel
-from ptnsbc_core.types import Array, Estimate, Matrix3, Vector3, Vector3Like
+from ptnsbc_core.types import Array, Estimate, Matrix3, OdometryLike, Vector3, Vector3Like
 
 SINGULAR_COSINE = 1e-6
 """|cos(pitch)| below which Euler rates are refused."""
@@ -29,7 +29,7 @@ def rotation_from_euler(euler: Array) -> Array:
 
 
 @inline_kernel
-def rotation(q: Array, at: int) -> Matrix3:
+def rotation(q: OdometryLike, at: int) -> Matrix3:
     """Rows of R, body to world, from the unit quaternion x y z w that begins at entry `at`."""
     x, y, z, w = q[at], q[at + 1], q[at + 2], q[at + 3]
     return (
@@ -113,13 +113,13 @@ def checked_pitch(pitch_rad: float) -> float:
 
 
 @inline_kernel
-def velocity_enu(odometry: Array) -> Vector3:
+def velocity_enu(odometry: OdometryLike) -> Vector3:
     """World velocity [m/s] of an odometry vector whose twist is in the body frame."""
     return matvec(rotation(odometry, 3), load3(odometry, 7))
 
 
 @inline_kernel
-def yaw_of(odometry: Array) -> float:
+def yaw_of(odometry: OdometryLike) -> float:
     """Yaw [rad] of an odometry vector."""
     x, y, z, w = odometry[3], odometry[4], odometry[5], odometry[6]
     return math.atan2(2.0 * (x * y + w * z), 1.0 - 2.0 * (y * y + z * z))
@@ -138,12 +138,12 @@ def store_estimate(out: Array, estimate: Estimate) -> None:
 
 
 @inline_kernel
-def odometry_to_estimate(odometry: Array) -> Estimate:
+def odometry_to_estimate(odometry: OdometryLike) -> Estimate:
     """The leader estimate of an odometry vector with the twist in the world frame."""
     return Estimate(load3(odometry, 0), load3(odometry, 7), yaw_of(odometry))
 
 
 @inline_kernel
-def state_to_estimate(odometry: Array) -> Estimate:
+def state_to_estimate(odometry: OdometryLike) -> Estimate:
     """Position, velocity and yaw of a UAV's own odometry vector (twist in the body frame)."""
     return Estimate(load3(odometry, 0), velocity_enu(odometry), yaw_of(odometry))

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from ptnsbc_core.algebra import load3, wrap_angle
+from ptnsbc_core.algebra import load3, odometry_tuple, wrap_angle
 from ptnsbc_core.behaviours.attitude import attitude
 from ptnsbc_core.behaviours.contract import Behaviour, EpochErrors
 from ptnsbc_core.behaviours.neighbour import UNKNOWN, neighbour_motion, reported_velocity
@@ -47,6 +47,7 @@ from ptnsbc_core.types import (
     AgentState,
     Array,
     NeighbourMotions,
+    OdometryLike,
     PoseTarget,
     StartErrors,
     Vector3,
@@ -56,7 +57,7 @@ _NO_MODE = -1
 
 
 @kernel
-def initial_state(own: Array, config: AgentConfig) -> AgentState:
+def initial_state(own: OdometryLike, config: AgentConfig) -> AgentState:
     """State before the first tick, from the UAV's own odometry vector (13,)."""
     velocity, zero = velocity_enu(own), (0.0, 0.0, 0.0)
     return AgentState(
@@ -164,6 +165,24 @@ def _yaw_rate(inputs: AgentInputs, command: VelocityReference, config: AgentConf
     return min(max(config.controller.attitude_gain[1] * error, -limit), limit)
 
 
+@inline_kernel
+def _in_numbers(inputs: AgentInputs) -> AgentInputs:
+    """The same with tuples for odometry vectors: read once, and not again after every write to an array."""
+    return AgentInputs(
+        odometry_tuple(inputs.own),
+        odometry_tuple(inputs.parent),
+        inputs.parent_age_s,
+        odometry_tuple(inputs.leader),
+        inputs.leader_age_s,
+        inputs.estimates,
+        inputs.estimate_age_s,
+        inputs.near,
+        inputs.near_age_s,
+        inputs.mode,
+        inputs.start_age_s,
+    )
+
+
 @kernel
 def step(
     state: AgentState, inputs: AgentInputs, t: float, dt: float, config: AgentConfig
@@ -180,6 +199,7 @@ def step(
     Returns:
         The state for the next tick and what to send now.
     """
+    inputs = _in_numbers(inputs)
     clock = Clock(t, inputs.start_age_s, dt)
     holding = inputs.mode != MODE_FORMATION or link_lost(inputs, clock.start_t, config)
     motions = _motions(state, inputs, clock, config)

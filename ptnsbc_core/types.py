@@ -22,6 +22,8 @@ Vector3Like = Array | Vector3
 Vector2 = tuple[float, float]
 
 ODOMETRY_SIZE = 13
+Odometry = tuple[float, ...]  # the 13 numbers of an odometry vector
+OdometryLike = Array | Odometry
 NEAR_COLUMNS = 7
 
 # Gain profiles (docs/method.md): G(t) = Xi(t) + kappa c(t)
@@ -193,10 +195,10 @@ class AgentConfig(NamedTuple):
 class AgentInputs(NamedTuple):
     """What one UAV knows at this tick. Ages count from a message's stamp; NEVER_RECEIVED_S without a message."""
 
-    own: Array  # (13,) odometry vector
-    parent: Array  # (13,) odometry vector of the parent
+    own: OdometryLike  # (13,) odometry vector
+    parent: OdometryLike  # (13,) odometry vector of the parent
     parent_age_s: float
-    leader: Array  # (13,) odometry vector of the leader, for pinned followers
+    leader: OdometryLike  # (13,) odometry vector of the leader, for pinned followers
     leader_age_s: float
     estimates: (
         Array  # (K, 13) leader estimates of the neighbours in the estimator graph, world frame

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ptnsbc_core.algebra import store
-from ptnsbc_core.kernel import KernelList, inline_kernel, kernel, kernel_list
+from ptnsbc_core.kernel import KernelList, borrowed, inline_kernel, kernel, kernel_list
 from ptnsbc_core.step import initial_state, step
 from ptnsbc_core.types import (
     MODE_FORMATION,
@@ -243,6 +243,7 @@ def _fly(
 
     What depends on `disturbances` is compiled only for flights that have some: numba drops a branch on None.
     """
+    wiring, swarm, track = borrowed(wiring), borrowed(swarm), borrowed(track)
     dt = wiring.dt_ns * 1e-9
     for tick in range(first, first + count):
         t = (tick * wiring.dt_ns) * 1e-9

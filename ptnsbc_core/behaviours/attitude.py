@@ -7,12 +7,12 @@ from ptnsbc_core.behaviours.contract import EpochErrors
 from ptnsbc_core.kernel import kernel
 from ptnsbc_core.kinematics import body_rates, euler_from_rotation, rotation
 from ptnsbc_core.timebase import Clock, task_rate
-from ptnsbc_core.types import AgentConfig, Array, Vector3
+from ptnsbc_core.types import AgentConfig, OdometryLike, Vector3
 
 
 @kernel
 def attitude(
-    own: Array, yaw: float, epoch: EpochErrors, clock: Clock, config: AgentConfig
+    own: OdometryLike, yaw: float, epoch: EpochErrors, clock: Clock, config: AgentConfig
 ) -> tuple[Vector3, Vector3]:
     """w = W^-1 Lambda G (beta_d - beta) with beta_d = (0, 0, yaw).
 

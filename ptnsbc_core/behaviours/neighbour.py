@@ -11,7 +11,7 @@ from ptnsbc_core.algebra import axpy, limit_norm, matvec_transposed, norm3, scal
 from ptnsbc_core.behaviours.contract import Neighbour
 from ptnsbc_core.kernel import inline_kernel, kernel
 from ptnsbc_core.kinematics import rotation, velocity_enu
-from ptnsbc_core.types import NEVER_RECEIVED_S, Array, NeighbourMotion, Vector3
+from ptnsbc_core.types import NEVER_RECEIVED_S, NeighbourMotion, OdometryLike, Vector3
 
 UNKNOWN = NeighbourMotion((0.0, 0.0, 0.0), -NEVER_RECEIVED_S, (0.0, 0.0, 0.0))
 """Nothing has been received."""
@@ -26,7 +26,7 @@ _RESPONSE_S = 0.25
 @kernel
 def neighbour_motion(
     before: NeighbourMotion,
-    state: Array,
+    state: OdometryLike,
     age_s: float,
     start_t: float,
     stale_s: float,
@@ -51,7 +51,9 @@ def neighbour_motion(
 
 
 @inline_kernel
-def extrapolated(state: Array, motion: NeighbourMotion, age_s: float, dt: float) -> Neighbour:
+def extrapolated(
+    state: OdometryLike, motion: NeighbourMotion, age_s: float, dt: float
+) -> Neighbour:
     """The neighbour now, from its newest message (13,): the commanded velocity is that of `dt` after the stamp."""
     since = age_s - dt
     position = axpy(age_s, motion.velocity, (state[0], state[1], state[2]))
@@ -61,7 +63,7 @@ def extrapolated(state: Array, motion: NeighbourMotion, age_s: float, dt: float)
 
 
 @inline_kernel
-def reported_velocity(own: Array, command: Vector3, max_acceleration: float) -> Vector3:
+def reported_velocity(own: OdometryLike, command: Vector3, max_acceleration: float) -> Vector3:
     """Velocity [m/s, body FLU] to tell the neighbours: the command, within reach of the measured velocity.
 
     A vehicle that does not do what it is told, because it is saturated or failing, reports its measured velocity

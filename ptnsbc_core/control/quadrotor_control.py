@@ -45,6 +45,7 @@ from ptnsbc_core.types import (
     DisturbanceObserver,
     InertialParameters,
     Matrix3,
+    OdometryLike,
     Vector3,
     Vector3Like,
 )
@@ -154,7 +155,7 @@ def _thrust(desired: Vector3, config: ControllerConfig) -> _Thrust:
 
 @kernel
 def quadrotor_control(
-    own: Array,
+    own: OdometryLike,
     command: VelocityReference,
     before: AdaptationState,
     clock: Clock,

@@ -28,11 +28,11 @@ from ptnsbc_core.kinematics import rotation
 from ptnsbc_core.timebase import Clock, loop_gain
 from ptnsbc_core.types import (
     AdaptationState,
-    Array,
     ControllerConfig,
     DisturbanceObserver,
     InertialParameters,
     LoopGain,
+    OdometryLike,
     Vector2,
     Vector3,
 )
@@ -135,7 +135,7 @@ def adaptation_step(
 
 @kernel
 def rigid_body_control(
-    own: Array,
+    own: OdometryLike,
     command: VelocityReference,
     before: AdaptationState,
     clock: Clock,

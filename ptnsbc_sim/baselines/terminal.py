@@ -44,9 +44,9 @@ from ptnsbc_core.types import (
     AgentInputs,
     AgentOutputs,
     AgentState,
-    Array,
     Estimate,
     NeighbourMotion,
+    OdometryLike,
     Vector3,
 )
 from ptnsbc_sim.baselines.reaching import Reaching, phi, slope
@@ -97,7 +97,12 @@ def demanded(error: Vector3, rate: Vector3, forward: Vector3, axis: Axis) -> Vec
 
 @kernel
 def desired(
-    estimate: Estimate, heard: bool, own: Array, clock: Clock, config: AgentConfig, place: Vector3
+    estimate: Estimate,
+    heard: bool,
+    own: OdometryLike,
+    clock: Clock,
+    config: AgentConfig,
+    place: Vector3,
 ) -> Desired:
     """The leader's trajectory, or the offset from the estimated leader; without an estimate the present position."""
     still = (0.0, 0.0, 0.0)
@@ -125,7 +130,7 @@ def turning_forward(euler: Vector3, rates: Vector3) -> Vector3:
 
 
 @kernel
-def torque_for(own: Array, yaw: float, law: Axis, inertia: Vector3) -> Vector3:
+def torque_for(own: OdometryLike, yaw: float, law: Axis, inertia: Vector3) -> Vector3:
     """Torque [N m, FLU] that levels the body and turns it to the heading."""
     euler = euler_from_rotation(rotation(own, 3))
     rates = load3(own, 10)
@@ -153,7 +158,7 @@ def terminal_step(
     )  # as it measures itself
     estimate, heard = leader_estimate(state, inputs, leader, clock, False, config)
     goal = desired(estimate, heard, inputs.own, clock, config, law.place)
-    error = sub3(inputs.own, goal.position)
+    error = sub3(load3(inputs.own, 0), goal.position)
     rate = sub3(velocity_enu(inputs.own), goal.velocity)
     plant = config.controller
     asked = demanded(error, rate, goal.acceleration, law.position)

@@ -6,9 +6,10 @@ import numpy as np
 
 from ptnsbc_core.kinematics import checked_pitch
 from ptnsbc_core.types import PLANT_RIGID_BODY, PLANTS, Array
-from ptnsbc_sim.plants.contract import PlantConfig
+from ptnsbc_sim.plants.contract import PlantConfig, six
 from ptnsbc_sim.plants.integrate import initial_state
 from ptnsbc_sim.scenario import Scenario
+from ptnsbc_sim.scenario.build import three
 
 
 def plant_config(scenario: Scenario, uav_id: int) -> PlantConfig:
@@ -16,25 +17,25 @@ def plant_config(scenario: Scenario, uav_id: int) -> PlantConfig:
     push = scenario.uav(uav_id).disturbance
     kind = PLANTS[scenario.plant_kind]
     if kind == PLANT_RIGID_BODY:
-        limits = (np.inf, np.full(3, np.inf), 0.0, 0.0)
+        limits = (np.inf, (np.inf, np.inf, np.inf), 0.0, 0.0)
     else:
         quad = scenario.quadrotor
-        torque = np.array(quad.max_torque_nm, dtype=np.float64)
+        torque = three(quad.max_torque_nm)
         limits = (float(quad.max_thrust_n), torque, float(quad.motor_lag_s), float(quad.drag_1_s))
     max_thrust, max_torque, lag, drag = limits
     return PlantConfig(
         kind,
         float(scenario.mass_kg),
-        np.array(scenario.inertia_kg_m2, dtype=np.float64),
+        three(scenario.inertia_kg_m2),
         float(scenario.gravity_m_s2),
         max_thrust,
         max_torque,
         lag,
         drag,
         scenario.wind_m_s,
-        push.amplitudes,
-        push.phases,
-        push.offset,
+        six(push.amplitudes),
+        six(push.phases),
+        six(push.offset),
     )
 
 

@@ -3,12 +3,22 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
 
 from ptnsbc_core.kernel import inline_kernel, kernel
-from ptnsbc_core.types import Array
+from ptnsbc_core.types import Array, Vector3
+
+Six = tuple[float, float, float, float, float, float]
+
+
+def six(vector: Iterable[float]) -> Six:
+    """Six numbers as the kernels take them."""
+    a, b, c, d, e, f = (float(number) for number in vector)
+    return a, b, c, d, e, f
+
 
 STATE_SIZE = 17
 """Size of a plant state; the last entries that a plant does not use are zero."""
@@ -19,16 +29,16 @@ class PlantConfig(NamedTuple):
 
     kind: int  # PLANT_*
     mass: float  # [kg]
-    inertia: Array  # (3,) [kg m^2]
+    inertia: Vector3  # [kg m^2]
     gravity: float  # [m/s^2]
     max_thrust: float  # [N]
-    max_torque: Array  # (3,) [N m]
+    max_torque: Vector3  # [N m]
     motor_lag_s: float  # first-order lag of thrust and torques; 0: none
     drag: float  # specific linear drag [1/s]
     wind: Array  # (3,) [m/s, ENU]
-    amplitude: Array  # (6,) disturbance a sin(t + phase) + offset [m/s^2, rad/s^2]
-    phase: Array  # (6,) [rad]
-    offset: Array  # (6,)
+    amplitude: Six  # disturbance a sin(t + phase) + offset [m/s^2, rad/s^2]
+    phase: Six  # [rad]
+    offset: Six
 
 
 class Waves(NamedTuple):
@@ -46,7 +56,7 @@ def no_waves(substeps: int) -> Waves:
 
 
 @inline_kernel
-def _sines(phases: Array, t: float, out: Array) -> None:
+def _sines(phases: Six, t: float, out: Array) -> None:
     """sin(t + phase) of every axis into `out` (6,); axes of one phase share one sine."""
     for i in range(6):
         known = -1
@@ -57,7 +67,7 @@ def _sines(phases: Array, t: float, out: Array) -> None:
 
 
 @kernel
-def _computed(waves: Waves, phases: Array, t: float, step: float) -> None:
+def _computed(waves: Waves, phases: Six, t: float, step: float) -> None:
     """The sines of the control period that begins at t [s] with substeps of `step` [s]."""
     waves.at[0] = t
     for i in range(6):
@@ -79,20 +89,11 @@ def update_waves(waves: Waves, config: PlantConfig, t: float, step: float) -> No
         _computed(waves, config.phase, t, step)
 
 
-Six = tuple[float, float, float, float, float, float]
-
-
 class Push(NamedTuple):
     """The disturbance of one vehicle without its sines."""
 
     amplitude: Six  # [m/s^2] x 3, [rad/s^2] x 3
     offset: Six
-
-
-@inline_kernel
-def six(v: Array) -> Six:
-    """The numbers of a vector (6,)."""
-    return v[0], v[1], v[2], v[3], v[4], v[5]
 
 
 @inline_kernel

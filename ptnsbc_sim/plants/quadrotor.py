@@ -13,7 +13,7 @@ from ptnsbc_core.algebra import add3, axpy, load3, matvec_transposed, store3
 from ptnsbc_core.kernel import inline_kernel
 from ptnsbc_core.kinematics import rotation
 from ptnsbc_core.types import Array, Vector3
-from ptnsbc_sim.plants.contract import PlantConfig, Push, Six, disturbance, six
+from ptnsbc_sim.plants.contract import PlantConfig, Push, Six, disturbance
 
 Quaternion = tuple[float, float, float, float]
 
@@ -71,7 +71,7 @@ def forces(wrench: Array, config: PlantConfig) -> QuadrotorForces:
     most = config.max_torque
     return QuadrotorForces(
         config.mass,
-        load3(config.inertia, 0),
+        config.inertia,
         config.gravity,
         config.drag,
         load3(config.wind, 0),
@@ -182,7 +182,7 @@ def step(
 def advance(out: Array, wrench: Array, step_s: float, config: PlantConfig, sines: Array) -> None:
     """State `out` (17,), in place, by one control period; `sines` as in `Waves`."""
     x, acting = from_array(out), forces(wrench, config)
-    push = Push(six(config.amplitude), six(config.offset))
+    push = Push(config.amplitude, config.offset)
     now = disturbance(push, sines, 0)
     for n in range(sines.shape[0] // 2):
         middle, end = disturbance(push, sines, 2 * n + 1), disturbance(push, sines, 2 * n + 2)

@@ -14,7 +14,7 @@ from ptnsbc_core.algebra import store
 from ptnsbc_core.kernel import inline_kernel
 from ptnsbc_core.kinematics import quaternion_from_euler
 from ptnsbc_core.types import Array
-from ptnsbc_sim.plants.contract import STATE_SIZE, PlantConfig, Push, Six, disturbance, six
+from ptnsbc_sim.plants.contract import STATE_SIZE, PlantConfig, Push, Six, disturbance
 
 _USED = 12
 """Entries of the state that this plant has."""
@@ -55,7 +55,7 @@ def _ahead(x: Array, factor: float, slope: Array, out: Array) -> None:
 def advance(out: Array, wrench: Array, step_s: float, config: PlantConfig, sines: Array) -> None:
     """State `out` (17,), in place, by one control period; `sines` as in `Waves`."""
     slopes, mid = np.empty((4, STATE_SIZE)), np.empty(STATE_SIZE)
-    push = Push(six(config.amplitude), six(config.offset))
+    push = Push(config.amplitude, config.offset)
     now = disturbance(push, sines, 0)
     for n in range(sines.shape[0] // 2):
         middle, end = disturbance(push, sines, 2 * n + 1), disturbance(push, sines, 2 * n + 2)

@@ -40,7 +40,8 @@ _SHORTEST_ARM_M = 1e-3
 _UPRIGHT = np.pi / 2  # the tilt limit of a plant that is not tilted
 
 
-def _three(vector: Iterable[float]) -> Vector3:
+def three(vector: Iterable[float]) -> Vector3:
+    """A vector of three numbers as the kernels take it."""
     x, y, z = (float(number) for number in vector)
     return x, y, z
 
@@ -166,10 +167,10 @@ def _limits(scenario: Scenario) -> tuple[float, float, Vector3]:
     """Tilt [rad], thrust or force [N], torque [N m] of the plant."""
     if PLANTS[scenario.plant_kind] == PLANT_QUADROTOR:
         limits = scenario.quadrotor
-        torque = _three(limits.max_torque_nm)
+        torque = three(limits.max_torque_nm)
         return float(limits.max_tilt_rad), float(limits.max_thrust_n), torque
     body = scenario.plant.rigid_body
-    return float(_UPRIGHT), float(body.max_force_n), _three(body.max_torque_nm)
+    return float(_UPRIGHT), float(body.max_force_n), three(body.max_torque_nm)
 
 
 def _controller(scenario: Scenario) -> ControllerConfig:
@@ -179,7 +180,7 @@ def _controller(scenario: Scenario) -> ControllerConfig:
     return ControllerConfig(
         plant=PLANTS[scenario.plant_kind],
         gravity=float(scenario.gravity_m_s2),
-        nominal=InertialParameters(float(scenario.mass_kg), _three(scenario.inertia_kg_m2)),
+        nominal=InertialParameters(float(scenario.mass_kg), three(scenario.inertia_kg_m2)),
         force=_loop(scenario, gains.force),
         torque=_loop(scenario, gains.torque),
         boundary=(float(gains.boundary.velocity_m_s), float(gains.boundary.rate_rad_s)),
@@ -207,9 +208,9 @@ def agent_config(scenario: Scenario, uav_id: int) -> AgentConfig:
         task=TASKS[scenario.file.formation.task],
         approach=APPROACHES[scenario.file.formation.approach],
         desired=desired,
-        offset=_three(_offset_from_parent(scenario, uav_id)),
-        slot=_three(scenario.offset(uav_id)),
-        anchor=_three(reference_offset(scenario, uav_id)),
+        offset=three(_offset_from_parent(scenario, uav_id)),
+        slot=three(scenario.offset(uav_id)),
+        anchor=three(reference_offset(scenario, uav_id)),
         row_scale=row_scale,
         formation=_loop(scenario, gains.formation),
         attitude=_loop(scenario, gains.attitude),

@@ -37,19 +37,20 @@ _FULL_V, _EMPTY_V = 4.2, 3.5
 
 def default_plant() -> PlantConfig:
     """The quadrotor of the paper's tables with our limits, in still air."""
+    still = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     return PlantConfig(
         PLANT_QUADROTOR,
         1.2,
-        np.array((0.019, 0.019, 0.021)),
+        (0.019, 0.019, 0.021),
         9.81,
         25.9,
-        np.array((1.5, 1.5, 0.3)),
+        (1.5, 1.5, 0.3),
         0.02,
         0.1,
         np.zeros(3),
-        np.zeros(6),
-        np.zeros(6),
-        np.zeros(6),
+        still,
+        still,
+        still,
     )
 
 
