@@ -21,13 +21,18 @@ from bench.session import Plan, own_domain, print_progress
 from bench.table import Row, Target
 from bench.usage import Sampler
 from ptnsbc_io.bag import Bag, read_bag
-from ptnsbc_io.wire import decode_floats, decode_integers, peek_sequence_stamp, peek_stamp
+from ptnsbc_io.wire import (
+    decode_diagnostics,
+    decode_floats,
+    decode_integers,
+    peek_sequence_stamp,
+    peek_stamp,
+)
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.endpoints import PublishCounters, sent_in
 from ptnsbc_nodes.comm.topics import RECORDER
 from ptnsbc_nodes.fleet.fleet import FleetOptions, FleetResult, run_fleet
 from ptnsbc_nodes.uav.step_log import OWN, TickNote, tick_note
-from ptnsbc_tools.reading.diagnostics import decode_diagnostics
 
 _UAVS = 20
 _PATIENCE_S = 600.0  # the machine may be busy before what is measured begins

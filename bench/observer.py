@@ -10,11 +10,11 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.context import Context
 from rclpy.signals import SignalHandlerOptions
 
+from ptnsbc_io.wire import decode_diagnostics
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.topics import READY
 from ptnsbc_nodes.runtime import environment
 from ptnsbc_nodes.runtime.executor import BoundedSpin, make_executor
-from ptnsbc_tools.reading.diagnostics import decode_diagnostics
 
 _SLICE_S = 0.1
 

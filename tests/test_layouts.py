@@ -10,9 +10,8 @@ import pytest
 import yaml
 
 from ptnsbc_io.bag import read_bag
-from ptnsbc_io.wire import decode_header
+from ptnsbc_io.wire import decode_diagnostics, decode_header
 from ptnsbc_nodes.comm import topics
-from ptnsbc_tools.reading.diagnostics import decode_diagnostics
 
 ROOT = Path(__file__).parents[1]
 BRINGUP = ROOT / "ros2_ws" / "src" / "ptnsbc_bringup"

@@ -64,7 +64,7 @@ class RawEndpoints(Endpoints):
 
     def listen_stamps(self, topic: Topic, on_stamp: Callable[[int], None]) -> None:
         """Call `on_stamp` with the stamp [ns] of every message."""
-        self.listen(topic, lambda data: on_stamp(peek_stamp(data)))
+        self.listen(topic, bytes, lambda data: on_stamp(peek_stamp(data)))
 
 
 class TypedEndpoints(RawEndpoints):

@@ -19,6 +19,7 @@ from ptnsbc_io.mavlink.transport import connect
 from ptnsbc_nodes.bridge.bridge import WANTED_MESSAGES
 from ptnsbc_nodes.bridge.node import BridgeNode
 from ptnsbc_nodes.comm import topics
+from ptnsbc_nodes.comm.door import Door
 from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions
 from ptnsbc_nodes.comm.tf import Transforms
 from ptnsbc_nodes.comm.topics import recorded
@@ -45,6 +46,7 @@ class End(NamedTuple):
     mode: str  # REAL_TIME, LOCKSTEP or BRIDGED
     publishes: bool
     profile: Any
+    guarded: bool  # whether a subscription has a door
 
 
 def ends() -> list[End]:
@@ -121,4 +123,7 @@ def _ends(kind: str, uav: int, node: Node, mode: str, leader: int) -> Iterator[E
             kind_of_message = f"{package}/msg/{one.msg_type.__name__}"
             own = belongs[1] is not None and int(belongs[1]) == uav
             leads = uav == leader
-            yield End(name, kind_of_message, kind, own, leads, mode, publishes, one.qos_profile)
+            guarded = isinstance(getattr(one, "callback", None), Door)
+            yield End(
+                name, kind_of_message, kind, own, leads, mode, publishes, one.qos_profile, guarded
+            )

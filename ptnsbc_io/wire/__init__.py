@@ -2,6 +2,13 @@
 
 from ptnsbc_io.wire.arrays import Row, RowTemplate, decode_floats, decode_integers
 from ptnsbc_io.wire.cdr import Stamped, WireError
+from ptnsbc_io.wire.checks import (
+    OdometryDecoder,
+    checked_near,
+    checked_velocity,
+    checked_wrench,
+)
+from ptnsbc_io.wire.diagnostics import Diagnostics, DiagnosticStatus, decode_diagnostics
 from ptnsbc_io.wire.odometry import ODOMETRY_SIZE, OdometryTemplate, decode_odometry
 from ptnsbc_io.wire.pointcloud import NEAR_FIELDS, decode_near, encode_near
 from ptnsbc_io.wire.stamped import (
@@ -44,4 +51,11 @@ __all__ = [
     "decode_floats",
     "peek_stamp",
     "peek_sequence_stamp",
+    "DiagnosticStatus",
+    "Diagnostics",
+    "decode_diagnostics",
+    "OdometryDecoder",
+    "checked_near",
+    "checked_velocity",
+    "checked_wrench",
 ]

@@ -36,6 +36,7 @@ REQUIRED_FIELDS = NEAR_FIELDS[:4]
 _WHAT = "sensor_msgs/PointCloud2"
 _FLOATS = {7: "f4", 8: "f8"}  # PointField.FLOAT32, FLOAT64
 _STEP = 4 * len(NEAR_FIELDS)
+_LARGEST_STEP = 1 << 16  # bytes of a point
 
 
 class _Prefix(NamedTuple):
@@ -165,6 +166,8 @@ def _read_fields(buf: bytes, order: str, offset: int, count: int) -> tuple[tuple
 
 
 def _check_size(height: int, width: int, point_step: int, row_step: int, size: int) -> None:
+    if point_step > _LARGEST_STEP:
+        raise WireError(f"{_WHAT}: point_step={point_step}: expected {_LARGEST_STEP} at most")
     if height * width == 0:
         return
     if row_step < width * point_step:

@@ -15,16 +15,23 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
-from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
-from rclpy.serialization import deserialize_message
-from rclpy.subscription import Subscription
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.types import Array
+from ptnsbc_io.mavlink.frames import GeoPoint
 from ptnsbc_io.mavlink.link import MavlinkLink
-from ptnsbc_io.wire import HeaderTemplate, OdometryTemplate, decode_header, encode_near
+from ptnsbc_io.wire import (
+    Diagnostics,
+    HeaderTemplate,
+    OdometryDecoder,
+    OdometryTemplate,
+    checked_velocity,
+    checked_wrench,
+    decode_diagnostics,
+    encode_near,
+)
 from ptnsbc_nodes.bridge.bridge import Bridge
 from ptnsbc_nodes.bridge.near_objects import NearObjects
 from ptnsbc_nodes.bridge.ports import BridgeInputs, BridgeOutputs, BridgePorts, Clocks
@@ -33,9 +40,12 @@ from ptnsbc_nodes.bridge.setpoint.guard import SetpointLimits
 from ptnsbc_nodes.bridge.status import bridge_status, vehicle_record
 from ptnsbc_nodes.comm import topics, vehicle_messages
 from ptnsbc_nodes.comm.agent_messages import WORLD_FRAME
+from ptnsbc_nodes.comm.announcements import decode_leg, decode_order
 from ptnsbc_nodes.comm.diagnostics import INACTIVE, STATUS_HZ
+from ptnsbc_nodes.comm.door import as_bytes
 from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.comm.graph import CommunicationGraph
+from ptnsbc_nodes.comm.qos import keep_last
 from ptnsbc_nodes.comm.topics import LOST
 from ptnsbc_nodes.comm.vehicle_messages import PlannerLimits
 from ptnsbc_nodes.emergency.order_port import OrderPort
@@ -45,7 +55,6 @@ from ptnsbc_nodes.emergency.orders import (
     RuntimeFolderError,
     latch,
     latched,
-    parse_order,
     runtime_folder,
 )
 from ptnsbc_nodes.emergency.records import VehicleRecord, write_record
@@ -87,8 +96,12 @@ class BridgeNode:
         self.bridge = Bridge(scenario, uav_id, link, ports, allow_arming)
         self._near = _NearPublisher(self.endpoints, scenario, uav_id, edges, clocks)
         self._send_status = self.endpoints.publisher(topics.DIAGNOSTICS, recorders)
-        self._diagnostics: Subscription | None = node.create_subscription(
-            DiagnosticArray, topics.DIAGNOSTICS.name, self._on_diagnostics, 20, raw=True
+        self._diagnostics = self.endpoints.listen(
+            topics.DIAGNOSTICS,
+            self._decode_diagnostics,
+            self._on_diagnostics,
+            required=False,
+            profile=keep_last(20, reliable=True),
         )
         self._subscribe(scenario)
         settings = scenario.vehicle_link(uav_id)
@@ -149,7 +162,6 @@ class BridgeNode:
             self._orders.close()
         self.bridge.link.close()
         self.node.destroy_timer(self._status_timer)
-        self._unsubscribe_diagnostics()
         self.endpoints.close()
 
     def waiting_for(self) -> list[str]:
@@ -164,6 +176,11 @@ class BridgeNode:
     @property
     def _name(self) -> str:
         return f"bridge{self._uav_id}"
+
+    @property
+    def _planner(self) -> str:
+        """Name of the status of the UAV process."""
+        return f"uav{self._uav_id}: planner"
 
     def _outputs(self, recorders: int) -> BridgeOutputs:
         uav, publisher = f"uav{self._uav_id}", self.endpoints.publisher
@@ -193,19 +210,15 @@ class BridgeNode:
         listen, inputs = self.endpoints.listen, self.bridge.ports.inputs
         attitude = scenario.vehicle_link(self._uav_id).setpoint == "attitude"
         setpoint = topics.wrench_setpoint if attitude else topics.velocity_setpoint
-        listen(setpoint(self._uav_id), lambda data: setattr(inputs, "setpoint", data))
-        listen(topics.EPOCH, lambda data: inputs.legs.append(decode_header(data)))
-        listen(topics.EMERGENCY, self._on_emergency, required=False)
+        decode = as_bytes(checked_wrench if attitude else checked_velocity)
+        listen(setpoint(self._uav_id), decode, lambda data: setattr(inputs, "setpoint", data))
+        listen(topics.EPOCH, decode_leg, inputs.legs.append)
+        listen(topics.EMERGENCY, decode_order, self._on_order, required=False)
         if self.bridge.state_publisher.world.needs_leader:
-            listen(topics.ORIGIN, self._on_origin, required=False)
+            listen(topics.ORIGIN, vehicle_messages.decode_origin, self._on_origin, required=False)
 
-    def _on_origin(self, data: bytes) -> None:
-        self.bridge.ports.inputs.leader_origin = vehicle_messages.decode_origin(data)
-
-    def _on_emergency(self, data: bytes) -> None:
-        order = parse_order(decode_header(data).frame_id)
-        if order is not None:
-            self._on_order(order)
+    def _on_origin(self, place: GeoPoint) -> None:
+        self.bridge.ports.inputs.leader_origin = place
 
     def _on_order(self, order: Order) -> None:
         """An order of the operator; it is latched, so that this bridge obeys it also after a restart."""
@@ -249,27 +262,27 @@ class BridgeNode:
                 write_record(self._folder, record)
         return record
 
-    def _on_diagnostics(self, data: bytes) -> None:
+    def _decode_diagnostics(self, data: bytes) -> Diagnostics | None:
+        """The statuses of the UAV process; None for those of all others, which are not worth decoding."""
+        return decode_diagnostics(data) if self._planner.encode() in data else None
+
+    def _on_diagnostics(self, array: Diagnostics | None) -> None:
         """Before arming: whether the UAV process has everything it needs."""
-        name = f"uav{self._uav_id}: planner"
-        if name.encode() not in data:
-            return
-        for status in deserialize_message(data, DiagnosticArray).status:
-            if status.name == name:
-                values = {pair.key: pair.value for pair in status.values}
-                self.bridge.ports.inputs.controller_ready = values.get("ready") == "true"
+        for status in array.statuses if array is not None else ():
+            if status.name == self._planner:
+                self.bridge.ports.inputs.controller_ready = status.values.get("ready") == "true"
 
     def _on_status_timer(self) -> None:
         if self.bridge.procedure.ready:
             # In flight nothing reads the diagnostics of others, so they are not worth their reception.
             self._unsubscribe_diagnostics()
-        record = self._keep_record()
-        self._send_status(bridge_status(self._name, record, self.bridge, self.waiting_for()))
+        record, refusals = self._keep_record(), self.endpoints.refusals
+        self._send_status(
+            bridge_status(self._name, record, self.bridge, self.waiting_for(), refusals)
+        )
 
     def _unsubscribe_diagnostics(self) -> None:
-        if self._diagnostics is not None:
-            self.node.destroy_subscription(self._diagnostics)
-            self._diagnostics = None
+        self.endpoints.ignore(self._diagnostics)
 
     def _stop_thread(self) -> None:
         self._leaving = True
@@ -315,7 +328,8 @@ class _NearPublisher:
         others = set(scenario.uav_ids) - {uav_id} if all_uavs else edges.linked(uav_id)
         for other in others:
             for topic in (topics.odom(other), topics.track(other)):
-                endpoints.listen(topic, self._on_odometry(other), required=False)
+                decode = as_bytes(OdometryDecoder())
+                endpoints.listen(topic, decode, self._on_odometry(other), required=False)
 
     def _on_odometry(self, uav_id: int) -> Callable[[bytes], None]:
         return lambda data: self._objects.on_odometry(uav_id, self._clocks.steady_s(), data)

@@ -8,6 +8,7 @@ from dataclasses import replace
 from ptnsbc_nodes.bridge.bridge import Bridge
 from ptnsbc_nodes.bridge.procedure.steps import HEARTBEAT_LOST_S, Step
 from ptnsbc_nodes.comm.diagnostics import DiagnosticLevel, diagnostics, readiness
+from ptnsbc_nodes.comm.door import Refusals
 from ptnsbc_nodes.emergency.records import VehicleRecord
 
 _NEVER_S = 1e6
@@ -35,7 +36,11 @@ def vehicle_record(name: str, bridge: Bridge, base: VehicleRecord) -> VehicleRec
 
 
 def bridge_status(
-    name: str, record: VehicleRecord, bridge: Bridge, missing: Sequence[str]
+    name: str,
+    record: VehicleRecord,
+    bridge: Bridge,
+    missing: Sequence[str],
+    refusals: Refusals,
 ) -> bytes:
     """A DiagnosticArray about one bridge; `missing` is what the formation waits for."""
     now_s, stamp_ns = bridge.ports.clocks.steady_s(), bridge.ports.clocks.ros_ns()
@@ -74,6 +79,7 @@ def bridge_status(
         "setpoints_invalid": str(controller.invalid),
         **{f"dropped_{reason}": str(count) for reason, count in link.counts.items()},
         **{f"clamped_{what}": str(count) for what, count in bridge.stream.guard.clamped.items()},
+        **refusals.values(),
     }
     level, message = DiagnosticLevel.OK, ""
     if procedure.fault and procedure.step is not Step.FLY:
@@ -82,4 +88,6 @@ def bridge_status(
         level, message = DiagnosticLevel.WARN, fault
     elif missing:
         level, message = DiagnosticLevel.WARN, f"waiting for {' '.join(missing)}"
+    elif refused := refusals.report():
+        level, message = DiagnosticLevel.WARN, refused
     return diagnostics(stamp_ns, f"{name}: link", level, message, values)

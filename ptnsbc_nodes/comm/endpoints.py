@@ -7,7 +7,7 @@ import re
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 from rclpy.duration import Duration
 from rclpy.node import Node
@@ -16,6 +16,7 @@ from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
 
 from ptnsbc_nodes.comm import qos
+from ptnsbc_nodes.comm.door import Door, Refusals
 from ptnsbc_nodes.comm.topics import SHARED, Role, Topic, message_class
 
 # The last message alone is not enough: a node that joins late must learn the first epoch, and of every lost UAV.
@@ -23,6 +24,8 @@ _LATCHED = qos.keep_last(64, reliable=True, latched=True)
 
 _LOCKSTEP_HISTORY = 1000
 _SENT = "sent "
+
+T = TypeVar("T")
 
 
 class _CountingPublisher:
@@ -80,6 +83,7 @@ class Endpoints:
         self._published: list[_CountingPublisher] = []
         self._subscriptions: list[Subscription] = []
         self._awaited: list[Subscription] = []
+        self.refusals = Refusals()
         self._before: tuple[int, dict[str, int]] | None = None
 
     def publisher(self, topic: Topic, readers: int) -> Callable[[bytes], None]:
@@ -90,22 +94,46 @@ class Endpoints:
         self._published.append(_CountingPublisher(publisher, readers))
         return self._published[-1].send
 
-    def listen(self, topic: Topic, callback: Callable[[bytes], None], required: bool = True) -> str:
-        """Subscribe to serialised messages; a `required` topic needs a publisher before the flight.
+    def listen(
+        self,
+        topic: Topic,
+        decode: Callable[[bytes], T],
+        deliver: Callable[[T], None],
+        required: bool = True,
+        profile: QoSProfile | None = None,
+    ) -> str:
+        """Subscribe to a topic, through a `Door`.
 
-        Returns the topic's name after remapping, as `unheard` has it.
+        Args:
+            topic: A `required` topic needs a publisher before the flight.
+            decode: Serialised message to what `deliver` takes; a PtnsbcError refuses the message.
+            deliver: Takes each message that is not refused.
+            required: See `topic`.
+            profile: Instead of the topic's own.
+
+        Returns:
+            The topic's name after remapping, as `unheard` has it.
         """
+        name = full_name(self._node, topic)
         subscription = self._node.create_subscription(
             message_class(topic),
-            full_name(self._node, topic),
-            callback,
-            self._profile(topic),
+            name,
+            Door(name, decode, deliver, self.refusals),
+            profile or self._profile(topic),
             raw=True,
         )
         self._subscriptions.append(subscription)
         if required:
             self._awaited.append(subscription)
         return str(subscription.topic_name)
+
+    def ignore(self, name: str) -> None:
+        """Destroy the subscriptions to the topic that `listen` has returned the name of."""
+        for subscription in [one for one in self._subscriptions if one.topic_name == name]:
+            self._subscriptions.remove(subscription)
+            if subscription in self._awaited:
+                self._awaited.remove(subscription)
+            self._node.destroy_subscription(subscription)
 
     def unheard(self) -> list[str]:
         """Required topics without a publisher."""

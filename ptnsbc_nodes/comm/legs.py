@@ -8,6 +8,7 @@ from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.types import LEGS
 
 FIRST_LEG = "form"
+_MOST_LEGS = 256  # that are remembered
 
 
 class EpochError(PtnsbcError):
@@ -29,14 +30,18 @@ class Epochs:
     def __init__(self) -> None:
         self._legs: list[Leg] = []
 
-    def announce(self, t0_ns: int, name: str) -> None:
-        """Add a leg; one that the latched topic repeats is not added again."""
+    def announce(self, t0_ns: int, name: str) -> bool:
+        """Add a leg; returns False for one that is known, which the latched topic may repeat."""
         if name not in LEGS:
             raise EpochError(f"epoch with leg {name!r}: expected one of {', '.join(LEGS)}")
         first_t0_ns = self._legs[0].t0_ns if self._legs else t0_ns
         leg = Leg(name, LEGS[name], t0_ns, first_t0_ns)
-        if leg not in self._legs[-1:]:
-            self._legs.append(leg)
+        if leg in self._legs:
+            return False
+        self._legs.append(leg)
+        if len(self._legs) > _MOST_LEGS:
+            del self._legs[1]  # the first one is where the flight counts from
+        return True
 
     @property
     def announced(self) -> bool:

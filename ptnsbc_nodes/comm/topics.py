@@ -57,8 +57,8 @@ takes is chance, and /diagnostics is in the bag."""
 RECORDED = Topic("/formation/recorded", "std_msgs/msg/Header", Role.EVENT)
 """Stamp up to which the recorder has taken in a lock-step flight; the sim never runs far ahead of it."""
 
-RECORDER = "recorder"
-"""Name of the recorder among the processes of a flight."""
+RECORDER, SIM = "recorder", "sim"
+"""Names of recorder and sim among the processes of a flight."""
 
 SHARED = frozenset({DIAGNOSTICS.name, CLOCK.name, TF.name})
 """Names that ROS gives; all other names move with the namespace of the fleet (`Endpoints`)."""

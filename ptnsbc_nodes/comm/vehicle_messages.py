@@ -5,7 +5,8 @@ These messages are rare, so message objects are fast enough.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import math
+from typing import Any, NamedTuple
 
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import NavSatFix
@@ -13,7 +14,10 @@ from std_msgs.msg import Float64MultiArray
 
 from ptnsbc_core.types import AgentConfig
 from ptnsbc_io.mavlink.frames import GeoPoint
+from ptnsbc_io.wire import WireError
 from ptnsbc_nodes.comm.serialize import encode
+
+_HIGHEST_M = 1e5
 
 
 class PlannerLimits(NamedTuple):
@@ -29,9 +33,12 @@ def encode_limits(limits: PlannerLimits) -> bytes:
 
 
 def decode_limits(data: bytes) -> PlannerLimits:
-    """The limits in a Float64MultiArray."""
-    speed, acceleration = deserialize_message(data, Float64MultiArray).data[:2]
-    return PlannerLimits(float(speed), float(acceleration))
+    """The limits in a Float64MultiArray; WireError unless both are finite and above zero."""
+    numbers = _deserialized(data, Float64MultiArray).data
+    if len(numbers) < 2 or not all(0.0 < number < math.inf for number in numbers[:2]):
+        shown = ", ".join(f"{number:g}" for number in numbers[:2]) or "nothing"
+        raise WireError(f"limits {shown}: expected a speed and an acceleration above 0")
+    return PlannerLimits(float(numbers[0]), float(numbers[1]))
 
 
 def limited(config: AgentConfig, speed_m_s: float, acceleration_m_s2: float) -> AgentConfig:
@@ -57,6 +64,18 @@ def encode_origin(place: GeoPoint) -> bytes:
 
 
 def decode_origin(data: bytes) -> GeoPoint:
-    """The position in a NavSatFix."""
-    fix = deserialize_message(data, NavSatFix)
+    """The position in a NavSatFix; WireError for one that is not on the Earth."""
+    fix = _deserialized(data, NavSatFix)
+    on_earth = abs(fix.latitude) <= 90.0 and abs(fix.longitude) <= 180.0
+    if not (on_earth and abs(fix.altitude) <= _HIGHEST_M):
+        place = f"{fix.latitude:g}, {fix.longitude:g}, {fix.altitude:g} m"
+        raise WireError(f"origin {place}: expected degrees on the Earth, {_HIGHEST_M:g} m at most")
     return GeoPoint(fix.latitude, fix.longitude, fix.altitude)
+
+
+def _deserialized(data: bytes, kind: Any) -> Any:
+    """A message object; WireError, whatever rclpy raises."""
+    try:
+        return deserialize_message(data, kind)
+    except Exception as error:  # the classes depend on the middleware
+        raise WireError(f"{kind.__name__}: {' '.join(str(error).split())}") from None

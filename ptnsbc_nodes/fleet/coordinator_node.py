@@ -7,24 +7,53 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import rclpy
-from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.context import Context
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 from std_srvs.srv import Trigger
 
-from ptnsbc_io.wire import HeaderTemplate, decode_header
+from ptnsbc_io.wire import (
+    Diagnostics,
+    HeaderFields,
+    HeaderTemplate,
+    decode_diagnostics,
+    decode_header,
+)
 from ptnsbc_nodes.comm import topics
+from ptnsbc_nodes.comm.announcements import LostProcess, decode_lost
 from ptnsbc_nodes.comm.diagnostics import INACTIVE
 from ptnsbc_nodes.comm.endpoints import Endpoints, full_name
-from ptnsbc_nodes.comm.topics import LOST, OVER, READY
+from ptnsbc_nodes.comm.qos import keep_last
+from ptnsbc_nodes.comm.topics import LOST, OVER, READY, SIM
 from ptnsbc_nodes.emergency.orders import Order
 from ptnsbc_nodes.emergency.records import VehicleRecord
 from ptnsbc_nodes.fleet.lifecycle_manager import LifecycleManager
 from ptnsbc_nodes.runtime.executor import make_executor
-from ptnsbc_nodes.runtime.watchdog import ENDED_S, WAITED
+from ptnsbc_nodes.runtime.watchdog import SAID_S, WAITED
 
+_REPORT_GAP_S = 1.0  # the sim reports five times a second
 _SIGN_OF_LIFE_S = 2.0  # a process that is kept waiting says so five times a second
+
+
+class _LockstepWait:
+    """For how long the sim has reported that it waits, by our own clock: what a report says of it is not believed."""
+
+    def __init__(self) -> None:
+        self._since_s: dict[str, float] = {}  # by process
+        self._newest_s = float("-inf")
+
+    def reported(self, now_s: float, names: Iterable[str]) -> None:
+        """The sim waits for these processes."""
+        before = self._since_s if now_s - self._newest_s < _REPORT_GAP_S else {}
+        # The sim's first report comes after SAID_S of waiting.
+        self._since_s = {name: before.get(name, now_s - SAID_S) for name in names}
+        self._newest_s = now_s
+
+    def at(self, now_s: float) -> dict[str, float]:
+        """How long [s] each process has been waited for; empty when the reports have ceased."""
+        if now_s - self._newest_s >= _REPORT_GAP_S:
+            return {}
+        return {name: now_s - since_s for name, since_s in self._since_s.items()}
 
 
 class Coordinator:
@@ -55,20 +84,21 @@ class Coordinator:
         self._manager = LifecycleManager(self._node)
         self._start = self._client("start")
         self._last_status_s: dict[str, float] = {}  # when each process sent its last status
-        self._kept_waiting = (0.0, "")  # for how long, by which processes: the sim's newest report
-        subscribe = self._node.create_subscription
-        self._diagnostics: Any = subscribe(
-            DiagnosticArray, topics.DIAGNOSTICS.name, self._on_status, 50
+        self._wait = _LockstepWait()
+        self._diagnostics, _ = (
+            self._endpoints.listen(
+                topic, decode_diagnostics, self._on_status, False, keep_last(50, reliable=True)
+            )
+            for topic in (topics.DIAGNOSTICS, READY)
         )
-        subscribe(DiagnosticArray, full_name(self._node, READY), self._on_status, 50)
 
     def share(self, *, leads: bool) -> None:
         """Hear of ends on other computers; publish the end of the flight, or hear of it."""
-        self._endpoints.listen(LOST, self._on_lost, required=False)
+        self._endpoints.listen(LOST, decode_lost, self._on_lost, required=False)
         if leads:
             self._publish_over = self._endpoints.publisher(OVER, 0)
         else:
-            self._endpoints.listen(OVER, self._on_over)
+            self._endpoints.listen(OVER, decode_header, self._on_over)
 
     @property
     def led(self) -> bool:
@@ -119,18 +149,19 @@ class Coordinator:
             self.spin(0.1)
             return "the leader's service /formation/start is not there"
         refusal = self._answer(self._start, "start", patience_s)
-        if refusal is None and self._diagnostics is not None:
-            self._node.destroy_subscription(self._diagnostics)  # in flight not worth its reception
-            self._diagnostics = None
+        if refusal is None:
+            self._endpoints.ignore(self._diagnostics)  # in flight not worth its reception
         return refusal
 
-    def stuck(self) -> list[str]:
-        """Processes that have kept a lock-step flight waiting for too long, and give no sign of life."""
-        (waited_s, names), self._kept_waiting = self._kept_waiting, (0.0, "")
-        if waited_s < ENDED_S:
-            return []
-        since_s = time.monotonic() - _SIGN_OF_LIFE_S
-        return [name for name in names.split() if self._last_status_s.get(name, 0.0) < since_s]
+    def stuck(self) -> dict[str, float]:
+        """Processes that have kept a lock-step flight waiting and give no sign of life, and for how long [s]."""
+        now_s = time.monotonic()
+        since_s = now_s - _SIGN_OF_LIFE_S
+        return {
+            name: waited_s
+            for name, waited_s in self._wait.at(now_s).items()
+            if self._last_status_s.get(name, 0.0) < since_s
+        }
 
     def call(self, name: str, patience_s: float) -> str | None:
         """Call /formation/`name`, waiting until it is there; returns why it did not work."""
@@ -164,22 +195,22 @@ class Coordinator:
             return f"the leader does not answer /formation/{name}"
         return None if response.success else str(response.message)
 
-    def _on_lost(self, data: bytes) -> None:
-        self.gone.add(decode_header(data).frame_id)
+    def _on_lost(self, process: LostProcess) -> None:
+        self.gone.add(process.name)
 
-    def _on_over(self, _data: bytes) -> None:
+    def _on_over(self, _over: HeaderFields) -> None:
         self.over = True
 
-    def _on_status(self, message: Any) -> None:
-        for status in message.status:
-            values = {pair.key: pair.value for pair in status.values}
+    def _on_status(self, array: Diagnostics) -> None:
+        for status in array.statuses:
+            values = status.values
             if "ready" in values:
                 name, waits_for = status.name.partition(":")[0], values.get("waiting_for", "")
                 self._last_status_s[name] = time.monotonic()
                 if INACTIVE not in waits_for:
                     self._manager.arrived(name)
-                if WAITED in values:
-                    self._kept_waiting = (float(values[WAITED]), waits_for)
+                if WAITED in values and name == SIM:
+                    self._wait.reported(time.monotonic(), waits_for.split())
                 if "order" in values:
                     self.vehicles[name] = _vehicle(name, values)
                 self.waiting[name] = "" if values["ready"] == "true" else waits_for or "something"

@@ -9,12 +9,10 @@ from pathlib import Path
 from typing import Literal
 
 from ptnsbc_core.errors import PtnsbcError
-from ptnsbc_nodes.comm.topics import RECORDER
+from ptnsbc_nodes.comm.topics import RECORDER, SIM
 from ptnsbc_nodes.fleet.child_process import ProcessCommand
 from ptnsbc_nodes.runtime.provenance import provenance
 from ptnsbc_sim.scenario import Scenario
-
-SIM = "sim"
 
 _AIRBORNE_S = 240.0  # boot, position, arming and take-off of a real vehicle
 

@@ -13,12 +13,13 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from ptnsbc_core.errors import PtnsbcError
-from ptnsbc_nodes.comm.topics import RECORDER
+from ptnsbc_nodes.comm.topics import RECORDER, SIM
 from ptnsbc_nodes.fleet.child_process import ChildProcess, ProcessCommand, end
 from ptnsbc_nodes.fleet.coordinator_node import Coordinator
 from ptnsbc_nodes.fleet.emergency_stop import order_landing
-from ptnsbc_nodes.fleet.process_list import SIM, FleetOptions, names
+from ptnsbc_nodes.fleet.process_list import FleetOptions, names
 from ptnsbc_nodes.runtime.signals import StopRequest
+from ptnsbc_nodes.runtime.watchdog import ENDED_S, RECORDER_ENDED_S
 
 Report = Callable[[str], None]
 
@@ -142,10 +143,14 @@ class Supervisor:
         self._report_exits()
 
     def _end_stuck(self) -> None:
-        """End UAVs for which a lock-step flight waits in vain (`LockstepWatchdog`)."""
+        """End processes for which a lock-step flight waits in vain (`LockstepWatchdog`)."""
+        if not self._options.lockstep:  # a real-time flight waits for no process
+            return
         stuck = self._coordinator.stuck()
         for child in self.children:
-            if child.name in stuck and child.command.uav is not None and child.exit_code is None:
+            limit_s = RECORDER_ENDED_S if child.name == RECORDER else ENDED_S
+            ends = child.name == RECORDER or child.command.uav is not None
+            if ends and stuck.get(child.name, 0.0) >= limit_s and child.exit_code is None:
                 self._progress(f"{child.name} (pid {child.pid}) is stuck: it is ended")
                 child.send(signal.SIGKILL)
 

@@ -19,6 +19,7 @@ from ptnsbc_io import wire
 from ptnsbc_io.bag import BagWriter, TopicInfo
 from ptnsbc_io.bag.definitions import has_header
 from ptnsbc_nodes.comm import topics
+from ptnsbc_nodes.comm.door import Door, Refusals
 from ptnsbc_nodes.comm.topics import Topic
 from ptnsbc_nodes.runtime.executor import BoundedSpin, make_executor
 
@@ -28,6 +29,7 @@ Derive = Callable[[str, bytes], bytes | None]
 _SLICE_S = 0.1  # Python sees a signal only between two calls of the executor
 _QUIET_S = 0.2  # after so long without a message the queues are empty
 _FLUSH_CHECK_S = 0.1
+_LARGEST = 1 << 30  # bytes of a message: an image or a point cloud of any sensor
 _LISTS = frozenset({topics.MARKERS.type, topics.TF.type})
 
 
@@ -35,6 +37,7 @@ class BagRecorder:
     """Subscriptions of a node that write into an open bag."""
 
     def __init__(self, node: Node, writer: BagWriter) -> None:
+        self.refusals = Refusals()
         self.received = 0
         self.lost = 0  # as far as DDS reports it: gaps in the network, not in our own queue
         self.after_each: Callable[[], None] = lambda: None  # called after each message
@@ -49,10 +52,11 @@ class BagRecorder:
         Raises:
             ImportError, AttributeError: its message type is not installed.
         """
+        # What was on a topic belongs into the bag, broken or not.
         self._node.create_subscription(
             topics.message_class(topic),
             name,
-            callback,
+            Door(name, bytes, callback, self.refusals, _LARGEST),
             profile,
             raw=True,
             event_callbacks=SubscriptionEventCallbacks(message_lost=self._count_lost),

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
 NANOSECONDS = 1e9
 _SHORTEST_NS = 1_000
+_ALIGNED_S = 1.0
 _BEHIND = 0.3  # of a period: time for the message to arrive, and for the answer to be in time
 _LATENCY_WINDOW = 5000
 _PROGRESS_S = 2.0
@@ -107,9 +108,20 @@ class Ticker:
         self._period_ns = period_ns
         self._timer = node.create_timer(period_ns / NANOSECONDS, callback)
         self._once: Timer | None = None
+        self._aligned_s = float("-inf")
 
     def align(self, stamp_ns: int) -> None:
-        """From now on tick a little after messages with such a stamp."""
+        """From now on tick a little after messages with such a stamp.
+
+        A shift delays one tick by less than a period. One that follows within `_ALIGNED_S` changes nothing: it would
+        find the phase as it is, and many of them would delay the tick for ever.
+        """
+        now_s = time.monotonic()
+        if now_s - self._aligned_s < _ALIGNED_S:
+            return
+        self._aligned_s = now_s
+        if self._once is not None:
+            self._node.destroy_timer(self._once)
         now_ns = int(self._node.get_clock().now().nanoseconds)
         wait_ns = max(delay_ns(now_ns, stamp_ns, self._period_ns), _SHORTEST_NS)
         self._once = self._node.create_timer(wait_ns / NANOSECONDS, self._shift)

@@ -2,8 +2,8 @@
 
 The rule: when no UAV has answered the sim for `SAID_S`, the sim prints the processes that it waits for, and
 tells the launcher. A UAV that only waits for others still sends its status, so it is alive. The launcher ends
-a UAV that has sent none when the wait has lasted `ENDED_S`; the others then fly on without it. A recorder is
-named and left alone: a slow disk is no reason to lose a bag.
+a UAV that has sent none when the wait has lasted `ENDED_S`; the others then fly on without it. A recorder has
+`RECORDER_ENDED_S`, because a disk may be slow; then the flight goes on without it.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from ptnsbc_nodes.comm.diagnostics import STATUS_HZ, DiagnosticLevel, diagnostic
 
 SAID_S = 3.0
 ENDED_S = 10.0
+RECORDER_ENDED_S = 60.0
 WAITED = "waited_s"
 """Key of /formation/ready: for how long the sim has waited for those in `waiting_for`."""
 

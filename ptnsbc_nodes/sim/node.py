@@ -12,9 +12,11 @@ from collections.abc import Callable
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
-from ptnsbc_io.wire import decode_header, decode_wrench
+from ptnsbc_io.wire import HeaderFields, Stamped, WireError, checked_wrench, decode_header
 from ptnsbc_nodes.comm import topics
+from ptnsbc_nodes.comm.announcements import LostProcess, decode_leg, decode_lost
 from ptnsbc_nodes.comm.diagnostics import STATUS_HZ, DiagnosticLevel, diagnostics, readiness
+from ptnsbc_nodes.comm.door import RealTimeStamps, in_order
 from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.comm.graph import CommunicationGraph
 from ptnsbc_nodes.comm.legs import Epochs
@@ -62,12 +64,16 @@ class SimNode:
             node.create_timer(scenario.dt_ns * 1e-9, self._on_tick_timer)
 
     def _subscribe(self) -> None:
+        listen = self.endpoints.listen
         for i in self._world.ids:
-            self.endpoints.listen(topics.wrench_setpoint(i), self._on_wrench(i))
-        self.endpoints.listen(topics.EPOCH, self._on_epoch)
-        self.endpoints.listen(LOST, self._on_lost, required=False)
+            decode: Callable[[bytes], Stamped] = checked_wrench
+            if not self._options.lockstep:  # in lock-step one stamp only is the right one
+                decode = in_order(decode, RealTimeStamps(self._clock_ns))
+            listen(topics.wrench_setpoint(i), decode, self._on_wrench(i))
+        listen(topics.EPOCH, decode_leg, self._on_epoch)
+        listen(LOST, decode_lost, self._on_lost, required=False)
         if self._recorder.limits:
-            self.endpoints.listen(RECORDED, self._on_recorded)
+            listen(RECORDED, self._decode_recorded, self._on_recorded)
 
     def waiting_for(self) -> list[str]:
         """Topics without their other end."""
@@ -75,9 +81,8 @@ class SimNode:
         early = self._options.recorded and not self._epochs.announced
         return missing + self.endpoints.unread() if self._options.lockstep or early else missing
 
-    def _on_wrench(self, uav_id: int) -> Callable[[bytes], None]:
-        def on_wrench(data: bytes) -> None:
-            wrench = decode_wrench(data)
+    def _on_wrench(self, uav_id: int) -> Callable[[Stamped], None]:
+        def on_wrench(wrench: Stamped) -> None:
             if not self._options.lockstep:
                 self._real_time.on_wrench(uav_id, wrench, self._clock_ns())
             elif self._lockstep.on_wrench(uav_id, wrench):
@@ -85,14 +90,22 @@ class SimNode:
 
         return on_wrench
 
-    def _on_epoch(self, data: bytes) -> None:
-        self._epochs.announce(*decode_header(data))
+    def _on_epoch(self, leg: HeaderFields) -> None:
+        self._epochs.announce(leg.stamp_ns, leg.frame_id)
         if not self._options.lockstep:
             self.endpoints.begin(self._clock_ns())
         self._start()
 
-    def _on_recorded(self, data: bytes) -> None:
-        self._recorder.recorded_ns = decode_header(data).stamp_ns
+    def _decode_recorded(self, data: bytes) -> int:
+        stamp_ns = decode_header(data).stamp_ns
+        if not self._recorder.recorded_ns <= stamp_ns <= self._world.t_ns:
+            raise WireError(
+                f"recorded up to {stamp_ns} ns: expected {self._recorder.recorded_ns} to {self._world.t_ns}"
+            )
+        return stamp_ns
+
+    def _on_recorded(self, stamp_ns: int) -> None:
+        self._recorder.recorded_ns = stamp_ns
         self._resume()
 
     def _resume(self) -> None:
@@ -100,14 +113,13 @@ class SimNode:
             self._recorder.paused = False
             self._advance()
 
-    def _on_lost(self, data: bytes) -> None:
-        name = decode_header(data).frame_id.removeprefix("uav")
-        if name == RECORDER:
+    def _on_lost(self, process: LostProcess) -> None:
+        if process.name == RECORDER:
             self._recorder.limits = False
             self._resume()
-        if name.isdecimal() and int(name) in self._world.ids:
-            self._real_time.lose(int(name))
-            self._lockstep.lose(int(name))
+        if process.uav in self._world.ids:
+            self._real_time.lose(process.uav)
+            self._lockstep.lose(process.uav)
             self._advance()
 
     def _start(self) -> None:
@@ -187,7 +199,9 @@ class SimNode:
             "latency_max_ms": f"{1e3 * latency.max_s:.3f}",
         }
         hovering = "" if lockstep or not self._running else self._real_time.hovering(stamp_ns)
+        values |= self.endpoints.refusals.values()
         message = f"waiting for {' '.join(missing)}" if missing else hovering
+        message = message or self.endpoints.refusals.report()
         level = DiagnosticLevel.WARN if message else DiagnosticLevel.OK
         send = self._send_status if stamp_ns >= 0 else self._send_ready
         send(diagnostics(max(stamp_ns, 0), "sim: world", level, message, values))

@@ -21,7 +21,6 @@ class RealTimeWorld:
         self._stale_ns = round(scenario.file.communication.stale_s * 1e9)
         self._catch_up = max(round(_MAX_CATCH_UP_S * scenario.control_hz), 1)
         self._wrenches: dict[int, Stamped] = {}
-        self._alive = set(world.ids)
         self.pace = Pace(scenario.dt_ns)
         self.latency = Latency()
 
@@ -36,8 +35,8 @@ class RealTimeWorld:
         self.latency.add((now_ns - wrench.stamp_ns) * 1e-9)
 
     def lose(self, uav_id: int) -> None:
-        """Ignore this UAV, whose process has ended."""
-        self._alive.discard(uav_id)
+        """Forget the wrench of this UAV, whose process has ended; a process that takes its place flies it again."""
+        self._wrenches.pop(uav_id, None)
 
     def tick(self, now_ns: int) -> None:
         """Step all vehicles to now, and publish their states."""
@@ -57,5 +56,5 @@ class RealTimeWorld:
         return {
             i: wrench.values
             for i, wrench in self._wrenches.items()
-            if i in self._alive and now_ns - wrench.stamp_ns <= self._stale_ns
+            if now_ns - wrench.stamp_ns <= self._stale_ns
         }

@@ -29,7 +29,6 @@ from ptnsbc_core.types import MODE_HOLD, NEAR_COLUMNS, ODOMETRY_SIZE, Array
 from ptnsbc_io.wire import Stamped
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.graph import LEAD_TICKS, Senders
-from ptnsbc_nodes.comm.topics import Topic
 from ptnsbc_sim.disturbances.links import NO_DELAY, LinkDelay
 
 NO_CUTOFF_NS = 2**63 - 1
@@ -91,18 +90,21 @@ class Inbox:
         self._own_row = self._inputs.vector[OWN:PARENT]
         self._queue_rows = tuple(self._rows())
 
-    def handlers(self) -> Mapping[Topic, Callable[[Stamped], None]]:
-        """The handler of each topic's messages; the queue itself where no message is to be lost."""
+    def state_handlers(self) -> Mapping[int, Callable[[Stamped], None]]:
+        """The handler of each sender's formation_state; the queue itself where no message is to be lost."""
         direct = self.senders.losses is None
-        states = {
-            topics.formation_state(i): queue.put if direct else partial(self.on_state, i)
+        return {
+            i: queue.put if direct else partial(self.on_state, i)
             for i, queue in self._states.items()
         }
-        estimates = {
-            topics.leader_estimate(i): queue.put if direct else partial(self.on_estimate, i)
+
+    def estimate_handlers(self) -> Mapping[int, Callable[[Stamped], None]]:
+        """The handler of each sender's leader_estimate, as `state_handlers`."""
+        direct = self.senders.losses is None
+        return {
+            i: queue.put if direct else partial(self.on_estimate, i)
             for i, queue in self._estimates.items()
         }
-        return states | estimates
 
     def on_state(self, uav_id: int, message: Stamped) -> None:
         """Keep a formation_state."""

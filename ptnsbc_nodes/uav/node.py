@@ -11,8 +11,10 @@ from collections.abc import Callable
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
-from ptnsbc_io.wire import Stamped, decode_header, decode_near, decode_odometry
+from ptnsbc_io.wire import HeaderFields, OdometryDecoder, Stamped, checked_near
 from ptnsbc_nodes.comm import topics
+from ptnsbc_nodes.comm.agent_messages import WORLD_FRAME
+from ptnsbc_nodes.comm.announcements import LostProcess, decode_leg, decode_lost
 from ptnsbc_nodes.comm.diagnostics import (
     INACTIVE,
     STATUS_HZ,
@@ -21,11 +23,18 @@ from ptnsbc_nodes.comm.diagnostics import (
     readiness,
     status_every,
 )
+from ptnsbc_nodes.comm.door import (
+    LockstepHorizon,
+    LockstepStamps,
+    RealTimeStamps,
+    StampRule,
+    in_order,
+)
 from ptnsbc_nodes.comm.endpoints import Endpoints
-from ptnsbc_nodes.comm.graph import CommunicationGraph
-from ptnsbc_nodes.comm.legs import EpochError, Epochs
-from ptnsbc_nodes.comm.topics import LOST, READY
-from ptnsbc_nodes.comm.vehicle_messages import decode_limits, limited
+from ptnsbc_nodes.comm.graph import LEAD_TICKS, CommunicationGraph
+from ptnsbc_nodes.comm.legs import Epochs
+from ptnsbc_nodes.comm.topics import LOST, READY, Topic
+from ptnsbc_nodes.comm.vehicle_messages import PlannerLimits, decode_limits, limited
 from ptnsbc_nodes.runtime.clock_offset import ClockOffsetMonitor
 from ptnsbc_nodes.runtime.pacing import Pace, Ticker
 from ptnsbc_nodes.uav.controller import UavController, step_time
@@ -47,7 +56,8 @@ class UavNode:
         self._controller = UavController(agent_config(scenario, uav_id), edges.senders(uav_id))
         self._outbox = Outbox(self.endpoints, edges, uav_id)
         self._epochs = Epochs()
-        self._timing = _Timing(node, scenario, self._controller.inbox.topic_names(uav_id))
+        names = self._controller.inbox.topic_names(uav_id)
+        self._timing = _Timing(node, scenario, names, edges.options.lockstep)
         self._active = False
         self._at_start = not edges.options.bridged
         """Whether the UAV is at its start; a bridge brings its vehicle there before the first leg."""
@@ -108,55 +118,59 @@ class UavNode:
 
     def _subscribe(self, uav_id: int) -> None:
         listen, inbox = self.endpoints.listen, self._controller.inbox
-        self._odom_name = listen(topics.odom(uav_id), self._on_odom)
-        listen(topics.near(uav_id), self._on_near, required=self._options.lockstep)
-        for topic, handler in inbox.handlers().items():
-            listen(topic, self._on_neighbour(handler))
-        listen(topics.EPOCH, self._on_epoch)
-        listen(LOST, self._on_lost, required=False)
+        # An odometry may come from a program that has other names for its frames; neighbours are UAVs of ours.
+        odom = in_order(OdometryDecoder(), self._timing.stamp_rule())
+        near = in_order(checked_near, self._timing.stamp_rule())
+        self._odom_name = listen(topics.odom(uav_id), odom, self._on_odom)
+        listen(topics.near(uav_id), near, self._on_near, required=self._options.lockstep)
+        for sender, handler in inbox.state_handlers().items():
+            frames = OdometryDecoder(WORLD_FRAME, f"uav{sender}/base_link")
+            self._listen_to(topics.formation_state(sender), frames, handler)
+        for sender, handler in inbox.estimate_handlers().items():
+            frames = OdometryDecoder(WORLD_FRAME, WORLD_FRAME)
+            self._listen_to(topics.leader_estimate(sender), frames, handler)
+        listen(topics.EPOCH, decode_leg, self._on_epoch)
+        listen(LOST, decode_lost, self._on_lost, required=False)
         if self._options.bridged:
-            listen(topics.limits(uav_id), self._on_limits)
+            listen(topics.limits(uav_id), decode_limits, self._on_limits)
 
     def _flight_ns(self) -> int:
         return max(self._timing.done_ns, 0) if self._options.lockstep else self._timing.now_ns()
 
-    def _on_odom(self, data: bytes) -> None:
-        self._controller.inbox.own = decode_odometry(data)
-        self._advance()
-
-    def _on_near(self, data: bytes) -> None:
-        self._controller.inbox.near = decode_near(data)
-        self._advance()
-
-    def _on_neighbour(self, handler: Callable[[Stamped], None]) -> Callable[[bytes], None]:
+    def _listen_to(
+        self, topic: Topic, decode: Callable[[bytes], Stamped], handler: Callable[[Stamped], None]
+    ) -> None:
         advance = self._advance
 
-        def on_message(data: bytes) -> None:
-            handler(decode_odometry(data))
+        def on_message(message: Stamped) -> None:
+            handler(message)
             advance()
 
-        return on_message
+        self.endpoints.listen(topic, in_order(decode, self._timing.stamp_rule()), on_message)
 
-    def _on_epoch(self, data: bytes) -> None:
-        t0_ns, leg = decode_header(data)
+    def _on_odom(self, message: Stamped) -> None:
+        self._controller.inbox.own = message
+        self._advance()
+
+    def _on_near(self, message: Stamped) -> None:
+        self._controller.inbox.near = message
+        self._advance()
+
+    def _on_epoch(self, leg: HeaderFields) -> None:
+        self._epochs.announce(leg.stamp_ns, leg.frame_id)
         if not self._options.lockstep:
             self.endpoints.begin(self._timing.now_ns())
         self._timing.align(self._controller.inbox.own)
-        try:
-            self._epochs.announce(t0_ns, leg)
-        except EpochError as error:
-            self.node.get_logger().error(str(error))
         self._advance()
 
-    def _on_lost(self, data: bytes) -> None:
-        name = decode_header(data).frame_id.removeprefix("uav")
-        if name.isdecimal():
-            self._controller.inbox.lose(int(name))
+    def _on_lost(self, process: LostProcess) -> None:
+        if process.uav is not None:
+            self._controller.inbox.lose(process.uav)
         self._advance()
 
-    def _on_limits(self, data: bytes) -> None:
+    def _on_limits(self, limits: PlannerLimits) -> None:
         """The limits of the vehicle, before its formation begins."""
-        self._controller.config = limited(self._controller.config, *decode_limits(data))
+        self._controller.config = limited(self._controller.config, *limits)
 
     def _advance(self) -> None:
         """Lock-step: do the tick if everything for it is here."""
@@ -193,15 +207,20 @@ class UavNode:
             self._controller.restart()
         at = step_time(now_ns, elapsed_ns, leg, timing.start_ns)
         outputs = self._controller.step(at, cutoff_ns)
-        timing.done_ns = now_ns
+        timing.done(now_ns)
         self._outbox.send(own, outputs, at, self._controller)
 
 
 class _Timing:
     """The clock, the ticks and the periods of one UAV."""
 
-    def __init__(self, node: Node, scenario: Scenario, topic_names: list[str]) -> None:
+    def __init__(
+        self, node: Node, scenario: Scenario, topic_names: list[str], lockstep: bool
+    ) -> None:
         self._node = node
+        self._lockstep = lockstep
+        # The queues keep as many ticks, see `inbox`.
+        self._horizon = LockstepHorizon((LEAD_TICKS + 2) * scenario.dt_ns)
         self.period_ns = scenario.dt_ns
         self.near_every = scenario.near_every
         self.status_every = status_every(scenario)
@@ -213,6 +232,17 @@ class _Timing:
 
     def now_ns(self) -> int:
         return int(self._node.get_clock().now().nanoseconds)
+
+    def stamp_rule(self) -> StampRule:
+        """Of a new sender."""
+        if self._lockstep:
+            return LockstepStamps(self._horizon, self.period_ns)
+        return RealTimeStamps(self.now_ns)
+
+    def done(self, now_ns: int) -> None:
+        """The tick at `now_ns` is done."""
+        self.done_ns = now_ns
+        self._horizon.move(now_ns)
 
     def start(self, on_tick: Callable[[], None]) -> None:
         """Real time: tick once per period."""
@@ -265,6 +295,7 @@ class _StatusPublisher:
             "mode": leg.name if leg else "waiting",
             "missed_ticks": str(uav._timing.pace.missed),
             **uav._controller.counters.values(),
+            **uav.endpoints.refusals.values(),
         }
         level, message = self._verdict(stamp_ns, missing)
         send = self._send if stamp_ns >= 0 else self._send_ready
@@ -282,6 +313,8 @@ class _StatusPublisher:
             return DiagnosticLevel.WARN, str(offset)
         if uav._epochs.announced and uav._controller.counters.holding:
             return DiagnosticLevel.WARN, "holding"
+        if refused := uav.endpoints.refusals.report():
+            return DiagnosticLevel.WARN, refused
         total = uav._timing.pace.missed
         missed, self._reported_missed = total - self._reported_missed, total
         if missed > 0:

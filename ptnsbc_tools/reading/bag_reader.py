@@ -7,7 +7,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ptnsbc_io.bag import BagError, BagMessage
-from ptnsbc_io.wire import Stamped, WireError, decode_header, decode_odometry, decode_wrench
+from ptnsbc_io.wire import (
+    Stamped,
+    WireError,
+    decode_diagnostics,
+    decode_header,
+    decode_odometry,
+    decode_wrench,
+)
 from ptnsbc_nodes.comm import topics
 from ptnsbc_sim.verdict import Recording, Track
 from ptnsbc_sim.verdict.recording import FORMATION
@@ -19,7 +26,7 @@ from ptnsbc_tools.reading.bag_sources import (
     open_source,
     scenario_of,
 )
-from ptnsbc_tools.reading.diagnostics import DiagnosticCounters, decode_diagnostics
+from ptnsbc_tools.reading.diagnostics import DiagnosticCounters
 from ptnsbc_tools.reading.disk_track import SampleFile, TrackWriters
 
 

@@ -8,12 +8,11 @@ import numpy as np
 
 from ptnsbc_core.types import LEGS
 from ptnsbc_io.bag import Bag, BagMessage
-from ptnsbc_io.wire import WireError, decode_floats, decode_header
+from ptnsbc_io.wire import WireError, decode_diagnostics, decode_floats, decode_header
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions
 from ptnsbc_nodes.comm.legs import Epochs
 from ptnsbc_sim.scenario import Scenario
-from ptnsbc_tools.reading.diagnostics import decode_diagnostics
 from ptnsbc_tools.replay.topic_buffer import TopicBuffer
 from ptnsbc_tools.replay.uav_replay import UavReplay
 

@@ -211,8 +211,8 @@ class Ear:
         self.ends = Endpoints(ros.node("ear"), lockstep=False)
         self._send = self.ends.publisher(topics.odom(uav_id), 1)
         self.wrenches, self.status = [], []
-        self.ends.listen(topics.wrench_setpoint(uav_id), self.wrenches.append)
-        self.ends.listen(topics.DIAGNOSTICS, self.status.append)
+        self.ends.listen(topics.wrench_setpoint(uav_id), bytes, self.wrenches.append)
+        self.ends.listen(topics.DIAGNOSTICS, bytes, self.status.append)
 
     def odom(self, stamp_ns):
         body = np.zeros(13)

@@ -1,8 +1,10 @@
 """Missed ticks, latencies, and the phase of the tick."""
 
+import time
+
 import pytest
 
-from ptnsbc_nodes.runtime.pacing import Latency, Pace, delay_ns
+from ptnsbc_nodes.runtime.pacing import Latency, Pace, Ticker, delay_ns
 
 PERIOD = 10
 
@@ -43,3 +45,20 @@ def test_latency_percentiles():
 )
 def test_ticks_fall_a_third_of_a_period_behind_the_stamps(now, wait):
     assert delay_ns(now, stamp_ns=1000, period_ns=1000) == wait
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize("apart_s", [0.0, 0.004])
+def test_alignments_in_a_row_do_not_stop_the_ticks(ros, apart_s):
+    """Two legs announced at once; the latched legs of a flight that a late UAV receives; a leg that is repeated."""
+    ticks = []
+    ticker = Ticker(ros.node("ticker"), 20_000_000, lambda: ticks.append(1))
+    ros.spin_until(lambda: ticks)
+    for _ in range(200 if apart_s else 5):
+        ticker.align(time.time_ns())
+        ros.spin_for(apart_s)
+    count = len(ticks)
+    if apart_s:
+        assert count > 10  # the alignments themselves lasted 40 periods
+    ros.spin_until(lambda: len(ticks) > count + 10, timeout=30.0)
+    ticker.close()

@@ -4,9 +4,9 @@ import pytest
 
 pytest.importorskip("rclpy")
 
+from ptnsbc_io.wire import decode_diagnostics
 from ptnsbc_nodes.comm.diagnostics import STATUS_HZ
 from ptnsbc_nodes.runtime.watchdog import ENDED_S, SAID_S, LockstepWatchdog
-from ptnsbc_tools.reading.diagnostics import decode_diagnostics
 
 pytestmark = pytest.mark.ros
 

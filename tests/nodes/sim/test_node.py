@@ -44,12 +44,14 @@ class Uavs:
         self.announce = ends.publisher(topics.EPOCH, 1)
         self.lose = ends.publisher(LOST, 1)
         for i in scenario.uav_ids:
-            ends.listen(topics.odom(i), lambda data, i=i: self.fly(i, wire.decode_odometry(data)))
             ends.listen(
-                topics.near(i), lambda data, i=i: self.near[i].append(wire.decode_near(data))
+                topics.odom(i), bytes, lambda data, i=i: self.fly(i, wire.decode_odometry(data))
             )
-        ends.listen(topics.CLOCK, lambda data: self.clock.append(wire.decode_clock(data)))
-        ends.listen(topics.MARKERS, self.markers.append)
+            ends.listen(
+                topics.near(i), bytes, lambda data, i=i: self.near[i].append(wire.decode_near(data))
+            )
+        ends.listen(topics.CLOCK, bytes, lambda data: self.clock.append(wire.decode_clock(data)))
+        ends.listen(topics.MARKERS, bytes, self.markers.append)
         self.sim = SimNode(
             ros.node("sim"),
             scenario,
@@ -143,6 +145,54 @@ def test_real_time_runs_by_the_clock_and_hovers_without_wrenches(ros, scenario):
     now = uavs.odometry[1][-1].stamp_ns
     uavs.announce(wire.HeaderTemplate("form").encode(now))
     ros.spin_until(lambda: uavs.ended)
+
+
+def broken_wrench(value):
+    values = wrench(4)
+    values[2] = value
+    return values
+
+
+@pytest.mark.parametrize("value", [np.nan, 1e308])
+def test_a_broken_wrench_is_dropped_and_its_vehicle_waits_for_a_good_one(ros, scenario, value):
+    uavs = Uavs(ros, scenario)
+    uavs.hands_off = {4}
+    uavs.start()
+    ros.spin_until(lambda: uavs.ticks(4) == [0])
+    uavs.send[4](wire.WrenchTemplate("x").encode(0, broken_wrench(value)))
+    ros.spin_for(0.1)
+    assert uavs.ticks(4) == [0]
+    assert uavs.sim.endpoints.refusals.counts == {"/uav4/setpoint/wrench": 1}
+    uavs.hands_off = set()
+    uavs.push(4, 0)
+    ros.spin_until(lambda: uavs.ended)
+    ros.spin_until(lambda: len(uavs.odometry[4]) == TICKS)
+    assert all(np.isfinite(m.values).all() for i in scenario.uav_ids for m in uavs.odometry[i])
+
+
+@pytest.mark.parametrize("lockstep", [True, False])
+def test_no_message_ends_the_sim(ros, scenario, lockstep):
+    uavs = Uavs(ros, scenario, lockstep=lockstep)
+    uavs.announce(wire.HeaderTemplate("dance").encode(0))
+    uavs.lose(wire.HeaderTemplate("uav" + 5000 * "9").encode(0))
+    uavs.send[1](b"\0\1")
+    ros.spin_until(lambda: len(uavs.sim.endpoints.refusals.counts) == 3)
+    uavs.announce(wire.HeaderTemplate("form").encode(uavs.sim._clock_ns()))
+    ros.spin_until(lambda: uavs.ended)
+
+
+def test_a_uav_that_comes_back_in_real_time_flies_its_vehicle_again(ros, scenario):
+    uavs = Uavs(ros, scenario, lockstep=False)
+    ros.spin_until(lambda: "hovering" not in hovering(uavs))
+    uavs.hands_off = {4}
+    uavs.lose(wire.HeaderTemplate("uav4").encode(0))
+    ros.spin_until(lambda: "uav4" in hovering(uavs))
+    uavs.hands_off = set()
+    ros.spin_until(lambda: "uav4" not in hovering(uavs))
+
+
+def hovering(uavs):
+    return uavs.sim._real_time.hovering(uavs.sim._clock_ns())
 
 
 def test_markers_show_uavs_obstacles_edges_and_path(ros, scenario):

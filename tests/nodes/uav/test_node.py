@@ -59,22 +59,22 @@ class Others:
         self.announce = None if uav_id == LEADER else ends.publisher(topics.EPOCH, 1)
         self.wrenches, self.states, self.status, self.epochs = [], [], [], []
         listen = ends.listen
-        listen(topics.wrench_setpoint(uav_id), self.keep(self.wrenches, wire.decode_wrench))
-        listen(topics.formation_state(uav_id), self.keep(self.states, wire.decode_odometry))
+        listen(topics.wrench_setpoint(uav_id), bytes, self.keep(self.wrenches, wire.decode_wrench))
+        listen(topics.formation_state(uav_id), bytes, self.keep(self.states, wire.decode_odometry))
         for topic, readers in (
             (topics.formation_state(uav_id), edges.state_readers(uav_id) - 1),
             (topics.leader_estimate(uav_id), edges.estimate_readers(uav_id)),
         ):
             for _ in range(readers):
-                listen(topic, lambda data: None)
-        listen(topics.velocity_setpoint(uav_id), lambda data: None)
+                listen(topic, bytes, lambda data: None)
+        listen(topics.velocity_setpoint(uav_id), bytes, lambda data: None)
         for topic in (topics.DIAGNOSTICS, READY):
-            listen(topic, self.keep(self.status, decode_status), required=topic is not READY)
+            listen(topic, bytes, self.keep(self.status, decode_status), required=topic is not READY)
         if uav_id == LEADER:
-            listen(topics.EPOCH, self.keep(self.epochs, wire.decode_header))
+            listen(topics.EPOCH, bytes, self.keep(self.epochs, wire.decode_header))
             for _ in range(3):  # with the leader itself all UAVs, but no sim
-                listen(topics.EPOCH, lambda data: None)
-        self.template = wire.OdometryTemplate("map", "x")
+                listen(topics.EPOCH, bytes, lambda data: None)
+        self.template = wire.OdometryTemplate("vicon", "drone")  # of its own odometry: any frames
         self.uav = UavNode(
             ros.node("controller", namespace=f"/uav{uav_id}"), scenario, uav_id, edges
         )
@@ -93,10 +93,11 @@ class Others:
         self.send_near(wire.encode_near(stamp_ns, "map", rows))
 
     def neighbours(self, stamp_ns, without=()):
-        for kind in (self.send_state, self.send_estimate):
+        for kind, frame in ((self.send_state, "uav{}/base_link"), (self.send_estimate, "map")):
             for i, send in kind.items():
                 if i not in without:
-                    send(self.template.encode(stamp_ns, body(i)))
+                    template = wire.OdometryTemplate("map", frame.format(i))
+                    send(template.encode(stamp_ns, body(i)))
 
     def form(self, stamp_ns=0, leg="form"):
         self.announce(wire.HeaderTemplate(leg).encode(stamp_ns))
@@ -223,7 +224,7 @@ def test_leader_serves_the_legs_of_a_lockstep_flight(ros, scenario):
         False,
         "the leader waits for /formation/epoch",
     )
-    Endpoints(others.node, lockstep=True).listen(topics.EPOCH, lambda data: None)
+    Endpoints(others.node, lockstep=True).listen(topics.EPOCH, bytes, lambda data: None)
     ros.spin_until(lambda: not others.uav.waiting_for())
     assert call(ros, others.node, "start").success
     ros.spin_until(lambda: others.epochs == [(0, "form")])
@@ -278,7 +279,7 @@ def test_the_leader_begins_when_every_uav_hears_it_and_not_others_instead(ros, s
     )
     uav.activate()
     for number in range(2 * len(scenario.uav_ids)):
-        Endpoints(ros.node(f"viewer{number}"), False).listen(topics.EPOCH, lambda _: None)
+        Endpoints(ros.node(f"viewer{number}"), False).listen(topics.EPOCH, bytes, lambda _: None)
     ros.spin_until(lambda: topics.EPOCH.name not in uav.waiting_for())
 
     def missing_listeners():
@@ -290,7 +291,7 @@ def test_the_leader_begins_when_every_uav_hears_it_and_not_others_instead(ros, s
     )
     for i in others:
         ends = Endpoints(ros.node("controller", namespace=f"/uav{i}"), False)
-        ends.listen(topics.EPOCH, lambda _: None)
+        ends.listen(topics.EPOCH, bytes, lambda _: None)
     ros.spin_until(lambda: not missing_listeners())
 
 
@@ -316,6 +317,71 @@ def test_real_time_setpoints_end_with_the_odometry(ros, scenario):
     others.settle()
     assert len(others.wrenches) == count
     assert others.newest()[0] == b"\x02"
+
+
+def test_real_time_ticks_go_on_after_legs_in_a_row(ros, scenario):
+    """A hold and a start 4 ms apart once stopped them for good; so did the legs of a flight, read by a late UAV."""
+    others = Others(ros, scenario, FOLLOWER, lockstep=False)
+    others.odom(time.time_ns())
+    ros.spin_until(lambda: others.wrenches)
+    now = time.time_ns()
+    for number, leg in enumerate(("form", "hold", "form", "hold", "form")):
+        others.form(now + number * 4_000_000, leg)
+        others.form(now + number * 4_000_000, leg)  # and again
+        ros.spin_for(0.004)
+    count = len(others.wrenches)
+
+    def flies_on():
+        others.odom(time.time_ns())
+        return len(others.wrenches) > count + 20
+
+    ros.spin_until(flies_on)
+
+
+BROKEN = {
+    "nan": np.nan,
+    "inf": np.inf,
+    "huge": 1e308,
+}
+
+
+@pytest.mark.parametrize("value", BROKEN.values(), ids=BROKEN)
+def test_a_broken_state_of_a_neighbour_is_dropped_and_named(ros, scenario, value):
+    """One such number once poisoned a follower for the rest of its flight, in silence."""
+    others = Others(ros, scenario, FOLLOWER)
+    others.form()
+    others.odom(0)
+    others.near(0)
+    ros.spin_until(lambda: others.ticks() == [0])
+    values = body(LEADER)
+    values[0] = value
+    template = wire.OdometryTemplate("map", f"uav{LEADER}/base_link")
+    others.send_state[LEADER](template.encode(0, values))
+    others.odom(scenario.dt_ns)
+    others.neighbours(0)
+    ros.spin_until(lambda: others.ticks() == [0, 1])
+    assert np.isfinite(others.wrenches[-1].values).all()
+    level, message, told = others.newest()
+    assert (level, told["refused"]) == (b"\x01", f"/uav{LEADER}/formation_state=1")
+    assert "1 messages refused: /uav1/formation_state: nav_msgs/Odometry: position" in message
+
+
+def test_no_message_ends_a_uav(ros, scenario):
+    """Each of these once raised in a callback, and the process ended."""
+    others = Others(ros, scenario, FOLLOWER, lockstep=False)
+    others.announce(wire.HeaderTemplate("dance").encode(0))
+    others.lose(wire.HeaderTemplate("uav" + 5000 * "9").encode(0))
+    no_radius = wire.encode_near(0, "map", np.ones((1, 7))).replace(b"radius\0", b"raddus\0")
+    others.send_near(no_radius)
+    others.send_odom(b"\0\1\0\0")
+    others.send_state[LEADER](b"")
+
+    def all_named():
+        return len(others.newest()[2].get("refused", "").split()) == 5
+
+    ros.spin_until(all_named)
+    others.odom(time.time_ns())
+    ros.spin_until(lambda: others.wrenches)
 
 
 @pytest.mark.parametrize(

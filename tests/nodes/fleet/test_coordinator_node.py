@@ -1,0 +1,47 @@
+"""The launcher's node: what it believes of the messages of others."""
+
+import pytest
+
+pytest.importorskip("rclpy")
+
+from ptnsbc_nodes.comm import topics
+from ptnsbc_nodes.comm.diagnostics import DiagnosticLevel, diagnostics
+from ptnsbc_nodes.comm.endpoints import Endpoints
+from ptnsbc_nodes.comm.topics import READY
+from ptnsbc_nodes.fleet.coordinator_node import Coordinator, _LockstepWait
+from ptnsbc_nodes.runtime.watchdog import ENDED_S, SAID_S, WAITED
+
+pytestmark = pytest.mark.ros
+
+
+def test_a_wait_lasts_as_long_as_the_sim_goes_on_reporting_it():
+    wait = _LockstepWait()
+    for tenths in range(70):
+        wait.reported(tenths / 10, ["uav3", *(["uav4"] if tenths > 30 else [])])
+    waited = wait.at(7.0)
+    assert waited["uav3"] == pytest.approx(7.0 + SAID_S)
+    assert waited["uav4"] == pytest.approx(3.9 + SAID_S)
+    assert wait.at(8.0) == {}  # the reports have ceased
+    wait.reported(8.0, ["uav3"])
+    assert wait.at(8.0) == {"uav3": SAID_S}
+
+
+def test_no_message_ends_the_launcher_or_makes_it_end_a_uav(ros):
+    """`waited_s=100` once had all UAVs killed; a bad float ended the launcher."""
+    others = Endpoints(ros.node("others"), lockstep=True)
+    send = [others.publisher(topic, 1) for topic in (READY, topics.DIAGNOSTICS)]
+    with Coordinator(ros.domain) as launcher:
+        while others.unread():
+            launcher.spin(0.02)
+        names = " ".join(f"uav{i}" for i in range(1, 6))
+        for waited in ("100", "1e9", "many", 5000 * "9"):
+            values = {"ready": "false", "waiting_for": names, WAITED: waited}
+            for publish in send:
+                publish(diagnostics(0, "sim: world", DiagnosticLevel.ERROR, "", values))
+        for publish in send:
+            publish(b"\0\1\0\0\xff\xff\xff\xff")
+            publish(b"nonsense")
+        while sum(launcher._endpoints.refusals.counts.values()) < 4:
+            launcher.spin(0.02)
+        assert launcher.waiting["sim"] == names
+        assert all(waited_s < ENDED_S for waited_s in launcher.stuck().values())
