@@ -71,3 +71,37 @@ def test_a_process_that_is_killed_at_work_has_died(ended, name):
     died, (line,) = ended(name, "working")
     assert died == [name]
     assert "signal SIGKILL" in line
+
+
+class Child:
+    def __init__(self, name, uav=None):
+        self.name, self.pid, self.exit_code, self.signals = name, 7, None, []
+        self.command = ProcessCommand(name, "module", (), uav=uav)
+
+    def send(self, number):
+        self.signals.append(number)
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize("lockstep", [True, False])
+def test_a_process_that_is_stuck_is_ended(lockstep):
+    """A UAV after 10 s, a recorder after 60 s; in real time none, because no process waits for another."""
+    waited = {"uav1": 10.1, "uav2": 9.9, "recorder": 59.0, "sim": 100.0}
+    coordinator = SimpleNamespace(stuck=lambda: waited)
+    options = FleetOptions(load_scenario("paper_5"), lockstep=lockstep)
+    said: list[str] = []
+    flight = Supervisor(options, coordinator, None, said.append)
+    children = [
+        Child("uav1", 1),
+        Child("uav2", 2),
+        Child("uav3", 3),
+        Child("recorder"),
+        Child("sim"),
+    ]
+    flight.children.extend(children)
+    flight._end_stuck()
+    assert [c.name for c in children if c.signals] == (["uav1"] if lockstep else [])
+    waited["recorder"] = 60.1
+    flight._end_stuck()
+    assert children[3].signals == ([signal.SIGKILL] if lockstep else [])
+    assert children[4].signals == []
