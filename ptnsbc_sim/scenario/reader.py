@@ -212,7 +212,15 @@ def with_keys(tree: Tree, overrides: Mapping[str, Any], source: str) -> Tree:
     return tree
 
 
+class _WithoutAliases(yaml.SafeDumper):
+    """Writes a value that stands in two places twice, because `parse` reads no aliases."""
+
+    def ignore_aliases(self, data: Any) -> bool:
+        return True
+
+
 def dump(tree: Tree) -> str:
     """`tree` as YAML text that `parse` reads back."""
-    text: str = yaml.safe_dump(tree, sort_keys=False, allow_unicode=True, width=120)
+    options: dict[str, Any] = {"sort_keys": False, "allow_unicode": True, "width": 120}
+    text: str = yaml.dump(tree, Dumper=_WithoutAliases, **options)
     return text

@@ -17,6 +17,7 @@ from ptnsbc_core.compile_cache import source_digest
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_sim.scenario.fields import unit_of
 from ptnsbc_sim.sweep.axes import SweepAxis, SweepError
+from ptnsbc_sim.sweep.dry_run import dry_run_says
 from ptnsbc_sim.sweep.family import family_columns, family_from_text
 from ptnsbc_sim.sweep.plan import SweepPlan, Value
 from ptnsbc_sim.sweep.rows import UNITS, SweepRow, fly_draw
@@ -61,7 +62,8 @@ def fly_chunk(plan_json: str, index: int) -> bytes:
     room: FlightTrack | None = None
     for k in chunk_draws(plan, index):
         try:
-            found, values, room = fly_draw(plan, k, room)
+            check = dry_run_says(plan, k) if plan.check else ""
+            found, values, room = fly_draw(plan, k, room, check)
         except PtnsbcError as error:
             raise SweepError(f"draw {k}: {error}") from error
         rows += found

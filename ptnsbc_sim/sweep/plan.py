@@ -57,6 +57,8 @@ class SweepPlan:
     """Text of a family of scenarios; empty: the base scenario as it is."""
     stop_after_s: float | None = None
     """Each flight ends at this time after its start, or with the scenario's duration when that is shorter."""
+    check: int = 0
+    """Perturbed flights of the dry run before each draw; 0: no dry run."""
     name: str = "sweep"
     source: str = "scenario"
     """Where the base scenario comes from, for messages."""

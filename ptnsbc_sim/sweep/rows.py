@@ -45,6 +45,7 @@ class SweepRow:
     inside_keep_out_s: float  # of UAVs and obstacles, summed
     peak_force_n: float
     energy_n2_s: float  # integral of |u|^2 (54)
+    check: str  # what the dry run before the flight said: accepted | refused; empty: there was none
 
 
 _UNITS = {"_n2_s": "N^2 s", "_m": "m", "_s": "s", "_n": "N"}
@@ -57,7 +58,7 @@ UNITS: dict[str, str] = {
 
 
 def fly_draw(
-    plan: SweepPlan, k: int, room: FlightTrack | None = None
+    plan: SweepPlan, k: int, room: FlightTrack | None = None, check: str = ""
 ) -> tuple[list[SweepRow], Mapping[str, Value], FlightTrack]:
     """Fly draw k of a plan.
 
@@ -65,17 +66,18 @@ def fly_draw(
         plan: the sweep.
         k: number of the draw.
         room: the track of an earlier flight, which is overwritten where its size fits.
+        check: what the dry run before the flight said, for the rows.
 
     Returns:
         The rows of its UAVs, what was drawn, and the room for the next flight.
     """
     scenario, values = drawn_scenario(plan, k)
     flight = fly(scenario, room=room)
-    return rows_of(k, scenario, recording_of(flight)), values, flight.track
+    return rows_of(k, scenario, recording_of(flight), check), values, flight.track
 
 
-def rows_of(draw: int, scenario: Scenario, recording: Recording) -> list[SweepRow]:
-    """The rows of one flight."""
+def rows_of(draw: int, scenario: Scenario, recording: Recording, check: str = "") -> list[SweepRow]:
+    """The rows of one flight; `check` is what the dry run before it said."""
     verdict = verdict_on(recording)
     efforts = {one.uav: one for one in verdict.efforts}
     near = _nearest(scenario, verdict)
@@ -110,6 +112,7 @@ def rows_of(draw: int, scenario: Scenario, recording: Recording) -> list[SweepRo
                 inside_keep_out_s=room.inside_s,
                 peak_force_n=efforts[one.uav].peak_force_n,
                 energy_n2_s=efforts[one.uav].energy,
+                check=check,
             )
         )
     return rows

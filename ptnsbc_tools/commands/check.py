@@ -1,9 +1,10 @@
-"""`ptnsbc check`: the pre-flight check of a scenario."""
+"""`ptnsbc check`: the pre-flight check of a scenario, by closed forms and by dry runs."""
 
 from __future__ import annotations
 
 import dataclasses
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -11,6 +12,9 @@ from ptnsbc_tools import console, options
 
 if TYPE_CHECKING:
     from ptnsbc_sim.scenario import Scenario
+    from ptnsbc_tools.check import Finding
+
+_RUNS = 20
 
 
 def check(
@@ -22,15 +26,27 @@ def check(
     avoidance: options.AvoidanceOption = None,
     duration: options.DurationOption = None,
     settings: options.SetOption = None,
+    fly: Annotated[
+        bool, typer.Option("--fly/--no-fly", help="Fly dry runs when the rest finds no error.")
+    ] = True,
+    runs: Annotated[
+        int, typer.Option("--runs", "-n", metavar="N", min=1, help="Perturbed dry runs.")
+    ] = _RUNS,
     json: options.JsonOption = False,
 ) -> None:
-    """Check a scenario before anything arms: graph, shape, spacing, gains, deadline, obstacles."""
+    """Check a scenario before anything arms: graph, shape, spacing, gains, deadline, obstacles, dry runs.
+
+    The dry runs fly the scenario in this process: once as it stands, then with starts moved at random.
+    The scenario is refused when the first of them is not met, or fewer than 90 % of all.
+    """
     from ptnsbc_tools.check import ERROR, check, refuse
     from ptnsbc_tools.tables import findings_table
 
     chosen = options.chosen(context)
     with console.compiling():
         findings = check(chosen)
+    if fly and all(finding.severity != ERROR for finding in findings):
+        findings = [*dry_runs(chosen, runs), *findings]
     if json:
         console.print_json(
             {
@@ -42,6 +58,14 @@ def check(
     else:
         console.out().print(findings_table(chosen.name, findings))
     refuse(chosen, findings)
+
+
+def dry_runs(scenario: Scenario, runs: int = _RUNS) -> Sequence[Finding]:
+    """The findings of dry runs, with progress when they take longer than a moment."""
+    from ptnsbc_tools.check.dry_run import flown
+
+    with console.compiling(), console.progress("dry runs") as advance:
+        return flown(scenario, runs, advance)
 
 
 def preflight(scenario: Scenario, *, quiet: bool, refusing: bool = True) -> None:

@@ -98,6 +98,15 @@ def sweep(
             "--stop-after", metavar="SECONDS", min=0.01, help="End every flight at this time."
         ),
     ] = None,
+    check: Annotated[
+        int,
+        typer.Option(
+            "--check",
+            metavar="N",
+            min=0,
+            help="Before each flight a dry run with N perturbed flights accepts or refuses it; flown it is anyway.",
+        ),
+    ] = 0,
     name: Annotated[
         str | None,
         typer.Option("--name", metavar="NAME", help="Default: that of the scenario or the family."),
@@ -185,6 +194,7 @@ def _plan(given: dict[str, Any]) -> SweepPlan:
         starts=starts,
         family=path.read_text(encoding="utf-8") if path is not None else "",
         stop_after_s=given["stop_after"],
+        check=given["check"],
         name=given["name"] or (path.stem if path is not None else base.name),
     )
 

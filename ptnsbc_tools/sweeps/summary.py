@@ -16,6 +16,7 @@ from rich.text import Text
 from ptnsbc_core.types import Array
 from ptnsbc_sim.sweep import SweepAxis
 from ptnsbc_sim.sweep.axes import NORMAL, UNIFORM, VALUES
+from ptnsbc_sim.sweep.dry_run import ACCEPTED, REFUSED
 from ptnsbc_sim.verdict.deadline import MET, VIOLATED
 from ptnsbc_tools.sweeps.share import Share, share_of
 from ptnsbc_tools.sweeps.table import FlownSweep
@@ -150,6 +151,20 @@ def inside_keep_out(sweep: FlownSweep) -> Share:
     return share_of(sweep.table.flights.verdict == VIOLATED)
 
 
+def dry_runs(sweep: FlownSweep) -> dict[str, Share]:
+    """How well the dry runs before the flights foresaw them; empty without dry runs."""
+    flights = sweep.table.flights
+    accepted, refused = flights.check == ACCEPTED, flights.check == REFUSED
+    if not accepted.any() and not refused.any():
+        return {}
+    return {
+        "accepted by the dry run": share_of(accepted),
+        "accepted flights met": share_of(flights.met[accepted]),
+        "accepted and not met (silent), of all": share_of(accepted & ~flights.met),
+        "refused flights that would have met": share_of(flights.met[refused]),
+    }
+
+
 def cells(sweep: FlownSweep) -> list[tuple[dict[str, Any], Share]]:
     """The share of flights in each cell of the grid; empty without a grid."""
     plan, flights = sweep.plan, sweep.table.flights
@@ -171,6 +186,7 @@ def _share_table(sweep: FlownSweep) -> Table:
         "flights met": flights_met(sweep),
         "UAVs met": uavs_met(sweep),
         "flights inside a keep-out": inside_keep_out(sweep),
+        **dry_runs(sweep),
     }
     for name, one in shares.items():
         wide = "wide: fly more" if one.wide else ""
@@ -314,6 +330,7 @@ def as_json(sweep: FlownSweep) -> dict[str, Any]:
         "flights": flights_met(sweep).as_json(),
         "uavs": uavs_met(sweep).as_json(),
         "inside_keep_out": inside_keep_out(sweep).as_json(),
+        "dry_runs": {name: one.as_json() for name, one in dry_runs(sweep).items()},
         "cells": [
             {"values": {key: _plain(value) for key, value in values.items()}, **one.as_json()}
             for values, one in cells(sweep)

@@ -31,6 +31,7 @@ class Flights:
     draw: NDArray[np.int64]
     met: NDArray[np.bool_]
     verdict: Column
+    check: Column  # accepted | refused, empty without dry runs
     start_error_m: Array  # the largest of its UAVs
     error_at_deadline_m: Array  # the largest
     largest_after_m: Array  # the largest, without excused spans
@@ -65,6 +66,7 @@ class FlightTable:
             draw=self["draw"][self.first],
             met=verdict == MET,
             verdict=verdict,
+            check=self["check"][self.first],
             start_error_m=self._most("start_error_m"),
             error_at_deadline_m=self._most("error_at_deadline_m"),
             largest_after_m=self._most("largest_after_m"),

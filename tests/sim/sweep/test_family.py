@@ -37,8 +37,9 @@ def test_every_draw_is_a_scenario(name: str) -> None:
             agent_config(scenario, uav)
 
 
-def test_a_draw_of_a_family_is_text_and_back() -> None:
-    plan = plan_of_family(find_family("clutter").read_text())
+@pytest.mark.parametrize("name", ["clutter", "anywhere"])  # also with more UAVs than the base has
+def test_a_draw_of_a_family_is_text_and_back(name: str) -> None:
+    plan = plan_of_family(find_family(name).read_text())
     for k in range(5):
         assert draw(plan, k).file == drawn_scenario(plan, k)[0].file
         assert drawn_values(plan, k) == drawn_values(plan, k)

@@ -12,7 +12,7 @@ from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_sim.sweep import parse_axis
 from ptnsbc_sim.sweep.plan import plan_of
 from ptnsbc_tools.sweeps import summary
-from ptnsbc_tools.sweeps.table import FlownSweep, read_sweep
+from ptnsbc_tools.sweeps.table import FlightTable, FlownSweep, read_sweep
 
 BASE = load_scenario("paper_5")
 
@@ -79,3 +79,24 @@ def test_errors_stand_with_and_without_excused_spans(flown: Path) -> None:
     assert sum(one["of"] for one in data["cells"]) == data["flights"]["of"] == 12
     titles = [str(table.title) for table in summary.tables(read_sweep(flown))]
     assert titles[0].startswith("small: 12 flights, seed 0; plant.mass_kg=1,1.2")
+
+
+def test_what_the_dry_runs_foresaw(made) -> None:
+    """Of four accepted flights one is not met; of two refused ones one would have met."""
+    table = made.flights(True, True, True, False, True, False)
+    said = np.repeat(["accepted"] * 4 + ["refused"] * 2, 2)
+    sweep = sweep_of(FlightTable({**table.columns, "check": said}), 6)
+    found = {name: (one.count, one.of) for name, one in summary.dry_runs(sweep).items()}
+    assert list(found.values()) == [(4, 6), (3, 4), (1, 6), (1, 2)]
+    assert summary.as_json(sweep)["dry_runs"]["accepted flights met"]["count"] == 3
+
+
+def test_without_dry_runs_nothing_is_said_of_them(made) -> None:
+    assert summary.dry_runs(sweep_of(made.flights(True, False), 2)) == {}
+
+
+def test_a_flight_inside_a_keep_out_is_not_met(made) -> None:
+    table = made.flights(True, True)
+    verdicts = np.array(["met", "met", "violated", "violated"])
+    sweep = sweep_of(FlightTable({**table.columns, "flight_verdict": verdicts}), 2)
+    assert (summary.inside_keep_out(sweep).count, summary.flights_met(sweep).count) == (1, 1)

@@ -1,0 +1,266 @@
+"""Dry runs: a scenario flown as it stands and perturbed, before anything arms.
+
+The first flight starts where the scenario says; the others start beside that, and links that lose or delay messages are
+worse than the scenario says. Every flight has a seed of its own for noise, gusts and losses. The same scenario, number
+of flights and seed give the same dry runs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from math import isfinite
+from typing import Any
+
+from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_sim.scenario import Scenario, scenario_from_text
+from ptnsbc_sim.sweep.axes import UNIFORM, SweepAxis
+from ptnsbc_sim.sweep.plan import SweepPlan, draw
+from ptnsbc_sim.sweep.rows import SweepRow, fly_draw
+from ptnsbc_sim.sweep.starts import NEAR, Starts
+from ptnsbc_sim.track import FlightTrack
+from ptnsbc_sim.verdict.deadline import MET, WORST_FIRST
+
+RUNS = 20
+"""Perturbed flights."""
+LEAST = 0.9
+"""Share of flights that must be met, the first one among them."""
+ACCEPTED, REFUSED = "accepted", "refused"
+START_M = 0.05
+"""Standard deviation of a perturbed start, per axis."""
+AFTER_S = 10.0
+"""Perturbed flights end so long after the deadline, or with the scenario."""
+
+_INFINITE = float("inf")
+_MORE_LOSS = 0.05
+_MORE_DELAY_S = 0.02
+_TRIALS = 4  # perturbed flights of a remedy
+_LONGER = (1.25, 1.6, 2.0, 3.0)
+_HALVINGS = 3
+
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class DryFlight:
+    """One flight of a dry run: its verdict, its worst UAV, and how close UAVs came."""
+
+    verdict: str
+    uav: int
+    cause: str  # why not met, empty when met
+    error_m: (
+        float | None
+    )  # largest after the deadline, excused spans included; None: none, or not finite
+    room_m: float | None  # smallest distance less its keep-out; None: nothing to keep out of
+
+    @property
+    def met(self) -> bool:
+        """Whether all UAVs met the deadline and kept their distances."""
+        return self.verdict == MET
+
+
+@dataclass(frozen=True)
+class DryRun:
+    """The flights of a dry run, the unperturbed one first."""
+
+    flights: tuple[DryFlight, ...]
+
+    @property
+    def met(self) -> int:
+        """How many are met."""
+        return sum(flight.met for flight in self.flights)
+
+    def accepted(self, least: float = LEAST) -> bool:
+        """Whether the unperturbed flight is met, and at least this share of all."""
+        return self.flights[0].met and self.met >= least * len(self.flights)
+
+    @property
+    def worst(self) -> DryFlight:
+        """The flight to look at: the worst verdict, and of these the least room, then the largest error."""
+
+        def rank(flight: DryFlight) -> tuple[int, float, float]:
+            room = _INFINITE if flight.room_m is None else flight.room_m
+            error = _INFINITE if flight.error_m is None else flight.error_m
+            return WORST_FIRST.index(flight.verdict), room, -error
+
+        return min(self.flights, key=rank)
+
+    @property
+    def least_room_m(self) -> float | None:
+        """The smallest distance less its keep-out, in all flights."""
+        rooms = [flight.room_m for flight in self.flights if flight.room_m is not None]
+        return min(rooms, default=None)
+
+
+def dry_run(
+    scenario: Scenario, runs: int = RUNS, seed: int = 0, progress: Progress | None = None
+) -> DryRun:
+    """Fly a scenario once as it stands, and `runs` times perturbed.
+
+    Raises:
+        SweepError: UAVs start so close that no perturbed start has room.
+    """
+    found = []
+    for flight in _flights(scenario, runs, seed):
+        found.append(flight)
+        if progress is not None:
+            progress(len(found), runs + 1)
+    return DryRun(tuple(found))
+
+
+def accepts(scenario: Scenario, runs: int = RUNS, seed: int = 0, least: float = LEAST) -> bool:
+    """What `dry_run(…).accepted(least)` says; no flight is flown that cannot change it."""
+    missed = 0
+    for number, flight in enumerate(_flights(scenario, runs, seed)):
+        missed += not flight.met
+        if missed and (number == 0 or missed > (1.0 - least) * (runs + 1) + 1e-9):
+            return False
+    return True
+
+
+def dry_run_says(plan: SweepPlan, k: int) -> str:
+    """`accepted` or `refused`: the dry run of draw k of a sweep, whose seeds are not those of the flight."""
+    return ACCEPTED if accepts(draw(plan, k), plan.check, plan.seed) else REFUSED
+
+
+def _flights(scenario: Scenario, runs: int, seed: int) -> Iterator[DryFlight]:
+    as_it_stands = SweepPlan(scenario.text, 1, seed, source=scenario.source)
+    stop_s = scenario.gains.formation.deadline_s + AFTER_S
+    perturbed = SweepPlan(
+        scenario.text,
+        runs,
+        seed + 1,
+        axes=tuple(_worse_links(scenario)),
+        starts=Starts(NEAR, (START_M,)),
+        stop_after_s=stop_s,
+        source=scenario.source,
+    )
+    room: FlightTrack | None = None
+    for plan in (as_it_stands, perturbed):
+        for k in range(plan.draws if plan.runs else 0):
+            rows, _, room = fly_draw(plan, k, room)
+            yield _judged(scenario, rows)
+
+
+def _worse_links(scenario: Scenario) -> Iterator[SweepAxis]:
+    """Links that lose or delay messages do it more than the scenario says."""
+    block = scenario.file.communication
+    for key, value, more in (
+        ("loss", block.loss, min(_MORE_LOSS, 1.0 - block.loss)),
+        ("delay_s", block.delay_s, min(_MORE_DELAY_S, 0.5 * (block.stale_s - block.delay_s))),
+    ):
+        if value > 0.0:
+            yield SweepAxis(f"communication.{key}", UNIFORM, (value, value + more))
+
+
+def _judged(scenario: Scenario, rows: list[SweepRow]) -> DryFlight:
+    def rank(row: SweepRow) -> tuple[int, float]:
+        error = _finite(row.largest_after_all_m)
+        return WORST_FIRST.index(row.verdict), -(_INFINITE if error is None else error)
+
+    worst = min(rows, key=rank)
+    rooms = [
+        row.closest_uav_m - scenario.uav_keep_out_m for row in rows if row.closest_uav_m is not None
+    ]
+    rooms += [row.closest_obstacle_m for row in rows if row.closest_obstacle_m is not None]
+    return DryFlight(
+        verdict=rows[0].flight_verdict,
+        uav=worst.uav,
+        cause=worst.cause,
+        error_m=_finite(worst.largest_after_all_m),
+        room_m=min(rooms, default=None),
+    )
+
+
+def _finite(value: float | None) -> float | None:
+    return value if value is not None and isfinite(value) else None
+
+
+def with_starts_at(scenario: Scenario, positions: Mapping[int, tuple[float, ...]]) -> Scenario:
+    """The scenario with UAVs at measured positions (3,) [m], ENU, by id."""
+    keys = {
+        f"uavs[{index}].position_m": [float(number) for number in positions[uav]]
+        for index, uav in enumerate(scenario.uav_ids)
+        if uav in positions
+    }
+    return scenario_from_text(scenario.text, keys, source=scenario.source) if keys else scenario
+
+
+@dataclass(frozen=True)
+class Remedy:
+    """A change of a scenario under which every flight of a small dry run was met."""
+
+    changes: Mapping[str, Any]  # dotted keys
+    said: str  # the change in words
+
+
+def remedies(scenario: Scenario, seed: int = 0) -> Iterator[Remedy]:
+    """The changes that mend a scenario, each flown: the shortest deadline, task, graph, avoidance."""
+    longer = _shortest_deadline(scenario, seed)
+    if longer is not None:
+        yield longer
+    for changes, said in _candidates(scenario):
+        if _mends(scenario, changes, seed):
+            yield Remedy(changes, said)
+
+
+def _candidates(scenario: Scenario) -> Iterator[tuple[dict[str, Any], str]]:
+    formation, tree = scenario.file.formation, scenario.file.communication.tree
+    if getattr(formation, "assignment", "") == "fixed":
+        yield {"formation.assignment": "optimal"}, "set formation.assignment to optimal"
+    if formation.task != "relative_position":
+        yield {"formation.task": "relative_position"}, "set formation.task to relative_position"
+    leader = scenario.leader_id
+    if formation.task == "relative_position" and set(tree.values()) != {leader} and tree:
+        star = {
+            "communication.tree": dict.fromkeys(scenario.followers, leader),
+            "communication.leader_links": list(scenario.followers),
+        }
+        yield star, "let every UAV follow the leader (communication.tree)"
+    if formation.avoidance == "off":
+        yield {"formation.avoidance": "set_based"}, "set formation.avoidance to set_based"
+
+
+def _longer(scenario: Scenario, deadline_s: float) -> dict[str, Any]:
+    added_s = deadline_s - scenario.gains.formation.deadline_s
+    return {
+        "gains.formation.deadline_s": deadline_s,
+        "timing.duration_s": scenario.duration_s + added_s,
+    }
+
+
+def _shortest_deadline(scenario: Scenario, seed: int) -> Remedy | None:
+    """The shortest deadline above the present one that flies, to a few percent."""
+    low = scenario.gains.formation.deadline_s
+    high = next((low * k for k in _LONGER if _mends(scenario, _longer(scenario, low * k), seed)), 0)
+    if not high:
+        return None
+    for _ in range(_HALVINGS):
+        middle = round(0.5 * (low + high), 3)
+        if _mends(scenario, _longer(scenario, middle), seed):
+            high = middle
+        else:
+            low = middle
+    deadline_s = round(high, 3)
+    said = f"set gains.formation.deadline_s to at least {deadline_s:.2f} s"
+    return Remedy(_longer(scenario, deadline_s), said)
+
+
+def _mends(scenario: Scenario, changes: Mapping[str, Any], seed: int) -> bool:
+    try:
+        changed = scenario_from_text(scenario.text, changes, source=scenario.source)
+        return accepts(changed, _TRIALS, seed, least=1.0)
+    except PtnsbcError:  # a change that this scenario does not allow
+        return False
+
+
+__all__ = [
+    "DryFlight",
+    "DryRun",
+    "Remedy",
+    "accepts",
+    "dry_run",
+    "dry_run_says",
+    "remedies",
+    "with_starts_at",
+]

@@ -1,0 +1,54 @@
+"""Pre-flight dry runs as findings: the share that met, the worst flight, and what would mend it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from ptnsbc_sim.scenario import Scenario
+from ptnsbc_sim.sweep.dry_run import LEAST, RUNS, START_M, DryRun, dry_run, remedies
+from ptnsbc_tools.check.finding import ERROR, INFO, WARNING, Finding, Findings
+from ptnsbc_tools.sweeps.share import share
+
+KEY = "dry run"
+
+Progress = Callable[[int, int], None]
+
+
+def flown(scenario: Scenario, runs: int = RUNS, progress: Progress | None = None) -> list[Finding]:
+    """Fly a scenario, as it stands and perturbed, and say what came of it.
+
+    Raises:
+        SweepError: UAVs start so close that no perturbed start has room.
+    """
+    done = dry_run(scenario, runs, progress=progress)
+    return [*_share(scenario, done), *_worst(done)]
+
+
+def _share(scenario: Scenario, done: DryRun) -> Findings:
+    of = len(done.flights)
+    accepted = done.accepted()
+    first = "" if done.flights[0].met else "; the unperturbed flight is not met"
+    advice = ""
+    if not accepted:
+        mended = [remedy.said for remedy in remedies(scenario)]
+        advice = "; or ".join(mended) or (
+            "no longer deadline, other task, graph or avoidance mended it: move starts or places apart"
+        )
+    yield Finding(
+        ERROR if not accepted else WARNING if done.met < of else INFO,
+        KEY,
+        f"{share(done.met, of)} met; starts moved by {START_M:g} m{first}",
+        f">= {100 * LEAST:g} %, and the unperturbed flight",
+        advice,
+    )
+
+
+def _worst(done: DryRun) -> Findings:
+    worst, room = done.worst, done.least_room_m
+    if not worst.met:
+        yield Finding(
+            WARNING, f"{KEY}: worst", f"UAV {worst.uav} {worst.verdict}", "met", worst.cause
+        )
+    if room is not None:
+        severity = WARNING if room < 0.0 else INFO
+        yield Finding(severity, f"{KEY}: room", f"{room:.3f} m beyond the keep-outs", ">= 0 m", "")
