@@ -1,8 +1,8 @@
 """The order of messages in a lock-step bag: by stamp and topic, independent of their arrival.
 
 DDS keeps the order of the messages of one publisher, but not between publishers: the same flight
-arrives in another order each time. The buffer holds a message until 20 later stamps have arrived; no
-older message can be under way then.
+arrives in another order each time. The buffer holds a message until 20 later stamps have arrived, and until the
+caller knows that no older message is under way.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 HOLD_TICKS = 20
+_NO_LIMIT = 2**63 - 1
 
 
 class PendingMessage(NamedTuple):
@@ -40,6 +41,7 @@ class ReorderBuffer:
         self._held: dict[int, list[PendingMessage]] = {}
         self._stamps: list[int] = []  # heap of the keys of _held
         self._arrivals: dict[str, int] = {}
+        self.complete_ns = _NO_LIMIT  # up to this stamp everything has arrived
         self._released_ns = -1
         self.late = (
             0  # messages that came after their stamp was released: the order is not reproducible
@@ -62,11 +64,12 @@ class ReorderBuffer:
 
     def flush(self) -> Iterator[PendingMessage]:
         """All messages that are still held, in order."""
+        self.complete_ns = _NO_LIMIT
         return self._release(0)
 
     def _release(self, keep: int) -> Iterator[PendingMessage]:
         released: list[PendingMessage] = []
-        while len(self._stamps) > keep:
+        while len(self._stamps) > keep and self._stamps[0] <= self.complete_ns:
             self._released_ns = heapq.heappop(self._stamps)
             released += sorted(self._held.pop(self._released_ns))
         return iter(released)

@@ -8,7 +8,8 @@ sorted (`ReorderBuffer`), so that the same command gives the same bytes.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+import re
+from collections.abc import Callable, Iterable, Iterator
 
 from rclpy.node import Node
 
@@ -16,12 +17,16 @@ from ptnsbc_io import wire
 from ptnsbc_io.bag import BagWriter, TopicInfo
 from ptnsbc_io.bag.reorder import PendingMessage, ReorderBuffer
 from ptnsbc_nodes.comm import qos, topics
+from ptnsbc_nodes.comm.announcements import LostProcess, decode_lost
+from ptnsbc_nodes.comm.door import Door
 from ptnsbc_nodes.comm.endpoints import full_name
 from ptnsbc_nodes.comm.tf import Transforms
-from ptnsbc_nodes.comm.topics import RECORDED, Topic
+from ptnsbc_nodes.comm.topics import RECORDED, SIM, Role, Topic
+from ptnsbc_nodes.recording.completeness import Completeness
 from ptnsbc_nodes.recording.recorder import BagRecorder, Derive, describe, stamp_of
 
 _ACK_TICKS = 25
+_OWN = re.compile(r"/uav(\d+)/odom")
 
 # Published by every UAV: the order of arrival between UAVs is chance even within the topic.
 _SHARED = frozenset({topics.DIAGNOSTICS.name, topics.TF.name})
@@ -30,6 +35,26 @@ _SHARED = frozenset({topics.DIAGNOSTICS.name, topics.TF.name})
 def topic_info(topic: Topic, *, lockstep: bool) -> TopicInfo:
     """How `topic` is described in a bag: the profile that its publishers offer."""
     return describe(topic.name, topic.type, [qos.profile(topic, lockstep=lockstep)])
+
+
+def _sources(recorded: Iterable[Topic]) -> Iterator[str]:
+    """What sends regularly in lock-step: every topic of a UAV, the sim's, and each process on /diagnostics."""
+    names = [topic.name for topic in recorded if topic.role is not Role.LATCHED]
+    for name in names:
+        if name == topics.DIAGNOSTICS.name:
+            yield SIM
+            yield from (f"uav{found[1]}" for found in map(_OWN.fullmatch, names) if found)
+        else:
+            yield name
+
+
+def _sender_of(diagnostics: bytes) -> str:
+    """The process that a message on /diagnostics is of; empty when it cannot be read."""
+    try:
+        statuses = wire.decode_diagnostics(diagnostics).statuses
+    except wire.WireError:
+        return ""
+    return statuses[0].name.partition(":")[0] if statuses else ""
 
 
 class FleetRecorder(BagRecorder):
@@ -56,6 +81,9 @@ class FleetRecorder(BagRecorder):
     ) -> None:
         super().__init__(node, writer)
         self._ticks = 0
+        self._clock_ns = 0  # newest /clock of a lock-step flight
+        recorded = tuple(recorded)
+        self._completeness = Completeness(_sources(recorded))
         self._acknowledgement = wire.HeaderTemplate("recorder")
         self._transforms = transforms
         self._order = order = ReorderBuffer(_SHARED) if lockstep else None
@@ -66,7 +94,11 @@ class FleetRecorder(BagRecorder):
             record = self._in_order(topic, order) if order else self.on_arrival(topic, derived)
             profile = qos.recorder_profile(topic, lockstep=lockstep)
             self.subscribe(topic, full_name(node, topic), record, profile)
-        if lockstep:
+        if order is not None:
+            order.complete_ns = self._completeness.complete_ns
+            latched = qos.recorder_profile(topics.LOST, lockstep=True)
+            lost = Door(topics.LOST.name, decode_lost, self._on_lost, self.refusals)
+            self.subscribe(topics.LOST, full_name(node, topics.LOST), lost, latched)
             self._acknowledge = node.create_publisher(
                 topics.message_class(RECORDED), full_name(node, RECORDED), qos.EVENT
             )
@@ -92,8 +124,13 @@ class FleetRecorder(BagRecorder):
             stamp_ns = stamp_of(topic, data)
             # An empty list has no stamp; that of its predecessor is the same on every run.
             last_ns = last_ns if stamp_ns is None else stamp_ns
-            if topic.name == topics.CLOCK.name:
-                self._on_tick(last_ns)
+            source = topic.name
+            if source == topics.CLOCK.name:
+                self._clock_ns = max(self._clock_ns, last_ns)
+            elif source == topics.DIAGNOSTICS.name:
+                source = _sender_of(data)
+            if self._completeness.add(source, last_ns):
+                self._on_complete(order)
             self._write_sorted(order.push(last_ns, topic.name, data))
             transform = self._transforms.of(topic.name, data)
             if transform is not None:
@@ -102,11 +139,24 @@ class FleetRecorder(BagRecorder):
 
         return record
 
-    def _on_tick(self, stamp_ns: int) -> None:
-        """Acknowledge to the sim: events are served in order, so all before this /clock has been received."""
+    def _on_complete(self, order: ReorderBuffer) -> None:
+        """Acknowledge to the sim that all topics have been received up to some stamp."""
+        order.complete_ns = self._completeness.complete_ns
         self._ticks += 1
         if self._ticks % _ACK_TICKS == 0:
+            stamp_ns = min(max(order.complete_ns, 0), self._clock_ns)
             self._acknowledge.publish(self._acknowledgement.encode(stamp_ns))
+
+    def _on_lost(self, process: LostProcess) -> None:
+        """Wait for the messages of this UAV no longer; those about its vehicle still come, from the sim."""
+        if process.uav is None or self._order is None:
+            return
+        told = topics.of_uav(process.uav)[2:]
+        moved = [
+            self._completeness.lose(source) for source in (process.name, *(t.name for t in told))
+        ]
+        if any(moved):
+            self._on_complete(self._order)
 
     def _write_sorted(self, messages: Iterable[PendingMessage]) -> None:
         for message in messages:

@@ -56,7 +56,9 @@ class BagRecorder:
         self._node.create_subscription(
             topics.message_class(topic),
             name,
-            Door(name, bytes, callback, self.refusals, _LARGEST),
+            callback
+            if isinstance(callback, Door)
+            else Door(name, bytes, callback, self.refusals, _LARGEST),
             profile,
             raw=True,
             event_callbacks=SubscriptionEventCallbacks(message_lost=self._count_lost),

@@ -15,7 +15,13 @@ from rclpy.node import Node
 from ptnsbc_io.wire import HeaderFields, Stamped, WireError, checked_wrench, decode_header
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.announcements import LostProcess, decode_leg, decode_lost
-from ptnsbc_nodes.comm.diagnostics import STATUS_HZ, DiagnosticLevel, diagnostics, readiness
+from ptnsbc_nodes.comm.diagnostics import (
+    STATUS_HZ,
+    DiagnosticLevel,
+    diagnostics,
+    readiness,
+    status_every,
+)
 from ptnsbc_nodes.comm.door import RealTimeStamps, in_order
 from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.comm.graph import CommunicationGraph
@@ -29,7 +35,9 @@ from ptnsbc_nodes.sim.real_time import RealTimeWorld
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.world import World
 
-_LEAD_TICKS = 400  # well below the depth of the queues to the recorder
+_LEAD_TICKS = 400  # well below the depth of the queues to the recorder, which is 1000
+_LEAD_STATUSES = 800  # the same for the queue of /diagnostics, which all processes share
+_LEAST_LEAD_TICKS = 50  # more than from one word of the recorder to the next
 
 
 class SimNode:
@@ -50,7 +58,7 @@ class SimNode:
         self._epochs = Epochs()
         self._progress = Progress(scenario.control_hz)
         self._running = False
-        lead_ns = _LEAD_TICKS * scenario.dt_ns
+        lead_ns = _lead_ticks(scenario) * scenario.dt_ns
         self._recorder = _RecorderBacklog(
             edges.options.lockstep and edges.options.recorded, lead_ns
         )
@@ -205,6 +213,13 @@ class SimNode:
         level = DiagnosticLevel.WARN if message else DiagnosticLevel.OK
         send = self._send_status if stamp_ns >= 0 else self._send_ready
         send(diagnostics(max(stamp_ns, 0), "sim: world", level, message, values))
+
+
+def _lead_ticks(scenario: Scenario) -> int:
+    """Lock-step: ticks that the sim may be ahead of what the recorder has received."""
+    every = status_every(scenario)
+    statuses = _LEAD_STATUSES * every // (1 + len(scenario.uav_ids))
+    return max(min(_LEAD_TICKS, statuses), 2 * every + _LEAST_LEAD_TICKS)
 
 
 class _RecorderBacklog:

@@ -19,6 +19,7 @@ pytest.importorskip("rclpy")
 from ptnsbc_io import wire
 from ptnsbc_io.bag import BagError, BagWriter, read_bag
 from ptnsbc_nodes.comm import qos, topics
+from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.comm.tf import Transforms
 from ptnsbc_nodes.recording.fleet_recorder import FleetRecorder, topic_info
 from ptnsbc_nodes.recording.main import main
@@ -113,6 +114,38 @@ def test_lockstep_gives_the_same_bytes(ros, tmp_path):
     assert [m.stamp_ns for m in got if m.topic == "/tf"] == [k * 5 * TICK_NS for k in range(8)]
     keys = [(m.stamp_ns, m.topic) for m in got]
     assert keys == sorted(keys)
+
+
+def test_the_sim_is_told_of_what_all_topics_have(ros, tmp_path):
+    """A topic whose messages come late held nothing back once, and the queues of a recorder lost messages."""
+    odom, velocity, clock = topics.odom(1), topics.velocity_setpoint(1), topics.CLOCK
+    recorded = (odom, velocity, clock)
+    sent, told = messages(60), []
+    with BagWriter(
+        tmp_path / "flight", [topic_info(t, lockstep=True) for t in (*recorded, topics.TF)]
+    ) as writer:
+        node = ros.node("recorder")
+        recorder = FleetRecorder(node, writer, recorded, Transforms([1]), lockstep=True)
+        sim = Endpoints(ros.node("sim"), lockstep=True)
+        sim.listen(topics.RECORDED, wire.decode_header, told.append)
+        lost = sim.publisher(topics.LOST, 1)
+        flight = Flight(ros, recorded, lockstep=True)
+        ros.spin_until(lambda: not sim.unheard() and not sim.unread())
+        for tick in range(60):
+            flight.publish(odom, sent[odom][tick])
+            flight.publish(clock, sent[clock][tick])
+            ros.spin_until(lambda n=2 * (tick + 1): recorder.received == n)
+        ros.spin_for(0.1)
+        assert told == []
+        for tick in range(30):
+            flight.publish(velocity, sent[velocity][tick])
+            ros.spin_until(lambda n=121 + tick: recorder.received == n)
+        ros.spin_until(lambda: told)
+        assert 20 * TICK_NS < told[-1].stamp_ns <= 30 * TICK_NS
+        lost(wire.HeaderTemplate("uav1").encode(0))
+        ros.spin_until(lambda: recorder._completeness.complete_ns > 59 * TICK_NS)
+        recorder.finish()
+        assert recorder.late == 0
 
 
 def test_real_time(ros, tmp_path):
