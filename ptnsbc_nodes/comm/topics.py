@@ -55,7 +55,7 @@ READY = Topic("/formation/ready", "diagnostic_msgs/msg/DiagnosticArray", Role.EV
 """/diagnostics of lock-step nodes before simulated time begins. It has a topic of its own because how long that
 takes is chance, and /diagnostics is in the bag."""
 RECORDED = Topic("/formation/recorded", "std_msgs/msg/Header", Role.EVENT)
-"""Stamp up to which the recorder has taken in a lock-step flight; the sim never runs far ahead of it."""
+"""Stamp up to which the recorder has taken in every topic of a lock-step flight; the sim never runs far ahead."""
 
 RECORDER, SIM = "recorder", "sim"
 """Names of recorder and sim among the processes of a flight."""
