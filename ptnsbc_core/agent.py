@@ -146,7 +146,7 @@ def _advance(
     packed = np.empty(_OUTPUT_SIZE)
     store_velocity(packed[_VELOCITY:_WRENCH], outputs)
     store_wrench(packed[_WRENCH:_ESTIMATE], outputs)
-    store_estimate(packed[_ESTIMATE:_REPORTED], outputs.estimate)
+    store_estimate(packed[_ESTIMATE:_REPORTED], outputs.estimate, outputs.estimate_valid)
     store3(packed, _REPORTED, outputs.reported)
     store_diagnostics(packed[_ERROR:], outputs.diagnostics)
     return packed

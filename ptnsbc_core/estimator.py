@@ -11,7 +11,12 @@ from typing import NamedTuple
 from ptnsbc_core.algebra import add3, axpy, saturation, sub3, wrap_angle
 from ptnsbc_core.behaviours.neighbour import extrapolated
 from ptnsbc_core.kernel import inline_kernel
-from ptnsbc_core.kinematics import odometry_to_estimate, state_to_estimate, yaw_of
+from ptnsbc_core.kinematics import (
+    is_estimate,
+    odometry_to_estimate,
+    state_to_estimate,
+    yaw_of,
+)
 from ptnsbc_core.timebase import Clock, step_gain
 from ptnsbc_core.types import (
     NEVER_RECEIVED_S,
@@ -32,7 +37,7 @@ class EstimatorMeasurements(NamedTuple):
     """Received states and estimates, compared with the own estimate."""
 
     disagreement: Estimate  # g_i
-    received: bool  # from anyone
+    terms: int  # of the sum: how many were received
 
 
 @inline_kernel
@@ -105,16 +110,27 @@ def _measurements(
     config: AgentConfig,
 ) -> EstimatorMeasurements:
     """Disagreement of the own estimate with the neighbours' estimates and the leader's state at present."""
-    g, received = NO_DISAGREEMENT, pinned
+    g, terms = NO_DISAGREEMENT, 0
     for k in range(inputs.estimates.shape[0]):
         age_s = inputs.estimate_age_s[k]
-        if age_s <= config.stale_s:
+        if age_s <= config.stale_s and is_estimate(inputs.estimates[k]):
             other = odometry_to_estimate(inputs.estimates[k])
             other = _extrapolate(other, age_s, motion.acceleration)
-            g, received = add_disagreement(g, present, other), True
+            g, terms = add_disagreement(g, present, other), terms + 1
     if pinned:
-        g = add_disagreement(g, present, _received_leader(inputs, motion, dt))
-    return EstimatorMeasurements(g, received)
+        g, terms = add_disagreement(g, present, _received_leader(inputs, motion, dt)), terms + 1
+    return EstimatorMeasurements(g, terms)
+
+
+@inline_kernel
+def _mean_received(present: Estimate, measurements: EstimatorMeasurements) -> Estimate:
+    """Mean of what was received: g_i is the sum of the differences of the own estimate from it."""
+    g, share = measurements.disagreement, 1.0 / measurements.terms
+    return Estimate(
+        axpy(-share, g.position, present.position),
+        axpy(-share, g.velocity, present.velocity),
+        wrap_angle(present.yaw - share * g.yaw),
+    )
 
 
 @inline_kernel
@@ -147,7 +163,9 @@ def leader_estimate(
         back = axpy(-0.5 * clock.dt * clock.dt, motion.acceleration, state.estimate.position)
         before = Estimate(back, present.velocity, present.yaw)
     measurements = _measurements(present, inputs, pinned, motion, clock.dt, config)
-    if not measurements.received:
+    if measurements.terms == 0:
         return state.estimate, state.estimate_valid
+    if not state.estimate_valid:
+        return _mean_received(present, measurements), True
     g = measurements.disagreement
     return estimator_step(before, g, clock.t, clock.dt, config.estimator), True

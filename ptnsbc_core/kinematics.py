@@ -126,13 +126,16 @@ def yaw_of(odometry: OdometryLike) -> float:
 
 
 @inline_kernel
-def store_estimate(out: Array, estimate: Estimate) -> None:
-    """Write a leader estimate into `out` (13,), as an odometry vector with the twist in the world frame."""
+def store_estimate(out: Array, estimate: Estimate, known: bool) -> None:
+    """Write a leader estimate into `out` (13,), as an odometry vector with the twist in the world frame.
+
+    An estimate has a heading only. The half turn about x says that its sender knows nothing of the leader yet.
+    """
     store3(out, 0, estimate.position)
-    out[3] = 0.0
+    out[3] = 0.0 if known else 1.0
     out[4] = 0.0
-    out[5] = math.sin(0.5 * estimate.yaw)
-    out[6] = math.cos(0.5 * estimate.yaw)
+    out[5] = math.sin(0.5 * estimate.yaw) if known else 0.0
+    out[6] = math.cos(0.5 * estimate.yaw) if known else 0.0
     store3(out, 7, estimate.velocity)
     store3(out, 10, (0.0, 0.0, 0.0))
 
@@ -141,6 +144,12 @@ def store_estimate(out: Array, estimate: Estimate) -> None:
 def odometry_to_estimate(odometry: OdometryLike) -> Estimate:
     """The leader estimate of an odometry vector with the twist in the world frame."""
     return Estimate(load3(odometry, 0), load3(odometry, 7), yaw_of(odometry))
+
+
+@inline_kernel
+def is_estimate(odometry: OdometryLike) -> bool:
+    """Whether a leader estimate (13,) was made by somebody who knows of the leader."""
+    return bool(odometry[5] != 0.0 or odometry[6] != 0.0)
 
 
 @inline_kernel

@@ -259,6 +259,13 @@ def step(
     if config.approach == APPROACH_PLANNED:
         reported = reported_velocity(inputs.own, command.velocity, config.filter.max_acceleration)
     outputs = AgentOutputs(
-        command.velocity, yaw_rate, control.force, control.torque, estimate, reported, diagnostics
+        command.velocity,
+        yaw_rate,
+        control.force,
+        control.torque,
+        estimate,
+        estimate_valid,
+        reported,
+        diagnostics,
     )
     return after, outputs

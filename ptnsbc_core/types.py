@@ -271,5 +271,6 @@ class AgentOutputs(NamedTuple):
     force: Vector3  # [N], body FLU (quadrotor: (0, 0, thrust))
     torque: Vector3  # [N m], body FLU
     estimate: Estimate  # of the leader
+    estimate_valid: bool  # it comes from a message: the neighbours may use it
     reported: Vector3  # [m/s, body FLU] velocity that the neighbours are told
     diagnostics: AgentDiagnostics

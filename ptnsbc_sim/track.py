@@ -37,7 +37,7 @@ def note(track: FlightTrack, tick: int, row: int, out: AgentOutputs) -> None:
     """Write one UAV's outputs of one tick into the track."""
     store_velocity(track.velocity[tick, row], out)
     store_wrench(track.wrench[tick, row], out)
-    store_estimate(track.estimate[tick, row], out.estimate)
+    store_estimate(track.estimate[tick, row], out.estimate, out.estimate_valid)
     store_diagnostics(track.diagnostics[tick, row], out.diagnostics)
     store(track.reported[tick, row], 0, track.odometry[tick, row])
     store3(track.reported[tick, row], 7, out.reported)

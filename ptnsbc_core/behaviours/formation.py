@@ -40,8 +40,8 @@ _SINGULAR, _CONDITIONED = 0.5, 0.9
 _HANDOVER = 0.2
 """The task takes over from the positions during this share of tf after tf."""
 
-_FOLLOW = 0.9
-"""rho: share of the parent's velocity beside its plan that a child follows at once."""
+_SHARE = 0.5
+"""rho: share of the parent's deviation from its plan that a child takes over; the rest is held beside the leader."""
 
 _LEAST_LEFT = 0.1
 """A plan is not begun when less than this share of it is left."""
@@ -154,11 +154,12 @@ def _planned(
     clock: Clock,
     config: AgentConfig,
 ) -> Behaviour:
-    """v_L + h_dot E_0 + Xi (E - E_0 (1 - h)) + kappa (e - e_0 (1 - h)) + rho d_j; after tf the task.
+    """v_L + h_dot E_0 + (Xi + (1 - rho) kappa) D + rho (kappa d + d_j), after tf the task in place of d.
 
-    E is the error in the leader's frame, e the error relative to the parent, and d_j the velocity of the parent
-    beside its own plan. After tf the task has v_L + J^+ (kappa e_task - rho J_j d_j). A deviation of the parent
-    reaches its child through (rho s + kappa) / (s + kappa): the gain per hop is at most 1.
+    E is the error in the leader's frame, e the error relative to the parent, D = E - E_0 (1 - h) and
+    d = e - e_0 (1 - h) what they deviate from the plan, and d_j the velocity of the parent beside its own plan. After
+    tf the task has J^+ (kappa e_task - J_j d_j) in place of kappa d + d_j. A deviation of the parent reaches its
+    child through rho (s + kappa) / (s + kappa): the gain per hop is rho, whatever the vehicle and the delay.
     """
     gain = config.formation
     kappa = gain.scale * gain.kappa
@@ -172,15 +173,17 @@ def _planned(
     edge = axpy(-late, beside.velocity, errors.edge)
     edge = axpy(-0.5 * late * late, beside.acceleration, edge)
 
-    follow = scale3(_FOLLOW, beside.velocity)
+    follow = beside.velocity
     rate = sub3(scale3(kappa, errors.task), matvec(geometry.parent, follow))
     by_task = _solve(geometry, rate, axpy(kappa, edge, follow), config)
-    weight = _task_weight(norm3(edge), by_task.singular_value, clock.t, config)
+    weight = _SHARE * _task_weight(norm3(edge), by_task.singular_value, clock.t, config)
     by_position = axpy(kappa, axpy(-plan.left, edge_start, edge), follow)
-    correction = axpy(weight, by_task.velocity, scale3(1.0 - weight, by_position))
+    correction = axpy(weight, by_task.velocity, scale3(_SHARE - weight, by_position))
     xi = gain.scale * step_gain(clock.t, clock.dt, gain.duration_s, gain.residual)
-    correction = axpy(xi, axpy(-plan.left, slot_start, errors.slot), correction)
-    lead = axpy(_FOLLOW, beside.acceleration, leader.acceleration)
+    correction = axpy(
+        xi + (1.0 - _SHARE) * kappa, axpy(-plan.left, slot_start, errors.slot), correction
+    )
+    lead = axpy(_SHARE, beside.acceleration, leader.acceleration)
     return Behaviour(
         add3(axpy(plan.rate, slot_start, leader.velocity), correction),
         errors.task,

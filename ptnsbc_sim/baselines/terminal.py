@@ -185,6 +185,6 @@ def terminal_step(
     diagnostics = AgentDiagnostics(away, 0.0, 1.0, 0, saturated, False, 0.0, norm3(rate))
     reported = load3(inputs.own, 7)
     outputs = AgentOutputs(
-        goal.velocity, 0.0, force.value, torque.value, estimate, reported, diagnostics
+        goal.velocity, 0.0, force.value, torque.value, estimate, heard, reported, diagnostics
     )
     return after, outputs

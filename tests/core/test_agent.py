@@ -22,7 +22,7 @@ def numbers(value) -> bytes:
 
 def vector(outputs: AgentOutputs) -> np.ndarray:
     estimate = np.empty(13)
-    store_estimate(estimate, outputs.estimate)
+    store_estimate(estimate, outputs.estimate, outputs.estimate_valid)
     moving = (*outputs.velocity, outputs.yaw_rate, *outputs.force, *outputs.torque)
     error, *rest = outputs.diagnostics
     return np.array([*moving, *estimate, *outputs.reported, *error, *map(float, rest)])

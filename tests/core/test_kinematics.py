@@ -13,6 +13,7 @@ from ptnsbc_core.kinematics import (
     checked_pitch,
     euler_from_rotation,
     euler_rates,
+    is_estimate,
     odometry_to_estimate,
     quaternion_from_euler,
     rotation_from_euler,
@@ -150,9 +151,13 @@ def test_an_estimate_survives_the_message(
     position: np.ndarray, velocity: np.ndarray, yaw: float
 ) -> None:
     message = np.empty(13)
-    store_estimate(message, Estimate(tuples(position), tuples(velocity), yaw))
+    store_estimate(message, Estimate(tuples(position), tuples(velocity), yaw), True)
     assert np.linalg.norm(message[3:7]) == pytest.approx(1.0)
     back = odometry_to_estimate(message)
     np.testing.assert_array_equal(back.position, position)
     np.testing.assert_array_equal(back.velocity, velocity)
     assert back.yaw == pytest.approx(yaw, abs=1e-14)
+    assert is_estimate(message)
+    store_estimate(message, Estimate(tuples(position), tuples(velocity), yaw), False)
+    assert np.linalg.norm(message[3:7]) == 1.0
+    assert not is_estimate(message)

@@ -39,7 +39,9 @@ def config_of(uav: int, plant: str = "quadrotor") -> AgentConfig:
 
 def message(position=LEADER_AT, velocity=(0.0, 0.0, 0.0), yaw: float = 0.0) -> np.ndarray:
     out = np.empty(13)
-    store_estimate(out, Estimate(tuple(map(float, position)), tuple(map(float, velocity)), yaw))
+    store_estimate(
+        out, Estimate(tuple(map(float, position)), tuple(map(float, velocity)), yaw), True
+    )
     return out
 
 
@@ -248,6 +250,21 @@ def test_an_unpinned_follower_learns_of_the_leader_from_its_neighbours() -> None
     stale = said._replace(estimates=np.stack([message()]), estimate_age_s=np.array([9.0]))
     kept, _ = step(state, stale, 6.0, DT, config)
     assert kept.estimate == state.estimate
+
+
+def test_a_neighbour_that_knows_nothing_of_the_leader_is_not_asked() -> None:
+    """Until it hears of the leader its estimate is its own position, metres away."""
+    config = config_of(3)
+    config = config._replace(estimator=config.estimator._replace(pinned=False))
+    own = message((1.0, 1, 1))
+    state, knows, guesses = initial_state(own, config), message((4.0, 5, 6)), np.empty(13)
+    store_estimate(guesses, Estimate((9.0, 9.0, 9.0), (0.0, 0.0, 0.0), 0.0), False)
+    for estimates, valid in (((guesses, guesses), False), ((guesses, knows), True)):
+        said = inputs_of(own, 0.0, leader_age_s=NEVER_RECEIVED_S)
+        said = said._replace(estimates=np.stack(estimates), estimate_age_s=np.full(2, 0.01))
+        after, out = step(state, said, 0.0, DT, config)
+        assert (after.estimate_valid, out.estimate_valid) == (valid, valid)
+    np.testing.assert_allclose(vector(after.estimate), [4, 5, 6, 0, 0, 0, 0], atol=1e-12)
 
 
 def test_a_new_epoch_plans_from_the_error_of_then() -> None:

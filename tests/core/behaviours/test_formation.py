@@ -170,31 +170,52 @@ def test_after_the_approach_the_task_holds_without_a_jump(task: str) -> None:
     assert np.linalg.norm(errors[round(TF / DT) :], axis=2).max() < 1e-6
 
 
-def test_an_error_of_the_parent_does_not_grow_on_its_way_to_the_child() -> None:
-    """Gain per hop |rho j w + kappa| / |j w + kappa| <= 1, whatever the frequency and the delay."""
+@pytest.mark.parametrize("lag_s", [0.0, 0.3])
+def test_half_of_a_parents_deviation_reaches_its_child(lag_s: float) -> None:
+    """Gain per hop rho = 1/2, whatever the frequency, the delay and the lag of the vehicles.
+
+    With x the position, u the command and x = G u / s, the child has s x / G = -kappa x + rho (kappa + s / G) x_j.
+    """
     config = agent_config(load_scenario("paper_5", {"formation.task": "relative_position"}), 3)
-    kappa, still = config.formation.scale * config.formation.kappa, np.zeros(3)
+    still = np.zeros(3)
     settled = EpochErrors(False, StartErrors(*np.zeros((4, 3))))
     slot, offset = np.array(config.slot), np.array(config.offset)
     for omega in (0.3, 1.0, 3.0, 10.0):
         for delay in (0, 15):
-            position, seen = slot.copy(), []
+            position, velocity, seen = slot.copy(), np.zeros(3), []
             for k in range(6000):
                 t = 2.0 * TF + k * DT
                 late, phase = delay * DT, omega * (t - delay * DT)
                 x, v, a = np.sin(phase), omega * np.cos(phase), -(omega**2) * np.sin(phase)
-                # As `extrapolated` carries a late message to the present.
-                ahead = np.array([x + v * late + a * late**2 / 2, 0.0, 0.0])
-                speed = np.array([v + a * late, 0.0, 0.0])
-                parent = Neighbour(slot - offset + ahead, speed, np.array([a, 0.0, 0.0]), late)
+                # The parent lags as well and tells its command. As `extrapolated` brings it to the present.
+                told, rate = v + lag_s * a, a - lag_s * omega**2 * v
+                ahead = np.array([x + told * late + rate * late**2 / 2, 0.0, 0.0])
+                speed, push = np.array([told + rate * late, 0.0, 0.0]), np.array([rate, 0.0, 0.0])
+                parent = Neighbour(slot - offset + ahead, speed, push, late)
                 leader = Neighbour(still, still, still, 0.0)
                 out = formation(position, parent, leader, settled, Clock(t, t, DT), config)
-                position = position + DT * out.velocity
+                velocity += min(1.0, DT / max(lag_s, DT)) * (out.velocity - velocity)
+                position = position + DT * velocity
                 seen.append(position[0] - slot[0])
             gain = np.ptp(seen[3000:]) / 2.0
-            assert gain <= 1.0
-            expected = np.hypot(0.9 * omega, kappa) / np.hypot(omega, kappa)
-            np.testing.assert_allclose(gain, expected, rtol=0.03)
+            np.testing.assert_allclose(gain, 0.5, rtol=0.03)
+
+
+def test_whatever_every_hop_adds_a_chain_adds_up_to_twice_that() -> None:
+    """x_n = rho x_(n-1) + w: the sum of a geometric series, for chains of any length."""
+    config = agent_config(load_scenario("paper_5", {"formation.task": "relative_position"}), 3)
+    still, added = np.zeros(3), np.array([0.01, -0.02, 0.005])
+    settled = EpochErrors(False, StartErrors(*np.zeros((4, 3))))
+    slot, offset = np.array(config.slot), np.array(config.offset)
+    leader = Neighbour(still, still, still, 0.0)
+    clock, off = Clock(3.0 * TF, 3.0 * TF, DT), np.zeros(3)
+    for _ in range(12):
+        parent = Neighbour(slot - offset + off, still, still, 0.0)
+        position = slot.copy()
+        for _ in range(1500):
+            position += DT * formation(position, parent, leader, settled, clock, config).velocity
+        off = position - slot + added
+    np.testing.assert_allclose(off, 2.0 * (1.0 - 0.5**12) * added, rtol=1e-4)
 
 
 @pytest.mark.parametrize(("uav", "by_task"), [(2, False), (3, True)])
