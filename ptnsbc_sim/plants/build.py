@@ -13,11 +13,13 @@ from ptnsbc_sim.scenario.build import three
 
 
 def plant_config(scenario: Scenario, uav_id: int) -> PlantConfig:
-    """Constants of one vehicle. The 6-DOF body has no motors and no drag, as in the paper."""
-    push = scenario.uav(uav_id).disturbance
+    """Constants of one vehicle, with its true mass and inertia. The 6-DOF body has no motors, as in the paper."""
+    uav = scenario.uav(uav_id)
+    push = uav.disturbance
     kind = PLANTS[scenario.plant_kind]
     if kind == PLANT_RIGID_BODY:
-        limits = (np.inf, (np.inf, np.inf, np.inf), 0.0, 0.0)
+        body = scenario.plant.rigid_body
+        limits = (np.inf, (np.inf, np.inf, np.inf), 0.0, float(body.drag_1_s))
     else:
         quad = scenario.quadrotor
         torque = three(quad.max_torque_nm)
@@ -25,8 +27,8 @@ def plant_config(scenario: Scenario, uav_id: int) -> PlantConfig:
     max_thrust, max_torque, lag, drag = limits
     return PlantConfig(
         kind,
-        float(scenario.mass_kg),
-        three(scenario.inertia_kg_m2),
+        float(scenario.mass_kg * uav.mass_scale),
+        three(scenario.inertia_kg_m2 * uav.inertia_scale),
         float(scenario.gravity_m_s2),
         max_thrust,
         max_torque,

@@ -1,7 +1,8 @@
 """Plant `rigid_body_6dof`, (39)-(42) as corrected in docs/method.md: six inputs, Euler angles.
 
 State (17,): position [m, ENU] 0:3, Euler angles roll pitch yaw [rad] 3:6, velocity [m/s, body FLU] 6:9, body
-rates [rad/s] 9:12. Omega V_dot = tau - C V + G + Omega d, so forces include Coriolis terms and gravity.
+rates [rad/s] 9:12. Omega V_dot = tau - C V + G + Omega d, so forces include Coriolis terms and gravity. Drag, which
+the paper does not have, is linear in the air speed, as of the quadrotor.
 """
 
 from __future__ import annotations
@@ -39,6 +40,14 @@ def derivative(x: Array, wrench: Array, push: Six, config: PlantConfig, out: Arr
     out[6] = wrench[0] / m - (q * w - r * v) + g * st + push[0]
     out[7] = wrench[1] / m - (r * u - p * w) - g * ct * sf + push[1]
     out[8] = wrench[2] / m - (p * v - q * u) - g * ct * cf + push[2]
+    if config.drag > 0.0:
+        east, north, up = config.wind[0], config.wind[1], config.wind[2]
+        air_u = cp * ct * east + sp * ct * north - st * up
+        air_v = (cp * st * sf - sp * cf) * east + (sp * st * sf + cp * cf) * north + ct * sf * up
+        air_w = (cp * st * cf + sp * sf) * east + (sp * st * cf - cp * sf) * north + ct * cf * up
+        out[6] -= config.drag * (u - air_u)
+        out[7] -= config.drag * (v - air_v)
+        out[8] -= config.drag * (w - air_w)
     ix, iy, iz = config.inertia[0], config.inertia[1], config.inertia[2]
     out[9] = (wrench[3] + (iy - iz) * q * r) / ix + push[3]
     out[10] = (wrench[4] + (iz - ix) * r * p) / iy + push[4]

@@ -57,7 +57,7 @@ class Surroundings(Block):
     gravity_m_s2: NotNegative = 9.81
     """Acceleration, downwards."""
     wind_m_s: Vec3 = (0.0, 0.0, 0.0)
-    """Mean wind; it acts on the quadrotor through its drag."""
+    """Mean wind; it acts on the vehicles through their drag."""
     gust_m_s: NotNegativeVec3 = (0.0, 0.0, 0.0)
     """Standard deviation of the gusts around the wind."""
     gust_time_s: Positive = 2.0
@@ -118,6 +118,8 @@ class RigidBody(Block):
     """Largest force of the controller."""
     max_torque_nm: PositiveVec3 = (1e6, 1e6, 1e6)
     """Largest torque of the controller, per body axis."""
+    drag_1_s: NotNegative = 0.0
+    """Linear drag relative to the air, per unit of mass. The paper has none."""
 
 
 class Plant(Block):
@@ -229,7 +231,7 @@ class Formation(Block):
 
 
 class UavBlock(Block):
-    """Start of one UAV and the disturbance that acts on it."""
+    """Start of one UAV, what acts on it, and how it differs from the others."""
 
     id: UavId
     """Id, unique."""
@@ -241,6 +243,10 @@ class UavBlock(Block):
     """Acceleration that acts on the UAV; `sin` and `cos` have 1 rad/s."""
     disturbance_rad_s2: Disturbance = STILL
     """Angular acceleration that acts on the UAV, in the same form."""
+    mass_scale: Positive = 1.0
+    """True mass over `plant.mass_kg`, which the laws know."""
+    inertia_scale: PositiveVec3 = (1.0, 1.0, 1.0)
+    """True moments of inertia over `plant.inertia_kg_m2`, which the laws know."""
 
 
 class ScenarioFile(Block):

@@ -39,6 +39,8 @@ class UavStart(NamedTuple):
     position: Array  # (3,) [m], ENU
     attitude: Array  # (3,) roll, pitch, yaw [rad]
     disturbance: Disturbance
+    mass_scale: float  # true over nominal
+    inertia_scale: Array  # (3,) true over nominal
 
 
 class LinkQuality(NamedTuple):
@@ -151,12 +153,12 @@ class Scenario:
 
     @property
     def mass_kg(self) -> float:
-        """Mass of every UAV."""
+        """Nominal mass of every UAV: what the laws know."""
         return self.file.plant.mass_kg
 
     @property
     def inertia_kg_m2(self) -> tuple[float, float, float]:
-        """Moments of inertia of every UAV."""
+        """Nominal moments of inertia of every UAV: what the laws know."""
         return self.file.plant.inertia_kg_m2
 
     @property
@@ -242,6 +244,8 @@ class Scenario:
                     np.array(block.position_m, dtype=np.float64),
                     np.array(block.attitude_rad, dtype=np.float64),
                     _disturbance(waves),
+                    float(block.mass_scale),
+                    np.array(block.inertia_scale, dtype=np.float64),
                 )
         known = ", ".join(map(str, self.uav_ids))
         raise ScenarioError(f"{self.source}: UAV {uav_id}: expected one of {known}")

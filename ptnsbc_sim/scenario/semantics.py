@@ -163,11 +163,13 @@ def _plant(file: ScenarioFile) -> Problems:
     if plant.kind == "quadrotor" and plant.quadrotor is None:
         yield "plant.quadrotor: missing: expected its limits, or plant.kind: rigid_body_6dof"
     if plant.kind == "quadrotor" and plant.quadrotor is not None:
-        weight = plant.mass_kg * file.world.gravity_m_s2
+        heaviest = max(file.uavs, key=lambda uav: uav.mass_scale)
+        weight = plant.mass_kg * max(heaviest.mass_scale, 1.0) * file.world.gravity_m_s2
         if plant.quadrotor.max_thrust_n <= weight:
+            whose = f" of UAV {heaviest.id}" if heaviest.mass_scale > 1.0 else ""
             yield (
                 f"plant.quadrotor.max_thrust_n: {plant.quadrotor.max_thrust_n:g}: expected more "
-                f"than the weight, {weight:.3g} N, or it cannot hover"
+                f"than the weight{whose}, {weight:.3g} N, or it cannot hover"
             )
 
 

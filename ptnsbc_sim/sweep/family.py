@@ -113,6 +113,15 @@ class FamilyWind(Block):
     """Standard deviation of the gusts, per axis."""
 
 
+class FamilyMass(Block):
+    """True mass and inertia over what the laws know, drawn for each UAV, and for each axis of it."""
+
+    mass_scale: Range = 1.0
+    """Of the mass."""
+    inertia_scale: Range = 1.0
+    """Of the moments of inertia."""
+
+
 class Family(Block):
     """A family of scenarios."""
 
@@ -138,6 +147,8 @@ class Family(Block):
     """Delay of the messages between UAVs; the base scenario's without it."""
     wind: FamilyWind | None = None
     """The base scenario's wind without it."""
+    mass: FamilyMass | None = None
+    """True mass and inertia; those of the base scenario's UAVs without it."""
 
 
 def families() -> list[str]:
@@ -405,7 +416,7 @@ def draw_family(family: Family, tree: reader.Tree, generator: Generator) -> dict
         "obstacles": len(world["obstacles"]),
     }
     values |= _draw_deadline(family, tree, places, goals, generator("family deadline"))
-    values |= _draw_surroundings(family, tree, generator("family wind"), generator("family delay"))
+    values |= _draw_surroundings(family, tree, generator)
     return values
 
 
@@ -421,21 +432,35 @@ def _draw_deadline(
     return {"deadline_s": deadline_s}
 
 
-def _draw_surroundings(
-    family: Family, tree: reader.Tree, rng: np.random.Generator, late: np.random.Generator
-) -> dict[str, Any]:
+def _draw_surroundings(family: Family, tree: reader.Tree, generator: Generator) -> dict[str, Any]:
     values: dict[str, Any] = {}
     if family.wind is not None:
+        rng = generator("family wind")
         speed, gust = _number(family.wind.mean_m_s, rng), _number(family.wind.gust_m_s, rng)
         angle = float(rng.uniform(-math.pi, math.pi))
         tree["world"]["wind_m_s"] = [speed * math.cos(angle), speed * math.sin(angle), 0.0]
         tree["world"]["gust_m_s"] = [gust, gust, gust]
         values |= {"wind_m_s": speed, "gust_m_s": gust}
     if family.delay_s is not None:
-        delay_s = _number(family.delay_s, late)
+        delay_s = _number(family.delay_s, generator("family delay"))
         tree["communication"]["delay_s"] = delay_s
         values["delay_s"] = delay_s
+    if family.mass is not None:
+        values["heaviest"], values["lightest"] = _draw_masses(
+            family.mass, tree, generator("family mass")
+        )
     return values
+
+
+def _draw_masses(
+    mass: FamilyMass, tree: reader.Tree, rng: np.random.Generator
+) -> tuple[float, float]:
+    """Draw true mass and inertia of every UAV; returns the largest and the smallest factor of the mass."""
+    for uav in tree["uavs"]:
+        uav["mass_scale"] = _number(mass.mass_scale, rng)
+        uav["inertia_scale"] = [_number(mass.inertia_scale, rng) for _ in range(3)]
+    scales = [uav["mass_scale"] for uav in tree["uavs"]]
+    return max(scales), min(scales)
 
 
 def family_columns(family: Family) -> dict[str, str]:
@@ -456,4 +481,6 @@ def family_columns(family: Family) -> dict[str, str]:
         columns |= {"wind_m_s": "float", "gust_m_s": "float"}
     if family.delay_s is not None:
         columns["delay_s"] = "float"
+    if family.mass is not None:
+        columns |= {"heaviest": "float", "lightest": "float"}
     return columns

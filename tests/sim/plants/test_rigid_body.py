@@ -10,7 +10,7 @@ from ptnsbc_core.types import PLANT_RIGID_BODY
 from ptnsbc_sim.plants.build import plant_config, start_states
 from ptnsbc_sim.plants.contract import PlantConfig, Push, disturbance, no_waves, six, update_waves
 from ptnsbc_sim.plants.integrate import advance, initial_state, odometry
-from ptnsbc_sim.scenario import load_scenario
+from ptnsbc_sim.scenario import agent_config, load_scenario
 
 MASS, INERTIA, GRAVITY = 1.2, np.array([0.019, 0.025, 0.031]), 9.81
 NO_WRENCH = np.zeros(6)
@@ -101,6 +101,27 @@ def test_a_force_accelerates_along_its_world_direction() -> None:
     r = rotation_from_quaternion(odometry(start, plant)[3:7])
     end = odometry(flown(start, plant, 2.0, wrench=wrench), plant)
     np.testing.assert_allclose(velocity_enu(end), r[:, 0] * 0.6 / MASS * 2.0, atol=1e-12)
+
+
+def test_wind_carries_a_tumbling_body_along() -> None:
+    """Drag is linear in the air speed, so attitude and tumbling do not matter."""
+    wind = np.array([3.0, -2.0, 0.5])
+    plant = plant_of(gravity=0.0, drag=0.4, wind=wind)
+    start = state_of(velocity=(0.0, 0.0, 0.0), rates=RATES)
+    for seconds in (0.3, 0.7):
+        velocity = velocity_enu(odometry(flown(start, plant, seconds, dt=0.001), plant))
+        expected = wind * (1.0 - np.exp(-0.4 * seconds))
+        np.testing.assert_allclose(velocity, expected, atol=1e-9)
+
+
+def test_true_mass_and_inertia_are_the_plants_and_nominal_ones_the_laws() -> None:
+    changes = {"uavs[2].mass_scale": 1.3, "uavs[2].inertia_scale": [0.7, 1.0, 1.2]}
+    usual, changed = load_scenario("paper_5"), load_scenario("paper_5", changes)
+    plant = plant_config(changed, 3)
+    assert plant.mass == pytest.approx(1.3 * 1.2)
+    np.testing.assert_allclose(plant.inertia, [0.7 * 0.019, 0.019, 1.2 * 0.021])
+    assert agent_config(changed, 3) == agent_config(usual, 3)
+    assert plant_config(changed, 2).mass == plant_config(usual, 2).mass == 1.2
 
 
 def test_steady_turn_about_one_axis() -> None:

@@ -45,6 +45,17 @@ def test_a_draw_of_a_family_is_text_and_back(name: str) -> None:
         assert drawn_values(plan, k) == drawn_values(plan, k)
 
 
+def test_every_uav_has_a_mass_and_inertia_of_its_own() -> None:
+    plan = plan_of_family(find_family("mass").read_text())
+    for k in range(3):
+        scenario, values = drawn_scenario(plan, k)
+        scales = [uav.mass_scale for uav in scenario.file.uavs]
+        assert (values["heaviest"], values["lightest"]) == (max(scales), min(scales))
+        drawn = [*scales, *(one for uav in scenario.file.uavs for one in uav.inertia_scale)]
+        assert len(set(drawn)) == 4 * len(scales)
+        assert 0.7 <= min(drawn) < max(drawn) <= 1.3
+
+
 def test_a_delay_is_drawn_for_all_links() -> None:
     plan = plan_of_family(find_family("delay").read_text())
     drawn = [drawn_scenario(plan, k) for k in range(8)]
