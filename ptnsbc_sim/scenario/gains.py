@@ -13,7 +13,8 @@ class Loop(Block):
     """One loop: scale * (time-base gain + kappa * profile), or scale * kappa without a time base."""
 
     deadline_s: Positive
-    """Deadline of the loop, counted from the epoch."""
+    """Deadline of the loop, counted from the epoch. `gains.formation` also takes `auto`: 1.5 times the shortest
+    deadline that the limits allow from the starts of the file; the scenario in a bag has the number."""
     residual: Residual
     """q: fraction of the start error that remains at the deadline."""
     scale: Positive

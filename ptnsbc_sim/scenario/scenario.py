@@ -13,6 +13,7 @@ from pydantic import ValidationError
 from ptnsbc_core.topology import Topology
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import reader
+from ptnsbc_sim.scenario.deadline import AUTO, auto_deadline
 from ptnsbc_sim.scenario.defaults import gain_defaults
 from ptnsbc_sim.scenario.fields import Wave
 from ptnsbc_sim.scenario.gains import Gains
@@ -294,11 +295,34 @@ def scenario_from_text(
     if given or "extends" in tree:
         text = reader.dump(final)
     complete = completed(final)
-    try:
-        file = ScenarioFile.model_validate(complete)
-    except ValidationError as error:
-        raise scenario_error(source, error, complete) from None
+    if _deadline_of(complete) == AUTO:
+        deadline_s = auto_deadline(_validated(_with_deadline(complete, 1.0), source), source)
+        complete = _with_deadline(complete, deadline_s)
+        text = reader.dump(_with_deadline(final, deadline_s))
+    file = _validated(complete, source)
     return Scenario(file, checked(file, source), text, source)
+
+
+def _validated(tree: reader.Tree, source: str) -> ScenarioFile:
+    try:
+        return ScenarioFile.model_validate(tree)
+    except ValidationError as error:
+        raise scenario_error(source, error, tree) from None
+
+
+def _deadline_of(tree: reader.Tree) -> Any:
+    """gains.formation.deadline_s as it is written; None where the blocks are not there."""
+    gains = tree.get("gains")
+    loop = gains.get("formation") if isinstance(gains, dict) else None
+    return loop.get("deadline_s") if isinstance(loop, dict) else None
+
+
+def _with_deadline(tree: reader.Tree, deadline_s: float) -> reader.Tree:
+    gains = tree["gains"]
+    return {
+        **tree,
+        "gains": {**gains, "formation": {**gains["formation"], "deadline_s": deadline_s}},
+    }
 
 
 def load_scenario(path_or_name: str | Path, overrides: Mapping[str, Any] | None = None) -> Scenario:

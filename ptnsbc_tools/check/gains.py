@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-import math
-
-import numpy as np
-
-from ptnsbc_core.timebase import feasible_deadline, peak_gain
-from ptnsbc_core.trajectory import reference
+from ptnsbc_core.timebase import peak_gain
 from ptnsbc_core.types import LoopGain
 from ptnsbc_sim.scenario import Scenario, agent_config
-from ptnsbc_sim.scenario.build import trajectory_vector
+from ptnsbc_sim.scenario.deadline import limits_left, shortest_deadlines, start_errors
 from ptnsbc_sim.scenario.semantics import STABILITY_LIMIT
 from ptnsbc_tools.check.finding import ERROR, INFO, WARNING, Finding, Findings
 
@@ -83,33 +78,12 @@ def printed(scenario: Scenario) -> Findings:
         )
 
 
-def _acceleration_limit(scenario: Scenario) -> float:
-    """Acceleration [m/s^2] that filter and actuators both allow, in the weakest direction."""
-    limit, gravity = scenario.gains.filter.max_acceleration_m_s2, scenario.gravity_m_s2
-    if scenario.plant_kind != "quadrotor":
-        return min(limit, scenario.plant.rigid_body.max_force_n / scenario.mass_kg - gravity)
-    quadrotor = scenario.quadrotor
-    sideways = gravity * math.tan(quadrotor.max_tilt_rad)
-    upwards = quadrotor.max_thrust_n / scenario.mass_kg - gravity
-    return min([limit, upwards, *([sideways] if gravity > 0 else [])])
-
-
-def _deadline_for(motion_s: float, uav: int, scenario: Scenario) -> float:
-    """Deadline [s] for a motion of this length: the planned approach of a follower ends a little before it."""
-    if uav == scenario.leader_id or scenario.file.formation.approach == "task":
-        return motion_s
-    # The inverse of ptnsbc_core.timebase.plan_duration.
-    loop = scenario.gains.formation
-    return min(motion_s + 1.0 / max(loop.scale * loop.kappa_1_s, 1e-9), motion_s / 0.8)
-
-
 def feasible(scenario: Scenario) -> Findings:
     """The formation deadline against the limits of speed and acceleration, from the actual starts."""
     deadline = scenario.gains.formation.deadline_s
-    path = reference(trajectory_vector(scenario), 0.0)
-    speed = scenario.gains.filter.max_speed_m_s - float(np.linalg.norm(path.velocity))
-    acceleration = _acceleration_limit(scenario)
-    if speed <= 0 or acceleration <= 0:
+    left = limits_left(scenario.file)
+    if min(left) <= 0:
+        speed, acceleration = left
         yield Finding(
             ERROR,
             "gains.filter.max_speed_m_s" if speed <= 0 else "plant",
@@ -118,22 +92,16 @@ def feasible(scenario: Scenario) -> Findings:
             "slow the leader down, or raise the limit",
         )
         return
-    start = {uav: scenario.uav(uav).position for uav in scenario.uav_ids}
-    goal = {uav: path.position + scenario.offset(uav) for uav in scenario.uav_ids}
-    away = {uav: float(np.linalg.norm(goal[uav] - start[uav])) for uav in scenario.uav_ids}
-    needs = {
-        uav: _deadline_for(feasible_deadline(d, speed, acceleration), uav, scenario)
-        for uav, d in away.items()
-    }
+    away, needs = start_errors(scenario.file), shortest_deadlines(scenario.file, left)
     short = [uav for uav, need in needs.items() if need > deadline]
     for uav in short or [max(needs, key=lambda one: needs[one])]:
         yield Finding(
             ERROR if short else INFO,
             "gains.formation.deadline_s",
             f"{deadline:g} s, UAV {uav} starts {away[uav]:.2f} m from its place",
-            f">= {needs[uav]:.2f} s at {speed:.3g} m/s and {acceleration:.3g} m/s^2",
-            f"set gains.formation.deadline_s to at least {needs[uav]:.2f} s, start it closer, or "
-            "raise gains.filter.max_speed_m_s"
+            f">= {needs[uav]:.2f} s at {left.speed_m_s:.3g} m/s and {left.acceleration_m_s2:.3g} m/s^2",
+            f"set gains.formation.deadline_s to at least {needs[uav]:.2f} s or to auto, start it closer, "
+            "or raise gains.filter.max_speed_m_s"
             if short
             else "",
         )

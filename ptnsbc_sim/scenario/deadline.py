@@ -1,0 +1,115 @@
+"""The shortest deadline of the formation in closed form, and the one that `deadline_s: auto` takes.
+
+The planned approach E_0 (1 - h) asks for the largest speed and acceleration of h (`feasible_deadline`). The motion of
+the leader and the drag take their part of the limits of the vehicle. On a circle and on a line the leader's speed and
+acceleration have the same size at all times, so that they hold for the whole flight.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from ptnsbc_core.timebase import feasible_deadline
+from ptnsbc_core.types import Array
+from ptnsbc_sim.scenario.model import Circle, ScenarioFile
+from ptnsbc_sim.scenario.problems import ScenarioError
+
+AUTO = "auto"
+MARGIN = 1.5
+"""`auto` is so many times the shortest deadline."""
+
+_STEP_S = 0.1  # `auto` is rounded up to it
+
+
+class Limits(NamedTuple):
+    """What the leader's motion leaves of the limits of speed and acceleration; not above 0: nothing."""
+
+    speed_m_s: float
+    acceleration_m_s2: float
+
+
+def _leader_start(file: ScenarioFile) -> Array:
+    path = file.leader.trajectory
+    if not isinstance(path, Circle):
+        return np.array(path.position_m, dtype=np.float64)
+    along = np.array([math.sin(path.phase_rad), math.cos(path.phase_rad), 0.0])
+    return np.array(path.centre_m, dtype=np.float64) + path.radius_m * along
+
+
+def _leader_motion(file: ScenarioFile) -> tuple[float, float]:
+    """Speed [m/s] and acceleration [m/s^2] of the leader's path."""
+    path = file.leader.trajectory
+    if isinstance(path, Circle):
+        speed = abs(path.radius_m * path.rate_rad_s)
+        return speed, speed * abs(path.rate_rad_s)
+    return math.hypot(*path.velocity_m_s), 0.0
+
+
+def _vehicle_acceleration(file: ScenarioFile, leader_speed: float) -> float:
+    """Acceleration [m/s^2] that the actuators allow in the weakest direction, beside gravity and drag."""
+    plant, gravity = file.plant, file.world.gravity_m_s2
+    if plant.kind != "quadrotor" or plant.quadrotor is None:
+        return plant.rigid_body.max_force_n / plant.mass_kg - gravity
+    sideways = gravity * math.tan(plant.quadrotor.max_tilt_rad)
+    upwards = plant.quadrotor.max_thrust_n / plant.mass_kg - gravity
+    drag = plant.quadrotor.drag_1_s * (leader_speed + math.hypot(*file.world.wind_m_s))
+    return min([upwards, *([sideways - drag] if gravity > 0 else [])])
+
+
+def limits_left(file: ScenarioFile) -> Limits:
+    """Speed and acceleration that are left for the approach."""
+    speed, acceleration = _leader_motion(file)
+    limits = file.gains.filter
+    most = min(limits.max_acceleration_m_s2, _vehicle_acceleration(file, speed))
+    return Limits(limits.max_speed_m_s - speed, most - acceleration)
+
+
+def start_errors(file: ScenarioFile) -> dict[int, float]:
+    """Distance [m] of every start from its place, by UAV."""
+    first = _leader_start(file)
+    offsets = {uav: np.array(place) for uav, place in file.formation.offsets_m.items()}
+    return {
+        uav.id: float(
+            np.linalg.norm(first + offsets.get(uav.id, np.zeros(3)) - np.array(uav.position_m))
+        )
+        for uav in file.uavs
+    }
+
+
+def shortest_deadlines(file: ScenarioFile, limits: Limits) -> dict[int, float]:
+    """Shortest deadline [s] that the limits, both above 0, allow for each UAV."""
+    motion = {
+        uav: feasible_deadline(error, limits.speed_m_s, limits.acceleration_m_s2)
+        for uav, error in start_errors(file).items()
+    }
+    if file.formation.approach == "task":
+        return motion
+    # The planned approach of a follower ends a little before the deadline: ptnsbc_core.timebase.plan_duration.
+    loop, leader = file.gains.formation, file.leader.id
+    settling = 1.0 / max(loop.scale * loop.kappa_1_s, 1e-9)
+    return {
+        uav: need if uav == leader else min(need + settling, need / 0.8)
+        for uav, need in motion.items()
+    }
+
+
+def auto_deadline(file: ScenarioFile, source: str) -> float:
+    """The deadline [s] that `auto` stands for: the shortest one of all UAVs times `MARGIN`.
+
+    Raises:
+        ScenarioError: the leader's motion leaves no speed or no acceleration.
+    """
+    limits = limits_left(file)
+    if min(limits) <= 0.0:
+        raise ScenarioError(
+            f"{source}: gains.formation.deadline_s: auto: the leader's motion leaves {limits.speed_m_s:.2f} m/s and "
+            f"{limits.acceleration_m_s2:.2f} m/s^2: expected both above 0, slow the leader down or raise the limits"
+        )
+    shortest = max(shortest_deadlines(file, limits).values())
+    # The inner loops have to be done before the formation is.
+    inner = file.gains
+    least = 1.2 * max(inner.estimator.deadline_s, inner.force.deadline_s, inner.torque.deadline_s)
+    return round(math.ceil(max(MARGIN * shortest, least) / _STEP_S - 1e-9) * _STEP_S, 6)
