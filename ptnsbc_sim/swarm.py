@@ -6,7 +6,7 @@ docs/lockstep.md. Nothing here is a law.
 
 from __future__ import annotations
 
-from collections.abc import Callable, MutableSequence, Sequence
+from collections.abc import Callable, Mapping, MutableSequence, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -38,10 +38,11 @@ from ptnsbc_sim.plants.build import plant_config, start_states
 from ptnsbc_sim.plants.contract import PlantConfig, Waves, no_waves
 from ptnsbc_sim.plants.integrate import advance_with, store_odometry
 from ptnsbc_sim.scenario import Scenario, agent_config
+from ptnsbc_sim.scenario.slots import are_open, optimal_slots, with_slots
 from ptnsbc_sim.sensor import near_objects, store_near, store_objects
 from ptnsbc_sim.track import FlightTrack, note, track_of
 from ptnsbc_sim.wiring import Wiring, wiring_of
-from ptnsbc_sim.world import measure_all
+from ptnsbc_sim.world import World, measure_all
 
 CHUNK_TICKS = 500
 
@@ -72,6 +73,14 @@ class HeadlessFlight(NamedTuple):
     t_ns: NDArray[np.int64]  # (T,)
     track: FlightTrack
     wiring: Wiring
+    slots: Mapping[
+        int, int
+    ]  # slot of every UAV, decided at the epoch; empty where each has its own
+
+    @property
+    def flown(self) -> Scenario:
+        """The scenario with the slots that the UAVs took."""
+        return with_slots(self.scenario, self.slots) if self.slots else self.scenario
 
     @property
     def truth(self) -> Array:
@@ -302,6 +311,14 @@ def swarm_of(scenario: Scenario, wiring: Wiring, disturbances: Disturbances | No
     )
 
 
+def slots_at_start(scenario: Scenario) -> Mapping[int, int]:
+    """The slots by the positions that the UAVs measure at the first tick; empty where each has its own."""
+    if not are_open(scenario):
+        return {}
+    world = World(scenario)
+    return optimal_slots(scenario, {uav: world.odometry(uav)[0:3] for uav in world.ids})
+
+
 Loop = Callable[[int, int, Wiring, SwarmState, FlightTrack, Disturbances | None], None]
 """Flies so many ticks from the first: the law is in it."""
 
@@ -332,9 +349,11 @@ def flown(
 ) -> HeadlessFlight:
     """As `fly`, with the law in `loop`."""
     ticks, size = scenario.ticks, len(scenario.uav_ids)
-    wiring = wiring_of(scenario)
-    disturbances = flight_disturbances(scenario, wiring.neighbours.shape[1])
-    swarm = swarm_of(scenario, wiring, disturbances)
+    slots = slots_at_start(scenario)
+    held = with_slots(scenario, slots) if slots else scenario
+    wiring = wiring_of(held)
+    disturbances = flight_disturbances(held, wiring.neighbours.shape[1])
+    swarm = swarm_of(held, wiring, disturbances)
     track = track_of(ticks, size, with_truth=disturbances is not None, room=room)
     for first in range(0, ticks, CHUNK_TICKS):
         count = min(CHUNK_TICKS, ticks - first)
@@ -342,4 +361,4 @@ def flown(
         if progress is not None:
             progress(first + count, ticks)
     t_ns = np.arange(ticks, dtype=np.int64) * scenario.dt_ns
-    return HeadlessFlight(scenario, t_ns, track, wiring)
+    return HeadlessFlight(scenario, t_ns, track, wiring, slots)

@@ -26,6 +26,7 @@ _PAIRS = 3
 
 # Heading, attribute and digits of each column of numbers
 _Columns = tuple[tuple[str, str, int], ...]
+_SLOT = ("slot", "slot", 0)
 _DEADLINE: _Columns = (
     ("settled s", "settling_s", 2),
     ("of s", "deadline_s", 2),
@@ -85,7 +86,9 @@ def findings_table(name: str, findings: Iterable[Finding]) -> Table:
 def deadline_table(verdict: Verdict) -> Table:
     """One row per UAV: whether it met its deadline and kept its distances."""
     title = f"{verdict.scenario}: {verdict.plant}, {verdict.task}, profile {verdict.profile}"
-    columns = _DEADLINE + (_MISSING if any(one.missing for one in verdict.uavs) else ())
+    own = all(one.slot == one.uav for one in verdict.uavs)
+    columns = () if own else (_SLOT,)
+    columns += _DEADLINE + (_MISSING if any(one.missing for one in verdict.uavs) else ())
     table = _table(title, ("UAV", "verdict"), columns)
     for one in verdict.uavs:
         table.add_row(str(one.uav), word(one.verdict), *_numbers(one, columns))

@@ -21,6 +21,7 @@ from ptnsbc_sim.baselines.settling import BaselineError, settled_s, tuned
 from ptnsbc_sim.baselines.terminal import Axis, Terminal, terminal_step
 from ptnsbc_sim.disturbances.build import Disturbances
 from ptnsbc_sim.scenario import Scenario, scenario_from_text
+from ptnsbc_sim.scenario.slots import are_open
 from ptnsbc_sim.swarm import HeadlessFlight, SwarmState, advance_plant, inputs_of, sense
 from ptnsbc_sim.track import FlightTrack, note
 from ptnsbc_sim.wiring import Wiring
@@ -93,6 +94,10 @@ def _fly_by(scenario: Scenario, law: str, progress: Progress | None = None) -> H
     """One flight by a law that is already tuned."""
     if law not in _REACHING:
         return swarm.fly(scenario, progress)
+    if are_open(scenario):
+        raise BaselineError(
+            f"law {law} with formation.assignment {scenario.file.formation.assignment}: expected fixed"
+        )
     laws = kernel_list(_terminal(scenario, law))
 
     def loop(

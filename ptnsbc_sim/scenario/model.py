@@ -216,10 +216,13 @@ class Formation(Block):
     approach: Literal["planned", "task"] = "planned"
     """How the formation comes about: `planned` forms by positions, on straight lines with one time profile, and holds
     by the task; `task` lets the task itself close every error, as the paper does."""
+    assignment: Literal["fixed", "optimal"] = "fixed"
+    """Who takes which slot: `fixed` gives every UAV its own; `optimal` decides at each epoch by the measured positions,
+    see [method.md](method.md#slots)."""
     avoidance: Literal["off", "set_based", "switched"] = "set_based"
     """Rule of the clearance from obstacles and other UAVs."""
     offsets_m: dict[UavId, Vec3]
-    """Desired position of every follower relative to the leader."""
+    """Desired position of every follower, or of every slot but the leader's, relative to the leader."""
     heading_anchor_m: Vec3 = (2.0, 0.0, 0.0)
     """Reference point of the leader's children, relative to the leader."""
     uav_keep_out_m: Positive

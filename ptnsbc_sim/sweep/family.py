@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from copy import deepcopy
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -61,6 +63,8 @@ class FamilyStarts(Block):
     """Of `near` and `swap`: standard deviation per axis."""
     box_m: tuple[Positive, Positive, Positive] = (10.0, 10.0, 4.0)
     """Of `box`: its edges; the lowest places of the formation lie at its bottom."""
+    apart_m: NotNegative = 0.0
+    """Least distance between two starts, where it is more than formation.uav_keep_out_m and the margin."""
 
 
 class FamilyPath(Block):
@@ -139,6 +143,10 @@ class Family(Block):
     """Where the UAVs start."""
     path: FamilyPath = FamilyPath()
     """What the leader flies."""
+    task: Literal["distance_angles", "parent_angle", "relative_position"] | None = None
+    """formation.task; the base scenario's without it."""
+    assignment: Literal["fixed", "optimal"] | None = None
+    """formation.assignment; the base scenario's without it."""
     deadline: FamilyDeadline | None = None
     """The promise; the base scenario's without it."""
     obstacles: FamilyObstacles | None = None
@@ -360,7 +368,7 @@ def _deadline_s(
 def _uavs(base: list[dict[str, Any]], starts: list[Array]) -> list[dict[str, Any]]:
     """Starts with the attitudes and disturbances of the base scenario's UAVs, over and over."""
     return [
-        {**base[row % len(base)], "id": row + 1, "position_m": place.tolist()}
+        {**deepcopy(base[row % len(base)]), "id": row + 1, "position_m": place.tolist()}
         for row, place in enumerate(starts)
     ]
 
@@ -397,7 +405,8 @@ def draw_family(family: Family, tree: reader.Tree, generator: Generator) -> dict
     world["obstacles"] = []
     tree["world"] = world
     spheres = spheres_of(tree, margin_m)
-    starts = _starts(family.starts, goals, spheres, generator("family starts"))
+    apart = replace(spheres, apart_m=max(spheres.apart_m, family.starts.apart_m))
+    starts = _starts(family.starts, goals, apart, generator("family starts"))
     places = np.array(starts)
     if family.obstacles is not None:
         room = margin_m + spheres.apart_m
@@ -408,6 +417,9 @@ def draw_family(family: Family, tree: reader.Tree, generator: Generator) -> dict
     tree["leader"] = {"id": 1, "trajectory": trajectory}
     followers = {uav + 1: offsets[uav].tolist() for uav in range(1, size)}
     tree["formation"] = {**tree["formation"], "offsets_m": followers}
+    for key, value in (("task", family.task), ("assignment", family.assignment)):
+        if value is not None:
+            tree["formation"][key] = value
     values |= {
         "size": size,
         "tree": tree_kind,

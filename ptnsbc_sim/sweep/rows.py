@@ -21,6 +21,7 @@ class SweepRow:
 
     draw: int
     uav: int
+    slot: int  # its place in the formation, by the number of the UAV to which the scenario gives it
     verdict: str  # met | missed | violated | void
     cause: str  # why not met, empty when met
     flight_verdict: str  # the worst of the flight's UAVs: violated, missed, void, met
@@ -90,6 +91,7 @@ def rows_of(draw: int, scenario: Scenario, recording: Recording, check: str = ""
             SweepRow(
                 draw=draw,
                 uav=one.uav,
+                slot=one.slot,
                 verdict=one.verdict,
                 cause=one.reason,
                 flight_verdict=verdict.verdict,

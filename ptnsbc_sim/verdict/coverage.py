@@ -82,7 +82,7 @@ def _early_end(recording: Recording) -> str:
 def incomplete(recording: Recording, uav: int) -> str:
     """What the recording lacks of a UAV or of its leader; empty when it is complete enough."""
     found = []
-    for name in dict.fromkeys((uav, recording.scenario.leader_id)):
+    for name in dict.fromkeys((uav, recording.flown.leader_id)):
         gap = coverage(recording, name, recording.odometry[name])
         if gap.longest_gap_s > LONGEST_GAP_S:
             span = f"nothing on /uav{name}/odom for {gap.longest_gap_s:.2f} s"

@@ -35,6 +35,7 @@ class UavVerdict:
     """How one UAV kept its deadline. Errors in metres, times in seconds after the epoch."""
 
     uav: int
+    slot: int  # its place in the formation, by the number of the UAV to which the scenario gives it
     verdict: str  # met | missed | violated | void
     reason: str  # why not met, empty when met
     excuse: str  # what the figures owe to encounters, empty when nothing
@@ -61,7 +62,7 @@ def formation_errors(
     recording: Recording, grid: NDArray[np.int64], positions: dict[int, Array]
 ) -> dict[int, Array]:
     """Formation error (T,) [m]: |(p_i - p_1) - o_i|, for the leader |p_1 - p_r(t)|."""
-    scenario = recording.scenario
+    scenario = recording.flown
     leader = positions[scenario.leader_id]
     vector = trajectory_vector(scenario)
     times = np.asarray((grid - recording.first_ns) * NANO, dtype=np.float64)  # of the first leg
@@ -117,7 +118,7 @@ class ErrorFigures:
     def __init__(self, recording: Recording, uav: int, tolerance: float) -> None:
         self._recording = recording
         self._deadline_s = deadline = recording.scenario.gains.formation.deadline_s
-        self._windows = encounters(recording.scenario, recording.counters, uav)
+        self._windows = encounters(recording.flown, recording.counters, uav)
         start_ns = recording.start_ns
         spans = [((a - start_ns) * NANO, (b - start_ns) * NANO) for a, b in self._windows]
         # Only encounters that begin after the deadline are left out of the settling time.
@@ -369,6 +370,7 @@ def _measured(
     cover = coverage(recording, uav, recording.odometry[uav])
     return UavVerdict(
         uav=uav,
+        slot=recording.slot(uav),
         verdict=MET,
         reason="",
         excuse="",

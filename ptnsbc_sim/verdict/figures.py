@@ -115,14 +115,14 @@ class EstimatorErrors:
         self._recording = recording
         self._deadline_s = deadline = recording.scenario.gains.estimator.deadline_s
         tracks = recording.estimate
-        self._tracks = {u: tracks[u] for u in recording.scenario.followers if u in tracks}
+        self._tracks = {u: tracks[u] for u in recording.flown.followers if u in tracks}
         self._at = {uav: ValueAt(deadline) for uav in self._tracks}
         self._max: dict[int, float] = {}
 
     def add(self, grid: NDArray[np.int64], positions: dict[int, Array]) -> None:
         """Take the next positions (T, 3) [m] of all UAVs at (T,) [ns]."""
         times = self._recording.times(grid)
-        leader = positions[self._recording.scenario.leader_id]
+        leader = positions[self._recording.flown.leader_id]
         for uav, track in self._tracks.items():
             error = np.linalg.norm(track.at(grid)[:, :3] - leader, axis=1)
             self._at[uav].add(times, error)

@@ -24,6 +24,7 @@ def recording_of(flight: HeadlessFlight) -> Recording:
         truth={uav: Series(t_ns, track.truth[:, row]) for row, uav in rows if has_truth},
         counters={uav: _counters(flight, row) for row, uav in rows},
         epochs=((int(t_ns[0]), FORMATION),),
+        slots={int(t_ns[0]): flight.slots} if flight.slots else {},
     )
 
 

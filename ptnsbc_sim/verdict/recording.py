@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import Scenario
+from ptnsbc_sim.scenario.slots import are_open, with_slots
 from ptnsbc_sim.verdict.track import Track
 
 NANO = 1e-9
@@ -57,6 +59,8 @@ class Recording:
     sent: Mapping[int, Track] = field(default_factory=dict)
     latency: Mapping[str, float] = field(default_factory=dict)  # newest figures of the sim node
     leg: int = 0  # which of the formation legs is judged
+    # slot of every UAV by the epoch [ns] that decided it; empty where every UAV has its own
+    slots: Mapping[int, Mapping[int, int]] = field(default_factory=dict)
     window_s: float | None = None  # judge only so many seconds after its epoch
 
     @property
@@ -74,6 +78,26 @@ class Recording:
     def start_ns(self) -> int:
         """Epoch of the leg, from which deadlines are counted."""
         return self.forms[self.leg]
+
+    @cached_property
+    def flown(self) -> Scenario:
+        """The scenario with the slots that the UAVs took in this leg.
+
+        Raises:
+            VerdictError: the slots are open, and those of this leg are not recorded.
+        """
+        if not are_open(self.scenario):
+            return self.scenario
+        if self.start_ns not in self.slots:
+            raise VerdictError(
+                "the recording does not say who takes which slot: expected the slots of the epoch at "
+                f"{self.start_ns * NANO:.3f} s"
+            )
+        return with_slots(self.scenario, self.slots[self.start_ns])
+
+    def slot(self, uav: int) -> int:
+        """The slot that a UAV took in this leg."""
+        return self.slots.get(self.start_ns, {}).get(uav, uav)
 
     @property
     def due_ns(self) -> int:

@@ -15,6 +15,7 @@ from ptnsbc_tools.check.geometry import (
     spacing,
     starts_clear,
 )
+from ptnsbc_tools.check.slots import slots
 
 __all__ = ["ERROR", "INFO", "WARNING", "CheckError", "Finding", "check", "refuse"]
 
@@ -26,6 +27,7 @@ _CHECKS: Sequence[Callable[[Scenario], Findings]] = (
     steps,
     order,
     printed,
+    slots,
     feasible,
     encounters,
     sensor,

@@ -7,6 +7,7 @@ from ptnsbc_core.types import LoopGain
 from ptnsbc_sim.scenario import Scenario, agent_config
 from ptnsbc_sim.scenario.deadline import limits_left, shortest_deadlines, start_errors
 from ptnsbc_sim.scenario.semantics import STABILITY_LIMIT
+from ptnsbc_sim.scenario.slots import with_slots_of_starts
 from ptnsbc_tools.check.finding import ERROR, INFO, WARNING, Finding, Findings
 
 _SMOOTH_STEP = 1.0  # above this a sampled decay overshoots, above STABILITY_LIMIT it grows
@@ -81,6 +82,7 @@ def printed(scenario: Scenario) -> Findings:
 def feasible(scenario: Scenario) -> Findings:
     """The formation deadline against the limits of speed and acceleration, from the actual starts."""
     deadline = scenario.gains.formation.deadline_s
+    scenario = with_slots_of_starts(scenario)
     left = limits_left(scenario.file)
     if min(left) <= 0:
         speed, acceleration = left

@@ -13,6 +13,7 @@ from ptnsbc_core.types import TASKS, Array
 from ptnsbc_sim.scenario import Scenario, agent_config
 from ptnsbc_sim.scenario.build import reference_offset, trajectory_vector
 from ptnsbc_sim.scenario.semantics import STABILITY_LIMIT, estimator_peak, estimator_step
+from ptnsbc_sim.scenario.slots import with_slots_of_starts
 from ptnsbc_tools.check.finding import ERROR, INFO, WARNING, Finding, Findings
 
 _SINGULAR = 0.02  # smallest singular value [1] of a scaled task with which a formation can be held
@@ -134,6 +135,7 @@ def _path(scenario: Scenario, times: Array) -> Array:
 def encounters(scenario: Scenario) -> Findings:
     """Obstacles on the path of the formation, which counts as rigid after the deadline."""
     deadline = scenario.gains.formation.deadline_s
+    scenario = with_slots_of_starts(scenario)
     if scenario.duration_s <= deadline or not scenario.obstacles:
         return
     times = np.arange(deadline, scenario.duration_s, _PATH_STEP_S)

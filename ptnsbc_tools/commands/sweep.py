@@ -184,7 +184,8 @@ def _plan(given: dict[str, Any]) -> SweepPlan:
     starts = parse_starts(given["starts"])
     path = find_family(family) if family is not None else None
     own = {key: value for key, value in given.items() if key != "seed"}  # it is that of the draws
-    base = options.scenario_with(scenario or _BASE, options.overrides(**own))
+    overrides = options.overrides(**own)
+    base = options.scenario_with(scenario or _BASE, overrides)
     return plan_of(
         base,
         given["runs"],
@@ -192,11 +193,23 @@ def _plan(given: dict[str, Any]) -> SweepPlan:
         axes=axes,
         latin=given["latin"],
         starts=starts,
-        family=path.read_text(encoding="utf-8") if path is not None else "",
+        family=_family_text(path, overrides) if path is not None else "",
         stop_after_s=given["stop_after"],
         check=given["check"],
         name=given["name"] or (path.stem if path is not None else base.name),
     )
+
+
+def _family_text(path: Path, overrides: dict[str, Any]) -> str:
+    """The text of a family without the keys of the formation that the command line gives."""
+    from ptnsbc_sim.scenario import reader
+
+    text = path.read_text(encoding="utf-8")
+    tree = reader.parse(text, str(path))
+    given = [key for key in tree if f"formation.{key}" in overrides]
+    if not given:
+        return text
+    return reader.dump({key: value for key, value in tree.items() if key not in given})
 
 
 def _clear(folder: Path, plan: SweepPlan, *, overwrite: bool) -> None:

@@ -11,6 +11,7 @@ from ptnsbc_core.trajectory import reference
 from ptnsbc_core.types import MODE_FORMATION, NEVER_RECEIVED_S, TASKS, AgentInputs
 from ptnsbc_sim.scenario import agent_config, load_scenario
 from ptnsbc_sim.scenario.build import trajectory_vector
+from ptnsbc_sim.scenario.slots import optimal_slots
 from ptnsbc_sim.swarm import CHUNK_TICKS, HeadlessFlight, fly
 from ptnsbc_sim.track import ACTIVE_ROWS, HOLDING, PRIORITY_VIOLATION
 from ptnsbc_sim.wiring import wiring_of
@@ -229,3 +230,45 @@ def test_progress_is_told_to_the_end() -> None:
     flown = fly(scenario, lambda done, of: said.append((done, of)))
     assert said == [(CHUNK_TICKS, 700), (700, 700)]
     np.testing.assert_array_equal(np.diff(flown.t_ns), np.full(699, 10_000_000))
+
+
+# The starts of paper_5_free are in the order of the tree, so that every UAV keeps its slot; here they are not.
+MIXED = {1: 4, 2: 1, 3: 5, 4: 2, 5: 3}
+
+
+def mixed(seconds: float = 8.0, **changes: object) -> HeadlessFlight:
+    base = load_scenario("paper_5_free")
+    starts = [
+        {"id": uav, "position_m": base.uav(at).position.tolist()} for uav, at in MIXED.items()
+    ]
+    fixed = {"timing.duration_s": seconds, "formation.task": "relative_position", "uavs": starts}
+    chosen = {"formation.assignment": "optimal", **fixed, **changes}
+    return fly(load_scenario("paper_5_free", chosen))
+
+
+def test_each_uav_flies_to_the_slot_that_it_takes() -> None:
+    flown = mixed()
+    assert flown.slots == MIXED
+    held = flown.flown
+    assert (held.leader_id, held.parent(3)) == (2, 1)  # slot 5 follows slot 4
+    places, leader = flown.truth[:, :, :3], held.uav_ids.index(held.leader_id)
+    wanted = places[:, [leader]] + np.array([held.offset(uav) for uav in held.uav_ids])
+    off = np.linalg.norm(places - wanted, axis=2)
+    assert off[0].max() > 0.8
+    assert off[500:].max() < 0.01
+    path = reference(trajectory_vector(held), 5.0).position
+    assert np.linalg.norm(places[500, leader] - path) < 0.01
+
+
+def test_slots_are_decided_by_what_is_measured() -> None:
+    noise = {"noise_m": 3.0, "rate_hz": 10}
+    flown = mixed(0.1, **{"sensor.positioning": noise, "seed": 5})
+    assert len(flown.track.truth)
+    seen = {uav: flown.track.odometry[0, row, :3] for row, uav in enumerate(flown.scenario.uav_ids)}
+    assert flown.slots == optimal_slots(flown.scenario, seen)
+
+
+def test_a_flight_with_fixed_slots_has_none_to_tell() -> None:
+    flown = flight("paper_5", "quadrotor", seconds=SHORT)
+    assert flown.slots == {}
+    assert flown.flown is flown.scenario

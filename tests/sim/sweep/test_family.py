@@ -19,7 +19,16 @@ def plan_of_family(text: str, runs: int = 40) -> SweepPlan:
 
 
 def test_the_families_that_are_shipped() -> None:
-    assert set(families()) >= {"near", "anywhere", "clutter", "swap", "chain", "delay", "wind"}
+    assert set(families()) >= {
+        "near",
+        "anywhere",
+        "clutter",
+        "swap",
+        "chain",
+        "delay",
+        "wind",
+        "slots",
+    }
 
 
 @pytest.mark.parametrize("name", sorted(set(families()) - LATER))
@@ -107,3 +116,15 @@ def test_a_wrong_family_is_named(text: str, message: str) -> None:
 def test_a_family_that_is_not_there_is_named() -> None:
     with pytest.raises(ScenarioError, match="expected one of: anywhere"):
         find_family("nowhere")
+
+
+def test_open_slots_and_the_distance_of_starts() -> None:
+    plan = plan_of_family(find_family("slots").read_text(), runs=5)
+    for k in range(5):
+        scenario, _ = drawn_scenario(plan, k)
+        shape = scenario.file.formation
+        assert (shape.assignment, shape.task) == ("optimal", "relative_position")
+        starts = np.array([uav.position_m for uav in scenario.file.uavs])
+        gaps = np.linalg.norm(starts[:, None] - starts[None], axis=2)
+        assert gaps[np.triu_indices(len(starts), 1)].min() >= 1.0
+        assert draw(plan, k).file == scenario.file  # disturbances that are given over and over

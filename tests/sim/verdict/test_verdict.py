@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ptnsbc_sim.scenario import load_scenario
+from ptnsbc_sim.scenario import load_scenario, scenario_from_text
 from ptnsbc_sim.verdict import Recording, VerdictError, verdict_on
 from ptnsbc_sim.verdict.encounters import recovery_s
 from ptnsbc_sim.verdict.recording import COUNTERS
@@ -582,3 +582,20 @@ def test_window(fly):
 def test_no_flight_at_all(fly):
     with pytest.raises(VerdictError, match="no formation flight"):
         verdict_on(fly(epochs=epochs((100.0, "form"))))
+
+
+def test_errors_are_those_against_the_slot_that_a_uav_took(fly: Fly) -> None:
+    flown = fly({3: decay(2.0, 1.0)})
+    text = flown.scenario.text.replace("task:", "assignment: optimal\n  task:", 1)
+    scenario = scenario_from_text(text)
+    own = {uav: uav for uav in scenario.uav_ids}
+    held = replace(flown, scenario=scenario, slots={flown.start_ns: own})
+    assert [one.slot for one in verdict_on(held).uavs] == [1, 2, 3, 4, 5]
+    assert of(verdict_on(held), 3).start_error_m == pytest.approx(2.0)
+    swapped = replace(held, slots={flown.start_ns: {**own, 4: 5, 5: 4}})
+    gap = np.linalg.norm(scenario.offset(4) - scenario.offset(5))
+    one = of(verdict_on(swapped), 4)
+    assert (one.slot, one.verdict) == (5, "missed")
+    assert one.start_error_m == pytest.approx(gap)
+    with pytest.raises(VerdictError, match="does not say who takes which slot"):
+        verdict_on(replace(held, slots={}))

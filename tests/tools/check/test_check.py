@@ -122,3 +122,42 @@ def test_refusal_is_one_line_with_key_and_way_out() -> None:
     assert "\n" not in message
     assert "paper_5.yaml: gains.formation.deadline_s: 5 s" in message
     assert "set gains.formation.deadline_s to at least" in message
+
+
+def findings_of(key: str, changes: dict[str, Any] | None = None) -> list[Finding]:
+    scenario = load_scenario("paper_5_free", {"formation.assignment": "optimal", **(changes or {})})
+    return [finding for finding in check(scenario) if finding.key == key]
+
+
+def test_open_slots_that_are_far_enough_apart() -> None:
+    """Table 2: 1.0 m between UAV 2 and UAV 3 at the start, 1.2 m and more between places; keep-out 0.5 m."""
+    apart, paths = findings_of("formation.assignment")
+    assert (apart.severity, apart.value) == ("info", "starts 1.00 m apart or more, slots 1.20 m")
+    assert apart.limit.startswith(">= 0.71 m")
+    assert paths.severity == "info"
+
+
+def test_open_slots_closer_than_what_the_distance_rests_on() -> None:
+    apart, paths = findings_of("formation.assignment", {"formation.uav_keep_out_m": 0.8})
+    assert (apart.severity, paths.severity) == ("warning", "info")
+    assert apart.limit.startswith(">= 1.13 m")
+    assert paths.value.endswith("on their ways")
+
+
+def test_the_deadline_is_checked_for_the_slots_that_the_starts_take() -> None:
+    """Starts far apart, each on the other side of the formation than the own slot."""
+    base = load_scenario("paper_5_free")
+    starts = [
+        {"id": uav, "position_m": (-8.0 * base.offset(uav) + [0.0, 0.0, 6.0]).tolist()}
+        for uav in base.uav_ids
+    ]
+    key = "gains.formation.deadline_s"
+    found = findings_of(key, {"uavs": starts})
+    fixed = findings_of(key, {"uavs": starts, "formation.assignment": "fixed"})
+    needed = [max(float(one.limit.split()[1]) for one in group) for group in (found, fixed)]
+    assert needed[0] < needed[1] - 0.2
+
+
+def test_tasks_do_not_fly_straight_to_open_slots() -> None:
+    (found,) = findings_of("formation.approach", {"formation.approach": "task"})
+    assert found.severity == "warning"

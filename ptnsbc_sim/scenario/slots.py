@@ -1,0 +1,158 @@
+"""Who takes which slot of the formation.
+
+A slot is a place of the formation with all that belongs to it: its offset from the leader, its parent, its links and
+its task. It has the number of the UAV to which the scenario gives it. With `formation.assignment: optimal` the UAVs
+take the slots so that the sum of the squared distances to them is minimal. Mass, noise, ports and keep-out stay with
+the UAV. docs/method.md, "Slots", proves what follows from the minimum.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_core.topology import Topology, estimator_matrix
+from ptnsbc_core.types import Array
+from ptnsbc_sim.scenario.model import ScenarioFile
+from ptnsbc_sim.scenario.scenario import Scenario
+
+Slots = Mapping[int, int]
+"""Slot of every UAV."""
+
+
+class SlotsError(PtnsbcError):
+    """An assignment of slots that no fleet can fly."""
+
+
+def are_open(scenario: Scenario) -> bool:
+    """Whether it is open who takes which slot, until an epoch decides it."""
+    return scenario.file.formation.assignment == "optimal"
+
+
+def nearest_places(starts: Array, places: Array) -> NDArray[np.int64]:
+    """The place of each start for which the sum of the squared distances is minimal.
+
+    Where the places lie as a whole does not matter: a shift of all of them adds the same to every sum. The same
+    numbers give the same answer, also where several sums are equal.
+
+    Args:
+        starts: (N, 3) [m].
+        places: (N, 3) [m].
+
+    Returns:
+        Row of `places` (N,) for each row of `starts`.
+    """
+    from scipy.optimize import (
+        linear_sum_assignment,
+    )  # late: half a second, and few processes decide
+
+    starts, places = starts - starts.mean(axis=0), places - places.mean(axis=0)
+    costs = np.sum((starts[:, None] - places[None]) ** 2, axis=2)
+    found: NDArray[np.int64] = linear_sum_assignment(costs)[1]
+    return found
+
+
+def optimal_slots(scenario: Scenario, positions: Mapping[int, Array]) -> dict[int, int]:
+    """The slots for which the sum of the squared distances from the positions to them is minimal.
+
+    Args:
+        scenario: the UAVs and their offsets.
+        positions: (3,) [m], ENU, of every UAV at one instant.
+
+    Raises:
+        SlotsError: the position of a UAV is missing or not finite.
+    """
+    ids = scenario.uav_ids
+    for uav in ids:
+        if uav not in positions or not np.isfinite(positions[uav]).all():
+            raise SlotsError(f"slots: no finite position of UAV {uav}: expected one of every UAV")
+    starts = np.stack([positions[uav] for uav in ids])
+    places = np.stack([scenario.offset(uav) for uav in ids])
+    order = nearest_places(starts, places)
+    return {uav: ids[int(row)] for uav, row in zip(ids, order, strict=True)}
+
+
+def require_slots(scenario: Scenario, slots: Slots) -> None:
+    """Raise SlotsError unless `slots` gives every UAV a slot of its own."""
+    ids = set(scenario.uav_ids)
+    if set(slots) != ids:
+        odd = ", ".join(map(str, sorted(ids.symmetric_difference(slots))))
+        raise SlotsError(
+            f"slots of {len(slots)} UAVs: expected those of {len(ids)}; look at UAV {odd}"
+        )
+    if set(slots.values()) != ids:
+        odd = ", ".join(map(str, sorted(ids.symmetric_difference(slots.values()))))
+        raise SlotsError(
+            f"slots: no UAV or more than one takes slot {odd}: expected one UAV for each"
+        )
+
+
+def with_slots(scenario: Scenario, slots: Slots) -> Scenario:
+    """The scenario in which every UAV has the offset, the links and the task of its slot.
+
+    Its `text` stays that of the whole flight: a later epoch may decide anew.
+
+    Raises:
+        SlotsError: not every UAV has a slot of its own.
+    """
+    require_slots(scenario, slots)
+    holder = {slot: uav for uav, slot in slots.items()}
+    if all(uav == slot for uav, slot in slots.items()):
+        return scenario
+    return replace(
+        scenario,
+        file=_file_of(scenario.file, holder),
+        topology=_topology_of(scenario.topology, holder),
+    )
+
+
+def with_slots_of_starts(scenario: Scenario) -> Scenario:
+    """The scenario with the slots of its starts; as it is, where every UAV has its own."""
+    if not are_open(scenario):
+        return scenario
+    starts = {uav: scenario.uav(uav).position for uav in scenario.uav_ids}
+    return with_slots(scenario, optimal_slots(scenario, starts))
+
+
+def _file_of(file: ScenarioFile, holder: Mapping[int, int]) -> ScenarioFile:
+    links, formation = file.communication, file.formation
+    return file.model_copy(
+        update={
+            "communication": links.model_copy(
+                update={
+                    "tree": {holder[child]: holder[above] for child, above in links.tree.items()},
+                    "leader_links": tuple(holder[slot] for slot in links.leader_links),
+                    "estimator_edges": tuple(
+                        (holder[a], holder[b]) for a, b in links.estimator_edges
+                    ),
+                }
+            ),
+            "leader": file.leader.model_copy(update={"id": holder[file.leader.id]}),
+            "formation": formation.model_copy(
+                update={"offsets_m": {holder[k]: at for k, at in formation.offsets_m.items()}}
+            ),
+        }
+    )
+
+
+def _topology_of(topology: Topology, holder: Mapping[int, int]) -> Topology:
+    """The same graph on other UAVs; its eigenvalues stay, to the last bit."""
+    leader = holder[topology.leader]
+    pinned = frozenset(holder[slot] for slot in topology.pinned)
+    neighbours = {
+        holder[slot]: tuple(sorted(holder[other] for other in others))
+        for slot, others in topology.neighbours.items()
+    }
+    followers = [uav for uav in topology.order if uav != leader]
+    return topology._replace(
+        leader=leader,
+        parent={holder[child]: holder[above] for child, above in topology.parent.items()},
+        pinned=pinned,
+        neighbours=neighbours,
+        matrix=estimator_matrix(followers, pinned, neighbours),
+        depth={holder[slot]: hops for slot, hops in topology.depth.items()},
+    )
