@@ -87,8 +87,8 @@ def deadline_table(verdict: Verdict) -> Table:
     """One row per UAV: whether it met its deadline and kept its distances."""
     title = f"{verdict.scenario}: {verdict.plant}, {verdict.task}, profile {verdict.profile}"
     own = all(one.slot == one.uav for one in verdict.uavs)
-    columns = () if own else (_SLOT,)
-    columns += _DEADLINE + (_MISSING if any(one.missing for one in verdict.uavs) else ())
+    columns = _DEADLINE if own else (_SLOT, *_DEADLINE)
+    columns += _MISSING if any(one.missing for one in verdict.uavs) else ()
     table = _table(title, ("UAV", "verdict"), columns)
     for one in verdict.uavs:
         table.add_row(str(one.uav), word(one.verdict), *_numbers(one, columns))

@@ -29,9 +29,16 @@ from ptnsbc_nodes.runtime.environment import reserved_domain
 from ptnsbc_nodes.sim.node import SimNode
 from ptnsbc_nodes.uav.node import UavNode
 from ptnsbc_sim.scenario import Scenario, load_scenario
+from ptnsbc_sim.scenario.slots import are_open
 
 REAL_TIME, LOCKSTEP, BRIDGED = "real time", "lock-step", "flight controllers"
 SCENARIO = "experiment_4"  # has a truth, and a MAVLink block
+_OPEN_SLOTS = {"formation.assignment": "optimal"}
+_MODES = {
+    REAL_TIME: FlightOptions(recorded=True),
+    LOCKSTEP: FlightOptions(lockstep=True, recorded=True),
+    BRIDGED: FlightOptions(recorded=True, bridged=True),
+}
 _OURS = re.compile(r"^/(?:uav(\d+)|formation|diagnostics$|clock$|tf$)")
 
 
@@ -52,15 +59,15 @@ class End(NamedTuple):
 def ends() -> list[End]:
     """Every end of every topic of ours, in all three kinds of flight."""
     with reserved_domain() as domain:
-        return [
-            *_flight(domain, REAL_TIME, FlightOptions(recorded=True)),
-            *_flight(domain, LOCKSTEP, FlightOptions(lockstep=True, recorded=True)),
-            *_flight(domain, BRIDGED, FlightOptions(recorded=True, bridged=True)),
-        ]
+        found = []
+        for mode, options in _MODES.items():
+            found += _flight(domain, mode, options, load_scenario(SCENARIO))
+            decided = _flight(domain, mode, options, load_scenario(SCENARIO, _OPEN_SLOTS))
+            found += [end for end in decided if end.topic == topics.SLOTS.name]
+        return found
 
 
-def _flight(domain: int, mode: str, options: FlightOptions) -> Iterator[End]:
-    scenario = load_scenario(SCENARIO)
+def _flight(domain: int, mode: str, options: FlightOptions, scenario: Scenario) -> Iterator[End]:
     with ExitStack() as stack:
         context = stack.enter_context(_context(domain))
         edges = CommunicationGraph(scenario, options)
@@ -104,7 +111,11 @@ def _context(domain: int) -> Iterator[Context]:
 @contextmanager
 def _recorder(node: Node, scenario: Scenario, options: FlightOptions) -> Iterator[FleetRecorder]:
     uavs, lockstep = scenario.uav_ids, options.lockstep
-    options_of_bag = {"lockstep": lockstep, "with_truth": not options.bridged}
+    options_of_bag = {
+        "lockstep": lockstep,
+        "with_truth": not options.bridged,
+        "with_slots": are_open(scenario),
+    }
     infos = [topic_info(one, lockstep=lockstep) for one in topics.in_bag(uavs, **options_of_bag)]
     with tempfile.TemporaryDirectory() as folder, BagWriter(Path(folder) / "bag", infos) as writer:
         yield FleetRecorder(

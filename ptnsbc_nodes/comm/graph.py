@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 from ptnsbc_sim.disturbances.links import LinkDelay, MessageLoss, link_delay, message_loss
 from ptnsbc_sim.scenario import Scenario
+from ptnsbc_sim.scenario.slots import Slots, are_open, with_slots
 
 LEAD_TICKS = 4
 """In lock-step a vehicle is at most this many ticks ahead of the slowest: bounds what an inbox keeps."""
@@ -33,6 +34,7 @@ class Senders:
     parent: int | None
     leader: int | None  # None unless pinned
     estimators: tuple[int, ...]  # ascending: the order of the rows of AgentInputs.estimates
+    others: tuple[int, ...] = ()  # all other UAVs, where an epoch may choose any of them
     losses: MessageLoss | None = None  # which of their messages the scenario wants lost
     delays: Mapping[int, LinkDelay] = field(default_factory=dict)  # and how late, by sender
 
@@ -40,6 +42,16 @@ class Senders:
     def states(self) -> tuple[int, ...]:
         """UAVs whose formation_state is needed; a child of the leader subscribes once."""
         return tuple(sorted({i for i in (self.parent, self.leader) if i is not None}))
+
+    @property
+    def heard_states(self) -> tuple[int, ...]:
+        """UAVs to whose formation_state this one subscribes."""
+        return self.others or self.states
+
+    @property
+    def heard_estimators(self) -> tuple[int, ...]:
+        """UAVs to whose leader_estimate this one subscribes."""
+        return self.others or self.estimators
 
 
 class CommunicationGraph:
@@ -57,12 +69,25 @@ class CommunicationGraph:
             parent=scenario.parent(uav_id),
             leader=scenario.leader_id if scenario.pinned(uav_id) else None,
             estimators=scenario.estimator_neighbours(uav_id),
+            others=self._others(uav_id),
             losses=message_loss(scenario, uav_id),
             delays={i: link_delay(scenario, i, uav_id) for i in others},
         )
 
+    def holding(self, slots: Slots) -> CommunicationGraph:
+        """The graph in which every UAV has the edges of its slot."""
+        return CommunicationGraph(with_slots(self._scenario, slots), self.options)
+
+    def _others(self, uav_id: int) -> tuple[int, ...]:
+        """UAVs that this one must be able to hear, whatever the epoch decides, ascending."""
+        if not are_open(self._scenario):
+            return ()
+        return tuple(sorted(i for i in self._scenario.uav_ids if i != uav_id))
+
     def linked(self, uav_id: int) -> tuple[int, ...]:
-        """UAVs that this one has an edge with, in either direction, ascending."""
+        """UAVs that this one has an edge with, in either direction, ascending; all where slots are open."""
+        if are_open(self._scenario):
+            return self._others(uav_id)
         all_senders = {i: self.senders(i) for i in self._scenario.uav_ids}
         heard = {i: {*one.states, *one.estimators} for i, one in all_senders.items()}
         others = (i for i in heard if i in heard[uav_id] or uav_id in heard[i])
@@ -70,13 +95,20 @@ class CommunicationGraph:
 
     def state_readers(self, uav_id: int) -> int:
         """How many nodes read the formation_state of this UAV."""
-        heard = sum(uav_id in self.senders(other).states for other in self._scenario.uav_ids)
+        heard = sum(uav_id in self.senders(other).heard_states for other in self._scenario.uav_ids)
         return heard + self.options.recorders
 
     def estimate_readers(self, uav_id: int) -> int:
         """How many nodes read the leader_estimate of this UAV."""
-        heard = sum(uav_id in self.senders(other).estimators for other in self._scenario.uav_ids)
+        heard = sum(
+            uav_id in self.senders(other).heard_estimators for other in self._scenario.uav_ids
+        )
         return heard + self.options.recorders
+
+    def odometry_readers(self, uav_id: int) -> int:
+        """How many nodes read the odometry of this UAV; with open slots the UAV that decides them is one."""
+        decides = are_open(self._scenario) and uav_id != self._scenario.leader_id
+        return 1 + decides + self.options.recorders
 
     def wrench_readers(self) -> int:
         """How many nodes read a wrench; in real time a bridge may fly instead of the sim."""
@@ -85,6 +117,10 @@ class CommunicationGraph:
     def epoch_readers(self) -> int:
         """How many nodes read the epoch: all UAVs, and in lock-step the sim; not every real-time flight has one."""
         return len(self._scenario.uav_ids) + self.wrench_readers()
+
+    def slots_readers(self) -> int:
+        """How many nodes read the slots: all UAVs."""
+        return len(self._scenario.uav_ids) + self.options.recorders
 
     def epoch_listeners(self) -> dict[int, int]:
         """How many nodes of each UAV read the epoch: its controller, and its bridge."""

@@ -20,6 +20,7 @@ from ptnsbc_nodes.comm.agent_messages import WORLD_FRAME
 from ptnsbc_nodes.comm.diagnostics import STATUS_HZ
 from ptnsbc_nodes.comm.serialize import encode
 from ptnsbc_sim.scenario import Scenario, agent_config
+from ptnsbc_sim.scenario.slots import are_open
 from ptnsbc_sim.world import World
 
 _LEADER = (0.95, 0.55, 0.1, 1.0)  # red, green, blue, opacity
@@ -37,11 +38,15 @@ _SOMETIME, _SOMEWHERE = (0x7AB0C0DE, 0x3AB0C0DE), (-1.25e297, -1.5e297, -1.75e29
 
 
 class Scene:
-    """The markers of one flight: serialised once; then only times and positions are written into the bytes."""
+    """The markers of one flight: serialised once; then only times and positions are written into the bytes.
+
+    The edges of the tree are drawn where every UAV has its own slot.
+    """
 
     def __init__(self, scenario: Scenario, world: World) -> None:
         self._world = world
-        children = {i: parent for i in world.ids if (parent := scenario.parent(i)) is not None}
+        parents = {} if are_open(scenario) else {i: scenario.parent(i) for i in world.ids}
+        children = {i: parent for i, parent in parents.items() if parent is not None}
         self._shown = [*world.ids, *(end for edge in children.items() for end in edge)]
         self._buffer = bytearray(encode(MarkerArray(markers=_all_markers(scenario, len(children)))))
         self._times_at = _find_all(self._buffer, _TIME.pack(*_SOMETIME))

@@ -34,6 +34,8 @@ class Topic(NamedTuple):
 
 EPOCH = Topic("/formation/epoch", "std_msgs/msg/Header", Role.LATCHED, "once a leg")
 """A leg begins: stamp t0, frame_id its name."""
+SLOTS = Topic("/formation/slots", "std_msgs/msg/Header", Role.LATCHED, "once a leg")
+"""With `formation.assignment: optimal`: stamp t0 of a leg, frame_id the slot of every UAV, "1:1 2:5 3:2"."""
 DIAGNOSTICS = Topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", Role.EVENT, STATUS_RATE)
 """State and counters of every node."""
 MARKERS = Topic("/formation/markers", "visualization_msgs/msg/MarkerArray", Role.EVENT, STATUS_RATE)
@@ -137,7 +139,11 @@ def notes(uav: int) -> tuple[Topic, ...]:
 
 
 def recorded(
-    uavs: Iterable[int], *, lockstep: bool = True, with_truth: bool = False
+    uavs: Iterable[int],
+    *,
+    lockstep: bool = True,
+    with_truth: bool = False,
+    with_slots: bool = False,
 ) -> tuple[Topic, ...]:
     """The topics that a recorder of these UAVs subscribes to; it makes /tf itself, out of odometry."""
 
@@ -146,14 +152,20 @@ def recorded(
         return (*of_uav(uav), *noted, *((truth(uav),) if with_truth else ()))
 
     own = tuple(topic for uav in uavs for topic in of_one(uav))
-    return (*own, EPOCH, DIAGNOSTICS, MARKERS, CLOCK)
+    decided = (SLOTS,) if with_slots else ()
+    return (*own, EPOCH, *decided, DIAGNOSTICS, MARKERS, CLOCK)
 
 
 def in_bag(
-    uavs: Iterable[int], *, lockstep: bool = True, with_truth: bool = False
+    uavs: Iterable[int],
+    *,
+    lockstep: bool = True,
+    with_truth: bool = False,
+    with_slots: bool = False,
 ) -> tuple[Topic, ...]:
     """Every topic of a bag of these UAVs."""
-    return (*recorded(uavs, lockstep=lockstep, with_truth=with_truth), TF)
+    kinds = {"lockstep": lockstep, "with_truth": with_truth, "with_slots": with_slots}
+    return (*recorded(uavs, **kinds), TF)
 
 
 def tf_is_available() -> bool:

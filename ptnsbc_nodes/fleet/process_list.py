@@ -13,6 +13,7 @@ from ptnsbc_nodes.comm.topics import RECORDER, SIM
 from ptnsbc_nodes.fleet.child_process import ProcessCommand
 from ptnsbc_nodes.runtime.provenance import provenance
 from ptnsbc_sim.scenario import Scenario
+from ptnsbc_sim.scenario.slots import are_open
 
 _AIRBORNE_S = 240.0  # boot, position, arming and take-off of a real vehicle
 
@@ -148,6 +149,8 @@ def _recorder(options: FleetOptions, bag: Path, scenario_file: Path) -> ProcessC
         arguments.append("--lockstep")
     if options.scenario.imperfect:
         arguments.append("--truth")
+    if are_open(options.scenario):
+        arguments.append("--slots")
     if options.backend == "mavlink":
         arguments += ["--draw", str(scenario_file), "--punctual"]
     if options.overwrite:

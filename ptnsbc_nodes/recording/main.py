@@ -69,7 +69,11 @@ def _record(context: Context, options: argparse.Namespace, stop: StopRequest) ->
         from ptnsbc_sim.scenario import load_scenario
 
         draw = OdometryMarkers(load_scenario(options.draw, {})).of
-    kinds = {"lockstep": options.lockstep, "with_truth": options.truth}
+    kinds = {
+        "lockstep": options.lockstep,
+        "with_truth": options.truth,
+        "with_slots": options.slots,
+    }
     every = topics.in_bag(options.uavs, **kinds)
     with recorder_node(context, "recorder") as (node, executor):
         with BagWriter(
@@ -121,6 +125,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--uavs", type=int, nargs="+", required=True, metavar="N")
     parser.add_argument("--lockstep", action="store_true", help="same flight, same bytes")
     parser.add_argument("--truth", action="store_true", help="the sim tells true states as well")
+    parser.add_argument(
+        "--slots", action="store_true", help="an epoch decides who takes which slot"
+    )
     parser.add_argument(
         "--draw",
         metavar="SCENARIO",

@@ -35,7 +35,14 @@ from ptnsbc_nodes.runtime.signals import StopRequest
 OURS = (
     *("/uav*/" + name for name in ("odom", "near", "formation_state", "leader_estimate")),
     *("/uav*/" + name for name in ("setpoint/*", "tick", "snapshot")),
-    *("/formation/epoch", "/formation/markers", "/diagnostics", "/clock", "/tf"),
+    *(
+        "/formation/epoch",
+        "/formation/slots",
+        "/formation/markers",
+        "/diagnostics",
+        "/clock",
+        "/tf",
+    ),
 )
 """Topics of a flight, as patterns."""
 

@@ -52,7 +52,7 @@ class SimNode:
         self._scenario = scenario
         self._on_end = on_end
         self._world = World(scenario)
-        publishers = SimPublishers(self.endpoints, scenario, self._world, edges.options)
+        publishers = SimPublishers(self.endpoints, scenario, self._world, edges)
         self._lockstep = LockstepWorld(scenario, self._world, publishers)
         self._real_time = RealTimeWorld(scenario, self._world, publishers)
         self._epochs = Epochs()

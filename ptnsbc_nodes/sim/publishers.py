@@ -9,7 +9,7 @@ from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.agent_messages import WORLD_FRAME
 from ptnsbc_nodes.comm.diagnostics import status_every
 from ptnsbc_nodes.comm.endpoints import Endpoints
-from ptnsbc_nodes.comm.graph import FlightOptions
+from ptnsbc_nodes.comm.graph import CommunicationGraph
 from ptnsbc_nodes.comm.markers import Scene
 from ptnsbc_nodes.comm.serialize import encode
 from ptnsbc_sim.scenario import Scenario
@@ -20,7 +20,7 @@ class SimPublishers:
     """Publishers of the sim: all at once in real time, one vehicle at a time in lock-step."""
 
     def __init__(
-        self, endpoints: Endpoints, scenario: Scenario, world: World, options: FlightOptions
+        self, endpoints: Endpoints, scenario: Scenario, world: World, edges: CommunicationGraph
     ) -> None:
         self._world = world
         self._near_every = scenario.near_every
@@ -28,11 +28,13 @@ class SimPublishers:
         self._calls = 0
         self._scene = Scene(scenario, world)
         self._clock_template = ClockTemplate()
-        ids, recorders = world.ids, options.recorders
+        ids, recorders = world.ids, edges.options.recorders
         self._odometry_templates = {
             i: OdometryTemplate(WORLD_FRAME, f"uav{i}/base_link") for i in ids
         }
-        self._send_odom = {i: endpoints.publisher(topics.odom(i), 1 + recorders) for i in ids}
+        self._send_odom = {
+            i: endpoints.publisher(topics.odom(i), edges.odometry_readers(i)) for i in ids
+        }
         self._send_truth = (
             {i: endpoints.publisher(topics.truth(i), recorders) for i in ids}
             if scenario.imperfect

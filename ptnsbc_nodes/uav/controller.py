@@ -5,10 +5,20 @@ No ROS in here.
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 from ptnsbc_core.agent import Agent, PackedOutputs
-from ptnsbc_core.types import MODE_HOLD, AgentConfig, AgentDiagnostics, AgentState, Array
+from ptnsbc_core.behaviours.neighbour import UNKNOWN
+from ptnsbc_core.types import (
+    MODE_HOLD,
+    AgentConfig,
+    AgentDiagnostics,
+    AgentState,
+    Array,
+    NeighbourMotions,
+)
+from ptnsbc_io.wire import Stamped
 from ptnsbc_nodes.comm.graph import Senders
 from ptnsbc_nodes.comm.legs import Leg
 from ptnsbc_nodes.uav.inbox import Inbox
@@ -41,6 +51,10 @@ class VehicleSpeedLimits(NamedTuple):
     def applied_to(self, config: AgentConfig) -> AgentConfig:
         """The configuration with these limits."""
         return config._replace(filter=config.filter._replace(**self._asdict()))
+
+
+def _speed_limits(config: AgentConfig) -> VehicleSpeedLimits:
+    return VehicleSpeedLimits(config.filter.max_speed, config.filter.max_acceleration)
 
 
 class UavCounters:
@@ -110,15 +124,31 @@ class UavController:
         self.config = config
         self.inbox = Inbox(senders)
         self.counters = UavCounters()
+        self.slots: Stamped | None = None  # those in force, of the epoch that decided them
         self.steps = 0  # of this agent
         self._agent: Agent | None = None
         self._agent_config = config  # with which the agent began
 
+    def take_slot(self, slots: Stamped, config: AgentConfig, senders: Senders) -> None:
+        """Fly by a slot that the epoch of `slots` decided from the next step on, with the limits of the vehicle.
+
+        Parent and leader may be others than before: what was known of their motion is forgotten, and the plan
+        begins anew.
+        """
+        self.slots = slots
+        self.config = _speed_limits(self.config).applied_to(config)
+        self.inbox.listen_to(senders)
+        if self._agent is not None:
+            self._agent_config = self.limits.applied_to(config)
+            state = self._agent.state._replace(
+                estimate_valid=False, motions=NeighbourMotions(UNKNOWN, UNKNOWN), last_t=math.inf
+            )
+            self._agent = Agent.resumed(self._agent_config, state)
+
     @property
     def limits(self) -> VehicleSpeedLimits:
         """The speed limits with which the agent flies."""
-        limits = self._agent_config.filter
-        return VehicleSpeedLimits(limits.max_speed, limits.max_acceleration)
+        return _speed_limits(self._agent_config)
 
     @property
     def state(self) -> AgentState:

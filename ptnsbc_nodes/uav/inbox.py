@@ -83,12 +83,23 @@ class Inbox:
         self.own: Stamped | None = None
         self.near: Stamped | None = None
         delays = senders.delays
-        self._states = {i: MessageQueue(delays.get(i, NO_DELAY)) for i in senders.states}
-        self._estimates = {i: MessageQueue(delays.get(i, NO_DELAY)) for i in senders.estimators}
-        self._awaited = [*self._states.items(), *self._estimates.items()]
-        self._inputs = PackedInputs(len(self._estimates), _NOTHING_NEAR)
+        self._states = {i: MessageQueue(delays.get(i, NO_DELAY)) for i in senders.heard_states}
+        self._estimates = {
+            i: MessageQueue(delays.get(i, NO_DELAY)) for i in senders.heard_estimators
+        }
+        self._lost: set[int] = set()
+        self.listen_to(senders)
+
+    def listen_to(self, senders: Senders) -> None:
+        """Use the messages of these senders from now on; what has arrived of them counts."""
+        self.senders = senders
+        states = [(i, self._states[i]) for i in senders.states]
+        estimates = [(i, self._estimates[i]) for i in senders.estimators]
+        self._used = [*states, *estimates]
+        self._inputs = PackedInputs(len(estimates), _NOTHING_NEAR)
         self._own_row = self._inputs.vector[OWN:PARENT]
         self._queue_rows = tuple(self._rows())
+        self._awaited = [one for one in self._used if one[0] not in self._lost]
 
     def state_handlers(self) -> Mapping[int, Callable[[Stamped], None]]:
         """The handler of each sender's formation_state; the queue itself where no message is to be lost."""
@@ -120,7 +131,8 @@ class Inbox:
 
     def lose(self, uav_id: int) -> None:
         """Stop waiting for this sender, whose process has ended. Its last messages age from now on."""
-        self._awaited = [(i, queue) for i, queue in self._awaited if i != uav_id]
+        self._lost.add(uav_id)
+        self._awaited = [one for one in self._used if one[0] not in self._lost]
 
     def holds_tick(self, period_ns: int, near_every: int) -> bool:
         """Whether everything that the tick of the own odometry needs is here (lock-step)."""
@@ -135,14 +147,14 @@ class Inbox:
 
     def held(self, now_ns: int, cutoff_ns: int) -> list[Stamped | None]:
         """The messages of `pack_inputs`: own, near, states, estimates, the latter two by ascending sender."""
-        queues = (*self._states.values(), *self._estimates.values())
-        return [self.own, self.near, *(queue.before(cutoff_ns, now_ns) for queue in queues)]
+        queues = (queue.before(cutoff_ns, now_ns) for _, queue in self._used)
+        return [self.own, self.near, *queues]
 
     def topic_names(self, uav_id: int) -> list[str]:
         """The topics of the `held` messages of the UAV `uav_id`."""
         own = [topics.odom(uav_id), topics.near(uav_id)]
-        states = [topics.formation_state(i) for i in self._states]
-        estimates = [topics.leader_estimate(i) for i in self._estimates]
+        states = [topics.formation_state(i) for i in self.senders.states]
+        estimates = [topics.leader_estimate(i) for i in self.senders.estimators]
         return [topic.name for topic in (*own, *states, *estimates)]
 
     def pack_inputs(
@@ -174,8 +186,8 @@ class Inbox:
         if senders.leader is not None:
             yield self._states[senders.leader], inputs.vector[LEADER:PARENT_AGE], LEADER_AGE
         estimates = inputs.vector[ESTIMATES : inputs.ages].reshape(-1, ODOMETRY_SIZE)
-        for k, queue in enumerate(self._estimates.values()):
-            yield queue, estimates[k], inputs.ages + k
+        for k, uav_id in enumerate(senders.estimators):
+            yield self._estimates[uav_id], estimates[k], inputs.ages + k
 
 
 def _age_s(message: Stamped, now_ns: int) -> float:

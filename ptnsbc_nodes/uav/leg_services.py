@@ -13,6 +13,7 @@ from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.comm.graph import CommunicationGraph
 from ptnsbc_nodes.comm.legs import FIRST_LEG, Epochs
+from ptnsbc_nodes.uav.slots import SlotDecider
 
 LEAD_NS = 500_000_000
 """An epoch is announced this long before it begins, so that all UAVs switch at the same instant [ns]."""
@@ -35,14 +36,19 @@ class LegServices:
         epochs: Epochs,
         now_ns: Callable[[], int],
         waiting_for: Callable[[], Sequence[str]],
+        decider: SlotDecider | None = None,
     ) -> None:
-        """`now_ns`: time of the flight; `waiting_for`: empty when the leader is ready."""
+        """`now_ns`: time of the flight; `waiting_for`: empty when the leader is ready to start.
+
+        `decider` decides the slots of each leg in formation, where they are open.
+        """
         self._node = node
         self._endpoints = endpoints
         self._lockstep = edges.options.lockstep
         self._epochs = epochs
         self._now_ns = now_ns
         self._waiting_for = waiting_for
+        self._decider = decider
         self._listeners = edges.epoch_listeners()
         self._publish = endpoints.publisher(topics.EPOCH, edges.epoch_readers())
         self._services = [
@@ -78,6 +84,8 @@ class LegServices:
 
     def _announce(self, name: str) -> str:
         t0_ns, leg = self._epoch_ns(name), _LEGS[name]
+        if leg == FIRST_LEG and self._decider is not None:
+            self._decider.decide(t0_ns)
         self._epochs.announce(t0_ns, leg)
         self._publish(HeaderTemplate(leg).encode(t0_ns))
         return f"leg {leg} from {t0_ns * 1e-9:.3f} s"

@@ -7,10 +7,12 @@ happens when all its messages are here: the own odometry of tick k, and the neig
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
+from ptnsbc_core.types import MODE_HOLD
 from ptnsbc_io.wire import HeaderFields, OdometryDecoder, Stamped, checked_near
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.agent_messages import WORLD_FRAME
@@ -30,9 +32,10 @@ from ptnsbc_nodes.comm.door import (
     StampRule,
     in_order,
 )
-from ptnsbc_nodes.comm.endpoints import Endpoints
+from ptnsbc_nodes.comm.endpoints import Endpoints, full_name
 from ptnsbc_nodes.comm.graph import LEAD_TICKS, CommunicationGraph
-from ptnsbc_nodes.comm.legs import Epochs
+from ptnsbc_nodes.comm.legs import Epochs, Leg
+from ptnsbc_nodes.comm.slots import Decision, encode_slots
 from ptnsbc_nodes.comm.topics import LOST, READY, Topic
 from ptnsbc_nodes.comm.vehicle_messages import PlannerLimits, decode_limits, limited
 from ptnsbc_nodes.runtime.clock_offset import ClockOffsetMonitor
@@ -41,7 +44,9 @@ from ptnsbc_nodes.uav.controller import UavController, step_time
 from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS
 from ptnsbc_nodes.uav.leg_services import LegServices
 from ptnsbc_nodes.uav.outbox import Outbox
+from ptnsbc_nodes.uav.slots import OpenSlots, SlotDecider
 from ptnsbc_sim.scenario import Scenario, agent_config
+from ptnsbc_sim.scenario.slots import are_open
 
 
 class UavNode:
@@ -53,6 +58,7 @@ class UavNode:
         self.node = node
         self.endpoints = Endpoints(node, edges.options.lockstep)
         self._options = edges.options
+        self._uav = uav_id
         self._controller = UavController(agent_config(scenario, uav_id), edges.senders(uav_id))
         self._outbox = Outbox(self.endpoints, edges, uav_id)
         self._epochs = Epochs()
@@ -61,11 +67,22 @@ class UavNode:
         self._active = False
         self._at_start = not edges.options.bridged
         """Whether the UAV is at its start; a bridge brings its vehicle there before the first leg."""
+        self._slots = self._decider = None
+        if are_open(scenario):
+            self._slots = OpenSlots(scenario, uav_id, edges, self._controller)
         self._subscribe(uav_id)
+        if self._slots is not None and uav_id == scenario.leader_id:
+            self._decider = self._slot_decider(scenario, edges)
         self._status = _StatusPublisher(self, f"uav{uav_id}")
         self._leg_services = (
             LegServices(
-                node, self.endpoints, edges, self._epochs, self._flight_ns, self.waiting_for
+                node,
+                self.endpoints,
+                edges,
+                self._epochs,
+                self._flight_ns,
+                self._waiting_to_start,
+                self._decider,
             )
             if uav_id == scenario.leader_id
             else None
@@ -111,10 +128,40 @@ class UavNode:
                 missing += self._leg_services.missing_listeners()
         if self._controller.inbox.own is None and self._odom_name not in missing:
             missing.append(self._odom_name)
+        if not self._epochs.announced:
+            missing += [name for name in self._unknown_positions() if name not in missing]
         offset = self._timing.clock_offset.offset
         if offset is not None and not self._epochs.announced:
             missing.append(f"another time: {offset}")
         return missing
+
+    def _waiting_to_start(self) -> list[str]:
+        """What a leg in formation waits for: with open slots, positions too."""
+        missing = self.waiting_for()
+        return [*missing, *(name for name in self._unknown_positions() if name not in missing)]
+
+    def _unknown_positions(self) -> list[str]:
+        """Real time: odometry that the decision on the slots lacks."""
+        if self._decider is None or self._options.lockstep:
+            return []
+        stale_ns = round(self._controller.config.stale_s * 1e9)
+        unknown = self._decider.unknown(self._timing.now_ns() - stale_ns)
+        return [full_name(self.node, topics.odom(uav)) for uav in unknown]
+
+    def _slot_decider(self, scenario: Scenario, edges: CommunicationGraph) -> SlotDecider:
+        """The decision on the slots, by the odometry of all UAVs."""
+        publish = self.endpoints.publisher(topics.SLOTS, edges.slots_readers())
+
+        def announce(decision: Decision) -> None:
+            publish(encode_slots(decision))
+            self._on_slots(decision)
+
+        decider = SlotDecider(scenario, announce)
+        for uav in scenario.uav_ids:
+            if uav != scenario.leader_id:
+                decode = in_order(OdometryDecoder(), self._timing.stamp_rule())
+                self.endpoints.listen(topics.odom(uav), decode, partial(decider.on_odometry, uav))
+        return decider
 
     def _subscribe(self, uav_id: int) -> None:
         listen, inbox = self.endpoints.listen, self._controller.inbox
@@ -130,6 +177,8 @@ class UavNode:
             frames = OdometryDecoder(WORLD_FRAME, WORLD_FRAME)
             self._listen_to(topics.leader_estimate(sender), frames, handler)
         listen(topics.EPOCH, decode_leg, self._on_epoch)
+        if self._slots is not None:
+            listen(topics.SLOTS, self._slots.decided.decode, self._on_slots)
         listen(LOST, decode_lost, self._on_lost, required=False)
         if self._options.bridged:
             listen(topics.limits(uav_id), decode_limits, self._on_limits)
@@ -150,6 +199,8 @@ class UavNode:
 
     def _on_odom(self, message: Stamped) -> None:
         self._controller.inbox.own = message
+        if self._decider is not None:
+            self._decider.on_odometry(self._uav, message)
         self._advance()
 
     def _on_near(self, message: Stamped) -> None:
@@ -162,6 +213,23 @@ class UavNode:
             self.endpoints.begin(self._timing.now_ns())
         self._timing.align(self._controller.inbox.own)
         self._advance()
+
+    def _on_slots(self, decision: Decision) -> None:
+        """Who takes which slot; a UAV that hears it after its epoch holds until then."""
+        if self._slots is not None:
+            self._slots.decided.keep(decision)
+        self._advance()
+
+    def _take_slot(self, leg: Leg | None) -> bool:
+        """Take the slot of a leg; False while it is open and not decided."""
+        if self._slots is None:
+            return True
+        inbox = self._controller.inbox
+        before = inbox.senders
+        known = self._slots.take(leg)
+        if inbox.senders is not before:
+            self._timing.clock_offset = ClockOffsetMonitor(inbox.topic_names(self._uav))
+        return known
 
     def _on_lost(self, process: LostProcess) -> None:
         if process.uav is not None:
@@ -181,6 +249,8 @@ class UavNode:
         now_ns = own.stamp_ns
         if now_ns <= timing.done_ns or not self._epochs.announced:
             return
+        if not self._take_slot(self._epochs.at(now_ns)):
+            return  # the decision is on its way
         if inbox.holds_tick(timing.period_ns, timing.near_every):
             self._tick(own, now_ns, now_ns, timing.period_ns)
             if now_ns // timing.period_ns % timing.status_every == 0:
@@ -206,6 +276,8 @@ class UavNode:
             self._at_start = True
             self._controller.restart()
         at = step_time(now_ns, elapsed_ns, leg, timing.start_ns)
+        if not self._take_slot(leg):
+            at = at._replace(mode=MODE_HOLD)
         outputs = self._controller.step(at, cutoff_ns)
         timing.done(now_ns)
         self._outbox.send(own, outputs, at, self._controller)
@@ -311,6 +383,9 @@ class _StatusPublisher:
             return DiagnosticLevel.ERROR, stale if offset is None else f"{stale}; {offset}"
         if offset is not None:
             return DiagnosticLevel.WARN, str(offset)
+        fault = uav._slots.fault(uav._epochs.at(stamp_ns)) if uav._slots is not None else ""
+        if fault:
+            return DiagnosticLevel.ERROR, fault
         if uav._epochs.announced and uav._controller.counters.holding:
             return DiagnosticLevel.WARN, "holding"
         if refused := uav.endpoints.refusals.report():

@@ -10,7 +10,7 @@ from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.comm.graph import CommunicationGraph
 from ptnsbc_nodes.uav.controller import StepTime, UavController
 from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS
-from ptnsbc_nodes.uav.step_log import SnapshotTemplate, TickTemplate
+from ptnsbc_nodes.uav.step_log import SnapshotTemplate, TickTemplate, used_by
 
 
 class Outbox:
@@ -54,7 +54,8 @@ class _StepLogPublisher:
     ) -> None:
         readers = edges.options.recorders
         self._every = every  # steps from one snapshot to the next
-        self._template = TickTemplate(edges.senders(uav_id))
+        self._senders = edges.senders(uav_id)
+        self._template = TickTemplate(self._senders)
         self._send_tick = endpoints.publisher(topics.tick(uav_id), readers)
         self._send_snapshot = endpoints.publisher(topics.snapshot(uav_id), readers)
         self._snapshot: SnapshotTemplate | None = None
@@ -62,8 +63,11 @@ class _StepLogPublisher:
     def send(self, at: StepTime, controller: UavController) -> None:
         """Publish the messages that the step `at` used, and at times the state after it."""
         sequence = controller.steps - 1
-        held = controller.inbox.held(at.now_ns, NO_CUTOFF_NS)
-        self._send_tick(self._template.encode(sequence, at, held))
+        if controller.inbox.senders is not self._senders:  # it has taken another slot
+            self._senders = controller.inbox.senders
+            self._template = TickTemplate(self._senders)
+        used = used_by(controller, at.now_ns, NO_CUTOFF_NS)
+        self._send_tick(self._template.encode(sequence, at, used))
         if sequence % self._every == 0:
             self._snapshot = self._snapshot or SnapshotTemplate(controller)
             self._send_snapshot(self._snapshot.encode(sequence, controller))

@@ -22,7 +22,7 @@ from ptnsbc_nodes.uav.controller import StepTime, UavController, UavCounters, Ve
 
 _STEP_FIELDS = ("sequence", *StepTime._fields)
 _NO_MESSAGE = (-1, 0)
-OWN = "own"
+OWN, SLOTS = "own", "slots"
 
 
 class UsedMessage(NamedTuple):
@@ -43,9 +43,16 @@ class TickNote(NamedTuple):
 
 
 def sources(senders: Senders) -> tuple[str, ...]:
-    """Names of the messages that a step can use, in the order of `Inbox.held`."""
+    """Names of the messages that a step can use."""
     states = (f"state{i}" for i in senders.states)
-    return (OWN, "near", *states, *(f"estimate{i}" for i in senders.estimators))
+    decided = (SLOTS,) if senders.others else ()
+    return (OWN, "near", *states, *(f"estimate{i}" for i in senders.estimators), *decided)
+
+
+def used_by(controller: UavController, now_ns: int, cutoff_ns: int) -> list[Stamped | None]:
+    """The messages that the step at `now_ns` uses, in the order of `sources`."""
+    held = controller.inbox.held(now_ns, cutoff_ns)
+    return [*held, controller.slots] if controller.inbox.senders.others else held
 
 
 def checksum(message: Stamped) -> int:

@@ -280,7 +280,7 @@ def _excuse(found: UavVerdict) -> str:
 
 def _lost(recording: Recording, uav: int) -> list[str]:
     """The processes that a UAV depends on and that fell silent, in words."""
-    needed = dict.fromkeys([*ancestors(recording.scenario, uav), recording.scenario.leader_id])
+    needed = dict.fromkeys([*ancestors(recording.flown, uav), recording.flown.leader_id])
     silent = ((one, silent_from_s(recording, one)) for one in needed)
     return [f"UAV {one} silent from {t_s:.2f} s" for one, t_s in silent if t_s is not None]
 

@@ -105,7 +105,7 @@ def _from_above(axes: Any, recording: Recording, positions: dict[int, Array]) ->
 
     for index, (uav, path) in enumerate(positions.items()):
         style = _style(look(index))
-        leader = " (leader)" if uav == recording.scenario.leader_id else ""
+        leader = " (leader)" if uav == recording.flown.leader_id else ""
         axes.plot(path[:, 0], path[:, 1], label=f"UAV {uav}{leader}", linewidth=1.3, **style)
         axes.plot(*path[0, :2], marker="o", color=style["color"], markersize=4)
         axes.plot(*path[-1, :2], marker="s", color=style["color"], markersize=5)
@@ -159,7 +159,7 @@ def draw_flight(recording: Recording, path: Path, tolerance: float | None = None
     chart = errors(FlightView(recording, StatusSeries(), limit_m, None, ""))
     if chart is not None:
         _draw_chart(figure.add_subplot(panels[1, :]), chart)
-    scenario = recording.scenario
+    scenario = recording.flown
     figure.suptitle(
         f"{scenario.name}: {scenario.plant_kind}, task {scenario.file.formation.task}, "
         f"profile {scenario.gains.profile}, avoidance {scenario.file.formation.avoidance}"

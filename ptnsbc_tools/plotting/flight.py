@@ -33,8 +33,8 @@ class FlightView:
 
     @property
     def scenario(self) -> Scenario:
-        """The scenario as it was flown."""
-        return self.recording.scenario
+        """The scenario as it was flown; without a verdict nobody knows who took which slot."""
+        return self.recording.scenario if self.verdict is None else self.recording.flown
 
     @property
     def uavs(self) -> tuple[int, ...]:

@@ -16,6 +16,8 @@ from ptnsbc_io.wire import (
     decode_wrench,
 )
 from ptnsbc_nodes.comm import topics
+from ptnsbc_nodes.comm.slots import DecidedSlots, hear_recorded
+from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.verdict import Recording, Track
 from ptnsbc_sim.verdict.recording import FORMATION
 from ptnsbc_tools.reading.bag_sources import (
@@ -55,8 +57,10 @@ DEFAULTS = ReadOptions()
 class _Collector:
     """Decodes the messages of a bag one by one and sorts them by topic."""
 
-    def __init__(self, source: BagSource, names: TopicNames, uavs: tuple[int, ...]) -> None:
+    def __init__(self, source: BagSource, names: TopicNames, scenario: Scenario) -> None:
+        uavs = scenario.uav_ids
         self.epochs: set[tuple[int, str]] = set()
+        self.slots = DecidedSlots(scenario)
         file = SampleFile()
         self.counters = DiagnosticCounters(file)
         self._source = source
@@ -71,7 +75,8 @@ class _Collector:
 
     def collect(self) -> None:
         """Read all messages that the verdict needs."""
-        names = [*self._decoders, topics.EPOCH.name, topics.DIAGNOSTICS.name]
+        common = (topics.EPOCH.name, topics.SLOTS.name, topics.DIAGNOSTICS.name)
+        names = [*self._decoders, *common]
         types = self._source.types()
         for message in self._source.messages([name for name in names if name in types]):
             try:
@@ -87,6 +92,8 @@ class _Collector:
         if topic == topics.EPOCH.name:
             epoch = decode_header(data)
             self.epochs.add((epoch.stamp_ns, epoch.frame_id))
+        elif topic == topics.SLOTS.name:
+            hear_recorded(self.slots, data)
         elif topic == topics.DIAGNOSTICS.name:
             self.counters.add(decode_diagnostics(data))
         else:
@@ -113,10 +120,11 @@ def read_recording(path: Path, options: ReadOptions = DEFAULTS) -> Recording:
     source = open_source(path)
     scenario = scenario_of(source, options.scenario)
     check_types(source, names, scenario)
-    collector = _Collector(source, names, scenario.uav_ids)
+    collector = _Collector(source, names, scenario)
     collector.collect()
     odometry = collector.tracks(names.odom)
     epochs = tuple(sorted(collector.epochs))
+    slots = {t0_ns: found for t0_ns, _ in epochs if (found := collector.slots.of(t0_ns))}
     if options.epoch_s is not None and odometry:
         first_ns = min(track.first_ns for track in odometry.values())
         epochs = ((first_ns + round(options.epoch_s * 1e9), FORMATION),)
@@ -129,6 +137,7 @@ def read_recording(path: Path, options: ReadOptions = DEFAULTS) -> Recording:
         counters=collector.counters.counters(),
         sent=collector.counters.sent(),
         epochs=epochs,
+        slots=slots,
         latency=collector.counters.latency,
         window_s=options.window_s,
     )

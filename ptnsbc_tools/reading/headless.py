@@ -14,9 +14,11 @@ from ptnsbc_io.bag import BagError, BagWriter
 from ptnsbc_io.wire import ClockTemplate, HeaderTemplate, Stamped, encode_near
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.agent_messages import WORLD_FRAME, AgentMessages
+from ptnsbc_nodes.comm.slots import Decision, encode_slots
 from ptnsbc_nodes.comm.tf import Transforms
 from ptnsbc_nodes.runtime import environment
 from ptnsbc_nodes.runtime.provenance import provenance
+from ptnsbc_sim.scenario.slots import are_open
 from ptnsbc_sim.swarm import HeadlessFlight
 from ptnsbc_sim.verdict.recording import FORMATION
 from ptnsbc_tools.reading.bag_sources import SCENARIO_ATTACHMENT
@@ -129,6 +131,8 @@ def messages(flight: HeadlessFlight) -> Iterator[tuple[int, list[Message]]]:
         found: list[Message] = [(topics.CLOCK.name, clock.encode(stamp_ns))]
         if tick == 0:
             found.append((topics.EPOCH.name, HeaderTemplate(FORMATION).encode(stamp_ns)))
+            if flight.slots:
+                found.append((topics.SLOTS.name, encode_slots(Decision(stamp_ns, flight.slots))))
         for uav in uavs:
             found.extend(uav.at(tick, stamp_ns))
         made = [transforms.of(topic, data) for topic, data in found]
@@ -173,7 +177,9 @@ def write_flight(
     scenario = flight.scenario
     infos: list[Any] = [
         topic_info(topic, lockstep=True)
-        for topic in topics.in_bag(scenario.uav_ids, with_truth=scenario.imperfect)
+        for topic in topics.in_bag(
+            scenario.uav_ids, with_truth=scenario.imperfect, with_slots=are_open(scenario)
+        )
     ]
     attachments = {SCENARIO_ATTACHMENT: scenario.text.encode()}
     every = max(len(flight.t_ns) // 100, 1)

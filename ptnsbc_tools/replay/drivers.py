@@ -7,10 +7,12 @@ from collections import deque
 from collections.abc import Mapping
 from typing import Generic, NamedTuple, TypeVar
 
+from ptnsbc_core.types import MODE_FORMATION
 from ptnsbc_io.wire import WireError, decode_integers, peek_stamp
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.uav.controller import step_time
 from ptnsbc_nodes.uav.step_log import TickNote, tick_note
+from ptnsbc_sim.scenario.slots import are_open
 from ptnsbc_tools.replay.difference import Difference, Mismatch
 from ptnsbc_tools.replay.replay_state import ReplayState
 from ptnsbc_tools.replay.uav_replay import MissingError, UavReplay
@@ -90,6 +92,7 @@ class LockstepDriver(Driver[int]):
         self.triggers = {topics.odom(uav).name: uav for uav in state.uavs}
         self._period_ns = state.scenario.dt_ns
         self._near_every = state.scenario.near_every
+        self._open_slots = are_open(state.scenario)
         self._next_ns = dict.fromkeys(state.uavs, 0)
         self._gaps: dict[int, str] = {}  # why the steps of a UAV cannot be made any more
 
@@ -115,6 +118,8 @@ class LockstepDriver(Driver[int]):
         why = self._gaps.get(replay.uav)
         if why is None:
             try:
+                if self._open_slots and leg.mode == MODE_FORMATION:
+                    replay.take_slot(leg.t0_ns)
                 self._fetch(replay, step)
             except MissingError as missing:
                 self._gaps[replay.uav] = why = str(missing)
@@ -213,7 +218,7 @@ class RealTimeDriver(Driver[TickNote]):
         self._skip(replay, step, 1)
         replay.reset()
         if snapshot is not None:
-            replay.resume(step.sequence, snapshot)
+            replay.resume(step, snapshot)
 
     def _skip(self, replay: UavReplay, step: TickNote, steps: int) -> None:
         if step.moment.flying:

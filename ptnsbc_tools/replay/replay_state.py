@@ -12,9 +12,10 @@ from ptnsbc_io.wire import WireError, decode_diagnostics, decode_floats, decode_
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions
 from ptnsbc_nodes.comm.legs import Epochs
+from ptnsbc_nodes.comm.slots import DecidedSlots, hear_recorded
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_tools.replay.topic_buffer import TopicBuffer
-from ptnsbc_tools.replay.uav_replay import UavReplay
+from ptnsbc_tools.replay.uav_replay import UavReplay, heard_topics
 
 _KEPT_SNAPSHOTS = 8
 _KEPT_STATUSES = 64  # twelve seconds; nobody takes the statuses of steps that are not made
@@ -26,9 +27,11 @@ class ReplayState:
     def __init__(self, scenario: Scenario, uavs: Sequence[int]) -> None:
         edges = CommunicationGraph(scenario, FlightOptions())
         self.scenario = scenario
-        self.uavs = {uav: UavReplay(scenario, uav, edges.senders(uav)) for uav in uavs}
+        self.slots = DecidedSlots(scenario)
+        self.uavs = {uav: UavReplay(scenario, uav, edges, self.slots) for uav in uavs}
         needed = {topic for uav in uavs for topic in topics.of_uav(uav)}
-        needed.update(topic for replay in self.uavs.values() for topic in replay.inputs.values())
+        for replay in self.uavs.values():
+            needed.update(heard_topics(replay.senders))
         self.buffers = {topic.name: TopicBuffer(topic.type) for topic in needed}
         self.epochs = Epochs()
         self.first_t0_ns: int | None = None
@@ -38,7 +41,7 @@ class ReplayState:
     def wanted(self, bag: Bag) -> list[str]:
         """Topics of a bag that a re-run reads."""
         ticks = [topics.tick(uav).name for uav in self.uavs]
-        common = (topics.EPOCH.name, topics.DIAGNOSTICS.name)
+        common = (topics.EPOCH.name, topics.SLOTS.name, topics.DIAGNOSTICS.name)
         names = (*self.buffers, *self._snapshot_topics, *ticks, *common)
         return [name for name in names if name in bag.topics]
 
@@ -51,6 +54,8 @@ class ReplayState:
             self._put_diagnostics(message.data)
         elif message.topic == topics.EPOCH.name:
             self._put_epoch(message.data)
+        elif message.topic == topics.SLOTS.name:
+            hear_recorded(self.slots, message.data)
         elif message.topic in self._snapshot_topics:
             numbers = decode_floats(message.data).values
             if not numbers.size or not np.isfinite(numbers[0]):

@@ -14,10 +14,13 @@ from ptnsbc_core.types import ODOMETRY_SIZE, AgentConfig, AgentState
 from ptnsbc_io.wire import Stamped, WireError, decode_floats
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.agent_messages import AgentMessages
-from ptnsbc_nodes.comm.graph import Senders
+from ptnsbc_nodes.comm.graph import CommunicationGraph, Senders
+from ptnsbc_nodes.comm.slots import DecidedSlots
 from ptnsbc_nodes.uav.controller import StepTime, UavController, VehicleSpeedLimits
 from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS, Inbox
+from ptnsbc_nodes.uav.slots import SlotHolder
 from ptnsbc_nodes.uav.step_log import (
+    SLOTS,
     ControllerSnapshot,
     SnapshotTemplate,
     TickNote,
@@ -74,19 +77,29 @@ class Account:
 
 
 def source_topics(uav: int, senders: Senders) -> dict[str, topics.Topic]:
-    """The topic of each input of a UAV."""
+    """The topic of each input of a UAV; the slots are no input of the inbox."""
     known = {"own": topics.odom(uav), "near": topics.near(uav)}
     known |= {f"state{i}": topics.formation_state(i) for i in senders.states}
     known |= {f"estimate{i}": topics.leader_estimate(i) for i in senders.estimators}
-    return {name: known[name] for name in sources(senders)}
+    return {name: known[name] for name in sources(senders) if name in known}
+
+
+def heard_topics(senders: Senders) -> list[topics.Topic]:
+    """The topics of the neighbours that a UAV may hear, whatever its slot is."""
+    states = [topics.formation_state(i) for i in senders.heard_states]
+    return states + [topics.leader_estimate(i) for i in senders.heard_estimators]
 
 
 class UavReplay:
     """The controller of a UAV and the recorded outputs."""
 
-    def __init__(self, scenario: Scenario, uav: int, senders: Senders) -> None:
+    def __init__(
+        self, scenario: Scenario, uav: int, edges: CommunicationGraph, decided: DecidedSlots
+    ) -> None:
         self.uav = uav
-        self.senders = senders
+        self.senders = senders = edges.senders(uav)
+        self._decided = decided
+        self._holder = SlotHolder(scenario, uav, edges)
         self.account = Account()
         self.inputs = source_topics(uav, senders)
         self.outputs = [f"/uav{uav}/{name}" for name in OUTPUTS]
@@ -109,16 +122,27 @@ class UavReplay:
         """Forget the state of the controller, because a step was left out; only a snapshot restores it."""
         self.next_step = None
         self._held.clear()
+        self.inputs = source_topics(self.uav, self.senders)
         config = self._config if limits is None else limits.applied_to(self._config)
         self.controller = UavController(config, self.senders)
         self._put = _inbox_setters(self.controller.inbox)
 
-    def resume(self, sequence: int, snapshot: bytes) -> None:
-        """Continue after the step of a snapshot."""
+    def resume(self, note: TickNote, snapshot: bytes) -> None:
+        """Continue after the step of a note, with its snapshot."""
         found = self._decode_snapshot(snapshot)
         self.reset(found.limits)
+        if SLOTS in note.used:
+            self.take_slot(note.used[SLOTS].stamp_ns)
         self.controller.resume(found.state, found.counters)
-        self.next_step = sequence + 1
+        self.next_step = note.sequence + 1
+
+    def take_slot(self, t0_ns: int) -> None:
+        """Fly by the slot that the epoch at `t0_ns` decided; MissingError when that is not recorded."""
+        slots = self._decided.of(t0_ns)
+        if slots is None:
+            raise MissingError(f"{topics.SLOTS.name} stamped {t0_ns} is not recorded")
+        self._holder.take(self.controller, t0_ns, slots)
+        self.inputs = source_topics(self.uav, self.controller.inbox.senders)
 
     def _decode_snapshot(self, snapshot: bytes) -> ControllerSnapshot:
         row = decode_floats(snapshot)
@@ -138,8 +162,10 @@ class UavReplay:
         ones is the one that was used, that one is missing. A message of another UAV that was changed is found
         when that UAV is compared.
         """
-        wrong = None
+        wrong = self._fetch_slots(note)
         for name, used in note.used.items():
+            if name == SLOTS:
+                continue
             held = self._held.get(name)
             if held is not None and used == (held.stamp_ns, checksum(held)):
                 continue
@@ -158,6 +184,21 @@ class UavReplay:
                 )
             self.hold(name, (same or found)[-1])
         return wrong
+
+    def _fetch_slots(self, note: TickNote) -> Mismatch | None:
+        """Take the slot of a step; returns what differs from the decision in the bag."""
+        used = note.used.get(SLOTS)
+        if used is None:
+            return None
+        self.take_slot(used.stamp_ns)
+        slots = self.controller.slots
+        if slots is None or checksum(slots) == used.checksum:
+            return None
+        return Mismatch(
+            f"{topics.SLOTS.name}, of the epoch stamped {used.stamp_ns}",
+            f"checksum {checksum(slots):08x} in the bag",
+            f"{used.checksum:08x} noted by the UAV",
+        )
 
     def step(self, at: StepTime, cutoff_ns: int = NO_CUTOFF_NS) -> PackedOutputs:
         """Make one control step on the messages in the inbox."""
@@ -246,8 +287,8 @@ class UavReplay:
 def _inbox_setters(inbox: Inbox) -> dict[str, Callable[[Stamped], None]]:
     """The function that puts each kind of message into an inbox."""
     senders = inbox.senders
-    states = {f"state{i}": partial(inbox.on_state, i) for i in senders.states}
-    estimates = {f"estimate{i}": partial(inbox.on_estimate, i) for i in senders.estimators}
+    states = {f"state{i}": partial(inbox.on_state, i) for i in senders.heard_states}
+    estimates = {f"estimate{i}": partial(inbox.on_estimate, i) for i in senders.heard_estimators}
     own = {name: partial(setattr, inbox, name) for name in ("own", "near")}
     return {**own, **states, **estimates}
 

@@ -53,6 +53,28 @@ def test_a_fleet_in_lockstep_flies_what_one_process_flies(tmp_path: Path) -> Non
 @pytest.mark.slow
 @pytest.mark.ros
 @needs_rclpy
+def test_a_fleet_with_open_slots_flies_what_one_process_flies(tmp_path: Path) -> None:
+    """The leader of the file follows, and links and noise are those of UAVs, not of slots."""
+    base = load_scenario("experiment_4")
+    starts = [
+        {"id": uav, "position_m": base.uav(at).position.tolist()}
+        for uav, at in {1: 3, 2: 1, 3: 4, 4: 2}.items()
+    ]
+    settings = {"formation.assignment": "optimal", "uavs": json.dumps(starts)}
+    given = [word for key, value in settings.items() for word in ("--set", f"{key}={value}")]
+    words = ("experiment_4", "--duration", "1.5", *given, "--json")
+    together, flown, err = run("fleet", *words, "--lockstep", "--bag", tmp_path / "fleet")
+    alone, simulated, _ = run("simulate", *words, "--bag", tmp_path / "alone")
+    assert together == alone == 1, err  # too short for the deadline
+    assert "/formation/slots" in assert_same_flight(tmp_path / "fleet", tmp_path / "alone")
+    told, expected = json.loads(flown), json.loads(simulated)
+    assert told["uavs"] == expected["uavs"]
+    assert [one["slot"] for one in told["uavs"]] == [3, 1, 4, 2]
+
+
+@pytest.mark.slow
+@pytest.mark.ros
+@needs_rclpy
 def test_demo_leaves_a_bag_a_verdict_and_a_picture(tmp_path: Path) -> None:
     """Of the flight of `paper_5` as one process flies it."""
     code, out, err = run("demo", "--duration", "2", "--out", tmp_path, "--json")

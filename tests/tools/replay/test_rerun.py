@@ -13,6 +13,7 @@ import pytest
 
 from ptnsbc_io.bag import BagError, BagMessage, read_bag
 from ptnsbc_io.wire import decode_integers, peek_stamp
+from ptnsbc_nodes.comm.slots import Decision, encode_slots
 from ptnsbc_nodes.uav.step_log import tick_note
 from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_tools.replay.rerun import rerun
@@ -80,6 +81,52 @@ def test_equal_where_links_lose_and_positions_are_noisy(tmp_path):
     for another in ({"seed": 12345}, {"communication.delay_s": 0.07}):
         other = load_scenario("experiment_4", changes | another)
         assert rerun(read_bag(tmp_path / "lossy"), other).verdict == "different"
+
+
+@pytest.fixture(scope="module")
+def taken(tmp_path_factory):
+    """A flight whose UAVs take slots of others, and its bag."""
+    from ptnsbc_sim.swarm import fly
+    from ptnsbc_tools.reading.headless import write_flight
+
+    base = load_scenario("paper_5")
+    places = [base.uav(uav).position.tolist() for uav in (4, 1, 5, 2, 3)]
+    starts = [{"id": row + 1, "position_m": place} for row, place in enumerate(places)]
+    changes = {"timing.duration_s": 1.0, "formation.assignment": "optimal", "uavs": starts}
+    flight = fly(load_scenario("paper_5", changes))
+    assert flight.slots == {1: 4, 2: 1, 3: 5, 4: 2, 5: 3}
+    return flight.scenario, write_flight(flight, tmp_path_factory.mktemp("slots") / "flight")
+
+
+def test_equal_where_uavs_take_the_slots_of_others(taken):
+    scenario, path = taken
+    done = rerun(read_bag(path), scenario, jobs=2)
+    assert done.verdict == "equal", done.first
+    assert all(account.steps == scenario.ticks for account in done.accounts.values())
+
+
+def test_another_decision_gives_another_flight(taken, rewritten):
+    scenario, path = taken
+    other = encode_slots(Decision(0, {uav: uav for uav in scenario.uav_ids}))
+    slots = "/formation/slots"
+    changed = rewritten(path, lambda m: [m._replace(data=other) if m.topic == slots else m])
+    assert rerun(read_bag(changed), scenario).verdict == "different"
+
+
+@pytest.mark.parametrize("data", [None, b"", encode_slots(Decision(0, {1: 1, 2: 2}))])
+def test_without_a_decision_nothing_can_be_made_again(taken, rewritten, data):
+    scenario, path = taken
+    slots = "/formation/slots"
+
+    def change(message):
+        if message.topic != slots:
+            return [message]
+        return [] if data is None else [message._replace(data=data)]
+
+    done = rerun(read_bag(rewritten(path, change)), scenario)
+    assert done.verdict == "void"
+    (gap,) = done.accounts[3].gaps
+    assert gap.reason == "/formation/slots stamped 0 is not recorded"
 
 
 @pytest.mark.parametrize("kind", ["headless", "realtime"])
