@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from ptnsbc_core.algebra import load3, odometry_tuple, wrap_angle
+from ptnsbc_core.algebra import load3, norm3, odometry_tuple, wrap_angle
 from ptnsbc_core.behaviours.attitude import attitude
 from ptnsbc_core.behaviours.contract import Behaviour, EpochErrors
 from ptnsbc_core.behaviours.neighbour import UNKNOWN, neighbour_motion, reported_velocity
@@ -31,13 +31,14 @@ from ptnsbc_core.mission import (
     mission_behaviour,
 )
 from ptnsbc_core.nullspace import compose_with_clearance
-from ptnsbc_core.tasks.clearance import ObstacleView, clearance
+from ptnsbc_core.tasks.clearance import ObstacleView, clearance, filter_bandwidth
 from ptnsbc_core.tasks.obstacle_memory import empty_memory
 from ptnsbc_core.timebase import Clock, loop_gain
 from ptnsbc_core.types import (
     APPROACH_PLANNED,
     MODE_FORMATION,
     MODE_HOLD,
+    NEVER_RECEIVED_S,
     PLANT_RIGID_BODY,
     AdaptationState,
     AgentConfig,
@@ -104,6 +105,15 @@ class PlannerOutput(NamedTuple):
 
 
 @inline_kernel
+def _view(state: AgentState, inputs: AgentInputs, behaviour: Behaviour, dt: float) -> ObstacleView:
+    """What the UAV senses; without any message the silence counts from the first epoch."""
+    age_s = inputs.near_age_s if inputs.near_age_s < NEVER_RECEIVED_S else inputs.start_age_s
+    demand = norm3(behaviour.acceleration) + norm3(state.adapted.observer.disturbance)
+    velocity = velocity_enu(inputs.own)
+    return ObstacleView(inputs.near, age_s, state.obstacle_memory, dt, velocity, demand)
+
+
+@inline_kernel
 def _plan(
     state: AgentState,
     inputs: AgentInputs,
@@ -114,15 +124,16 @@ def _plan(
     config: AgentConfig,
 ) -> PlannerOutput:
     """Clearance above the behaviour, the speed limit, and the command filter."""
-    view = ObstacleView(inputs.near, inputs.near_age_s, state.obstacle_memory, dt)
+    view = _view(state, inputs, behaviour, dt)
     task = clearance(load3(inputs.own, 0), behaviour.velocity, view, config.clearance)
     limits = config.filter
     composed = compose_with_clearance(task, limits.max_speed)
     rows, zero = task.jacobian.shape[0], (0.0, 0.0, 0.0)
     free = config.approach == APPROACH_PLANNED and rows == 0 and not composed.limited
     lead = behaviour.acceleration if free else zero
+    bandwidth = filter_bandwidth(task.memory, limits.bandwidth, config.clearance)
     linear = filter_step(
-        state.velocity, composed.velocity, lead, limits.bandwidth, limits.max_acceleration, dt
+        state.velocity, composed.velocity, lead, bandwidth, limits.max_acceleration, dt
     )
     angular = filter_step(
         state.rates, rates, zero, limits.rate_bandwidth, limits.max_rate_acceleration, dt

@@ -47,6 +47,9 @@ AVOIDANCE = {
     "switched": AVOIDANCE_SWITCHED,
 }
 
+SPEED_LINEAR, SPEED_BRAKING = 0, 1
+APPROACH_SPEEDS = {"linear": SPEED_LINEAR, "braking": SPEED_BRAKING}
+
 PLANT_RIGID_BODY, PLANT_QUADROTOR = 0, 1
 PLANTS = {"rigid_body_6dof": PLANT_RIGID_BODY, "quadrotor": PLANT_QUADROTOR}
 
@@ -131,6 +134,13 @@ class ClearanceConfig(NamedTuple):
     ramp_s: float  # rise time of the circulation
     timeout_s: float  # after binding for longer than this the other side is tried
     forget_s: float  # an object that did not bind for longer than this is forgotten
+    approach: int  # SPEED_*
+    deceleration: float  # [m/s^2] that the vehicle has in every direction
+    lag_s: float  # with which the vehicle follows a commanded velocity, the filter included
+    bandwidth: float  # [1/s] of the command filter during an encounter
+    sensor_s: float  # period of the near-object sensor
+    stale_s: float  # a sensor that is silent for longer makes the UAV slow
+    range_m: float  # of the sensor
 
 
 class FilterConfig(NamedTuple):

@@ -13,6 +13,7 @@ from ptnsbc_core.algebra import add3, axpy, hadamard3, matvec, norm3, scale3, su
 from ptnsbc_core.behaviours.contract import Behaviour, EpochErrors, Neighbour
 from ptnsbc_core.kernel import inline_kernel, kernel
 from ptnsbc_core.nullspace import TaskVelocity, damped_solve
+from ptnsbc_core.tasks.approach import homing_speed
 from ptnsbc_core.tasks.contract import TaskGeometry
 from ptnsbc_core.tasks.registry import evaluate, task_error
 from ptnsbc_core.timebase import (
@@ -26,6 +27,7 @@ from ptnsbc_core.timebase import (
 )
 from ptnsbc_core.types import (
     APPROACH_PLANNED,
+    SPEED_BRAKING,
     TASK_RELATIVE_POSITION,
     AgentConfig,
     Vector3,
@@ -42,6 +44,9 @@ _HANDOVER = 0.2
 
 _SHARE = 0.5
 """rho: share of the parent's deviation from its plan that a child takes over; the rest is held beside the leader."""
+
+HOMING = 0.5
+"""Share of the vehicle's deceleration that the way back to a plan may use."""
 
 _LEAST_LEFT = 0.1
 """A plan is not begun when less than this share of it is left."""
@@ -180,9 +185,10 @@ def _planned(
     by_position = axpy(kappa, axpy(-plan.left, edge_start, edge), follow)
     correction = axpy(weight, by_task.velocity, scale3(_SHARE - weight, by_position))
     xi = gain.scale * step_gain(clock.t, clock.dt, gain.duration_s, gain.residual)
-    correction = axpy(
-        xi + (1.0 - _SHARE) * kappa, axpy(-plan.left, slot_start, errors.slot), correction
-    )
+    beside_plan = axpy(-plan.left, slot_start, errors.slot)
+    correction = axpy(xi + (1.0 - _SHARE) * kappa, beside_plan, correction)
+    far = max(norm3(beside_plan), norm3(axpy(-plan.left, edge_start, edge)))
+    correction = braked(correction, scale3(_SHARE, follow), far, kappa + xi, config)
     lead = axpy(_SHARE, beside.acceleration, leader.acceleration)
     return Behaviour(
         add3(axpy(plan.rate, slot_start, leader.velocity), correction),
@@ -192,6 +198,24 @@ def _planned(
         slot_start,
         edge_start,
     )
+
+
+@inline_kernel
+def braked(
+    correction: Vector3, free: Vector3, distance: float, gain: float, config: AgentConfig
+) -> Vector3:
+    """A velocity that closes a deviation of `distance` [m], beside `free`, no faster than half of the braking allows.
+
+    A UAV that avoidance led far from its plan would otherwise come back faster than it can stop, and circle.
+    """
+    if config.clearance.approach != SPEED_BRAKING:
+        return correction
+    closing = sub3(correction, free)
+    speed = norm3(closing)
+    limit = homing_speed(distance, gain, HOMING * config.clearance.deceleration)
+    if speed <= limit:
+        return correction
+    return axpy(limit / speed, closing, free)
 
 
 @inline_kernel

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from ptnsbc_core.algebra import axpy, sub3
+from ptnsbc_core.algebra import axpy, norm3, sub3
 from ptnsbc_core.behaviours.contract import Behaviour, EpochErrors
+from ptnsbc_core.behaviours.formation import braked
 from ptnsbc_core.kernel import kernel
 from ptnsbc_core.timebase import Clock, loop_gain, soft_start, task_acceleration, task_rate
 from ptnsbc_core.trajectory import Reference
@@ -23,7 +24,10 @@ def leader_tracking(
     start_error = error if epoch.at_epoch else epoch.start.task
     gain = config.formation
     onset = soft_start(gain, clock)
-    velocity = axpy(onset, desired.velocity, task_rate(gain, error, start_error, clock))
+    closing = task_rate(gain, error, start_error, clock)
+    if clock.t >= gain.duration_s:  # only avoidance leads it away from its trajectory after tf
+        closing = braked(closing, (0.0, 0.0, 0.0), norm3(error), loop_gain(gain, clock), config)
+    velocity = axpy(onset, desired.velocity, closing)
     # The error grows by what c(t) leaves of the feed-forward, and G acts on that too.
     later = Clock(clock.t + clock.dt, clock.start_t + clock.dt, clock.dt)
     onset_after = soft_start(gain, later)

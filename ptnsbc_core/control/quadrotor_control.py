@@ -53,14 +53,14 @@ from ptnsbc_core.types import (
 _BRAKING_FRACTION = 0.5
 """Fraction of the torque that the rate reference may use for braking; the rest is for the rate loop."""
 
-_MIN_LIFT_FRACTION = 0.3
+MIN_LIFT_FRACTION = 0.3
 """Least vertical specific force, as a fraction of gravity: without thrust a quadrotor cannot steer."""
 
 
 @inline_kernel
 def limit_tilt(force: Vector3, config: ControllerConfig) -> Vector3:
     """Force [N, ENU] within the tilt limit: the horizontal part is reduced, the vertical part is kept."""
-    lift = max(force[2], _MIN_LIFT_FRACTION * config.nominal.mass * config.gravity)
+    lift = max(force[2], MIN_LIFT_FRACTION * config.nominal.mass * config.gravity)
     limit = lift * math.tan(config.max_tilt)
     horizontal = math.hypot(force[0], force[1])
     scale = limit / horizontal if horizontal > limit else 1.0

@@ -1,15 +1,16 @@
 """Clearance from obstacles and other UAVs, (33)-(38), see docs/method.md.
 
-`set_based`: every near object gives a constraint n.v >= n.v_o - alpha (d - d_d). The formation velocity is changed
-as little as possible so that all constraints hold. The binding constraints become the rows of the task with the
-highest priority. `switched`: the paper's rule, avoidance first inside d_d and formation first outside.
+`set_based`: every near object gives a constraint n.v >= b. The formation velocity is changed as little as possible so
+that all constraints hold. The binding constraints become the rows of the task with the highest priority. `switched`:
+the paper's rule, avoidance first inside d_d and formation first outside.
+
+The approach speed is `braking`, see approach.py, or `linear`: n.v >= n.v_o - alpha (d - d_d), as in (36).
 
 Positions [m] and velocities [m/s] are world ENU; d_d is the object's keep-out radius plus the own margin.
 """
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +19,7 @@ from ptnsbc_core.algebra import (
     axpy,
     div3,
     dot3,
+    limit_norm,
     load3,
     matvec,
     norm3,
@@ -28,20 +30,28 @@ from ptnsbc_core.algebra import (
 from ptnsbc_core.kernel import inline_kernel, kernel
 from ptnsbc_core.nullspace import null_space_projector
 from ptnsbc_core.tasks import obstacle_memory
+from ptnsbc_core.tasks.approach import (
+    LATENCIES,
+    SHARE,
+    braking_speed,
+    clear_velocities,
+    tangent,
+)
 from ptnsbc_core.tasks.contract import ClearanceTask
 from ptnsbc_core.timebase import step_gain
 from ptnsbc_core.types import (
     AVOIDANCE_OFF,
     AVOIDANCE_SWITCHED,
+    SPEED_BRAKING,
     Array,
     ClearanceConfig,
     Vector3,
-    Vector3Like,
 )
 
 _SWEEPS = 60
 _TOLERANCE = 1e-9
 _COINCIDENT_M = 1e-6
+_LEAST_BRAKING = 0.25
 
 
 class ObstacleView(NamedTuple):
@@ -51,6 +61,8 @@ class ObstacleView(NamedTuple):
     age_s: float  # of `near`, by which its objects are extrapolated
     memory: Array  # (8, 7) obstacle memory before this tick
     dt: float  # control period [s]
+    velocity: Vector3  # [m/s, ENU] of the UAV
+    demand: float  # [m/s^2] acceleration that its motion needs already
 
 
 class ClearanceConstraint(NamedTuple):
@@ -70,19 +82,57 @@ class ClearanceConstraints(NamedTuple):
 
 
 @inline_kernel
+def is_stale(view: ObstacleView, config: ClearanceConfig) -> bool:
+    """Whether the near-object sensor has been silent for longer than it may."""
+    return view.age_s > config.stale_s
+
+
+@inline_kernel
+def _deceleration(view: ObstacleView, config: ClearanceConfig) -> float:
+    """What is left of the vehicle's deceleration [m/s^2], at least a quarter."""
+    return max(config.deceleration - view.demand, _LEAST_BRAKING * config.deceleration)
+
+
+class _Sight(NamedTuple):
+    """Where an object is by now, as far as it is known."""
+
+    centre: Vector3  # [m, ENU]
+    velocity: Vector3  # [m/s, ENU]
+
+
+@inline_kernel
+def _sight(position: Vector3, near: Array, view: ObstacleView, config: ClearanceConfig) -> _Sight:
+    """The object extrapolated to the present.
+
+    Of one that has not been seen for too long nobody knows how far it went: it is the nearest point of its way.
+    """
+    velocity = load3(near, 4)
+    if is_stale(view, config):
+        way = scale3(view.age_s, velocity)
+        length = dot3(way, way)
+        if length > 0.0:
+            share = min(max(dot3(sub3(position, load3(near, 0)), way) / length, 0.0), 1.0)
+            return _Sight(axpy(share, way, near), scale3(share, velocity))
+    return _Sight(axpy(view.age_s, velocity, near), velocity)
+
+
+@inline_kernel
 def constraint(
     position: Vector3, which: int, view: ObstacleView, config: ClearanceConfig
 ) -> ClearanceConstraint:
     """Constraint of the near object in row `which`."""
     near = view.near[which]
-    velocity = load3(near, 4)
-    centre = axpy(view.age_s, velocity, near)
+    sight = _sight(position, near, view, config)
+    centre, velocity = sight.centre, sight.velocity
     away = sub3(position, centre)
     distance = norm3(away)
     if distance < _COINCIDENT_M:
         return ClearanceConstraint((0.0, 0.0, 0.0), -np.inf, -np.inf)
     normal = div3(away, distance)
-    depth = near[3] + config.margin_m - distance
+    keep_out = near[3] + config.margin_m
+    depth = keep_out - distance
+    if config.approach == SPEED_BRAKING and depth < -_COINCIDENT_M:
+        return _braking_constraint(away, keep_out, velocity, view, config)
     alpha = config.gain.kappa
     if depth > 0.0:
         since = obstacle_memory.active_time(view.memory, centre)
@@ -90,6 +140,32 @@ def constraint(
     return ClearanceConstraint(
         normal, dot3(normal, velocity) + config.gain.scale * alpha * depth, depth
     )
+
+
+@kernel
+def _braking_constraint(
+    away: Vector3,
+    keep_out: float,
+    velocity: Vector3,
+    view: ObstacleView,
+    config: ClearanceConfig,
+) -> ClearanceConstraint:
+    """Outside: the UAV's share of the least change of the relative velocity that does not end in the keep-out.
+
+    An object that stands still changes nothing: the UAV makes all of the change. One that moves may be another
+    UAV, which makes the other half; if it does not, this one comes to the whole change in twice the time.
+    """
+    moves = dot3(velocity, velocity) > 0.0
+    late = config.lag_s + (max(view.age_s, config.sensor_s) if moves else 0.0)
+    share = SHARE if moves else 1.0
+    latency = LATENCIES / share * late
+    depth = keep_out - norm3(away)
+    allowed = braking_speed(-depth, _deceleration(view, config), latency)
+    relative = sub3(view.velocity, velocity)
+    space = clear_velocities(away, keep_out, relative, allowed)
+    bound = dot3(space.normal, view.velocity)
+    bound += share * (space.bound - dot3(space.normal, relative))
+    return ClearanceConstraint(space.normal, bound, depth)
 
 
 @kernel
@@ -132,16 +208,6 @@ def admissible_multipliers(velocity: Vector3, rows: ClearanceConstraints) -> Arr
         if change < _TOLERANCE:
             break
     return multipliers
-
-
-@kernel
-def tangent(normal: Vector3Like) -> Vector3:
-    """Unit vector along e_z x n, or e_x x n where n is nearly vertical."""
-    length = math.hypot(normal[0], normal[1])
-    if length > 0.1:
-        return -normal[1] / length, normal[0] / length, 0.0
-    length = math.hypot(normal[1], normal[2])
-    return 0.0, -normal[2] / length, normal[1] / length
 
 
 @kernel
@@ -215,7 +281,10 @@ def set_based(
     side = np.zeros(multipliers.shape[0])
     for m in range(multipliers.shape[0]):
         if multipliers[m] > 0.0:
-            side[m] = dot3(sub3(velocity, load3(view.near[m], 4)), tangent(rows.normals[m]))
+            moving = load3(view.near[m], 4)
+            side[m] = dot3(sub3(velocity, moving), tangent(rows.normals[m]))
+            if config.approach == SPEED_BRAKING and dot3(moving, moving) > 0.0:
+                side[m] = 1.0  # both of a pair, and all of a ring, turn the same way
     after = obstacle_memory.update(view.memory, view.near, multipliers, side, view.dt, config)
     secondary = velocity
     if obstacle_memory.any_used(after):
@@ -251,12 +320,34 @@ def switched(
 
 
 @inline_kernel
+def _within_sight(velocity: Vector3, view: ObstacleView, config: ClearanceConfig) -> Vector3:
+    """`velocity` at which the UAV can stop within the sensor's range, when that has long been silent."""
+    if config.rule == AVOIDANCE_OFF or not is_stale(view, config):
+        return velocity
+    latency = LATENCIES * (config.lag_s + view.age_s)
+    return limit_norm(velocity, braking_speed(config.range_m, config.deceleration, latency))
+
+
+@inline_kernel
 def clearance(
-    position: Vector3, velocity: Vector3, view: ObstacleView, config: ClearanceConfig
+    position: Vector3, wanted: Vector3, view: ObstacleView, config: ClearanceConfig
 ) -> ClearanceTask:
     """The clearance task by the rule of the configuration; it has no rows while no constraint binds."""
+    velocity = _within_sight(wanted, view, config)
     if config.rule == AVOIDANCE_SWITCHED:
         return switched(position, velocity, view, config)
     if config.rule == AVOIDANCE_OFF or _unconstrained(position, velocity, view, config):
         return ClearanceTask((0.0, 0.0, 0.0), np.empty((0, 3)), velocity, view.memory)
     return set_based(position, velocity, view, config)
+
+
+@inline_kernel
+def filter_bandwidth(memory: Array, bandwidth: float, config: ClearanceConfig) -> float:
+    """Bandwidth [1/s] of the command filter: during an encounter no faster than the loops below it.
+
+    The rate of the command is fed forward and reaches the vehicle a lag later. A command that turns within that lag
+    makes the velocity overshoot by as much as it turned.
+    """
+    if config.approach != SPEED_BRAKING or not obstacle_memory.any_used(memory):
+        return bandwidth
+    return min(bandwidth, config.bandwidth)

@@ -8,10 +8,12 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-from ptnsbc_core.agent import Agent, PackedOutputs
+from ptnsbc_core.agent import NEAR_AGE, Agent, PackedOutputs
 from ptnsbc_core.behaviours.neighbour import UNKNOWN
 from ptnsbc_core.types import (
+    AVOIDANCE_OFF,
     MODE_HOLD,
+    NEVER_RECEIVED_S,
     AgentConfig,
     AgentDiagnostics,
     AgentState,
@@ -126,6 +128,9 @@ class UavController:
         self.counters = UavCounters()
         self.slots: Stamped | None = None  # those in force, of the epoch that decided them
         self.steps = 0  # of this agent
+        self.near_stale = (
+            False  # at the newest step the UAV was slow: its near-object sensor is silent
+        )
         self._agent: Agent | None = None
         self._agent_config = config  # with which the agent began
 
@@ -178,6 +183,10 @@ class UavController:
         self.steps += 1
         dt = at.elapsed_ns * 1e-9
         outputs = self._agent.advance(inputs, (at.now_ns - at.t0_ns) * 1e-9, dt)
+        near_age_s = float(inputs.vector[NEAR_AGE])
+        silent_s = near_age_s if near_age_s < NEVER_RECEIVED_S else start_age_s
+        clearance = self.config.clearance
+        self.near_stale = clearance.rule != AVOIDANCE_OFF and silent_s > clearance.stale_s
         if at.flying:
             self.counters.add(outputs.diagnostics, dt)
         return outputs

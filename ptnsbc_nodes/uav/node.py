@@ -388,6 +388,8 @@ class _StatusPublisher:
             return DiagnosticLevel.ERROR, fault
         if uav._epochs.announced and uav._controller.counters.holding:
             return DiagnosticLevel.WARN, "holding"
+        if uav._epochs.announced and uav._controller.near_stale:
+            return DiagnosticLevel.WARN, "near objects are stale: slow"
         if refused := uav.endpoints.refusals.report():
             return DiagnosticLevel.WARN, refused
         total = uav._timing.pace.missed

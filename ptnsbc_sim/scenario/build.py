@@ -11,9 +11,11 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from ptnsbc_core.control.quadrotor_control import MIN_LIFT_FRACTION
 from ptnsbc_core.errors import FormationError
 from ptnsbc_core.tasks.registry import desired_value
 from ptnsbc_core.types import (
+    APPROACH_SPEEDS,
     APPROACHES,
     AVOIDANCE,
     PLANT_QUADROTOR,
@@ -138,8 +140,33 @@ def _estimator(scenario: Scenario, uav_id: int) -> EstimatorConfig:
     )
 
 
+def loop_lag_s(scenario: Scenario) -> float:
+    """Lag [s] with which the vehicle follows the filtered command: that of the loops below the filter."""
+    gains = scenario.gains
+    if gains.clearance.lag_s is not None:
+        return float(gains.clearance.lag_s)
+    if PLANTS[scenario.plant_kind] != PLANT_QUADROTOR:
+        return 1.0 / max(gains.force.scale * gains.force.kappa_1_s, 1.0)
+    rate = 1.0 / max(gains.torque.scale * gains.torque.kappa_1_s, 1.0)
+    return 1.0 / gains.pointing.tilt_1_s + rate + scenario.quadrotor.motor_lag_s
+
+
+def deceleration(scenario: Scenario) -> float:
+    """Acceleration [m/s^2] that the vehicle has in every direction: tilt, descent, climb and the command filter."""
+    limit = scenario.gains.filter.max_acceleration_m_s2
+    max_tilt, max_thrust, _ = _limits(scenario)
+    specific, gravity = max_thrust / scenario.mass_kg, scenario.gravity_m_s2
+    if PLANTS[scenario.plant_kind] != PLANT_QUADROTOR:
+        return float(min(limit, specific - gravity))
+    lift = (1.0 - MIN_LIFT_FRACTION) * gravity
+    sideways = min(gravity * math.tan(max_tilt), math.sqrt(specific * specific - gravity * gravity))
+    return float(min(limit, sideways, lift, specific - gravity))
+
+
 def _clearance(scenario: Scenario) -> ClearanceConfig:
     gains = scenario.gains.clearance
+    loops = loop_lag_s(scenario)
+    bandwidth = min(scenario.gains.filter.bandwidth_1_s, 1.0 / loops)
     return ClearanceConfig(
         rule=AVOIDANCE[scenario.file.formation.avoidance],
         margin_m=float(gains.margin_m),
@@ -148,6 +175,13 @@ def _clearance(scenario: Scenario) -> ClearanceConfig:
         ramp_s=float(gains.ramp_s),
         timeout_s=float(gains.timeout_s),
         forget_s=float(gains.forget_s),
+        approach=APPROACH_SPEEDS[gains.approach],
+        deceleration=deceleration(scenario),
+        lag_s=float(1.0 / scenario.control_hz + 1.0 / bandwidth + loops),
+        bandwidth=float(bandwidth),
+        sensor_s=float(1.0 / scenario.sensor.rate_hz),
+        stale_s=float(gains.stale_s),
+        range_m=float(scenario.sensor.range_m),
     )
 
 

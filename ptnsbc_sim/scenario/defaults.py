@@ -36,6 +36,8 @@ _COMMON: dict[str, Any] = {
         "ramp_s": 0.5,  # a step in velocity would only saturate the command filter
         "timeout_s": 8,  # longer than passing any keep-out sphere of the shipped scenarios takes
         "forget_s": 1,
+        "approach": "linear",  # braking keeps out where linear does not, but reacts too early at 1 m
+        "stale_s": 0.5,  # as the links: ten periods of the sensor of the shipped scenarios
     },
     "filter": {
         "bandwidth_1_s": 20,  # well above the formation loop at its peak

@@ -59,6 +59,12 @@ class ClearanceGains(Loop):
     """Duration of an encounter after which the other side is tried."""
     forget_s: Positive
     """An encounter ends when the object has not restricted the velocity for this long."""
+    approach: Literal["braking", "linear"]
+    """Closing speed that the room allows: what the vehicle can brake, or `linear`, κ times the room, as in (36)."""
+    lag_s: Positive | None = None
+    """Lag with which the vehicle follows the filtered velocity. Default: the sum of the lags of the plant's loops."""
+    stale_s: Positive
+    """A UAV whose near-object sensor has been silent for this long slows down."""
 
 
 class Filter(Block):

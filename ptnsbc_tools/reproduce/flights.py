@@ -166,6 +166,13 @@ def judge(flight: HeadlessFlight) -> JudgedFlight:
     return JudgedFlight(flight, verdict_on(recording_of(flight)))
 
 
+_PAPER = {
+    "formation.approach": "task",
+    "gains.clearance.approach": "linear",
+    "gains.clearance.margin_m": 0.02,
+}
+"""The laws of the paper, where the defaults are others."""
+
 _settings: dict[str, Any] = {}
 
 
@@ -189,7 +196,7 @@ def using(settings: Setting) -> Iterator[None]:
 
 def scenario(name: str, changes: Setting | None = None) -> Scenario:
     """A scenario by name, with the keys of this run and of an experiment changed."""
-    return load_scenario(name, {"formation.approach": "task", **_settings, **(changes or {})})
+    return load_scenario(name, {**_PAPER, **_settings, **(changes or {})})
 
 
 @lru_cache(maxsize=16)

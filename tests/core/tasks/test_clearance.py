@@ -10,7 +10,8 @@ from on_arrays import on_arrays
 
 from ptnsbc_core.algebra import limit_norm
 from ptnsbc_core.nullspace import compose_with_clearance
-from ptnsbc_core.tasks.clearance import ClearanceTask, ObstacleView, clearance, tangent
+from ptnsbc_core.tasks.approach import LATENCIES, braking_speed
+from ptnsbc_core.tasks.clearance import ClearanceTask, ObstacleView, clearance
 from ptnsbc_core.tasks.obstacle_memory import SIDE, USED, empty_memory
 from ptnsbc_core.timebase import step_gain
 from ptnsbc_core.types import (
@@ -18,6 +19,8 @@ from ptnsbc_core.types import (
     AVOIDANCE_SET_BASED,
     AVOIDANCE_SWITCHED,
     PROFILE_PAPER,
+    SPEED_BRAKING,
+    SPEED_LINEAR,
     ClearanceConfig,
     LoopGain,
 )
@@ -25,9 +28,8 @@ from ptnsbc_core.types import (
 clearance = on_arrays(clearance)
 compose_with_clearance = on_arrays(compose_with_clearance)
 limit_norm = on_arrays(limit_norm)
-tangent = on_arrays(tangent)
 
-DT, KAPPA, KEEP_OUT = 0.01, 3.0, 1.5
+DT, KAPPA, KEEP_OUT, LAG = 0.01, 3.0, 1.5, 0.2
 FREE = np.inf
 FIRST = KAPPA + step_gain(0.0, DT, 1.0, 1e-2)
 """alpha of the first tick inside, where the encounter's time base has only begun to rise."""
@@ -37,17 +39,21 @@ seeds = st.integers(0, 2**31)
 
 def config_of(rule: int = AVOIDANCE_SET_BASED, **changes) -> ClearanceConfig:
     gain = LoopGain(1.0, 1e-2, 1.0, KAPPA, PROFILE_PAPER)
-    return ClearanceConfig(rule, 0.0, gain, 0.0, 0.5, 1e9, 1.0)._replace(**changes)
+    linear = ClearanceConfig(
+        rule, 0.0, gain, 0.0, 0.5, 1e9, 1.0, SPEED_LINEAR, 6.0, LAG, 1.0 / LAG, 0.05, 0.5, 4.0
+    )
+    return linear._replace(**changes)
 
 
 def object_at(centre, velocity=(0.0, 0.0, 0.0), keep_out: float = KEEP_OUT) -> np.ndarray:
     return np.array([*centre, keep_out, *velocity], dtype=float)
 
 
-def result(position, wanted, near, config, memory=None, age: float = 0.0):
+def result(position, wanted, near, config, memory=None, age: float = 0.0, velocity=(0.0, 0.0, 0.0)):
     """The clearance task and the composed velocity."""
     memory = empty_memory() if memory is None else memory
-    top: ClearanceTask = clearance(position, wanted, ObstacleView(near, age, memory, DT), config)
+    view = ObstacleView(near, age, memory, DT, np.asarray(velocity, dtype=float), 0.0)
+    top: ClearanceTask = clearance(position, wanted, view, config)
     return top, compose_with_clearance(top, FREE).velocity
 
 
@@ -259,16 +265,6 @@ def test_time_out_takes_the_other_side_of_a_wall() -> None:
     assert len(side[3.0]) == 2
 
 
-def test_tangent_is_across_the_normal() -> None:
-    for n in np.random.default_rng(1).normal(size=(50, 3)):
-        n = n / np.linalg.norm(n)
-        way = tangent(n)
-        assert np.linalg.norm(way) == pytest.approx(1.0)
-        assert way @ n == pytest.approx(0.0, abs=1e-12)
-    np.testing.assert_allclose(tangent(np.array([1.0, 0, 0])), [0, 1, 0])
-    np.testing.assert_allclose(tangent(np.array([0.0, 0, 1.0])), [0, -1, 0])  # nearly vertical
-
-
 def test_without_rule_or_objects_nothing_changes() -> None:
     wanted = np.array([1.0, 2, 3])
     for rule, near in ((AVOIDANCE_OFF, ROCK(0.0)), (AVOIDANCE_SET_BASED, np.empty((0, 7)))):
@@ -286,3 +282,114 @@ def test_margin_adds_to_the_keep_out() -> None:
     position, near = np.array([2.0, 0, 0]), ROCK(0.0)
     _, velocity = result(position, np.zeros(3), near, config_of(margin_m=0.8))
     assert velocity[0] == pytest.approx(FIRST * 0.3)
+
+
+# --- approach: braking
+
+
+def braking(**changes) -> ClearanceConfig:
+    return config_of(approach=SPEED_BRAKING, **changes)
+
+
+@given(room=st.floats(0.01, 3.0), speed=st.floats(0.0, 9.0))
+def test_a_standing_object_straight_ahead_is_approached_no_faster_than_can_be_braked(
+    room: float, speed: float
+) -> None:
+    """From rest: the closed form of room, deceleration and lag."""
+    near = object_at((KEEP_OUT + room, 0, 0))[np.newaxis]
+    _, velocity = result(np.zeros(3), np.array([speed, 0, 0]), near, braking())
+    allowed = braking_speed(room, 6.0, LATENCIES * LAG)
+    assert velocity[0] == pytest.approx(min(speed, allowed))
+
+
+def test_what_the_motion_needs_already_is_not_there_for_braking() -> None:
+    near = object_at((3.0, 0, 0))[np.newaxis]
+    for demand, left in ((0.0, 6.0), (2.0, 4.0), (50.0, 1.5)):
+        view = ObstacleView(near, 0.0, empty_memory(), DT, np.zeros(3), demand)
+        top = clearance(np.zeros(3), np.array([9.0, 0, 0]), view, braking())
+        speed = compose_with_clearance(top, FREE).velocity[0]
+        assert speed == pytest.approx(braking_speed(1.5, left, LATENCIES * LAG))
+
+
+def test_a_pass_that_stays_clear_is_left_alone() -> None:
+    """Linear slows it, whatever the side on which it passes; braking does not."""
+    velocity = np.array([3.0, 0, 0])
+    near = object_at((3.0, -1.6, 0))[np.newaxis]
+    top, found = result(np.zeros(3), velocity, near, braking(), velocity=velocity)
+    np.testing.assert_array_equal(found, velocity)
+    assert top.jacobian.shape == (0, 3)
+    closer = object_at((3.0, -1.4, 0))[np.newaxis]
+    top, found = result(np.zeros(3), velocity, closer, braking(), velocity=velocity)
+    assert top.jacobian.shape == (1, 3)
+    assert found[1] > 0.0
+
+
+def test_two_that_meet_straight_on_each_make_half_of_the_change_to_the_same_side() -> None:
+    """All is mirrored: their changes sum to nothing, and both pass on the right."""
+    place, speed = np.array([3.0, 0, 0]), np.array([2.0, 0, 0])
+    first = result(
+        np.zeros(3), speed, object_at(place, -speed, 0.5)[np.newaxis], braking(), velocity=speed
+    )[1]
+    second = result(
+        place, -speed, object_at((0, 0, 0), speed, 0.5)[np.newaxis], braking(), velocity=-speed
+    )[1]
+    np.testing.assert_allclose(first, -second, atol=1e-12)
+    assert first[1] < -0.1
+    # together they are out of the cone of collision, alone neither is
+    relative = first - second
+    assert abs(relative[1]) / np.linalg.norm(relative) == pytest.approx(0.5 / 3.0, abs=1e-9)
+
+
+def test_a_neighbour_at_06_m_still_counts_after_two_seconds_of_silence() -> None:
+    """It moved away when it was last seen: extrapolated for two seconds it asked for nothing."""
+    near = object_at((0.6, 0, 0), (1.5, 0, 0), 0.5)[np.newaxis]
+    wanted = np.array([2.0, 0, 0])
+    for config in (config_of(stale_s=0.5), braking(stale_s=0.5)):
+        _, velocity = result(np.zeros(3), wanted, near, config, age=2.0)
+        assert velocity[0] <= KAPPA * 0.1 + 1e-9
+        forgotten, _ = result(np.zeros(3), wanted, near, config._replace(stale_s=9.0), age=2.0)
+        np.testing.assert_array_equal(forgotten.secondary, wanted)
+
+
+@given(age=st.floats(0.51, 60.0), rule=st.sampled_from([AVOIDANCE_SET_BASED, AVOIDANCE_SWITCHED]))
+def test_a_silent_sensor_makes_slow_whatever_it_saw(age: float, rule: int) -> None:
+    """No faster than the UAV can stop within the range of the sensor, which falls with the silence."""
+    config = config_of(rule, approach=SPEED_BRAKING)
+    _, velocity = result(np.zeros(3), np.array([5.0, 5.0, 0]), np.empty((0, 7)), config, age=age)
+    assert np.linalg.norm(velocity) == pytest.approx(
+        braking_speed(4.0, 6.0, LATENCIES * (LAG + age))
+    )
+    off = config_of(AVOIDANCE_OFF)
+    _, velocity = result(np.zeros(3), np.array([5.0, 5.0, 0]), np.empty((0, 7)), off, age=age)
+    np.testing.assert_array_equal(velocity, [5.0, 5.0, 0])
+
+
+@pytest.mark.parametrize("count", [2, 3, 5, 8])
+def test_all_around_a_circle_change_places(count: int) -> None:
+    """Perfect symmetry, no talking: nobody comes into a keep-out; two and three pass on the right.
+
+    Larger rings that are symmetric to the last bit stop in the middle: docs/method.md.
+    """
+    dt, lag, keep_out = 0.02, 0.2, 0.5
+    config = braking(margin_m=0.1, circulation=0.6, lag_s=lag)
+    angles = 2.0 * np.pi * np.arange(count) / count
+    places = 3.0 * np.stack([np.cos(angles), np.sin(angles), 0.0 * angles], axis=1)
+    goals, speeds = -places, np.zeros((count, 3))
+    memories = [empty_memory() for _ in range(count)]
+    nearest = np.inf
+    for _ in range(900):
+        commands = np.zeros((count, 3))
+        for uav in range(count):
+            others = [k for k in range(count) if k != uav]
+            near = np.stack([object_at(places[k], speeds[k], keep_out) for k in others])
+            wanted = limit_norm(goals[uav] - places[uav], 1.5)
+            view = ObstacleView(near, 0.0, memories[uav], dt, speeds[uav], 0.0)
+            top = clearance(places[uav], wanted, view, config)
+            memories[uav] = top.memory
+            commands[uav] = compose_with_clearance(top, FREE).velocity
+            nearest = min(nearest, np.linalg.norm(places[others] - places[uav], axis=1).min())
+        speeds = speeds + dt / lag * (commands - speeds)
+        places = places + dt * speeds
+    assert nearest >= keep_out
+    if count <= 3:
+        assert np.linalg.norm(places - goals, axis=1).max() < 0.05

@@ -14,10 +14,13 @@ from ptnsbc_core.tasks.obstacle_memory import (
     find_slot,
     update,
 )
-from ptnsbc_core.types import PROFILE_PAPER, ClearanceConfig, LoopGain
+from ptnsbc_core.types import PROFILE_PAPER, SPEED_LINEAR, ClearanceConfig, LoopGain
 
 DT = 0.1
-CONFIG = ClearanceConfig(1, 0.0, LoopGain(1.0, 1e-2, 1.0, 3.0, PROFILE_PAPER), 0.6, 0.5, 2.05, 1.0)
+GAIN = LoopGain(1.0, 1e-2, 1.0, 3.0, PROFILE_PAPER)
+CONFIG = ClearanceConfig(
+    1, 0.0, GAIN, 0.6, 0.5, 2.05, 1.0, SPEED_LINEAR, 6.0, 0.2, 5.0, 0.05, 0.5, 4.0
+)
 
 
 def near_of(*centres: tuple[float, float, float]) -> np.ndarray:

@@ -1,0 +1,148 @@
+"""Approach speed: the closed forms, and a vehicle with lag and limited braking that never crosses the line."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from on_arrays import on_arrays
+
+from ptnsbc_core.tasks.approach import (
+    LATENCIES,
+    SHARE,
+    braking_speed,
+    clear_velocities,
+    homing_speed,
+    tangent,
+)
+
+clear_velocities = on_arrays(clear_velocities)
+tangent = on_arrays(tangent)
+
+rooms = st.floats(0.0, 50.0)
+brakes = st.floats(0.5, 20.0)
+lags = st.floats(0.02, 0.5)
+seeds = st.integers(0, 2**31)
+
+
+@given(room=rooms, brake=brakes, latency=st.floats(0.01, 3.0))
+def test_room_is_what_the_latency_and_the_braking_use_up(
+    room: float, brake: float, latency: float
+) -> None:
+    speed = braking_speed(room, brake, latency)
+    assert speed * latency + speed * speed / (2.0 * brake) == pytest.approx(room, abs=1e-9)
+
+
+@given(brake=brakes, latency=st.floats(0.05, 3.0), room=st.floats(0.0, 10.0))
+def test_slope_is_that_of_the_latency_at_the_line_and_the_braking_stays_below_the_limit(
+    brake: float, latency: float, room: float
+) -> None:
+    step = 1e-6
+    start = braking_speed(step, brake, latency) / step
+    assert start == pytest.approx(1.0 / latency, rel=1e-3)
+    here, there = (braking_speed(r, brake, latency) for r in (room, room + step))
+    slope = (there - here) / step
+    assert slope == pytest.approx(brake / (here + brake * latency), rel=1e-3, abs=1e-6)
+    assert here * slope <= brake
+
+
+@given(brake=brakes, lag=lags, room=st.floats(0.05, 20.0), delayed=st.booleans())
+def test_a_vehicle_with_this_lag_and_this_braking_never_crosses(
+    brake: float, lag: float, room: float, delayed: bool
+) -> None:
+    """A double integrator that follows the bound, by a first-order lag or by a dead time."""
+    dt = min(lag / 50.0, 0.004)
+    behind = max(round(lag / dt), 1)
+    speed = braking_speed(room, brake, LATENCIES * lag)
+    seen = [room + speed * dt * k for k in range(behind, -1, -1)]
+    for _ in range(4000):
+        known = seen[-1 - behind] if delayed else seen[-1]
+        wanted = braking_speed(max(known, 0.0), brake, LATENCIES * lag)
+        rate = (wanted - speed) / (dt if delayed else lag)
+        speed += dt * float(np.clip(rate, -brake, brake))
+        room -= dt * speed
+        seen.append(room)
+        assert room > -1e-6
+
+
+@given(gain=st.floats(0.3, 5.0), brake=brakes, far=st.floats(0.0, 30.0))
+def test_homing_is_the_gain_near_by_and_constant_braking_from_afar(
+    gain: float, brake: float, far: float
+) -> None:
+    speed = homing_speed(far, gain, brake)
+    assert speed <= gain * far + 1e-9
+    step = 1e-6
+    slope = (homing_speed(far + step, gain, brake) - speed) / step
+    assert speed * slope <= brake * (1.0 + 1e-3) + 1e-4
+    edge = brake / gain**2
+    below, above = (homing_speed(edge * share, gain, brake) for share in (1 - 1e-9, 1 + 1e-9))
+    assert below == pytest.approx(above, rel=1e-6)
+
+
+def enters(away: np.ndarray, keep_out: float, relative: np.ndarray, horizon: float) -> bool:
+    """Whether a straight relative motion comes into the sphere within the horizon."""
+    times = np.linspace(0.0, horizon, 2001)[:, np.newaxis]
+    return bool(np.linalg.norm(away + times * relative, axis=1).min() < keep_out - 1e-6)
+
+
+@given(seed=seeds)
+def test_every_velocity_of_the_half_space_is_clear(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    keep_out = rng.uniform(0.3, 2.0)
+    away = rng.normal(size=3)
+    away *= (keep_out + rng.uniform(0.01, 4.0)) / np.linalg.norm(away)
+    allowed = rng.uniform(0.1, 4.0)
+    horizon = (np.linalg.norm(away) - keep_out) / allowed
+    space = clear_velocities(away, keep_out, rng.normal(size=3) * 3.0, allowed)
+    assert np.linalg.norm(space.normal) == pytest.approx(1.0)
+    for velocity in rng.normal(size=(20, 3)) * 3.0:
+        lack = max(space.bound - space.normal @ velocity, 0.0)
+        assert not enters(away, keep_out, velocity + lack * space.normal, horizon)
+
+
+def test_one_that_does_not_give_way_is_met_with_a_lag_twice_as_long() -> None:
+    """It comes at a UAV that has room of 2.5 m: half shares, with the lag twice as long, still keep out."""
+    lag, brake, dt = 0.33, 6.87, 0.001
+    for speed in (0.2, 0.5, 1.0, 1.5):
+        room, own = 2.5, 0.0  # own: velocity away from the other one
+        nearest = room
+        for _ in range(20000):
+            allowed = braking_speed(max(room, 0.0), brake, LATENCIES / SHARE * lag)
+            command = max(0.5 * (own + speed) - 0.5 * allowed, 0.0)
+            own += dt * float(np.clip((command - own) / lag, -brake, brake))
+            room += dt * (own - speed)
+            nearest = min(nearest, room)
+        assert nearest > -1e-3
+
+
+@given(seed=seeds)
+def test_both_of_a_pair_turn_the_same_way(seed: int) -> None:
+    """What is seen from the other end is turned by half a turn: the normals are opposite."""
+    rng = np.random.default_rng(seed)
+    away, relative = rng.normal(size=(2, 3))
+    away *= 3.0 / np.linalg.norm(away)
+    here = clear_velocities(away, 0.5, relative, 1.0)
+    there = clear_velocities(-away, 0.5, -relative, 1.0)
+    np.testing.assert_allclose(here.normal, -there.normal, atol=1e-12)
+    assert here.bound == pytest.approx(there.bound, abs=1e-12)
+
+
+def test_a_straight_meeting_is_passed_on_the_right() -> None:
+    space = clear_velocities(np.array([-3.0, 0, 0]), 0.5, np.array([4.0, 0, 0]), 1.0)
+    assert space.bound == 0.0
+    np.testing.assert_allclose(space.normal, [-0.5 / 3.0, -np.sqrt(1.0 - 1.0 / 36.0), 0.0])
+
+
+def test_a_slow_one_may_close_in_as_fast_as_it_can_brake() -> None:
+    space = clear_velocities(np.array([-3.0, 0, 0]), 0.5, np.zeros(3), 1.3)
+    np.testing.assert_allclose(space.normal, [-1.0, 0, 0])
+    assert space.bound == pytest.approx(-1.3)
+
+
+def test_tangent_is_across_the_normal() -> None:
+    for n in np.random.default_rng(1).normal(size=(50, 3)):
+        n = n / np.linalg.norm(n)
+        way = tangent(n)
+        assert np.linalg.norm(way) == pytest.approx(1.0)
+        assert way @ n == pytest.approx(0.0, abs=1e-12)
+    np.testing.assert_allclose(tangent(np.array([1.0, 0, 0])), [0, 1, 0])
+    np.testing.assert_allclose(tangent(np.array([0.0, 0, 1.0])), [0, -1, 0])  # nearly vertical
