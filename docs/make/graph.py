@@ -17,7 +17,7 @@ from ptnsbc_io.bag import BagWriter
 from ptnsbc_io.mavlink.link import MavlinkLink
 from ptnsbc_io.mavlink.transport import connect
 from ptnsbc_nodes.bridge.bridge import WANTED_MESSAGES
-from ptnsbc_nodes.bridge.node import BridgeNode
+from ptnsbc_nodes.bridge.node import BridgeNode, BridgeOptions
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.door import Door
 from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions
@@ -85,7 +85,15 @@ def _flight(domain: int, mode: str, options: FlightOptions, scenario: Scenario) 
             if options.bridged:
                 link = MavlinkLink(connect("udpout:127.0.0.1:9"), uav, WANTED_MESSAGES, None)
                 stack.callback(link.close)
-                BridgeNode(node("bridge", uav), scenario, uav, edges, link, False, lambda: None)
+                BridgeNode(
+                    node("bridge", uav),
+                    scenario,
+                    uav,
+                    edges,
+                    link,
+                    BridgeOptions(False),
+                    lambda: None,
+                )
         if not options.bridged:
             SimNode(node("sim"), scenario, edges, lambda: None)
         stack.enter_context(_recorder(node("recorder"), scenario, options))

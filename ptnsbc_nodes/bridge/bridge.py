@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
+import numpy as np
+
+from ptnsbc_core.kinematics import velocity_enu
 from ptnsbc_io.mavlink.autopilots import AUTOPILOTS, fate, findings, hover_thrust, limits
 from ptnsbc_io.mavlink.dialect import mavlink
 from ptnsbc_io.mavlink.link import MavlinkLink
@@ -11,6 +15,7 @@ from ptnsbc_io.wire import decode_velocity, decode_wrench
 from ptnsbc_nodes.bridge.controller import ControllerSetpoints
 from ptnsbc_nodes.bridge.link_maintenance import LINK_MESSAGES, LinkMaintenance
 from ptnsbc_nodes.bridge.ports import BridgePorts
+from ptnsbc_nodes.bridge.procedure.companions import Companion, Companions, Place
 from ptnsbc_nodes.bridge.procedure.procedure import Procedure
 from ptnsbc_nodes.bridge.procedure.steps import Step, Stream, VehicleSnapshot
 from ptnsbc_nodes.bridge.setpoint.guard import allowed
@@ -40,7 +45,14 @@ class Bridge:
         link: MavlinkLink,
         ports: BridgePorts,
         allow_arming: bool,
+        awaited: frozenset[int] = frozenset(),
     ) -> None:
+        """`awaited`: ids of UAVs whose vehicles must be ready before this one arms."""
+        self._uav_id = uav_id
+        self._start = scenario.uav(uav_id).position
+        self.companions = Companions(
+            uav_id, awaited, scenario.uav_keep_out_m, scenario.mavlink.climb_spacing_m
+        )
         self._mavlink, vehicle_link = scenario.mavlink, scenario.vehicle_link(uav_id)
         autopilot = AUTOPILOTS[vehicle_link.autopilot]
         height_m, log = self._mavlink.takeoff_height_m, ports.outputs.log
@@ -126,6 +138,8 @@ class Bridge:
         data, inputs.setpoint = inputs.setpoint, None
         while inputs.legs:
             self._epochs.announce(*inputs.legs.pop(0))
+        while inputs.companions:
+            self.companions.report(*inputs.companions.pop(0))
         if data is not None:
             self.controller.on_message(data)
 
@@ -169,16 +183,74 @@ class Bridge:
             battery_low=f"battery at {vehicle.battery_percent:.0f} %, below {percent:g}"
             if battery_low
             else "",
-            fence_breach="" if odometry is None else self.stream.guard.breach(odometry[0:3]),
+            fence_breach=self._fence_breach(),
             rebooted=vehicle.rebooted,
             duplicate_sysid=vehicle.duplicate_sysid(now_s) or rival,
             stop_request=inputs.order.what,
             pilots_too=inputs.order.pilots_too,
             left_behind=self.left_behind,
-            vehicle_warning=", ".join(
-                filter(None, (self.maintenance.commands.refused, vehicle.warning))
-            ),
+            misplaced=self._misplaced() if self.procedure.step is Step.READY else "",
+            not_ready=self.companions.not_ready(now_s),
+            not_armed=self.companions.not_armed(now_s),
+            climbs_first=self._climbs_first() if self.procedure.step is Step.ARMED else "",
+            companion_out=self.companions.out(),
+            vehicle_warning=", ".join(filter(None, self._vehicle_words())),
         )
+
+    @property
+    def report(self) -> Companion:
+        """What the bridges of the other vehicles must know before the flight."""
+        odometry, procedure = self.state_publisher.odometry, self.procedure
+        position = None if odometry is None else tuple(map(float, odometry[0:3]))
+        return Companion(
+            procedure.step.value,
+            procedure.fault,
+            position,  # type: ignore[arg-type]
+            self._error_m,
+            self.state_publisher.height_m,
+        )
+
+    @property
+    def _error_m(self) -> float:
+        error_m = self.vehicle.position_error_m
+        return self._mavlink.position_error_m if error_m is None else error_m
+
+    def _standing(self) -> Place | None:
+        report = self.report
+        return None if report.position is None else Place(report.position, report.error_m)
+
+    def _fence_breach(self) -> str:
+        odometry = self.state_publisher.odometry
+        if odometry is None:
+            return ""
+        return self.stream.guard.breach(odometry[0:3], np.array(velocity_enu(odometry)))
+
+    def _misplaced(self) -> str:
+        """Why the vehicle may not arm where it stands: by the scenario, and by the others."""
+        standing = self._standing()
+        if standing is None:
+            return ""
+        away_m = math.dist(standing.position[:2], self._start[:2])
+        limit_m = self._mavlink.start_tolerance_m + standing.error_m
+        if away_m > limit_m:
+            x, y = self._start[:2]
+            return (
+                f"stands at {self.place}, {away_m:.2f} m from its start ({x:g}, {y:g}) m: expected at most "
+                f"{limit_m:.2f} m, see uavs and mavlink.start_tolerance_m"
+            )
+        return self.companions.too_near(standing)
+
+    def _climbs_first(self) -> str:
+        standing = self._standing()
+        return "" if standing is None else self.companions.climbs_first(standing)
+
+    def _vehicle_words(self) -> tuple[str, ...]:
+        """What the vehicle itself says of a refusal."""
+        vehicle = self.vehicle
+        health = (
+            "" if vehicle.armed or not vehicle.unhealthy else f"not healthy: {vehicle.unhealthy}"
+        )
+        return self.maintenance.commands.refused, vehicle.warning, health
 
     @property
     def place(self) -> str:

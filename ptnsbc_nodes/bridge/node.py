@@ -10,10 +10,11 @@ import os
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
@@ -37,7 +38,7 @@ from ptnsbc_nodes.bridge.near_objects import NearObjects
 from ptnsbc_nodes.bridge.ports import BridgeInputs, BridgeOutputs, BridgePorts, Clocks
 from ptnsbc_nodes.bridge.procedure.steps import Step
 from ptnsbc_nodes.bridge.setpoint.guard import SetpointLimits
-from ptnsbc_nodes.bridge.status import bridge_status, vehicle_record
+from ptnsbc_nodes.bridge.status import bridge_status, companion, vehicle_record
 from ptnsbc_nodes.comm import topics, vehicle_messages
 from ptnsbc_nodes.comm.agent_messages import WORLD_FRAME
 from ptnsbc_nodes.comm.announcements import decode_leg, decode_order
@@ -61,11 +62,22 @@ from ptnsbc_nodes.emergency.records import VehicleRecord, write_record
 from ptnsbc_sim.scenario import Scenario
 
 _RECORD_S = 1.0
+_BRIDGE, _LINK = "bridge", ": link"
 _NOT_OURS = (Step.YIELDED, Step.HEARTBEAT, Step.DONE, Step.FAILED)
 
 
 class FlyingError(PtnsbcError):
     """A request to deactivate a bridge whose vehicle flies."""
+
+
+class BridgeOptions(NamedTuple):
+    """What is settled at the start of the process."""
+
+    allow_arming: bool
+    with_fleet: bool = False
+    """Whether every other UAV of the scenario has a bridge, which must be ready as well."""
+    signing_key: str = ""
+    """Path of the key file, for who must reach the vehicle when this process is dead."""
 
 
 class BridgeNode:
@@ -81,11 +93,9 @@ class BridgeNode:
         uav_id: int,
         edges: CommunicationGraph,
         link: MavlinkLink,
-        allow_arming: bool,
+        options: BridgeOptions,
         on_end: Callable[[], None],
-        signing_key: str = "",
     ) -> None:
-        """`signing_key`: the path of the key file, for who must reach the vehicle when this process is dead."""
         self.node = node
         self.endpoints = Endpoints(node, lockstep=False)
         self._uav_id = uav_id
@@ -93,7 +103,8 @@ class BridgeNode:
         recorders = edges.options.recorders
         clocks = Clocks(time.monotonic, lambda: int(node.get_clock().now().nanoseconds))
         ports = BridgePorts(BridgeInputs(), self._outputs(recorders), clocks)
-        self.bridge = Bridge(scenario, uav_id, link, ports, allow_arming)
+        awaited = frozenset(scenario.uav_ids) if options.with_fleet else frozenset()
+        self.bridge = Bridge(scenario, uav_id, link, ports, options.allow_arming, awaited)
         self._near = _NearPublisher(self.endpoints, scenario, uav_id, edges, clocks)
         self._send_status = self.endpoints.publisher(topics.DIAGNOSTICS, recorders)
         self._diagnostics = self.endpoints.listen(
@@ -106,13 +117,14 @@ class BridgeNode:
         self._subscribe(scenario)
         settings = scenario.vehicle_link(uav_id)
         fleet = self.endpoints.fleet.strip("/").replace("/", ".")
+        self._numbers = frozenset(map(str, scenario.uav_ids))
         self._record = VehicleRecord(
             name=f"{fleet}.{self._name}" if fleet else self._name,
             pid=os.getpid(),
             sysid=settings.sysid,
             autopilot=settings.autopilot,
             connect=settings.connect,
-            signing_key=signing_key,
+            signing_key=options.signing_key,
         )
         self._kept, self._kept_s = self._record, -_RECORD_S  # what the file has, and since when
         self._folder: Path | None = None
@@ -263,14 +275,25 @@ class BridgeNode:
         return record
 
     def _decode_diagnostics(self, data: bytes) -> Diagnostics | None:
-        """The statuses of the UAV process; None for those of all others, which are not worth decoding."""
-        return decode_diagnostics(data) if self._planner.encode() in data else None
+        """The statuses of the UAV process and of bridges; None for others, which are not worth decoding."""
+        wanted = self._planner.encode() in data or _LINK.encode() in data
+        return decode_diagnostics(data) if wanted else None
 
     def _on_diagnostics(self, array: Diagnostics | None) -> None:
         """Before arming: whether the UAV process has everything it needs."""
         for status in array.statuses if array is not None else ():
             if status.name == self._planner:
                 self.bridge.ports.inputs.controller_ready = status.values.get("ready") == "true"
+            elif status.name.startswith(_BRIDGE) and status.name.endswith(_LINK):
+                number = status.name.removeprefix(_BRIDGE).removesuffix(_LINK)
+                self._on_companion(number, status.values)
+
+    def _on_companion(self, number: str, values: Mapping[str, str]) -> None:
+        """The status of the bridge of another vehicle of the fleet."""
+        report = companion(values)
+        if report is not None and number in self._numbers:
+            inputs, now_s = self.bridge.ports.inputs, self.bridge.ports.clocks.steady_s()
+            inputs.companions.append((int(number), report, now_s))
 
     def _on_status_timer(self) -> None:
         if self.bridge.procedure.ready:

@@ -10,6 +10,7 @@ from typing import NamedTuple
 from ptnsbc_core.types import Array
 from ptnsbc_io.mavlink.frames import GeoPoint
 from ptnsbc_io.wire import HeaderFields
+from ptnsbc_nodes.bridge.procedure.companions import Companion
 from ptnsbc_nodes.bridge.setpoint.guard import SetpointLimits
 from ptnsbc_nodes.emergency.orders import Order
 
@@ -24,6 +25,8 @@ class BridgeInputs:
     )  # epochs in the order of their announcement
     leader_origin: GeoPoint | None = None
     controller_ready: bool = False
+    companions: list[tuple[int, Companion, float]] = field(default_factory=list)
+    """Reports of other bridges: UAV id, report, and when it arrived."""
     order: Order = field(default_factory=Order)  # by the operator, or at the end of this process
     _taking: threading.Lock = field(default_factory=threading.Lock)
 

@@ -124,7 +124,8 @@ def _serve(given: Mapping[str, Value | None], argv: Sequence[str], *, managed: b
             print(_NO_REAL_TIME, file=sys.stderr, flush=True)
 
         def configure() -> BridgeNode:
-            lifetime.bridge = _open(node, parameters, lifetime.end)
+            # A bridge that is started by hand may be the only one.
+            lifetime.bridge = _open(node, parameters, lifetime.end, with_fleet=managed)
             return lifetime.bridge
 
         node.assign(configure, lifetime.land_or_end)
@@ -132,7 +133,9 @@ def _serve(given: Mapping[str, Value | None], argv: Sequence[str], *, managed: b
         return code if lifetime.bridge is None else code or lifetime.bridge.exit_code
 
 
-def _open(node: ManagedNode, parameters: NodeParameters, on_end: Callable[[], None]) -> BridgeNode:
+def _open(
+    node: ManagedNode, parameters: NodeParameters, on_end: Callable[[], None], *, with_fleet: bool
+) -> BridgeNode:
     """The bridge with an open link to its vehicle."""
     scenario, uav = parameters.scenario, parameters.uav
     try:
@@ -140,7 +143,7 @@ def _open(node: ManagedNode, parameters: NodeParameters, on_end: Callable[[], No
         from ptnsbc_io.mavlink.signing import Signer, read_key
         from ptnsbc_io.mavlink.transport import connect
         from ptnsbc_nodes.bridge.bridge import WANTED_MESSAGES
-        from ptnsbc_nodes.bridge.node import BridgeNode
+        from ptnsbc_nodes.bridge.node import BridgeNode, BridgeOptions
     except ImportError as error:
         raise BridgeError(f"{error.name} is not installed: install the extra [mavlink]") from None
     settings = scenario.vehicle_link(uav)
@@ -153,6 +156,6 @@ def _open(node: ManagedNode, parameters: NodeParameters, on_end: Callable[[], No
     signer = Signer(read_key(Path(key))) if key else None
     link = MavlinkLink(connect(settings.connect), settings.sysid, WANTED_MESSAGES, signer)
     edges = CommunicationGraph(scenario, parameters.options)
-    arming = parameters["allow_arming"]
     path = str(Path(key).resolve()) if key else ""
-    return BridgeNode(node, scenario, uav, edges, link, arming, on_end, signing_key=path)
+    options = BridgeOptions(parameters["allow_arming"], with_fleet, path)
+    return BridgeNode(node, scenario, uav, edges, link, options, on_end)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from ptnsbc_nodes.bridge.bridge import Bridge
+from ptnsbc_nodes.bridge.procedure.companions import Companion
 from ptnsbc_nodes.bridge.procedure.steps import HEARTBEAT_LOST_S, Step
 from ptnsbc_nodes.comm.diagnostics import DiagnosticLevel, diagnostics, readiness
 from ptnsbc_nodes.comm.door import Refusals
@@ -48,6 +50,7 @@ def bridge_status(
     state, controller, link = bridge.state_publisher, bridge.controller, bridge.link
     age_s = controller.age_s(now_s)
     # Both numbers are of one instant, so that a reader of the bag can count what it lacks.
+    report = bridge.report
     battery, shared = vehicle.battery_percent, state.shared
     values = {
         **readiness(missing),
@@ -60,6 +63,11 @@ def bridge_status(
         "in_pilots_hands": str(record.in_pilots_hands).lower(),
         "place": record.place,
         "order": record.order,
+        "position_m": ""
+        if report.position is None
+        else " ".join(map("{:.3f}".format, report.position)),
+        "position_error_m": f"{report.error_m:.3f}",
+        "height_m": f"{report.height_m:.3f}",
         "battery_percent": "" if battery is None else f"{battery:.0f}",
         "stream": procedure.output.stream.value,
         "setpoint_age_ms": f"{1e3 * age_s:.0f}" if age_s < _NEVER_S else "",
@@ -91,3 +99,18 @@ def bridge_status(
     elif refused := refusals.report():
         level, message = DiagnosticLevel.WARN, refused
     return diagnostics(stamp_ns, f"{name}: link", level, message, values)
+
+
+def companion(values: Mapping[str, str]) -> Companion | None:
+    """What the status of another bridge says of its vehicle; None when that is not one."""
+    try:
+        numbers = tuple(map(float, values["position_m"].split()))
+        error_m, height_m = float(values["position_error_m"]), float(values["height_m"])
+    except (KeyError, ValueError):
+        return None
+    if len(numbers) not in (0, 3) or not all(map(math.isfinite, (*numbers, error_m, height_m))):
+        return None
+    position = numbers if len(numbers) == 3 else None
+    return Companion(
+        values.get("step", ""), values.get("fault", ""), position, max(error_m, 0.0), height_m
+    )

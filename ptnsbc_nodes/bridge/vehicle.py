@@ -6,7 +6,7 @@ No sockets and no ROS: messages in, facts out, all times on our steady clock [s]
 from __future__ import annotations
 
 from collections import defaultdict, deque
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Hashable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -104,6 +104,10 @@ class VehicleMonitor:
         self.battery_percent: float | None = None
         self.anchor: Anchor | None = None
         self.warning = ""  # newest STATUSTEXT that is a warning or an error
+        self.unhealthy = (
+            ""  # what SYS_STATUS reports as not healthy; PX4 tells a companion no other reason
+        )
+        self.position_error_m: float | None = None  # horizontally, as the receiver estimates it
         self.pose = Pose(signed=signed)
         self._confirmed: Mapping[str, ConfirmedValue] | None = (
             None if signed else defaultdict(ConfirmedValue)
@@ -226,11 +230,18 @@ class VehicleMonitor:
             unknown = state == mavlink.MAV_LANDED_STATE_UNDEFINED
             self.landed = None if unknown else state == mavlink.MAV_LANDED_STATE_ON_GROUND
 
+    def _on_status(self, message: Any, now_s: float) -> None:
+        self._on_battery(message, now_s)
+        present = message.onboard_control_sensors_present & message.onboard_control_sensors_enabled
+        self.unhealthy = ", ".join(_sensors(present & ~message.onboard_control_sensors_health))
+
     def _on_battery(self, message: Any, now_s: float) -> None:
         if 0 <= message.battery_remaining <= 100:
             self.battery_percent = float(message.battery_remaining)
 
     def _on_gps(self, message: Any, now_s: float) -> None:
+        if message.h_acc > 0:
+            self.position_error_m = message.h_acc * _MILLI
         if message.fix_type >= _FIX_3D:
             self._had_fix, self._no_fix_since_s = True, None
         elif self._no_fix_since_s is None:
@@ -253,6 +264,14 @@ def _place(message: Any) -> GeoPoint:
     )
 
 
+def _sensors(bits: int) -> Iterator[str]:
+    """The names of bits of MAV_SYS_STATUS_SENSOR."""
+    for bit, entry in mavlink.enums["MAV_SYS_STATUS_SENSOR"].items():
+        if bit and bits & bit == bit:
+            name = entry.name.removeprefix("MAV_SYS_STATUS_").removeprefix("SENSOR_")
+            yield name.lower().replace("_", " ")
+
+
 _HANDLERS: Mapping[str, Callable[[VehicleMonitor, Any, float], VehicleState | None]] = {
     "HEARTBEAT": VehicleMonitor._on_heartbeat,
     "SYSTEM_TIME": VehicleMonitor._on_time,
@@ -263,7 +282,7 @@ _HANDLERS: Mapping[str, Callable[[VehicleMonitor, Any, float], VehicleState | No
     "GPS_GLOBAL_ORIGIN": VehicleMonitor._on_origin,
     "HOME_POSITION": VehicleMonitor._on_home,
     "EXTENDED_SYS_STATE": VehicleMonitor._on_landed,
-    "SYS_STATUS": VehicleMonitor._on_battery,
+    "SYS_STATUS": VehicleMonitor._on_status,
     "BATTERY_STATUS": VehicleMonitor._on_battery,
     "GPS_RAW_INT": VehicleMonitor._on_gps,
     "STATUSTEXT": VehicleMonitor._on_text,

@@ -124,6 +124,7 @@ def _gps_raw(vehicle: StandInVehicle, t: float) -> Any:
         _UNKNOWN_16,
         _UNKNOWN_16,
         14 if has else 0,
+        h_acc=round(vehicle.flight.body.quality.position_m * 1e3) if has else 0,
     )
 
 

@@ -36,7 +36,7 @@ class WorldOrigin(Block):
 
 
 class Geofence(Block):
-    """Region in which the vehicles may fly, world frame; a vehicle outside lands."""
+    """Region in which the vehicles may fly, world frame: setpoints keep them inside and push them back."""
 
     radius_m: Positive | None = None
     """Largest horizontal distance from the world's origin."""
@@ -44,6 +44,10 @@ class Geofence(Block):
     """One corner of a box; give both corners or none."""
     box_max_m: Vec3 | None = None
     """The opposite corner of the box."""
+    slack_m: NotNegative = 1.0
+    """A vehicle that is, or soon will be, farther outside than this lands; nearer it is pushed back."""
+    ahead_s: Annotated[NotNegative, Field(le=5)] = 0.5
+    """Time over which the predicted path counts: the vehicle's lag. It should stop inside within this time."""
 
 
 class VehicleLimits(Block):
@@ -92,6 +96,12 @@ class Mavlink(Block):
     """Whether the setpoint includes the rate of change of the velocity."""
     takeoff_height_m: Positive = 3.0
     """Takeoff height above the ground under each vehicle."""
+    start_tolerance_m: Positive = 1.0
+    """Largest distance of a vehicle from its start in the scenario, beyond the error of its position, to be armed."""
+    position_error_m: NotNegative = 0.1
+    """Error of positions of a vehicle that does not report one (GPS_RAW_INT, h_acc)."""
+    climb_spacing_m: NotNegative = 1.0
+    """Vehicles that stand nearer than the keep-out, the position error and this climb one after the other."""
     near: Literal["links", "all"] = "links"
     """`links`: a vehicle keeps clear of the vehicles with which it has an edge; `all`: it receives and avoids all."""
     world_origin: WorldOrigin | None = None

@@ -106,7 +106,12 @@ class FleetUav:
         clocks = Clocks(lambda: fleet.now_s, lambda: BASE_NS + round((fleet.now_s - START_S) * 1e9))
         self.link = MavlinkLink(self.wire, start.system, WANTED_MESSAGES, signer)
         self.bridge = Bridge(
-            scenario, uav_id, self.link, BridgePorts(self.inputs, outputs, clocks), True
+            scenario,
+            uav_id,
+            self.link,
+            BridgePorts(self.inputs, outputs, clocks),
+            True,
+            fleet.awaited,
         )
 
     def on_lost(self):
@@ -185,6 +190,7 @@ class MavlinkFleet:
     ):
         self.scenario, self.delay_s, self.now_s = scenario, delay_s, START_S
         self.uavs = {}
+        self.awaited = frozenset(scenario.uav_ids[:count])
         path = scenario.source
         vehicle_starts = starts(Fleet(None, path, gnss, spread_m, None, seed))
         for uav_id, start in list(zip(scenario.uav_ids, vehicle_starts, strict=True))[:count]:
@@ -235,7 +241,16 @@ class MavlinkFleet:
         assert until is None, f"not within {seconds} s: {self.report()}"
         return self
 
+    def _report(self):
+        """What bridges tell each other on /diagnostics, five times a second."""
+        for uav in self.uavs.values():
+            if uav.bridge_alive:
+                for other in self.uavs.values():
+                    other.inputs.companions.append((uav.id, uav.bridge.report, self.now_s))
+
     def _tick(self):
+        if self.ticks % (self.scenario.control_hz // 5) == 0:
+            self._report()
         near = self.ticks % self.scenario.near_every == 0
         sent = {i: uav.control(self.now_ns, near) for i, uav in self.uavs.items()}
         for uav in self.uavs.values():

@@ -34,9 +34,14 @@ _LIMITS_S: Mapping[Step, float] = {
     Step.STREAM: 10.0,
     Step.MODE: 10.0,
     Step.ARM: 20.0,
+    Step.ARMED: 8.0,  # most vehicles disarm by themselves after 10 s on the ground
+    Step.DISARM: 10.0,
     Step.TAKEOFF: 60.0,
     Step.LAND: 180.0,
 }
+
+
+_MOTORS_OFF = {Step.KILL: CommandRequest.KILL, Step.DISARM: CommandRequest.DISARM}
 
 
 class Procedure:
@@ -120,11 +125,12 @@ class Procedure:
             or "no fresh setpoints from a controller that is ready",
             Step.MODE: f"{options.autopilot.own_mode} not confirmed",
             Step.ARM: "arming refused",
+            Step.ARMED: f"waiting for {snapshot.not_armed or snapshot.climbs_first}",
             Step.TAKEOFF: f"at {snapshot.height_m:.1f} m of {options.takeoff_height_m:g} m",
         }.get(step, "")
         detail = f": {missing}" if missing else ""
         reason = f"{step.value}: not within {limit_s:g} s{detail}{snapshot.vehicle_reason}"
-        following = Step.LAND if step is Step.TAKEOFF else Step.FAILED
+        following = {Step.TAKEOFF: Step.LAND, Step.ARMED: Step.DISARM}.get(step, Step.FAILED)
         self._progress.enter(following, snapshot, reason)
 
     def _stream_and_command(
@@ -132,7 +138,7 @@ class Procedure:
     ) -> tuple[Stream, CommandRequest | None]:
         progress, autopilot, step = self._progress, self._options.autopilot, self.step
         early = Stream.HOLD if autopilot.stream_first else Stream.NONE
-        if step is Step.STREAM:
+        if step in (Step.STREAM, Step.READY, Step.ARMED):
             return early, None
         if step is Step.MODE:
             # Somebody flies a vehicle that is armed already, and only they may change its mode.
@@ -154,7 +160,7 @@ class Procedure:
         if step is Step.FAILSAFE:
             recovered = progress.good_for_s(snapshot) > RECOVERED_S
             return (Stream.HOLD if recovered else Stream.NONE), None
-        return Stream.NONE, CommandRequest.KILL if step is Step.KILL else None
+        return Stream.NONE, _MOTORS_OFF.get(step)
 
     def _landing(self, snapshot: VehicleSnapshot) -> tuple[Stream, CommandRequest | None]:
         landed_s = self._progress.current(snapshot).landed_since_s

@@ -31,7 +31,10 @@ class Step(Enum):
     CONTROLLER = "waiting for the UAV's controller"
     STREAM = "sending setpoints"
     MODE = "waiting for the mode"
+    READY = "ready to arm, waiting for the others"
     ARM = "arming"
+    ARMED = "armed, waiting for the others"
+    DISARM = "disarming on the ground"
     TAKEOFF = "taking off"
     AIRBORNE = "airborne, waiting for the formation"
     FLY = "in formation"
@@ -43,7 +46,7 @@ class Step(Enum):
     FAILED = "failed"
 
 
-SETTING_OUT = (Step.STREAM, Step.MODE, Step.ARM)
+SETTING_OUT = (Step.STREAM, Step.MODE, Step.READY, Step.ARM)
 BEFORE_ARMING = (Step.HEARTBEAT, Step.PARAMETERS, Step.STATE, Step.CONTROLLER, *SETTING_OUT)
 FLYING = (Step.TAKEOFF, Step.AIRBORNE, Step.FLY)
 OVER = (Step.DONE, Step.FAILED)
@@ -98,6 +101,11 @@ class VehicleSnapshot:
     left_behind: str = (
         ""  # where the vehicle is, in which mode, and what it will do without this bridge
     )
+    misplaced: str = ""  # why the vehicle may not arm where it stands
+    not_ready: str = ""  # other vehicles that are not ready to arm
+    not_armed: str = ""  # other vehicles that are not armed
+    climbs_first: str = ""  # other vehicles that climb before this one
+    companion_out: str = ""  # another vehicle that will not fly, and why
     vehicle_warning: str = ""  # newest refusal or warning of the vehicle
 
     @property

@@ -238,6 +238,18 @@ def _stream(progress: FlightProgress, snapshot: VehicleSnapshot) -> None:
 
 def _mode(progress: FlightProgress, snapshot: VehicleSnapshot) -> None:
     if snapshot.mode is FlightMode.OWN:
+        pilot_arms = snapshot.armed or not progress.options.allow_arming
+        progress.enter(Step.ARM if pilot_arms else Step.READY, snapshot)
+
+
+def _ready(progress: FlightProgress, snapshot: VehicleSnapshot) -> None:
+    """Arm only where the vehicle may climb, and together with all others."""
+    if refusal := snapshot.misplaced or snapshot.companion_out:
+        progress.enter(Step.FAILED, snapshot, f"not armed: {refusal}")
+    elif snapshot.mode is not FlightMode.OWN:
+        reason = f"the pilot took over before arming: mode {snapshot.mode_name}"
+        progress.enter(Step.FAILED, snapshot, reason)
+    elif snapshot.armed or not snapshot.not_ready:
         progress.enter(Step.ARM, snapshot)
 
 
@@ -248,8 +260,29 @@ def _arm(progress: FlightProgress, snapshot: VehicleSnapshot) -> None:
     elif snapshot.armed and snapshot.landed is False:
         progress.enter(Step.AIRBORNE, snapshot)  # a pilot flew it up and handed it over
     elif snapshot.armed and progress.options.allow_arming:
+        progress.enter(Step.ARMED, snapshot)
+
+
+def _armed(progress: FlightProgress, snapshot: VehicleSnapshot) -> None:
+    """Climb only when all are armed, and after those that stand close."""
+    if not snapshot.armed:
+        reason = f"disarmed before it took off{snapshot.vehicle_reason}"
+        progress.enter(Step.FAILED, snapshot, reason)
+    elif snapshot.mode is not FlightMode.OWN:
+        reason = f"the pilot took over: mode {snapshot.mode_name}"
+        progress.enter(Step.YIELDED, snapshot, reason)
+    elif snapshot.companion_out:
+        progress.enter(Step.DISARM, snapshot, f"not taken off: {snapshot.companion_out}")
+    elif snapshot.stop_request or snapshot.leg == "land":
+        progress.enter(Step.DISARM, snapshot)
+    elif not (snapshot.not_armed or snapshot.climbs_first):
         progress.climbed = True
         progress.enter(Step.TAKEOFF, snapshot)
+
+
+def _disarm(progress: FlightProgress, snapshot: VehicleSnapshot) -> None:
+    if not snapshot.armed:
+        progress.enter(Step.FAILED if progress.fault else Step.DONE, snapshot)
 
 
 def _takeoff(progress: FlightProgress, snapshot: VehicleSnapshot) -> None:
@@ -329,7 +362,10 @@ _HANDLERS: Mapping[Step, Callable[[FlightProgress, VehicleSnapshot], None]] = {
     Step.CONTROLLER: _controller,
     Step.STREAM: _stream,
     Step.MODE: _mode,
+    Step.READY: _ready,
     Step.ARM: _arm,
+    Step.ARMED: _armed,
+    Step.DISARM: _disarm,
     Step.TAKEOFF: _takeoff,
     Step.AIRBORNE: _airborne,
     Step.FAILSAFE: _failsafe,

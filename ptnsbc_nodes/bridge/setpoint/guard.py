@@ -12,8 +12,9 @@ from ptnsbc_core.types import Array
 from ptnsbc_io.mavlink.autopilots import AutopilotLimits
 from ptnsbc_sim.scenario.mavlink import Geofence, VehicleLimits
 
-_APPROACH_1_S = 1.0  # allowed speed towards the fence per metre of distance
-_SLACK_M = 1.0
+_APPROACH_1_S = (
+    1.0  # allowed speed towards the fence per metre of distance, and inwards per metre outside
+)
 _EPSILON = 1e-9
 
 
@@ -50,13 +51,26 @@ class SetpointGuard:
         self._radius_m = math.inf if fence.radius_m is None else fence.radius_m
         self._low = np.array([-np.inf] * 3 if fence.box_min_m is None else fence.box_min_m)
         self._high = np.array([np.inf] * 3 if fence.box_max_m is None else fence.box_max_m)
+        self._slack_m, self._ahead_s = fence.slack_m, fence.ahead_s
         self.clamped: Counter[str] = Counter()
 
-    def velocity(self, velocity_enu: Array, position_enu: Array) -> Array:
-        """The velocity setpoint (3,) [m/s] that may be sent at this position."""
-        out = self._limit_speed(np.array(velocity_enu, dtype=np.float64))
-        out = self._limit_to_box(out, position_enu)
-        return self._limit_to_radius(out, position_enu)
+    def velocity(self, velocity_enu: Array, position_enu: Array, moving_enu: Array) -> Array:
+        """The velocity setpoint (3,) [m/s] that may be sent at this position and velocity of the vehicle.
+
+        It points inwards where the vehicle is outside, or will be when the setpoint takes effect.
+        """
+        predicted = self.ahead(position_enu, moving_enu)
+        out = self._limit_to_box(np.array(velocity_enu, dtype=np.float64), predicted)
+        out = self._limit_to_radius(out, predicted)
+        return self._limit_speed(out)
+
+    def ahead(self, position_enu: Array, moving_enu: Array) -> Array:
+        """Where the vehicle is (3,) [m] when a setpoint of now takes effect."""
+        return np.asarray(position_enu + self._ahead_s * moving_enu)
+
+    def outside(self, position_enu: Array) -> bool:
+        """Whether a position (3,) [m] is outside of the fence."""
+        return self._excess(position_enu) > 0.0
 
     def position(self, position_enu: Array) -> Array:
         """The position setpoint (3,) [m] that may be sent: inside the fence."""
@@ -68,16 +82,28 @@ class SetpointGuard:
             self.clamped["fence"] += 1
         return out
 
-    def breach(self, position_enu: Array) -> str:
-        """Why the vehicle must land; empty while it is inside the fence or at most a metre outside."""
-        outside = np.maximum(self._low - position_enu, position_enu - self._high)
-        worst = int(np.argmax(outside))
-        if outside[worst] > _SLACK_M:
-            return f"outside the geofence: {'xyz'[worst]} = {position_enu[worst]:.1f} m"
-        distance = math.hypot(position_enu[0], position_enu[1])
-        if distance > self._radius_m + _SLACK_M:
-            return f"outside the geofence: {distance:.1f} m of {self._radius_m:g} m from the origin"
+    def breach(self, position_enu: Array, moving_enu: Array) -> str:
+        """Why the vehicle must land; empty while its place and its predicted path are within the slack."""
+        if text := self._breach_at(position_enu):
+            return f"outside the geofence: {text}"
+        if text := self._breach_at(self.ahead(position_enu, moving_enu)):
+            return f"outside the geofence in {self._ahead_s:g} s: {text}"
         return ""
+
+    def _breach_at(self, position: Array) -> str:
+        if self._excess(position) <= self._slack_m:
+            return ""
+        outside = np.maximum(self._low - position, position - self._high)
+        worst = int(np.argmax(outside))
+        if outside[worst] > self._slack_m:
+            return f"{'xyz'[worst]} = {position[worst]:.1f} m"
+        distance = math.hypot(position[0], position[1])
+        return f"{distance:.1f} m of {self._radius_m:g} m from the origin"
+
+    def _excess(self, position: Array) -> float:
+        """How far outside a position is [m]; negative inside."""
+        box = float(np.maximum(self._low - position, position - self._high).max())
+        return max(box, math.hypot(position[0], position[1]) - self._radius_m)
 
     def _limit_speed(self, out: Array) -> Array:
         speed = math.hypot(out[0], out[1])
@@ -93,8 +119,8 @@ class SetpointGuard:
         return out
 
     def _limit_to_box(self, out: Array, position: Array) -> Array:
-        high = _APPROACH_1_S * np.maximum(self._high - position, 0.0)
-        low = -_APPROACH_1_S * np.maximum(position - self._low, 0.0)
+        high = _APPROACH_1_S * (self._high - position)  # negative outside: inwards
+        low = -_APPROACH_1_S * (position - self._low)
         bounded: Array = np.clip(out, low, high)
         if np.abs(bounded - out).max() > _EPSILON:
             self.clamped["fence"] += 1
@@ -106,7 +132,7 @@ class SetpointGuard:
             return out
         outward = position[0:2] / distance
         speed = float(outward @ out[0:2])
-        limit = _APPROACH_1_S * max(self._radius_m - distance, 0.0)
+        limit = _APPROACH_1_S * (self._radius_m - distance)
         if speed > limit + _EPSILON:
             out[0:2] -= (speed - limit) * outward
             self.clamped["fence"] += 1

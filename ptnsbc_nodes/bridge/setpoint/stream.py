@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ptnsbc_core.algebra import wrap_angle
-from ptnsbc_core.kinematics import yaw_of
+from ptnsbc_core.kinematics import velocity_enu, yaw_of
 from ptnsbc_core.trajectory import reference
 from ptnsbc_core.types import AgentConfig, Array
 from ptnsbc_io.mavlink.autopilots import AUTOPILOTS, limits
@@ -181,6 +181,11 @@ class SetpointStream:
     def _follow(self, tick: StreamInput, reply: SetpointReply, dt: float) -> Any:
         """The controller's setpoint as a message."""
         answered, guard = reply.odometry, self.guard
+        moving = np.array(velocity_enu(tick.odometry))
+        if self._setpoint == "attitude" and guard.outside(guard.ahead(tick.odometry[0:3], moving)):
+            # A wrench cannot be cut down to the fence: the vehicle is held at the nearest place inside.
+            self._hold = _HoldPoint(tick.odometry)
+            return self._hold_at(self._hold, tick, dt)
         if self._setpoint == "attitude":
             attitude = self.attitude.for_wrench(
                 reply.values,
@@ -190,7 +195,7 @@ class SetpointStream:
                 guard.limits.tilt_rad,
             )
             return self._messages.attitude(tick.now_s, attitude)
-        velocity = guard.velocity(reply.values[0:3], tick.odometry[0:3])
+        velocity = guard.velocity(reply.values[0:3], tick.odometry[0:3], moving)
         acceleration = position = None
         if self._feed_forward:
             limit = guard.limits.acceleration_m_s2

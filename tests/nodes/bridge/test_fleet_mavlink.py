@@ -214,7 +214,13 @@ def test_a_fence_in_the_way_lands_it_no_farther_than_it_must():
     fleet.form().run(12.0)
     assert uav.bridge.stream.guard.clamped["fence"] > 100
     assert max(odometry[2] for odometry in uav.odometry) < 5.3
-    uav.bridge.stream.guard._high[2] = 3.0  # and now it is outside
+    uav.bridge.stream.guard._high[2] = (
+        4.2  # and now it is outside, within the slack: it is pushed back
+    )
+    fleet.run(8.0)
+    assert uav.step is Step.FLY
+    assert uav.odometry[-1][2] < 4.4
+    uav.bridge.stream.guard._high[2] = 2.5  # and now it is farther outside
     until(fleet, uav, Step.LAND)
     assert "outside the geofence: z = " in uav.bridge.procedure.fault
 
@@ -250,3 +256,58 @@ def test_stop_and_kill_in_flight():
     uav.inputs.take(Order("kill"))
     until(fleet, uav, Step.FAILED, 3.0)
     assert not uav.vehicle.armed
+
+
+def test_when_one_vehicle_refuses_to_arm_no_other_leaves_the_ground():
+    fleet = MavlinkFleet(scenario(), count=3)
+    inject(fleet.uavs[2].vehicle, "arming", "refuse", fleet.now_s)
+    fleet.run(90.0, until=lambda: all(u.bridge.procedure.over for u in fleet.uavs.values()))
+    fleet.run(2.0)
+    for uav in fleet.uavs.values():
+        assert uav.step is Step.FAILED
+        assert not uav.vehicle.armed
+        assert not uav.vehicle.lifted
+        assert uav.vehicle.flight.truth_enu[2] < 0.1
+    refused = fleet.uavs[2].bridge.procedure.fault
+    assert "arming refused" in refused
+    assert "not healthy: prearm check" in refused  # PX4 tells a companion nothing else
+    assert "bridge2" in fleet.uavs[1].bridge.procedure.fault
+
+
+def test_vehicles_arm_together_and_those_that_stand_close_climb_in_turns():
+    """2 and 3 stand 0.73 m apart, and keep 0.5 m."""
+    fleet = MavlinkFleet(scenario(), count=3)
+    up = {}
+
+    def heights():
+        for uav in fleet.uavs.values():
+            if uav.vehicle.lifted:
+                up.setdefault(
+                    uav.id, {i: u.vehicle.flight.truth_enu[2] for i, u in fleet.uavs.items()}
+                )
+                assert all(u.vehicle.armed for u in fleet.uavs.values())
+        return all(u.bridge.procedure.ready for u in fleet.uavs.values())
+
+    fleet.run(90.0, until=heights)
+    assert up[3][2] > 1.3
+    assert up[1][2] < 0.5  # 1 stands far enough from both
+    assert {uav.bridge.procedure.fault for uav in fleet.uavs.values()} == {""}
+
+
+def test_vehicles_at_one_place_are_not_armed():
+    there = [{"id": i, "position_m": [0.02 * i, 1.1, 1]} for i in (1, 2, 3, 4)]
+    fleet = MavlinkFleet(scenario(uavs=there), count=2)
+    fleet.run(90.0, until=lambda: all(u.bridge.procedure.over for u in fleet.uavs.values()))
+    faults = [uav.bridge.procedure.fault for uav in fleet.uavs.values()]
+    assert any("m from the vehicle of bridge" in fault for fault in faults)
+    assert not any(uav.vehicle.armed or uav.vehicle.lifted for uav in fleet.uavs.values())
+
+
+def test_a_vehicle_far_from_its_start_is_not_armed():
+    fleet = MavlinkFleet(scenario(), count=2)
+    fleet.uavs[2].bridge._start = (-0.8, 2.2, 0.0)
+    fleet.run(90.0, until=lambda: all(u.bridge.procedure.over for u in fleet.uavs.values()))
+    assert "m from its start (-0.8, 2.2) m: expected at most 1.0" in (
+        fleet.uavs[2].bridge.procedure.fault
+    )
+    assert not any(uav.vehicle.lifted for uav in fleet.uavs.values())

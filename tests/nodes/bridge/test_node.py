@@ -10,7 +10,7 @@ from rclpy.lifecycle import TransitionCallbackReturn
 from ptnsbc_io.mavlink.link import MavlinkLink
 from ptnsbc_io.mavlink.transport import connect
 from ptnsbc_nodes.bridge.bridge import WANTED_MESSAGES
-from ptnsbc_nodes.bridge.node import BridgeNode, FlyingError
+from ptnsbc_nodes.bridge.node import BridgeNode, BridgeOptions, FlyingError
 from ptnsbc_nodes.bridge.procedure.steps import Step
 from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions
 from ptnsbc_nodes.runtime.lifecycle_node import ManagedNode
@@ -32,7 +32,9 @@ def active(ros):
 
     def make():
         link = MavlinkLink(connect("udpout:127.0.0.1:9"), UAV, WANTED_MESSAGES, None)
-        bridge_node = BridgeNode(node, scenario, UAV, edges, link, True, lambda: None)
+        bridge_node = BridgeNode(
+            node, scenario, UAV, edges, link, BridgeOptions(True), lambda: None
+        )
         bridge_node.bridge.wait_and_serve = lambda: None
         return bridge_node
 

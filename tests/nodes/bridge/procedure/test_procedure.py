@@ -463,3 +463,58 @@ def test_no_stream_outlives_stale_setpoints_in_any_step():
     assert flight.history[-1][2].stream is Stream.NONE
     flight = Flight().run(until=Step.AIRBORNE).run(10.0, controller_age_s=STOP_S + 0.01)
     assert flight.history[-1][2].stream is Stream.NONE
+
+
+def test_no_vehicle_arms_before_all_are_ready_and_none_climbs_before_all_are_armed():
+    flight = Flight().run(until=Step.READY, not_ready="bridge2 (waiting for the mode)")
+    flight.run(60.0)
+    assert flight.step is Step.READY
+    assert CommandRequest.ARM not in flight.requested()
+    flight.run(until=Step.ARMED, not_ready="", not_armed="bridge2 (arming)")
+    flight.run(5.0)
+    assert Stream.CLIMB not in flight.streams()
+    flight.run(until=Step.TAKEOFF, not_armed="")
+
+
+def test_when_another_is_not_armed_in_time_this_one_disarms_on_the_ground():
+    flight = Flight().run(until=Step.ARMED, not_armed="bridge2 (arming)").run(until=Step.FAILED)
+    assert "armed, waiting for the others: not within 8 s: waiting for bridge2 (arming)" in (
+        flight.procedure.fault
+    )
+    assert Stream.CLIMB not in flight.streams()
+    assert not flight.snapshot.armed
+
+
+@pytest.mark.parametrize("step", [Step.READY, Step.ARMED])
+def test_when_another_gives_up_this_one_stays_on_the_ground(step):
+    held = {Step.READY: {"not_ready": "bridge2"}, Step.ARMED: {"not_armed": "bridge2"}}[step]
+    flight = Flight().run(until=step, **held)
+    flight.run(until=Step.FAILED, companion_out="bridge2 failed: arming refused")
+    assert "bridge2 failed: arming refused" in flight.procedure.fault
+    assert Stream.CLIMB not in flight.streams()
+    assert not flight.snapshot.armed
+
+
+def test_a_vehicle_in_the_wrong_place_is_not_armed():
+    flight = Flight().run(until=Step.FAILED, misplaced="stands 0.02 m from bridge2")
+    assert flight.procedure.fault == "not armed: stands 0.02 m from bridge2"
+    assert CommandRequest.ARM not in flight.requested()
+
+
+def test_vehicles_that_stand_close_climb_in_turns():
+    flight = Flight().run(until=Step.ARMED, climbs_first="bridge1").run(4.0)
+    assert flight.step is Step.ARMED
+    flight.run(until=Step.TAKEOFF, climbs_first="")
+
+
+def test_stop_while_armed_on_the_ground_disarms():
+    flight = Flight().run(until=Step.ARMED, not_armed="bridge2")
+    flight.run(until=Step.DONE, stop_request="land")
+    assert flight.procedure.fault == ""
+    assert Stream.CLIMB not in flight.streams()
+
+
+def test_a_pilot_who_takes_over_before_take_off_has_the_vehicle():
+    flight = Flight().run(until=Step.ARMED, not_armed="bridge2")
+    flight.obeys = False
+    flight.run(until=Step.YIELDED, mode=FlightMode.OTHER)
