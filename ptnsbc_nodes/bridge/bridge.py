@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from ptnsbc_core.kinematics import velocity_enu
+from ptnsbc_core.trajectory import reference
 from ptnsbc_io.mavlink.autopilots import AUTOPILOTS, fate, findings, hover_thrust, limits
 from ptnsbc_io.mavlink.dialect import mavlink
 from ptnsbc_io.mavlink.link import MavlinkLink
@@ -16,6 +17,7 @@ from ptnsbc_nodes.bridge.controller import ControllerSetpoints
 from ptnsbc_nodes.bridge.link_maintenance import LINK_MESSAGES, LinkMaintenance
 from ptnsbc_nodes.bridge.ports import BridgePorts
 from ptnsbc_nodes.bridge.procedure.companions import Companion, Companions, Place
+from ptnsbc_nodes.bridge.procedure.hazards import AbortLimits, FlightMonitor, Sight
 from ptnsbc_nodes.bridge.procedure.procedure import Procedure
 from ptnsbc_nodes.bridge.procedure.steps import Step, Stream, VehicleSnapshot
 from ptnsbc_nodes.bridge.setpoint.guard import allowed
@@ -24,6 +26,7 @@ from ptnsbc_nodes.bridge.state_publisher import StatePublisher
 from ptnsbc_nodes.bridge.vehicle import VEHICLE_MESSAGES, VehicleMonitor
 from ptnsbc_nodes.bridge.world import WorldFrame
 from ptnsbc_nodes.comm.legs import Epochs
+from ptnsbc_nodes.emergency.orders import APART
 from ptnsbc_sim.scenario import Scenario, agent_config
 
 WANTED_MESSAGES = frozenset(
@@ -33,6 +36,9 @@ WANTED_MESSAGES = frozenset(
 _ANGLES = frozenset({mavlink.MAVLINK_MSG_ID_ATTITUDE})
 _STREAMED_S = 0.1
 _DUPLICATE_S = 3.0
+_APART_M = 0.4  # from the height of its layer
+_LOWEST_M = 1.5  # of a layer above the world's ground
+_ON_GROUND_M = 0.5
 
 
 class Bridge:
@@ -48,8 +54,19 @@ class Bridge:
         awaited: frozenset[int] = frozenset(),
     ) -> None:
         """`awaited`: ids of UAVs whose vehicles must be ready before this one arms."""
-        self._uav_id = uav_id
+        self._scenario, self._uav_id = scenario, uav_id
+        self._config = agent_config(scenario, uav_id)
         self._start = scenario.uav(uav_id).position
+        abort = scenario.mavlink.abort
+        self._monitor = FlightMonitor(
+            AbortLimits(
+                abort.separation_share * scenario.uav_keep_out_m,
+                abort.swing_m_s,
+                abort.away_m_s,
+                abort.jump_m,
+            )
+        )
+        self._hazard = ""
         self.companions = Companions(
             uav_id, awaited, scenario.uav_keep_out_m, scenario.mavlink.climb_spacing_m
         )
@@ -67,7 +84,7 @@ class Bridge:
             self.vehicle, world, self.maintenance.sync, self.controller, ports
         )
         self.procedure = Procedure(autopilot, height_m, allow_arming, log)
-        self.stream = SetpointStream(vehicle_link, self._mavlink, agent_config(scenario, uav_id))
+        self.stream = SetpointStream(vehicle_link, self._mavlink, self._config)
         self._epochs = Epochs()
         self._next_s = ports.clocks.steady_s()
 
@@ -122,6 +139,7 @@ class Bridge:
         self.link.ignored = _ANGLES if quaternions else frozenset()
         self.state_publisher.update_world()
         self._apply_parameters(now_s)
+        self._look_out(now_s)
         output = self.procedure.advance(self.snapshot(now_s))
         failsafe = self.procedure.step is Step.FAILSAFE
         self.state_publisher.report_presence(output.in_formation and not failsafe)
@@ -186,7 +204,10 @@ class Bridge:
             fence_breach=self._fence_breach(),
             rebooted=vehicle.rebooted,
             duplicate_sysid=vehicle.duplicate_sysid(now_s) or rival,
-            stop_request=inputs.order.what,
+            stop_request="" if inputs.order.what == APART else inputs.order.what,
+            hazard=self._hazard or ("told by another bridge" if inputs.order.what == APART else ""),
+            apart=abs(self.state_publisher.height_over_world_m - self.stream.layer_m) < _APART_M,
+            below=self._below() if self.procedure.step is Step.APART else "",
             pilots_too=inputs.order.pilots_too,
             left_behind=self.left_behind,
             misplaced=self._misplaced() if self.procedure.step is Step.READY else "",
@@ -218,6 +239,54 @@ class Bridge:
     def _standing(self) -> Place | None:
         report = self.report
         return None if report.position is None else Place(report.position, report.error_m)
+
+    def _flight_s(self) -> float:
+        """Time since the first epoch; negative before it."""
+        now_ns = self.ports.clocks.ros_ns()
+        leg = self._epochs.at(now_ns)
+        return -1.0 if leg is None else (now_ns - leg.first_t0_ns) * 1e-9
+
+    def _look_out(self, now_s: float) -> None:
+        """In formation: whether it must be given up. At the end of it: the height of this vehicle's layer."""
+        odometry, step = self.state_publisher.odometry, self.procedure.step
+        if odometry is None or step not in (Step.AIRBORNE, Step.FLY):
+            return
+        flight_s = self._flight_s()
+        leader = reference(self._config.trajectory, max(flight_s, 0.0))
+        moves = np.array(leader.velocity) if step is Step.FLY else np.zeros(3)
+        deadline_s = float(self._scenario.gains.formation.deadline_s)
+        near = self.ports.inputs.near_uavs
+        sight = Sight(
+            now_s,
+            odometry[0:3].copy(),
+            np.array(velocity_enu(odometry)),
+            moves,
+            near,
+            flight_s - deadline_s,
+        )
+        self._hazard = self._hazard or self._monitor.look(sight)
+        middle_m = leader.position[2] if step is Step.FLY else self._mavlink.takeoff_height_m
+        self.stream.layer_m = self._layer_m(float(middle_m))
+
+    def _layer_m(self, middle_m: float) -> float:
+        """The height of this vehicle's layer; all bridges compute the same layers about the leader's height."""
+        ids, guard = self._scenario.uav_ids, self.stream.guard
+        apart_m, last = self._mavlink.abort.layer_m, len(ids) - 1
+        low_m = max(middle_m - 0.5 * last * apart_m, _LOWEST_M, guard.lowest_m)
+        high_m = min(low_m + last * apart_m, guard.highest_m)
+        low_m = max(min(low_m, high_m - last * apart_m), _LOWEST_M, guard.lowest_m)
+        return low_m + (high_m - low_m) * ids.index(self._uav_id) / max(last, 1)
+
+    def _below(self) -> str:
+        """Whether another vehicle is still in the air below this one, too close beside to land past it."""
+        odometry = self.state_publisher.odometry
+        if odometry is None:
+            return ""
+        near = self.ports.inputs.near_uavs
+        beside_m = self._scenario.uav_keep_out_m + self._mavlink.climb_spacing_m
+        apart_m = np.hypot(near[:, 0] - odometry[0], near[:, 1] - odometry[1])
+        blocks = (apart_m < beside_m) & (near[:, 2] < odometry[2]) & (near[:, 2] > _ON_GROUND_M)
+        return "a vehicle below" if blocks.any() else ""
 
     def _fence_breach(self) -> str:
         odometry = self.state_publisher.odometry
@@ -276,9 +345,7 @@ class Bridge:
         odometry, offset = self.state_publisher.odometry, self.state_publisher.world.offset
         if odometry is None or offset is None:
             return
-        now_ns = self.ports.clocks.ros_ns()
-        leg = self._epochs.at(now_ns)
-        flight_s = -1.0 if leg is None else (now_ns - leg.first_t0_ns) * 1e-9
+        flight_s = self._flight_s()
         reply, armed = self.controller.newest, self.vehicle.armed
         message = self.stream.message(
             StreamInput(stream, now_s, odometry, offset, reply, armed, flight_s)

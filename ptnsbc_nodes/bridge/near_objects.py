@@ -33,11 +33,16 @@ class NearObjects:
 
     def rows(self, now_s: float, position: Array) -> Array:
         """x y z keep-out vx vy vz (M, 7) [m, m/s, ENU] within the scenario's detection range."""
-        uavs = [self._row(now_s - arrived_s, data) for arrived_s, data in self._newest.values()]
-        known = [row for row in uavs if row is not None]
-        rows = np.vstack([np.array(known).reshape(-1, NEAR_COLUMNS), self._obstacles])
+        rows = np.vstack([self.uavs(now_s), self._obstacles])
         away = rows[:, 0:3] - position
         return np.asarray(rows[np.einsum("ij,ij->i", away, away) <= self._range_m**2])
+
+    def uavs(self, now_s: float) -> Array:
+        """The rows (M, 7) of the other UAVs alone, at any distance."""
+        newest = list(self._newest.values())  # the thread of the node adds to it
+        rows = [self._row(now_s - arrived_s, data) for arrived_s, data in newest]
+        known = [row for row in rows if row is not None]
+        return np.array(known, dtype=np.float64).reshape(-1, NEAR_COLUMNS)
 
     def _row(self, age_s: float, data: bytes) -> Array | None:
         if age_s > _FORGET_S:

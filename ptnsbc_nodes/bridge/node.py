@@ -51,6 +51,7 @@ from ptnsbc_nodes.comm.topics import LOST
 from ptnsbc_nodes.comm.vehicle_messages import PlannerLimits
 from ptnsbc_nodes.emergency.order_port import OrderPort
 from ptnsbc_nodes.emergency.orders import (
+    APART,
     LAND,
     Order,
     RuntimeFolderError,
@@ -106,6 +107,7 @@ class BridgeNode:
         awaited = frozenset(scenario.uav_ids) if options.with_fleet else frozenset()
         self.bridge = Bridge(scenario, uav_id, link, ports, options.allow_arming, awaited)
         self._near = _NearPublisher(self.endpoints, scenario, uav_id, edges, clocks)
+        self._send_order = self.endpoints.publisher(topics.EMERGENCY, 0)
         self._send_status = self.endpoints.publisher(topics.DIAGNOSTICS, recorders)
         self._diagnostics = self.endpoints.listen(
             topics.DIAGNOSTICS,
@@ -236,7 +238,7 @@ class BridgeNode:
         """An order of the operator; it is latched, so that this bridge obeys it also after a restart."""
         if self._take(order):
             self._log(f"emergency: {order.text}")
-            if self._folder is not None:
+            if self._folder is not None and order.what != APART:
                 with suppress(OSError):
                     latch(self._folder, order)
 
@@ -299,6 +301,8 @@ class BridgeNode:
         if self.bridge.procedure.ready:
             # In flight nothing reads the diagnostics of others, so they are not worth their reception.
             self._unsubscribe_diagnostics()
+        if self.bridge.procedure.step is Step.APART:  # all others give the formation up as well
+            self._send_order(HeaderTemplate(APART).encode(0))
         record, refusals = self._keep_record(), self.endpoints.refusals
         self._send_status(
             bridge_status(self._name, record, self.bridge, self.waiting_for(), refusals)
@@ -318,7 +322,7 @@ class BridgeNode:
         try:
             while not self._leaving and not bridge.procedure.over:
                 bridge.wait_and_serve()
-                self._near.publish_due(bridge.state_publisher.odometry)
+                self._near.publish_due(bridge.state_publisher.odometry, bridge.ports.inputs)
             bridge.leave()
         except Exception as error:  # the thread must not die in silence and leave a stream behind
             bridge.procedure.fail(f"bridge failed: {error!r}")
@@ -357,11 +361,12 @@ class _NearPublisher:
     def _on_odometry(self, uav_id: int) -> Callable[[bytes], None]:
         return lambda data: self._objects.on_odometry(uav_id, self._clocks.steady_s(), data)
 
-    def publish_due(self, odometry: Array | None) -> None:
+    def publish_due(self, odometry: Array | None, inputs: BridgeInputs) -> None:
         """Publish at the rate of the scenario's sensor, once the own odometry (13,) is known."""
         now_s = self._clocks.steady_s()
         if odometry is None or now_s < self._next_s:
             return
         self._next_s = now_s + self._period_s
+        inputs.near_uavs = self._objects.uavs(now_s)
         rows = self._objects.rows(now_s, odometry[0:3])
         self._send(encode_near(self._clocks.ros_ns(), WORLD_FRAME, rows))

@@ -7,7 +7,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from ptnsbc_core.types import Array
+import numpy as np
+
+from ptnsbc_core.types import NEAR_COLUMNS, Array
 from ptnsbc_io.mavlink.frames import GeoPoint
 from ptnsbc_io.wire import HeaderFields
 from ptnsbc_nodes.bridge.procedure.companions import Companion
@@ -23,6 +25,8 @@ class BridgeInputs:
     legs: list[HeaderFields] = field(
         default_factory=list
     )  # epochs in the order of their announcement
+    near_uavs: Array = field(default_factory=lambda: np.empty((0, NEAR_COLUMNS)))
+    """The other vehicles (M, 7), wherever they are: x y z keep-out vx vy vz."""
     leader_origin: GeoPoint | None = None
     controller_ready: bool = False
     companions: list[tuple[int, Companion, float]] = field(default_factory=list)

@@ -63,6 +63,11 @@ class StatePublisher:
         return 0.0 if self.odometry is None else float(self.odometry[2]) - self._ground_m
 
     @property
+    def height_over_world_m(self) -> float:
+        """Height in the world."""
+        return 0.0 if self.odometry is None else float(self.odometry[2])
+
+    @property
     def speed_m_s(self) -> float:
         """Speed of the vehicle."""
         if self.odometry is None:

@@ -41,9 +41,11 @@ def decode_lost(data: bytes) -> LostProcess:
 
 
 def decode_order(data: bytes) -> Order:
-    """An order of the operator; WireError for any other words."""
+    """An order of the operator, or of a bridge that gives the formation up; WireError for any other words."""
     text = decode_header(data).frame_id
     order = parse_order(text)
     if order is None:
-        raise WireError(f"order {text[:_SHOWN]!r}: expected land, kill, land all or kill all")
+        raise WireError(
+            f"order {text[:_SHOWN]!r}: expected apart, land, kill, land all or kill all"
+        )
     return order

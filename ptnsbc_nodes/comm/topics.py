@@ -43,7 +43,7 @@ MARKERS = Topic("/formation/markers", "visualization_msgs/msg/MarkerArray", Role
 ORIGIN = Topic("/formation/origin", "sensor_msgs/msg/NavSatFix", Role.LATCHED, "once")
 """Where the leader's local origin is on the Earth; from its bridge to the others."""
 EMERGENCY = Topic("/formation/emergency", "std_msgs/msg/Header", Role.EVENT, "on demand")
-"""frame_id `land` or `kill`, from an operator to all bridges: needs no leader to be alive."""
+"""frame_id `land` or `kill` from an operator, or `apart` from a bridge, to all bridges: needs no leader."""
 CLOCK = Topic("/clock", "rosgraph_msgs/msg/Clock", Role.STATE)
 """Time of the simulated world."""
 TF = Topic("/tf", "tf2_msgs/msg/TFMessage", Role.EVENT, "20 Hz")

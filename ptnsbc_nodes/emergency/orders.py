@@ -17,8 +17,8 @@ from typing import NamedTuple
 
 from ptnsbc_core.errors import PtnsbcError
 
-LAND, KILL = "land", "kill"
-_RANKS = {"": 0, LAND: 1, KILL: 2}
+APART, LAND, KILL = "apart", "land", "kill"
+_RANKS = {"": 0, APART: 1, LAND: 2, KILL: 3}
 _ALL = "all"
 _ORDER_FILE, _FLEET_FILE = "order.json", "fleet.json"
 _LARGEST_FILE = 1 << 16  # [bytes]
@@ -31,7 +31,9 @@ class RuntimeFolderError(PtnsbcError):
 class Order(NamedTuple):
     """What every vehicle must do."""
 
-    what: str = ""  # "land", "kill" or nothing
+    what: str = (
+        ""  # "land", "kill", "apart" (from a bridge: hold apart by height, then land) or nothing
+    )
     pilots_too: bool = False  # also a vehicle in a pilot's hands
 
     @property
@@ -48,9 +50,9 @@ class Order(NamedTuple):
 
 
 def parse_order(text: str) -> Order | None:
-    """`land`, `kill`, `land all`, `kill all`; None for anything else."""
+    """`apart`, `land`, `kill`, `land all`, `kill all`; None for anything else."""
     what, _, rest = text.partition(" ")
-    if not what or what not in _RANKS or rest not in ("", _ALL):
+    if not what or what not in _RANKS or rest not in ("", _ALL) or (what == APART and rest):
         return None
     return Order(what, bool(rest))
 

@@ -74,6 +74,7 @@ FAULTS: dict[str, Callable[[StandInVehicle, str, float], None]] = {
     "battery": _battery,
     "clock": lambda vehicle, word, _t: vehicle.clock.jump(_number(word, "clock")),
     "mode": _mode,
+    "jump": lambda vehicle, word, _t: vehicle.flight.navigation.jump(_number(word, "jump")),
     "reboot": lambda vehicle, _word, t: vehicle.reboot(t),
 }
 

@@ -50,6 +50,21 @@ class Geofence(Block):
     """Time over which the predicted path counts: the vehicle's lag. It should stop inside within this time."""
 
 
+class Abort(Block):
+    """From which values on the formation is given up in flight: all hold apart by height, then land. 0: off."""
+
+    separation_share: Annotated[NotNegative, Field(le=1)] = 0.6
+    """Distance to another vehicle, now or within half a second, as a share of `formation.uav_keep_out_m`."""
+    swing_m_s: NotNegative = 1.0
+    """Speed to and fro against the leader's reference, four reversals that do not die out."""
+    away_m_s: NotNegative = 2.0
+    """Speed against the leader's reference for 3 s, from 5 s after the deadline on."""
+    jump_m: NotNegative = 1.0
+    """Jump of the vehicle's own position: its estimator was reset."""
+    layer_m: Positive = 1.5
+    """Height from one vehicle to the next while they hold apart."""
+
+
 class VehicleLimits(Block):
     """Limits of the setpoints. Lower limits in the vehicle's own parameters take precedence."""
 
@@ -114,6 +129,8 @@ class Mavlink(Block):
     """Battery charge below which the vehicle lands."""
     geofence: Geofence = Geofence()
     """Region in which the vehicles may fly; a vehicle outside lands."""
+    abort: Abort = Abort()
+    """When the formation is given up in flight."""
     limits: VehicleLimits = VehicleLimits()
     """Limits of the setpoints."""
     vehicles: dict[UavId, MavlinkVehicle] = Field(default_factory=dict)

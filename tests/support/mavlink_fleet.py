@@ -18,9 +18,11 @@ from ptnsbc_io.wire import HeaderFields, OdometryTemplate, Stamped, VelocityTemp
 from ptnsbc_nodes.bridge.bridge import WANTED_MESSAGES, Bridge
 from ptnsbc_nodes.bridge.near_objects import NearObjects
 from ptnsbc_nodes.bridge.ports import BridgeInputs, BridgeOutputs, BridgePorts, Clocks
+from ptnsbc_nodes.bridge.procedure.steps import Step
 from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions
 from ptnsbc_nodes.comm.legs import Epochs
 from ptnsbc_nodes.comm.vehicle_messages import limited
+from ptnsbc_nodes.emergency.orders import APART, Order
 from ptnsbc_nodes.uav.controller import UavController, step_time
 from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS
 from ptnsbc_sim.autopilot.launch import KINDS, Fleet, starts
@@ -96,7 +98,7 @@ class FleetUav:
         self.began = False
         outputs = BridgeOutputs(
             odom=self.on_odometry,
-            track=lambda stamp, odom: self.tracks.append((fleet.now_s, odom.copy())),
+            track=self.on_track,
             origin=fleet.set_leader_origin,
             limits=self.on_limits,
             lost=self.on_lost,
@@ -127,7 +129,13 @@ class FleetUav:
         self.odometry.append(odometry.copy())
         if self.alive:
             self.controller.inbox.own = Stamped(stamp_ns, odometry)
-        data = self.odometry_template.encode(stamp_ns, odometry)
+        self._tell(self.odometry_template.encode(stamp_ns, odometry))
+
+    def on_track(self, stamp_ns, odometry):
+        self.tracks.append((self.fleet.now_s, odometry.copy()))
+        self._tell(self.odometry_template.encode(stamp_ns, odometry))
+
+    def _tell(self, data):
         for other in self.fleet.uavs.values():
             if other is not self:
                 other.near_objects.on_odometry(self.id, self.fleet.now_s, data)
@@ -167,6 +175,7 @@ class FleetUav:
                     self.setpoints.append((now_s, message))
                 self._send(self.vehicle.handle(message, COMPANION, now_s))
         self._send(self.vehicle.step(now_s))
+        self.inputs.near_uavs = self.near_objects.uavs(now_s)
         if self.bridge_alive and not self.bridge.procedure.over:
             self.bridge.serve()
 
@@ -242,9 +251,12 @@ class MavlinkFleet:
         return self
 
     def _report(self):
-        """What bridges tell each other on /diagnostics, five times a second."""
+        """What bridges tell each other, five times a second."""
         for uav in self.uavs.values():
             if uav.bridge_alive:
+                if uav.step is Step.APART:
+                    for other in self.uavs.values():
+                        other.inputs.take(Order(APART))
                 for other in self.uavs.values():
                     other.inputs.companions.append((uav.id, uav.bridge.report, self.now_s))
 

@@ -37,10 +37,16 @@ _LIMITS_S: Mapping[Step, float] = {
     Step.ARMED: 8.0,  # most vehicles disarm by themselves after 10 s on the ground
     Step.DISARM: 10.0,
     Step.TAKEOFF: 60.0,
+    Step.APART: 60.0,
     Step.LAND: 180.0,
 }
 
 
+_AFTER_LIMIT = {
+    Step.TAKEOFF: Step.LAND,
+    Step.APART: Step.LAND,
+    Step.ARMED: Step.DISARM,
+}
 _MOTORS_OFF = {Step.KILL: CommandRequest.KILL, Step.DISARM: CommandRequest.DISARM}
 
 
@@ -130,7 +136,7 @@ class Procedure:
         }.get(step, "")
         detail = f": {missing}" if missing else ""
         reason = f"{step.value}: not within {limit_s:g} s{detail}{snapshot.vehicle_reason}"
-        following = {Step.TAKEOFF: Step.LAND, Step.ARMED: Step.DISARM}.get(step, Step.FAILED)
+        following = _AFTER_LIMIT.get(step, Step.FAILED)
         self._progress.enter(following, snapshot, reason)
 
     def _stream_and_command(
@@ -160,7 +166,7 @@ class Procedure:
         if step is Step.FAILSAFE:
             recovered = progress.good_for_s(snapshot) > RECOVERED_S
             return (Stream.HOLD if recovered else Stream.NONE), None
-        return Stream.NONE, _MOTORS_OFF.get(step)
+        return (Stream.APART if step is Step.APART else Stream.NONE), _MOTORS_OFF.get(step)
 
     def _landing(self, snapshot: VehicleSnapshot) -> tuple[Stream, CommandRequest | None]:
         landed_s = self._progress.current(snapshot).landed_since_s
@@ -173,6 +179,6 @@ class Procedure:
         return (Stream.HOLD if fresh else Stream.NONE), CommandRequest.LAND
 
     def _in_formation(self, snapshot: VehicleSnapshot) -> bool:
-        if self.step in (Step.YIELDED, Step.KILL, *OVER):
+        if self.step in (Step.YIELDED, Step.KILL, Step.APART, *OVER):
             return False
         return self.step is not Step.LAND or snapshot.leg == "land"

@@ -38,6 +38,7 @@ class Step(Enum):
     TAKEOFF = "taking off"
     AIRBORNE = "airborne, waiting for the formation"
     FLY = "in formation"
+    APART = "holding apart by height"
     FAILSAFE = "no setpoints: left to the vehicle's failsafe"
     YIELDED = "left to the pilot"
     LAND = "landing"
@@ -58,6 +59,7 @@ class Stream(Enum):
     NONE = "none"
     HOLD = "hold"  # the position at which holding began
     CLIMB = "climb"  # straight up to the take-off height
+    APART = "apart"  # the position at which it began, at the height of this vehicle's layer
     PLANNER = "planner"  # the setpoints of the UAV process
 
 
@@ -94,6 +96,9 @@ class VehicleSnapshot:
     leg: str | None = None  # the announced leg whose epoch has come
     battery_low: str = ""
     fence_breach: str = ""
+    hazard: str = ""  # why the formation must be given up, seen on board or told by another bridge
+    apart: bool = False  # whether the vehicle is at the height of its layer
+    below: str = ""  # who must land before this vehicle
     rebooted: bool = False
     duplicate_sysid: bool = False  # a second vehicle uses this system id
     stop_request: str = ""  # "land" or "kill", by the operator or at the end of this process

@@ -29,6 +29,7 @@ _MODE_LAG_S = 2.5  # HEARTBEAT comes once a second
 _ARRIVED_M = 0.5
 _STILL_M_S = 0.5
 _SETTLED_S = 1.0
+_APART_S = 2.0  # all are at their heights by then
 _DISARMED_S = 3.0  # the reason of a disarming, a reboot perhaps, takes several messages to arrive
 _REPEAT_S = 1.0  # an unconfirmed command is sent again after this time
 _REPEAT_KILL_S = 0.2
@@ -197,6 +198,9 @@ def _react_in_flight(progress: FlightProgress, snapshot: VehicleSnapshot) -> Non
         return progress.enter(Step.LAND, snapshot)
     if unfit := snapshot.battery_low or snapshot.fence_breach:
         return progress.enter(Step.LAND, snapshot, unfit)
+    if snapshot.hazard:
+        following = Step.LAND if progress.step is Step.TAKEOFF else Step.APART
+        return progress.enter(following, snapshot, f"formation given up: {snapshot.hazard}")
     if silent:
         progress.step_before_failsafe = progress.step
         reason = f"no setpoints: {snapshot.state_fault or 'the controller is silent'}"
@@ -297,6 +301,21 @@ def _airborne(progress: FlightProgress, snapshot: VehicleSnapshot) -> None:
         progress.enter(Step.FLY, snapshot)
 
 
+def _apart(progress: FlightProgress, snapshot: VehicleSnapshot) -> None:
+    """Hold at a height that no other vehicle has; then land, the lower ones first."""
+    if not snapshot.armed:
+        progress.enter(Step.FAILED, snapshot, "disarmed in flight")
+    elif snapshot.mode is not FlightMode.OWN and not snapshot.stop_request:
+        reason = f"the pilot took over: mode {snapshot.mode_name}"
+        progress.enter(Step.YIELDED, snapshot, reason)
+    elif snapshot.stop_request or snapshot.leg == "land" or snapshot.battery_low:
+        progress.enter(Step.LAND, snapshot, snapshot.battery_low)
+    elif snapshot.state_fault:  # it cannot be held by a position that is not known
+        progress.enter(Step.LAND, snapshot, snapshot.state_fault)
+    elif progress.lasts(snapshot.apart, snapshot, _APART_S) and not snapshot.below:
+        progress.enter(Step.LAND, snapshot)
+
+
 def _failsafe(progress: FlightProgress, snapshot: VehicleSnapshot) -> None:
     age_s = progress.age_s(snapshot)
     if not snapshot.armed:
@@ -368,6 +387,7 @@ _HANDLERS: Mapping[Step, Callable[[FlightProgress, VehicleSnapshot], None]] = {
     Step.DISARM: _disarm,
     Step.TAKEOFF: _takeoff,
     Step.AIRBORNE: _airborne,
+    Step.APART: _apart,
     Step.FAILSAFE: _failsafe,
     Step.YIELDED: _wait_for_disarming,
     Step.LAND: _land,

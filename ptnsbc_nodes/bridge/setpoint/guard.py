@@ -64,6 +64,16 @@ class SetpointGuard:
         out = self._limit_to_radius(out, predicted)
         return self._limit_speed(out)
 
+    @property
+    def lowest_m(self) -> float:
+        """Height of the fence's floor."""
+        return float(self._low[2])
+
+    @property
+    def highest_m(self) -> float:
+        """Height of the fence's ceiling."""
+        return float(self._high[2])
+
     def ahead(self, position_enu: Array, moving_enu: Array) -> Array:
         """Where the vehicle is (3,) [m] when a setpoint of now takes effect."""
         return np.asarray(position_enu + self._ahead_s * moving_enu)

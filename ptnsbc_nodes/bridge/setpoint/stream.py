@@ -138,6 +138,8 @@ class SetpointStream:
         self.latency = Latency()
         self._stream = Stream.NONE
         self._hold: _HoldPoint | None = None
+        self.layer_m = 0.0
+        """Height [m] in the world at which this vehicle holds apart from the others."""
         self._last_s = float("inf")
 
     def message(self, tick: StreamInput) -> Any:
@@ -153,9 +155,18 @@ class SetpointStream:
             return self._hold_at(
                 self.climb.target(tick.odometry, dt, self.guard.limits.up_m_s), tick, dt
             )
+        if tick.stream is Stream.APART and self._hold is not None:
+            self._move_to_layer(self._hold, tick, dt)
+            return self._hold_at(self._hold, tick, dt)
         if tick.stream is Stream.HOLD and self._hold is not None:
             return self._hold_at(self._hold, tick, dt)
         return None
+
+    def _move_to_layer(self, target: _HoldPoint, tick: StreamInput, dt: float) -> None:
+        """Towards the height of the layer, at a walking pace, and never far ahead of the vehicle."""
+        height_m, step_m = float(tick.odometry[2]), dt * min(_CLIMB_M_S, self.guard.limits.down_m_s)
+        ahead = min(max(self.layer_m, height_m - _AHEAD_M), height_m + _AHEAD_M)
+        target.position[2] += min(max(ahead - target.position[2], -step_m), step_m)
 
     def _restart(self, tick: StreamInput) -> None:
         self._stream = tick.stream

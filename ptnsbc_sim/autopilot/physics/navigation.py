@@ -91,6 +91,10 @@ class Navigation:
         """Receive satellites again."""
         self._since_lost = None
 
+    def jump(self, east_m: float) -> None:
+        """The estimator resets: the local position moves to the east at once, and stays there."""
+        self.origin_enu = self.origin_enu - np.array((east_m, 0.0, 0.0))
+
     @property
     def fix_type(self) -> int:
         """GPS_FIX_TYPE now: 1 is no fix."""

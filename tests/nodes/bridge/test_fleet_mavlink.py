@@ -1,5 +1,8 @@
 """Flights of stand-ins by bridges: whole fleets and every fault, on a clock of the tests."""
 
+from itertools import pairwise
+
+import numpy as np
 import pytest
 
 pytest.importorskip("pymavlink")
@@ -8,6 +11,7 @@ from mavlink_fleet import BASE_NS, START_S, MavlinkFleet
 
 from ptnsbc_io.mavlink.autopilots import FlightMode
 from ptnsbc_io.mavlink.dialect import mavlink
+from ptnsbc_io.wire import OdometryTemplate
 from ptnsbc_nodes.bridge.procedure.steps import Step
 from ptnsbc_nodes.emergency.orders import Order
 from ptnsbc_sim.autopilot.faults import inject
@@ -311,3 +315,50 @@ def test_a_vehicle_far_from_its_start_is_not_armed():
         fleet.uavs[2].bridge.procedure.fault
     )
     assert not any(uav.vehicle.lifted for uav in fleet.uavs.values())
+
+
+def test_a_jump_of_one_position_makes_all_hold_apart_by_height_and_land():
+    fleet = MavlinkFleet(scenario(), count=3)
+    fleet.airborne().form().run(4.0)
+    inject(fleet.uavs[2].vehicle, "jump", "2.5", fleet.now_s)
+    fleet.run(2.0, until=lambda: all(u.step is Step.APART for u in fleet.uavs.values()))
+    fleet.run(20.0, until=lambda: any(u.step is Step.LAND for u in fleet.uavs.values()))
+    heights = sorted(u.vehicle.flight.truth_enu[2] for u in fleet.uavs.values())
+    assert min(b - a for a, b in pairwise(heights)) > 1.0, heights
+    fleet.run(90.0, until=lambda: all(u.bridge.procedure.over for u in fleet.uavs.values()))
+    faults = {i: uav.bridge.procedure.fault for i, uav in fleet.uavs.items()}
+    assert "formation given up: its position jumped by 2.5 m" in faults[2]
+    assert "formation given up: told by another bridge" in faults[1]
+    assert not any(uav.vehicle.armed for uav in fleet.uavs.values())
+    assert [uav.step for uav in fleet.uavs.values()] == [Step.DONE] * 3
+
+
+def test_a_vehicle_that_comes_too_near_ends_the_formation():
+    fleet, uav = one()
+    place = uav.odometry[-1][0:3]
+    intruder = OdometryTemplate("map", "x")
+
+    def come(distance_m):
+        odometry = np.zeros(13)
+        odometry[0:3], odometry[6] = place + np.array([distance_m, 0.0, 0.0]), 1.0
+        uav.near_objects.on_odometry(3, fleet.now_s, intruder.encode(BASE_NS, odometry))
+
+    for _ in range(20):
+        come(2.0)
+        fleet.run(0.05)
+    assert uav.step is Step.FLY
+    for _ in range(20):
+        place = uav.odometry[-1][0:3]
+        come(0.1)
+        fleet.run(0.05)
+    assert uav.step is Step.APART
+    assert "m from another vehicle" in uav.bridge.procedure.fault
+    until(fleet, uav, Step.DONE, 90.0)
+
+
+def test_the_operators_stop_lands_a_vehicle_that_holds_apart():
+    fleet, uav = one()
+    uav.inputs.take(Order("apart"))
+    until(fleet, uav, Step.APART, 1.0)
+    uav.inputs.take(Order("land"))
+    until(fleet, uav, Step.LAND, 1.0)

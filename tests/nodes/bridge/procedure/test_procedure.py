@@ -518,3 +518,50 @@ def test_a_pilot_who_takes_over_before_take_off_has_the_vehicle():
     flight = Flight().run(until=Step.ARMED, not_armed="bridge2")
     flight.obeys = False
     flight.run(until=Step.YIELDED, mode=FlightMode.OTHER)
+
+
+def test_a_formation_that_is_given_up_holds_apart_and_then_lands_from_below():
+    flight = Flight().flying().run(until=Step.APART, hazard="0.11 m from another vehicle")
+    assert flight.history[-1][2] == (Stream.APART, None, False)
+    assert flight.procedure.fault == "formation given up: 0.11 m from another vehicle"
+    flight.run(10.0)
+    assert flight.step is Step.APART
+    flight.run(10.0, apart=True, below="a vehicle below")
+    assert flight.step is Step.APART
+    flight.run(until=Step.LAND, below="").run(until=Step.DONE)
+
+
+def test_holding_apart_ends_also_when_the_layer_is_never_reached():
+    flight = Flight().flying().run(until=Step.APART, hazard="it swings")
+    flight.run(until=Step.LAND)
+    assert "holding apart by height: not within 60 s" in flight.procedure.fault
+
+
+@pytest.mark.parametrize(
+    ("change", "step"),
+    [
+        ({"stop_request": "land"}, Step.LAND),
+        ({"leg": "land"}, Step.LAND),
+        ({"state_fault": "GPS fix lost"}, Step.LAND),
+        ({"battery_low": "battery at 9 %"}, Step.LAND),
+        ({"mode": FlightMode.OTHER}, Step.YIELDED),
+        ({"armed": False}, Step.FAILED),
+    ],
+)
+def test_what_ends_holding_apart_early(change, step):
+    flight = Flight().flying().run(until=Step.APART, hazard="it swings")
+    flight.obeys = False
+    flight.run(until=step, **change)
+
+
+def test_holding_apart_needs_no_controller():
+    flight = Flight().flying().run(until=Step.APART, hazard="it swings")
+    flight.run(5.0, controller_age_s=99.0)
+    assert flight.step is Step.APART
+
+
+def test_a_formation_given_up_during_the_take_off_lands_at_once():
+    flight = Flight()
+    flight.obeys = False
+    flight.run(5.0, mode=FlightMode.OWN).run(until=Step.TAKEOFF, armed=True)
+    flight.run(until=Step.LAND, hazard="told by another bridge")

@@ -1,0 +1,128 @@
+"""What ends a formation in flight, seen on board of one vehicle: too near, swinging, running away, a jump.
+
+The monitor is pure: states in, a reason out. It looks at the vehicle as it flies, not at what was commanded, so that it
+sees the same for every kind of setpoint.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from typing import NamedTuple
+
+import numpy as np
+
+from ptnsbc_core.types import Array
+
+_SOON_S = 0.5  # the predicted paths count so far ahead
+_TOO_NEAR_S = 0.2  # one odd message is no approach
+_SWINGS, _SWINGS_S = 4, 15.0  # so many reversals within this time
+_GROWING = 0.8  # the newest swing as a share of the first of them: below, the motion dies out
+_AWAY_S = 3.0
+_SETTLED_S = 5.0  # after the deadline
+_GAP_S = 0.5  # after a longer silence the next place is no jump
+
+
+class AbortLimits(NamedTuple):
+    """From which values on the formation is given up; 0 switches one off."""
+
+    separation_m: float
+    swing_m_s: float
+    away_m_s: float
+    jump_m: float
+
+
+class Sight(NamedTuple):
+    """What is known at one instant."""
+
+    now_s: float
+    position: Array  # (3,) [m], world
+    velocity: Array  # (3,) [m/s], world
+    reference_m_s: Array  # (3,) velocity of the leader's reference
+    others: Array  # (M, 7) x y z keep-out vx vy vz of the other vehicles
+    settled_s: float  # time since the formation's deadline; negative before it
+
+
+class FlightMonitor:
+    """Looks at every new state of the vehicle while it flies in formation."""
+
+    def __init__(self, limits: AbortLimits) -> None:
+        self._limits = limits
+        self._last: Sight | None = None
+        self._near_since_s: float | None = None
+        self._away_since_s: float | None = None
+        self._peak = np.zeros(2)  # of the present swing
+        self._swings: deque[tuple[float, float]] = deque(maxlen=_SWINGS)  # when, and how fast
+
+    def look(self, sight: Sight) -> str:
+        """Why the formation must end; empty when it may go on."""
+        checks = (self._jump, self._too_near, self._swinging, self._away)
+        reasons = [check(sight) for check in checks]
+        self._last = sight
+        return next(filter(None, reasons), "")
+
+    def _jump(self, sight: Sight) -> str:
+        last, limit_m = self._last, self._limits.jump_m
+        if last is None or not limit_m:
+            return ""
+        elapsed_s = sight.now_s - last.now_s
+        if not 0.0 < elapsed_s <= _GAP_S:
+            return ""
+        expected = last.position + elapsed_s * 0.5 * (last.velocity + sight.velocity)
+        jump_m = float(np.linalg.norm(sight.position - expected))
+        return f"its position jumped by {jump_m:.1f} m" if jump_m > limit_m else ""
+
+    def _too_near(self, sight: Sight) -> str:
+        limit_m = self._limits.separation_m
+        if not limit_m or not len(sight.others):
+            self._near_since_s = None
+            return ""
+        away = sight.others[:, 0:3] - sight.position
+        closing = sight.others[:, 4:7] - sight.velocity
+        speed2 = np.einsum("ij,ij->i", closing, closing)
+        soonest = -np.einsum("ij,ij->i", away, closing) / np.maximum(speed2, 1e-9)
+        when = np.clip(soonest, 0.0, _SOON_S)
+        nearest_m = float(np.linalg.norm(away + when[:, None] * closing, axis=1).min())
+        if nearest_m >= limit_m:
+            self._near_since_s = None
+            return ""
+        since_s = self._near_since_s = (
+            sight.now_s if self._near_since_s is None else self._near_since_s
+        )
+        if sight.now_s - since_s < _TOO_NEAR_S:
+            return ""
+        return f"{nearest_m:.2f} m from another vehicle, now or within {_SOON_S:g} s"
+
+    def _swinging(self, sight: Sight) -> str:
+        """Reversals of the horizontal velocity against the reference that do not die out."""
+        limit_m_s = self._limits.swing_m_s
+        motion = (sight.velocity - sight.reference_m_s)[0:2]
+        speed_m_s = math.hypot(motion[0], motion[1])
+        if not limit_m_s or speed_m_s < limit_m_s:
+            return ""
+        if float(motion @ self._peak) >= 0.0:
+            if speed_m_s > math.hypot(self._peak[0], self._peak[1]):
+                self._peak = motion
+            return ""
+        self._swings.append((sight.now_s, math.hypot(self._peak[0], self._peak[1])))
+        self._peak = motion
+        if len(self._swings) < _SWINGS or sight.now_s - self._swings[0][0] > _SWINGS_S:
+            return ""
+        first_m_s, newest_m_s = self._swings[0][1], self._swings[-1][1]
+        if newest_m_s < _GROWING * first_m_s:
+            return ""
+        return f"it swings at {newest_m_s:.1f} m/s, {_SWINGS} times to and fro without dying out"
+
+    def _away(self, sight: Sight) -> str:
+        """Faster than the reference for seconds, when the formation should long have been there."""
+        limit_m_s = self._limits.away_m_s
+        speed_m_s = float(np.linalg.norm(sight.velocity - sight.reference_m_s))
+        if not limit_m_s or sight.settled_s < _SETTLED_S or speed_m_s < limit_m_s:
+            self._away_since_s = None
+            return ""
+        since_s = self._away_since_s = (
+            sight.now_s if self._away_since_s is None else self._away_since_s
+        )
+        if sight.now_s - since_s < _AWAY_S:
+            return ""
+        return f"its error grows: {speed_m_s:.1f} m/s away from the formation's motion for {_AWAY_S:g} s"

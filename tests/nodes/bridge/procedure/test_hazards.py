@@ -1,0 +1,117 @@
+"""What ends a formation in flight, from states alone."""
+
+import math
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pymavlink")
+
+from ptnsbc_nodes.bridge.procedure.hazards import AbortLimits, FlightMonitor, Sight
+
+LIMITS = AbortLimits(separation_m=0.3, swing_m_s=1.0, away_m_s=2.0, jump_m=1.0)
+NOBODY, DT = np.empty((0, 7)), 0.02
+
+
+def fly(path, seconds, *, others=NOBODY, limits=LIMITS, settled_s=-100.0, reference=(0, 0, 0)):
+    """The first reason and its time, for a vehicle on `path(t) -> position`."""
+    monitor = FlightMonitor(limits)
+    for k in range(round(seconds / DT)):
+        t = k * DT
+        velocity = (np.array(path(t + 1e-4)) - np.array(path(t - 1e-4))) / 2e-4
+        near = others(t) if callable(others) else others
+        moves = np.array(reference(t) if callable(reference) else reference, dtype=float)
+        reason = monitor.look(Sight(t, np.array(path(t)), velocity, moves, near, settled_s + t))
+        if reason:
+            return reason, t
+    return "", None
+
+
+def still(_t):
+    return (0.0, 0.0, 8.0)
+
+
+def one_at(x, y, z, *velocity):
+    return np.array([[x, y, z, 0.5, *(velocity or (0, 0, 0))]], dtype=float)
+
+
+@pytest.mark.parametrize(("distance_m", "ends"), [(0.29, True), (0.31, False), (0.6, False)])
+def test_a_vehicle_below_the_bound(distance_m, ends):
+    reason, _ = fly(still, 2.0, others=one_at(distance_m, 0, 8))
+    assert ("0.29 m from another vehicle" in reason) is ends
+
+
+def test_a_vehicle_that_comes_fast_is_seen_before_it_is_there():
+    """At 4 m/s, as ArduCopter swung: half a second and more before the closest point."""
+
+    def coming(t):
+        return one_at(4.0 - 4.0 * t, 0.1, 8, -4.0, 0, 0)
+
+    reason, at_s = fly(still, 2.0, others=coming)
+    assert "from another vehicle" in reason
+    assert at_s < 0.75  # the closest point is at 1 s
+    assert fly(still, 2.0, others=lambda t: one_at(4.0 - 4.0 * t, 1.0, 8, -4.0, 0, 0)) == ("", None)
+
+
+def test_one_odd_message_is_no_approach():
+    assert fly(still, 1.0, others=lambda t: one_at(0.1 if t == 0.5 else 2, 0, 8)) == ("", None)
+
+
+def test_a_jump_of_the_position_is_an_estimator_reset():
+    def path(t):
+        return (0.2 * t + (1.5 if t > 1.01 else 0.0), 0.0, 8.0)
+
+    reason, at_s = fly(lambda t: path(t), 3.0, limits=LIMITS._replace(swing_m_s=0, away_m_s=0))
+    assert reason == "its position jumped by 1.5 m"
+    assert at_s == pytest.approx(1.02)
+    assert fly(lambda t: (4.0 * t, 0.0, 8.0), 3.0, limits=LIMITS._replace(away_m_s=0)) == ("", None)
+
+
+@pytest.mark.parametrize("period_s", [2.0, 4.0, 6.0])
+def test_a_swing_that_does_not_die_out(period_s):
+    rate = 2 * math.pi / period_s
+
+    def path(t):  # 2 m/s at its fastest
+        return (2.0 / rate * math.sin(rate * t), 0.0, 8.0)
+
+    reason, at_s = fly(path, 30.0)
+    assert "it swings at 2.0 m/s" in reason
+    assert at_s < 2.6 * period_s
+
+
+def test_a_swing_that_dies_out_and_the_leaders_circle_are_none():
+    def decaying(t):
+        return (1.5 * math.exp(-0.25 * t) * math.sin(2 * t), 0.0, 8.0)
+
+    assert fly(decaying, 30.0) == ("", None)
+    rate = 2 * math.pi / 10.0
+
+    def circle(t):  # 1.6 m/s, ten seconds round
+        return (2.5 * math.sin(rate * t), 2.5 * math.cos(rate * t), 8.0)
+
+    def along(t):
+        return (2.5 * rate * math.cos(rate * t), -2.5 * rate * math.sin(rate * t), 0.0)
+
+    assert fly(circle, 60.0, reference=along) == ("", None)  # the leader's own
+    assert "it swings" in fly(circle, 60.0)[0]  # around the leader's
+
+
+def test_an_error_that_grows_after_the_deadline():
+    def running(t):
+        return (2.5 * t, 0.0, 8.0)
+
+    assert fly(running, 10.0, settled_s=-20.0) == ("", None)  # on its way to the formation
+    reason, at_s = fly(running, 20.0, settled_s=0.0)
+    assert "its error grows: 2.5 m/s" in reason
+    assert at_s == pytest.approx(8.0, abs=0.05)
+    assert fly(running, 20.0, settled_s=0.0, reference=(2.0, 0, 0)) == ("", None)
+
+
+def test_a_limit_of_zero_is_off():
+    none = AbortLimits(0.0, 0.0, 0.0, 0.0)
+    assert fly(
+        lambda t: (9.0 * math.sin(3 * t), 0, 8), 9.0, others=one_at(0, 0, 8), limits=none
+    ) == (
+        "",
+        None,
+    )
