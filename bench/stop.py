@@ -27,7 +27,7 @@ from typing import NamedTuple
 from ptnsbc_sim.autopilot.faults import send_fault
 from ptnsbc_sim.autopilot.vehicle import AutopilotError
 
-_PATIENCE_S = 240.0
+_PATIENCE_S = 600.0  # the laws are compiled once
 _MOMENT_S = 6.0  # the key is pressed within this time after the formation has begun
 _OBEYED_S = 20.0
 _VEHICLES = (1, 2, 3, 4)

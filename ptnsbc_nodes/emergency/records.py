@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import os
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -127,3 +127,18 @@ def forget_dead(folder: Path) -> None:
     for record in list(records(folder)):
         if not record.alive:
             record_path(folder, record.name).unlink(missing_ok=True)
+
+
+def last_word(folder: Path, name: str) -> str:
+    """Where a vehicle is whose bridge has ended, and what it does now; empty when it is not armed or not known."""
+    record = parse_record(read_json(record_path(folder, name)))
+    if record is None or not record.armed:
+        return ""
+    fate = f": {record.fate}" if record.fate else ""
+    return f"its vehicle was {record.state}{fate}; ptnsbc stop reaches it past its bridge"
+
+
+def in_pilots_hands(folder: Path, names: Iterable[str]) -> bool:
+    """Whether pilots fly all of these vehicles, as far as their bridges know."""
+    known = {record.name: record for record in records(folder)}
+    return all(name in known and known[name].in_pilots_hands for name in names)

@@ -14,6 +14,8 @@ from pathlib import Path
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_nodes.comm.topics import RECORDER, SIM
+from ptnsbc_nodes.emergency.orders import runtime_folder
+from ptnsbc_nodes.emergency.records import in_pilots_hands, last_word
 from ptnsbc_nodes.fleet.child_process import ChildProcess, ProcessCommand, end
 from ptnsbc_nodes.fleet.coordinator_node import Coordinator
 from ptnsbc_nodes.fleet.emergency_stop import order_landing
@@ -23,11 +25,13 @@ from ptnsbc_nodes.runtime.watchdog import ENDED_S, RECORDER_ENDED_S
 
 Report = Callable[[str], None]
 
+_BRIDGE = "ptnsbc_nodes.bridge.main"
 _LOOK_S = 0.05
 _AFTER_START_S = 1.0  # the epoch is half a second after the call
 _LANDING_CALL_S = 3.0
 _LANDING_S = 240.0
 _RECORDER_PATIENCE_S = 60.0  # what is still queued belongs into the bag
+_PILOTS_S = 10.0  # a pilot lands when it suits the pilot
 _OVER_S = 3.0
 _REMINDER_S = 10.0
 
@@ -180,8 +184,31 @@ class Supervisor:
             for bridge in bridges:
                 bridge.send(signal.SIGINT)
         limit_s, signals = time.monotonic() + _LANDING_S, self._stop.count
-        while airborne() and time.monotonic() < limit_s and self._stop.count == signals:
+        pilots_s = float("inf")
+        while airborne() and self._stop.count == signals:
             self._look()
+            now_s = time.monotonic()
+            flying = [bridge.name for bridge in bridges if bridge.exit_code is None]
+            left = bool(flying) and in_pilots_hands(self._folder, flying)
+            pilots_s = min(pilots_s, now_s + _PILOTS_S) if left else float("inf")
+            if now_s >= min(limit_s, pilots_s):
+                self._progress(
+                    f"not waited for any longer: {', '.join(flying) or 'other computers'}"
+                )
+                break
+        self._name_armed(bridges)
+
+    @property
+    def _folder(self) -> Path:
+        """Where the bridges keep their records."""
+        return runtime_folder(self._coordinator.domain)
+
+    def _name_armed(self, bridges: Sequence[ChildProcess]) -> None:
+        """Name each vehicle that is still armed, with place, mode and what it does now."""
+        for bridge in bridges:
+            is_bridge = bridge.command.module == _BRIDGE
+            if is_bridge and (word := last_word(self._folder, bridge.name)):
+                self._progress(f"{bridge.name}: {word}")
 
     def _call_down(self) -> None:
         leg = "stop" if self._stop.came else "land"
@@ -267,6 +294,7 @@ class Supervisor:
             if not (child.command.ends and child.exit_code == 0):
                 self.died.append(child)
                 self._progress(child.exit_summary())
+                self._name_armed([child])
                 lost.add(child.command.lost)
             for name in lost:
                 self._coordinator.lose(name)

@@ -12,6 +12,8 @@ from ptnsbc_nodes.emergency.records import (
     VehicleRecord,
     decode_record,
     forget_dead,
+    in_pilots_hands,
+    last_word,
     record_path,
     records,
     write_record,
@@ -61,6 +63,25 @@ def test_the_record_of_a_dead_bridge_stays_until_it_is_forgotten(tmp_path, dead)
     assert [record.alive for record in records(tmp_path)] == [True, False]
     forget_dead(tmp_path)
     assert [record.name for record in records(tmp_path)] == ["bridge3"]
+
+
+def test_the_last_word_about_a_vehicle_whose_bridge_has_ended(tmp_path):
+    write_record(tmp_path, replace(RECORD, fate="without setpoints it hovers"))
+    assert last_word(tmp_path, "bridge3") == (
+        "its vehicle was armed at (1.0, 2.0, 3.0) m in OFFBOARD: without setpoints it hovers; "
+        "ptnsbc stop reaches it past its bridge"
+    )
+    write_record(tmp_path, replace(RECORD, armed=False))
+    assert last_word(tmp_path, "bridge3") == ""
+    assert last_word(tmp_path, "bridge9") == ""
+
+
+def test_whether_pilots_fly_all_of_them(tmp_path):
+    write_record(tmp_path, replace(RECORD, in_pilots_hands=True))
+    write_record(tmp_path, replace(RECORD, name="bridge4"))
+    assert in_pilots_hands(tmp_path, ["bridge3"])
+    assert not in_pilots_hands(tmp_path, ["bridge3", "bridge4"])
+    assert not in_pilots_hands(tmp_path, ["bridge3", "bridge9"])
 
 
 def test_the_state_in_words():
