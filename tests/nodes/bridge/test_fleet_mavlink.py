@@ -298,9 +298,11 @@ def test_vehicles_arm_together_and_those_that_stand_close_climb_in_turns():
     assert {uav.bridge.procedure.fault for uav in fleet.uavs.values()} == {""}
 
 
-def test_vehicles_at_one_place_are_not_armed():
-    there = [{"id": i, "position_m": [0.02 * i, 1.1, 1]} for i in (1, 2, 3, 4)]
-    fleet = MavlinkFleet(scenario(uavs=there), count=2)
+def test_vehicles_at_one_place_are_not_armed(tmp_path):
+    path = tmp_path / "one_place.yaml"
+    there = "".join(f"  - {{id: {i}, position_m: [{0.02 * i}, 1.1, 1]}}\n" for i in (1, 2, 3, 4))
+    path.write_text(f"extends: experiment_4\nuavs:\n{there}")
+    fleet = MavlinkFleet(load_scenario(str(path)).bridged(), count=2)
     fleet.run(90.0, until=lambda: all(u.bridge.procedure.over for u in fleet.uavs.values()))
     faults = [uav.bridge.procedure.fault for uav in fleet.uavs.values()]
     assert any("m from the vehicle of bridge" in fault for fault in faults)
