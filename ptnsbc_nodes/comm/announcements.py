@@ -46,6 +46,6 @@ def decode_order(data: bytes) -> Order:
     order = parse_order(text)
     if order is None:
         raise WireError(
-            f"order {text[:_SHOWN]!r}: expected apart, land, kill, land all or kill all"
+            f"order {text[:_SHOWN]!r}: expected land, kill, land all, kill all or apart"
         )
     return order
