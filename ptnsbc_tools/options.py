@@ -14,6 +14,14 @@ if TYPE_CHECKING:
 ScenarioArgument = Annotated[
     str, typer.Argument(metavar="SCENARIO", help="A scenario file, or a name such as paper_5.")
 ]
+NamespaceOption = Annotated[
+    str,
+    typer.Option(
+        "--namespace",
+        metavar="NAME",
+        help="Of all nodes and topics of the fleet, so that several fleets can share a domain.",
+    ),
+]
 PlantOption = Annotated[
     Literal["quadrotor", "rigid_body_6dof"] | None, typer.Option("--plant", help="Vehicle model.")
 ]
@@ -44,6 +52,13 @@ SetOption = Annotated[
         help="Any other key of the scenario, dotted, e.g. gains.formation.kappa_1_s=3. Repeatable.",
     ),
 ]
+
+
+def full_namespace(given: str) -> str:
+    """A namespace as ROS names it: `/blue` for `blue` and `/blue/`."""
+    return given and f"/{given.strip('/')}"
+
+
 BagOption = Annotated[
     Path | None, typer.Option("--bag", metavar="DIR", help="Record into this folder.")
 ]

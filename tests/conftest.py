@@ -20,6 +20,8 @@ sys.path.insert(0, str(Path(__file__).parent / "support"))
 
 import real_time
 
+from ptnsbc_nodes.emergency.orders import release
+
 HERE = Path(__file__).parent
 # Folders and files below tests/ that run, or read bags, without a compiled law.
 WITHOUT_LAWS = (
@@ -65,6 +67,22 @@ def _each_law_is_compiled_once() -> None:
             fcntl.lockf(locks, fcntl.LOCK_UN, 1, byte)
 
     Dispatcher.compile = compile_or_read
+
+
+@pytest.fixture(scope="session", autouse=True)
+def runtime_folder() -> Iterator[Path]:
+    """A folder for sockets and orders that no fleet of this host uses; its path is short, as a socket's must be."""
+    with tempfile.TemporaryDirectory(prefix="pt-") as folder, pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_RUNTIME_DIR", folder)
+        yield Path(folder)
+
+
+@pytest.fixture(autouse=True)
+def no_order_holds(runtime_folder: Path) -> Iterator[None]:
+    """An operator's order holds until it is released: a test must not give one to the next test."""
+    yield
+    for domain in runtime_folder.glob("ptnsbc/*"):
+        release(domain)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import importlib.util
 import runpy
 from pathlib import Path
@@ -11,87 +12,103 @@ import pytest
 
 pytest.importorskip("rclpy")
 
+import ament_index_python.packages as index
+from typer.testing import CliRunner
+
 from ptnsbc_nodes.bridge import main as bridge_main
-from ptnsbc_nodes.fleet import coordinator_main
-from ptnsbc_nodes.fleet.child_process import EXECUTABLES
-from ptnsbc_nodes.fleet.process_list import FleetOptions, commands
-from ptnsbc_nodes.fleet.supervisor import FleetError
-from ptnsbc_nodes.recording import main as recorder_main
-from ptnsbc_nodes.runtime import warmup
-from ptnsbc_nodes.sim import main as sim_main
+from ptnsbc_nodes.runtime.environment import ONE_THREAD
 from ptnsbc_nodes.uav import main as uav_main
-from ptnsbc_sim.scenario import load_scenario
+from ptnsbc_tools.cli import app
+from ptnsbc_tools.commands import fleet as fleet_command
 
 ROOT = Path(__file__).resolve().parents[1]
 BRINGUP = ROOT / "ros2_ws" / "src" / "ptnsbc_bringup"
 NO_LAUNCH = "ROS's launch_ros is not installed: it comes with ROS from apt and has no wheel"
 
 
-def _load(name):
-    path = ROOT / "tests" / "support" / f"{name}.py"
-    spec = importlib.util.spec_from_file_location(name, path)
+def _stand_in():
+    path = ROOT / "tests" / "support" / "launch_stand_in.py"
+    spec = importlib.util.spec_from_file_location("launch_stand_in", path)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
 
 
 class Started(SimpleNamespace):
-    """A node as a launch file wants it."""
+    """A process as a launch file wants it."""
 
 
 class StandIn:
     """Launch files evaluated with the stand-in."""
 
     def __init__(self, monkeypatch):
-        self.api = _load("launch_stand_in")
-        self.api.install(monkeypatch, BRINGUP)
+        self.api = _stand_in()
+        self.api.install(monkeypatch)
+        self.context = self.api.LaunchContext()
 
-    def started(self, node) -> Started:
-        return Started(
-            package=node.package,
-            executable=node.executable,
-            namespace=node.namespace,
-            arguments=node.arguments,
-            parameters=node.parameters or [],
-        )
+    def started(self, entity):
+        if isinstance(entity, self.api.ExecuteProcess):
+            return Started(cmd=entity.cmd)
+        if isinstance(entity, self.api.Node):
+            return Started(
+                package=entity.package,
+                executable=entity.executable,
+                namespace=entity.namespace,
+                arguments=entity.arguments,
+                parameters=entity.parameters or [],
+            )
+        return None
 
-    def is_node(self, entity):
-        return isinstance(entity, self.api.Node)
-
-    def context(self):
-        return self.api.LaunchContext()
+    def after(self, entities, code):
+        """What the end of the flight leads to."""
+        (handler,) = [e.event_handler for e in entities if hasattr(e, "event_handler")]
+        return handler.handle(self.api.ProcessExited(returncode=code), self.context)
 
 
 class Real:
     """The same with ROS's own launch."""
 
-    def __init__(self, monkeypatch):
-        import ament_index_python.packages as index
+    def __init__(self, _monkeypatch):
         import launch
         import launch_ros.actions
 
-        monkeypatch.setattr(index, "get_package_share_directory", lambda name: str(BRINGUP))
         self._launch, self._node = launch, launch_ros.actions.Node
+        self.context = launch.LaunchContext()
 
-    def started(self, node) -> Started:
-        private = vars(node)
-        return Started(
-            package=private["_Node__package"],
-            executable=private["_Node__node_executable"],
-            namespace=private["_Node__node_namespace"],
-            arguments=list(private["_Node__arguments"] or ()),
-            parameters=private["_Node__parameters"] or [],
+    def started(self, entity):
+        if isinstance(entity, self._node):
+            private = vars(entity)
+            return Started(
+                package=private["_Node__package"],
+                executable=private["_Node__node_executable"],
+                namespace=private["_Node__node_namespace"],
+                arguments=list(private["_Node__arguments"] or ()),
+                parameters=[self._file(one) for one in private["_Node__parameters"] or ()],
+            )
+        if isinstance(entity, self._launch.actions.ExecuteProcess):
+            words = entity.process_description.cmd
+            return Started(cmd=["".join(p.perform(self.context) for p in word) for word in words])
+        return None
+
+    def _file(self, parameters):
+        is_file = hasattr(parameters, "param_file")
+        return str(parameters.evaluate(self.context)) if is_file else parameters
+
+    def after(self, entities, code):
+        (handler,) = [
+            e.event_handler
+            for e in entities
+            if isinstance(e, self._launch.actions.RegisterEventHandler)
+        ]
+        event = self._launch.events.process.ProcessExited(
+            returncode=code, action=None, name="fleet", cmd=[], cwd=None, env=None, pid=1
         )
-
-    def is_node(self, entity):
-        return isinstance(entity, self._node)
-
-    def context(self):
-        return self._launch.LaunchContext()
+        return handler.handle(event, self.context)
 
 
 @pytest.fixture(params=["stand-in", "real"])
 def kind(request, monkeypatch):
+    monkeypatch.setattr(index, "get_package_share_directory", lambda name: str(BRINGUP))
     if request.param == "stand-in":
         return StandIn(monkeypatch)
     if importlib.util.find_spec("launch_ros") is None:
@@ -100,93 +117,129 @@ def kind(request, monkeypatch):
 
 
 @pytest.fixture
-def evaluate(kind, monkeypatch):
+def viewers(monkeypatch):
+    """The viewers that are installed."""
+    installed = {"rviz2", "foxglove_bridge"}
+
+    def prefix(name):
+        if name != "ptnsbc_tools" and name not in installed:
+            raise index.PackageNotFoundError(name)
+        return "/prefix"
+
+    monkeypatch.setattr(index, "get_package_prefix", prefix)
+    return installed
+
+
+@pytest.fixture
+def evaluate(kind, viewers):
     """Evaluates a launch file: the entities it comes down to."""
-    for load in ("load_agent", "load_world"):  # compiles; other tests do
-        monkeypatch.setattr(warmup, load, lambda *_: None)
 
     def run(name, **arguments):
         file = runpy.run_path(str(BRINGUP / "launch" / f"{name}.launch.py"))
-        context = kind.context()
-        context.launch_configurations.update(arguments)
+        kind.context.launch_configurations.update(arguments)
         found = []
         for entity in file["generate_launch_description"]().entities:
-            found += entity.visit(context) or []
-        return found, context
+            found += entity.visit(kind.context) or []
+        return found
 
     return run
 
 
-def nodes(kind, entities, context):
+def processes(kind, entities):
     """Those that would be started."""
-    return [
-        kind.started(entity)
-        for entity in entities
-        if kind.is_node(entity) and (entity.condition is None or entity.condition.evaluate(context))
-    ]
+    return [one for one in map(kind.started, entities) if one is not None]
 
 
-@pytest.mark.parametrize("backend", ["sim", "mavlink"])
-@pytest.mark.parametrize("lockstep", ["true", "false"])
-@pytest.mark.parametrize("record", ["", "flight"])
-def test_a_fleet_is_that_of_our_launcher(
-    kind, evaluate, tmp_path, monkeypatch, backend, lockstep, record
-):
+@pytest.fixture
+def flown(monkeypatch):
+    """What `ptnsbc fleet` understands of its words, without flying."""
+    calls = []
+
+    def fly(scenario, json, **given):
+        calls.append((scenario, given))
+        return 0
+
+    monkeypatch.setattr(fleet_command, "fly_and_judge", fly)
+
+    def ask(words):
+        result = CliRunner().invoke(app, words)
+        assert result.exit_code == 0, result.output
+        return calls[-1]
+
+    return ask
+
+
+def test_a_fleet_is_that_of_the_command(kind, evaluate, flown, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
-    if backend == "mavlink" and lockstep == "true":
-        with pytest.raises(FleetError, match="real vehicles do not wait"):
-            evaluate("fleet", backend=backend, lockstep=lockstep)
-        return
-    scenario = load_scenario("experiment_4")
-    found = evaluate(
-        "fleet", scenario="experiment_4", backend=backend, lockstep=lockstep, record=record,
-        allow_arming="true",
+    (one,) = processes(kind, evaluate("fleet"))
+    assert one.cmd[0] == "/prefix/lib/ptnsbc_tools/ptnsbc"
+    scenario, given = flown(one.cmd[1:])
+    assert scenario.name == "paper_5"
+    assert given == {
+        "lockstep": False, "backend": "sim", "allow_arming": False, "only": "", "namespace": "",
+        "bag": None, "overwrite": False,
+    }  # fmt: skip
+
+
+def test_every_argument_arrives(kind, evaluate, flown, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    entities = evaluate(
+        "fleet", scenario="experiment_4", backend="mavlink", allow_arming="true", lockstep="true",
+        namespace="blue", duration="12.5", record="flight", overwrite="true",
+        set="gains.formation.kappa_1_s=1.5 'world.wind_m_s=[1, 0, 0]'",
     )  # fmt: skip
-    started = nodes(kind, *found)
-    (file,) = {words.arguments[words.arguments.index("--scenario") + 1] for words in started[-1:]}
-    options = FleetOptions(
-        scenario.bridged() if backend == "mavlink" else scenario,
-        lockstep=lockstep == "true",
-        backend=backend,
-        allow_arming=True,
-        bag=tmp_path / record if record else None,
-    )
-    expected = [
-        (EXECUTABLES[one.module], list(one.arguments)) for one in commands(options, Path(file))
-    ]
-    assert [(one.executable, one.arguments) for one in started[:-1]] == expected
-    assert {one.package for one in started} == {"ptnsbc_nodes"}
-    assert started[-1].executable == "coordinator"
-    for one in started:
-        wanted = "uav" if one.executable in ("uav", "bridge") else ""
-        assert one.namespace.rstrip("1234") == wanted
-    assert load_scenario(file).file == options.scenario.file
-
-
-def test_nothing_is_armed_without_a_word(evaluate):
-    with pytest.raises(FleetError, match="--allow-arming"):
-        evaluate("fleet", scenario="experiment_4", backend="mavlink")
+    (one,) = processes(kind, entities)
+    scenario, given = flown(one.cmd[1:])
+    assert (scenario.name, scenario.duration_s) == ("experiment_4", 12.5)
+    assert scenario.file.gains.formation.kappa_1_s == 1.5
+    assert list(scenario.file.world.wind_m_s) == [1.0, 0.0, 0.0]
+    assert given == {
+        "lockstep": True, "backend": "mavlink", "allow_arming": True, "only": "",
+        "namespace": "/blue", "bag": tmp_path / "flight", "overwrite": True,
+    }  # fmt: skip
 
 
 @pytest.mark.parametrize(
     ("viewer", "package"), [("rviz", "rviz2"), ("foxglove", "foxglove_bridge")]
 )
-def test_viewers_come_when_asked_for(kind, evaluate, viewer, package):
-    assert package in {one.package for one in nodes(kind, *evaluate("fleet", **{viewer: "true"}))}
-    assert package not in {one.package for one in nodes(kind, *evaluate("fleet"))}
+def test_viewers_come_when_asked_for_and_go_with_the_flight(kind, evaluate, viewer, package):
+    assert len(processes(kind, evaluate("fleet"))) == 1
+    entities = evaluate("fleet", **{viewer: "true"})
+    assert [one.package for one in processes(kind, entities)[1:]] == [package]
+    (end,) = kind.after(entities, 0)
+    matches = end.event.process_matcher
+    assert [matches(entity) for entity in entities if kind.started(entity)] == [False, True]
+
+
+def test_a_viewer_that_is_missing_is_named_before_anything_starts(evaluate, viewers):
+    viewers.remove("rviz2")
+    with pytest.raises(RuntimeError, match=r"rviz2 is not installed: .*ros-jazzy-rviz2"):
+        evaluate("fleet", rviz="true")
+
+
+@pytest.mark.parametrize("code", [0, 1, 130])
+def test_launch_fails_with_the_flight_and_runs_on(kind, evaluate, code):
+    told = []
+    loop = asyncio.new_event_loop()
+    loop.set_exception_handler(lambda _loop, problem: told.append(problem["message"]))
+    if isinstance(kind, StandIn):
+        kind.context.asyncio_loop = loop
+    else:
+        kind.context._set_asyncio_loop(loop)
+    # What launch includes beside this flight goes on: nothing here shuts it down.
+    assert kind.after(evaluate("fleet"), code) == []
+    assert told == ([f"the flight of paper_5 ended with {code}"] if code else [])
+    loop.close()
 
 
 @pytest.fixture
 def understood(monkeypatch):
     """Whether a process understands its arguments, without running it."""
-    bodies = {"uav": (uav_main, "_fly"), "sim": (sim_main, "_simulate")}
-    bodies |= {"bridge": (bridge_main, "_bridge"), "coordinator": (coordinator_main, "_serve")}
+    bodies = {"uav": (uav_main, "_fly"), "bridge": (bridge_main, "_bridge")}
     for module, body in bodies.values():
         monkeypatch.setattr(module, body, lambda arguments, _argv: 0)
 
     def ask(one):
-        if one.executable == "recorder":
-            return recorder_main._parser().parse_args(one.arguments) is not None
         # As launch_ros starts it.
         words = [*one.arguments, "--ros-args", "-r", f"__ns:=/{one.namespace}"]
         return bodies[one.executable][0].main(words) == 0
@@ -194,30 +247,26 @@ def understood(monkeypatch):
     return ask
 
 
-@pytest.mark.parametrize("backend", ["sim", "mavlink"])
-def test_what_is_launched_understands_its_arguments(kind, evaluate, understood, backend):
-    arguments = {"scenario": "experiment_4", "backend": backend, "allow_arming": "true"}
-    for one in nodes(kind, *evaluate("fleet", record="bag", **arguments)):
-        assert understood(one), one
-    for one in nodes(kind, *evaluate("uav", uav="2", scenario="experiment_4", bridge="true")):
+def test_a_launched_uav_understands_its_arguments(kind, evaluate, understood):
+    for one in processes(kind, evaluate("uav", uav="2", scenario="experiment_4", bridge="true")):
         assert understood(one), one
 
 
 def test_one_uav_flies_by_a_parameter_file(kind, evaluate):
-    (controller,) = nodes(kind, *evaluate("uav", uav="2", params="/a/fleet.yaml"))
+    (controller,) = processes(kind, evaluate("uav", uav="2", params="/a/fleet.yaml"))
     assert (controller.executable, controller.namespace) == ("uav", "uav2")
     assert controller.arguments == ["--uav", "2"]
     assert "/a/fleet.yaml" in map(str, controller.parameters)
 
 
 def test_one_uav_with_its_bridge_arms_only_when_told_to(kind, evaluate):
-    quiet = nodes(kind, *evaluate("uav", uav="1", scenario="experiment_4", bridge="true"))
+    quiet = processes(kind, evaluate("uav", uav="1", scenario="experiment_4", bridge="true"))
     assert [one.executable for one in quiet] == ["uav", "bridge"]
     assert "--bridged" in quiet[0].arguments
     assert not any("--allow-arming" in one.arguments for one in quiet)
-    armed = nodes(
+    armed = processes(
         kind,
-        *evaluate(
+        evaluate(
             "uav", uav="1", scenario="experiment_4", bridge="true", allow_arming="true",
             autostart="false",
         ),
@@ -233,56 +282,13 @@ def test_an_argument_outside_its_choices_is_refused(evaluate):
         evaluate("uav")
 
 
-class Follow:
-    """What a launch file does when its processes end, one after the other."""
-
-    def __init__(self, kind, entities):
-        self._kind, self._entities = kind, entities
-        self._nodes = [entity for entity in entities if kind.is_node(entity)]
-
-    def end(self, index, returncode=0):
-        """The reason for a shutdown, or the arguments of what is started."""
-        found = []
-        for entity in self._entities:
-            handler = getattr(entity, "event_handler", None)
-            if handler is not None and handler.target_action is self._nodes[index]:
-                event = SimpleNamespace(returncode=returncode)
-                found += handler.handle(event, None)
-        return [
-            self._kind.started(entity).arguments[-2:]
-            if self._kind.is_node(entity)
-            else entity.event.reason
-            for entity in found
-        ]
+def test_launch_files_import_nothing_of_ours():
+    """`ros2` runs in the system's interpreter; numba and pydantic are in another one."""
+    for file in (BRINGUP / "launch").glob("*.launch.py"):
+        assert "import ptnsbc" not in (text := file.read_text()), file
+        assert "from ptnsbc" not in text, file
 
 
-SIM = 5  # after the five UAVs
-OVER, LOST_2 = ["the flight is over"], [["--lose", "uav2"]]
-MAVLINK = {"scenario": "experiment_4", "backend": "mavlink", "allow_arming": "true"}
-
-
-@pytest.mark.parametrize("lockstep", ["true", "false"])
-@pytest.mark.parametrize(
-    ("arguments", "ended"),
-    [
-        ({}, [(SIM, 0, OVER)]),
-        ({}, [(SIM, 1, OVER)]),
-        ({}, [(1, 1, LOST_2), (SIM, 0, OVER)]),
-        ({"record": "flight"}, [(0, 1, [["--lose", "recorder"]])]),
-        (
-            {},
-            [*((i, 0, [["--lose", f"uav{i + 1}"]]) for i in range(4)), (4, 0, ["no UAV is left"])],
-        ),
-        (MAVLINK, [(0, 0, []), (1, 0, []), (2, 0, []), (3, 0, OVER)]),  # every bridge has landed
-        (MAVLINK, [(1, 1, LOST_2), (0, 0, []), (2, 0, []), (3, 0, OVER)]),
-    ],
-)
-def test_what_ends_a_flight(evaluate, kind, lockstep, arguments, ended):
-    if not isinstance(kind, StandIn):
-        pytest.skip("asks the stand-in's event handlers")
-    if "backend" in arguments and lockstep == "true":
-        pytest.skip("real vehicles do not wait")
-    entities, _ = evaluate("fleet", lockstep=lockstep, **arguments)
-    follow = Follow(kind, entities)
-    for index, code, what in ended:
-        assert follow.end(index, code) == what, (index, code)
+def test_a_launched_process_computes_in_one_thread(kind):
+    file = runpy.run_path(str(BRINGUP / "launch" / "uav.launch.py"))
+    assert file["ONE_THREAD"] == ONE_THREAD

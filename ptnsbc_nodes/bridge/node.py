@@ -40,7 +40,7 @@ from ptnsbc_nodes.bridge.procedure.steps import Step
 from ptnsbc_nodes.bridge.setpoint.guard import SetpointLimits
 from ptnsbc_nodes.bridge.status import bridge_status, companion, vehicle_record
 from ptnsbc_nodes.comm import topics, vehicle_messages
-from ptnsbc_nodes.comm.agent_messages import WORLD_FRAME
+from ptnsbc_nodes.comm.agent_messages import WORLD_FRAME, body_frame
 from ptnsbc_nodes.comm.announcements import decode_leg, decode_order
 from ptnsbc_nodes.comm.diagnostics import INACTIVE, STATUS_HZ
 from ptnsbc_nodes.comm.door import as_bytes
@@ -178,6 +178,11 @@ class BridgeNode:
         self.node.destroy_timer(self._status_timer)
         self.endpoints.close()
 
+    @property
+    def begun(self) -> bool:
+        """Whether the vehicle has been armed."""
+        return self.bridge.flew
+
     def waiting_for(self) -> list[str]:
         """What the formation waits for; empty when it may begin."""
         missing = self.endpoints.unheard()
@@ -197,8 +202,9 @@ class BridgeNode:
         return f"uav{self._uav_id}: planner"
 
     def _outputs(self, recorders: int) -> BridgeOutputs:
-        uav, publisher = f"uav{self._uav_id}", self.endpoints.publisher
-        odometry = OdometryTemplate(WORLD_FRAME, f"{uav}/base_link")
+        publisher = self.endpoints.publisher
+        body = body_frame(self._uav_id, self.endpoints.fleet)
+        odometry = OdometryTemplate(WORLD_FRAME, body)
         send_odom = publisher(topics.odom(self._uav_id), 1 + recorders)
         send_track = publisher(topics.track(self._uav_id), 0)
         send_limits = publisher(topics.limits(self._uav_id), 1)
@@ -216,7 +222,7 @@ class BridgeNode:
             track=lambda stamp_ns, values: send_track(odometry.encode(stamp_ns, values)),
             origin=lambda place: send_origin(vehicle_messages.encode_origin(place)),
             limits=publish_limits,
-            lost=lambda: send_lost(HeaderTemplate(uav).encode(0)),
+            lost=lambda: send_lost(HeaderTemplate(f"uav{self._uav_id}").encode(0)),
             log=self._log,
         )
 
@@ -248,7 +254,8 @@ class BridgeNode:
     def _open_order_port(self) -> OrderPort | None:
         """The socket for orders of this host, and the order that still holds from before."""
         try:
-            self._folder = runtime_folder(int(os.environ.get("ROS_DOMAIN_ID", "0")))
+            domain = int(os.environ.get("ROS_DOMAIN_ID", "0"))
+            self._folder = runtime_folder(domain, self.endpoints.fleet)
             port = OrderPort(
                 self._folder, self._record.name, self._on_order, lambda: self._present().encode()
             )

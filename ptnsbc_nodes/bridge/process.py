@@ -119,7 +119,7 @@ def _serve(given: Mapping[str, Value | None], argv: Sequence[str], *, managed: b
     namespace = namespace_of(cast("int | None", given["uav"]))
     with parameter_node("bridge", namespace, argv, overrides(given), ManagedNode) as node:
         parameters = NodeParameters(node, _FIXED, bridged=True)
-        parameters.declare_scenario(may_change=lambda: node.state == "unconfigured")
+        parameters.declare_scenario(node.fixed)
         if not environment.prefer_punctuality(flies=True):
             print(_NO_REAL_TIME, file=sys.stderr, flush=True)
 

@@ -9,13 +9,24 @@ from ptnsbc_core.types import ODOMETRY_SIZE, Array
 from ptnsbc_io.wire import OdometryTemplate, Stamped, VelocityTemplate, WrenchTemplate
 
 WORLD_FRAME = "map"
+"""All fleets of a domain fly in one world."""
+
+
+def body_frame(uav_id: int, fleet: str = "") -> str:
+    """The frame of a UAV's body; `fleet` is the namespace of its fleet, for example `/blue`."""
+    return f"{fleet}/uav{uav_id}/base_link".removeprefix("/")
 
 
 class AgentMessages:
-    """Byte templates of one UAV; each message carries the stamp of the odometry that it was computed from."""
+    """Byte templates of one UAV; each message carries the stamp of the odometry that it was computed from.
 
-    def __init__(self, uav_id: int) -> None:
-        body = f"uav{uav_id}/base_link"
+    Args:
+        uav_id: Id of the UAV.
+        fleet: Namespace of its fleet, empty for the root.
+    """
+
+    def __init__(self, uav_id: int, fleet: str = "") -> None:
+        body = body_frame(uav_id, fleet)
         self._state = OdometryTemplate(WORLD_FRAME, body)
         # Velocities of an estimate are in the world frame, not in the body frame of the sender.
         self._estimate = OdometryTemplate(WORLD_FRAME, WORLD_FRAME)

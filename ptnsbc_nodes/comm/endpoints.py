@@ -17,7 +17,7 @@ from rclpy.subscription import Subscription
 
 from ptnsbc_nodes.comm import qos
 from ptnsbc_nodes.comm.door import Door, Refusals
-from ptnsbc_nodes.comm.topics import SHARED, Role, Topic, message_class
+from ptnsbc_nodes.comm.topics import TF, Role, Topic, message_class
 
 # The last message alone is not enough: a node that joins late must learn the first epoch, and of every lost UAV.
 _LATCHED = qos.keep_last(64, reliable=True, latched=True)
@@ -61,10 +61,8 @@ def fleet_namespace(namespace: str) -> str:
 
 
 def full_name(node: Node, topic: Topic) -> str:
-    """The name of a topic for this node, before remapping."""
-    return (
-        topic.name if topic.name in SHARED else fleet_namespace(node.get_namespace()) + topic.name
-    )
+    """The name of a topic for this node, before remapping: only /tf is common to all fleets of a domain."""
+    return topic.name if topic is TF else fleet_namespace(node.get_namespace()) + topic.name
 
 
 def sent_in(lines: Iterable[str]) -> PublishCounters | None:

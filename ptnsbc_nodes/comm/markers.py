@@ -16,7 +16,7 @@ from ptnsbc_core.types import Array
 from ptnsbc_io.wire import WireError, decode_odometry
 from ptnsbc_io.wire.cdr import split_stamp
 from ptnsbc_nodes.comm import topics
-from ptnsbc_nodes.comm.agent_messages import WORLD_FRAME
+from ptnsbc_nodes.comm.agent_messages import WORLD_FRAME, body_frame
 from ptnsbc_nodes.comm.diagnostics import STATUS_HZ
 from ptnsbc_nodes.comm.serialize import encode
 from ptnsbc_sim.scenario import Scenario, agent_config
@@ -43,8 +43,9 @@ class Scene:
     The edges of the tree are drawn where every UAV has its own slot.
     """
 
-    def __init__(self, scenario: Scenario, world: World) -> None:
+    def __init__(self, scenario: Scenario, world: World, fleet: str = "") -> None:
         self._world = world
+        self._bodies = {i: body_frame(i, fleet) for i in world.ids}
         parents = {} if are_open(scenario) else {i: scenario.parent(i) for i in world.ids}
         children = {i: parent for i, parent in parents.items() if parent is not None}
         self._shown = [*world.ids, *(end for edge in children.items() for end in edge)]
@@ -63,7 +64,9 @@ class Scene:
 
     def transforms(self, stamp_ns: int) -> list[TransformStamped]:
         """Pose of every body frame in the world frame."""
-        return [_transform(stamp_ns, i, self._world.odometry(i)) for i in self._world.ids]
+        return [
+            _transform(stamp_ns, self._bodies[i], self._world.odometry(i)) for i in self._world.ids
+        ]
 
 
 class OdometryMarkers:
@@ -101,8 +104,8 @@ class OdometryMarkers:
         return self._scene.markers(stamp_ns)
 
 
-def _transform(stamp_ns: int, uav_id: int, odometry: Array) -> TransformStamped:
-    stamped = TransformStamped(child_frame_id=f"uav{uav_id}/base_link")
+def _transform(stamp_ns: int, body: str, odometry: Array) -> TransformStamped:
+    stamped = TransformStamped(child_frame_id=body)
     stamped.header.frame_id = WORLD_FRAME
     stamped.header.stamp.sec, stamped.header.stamp.nanosec = split_stamp(stamp_ns)
     x, y, z, qx, qy, qz, qw = (float(value) for value in odometry[0:7])

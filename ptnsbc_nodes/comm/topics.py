@@ -62,9 +62,6 @@ RECORDED = Topic("/formation/recorded", "std_msgs/msg/Header", Role.EVENT)
 RECORDER, SIM = "recorder", "sim"
 """Names of recorder and sim among the processes of a flight."""
 
-SHARED = frozenset({DIAGNOSTICS.name, CLOCK.name, TF.name})
-"""Names that ROS gives; all other names move with the namespace of the fleet (`Endpoints`)."""
-
 
 def odom(uav: int) -> Topic:
     """Own state of a UAV: pose in the world (ENU), velocities in the body (FLU)."""

@@ -57,8 +57,12 @@ def parse_order(text: str) -> Order | None:
     return Order(what, bool(rest))
 
 
-def runtime_folder(domain: int) -> Path:
-    """The folder of a ROS domain on this host, made if it is missing.
+def runtime_folder(domain: int, fleet: str = "") -> Path:
+    """The folder of a fleet on this host, made if it is missing.
+
+    Args:
+        domain: ROS domain of the fleet.
+        fleet: its namespace, empty for the root.
 
     Raises:
         RuntimeFolderError: somebody else owns it, or it cannot be made.
@@ -70,7 +74,7 @@ def runtime_folder(domain: int) -> Path:
         if given and Path(given).is_dir()
         else Path(tempfile.gettempdir()) / f"ptnsbc-{user}"
     )
-    folder = base / str(domain)
+    folder = base / f"{domain}{fleet.replace('/', '_')}"
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         found = os.lstat(base)

@@ -10,7 +10,7 @@ import time
 import weakref
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ptnsbc_nodes.runtime.environment import REPORT
@@ -38,6 +38,13 @@ class ProcessCommand:
     uav: int | None = None  # id of the UAV that is lost when it ends
     managed: str | None = None  # its node below the fleet, when the launcher drives its life cycle
     ends: bool = False  # by itself, with 0, when the flight is over
+
+    def within(self, namespace: str) -> ProcessCommand:
+        """The same process with its node in the namespace of a fleet."""
+        if not namespace:
+            return self
+        name = namespace if self.uav is None else f"{namespace}/uav{self.uav}"
+        return replace(self, arguments=(*self.arguments, "--ros-args", "-r", f"__ns:={name}"))
 
     @property
     def lost(self) -> str:

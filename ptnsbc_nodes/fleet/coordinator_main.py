@@ -1,6 +1,6 @@
 """Process of the coordinator: takes the nodes of a flight to active and starts it, for launch files.
 
-`python -m ptnsbc_nodes.fleet.coordinator_main --scenario FILE [--manage] [--bridged] [--lose NAME]`
+`python -m ptnsbc_nodes.fleet.coordinator_main --scenario FILE [--manage] [--bridged]`
 """
 
 from __future__ import annotations
@@ -37,9 +37,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--patience", type=float, metavar="S", help="give up after so long; 30 s + 5 s per UAV"
     )
-    parser.add_argument(
-        "--lose", metavar="NAME", help="instead, tell all that this process has ended, until Ctrl-C"
-    )
     return run(parser, argv, _serve)
 
 
@@ -55,15 +52,12 @@ def _serve(arguments: argparse.Namespace, argv: list[str]) -> int:
         backend="mavlink" if arguments.bridged else "sim",
         ready_timeout_s=arguments.patience,
     )
-    name = f"lost_{arguments.lose}" if arguments.lose else "fleet"
     with StopRequest() as stop:
         with ros_errors():
-            coordinator = Coordinator(int(os.environ.get("ROS_DOMAIN_ID", "0")), name, argv[1:])
+            domain = int(os.environ.get("ROS_DOMAIN_ID", "0"))
+            coordinator = Coordinator(domain, ros_arguments=argv[1:])
         with coordinator:
-            if arguments.lose:
-                _report_lost(coordinator, arguments.lose, stop)
-            else:
-                _fly(coordinator, arguments, options.patience_s, scenario, stop)
+            _fly(coordinator, arguments, options.patience_s, scenario, stop)
     return 0
 
 
@@ -109,14 +103,6 @@ def _start(
             told = time.monotonic()
             _say("; ".join(lines))
     return False
-
-
-def _report_lost(coordinator: Coordinator, name: str, stop: StopRequest) -> None:
-    """Tell all processes, also those that start later, to wait for this one no longer."""
-    coordinator.lose(name)
-    _say(f"{name} has ended: no process waits for it")
-    while not stop.came:
-        coordinator.spin(_LOOK_S)
 
 
 def _land(coordinator: Coordinator, duration_s: float, stop: StopRequest) -> None:

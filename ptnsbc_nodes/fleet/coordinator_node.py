@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import rclpy
@@ -25,7 +26,7 @@ from ptnsbc_nodes.comm.diagnostics import INACTIVE
 from ptnsbc_nodes.comm.endpoints import Endpoints, full_name
 from ptnsbc_nodes.comm.qos import keep_last
 from ptnsbc_nodes.comm.topics import LOST, OVER, READY, SIM
-from ptnsbc_nodes.emergency.orders import Order
+from ptnsbc_nodes.emergency.orders import Order, runtime_folder
 from ptnsbc_nodes.emergency.records import VehicleRecord
 from ptnsbc_nodes.fleet.lifecycle_manager import LifecycleManager
 from ptnsbc_nodes.runtime.executor import make_executor
@@ -59,7 +60,13 @@ class _LockstepWait:
 class Coordinator:
     """One rclpy node in a context of its own; use it as a context manager."""
 
-    def __init__(self, domain: int, name: str = "fleet", ros_arguments: Sequence[str] = ()) -> None:
+    def __init__(
+        self,
+        domain: int,
+        name: str = "fleet",
+        namespace: str = "",
+        ros_arguments: Sequence[str] = (),
+    ) -> None:
         self.domain = domain
         self.gone: set[str] = set()  # processes that have ended on other computers
         self.over = False  # the launcher that leads has ended the flight
@@ -74,7 +81,11 @@ class Coordinator:
             signal_handler_options=SignalHandlerOptions.NO,
         )
         self._node = rclpy.create_node(
-            name, context=self._context, start_parameter_services=False, enable_rosout=False
+            name,
+            namespace=namespace,
+            context=self._context,
+            start_parameter_services=False,
+            enable_rosout=False,
         )
         self._executor: Any = make_executor(self._context)
         self._executor.add_node(self._node)
@@ -110,6 +121,10 @@ class Coordinator:
         if self._publish_over is not None:
             self._publish_over(HeaderTemplate(OVER.name).encode(0))
             self._endpoints.flush(patience_s)
+
+    def runtime_folder(self) -> Path:
+        """The folder of the fleet on this host."""
+        return runtime_folder(self.domain, self._endpoints.fleet)
 
     def __enter__(self) -> Coordinator:
         return self

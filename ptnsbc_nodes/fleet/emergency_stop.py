@@ -19,7 +19,6 @@ from ptnsbc_nodes.emergency.orders import (
     Order,
     fleet_bridges,
     latch,
-    runtime_folder,
 )
 from ptnsbc_nodes.emergency.records import VehicleRecord, decode_record, records
 from ptnsbc_nodes.fleet.coordinator_node import Coordinator
@@ -226,7 +225,7 @@ class EmergencyStop:
 
 def order_landing(coordinator: Coordinator) -> list[str]:
     """Order every bridge to land, for a launcher whose leader does not answer; one line for each that did not obey."""
-    operation = EmergencyStop(runtime_folder(coordinator.domain), Order(LAND), coordinator)
+    operation = EmergencyStop(coordinator.runtime_folder(), Order(LAND), coordinator)
     try:
         operation.begin()
         operation.run(_LAUNCHER_PATIENCE_S)

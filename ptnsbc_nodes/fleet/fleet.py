@@ -12,6 +12,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from rclpy.exceptions import InvalidNamespaceException
+from rclpy.validate_namespace import validate_namespace
+
 from ptnsbc_nodes.comm.topics import RECORDER
 from ptnsbc_nodes.emergency.orders import list_fleet, release, runtime_folder
 from ptnsbc_nodes.emergency.records import forget_dead
@@ -85,7 +88,7 @@ def run_fleet(options: FleetOptions, progress: Report = lambda line: None) -> Fl
         stack.enter_context(_listed(options, domain, progress))
         # Launchers on other computers have other names.
         name = "fleet" if options.leads else f"fleet_{min(options.only)}"
-        with Coordinator(domain, name) as coordinator:
+        with Coordinator(domain, name, options.namespace) as coordinator:
             supervisor = Supervisor(options, coordinator, stop, progress)
             began = time.monotonic()
             try:
@@ -123,7 +126,7 @@ def _listed(options: FleetOptions, domain: int, progress: Report) -> Iterator[No
     if options.backend != "mavlink":
         yield
         return
-    folder = runtime_folder(domain)
+    folder = runtime_folder(domain, options.namespace)
     held = release(folder)
     if held.what:
         progress(f"the order {held.text!r} of an earlier flight is released")
@@ -137,6 +140,12 @@ def _listed(options: FleetOptions, domain: int, progress: Report) -> Iterator[No
 
 def check_options(options: FleetOptions) -> None:
     """FleetError when the options do not go together."""
+    if options.namespace:
+        try:
+            validate_namespace(options.namespace)
+        except InvalidNamespaceException as error:
+            why = " ".join(str(error).split())
+            raise FleetError(f"--namespace {options.namespace}: {why}") from None
     if options.bag is not None and not options.leads:
         raise FleetError(
             f"--bag {options.bag}: the recorder is not among --only "

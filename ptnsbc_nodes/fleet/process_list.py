@@ -36,6 +36,7 @@ class FleetOptions:
     meta: Mapping[str, str] = field(default_factory=dict)  # into the bag, beside our own
     ready_timeout_s: float | None = None  # from the first process to the last one ready
     only: frozenset[str] = frozenset()  # names of the processes of this computer, see `chosen`
+    namespace: str = ""  # of all nodes and topics, for example "/blue"
 
     @property
     def shared(self) -> bool:
@@ -86,7 +87,11 @@ def commands(options: FleetOptions, scenario_file: Path) -> list[ProcessCommand]
         )
     if options.backend != "mavlink":
         found.append(ProcessCommand(SIM, "ptnsbc_nodes.sim.main", tuple(common), ends=True))
-    return [command for command in found if not options.only or command.name in options.only]
+    return [
+        command.within(options.namespace)
+        for command in found
+        if not options.only or command.name in options.only
+    ]
 
 
 def names(scenario: Scenario, backend: str) -> list[str]:
@@ -115,19 +120,6 @@ def chosen(text: str, scenario: Scenario, backend: str) -> frozenset[str]:
     return frozenset(picked)
 
 
-def coordinator_command(scenario_file: Path, *arguments: str) -> ProcessCommand:
-    """The process that does what our launcher does itself, for other launchers.
-
-    With `--manage` it takes the nodes to active and starts the flight; with `--lose NAME` it tells the others
-    that a process has ended.
-    """
-    return ProcessCommand(
-        "coordinator",
-        "ptnsbc_nodes.fleet.coordinator_main",
-        ("--scenario", str(scenario_file), *arguments),
-    )
-
-
 def _bridge(options: FleetOptions, common: Sequence[str], uav: int) -> ProcessCommand:
     arguments = [*common, "--uav", str(uav), "--managed"]
     if options.allow_arming:
@@ -143,6 +135,8 @@ def _recorder(options: FleetOptions, bag: Path, scenario_file: Path) -> ProcessC
     arguments += ["--attach", f"scenario.yaml={scenario_file}"]
     mode = "lockstep" if options.lockstep else "realtime"
     meta = {"mode": mode, "scenario": options.scenario.name, **provenance(), **options.meta}
+    if options.namespace:
+        meta["namespace"] = options.namespace
     for key, value in meta.items():
         arguments += ["--meta", f"{key}={value}"]
     if options.lockstep:

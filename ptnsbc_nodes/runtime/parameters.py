@@ -6,6 +6,7 @@ configured: all processes of a flight, and its bag, must agree on them.
 
 from __future__ import annotations
 
+import difflib
 import math
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -26,6 +27,11 @@ from ptnsbc_nodes.runtime.scenario_parameters import ScenarioParameter, Value, l
 from ptnsbc_sim.scenario import Scenario, load_scenario, scenario_from_text
 from ptnsbc_sim.scenario.model import ScenarioFile
 
+SIM_TIME = "use_sim_time"
+_OF_RCLPY = ("start_type_description_service",)
+# One parameter file serves all nodes of a fleet.
+_OF_OTHERS = ("uav", "bridged", "autostart", "signing_key", "allow_arming")
+_OF_QOS = "qos_overrides."
 _LARGEST = sys.float_info.max
 _INTEGERS = (-(2**63), 2**63 - 1)
 
@@ -55,6 +61,8 @@ SCENARIO = (
     ReadOnlyParameter("recorded", False, "be ready only when a recorder listens"),
 )
 UAV = ReadOnlyParameter("uav", 0, "id of the UAV; 0: that of the namespace", 0, 254)
+FIXED = "fixed since the node was configured; clean it up first"
+"""Why a value of the scenario may not change."""
 BRIDGED = ReadOnlyParameter("bridged", False, "flight controllers fly, there is no sim")
 AUTOSTART = ReadOnlyParameter("autostart", True, "configure and activate without being asked")
 
@@ -80,6 +88,7 @@ class NodeParameters:
         self, node: Node, fixed: Sequence[ReadOnlyParameter], *, bridged: bool = False
     ) -> None:
         self._node = node
+        self._read_only = fixed
         self._bridged = bridged
         self._given = {
             name: _plain(parameter.value)
@@ -95,16 +104,21 @@ class NodeParameters:
         self.scenario = self._read({})
         self.uav = self._uav() if UAV in fixed else 0
 
-    def declare_scenario(self, may_change: Callable[[], bool] = lambda: False) -> None:
-        """Declare every single value of the scenario; `may_change` tells whether values may still change."""
-        self._may_change = may_change
+    def declare_scenario(self, fixed: Callable[[], str] = lambda: FIXED) -> None:
+        """Declare every single value of the scenario, and refuse parameters that the node does not know.
+
+        Args:
+            fixed: tells why a value may not change any more; empty while it may.
+        """
+        self._fixed = fixed
         for leaf in leaves(self.scenario):
             self._declare(leaf, read_only=False)
         for key in self._changed.keys() - {leaf.key for leaf in leaves(self.scenario)}:
-            # A list, or a value below an id.
+            # A value below an id.
             about = ParameterDescriptor(description=f"{key} of the scenario", read_only=True)
             self._node.undeclare_parameter(key)
             self._node.declare_parameter(key, self._changed[key], about, ignore_override=True)
+        self._refuse_unknown()
         self._node.add_on_set_parameters_callback(self._on_set)
 
     def __getitem__(self, name: str) -> Any:
@@ -131,7 +145,7 @@ class NodeParameters:
         return value
 
     def _declare(self, leaf: ScenarioParameter, *, read_only: bool) -> None:
-        if not isinstance(leaf.value, str) and not leaf.low <= leaf.value <= leaf.high:
+        if not isinstance(leaf.value, str | list) and not leaf.low <= leaf.value <= leaf.high:
             raise ScenarioParameterError(
                 f"parameter {leaf.key}: {leaf.value}: expected {leaf.low:g} to {leaf.high:g}"
             )
@@ -140,6 +154,15 @@ class NodeParameters:
             self._node.undeclare_parameter(leaf.key)
         about = descriptor(leaf, read_only=read_only)
         self._node.declare_parameter(leaf.key, leaf.value, about, ignore_override=True)
+
+    def _refuse_unknown(self) -> None:
+        known = {SIM_TIME, *_OF_RCLPY, *_OF_OTHERS, *(one.name for one in self._read_only)}
+        known |= {leaf.key for leaf in leaves(self.scenario)} | self._changed.keys()
+        for name in self._given.keys() - known:
+            if not name.startswith(_OF_QOS):
+                near = difflib.get_close_matches(name, known, n=1)
+                hint = f": perhaps {near[0]}" if near else ""
+                raise ScenarioParameterError(f"parameter {name}: this node has none{hint}")
 
     def _uav(self) -> int:
         last = self._node.get_namespace().rpartition("/")[2].removeprefix("uav")
@@ -165,11 +188,13 @@ class NodeParameters:
 
     def _on_set(self, parameters: Iterable[Parameter]) -> SetParametersResult:
         changes = {p.name: _plain(p.value) for p in parameters if self._of_scenario(p.name)}
+        # rclpy would move a flying node to another time.
+        if not changes and all(p.name != SIM_TIME for p in parameters):
+            return SetParametersResult(successful=True)
+        if reason := self._fixed():
+            return SetParametersResult(successful=False, reason=reason)
         if not changes:
             return SetParametersResult(successful=True)
-        if not self._may_change():
-            reason = "fixed since the node was configured; clean it up first"
-            return SetParametersResult(successful=False, reason=reason)
         try:
             self.scenario = self._read(changes)
         except PtnsbcError as error:

@@ -1,7 +1,7 @@
 """The single values of a scenario as parameters, and a ROS parameter file of them. This module imports no ROS.
 
-Values in lists or under ids (UAVs, obstacles, tree) have no name of their own. They are not among the
-parameters; the parameter file has them in `scenario_text`. No value is in the file twice.
+A list of numbers is one value. Blocks in lists and values under ids (UAVs, obstacles, tree) have no name of their own.
+They are not among the parameters; the parameter file has them in `scenario_text`. No value is in the file twice.
 """
 
 from __future__ import annotations
@@ -18,13 +18,14 @@ from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.reader import dump, parse
 
 Value = bool | int | float | str
+Numbers = list[int] | list[float]
 
 
 class ScenarioParameter(NamedTuple):
     """One value, by its dotted key."""
 
     key: str  # as for `--set`
-    value: Value
+    value: Value | Numbers
     description: str
     low: float  # -inf without a limit
     high: float  # inf without a limit
@@ -42,9 +43,23 @@ def _below(prefix: str, block: BaseModel) -> Iterator[ScenarioParameter]:
         value, key = getattr(block, name), prefix + name
         if isinstance(value, BaseModel):
             yield from _below(f"{key}.", value)
-        elif isinstance(value, Value):
+            continue
+        numbers = _numbers(value)
+        if numbers is not None or isinstance(value, Value):
             description = field.description or f"{name}, of: {about}"
-            yield ScenarioParameter(key, value, description, *_limits(field))
+            shown = value if numbers is None else numbers
+            yield ScenarioParameter(key, shown, description, *_limits(field))
+
+
+def _numbers(value: Any) -> Numbers | None:
+    """A tuple of numbers as the list that ROS takes: all integers, or all floats."""
+    if not isinstance(value, tuple) or not value:
+        return None
+    if all(type(one) is int for one in value):
+        return list(value)
+    return (
+        [float(one) for one in value] if all(type(one) in (int, float) for one in value) else None
+    )
 
 
 def _limits(field: FieldInfo) -> tuple[float, float, str]:

@@ -6,7 +6,7 @@ from importlib import import_module
 
 from ptnsbc_io.wire import ClockTemplate, OdometryTemplate, encode_near
 from ptnsbc_nodes.comm import topics
-from ptnsbc_nodes.comm.agent_messages import WORLD_FRAME
+from ptnsbc_nodes.comm.agent_messages import WORLD_FRAME, body_frame
 from ptnsbc_nodes.comm.diagnostics import status_every
 from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.comm.graph import CommunicationGraph
@@ -26,11 +26,11 @@ class SimPublishers:
         self._near_every = scenario.near_every
         self._scene_every = status_every(scenario)
         self._calls = 0
-        self._scene = Scene(scenario, world)
+        self._scene = Scene(scenario, world, endpoints.fleet)
         self._clock_template = ClockTemplate()
         ids, recorders = world.ids, edges.options.recorders
         self._odometry_templates = {
-            i: OdometryTemplate(WORLD_FRAME, f"uav{i}/base_link") for i in ids
+            i: OdometryTemplate(WORLD_FRAME, body_frame(i, endpoints.fleet)) for i in ids
         }
         self._send_odom = {
             i: endpoints.publisher(topics.odom(i), edges.odometry_readers(i)) for i in ids

@@ -41,7 +41,7 @@ def _fly(arguments: argparse.Namespace, argv: list[str]) -> int:
     namespace = processes.namespace_of(arguments.uav)
     with processes.parameter_node("controller", namespace, argv, given, ManagedNode) as node:
         settings = parameters.NodeParameters(node, fixed)
-        settings.declare_scenario(may_change=lambda: node.state == "unconfigured")
+        settings.declare_scenario(node.fixed)
         load_agent(settings.scenario, settings.uav)
         if settings.options.lockstep:
             environment.prefer_throughput()

@@ -15,7 +15,7 @@ from rclpy.node import Node
 from ptnsbc_core.types import MODE_HOLD
 from ptnsbc_io.wire import HeaderFields, OdometryDecoder, Stamped, checked_near
 from ptnsbc_nodes.comm import topics
-from ptnsbc_nodes.comm.agent_messages import WORLD_FRAME
+from ptnsbc_nodes.comm.agent_messages import WORLD_FRAME, body_frame
 from ptnsbc_nodes.comm.announcements import LostProcess, decode_leg, decode_lost
 from ptnsbc_nodes.comm.diagnostics import (
     INACTIVE,
@@ -89,6 +89,11 @@ class UavNode:
         )
         if not self._options.lockstep:
             self._outbox.log_steps(self.endpoints, edges, uav_id, every=scenario.control_hz)
+
+    @property
+    def begun(self) -> bool:
+        """Whether a leg has been announced."""
+        return self._epochs.announced
 
     def activate(self) -> None:
         """Begin to tick. In real time control begins anew, where the vehicle is by then."""
@@ -171,7 +176,7 @@ class UavNode:
         self._odom_name = listen(topics.odom(uav_id), odom, self._on_odom)
         listen(topics.near(uav_id), near, self._on_near, required=self._options.lockstep)
         for sender, handler in inbox.state_handlers().items():
-            frames = OdometryDecoder(WORLD_FRAME, f"uav{sender}/base_link")
+            frames = OdometryDecoder(WORLD_FRAME, body_frame(sender, self.endpoints.fleet))
             self._listen_to(topics.formation_state(sender), frames, handler)
         for sender, handler in inbox.estimate_handlers().items():
             frames = OdometryDecoder(WORLD_FRAME, WORLD_FRAME)

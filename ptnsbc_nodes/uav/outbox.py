@@ -17,7 +17,7 @@ class Outbox:
     """Publishers of one UAV."""
 
     def __init__(self, endpoints: Endpoints, edges: CommunicationGraph, uav_id: int) -> None:
-        self._messages = AgentMessages(uav_id)
+        self._messages = AgentMessages(uav_id, endpoints.fleet)
         publisher = endpoints.publisher
         self._send_wrench = publisher(topics.wrench_setpoint(uav_id), edges.wrench_readers())
         self._send_state = publisher(topics.formation_state(uav_id), edges.state_readers(uav_id))

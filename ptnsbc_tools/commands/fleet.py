@@ -49,6 +49,7 @@ def fleet(
     ] = "",
     network: options.NetworkOption = None,
     domain: options.DomainOption = None,
+    namespace: options.NamespaceOption = "",
     plant: options.PlantOption = None,
     task: options.TaskOption = None,
     profile: options.ProfileOption = None,
@@ -66,8 +67,9 @@ def fleet(
     host without --network.
     """
     ros.select_network(network, domain)
-    names = ("lockstep", "backend", "allow_arming", "only", "bag", "overwrite")
+    names = ("lockstep", "backend", "allow_arming", "only", "namespace", "bag", "overwrite")
     given = {name: context.params[name] for name in names}
+    given["namespace"] = options.full_namespace(namespace)
     raise typer.Exit(fly_and_judge(options.chosen(context), json, **given))
 
 

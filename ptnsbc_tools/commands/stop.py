@@ -16,6 +16,7 @@ from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_nodes.emergency.orders import KILL, LAND, Order, release, runtime_folder
 from ptnsbc_nodes.emergency.records import forget_dead
 from ptnsbc_tools import console
+from ptnsbc_tools.options import NamespaceOption, full_namespace
 
 if TYPE_CHECKING:
     from ptnsbc_nodes.fleet.coordinator_node import Coordinator
@@ -63,6 +64,7 @@ def stop(
             help="ROS domain that the fleet printed. Default: ROS_DOMAIN_ID.",
         ),
     ] = None,
+    namespace: NamespaceOption = "",
 ) -> None:
     """Land every vehicle of a flying fleet, or stop its motors; repeats until every bridge has answered.
 
@@ -70,7 +72,8 @@ def stop(
     releases it. Prints what every vehicle does.
     """
     number = int(os.environ.get("ROS_DOMAIN_ID", "0")) if domain is None else domain
-    folder = runtime_folder(number)
+    fleet = full_namespace(namespace)
+    folder = runtime_folder(number, fleet)
     if clear:
         _release(folder)
         return
@@ -78,7 +81,7 @@ def stop(
 
     operation = EmergencyStop(folder, Order(KILL if kill else LAND, pilots_too))
     try:
-        code = _give(operation, number, patience, ready=ready, kill=kill)
+        code = _give(operation, number, fleet, patience, ready=ready, kill=kill)
     finally:
         operation.close()
     raise typer.Exit(code)
@@ -91,7 +94,7 @@ def _release(folder: Path) -> None:
 
 
 def _give(
-    operation: EmergencyStop, domain: int, patience: float, *, ready: bool, kill: bool
+    operation: EmergencyStop, domain: int, fleet: str, patience: float, *, ready: bool, kill: bool
 ) -> int:
     """Give the order on every path; returns the exit code."""
     if not ready and operation.bridges and operation.local:
@@ -99,13 +102,13 @@ def _give(
         done = operation.run(patience)
         code = _report(operation)
         if not kill:
-            with _middleware(domain) as coordinator:
+            with _middleware(domain, fleet) as coordinator:
                 coordinator.call("stop", _SERVICE_S)  # so that the recording has the leg
         return code if done else _MISSING
     if not ready:
         operation.begin()
         operation.run(0.1)  # the bridges of this host need not wait for the middleware
-    with _middleware(domain) as coordinator:
+    with _middleware(domain, fleet) as coordinator:
         operation.remote = coordinator
         if ready:
             _wait_for_key(operation, coordinator, kill=kill)
@@ -121,13 +124,13 @@ def _give(
     return code
 
 
-def _middleware(domain: int) -> Coordinator:
+def _middleware(domain: int, fleet: str) -> Coordinator:
     from ptnsbc_nodes.runtime import environment
 
     environment.prepare()
     from ptnsbc_nodes.fleet.coordinator_node import Coordinator
 
-    return Coordinator(domain, f"stop_{os.getpid()}")
+    return Coordinator(domain, f"stop_{os.getpid()}", fleet)
 
 
 def _tell_leader(coordinator: Coordinator, domain: int, *, kill: bool) -> int:

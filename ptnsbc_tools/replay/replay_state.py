@@ -24,11 +24,11 @@ _KEPT_STATUSES = 64  # twelve seconds; nobody takes the statuses of steps that a
 class ReplayState:
     """Buffered messages, epochs and UAVs of one re-run, or of a part of its UAVs."""
 
-    def __init__(self, scenario: Scenario, uavs: Sequence[int]) -> None:
+    def __init__(self, scenario: Scenario, uavs: Sequence[int], fleet: str = "") -> None:
         edges = CommunicationGraph(scenario, FlightOptions())
         self.scenario = scenario
         self.slots = DecidedSlots(scenario)
-        self.uavs = {uav: UavReplay(scenario, uav, edges, self.slots) for uav in uavs}
+        self.uavs = {uav: UavReplay(scenario, uav, edges, self.slots, fleet) for uav in uavs}
         needed = {topic for uav in uavs for topic in topics.of_uav(uav)}
         for replay in self.uavs.values():
             needed.update(heard_topics(replay.senders))

@@ -114,7 +114,7 @@ def _accounts(
     progress: Progress = _no_progress,
 ) -> Accounts:
     """Re-run some of the UAVs."""
-    state = ReplayState(scenario, uavs)
+    state = ReplayState(scenario, uavs, bag.metadata.get("namespace", ""))
     driver: RealTimeDriver | LockstepDriver
     driver = RealTimeDriver(state) if realtime else LockstepDriver(state)
     with progress() as advance:  # after the fork: a progress bar has a thread

@@ -94,7 +94,12 @@ class UavReplay:
     """The controller of a UAV and the recorded outputs."""
 
     def __init__(
-        self, scenario: Scenario, uav: int, edges: CommunicationGraph, decided: DecidedSlots
+        self,
+        scenario: Scenario,
+        uav: int,
+        edges: CommunicationGraph,
+        decided: DecidedSlots,
+        fleet: str = "",
     ) -> None:
         self.uav = uav
         self.senders = senders = edges.senders(uav)
@@ -107,7 +112,7 @@ class UavReplay:
         self._config = agent_config(scenario, uav)
         self.controller = UavController(self._config, senders)
         self._put = _inbox_setters(self.controller.inbox)
-        self._encoder = AgentMessages(uav)
+        self._encoder = AgentMessages(uav, fleet)
         self.next_step: int | None = None  # number of the next step; None: a step was left out
         self._held: dict[str, Stamped] = {}
         self._snapshot: SnapshotTemplate | None = None

@@ -44,16 +44,6 @@ class LaunchConfiguration:
         return value
 
 
-class IfCondition:
-    def __init__(self, predicate_expression):
-        self._predicate = predicate_expression
-
-    def evaluate(self, context):
-        value = self._predicate.perform(context).lower()
-        assert value in ("true", "false", "1", "0")
-        return value in ("true", "1")
-
-
 class DeclareLaunchArgument(LaunchDescriptionEntity):
     def __init__(self, name, *, default_value=None, description=None, choices=None, **kwargs):
         super().__init__(**kwargs)
@@ -79,9 +69,13 @@ class OpaqueFunction(LaunchDescriptionEntity):
         return self._function(context, *self._args, **self._kwargs)
 
 
-class Shutdown:
-    def __init__(self, *, reason="reason not given", due_to_sigint=False):
-        self.reason = reason
+def matches_action(target_action):
+    return lambda action: action is target_action
+
+
+class ShutdownProcess:
+    def __init__(self, *, process_matcher):
+        self.process_matcher = process_matcher
 
 
 class ProcessExited:
@@ -97,7 +91,7 @@ class EmitEvent(LaunchDescriptionEntity):
 
 class OnProcessExit:
     def __init__(self, *, target_action=None, on_exit, handle_once=False):
-        assert isinstance(target_action, Node)
+        assert isinstance(target_action, ExecuteProcess)
         self.target_action, self._on_exit = target_action, on_exit
 
     def handle(self, event, context):
@@ -110,6 +104,16 @@ class RegisterEventHandler(LaunchDescriptionEntity):
     def __init__(self, event_handler, **kwargs):
         super().__init__(**kwargs)
         self.event_handler = event_handler
+
+
+class ExecuteProcess(LaunchDescriptionEntity):
+    def __init__(
+        self, *, cmd, name=None, output="log", sigterm_timeout="5", additional_env=None, **kwargs
+    ):
+        super().__init__(**kwargs)
+        assert all(isinstance(word, str) for word in [*cmd, *(additional_env or {}).values()])
+        assert isinstance(sigterm_timeout, str)
+        self.cmd = cmd
 
 
 _NODE_KEYWORDS = {"executable", "package", "name", "namespace", "parameters", "remappings"}
@@ -134,25 +138,27 @@ class Node(LaunchDescriptionEntity):
 
 
 MODULES = {
-    "ament_index_python": (),
-    "ament_index_python.packages": (),
     "launch": (LaunchContext, LaunchDescription, LaunchDescriptionEntity),
-    "launch.actions": (DeclareLaunchArgument, EmitEvent, OpaqueFunction, RegisterEventHandler),
-    "launch.conditions": (IfCondition,),
+    "launch.actions": (
+        DeclareLaunchArgument,
+        EmitEvent,
+        ExecuteProcess,
+        OpaqueFunction,
+        RegisterEventHandler,
+    ),
     "launch.event_handlers": (OnProcessExit,),
-    "launch.events": (Shutdown,),
-    "launch.events.process": (ProcessExited,),
+    "launch.events": (matches_action,),
+    "launch.events.process": (ProcessExited, ShutdownProcess),
     "launch.substitutions": (LaunchConfiguration,),
     "launch_ros": (),
     "launch_ros.actions": (Node,),
 }
 
 
-def install(monkeypatch, share) -> None:
-    """Put the stand-ins where `import launch` finds them; `share` is ptnsbc_bringup's folder."""
+def install(monkeypatch) -> None:
+    """Put the stand-ins where `import launch` finds them."""
     for name, kinds in MODULES.items():
         module = ModuleType(name)
         for kind in kinds:
             setattr(module, kind.__name__, kind)
         monkeypatch.setitem(sys.modules, name, module)
-    sys.modules["ament_index_python.packages"].get_package_share_directory = lambda name: str(share)

@@ -305,7 +305,7 @@ def test_a_namespace_and_a_remapping_are_honoured(ros, managed):
     node.trigger_configure()
     said = {publisher.topic_name for publisher in node.publishers}
     heard = {subscription.topic_name for subscription in node.subscriptions}
-    assert {"/red/uav1/setpoint/wrench", "/red/formation/epoch", "/diagnostics"} <= said
+    assert {"/red/uav1/setpoint/wrench", "/red/formation/epoch", "/red/diagnostics"} <= said
     assert {"/somewhere/else", "/red/uav1/near"} <= heard
     assert "/somewhere/else" in node.work.waiting_for()
     services = {service.srv_name for service in node.services}

@@ -28,7 +28,7 @@ KAPPA = "gains.formation.kappa_1_s"
 def told(ros):
     """A node with parameters, from what the command line and ROS give it."""
 
-    def make(given=None, *, ros_args=(), namespace="/uav3", open_=True):
+    def make(given=None, *, ros_args=(), namespace="/uav3", fixed=""):
         given = {"scenario": "paper_5"} if given is None else given
         node = ros.node(
             "controller",
@@ -38,7 +38,7 @@ def told(ros):
             cli_args=["--ros-args", *ros_args],
         )
         parameters = NodeParameters(node, FIXED)
-        parameters.declare_scenario(may_change=lambda: open_)
+        parameters.declare_scenario(lambda: fixed)
         return node, parameters
 
     return make
@@ -70,7 +70,7 @@ def test_a_value_may_be_changed_until_the_node_is_configured(told):
     (result,) = node.set_parameters([Parameter(KAPPA, value=3.5)])
     assert result.successful
     assert parameters.scenario.gains.formation.kappa_1_s == 3.5
-    node, parameters = told(open_=False)
+    node, parameters = told(fixed="clean it up first")
     (result,) = node.set_parameters([Parameter(KAPPA, value=3.5)])
     assert not result.successful
     assert "clean it up first" in result.reason
@@ -113,7 +113,37 @@ def test_a_list_and_what_is_below_an_id_can_be_given_too(told):
     )
     assert parameters.scenario.wind_m_s.tolist() == [1.0, 0.0, 0.0]
     assert parameters.scenario.parent(5) == 3
-    assert node.describe_parameter("world.wind_m_s").read_only
+    assert node.describe_parameter("communication.tree.5").read_only
+
+
+def test_a_list_of_numbers_is_a_parameter_with_its_unit(told):
+    node, parameters = told()
+    assert list(node.get_parameter("plant.inertia_kg_m2").value) == [0.019, 0.019, 0.021]
+    assert list(node.get_parameter("communication.leader_links").value) == [2, 3, 4, 5]
+    assert node.describe_parameter("world.wind_m_s").description
+    (result,) = node.set_parameters([Parameter("world.wind_m_s", value=[0.0, 2.0, 0.0])])
+    assert result.successful, result.reason
+    assert parameters.scenario.wind_m_s.tolist() == [0.0, 2.0, 0.0]
+    (result,) = node.set_parameters([Parameter("world.wind_m_s", value=[0.0, 2.0])])
+    assert not result.successful
+
+
+def test_the_time_of_a_node_is_fixed_with_its_scenario(told):
+    node, _ = told(fixed="the flight has begun")
+    (result,) = node.set_parameters([Parameter("use_sim_time", value=True)])
+    assert not result.successful
+    assert "the flight has begun" in result.reason
+    assert node.get_parameter("use_sim_time").value is False
+    node, _ = told()
+    (result,) = node.set_parameters([Parameter("use_sim_time", value=True)])
+    assert result.successful
+
+
+def test_a_parameter_that_no_node_has_is_refused_with_the_nearest(told):
+    with pytest.raises(
+        ScenarioParameterError, match=r"autostrat: this node has none: perhaps auto"
+    ):
+        told(ros_args=["-p", "autostrat:=false"])
 
 
 def test_a_scenario_may_come_as_text(told):

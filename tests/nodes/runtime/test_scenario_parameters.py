@@ -35,7 +35,11 @@ def test_choices_are_named(found):
 
 def test_what_has_no_name_of_its_own_is_left_out(found):
     assert not any(key.startswith(("uavs", "communication.tree", "world.obst")) for key in found)
-    assert "world.wind_m_s" not in found
+
+
+def test_a_list_of_numbers_is_one_value(found):
+    assert found["world.wind_m_s"].value == [1.6, 1.2, 0.0]
+    assert found["communication.leader_links"].value == [2, 3, 4]
 
 
 @pytest.mark.parametrize("name", ["paper_5", "paper_20", "experiment_4"])
@@ -50,7 +54,7 @@ def test_no_value_is_in_it_twice():
     text = yaml.safe_load(tree["scenario_text"])
     assert tree["gains"]["formation"]["kappa_1_s"] == 2.2
     assert "gains" not in text
-    assert text["formation"].keys() == {"offsets_m", "heading_anchor_m"}
+    assert text["formation"].keys() == {"offsets_m"}
     assert len(text["uavs"]) == 5
 
 

@@ -77,7 +77,6 @@ PROCESSES = {
     "bridge": ("ptnsbc_nodes.bridge.main", *SCENARIO, "--uav", "1"),
     "recorder": ("ptnsbc_nodes.recording.main", "--bag", "bag", "--uavs", "1"),
     "coordinator": ("ptnsbc_nodes.fleet.coordinator_main", *SCENARIO),
-    "loss": ("ptnsbc_nodes.fleet.coordinator_main", *SCENARIO, "--lose", "uav5"),
     "fleet": ("ptnsbc_nodes.fleet.main", *SCENARIO),
     "ptnsbc fleet": ("ptnsbc_tools", "fleet", "paper_5"),
 }
@@ -88,7 +87,6 @@ LAST = {
     "bridge": "ptnsbc_nodes.bridge.process",
     "recorder": "ptnsbc_nodes.recording.fleet_recorder",
     "coordinator": "ptnsbc_nodes.fleet.lifecycle_manager",
-    "loss": "ptnsbc_nodes.fleet.lifecycle_manager",
     "fleet": "ptnsbc_nodes.fleet.supervisor",
     "ptnsbc fleet": "ptnsbc_nodes.fleet.supervisor",
 }

@@ -19,8 +19,8 @@ from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
-from ptnsbc_nodes.runtime.environment import ONE_THREAD
-
+# A copy: `ros2` runs in the system's interpreter, which may not have what the stack needs.
+ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 LANDING_S = "240"  # a bridge that is told to end lands its vehicle first
 FLAGS = ("true", "false")
 
