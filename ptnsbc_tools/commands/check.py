@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -26,6 +26,10 @@ def check(
     avoidance: options.AvoidanceOption = None,
     duration: options.DurationOption = None,
     settings: options.SetOption = None,
+    backend: Annotated[
+        Literal["sim", "mavlink"],
+        typer.Option("--backend", help="Check what the fleet flies with this backend."),
+    ] = "sim",
     fly: Annotated[
         bool, typer.Option("--fly/--no-fly", help="Fly dry runs when the rest finds no error.")
     ] = True,
@@ -43,6 +47,8 @@ def check(
     from ptnsbc_tools.tables import findings_table
 
     chosen = options.chosen(context)
+    if backend == "mavlink":
+        chosen = chosen.bridged()
     with console.compiling():
         findings = check(chosen)
     if fly and all(finding.severity != ERROR for finding in findings):

@@ -72,6 +72,17 @@ def test_check_as_json() -> None:
     assert {"severity", "key", "value", "limit", "advice"} == set(data["findings"][0])
 
 
+def test_check_of_what_real_vehicles_fly() -> None:
+    """`mavlink.overrides` of experiment_4 fly relative positions."""
+    words = ("check", "experiment_4", "--no-fly", "--json")
+    tasks = [
+        next(one["value"] for one in json.loads(run(*words, *more)[1])["findings"]
+             if one["key"] == "formation.offsets_m.2")
+        for more in ((), ("--backend", "mavlink"))
+    ]  # fmt: skip
+    assert ["distance_angles" in tasks[0], "relative_position" in tasks[1]] == [True, True]
+
+
 @pytest.mark.parametrize("command", ["check", "simulate", "fleet"])
 def test_what_cannot_fly_is_refused(command: str) -> None:
     code, _, err = run(command, "paper_5", "--set", "gains.formation.deadline_s=2 s", "--json")
