@@ -37,7 +37,7 @@ demo: setup  ## Fly a formation, record it, verify it
 docs: setup  ## Make the parts of the pages that are made of the code
 	@$(BIN)/python -m docs.make $(ARGS)
 
-results: setup  ## Fly the paper again: docs/results.md and its pictures
+results: setup  ## Fly the paper again: docs/results.md, docs/envelope.md and their pictures
 	@time $(BIN)/ptnsbc reproduce --docs docs $(ARGS)
 
 commands: setup  ## Run every command in README and docs, in a scratch clone

@@ -7,6 +7,7 @@ drives x_dot = -Xi x to the residual q / (1 + q) of its start value at tf, for e
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -148,6 +149,7 @@ def _planned_rate(
     return start_error * rise / dt + gain.scale * gain.kappa * (error - planned)
 
 
+@lru_cache
 def peak_gain(duration_s: float, residual: float) -> float:
     """Largest Xi(t) [1/s] over [0, tf], by sampling (the closed form has no root in radicals).
 

@@ -6,6 +6,7 @@ A key ends in its unit. A value may repeat the unit ("5 s"); a wrong unit is ref
 from __future__ import annotations
 
 import re
+from functools import cache
 from typing import Annotated, Any
 
 from pydantic import (
@@ -37,6 +38,7 @@ _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _QUANTITY = re.compile(rf"\s*({_NUMBER})\s*(\S.*?)\s*")
 
 
+@cache
 def unit_of(key: str) -> str | None:
     """The unit that the name of a key ends in, None for a key without one."""
     for suffix, unit in _UNITS.items():

@@ -16,11 +16,11 @@ from typing import TYPE_CHECKING, Any
 from ptnsbc_core.compile_cache import source_digest
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_sim.scenario.fields import unit_of
-from ptnsbc_sim.sweep.axes import SweepAxis, SweepError
+from ptnsbc_sim.sweep.axes import SweepAxis
 from ptnsbc_sim.sweep.dry_run import dry_run_says
 from ptnsbc_sim.sweep.family import family_columns, family_from_text
-from ptnsbc_sim.sweep.plan import SweepPlan, Value
-from ptnsbc_sim.sweep.rows import UNITS, SweepRow, fly_draw
+from ptnsbc_sim.sweep.plan import SweepPlan, Value, axis_values
+from ptnsbc_sim.sweep.rows import UNITS, SweepRow, fly_draw, not_flown
 from ptnsbc_sim.track import FlightTrack
 
 if TYPE_CHECKING:
@@ -51,10 +51,7 @@ def fly_chunk(plan_json: str, index: int) -> bytes:
         index: number of the chunk.
 
     Returns:
-        A Parquet file with the rows of its UAVs.
-
-    Raises:
-        SweepError: a draw that cannot be flown, named.
+        A Parquet file with the rows of its UAVs; a draw that cannot be flown has one row with the cause.
     """
     plan = _plan(plan_json)
     rows: list[SweepRow] = []
@@ -65,7 +62,7 @@ def fly_chunk(plan_json: str, index: int) -> bytes:
             check = dry_run_says(plan, k) if plan.check else ""
             found, values, room = fly_draw(plan, k, room, check)
         except PtnsbcError as error:
-            raise SweepError(f"draw {k}: {error}") from error
+            found, values = [not_flown(k, str(error))], axis_values(plan, k)
         rows += found
         drawn += [values] * len(found)
     return _parquet(_table(plan, rows, drawn))

@@ -9,9 +9,9 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+import pickle
 import zlib
 from collections.abc import Mapping
-from copy import deepcopy
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -136,8 +136,9 @@ def _design(seed: int, draws: int, width: int) -> Array:
 
 
 @lru_cache(maxsize=4)
-def _base(text: str, source: str) -> reader.Tree:
-    return reader.parse(text, source)
+def _base(text: str, source: str) -> bytes:
+    """The tree of the base scenario, from which every draw makes a copy of its own."""
+    return pickle.dumps(reader.parse(text, source))
 
 
 @lru_cache(maxsize=4)
@@ -158,11 +159,16 @@ def _axis_values(plan: SweepPlan, k: int) -> dict[str, Any]:
     return {axis.key: found[axis.key] for axis in plan.axes}
 
 
+def axis_values(plan: SweepPlan, k: int) -> dict[str, Value]:
+    """The values of the axes of draw k, as columns hold them."""
+    return {key: _plain(value) for key, value in _axis_values(plan, k).items()}
+
+
 def _drawn(plan: SweepPlan, k: int) -> tuple[reader.Tree, dict[str, Value]]:
     """The scenario tree of draw k, and what was drawn for it."""
     if not 0 <= k < plan.draws:
         raise SweepError(f"draw {k}: expected 0 to {plan.draws - 1}")
-    tree = deepcopy(_base(plan.scenario, plan.source))
+    tree: reader.Tree = pickle.loads(_base(plan.scenario, plan.source))
     values: dict[str, Value] = {}
     if plan.family:
         values |= draw_family(_family(plan.family), tree, lambda name: generator(plan, k, name))

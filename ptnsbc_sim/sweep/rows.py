@@ -20,32 +20,32 @@ class SweepRow:
     """The figures of one UAV in one flight; times in seconds after the start, None: there is no such figure."""
 
     draw: int
-    uav: int
+    uav: int  # 0 of a draw that was not flown
     slot: int  # its place in the formation, by the number of the UAV to which the scenario gives it
-    verdict: str  # met | missed | violated | void
+    verdict: str  # met | missed | violated | void | not flown
     cause: str  # why not met, empty when met
     flight_verdict: str  # the worst of the flight's UAVs: violated, missed, void, met
-    deadline_s: float
-    start_error_m: float
-    tolerance_m: float
-    band_m: float
+    deadline_s: float | None
+    start_error_m: float | None
+    tolerance_m: float | None
+    band_m: float | None
     settling_s: float | None  # None: the error ends outside the band
     error_at_deadline_m: float | None
     largest_after_m: float | None  # after the deadline, outside encounters
     largest_after_all_m: float | None  # after the deadline, inside encounters too
     rmse_after_m: float | None  # after the deadline, outside encounters
-    encounter_s: float  # time inside encounters, which excuse the error
-    excused_outside_s: float  # of it: after the deadline and outside the band
-    avoidance_s: float  # time in which the avoidance changed the velocity
-    saturated_s: float  # until the deadline
-    holding_s: float  # until the deadline
+    encounter_s: float | None  # time inside encounters, which excuse the error
+    excused_outside_s: float | None  # of it: after the deadline and outside the band
+    avoidance_s: float | None  # time in which the avoidance changed the velocity
+    saturated_s: float | None  # until the deadline
+    holding_s: float | None  # until the deadline
     closest_uav_m: float | None  # between centres; None: no other UAV
     closest_obstacle_m: (
         float | None
     )  # beyond its keep-out sphere, negative inside; None: no obstacle
-    inside_keep_out_s: float  # of UAVs and obstacles, summed
-    peak_force_n: float
-    energy_n2_s: float  # integral of |u|^2 (54)
+    inside_keep_out_s: float | None  # of UAVs and obstacles, summed
+    peak_force_n: float | None
+    energy_n2_s: float | None  # integral of |u|^2 (54)
     check: str  # what the dry run before the flight said: accepted | refused; empty: there was none
 
 
@@ -56,6 +56,16 @@ UNITS: dict[str, str] = {
     for field in fields(SweepRow)
 }
 """Unit of each column; empty for words and numbers without one."""
+
+
+NOT_FLOWN = "not flown"
+
+
+def not_flown(draw: int, cause: str) -> SweepRow:
+    """The row of a draw that cannot be flown."""
+    words = {"draw": draw, "uav": 0, "slot": 0, "verdict": NOT_FLOWN, "cause": " ".join(cause.split())}
+    blank = dict.fromkeys(field.name for field in fields(SweepRow))
+    return SweepRow(**{**blank, **words, "flight_verdict": NOT_FLOWN, "check": ""})  # type: ignore[arg-type]
 
 
 def fly_draw(

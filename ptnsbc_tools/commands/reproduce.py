@@ -27,14 +27,19 @@ def reproduce(
     ] = 2,
     docs: Annotated[
         Path | None,
-        typer.Option("--docs", metavar="DIR", help="Write DIR/results.md and its pictures too."),
+        typer.Option(
+            "--docs",
+            metavar="DIR",
+            help="Write DIR/results.md, DIR/envelope.md and their pictures too.",
+        ),
     ] = None,
     settings: SetOption = None,
     json: JsonOption = False,
 ) -> None:
     """Fly the paper again: its figures, the baselines, our ablations, and a verdict on each claim.
 
-    Writes figures (PNG, SVG), every curve in them (CSV), results.md and results.json. The same
+    Writes figures (PNG, SVG), every curve in them (CSV), the table of every sweep (Parquet),
+    results.md, envelope.md and results.json. The same
     command gives the same bytes, except for what is measured by the clock: timing.json and the
     part `cost` of results.md.
     """

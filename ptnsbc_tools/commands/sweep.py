@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 _BASE = "paper_5_free"
 _LACKING, _INTERRUPTED = 1, 130
+_MOST_NAMED = 5
 _MOMENT_S = 0.05
 _MADE = ("plan.json", "table.parquet", "chunks", "report")
 
@@ -162,11 +163,11 @@ def sweep(
         failed = [
             {"first": one.draws.start, "last": one.draws[-1], "error": one.error}
             for one in flown.failed
-        ]
+        ] + [{"first": k, "last": k, "error": cause} for k, cause in found.not_flown]
         console.print_json({**summary.as_json(found), "failed": failed, **files})
     else:
         _show(found, flown, page)
-    if flown.failed:
+    if found.missing:
         raise typer.Exit(_LACKING)
 
 
@@ -286,6 +287,11 @@ def _show(found: FlownSweep, flown: SweepResult, page: Path | None) -> None:
     for failed in flown.failed:
         first, last = failed.draws.start, failed.draws[-1]
         print(f"draws {first} to {last} were not flown: {failed.error}", file=sys.stderr)
+    for draw, cause in found.not_flown[:_MOST_NAMED]:
+        print(f"draw {draw} was not flown: {cause}", file=sys.stderr)
+    if len(found.not_flown) > _MOST_NAMED:
+        rest = len(found.not_flown) - _MOST_NAMED
+        print(f"{rest} more were not flown: their causes are in the table", file=sys.stderr)
     out.print(summary.line(found), soft_wrap=True)
     print(f"table: {flown.table}")
     if page is not None:

@@ -32,16 +32,14 @@ class Experiment:
 
 
 EXPERIMENTS = (
-    Experiment("overview", "all scenarios", 25),
-    Experiment("simulation_1", "paper_5, paper_5_free", 40),
-    Experiment("baselines", "paper_5_free, paper_20", 100),
-    Experiment("simulation_2", "paper_20", 35),
-    Experiment("experiment", "experiment_4", 85),
-    Experiment("ablation_profiles", "paper_5, both plants", 50),
-    Experiment("ablation_starts", "paper_20, both plants", 40),
-    Experiment("ablation_estimator", "paper_5_free", 4),
-    Experiment("ablation_time_base", "paper_5_free", 8),
-    Experiment("ablation_sweeps", "paper_5_free", 8),
+    Experiment("promise", "all scenarios, by sweeps", 110),
+    Experiment("simulation_1", "paper_5, paper_5_free", 25),
+    Experiment("baselines", "paper_5_free, paper_20", 80),
+    Experiment("simulation_2", "paper_20", 25),
+    Experiment("experiment", "experiment_4, by sweeps", 60),
+    Experiment("estimator", "paper_5_free", 4),
+    Experiment("ablations", "all scenarios, by sweeps", 150),
+    Experiment("envelope", "a family of scenarios, by sweeps", 90),
     Experiment("cost", "trees of 5 to 50 UAVs", 5, alone=True),
 )
 

@@ -29,7 +29,6 @@ INITIAL_FORCE = FlightColumn("initial force beyond hover, N", JudgedFlight.initi
 PEAK_INPUT = FlightColumn("peak input", JudgedFlight.peak_input, 1)
 ENERGY = FlightColumn("energy (54), N²s", lambda one: one.verdict.energy, 0)
 BEYOND_HOVER = FlightColumn("beyond hover, N²s", JudgedFlight.energy_beyond_hover, 0)
-ENERGY_BEYOND_HOVER = BEYOND_HOVER._replace(title="energy beyond hover, N²s")
 REASON = FlightColumn("worst UAV that is not met", JudgedFlight.missed_reason)
 
 _VERDICT_COLUMNS = (

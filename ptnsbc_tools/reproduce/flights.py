@@ -116,10 +116,6 @@ class JudgedFlight:
         """Like `4 of 5`."""
         return f"{self.met()} of {len(self.uavs)}"
 
-    def all_met(self) -> bool:
-        """Whether every UAV kept the deadline and its distances."""
-        return self.met() == len(self.uavs)
-
     def kept_promise(self) -> bool:
         """Deadline met by all UAVs, and no keep-out entered."""
         return self.verdict.verdict == "met"

@@ -14,7 +14,7 @@ from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario.fields import unit_of
 from ptnsbc_tools.plotting.chart import COLOURS, GOOD, OBSTACLE
 from ptnsbc_tools.plotting.draw import blank_figure
-from ptnsbc_tools.sweeps.share import share_of
+from ptnsbc_tools.sweeps.share import Share, share_of
 from ptnsbc_tools.sweeps.table import Column, FlownSweep
 
 _MOST_BINS = 8
@@ -93,22 +93,28 @@ def drawn_axes(sweep: FlownSweep, most: int = _MOST_BINS) -> list[DrawnAxis]:
     return [one for one in found if one is not None]
 
 
-def _against(sweep: FlownSweep, axis: DrawnAxis) -> Any:
-    met = sweep.table.flights.met
-    shares = [share_of(met[axis.group == one]) for one in range(len(axis.labels))]
+def plot_shares(axes: Any, at: Array, shares: Sequence[Share]) -> None:
+    """Shares at (G,) with their intervals as bars."""
     values = np.array([one.value for one in shares])
     reach = [
         [max(one.value - one.low, 0.0) for one in shares],
         [max(one.high - one.value, 0.0) for one in shares],
     ]
+    axes.errorbar(at, values, yerr=reach, fmt="o", capsize=3, color=COLOURS[0])
+    axes.set_ylim(-0.03, 1.03)
+    axes.grid(alpha=0.3)
+
+
+def _against(sweep: FlownSweep, axis: DrawnAxis) -> Any:
+    met = sweep.table.flights.met
     figure = blank_figure(_SIZE_IN)
     axes = figure.add_subplot()
-    axes.errorbar(axis.centres, values, yerr=reach, fmt="o", capsize=3, color=COLOURS[0])
+    groups = range(len(axis.labels))
+    plot_shares(axes, axis.centres, [share_of(met[axis.group == one]) for one in groups])
     if axis.words:
         axes.set_xticks(axis.centres, axis.labels)
-    axes.set(xlabel=axis.name, ylabel="share of flights met", ylim=(-0.03, 1.03))
+    axes.set(xlabel=axis.name, ylabel="share of flights met")
     axes.set_title(f"{sweep.plan.name}: bars are Wilson intervals at 95 %", fontsize=9)
-    axes.grid(alpha=0.3)
     return figure
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ptnsbc_core.types import Array
 from ptnsbc_sim.sweep import SweepError, SweepPlan
 from ptnsbc_sim.sweep.chunks import DRAWN
-from ptnsbc_sim.sweep.rows import SweepRow
+from ptnsbc_sim.sweep.rows import NOT_FLOWN, SweepRow
 from ptnsbc_sim.sweep.runner import PLAN, TABLE
 from ptnsbc_sim.verdict.deadline import MET
 
@@ -109,6 +109,7 @@ class FlownSweep:
     plan: SweepPlan
     folder: Path
     table: FlightTable
+    not_flown: tuple[tuple[int, str], ...] = ()  # draw and cause of those that cannot be flown
 
     @property
     def missing(self) -> int:
@@ -155,8 +156,20 @@ def read_sweep(folder: Path) -> FlownSweep:
         raise SweepError(f"{path}: lacks the columns {', '.join(lacking)}: fly the sweep again")
     if not len(table):
         raise SweepError(f"{path}: holds no flight: fly the sweep again")
+    lost, table = _divided(table)
+    if not len(table):
+        raise SweepError(f"{folder}: no draw could be flown: {lost[0][1]}")
     columns = {name: _column(name, table.column(name)) for name in table.column_names}
-    return FlownSweep(plan, folder, FlightTable(columns))
+    return FlownSweep(plan, folder, FlightTable(columns), lost)
+
+
+def _divided(table: Any) -> tuple[tuple[tuple[int, str], ...], Any]:
+    """Draws that were not flown with their causes, and the rows of the others."""
+    import pyarrow.compute as pc
+
+    lost = table.filter(pc.equal(table["verdict"], NOT_FLOWN)).select(["draw", "cause"])
+    pairs = tuple((row["draw"], row["cause"]) for row in lost.to_pylist())
+    return pairs, table.filter(pc.not_equal(table["verdict"], NOT_FLOWN))
 
 
 def _column(name: str, column: Any) -> Column:

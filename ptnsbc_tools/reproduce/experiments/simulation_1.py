@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ptnsbc_tools.reproduce.claims import formation_claim, velocity_claim
+from ptnsbc_tools.reproduce.claims import velocity_claim
 from ptnsbc_tools.reproduce.columns import verdicts_table
 from ptnsbc_tools.reproduce.experiment_result import ExperimentResult, Figure, Table
 from ptnsbc_tools.reproduce.figures import formation, inputs, paths
@@ -49,10 +49,7 @@ def run(output: ExperimentFolder) -> ExperimentResult:
         ),
         figures=tuple(sorted(figures, key=lambda figure: figure.name)),
         tables=(_verdicts(),),
-        claims=(
-            *(formation_claim(scenario, _by_profile(scenario)) for scenario in SCENARIOS),
-            velocity_claim(_by_profile("paper_5_free")),
-        ),
+        claims=(velocity_claim(_by_profile("paper_5_free")),),
     )
 
 

@@ -6,6 +6,7 @@ import json
 import os
 import signal
 from dataclasses import fields, replace
+from io import BytesIO
 from pathlib import Path
 
 import pytest
@@ -131,10 +132,15 @@ def test_a_chunk_that_fails_is_tried_once_more_and_named(
     assert draws == set(range(25)) | set(range(50, 60))
 
 
-def test_a_draw_that_cannot_be_flown_is_named() -> None:
+def test_a_draw_that_cannot_be_flown_is_a_row_with_its_cause() -> None:
     plan = replace(small(2), axes=(parse_axis("plant.mass_kg=1.0,9.0"),))
-    with pytest.raises(SweepError, match=r"draw 1: .*more than the weight"):
-        fly_chunk(plan.to_json(), 0)
+    rows = pq.read_table(BytesIO(fly_chunk(plan.to_json(), 0))).to_pylist()
+    lost = {row["draw"]: row for row in rows if row["verdict"] == "not flown"}
+    assert sorted(lost) == [1, 3]
+    assert "more than the weight" in lost[1]["cause"]
+    assert lost[1]["drawn.plant.mass_kg"] == 9.0
+    assert lost[1]["energy_n2_s"] is None
+    assert {row["draw"] for row in rows} == {0, 1, 2, 3}
 
 
 def _dying_once(text: str, index: int) -> bytes:

@@ -16,7 +16,7 @@ from ptnsbc_tools.reproduce.catalogue import EXPERIMENTS
 from ptnsbc_tools.reproduce.output import ExperimentFolder
 from ptnsbc_tools.reproduce.runner import run_one
 
-SMALL = "ablation_estimator"
+SMALL = "estimator"
 
 
 def run(*words: object) -> tuple[int, str, str]:
@@ -27,7 +27,7 @@ def run(*words: object) -> tuple[int, str, str]:
 def test_an_unknown_part_is_refused_in_one_line(tmp_path: Path) -> None:
     code, out, err = run("--only", "fig_5", "-o", tmp_path / "new")
     assert (code, out) == (2, "")
-    assert err.startswith("error: --only fig_5: expected one of overview, ")
+    assert err.startswith("error: --only fig_5: expected one of promise, ")
     assert err.count("\n") == 1
     assert not (tmp_path / "new").exists()
 

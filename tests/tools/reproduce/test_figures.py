@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 
-from ptnsbc_tools.reproduce.experiments import experiment
 from ptnsbc_tools.reproduce.figures import formation, inputs, paths, style
 from ptnsbc_tools.reproduce.flights import JudgedFlight, fly_judged
 from ptnsbc_tools.reproduce.output import ExperimentFolder
@@ -17,7 +16,9 @@ DRAWINGS = {
     "angle": lambda output, flights: formation.angles(output, flights, 11, ""),
     "input": lambda output, flights: inputs.whole_flight(output, flights, 15, ""),
     "first": lambda output, flights: inputs.first_second(output, flights, 17, ""),
-    "tall": lambda output, flights: paths.in_space(output, experiment.flight(1), 33, "in space"),
+    "tall": lambda output, flights: paths.in_space(
+        output, fly_judged("experiment_4", {"seed": 1}), 33, "in space"
+    ),
     "energy": lambda output, flights: inputs.energy(output, flights),
     "swarm": lambda output, flights: formation.distance_errors(output, flights, 26),
     "five": lambda output, flights: inputs.five_uavs(output, flights, 28, (1, 2, 3, 4, 5)),

@@ -1,4 +1,4 @@
-"""Ablation: the leader estimator with and without the leader's velocity fed forward."""
+"""The leader estimator with and without the leader's velocity fed forward."""
 
 from __future__ import annotations
 
@@ -129,9 +129,10 @@ def _table(flights: dict[EstimatorVariant, JudgedFlight]) -> Table:
         col.MET,
         col.ERROR_AT_5_S._replace(title="formation error at 5 s, m"),
         col.LARGEST_AFTER,
+        col.LARGEST_AFTER_ALL,
     )
     return flights_table(
-        "ablation_estimator",
+        "estimator",
         "The estimator with and without feed-forward",
         columns,
         flights.values(),
@@ -148,8 +149,8 @@ def run(output: ExperimentFolder) -> ExperimentResult:
         output.progress(f"flying: {case.links}, feed-forward {case.feed_forward}")
         flights[case] = flight(case)
     return ExperimentResult(
-        "ablation_estimator",
-        "Ablation: the leader estimator",
+        "estimator",
+        "The leader estimator",
         "Scenario `paper_5_free` on the six-input plant, profile `soft`, 30 s.",
         figures=(_figure(output, flights),),
         tables=(_table(flights),),
