@@ -22,6 +22,7 @@ SECTIONS = (
     "step",
     "headless",
     "sweep",
+    "peers",
     "startup",
     "recorder",
     "lockstep",

@@ -63,7 +63,13 @@ NOT_FLOWN = "not flown"
 
 def not_flown(draw: int, cause: str) -> SweepRow:
     """The row of a draw that cannot be flown."""
-    words = {"draw": draw, "uav": 0, "slot": 0, "verdict": NOT_FLOWN, "cause": " ".join(cause.split())}
+    words = {
+        "draw": draw,
+        "uav": 0,
+        "slot": 0,
+        "verdict": NOT_FLOWN,
+        "cause": " ".join(cause.split()),
+    }
     blank = dict.fromkeys(field.name for field in fields(SweepRow))
     return SweepRow(**{**blank, **words, "flight_verdict": NOT_FLOWN, "check": ""})  # type: ignore[arg-type]
 

@@ -25,6 +25,10 @@ def compare(
         ),
     ] = 0.001,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the bootstrap.")] = 0,
+    html: Annotated[
+        Path | None,
+        typer.Option("--html", metavar="FILE", help="Write the comparison as a page too."),
+    ] = None,
     json: options.JsonOption = False,
 ) -> None:
     """Say whether B is worse than A: what was met and the errors, paired by draw, with intervals.
@@ -38,6 +42,11 @@ def compare(
     with console.patience("reading"):
         first, second = _both(a, b)
     found = comparison.compare(first, second, margin_m=margin, seed=seed)
+    if html is not None:
+        from ptnsbc_tools.sweeps.page import write_comparison
+
+        with console.patience("drawing"):
+            write_comparison(html, (str(a), str(b)), (first, second), found)
     if json:
         console.print_json({"a": str(a), "b": str(b), **comparison.as_json(found)})
     else:
@@ -45,6 +54,8 @@ def compare(
         for table in comparison.tables(found):
             out.print(table)
         out.print(comparison.line(found), soft_wrap=True)
+        if html is not None:
+            print(f"page: {html}")
     if found.worse:
         raise typer.Exit(_WORSE)
 

@@ -24,7 +24,7 @@ LEVEL = 0.05
 _NORMAL = 1.959963984540054  # of the standard normal distribution, 97.5 %
 _RESAMPLES = 2000
 
-_ERRORS = (
+ERRORS = (
     ("error at tf", "error_at_deadline_m"),
     ("largest after tf, without excused spans", "largest_after_m"),
     ("largest after tf, with excused spans", "largest_after_all_m"),
@@ -151,7 +151,7 @@ def _rows_of(table: FlightTable, pairs: list[tuple[int, int]]) -> NDArray[np.int
     return np.array([at[pair] for pair in pairs], dtype=np.int64)
 
 
-def _common(a: FlightTable, b: FlightTable) -> tuple[FlightTable, FlightTable]:
+def in_both(a: FlightTable, b: FlightTable) -> tuple[FlightTable, FlightTable]:
     """The rows of the draws and UAVs that both have, in the same order."""
     keys = [set(zip(one["draw"].tolist(), one["uav"].tolist(), strict=True)) for one in (a, b)]
     draws = set(a["draw"].tolist()) & set(b["draw"].tolist())
@@ -168,7 +168,7 @@ def _common(a: FlightTable, b: FlightTable) -> tuple[FlightTable, FlightTable]:
 
 
 def _differences(a: FlightTable, b: FlightTable, seed: int) -> Iterator[FigureDifference]:
-    for label, name in (*_ERRORS, *_DISTANCES):
+    for label, name in (*ERRORS, *_DISTANCES):
         values = getattr(a.flights, name), getattr(b.flights, name)
         found = median_difference(name, label, *values, seed)
         if found is not None:
@@ -184,7 +184,7 @@ def compare(a: FlightTable, b: FlightTable, *, margin_m: float, seed: int = 0) -
         margin_m: an error that grew by less is not worse.
         seed: of the bootstrap.
     """
-    a, b = _common(a, b)
+    a, b = in_both(a, b)
     flights = met_difference(a.flights.met, b.flights.met)
     uavs = met_difference(a["verdict"] == MET, b["verdict"] == MET)
     figures = tuple(_differences(a, b, seed))

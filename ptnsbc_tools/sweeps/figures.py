@@ -14,8 +14,9 @@ from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario.fields import unit_of
 from ptnsbc_tools.plotting.chart import COLOURS, GOOD, OBSTACLE
 from ptnsbc_tools.plotting.draw import blank_figure
+from ptnsbc_tools.sweeps.comparison import in_both
 from ptnsbc_tools.sweeps.share import Share, share_of
-from ptnsbc_tools.sweeps.table import Column, FlownSweep
+from ptnsbc_tools.sweeps.table import Column, FlightTable, FlownSweep
 
 _MOST_BINS = 8
 _LEAST_IN_BIN = 10
@@ -190,6 +191,23 @@ def _distributions(sweep: FlownSweep) -> Any:
         _histogram(panels[2], room, "room to the closest obstacle [m]", limit=0.0, name="keep-out")
         panels[2].set_ylabel("flights", fontsize=8)
     figure.suptitle(f"{sweep.plan.name}: {len(flights.draw)} flights", fontsize=9)
+    return figure
+
+
+def paired(label: str, name: str, a: FlightTable, b: FlightTable) -> Any:
+    """One error of every flight, in A and in B: below the diagonal B is better."""
+    a, b = in_both(a, b)
+    both = np.stack([getattr(a.flights, name), getattr(b.flights, name)])
+    shown = np.isfinite(both).all(axis=0) & (both > 0.0).all(axis=0)
+    figure = blank_figure(_SIZE_IN)
+    axes = figure.add_subplot()
+    if shown.any():
+        ends = both[:, shown].min(), both[:, shown].max()
+        axes.loglog(ends, ends, color=OBSTACLE, linewidth=1.0)
+        axes.loglog(*both[:, shown], "o", color=COLOURS[0], markersize=3, alpha=0.6)
+    axes.set(xlabel=f"A: {label} [m]", ylabel=f"B: {label} [m]")
+    axes.set_title(f"{int(shown.sum())} of {both.shape[1]} draws have it in both", fontsize=9)
+    axes.grid(alpha=0.3)
     return figure
 
 

@@ -1,18 +1,23 @@
-"""The page of a sweep: one HTML file that works offline, with its figures as PNG beside it."""
+"""The page of a sweep, and that of a comparison: one HTML file each that works offline."""
 
 from __future__ import annotations
 
 import base64
+from collections.abc import Iterable
 from html import escape
 from pathlib import Path
 from string import Template
+from tempfile import TemporaryDirectory
+
+from rich.table import Table
 
 from ptnsbc_tools.files import replacing
 from ptnsbc_tools.plotting.draw import save
 from ptnsbc_tools.report.page import asset, html_table
-from ptnsbc_tools.sweeps import summary
-from ptnsbc_tools.sweeps.figures import figures
-from ptnsbc_tools.sweeps.table import FlownSweep
+from ptnsbc_tools.sweeps import comparison, summary
+from ptnsbc_tools.sweeps.comparison import SweepComparison
+from ptnsbc_tools.sweeps.figures import figures, paired
+from ptnsbc_tools.sweeps.table import FlightTable, FlownSweep
 
 FOLDER = "report"
 
@@ -21,9 +26,9 @@ _PAGE = Template("""<!doctype html>
 <head>
 <meta charset="utf-8">
 <meta name="viewport" content="width=device-width, initial-scale=1">
-<meta name="generator" content="ptnsbc sweep">
+<meta name="generator" content="ptnsbc $command">
 <meta http-equiv="Content-Security-Policy" content="default-src 'none'; style-src 'unsafe-inline'; img-src data:">
-<title>$name – sweep</title>
+<title>$name – $command</title>
 <style>
 $style
 figure { margin: 0 0 16px; } figure img { max-width: 100%; background: white; border-radius: 12px; }
@@ -31,15 +36,12 @@ figcaption { color: var(--soft); font-size: 13px; }
 </style>
 </head>
 <body>
-<header class="top"><div><p class="kicker">Sweep</p><h1>$name</h1></div></header>
+<header class="top"><div><p class="kicker">$kicker</p><h1>$name</h1></div></header>
 <main>
 <p>$heading</p>
 <p><b>$line</b></p>
 $tables
-<p>These commands fly them again:</p>
-<pre>$commands</pre>
-$figures
-<details><summary>Plan</summary><pre>$plan</pre></details>
+$more
 </main>
 </body>
 </html>
@@ -55,6 +57,24 @@ def _picture(caption: str, path: Path) -> str:
     )
 
 
+def _write(path: Path, command: str, name: str, heading: str, line: str,
+           tables: Iterable[Table], more: str) -> Path:  # fmt: skip
+    text = _PAGE.substitute(
+        command=command,
+        kicker=command.capitalize(),
+        name=escape(name),
+        heading=escape(heading),
+        style=asset("style.css"),
+        line=escape(line),
+        tables="\n".join(html_table(table) for table in tables),
+        more=more,
+    )
+    with replacing(path) as part:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        part.write_text(text, encoding="utf-8")
+    return path
+
+
 def write_report(sweep: FlownSweep) -> Path:
     """Write the page and the figures into `report/` of the sweep's folder; returns the page."""
     folder = sweep.folder / FOLDER
@@ -63,18 +83,36 @@ def write_report(sweep: FlownSweep) -> Path:
         for one in figures(sweep)
     ]
     commands = "\n".join(one.command for one in summary.worst(sweep))
-    text = _PAGE.substitute(
-        name=escape(sweep.plan.name),
-        heading=escape(summary.title(sweep)),
-        style=asset("style.css"),
-        line=escape(summary.line(sweep).plain),
-        tables="\n".join(html_table(table) for table in summary.tables(sweep)),
-        commands=escape(commands),
-        figures="\n".join(pictures),
-        plan=escape(sweep.plan.to_json()),
+    more = (
+        f"<p>These commands fly them again:</p>\n<pre>{escape(commands)}</pre>\n"
+        + "\n".join(pictures)
+        + f"\n<details><summary>Plan</summary><pre>{escape(sweep.plan.to_json())}</pre></details>"
     )
-    path = folder / "index.html"
-    with replacing(path) as part:
-        folder.mkdir(parents=True, exist_ok=True)
-        part.write_text(text, encoding="utf-8")
-    return path
+    line = summary.line(sweep).plain
+    return _write(
+        folder / "index.html", "sweep", sweep.plan.name, summary.title(sweep), line,
+        summary.tables(sweep), more,
+    )  # fmt: skip
+
+
+def write_comparison(
+    path: Path,
+    names: tuple[str, str],
+    tables: tuple[FlightTable, FlightTable],
+    found: SweepComparison,
+) -> Path:
+    """Write the page of B beside A; `names` and `tables` are theirs."""
+    pictures = []
+    with TemporaryDirectory() as folder:
+        for number, (label, column) in enumerate(comparison.ERRORS):
+            file = save(paired(label, column, *tables), Path(folder) / f"{number}.png")
+            pictures.append(_picture(f"{label}, each draw in A and in B", file))
+    return _write(
+        path,
+        "compare",
+        " and ".join(names),
+        f"A is {names[0]}, B is {names[1]}. Draws are paired.",
+        comparison.line(found).plain,
+        comparison.tables(found),
+        "\n".join(pictures),
+    )

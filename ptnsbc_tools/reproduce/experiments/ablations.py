@@ -1,4 +1,4 @@
-"""Ablations by sweeps: profile, task and avoidance rule, starts, time base, residual and deadline, adaptation."""
+"""Ablations by sweeps: profile, task and avoidance rule, starts, adaptation."""
 
 from __future__ import annotations
 
@@ -8,19 +8,11 @@ from typing import Any
 
 from ptnsbc_sim.sweep.family import find_family
 from ptnsbc_tools.reproduce.experiment_result import ExperimentResult
-from ptnsbc_tools.reproduce.flights import PLANTS, PROFILES, TASKS
+from ptnsbc_tools.reproduce.flights import PROFILES, TASKS
 from ptnsbc_tools.reproduce.output import ExperimentFolder
 from ptnsbc_tools.reproduce.swept import DEFAULT_APPROACH, RUNS, SweepCase, swept_table
 
 RULES = ("off", "set_based", "switched")
-LOOPS = {
-    "formation": ("gains.formation.time_base", "gains.attitude.time_base"),
-    "estimator": ("gains.estimator.time_base",),
-    "controller": ("gains.force.time_base", "gains.torque.time_base"),
-}
-RESIDUALS = (0.2, 0.02, 0.001)
-DEADLINES_S = (3.0, 4.0, 5.0, 7.0, 10.0)
-_AFTER_S = 5.0
 _BOX = "box:12,12,1"
 _ADAPTATION: dict[str, dict[str, Any]] = {
     "on": {},
@@ -48,27 +40,6 @@ def _starts() -> Iterator[SweepCase]:
         yield SweepCase((task,), "paper_20", changes, starts=_BOX)
 
 
-def _time_bases() -> Iterator[SweepCase]:
-    for on in product((True, False), repeat=len(LOOPS)):
-        switches = {
-            key: state for keys, state in zip(LOOPS.values(), on, strict=True) for key in keys
-        }
-        labels = tuple("on" if state else "off" for state in on)
-        yield SweepCase(labels, changes={"plant.kind": "rigid_body_6dof", **switches})
-
-
-def _loops() -> Iterator[SweepCase]:
-    given = [(q, 5.0) for q in RESIDUALS] + [(0.02, tf_s) for tf_s in DEADLINES_S if tf_s != 5.0]
-    for plant, (q, tf_s) in product(PLANTS, given):
-        changes = {
-            "plant.kind": plant,
-            "gains.formation.residual": q,
-            "gains.formation.deadline_s": tf_s,
-        }
-        labels = (plant, f"{q:g}", f"{tf_s:g}")
-        yield SweepCase(labels, changes=changes, stop_after_s=tf_s + _AFTER_S)
-
-
 def _adaptations() -> Iterator[SweepCase]:
     for name, changes in _ADAPTATION.items():
         family = find_family("mass").read_text(encoding="utf-8")
@@ -81,7 +52,7 @@ def run(output: ExperimentFolder) -> ExperimentResult:
     return ExperimentResult(
         "ablations",
         "Ablations",
-        f"{RUNS} flights for each row, 10 s each or until 5 s after the deadline, with starts drawn beside those of "
+        f"{RUNS} flights for each row, 10 s each, with starts drawn beside those of "
         "the file (0.3 m per axis). The paper's law with profile `soft`, but where a table says otherwise.",
         tables=(
             swept_table(
@@ -104,28 +75,12 @@ def run(output: ExperimentFolder) -> ExperimentResult:
             ),
             swept_table(
                 output,
-                "time base",
-                "The time base in each loop: `paper_5_free` on `rigid_body_6dof`",
-                tuple(LOOPS),
-                _time_bases(),
-                "Off means the constant gain Λκ from the start, without Ξ and without the soft onset.",
-            ),
-            swept_table(
-                output,
-                "residual and deadline",
-                "Residual q and deadline tf: `paper_5_free`",
-                ("plant", "q", "tf, s"),
-                _loops(),
-                "After tf only κ is left, and no q changes what follows.",
-            ),
-            swept_table(
-                output,
                 "adaptation",
                 "What adapts, with wrong masses in wind: family `mass`, planned approach",
                 ("adaptation",),
                 _adaptations(),
-                "True mass and inertia differ from what the laws know by up to 30 %, in wind of up to 8 m/s with gusts. "
-                "The observer, the parameters (50) and the bound (51), one switched off at a time.",
+                "True mass and inertia differ from what the laws know by up to 30 %, in wind of 8 m/s with "
+                "gusts. The observer, the parameters (50) and the bound (51), one switched off at a time.",
             ),
         ),
     )

@@ -106,7 +106,11 @@ def test_compare_finds_what_is_worse(small: Path, tmp_path: Path) -> None:
     worse = ("--set", "plant.mass_kg=1.3")
     other = tmp_path / "other"
     assert run("sweep", *SMALL, *worse, "--out", other, "--no-report")[0] == 0
-    assert run("compare", small, other)[0] in (0, 1)
+    page = tmp_path / "pages" / "compare.html"
+    code, out, _ = run("compare", small, other, "--html", page)
+    assert (code in (0, 1), out.splitlines()[-1]) == (True, f"page: {page}")
+    text = page.read_text(encoding="utf-8")
+    assert text.count("<img ") == 3 and f"B is {other}" in text and "http://" not in text
     assert run("compare", small, tmp_path / "nowhere")[0] == 2
 
 

@@ -9,7 +9,7 @@ from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_sim.sweep import parse_starts
 from ptnsbc_sim.sweep.plan import plan_of
 from ptnsbc_tools.reproduce import swept
-from ptnsbc_tools.reproduce.experiments import ablations, envelope, experiment, promise
+from ptnsbc_tools.reproduce.experiments import ablations, envelope, experiment, promise, time_base
 from ptnsbc_tools.reproduce.flights import scenario
 from ptnsbc_tools.reproduce.output import ExperimentFolder
 from ptnsbc_tools.reproduce.swept import SweepCase, swept_table
@@ -17,7 +17,7 @@ from ptnsbc_tools.sweeps.share import share
 
 ENVELOPE = [envelope.case(axis, value) for axis in envelope.AXES for value in axis.values]
 ABLATIONS = [
-    *ablations._laws(), *ablations._starts(), *ablations._time_bases(), *ablations._loops(),
+    *ablations._laws(), *ablations._starts(), *time_base._time_bases(), *time_base._loops(),
     *ablations._adaptations(),
 ]  # fmt: skip
 CAUSES = [SweepCase((name,), *given) for name, given in experiment.CAUSES.items()]

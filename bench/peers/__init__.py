@@ -1,0 +1,49 @@
+"""Other simulators on the same machine, when they are installed: none of them is in the locks.
+
+Each peer runs in a process of its own, on two cores, by the interpreter in PTNSBC_PEERS_PYTHON, or by this one. Their
+drones are uncoupled: no laws of a formation, no sensors, no messages, nothing recorded.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from bench.session import Plan, print_progress
+from bench.table import Row
+
+PEERS = ("crazyflow_sim", "drone_models_loop")
+_CORES = 2
+
+
+def measure(plan: Plan) -> Sequence[Row]:
+    """Rows of this section; a peer that is not installed is named and skipped."""
+    rows = []
+    for peer in PEERS:
+        found = _measured(peer, plan.of(3.0, 0.5))
+        if found is None:
+            continue
+        name = str(found["peer"])
+        rows.append(Row(f"{name}, 5 drones", [float(found["swarm"])], "swarm-ticks/s"))
+        rows.append(Row(f"{name}, 5000 drones", [float(found["drones"])], "drone-ticks/s"))
+    return rows
+
+
+def _measured(peer: str, seconds: float) -> dict[str, str | float] | None:
+    python = os.environ.get("PTNSBC_PEERS_PYTHON", sys.executable)
+    command = [python, str(Path(__file__).with_name(f"{peer}.py")), str(seconds)]
+    done = subprocess.run(command, capture_output=True, text=True, preexec_fn=_on_two_cores)
+    if done.returncode:
+        why = done.stderr.strip().splitlines()[-1:] or [f"exit code {done.returncode}"]
+        print_progress(f"peers: {peer}: skipped: {why[0]}")
+        return None
+    found: dict[str, str | float] = json.loads(done.stdout.splitlines()[-1])
+    return found
+
+
+def _on_two_cores() -> None:
+    os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:_CORES])
