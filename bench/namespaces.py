@@ -40,6 +40,10 @@ def _run(*words: str, text: str | None = None) -> str:
     return done.stdout
 
 
+def _inside(namespace: str, *words: str) -> tuple[str, ...]:
+    return ("ip", "netns", "exec", namespace, *words)
+
+
 class Computer:
     """One network namespace, with one address on the cable."""
 
@@ -59,7 +63,7 @@ class Computer:
 
     def inside(self, *words: str) -> tuple[str, ...]:
         """The command line that runs `words` on this computer."""
-        return ("ip", "netns", "exec", self.name, *words)
+        return _inside(self.name, *words)
 
     def start(self, *words: str, **environment: str) -> subprocess.Popen[str]:
         """Start `python ...` there."""
@@ -97,26 +101,31 @@ def missing() -> str | None:
         if shutil.which(program) is None:
             return f"{program} is not installed (package {package})"
     try:
-        with two_computers():
+        with computers():
             return None
     except OSError as error:
         return f"no network namespaces here: {error}"
 
 
 @contextmanager
-def two_computers(loss_percent: int = 0) -> Iterator[tuple[Computer, Computer]]:
-    """Two computers on a cable; each loses so many of the packets it gets."""
-    first, second = (Computer(f"ptnsbc{os.getpid()}-{i}", f"10.77.0.{i}") for i in (1, 2))
+def computers(count: int = 2, loss_percent: int = 0) -> Iterator[tuple[Computer, ...]]:
+    """Computers on one switch; each loses so many of the packets it gets."""
+    made = tuple(Computer(f"ptnsbc{os.getpid()}-{i}", f"10.77.0.{i}") for i in range(1, count + 1))
+    switch = f"ptnsbc{os.getpid()}-switch"
     with ExitStack() as stack:
-        for computer in (first, second):
-            _run("ip", "netns", "add", computer.name)
-            stack.callback(_run, "ip", "netns", "delete", computer.name)
-            _run(*computer.inside("sysctl", "-qw", "net.ipv6.conf.all.disable_ipv6=1"))
-        cable = ("ip", "link", "add", CABLE, "netns", first.name, "type", "veth")
-        _run(*cable, "peer", "name", CABLE, "netns", second.name)
-        for computer in (first, second):
+        for name in (switch, *(computer.name for computer in made)):
+            _run("ip", "netns", "add", name)
+            stack.callback(_run, "ip", "netns", "delete", name)
+            _run(*_inside(name, "sysctl", "-qw", "net.ipv6.conf.all.disable_ipv6=1"))
+        _run("ip", "-n", switch, "link", "add", "switch", "type", "bridge")
+        _run("ip", "-n", switch, "link", "set", "switch", "up")
+        for number, computer in enumerate(made):
+            port = f"port{number}"
+            cable = ("ip", "link", "add", CABLE, "netns", computer.name, "type", "veth")
+            _run(*cable, "peer", "name", port, "netns", switch)
+            _run("ip", "-n", switch, "link", "set", port, "master", "switch", "up")
             computer.prepare(loss_percent)
-        yield first, second
+        yield made
 
 
 def finished(

@@ -9,7 +9,8 @@ import typer
 from typer.core import TyperGroup
 
 from ptnsbc_core.errors import PtnsbcError
-from ptnsbc_nodes.runtime.signals import exit_on_signal, restore_handlers
+from ptnsbc_nodes.runtime.signals import exit_on_signal, keep_exit_code, restore_handlers
+from ptnsbc_tools import console
 from ptnsbc_tools.commands import bag, network
 from ptnsbc_tools.commands.autopilot import autopilot
 from ptnsbc_tools.commands.bridge import bridge
@@ -37,15 +38,24 @@ class _Commands(TyperGroup):
     """Prints our errors as one line on stderr, and an interrupt without a traceback."""
 
     def invoke(self, ctx: Any) -> Any:
+        code = 0
         try:
             return super().invoke(ctx)
+        except typer.Exit as end:
+            code = end.exit_code
+            raise
         except PtnsbcError as error:
             line = " ".join(str(error).split())
-            print(f"error: {line}", file=sys.stderr)
+            console.say(f"error: {line}")
+            code = _REFUSED
             raise typer.Exit(_REFUSED) from None
         except KeyboardInterrupt:
+            keep_exit_code(_INTERRUPTED)  # a second signal is no error
             print("interrupted", file=sys.stderr)
+            code = _INTERRUPTED
             raise typer.Exit(_INTERRUPTED) from None
+        finally:
+            keep_exit_code(code)
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         found = super().resolve_command(ctx, args)

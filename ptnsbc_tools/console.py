@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import cache
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, TextIO
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -28,21 +28,48 @@ class Advance(Protocol):
 
 def out() -> Console:
     """A console on the current stdout, which tests and pipes replace."""
-    from rich.console import Console
-
-    return Console(file=sys.stdout, width=None if sys.stdout.isatty() else _FIXED_WIDTH)
+    return _console(sys.stdout)
 
 
 def err() -> Console:
     """A console on the current stderr."""
+    return _console(sys.stderr)
+
+
+def _console(stream: TextIO) -> Console:
+    width = None if stream.isatty() else _FIXED_WIDTH
+    return _plain_console()(file=stream, width=width, markup=False, emoji=False)
+
+
+@cache
+def _plain_console() -> type[Console]:
     from rich.console import Console
 
-    return Console(file=sys.stderr, width=None if sys.stderr.isatty() else _FIXED_WIDTH)
+    class PlainConsole(Console):
+        """Prints texts as they are: what a bag names `[/b]` is no markup, and what it holds is no command."""
+
+        def render_str(self, text: str, **options: Any) -> Any:
+            return super().render_str(plain(text), **options)
+
+    return PlainConsole
+
+
+def plain(text: str) -> str:
+    """A text from outside for a terminal: characters that would act on it are written as escapes."""
+    return "".join(
+        char if char.isprintable() or char in "\n\t" else char.encode("unicode_escape").decode()
+        for char in text
+    )
 
 
 def say(line: str) -> None:
     """One line on stderr, at once."""
-    print(line, file=sys.stderr, flush=True)
+    print(plain(line), file=sys.stderr, flush=True)
+
+
+def show(line: str) -> None:
+    """One line on stdout."""
+    print(plain(line))
 
 
 def print_json(data: Mapping[str, Any]) -> None:

@@ -34,6 +34,7 @@ from ptnsbc_nodes.runtime.watchdog import SAID_S, WAITED
 
 _REPORT_GAP_S = 1.0  # the sim reports five times a second
 _SIGN_OF_LIFE_S = 2.0  # a process that is kept waiting says so five times a second
+_ANEW_CALLS = 3  # so many calls without an answer, and the whole node joins the network again
 
 
 class _LockstepWait:
@@ -72,17 +73,27 @@ class Coordinator:
         self.over = False  # the launcher that leads has ended the flight
         self.waiting: dict[str, str] = {}  # process name: what it waits for, empty when ready
         self.vehicles: dict[str, VehicleRecord] = {}  # by bridge: what it reported of its vehicle
+        self._name, self._ros_arguments = name, list(ros_arguments)
+        self._namespace = namespace
+        self._leads: bool | None = None  # where the fleet is shared
+        self._managed: dict[str, str] = {}  # node by process name
+        self._last_status_s: dict[str, float] = {}  # when each process sent its last status
+        self._wait = _LockstepWait()
+        self._answers = self._unanswered = 0  # calls of services
+        self._join()
+
+    def _join(self) -> None:
         self._publish_over: Callable[[bytes], None] | None = None
         self._context = Context()
         rclpy.init(
-            args=list(ros_arguments),
+            args=self._ros_arguments,
             context=self._context,
-            domain_id=domain,
+            domain_id=self.domain,
             signal_handler_options=SignalHandlerOptions.NO,
         )
         self._node = rclpy.create_node(
-            name,
-            namespace=namespace,
+            self._name,
+            namespace=self._namespace,
             context=self._context,
             start_parameter_services=False,
             enable_rosout=False,
@@ -94,8 +105,6 @@ class Coordinator:
         self._publish_emergency = self._endpoints.publisher(topics.EMERGENCY, 1)
         self._manager = LifecycleManager(self._node)
         self._start = self._client("start")
-        self._last_status_s: dict[str, float] = {}  # when each process sent its last status
-        self._wait = _LockstepWait()
         self._diagnostics, _ = (
             self._endpoints.listen(
                 topic, decode_diagnostics, self._on_status, False, keep_last(50, reliable=True)
@@ -103,8 +112,18 @@ class Coordinator:
             for topic in (topics.DIAGNOSTICS, READY)
         )
 
+    def rejoin(self) -> None:
+        """Leave the network and join it again: a discovery server may have left this node out."""
+        self._leave()
+        self._join()
+        if self._leads is not None:
+            self.share(leads=self._leads)
+        for name, node in self._managed.items():
+            self._manager.manage(name, self._endpoints.fleet + node, doubtful=True)
+
     def share(self, *, leads: bool) -> None:
         """Hear of ends on other computers; publish the end of the flight, or hear of it."""
+        self._leads = leads
         self._endpoints.listen(LOST, decode_lost, self._on_lost, required=False)
         if leads:
             self._publish_over = self._endpoints.publisher(OVER, 0)
@@ -130,6 +149,9 @@ class Coordinator:
         return self
 
     def __exit__(self, *_: object) -> None:
+        self._leave()
+
+    def _leave(self) -> None:
         self._executor.shutdown()
         self._node.destroy_node()
         rclpy.shutdown(context=self._context)
@@ -141,7 +163,16 @@ class Coordinator:
             name: As on /diagnostics.
             node: Its name below the namespace of the fleet, `/uav3/controller`.
         """
+        self._managed[name] = node
         self._manager.manage(name, self._endpoints.fleet + node)
+
+    def asked(self, name: str) -> bool:
+        """Whether a transition has been requested of the managed process."""
+        return self._manager.asked(name)
+
+    def sees(self, node: str) -> bool:
+        """Whether a node of this name is in the graph of ROS."""
+        return node in self._node.get_node_names()
 
     @property
     def refused(self) -> list[str]:
@@ -163,10 +194,22 @@ class Coordinator:
         if not self._start.service_is_ready():
             self.spin(0.1)
             return "the leader's service /formation/start is not there"
+        answers = self._answers
         refusal = self._answer(self._start, "start", patience_s)
+        if self._answers == answers:
+            self._start_anew()
         if refusal is None:
             self._endpoints.ignore(self._diagnostics)  # in flight not worth its reception
         return refusal
+
+    def _start_anew(self) -> None:
+        """Meet the leader's service anew: the network may have introduced only one of its two directions."""
+        self._unanswered += 1
+        if self._unanswered % _ANEW_CALLS == 0:
+            self.rejoin()
+        else:
+            self._node.destroy_client(self._start)
+            self._start = self._client("start")
 
     def stuck(self) -> dict[str, float]:
         """Processes that have kept a lock-step flight waiting and give no sign of life, and for how long [s]."""
@@ -206,6 +249,7 @@ class Coordinator:
         call = client.call_async(Trigger.Request())
         self._executor.spin_until_future_complete(call, timeout_sec=patience_s)
         response = call.result() if call.done() else None
+        self._answers += response is not None
         if response is None:
             return f"the leader does not answer /formation/{name}"
         return None if response.success else str(response.message)

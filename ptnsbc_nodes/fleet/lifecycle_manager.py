@@ -21,14 +21,18 @@ class _ManagedTransitions:
     the client to the node. A transition without an answer may have happened, so the other one is tried next.
     """
 
-    def __init__(self, node: Node, name: str) -> None:
-        self._node = node
-        self._client = node.create_client(ChangeState, f"{name}/change_state")
+    def __init__(self, node: Node, name: str, doubtful: bool) -> None:
+        self._node, self._name = node, name
+        self._client = self._new_client()
         self._steps = list(_STEPS)
         self._asked_s = float("-inf")
         self._call: Any = None
-        self._doubtful = False  # whether an answer was lost: a refusal then has no meaning
+        self._doubtful = doubtful  # an answer may have been lost: a refusal then has no meaning
         self.refused = False
+
+    @property
+    def asked(self) -> bool:
+        return self._asked_s > float("-inf")
 
     @property
     def done(self) -> bool:
@@ -41,6 +45,10 @@ class _ManagedTransitions:
             if self._call is not None:
                 self._doubtful = True
                 self._turn()
+                # The network may have introduced one direction only: a new client is introduced anew.
+                self.close()
+                self._client, self._call = self._new_client(), None
+                return
             self._ask()
 
     def arrived(self) -> None:
@@ -48,6 +56,9 @@ class _ManagedTransitions:
 
     def close(self) -> None:
         self._node.destroy_client(self._client)
+
+    def _new_client(self) -> Any:
+        return self._node.create_client(ChangeState, f"{self._name}/change_state")
 
     def _ask(self) -> None:
         request = ChangeState.Request()
@@ -86,9 +97,21 @@ class LifecycleManager:
         self.refused: list[str] = []
         """Names of those that refused a transition."""
 
-    def manage(self, name: str, node: str) -> None:
-        """Take the node with this full name to active; `name` is for `refused`."""
-        self._nodes[name] = _ManagedTransitions(self._node, node)
+    def manage(self, name: str, node: str, *, doubtful: bool = False) -> None:
+        """Take the node with this full name to active, from the beginning.
+
+        Args:
+            name: Of the process, for `refused`.
+            node: Full name.
+            doubtful: It may be on its way already, so that a refusal has no meaning.
+        """
+        if name in self._nodes:
+            self._nodes[name].close()
+        self._nodes[name] = _ManagedTransitions(self._node, node, doubtful)
+
+    def asked(self, name: str) -> bool:
+        """Whether a transition has been requested of the process."""
+        return name not in self._nodes or self._nodes[name].asked
 
     def look(self) -> None:
         """Continue with all nodes that are not active yet."""

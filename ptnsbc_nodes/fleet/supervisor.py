@@ -9,7 +9,10 @@ from __future__ import annotations
 import os
 import signal
 import time
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from ptnsbc_core.errors import PtnsbcError
@@ -20,6 +23,7 @@ from ptnsbc_nodes.fleet.child_process import ChildProcess, ProcessCommand, end
 from ptnsbc_nodes.fleet.coordinator_node import Coordinator
 from ptnsbc_nodes.fleet.emergency_stop import order_landing
 from ptnsbc_nodes.fleet.process_list import FleetOptions, names
+from ptnsbc_nodes.runtime.process import RUNNING
 from ptnsbc_nodes.runtime.signals import StopRequest
 from ptnsbc_nodes.runtime.watchdog import ENDED_S, RECORDER_ENDED_S
 
@@ -34,6 +38,8 @@ _RECORDER_PATIENCE_S = 60.0  # what is still queued belongs into the bag
 _PILOTS_S = 10.0  # a pilot lands when it suits the pilot
 _OVER_S = 3.0
 _REMINDER_S = 10.0
+_UNHEARD_S = 15.0  # discovery takes a few seconds, on a busy machine too
+_READY = "ready"  # the line of a recorder that listens
 
 
 class FleetError(PtnsbcError):
@@ -59,6 +65,9 @@ class Supervisor:
         self._refusal: str | None = "/formation/start was not called"
         self._reminder = time.monotonic() + _REMINDER_S
         self._was_led = False
+        self._introduced: dict[str, float] = {}  # processes that were heard, and since when
+        self._running: dict[str, float] = {}  # processes that have loaded, and since when
+        self._restarts: Counter[str] = Counter()
         if options.shared:
             coordinator.share(leads=options.leads)
 
@@ -72,12 +81,13 @@ class Supervisor:
         """Start all processes, a few at a time, wait until all are ready, and start the flight."""
         # Half of a process's start is loading, half is waiting for its discovery.
         at_once = 2 * (os.cpu_count() or 1)
+        self._launch = partial(ChildProcess, environment=settings, log_dir=log_dir)
         for command in commands:
             while len(self._silent()) >= at_once and self._wait(deadline):
                 pass
             if self._stop.came:
                 return
-            self.children.append(ChildProcess(command, settings, log_dir))
+            self.children.append(self._launch(command))
             if command.managed is not None:
                 self._coordinator.manage(command.name, command.managed)
         if self._options.leads:
@@ -248,13 +258,14 @@ class Supervisor:
 
     def _heard(self, child: ChildProcess) -> bool:
         if child.name == RECORDER:  # it has no status on /diagnostics
-            return "ready" in child.log_lines()
+            return _READY in child.log_lines()
         return child.name in self._coordinator.waiting
 
     def _wait(self, deadline: float) -> bool:
         """Wait a little; False when a signal has come, FleetError when it takes too long."""
         self._coordinator.spin(_LOOK_S)
         self._pass_on_lines()
+        self._renew_unheard()
         for child in self.children:
             if child.exit_code is not None and not self._stop.came:
                 raise FleetError(f"before the flight: {child.exit_summary()}")
@@ -268,6 +279,53 @@ class Supervisor:
             self._reminder = time.monotonic() + _REMINDER_S
             self._progress("\n".join(self._waiting_for()) or f"all are ready, but {self._refusal}")
         return not self._stop.came
+
+    def _renew_unheard(self) -> None:
+        """Start a process again that has loaded and that nobody hears.
+
+        A discovery server now and then leaves a process out for good. Then a new one is introduced.
+        """
+        now = time.monotonic()
+        unheard = [child for child in self.children if not self._is_introduced(child, now)]
+        loaded = [child for child in unheard if self._is_running(child, now)]
+        # As long as others are found, and while the machine is busy with loading, it may just be slow.
+        last_s = max([*self._introduced.values(), *self._running.values()], default=now)
+        for child in loaded:
+            if now < last_s + _UNHEARD_S * 2 ** self._restarts[child.name]:
+                continue
+            self._restarts[child.name] += 1
+            if not self._coordinator.waiting and self._restarts[child.name] % 2:
+                self._progress("no process is heard: the launcher joins the network again")
+                self._coordinator.rejoin()
+                self._restarts.update(other.name for other in loaded if other is not child)
+                return
+            self._progress(f"{child.name} (pid {child.pid}) is not heard: it is started again")
+            self._start_again(child)
+            return
+
+    def _is_introduced(self, child: ChildProcess, now: float) -> bool:
+        if child.name not in self._introduced:
+            heard = child.name in self._coordinator.waiting
+            if heard or (child.name == RECORDER and self._coordinator.sees(RECORDER)):
+                self._introduced[child.name] = now
+        return child.name in self._introduced
+
+    def _is_running(self, child: ChildProcess, now: float) -> bool:
+        if child.name not in self._running and {RUNNING, _READY}.intersection(child.log_lines()):
+            self._running[child.name] = now
+        # A bridge that was asked to act may be flying its vehicle.
+        bridge = child.command.ends and child.name != SIM
+        return child.name in self._running and not (bridge and self._coordinator.asked(child.name))
+
+    def _start_again(self, child: ChildProcess) -> None:
+        end([child])
+        del self._running[child.name]
+        command = child.command
+        if child.name == RECORDER:  # the bag that is there is its own, and empty
+            command = replace(command, arguments=(*command.arguments, "--overwrite"))
+        self.children[self.children.index(child)] = self._launch(command)
+        if command.managed is not None:
+            self._coordinator.manage(command.name, command.managed)
 
     def _late(self) -> str:
         lines = self._waiting_for()

@@ -23,9 +23,11 @@ from ptnsbc_nodes.runtime import environment
 from ptnsbc_nodes.runtime.executor import make_executor
 from ptnsbc_nodes.runtime.lifecycle_node import ManagedNode
 from ptnsbc_nodes.runtime.provenance import add_version
-from ptnsbc_nodes.runtime.signals import exit_on_signal, install_handler
+from ptnsbc_nodes.runtime.signals import install_handler, keep_exit_code
 
 USER_ERROR = 2
+RUNNING = "running"
+"""The line that a process writes into its log once it has loaded everything and serves its node."""
 _FLUSH_S = 5.0  # half of what the launcher waits; a recorder that is busy is seconds behind
 _SIGNAL_CHECK_S = 0.2
 
@@ -84,7 +86,7 @@ def run(
     except PtnsbcError as error:
         print(f"{parser.prog}: {error}", file=sys.stderr)
         code = USER_ERROR
-    exit_on_signal(code)  # the work is done: a signal now must not change its exit code
+    keep_exit_code(code)
     return code
 
 
@@ -155,6 +157,7 @@ class ProcessLifetime:
         # What was made so far lives as long as the process: no collection need look at it.
         gc.collect()
         gc.freeze()
+        print(RUNNING, flush=True)
         while not (self._signalled or self._done.done()) and node.context.ok():
             # Python sees a signal only between two calls.
             executor.spin_until_future_complete(self._done, timeout_sec=_SIGNAL_CHECK_S)

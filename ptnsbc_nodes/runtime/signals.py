@@ -5,6 +5,7 @@ This module imports the standard library only, so that a process has its handler
 
 from __future__ import annotations
 
+import atexit
 import os
 import select
 import signal
@@ -37,11 +38,28 @@ def exit_on_signal(exit_code: int = 0, message: str = "") -> None:
         _replaced.update(before)
 
 
+def keep_exit_code(exit_code: int) -> None:
+    """The work of this process is done: from now on no signal changes its exit code.
+
+    While the interpreter ends, Python gives the signals back to the system, and one that comes then would
+    kill the process. So they are ignored from the last exit function on.
+    """
+    exit_on_signal(exit_code)
+    atexit.unregister(_ignore_signals)
+    atexit.register(_ignore_signals)
+
+
+def _ignore_signals() -> None:
+    for number in _SIGNALS:
+        signal.signal(number, signal.SIG_IGN)
+
+
 def restore_handlers() -> None:
     """Give back the handlers from before `exit_on_signal`."""
     for number, handler in _replaced.items():
         signal.signal(number, handler)
     _replaced.clear()
+    atexit.unregister(_ignore_signals)
 
 
 @contextmanager

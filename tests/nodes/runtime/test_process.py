@@ -119,7 +119,8 @@ def test_a_node_waits_without_burning_the_processor(domain):
         cwd=ROOT,
         env={**os.environ, "ROS_DOMAIN_ID": str(domain)},
     )
-    assert [process.stdout.readline() for _ in range(5)] == ["tick\n"] * 5
+    told = [process.stdout.readline() for _ in range(6)]
+    assert told == ["running\n", *["tick\n"] * 5]
     process.send_signal(signal.SIGTERM)
     out, _ = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 0

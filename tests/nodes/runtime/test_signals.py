@@ -50,6 +50,34 @@ def test_handlers_of_a_process_can_be_given_back():
     assert (signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)) == before
 
 
+# An object of this module is destroyed when the interpreter has given the signals back to the system.
+ENDS = """
+import os, signal, sys
+from ptnsbc_nodes.runtime.signals import exit_on_signal, keep_exit_code
+
+class Last:
+    def __init__(self):
+        self.kill, self.write = os.kill, os.write
+        self.pid, self.number = os.getpid(), int(sys.argv[1])
+
+    def __del__(self):
+        self.write(2, b"signal sent")
+        self.kill(self.pid, self.number)
+
+exit_on_signal(4)
+keep_exit_code(3)
+last = Last()
+sys.exit(3)
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=lambda n: n.name)
+def test_a_signal_while_the_interpreter_ends_changes_no_exit_code(number):
+    process = [sys.executable, "-c", ENDS, str(int(number))]
+    done = subprocess.run(process, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (3, "signal sent")
+
+
 # Sends the process a signal at a moment of its start, once: at the import of a module, or before all of them.
 HOOK = """
 import os, signal, sys
