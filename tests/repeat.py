@@ -1,14 +1,16 @@
 """`make repeat N=8 PROCESSES=30`: the tests again and again, on a free machine and on a busy one in turn.
 
-    tests/repeat.py N PROCESSES JOBS
+    tests/repeat.py N PROCESSES JOBS [WORD...]
 
 `tests/run.py` runs N times, then the part that starts processes runs PROCESSES times. Every second run has as many busy
-loops beside it as there are cores. Prints the time and the summary of each run; nothing is run again because it failed.
+loops beside it as there are cores. Words go to pytest, as in `make repeat ARGS="-k signals"`. Prints the time and the
+summary of each run, and how many tests were not judged; nothing is run again because it failed.
 """
 
 from __future__ import annotations
 
 import os
+import re
 import resource
 import subprocess
 import sys
@@ -16,13 +18,22 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import NamedTuple
 
 HERE = Path(__file__).resolve().parent
 STARTS_PROCESSES = (
     "nodes", "io/bag", "sim/autopilot", "tools/commands", "tools/replay", "tools/reproduce", "bench", "test_launch.py",
 )  # fmt: skip
+NOT_JUDGED = re.compile(r"(\d+) not judged")
 BUSY = "import os\nparent = os.getppid()\nwhile os.getppid() == parent: pass"
 """A busy loop that ends with the program that started it."""
+
+
+class Run(NamedTuple):
+    """What came of one run of the tests."""
+
+    passed: bool
+    not_judged: int  # tests in real time that failed while others had the machine
 
 
 @contextmanager
@@ -40,8 +51,8 @@ def busy_loops(count: int) -> Iterator[None]:
             loop.wait()
 
 
-def run(title: str, loops: int, log: Path, *words: str) -> bool:
-    """Run the tests once, with all output in a file; whether none failed."""
+def run(title: str, loops: int, log: Path, *words: str) -> Run:
+    """Run the tests once, with all output in a file."""
     start, before = time.monotonic(), resource.getrusage(resource.RUSAGE_CHILDREN)
     with busy_loops(loops), log.open("w") as stream:
         command = (sys.executable, str(HERE / "run.py"), *words)
@@ -56,24 +67,27 @@ def run(title: str, loops: int, log: Path, *words: str) -> bool:
         sep="\n",
         flush=True,
     )
-    return code == 0
+    not_judged = sum(int(count) for line in summary for count in NOT_JUDGED.findall(line))
+    return Run(code == 0, not_judged)
 
 
 def main() -> int:
-    times, part_times, jobs = (int(word) for word in sys.argv[1:])
+    times, part_times, jobs = (int(word) for word in sys.argv[1:4])
+    words = (str(jobs), *sys.argv[4:])
     logs = HERE.parent / "out" / "repeat"
     logs.mkdir(parents=True, exist_ok=True)
     cores = len(os.sched_getaffinity(0))
     paths = [str(HERE / place) for place in STARTS_PROCESSES]
-    passed = []
+    runs = []
     for k in range(times):
         file = logs / f"all{k + 1}.log"
-        passed.append(run(f"all, {k + 1} of {times}", k % 2 * cores, file, str(jobs)))
+        runs.append(run(f"all, {k + 1} of {times}", k % 2 * cores, file, *words))
     for k in range(part_times):
         title, file = f"processes, {k + 1} of {part_times}", logs / f"processes{k + 1}.log"
-        passed.append(run(title, k % 2 * cores, file, str(jobs), *paths))
-    print(f"{sum(passed)} of {len(passed)} runs without a failure")
-    return 0 if all(passed) else 1
+        runs.append(run(title, k % 2 * cores, file, *words, *paths))
+    passed, not_judged = sum(one.passed for one in runs), sum(one.not_judged for one in runs)
+    print(f"{passed} of {len(runs)} runs without a failure, {not_judged} tests not judged")
+    return 0 if passed == len(runs) else 1
 
 
 if __name__ == "__main__":

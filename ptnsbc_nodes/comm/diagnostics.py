@@ -13,7 +13,7 @@ from ptnsbc_sim.scenario import Scenario
 
 STATUS_HZ = 5
 INACTIVE = "activation"
-"""What a node that is configured but not active waits for."""
+"""In `waiting_for` of a node that is configured and not yet activated."""
 
 
 def status_every(scenario: Scenario) -> int:

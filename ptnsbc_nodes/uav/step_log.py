@@ -141,7 +141,7 @@ def _label(state: AgentState) -> str:
     counts = zip(state._fields, _sizes(state), strict=True)
     words = " ".join(f"{name}:{size}" for name, size in counts)
     limits = len(VehicleSpeedLimits._fields)
-    return f"sequence:1 {words} tally:{UavCounters.SIZE} limits:{limits}"
+    return f"sequence:1 {words} counters:{UavCounters.SIZE} limits:{limits}"
 
 
 class ControllerSnapshot(NamedTuple):
@@ -153,9 +153,14 @@ class ControllerSnapshot(NamedTuple):
     limits: VehicleSpeedLimits
 
 
+def current_label(label: str) -> str:
+    """The label of a recorded snapshot in today's words: the counters once had another name."""
+    return label.replace(" tally:", " counters:", 1)
+
+
 def decode_snapshot(label: str, numbers: Floats, like: AgentState) -> ControllerSnapshot:
     """The snapshot in a message; WireError when its state is not of the shape of `like`."""
-    if label != _label(like) or len(numbers) != _length(like):
+    if current_label(label) != _label(like) or len(numbers) != _length(like):
         raise WireError(f"snapshot with {label!r}: expected {_label(like)!r}")
     at = 1 + sum(_sizes(like))
     counters = numbers[at : at + UavCounters.SIZE]

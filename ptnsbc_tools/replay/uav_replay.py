@@ -25,6 +25,7 @@ from ptnsbc_nodes.uav.step_log import (
     SnapshotTemplate,
     TickNote,
     checksum,
+    current_label,
     decode_snapshot,
     sources,
 )
@@ -276,7 +277,7 @@ class UavReplay:
             self.account.compared += 1
             return None
         found, own = decode_floats(data), decode_floats(made)
-        if found.label != own.label:
+        if current_label(found.label) != own.label:
             return Mismatch("snapshot", found.label, own.label)
         names = [
             f"{word.partition(':')[0]}[{k}]"
@@ -286,6 +287,7 @@ class UavReplay:
         for name, recorded, computed in zip(names, found.values, own.values, strict=True):
             if recorded.tobytes() != computed.tobytes():
                 return of_numbers(f"snapshot {name}", float(recorded), float(computed))
+        self.account.compared += 1
         return None
 
 

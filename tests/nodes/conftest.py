@@ -95,7 +95,7 @@ class Ros:
         node.destroy_node()
 
     def spin_for(self, seconds: float) -> None:
-        """Serve callbacks for a while."""
+        """Serve callbacks for a while: where nothing must come, there is nothing to wait for."""
         from rclpy.task import Future
 
         self.executor.spin_until_future_complete(Future(), timeout_sec=seconds)

@@ -26,7 +26,7 @@ def work_in_every_period(delays: list[float]) -> None:
     due = time.monotonic()
     while True:
         due += PERIOD_S
-        time.sleep(max(due - time.monotonic(), 0.0))
+        time.sleep(max(due - time.monotonic(), 0.0))  # how late it returns is what is measured
         end = time.thread_time() + WORK_S
         while time.thread_time() < end:
             pass

@@ -50,15 +50,15 @@ BUSY = [sys.executable, "-S", "-c", "while True: pass"]
 def test_fails():
     Path("begun").touch()
     while not Path("go").exists():
-        time.sleep(0.01)
-    time.sleep(1.0)
+        time.sleep(0.01)  # between two looks: a file gives no notice
+    time.sleep(1.0)  # a second in which the machine is measured
     assert 1 == 2, "as it must"
 
 @pytest.mark.alone
 def test_starves_itself():
     loops = [subprocess.Popen(BUSY) for _ in range(LOOPS)]
     try:
-        time.sleep(1.0)
+        time.sleep(1.0)  # the same
         assert 1 == 2, "as it must"
     finally:
         for loop in loops:
@@ -123,7 +123,7 @@ def test_beside_busy_loops_of_others_it_is_not_judged(tmp_path):
         flights = stack.enter_context(start(tmp_path, "-k", "not starves"))
         while not (tmp_path / "begun").exists():
             assert flights.poll() is None
-            time.sleep(0.01)
+            time.sleep(0.01)  # between two looks: a file gives no notice
         for _ in range(LOOPS):
             loop = subprocess.Popen([sys.executable, "-S", "-c", "while True: pass"])
             stack.callback(loop.wait)

@@ -47,7 +47,7 @@ def messages(ticks: int) -> dict[topics.Topic, list[bytes]]:
 class Flight:
     """Publishers that match the recorder before the first message."""
 
-    def __init__(self, ros, recorded, *, lockstep: bool) -> None:
+    def __init__(self, ros, recorded, *, lockstep: bool, recorder=None) -> None:
         self.node = node = ros.node("uav")
         self._publishers = {
             topic: node.create_publisher(
@@ -56,8 +56,13 @@ class Flight:
             for topic in recorded
         }
         ros.spin_until(lambda: all(p.get_subscription_count() for p in self._publishers.values()))
-        # The other end may learn of the match a little later.
-        ros.spin_for(0.3)
+        if recorder is None:
+            # A process may learn of the match a little later than its other end, and cannot be asked.
+            ros.spin_for(0.3)
+        else:
+            names = {topic.name for topic in recorded}
+            ends = [end for end in recorder.subscriptions if end.topic_name in names]
+            ros.spin_until(lambda: all(end.get_publisher_count() for end in ends))
 
     def publish(self, topic, data: bytes) -> None:
         self._publishers[topic].publish(data)
@@ -75,7 +80,7 @@ def record(ros, path: Path, lockstep: bool, order) -> FleetRecorder:
     with BagWriter(path, infos) as writer:
         node = ros.node("recorder")
         recorder = FleetRecorder(node, writer, RECORDED, Transforms([1]), lockstep=lockstep)
-        flight = Flight(ros, messages(1), lockstep=lockstep)
+        flight = Flight(ros, messages(1), lockstep=lockstep, recorder=node)
         for count, (topic, data) in enumerate(order, start=1):
             flight.publish(topic, data)
             if count % 5 == 0:

@@ -25,11 +25,11 @@ def test_after_loading_no_tick_waits_for_a_law():
     load_agent(scenario, scenario.leader_id)
     load_world(scenario)
     edges = CommunicationGraph(scenario, FlightOptions())
-    pilots = {
+    controllers = {
         i: UavController(agent_config(scenario, i), edges.senders(i)) for i in scenario.uav_ids
     }
     before = loaded()
-    fly(scenario, edges, pilots, ticks=20)
+    fly(scenario, edges, controllers, ticks=20)
     assert loaded() - before == set()
 
 
@@ -62,18 +62,20 @@ def loaded():
     return {(law.py_func.__qualname__, kinds) for law in laws for kinds in law.overloads}
 
 
-def fly(scenario, edges, pilots, ticks):
+def fly(scenario, edges, controllers, ticks):
     """Every UAV as its process ticks, the first ones before the epoch."""
     world, epochs = World(scenario), Epochs()
     epochs.announce(10 * scenario.dt_ns, "form")
     for k in range(ticks):
         now_ns = k * scenario.dt_ns
         at = step_time(now_ns, scenario.dt_ns, epochs.at(now_ns), 0)
-        for i, pilot in pilots.items():
-            pilot.inbox.own = Stamped(now_ns, world.odometry(i))
-            pilot.inbox.near = Stamped(now_ns, world.near(i))
+        for i, controller in controllers.items():
+            controller.inbox.own = Stamped(now_ns, world.odometry(i))
+            controller.inbox.near = Stamped(now_ns, world.near(i))
             for other in edges.senders(i).states:
-                pilot.inbox.on_state(other, Stamped(now_ns, world.odometry(other)))
+                controller.inbox.on_state(other, Stamped(now_ns, world.odometry(other)))
             for other in edges.senders(i).estimators:
-                pilot.inbox.on_estimate(other, Stamped(now_ns, world.odometry(other)))
-        world.step({i: pilot.step(at, NO_CUTOFF_NS).wrench for i, pilot in pilots.items()})
+                controller.inbox.on_estimate(other, Stamped(now_ns, world.odometry(other)))
+        world.step(
+            {i: controller.step(at, NO_CUTOFF_NS).wrench for i, controller in controllers.items()}
+        )

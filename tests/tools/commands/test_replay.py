@@ -139,7 +139,9 @@ def test_ctrl_c_ends_a_loop_in_order(start, domain, headless):
     with observer(domain) as node:
         while not node.count_publishers("/uav1/odom"):
             assert played.poll() is None and time.monotonic() < end
-            time.sleep(0.05)
+            time.sleep(
+                0.05
+            )  # between two looks at the graph: the observer has no executor to wait in
     for process, code in ((played, 130), (recorder, 2)):
         process.send_signal(signal.SIGINT)
         _, err = process.communicate(timeout=60)
