@@ -54,6 +54,11 @@ def _manifest(verdict: dict[str, Any]) -> dict[str, Any]:
 
 def main() -> None:
     """Fly, describe, sign."""
+    for name in (
+        "MANIFEST.json",
+        "SHA256SUMS",
+    ):  # --overwrite replaces a folder with a bag alone in it
+        (SAMPLE / name).unlink(missing_ok=True)
     manifest = _manifest(_fly())
     text = json.dumps(manifest, indent=2, ensure_ascii=False)
     (SAMPLE / "MANIFEST.json").write_text(f"{text}\n", encoding="utf-8")

@@ -41,6 +41,7 @@ LARGE_FOLDERS: dict[str, str] = {
 # Tests of no single module, and what they test.
 TESTS_OF_MORE: dict[str, str] = {
     "tests/core/tasks/test_jacobians.py": "all tasks",
+    "tests/io/bag/test_hostile.py": "bags that were made to do harm",
     "tests/nodes/bridge/test_failure_table.py": "docs/hardware.md",
     "tests/nodes/bridge/test_fleet_mavlink.py": "a fleet of bridges",
     "tests/nodes/bridge/test_processes.py": "the processes of a bridged UAV",

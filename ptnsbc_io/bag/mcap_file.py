@@ -2,27 +2,35 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from itertools import pairwise
+from operator import attrgetter
 from pathlib import Path
-from typing import IO, NamedTuple
+from typing import IO, NamedTuple, TypeVar
 
 from mcap.reader import SeekingReader
-from mcap.records import Attachment, Channel, ChunkIndex, Metadata, Schema
+from mcap.records import Attachment, Channel, ChunkIndex, Metadata, MetadataIndex, Schema
+from mcap.stream_reader import StreamReader
 
 from ptnsbc_io.bag.errors import BagError, DamagedError
 from ptnsbc_io.bag.records import (
+    LARGEST_CHUNK,
     MAGIC,
+    MOST_MESSAGES,
     RECORD_HEAD,
     BagMessage,
     Damage,
     MessageRecord,
-    chunk_data,
+    Unpacker,
     chunk_messages,
     walk,
 )
+
+_stamp = attrgetter("stamp_ns")
+R = TypeVar("R", Attachment, Metadata)
 
 
 class ChunkLocation(NamedTuple):
@@ -69,6 +77,8 @@ class Contents:
 @contextmanager
 def open_mcap(path: Path) -> Iterator[IO[bytes]]:
     """Open a file for reading; whatever error damaged bytes cause becomes a DamagedError."""
+    if not path.is_file():  # a pipe would be waited for
+        raise BagError(f"{path} cannot be read: expected a file")
     try:
         with path.open("rb") as stream:
             yield stream
@@ -107,7 +117,7 @@ def read_summary(path: Path) -> Contents | None:
         )
         if statistics.message_count:
             found.span_ns = (statistics.message_start_time, statistics.message_end_time)
-        for record in reader.iter_metadata():
+        for record in _metadata(stream, summary.metadata_indexes, size):
             found.add(record)
         return found
 
@@ -126,21 +136,29 @@ def messages_by_time(
     path: Path, contents: Contents, wanted: frozenset[str] | None
 ) -> Iterator[BagMessage]:
     """Messages in order of log time; DamagedError at the first damage."""
+    channels = contents.channels.values()
+    topics = {c.id: c.topic for c in channels if wanted is None or c.topic in wanted}
+    chunks = [c for c in contents.chunks if not c.channels or not c.channels.isdisjoint(topics)]
     with open_mcap(path) as stream:
-        if any(a.last_ns > b.first_ns for a, b in pairwise(contents.chunks)):
-            # Chunks overlap in time: the library holds those open that do.
-            reader = SeekingReader(stream, validate_crcs=True)
-            for _, channel, message in reader.iter_messages(wanted):
-                yield BagMessage(channel.topic, message.log_time, message.data)
-            return
-        channels = contents.channels.values()
-        topics = {c.id: c.topic for c in channels if wanted is None or c.topic in wanted}
-        for chunk in contents.chunks:
-            if chunk.channels and chunk.channels.isdisjoint(topics):
-                continue
+        unpacker = Unpacker(stream.seek(0, 2))
+
+        def messages(chunk: ChunkLocation) -> list[BagMessage]:
             stream.seek(chunk.start + RECORD_HEAD.size)
-            data = chunk_data(stream.read(chunk.size - RECORD_HEAD.size))
-            yield from chunk_messages(data, topics)
+            return chunk_messages(unpacker.unpack(stream.read(chunk.size)), topics)
+
+        if not any(a.last_ns > b.first_ns for a, b in pairwise(chunks)):
+            for chunk in chunks:
+                yield from messages(chunk)
+            return
+        # Chunks overlap in time: those that do are held open.
+        open_: list[BagMessage] = []
+        for chunk in chunks:
+            ready = bisect_left(open_, chunk.first_ns, key=_stamp)
+            yield from open_[:ready]
+            open_ = sorted(open_[ready:] + messages(chunk), key=_stamp)
+            if len(open_) > MOST_MESSAGES or sum(len(one.data) for one in open_) > LARGEST_CHUNK:
+                raise ValueError("too many chunks at the same time")
+        yield from open_
 
 
 def messages_in_file_order(
@@ -163,15 +181,44 @@ def messages_in_file_order(
             raise ValueError("a chunk or the end of the file")
 
 
-def attachments(path: Path, *, salvage: bool) -> Iterator[Attachment]:
-    """The attachments of a file; with `salvage` those that can be read."""
+def attachments(path: Path) -> Iterator[Attachment]:
+    """The attachments of a file that can be read, in the order of the file."""
     with open_mcap(path) as stream:
-        records: Iterable[object] = walk(stream, Damage())
-        if not salvage:
-            records = SeekingReader(stream, validate_crcs=True).iter_attachments()
-        for record in records:
+        for record in walk(stream, Damage()):
             if isinstance(record, Attachment):
                 yield record
+
+
+def attachment(path: Path, name: str) -> Attachment | None:
+    """An attachment by the summary; DamagedError when it is damaged."""
+    with open_mcap(path) as stream:
+        size = stream.seek(0, 2)
+        stream.seek(0)
+        summary = SeekingReader(stream, record_size_limit=size).get_summary()
+        offsets = (
+            [one.offset for one in summary.attachment_indexes if one.name == name]
+            if summary
+            else []
+        )
+        return _record_at(stream, offsets[0], Attachment, size) if offsets else None
+
+
+def _record_at(stream: IO[bytes], offset: int, kind: type[R], longest: int) -> R:
+    stream.seek(offset)
+    records = StreamReader(stream, skip_magic=True, record_size_limit=longest).records
+    record = next(records)
+    if not isinstance(record, kind):
+        raise ValueError(f"{type(record).__name__}: expected {kind.__name__}")
+    return record
+
+
+def _metadata(stream: IO[bytes], indexes: Iterable[MetadataIndex], size: int) -> Iterator[Metadata]:
+    """The metadata records of a summary; together they cannot be longer than the file."""
+    for index in indexes:
+        size -= index.length
+        if size < 0:
+            raise ValueError("metadata longer than the file")
+        yield _record_at(stream, index.offset, Metadata, index.length)
 
 
 def _check_magic(path: Path, stream: IO[bytes]) -> None:
@@ -183,10 +230,10 @@ def _check_magic(path: Path, stream: IO[bytes]) -> None:
 
 
 def _chunk_locations(indexes: Iterable[ChunkIndex]) -> list[ChunkLocation]:
-    """In order of log time."""
+    """In order of log time; each chunk once."""
     known: dict[frozenset[int], frozenset[int]] = {}
     found = []
-    for index in indexes:
+    for index in {index.chunk_start_offset: index for index in indexes}.values():
         channels = frozenset(index.message_index_offsets)
         channels = known.setdefault(channels, channels)
         span = index.message_start_time, index.message_end_time

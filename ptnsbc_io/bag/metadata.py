@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
+
+import yaml
 
 from ptnsbc_io.bag.definitions import definition
 from ptnsbc_io.bag.errors import BagError
@@ -12,6 +15,9 @@ from ptnsbc_io.bag.errors import BagError
 METADATA_FILE = "metadata.yaml"
 METADATA_RECORD = "ptnsbc"  # of MCAP, with our own keys and values
 
+_LONGEST_METADATA = 4_000_000  # [bytes]
+_DEEPEST = 20
+_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 _INFINITE = {"sec": 9223372036, "nsec": 854775807}  # RMW_DURATION_INFINITE
 _RELIABILITY = ("reliable", "best_effort")
 _DURABILITY = ("volatile", "transient_local")
@@ -113,6 +119,34 @@ def bag_information(
         "custom_data": None,
         "ros_distro": "jazzy",
     }
+
+
+def read_metadata(path: Path) -> dict[str, Any]:
+    """`rosbag2_bagfile_information` of a metadata.yaml; BagError when it cannot be read."""
+    try:
+        if path.stat().st_size > _LONGEST_METADATA:
+            raise ValueError(f"longer than {_LONGEST_METADATA} bytes")
+        stated = plain_yaml(path.read_text(encoding="utf-8"))["rosbag2_bagfile_information"]
+        return dict(stated)
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise BagError(f"{path} cannot be read ({error}): expected what rosbag2 writes") from None
+
+
+def plain_yaml(text: str) -> Any:
+    """The value of a YAML text; ValueError when it is none, nested deeply, or has aliases.
+
+    A few bytes of aliases stand for gigabytes.
+    """
+    depth = 0
+    try:
+        for event in yaml.parse(text, Loader=_LOADER):
+            depth += isinstance(event, yaml.CollectionStartEvent)
+            depth -= isinstance(event, yaml.CollectionEndEvent)
+            if isinstance(event, yaml.AliasEvent) or depth > _DEEPEST:
+                raise ValueError("aliases, or nested too deeply")
+        return yaml.load(text, Loader=_LOADER)
+    except yaml.YAMLError as error:
+        raise ValueError(f"not YAML: {error}") from None
 
 
 def _file_entry(file: FileSummary) -> dict[str, Any]:

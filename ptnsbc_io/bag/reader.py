@@ -8,12 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
-import yaml
-
 from ptnsbc_io.bag import mcap_file
 from ptnsbc_io.bag.errors import BagError, DamagedError
 from ptnsbc_io.bag.mcap_file import Contents
-from ptnsbc_io.bag.metadata import METADATA_FILE, METADATA_RECORD
+from ptnsbc_io.bag.metadata import METADATA_FILE, METADATA_RECORD, read_metadata
 from ptnsbc_io.bag.records import BagMessage
 
 _FILE_NUMBER = re.compile(r"_(\d+)\.mcap$")
@@ -65,9 +63,13 @@ class Bag:
         """The content of the attachment `name`."""
         for path, contents in self.files:
             if name in contents.attachments:
-                for record in mcap_file.attachments(path, salvage=self.salvage):
-                    if record.name == name:
-                        return bytes(record.data)
+                if not self.salvage:
+                    found = mcap_file.attachment(path, name)
+                else:
+                    every = mcap_file.attachments(path)
+                    found = next((one for one in every if one.name == name), None)
+                if found is not None:
+                    return bytes(found.data)
         known = ", ".join(self.attachments) or "none"
         raise BagError(f"{self.path}: no attachment {name!r}: expected one of {known}")
 
@@ -117,6 +119,8 @@ def mcap_files(path: Path) -> list[Path]:
         raise BagError(f"{path}: no such bag{hint}")
     if path.is_file():
         return [path]
+    if not path.is_dir():
+        raise BagError(f"{path}: a pipe or a device: expected a file, or the folder of a bag")
     files = list(path.glob("*.mcap"))
     if not files:
         raise BagError(f"{path}: no .mcap file in this folder: expected a rosbag2 folder")
@@ -187,14 +191,16 @@ def _metadata_problems(bag: Bag) -> Iterator[str]:
         yield f"{METADATA_FILE} is missing"
         return
     try:
-        stated = yaml.safe_load(path.read_text(encoding="utf-8"))["rosbag2_bagfile_information"]
+        stated = read_metadata(path)
         names, messages = stated["relative_file_paths"], stated["message_count"]
-    except (OSError, ValueError, KeyError, TypeError, yaml.YAMLError):
+        if not all(isinstance(name, str) for name in names) or not 0 <= messages < 2**64:
+            raise ValueError("names or a number")
+    except (BagError, KeyError, TypeError, ValueError):
         yield f"{METADATA_FILE} cannot be read"
         return
     files = [file.name for file, _ in bag.files]
     held = sum(topic.messages for topic in bag.topics.values())
     if names != files:
-        yield f"{METADATA_FILE} lists {', '.join(map(str, names))}, there is {', '.join(files)}"
+        yield f"{METADATA_FILE} lists {', '.join(names)}, there is {', '.join(files)}"
     elif messages != held:
         yield f"{METADATA_FILE} says {messages} messages, the files hold {held}"

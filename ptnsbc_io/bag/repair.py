@@ -12,13 +12,12 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import yaml
 from mcap.records import Channel, Schema
 
 from ptnsbc_io.bag import mcap_file
 from ptnsbc_io.bag.errors import BagError, DamagedError
 from ptnsbc_io.bag.mcap_file import Contents
-from ptnsbc_io.bag.metadata import TopicDeclaration
+from ptnsbc_io.bag.metadata import TopicDeclaration, plain_yaml
 from ptnsbc_io.bag.reader import mcap_files
 from ptnsbc_io.bag.records import Damage, MessageRecord, walk
 from ptnsbc_io.bag.writer import BagWriter
@@ -159,9 +158,7 @@ def _writer(paths: _Paths, files: list[Path], found: list[Contents]) -> BagWrite
         )
     records.pop("rosbag2", None)  # the writer makes a new one
     attachments = {
-        record.name: bytes(record.data)
-        for file in files
-        for record in mcap_file.attachments(file, salvage=True)
+        record.name: bytes(record.data) for file in files for record in mcap_file.attachments(file)
     }
     writer = BagWriter(paths.temporary, list(topics.values()), attachments=attachments)
     writer.name = paths.target.name
@@ -183,11 +180,27 @@ def _declaration(channel: Channel, schema: Schema) -> TopicDeclaration:
 
 
 def _qos(text: str) -> list[dict[str, Any]]:
+    """The profiles that a channel states; none when it states something else."""
     try:
-        profiles = yaml.safe_load(text)
-    except yaml.YAMLError:
+        profiles = plain_yaml(text)
+    except ValueError:
         return []
-    return profiles if isinstance(profiles, list) else []
+    if isinstance(profiles, list) and all(map(_is_profile, profiles)):
+        return profiles
+    return []
+
+
+def _is_profile(value: Any) -> bool:
+    """Whether it is a mapping of texts to numbers, texts and durations."""
+    if not isinstance(value, dict):
+        return False
+    parts = [
+        part
+        for one in value.values()
+        for part in (one.values() if isinstance(one, dict) else [one])
+    ]
+    plain = all(isinstance(part, str | int | float) for part in (*value, *parts))
+    return plain and all(abs(part) < 2**64 for part in parts if isinstance(part, int))
 
 
 def _copy(

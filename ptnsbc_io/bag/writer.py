@@ -7,6 +7,7 @@ completes the bag too. A killed writer leaves `<dir>.part`, readable up to its l
 from __future__ import annotations
 
 import os
+import re
 import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -37,6 +38,7 @@ FLUSH_PERIOD = 0.5  # [s]: with the time to notice and to write, below the promi
 
 _LIBRARY = "ptnsbc"  # without a version, which would differ between equal bags
 _CHUNK_SIZE = 1 << 20  # [bytes], before compression
+_OF_A_BAG = re.compile(r"metadata\.yaml|.*\.(mcap|db3)(\.zstd)?")
 _MEDIA_TYPES = {
     ".yaml": "application/yaml",
     ".json": "application/json",
@@ -50,6 +52,24 @@ class SplitLimits(NamedTuple):
 
     size_bytes: int | None = None
     duration_ns: int | None = None  # in log time
+
+
+def check_replaceable(directory: Path, *, overwrite: bool) -> None:
+    """Raise BagError when a bag cannot take the place of what is there.
+
+    With `overwrite` it may replace a folder that holds nothing but the files of a bag.
+    """
+    if not directory.exists():
+        return
+    if not overwrite:
+        raise BagError(f"{directory} exists: choose another name or pass --overwrite")
+    names = [path.name for path in directory.iterdir()] if directory.is_dir() else [directory.name]
+    foreign = [name for name in sorted(names) if not _OF_A_BAG.fullmatch(name)]
+    if foreign or not directory.is_dir():
+        raise BagError(
+            f"{directory} holds {', '.join(foreign[:3]) or 'no bag'}: --overwrite replaces bags only: "
+            "move it away or choose another name"
+        )
 
 
 class McapFileWriter:
@@ -348,14 +368,14 @@ class BagWriter:
     def _make_part(self) -> None:
         """Create `<dir>.part`; BagError when it or `<dir>` exists."""
         way_out = "choose another name or pass --overwrite"
-        if self.directory.exists() and not self._overwrite:
-            raise BagError(f"{self.directory} exists: {way_out}")
+        check_replaceable(self.directory, overwrite=self._overwrite)
         if self._part.exists():
             if not self._overwrite:
                 raise BagError(
                     f"{self._part} exists, a recording that was killed or still runs: "
                     f"rescue it with ptnsbc bag repair, {way_out}"
                 )
+            check_replaceable(self._part, overwrite=True)
             shutil.rmtree(self._part)
         try:
             self._part.mkdir(parents=True)

@@ -127,7 +127,9 @@ def _our_rows(buf: bytes, shape_at: int) -> Floats:
     require(buf, layout_at + 8 + size + 1, _WHAT)
     _check_size(height, width, _STEP, row_step, size)
     numbers = np.frombuffer(buf, "<f4", width * len(NEAR_FIELDS), layout_at + 8)
-    return _usable(numbers.reshape(width, len(NEAR_FIELDS)).astype(np.float64))
+    with np.errstate(invalid="ignore"):  # of a signalling NaN, which is left out like any other
+        rows = numbers.reshape(width, len(NEAR_FIELDS)).astype(np.float64)
+    return _usable(rows)
 
 
 def _foreign_rows(buf: bytes, order: str, shape_at: int) -> Floats:
@@ -213,7 +215,8 @@ def _near_columns(points: NDArray[np.void]) -> Floats:
     rows = np.zeros((len(points), len(NEAR_FIELDS)))
     for i, name in enumerate(NEAR_FIELDS):
         if name in (points.dtype.names or ()):
-            rows[:, i] = points[name]
+            with np.errstate(invalid="ignore"):
+                rows[:, i] = points[name]
     return rows
 
 

@@ -15,6 +15,7 @@ from typing import Any
 from rclpy.exceptions import InvalidNamespaceException
 from rclpy.validate_namespace import validate_namespace
 
+from ptnsbc_io.bag.writer import check_replaceable
 from ptnsbc_nodes.comm.topics import RECORDER
 from ptnsbc_nodes.emergency.orders import list_fleet, release, runtime_folder
 from ptnsbc_nodes.emergency.records import forget_dead
@@ -69,9 +70,10 @@ def run_fleet(options: FleetOptions, progress: Report = lambda line: None) -> Fl
 
     Raises:
         FleetError: the options do not go together, or the fleet does not get ready.
+        BagError: the bag cannot take the place of what is there.
     """
-    if options.bag is not None and options.bag.exists() and not options.overwrite:
-        raise FleetError(f"{options.bag} exists: choose another name or pass --overwrite")
+    if options.bag is not None:
+        check_replaceable(options.bag, overwrite=options.overwrite)
     check_options(options)
     log_dir = Path(options.log_dir or tempfile.mkdtemp(prefix="ptnsbc-")).resolve()
     log_dir.mkdir(parents=True, exist_ok=True)

@@ -36,7 +36,7 @@ class Timing(Block):
     """Control rate: a multiple of 5 with a period of whole nanoseconds."""
     physics_hz: Annotated[Count, Field(le=20000)]
     """Integration rate of the plant, a multiple of `control_hz`."""
-    duration_s: Positive
+    duration_s: Annotated[Positive, Field(le=1e6)]
     """Length of the flight, at least one control period."""
 
 

@@ -74,6 +74,8 @@ _Loader.add_constructor("tag:yaml.org,2002:int", _plain_int)
 
 def parse(text: str, source: str) -> Tree:
     """The mapping that a scenario text holds."""
+    if len(text) > _MOST_BYTES:
+        raise ScenarioError(f"{source}: over {_MOST_BYTES} bytes: expected a scenario file")
     try:
         tree = yaml.load(text, Loader=_Loader)
     except yaml.MarkedYAMLError as error:

@@ -285,21 +285,34 @@ def scenario_from_text(
     *,
     source: str = "scenario",
     folder: Path | None = None,
+    complete: bool = False,
 ) -> Scenario:
-    """A scenario from YAML text, for example the one attached to a bag."""
+    """A scenario from YAML text.
+
+    Args:
+        text: YAML.
+        overrides: Values by dotted key.
+        source: Where it comes from, for messages.
+        folder: Where files that it extends are searched first.
+        complete: The text comes from outside, such as from a bag: it must not name files to read.
+    """
     tree = reader.parse(text, source)
+    if complete and "extends" in tree:
+        raise ScenarioError(
+            f"{source}: extends: not here: expected a whole scenario, no other file"
+        )
     given = {key: value for key, value in (overrides or {}).items() if value is not None}
     final = reader.extended(tree, source, folder or Path.cwd())
     if given:
         final = reader.overridden(final, given, source)
     if given or "extends" in tree:
         text = reader.dump(final)
-    complete = completed(final)
-    if _deadline_of(complete) == AUTO:
-        deadline_s = auto_deadline(_validated(_with_deadline(complete, 1.0), source), source)
-        complete = _with_deadline(complete, deadline_s)
+    filled = completed(final)
+    if _deadline_of(filled) == AUTO:
+        deadline_s = auto_deadline(_validated(_with_deadline(filled, 1.0), source), source)
+        filled = _with_deadline(filled, deadline_s)
         text = reader.dump(_with_deadline(final, deadline_s))
-    file = _validated(complete, source)
+    file = _validated(filled, source)
     return Scenario(file, checked(file, source), text, source)
 
 

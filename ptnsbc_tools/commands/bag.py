@@ -113,12 +113,12 @@ def _show(bag: Bag, wrong: list[str] | None) -> None:
         table.add_row(topic.name, topic.type, str(topic.messages))
     console.out().print(table)
     total = sum(topic.messages for topic in bag.topics.values())
-    print(f"{total} messages, {_when(bag.start_ns)} to {_when(bag.end_ns)}")
+    console.show(f"{total} messages, {_when(bag.start_ns)} to {_when(bag.end_ns)}")
     for key, value in bag.metadata.items():
-        print(f"{key}: {value}")
-    print(f"attachments: {', '.join(bag.attachments) or 'none'}")
+        console.show(f"{key}: {value}")
+    console.show(f"attachments: {', '.join(bag.attachments) or 'none'}")
     for line in wrong or ():
-        print(f"wrong: {line}")
+        console.show(f"wrong: {line}")
     if wrong == []:
         print("whole: every checksum is right")
 

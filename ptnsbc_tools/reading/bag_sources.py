@@ -12,11 +12,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
-import yaml
-
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_io.bag import Bag, BagError, BagMessage, read_bag
-from ptnsbc_io.bag.metadata import METADATA_FILE
+from ptnsbc_io.bag.metadata import METADATA_FILE, read_metadata
 from ptnsbc_sim.scenario import Scenario, load_scenario, scenario_from_text
 
 SCENARIO_ATTACHMENT = "scenario.yaml"
@@ -146,9 +144,8 @@ def _needs_rosbags(folder: Path) -> bool:
     if not any(folder.glob("*.mcap")):
         return True
     try:
-        metadata = yaml.safe_load((folder / METADATA_FILE).read_text(encoding="utf-8"))
-        return bool(metadata["rosbag2_bagfile_information"].get("compression_mode"))
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, yaml.YAMLError):
+        return bool(read_metadata(folder / METADATA_FILE).get("compression_mode"))
+    except BagError:
         return False
 
 
@@ -161,7 +158,9 @@ def scenario_of(source: BagSource, given: Path | None) -> Scenario:
         raise BagError(
             f"{source.path}: no {SCENARIO_ATTACHMENT} attached: name the scenario with --scenario"
         )
-    return scenario_from_text(text, source=f"{source.path.name}:{SCENARIO_ATTACHMENT}")
+    return scenario_from_text(
+        text, source=f"{source.path.name}:{SCENARIO_ATTACHMENT}", complete=True
+    )
 
 
 def check_types(source: BagSource, names: TopicNames, scenario: Scenario) -> None:

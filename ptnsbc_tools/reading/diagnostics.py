@@ -18,21 +18,25 @@ from ptnsbc_sim.verdict.recording import COUNTERS
 from ptnsbc_tools.reading.bag_sources import open_source
 from ptnsbc_tools.reading.disk_track import SampleFile, TrackWriters
 
-_PLANNER = re.compile(r"uav(\d+): planner")
-_LINK = re.compile(r"bridge(\d+): link")
+_PLANNER = re.compile(r"uav([0-9]{1,3}): planner")
+_LINK = re.compile(r"bridge([0-9]{1,3}): link")
+_STATES_SENT = re.compile(r"([0-9]{1,19}) ([1-9][0-9]{0,14})")  # stamp [ns], number of messages
+_LAST_NS = 2**63 - 1
 _SIM = "sim: world"
 _LATENCY = re.compile(r"latency_(\w+)_ms")
-_TICK = re.compile(r"/uav(\d+)/tick")
+_TICK = re.compile(r"/uav([0-9]{1,3})/tick")
 _SENSORS = ("own", "near")  # the messages of a step that no neighbour sent
 _PLANNER_KEYS = ("gain", "sigma_min", "missed_ticks")
 _SIM_KEYS = ("latency_p50_ms", "latency_p99_ms", "latency_max_ms", "missed_ticks")
 
 
 def _number(values: Mapping[str, str], key: str, default: float) -> float:
+    """A finite number of a status; the default for anything else."""
     try:
-        return float(values[key])
+        found = float(values[key])
     except (KeyError, ValueError):
         return default
+    return found if math.isfinite(found) else default
 
 
 class DiagnosticCounters:
@@ -51,9 +55,9 @@ class DiagnosticCounters:
                     values = np.array([_number(status.values, key, 0.0) for key in COUNTERS])
                     self._counters.add(int(planner[1]), array.stamp_ns, values)
             elif link := _LINK.fullmatch(status.name):
-                stamp, _, count = status.values.get("states_sent", "").partition(" ")
-                if stamp.isdecimal() and count.isdecimal() and int(count):
-                    self._sent.add(int(link[1]), int(stamp), np.array([float(count)]))
+                sent = _STATES_SENT.fullmatch(status.values.get("states_sent", ""))
+                if sent and int(sent[1]) <= _LAST_NS:
+                    self._sent.add(int(link[1]), int(sent[1]), np.array([float(sent[2])]))
             elif status.name == _SIM:
                 found = {key: _LATENCY.fullmatch(key) for key in status.values}
                 figures = {m[1]: _number(status.values, key, 0.0) for key, m in found.items() if m}
@@ -94,7 +98,7 @@ class StatusCollector:
             keys = _PLANNER_KEYS if planner else _SIM_KEYS if status.name == _SIM else ()
             for key in keys:
                 value = _number(status.values, key, math.nan)
-                if not math.isfinite(value):
+                if math.isnan(value):
                     continue
                 if planner:
                     self._planners.add((int(planner[1]), key), array.stamp_ns, np.array([value]))

@@ -10,7 +10,8 @@ from typing import Any
 from ptnsbc_core.agent import load_diagnostics
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.types import Array
-from ptnsbc_io.bag import BagError, BagWriter
+from ptnsbc_io.bag import BagWriter
+from ptnsbc_io.bag.writer import check_replaceable
 from ptnsbc_io.wire import ClockTemplate, HeaderTemplate, Stamped, encode_near
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.agent_messages import WORLD_FRAME, AgentMessages
@@ -152,8 +153,7 @@ def prepare_bag(directory: Path, *, overwrite: bool) -> None:
         raise BagSupportError(
             f"--bag: {error.name} is not installed: install the extra [ros], or source ROS 2"
         ) from None
-    if directory.exists() and not overwrite:
-        raise BagError(f"{directory} exists: choose another name or pass --overwrite")
+    check_replaceable(directory, overwrite=overwrite)
 
 
 def write_flight(

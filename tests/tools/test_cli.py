@@ -254,3 +254,32 @@ def test_the_same_flight_gives_the_same_bytes(tmp_path: Path) -> None:
         run("simulate", "paper_5", "--duration", "1", "--bag", tmp_path / name / "bag", "--json")
     first, second = (next((tmp_path / name / "bag").glob("*.mcap")) for name in ("a", "b"))
     assert first.read_bytes() == second.read_bytes()
+
+
+def test_what_a_bag_names_is_no_command_for_the_terminal(tmp_path: Path) -> None:
+    """A topic `[/b]` was a traceback, and metadata could clear the screen."""
+    infos = [TopicInfo(name, "std_msgs/msg/Header") for name in ("[/b]", ":smile:\x1b[2J")]
+    metadata = {"pilot\x1b]0;owned\x07": "\x1b[31mred\u202e"}
+    with BagWriter(tmp_path / "flight", infos, metadata=metadata) as writer:
+        writer.write("[/b]", 0, HeaderTemplate("x").encode(0))
+    code, out, err = run("bag", "info", tmp_path / "flight", "--check")
+    assert (code, err) == (0, "")
+    assert "[/b]" in out and ":smile:\\x1b[2J" in out and "\\x1b[31mred\\u202e" in out
+    assert not {"\x1b", "\x07", "\u202e"}.intersection(out)
+    assert all(text.isprintable() for text in run("check", "no\x1b[2Jsuch")[2].splitlines())
+
+
+def test_overwrite_refuses_a_folder_that_is_no_bag(tmp_path: Path) -> None:
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "letter.txt").write_text("dear")
+    words = ("paper_5", "--duration", "1", "--bag", tmp_path / "mine", "--overwrite")
+    code, _, err = run("simulate", *words)
+    assert code == 2
+    assert "holds letter.txt" in err and "--overwrite replaces bags only" in err
+    assert (tmp_path / "mine" / "letter.txt").read_text() == "dear"
+
+
+def test_a_flight_of_ages_is_refused(tmp_path: Path) -> None:
+    code, _, err = run("check", "paper_5", "--set", "timing.duration_s=1e300")
+    assert code == 2
+    assert err.count("\n") == 1 and "expected <= 1e+06" in err

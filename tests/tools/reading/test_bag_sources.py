@@ -9,6 +9,7 @@ import pytest
 
 from ptnsbc_io.bag import BagError, BagWriter, TopicInfo
 from ptnsbc_io.wire import OdometryTemplate
+from ptnsbc_sim.scenario import ScenarioError
 from ptnsbc_sim.verdict import verdict_on
 from ptnsbc_tools.reading.bag_reader import ReadOptions, read_recording
 from ptnsbc_tools.reading.bag_sources import TopicNames, TopicPatternError
@@ -126,3 +127,16 @@ def test_damaged_sqlite(flown, scenario, tmp_path, damage):
         file.write_bytes(content[: len(content) // 2] if damage == "cut" else b"")
     with pytest.raises(BagError, match=r"cannot be read \(|is damaged"):
         verdict_on(read_recording(bag, ReadOptions(scenario, names=DRONES)))
+
+
+def test_the_scenario_of_a_bag_reads_no_file(tmp_path: Path) -> None:
+    """`extends: /etc/shadow` made `ptnsbc verify` print its first line."""
+    secret = tmp_path / "secret.yaml"
+    secret.write_text("password")
+    infos = [TopicInfo("/uav1/odom", "nav_msgs/msg/Odometry")]
+    attached = {"scenario.yaml": f"name: x\nextends: {secret}\n".encode()}
+    with BagWriter(tmp_path / "flight", infos, attachments=attached) as writer:
+        writer.write("/uav1/odom", 0, OdometryTemplate("map", "x").encode(0, np.ones(13)))
+    with pytest.raises(ScenarioError, match="expected a whole scenario") as refused:
+        read_recording(tmp_path / "flight")
+    assert "password" not in str(refused.value)
