@@ -1,7 +1,7 @@
 # One command for everything. `make` alone lists them.
 SHELL := /bin/bash
 .DEFAULT_GOAL := help
-.PHONY: help setup test repeat demo docs results commands bench lint format colcon clean
+.PHONY: help setup test repeat fuzz demo docs results commands bench lint format colcon clean
 
 BIN  := .venv/bin
 # Workers of the test run; `make test JOBS=1` runs in one process. One more than cores: a third of the time tests wait.
@@ -29,7 +29,10 @@ test: setup  ## Run the tests, those in real time last, and say why any are skip
 	@time $(BIN)/python tests/run.py $(JOBS) $(ARGS)
 
 repeat: setup  ## Run the tests N times, every second time beside busy loops
-	@$(BIN)/python tests/repeat.py $(N) $(PROCESSES) $(JOBS)
+	@$(BIN)/python tests/repeat.py $(N) $(PROCESSES) $(JOBS) $(ARGS)
+
+fuzz: setup  ## Mutated bags, scenarios, messages and packets: make fuzz ARGS="--seconds 600"
+	@time $(BIN)/python -m bench.fuzz --seconds 60 $(ARGS)
 
 demo: setup  ## Fly a formation, record it, verify it
 	@time $(BIN)/ptnsbc demo $(ARGS)

@@ -144,7 +144,9 @@ def messages_by_time(
 
         def messages(chunk: ChunkLocation) -> list[BagMessage]:
             stream.seek(chunk.start + RECORD_HEAD.size)
-            return chunk_messages(unpacker.unpack(stream.read(chunk.size)), topics)
+            found = chunk_messages(unpacker.unpack(stream.read(chunk.size)), topics)
+            unpacker.count(len(found))
+            return found
 
         if not any(a.last_ns > b.first_ns for a, b in pairwise(chunks)):
             for chunk in chunks:

@@ -35,8 +35,9 @@ _COMPRESSION = re.compile(rb"\x04\0\0\0zstd|\x03\0\0\0lz4")
 _BLOCKS = 1 << 12, 1 << 22  # [bytes], read at once in the search for a chunk: first, and at most
 _LEAST_UNPACKED = 1 << 27  # [bytes], of a file of any size
 _UNPACKED_RATIO = 300  # a flight that hovers is compressed to a hundredth
+_LEAST_PACKED = 4  # [bytes], of a message with its times
 _DAMAGE_RATIO = 4  # how often the bytes of a file may be read in vain
-_CROWDED = f"a chunk of over {MOST_MESSAGES} messages"
+_CROWDED = f"more messages than {MOST_MESSAGES} in a chunk, or than such a file holds"
 _RECORD_TYPES: dict[int, Any] = {
     Opcode.SCHEMA: Schema,
     Opcode.CHANNEL: Channel,
@@ -82,11 +83,23 @@ def unpacked_bytes(size: int) -> int:
     return _LEAST_UNPACKED + _UNPACKED_RATIO * size
 
 
+def messages_in(size: int) -> int:
+    """The number of messages that all chunks of a file of `size` bytes may hold."""
+    return MOST_MESSAGES + size // _LEAST_PACKED
+
+
 class Unpacker:
     """Decompresses the chunks of one file, up to what a file of its size may hold."""
 
     def __init__(self, file_size: int) -> None:
         self._left = unpacked_bytes(file_size)
+        self._messages_left = messages_in(file_size)
+
+    def count(self, messages: int) -> None:
+        """Count messages of an unpacked chunk; ValueError when they are too many for the file."""
+        self._messages_left -= messages
+        if self._messages_left < 0:
+            raise ValueError(_CROWDED)
 
     def unpack(self, body: bytes) -> bytes:
         """The decompressed records of a chunk record; ValueError when the chunk is damaged.
@@ -96,6 +109,8 @@ class Unpacker:
         """
         chunk = Chunk.read(ReadDataStream(BytesIO(body)))
         size = chunk.uncompressed_size
+        if self._messages_left < 0:
+            raise ValueError(_CROWDED)
         if size > min(LARGEST_CHUNK, self._left):
             raise ValueError(
                 f"a chunk that unpacks to {size} bytes: expected {LARGEST_CHUNK} at most"
@@ -250,6 +265,7 @@ def _read_records(
             # The whole list before the first record is used: a chunk counts whole, or not at all.
             # Declarations come first: a reader must know a channel before its messages.
             records = list(chunk_records(unpacker.unpack(body)))
+            unpacker.count(len(records))
             return sorted(records, key=lambda record: isinstance(record, MessageRecord))
         if opcode == Opcode.MESSAGE:
             found = Message.read(ReadDataStream(BytesIO(body)), len(body))

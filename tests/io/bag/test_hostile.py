@@ -134,6 +134,13 @@ def test_a_chunk_of_too_many_messages_is_damaged(tmp_path):
     assert readable(path) == 1
 
 
+def test_many_chunks_hold_a_bound_of_messages(tmp_path):
+    """26 kB took half a minute."""
+    filled = chunk(message() * (MOST_MESSAGES // 4), "zstd")
+    path = file(tmp_path / "crowds.mcap", *[filled] * 20)
+    assert readable(path) <= bag_records.messages_in(path.stat().st_size)
+
+
 def test_a_chunk_of_zeros_is_damaged(tmp_path):
     path = file(tmp_path / "zeros.mcap", chunk(bytes(1 << 20), "lz4"))
     assert readable(path) == 1

@@ -56,7 +56,7 @@ def ended(tmp_path, monkeypatch):
     return end
 
 
-class Child:
+class Loaded:
     """A process that has loaded."""
 
     def __init__(self, command):
@@ -99,14 +99,14 @@ def renewed(monkeypatch):
 
         def launch(command):
             started.extend(command.arguments)
-            return Child(command)
+            return Loaded(command)
 
         flight._launch = launch
         for name in names:
             command = ProcessCommand(
                 name, "none", (), managed=f"/{name}", ends=name.startswith("bridge")
             )
-            flight.children.append(Child(command))
+            flight.children.append(Loaded(command))
         for _ in range(looks):
             flight._renew_unheard()
         return network.done, started

@@ -1,5 +1,7 @@
 """The counters that the verdict takes from /diagnostics."""
 
+import pytest
+
 from ptnsbc_io.wire import Diagnostics, DiagnosticStatus
 from ptnsbc_tools.reading.diagnostics import DiagnosticCounters
 from ptnsbc_tools.reading.disk_track import SampleFile

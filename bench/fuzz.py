@@ -1,0 +1,425 @@
+"""`python -m bench.fuzz`: mutated bags, scenarios, messages and MAVLink packets; whatever they are, no traceback.
+
+    python -m bench.fuzz [--seconds S] [--bags N] [--scenarios N] [--wire N] [--mavlink N] [--cli N] [--seed K]
+
+Each input goes through the library, `--cli` bags and scenarios also through the command line. An input that raises
+anything but an error in words, or takes more than 2 s of a processor or 300 MB of memory, is kept in `bench/corpus`,
+whose inputs every later run tries first. With `--seconds` it goes on for so long, all kinds in turn.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import random
+import re
+import resource
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+import traceback
+import zlib
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from itertools import count, cycle, islice
+from pathlib import Path
+from typing import NamedTuple
+
+from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_io import wire
+from ptnsbc_io.bag import BagMessage, BagWriter, TopicInfo, read_bag
+from ptnsbc_io.bag.reader import find_problems
+from ptnsbc_io.bag.repair import repair
+from ptnsbc_io.mavlink.dialect import mavlink
+from ptnsbc_io.mavlink.link import MavlinkLink
+from ptnsbc_io.mavlink.transport import Packet
+from ptnsbc_io.wire.diagnostics import decode_diagnostics
+from ptnsbc_sim.scenario import agent_config, scenario_from_text
+from ptnsbc_sim.verdict import verdict_on
+from ptnsbc_tools.check import check
+from ptnsbc_tools.reading.bag_reader import read_recording
+from ptnsbc_tools.reading.diagnostics import read_status
+
+ROOT = Path(__file__).resolve().parents[1]
+CORPUS = Path(__file__).with_name("corpus")
+KINDS = ("bags", "scenarios", "wire", "mavlink")
+LONGEST_S = 2.0
+LARGEST_MB = 300.0
+_SAMPLE_NS = 60_000_000  # of the sample flight: six ticks of five UAVs
+_CUT = 60  # at most so many bytes are moved, repeated or left out at once
+_NUMBER = re.compile(rb"-?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
+_WORDS = (
+    b"0", b"-1", b"1e300", b"-1e300", b"1e-300", b"inf", b".nan", b".inf", b"null", b"[]", b"{}", b"true",
+    b"18446744073709551616", b"9" * 5000, b"[[[[1]]]]", b'"\x1b[2J"', b"&a [*a]", b"!!python/object:os.system x",
+    b"extends: /etc/passwd", b"name: x", b"1 furlong", "λ".encode(),
+)  # fmt: skip
+_INTEGERS = (0, 1, 0x7F, 0x80, 0xFF, 0x7FFFFFFF, 0xFFFFFFFF, 2**63 - 1, 2**63, 2**64 - 1)
+
+
+class Cost(NamedTuple):
+    """What one input took."""
+
+    seconds: float  # of a processor
+    megabytes: float  # largest memory of the process
+
+
+class Result(NamedTuple):
+    """What came of many inputs."""
+
+    inputs: int
+    slowest: Cost
+    largest: Cost
+    failures: list[str]
+
+
+def mutated(data: bytes, chance: random.Random) -> bytes:
+    """A few random changes to some bytes."""
+    buffer = bytearray(data)
+    for _ in range(chance.choice((1, 1, 2, 4, 16))):
+        at = chance.randrange(len(buffer) + 1)
+        length = chance.randrange(1, _CUT)
+        match chance.randrange(7):
+            case 0 if at < len(buffer):
+                buffer[at] ^= 1 << chance.randrange(8)
+            case 1:
+                size = chance.choice((1, 2, 4, 8))
+                number = chance.choice(_INTEGERS) % 2 ** (8 * size)
+                buffer[at : at + size] = number.to_bytes(size, "little")
+            case 2:
+                del buffer[at : at + length]
+            case 3:
+                buffer[at:at] = buffer[at : at + length]
+            case 4:
+                other = chance.randrange(len(buffer) + 1)
+                buffer[at : at + length] = buffer[other : other + length]
+            case 5:
+                buffer[at:at] = chance.choice((bytes(length), chance.randbytes(length)))
+            case 6 if chance.random() < 0.3:
+                del buffer[at:]
+    return bytes(buffer)
+
+
+def mutated_text(data: bytes, chance: random.Random) -> bytes:
+    """A few changes to numbers, words and lines; now and then to bytes."""
+    if chance.random() < 0.2:
+        return mutated(data, chance)
+    for _ in range(chance.choice((1, 1, 2, 4))):
+        found = list(_NUMBER.finditer(data))
+        lines = data.split(b"\n")
+        at = chance.randrange(len(lines))
+        match chance.randrange(5):
+            case 0 | 1 if found:
+                start, end = chance.choice(found).span()
+                data = data[:start] + chance.choice(_WORDS) + data[end:]
+            case 2:
+                data = b"\n".join([*lines[:at], *lines[at + 1 :]])
+            case 3:
+                lines.insert(at, chance.choice((*lines, *_WORDS)))
+                data = b"\n".join(lines)
+            case 4:
+                key, colon, _ = lines[at].partition(b":")
+                lines[at] = key + colon + b" " + chance.choice(_WORDS)
+                data = b"\n".join(lines)
+    return data
+
+
+class Bags:
+    """Bags of some ticks of the sample flight, changed as files, or in the messages and the scenario in them."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        sample = read_bag(ROOT / "bags" / "sample")
+        self._scenario = sample.attachment("scenario.yaml")
+        self._topics = [TopicInfo(one.name, one.type) for one in sample.topics.values()]
+        self._messages = [one for one in sample.messages() if one.stamp_ns <= _SAMPLE_NS]
+        self._files = [self._written(self._messages, one) for one in ("zstd", "lz4", "none")]
+
+    def make(self, chance: random.Random) -> bytes:
+        """A mutation."""
+        if chance.random() < 0.5:
+            return mutated(chance.choice(self._files), chance)
+        changed = [
+            one._replace(data=mutated(one.data, chance)) if chance.random() < 0.05 else one
+            for one in self._messages
+        ]
+        scenario = mutated_text(self._scenario, chance) if chance.random() < 0.3 else None
+        return self._written(changed, "none", scenario)
+
+    def _written(
+        self, messages: Sequence[BagMessage], compression: str, scenario: bytes | None = None
+    ) -> bytes:
+        goal = self._folder / "made"
+        attached = {"scenario.yaml": scenario or self._scenario}
+        with BagWriter(
+            goal, self._topics, attachments=attached, compression=compression, overwrite=True
+        ) as writer:
+            for one in messages:
+                writer.write(one.topic, one.stamp_ns, one.data)
+        return (goal / "made_0.mcap").read_bytes()
+
+    def run(self, data: bytes) -> None:
+        """Read, judge, check and repair."""
+        path = self._folder / "bag.mcap"
+        path.write_bytes(data)
+        for salvage in (False, True):
+            with suppress(PtnsbcError):
+                bag = read_bag(path, salvage=salvage)
+                for _ in bag.messages():
+                    pass
+                find_problems(bag)
+        with suppress(PtnsbcError):
+            verdict_on(read_recording(path)).as_json()
+        with suppress(PtnsbcError):
+            read_status(path)
+        try:
+            with suppress(PtnsbcError):
+                repair(path, self._folder / "repaired")
+        finally:
+            shutil.rmtree(self._folder / "repaired", ignore_errors=True)
+
+
+class Scenarios:
+    """Shipped scenarios, changed as texts."""
+
+    def __init__(self, _folder: Path) -> None:
+        self._texts = [path.read_bytes() for path in sorted((ROOT / "scenarios").glob("*.yaml"))]
+
+    def make(self, chance: random.Random) -> bytes:
+        """A mutation."""
+        return mutated_text(chance.choice(self._texts), chance)
+
+    def run(self, data: bytes) -> None:
+        """Load and check."""
+        with suppress(PtnsbcError):
+            scenario = scenario_from_text(data.decode(errors="replace"), folder=ROOT / "scenarios")
+            check(scenario)
+            for uav in scenario.uav_ids:
+                agent_config(scenario, uav)
+
+
+class Wire:
+    """Serialised messages of the sample flight, through every decoder."""
+
+    _decoders: tuple[Callable[[bytes], object], ...] = (
+        wire.decode_odometry, wire.decode_velocity, wire.decode_wrench, wire.decode_header, wire.decode_clock,
+        wire.decode_near, wire.decode_integers, wire.decode_floats, wire.peek_stamp, wire.peek_sequence_stamp,
+        decode_diagnostics,
+    )  # fmt: skip
+
+    def __init__(self, _folder: Path) -> None:
+        sample = read_bag(ROOT / "bags" / "sample").messages()
+        of_topic = {one.topic: one.data for one in islice(sample, 2000)}
+        self._messages = list(of_topic.values())
+
+    def make(self, chance: random.Random) -> bytes:
+        """A mutation."""
+        return mutated(chance.choice(self._messages), chance)
+
+    def run(self, data: bytes) -> None:
+        """Decode as every kind of message."""
+        for decode in self._decoders:
+            with suppress(PtnsbcError):
+                decode(data)
+
+
+class _Wires:
+    """A transport that delivers what it is given."""
+
+    def __init__(self, data: bytes, stream: bool) -> None:
+        self.stream = stream
+        self._left = [Packet(data, ("127.0.0.1", 1))]
+
+    def fileno(self) -> int:
+        return -1
+
+    def receive(self) -> Packet | None:
+        return self._left.pop() if self._left else None
+
+    def send(self, data: bytes, address: object) -> bool:
+        return bool(data and address)
+
+    def close(self) -> None:
+        pass
+
+
+class Packets:
+    """MAVLink packets of every kind that the dialect has."""
+
+    _wanted = frozenset(mavlink.mavlink_map)
+
+    def __init__(self, _folder: Path) -> None:
+        self._codec = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
+        self._kinds = sorted(mavlink.mavlink_map)
+
+    def make(self, chance: random.Random) -> bytes:
+        """Packets with right checksums, half of them mutated."""
+        packets = b"".join(self._packet(chance) for _ in range(chance.choice((1, 1, 3))))
+        return mutated(packets, chance) if chance.random() < 0.5 else packets
+
+    def _packet(self, chance: random.Random) -> bytes:
+        """A packet with a right checksum and random content, cut or too long at times."""
+        number = chance.choice(self._kinds)
+        kind = mavlink.mavlink_map[number]
+        payload = chance.randbytes(
+            min(255, max(0, kind.unpacker.size + chance.choice((0, 0, -1, 5))))
+        )
+        head = bytes((0xFD, len(payload), 0, 0, chance.randrange(256), 1, 1)) + number.to_bytes(
+            3, "little"
+        )
+        crc = mavlink.x25crc(head[1:] + payload + bytes([kind.crc_extra])).crc
+        return head + payload + crc.to_bytes(2, "little")
+
+    def run(self, data: bytes) -> None:
+        """Through a link of datagrams, and through one of a serial line."""
+        for stream in (False, True):
+            link = MavlinkLink(_Wires(data, stream), 1, self._wanted)
+            for message in link.poll(0.0):
+                message.to_dict()
+
+
+FUZZERS = {"bags": Bags, "scenarios": Scenarios, "wire": Wire, "mavlink": Packets}
+Fuzzer = Bags | Scenarios | Wire | Packets
+
+
+def measured(work: Callable[[bytes], None], data: bytes) -> Cost:
+    """Run `work` and tell what it took; the largest memory is that of this process meanwhile."""
+    with suppress(OSError):
+        Path("/proc/self/clear_refs").write_text("5", encoding="ascii")  # forget the largest so far
+    began = time.process_time()
+    work(data)
+    seconds = time.process_time() - began
+    status = Path("/proc/self/status").read_text(encoding="ascii")
+    return Cost(seconds, int(status.partition("VmHWM:")[2].split()[0]) / 1024)
+
+
+def tried(fuzzer: Fuzzer, data: bytes) -> tuple[Cost, str]:
+    """What an input took, and what is wrong with that, nothing in most cases."""
+    try:
+        cost = measured(fuzzer.run, data)
+    except Exception:
+        return Cost(0.0, 0.0), traceback.format_exc(limit=-3)
+    return cost, _too_much(cost)
+
+
+def _too_much(cost: Cost) -> str:
+    if cost.seconds > LONGEST_S:
+        return f"{cost.seconds:.1f} s"
+    return f"{cost.megabytes:.0f} MB" if cost.megabytes > LARGEST_MB else ""
+
+
+def inputs(kind: str, fuzzer: Fuzzer, seed: int) -> Iterator[bytes]:
+    """First the corpus, then mutations without end; the same for the same seed."""
+    for path in sorted((CORPUS / kind).glob("*")):
+        yield path.read_bytes()
+    for k in count():
+        yield fuzzer.make(random.Random(f"{seed} {kind} {k}"))
+
+
+def fuzzed(kind: str, number: int, seed: int, seconds: float | None = None) -> Result:
+    """So many inputs of one kind, or as many as fit into a time."""
+    slowest = largest = Cost(0.0, 0.0)
+    failures: list[str] = []
+    done, end = 0, time.monotonic() + (seconds or float("inf"))
+    with tempfile.TemporaryDirectory(prefix="ptnsbc-fuzz-") as folder:
+        fuzzer = FUZZERS[kind](Path(folder))
+        for data in inputs(kind, fuzzer, seed):
+            if time.monotonic() > end or (seconds is None and done >= number):
+                break
+            cost, wrong = tried(fuzzer, data)
+            done += 1
+            slowest = max(slowest, cost)
+            largest = max(largest, cost, key=lambda one: one.megabytes)
+            if wrong:
+                failures.append(f"{kept(kind, data)}: {wrong}")
+    return Result(done, slowest, largest, failures)
+
+
+def kept(kind: str, data: bytes) -> Path:
+    """The file of the corpus that holds an input from now on."""
+    path = CORPUS / kind / f"{zlib.crc32(data):08x}"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(data)
+    return path
+
+
+def through_commands(number: int, seed: int) -> Result:
+    """So many bags and so many scenarios through the commands in turn, each in a process of its own."""
+    slowest = largest = Cost(0.0, 0.0)
+    failures: list[str] = []
+    done = 0
+    with tempfile.TemporaryDirectory(prefix="ptnsbc-fuzz-") as folder:
+        for kind, commands in _COMMANDS.items():
+            fuzzer = FUZZERS[kind](Path(folder))
+            path = Path(folder) / ("flight.mcap" if kind == "bags" else "flight.yaml")
+            for words, data in islice(zip(cycle(commands), inputs(kind, fuzzer, seed)), number):
+                path.write_bytes(data)
+                cost, wrong = _command(*words, str(path))
+                done += 1
+                slowest = max(slowest, cost)
+                largest = max(largest, cost, key=lambda one: one.megabytes)
+                if wrong:
+                    failures.append(f"{kept(kind, data)}: ptnsbc {' '.join(words)}: {wrong}")
+    return Result(done, slowest, largest, failures)
+
+
+_COMMANDS = {
+    "bags": (("verify", "--json"), ("bag", "info", "--check")),
+    "scenarios": (("check",),),
+}
+
+
+def _command(*words: str) -> tuple[Cost, str]:
+    call = [sys.executable, "-m", "ptnsbc_tools", *words]
+    with tempfile.TemporaryFile() as said:
+        process = subprocess.Popen(call, stdout=subprocess.DEVNULL, stderr=said, cwd=ROOT)
+        _, status, used = os.wait4(process.pid, 0)
+        process.returncode = os.waitstatus_to_exitcode(status)
+        said.seek(0)
+        err = said.read().decode(errors="replace")
+    cost = Cost(used.ru_utime + used.ru_stime, used.ru_maxrss / 1024)
+    if process.returncode not in (0, 1, 2) or "Traceback" in err:
+        return cost, f"exit code {process.returncode}: {err[-2000:]}"
+    if not err.isprintable() and any(not line.isprintable() for line in err.splitlines()):
+        return cost, "characters that act on a terminal"
+    return cost, _too_much(cost)
+
+
+def _shown(name: str, result: Result) -> str:
+    return (
+        f"{name}: {result.inputs} inputs, {len(result.failures)} failures, slowest {result.slowest.seconds:.2f} s "
+        f"of a processor, largest {result.largest.megabytes:.0f} MB"
+    )
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Exit code 1 when an input failed."""
+    parser = argparse.ArgumentParser(prog="bench.fuzz", description=__doc__.partition(":")[0])
+    parser.add_argument("--seconds", type=float, help="as many inputs of each kind as fit, in turn")
+    for kind in KINDS:
+        parser.add_argument(f"--{kind}", type=int, default=None, help="how many")
+    parser.add_argument("--cli", type=int, default=0, help="how many of each through the commands")
+    parser.add_argument("--seed", type=int, default=1)
+    options = parser.parse_args(argv)
+    # An input that asks for too much must not take the machine with it.
+    resource.setrlimit(resource.RLIMIT_AS, (8 << 30, 8 << 30))
+    numbers = {kind: getattr(options, kind) for kind in KINDS}
+    chosen = [kind for kind in KINDS if numbers[kind] or not (any(numbers.values()) or options.cli)]
+    failures: list[str] = []
+    for kind in chosen:
+        share = None if options.seconds is None else options.seconds / len(chosen)
+        result = fuzzed(kind, numbers[kind] or 1000, options.seed, share)
+        failures += result.failures
+        print(_shown(kind, result), flush=True)
+    if options.cli:
+        result = through_commands(options.cli, options.seed)
+        failures += result.failures
+        print(_shown("through the commands", result), flush=True)
+    for line in failures:
+        print(line, file=sys.stderr)
+    return 1 if failures else 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

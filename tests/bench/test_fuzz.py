@@ -1,0 +1,67 @@
+"""The fuzzer: its corpus stays harmless, the same seed gives the same inputs, and what fails is kept and said."""
+
+from __future__ import annotations
+
+import random
+from pathlib import Path
+
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bench import fuzz
+
+NOWHERE = Path()
+
+
+@pytest.mark.parametrize("kind", fuzz.KINDS)
+def test_the_corpus_and_some_mutations_do_no_harm(kind: str, monkeypatch, tmp_path) -> None:
+    """Without the limits of time and memory: other programs may have the machine."""
+    monkeypatch.setattr(fuzz, "_too_much", lambda _cost: "")
+    known = list((fuzz.CORPUS / kind).glob("*"))
+    monkeypatch.setattr(fuzz, "kept", lambda kind, data: tmp_path / kind)
+    result = fuzz.fuzzed(kind, len(known) + 20, seed=0)
+    assert result.failures == []
+    assert result.inputs == len(known) + 20
+
+
+@given(st.binary(max_size=300))
+def test_bytes_are_a_message_or_an_error_in_words(data: bytes) -> None:
+    for head in (b"", b"\0\1\0\0", b"\0\0\0\0"):
+        fuzz.Wire.run(None, head + data)  # type: ignore[arg-type]
+
+
+@given(st.binary(max_size=300))
+def test_bytes_are_packets_or_dropped(data: bytes) -> None:
+    fuzz.Packets.run(fuzz.Packets(NOWHERE), data)
+
+
+@given(st.recursive(st.none() | st.booleans() | st.floats() | st.integers() | st.text(), lambda part: (
+    st.lists(part, max_size=4) | st.dictionaries(st.text(max_size=8), part, max_size=4)
+)))  # fmt: skip
+def test_a_tree_is_a_scenario_or_an_error_in_words(tree: object) -> None:
+    text = yaml.safe_dump({"name": "x", "uavs": tree, "timing": tree})
+    fuzz.Scenarios.run(fuzz.Scenarios(NOWHERE), text.encode())
+
+
+def test_the_same_seed_gives_the_same_inputs() -> None:
+    wires = fuzz.Wire(NOWHERE)
+    assert [wires.make(random.Random(f"3 {k}")) for k in range(20)] == [
+        wires.make(random.Random(f"3 {k}")) for k in range(20)
+    ]
+
+
+def test_what_fails_is_kept_and_said(monkeypatch, tmp_path, capsys) -> None:
+    monkeypatch.setattr(fuzz, "CORPUS", tmp_path)
+
+    def fails(_self, data: bytes) -> None:
+        raise KeyError(len(data))
+
+    monkeypatch.setattr(fuzz.Wire, "run", fails)
+    monkeypatch.setattr(fuzz.resource, "setrlimit", lambda *_: None)
+    assert fuzz.main(["--wire", "2"]) == 1
+    out, err = capsys.readouterr()
+    assert out.startswith("wire: 2 inputs, 2 failures")
+    assert "KeyError" in err
+    assert {path.parent.name for path in tmp_path.rglob("*") if path.is_file()} == {"wire"}
