@@ -47,7 +47,7 @@ class NoMiddleware:
 @pytest.fixture
 def middleware(monkeypatch):
     one = NoMiddleware()
-    monkeypatch.setattr(command, "_middleware", lambda _domain: one)
+    monkeypatch.setattr(command, "_middleware", lambda _domain, _fleet: one)
     monkeypatch.setattr(command, "_DISCOVERY_S", 0.1)
     return one
 
