@@ -17,14 +17,16 @@ from ptnsbc_io.wire import (
     Diagnostics,
     HeaderFields,
     HeaderTemplate,
+    Stamped,
     decode_diagnostics,
     decode_header,
+    decode_odometry,
 )
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.announcements import LostProcess, decode_lost
 from ptnsbc_nodes.comm.diagnostics import INACTIVE
 from ptnsbc_nodes.comm.endpoints import Endpoints, full_name
-from ptnsbc_nodes.comm.qos import keep_last
+from ptnsbc_nodes.comm.qos import STATE_REALTIME, keep_last
 from ptnsbc_nodes.comm.topics import LOST, OVER, READY, SIM
 from ptnsbc_nodes.emergency.orders import Order, runtime_folder
 from ptnsbc_nodes.emergency.records import VehicleRecord
@@ -56,6 +58,9 @@ class _LockstepWait:
         if now_s - self._newest_s >= _REPORT_GAP_S:
             return {}
         return {name: now_s - since_s for name, since_s in self._since_s.items()}
+
+
+_LOOK_S = 0.05
 
 
 class Coordinator:
@@ -210,6 +215,30 @@ class Coordinator:
         else:
             self._node.destroy_client(self._start)
             self._start = self._client("start")
+
+    def positions(self, uav_ids: Iterable[int], patience_s: float) -> dict[int, tuple[float, ...]]:
+        """Measured positions (3,) [m], ENU, in real time; without the UAVs that publish none in this time."""
+        found: dict[int, tuple[float, ...]] = {}
+
+        def keep(uav: int) -> Callable[[Stamped], None]:
+            def on_odometry(own: Stamped) -> None:
+                found[uav] = tuple(float(number) for number in own.values[:3])
+
+            return on_odometry
+
+        wanted = tuple(uav_ids)
+        heard = [
+            self._endpoints.listen(
+                topics.odom(uav), decode_odometry, keep(uav), False, STATE_REALTIME
+            )
+            for uav in wanted
+        ]
+        deadline = time.monotonic() + patience_s
+        while len(found) < len(wanted) and time.monotonic() < deadline:
+            self.spin(_LOOK_S)
+        for name in heard:
+            self._endpoints.ignore(name)
+        return found
 
     def stuck(self) -> dict[str, float]:
         """Processes that have kept a lock-step flight waiting and give no sign of life, and for how long [s]."""

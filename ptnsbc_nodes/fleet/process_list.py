@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -37,6 +37,8 @@ class FleetOptions:
     ready_timeout_s: float | None = None  # from the first process to the last one ready
     only: frozenset[str] = frozenset()  # names of the processes of this computer, see `chosen`
     namespace: str = ""  # of all nodes and topics, for example "/blue"
+    # In real time: why the scenario with the measured starts must not be flown, empty when it may.
+    objection: Callable[[Scenario], str] | None = None
 
     @property
     def shared(self) -> bool:

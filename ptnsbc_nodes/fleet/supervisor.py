@@ -26,6 +26,7 @@ from ptnsbc_nodes.fleet.process_list import FleetOptions, names
 from ptnsbc_nodes.runtime.process import RUNNING
 from ptnsbc_nodes.runtime.signals import StopRequest
 from ptnsbc_nodes.runtime.watchdog import ENDED_S, RECORDER_ENDED_S
+from ptnsbc_sim.sweep.dry_run import with_starts_at
 
 Report = Callable[[str], None]
 
@@ -33,6 +34,7 @@ _BRIDGE = "ptnsbc_nodes.bridge.main"
 _LOOK_S = 0.05
 _AFTER_START_S = 1.0  # the epoch is half a second after the call
 _LANDING_CALL_S = 3.0
+_POSITIONS_S = 5.0
 _LANDING_S = 240.0
 _RECORDER_PATIENCE_S = 60.0  # what is still queued belongs into the bag
 _PILOTS_S = 10.0  # a pilot lands when it suits the pilot
@@ -99,11 +101,26 @@ class Supervisor:
         awaited = self._awaited()
         while self._coordinator.missing(awaited) and self._wait(deadline):
             pass
+        if not self._stop.came:
+            self._check_positions()
         while self._refusal and self._wait(deadline):
             self._refusal = self._coordinator.start(patience_s=2.0)
         if not self._stop.came:
             count = len(self.children) + len(self._elsewhere)
             self._progress(f"{count} processes are ready: started")
+
+    def _check_positions(self) -> None:
+        """FleetError when the flight must not begin from where the vehicles are.
+
+        In lock-step they are where the file says.
+        """
+        options = self._options
+        if options.objection is None or options.lockstep:
+            return
+        places = self._coordinator.positions(options.scenario.uav_ids, _POSITIONS_S)
+        objection = options.objection(with_starts_at(options.scenario, places))
+        if objection:
+            raise FleetError(f"from the measured positions the flight is not started: {objection}")
 
     def _wait_for_own(self, deadline: float) -> None:
         while self._silent() and self._wait(deadline):

@@ -41,7 +41,7 @@ def check(
     """Check a scenario before anything arms: graph, shape, spacing, gains, deadline, obstacles, dry runs.
 
     The dry runs fly the scenario in this process: once as it stands, then with starts moved at random.
-    The scenario is refused when the first of them is not met, or fewer than 90 % of all.
+    The scenario is refused when the first of them is not met, or fewer than half of all.
     """
     from ptnsbc_tools.check import ERROR, check, refuse
     from ptnsbc_tools.tables import findings_table

@@ -14,7 +14,7 @@ import typer
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_nodes.runtime.signals import restore_handlers
 from ptnsbc_tools import console, options, ros
-from ptnsbc_tools.commands.check import preflight
+from ptnsbc_tools.commands.check import dry_runs, preflight
 
 if TYPE_CHECKING:
     from ptnsbc_nodes.fleet.fleet import FleetOptions, FleetResult
@@ -57,6 +57,13 @@ def fleet(
     seed: options.SeedOption = None,
     duration: options.DurationOption = None,
     settings: options.SetOption = None,
+    check: Annotated[
+        bool,
+        typer.Option(
+            "--check",
+            help="Fly dry runs before anything starts, and from the measured positions before the flight.",
+        ),
+    ] = False,
     bag: options.BagOption = None,
     overwrite: options.OverwriteOption = False,
     json: options.JsonOption = False,
@@ -67,7 +74,16 @@ def fleet(
     host without --network.
     """
     ros.select_network(network, domain)
-    names = ("lockstep", "backend", "allow_arming", "only", "namespace", "bag", "overwrite")
+    names = (
+        "lockstep",
+        "backend",
+        "allow_arming",
+        "only",
+        "namespace",
+        "bag",
+        "overwrite",
+        "check",
+    )
     given = {name: context.params[name] for name in names}
     given["namespace"] = options.full_namespace(namespace)
     raise typer.Exit(fly_and_judge(options.chosen(context), json, **given))
@@ -81,6 +97,7 @@ def fly_and_judge(
     backend: Literal["sim", "mavlink"] = "sim",
     only: str = "",
     bag: Path | None = None,
+    check: bool = False,
     **given: Any,
 ) -> int:
     """Fly with one process per UAV and judge the bag; returns the exit code.
@@ -92,6 +109,7 @@ def fly_and_judge(
         backend: the simulator or flight controllers.
         only: processes of this host, all when empty.
         bag: folder to record into, a temporary one by default.
+        check: fly dry runs first, and refuse what they refuse.
         given: further fields of `FleetOptions`.
     """
     if backend == "mavlink":
@@ -103,6 +121,8 @@ def fly_and_judge(
         from ptnsbc_nodes.fleet.fleet import FleetOptions, chosen
     processes = chosen(only, scenario, backend) if only else frozenset()
     request = FleetOptions(scenario, backend=backend, bag=bag, only=processes, **given)
+    if check and request.leads:
+        request = _checked(request)
     if not request.leads:
         return _show_part(_fly(request), json=json)
     with ExitStack() as stack:
@@ -116,6 +136,29 @@ def fly_and_judge(
         if flown.interrupted and not request.bag.exists():
             return flown.exit_code
         return _judge(request.bag, flown, kept=bag, picture=picture, json=json)
+
+
+def _checked(request: FleetOptions) -> FleetOptions:
+    """The request with the check of the measured positions, after the dry runs from those of the file.
+
+    Raises:
+        CheckError: the dry runs refuse the scenario.
+    """
+    from ptnsbc_tools.check import refuse
+
+    refuse(request.scenario, dry_runs(request.scenario))
+    return replace(request, objection=_objection)
+
+
+def _objection(scenario: Scenario) -> str:
+    """Why a scenario must not be flown, in a line; empty when it may."""
+    from ptnsbc_tools.check import refuse
+
+    try:
+        refuse(scenario, dry_runs(scenario))
+    except PtnsbcError as error:
+        return f"{error}; without --check it is flown all the same"
+    return ""
 
 
 def _fly(request: FleetOptions) -> FleetResult:

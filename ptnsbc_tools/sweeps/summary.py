@@ -24,6 +24,7 @@ from ptnsbc_tools.tables import word
 
 _WORST = 5
 _MOST_CELLS = 40
+_UAV = re.compile(r"\b(uav|UAV )\d+")
 _NUMBER = re.compile(r"(?<![A-Za-z])\d+(?:\.\d+)?(?:e[-+]?\d+)?")
 
 _UPWARD = (
@@ -83,7 +84,7 @@ def causes(sweep: FlownSweep) -> list[tuple[str, str, int]]:
     """Verdict, cause without its numbers, and UAVs, the most frequent first."""
     table = sweep.table
     found = Counter(
-        (str(verdict), _NUMBER.sub("…", str(cause)))
+        (str(verdict), _NUMBER.sub("…", _UAV.sub(r"\1…", str(cause))))
         for verdict, cause in zip(table["verdict"], table["cause"], strict=True)
         if verdict != MET
     )

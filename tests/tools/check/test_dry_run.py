@@ -38,7 +38,7 @@ def test_a_few_misses_are_a_warning_with_their_cause(say):
     assert (worst.value, worst.advice) == ("UAV 3 missed", "settled after 7.10 s")
 
 
-@pytest.mark.parametrize("flights", [[GOOD] * 18 + [LATE] * 3, [LATE] + [GOOD] * 20])
+@pytest.mark.parametrize("flights", [[GOOD] * 10 + [LATE] * 11, [LATE] + [GOOD] * 20])
 def test_too_few_or_the_first_one_is_refused_with_what_mends_it(say, flights):
     cure = Remedy({}, "set gains.formation.deadline_s to at least 6.10 s")
     share = say(*flights, mended=(cure,))[0]
