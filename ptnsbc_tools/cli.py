@@ -18,6 +18,7 @@ from ptnsbc_tools.commands.check import check
 from ptnsbc_tools.commands.compare import compare
 from ptnsbc_tools.commands.demo import demo
 from ptnsbc_tools.commands.fleet import fleet
+from ptnsbc_tools.commands.key import key
 from ptnsbc_tools.commands.node import SETTINGS, node
 from ptnsbc_tools.commands.params import params
 from ptnsbc_tools.commands.plot import plot
@@ -108,6 +109,7 @@ app.command()(params)
 app.command()(bridge)
 app.command(context_settings=SETTINGS)(node)
 app.command()(stop)
+app.command()(key)
 app.command()(replay)
 app.add_typer(bag.app, name="bag")
 app.add_typer(network.app, name="network")

@@ -98,7 +98,7 @@ class BridgeNode:
         on_end: Callable[[], None],
     ) -> None:
         self.node = node
-        self.endpoints = Endpoints(node, lockstep=False)
+        self.endpoints = Endpoints(node, lockstep=False, seal=edges.options.seal)
         self._uav_id = uav_id
         self._on_end = on_end
         recorders = edges.options.recorders
@@ -310,9 +310,9 @@ class BridgeNode:
             self._unsubscribe_diagnostics()
         if self.bridge.procedure.step is Step.APART:  # all others give the formation up as well
             self._send_order(HeaderTemplate(APART).encode(0))
-        record, refusals = self._keep_record(), self.endpoints.refusals
+        record = self._keep_record()
         self._send_status(
-            bridge_status(self._name, record, self.bridge, self.waiting_for(), refusals)
+            bridge_status(self._name, record, self.bridge, self.waiting_for(), self.endpoints)
         )
 
     def _unsubscribe_diagnostics(self) -> None:

@@ -10,7 +10,7 @@ from ptnsbc_nodes.bridge.bridge import Bridge
 from ptnsbc_nodes.bridge.procedure.companions import Companion
 from ptnsbc_nodes.bridge.procedure.steps import HEARTBEAT_LOST_S, Step
 from ptnsbc_nodes.comm.diagnostics import DiagnosticLevel, diagnostics, readiness
-from ptnsbc_nodes.comm.door import Refusals
+from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.emergency.records import VehicleRecord
 
 _NEVER_S = 1e6
@@ -42,7 +42,7 @@ def bridge_status(
     record: VehicleRecord,
     bridge: Bridge,
     missing: Sequence[str],
-    refusals: Refusals,
+    endpoints: Endpoints,
 ) -> bytes:
     """A DiagnosticArray about one bridge; `missing` is what the formation waits for."""
     now_s, stamp_ns = bridge.ports.clocks.steady_s(), bridge.ports.clocks.ros_ns()
@@ -87,7 +87,7 @@ def bridge_status(
         "setpoints_invalid": str(controller.invalid),
         **{f"dropped_{reason}": str(count) for reason, count in link.counts.items()},
         **{f"clamped_{what}": str(count) for what, count in bridge.stream.guard.clamped.items()},
-        **refusals.values(),
+        **endpoints.refusals.values(),
     }
     level, message = DiagnosticLevel.OK, ""
     if procedure.fault and procedure.step is not Step.FLY:
@@ -96,7 +96,7 @@ def bridge_status(
         level, message = DiagnosticLevel.WARN, fault
     elif missing:
         level, message = DiagnosticLevel.WARN, f"waiting for {' '.join(missing)}"
-    elif refused := refusals.report():
+    elif refused := endpoints.refusals.report() or endpoints.rivals():
         level, message = DiagnosticLevel.WARN, refused
     return diagnostics(stamp_ns, f"{name}: link", level, message, values)
 

@@ -201,3 +201,10 @@ def as_bytes(decode: Callable[[bytes], object]) -> Callable[[bytes], bytes]:
         return data
 
     return check
+
+
+def opened(
+    open_sealed: Callable[[bytes], bytes], decode: Callable[[bytes], T]
+) -> Callable[[bytes], T]:
+    """A decoder of sealed messages."""
+    return lambda data: decode(open_sealed(data))

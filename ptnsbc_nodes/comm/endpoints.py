@@ -14,9 +14,11 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
+from rclpy.topic_endpoint_info import TopicEndpointInfo
 
-from ptnsbc_nodes.comm import qos
-from ptnsbc_nodes.comm.door import Door, Refusals
+from ptnsbc_nodes.comm import qos, topics
+from ptnsbc_nodes.comm.door import Door, Refusals, opened
+from ptnsbc_nodes.comm.seal import Seal
 from ptnsbc_nodes.comm.topics import TF, Role, Topic, message_class
 
 # The last message alone is not enough: a node that joins late must learn the first epoch, and of every lost UAV.
@@ -31,16 +33,19 @@ T = TypeVar("T")
 class _CountingPublisher:
     """A publisher that counts its messages."""
 
-    def __init__(self, publisher: Publisher, readers: int) -> None:
+    def __init__(
+        self, publisher: Publisher, readers: int, close: Callable[[bytes], bytes] | None
+    ) -> None:
         self.publisher = publisher
         self.topic_name: str = publisher.topic_name
         self.readers = readers  # subscriptions that must match before the flight
         self.sent = 0
         self._publish = publisher.publish
+        self._close = close
 
     def send(self, data: bytes) -> None:
         self.sent += 1
-        self._publish(data)
+        self._publish(data if self._close is None else self._close(data))
 
 
 class PublishCounters(NamedTuple):
@@ -65,6 +70,10 @@ def full_name(node: Node, topic: Topic) -> str:
     return topic.name if topic is TF else fleet_namespace(node.get_namespace()) + topic.name
 
 
+def _node_of(info: TopicEndpointInfo) -> str:
+    return f"{info.node_namespace.rstrip('/')}/{info.node_name}"
+
+
 def sent_in(lines: Iterable[str]) -> PublishCounters | None:
     """The counts that a process has written into its log; None without any."""
     counts = [line.removeprefix(_SENT) for line in lines if line.startswith(_SENT)]
@@ -74,8 +83,11 @@ def sent_in(lines: Iterable[str]) -> PublishCounters | None:
 class Endpoints:
     """Raw publishers and subscriptions of one node: bytes in, bytes out, no message objects."""
 
-    def __init__(self, node: Node, lockstep: bool) -> None:
+    def __init__(self, node: Node, lockstep: bool, seal: Seal | None = None) -> None:
+        """`seal`: closes what is published and opens what is received; None in a fleet without one."""
         self._node = node
+        self._seal = seal
+        self._known: dict[str, tuple[int, ...]] = {}  # GID of the first publisher of each topic
         self.fleet = fleet_namespace(node.get_namespace())
         self._lockstep = lockstep
         self._published: list[_CountingPublisher] = []
@@ -89,7 +101,8 @@ class Endpoints:
         publisher = self._node.create_publisher(
             message_class(topic), full_name(self._node, topic), self._offered(topic)
         )
-        self._published.append(_CountingPublisher(publisher, readers))
+        close = None if self._seal is None else self._seal.closer(topic)
+        self._published.append(_CountingPublisher(publisher, readers, close))
         return self._published[-1].send
 
     def listen(
@@ -113,6 +126,8 @@ class Endpoints:
             The topic's name after remapping, as `unheard` has it.
         """
         name = full_name(self._node, topic)
+        if self._seal is not None:
+            decode = opened(self._seal.opener(topic, lockstep=self._lockstep), decode)
         subscription = self._node.create_subscription(
             message_class(topic),
             name,
@@ -155,6 +170,30 @@ class Endpoints:
         found = Counter(info.node_namespace for info in infos)
         short = [uav for uav, nodes in readers.items() if found[f"{self.fleet}/uav{uav}"] < nodes]
         return [f"{name} at uav{uav}" for uav in short]
+
+    def rivals(self) -> str:
+        """Second publishers of topics that have one publisher, as a warning; empty without any.
+
+        rclpy tells for no message which publisher sent it. So the messages of both are judged by their doors.
+        """
+        for subscription in self._subscriptions:
+            name = subscription.topic_name
+            if name.removeprefix(self.fleet) in topics.SEVERAL_PUBLISHERS:
+                continue
+            if subscription.get_publisher_count() < 2 and name in self._known:
+                continue
+            found = self._node.get_publishers_info_by_topic(name)
+            gids = {tuple(info.endpoint_gid): info for info in found}
+            if not gids:
+                continue
+            first = self._known.setdefault(name, next(iter(gids)))
+            if first not in gids:  # it has ended, and another one has taken its place
+                first = self._known[name] = next(iter(gids))
+            others = [info for gid, info in gids.items() if gid != first]
+            if others:
+                names = " ".join(sorted({_node_of(info) for info in others}))
+                return f"{name} has a second publisher: {names}"
+        return ""
 
     def begin(self, now_ns: int) -> None:
         """The first leg has been announced: from here on every message counts."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from ptnsbc_nodes.comm.seal import Seal
 from ptnsbc_sim.disturbances.links import LinkDelay, MessageLoss, link_delay, message_loss
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.slots import Slots, are_open, with_slots
@@ -20,6 +21,7 @@ class FlightOptions:
     lockstep: bool = False
     recorded: bool = False  # a recorder must hear every topic before the flight
     bridged: bool = False  # flight controllers instead of the sim
+    seal: Seal | None = None  # of the fleet, where the scenario requires one
 
     @property
     def recorders(self) -> int:

@@ -59,6 +59,15 @@ takes is chance, and /diagnostics is in the bag."""
 RECORDED = Topic("/formation/recorded", "std_msgs/msg/Header", Role.EVENT)
 """Stamp up to which the recorder has taken in every topic of a lock-step flight; the sim never runs far ahead."""
 
+REQUEST = Topic("/formation/request", "std_msgs/msg/Header", Role.EVENT, "on demand")
+"""frame_id the leg that an operator calls the leader's service for next; with `security: signed` the leader answers
+no call without it."""
+
+SEVERAL_PUBLISHERS = frozenset(
+    one.name for one in (DIAGNOSTICS, READY, LOST, EMERGENCY, TF, REQUEST)
+)
+"""Topics on which several nodes publish."""
+
 RECORDER, SIM = "recorder", "sim"
 """Names of recorder and sim among the processes of a flight."""
 

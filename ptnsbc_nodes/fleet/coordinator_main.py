@@ -41,6 +41,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _serve(arguments: argparse.Namespace, argv: list[str]) -> int:
+    from ptnsbc_nodes.comm.seal import seal_of
     from ptnsbc_nodes.fleet.coordinator_node import Coordinator
     from ptnsbc_nodes.fleet.process_list import FleetOptions
     from ptnsbc_nodes.runtime.process import ros_errors
@@ -55,7 +56,9 @@ def _serve(arguments: argparse.Namespace, argv: list[str]) -> int:
     with StopRequest() as stop:
         with ros_errors():
             domain = int(os.environ.get("ROS_DOMAIN_ID", "0"))
-            coordinator = Coordinator(domain, ros_arguments=argv[1:])
+            coordinator = Coordinator(
+                domain, ros_arguments=argv[1:], seal=seal_of(scenario)
+            )
         with coordinator:
             _fly(coordinator, arguments, options.patience_s, scenario, stop)
     return 0

@@ -27,6 +27,7 @@ from ptnsbc_nodes.comm.announcements import LostProcess, decode_lost
 from ptnsbc_nodes.comm.diagnostics import INACTIVE
 from ptnsbc_nodes.comm.endpoints import Endpoints, full_name
 from ptnsbc_nodes.comm.qos import STATE_REALTIME, keep_last
+from ptnsbc_nodes.comm.seal import Seal
 from ptnsbc_nodes.comm.topics import LOST, OVER, READY, SIM
 from ptnsbc_nodes.emergency.orders import Order, runtime_folder
 from ptnsbc_nodes.emergency.records import VehicleRecord
@@ -34,6 +35,7 @@ from ptnsbc_nodes.fleet.lifecycle_manager import LifecycleManager
 from ptnsbc_nodes.runtime.executor import make_executor
 from ptnsbc_nodes.runtime.watchdog import SAID_S, WAITED
 
+_REQUEST_S = 1.0
 _REPORT_GAP_S = 1.0  # the sim reports five times a second
 _SIGN_OF_LIFE_S = 2.0  # a process that is kept waiting says so five times a second
 _ANEW_CALLS = 3  # so many calls without an answer, and the whole node joins the network again
@@ -72,6 +74,7 @@ class Coordinator:
         name: str = "fleet",
         namespace: str = "",
         ros_arguments: Sequence[str] = (),
+        seal: Seal | None = None,
     ) -> None:
         self.domain = domain
         self.gone: set[str] = set()  # processes that have ended on other computers
@@ -80,6 +83,7 @@ class Coordinator:
         self.vehicles: dict[str, VehicleRecord] = {}  # by bridge: what it reported of its vehicle
         self._name, self._ros_arguments = name, list(ros_arguments)
         self._namespace = namespace
+        self._seal = seal
         self._leads: bool | None = None  # where the fleet is shared
         self._managed: dict[str, str] = {}  # node by process name
         self._last_status_s: dict[str, float] = {}  # when each process sent its last status
@@ -105,7 +109,8 @@ class Coordinator:
         )
         self._executor: Any = make_executor(self._context)
         self._executor.add_node(self._node)
-        self._endpoints = Endpoints(self._node, lockstep=True)
+        self._endpoints = Endpoints(self._node, lockstep=True, seal=self._seal)
+        self._publish_request = self._endpoints.publisher(topics.REQUEST, 1)
         self._publish_lost = self._endpoints.publisher(LOST, 0)
         self._publish_emergency = self._endpoints.publisher(topics.EMERGENCY, 1)
         self._manager = LifecycleManager(self._node)
@@ -275,6 +280,8 @@ class Coordinator:
         return self._node.create_client(Trigger, f"{self._endpoints.fleet}/formation/{name}")
 
     def _answer(self, client: Any, name: str, patience_s: float) -> str | None:
+        self._publish_request(HeaderTemplate(name).encode(0))
+        self._endpoints.flush(_REQUEST_S)
         call = client.call_async(Trigger.Request())
         self._executor.spin_until_future_complete(call, timeout_sec=patience_s)
         response = call.result() if call.done() else None

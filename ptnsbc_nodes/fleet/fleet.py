@@ -16,6 +16,7 @@ from rclpy.exceptions import InvalidNamespaceException
 from rclpy.validate_namespace import validate_namespace
 
 from ptnsbc_io.bag.writer import check_replaceable
+from ptnsbc_nodes.comm.seal import seal_of
 from ptnsbc_nodes.comm.topics import RECORDER
 from ptnsbc_nodes.emergency.orders import list_fleet, release, runtime_folder
 from ptnsbc_nodes.emergency.records import forget_dead
@@ -75,6 +76,7 @@ def run_fleet(options: FleetOptions, progress: Report = lambda line: None) -> Fl
     if options.bag is not None:
         check_replaceable(options.bag, overwrite=options.overwrite)
     check_options(options)
+    seal = seal_of(options.scenario)
     log_dir = Path(options.log_dir or tempfile.mkdtemp(prefix="ptnsbc-")).resolve()
     log_dir.mkdir(parents=True, exist_ok=True)
     scenario_file = log_dir / "scenario.yaml"
@@ -90,7 +92,7 @@ def run_fleet(options: FleetOptions, progress: Report = lambda line: None) -> Fl
         stack.enter_context(_listed(options, domain, progress))
         # Launchers on other computers have other names.
         name = "fleet" if options.leads else f"fleet_{min(options.only)}"
-        with Coordinator(domain, name, options.namespace) as coordinator:
+        with Coordinator(domain, name, options.namespace, seal=seal) as coordinator:
             supervisor = Supervisor(options, coordinator, stop, progress)
             began = time.monotonic()
             try:

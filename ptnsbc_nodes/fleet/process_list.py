@@ -149,6 +149,8 @@ def _recorder(options: FleetOptions, bag: Path, scenario_file: Path) -> ProcessC
         arguments.append("--slots")
     if options.backend == "mavlink":
         arguments += ["--draw", str(scenario_file), "--punctual"]
+    if options.scenario.file.security == "signed":
+        arguments.append("--signed")
     if options.overwrite:
         arguments.append("--overwrite")
     return ProcessCommand(RECORDER, "ptnsbc_nodes.recording.main", tuple(arguments))

@@ -17,9 +17,9 @@ from ptnsbc_io import wire
 from ptnsbc_io.bag import BagWriter, TopicInfo
 from ptnsbc_io.bag.reorder import PendingMessage, ReorderBuffer
 from ptnsbc_nodes.comm import qos, topics
-from ptnsbc_nodes.comm.announcements import LostProcess, decode_lost
-from ptnsbc_nodes.comm.door import Door
+from ptnsbc_nodes.comm.announcements import decode_lost
 from ptnsbc_nodes.comm.endpoints import full_name
+from ptnsbc_nodes.comm.seal import Seal
 from ptnsbc_nodes.comm.tf import Transforms
 from ptnsbc_nodes.comm.topics import RECORDED, SIM, Role, Topic
 from ptnsbc_nodes.recording.completeness import Completeness
@@ -67,6 +67,7 @@ class FleetRecorder(BagRecorder):
         transforms: Makes /tf.
         lockstep: Log at the message's own stamp, in an order that does not depend on arrival.
         draw: Makes the markers in real time, where no simulator does.
+        seal: Of a fleet whose messages are sealed; a bag holds them without it.
     """
 
     def __init__(
@@ -78,13 +79,15 @@ class FleetRecorder(BagRecorder):
         *,
         lockstep: bool,
         draw: Derive | None = None,
+        seal: Seal | None = None,
     ) -> None:
-        super().__init__(node, writer)
+        super().__init__(node, writer, seal)
         self._ticks = 0
         self._clock_ns = 0  # newest /clock of a lock-step flight
         recorded = tuple(recorded)
         self._completeness = Completeness(_sources(recorded))
         self._acknowledgement = wire.HeaderTemplate("recorder")
+        self._close: Callable[[bytes], bytes] = bytes if seal is None else seal.closer(RECORDED)
         self._transforms = transforms
         self._order = order = ReorderBuffer(_SHARED) if lockstep else None
         derived: list[tuple[str, Derive]] = [(topics.TF.name, transforms.of)]
@@ -97,8 +100,7 @@ class FleetRecorder(BagRecorder):
         if order is not None:
             order.complete_ns = self._completeness.complete_ns
             latched = qos.recorder_profile(topics.LOST, lockstep=True)
-            lost = Door(topics.LOST.name, decode_lost, self._on_lost, self.refusals)
-            self.subscribe(topics.LOST, full_name(node, topics.LOST), lost, latched)
+            self.subscribe(topics.LOST, full_name(node, topics.LOST), self._on_lost, latched)
             self._acknowledge = node.create_publisher(
                 topics.message_class(RECORDED), full_name(node, RECORDED), qos.EVENT
             )
@@ -145,10 +147,15 @@ class FleetRecorder(BagRecorder):
         self._ticks += 1
         if self._ticks % _ACK_TICKS == 0:
             stamp_ns = min(max(order.complete_ns, 0), self._clock_ns)
-            self._acknowledge.publish(self._acknowledgement.encode(stamp_ns))
+            self._acknowledge.publish(self._close(self._acknowledgement.encode(stamp_ns)))
 
-    def _on_lost(self, process: LostProcess) -> None:
-        """Wait for the messages of this UAV no longer; those about its vehicle still come, from the sim."""
+    def _on_lost(self, data: bytes) -> None:
+        """Wait for the messages of a UAV no longer; those about its vehicle still come, from the sim."""
+        try:
+            process = decode_lost(data)
+        except wire.WireError as error:
+            self.refusals.add(topics.LOST.name, str(error))
+            return
         if process.uav is None or self._order is None:
             return
         told = topics.of_uav(process.uav)[2:]

@@ -58,6 +58,7 @@ def _serve(options: argparse.Namespace, argv: list[str]) -> int:
 def _record(context: Context, options: argparse.Namespace, stop: StopRequest) -> None:
     from ptnsbc_io.bag import BagWriter
     from ptnsbc_nodes.comm import topics
+    from ptnsbc_nodes.comm.seal import required_seal
     from ptnsbc_nodes.comm.tf import Transforms
     from ptnsbc_nodes.recording.fleet_recorder import FleetRecorder, topic_info
     from ptnsbc_nodes.recording.recorder import recorder_node
@@ -90,6 +91,7 @@ def _record(context: Context, options: argparse.Namespace, stop: StopRequest) ->
                 Transforms(options.uavs),
                 lockstep=options.lockstep,
                 draw=draw,
+                seal=required_seal() if options.signed else None,
             )
             print("ready", file=sys.stderr, flush=True)
             recorder.serve(executor, lambda: stop.came, _DRAIN_LIMIT_S)
@@ -136,6 +138,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--punctual", action="store_true", help="run before all that does not fly, where allowed"
     )
+    parser.add_argument("--signed", action="store_true", help="record sealed messages only")
     parser.add_argument("--overwrite", action="store_true", help="replace an existing bag")
     parser.add_argument("--attach", type=_pair, action="append", default=[], metavar="NAME=PATH")
     parser.add_argument("--meta", type=_pair, action="append", default=[], metavar="KEY=VALUE")

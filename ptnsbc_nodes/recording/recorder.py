@@ -20,6 +20,7 @@ from ptnsbc_io.bag import BagWriter, TopicInfo
 from ptnsbc_io.bag.definitions import has_header
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.door import Door, Refusals
+from ptnsbc_nodes.comm.seal import Seal
 from ptnsbc_nodes.comm.topics import Topic
 from ptnsbc_nodes.runtime.executor import BoundedSpin, make_executor
 
@@ -36,7 +37,8 @@ _LISTS = frozenset({topics.MARKERS.type, topics.TF.type})
 class BagRecorder:
     """Subscriptions of a node that write into an open bag."""
 
-    def __init__(self, node: Node, writer: BagWriter) -> None:
+    def __init__(self, node: Node, writer: BagWriter, seal: Seal | None = None) -> None:
+        self._seal = seal
         self.refusals = Refusals()
         self.received = 0
         self.lost = 0  # as far as DDS reports it: gaps in the network, not in our own queue
@@ -53,16 +55,18 @@ class BagRecorder:
             ImportError, AttributeError: its message type is not installed.
         """
         # What was on a topic belongs into the bag, broken or not.
+        door = Door(name, self._opener(topic), callback, self.refusals, _LARGEST)
         self._node.create_subscription(
             topics.message_class(topic),
             name,
-            callback
-            if isinstance(callback, Door)
-            else Door(name, bytes, callback, self.refusals, _LARGEST),
+            door,
             profile,
             raw=True,
             event_callbacks=SubscriptionEventCallbacks(message_lost=self._count_lost),
         )
+
+    def _opener(self, topic: Topic) -> Callable[[bytes], bytes]:
+        return bytes if self._seal is None else self._seal.opener(topic, lockstep=True)
 
     def flush_regularly(self) -> None:
         """Write to the disk by wall time."""

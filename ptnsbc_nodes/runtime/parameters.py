@@ -23,6 +23,7 @@ from rclpy.parameter import Parameter
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_nodes.comm.graph import FlightOptions
+from ptnsbc_nodes.comm.seal import seal_of
 from ptnsbc_nodes.runtime.scenario_parameters import ScenarioParameter, Value, leaves
 from ptnsbc_sim.scenario import Scenario, load_scenario, scenario_from_text
 from ptnsbc_sim.scenario.model import ScenarioFile
@@ -128,7 +129,8 @@ class NodeParameters:
     @property
     def options(self) -> FlightOptions:
         """The options that all processes of a flight share."""
-        return FlightOptions(self["lockstep"], self["recorded"], self._is_bridged)
+        seal = seal_of(self.scenario)
+        return FlightOptions(self["lockstep"], self["recorded"], self._is_bridged, seal)
 
     @property
     def _is_bridged(self) -> bool:

@@ -47,7 +47,7 @@ class SimNode:
         self, node: Node, scenario: Scenario, edges: CommunicationGraph, on_end: Callable[[], None]
     ) -> None:
         self.node = node
-        self.endpoints = Endpoints(node, edges.options.lockstep)
+        self.endpoints = Endpoints(node, edges.options.lockstep, edges.options.seal)
         self._options = edges.options
         self._scenario = scenario
         self._on_end = on_end
@@ -209,7 +209,7 @@ class SimNode:
         hovering = "" if lockstep or not self._running else self._real_time.hovering(stamp_ns)
         values |= self.endpoints.refusals.values()
         message = f"waiting for {' '.join(missing)}" if missing else hovering
-        message = message or self.endpoints.refusals.report()
+        message = message or self.endpoints.refusals.report() or self.endpoints.rivals()
         level = DiagnosticLevel.WARN if message else DiagnosticLevel.OK
         send = self._send_status if stamp_ns >= 0 else self._send_ready
         send(diagnostics(max(stamp_ns, 0), "sim: world", level, message, values))

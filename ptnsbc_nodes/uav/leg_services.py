@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
-from ptnsbc_io.wire import HeaderTemplate
+from ptnsbc_io.wire import HeaderTemplate, WireError, decode_header
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.comm.graph import CommunicationGraph
@@ -18,7 +19,16 @@ from ptnsbc_nodes.uav.slots import SlotDecider
 LEAD_NS = 500_000_000
 """An epoch is announced this long before it begins, so that all UAVs switch at the same instant [ns]."""
 
+_PERMIT_S = 5.0
+
 _LEGS = {"start": FIRST_LEG, "hold": "hold", "land": "land", "stop": "land"}
+
+
+def _decode_request(data: bytes) -> str:
+    name = decode_header(data).frame_id
+    if name not in _LEGS:
+        raise WireError(f"request {name[:40]!r}: expected one of {', '.join(_LEGS)}")
+    return name
 
 
 class LegServices:
@@ -51,6 +61,11 @@ class LegServices:
         self._decider = decider
         self._listeners = edges.epoch_listeners()
         self._publish = endpoints.publisher(topics.EPOCH, edges.epoch_readers())
+        self._signed = edges.options.seal is not None
+        self._requested_s: dict[
+            str, float
+        ] = {}  # when each service was last announced on /formation/request
+        endpoints.listen(topics.REQUEST, _decode_request, self._on_announced, required=False)
         self._services = [
             node.create_service(
                 Trigger, f"{endpoints.fleet}/formation/{name}", self._on_request(name)
@@ -76,7 +91,17 @@ class LegServices:
 
         return on_request
 
+    def _on_announced(self, name: str) -> None:
+        self._requested_s[name] = time.monotonic()
+
+    def _is_permitted(self, name: str) -> bool:
+        """A service carries no seal: the sealed message before its call does. It permits one call."""
+        announced_s = self._requested_s.pop(name, float("-inf"))
+        return not self._signed or time.monotonic() - announced_s < _PERMIT_S
+
     def _refusal(self, name: str) -> str | None:
+        if not self._is_permitted(name):
+            return f"security: signed: expected a sealed {topics.REQUEST.name} before the call"
         if not self._epochs.announced and name != "start":
             return "not started: call /formation/start first"
         missing = self._waiting_for() if name == "start" else ()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 from collections.abc import Sequence
 
 from ptnsbc_nodes.runtime.signals import exit_on_signal
@@ -50,7 +51,10 @@ def _fly(arguments: argparse.Namespace, argv: list[str]) -> int:
 
         def configure() -> UavNode:
             graph = CommunicationGraph(settings.scenario, settings.options)
-            return UavNode(node, settings.scenario, settings.uav, graph)
+            # A launcher ends its processes in order; one that was started by hand would outlive the flight.
+            watched = environment.PARENT in os.environ
+            on_abandoned = (lambda: None) if watched else lifetime.end
+            return UavNode(node, settings.scenario, settings.uav, graph, on_abandoned)
 
         node.assign(configure, lifetime.end)
         autostart = settings["autostart"] and not arguments.managed

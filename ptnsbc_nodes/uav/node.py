@@ -6,6 +6,7 @@ happens when all its messages are here: the own odometry of tick k, and the neig
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from functools import partial
 
@@ -48,15 +49,25 @@ from ptnsbc_nodes.uav.slots import OpenSlots, SlotDecider
 from ptnsbc_sim.scenario import Scenario, agent_config
 from ptnsbc_sim.scenario.slots import are_open
 
+ABANDONED_S = 30.0
+"""A UAV that no launcher watches ends when the process of its vehicle has been gone for so long."""
+
 
 class UavNode:
     """The controller of one UAV: one rclpy node, one tick; it only listens until `activate`."""
 
     def __init__(
-        self, node: Node, scenario: Scenario, uav_id: int, edges: CommunicationGraph
+        self,
+        node: Node,
+        scenario: Scenario,
+        uav_id: int,
+        edges: CommunicationGraph,
+        on_abandoned: Callable[[], None] = lambda: None,
     ) -> None:
+        """`on_abandoned` is called when the vehicle of the UAV is gone for good."""
         self.node = node
-        self.endpoints = Endpoints(node, edges.options.lockstep)
+        self._vehicle = _VehiclePresence(on_abandoned)
+        self.endpoints = Endpoints(node, edges.options.lockstep, edges.options.seal)
         self._options = edges.options
         self._uav = uav_id
         self._controller = UavController(agent_config(scenario, uav_id), edges.senders(uav_id))
@@ -167,6 +178,10 @@ class UavNode:
                 decode = in_order(OdometryDecoder(), self._timing.stamp_rule())
                 self.endpoints.listen(topics.odom(uav), decode, partial(decider.on_odometry, uav))
         return decider
+
+    def look_for_vehicle(self, now_s: float) -> None:
+        """Notice when the process of the vehicle is gone for good."""
+        self._vehicle.look(self._odom_name not in self.endpoints.unheard(), now_s)
 
     def _subscribe(self, uav_id: int) -> None:
         listen, inbox = self.endpoints.listen, self._controller.inbox
@@ -288,6 +303,20 @@ class UavNode:
         self._outbox.send(own, outputs, at, self._controller)
 
 
+class _VehiclePresence:
+    """Notices that a vehicle's process, which was there, has been gone for `ABANDONED_S`."""
+
+    def __init__(self, on_abandoned: Callable[[], None]) -> None:
+        self._on_abandoned = on_abandoned
+        self._seen_s: float | None = None
+
+    def look(self, present: bool, now_s: float) -> None:
+        if present:
+            self._seen_s = now_s
+        elif self._seen_s is not None and now_s - self._seen_s > ABANDONED_S:
+            self._on_abandoned()
+
+
 class _Timing:
     """The clock, the ticks and the periods of one UAV."""
 
@@ -355,6 +384,7 @@ class _StatusPublisher:
 
     def _on_timer(self) -> None:
         timing = self._uav._timing
+        self._uav.look_for_vehicle(time.monotonic())
         if not self._uav._options.lockstep:
             self.publish(timing.now_ns())
         elif timing.done_ns in (-1, self._seen_done_ns):
@@ -397,6 +427,8 @@ class _StatusPublisher:
             return DiagnosticLevel.WARN, "near objects are stale: slow"
         if refused := uav.endpoints.refusals.report():
             return DiagnosticLevel.WARN, refused
+        if rivals := uav.endpoints.rivals():
+            return DiagnosticLevel.WARN, rivals
         total = uav._timing.pace.missed
         missed, self._reported_missed = total - self._reported_missed, total
         if missed > 0:

@@ -261,6 +261,8 @@ class ScenarioFile(Block):
     """Text for the reader."""
     seed: Annotated[int, Field(strict=True, ge=0, lt=2**32)] = 0
     """Seed of all random numbers, see [below](#chance)."""
+    security: Literal["none", "signed"] = "none"
+    """`signed`: processes take only messages that carry the seal of the fleet, see [security.md](security.md)."""
     timing: Timing
     """Rates and duration."""
     world: Surroundings = Surroundings()

@@ -128,9 +128,10 @@ def _middleware(domain: int, fleet: str) -> Coordinator:
     from ptnsbc_nodes.runtime import environment
 
     environment.prepare()
+    from ptnsbc_nodes.comm.seal import operators_seal
     from ptnsbc_nodes.fleet.coordinator_node import Coordinator
 
-    return Coordinator(domain, f"stop_{os.getpid()}", fleet)
+    return Coordinator(domain, f"stop_{os.getpid()}", fleet, seal=operators_seal())
 
 
 def _tell_leader(coordinator: Coordinator, domain: int, *, kill: bool) -> int:

@@ -279,6 +279,7 @@ def test_the_graph_shows_what_the_architecture_lists(ros, managed, uav_id, locks
     shows(ros, node.get_publisher_names_and_types_by_node, me, expected)
 
     heard = {f"{here}/odom", f"{here}/near", "/formation/epoch", "/formation/lost"}
+    heard |= {"/formation/request"} if uav_id == LEADER else set()
     if uav_id == FOLLOWER:  # its parent, the leader, and its neighbours in the estimator graph
         heard |= {"/uav2/formation_state", "/uav1/formation_state"}
         heard |= {"/uav2/leader_estimate", "/uav4/leader_estimate"}

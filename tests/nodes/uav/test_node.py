@@ -17,6 +17,7 @@ from ptnsbc_io import wire
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions
+from ptnsbc_nodes.comm.seal import Seal
 from ptnsbc_nodes.comm.topics import LOST, READY
 from ptnsbc_nodes.uav import main
 from ptnsbc_nodes.uav.node import UavNode
@@ -382,6 +383,65 @@ def test_no_message_ends_a_uav(ros, scenario):
     ros.spin_until(all_named)
     others.odom(time.time_ns())
     ros.spin_until(lambda: others.wrenches)
+
+
+def test_a_uav_whose_vehicle_is_gone_for_good_ends(ros, scenario):
+    """A process that was started again by hand once outlived its flight."""
+    ended = []
+    edges = CommunicationGraph(scenario, FlightOptions())
+    node = ros.node("controller", namespace=f"/uav{FOLLOWER}")
+    uav = UavNode(node, scenario, FOLLOWER, edges, lambda: ended.append(True))
+    uav.look_for_vehicle(1e6)  # its vehicle has not come yet
+    vehicle = ros.node("vehicle")
+    Endpoints(vehicle, False).publisher(topics.odom(FOLLOWER), 1)
+    ros.spin_until(lambda: f"/uav{FOLLOWER}/odom" not in uav.endpoints.unheard())
+    uav.look_for_vehicle(time.monotonic())
+    ros.remove(vehicle)
+    ros.spin_until(lambda: f"/uav{FOLLOWER}/odom" in uav.endpoints.unheard())
+    uav.look_for_vehicle(time.monotonic() + 29.0)
+    assert ended == []
+    uav.look_for_vehicle(time.monotonic() + 31.0)
+    assert ended
+
+
+def sealed_uav(ros, scenario, uav_id):
+    """A UAV of a fleet with a seal, and the ends of a node with the seal and of one without."""
+    seal = Seal(bytes(32))
+    edges = CommunicationGraph(scenario, FlightOptions(seal=seal))
+    uav = UavNode(ros.node("controller", namespace=f"/uav{uav_id}"), scenario, uav_id, edges)
+    return uav, Endpoints(ros.node("ours"), False, seal), Endpoints(ros.node("theirs"), False)
+
+
+def test_with_a_seal_no_leg_of_an_outsider_counts(ros, scenario):
+    uav, ours, theirs = sealed_uav(ros, scenario, FOLLOWER)
+    leg = wire.HeaderTemplate("form").encode(7)
+    true, forged = ours.publisher(topics.EPOCH, 1), theirs.publisher(topics.EPOCH, 1)
+    ros.spin_until(lambda: not ours.unread() and not theirs.unread())
+    forged(leg)
+    ros.spin_until(lambda: uav.endpoints.refusals.counts)
+    assert "not sealed with the key of the fleet" in uav.endpoints.refusals.newest
+    assert not uav._epochs.announced
+    true(leg)
+    ros.spin_until(lambda: uav._epochs.announced)
+    ros.spin_until(uav.endpoints.rivals)
+    assert uav.endpoints.rivals().startswith("/formation/epoch has a second publisher: /")
+
+
+def test_with_a_seal_the_leader_answers_no_call_without_a_sealed_request(ros, scenario):
+    _, ours, theirs = sealed_uav(ros, scenario, LEADER)
+    send = [ends.publisher(topics.REQUEST, 1) for ends in (ours, theirs)]
+    ros.spin_until(lambda: not ours.unread() and not theirs.unread())
+    node = ours._node
+    refused = call(ros, node, "stop").message
+    assert refused.startswith("security: signed: expected a sealed /formation/request")
+    request = wire.HeaderTemplate("stop").encode(0)
+    send[1](request)
+    ros.spin_for(0.1)
+    assert call(ros, node, "stop").message == refused
+    send[0](request)
+    ros.spin_for(0.1)
+    assert call(ros, node, "stop").message == "not started: call /formation/start first"
+    assert call(ros, node, "stop").message == refused  # one call for one request
 
 
 @pytest.mark.parametrize(
