@@ -425,10 +425,8 @@ class _StatusPublisher:
             return DiagnosticLevel.WARN, "holding"
         if uav._epochs.announced and uav._controller.near_stale:
             return DiagnosticLevel.WARN, "near objects are stale: slow"
-        if refused := uav.endpoints.refusals.report():
-            return DiagnosticLevel.WARN, refused
-        if rivals := uav.endpoints.rivals():
-            return DiagnosticLevel.WARN, rivals
+        if intruder := uav.endpoints.refusals.report() or uav.endpoints.rivals():
+            return DiagnosticLevel.WARN, intruder
         total = uav._timing.pace.missed
         missed, self._reported_missed = total - self._reported_missed, total
         if missed > 0:
