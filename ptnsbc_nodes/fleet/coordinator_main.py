@@ -56,9 +56,7 @@ def _serve(arguments: argparse.Namespace, argv: list[str]) -> int:
     with StopRequest() as stop:
         with ros_errors():
             domain = int(os.environ.get("ROS_DOMAIN_ID", "0"))
-            coordinator = Coordinator(
-                domain, ros_arguments=argv[1:], seal=seal_of(scenario)
-            )
+            coordinator = Coordinator(domain, ros_arguments=argv[1:], seal=seal_of(scenario))
         with coordinator:
             _fly(coordinator, arguments, options.patience_s, scenario, stop)
     return 0
