@@ -115,7 +115,7 @@ def find(name: str | Path, beside: Path | None = None) -> Path:
     given = Path(name).expanduser()
     if len(given.parts) > 1:
         path = given if beside is None or given.is_absolute() else beside / given
-        if path.is_file():
+        if _is_file(path):
             return path
         raise ScenarioError(f"{path}: no such scenario file; {_names(given.stem)}")
     suffixes = ("",) if given.suffix in _SUFFIXES else _SUFFIXES
@@ -124,9 +124,16 @@ def find(name: str | Path, beside: Path | None = None) -> Path:
     for folder in here + folders():
         for suffix in suffixes:
             path = folder / f"{given}{suffix}"
-            if path.is_file():
+            if _is_file(path):
                 return path
     raise ScenarioError(f"{given}: no scenario of this name; {_names(given.stem)}")
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except (OSError, ValueError):  # a name that is too long, or with a NUL
+        return False
 
 
 def _names(word: str) -> str:
