@@ -32,7 +32,8 @@ class Experiment:
 
 
 EXPERIMENTS = (
-    Experiment("promise", "all scenarios, by sweeps", 110),
+    Experiment("promise", "paper_5, paper_5_free, experiment_4, by sweeps", 100),
+    Experiment("promise_20", "paper_20, by sweeps", 190),
     Experiment("simulation_1", "paper_5, paper_5_free", 25),
     Experiment("baselines", "paper_5_free, paper_20", 80),
     Experiment("simulation_2", "paper_20", 25),

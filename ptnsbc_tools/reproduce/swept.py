@@ -49,7 +49,6 @@ def fly_case(output: ExperimentFolder, name: str, case: SweepCase) -> FlownSweep
         name=what,
     )
     folder = output.folder / "sweeps" / slug
-    folder.mkdir(parents=True)
     run(plan, folder, workers=1)
     return read_sweep(folder)
 

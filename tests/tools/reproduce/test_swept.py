@@ -10,20 +10,20 @@ from ptnsbc_sim.sweep import parse_starts
 from ptnsbc_sim.sweep.plan import plan_of
 from ptnsbc_tools.reproduce import swept
 from ptnsbc_tools.reproduce.experiments import ablations, envelope, experiment, promise, time_base
-from ptnsbc_tools.reproduce.flights import scenario
+from ptnsbc_tools.reproduce.flights import PLANTS, scenario
 from ptnsbc_tools.reproduce.output import ExperimentFolder
 from ptnsbc_tools.reproduce.swept import SweepCase, swept_table
 from ptnsbc_tools.sweeps.share import share
 
 ENVELOPE = [envelope.case(axis, value) for axis in envelope.AXES for value in axis.values]
 ABLATIONS = [
-    *ablations._laws(), *ablations._starts(), *time_base._time_bases(), *time_base._loops(),
+    *ablations._laws(), *ablations._rules(), *ablations._starts(), *time_base._time_bases(), *time_base._loops(),
     *ablations._adaptations(),
 ]  # fmt: skip
 CAUSES = [SweepCase((name,), *given) for name, given in experiment.CAUSES.items()]
 PROMISE = [
-    promise._case(name, plant, law)
-    for name, plants in promise.SCENARIOS.items()
+    promise.law_case(name, plant, law)
+    for name, plants in {**promise.SCENARIOS, "paper_20": PLANTS}.items()
     for plant in plants
     for law in promise.LAWS
 ]
