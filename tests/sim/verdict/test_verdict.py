@@ -592,7 +592,8 @@ def test_errors_are_those_against_the_slot_that_a_uav_took(fly: Fly) -> None:
     held = replace(flown, scenario=scenario, slots={flown.start_ns: own})
     assert [one.slot for one in verdict_on(held).uavs] == [1, 2, 3, 4, 5]
     assert of(verdict_on(held), 3).start_error_m == pytest.approx(2.0)
-    swapped = replace(held, slots={flown.start_ns: {**own, 4: 5, 5: 4}})
+    in_place = replace(fly(), scenario=scenario)  # nobody passes through a keep-out
+    swapped = replace(in_place, slots={in_place.start_ns: {**own, 4: 5, 5: 4}})
     gap = np.linalg.norm(scenario.offset(4) - scenario.offset(5))
     one = of(verdict_on(swapped), 4)
     assert (one.slot, one.verdict) == (5, "missed")

@@ -7,18 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from ptnsbc_io.wire import Diagnostics, DiagnosticStatus
 from ptnsbc_nodes.uav.controller import StepTime
 from ptnsbc_nodes.uav.step_log import TickNote, UsedMessage
 from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_sim.verdict import Series
 from ptnsbc_tools.plotting.charts import CHARTS, FLOOR_M, MOST_PAIRS, charts
 from ptnsbc_tools.plotting.flight import view_of
-from ptnsbc_tools.reading.diagnostics import (
-    Diagnostics,
-    DiagnosticStatus,
-    StatusCollector,
-    StatusSeries,
-)
+from ptnsbc_tools.reading.diagnostics import StatusCollector, StatusSeries
 
 
 def drawn(recording, status=None):
