@@ -101,7 +101,7 @@ def plot_shares(axes: Any, at: Array, shares: Sequence[Share]) -> None:
         [max(one.value - one.low, 0.0) for one in shares],
         [max(one.high - one.value, 0.0) for one in shares],
     ]
-    axes.errorbar(at, values, yerr=reach, fmt="o", capsize=3, color=COLOURS[0])
+    axes.errorbar(at, values, yerr=reach, fmt="o", markersize=4, capsize=3, color=COLOURS[0])
     axes.set_ylim(-0.03, 1.03)
     axes.grid(alpha=0.3)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from textwrap import fill
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -121,13 +122,14 @@ Swept = dict[str, dict[float, FlightTable]]
 
 
 def _figure(output: ExperimentFolder, swept: Swept) -> Figure:
-    drawing = style.figure(60.0 * ((len(swept) + 2) // 3))
-    grid = drawing.subplots((len(swept) + 2) // 3, 3, squeeze=False)
+    rows = (len(swept) + 1) // 2
+    drawing = style.figure(38.0 * rows)
+    grid = drawing.subplots(rows, 2, squeeze=False, sharey=True)
     curves = {}
     for number, (axes, (name, tables)) in enumerate(zip(grid.flat, swept.items(), strict=False)):
         shares = [met(table) for table in tables.values()]
         plot_shares(axes, np.array(list(tables)), shares)
-        axes.set_title(name, fontsize=7)
+        axes.set_title(fill(name, 30), fontsize=6.5)
         curves[f"axis{number + 1}_value"] = np.array(list(tables))
         for part in ("value", "low", "high"):
             column = np.array([getattr(one, part) for one in shares])
