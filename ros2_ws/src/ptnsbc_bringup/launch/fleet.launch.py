@@ -35,7 +35,7 @@ from launch_ros.actions import Node
 # [s] from SIGINT to the harder signals: a bridge lands its vehicle, and the recorder completes its bag.
 PATIENCE_S = "300"
 FLAGS = ("true", "false")
-SWITCHES = ("lockstep", "allow_arming", "overwrite")
+SWITCHES = ("lockstep", "allow_arming", "overwrite", "check")
 VALUES = {"backend": "--backend", "namespace": "--namespace", "duration": "--duration"}
 VIEWERS = {"rviz": "rviz2", "foxglove": "foxglove_bridge"}
 
@@ -65,6 +65,7 @@ def generate_launch_description() -> LaunchDescription:
             argument("set", "", "other keys of the scenario: 'KEY=VALUE KEY=VALUE'"),
             argument("record", "", "record into this folder"),
             flag("overwrite", "replace an existing recording"),
+            flag("check", "dry runs before anything starts; a scenario that they miss is refused"),
             flag("rviz", "show the formation"),
             flag(
                 "foxglove",
