@@ -9,7 +9,7 @@ from bench.scenarios import grid, paper
 from bench.session import Plan, cpu_seconds, take_turns
 from bench.step import SVD, numpy_svd
 from bench.table import Row, Target
-from ptnsbc_core.kernel import kernel
+from ptnsbc_core.kernel import borrowed, kernel
 from ptnsbc_core.step import step
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.swarm import (
@@ -30,6 +30,7 @@ _TARGETS = {5: 80_000.0, 20: 25_000.0}
 
 @kernel
 def _sense(ticks: int, wiring: Wiring, swarm: SwarmState, track: FlightTrack) -> float:
+    wiring, swarm, track = borrowed(wiring), borrowed(swarm), borrowed(track)
     for tick in range(ticks):
         sense(swarm, wiring, track, tick, None)
     return 0.0
@@ -37,6 +38,7 @@ def _sense(ticks: int, wiring: Wiring, swarm: SwarmState, track: FlightTrack) ->
 
 @kernel
 def _inputs(ticks: int, wiring: Wiring, swarm: SwarmState, track: FlightTrack) -> float:
+    wiring, swarm, track = borrowed(wiring), borrowed(swarm), borrowed(track)
     total = 0.0
     for tick in range(ticks):
         for row in range(swarm.bodies.shape[0]):
@@ -47,6 +49,7 @@ def _inputs(ticks: int, wiring: Wiring, swarm: SwarmState, track: FlightTrack) -
 
 @kernel
 def _laws(ticks: int, wiring: Wiring, swarm: SwarmState, track: FlightTrack) -> float:
+    wiring, swarm, track = borrowed(wiring), borrowed(swarm), borrowed(track)
     dt, total = wiring.dt_ns * 1e-9, 0.0
     for tick in range(ticks):
         t = (tick * wiring.dt_ns) * 1e-9
@@ -59,6 +62,7 @@ def _laws(ticks: int, wiring: Wiring, swarm: SwarmState, track: FlightTrack) -> 
 
 @kernel
 def _noting(ticks: int, wiring: Wiring, swarm: SwarmState, track: FlightTrack) -> float:
+    wiring, swarm, track = borrowed(wiring), borrowed(swarm), borrowed(track)
     dt = wiring.dt_ns * 1e-9
     for tick in range(ticks):
         t = (tick * wiring.dt_ns) * 1e-9
@@ -71,6 +75,7 @@ def _noting(ticks: int, wiring: Wiring, swarm: SwarmState, track: FlightTrack) -
 
 @kernel
 def _plant(ticks: int, wiring: Wiring, swarm: SwarmState, track: FlightTrack) -> float:
+    wiring, swarm, track = borrowed(wiring), borrowed(swarm), borrowed(track)
     for tick in range(ticks):
         for row in range(swarm.bodies.shape[0]):
             advance_plant(swarm, wiring, track, tick, row, None)
