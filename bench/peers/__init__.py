@@ -10,6 +10,7 @@ import json
 import os
 import subprocess
 import sys
+import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -36,7 +37,10 @@ def measure(plan: Plan) -> Sequence[Row]:
 def _measured(peer: str, seconds: float) -> dict[str, str | float] | None:
     python = os.environ.get("PTNSBC_PEERS_PYTHON", sys.executable)
     command = [python, str(Path(__file__).with_name(f"{peer}.py")), str(seconds)]
-    done = subprocess.run(command, capture_output=True, text=True, preexec_fn=_on_two_cores)
+    with tempfile.TemporaryDirectory() as folder:  # MuJoCo writes a log where it runs
+        done = subprocess.run(
+            command, capture_output=True, text=True, cwd=folder, preexec_fn=_on_two_cores
+        )
     if done.returncode:
         why = done.stderr.strip().splitlines()[-1:] or [f"exit code {done.returncode}"]
         print_progress(f"peers: {peer}: skipped: {why[0]}")
