@@ -299,7 +299,7 @@ def measured(work: Callable[[bytes], None], data: bytes) -> Cost:
 
 
 def tried(fuzzer: Fuzzer, data: bytes) -> tuple[Cost, str]:
-    """What an input took, and what is wrong with that, nothing in most cases."""
+    """Time and memory that one input took, and the limit that it broke; most break none."""
     try:
         cost = measured(fuzzer.run, data)
     except Exception:

@@ -60,7 +60,7 @@ _Counting = Callable[[str], tuple[_Since, int]]
 
 
 class Kept(NamedTuple):
-    """What became of the messages of one topic, or of one sender on a topic that many share."""
+    """Messages sent and recorded on one topic, or by one sender on a topic that many share."""
 
     name: str
     sent: int
@@ -186,7 +186,7 @@ def _of_sim(one: PublishCounters) -> _Counting:
 
 
 def _of_uav(bag: Bag, uav: int, one: PublishCounters) -> _Counting:
-    """What a step sends has the stamp of the odometry it was made of, but for the notes of the steps themselves."""
+    """Messages of a step have the stamp of its odometry; the notes of the steps have their own."""
     notes = [_note(m.data) for m in bag.messages([topics.tick(uav).name])]
     after = [note for note in notes if note.moment.now_ns > one.since_ns]
     before = [_made_of_ns(note) for note in notes if note.moment.now_ns <= one.since_ns]

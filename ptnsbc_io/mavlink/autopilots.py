@@ -229,7 +229,7 @@ _PX4_WITHOUT_SETPOINTS: Mapping[int, str] = {
 
 
 def fate(autopilot: Autopilot, mode: FlightMode, values: Mapping[str, float]) -> str:
-    """What an armed vehicle does from now on when no companion speaks to it, by its mode and parameters."""
+    """The words for how an armed vehicle goes on without its companion, by its mode and parameters."""
     if mode is FlightMode.LAND:
         return "it lands by itself"
     if mode is FlightMode.RETURN:
