@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import astuple, fields
+from dataclasses import fields
 from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, version
 from io import BytesIO
@@ -132,9 +132,7 @@ def _table(
         name: [_cell(values.get(name.removeprefix(DRAWN)), kind) for values in drawn]
         for name, kind in drawn_columns(plan).items()
     }
-    figures = list(zip(*(astuple(row) for row in rows), strict=True))
-    names = (field.name for field in fields(SweepRow))
-    columns |= {name: list(values) for name, values in zip(names, figures, strict=True)}
+    columns |= {one.name: [getattr(row, one.name) for row in rows] for one in fields(SweepRow)}
     return pa.table(columns, schema=schema(plan))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from itertools import chain
 from typing import NamedTuple
 
@@ -43,12 +44,13 @@ def coverage(recording: Recording, uav: int, track: Track) -> Coverage:
         if gaps[longest] > longest_ns:
             longest_ns, at_ns = int(gaps[longest]), int(edges[longest])
         last_ns = int(edges[-1])
-    missing = _missing(recording, recording.sent.get(uav), track)
-    return Coverage(missing, float(longest_ns) * NANO, float(at_ns - start_ns) * NANO)
+    lost = missing(recording, uav, track)
+    return Coverage(lost, float(longest_ns) * NANO, float(at_ns - start_ns) * NANO)
 
 
-def _missing(recording: Recording, sent: Track | None, track: Track) -> int:
-    """Messages that were sent and are not recorded; real vehicles have rates of their own."""
+def missing(recording: Recording, uav: int, track: Track) -> int:
+    """Messages of a UAV that were sent and are not in `track`; real vehicles have rates of their own."""
+    sent = recording.sent.get(uav)
     start_ns, end_ns = recording.start_ns, recording.end_ns
     if sent is None:
         # The total, not gap by gap: a late message and an early one after it are not a missing one.
@@ -79,11 +81,17 @@ def _early_end(recording: Recording) -> str:
     return f"/uav{first}/odom ends after {' of '.join(lengths)}"
 
 
-def incomplete(recording: Recording, uav: int) -> str:
-    """What the recording lacks of a UAV or of its leader; empty when it is complete enough."""
+def incomplete(recording: Recording, uav: int, covers: Mapping[int, Coverage]) -> str:
+    """What the recording lacks of a UAV or of its leader; empty when it is complete enough.
+
+    Args:
+        recording: the leg.
+        uav: the UAV.
+        covers: coverage of the odometry of every UAV.
+    """
     found = []
     for name in dict.fromkeys((uav, recording.flown.leader_id)):
-        gap = coverage(recording, name, recording.odometry[name])
+        gap = covers[name]
         if gap.longest_gap_s > LONGEST_GAP_S:
             span = f"nothing on /uav{name}/odom for {gap.longest_gap_s:.2f} s"
             found.append(f"{span} from t = {gap.gap_at_s:.2f} s")
@@ -104,10 +112,9 @@ def first_bad_s(recording: Recording, track: Track | None) -> float | None:
     if track is None:
         return None
     for block in track.blocks(*track.span(recording.start_ns, recording.end_ns)):
-        finite = np.isfinite(block.values)
-        if finite.all():
-            continue
-        bad = np.flatnonzero(~finite.all(axis=1))
+        if np.isfinite(np.sum(block.values)):
+            continue  # a sum of finite numbers may be infinite, one with NaN or inf is never finite
+        bad = np.flatnonzero(~np.isfinite(block.values).all(axis=1))
         if bad.size:
             return float(block.t_ns[bad[0]] - recording.start_ns) * NANO
     return None

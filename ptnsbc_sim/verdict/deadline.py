@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,9 +11,10 @@ from numpy.typing import NDArray
 from ptnsbc_core.trajectory import reference_positions
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario.build import trajectory_vector
-from ptnsbc_sim.verdict.coverage import coverage, first_bad_s, incomplete, silent_from_s
-from ptnsbc_sim.verdict.encounters import ancestors, encounters, inside
+from ptnsbc_sim.verdict.coverage import Coverage, first_bad_s, incomplete, silent_from_s
+from ptnsbc_sim.verdict.encounters import Window, ancestors, inside
 from ptnsbc_sim.verdict.recording import NANO, Recording, counter_rise
+from ptnsbc_sim.verdict.track import lengths
 
 MET, MISSED, VIOLATED, VOID = "met", "missed", "violated", "void"
 WORST_FIRST = (VIOLATED, MISSED, VOID, MET)
@@ -70,7 +72,7 @@ def formation_errors(
     errors = {}
     for uav in scenario.uav_ids:
         goal = path if uav == scenario.leader_id else leader + scenario.offset(uav)
-        errors[uav] = np.linalg.norm(positions[uav] - goal, axis=1)
+        errors[uav] = lengths(positions[uav] - goal)
     return errors
 
 
@@ -111,14 +113,14 @@ class ErrorFigures:
 
     Args:
         recording: the leg.
-        uav: the UAV.
+        windows: encounters of the UAV.
         tolerance: limit of the error at the deadline [m].
     """
 
-    def __init__(self, recording: Recording, uav: int, tolerance: float) -> None:
+    def __init__(self, recording: Recording, windows: list[Window], tolerance: float) -> None:
         self._recording = recording
         self._deadline_s = deadline = recording.scenario.gains.formation.deadline_s
-        self._windows = encounters(recording.flown, recording.counters, uav)
+        self._windows = windows
         start_ns = recording.start_ns
         spans = [((a - start_ns) * NANO, (b - start_ns) * NANO) for a, b in self._windows]
         # Only encounters that begin after the deadline are left out of the settling time.
@@ -318,7 +320,12 @@ def _not_finite(recording: Recording, uav: int, figures: ErrorFigures) -> str:
 
 
 def judge(
-    recording: Recording, uav: int, figures: ErrorFigures, tolerance: float, intrusion: str = ""
+    recording: Recording,
+    uav: int,
+    figures: ErrorFigures,
+    tolerance: float,
+    covers: Mapping[int, Coverage],
+    intrusion: str = "",
 ) -> UavVerdict:
     """The verdict on one UAV.
 
@@ -327,9 +334,10 @@ def judge(
         uav: the UAV.
         figures: its formation error over the whole leg.
         tolerance: limit of the error at the deadline [m].
+        covers: coverage of the odometry of every UAV.
         intrusion: the keep-outs that it entered, in words; empty when it entered none.
     """
-    found = _of_deadline(recording, uav, figures, tolerance)
+    found = _of_deadline(recording, uav, figures, tolerance, covers)
     if not intrusion:
         return found
     return replace(
@@ -338,10 +346,14 @@ def judge(
 
 
 def _of_deadline(
-    recording: Recording, uav: int, figures: ErrorFigures, tolerance: float
+    recording: Recording,
+    uav: int,
+    figures: ErrorFigures,
+    tolerance: float,
+    covers: Mapping[int, Coverage],
 ) -> UavVerdict:
     """The verdict on the deadline of one UAV, whatever it came near to."""
-    found = _measured(recording, uav, figures, tolerance)
+    found = _measured(recording, uav, figures, tolerance, covers[uav])
     not_finite = _not_finite(recording, uav, figures)
     if not_finite:
         # Comparisons with NaN are false: the error would seem never to leave the band.
@@ -349,7 +361,7 @@ def _of_deadline(
     end_s = figures.end_s
     short = found.error_at_deadline_m is None
     miss = f"recording ends after {end_s:.2f} s" if short else _miss(found, figures)
-    hole = incomplete(recording, uav)
+    hole = incomplete(recording, uav, covers)
     if hole:
         parts = [f"recording incomplete: {hole}", *([miss] if miss and not short else [])]
         return replace(found, verdict=VOID, reason=", ".join(parts))
@@ -362,12 +374,11 @@ def _of_deadline(
 
 
 def _measured(
-    recording: Recording, uav: int, figures: ErrorFigures, tolerance: float
+    recording: Recording, uav: int, figures: ErrorFigures, tolerance: float, cover: Coverage
 ) -> UavVerdict:
     """All figures of one UAV."""
     deadline = recording.scenario.gains.formation.deadline_s
     start, at = figures.start_error, figures.at_deadline
-    cover = coverage(recording, uav, recording.odometry[uav])
     return UavVerdict(
         uav=uav,
         slot=recording.slot(uav),

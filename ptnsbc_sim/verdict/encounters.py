@@ -68,15 +68,18 @@ def ancestors(scenario: Scenario, uav_id: int) -> list[int]:
     return chain
 
 
-def encounters(scenario: Scenario, counters: Mapping[int, Track], uav_id: int) -> list[Window]:
-    """Encounters of one UAV, recovery included."""
+def encounters(scenario: Scenario, counters: Mapping[int, Track]) -> dict[int, list[Window]]:
+    """Encounters of every UAV, recovery included."""
     extra_ns = round(recovery_s(scenario) * 1e9)
-    return merged(
-        (begin, end + extra_ns)
-        for uav in ancestors(scenario, uav_id)
-        if uav in counters
-        for begin, end in avoidance_windows(counters[uav])
-    )
+    own = {uav: avoidance_windows(track) for uav, track in counters.items()}
+    return {
+        uav_id: merged(
+            (begin, end + extra_ns)
+            for uav in ancestors(scenario, uav_id)
+            for begin, end in own.get(uav, ())
+        )
+        for uav_id in scenario.uav_ids
+    }
 
 
 def inside(windows: Iterable[Window], t_ns: NDArray[np.int64]) -> NDArray[np.bool_]:

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ptnsbc_core.types import Array
-from ptnsbc_sim.verdict.coverage import coverage
+from ptnsbc_sim.verdict.coverage import missing
 from ptnsbc_sim.verdict.deadline import ValueAt, max_of
 from ptnsbc_sim.verdict.recording import NANO, Recording
-from ptnsbc_sim.verdict.track import BLOCK, Series
+from ptnsbc_sim.verdict.track import BLOCK, Series, lengths
 
 
 @dataclass(frozen=True)
@@ -55,8 +55,8 @@ class _InputFigures:
         An input acts until the next one that is recorded: a missing message takes no time out of an integral.
         """
         start_ns, end_ns = self._recording.start_ns, self._recording.end_ns
-        force = np.linalg.norm(block.values[:, :3], axis=1)
-        torque = np.linalg.norm(block.values[:, 3:], axis=1)
+        force = lengths(block.values[:, :3])
+        torque = lengths(block.values[:, 3:])
         edges = np.clip(np.append(block.t_ns, next_ns), start_ns, end_ns)
         seconds = np.diff(edges) * NANO
         self.energy += float(np.sum((force**2 + torque**2) * seconds))
@@ -105,7 +105,7 @@ def effort(recording: Recording, uav: int) -> Effort | None:
         last = min(begin + BLOCK, end)
         following = track.rows(last, last + 1).first_ns if last < end else recording.end_ns
         figures.add(track.rows(begin, last), following)
-    return figures.effort(uav, coverage(recording, uav, track).missing)
+    return figures.effort(uav, missing(recording, uav, track))
 
 
 class EstimatorErrors:
@@ -124,7 +124,7 @@ class EstimatorErrors:
         times = self._recording.times(grid)
         leader = positions[self._recording.flown.leader_id]
         for uav, track in self._tracks.items():
-            error = np.linalg.norm(track.at(grid)[:, :3] - leader, axis=1)
+            error = lengths(track.at(grid)[:, :3] - leader)
             self._at[uav].add(times, error)
             after = error[times >= self._deadline_s]
             if after.size:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ptnsbc_core.types import Array
 from ptnsbc_sim import track as columns
 from ptnsbc_sim.swarm import HeadlessFlight
 from ptnsbc_sim.verdict.recording import COUNTERS, FORMATION, Recording
@@ -35,10 +36,14 @@ def _counters(flight: HeadlessFlight, row: int) -> Series:
     dt = scenario.dt_ns * 1e-9
     chosen = slice(None, None, max(scenario.control_hz // _STATUS_HZ, 1))
     stamps = flight.t_ns[chosen]
+
+    def seconds(column: int) -> Array:
+        return np.round(np.cumsum(log[:, column] > 0)[chosen] * dt, 3)
+
     values = {
-        "avoidance_active_s": np.round(np.cumsum(log[:, columns.ACTIVE_ROWS] > 0) * dt, 3)[chosen],
-        "saturated_s": np.round(np.cumsum(log[:, columns.SATURATED] > 0) * dt, 3)[chosen],
-        "holding_s": np.round(np.cumsum(log[:, columns.HOLDING] > 0) * dt, 3)[chosen],
+        "avoidance_active_s": seconds(columns.ACTIVE_ROWS),
+        "saturated_s": seconds(columns.SATURATED),
+        "holding_s": seconds(columns.HOLDING),
         "missed_ticks": np.zeros(stamps.size),
         "priority_violation_max": np.maximum.accumulate(log[:, columns.PRIORITY_VIOLATION])[chosen],
     }

@@ -63,18 +63,18 @@ class Recording:
     slots: Mapping[int, Mapping[int, int]] = field(default_factory=dict)
     window_s: float | None = None  # judge only so many seconds after its epoch
 
-    @property
+    @cached_property
     def forms(self) -> tuple[int, ...]:
         """Epochs [ns] of the formation legs; the stamp of the first message when none was recorded."""
         found = tuple(t0_ns for t0_ns, leg in self.epochs if leg == FORMATION)
         return found or (min(track.first_ns for track in self.odometry.values()),)
 
-    @property
+    @cached_property
     def first_ns(self) -> int:
         """Epoch of the first formation leg, from which the leader's trajectory is counted."""
         return self.forms[0]
 
-    @property
+    @cached_property
     def start_ns(self) -> int:
         """Epoch of the leg, from which deadlines are counted."""
         return self.forms[self.leg]
@@ -99,12 +99,12 @@ class Recording:
         """The slot that a UAV took in this leg."""
         return self.slots.get(self.start_ns, {}).get(uav, uav)
 
-    @property
+    @cached_property
     def due_ns(self) -> int:
         """When the leg should end: at the next epoch, the end of the window, or the end of the flight."""
         return self._ended(self.first_ns + self.scenario.ticks * self.scenario.dt_ns)
 
-    @property
+    @cached_property
     def end_ns(self) -> int:
         """When the judged time ends: with the leg, or at the last instant that is recorded of all UAVs."""
         return self._ended(min(track.last_ns for track in self.odometry.values()))

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from ptnsbc_core.types import Array
 from ptnsbc_sim.verdict.recording import Recording
+from ptnsbc_sim.verdict.track import lengths
 
 
 @dataclass(frozen=True)
@@ -45,18 +46,21 @@ class _Pair:
         self._inside_s = 0.0
         self._inside_since: float | None = None  # of the newest sample, when it is inside
 
-    def add(self, times: Array, distance: Array) -> None:
-        """Take the next distances (T,) [m] at (T,) [s]."""
-        distance = np.where(np.isfinite(distance), distance, np.inf)  # NaN is neither near nor far
-        closest = int(np.argmin(distance))
+    def add(self, times: Array, periods: Array, distance: Array) -> None:
+        """Take the next distances (T,) [m] at (T,) [s], each of which lasts for its period (T,) [s]."""
+        closest = int(np.argmin(distance))  # the first NaN, if there is one
+        if not np.isfinite(distance[closest]):  # NaN is neither near nor far
+            distance = np.where(np.isfinite(distance), distance, np.inf)
+            closest = int(np.argmin(distance))
         if self._at_s is None or distance[closest] < self._closest:
             self._closest, self._at_s = float(distance[closest]), float(times[closest])
-        inside = distance < self._keep_out
-        period = np.diff(times, append=times[-1])
-        self._inside_s += float(np.sum(period[inside]))
-        if self._inside_since is not None:
-            self._inside_s += float(times[0] - self._inside_since)
-        self._inside_since = float(times[-1]) if inside[-1] else None
+        since, self._inside_since = self._inside_since, None
+        if distance[closest] < self._keep_out:
+            inside = distance < self._keep_out
+            self._inside_s += float(np.sum(periods[inside]))
+            self._inside_since = float(times[-1]) if inside[-1] else None
+        if since is not None:
+            self._inside_s += float(times[0] - since)
 
     def separation(self) -> Separation:
         """The closest approach so far."""
@@ -83,10 +87,11 @@ class Separations:
     def add(self, grid: NDArray[np.int64], positions: dict[int, Array]) -> None:
         """Take the next positions (T, 3) [m] of all UAVs at (T,) [ns]."""
         times = self._recording.since_first(grid)
+        periods = np.diff(times, append=times[-1])
         for (a, b), pair in self._pairs.items():
-            pair.add(times, np.linalg.norm(positions[a] - positions[b], axis=1))
+            pair.add(times, periods, lengths(positions[a] - positions[b]))
         for uav, place, pair in self._obstacles:
-            pair.add(times, np.linalg.norm(positions[uav] - place, axis=1))
+            pair.add(times, periods, lengths(positions[uav] - place))
 
     def found(self) -> list[Separation]:
         """All pairs, the smallest margin first."""

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ptnsbc_sim.verdict.coverage import coverage
 from ptnsbc_sim.verdict.deadline import (
     MET,
     VIOLATED,
@@ -23,6 +24,7 @@ from ptnsbc_sim.verdict.deadline import (
     formation_errors,
     judge,
 )
+from ptnsbc_sim.verdict.encounters import encounters
 from ptnsbc_sim.verdict.figures import (
     Effort,
     EstimatorError,
@@ -185,7 +187,9 @@ def _legs(recording: Recording, tolerance: float, of_first: EstimatorErrors) -> 
 
 def _leg(recording: Recording, tolerance: float, estimators: EstimatorErrors | None) -> _JudgedLeg:
     uavs = recording.scenario.uav_ids
-    figures = {uav: ErrorFigures(recording, uav, tolerance) for uav in uavs}
+    windows = encounters(recording.flown, recording.counters)
+    figures = {uav: ErrorFigures(recording, windows[uav], tolerance) for uav in uavs}
+    covers = {uav: coverage(recording, uav, recording.odometry[uav]) for uav in uavs}
     pairs = Separations(recording)
     end_ns = recording.start_ns
     for grid in recording.grids():
@@ -203,7 +207,7 @@ def _leg(recording: Recording, tolerance: float, estimators: EstimatorErrors | N
         float(end_ns - recording.start_ns) * NANO,
         "",
         tuple(
-            judge(recording, uav, figures[uav], tolerance, intrusion(separations, uav))
+            judge(recording, uav, figures[uav], tolerance, covers, intrusion(separations, uav))
             for uav in uavs
         ),
     )

@@ -64,8 +64,8 @@ def _chart(
 
 def _excused(flight: FlightView) -> tuple[Span, ...]:
     """Times in which the error of some UAV is excused."""
-    counters = flight.recording.counters
-    found = [w for uav in flight.uavs for w in encounters(flight.scenario, counters, uav)]
+    windows = encounters(flight.scenario, flight.recording.counters)
+    found = [window for uav in flight.uavs for window in windows[uav]]
     _, end = flight.seconds(flight.window_ns)
     spans = (flight.seconds(window) for window in merged(found))
     return tuple(Span(begin, min(close, end)) for begin, close in spans if begin < end)
