@@ -41,6 +41,11 @@ def _console(stream: TextIO) -> Console:
     return _plain_console()(file=stream, width=width, markup=False, emoji=False)
 
 
+def recording(stream: TextIO, width: int) -> Console:
+    """A console of this width that can export what was printed."""
+    return _plain_console()(file=stream, width=width, markup=False, emoji=False, record=True)
+
+
 @cache
 def _plain_console() -> type[Console]:
     from rich.console import Console
@@ -107,9 +112,22 @@ def _say_compiling() -> None:
     say(COMPILING)
 
 
+def watched() -> bool:
+    """Whether somebody looks: in a terminal, and in a notebook."""
+    return sys.stderr.isatty() or "ipykernel" in sys.modules
+
+
 @contextmanager
-def progress(label: str) -> Iterator[Advance]:
-    """Progress on stderr: a bar on a terminal, else a line every few seconds."""
+def progress(label: str, wanted: bool | None = True) -> Iterator[Advance]:
+    """Progress on stderr: a bar on a terminal, else a line every few seconds.
+
+    Args:
+        label: what is done.
+        wanted: False: none; None: only where somebody looks.
+    """
+    if not (watched() if wanted is None else wanted):
+        yield lambda done, total: None
+        return
     if not sys.stderr.isatty():
         yield _ProgressLines(label)
         return

@@ -12,9 +12,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
 
-from ptnsbc_sim.scenario.problems import ScenarioError, similar
+from ptnsbc_sim.scenario.problems import ScenarioError, shown, similar
 
 Tree = dict[Any, Any]
 
@@ -219,6 +220,21 @@ def with_keys(tree: Tree, overrides: Mapping[str, Any], source: str) -> Tree:
             node = node[step] if isinstance(node, list) else node.setdefault(step, {})
         node[_step(node, keys[-1], path, source)] = value
     return tree
+
+
+def plain(value: Any) -> Any:
+    """A value from Python as YAML holds it: arrays, tuples and NumPy numbers become lists and numbers."""
+    if isinstance(value, Mapping):
+        return {plain(key): plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if value is not None and not isinstance(value, str | bool | int | float):
+        raise ScenarioError(
+            f"{shown(value)}: {type(value).__name__}: expected a number, text, a list or a mapping"
+        )
+    return value
 
 
 class _WithoutAliases(yaml.SafeDumper):

@@ -77,6 +77,19 @@ class Scenario:
     source: str
     """Where it was read from, for messages."""
 
+    def with_(self, keys: Mapping[str, Any] | None = None, /, **more: Any) -> Scenario:
+        """This scenario with dotted keys set: `with_({"gains.formation.deadline_s": 6}, seed=3)`.
+
+        Args:
+            keys: values by dotted key; numbers, text, lists and NumPy arrays.
+            more: the same, as keywords.
+
+        Raises:
+            ScenarioError: an unknown key, or a value that does not fit.
+        """
+        given = {key: reader.plain(value) for key, value in {**(keys or {}), **more}.items()}
+        return scenario_from_text(self.text, given, source=self.source)
+
     @property
     def name(self) -> str:
         """The scenario's own name."""

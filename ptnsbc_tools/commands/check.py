@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
@@ -12,7 +11,6 @@ from ptnsbc_tools import console, options
 
 if TYPE_CHECKING:
     from ptnsbc_sim.scenario import Scenario
-    from ptnsbc_tools.check import Finding
 
 _RUNS = 20
 
@@ -43,46 +41,35 @@ def check(
     The dry runs fly the scenario in this process: once as it stands, then with starts moved at random.
     The scenario is refused when the first of them is not met, or fewer than half of all.
     """
-    from ptnsbc_tools.check import ERROR, check, refuse
+    from ptnsbc_tools.library import flying
     from ptnsbc_tools.tables import findings_table
 
     chosen = options.chosen(context)
     if backend == "mavlink":
         chosen = chosen.bridged()
-    with console.compiling():
-        findings = check(chosen)
-    if fly and all(finding.severity != ERROR for finding in findings):
-        findings = [*dry_runs(chosen, runs), *findings]
+    found = flying.check(chosen, dry_runs=runs if fly else 0, progress=True)
     if json:
         console.print_json(
             {
                 "scenario": chosen.name,
-                "ok": all(finding.severity != ERROR for finding in findings),
-                "findings": [dataclasses.asdict(finding) for finding in findings],
+                "ok": found.ok,
+                "findings": [dataclasses.asdict(finding) for finding in found],
             }
         )
     else:
-        console.out().print(findings_table(chosen.name, findings))
-    refuse(chosen, findings)
-
-
-def dry_runs(scenario: Scenario, runs: int = _RUNS) -> Sequence[Finding]:
-    """The findings of dry runs, with progress when they take longer than a moment."""
-    from ptnsbc_tools.check.dry_run import flown
-
-    with console.compiling(), console.progress("dry runs") as advance:
-        return flown(scenario, runs, advance)
+        console.out().print(findings_table(chosen.name, found))
+    found.refuse()
 
 
 def preflight(scenario: Scenario, *, quiet: bool, refusing: bool = True) -> None:
     """Check a scenario before a flight: show warnings, and raise on errors where `refusing`."""
-    from ptnsbc_tools.check import INFO, check, refuse
+    from ptnsbc_tools.check import INFO
+    from ptnsbc_tools.library import flying
     from ptnsbc_tools.tables import findings_table
 
-    with console.compiling():
-        findings = check(scenario)
-    warnings = [finding for finding in findings if finding.severity != INFO]
+    found = flying.check(scenario, dry_runs=0)
+    warnings = [finding for finding in found if finding.severity != INFO]
     if warnings and not quiet:
         console.err().print(findings_table(scenario.name, warnings))
     if refusing:
-        refuse(scenario, findings)
+        found.refuse()

@@ -14,7 +14,7 @@ import typer
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_nodes.runtime.signals import restore_handlers
 from ptnsbc_tools import console, options, ros
-from ptnsbc_tools.commands.check import dry_runs, preflight
+from ptnsbc_tools.commands.check import preflight
 
 if TYPE_CHECKING:
     from ptnsbc_nodes.fleet.fleet import FleetOptions, FleetResult
@@ -145,17 +145,19 @@ def _checked(request: FleetOptions) -> FleetOptions:
         CheckError: the dry runs refuse the scenario.
     """
     from ptnsbc_tools.check import refuse
+    from ptnsbc_tools.library.flying import flown_before
 
-    refuse(request.scenario, dry_runs(request.scenario))
+    refuse(request.scenario, flown_before(request.scenario))
     return replace(request, objection=_objection)
 
 
 def _objection(scenario: Scenario) -> str:
     """Why a scenario must not be flown, in a line; empty when it may."""
     from ptnsbc_tools.check import refuse
+    from ptnsbc_tools.library.flying import flown_before
 
     try:
-        refuse(scenario, dry_runs(scenario))
+        refuse(scenario, flown_before(scenario))
     except PtnsbcError as error:
         return f"{error}; without --check it is flown all the same"
     return ""

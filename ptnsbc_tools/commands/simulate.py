@@ -43,10 +43,8 @@ def simulate(
     json: options.JsonOption = False,
 ) -> None:
     """Fly a scenario in this process, without ROS, as fast as possible; ends with the verdict."""
-    from ptnsbc_sim.scenario import scenario_from_text
-    from ptnsbc_sim.verdict import verdict_on
-    from ptnsbc_sim.verdict.headless import recording_of
-    from ptnsbc_tools.reading.headless import prepare_bag, write_flight
+    from ptnsbc_tools.library.flying import fly
+    from ptnsbc_tools.reading.headless import prepare_bag
     from ptnsbc_tools.tables import show_verdict
 
     if sweep is None and draw is None and scenario is not None:
@@ -57,17 +55,11 @@ def simulate(
     if bag is not None:
         prepare_bag(bag, overwrite=overwrite)
 
-    from ptnsbc_sim.swarm import fly  # compiles for seconds: only after all checks
-
-    one_tick = {"timing.duration_s": 1 / chosen.control_hz}
-    with console.compiling():  # the flight's own progress would stand still for a minute
-        fly(scenario_from_text(chosen.text, one_tick, source=chosen.source))
-    with console.progress("flying") as advance:
-        flight = fly(chosen, advance)
+    flight = fly(chosen, checked=False, progress=True)
     if bag is not None:
         with console.progress("recording") as advance:
-            bag = write_flight(flight, bag, overwrite=overwrite, progress=advance)
-    verdict = verdict_on(recording_of(flight))
+            bag = flight.save(bag, overwrite=overwrite, progress=advance).bag
+    verdict = flight.verdict
     show_verdict(verdict, json=json, bag=bag)
     raise typer.Exit(verdict.exit_code)
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import shutil
 import sys
-from contextlib import suppress
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -21,7 +19,6 @@ if TYPE_CHECKING:
 _BASE = "paper_5_free"
 _LACKING, _INTERRUPTED = 1, 130
 _MOST_NAMED = 5
-_MOMENT_S = 0.05
 _MADE = ("plan.json", "table.parquet", "chunks", "report")
 
 
@@ -172,45 +169,28 @@ def sweep(
 
 
 def _plan(given: dict[str, Any]) -> SweepPlan:
-    from ptnsbc_sim.sweep import SweepError, parse_axis, parse_starts
-    from ptnsbc_sim.sweep.family import find_family
-    from ptnsbc_sim.sweep.plan import plan_of
+    from ptnsbc_sim.sweep import SweepError
+    from ptnsbc_tools.library import sweeping
 
-    scenario, family = given["scenario"], given["family"]
-    if scenario is None and family is None:
+    if given["scenario"] is None and given["family"] is None:
         raise SweepError("expected a SCENARIO or --family")
     if given["scheduler"] is not None and given["workers"] is not None:
         raise SweepError("--scheduler: the cluster has its own workers: leave out --workers")
-    axes = tuple(parse_axis(text) for text in given["vary"] or ())
-    starts = parse_starts(given["starts"])
-    path = find_family(family) if family is not None else None
     own = {key: value for key, value in given.items() if key != "seed"}  # it is that of the draws
     overrides = options.overrides(**own)
-    base = options.scenario_with(scenario or _BASE, overrides)
-    return plan_of(
-        base,
+    return sweeping.plan(
+        options.scenario_with(given["scenario"] or _BASE, overrides),
         given["runs"],
-        seed=given["seed"],
-        axes=axes,
+        vary=given["vary"] or (),
         latin=given["latin"],
-        starts=starts,
-        family=_family_text(path, overrides) if path is not None else "",
+        starts=given["starts"],
+        family=given["family"],
+        overrides=overrides,
+        seed=given["seed"],
         stop_after_s=given["stop_after"],
-        check=given["check"],
-        name=given["name"] or (path.stem if path is not None else base.name),
+        dry_runs=given["check"],
+        name=given["name"],
     )
-
-
-def _family_text(path: Path, overrides: dict[str, Any]) -> str:
-    """The text of a family without the keys of the formation that the command line gives."""
-    from ptnsbc_sim.scenario import reader
-
-    text = path.read_text(encoding="utf-8")
-    tree = reader.parse(text, str(path))
-    given = [key for key in tree if f"formation.{key}" in overrides]
-    if not given:
-        return text
-    return reader.dump({key: value for key, value in tree.items() if key not in given})
 
 
 def _clear(folder: Path, plan: SweepPlan, *, overwrite: bool) -> None:
@@ -233,40 +213,21 @@ def _clear(folder: Path, plan: SweepPlan, *, overwrite: bool) -> None:
 
 
 def _fly(plan: SweepPlan, folder: Path, workers: int | None, scheduler: str | None) -> SweepResult:
-    from ptnsbc_sim.sweep import SweepError, run
+    from ptnsbc_sim.sweep import SweepError
+    from ptnsbc_tools.library.sweeping import fly_plan
 
-    count = 0
+    done = [0]
     try:
-        if scheduler is None and not (folder / _MADE[1]).exists():
-            _compile(plan)
-        with console.progress("flying") as advance:
-
-            def on_progress(done: int, total: int) -> None:
-                nonlocal count
-                count = done
-                advance(done, total)
-
-            flown = run(plan, folder, workers=workers, scheduler=scheduler, progress=on_progress)
+        return fly_plan(plan, folder, workers=workers, scheduler=scheduler, count=done.append)
     except KeyboardInterrupt:
         console.say(
-            f"interrupted: {count} of {plan.draws} flights are kept in {folder}; "
+            f"interrupted: {done[-1]} of {plan.draws} flights are kept in {folder}; "
             "the same command goes on from there"
         )
         raise typer.Exit(_INTERRUPTED) from None
     except OSError as error:
         what = f"scheduler {scheduler}" if scheduler is not None else str(folder)
         raise SweepError(f"{what}: {error}") from error
-    if sum(len(one.draws) for one in flown.failed) == plan.draws:
-        raise SweepError(f"no draw could be flown: {flown.failed[0].error}")
-    return flown
-
-
-def _compile(plan: SweepPlan) -> None:
-    """Compile the laws, or load them: the sweep's own progress would stand still for a minute."""
-    from ptnsbc_sim.sweep.rows import fly_draw
-
-    with console.compiling(), suppress(PtnsbcError):  # a draw that cannot be flown is named later
-        fly_draw(replace(plan, stop_after_s=_MOMENT_S), 0)
 
 
 def _write_report(found: FlownSweep) -> Path:

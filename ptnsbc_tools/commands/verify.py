@@ -33,16 +33,11 @@ def verify(
     tolerance, whichever is larger. Each formation leg is judged. Bags of other systems (MCAP, sqlite3)
     need --scenario and the names of their topics.
     """
-    from ptnsbc_sim.verdict import verdict_on
-    from ptnsbc_tools.reading.bag_reader import read_recording
+    from ptnsbc_tools.library.flight import flight_in
     from ptnsbc_tools.tables import show_verdict
 
-    recording = read_recording(bag, options.read_options(context))
-    verdict = verdict_on(recording, tolerance)
-    drawn = None
-    if picture is not None:
-        from ptnsbc_tools.plotting.draw import draw_flight
-
-        drawn = draw_flight(recording, picture, tolerance)
+    flight = flight_in(bag, options.read_options(context))
+    verdict = flight.verdict
+    drawn = None if picture is None else flight.save_picture(picture)
     show_verdict(verdict, json=json, picture=drawn)
     raise typer.Exit(verdict.exit_code)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -46,7 +45,8 @@ def blank_figure(size_in: tuple[float, float]) -> Any:
     return figure
 
 
-def _draw_chart(axes: Any, chart: Chart) -> None:
+def draw_chart(axes: Any, chart: Chart) -> None:
+    """Draw a chart on Matplotlib axes."""
     if chart.log:
         axes.set_yscale("log")
     for span in chart.spans:
@@ -79,7 +79,7 @@ def figure_of(chart: Chart, heading: str) -> Any:
     """A Matplotlib figure of one chart."""
     figure = blank_figure(_SIZE_IN)
     axes = figure.add_subplot()
-    _draw_chart(axes, chart)
+    draw_chart(axes, chart)
     axes.set_title(f"{heading}: {chart.title}", fontsize=10)
     return figure
 
@@ -98,6 +98,11 @@ def save(figure: Any, path: Path) -> Path:
         with matplotlib.rc_context({"svg.hashsalt": "ptnsbc"}):
             figure.savefig(part, dpi=_DPI, format=kind[1:], metadata=metadata)
     return path
+
+
+def draw_paths(axes: Any, recording: Recording) -> None:
+    """Draw the paths of all legs and the obstacles from above on Matplotlib axes."""
+    _from_above(axes, recording, _paths(recording))
 
 
 def _from_above(axes: Any, recording: Recording, positions: dict[int, Array]) -> None:
@@ -133,8 +138,10 @@ def _in_space(axes: Any, recording: Recording, positions: dict[int, Array]) -> N
     axes.set_title("In space", fontsize=9)
 
 
-def _paths(legs: Sequence[Recording]) -> dict[int, Array]:
+def _paths(recording: Recording) -> dict[int, Array]:
     """Positions (T, 3) [m] of every UAV through all legs, thinned."""
+    numbers = range(len(recording.forms))
+    legs = [leg for k in numbers if (leg := replace(recording, leg=k)).samples > 1]
     every = max(sum(leg.samples for leg in legs) // _PATH_POINTS, 1)
     parts = [leg.positions(grid[::every]) for leg in legs for grid in leg.grids()]
     return {uav: np.concatenate([part[uav] for part in parts]) for uav in parts[0]}
@@ -148,9 +155,7 @@ def draw_flight(recording: Recording, path: Path, tolerance: float | None = None
         path: PNG to write.
         tolerance: [m], by default that of the scenario.
     """
-    forms = range(len(recording.forms))
-    legs = [leg for number in forms if (leg := replace(recording, leg=number)).samples > 1]
-    positions = _paths(legs)
+    positions = _paths(recording)
     figure = blank_figure((12, 9))
     panels = figure.add_gridspec(2, 2, height_ratios=(3, 2))
     _from_above(figure.add_subplot(panels[0, 0]), recording, positions)
@@ -158,7 +163,7 @@ def draw_flight(recording: Recording, path: Path, tolerance: float | None = None
     limit_m = tolerance_of(recording, tolerance)
     chart = errors(FlightView(recording, StatusSeries(), limit_m, None, ""))
     if chart is not None:
-        _draw_chart(figure.add_subplot(panels[1, :]), chart)
+        draw_chart(figure.add_subplot(panels[1, :]), chart)
     scenario = recording.flown
     figure.suptitle(
         f"{scenario.name}: {scenario.plant_kind}, task {scenario.file.formation.task}, "

@@ -106,16 +106,20 @@ def plot_shares(axes: Any, at: Array, shares: Sequence[Share]) -> None:
     axes.grid(alpha=0.3)
 
 
-def _against(sweep: FlownSweep, axis: DrawnAxis) -> Any:
+def draw_against(axes: Any, sweep: FlownSweep, axis: DrawnAxis) -> None:
+    """Draw the share of flights met against something drawn on Matplotlib axes."""
     met = sweep.table.flights.met
-    figure = blank_figure(_SIZE_IN)
-    axes = figure.add_subplot()
     groups = range(len(axis.labels))
     plot_shares(axes, axis.centres, [share_of(met[axis.group == one]) for one in groups])
     if axis.words:
         axes.set_xticks(axis.centres, axis.labels)
     axes.set(xlabel=axis.name, ylabel="share of flights met")
     axes.set_title(f"{sweep.plan.name}: bars are Wilson intervals at 95 %", fontsize=9)
+
+
+def _against(sweep: FlownSweep, axis: DrawnAxis) -> Any:
+    figure = blank_figure(_SIZE_IN)
+    draw_against(figure.add_subplot(), sweep, axis)
     return figure
 
 

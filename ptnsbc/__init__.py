@@ -1,0 +1,57 @@
+"""PTNSBC as a library: load or write a scenario, check it, fly it, judge it, read bags, fly sweeps.
+
+    import ptnsbc
+
+    scenario = ptnsbc.load("paper_5").with_({"gains.formation.deadline_s": 6})
+    flight = ptnsbc.fly(scenario)
+    print(flight.verdict.verdict, flight.error_m.max())
+    flight.plot_errors()
+
+docs/library.md says more. What this module names stays; modules below it may change.
+"""
+
+from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_sim.scenario import Scenario, available
+from ptnsbc_sim.sweep.family import families
+from ptnsbc_sim.verdict import Verdict
+from ptnsbc_tools.library.flight import Flight
+from ptnsbc_tools.library.flying import (
+    CheckReport,
+    check,
+    fly,
+    fly_fleet,
+    load,
+    read_bag,
+    verdict,
+)
+from ptnsbc_tools.library.notebook import register as _register
+from ptnsbc_tools.library.quantities import QUANTITIES, Quantity
+from ptnsbc_tools.library.sweeping import Sweep, compare, open_sweep, sweep
+from ptnsbc_tools.sweeps.comparison import SweepComparison
+from ptnsbc_tools.sweeps.share import Share
+
+__all__ = [
+    "available",
+    "families",
+    "load",
+    "check",
+    "fly",
+    "fly_fleet",
+    "read_bag",
+    "verdict",
+    "sweep",
+    "open_sweep",
+    "compare",
+    "Scenario",
+    "CheckReport",
+    "Flight",
+    "Verdict",
+    "Sweep",
+    "Share",
+    "SweepComparison",
+    "Quantity",
+    "QUANTITIES",
+    "PtnsbcError",
+]
+
+_register()

@@ -1,0 +1,319 @@
+"""A flight as arrays, tables and figures: headless, of a fleet, or from a bag."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_core.types import Array
+from ptnsbc_sim.scenario import Scenario
+from ptnsbc_sim.scenario.problems import similar
+from ptnsbc_sim.verdict import Recording, Series, Verdict, verdict_on
+from ptnsbc_sim.verdict.deadline import formation_errors
+from ptnsbc_sim.verdict.recording import require_all_uavs
+from ptnsbc_tools.library.optional import required
+from ptnsbc_tools.library.quantities import COORDINATES, QUANTITIES, TIME, UAV
+from ptnsbc_tools.plotting.flight import FlightView, view_of
+from ptnsbc_tools.reading.bag_reader import DEFAULTS, ReadOptions, read_recording
+from ptnsbc_tools.reading.diagnostics import StatusSeries, read_status
+
+if TYPE_CHECKING:
+    from ptnsbc_sim.swarm import HeadlessFlight
+
+
+class FlightError(PtnsbcError):
+    """Something that a flight does not have."""
+
+
+@dataclass(frozen=True)
+class Flight:
+    """A flight: its verdict, and its quantities as NumPy arrays.
+
+    Every array has the same T instants: the leader's stamps of one formation leg. T is the number of instants, N that
+    of UAVs, in the order of `uavs`. The names of arrays end with their unit. World axes are east, north, up (ENU);
+    body axes are front, left, up (FLU).
+    """
+
+    recording: Recording = field(repr=False)
+    tolerance_m: float | None = field(default=None, repr=False)
+    """Limit of the error at the deadline [m]; None: that of the scenario."""
+    bag: Path | None = None
+    """Where it was read from or written to."""
+    headless: HeadlessFlight | None = field(default=None, repr=False)
+    """What the simulator left, of a flight in this process."""
+    status: StatusSeries | None = field(default=None, repr=False)
+    """What the nodes published; None: read from the bag when a figure needs it."""
+
+    @property
+    def scenario(self) -> Scenario:
+        """The scenario that was flown."""
+        return self.recording.scenario
+
+    @property
+    def uavs(self) -> tuple[int, ...]:
+        """Ids of the UAVs, in the order of the arrays."""
+        return self.scenario.uav_ids
+
+    @cached_property
+    def verdict(self) -> Verdict:
+        """The verdict: met, missed, violated or void, with all figures (docs/verdict.md).
+
+        Raises:
+            VerdictError: the recording cannot be judged.
+        """
+        return verdict_on(self.recording, self.tolerance_m)
+
+    @property
+    def legs(self) -> tuple[Flight, ...]:
+        """The flight once for each of its formation legs; arrays and figures are of that leg."""
+        numbers = range(len(self.recording.forms))
+        return tuple(replace(self, recording=replace(self.recording, leg=k)) for k in numbers)
+
+    @cached_property
+    def _grid(self) -> Any:
+        require_all_uavs(self.recording)
+        return self.recording.grid()
+
+    def _columns(self, tracks: Any, first: int, end: int) -> Array:
+        """Columns first … end - 1 (T, N, end - first) of a track of every UAV; NaN without one."""
+        nothing = np.full((self._grid.size, end - first), np.nan)
+        found = [
+            tracks[uav].at(self._grid)[:, first:end] if uav in tracks else nothing
+            for uav in self.uavs
+        ]
+        return np.stack(found, axis=1)
+
+    @cached_property
+    def time_s(self) -> Array:
+        """Time after the epoch (T,) [s]."""
+        return self.recording.times(self._grid)
+
+    @cached_property
+    def position_m(self) -> Array:
+        """Position (T, N, 3) [m], ENU; the true one where it is known."""
+        found = self.recording.positions(self._grid)
+        return np.stack([found[uav] for uav in self.uavs], axis=1)
+
+    @cached_property
+    def quaternion(self) -> Array:
+        """Attitude as measured (T, N, 4): x y z w, body FLU to world ENU."""
+        return self._columns(self.recording.odometry, 3, 7)
+
+    @cached_property
+    def velocity_m_s(self) -> Array:
+        """Velocity as measured (T, N, 3) [m/s], ENU."""
+        body = self._columns(self.recording.odometry, 7, 10)
+        vector, scalar = self.quaternion[..., :3], self.quaternion[..., 3:]
+        turn = 2.0 * np.cross(vector, body)
+        return np.asarray(body + scalar * turn + np.cross(vector, turn))
+
+    @cached_property
+    def rate_rad_s(self) -> Array:
+        """Body rate as measured (T, N, 3) [rad/s], FLU."""
+        return self._columns(self.recording.odometry, 10, 13)
+
+    @cached_property
+    def force_n(self) -> Array:
+        """Commanded force (T, N, 3) [N], FLU; NaN where none is recorded."""
+        return self._columns(self.recording.wrench, 0, 3)
+
+    @cached_property
+    def torque_n_m(self) -> Array:
+        """Commanded torque (T, N, 3) [N m], FLU; NaN where none is recorded."""
+        return self._columns(self.recording.wrench, 3, 6)
+
+    @cached_property
+    def leader_estimate_m(self) -> Array:
+        """Every UAV's estimate of the leader's position (T, N, 3) [m], ENU; NaN where none is recorded."""
+        return self._columns(self.recording.estimate, 0, 3)
+
+    @cached_property
+    def error_m(self) -> Array:
+        """Formation error (T, N) [m]: distance from its place; of the leader, from its trajectory."""
+        positions = {uav: self.position_m[:, row] for row, uav in enumerate(self.uavs)}
+        found = formation_errors(self.recording, self._grid, positions)
+        return np.stack([found[uav] for uav in self.uavs], axis=1)
+
+    def __getitem__(self, name: str) -> Array:
+        """A quantity by its name, as in `flight["error_m"]`."""
+        names = [one.name for one in QUANTITIES]
+        if name not in names:
+            raise FlightError(f"{name}: no quantity of a flight: {similar(name, names)}")
+        found: Array = getattr(self, name)
+        return found
+
+    def to_pandas(self) -> Any:
+        """One row for each instant and UAV as a pandas DataFrame; `attrs["units"]` has the units.
+
+        Raises:
+            LibraryMissingError: pandas is not installed.
+        """
+        pandas = required("pandas", "to_pandas()")
+        size = self.time_s.size
+        columns: dict[str, Any] = {
+            TIME: np.repeat(self.time_s, len(self.uavs)),
+            UAV: np.tile(self.uavs, size),
+        }
+        units = {TIME: "s", UAV: ""}
+        for name, unit, values in self._flat():
+            columns[name], units[name] = values, unit
+        frame = pandas.DataFrame(columns)
+        frame.attrs = {"units": units, "scenario": self.scenario.name}
+        return frame
+
+    def _flat(self) -> Iterator[tuple[str, str, Array]]:
+        """Name, unit and values (T * N,) of every column of numbers: `position_m.x`."""
+        for one in QUANTITIES[1:]:
+            values = self[one.name].reshape(self.time_s.size * len(self.uavs), -1)
+            labels = COORDINATES.get(one.axes[-1])
+            if labels is None:
+                yield one.name, one.unit, values[:, 0]
+            else:
+                for column, label in enumerate(labels):
+                    yield f"{one.name}.{label}", one.unit, values[:, column]
+
+    def to_xarray(self) -> Any:
+        """All arrays as an xarray Dataset with the coordinates time_s and uav; units are attributes.
+
+        Raises:
+            LibraryMissingError: xarray is not installed.
+        """
+        xarray = required("xarray", "to_xarray()")
+        arrays = {
+            one.name: (one.axes, self[one.name], {"units": one.unit, "long_name": one.meaning})
+            for one in QUANTITIES[1:]
+        }
+        time = (TIME, self.time_s, {"units": "s", "long_name": QUANTITIES[0].meaning})
+        places = {TIME: time, UAV: list(self.uavs)}
+        labels = {axis: list(words) for axis, words in COORDINATES.items()}
+        attributes = {"scenario": self.scenario.name, "verdict": self._word()}
+        return xarray.Dataset(arrays, {**places, **labels}, attributes)
+
+    @cached_property
+    def view(self) -> FlightView:
+        """The flight as the figures of `ptnsbc plot` and `ptnsbc report` show it."""
+        return view_of(self.recording, self._status(), self.tolerance_m)
+
+    def _status(self) -> StatusSeries:
+        if self.status is not None:
+            return self.status
+        if self.headless is not None:
+            return _status_of(self.headless)
+        return StatusSeries() if self.bag is None else read_status(self.bag)
+
+    def plot(self, what: str = "errors", axes: Any = None) -> Any:
+        """Draw a figure of `ptnsbc plot` on Matplotlib axes, by default on new ones, and return them.
+
+        Args:
+            what: errors, force, torque, between, obstacles, estimator, gain, …: as `ptnsbc plot --what`.
+            axes: Matplotlib axes.
+
+        Raises:
+            FlightError: there is no such figure, or the flight has no data for it.
+        """
+        from ptnsbc_tools.plotting.charts import CHARTS
+        from ptnsbc_tools.plotting.draw import draw_chart
+
+        if what not in CHARTS:
+            raise FlightError(f"{what}: no figure of a flight: {similar(what, CHARTS)}")
+        chart = CHARTS[what](self.view)
+        if chart is None:
+            reason = self.view.problem or "the flight has no data for it"
+            raise FlightError(f"{what}: nothing to draw: {reason}")
+        axes = new_axes() if axes is None else axes
+        draw_chart(axes, chart)
+        return axes
+
+    def plot_errors(self, axes: Any = None) -> Any:
+        """Draw the formation errors with deadline and tolerance on Matplotlib axes, and return them."""
+        return self.plot("errors", axes)
+
+    def plot_paths(self, axes: Any = None) -> Any:
+        """Draw paths and obstacles from above on Matplotlib axes, and return them."""
+        from ptnsbc_tools.plotting.draw import draw_paths
+
+        axes = new_axes() if axes is None else axes
+        draw_paths(axes, self.recording)
+        return axes
+
+    def save_picture(self, path: str | Path) -> Path:
+        """Draw paths and errors into a PNG, as `ptnsbc verify --picture` does, and return its path."""
+        from ptnsbc_tools.plotting.draw import draw_flight
+
+        return draw_flight(self.recording, Path(path), self.tolerance_m)
+
+    def save(
+        self,
+        folder: str | Path,
+        *,
+        overwrite: bool = False,
+        progress: Callable[[int, int], None] | None = None,
+    ) -> Flight:
+        """Write a headless flight into a bag, and return the flight with its bag; needs the ROS message packages.
+
+        Args:
+            folder: of the bag.
+            overwrite: replace an existing bag.
+            progress: called now and then with the ticks done and their total.
+
+        Raises:
+            FlightError: the flight comes from a bag.
+            BagError: the folder is not empty.
+        """
+        from ptnsbc_tools.reading.headless import write_flight
+
+        if self.headless is None:
+            raise FlightError(f"save: the flight is in a bag already: {self.bag}")
+        written = write_flight(self.headless, Path(folder), overwrite=overwrite, progress=progress)
+        return replace(self, bag=written)
+
+    def _word(self) -> str:
+        try:
+            return self.verdict.verdict
+        except PtnsbcError as error:
+            return f"none: {error}"
+
+    def __repr__(self) -> str:
+        return (
+            f"<Flight of {self.scenario.name}: {len(self.uavs)} UAVs, "
+            f"{self.recording.samples} instants, verdict {self._word()}>"
+        )
+
+
+def new_axes() -> Any:
+    """Matplotlib axes on a new figure."""
+    from matplotlib import pyplot
+
+    return pyplot.subplots(layout="constrained")[1]
+
+
+def _status_of(flight: HeadlessFlight) -> StatusSeries:
+    """What the UAVs of a headless flight would have published, at every tick."""
+    from ptnsbc_sim.track import GAIN, SINGULAR_VALUE
+
+    log = flight.track.diagnostics
+    columns = {"gain": GAIN, "sigma_min": SINGULAR_VALUE}
+    return StatusSeries(
+        {
+            uav: {
+                key: Series(flight.t_ns, log[:, row, column : column + 1])
+                for key, column in columns.items()
+            }
+            for row, uav in enumerate(flight.scenario.uav_ids)
+        }
+    )
+
+
+def flight_in(bag: Path, options: ReadOptions = DEFAULTS) -> Flight:
+    """The flight in a bag.
+
+    Raises:
+        BagError: no bag, cut, damaged, or without a scenario.
+    """
+    return Flight(read_recording(bag, options), options.tolerance, bag)

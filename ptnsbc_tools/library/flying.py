@@ -1,0 +1,211 @@
+"""Scenarios, checks and flights: the functions behind `check`, `simulate`, `verify` and `fleet`."""
+
+from __future__ import annotations
+
+import tempfile
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_sim.scenario import Scenario, load_scenario, reader, scenario_from_text
+from ptnsbc_sim.verdict import Verdict, verdict_on
+from ptnsbc_tools import console, ros
+from ptnsbc_tools.check import ERROR, WARNING, Finding, refuse
+from ptnsbc_tools.check import check as findings_of
+from ptnsbc_tools.library.flight import Flight, flight_in
+from ptnsbc_tools.reading.bag_reader import ReadOptions
+from ptnsbc_tools.reading.bag_sources import TopicNames
+from ptnsbc_tools.reading.diagnostics import read_status
+
+DRY_RUNS = 20
+
+
+class FlightFailedError(PtnsbcError):
+    """A fleet that did not fly to the end."""
+
+
+def load(scenario: str | Path | Mapping[str, Any], /, **keys: Any) -> Scenario:
+    """A scenario: a shipped one by name, a file by path, or a mapping with the keys of a file.
+
+    Args:
+        scenario: `"paper_5"`, a path, or a mapping such as `{"extends": "paper_5", "seed": 3}`.
+        keys: dotted keys to set, as in `load("paper_5", **{"timing.duration_s": 8})`.
+
+    Raises:
+        ScenarioError: no such file, or a file that describes no flight; it names key, value and expectation.
+    """
+    given = {key: reader.plain(value) for key, value in keys.items()}
+    if not isinstance(scenario, Mapping):
+        return load_scenario(scenario, given)
+    return scenario_from_text(reader.dump(reader.plain(scenario)), given, source="mapping")
+
+
+@dataclass(frozen=True)
+class CheckReport:
+    """What the pre-flight check found, errors first."""
+
+    scenario: Scenario = field(repr=False)
+    findings: tuple[Finding, ...]
+
+    @property
+    def ok(self) -> bool:
+        """Whether nothing that was found is an error."""
+        return all(finding.severity != ERROR for finding in self.findings)
+
+    def __iter__(self) -> Iterator[Finding]:
+        return iter(self.findings)
+
+    def __len__(self) -> int:
+        return len(self.findings)
+
+    def refuse(self) -> None:
+        """Raise CheckError, in one line, when a finding is an error."""
+        refuse(self.scenario, self.findings)
+
+
+def check(
+    scenario: Scenario, *, dry_runs: int = DRY_RUNS, progress: bool | None = None
+) -> CheckReport:
+    """Check a scenario before a flight, as `ptnsbc check`: by closed forms, then by dry runs.
+
+    Args:
+        scenario: what is to be flown.
+        dry_runs: perturbed flights, when the rest finds no error; 0: no dry run.
+        progress: show progress on stderr; by default in a terminal and in a notebook.
+    """
+    with console.compiling():
+        findings = findings_of(scenario)
+    if dry_runs and all(finding.severity != ERROR for finding in findings):
+        findings = [*flown_before(scenario, dry_runs, progress), *findings]
+    return CheckReport(scenario, tuple(findings))
+
+
+def flown_before(
+    scenario: Scenario, runs: int = DRY_RUNS, progress: bool | None = True
+) -> Sequence[Finding]:
+    """The findings of dry runs, with progress when they take longer than a moment."""
+    from ptnsbc_tools.check.dry_run import flown
+
+    with console.compiling(), console.progress("dry runs", progress) as advance:
+        return flown(scenario, runs, advance)
+
+
+def fly(scenario: Scenario, *, checked: bool = True, progress: bool | None = None) -> Flight:
+    """Fly a scenario in this process, as `ptnsbc simulate`; the same scenario gives the same bytes.
+
+    The first flight after an installation compiles the laws, which takes a minute or more.
+
+    Args:
+        scenario: what to fly.
+        checked: check it first: errors are raised, warnings are Python warnings. False: no check.
+        progress: show progress on stderr; by default in a terminal and in a notebook.
+
+    Raises:
+        CheckError: the pre-flight check refuses the scenario.
+    """
+    if checked:
+        report = check(scenario, dry_runs=0)
+        report.refuse()
+        for one in report:
+            if one.severity == WARNING:
+                line = (
+                    f"{scenario.name}: {one.key}: {one.value}: expected {one.limit}; {one.advice}"
+                )
+                warnings.warn(line, stacklevel=2)
+    from ptnsbc_sim.swarm import fly as fly_headless  # loads numba: only after all checks
+    from ptnsbc_sim.verdict.headless import recording_of
+
+    one_tick = {"timing.duration_s": 1 / scenario.control_hz}
+    with console.compiling():  # the flight's own progress would stand still for a minute
+        fly_headless(scenario.with_(one_tick))
+    with console.progress("flying", progress) as advance:
+        headless = fly_headless(scenario, advance)
+    return Flight(recording_of(headless), headless=headless)
+
+
+def read_bag(
+    path: str | Path,
+    *,
+    scenario: str | Path | None = None,
+    tolerance_m: float | None = None,
+    window_s: float | None = None,
+    epoch_s: float | None = None,
+    odom: str = "/uav{n}/odom",
+    wrench: str = "/uav{n}/setpoint/wrench",
+) -> Flight:
+    """The flight in a bag, of ours or of another program.
+
+    Args:
+        path: folder of the bag, or its .mcap file.
+        scenario: scenario file to use instead of the attached one.
+        tolerance_m: limit of the error at the deadline; by default that of the scenario.
+        window_s: judge only the first seconds of each leg.
+        epoch_s: epoch in seconds after the start, for a bag that has none.
+        odom: topic of the odometry; {n} is the id of the UAV.
+        wrench: topic of the wrench, where it is recorded.
+
+    Raises:
+        BagError: no bag, cut, damaged, or without a scenario.
+    """
+    names = TopicNames(odom=odom, wrench=wrench)
+    given = None if scenario is None else Path(scenario)
+    return flight_in(Path(path), ReadOptions(given, tolerance_m, window_s, epoch_s, names))
+
+
+def verdict(flight: Flight, tolerance_m: float | None = None) -> Verdict:
+    """The verdict on a flight, as `ptnsbc verify`.
+
+    Args:
+        flight: what was flown.
+        tolerance_m: limit of the error at the deadline; by default that of the flight.
+
+    Raises:
+        VerdictError: the recording cannot be judged.
+    """
+    return flight.verdict if tolerance_m is None else verdict_on(flight.recording, tolerance_m)
+
+
+def fly_fleet(
+    scenario: Scenario,
+    *,
+    lockstep: bool = False,
+    bag: str | Path | None = None,
+    overwrite: bool = False,
+    checked: bool = True,
+) -> Flight:
+    """Fly a scenario with one ROS 2 process per UAV and the simulator, as `ptnsbc fleet`, and read its bag.
+
+    Call it from the main thread. Ctrl-C ends the flight in order.
+
+    Args:
+        scenario: what to fly.
+        lockstep: as fast as possible, with the same bytes every time; by default by the wall clock.
+        bag: folder to record into; by default a temporary one, which is read and removed.
+        overwrite: replace an existing bag.
+        checked: check the scenario first.
+
+    Raises:
+        CheckError: the pre-flight check refuses the scenario.
+        RosMissingError: ROS 2 is not installed.
+        FlightFailedError: a process ended in flight, or Ctrl-C ended it.
+    """
+    if checked:
+        check(scenario, dry_runs=0).refuse()
+    with ros.required(f"{ros.INSTALL}, or fly without it: ptnsbc.fly"):
+        from ptnsbc_nodes.fleet.fleet import FleetOptions, run_fleet
+    with ExitStack() as stack:
+        kept = None if bag is None else Path(bag)
+        folder = kept or Path(stack.enter_context(tempfile.TemporaryDirectory())) / "bag"
+        flown = run_fleet(
+            FleetOptions(scenario, lockstep=lockstep, bag=folder, overwrite=overwrite)
+        )
+        if flown.died or flown.interrupted:
+            why = f"{', '.join(flown.died)} ended" if flown.died else "interrupted"
+            raise FlightFailedError(
+                f"{scenario.name}: {why} after {flown.flight_s:.1f} s of flight"
+            )
+        return replace(flight_in(folder), bag=kept, status=read_status(folder))

@@ -1,0 +1,278 @@
+"""Sweeps: the functions behind `ptnsbc sweep` and `compare`, and their results as arrays and tables."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_sim.scenario import Scenario, reader
+from ptnsbc_sim.scenario.fields import unit_of
+from ptnsbc_sim.scenario.problems import similar
+from ptnsbc_sim.sweep import SweepError, SweepPlan, SweepResult, draw, parse_axis, parse_starts, run
+from ptnsbc_sim.sweep.chunks import DRAWN
+from ptnsbc_sim.sweep.family import find_family
+from ptnsbc_sim.sweep.plan import plan_of
+from ptnsbc_sim.sweep.rows import UNITS, fly_draw
+from ptnsbc_sim.sweep.runner import TABLE
+from ptnsbc_tools import console
+from ptnsbc_tools.library.flight import Flight, new_axes
+from ptnsbc_tools.library.flying import fly
+from ptnsbc_tools.library.optional import required
+from ptnsbc_tools.sweeps import comparison, summary
+from ptnsbc_tools.sweeps.comparison import SweepComparison
+from ptnsbc_tools.sweeps.share import Share
+from ptnsbc_tools.sweeps.table import Column, FlownSweep, read_sweep
+
+_MOMENT_S = 0.05
+
+
+@dataclass(frozen=True, repr=False)
+class Sweep:
+    """A sweep that was flown: shares with intervals, and one row of figures for each UAV and flight."""
+
+    flown: FlownSweep
+
+    @property
+    def plan(self) -> SweepPlan:
+        """What was flown."""
+        return self.flown.plan
+
+    @property
+    def met(self) -> Share:
+        """Flights whose UAVs all met the deadline and kept their distances, with the Wilson interval."""
+        return summary.flights_met(self.flown)
+
+    @cached_property
+    def columns(self) -> Mapping[str, Column]:
+        """The columns (R,) of the table by name; docs/sweeps.md says what they mean."""
+        return self.flown.table.columns
+
+    @property
+    def units(self) -> dict[str, str]:
+        """The unit of each column; empty for words and numbers without one."""
+        return {
+            name: (unit_of(name.rpartition(".")[2]) or "")
+            if name.startswith(DRAWN)
+            else UNITS.get(name, "")
+            for name in self.columns
+        }
+
+    def __getitem__(self, name: str) -> Column:
+        """A column (R,) by its name."""
+        if name not in self.columns:
+            raise SweepError(f"{name}: no column of the sweep: {similar(name, self.columns)}")
+        return self.columns[name]
+
+    def __len__(self) -> int:
+        return len(self.flown.table.flights.draw)
+
+    def scenario(self, k: int) -> Scenario:
+        """The scenario of draw k."""
+        return draw(self.plan, k)
+
+    def fly(self, k: int, *, progress: bool | None = None) -> Flight:
+        """Fly draw k again: the same flight, bit for bit."""
+        return fly(self.scenario(k), checked=False, progress=progress)
+
+    def compare(self, other: Sweep, *, margin_m: float = 0.001, seed: int = 0) -> SweepComparison:
+        """Whether another sweep of the same draws is worse, as `ptnsbc compare` says it.
+
+        Raises:
+            ComparisonError: the sweeps draw differently.
+        """
+        return compare(self, other, margin_m=margin_m, seed=seed)
+
+    def to_pandas(self) -> Any:
+        """One row for each UAV and flight as a pandas DataFrame; `attrs["units"]` has the units.
+
+        Raises:
+            LibraryMissingError: pandas is not installed.
+        """
+        frame = required("pandas", "to_pandas()").DataFrame(dict(self.columns))
+        frame.attrs = {"units": self.units, "plan": self.plan.name}
+        return frame
+
+    def plot_met(self, key: str | None = None, axes: Any = None) -> Any:
+        """Draw the share of flights met against what was drawn on Matplotlib axes, and return them.
+
+        Args:
+            key: a drawn key; by default the first one, or the largest start error.
+            axes: Matplotlib axes; by default new ones.
+
+        Raises:
+            SweepError: nothing of this name was drawn, or all draws have the same value.
+        """
+        from ptnsbc_tools.sweeps.figures import draw_against, drawn_axes
+
+        found = {one.name.partition(" [")[0]: one for one in drawn_axes(self.flown)}
+        name = next(iter(found), "") if key is None else key
+        if name not in found:
+            raise SweepError(f"{name or 'plot_met'}: the same in all draws: {similar(name, found)}")
+        axes = new_axes() if axes is None else axes
+        draw_against(axes, self.flown, found[name])
+        return axes
+
+    def __repr__(self) -> str:
+        return f"<Sweep {self.plan.name}: flights met {self.met}>"
+
+
+def plan(
+    scenario: Scenario,
+    runs: int = 200,
+    *,
+    vary: Mapping[str, str] | Sequence[str] = (),
+    latin: bool = False,
+    starts: str = "file",
+    family: str | Path | None = None,
+    overrides: Mapping[str, Any] | None = None,
+    seed: int = 0,
+    stop_after_s: float | None = None,
+    dry_runs: int = 0,
+    name: str | None = None,
+) -> SweepPlan:
+    """What a sweep flies; the arguments are those of `sweep`.
+
+    Raises:
+        SweepError: an axis, a start or a family that cannot be.
+    """
+    axes = (
+        [f"{key}={values}" for key, values in vary.items()] if isinstance(vary, Mapping) else vary
+    )
+    path = find_family(str(family)) if family is not None else None
+    return plan_of(
+        scenario,
+        runs,
+        seed=seed,
+        axes=tuple(parse_axis(text) for text in axes),
+        latin=latin,
+        starts=parse_starts(starts),
+        family=_family_text(path, overrides or {}) if path is not None else "",
+        stop_after_s=stop_after_s,
+        check=dry_runs,
+        name=name or (path.stem if path is not None else scenario.name),
+    )
+
+
+def _family_text(path: Path, overrides: Mapping[str, Any]) -> str:
+    """The text of a family without the keys of the formation that are given."""
+    text = path.read_text(encoding="utf-8")
+    tree = reader.parse(text, str(path))
+    given = [key for key in tree if f"formation.{key}" in overrides]
+    if not given:
+        return text
+    return reader.dump({key: value for key, value in tree.items() if key not in given})
+
+
+def fly_plan(
+    plan: SweepPlan,
+    folder: Path,
+    *,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    progress: bool | None = True,
+    count: Callable[[int], None] = lambda done: None,
+) -> SweepResult:
+    """Fly what is missing of a plan into a folder; `count` gets the flights that are done.
+
+    Raises:
+        SweepError: the folder holds something else, or no draw could be flown.
+        KeyboardInterrupt: ended early; the next call goes on from there.
+    """
+    if scheduler is None and not (folder / TABLE).exists():
+        # The sweep's own progress would stand still for a minute; a draw that cannot be flown is named later.
+        with console.compiling(), suppress(PtnsbcError):
+            fly_draw(replace(plan, stop_after_s=_MOMENT_S), 0)
+    with console.progress("flying", progress) as advance:
+
+        def on_progress(done: int, total: int) -> None:
+            count(done)
+            advance(done, total)
+
+        flown = run(plan, folder, workers=workers, scheduler=scheduler, progress=on_progress)
+    if sum(len(one.draws) for one in flown.failed) == plan.draws:
+        raise SweepError(f"no draw could be flown: {flown.failed[0].error}")
+    return flown
+
+
+def sweep(
+    scenario: Scenario,
+    runs: int = 200,
+    *,
+    vary: Mapping[str, str] | Sequence[str] = (),
+    latin: bool = False,
+    starts: str = "file",
+    family: str | Path | None = None,
+    seed: int = 0,
+    stop_after_s: float | None = None,
+    dry_runs: int = 0,
+    folder: str | Path | None = None,
+    workers: int | None = None,
+    progress: bool | None = None,
+) -> Sweep:
+    """Fly many draws of a scenario, as `ptnsbc sweep`; the same arguments give the same table.
+
+    Args:
+        scenario: what is drawn from.
+        runs: flights; of each cell when lists or grids are varied.
+        vary: values by dotted key as `--vary` takes them: "LO:HI", "MEAN±SIGMA", "LO:HI:COUNT", "A,B,C".
+        latin: draw the ranges from one Latin hypercube.
+        starts: "file", "near:SIGMA" or "box:X,Y,Z", in metres.
+        family: draw whole scenarios from this family, by name or file.
+        seed: of all draws.
+        stop_after_s: end every flight at this time.
+        dry_runs: perturbed flights of the dry run before each flight.
+        folder: keep the sweep there, and go on with what is there; by default nothing is kept.
+        workers: processes, by default one for each core; 1: this process.
+        progress: show progress on stderr; by default in a terminal and in a notebook.
+
+    Raises:
+        SweepError: a draw that cannot be, another sweep in the folder, or no draw could be flown.
+    """
+    flown = plan(
+        scenario,
+        runs,
+        vary=vary,
+        latin=latin,
+        starts=starts,
+        family=family,
+        seed=seed,
+        stop_after_s=stop_after_s,
+        dry_runs=dry_runs,
+    )
+    with ExitStack() as stack:
+        temporary = folder is None
+        kept = Path(folder or stack.enter_context(tempfile.TemporaryDirectory(prefix="ptnsbc-")))
+        place = kept / "sweep" if temporary else kept
+        fly_plan(flown, place, workers=workers, progress=progress)
+        return Sweep(read_sweep(place))
+
+
+def open_sweep(folder: str | Path) -> Sweep:
+    """A sweep from its folder, as `ptnsbc sweep --out` wrote it.
+
+    Raises:
+        SweepError: it is none, or it is not complete.
+    """
+    return Sweep(read_sweep(Path(folder)))
+
+
+def compare(a: Sweep, b: Sweep, *, margin_m: float = 0.001, seed: int = 0) -> SweepComparison:
+    """Whether B is worse than A: what was met and the errors, paired by draw, with intervals.
+
+    Args:
+        a: a sweep.
+        b: another one of the same draws.
+        margin_m: an error that grew by less is not worse.
+        seed: of the bootstrap.
+
+    Raises:
+        ComparisonError: the sweeps draw differently.
+    """
+    comparison.same_draws(a.plan, b.plan)
+    return comparison.compare(a.flown.table, b.flown.table, margin_m=margin_m, seed=seed)

@@ -1,0 +1,29 @@
+"""The public names: each is there, is documented, and is in docs/library.md."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from pathlib import Path
+
+import ptnsbc
+
+PAGE = Path(__file__).parents[2] / "docs" / "library.md"
+
+
+def test_every_public_name_is_there_and_documented() -> None:
+    for name in ptnsbc.__all__:
+        assert inspect.getdoc(getattr(ptnsbc, name)), name
+
+
+def test_the_page_names_all_of_them() -> None:
+    text = PAGE.read_text("utf-8")
+    known = set(re.findall(r"`(?:ptnsbc\.)?([A-Za-z_]+)[`(.]", text))
+    assert set(ptnsbc.__all__) <= known
+
+
+def test_the_page_has_the_quantities() -> None:
+    rows = re.findall(r"^\| `(\w+)` \| (.*?) \| (.*?) \|", PAGE.read_text("utf-8"), re.MULTILINE)
+    shown = {name: (unit, axes) for name, unit, axes in rows}
+    for one in ptnsbc.QUANTITIES:
+        assert shown[one.name] == (one.unit, ", ".join(one.axes))

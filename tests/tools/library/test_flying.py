@@ -1,0 +1,68 @@
+"""Loading, checking and flying from Python."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ptnsbc_sim.scenario import ScenarioError, load_scenario
+from ptnsbc_tools.check import CheckError
+from ptnsbc_tools.library.flying import check, fly, load, read_bag, verdict
+
+QUICK = {"timing.duration_s": 1.2, "gains.formation.deadline_s": 0.9}
+
+
+def test_a_mapping_is_a_scenario_file() -> None:
+    made = load({"extends": "paper_5", "seed": np.int64(3), "timing": {"duration_s": "2 s"}})
+    assert (made.seed, made.duration_s, made.uav_ids) == (3, 2.0, (1, 2, 3, 4, 5))
+
+
+def test_keys_are_set_from_python_values() -> None:
+    place = np.array([1.0, 2.0, 3.0])
+    made = load("paper_5").with_({"uavs[0].position_m": place, "gains.profile": "paper"}, seed=7)
+    np.testing.assert_array_equal(made.uav(1).position, place)
+    assert (made.gains.profile, made.seed) == ("paper", 7)
+    assert load("paper_5", seed=7).text == load_scenario("paper_5", {"seed": 7}).text
+
+
+@pytest.mark.parametrize("value", [object(), {1, 2}, 1j])
+def test_what_yaml_cannot_hold_is_refused(value: object) -> None:
+    with pytest.raises(ScenarioError, match="expected a number, text, a list or a mapping"):
+        load("paper_5").with_({"seed": value})
+
+
+def test_an_unknown_key_names_the_known_one() -> None:
+    with pytest.raises(ScenarioError, match='did you mean "seed"'):
+        load("paper_5").with_(sed=3)
+
+
+def test_the_check_says_ok_or_refuses() -> None:
+    good = check(load("paper_5"), dry_runs=0)
+    assert good.ok and len(good) == len(list(good))
+    bad = check(load("paper_5").with_({"gains.formation.deadline_s": 2}))
+    assert not bad.ok
+    with pytest.raises(CheckError, match=r"deadline_s: 2 s"):
+        bad.refuse()
+
+
+def test_a_flight_is_refused_or_flown(capsys: pytest.CaptureFixture[str]) -> None:
+    quick = load("paper_5").with_(QUICK)
+    with pytest.raises(CheckError):
+        fly(quick)
+    flight = fly(quick, checked=False, progress=False)
+    assert verdict(flight) is flight.verdict
+    assert verdict(flight, 100.0).uavs[0].tolerance_m == 100.0
+    assert capsys.readouterr().out == ""
+
+
+def test_a_warning_of_the_check_is_a_python_warning() -> None:
+    crowded = load("paper_5").with_({"timing.duration_s": 0.1, "gains.profile": "paper"})
+    assert any(one.severity == "warning" for one in check(crowded, dry_runs=0))
+    with pytest.warns(UserWarning, match=r"paper_5: gains\.profile"):
+        fly(crowded)
+
+
+def test_the_sample_bag() -> None:
+    flight = read_bag("bags/sample", window_s=2.0)
+    assert flight.time_s[-1] <= 2.0
+    assert flight.bag is not None and flight.uavs == flight.scenario.uav_ids
