@@ -67,7 +67,25 @@ fi
 
 mode="$lock $("$python" -c 'import sys; print(sys.base_prefix, sys.version)' | tr '\n' ' ')"
 stamp=".venv/.stamp-$(cat pyproject.toml "requirements/$lock.lock" requirements/setup.sh - <<<"$mode $PWD" | sha256sum | cut -c1-16)"
+
+# Messages that the wheels lack. Without a C++ compiler everything flies, but nothing draws frames live.
+make_interfaces() {
+  [ $lock = plain ] || return 0
+  local packages=(requirements/interfaces/*/) made
+  made=".venv/.interfaces-$(cat "$stamp" $(find requirements/interfaces -type f | sort) | sha256sum | cut -c1-16)"
+  [ ! -e "$made" ] || return 0
+  if ! command -v g++ >/dev/null; then
+    say "no g++: there is no live /tf for RViz and Foxglove (bags have it); install g++ and repeat: make setup"
+  elif .venv/bin/python requirements/interfaces/build.py "${packages[@]%/}"; then
+    rm -f .venv/.interfaces-*
+    touch "$made"
+  else
+    say "the message packages above could not be built: there is no live /tf (bags have it)"
+  fi
+}
+
 if [ -e "$stamp" ] && .venv/bin/python -c '' 2>/dev/null; then
+  make_interfaces
   exit 0
 fi
 
@@ -87,5 +105,6 @@ import numba, numpy, rclpy
 print(f"setup: numpy {numpy.__version__}, numba {numba.__version__}, rclpy from {rclpy.__path__[0]}")' \
   || die "the packages are installed but do not load (see above); start afresh: make clean setup"
 printf '%s' "$mode" >.venv/.mode
-touch "$stamp"
+printf '%s' "$stamp" >"$stamp"
+make_interfaces
 say "done in $SECONDS s"

@@ -1,8 +1,8 @@
 """The definition (ros2msg) and the type hash (RIHS01) of a message type, as bags carry them.
 
-Both come from the share folders of the installed ROS packages. Where a package is absent (a machine
-without ROS; tf2_msgs, which has no wheel) they come from `definitions.json` beside this file, which
-holds Jazzy's text for the types of this project. The texts of `rosbags` lack the comments, so bags would
+Both come from the share folders of the installed ROS packages. Where a package is absent (a machine without
+ROS; tf2_msgs, which has no wheel, where it is not built) they come from `definitions.json` beside this file,
+which holds Jazzy's text for the types of this project. The texts of `rosbags` lack the comments, so bags would
 change with the machine.
 """
 

@@ -47,6 +47,7 @@ from ptnsbc_nodes.comm.door import as_bytes
 from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.comm.graph import CommunicationGraph
 from ptnsbc_nodes.comm.qos import keep_last
+from ptnsbc_nodes.comm.tf import LiveTransforms
 from ptnsbc_nodes.comm.topics import LOST
 from ptnsbc_nodes.comm.vehicle_messages import PlannerLimits
 from ptnsbc_nodes.emergency.order_port import OrderPort
@@ -217,8 +218,15 @@ class BridgeNode:
             self._log(f"planner: at most {speed:g} m/s, {acceleration:g} m/s^2")
             send_limits(vehicle_messages.encode_limits(planner))
 
+        transforms = LiveTransforms(self.endpoints, [self._uav_id])
+
+        def publish_odometry(stamp_ns: int, values: Array) -> None:
+            data = odometry.encode(stamp_ns, values)
+            send_odom(data)
+            transforms.publish(self._uav_id, data)
+
         return BridgeOutputs(
-            odom=lambda stamp_ns, values: send_odom(odometry.encode(stamp_ns, values)),
+            odom=publish_odometry,
             track=lambda stamp_ns, values: send_track(odometry.encode(stamp_ns, values)),
             origin=lambda place: send_origin(vehicle_messages.encode_origin(place)),
             limits=publish_limits,

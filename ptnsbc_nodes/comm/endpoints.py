@@ -105,6 +105,14 @@ class Endpoints:
         self._published.append(_CountingPublisher(publisher, readers, close))
         return self._published[-1].send
 
+    def readers(self, topic: Topic) -> Callable[[], int]:
+        """A function that counts the subscriptions to a topic that this node publishes."""
+        name = full_name(self._node, topic)
+        [own] = (
+            one for one in self._published if one.topic_name == self._node.resolve_topic_name(name)
+        )
+        return own.publisher.get_subscription_count
+
     def listen(
         self,
         topic: Topic,

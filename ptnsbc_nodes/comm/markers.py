@@ -1,4 +1,4 @@
-"""What RViz and Foxglove draw: UAVs, keep-outs, tree edges, the leader's path; and live /tf."""
+"""What RViz and Foxglove draw: UAVs, keep-outs, tree edges, the leader's path."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from geometry_msgs.msg import Point, TransformStamped
+from geometry_msgs.msg import Point
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
@@ -16,7 +16,7 @@ from ptnsbc_core.types import Array
 from ptnsbc_io.wire import WireError, decode_odometry
 from ptnsbc_io.wire.cdr import split_stamp
 from ptnsbc_nodes.comm import topics
-from ptnsbc_nodes.comm.agent_messages import WORLD_FRAME, body_frame
+from ptnsbc_nodes.comm.agent_messages import WORLD_FRAME
 from ptnsbc_nodes.comm.diagnostics import STATUS_HZ
 from ptnsbc_nodes.comm.serialize import encode
 from ptnsbc_sim.scenario import Scenario, agent_config
@@ -43,9 +43,8 @@ class Scene:
     The edges of the tree are drawn where every UAV has its own slot.
     """
 
-    def __init__(self, scenario: Scenario, world: World, fleet: str = "") -> None:
+    def __init__(self, scenario: Scenario, world: World) -> None:
         self._world = world
-        self._bodies = {i: body_frame(i, fleet) for i in world.ids}
         parents = {} if are_open(scenario) else {i: scenario.parent(i) for i in world.ids}
         children = {i: parent for i, parent in parents.items() if parent is not None}
         self._shown = [*world.ids, *(end for edge in children.items() for end in edge)]
@@ -61,12 +60,6 @@ class Scene:
         for at, i in zip(self._places_at, self._shown, strict=True):
             _PLACE.pack_into(self._buffer, at, *self._world.odometry(i)[0:3])
         return bytes(self._buffer)
-
-    def transforms(self, stamp_ns: int) -> list[TransformStamped]:
-        """Pose of every body frame in the world frame."""
-        return [
-            _transform(stamp_ns, self._bodies[i], self._world.odometry(i)) for i in self._world.ids
-        ]
 
 
 class OdometryMarkers:
@@ -102,17 +95,6 @@ class OdometryMarkers:
             return None
         self._period = period
         return self._scene.markers(stamp_ns)
-
-
-def _transform(stamp_ns: int, body: str, odometry: Array) -> TransformStamped:
-    stamped = TransformStamped(child_frame_id=body)
-    stamped.header.frame_id = WORLD_FRAME
-    stamped.header.stamp.sec, stamped.header.stamp.nanosec = split_stamp(stamp_ns)
-    x, y, z, qx, qy, qz, qw = (float(value) for value in odometry[0:7])
-    place, turn = stamped.transform.translation, stamped.transform.rotation
-    place.x, place.y, place.z = x, y, z
-    turn.x, turn.y, turn.z, turn.w = qx, qy, qz, qw
-    return stamped
 
 
 def _all_markers(scenario: Scenario, edges: int) -> list[Any]:

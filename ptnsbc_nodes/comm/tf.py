@@ -1,4 +1,4 @@
-"""/tf of a bag, made of the recorded odometry: the same with and without tf2_msgs."""
+"""/tf, made of the odometry: in a bag with and without tf2_msgs, in flight where tf2_msgs is installed."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Iterable
 
 from ptnsbc_io.wire import WireError, peek_stamp, transform_of
 from ptnsbc_nodes.comm import topics
+from ptnsbc_nodes.comm.endpoints import Endpoints
 
 TRANSFORM_HZ = 20
 _PERIOD_NS = 10**9 // TRANSFORM_HZ
@@ -30,3 +31,22 @@ class Transforms:
             return transform_of(data)
         except WireError:  # a broken message of another program
             return None
+
+
+class LiveTransforms:
+    """Publishes /tf in flight, beside the odometry of the same process, while something subscribes to it."""
+
+    def __init__(self, endpoints: Endpoints, uavs: Iterable[int]) -> None:
+        self._transforms = Transforms(uavs)
+        self._send = self._readers = None
+        if topics.tf_is_available():
+            self._send = endpoints.publisher(topics.TF, 0)
+            self._readers = endpoints.readers(topics.TF)
+
+    def publish(self, uav_id: int, odometry: bytes) -> None:
+        """Publish the transform of an odometry message of a UAV when one is due."""
+        if self._send is None or self._readers is None or not self._readers():
+            return
+        transform = self._transforms.of(topics.odom(uav_id).name, odometry)
+        if transform is not None:
+            self._send(transform)

@@ -47,7 +47,7 @@ EMERGENCY = Topic("/formation/emergency", "std_msgs/msg/Header", Role.EVENT, "on
 CLOCK = Topic("/clock", "rosgraph_msgs/msg/Clock", Role.STATE)
 """Time of the simulated world."""
 TF = Topic("/tf", "tf2_msgs/msg/TFMessage", Role.EVENT, "20 Hz")
-"""Frames of the bodies; the recorder makes it of the odometry, in flight only where tf2_msgs is installed."""
+"""Frames of the bodies, from sim and bridges where tf2_msgs is installed; the recorder makes it of the odometry."""
 
 LOST = Topic("/formation/lost", "std_msgs/msg/Header", Role.LATCHED, "once a loss")
 """Names of processes (uavN, recorder) that have ended, from the launcher: no process waits for them."""
@@ -175,7 +175,7 @@ def in_bag(
 
 
 def tf_is_available() -> bool:
-    """Whether /tf can be published: tf2_msgs comes with ROS from apt and is in no wheel."""
+    """Whether /tf can be published: tf2_msgs comes with ROS from apt; beside the wheels `make setup` builds it."""
     return find_spec("tf2_msgs") is not None
 
 

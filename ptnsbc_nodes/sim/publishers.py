@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from importlib import import_module
-
 from ptnsbc_io.wire import ClockTemplate, OdometryTemplate, encode_near
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.agent_messages import WORLD_FRAME, body_frame
@@ -11,7 +9,7 @@ from ptnsbc_nodes.comm.diagnostics import status_every
 from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.comm.graph import CommunicationGraph
 from ptnsbc_nodes.comm.markers import Scene
-from ptnsbc_nodes.comm.serialize import encode
+from ptnsbc_nodes.comm.tf import LiveTransforms
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.world import World
 
@@ -26,7 +24,7 @@ class SimPublishers:
         self._near_every = scenario.near_every
         self._scene_every = status_every(scenario)
         self._calls = 0
-        self._scene = Scene(scenario, world, endpoints.fleet)
+        self._scene = Scene(scenario, world)
         self._clock_template = ClockTemplate()
         ids, recorders = world.ids, edges.options.recorders
         self._odometry_templates = {
@@ -43,8 +41,7 @@ class SimPublishers:
         self._send_near = {i: endpoints.publisher(topics.near(i), 1 + recorders) for i in ids}
         self._send_clock = endpoints.publisher(topics.CLOCK, recorders)
         self._send_markers = endpoints.publisher(topics.MARKERS, recorders)
-        # For viewers only: the recorder makes its own transforms.
-        self._send_tf = endpoints.publisher(topics.TF, 0) if topics.tf_is_available() else None
+        self._tf = LiveTransforms(endpoints, ids)
 
     def publish(self, stamp_ns: int) -> None:
         """Publish the world's state; near objects and markers at their own rates."""
@@ -58,7 +55,9 @@ class SimPublishers:
     def vehicle(self, uav_id: int, tick: int, stamp_ns: int) -> None:
         """Publish the odometry of one UAV, and at the rate of its sensor the near objects."""
         state = self._world.odometry(uav_id)
-        self._send_odom[uav_id](self._odometry_templates[uav_id].encode(stamp_ns, state))
+        odometry = self._odometry_templates[uav_id].encode(stamp_ns, state)
+        self._send_odom[uav_id](odometry)
+        self._tf.publish(uav_id, odometry)
         if uav_id in self._send_truth:
             truth = self._world.truth(uav_id)
             self._send_truth[uav_id](self._odometry_templates[uav_id].encode(stamp_ns, truth))
@@ -71,9 +70,5 @@ class SimPublishers:
         self._send_clock(self._clock_template.encode(stamp_ns))
 
     def markers(self, stamp_ns: int) -> None:
-        """Publish markers and transforms for viewers."""
+        """Publish markers for viewers."""
         self._send_markers(self._scene.markers(stamp_ns))
-        if self._send_tf is not None:
-            transforms = self._scene.transforms(stamp_ns)
-            message = import_module("tf2_msgs.msg").TFMessage(transforms=transforms)
-            self._send_tf(encode(message))

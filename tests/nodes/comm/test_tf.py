@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import json
+from importlib.resources import files
+
 import numpy as np
 import pytest
 
 from ptnsbc_io import wire
 from ptnsbc_io.bag.definitions import definition
 from ptnsbc_nodes.comm import topics
-from ptnsbc_nodes.comm.tf import Transforms
+from ptnsbc_nodes.comm.endpoints import Endpoints, sent_in
+from ptnsbc_nodes.comm.tf import LiveTransforms, Transforms
 
 STATE = np.arange(13.0) + 0.5
 MS = 1_000_000
@@ -56,3 +60,32 @@ def test_only_odometry_of_these_uavs_that_can_be_read():
     assert transforms.of("/uav1/formation_state", data) is None
     assert transforms.of("/uav1/odom", b"rubbish") is None
     assert transforms.of("/uav1/odom", data[:40]) is None
+
+
+@pytest.mark.ros
+@pytest.mark.skipif(not topics.tf_is_available(), reason="tf2_msgs is not installed")
+def test_in_flight_only_while_something_listens(ros):
+    endpoints = Endpoints(ros.node("sim"), lockstep=False)
+    transforms = LiveTransforms(endpoints, [1])
+    template = wire.OdometryTemplate("map", "uav1/base_link")
+    transforms.publish(1, template.encode(0, STATE))
+    assert sent_in([endpoints.account()]).sent["/tf"] == 0
+    heard = []
+    viewer = Endpoints(ros.node("viewer"), lockstep=False)
+    viewer.listen(topics.TF, bytes, heard.append)
+    ros.spin_until(lambda: endpoints.readers(topics.TF)() == 1)
+    for k in range(10):  # 100 Hz
+        transforms.publish(1, template.encode(k * 10 * MS, STATE))
+    ros.spin_until(lambda: len(heard) == 2)
+    assert [read(data).transforms[0].header.stamp.nanosec for data in heard] == [0, 50 * MS]
+
+
+@pytest.mark.skipif(not topics.tf_is_available(), reason="tf2_msgs is not installed")
+def test_the_installed_message_is_the_one_in_bags():
+    import ptnsbc_io.bag
+
+    known = json.loads(files(ptnsbc_io.bag).joinpath("definitions.json").read_text())
+    expected = known[topics.TF.type]
+    found = definition(topics.TF.type)
+    assert found.text.startswith(expected["msg"])
+    assert found.type_hash == expected["hash"]

@@ -1,0 +1,254 @@
+"""Message packages that the wheels of ROS lack, made by the generators and libraries that come in these wheels.
+
+    .venv/bin/python requirements/interfaces/build.py PACKAGE...
+
+Each PACKAGE is a folder with a package.xml and files in msg/, srv/ or action/. It is generated, compiled by g++ and
+installed beside the others: Python into site-packages, libraries into lib, definitions and hashes into share. All is
+built elsewhere first, so that a package is there whole or not at all.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+import sysconfig
+import tempfile
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import redirect_stdout
+from io import StringIO
+from pathlib import Path
+
+PREFIX = Path(sys.prefix)
+SHARE, LIB, INCLUDE = PREFIX / "share", PREFIX / "lib", PREFIX / "include"
+SITE = Path(sysconfig.get_path("purelib"))
+
+_C, _FASTRTPS, _INTROSPECTION = (
+    "rosidl_generator_c",
+    "rosidl_typesupport_fastrtps_c",
+    "rosidl_typesupport_introspection_c",
+)
+_TYPE_SUPPORT, _PYTHON = "rosidl_typesupport_c", "rosidl_generator_py"
+_DEPENDENCIES = ("depend", "build_depend", "exec_depend", "build_export_depend")
+_JOBS = 2
+
+
+class BuildError(Exception):
+    """A package that cannot be built."""
+
+
+def depended_on(package: Path) -> list[str]:
+    """Names of the message packages that a package needs, also indirectly."""
+    found: list[str] = []
+
+    def look(xml: Path) -> None:
+        root = ElementTree.parse(xml).getroot()
+        names = [entry.text or "" for tag in _DEPENDENCIES for entry in root.findall(tag)]
+        for name in names:
+            if name in found or not any((SHARE / name).glob("*/*.idl")):
+                continue
+            found.append(name)
+            look(SHARE / name / "package.xml")
+
+    look(package / "package.xml")
+    return found
+
+
+class Package:
+    """One package on its way from definitions to libraries."""
+
+    def __init__(self, source: Path, work: Path) -> None:
+        self.source, self.name = source, source.name
+        self.work, self.out = work, work / "out"
+        self.needs = depended_on(source)
+        self.definitions = sorted(
+            path for kind in ("msg", "srv", "action") for path in source.glob(f"{kind}/*.{kind}")
+        )
+        self.idl = [
+            f"{path.parent.name}/{path.stem}.idl" for path in self.definitions
+        ]  # relative, as the generators name them
+
+    def generate(self) -> None:
+        """All C, C++ and Python sources."""
+        from rosidl_adapter import convert_to_idl
+        from rosidl_cli.command.helpers import generate_visibility_control_file
+        from rosidl_generator_c import generate_c
+        from rosidl_generator_py import generate_py
+        from rosidl_generator_type_description import generate_type_hash
+        from rosidl_typesupport_c import generate_c as generate_type_support
+        from rosidl_typesupport_fastrtps_c import generate_typesupport_fastrtps_c
+        from rosidl_typesupport_introspection_c import generate_c as generate_introspection
+
+        for path in self.definitions:
+            relative = path.relative_to(self.source)
+            convert_to_idl(self.source, self.name, relative, self.work / "idl")
+        generate_type_hash(self._arguments("rosidl_generator_type_description", _C))
+        generate_c(self._arguments(_C))
+        generate_typesupport_fastrtps_c(self._arguments(_FASTRTPS))
+        generate_introspection(self._arguments(_INTROSPECTION))
+        generate_type_support(self._arguments(_TYPE_SUPPORT), [_FASTRTPS, _INTROSPECTION])
+        generate_py(self._arguments(_PYTHON), [_TYPE_SUPPORT, _FASTRTPS, _INTROSPECTION])
+        for generator in (_C, _FASTRTPS, _INTROSPECTION):
+            name = f"{generator}__visibility_control.h"
+            generate_visibility_control_file(
+                package_name=self.name,
+                template_path=SHARE / generator / "resource" / f"{name}.in",
+                output_path=self._made(generator) / "msg" / name,
+            )
+
+    def _made(self, generator: str) -> Path:
+        return self.work / generator / self.name
+
+    def _arguments(self, generator: str, templates: str = "") -> str:
+        """The file with a generator's arguments."""
+        made = self._made(generator)
+        made.mkdir(parents=True, exist_ok=True)
+        described = self._made("rosidl_generator_type_description")
+        arguments = {
+            "package_name": self.name,
+            "output_dir": str(made),
+            "template_dir": str(SHARE / (templates or generator) / "resource"),
+            "idl_tuples": [f"{self.work / 'idl'}:{name}" for name in self.idl],
+            "ros_interface_dependencies": [
+                f"{name}:{path}" for name in self.needs for path in (SHARE / name).glob("*/*.idl")
+            ],
+            "target_dependencies": [],
+            "include_paths": [f"{name}:{SHARE / name}" for name in self.needs],
+            "type_description_tuples": [
+                f"{name}:{described / name.removesuffix('.idl')}.json" for name in self.idl
+            ],
+        }
+        path = self.work / f"{generator}.json"
+        path.write_text(json.dumps(arguments), encoding="utf-8")
+        return str(path)
+
+    def compile(self) -> None:
+        """The libraries and the modules of Python."""
+        (self.out / "lib").mkdir(parents=True)
+        site = self.out / "site" / self.name
+        shutil.copytree(self._made(_PYTHON), site, ignore=shutil.ignore_patterns("*.c"))
+        (site / "__init__.py").touch()
+        own = f"{self.name}__{{}}".format
+        self._library(_C, "*/detail/*.c", [_TYPE_SUPPORT, "rosidl_runtime_c", "rcutils"], [_C])
+        self._library(
+            _FASTRTPS,
+            "*/detail/*.cpp",
+            [own(_C), _FASTRTPS, "rosidl_typesupport_fastrtps_cpp", "fastcdr", "rmw"],
+            [_FASTRTPS, _C],
+        )
+        self._library(
+            _INTROSPECTION,
+            "*/detail/*.c",
+            [own(_C), _INTROSPECTION, "rosidl_runtime_c"],
+            [_INTROSPECTION, _C],
+        )
+        self._library(
+            _TYPE_SUPPORT, "*/*.cpp", [own(_C), own(_FASTRTPS), own(_INTROSPECTION), _TYPE_SUPPORT]
+        )
+        self._library(_PYTHON, "*/*_s.c", [own(_C), own(_TYPE_SUPPORT)], [_PYTHON, _C])
+        for kind in (_TYPE_SUPPORT, _FASTRTPS, _INTROSPECTION):
+            sources = [self._made(_PYTHON) / f"_{self.name}_s.ep.{kind}.c"]
+            target = site / f"{self.name}_s__{kind}{sysconfig.get_config_var('EXT_SUFFIX')}"
+            self._link(target, sources, [own(_PYTHON), own(kind), own(_TYPE_SUPPORT), own(_C)])
+
+    def _library(
+        self, kind: str, sources: str, libraries: Iterable[str], of_needs: Iterable[str] = ()
+    ) -> None:
+        inherited = (f"{name}__{part}" for part in of_needs for name in self.needs)
+        there = [name for name in inherited if (LIB / f"lib{name}.so").exists()]
+        target = self.out / "lib" / f"lib{self.name}__{kind}.so"
+        self._link(target, sorted(self._made(kind).glob(sources)), [*libraries, *there])
+
+    def _link(self, target: Path, sources: list[Path], libraries: Iterable[str]) -> None:
+        import numpy
+
+        generated = (self.work / kind for kind in (_C, _FASTRTPS, _INTROSPECTION))
+        folders = [path for path in INCLUDE.iterdir() if path.is_dir()]
+        python = [sysconfig.get_path("include"), numpy.get_include()]
+        includes = [f"-I{path}" for path in (*generated, *folders, INCLUDE, *python)]
+
+        def compiled(source: Path) -> str:
+            target = self.work / f"{'_'.join(source.relative_to(self.work).parts)}.o"
+            standard = ["-std=c++17"] if source.suffix == ".cpp" else ["-x", "c", "-std=gnu11"]
+            _run(
+                ["g++", "-O1", "-fPIC", "-c", *includes, *standard, str(source), "-o", str(target)]
+            )
+            return str(target)
+
+        with ThreadPoolExecutor(_JOBS) as pool:
+            objects = list(pool.map(compiled, sources))
+        found = [f"-L{self.out / 'lib'}", f"-L{LIB}", *(f"-l{name}" for name in libraries)]
+        paths = [f"-Wl,-rpath,{path}" for path in ("$ORIGIN", "$ORIGIN/../../..")]
+        _run(["g++", "-shared", "-o", str(target), *objects, *found, *paths])
+
+    def install(self) -> None:
+        """Beside the packages of the wheels; what Python imports comes last."""
+        share = SHARE / self.name
+        kinds = {path.parent.name for path in self.definitions}
+        for kind in kinds:
+            (share / kind).mkdir(parents=True, exist_ok=True)
+        described = self._made("rosidl_generator_type_description")
+        for path, idl in zip(self.definitions, self.idl, strict=True):
+            shutil.copy(path, share / path.relative_to(self.source))
+            shutil.copy(self.work / "idl" / idl, share / idl)
+            shutil.copy(described / f"{idl.removesuffix('.idl')}.json", share / Path(idl).parent)
+        shutil.copy(self.source / "package.xml", share)
+        index = SHARE / "ament_index" / "resource_index"
+        listed = [str(path.relative_to(self.source)) for path in self.definitions]
+        for resource, text in (("packages", ""), ("rosidl_interfaces", "\n".join(listed))):
+            (index / resource).mkdir(parents=True, exist_ok=True)
+            (index / resource / self.name).write_text(text, encoding="utf-8")
+        for path in (self.out / "lib").iterdir():
+            _replace(path, LIB / path.name)
+        _replace(self.out / "site" / self.name, SITE / self.name)
+
+
+def _replace(made: Path, target: Path) -> None:
+    """A file or folder in the place of an older one."""
+    beside = target.with_name(f".{target.name}.part")
+    for old in (beside, *([target] if made.is_dir() else [])):
+        if old.is_dir():
+            shutil.rmtree(old)
+    (shutil.copytree if made.is_dir() else shutil.copy)(made, beside)
+    beside.rename(target)
+
+
+def _run(command: list[str]) -> None:
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+    except OSError as error:
+        raise BuildError(f"{command[0]}: {error.strerror}") from None
+    if done.returncode:
+        raise BuildError(f"{' '.join(command)}\n{done.stderr[-4000:]}")
+
+
+def build(source: Path) -> None:
+    """Generate, compile and install one package.
+
+    Raises:
+        BuildError: the compiler is missing or refuses.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        package = Package(source, Path(folder))
+        steps: list[Callable[[], None]] = [package.generate, package.compile, package.install]
+        with redirect_stdout(StringIO()):  # the generators tell every file
+            for step in steps:
+                step()
+
+
+def main() -> int:
+    """The command."""
+    for name in sys.argv[1:]:
+        try:
+            build(Path(name).resolve())
+        except BuildError as error:
+            print(f"interfaces: {name}: {error}", file=sys.stderr)
+            return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
