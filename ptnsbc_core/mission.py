@@ -8,10 +8,10 @@ from ptnsbc_core.behaviours.contract import Behaviour, EpochErrors, Neighbour
 from ptnsbc_core.behaviours.formation import formation
 from ptnsbc_core.behaviours.leader_tracking import leader_tracking
 from ptnsbc_core.behaviours.neighbour import extrapolated
+from ptnsbc_core.curves.trajectory import Reference, reference
 from ptnsbc_core.kernel import inline_kernel
 from ptnsbc_core.kinematics import yaw_of
 from ptnsbc_core.timebase import Clock
-from ptnsbc_core.trajectory import Reference, reference
 from ptnsbc_core.types import (
     MODE_FORMATION,
     MODE_LAND,

@@ -56,7 +56,9 @@ PLANTS = {"rigid_body_6dof": PLANT_RIGID_BODY, "quadrotor": PLANT_QUADROTOR}
 MODE_FORMATION, MODE_HOLD, MODE_LAND = 0, 1, 2
 LEGS = {"form": MODE_FORMATION, "hold": MODE_HOLD, "land": MODE_LAND}
 
-TRAJECTORY_CIRCLE, TRAJECTORY_LINE = 0, 1
+TRAJECTORY_CIRCLE, TRAJECTORY_LINE, TRAJECTORY_HARMONIC, TRAJECTORY_PIECEWISE = 0, 1, 2, 3
+
+HEADING_FIXED, HEADING_PATH, HEADING_TABLE = 0, 1, 2
 
 NEVER_RECEIVED_S = 1e9
 """Age of a neighbour from which nothing has been received yet [s]."""
@@ -154,6 +156,13 @@ class FilterConfig(NamedTuple):
     max_rate_acceleration: float  # [rad/s^2]
 
 
+class Trajectory(NamedTuple):
+    """The leader's desired curve, see curves/trajectory.py."""
+
+    numbers: tuple[float, ...]  # (8,) kind and its parameters
+    table: Array  # (R, C) of the kinds that need one, else without rows
+
+
 class ControllerConfig(NamedTuple):
     """Sliding-mode controller (49)-(52) as corrected in docs/method.md."""
 
@@ -195,7 +204,7 @@ class AgentConfig(NamedTuple):
     clearance: ClearanceConfig
     filter: FilterConfig
     controller: ControllerConfig
-    trajectory: tuple[float, ...]  # (8,) kind and its parameters, see trajectory.py
+    trajectory: Trajectory  # of the leader
     association_gate_m: float  # within it a near object is taken to be parent or leader; 0: never
     stale_s: float  # the UAV holds when parent or leader are silent for longer
     hold_gain: float  # [1/s]

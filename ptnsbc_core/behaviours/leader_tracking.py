@@ -5,9 +5,9 @@ from __future__ import annotations
 from ptnsbc_core.algebra import axpy, norm3, sub3
 from ptnsbc_core.behaviours.contract import Behaviour, EpochErrors
 from ptnsbc_core.behaviours.formation import braked
+from ptnsbc_core.curves.trajectory import Reference
 from ptnsbc_core.kernel import kernel
 from ptnsbc_core.timebase import Clock, loop_gain, soft_start, task_acceleration, task_rate
-from ptnsbc_core.trajectory import Reference
 from ptnsbc_core.types import AgentConfig, Vector3
 
 

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from ptnsbc_core.curves.trajectory import reference
 from ptnsbc_core.kinematics import velocity_enu
-from ptnsbc_core.trajectory import reference
 from ptnsbc_io.mavlink.autopilots import AUTOPILOTS, fate, findings, hover_thrust, limits
 from ptnsbc_io.mavlink.dialect import mavlink
 from ptnsbc_io.mavlink.link import MavlinkLink

@@ -11,7 +11,7 @@ from geometry_msgs.msg import Point
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
-from ptnsbc_core.trajectory import reference
+from ptnsbc_core.curves.trajectory import reference
 from ptnsbc_core.types import Array
 from ptnsbc_io.wire import WireError, decode_odometry
 from ptnsbc_io.wire.cdr import split_stamp

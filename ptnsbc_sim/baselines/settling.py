@@ -6,10 +6,10 @@ from collections.abc import Callable
 
 import numpy as np
 
+from ptnsbc_core.curves.trajectory import reference
 from ptnsbc_core.errors import PtnsbcError
-from ptnsbc_core.trajectory import reference
 from ptnsbc_core.types import Array
-from ptnsbc_sim.scenario.build import trajectory_vector
+from ptnsbc_sim.scenario.build import leader_trajectory
 from ptnsbc_sim.swarm import HeadlessFlight
 
 SHARE_OF_START = 0.02
@@ -26,7 +26,7 @@ def formation_errors(flight: HeadlessFlight) -> Array:
     leader = scenario.uav_ids.index(scenario.leader_id)
     offsets = np.array([scenario.offset(uav) for uav in scenario.uav_ids])
     goals = places[:, leader : leader + 1] + offsets
-    path = trajectory_vector(scenario)
+    path = leader_trajectory(scenario)
     goals[:, leader] = [reference(path, tick * 1e-9).position for tick in flight.t_ns.tolist()]
     return np.asarray(np.linalg.norm(places - goals, axis=2))
 

@@ -26,6 +26,7 @@ from ptnsbc_core.algebra import (
     wrap_angle,
 )
 from ptnsbc_core.control.rigid_body_control import saturate_force, saturate_torque
+from ptnsbc_core.curves.trajectory import reference
 from ptnsbc_core.estimator import leader_estimate
 from ptnsbc_core.kernel import inline_kernel, kernel
 from ptnsbc_core.kinematics import (
@@ -36,7 +37,6 @@ from ptnsbc_core.kinematics import (
     velocity_enu,
 )
 from ptnsbc_core.timebase import Clock
-from ptnsbc_core.trajectory import reference
 from ptnsbc_core.types import (
     MODE_FORMATION,
     AgentConfig,

@@ -22,8 +22,6 @@ from ptnsbc_core.types import (
     PLANTS,
     PROFILES,
     TASKS,
-    TRAJECTORY_CIRCLE,
-    TRAJECTORY_LINE,
     AgentConfig,
     Array,
     ClearanceConfig,
@@ -32,11 +30,12 @@ from ptnsbc_core.types import (
     FilterConfig,
     InertialParameters,
     LoopGain,
+    Trajectory,
     Vector3,
 )
 from ptnsbc_sim.scenario.gains import Loop
-from ptnsbc_sim.scenario.model import Circle
 from ptnsbc_sim.scenario.scenario import Scenario
+from ptnsbc_sim.scenario.trajectories import trajectory_of
 
 _SHORTEST_ARM_M = 1e-3
 _UPRIGHT = np.pi / 2  # the tilt limit of a plant that is not tilted
@@ -71,16 +70,9 @@ def _loop(scenario: Scenario, loop: Loop) -> LoopGain:
     )
 
 
-def trajectory_vector(scenario: Scenario) -> tuple[float, ...]:
-    """The leader's reference (8,) as ptnsbc_core.trajectory reads it."""
-    path = scenario.file.leader.trajectory
-    numbers: Iterable[float]
-    if isinstance(path, Circle):
-        motion = (path.radius_m, path.rate_rad_s, path.phase_rad)
-        numbers = (TRAJECTORY_CIRCLE, *path.centre_m, *motion, path.yaw_rad)
-    else:
-        numbers = (TRAJECTORY_LINE, *path.position_m, *path.velocity_m_s, path.yaw_rad)
-    return tuple(float(number) for number in numbers)
+def leader_trajectory(scenario: Scenario) -> Trajectory:
+    """The leader's reference as ptnsbc_core.curves.trajectory reads it."""
+    return trajectory_of(scenario.file.leader.trajectory)
 
 
 def reference_offset(scenario: Scenario, uav_id: int) -> Array:
@@ -254,7 +246,7 @@ def agent_config(scenario: Scenario, uav_id: int) -> AgentConfig:
         clearance=_clearance(scenario),
         filter=_filter(scenario),
         controller=_controller(scenario),
-        trajectory=trajectory_vector(scenario),
+        trajectory=leader_trajectory(scenario),
         association_gate_m=float(scenario.file.formation.sight_m),
         stale_s=float(scenario.file.communication.stale_s),
         hold_gain=float(gains.hold.gain_1_s),

@@ -1,8 +1,8 @@
 """The shortest deadline of the formation in closed form, and the one that `deadline_s: auto` takes.
 
 The planned approach E_0 (1 - h) asks for the largest speed and acceleration of h (`feasible_deadline`). The motion of
-the leader and the drag take their part of the limits of the vehicle. On a circle and on a line the leader's speed and
-acceleration have the same size at all times, so that they hold for the whole flight.
+the leader and the drag take their part of the limits of the vehicle, with the largest speed and the largest
+acceleration of the whole flight.
 """
 
 from __future__ import annotations
@@ -12,10 +12,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ptnsbc_core.curves.trajectory import reference
 from ptnsbc_core.timebase import feasible_deadline
 from ptnsbc_core.types import Array
-from ptnsbc_sim.scenario.model import Circle, ScenarioFile
+from ptnsbc_sim.scenario.model import ScenarioFile
 from ptnsbc_sim.scenario.problems import ScenarioError
+from ptnsbc_sim.scenario.trajectories import Circle, Line, extremes, trajectory_of
 
 AUTO = "auto"
 MARGIN = 1.5
@@ -33,19 +35,22 @@ class Limits(NamedTuple):
 
 def _leader_start(file: ScenarioFile) -> Array:
     path = file.leader.trajectory
-    if not isinstance(path, Circle):
-        return np.array(path.position_m, dtype=np.float64)
-    along = np.array([math.sin(path.phase_rad), math.cos(path.phase_rad), 0.0])
-    return np.array(path.centre_m, dtype=np.float64) + path.radius_m * along
+    if isinstance(path, Circle) and path.heading == "fixed":
+        along = np.array([math.sin(path.phase_rad), math.cos(path.phase_rad), 0.0])
+        return np.array(path.centre_m, dtype=np.float64) + path.radius_m * along
+    return np.array(reference(trajectory_of(path), 0.0).position)
 
 
 def _leader_motion(file: ScenarioFile) -> tuple[float, float]:
-    """Speed [m/s] and acceleration [m/s^2] of the leader's path."""
+    """Largest speed [m/s] and acceleration [m/s^2] of the leader's path."""
     path = file.leader.trajectory
     if isinstance(path, Circle):
         speed = abs(path.radius_m * path.rate_rad_s)
         return speed, speed * abs(path.rate_rad_s)
-    return math.hypot(*path.velocity_m_s), 0.0
+    if isinstance(path, Line):
+        return math.hypot(*path.velocity_m_s), 0.0
+    most = extremes(path, file.timing.duration_s)
+    return most.speed_m_s, most.acceleration_m_s2
 
 
 def _vehicle_acceleration(file: ScenarioFile, leader_speed: float) -> float:

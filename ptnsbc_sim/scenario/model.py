@@ -23,6 +23,7 @@ from ptnsbc_sim.scenario.fields import (
 )
 from ptnsbc_sim.scenario.gains import Gains
 from ptnsbc_sim.scenario.mavlink import Mavlink
+from ptnsbc_sim.scenario.trajectories import TrajectoryBlock
 
 STILL = (Wave(amount=0.0, shape="constant"),) * 3
 Delay = Annotated[NotNegative, Field(le=1)]
@@ -169,42 +170,12 @@ class Communication(Block):
     """Single links with a loss or a delay of their own, each in one direction:"""
 
 
-class Circle(Block):
-    """Centre + radius (sin, cos)(rate t + phase): clockwise from north, as in the paper."""
-
-    kind: Literal["circle"]
-    """Position centre + radius (sin, cos)(rate t + phase): clockwise from north."""
-    centre_m: Vec3
-    """Centre; its z is the height."""
-    radius_m: NotNegative
-    """Radius of the circle."""
-    rate_rad_s: Number
-    """Angular rate."""
-    phase_rad: Number = 0.0
-    """Angle at t = 0."""
-    yaw_rad: Number = 0.0
-    """Heading to hold."""
-
-
-class Line(Block):
-    """position + velocity t."""
-
-    kind: Literal["line"]
-    """Position + velocity t."""
-    position_m: Vec3
-    """Position at the epoch."""
-    velocity_m_s: Vec3 = (0.0, 0.0, 0.0)
-    """Constant velocity."""
-    yaw_rad: Number = 0.0
-    """Heading to hold."""
-
-
 class Leader(Block):
     """The UAV around which the others form."""
 
     id: UavId
     """Id of one of `uavs`."""
-    trajectory: Annotated[Circle | Line, Field(discriminator="kind")]
+    trajectory: TrajectoryBlock
     """Trajectory of the leader, one of these kinds:"""
 
 

@@ -23,6 +23,9 @@ _SUFFIXES = (".yaml", ".yml")
 _MOST_BYTES = 1_000_000
 _DEEPEST_EXTENDS = 8
 
+MOST_SAMPLES = 200_000
+"""Characters of a CSV file at most."""
+
 
 class _Loader(yaml.SafeLoader):
     """YAML 1.2 numbers and truth values; duplicate keys, aliases and tags refused."""
@@ -156,22 +159,59 @@ def read_text(path: Path) -> str:
         ) from None
 
 
+def _other_trajectory(key: object, below: Tree, value: Tree) -> bool:
+    """Whether `value` is a trajectory of another kind, which has other keys."""
+    return key == "trajectory" and value.get("kind", below.get("kind")) != below.get("kind")
+
+
 def merged(base: Tree, own: Tree) -> Tree:
-    """`own` over `base`: mappings key by key, everything else whole, null removes."""
+    """`own` over `base`: mappings key by key, everything else and another kind of trajectory whole, null removes."""
     result = dict(base)
     for key, value in own.items():
         below = result.get(key)
         if value is None:
             result.pop(key, None)
-        elif isinstance(value, dict) and isinstance(below, dict):
+        elif (
+            isinstance(value, dict)
+            and isinstance(below, dict)
+            and not _other_trajectory(key, below, value)
+        ):
             result[key] = merged(below, value)
         else:
             result[key] = value
     return result
 
 
+def names_table(tree: Tree) -> bool:
+    """Whether the leader's trajectory is in a file of its own."""
+    leader = tree.get("leader")
+    path = leader.get("trajectory") if isinstance(leader, dict) else None
+    return isinstance(path, dict) and path.get("kind") == "csv" and path.get("file") is not None
+
+
+def with_table(tree: Tree, source: str, folder: Path) -> Tree:
+    """`tree` with the content of the leader's CSV file in the place of its name."""
+    if not names_table(tree):
+        return tree
+    path = dict(tree["leader"]["trajectory"])
+    where, name = f"{source}: leader.trajectory.file", path.pop("file")
+    if not isinstance(name, str) or not name:
+        raise ScenarioError(f"{where}: {name!r}: expected the name or path of a CSV file")
+    found = folder / Path(name).expanduser()
+    try:
+        with found.open(encoding="utf-8") as stream:
+            path["samples"] = stream.read(MOST_SAMPLES + 1)
+    except (OSError, ValueError) as error:  # ValueError: a NUL in the name, or no UTF-8
+        words = getattr(error, "strerror", None) or "expected UTF-8 text"
+        raise ScenarioError(f"{where}: {found}: {words}: expected a readable CSV file") from None
+    if len(path["samples"]) > MOST_SAMPLES:
+        raise ScenarioError(f"{where}: {found}: expected at most {MOST_SAMPLES} characters")
+    return {**tree, "leader": {**tree["leader"], "trajectory": path}}
+
+
 def extended(tree: Tree, source: str, folder: Path, depth: int = 0) -> Tree:
-    """`tree` with what it extends filled in."""
+    """`tree` with what it extends, and files that it names, filled in."""
+    tree = with_table(tree, source, folder)
     if "extends" not in tree:
         return tree
     own = {key: value for key, value in tree.items() if key != "extends"}

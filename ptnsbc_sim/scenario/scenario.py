@@ -314,11 +314,15 @@ def scenario_from_text(
         raise ScenarioError(
             f"{source}: extends: not here: expected a whole scenario, no other file"
         )
+    if complete and reader.names_table(tree):
+        raise ScenarioError(
+            f"{source}: leader.trajectory.file: not here: expected samples, no other file"
+        )
     given = {key: value for key, value in (overrides or {}).items() if value is not None}
     final = reader.extended(tree, source, folder or Path.cwd())
     if given:
-        final = reader.overridden(final, given, source)
-    if given or "extends" in tree:
+        final = reader.with_table(reader.overridden(final, given, source), source, Path.cwd())
+    if given or "extends" in tree or reader.names_table(tree):
         text = reader.dump(final)
     filled = completed(final)
     if _deadline_of(filled) == AUTO:

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from ptnsbc_core.errors import GainError, TopologyError
 from ptnsbc_core.timebase import peak_gain
 from ptnsbc_core.topology import Topology, validated_topology
+from ptnsbc_sim.scenario import trajectories
 from ptnsbc_sim.scenario.mavlink import Geofence, Mavlink, vehicle_link
 from ptnsbc_sim.scenario.model import Positioning, ScenarioFile
 from ptnsbc_sim.scenario.problems import ScenarioError
@@ -149,6 +150,11 @@ def _offsets(file: ScenarioFile) -> Problems:
             yield f"formation.offsets_m.{uav}: missing: expected its offset from the leader"
 
 
+def _trajectory(file: ScenarioFile) -> Problems:
+    for problem in trajectories.problems(file.leader.trajectory):
+        yield f"leader.trajectory.{problem}"
+
+
 def _sight(file: ScenarioFile) -> Problems:
     shape = file.formation
     if shape.sight_m > 0.5 * shape.uav_keep_out_m:
@@ -223,6 +229,7 @@ _CHECKS: tuple[Callable[[ScenarioFile], Problems], ...] = (
     _members,
     _links,
     _offsets,
+    _trajectory,
     _sight,
     _plant,
     _mavlink,

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ptnsbc_core.trajectory import reference_positions
+from ptnsbc_core.curves.trajectory import reference_positions
 from ptnsbc_core.types import Array
-from ptnsbc_sim.scenario.build import trajectory_vector
+from ptnsbc_sim.scenario.build import leader_trajectory
 from ptnsbc_sim.verdict.coverage import Coverage, first_bad_s, incomplete, silent_from_s
 from ptnsbc_sim.verdict.encounters import Window, ancestors, inside
 from ptnsbc_sim.verdict.recording import NANO, Recording, counter_rise
@@ -66,7 +66,7 @@ def formation_errors(
     """Formation error (T,) [m]: |(p_i - p_1) - o_i|, for the leader |p_1 - p_r(t)|."""
     scenario = recording.flown
     leader = positions[scenario.leader_id]
-    vector = trajectory_vector(scenario)
+    vector = leader_trajectory(scenario)
     times = np.asarray((grid - recording.first_ns) * NANO, dtype=np.float64)  # of the first leg
     path = reference_positions(vector, times)
     errors = {}

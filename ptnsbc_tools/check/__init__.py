@@ -16,6 +16,7 @@ from ptnsbc_tools.check.geometry import (
     starts_clear,
 )
 from ptnsbc_tools.check.slots import slots
+from ptnsbc_tools.check.trajectory import trajectory
 
 __all__ = ["ERROR", "INFO", "WARNING", "CheckError", "Finding", "check", "refuse"]
 
@@ -29,6 +30,7 @@ _CHECKS: Sequence[Callable[[Scenario], Findings]] = (
     printed,
     slots,
     feasible,
+    trajectory,
     encounters,
     sensor,
 )

@@ -6,12 +6,12 @@ from itertools import combinations
 
 import numpy as np
 
+from ptnsbc_core.curves.trajectory import reference
 from ptnsbc_core.errors import FormationError
 from ptnsbc_core.tasks.registry import conditioning
-from ptnsbc_core.trajectory import reference
 from ptnsbc_core.types import TASKS, Array
 from ptnsbc_sim.scenario import Scenario, agent_config
-from ptnsbc_sim.scenario.build import reference_offset, trajectory_vector
+from ptnsbc_sim.scenario.build import leader_trajectory, reference_offset
 from ptnsbc_sim.scenario.semantics import STABILITY_LIMIT, estimator_peak, estimator_step
 from ptnsbc_sim.scenario.slots import with_slots_of_starts
 from ptnsbc_tools.check.finding import ERROR, INFO, WARNING, Finding, Findings
@@ -128,7 +128,7 @@ def starts_clear(scenario: Scenario) -> Findings:
 
 
 def _path(scenario: Scenario, times: Array) -> Array:
-    vector = trajectory_vector(scenario)
+    vector = leader_trajectory(scenario)
     return np.stack([reference(vector, float(t)).position for t in times])
 
 

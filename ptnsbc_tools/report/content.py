@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from ptnsbc_core.trajectory import reference
+from ptnsbc_core.curves.trajectory import reference
 from ptnsbc_core.types import Array
-from ptnsbc_sim.scenario.build import trajectory_vector
+from ptnsbc_sim.scenario.build import leader_trajectory
 from ptnsbc_sim.verdict import Series, Track
 from ptnsbc_sim.verdict.recording import NANO
 from ptnsbc_tools.plotting.chart import COLOURS, DARK_COLOURS, Chart, look
@@ -110,7 +110,7 @@ def _space(flight: FlightView, pack: Pack) -> dict[str, Any]:
     scenario = flight.scenario
     stamps = _frames(flight)
     t = flight.times(stamps)
-    vector = trajectory_vector(scenario)
+    vector = leader_trajectory(scenario)
     path_t = np.linspace(max(float(t[0]), 0.0), max(float(t[-1]), 0.0), _PATH_POINTS)
     path = np.stack([reference(vector, float(one)).position for one in path_t])
     return {

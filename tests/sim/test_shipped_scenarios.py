@@ -6,9 +6,9 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from ptnsbc_core.trajectory import reference
+from ptnsbc_core.curves.trajectory import reference
 from ptnsbc_sim.scenario import load_scenario
-from ptnsbc_sim.scenario.build import trajectory_vector
+from ptnsbc_sim.scenario.build import leader_trajectory
 from ptnsbc_sim.swarm import HeadlessFlight, fly
 from ptnsbc_sim.track import HOLDING, PRIORITY_VIOLATION
 
@@ -26,7 +26,7 @@ def errors(flown: HeadlessFlight, tick: int) -> np.ndarray:
     """Distance (N,) [m] from the place at one tick."""
     scenario, places = flown.scenario, flown.track.odometry[tick, :, :3]
     wanted = places[0] + np.array([scenario.offset(uav) for uav in scenario.uav_ids])
-    wanted[0] = reference(trajectory_vector(scenario), int(flown.t_ns[tick]) * 1e-9).position
+    wanted[0] = reference(leader_trajectory(scenario), int(flown.t_ns[tick]) * 1e-9).position
     return np.linalg.norm(places - wanted, axis=1)
 
 
@@ -63,6 +63,15 @@ def test_twenty_pass_both_obstacles_and_stay_in_formation(
     assert wrench.max() < 500.0
     assert errors(flown, -1).max() < 0.05
     assert flown.track.diagnostics[:, :, PRIORITY_VIOLATION].max() < 1e-6
+
+
+@pytest.mark.parametrize("plant", PLANTS)
+def test_five_follow_a_curve_through_points(plant: str) -> None:
+    """More than a lap of 48 s, with climbs and turns."""
+    flown = flight("waypoints_5", plant, 60.0)
+    first = round(DEADLINE_S * flown.scenario.control_hz)
+    assert max(errors(flown, tick).max() for tick in range(first, len(flown.t_ns), 10)) < 0.02
+    assert separation(flown) >= 0.5
 
 
 def test_twenty_start_and_form_as_the_file_says() -> None:

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from ptnsbc_core.agent import Agent
-from ptnsbc_core.trajectory import reference
+from ptnsbc_core.curves.trajectory import reference
 from ptnsbc_core.types import MODE_FORMATION, NEVER_RECEIVED_S, TASKS, AgentInputs
 from ptnsbc_sim.scenario import agent_config, load_scenario
-from ptnsbc_sim.scenario.build import trajectory_vector
+from ptnsbc_sim.scenario.build import leader_trajectory
 from ptnsbc_sim.scenario.slots import optimal_slots
 from ptnsbc_sim.swarm import CHUNK_TICKS, HeadlessFlight, fly
 from ptnsbc_sim.track import ACTIVE_ROWS, HOLDING, PRIORITY_VIOLATION
@@ -31,7 +31,7 @@ def flight(
 def errors(flown: HeadlessFlight) -> np.ndarray:
     """Distance (T, N) [m] from the place: of the leader on its circle, of a follower beside the leader."""
     scenario, places = flown.scenario, flown.track.odometry[:, :, :3]
-    path = trajectory_vector(scenario)
+    path = leader_trajectory(scenario)
     wanted = places[:, :1] + np.array([scenario.offset(uav) for uav in scenario.uav_ids])
     wanted[:, 0] = [reference(path, tick * 1e-9).position for tick in flown.t_ns.tolist()]
     return np.linalg.norm(places - wanted, axis=2)
@@ -256,7 +256,7 @@ def test_each_uav_flies_to_the_slot_that_it_takes() -> None:
     off = np.linalg.norm(places - wanted, axis=2)
     assert off[0].max() > 0.8
     assert off[500:].max() < 0.01
-    path = reference(trajectory_vector(held), 5.0).position
+    path = reference(leader_trajectory(held), 5.0).position
     assert np.linalg.norm(places[500, leader] - path) < 0.01
 
 

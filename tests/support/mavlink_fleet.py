@@ -11,7 +11,7 @@ from collections import deque
 
 import numpy as np
 
-from ptnsbc_core.trajectory import reference
+from ptnsbc_core.curves.trajectory import reference
 from ptnsbc_io.mavlink.link import MavlinkLink
 from ptnsbc_io.mavlink.transport import Packet
 from ptnsbc_io.wire import HeaderFields, OdometryTemplate, Stamped, VelocityTemplate, WrenchTemplate

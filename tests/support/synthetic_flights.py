@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from ptnsbc_core.trajectory import reference
+from ptnsbc_core.curves.trajectory import reference
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import Scenario, load_scenario
-from ptnsbc_sim.scenario.build import trajectory_vector
+from ptnsbc_sim.scenario.build import leader_trajectory
 from ptnsbc_sim.verdict import Recording, Series
 from ptnsbc_sim.verdict.recording import COUNTERS
 
@@ -41,7 +41,7 @@ def flight(
     scenario = scenario or load_scenario("paper_5_free", {"timing.duration_s": seconds})
     t_ns = np.arange(round(seconds * HZ), dtype=np.int64) * (10**9 // HZ)
     t = t_ns * 1e-9
-    vector = trajectory_vector(scenario)
+    vector = leader_trajectory(scenario)
     path = np.stack([reference(vector, float(one)).position for one in t])
     odometry, wrench = {}, {}
     leader_error = (errors or {}).get(scenario.leader_id, np.zeros_like)(t)

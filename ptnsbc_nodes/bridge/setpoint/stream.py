@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ptnsbc_core.algebra import wrap_angle
+from ptnsbc_core.curves.trajectory import reference
 from ptnsbc_core.kinematics import velocity_enu, yaw_of
-from ptnsbc_core.trajectory import reference
 from ptnsbc_core.types import AgentConfig, Array
 from ptnsbc_io.mavlink.autopilots import AUTOPILOTS, limits
 from ptnsbc_nodes.bridge.controller import SetpointReply

@@ -7,11 +7,11 @@ from on_arrays import on_arrays
 from ptnsbc_core.behaviours.contract import EpochErrors, Neighbour
 from ptnsbc_core.behaviours.formation import formation
 from ptnsbc_core.behaviours.leader_tracking import leader_tracking
+from ptnsbc_core.curves.trajectory import reference
 from ptnsbc_core.nullspace import damped_solve
 from ptnsbc_core.tasks.registry import evaluate, task_error
 from ptnsbc_core.timebase import Clock, loop_gain, plan_duration
 from ptnsbc_core.timebase import h as time_base
-from ptnsbc_core.trajectory import reference
 from ptnsbc_core.types import APPROACH_TASK, PROFILE_PAPER, TASKS, StartErrors
 from ptnsbc_sim.scenario import agent_config, load_scenario
 

@@ -6,9 +6,15 @@ from on_arrays import on_arrays
 
 from ptnsbc_core.behaviours.contract import EpochErrors
 from ptnsbc_core.behaviours.leader_tracking import leader_tracking
+from ptnsbc_core.curves.trajectory import reference
 from ptnsbc_core.timebase import Clock
-from ptnsbc_core.trajectory import reference
-from ptnsbc_core.types import PROFILE_PAPER, PROFILE_REFERENCE, PROFILE_SOFT, StartErrors
+from ptnsbc_core.types import (
+    PROFILE_PAPER,
+    PROFILE_REFERENCE,
+    PROFILE_SOFT,
+    StartErrors,
+    Trajectory,
+)
 from ptnsbc_sim.scenario import agent_config, load_scenario
 
 leader_tracking = on_arrays(leader_tracking)
@@ -22,7 +28,7 @@ NONE = EpochErrors(False, StartErrors(*np.zeros((4, 3))))
 def test_leader_reaches_a_place_in_closed_form(profile: int) -> None:
     config = agent_config(load_scenario("paper_5"), 1)
     loop = config.formation._replace(kappa=0.0, profile=profile, scale=1.0, residual=1e-2)
-    trajectory = (1.0, 4.0, -3.0, 8.0, 0.0, 0.0, 0.0, 0.0)
+    trajectory = Trajectory((1.0, 4.0, -3.0, 8.0, 0.0, 0.0, 0.0, 0.0), np.zeros((0, 33)))
     config = config._replace(formation=loop, trajectory=trajectory)
     position, start = np.zeros(3), np.array([4.0, -3.0, 8.0])
     for k in range(round(TF / DT)):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ptnsbc_core.trajectory import reference_positions
+from ptnsbc_core.curves.trajectory import reference_positions
 from ptnsbc_core.types import MODE_HOLD
 from ptnsbc_io.wire import Stamped
 from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions
@@ -15,7 +15,7 @@ from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS
 from ptnsbc_nodes.uav.slots import OpenSlots, SlotDecider, at_epoch
 from ptnsbc_nodes.uav.step_log import sources, used_by
 from ptnsbc_sim.scenario import agent_config, load_scenario
-from ptnsbc_sim.scenario.build import trajectory_vector
+from ptnsbc_sim.scenario.build import leader_trajectory
 from ptnsbc_sim.scenario.slots import with_slots
 from ptnsbc_sim.world import World
 
@@ -175,7 +175,7 @@ def errors(places: np.ndarray, slots: dict[int, int], first: int) -> np.ndarray:
     leader = list(held.uav_ids).index(held.leader_id)
     goal = found[:, [leader]] + np.array([held.offset(uav) for uav in held.uav_ids])
     times = np.arange(first, first + len(found)) * 0.01
-    goal[:, leader] = reference_positions(trajectory_vector(held), times)
+    goal[:, leader] = reference_positions(leader_trajectory(held), times)
     return np.linalg.norm(found - goal, axis=2)
 
 

@@ -4,9 +4,9 @@ import math
 
 import pytest
 
-from ptnsbc_core.trajectory import reference
+from ptnsbc_core.curves.trajectory import reference
 from ptnsbc_sim.scenario import ScenarioError, load_scenario, scenario_from_text
-from ptnsbc_sim.scenario.build import trajectory_vector
+from ptnsbc_sim.scenario.build import leader_trajectory
 from ptnsbc_sim.scenario.deadline import (
     MARGIN,
     limits_left,
@@ -21,7 +21,7 @@ AUTO = {"gains.formation.deadline_s": "auto"}
 @pytest.mark.parametrize("name", ["paper_5", "paper_20", "experiment_4"])
 def test_start_errors_are_distances_from_the_places(name):
     scenario = load_scenario(name)
-    first = reference(trajectory_vector(scenario), 0.0).position
+    first = reference(leader_trajectory(scenario), 0.0).position
     for uav, error in start_errors(scenario.file).items():
         place = first + scenario.offset(uav)
         assert error == pytest.approx(math.dist(place, scenario.uav(uav).position))

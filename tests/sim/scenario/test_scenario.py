@@ -176,4 +176,4 @@ def test_only_the_child_of_the_leader_has_a_heading_anchor() -> None:
 def test_line_trajectory() -> None:
     line = {"kind": "line", "position_m": [1, 2, 3], "velocity_m_s": [4, 5, 6], "yaw_rad": 0.5}
     config = agent_config(load_scenario(PAPER, {"leader.trajectory": line}), 1)
-    assert config.trajectory == (1, 1, 2, 3, 4, 5, 6, 0.5)
+    assert config.trajectory.numbers == (1, 1, 2, 3, 4, 5, 6, 0.5)

@@ -1,0 +1,176 @@
+"""The leader's desired trajectory: numbers from which every process computes the same curve.
+
+Layout of the eight numbers and of the table:
+
+- circle [0, cx, cy, cz, radius, rate, phase, yaw] with x = cx + r sin(rate t + phase),
+  y = cy + r cos(rate t + phase), as the paper writes it;
+- line [1, px, py, pz, vx, vy, vz, yaw];
+- harmonic [2, heading, 0, 0, 0, 0, 0, yaw]: one sine for each axis, whose row of the table (3, 4) is
+  centre, amplitude, rate, phase;
+- piecewise [3, heading, period, 0, 0, 0, 0, yaw]: polynomials of x, y, z and yaw, table (S, 33) as in piecewise.py;
+  a period above 0 repeats them.
+
+`heading` is HEADING_*: fixed to `yaw`, along the path, or from the table.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from ptnsbc_core.algebra import axpy, store3
+from ptnsbc_core.curves.piecewise import polynomial, row_at
+from ptnsbc_core.kernel import inline_kernel, kernel
+from ptnsbc_core.types import (
+    HEADING_PATH,
+    HEADING_TABLE,
+    TRAJECTORY_CIRCLE,
+    TRAJECTORY_LINE,
+    TRAJECTORY_PIECEWISE,
+    Array,
+    Trajectory,
+    Vector3,
+)
+
+_STILL = 1e-12
+"""Square of a horizontal speed [m^2/s^2] below which a path has no direction."""
+
+
+class Reference(NamedTuple):
+    """Desired state of the leader at one time, world ENU."""
+
+    position: Vector3  # [m]
+    velocity: Vector3  # [m/s]
+    yaw: float  # [rad]
+    acceleration: Vector3  # [m/s^2]
+
+
+class Heading(NamedTuple):
+    """Desired heading of the leader at one time."""
+
+    angle: float  # [rad] from east, counter-clockwise
+    rate: float  # [rad/s]
+    acceleration: float  # [rad/s^2]
+
+
+class Course(NamedTuple):
+    """The curve at one time with what is needed to turn with it, world ENU."""
+
+    position: Vector3  # [m]
+    velocity: Vector3  # [m/s]
+    acceleration: Vector3  # [m/s^2]
+    jerk: Vector3  # [m/s^3]
+    heading: Heading
+
+
+@inline_kernel
+def _along(velocity: Vector3, acceleration: Vector3, jerk: Vector3, yaw: float) -> Heading:
+    """Heading of a horizontal velocity; `yaw` where there is none."""
+    square = velocity[0] * velocity[0] + velocity[1] * velocity[1]
+    if square < _STILL:
+        return Heading(yaw, 0.0, 0.0)
+    turn = velocity[0] * acceleration[1] - velocity[1] * acceleration[0]
+    rate = turn / square
+    change = velocity[0] * jerk[1] - velocity[1] * jerk[0]
+    growth = 2.0 * (velocity[0] * acceleration[0] + velocity[1] * acceleration[1])
+    return Heading(math.atan2(velocity[1], velocity[0]), rate, (change - rate * growth) / square)
+
+
+@inline_kernel
+def _harmonic(table: Array, axis: int, t: float) -> tuple[float, float, float, float]:
+    """One axis of a harmonic curve and its first three derivatives."""
+    amplitude, rate = table[axis, 1], table[axis, 2]
+    angle = rate * t + table[axis, 3]
+    across, along = amplitude * math.sin(angle), amplitude * rate * math.cos(angle)
+    return table[axis, 0] + across, along, -rate * rate * across, -rate * rate * along
+
+
+@kernel
+def _course_by_table(trajectory: Trajectory, t: float) -> Course:
+    """The curve of a kind that has a table."""
+    numbers, table = trajectory.numbers, trajectory.table
+    yaw = Heading(numbers[7], 0.0, 0.0)
+    if int(numbers[0]) == TRAJECTORY_PIECEWISE:
+        period = numbers[2]
+        since = t % period if period > 0.0 else max(t, 0.0)
+        row = row_at(table, since)
+        x, y = polynomial(table, row, 0, since), polynomial(table, row, 1, since)
+        z = polynomial(table, row, 2, since)
+        position, velocity = (x.value, y.value, z.value), (x.first, y.first, z.first)
+        acceleration, jerk = (x.second, y.second, z.second), (x.third, y.third, z.third)
+        if int(numbers[1]) == HEADING_TABLE:
+            turn = polynomial(table, row, 3, since)
+            yaw = Heading(turn.value, turn.first, turn.second)
+    else:
+        one, two, three = _harmonic(table, 0, t), _harmonic(table, 1, t), _harmonic(table, 2, t)
+        position, velocity = (one[0], two[0], three[0]), (one[1], two[1], three[1])
+        acceleration, jerk = (one[2], two[2], three[2]), (one[3], two[3], three[3])
+    if int(numbers[1]) == HEADING_PATH:
+        yaw = _along(velocity, acceleration, jerk, numbers[7])
+    return Course(position, velocity, acceleration, jerk, yaw)
+
+
+@kernel
+def reference(trajectory: Trajectory, t: float) -> Reference:
+    """Desired state at t [s] since the first epoch."""
+    numbers = trajectory.numbers
+    kind = int(numbers[0])
+    x, y, z = numbers[1], numbers[2], numbers[3]
+    if kind == TRAJECTORY_CIRCLE:
+        radius, rate = numbers[4], numbers[5]
+        angle = rate * t + numbers[6]
+        sine, cosine = math.sin(angle), math.cos(angle)
+        along = (radius * rate * cosine, -radius * rate * sine, 0.0)
+        inward = -radius * rate * rate
+        return Reference(
+            (x + radius * sine, y + radius * cosine, z),
+            along,
+            numbers[7],
+            (inward * sine, inward * cosine, 0.0),
+        )
+    if kind == TRAJECTORY_LINE:
+        along = (numbers[4], numbers[5], numbers[6])
+        return Reference(axpy(t, along, (x, y, z)), along, numbers[7], (0.0, 0.0, 0.0))
+    at = _course_by_table(trajectory, t)
+    return Reference(at.position, at.velocity, at.heading.angle, at.acceleration)
+
+
+@kernel
+def course(trajectory: Trajectory, t: float) -> Course:
+    """The curve at t [s] since the first epoch, to its third derivative, and its heading to the second."""
+    numbers = trajectory.numbers
+    kind = int(numbers[0])
+    if kind != TRAJECTORY_CIRCLE and kind != TRAJECTORY_LINE:
+        return _course_by_table(trajectory, t)
+    at = reference(trajectory, t)
+    jerk = (0.0, 0.0, 0.0)
+    if kind == TRAJECTORY_CIRCLE:
+        square = numbers[5] * numbers[5]
+        jerk = (-square * at.velocity[0], -square * at.velocity[1], 0.0)
+    return Course(at.position, at.velocity, at.acceleration, jerk, Heading(at.yaw, 0.0, 0.0))
+
+
+@kernel
+def reference_positions(trajectory: Trajectory, times: Array) -> Array:
+    """Desired positions (T, 3) [m] at times (T,) [s] since the first epoch."""
+    out = np.empty((times.shape[0], 3))
+    for k in range(times.shape[0]):
+        store3(out[k], 0, reference(trajectory, times[k]).position)
+    return out
+
+
+@kernel
+def course_samples(trajectory: Trajectory, times: Array) -> Array:
+    """`course` at times (T,) [s]: (T, 15), the fields in their order."""
+    out = np.empty((times.shape[0], 15))
+    for k in range(times.shape[0]):
+        at = course(trajectory, times[k])
+        store3(out[k], 0, at.position)
+        store3(out[k], 3, at.velocity)
+        store3(out[k], 6, at.acceleration)
+        store3(out[k], 9, at.jerk)
+        heading = at.heading
+        store3(out[k], 12, (heading.angle, heading.rate, heading.acceleration))
+    return out
