@@ -17,8 +17,10 @@ from ptnsbc_tools.commands.bridge import bridge
 from ptnsbc_tools.commands.check import check
 from ptnsbc_tools.commands.compare import compare
 from ptnsbc_tools.commands.demo import demo
+from ptnsbc_tools.commands.doctor import doctor
 from ptnsbc_tools.commands.fleet import fleet
 from ptnsbc_tools.commands.key import key
+from ptnsbc_tools.commands.new import new, scenarios
 from ptnsbc_tools.commands.node import SETTINGS, node
 from ptnsbc_tools.commands.params import params
 from ptnsbc_tools.commands.plot import plot
@@ -93,6 +95,9 @@ def _main(
     pass
 
 
+app.command()(new)
+app.command()(scenarios)
+app.command()(doctor)
 app.command()(check)
 app.command()(simulate)
 app.command()(sweep)

@@ -75,9 +75,9 @@ def word(kind: str) -> Text:
     return Text(kind, style=_COLOURS[kind])
 
 
-def findings_table(name: str, findings: Iterable[Finding]) -> Table:
-    """The findings of the pre-flight check, the worst first."""
-    table = _table(f"Pre-flight check of {name}", ("", "key", "found", "limit", "change"))
+def findings_table(title: str, findings: Iterable[Finding]) -> Table:
+    """Findings, the worst first."""
+    table = _table(title, ("", "key", "found", "limit", "change"))
     for one in findings:
         table.add_row(word(one.severity), one.key, one.value, one.limit, one.advice)
     return table

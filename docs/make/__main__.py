@@ -1,4 +1,4 @@
-"""`python -m docs.make [--check]`: fill the made regions of the pages anew, and the schema of the verdict."""
+"""`python -m docs.make [--check]`: fill the made regions of the pages anew, and the schemas."""
 
 from __future__ import annotations
 
@@ -11,10 +11,12 @@ from pathlib import Path
 
 from docs.make.markdown import RegionError, remade
 from ptnsbc_nodes.runtime import environment
+from ptnsbc_sim.scenario import schema as scenario_schema
 from ptnsbc_sim.verdict import schema
 
 DOCS = Path(__file__).resolve().parents[1]
 SCHEMA = "verdict.schema.json"
+SCHEMAS = {DOCS / SCHEMA: schema.text, scenario_schema.FILE: scenario_schema.text}
 PAGES = {
     "scenarios.md": "docs.make.scenarios",
     "cli.md": "docs.make.cli",
@@ -23,9 +25,7 @@ PAGES = {
 
 
 def made(name: str) -> str:
-    """The text that a page, made wholly or in part, should have."""
-    if name == SCHEMA:
-        return schema.text()
+    """The text that a page with made regions should have."""
     environment.prepare()  # before the nodes are imported
     text = (DOCS / name).read_text(encoding="utf-8")
     try:
@@ -40,7 +40,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--check", action="store_true", help="write nothing, print stale pages")
     check = parser.parse_args(arguments).check
     try:
-        texts = {DOCS / name: made(name) for name in (SCHEMA, *PAGES)}
+        texts = {path: text() for path, text in SCHEMAS.items()}
+        texts |= {DOCS / name: made(name) for name in PAGES}
     except RegionError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import ast
-import inspect
-import textwrap
 from collections.abc import Iterator, Mapping
-from itertools import pairwise
 from typing import Any, NamedTuple, get_args
 
 from pydantic import BaseModel, TypeAdapter
 
 from ptnsbc_sim.scenario.fields import Block, Name, Wave, unit_of
+from ptnsbc_sim.scenario.schema import meanings
 
 REQUIRED = "required"
 _MORE_UNITS = {"_deg": "°", "_percent": "%"}  # of keys whose values take no unit
@@ -29,21 +26,6 @@ class Row(NamedTuple):
     range: str
     default: str
     meaning: str
-
-
-def meanings(model: type[BaseModel]) -> dict[str, str]:
-    """The docstring under each field of a model, also of the models that it extends."""
-    found: dict[str, str] = {}
-    for kind in reversed(model.__mro__):
-        if not issubclass(kind, Block) or kind is Block:
-            continue
-        (tree,) = ast.parse(textwrap.dedent(inspect.getsource(kind))).body
-        assert isinstance(tree, ast.ClassDef)
-        for field, text in pairwise(tree.body):
-            named = isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name)
-            if named and isinstance(text, ast.Expr) and isinstance(text.value, ast.Constant):
-                found[field.target.id] = " ".join(str(text.value.value).split())
-    return found
 
 
 def rows(model: type[BaseModel], prefix: str = "", note: str = "") -> Iterator[Row]:

@@ -6,6 +6,7 @@ key by key, lists and single values are replaced, and `key: null` removes a key.
 
 from __future__ import annotations
 
+import json
 import re
 import sysconfig
 from collections.abc import Mapping
@@ -19,7 +20,7 @@ from ptnsbc_sim.scenario.problems import ScenarioError, shown, similar
 
 Tree = dict[Any, Any]
 
-_SUFFIXES = (".yaml", ".yml")
+_SUFFIXES = (".yaml", ".yml", ".json")
 _MOST_BYTES = 1_000_000
 _DEEPEST_EXTENDS = 8
 
@@ -94,6 +95,32 @@ def parse(text: str, source: str) -> Tree:
     return tree
 
 
+def parse_json(text: str, source: str) -> Tree:
+    """The mapping that a scenario in JSON holds; a key of digits is an id."""
+
+    def mapping(pairs: list[tuple[str, Any]]) -> Tree:
+        found: Tree = {}
+        for key, value in pairs:
+            if key in found:
+                raise ScenarioError(f'{source}: duplicate key "{key}", keep one of the two')
+            found[key] = value
+        return {int(key) if key.isdecimal() else key: value for key, value in found.items()}
+
+    def constant(word: str) -> Any:
+        raise ScenarioError(f"{source}: {word}: expected a finite number")
+
+    try:
+        tree = json.loads(text, object_pairs_hook=mapping, parse_constant=constant)
+    except json.JSONDecodeError as error:
+        where = f"line {error.lineno}, column {error.colno}"
+        raise ScenarioError(f"{source}: {where}: {error.msg}: expected JSON") from None
+    except (RecursionError, ValueError) as error:
+        raise ScenarioError(f"{source}: not JSON: {_one_line(error)}") from None
+    if not isinstance(tree, dict):
+        raise ScenarioError(f"{source}: {type(tree).__name__}: expected a mapping with a name")
+    return tree
+
+
 def _one_line(text: object) -> str:
     return " ".join(str(text).split())
 
@@ -146,7 +173,12 @@ def _names(word: str) -> str:
 
 
 def read_text(path: Path) -> str:
-    """The text of a scenario file."""
+    """The text of a scenario file, as YAML: that of a JSON file is translated."""
+    text = _text_of(path)
+    return dump(parse_json(text, str(path))) if path.suffix == ".json" else text
+
+
+def _text_of(path: Path) -> str:
     try:
         if path.stat().st_size > _MOST_BYTES:
             raise ScenarioError(f"{path}: over {_MOST_BYTES} bytes: expected a scenario file")

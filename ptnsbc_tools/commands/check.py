@@ -57,7 +57,7 @@ def check(
             }
         )
     else:
-        console.out().print(findings_table(chosen.name, found))
+        console.out().print(findings_table(f"Pre-flight check of {chosen.name}", found))
     found.refuse()
 
 
@@ -70,6 +70,6 @@ def preflight(scenario: Scenario, *, quiet: bool, refusing: bool = True) -> None
     found = flying.check(scenario, dry_runs=0)
     warnings = [finding for finding in found if finding.severity != INFO]
     if warnings and not quiet:
-        console.err().print(findings_table(scenario.name, warnings))
+        console.err().print(findings_table(f"Pre-flight check of {scenario.name}", warnings))
     if refusing:
         found.refuse()

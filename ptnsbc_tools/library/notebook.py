@@ -55,7 +55,7 @@ def of_check(report: CheckReport) -> str:
     """The findings."""
     from ptnsbc_tools import tables
 
-    return html([tables.findings_table(report.scenario.name, report)])
+    return html([tables.findings_table(f"Pre-flight check of {report.scenario.name}", report)])
 
 
 def of_sweep(sweep: Sweep) -> str:

@@ -1,0 +1,127 @@
+"""The JSON schema of a scenario file, for editors: `python -m ptnsbc_sim.scenario.schema`.
+
+`scenario.schema.json` beside this module is the output. It is wider than the loader, which alone decides: a key may be
+missing, because `extends` or a default may give it, and `null` removes one.
+"""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import json
+import re
+import textwrap
+from collections.abc import Iterator
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, get_args
+
+from pydantic import BaseModel
+
+from ptnsbc_sim.scenario.fields import Block, Wave, unit_of
+from ptnsbc_sim.scenario.model import ScenarioFile
+
+FILE = Path(__file__).with_name("scenario.schema.json")
+"""The schema that the modeline of a scenario file names."""
+
+_LINK = re.compile(r"\[([^]]*)\]\([^)]*\)")
+_EXTENDS = {
+    "type": "string",
+    "description": "Name or path of the scenario to start from; its own keys come over it.",
+}
+
+
+def meanings(model: type[BaseModel]) -> dict[str, str]:
+    """The docstring under each field of a model, also of the models that it extends."""
+    found: dict[str, str] = {}
+    for kind in reversed(model.__mro__):
+        if not issubclass(kind, Block) or kind is Block:
+            continue
+        (tree,) = ast.parse(textwrap.dedent(inspect.getsource(kind))).body
+        assert isinstance(tree, ast.ClassDef)
+        for field, text in pairwise(tree.body):
+            if not isinstance(field, ast.AnnAssign) or not isinstance(field.target, ast.Name):
+                continue
+            if isinstance(text, ast.Expr) and isinstance(text.value, ast.Constant):
+                found[field.target.id] = " ".join(str(text.value.value).split())
+    return found
+
+
+def _blocks(annotation: Any) -> Iterator[type[Block]]:
+    """The blocks that a type holds, and those in them."""
+    if isinstance(annotation, type) and issubclass(annotation, Block):
+        yield annotation
+        for field in annotation.model_fields.values():
+            yield from _blocks(field.annotation)
+    for part in get_args(annotation):
+        yield from _blocks(part)
+
+
+def schema() -> dict[str, Any]:
+    """JSON schema, draft 2020-12, of a scenario file."""
+    made = ScenarioFile.model_json_schema()
+    definitions = made.pop("$defs")
+    told = {block.__name__: meanings(block) for block in _blocks(ScenarioFile)}
+    for name, part in (("ScenarioFile", made), *definitions.items()):
+        if "properties" not in part or name == Wave.__name__:
+            continue
+        part["properties"] = {
+            key: _property(key, value, told[name][key]) for key, value in part["properties"].items()
+        }
+        part.pop("required", None)
+    definitions[Wave.__name__] = {
+        "anyOf": [{"type": "number"}, {"type": "string", "pattern": r"^\S+\s*(sin|cos)?$"}]
+    }
+    gains = definitions["Loop"]["properties"]["deadline_s"]
+    gains["anyOf"] = [*gains["anyOf"], {"const": "auto"}]
+    made["properties"]["extends"] = _EXTENDS
+    head = {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": "Scenario of ptnsbc",
+        "description": "One flight: UAVs, world, formation and gains. docs/scenarios.md explains every key.",
+    }
+    rest = {key: value for key, value in made.items() if key not in head}
+    return {**head, **_plain({**rest, "$defs": definitions})}
+
+
+def _property(key: str, value: dict[str, Any], meaning: str) -> dict[str, Any]:
+    """A key with its meaning; a number may be text with its unit, and null removes the key."""
+    unit = unit_of(key)
+    plain = isinstance(value.get("default"), bool | int | float | str) and value["default"] != ""
+    default = {"default": value["default"]} if plain else {}
+    inside = {name: part for name, part in value.items() if name not in ("default", "description")}
+    choices = [one for one in inside.pop("anyOf", [inside]) if one != {"type": "null"}]
+    discriminated = inside.get("oneOf")
+    choices = list(discriminated) if discriminated else choices
+    with_unit = [{"type": "string", "pattern": r"^\s*[-+.0-9]"}] if unit else []
+    said = _LINK.sub(r"\1", meaning) + (f" [{unit}]" if unit else "")
+    return {"description": said, **default, "anyOf": [*choices, *with_unit, {"type": "null"}]}
+
+
+def _plain(part: Any) -> Any:
+    """A schema without titles, whose numbers in lists may be text with a unit."""
+    if isinstance(part, list):
+        return [_plain(item) for item in part]
+    if not isinstance(part, dict):
+        return part
+    kept = {
+        key: value for key, value in part.items() if not isinstance(value, str) or key != "title"
+    }
+    if isinstance(kept.get("additionalProperties"), dict):
+        kept["additionalProperties"] = {"anyOf": [kept["additionalProperties"], {"type": "null"}]}
+    if "prefixItems" in kept:
+        kept["items"] = False
+        kept["prefixItems"] = [
+            {"anyOf": [one, {"type": "string"}]} if one.get("type") == "number" else one
+            for one in kept["prefixItems"]
+        ]
+    return {key: _plain(value) for key, value in kept.items()}
+
+
+def text() -> str:
+    """The schema as the committed file holds it."""
+    return json.dumps(schema(), indent=1, ensure_ascii=False) + "\n"
+
+
+if __name__ == "__main__":
+    print(text(), end="")

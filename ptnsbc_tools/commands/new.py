@@ -1,0 +1,72 @@
+"""`ptnsbc new`: a scenario file to begin with; `ptnsbc scenarios`: those that are there."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_tools import console, options
+
+
+def new(
+    file: Annotated[
+        Path, typer.Argument(metavar="NAME", help="Name of the scenario, or its file: NAME.yaml.")
+    ],
+    shape: Annotated[
+        str, typer.Option("--shape", metavar="SHAPE", help="v, line, column, circle or grid.")
+    ] = "v",
+    n: Annotated[
+        int, typer.Option("--n", "-n", metavar="N", min=2, max=254, help="UAVs with the leader.")
+    ] = 5,
+    spacing: Annotated[
+        float, typer.Option("--spacing", metavar="M", min=1.0, help="Distance of neighbours.")
+    ] = 2.0,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Replace an existing file.")
+    ] = False,
+) -> None:
+    """Write a commented scenario of so many UAVs, ready to check and fly."""
+    from ptnsbc_tools.files import replacing
+    from ptnsbc_tools.library.new_scenario import NewScenarioError, named, text_of
+
+    path = file if file.suffix in (".yaml", ".yml") else file.with_name(f"{file.name}.yaml")
+    if path.exists() and not overwrite:
+        raise NewScenarioError(f"{path}: exists: choose another name, or --overwrite")
+    text = text_of(named(path), shape, n, spacing)
+    with replacing(path) as part:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        part.write_text(text, encoding="utf-8")
+    console.show(str(path))
+    console.say(f"next: ptnsbc check {path}")
+
+
+def scenarios(json: options.JsonOption = False) -> None:
+    """List the scenarios that can be given by name: UAVs, task, length, description."""
+    from rich.table import Table
+
+    from ptnsbc_sim.scenario import available, load_scenario
+    from ptnsbc_sim.scenario.reader import find
+
+    rows: list[dict[str, Any]] = []
+    for name in available():
+        entry = {"name": name, "file": str(find(name))}
+        try:
+            one = load_scenario(name)
+        except PtnsbcError as error:
+            rows.append({**entry, "error": str(error)})
+            continue
+        task = one.file.formation.task
+        flight = {"uavs": len(one.uav_ids), "task": task, "duration_s": one.duration_s}
+        rows.append({**entry, **flight, "description": one.file.description})
+    if json:
+        console.print_json({"scenarios": rows})
+        return
+    table = Table("name", "UAVs", "task", "s", "description")
+    for row in rows:
+        about = row.get("description", row.get("error", ""))
+        cells = (row.get("uavs", "-"), row.get("task", "-"), f"{row.get('duration_s', 0):g}")
+        table.add_row(str(row["name"]), *map(str, cells), str(about))
+    console.out().print(table)

@@ -1,0 +1,199 @@
+"""What this computer has and lacks for flights: each finding says what to change."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import platform
+import shutil
+import socket
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from importlib.util import find_spec
+from pathlib import Path
+
+from ptnsbc_core.compile_cache import cache_root, source_digest
+from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_sim.scenario import Scenario
+from ptnsbc_tools import ros
+from ptnsbc_tools.check.finding import ERROR, INFO, WARNING, Finding
+
+_LEAST_PYTHON, _NEXT_PYTHON = (3, 10), (3, 14)
+_LEAST_FREE_B = 2_000_000_000
+_UNSYNCHRONISED = 5  # TIME_ERROR of adjtimex(2)
+_TIMEX_BYTES = 1024  # more than struct timex has
+_WAKES = 100
+_LATE_MS = 5.0  # half a control period at 100 Hz
+_TRANSPORTS = ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE", "RMW_IMPLEMENTATION")
+
+Findings = Iterator[Finding]
+
+
+def _python() -> Findings:
+    found = sys.version_info[:2]
+    good = _LEAST_PYTHON <= found < _NEXT_PYTHON and platform.system() == "Linux"
+    value = f"Python {platform.python_version()} on {platform.system()} {platform.machine()}"
+    yield Finding(
+        INFO if good else ERROR,
+        "platform",
+        value,
+        "Linux, Python 3.10 to 3.13",
+        "" if good else "make setup PYTHON=python3.12",
+    )
+
+
+def _cores() -> Findings:
+    count = len(os.sched_getaffinity(0))
+    few = count < 4
+    yield Finding(
+        WARNING if few else INFO,
+        "cores",
+        str(count),
+        ">= 4 for a fleet in real time",
+        "fly in lock-step (--lockstep), or in one process (ptnsbc simulate)" if few else "",
+    )
+    late = sorted(_lateness_ms() for _ in range(_WAKES))[int(0.95 * _WAKES)]
+    yield Finding(
+        WARNING if late > _LATE_MS else INFO,
+        "timers",
+        f"{late:.2f} ms late, 95 % of {_WAKES}",
+        f"<= {_LATE_MS:g} ms",
+        "end other programs, or fly in lock-step" if late > _LATE_MS else "",
+    )
+
+
+def _lateness_ms() -> float:
+    wanted = time.monotonic() + 1e-3
+    time.sleep(1e-3)
+    return 1e3 * (time.monotonic() - wanted)
+
+
+def _middleware() -> Findings:
+    try:
+        with ros.required():
+            import rclpy
+            from rclpy.utilities import get_rmw_implementation_identifier
+
+            name = str(get_rmw_implementation_identifier())
+    except PtnsbcError as error:
+        yield Finding(
+            WARNING, "middleware", str(error), "rclpy", "only check, simulate and verify work"
+        )
+        return
+    place = Path(rclpy.__file__).parents[1]
+    ours = name == "rmw_fastrtps_cpp"
+    yield Finding(
+        INFO if ours else WARNING,
+        "middleware",
+        f"{name}, rclpy from {place}",
+        "rmw_fastrtps_cpp, which is tested",
+        "" if ours else "unset RMW_IMPLEMENTATION",
+    )
+    given = {key: os.environ[key] for key in _TRANSPORTS if os.environ.get(key)}
+    shown = ", ".join(f"{key}={value}" for key, value in given.items()) or "nothing set"
+    wide = given.get("ROS_AUTOMATIC_DISCOVERY_RANGE") in ("SUBNET", "SYSTEM_DEFAULT")
+    yield Finding(
+        WARNING if wide else INFO,
+        "discovery",
+        shown,
+        "this host alone, unless --network",
+        "unset ROS_AUTOMATIC_DISCOVERY_RANGE: others could hear the fleet" if wide else "",
+    )
+    yield _domain()
+
+
+def _domain() -> Finding:
+    from ptnsbc_nodes.runtime.environment import DomainError, reserved_domain
+
+    try:
+        with reserved_domain() as domain:
+            return Finding(INFO, "domain", f"{domain} is free", "one free ROS domain", "")
+    except (DomainError, OSError) as error:
+        return Finding(ERROR, "domain", str(error), "one free ROS domain", "end other fleets")
+
+
+def _clock() -> Findings:
+    # The kernel says whether something keeps the clock right; a fleet on one host does not need it.
+    state = ctypes.CDLL(None, use_errno=True).adjtimex(ctypes.create_string_buffer(_TIMEX_BYTES))
+    good = state not in (-1, _UNSYNCHRONISED)
+    yield Finding(
+        INFO if good else WARNING,
+        "clock",
+        "synchronised" if good else "not synchronised, says the kernel",
+        "synchronised, for fleets on several computers",
+        "" if good else "install chrony or start systemd-timesyncd; one host alone needs neither",
+    )
+
+
+def _cache() -> Findings:
+    root = cache_root()
+    folder = root / source_digest()
+    compiled = len(list(folder.glob("*"))) if folder.is_dir() else 0
+    above = next(path for path in (root, *root.absolute().parents) if path.exists())
+    writable = os.access(above, os.W_OK)
+    value = f"{root}: {compiled} laws compiled" if compiled else f"{root}: nothing compiled yet"
+    advice = "" if writable else "set PTNSBC_CACHE_DIR: the laws are compiled at every start"
+    if writable and not compiled:
+        advice = "the first flight takes a minute more"
+    yield Finding(WARNING if not writable else INFO, "cache", value, "a writable folder", advice)
+
+
+def _disk() -> Findings:
+    free = shutil.disk_usage(Path.cwd()).free
+    few = free < _LEAST_FREE_B
+    yield Finding(
+        WARNING if few else INFO,
+        "disk",
+        f"{free / 1e9:.1f} GB free here",
+        f">= {_LEAST_FREE_B / 1e9:g} GB",
+        "record elsewhere: --bag DIR" if few else "",
+    )
+
+
+def _libraries() -> Findings:
+    wanted = {
+        "pymavlink": ("bridges and stand-ins", 'pip install "ptnsbc[mavlink]"'),
+        "pandas": ("to_pandas()", 'pip install "ptnsbc[tables]"'),
+    }
+    for name, (use, advice) in wanted.items():
+        there = find_spec(name) is not None
+        value = "installed" if there else "not installed"
+        yield Finding(INFO, name, value, f"for {use} only", "" if there else advice)
+
+
+def ports(scenario: Scenario) -> Findings:
+    """Whether the ports on which the bridges of a scenario listen are free."""
+    for uav in scenario.uav_ids:
+        connect = scenario.vehicle_link(uav).connect
+        kind, _, rest = connect.partition(":")
+        if kind != "udpin":
+            continue
+        address, _, port = rest.rpartition(":")
+        try:
+            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one:
+                one.bind((address, int(port)))
+        except OSError as error:
+            advice = f"end the program that has it, or set mavlink.vehicles.{uav}.connect"
+            yield Finding(ERROR, f"port of UAV {uav}", f"{rest}: {error.strerror}", "free", advice)
+        else:
+            yield Finding(INFO, f"port of UAV {uav}", f"{rest} is free", "free", "")
+
+
+_LOOKS: Sequence[Callable[[], Findings]] = (
+    _python,
+    _cores,
+    _middleware,
+    _clock,
+    _cache,
+    _disk,
+    _libraries,
+)
+
+
+def examine(scenario: Scenario | None = None) -> list[Finding]:
+    """What is found, errors first; with a scenario the ports of its bridges too."""
+    found = [finding for look in _LOOKS for finding in look()]
+    found += ports(scenario) if scenario is not None else ()
+    rank = {ERROR: 0, WARNING: 1, INFO: 2}
+    return sorted(found, key=lambda one: rank[one.severity])

@@ -1,0 +1,48 @@
+"""`ptnsbc new` and `scenarios`: files that are written whole, and a list that stands a broken file."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from ptnsbc_sim.scenario import load_scenario
+from ptnsbc_tools.cli import app
+
+
+def run(*words: object) -> tuple[int, str, str]:
+    result = CliRunner().invoke(app, [str(word) for word in words])
+    return result.exit_code, result.stdout, result.stderr
+
+
+def test_a_file_is_written_once(tmp_path: Path) -> None:
+    code, out, err = run("new", tmp_path / "flock", "--shape", "circle", "--n", 6)
+    file = tmp_path / "flock.yaml"
+    assert (code, out, err) == (0, f"{file}\n", f"next: ptnsbc check {file}\n")
+    assert len(load_scenario(file).uav_ids) == 6
+    code, _, err = run("new", file)
+    assert code == 2 and "exists: choose another name, or --overwrite" in err
+    assert run("new", file, "--overwrite", "-n", 3)[0] == 0
+    assert len(load_scenario(file).uav_ids) == 3
+
+
+def test_a_shape_that_does_not_exist_is_one_line(tmp_path: Path) -> None:
+    code, out, err = run("new", tmp_path / "a", "--shape", "gridd")
+    assert (code, out) == (2, "")
+    assert err == 'error: --shape gridd: did you mean "grid"?\n'
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_list_stands_a_broken_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "scenarios").mkdir()
+    (tmp_path / "scenarios" / "broken.yaml").write_text("name: [")
+    run("new", tmp_path / "scenarios" / "mine", "-n", 3)
+    code, out, err = run("scenarios", "--json")
+    rows = {row["name"]: row for row in json.loads(out)["scenarios"]}
+    assert (code, err) == (0, "")
+    assert {"paper_5", "mine", "broken"} <= set(rows)
+    assert rows["mine"]["uavs"] == 3 and "error" in rows["broken"]
+    assert "paper_20" in run("scenarios")[1]
