@@ -90,6 +90,13 @@ class Autopilot(NamedTuple):
         return next(numbers for numbers, known in self.modes.items() if known is mode)
 
 
+_SHAPING = (
+    ("PSC_NE_POS_P", "PSC_POSXY_P"),
+    ("PSC_NE_VEL_P", "PSC_VELXY_P"),
+    ("PSC_NE_VEL_I", "PSC_VELXY_I"),
+    ("PSC_NE_VEL_D", "PSC_VELXY_D"),
+    ("PSC_JERK_NE", "PSC_JERK_XY"),
+)
 _PX4_AUTO = 4
 PX4 = Autopilot(
     name="px4",
@@ -123,6 +130,10 @@ PX4 = Autopilot(
         "MPC_ACC_UP_MAX",
         "MPC_TILTMAX_AIR",
         "MPC_THR_HOVER",
+        "MPC_XY_VEL_P_ACC",
+        "MPC_XY_VEL_I_ACC",
+        "MPC_XY_VEL_D_ACC",
+        "MC_ROLL_P",
     ),
 )
 ARDUPILOT = Autopilot(
@@ -160,6 +171,8 @@ ARDUPILOT = Autopilot(
         "FS_EKF_ACTION",
         "FS_GCS_ENABLE",
         "BATT_FS_LOW_ACT",
+        "ATC_INPUT_TC",
+        *(name for names in _SHAPING for name in names),
     ),
 )
 GENERIC = Autopilot(
@@ -184,6 +197,7 @@ _ALTERNATIVES = (
     ("WP_SPD_DN", "WPNAV_SPEED_DN"),
     ("WP_ACC", "WPNAV_ACCEL"),
     ("ATC_ANGLE_MAX", "ANGLE_MAX"),
+    *_SHAPING,
 )
 
 

@@ -12,6 +12,7 @@ from ptnsbc_core.kinematics import velocity_enu
 from ptnsbc_io.mavlink.autopilots import AUTOPILOTS, fate, findings, hover_thrust, limits
 from ptnsbc_io.mavlink.dialect import mavlink
 from ptnsbc_io.mavlink.link import MavlinkLink
+from ptnsbc_io.mavlink.response import VelocityResponse, velocity_response
 from ptnsbc_io.wire import decode_velocity, decode_wrench
 from ptnsbc_nodes.bridge.controller import ControllerSetpoints
 from ptnsbc_nodes.bridge.link_maintenance import LINK_MESSAGES, LinkMaintenance
@@ -21,6 +22,7 @@ from ptnsbc_nodes.bridge.procedure.hazards import AbortLimits, FlightMonitor, Si
 from ptnsbc_nodes.bridge.procedure.procedure import Procedure
 from ptnsbc_nodes.bridge.procedure.steps import Step, Stream, VehicleSnapshot
 from ptnsbc_nodes.bridge.setpoint.guard import allowed
+from ptnsbc_nodes.bridge.setpoint.lead import VelocityLead, largest_kappa_1_s
 from ptnsbc_nodes.bridge.setpoint.stream import SetpointStream, StreamInput
 from ptnsbc_nodes.bridge.state_publisher import StatePublisher
 from ptnsbc_nodes.bridge.vehicle import VEHICLE_MESSAGES, VehicleMonitor
@@ -67,6 +69,7 @@ class Bridge:
             )
         )
         self._hazard = ""
+        self._unfit = ""  # why its velocity loop cannot follow this scenario
         self.companions = Companions(
             uav_id, awaited, scenario.uav_keep_out_m, scenario.mavlink.climb_spacing_m
         )
@@ -129,6 +132,7 @@ class Bridge:
             self.state_publisher.on_state(state, output.in_formation)
             if output.stream is Stream.PLANNER and self.state_publisher.odometry is not None:
                 self.stream.attitude.hover.on_odometry(now_s, self.state_publisher.odometry)
+                self.stream.drag.on_odometry(now_s, self.state_publisher.odometry)
         self.maintenance.on_message(message, now_s)
 
     def _tick(self, now_s: float) -> None:
@@ -172,6 +176,23 @@ class Bridge:
         guard.limits = allowed(settings.limits, limits(values))
         self.stream.attitude.hover.value = hover_thrust(values) or settings.hover_thrust
         outputs.limits(guard.limits)
+        response = velocity_response(self.vehicle.autopilot, values)
+        if response is not None:
+            self._fit_to(response)
+
+    def _fit_to(self, response: VelocityResponse) -> None:
+        """Send velocities so that this vehicle flies what the planner wants, as far as that goes."""
+        lead = self._mavlink.acceleration_feed_forward
+        if lead:
+            self.stream.lead = VelocityLead(response, 1.0 / self._mavlink.rate_hz)
+        kappa, most = self._scenario.gains.formation.kappa_1_s, largest_kappa_1_s(response, lead)
+        self.ports.outputs.log(f"gains.formation.kappa_1_s up to {most:.1f} fits its velocity loop")
+        if self._scenario.vehicle_link(self._uav_id).setpoint == "velocity" and kappa > most + 1e-9:
+            remedy = "" if lead else ", or mavlink.acceleration_feed_forward: true"
+            self._unfit = (
+                f"gains.formation.kappa_1_s = {kappa:g}: the vehicle's velocity loop would swing: "
+                f"expected at most {most:.1f}{remedy}"
+            )
 
     def snapshot(self, now_s: float) -> VehicleSnapshot:
         """Everything by which the procedure decides."""
@@ -186,7 +207,7 @@ class Bridge:
             heartbeat_age_s=vehicle.heartbeat_age_s(now_s),
             wrong_vehicle=vehicle.wrong_vehicle,
             parameters_read=self.maintenance.parameters_read,
-            parameter_refusal=self.maintenance.parameter_refusal,
+            parameter_refusal=self.maintenance.parameter_refusal or self._unfit,
             state_fault=self.state_publisher.fault(now_s),
             controller_age_s=self.controller.age_s(now_s),
             controller_ready=inputs.controller_ready,

@@ -107,8 +107,8 @@ class Mavlink(Block):
     """Kind of setpoint, see [hardware.md](hardware.md#setpoints)."""
     rate_hz: Annotated[Count, Field(ge=20, le=100)] = 50
     """Rate of the setpoints."""
-    acceleration_feed_forward: Flag = False
-    """Whether the setpoint includes the rate of change of the velocity."""
+    acceleration_feed_forward: Flag = True
+    """Whether velocity setpoints lead the known lag of the vehicle, with an acceleration beside them."""
     takeoff_height_m: Positive = 3.0
     """Takeoff height above the ground under each vehicle."""
     start_tolerance_m: Positive = 1.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,6 +16,7 @@ from ptnsbc_nodes.bridge.controller import SetpointReply
 from ptnsbc_nodes.bridge.procedure.steps import Stream
 from ptnsbc_nodes.bridge.setpoint.attitude import AttitudeTarget, AttitudeTargets
 from ptnsbc_nodes.bridge.setpoint.guard import SetpointGuard, allowed
+from ptnsbc_nodes.bridge.setpoint.lead import DragEstimator, VelocityLead
 from ptnsbc_nodes.bridge.setpoint.messages import SetpointMessages
 from ptnsbc_nodes.runtime.pacing import Latency
 from ptnsbc_sim.scenario.mavlink import Mavlink, VehicleLink
@@ -135,6 +137,9 @@ class SetpointStream:
         self.attitude = AttitudeTargets(config.controller, mavlink.hover_thrust)
         self.climb = _Climb(mavlink.takeoff_height_m, reference(config.trajectory, 0.0).yaw)
         self._integral = _VelocityIntegral()
+        self.drag = DragEstimator(config.controller.gravity)
+        self.lead: VelocityLead | None = None
+        """For a vehicle whose response is known; without it the velocity is sent as it is wanted."""
         self.latency = Latency()
         self._stream = Stream.NONE
         self._hold: _HoldPoint | None = None
@@ -172,6 +177,8 @@ class SetpointStream:
         self._stream = tick.stream
         self._hold = _HoldPoint(tick.odometry)
         self._integral.restart()
+        if self.lead is not None:
+            self.lead.restart()
         self.attitude.restart(tick.armed)
         if not tick.armed:
             self.climb.reset(float(tick.odometry[2]))
@@ -211,6 +218,11 @@ class SetpointStream:
         if self._feed_forward:
             limit = guard.limits.acceleration_m_s2
             acceleration = self._integral.acceleration(velocity, dt, limit)
+            if self.lead is not None and self._setpoint == "velocity":
+                level, push = self.lead.setpoint(velocity[0:2], self.drag.value)
+                velocity = guard.velocity(np.append(level, velocity[2]), tick.odometry[0:3], moving)
+                length = math.hypot(*push)
+                acceleration[0:2] = push * min(1.0, limit / length) if length > 0.0 else 0.0
         if self._setpoint == "position_velocity":
             target = self._integral.position(velocity, tick.odometry, dt)
             position = guard.position(target) - tick.offset

@@ -1,6 +1,6 @@
 """Flights of stand-ins by bridges: whole fleets and every fault, on a clock of the tests."""
 
-from itertools import pairwise
+from itertools import combinations, pairwise
 
 import numpy as np
 import pytest
@@ -9,6 +9,7 @@ pytest.importorskip("pymavlink")
 
 from mavlink_fleet import BASE_NS, START_S, MavlinkFleet
 
+from ptnsbc_core.trajectory import reference
 from ptnsbc_io.mavlink.autopilots import FlightMode
 from ptnsbc_io.mavlink.dialect import mavlink
 from ptnsbc_io.wire import OdometryTemplate
@@ -17,7 +18,7 @@ from ptnsbc_nodes.emergency.orders import Order
 from ptnsbc_sim.autopilot.faults import inject
 from ptnsbc_sim.autopilot.server import Codec
 from ptnsbc_sim.autopilot.vehicle import COMPANION
-from ptnsbc_sim.scenario import load_scenario
+from ptnsbc_sim.scenario import agent_config, load_scenario
 from ptnsbc_sim.verdict import verdict_on
 
 AUTOPILOTS = {"px4": "px4", "arducopter": "ardupilot", "stm32": "generic"}
@@ -54,6 +55,43 @@ def test_four_vehicles_take_off_form_by_the_deadline_and_land(kind, setpoint):
     found = verdict_on(fleet.recording())
     assert found.verdict == "met", [(u.uav, u.reason) for u in found.uavs]
     assert min(pair.distance_m for pair in found.separations) > 0.5
+
+
+def true_places(fleet):
+    return np.array([uav.vehicle.flight.truth_enu for uav in fleet.uavs.values()])
+
+
+def rms(errors):
+    """Root of the mean square distance of errors (..., 3)."""
+    return float(np.sqrt(np.mean(np.sum(np.square(errors), axis=-1))))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("gnss", ["rtk", "quiet"])
+@pytest.mark.parametrize("kind", ["px4", "arducopter"])
+def test_by_the_truth_a_fleet_holds_its_formation_as_its_vehicles_hold_a_point(kind, gnss):
+    """Both errors contain those of the receivers; the autopilot's own position loop sets the measure."""
+    made = scenario(kind, duration_s=30.0)
+    fleet = MavlinkFleet(made, kind, gnss=gnss)
+    fleet.airborne()
+    held, formed, closest_m = [], [], []
+    for _ in range(200):
+        fleet.run(0.1)
+        points = [uav.bridge.stream._hold.position for uav in fleet.uavs.values()]
+        held.append(true_places(fleet) - points)
+    fleet.form()
+    offsets = np.array([made.offset(i) for i in fleet.uavs])
+    path = agent_config(made, made.leader_id).trajectory
+    while (flight_s := (fleet.now_ns - fleet.legs[0][0]) * 1e-9) < 30.0:
+        fleet.run(0.1)
+        places = true_places(fleet)
+        closest_m += [np.linalg.norm(a - b) for a, b in combinations(places, 2)]
+        if flight_s > made.gains.formation.deadline_s:
+            leader = reference(path, (fleet.now_ns - fleet.legs[0][0]) * 1e-9).position
+            formed.append(places - (leader + offsets))
+    assert verdict_on(fleet.recording()).verdict == "met"
+    assert min(closest_m) > made.uav_keep_out_m
+    assert rms(formed) < 1.3 * rms(held), (rms(formed), rms(held))
 
 
 @pytest.mark.slow
@@ -307,6 +345,39 @@ def test_vehicles_at_one_place_are_not_armed(tmp_path):
     faults = [uav.bridge.procedure.fault for uav in fleet.uavs.values()]
     assert any("m from the vehicle of bridge" in fault for fault in faults)
     assert not any(uav.vehicle.armed or uav.vehicle.lifted for uav in fleet.uavs.values())
+
+
+@pytest.mark.parametrize(
+    ("kind", "kappa", "ahead", "says"),
+    [
+        (
+            "arducopter",
+            2.2,
+            "true",
+            "kappa_1_s = 2.2: the vehicle's velocity loop would swing: expected at most 1.4",
+        ),
+        (
+            "arducopter",
+            1.2,
+            "false",
+            "expected at most 0.5, or mavlink.acceleration_feed_forward: true",
+        ),
+        ("px4", 2.2, "true", "expected at most 2.1"),
+    ],
+)
+def test_gains_that_do_not_fit_the_vehicle_are_refused_with_the_number_that_would(
+    tmp_path, kind, kappa, ahead, says
+):
+    path = tmp_path / "fast.yaml"
+    path.write_text(
+        "extends: experiment_4\n"
+        f"mavlink: {{acceleration_feed_forward: {ahead}, autopilot: {AUTOPILOTS[kind]}, "
+        f"overrides: {{gains.formation.kappa_1_s: {kappa}}}}}\n"
+    )
+    fleet = MavlinkFleet(load_scenario(str(path)).bridged(), kind, count=1)
+    fleet.run(60.0, until=lambda: fleet.uavs[1].bridge.procedure.over)
+    assert says in fleet.uavs[1].bridge.procedure.fault
+    assert not fleet.uavs[1].vehicle.armed
 
 
 def test_a_vehicle_far_from_its_start_is_not_armed():

@@ -1,0 +1,230 @@
+"""The setpoint with which a vehicle flies the velocity that the planner wants: the inverse of its known response.
+
+A vehicle is v' = L (a + C (u - v)) - d v, with the setpoint u, its acceleration a, the velocity loop C and the lag L of
+the tilt. Solved for v = wanted it gives u and a; docs/hardware.md, "Prediction", has the limits.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.polynomial import Polynomial
+from scipy.signal import cont2discrete, lfilter_zi
+
+from ptnsbc_core.kinematics import rotation_from_quaternion
+from ptnsbc_core.types import Array
+from ptnsbc_io.mavlink.response import VelocityResponse
+
+_SMOOTHING_S = 0.05
+"""Low pass per derivative: the planner passes the noise of positions on. 0.05 s doubles it at 2 Hz."""
+_DELAY_S, _MOST_RISE, _MOST_KAPPA_TENTHS = 0.1, 4.0 / 3.0, 50
+
+_ONE, _S = Polynomial([1.0]), Polynomial([0.0, 1.0])
+
+
+class Transfer(NamedTuple):
+    """A rational function of s."""
+
+    above: Polynomial
+    below: Polynomial
+
+    def at(self, s: Array) -> Array:
+        """The value at complex frequencies."""
+        return np.asarray(self.above(s) / self.below(s))
+
+
+class Inverse(NamedTuple):
+    """What is added to a wanted velocity, and the acceleration beside it, per unit of drag and without."""
+
+    velocity: Transfer | None
+    velocity_by_drag: Transfer | None
+    acceleration: Transfer
+    acceleration_by_drag: Transfer
+
+
+def inverse(response: VelocityResponse, smoothing_s: float = _SMOOTHING_S) -> Inverse:
+    """The inverse of a response, with a low pass of `smoothing_s` per derivative.
+
+    Without shaping the wanted velocity itself is sent, and its acceleration does the rest.
+    """
+    lag = (_ONE + response.tilt_s[0] * _S) * (_ONE + response.tilt_s[1] * _S)
+    smooth = _ONE + smoothing_s * _S
+    if response.shaping_1_s is None:
+        below = smooth**3
+        return Inverse(
+            None,
+            None,
+            Transfer(_S * lag + response.derivative * _S, below),
+            Transfer(lag, below),
+        )
+    # u - wanted = (1/L - 1) s + d/L over s + C (1 + p/s); the shaped velocity follows u with its acceleration exactly.
+    loop = Polynomial([response.integral, response.gain, response.derivative])
+    loop = loop * Polynomial([response.position_gain, 1.0])
+    below = (_S**3 + loop) * smooth**2
+    ahead, dragged = (lag - _ONE) * _S**3, lag * _S**2
+    wanted = (_S**3 + loop) * _S
+    return Inverse(
+        Transfer(ahead, below),
+        Transfer(dragged, below),
+        Transfer(wanted + ahead * _S, below * smooth),
+        Transfer(dragged * _S, below * smooth),
+    )
+
+
+def flown_per_wanted(
+    response: VelocityResponse, lead: Inverse | None, drag_1_s: float, s: Any
+) -> Array:
+    """Velocity that a vehicle flies per velocity that is wanted, at complex frequencies [1/s].
+
+    Args:
+        response: the vehicle.
+        lead: what is sent in place of the wanted velocity; None: the wanted velocity alone.
+        drag_1_s: specific drag of the vehicle; the lead knows it.
+        s: one complex number or an array of them.
+    """
+    s = np.asarray(s)
+    sent, push = np.ones_like(s), np.zeros_like(s)
+    if lead is not None:
+        push = lead.acceleration.at(s) + drag_1_s * lead.acceleration_by_drag.at(s)
+        if lead.velocity is not None and lead.velocity_by_drag is not None:
+            sent = sent + lead.velocity.at(s) + drag_1_s * lead.velocity_by_drag.at(s)
+    lag = 1.0 / ((1.0 + response.tilt_s[0] * s) * (1.0 + response.tilt_s[1] * s))
+    loop, slope = response.gain + response.integral / s, response.derivative * s
+    if response.shaping_1_s is None:
+        return np.asarray(lag * (loop * sent + push) / (s + drag_1_s + lag * (loop + slope)))
+    shaped = (response.shaping_1_s * sent + push) / (s + response.shaping_1_s)
+    loop = (loop + slope) * (1.0 + response.position_gain / s)
+    return np.asarray(lag * (s + loop) * shaped / (s + drag_1_s + lag * loop))
+
+
+def largest_kappa_1_s(response: VelocityResponse, lead: bool) -> float:
+    """Largest gain [1/s] of a position loop around the vehicle that rises by less than a third, in steps of 0.1.
+
+    It counts a delay of 0.1 s for link and planner, drags from 0 to 1 1/s, and tilts a quarter slower than known.
+    """
+    s = 1j * np.geomspace(0.1, 20.0, 300)
+    made = inverse(response) if lead else None
+    slower = response._replace(tilt_s=(1.25 * response.tilt_s[0], 1.25 * response.tilt_s[1]))
+    cases = [(one, drag) for one in (response, slower) for drag in (0.0, 1.0)]
+    around = [np.exp(-_DELAY_S * s) / s * flown_per_wanted(one, made, d, s) for one, d in cases]
+    for tenths in range(1, _MOST_KAPPA_TENTHS):
+        peaks = [np.abs(0.1 * tenths * loop / (1.0 + 0.1 * tenths * loop)).max() for loop in around]
+        if max(peaks) > _MOST_RISE:
+            return 0.1 * (tenths - 1)
+    return 0.1 * _MOST_KAPPA_TENTHS
+
+
+class _Filter:
+    """A transfer function in discrete time on horizontal vectors (2,)."""
+
+    def __init__(self, transfer: Transfer, period_s: float) -> None:
+        above, below = transfer.above.coef[::-1], transfer.below.coef[::-1]
+        numbers, divisors, _ = cont2discrete((above, below), period_s, method="bilinear")
+        self._b, self._a = np.ravel(numbers), np.ravel(divisors)
+        self._b, self._a = self._b / self._a[0], self._a / self._a[0]
+        self._rest = lfilter_zi(self._b, self._a)
+        self._state: Array | None = None
+
+    def restart(self) -> None:
+        """The next value has been there for ever."""
+        self._state = None
+
+    def step(self, value: Array) -> Array:
+        """The output (2,) after one more period."""
+        if self._state is None:
+            self._state = np.outer(self._rest, value)
+        out = self._b[0] * value + self._state[0]
+        moved = np.vstack((self._state[1:], np.zeros((1, 2))))
+        self._state = moved + np.outer(self._b[1:], value) - np.outer(self._a[1:], out)
+        return np.asarray(out)
+
+
+class VelocityLead:
+    """Velocity and acceleration setpoints of one vehicle for the velocities that the planner wants."""
+
+    def __init__(self, response: VelocityResponse, period_s: float) -> None:
+        made = inverse(response)
+        self._velocity, self._velocity_by_drag, self._acceleration, self._by_drag = (
+            None if transfer is None else _Filter(transfer, period_s) for transfer in made
+        )
+
+    def restart(self) -> None:
+        """The next velocity begins a new sequence."""
+        for one in (self._velocity, self._velocity_by_drag, self._acceleration, self._by_drag):
+            if one is not None:
+                one.restart()
+
+    def setpoint(self, wanted: Array, drag_1_s: float) -> tuple[Array, Array]:
+        """Velocity (2,) [m/s] and acceleration (2,) [m/s^2] to send one period after those before.
+
+        Args:
+            wanted: (2,) horizontal velocity [m/s, ENU] that the vehicle is meant to fly.
+            drag_1_s: specific drag of the vehicle.
+        """
+        velocity = wanted
+        if self._velocity is not None and self._velocity_by_drag is not None:
+            velocity = (
+                wanted
+                + self._velocity.step(wanted)
+                + drag_1_s * self._velocity_by_drag.step(wanted)
+            )
+        assert self._acceleration is not None
+        assert self._by_drag is not None
+        return velocity, self._acceleration.step(wanted) + drag_1_s * self._by_drag.step(wanted)
+
+
+class DragEstimator:
+    """Specific drag [1/s] from how a vehicle moves with its tilt, beside a constant push of the wind.
+
+    Least squares over spans of 0.2 s: what the tilt has not given of the change of the velocity is -d times the way,
+    plus the wind's push times the span.
+    """
+
+    _SPAN_S = 0.2
+    _MEMORY_S = 60.0
+    _NOISE_M_S = 0.03  # of the change of the velocity over a span
+    _FIRST, _FIRST_SPREAD = 0.2, 0.3  # [1/s]
+    _WIND_SPREAD_M_S2 = 2.0
+    _MOST = 1.5  # [1/s]
+
+    def __init__(self, gravity_m_s2: float) -> None:
+        self._gravity = gravity_m_s2
+        self._prior = np.diag([self._FIRST_SPREAD**-2, *[self._WIND_SPREAD_M_S2**-2] * 2])
+        self._matrix, self._vector = np.zeros((3, 3)), np.zeros(3)
+        self._begin: tuple[float, Array] | None = None
+        self._last_s = 0.0
+        self._tilt, self._way = np.zeros(2), np.zeros(2)
+        self.value = self._FIRST
+
+    def on_odometry(self, now_s: float, odometry: Array) -> None:
+        """Learn from an odometry (13,) while the vehicle flies."""
+        rotation = rotation_from_quaternion(odometry[3:7])
+        velocity = np.asarray(rotation @ odometry[7:10])
+        dt = now_s - self._last_s
+        self._last_s = now_s
+        if self._begin is None or dt > self._SPAN_S or rotation[2, 2] < 0.5:
+            return self._restart(now_s, velocity)
+        self._tilt = self._tilt + dt * self._gravity * rotation[0:2, 2] / rotation[2, 2]
+        self._way = self._way + dt * velocity[0:2]
+        span_s = now_s - self._begin[0]
+        if span_s < self._SPAN_S:
+            return None
+        unexplained = velocity[0:2] - self._begin[1][0:2] - self._tilt
+        for axis in range(2):
+            row = np.array([-self._way[axis], 0.0, 0.0])
+            row[1 + axis] = span_s
+            self._matrix += np.outer(row, row) / self._NOISE_M_S**2
+            self._vector += row * unexplained[axis] / self._NOISE_M_S**2
+        keep = math.exp(-span_s / self._MEMORY_S)
+        self._matrix *= keep
+        self._vector *= keep
+        first = self._prior @ np.array([self._FIRST, 0.0, 0.0])
+        found = np.linalg.solve(self._matrix + self._prior, self._vector + first)
+        self.value = float(min(max(found[0], 0.0), self._MOST))
+        return self._restart(now_s, velocity)
+
+    def _restart(self, now_s: float, velocity: Array) -> None:
+        self._begin = (now_s, velocity)
+        self._tilt, self._way = np.zeros(2), np.zeros(2)

@@ -1,0 +1,146 @@
+"""The inverse of a vehicle's response: vehicles of closed form, and the stand-ins."""
+
+import math
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pymavlink")
+
+from ptnsbc_core.kinematics import quaternion_from_euler, rotation_from_quaternion
+from ptnsbc_io.mavlink.response import VelocityResponse
+from ptnsbc_nodes.bridge.setpoint.lead import (
+    DragEstimator,
+    VelocityLead,
+    flown_per_wanted,
+    inverse,
+    largest_kappa_1_s,
+)
+
+ARDUPILOT = VelocityResponse(2.0, 1.0, 0.5, 1.0, 2.0, (0.15, 0.227))
+PX4 = VelocityResponse(1.8, 0.4, 0.2, 0.0, None, (0.1, 0.06))
+KINDS = pytest.mark.parametrize("response", [ARDUPILOT, PX4])
+PERIOD_S = 0.02
+
+
+def flown(response, drag, s, **smoothing):
+    """Velocity flown per velocity wanted: the vehicle behind its lead."""
+    return flown_per_wanted(response, inverse(response, **smoothing), drag, s)
+
+
+@KINDS
+@pytest.mark.parametrize("drag", [0.0, 0.2, 1.0])
+@pytest.mark.parametrize("hertz", [0.02, 0.1, 0.25, 0.5, 2.0])
+def test_without_low_passes_the_vehicle_flies_exactly_what_is_wanted(response, drag, hertz):
+    assert flown(response, drag, 2j * math.pi * hertz, smoothing_s=0.0) == pytest.approx(
+        1.0, rel=1e-9
+    )
+
+
+@KINDS
+@pytest.mark.parametrize("drag", [0.0, 0.2, 1.0])
+@pytest.mark.parametrize("hertz", [0.02, 0.1, 0.25, 0.5])
+def test_low_passes_cost_a_tenth_of_a_second(response, drag, hertz):
+    s = 2j * math.pi * hertz
+    found = flown(response, drag, s)
+    assert 0.85 < abs(found) < 1.35
+    assert abs(np.angle(found)) / abs(s) < 0.25
+
+
+@KINDS
+@pytest.mark.parametrize("drag", [0.0, 1.0])
+@pytest.mark.parametrize("kappa", [1.0, 1.5, 2.2])
+def test_a_formation_loop_around_it_does_not_overshoot(response, drag, kappa):
+    """ArduCopter without the lead has a peak above 4 at 1.5 1/s."""
+    delay_s = 0.08
+    peak = 0.0
+    for w in np.geomspace(0.05, 20.0, 400):
+        loop = kappa / (1j * w) * np.exp(-1j * w * delay_s) * flown(response, drag, 1j * w)
+        peak = max(peak, abs(loop / (1 + loop)))
+    assert peak < (1.1 if kappa < 2.0 else 1.35)
+
+
+@pytest.mark.parametrize(("response", "least", "most"), [(ARDUPILOT, 0.4, 1.0), (PX4, 0.8, 2.5)])
+def test_the_lead_allows_gains_that_the_vehicle_alone_does_not(response, least, most):
+    """Flown on ArduCopter: 1.5 1/s swings, 0.6 1/s does not."""
+    assert least < largest_kappa_1_s(response, lead=False) < most
+    assert largest_kappa_1_s(response, lead=True) >= 1.4 - 1e-9
+
+
+@KINDS
+def test_a_steady_velocity_is_sent_as_it_is_with_the_push_against_the_drag(response):
+    lead = VelocityLead(response, PERIOD_S)
+    for _ in range(500):
+        velocity, push = lead.setpoint(np.array([1.0, -0.5]), 0.3)
+    assert velocity == pytest.approx([1.0, -0.5], abs=1e-6)
+    expected = 0.0 if response.shaping_1_s else 0.3
+    assert push == pytest.approx([expected, -0.5 * expected], abs=1e-6)
+
+
+@KINDS
+def test_a_new_sequence_begins_without_a_kick(response):
+    lead = VelocityLead(response, PERIOD_S)
+    lead.setpoint(np.zeros(2), 0.2)
+    lead.restart()
+    velocity, push = lead.setpoint(np.array([2.0, 0.0]), 0.0)
+    assert velocity == pytest.approx([2.0, 0.0])
+    assert push == pytest.approx([0.0, 0.0], abs=1e-5)
+
+
+@KINDS
+def test_the_filters_forget(response):
+    lead = VelocityLead(response, PERIOD_S)
+    random = np.random.default_rng(5)
+    for _ in range(2000):
+        lead.setpoint(random.uniform(-1.0, 1.0, 2), 1.0)
+    for _ in range(1000):
+        sent = lead.setpoint(np.zeros(2), 1.0)
+    assert np.abs(np.array(sent)).max() < 1e-3
+
+
+def tilted(drag, wind, seconds, seed=1, noise=0.0):
+    """Odometry of a vehicle that flies circles with this drag in this wind."""
+    random = np.random.default_rng(seed)
+    velocity = np.zeros(2)
+    for n in range(round(seconds / PERIOD_S)):
+        t = n * PERIOD_S
+        push = 0.8 * np.array([math.sin(0.9 * t), math.cos(0.7 * t)])
+        velocity = velocity + PERIOD_S * (push - drag * (velocity - wind))
+        odometry = np.zeros(13)
+        odometry[3:7] = quaternion_from_euler(
+            np.array(
+                [
+                    -math.atan(push[1] / 9.81 * math.cos(math.atan(push[0] / 9.81))),
+                    math.atan(push[0] / 9.81),
+                    0,
+                ]
+            )
+        )
+        rotation = rotation_from_quaternion(odometry[3:7])
+        seen = np.append(velocity + noise * random.standard_normal(2), 0.0)
+        odometry[7:10] = rotation.T @ seen
+        yield t, odometry
+
+
+@pytest.mark.parametrize("drag", [0.0, 0.2, 1.0])
+def test_the_drag_is_learned_in_wind(drag):
+    estimator = DragEstimator(9.81)
+    for t, odometry in tilted(drag, np.array([2.0, -1.0]), 30.0, noise=0.005):
+        estimator.on_odometry(t, odometry)
+    assert estimator.value == pytest.approx(drag, abs=0.06)
+
+
+def test_a_vehicle_that_hovers_keeps_the_first_guess():
+    estimator = DragEstimator(9.81)
+    odometry = np.zeros(13)
+    odometry[6] = 1.0
+    for n in range(1500):
+        estimator.on_odometry(n * PERIOD_S, odometry)
+    assert estimator.value == pytest.approx(0.2, abs=1e-6)
+
+
+def test_a_gap_teaches_nothing():
+    estimator = DragEstimator(9.81)
+    for t, odometry in tilted(1.0, np.zeros(2), 5.0):
+        estimator.on_odometry(20.0 * t, odometry)
+    assert estimator.value == pytest.approx(0.2)
