@@ -81,6 +81,7 @@ class StandInVehicle(ABC):
     capabilities: ClassVar[int]
     version_word: ClassVar[int]
     earth_radius_m: ClassVar[float] = PX4_RADIUS_M  # of its projection
+    drag_1_s: ClassVar[float] = 0.0  # specific drag of the vehicle that was measured
     text_end: ClassVar[str] = ""
     refusal: ClassVar[int]  # MAV_RESULT of a refused arming request
     rates_hz: ClassVar[tuple[Mapping[int, float], Mapping[int, float]]]  # per link
@@ -185,7 +186,7 @@ class StandInVehicle(ABC):
         """
         self.system = system
         self.component = 1
-        self.body = body
+        self.body = body = body.with_drag(self.drag_1_s)
         self.log = say
         self.parameters = self.default_parameters()
         self.flight = VehiclePhysics(body, self.gains(), t)

@@ -63,8 +63,11 @@ def autopilot(
         typer.Option("--gcs", metavar="HOST:PORT", help='Link of the ground station; "" for none.'),
     ] = "127.0.0.1:14550",
     gnss: Annotated[
-        Literal["plain", "rtk", "perfect"],
-        typer.Option("--gnss", help="GNSS receiver; plain drifts like that of a simulated PX4."),
+        Literal["plain", "quiet", "rtk", "perfect"],
+        typer.Option(
+            "--gnss",
+            help="GNSS receiver; plain drifts like that of a simulated PX4, quiet has a twentieth of its noise.",
+        ),
     ] = "plain",
     origin_spread: Annotated[
         float,

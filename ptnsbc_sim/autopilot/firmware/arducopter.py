@@ -39,6 +39,9 @@ THRUST_IS_THRUST = 8
 """Bit of GUID_OPTIONS: the thrust of SET_ATTITUDE_TARGET is a thrust, not a climb rate."""
 
 _SPOOL_UP_S = 1.0
+_PATH_TILT_GAIN_1_S = (
+    6.0  # as measured: ATC_ANG_RLL_P is 4.5, and the rates of the shaped tilt are fed forward
+)
 _SINK_M_S = 0.5
 _SLOW_BELOW_M = 10.0
 
@@ -51,6 +54,7 @@ class ArduCopter(FlightController):
     version_word = 4 << 24 | 7 << 16
     refusal = _FAILED
     earth_radius_m = ARDUPILOT_RADIUS_M
+    drag_1_s = 0.2  # of its simulated quadrotor: the momentum drag of the rotors
     ready_s = (20.0, 40.0)
     rates_hz = (
         {mavlink.MAVLINK_MSG_ID_HEARTBEAT: 1.0},
@@ -71,7 +75,7 @@ class ArduCopter(FlightController):
             1.0,
             p["PSC_NE_VEL_P"],
             4.0,
-            0.4,
+            p["PSC_NE_VEL_I"],
             2.0,
             speed + 1.0,
             up,
@@ -82,12 +86,25 @@ class ArduCopter(FlightController):
             4.5,
             3.8,
             1.0,
+            derivative=p["PSC_NE_VEL_D"],
+            of_error=True,
+            error_s=1.0 / (2.0 * math.pi * p["PSC_NE_VEL_FLTE"]),
+            tilt_s=p["ATC_INPUT_TC"],
+            path_tilt_gain=_PATH_TILT_GAIN_1_S,
         )
 
     def limits(self) -> WaypointLimits:
         """Limits of GUIDED."""
         p = self.parameters
-        return WaypointLimits(p["WP_SPD"], p["WP_SPD_UP"], p["WP_SPD_DN"], p["WP_ACC"])
+        return WaypointLimits(
+            p["WP_SPD"],
+            p["WP_SPD_UP"],
+            p["WP_SPD_DN"],
+            p["WP_ACC"],
+            p["WP_ACC_Z"],
+            p["PSC_JERK_NE"],
+            p["PSC_JERK_D"],
+        )
 
     # State.
 

@@ -46,12 +46,15 @@ class Submode(Enum):
 
 
 class WaypointLimits(NamedTuple):
-    """Limits of GUIDED, from WP_*."""
+    """Limits of GUIDED, from WP_* and PSC_JERK_*."""
 
     speed: float  # [m/s]
     up: float  # [m/s]
     down: float  # [m/s]
-    acceleration: float  # [m/s^2]
+    acceleration: float  # [m/s^2] horizontal
+    climb_acceleration: float  # [m/s^2]
+    jerk: float  # [m/s^3] horizontal
+    climb_jerk: float  # [m/s^3]
 
 
 class EstimatedState(NamedTuple):
@@ -60,6 +63,12 @@ class EstimatedState(NamedTuple):
     position: Array  # (3,) [m]
     velocity: Array  # (3,) [m/s]
     heading_ned_rad: float
+
+
+def _within(vector: Array, most: float) -> Array:
+    """A vector shortened to a length."""
+    length = math.sqrt(float(vector @ vector))
+    return vector if length <= most else vector * (most / length)
 
 
 class Guided:
@@ -71,8 +80,9 @@ class Guided:
         self.yaw: float | None = yaw_swap(state.heading_ned_rad)
         self.yaw_rate = math.nan
         self._requested = np.zeros(3)  # requested velocity
-        self._shaped = np.zeros(3)  # velocity within the acceleration
-        self._acceleration = np.zeros(3)
+        self._requested_acceleration = np.zeros(3)
+        self._shaped = np.zeros(3)  # velocity within acceleration and jerk
+        self._acceleration = np.zeros(3)  # of the shaped velocity
         self._attitude = targets.IDLE_TARGET
         self._thrust_is_climb = False
         self._climb = 0.0
@@ -94,6 +104,9 @@ class Guided:
         wanted = setpoints.read_position_target(message)
         position = wanted.position_ned if np.isfinite(wanted.position_ned).all() else None
         velocity = None if message.type_mask & _VELOCITY else wanted.velocity_ned
+        acceleration = wanted.acceleration_ned
+        if velocity is None or not np.isfinite(acceleration).all():
+            acceleration = np.zeros(3)
         if wanted.frame not in FRAMES or (
             wanted.force and np.isfinite(wanted.acceleration_ned).any()
         ):
@@ -103,6 +116,7 @@ class Guided:
         if position is None and velocity is None:
             return False
         self._set_yaw(wanted, state)
+        self._requested_acceleration = self._in_enu(acceleration, wanted.frame, state)
         if position is not None:
             self._follow_position(position, velocity, wanted.frame, state)
         else:
@@ -127,6 +141,7 @@ class Guided:
     def _follow_velocity(self, velocity: Array | None, frame: int, state: EstimatedState) -> None:
         if self.submode is not Submode.VELOCITY:
             self._position, self._shaped = state.position.copy(), state.velocity.copy()
+            self._acceleration = np.zeros(3)
         self.submode = Submode.VELOCITY
         if velocity is not None:
             self._requested = self._in_enu(velocity, frame, state)
@@ -188,7 +203,7 @@ class Guided:
         if timed_out:
             self.yaw_rate = math.nan
             if self.submode is Submode.VELOCITY:
-                self._requested = np.zeros(3)
+                self._requested, self._requested_acceleration = np.zeros(3), np.zeros(3)
         if self.submode is Submode.TAKE_OFF:
             left = self.take_off_height - float(state.position[2])
             climb = min(left, limits.up)
@@ -201,17 +216,30 @@ class Guided:
         return self._position_target()
 
     def _shape_velocity(self, limits: WaypointLimits, dt: float) -> None:
-        """Move the velocity to the requested one, within speed and acceleration limits."""
+        """Move the velocity to the requested one, within speed, acceleration and jerk.
+
+        The acceleration follows `k (requested - shaped)` with k = jerk / acceleration, plus the requested one:
+        a first order of k for small steps (`shape_vel_accel` of AP_Math/control.cpp).
+        """
         goal = self._requested.copy()
         speed = math.hypot(goal[0], goal[1])
         if speed > limits.speed:
             goal[0:2] *= limits.speed / speed
         goal[2] = min(max(goal[2], -limits.down), limits.up)
-        step = goal - self._shaped
-        length, most = float(np.linalg.norm(step)), limits.acceleration * dt
-        before = self._shaped
-        self._shaped = goal if length <= most else before + step * (most / length)
-        self._acceleration = (self._shaped - before) / dt if dt > 0.0 else np.zeros(3)
+        error, ahead, now = goal - self._shaped, self._requested_acceleration, self._acceleration
+        level = limits.jerk / limits.acceleration * error[0:2]
+        level = _within(level, limits.acceleration) + ahead[0:2]
+        climb, most = (
+            limits.climb_jerk / limits.climb_acceleration * error[2:],
+            limits.climb_acceleration,
+        )
+        climb = _within(climb, most) + ahead[2:]
+        steps = (
+            _within(level - now[0:2], limits.jerk * dt),
+            _within(climb - now[2:], limits.climb_jerk * dt),
+        )
+        self._acceleration = now + np.concatenate(steps)
+        self._shaped = self._shaped + self._acceleration * dt
 
     def _advance_position(self, state: EstimatedState, dt: float) -> None:
         """Move the position target with the velocity, at most the leash ahead of the vehicle."""

@@ -51,6 +51,7 @@ _AUTO_FLAGS = (
     | mavlink.MAV_MODE_FLAG_GUIDED_ENABLED
 )
 _SINK_M_S = 0.7
+_PATH_TILT_GAIN_1_S = 10.0  # as measured: with MC_ROLL_P, 6.5, the lag would be 0.1 s longer
 _SLOW_BELOW_M = 5.0
 _FAST_DOWN_M_S = 1.5
 _ARRIVED_M = 0.2
@@ -65,6 +66,7 @@ class Px4(FlightController):
     refusal = _LATER
     text_end = "\t"
     ready_s = (3.0, 8.0)
+    drag_1_s = 1.0  # of its built-in simulated quadrotor
     rates_hz = RATES_HZ
 
     def default_parameters(self) -> AutopilotParameters:
@@ -90,6 +92,8 @@ class Px4(FlightController):
             p["MC_YAW_P"],
             3.8,
             math.radians(p["MPC_YAWRAUTO_MAX"]),
+            derivative=p["MPC_XY_VEL_D_ACC"],
+            path_tilt_gain=_PATH_TILT_GAIN_1_S,
         )
 
     # State.

@@ -35,7 +35,8 @@ TARGET_SIZE = 22
 
 # Rows of the loop state.
 INTEGRAL, HEADING, CONTACT, THRUST_OUT = slice(0, 3), 3, 4, 5
-LOOP_SIZE = 6
+FILTERED, LAST, SLOPE, PULL = slice(6, 8), slice(8, 10), slice(10, 12), slice(12, 14)  # horizontal
+LOOP_SIZE = 14
 
 # Rows of the errors of the estimate: position less origin, velocity [ENU], yaw.
 ERROR_POSITION, ERROR_VELOCITY, ERROR_YAW = slice(0, 3), slice(3, 6), 6
@@ -44,6 +45,7 @@ ERROR_SIZE = 7
 _IDLE_SHARE = 0.08
 _LIFT_OFF_M = 0.02
 _RATE_GAIN = 25.0  # [1/s]
+_DERIVATIVE_S = 0.032  # low pass of the derivative in the velocity loops, 5 Hz
 _MOST_INTEGRAL = 3.0  # [m/s^2]
 
 
@@ -65,6 +67,12 @@ class LoopGains(NamedTuple):
     yaw_gain: float  # [1/s]
     max_rate: float  # [rad/s]
     max_yaw_rate: float  # [rad/s]
+    # The horizontal velocity loop beyond its proportional and integral part.
+    derivative: float = 0.0
+    of_error: bool = False  # the derivative is that of the error, otherwise that of the velocity
+    error_s: float = 0.0  # low pass of the error
+    tilt_s: float = 0.0  # low pass of the tilt that the velocity loop asks for
+    path_tilt_gain: float = 0.0  # [1/s] of the tilt below the velocity loop; 0: `tilt_gain`
 
 
 def no_target() -> Array:
@@ -107,6 +115,25 @@ def _velocity_setpoint(nav: Array, target: Array, gains: LoopGains) -> Array:
 
 
 @inline_kernel
+def _low_pass(value: float, towards: float, time_s: float, dt: float) -> float:
+    """One step of a first-order low pass; a time of zero passes everything, NaN begins at `towards`."""
+    return value + dt / (time_s + dt) * (towards - value) if math.isfinite(value) else towards
+
+
+@inline_kernel
+def _damped(
+    loop: Array, axis: int, error: float, speed: float, gains: LoopGains, dt: float
+) -> float:
+    """Proportional and derivative part [m/s^2] of the horizontal velocity loop, with its low passes."""
+    loop[6 + axis] = _low_pass(loop[6 + axis], error, gains.error_s, dt)
+    signal = loop[6 + axis] if gains.of_error else -speed
+    slope = (signal - loop[8 + axis]) / dt if math.isfinite(loop[8 + axis]) else 0.0
+    loop[8 + axis] = signal
+    loop[10 + axis] = _low_pass(loop[10 + axis], slope, _DERIVATIVE_S, dt)
+    return gains.velocity * loop[6 + axis] + gains.derivative * loop[10 + axis]
+
+
+@inline_kernel
 def _force_setpoint(
     nav: Array, loop: Array, target: Array, gains: LoopGains, plant: PlantConfig, dt: float
 ) -> Array:
@@ -118,11 +145,17 @@ def _force_setpoint(
         pull = ahead if math.isfinite(ahead) else 0.0
         if math.isfinite(velocity[i]):
             error = velocity[i] - nav[7 + i]
-            gain = gains.climb if i == 2 else gains.velocity
+            if i == 2:
+                pull += gains.climb * error
+            else:
+                pull += _damped(loop, i, error, nav[7 + i], gains, dt)
+                error = loop[6 + i]
             step = gains.climb_integral if i == 2 else gains.velocity_integral
             grown = loop[i] + step * error * dt
             loop[i] = min(max(grown, -_MOST_INTEGRAL), _MOST_INTEGRAL)
-            pull += gain * error + loop[i]
+            pull += loop[i]
+        elif i < 2:
+            loop[8 + i] = math.nan
         force[i] = pull
     sideways = math.hypot(force[0], force[1])
     if sideways > gains.max_acceleration:
@@ -134,6 +167,9 @@ def _force_setpoint(
     if sideways > most:
         force[0] *= most / sideways
         force[1] *= most / sideways
+    for i in range(2):
+        loop[12 + i] = _low_pass(loop[12 + i], force[i], gains.tilt_s, dt)
+        force[i] = loop[12 + i]
     return force * plant.mass
 
 
@@ -150,12 +186,14 @@ def _advance_heading(nav: Array, loop: Array, target: Array, gains: LoopGains, d
 
 
 @inline_kernel
-def _rate_setpoint(present: Matrix3, desired: Matrix3, target: Array, gains: LoopGains) -> Array:
+def _rate_setpoint(
+    present: Matrix3, desired: Matrix3, target: Array, gains: LoopGains, tilt_gain: float
+) -> Array:
     """Body rates (3,) [rad/s] that turn R to R_d, plus those commanded."""
     turn = attitude_error(present, desired)
     out = np.empty(3)
     for i in range(3):
-        gain = gains.yaw_gain if i == 2 else gains.tilt_gain
+        gain = gains.yaw_gain if i == 2 else tilt_gain
         most = gains.max_yaw_rate if i == 2 else gains.max_rate
         out[i] = min(max(gain * turn[i], -most), most)
         if math.isfinite(target[18 + i]):
@@ -192,10 +230,11 @@ def _wrench(
         _advance_heading(nav, loop, target, gains, dt)
         force = _force_setpoint(nav, loop, target, gains, plant, dt)
         out[2] = force[0] * present[0][2] + force[1] * present[1][2] + force[2] * present[2][2]
-        rates = _rate_setpoint(present, desired_rotation(force, loop[3]), target, gains)
+        tilt_gain = gains.path_tilt_gain if gains.path_tilt_gain > 0.0 else gains.tilt_gain
+        rates = _rate_setpoint(present, desired_rotation(force, loop[3]), target, gains, tilt_gain)
     elif kind == ATTITUDE:
         out[2] = _attitude_thrust(nav, loop, target, gains, plant, dt)
-        rates = _rate_setpoint(present, rotation(target, 14), target, gains)
+        rates = _rate_setpoint(present, rotation(target, 14), target, gains, gains.tilt_gain)
     elif kind == RATES:
         out[2] = target[12] * plant.max_thrust
         for i in range(3):
@@ -204,6 +243,7 @@ def _wrench(
         out[2] = _IDLE_SHARE * plant.max_thrust
     if kind != TRAJECTORY:
         loop[0:2] = 0.0
+        loop[6:14] = math.nan
         loop[3] = yaw_of(nav)
         if not math.isfinite(target[21]):
             loop[2] = 0.0
@@ -228,6 +268,7 @@ def _ground_contact(body: Array, loop: Array) -> None:
         body[7], body[8], body[9] = 0.0, 0.0, max(body[9], 0.0)
         body[10:13] = 0.0
         loop[0:3] = 0.0
+        loop[6:14] = math.nan
         loop[4] = 1.0
     elif body[2] > _LIFT_OFF_M:
         loop[4] = 0.0
@@ -237,7 +278,7 @@ class AirframeState(NamedTuple):
     """The state of one vehicle between periods; changed in place."""
 
     body: Array  # (17,) plant state of the quadrotor
-    loop: Array  # (6,) state of the loops
+    loop: Array  # (14,) state of the loops
     nav: Array  # (13,) estimate: local ENU position, quaternion x y z w, ENU velocity, FLU rates
     errors: Array  # (7,) of the estimate
     target: Array  # (22,)

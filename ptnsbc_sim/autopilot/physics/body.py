@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -66,6 +66,12 @@ class VehicleDescription:
     datum: Geodetic = PX4_HOME  # where ENU is zero
     battery: float = 1.0  # charge at the start
     seed: int = 0
+
+    def with_drag(self, drag_1_s: float) -> VehicleDescription:
+        """The same with at least this specific drag [1/s]; the wind pushes as before."""
+        drag = max(self.plant.drag, drag_1_s)
+        wind = self.plant.wind * (self.plant.drag / drag if drag > 0.0 else 1.0)
+        return replace(self, plant=self.plant._replace(drag=drag, wind=wind))
 
 
 class VehiclePhysics:
