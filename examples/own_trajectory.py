@@ -13,23 +13,8 @@ climb = {"kind": "line", "position_m": [0, 2, 3], "velocity_m_s": [0.8, 0.3, 0.2
 paper = ptnsbc.load("paper_5_free")
 flights = {
     "circle": ptnsbc.fly(paper),
-    # Keys of the circle that a line does not have are removed by None.
     "climb": ptnsbc.fly(
-        ptnsbc.load(
-            {
-                "extends": "paper_5_free",
-                "name": "climb",
-                "leader": {
-                    "trajectory": {
-                        "centre_m": None,
-                        "radius_m": None,
-                        "rate_rad_s": None,
-                        "phase_rad": None,
-                        **climb,
-                    }
-                },
-            }
-        )
+        ptnsbc.load({"extends": "paper_5_free", "name": "climb", "leader": {"trajectory": climb}})
     ),
 }
 figure, panels = plt.subplots(2, 2, figsize=(11, 8), layout="constrained")

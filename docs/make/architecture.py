@@ -37,7 +37,7 @@ class Known(NamedTuple):
 
 def regions() -> dict[str, str]:
     """Every made region of the page."""
-    found = ends()
+    found = [end for end in ends() if end.topic != topics.TF.name]  # not on every machine
     known = {one.topic.name.replace(f"/uav{_N}/", "/uavN/"): one for one in _known()}
     live = {end.topic for end in found}
     if live - set(known) or set(known) - live - {topics.TF.name}:

@@ -131,6 +131,7 @@ class BridgeNode:
         )
         self._kept, self._kept_s = self._record, -_RECORD_S  # what the file has, and since when
         self._folder: Path | None = None
+        self._send_battery = self.endpoints.publisher(topics.battery(uav_id), 0)
         self._orders = self._open_order_port()
         self._keep_record()
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -318,6 +319,10 @@ class BridgeNode:
             self._unsubscribe_diagnostics()
         if self.bridge.procedure.step is Step.APART:  # all others give the formation up as well
             self._send_order(HeaderTemplate(APART).encode(0))
+        battery = self.bridge.vehicle.battery
+        if battery is not None:
+            stamp_ns = self.bridge.ports.clocks.ros_ns()
+            self._send_battery(vehicle_messages.encode_battery(stamp_ns, *battery))
         record = self._keep_record()
         self._send_status(
             bridge_status(self._name, record, self.bridge, self.waiting_for(), self.endpoints)

@@ -19,7 +19,8 @@ from ptnsbc_io.mavlink.frames import GeoPoint
 from ptnsbc_io.mavlink.plausibility import ConfirmedValue
 from ptnsbc_nodes.bridge.pose import Pose, VehicleState, boot_time_s
 
-_MILLI = 1e-3
+_MILLI, _CENTI = 1e-3, 1e-2
+_NO_VOLTAGE = 65535  # UINT16_MAX: not sent
 _DEGREES_E7 = 1e-7
 _BACKWARDS_S = 0.5
 _YOUNG_S = 60.0  # a clock that shows more has not just begun
@@ -38,6 +39,14 @@ _MULTIROTORS = (
     mavlink.MAV_TYPE_DODECAROTOR,
     mavlink.MAV_TYPE_DECAROTOR,
 )
+
+
+class Battery(NamedTuple):
+    """What the vehicle reports of its battery; None is a figure that it does not know."""
+
+    voltage_v: float | None
+    current_a: float | None  # drawn from it
+    percent: float | None  # left
 
 
 class Anchor(NamedTuple):
@@ -101,7 +110,7 @@ class VehicleMonitor:
         self.mode_name = ""
         self.armed = False
         self.landed: bool | None = None
-        self.battery_percent: float | None = None
+        self.battery: Battery | None = None
         self.anchor: Anchor | None = None
         self.warning = ""  # newest STATUSTEXT that is a warning or an error
         self.unhealthy = (
@@ -127,6 +136,11 @@ class VehicleMonitor:
         """Whether a GPS fix is gone; a vehicle that never had one needs none."""
         since_s = self._no_fix_since_s
         return self._had_fix and since_s is not None and now_s - since_s >= _NO_FIX_S
+
+    @property
+    def battery_percent(self) -> float | None:
+        """What is left of the battery."""
+        return None if self.battery is None else self.battery.percent
 
     def battery_below(self, percent: float, now_s: float) -> bool:
         """Whether the battery has been below `percent` for some seconds."""
@@ -236,8 +250,17 @@ class VehicleMonitor:
         self.unhealthy = ", ".join(_sensors(present & ~message.onboard_control_sensors_health))
 
     def _on_battery(self, message: Any, now_s: float) -> None:
-        if 0 <= message.battery_remaining <= 100:
-            self.battery_percent = float(message.battery_remaining)
+        """SYS_STATUS, in which -1 and the largest voltage stand for a figure that is not known."""
+        volts, amperes, percent = (
+            message.voltage_battery,
+            message.current_battery,
+            message.battery_remaining,
+        )
+        self.battery = Battery(
+            volts * _MILLI if 0 < volts < _NO_VOLTAGE else None,
+            amperes * _CENTI if amperes >= 0 else None,
+            float(percent) if 0 <= percent <= 100 else self.battery_percent,
+        )
 
     def _on_gps(self, message: Any, now_s: float) -> None:
         if message.h_acc > 0:

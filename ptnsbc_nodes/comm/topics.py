@@ -127,6 +127,16 @@ def limits(uav: int) -> Topic:
     return Topic(f"/uav{uav}/limits", "std_msgs/msg/Float64MultiArray", Role.LATCHED, "once")
 
 
+def battery(uav: int) -> Topic:
+    """Battery of a real vehicle, from its bridge."""
+    return _state(uav, "battery", "sensor_msgs/msg/BatteryState")._replace(rate=STATUS_RATE)
+
+
+def robot_description(uav: int) -> Topic:
+    """URDF of a UAV for viewers: one link, `base_link`, without meshes."""
+    return Topic(f"/uav{uav}/robot_description", "std_msgs/msg/String", Role.LATCHED, "once")
+
+
 def of_uav(uav: int) -> tuple[Topic, ...]:
     """Every topic of one UAV."""
     return (

@@ -1,4 +1,4 @@
-"""What a bridge sends besides odometry: the vehicle's limits, and the origin of the world.
+"""What a bridge sends besides odometry: the vehicle's limits and battery, and the origin of the world.
 
 These messages are rare, so message objects are fast enough.
 """
@@ -9,12 +9,13 @@ import math
 from typing import Any, NamedTuple
 
 from rclpy.serialization import deserialize_message
-from sensor_msgs.msg import NavSatFix
+from sensor_msgs.msg import BatteryState, NavSatFix
 from std_msgs.msg import Float64MultiArray
 
 from ptnsbc_core.types import AgentConfig
 from ptnsbc_io.mavlink.frames import GeoPoint
 from ptnsbc_io.wire import WireError
+from ptnsbc_io.wire.cdr import split_stamp
 from ptnsbc_nodes.comm.serialize import encode
 
 _HIGHEST_M = 1e5
@@ -39,6 +40,29 @@ def decode_limits(data: bytes) -> PlannerLimits:
         shown = ", ".join(f"{number:g}" for number in numbers[:2]) or "nothing"
         raise WireError(f"limits {shown}: expected a speed and an acceleration above 0")
     return PlannerLimits(float(numbers[0]), float(numbers[1]))
+
+
+def encode_battery(
+    stamp_ns: int, voltage_v: float | None, current_a: float | None, percent: float | None
+) -> bytes:
+    """BatteryState of a battery in flight; None becomes NaN, as the message has it for what is not measured."""
+
+    def known(value: float | None) -> float:
+        return math.nan if value is None else value
+
+    message = BatteryState(
+        voltage=known(voltage_v),
+        current=-known(current_a),  # negative while it discharges
+        percentage=known(percent) / 100.0,
+        temperature=math.nan,
+        charge=math.nan,
+        capacity=math.nan,
+        design_capacity=math.nan,
+        power_supply_status=BatteryState.POWER_SUPPLY_STATUS_DISCHARGING,
+        present=True,
+    )
+    message.header.stamp.sec, message.header.stamp.nanosec = split_stamp(stamp_ns)
+    return encode(message)
 
 
 def limited(config: AgentConfig, speed_m_s: float, acceleration_m_s2: float) -> AgentConfig:

@@ -45,6 +45,7 @@ from ptnsbc_nodes.uav.controller import UavController, step_time
 from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS
 from ptnsbc_nodes.uav.leg_services import LegServices
 from ptnsbc_nodes.uav.outbox import Outbox
+from ptnsbc_nodes.uav.robot_description import publish_description
 from ptnsbc_nodes.uav.slots import OpenSlots, SlotDecider
 from ptnsbc_sim.scenario import Scenario, agent_config
 from ptnsbc_sim.scenario.slots import are_open
@@ -72,6 +73,7 @@ class UavNode:
         self._uav = uav_id
         self._controller = UavController(agent_config(scenario, uav_id), edges.senders(uav_id))
         self._outbox = Outbox(self.endpoints, edges, uav_id)
+        publish_description(self.endpoints, scenario, uav_id)
         self._epochs = Epochs()
         names = self._controller.inbox.topic_names(uav_id)
         self._timing = _Timing(node, scenario, names, edges.options.lockstep)

@@ -203,12 +203,8 @@ def merged(base: Tree, own: Tree) -> Tree:
         below = result.get(key)
         if value is None:
             result.pop(key, None)
-        elif (
-            isinstance(value, dict)
-            and isinstance(below, dict)
-            and not _other_trajectory(key, below, value)
-        ):
-            result[key] = merged(below, value)
+        elif isinstance(value, dict) and isinstance(below, dict):
+            result[key] = merged({} if _other_trajectory(key, below, value) else below, value)
         else:
             result[key] = value
     return result

@@ -1,17 +1,24 @@
 """The bridge as a managed node: when it may be deactivated."""
 
+import math
+
 import pytest
 
 pytest.importorskip("rclpy")
 pytest.importorskip("pymavlink")
 
 from rclpy.lifecycle import TransitionCallbackReturn
+from rclpy.serialization import deserialize_message
+from sensor_msgs.msg import BatteryState
 
 from ptnsbc_io.mavlink.link import MavlinkLink
 from ptnsbc_io.mavlink.transport import connect
 from ptnsbc_nodes.bridge.bridge import WANTED_MESSAGES
 from ptnsbc_nodes.bridge.node import BridgeNode, BridgeOptions, FlyingError
 from ptnsbc_nodes.bridge.procedure.steps import Step
+from ptnsbc_nodes.bridge.vehicle import Battery
+from ptnsbc_nodes.comm import topics
+from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions
 from ptnsbc_nodes.runtime.lifecycle_node import ManagedNode
 from ptnsbc_sim.scenario import load_scenario
@@ -64,3 +71,16 @@ def test_a_vehicle_that_a_pilot_flies_may_be_left(active, step):
     active.work.bridge.procedure._progress.step = step
     assert active.trigger_deactivate() is SUCCESS
     assert active.trigger_activate() is SUCCESS
+
+
+def test_the_battery_is_published_once_it_is_known(ros, active):
+    heard = []
+    viewer = Endpoints(ros.node("viewer"), lockstep=False)
+    viewer.listen(topics.battery(UAV), bytes, heard.append)
+    ros.spin_until(lambda: not viewer.unheard())
+    active.work.bridge.vehicle.battery = Battery(15.8, None, 75.0)
+    ros.spin_until(lambda: heard)
+    message = deserialize_message(heard[0], BatteryState)
+    assert (message.voltage, message.percentage) == (pytest.approx(15.8), 0.75)
+    assert math.isnan(message.current)
+    assert message.header.stamp.sec > 0

@@ -197,6 +197,10 @@ def test_gps_battery_landing_and_texts():
     assert not vehicle.battery_below(20.0, 0.0)  # one reading may be a dip
     assert vehicle.battery_below(20.0, 3.5)
     assert not vehicle.battery_below(10.0, 4.0)
+    assert vehicle.battery == (None, 0.0, 15.0)
+    unknown = mavlink.MAVLink_sys_status_message(0, 0, 0, 0, 15_800, 1_234, -1, 0, 0, 0, 0, 0, 0)
+    vehicle.on_message(unknown, 4.0)
+    assert vehicle.battery == (15.8, 12.34, 15.0)  # the share that was known last
     vehicle.on_message(mavlink.MAVLink_extended_sys_state_message(0, 2), 0.0)
     assert vehicle.landed is False
     for chunk, text in enumerate((b"Preflight Fail: ", b"no compass\t")):

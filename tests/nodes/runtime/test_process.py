@@ -15,6 +15,8 @@ from own_services import LIFECYCLE, PARAMETERS
 
 pytest.importorskip("rclpy")
 
+from ptnsbc_nodes.comm import topics
+
 ROOT = Path(__file__).resolve().parents[3]
 PATIENCE_S = 240  # the first flight compiles the laws
 
@@ -185,6 +187,8 @@ def test_the_graph_shows_what_the_architecture_lists(ros, start, tmp_path, name)
         "calls": looker.get_client_names_and_types_by_node,
     }
     besides = {"/parameter_events", *([f"{name}/transition_event"] if managed else ())}
+    if topics.tf_is_available():
+        besides.add(topics.TF.name)
     expected = {
         "publishes": (listed("publishes", kind) | besides) - UNUSED[name]["publishes"],
         "hears": listed("hears", kind) - UNUSED[name]["hears"],
