@@ -21,7 +21,7 @@ from ptnsbc_core.control.rigid_body_control import (
     rigid_body_control,
 )
 from ptnsbc_core.estimator import leader_estimate
-from ptnsbc_core.kernel import inline_kernel, kernel
+from ptnsbc_core.kernel import borrowed, inline_kernel, kernel
 from ptnsbc_core.kinematics import state_to_estimate, velocity_enu, yaw_of
 from ptnsbc_core.mission import (
     desired_yaw,
@@ -210,7 +210,7 @@ def step(
     Returns:
         The state for the next tick and what to send now.
     """
-    inputs = _in_numbers(inputs)
+    inputs, config = _in_numbers(inputs), borrowed(config)
     clock = Clock(t, inputs.start_age_s, dt)
     holding = inputs.mode != MODE_FORMATION or link_lost(inputs, clock.start_t, config)
     motions = _motions(state, inputs, clock, config)

@@ -163,6 +163,14 @@ class Trajectory(NamedTuple):
     table: Array  # (R, C) of the kinds that need one, else without rows
 
 
+class Shape(NamedTuple):
+    """How the places of one UAV and its parent move beside the leader, see curves/shape.py."""
+
+    moving: bool
+    turns: bool  # with the heading of the leader's trajectory
+    table: Array  # (R, C) polynomials of the places; without rows when they stand still
+
+
 class ControllerConfig(NamedTuple):
     """Sliding-mode controller (49)-(52) as corrected in docs/method.md."""
 
@@ -205,6 +213,7 @@ class AgentConfig(NamedTuple):
     filter: FilterConfig
     controller: ControllerConfig
     trajectory: Trajectory  # of the leader
+    shape: Shape  # `offset` and `slot` count when it does not move
     association_gate_m: float  # within it a near object is taken to be parent or leader; 0: never
     stale_s: float  # the UAV holds when parent or leader are silent for longer
     hold_gain: float  # [1/s]

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 from ptnsbc_core.algebra import add3, axpy, hadamard3, matvec, norm3, scale3, sub3
 from ptnsbc_core.behaviours.contract import Behaviour, EpochErrors, Neighbour
+from ptnsbc_core.curves.shape import PlaceMotion, places_from_rest
 from ptnsbc_core.kernel import inline_kernel, kernel
 from ptnsbc_core.nullspace import TaskVelocity, damped_solve
 from ptnsbc_core.tasks.approach import homing_speed
@@ -72,14 +73,43 @@ def formation(
     """Velocity of a follower for its formation task; the reference k of the task is the leader plus the anchor."""
     reference = add3(leader.position, config.anchor)
     geometry = evaluate(config.task, position, parent.position, reference)
+    slot, offset, desired = config.slot, config.offset, config.desired
+    if config.shape.moving:
+        own, edge = _moving_places(clock, config)
+        slot, offset, desired = own.position, edge.position, edge.position
+        leader, parent = _moved(leader, own), _moved(parent, edge)
     errors = FormationErrors(
-        task_error(geometry, config.desired),
-        sub3(add3(leader.position, config.slot), position),
-        sub3(config.offset, sub3(position, parent.position)),
+        task_error(geometry, desired),
+        sub3(add3(leader.position, slot), position),
+        sub3(offset, sub3(position, parent.position)),
     )
     if config.approach == APPROACH_PLANNED:
         return _planned(errors, geometry, parent, leader, epoch, clock, config)
     return _by_task(errors, geometry, parent, leader, epoch, clock, config)
+
+
+@kernel
+def _moving_places(clock: Clock, config: AgentConfig) -> tuple[PlaceMotion, PlaceMotion]:
+    """Desired place relative to the leader, and relative to the parent, with their motion."""
+    duration = plan_duration(config.formation)
+    at = places_from_rest(config.shape, config.trajectory, duration, clock.start_t)
+    own, parent = at.own, at.parent
+    return own, PlaceMotion(
+        sub3(own.position, parent.position),
+        sub3(own.velocity, parent.velocity),
+        sub3(own.acceleration, parent.acceleration),
+    )
+
+
+@inline_kernel
+def _moved(other: Neighbour, place: PlaceMotion) -> Neighbour:
+    """The neighbour with the motion of the place beside it: what a place that stands still would have to follow."""
+    return Neighbour(
+        other.position,
+        add3(other.velocity, place.velocity),
+        add3(other.acceleration, place.acceleration),
+        other.delay_s,
+    )
 
 
 @inline_kernel

@@ -12,6 +12,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from ptnsbc_core.control.quadrotor_control import MIN_LIFT_FRACTION
+from ptnsbc_core.curves.shape import place_samples
 from ptnsbc_core.errors import FormationError
 from ptnsbc_core.tasks.registry import desired_value
 from ptnsbc_core.types import (
@@ -35,6 +36,7 @@ from ptnsbc_core.types import (
 )
 from ptnsbc_sim.scenario.gains import Loop
 from ptnsbc_sim.scenario.scenario import Scenario
+from ptnsbc_sim.scenario.shapes import moves, shape_of
 from ptnsbc_sim.scenario.trajectories import trajectory_of
 
 _SHORTEST_ARM_M = 1e-3
@@ -73,6 +75,14 @@ def _loop(scenario: Scenario, loop: Loop) -> LoopGain:
 def leader_trajectory(scenario: Scenario) -> Trajectory:
     """The leader's reference as ptnsbc_core.curves.trajectory reads it."""
     return trajectory_of(scenario.file.leader.trajectory)
+
+
+def places_beside_leader(scenario: Scenario, uav_id: int, times: Array) -> Array:
+    """Desired positions (T, 3) [m], ENU, relative to the leader, at times (T,) [s] since the first epoch."""
+    if uav_id == scenario.leader_id or not moves(scenario.file.formation):
+        return np.tile(scenario.offset(uav_id), (len(times), 1))
+    shape = shape_of(scenario.file, uav_id)
+    return place_samples(shape, leader_trajectory(scenario), times)[:, :3]
 
 
 def reference_offset(scenario: Scenario, uav_id: int) -> Array:
@@ -247,6 +257,7 @@ def agent_config(scenario: Scenario, uav_id: int) -> AgentConfig:
         filter=_filter(scenario),
         controller=_controller(scenario),
         trajectory=leader_trajectory(scenario),
+        shape=shape_of(scenario.file, uav_id),
         association_gate_m=float(scenario.file.formation.sight_m),
         stale_s=float(scenario.file.communication.stale_s),
         hold_gain=float(gains.hold.gain_1_s),

@@ -1,8 +1,8 @@
 """The shortest deadline of the formation in closed form, and the one that `deadline_s: auto` takes.
 
 The planned approach E_0 (1 - h) asks for the largest speed and acceleration of h (`feasible_deadline`). The motion of
-the leader and the drag take their part of the limits of the vehicle, with the largest speed and the largest
-acceleration of the whole flight.
+the leader, that of a shape and the drag take their part of the limits of the vehicle, with the largest speed and the
+largest acceleration of the whole flight.
 """
 
 from __future__ import annotations
@@ -12,17 +12,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ptnsbc_core.curves.trajectory import reference
+from ptnsbc_core.curves.shape import place_samples
+from ptnsbc_core.curves.trajectory import course_samples, reference
 from ptnsbc_core.timebase import feasible_deadline
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario.model import ScenarioFile
 from ptnsbc_sim.scenario.problems import ScenarioError
+from ptnsbc_sim.scenario.shapes import moves, shape_of
 from ptnsbc_sim.scenario.trajectories import Circle, Line, extremes, trajectory_of
 
 AUTO = "auto"
 MARGIN = 1.5
 """`auto` is so many times the shortest deadline."""
 
+_SAMPLE_S, _MOST_SAMPLES = 0.02, 20_000  # of the motion of a shape
 _STEP_S = 0.1  # `auto` is rounded up to it
 
 
@@ -53,6 +56,32 @@ def _leader_motion(file: ScenarioFile) -> tuple[float, float]:
     return most.speed_m_s, most.acceleration_m_s2
 
 
+def _places_motion(file: ScenarioFile, last: float) -> tuple[float, float]:
+    """Largest speed [m/s] and acceleration [m/s^2] of a place of a shape that moves, until `last` [s]; in the world."""
+    curve = trajectory_of(file.leader.trajectory)
+    times = np.linspace(0.0, last, min(max(round(last / _SAMPLE_S), 1), _MOST_SAMPLES) + 1)
+    lead = course_samples(curve, times)
+    speed = acceleration = 0.0
+    for uav in file.formation.offsets_m:
+        place = place_samples(shape_of(file, uav), curve, times)
+        speed = max(speed, _longest(lead[:, 3:6] + place[:, 3:6]))
+        acceleration = max(acceleration, _longest(lead[:, 6:9] + place[:, 6:9]))
+    return speed, acceleration
+
+
+def _longest(vectors: Array) -> float:
+    return float(np.linalg.norm(vectors, axis=1).max())
+
+
+def _motion(file: ScenarioFile) -> tuple[float, float]:
+    """Largest speed [m/s] and acceleration [m/s^2] that the mission asks of a UAV beside the approach."""
+    leader, changes = _leader_motion(file), file.formation.changes
+    if not moves(file.formation) or not file.formation.offsets_m:
+        return leader
+    places = _places_motion(file, changes[0].at_s if changes else file.timing.duration_s)
+    return max(leader[0], places[0]), max(leader[1], places[1])
+
+
 def _vehicle_acceleration(file: ScenarioFile, leader_speed: float) -> float:
     """Acceleration [m/s^2] that the actuators allow in the weakest direction, beside gravity and drag."""
     plant, gravity = file.plant, file.world.gravity_m_s2
@@ -64,18 +93,29 @@ def _vehicle_acceleration(file: ScenarioFile, leader_speed: float) -> float:
     return min([upwards, *([sideways - drag] if gravity > 0 else [])])
 
 
-def limits_left(file: ScenarioFile) -> Limits:
-    """Speed and acceleration that are left for the approach."""
-    speed, acceleration = _leader_motion(file)
+def _left(file: ScenarioFile, speed: float, acceleration: float) -> Limits:
     limits = file.gains.filter
     most = min(limits.max_acceleration_m_s2, _vehicle_acceleration(file, speed))
     return Limits(limits.max_speed_m_s - speed, most - acceleration)
+
+
+def limits_left(file: ScenarioFile) -> Limits:
+    """Speed and acceleration that are left for the approach."""
+    return _left(file, *_motion(file))
+
+
+def limits_left_by_changes(file: ScenarioFile) -> Limits:
+    """Speed and acceleration that the changes of the shape leave."""
+    return _left(file, *_places_motion(file, file.timing.duration_s))
 
 
 def start_errors(file: ScenarioFile) -> dict[int, float]:
     """Distance [m] of every start from its place, by UAV."""
     first = _leader_start(file)
     offsets = {uav: np.array(place) for uav, place in file.formation.offsets_m.items()}
+    if moves(file.formation):
+        curve, now = trajectory_of(file.leader.trajectory), np.zeros(1)
+        offsets = {uav: place_samples(shape_of(file, uav), curve, now)[0, :3] for uav in offsets}
     return {
         uav.id: float(
             np.linalg.norm(first + offsets.get(uav.id, np.zeros(3)) - np.array(uav.position_m))

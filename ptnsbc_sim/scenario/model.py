@@ -23,6 +23,7 @@ from ptnsbc_sim.scenario.fields import (
 )
 from ptnsbc_sim.scenario.gains import Gains
 from ptnsbc_sim.scenario.mavlink import Mavlink
+from ptnsbc_sim.scenario.shapes import Change, ShapeBlock
 from ptnsbc_sim.scenario.trajectories import TrajectoryBlock
 
 STILL = (Wave(amount=0.0, shape="constant"),) * 3
@@ -155,7 +156,8 @@ class Communication(Block):
     """The communication graph of the formation."""
 
     tree: dict[UavId, UavId]
-    """`child: parent`, a tree rooted at the leader."""
+    """`child: parent`, a tree rooted at the leader. `auto` proposes one for the shape: short edges over which the
+    task is well conditioned, at most three hops deep."""
     leader_links: tuple[UavId, ...]
     """Followers that receive the leader's state."""
     estimator_edges: tuple[tuple[UavId, UavId], ...]
@@ -193,7 +195,14 @@ class Formation(Block):
     avoidance: Literal["off", "set_based", "switched"] = "set_based"
     """Rule of the clearance from obstacles and other UAVs."""
     offsets_m: dict[UavId, Vec3]
-    """Desired position of every follower, or of every slot but the leader's, relative to the leader."""
+    """Desired position of every follower, or of every slot but the leader's, relative to the leader. Give this or
+    `shape`."""
+    shape: ShapeBlock | None = None
+    """Offsets by the name of a shape, in the order of `uavs`."""
+    frame: Literal["world", "heading"] = "world"
+    """Axes of the offsets: those of the world, or turned by the heading of the leader's trajectory."""
+    changes: Annotated[tuple[Change, ...], Field(max_length=200)] = ()
+    """Changes of the shape at mission times, each from the one before it by the time profile of the method:"""
     heading_anchor_m: Vec3 = (2.0, 0.0, 0.0)
     """Reference point of the leader's children, relative to the leader."""
     uav_keep_out_m: Positive

@@ -13,6 +13,7 @@ from pydantic import ValidationError
 from ptnsbc_core.topology import Topology
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import reader
+from ptnsbc_sim.scenario.completion import completed_shape
 from ptnsbc_sim.scenario.deadline import AUTO, auto_deadline
 from ptnsbc_sim.scenario.defaults import gain_defaults
 from ptnsbc_sim.scenario.fields import Wave
@@ -283,13 +284,16 @@ class Scenario:
         return tuple(sorted(self.topology.neighbours.get(uav_id, ())))
 
 
-def completed(tree: reader.Tree) -> reader.Tree:
-    """`tree` with default gains; blocks of the wrong type are left for the validation to name."""
+def completed(tree: reader.Tree, source: str = "scenario") -> reader.Tree:
+    """`tree` with default gains, the offsets of shapes, and a tree of communication that was left to us.
+
+    Blocks of the wrong type are left for the validation to name.
+    """
     plant, gains = tree.get("plant"), tree.get("gains")
     kind = plant.get("kind") if isinstance(plant, dict) else None
-    if not isinstance(gains, dict):
-        return tree
-    return {**tree, "gains": reader.merged(gain_defaults(str(kind)), gains)}
+    if isinstance(gains, dict):
+        tree = {**tree, "gains": reader.merged(gain_defaults(str(kind)), gains)}
+    return completed_shape(tree, source)
 
 
 def scenario_from_text(
@@ -324,7 +328,7 @@ def scenario_from_text(
         final = reader.with_table(reader.overridden(final, given, source), source, Path.cwd())
     if given or "extends" in tree or reader.names_table(tree):
         text = reader.dump(final)
-    filled = completed(final)
+    filled = completed(final, source)
     if _deadline_of(filled) == AUTO:
         deadline_s = auto_deadline(_validated(_with_deadline(filled, 1.0), source), source)
         filled = _with_deadline(filled, deadline_s)

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from ptnsbc_core.errors import GainError, TopologyError
 from ptnsbc_core.timebase import peak_gain
 from ptnsbc_core.topology import Topology, validated_topology
-from ptnsbc_sim.scenario import trajectories
+from ptnsbc_sim.scenario import shapes, trajectories
 from ptnsbc_sim.scenario.mavlink import Geofence, Mavlink, vehicle_link
 from ptnsbc_sim.scenario.model import Positioning, ScenarioFile
 from ptnsbc_sim.scenario.problems import ScenarioError
@@ -155,6 +155,10 @@ def _trajectory(file: ScenarioFile) -> Problems:
         yield f"leader.trajectory.{problem}"
 
 
+def _motion_of_shape(file: ScenarioFile) -> Problems:
+    yield from shapes.problems(file)
+
+
 def _sight(file: ScenarioFile) -> Problems:
     shape = file.formation
     if shape.sight_m > 0.5 * shape.uav_keep_out_m:
@@ -230,6 +234,7 @@ _CHECKS: tuple[Callable[[ScenarioFile], Problems], ...] = (
     _links,
     _offsets,
     _trajectory,
+    _motion_of_shape,
     _sight,
     _plant,
     _mavlink,

@@ -17,8 +17,10 @@ from numpy.typing import NDArray
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.topology import Topology, estimator_matrix
 from ptnsbc_core.types import Array
+from ptnsbc_sim.scenario.build import places_beside_leader
 from ptnsbc_sim.scenario.model import ScenarioFile
 from ptnsbc_sim.scenario.scenario import Scenario
+from ptnsbc_sim.scenario.shapes import Change
 
 Slots = Mapping[int, int]
 """Slot of every UAV."""
@@ -56,12 +58,15 @@ def nearest_places(starts: Array, places: Array) -> NDArray[np.int64]:
     return found
 
 
-def optimal_slots(scenario: Scenario, positions: Mapping[int, Array]) -> dict[int, int]:
+def optimal_slots(
+    scenario: Scenario, positions: Mapping[int, Array], t: float = 0.0
+) -> dict[int, int]:
     """The slots for which the sum of the squared distances from the positions to them is minimal.
 
     Args:
         scenario: the UAVs and their offsets.
         positions: (3,) [m], ENU, of every UAV at one instant.
+        t: that instant, in seconds since the first epoch; the places of a shape that moves depend on it.
 
     Raises:
         SlotsError: the position of a UAV is missing or not finite.
@@ -71,7 +76,7 @@ def optimal_slots(scenario: Scenario, positions: Mapping[int, Array]) -> dict[in
         if uav not in positions or not np.isfinite(positions[uav]).all():
             raise SlotsError(f"slots: no finite position of UAV {uav}: expected one of every UAV")
     starts = np.stack([positions[uav] for uav in ids])
-    places = np.stack([scenario.offset(uav) for uav in ids])
+    places = np.concatenate([places_beside_leader(scenario, uav, np.array([t])) for uav in ids])
     order = nearest_places(starts, places)
     return {uav: ids[int(row)] for uav, row in zip(ids, order, strict=True)}
 
@@ -133,9 +138,20 @@ def _file_of(file: ScenarioFile, holder: Mapping[int, int]) -> ScenarioFile:
             ),
             "leader": file.leader.model_copy(update={"id": holder[file.leader.id]}),
             "formation": formation.model_copy(
-                update={"offsets_m": {holder[k]: at for k, at in formation.offsets_m.items()}}
+                update={
+                    "offsets_m": {holder[k]: at for k, at in formation.offsets_m.items()},
+                    "changes": tuple(_change_of(one, holder) for one in formation.changes),
+                }
             ),
         }
+    )
+
+
+def _change_of(change: Change, holder: Mapping[int, int]) -> Change:
+    if change.offsets_m is None:
+        return change
+    return change.model_copy(
+        update={"offsets_m": {holder[k]: at for k, at in change.offsets_m.items()}}
     )
 
 

@@ -22,6 +22,7 @@ from ptnsbc_sim.scenario import reader
 from ptnsbc_sim.scenario.fields import Block, Count, Name, NotNegative, Number, Positive
 from ptnsbc_sim.scenario.problems import ScenarioError, scenario_error
 from ptnsbc_sim.scenario.scenario import completed
+from ptnsbc_sim.scenario.shapes import circle_places, column_places, grid_places, v_places
 from ptnsbc_sim.sweep.starts import Spheres, clear_places, spheres_of
 
 Generator = Callable[[str], np.random.Generator]
@@ -223,34 +224,6 @@ def _parents(kind: str, size: int, depth: int, rng: np.random.Generator) -> dict
     return parents
 
 
-def _v_places(size: int, spacing: float) -> Array:
-    rows = np.array([(uav + 1) // 2 for uav in range(size)], dtype=np.float64)
-    sides = np.array([1.0 if uav % 2 else -1.0 for uav in range(size)])
-    return spacing * np.stack([-0.8 * rows, 0.6 * sides * rows, 0.0 * rows], axis=1)
-
-
-def _line_places(size: int, spacing: float) -> Array:
-    return np.array([[-spacing * uav, 0.0, 0.0] for uav in range(size)])
-
-
-def _grid_places(size: int, spacing: float) -> Array:
-    columns = math.ceil(math.sqrt(size))
-    return np.array(
-        [[-spacing * (uav // columns), spacing * (uav % columns), 0.0] for uav in range(size)]
-    )
-
-
-def _circle_places(size: int, spacing: float) -> Array:
-    """The leader in the middle, the followers around it."""
-    followers = max(size - 1, 1)
-    radius = max(
-        spacing, 0.5 * spacing / math.sin(math.pi / followers) if followers > 1 else spacing
-    )
-    angles = 2.0 * math.pi * np.arange(followers) / followers
-    ring = radius * np.stack([np.cos(angles), np.sin(angles), 0.0 * angles], axis=1)
-    return np.concatenate([np.zeros((1, 3)), ring])[:size]
-
-
 def _random_places(size: int, spacing: float, rng: np.random.Generator) -> Array:
     half = 1.5 * spacing * math.sqrt(size) * np.array([1.0, 1.0, 0.25])
     return np.concatenate([np.zeros((1, 3)), _spread(size - 1, half, spacing, rng)])
@@ -271,7 +244,7 @@ def _places(kind: str, size: int, spacing: float, rng: np.random.Generator) -> A
     """Places (N, 3) [m] relative to the leader, which is the first."""
     if kind == "random":
         return _random_places(size, spacing, rng)
-    make = {"v": _v_places, "line": _line_places, "grid": _grid_places, "circle": _circle_places}
+    make = {"v": v_places, "line": column_places, "grid": grid_places, "circle": circle_places}
     return make[kind](size, spacing)
 
 

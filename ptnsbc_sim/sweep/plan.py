@@ -210,7 +210,7 @@ def draw(plan: SweepPlan, k: int) -> Scenario:
 def drawn_scenario(plan: SweepPlan, k: int) -> tuple[Scenario, Mapping[str, Value]]:
     """The scenario of draw k for the loop, and what was drawn: no YAML is written and read, so `text` is empty."""
     tree, values = _drawn(plan, k)
-    full = completed(tree)
+    full = completed(tree, _source(plan, k))
     try:
         file = ScenarioFile.model_validate(full)
     except ValidationError as error:

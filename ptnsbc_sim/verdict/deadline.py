@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from ptnsbc_core.curves.trajectory import reference_positions
 from ptnsbc_core.types import Array
-from ptnsbc_sim.scenario.build import leader_trajectory
+from ptnsbc_sim.scenario.build import leader_trajectory, places_beside_leader
+from ptnsbc_sim.scenario.shapes import moves
 from ptnsbc_sim.verdict.coverage import Coverage, first_bad_s, incomplete, silent_from_s
 from ptnsbc_sim.verdict.encounters import Window, ancestors, inside
 from ptnsbc_sim.verdict.recording import NANO, Recording, counter_rise
@@ -63,15 +64,20 @@ class UavVerdict:
 def formation_errors(
     recording: Recording, grid: NDArray[np.int64], positions: dict[int, Array]
 ) -> dict[int, Array]:
-    """Formation error (T,) [m]: |(p_i - p_1) - o_i|, for the leader |p_1 - p_r(t)|."""
+    """Formation error (T,) [m]: |(p_i - p_1) - o_i(t)|, for the leader |p_1 - p_r(t)|."""
     scenario = recording.flown
     leader = positions[scenario.leader_id]
     vector = leader_trajectory(scenario)
     times = np.asarray((grid - recording.first_ns) * NANO, dtype=np.float64)  # of the first leg
     path = reference_positions(vector, times)
-    errors = {}
+    errors, moving = {}, moves(scenario.file.formation)
     for uav in scenario.uav_ids:
-        goal = path if uav == scenario.leader_id else leader + scenario.offset(uav)
+        if uav == scenario.leader_id:
+            goal = path
+        elif moving:
+            goal = leader + places_beside_leader(scenario, uav, times)
+        else:
+            goal = leader + scenario.offset(uav)
         errors[uav] = lengths(positions[uav] - goal)
     return errors
 

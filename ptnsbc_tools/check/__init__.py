@@ -6,10 +6,11 @@ from collections.abc import Callable, Sequence
 
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_tools.check.finding import ERROR, INFO, WARNING, CheckError, Finding, Findings
-from ptnsbc_tools.check.gains import feasible, order, printed, steps
+from ptnsbc_tools.check.gains import changes, feasible, order, printed, steps
 from ptnsbc_tools.check.geometry import (
     encounters,
     graph,
+    moving_spacing,
     sensor,
     shape,
     spacing,
@@ -24,12 +25,14 @@ _CHECKS: Sequence[Callable[[Scenario], Findings]] = (
     graph,
     shape,
     spacing,
+    moving_spacing,
     starts_clear,
     steps,
     order,
     printed,
     slots,
     feasible,
+    changes,
     trajectory,
     encounters,
     sensor,

@@ -5,7 +5,12 @@ from __future__ import annotations
 from ptnsbc_core.timebase import peak_gain
 from ptnsbc_core.types import LoopGain
 from ptnsbc_sim.scenario import Scenario, agent_config
-from ptnsbc_sim.scenario.deadline import limits_left, shortest_deadlines, start_errors
+from ptnsbc_sim.scenario.deadline import (
+    limits_left,
+    limits_left_by_changes,
+    shortest_deadlines,
+    start_errors,
+)
 from ptnsbc_sim.scenario.semantics import STABILITY_LIMIT
 from ptnsbc_sim.scenario.slots import with_slots_of_starts
 from ptnsbc_tools.check.finding import ERROR, INFO, WARNING, Finding, Findings
@@ -76,6 +81,31 @@ def printed(scenario: Scenario) -> Findings:
             "paper on a quadrotor",
             "soft or reference, or plant.kind rigid_body_6dof",
             "flown so, paper_5 saturates: no UAV meets the deadline, three of them are metres off",
+        )
+
+
+def changes(scenario: Scenario) -> Findings:
+    """The changes of the shape against the limits of speed and acceleration, and against the deadline."""
+    found = scenario.file.formation.changes
+    if not found or not scenario.followers:
+        return
+    left = limits_left_by_changes(scenario.file)
+    short = min(left) <= 0
+    yield Finding(
+        ERROR if short else INFO,
+        "formation.changes",
+        f"they leave {left.speed_m_s:.2f} m/s and {left.acceleration_m_s2:.2f} m/s^2 of the limits",
+        "> 0",
+        "lengthen over_s, or bring the shapes closer together" if short else "",
+    )
+    deadline = scenario.gains.formation.deadline_s
+    if found[0].at_s < deadline:
+        yield Finding(
+            WARNING,
+            "formation.changes[0].at_s",
+            f"{found[0].at_s:g} s",
+            f">= {deadline:g} s, gains.formation.deadline_s",
+            "let the first shape come about before it changes",
         )
 
 

@@ -11,13 +11,15 @@ from ptnsbc_core.errors import FormationError
 from ptnsbc_core.tasks.registry import conditioning
 from ptnsbc_core.types import TASKS, Array
 from ptnsbc_sim.scenario import Scenario, agent_config
-from ptnsbc_sim.scenario.build import leader_trajectory, reference_offset
+from ptnsbc_sim.scenario.build import leader_trajectory, places_beside_leader, reference_offset
 from ptnsbc_sim.scenario.semantics import STABILITY_LIMIT, estimator_peak, estimator_step
+from ptnsbc_sim.scenario.shapes import moves
 from ptnsbc_sim.scenario.slots import with_slots_of_starts
 from ptnsbc_tools.check.finding import ERROR, INFO, WARNING, Finding, Findings
 
 _SINGULAR = 0.02  # smallest singular value [1] of a scaled task with which a formation can be held
 _PATH_STEP_S = 0.05
+_SAMPLES = 5000  # of a flight
 
 
 def graph(scenario: Scenario) -> Findings:
@@ -112,6 +114,30 @@ def spacing(scenario: Scenario) -> Findings:
             )
 
 
+def moving_spacing(scenario: Scenario) -> Findings:
+    """Desired positions of a shape that moves, against the keep-out distance, along the whole flight."""
+    if not moves(scenario.file.formation) or len(scenario.uav_ids) < 2:
+        return
+    keep_out = scenario.uav_keep_out_m + scenario.gains.clearance.margin_m
+    scenario = with_slots_of_starts(scenario)
+    times = np.linspace(0.0, scenario.duration_s, _SAMPLES)
+    places = {uav: places_beside_leader(scenario, uav, times) for uav in scenario.uav_ids}
+    gaps = {
+        (a, b): np.linalg.norm(places[a] - places[b], axis=1)
+        for a, b in combinations(scenario.uav_ids, 2)
+    }
+    a, b = min(gaps, key=lambda pair: float(gaps[pair].min()))
+    first = int(np.argmin(gaps[a, b]))
+    least = float(gaps[a, b][first])
+    yield Finding(
+        ERROR if least < keep_out else INFO,
+        "formation.changes" if scenario.file.formation.changes else "formation.frame",
+        f"the places of UAV {a} and UAV {b} come as close as {least:.2f} m at t = {times[first]:.1f} s",
+        f">= {keep_out:g} m",
+        "widen the shapes, or go through another one" if least < keep_out else "",
+    )
+
+
 def starts_clear(scenario: Scenario) -> Findings:
     """Starts against the keep-out distances of obstacles."""
     for index, uav in enumerate(scenario.uav_ids):
@@ -133,7 +159,7 @@ def _path(scenario: Scenario, times: Array) -> Array:
 
 
 def encounters(scenario: Scenario) -> Findings:
-    """Obstacles on the path of the formation, which counts as rigid after the deadline."""
+    """Obstacles on the path of the formation after the deadline."""
     deadline = scenario.gains.formation.deadline_s
     scenario = with_slots_of_starts(scenario)
     if scenario.duration_s <= deadline or not scenario.obstacles:
@@ -143,7 +169,8 @@ def encounters(scenario: Scenario) -> Findings:
     off = scenario.file.formation.avoidance == "off"
     for obstacle in scenario.obstacles:
         for uav in scenario.uav_ids:
-            distance = np.linalg.norm(path + scenario.offset(uav) - obstacle.position, axis=1)
+            beside = places_beside_leader(scenario, uav, times)
+            distance = np.linalg.norm(path + beside - obstacle.position, axis=1)
             closest = int(np.argmin(distance))
             if distance[closest] >= obstacle.keep_out_m:
                 continue

@@ -7,7 +7,7 @@ import numpy as np
 from ptnsbc_core.curves.trajectory import reference_positions
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import Scenario
-from ptnsbc_sim.scenario.build import leader_trajectory
+from ptnsbc_sim.scenario.build import leader_trajectory, places_beside_leader
 from ptnsbc_sim.scenario.mavlink import Geofence
 from ptnsbc_sim.scenario.trajectories import extremes
 from ptnsbc_tools.check.finding import ERROR, INFO, WARNING, Finding, Findings
@@ -73,7 +73,7 @@ def _region(scenario: Scenario) -> Findings:
     """Height above the ground, and the fence, of every place of the formation."""
     times = np.linspace(0.0, scenario.duration_s, _SAMPLES)
     path = reference_positions(leader_trajectory(scenario), times)
-    places = {uav: path + scenario.offset(uav) for uav in scenario.uav_ids}
+    places = {uav: path + places_beside_leader(scenario, uav, times) for uav in scenario.uav_ids}
     lowest = min(places, key=lambda uav: float(places[uav][:, 2].min()))
     height = float(places[lowest][:, 2].min())
     yield Finding(

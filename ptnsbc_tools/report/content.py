@@ -16,7 +16,8 @@ import numpy as np
 
 from ptnsbc_core.curves.trajectory import reference
 from ptnsbc_core.types import Array
-from ptnsbc_sim.scenario.build import leader_trajectory
+from ptnsbc_sim.scenario.build import leader_trajectory, places_beside_leader
+from ptnsbc_sim.scenario.shapes import moves
 from ptnsbc_sim.verdict import Series, Track
 from ptnsbc_sim.verdict.recording import NANO
 from ptnsbc_tools.plotting.chart import COLOURS, DARK_COLOURS, Chart, look
@@ -120,7 +121,7 @@ def _space(flight: FlightView, pack: Pack) -> dict[str, Any]:
         "legs": _legs(flight, t),
         "deadlines": [mark.t for mark in deadlines(flight)],
         "keepOut": scenario.uav_keep_out_m,
-        "uavs": [_uav(flight, uav) for uav in flight.uavs],
+        "uavs": [_uav(flight, uav, stamps, pack) for uav in flight.uavs],
         "obstacles": [
             {"name": one.name, "place": one.position.tolist(), "keepOut": float(one.keep_out_m)}
             for one in scenario.obstacles
@@ -135,7 +136,20 @@ def _legs(flight: FlightView, t: Array) -> list[tuple[float, str]]:
     return [(begin, leg) for begin, leg in begun if 0 < begin <= float(t[-1])]
 
 
-def _uav(flight: FlightView, uav: int) -> dict[str, Any]:
+def _moving_places(
+    flight: FlightView, uav: int, stamps: np.ndarray[Any, np.dtype[np.int64]], pack: Pack
+) -> list[int] | None:
+    """Places (F, 3) of a UAV beside the leader at every instant; None where they stand still."""
+    scenario = flight.scenario
+    if not moves(scenario.file.formation) or uav == scenario.leader_id:
+        return None
+    times = np.maximum((stamps - flight.recording.first_ns) * NANO, 0.0)
+    return pack.add(places_beside_leader(scenario, uav, times))
+
+
+def _uav(
+    flight: FlightView, uav: int, stamps: np.ndarray[Any, np.dtype[np.int64]], pack: Pack
+) -> dict[str, Any]:
     scenario = flight.scenario
     leader = uav == scenario.leader_id
     style = look(scenario.uav_ids.index(uav))
@@ -144,6 +158,7 @@ def _uav(flight: FlightView, uav: int) -> dict[str, Any]:
         "leader": leader,
         "parent": scenario.parent(uav),
         "offset": None if leader else scenario.offset(uav).tolist(),
+        "places": _moving_places(flight, uav, stamps, pack),
         "colour": style.colour,
         "dash": style.dash,
         "avoiding": [flight.seconds(window) for window in flight.avoiding(uav)],

@@ -16,6 +16,7 @@ async function flightData() {
   const array = ([offset, length]) => floats.subarray(offset, offset + length);
   if (text.space) {
     for (const key of ["t", "poses", "path"]) text.space[key] = array(text.space[key]);
+    for (const uav of text.space.uavs) if (uav.places) uav.places = array(uav.places);
   }
   for (const chart of text.charts) {
     for (const curve of chart.curves) {
@@ -71,6 +72,14 @@ class Motion {
     const size = Math.hypot(mixed[3], mixed[4], mixed[5], mixed[6]) || 1;
     for (let i = 3; i < 7; i++) mixed[i] /= size;
     return mixed;
+  }
+
+  /** Where a UAV is to be beside the leader; null for the leader. */
+  beside(uav, now) {
+    const { offset, places } = this.space.uavs[uav];
+    if (!places) return offset;
+    const a = 3 * indexAt(this.space.t, now);
+    return [places[a], places[a + 1], places[a + 2]];
   }
 
   speed(uav, now) {

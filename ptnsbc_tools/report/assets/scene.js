@@ -310,8 +310,9 @@ class Scene {
       const below = [pose[0], pose[1], this.floor];
       items.push({ depth: 1e6, draw: () => this.stem(pose, below) });
       items.push({ depth: seen[2], draw: () => this.craft(uav, pose, seen) });
-      if (uav.offset && leaderAt >= 0) {
-        const goal = uav.offset.map((one, k) => one + this.poses[leaderAt][k]);
+      const beside = this.motion.beside(i, this.now);
+      if (beside && leaderAt >= 0) {
+        const goal = beside.map((one, k) => one + this.poses[leaderAt][k]);
         this.addGoal(items, goal, this.state.colour(uav));
       }
     });

@@ -11,7 +11,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from ptnsbc_sim.scenario import load_scenario
+from ptnsbc_sim.scenario.build import places_beside_leader
+from ptnsbc_sim.swarm import fly as fly_headless
 from ptnsbc_sim.verdict import Series
+from ptnsbc_sim.verdict.headless import recording_of
 from ptnsbc_tools.plotting.flight import view_of
 from ptnsbc_tools.reading.diagnostics import StatusSeries
 from ptnsbc_tools.report.content import Pack, content
@@ -56,6 +60,16 @@ def test_the_tree_and_the_places_in_it(fly):
     assert [uav["parent"] for uav in uavs] == [None, 1, 2, 3, 4]
     assert [uav["leader"] for uav in uavs] == [True, False, False, False, False]
     assert uavs[1]["offset"] == recording.scenario.offset(2).tolist()
+    assert uavs[1]["places"] is None
+
+
+def test_places_of_a_shape_that_moves():
+    scenario = load_scenario("figure_eight", {"timing.duration_s": 2.0})
+    found = Unpacked(recording_of(fly_headless(scenario)))
+    uavs, t = found.space["uavs"], found.array(found.space["t"])
+    assert uavs[0]["places"] is None
+    places = found.array(uavs[3]["places"]).reshape(-1, 3)
+    np.testing.assert_allclose(places, places_beside_leader(scenario, 4, t), atol=1e-6)
 
 
 def test_a_quaternion_that_changes_sign_is_no_turn(fly):

@@ -1,0 +1,212 @@
+"""What a scenario leaves to us: the offsets of a named shape, and a tree for it.
+
+Both are worked out on the tree of the file, before the schema reads it. The schema names what is malformed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from pydantic import TypeAdapter, ValidationError
+
+from ptnsbc_core.errors import FormationError
+from ptnsbc_core.tasks.registry import conditioning
+from ptnsbc_core.types import TASKS, Array
+from ptnsbc_sim.scenario.fields import Vec3
+from ptnsbc_sim.scenario.problems import ScenarioError
+from ptnsbc_sim.scenario.shapes import Change, ShapeBlock, changed, named_places
+
+AUTO_TREE = "auto"
+_DEEPEST = 3  # hops of a proposed tree
+_POWERS = (
+    3.0,
+    2.0,
+    1.5,
+    1.25,
+    1.0,
+)  # of an edge's length: the first one whose tree is not too deep
+_CONDITIONED = 0.35  # smallest singular value of a task below which it is damped
+
+Tree = dict[Any, Any]
+Offsets = dict[int, list[float]]
+
+
+def completed_shape(tree: Tree, source: str) -> Tree:
+    """`tree` with offsets where it names shapes, and with a communication tree where it says `auto`.
+
+    Raises:
+        ScenarioError: both a shape and offsets are given, or no tree fits the shape.
+    """
+    formation = tree.get("formation")
+    ids = _followers(tree)
+    if not isinstance(formation, dict) or ids is None:
+        if isinstance(formation, dict) and formation.get("shape") is not None:
+            tree = {**tree, "formation": {"offsets_m": {}, **formation}}
+        return _without_auto(tree)
+    formation = _with_offsets(formation, ids, "formation", source)
+    formation = _with_changes(formation, ids, source)
+    if formation is not tree["formation"]:
+        tree = {**tree, "formation": formation}
+    return _with_tree(tree, ids, source)
+
+
+def _followers(tree: Tree) -> list[int] | None:
+    """The ids of the followers in the order of the file; None where it is malformed."""
+    uavs, leader = tree.get("uavs"), tree.get("leader")
+    if not isinstance(uavs, list) or not isinstance(leader, dict):
+        return None
+    ids: list[Any] = [uav.get("id") if isinstance(uav, dict) else None for uav in uavs]
+    if not all(type(uav) is int for uav in ids) or len(set(ids)) != len(ids):
+        return None
+    return [uav for uav in ids if uav != leader.get("id")]
+
+
+def _shape(block: Tree) -> ShapeBlock | None:
+    try:
+        return ShapeBlock.model_validate(block.get("shape"))
+    except ValidationError:
+        return None
+
+
+def _offsets(block: Tree) -> dict[int, Array] | None:
+    try:
+        found = TypeAdapter(dict[int, Vec3]).validate_python(block.get("offsets_m"))
+    except ValidationError:
+        return None
+    return {uav: np.array(place) for uav, place in found.items()}
+
+
+def _with_offsets(block: Tree, ids: list[int], where: str, source: str) -> Tree:
+    if block.get("shape") is None:
+        return block
+    if block.get("offsets_m") is not None:
+        raise ScenarioError(
+            f"{source}: {where}.shape: expected either shape or offsets_m, not both"
+        )
+    shape = _shape(block)
+    if shape is None:
+        return {**block, "offsets_m": {}}
+    places = named_places(shape, len(ids) + 1)[1:]
+    return {**block, "offsets_m": dict(zip(ids, places.tolist(), strict=True))}
+
+
+def _with_changes(formation: Tree, ids: list[int], source: str) -> Tree:
+    """Each change to a named shape with the places that the followers take: those with the least squared distances."""
+    changes, present = formation.get("changes"), _offsets(formation)
+    if not isinstance(changes, list) or present is None or set(present) != set(ids):
+        return formation
+    now = np.stack([present[uav] for uav in ids]) if ids else np.zeros((0, 3))
+    held, filled = now, []
+    for index, block in enumerate(changes):
+        if not isinstance(block, dict):
+            return formation
+        whole = _with_offsets(block, ids, f"formation.changes[{index}]", source)
+        try:
+            change = Change.model_validate(whole)
+        except ValidationError:
+            return formation
+        if change.offsets_m is not None:
+            if set(change.offsets_m) != set(ids):
+                return formation
+            held = np.array([change.offsets_m[uav] for uav in ids])
+        if change.shape is not None:
+            held = held[_nearest(now, changed(change, held))]
+            whole = {**whole, "offsets_m": dict(zip(ids, held.tolist(), strict=True))}
+        now = changed(change, held)
+        filled.append(whole)
+    return {**formation, "changes": filled}
+
+
+def _nearest(now: Array, places: Array) -> Array:
+    from scipy.optimize import linear_sum_assignment  # late: half a second
+
+    costs = np.sum((now[:, None] - places[None]) ** 2, axis=2)
+    return np.asarray(linear_sum_assignment(costs)[1])
+
+
+def _without_auto(tree: Tree) -> Tree:
+    """`tree` with no communication tree instead of `auto`: something else is malformed, and that is to be named."""
+    links = tree.get("communication")
+    if not isinstance(links, dict) or links.get("tree") != AUTO_TREE:
+        return tree
+    return {**tree, "communication": {**links, "tree": {}}}
+
+
+def _with_tree(tree: Tree, ids: list[int], source: str) -> Tree:
+    links, formation = tree.get("communication"), tree["formation"]
+    if not isinstance(links, dict) or links.get("tree") != AUTO_TREE:
+        return tree
+    offsets, leader = _offsets(formation), tree["leader"].get("id")
+    task, anchor = formation.get("task"), formation.get("heading_anchor_m", [2.0, 0.0, 0.0])
+    whole = offsets is not None and set(offsets) == set(ids) and len(ids) < len(tree["uavs"])
+    if offsets is None or not whole or task not in TASKS or not isinstance(anchor, list):
+        return _without_auto(tree)
+    places = {leader: np.zeros(3), **offsets}
+    parents = proposed_tree(places, leader, task, np.array(anchor, dtype=np.float64))
+    missing = sorted(set(ids) - set(parents))
+    if missing:
+        raise ScenarioError(
+            f"{source}: communication.tree: auto: no well conditioned parent for UAV {missing[0]}: expected "
+            "another shape, formation.task: relative_position, or the tree itself"
+        )
+    return {**tree, "communication": {**links, "tree": parents}}
+
+
+def proposed_tree(
+    places: Mapping[int, Array], leader: int, task: str, anchor: Array
+) -> dict[int, int]:
+    """Parent of every follower that one can be found for.
+
+    The tree is that of shortest paths from the leader, over edges that cost a power of their length. A high power
+    prefers short edges, and 1 hangs every follower directly on the leader. The highest power with a depth of three at
+    most is taken. Edges over which the task is badly conditioned are left out.
+
+    Args:
+        places: (3,) [m] of every UAV, relative to the leader.
+        leader: its id.
+        task: name of the formation task.
+        anchor: (3,) [m], the reference of the leader's children.
+    """
+    from scipy.sparse.csgraph import dijkstra  # late: half a second
+
+    ids = sorted(places)
+    lengths = np.full((len(ids), len(ids)), np.inf)
+    for row, above in enumerate(ids):
+        reference = anchor if above == leader else np.zeros(3)
+        for column, uav in enumerate(ids):
+            if uav not in (leader, above) and _usable(task, places[uav], places[above], reference):
+                lengths[row, column] = np.linalg.norm(places[uav] - places[above])
+    root, found = ids.index(leader), np.zeros(0)
+    for power in _POWERS:
+        costs = lengths**power
+        costs[~np.isfinite(costs)] = 0.0  # no edge
+        _, found = dijkstra(costs, indices=root, return_predecessors=True)
+        if _depth(found, root) <= _DEEPEST:
+            break
+    return {uav: ids[int(above)] for uav, above in zip(ids, found, strict=True) if above >= 0}
+
+
+def _depth(parents: Array, root: int) -> int:
+    deepest = 0
+    for node in range(len(parents)):
+        hops, at = 0, node
+        while at != root and parents[at] >= 0:
+            hops, at = hops + 1, int(parents[at])
+        deepest = max(deepest, hops)
+    return deepest
+
+
+def _usable(task: str, own: Array, above: Array, reference: Array) -> bool:
+    """Whether a follower can hold its place by this task with that parent."""
+    arm = float(np.hypot(*(own - above)[:2]))
+    if task == "relative_position":
+        return True
+    if arm < 1e-3:
+        return False
+    scale = (1.0, arm, arm) if task == "distance_angles" else (1.0, arm, 1.0)
+    try:
+        return conditioning(TASKS[task], own, above, reference, scale) >= _CONDITIONED
+    except FormationError:
+        return False

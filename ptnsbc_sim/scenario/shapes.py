@@ -1,0 +1,196 @@
+"""The shape of a formation: a library of shapes, changes at mission times, and the tree that fits a shape.
+
+A scenario names a shape instead of offsets; `completed` puts the offsets into its tree before the schema reads it.
+What moves becomes a table of polynomials (ptnsbc_core.curves.piecewise) for each UAV.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from itertools import pairwise
+from typing import Any, Literal
+
+import numpy as np
+
+from ptnsbc_core.curves.piecewise import COEFFICIENTS
+from ptnsbc_core.curves.shape import CHANNELS
+from ptnsbc_core.types import Array, Shape
+from ptnsbc_sim.scenario.fields import Block, NotNegative, Number, Positive, UavId, Vec3
+
+_RISE = (-20.0, 70.0, -84.0, 35.0)  # h of the time base, the powers 7 to 4
+
+
+class ShapeBlock(Block):
+    """Offsets by the name of a shape."""
+
+    kind: Literal["v", "line", "column", "grid", "circle", "sphere"]
+    """`v`: a wedge behind the leader; `line`: side by side; `column`: one behind the other; `grid`: rows behind the
+    leader; `circle`, `sphere`: around the leader. Ahead is along x."""
+    spacing_m: Positive
+    """Distance of neighbours."""
+
+
+class Change(Block):
+    """What the formation changes to."""
+
+    at_s: NotNegative
+    """Begin, after the first epoch."""
+    over_s: Positive
+    """Duration: by then the UAVs are in the changed shape."""
+    shape: ShapeBlock | None = None
+    """Shape to take. The UAVs take the places for which the sum of the squared distances is minimal. Default: the
+    present one."""
+    offsets_m: dict[UavId, Vec3] | None = None
+    """Offsets to take instead of a named shape."""
+    scale: Vec3 = (1.0, 1.0, 1.0)
+    """Factors on the offsets, along the axes of the shape."""
+    shear: Number = 0.0
+    """Metres ahead for each metre to the left."""
+    rotation_rad: Number = 0.0
+    """Turn of the shape about the vertical, from its first position."""
+
+
+def v_places(size: int, spacing: float) -> Array:
+    """Places (N, 3) [m] of a wedge, the leader at its tip."""
+    rows = np.array([(uav + 1) // 2 for uav in range(size)], dtype=np.float64)
+    sides = np.array([1.0 if uav % 2 else -1.0 for uav in range(size)])
+    return spacing * np.stack([-0.8 * rows, 0.6 * sides * rows, 0.0 * rows], axis=1)
+
+
+def line_places(size: int, spacing: float) -> Array:
+    """Side by side, left and right of the leader in turn."""
+    rows = np.array([(uav + 1) // 2 for uav in range(size)], dtype=np.float64)
+    sides = np.array([1.0 if uav % 2 else -1.0 for uav in range(size)])
+    return spacing * np.stack([0.0 * rows, sides * rows, 0.0 * rows], axis=1)
+
+
+def column_places(size: int, spacing: float) -> Array:
+    """One behind the other."""
+    return np.array([[-spacing * uav, 0.0, 0.0] for uav in range(size)])
+
+
+def grid_places(size: int, spacing: float) -> Array:
+    """Rows behind the leader, which has a corner."""
+    columns = math.ceil(math.sqrt(size))
+    return np.array(
+        [[-spacing * (uav // columns), spacing * (uav % columns), 0.0] for uav in range(size)]
+    )
+
+
+def circle_places(size: int, spacing: float) -> Array:
+    """The leader in the middle, the followers around it."""
+    followers = max(size - 1, 1)
+    radius = max(
+        spacing, 0.5 * spacing / math.sin(math.pi / followers) if followers > 1 else spacing
+    )
+    angles = 2.0 * math.pi * np.arange(followers) / followers
+    ring = radius * np.stack([np.cos(angles), np.sin(angles), 0.0 * angles], axis=1)
+    return np.concatenate([np.zeros((1, 3)), ring])[:size]
+
+
+def sphere_places(size: int, spacing: float) -> Array:
+    """The leader in the middle, the followers on a sphere, by the golden angle."""
+    followers = max(size - 1, 1)
+    heights = 1.0 - 2.0 * (np.arange(followers) + 0.5) / followers
+    angles = math.pi * (3.0 - math.sqrt(5.0)) * np.arange(followers)
+    wide = np.sqrt(1.0 - heights**2)
+    ball = np.stack([wide * np.cos(angles), wide * np.sin(angles), heights], axis=1)
+    gaps = np.linalg.norm(ball[:, None] - ball[None], axis=2) + 9.0 * np.eye(followers)
+    ball *= spacing / min(1.0, float(gaps.min()))
+    return np.concatenate([np.zeros((1, 3)), ball])[:size]
+
+
+_PLACES: Mapping[str, Callable[[int, float], Array]] = {
+    "v": v_places,
+    "line": line_places,
+    "column": column_places,
+    "grid": grid_places,
+    "circle": circle_places,
+    "sphere": sphere_places,
+}
+
+
+def named_places(block: ShapeBlock, size: int) -> Array:
+    """Places (N, 3) [m] of a shape beside its leader, which is the first."""
+    return _PLACES[block.kind](size, block.spacing_m)
+
+
+def changed(change: Change, place: Array) -> Array:
+    """A place (..., 3) scaled and sheared by a change."""
+    return np.array(change.scale) * place + change.shear * place[..., 1:2] * np.eye(3)[0]
+
+
+NO_TABLE = np.zeros((0, 1 + COEFFICIENTS * CHANNELS))
+STANDING = Shape(False, False, NO_TABLE)
+"""A shape that does not move in itself."""
+
+
+def moves(formation: Any) -> bool:
+    """Whether the shape of a formation block moves in itself."""
+    return formation.frame == "heading" or bool(formation.changes)
+
+
+def shape_of(file: Any, uav: int) -> Shape:
+    """The motion of the places of a UAV and its parent, in a whole scenario file."""
+    formation = file.formation
+    if not moves(formation):
+        return STANDING
+    parent = file.communication.tree.get(uav)
+    own, above = _stages(formation, uav), _stages(formation, parent)
+    turns = [0.0, *(change.rotation_rad for change in formation.changes)]
+    stages = np.concatenate([own, above, np.array(turns)[:, None]], axis=1)
+    return Shape(True, formation.frame == "heading", _table(formation.changes, stages))
+
+
+def _stages(formation: Any, uav: int | None) -> Array:
+    """Places (1 + C, 3) of a UAV in the axes of the shape: at first and after each change; zeros for the leader."""
+    place = np.array(formation.offsets_m.get(uav, (0.0, 0.0, 0.0)), dtype=np.float64)
+    found = [place]
+    for change in formation.changes:
+        if change.offsets_m is not None:
+            place = np.array(change.offsets_m.get(uav, (0.0, 0.0, 0.0)), dtype=np.float64)
+        found.append(changed(change, place))
+    return np.stack(found)
+
+
+def _table(changes: tuple[Change, ...], stages: Array) -> Array:
+    """Polynomials from stage to stage (1 + C, 7): at rest, then by h of the time base, then at rest again."""
+    rows = [_row(0.0, stages[0], np.zeros(CHANNELS), 1.0)]
+    for change, (before, after) in zip(changes, pairwise(stages), strict=True):
+        rows.append(_row(change.at_s, before, after - before, change.over_s))
+        rows.append(_row(change.at_s + change.over_s, after, np.zeros(CHANNELS), 1.0))
+    return np.array(rows)
+
+
+def _row(begin: float, first: Array, step: Array, over: float) -> Array:
+    row = np.zeros(1 + COEFFICIENTS * CHANNELS)
+    row[0] = begin
+    for channel in range(CHANNELS):
+        at = 1 + COEFFICIENTS * channel
+        for k, factor in enumerate(_RISE):
+            row[at + k] = factor * step[channel] / over ** (7 - k)
+        row[at + COEFFICIENTS - 1] = first[channel]
+    return row
+
+
+def problems(file: Any) -> Iterator[str]:
+    """What is wrong with a shape that moves."""
+    formation, last = file.formation, 0.0
+    if not moves(formation):
+        return
+    for key, word in (("task", "relative_position"), ("approach", "planned")):
+        value = getattr(formation, key)
+        if value != word:
+            yield (
+                f"formation.{key}: {value}: expected {word} for a shape that moves "
+                "(formation.frame: heading, formation.changes)"
+            )
+    followers = [uav.id for uav in file.uavs if uav.id != file.leader.id]
+    for index, change in enumerate(formation.changes):
+        where = f"formation.changes[{index}]"
+        if change.at_s < last:
+            yield f"{where}.at_s: {change.at_s:g}: expected at least {last:g}, the end of the change before"
+        last = change.at_s + change.over_s
+        for uav in sorted(set(followers).symmetric_difference(change.offsets_m or followers)):
+            yield f"{where}.offsets_m.{uav}: expected an offset of each follower {followers}, and of no other UAV"
