@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from ptnsbc_core.curves.trajectory import reference_positions
@@ -16,7 +18,7 @@ from ptnsbc_nodes.uav.slots import OpenSlots, SlotDecider, at_epoch
 from ptnsbc_nodes.uav.step_log import sources, used_by
 from ptnsbc_sim.scenario import agent_config, load_scenario
 from ptnsbc_sim.scenario.build import leader_trajectory
-from ptnsbc_sim.scenario.slots import with_slots
+from ptnsbc_sim.scenario.slots import optimal_slots, with_slots
 from ptnsbc_sim.world import World
 
 OPEN = {"formation.assignment": "optimal", "formation.task": "relative_position"}
@@ -108,6 +110,28 @@ def test_the_decision_waits_for_the_odometry_of_all() -> None:
     assert len(said) == 1  # decided once
     decider.decide(8)
     assert [one.t0_ns for one in said] == [7, 8]
+
+
+def test_a_later_decision_takes_the_places_of_its_time() -> None:
+    """The shape has turned by 1.2 rad since the first epoch."""
+    turn = {"at_s": 6.0, "over_s": 2.0, "rotation_rad": 1.2}
+    changes = {"formation.task": "relative_position", "formation.changes": [turn]}
+    scenario = load_scenario("paper_5_free", {**changes, "formation.assignment": "optimal"})
+    said: list[Decision] = []
+    decider = SlotDecider(scenario, said.append)
+    starts = {uav: scenario.offset(uav) for uav in scenario.uav_ids}
+    for uav, place in starts.items():
+        decider.on_odometry(uav, Stamped(0, odometry(place)))
+    for t0_s in (3, 11):
+        decider.decide(round(t0_s * 1e9))
+    assert said[0].slots == {uav: uav for uav in scenario.uav_ids}
+    cosine, sine = math.cos(1.2), math.sin(1.2)
+    turned = {
+        uav: [cosine * x - sine * y, sine * x + cosine * y, z]
+        for uav, (x, y, z) in scenario.file.formation.offsets_m.items()
+    }
+    there = load_scenario("paper_5_free", {"formation.offsets_m": turned})
+    assert said[1].slots == optimal_slots(there, starts) != said[0].slots
 
 
 def test_odometry_that_is_missing_or_late_is_unknown() -> None:
