@@ -35,9 +35,9 @@ from ptnsbc_core.types import (
     Vector3,
 )
 from ptnsbc_sim.scenario.gains import Loop
+from ptnsbc_sim.scenario.mission.shapes import moves, shape_of
+from ptnsbc_sim.scenario.mission.trajectories import trajectory_of
 from ptnsbc_sim.scenario.scenario import Scenario
-from ptnsbc_sim.scenario.shapes import moves, shape_of
-from ptnsbc_sim.scenario.trajectories import trajectory_of
 
 _SHORTEST_ARM_M = 1e-3
 _UPRIGHT = np.pi / 2  # the tilt limit of a plant that is not tilted

@@ -16,10 +16,10 @@ from ptnsbc_core.curves.shape import place_samples
 from ptnsbc_core.curves.trajectory import course_samples, reference
 from ptnsbc_core.timebase import feasible_deadline
 from ptnsbc_core.types import Array
+from ptnsbc_sim.scenario.mission.shapes import moves, shape_of
+from ptnsbc_sim.scenario.mission.trajectories import Circle, Line, extremes, trajectory_of
 from ptnsbc_sim.scenario.model import ScenarioFile
 from ptnsbc_sim.scenario.problems import ScenarioError
-from ptnsbc_sim.scenario.shapes import moves, shape_of
-from ptnsbc_sim.scenario.trajectories import Circle, Line, extremes, trajectory_of
 
 AUTO = "auto"
 MARGIN = 1.5

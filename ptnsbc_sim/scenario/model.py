@@ -23,8 +23,8 @@ from ptnsbc_sim.scenario.fields import (
 )
 from ptnsbc_sim.scenario.gains import Gains
 from ptnsbc_sim.scenario.mavlink import Mavlink
-from ptnsbc_sim.scenario.shapes import Change, ShapeBlock
-from ptnsbc_sim.scenario.trajectories import TrajectoryBlock
+from ptnsbc_sim.scenario.mission.shapes import Change, ShapeBlock
+from ptnsbc_sim.scenario.mission.trajectories import TrajectoryBlock
 
 STILL = (Wave(amount=0.0, shape="constant"),) * 3
 Delay = Annotated[NotNegative, Field(le=1)]

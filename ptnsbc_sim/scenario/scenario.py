@@ -13,12 +13,12 @@ from pydantic import ValidationError
 from ptnsbc_core.topology import Topology
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import reader
-from ptnsbc_sim.scenario.completion import completed_shape
 from ptnsbc_sim.scenario.deadline import AUTO, auto_deadline
 from ptnsbc_sim.scenario.defaults import gain_defaults
 from ptnsbc_sim.scenario.fields import Wave
 from ptnsbc_sim.scenario.gains import Gains
 from ptnsbc_sim.scenario.mavlink import Mavlink, VehicleLink, vehicle_link
+from ptnsbc_sim.scenario.mission.completion import completed_shape
 from ptnsbc_sim.scenario.model import Plant, Quadrotor, ScenarioFile, Sensor
 from ptnsbc_sim.scenario.problems import ScenarioError, scenario_error
 from ptnsbc_sim.scenario.semantics import NANOSECONDS, checked

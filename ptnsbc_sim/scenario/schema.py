@@ -72,8 +72,9 @@ def schema() -> dict[str, Any]:
     definitions[Wave.__name__] = {
         "anyOf": [{"type": "number"}, {"type": "string", "pattern": r"^\S+\s*(sin|cos)?$"}]
     }
-    gains = definitions["Loop"]["properties"]["deadline_s"]
-    gains["anyOf"] = [*gains["anyOf"], {"const": "auto"}]
+    for block, key in (("Loop", "deadline_s"), ("Communication", "tree")):
+        left_to_us = definitions[block]["properties"][key]
+        left_to_us["anyOf"] = [*left_to_us["anyOf"], {"const": "auto"}]
     made["properties"]["extends"] = _EXTENDS
     head = {
         "$schema": "https://json-schema.org/draft/2020-12/schema",

@@ -8,8 +8,8 @@ from collections.abc import Callable, Iterator
 from ptnsbc_core.errors import GainError, TopologyError
 from ptnsbc_core.timebase import peak_gain
 from ptnsbc_core.topology import Topology, validated_topology
-from ptnsbc_sim.scenario import shapes, trajectories
 from ptnsbc_sim.scenario.mavlink import Geofence, Mavlink, vehicle_link
+from ptnsbc_sim.scenario.mission import shapes, trajectories
 from ptnsbc_sim.scenario.model import Positioning, ScenarioFile
 from ptnsbc_sim.scenario.problems import ScenarioError
 

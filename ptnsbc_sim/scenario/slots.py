@@ -18,9 +18,9 @@ from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.topology import Topology, estimator_matrix
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario.build import places_beside_leader
+from ptnsbc_sim.scenario.mission.shapes import Change
 from ptnsbc_sim.scenario.model import ScenarioFile
 from ptnsbc_sim.scenario.scenario import Scenario
-from ptnsbc_sim.scenario.shapes import Change
 
 Slots = Mapping[int, int]
 """Slot of every UAV."""

@@ -20,9 +20,9 @@ from ptnsbc_core.timebase import feasible_deadline
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import reader
 from ptnsbc_sim.scenario.fields import Block, Count, Name, NotNegative, Number, Positive
+from ptnsbc_sim.scenario.mission.shapes import circle_places, column_places, grid_places, v_places
 from ptnsbc_sim.scenario.problems import ScenarioError, scenario_error
 from ptnsbc_sim.scenario.scenario import completed
-from ptnsbc_sim.scenario.shapes import circle_places, column_places, grid_places, v_places
 from ptnsbc_sim.sweep.starts import Spheres, clear_places, spheres_of
 
 Generator = Callable[[str], np.random.Generator]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ptnsbc_core.curves.trajectory import reference_positions
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario.build import leader_trajectory, places_beside_leader
-from ptnsbc_sim.scenario.shapes import moves
+from ptnsbc_sim.scenario.mission.shapes import moves
 from ptnsbc_sim.verdict.coverage import Coverage, first_bad_s, incomplete, silent_from_s
 from ptnsbc_sim.verdict.encounters import Window, ancestors, inside
 from ptnsbc_sim.verdict.recording import NANO, Recording, counter_rise

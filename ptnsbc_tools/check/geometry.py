@@ -12,8 +12,8 @@ from ptnsbc_core.tasks.registry import conditioning
 from ptnsbc_core.types import TASKS, Array
 from ptnsbc_sim.scenario import Scenario, agent_config
 from ptnsbc_sim.scenario.build import leader_trajectory, places_beside_leader, reference_offset
+from ptnsbc_sim.scenario.mission.shapes import moves
 from ptnsbc_sim.scenario.semantics import STABILITY_LIMIT, estimator_peak, estimator_step
-from ptnsbc_sim.scenario.shapes import moves
 from ptnsbc_sim.scenario.slots import with_slots_of_starts
 from ptnsbc_tools.check.finding import ERROR, INFO, WARNING, Finding, Findings
 

@@ -9,7 +9,7 @@ from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.build import leader_trajectory, places_beside_leader
 from ptnsbc_sim.scenario.mavlink import Geofence
-from ptnsbc_sim.scenario.trajectories import extremes
+from ptnsbc_sim.scenario.mission.trajectories import extremes
 from ptnsbc_tools.check.finding import ERROR, INFO, WARNING, Finding, Findings
 
 _KEY = "leader.trajectory"

@@ -17,7 +17,7 @@ import numpy as np
 from ptnsbc_core.curves.trajectory import reference
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario.build import leader_trajectory, places_beside_leader
-from ptnsbc_sim.scenario.shapes import moves
+from ptnsbc_sim.scenario.mission.shapes import moves
 from ptnsbc_sim.verdict import Series, Track
 from ptnsbc_sim.verdict.recording import NANO
 from ptnsbc_tools.plotting.chart import COLOURS, DARK_COLOURS, Chart, look

@@ -8,8 +8,8 @@ from ptnsbc_core.tasks.registry import conditioning
 from ptnsbc_core.types import TASKS
 from ptnsbc_sim.scenario import agent_config, load_scenario
 from ptnsbc_sim.scenario.build import reference_offset
-from ptnsbc_sim.scenario.completion import proposed_tree
-from ptnsbc_sim.scenario.shapes import ShapeBlock, named_places
+from ptnsbc_sim.scenario.mission.completion import proposed_tree
+from ptnsbc_sim.scenario.mission.shapes import ShapeBlock, named_places
 
 ANCHOR = np.array([2.0, 0.0, 0.0])
 

@@ -15,8 +15,8 @@ from ptnsbc_core.errors import FormationError
 from ptnsbc_core.tasks.registry import conditioning
 from ptnsbc_core.types import TASKS, Array
 from ptnsbc_sim.scenario.fields import Vec3
+from ptnsbc_sim.scenario.mission.shapes import Change, ShapeBlock, changed, named_places
 from ptnsbc_sim.scenario.problems import ScenarioError
-from ptnsbc_sim.scenario.shapes import Change, ShapeBlock, changed, named_places
 
 AUTO_TREE = "auto"
 _DEEPEST = 3  # hops of a proposed tree

@@ -9,7 +9,7 @@ import pytest
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_sim.scenario import Scenario, load_scenario, scenario_from_text
 from ptnsbc_sim.scenario.build import places_beside_leader
-from ptnsbc_sim.scenario.shapes import ShapeBlock, moves, named_places
+from ptnsbc_sim.scenario.mission.shapes import ShapeBlock, moves, named_places
 
 KINDS = ["v", "line", "column", "grid", "circle", "sphere"]
 TO_LINE = {"at_s": 10, "over_s": 4, "shape": {"kind": "line", "spacing_m": 3}}
