@@ -262,6 +262,13 @@ class VehicleMonitor:
             float(percent) if 0 <= percent <= 100 else self.battery_percent,
         )
 
+    def _on_cells(self, message: Any, now_s: float) -> None:
+        """BATTERY_STATUS: its share counts; voltage and current are those of SYS_STATUS."""
+        percent = message.battery_remaining
+        if 0 <= percent <= 100:
+            known = self.battery or Battery(None, None, None)
+            self.battery = known._replace(percent=float(percent))
+
     def _on_gps(self, message: Any, now_s: float) -> None:
         if message.h_acc > 0:
             self.position_error_m = message.h_acc * _MILLI
@@ -306,7 +313,7 @@ _HANDLERS: Mapping[str, Callable[[VehicleMonitor, Any, float], VehicleState | No
     "HOME_POSITION": VehicleMonitor._on_home,
     "EXTENDED_SYS_STATE": VehicleMonitor._on_landed,
     "SYS_STATUS": VehicleMonitor._on_status,
-    "BATTERY_STATUS": VehicleMonitor._on_battery,
+    "BATTERY_STATUS": VehicleMonitor._on_cells,
     "GPS_RAW_INT": VehicleMonitor._on_gps,
     "STATUSTEXT": VehicleMonitor._on_text,
 }

@@ -201,6 +201,9 @@ def test_gps_battery_landing_and_texts():
     unknown = mavlink.MAVLink_sys_status_message(0, 0, 0, 0, 15_800, 1_234, -1, 0, 0, 0, 0, 0, 0)
     vehicle.on_message(unknown, 4.0)
     assert vehicle.battery == (15.8, 12.34, 15.0)  # the share that was known last
+    cells = mavlink.MAVLink_battery_status_message(0, 0, 0, 0, [3_900] * 10, 900, 0, 0, 12)
+    vehicle.on_message(cells, 5.0)
+    assert vehicle.battery == (15.8, 12.34, 12.0)
     vehicle.on_message(mavlink.MAVLink_extended_sys_state_message(0, 2), 0.0)
     assert vehicle.landed is False
     for chunk, text in enumerate((b"Preflight Fail: ", b"no compass\t")):
