@@ -48,6 +48,7 @@ _EFFORT: _Columns = (
     ("beyond hover", "energy_above_hover", 1),
     ("missing", "missing", 0),
 )
+_CHANGES: _Columns = (("due s", "due_s", 2), ("largest error m", "error_m", 4))
 _SEPARATION: _Columns = (
     ("closest m", "distance_m", 4),
     ("at s", "at_s", 2),
@@ -95,9 +96,26 @@ def deadline_table(verdict: Verdict) -> Table:
     return table
 
 
+def _change_tables(verdict: Verdict) -> list[Table]:
+    """One row per change of the shape that was due: the worst UAV."""
+    found = [
+        (one.uav, change) for leg in verdict.legs for one in leg.uavs for change in one.changes
+    ]
+    reached = [(uav, change) for uav, change in found if change.error_m is not None]
+    if not reached:
+        return []
+    table = _table("Changes of the shape", ("change",), _CHANGES)
+    table.add_column("of UAV", justify="right")
+    for number in sorted({change.number for _, change in reached}):
+        of_change = [(uav, change) for uav, change in reached if change.number == number]
+        uav, worst = max(of_change, key=lambda one: one[1].error_m or 0.0)
+        table.add_row(str(number), *_numbers(worst, _CHANGES), str(uav))
+    return [table]
+
+
 def verdict_tables(verdict: Verdict) -> list[Table]:
     """All tables of a verdict: deadlines, input, and the tightest pairs with all that were inside a keep-out."""
-    tables = [deadline_table(verdict)]
+    tables = [deadline_table(verdict), *_change_tables(verdict)]
     if verdict.efforts:
         tables.append(effort := _table("Input", ("UAV",), _EFFORT))
         for one in verdict.efforts:

@@ -34,6 +34,16 @@ _NONE = np.empty(0)
 
 
 @dataclass(frozen=True)
+class ChangeError:
+    """The formation error of one UAV when a change of the shape was due. Times in seconds after the first epoch."""
+
+    number: int  # of the change, from 1
+    due_s: float  # the end of the change
+    error_m: float | None  # None: the leg ends before it
+    excused: bool  # an encounter lasts over it
+
+
+@dataclass(frozen=True)
 class UavVerdict:
     """How one UAV kept its deadline. Errors in metres, times in seconds after the epoch."""
 
@@ -59,6 +69,9 @@ class UavVerdict:
     holding_s: float  # until the deadline
     missing: int  # odometry messages missing of those sent, or of one per control period
     longest_gap_s: float  # between two odometry messages
+    changes: tuple[
+        ChangeError, ...
+    ]  # those of the shape that were due in this leg, after its deadline
 
 
 def formation_errors(
@@ -135,6 +148,7 @@ class ErrorFigures:
         self.due_s = next((b for a, b in spans if a <= deadline < b), deadline)
         self._at, self._at_due = ValueAt(deadline), ValueAt(self.due_s)
         self._settled, self._regained = _LastExit(), _LastExit()
+        self._changes = _changes_due(recording, self._windows)
         self._last = _NONE  # time and error of the newest sample
         self._squares = 0.0  # sum of the squared errors after the deadline
         self._after = 0  # number of samples in that sum
@@ -159,6 +173,8 @@ class ErrorFigures:
         self._regained.add(times, outside & counted & reached)
         self._at.add(times, error)
         self._at_due.add(times, error)
+        for _, at in self._changes:
+            at.add(times, error)
         self._take_after(error[reached], counted[reached])
         period = np.diff(times, prepend=self._last[:1])
         fresh = slice(times.size - period.size, None)  # the first sample of all has no period
@@ -203,6 +219,11 @@ class ErrorFigures:
         return self._at.value
 
     @property
+    def at_changes(self) -> tuple[ChangeError, ...]:
+        """The errors when the changes of the shape were due."""
+        return tuple(replace(change, error_m=at.value) for change, at in self._changes)
+
+    @property
     def at_due(self) -> float | None:
         """The error when it was due [m]; None when the leg ends before."""
         return self._at_due.value if self.due_s > self._deadline_s else self.at_deadline
@@ -211,6 +232,20 @@ class ErrorFigures:
     def rmse_after(self) -> float | None:
         """Root mean square after the deadline, outside encounters."""
         return float(np.sqrt(self._squares / self._after)) if self._after else None
+
+
+def _changes_due(recording: Recording, windows: list[Window]) -> list[tuple[ChangeError, ValueAt]]:
+    """The changes of the shape that are due after the deadline of a leg; they count from the first epoch."""
+    scenario, found = recording.scenario, []
+    before_s = (recording.start_ns - recording.first_ns) * NANO
+    for number, change in enumerate(scenario.file.formation.changes, 1):
+        due_s = change.at_s + change.over_s
+        if due_s - before_s <= scenario.gains.formation.deadline_s:
+            continue
+        due_ns = recording.first_ns + round(due_s / NANO)
+        excused = any(begin <= due_ns <= end for begin, end in windows)
+        found.append((ChangeError(number, due_s, None, excused), ValueAt(due_s - before_s)))
+    return found
 
 
 def max_of(first: float, second: float) -> float:
@@ -263,9 +298,18 @@ def _unrecovered(found: UavVerdict, figures: ErrorFigures) -> str:
     return ""
 
 
+def _late_change(found: UavVerdict) -> str:
+    """The first change of the shape that came about too late, empty when none did."""
+    for change in found.changes:
+        error = change.error_m
+        if error is not None and not change.excused and error > found.tolerance_m:
+            return f"{error:.3f} m off at {change.due_s:.2f} s, when change {change.number} of the shape was due"
+    return ""
+
+
 def _miss(found: UavVerdict, figures: ErrorFigures) -> str:
     """By how much the deadline was missed, empty when it was met."""
-    miss = _late(found, figures.end_s)
+    miss = _late(found, figures.end_s) or _late_change(found)
     if miss and found.due_s > found.deadline_s:
         unrecovered = _unrecovered(found, figures)
         miss = f"{miss}, {unrecovered}" if unrecovered else ""
@@ -408,4 +452,5 @@ def _measured(
         holding_s=_rise(recording, uav, "holding_s", (0.0, deadline)),
         missing=cover.missing,
         longest_gap_s=cover.longest_gap_s,
+        changes=figures.at_changes,
     )

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from ptnsbc_sim.scenario import load_scenario, scenario_from_text
+from ptnsbc_sim.scenario.build import places_beside_leader
 from ptnsbc_sim.verdict import Recording, VerdictError, verdict_on
 from ptnsbc_sim.verdict.encounters import recovery_s
 from ptnsbc_sim.verdict.recording import COUNTERS
@@ -600,3 +601,50 @@ def test_errors_are_those_against_the_slot_that_a_uav_took(fly: Fly) -> None:
     assert one.start_error_m == pytest.approx(gap)
     with pytest.raises(VerdictError, match="does not say who takes which slot"):
         verdict_on(replace(held, slots={}))
+
+
+CHANGE = {"at_s": 7.0, "over_s": 2.0, "scale": [2.0, 1.0, 1.0]}
+CHANGING = {
+    "timing.duration_s": 12.0,
+    "formation.task": "relative_position",
+    "formation.changes": [CHANGE],
+}
+
+
+def in_places(fly: Fly, errors: dict[int, Any]) -> Recording:
+    """A flight of a shape that becomes twice as wide, in which UAV i is errors[i](t) metres north of its place."""
+    scenario = load_scenario("paper_5_free", CHANGING)
+    recording = fly(scenario=scenario)
+    for uav in scenario.followers:
+        track = recording.odometry[uav]
+        t = track.t_ns * 1e-9
+        beside = places_beside_leader(scenario, uav, t)
+        track.values[:, :3] += beside - scenario.offset(uav)
+        track.values[:, 1] += errors.get(uav, np.zeros_like)(t)
+    return recording
+
+
+def test_a_change_is_judged_when_it_is_due(fly: Fly) -> None:
+    verdict = verdict_on(in_places(fly, {}))
+    assert verdict.verdict == "met"
+    for one in verdict.uavs:
+        (change,) = one.changes
+        assert (change.number, change.due_s, change.excused) == (1, 9.0, False)
+        assert change.error_m == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_change_that_comes_too_late_is_missed(fly: Fly) -> None:
+    """Six centimetres are inside the band of a UAV that started ten metres away, and outside the tolerance."""
+    late = {4: lambda t: np.where(t < 3.0, 10.0, np.where((t > 7.5) & (t < 9.5), 0.06, 0.0))}
+    verdict = verdict_on(in_places(fly, late))
+    missed = of(verdict, 4)
+    assert missed.band_m == pytest.approx(0.2)
+    assert missed.verdict == "missed"
+    assert missed.reason.startswith("0.060 m off at 9.00 s, when change 1 of the shape was due")
+    assert of(verdict, 3).verdict == "met"
+
+
+def test_a_change_after_the_end_of_the_recording_is_not_judged(fly: Fly) -> None:
+    late = {**CHANGING, "formation.changes": [{**CHANGE, "at_s": 11.5}]}
+    verdict = verdict_on(fly(scenario=load_scenario("paper_5_free", late)))
+    assert of(verdict, 4).changes[0].error_m is None
