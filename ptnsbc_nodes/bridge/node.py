@@ -42,7 +42,7 @@ from ptnsbc_nodes.bridge.status import bridge_status, companion, vehicle_record
 from ptnsbc_nodes.comm import topics, vehicle_messages
 from ptnsbc_nodes.comm.agent_messages import WORLD_FRAME, body_frame
 from ptnsbc_nodes.comm.announcements import decode_leg, decode_order
-from ptnsbc_nodes.comm.diagnostics import INACTIVE, STATUS_HZ
+from ptnsbc_nodes.comm.diagnostics import INACTIVE, STATUS_HZ, StatusLog
 from ptnsbc_nodes.comm.door import as_bytes
 from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.comm.graph import CommunicationGraph
@@ -131,6 +131,7 @@ class BridgeNode:
         )
         self._kept, self._kept_s = self._record, -_RECORD_S  # what the file has, and since when
         self._folder: Path | None = None
+        self._status_log = StatusLog(node)
         self._send_battery = self.endpoints.publisher(topics.battery(uav_id), 0)
         self._orders = self._open_order_port()
         self._keep_record()
@@ -324,8 +325,11 @@ class BridgeNode:
             stamp_ns = self.bridge.ports.clocks.ros_ns()
             self._send_battery(vehicle_messages.encode_battery(stamp_ns, *battery))
         record = self._keep_record()
+        missing = self.waiting_for()
         self._send_status(
-            bridge_status(self._name, record, self.bridge, self.waiting_for(), self.endpoints)
+            bridge_status(
+                self._name, record, self.bridge, missing, self.endpoints, self._status_log
+            )
         )
 
     def _unsubscribe_diagnostics(self) -> None:

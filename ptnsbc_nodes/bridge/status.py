@@ -9,7 +9,7 @@ from dataclasses import replace
 from ptnsbc_nodes.bridge.bridge import Bridge
 from ptnsbc_nodes.bridge.procedure.companions import Companion
 from ptnsbc_nodes.bridge.procedure.steps import HEARTBEAT_LOST_S, Step
-from ptnsbc_nodes.comm.diagnostics import DiagnosticLevel, diagnostics, readiness
+from ptnsbc_nodes.comm.diagnostics import DiagnosticLevel, StatusLog, diagnostics, readiness
 from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.emergency.records import VehicleRecord
 
@@ -43,8 +43,9 @@ def bridge_status(
     bridge: Bridge,
     missing: Sequence[str],
     endpoints: Endpoints,
+    log: StatusLog,
 ) -> bytes:
-    """A DiagnosticArray about one bridge; `missing` is what the formation waits for."""
+    """A DiagnosticArray about one bridge, noted in `log`; `missing` is what the formation waits for."""
     now_s, stamp_ns = bridge.ports.clocks.steady_s(), bridge.ports.clocks.ros_ns()
     procedure, vehicle, latency = bridge.procedure, bridge.vehicle, bridge.stream.latency
     state, controller, link = bridge.state_publisher, bridge.controller, bridge.link
@@ -89,16 +90,24 @@ def bridge_status(
         **{f"clamped_{what}": str(count) for what, count in bridge.stream.guard.clamped.items()},
         **endpoints.refusals.values(),
     }
-    level, message = DiagnosticLevel.OK, ""
-    if procedure.fault and procedure.step is not Step.FLY:
-        level, message = DiagnosticLevel.ERROR, f"{procedure.step.value}: {procedure.fault}"
-    elif fault := state.fault(now_s):
-        level, message = DiagnosticLevel.WARN, fault
-    elif missing:
-        level, message = DiagnosticLevel.WARN, f"waiting for {' '.join(missing)}"
-    elif refused := endpoints.refusals.report() or endpoints.rivals():
-        level, message = DiagnosticLevel.WARN, refused
+    level, message = _health(bridge, missing, endpoints)
+    log.note(level, message)
     return diagnostics(stamp_ns, f"{name}: link", level, message, values)
+
+
+def _health(
+    bridge: Bridge, missing: Sequence[str], endpoints: Endpoints
+) -> tuple[DiagnosticLevel, str]:
+    procedure = bridge.procedure
+    if procedure.fault and procedure.step is not Step.FLY:
+        return DiagnosticLevel.ERROR, f"{procedure.step.value}: {procedure.fault}"
+    if fault := bridge.state_publisher.fault(bridge.ports.clocks.steady_s()):
+        return DiagnosticLevel.WARN, fault
+    if missing:
+        return DiagnosticLevel.WARN, f"waiting for {' '.join(missing)}"
+    if refused := endpoints.refusals.report() or endpoints.rivals():
+        return DiagnosticLevel.WARN, refused
+    return DiagnosticLevel.OK, ""
 
 
 def companion(values: Mapping[str, str]) -> Companion | None:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import time
+from collections.abc import Callable, Mapping, Sequence
 from enum import IntEnum
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.node import Node
 
 from ptnsbc_io.wire.cdr import split_stamp
 from ptnsbc_nodes.comm.serialize import encode
@@ -14,6 +16,7 @@ from ptnsbc_sim.scenario import Scenario
 STATUS_HZ = 5
 INACTIVE = "activation"
 """In `waiting_for` of a node that is configured and not yet activated."""
+_LOG_GAP_S = 1.0
 
 
 def status_every(scenario: Scenario) -> int:
@@ -27,6 +30,29 @@ class DiagnosticLevel(IntEnum):
     OK = 0
     WARN = 1
     ERROR = 2
+
+
+class StatusLog:
+    """Logs a node's status when its level changes, at most once a second: on the console and on /rosout."""
+
+    def __init__(self, node: Node, now_s: Callable[[], float] = time.monotonic) -> None:
+        self._logger = node.get_logger()
+        self._now_s = now_s
+        self._level = DiagnosticLevel.OK
+        self._logged_s = float("-inf")
+
+    def note(self, level: DiagnosticLevel, message: str) -> None:
+        """Take the newest status."""
+        now_s = self._now_s()
+        if level == self._level or now_s - self._logged_s < _LOG_GAP_S:
+            return
+        self._level, self._logged_s = level, now_s
+        if level == DiagnosticLevel.OK:
+            self._logger.info("all is well")
+        elif level == DiagnosticLevel.WARN:
+            self._logger.warning(message)
+        else:
+            self._logger.error(message)
 
 
 def diagnostics(

@@ -182,7 +182,6 @@ def ros_node(
         node = make(
             name,
             namespace=namespace,
-            enable_rosout=False,
             **{"start_parameter_services": False, **options},
         )
         try:

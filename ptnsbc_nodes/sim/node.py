@@ -18,6 +18,7 @@ from ptnsbc_nodes.comm.announcements import LostProcess, decode_leg, decode_lost
 from ptnsbc_nodes.comm.diagnostics import (
     STATUS_HZ,
     DiagnosticLevel,
+    StatusLog,
     diagnostics,
     readiness,
     status_every,
@@ -65,6 +66,7 @@ class SimNode:
         self._subscribe()
         self._send_status = self.endpoints.publisher(topics.DIAGNOSTICS, edges.options.recorders)
         self._send_ready = self.endpoints.publisher(READY, 0)
+        self._log = StatusLog(node)
         self._watchdog = LockstepWatchdog(self._send_ready)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         node.create_timer(1.0 / STATUS_HZ, self._on_status_timer, clock=steady)
@@ -211,6 +213,7 @@ class SimNode:
         message = f"waiting for {' '.join(missing)}" if missing else hovering
         message = message or self.endpoints.refusals.report() or self.endpoints.rivals()
         level = DiagnosticLevel.WARN if message else DiagnosticLevel.OK
+        self._log.note(level, message)
         send = self._send_status if stamp_ns >= 0 else self._send_ready
         send(diagnostics(max(stamp_ns, 0), "sim: world", level, message, values))
 

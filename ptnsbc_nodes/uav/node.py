@@ -22,6 +22,7 @@ from ptnsbc_nodes.comm.diagnostics import (
     INACTIVE,
     STATUS_HZ,
     DiagnosticLevel,
+    StatusLog,
     diagnostics,
     readiness,
     status_every,
@@ -376,6 +377,7 @@ class _StatusPublisher:
         self._name = name
         self._send = uav.endpoints.publisher(topics.DIAGNOSTICS, uav._options.recorders)
         self._send_ready = uav.endpoints.publisher(READY, 0)
+        self._log = StatusLog(uav.node)
         self._seen_done_ns = -1
         self._reported_missed = 0
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -407,6 +409,7 @@ class _StatusPublisher:
             **uav.endpoints.refusals.values(),
         }
         level, message = self._verdict(stamp_ns, missing)
+        self._log.note(level, message)
         send = self._send if stamp_ns >= 0 else self._send_ready
         send(diagnostics(max(stamp_ns, 0), f"{self._name}: planner", level, message, values))
 

@@ -186,7 +186,7 @@ def test_the_graph_shows_what_the_architecture_lists(ros, start, tmp_path, name)
         "serves": looker.get_service_names_and_types_by_node,
         "calls": looker.get_client_names_and_types_by_node,
     }
-    besides = {"/parameter_events", *([f"{name}/transition_event"] if managed else ())}
+    besides = {"/parameter_events", "/rosout", *([f"{name}/transition_event"] if managed else ())}
     if topics.tf_is_available():
         besides.add(topics.TF.name)
     expected = {
