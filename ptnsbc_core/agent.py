@@ -14,7 +14,7 @@ import numpy as np
 from ptnsbc_core.algebra import store3
 from ptnsbc_core.kernel import inline_kernel, kernel, kernel_list
 from ptnsbc_core.kinematics import store_estimate
-from ptnsbc_core.step import initial_state, step
+from ptnsbc_core.step import guided_step, initial_state, step
 from ptnsbc_core.types import (
     MODE_HOLD,
     NEVER_RECEIVED_S,
@@ -26,6 +26,7 @@ from ptnsbc_core.types import (
     AgentState,
     Array,
     OdometryLike,
+    Vector3,
 )
 
 # Offsets of the fields of AgentInputs in `PackedInputs.vector`; the estimates (K, 13) and their ages (K,) follow.
@@ -143,6 +144,27 @@ def _advance(
     agent = memory[0]
     state, outputs = step(agent.state, _unpack(inputs, near), t, dt, agent.config)
     memory[0] = _AgentMemory(agent.config, state)
+    return _packed(outputs)
+
+
+@kernel
+def _advance_guided(
+    memory: MutableSequence[_AgentMemory],
+    inputs: Array,
+    near: Array,
+    velocity: Vector3,
+    t: float,
+    dt: float,
+) -> Array:
+    agent = memory[0]
+    unpacked = _unpack(inputs, near)
+    state, outputs = guided_step(agent.state, unpacked, velocity, t, dt, agent.config)
+    memory[0] = _AgentMemory(agent.config, state)
+    return _packed(outputs)
+
+
+@inline_kernel
+def _packed(outputs: AgentOutputs) -> Array:
     packed = np.empty(_OUTPUT_SIZE)
     store_velocity(packed[_VELOCITY:_WRENCH], outputs)
     store_wrench(packed[_WRENCH:_ESTIMATE], outputs)
@@ -211,9 +233,18 @@ class Agent:
         """State from which the next step starts."""
         return _state(self._memory)
 
-    def advance(self, inputs: PackedInputs, t: float, dt: float) -> PackedOutputs:
-        """One tick, see `step`: t [s] since the latest epoch, dt [s] the control period."""
-        return PackedOutputs(_advance(self._memory, inputs.vector, inputs.near, t, dt))
+    def advance(
+        self, inputs: PackedInputs, t: float, dt: float, guided: Vector3 | None = None
+    ) -> PackedOutputs:
+        """One tick, see `step`: t [s] since the latest epoch, dt [s] the control period.
+
+        `guided` is the velocity [m/s, ENU] of another law, see `guided_step`.
+        """
+        if guided is None:
+            return PackedOutputs(_advance(self._memory, inputs.vector, inputs.near, t, dt))
+        return PackedOutputs(
+            _advance_guided(self._memory, inputs.vector, inputs.near, guided, t, dt)
+        )
 
     def step(self, inputs: AgentInputs, t: float, dt: float) -> PackedOutputs:
         """The same with named inputs."""

@@ -194,6 +194,19 @@ def _in_numbers(inputs: AgentInputs) -> AgentInputs:
     )
 
 
+@inline_kernel
+def _guided(behaviour: Behaviour, velocity: Vector3) -> Behaviour:
+    """The behaviour with the velocity of another law [m/s, ENU]; error and singular value stay for diagnostics."""
+    return Behaviour(
+        velocity,
+        behaviour.error,
+        behaviour.singular_value,
+        (0.0, 0.0, 0.0),
+        behaviour.slot_start,
+        behaviour.edge_start,
+    )
+
+
 @kernel
 def step(
     state: AgentState, inputs: AgentInputs, t: float, dt: float, config: AgentConfig
@@ -210,6 +223,35 @@ def step(
     Returns:
         The state for the next tick and what to send now.
     """
+    return _step(state, inputs, None, t, dt, config)
+
+
+@kernel
+def guided_step(
+    state: AgentState,
+    inputs: AgentInputs,
+    velocity: Vector3,
+    t: float,
+    dt: float,
+    config: AgentConfig,
+) -> tuple[AgentState, AgentOutputs]:
+    """As `step`, with the velocity [m/s, ENU] of another law in place of the formation law's.
+
+    Clearance, command filter and controller act on it as on ours; a UAV that holds does not follow it.
+    """
+    return _step(state, inputs, velocity, t, dt, config)
+
+
+@inline_kernel
+def _step(
+    state: AgentState,
+    inputs: AgentInputs,
+    guided: Vector3 | None,
+    t: float,
+    dt: float,
+    config: AgentConfig,
+) -> tuple[AgentState, AgentOutputs]:
+    """What depends on `guided` is compiled only for `guided_step`: numba drops a branch on None."""
     inputs, config = _in_numbers(inputs), borrowed(config)
     clock = Clock(t, inputs.start_age_s, dt)
     holding = inputs.mode != MODE_FORMATION or link_lost(inputs, clock.start_t, config)
@@ -236,6 +278,8 @@ def step(
         start = StartErrors(
             behaviour.error, euler_error, behaviour.slot_start, behaviour.edge_start
         )
+    if guided is not None:
+        behaviour = _guided(behaviour, guided)
     if holding:
         behaviour = hold_behaviour(behaviour, inputs, target, config)
 

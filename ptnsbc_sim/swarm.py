@@ -6,7 +6,7 @@ docs/lockstep.md. Nothing here is a law.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, MutableSequence, Sequence
+from collections.abc import Callable, Iterator, Mapping, MutableSequence, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ptnsbc_core.algebra import store
 from ptnsbc_core.kernel import KernelList, borrowed, inline_kernel, kernel, kernel_list
-from ptnsbc_core.step import initial_state, step
+from ptnsbc_core.step import guided_step, initial_state, step
 from ptnsbc_core.types import (
     MODE_FORMATION,
     NEAR_COLUMNS,
@@ -32,8 +32,10 @@ from ptnsbc_sim.disturbances.build import (
     sensor_noise_samples,
 )
 from ptnsbc_sim.disturbances.gusts import gust_step
+from ptnsbc_sim.disturbances.links import last_state_received
 from ptnsbc_sim.disturbances.position_noise import initial_error, measured_odometry
 from ptnsbc_sim.disturbances.sensor_noise import add_sensor_noise
+from ptnsbc_sim.law import Heard, UavLaw
 from ptnsbc_sim.plants.build import plant_config, start_states
 from ptnsbc_sim.plants.contract import PlantConfig, Waves, no_waves
 from ptnsbc_sim.plants.integrate import advance_with, store_odometry
@@ -64,6 +66,10 @@ class SwarmState(NamedTuple):
     estimate_age_s: Array  # (N, K)
     nothing: Array  # (13,) zeros: the message of a sender that is not there
     waves: Waves
+
+
+Loop = Callable[[int, int, Wiring, SwarmState, FlightTrack, Disturbances | None], None]
+"""Flies so many ticks from the first: the law is in it."""
 
 
 class HeadlessFlight(NamedTuple):
@@ -266,6 +272,70 @@ def _fly(
 
 
 @kernel
+def _step_guided(
+    tick: int,
+    wiring: Wiring,
+    swarm: SwarmState,
+    track: FlightTrack,
+    velocities: Array,
+    disturbances: Disturbances | None,
+) -> None:
+    """One tick, in which the followers have velocities (N, 3) [m/s, ENU] of another law."""
+    wiring, swarm, track = borrowed(wiring), borrowed(swarm), borrowed(track)
+    t, dt = (tick * wiring.dt_ns) * 1e-9, wiring.dt_ns * 1e-9
+    for row in range(swarm.bodies.shape[0]):
+        inputs = inputs_of(swarm, wiring, track, tick, row, disturbances)
+        if row == wiring.leader:
+            swarm.states[row], out = step(swarm.states[row], inputs, t, dt, swarm.configs[row])
+        else:
+            wanted = (velocities[row, 0], velocities[row, 1], velocities[row, 2])
+            swarm.states[row], out = guided_step(
+                swarm.states[row], inputs, wanted, t, dt, swarm.configs[row]
+            )
+        note(track, tick, row, out)
+    for row in range(swarm.bodies.shape[0]):
+        advance_plant(swarm, wiring, track, tick, row, disturbances)
+
+
+def _guided_loop(scenario: Scenario) -> Loop:
+    """The loop of a flight whose followers fly by a law from a file; Python between two ticks."""
+    rows = {uav: row for row, uav in enumerate(scenario.uav_ids)}
+    laws = [(rows[uav], UavLaw.of(scenario, uav)) for uav in scenario.followers]
+    received = {
+        (row, sender): last_state_received(scenario, law.uav, sender)
+        for row, law in laws
+        for sender in law.senders
+    }
+    velocities = np.zeros((len(rows), 3))
+
+    def heard(track: FlightTrack, tick: int, row: int, law: UavLaw) -> Iterator[Heard]:
+        for sender in law.senders:
+            sent = int(received[row, sender][tick])
+            if sent >= 0:
+                age_s = ((tick - sent) * scenario.dt_ns) * 1e-9
+                yield Heard(sender, track.reported[sent, rows[sender]], age_s)
+
+    def loop(
+        first: int,
+        count: int,
+        wiring: Wiring,
+        swarm: SwarmState,
+        track: FlightTrack,
+        disturbances: Disturbances | None,
+    ) -> None:
+        for tick in range(first, first + count):
+            t = (tick * wiring.dt_ns) * 1e-9
+            sense(swarm, wiring, track, tick, disturbances)
+            for row, law in laws:
+                near = swarm.near[row, : swarm.near_count[row]]
+                found = heard(track, tick, row, law)
+                velocities[row] = law.velocity(t, track.odometry[tick, row], found, near)
+            _step_guided(tick, wiring, swarm, track, velocities, disturbances)
+
+    return loop
+
+
+@kernel
 def _starts(configs: Sequence[AgentConfig], seen: Array) -> MutableSequence[AgentState]:
     states = KernelList()
     for row in range(len(configs)):
@@ -319,10 +389,6 @@ def slots_at_start(scenario: Scenario) -> Mapping[int, int]:
     return optimal_slots(scenario, {uav: world.odometry(uav)[0:3] for uav in world.ids})
 
 
-Loop = Callable[[int, int, Wiring, SwarmState, FlightTrack, Disturbances | None], None]
-"""Flies so many ticks from the first: the law is in it."""
-
-
 def fly(
     scenario: Scenario,
     progress: Callable[[int, int], None] | None = None,
@@ -338,7 +404,8 @@ def fly(
     Returns:
         The whole flight; the same scenario gives the same bytes.
     """
-    return flown(scenario, _fly, progress, room)
+    loop = _fly if scenario.law is None else _guided_loop(scenario)
+    return flown(scenario, loop, progress, room)
 
 
 def flown(

@@ -37,13 +37,15 @@ class Senders:
     leader: int | None  # None unless pinned
     estimators: tuple[int, ...]  # ascending: the order of the rows of AgentInputs.estimates
     others: tuple[int, ...] = ()  # all other UAVs, where an epoch may choose any of them
+    peers: tuple[int, ...] = ()  # UAVs whose state the law of the scenario needs besides
     losses: MessageLoss | None = None  # which of their messages the scenario wants lost
     delays: Mapping[int, LinkDelay] = field(default_factory=dict)  # and how late, by sender
 
     @property
     def states(self) -> tuple[int, ...]:
         """UAVs whose formation_state is needed; a child of the leader subscribes once."""
-        return tuple(sorted({i for i in (self.parent, self.leader) if i is not None}))
+        tree = {i for i in (self.parent, self.leader) if i is not None}
+        return tuple(sorted(tree.union(self.peers)))
 
     @property
     def heard_states(self) -> tuple[int, ...]:
@@ -72,6 +74,7 @@ class CommunicationGraph:
             leader=scenario.leader_id if scenario.pinned(uav_id) else None,
             estimators=scenario.estimator_neighbours(uav_id),
             others=self._others(uav_id),
+            peers=scenario.estimator_neighbours(uav_id) if scenario.law is not None else (),
             losses=message_loss(scenario, uav_id),
             delays={i: link_delay(scenario, i, uav_id) for i in others},
         )

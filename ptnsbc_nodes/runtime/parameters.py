@@ -189,6 +189,9 @@ class NodeParameters:
         return read.bridged() if self._is_bridged else read
 
     def _on_set(self, parameters: Iterable[Parameter]) -> SetParametersResult:
+        if any(p.name == "law" for p in parameters):
+            reason = "law: names a file to execute: give it in the scenario file"
+            return SetParametersResult(successful=False, reason=reason)
         changes = {p.name: _plain(p.value) for p in parameters if self._of_scenario(p.name)}
         # rclpy would move a flying node to another time.
         if not changes and all(p.name != SIM_TIME for p in parameters):

@@ -35,7 +35,8 @@ def load_agent(scenario: Scenario, uav_id: int) -> None:
     inputs = PackedInputs(neighbours, np.zeros((0, NEAR_COLUMNS)))
     inputs.vector[OWN + 6] = 1.0  # the quaternion of no rotation
     agent = Agent(agent_config(scenario, uav_id), inputs.unpack().own)
-    agent.advance(inputs, 0.0, scenario.dt_ns * 1e-9)
+    guided = scenario.law is not None and uav_id != scenario.leader_id
+    agent.advance(inputs, 0.0, scenario.dt_ns * 1e-9, (0.0, 0.0, 0.0) if guided else None)
 
 
 def load_world(scenario: Scenario) -> None:

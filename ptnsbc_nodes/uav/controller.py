@@ -8,10 +8,11 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-from ptnsbc_core.agent import NEAR_AGE, Agent, PackedOutputs
+from ptnsbc_core.agent import NEAR_AGE, OWN, PARENT, Agent, PackedInputs, PackedOutputs
 from ptnsbc_core.behaviours.neighbour import UNKNOWN
 from ptnsbc_core.types import (
     AVOIDANCE_OFF,
+    MODE_FORMATION,
     MODE_HOLD,
     NEVER_RECEIVED_S,
     AgentConfig,
@@ -19,11 +20,13 @@ from ptnsbc_core.types import (
     AgentState,
     Array,
     NeighbourMotions,
+    Vector3,
 )
 from ptnsbc_io.wire import Stamped
 from ptnsbc_nodes.comm.graph import Senders
 from ptnsbc_nodes.comm.legs import Leg
 from ptnsbc_nodes.uav.inbox import Inbox
+from ptnsbc_sim.law import UavLaw
 
 
 class StepTime(NamedTuple):
@@ -122,8 +125,10 @@ class UavCounters:
 class UavController:
     """Inbox, control law and counters of one UAV."""
 
-    def __init__(self, config: AgentConfig, senders: Senders) -> None:
+    def __init__(self, config: AgentConfig, senders: Senders, law: UavLaw | None = None) -> None:
+        """`law` flies a follower in place of the formation law."""
         self.config = config
+        self._law = None if config.leader else law
         self.inbox = Inbox(senders)
         self.counters = UavCounters()
         self.slots: Stamped | None = None  # those in force, of the epoch that decided them
@@ -172,6 +177,17 @@ class UavController:
         self.counters.restore(counters)
         self._agent_config = self.config
 
+    def _wanted(
+        self, inputs: PackedInputs, at: StepTime, t: float, cutoff_ns: int
+    ) -> Vector3 | None:
+        """The velocity of the law [m/s, ENU], at rest while it does not count; None without one."""
+        if self._law is None:
+            return None
+        if at.mode != MODE_FORMATION:
+            return (0.0, 0.0, 0.0)
+        heard = self.inbox.states(at.now_ns, cutoff_ns)
+        return self._law.velocity(t, inputs.vector[OWN:PARENT], heard, inputs.near)
+
     def step(self, at: StepTime, cutoff_ns: int) -> PackedOutputs:
         """One control step on the messages of the inbox, which must hold the own odometry."""
         start_age_s = (at.now_ns - at.first_t0_ns) * 1e-9
@@ -182,7 +198,8 @@ class UavController:
             self.steps = 0
         self.steps += 1
         dt = at.elapsed_ns * 1e-9
-        outputs = self._agent.advance(inputs, (at.now_ns - at.t0_ns) * 1e-9, dt)
+        t = (at.now_ns - at.t0_ns) * 1e-9
+        outputs = self._agent.advance(inputs, t, dt, self._wanted(inputs, at, t, cutoff_ns))
         near_age_s = float(inputs.vector[NEAR_AGE])
         silent_s = near_age_s if near_age_s < NEVER_RECEIVED_S else start_age_s
         clearance = self.config.clearance

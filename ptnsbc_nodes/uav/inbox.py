@@ -30,6 +30,7 @@ from ptnsbc_io.wire import Stamped
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.graph import LEAD_TICKS, Senders
 from ptnsbc_sim.disturbances.links import NO_DELAY, LinkDelay
+from ptnsbc_sim.law import Heard
 
 NO_CUTOFF_NS = 2**63 - 1
 """Cutoff of real time: every message counts, also that of a neighbour whose clock is ahead."""
@@ -149,6 +150,13 @@ class Inbox:
         """The messages of `pack_inputs`: own, near, states, estimates, the latter two by ascending sender."""
         queues = (queue.before(cutoff_ns, now_ns) for _, queue in self._used)
         return [self.own, self.near, *queues]
+
+    def states(self, now_ns: int, cutoff_ns: int) -> Iterator[Heard]:
+        """The newest formation_state of every sender that has sent one, by ascending sender."""
+        for uav_id in self.senders.states:
+            message = self._states[uav_id].before(cutoff_ns, now_ns)
+            if message is not None:
+                yield Heard(uav_id, message.values, _age_s(message, now_ns))
 
     def topic_names(self, uav_id: int) -> list[str]:
         """The topics of the `held` messages of the UAV `uav_id`."""

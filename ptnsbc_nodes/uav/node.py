@@ -48,6 +48,7 @@ from ptnsbc_nodes.uav.leg_services import LegServices
 from ptnsbc_nodes.uav.outbox import Outbox
 from ptnsbc_nodes.uav.robot_description import publish_description
 from ptnsbc_nodes.uav.slots import OpenSlots, SlotDecider
+from ptnsbc_sim.law import UavLaw
 from ptnsbc_sim.scenario import Scenario, agent_config
 from ptnsbc_sim.scenario.slots import are_open
 
@@ -72,7 +73,8 @@ class UavNode:
         self.endpoints = Endpoints(node, edges.options.lockstep, edges.options.seal)
         self._options = edges.options
         self._uav = uav_id
-        self._controller = UavController(agent_config(scenario, uav_id), edges.senders(uav_id))
+        law = None if scenario.law is None else UavLaw.of(scenario, uav_id)
+        self._controller = UavController(agent_config(scenario, uav_id), edges.senders(uav_id), law)
         self._outbox = Outbox(self.endpoints, edges, uav_id)
         publish_description(self.endpoints, scenario, uav_id)
         self._epochs = Epochs()

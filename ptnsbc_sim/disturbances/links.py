@@ -74,6 +74,11 @@ def _last_received(scenario: Scenario, kind: int, receiver: int, sender: int) ->
     return np.concatenate((np.full(late, -1, dtype=np.int64), sent[: ticks - late]))
 
 
+def last_state_received(scenario: Scenario, receiver: int, sender: int) -> NDArray[np.int64]:
+    """Tick of the newest formation_state (T,) of one UAV that another has received before each tick; -1: none."""
+    return _last_received(scenario, random_streams.STATE_LINK, receiver, sender)
+
+
 def last_received(scenario: Scenario, width: int) -> NDArray[np.int64]:
     """Tick of the newest message (T, N, 2 + width) received before each tick; -1: none.
 

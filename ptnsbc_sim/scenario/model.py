@@ -259,6 +259,9 @@ class ScenarioFile(Block):
     """The shape, and the task that holds it."""
     gains: Gains
     """All gains of the laws."""
+    law: Annotated[str, Field(pattern=r"^.+\.py:[A-Za-z_]\w*$")] | None = None
+    """Law of the followers in place of ours: `FILE.py:NAME` of a function, looked for beside this file, see
+    [laws.md](laws.md)."""
     mavlink: Mavlink = Mavlink()
     """Flight controllers instead of the simulator."""
     uavs: Annotated[tuple[UavBlock, ...], Field(min_length=1)]

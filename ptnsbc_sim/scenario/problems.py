@@ -24,7 +24,6 @@ _TYPES = {
     "bool_type": "true or false",
     "string_type": "text",
     "too_short": "at least one entry",
-    "string_pattern_mismatch": "a name of letters, digits, _ and -",
     "list_type": "a list",
     "tuple_type": "a list",
     "dict_type": "a mapping",
@@ -96,6 +95,9 @@ def _unit_text(path: list[str | int]) -> str:
 
 def _expectation(kind: str, path: list[str | int], detail: ErrorDetails) -> str:
     context = detail.get("ctx", {})
+    if kind == "string_pattern_mismatch":
+        of_law = path[-1:] == ["law"]
+        return f"expected {'FILE.py:NAME' if of_law else 'a name of letters, digits, _ and -'}"
     if kind in _LIMITS:
         sign, key = _LIMITS[kind]
         return f"expected {sign} {context[key]:g}"

@@ -237,6 +237,21 @@ def with_table(tree: Tree, source: str, folder: Path) -> Tree:
     return {**tree, "leader": {**tree["leader"], "trajectory": path}}
 
 
+def with_law(tree: Tree, folder: Path) -> Tree:
+    """`tree` with the whole path of the file that holds its law: processes elsewhere read it too."""
+    name, colon, function = str(tree.get("law") or "").rpartition(":")
+    if not colon:
+        return tree
+    return {**tree, "law": f"{(folder / Path(name).expanduser()).absolute()}:{function}"}
+
+
+def without_folder(tree: Tree) -> Tree:
+    """`tree` with the mere name of the file that holds its law: what comes from outside names no file to execute."""
+    if not isinstance(tree.get("law"), str):
+        return tree
+    return {**tree, "law": tree["law"].replace("\\", "/").rpartition("/")[2]}
+
+
 def extended(tree: Tree, source: str, folder: Path, depth: int = 0) -> Tree:
     """`tree` with what it extends, and files that it names, filled in."""
     tree = with_table(tree, source, folder)
@@ -253,6 +268,7 @@ def extended(tree: Tree, source: str, folder: Path, depth: int = 0) -> Tree:
     except ScenarioError as error:
         raise ScenarioError(f"{source}: extends: {error}") from None
     base = parse(read_text(path), str(path))
+    base = with_law(base, path.parent)
     return merged(extended(base, str(path), path.parent, depth + 1), own)
 
 

@@ -234,6 +234,11 @@ class Scenario:
         return self.file.formation.uav_keep_out_m
 
     @property
+    def law(self) -> str | None:
+        """FILE.py:NAME of the law of the followers; None: ours."""
+        return self.file.law
+
+    @property
     def mavlink(self) -> Mavlink:
         """Settings for real flight controllers."""
         return self.file.mavlink
@@ -324,9 +329,19 @@ def scenario_from_text(
         )
     given = {key: value for key, value in (overrides or {}).items() if value is not None}
     final = reader.extended(tree, source, folder or Path.cwd())
+    if complete:
+        final = reader.without_folder(final)
+    elif folder is not None:
+        final = reader.with_law(final, folder)
     if given:
         final = reader.with_table(reader.overridden(final, given, source), source, Path.cwd())
-    if given or "extends" in tree or reader.names_table(tree):
+        final = reader.with_law(final, Path.cwd()) if "law" in given else final
+    if (
+        given
+        or "extends" in tree
+        or reader.names_table(tree)
+        or final.get("law") != tree.get("law")
+    ):
         text = reader.dump(final)
     filled = completed(final, source)
     if _deadline_of(filled) == AUTO:

@@ -227,6 +227,17 @@ def _fence(fence: Geofence) -> Problems:
                 yield f"mavlink.geofence.box_max_m: {high:g}: expected more than box_min_m, {low:g}"
 
 
+def _law(file: ScenarioFile) -> Problems:
+    if file.law is None:
+        return
+    formation = file.formation
+    if formation.assignment != "fixed" or formation.frame != "world" or formation.changes:
+        yield (
+            f"law: {file.law}: expected formation.assignment: fixed, frame: world and no changes, for a "
+            "law of your own is told one place for each UAV"
+        )
+
+
 _CHECKS: tuple[Callable[[ScenarioFile], Problems], ...] = (
     _timing,
     _names,
@@ -238,6 +249,7 @@ _CHECKS: tuple[Callable[[ScenarioFile], Problems], ...] = (
     _sight,
     _plant,
     _mavlink,
+    _law,
 )
 
 

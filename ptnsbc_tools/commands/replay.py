@@ -38,6 +38,14 @@ def replay(
             help="--rerun: use this file and not the attached scenario.",
         ),
     ] = None,
+    law: Annotated[
+        str | None,
+        typer.Option(
+            "--law",
+            metavar="FILE.py:NAME",
+            help="--rerun: execute this law, of a bag whose scenario names one.",
+        ),
+    ] = None,
     rate: Annotated[
         float,
         typer.Option(
@@ -80,7 +88,7 @@ def replay(
     if rerun == publish:
         raise typer.BadParameter("expected one of --rerun and --publish")
     if rerun:
-        raise typer.Exit(_rerun(bag, scenario, json=json))
+        raise typer.Exit(_rerun(bag, scenario, law, json=json))
     chosen = tuple(topics or ("*",))
     raise typer.Exit(
         _publish(
@@ -112,20 +120,27 @@ def _publish(path: Path, json: bool, **play_options: Any) -> int:
     return _INTERRUPTED if played.interrupted else 0
 
 
-def _rerun(path: Path, scenario: Path | None, *, json: bool) -> int:
+def _rerun(path: Path, scenario: Path | None, law: str | None, *, json: bool) -> int:
     from ptnsbc_io.bag import read_bag
+    from ptnsbc_sim.law import LawError, load_law
     from ptnsbc_tools.reading.bag_sources import McapSource, scenario_of
     from ptnsbc_tools.replay.rerun import EQUAL, rerun
 
     began = time.monotonic()
     bag = read_bag(path)
     flown = scenario_of(McapSource(bag), scenario)
+    if flown.law is not None and law is None:
+        raise LawError(
+            f"{path}: flown with the law {flown.law}, which a bag does not carry: give it with --law "
+            f"FILE.py:{flown.law.rpartition(':')[2]}"
+        )
+    loaded = None if law is None else load_law(law)
     with console.compiling():
         from ptnsbc_nodes.runtime.warmup import load_agent
 
         load_agent(flown, flown.leader_id)
     jobs = min(os.cpu_count() or 1, _MOST_JOBS)
-    done = rerun(bag, flown, lambda: console.progress("re-running"), jobs)
+    done = rerun(bag, flown, lambda: console.progress("re-running"), jobs, loaded)
     seconds = time.monotonic() - began
     if json:
         console.print_json(done.as_json(seconds))

@@ -41,7 +41,9 @@ def load(scenario: str | Path | Mapping[str, Any], /, **keys: Any) -> Scenario:
     given = {key: reader.plain(value) for key, value in keys.items()}
     if not isinstance(scenario, Mapping):
         return load_scenario(scenario, given)
-    return scenario_from_text(reader.dump(reader.plain(scenario)), given, source="mapping")
+    return scenario_from_text(
+        reader.dump(reader.plain(scenario)), given, source="mapping", folder=Path.cwd()
+    )
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions
 from ptnsbc_nodes.comm.legs import Epochs
 from ptnsbc_nodes.comm.slots import DecidedSlots, hear_recorded
+from ptnsbc_sim.law import LoadedLaw, UavLaw
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_tools.replay.topic_buffer import TopicBuffer
 from ptnsbc_tools.replay.uav_replay import UavReplay, heard_topics
@@ -24,11 +25,20 @@ _KEPT_STATUSES = 64  # twelve seconds; nobody takes the statuses of steps that a
 class ReplayState:
     """Buffered messages, epochs and UAVs of one re-run, or of a part of its UAVs."""
 
-    def __init__(self, scenario: Scenario, uavs: Sequence[int], fleet: str = "") -> None:
+    def __init__(
+        self,
+        scenario: Scenario,
+        uavs: Sequence[int],
+        fleet: str = "",
+        law: LoadedLaw | None = None,
+    ) -> None:
         edges = CommunicationGraph(scenario, FlightOptions())
         self.scenario = scenario
         self.slots = DecidedSlots(scenario)
-        self.uavs = {uav: UavReplay(scenario, uav, edges, self.slots, fleet) for uav in uavs}
+        laws = {uav: None if law is None else UavLaw(law, scenario, uav) for uav in uavs}
+        self.uavs = {
+            uav: UavReplay(scenario, uav, edges, self.slots, fleet, laws[uav]) for uav in uavs
+        }
         needed = {topic for uav in uavs for topic in topics.of_uav(uav)}
         for replay in self.uavs.values():
             needed.update(heard_topics(replay.senders))

@@ -29,6 +29,7 @@ from ptnsbc_nodes.uav.step_log import (
     decode_snapshot,
     sources,
 )
+from ptnsbc_sim.law import UavLaw
 from ptnsbc_sim.scenario import Scenario, agent_config
 from ptnsbc_tools.replay.difference import (
     Difference,
@@ -101,6 +102,7 @@ class UavReplay:
         edges: CommunicationGraph,
         decided: DecidedSlots,
         fleet: str = "",
+        law: UavLaw | None = None,
     ) -> None:
         self.uav = uav
         self.senders = senders = edges.senders(uav)
@@ -111,7 +113,8 @@ class UavReplay:
         self.outputs = [f"/uav{uav}/{name}" for name in OUTPUTS]
         self.recorded_counters: dict[int, list[dict[str, str]]] = {}  # of /diagnostics, by ticks
         self._config = agent_config(scenario, uav)
-        self.controller = UavController(self._config, senders)
+        self._law = law
+        self.controller = UavController(self._config, senders, law)
         self._put = _inbox_setters(self.controller.inbox)
         self._encoder = AgentMessages(uav, fleet)
         self.next_step: int | None = None  # number of the next step; None: a step was left out
@@ -130,7 +133,7 @@ class UavReplay:
         self._held.clear()
         self.inputs = source_topics(self.uav, self.senders)
         config = self._config if limits is None else limits.applied_to(self._config)
-        self.controller = UavController(config, self.senders)
+        self.controller = UavController(config, self.senders, self._law)
         self._put = _inbox_setters(self.controller.inbox)
 
     def resume(self, note: TickNote, snapshot: bytes) -> None:

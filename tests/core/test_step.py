@@ -8,7 +8,7 @@ import pytest
 
 from ptnsbc_core.agent import Agent
 from ptnsbc_core.kinematics import store_estimate, velocity_enu
-from ptnsbc_core.step import initial_state, step
+from ptnsbc_core.step import guided_step, initial_state, step
 from ptnsbc_core.types import (
     MODE_FORMATION,
     MODE_HOLD,
@@ -204,6 +204,20 @@ def test_hold_leg_stays_in_place_and_land_leg_descends_over_it(plant: str) -> No
     assert speed == pytest.approx(-config_of(1, plant).land_speed, rel=1e-2)
     flown.fly(8.0)
     assert np.linalg.norm(velocity_enu(flown.own)) == pytest.approx(0.5, abs=0.02)
+
+
+@pytest.mark.parametrize("plant", PLANTS)
+def test_another_law_moves_a_follower_only_while_it_does_not_hold(plant: str) -> None:
+    own, config = message(np.array([1.0, 2.0, 3.0])), config_of(2, plant)
+    state, wanted = initial_state(own, config), (0.2, -0.1, 0.3)
+    for mode in (MODE_HOLD, MODE_LAND):
+        resting = inputs_of(own, 1.0, mode=mode)
+        found = guided_step(state, resting, wanted, 1.0, DT, config)
+        assert str(found) == str(step(state, resting, 1.0, DT, config))
+    for tick in range(100):
+        inputs = inputs_of(own, tick * DT)
+        state, out = guided_step(state, inputs, wanted, tick * DT, DT, config)
+    np.testing.assert_allclose(out.velocity, wanted, atol=1e-6)
 
 
 def test_a_second_hold_is_where_the_second_hold_began() -> None:

@@ -55,6 +55,16 @@ def test_what_is_fixed_is_read_only_and_described(told):
     assert not result.successful
 
 
+def test_nobody_names_a_file_to_execute_over_ros(told, tmp_path):
+    file = tmp_path / "mine.py"
+    file.write_text("def law(inputs):\n    return (0.0, 0.0, 0.0)\n")
+    (tmp_path / "flown.yaml").write_text("extends: paper_5_free\nlaw: mine.py:law\n")
+    node, parameters = told({"scenario": str(tmp_path / "flown.yaml")})
+    (result,) = node.set_parameters([Parameter("law", value="/tmp/other.py:law")])
+    assert not result.successful and "give it in the scenario file" in result.reason
+    assert parameters.scenario.law == f"{file}:law"
+
+
 def test_values_of_the_scenario_have_description_and_range(told):
     node, parameters = told()
     about = node.describe_parameter(KAPPA)

@@ -1,0 +1,37 @@
+"""Laws of one's own against ours: consensus and a potential field, over the same draws of starts."""
+
+import sys
+from pathlib import Path
+
+from matplotlib import pyplot as plt
+
+import ptnsbc
+
+OUT = Path(sys.argv[1] if sys.argv[1:] else "out/examples")
+LAWS = Path(__file__).with_name("laws")
+DRAWS = {"runs": 5, "starts": "near:0.5", "stop_after_s": 8.0, "seed": 3, "workers": 1}
+
+ours = ptnsbc.load("paper_5_free")
+scenarios = {
+    "ours": ours,
+    "consensus": ours.with_(law=f"{LAWS}/consensus.py:consensus"),
+    "potential field": ours.with_(
+        {"law": f"{LAWS}/potential_field.py:potential_field", "formation.avoidance": "off"}
+    ),
+}
+figure, axes = plt.subplots(figsize=(8, 4.5), layout="constrained")
+first = None
+for name, scenario in scenarios.items():
+    flown = ptnsbc.sweep(scenario, **DRAWS)
+    first = first or flown
+    print(f"{name}: {flown.met}; worse than ours: {first.compare(flown).worse}")
+    flight = flown.fly(0)
+    axes.semilogy(flight.time_s, flight.error_m[:, 1:].max(axis=1), label=name)
+axes.axvline(ours.gains.formation.deadline_s, color="black", linewidth=1)
+axes.axhline(0.05, color="grey", linewidth=1)
+axes.set(
+    xlabel="time after the epoch [s]", ylabel="largest error of a follower [m]", title="draw 0"
+)
+axes.legend()
+OUT.mkdir(parents=True, exist_ok=True)
+figure.savefig(OUT / "own_law.png")

@@ -1,0 +1,251 @@
+"""Laws of the user: one function in a Python file, which gives a follower its velocity from what it knows.
+
+The function is compiled where numba can compile it; where not, it is interpreted, which is said in one line. Every
+error names the file of the user and the line in it. Only files that a scenario file or the user names are executed,
+never what a bag names.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+import math
+import sys
+import traceback
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from types import FunctionType
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_core.kernel import COMPILED
+from ptnsbc_core.kinematics import velocity_enu
+from ptnsbc_core.types import Array, Vector3
+from ptnsbc_sim.scenario import Scenario
+
+_REST: Vector3 = (0.0, 0.0, 0.0)
+
+
+class LawError(PtnsbcError):
+    """A law that cannot be loaded, or that does not give a velocity."""
+
+
+class LawInputs(NamedTuple):
+    """What a law knows at one tick; positions and velocities are ENU. K: senders heard, M: objects near."""
+
+    t: float  # [s] since the epoch
+    position: Array  # (3,) own [m]
+    velocity: Array  # (3,) own [m/s]
+    offset: Array  # (3,) own place relative to the leader [m]
+    ids: NDArray[np.int64]  # (K,) parent, leader where it is heard, neighbours; ascending
+    positions: Array  # (K, 3) of the senders [m]
+    velocities: Array  # (K, 3) that they command [m/s]
+    offsets: Array  # (K, 3) their places relative to the leader [m]
+    ages_s: Array  # (K,) ages of what they sent
+    near: Array  # (M, 7) objects near: x y z [m], keep-out radius [m], vx vy vz [m/s]
+    deadline_s: float  # of the formation, counted from the epoch
+    max_speed_m_s: float  # to which the command is limited
+
+
+class Heard(NamedTuple):
+    """The newest state of one sender."""
+
+    sender: int
+    state: Array  # (13,) odometry vector
+    age_s: float
+
+
+@dataclass(frozen=True)
+class LoadedLaw:
+    """A law from a file."""
+
+    file: Path
+    name: str
+    function: FunctionType
+    call: Callable[[LawInputs], Any]  # compiled where it can be
+
+    def __call__(self, inputs: LawInputs) -> Vector3:
+        """The velocity [m/s, ENU].
+
+        Raises:
+            LawError: the law raised an error, or did not return three finite numbers.
+        """
+        try:
+            found = self.call(inputs)
+        except Exception as error:
+            raise LawError(f"{self._place(error)}: {type(error).__name__}: {error}") from error
+        try:
+            x, y, z = (float(number) for number in found)
+        except (TypeError, ValueError):
+            raise LawError(
+                f"{self._place()}: returned {found!r}: expected a velocity of three numbers [m/s, ENU]"
+            ) from None
+        if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(z)):
+            raise LawError(
+                f"{self._place()}: returned ({x:g}, {y:g}, {z:g}) at t = {inputs.t:.3f} s: "
+                "expected finite numbers"
+            )
+        return x, y, z
+
+    def _place(self, error: BaseException | None = None) -> str:
+        """File, line and name: the line that raised the error, else that of the function."""
+        line = self.function.__code__.co_firstlineno
+        for frame in traceback.extract_tb(error.__traceback__) if error else ():
+            if frame.filename == str(self.file) and frame.lineno:
+                line = frame.lineno
+        return f"{self.file}:{line}: {self.name}"
+
+
+@lru_cache(maxsize=16)
+def load_law(named: str) -> LoadedLaw:
+    """Load a law, which executes its file.
+
+    Args:
+        named: FILE.py:NAME; the file by its whole path, or relative to the current folder.
+
+    Raises:
+        LawError: there is no such file or function, or the file raises an error.
+    """
+    path, _, name = named.rpartition(":")
+    file = Path(path).expanduser().absolute()
+    function = _executed(file).get(name)
+    if not isinstance(function, FunctionType):
+        what = "no such name" if function is None else type(function).__name__
+        raise LawError(f"{file}: {name}: {what}: expected a function of the inputs of a law")
+    return LoadedLaw(file, name, function, _compiled(function, file))
+
+
+def _executed(file: Path) -> dict[str, Any]:
+    """The names of a file that has been executed as a module of its own."""
+    try:
+        text = file.read_bytes()
+    except OSError as error:
+        raise LawError(f"{file}: {error.strerror}: expected the Python file of a law") from None
+    module_name = f"ptnsbc_law_{hashlib.sha256(str(file).encode() + text).hexdigest()[:12]}"
+    spec = importlib.util.spec_from_file_location(module_name, file)
+    if spec is None or spec.loader is None:
+        raise LawError(f"{file}: expected the Python file of a law, whose name ends in .py")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[module_name] = module  # where the compiled law looks for its names
+    try:
+        spec.loader.exec_module(module)
+    except SyntaxError as error:
+        raise LawError(f"{file}:{error.lineno}: {error.msg}") from None
+    except Exception as error:
+        lines = [
+            f.lineno for f in traceback.extract_tb(error.__traceback__) if f.filename == str(file)
+        ]
+        place = f"{file}:{lines[-1]}" if lines else str(file)
+        raise LawError(f"{place}: {type(error).__name__}: {error}") from error
+    return vars(module)
+
+
+def _compiled(function: FunctionType, file: Path) -> Callable[[LawInputs], Any]:
+    """The function compiled and kept on disk; as it is where numba cannot compile it, with a word."""
+    if not COMPILED:
+        return function
+    import numba
+    from numba.core.errors import NumbaError
+
+    from ptnsbc_core.compile_cache import CacheFolder, KernelCache, cache_root, source_digest
+
+    law = numba.njit(function)
+    if not any(hasattr(value, "py_func") for value in function.__globals__.values()):
+        # A law that calls compiled functions of other files is compiled anew: their changes would not be seen.
+        digest = hashlib.sha256(source_digest().encode() + file.read_bytes()).hexdigest()[:16]
+        law._cache = KernelCache(function, CacheFolder(cache_root() / "laws", digest))
+    try:
+        law.compile((numba.typeof(_EXAMPLE),))
+    except NumbaError as error:
+        line = " ".join(str(error).split()) or type(error).__name__
+        print(
+            f"law {file}:{function.__code__.co_firstlineno}: {function.__name__} is interpreted, "
+            f"numba cannot compile it: {line[:_LONGEST]}",
+            file=sys.stderr,
+            flush=True,
+        )
+        return function
+    return law
+
+
+_LONGEST = 300
+
+_EXAMPLE = LawInputs(
+    0.0,
+    np.zeros(3),
+    np.zeros(3),
+    np.zeros(3),
+    np.zeros(1, dtype=np.int64),
+    np.zeros((1, 3)),
+    np.zeros((1, 3)),
+    np.zeros((1, 3)),
+    np.zeros(1),
+    np.zeros((1, 7)),
+    1.0,
+    1.0,
+)
+"""Inputs with the types of all inputs."""
+
+
+class UavLaw:
+    """A law as one follower flies it."""
+
+    def __init__(self, law: LoadedLaw, scenario: Scenario, uav: int) -> None:
+        self.uav = uav
+        heard = {scenario.parent(uav), *scenario.estimator_neighbours(uav)}
+        heard |= {scenario.leader_id} if scenario.pinned(uav) else set()
+        self.senders = tuple(sorted(one for one in heard if one is not None))
+        self._law = law
+        self._offset = scenario.offset(uav)
+        self._offsets = {one: scenario.offset(one) for one in self.senders}
+        self._deadline_s = float(scenario.gains.formation.deadline_s)
+        self._max_speed = float(scenario.gains.filter.max_speed_m_s)
+
+    @classmethod
+    def of(cls, scenario: Scenario, uav: int) -> UavLaw:
+        """The law that a scenario names.
+
+        Raises:
+            LawError: it cannot be loaded, or the scenario comes from a bag.
+        """
+        if scenario.law is None or not Path(scenario.law).is_absolute():
+            raise LawError(
+                f"{scenario.source}: law: {scenario.law}: a bag names a law and does not carry it: expected "
+                "a scenario whose law you give"
+            )
+        return cls(load_law(scenario.law), scenario, uav)
+
+    def velocity(self, t: float, own: Array, heard: Iterable[Heard], near: Array) -> Vector3:
+        """The velocity [m/s, ENU] at one tick; zero while nothing has been heard.
+
+        Args:
+            t: time since the epoch [s].
+            own: odometry vector (13,).
+            heard: the newest states of `senders`, ascending; without those of whom nothing came.
+            near: (M, 7), as in LawInputs.
+        """
+        found = list(heard)
+        if not found:
+            return _REST
+        states = [one.state for one in found]
+        return self._law(
+            LawInputs(
+                t,
+                own[:3].copy(),
+                np.array(velocity_enu(own)),
+                self._offset,
+                np.array([one.sender for one in found], dtype=np.int64),
+                np.array([state[:3] for state in states]),
+                np.array([velocity_enu(state) for state in states]),
+                np.array([self._offsets[one.sender] for one in found]),
+                np.array([one.age_s for one in found]),
+                np.ascontiguousarray(near),
+                self._deadline_s,
+                self._max_speed,
+            )
+        )

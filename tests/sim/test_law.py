@@ -1,0 +1,203 @@
+"""Laws of the user: loaded, compiled or interpreted, flown, and wrong ones named with file and line."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ptnsbc_core.kernel import COMPILED
+from ptnsbc_sim.law import _EXAMPLE, Heard, LawError, LawInputs, UavLaw, load_law
+from ptnsbc_sim.scenario import ScenarioError, load_scenario, scenario_from_text
+from ptnsbc_sim.swarm import fly
+
+EXAMPLES = Path(__file__).parents[2] / "examples" / "laws"
+CONSENSUS = f"{EXAMPLES / 'consensus.py'}:consensus"
+
+Write = Callable[..., str]
+
+
+@pytest.fixture
+def write(tmp_path: Path) -> Write:
+    """A law file with these lines; returns FILE.py:law."""
+
+    def written(*lines: str) -> str:
+        file = tmp_path / "mine.py"
+        file.write_text("\n".join(lines) + "\n", encoding="utf-8")
+        return f"{file}:law"
+
+    return written
+
+
+def drawn(seed: int, senders: int = 3) -> LawInputs:
+    rng = np.random.default_rng(seed)
+    given = {name: rng.normal(size=(senders, 3)) for name in ("positions", "velocities", "offsets")}
+    own = {name: rng.normal(size=3) for name in ("position", "velocity", "offset")}
+    return _EXAMPLE._replace(
+        t=1.5,
+        ids=np.arange(senders),
+        ages_s=rng.uniform(0.0, 0.1, senders),
+        near=rng.normal(size=(4, 7)),
+        **given,
+        **own,
+    )
+
+
+@pytest.mark.parametrize("name", ["consensus", "potential_field"])
+@pytest.mark.parametrize("seed", range(5))
+def test_the_compiled_law_is_the_interpreted_one(name: str, seed: int) -> None:
+    law = load_law(f"{EXAMPLES / name}.py:{name}")
+    assert (law.call is not law.function) == COMPILED
+    inputs = drawn(seed)
+    plain = tuple(float(number) for number in law.function(inputs))
+    np.testing.assert_allclose(law(inputs), plain, rtol=1e-13, atol=1e-15)
+
+
+def test_in_formation_consensus_keeps_the_common_velocity() -> None:
+    scenario = load_scenario("paper_5_free", {"law": CONSENSUS})
+    leader, velocity = np.array([1.0, 2.0, 8.0]), np.array([0.3, -0.2, 0.1])
+
+    def state(uav: int) -> np.ndarray:
+        return np.concatenate(
+            [leader + scenario.offset(uav), [0.0, 0.0, 0.0, 1.0], velocity, np.zeros(3)]
+        )
+
+    law = UavLaw.of(scenario, 3)
+    assert law.senders == (1, 2, 4)  # leader, parent, and the neighbour above it
+    heard = [Heard(uav, state(uav), 0.0) for uav in law.senders]
+    found = law.velocity(2.0, state(3), heard, np.zeros((0, 7)))
+    np.testing.assert_allclose(found, velocity, atol=1e-12)
+    assert law.velocity(2.0, state(3), [], np.zeros((0, 7))) == (0.0, 0.0, 0.0)
+
+
+def test_what_a_law_hears_is_extrapolated_by_it_and_turned_to_the_world() -> None:
+    scenario = load_scenario("paper_5_free", {"law": CONSENSUS})
+    turned = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    seen: list[LawInputs] = []
+    law = UavLaw(load_law(CONSENSUS), scenario, 2)
+    law._law = lambda inputs: seen.append(inputs) or (0.0, 0.0, 0.0)  # type: ignore[assignment,func-returns-value]
+    law.velocity(0.5, turned, [Heard(1, turned, 0.02)], np.zeros((0, 7)))
+    # a half turn about z: the body's x is the world's -x
+    np.testing.assert_allclose(seen[0].velocities, [[-1.0, 0.0, 0.0]], atol=1e-15)
+    np.testing.assert_allclose(seen[0].velocity, [-1.0, 0.0, 0.0], atol=1e-15)
+    assert (seen[0].ids.tolist(), seen[0].ages_s.tolist()) == ([1], [0.02])
+
+
+def test_a_law_flies_its_followers_and_leaves_the_leader(write: Write) -> None:
+    named = write("def law(inputs):", "    return (0.0, 0.0, 0.2)")
+    keys = {"timing.duration_s": 2.0, "formation.avoidance": "off"}
+    ours = fly(load_scenario("paper_5_free", keys))
+    theirs = fly(load_scenario("paper_5_free", {**keys, "law": named}))
+    np.testing.assert_array_equal(theirs.track.odometry[:, 0], ours.track.odometry[:, 0])
+    late = theirs.track.velocity[150:, 1:, :3]
+    np.testing.assert_allclose(late, np.broadcast_to([0.0, 0.0, 0.2], late.shape), atol=1e-3)
+    again = fly(load_scenario("paper_5_free", {**keys, "law": named}))
+    assert again.track.odometry.tobytes() == theirs.track.odometry.tobytes()
+
+
+def test_what_numba_cannot_compile_is_interpreted_with_a_word(
+    write: Write, capsys: pytest.CaptureFixture[str]
+) -> None:
+    law = load_law(write("import json", "def law(inputs):", "    return json.loads('[1, 2, 3]')"))
+    assert law(_EXAMPLE) == (1.0, 2.0, 3.0)
+    said = capsys.readouterr().err
+    assert not COMPILED or ("mine.py:2: law is interpreted" in said and said.count("\n") == 1)
+
+
+@pytest.mark.parametrize(
+    ("lines", "match"),
+    [
+        (("def law(inputs):", "    a = 1.0", "    return a"), r"mine\.py:1: law: returned 1\.0: "),
+        (
+            ("def law(inputs):", "    return (0.0, 1.0)"),
+            r"returned .*: expected a velocity of three",
+        ),
+        (
+            ("import math", "def law(inputs):", "    return (math.nan, 0.0, 0.0)"),
+            r"mine\.py:2: law: returned \(nan, 0, 0\) at t = 0\.000 s: expected finite",
+        ),
+        (
+            ("def law(inputs):", "    raise ValueError('no way')", "    return (0.0, 0.0, 0.0)"),
+            r"mine\.py:2: law: ValueError: no way",
+        ),
+        (
+            ("import json", "def law(inputs):", "    x = json.loads('1')", "    return x[3]"),
+            r"mine\.py:4: law: TypeError",
+        ),
+    ],
+)
+def test_a_law_that_gives_no_velocity_names_its_line(
+    write: Write, lines: tuple[str, ...], match: str
+) -> None:
+    law = load_law(write(*lines))
+    with pytest.raises(LawError, match=match):
+        law(_EXAMPLE)
+
+
+@pytest.mark.parametrize(
+    ("lines", "match"),
+    [
+        (("def law(inputs:",), r"mine\.py:1: "),
+        (("import numpy", "import no_such_module"), r"mine\.py:2: ModuleNotFoundError"),
+        (("other = 3",), r"law: no such name: expected a function"),
+        (("law = 3",), r"law: int: expected a function"),
+    ],
+)
+def test_a_file_without_a_law_names_its_line(
+    write: Write, lines: tuple[str, ...], match: str
+) -> None:
+    with pytest.raises(LawError, match=match):
+        load_law(write(*lines))
+
+
+def test_a_missing_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(LawError, match=r"nowhere\.py: No such file"):
+        load_law(f"{tmp_path}/nowhere.py:law")
+
+
+def test_the_file_is_looked_for_beside_the_scenario(tmp_path: Path) -> None:
+    (tmp_path / "mine.yaml").write_text("extends: paper_5_free\nlaw: laws/a.py:law\n")
+    (tmp_path / "child.yaml").write_text("extends: ./mine.yaml\nname: child\n")
+    for name in ("mine", "child"):
+        read = load_scenario(tmp_path / f"{name}.yaml")
+        assert read.law == f"{tmp_path}/laws/a.py:law"
+        assert scenario_from_text(read.text).law == read.law  # as a process of a fleet reads it
+
+
+def test_a_scenario_from_a_bag_names_no_file_to_execute(write: Write, tmp_path: Path) -> None:
+    mark = tmp_path / "executed"
+    named = write(f"open({str(mark)!r}, 'w').close()", "def law(inputs):", "    return (0, 0, 0)")
+    text = load_scenario("paper_5_free", {"law": named}).text
+    carried = scenario_from_text(text, complete=True)
+    assert carried.law == "mine.py:law"
+    for scenario in (carried, carried.with_({"timing.duration_s": 1})):
+        with pytest.raises(LawError, match="a bag names a law and does not carry it"):
+            fly(scenario)
+    assert not mark.exists()
+    assert carried.with_(law=named).law == named  # given by the user
+
+
+@pytest.mark.parametrize(
+    ("keys", "match"),
+    [
+        ({"law": "mine.txt:law"}, r"law: .*expected FILE\.py:NAME"),
+        ({"law": "mine.py"}, r"law: .*expected FILE\.py:NAME"),
+        (
+            {"law": "mine.py:law", "formation.assignment": "optimal"},
+            r"expected formation\.assignment: fixed",
+        ),
+        (
+            {
+                "law": "mine.py:law",
+                "formation.frame": "heading",
+                "formation.task": "relative_position",
+            },
+            r"frame: world and no changes",
+        ),
+    ],
+)
+def test_a_key_that_names_no_law_is_refused(keys: dict[str, str], match: str) -> None:
+    with pytest.raises(ScenarioError, match=match):
+        load_scenario("paper_5_free", keys)

@@ -1,0 +1,57 @@
+"""A flight by a law of the user, run again: equal with the file, refused without it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from ptnsbc_io.bag import read_bag
+from ptnsbc_sim.law import LawError
+from ptnsbc_tools.cli import app
+from ptnsbc_tools.library.flying import fly, load
+from ptnsbc_tools.reading.bag_sources import McapSource, scenario_of
+from ptnsbc_tools.replay.rerun import rerun
+
+LAW = Path(__file__).parents[3] / "examples" / "laws" / "consensus.py"
+
+
+@pytest.fixture(scope="module", params=[0.0, 0.2], ids=["all arrive", "some get lost"])
+def bag(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    pytest.importorskip("rclpy")
+    keys = {"timing.duration_s": 1.2, "communication.loss": request.param}
+    flown = fly(load("paper_5_free").with_(keys, law=f"{LAW}:consensus"), checked=False)
+    folder = tmp_path_factory.mktemp("law") / "bag"
+    flown.save(folder)
+    return folder
+
+
+def _rerun(*words: object) -> tuple[int, str, str]:
+    result = CliRunner().invoke(app, ["replay", *map(str, words), "--rerun"])
+    return result.exit_code, result.stdout, result.stderr
+
+
+def test_the_file_gives_the_same_bytes(bag: Path) -> None:
+    code, out, _ = _rerun(bag, "--law", f"{LAW}:consensus", "--json")
+    assert (code, json.loads(out)["verdict"]) == (0, "equal")
+
+
+def test_another_law_gives_others(bag: Path) -> None:
+    other = LAW.with_name("potential_field.py")
+    assert _rerun(bag, "--law", f"{other}:potential_field")[0] == 1
+
+
+def test_without_the_file_nothing_is_executed(bag: Path) -> None:
+    code, out, err = _rerun(bag)
+    assert (code, out) == (2, "")
+    assert "consensus.py:consensus, which a bag does not carry: give it with --law" in err
+    read = read_bag(bag)
+    with pytest.raises(LawError, match="which a bag does not carry"):
+        rerun(read, scenario_of(McapSource(read), None))
+
+
+def test_the_verdict_needs_no_law(bag: Path) -> None:
+    result = CliRunner().invoke(app, ["verify", str(bag), "--json"])
+    assert json.loads(result.stdout)["scenario"] == "paper_5_free"
