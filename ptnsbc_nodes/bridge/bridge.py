@@ -25,6 +25,7 @@ from ptnsbc_nodes.bridge.setpoint.guard import allowed
 from ptnsbc_nodes.bridge.setpoint.lead import VelocityLead, largest_kappa_1_s
 from ptnsbc_nodes.bridge.setpoint.stream import SetpointStream, StreamInput
 from ptnsbc_nodes.bridge.state_publisher import StatePublisher
+from ptnsbc_nodes.bridge.truth import TRUTH_MESSAGES
 from ptnsbc_nodes.bridge.vehicle import VEHICLE_MESSAGES, VehicleMonitor
 from ptnsbc_nodes.bridge.world import WorldFrame
 from ptnsbc_nodes.comm.legs import Epochs
@@ -32,7 +33,8 @@ from ptnsbc_nodes.emergency.orders import APART
 from ptnsbc_sim.scenario import Scenario, agent_config
 
 WANTED_MESSAGES = frozenset(
-    getattr(mavlink, f"MAVLINK_MSG_ID_{name}") for name in (*VEHICLE_MESSAGES, *LINK_MESSAGES)
+    getattr(mavlink, f"MAVLINK_MSG_ID_{name}")
+    for name in (*VEHICLE_MESSAGES, *LINK_MESSAGES, *TRUTH_MESSAGES)
 )
 """Ids of the messages that a bridge decodes."""
 _ANGLES = frozenset({mavlink.MAVLINK_MSG_ID_ATTITUDE})
@@ -126,6 +128,8 @@ class Bridge:
 
     def _on_message(self, message: Any) -> None:
         now_s = self.ports.clocks.steady_s()
+        if message.get_type() in TRUTH_MESSAGES:
+            return self.state_publisher.on_truth(message)
         state = self.vehicle.on_message(message, now_s)
         if state is not None:
             output = self.procedure.output
@@ -133,7 +137,7 @@ class Bridge:
             if output.stream is Stream.PLANNER and self.state_publisher.odometry is not None:
                 self.stream.attitude.hover.on_odometry(now_s, self.state_publisher.odometry)
                 self.stream.drag.on_odometry(now_s, self.state_publisher.odometry)
-        self.maintenance.on_message(message, now_s)
+        return self.maintenance.on_message(message, now_s)
 
     def _tick(self, now_s: float) -> None:
         """One period of the stream."""

@@ -28,6 +28,11 @@ _RATES_HZ = {
     mavlink.MAVLINK_MSG_ID_SYS_STATUS: 1.0,
     mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: 2.0,
 }
+_TRUTH = {
+    "px4": mavlink.MAVLINK_MSG_ID_HIL_STATE_QUATERNION,
+    "ardupilot": mavlink.MAVLINK_MSG_ID_SIM_STATE,
+}
+_TRUTH_HZ = 50.0
 
 
 class Commands:
@@ -36,6 +41,9 @@ class Commands:
     def __init__(self, autopilot: Autopilot, sysid: int) -> None:
         self._autopilot = autopilot
         self._sysid = sysid
+        self._rates_hz = dict(_RATES_HZ)
+        if autopilot.name in _TRUTH:  # a real vehicle refuses it
+            self._rates_hz[_TRUTH[autopilot.name]] = _TRUTH_HZ
         self._sent: Counter[int] = Counter()
         self._landings = 0
         self._names: dict[int, str] = {}
@@ -61,7 +69,7 @@ class Commands:
         """Requests for the messages that the bridge needs; ArduPilot sends none without them."""
         return [
             self._long(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, "", (float(number), 1e6 / hz))
-            for number, hz in _RATES_HZ.items()
+            for number, hz in self._rates_hz.items()
         ]
 
     def request(self, message_id: int) -> Any:

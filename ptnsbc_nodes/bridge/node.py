@@ -210,6 +210,7 @@ class BridgeNode:
         odometry = OdometryTemplate(WORLD_FRAME, body)
         send_odom = publisher(topics.odom(self._uav_id), 1 + recorders)
         send_track = publisher(topics.track(self._uav_id), 0)
+        send_truth = publisher(topics.truth(self._uav_id), 0)
         send_limits = publisher(topics.limits(self._uav_id), 1)
         send_origin = publisher(topics.ORIGIN, 0)
         send_lost = publisher(LOST, 0)
@@ -234,6 +235,7 @@ class BridgeNode:
             limits=publish_limits,
             lost=lambda: send_lost(HeaderTemplate(f"uav{self._uav_id}").encode(0)),
             log=self._log,
+            truth=lambda stamp_ns, values: send_truth(odometry.encode(stamp_ns, values)),
         )
 
     def _subscribe(self, scenario: Scenario) -> None:

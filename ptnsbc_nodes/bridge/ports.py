@@ -50,6 +50,8 @@ class BridgeOutputs(NamedTuple):
     limits: Callable[[SetpointLimits], None]  # for the planner
     lost: Callable[[], None]  # this vehicle has left the formation
     log: Callable[[str], None]  # a line for the operator
+    truth: Callable[[int, Array], None] = lambda _stamp_ns, _odometry: None
+    """Stamp [ns] and true odometry (13,) of a simulated vehicle, for the verdict."""
 
 
 class Clocks(NamedTuple):

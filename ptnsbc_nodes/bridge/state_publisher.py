@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from ptnsbc_io.mavlink.timesync import TimeSync
 from ptnsbc_nodes.bridge.controller import ControllerSetpoints, PublishedOdometry
 from ptnsbc_nodes.bridge.ports import BridgePorts
 from ptnsbc_nodes.bridge.pose import VehicleState
+from ptnsbc_nodes.bridge.truth import place_of, true_odometry
 from ptnsbc_nodes.bridge.vehicle import VehicleMonitor
 from ptnsbc_nodes.bridge.world import WorldFrame
 
@@ -152,6 +153,13 @@ class StatePublisher:
             self.shared = SharedVehicleState(self.shared.messages + 1, stamp_ns)
         else:
             self._ports.outputs.track(stamp_ns, odometry)
+
+    def on_truth(self, message: Any) -> None:
+        """Publish where a simulated vehicle really is, for the verdict alone."""
+        position = self.world.true_position(place_of(message))
+        odometry = None if position is None else true_odometry(message, position)
+        if odometry is not None:
+            self._ports.outputs.truth(self._ports.clocks.ros_ns(), odometry)
 
     def _timely(self, age_s: float, now_s: float) -> bool:
         if -_AHEAD_S <= age_s <= _OLDEST_S:

@@ -35,6 +35,7 @@ class WorldFrame:
         )
         self._anchor: Anchor | None = None
         self._ground_z_m: float | None = None
+        self._true_ground_m: float | None = None
         self.frozen = False
         self.offset: Array | None = None
         """World position of the local origin (3,) [m], ENU; None while it is not known."""
@@ -71,6 +72,23 @@ class WorldFrame:
         if self._on_ground and not self._settled:
             self._ground_z_m = local_z_m
             self._update()
+
+    def true_position(self, place: GeoPoint) -> Array | None:
+        """World position (3,) [m] of a true place on the Earth; None while the world is not known, or only surveyed.
+
+        With `height: ground` heights count from the place where the vehicle stood last.
+        """
+        if self._reference is None or self._surveyed is not None:
+            return None
+        if not self.frozen:
+            self._true_ground_m = place.altitude_m
+        away = frames.offset_enu(place, self._reference, self._radius_m)
+        position = away if self._given else self._start + away
+        if self._on_ground:
+            if self._true_ground_m is None:
+                return None
+            position[2] = place.altitude_m - self._true_ground_m
+        return np.asarray(position)
 
     def freeze(self) -> None:
         """Keep the offset from now on: after arming the world must not move."""

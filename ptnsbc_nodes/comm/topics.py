@@ -78,7 +78,9 @@ def odom(uav: int) -> Topic:
 
 
 def truth(uav: int) -> Topic:
-    """True state of a UAV, when positions are noisy, gusts blow or messages get lost: the verdict is judged by it."""
+    """True state of a UAV, when positions are noisy, gusts blow or messages get lost, and of a vehicle whose autopilot
+    simulates it: the verdict is judged by it.
+    """
     return _state(uav, "truth", "nav_msgs/msg/Odometry")
 
 

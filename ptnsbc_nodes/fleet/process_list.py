@@ -143,7 +143,7 @@ def _recorder(options: FleetOptions, bag: Path, scenario_file: Path) -> ProcessC
         arguments += ["--meta", f"{key}={value}"]
     if options.lockstep:
         arguments.append("--lockstep")
-    if options.scenario.imperfect:
+    if options.scenario.imperfect or options.backend == "mavlink":
         arguments.append("--truth")
     if are_open(options.scenario):
         arguments.append("--slots")

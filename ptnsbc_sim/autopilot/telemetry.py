@@ -144,6 +144,50 @@ def _origin(vehicle: StandInVehicle, t: float) -> Any:
     )
 
 
+def _true_place(vehicle: StandInVehicle) -> tuple[int, int, float]:
+    """True latitude, longitude [1e-7 deg] and altitude [m]."""
+    flight = vehicle.flight
+    point = geodetic(vehicle.body.datum, flight.truth_enu, vehicle.earth_radius_m)
+    return round(point.latitude_deg * 1e7), round(point.longitude_deg * 1e7), point.altitude_m
+
+
+def _hil_state(vehicle: StandInVehicle, t: float) -> Any:
+    """The truth, as PX4's simulations tell it."""
+    flight = vehicle.flight
+    latitude, longitude, altitude_m = _true_place(vehicle)
+    return mavlink.MAVLink_hil_state_quaternion_message(
+        vehicle.clock.us(t),
+        list(attitude_swap(flight.true_attitude_enu)),
+        *body_swap(flight.rates_flu).tolist(),
+        latitude,
+        longitude,
+        round(altitude_m * 1e3),
+        *(round(100.0 * v) for v in world_swap(flight.true_velocity_enu).tolist()),
+        *[0] * 5,
+    )
+
+
+def _sim_state(vehicle: StandInVehicle, _t: float) -> Any:
+    """The truth, as ArduPilot's simulations tell it."""
+    flight = vehicle.flight
+    latitude, longitude, altitude_m = _true_place(vehicle)
+    attitude = attitude_swap(flight.true_attitude_enu)
+    return mavlink.MAVLink_sim_state_message(
+        *attitude,
+        *euler_of(attitude),
+        *[0.0] * 3,
+        *body_swap(flight.rates_flu).tolist(),
+        latitude * 1e-7,
+        longitude * 1e-7,
+        altitude_m,
+        0.0,
+        0.0,
+        *world_swap(flight.true_velocity_enu).tolist(),
+        latitude,
+        longitude,
+    )
+
+
 def _heartbeat(vehicle: StandInVehicle, t: float) -> Any:
     return mavlink.MAVLink_heartbeat_message(
         vehicle.mav_type, vehicle.autopilot, *vehicle.heartbeat_fields(t), 3
@@ -269,6 +313,8 @@ BUILDERS: dict[int, Builder] = {
     mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: _version,
     mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: _system_time,
     mavlink.MAVLINK_MSG_ID_TIMESYNC: _timesync,
+    mavlink.MAVLINK_MSG_ID_HIL_STATE_QUATERNION: _hil_state,
+    mavlink.MAVLINK_MSG_ID_SIM_STATE: _sim_state,
 }
 """By message id: what can be streamed or requested."""
 

@@ -76,6 +76,7 @@ class FleetUav:
         scenario = fleet.scenario
         self.id, self.fleet = uav_id, fleet
         self.lines, self.stamps, self.odometry, self.tracks, self.wrenches = [], [], [], [], []
+        self.truths = []
         self.setpoints = []  # (time, message) as the vehicle got them
         self.alive = True  # the UAV process
         self.bridge_alive = True  # the bridge process
@@ -102,6 +103,7 @@ class FleetUav:
             origin=fleet.set_leader_origin,
             limits=self.on_limits,
             lost=self.on_lost,
+            truth=lambda stamp_ns, odometry: self.truths.append((stamp_ns, odometry)),
             log=lambda line: self.lines.append(f"{fleet.now_s - START_S:7.2f} bridge {line}"),
         )
         self.inputs = BridgeInputs(controller_ready=True)
@@ -304,6 +306,7 @@ class MavlinkFleet:
             },
             wrench={i: series(u.wrenches) for i, u in self.uavs.items()},
             estimate={},
+            truth={i: series(u.truths) for i, u in self.uavs.items() if u.truths},
             counters={},
             epochs=tuple(self.legs),
         )

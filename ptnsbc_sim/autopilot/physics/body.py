@@ -158,6 +158,12 @@ class VehiclePhysics:
         return self._state[7:10]
 
     @property
+    def true_attitude_enu(self) -> Quaternion:
+        """True attitude, FLU in ENU."""
+        x, y, z, w = (float(v) for v in self._state[3:7])
+        return Quaternion(w, x, y, z)
+
+    @property
     def position_enu(self) -> Array:
         """Estimated position (3,) [m, ENU from the vehicle's own origin]."""
         return self._nav[0:3]
