@@ -269,7 +269,7 @@ def test_the_graph_shows_what_the_architecture_lists(ros, managed, uav_id, locks
     node.trigger_activate()
     me, here = ("controller", f"/uav{uav_id}"), f"/uav{uav_id}"
     says = {
-        "setpoint/wrench", "setpoint/velocity", "formation_state", "leader_estimate",
+        "setpoint/wrench", "setpoint/velocity", "formation_state", "leader_estimate", "robot_description",
         *(() if lockstep else ("tick", "snapshot")),
     }  # fmt: skip
     expected = {f"{here}/{name}" for name in says}
