@@ -57,6 +57,21 @@ def test_four_vehicles_take_off_form_by_the_deadline_and_land(kind, setpoint):
     assert min(pair.distance_m for pair in found.separations) > 0.5
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["px4", "arducopter"])
+def test_four_vehicles_fly_a_figure_of_eight_in_a_v_that_turns(kind):
+    changes = {"mavlink.autopilot": AUTOPILOTS[kind], "timing.duration_s": 35.0}
+    made = load_scenario("figure_eight_4", changes).bridged()
+    fleet = MavlinkFleet(made, kind, gnss="perfect")
+    fleet.set_parameter("GUID_OPTIONS", 8)
+    fleet.airborne().form().run(35.6).land()
+    assert {uav.bridge.procedure.fault for uav in fleet.uavs.values()} == {""}
+    found = verdict_on(fleet.recording())
+    assert found.verdict == "met", [(u.uav, u.reason) for u in found.uavs]
+    assert max(one.max_error_after_all_m for one in found.uavs) < 0.15
+    assert min(pair.distance_m for pair in found.separations) > 1.5
+
+
 def true_places(fleet):
     return np.array([uav.vehicle.flight.truth_enu for uav in fleet.uavs.values()])
 
