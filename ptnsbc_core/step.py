@@ -31,9 +31,10 @@ from ptnsbc_core.mission import (
     mission_behaviour,
 )
 from ptnsbc_core.nullspace import compose_with_clearance
-from ptnsbc_core.tasks.clearance import ObstacleView, clearance, filter_bandwidth
+from ptnsbc_core.tasks.clearance import FilterPace, ObstacleView, clearance, filter_pace
 from ptnsbc_core.tasks.obstacle_memory import empty_memory
-from ptnsbc_core.timebase import Clock, loop_gain
+from ptnsbc_core.tasks.told_path import ToldPaths
+from ptnsbc_core.timebase import Clock, loop_gain, plan_duration
 from ptnsbc_core.types import (
     APPROACH_PLANNED,
     MODE_FORMATION,
@@ -47,6 +48,7 @@ from ptnsbc_core.types import (
     AgentOutputs,
     AgentState,
     Array,
+    Estimate,
     NeighbourMotions,
     OdometryLike,
     PoseTarget,
@@ -94,6 +96,20 @@ def _control(
     return quadrotor_control(own, command, before, inner, controller, config.filter.max_rate)
 
 
+@inline_kernel
+def _told_paths(estimate: Estimate, planned: bool, clock: Clock, config: AgentConfig) -> ToldPaths:
+    """What the formation tells of the paths of its UAVs."""
+    return ToldPaths(
+        clock.t,
+        plan_duration(config.formation) if planned else 0.0,
+        estimate.position,
+        estimate.velocity,
+        config.slot,
+        config.other_slots,
+        config.slot_reach,
+    )
+
+
 class PlannerOutput(NamedTuple):
     """Command of the planner to the controller."""
 
@@ -105,12 +121,16 @@ class PlannerOutput(NamedTuple):
 
 
 @inline_kernel
-def _view(state: AgentState, inputs: AgentInputs, behaviour: Behaviour, dt: float) -> ObstacleView:
+def _view(
+    state: AgentState, inputs: AgentInputs, behaviour: Behaviour, told: ToldPaths, dt: float
+) -> ObstacleView:
     """What the UAV senses; without any message the silence counts from the first epoch."""
     age_s = inputs.near_age_s if inputs.near_age_s < NEVER_RECEIVED_S else inputs.start_age_s
     demand = norm3(behaviour.acceleration) + norm3(state.adapted.observer.disturbance)
     velocity = velocity_enu(inputs.own)
-    return ObstacleView(inputs.near, age_s, state.obstacle_memory, dt, velocity, demand)
+    return ObstacleView(
+        inputs.near, age_s, state.obstacle_memory, dt, velocity, state.velocity, demand, told
+    )
 
 
 @inline_kernel
@@ -118,22 +138,24 @@ def _plan(
     state: AgentState,
     inputs: AgentInputs,
     behaviour: Behaviour,
+    told: ToldPaths,
     rates: Vector3,
     yaw: float,
     dt: float,
     config: AgentConfig,
 ) -> PlannerOutput:
     """Clearance above the behaviour, the speed limit, and the command filter."""
-    view = _view(state, inputs, behaviour, dt)
+    view = _view(state, inputs, behaviour, told, dt)
     task = clearance(load3(inputs.own, 0), behaviour.velocity, view, config.clearance)
     limits = config.filter
     composed = compose_with_clearance(task, limits.max_speed)
     rows, zero = task.jacobian.shape[0], (0.0, 0.0, 0.0)
     free = config.approach == APPROACH_PLANNED and rows == 0 and not composed.limited
     lead = behaviour.acceleration if free else zero
-    bandwidth = filter_bandwidth(task.memory, limits.bandwidth, config.clearance)
+    pace = FilterPace(limits.bandwidth, limits.max_acceleration)
+    pace = filter_pace(task.memory, pace, config.clearance)
     linear = filter_step(
-        state.velocity, composed.velocity, lead, bandwidth, limits.max_acceleration, dt
+        state.velocity, composed.velocity, lead, pace.bandwidth, pace.acceleration, dt
     )
     angular = filter_step(
         state.rates, rates, zero, limits.rate_bandwidth, limits.max_rate_acceleration, dt
@@ -283,7 +305,11 @@ def _step(
     if holding:
         behaviour = hold_behaviour(behaviour, inputs, target, config)
 
-    planned = _plan(state, inputs, behaviour, rates, yaw, dt, config)
+    on_plan = config.approach == APPROACH_PLANNED and estimate_valid and not holding
+    if guided is not None or config.shape.moving:
+        on_plan = False  # where the slots are then, told_path does not know
+    told = _told_paths(estimate, on_plan, clock, config)
+    planned = _plan(state, inputs, behaviour, told, rates, yaw, dt, config)
     command = planned.command
     control = _control(state, inputs, command, clock, config)
     after = AgentState(

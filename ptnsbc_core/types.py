@@ -202,6 +202,8 @@ class AgentConfig(NamedTuple):
     desired: Vector3  # desired task value sigma_d
     offset: Vector3  # [m, ENU] desired position relative to the parent
     slot: Vector3  # [m, ENU] desired position relative to the leader
+    slot_reach: float  # [m] half of the distance from the slot to the next one
+    other_slots: Array  # (N - 1, 4) slots of the others, and their reach [m]
     anchor: Vector3  # [m, ENU] reference k = leader position + anchor (zero: the leader itself)
     row_scale: Vector3  # scaling of the task rows, so that every row is in metres
     formation: LoopGain  # also the leader's tracking loop

@@ -18,6 +18,9 @@ LATENCIES = 4.0
 SHARE = 0.5
 """Part of a change of relative velocity that a UAV makes when the other one moves too."""
 
+COMMON = 0.5
+"""Part of the UAV's deviation from its command that it takes the other one to have as well."""
+
 _ASIDE = 0.3
 """Tangent of the angle within which a straight meeting is passed on the common side."""
 

@@ -31,6 +31,7 @@ from ptnsbc_core.kernel import inline_kernel, kernel
 from ptnsbc_core.nullspace import null_space_projector
 from ptnsbc_core.tasks import obstacle_memory
 from ptnsbc_core.tasks.approach import (
+    COMMON,
     LATENCIES,
     SHARE,
     braking_speed,
@@ -38,6 +39,7 @@ from ptnsbc_core.tasks.approach import (
     tangent,
 )
 from ptnsbc_core.tasks.contract import ClearanceTask
+from ptnsbc_core.tasks.told_path import ToldPaths, path_share
 from ptnsbc_core.timebase import step_gain
 from ptnsbc_core.types import (
     AVOIDANCE_OFF,
@@ -62,7 +64,9 @@ class ObstacleView(NamedTuple):
     memory: Array  # (8, 7) obstacle memory before this tick
     dt: float  # control period [s]
     velocity: Vector3  # [m/s, ENU] of the UAV
+    command: Vector3  # [m/s, ENU] that it was given last, after the filter
     demand: float  # [m/s^2] acceleration that its motion needs already
+    told: ToldPaths  # of all UAVs of the formation
 
 
 class ClearanceConstraint(NamedTuple):
@@ -118,9 +122,9 @@ def _sight(position: Vector3, near: Array, view: ObstacleView, config: Clearance
 
 @inline_kernel
 def constraint(
-    position: Vector3, which: int, view: ObstacleView, config: ClearanceConfig
+    position: Vector3, which: int, view: ObstacleView, straight: bool, config: ClearanceConfig
 ) -> ClearanceConstraint:
-    """Constraint of the near object in row `which`."""
+    """Constraint of the near object in row `which`; `straight`: whatever the told paths are."""
     near = view.near[which]
     sight = _sight(position, near, view, config)
     centre, velocity = sight.centre, sight.velocity
@@ -129,10 +133,10 @@ def constraint(
     if distance < _COINCIDENT_M:
         return ClearanceConstraint((0.0, 0.0, 0.0), -np.inf, -np.inf)
     normal = div3(away, distance)
-    keep_out = near[3] + config.margin_m
+    keep_out = max(near[3], 0.0) + config.margin_m
     depth = keep_out - distance
     if config.approach == SPEED_BRAKING and depth < -_COINCIDENT_M:
-        return _braking_constraint(away, keep_out, velocity, view, config)
+        return _braking_constraint(position, sight, keep_out, view, straight, config)
     alpha = config.gain.kappa
     if depth > 0.0:
         since = obstacle_memory.active_time(view.memory, centre)
@@ -144,27 +148,37 @@ def constraint(
 
 @kernel
 def _braking_constraint(
-    away: Vector3,
+    position: Vector3,
+    sight: _Sight,
     keep_out: float,
-    velocity: Vector3,
     view: ObstacleView,
+    straight: bool,
     config: ClearanceConfig,
 ) -> ClearanceConstraint:
     """Outside: the UAV's share of the least change of the relative velocity that does not end in the keep-out.
 
     An object that stands still changes nothing: the UAV makes all of the change. One that moves may be another
-    UAV, which makes the other half; if it does not, this one comes to the whole change in twice the time.
+    UAV, which makes the other half. Each makes it beside the velocity that the pair is about to have, see
+    docs/method.md ("Shares").
     """
+    velocity = sight.velocity
+    away = sub3(position, sight.centre)
     moves = dot3(velocity, velocity) > 0.0
     late = config.lag_s + (max(view.age_s, config.sensor_s) if moves else 0.0)
     share = SHARE if moves else 1.0
-    latency = LATENCIES / share * late
     depth = keep_out - norm3(away)
-    allowed = braking_speed(-depth, _deceleration(view, config), latency)
+    allowed = braking_speed(-depth, _deceleration(view, config), LATENCIES * late)
     relative = sub3(view.velocity, velocity)
+    if moves and not straight:
+        part = path_share(
+            view.told, position, view.velocity, sight.centre, velocity, -depth / allowed
+        )
+        relative = scale3(part, relative)
     space = clear_velocities(away, keep_out, relative, allowed)
-    bound = dot3(space.normal, view.velocity)
-    bound += share * (space.bound - dot3(space.normal, relative))
+    beside = view.velocity
+    if moves:
+        beside = axpy(COMMON, sub3(view.command, view.velocity), view.velocity)
+    bound = dot3(space.normal, beside) + share * (space.bound - dot3(space.normal, relative))
     return ClearanceConstraint(space.normal, bound, depth)
 
 
@@ -178,7 +192,7 @@ def constraints(
     bound = np.empty(count)
     depth = np.empty(count)
     for m in range(count):
-        one = constraint(position, m, view, config)
+        one = constraint(position, m, view, False, config)
         store3(normals[m], 0, one.normal)
         bound[m] = one.bound
         depth[m] = one.depth
@@ -261,11 +275,14 @@ def _row_space_velocity(jacobian: Array, admissible: Vector3) -> Vector3:
 def _unconstrained(
     position: Vector3, velocity: Vector3, view: ObstacleView, config: ClearanceConfig
 ) -> bool:
-    """Whether the memory is empty and `velocity` satisfies the constraints of all near objects."""
+    """Whether the memory is empty and `velocity` satisfies the constraints of all near objects on straight paths.
+
+    The told paths only loosen constraints: they are looked at where straight paths bind.
+    """
     if obstacle_memory.any_used(view.memory):
         return False
     for m in range(view.near.shape[0]):
-        one = constraint(position, m, view, config)
+        one = constraint(position, m, view, True, config)
         if one.bound > dot3(one.normal, velocity):
             return False
     return True
@@ -341,13 +358,22 @@ def clearance(
     return set_based(position, velocity, view, config)
 
 
+class FilterPace(NamedTuple):
+    """How fast the command filter may be."""
+
+    bandwidth: float  # [1/s]
+    acceleration: float  # [m/s^2]
+
+
 @inline_kernel
-def filter_bandwidth(memory: Array, bandwidth: float, config: ClearanceConfig) -> float:
-    """Bandwidth [1/s] of the command filter: during an encounter no faster than the loops below it.
+def filter_pace(memory: Array, free: FilterPace, config: ClearanceConfig) -> FilterPace:
+    """During an encounter no faster than the loops below the filter, and than the vehicle can accelerate.
 
     The rate of the command is fed forward and reaches the vehicle a lag later. A command that turns within that lag
-    makes the velocity overshoot by as much as it turned.
+    makes the velocity overshoot by as much as it turned, and so does a command that ran ahead of the vehicle.
     """
     if config.approach != SPEED_BRAKING or not obstacle_memory.any_used(memory):
-        return bandwidth
-    return min(bandwidth, config.bandwidth)
+        return free
+    return FilterPace(
+        min(free.bandwidth, config.bandwidth), min(free.acceleration, config.deceleration)
+    )

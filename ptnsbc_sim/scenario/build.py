@@ -15,6 +15,7 @@ from ptnsbc_core.control.quadrotor_control import MIN_LIFT_FRACTION
 from ptnsbc_core.curves.shape import place_samples
 from ptnsbc_core.errors import FormationError
 from ptnsbc_core.tasks.registry import desired_value
+from ptnsbc_core.tasks.told_path import REACH
 from ptnsbc_core.types import (
     APPROACH_SPEEDS,
     APPROACHES,
@@ -98,6 +99,19 @@ def _offset_from_parent(scenario: Scenario, uav_id: int) -> Array:
     if parent is None:
         return np.zeros(3)
     return scenario.offset(uav_id) - scenario.offset(parent)
+
+
+def _slots(scenario: Scenario, uav_ids: Iterable[int]) -> Array:
+    """Slots of these UAVs relative to the leader, and half of the distance to the next one: rows (N, 4) [m], ENU.
+
+    They are in the order of their coordinates, whoever takes which.
+    """
+    slots = {uav_id: scenario.offset(uav_id) for uav_id in scenario.uav_ids}
+    rows = []
+    for uav_id in uav_ids:
+        gaps = [np.linalg.norm(slots[uav_id] - slots[one]) for one in slots if one != uav_id]
+        rows.append([*slots[uav_id].tolist(), 0.5 * float(min(gaps, default=0.0))])
+    return np.array(sorted(rows), dtype=np.float64).reshape(-1, 4)
 
 
 def _desired(scenario: Scenario, uav_id: int) -> tuple[Vector3, Vector3]:
@@ -246,6 +260,8 @@ def agent_config(scenario: Scenario, uav_id: int) -> AgentConfig:
         desired=desired,
         offset=three(_offset_from_parent(scenario, uav_id)),
         slot=three(scenario.offset(uav_id)),
+        slot_reach=float(_slots(scenario, [uav_id])[0, REACH]),
+        other_slots=_slots(scenario, [one for one in scenario.uav_ids if one != uav_id]),
         anchor=three(reference_offset(scenario, uav_id)),
         row_scale=row_scale,
         formation=_loop(scenario, gains.formation),

@@ -37,7 +37,7 @@ _COMMON: dict[str, Any] = {
         "ramp_s": 0.5,  # a step in velocity would only saturate the command filter
         "timeout_s": 8,  # longer than passing any keep-out sphere of the shipped scenarios takes
         "forget_s": 1,
-        "approach": "linear",  # braking keeps out where linear does not, but reacts too early at 1 m
+        "approach": "braking",  # linear asks for three times the speed as braking, whatever there is
         "stale_s": 0.5,  # as the links: ten periods of the sensor of the shipped scenarios
     },
     "filter": {

@@ -10,10 +10,11 @@ from on_arrays import on_arrays
 
 from ptnsbc_core.algebra import limit_norm
 from ptnsbc_core.nullspace import compose_with_clearance
-from ptnsbc_core.tasks.approach import LATENCIES, braking_speed
-from ptnsbc_core.tasks.clearance import ClearanceTask, ObstacleView, clearance
+from ptnsbc_core.tasks.approach import LATENCIES, braking_speed, clear_velocities, tangent
+from ptnsbc_core.tasks.clearance import ClearanceTask, ObstacleView, clearance, constraints
 from ptnsbc_core.tasks.obstacle_memory import SIDE, USED, empty_memory
-from ptnsbc_core.timebase import step_gain
+from ptnsbc_core.tasks.told_path import ToldPaths
+from ptnsbc_core.timebase import h, h_rate, step_gain
 from ptnsbc_core.types import (
     AVOIDANCE_OFF,
     AVOIDANCE_SET_BASED,
@@ -25,14 +26,19 @@ from ptnsbc_core.types import (
     LoopGain,
 )
 
+clear_velocities = on_arrays(clear_velocities)
 clearance = on_arrays(clearance)
+constraints = on_arrays(constraints)
 compose_with_clearance = on_arrays(compose_with_clearance)
 limit_norm = on_arrays(limit_norm)
+tangent = on_arrays(tangent)
 
 DT, KAPPA, KEEP_OUT, LAG = 0.01, 3.0, 1.5, 0.2
 FREE = np.inf
 FIRST = KAPPA + step_gain(0.0, DT, 1.0, 1e-2)
 """alpha of the first tick inside, where the encounter's time base has only begun to rise."""
+
+NOTHING_TOLD = ToldPaths(0.0, 0.0, (0.0,) * 3, (0.0,) * 3, (0.0,) * 3, np.empty((0, 4)), 0.0)
 
 seeds = st.integers(0, 2**31)
 
@@ -49,10 +55,22 @@ def object_at(centre, velocity=(0.0, 0.0, 0.0), keep_out: float = KEEP_OUT) -> n
     return np.array([*centre, keep_out, *velocity], dtype=float)
 
 
-def result(position, wanted, near, config, memory=None, age: float = 0.0, velocity=(0.0, 0.0, 0.0)):
-    """The clearance task and the composed velocity."""
+def result(
+    position,
+    wanted,
+    near,
+    config,
+    memory=None,
+    age: float = 0.0,
+    velocity=(0.0, 0.0, 0.0),
+    command=None,
+    told=NOTHING_TOLD,
+):
+    """The clearance task and the composed velocity; without a command the UAV has the one it flies."""
     memory = empty_memory() if memory is None else memory
-    view = ObstacleView(near, age, memory, DT, np.asarray(velocity, dtype=float), 0.0)
+    velocity = np.asarray(velocity, dtype=float)
+    command = velocity if command is None else np.asarray(command, dtype=float)
+    view = ObstacleView(near, age, memory, DT, velocity, command, 0.0, told)
     top: ClearanceTask = clearance(position, wanted, view, config)
     return top, compose_with_clearance(top, FREE).velocity
 
@@ -305,7 +323,9 @@ def test_a_standing_object_straight_ahead_is_approached_no_faster_than_can_be_br
 def test_what_the_motion_needs_already_is_not_there_for_braking() -> None:
     near = object_at((3.0, 0, 0))[np.newaxis]
     for demand, left in ((0.0, 6.0), (2.0, 4.0), (50.0, 1.5)):
-        view = ObstacleView(near, 0.0, empty_memory(), DT, np.zeros(3), demand)
+        view = ObstacleView(
+            near, 0.0, empty_memory(), DT, np.zeros(3), np.zeros(3), demand, NOTHING_TOLD
+        )
         top = clearance(np.zeros(3), np.array([9.0, 0, 0]), view, braking())
         speed = compose_with_clearance(top, FREE).velocity[0]
         assert speed == pytest.approx(braking_speed(1.5, left, LATENCIES * LAG))
@@ -338,6 +358,73 @@ def test_two_that_meet_straight_on_each_make_half_of_the_change_to_the_same_side
     # together they are out of the cone of collision, alone neither is
     relative = first - second
     assert abs(relative[1]) / np.linalg.norm(relative) == pytest.approx(0.5 / 3.0, abs=1e-9)
+
+
+@given(seed=seeds)
+def test_half_of_what_a_pair_is_blown_off_by_is_no_reason_to_give_way(seed: int) -> None:
+    """Both move by the same velocity and are told to stop: the bound is half of that velocity lower."""
+    rng = np.random.default_rng(seed)
+    place = rng.uniform(2.2, 3.5) * tangent(rng.normal(size=3))
+    common = rng.uniform(0.1, 1.5) * -place / np.linalg.norm(place)
+    near = object_at(place, common)[np.newaxis]
+    still, blown = (
+        constraints(np.zeros(3), view, braking())
+        for view in (
+            ObstacleView(near, 0.0, empty_memory(), DT, common, common, 0.0, NOTHING_TOLD),
+            ObstacleView(near, 0.0, empty_memory(), DT, common, np.zeros(3), 0.0, NOTHING_TOLD),
+        )
+    )
+    moved = still.bound[0] - blown.bound[0]
+    assert moved == pytest.approx(0.5 * still.normals[0] @ common)
+
+
+@given(t=st.floats(1.0, 4.0))
+def test_a_neighbour_whose_told_path_ends_clear_is_left_alone(t: float) -> None:
+    """On straight paths the two would meet; they stop 1.2 m apart. Without slots they give way."""
+    slots = np.array([[1.2, 0.0, 0.0, 0.6]])
+    told = ToldPaths(t, 5.0, (0.0,) * 3, (0.0,) * 3, (0.0,) * 3, slots, 0.6)
+    left, rate = 1.0 - h(t / 5.0), h_rate(t / 5.0, 5.0)
+    own, other = np.array([-4.0, 0, 0]), np.array([4.0, 0, 0])  # start errors
+    place, velocity = own * left, -own * rate
+    near = object_at((1.2 + other[0] * left, 0, 0), -other * rate, 0.5)[np.newaxis]
+    top, found = result(place, velocity, near, braking(), velocity=velocity, told=told)
+    np.testing.assert_array_equal(found, velocity)
+    assert top.jacobian.shape == (0, 3)
+    closing, room = 8.0 * rate, 1.2 + 8.0 * left - 0.5
+    if closing > braking_speed(room, 6.0, LATENCIES * (LAG + 0.05)):
+        top, _ = result(place, velocity, near, braking(), velocity=velocity)
+        assert top.jacobian.shape == (1, 3)
+
+
+@given(seed=seeds)
+def test_halves_of_a_pair_sum_to_the_whole_change(seed: int) -> None:
+    """Two that lag by opposite velocities are told the edge of the cone and half of what the pair lags by."""
+    rng = np.random.default_rng(seed)
+    place = rng.uniform(2.0, 3.5) * tangent(rng.normal(size=3))
+    here, there = rng.normal(size=(2, 3))
+    lag = 0.3 * rng.normal(size=3)
+    config = braking(margin_m=0.0)
+    first = ObstacleView(
+        object_at(place, there)[None], 0.0, empty_memory(), DT, here, here + lag, 0.0, NOTHING_TOLD
+    )
+    other = ObstacleView(
+        object_at((0, 0, 0), here)[None],
+        0.0,
+        empty_memory(),
+        DT,
+        there,
+        there - lag,
+        0.0,
+        NOTHING_TOLD,
+    )
+    one, two = constraints(np.zeros(3), first, config), constraints(place, other, config)
+    late = LAG + config.sensor_s
+    allowed = braking_speed(np.linalg.norm(place) - KEEP_OUT, 6.0, LATENCIES * late)
+    space = clear_velocities(-place, KEEP_OUT, here - there, allowed)
+    np.testing.assert_allclose(one.normals, -two.normals, atol=1e-9)
+    assert one.bound[0] + two.bound[0] == pytest.approx(
+        space.bound + 0.5 * space.normal @ (lag - -lag), abs=1e-9
+    )
 
 
 def test_a_neighbour_at_06_m_still_counts_after_two_seconds_of_silence() -> None:
@@ -383,7 +470,9 @@ def test_all_around_a_circle_change_places(count: int) -> None:
             others = [k for k in range(count) if k != uav]
             near = np.stack([object_at(places[k], speeds[k], keep_out) for k in others])
             wanted = limit_norm(goals[uav] - places[uav], 1.5)
-            view = ObstacleView(near, 0.0, memories[uav], dt, speeds[uav], 0.0)
+            view = ObstacleView(
+                near, 0.0, memories[uav], dt, speeds[uav], speeds[uav], 0.0, NOTHING_TOLD
+            )
             top = clearance(places[uav], wanted, view, config)
             memories[uav] = top.memory
             commands[uav] = compose_with_clearance(top, FREE).velocity

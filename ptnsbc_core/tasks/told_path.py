@@ -1,0 +1,85 @@
+"""What the formation tells of the paths of its UAVs: all fly to their slots by one time profile.
+
+On the planned approach a UAV is at x = g + (1 - h) (x_0 - g) beside the leader, with its slot g. Its velocity there is
+x_dot = h_dot / (1 - h) (g - x): where a UAV goes can be read from where it is and how fast it flies.
+
+Positions [m] and velocities [m/s] are world ENU, docs/method.md ("Told paths").
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ptnsbc_core.algebra import axpy, load3, norm3, sub3
+from ptnsbc_core.kernel import inline_kernel, kernel
+from ptnsbc_core.timebase import h, h_rate
+from ptnsbc_core.types import Array, Vector3
+
+REACH = 3
+"""Column of the slots: half of the distance to the next slot [m]."""
+
+_LEAST_RATE = 1e-6
+
+
+class ToldPaths(NamedTuple):
+    """What one UAV knows of the paths of all."""
+
+    t: float  # since the epoch [s]
+    duration_s: float  # of the planned approach; 0: nothing is planned
+    leader_position: Vector3  # [m, ENU]
+    leader_velocity: Vector3  # [m/s, ENU]
+    slot: Vector3  # [m, ENU] of this UAV, relative to the leader
+    slots: Array  # (N, 4) those of the others, and half of the distance to the next one [m]
+    reach: float  # [m] half of the distance from the own slot to the next one
+
+
+@inline_kernel
+def _nearness(gap: float, reach: float) -> float:
+    """1 up to half of the reach, 0 from the reach on."""
+    return min(max(2.0 - 2.0 * gap / reach, 0.0), 1.0) if reach > 0.0 else 0.0
+
+
+@inline_kernel
+def _goal(told: ToldPaths, position: Vector3, velocity: Vector3, left_s: float) -> Vector3:
+    """Where a UAV ends that flies so and is on its path, relative to the leader."""
+    place = sub3(position, told.leader_position)
+    return axpy(left_s, sub3(velocity, told.leader_velocity), place)
+
+
+@kernel
+def path_share(
+    told: ToldPaths,
+    own_position: Vector3,
+    own_velocity: Vector3,
+    position: Vector3,
+    velocity: Vector3,
+    horizon_s: float,
+) -> float:
+    """Part of the present relative velocity [1] that two UAVs have on average within the horizon.
+
+    On their paths it is (h(t + H) - h(t)) / (H h_dot), where that is below 1. Off them, where one of the two does not
+    fly towards a slot, it is 1. In between it is in proportion to how near their goals are to slots.
+    """
+    rate = h_rate(told.t / told.duration_s, told.duration_s) if told.duration_s > 0.0 else 0.0
+    if rate < _LEAST_RATE:
+        return 1.0
+    now = h(told.t / told.duration_s)
+    then = h((told.t + horizon_s) / told.duration_s)
+    share = (then - now) / (horizon_s * rate)
+    if share >= 1.0:
+        return 1.0
+    left_s = (1.0 - now) / rate
+    own = _goal(told, own_position, own_velocity, left_s)
+    kept = _nearness(norm3(sub3(own, told.slot)), told.reach)
+    if kept <= 0.0:
+        return 1.0
+    goal = _goal(told, position, velocity, left_s)
+    least, reach = np.inf, 0.0
+    for row in range(told.slots.shape[0]):
+        gap = norm3(sub3(goal, load3(told.slots[row], 0)))
+        if gap < least:
+            least, reach = gap, told.slots[row, REACH]
+    kept *= _nearness(least, reach)
+    return 1.0 - kept * (1.0 - share)
