@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from typing import Annotated, Any
 
 import typer
@@ -18,6 +19,7 @@ from ptnsbc_tools.commands.check import check
 from ptnsbc_tools.commands.compare import compare
 from ptnsbc_tools.commands.demo import demo
 from ptnsbc_tools.commands.doctor import doctor
+from ptnsbc_tools.commands.export import export
 from ptnsbc_tools.commands.fleet import fleet
 from ptnsbc_tools.commands.key import key
 from ptnsbc_tools.commands.new import new, scenarios
@@ -32,6 +34,7 @@ from ptnsbc_tools.commands.simulate import simulate
 from ptnsbc_tools.commands.stop import stop
 from ptnsbc_tools.commands.sweep import sweep
 from ptnsbc_tools.commands.verify import verify
+from ptnsbc_tools.quick_help import help_asked
 
 _REFUSED, _INTERRUPTED = 2, 130
 _STARTS_PROCESSES = ("fleet", "demo", "node")
@@ -39,6 +42,15 @@ _STARTS_PROCESSES = ("fleet", "demo", "node")
 
 class _Commands(TyperGroup):
     """Prints our errors as one line on stderr, and an interrupt without a traceback."""
+
+    def make_context(
+        self, info_name: str | None, args: list[str], parent: Any = None, **extra: Any
+    ) -> Any:
+        asked = help_asked(self, info_name, args)
+        if asked is None:
+            return super().make_context(info_name, args, parent, **extra)
+        print(asked.command.get_help(asked), end="")
+        raise typer.Exit
 
     def invoke(self, ctx: Any) -> Any:
         code = 0
@@ -72,6 +84,7 @@ app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
     help="Predefined-time formations of UAVs: check, fly, record and judge.",
     epilog="Exit codes: 0 deadlines met, 1 a deadline not met, 2 refused, 130 interrupted.",
 )
@@ -95,29 +108,23 @@ def _main(
     pass
 
 
-app.command()(new)
-app.command()(scenarios)
-app.command()(doctor)
-app.command()(check)
-app.command()(simulate)
-app.command()(sweep)
-app.command()(compare)
-app.command()(verify)
-app.command()(fleet)
-app.command()(demo)
-app.command()(report)
-app.command()(plot)
-app.command()(reproduce)
-app.command()(autopilot)
-app.command()(record)
-app.command()(params)
-app.command()(bridge)
-app.command(context_settings=SETTINGS)(node)
-app.command()(stop)
-app.command()(key)
-app.command()(replay)
-app.add_typer(bag.app, name="bag")
-app.add_typer(network.app, name="network")
+_BEGIN, _FLY, _LOOK = "Begin", "Fly", "Look at flights"
+_BAGS, _PROCESSES = "Bags", "Processes, vehicles, networks"
+
+_GROUPS: dict[str, tuple[Callable[..., None], ...]] = {
+    _BEGIN: (new, scenarios, doctor, check),
+    _FLY: (simulate, sweep, fleet, demo, stop),
+    _LOOK: (verify, compare, report, plot, export, reproduce),
+    _BAGS: (record, replay),
+    _PROCESSES: (autopilot, bridge, params, key),
+}
+for _panel, _commands in _GROUPS.items():
+    for _command in _commands:
+        app.command(rich_help_panel=_panel)(_command)
+# All words after the name of a process are its own, --help too.
+app.command(rich_help_panel=_PROCESSES, context_settings=SETTINGS)(node)
+app.add_typer(bag.app, name="bag", rich_help_panel=_BAGS)
+app.add_typer(network.app, name="network", rich_help_panel=_PROCESSES)
 
 
 def main() -> None:

@@ -17,7 +17,10 @@ _SCENARIO = "paper_5"
 def demo(
     duration: options.DurationOption = None,
     folder: Annotated[
-        Path, typer.Option("--out", metavar="DIR", help="Folder for the bag and the picture.")
+        Path,
+        typer.Option(
+            "--output", "-o", "--out", metavar="DIR", help="Folder for the bag and the picture."
+        ),
     ] = Path("out"),
     json: options.JsonOption = False,
 ) -> None:

@@ -16,7 +16,13 @@ def params(
     scenario: ScenarioArgument,
     out: Annotated[
         Path | None,
-        typer.Option("--out", "-o", metavar="FILE", help="Write into this file and not to stdout."),
+        typer.Option(
+            "--output",
+            "-o",
+            "--out",
+            metavar="FILE",
+            help="Write into this file and not to stdout.",
+        ),
     ] = None,
     settings: SetOption = None,
 ) -> None:

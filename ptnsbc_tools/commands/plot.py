@@ -26,8 +26,9 @@ def plot(
     out: Annotated[
         Path | None,
         typer.Option(
-            "--out",
+            "--output",
             "-o",
+            "--out",
             metavar="DIR|FILE",
             help="Folder, or FILE.png or FILE.svg for one figure. "
             "Default: BAG-figures beside the bag.",
@@ -61,7 +62,7 @@ def plot(
     one = out is not None and out.suffix.lower() in draw.FORMATS
     if one and len(keys) != 1:
         raise PlotError(
-            f"--out {out}: one file for {len(keys)} figures: expected a folder, or --what with one name"
+            f"--output {out}: one file for {len(keys)} figures: expected a folder, or --what with one name"
         )
     with console.patience(f"reading {bag}"):
         shown = read_view(bag, options.read_options(context))

@@ -26,8 +26,9 @@ def report(
     out: Annotated[
         Path | None,
         typer.Option(
-            "--out",
+            "--output",
             "-o",
+            "--out",
             metavar="DIR",
             help="Folder for the page. Default: BAG-report beside the bag.",
         ),

@@ -111,7 +111,9 @@ def sweep(
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option("--out", "-o", metavar="DIR", help="Folder. Default: out/sweeps/NAME."),
+        typer.Option(
+            "--output", "-o", "--out", metavar="DIR", help="Folder. Default: out/sweeps/NAME."
+        ),
     ] = None,
     workers: Annotated[
         int | None,
@@ -202,7 +204,7 @@ def _clear(folder: Path, plan: SweepPlan, *, overwrite: bool) -> None:
         return
     if not overwrite:
         raise SweepError(
-            f"{folder}: holds a sweep of another plan: choose another --out, or --overwrite"
+            f"{folder}: holds a sweep of another plan: choose another --output, or --overwrite"
         )
     for name in _MADE:
         made = folder / name

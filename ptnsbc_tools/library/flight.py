@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.types import Array
@@ -155,20 +156,16 @@ class Flight:
             LibraryMissingError: pandas is not installed.
         """
         pandas = required("pandas", "to_pandas()")
-        size = self.time_s.size
-        columns: dict[str, Any] = {
-            TIME: np.repeat(self.time_s, len(self.uavs)),
-            UAV: np.tile(self.uavs, size),
-        }
-        units = {TIME: "s", UAV: ""}
-        for name, unit, values in self._flat():
-            columns[name], units[name] = values, unit
-        frame = pandas.DataFrame(columns)
+        found = list(self.columns())
+        frame = pandas.DataFrame({name: values for name, _, values in found})
+        units = {name: unit for name, unit, _ in found}
         frame.attrs = {"units": units, "scenario": self.scenario.name}
         return frame
 
-    def _flat(self) -> Iterator[tuple[str, str, Array]]:
-        """Name, unit and values (T * N,) of every column of numbers: `position_m.x`."""
+    def columns(self) -> Iterator[tuple[str, str, NDArray[Any]]]:
+        """Name, unit and values (T * N,) of every column of a table: `time_s`, `uav`, `position_m.x`, …"""
+        yield TIME, "s", np.repeat(self.time_s, len(self.uavs))
+        yield UAV, "", np.tile(self.uavs, self.time_s.size)
         for one in QUANTITIES[1:]:
             values = self[one.name].reshape(self.time_s.size * len(self.uavs), -1)
             labels = COORDINATES.get(one.axes[-1])

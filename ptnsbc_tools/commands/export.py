@@ -1,0 +1,50 @@
+"""`ptnsbc export`: the quantities of a flight, or the rows of a sweep, as a table for other programs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ptnsbc_tools import console, options
+
+
+def export(
+    context: typer.Context,
+    source: Annotated[Path, typer.Argument(metavar="BAG", help="A bag, or the folder of a sweep.")],
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="FILE",
+            help="FILE.csv or FILE.parquet. Default: BAG.csv beside the bag.",
+        ),
+    ] = None,
+    scenario: options.FlownOption = None,
+    tolerance: options.ToleranceOption = None,
+    window: options.WindowOption = None,
+    odom: options.OdomOption = options.ODOM,
+    wrench: options.WrenchOption = options.WRENCH,
+    epoch: options.EpochOption = None,
+) -> None:
+    """Write a table: one row for each instant and UAV of a flight, or the rows of a sweep.
+
+    The names of columns end in their unit, and a Parquet file has the unit of each column in its
+    metadata. Times count from the epoch; ENU is the world frame.
+    """
+    from ptnsbc_sim.sweep.runner import PLAN
+    from ptnsbc_tools.library.export import checked, of_flight, of_sweep, write
+    from ptnsbc_tools.library.flight import flight_in
+    from ptnsbc_tools.library.sweeping import open_sweep
+
+    beside = source.parent / f"{source.stem if source.is_file() else source.name}.csv"
+    path = checked(beside if output is None else output)
+    with console.patience(f"reading {source}"):
+        if (source / PLAN).is_file():
+            table = of_sweep(open_sweep(source))
+        else:
+            table = of_flight(flight_in(source, options.read_options(context)))
+        write(table, path)
+    console.show(str(path))

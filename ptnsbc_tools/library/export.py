@@ -1,0 +1,66 @@
+"""Flights and sweeps as Arrow tables, written as CSV or Parquet."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_tools.files import replacing
+from ptnsbc_tools.library.flight import Flight
+from ptnsbc_tools.library.sweeping import Sweep
+
+FORMATS = (".csv", ".parquet")
+
+
+class ExportError(PtnsbcError):
+    """A file that no table can be written to."""
+
+
+def checked(path: Path) -> Path:
+    """The path, when its suffix names a format; ExportError else."""
+    if path.suffix.lower() not in FORMATS:
+        raise ExportError(f"{path}: suffix {path.suffix or 'missing'}: expected .csv or .parquet")
+    return path
+
+
+def of_flight(flight: Flight) -> Any:
+    """One row for each instant and UAV, as an Arrow table."""
+    return _table(flight.columns(), {"scenario": flight.scenario.name})
+
+
+def of_sweep(sweep: Sweep) -> Any:
+    """One row for each UAV and flight, as an Arrow table."""
+    columns = ((name, sweep.units[name], values) for name, values in sweep.columns.items())
+    return _table(columns, {"plan": sweep.plan.name})
+
+
+def _table(columns: Iterable[tuple[str, str, Any]], about: dict[str, str]) -> Any:
+    import pyarrow as pa
+
+    fields, arrays = [], []
+    for name, unit, values in columns:
+        array = pa.array(np.ascontiguousarray(values))
+        fields.append(pa.field(name, array.type, metadata={"unit": unit}))
+        arrays.append(array)
+    return pa.Table.from_arrays(arrays, schema=pa.schema(fields, metadata=about))
+
+
+def write(table: Any, path: Path) -> None:
+    """Write a table; the suffix says in which format.
+
+    Raises:
+        OutputFileError: the file cannot be written.
+    """
+    import pyarrow.csv
+    import pyarrow.parquet
+
+    with replacing(path) as part:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if path.suffix.lower() == ".csv":
+            pyarrow.csv.write_csv(table, part)
+        else:
+            pyarrow.parquet.write_table(table, part)

@@ -1,0 +1,52 @@
+"""Tables for other programs: the arrays of a flight and the rows of a sweep, with units."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pyarrow.csv
+import pyarrow.parquet
+import pytest
+from typer.testing import CliRunner
+
+from ptnsbc_sim.verdict import Recording
+from ptnsbc_tools.cli import app
+from ptnsbc_tools.library.export import ExportError, checked, of_flight, write
+from ptnsbc_tools.library.flight import Flight
+
+Fly = Callable[..., Recording]
+
+
+def test_a_parquet_file_has_the_arrays_and_their_units(fly: Fly, tmp_path: Path) -> None:
+    flight = Flight(fly(seconds=7.0))
+    write(of_flight(flight), tmp_path / "flight.parquet")
+    table = pyarrow.parquet.read_table(tmp_path / "flight.parquet")
+    assert table.num_rows == 700 * 5
+    east = table["position_m.x"].to_numpy().reshape(700, 5)
+    np.testing.assert_array_equal(east, flight.position_m[:, :, 0])
+    assert table.schema.field("velocity_m_s.x").metadata == {b"unit": b"m/s"}
+    assert table.schema.metadata[b"scenario"] == b"paper_5_free"
+
+
+def test_a_csv_file_gives_the_same_numbers(fly: Fly, tmp_path: Path) -> None:
+    flight = Flight(fly(seconds=7.0))
+    write(of_flight(flight), tmp_path / "deep" / "flight.csv")
+    table = pyarrow.csv.read_csv(tmp_path / "deep" / "flight.csv")
+    np.testing.assert_array_equal(table["error_m"].to_numpy(), flight.error_m.ravel())
+    assert table.column_names[:3] == ["time_s", "uav", "position_m.x"]
+
+
+@pytest.mark.parametrize("name", ["flight", "flight.xlsx"])
+def test_another_format_is_refused(name: str) -> None:
+    with pytest.raises(ExportError, match=r"expected \.csv or \.parquet"):
+        checked(Path(name))
+
+
+def test_the_sample_bag_is_exported(tmp_path: Path) -> None:
+    file = tmp_path / "sample.parquet"
+    done = CliRunner().invoke(app, ["export", "bags/sample", "-o", str(file), "--window", "1"])
+    assert (done.exit_code, done.stdout) == (0, f"{file}\n")
+    assert pyarrow.parquet.read_metadata(file).num_rows == 101 * 5
+    assert CliRunner().invoke(app, ["export", "bags/sample", "-o", "a.txt"]).exit_code == 2

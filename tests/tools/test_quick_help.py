@@ -1,0 +1,51 @@
+"""Help without parsing: the same text, for every command, and no library that help does not need."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+import typer.main
+from typer.testing import CliRunner
+
+from ptnsbc_tools.cli import app
+
+GROUPS = {"bag", "network"}
+COMMANDS = typer.main.get_command(app).commands
+
+
+def _paths() -> list[tuple[str, ...]]:
+    single = [(name,) for name in COMMANDS]
+    return single + [(name, inner) for name in GROUPS for inner in COMMANDS[name].commands]
+
+
+@pytest.mark.parametrize("path", _paths(), ids=" ".join)
+def test_every_command_has_help_by_both_names(path: tuple[str, ...]) -> None:
+    short, long = (CliRunner().invoke(app, [*path, word]) for word in ("-h", "--help"))
+    assert (short.exit_code, long.exit_code) == (0, 0)
+    assert short.stdout == long.stdout and f"ptnsbc {' '.join(path)}" in short.stdout.replace(
+        "root", "ptnsbc"
+    )
+
+
+def test_help_after_other_words_and_not_after_the_end_of_options() -> None:
+    assert CliRunner().invoke(app, ["check", "paper_5", "--seed", "x", "-h"]).exit_code == 0
+    assert CliRunner().invoke(app, ["check", "--", "-h"]).exit_code == 2
+
+
+def test_the_commands_are_in_groups() -> None:
+    out = CliRunner().invoke(app, ["-h"]).stdout
+    places = [out.index(word) for word in ("Begin", "Fly", "Look at flights", "Bags", "Processes")]
+    assert places == sorted(places)
+
+
+def test_help_loads_neither_the_laws_nor_what_parses_options() -> None:
+    code = (
+        "import sys\nfrom ptnsbc_tools.cli import app\n"
+        "try:\n    app(['check', '--help'], prog_name='ptnsbc')\nexcept SystemExit:\n    pass\n"
+        "heavy = {'numba', 'numpy', 'pydantic', 'scipy', 'matplotlib', 'rclpy'} & set(sys.modules)\n"
+        "print(sorted(heavy), file=sys.stderr)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stderr == "[]\n"
