@@ -81,7 +81,8 @@ def strip_unit(key: str, value: Any) -> Any:
 _WAVE = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(sin|cos)?\s*")
 
 
-def _three(value: Any) -> Any:
+def three(value: Any) -> Any:
+    """A list of three as a tuple; anything else is refused in words."""
     if isinstance(value, list) and len(value) == 3:
         return tuple(value)
     raise PydanticCustomError("three", "expected a list of three numbers", {"value": value})
@@ -109,9 +110,9 @@ Count = Annotated[int, Field(strict=True, gt=0)]
 UavId = Annotated[int, Field(strict=True, ge=1, le=254)]
 Name = Annotated[str, Field(strict=True, pattern=r"^[A-Za-z0-9_-]+$", max_length=64)]
 Flag = Annotated[bool, Field(strict=True)]
-Vec3 = Annotated[tuple[Number, Number, Number], BeforeValidator(_three)]
-NotNegativeVec3 = Annotated[tuple[NotNegative, NotNegative, NotNegative], BeforeValidator(_three)]
-PositiveVec3 = Annotated[tuple[Positive, Positive, Positive], BeforeValidator(_three)]
+Vec3 = Annotated[tuple[Number, Number, Number], BeforeValidator(three)]
+NotNegativeVec3 = Annotated[tuple[NotNegative, NotNegative, NotNegative], BeforeValidator(three)]
+PositiveVec3 = Annotated[tuple[Positive, Positive, Positive], BeforeValidator(three)]
 
 
 class Block(BaseModel):
@@ -154,5 +155,5 @@ Disturbance = Annotated[
         Annotated[Wave, BeforeValidator(_wave)],
         Annotated[Wave, BeforeValidator(_wave)],
     ],
-    BeforeValidator(_three),
+    BeforeValidator(three),
 ]

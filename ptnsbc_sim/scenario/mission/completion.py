@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import TypeAdapter, ValidationError
 
 from ptnsbc_core.errors import FormationError
@@ -119,11 +120,14 @@ def _with_changes(formation: Tree, ids: list[int], source: str) -> Tree:
     return {**formation, "changes": filled}
 
 
-def _nearest(now: Array, places: Array) -> Array:
+def _nearest(now: Array, places: Array) -> NDArray[np.int64]:
     from scipy.optimize import linear_sum_assignment  # late: half a second
 
-    costs = np.sum((now[:, None] - places[None]) ** 2, axis=2)
-    return np.asarray(linear_sum_assignment(costs)[1])
+    with np.errstate(over="ignore"):
+        costs = np.sum((now[:, None] - places[None]) ** 2, axis=2)
+    if not np.isfinite(costs).all():  # places beyond all measure: none is nearer than another one
+        return np.arange(len(now), dtype=np.int64)
+    return np.asarray(linear_sum_assignment(costs)[1], dtype=np.int64)
 
 
 def _without_auto(tree: Tree) -> Tree:
@@ -141,10 +145,14 @@ def _with_tree(tree: Tree, ids: list[int], source: str) -> Tree:
     offsets, leader = _offsets(formation), tree["leader"].get("id")
     task, anchor = formation.get("task"), formation.get("heading_anchor_m", [2.0, 0.0, 0.0])
     whole = offsets is not None and set(offsets) == set(ids) and len(ids) < len(tree["uavs"])
-    if offsets is None or not whole or task not in TASKS or not isinstance(anchor, list):
+    try:
+        anchor = TypeAdapter(Vec3).validate_python(anchor)
+    except ValidationError:
+        return _without_auto(tree)
+    if offsets is None or not whole or not isinstance(task, str) or task not in TASKS:
         return _without_auto(tree)
     places = {leader: np.zeros(3), **offsets}
-    parents = proposed_tree(places, leader, task, np.array(anchor, dtype=np.float64))
+    parents = proposed_tree(places, leader, task, np.array(anchor))
     missing = sorted(set(ids) - set(parents))
     if missing:
         raise ScenarioError(

@@ -9,16 +9,20 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping
 from itertools import pairwise
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
+from pydantic import BeforeValidator, Field
 
 from ptnsbc_core.curves.piecewise import COEFFICIENTS
 from ptnsbc_core.curves.shape import CHANNELS
 from ptnsbc_core.types import Array, Shape
-from ptnsbc_sim.scenario.fields import Block, NotNegative, Number, Positive, UavId, Vec3
+from ptnsbc_sim.scenario.fields import Block, Number, UavId, Vec3, three
 
 _RISE = (-20.0, 70.0, -84.0, 35.0)  # h of the time base, the powers 7 to 4
+
+
+Factor = Annotated[Number, Field(ge=-1000, le=1000)]
 
 
 class ShapeBlock(Block):
@@ -27,27 +31,27 @@ class ShapeBlock(Block):
     kind: Literal["v", "line", "column", "grid", "circle", "sphere"]
     """`v`: a wedge behind the leader; `line`: side by side; `column`: one behind the other; `grid`: rows behind the
     leader; `circle`, `sphere`: around the leader. Ahead is along x."""
-    spacing_m: Positive
+    spacing_m: Annotated[Number, Field(ge=0.01, le=1e4)]
     """Distance of neighbours."""
 
 
 class Change(Block):
     """What the formation changes to."""
 
-    at_s: NotNegative
+    at_s: Annotated[Number, Field(ge=0, le=1e6)]
     """Begin, after the first epoch."""
-    over_s: Positive
+    over_s: Annotated[Number, Field(ge=0.1, le=1e6)]
     """Duration: by then the UAVs are in the changed shape."""
     shape: ShapeBlock | None = None
     """Shape to take. The UAVs take the places for which the sum of the squared distances is minimal. Default: the
     present one."""
     offsets_m: dict[UavId, Vec3] | None = None
     """Offsets to take instead of a named shape."""
-    scale: Vec3 = (1.0, 1.0, 1.0)
+    scale: Annotated[tuple[Factor, Factor, Factor], BeforeValidator(three)] = (1.0, 1.0, 1.0)
     """Factors on the offsets, along the axes of the shape."""
-    shear: Number = 0.0
+    shear: Factor = 0.0
     """Metres ahead for each metre to the left."""
-    rotation_rad: Number = 0.0
+    rotation_rad: Factor = 0.0
     """Turn of the shape about the vertical, from its first position."""
 
 

@@ -27,7 +27,7 @@ from ptnsbc_core.types import (
     Array,
     Trajectory,
 )
-from ptnsbc_sim.scenario.fields import Block, Flag, NotNegative, Number, Positive, Vec3
+from ptnsbc_sim.scenario.fields import Block, Flag, NotNegative, Number, Vec3
 from ptnsbc_sim.scenario.reader import MOST_SAMPLES
 
 MOST_POINTS = 2000
@@ -36,7 +36,8 @@ MOST_POINTS = 2000
 _CHANNELS = 4  # x, y, z, yaw
 _COLUMNS = 1 + COEFFICIENTS * _CHANNELS
 _TOP_RATE = 2.1875  # largest h_dot of h = 35 s^4 - 84 s^5 + 70 s^6 - 20 s^7
-_LEAST_GAP_S = 1e-3
+_LEAST_GAP_S = 0.01
+_FARTHEST = 1e6  # [m], [s] and [rad] of what a curve goes through
 _STEP_S = 0.01  # between two samples of `extremes`, at most
 _MOST_STEPS = 50_000
 _BEFORE_S = 1e-9  # before the end of a piece
@@ -119,7 +120,7 @@ class Waypoints(Block):
     times_s: tuple[NotNegative, ...] | None = None
     """Time of each point, from 0; of a closed curve also the time at which it is back at the first one. Give this or
     `speed_m_s`."""
-    speed_m_s: Positive | None = None
+    speed_m_s: Annotated[Number, Field(ge=1e-3, le=1e3)] | None = None
     """Mean speed from point to point along the straight line between them; of `straight` the largest one."""
     through: Literal["straight", "cubic", "minimum_snap"] = "minimum_snap"
     """`straight` goes in straight lines and rests at each point; `cubic` is a spline with continuous acceleration;
@@ -165,20 +166,46 @@ class Samples(NamedTuple):
 
 def problems(block: Any) -> Iterator[str]:
     """What is wrong with a trajectory, as `key: value: expectation` below `leader.trajectory`."""
-    if isinstance(block, Waypoints):
-        yield from _waypoint_problems(block)
-    if isinstance(block, Csv):
-        if block.samples is None:
-            yield "samples: missing: expected file: NAME, or samples: with its content"
-            return
-        try:
-            samples_of(block.samples)
-        except ValueError as error:
-            yield f"samples: {error}"
+    if not isinstance(block, Waypoints | Csv):
+        return
+    found = list(
+        _waypoint_problems(block) if isinstance(block, Waypoints) else _csv_problems(block)
+    )
+    yield from found or _curve_problems(block)
+
+
+def _csv_problems(block: Csv) -> Iterator[str]:
+    if block.samples is None:
+        yield "samples: missing: expected file: NAME, or samples: with its content"
+        return
+    try:
+        samples_of(block.samples)
+    except ValueError as error:
+        yield f"samples: {error}"
+
+
+def _curve_problems(block: Waypoints | Csv) -> Iterator[str]:
+    """Whether a finite curve goes through the points."""
+    try:
+        with np.errstate(all="ignore"):
+            finite = bool(np.isfinite(trajectory_of(block).table).all())
+    except ValueError:  # of SciPy; LinAlgError is one
+        finite = False
+    if not finite:
+        key = "samples" if isinstance(block, Csv) else "times_s"
+        yield f"{key}: no smooth curve goes through these points: expected times that are more even"
+
+
+def _too_far(numbers: Any) -> bool:
+    return bool(np.abs(np.array(numbers, dtype=np.float64)).max(initial=0.0) > _FARTHEST)
 
 
 def _waypoint_problems(block: Waypoints) -> Iterator[str]:
     size = len(block.points_m)
+    for key in ("points_m", "times_s", "yaws_rad"):
+        if _too_far(getattr(block, key) or ()):
+            yield f"{key}: expected no number beyond {_FARTHEST:g}"
+            return
     if (block.times_s is None) == (block.speed_m_s is None):
         yield "times_s: expected either times_s or speed_m_s"
         return
@@ -238,6 +265,8 @@ def samples_of(text: str) -> Samples:
     if not 2 <= len(found) <= MOST_POINTS:
         raise ValueError(f"{len(found)} rows: expected 2 to {MOST_POINTS}")
     table = np.array(found)
+    if _too_far(table):
+        raise ValueError(f"expected no number beyond {_FARTHEST:g}")
     wrong = _not_ascending(table[:, 0].tolist())
     if wrong is not None:
         raise ValueError(f"row {wrong + 1} of numbers, t = {table[wrong, 0]:g}: {_ASCENDING}")

@@ -1,5 +1,7 @@
 """Trees proposed for a shape."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -60,3 +62,26 @@ def test_without_a_parent_the_shape_is_refused() -> None:
         load_scenario("paper_5", changes)
     found = load_scenario("paper_5", {**changes, "formation.task": "relative_position"})
     assert set(found.file.communication.tree) == {2, 3, 4, 5}
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"formation.task": ["x"]}, r"formation\.task"),
+        ({"formation.heading_anchor_m": ["a", 1, 2]}, r"formation\.heading_anchor_m\[0\]"),
+        ({"leader.id": 99}, r"leader\.id: 99"),
+        ({"leader.id": [1]}, r"leader\.id"),
+        ({"uavs": []}, r"uavs"),
+    ],
+)
+def test_what_is_malformed_is_named_and_not_the_tree(changes: dict[str, Any], words: str) -> None:
+    with pytest.raises(PtnsbcError, match=words):
+        load_scenario("paper_5", {"communication.tree": "auto", **changes})
+
+
+def test_places_beyond_all_measure_are_no_traceback() -> None:
+    far = {k: [1e308, float(k), 0] for k in (2, 3, 4, 5)}
+    line = {"kind": "line", "spacing_m": 2}
+    changes = [{"at_s": 6, "over_s": 1, "offsets_m": far}, {"at_s": 8, "over_s": 1, "shape": line}]
+    overrides = {"formation.task": "relative_position", "formation.changes": changes}
+    assert len(load_scenario("paper_5", overrides).file.formation.changes) == 2

@@ -102,7 +102,7 @@ def test_shipped_show_keeps_its_distances_between_shapes() -> None:
             r"formation\.shape: expected either shape or offsets_m",
         ),
         ({"formation__shape.kind": "vee"}, r"formation\.shape\.kind: \"vee\""),
-        ({"formation__shape.spacing_m": 0}, r"formation\.shape\.spacing_m: 0: expected > 0"),
+        ({"formation__shape.spacing_m": 0}, r"formation\.shape\.spacing_m: 0: expected >= 0\.01"),
         (
             {"formation__changes": [TO_LINE, {"at_s": 13, "over_s": 1}]},
             r"changes\[1\]\.at_s: 13: expected at least 14",
@@ -116,6 +116,12 @@ def test_shipped_show_keeps_its_distances_between_shapes() -> None:
             r"changes\[0\]\.shape: expected either",
         ),
         ({"formation__changes": [{"at_s": 8}]}, r"changes\[0\]\.over_s: missing"),
+        ({"formation__changes": [{"at_s": 1e300, "over_s": 1}]}, r"at_s: 1e\+300: expected <= 1e"),
+        ({"formation__changes": [{"at_s": 8, "over_s": 1e-9}]}, r"over_s: 1e-09: expected >= 0\.1"),
+        (
+            {"formation__changes": [{"at_s": 8, "over_s": 1, "scale": [1e300, 1, 1]}]},
+            r"changes\[0\]\.scale\[0\]: 1e\+300: expected <= 1000",
+        ),
         ({"formation__changes": 3}, r"formation\.changes: 3: expected a list"),
         ({"uavs": 3}, r"uavs"),
     ],

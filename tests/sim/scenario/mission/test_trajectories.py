@@ -160,6 +160,10 @@ def test_csv_is_carried_by_the_scenario(tmp_path: Path) -> None:
         ({"times_s": [1, 4, 5, 9]}, r"times_s\[0\]: 1: expected times that begin with 0"),
         ({"yaws_rad": [0, 1]}, "yaws_rad: 2 numbers: expected one for each of 4"),
         ({"points_m": [[0, 0, 1]]}, "points_m"),
+        ({"points_m": [[0, 0, 1e300], *POINTS[1:]]}, "points_m: expected no number beyond 1e"),
+        ({"times_s": [0, 4, 9, 1e300]}, "times_s: expected no number beyond 1e"),
+        ({"yaws_rad": [0, 1, 2, -1e300]}, "yaws_rad: expected no number beyond 1e"),
+        ({"times_s": None, "speed_m_s": 1e-300}, "speed_m_s: 1e-300: expected >= 0.001"),
         (
             {"times_s": None, "speed_m_s": 1.0, "points_m": [[0, 0, 1], [0, 0, 1]]},
             r"points_m\[0\]: the same as the next one",
@@ -181,6 +185,7 @@ def test_waypoints_that_are_none(change: dict[str, Any], words: str) -> None:
         ("0,0,0,1\n1,0,0,1,3\n", "row 2: 5 numbers"),
         ("0,0,0,1\n1,0,x,1\n", "row 2: expected numbers"),
         ("0,0,0,1\n1,0,nan,1\n", "row 2: expected finite numbers"),
+        ("0,0,0,1\n1,0,1e300,1\n", "expected no number beyond 1e"),
         ("0,0,0,1\n0,0,0,1\n", "row 2 of numbers, t = 0: expected times"),
         ("1,0,0,1\n2,0,0,1\n", "row 1 of numbers, t = 1: expected times"),
     ],
@@ -219,3 +224,12 @@ def test_a_file_that_ends_in_motion_jumps_to_rest() -> None:
     path = scenario(kind="csv", samples=CSV).file.leader.trajectory
     assert extremes(path, 60.0).jump_m_s > 0.5
     assert extremes(path, 4.5).jump_m_s < 1e-6
+
+
+def test_times_that_no_curve_can_keep_are_refused_or_give_one() -> None:
+    """A hundredth of a second beside a million: whatever SciPy makes of it, no traceback and no NaN."""
+    given = {"kind": "waypoints", "points_m": POINTS, "times_s": [0, 0.01, 0.02, 1e6]}
+    try:
+        assert np.isfinite(curve(**given).table).all()
+    except PtnsbcError as error:
+        assert "no smooth curve" in str(error)
