@@ -53,6 +53,7 @@ def bridge_status(
     # Both numbers are of one instant, so that a reader of the bag can count what it lacks.
     report = bridge.report
     battery, shared = vehicle.battery_percent, state.shared
+    following = bridge.stream.following.found()
     values = {
         **readiness(missing),
         "step": procedure.step.value,
@@ -72,6 +73,9 @@ def bridge_status(
         "battery_percent": "" if battery is None else f"{battery:.0f}",
         "stream": procedure.output.stream.value,
         "setpoint_age_ms": f"{1e3 * age_s:.0f}" if age_s < _NEVER_S else "",
+        "velocity_gain": "" if following is None else f"{following.gain:.2f}",
+        "velocity_lag_s": "" if following is None else f"{following.lag_s:.2f}",
+        "drag_1_s": f"{bridge.stream.drag.value:.2f}",
         "timesync": bridge.maintenance.sync_text,
         "latency_p50_ms": f"{1e3 * latency.percentile_s(50):.3f}",
         "latency_p99_ms": f"{1e3 * latency.percentile_s(99):.3f}",

@@ -15,6 +15,7 @@ from ptnsbc_io.mavlink.autopilots import AUTOPILOTS, limits
 from ptnsbc_nodes.bridge.controller import SetpointReply
 from ptnsbc_nodes.bridge.procedure.steps import Stream
 from ptnsbc_nodes.bridge.setpoint.attitude import AttitudeTarget, AttitudeTargets
+from ptnsbc_nodes.bridge.setpoint.following import FollowingEstimator
 from ptnsbc_nodes.bridge.setpoint.guard import SetpointGuard, allowed
 from ptnsbc_nodes.bridge.setpoint.lead import DragEstimator, VelocityLead
 from ptnsbc_nodes.bridge.setpoint.messages import SetpointMessages
@@ -138,6 +139,7 @@ class SetpointStream:
         self.climb = _Climb(mavlink.takeoff_height_m, reference(config.trajectory, 0.0).yaw)
         self._integral = _VelocityIntegral()
         self.drag = DragEstimator(config.controller.gravity)
+        self.following = FollowingEstimator()
         self.lead: VelocityLead | None = None
         """For a vehicle whose response is known; without it the velocity is sent as it is wanted."""
         self.latency = Latency()
@@ -214,6 +216,7 @@ class SetpointStream:
             )
             return self._messages.attitude(tick.now_s, attitude)
         velocity = guard.velocity(reply.values[0:3], tick.odometry[0:3], moving)
+        self.following.add(tick.now_s, velocity, moving)
         acceleration = position = None
         if self._feed_forward:
             limit = guard.limits.acceleration_m_s2

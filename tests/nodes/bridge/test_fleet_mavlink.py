@@ -111,6 +111,17 @@ def test_by_the_truth_a_fleet_holds_its_formation_as_its_vehicles_hold_a_point(k
     assert rms(formed) < 1.3 * rms(held), (rms(formed), rms(held))
 
 
+@pytest.mark.parametrize("kind", ["px4", "arducopter"])
+def test_a_bridge_knows_how_its_vehicle_flies_the_velocities(kind):
+    fleet = MavlinkFleet(scenario(kind, duration_s=30.0), kind, gnss="rtk", count=1)
+    fleet.airborne().form().run(18.0)
+    found = fleet.uavs[1].bridge.stream.following.found()
+    assert found.gain == pytest.approx(1.0, abs=0.1)
+    assert found.lag_s < 0.2
+    drag = fleet.uavs[1].bridge.stream.drag.value
+    assert drag == pytest.approx(fleet.uavs[1].vehicle.drag_1_s, abs=0.15)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("kind", "setpoint"), [("px4", "position_velocity")])
 def test_a_leader_alone_by_the_other_ways(kind, setpoint):
