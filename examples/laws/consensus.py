@@ -2,7 +2,7 @@
 
 import numpy as np
 
-GAIN_1_S = 1.2
+GAIN_1_S = 2.0
 SOFT_S = 1.0  # the gain grows during this time: the vehicles need not jump
 
 
