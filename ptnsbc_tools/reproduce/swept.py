@@ -18,8 +18,8 @@ from ptnsbc_tools.sweeps.share import Share, share_of
 from ptnsbc_tools.sweeps.table import FlightTable, FlownSweep, read_sweep
 
 RUNS = 200
-DEFAULT_APPROACH: Setting = {"formation.approach": None}
-"""The scenario's own approach, where experiments fly the paper's."""
+DEFAULT_APPROACH: Setting = {"formation.approach": None, "gains.clearance.approach": None}
+"""The scenario's own ways to the formation and past objects, where experiments fly the paper's."""
 
 
 @dataclass(frozen=True)
