@@ -8,9 +8,10 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields
-from functools import lru_cache
+from functools import cache, lru_cache
 from importlib.metadata import PackageNotFoundError, version
 from io import BytesIO
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ptnsbc_core.compile_cache import source_digest
@@ -109,6 +110,19 @@ def _unit(unit: str) -> dict[str, str]:
     return {"unit": unit} if unit else {}
 
 
+def made_by_others(chunk: Path) -> bool:
+    """Whether the flights in the file of a chunk were flown by other laws or library versions than these."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    try:
+        metadata = pq.read_schema(chunk).metadata or {}
+    except (OSError, pa.ArrowInvalid):  # a damaged file is nobody's
+        return True
+    return metadata.get(b"ptnsbc.made_by") != _made_by().encode()
+
+
+@cache
 def _made_by() -> str:
     """Versions that the figures depend on, as JSON; no times and hosts: the same sweep gives the same bytes."""
     packages = ("ptnsbc", "numpy", "numba")

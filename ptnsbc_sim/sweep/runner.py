@@ -20,7 +20,13 @@ from typing import Any
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_sim.sweep.axes import SweepError
-from ptnsbc_sim.sweep.chunks import chunk_count, chunk_draws, fly_chunk, join_chunks
+from ptnsbc_sim.sweep.chunks import (
+    chunk_count,
+    chunk_draws,
+    fly_chunk,
+    join_chunks,
+    made_by_others,
+)
 from ptnsbc_sim.sweep.plan import SweepPlan
 from ptnsbc_sim.sweep.rows import fly_draw
 
@@ -92,7 +98,7 @@ def run(
         The table's place, and the chunks that failed.
 
     Raises:
-        SweepError: the folder holds another plan.
+        SweepError: the folder holds another plan, or flights of other laws.
         KeyboardInterrupt: ended early; chunks that are done stay, and the next run continues.
     """
     _prepare(plan, folder)
@@ -128,10 +134,20 @@ def _prepare(plan: SweepPlan, folder: Path) -> None:
             raise SweepError(
                 f"{folder}: holds a sweep of another plan: expected an empty folder, or the same plan"
             )
+        if flown_by_others(folder):
+            raise SweepError(
+                f"{folder}: holds flights of other laws or library versions, which do not belong into one "
+                "table with those of today: expected an empty folder"
+            )
     elif folder.exists() and any(folder.iterdir()):
         raise SweepError(f"{folder}: holds other files: expected an empty folder, or a sweep")
     (folder / CHUNKS).mkdir(parents=True, exist_ok=True)
     write_whole(path, text.encode())
+
+
+def flown_by_others(folder: Path) -> bool:
+    """Whether a folder holds flights of other laws or library versions."""
+    return any(made_by_others(chunk) for chunk in (folder / CHUNKS).glob("*.parquet"))
 
 
 def write_whole(path: Path, data: bytes) -> None:

@@ -129,7 +129,10 @@ def sweep(
         bool, typer.Option("--report/--no-report", help="Write a page and figures into DIR/report.")
     ] = True,
     overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Replace a sweep of another plan in DIR.")
+        bool,
+        typer.Option(
+            "--overwrite", help="Replace a sweep of another plan, or of other laws, in DIR."
+        ),
     ] = False,
     json: options.JsonOption = False,
     list_families: Annotated[
@@ -196,16 +199,21 @@ def _plan(given: dict[str, Any]) -> SweepPlan:
 
 
 def _clear(folder: Path, plan: SweepPlan, *, overwrite: bool) -> None:
-    """Remove a sweep of another plan; other files in the folder stay, and have it refused."""
+    """Remove a sweep of another plan or of other laws; other files in the folder stay, and have it refused."""
     from ptnsbc_sim.sweep import SweepError
+    from ptnsbc_sim.sweep.runner import flown_by_others
 
     path = folder / _MADE[0]
-    if not path.is_file() or path.read_text(encoding="utf-8") == plan.to_json():
+    if not path.is_file():
+        return
+    if path.read_text(encoding="utf-8") != plan.to_json():
+        other = "a sweep of another plan"
+    elif flown_by_others(folder):
+        other = "flights of other laws or library versions"
+    else:
         return
     if not overwrite:
-        raise SweepError(
-            f"{folder}: holds a sweep of another plan: choose another --output, or --overwrite"
-        )
+        raise SweepError(f"{folder}: holds {other}: choose another --output, or --overwrite")
     for name in _MADE:
         made = folder / name
         if made.is_dir():

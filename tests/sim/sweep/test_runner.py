@@ -111,6 +111,24 @@ def test_a_folder_of_another_plan_is_refused(flown: Path, tmp_path: Path) -> Non
         run(small(), tmp_path, workers=1)
 
 
+@pytest.mark.parametrize("damage", ["other laws", "cut short"])
+def test_flights_of_other_laws_are_not_mixed_with_those_of_today(
+    tmp_path: Path, damage: str
+) -> None:
+    plan = small(2, stop_after_s=0.1)
+    chunk = run(plan, tmp_path, workers=1).folder / runner.CHUNKS / "00000.parquet"
+    assert not runner.flown_by_others(tmp_path)
+    if damage == "other laws":
+        table = pq.read_table(chunk)
+        made_by = json.loads(table.schema.metadata[b"ptnsbc.made_by"]) | {"kernels": "of last week"}
+        metadata = {**table.schema.metadata, b"ptnsbc.made_by": json.dumps(made_by).encode()}
+        pq.write_table(table.replace_schema_metadata(metadata), chunk)
+    else:
+        chunk.write_bytes(chunk.read_bytes()[:-5])
+    with pytest.raises(SweepError, match="other laws"):
+        run(plan, tmp_path, workers=1)
+
+
 def test_a_chunk_that_fails_is_tried_once_more_and_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
