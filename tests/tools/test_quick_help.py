@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from ptnsbc_tools.cli import app
 
-GROUPS = {"bag", "network"}
+GROUPS = ("bag", "network")
 COMMANDS = typer.main.get_command(app).commands
 
 
