@@ -92,6 +92,12 @@ def hold_behaviour(
     velocity = hold_velocity(load3(inputs.own, 0), target.position, config)
     if inputs.mode == MODE_LAND:
         velocity = (velocity[0], velocity[1], -config.land_speed)
+    return with_velocity(behaviour, velocity)
+
+
+@inline_kernel
+def with_velocity(behaviour: Behaviour, velocity: Vector3) -> Behaviour:
+    """The behaviour with another velocity [m/s, ENU]; error and singular value stay for diagnostics."""
     return Behaviour(
         velocity,
         behaviour.error,

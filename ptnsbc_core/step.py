@@ -29,6 +29,7 @@ from ptnsbc_core.mission import (
     hold_target,
     link_lost,
     mission_behaviour,
+    with_velocity,
 )
 from ptnsbc_core.nullspace import compose_with_clearance
 from ptnsbc_core.tasks.clearance import FilterPace, ObstacleView, clearance, filter_pace
@@ -216,19 +217,6 @@ def _in_numbers(inputs: AgentInputs) -> AgentInputs:
     )
 
 
-@inline_kernel
-def _guided(behaviour: Behaviour, velocity: Vector3) -> Behaviour:
-    """The behaviour with the velocity of another law [m/s, ENU]; error and singular value stay for diagnostics."""
-    return Behaviour(
-        velocity,
-        behaviour.error,
-        behaviour.singular_value,
-        (0.0, 0.0, 0.0),
-        behaviour.slot_start,
-        behaviour.edge_start,
-    )
-
-
 @kernel
 def step(
     state: AgentState, inputs: AgentInputs, t: float, dt: float, config: AgentConfig
@@ -301,7 +289,7 @@ def _step(
             behaviour.error, euler_error, behaviour.slot_start, behaviour.edge_start
         )
     if guided is not None:
-        behaviour = _guided(behaviour, guided)
+        behaviour = with_velocity(behaviour, guided)
     if holding:
         behaviour = hold_behaviour(behaviour, inputs, target, config)
 

@@ -1,4 +1,4 @@
-"""What this computer has and lacks for flights: each finding says what to change."""
+"""Findings about this computer: what flights need and it lacks, and how to mend it."""
 
 from __future__ import annotations
 
@@ -64,6 +64,7 @@ def _cores() -> Findings:
 
 
 def _lateness_ms() -> float:
+    """How late the kernel wakes a process that sleeps for a millisecond: the sleep is what is measured."""
     wanted = time.monotonic() + 1e-3
     time.sleep(1e-3)
     return 1e3 * (time.monotonic() - wanted)
@@ -192,7 +193,7 @@ _LOOKS: Sequence[Callable[[], Findings]] = (
 
 
 def examine(scenario: Scenario | None = None) -> list[Finding]:
-    """What is found, errors first; with a scenario the ports of its bridges too."""
+    """The findings, errors first; with a scenario the ports of its bridges too."""
     found = [finding for look in _LOOKS for finding in look()]
     found += ports(scenario) if scenario is not None else ()
     rank = {ERROR: 0, WARNING: 1, INFO: 2}

@@ -36,7 +36,7 @@ class Transfer(NamedTuple):
 
 
 class Inverse(NamedTuple):
-    """What is added to a wanted velocity, and the acceleration beside it, per unit of drag and without."""
+    """The additions to a wanted velocity, and the acceleration beside it, per unit of drag and without."""
 
     velocity: Transfer | None
     velocity_by_drag: Transfer | None

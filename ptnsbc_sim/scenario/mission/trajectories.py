@@ -165,7 +165,7 @@ class Samples(NamedTuple):
 
 
 def problems(block: Any) -> Iterator[str]:
-    """What is wrong with a trajectory, as `key: value: expectation` below `leader.trajectory`."""
+    """The errors of a trajectory, as `key: value: expectation` below `leader.trajectory`."""
     if not isinstance(block, Waypoints | Csv):
         return
     found = list(
