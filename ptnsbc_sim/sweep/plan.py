@@ -14,12 +14,13 @@ import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from pydantic import ValidationError
 from scipy.stats import qmc
 
+from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import Scenario, reader, scenario_from_text
 from ptnsbc_sim.scenario.model import ScenarioFile
@@ -28,7 +29,15 @@ from ptnsbc_sim.scenario.scenario import completed
 from ptnsbc_sim.scenario.semantics import checked
 from ptnsbc_sim.sweep.axes import SweepAxis, SweepError
 from ptnsbc_sim.sweep.family import Family, draw_family, family_from_text
-from ptnsbc_sim.sweep.starts import FROM_FILE, Starts, with_starts
+from ptnsbc_sim.sweep.starts import (
+    FILE,
+    FROM_FILE,
+    Spheres,
+    Starts,
+    drawn_places,
+    spheres_of,
+    with_starts,
+)
 
 FORMAT = 1
 
@@ -175,14 +184,27 @@ def _drawn(plan: SweepPlan, k: int) -> tuple[reader.Tree, dict[str, Value]]:
     axes = _axis_values(plan, k)
     tree = reader.with_keys(tree, axes, plan.source)
     values |= {key: _plain(value) for key, value in axes.items()}
-    margin_m = float(completed(tree)["gains"]["clearance"]["margin_m"])
-    with_starts(tree, plan.starts, margin_m, generator(plan, k, "starts"))
+    if plan.starts.kind != FILE:
+        with_starts(tree, plan.starts, _margin_m(tree), generator(plan, k, "starts"))
     if "seed" not in axes:
-        tree["seed"] = int(generator(plan, k, "seed").integers(2**32))
-    if plan.stop_after_s is not None:
-        timing = tree["timing"]
-        timing["duration_s"] = min(float(timing["duration_s"]), float(plan.stop_after_s))
+        tree["seed"] = _seed(plan, k)
+    _stop(tree, plan.stop_after_s)
     return tree, values
+
+
+def _margin_m(tree: reader.Tree) -> float:
+    return float(completed(tree)["gains"]["clearance"]["margin_m"])
+
+
+def _seed(plan: SweepPlan, k: int) -> int:
+    return int(generator(plan, k, "seed").integers(2**32))
+
+
+def _stop(tree: reader.Tree, after_s: float | None) -> None:
+    """Have the flight of a tree end at this time, or when it would end anyway."""
+    if after_s is not None:
+        timing = tree["timing"]
+        timing["duration_s"] = min(float(timing["duration_s"]), float(after_s))
 
 
 def _plain(value: Any) -> Value:
@@ -209,13 +231,60 @@ def draw(plan: SweepPlan, k: int) -> Scenario:
 
 def drawn_scenario(plan: SweepPlan, k: int) -> tuple[Scenario, Mapping[str, Value]]:
     """The scenario of draw k for the loop, and what was drawn: no YAML is written and read, so `text` is empty."""
+    if not plan.family and not plan.axes and 0 <= k < plan.draws:
+        found = _with_starts_alone(plan, k)
+        if found is not None:
+            return found, {}
     tree, values = _drawn(plan, k)
-    full = completed(tree, _source(plan, k))
+    return _validated(tree, _source(plan, k)), values
+
+
+def _validated(tree: reader.Tree, source: str) -> Scenario:
+    full = completed(tree, source)
     try:
         file = ScenarioFile.model_validate(full)
     except ValidationError as error:
-        raise scenario_error(_source(plan, k), error, full) from None
-    return Scenario(file, checked(file, _source(plan, k)), "", _source(plan, k)), values
+        raise scenario_error(source, error, full) from None
+    return Scenario(file, checked(file, source), "", source)
+
+
+class _Common(NamedTuple):
+    """What draws have in common of which only starts and seed are drawn."""
+
+    scenario: Scenario
+    spheres: Spheres  # of which the starts must be clear
+
+
+@lru_cache(maxsize=4)
+def _common(text: str, source: str, stop_after_s: float | None) -> _Common:
+    tree: reader.Tree = pickle.loads(_base(text, source))
+    _stop(tree, stop_after_s)
+    return _Common(_validated(tree, source), spheres_of(tree, _margin_m(tree)))
+
+
+def _with_starts_alone(plan: SweepPlan, k: int) -> Scenario | None:
+    """The scenario of a draw without axes and family; None where its starts are to be validated.
+
+    No check of a scenario looks at seed and starts, but that they are finite: the base scenario is validated once,
+    and every draw shares its blocks.
+    """
+    source = _source(plan, k)
+    try:
+        base, spheres = _common(plan.scenario, plan.source, plan.stop_after_s)
+    except PtnsbcError:
+        return None  # whoever validates the draw names it in the message
+    file = base.file.model_copy(update={"seed": _seed(plan, k)})
+    if plan.starts.kind != FILE:
+        given = [uav.position_m for uav in file.uavs]
+        places = drawn_places(given, plan.starts, spheres, generator(plan, k, "starts"))
+        if not np.isfinite(places).all():
+            return None
+        moved = zip(file.uavs, places, strict=True)
+        uavs = [
+            uav.model_copy(update={"position_m": tuple(place.tolist())}) for uav, place in moved
+        ]
+        file = file.model_copy(update={"uavs": tuple(uavs)})
+    return dataclasses.replace(base, file=file, source=source)
 
 
 __all__ = [

@@ -102,7 +102,17 @@ def with_starts(
     """Draw the starts of a scenario tree, in place."""
     if starts.kind == FILE:
         return
-    given = [np.array(uav["position_m"], dtype=np.float64) for uav in tree["uavs"]]
+    given = [uav["position_m"] for uav in tree["uavs"]]
+    places = drawn_places(given, starts, spheres_of(tree, margin_m), rng)
+    for uav, place in zip(tree["uavs"], places, strict=True):
+        uav["position_m"] = place.tolist()
+
+
+def drawn_places(
+    positions: Sequence[Sequence[float]], starts: Starts, spheres: Spheres, rng: np.random.Generator
+) -> list[Array]:
+    """The starts (3,) [m] of all UAVs, whose positions in the file are given; not for `file`."""
+    given = [np.array(place, dtype=np.float64) for place in positions]
     if starts.kind == NEAR:
         proposals = [(place, np.full(3, starts.numbers[0])) for place in given]
     else:
@@ -110,7 +120,4 @@ def with_starts(
         centre = np.mean(given, axis=0)
         centre[2] = min(place[2] for place in given) + half[2]
         proposals = [(centre, half)] * len(given)
-    spheres = spheres_of(tree, margin_m)
-    places = clear_places(proposals, starts.kind == NEAR, spheres, rng)
-    for uav, place in zip(tree["uavs"], places, strict=True):
-        uav["position_m"] = place.tolist()
+    return clear_places(proposals, starts.kind == NEAR, spheres, rng)

@@ -33,6 +33,8 @@ _CONDITIONED = 0.35  # smallest singular value of a task below which it is dampe
 Tree = dict[Any, Any]
 Offsets = dict[int, list[float]]
 
+_PLACE, _PLACES = TypeAdapter(Vec3), TypeAdapter(dict[int, Vec3])
+
 
 def completed_shape(tree: Tree, source: str) -> Tree:
     """`tree` with offsets where it names shapes, and with a communication tree where it says `auto`.
@@ -73,7 +75,7 @@ def _shape(block: Tree) -> ShapeBlock | None:
 
 def _offsets(block: Tree) -> dict[int, Array] | None:
     try:
-        found = TypeAdapter(dict[int, Vec3]).validate_python(block.get("offsets_m"))
+        found = _PLACES.validate_python(block.get("offsets_m"))
     except ValidationError:
         return None
     return {uav: np.array(place) for uav, place in found.items()}
@@ -146,7 +148,7 @@ def _with_tree(tree: Tree, ids: list[int], source: str) -> Tree:
     task, anchor = formation.get("task"), formation.get("heading_anchor_m", [2.0, 0.0, 0.0])
     whole = offsets is not None and set(offsets) == set(ids) and len(ids) < len(tree["uavs"])
     try:
-        anchor = TypeAdapter(Vec3).validate_python(anchor)
+        anchor = _PLACE.validate_python(anchor)
     except ValidationError:
         return _without_auto(tree)
     if offsets is None or not whole or not isinstance(task, str) or task not in TASKS:

@@ -85,6 +85,24 @@ def test_draw_is_the_scenario_that_the_loop_flies() -> None:
         assert draw(plan, k).file == drawn_scenario(plan, k)[0].file
 
 
+@pytest.mark.parametrize("name", ["paper_5", "paper_5_free", "paper_20", "experiment_4", "show_20"])
+@pytest.mark.parametrize("starts", ["file", "near:0.4", "box:60,60,20"])
+def test_a_draw_of_starts_alone_is_one_that_was_validated(name: str, starts: str) -> None:
+    rest = {"starts": parse_starts(starts), "stop_after_s": 0.3, "seed": 5}
+    plan = plan_of(load_scenario(name), 3, **rest)
+    for k in range(plan.draws):
+        (found, values), whole = drawn_scenario(plan, k), draw(plan, k)
+        assert (found.file, values, found.source) == (whole.file, {}, whole.source)
+        assert found.topology.neighbours == whole.topology.neighbours
+        np.testing.assert_array_equal(found.topology.matrix, whole.topology.matrix)
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+def test_starts_beyond_all_measure_are_refused_with_the_draw() -> None:
+    with pytest.raises(ScenarioError, match=r"draw 0: uavs\[0\].position_m"):
+        plan_with(1, starts=parse_starts("near:1e308"))
+
+
 def test_several_lists_make_a_grid_with_replicates() -> None:
     plan = plan_with(2, "plant.mass_kg=1.0,1.2", f"{KAPPA}=1:3:3")
     assert (plan.cells, plan.draws) == (6, 12)
