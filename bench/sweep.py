@@ -109,7 +109,7 @@ def _judged(plan: SweepPlan, draws: range, loop: str) -> int:
         scenario, _ = drawn_scenario(plan, k)
         flight = flown(scenario, _LOOPS[loop], room=room)
         rows += len(rows_of(k, scenario, recording_of(flight)))
-        room = flight.track
+        room = flight
     return rows
 
 

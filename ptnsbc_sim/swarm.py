@@ -46,7 +46,7 @@ from ptnsbc_sim.track import FlightTrack, note, track_of
 from ptnsbc_sim.wiring import Wiring, wiring_of
 from ptnsbc_sim.world import World, measure_all
 
-CHUNK_TICKS = 500
+CHUNK_TICKS = 2000
 
 
 class SwarmState(NamedTuple):
@@ -82,6 +82,7 @@ class HeadlessFlight(NamedTuple):
     slots: Mapping[
         int, int
     ]  # slot of every UAV, decided at the epoch; empty where each has its own
+    swarm: SwarmState  # as it is at the end
 
     @property
     def flown(self) -> Scenario:
@@ -357,18 +358,31 @@ def _first_seen(truth: Array, dt: float, disturbances: Disturbances | None) -> A
     return np.stack(rows)
 
 
-def swarm_of(scenario: Scenario, wiring: Wiring, disturbances: Disturbances | None) -> SwarmState:
-    """The UAVs of a scenario before the first tick."""
-    plants = [plant_config(scenario, uav_id) for uav_id in scenario.uav_ids]
-    configs = kernel_list([agent_config(scenario, uav_id) for uav_id in scenario.uav_ids])
+def swarm_of(
+    scenario: Scenario,
+    wiring: Wiring,
+    disturbances: Disturbances | None,
+    like: SwarmState | None = None,
+) -> SwarmState:
+    """The UAVs of a scenario before the first tick; `like` has the constants of those that differ in starts only."""
+    ids = scenario.uav_ids
+    configs: Sequence[AgentConfig]
+    plants: Sequence[PlantConfig]
+    if like is None:
+        configs = kernel_list([agent_config(scenario, uav_id) for uav_id in ids])
+    else:
+        configs = like.configs
+    if like is None or disturbances is not None:  # gusts are written into the wind of a plant
+        plants = kernel_list([plant_config(scenario, uav_id) for uav_id in ids])
+    else:
+        plants = like.plants
     bodies = start_states(scenario, plants)
-    plant_list = kernel_list(plants)
-    seen = _first_seen(measure_all(bodies, plant_list), wiring.dt_ns * 1e-9, disturbances)
-    size, objects = len(plants), len(plants) + len(wiring.obstacles)
+    seen = _first_seen(measure_all(bodies, plants), wiring.dt_ns * 1e-9, disturbances)
+    size, objects = len(ids), len(ids) + len(wiring.obstacles)
     received = wiring.neighbours.shape
     return SwarmState(
         configs,
-        plant_list,
+        plants,
         _starts(configs, seen),
         bodies,
         np.zeros((objects, NEAR_COLUMNS)),
@@ -392,14 +406,15 @@ def slots_at_start(scenario: Scenario) -> Mapping[int, int]:
 def fly(
     scenario: Scenario,
     progress: Callable[[int, int], None] | None = None,
-    room: FlightTrack | None = None,
+    room: HeadlessFlight | None = None,
 ) -> HeadlessFlight:
     """Fly a scenario headless.
 
     Args:
         scenario: what to fly.
         progress: called with (ticks done, ticks in all) now and then.
-        room: the track of an earlier flight of as many ticks and UAVs, which is overwritten.
+        room: an earlier flight, whose track is overwritten where it fits; constants of its UAVs are used again
+            where only the starts differ.
 
     Returns:
         The whole flight; the same scenario gives the same bytes.
@@ -412,20 +427,21 @@ def flown(
     scenario: Scenario,
     loop: Loop,
     progress: Callable[[int, int], None] | None = None,
-    room: FlightTrack | None = None,
+    room: HeadlessFlight | None = None,
 ) -> HeadlessFlight:
     """As `fly`, with the law in `loop`."""
     ticks, size = scenario.ticks, len(scenario.uav_ids)
     slots = slots_at_start(scenario)
     held = with_slots(scenario, slots) if slots else scenario
-    wiring = wiring_of(held)
+    like = room if room is not None and held.shares_all_but_starts(room.flown) else None
+    wiring = wiring_of(held) if like is None else like.wiring
     disturbances = flight_disturbances(held, wiring.neighbours.shape[1])
-    swarm = swarm_of(held, wiring, disturbances)
-    track = track_of(ticks, size, with_truth=disturbances is not None, room=room)
+    swarm = swarm_of(held, wiring, disturbances, None if like is None else like.swarm)
+    track = track_of(ticks, size, with_truth=disturbances is not None, room=room and room.track)
     for first in range(0, ticks, CHUNK_TICKS):
         count = min(CHUNK_TICKS, ticks - first)
         loop(first, count, wiring, swarm, track, disturbances)
         if progress is not None:
             progress(first + count, ticks)
     t_ns = np.arange(ticks, dtype=np.int64) * scenario.dt_ns
-    return HeadlessFlight(scenario, t_ns, track, wiring, slots)
+    return HeadlessFlight(scenario, t_ns, track, wiring, slots, swarm)

@@ -62,8 +62,8 @@ class World:
         self._scenario = scenario
         self._row = {uav_id: row for row, uav_id in enumerate(self.ids)}
         plants = [plant_config(scenario, uav_id) for uav_id in self.ids]
-        self._states = start_states(scenario, plants)
         self._plants = kernel_list(plants)
+        self._states = start_states(scenario, self._plants)
         self._ticks = dict.fromkeys(self.ids, 0)
         self._slowest = 0
         self._dt_ns = scenario.dt_ns

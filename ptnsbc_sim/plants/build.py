@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
+from ptnsbc_core.algebra import store
+from ptnsbc_core.kernel import kernel
 from ptnsbc_core.kinematics import checked_pitch
 from ptnsbc_core.types import PLANT_RIGID_BODY, PLANTS, Array
-from ptnsbc_sim.plants.contract import PlantConfig, six
+from ptnsbc_sim.plants.contract import STATE_SIZE, PlantConfig, six
 from ptnsbc_sim.plants.integrate import initial_state
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.build import three
@@ -41,19 +45,27 @@ def plant_config(scenario: Scenario, uav_id: int) -> PlantConfig:
     )
 
 
-def start_states(scenario: Scenario, configs: list[PlantConfig]) -> Array:
-    """Plant states (N, 17) at t = 0, in the order of the scenario's UAVs.
+def start_states(scenario: Scenario, plants: Sequence[PlantConfig]) -> Array:
+    """Plant states (N, 17) at t = 0 of vehicles in a KernelList, in the order of the scenario's UAVs.
 
     Raises:
         AttitudeError: a 6-DOF start at a pitch where Euler rates are singular.
     """
-    states = []
-    for uav_id, config in zip(scenario.uav_ids, configs, strict=True):
-        start = scenario.uav(uav_id)
-        if config.kind == PLANT_RIGID_BODY:
-            checked_pitch(float(start.attitude[1]))
-        states.append(initial_state(start.position, start.attitude, config))
-    return np.stack(states)
+    uavs = scenario.file.uavs
+    if PLANTS[scenario.plant_kind] == PLANT_RIGID_BODY:
+        for uav in uavs:
+            checked_pitch(float(uav.attitude_rad[1]))
+    positions = np.array([uav.position_m for uav in uavs], dtype=np.float64)
+    attitudes = np.array([uav.attitude_rad for uav in uavs], dtype=np.float64)
+    return _start_states(positions, attitudes, plants)
+
+
+@kernel
+def _start_states(positions: Array, attitudes: Array, plants: Sequence[PlantConfig]) -> Array:
+    states = np.empty((positions.shape[0], STATE_SIZE))
+    for row in range(positions.shape[0]):
+        store(states[row], 0, initial_state(positions[row], attitudes[row], plants[row]))
+    return states
 
 
 def obstacle_rows(scenario: Scenario) -> Array:

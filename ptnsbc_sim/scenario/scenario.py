@@ -19,11 +19,13 @@ from ptnsbc_sim.scenario.fields import Wave
 from ptnsbc_sim.scenario.gains import Gains
 from ptnsbc_sim.scenario.mavlink import Mavlink, VehicleLink, vehicle_link
 from ptnsbc_sim.scenario.mission.completion import completed_shape
-from ptnsbc_sim.scenario.model import Plant, Quadrotor, ScenarioFile, Sensor
+from ptnsbc_sim.scenario.model import Plant, Quadrotor, ScenarioFile, Sensor, UavBlock
 from ptnsbc_sim.scenario.problems import ScenarioError, scenario_error
 from ptnsbc_sim.scenario.semantics import NANOSECONDS, checked
 
 _PHASES = {"sin": 0.0, "cos": np.pi / 2}
+_BESIDE_STARTS = tuple(set(ScenarioFile.model_fields) - {"uavs", "seed"})
+_BESIDE_POSITION = tuple(set(UavBlock.model_fields) - {"position_m"})
 
 
 class Disturbance(NamedTuple):
@@ -90,6 +92,23 @@ class Scenario:
         """
         given = {key: reader.plain(value) for key, value in {**(keys or {}), **more}.items()}
         return scenario_from_text(self.text, given, source=self.source)
+
+    def shares_all_but_starts(self, other: Scenario) -> bool:
+        """Whether `other` has the very objects of this scenario, but for seed, start positions and text.
+
+        A scenario that was read anew shares nothing, even where it says the same.
+        """
+        mine, theirs = self.file, other.file
+        return (
+            self.topology is other.topology
+            and len(mine.uavs) == len(theirs.uavs)
+            and all(getattr(mine, key) is getattr(theirs, key) for key in _BESIDE_STARTS)
+            and all(
+                getattr(a, key) is getattr(b, key)
+                for a, b in zip(mine.uavs, theirs.uavs, strict=True)
+                for key in _BESIDE_POSITION
+            )
+        )
 
     @property
     def name(self) -> str:

@@ -17,12 +17,12 @@ from typing import TYPE_CHECKING, Any
 from ptnsbc_core.compile_cache import source_digest
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_sim.scenario.fields import unit_of
+from ptnsbc_sim.swarm import HeadlessFlight
 from ptnsbc_sim.sweep.axes import SweepAxis
 from ptnsbc_sim.sweep.dry_run import dry_run_says
 from ptnsbc_sim.sweep.family import family_columns, family_from_text
 from ptnsbc_sim.sweep.plan import SweepPlan, Value, axis_values
 from ptnsbc_sim.sweep.rows import UNITS, SweepRow, fly_draw, not_flown
-from ptnsbc_sim.track import FlightTrack
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -57,7 +57,7 @@ def fly_chunk(plan_json: str, index: int) -> bytes:
     plan = _plan(plan_json)
     rows: list[SweepRow] = []
     drawn: list[Mapping[str, Value]] = []
-    room: FlightTrack | None = None
+    room: HeadlessFlight | None = None
     for k in chunk_draws(plan, index):
         try:
             check = dry_run_says(plan, k) if plan.check else ""

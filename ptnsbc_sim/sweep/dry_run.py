@@ -14,11 +14,11 @@ from typing import Any
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_sim.scenario import Scenario, scenario_from_text
+from ptnsbc_sim.swarm import HeadlessFlight
 from ptnsbc_sim.sweep.axes import UNIFORM, SweepAxis
 from ptnsbc_sim.sweep.plan import SweepPlan, draw
 from ptnsbc_sim.sweep.rows import SweepRow, fly_draw
 from ptnsbc_sim.sweep.starts import NEAR, Starts
-from ptnsbc_sim.track import FlightTrack
 from ptnsbc_sim.verdict.deadline import MET, WORST_FIRST
 
 RUNS = 20
@@ -140,7 +140,7 @@ def _flights(scenario: Scenario, runs: int, seed: int) -> Iterator[DryFlight]:
         stop_after_s=stop_s,
         source=scenario.source,
     )
-    room: FlightTrack | None = None
+    room: HeadlessFlight | None = None
     for plan in (as_it_stands, perturbed):
         for k in range(plan.draws if plan.runs else 0):
             rows, _, room = fly_draw(plan, k, room)

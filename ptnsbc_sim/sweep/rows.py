@@ -7,9 +7,8 @@ from dataclasses import dataclass, fields
 from math import inf
 
 from ptnsbc_sim.scenario import Scenario
-from ptnsbc_sim.swarm import fly
+from ptnsbc_sim.swarm import HeadlessFlight, fly
 from ptnsbc_sim.sweep.plan import SweepPlan, Value, drawn_scenario
-from ptnsbc_sim.track import FlightTrack
 from ptnsbc_sim.verdict import Recording, Separation, Verdict, verdict_on
 from ptnsbc_sim.verdict.headless import recording_of
 from ptnsbc_sim.verdict.recording import counter_rise
@@ -75,22 +74,22 @@ def not_flown(draw: int, cause: str) -> SweepRow:
 
 
 def fly_draw(
-    plan: SweepPlan, k: int, room: FlightTrack | None = None, check: str = ""
-) -> tuple[list[SweepRow], Mapping[str, Value], FlightTrack]:
+    plan: SweepPlan, k: int, room: HeadlessFlight | None = None, check: str = ""
+) -> tuple[list[SweepRow], Mapping[str, Value], HeadlessFlight]:
     """Fly draw k of a plan.
 
     Args:
         plan: the sweep.
         k: number of the draw.
-        room: the track of an earlier flight, which is overwritten where its size fits.
+        room: an earlier flight, which is overwritten.
         check: what the dry run before the flight said, for the rows.
 
     Returns:
-        The rows of its UAVs, what was drawn, and the room for the next flight.
+        The rows of its UAVs, what was drawn, and the flight as room for the next one.
     """
     scenario, values = drawn_scenario(plan, k)
     flight = fly(scenario, room=room)
-    return rows_of(k, scenario, recording_of(flight), check), values, flight.track
+    return rows_of(k, scenario, recording_of(flight), check), values, flight
 
 
 def rows_of(draw: int, scenario: Scenario, recording: Recording, check: str = "") -> list[SweepRow]:

@@ -14,6 +14,8 @@ from ptnsbc_sim.scenario import agent_config, load_scenario
 from ptnsbc_sim.scenario.build import leader_trajectory
 from ptnsbc_sim.scenario.slots import optimal_slots
 from ptnsbc_sim.swarm import CHUNK_TICKS, HeadlessFlight, fly
+from ptnsbc_sim.sweep import parse_starts
+from ptnsbc_sim.sweep.plan import drawn_scenario, plan_of
 from ptnsbc_sim.track import ACTIVE_ROWS, HOLDING, PRIORITY_VIOLATION
 from ptnsbc_sim.wiring import wiring_of
 from ptnsbc_sim.world import World
@@ -227,10 +229,42 @@ def test_wiring_of_the_paper() -> None:
 
 def test_progress_is_told_to_the_end() -> None:
     said = []
-    scenario = load_scenario("paper_5_free", {"timing.duration_s": 7})
+    scenario = load_scenario("paper_5_free", {"timing.duration_s": 21})
     flown = fly(scenario, lambda done, of: said.append((done, of)))
-    assert said == [(CHUNK_TICKS, 700), (700, 700)]
-    np.testing.assert_array_equal(np.diff(flown.t_ns), np.full(699, 10_000_000))
+    assert said == [(CHUNK_TICKS, 2100), (2100, 2100)]
+    np.testing.assert_array_equal(np.diff(flown.t_ns), np.full(2099, 10_000_000))
+
+
+@pytest.mark.parametrize(
+    ("changes", "shared"),
+    [
+        ({}, True),
+        ({"world.gust_m_s": [0.8, 0.8, 0.3], "world.wind_m_s": [1.0, 0.0, 0.0]}, True),
+        ({"formation.assignment": "optimal"}, False),
+    ],
+    ids=["calm", "gusts", "slots"],
+)
+def test_a_flight_in_the_room_of_another_one_has_the_same_bytes(
+    changes: dict, shared: bool
+) -> None:
+    base = load_scenario("paper_5", {"timing.duration_s": 1.5, **changes})
+    plan = plan_of(base, 4, starts=parse_starts("near:1.5"))
+    room = None
+    for k in (0, 1, 2, 1):
+        scenario, _ = drawn_scenario(plan, k)
+        if room is not None and shared:
+            assert scenario.shares_all_but_starts(room.flown)
+        alone, room = fly(scenario), fly(scenario, room=room)
+        for name, mine, other in zip(alone.track._fields, alone.track, room.track, strict=True):
+            assert mine.tobytes() == other.tobytes(), (k, name)
+
+
+def test_a_scenario_that_was_read_anew_shares_nothing() -> None:
+    changes = {"timing.duration_s": 1.0}
+    one, other = load_scenario("paper_5", changes), load_scenario("paper_5", changes)
+    assert one.file == other.file
+    assert one.shares_all_but_starts(one)
+    assert not one.shares_all_but_starts(other)
 
 
 # The starts of paper_5_free are in the order of the tree, so that every UAV keeps its slot; here they are not.
