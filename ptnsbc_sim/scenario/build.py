@@ -50,7 +50,7 @@ def three(vector: Iterable[float]) -> Vector3:
     return x, y, z
 
 
-def _loop(scenario: Scenario, loop: Loop) -> LoopGain:
+def loop_of(scenario: Scenario, loop: Loop) -> LoopGain:
     """A loop's gains; where the scenario's profile is `paper`, Lambda and kappa are 1 as printed.
 
     Without a time base the gain is constant from the first instant: h_dot / (1 - h + inf) is 0, and c is 1.
@@ -186,7 +186,7 @@ def _clearance(scenario: Scenario) -> ClearanceConfig:
     return ClearanceConfig(
         rule=AVOIDANCE[scenario.file.formation.avoidance],
         margin_m=float(gains.margin_m),
-        gain=_loop(scenario, gains),
+        gain=loop_of(scenario, gains),
         circulation=float(gains.circulation),
         ramp_s=float(gains.ramp_s),
         timeout_s=float(gains.timeout_s),
@@ -231,8 +231,8 @@ def _controller(scenario: Scenario) -> ControllerConfig:
         plant=PLANTS[scenario.plant_kind],
         gravity=float(scenario.gravity_m_s2),
         nominal=InertialParameters(float(scenario.mass_kg), three(scenario.inertia_kg_m2)),
-        force=_loop(scenario, gains.force),
-        torque=_loop(scenario, gains.torque),
+        force=loop_of(scenario, gains.force),
+        torque=loop_of(scenario, gains.torque),
         boundary=(float(gains.boundary.velocity_m_s), float(gains.boundary.rate_rad_s)),
         adaptation=(float(1.0 / adaptation.gamma_mass), float(1.0 / adaptation.gamma_inertia)),
         mass_range=float(adaptation.mass_range),
@@ -264,8 +264,8 @@ def agent_config(scenario: Scenario, uav_id: int) -> AgentConfig:
         other_slots=_slots(scenario, [one for one in scenario.uav_ids if one != uav_id]),
         anchor=three(reference_offset(scenario, uav_id)),
         row_scale=row_scale,
-        formation=_loop(scenario, gains.formation),
-        attitude=_loop(scenario, gains.attitude),
+        formation=loop_of(scenario, gains.formation),
+        attitude=loop_of(scenario, gains.attitude),
         damping_threshold=float(gains.damping.threshold),
         damping_max=float(gains.damping.maximum),
         estimator=_estimator(scenario, uav_id),

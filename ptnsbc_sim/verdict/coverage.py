@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ptnsbc_sim.verdict.recording import NANO, Recording
-from ptnsbc_sim.verdict.track import Track
+from ptnsbc_sim.verdict.track import Series, Track
 
 LONGEST_GAP_S = 0.25
 """Longest silence [s] that is only counted. A longer one makes the verdict void."""
@@ -24,6 +24,22 @@ class Coverage(NamedTuple):
     missing: int  # messages missing of those sent, or of one per control period
     longest_gap_s: float
     gap_at_s: float  # where the longest gap begins, after the epoch
+
+
+def coverages(recording: Recording) -> dict[int, Coverage]:
+    """Coverage of the odometry of every UAV; of those whose samples share their stamps it is worked out once."""
+    found: dict[int, Coverage] = {}
+    known: dict[int, Coverage] = {}
+    for uav in recording.scenario.uav_ids:
+        track = recording.odometry[uav]
+        if uav in recording.sent or not isinstance(track, Series):
+            found[uav] = coverage(recording, uav, track)
+            continue
+        stamps = id(track.t_ns)
+        if stamps not in known:
+            known[stamps] = coverage(recording, uav, track)
+        found[uav] = known[stamps]
+    return found
 
 
 def coverage(recording: Recording, uav: int, track: Track) -> Coverage:

@@ -117,13 +117,13 @@ class _LastExit:
     def __init__(self) -> None:
         self.entered_s: float | None = 0.0  # None: it ends outside
 
-    def add(self, times: Array, outside: NDArray[np.bool_]) -> None:
-        """Take the next samples (T,)."""
+    def add(self, times: Array, outside: NDArray[np.bool_], first: int = 0) -> None:
+        """Take the next samples (T,); before number `first` none is outside."""
         if self.entered_s is None:
             self.entered_s = float(times[0])
-        found = np.flatnonzero(outside)
-        if found.size:
-            after = int(found[-1]) + 1
+        latest_first = outside[first:][::-1]
+        if latest_first.any():
+            after = times.size - int(latest_first.argmax())
             self.entered_s = float(times[after]) if after < times.size else None
 
 
@@ -166,30 +166,43 @@ class ErrorFigures:
         if not self._last.size:
             self.start_error = float(error[0])
             self.band = max(self._tolerance, SHARE_OF_START * self.start_error)
-        counted = ~inside(self._windows, grid)
-        reached = times >= self._deadline_s - _EXACT_S
+        due = int(times.searchsorted(self._deadline_s - _EXACT_S))
         outside = error > self.band
-        self._settled.add(times, outside & ~inside(self._later, grid))
-        self._regained.add(times, outside & counted & reached)
+        if self._windows:
+            near = inside(self._windows, grid)
+            self._settled.add(times, outside & ~inside(self._later, grid))
+            self._regained.add(times, outside & ~near, due)
+            self._take_after(error[due:], error[due:][~near[due:]])
+            self._take_encounters(times, outside, near, due)
+        else:
+            self._settled.add(times, outside)
+            self._regained.add(times, outside, due)
+            self._take_after(error[due:], error[due:])
         self._at.add(times, error)
         self._at_due.add(times, error)
         for _, at in self._changes:
             at.add(times, error)
-        self._take_after(error[reached], counted[reached])
-        period = np.diff(times, prepend=self._last[:1])
-        fresh = slice(times.size - period.size, None)  # the first sample of all has no period
-        self.encounter_s += float(np.sum(period[~counted[fresh]]))
-        self.excused_outside_s += float(np.sum(period[(~counted & reached & outside)[fresh]]))
-        bad = np.flatnonzero(~np.isfinite(error))
-        if self.not_finite_s is None and bad.size:
-            self.not_finite_s = float(times[bad[0]])
+        finite = np.isfinite(error)
+        if self.not_finite_s is None and not finite.all():
+            self.not_finite_s = float(times[int(np.argmin(finite))])
         self._last = np.array([times[-1], error[-1]])
 
-    def _take_after(self, error: Array, counted: NDArray[np.bool_]) -> None:
+    def _take_encounters(
+        self, times: Array, outside: NDArray[np.bool_], near: NDArray[np.bool_], due: int
+    ) -> None:
+        """Which samples (T,) are inside encounters; those from number `due` on are after the deadline."""
+        period = np.diff(times, prepend=self._last[:1])
+        fresh = times.size - period.size  # the first sample of all has no period
+        self.encounter_s += float(np.sum(period[near[fresh:]]))
+        excused = near & outside
+        excused[:due] = False
+        self.excused_outside_s += float(np.sum(period[excused[fresh:]]))
+
+    def _take_after(self, error: Array, after: Array) -> None:
+        """Errors after the deadline, and those of them outside encounters."""
         if error.size:
             before = -np.inf if self.max_after_all is None else self.max_after_all
             self.max_after_all = max_of(before, error.max())
-        after = error[counted]
         if after.size:
             largest = after.max() if self.max_after is None else max_of(self.max_after, after.max())
             self.max_after = float(largest)

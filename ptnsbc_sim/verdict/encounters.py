@@ -14,7 +14,8 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from ptnsbc_sim.scenario import Scenario, agent_config
+from ptnsbc_sim.scenario import Scenario
+from ptnsbc_sim.scenario.build import loop_of
 from ptnsbc_sim.verdict.recording import COUNTERS
 from ptnsbc_sim.verdict.track import Track
 
@@ -28,7 +29,7 @@ _SLOWEST_RECOVERY_S = 10.0  # without kappa the loop would never recover
 
 def recovery_s(scenario: Scenario) -> float:
     """How long after its end an encounter still excuses the error."""
-    loop = agent_config(scenario, scenario.leader_id).formation  # as flown
+    loop = loop_of(scenario, scenario.gains.formation)  # as flown
     rate = loop.scale * loop.kappa
     return _PAUSE_S + min(_TIME_CONSTANTS / rate if rate > 0 else np.inf, _SLOWEST_RECOVERY_S)
 
@@ -38,12 +39,11 @@ def avoidance_windows(counters: Track) -> list[Window]:
     found: list[Window] = []
     last_ns, last = np.empty(0, np.int64), np.empty(0)
     for block in counters.blocks():
-        stamps = np.concatenate((last_ns if last_ns.size else block.t_ns[:1], block.t_ns))
-        active = block.values[:, _ACTIVE]
-        steps = np.diff(active, prepend=last if last.size else active[:1]) > 0
-        spans = [(int(stamps[k]), int(stamps[k + 1])) for k in np.flatnonzero(steps)]
-        found = merged([*found, *spans])
-        last_ns, last = block.t_ns[-1:], active[-1:]
+        stamps = np.concatenate((last_ns, block.t_ns))
+        active = np.concatenate((last, block.values[:, _ACTIVE]))
+        rises = np.flatnonzero(active[1:] > active[:-1])
+        found = merged([*found, *((int(stamps[k]), int(stamps[k + 1])) for k in rises)])
+        last_ns, last = stamps[-1:], active[-1:]
     return found
 
 

@@ -55,17 +55,17 @@ class _InputFigures:
         An input acts until the next one that is recorded: a missing message takes no time out of an integral.
         """
         start_ns, end_ns = self._recording.start_ns, self._recording.end_ns
-        force = lengths(block.values[:, :3])
-        torque = lengths(block.values[:, 3:])
-        edges = np.clip(np.append(block.t_ns, next_ns), start_ns, end_ns)
-        seconds = np.diff(edges) * NANO
-        self.energy += float(np.sum((force**2 + torque**2) * seconds))
-        beyond = (force - self._weight) ** 2 + torque**2
-        self.above_hover += float(np.sum(beyond * seconds))
-        judged = block.t_ns >= start_ns
-        if judged.any():
-            times = self._recording.times(block.t_ns[judged])
-            self._take_peak(times, force[judged], np.hypot(force, torque)[judged])
+        values = np.asfortranarray(block.values)  # axis by axis in memory
+        force, torque = lengths(values[:, :3]), lengths(values[:, 3:])
+        edges = np.concatenate((block.t_ns, [next_ns])).clip(start_ns, end_ns)
+        seconds = (edges[1:] - edges[:-1]) * NANO
+        square = torque**2
+        self.energy += float(np.sum((force**2 + square) * seconds))
+        self.above_hover += float(np.sum(((force - self._weight) ** 2 + square) * seconds))
+        first = block.index(start_ns, "left")
+        if first < block.size:
+            times = self._recording.times(block.t_ns[first:])
+            self._take_peak(times, force[first:], np.hypot(force[first:], torque[first:]))
 
     def _take_peak(self, times: Array, force: Array, whole: Array) -> None:
         if self.first is None:
@@ -124,7 +124,7 @@ class EstimatorErrors:
         times = self._recording.times(grid)
         leader = positions[self._recording.flown.leader_id]
         for uav, track in self._tracks.items():
-            error = lengths(track.at(grid)[:, :3] - leader)
+            error = lengths(np.asfortranarray(track.at(grid)[:, :3]) - leader)
             self._at[uav].add(times, error)
             after = error[times >= self._deadline_s]
             if after.size:

@@ -40,8 +40,11 @@ def counter_rise(counters: Track, name: str, start_ns: int, end_ns: int) -> floa
     def before(end: int) -> float:
         return float(counters.rows(end - 1, end).values[0, column])
 
-    first, last = counters.index(start_ns, "left"), counters.index(end_ns, "right")
-    return max(before(last) - (before(first) if first else 0.0), 0.0) if last else 0.0
+    last = counters.index(end_ns, "right")
+    if not last:
+        return 0.0
+    first = counters.index(start_ns, "left") if start_ns > counters.first_ns else 0
+    return max(before(last) - (before(first) if first else 0.0), 0.0)
 
 
 @dataclass(frozen=True)
@@ -167,9 +170,11 @@ class Recording:
         return "truth" if all(uav in self.truth for uav in self.scenario.uav_ids) else "odometry"
 
     def positions(self, grid: NDArray[np.int64]) -> dict[int, Array]:
-        """Position (T, 3) [m], ENU, of every UAV on the grid."""
+        """Position (T, 3) [m], ENU, of every UAV on the grid, axis by axis in memory."""
         source = self.truth if self.judged_by == "truth" else self.odometry
-        return {uav: source[uav].at(grid)[:, :3] for uav in self.scenario.uav_ids}
+        return {
+            uav: np.asfortranarray(source[uav].at(grid)[:, :3]) for uav in self.scenario.uav_ids
+        }
 
 
 def require_all_uavs(recording: Recording) -> None:

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ptnsbc_sim.verdict.coverage import coverage
+from ptnsbc_sim.verdict.coverage import coverages
 from ptnsbc_sim.verdict.deadline import (
     MET,
     VIOLATED,
@@ -189,7 +189,7 @@ def _leg(recording: Recording, tolerance: float, estimators: EstimatorErrors | N
     uavs = recording.scenario.uav_ids
     windows = encounters(recording.flown, recording.counters)
     figures = {uav: ErrorFigures(recording, windows[uav], tolerance) for uav in uavs}
-    covers = {uav: coverage(recording, uav, recording.odometry[uav]) for uav in uavs}
+    covers = coverages(recording)
     pairs = Separations(recording)
     end_ns = recording.start_ns
     for grid in recording.grids():
