@@ -34,10 +34,11 @@ from ptnsbc_tools.commands.simulate import simulate
 from ptnsbc_tools.commands.stop import stop
 from ptnsbc_tools.commands.sweep import sweep
 from ptnsbc_tools.commands.verify import verify
+from ptnsbc_tools.commands.view import view
 from ptnsbc_tools.quick_help import help_asked
 
 _REFUSED, _INTERRUPTED = 2, 130
-_STARTS_PROCESSES = ("fleet", "demo", "node")
+_STARTS_PROCESSES = ("fleet", "demo", "node", "view")
 
 
 class _Commands(TyperGroup):
@@ -113,7 +114,7 @@ _BAGS, _PROCESSES = "Bags", "Processes, vehicles, networks"
 
 _GROUPS: dict[str, tuple[Callable[..., None], ...]] = {
     _BEGIN: (new, scenarios, doctor, check),
-    _FLY: (simulate, sweep, fleet, demo, stop),
+    _FLY: (simulate, sweep, fleet, view, demo, stop),
     _LOOK: (verify, compare, report, plot, export, reproduce),
     _BAGS: (record, replay),
     _PROCESSES: (autopilot, bridge, params, key),

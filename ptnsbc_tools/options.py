@@ -69,6 +69,19 @@ OverwriteOption = Annotated[bool, typer.Option("--overwrite", help="Replace an e
 JsonOption = Annotated[
     bool, typer.Option("--json", help="Print one JSON object on stdout and nothing else.")
 ]
+PlainOption = Annotated[
+    bool, typer.Option("--plain", help="Lines instead of the table that redraws itself.")
+]
+FoxgloveOption = Annotated[
+    int | None,
+    typer.Option(
+        "--foxglove",
+        metavar="PORT",
+        min=1,
+        max=65535,
+        help="Serve the live view to Foxglove on this port of this host, e.g. 8765 (extra [foxglove]).",
+    ),
+]
 BagArgument = Annotated[
     Path, typer.Argument(metavar="BAG", help="Folder of a bag, or its .mcap file.")
 ]

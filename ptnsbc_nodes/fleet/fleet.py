@@ -90,6 +90,8 @@ def run_fleet(options: FleetOptions, progress: Report = lambda line: None) -> Fl
         settings = environment.for_children(domain, count, log_dir)
         progress(f"domain {domain}, logs in {log_dir}")
         stack.enter_context(_listed(options, domain, progress))
+        if options.beside is not None:
+            stack.enter_context(options.beside(settings, scenario_file))
         # Launchers on other computers have other names.
         name = "fleet" if options.leads else f"fleet_{min(options.only)}"
         with Coordinator(domain, name, options.namespace, seal=seal) as coordinator:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -39,6 +40,8 @@ class FleetOptions:
     namespace: str = ""  # of all nodes and topics, for example "/blue"
     # In real time: why the scenario with the measured starts must not be flown, empty when it may.
     objection: Callable[[Scenario], str] | None = None
+    # What runs beside the flight, of the environment of its processes and the file of its scenario.
+    beside: Callable[[Mapping[str, str], Path], AbstractContextManager[object]] | None = None
 
     @property
     def shared(self) -> bool:

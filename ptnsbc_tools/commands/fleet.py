@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import sys
 import tempfile
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, nullcontext
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 import typer
 
@@ -64,6 +65,12 @@ def fleet(
             help="Fly dry runs before anything starts, and from the measured positions before the flight.",
         ),
     ] = False,
+    view: Annotated[
+        bool,
+        typer.Option("--view", help="Serve a page with the flight live, and print its address."),
+    ] = False,
+    foxglove: options.FoxgloveOption = None,
+    plain: options.PlainOption = False,
     bag: options.BagOption = None,
     overwrite: options.OverwriteOption = False,
     json: options.JsonOption = False,
@@ -86,7 +93,19 @@ def fleet(
     )
     given = {name: context.params[name] for name in names}
     given["namespace"] = options.full_namespace(namespace)
+    given["shown"] = Shown(view, foxglove, table=not (plain or json) and sys.stdout.isatty())
     raise typer.Exit(fly_and_judge(options.chosen(context), json, **given))
+
+
+class Shown(NamedTuple):
+    """How a flight is shown while it is flown."""
+
+    page: bool = False
+    foxglove: int | None = None  # port
+    table: bool = False  # in the terminal
+
+
+_NOT_SHOWN = Shown()
 
 
 def fly_and_judge(
@@ -98,6 +117,7 @@ def fly_and_judge(
     only: str = "",
     bag: Path | None = None,
     check: bool = False,
+    shown: Shown = _NOT_SHOWN,
     **given: Any,
 ) -> int:
     """Fly with one process per UAV and judge the bag; returns the exit code.
@@ -110,6 +130,7 @@ def fly_and_judge(
         only: processes of this host, all when empty.
         bag: folder to record into, a temporary one by default.
         check: fly dry runs first, and refuse what they refuse.
+        shown: while it is flown.
         given: further fields of `FleetOptions`.
     """
     if backend == "mavlink":
@@ -124,12 +145,12 @@ def fly_and_judge(
     if check and request.leads:
         request = _checked(request)
     if not request.leads:
-        return _show_part(_fly(request), json=json)
+        return _show_part(_fly(request, shown), json=json)
     with ExitStack() as stack:
         if bag is None:  # the verdict is read from a bag
             folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="ptnsbc-"))
             request = replace(request, bag=Path(folder) / "bag")
-        flown = _fly(request)
+        flown = _fly(request, shown)
         for line in _losses(flown):
             console.say(line)
         assert request.bag is not None
@@ -163,11 +184,17 @@ def _objection(scenario: Scenario) -> str:
     return ""
 
 
-def _fly(request: FleetOptions) -> FleetResult:
+def _fly(request: FleetOptions, shown: Shown) -> FleetResult:
     from ptnsbc_nodes.fleet.fleet import run_fleet
+    from ptnsbc_tools.live.beside import Viewing
+    from ptnsbc_tools.live.dashboard import Dashboard
 
+    dashboard = Dashboard() if shown.table and sys.stderr.isatty() else None
+    say = console.say if dashboard is None else dashboard.say
+    viewing = Viewing(request.scenario, request.namespace, shown.page, shown.foxglove, dashboard)
     try:
-        return run_fleet(request, console.say)
+        with dashboard or nullcontext():
+            return run_fleet(replace(request, beside=viewing.beside(say)), say)
     finally:
         restore_handlers()
 

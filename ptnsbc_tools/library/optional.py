@@ -12,8 +12,8 @@ class LibraryMissingError(PtnsbcError):
     """A library that a function needs is not installed."""
 
 
-def required(name: str, what: str) -> Any:
-    """The module of a library; `what` needs it.
+def required(name: str, what: str, extra: str = "tables") -> Any:
+    """The module of a library; `what` needs it, and our `extra` brings it.
 
     Raises:
         LibraryMissingError: it is not installed.
@@ -22,5 +22,5 @@ def required(name: str, what: str) -> Any:
         return import_module(name)
     except ImportError:
         raise LibraryMissingError(
-            f'{what}: {name} is not installed: pip install "ptnsbc[tables]", or pip install {name}'
+            f'{what}: {name} is not installed: pip install "ptnsbc[{extra}]"'
         ) from None

@@ -16,6 +16,7 @@ import numpy as np
 
 from ptnsbc_core.curves.trajectory import reference
 from ptnsbc_core.types import Array
+from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.build import leader_trajectory, places_beside_leader
 from ptnsbc_sim.scenario.mission.shapes import moves
 from ptnsbc_sim.verdict import Series, Track
@@ -122,11 +123,16 @@ def _space(flight: FlightView, pack: Pack) -> dict[str, Any]:
         "deadlines": [mark.t for mark in deadlines(flight)],
         "keepOut": scenario.uav_keep_out_m,
         "uavs": [_uav(flight, uav, stamps, pack) for uav in flight.uavs],
-        "obstacles": [
-            {"name": one.name, "place": one.position.tolist(), "keepOut": float(one.keep_out_m)}
-            for one in scenario.obstacles
-        ],
+        "obstacles": obstacles_of(scenario),
     }
+
+
+def obstacles_of(scenario: Scenario) -> list[dict[str, Any]]:
+    """The obstacles as the page's script draws them."""
+    return [
+        {"name": one.name, "place": one.position.tolist(), "keepOut": float(one.keep_out_m)}
+        for one in scenario.obstacles
+    ]
 
 
 def _legs(flight: FlightView, t: Array) -> list[tuple[float, str]]:

@@ -19,7 +19,7 @@ from ptnsbc_tools.plotting.flight import FlightView
 from ptnsbc_tools.report.content import compressed, content
 from ptnsbc_tools.tables import deadline_table, reasons, verdict_line, verdict_tables
 
-_SCRIPTS = ("data.js", "clock.js", "camera.js", "scene.js", "charts.js", "main.js")
+_SCRIPTS = ("data.js", "clock.js", "camera.js", "scene.js", "charts.js", "main.js", "start.js")
 _NO_VERDICT = "none"
 _WORDS = ("met", "missed", "violated", "void", "error", "warning")
 
@@ -30,7 +30,7 @@ def asset(name: str) -> str:
 
 
 @cache
-def _plotly() -> str:
+def plotly() -> str:
     """The library plotly.js, compressed: it is larger than all the rest of the page."""
     library = files("plotly").joinpath("package_data", "plotly.min.js").read_bytes()
     return compressed(library)
@@ -130,7 +130,7 @@ def page(flight: FlightView, about: Mapping[str, str]) -> str:
             "details": (_details("Recorded with", recorded) if recorded else "")
             + _details("Scenario", flight.scenario.text),
             "data": content(flight),
-            "plotly": _plotly(),
+            "plotly": plotly(),
             "style": asset("style.css"),
             "script": "\n".join(asset(name) for name in _SCRIPTS),
         }

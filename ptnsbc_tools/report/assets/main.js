@@ -220,17 +220,3 @@ class Live {
     return found.reduce((best, one) => (!best || one.room < best.room ? one : best), null);
   }
 }
-
-async function start() {
-  try {
-    window.page = new Page(await flightData());
-    document.documentElement.dataset.ready = "true";
-  } catch (error) {
-    byId("notice").textContent = typeof DecompressionStream === "undefined"
-      ? "This browser cannot unpack the page. Playback needs Chrome 80, Firefox 113, Safari 16.4 or newer; the figures are beside the page, as PNG."
-      : `Playback failed: ${error.message}. The figures are beside the page, as PNG.`;
-    console.error(error);
-  }
-}
-
-start();

@@ -40,6 +40,7 @@ class Scene {
       for (let i = 0; i < this.motion.count; i++) take(this.motion.place(k, i));
     }
     for (const one of obstacles) take(one.place, one.keepOut);
+    for (const one of this.space.bounds || []) take(one); // of a flight that goes on
     for (let i = 0; i < 3; i++) if (!Number.isFinite(low[i])) [low[i], high[i]] = [-1, 1];
     this.floor = low[2] >= -0.5 && low[2] < 30 ? 0 : Math.floor(low[2]);
     const span = Math.max(high[0] - low[0], high[1] - low[1], 4);

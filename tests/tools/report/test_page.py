@@ -20,7 +20,7 @@ from ptnsbc_tools.report.page import html_table, page
 @pytest.fixture(autouse=True)
 def _light_plotly(monkeypatch):
     """The library is the same every time; without it the tests are quick."""
-    monkeypatch.setattr("ptnsbc_tools.report.page._plotly", lambda: "")
+    monkeypatch.setattr("ptnsbc_tools.report.page.plotly", lambda: "")
 
 
 def made(recording, **about):

@@ -1,0 +1,92 @@
+"""Make live.png, dashboard_80.svg and dashboard_140.svg: `python docs/img/make_live.py`.
+
+It flies paper_5 in lock-step with `--view` and looks at the page shortly before the deadline. Needs Chromium, ROS and
+the extra [dev].
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+from PIL import Image
+from playwright.sync_api import sync_playwright
+
+from ptnsbc_sim.scenario import load_scenario
+from ptnsbc_tools.console import recording
+from ptnsbc_tools.live.dashboard import picture
+
+SIZE = {"width": 1280, "height": 1000}
+SCENARIO = "paper_5"
+SHOWN_S = 1.5
+HERE = Path(__file__).parent
+
+
+def main() -> None:
+    """Take the pictures."""
+    command = [
+        sys.executable,
+        "-m",
+        "ptnsbc_tools",
+        "fleet",
+        SCENARIO,
+        "--lockstep",
+        "--view",
+        "--plain",
+    ]
+    environment = {k: v for k, v in os.environ.items() if k != "ROS_DOMAIN_ID"}
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=environment) as fleet:
+        try:
+            assert fleet.stderr is not None
+            address = next(line for line in fleet.stderr if "live view: " in line).split()[-1]
+            frame = photograph(address, HERE / "live.png")
+        finally:
+            fleet.send_signal(signal.SIGINT)
+            fleet.communicate()
+    for width in (80, 140):
+        console = recording(io.StringIO(), width)
+        console.print(picture(frame, load_scenario(SCENARIO), width))
+        console.save_svg(str(HERE / f"dashboard_{width}.svg"), title=f"ptnsbc fleet {SCENARIO}")
+
+
+def photograph(address: str, path: Path) -> dict[str, Any]:
+    """The page at SHOWN_S; returns the frame that it shows."""
+    with sync_playwright() as driver:
+        browser = driver.chromium.launch(
+            executable_path=shutil.which("chromium"), args=["--no-sandbox"]
+        )
+        tab = browser.new_page(viewport=SIZE, color_scheme="light")
+        tab.goto(address)
+        tab.wait_for_selector("html[data-ready=true]")
+        tab.evaluate(
+            "() => { const show = page.frame.bind(page); page.frame = (one) => { window.shown = one; show(one); } }"
+        )
+        tab.wait_for_function(
+            f"() => window.shown && shown.t >= {SHOWN_S} && shown.uavs[0].mode", timeout=180_000
+        )
+        tab.locator("#chart-errors .main-svg").first.wait_for()
+        save(tab.screenshot(), path)
+        frame: dict[str, Any] = tab.evaluate("shown")
+        browser.close()
+    return frame
+
+
+def save(png: bytes, path: Path) -> None:
+    """A picture of 256 colours: a third of the bytes."""
+    picture = (
+        Image.open(io.BytesIO(png))
+        .convert("RGB")
+        .quantize(256, Image.Quantize.MAXCOVERAGE, kmeans=1)
+    )
+    picture.save(path, optimize=True)
+    print(f"{path}: {path.stat().st_size} bytes")
+
+
+if __name__ == "__main__":
+    main()

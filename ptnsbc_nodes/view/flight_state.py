@@ -1,0 +1,253 @@
+"""What a viewer knows of a flight now: places, errors, time to the deadline, faults. Without ROS."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import numpy as np
+
+from ptnsbc_core.curves.trajectory import reference
+from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_core.types import MODE_FORMATION, Array
+from ptnsbc_io.wire import Diagnostics, DiagnosticStatus, HeaderFields, Stamped
+from ptnsbc_nodes.comm.announcements import LostProcess
+from ptnsbc_nodes.comm.legs import Epochs, Leg
+from ptnsbc_nodes.comm.slots import DecidedSlots, Decision
+from ptnsbc_sim.scenario import Scenario
+from ptnsbc_sim.scenario.build import leader_trajectory, places_beside_leader
+from ptnsbc_sim.scenario.mission.shapes import moves
+from ptnsbc_sim.scenario.slots import with_slots
+
+SILENT_S = 2.0
+"""A process whose last status is older than this is shown as silent."""
+_NANO = 1e-9
+_READY_LEVEL, _SILENT_LEVEL = 1, 2  # as on /diagnostics: WARN, ERROR
+
+
+class FlightState:
+    """Takes in what the processes of one fleet publish; `frame` is the picture of an instant.
+
+    Args:
+        scenario: what is flown.
+        clock_s: a steady clock, for the age of messages.
+    """
+
+    def __init__(self, scenario: Scenario, clock_s: Callable[[], float]) -> None:
+        self.scenario = scenario
+        """As it is flown: with the slots that the UAVs took, once they are known."""
+        self.flown_anew = 0
+        """How often `scenario` has changed."""
+        self._file = scenario
+        self._clock_s = clock_s
+        self._decided = DecidedSlots(scenario)
+        self._epochs = Epochs()
+        self._odometry: dict[int, Stamped] = {}
+        self._status: dict[str, tuple[float, DiagnosticStatus]] = {}  # by its name, with its age
+        self._lost: set[str] = set()
+        self._over = False
+        self._moving = moves(scenario.file.formation)
+        self._pace = _Pace()
+
+    @property
+    def decode_slots(self) -> Callable[[bytes], Decision]:
+        """The decoder of /formation/slots."""
+        return self._decided.decode
+
+    def on_odometry(self, uav: int, message: Stamped) -> None:
+        """The state of one vehicle."""
+        self._odometry[uav] = message
+        self._pace.add(message.stamp_ns, self._clock_s())
+
+    def on_leg(self, leg: HeaderFields) -> None:
+        """A leg was announced."""
+        self._epochs.announce(leg.stamp_ns, leg.frame_id)
+
+    def on_slots(self, decision: Decision) -> None:
+        """The UAVs have taken their slots."""
+        self._decided.keep(decision)
+        flown = with_slots(self._file, decision.slots)
+        if flown.topology != self.scenario.topology:
+            self.scenario = flown
+            self.flown_anew += 1
+
+    def on_status(self, array: Diagnostics) -> None:
+        """Processes report about themselves."""
+        now_s = self._clock_s()
+        for status in array.statuses:
+            self._status[status.name] = (now_s, status)
+
+    def on_lost(self, process: LostProcess) -> None:
+        """A process has ended before its time."""
+        self._lost.add(process.name)
+
+    def on_over(self, _over: HeaderFields) -> None:
+        """The launcher has ended the flight."""
+        self._over = True
+
+    @property
+    def started(self) -> bool:
+        """Whether the first leg is announced."""
+        return self._epochs.announced
+
+    @property
+    def stamp_ns(self) -> int:
+        """The newest stamp of a vehicle's state; -1 before the first."""
+        return max((message.stamp_ns for message in self._odometry.values()), default=-1)
+
+    def frame(self) -> dict[str, Any]:
+        """The picture of this instant, as plain data: times [s], lengths [m]; None for what is not known.
+
+        `t` counts from the first epoch, `left_s` to the deadline of the leg.
+        """
+        leg = self._epochs.at(self.stamp_ns)
+        t = None if leg is None else (self.stamp_ns - leg.first_t0_ns) * _NANO
+        since_s = None if leg is None else (self.stamp_ns - leg.t0_ns) * _NANO
+        places = {uav: message.values[:3] for uav, message in self._odometry.items()}
+        goals = self._goals(places, t)
+        return {
+            "t": _rounded(t),
+            "leg": leg.name if leg is not None else "waiting",
+            "since_s": _rounded(since_s),
+            "left_s": _rounded(self._left_s(leg, since_s)),
+            "pace": _rounded(self._pace.rate(self._clock_s())),
+            "over": self._over,
+            "uavs": [self._uav(uav, places, goals) for uav in self.scenario.uav_ids],
+            "processes": self._processes(),
+        }
+
+    def _left_s(self, leg: Leg | None, since_s: float | None) -> float | None:
+        if leg is None or since_s is None or leg.mode != MODE_FORMATION:
+            return None
+        return float(self.scenario.gains.formation.deadline_s) - since_s
+
+    def _goals(self, places: dict[int, Array], t: float | None) -> dict[int, Array]:
+        """Where each UAV is to be (3,) [m]; without the followers while the leader is not heard."""
+        scenario, instant = self.scenario, max(t or 0.0, 0.0)
+        goals: dict[int, Array] = {}
+        leader = places.get(scenario.leader_id)
+        if t is not None:
+            path = reference(leader_trajectory(scenario), instant).position
+            goals[scenario.leader_id] = np.array(path)
+        if leader is None:
+            return goals
+        for uav in scenario.uav_ids:
+            if uav != scenario.leader_id:
+                [beside] = places_beside_leader(scenario, uav, np.array([instant]))
+                goals[uav] = leader + beside
+        return goals
+
+    def _uav(self, uav: int, places: dict[int, Array], goals: dict[int, Array]) -> dict[str, Any]:
+        message = self._odometry.get(uav)
+        found: dict[str, Any] = {"id": uav, "lost": f"uav{uav}" in self._lost, **self._said(uav)}
+        if message is None:
+            return found | {"pose": None, "speed": None, "error": None, "near": None}
+        error = float(np.linalg.norm(places[uav] - goals[uav])) if uav in goals else None
+        leader = places.get(self.scenario.leader_id)
+        if self._moving and leader is not None and uav in goals:
+            found["beside"] = np.round(goals[uav] - leader, 4).tolist()
+        return found | {
+            "pose": [round(float(number), 4) for number in message.values[:7]],
+            "speed": _rounded(float(np.linalg.norm(message.values[7:10]))),
+            "error": _rounded(error),
+            "near": self._nearest(uav, places),
+        }
+
+    def _nearest(self, uav: int, places: dict[int, Array]) -> dict[str, Any] | None:
+        """What leaves the least room: its name, the distance, and the room above the keep-out."""
+        keep_out = self.scenario.uav_keep_out_m
+        others = [(f"UAV {i}", place, keep_out) for i, place in places.items() if i != uav]
+        things = [(one.name, one.position, one.keep_out_m) for one in self.scenario.obstacles]
+        found = [
+            (distance - limit, distance, name)
+            for name, place, limit in (*others, *things)
+            if math.isfinite(distance := float(np.linalg.norm(places[uav] - place)))
+        ]
+        if not found:
+            return None
+        room, distance, name = min(found)
+        return {"name": name, "distance": _rounded(distance), "room": _rounded(room)}
+
+    def _said(self, uav: int) -> dict[str, Any]:
+        """What the processes of one UAV report: mode, vehicle, battery."""
+        own = [s for _, s in self._status.values() if s.name.partition(":")[0] == f"uav{uav}"]
+        link = [s for _, s in self._status.values() if s.name.partition(":")[0] == f"bridge{uav}"]
+        mode = next((s.values["mode"] for s in own if "mode" in s.values), None)
+        vehicle = next((s.values for s in link if "armed" in s.values), {})
+        battery = vehicle.get("battery_percent", "")
+        return {
+            "mode": mode,
+            "vehicle": vehicle.get("mode") or None,
+            "step": vehicle.get("step") or None,
+            "armed": vehicle["armed"] == "true" if vehicle else None,
+            "battery": int(battery) if battery.isdecimal() else None,
+        }
+
+    def _processes(self) -> list[dict[str, Any]]:
+        """Level and word of every process that has reported or ended; 0 is well, 1 a warning, 2 an error."""
+        now_s = self._clock_s()
+        found = []
+        names = {name.partition(":")[0] for name in self._status} | self._lost
+        for name in sorted(names, key=_in_order):
+            said = [one for key, one in self._status.items() if key.partition(":")[0] == name]
+            found.append({"name": name, **self._word(name, now_s, said)})
+        return found
+
+    def _word(
+        self, name: str, now_s: float, said: Iterable[tuple[float, DiagnosticStatus]]
+    ) -> dict[str, Any]:
+        if name in self._lost:
+            return {"level": _SILENT_LEVEL, "word": "has ended"}
+        newest_s, status = max(said, key=lambda one: (one[0], one[1].level))
+        if now_s - newest_s > SILENT_S and not self._over:
+            return {"level": _SILENT_LEVEL, "word": f"silent for {now_s - newest_s:.0f} s"}
+        if status.values.get("ready") == "false":
+            waits = status.values.get("waiting_for", "")
+            return {"level": max(status.level, _READY_LEVEL), "word": f"waits for {waits}"}
+        return {"level": status.level, "word": status.message or "ready"}
+
+
+class _Pace:
+    """Flight time per wall time, over the last second or so."""
+
+    def __init__(self) -> None:
+        self._from: tuple[int, float] | None = None
+        self._rate: float | None = None
+
+    def add(self, stamp_ns: int, now_s: float) -> None:
+        if self._from is None or stamp_ns < self._from[0]:
+            self._from = (stamp_ns, now_s)
+        elif now_s - self._from[1] >= 1.0:
+            self._rate = (stamp_ns - self._from[0]) * _NANO / (now_s - self._from[1])
+            self._from = (stamp_ns, now_s)
+
+    def rate(self, now_s: float) -> float | None:
+        """None before it is known, 0 when nothing has come for a while."""
+        stands = self._from is not None and now_s - self._from[1] > SILENT_S
+        return 0.0 if stands else self._rate
+
+
+def _in_order(name: str) -> tuple[str, int]:
+    """uav2 before uav10."""
+    letters = name.rstrip("0123456789")
+    return letters, int(name.removeprefix(letters) or 0)
+
+
+def _rounded(number: float | None) -> float | None:
+    return round(number, 4) if number is not None and math.isfinite(number) else None
+
+
+def scenario_of(text: str, name: str) -> Scenario:
+    """The scenario that a UAV flies, from its parameters `scenario_text` and `scenario`.
+
+    Raises:
+        PtnsbcError: both are empty, or no scenario.
+    """
+    from ptnsbc_sim.scenario import load_scenario, scenario_from_text
+
+    if text:
+        return scenario_from_text(text)
+    if not name:
+        raise PtnsbcError("the UAV names no scenario: expected one: ptnsbc view SCENARIO")
+    return load_scenario(name)

@@ -1,0 +1,196 @@
+"""The node of a viewer: subscriptions that nobody waits for, and the operator's services on request."""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import rclpy
+from rcl_interfaces.srv import GetParameters
+from rclpy.context import Context
+from rclpy.signals import SignalHandlerOptions
+from std_srvs.srv import Trigger
+
+from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_io.wire import HeaderTemplate, OdometryDecoder, decode_diagnostics, decode_header
+from ptnsbc_nodes.comm import topics
+from ptnsbc_nodes.comm.announcements import decode_leg, decode_lost
+from ptnsbc_nodes.comm.endpoints import Endpoints
+from ptnsbc_nodes.comm.qos import STATE_REALTIME, keep_last
+from ptnsbc_nodes.comm.seal import operators_seal, seal_of
+from ptnsbc_nodes.runtime.executor import BoundedSpin, make_executor
+from ptnsbc_nodes.view.flight_state import FlightState, scenario_of
+from ptnsbc_sim.scenario import Scenario
+from ptnsbc_sim.scenario.slots import are_open
+
+LEGS = ("hold", "land", "stop")
+"""The services of the leader that a viewer may call."""
+_LOCK = re.compile(r"@ptnsbc-domain-(\d+)$", re.MULTILINE)
+_SOCKETS = Path("/proc/net/unix")
+_CONTROLLER = re.compile(r"(.*)/uav(\d+)")
+_LOOK_S = 0.1
+_REQUEST_S = 1.0
+_ANSWER_S = 3.0
+
+
+class ViewError(PtnsbcError):
+    """No fleet to look at."""
+
+
+def flying_domains() -> list[int]:
+    """The ROS domains that fleets of this host have reserved."""
+    try:
+        sockets = _SOCKETS.read_text()
+    except OSError:
+        return []
+    return sorted({int(number) for number in _LOCK.findall(sockets)})
+
+
+class Observer:
+    """One rclpy node in a context of its own; use it as a context manager.
+
+    Args:
+        domain: ROS domain of the fleet.
+        namespace: of the fleet.
+        name: of the node; several viewers may look at one fleet.
+    """
+
+    def __init__(self, domain: int, namespace: str = "", name: str = "view") -> None:
+        self._context = Context()
+        rclpy.init(
+            args=[],
+            context=self._context,
+            domain_id=domain,
+            signal_handler_options=SignalHandlerOptions.NO,
+        )
+        self._node = rclpy.create_node(
+            name,
+            namespace=namespace,
+            context=self._context,
+            start_parameter_services=False,
+            enable_rosout=False,
+        )
+        self._executor: Any = make_executor(self._context)
+        self._executor.add_node(self._node)
+        self._spin = BoundedSpin(self._executor)
+        self._domain, self._fleet = domain, namespace
+        self._endpoints: Endpoints | None = None
+        self._request: Callable[[bytes], None] | None = None
+        self._state: FlightState | None = None
+        self._sees_vehicles = False
+
+    def __enter__(self) -> Observer:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._executor.shutdown()
+        self._node.destroy_node()
+        rclpy.shutdown(context=self._context)
+
+    def spin(self, seconds: float) -> None:
+        """Serve callbacks for a while."""
+        self._spin.serve(seconds)
+        if self._state is not None and self._state.started and not self._sees_vehicles:
+            self._watch_vehicles(self._state)
+
+    def _watch_vehicles(self, state: FlightState) -> None:
+        """Subscribe to odometry, and not before the start: vehicles wait for so many readers, and not for a viewer."""
+        self._sees_vehicles = True
+        for uav in state.scenario.uav_ids:
+            # Neither the frames nor the order of stamps matter to a viewer.
+            on_odometry = partial(state.on_odometry, uav)
+            self._listen(topics.odom(uav), OdometryDecoder(), on_odometry, STATE_REALTIME)
+
+    def scenario(self, patience_s: float, stopped: Callable[[], bool]) -> Scenario:
+        """What the fleet flies, as one of its UAVs says.
+
+        Raises:
+            ViewError: no UAV answers in this time, or `stopped` says so.
+            PtnsbcError: its scenario cannot be read on this computer.
+        """
+        end = time.monotonic() + patience_s
+        while time.monotonic() < end and not stopped():
+            for name, namespace in self._node.get_node_names_and_namespaces():
+                found = _CONTROLLER.fullmatch(namespace)
+                if name == "controller" and found and found[1] == self._fleet:
+                    values = self._parameters(f"{namespace}/controller", end)
+                    if values is not None:
+                        return scenario_of(*values)
+            self.spin(_LOOK_S)
+        raise ViewError(
+            f"domain {self._domain}: no UAV answers: expected a fleet there, or the domain that "
+            "`ptnsbc fleet` printed: --domain N"
+        )
+
+    def _parameters(self, node: str, end: float) -> tuple[str, str] | None:
+        client = self._node.create_client(GetParameters, f"{node}/get_parameters")
+        try:
+            while not client.service_is_ready() and time.monotonic() < end:
+                self.spin(_LOOK_S)
+            request = GetParameters.Request(names=["scenario_text", "scenario"])
+            call = client.call_async(request)
+            self._executor.spin_until_future_complete(call, timeout_sec=_ANSWER_S)
+            answer = call.result() if call.done() else None
+            if answer is None or len(answer.values) != 2:
+                return None
+            text, name = (str(value.string_value) for value in answer.values)
+            return text, name
+        finally:
+            self._node.destroy_client(client)
+
+    def watch(self, scenario: Scenario) -> FlightState:
+        """Subscribe to what a viewer shows; the state that is kept up to date from now on."""
+        state = FlightState(scenario, time.monotonic)
+        seal = seal_of(scenario)
+        self._endpoints = Endpoints(self._node, lockstep=True, seal=seal or operators_seal())
+        self._request = self._endpoints.publisher(topics.REQUEST, 0)
+        often = keep_last(10 * len(scenario.uav_ids), reliable=True)
+        listen = self._listen
+        for topic in (topics.DIAGNOSTICS, topics.READY):
+            listen(topic, decode_diagnostics, state.on_status, profile=often)
+        listen(topics.EPOCH, decode_leg, state.on_leg)
+        listen(topics.LOST, decode_lost, state.on_lost)
+        listen(topics.OVER, decode_header, state.on_over)
+        if are_open(scenario):
+            listen(topics.SLOTS, state.decode_slots, state.on_slots)
+        self._state = state
+        return state
+
+    def _listen(
+        self,
+        topic: topics.Topic,
+        decode: Callable[[bytes], Any],
+        deliver: Callable[[Any], None],
+        profile: Any = None,
+    ) -> None:
+        def taken(message: Any) -> None:
+            deliver(message)
+            self._spin.look()
+
+        assert self._endpoints is not None
+        self._endpoints.listen(topic, decode, taken, required=False, profile=profile)
+
+    def call(self, leg: str) -> str:
+        """Call the leader's service for a leg; returns why it did not work, empty when it did."""
+        assert leg in LEGS and self._endpoints is not None and self._request is not None
+        client = self._node.create_client(Trigger, f"{self._endpoints.fleet}/formation/{leg}")
+        try:
+            end = time.monotonic() + _ANSWER_S
+            while not client.service_is_ready() and time.monotonic() < end:
+                self.spin(_LOOK_S)
+            if not client.service_is_ready():
+                return f"the leader's service /formation/{leg} is not there"
+            self._request(HeaderTemplate(leg).encode(0))
+            self._endpoints.flush(_REQUEST_S)
+            call = client.call_async(Trigger.Request())
+            self._executor.spin_until_future_complete(call, timeout_sec=_ANSWER_S)
+            answer = call.result() if call.done() else None
+        finally:
+            self._node.destroy_client(client)
+        if answer is None:
+            return f"the leader does not answer /formation/{leg}"
+        return "" if answer.success else str(answer.message)

@@ -1,0 +1,177 @@
+"""A flight in the terminal: one row for each UAV, the time to the deadline, and what the processes complain of."""
+
+from __future__ import annotations
+
+import threading
+from types import TracebackType
+from typing import TYPE_CHECKING, Any
+
+from ptnsbc_tools import console
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+
+    from ptnsbc_sim.scenario import Scenario
+    from ptnsbc_tools.live.watch import Sink
+
+_WIDE = 110  # columns from which on everything is shown
+_REFRESH_HZ = 4
+_MOST_FAULTS = 5
+_NAME = 5  # letters of the nearest thing
+_BAR = 12
+_BAR_DECADES = 4.0  # a full bar is so many times the tolerance, in powers of ten
+
+
+class Dashboard:
+    """Redraws itself at the bottom of the terminal; use it as a context manager."""
+
+    def __init__(self) -> None:
+        from rich.live import Live
+
+        self._lock = threading.Lock()
+        self._frame: dict[str, Any] | None = None
+        self._scenario: Scenario | None = None
+        self._live = Live(
+            console=console.err(),
+            get_renderable=self._render,
+            refresh_per_second=_REFRESH_HZ,
+            vertical_overflow="visible",
+        )
+
+    def __enter__(self) -> Dashboard:
+        self._live.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._live.stop()
+
+    def say(self, line: str) -> None:
+        """A line above the table; the pace of the sim is in the table already."""
+        if not (line.startswith("sim: ") and line.endswith(" steps/s")):
+            self._live.console.print(console.plain(line), highlight=False)
+
+    def sink(self, scenario: Scenario) -> Sink:
+        """What takes the frames of this flight."""
+        self._scenario = scenario
+
+        def show(frame: dict[str, Any]) -> None:
+            with self._lock:
+                self._frame = frame
+
+        return show
+
+    def _render(self) -> RenderableType:
+        with self._lock:
+            frame, scenario = self._frame, self._scenario
+        if frame is None or scenario is None:
+            return ""
+        return picture(frame, scenario, self._live.console.width)
+
+
+def picture(frame: dict[str, Any], scenario: Scenario, width: int) -> RenderableType:
+    """The frame of `FlightState` as a table of at most `width` columns."""
+    from rich.console import Group
+    from rich.panel import Panel
+    from rich.text import Text
+
+    faults = [one for one in frame["processes"] if one["level"] > 0]
+    lines = [
+        Text(f"{one['name']}: {one['word']}", "red" if one["level"] > 1 else "yellow")
+        for one in faults[:_MOST_FAULTS]
+    ]
+    if len(faults) > _MOST_FAULTS:
+        lines.append(Text(f"and {len(faults) - _MOST_FAULTS} more", "yellow"))
+    for line in lines:
+        line.truncate(width - 4, overflow="ellipsis")
+    inside = Group(_table(frame, scenario, width), *lines)
+    return Panel(inside, title=_title(frame, scenario), width=width, padding=(0, 1))
+
+
+def _title(frame: dict[str, Any], scenario: Scenario) -> str:
+    parts = [scenario.name, frame["leg"]]
+    if frame["t"] is not None:
+        parts.append(f"{frame['t']:.1f} of {scenario.duration_s:g} s")
+    if frame["left_s"] is not None:
+        left = frame["left_s"]
+        parts.append(f"deadline in {left:.1f} s" if left > 0 else f"deadline {-left:.1f} s ago")
+    if frame["pace"] is not None:
+        parts.append(f"{frame['pace']:.2f}x")
+    if frame["over"]:
+        parts.append("over")
+    return " | ".join(parts)
+
+
+def _table(frame: dict[str, Any], scenario: Scenario, width: int) -> RenderableType:
+    from rich import box
+    from rich.table import Table
+
+    table = Table(box=box.SIMPLE_HEAD, expand=True, pad_edge=False, padding=(0, 1))
+    table.add_column("UAV", no_wrap=True)
+    names = ["error m", "height m", "speed m/s", "nearest m"]
+    wide = width >= _WIDE
+    if wide:
+        table.add_column("error, log scale", no_wrap=True)
+    for name, least in zip(names, (9, 8, 9, 9 + _NAME), strict=True):
+        table.add_column(name, justify="right", no_wrap=True, min_width=least)
+    table.add_column("mode", no_wrap=True, overflow="ellipsis")
+    battery = any(uav["battery"] is not None for uav in frame["uavs"])
+    if battery:
+        table.add_column("bat %", justify="right", no_wrap=True)
+    if wide:
+        table.add_column("east, north, up m", justify="right", no_wrap=True)
+    tolerance = scenario.file.formation.tolerance_m
+    for uav in frame["uavs"]:
+        cells = [f"{uav['id']} leader" if uav["id"] == scenario.leader_id else str(uav["id"])]
+        if wide:
+            cells.append(_bar(uav["error"], tolerance))
+        near = uav["near"]
+        cells += [
+            _number(uav["error"], 4),
+            _number(uav["pose"] and uav["pose"][2], 2),
+            _number(uav["speed"], 2),
+            f"{near['distance']:.2f} {near['name'].replace('UAV ', 'uav'):.{_NAME}}"
+            if near
+            else "-",
+            _mode(uav),
+        ]
+        if battery:
+            cells.append(_number(uav["battery"], 0))
+        if wide:
+            cells.append(" ".join(f"{one:7.2f}" for one in uav["pose"][:3]) if uav["pose"] else "-")
+        table.add_row(*cells, style=_style(uav, tolerance))
+    return table
+
+
+def _style(uav: dict[str, Any], tolerance: float) -> str:
+    if uav["lost"] or (uav["near"] and uav["near"]["room"] < 0):
+        return "red"
+    return "green" if uav["error"] is not None and uav["error"] <= tolerance else ""
+
+
+def _mode(uav: dict[str, Any]) -> str:
+    if uav["lost"]:
+        return "lost"
+    parts = [uav["mode"], uav["vehicle"], "armed" if uav["armed"] else None]
+    return " ".join(part for part in parts if part) or "-"
+
+
+def _number(value: float | None, digits: int) -> str:
+    return "-" if value is None else f"{value:.{digits}f}"
+
+
+def _bar(error: float | None, tolerance: float) -> str:
+    """Empty at a hundredth of the tolerance, full at a hundred times; the mark is the tolerance."""
+    from math import log10
+
+    if error is None:
+        return ""
+    decades = log10(max(error, 1e-9) / tolerance) + _BAR_DECADES / 2
+    filled = round(_BAR * min(max(decades / _BAR_DECADES, 0.0), 1.0))
+    middle = _BAR // 2
+    bar = "#" * filled + "." * (_BAR - filled)
+    return f"{bar[:middle]}|{bar[middle:]}"

@@ -1,0 +1,61 @@
+"""What does not change in a flight, for the page of the live view: the same data as in a report, without samples."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ptnsbc_core.curves.trajectory import reference
+from ptnsbc_sim.scenario import Scenario
+from ptnsbc_sim.scenario.build import leader_trajectory
+from ptnsbc_tools.plotting.chart import COLOURS, DARK_COLOURS, look
+from ptnsbc_tools.report.content import obstacles_of
+
+_PATH_POINTS = 400
+
+
+def stage(scenario: Scenario) -> dict[str, Any]:
+    """Name, UAVs, obstacles, the leader's path and the figure of errors; times [s], lengths [m]."""
+    vector = leader_trajectory(scenario)
+    times = np.linspace(0.0, float(scenario.duration_s), _PATH_POINTS)
+    path = np.array([reference(vector, float(t)).position for t in times])
+    return {
+        "name": scenario.name,
+        "duration": float(scenario.duration_s),
+        "tolerance": float(scenario.file.formation.tolerance_m),
+        "colours": {"light": COLOURS, "dark": DARK_COLOURS},
+        "space": {
+            "path": np.round(path, 4).ravel().tolist(),
+            "bounds": _bounds(scenario, path),
+            "legs": [],
+            "deadlines": [],
+            "keepOut": scenario.uav_keep_out_m,
+            "uavs": [_uav(scenario, uav) for uav in scenario.uav_ids],
+            "obstacles": obstacles_of(scenario),
+        },
+        "starts": [scenario.uav(uav).position.tolist() for uav in scenario.uav_ids],
+    }
+
+
+def _uav(scenario: Scenario, uav: int) -> dict[str, Any]:
+    leader = uav == scenario.leader_id
+    style = look(scenario.uav_ids.index(uav))
+    return {
+        "id": uav,
+        "leader": leader,
+        "parent": scenario.parent(uav),
+        "offset": None if leader else scenario.offset(uav).tolist(),
+        "colour": style.colour,
+        "dash": style.dash,
+        "avoiding": [],
+    }
+
+
+def _bounds(scenario: Scenario, path: Any) -> list[list[float]]:
+    """Corners of a box around the starts and around the formation all along the path."""
+    offsets = np.array([scenario.offset(uav) for uav in scenario.uav_ids])
+    starts = np.array([scenario.uav(uav).position for uav in scenario.uav_ids])
+    low = np.min([path.min(0) + offsets.min(0), starts.min(0)], axis=0)
+    high = np.max([path.max(0) + offsets.max(0), starts.max(0)], axis=0)
+    return [low.tolist(), high.tolist()]

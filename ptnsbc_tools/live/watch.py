@@ -1,0 +1,99 @@
+"""The process of a viewer: it looks at one fleet and feeds pages, a dashboard and Foxglove until it is told to end."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass
+from typing import Any
+
+from ptnsbc_nodes.runtime.signals import StopRequest
+from ptnsbc_nodes.view.observer import Observer
+from ptnsbc_sim.scenario import Scenario
+from ptnsbc_tools.live.feed import Feed
+from ptnsbc_tools.live.page import live_page
+from ptnsbc_tools.live.server import LiveServer
+from ptnsbc_tools.live.stage import stage
+
+FRAMES_HZ = 10
+_JOIN_S = 30.0
+_STOP_S = 30.0
+
+
+Sink = Callable[[dict[str, Any]], None]
+"""Takes every frame (`FlightState.frame`)."""
+
+
+@dataclass(frozen=True)
+class WatchOptions:
+    """Which fleet, and how it is shown."""
+
+    domain: int
+    namespace: str = ""
+    scenario: Scenario | None = None  # None: as a UAV says
+    page: bool = True
+    port: int = 0
+    foxglove: int | None = None  # port
+    begin: Callable[[Scenario], Sink | None] = lambda scenario: None
+
+
+def watch(options: WatchOptions, say: Callable[[str], None]) -> None:
+    """Look at a fleet until SIGINT or SIGTERM.
+
+    Raises:
+        PtnsbcError: no fleet, a scenario that cannot be read, a port that is taken.
+    """
+    with StopRequest() as stop, ExitStack() as stack:
+        observer = stack.enter_context(Observer(options.domain, options.namespace))
+        scenario = options.scenario or observer.scenario(_JOIN_S, lambda: stop.came)
+        state = observer.watch(scenario)
+        feed = Feed()
+        feed.set_stage(stage(scenario))
+        server = None
+        if options.page:
+            server = stack.enter_context(LiveServer(feed, live_page, options.port))
+            say(f"live view: {server.address}")
+        sinks = [feed.add, *filter(None, [options.begin(scenario)])]
+        if options.foxglove is not None:
+            from ptnsbc_tools.live.foxglove import FoxgloveSink
+
+            sinks.append(stack.enter_context(FoxgloveSink(scenario, options.foxglove)))
+            say(f"Foxglove: open a connection to ws://127.0.0.1:{options.foxglove}")
+        shown = 0
+        while not stop.came:
+            observer.spin(1.0 / FRAMES_HZ)
+            if state.flown_anew != shown:
+                shown = state.flown_anew
+                feed.set_stage(stage(state.scenario))
+            frame = state.frame()
+            for sink in sinks:
+                sink(frame)
+            while server is not None and not server.orders.empty():
+                feed.answer(_obey(server.orders.get(), observer, options))
+
+
+def _obey(order: str, observer: Observer, options: WatchOptions) -> str:
+    """Give an order to the fleet; what has become of it, in a line."""
+    if order != "stop":
+        refusal = observer.call(order)
+        return f"{order}: {refusal or 'the leader has announced it'}"
+    command = [sys.executable, "-m", "ptnsbc_tools", "stop", "--domain", str(options.domain)]
+    if options.namespace:
+        command += ["--namespace", options.namespace]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=_STOP_S)
+    except subprocess.TimeoutExpired:
+        return f"stop: no answer in {_STOP_S:g} s"
+    return "stop: " + "; ".join(done.stderr.split("\n")).strip("; ")
+
+
+def frames_on_stdout(_scenario: Scenario) -> Sink:
+    """Every frame as a line of JSON, for the dashboard of the launcher."""
+
+    def write(frame: dict[str, Any]) -> None:
+        print(json.dumps(frame, allow_nan=False, separators=(",", ":")), flush=True)
+
+    return write

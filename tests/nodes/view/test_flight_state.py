@@ -1,0 +1,120 @@
+"""What a viewer knows of a flight, from made messages."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy")
+
+from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_io.wire import Diagnostics, DiagnosticStatus, HeaderFields, Stamped
+from ptnsbc_nodes.comm.announcements import LostProcess
+from ptnsbc_nodes.view.flight_state import SILENT_S, FlightState, scenario_of
+from ptnsbc_sim.scenario import load_scenario
+
+SCENARIO = load_scenario("paper_5")
+EPOCH_NS = 7_000_000_000
+
+
+class Steady:
+    now_s = 0.0
+
+    def __call__(self) -> float:
+        return self.now_s
+
+
+def odometry(position, t_s: float) -> Stamped:
+    values = np.zeros(13)
+    values[:3], values[6] = position, 1.0
+    return Stamped(EPOCH_NS + round(t_s * 1e9), values)
+
+
+def status(name: str, level: int = 0, message: str = "", **values: str) -> Diagnostics:
+    return Diagnostics(0, (DiagnosticStatus(name, level, message, values),))
+
+
+def in_formation(t_s: float, clock: Steady | None = None) -> FlightState:
+    """Every follower at its place beside a leader at the origin, but UAV 3 half a metre above."""
+    state = FlightState(SCENARIO, clock or Steady())
+    state.on_leg(HeaderFields(EPOCH_NS, "form"))
+    for uav in SCENARIO.uav_ids:
+        above = np.array([0.0, 0.0, 0.5 if uav == 3 else 0.0])
+        state.on_odometry(uav, odometry(SCENARIO.offset(uav) + above, t_s))
+    return state
+
+
+def test_before_the_start_nothing_is_claimed() -> None:
+    frame = FlightState(SCENARIO, Steady()).frame()
+    assert (frame["t"], frame["left_s"], frame["leg"]) == (None, None, "waiting")
+    assert all(uav["pose"] is None and uav["error"] is None for uav in frame["uavs"])
+    json.dumps(frame, allow_nan=False)
+
+
+def test_time_deadline_errors_and_the_nearest() -> None:
+    frame = in_formation(2.0).frame()
+    assert frame["t"] == pytest.approx(2.0)
+    assert frame["left_s"] == pytest.approx(SCENARIO.gains.formation.deadline_s - 2.0)
+    errors = {uav["id"]: uav["error"] for uav in frame["uavs"]}
+    assert errors[3] == pytest.approx(0.5)
+    assert errors[2] == errors[4] == errors[5] == 0.0
+    places = {
+        u: SCENARIO.offset(u) + np.array([0.0, 0.0, 0.5 * (u == 3)]) for u in SCENARIO.uav_ids
+    }
+    gaps = [float(np.linalg.norm(places[2] - places[u])) for u in SCENARIO.uav_ids if u != 2]
+    [second] = [uav for uav in frame["uavs"] if uav["id"] == 2]
+    assert second["near"]["distance"] == pytest.approx(min(gaps), abs=1e-4)
+
+
+def test_a_leg_that_holds_has_no_deadline() -> None:
+    state = in_formation(3.0)
+    state.on_leg(HeaderFields(EPOCH_NS + 2_500_000_000, "hold"))
+    frame = state.frame()
+    assert (frame["leg"], frame["left_s"]) == ("hold", None)
+    assert frame["since_s"] == pytest.approx(0.5)
+
+
+def test_faults_lost_and_silent_processes_are_named() -> None:
+    clock = Steady()
+    state = in_formation(1.0, clock)
+    state.on_status(status("uav2: planner", 1, "holding", ready="true", mode="form"))
+    state.on_status(status("uav10: planner", ready="false", waiting_for="/uav1/odom"))
+    state.on_lost(LostProcess("uav4", 4))
+    words = {one["name"]: (one["level"], one["word"]) for one in state.frame()["processes"]}
+    assert words == {
+        "uav2": (1, "holding"),
+        "uav4": (2, "has ended"),
+        "uav10": (1, "waits for /uav1/odom"),
+    }
+    assert list(words) == ["uav2", "uav4", "uav10"]
+    assert [uav["lost"] for uav in state.frame()["uavs"]] == [False, False, False, True, False]
+    clock.now_s = SILENT_S + 1.0
+    silent = {one["name"]: one["word"] for one in state.frame()["processes"]}
+    assert silent["uav2"] == "silent for 3 s"
+
+
+def test_a_vehicle_shows_mode_arming_and_battery() -> None:
+    state = in_formation(1.0)
+    said = {"ready": "true", "mode": "OFFBOARD", "armed": "true", "battery_percent": "81"}
+    state.on_status(status("bridge2: link", **said))
+    [second] = [uav for uav in state.frame()["uavs"] if uav["id"] == 2]
+    assert (second["vehicle"], second["armed"], second["battery"]) == ("OFFBOARD", True, 81)
+
+
+def test_the_pace_is_flight_time_per_wall_time() -> None:
+    clock = Steady()
+    state = in_formation(0.0, clock)
+    clock.now_s = 2.0
+    state.on_odometry(1, odometry((0.0, 0.0, 0.0), 5.0))
+    assert state.frame()["pace"] == pytest.approx(2.5)
+    clock.now_s = 2.0 + SILENT_S + 0.1
+    assert state.frame()["pace"] == 0.0
+
+
+def test_a_fleet_without_a_scenario_is_refused() -> None:
+    with pytest.raises(PtnsbcError, match="expected one: ptnsbc view SCENARIO"):
+        scenario_of("", "")
+    assert scenario_of("", "paper_5").name == "paper_5"
+    assert scenario_of(SCENARIO.text, "").uav_ids == SCENARIO.uav_ids

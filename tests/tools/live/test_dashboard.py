@@ -1,0 +1,74 @@
+"""The table in the terminal, at the widths of common terminals."""
+
+from __future__ import annotations
+
+import io
+from typing import Any
+
+import pytest
+
+from ptnsbc_sim.scenario import load_scenario
+from ptnsbc_tools.console import recording
+from ptnsbc_tools.live.dashboard import Dashboard, picture
+
+SCENARIO = load_scenario("paper_5")
+
+
+def uav(number: int, **more: Any) -> dict[str, Any]:
+    near = {"name": "UAV 4", "distance": 1.33, "room": 0.7}
+    base = {"id": number, "lost": False, "mode": "form", "vehicle": None, "armed": None}
+    pose = [1.0, -20.25, 7.9, 0.0, 0.0, 0.0, 1.0]
+    return (
+        base | {"battery": None, "pose": pose, "speed": 0.5, "error": 0.0123, "near": near} | more
+    )
+
+
+def frame(**more: Any) -> dict[str, Any]:
+    base = {"t": 12.34, "leg": "form", "since_s": 12.34, "left_s": 1.25, "pace": 2.5, "over": False}
+    return base | {"uavs": [uav(i) for i in SCENARIO.uav_ids], "processes": []} | more
+
+
+def text(shown: dict[str, Any], width: int) -> str:
+    console = recording(io.StringIO(), width)
+    console.print(picture(shown, SCENARIO, width))
+    return console.export_text()
+
+
+@pytest.mark.parametrize("width", [80, 100, 140])
+def test_it_fits_and_keeps_its_numbers(width: int) -> None:
+    battered = [uav(i, battery=81, vehicle="OFFBOARD", armed=True) for i in SCENARIO.uav_ids]
+    for shown in (frame(), frame(uavs=battered)):
+        found = text(shown, width)
+        lines = found.splitlines()
+        assert max(map(len, lines)) <= width
+        assert found.count("0.0123") == found.count("1.33 uav4") == 5
+        assert "deadline in 1.2 s" in found
+
+
+def test_a_wide_terminal_shows_more() -> None:
+    assert "east, north, up m" not in text(frame(), 80)
+    assert "-20.25" in text(frame(), 140)
+
+
+def test_faults_and_the_lost_are_named() -> None:
+    many = [{"name": f"uav{i}", "level": 1, "word": "w" * 200} for i in range(1, 8)]
+    found = text(frame(processes=many, left_s=-2.0), 80)
+    assert "and 2 more" in found and "deadline 2.0 s ago" in found
+    assert max(map(len, found.splitlines())) <= 80
+    assert "lost" in text(frame(uavs=[uav(1, lost=True, pose=None, error=None, near=None)]), 80)
+
+
+def test_before_the_first_state() -> None:
+    empty = {"pose": None, "speed": None, "error": None, "near": None, "mode": None}
+    shown = frame(t=None, left_s=None, pace=None, leg="waiting", uavs=[uav(1, **empty)])
+    assert "waiting" in text(shown, 80)
+
+
+def test_lines_stay_above_and_the_pace_of_the_sim_is_left_out(capsys: Any) -> None:
+    with Dashboard() as dashboard:
+        dashboard.say("domain 3")
+        dashboard.say("sim: 2.02 s, 101 steps/s")
+        dashboard.sink(SCENARIO)(frame())
+    said = capsys.readouterr().err
+    assert "domain 3" in said and "steps/s" not in said
+    assert "0.0123" in said
