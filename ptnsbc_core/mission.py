@@ -105,6 +105,7 @@ def with_velocity(behaviour: Behaviour, velocity: Vector3) -> Behaviour:
         (0.0, 0.0, 0.0),
         behaviour.slot_start,
         behaviour.edge_start,
+        behaviour.beside,
     )
 
 

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from ptnsbc_core.algebra import load3, norm3, odometry_tuple, wrap_angle
+from ptnsbc_core.algebra import load3, norm3, odometry_tuple, sub3, wrap_angle
 from ptnsbc_core.behaviours.attitude import attitude
-from ptnsbc_core.behaviours.contract import Behaviour, EpochErrors
+from ptnsbc_core.behaviours.contract import Behaviour, Beside, EpochErrors
 from ptnsbc_core.behaviours.neighbour import UNKNOWN, neighbour_motion, reported_velocity
+from ptnsbc_core.behaviours.recovery import DISTURBED, UNDISTURBED, armed
 from ptnsbc_core.control.adaptation import initial_observer
 from ptnsbc_core.control.command_filter import filter_step
 from ptnsbc_core.control.quadrotor_control import quadrotor_control
@@ -53,6 +54,7 @@ from ptnsbc_core.types import (
     NeighbourMotions,
     OdometryLike,
     PoseTarget,
+    Recovery,
     StartErrors,
     Vector3,
 )
@@ -72,6 +74,7 @@ def initial_state(own: OdometryLike, config: AgentConfig) -> AgentState:
         AdaptationState(config.controller.nominal, (0.0, 0.0), initial_observer(velocity)),
         empty_memory(),
         StartErrors(zero, zero, zero, zero),
+        UNDISTURBED,
         NeighbourMotions(UNKNOWN, UNKNOWN),
         PoseTarget(load3(own, 0), yaw_of(own)),
         _NO_MODE,
@@ -151,6 +154,8 @@ def _plan(
     limits = config.filter
     composed = compose_with_clearance(task, limits.max_speed)
     rows, zero = task.jacobian.shape[0], (0.0, 0.0, 0.0)
+    if rows == 0 and task.secondary != behaviour.velocity:
+        rows = 1
     free = config.approach == APPROACH_PLANNED and rows == 0 and not composed.limited
     lead = behaviour.acceleration if free else zero
     pace = FilterPace(limits.bandwidth, limits.max_acceleration)
@@ -168,6 +173,16 @@ def _plan(
         composed.limited or linear.saturated,
         composed.violation,
     )
+
+
+@inline_kernel
+def _rearmed(beside: Beside, command: Vector3, clock: Clock, config: AgentConfig) -> Recovery:
+    """The time base of the way back: its first step is the next tick."""
+    if not beside.planned:
+        return UNDISTURBED
+    kappa = config.formation.scale * config.formation.kappa
+    closing = sub3(command, beside.velocity)
+    return armed(beside.deviation, closing, clock.t + clock.dt, kappa, config.recovery)
 
 
 @inline_kernel
@@ -278,7 +293,7 @@ def _step(
         or state.estimate_valid != estimate_valid
         or (state.motions.parent.time == UNKNOWN.time) != (motions.parent.time == UNKNOWN.time)
     )
-    epoch = EpochErrors(at_epoch, state.start)
+    epoch = EpochErrors(at_epoch, state.start, UNDISTURBED if at_epoch else state.recovery)
     behaviour = mission_behaviour(inputs, estimate, motions, epoch, clock, config)
     rates, euler_error = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     if config.controller.plant == PLANT_RIGID_BODY:  # a quadrotor's controller sets its attitude
@@ -300,6 +315,11 @@ def _step(
     planned = _plan(state, inputs, behaviour, told, rates, yaw, dt, config)
     command = planned.command
     control = _control(state, inputs, command, clock, config)
+    recovery = epoch.recovery
+    if holding or planned.active_rows > 0:
+        recovery = DISTURBED
+    elif recovery.disturbed:
+        recovery = _rearmed(behaviour.beside, command.velocity, clock, config)
     after = AgentState(
         estimate,
         estimate_valid,
@@ -308,6 +328,7 @@ def _step(
         control.adapted,
         planned.obstacle_memory,
         start,
+        recovery,
         motions,
         target,
         max(inputs.mode, MODE_HOLD) if holding else MODE_FORMATION,

@@ -168,6 +168,7 @@ def peak_gain(duration_s: float, residual: float) -> float:
     return float(np.max(rate / (1.0 - base + residual)))
 
 
+@kernel
 def feasible_deadline(error_m: float, max_speed: float, max_acceleration: float) -> float:
     """Shortest tf [s] for a start error [m] under limits [m/s], [m/s^2], from the peaks of h_dot and h_ddot."""
     return max(2.1875 * error_m / max_speed, math.sqrt(7.513 * error_m / max_acceleration))

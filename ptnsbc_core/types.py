@@ -145,6 +145,14 @@ class ClearanceConfig(NamedTuple):
     range_m: float  # of the sensor
 
 
+class RecoveryConfig(NamedTuple):
+    """How fast a UAV regains its place after an encounter, see behaviours/recovery.py."""
+
+    least_s: float  # [s] shortest duration of the way back
+    speed: float  # [m/s] that its plan may ask for, beside the leader's motion
+    acceleration: float  # [m/s^2] likewise
+
+
 class FilterConfig(NamedTuple):
     """Command filter, docs/method.md."""
 
@@ -212,6 +220,7 @@ class AgentConfig(NamedTuple):
     damping_max: float  # largest damping factor
     estimator: EstimatorConfig
     clearance: ClearanceConfig
+    recovery: RecoveryConfig
     filter: FilterConfig
     controller: ControllerConfig
     trajectory: Trajectory  # of the leader
@@ -264,6 +273,16 @@ class StartErrors(NamedTuple):
     edge: Vector3  # [m, ENU] from the UAV to its desired position relative to the parent
 
 
+class Recovery(NamedTuple):
+    """The time base of a UAV after an encounter, see behaviours/recovery.py."""
+
+    disturbed: bool  # something kept the UAV from its plan in the last tick
+    t: float  # [s] since the epoch when it was armed
+    duration_s: float  # [s] 0: nothing to regain
+    rest: Vector3  # A [m, ENU]
+    moving: Vector3  # B [m, ENU]
+
+
 class AgentState(NamedTuple):
     """What one UAV carries from tick to tick."""
 
@@ -274,6 +293,7 @@ class AgentState(NamedTuple):
     adapted: AdaptationState
     obstacle_memory: Array  # (8, 7) x y z side active_s quiet_s used
     start: StartErrors
+    recovery: Recovery
     motions: NeighbourMotions
     hold: PoseTarget  # the pose at which holding began
     mode: int  # MODE_* of the previous tick; -1 before the first
@@ -286,7 +306,7 @@ class AgentDiagnostics(NamedTuple):
     error: Vector3  # task error sigma_d - sigma (leader: position error [m])
     gain: float  # G(t) of the formation loop [1/s]
     singular_value: float  # smallest singular value of the scaled task Jacobian
-    active_rows: int  # clearance rows that changed the velocity
+    active_rows: int  # clearance rows that changed the velocity; 1 when it changed without one
     saturated: bool  # command filter or actuator limit reached
     holding: bool  # holding because of a stale neighbour or a hold leg
     priority_violation: float  # [m/s] change of a higher task's velocity by a lower one

@@ -38,6 +38,7 @@ _DEADLINE: _Columns = (
     ("RMSE m", "rmse_after_m", 4),
     ("excused s", "encounter_s", 1),
 )
+_REGAINED: _Columns = (("back after s", "regained_s", 2), ("of s", "recovery_s", 2))
 _MISSING: _Columns = (("missing", "missing", 0),)
 _EFFORT: _Columns = (
     ("above hover at t0 N", "initial_above_hover_n", 2),
@@ -89,6 +90,7 @@ def deadline_table(verdict: Verdict) -> Table:
     title = f"{verdict.scenario}: {verdict.plant}, {verdict.task}, profile {verdict.profile}"
     own = all(one.slot == one.uav for one in verdict.uavs)
     columns = _DEADLINE if own else (_SLOT, *_DEADLINE)
+    columns += _REGAINED if any(one.regained_s is not None for one in verdict.uavs) else ()
     columns += _MISSING if any(one.missing for one in verdict.uavs) else ()
     table = _table(title, ("UAV", "verdict"), columns)
     for one in verdict.uavs:

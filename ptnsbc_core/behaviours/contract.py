@@ -4,7 +4,16 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from ptnsbc_core.types import StartErrors, Vector3
+from ptnsbc_core.behaviours.recovery import UNDISTURBED
+from ptnsbc_core.types import Recovery, StartErrors, Vector3
+
+
+class Beside(NamedTuple):
+    """Where a UAV is beside its plan, by itself: without what it takes over from its parent."""
+
+    deviation: Vector3  # [m, ENU] to the plan
+    velocity: Vector3  # [m/s, ENU] of the plan: what the behaviour asks for without a deviation
+    planned: bool  # an encounter is followed by a way back
 
 
 class Behaviour(NamedTuple):
@@ -18,6 +27,7 @@ class Behaviour(NamedTuple):
     )
     slot_start: Vector3  # [m, ENU] start error that the plan of this epoch uses
     edge_start: Vector3  # [m, ENU] likewise, relative to the parent
+    beside: Beside
 
 
 class EpochErrors(NamedTuple):
@@ -25,6 +35,7 @@ class EpochErrors(NamedTuple):
 
     at_epoch: bool  # this tick is the epoch: the present errors count
     start: StartErrors
+    recovery: Recovery = UNDISTURBED  # after the last encounter
 
 
 class Neighbour(NamedTuple):

@@ -10,7 +10,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from ptnsbc_core.algebra import add3, axpy, hadamard3, matvec, norm3, scale3, sub3
-from ptnsbc_core.behaviours.contract import Behaviour, EpochErrors, Neighbour
+from ptnsbc_core.behaviours.contract import Behaviour, Beside, EpochErrors, Neighbour
+from ptnsbc_core.behaviours.recovery import way_back
 from ptnsbc_core.curves.shape import PlaceMotion, places_from_rest
 from ptnsbc_core.kernel import inline_kernel, kernel
 from ptnsbc_core.nullspace import TaskVelocity, damped_solve
@@ -156,6 +157,7 @@ def _by_task(
         (0.0, 0.0, 0.0),
         errors.slot,
         errors.edge,
+        Beside(errors.slot, leader.velocity, False),
     )
 
 
@@ -194,7 +196,8 @@ def _planned(
     E is the error in the leader's frame, e the error relative to the parent, D = E - E_0 (1 - h) and
     d = e - e_0 (1 - h) what they deviate from the plan, and d_j the velocity of the parent beside its own plan. After
     tf the task has J^+ (kappa e_task - J_j d_j) in place of kappa d + d_j. A deviation of the parent reaches its
-    child through rho (s + kappa) / (s + kappa): the gain per hop is rho, whatever the vehicle and the delay.
+    child through rho (s + kappa) / (s + kappa): the gain per hop is rho, whatever the vehicle and the delay. After an
+    encounter D and d count from the UAV's own way back.
     """
     gain = config.formation
     kappa = gain.scale * gain.kappa
@@ -208,25 +211,34 @@ def _planned(
     edge = axpy(-late, beside.velocity, errors.edge)
     edge = axpy(-0.5 * late * late, beside.acceleration, edge)
 
+    back = way_back(epoch.recovery, clock, kappa)
+    own = axpy(-plan.left, slot_start, errors.slot)
+    relative = axpy(-plan.left, edge_start, edge)
+    beside_plan, beside_edge = sub3(own, back.deviation), sub3(relative, back.deviation)
+
     follow = beside.velocity
     rate = sub3(scale3(kappa, errors.task), matvec(geometry.parent, follow))
     by_task = _solve(geometry, rate, axpy(kappa, edge, follow), config)
     weight = _SHARE * _task_weight(norm3(edge), by_task.singular_value, clock.t, config)
-    by_position = axpy(kappa, axpy(-plan.left, edge_start, edge), follow)
+    weight *= back.progress
+    by_position = axpy(kappa, beside_edge, follow)
     correction = axpy(weight, by_task.velocity, scale3(_SHARE - weight, by_position))
     xi = gain.scale * step_gain(clock.t, clock.dt, gain.duration_s, gain.residual)
-    beside_plan = axpy(-plan.left, slot_start, errors.slot)
     correction = axpy(xi + (1.0 - _SHARE) * kappa, beside_plan, correction)
-    far = max(norm3(beside_plan), norm3(axpy(-plan.left, edge_start, edge)))
-    correction = braked(correction, scale3(_SHARE, follow), far, kappa + xi, config)
+    far = max(norm3(beside_plan), norm3(beside_edge))
+    shared = scale3(_SHARE, follow)
+    correction = braked(correction, shared, far, kappa + xi, config)
     lead = axpy(_SHARE, beside.acceleration, leader.acceleration)
+    planned = axpy(plan.rate, slot_start, leader.velocity)
+    itself = axpy(_SHARE, relative, scale3(1.0 - _SHARE, own))
     return Behaviour(
-        add3(axpy(plan.rate, slot_start, leader.velocity), correction),
+        add3(add3(planned, back.velocity), correction),
         errors.task,
         by_task.singular_value,
-        axpy(plan.acceleration, slot_start, lead),
+        add3(axpy(plan.acceleration, slot_start, lead), back.acceleration),
         slot_start,
         edge_start,
+        Beside(itself, add3(planned, shared), True),
     )
 
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from ptnsbc_core.algebra import axpy, norm3, sub3
-from ptnsbc_core.behaviours.contract import Behaviour, EpochErrors
+from ptnsbc_core.algebra import add3, axpy, norm3, scale3, sub3
+from ptnsbc_core.behaviours.contract import Behaviour, Beside, EpochErrors
 from ptnsbc_core.behaviours.formation import braked
+from ptnsbc_core.behaviours.recovery import way_back
 from ptnsbc_core.curves.trajectory import Reference
 from ptnsbc_core.kernel import kernel
 from ptnsbc_core.timebase import Clock, loop_gain, soft_start, task_acceleration, task_rate
-from ptnsbc_core.types import AgentConfig, Vector3
+from ptnsbc_core.types import APPROACH_PLANNED, AgentConfig, Vector3
 
 
 @kernel
@@ -24,15 +25,20 @@ def leader_tracking(
     start_error = error if epoch.at_epoch else epoch.start.task
     gain = config.formation
     onset = soft_start(gain, clock)
-    closing = task_rate(gain, error, start_error, clock)
-    if clock.t >= gain.duration_s:  # only avoidance leads it away from its trajectory after tf
-        closing = braked(closing, (0.0, 0.0, 0.0), norm3(error), loop_gain(gain, clock), config)
-    velocity = axpy(onset, desired.velocity, closing)
+    back = way_back(epoch.recovery, clock, gain.scale * gain.kappa)
+    beside = sub3(error, back.deviation)
+    closing = task_rate(gain, beside, start_error, clock)
+    over = clock.t >= gain.duration_s
+    if over:  # only avoidance leads it away from its trajectory after tf
+        closing = braked(closing, (0.0, 0.0, 0.0), norm3(beside), loop_gain(gain, clock), config)
+    free = scale3(onset, desired.velocity)
+    velocity = add3(axpy(onset, desired.velocity, closing), back.velocity)
     # The error grows by what c(t) leaves of the feed-forward, and G acts on that too.
     later = Clock(clock.t + clock.dt, clock.start_t + clock.dt, clock.dt)
     onset_after = soft_start(gain, later)
     on_velocity = loop_gain(gain, later) * (1.0 - onset) + (onset_after - onset) / clock.dt
-    acceleration = task_acceleration(gain, error, start_error, clock)
+    acceleration = add3(task_acceleration(gain, beside, start_error, clock), back.acceleration)
     acceleration = axpy(on_velocity, desired.velocity, acceleration)
     acceleration = axpy(onset_after, desired.acceleration, acceleration)
-    return Behaviour(velocity, error, 1.0, acceleration, error, error)
+    planned = over and config.approach == APPROACH_PLANNED
+    return Behaviour(velocity, error, 1.0, acceleration, error, error, Beside(error, free, planned))

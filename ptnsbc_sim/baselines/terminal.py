@@ -175,6 +175,7 @@ def terminal_step(
         state.adapted,
         state.obstacle_memory,
         state.start,
+        state.recovery,
         state.motions,
         state.hold,
         MODE_FORMATION,

@@ -11,6 +11,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from ptnsbc_core.behaviours.formation import HOMING
 from ptnsbc_core.control.quadrotor_control import MIN_LIFT_FRACTION
 from ptnsbc_core.curves.shape import place_samples
 from ptnsbc_core.errors import FormationError
@@ -32,15 +33,18 @@ from ptnsbc_core.types import (
     FilterConfig,
     InertialParameters,
     LoopGain,
+    RecoveryConfig,
     Trajectory,
     Vector3,
 )
+from ptnsbc_sim.scenario.deadline import leader_motion
 from ptnsbc_sim.scenario.gains import Loop
 from ptnsbc_sim.scenario.mission.shapes import moves, shape_of
 from ptnsbc_sim.scenario.mission.trajectories import trajectory_of
 from ptnsbc_sim.scenario.scenario import Scenario
 
 _SHORTEST_ARM_M = 1e-3
+_LEAST_LEFT = 0.25  # of speed and braking, whatever the leader does
 _UPRIGHT = np.pi / 2  # the tilt limit of a plant that is not tilted
 
 
@@ -201,6 +205,17 @@ def _clearance(scenario: Scenario) -> ClearanceConfig:
     )
 
 
+def recovery_config(scenario: Scenario) -> RecoveryConfig:
+    """What the way back after an encounter may ask for: half of what the leader's motion leaves of the vehicle."""
+    speed, acceleration = leader_motion(scenario.file)
+    most, braking = float(scenario.gains.filter.max_speed_m_s), deceleration(scenario)
+    return RecoveryConfig(
+        least_s=float(scenario.file.formation.recovery_s),
+        speed=float(max(most - speed, _LEAST_LEFT * most)),
+        acceleration=float(HOMING * max(braking - acceleration, _LEAST_LEFT * braking)),
+    )
+
+
 def _filter(scenario: Scenario) -> FilterConfig:
     gains = scenario.gains.filter
     return FilterConfig(
@@ -270,6 +285,7 @@ def agent_config(scenario: Scenario, uav_id: int) -> AgentConfig:
         damping_max=float(gains.damping.maximum),
         estimator=_estimator(scenario, uav_id),
         clearance=_clearance(scenario),
+        recovery=recovery_config(scenario),
         filter=_filter(scenario),
         controller=_controller(scenario),
         trajectory=leader_trajectory(scenario),

@@ -44,7 +44,7 @@ def _leader_start(file: ScenarioFile) -> Array:
     return np.array(reference(trajectory_of(path), 0.0).position)
 
 
-def _leader_motion(file: ScenarioFile) -> tuple[float, float]:
+def leader_motion(file: ScenarioFile) -> tuple[float, float]:
     """Largest speed [m/s] and acceleration [m/s^2] of the leader's path."""
     path = file.leader.trajectory
     if isinstance(path, Circle):
@@ -75,7 +75,7 @@ def _longest(vectors: Array) -> float:
 
 def _motion(file: ScenarioFile) -> tuple[float, float]:
     """Largest speed [m/s] and acceleration [m/s^2] that the mission asks of a UAV beside the approach."""
-    leader, changes = _leader_motion(file), file.formation.changes
+    leader, changes = leader_motion(file), file.formation.changes
     if not moves(file.formation) or not file.formation.offsets_m:
         return leader
     places = _places_motion(file, changes[0].at_s if changes else file.timing.duration_s)

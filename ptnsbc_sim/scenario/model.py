@@ -211,6 +211,9 @@ class Formation(Block):
     """Distance within which a detected object is taken to be the parent or the leader; at most half of the keep-out."""
     tolerance_m: Positive = 0.05
     """Largest error at the deadline that the verdict accepts."""
+    recovery_s: Positive = 1.0
+    """Shortest time base of the way back after an encounter; it is longer where the limits of speed and acceleration
+    need more, see [method.md](method.md#way-back)."""
 
 
 class UavBlock(Block):

@@ -35,6 +35,8 @@ class SweepRow:
     rmse_after_m: float | None  # after the deadline, outside encounters
     encounter_s: float | None  # time inside encounters, which excuse the error
     excused_outside_s: float | None  # of it: after the deadline and outside the band
+    regained_s: float | None  # longest time from the end of an encounter until back in its place
+    recovery_s: float | None  # the promise for it
     avoidance_s: float | None  # time in which the avoidance changed the velocity
     saturated_s: float | None  # until the deadline
     holding_s: float | None  # until the deadline
@@ -121,6 +123,8 @@ def rows_of(draw: int, scenario: Scenario, recording: Recording, check: str = ""
                 rmse_after_m=one.rmse_after_m,
                 encounter_s=one.encounter_s,
                 excused_outside_s=one.excused_outside_s,
+                regained_s=one.regained_s,
+                recovery_s=one.recovery_s,
                 avoidance_s=counter_rise(counters, "avoidance_active_s", begin_ns, end_ns),
                 saturated_s=one.saturated_s,
                 holding_s=one.holding_s,

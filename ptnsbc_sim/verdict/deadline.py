@@ -8,14 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ptnsbc_core.curves.trajectory import reference_positions
 from ptnsbc_core.types import Array
-from ptnsbc_sim.scenario.build import leader_trajectory, places_beside_leader
-from ptnsbc_sim.scenario.mission.shapes import moves
 from ptnsbc_sim.verdict.coverage import Coverage, first_bad_s, incomplete, silent_from_s
-from ptnsbc_sim.verdict.encounters import Window, ancestors, inside
+from ptnsbc_sim.verdict.encounters import Encounter, ancestors, inside
 from ptnsbc_sim.verdict.recording import NANO, Recording, counter_rise
-from ptnsbc_sim.verdict.track import lengths
 
 MET, MISSED, VIOLATED, VOID = "met", "missed", "violated", "void"
 WORST_FIRST = (VIOLATED, MISSED, VOID, MET)
@@ -65,6 +61,10 @@ class UavVerdict:
     rmse_after_m: float | None  # after the deadline, outside encounters
     encounter_s: float  # time inside encounters
     excused_outside_s: float  # of it: after the deadline and outside the band
+    regained_s: (
+        float | None
+    )  # longest time from the end of an encounter until back in the band; None: none
+    recovery_s: float | None  # the promise for it
     saturated_s: float  # until the deadline
     holding_s: float  # until the deadline
     missing: int  # odometry messages missing of those sent, or of one per control period
@@ -72,27 +72,6 @@ class UavVerdict:
     changes: tuple[
         ChangeError, ...
     ]  # those of the shape that were due in this leg, after its deadline
-
-
-def formation_errors(
-    recording: Recording, grid: NDArray[np.int64], positions: dict[int, Array]
-) -> dict[int, Array]:
-    """Formation error (T,) [m]: |(p_i - p_1) - o_i(t)|, for the leader |p_1 - p_r(t)|."""
-    scenario = recording.flown
-    leader = positions[scenario.leader_id]
-    vector = leader_trajectory(scenario)
-    times = np.asarray((grid - recording.first_ns) * NANO, dtype=np.float64)  # of the first leg
-    path = reference_positions(vector, times)
-    errors, moving = {}, moves(scenario.file.formation)
-    for uav in scenario.uav_ids:
-        if uav == scenario.leader_id:
-            goal = path
-        elif moving:
-            goal = leader + places_beside_leader(scenario, uav, times)
-        else:
-            goal = leader + scenario.offset(uav)
-        errors[uav] = lengths(positions[uav] - goal)
-    return errors
 
 
 class ValueAt:
@@ -127,6 +106,22 @@ class _LastExit:
             self.entered_s = float(times[after]) if after < times.size else None
 
 
+@dataclass
+class Regain:
+    """How a UAV regained its place after one encounter. Times in seconds after the epoch."""
+
+    over_s: float  # when nothing kept it from its place any more
+    promised_s: float  # recovery time: so long after it the UAV has to be back
+    outside_s: float | None = (
+        None  # the last time outside the band, until the recovery time is over
+    )
+
+    @property
+    def took_s(self) -> float:
+        """How long after the encounter the UAV was outside the band."""
+        return 0.0 if self.outside_s is None else self.outside_s - self.over_s
+
+
 class ErrorFigures:
     """Figures of the formation error of one UAV, which arrives block by block.
 
@@ -136,16 +131,21 @@ class ErrorFigures:
         tolerance: limit of the error at the deadline [m].
     """
 
-    def __init__(self, recording: Recording, windows: list[Window], tolerance: float) -> None:
+    def __init__(self, recording: Recording, windows: list[Encounter], tolerance: float) -> None:
         self._recording = recording
         self._deadline_s = deadline = recording.scenario.gains.formation.deadline_s
         self._windows = windows
         start_ns = recording.start_ns
-        spans = [((a - start_ns) * NANO, (b - start_ns) * NANO) for a, b in self._windows]
+        spans = [((a - start_ns) * NANO, (b - start_ns) * NANO) for a, _, b in self._windows]
         # Only encounters that begin after the deadline are left out of the settling time.
         self._later = [w for w, (a, _) in zip(self._windows, spans, strict=True) if a > deadline]
         self._tolerance = tolerance
         self.due_s = next((b for a, b in spans if a <= deadline < b), deadline)
+        self.regains = [
+            Regain((one.over_ns - start_ns) * NANO, (one.back_ns - one.over_ns) * NANO)
+            for one, (_, back_s) in zip(self._windows, spans, strict=True)
+            if back_s > deadline
+        ]
         self._at, self._at_due = ValueAt(deadline), ValueAt(self.due_s)
         self._settled, self._regained = _LastExit(), _LastExit()
         self._changes = _changes_due(recording, self._windows)
@@ -182,6 +182,11 @@ class ErrorFigures:
         self._at_due.add(times, error)
         for _, at in self._changes:
             at.add(times, error)
+        for one in self.regains:
+            span = (times >= one.over_s) & (times <= one.over_s + one.promised_s + _EXACT_S)
+            late = np.flatnonzero(outside & span)
+            if late.size:
+                one.outside_s = float(times[late[-1]])
         finite = np.isfinite(error)
         if self.not_finite_s is None and not finite.all():
             self.not_finite_s = float(times[int(np.argmin(finite))])
@@ -224,6 +229,19 @@ class ErrorFigures:
         """After which time past the deadline the error is in the band outside encounters; None: never."""
         return self._regained.entered_s
 
+    def unregained(self) -> Regain | None:
+        """The first encounter after which the place was not regained in the recovery time; None: none."""
+        period_s = self._recording.scenario.dt_ns * NANO
+        for one in self.regains:
+            if one.outside_s is not None and one.took_s > one.promised_s - 1.5 * period_s:
+                return one
+        return None
+
+    def longest_regain(self) -> Regain | None:
+        """Of the encounters that the leg outlasts the one after which the place was regained last."""
+        done = [one for one in self.regains if one.over_s + one.promised_s <= self.end_s]
+        return max(done, key=lambda one: one.took_s, default=None)
+
     @property
     def at_deadline(self) -> float | None:
         """The error at the deadline [m]; None when the leg ends before it."""
@@ -247,7 +265,9 @@ class ErrorFigures:
         return float(np.sqrt(self._squares / self._after)) if self._after else None
 
 
-def _changes_due(recording: Recording, windows: list[Window]) -> list[tuple[ChangeError, ValueAt]]:
+def _changes_due(
+    recording: Recording, windows: list[Encounter]
+) -> list[tuple[ChangeError, ValueAt]]:
     """The changes of the shape that are due after the deadline of a leg; they count from the first epoch."""
     scenario, found = recording.scenario, []
     before_s = (recording.start_ns - recording.first_ns) * NANO
@@ -256,7 +276,7 @@ def _changes_due(recording: Recording, windows: list[Window]) -> list[tuple[Chan
         if due_s - before_s <= scenario.gains.formation.deadline_s:
             continue
         due_ns = recording.first_ns + round(due_s / NANO)
-        excused = any(begin <= due_ns <= end for begin, end in windows)
+        excused = any(one.begin_ns <= due_ns <= one.back_ns for one in windows)
         found.append((ChangeError(number, due_s, None, excused), ValueAt(due_s - before_s)))
     return found
 
@@ -304,11 +324,19 @@ def _unrecovered(found: UavVerdict, figures: ErrorFigures) -> str:
     if at is None:
         return "an encounter lasts over the deadline until the end"
     if at > found.tolerance_m:
-        return f"{at:.3f} m off at {due}, when it had to be back after an encounter"
+        return (
+            f"{at:.3f} m off at {due}, when it had to be back after an encounter{_in_time(figures)}"
+        )
     if regained is None or regained > found.due_s:
         until = "the end" if regained is None else f"{regained:.2f} s"
         return f"back at {due} after an encounter, but outside {found.band_m:.3f} m again until {until}"
     return ""
+
+
+def _in_time(figures: ErrorFigures) -> str:
+    """The recovery time that was not enough, in words."""
+    one = figures.unregained()
+    return "" if one is None else f" that ended at {one.over_s:.2f} s, in {one.promised_s:.2f} s"
 
 
 def _late_change(found: UavVerdict) -> str:
@@ -326,6 +354,8 @@ def _miss(found: UavVerdict, figures: ErrorFigures) -> str:
     if miss and found.due_s > found.deadline_s:
         unrecovered = _unrecovered(found, figures)
         miss = f"{miss}, {unrecovered}" if unrecovered else ""
+    elif miss and _left_again(found) and _in_time(figures):
+        miss = f"{miss}, not back after an encounter{_in_time(figures)}"
     after_s = figures.end_s - found.deadline_s
     if not miss and found.excused_outside_s > MOST_EXCUSED * after_s:
         return (
@@ -440,6 +470,7 @@ def _measured(
     recording: Recording, uav: int, figures: ErrorFigures, tolerance: float, cover: Coverage
 ) -> UavVerdict:
     """All figures of one UAV."""
+    regain = figures.longest_regain()
     deadline = recording.scenario.gains.formation.deadline_s
     start, at = figures.start_error, figures.at_deadline
     return UavVerdict(
@@ -461,6 +492,8 @@ def _measured(
         rmse_after_m=figures.rmse_after,
         encounter_s=figures.encounter_s,
         excused_outside_s=figures.excused_outside_s,
+        regained_s=None if regain is None else regain.took_s,
+        recovery_s=None if regain is None else regain.promised_s,
         saturated_s=_rise(recording, uav, "saturated_s", (0.0, deadline)),
         holding_s=_rise(recording, uav, "holding_s", (0.0, deadline)),
         missing=cover.missing,

@@ -2,22 +2,27 @@
 
 An encounter of a UAV is a span in which its counter `avoidance_active_s` (/diagnostics, 5 Hz) rises, or
 the counter of any of its ancestors in the tree. It begins at the last sample before the rise. It lasts
-until one second plus three time constants of the formation loop, 3 / (Lambda kappa), after the last rise:
-the time that the loop needs to bring the error back. An encounter that begins after the deadline excuses an
-exit from the tolerance band. An encounter that lasts over the deadline makes a missed deadline void.
+until the recovery time after the last rise, in which the UAV has to regain its place: the time base of the way back
+for what it was off then, and one time constant of the formation loop. An encounter that begins after the deadline
+excuses an exit from the tolerance band. An encounter that lasts over the deadline makes the deadline count at its end.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ptnsbc_core.behaviours.recovery import recovery_duration
+from ptnsbc_core.timebase import h, plan_duration
+from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import Scenario
-from ptnsbc_sim.scenario.build import loop_of
-from ptnsbc_sim.verdict.recording import COUNTERS
-from ptnsbc_sim.verdict.track import Track
+from ptnsbc_sim.scenario.build import loop_of, recovery_config
+from ptnsbc_sim.verdict.formation_error import formation_vectors
+from ptnsbc_sim.verdict.recording import COUNTERS, Recording
+from ptnsbc_sim.verdict.track import Track, lengths
 
 Window = tuple[int, int]  # [ns], inclusive
 
@@ -25,13 +30,29 @@ _ACTIVE = COUNTERS.index("avoidance_active_s")
 _PAUSE_S = 1.0
 _TIME_CONSTANTS = 3.0
 _SLOWEST_RECOVERY_S = 10.0  # without kappa the loop would never recover
+_GROWTH_NS = 100_000_000  # span over which the growth of an error is measured
 
 
-def recovery_s(scenario: Scenario) -> float:
-    """How long after its end an encounter still excuses the error."""
+class Encounter(NamedTuple):
+    """A span in which the error does not count [ns], both ends inclusive."""
+
+    begin_ns: int
+    over_ns: int  # nothing keeps the UAV from its place any more
+    back_ns: int  # the place has to be regained
+
+
+def recovery_s(scenario: Scenario, error_m: float) -> float:
+    """How long after an encounter that leaves a UAV `error_m` off its place has to be regained [s].
+
+    With `approach: task` there is no time base of the way back: three time constants and a second.
+    """
     loop = loop_of(scenario, scenario.gains.formation)  # as flown
     rate = loop.scale * loop.kappa
-    return _PAUSE_S + min(_TIME_CONSTANTS / rate if rate > 0 else np.inf, _SLOWEST_RECOVERY_S)
+    settling = 1.0 / rate if rate > 0 else np.inf
+    if scenario.file.formation.approach != "planned":
+        return _PAUSE_S + min(_TIME_CONSTANTS * settling, _SLOWEST_RECOVERY_S)
+    needed = recovery_duration(error_m, recovery_config(scenario))
+    return needed + min(settling, _SLOWEST_RECOVERY_S)
 
 
 def avoidance_windows(counters: Track) -> list[Window]:
@@ -68,23 +89,73 @@ def ancestors(scenario: Scenario, uav_id: int) -> list[int]:
     return chain
 
 
-def encounters(scenario: Scenario, counters: Mapping[int, Track]) -> dict[int, list[Window]]:
+def encounters(recording: Recording) -> dict[int, list[Encounter]]:
     """Encounters of every UAV, recovery included."""
-    extra_ns = round(recovery_s(scenario) * 1e9)
-    own = {uav: avoidance_windows(track) for uav, track in counters.items()}
-    return {
-        uav_id: merged(
-            (begin, end + extra_ns)
-            for uav in ancestors(scenario, uav_id)
-            for begin, end in own.get(uav, ())
-        )
-        for uav_id in scenario.uav_ids
-    }
+    scenario = recording.flown
+    own = {uav: avoidance_windows(track) for uav, track in recording.counters.items()}
+    ends = np.unique([end for windows in own.values() for _, end in windows]).astype(np.int64)
+    away = _to_regain(recording, ends)
+    found = {}
+    for uav in scenario.uav_ids:
+        line = ancestors(scenario, uav)
+        spans = []
+        for hops, one in enumerate(line):
+            for begin, end in own.get(one, ()):
+                k = int(np.searchsorted(ends, end))
+                error = max(float(away[kin][k]) for kin in line[: hops + 1])
+                spans.append(Encounter(begin, end, end + round(recovery_s(scenario, error) * 1e9)))
+        found[uav] = _joined(spans)
+    return found
 
 
-def inside(windows: Iterable[Window], t_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Which instants (T,) lie in any of the windows."""
+def _to_regain(recording: Recording, ends: NDArray[np.int64]) -> dict[int, Array]:
+    """What every UAV has to regain (E,) [m] at the ends of encounters (E,) [ns], 0 where nothing is known.
+
+    It is the deviation from the plan, and what the velocity at which it grows adds until the loop has stopped it. Until
+    the deadline the plan of a follower is its start error times 1 - h; the leader has no plan to return to before.
+    """
+    scenario = recording.flown
+    if not ends.size:
+        return {uav: np.zeros(0) for uav in scenario.uav_ids}
+    gain = loop_of(scenario, scenario.gains.formation)  # as flown
+    slowing_s = 1.0 / max(gain.scale * gain.kappa, 1e-9)
+    start = np.array([recording.start_ns])
+    first = formation_vectors(recording, start, recording.positions(start))
+    found = []
+    for later_ns in (0, _GROWTH_NS):
+        grid = np.clip(ends + later_ns, recording.start_ns, recording.end_ns)
+        times = recording.times(grid)
+        left = np.array([1.0 - h(t / plan_duration(gain)) for t in times.tolist()])
+        beside = formation_vectors(recording, grid, recording.positions(grid))
+        for uav, vectors in beside.items():
+            if uav != scenario.leader_id:
+                vectors -= left[:, None] * first[uav]
+            else:
+                vectors[times < gain.duration_s] = 0.0
+        found.append({uav: lengths(vectors) for uav, vectors in beside.items()})
+    now, soon = found
+    away = {}
+    for uav in scenario.uav_ids:
+        growing = np.maximum(soon[uav] - now[uav], 0.0) / (_GROWTH_NS * 1e-9)
+        away[uav] = np.nan_to_num(now[uav] + growing * slowing_s, posinf=0.0)
+    return away
+
+
+def _joined(spans: Iterable[Encounter]) -> list[Encounter]:
+    """Encounters without overlap: those that overlap become one, whose way back is the last one."""
+    result: list[Encounter] = []
+    for one in sorted(spans):
+        if result and one.begin_ns <= result[-1].back_ns:
+            last = max(result[-1], one, key=lambda span: span.back_ns)
+            result[-1] = last._replace(begin_ns=result[-1].begin_ns)
+        else:
+            result.append(one)
+    return result
+
+
+def inside(windows: Iterable[Encounter], t_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Which instants (T,) lie in any of the encounters."""
     mask = np.zeros(t_ns.shape, dtype=np.bool_)
-    for begin, end in windows:
-        mask |= (t_ns >= begin) & (t_ns <= end)
+    for one in windows:
+        mask |= (t_ns >= one.begin_ns) & (t_ns <= one.back_ns)
     return mask

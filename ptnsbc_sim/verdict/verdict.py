@@ -21,7 +21,6 @@ from ptnsbc_sim.verdict.deadline import (
     WORST_FIRST,
     ErrorFigures,
     UavVerdict,
-    formation_errors,
     judge,
 )
 from ptnsbc_sim.verdict.encounters import encounters
@@ -31,6 +30,7 @@ from ptnsbc_sim.verdict.figures import (
     EstimatorErrors,
     effort,
 )
+from ptnsbc_sim.verdict.formation_error import formation_errors
 from ptnsbc_sim.verdict.recording import (
     COUNTERS,
     NANO,
@@ -187,7 +187,7 @@ def _legs(recording: Recording, tolerance: float, of_first: EstimatorErrors) -> 
 
 def _leg(recording: Recording, tolerance: float, estimators: EstimatorErrors | None) -> _JudgedLeg:
     uavs = recording.scenario.uav_ids
-    windows = encounters(recording.flown, recording.counters)
+    windows = encounters(recording)
     figures = {uav: ErrorFigures(recording, windows[uav], tolerance) for uav in uavs}
     covers = coverages(recording)
     pairs = Separations(recording)

@@ -11,6 +11,7 @@ from ptnsbc_tools.check.geometry import (
     encounters,
     graph,
     moving_spacing,
+    recovery,
     sensor,
     shape,
     spacing,
@@ -35,6 +36,7 @@ _CHECKS: Sequence[Callable[[Scenario], Findings]] = (
     changes,
     trajectory,
     encounters,
+    recovery,
     sensor,
 )
 

@@ -15,11 +15,13 @@ from ptnsbc_sim.scenario.build import leader_trajectory, places_beside_leader, r
 from ptnsbc_sim.scenario.mission.shapes import moves
 from ptnsbc_sim.scenario.semantics import STABILITY_LIMIT, estimator_peak, estimator_step
 from ptnsbc_sim.scenario.slots import with_slots_of_starts
+from ptnsbc_sim.verdict.encounters import recovery_s
 from ptnsbc_tools.check.finding import ERROR, INFO, WARNING, Finding, Findings
 
 _SINGULAR = 0.02  # smallest singular value [1] of a scaled task with which a formation can be held
 _PATH_STEP_S = 0.05
 _SAMPLES = 5000  # of a flight
+_AWAY_M = (0.5, 1.0, 2.0)
 
 
 def graph(scenario: Scenario) -> Findings:
@@ -182,6 +184,22 @@ def encounters(scenario: Scenario) -> Findings:
                 f">= {obstacle.keep_out_m:g} m",
                 "set formation.avoidance: set_based" if off else "avoided in flight",
             )
+
+
+def recovery(scenario: Scenario) -> Findings:
+    """How long after an encounter a place is regained."""
+    formation = scenario.file.formation
+    if formation.avoidance == "off" or formation.approach != "planned":
+        return
+    times = ", ".join(f"{recovery_s(scenario, away):.2f} s" for away in _AWAY_M)
+    ways = ", ".join(f"{away:g}" for away in _AWAY_M)
+    yield Finding(
+        INFO,
+        "formation.recovery_s",
+        f"after an encounter that left it {ways} m off a UAV is back in {times}",
+        f">= {formation.recovery_s:g} s, and what speed and acceleration need",
+        "",
+    )
 
 
 def sensor(scenario: Scenario) -> Findings:

@@ -16,7 +16,7 @@ from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.problems import similar
 from ptnsbc_sim.verdict import Recording, Series, Verdict, verdict_on
-from ptnsbc_sim.verdict.deadline import formation_errors
+from ptnsbc_sim.verdict.formation_error import formation_errors
 from ptnsbc_sim.verdict.recording import require_all_uavs
 from ptnsbc_tools.library.optional import required
 from ptnsbc_tools.library.quantities import COORDINATES, QUANTITIES, TIME, UAV

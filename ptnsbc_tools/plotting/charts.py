@@ -10,8 +10,9 @@ import numpy as np
 
 from ptnsbc_core.types import Array
 from ptnsbc_sim.verdict import Recording, Track, VerdictError
-from ptnsbc_sim.verdict.deadline import SHARE_OF_START, formation_errors
+from ptnsbc_sim.verdict.deadline import SHARE_OF_START
 from ptnsbc_sim.verdict.encounters import encounters, merged
+from ptnsbc_sim.verdict.formation_error import formation_errors
 from ptnsbc_sim.verdict.recording import NANO
 from ptnsbc_tools.plotting.chart import DASHES, Chart, Curve, Limit, Look, Mark, Span, look
 from ptnsbc_tools.plotting.flight import FlightView
@@ -64,8 +65,8 @@ def _chart(
 
 def _excused(flight: FlightView) -> tuple[Span, ...]:
     """Times in which the error of some UAV is excused."""
-    windows = encounters(flight.scenario, flight.recording.counters)
-    found = [window for uav in flight.uavs for window in windows[uav]]
+    windows = encounters(flight.recording)
+    found = [(one.begin_ns, one.back_ns) for uav in flight.uavs for one in windows[uav]]
     _, end = flight.seconds(flight.window_ns)
     spans = (flight.seconds(window) for window in merged(found))
     return tuple(Span(begin, min(close, end)) for begin, close in spans if begin < end)

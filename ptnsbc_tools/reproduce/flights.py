@@ -15,7 +15,7 @@ from ptnsbc_sim.scenario import Scenario, load_scenario
 from ptnsbc_sim.swarm import HeadlessFlight, fly
 from ptnsbc_sim.track import VELOCITY_ERROR
 from ptnsbc_sim.verdict import Verdict, verdict_on
-from ptnsbc_sim.verdict.deadline import formation_errors
+from ptnsbc_sim.verdict.formation_error import formation_errors
 from ptnsbc_sim.verdict.headless import recording_of
 
 Setting = Mapping[str, Any]

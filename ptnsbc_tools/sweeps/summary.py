@@ -34,6 +34,8 @@ _UPWARD = (
     ("largest after tf, with excused spans", "largest_after_all_m", "m"),
     ("RMSE after tf, without excused spans", "rmse_after_m", "m"),
     ("outside the band after tf, excused", "excused_outside_s", "s"),
+    ("back in place after an encounter", "regained_s", "s"),
+    ("promised for it", "recovery_s", "s"),
     ("saturated until tf", "saturated_s", "s"),
     ("peak force", "peak_force_n", "N"),
     ("energy (54)", "energy_n2_s", "N^2 s"),

@@ -295,6 +295,34 @@ def test_a_new_epoch_plans_from_the_error_of_then() -> None:
     )
 
 
+def test_an_encounter_arms_the_time_base_of_the_way_back_and_the_next_one_anew() -> None:
+    """The first tick without a row arms it, the second flies it; the command goes on where it was."""
+    config, place = config_of(2), LEADER_AT + scenario_of("quadrotor").offset(2)
+    flown = Flown(2, at=place + np.array([0.4, 0.4, 0.0]))
+    blocked = np.array([[*(flown.own[:3] - 0.3), 0.6, 0.0, 0.0, 0.0]])
+    late = 8.0
+    state = flown.agent.state
+    for tick in range(3):
+        inputs = inputs_of(flown.own, late, near=blocked, near_age_s=0.0)
+        state, _ = step(state, inputs, late + tick * DT, DT, config)
+        assert state.recovery.disturbed
+    free = inputs_of(flown.own, late)
+    before = state.velocity
+    state, _ = step(state, free, late + 3 * DT, DT, config)
+    assert not state.recovery.disturbed
+    assert state.recovery.duration_s >= config.recovery.least_s
+    assert state.recovery.t == pytest.approx(late + 4 * DT)
+    begun = np.add(state.recovery.rest, state.recovery.moving)
+    away = place - flown.own[:3]
+    np.testing.assert_allclose(begun, away, atol=0.05)
+    after, out = step(state, free, late + 4 * DT, DT, config)
+    assert after.recovery == state.recovery
+    limit = config.filter.max_acceleration * DT
+    assert np.linalg.norm(np.subtract(out.velocity, before)) <= 2.0 * limit
+    again, _ = step(after, inputs, late + 5 * DT, DT, config)
+    assert again.recovery.disturbed
+
+
 @pytest.mark.parametrize("plant", PLANTS)
 def test_velocity_setpoint_is_the_filtered_command(plant: str) -> None:
     config = config_of(2, plant)

@@ -17,6 +17,8 @@ from ptnsbc_sim.swarm import CHUNK_TICKS, HeadlessFlight, fly
 from ptnsbc_sim.sweep import parse_starts
 from ptnsbc_sim.sweep.plan import drawn_scenario, plan_of
 from ptnsbc_sim.track import ACTIVE_ROWS, HOLDING, PRIORITY_VIOLATION
+from ptnsbc_sim.verdict import verdict_on
+from ptnsbc_sim.verdict.headless import recording_of
 from ptnsbc_sim.wiring import wiring_of
 from ptnsbc_sim.world import World
 
@@ -114,6 +116,17 @@ def test_both_obstacles_are_met_and_left_behind(plant: str) -> None:
     assert np.any((near > 15.0) & (near < 30.0))
     assert np.any((near > 30.0) & (near < 50.0))
     assert near.max() < 50.0
+
+
+@pytest.mark.parametrize("plant", PLANTS)
+def test_after_every_encounter_the_place_is_regained_in_the_recovery_time(plant: str) -> None:
+    """The verdict measures the way back against its promise; in paper_5 three UAVs meet obstacles."""
+    verdict = verdict_on(recording_of(flight("paper_5", plant)))
+    back = [(one.regained_s, one.recovery_s) for one in verdict.uavs if one.recovery_s is not None]
+    assert len(back) >= 3
+    assert all(took <= promised for took, promised in back)
+    assert max(took for took, _ in back) > 0.0
+    assert verdict.verdict == "met"
 
 
 SHORT = 3.0
