@@ -1,7 +1,7 @@
 # One command for everything. `make` alone lists them.
 SHELL := /bin/bash
 .DEFAULT_GOAL := help
-.PHONY: help setup test repeat fuzz demo docs results commands bench lint format colcon clean
+.PHONY: help setup test repeat fuzz demo docs site results commands bench lint format colcon clean
 
 BIN  := .venv/bin
 # Workers of the test run; `make test JOBS=1` runs in one process. One more than cores: a third of the time tests wait.
@@ -39,6 +39,9 @@ demo: setup  ## Fly a formation, record it, verify it
 
 docs: setup  ## Make the parts of the pages that are made of the code
 	@$(BIN)/python -m docs.make $(ARGS)
+
+site: setup  ## Build all pages as a site, searched without a network: build/site
+	@$(BIN)/python -m docs.make.site $(ARGS)
 
 results: setup  ## Fly the paper again: docs/results.md, docs/envelope.md and their pictures
 	@time $(BIN)/ptnsbc reproduce --docs docs $(ARGS)

@@ -1,0 +1,88 @@
+"""The site of all pages: it builds strictly, asks no other computer for anything, and is searched offline."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("mkdocs", reason="needs mkdocs-material (extra [dev])")
+
+from docs.make import site
+
+NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
+CHROMIUM = next((found for name in NAMES if (found := shutil.which(name))), None)
+
+pytestmark = pytest.mark.slow
+
+# What a page loads, in contrast to where its links lead.
+_LOADED = re.compile(r"<(?:script|link|img|iframe)[^>]+(?:src|href)=[\"']?(https?://[^\"'> ]+)")
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("site")
+    assert site.main(["-o", str(folder)]) == 0
+    return folder
+
+
+def test_every_page_is_there_and_loads_nothing_from_elsewhere(built: Path) -> None:
+    for page in site.pages():
+        place = page.relative_to(site.ROOT).with_suffix(".html")
+        place = place.with_name("index.html") if page.name == "README.md" else place
+        text = (built / place).read_text(encoding="utf-8")
+        assert [found for found in _LOADED.findall(text) if "ptnsbc" not in found] == []
+
+
+def test_it_is_searched_without_a_network(built: Path) -> None:
+    playwright = pytest.importorskip("playwright.sync_api", reason="needs playwright (extra [dev])")
+    if CHROMIUM is None:
+        pytest.skip("needs Chromium: apt install chromium")
+    with playwright.sync_playwright() as driver:
+        browser = driver.chromium.launch(
+            executable_path=CHROMIUM, args=["--no-sandbox", "--disable-dev-shm-usage"]
+        )
+        context = browser.new_context(viewport={"width": 1280, "height": 900})
+        context.set_offline(True)
+        page = context.new_page()
+        asked: list[str] = []
+        page.on("request", lambda request: asked.append(request.url))
+        page.goto((built / "index.html").as_uri())
+        page.locator("input.md-search__input").fill("null space")
+        page.locator("input.md-search__input").click()
+        found = page.locator("a.md-search-result__link").first
+        found.wait_for()
+        assert ".html" in found.get_attribute("href")
+        browser.close()
+    assert [one for one in asked if not one.startswith("file:")] == []
+
+
+def test_the_index_of_the_search_has_the_headings(built: Path) -> None:
+    index = (built / "search" / "search_index.js").read_text(encoding="utf-8")
+    assert "predefined" in index and "docs/method.html#slots" in index
+
+
+def test_every_page_of_the_index_is_in_the_navigation() -> None:
+    named = str(site.groups())
+    pages = [page.name for page in (site.ROOT / "docs").glob("*.md")]
+    assert [name for name in pages if name not in named] == []
+
+
+@pytest.mark.parametrize("link", ["gone.md", "method.md#no-such-heading", "../gone/file.py"])
+def test_a_link_that_leads_nowhere_fails(
+    link: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    for name, text in {
+        "README.md": "# Home\n",
+        "docs/README.md": "# Pages\n\n| Page | |\n|---|---|\n| [method.md](method.md) | it |\n",
+        "docs/method.md": f"# Method\n\n[somewhere]({link})\n",
+    }.items():
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    monkeypatch.setattr(site, "ROOT", tmp_path)
+    monkeypatch.setattr(site, "INDEX", tmp_path / "docs" / "README.md")
+    monkeypatch.setattr(site, "pages", lambda: sorted(tmp_path.rglob("*.md")))
+    assert site.main(["-o", str(tmp_path / "site")]) != 0
+    assert link.partition("#")[2] in capfd.readouterr().err
