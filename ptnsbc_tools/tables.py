@@ -90,12 +90,22 @@ def deadline_table(verdict: Verdict) -> Table:
     title = f"{verdict.scenario}: {verdict.plant}, {verdict.task}, profile {verdict.profile}"
     own = all(one.slot == one.uav for one in verdict.uavs)
     columns = _DEADLINE if own else (_SLOT, *_DEADLINE)
-    columns += _REGAINED if any(one.regained_s is not None for one in verdict.uavs) else ()
     columns += _MISSING if any(one.missing for one in verdict.uavs) else ()
     table = _table(title, ("UAV", "verdict"), columns)
     for one in verdict.uavs:
         table.add_row(str(one.uav), word(one.verdict), *_numbers(one, columns))
     return table
+
+
+def _regained_tables(verdict: Verdict) -> list[Table]:
+    """How long after an encounter every UAV was back in its place; none without encounters."""
+    found = [one for one in verdict.uavs if one.regained_s is not None]
+    if not found:
+        return []
+    table = _table("Way back after encounters", ("UAV",), _REGAINED)
+    for one in found:
+        table.add_row(str(one.uav), *_numbers(one, _REGAINED))
+    return [table]
 
 
 def _change_tables(verdict: Verdict) -> list[Table]:
@@ -117,7 +127,7 @@ def _change_tables(verdict: Verdict) -> list[Table]:
 
 def verdict_tables(verdict: Verdict) -> list[Table]:
     """All tables of a verdict: deadlines, input, and the tightest pairs with all that were inside a keep-out."""
-    tables = [deadline_table(verdict), *_change_tables(verdict)]
+    tables = [deadline_table(verdict), *_regained_tables(verdict), *_change_tables(verdict)]
     if verdict.efforts:
         tables.append(effort := _table("Input", ("UAV",), _EFFORT))
         for one in verdict.efforts:
