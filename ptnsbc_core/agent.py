@@ -14,7 +14,7 @@ import numpy as np
 from ptnsbc_core.algebra import store3
 from ptnsbc_core.kernel import inline_kernel, kernel, kernel_list
 from ptnsbc_core.kinematics import store_estimate
-from ptnsbc_core.step import guided_step, initial_state, step
+from ptnsbc_core.step import guided_step, initial_state, inlined_step
 from ptnsbc_core.types import (
     MODE_HOLD,
     NEVER_RECEIVED_S,
@@ -142,7 +142,7 @@ def _advance(
     memory: MutableSequence[_AgentMemory], inputs: Array, near: Array, t: float, dt: float
 ) -> Array:
     agent = memory[0]
-    state, outputs = step(agent.state, _unpack(inputs, near), t, dt, agent.config)
+    state, outputs = inlined_step(agent.state, _unpack(inputs, near), None, t, dt, agent.config)
     memory[0] = _AgentMemory(agent.config, state)
     return _packed(outputs)
 

@@ -133,7 +133,10 @@ def matvec_transposed(m: Array | Matrix3, v: Vector3Like) -> Vector3:
 @inline_kernel
 def wrap_angle(angle: float) -> float:
     """Angle [rad] wrapped to [-pi, pi)."""
-    return (angle + math.pi) % (2.0 * math.pi) - math.pi
+    turned = angle + math.pi
+    if 0.0 <= turned < 2.0 * math.pi:  # its remainder is the number itself, and would cost a call
+        return turned - math.pi
+    return turned % (2.0 * math.pi) - math.pi
 
 
 @inline_kernel

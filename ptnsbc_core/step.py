@@ -248,7 +248,7 @@ def step(
     Returns:
         The state for the next tick and what to send now.
     """
-    return _step(state, inputs, None, t, dt, config)
+    return inlined_step(state, inputs, None, t, dt, config)
 
 
 @kernel
@@ -264,11 +264,11 @@ def guided_step(
 
     Clearance, command filter and controller act on it as on ours; a UAV that holds does not follow it.
     """
-    return _step(state, inputs, velocity, t, dt, config)
+    return inlined_step(state, inputs, velocity, t, dt, config)
 
 
 @inline_kernel
-def _step(
+def inlined_step(
     state: AgentState,
     inputs: AgentInputs,
     guided: Vector3 | None,
@@ -276,7 +276,10 @@ def _step(
     dt: float,
     config: AgentConfig,
 ) -> tuple[AgentState, AgentOutputs]:
-    """What depends on `guided` is compiled only for `guided_step`: numba drops a branch on None."""
+    """`step`, and with `guided` `guided_step`, as a part of the caller: no copies of state and constants between both.
+
+    What depends on `guided` is compiled only where there is one: numba drops a branch on None.
+    """
     inputs, config = _in_numbers(inputs), borrowed(config)
     clock = Clock(t, inputs.start_age_s, dt)
     holding = inputs.mode != MODE_FORMATION or link_lost(inputs, clock.start_t, config)

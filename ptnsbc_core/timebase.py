@@ -38,7 +38,7 @@ def h(s: float) -> float:
     return rise if s <= 0.5 else 1.0 - rise
 
 
-@kernel
+@inline_kernel
 def h_rate(s: float, duration_s: float) -> float:
     """dh/dt = 140 s^3 (1 - s)^3 / tf [1/s]."""
     s = min(max(s, 0.0), 1.0)
@@ -61,14 +61,14 @@ def soft_start(gain: LoopGain, clock: Clock) -> float:
     return 1.0
 
 
-@kernel
+@inline_kernel
 def loop_gain(gain: LoopGain, clock: Clock) -> float:
     """G(t) = Lambda (Xi(t) + kappa c(t)) [1/s]."""
     xi = step_gain(clock.t, clock.dt, gain.duration_s, gain.residual)
     return gain.scale * (xi + gain.kappa * soft_start(gain, clock))
 
 
-@kernel
+@inline_kernel
 def fallback_gain(gain: LoopGain, clock: Clock) -> float:
     """Gain [1/s] on an error without a planned decay: G(t), or kappa alone for the profile `reference`."""
     if gain.profile == PROFILE_REFERENCE:
@@ -76,7 +76,7 @@ def fallback_gain(gain: LoopGain, clock: Clock) -> float:
     return loop_gain(gain, clock)
 
 
-@kernel
+@inline_kernel
 def task_rate(gain: LoopGain, error: Vector3, start_error: Vector3, clock: Clock) -> Vector3:
     """Task rate [unit/s] for an error: G e, or by the profile `reference` the rate of its plan e(t0)(1 - h).
 

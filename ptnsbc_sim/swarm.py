@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ptnsbc_core.algebra import store
 from ptnsbc_core.kernel import KernelList, borrowed, inline_kernel, kernel, kernel_list
-from ptnsbc_core.step import guided_step, initial_state, step
+from ptnsbc_core.step import guided_step, initial_state, inlined_step, step
 from ptnsbc_core.types import (
     MODE_FORMATION,
     NEAR_COLUMNS,
@@ -266,7 +266,9 @@ def _fly(
         sense(swarm, wiring, track, tick, disturbances)
         for row in range(swarm.bodies.shape[0]):
             inputs = inputs_of(swarm, wiring, track, tick, row, disturbances)
-            swarm.states[row], out = step(swarm.states[row], inputs, t, dt, swarm.configs[row])
+            swarm.states[row], out = inlined_step(
+                swarm.states[row], inputs, None, t, dt, swarm.configs[row]
+            )
             note(track, tick, row, out)
         for row in range(swarm.bodies.shape[0]):  # apart: the code of both does not fit the cache
             advance_plant(swarm, wiring, track, tick, row, disturbances)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from ptnsbc_core.algebra import axpy, limit_norm, matvec_transposed, norm3, scale3, sub3
 from ptnsbc_core.behaviours.contract import Neighbour
-from ptnsbc_core.kernel import inline_kernel, kernel
+from ptnsbc_core.kernel import inline_kernel
 from ptnsbc_core.kinematics import rotation, velocity_enu
 from ptnsbc_core.types import NEVER_RECEIVED_S, NeighbourMotion, OdometryLike, Vector3
 
@@ -23,7 +23,7 @@ _RESPONSE_S = 0.25
 """A vehicle that follows its command deviates from it by no more than its largest acceleration in this time."""
 
 
-@kernel
+@inline_kernel
 def neighbour_motion(
     before: NeighbourMotion,
     state: OdometryLike,

@@ -67,7 +67,7 @@ def limit_tilt(force: Vector3, config: ControllerConfig) -> Vector3:
     return scale * force[0], scale * force[1], lift
 
 
-@kernel
+@inline_kernel
 def desired_rotation(force: Vector3Like, yaw: float) -> Matrix3:
     """R_d: body z along the force, body y perpendicular to it and to the heading [rad]."""
     up = div3(force, norm3(force))
@@ -94,7 +94,7 @@ def half_turn_vector(relative: Matrix3) -> Vector3:
     return scale3(math.pi / norm3(axis), axis)
 
 
-@kernel
+@inline_kernel
 def attitude_error(present: Array | Matrix3, desired: Array | Matrix3) -> Vector3:
     """Rotation vector [rad], body frame, from R to R_d (both (3, 3))."""
     columns = transpose(desired)

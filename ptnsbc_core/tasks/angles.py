@@ -5,11 +5,14 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from ptnsbc_core.kernel import kernel
+from ptnsbc_core.kernel import inline_kernel
 from ptnsbc_core.types import Vector2
 
 SOFTENING_M2 = 0.05**2
 """Added to squared projected lengths: the gradient of an angle stays below 10 rad/m when points coincide."""
+
+_LONG_M2 = 0.1
+"""A squared length above which what is added, 0.05^2 exp(-40) at most, is below half a unit in its last place."""
 
 
 class SignedAngle(NamedTuple):
@@ -20,7 +23,15 @@ class SignedAngle(NamedTuple):
     d_b: Vector2  # [rad/m]
 
 
-@kernel
+@inline_kernel
+def softened(square: float) -> float:
+    """A squared length [m^2], which stays above 0."""
+    if square > _LONG_M2:
+        return square
+    return square + SOFTENING_M2 * math.exp(-square / SOFTENING_M2)
+
+
+@inline_kernel
 def signed_angle(a: Vector2, b: Vector2) -> SignedAngle:
     """Angle from a to b, vectors projected on a plane: atan2(a x b, a . b) in place of (24).
 
@@ -30,6 +41,5 @@ def signed_angle(a: Vector2, b: Vector2) -> SignedAngle:
     angle = math.atan2(a[0] * b[1] - a[1] * b[0], a[0] * b[0] + a[1] * b[1])
     length_a = a[0] * a[0] + a[1] * a[1]
     length_b = b[0] * b[0] + b[1] * b[1]
-    soft_a = length_a + SOFTENING_M2 * math.exp(-length_a / SOFTENING_M2)
-    soft_b = length_b + SOFTENING_M2 * math.exp(-length_b / SOFTENING_M2)
+    soft_a, soft_b = softened(length_a), softened(length_b)
     return SignedAngle(angle, (a[1] / soft_a, -a[0] / soft_a), (-b[1] / soft_b, b[0] / soft_b))

@@ -354,7 +354,10 @@ def clearance(
     if config.rule == AVOIDANCE_SWITCHED:
         return switched(position, velocity, view, config)
     if config.rule == AVOIDANCE_OFF or _unconstrained(position, velocity, view, config):
-        return ClearanceTask((0.0, 0.0, 0.0), np.empty((0, 3)), velocity, view.memory)
+        no_rows = view.memory[:0].reshape(
+            0, 3
+        )  # a new array would cost an allocation at every tick
+        return ClearanceTask((0.0, 0.0, 0.0), no_rows, velocity, view.memory)
     return set_based(position, velocity, view, config)
 
 

@@ -8,13 +8,13 @@ by zero when the three are collinear. Singular when the angle at k is 90 degrees
 from __future__ import annotations
 
 from ptnsbc_core.algebra import div3, norm3, scale3, sub3
-from ptnsbc_core.kernel import kernel
+from ptnsbc_core.kernel import inline_kernel
 from ptnsbc_core.tasks.angles import signed_angle
 from ptnsbc_core.tasks.contract import TaskGeometry
 from ptnsbc_core.types import Vector3Like
 
 
-@kernel
+@inline_kernel
 def distance_angles(own: Vector3Like, parent: Vector3Like, reference: Vector3Like) -> TaskGeometry:
     """Evaluate the task at positions (3,) [m, ENU]."""
     away = sub3(own, parent)

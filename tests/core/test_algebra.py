@@ -1,5 +1,8 @@
 """The written-out algebra against NumPy."""
 
+import math
+import struct
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -75,6 +78,12 @@ def test_wrap(angle: float) -> None:
     assert -np.pi <= wrapped < np.pi
     assert np.cos(wrapped) == pytest.approx(np.cos(angle), abs=1e-12)
     assert np.sin(wrapped) == pytest.approx(np.sin(angle), abs=1e-12)
+
+
+@given(angle=st.floats(-20.0, 20.0) | st.sampled_from([-np.pi, np.pi, 0.0, -0.0, 3.0 * np.pi]))
+def test_wrap_is_the_remainder_to_the_last_bit(angle: float) -> None:
+    whole = (angle + math.pi) % (2.0 * math.pi) - math.pi
+    assert struct.pack("d", wrap_angle(angle)) == struct.pack("d", whole)
 
 
 def test_wrap_by_hand() -> None:

@@ -1,5 +1,7 @@
 """Task `distance_angles`, (23): values by hand, where it is singular, and what the paper prints instead."""
 
+import math
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -8,6 +10,7 @@ from on_arrays import on_arrays
 
 from ptnsbc_core.algebra import wrap_angle
 from ptnsbc_core.nullspace import damped_solve
+from ptnsbc_core.tasks.angles import SOFTENING_M2, softened
 from ptnsbc_core.tasks.distance_angles import distance_angles
 from ptnsbc_core.tasks.registry import conditioning, desired_value, evaluate, task_error
 from ptnsbc_core.types import TASK_DISTANCE_ANGLES
@@ -29,6 +32,11 @@ OFFSETS = {
     4: np.array([0.6, -1.2, 0.0]),
     5: np.array([1.2, -2.4, 0.0]),
 }
+
+
+@given(square=st.floats(0.0, 1.0) | st.floats(0.0, 1e12) | st.floats(0.099, 0.101))
+def test_the_softening_is_left_out_where_it_rounds_to_nothing(square: float) -> None:
+    assert softened(square) == square + SOFTENING_M2 * math.exp(-square / SOFTENING_M2)
 
 
 def test_value_by_hand() -> None:
