@@ -11,6 +11,7 @@ from __future__ import annotations
 from ptnsbc_core.algebra import axpy, load3, norm3, sub3
 from ptnsbc_core.behaviours.contract import Neighbour
 from ptnsbc_core.kernel import kernel
+from ptnsbc_core.tasks.signed_distance import TANGENT_RADIUS_M
 from ptnsbc_core.types import Array
 
 
@@ -26,6 +27,8 @@ def associate(reported: Neighbour, near: Array, near_age_s: float, gate_m: float
     """
     least, neighbour = gate_m, reported
     for row in range(near.shape[0]):
+        if near[row, 3] >= TANGENT_RADIUS_M:
+            continue  # it stands for a wall: its centre is nowhere
         velocity = load3(near[row], 4)
         position = axpy(near_age_s, velocity, near[row])
         distance = norm3(sub3(position, reported.position))

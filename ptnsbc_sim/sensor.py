@@ -1,5 +1,8 @@
 """Near-object sensor: obstacles and other UAVs within the detection range, and nothing farther.
 
+A sphere and a UAV are in range by their centre, all other bodies by their surface: of these the sensor tells the
+sphere that touches the surface at the point nearest to the observer.
+
 Rows are float32-rounded, because that is what a sensor_msgs/PointCloud2 carries and what viewers read: the
 headless flight must see the same numbers as a process.
 """
@@ -10,9 +13,18 @@ import math
 
 import numpy as np
 
-from ptnsbc_core.kernel import kernel
+from ptnsbc_core.kernel import inline_kernel, kernel
 from ptnsbc_core.kinematics import velocity_enu
-from ptnsbc_core.types import NEAR_COLUMNS, Array
+from ptnsbc_core.tasks.signed_distance import (
+    BODY_SPHERE,
+    KEEP_OUT,
+    KIND,
+    TANGENT_RADIUS_M,
+    VELOCITY,
+    signed_distance,
+    tangent_centre,
+)
+from ptnsbc_core.types import NEAR_COLUMNS, Array, Vector3
 
 
 @kernel
@@ -30,6 +42,20 @@ def store_objects(odometry: Array, obstacles: Array, uav_keep_out_m: float, out:
             out[count + which, i] = np.float32(obstacles[which, i])
 
 
+@inline_kernel
+def _store_tangent(place: Vector3, body: Array, range_m: float, out: Array) -> bool:
+    """The sphere that stands for a body seen from `place`, into `out` (7,); whether the body is in range."""
+    found = signed_distance(place, body)
+    if found.distance > range_m:
+        return False
+    centre = tangent_centre(place, found)
+    out[3] = np.float32(TANGENT_RADIUS_M + body[KEEP_OUT])
+    for i in range(3):
+        out[i] = np.float32(centre[i])
+        out[4 + i] = np.float32(body[VELOCITY + i])
+    return True
+
+
 @kernel
 def store_near(
     who: int, odometry: Array, obstacles: Array, objects: Array, range_m: float, out: Array
@@ -40,6 +66,10 @@ def store_near(
     x, y, z = odometry[who, 0], odometry[who, 1], odometry[who, 2]
     for other in range(objects.shape[0]):
         if other == who:
+            continue
+        if other >= count and int(obstacles[other - count, KIND]) != BODY_SPHERE:
+            if _store_tangent((x, y, z), obstacles[other - count], range_m, out[used]):
+                used += 1
             continue
         place = odometry[other] if other < count else obstacles[other - count]
         square = (place[0] - x) ** 2 + (place[1] - y) ** 2 + (place[2] - z) ** 2
@@ -60,9 +90,9 @@ def near_objects(
     Args:
         who: row of the observer.
         odometry: (N, 13) odometry vectors of all UAVs.
-        obstacles: (O, 7) rows of the obstacles.
+        obstacles: (O, 20) obstacles, rows of bodies.
         uav_keep_out_m: keep-out radius of a UAV [m].
-        range_m: detection range to the centre [m].
+        range_m: detection range [m].
     """
     objects = np.empty((odometry.shape[0] + obstacles.shape[0], NEAR_COLUMNS))
     store_objects(odometry, obstacles, uav_keep_out_m, objects)

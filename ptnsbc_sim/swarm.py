@@ -43,7 +43,7 @@ from ptnsbc_sim.scenario import Scenario, agent_config
 from ptnsbc_sim.scenario.slots import are_open, optimal_slots, with_slots
 from ptnsbc_sim.sensor import near_objects, store_near, store_objects
 from ptnsbc_sim.track import FlightTrack, note, track_of
-from ptnsbc_sim.wiring import Wiring, wiring_of
+from ptnsbc_sim.wiring import Wiring, obstacles_at, wiring_of
 from ptnsbc_sim.world import World, measure_all
 
 CHUNK_TICKS = 2000
@@ -100,7 +100,7 @@ class HeadlessFlight(NamedTuple):
         rows = near_objects(
             row,
             truth,
-            self.wiring.obstacles,
+            obstacles_at(self.wiring, tick),
             self.wiring.uav_keep_out_m,
             self.wiring.range_m,
         )
@@ -196,11 +196,10 @@ def _sense_near(
     disturbances: Disturbances | None,
 ) -> None:
     true = track.odometry[tick] if disturbances is None else track.truth[tick]
-    store_objects(true, wiring.obstacles, wiring.uav_keep_out_m, swarm.objects)
+    obstacles = obstacles_at(wiring, tick)
+    store_objects(true, obstacles, wiring.uav_keep_out_m, swarm.objects)
     for row in range(true.shape[0]):
-        count = store_near(
-            row, true, wiring.obstacles, swarm.objects, wiring.range_m, swarm.near[row]
-        )
+        count = store_near(row, true, obstacles, swarm.objects, wiring.range_m, swarm.near[row])
         swarm.near_count[row] = count
         if disturbances is not None:
             samples = disturbances.sensor_samples[tick // wiring.near_every, row]
@@ -380,7 +379,7 @@ def swarm_of(
         plants = like.plants
     bodies = start_states(scenario, plants)
     seen = _first_seen(measure_all(bodies, plants), wiring.dt_ns * 1e-9, disturbances)
-    size, objects = len(ids), len(ids) + len(wiring.obstacles)
+    size, objects = len(ids), len(ids) + wiring.obstacles.shape[1]
     received = wiring.neighbours.shape
     return SwarmState(
         configs,

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ptnsbc_core.kernel import inline_kernel
 from ptnsbc_core.types import PLANTS, Array
 from ptnsbc_sim.plants.build import obstacle_rows
 from ptnsbc_sim.scenario import Scenario
@@ -20,13 +21,21 @@ class Wiring(NamedTuple):
     pinned: NDArray[np.int64]  # (N,) 1 where the leader is heard
     neighbours: NDArray[np.int64]  # (N, K) rows, -1 beyond the last
     neighbour_count: NDArray[np.int64]  # (N,)
-    obstacles: Array  # (O, 7)
+    obstacles: (
+        Array  # (S, O, 20) rows of bodies at every reading of the sensor; S = 1 where none moves
+    )
     uav_keep_out_m: float
     range_m: float
     near_every: int
     substeps: int
     dt_ns: int
     plant: int  # PLANT_* of all UAVs
+
+
+@inline_kernel
+def obstacles_at(wiring: Wiring, tick: int) -> Array:
+    """The obstacles (O, 20) that the near-object sensor meets at `tick`."""
+    return wiring.obstacles[min(tick // wiring.near_every, wiring.obstacles.shape[0] - 1)]
 
 
 def wiring_of(scenario: Scenario) -> Wiring:
@@ -37,6 +46,8 @@ def wiring_of(scenario: Scenario) -> Wiring:
     table = np.full((len(ids), max(1, *(len(some) for some in neighbours))), -1, dtype=np.int64)
     for index, some in enumerate(neighbours):
         table[index, : len(some)] = [row[uav_id] for uav_id in some]
+    readings = np.arange(-(-scenario.ticks // scenario.near_every), dtype=np.int64)
+    sensed_s: Array = readings * (scenario.near_every * scenario.dt_ns) * np.float64(1e-9)
     parents = [scenario.parent(uav_id) for uav_id in ids]
     return Wiring(
         row[scenario.leader_id],
@@ -44,7 +55,7 @@ def wiring_of(scenario: Scenario) -> Wiring:
         np.array([int(scenario.pinned(uav_id)) for uav_id in ids], dtype=np.int64),
         table,
         np.array([len(some) for some in neighbours], dtype=np.int64),
-        obstacle_rows(scenario),
+        obstacle_rows(scenario, sensed_s),
         float(scenario.uav_keep_out_m),
         float(scenario.sensor.range_m),
         int(scenario.near_every),

@@ -67,7 +67,10 @@ class World:
         self._ticks = dict.fromkeys(self.ids, 0)
         self._slowest = 0
         self._dt_ns = scenario.dt_ns
-        self._obstacles = obstacle_rows(scenario)
+        self._obstacles = obstacle_rows(scenario, np.zeros(1))[0]
+        self._moving = any(one.path is not None for one in scenario.obstacles)
+        self.mission_s: float | None = None
+        """Time since the first epoch [s] where that is not the simulated time: in real time."""
         self._substeps = scenario.physics_hz // scenario.control_hz
         self._truth = measure_all(self._states, self._plants)
         self._odometry = self._truth
@@ -100,13 +103,24 @@ class World:
         """True odometry vector (13,) of one UAV now."""
         return self._truth[self._row[uav_id]]
 
+    def _obstacles_now(self, tick: int) -> Array:
+        """Obstacles (O, 20) at a tick, in real time at the time of the mission."""
+        if not self._moving:
+            return self._obstacles
+        t = (tick * self._dt_ns) * NANO if self.mission_s is None else self.mission_s
+        return np.asarray(obstacle_rows(self._scenario, np.array([t]))[0])
+
+    def obstacle_positions(self) -> Array:
+        """Positions (O, 3) [m] of all obstacles now."""
+        return self._obstacles_now(self.tick)[:, 0:3]
+
     def near(self, uav_id: int) -> Array:
         """Rows (M, 7) that the near-object sensor of one UAV sees now."""
         scenario, row = self._scenario, self._row[uav_id]
         rows = near_objects(
             row,
             self._truth,
-            self._obstacles,
+            self._obstacles_now(self._ticks[uav_id]),
             float(scenario.uav_keep_out_m),
             float(scenario.sensor.range_m),
         )

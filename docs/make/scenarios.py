@@ -29,10 +29,15 @@ def regions() -> dict[str, str]:
     top = [row for row in rows(model.ScenarioFile) if "." not in row.key and "[" not in row.key]
     return {
         "top": _table(_linked(row) for row in top),
-        **{name: _table(rows(block)) for name, block in _BLOCKS.items()},
+        **{name: _table(_own(rows(block))) for name, block in _BLOCKS.items()},
         "gains": _table(_gains()),
         "loops": _loops(),
     }
+
+
+def _own(of: Iterator[Row]) -> Iterator[Row]:
+    """Without the keys of an obstacle's trajectory, which stand below `leader` already."""
+    return (row for row in of if not row.key.startswith("obstacles[].trajectory."))
 
 
 def _table(of: Iterator[Row]) -> str:

@@ -39,6 +39,7 @@ from ptnsbc_core.tasks.approach import (
     tangent,
 )
 from ptnsbc_core.tasks.contract import ClearanceTask
+from ptnsbc_core.tasks.signed_distance import TANGENT_RADIUS_M
 from ptnsbc_core.tasks.told_path import ToldPaths, path_share
 from ptnsbc_core.timebase import step_gain
 from ptnsbc_core.types import (
@@ -48,6 +49,7 @@ from ptnsbc_core.types import (
     Array,
     ClearanceConfig,
     Vector3,
+    Vector3Like,
 )
 
 _SWEEPS = 60
@@ -121,6 +123,25 @@ def _sight(position: Vector3, near: Array, view: ObstacleView, config: Clearance
 
 
 @inline_kernel
+def _landmark(near: Array, centre: Vector3Like, normal: Vector3Like) -> Vector3:
+    """What the memory knows an object by: its centre, or where the sphere that stands for a body touches the keep-out.
+
+    The centre of such a sphere jumps where the body is round or has an edge.
+    """
+    reach = near[3] if near[3] >= TANGENT_RADIUS_M else 0.0
+    return axpy(reach, normal, centre) if reach > 0.0 else load3(centre, 0)
+
+
+@kernel
+def _landmarks(near: Array, normals: Array) -> Array:
+    """The landmarks (M, 3) [m] of all near objects."""
+    out = np.empty((near.shape[0], 3))
+    for m in range(near.shape[0]):
+        store3(out[m], 0, _landmark(near[m], load3(near[m], 0), normals[m]))
+    return out
+
+
+@inline_kernel
 def constraint(
     position: Vector3, which: int, view: ObstacleView, straight: bool, config: ClearanceConfig
 ) -> ClearanceConstraint:
@@ -139,7 +160,7 @@ def constraint(
         return _braking_constraint(position, sight, keep_out, view, straight, config)
     alpha = config.gain.kappa
     if depth > 0.0:
-        since = obstacle_memory.active_time(view.memory, centre)
+        since = obstacle_memory.active_time(view.memory, _landmark(near, centre, normal))
         alpha += step_gain(since, view.dt, config.gain.duration_s, config.gain.residual)
     return ClearanceConstraint(
         normal, dot3(normal, velocity) + config.gain.scale * alpha * depth, depth
@@ -229,7 +250,7 @@ def _add_circulation(
     velocity: Vector3,
     rows: ClearanceConstraints,
     multipliers: Array,
-    near: Array,
+    landmarks: Array,
     memory: Array,
     config: ClearanceConfig,
 ) -> Vector3:
@@ -238,7 +259,7 @@ def _add_circulation(
     for m in range(multipliers.shape[0]):
         if multipliers[m] <= 0.0:
             continue
-        slot = obstacle_memory.find_slot(memory, near[m])
+        slot = obstacle_memory.find_slot(memory, landmarks[m])
         if slot < 0:
             continue
         ramp = min(memory[slot, obstacle_memory.ACTIVE_S] / config.ramp_s, 1.0)
@@ -302,10 +323,11 @@ def set_based(
             side[m] = dot3(sub3(velocity, moving), tangent(rows.normals[m]))
             if config.approach == SPEED_BRAKING and dot3(moving, moving) > 0.0:
                 side[m] = 1.0  # both of a pair, and all of a ring, turn the same way
-    after = obstacle_memory.update(view.memory, view.near, multipliers, side, view.dt, config)
+    landmarks = _landmarks(view.near, rows.normals)
+    after = obstacle_memory.update(view.memory, landmarks, multipliers, side, view.dt, config)
     secondary = velocity
     if obstacle_memory.any_used(after):
-        secondary = _add_circulation(velocity, rows, multipliers, view.near, after, config)
+        secondary = _add_circulation(velocity, rows, multipliers, landmarks, after, config)
         multipliers = admissible_multipliers(secondary, rows)
     admissible = secondary
     for m in range(multipliers.shape[0]):
@@ -332,7 +354,8 @@ def switched(
         jacobian = rows.normals[deepest : deepest + 1].copy()
         out = scale3(rows.bound[deepest], rows.normals[deepest])
     no_side = np.zeros(binding.shape[0])
-    after = obstacle_memory.update(view.memory, view.near, binding, no_side, view.dt, config)
+    landmarks = _landmarks(view.near, rows.normals)
+    after = obstacle_memory.update(view.memory, landmarks, binding, no_side, view.dt, config)
     return ClearanceTask(out, jacobian, velocity, after)
 
 

@@ -265,7 +265,7 @@ class Bridge:
         report = self.report
         return None if report.position is None else Place(report.position, report.error_m)
 
-    def _flight_s(self) -> float:
+    def flight_s(self) -> float:
         """Time since the first epoch; negative before it."""
         now_ns = self.ports.clocks.ros_ns()
         leg = self._epochs.at(now_ns)
@@ -276,7 +276,7 @@ class Bridge:
         odometry, step = self.state_publisher.odometry, self.procedure.step
         if odometry is None or step not in (Step.AIRBORNE, Step.FLY):
             return
-        flight_s = self._flight_s()
+        flight_s = self.flight_s()
         leader = reference(self._config.trajectory, max(flight_s, 0.0))
         moves = np.array(leader.velocity) if step is Step.FLY else np.zeros(3)
         deadline_s = float(self._scenario.gains.formation.deadline_s)
@@ -370,7 +370,7 @@ class Bridge:
         odometry, offset = self.state_publisher.odometry, self.state_publisher.world.offset
         if odometry is None or offset is None:
             return
-        flight_s = self._flight_s()
+        flight_s = self.flight_s()
         reply, armed = self.controller.newest, self.vehicle.armed
         message = self.stream.message(
             StreamInput(stream, now_s, odometry, offset, reply, armed, flight_s)

@@ -9,9 +9,11 @@ from __future__ import annotations
 import numpy as np
 
 from ptnsbc_core.kinematics import velocity_enu
-from ptnsbc_core.types import NEAR_COLUMNS, Array
+from ptnsbc_core.types import NEAR_COLUMNS, ODOMETRY_SIZE, Array
 from ptnsbc_io.wire import WireError, decode_odometry
+from ptnsbc_sim.plants.build import obstacle_rows
 from ptnsbc_sim.scenario import Scenario
+from ptnsbc_sim.sensor import near_objects
 
 _MOVING_S = 0.5
 _FORGET_S = 5.0
@@ -24,18 +26,37 @@ class NearObjects:
         self._newest: dict[int, tuple[float, bytes]] = {}
         self._keep_out_m = float(scenario.uav_keep_out_m)
         self._range_m = float(scenario.sensor.range_m)
-        rows = [(*o.position, o.keep_out_m, 0.0, 0.0, 0.0) for o in scenario.obstacles]
-        self._obstacles = np.array(rows, dtype=np.float64).reshape(-1, NEAR_COLUMNS)
+        self._scenario = scenario
+        self._moving = any(one.path is not None for one in scenario.obstacles)
+        self._bodies = obstacle_rows(scenario, np.full(1, -1.0))[0]
 
     def on_odometry(self, uav_id: int, now_s: float, data: bytes) -> None:
         """Keep the odometry of another UAV."""
         self._newest[uav_id] = (now_s, data)
 
-    def rows(self, now_s: float, position: Array) -> Array:
-        """x y z keep-out vx vy vz (M, 7) [m, m/s, ENU] within the scenario's detection range."""
-        rows = np.vstack([self.uavs(now_s), self._obstacles])
+    def rows(self, now_s: float, position: Array, mission_s: float = -1.0) -> Array:
+        """x y z keep-out vx vy vz (M, 7) [m, m/s, ENU] within the scenario's detection range.
+
+        Args:
+            now_s: time of `on_odometry`.
+            position: (3,) own position [m].
+            mission_s: time since the first epoch [s], negative before it: moving obstacles stand still then.
+        """
+        rows = self.uavs(now_s)
         away = rows[:, 0:3] - position
-        return np.asarray(rows[np.einsum("ij,ij->i", away, away) <= self._range_m**2])
+        near = rows[np.einsum("ij,ij->i", away, away) <= self._range_m**2]
+        return np.vstack([near, self._obstacles(position, mission_s)])
+
+    def _obstacles(self, position: Array, mission_s: float) -> Array:
+        """The rows (M, 7) of the obstacles in range, as the simulated sensor tells them."""
+        if not len(self._bodies):
+            return self._bodies[:, :NEAR_COLUMNS]
+        bodies = self._bodies
+        if self._moving:
+            bodies = obstacle_rows(self._scenario, np.array([mission_s]))[0]
+        own = np.zeros((1, ODOMETRY_SIZE))
+        own[0, 0:3], own[0, 6] = position, 1.0
+        return near_objects(0, own, bodies, self._keep_out_m, self._range_m)
 
     def uavs(self, now_s: float) -> Array:
         """The rows (M, 7) of the other UAVs alone, at any distance."""

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from geometry_msgs.msg import Point
+from geometry_msgs.msg import Point, Quaternion
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
@@ -17,6 +17,7 @@ from ptnsbc_io.wire import WireError, decode_odometry
 from ptnsbc_io.wire.cdr import split_stamp
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.agent_messages import WORLD_FRAME
+from ptnsbc_nodes.comm.announcements import decode_leg
 from ptnsbc_nodes.comm.diagnostics import STATUS_HZ
 from ptnsbc_nodes.comm.serialize import encode
 from ptnsbc_sim.scenario import Scenario, agent_config
@@ -30,6 +31,8 @@ _EDGE = (0.5, 0.5, 0.5, 0.9)
 _PATH = (0.95, 0.55, 0.1, 0.5)
 _UAV_DIAMETER_M = 0.4
 _LINE_M = 0.04
+_WITHOUT_END_M = 100.0  # of planes and endless cylinders
+_FORMS = {"sphere": Marker.SPHERE, "cylinder": Marker.CYLINDER}
 _PATH_POINTS = 200
 _PERIOD_NS = 10**9 // STATUS_HZ
 
@@ -48,6 +51,7 @@ class Scene:
         parents = {} if are_open(scenario) else {i: scenario.parent(i) for i in world.ids}
         children = {i: parent for i, parent in parents.items() if parent is not None}
         self._shown = [*world.ids, *(end for edge in children.items() for end in edge)]
+        self._moving = [k for k, one in enumerate(scenario.obstacles) if one.path is not None]
         self._buffer = bytearray(encode(MarkerArray(markers=_all_markers(scenario, len(children)))))
         self._times_at = _find_all(self._buffer, _TIME.pack(*_SOMETIME))
         self._places_at = _find_all(self._buffer, _PLACE.pack(*_SOMEWHERE))
@@ -57,8 +61,11 @@ class Scene:
         stamp = split_stamp(stamp_ns)
         for at in self._times_at:
             _TIME.pack_into(self._buffer, at, *stamp)
-        for at, i in zip(self._places_at, self._shown, strict=True):
-            _PLACE.pack_into(self._buffer, at, *self._world.odometry(i)[0:3])
+        places = [self._world.odometry(i)[0:3] for i in self._shown]
+        if self._moving:
+            places += [*self._world.obstacle_positions()[self._moving]]
+        for at, place in zip(self._places_at, places, strict=True):
+            _PLACE.pack_into(self._buffer, at, *place)
         return bytes(self._buffer)
 
 
@@ -74,15 +81,25 @@ class OdometryMarkers:
         self._leader = scenario.leader_id
         self._newest: dict[int, Array] = {}
         self._period = -1
-        # Only `ids` and `odometry` of a World are read.
+        self._scenario = scenario
+        self._epoch_ns: int | None = None
+        self._newest_ns = 0
+        # Only `ids`, `odometry` and `obstacle_positions` of a World are read.
         self._scene = Scene(scenario, self)  # type: ignore[arg-type]
 
     def odometry(self, uav_id: int) -> Array:
         """Newest odometry vector (13,) of one UAV."""
         return self._newest[uav_id]
 
+    def obstacle_positions(self) -> Array:
+        """Positions (O, 3) of all obstacles at the newest odometry; those that move stand still before the epoch."""
+        since = -1.0 if self._epoch_ns is None else (self._newest_ns - self._epoch_ns) * 1e-9
+        return self._scenario.obstacle_positions(since)
+
     def of(self, topic: str, data: bytes) -> bytes | None:
         """The MarkerArray to record beside a message, None when none is due."""
+        if topic == topics.EPOCH.name and self._epoch_ns is None:
+            self._epoch_ns = _epoch_of(data)
         uav = self._uav.get(topic)
         if uav is None:
             return None
@@ -93,12 +110,21 @@ class OdometryMarkers:
         period = stamp_ns // _PERIOD_NS
         if uav != self._leader or period == self._period or len(self._newest) < len(self.ids):
             return None
-        self._period = period
+        self._period, self._newest_ns = period, stamp_ns
         return self._scene.markers(stamp_ns)
 
 
+def _epoch_of(data: bytes) -> int | None:
+    try:
+        return decode_leg(data).stamp_ns
+    except WireError:
+        return None
+
+
 def _all_markers(scenario: Scenario, edges: int) -> list[Any]:
-    """Every marker, with placeholders for values that change: the UAVs, then the ends of the tree's edges."""
+    """Every marker, with placeholders for values that change: the UAVs, the ends of the tree's edges, then
+    the obstacles that move.
+    """
     somewhere = np.array(_SOMEWHERE)
     shown = []
     for i in scenario.uav_ids:
@@ -107,7 +133,7 @@ def _all_markers(scenario: Scenario, edges: int) -> list[Any]:
     tree = _marker("tree", 0, Marker.LINE_LIST, _EDGE)
     tree.scale.x = _LINE_M
     tree.points = [_point(somewhere) for _ in range(2 * edges)]
-    shown += [tree, *_keep_outs(scenario), _path(scenario)]
+    shown += [tree, *_obstacles(scenario), _path(scenario)]
     for marker in shown:
         marker.header.stamp.sec, marker.header.stamp.nanosec = _SOMETIME
     return shown
@@ -143,13 +169,19 @@ def _sphere(namespace: str, number: int, diameter_m: float, colour: Sequence[flo
     return marker
 
 
-def _keep_outs(scenario: Scenario) -> list[Any]:
-    spheres = []
-    for number, obstacle in enumerate(scenario.obstacles):
-        sphere = _sphere("obstacles", number, 2 * obstacle.keep_out_m, _KEEP_OUT)
-        sphere.pose.position = _point(obstacle.position)
-        spheres.append(sphere)
-    return spheres
+def _obstacles(scenario: Scenario) -> list[Any]:
+    """The keep-outs of spheres, and all other bodies themselves."""
+    found = []
+    for number, one in enumerate(scenario.obstacles):
+        form = _FORMS.get(one.kind, Marker.CUBE)
+        marker = _marker("obstacles", number, form, _KEEP_OUT)
+        edges, centre, turn = one.drawn(_WITHOUT_END_M)
+        marker.scale.x, marker.scale.y, marker.scale.z = (float(edge) for edge in edges)
+        marker.pose.position = _point(centre if one.path is None else np.array(_SOMEWHERE))
+        x, y, z, w = turn
+        marker.pose.orientation = Quaternion(x=x, y=y, z=z, w=w)
+        found.append(marker)
+    return found
 
 
 def _path(scenario: Scenario) -> Any:

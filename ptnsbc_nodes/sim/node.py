@@ -158,8 +158,9 @@ class SimNode:
 
     def _on_tick_timer(self) -> None:
         now_ns = self._clock_ns()
-        self._real_time.tick(now_ns)
         leg = self._epochs.at(now_ns)
+        self._world.mission_s = -1.0 if leg is None else (now_ns - leg.first_t0_ns) * 1e-9
+        self._real_time.tick(now_ns)
         if leg is None:
             return
         if not self._running:

@@ -9,6 +9,7 @@ import numpy as np
 from ptnsbc_core.algebra import store
 from ptnsbc_core.kernel import kernel
 from ptnsbc_core.kinematics import checked_pitch
+from ptnsbc_core.tasks.signed_distance import BODY_COLUMNS
 from ptnsbc_core.types import PLANT_RIGID_BODY, PLANTS, Array
 from ptnsbc_sim.plants.contract import STATE_SIZE, PlantConfig, six
 from ptnsbc_sim.plants.integrate import initial_state
@@ -68,10 +69,11 @@ def _start_states(positions: Array, attitudes: Array, plants: Sequence[PlantConf
     return states
 
 
-def obstacle_rows(scenario: Scenario) -> Array:
-    """Obstacles as rows of the near-object sensor (O, 7); they do not move."""
-    rows = np.zeros((len(scenario.obstacles), 7))
-    for row, obstacle in zip(rows, scenario.obstacles, strict=True):
-        row[0:3] = obstacle.position
-        row[3] = obstacle.keep_out_m
-    return rows
+def obstacle_rows(scenario: Scenario, times: Array) -> Array:
+    """All obstacles at times (T,) [s] since the first epoch: rows of bodies (T, O, 20), (1, O, 20) where none moves."""
+    obstacles = scenario.obstacles
+    if all(one.path is None for one in obstacles):
+        times = times[:1]
+    if not obstacles:
+        return np.zeros((1, 0, BODY_COLUMNS))
+    return np.ascontiguousarray(np.stack([one.rows(times) for one in obstacles], axis=1))

@@ -1,11 +1,11 @@
 """Scenario files: read, validated, and turned into the configuration of every UAV."""
 
 from ptnsbc_sim.scenario.build import agent_config
+from ptnsbc_sim.scenario.obstacles import Obstacle
 from ptnsbc_sim.scenario.problems import ScenarioError
 from ptnsbc_sim.scenario.reader import available
 from ptnsbc_sim.scenario.scenario import (
     Disturbance,
-    Obstacle,
     Scenario,
     UavStart,
     load_scenario,

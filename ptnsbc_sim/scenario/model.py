@@ -25,6 +25,7 @@ from ptnsbc_sim.scenario.gains import Gains
 from ptnsbc_sim.scenario.mavlink import Mavlink
 from ptnsbc_sim.scenario.mission.shapes import Change, ShapeBlock
 from ptnsbc_sim.scenario.mission.trajectories import TrajectoryBlock
+from ptnsbc_sim.scenario.obstacles import ObstacleBlock
 
 STILL = (Wave(amount=0.0, shape="constant"),) * 3
 Delay = Annotated[NotNegative, Field(le=1)]
@@ -42,17 +43,6 @@ class Timing(Block):
     """Length of the flight, at least one control period."""
 
 
-class ObstacleBlock(Block):
-    """A sphere to keep out of."""
-
-    name: Name
-    """Name, unique among the obstacles."""
-    position_m: Vec3
-    """Centre."""
-    keep_out_m: Positive
-    """Radius of the sphere to stay out of."""
-
-
 class Surroundings(Block):
     """What surrounds the UAVs."""
 
@@ -65,7 +55,7 @@ class Surroundings(Block):
     gust_time_s: Positive = 2.0
     """Correlation time of the gusts."""
     obstacles: tuple[ObstacleBlock, ...] = ()
-    """Spheres to keep out of:"""
+    """What to keep out of:"""
 
 
 class Positioning(Block):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -20,6 +21,7 @@ from ptnsbc_sim.scenario.gains import Gains
 from ptnsbc_sim.scenario.mavlink import Mavlink, VehicleLink, vehicle_link
 from ptnsbc_sim.scenario.mission.completion import completed_shape
 from ptnsbc_sim.scenario.model import Plant, Quadrotor, ScenarioFile, Sensor, UavBlock
+from ptnsbc_sim.scenario.obstacles import Obstacle
 from ptnsbc_sim.scenario.problems import ScenarioError, scenario_error
 from ptnsbc_sim.scenario.semantics import NANOSECONDS, checked
 
@@ -52,14 +54,6 @@ class LinkQuality(NamedTuple):
 
     loss: float  # fraction that is lost
     delay_s: float  # from sending to arrival
-
-
-class Obstacle(NamedTuple):
-    """A sphere to keep out of."""
-
-    name: str
-    position: Array  # (3,) [m], ENU
-    keep_out_m: float
 
 
 def _disturbance(waves: tuple[Wave, ...]) -> Disturbance:
@@ -239,13 +233,15 @@ class Scenario:
             or self.lossy
         )
 
-    @property
+    @cached_property
     def obstacles(self) -> tuple[Obstacle, ...]:
         """All obstacles."""
-        return tuple(
-            Obstacle(block.name, np.array(block.position_m, dtype=np.float64), block.keep_out_m)
-            for block in self.file.world.obstacles
-        )
+        return tuple(Obstacle(block) for block in self.file.world.obstacles)
+
+    def obstacle_positions(self, t_s: float) -> Array:
+        """Positions (O, 3) [m] of all obstacles, so many seconds after the first epoch."""
+        at = np.array([t_s], dtype=np.float64)
+        return np.array([one.motion(at).positions[0] for one in self.obstacles]).reshape(-1, 3)
 
     @property
     def uav_keep_out_m(self) -> float:

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from ptnsbc_core.errors import GainError, TopologyError
 from ptnsbc_core.timebase import peak_gain
 from ptnsbc_core.topology import Topology, validated_topology
+from ptnsbc_sim.scenario import obstacles
 from ptnsbc_sim.scenario.mavlink import Geofence, Mavlink, vehicle_link
 from ptnsbc_sim.scenario.mission import shapes, trajectories
 from ptnsbc_sim.scenario.model import Positioning, ScenarioFile
@@ -87,6 +88,12 @@ def _names(file: ScenarioFile) -> Problems:
                 f"world.obstacles[{names[obstacle.name]}].name, give every obstacle its own name"
             )
         names.setdefault(obstacle.name, index)
+
+
+def _obstacles(file: ScenarioFile) -> Problems:
+    for index, obstacle in enumerate(file.world.obstacles):
+        for problem in obstacles.problems(obstacle):
+            yield f"world.obstacles[{index}].{problem}"
 
 
 def _members(file: ScenarioFile) -> Problems:
@@ -241,6 +248,7 @@ def _law(file: ScenarioFile) -> Problems:
 _CHECKS: tuple[Callable[[ScenarioFile], Problems], ...] = (
     _timing,
     _names,
+    _obstacles,
     _members,
     _links,
     _offsets,

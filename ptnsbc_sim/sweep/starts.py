@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ptnsbc_core.types import Array
+from ptnsbc_sim.scenario.obstacles import Obstacle, ObstacleBlock
 from ptnsbc_sim.sweep.axes import SweepError
 
 FILE, NEAR, BOX = "file", "near", "box"
@@ -52,6 +53,9 @@ class Spheres:
     centres: Array  # (O, 3) [m]
     radii: Array  # (O,) [m]
     apart_m: float  # from every other UAV
+    bodies: tuple[
+        tuple[Obstacle, float], ...
+    ] = ()  # that are no spheres, and the distances from them [m]
 
 
 def clear_places(
@@ -83,16 +87,22 @@ def clear_places(
 def _clear(place: Array, others: Sequence[Array], spheres: Spheres) -> bool:
     if any(np.linalg.norm(place - other) < spheres.apart_m for other in others):
         return False
-    return bool((np.linalg.norm(spheres.centres - place, axis=1) >= spheres.radii).all())
+    if not (np.linalg.norm(spheres.centres - place, axis=1) >= spheres.radii).all():
+        return False
+    at = place[None], np.zeros(1)
+    return all(body.distances(*at)[0] >= least for body, least in spheres.bodies)
 
 
 def spheres_of(tree: dict[Any, Any], margin_m: float) -> Spheres:
     """What the starts of a scenario tree must be clear of."""
-    obstacles = (tree.get("world") or {}).get("obstacles") or []
+    blocks = (tree.get("world") or {}).get("obstacles") or []
+    every = [Obstacle(ObstacleBlock.model_validate(block)) for block in blocks]
+    spheres = [one for one in every if one.kind == "sphere"]
     return Spheres(
-        np.array([one["position_m"] for one in obstacles], dtype=np.float64).reshape(-1, 3),
-        np.array([one["keep_out_m"] + margin_m for one in obstacles], dtype=np.float64),
+        np.array([one.position for one in spheres], dtype=np.float64).reshape(-1, 3),
+        np.array([one.keep_out_m + margin_m for one in spheres], dtype=np.float64),
         float(tree["formation"]["uav_keep_out_m"]) + margin_m,
+        tuple((one, one.keep_out_m + margin_m) for one in every if one.kind != "sphere"),
     )
 
 

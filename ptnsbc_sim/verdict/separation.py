@@ -1,7 +1,8 @@
 """How close UAVs came to each other and to obstacles, and which keep-outs they entered.
 
-A keep-out is entered where a distance between centres is below it at a judged instant. The distance is compared as it
-is: there is no slack for rounding, and none for errors of the positions.
+A keep-out is entered where a distance is below it at a judged instant: between centres, and from the surface of an
+obstacle that is no sphere. The distance is compared as it is:
+there is no slack for rounding, and none for errors of the positions.
 """
 
 from __future__ import annotations
@@ -79,7 +80,7 @@ class Separations:
             for a, b in combinations(scenario.uav_ids, 2)
         }
         self._obstacles = [
-            (uav, one.position, _Pair((f"uav{uav}", one.name), one.keep_out_m))
+            (uav, one, _Pair((f"uav{uav}", one.name), one.keep_out_m))
             for uav in scenario.uav_ids
             for one in scenario.obstacles
         ]
@@ -90,8 +91,8 @@ class Separations:
         periods = np.diff(times, append=times[-1])
         for (a, b), pair in self._pairs.items():
             pair.add(times, periods, lengths(positions[a] - positions[b]))
-        for uav, place, pair in self._obstacles:
-            pair.add(times, periods, lengths(positions[uav] - place))
+        for uav, obstacle, pair in self._obstacles:
+            pair.add(times, periods, obstacle.distances(positions[uav], times))
 
     def found(self) -> list[Separation]:
         """All pairs, the smallest margin first."""

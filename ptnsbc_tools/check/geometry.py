@@ -144,7 +144,8 @@ def starts_clear(scenario: Scenario) -> Findings:
     """Starts against the keep-out distances of obstacles."""
     for index, uav in enumerate(scenario.uav_ids):
         for obstacle in scenario.obstacles:
-            distance = float(np.linalg.norm(scenario.uav(uav).position - obstacle.position))
+            start = scenario.uav(uav).position[None]
+            distance = float(obstacle.distances(start, np.zeros(1))[0])
             if distance < obstacle.keep_out_m:
                 yield Finding(
                     ERROR,
@@ -172,7 +173,7 @@ def encounters(scenario: Scenario) -> Findings:
     for obstacle in scenario.obstacles:
         for uav in scenario.uav_ids:
             beside = places_beside_leader(scenario, uav, times)
-            distance = np.linalg.norm(path + beside - obstacle.position, axis=1)
+            distance = obstacle.distances(path + beside, times)
             closest = int(np.argmin(distance))
             if distance[closest] >= obstacle.keep_out_m:
                 continue

@@ -12,6 +12,7 @@ from ptnsbc_tools.plotting.chart import COLOURS, look
 
 _WORLD = "map"
 _UAV_M = 0.4
+_WITHOUT_END_M = 100.0  # of planes and endless cylinders
 _KEEP_OUT = (0.5, 0.5, 0.5, 0.35)  # red, green, blue, opacity
 
 
@@ -75,7 +76,8 @@ class FoxgloveSink:
         ]
         self._frames.log(kinds.FrameTransforms(transforms=turns))
         entities = [self._uav(uav) for uav in flying]
-        self._scene.log(kinds.SceneUpdate(entities=[*entities, self._obstacles()]))
+        since_s = max(float(frame.get("t") or 0.0), 0.0)
+        self._scene.log(kinds.SceneUpdate(entities=[*entities, self._obstacles(since_s)]))
 
     def _sphere(self, place: Any, diameter: float, colour: tuple[float, ...]) -> Any:
         kinds = self._kinds
@@ -98,9 +100,30 @@ class FoxgloveSink:
             spheres=[self._sphere(uav["pose"][:3], _UAV_M, colour)],
         )
 
-    def _obstacles(self) -> Any:
-        spheres = [
-            self._sphere(one.position, 2.0 * one.keep_out_m, _KEEP_OUT)
-            for one in self._scenario.obstacles
-        ]
-        return self._kinds.SceneEntity(frame_id=_WORLD, id="obstacles", spheres=spheres)
+    def _obstacles(self, since_s: float) -> Any:
+        kinds, found = self._kinds, self._scenario.obstacles
+        places = self._scenario.obstacle_positions(since_s)
+        spheres, cubes, cylinders = [], [], []
+        for one, place in zip(found, places, strict=True):
+            drawn = one.drawn(_WITHOUT_END_M)
+            if one.kind == "sphere":
+                spheres.append(self._sphere(place, 2.0 * one.keep_out_m, _KEEP_OUT))
+                continue
+            centre = drawn.centre - one.position + place
+            keys = {
+                "pose": kinds.Pose(
+                    position=kinds.Vector3(**dict(zip("xyz", map(float, centre), strict=True))),
+                    orientation=kinds.Quaternion(
+                        **dict(zip("xyzw", drawn.quaternion, strict=True))
+                    ),
+                ),
+                "size": kinds.Vector3(**dict(zip("xyz", map(float, drawn.size), strict=True))),
+                "color": kinds.Color(**dict(zip("rgba", _KEEP_OUT, strict=True))),
+            }
+            if one.kind == "cylinder":
+                cylinders.append(kinds.CylinderPrimitive(bottom_scale=1.0, top_scale=1.0, **keys))
+            else:
+                cubes.append(kinds.CubePrimitive(**keys))
+        return kinds.SceneEntity(
+            frame_id=_WORLD, id="obstacles", spheres=spheres, cubes=cubes, cylinders=cylinders
+        )

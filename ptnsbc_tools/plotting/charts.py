@@ -164,11 +164,13 @@ def between(flight: FlightView) -> Chart | None:
 
 
 def obstacles(flight: FlightView) -> Chart | None:
-    """Distances of all UAVs from the centres of all obstacles."""
+    """Distances of all UAVs from all obstacles: from the centres of spheres, from the surfaces of all others."""
     known, found = flight.scenario.obstacles, ThinnedCurves[tuple[int, int]](flight.samples)
+    recording = flight.recording
+    later_s = (recording.start_ns - recording.first_ns) * NANO  # t counts from the judged leg
     for t, places in _positions(flight):
         for uav, (number, one) in product(flight.uavs, enumerate(known)):
-            found.add((uav, number), t, np.linalg.norm(places[uav] - one.position, axis=1))
+            found.add((uav, number), t, one.distances(places[uav], t + later_s))
     curves = []
     for (uav, number), points in found.points().items():
         style = Look(_look_of(flight, uav).colour, number % len(DASHES))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import combinations, product
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.types import Array
+from ptnsbc_sim.scenario import Obstacle
 from ptnsbc_sim.verdict.recording import Recording, tolerance_of
 from ptnsbc_tools.files import replacing
 from ptnsbc_tools.plotting.chart import COLOURS, DASHES, GOOD, OBSTACLE, Chart, Look, look
@@ -24,6 +26,8 @@ _DPI = 110
 _CURVE_POINTS = 6000  # more than the page has pixels, and small enough for an SVG
 _PATH_POINTS = 4000
 _MOST_IN_LEGEND = 12
+_LONGEST_M = 20.0  # half of a cylinder without end
+_UPRIGHT = 0.7  # vertical part of the normal below which a surface is drawn from above
 _PAPER = {"boxstyle": "square,pad=0.1", "facecolor": "white", "edgecolor": "none", "alpha": 0.8}
 
 
@@ -106,8 +110,6 @@ def draw_paths(axes: Any, recording: Recording) -> None:
 
 
 def _from_above(axes: Any, recording: Recording, positions: dict[int, Array]) -> None:
-    from matplotlib.patches import Circle
-
     for index, (uav, path) in enumerate(positions.items()):
         style = _style(look(index))
         leader = " (leader)" if uav == recording.flown.leader_id else ""
@@ -115,23 +117,74 @@ def _from_above(axes: Any, recording: Recording, positions: dict[int, Array]) ->
         axes.plot(*path[0, :2], marker="o", color=style["color"], markersize=4)
         axes.plot(*path[-1, :2], marker="s", color=style["color"], markersize=5)
     for obstacle in recording.scenario.obstacles:
-        centre = tuple(obstacle.position[:2])
-        axes.add_patch(Circle(centre, obstacle.keep_out_m, color=OBSTACLE, alpha=0.35))
-        axes.annotate(obstacle.name, centre, ha="center", va="center", fontsize=8)
+        _obstacle_from_above(axes, obstacle)
+    for obstacle in recording.scenario.obstacles:
+        if obstacle.path is not None:
+            times = np.linspace(0.0, recording.scenario.duration_s, _PATH_POINTS)
+            way = obstacle.motion(times).positions
+            axes.plot(way[:, 0], way[:, 1], color=OBSTACLE, linewidth=1.0, linestyle=":")
     axes.set(xlabel="x (east) [m]", ylabel="y (north) [m]", aspect="equal")
     axes.set_title("From above; ○ start, □ end, grey: keep-out", fontsize=9)
     axes.grid(alpha=0.3)
     axes.legend(fontsize=7, loc="upper right")
 
 
+def _obstacle_from_above(axes: Any, obstacle: Obstacle) -> None:
+    """A sphere's keep-out, the outline of another body, the line of an upright surface; nothing of a level one."""
+    from matplotlib.patches import Circle, Polygon
+
+    centre = tuple(obstacle.position[:2])
+    look: dict[str, Any] = {"color": OBSTACLE, "alpha": 0.35}
+    if obstacle.kind == "sphere":
+        axes.add_patch(Circle(centre, obstacle.keep_out_m, **look))
+    elif obstacle.kind == "cylinder":
+        axes.add_patch(Circle(centre, obstacle.size[0], **look))
+    elif obstacle.kind == "box":
+        from scipy.spatial import ConvexHull
+
+        corners = _corners(obstacle)[:, :2]
+        axes.add_patch(Polygon(corners[ConvexHull(corners).vertices], **look))
+    elif np.abs(obstacle.axes[2, 2]) < _UPRIGHT:
+        along = np.array([-obstacle.axes[1, 2], obstacle.axes[0, 2]])
+        axes.axline(centre, tuple(np.array(centre) + along), color=OBSTACLE, linewidth=2.0)
+    else:
+        return
+    axes.annotate(obstacle.name, centre, ha="center", va="center", fontsize=8)
+
+
+def _corners(obstacle: Obstacle) -> Array:
+    """Corners (8, 3) [m] of a box."""
+    signs = np.array(list(product((-1.0, 1.0), repeat=3)))
+    return np.asarray(obstacle.position + (signs * obstacle.size) @ obstacle.axes.T)
+
+
+def _surface(obstacle: Obstacle) -> Array | None:
+    """Points (3, U, V) [m] of the surface that is drawn in space; None for surfaces without end."""
+    turn, rise = np.meshgrid(np.linspace(0, 2 * np.pi, 25), np.linspace(0, np.pi, 13))
+    if obstacle.kind == "sphere":
+        ball = np.stack([np.cos(turn) * np.sin(rise), np.sin(turn) * np.sin(rise), np.cos(rise)])
+        return np.asarray(obstacle.position[:, None, None] + obstacle.keep_out_m * ball)
+    if obstacle.kind == "cylinder":
+        half = min(float(obstacle.size[1]), _LONGEST_M)
+        tube = np.stack(
+            [obstacle.size[0] * np.cos(turn), obstacle.size[0] * np.sin(turn), half * np.cos(rise)]
+        )
+        return np.asarray(obstacle.position[:, None, None] + tube)
+    return None
+
+
 def _in_space(axes: Any, recording: Recording, positions: dict[int, Array]) -> None:
     for index, path in enumerate(positions.values()):
         axes.plot(path[:, 0], path[:, 1], path[:, 2], linewidth=1.3, **_style(look(index)))
-    turn, rise = np.meshgrid(np.linspace(0, 2 * np.pi, 25), np.linspace(0, np.pi, 13))
-    ball = np.stack([np.cos(turn) * np.sin(rise), np.sin(turn) * np.sin(rise), np.cos(rise)])
     for obstacle in recording.scenario.obstacles:
-        x, y, z = obstacle.position[:, None, None] + obstacle.keep_out_m * ball
-        axes.plot_surface(x, y, z, color=OBSTACLE, alpha=0.3, linewidth=0)
+        surface = _surface(obstacle)
+        if surface is not None:
+            axes.plot_surface(*surface, color=OBSTACLE, alpha=0.3, linewidth=0)
+        elif obstacle.kind == "box":
+            corners = _corners(obstacle)
+            for a, b in combinations(range(8), 2):
+                if (a ^ b).bit_count() == 1:  # an edge
+                    axes.plot(*corners[[a, b]].T, color=OBSTACLE, linewidth=1.0)
     axes.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]")
     limits = axes.get_xlim3d(), axes.get_ylim3d(), axes.get_zlim3d()
     axes.set_box_aspect([np.ptp(pair) for pair in limits])

@@ -46,6 +46,11 @@ class _MarkerWorld:
         """Odometry vector (13,) at the current tick."""
         return self._flight.track.odometry[self.tick, self._row[uav_id]]
 
+    def obstacle_positions(self) -> Array:
+        """Positions (O, 3) of all obstacles at the current tick."""
+        scenario = self._flight.scenario
+        return scenario.obstacle_positions((self.tick * scenario.dt_ns) * 1e-9)
+
 
 class _UavMessages:
     """The messages of one UAV and its sensors."""
@@ -88,7 +93,7 @@ class _StatusMessages:
         self._dt = scenario.dt_ns * 1e-9
         self._counters = [UavCounters() for _ in scenario.uav_ids]
         self._world = _MarkerWorld(flight)
-        # Only `ids` and `odometry` of a World are read.
+        # Only `ids`, `odometry` and `obstacle_positions` of a World are read.
         self._scene = Scene(scenario, self._world)  # type: ignore[arg-type]
 
     def at(self, tick: int, stamp_ns: int) -> Iterator[Message]:

@@ -31,6 +31,8 @@ _MOST_POSES = 40_000  # frames times UAVs; 28 bytes each
 _MOST_POINTS = 250_000  # of all curves of a page; 8 bytes each
 _CURVE_POINTS = 2000
 _PATH_POINTS = 400
+_WITHOUT_END_M = 100.0  # of planes and endless cylinders
+_OBSTACLE_HZ, _MOST_WAY_POINTS = 10, 4000  # of the way of an obstacle that moves
 
 
 class Pack:
@@ -123,16 +125,34 @@ def _space(flight: FlightView, pack: Pack) -> dict[str, Any]:
         "deadlines": [mark.t for mark in deadlines(flight)],
         "keepOut": scenario.uav_keep_out_m,
         "uavs": [_uav(flight, uav, stamps, pack) for uav in flight.uavs],
-        "obstacles": obstacles_of(scenario),
+        "obstacles": obstacles_of(
+            scenario, (flight.recording.start_ns - flight.recording.first_ns) * NANO
+        ),
     }
 
 
-def obstacles_of(scenario: Scenario) -> list[dict[str, Any]]:
-    """The obstacles as the page's script draws them."""
-    return [
-        {"name": one.name, "place": one.position.tolist(), "keepOut": float(one.keep_out_m)}
-        for one in scenario.obstacles
-    ]
+def obstacles_of(scenario: Scenario, begin_s: float = 0.0) -> list[dict[str, Any]]:
+    """The obstacles as the page's script draws them, at times from `begin_s` after the first epoch on."""
+    count = min(int(scenario.duration_s * _OBSTACLE_HZ) + 2, _MOST_WAY_POINTS)
+    times = np.linspace(0.0, scenario.duration_s, count)
+    found = []
+    for one in scenario.obstacles:
+        way = None
+        if one.path is not None:
+            places = np.round(one.motion(times).positions, 4).tolist()
+            way = {"t": np.round(times - begin_s, 4).tolist(), "places": places}
+        found.append(
+            {
+                "name": one.name,
+                "kind": "half_space" if one.kind == "ground" else one.kind,
+                "place": one.position.tolist(),
+                "way": way,
+                "keepOut": float(one.keep_out_m),
+                "half": (0.5 * one.drawn(_WITHOUT_END_M).size).tolist(),
+                "axes": one.axes.ravel().tolist(),
+            }
+        )
+    return found
 
 
 def _legs(flight: FlightView, t: Array) -> list[tuple[float, str]]:

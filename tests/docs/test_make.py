@@ -101,7 +101,7 @@ def test_rows_say_what_the_schema_says():
     found = {row.key: row for row in rows(model.ScenarioFile)}
     assert found["timing.control_hz"][1:5] == ("whole", "Hz", "> 0, ≤ 2000", REQUIRED)
     assert found["world.gust_m_s"][1:5] == ("vector", "m/s", "each ≥ 0", "[0, 0, 0]")
-    assert found["world.obstacles[].keep_out_m"][1:5] == ("number", "m", "> 0", REQUIRED)
+    assert found["world.obstacles[].keep_out_m"][1:5] == ("number", "m", "≥ 0", REQUIRED)
     assert found["formation.offsets_m"][1:5] == ("vector by id", "m", "", REQUIRED)
     assert found["formation.task"].range.startswith("`distance_angles`, ")
     assert found["mavlink.vehicles.N.sysid"][1:5] == ("whole", "", "1 to 254", "none")

@@ -2,11 +2,16 @@
 
 import numpy as np
 import pytest
+import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
 from ptnsbc_core.kinematics import quaternion_from_euler, velocity_enu
+from ptnsbc_core.tasks.signed_distance import TANGENT_RADIUS_M
+from ptnsbc_sim.plants.build import obstacle_rows
+from ptnsbc_sim.scenario import load_scenario, scenario_from_text
 from ptnsbc_sim.sensor import near_objects
+from ptnsbc_sim.swarm import fly
 
 KEEP_OUT, RANGE = 0.5, 4.0
 
@@ -19,7 +24,10 @@ def fleet_of(*positions) -> np.ndarray:
 
 
 def obstacles_of(*rows) -> np.ndarray:
-    return np.array(rows, dtype=float).reshape(-1, 7)
+    """Spheres as rows of bodies."""
+    out = np.zeros((len(rows), 20))
+    out[:, :7] = np.array(rows, dtype=float).reshape(-1, 7)
+    return out
 
 
 def test_who_is_seen() -> None:
@@ -34,15 +42,67 @@ def test_who_is_seen() -> None:
 
 
 def test_no_obstacles_and_nobody_else() -> None:
-    assert near_objects(0, fleet_of((0, 0, 0)), np.empty((0, 7)), KEEP_OUT, RANGE).shape == (0, 7)
+    assert near_objects(0, fleet_of((0, 0, 0)), obstacles_of(), KEEP_OUT, RANGE).shape == (0, 7)
 
 
 def test_velocity_of_another_uav_is_the_worlds() -> None:
     fleet = fleet_of((0, 0, 0), (1, 1, 1))
     fleet[1, 3:7] = quaternion_from_euler(np.array([0.0, 0.0, np.pi / 2]))
     fleet[1, 7] = 2.0  # forward, which is north
-    seen = near_objects(0, fleet, np.empty((0, 7)), KEEP_OUT, RANGE)
+    seen = near_objects(0, fleet, obstacles_of(), KEEP_OUT, RANGE)
     np.testing.assert_allclose(seen[0, 4:7], [0, 2, 0], atol=1e-6)
+
+
+@pytest.mark.parametrize(("away_m", "seen"), [(3.9, 1), (4.1, 0)])
+def test_a_body_is_seen_by_its_surface_as_a_sphere_that_touches_it(
+    away_m: float, seen: int
+) -> None:
+    keys = {"name": "wall", "kind": "box", "position_m": [10, 0, 0], "size_m": [2, 40, 40]}
+    changes = {"world.obstacles": [{**keys, "keep_out_m": 0.5}]}
+    bodies = obstacle_rows(load_scenario("paper_5", changes), np.zeros(1))[0]
+    rows = near_objects(0, fleet_of((9 - away_m, 2, 3)), bodies, KEEP_OUT, RANGE)
+    assert len(rows) == seen
+    for row in rows:
+        np.testing.assert_allclose(
+            row, [9 + TANGENT_RADIUS_M, 2, 3, TANGENT_RADIUS_M + 0.5, 0, 0, 0]
+        )
+
+
+_BODIES = {
+    "wall": {"kind": "half_space", "normal": [-1, 0, 0]},
+    "slope": {"kind": "half_space", "normal": [-1, 0, 2]},
+    "screen": {"kind": "plane", "normal": [1, 0.5, 0]},
+    "box": {"kind": "box", "size_m": [2, 1, 3], "rotation_rad": [0.3, 0.2, 0.7]},
+    "mast": {"kind": "cylinder", "radius_m": 0.4},
+    "disc": {"kind": "cylinder", "radius_m": 1.5, "height_m": 0.5},
+}
+
+
+@pytest.mark.parametrize("plant", ["quadrotor", "rigid_body_6dof"])
+@pytest.mark.parametrize("kind", _BODIES)
+@pytest.mark.parametrize(
+    "velocity", [(3, 0, -1), (1, 3, -0.5), (0.8, 0, -3), (1, 0, 3), (2, -2, -1)]
+)
+def test_no_body_is_touched_at_any_angle(kind: str, velocity: tuple, plant: str) -> None:
+    """A leader whose trajectory leads straight through it, along it, and up and down beside it."""
+    if kind == "slope" and np.dot(_BODIES[kind]["normal"], velocity) >= 0.0:
+        pytest.skip("leads away from it")
+    start = np.array([0.0, 0.0, 30.0]) - 3.0 * np.array(velocity)
+    body = {"name": "it", "keep_out_m": 0.4, "position_m": [0, 0, 30], **_BODIES[kind]}
+    path = {"kind": "line", "position_m": start.tolist(), "velocity_m_s": list(velocity)}
+    tree = yaml.safe_load(load_scenario("paper_5_free", {"plant.kind": plant}).text) | {
+        "communication": {"tree": {}, "leader_links": [], "estimator_edges": []},
+        "leader": {"id": 1, "trajectory": path},
+        "formation": {"task": "relative_position", "offsets_m": {}, "uav_keep_out_m": 0.5},
+        "uavs": [{"id": 1, "position_m": start.tolist()}],
+    }
+    tree["world"]["obstacles"], tree["timing"]["duration_s"] = [body], 7
+    scenario = scenario_from_text(yaml.safe_dump(tree))
+    flown = fly(scenario)
+    (found,) = scenario.obstacles
+    away = found.distances(flown.track.odometry[:, 0, :3], flown.t_ns * 1e-9)
+    assert away[0] > 0.8
+    assert away.min() >= found.keep_out_m
 
 
 @given(seed=st.integers(0, 2**31))
@@ -51,8 +111,8 @@ def test_numbers_are_those_of_a_point_cloud(seed: int) -> None:
     fleet = fleet_of(*rng.uniform(-2.0, 2.0, (4, 3)))
     fleet[:, 3:7] = [quaternion_from_euler(e) for e in rng.uniform(-1, 1, (4, 3))]
     fleet[:, 7:10] = rng.normal(size=(4, 3))
-    obstacles = np.hstack(
-        [rng.uniform(-2, 2, (2, 3)), rng.uniform(0.5, 2, (2, 1)), np.zeros((2, 3))]
+    obstacles = obstacles_of(
+        *np.hstack([rng.uniform(-2, 2, (2, 3)), rng.uniform(0.5, 2, (2, 1)), np.zeros((2, 3))])
     )
     seen = near_objects(1, fleet, obstacles, KEEP_OUT, 100.0)
     assert seen.shape == (5, 7)

@@ -11,6 +11,9 @@ from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_sim.scenario.build import leader_trajectory, places_beside_leader
 from ptnsbc_sim.swarm import HeadlessFlight, fly
 from ptnsbc_sim.track import HOLDING, PRIORITY_VIOLATION
+from ptnsbc_sim.verdict import verdict_on
+from ptnsbc_sim.verdict.deadline import MET
+from ptnsbc_sim.verdict.headless import recording_of
 
 PLANTS = ("quadrotor", "rigid_body_6dof")
 DEADLINE_S = 5.0
@@ -73,6 +76,7 @@ def test_twenty_pass_both_obstacles_and_stay_in_formation(
     [
         pytest.param("waypoints_5", 0.02, 0.7, id="more than a lap of a curve through points"),
         pytest.param("figure_eight", 0.02, 1.6, id="a V that turns with its leader"),
+        pytest.param("corridor", 0.05, 0.7, id="a V that narrows between two walls"),
         # Two UAVs that pass each other at 1.2 m between two shapes give way: within the tolerance of the scenario.
         pytest.param("show_20", 0.05, 0.7, id="five shapes in a minute", marks=pytest.mark.slow),
     ],
@@ -83,6 +87,19 @@ def test_every_uav_stays_in_its_place(name: str, most_m: float, apart_m: float, 
     first = round(DEADLINE_S * flown.scenario.control_hz)
     assert max(errors(flown, tick).max() for tick in range(first, len(flown.t_ns), 20)) < most_m
     assert separation(flown) >= apart_m >= flown.scenario.uav_keep_out_m
+
+
+@pytest.mark.parametrize("plant", PLANTS)
+@pytest.mark.parametrize("name", ["corridor", "moving_obstacles"])
+def test_bodies_are_kept_clear_of(name: str, plant: str) -> None:
+    """Every UAV is met and outside every keep-out at every instant, where each obstacle is then."""
+    flown = flight(name, plant, load_scenario(name).duration_s)
+    times = flown.t_ns * 1e-9
+    for obstacle in flown.scenario.obstacles:
+        for row in range(len(flown.scenario.uav_ids)):
+            places = flown.track.odometry[:, row, :3]
+            assert obstacle.distances(places, times).min() >= obstacle.keep_out_m
+    assert verdict_on(recording_of(flown)).verdict == MET
 
 
 def test_twenty_start_and_form_as_the_file_says() -> None:

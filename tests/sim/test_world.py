@@ -5,6 +5,7 @@ import pytest
 
 from ptnsbc_core.kinematics import velocity_enu
 from ptnsbc_sim.scenario import load_scenario
+from ptnsbc_sim.swarm import fly
 from ptnsbc_sim.world import World
 
 PLANTS = ("quadrotor", "rigid_body_6dof")
@@ -53,3 +54,26 @@ def test_near_objects_are_those_of_now() -> None:
     # UAV 1, 3, 4, 5 within 4 m, the obstacles not
     np.testing.assert_allclose(seen[:, :3], [[0, 1, 1], [-1, 0, 1], [1, 0, 1], [2, -1, 1]])
     np.testing.assert_allclose(seen[:, 3], 0.5)
+
+
+@pytest.mark.parametrize("name", ["corridor", "moving_obstacles"])
+def test_bodies_are_seen_as_in_the_headless_flight_to_the_last_bit(name: str) -> None:
+    scenario = load_scenario(name, {"timing.duration_s": 8.0})
+    flown, world = fly(scenario), World(scenario)
+    seen = 0
+    for tick in range(scenario.ticks):
+        if tick % scenario.near_every == 0:
+            for row, uav in enumerate(world.ids):
+                near = world.near(uav)
+                np.testing.assert_array_equal(near, flown.near(tick, row))
+                seen += int((near[:, 3] > 10.0).sum())
+        world.step({uav: flown.track.wrench[tick, row] for row, uav in enumerate(world.ids)})
+    assert seen > 0
+
+
+def test_in_real_time_obstacles_are_where_they_are_since_the_epoch() -> None:
+    world = World(load_scenario("moving_obstacles"))
+    world.mission_s = -1.0
+    np.testing.assert_allclose(world.obstacle_positions()[0], [14, -3, 8])
+    world.mission_s = 2.0
+    np.testing.assert_allclose(world.obstacle_positions()[0], [13, -3, 8])

@@ -82,6 +82,15 @@ class Motion {
     return [places[a], places[a + 1], places[a + 2]];
   }
 
+  /** Where an obstacle is. */
+  obstacle(one, now) {
+    if (!one.way) return one.place;
+    const { t, places } = one.way;
+    const k = Math.min(indexAt(t, now), t.length - 2);
+    const part = Math.min(Math.max((now - t[k]) / (t[k + 1] - t[k]), 0), 1);
+    return places[k].map((from, i) => from + part * (places[k + 1][i] - from));
+  }
+
   speed(uav, now) {
     const { t } = this.space;
     const k = Math.min(indexAt(t, now), t.length - 2);
@@ -89,6 +98,19 @@ class Motion {
     const b = this.place(k + 1, uav);
     return Math.hypot(b[0] - a[0], b[1] - a[1], b[2] - a[2]) / (t[k + 1] - t[k]);
   }
+}
+
+/** Distance of a place from an obstacle at `centre`: from the centre of a sphere, from the surface of all others. */
+function distanceTo(one, centre, place) {
+  const away = [0, 1, 2].map((i) => place[i] - centre[i]);
+  if (one.kind === "sphere") return Math.hypot(...away);
+  const local = [0, 1, 2].map((i) => one.axes[i] * away[0] + one.axes[3 + i] * away[1] + one.axes[6 + i] * away[2]);
+  if (one.kind === "half_space") return local[2];
+  if (one.kind === "plane") return Math.abs(local[2]);
+  const beyond = one.kind === "cylinder"
+    ? [Math.hypot(local[0], local[1]) - one.half[0], Math.abs(local[2]) - one.half[2]]
+    : local.map((x, i) => Math.abs(x) - one.half[i]);
+  return Math.hypot(...beyond.map((x) => Math.max(x, 0))) + Math.min(Math.max(...beyond), 0);
 }
 
 const inside = (spans, now) => spans.some(([begin, end]) => begin <= now && now <= end);

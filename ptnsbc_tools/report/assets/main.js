@@ -191,7 +191,7 @@ class Live {
     const { motion } = this.page;
     const poses = this.rows.map(({ index }) => motion.pose(index, now));
     for (const { uav, index, row, curve, cells } of this.rows) {
-      const near = this.nearest(poses, index);
+      const near = this.nearest(poses, index, now);
       const text = [
         curve && now >= curve.t[0] ? this.error(valueAt(curve, now)) : "–",
         poses[index][2].toFixed(2), motion.speed(index, now).toFixed(2),
@@ -208,13 +208,17 @@ class Live {
   }
 
   /** What leaves the least room. */
-  nearest(poses, index) {
+  nearest(poses, index, now) {
     const { uavs, obstacles, keepOut } = this.page.data.space;
     const own = poses[index];
     const gap = (place) => Math.hypot(own[0] - place[0], own[1] - place[1], own[2] - place[2]);
     const found = [
       ...uavs.map((uav, k) => ({ name: `·${uav.id}`, distance: gap(poses[k]), limit: keepOut, self: k === index })),
-      ...obstacles.map((one) => ({ name: `·${one.name}`, distance: gap(one.place), limit: one.keepOut })),
+      ...obstacles.map((one) => ({
+        name: `·${one.name}`,
+        distance: distanceTo(one, this.page.motion.obstacle(one, now), own),
+        limit: one.keepOut,
+      })),
     ].filter((one) => !one.self && Number.isFinite(one.distance));
     for (const one of found) one.room = one.distance - one.limit;
     return found.reduce((best, one) => (!best || one.room < best.room ? one : best), null);

@@ -39,7 +39,11 @@ class Scene {
     for (let k = 0; k < t.length; k++) {
       for (let i = 0; i < this.motion.count; i++) take(this.motion.place(k, i));
     }
-    for (const one of obstacles) take(one.place, one.keepOut);
+    for (const one of obstacles) {
+      if (one.kind === "sphere") take(one.place, one.keepOut);
+      else if (one.kind === "box") for (const face of this.faces(one, one.place)) face.forEach((point) => take(point));
+      else if (one.kind === "cylinder") take(one.place, one.half[0]);
+    }
     for (const one of this.space.bounds || []) take(one); // of a flight that goes on
     for (let i = 0; i < 3; i++) if (!Number.isFinite(low[i])) [low[i], high[i]] = [-1, 1];
     this.floor = low[2] >= -0.5 && low[2] < 30 ? 0 : Math.floor(low[2]);
@@ -161,9 +165,14 @@ class Scene {
   addObstacles(items) {
     const { pen, camera } = this;
     for (const one of this.space.obstacles) {
-      const [x, y, depth, scale] = camera.project(one.place);
+      const place = this.motion.obstacle(one, this.now);
+      if (one.kind !== "sphere") {
+        this.addBody(items, one, place);
+        continue;
+      }
+      const [x, y, depth, scale] = camera.project(place);
       if (depth < NEAR) continue;
-      const below = [one.place[0], one.place[1], this.floor];
+      const below = [place[0], place[1], this.floor];
       items.push({ depth: 1e6, draw: () => this.shadow(below, one.keepOut, 0.1) });
       items.push({ depth, draw: () => {
         const radius = one.keepOut * scale;
@@ -172,14 +181,14 @@ class Scene {
         ball.addColorStop(1, "rgba(110, 120, 135, 0.62)");
         pen.fillStyle = ball;
         pen.beginPath();
-        this.outline(one.place, one.keepOut);
+        this.outline(place, one.keepOut);
         pen.fill();
         pen.strokeStyle = this.colour("--soft");
         pen.lineWidth = 1.2;
         pen.setLineDash([5, 4]);
         pen.stroke();
         pen.beginPath();
-        this.ring(one.place, one.keepOut);
+        this.ring(place, one.keepOut);
         pen.globalAlpha = 0.5;
         pen.stroke();
         pen.globalAlpha = 1;
@@ -191,6 +200,67 @@ class Scene {
         pen.fillText(one.name, x, y);
       } });
     }
+  }
+
+  /** The faces of a body that is no sphere, each a ring of points; of a surface without end as much as the floor has. */
+  faces(one, centre) {
+    const [a, b, c] = one.half;
+    const at = (x, y, z) => [0, 1, 2].map(
+      (i) => centre[i] + one.axes[3 * i] * x + one.axes[3 * i + 1] * y + one.axes[3 * i + 2] * z);
+    if (one.kind === "box") {
+      const side = (axis, sign) => [[1, 1], [1, -1], [-1, -1], [-1, 1]].map(([u, v]) => {
+        const corner = [0, 0, 0];
+        [corner[axis], corner[(axis + 1) % 3], corner[(axis + 2) % 3]] = [sign, u, v];
+        return at(corner[0] * a, corner[1] * b, corner[2] * c);
+      });
+      return [0, 1, 2].flatMap((axis) => [side(axis, 1), side(axis, -1)]);
+    }
+    if (one.kind === "cylinder") {
+      const [low, high] = [Math.max(-c, -40), Math.min(c, 40)];
+      const rim = RING.filter((_, k) => k % 2 === 0);
+      const caps = [low, high].map((z) => rim.map(([u, v]) => at(a * u, a * v, z)));
+      const wall = rim.slice(1).map(([u, v], k) => [
+        at(a * rim[k][0], a * rim[k][1], low), at(a * u, a * v, low),
+        at(a * u, a * v, high), at(a * rim[k][0], a * rim[k][1], high)]);
+      return [...caps, ...wall];
+    }
+    const [x0, y0, x1, y1] = this.ground;
+    const middle = [(x0 + x1) / 2, (y0 + y1) / 2, centre[2]];
+    const off = [0, 1, 2].reduce((sum, i) => sum + one.axes[3 * i + 2] * (middle[i] - centre[i]), 0);
+    const foot = middle.map((x, i) => x - off * one.axes[3 * i + 2]);
+    const reach = Math.max(x1 - x0, y1 - y0) / 2;
+    return [[[1, 1], [1, -1], [-1, -1], [-1, 1]].map(([u, v]) => [0, 1, 2].map(
+      (i) => foot[i] + reach * (u * one.axes[3 * i] + v * one.axes[3 * i + 1])))];
+  }
+
+  addBody(items, one, place) {
+    const { pen, camera } = this;
+    for (const face of this.faces(one, place)) {
+      const seen = face.map((point) => camera.project(point));
+      if (seen.some((point) => !(point[2] > NEAR))) continue;
+      const depth = seen.reduce((sum, point) => sum + point[2], 0) / seen.length;
+      items.push({ depth, draw: () => {
+        pen.beginPath();
+        seen.forEach(([x, y], k) => (k ? pen.lineTo(x, y) : pen.moveTo(x, y)));
+        pen.closePath();
+        pen.fillStyle = "rgba(130, 140, 155, 0.28)";
+        pen.fill();
+        pen.strokeStyle = this.colour("--soft");
+        pen.lineWidth = 0.7;
+        pen.globalAlpha = 0.5;
+        pen.stroke();
+        pen.globalAlpha = 1;
+      } });
+    }
+    const [x, y, depth] = camera.project(place);
+    if (depth < NEAR || one.kind === "half_space" || one.kind === "plane") return;
+    items.push({ depth: NEAR, draw: () => {
+      pen.fillStyle = this.colour("--ink");
+      pen.font = "600 12px system-ui, sans-serif";
+      pen.textAlign = "center";
+      pen.textBaseline = "middle";
+      pen.fillText(one.name, x, y);
+    } });
   }
 
   /** The edge of a ball as the eye sees it: the circle in which rays from the eye touch it. */

@@ -6,7 +6,7 @@ import pytest
 pytest.importorskip("rclpy")
 
 from rclpy.serialization import deserialize_message
-from visualization_msgs.msg import MarkerArray
+from visualization_msgs.msg import Marker, MarkerArray
 
 from ptnsbc_io import wire
 from ptnsbc_nodes.comm import topics
@@ -44,3 +44,34 @@ def test_other_topics_and_broken_messages_draw_nothing():
     pictures = OdometryMarkers(load_scenario("experiment_4"))
     assert pictures.of("/uav1/setpoint/wrench", b"") is None
     assert pictures.of("/uav1/odom", b"\x00\x01") is None
+
+
+def test_bodies_have_their_form_and_those_that_move_their_place():
+    path = {"kind": "line", "position_m": [1, 2, 3], "velocity_m_s": [0.5, 0, 0]}
+    bodies = [
+        {"name": "box", "kind": "box", "keep_out_m": 0.5, "size_m": [1, 2, 3], "trajectory": path},
+        {
+            "name": "pole",
+            "kind": "cylinder",
+            "keep_out_m": 0.5,
+            "radius_m": 1,
+            "position_m": [4, 5, 6],
+        },
+        {"name": "ground", "kind": "ground", "keep_out_m": 0.5, "height_m": 0},
+    ]
+    scenario = load_scenario("experiment_4", {"world.obstacles": bodies})
+    pictures = OdometryMarkers(scenario)
+    pictures.of(topics.EPOCH.name, wire.HeaderTemplate("form").encode(10 * PERIOD_NS))
+
+    def drawn(tick: int) -> list:
+        found = [pictures.of(topics.odom(uav).name, told(uav, tick)) for uav in (4, 3, 2, 1)][-1]
+        markers = deserialize_message(found, MarkerArray).markers
+        return [marker for marker in markers if marker.ns == "obstacles"]
+
+    box, pole, ground = drawn(10)
+    assert [box.type, pole.type, ground.type] == [Marker.CUBE, Marker.CYLINDER, Marker.CUBE]
+    assert (box.scale.x, box.scale.y, box.scale.z) == (1.0, 2.0, 3.0)
+    assert (pole.pose.position.x, pole.scale.x) == (4.0, 2.0)
+    assert (box.pose.position.x, box.pose.position.y) == (1.0, 2.0)
+    later = drawn(60)[0]  # one second after the epoch
+    assert later.pose.position.x == pytest.approx(1.5)

@@ -1,0 +1,222 @@
+"""What the UAVs keep out of: its block in a scenario file, and the bodies that sensor, verdict and check share."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from functools import cached_property
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from ptnsbc_core.curves.trajectory import course_samples
+from ptnsbc_core.kinematics import rotation_from_euler
+from ptnsbc_core.tasks.signed_distance import (
+    AXES,
+    BODIES,
+    BODY_COLUMNS,
+    KEEP_OUT,
+    KIND,
+    SIZE,
+    VELOCITY,
+    signed_distances,
+)
+from ptnsbc_core.types import Array, Trajectory
+from ptnsbc_sim.scenario.fields import (
+    Block,
+    Name,
+    NotNegative,
+    Number,
+    Positive,
+    PositiveVec3,
+    Vec3,
+)
+from ptnsbc_sim.scenario.mission import trajectories
+from ptnsbc_sim.scenario.mission.trajectories import TrajectoryBlock, trajectory_of
+
+Kind = Literal["sphere", "box", "cylinder", "plane", "half_space", "ground"]
+
+_KEYS: dict[str, tuple[str, ...]] = {
+    "sphere": ("position_m", "trajectory"),
+    "box": ("position_m", "trajectory", "size_m", "rotation_rad"),
+    "cylinder": ("position_m", "trajectory", "radius_m", "height_m"),
+    "plane": ("position_m", "trajectory", "normal"),
+    "half_space": ("position_m", "trajectory", "normal"),
+    "ground": ("height_m",),
+}
+_NEEDED: dict[str, tuple[str, ...]] = {
+    "box": ("size_m",),
+    "cylinder": ("radius_m",),
+    "plane": ("normal",),
+    "half_space": ("normal",),
+    "ground": ("height_m",),
+}
+_EXPECTED = {
+    "size_m": "the length of three edges",
+    "radius_m": "a radius in m",
+    "normal": "a direction of three numbers",
+    "height_m": "the height of the ground in m",
+}
+_THIN_M = 0.02  # as thick as a surface is drawn
+_OWN = ("position_m", "trajectory", "size_m", "rotation_rad", "radius_m", "height_m", "normal")
+
+
+class ObstacleBlock(Block):
+    """Something to keep out of."""
+
+    name: Name
+    """Name, unique among the obstacles."""
+    kind: Kind = "sphere"
+    """Form of the body: `sphere`; `box`; `cylinder`, upright; `plane`, thin and without end; `half_space`, solid
+    behind a plane; `ground`, solid below a height."""
+    position_m: Vec3 | None = None
+    """Centre; of a plane and a half-space a point of the surface. Give this or `trajectory`."""
+    trajectory: TrajectoryBlock | None = None
+    """Trajectory of the position in place of `position_m`, with the keys of [leader.trajectory](#leader). The body does
+    not turn with it."""
+    keep_out_m: NotNegative
+    """*sphere* Radius of the sphere to stay out of. All others: least distance from the surface."""
+    size_m: PositiveVec3 | None = None
+    """*box* Length of the edges."""
+    rotation_rad: Vec3 = (0.0, 0.0, 0.0)
+    """*box* Roll, pitch and yaw."""
+    radius_m: Positive | None = None
+    """*cylinder* Radius."""
+    height_m: Number | None = None
+    """*cylinder* Height; default: without end. *ground* Height of the ground."""
+    normal: Vec3 | None = None
+    """*plane*, *half_space* Direction across the surface, of any length; out of the half-space."""
+
+
+def problems(block: ObstacleBlock) -> Iterator[str]:
+    """What is wrong with an obstacle, as `key: value: expectation` below it."""
+    yield from _wrong_keys(block)
+    if block.kind != "ground" and (block.position_m is None) == (block.trajectory is None):
+        what = "missing" if block.position_m is None else "given beside trajectory"
+        yield f"position_m: {what}: expected either position_m or trajectory"
+    if block.kind == "sphere" and block.keep_out_m == 0.0:
+        yield "keep_out_m: 0: expected > 0"
+    if block.kind == "cylinder" and block.height_m is not None and block.height_m <= 0.0:
+        yield f"height_m: {block.height_m:g}: expected > 0"
+    if block.normal is not None and not 1e-6 < math.hypot(*block.normal) < 1e6:
+        yield "normal: expected a direction, of a length from 1e-6 to 1e6"
+    if block.trajectory is not None:
+        for problem in trajectories.problems(block.trajectory):
+            yield f"trajectory.{problem}"
+
+
+def _wrong_keys(block: ObstacleBlock) -> Iterator[str]:
+    for key in _OWN:
+        given = key in block.model_fields_set and getattr(block, key) is not None
+        if given and key not in _KEYS[block.kind]:
+            yield f"{key}: not a key of kind {block.kind}: expected {', '.join(_KEYS[block.kind])}"
+    for key in _NEEDED.get(block.kind, ()):
+        if getattr(block, key) is None:
+            yield f"{key}: missing: expected {_EXPECTED[key]}"
+
+
+class Motion(NamedTuple):
+    """Where an obstacle is at some times, and how fast."""
+
+    positions: Array  # (T, 3) [m], ENU
+    velocities: Array  # (T, 3) [m/s], ENU
+
+
+class Drawing(NamedTuple):
+    """An obstacle as a ball, a box or an upright cylinder at the epoch."""
+
+    size: Array  # (3,) [m] along the axes of the body
+    centre: Array  # (3,) [m], ENU
+    quaternion: tuple[float, float, float, float]  # x y z w, from the axes of the body to the world
+
+
+class Obstacle:
+    """Something to keep out of.
+
+    Distances and `keep_out_m` are those of a sphere from its centre, of all other bodies from the surface.
+    """
+
+    def __init__(self, block: ObstacleBlock) -> None:
+        self.name = block.name
+        self.kind: str = block.kind
+        self.keep_out_m = block.keep_out_m
+        self._block = block
+
+    @cached_property
+    def path(self) -> Trajectory | None:
+        """The trajectory of one that moves."""
+        block = self._block.trajectory
+        return None if block is None else trajectory_of(block)
+
+    @cached_property
+    def position(self) -> Array:
+        """Position (3,) [m], ENU, at the epoch."""
+        return self.motion(np.zeros(1)).positions[0]
+
+    @cached_property
+    def size(self) -> Array:
+        """Size (3,) [m] as in a row of a body: half edges, or radius and half height."""
+        block = self._block
+        if block.size_m is not None:
+            return 0.5 * np.array(block.size_m)
+        if block.radius_m is not None:
+            height = math.inf if block.height_m is None else block.height_m
+            return np.array([block.radius_m, 0.5 * height, 0.0])
+        return np.zeros(3)
+
+    @cached_property
+    def axes(self) -> Array:
+        """Rotation matrix (3, 3) from the axes of the body to the world; its third column is a surface's normal."""
+        block = self._block
+        if block.kind == "box":
+            return rotation_from_euler(np.array(block.rotation_rad, dtype=np.float64))
+        if block.normal is None:
+            return np.eye(3)
+        normal = np.array(block.normal) / math.hypot(*block.normal)
+        beside = np.cross(np.eye(3)[int(np.argmin(np.abs(normal)))], normal)
+        beside /= np.linalg.norm(beside)
+        return np.stack([beside, np.cross(normal, beside), normal], axis=1)
+
+    def drawn(self, without_end_m: float) -> Drawing:
+        """As a ball, box or cylinder to draw: of a sphere its keep-out, of all others the body."""
+        from scipy.spatial.transform import Rotation  # late: half a second
+
+        size, centre = 2.0 * self.size, self.position
+        if self.kind == "sphere":
+            size = np.full(3, 2.0 * self.keep_out_m)
+        elif self.kind == "cylinder":
+            size = np.array([size[0], size[0], min(size[1], without_end_m)])
+        elif self.kind != "box":
+            size = np.array([without_end_m, without_end_m, _THIN_M])
+            centre = centre if self.kind == "plane" else centre - 0.5 * _THIN_M * self.axes[:, 2]
+        x, y, z, w = Rotation.from_matrix(self.axes).as_quat()
+        return Drawing(size, centre, (float(x), float(y), float(z), float(w)))
+
+    def motion(self, times: Array) -> Motion:
+        """Positions and velocities at times (T,) [s] since the first epoch; before it the obstacle stands still."""
+        block, still = self._block, np.zeros((len(times), 3))
+        if self.path is None:
+            place = block.position_m if block.kind != "ground" else (0.0, 0.0, block.height_m)
+            return Motion(np.tile(np.array(place, dtype=np.float64), (len(times), 1)), still)
+        at = course_samples(self.path, np.maximum(times, 0.0))
+        velocities = np.where((times >= 0.0)[:, None], at[:, 3:6], 0.0)
+        return Motion(at[:, 0:3], velocities)
+
+    def rows(self, times: Array) -> Array:
+        """The body as rows (T, 20), see ptnsbc_core.tasks.signed_distance."""
+        found, at = np.zeros((len(times), BODY_COLUMNS)), self.motion(times)
+        found[:, 0:3], found[:, VELOCITY : VELOCITY + 3] = at
+        found[:, KEEP_OUT] = self.keep_out_m
+        found[:, KIND] = BODIES["half_space" if self.kind == "ground" else self.kind]
+        found[:, SIZE : SIZE + 3] = self.size
+        found[:, AXES : AXES + 9] = self.axes.ravel()
+        return found
+
+    def distances(self, places: Array, times: Array) -> Array:
+        """Distances (T,) [m] of places (T, 3) at times (T,) [s] since the first epoch."""
+        if self.path is None:
+            return signed_distances(np.ascontiguousarray(places), self.rows(np.zeros(1))[0])
+        beside = places - self.motion(times).positions
+        row = self.rows(np.zeros(1))[0]
+        row[0:3] = 0.0
+        return signed_distances(np.ascontiguousarray(beside), row)
