@@ -8,10 +8,8 @@ never what a bag names.
 from __future__ import annotations
 
 import hashlib
-import importlib.util
 import math
 import sys
-import traceback
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import lru_cache
@@ -22,16 +20,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.kernel import COMPILED
 from ptnsbc_core.kinematics import velocity_enu
 from ptnsbc_core.types import Array, Vector3
 from ptnsbc_sim.scenario import Scenario
+from ptnsbc_sim.user_file import UserFileError, executed, place_of
 
 _REST: Vector3 = (0.0, 0.0, 0.0)
 
 
-class LawError(PtnsbcError):
+class LawError(UserFileError):
     """A law that cannot be loaded, or that does not give a velocity."""
 
 
@@ -78,27 +76,30 @@ class LoadedLaw:
         try:
             found = self.call(inputs)
         except Exception as error:
-            raise LawError(f"{self._place(error)}: {type(error).__name__}: {error}") from error
+            seen = self._interpreted(inputs) or error
+            raise LawError(
+                f"{place_of(self.function, seen)}: {type(error).__name__}: {error}"
+            ) from error
         try:
             x, y, z = (float(number) for number in found)
         except (TypeError, ValueError):
             raise LawError(
-                f"{self._place()}: returned {found!r}: expected a velocity of three numbers [m/s, ENU]"
+                f"{place_of(self.function)}: returned {found!r}: expected a velocity of three numbers [m/s, ENU]"
             ) from None
         if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(z)):
             raise LawError(
-                f"{self._place()}: returned ({x:g}, {y:g}, {z:g}) at t = {inputs.t:.3f} s: "
+                f"{place_of(self.function)}: returned ({x:g}, {y:g}, {z:g}) at t = {inputs.t:.3f} s: "
                 "expected finite numbers"
             )
         return x, y, z
 
-    def _place(self, error: BaseException | None = None) -> str:
-        """File, line and name: the line that raised the error, else that of the function."""
-        line = self.function.__code__.co_firstlineno
-        for frame in traceback.extract_tb(error.__traceback__) if error else ():
-            if frame.filename == str(self.file) and frame.lineno:
-                line = frame.lineno
-        return f"{self.file}:{line}: {self.name}"
+    def _interpreted(self, inputs: LawInputs) -> Exception | None:
+        """The error that the law raises when it is interpreted: a compiled one does not know its line."""
+        try:
+            self.function(inputs)
+        except Exception as error:
+            return error
+        return None
 
 
 @lru_cache(maxsize=16)
@@ -113,36 +114,14 @@ def load_law(named: str) -> LoadedLaw:
     """
     path, _, name = named.rpartition(":")
     file = Path(path).expanduser().absolute()
-    function = _executed(file).get(name)
+    try:
+        function = executed(file, "a law").get(name)
+    except UserFileError as error:
+        raise LawError(str(error)) from error
     if not isinstance(function, FunctionType):
         what = "no such name" if function is None else type(function).__name__
         raise LawError(f"{file}: {name}: {what}: expected a function of the inputs of a law")
     return LoadedLaw(file, name, function, _compiled(function, file))
-
-
-def _executed(file: Path) -> dict[str, Any]:
-    """The names of a file that has been executed as a module of its own."""
-    try:
-        text = file.read_bytes()
-    except OSError as error:
-        raise LawError(f"{file}: {error.strerror}: expected the Python file of a law") from None
-    module_name = f"ptnsbc_law_{hashlib.sha256(str(file).encode() + text).hexdigest()[:12]}"
-    spec = importlib.util.spec_from_file_location(module_name, file)
-    if spec is None or spec.loader is None:
-        raise LawError(f"{file}: expected the Python file of a law, whose name ends in .py")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[module_name] = module  # where the compiled law looks for its names
-    try:
-        spec.loader.exec_module(module)
-    except SyntaxError as error:
-        raise LawError(f"{file}:{error.lineno}: {error.msg}") from None
-    except Exception as error:
-        lines = [
-            f.lineno for f in traceback.extract_tb(error.__traceback__) if f.filename == str(file)
-        ]
-        place = f"{file}:{lines[-1]}" if lines else str(file)
-        raise LawError(f"{place}: {type(error).__name__}: {error}") from error
-    return vars(module)
 
 
 def _compiled(function: FunctionType, file: Path) -> Callable[[LawInputs], Any]:

@@ -17,6 +17,7 @@ from ptnsbc_nodes.runtime.environment import REPORT
 from ptnsbc_nodes.runtime.signals import signals_blocked
 
 _TAIL_LINES = 12
+_USER_ERROR = 2  # the exit code of a process that ended with a message to the user
 # As `python -m`, but without the current folder on the path: a yaml.py that lies there is not imported.
 # (`python -P` does the same, from Python 3.11 on.)
 _RUN_MODULE = (
@@ -130,8 +131,12 @@ class ChildProcess:
         return self.log.read_text(errors="replace").splitlines()
 
     def tail(self) -> str:
-        """The last lines of the log, indented."""
+        """The last lines of the log, indented; of an error of the user the error alone, without its traceback."""
         lines = self.log_lines()[-_TAIL_LINES:]
+        if self.exit_code == _USER_ERROR:
+            prefix = f"{EXECUTABLES.get(self.command.module, self.name)}: "
+            said = [at for at, line in enumerate(lines) if line.startswith(prefix)]
+            lines = lines[said[-1] :] if said else lines
         return "\n".join(f"    {line}" for line in lines) or "    (its log is empty)"
 
     def exit_summary(self) -> str:

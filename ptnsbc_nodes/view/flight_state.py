@@ -15,9 +15,10 @@ from ptnsbc_io.wire import Diagnostics, DiagnosticStatus, HeaderFields, Stamped
 from ptnsbc_nodes.comm.announcements import LostProcess
 from ptnsbc_nodes.comm.legs import Epochs, Leg
 from ptnsbc_nodes.comm.slots import DecidedSlots, Decision
-from ptnsbc_sim.scenario import Scenario
+from ptnsbc_sim.scenario import Scenario, available, load_scenario, scenario_from_text
 from ptnsbc_sim.scenario.build import leader_trajectory, places_beside_leader
 from ptnsbc_sim.scenario.mission.shapes import moves
+from ptnsbc_sim.scenario.reader import find, read_text
 from ptnsbc_sim.scenario.slots import with_slots
 
 SILENT_S = 2.0
@@ -244,10 +245,9 @@ def scenario_of(text: str, name: str) -> Scenario:
     Raises:
         PtnsbcError: both are empty, or no scenario.
     """
-    from ptnsbc_sim.scenario import load_scenario, scenario_from_text
-
-    if text:
-        return scenario_from_text(text)
-    if not name:
+    if name in available():
+        return load_scenario(name)
+    if not text and not name:
         raise PtnsbcError("the UAV names no scenario: expected one: ptnsbc view SCENARIO")
-    return load_scenario(name)
+    # It comes over the network: it names no other file, and nothing of it is executed.
+    return scenario_from_text(text or read_text(find(name)), source=name or "uav", complete=True)

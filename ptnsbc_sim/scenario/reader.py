@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import yaml
 
+from ptnsbc_sim.scenario.functions import with_trajectory
 from ptnsbc_sim.scenario.problems import ScenarioError, shown, similar
 
 Tree = dict[Any, Any]
@@ -254,7 +255,7 @@ def without_folder(tree: Tree) -> Tree:
 
 def extended(tree: Tree, source: str, folder: Path, depth: int = 0) -> Tree:
     """`tree` with what it extends, and files that it names, filled in."""
-    tree = with_table(tree, source, folder)
+    tree = with_trajectory(with_table(tree, source, folder), source, folder)
     if "extends" not in tree:
         return tree
     own = {key: value for key, value in tree.items() if key != "extends"}

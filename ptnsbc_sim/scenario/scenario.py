@@ -13,7 +13,7 @@ from pydantic import ValidationError
 
 from ptnsbc_core.topology import Topology
 from ptnsbc_core.types import Array
-from ptnsbc_sim.scenario import reader
+from ptnsbc_sim.scenario import functions, reader
 from ptnsbc_sim.scenario.deadline import AUTO, auto_deadline
 from ptnsbc_sim.scenario.defaults import gain_defaults
 from ptnsbc_sim.scenario.fields import Wave
@@ -330,7 +330,7 @@ def scenario_from_text(
         text: YAML.
         overrides: Values by dotted key.
         source: Where it comes from, for messages.
-        folder: Where files that it extends are searched first.
+        folder: Where files that it extends are searched first. Without it the text names no code to execute.
         complete: The text comes from outside, such as from a bag: it must not name files to read.
     """
     tree = reader.parse(text, source)
@@ -342,6 +342,8 @@ def scenario_from_text(
         raise ScenarioError(
             f"{source}: leader.trajectory.file: not here: expected samples, no other file"
         )
+    if complete or folder is None:
+        functions.refuse_functions(tree, source)
     given = {key: value for key, value in (overrides or {}).items() if value is not None}
     final = reader.extended(tree, source, folder or Path.cwd())
     if complete:
@@ -350,11 +352,14 @@ def scenario_from_text(
         final = reader.with_law(final, folder)
     if given:
         final = reader.with_table(reader.overridden(final, given, source), source, Path.cwd())
+        functions.refuse_new_functions(final, given, source)
         final = reader.with_law(final, Path.cwd()) if "law" in given else final
+    final = functions.with_shape(final, source)
     if (
         given
         or "extends" in tree
         or reader.names_table(tree)
+        or functions.names_function(tree)
         or final.get("law") != tree.get("law")
     ):
         text = reader.dump(final)

@@ -123,6 +123,10 @@ def test_what_numba_cannot_compile_is_interpreted_with_a_word(
             r"mine\.py:2: law: ValueError: no way",
         ),
         (
+            ("def law(inputs):", "    a = 1.0 / (inputs.t - inputs.t)", "    return (a, a, a)"),
+            r"mine\.py:2: law: ZeroDivisionError",
+        ),
+        (
             ("import json", "def law(inputs):", "    x = json.loads('1')", "    return x[3]"),
             r"mine\.py:4: law: TypeError",
         ),

@@ -39,6 +39,18 @@ def program(tmp_path, monkeypatch):
     return start
 
 
+def test_an_error_of_the_user_is_shown_without_its_traceback(program):
+    child = program(
+        "import sys\nprint('Traceback', '  File x', 'program: a.py:3: law: no way', '  twice', sep='\\n')\n"
+        "sys.exit(2)"
+    )
+    wait_for_exit(child)
+    assert child.tail() == "    program: a.py:3: law: no way\n      twice"
+    child = program("print('Traceback', 'program: words', sep='\\n'); raise SystemExit(1)")
+    wait_for_exit(child)
+    assert child.tail() == "    Traceback\n    program: words"
+
+
 def wait_for_exit(child: ChildProcess) -> None:
     os.waitid(os.P_PID, child.pid, os.WEXITED | os.WNOWAIT)  # its status stays for the child object
 

@@ -1,0 +1,225 @@
+"""Trajectories and shapes of the user: one function in a Python file, called when the scenario is read.
+
+What the function gives becomes data of the scenario: a trajectory the rows of a `csv` trajectory, a shape offsets. So a
+flight, its processes, its bag and its re-run need neither the file nor its rights, and nothing in a bag is executed.
+A kind that is neither ours nor FILE.py:NAME is looked for among the entry points of installed packages.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from importlib.metadata import entry_points
+from pathlib import Path
+from types import FunctionType
+from typing import Any
+
+from ptnsbc_sim.scenario.problems import ScenarioError
+from ptnsbc_sim.user_file import UserFileError, executed, place_of
+
+GROUP = "ptnsbc.plugins"
+"""The entry points of installed packages: `trajectory.NAME` and `shape.NAME`."""
+
+MOST_ROWS = 2000
+"""Rows of a trajectory at most, as of any CSV file."""
+
+Tree = dict[Any, Any]
+
+_TRAJECTORIES = ("circle", "line", "hover", "lissajous", "waypoints", "csv")
+_SHAPES = ("v", "line", "column", "grid", "circle", "sphere")
+_DURATION_S, _STEP_S = 100.0, 0.1
+_LEAST_STEP_S = 0.01
+_FARTHEST = 1e6
+
+
+class FunctionError(UserFileError, ScenarioError):
+    """A trajectory or shape of the user that cannot be called, or that gives no places."""
+
+
+def names_function(tree: Tree) -> bool:
+    """Whether the leader's trajectory or the formation's shape is a function of the user."""
+    return _trajectory(tree) is not None or _shape(tree) is not None
+
+
+def refuse_functions(tree: Tree, source: str) -> None:
+    """ScenarioError when a text from outside names code to execute."""
+    block = _trajectory(tree) or _shape(tree)
+    if block is not None:
+        raise ScenarioError(
+            f"{source}: kind: {block['kind']}: not here: expected the data that the function gives"
+        )
+
+
+def refuse_new_functions(tree: Tree, given: Mapping[str, Any], source: str) -> None:
+    """ScenarioError when a value from outside of a file, as a ROS parameter, names code to execute."""
+    if any(key.startswith(("leader", "formation")) for key in given):
+        block = _trajectory(tree) or (_shape(tree) if _sets_shape(given) else None)
+        if block is not None:
+            raise ScenarioError(
+                f"{source}: kind: {block['kind']}: not as an override: expected it in a scenario file"
+            )
+
+
+def _sets_shape(given: Mapping[str, Any]) -> bool:
+    return any(key.startswith("formation.shape") or key == "formation" for key in given)
+
+
+def with_trajectory(tree: Tree, source: str, folder: Path) -> Tree:
+    """`tree` with rows in the place of a function, called for `duration_s` (100) each `step_s` (0.1).
+
+    Raises:
+        FunctionError: the function cannot be loaded or called, or gives no position.
+    """
+    block = _trajectory(tree)
+    if block is None:
+        return _with_whole_path(tree, folder)
+    where = f"{source}: leader.trajectory"
+    function = _function(block["kind"], "trajectory", folder, where)
+    known = {key: value for key, value in block.items() if key not in ("kind", "arguments")}
+    duration_s = _number(known.pop("duration_s", _DURATION_S), f"{where}.duration_s", 2 * _STEP_S)
+    step_s = _number(known.pop("step_s", _STEP_S), f"{where}.step_s", _LEAST_STEP_S)
+    count = math.ceil(duration_s / step_s - 1e-9) + 1
+    if not 2 <= count <= MOST_ROWS:
+        raise FunctionError(
+            f"{where}.step_s: {step_s:g}: {count} rows in {duration_s:g} s: expected 2 to {MOST_ROWS}"
+        )
+    rows = [
+        (t, *_numbers(function, (3, 4), {"t": t}, block.get("arguments"), where))
+        for t in (round(step_s * k, 9) for k in range(count))
+    ]
+    if len({len(row) for row in rows}) > 1:
+        raise FunctionError(f"{place_of(function)}: expected x, y, z or x, y, z, yaw at every time")
+    text = "\n".join(",".join(f"{number:.12g}" for number in row) for row in rows)
+    trajectory = {"kind": "csv", "samples": text, **known}
+    return {
+        **_with_whole_path(tree, folder),
+        "leader": {**tree["leader"], "trajectory": trajectory},
+    }
+
+
+def with_shape(tree: Tree, source: str) -> Tree:
+    """`tree`, which is whole, with offsets in the place of a function of the number of UAVs.
+
+    Raises:
+        FunctionError: the function cannot be loaded or called, or does not give a place for each UAV.
+    """
+    block = _shape(tree)
+    uavs, leader = tree.get("uavs"), tree.get("leader")
+    if block is None or not isinstance(uavs, list) or not isinstance(leader, dict):
+        return tree
+    where = f"{source}: formation.shape"
+    formation = tree["formation"]
+    if formation.get("offsets_m") is not None:
+        raise ScenarioError(f"{where}: expected either shape or offsets_m, not both")
+    function = _function(block["kind"], "shape", Path.cwd(), where)
+    given = {key: value for key, value in block.items() if key != "kind"}
+    ids = [uav.get("id") for uav in uavs if isinstance(uav, dict)]
+    followers = [uav for uav in ids if uav != leader.get("id")]
+    try:
+        places = [list(place) for place in function(len(ids), **given)]
+    except Exception as error:
+        raise _failed(function, error) from error
+    if len(places) != len(ids):
+        raise FunctionError(
+            f"{place_of(function)}: {len(places)} places: expected one for each of {len(ids)} UAVs, "
+            "the leader's first"
+        )
+    rows = [_checked(place, (3,), function) for place in places]
+    offsets = {
+        uav: [one - own for one, own in zip(row, rows[0], strict=True)]
+        for uav, row in zip(followers, rows[1:], strict=True)
+    }
+    rest = {key: value for key, value in formation.items() if key != "shape"}
+    return {**tree, "formation": {**rest, "offsets_m": offsets}}
+
+
+def _block(tree: Tree, above: str, key: str, ours: tuple[str, ...]) -> Tree | None:
+    parent = tree.get(above)
+    block = parent.get(key) if isinstance(parent, dict) else None
+    kind = block.get("kind") if isinstance(block, dict) else None
+    if not isinstance(kind, str) or kind in ours or not isinstance(block, dict):
+        return None
+    return block if ".py:" in kind or _entry(key, kind) is not None else None
+
+
+def _trajectory(tree: Tree) -> Tree | None:
+    return _block(tree, "leader", "trajectory", _TRAJECTORIES)
+
+
+def _shape(tree: Tree) -> Tree | None:
+    return _block(tree, "formation", "shape", _SHAPES)
+
+
+def _with_whole_path(tree: Tree, folder: Path) -> Tree:
+    """The file of a shape by its whole path: it is called when all files that are extended have been merged."""
+    block = _shape(tree)
+    if block is None or ".py:" not in block["kind"]:
+        return tree
+    name, _, function = block["kind"].rpartition(":")
+    kind = f"{(folder / Path(name).expanduser()).absolute()}:{function}"
+    return {**tree, "formation": {**tree["formation"], "shape": {**block, "kind": kind}}}
+
+
+def _entry(what: str, name: str) -> Any:
+    found = entry_points(group=GROUP, name=f"{what}.{name}")
+    return next(iter(found), None)
+
+
+def _function(kind: str, what: str, folder: Path, where: str) -> FunctionType:
+    if ".py:" in kind:
+        name, _, wanted = kind.rpartition(":")
+        file = (folder / Path(name).expanduser()).absolute()
+        try:
+            found = executed(file, f"a {what}").get(wanted)
+        except UserFileError as error:
+            raise FunctionError(f"{where}.kind: {error}") from error
+    else:
+        file, wanted = Path(kind), kind
+        try:
+            found = _entry(what, kind).load()
+        except Exception as error:
+            raise FunctionError(
+                f"{where}.kind: {kind}: {type(error).__name__}: {error}: expected an entry point that loads"
+            ) from error
+    if not isinstance(found, FunctionType):
+        have = "no such name" if found is None else type(found).__name__
+        raise FunctionError(f"{where}.kind: {file}: {wanted}: {have}: expected a function")
+    return found
+
+
+def _numbers(
+    function: Callable[..., Any], widths: tuple[int, ...], own: Tree, given: Any, where: str
+) -> list[float]:
+    if given is not None and not isinstance(given, dict):
+        raise FunctionError(f"{where}.arguments: expected a mapping of names to values")
+    try:
+        found = list(function(*own.values(), **(given or {})))
+    except Exception as error:
+        raise _failed(function, error) from error
+    return _checked(found, widths, function, own)
+
+
+def _checked(
+    found: list[Any], widths: tuple[int, ...], function: Any, own: Tree | None = None
+) -> list[float]:
+    at = "".join(f" at {key} = {value:g}" for key, value in (own or {}).items())
+    expected = " or ".join(map(str, widths))
+    try:
+        numbers = [float(number) for number in found]
+    except (TypeError, ValueError):
+        numbers = []
+    if len(numbers) not in widths or not all(abs(number) <= _FARTHEST for number in numbers):
+        raise FunctionError(
+            f"{place_of(function)}: gave {found!r:.80}{at}: expected {expected} numbers, none beyond 1e6"
+        )
+    return numbers
+
+
+def _failed(function: Any, error: Exception) -> FunctionError:
+    return FunctionError(f"{place_of(function, error)}: {type(error).__name__}: {error}")
+
+
+def _number(value: Any, where: str, least: float) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not value >= least:
+        raise FunctionError(f"{where}: {value!r}: expected a number of seconds, at least {least:g}")
+    return float(value)
