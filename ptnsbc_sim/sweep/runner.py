@@ -9,6 +9,7 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
+import threading
 import warnings
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator
@@ -219,7 +220,7 @@ def _warm_up(plan_json: str) -> None:
 
 def _pool(queue: _Queue, workers: int) -> Iterator[_Outcome]:
     context = multiprocessing.get_context("fork")
-    with ProcessPoolExecutor(workers, mp_context=context, initializer=_leave_interrupts) as pool:
+    with ProcessPoolExecutor(workers, mp_context=context, initializer=depend_on_parent) as pool:
         running: dict[Future[bytes], int] = {}
         try:
             while len(queue) or running:
@@ -239,9 +240,17 @@ def _pool(queue: _Queue, workers: int) -> Iterator[_Outcome]:
             pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _leave_interrupts() -> None:
-    """Ctrl-C is the business of the process that collects."""
+def depend_on_parent() -> None:
+    """Prepare a worker process: Ctrl-C is the business of the parent, and the worker ends when that has ended."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
+
+
+def _end_with(parent: Any) -> None:
+    parent.join()
+    os._exit(1)
 
 
 def _with_dask(queue: _Queue, address: str, _: int) -> Iterator[_Outcome]:

@@ -9,7 +9,7 @@ excuses an exit from the tolerance band. An encounter that lasts over the deadli
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -46,13 +46,19 @@ def recovery_s(scenario: Scenario, error_m: float) -> float:
 
     With `approach: task` there is no time base of the way back: three time constants and a second.
     """
+    return _recovery_of(scenario)(error_m)
+
+
+def _recovery_of(scenario: Scenario) -> Callable[[float], float]:
+    """`recovery_s` of one scenario."""
     loop = loop_of(scenario, scenario.gains.formation)  # as flown
     rate = loop.scale * loop.kappa
     settling = 1.0 / rate if rate > 0 else np.inf
     if scenario.file.formation.approach != "planned":
-        return _PAUSE_S + min(_TIME_CONSTANTS * settling, _SLOWEST_RECOVERY_S)
-    needed = recovery_duration(error_m, recovery_config(scenario))
-    return needed + min(settling, _SLOWEST_RECOVERY_S)
+        constant = _PAUSE_S + min(_TIME_CONSTANTS * settling, _SLOWEST_RECOVERY_S)
+        return lambda _: constant
+    config = recovery_config(scenario)
+    return lambda error_m: recovery_duration(error_m, config) + min(settling, _SLOWEST_RECOVERY_S)
 
 
 def avoidance_windows(counters: Track) -> list[Window]:
@@ -94,7 +100,9 @@ def encounters(recording: Recording) -> dict[int, list[Encounter]]:
     scenario = recording.flown
     own = {uav: avoidance_windows(track) for uav, track in recording.counters.items()}
     ends = np.unique([end for windows in own.values() for _, end in windows]).astype(np.int64)
-    away = _to_regain(recording, ends)
+    if not ends.size:
+        return {uav: [] for uav in scenario.uav_ids}
+    away, lasts_s = _to_regain(recording, ends), _recovery_of(scenario)
     found = {}
     for uav in scenario.uav_ids:
         line = ancestors(scenario, uav)
@@ -103,7 +111,7 @@ def encounters(recording: Recording) -> dict[int, list[Encounter]]:
             for begin, end in own.get(one, ()):
                 k = int(np.searchsorted(ends, end))
                 error = max(float(away[kin][k]) for kin in line[: hops + 1])
-                spans.append(Encounter(begin, end, end + round(recovery_s(scenario, error) * 1e9)))
+                spans.append(Encounter(begin, end, end + round(lasts_s(error) * 1e9)))
         found[uav] = _joined(spans)
     return found
 
@@ -115,29 +123,25 @@ def _to_regain(recording: Recording, ends: NDArray[np.int64]) -> dict[int, Array
     the deadline the plan of a follower is its start error times 1 - h; the leader has no plan to return to before.
     """
     scenario = recording.flown
-    if not ends.size:
-        return {uav: np.zeros(0) for uav in scenario.uav_ids}
     gain = loop_of(scenario, scenario.gains.formation)  # as flown
-    slowing_s = 1.0 / max(gain.scale * gain.kappa, 1e-9)
-    start = np.array([recording.start_ns])
-    first = formation_vectors(recording, start, recording.positions(start))
-    found = []
-    for later_ns in (0, _GROWTH_NS):
-        grid = np.clip(ends + later_ns, recording.start_ns, recording.end_ns)
-        times = recording.times(grid)
-        left = np.array([1.0 - h(t / plan_duration(gain)) for t in times.tolist()])
-        beside = formation_vectors(recording, grid, recording.positions(grid))
-        for uav, vectors in beside.items():
-            if uav != scenario.leader_id:
-                vectors -= left[:, None] * first[uav]
-            else:
-                vectors[times < gain.duration_s] = 0.0
-        found.append({uav: lengths(vectors) for uav, vectors in beside.items()})
-    now, soon = found
+    slowing_s, duration_s = 1.0 / max(gain.scale * gain.kappa, 1e-9), plan_duration(gain)
+    start_ns = np.array([recording.start_ns])
+    looked = np.clip(
+        np.concatenate((start_ns, ends, ends + _GROWTH_NS)), recording.start_ns, recording.end_ns
+    )
+    grid, which = np.unique(looked, return_inverse=True)
+    begin, now, soon = which[0], which[1 : 1 + ends.size], which[1 + ends.size :]
+    times = recording.times(grid)
+    left = np.array([1.0 - h(t / duration_s) for t in times.tolist()])
     away = {}
-    for uav in scenario.uav_ids:
-        growing = np.maximum(soon[uav] - now[uav], 0.0) / (_GROWTH_NS * 1e-9)
-        away[uav] = np.nan_to_num(now[uav] + growing * slowing_s, posinf=0.0)
+    for uav, vectors in formation_vectors(recording, grid, recording.positions(grid)).items():
+        if uav != scenario.leader_id:
+            vectors = vectors - left[:, None] * vectors[begin]
+        else:
+            vectors[times < gain.duration_s] = 0.0
+        beside = lengths(vectors)
+        growing = np.maximum(beside[soon] - beside[now], 0.0) / (_GROWTH_NS * 1e-9)
+        away[uav] = np.nan_to_num(beside[now] + growing * slowing_s, posinf=0.0)
     return away
 
 

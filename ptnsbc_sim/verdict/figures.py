@@ -124,7 +124,7 @@ class EstimatorErrors:
         times = self._recording.times(grid)
         leader = positions[self._recording.flown.leader_id]
         for uav, track in self._tracks.items():
-            error = lengths(np.asfortranarray(track.at(grid)[:, :3]) - leader)
+            error = lengths(np.asfortranarray(track.at(grid, 3)) - leader)
             self._at[uav].add(times, error)
             after = error[times >= self._deadline_s]
             if after.size:

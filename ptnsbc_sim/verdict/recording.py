@@ -172,9 +172,7 @@ class Recording:
     def positions(self, grid: NDArray[np.int64]) -> dict[int, Array]:
         """Position (T, 3) [m], ENU, of every UAV on the grid, axis by axis in memory."""
         source = self.truth if self.judged_by == "truth" else self.odometry
-        return {
-            uav: np.asfortranarray(source[uav].at(grid)[:, :3]) for uav in self.scenario.uav_ids
-        }
+        return {uav: np.asfortranarray(source[uav].at(grid, 3)) for uav in self.scenario.uav_ids}
 
 
 def require_all_uavs(recording: Recording) -> None:

@@ -50,17 +50,24 @@ class Track(ABC):
         """The samples between two times, both included, as arguments of `blocks`."""
         return self.index(first_ns, "left"), self.index(last_ns, "right")
 
-    def at(self, t_ns: NDArray[np.int64]) -> Array:
-        """Values at other times (T,), ascending: interpolated linearly, exact where the times coincide."""
+    def at(self, t_ns: NDArray[np.int64], width: int | None = None) -> Array:
+        """Values at other times (T,), ascending: interpolated linearly, exact where the times coincide.
+
+        `width`: only so many columns, from the first on.
+        """
         first = max(self.index(int(t_ns[0]), "right") - 1, 0)
         end = max(min(self.index(int(t_ns[-1]), "left") + 1, self.size), first + 1)
         near = self.rows(first, end)
+        values = near.values[:, :width]
         if np.array_equal(near.t_ns, t_ns):
-            return near.values
+            return values
+        here = near.t_ns.searchsorted(t_ns).clip(max=near.size - 1)
+        if np.array_equal(near.t_ns[here], t_ns):
+            return values[here]
         base = near.t_ns[0]  # wall-clock stamps do not fit a float64 to the nanosecond
         own = (near.t_ns - base).astype(np.float64)
         wanted = (t_ns - base).astype(np.float64)
-        return np.stack([np.interp(wanted, own, column) for column in near.values.T], axis=1)
+        return np.stack([np.interp(wanted, own, column) for column in values.T], axis=1)
 
 
 class Series(Track):

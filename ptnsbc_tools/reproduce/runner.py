@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import multiprocessing
-import os
 import queue
-import signal
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor
@@ -19,6 +16,7 @@ from typing import Any, NamedTuple
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from ptnsbc_nodes.runtime.signals import StopRequest
+from ptnsbc_sim.sweep.runner import depend_on_parent
 from ptnsbc_tools import console
 from ptnsbc_tools.reproduce import flights
 from ptnsbc_tools.reproduce.catalogue import Experiment
@@ -50,19 +48,10 @@ _progress_queue: Any = None  # in a worker: the queue to the parent
 
 
 def _start_worker(progress_queue: Any, settings: Setting) -> None:
-    """Prepare a worker process: the parent handles Ctrl-C, and the worker ends when the parent has ended."""
     global _progress_queue
     _progress_queue = progress_queue
     flights.use(settings)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
-
-
-def _end_with(parent: Any) -> None:
-    parent.join()
-    os._exit(1)
+    depend_on_parent()
 
 
 def _run_in_worker(experiment: Experiment, folder: Path) -> TimedResult:

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import json
 import os
+import select
 import signal
+import subprocess
+import sys
 from dataclasses import fields, replace
 from io import BytesIO
 from pathlib import Path
@@ -179,6 +182,30 @@ def test_a_worker_that_dies_loses_only_its_chunk(
     assert (tmp_path / "mark").exists()
     assert not result.failed
     assert result.table.read_bytes() == flown.read_bytes()
+
+
+_ENDLESS = """
+import sys
+from pathlib import Path
+from ptnsbc_sim.sweep import SweepPlan, run
+plan = SweepPlan.from_json(Path(sys.argv[1]).read_text())
+run(plan, Path(sys.argv[2]), workers=2, progress=lambda done, total: print(done, flush=True))
+"""
+
+
+def test_workers_end_with_a_sweep_that_is_killed(tmp_path: Path) -> None:
+    plan = tmp_path / "plan.json"
+    plan.write_text(small(100_000).to_json())
+    command = [sys.executable, "-c", _ENDLESS, str(plan), str(tmp_path / "sweep")]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as sweep:
+        assert [sweep.stdout.readline().strip() for _ in range(2)] == ["0", str(CHUNK_DRAWS)]
+        workers = Path(f"/proc/{sweep.pid}/task/{sweep.pid}/children").read_text().split()
+        watched = [os.pidfd_open(int(pid)) for pid in workers]
+        sweep.kill()
+    assert len(watched) == 2
+    for descriptor in watched:
+        assert select.select([descriptor], [], [], 30.0)[0], "a worker outlived its sweep"
+        os.close(descriptor)
 
 
 def test_chunks_cover_all_draws() -> None:

@@ -14,6 +14,18 @@ SUMS = ("rmse", "energy", "encounter_s", "inside")
 LEGS = ((0, "form"), (9 * 10**9, "form"), (17 * 10**9, "hold"))
 
 
+def test_samples_at_other_times() -> None:
+    stamps = np.arange(0, 1000, 10, dtype=np.int64) + 1_700_000_000_000_000_000
+    series = track.Series(stamps, np.random.default_rng(1).normal(size=(100, 5)))
+    some = np.array([3, 4, 50, 99])
+    np.testing.assert_array_equal(series.at(stamps[some]), series.values[some])
+    np.testing.assert_array_equal(series.at(stamps[some], 3), series.values[some, :3])
+    between = series.at(stamps[:-1] + 5, 2)
+    np.testing.assert_allclose(between, 0.5 * (series.values[1:, :2] + series.values[:-1, :2]))
+    beyond = series.at(stamps[[0, -1]] + np.array([-1, 7]))
+    np.testing.assert_array_equal(beyond, series.values[[0, -1]])
+
+
 def in_blocks(recording: Any, rows: int) -> dict[str, Any]:
     with pytest.MonkeyPatch.context() as patch:
         for module in (track, figures):
