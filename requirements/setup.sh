@@ -68,19 +68,19 @@ fi
 mode="$lock $("$python" -c 'import sys; print(sys.base_prefix, sys.version)' | tr '\n' ' ')"
 stamp=".venv/.stamp-$(cat pyproject.toml "requirements/$lock.lock" requirements/setup.sh - <<<"$mode $PWD" | sha256sum | cut -c1-16)"
 
-# Messages that the wheels lack. Without a C++ compiler everything flies, but nothing draws frames live.
+# Messages that the wheels lack, and our own. Without a C++ compiler everything flies, but nothing draws frames live.
 make_interfaces() {
   [ $lock = plain ] || return 0
-  local packages=(requirements/interfaces/*/) made
-  made=".venv/.interfaces-$(cat "$stamp" $(find requirements/interfaces -type f | sort) | sha256sum | cut -c1-16)"
+  local packages=(requirements/interfaces/*/ ros2_ws/src/ptnsbc_interfaces) made
+  made=".venv/.interfaces-$(cat "$stamp" $(find requirements/interfaces "${packages[@]}" -type f | sort -u) | sha256sum | cut -c1-16)"
   [ ! -e "$made" ] || return 0
   if ! command -v g++ >/dev/null; then
-    say "no g++: there is no live /tf for RViz and Foxglove (bags have it); install g++ and repeat: make setup"
+    say "no g++: there are no types of ptnsbc_interfaces (fleet --operator) and no live /tf (bags have it); install g++ and repeat: make setup"
   elif .venv/bin/python requirements/interfaces/build.py "${packages[@]%/}"; then
     rm -f .venv/.interfaces-*
     touch "$made"
   else
-    say "the message packages above could not be built: there is no live /tf (bags have it)"
+    say "the message packages above could not be built: no fleet --operator or no live /tf (bags have it)"
   fi
 }
 

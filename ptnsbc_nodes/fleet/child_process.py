@@ -39,6 +39,7 @@ class ProcessCommand:
     uav: int | None = None  # id of the UAV that is lost when it ends
     managed: str | None = None  # its node below the fleet, when the launcher drives its life cycle
     ends: bool = False  # by itself, with 0, when the flight is over
+    beside: bool = False  # the flight needs it not: its end is reported, and changes nothing
 
     def within(self, namespace: str) -> ProcessCommand:
         """The same process with its node in the namespace of a fleet."""
@@ -60,6 +61,7 @@ EXECUTABLES = {
     "ptnsbc_nodes.bridge.main": "bridge",
     "ptnsbc_nodes.fleet.main": "fleet",
     "ptnsbc_nodes.fleet.coordinator_main": "coordinator",
+    "ptnsbc_nodes.fleet.operator_main": "operator",
 }
 """The name of each module in `ros2 run ptnsbc_nodes`, `ptnsbc node` and launch files."""
 

@@ -142,9 +142,11 @@ class EmergencyStop:
         """Find the bridges of this host, also those that start meanwhile, and those that were heard."""
         for name, record in ({} if self.remote is None else self.remote.vehicles).items():
             self._known.setdefault(name, record)
+        fleet = fleet_bridges(self._folder)
         for record in records(self._folder):
             unheard = record.name not in self._answered
-            if record.ended and unheard and not record.armed:
+            over = record.ended or (not record.alive and record.name not in fleet)
+            if over and unheard and not record.armed:
                 continue  # of a flight that is over
             if unheard or record.ended:
                 self._known[record.name] = record

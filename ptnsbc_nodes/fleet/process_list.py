@@ -37,6 +37,7 @@ class FleetOptions:
     meta: Mapping[str, str] = field(default_factory=dict)  # into the bag, beside our own
     ready_timeout_s: float | None = None  # from the first process to the last one ready
     only: frozenset[str] = frozenset()  # names of the processes of this computer, see `chosen`
+    operator: bool = False  # offer the fleet in the types of ptnsbc_interfaces
     namespace: str = ""  # of all nodes and topics, for example "/blue"
     # In real time: why the scenario with the measured starts must not be flown, empty when it may.
     objection: Callable[[Scenario], str] | None = None
@@ -92,11 +93,13 @@ def commands(options: FleetOptions, scenario_file: Path) -> list[ProcessCommand]
         )
     if options.backend != "mavlink":
         found.append(ProcessCommand(SIM, "ptnsbc_nodes.sim.main", tuple(common), ends=True))
-    return [
-        command.within(options.namespace)
-        for command in found
-        if not options.only or command.name in options.only
-    ]
+    here = [one for one in found if not options.only or one.name in options.only]
+    if options.operator and options.leads:
+        arguments = ("--scenario", str(scenario_file))
+        here.append(
+            ProcessCommand("operator", "ptnsbc_nodes.fleet.operator_main", arguments, beside=True)
+        )
+    return [command.within(options.namespace) for command in here]
 
 
 def names(scenario: Scenario, backend: str) -> list[str]:

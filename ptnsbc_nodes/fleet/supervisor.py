@@ -253,7 +253,7 @@ class Supervisor:
         end([child for child in self.children if child.name != RECORDER])
         end(self.children, _RECORDER_PATIENCE_S)
         for child in self.children:
-            if child.exit_code == 0 or child in self.died:
+            if child.exit_code == 0 or child in self.died or child.name in self._reported:
                 continue
             if child.exit_code == -signal.SIGKILL and child.summary is not None:
                 # The middleware does not always let go of a process.
@@ -261,12 +261,13 @@ class Supervisor:
                     f"{child.name} (pid {child.pid}) had finished its work but did not exit: killed"
                 )
             else:
-                self.died.append(child)
+                if not child.command.beside:
+                    self.died.append(child)
                 self._progress(f"at the end: {child.exit_summary()}")
 
     def _awaited(self) -> list[str]:
         """The processes that must be ready before the flight."""
-        own = [child.name for child in self.children]
+        own = [child.name for child in self.children if not child.command.beside]
         return [name for name in (*own, *self._elsewhere) if name != RECORDER]
 
     def _silent(self) -> list[str]:
@@ -276,6 +277,8 @@ class Supervisor:
     def _heard(self, child: ChildProcess) -> bool:
         if child.name == RECORDER:  # it has no status on /diagnostics
             return _READY in child.log_lines()
+        if child.command.beside:
+            return RUNNING in child.log_lines() or child.exit_code is not None
         return child.name in self._coordinator.waiting
 
     def _wait(self, deadline: float) -> bool:
@@ -284,7 +287,8 @@ class Supervisor:
         self._pass_on_lines()
         self._renew_unheard()
         for child in self.children:
-            if child.exit_code is not None and not self._stop.came:
+            ended = child.exit_code is not None and not child.command.beside
+            if ended and not self._stop.came:
                 raise FleetError(f"before the flight: {child.exit_summary()}")
             if child.name in self._coordinator.refused:
                 raise FleetError(
@@ -321,6 +325,8 @@ class Supervisor:
             return
 
     def _is_introduced(self, child: ChildProcess, now: float) -> bool:
+        if child.command.beside:
+            return True
         if child.name not in self._introduced:
             heard = child.name in self._coordinator.waiting
             if heard or (child.name == RECORDER and self._coordinator.sees(RECORDER)):
@@ -365,6 +371,9 @@ class Supervisor:
             if child.exit_code is None or child.name in self._reported:
                 continue
             self._reported.add(child.name)
+            if child.command.beside:
+                self._progress(f"{child.exit_summary()}; the flight goes on without it")
+                continue
             lost = {child.name} if self._options.shared else set()
             if not (child.command.ends and child.exit_code == 0):
                 self.died.append(child)

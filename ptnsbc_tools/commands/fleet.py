@@ -71,6 +71,13 @@ def fleet(
     ] = False,
     foxglove: options.FoxgloveOption = None,
     plain: options.PlainOption = False,
+    operator: Annotated[
+        bool,
+        typer.Option(
+            "--operator",
+            help="Offer the fleet in the types of ptnsbc_interfaces: its state, an action and services.",
+        ),
+    ] = False,
     bag: options.BagOption = None,
     overwrite: options.OverwriteOption = False,
     json: options.JsonOption = False,
@@ -90,6 +97,7 @@ def fleet(
         "bag",
         "overwrite",
         "check",
+        "operator",
     )
     given = {name: context.params[name] for name in names}
     given["namespace"] = options.full_namespace(namespace)

@@ -20,7 +20,7 @@ SETTINGS = {
 def node(
     context: typer.Context,
     name: Annotated[
-        Literal["uav", "sim", "recorder", "bridge", "coordinator", "fleet"],
+        Literal["uav", "sim", "recorder", "bridge", "coordinator", "operator", "fleet"],
         typer.Argument(
             metavar="NAME", help="The process; its own options and those of ROS follow."
         ),

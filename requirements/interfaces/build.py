@@ -146,7 +146,10 @@ class Package:
             [_INTROSPECTION, _C],
         )
         self._library(
-            _TYPE_SUPPORT, "*/*.cpp", [own(_C), own(_FASTRTPS), own(_INTROSPECTION), _TYPE_SUPPORT]
+            _TYPE_SUPPORT,
+            "*/*.cpp",
+            [own(_C), own(_FASTRTPS), own(_INTROSPECTION), _TYPE_SUPPORT],
+            [_TYPE_SUPPORT],
         )
         self._library(_PYTHON, "*/*_s.c", [own(_C), own(_TYPE_SUPPORT)], [_PYTHON, _C])
         for kind in (_TYPE_SUPPORT, _FASTRTPS, _INTROSPECTION):

@@ -257,3 +257,10 @@ def test_a_bridge_that_ended_meanwhile_has_obeyed(bridge, give, tmp_path):
     done, found = give(KILL)
     assert done
     assert found["bridge1"].obeyed
+
+
+def test_the_dead_bridges_of_an_earlier_flight_are_not_asked(bridge, give, dead):
+    bridge("bridge1", pid=dead, armed=False, heard=False)
+    done, found = give(LAND, 0.2)
+    assert not done
+    assert found == {}

@@ -220,6 +220,17 @@ def test_who_is_late_is_named(tmp_path):
         run_fleet(options)
 
 
+def test_the_operators_interface_flies_beside_and_ends_with_the_fleet(tmp_path):
+    pytest.importorskip("ptnsbc_interfaces", reason="make setup builds its messages where g++ is")
+    scenario = load_scenario("paper_5", {"timing.duration_s": 1})
+    options = FleetOptions(scenario, lockstep=True, log_dir=tmp_path, operator=True)
+    flown = run_fleet(options)
+    assert flown.exit_code == 0
+    lines = (tmp_path / "operator.log").read_text().splitlines()
+    assert lines[0] == "running"
+    assert lines[-1].startswith("sent ")
+
+
 def test_an_existing_bag_is_refused_before_anything_starts(tmp_path):
     (tmp_path / "bag").mkdir()
     said = []

@@ -55,6 +55,14 @@ def test_the_recorder_is_there_first_and_the_world_last(paper_5):
     assert others == ["uav1", "uav2", "uav3", "uav4", "uav5"]
 
 
+def test_the_operators_interface_runs_beside_the_computer_that_leads(paper_5):
+    assert list(started(FleetOptions(paper_5, operator=True)))[-2:] == ["sim", "operator"]
+    for only, there in (("recorder,sim,1", True), ("2,3,4,5", False)):
+        chosen_here = chosen(only, paper_5, "sim")
+        found = started(FleetOptions(paper_5, operator=True, only=chosen_here))
+        assert ("operator" in found) is there
+
+
 def test_the_computer_with_the_recorder_leads(paper_5):
     assert FleetOptions(paper_5).leads
     assert FleetOptions(paper_5, only=frozenset({"recorder"})).leads

@@ -40,13 +40,15 @@ def ended(tmp_path, monkeypatch):
     (tmp_path / "stays.py").write_text(_STAYS)
     monkeypatch.setattr(flights, "end", kill)
 
-    def end(name: str, state: str) -> tuple[list[str], list[str]]:
+    def end(name: str, state: str, **more: bool) -> tuple[list[str], list[str]]:
         said: list[str] = []
         coordinator = SimpleNamespace(end=lambda _seconds: None)
         flight = Supervisor(FleetOptions(load_scenario("paper_5")), coordinator, None, said.append)
         folders = os.pathsep.join([str(ROOT), str(tmp_path)])
         environment = {**os.environ, "PYTHONPATH": folders}
-        child = ChildProcess(ProcessCommand(name, "stays", (state,)), environment, Path(tmp_path))
+        child = ChildProcess(
+            ProcessCommand(name, "stays", (state,), **more), environment, Path(tmp_path)
+        )
         flight.children.append(child)
         while not child.log_lines():
             assert child.wait(0.02) is None, child.tail()
@@ -155,6 +157,13 @@ def test_a_process_that_has_finished_but_does_not_exit_is_killed_and_has_not_die
 def test_a_process_that_is_killed_at_work_has_died(ended, name):
     died, (line,) = ended(name, "working")
     assert died == [name]
+    assert "signal SIGKILL" in line
+
+
+@pytest.mark.ros
+def test_what_runs_beside_the_flight_is_reported_and_changes_nothing(ended):
+    died, (line,) = ended("operator", "working", beside=True)
+    assert died == []
     assert "signal SIGKILL" in line
 
 

@@ -1,0 +1,258 @@
+"""The fleet in types of ROS, with the leader and all others played by the test."""
+
+import math
+import threading
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy")
+pytest.importorskip("ptnsbc_interfaces", reason="make setup builds its messages where g++ is")
+
+from action_msgs.msg import GoalStatus
+from ptnsbc_interfaces.action import FlyLeg
+from ptnsbc_interfaces.msg import FleetState, UavState
+from ptnsbc_interfaces.srv import StartLeg, Stop
+from rclpy.action import ActionClient
+from std_srvs.srv import Trigger
+
+from ptnsbc_io.wire import HeaderTemplate, OdometryTemplate
+from ptnsbc_nodes.comm import topics
+from ptnsbc_nodes.comm.diagnostics import DiagnosticLevel, diagnostics
+from ptnsbc_nodes.comm.endpoints import Endpoints
+from ptnsbc_nodes.comm.seal import Seal
+from ptnsbc_nodes.fleet.operator_node import EMERGENCY_STOP, FLY_LEG, START_LEG, STATE, OperatorNode
+from ptnsbc_sim.scenario import load_scenario
+
+pytestmark = pytest.mark.ros
+
+T0_S = 100.0
+
+
+@pytest.fixture(scope="module")
+def scenario():
+    return load_scenario("paper_5")
+
+
+class Fleet:
+    """Five UAVs whose leader answers, and a client of the operator's interface."""
+
+    def __init__(self, ros, scenario, seal=None):
+        self.ros, self.scenario = ros, scenario
+        others = ros.node("others")
+        ends = Endpoints(others, lockstep=False, seal=seal)
+        self.odom = {uav: ends.publisher(topics.odom(uav), 1) for uav in scenario.uav_ids}
+        self.status = ends.publisher(topics.DIAGNOSTICS, 1)
+        self.epoch = ends.publisher(topics.EPOCH, 1)
+        self.answers, self.asked = {}, []
+        self._serve_leader(type(ros)(ros.domain))
+        self.operator = OperatorNode(ros.node("operator"), scenario, ros.domain, seal)
+        self.client = ros.node("client")
+        self.states, self.feedback = [], []
+        self.client.create_subscription(FleetState, STATE, self.states.append, 10)
+        self.action = ActionClient(self.client, FlyLeg, FLY_LEG)
+        self.at_s, self.off = T0_S, {}
+        ready = self.operator.leader_is_there
+        ros.spin_until(lambda: not ends.unread() and self.action.server_is_ready() and ready())
+
+    def _serve_leader(self, leader):
+        """In a thread of its own: the operator's node waits for its answers."""
+        node = leader.node("leader")
+        for name in ("start", "hold", "land", "stop"):
+            node.create_service(Trigger, f"/formation/{name}", self.answer(name))
+        self._over = threading.Event()
+
+        def serve():
+            while not self._over.is_set():
+                leader.spin_for(0.02)
+            leader.close()
+
+        self._thread = threading.Thread(target=serve)
+        self._thread.start()
+
+    def answer(self, name):
+        def on_request(_request, response):
+            self.asked.append(name)
+            response.success, response.message = self.answers.get(name, (True, f"leg {name}"))
+            return response
+
+        return on_request
+
+    def tell(self, seconds, silent=()):
+        """Every UAV is in its place, but for what is `off`, so long after the epoch."""
+        self.at_s = T0_S + seconds
+        stamp_ns = round(self.at_s * 1e9)
+        for uav in self.scenario.uav_ids:
+            values = np.zeros(13)
+            values[:3] = self.scenario.offset(uav) + self.off.get(uav, 0.0)
+            values[6] = 1.0
+            self.odom[uav](OdometryTemplate("world", f"uav{uav}").encode(stamp_ns, values))
+            if uav not in silent:
+                told = {"ready": "true", "waiting_for": "", "mode": "form"}
+                self.status(diagnostics(0, f"uav{uav}: planner", DiagnosticLevel.OK, "", told))
+
+    def spin_until_told(self, condition, seconds, **more):
+        def told():
+            self.tell(seconds, **more)
+            return condition()
+
+        self.ros.spin_until(told)
+
+    def announce(self, leg, seconds=0.0):
+        self.epoch(HeaderTemplate(leg).encode(round((T0_S + seconds) * 1e9)))
+
+    def goal(self, leg):
+        sent = self.action.send_goal_async(
+            FlyLeg.Goal(leg=leg), feedback_callback=lambda one: self.feedback.append(one.feedback)
+        )
+        self.ros.spin_until(sent.done)
+        result = sent.result().get_result_async()
+        return sent.result(), result
+
+    def call(self, kind, name, request):
+        client = self.client.create_client(kind, name)
+        self.ros.spin_until(client.service_is_ready)
+        call = client.call_async(request)
+        self.ros.spin_until(call.done)
+        return call.result()
+
+    def close(self):
+        self.operator.close()
+        self._over.set()
+        self._thread.join()
+
+
+@pytest.fixture
+def make(ros, scenario):
+    made = []
+
+    def build(**options):
+        made.append(Fleet(ros, scenario, **options))
+        return made[-1]
+
+    yield build
+    for fleet in made:
+        fleet.close()
+
+
+@pytest.fixture
+def fleet(make, monkeypatch):
+    # The leader's path passes through the origin of these tests for all time.
+    monkeypatch.setattr(
+        "ptnsbc_nodes.fleet.fleet_state.reference_positions",
+        lambda _path, times: np.zeros((len(times), 3)),
+    )
+    return make()
+
+
+def test_the_state_names_who_is_not_in_place_and_who_is_silent(fleet):
+    fleet.announce("form")
+    fleet.off[4] = (0.3, 0.0, 0.4)
+    fleet.spin_until_told(
+        lambda: fleet.states and list(fleet.states[-1].not_in_place) == [4, 5], 2.5, silent=(5,)
+    )
+    state = fleet.states[-1]
+    assert state.leg.name == "form"
+    assert state.leg.epoch.sec == T0_S
+    assert state.share_of_time == pytest.approx(2.5 / state.leg.predefined_time_s)
+    assert state.worst_error_m == pytest.approx(0.5)
+    by_id = {uav.id: uav for uav in state.uavs}
+    assert by_id[4].formation_error_m == pytest.approx(0.5)
+    assert by_id[5].level == UavState.STALE
+    assert by_id[2].in_place
+    assert not by_id[5].in_place
+
+
+def test_before_the_first_leg_there_is_no_error(fleet):
+    fleet.spin_until_told(lambda: fleet.states and fleet.states[-1].uavs[0].ready, 0.0)
+    state = fleet.states[-1]
+    assert (state.leg.name, list(state.not_in_place)) == ("", [])
+    assert math.isnan(state.worst_error_m)
+
+
+def test_a_leg_is_flown_to_its_predefined_time(fleet):
+    goal, result = fleet.goal("start")
+    assert goal.accepted
+    assert fleet.asked == ["start"]
+    fleet.announce("form")
+    fleet.off[2] = (1.0, 0.0, 0.0)
+    fleet.spin_until_told(lambda: fleet.feedback, 1.0)
+    assert list(fleet.feedback[-1].not_in_place) == [2]
+    assert 0.0 < fleet.feedback[-1].share_of_time < 1.0
+    fleet.off.clear()
+    fleet.spin_until_told(result.done, 30.0)
+    answer = result.result()
+    assert answer.status == GoalStatus.STATUS_SUCCEEDED
+    assert answer.result.success
+    assert answer.result.worst_error_m < 1e-6
+
+
+def test_a_leg_that_is_not_in_place_at_its_end_is_aborted_with_the_names(fleet):
+    _, result = fleet.goal("start")
+    fleet.announce("form")
+    fleet.off[3] = (0.0, 0.2, 0.0)
+    fleet.spin_until_told(result.done, 30.0)
+    answer = result.result()
+    assert answer.status == GoalStatus.STATUS_ABORTED
+    assert answer.result.message.endswith("uav3")
+    assert list(answer.result.not_in_place) == [3]
+
+
+def test_a_cancelled_leg_holds(fleet):
+    goal, result = fleet.goal("start")
+    fleet.announce("form")
+    fleet.spin_until_told(lambda: fleet.feedback, 1.0)
+    cancel = goal.cancel_goal_async()
+    fleet.spin_until_told(lambda: cancel.done() and result.done(), 1.5)
+    assert result.result().status == GoalStatus.STATUS_CANCELED
+    assert fleet.asked == ["start", "hold"]
+
+
+def test_the_leaders_refusal_is_the_result(fleet):
+    fleet.answers["start"] = (False, "the leader waits for /uav3/odom")
+    _, result = fleet.goal("start")
+    fleet.spin_until_told(result.done, 0.0)
+    assert result.result().status == GoalStatus.STATUS_ABORTED
+    assert result.result().result.message == "the leader waits for /uav3/odom"
+
+
+def test_another_leg_ends_the_goal(fleet):
+    _, result = fleet.goal("start")
+    fleet.announce("form")
+    fleet.spin_until_told(lambda: fleet.feedback, 1.0)
+    fleet.announce("land", 2.0)
+    fleet.spin_until_told(result.done, 2.5)
+    assert result.result().result.message == "another leg has begun: land"
+
+
+def test_a_silent_leader_ends_the_goal(fleet, monkeypatch):
+    monkeypatch.setattr("ptnsbc_nodes.fleet.operator_node._ANSWER_S", 0.5)
+    _, result = fleet.goal("start")
+    fleet.ros.spin_until(result.done)
+    assert result.result().result.message == "the leader is silent"
+
+
+def test_the_service_passes_legs_on(fleet):
+    answer = fleet.call(StartLeg, START_LEG, StartLeg.Request(leg="hold"))
+    assert (answer.accepted, answer.message) == (True, "leg hold")
+    answer = fleet.call(StartLeg, START_LEG, StartLeg.Request(leg="dance"))
+    assert not answer.accepted
+    assert "expected one of start, hold, land, stop" in answer.message
+    assert fleet.asked == ["hold"]
+
+
+def test_an_emergency_stop_without_bridges_reaches_the_leader(fleet):
+    answer = fleet.call(Stop, EMERGENCY_STOP, Stop.Request())
+    assert answer.success
+    assert answer.vehicles == ["leader: leg stop"]
+    assert fleet.asked == ["stop"]
+
+
+def test_a_signed_fleet_takes_no_order_from_an_interface_without_a_seal(make):
+    fleet = make(seal=Seal(bytes(range(32))))
+    for answer in (
+        fleet.call(StartLeg, START_LEG, StartLeg.Request(leg="start")).message,
+        fleet.call(Stop, EMERGENCY_STOP, Stop.Request()).vehicles[0],
+    ):
+        assert answer.startswith("security: signed")
+    assert fleet.asked == []
