@@ -28,7 +28,7 @@ copy() {
 bare() {
   mkdir "$scratch/$1"
   cp -al .venv/. "$scratch/$1"
-  (cd "$scratch/$1" && rm -rf bin/ptnsbc lib/ptnsbc_* share/ptnsbc* share/ament_index/resource_index/packages/ptnsbc_* \
+  (cd "$scratch/$1" && rm -rf bin/ptnsbc lib/{,lib}ptnsbc_* share/ptnsbc* share/ament_index/resource_index/*/ptnsbc_* \
     lib/python*/site-packages/{ptnsbc-*,ptnsbc_*,__editable__*ptnsbc*,__editable___ptnsbc*,__pycache__/__editable___ptnsbc*})
 }
 
