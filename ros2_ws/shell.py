@@ -22,7 +22,7 @@ PROGRAMS = {
         "fleet": "ptnsbc_nodes.fleet.main:main",
         "bridge": "ptnsbc_nodes.bridge.main:main",
         "coordinator": "ptnsbc_nodes.fleet.coordinator_main:main",
-        "operator": "ptnsbc_nodes.fleet.operator_main:main",
+        "operator": "ptnsbc_nodes.view.operator_main:main",
     },
     "ptnsbc_tools": {"ptnsbc": "ptnsbc_tools.__main__:main"},
 }

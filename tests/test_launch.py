@@ -164,7 +164,9 @@ def flown(monkeypatch):
     def ask(words):
         result = CliRunner().invoke(app, words)
         assert result.exit_code == 0, result.output
-        return calls[-1]
+        scenario, given = calls[-1]
+        assert given.pop("shown") == fleet_command.Shown()
+        return scenario, given
 
     return ask
 

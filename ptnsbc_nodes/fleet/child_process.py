@@ -61,7 +61,7 @@ EXECUTABLES = {
     "ptnsbc_nodes.bridge.main": "bridge",
     "ptnsbc_nodes.fleet.main": "fleet",
     "ptnsbc_nodes.fleet.coordinator_main": "coordinator",
-    "ptnsbc_nodes.fleet.operator_main": "operator",
+    "ptnsbc_nodes.view.operator_main": "operator",
 }
 """The name of each module in `ros2 run ptnsbc_nodes`, `ptnsbc node` and launch files."""
 

@@ -97,7 +97,7 @@ def commands(options: FleetOptions, scenario_file: Path) -> list[ProcessCommand]
     if options.operator and options.leads:
         arguments = ("--scenario", str(scenario_file))
         here.append(
-            ProcessCommand("operator", "ptnsbc_nodes.fleet.operator_main", arguments, beside=True)
+            ProcessCommand("operator", "ptnsbc_nodes.view.operator_main", arguments, beside=True)
         )
     return [command.within(options.namespace) for command in here]
 

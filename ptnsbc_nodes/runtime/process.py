@@ -150,6 +150,11 @@ class ProcessLifetime:
         if not self._done.done():
             self._done.set_result(None)
 
+    @property
+    def over(self) -> bool:
+        """Whether a signal has come, or `end` was called."""
+        return self._signalled or self._done.done()
+
     def serve(self, node: Node, endpoints: _Endpoints) -> None:
         """Run callbacks until the end, then let readers catch up."""
         executor: Any = make_executor(node.context)
@@ -158,7 +163,7 @@ class ProcessLifetime:
         gc.collect()
         gc.freeze()
         print(RUNNING, flush=True)
-        while not (self._signalled or self._done.done()) and node.context.ok():
+        while not self.over and node.context.ok():
             # Python sees a signal only between two calls.
             executor.spin_until_future_complete(self._done, timeout_sec=_SIGNAL_CHECK_S)
         endpoints.flush(_FLUSH_S)

@@ -93,6 +93,11 @@ class FlightState:
         return self._epochs.announced
 
     @property
+    def leg(self) -> Leg | None:
+        """The leg in force."""
+        return self._epochs.at(self.stamp_ns)
+
+    @property
     def stamp_ns(self) -> int:
         """The newest stamp of a vehicle's state; -1 before the first."""
         return max((message.stamp_ns for message in self._odometry.values()), default=-1)
@@ -102,7 +107,7 @@ class FlightState:
 
         `t` counts from the first epoch, `left_s` to the deadline of the leg.
         """
-        leg = self._epochs.at(self.stamp_ns)
+        leg = self.leg
         t = None if leg is None else (self.stamp_ns - leg.first_t0_ns) * _NANO
         since_s = None if leg is None else (self.stamp_ns - leg.t0_ns) * _NANO
         places = {uav: message.values[:3] for uav, message in self._odometry.items()}
@@ -199,14 +204,16 @@ class FlightState:
         self, name: str, now_s: float, said: Iterable[tuple[float, DiagnosticStatus]]
     ) -> dict[str, Any]:
         if name in self._lost:
-            return {"level": _SILENT_LEVEL, "word": "has ended"}
+            return {"level": _SILENT_LEVEL, "word": "has ended", "silent": True}
         newest_s, status = max(said, key=lambda one: (one[0], one[1].level))
         if now_s - newest_s > SILENT_S and not self._over:
-            return {"level": _SILENT_LEVEL, "word": f"silent for {now_s - newest_s:.0f} s"}
+            word = f"silent for {now_s - newest_s:.0f} s"
+            return {"level": _SILENT_LEVEL, "word": word, "silent": True}
         if status.values.get("ready") == "false":
             waits = status.values.get("waiting_for", "")
-            return {"level": max(status.level, _READY_LEVEL), "word": f"waits for {waits}"}
-        return {"level": status.level, "word": status.message or "ready"}
+            level = max(status.level, _READY_LEVEL)
+            return {"level": level, "word": f"waits for {waits}", "silent": False}
+        return {"level": status.level, "word": status.message or "ready", "silent": False}
 
 
 class _Pace:

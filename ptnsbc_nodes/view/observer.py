@@ -50,6 +50,27 @@ def flying_domains() -> list[int]:
     return sorted({int(number) for number in _LOCK.findall(sockets)})
 
 
+def listen_to_fleet(listen: Callable[..., Any], state: FlightState) -> None:
+    """Subscribe to what the processes of a fleet tell; `listen` is like `Endpoints.listen`."""
+    scenario = state.scenario
+    often = keep_last(10 * len(scenario.uav_ids), reliable=True)
+    for topic in (topics.DIAGNOSTICS, topics.READY):
+        listen(topic, decode_diagnostics, state.on_status, profile=often)
+    listen(topics.EPOCH, decode_leg, state.on_leg)
+    listen(topics.LOST, decode_lost, state.on_lost)
+    listen(topics.OVER, decode_header, state.on_over)
+    if are_open(scenario):
+        listen(topics.SLOTS, state.decode_slots, state.on_slots)
+
+
+def listen_to_vehicles(listen: Callable[..., Any], state: FlightState) -> None:
+    """Subscribe to odometry, and not before the start: vehicles wait for so many readers, and not for a viewer."""
+    for uav in state.scenario.uav_ids:
+        # Neither the frames nor the order of stamps matter to a viewer.
+        on_odometry = partial(state.on_odometry, uav)
+        listen(topics.odom(uav), OdometryDecoder(), on_odometry, profile=STATE_REALTIME)
+
+
 class Observer:
     """One rclpy node in a context of its own; use it as a context manager.
 
@@ -95,15 +116,8 @@ class Observer:
         """Serve callbacks for a while."""
         self._spin.serve(seconds)
         if self._state is not None and self._state.started and not self._sees_vehicles:
-            self._watch_vehicles(self._state)
-
-    def _watch_vehicles(self, state: FlightState) -> None:
-        """Subscribe to odometry, and not before the start: vehicles wait for so many readers, and not for a viewer."""
-        self._sees_vehicles = True
-        for uav in state.scenario.uav_ids:
-            # Neither the frames nor the order of stamps matter to a viewer.
-            on_odometry = partial(state.on_odometry, uav)
-            self._listen(topics.odom(uav), OdometryDecoder(), on_odometry, STATE_REALTIME)
+            self._sees_vehicles = True
+            listen_to_vehicles(self._listen, self._state)
 
     def scenario(self, patience_s: float, stopped: Callable[[], bool]) -> Scenario:
         """What the fleet flies, as one of its UAVs says.
@@ -148,15 +162,7 @@ class Observer:
         seal = seal_of(scenario)
         self._endpoints = Endpoints(self._node, lockstep=True, seal=seal or operators_seal())
         self._request = self._endpoints.publisher(topics.REQUEST, 0)
-        often = keep_last(10 * len(scenario.uav_ids), reliable=True)
-        listen = self._listen
-        for topic in (topics.DIAGNOSTICS, topics.READY):
-            listen(topic, decode_diagnostics, state.on_status, profile=often)
-        listen(topics.EPOCH, decode_leg, state.on_leg)
-        listen(topics.LOST, decode_lost, state.on_lost)
-        listen(topics.OVER, decode_header, state.on_over)
-        if are_open(scenario):
-            listen(topics.SLOTS, state.decode_slots, state.on_slots)
+        listen_to_fleet(self._listen, state)
         self._state = state
         return state
 

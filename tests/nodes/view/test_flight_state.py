@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,8 +13,11 @@ pytest.importorskip("rclpy")
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_io.wire import Diagnostics, DiagnosticStatus, HeaderFields, Stamped
 from ptnsbc_nodes.comm.announcements import LostProcess
+from ptnsbc_nodes.comm.slots import Decision
 from ptnsbc_nodes.view.flight_state import SILENT_S, FlightState, scenario_of
 from ptnsbc_sim.scenario import load_scenario
+from ptnsbc_sim.scenario.slots import with_slots
+from ptnsbc_sim.verdict.formation_error import formation_errors
 
 SCENARIO = load_scenario("paper_5")
 EPOCH_NS = 7_000_000_000
@@ -66,6 +70,27 @@ def test_time_deadline_errors_and_the_nearest() -> None:
     gaps = [float(np.linalg.norm(places[2] - places[u])) for u in SCENARIO.uav_ids if u != 2]
     [second] = [uav for uav in frame["uavs"] if uav["id"] == 2]
     assert second["near"]["distance"] == pytest.approx(min(gaps), abs=1e-4)
+
+
+@pytest.mark.parametrize("name", ["paper_5", "show_20", "figure_eight"])
+def test_the_errors_are_those_of_the_verdict(name) -> None:
+    scenario = load_scenario(name)
+    rng = np.random.default_rng(7)
+    positions = {uav: rng.uniform(-3.0, 3.0, 3) for uav in scenario.uav_ids}
+    slots = dict(zip(scenario.uav_ids, scenario.uav_ids, strict=True))
+    if name == "show_20":
+        slots[2], slots[3] = 3, 2
+    state = FlightState(scenario, Steady())
+    state.on_leg(HeaderFields(EPOCH_NS, "form"))
+    for uav, place in positions.items():
+        state.on_odometry(uav, odometry(place, 3.2))
+    state.on_slots(Decision(EPOCH_NS, slots))
+    recording = SimpleNamespace(flown=with_slots(scenario, slots), first_ns=EPOCH_NS)
+    tracks = {uav: place[None, :] for uav, place in positions.items()}
+    grid = np.array([EPOCH_NS + 3_200_000_000])
+    expected = formation_errors(recording, grid, tracks)
+    for uav in state.frame()["uavs"]:
+        assert uav["error"] == pytest.approx(expected[uav["id"]][0], abs=1e-4)
 
 
 def test_a_leg_that_holds_has_no_deadline() -> None:

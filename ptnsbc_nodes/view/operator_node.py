@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -21,11 +21,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
-from ptnsbc_io.wire import Diagnostics, OdometryDecoder
 from ptnsbc_io.wire.cdr import split_stamp
-from ptnsbc_io.wire.diagnostics import decode_diagnostics
-from ptnsbc_nodes.comm import topics
-from ptnsbc_nodes.comm.announcements import decode_leg
 from ptnsbc_nodes.comm.diagnostics import STATUS_HZ
 from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.comm.legs import Leg
@@ -34,10 +30,10 @@ from ptnsbc_nodes.comm.seal import Seal
 from ptnsbc_nodes.emergency.orders import KILL, LAND, Order, runtime_folder
 from ptnsbc_nodes.fleet.coordinator_node import Coordinator
 from ptnsbc_nodes.fleet.emergency_stop import EmergencyStop
-from ptnsbc_nodes.fleet.fleet_state import FleetReport
 from ptnsbc_nodes.runtime.executor import make_executor
+from ptnsbc_nodes.view.flight_state import FlightState
+from ptnsbc_nodes.view.observer import listen_to_fleet, listen_to_vehicles
 from ptnsbc_sim.scenario import Scenario
-from ptnsbc_sim.scenario.slots import are_open
 
 STATE = "/formation/state"
 START_LEG = "/formation/start_leg"
@@ -49,6 +45,7 @@ _ANSWER_S = 3.0  # of the leader
 _STOP_S = 10.0  # of all bridges
 _LOCAL_S = 0.1  # of the bridges of this host, before the middleware is asked
 _DISCOVERY_S = 1.5
+_NOT_HEARD = {"silent": True, "level": 0, "word": "nothing was heard"}
 _SEALED = (
     "security: signed: this interface carries no seal: use `ptnsbc stop` or the commands of ptnsbc"
 )
@@ -67,14 +64,16 @@ class OperatorNode:
     def __init__(self, node: Node, scenario: Scenario, domain: int, seal: Seal | None) -> None:
         """`seal` of the fleet: with one the node only tells, because its services carry none."""
         self._node = node
-        self._scenario = scenario
         self._signed = seal is not None
         self._endpoints = Endpoints(node, lockstep=False, seal=seal)
         self._domain = domain
         self._folder = runtime_folder(domain, self._endpoints.fleet)
-        self.report = FleetReport(scenario)
+        self.flight = FlightState(scenario, time.monotonic)
+        self._tolerance_m = float(scenario.file.formation.tolerance_m)
+        self._sees_vehicles = False
         self._goals: list[_Goal] = []  # that are flown
-        self._listen()
+        self._listen = partial(self._endpoints.listen, required=False)
+        listen_to_fleet(self._listen, self.flight)
         fleet = self._endpoints.fleet
         self._publish = node.create_publisher(
             FleetState, fleet + STATE, keep_last(10, reliable=True)
@@ -120,57 +119,57 @@ class OperatorNode:
         self._calls.shutdown()
         self._caller.destroy_node()
 
-    def _listen(self) -> None:
-        listen, report = self._endpoints.listen, self.report
-        listen(topics.EPOCH, decode_leg, report.on_epoch, required=False)
-        if are_open(self._scenario):
-            listen(topics.SLOTS, report.slots.decode, report.on_slots, required=False)
-        reliable = keep_last(50, reliable=True)
-        for topic in (topics.DIAGNOSTICS, topics.READY):
-            listen(topic, decode_diagnostics, self._on_status, required=False, profile=reliable)
-        for uav in self._scenario.uav_ids:
-            on_odometry = partial(report.on_odometry, uav)
-            listen(topics.odom(uav), OdometryDecoder(), on_odometry, required=False)
-
-    def _on_status(self, array: Diagnostics) -> None:
-        self.report.on_status(array, time.monotonic())
-
     def _on_timer(self) -> None:
-        self._publish(self.state())
-        self._goals = [goal for goal in self._goals if not goal.look()]
+        if self.flight.started and not self._sees_vehicles:
+            self._sees_vehicles = True
+            listen_to_vehicles(self._listen, self.flight)
+        self._state = self._fleet_state()
+        self._publish(self._state)
+        self._goals = [goal for goal in self._goals if not goal.look(self._state)]
 
-    def state(self) -> FleetState:
-        """The fleet now."""
-        report, now_s = self.report, time.monotonic()
-        errors, leg = report.errors_m(), report.leg
-        state = FleetState(
-            share_of_time=report.share_of_time(),
-            worst_error_m=max(errors.values(), default=math.nan),
-            not_in_place=report.not_in_place(errors, now_s),
+    def _fleet_state(self) -> FleetState:
+        frame, leg = self.flight.frame(), self.flight.leg
+        in_formation = frame["left_s"] is not None
+        said = {one["name"]: one for one in frame["processes"]}
+        state = FleetState()
+        state.header.stamp.sec, state.header.stamp.nanosec = split_stamp(
+            max(self.flight.stamp_ns, 0)
         )
-        stamp = state.header.stamp
-        stamp.sec, stamp.nanosec = split_stamp(max(report.now_ns, 0))
         if leg is not None:
-            state.leg.name, state.leg.predefined_time_s = leg.name, report.predefined_time_s
+            state.leg.name = leg.name
             state.leg.epoch.sec, state.leg.epoch.nanosec = split_stamp(leg.t0_ns)
-        for uav in report.uavs.values():
-            silent = report.is_silent(uav.id, now_s)
-            in_formation = uav.id in errors and not silent
-            state.uavs.append(
-                UavState(
-                    id=uav.id,
-                    level=UavState.STALE if silent else uav.level,
-                    reason="no status" if silent else uav.reason,
-                    mode=uav.mode,
-                    ready=uav.ready and not silent,
-                    formation_error_m=errors.get(uav.id, math.nan),
-                    in_place=in_formation and uav.id not in state.not_in_place,
-                    avoidance_active_s=uav.avoidance_active_s,
-                    holding_s=uav.holding_s,
-                    vehicle=uav.vehicle,
-                )
-            )
+        if in_formation:
+            time_s = frame["since_s"] + frame["left_s"]
+            state.leg.predefined_time_s = time_s
+            state.share_of_time = min(max(frame["since_s"] / time_s, 0.0), 1.0)
+        for one in frame["uavs"]:
+            uav = self._uav_state(one, said.get(f"uav{one['id']}"), in_formation=in_formation)
+            state.uavs.append(uav)
+            if in_formation and not uav.in_place:
+                state.not_in_place.append(uav.id)
+        errors = (uav.formation_error_m for uav in state.uavs)
+        state.worst_error_m = max(filter(math.isfinite, errors), default=math.nan)
         return state
+
+    def _uav_state(
+        self, one: Mapping[str, Any], said: Mapping[str, Any] | None, *, in_formation: bool
+    ) -> UavState:
+        said = said or _NOT_HEARD
+        error = one["error"] if in_formation and one["error"] is not None else math.nan
+        near, battery = one["near"], one["battery"]
+        return UavState(
+            id=one["id"],
+            level=UavState.STALE if said["silent"] else said["level"],
+            reason=said["word"],
+            mode=one["mode"] or "",
+            formation_error_m=error,
+            in_place=not said["silent"] and error <= self._tolerance_m,
+            nearest="" if near is None else near["name"],
+            room_m=math.nan if near is None else near["room"],
+            vehicle=one["vehicle"] or "",
+            armed=bool(one["armed"]),
+            battery_percent=-1 if battery is None else min(battery, 100),
+        )
 
     def leader_is_there(self) -> bool:
         """Whether every service of the leader has been found."""
@@ -199,12 +198,6 @@ class OperatorNode:
 
     def _on_goal(self, goal: ServerGoalHandle) -> None:
         self._goals.append(_Goal(self, goal))
-
-    def fill(self, message: Any) -> None:
-        """Worst error and who is not in place, into feedback or result."""
-        errors = self.report.errors_m()
-        message.worst_error_m = max(errors.values(), default=math.nan)
-        message.not_in_place = self.report.not_in_place(errors, time.monotonic())
 
     def _on_stop(self, request: Any, response: Any) -> Any:
         """As `ptnsbc stop`: on every path until each bridge has answered."""
@@ -238,55 +231,54 @@ class OperatorNode:
 class _Goal:
     """A leg that is flown for a client of the action: until its predefined time, another leg or a cancel request.
 
-    The goal's `execute` runs only at the end, for the result: it would hold or burn the one thread of the node.
+    The goal's `execute` runs only at the end, for the result: it would hold the one thread of the node.
     """
 
     def __init__(self, operator: OperatorNode, goal: ServerGoalHandle) -> None:
         self._operator, self._goal = operator, goal
-        self._before = operator.report.leg
+        self._before = operator.flight.leg
         self._own: Leg | None = None
         self._answer = operator.call(goal.request.leg)
         self._heard_s = time.monotonic()
 
-    def look(self) -> bool:
+    def look(self, state: FleetState) -> bool:
         """Publish the feedback; whether the goal has ended."""
-        goal, report, now_s = self._goal, self._operator.report, time.monotonic()
         if not self._answer.accepted:
-            return self._end("abort", self._answer.message)
-        if goal.is_cancel_requested:
-            return self._end("canceled", f"hold: {self._operator.call('hold').message}")
-        if not report.is_silent(report.leader, now_s):
-            self._heard_s = now_s
-        elif now_s > self._heard_s + _ANSWER_S:
-            return self._end("abort", "the leader is silent")
-        return self._follow(report)
+            return self._end("abort", self._answer.message, state)
+        if self._goal.is_cancel_requested:
+            return self._end("canceled", f"hold: {self._operator.call('hold').message}", state)
+        leader = self._operator.flight.scenario.leader_id
+        if any(uav.id == leader and uav.level != UavState.STALE for uav in state.uavs):
+            self._heard_s = time.monotonic()
+        elif time.monotonic() > self._heard_s + _ANSWER_S:
+            return self._end("abort", "the leader is silent", state)
+        return self._follow(state)
 
-    def _follow(self, report: FleetReport) -> bool:
+    def _follow(self, state: FleetState) -> bool:
         """Look at the leg that the leader accepted."""
-        leg = report.leg
+        leg = self._operator.flight.leg
         if self._own is None and leg != self._before:
             self._own = leg
         if self._own is None:
             return False
         if leg != self._own:
-            return self._end("abort", f"another leg has begun: {leg.name if leg else 'none'}")
-        feedback = FlyLeg.Feedback(share_of_time=report.share_of_time())
-        self._operator.fill(feedback)
-        self._goal.publish_feedback(feedback)
-        if not report.predefined_time_s:
-            return self._end("succeed", f"leg {self._own.name}: it has begun")
-        return feedback.share_of_time >= 1.0 and self._judge(feedback.not_in_place)
+            name = leg.name if leg else "none"
+            return self._end("abort", f"another leg has begun: {name}", state)
+        feedback = FlyLeg.Feedback(share_of_time=state.share_of_time)
+        self._goal.publish_feedback(_filled(feedback, state))
+        if not state.leg.predefined_time_s:
+            return self._end("succeed", f"leg {leg.name}: it has begun", state)
+        return state.share_of_time >= 1.0 and self._judge(state)
 
-    def _judge(self, late: Sequence[int]) -> bool:
-        time_s = self._operator.report.predefined_time_s
+    def _judge(self, state: FleetState) -> bool:
+        time_s, late = state.leg.predefined_time_s, state.not_in_place
         if late:
             names = ", ".join(f"uav{uav}" for uav in late)
-            return self._end("abort", f"not in place after {time_s:g} s: {names}")
-        return self._end("succeed", f"in place after {time_s:g} s")
+            return self._end("abort", f"not in place after {time_s:g} s: {names}", state)
+        return self._end("succeed", f"in place after {time_s:g} s", state)
 
-    def _end(self, how: str, message: str) -> bool:
-        result = FlyLeg.Result(success=how == "succeed", message=message)
-        self._operator.fill(result)
+    def _end(self, how: str, message: str, state: FleetState) -> bool:
+        result = _filled(FlyLeg.Result(success=how == "succeed", message=message), state)
 
         def execute(goal: ServerGoalHandle) -> Any:
             getattr(goal, how)()
@@ -294,3 +286,9 @@ class _Goal:
 
         self._goal.execute(execute)
         return True
+
+
+def _filled(message: Any, state: FleetState) -> Any:
+    """Feedback or result with the worst error and who is not in place."""
+    message.worst_error_m, message.not_in_place = state.worst_error_m, state.not_in_place
+    return message

@@ -1,6 +1,6 @@
 """Process of the operator's interface: the fleet in messages, services and an action of ptnsbc_interfaces.
 
-`python -m ptnsbc_nodes.fleet.operator_main --scenario FILE`
+`python -m ptnsbc_nodes.view.operator_main [--scenario FILE]`; without a scenario it asks a UAV of the fleet.
 """
 
 from __future__ import annotations
@@ -10,6 +10,8 @@ from collections.abc import Sequence
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_nodes.runtime.signals import exit_on_signal
+
+_PATIENCE_S = 30.0
 
 
 class OperatorError(PtnsbcError):
@@ -21,17 +23,22 @@ def main(argv: Sequence[str] | None = None) -> int:
     exit_on_signal()
     from ptnsbc_nodes.runtime.process import Arguments, run
 
-    parser = Arguments("operator", "Offers a running fleet as ptnsbc_interfaces: state, legs, stop")
+    parser = Arguments(
+        "operator",
+        "Offers a running fleet as ptnsbc_interfaces: state, legs, stop",
+        scenario=False,
+    )
     return run(parser, argv, _serve)
 
 
 def _serve(arguments: argparse.Namespace, argv: list[str]) -> int:
     from ptnsbc_nodes.comm.seal import seal_of
     from ptnsbc_nodes.runtime import process as processes
+    from ptnsbc_nodes.view.observer import Observer
     from ptnsbc_sim.scenario import load_scenario
 
     try:
-        from ptnsbc_nodes.fleet.operator_node import OperatorNode
+        from ptnsbc_nodes.view.operator_node import OperatorNode
     except ModuleNotFoundError as error:
         if error.name != "ptnsbc_interfaces":
             raise
@@ -39,9 +46,14 @@ def _serve(arguments: argparse.Namespace, argv: list[str]) -> int:
             "the messages of ptnsbc_interfaces are not built: expected g++ and `make setup`, "
             "or with ROS from apt `colcon build` and its setup.bash"
         ) from None
-    scenario = load_scenario(arguments.scenario)
     lifetime = processes.ProcessLifetime()
     with processes.ros_node("operator", "", argv) as node:
+        if arguments.scenario:
+            scenario = load_scenario(arguments.scenario)
+        else:
+            namespace = node.get_namespace().rstrip("/")
+            with Observer(node.context.get_domain_id(), namespace, "operator_lookup") as observer:
+                scenario = observer.scenario(_PATIENCE_S, lambda: lifetime.over)
         operator = OperatorNode(node, scenario, node.context.get_domain_id(), seal_of(scenario))
         lifetime.serve(node, operator)
         operator.close()

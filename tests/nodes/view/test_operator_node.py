@@ -2,6 +2,7 @@
 
 import math
 import threading
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -21,7 +22,7 @@ from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.diagnostics import DiagnosticLevel, diagnostics
 from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.comm.seal import Seal
-from ptnsbc_nodes.fleet.operator_node import EMERGENCY_STOP, FLY_LEG, START_LEG, STATE, OperatorNode
+from ptnsbc_nodes.view.operator_node import EMERGENCY_STOP, FLY_LEG, START_LEG, STATE, OperatorNode
 from ptnsbc_sim.scenario import load_scenario
 
 pytestmark = pytest.mark.ros
@@ -41,7 +42,7 @@ class Fleet:
         self.ros, self.scenario = ros, scenario
         others = ros.node("others")
         ends = Endpoints(others, lockstep=False, seal=seal)
-        self.odom = {uav: ends.publisher(topics.odom(uav), 1) for uav in scenario.uav_ids}
+        self.odom = {uav: ends.publisher(topics.odom(uav), 0) for uav in scenario.uav_ids}
         self.status = ends.publisher(topics.DIAGNOSTICS, 1)
         self.epoch = ends.publisher(topics.EPOCH, 1)
         self.answers, self.asked = {}, []
@@ -137,10 +138,10 @@ def make(ros, scenario):
 
 @pytest.fixture
 def fleet(make, monkeypatch):
-    # The leader's path passes through the origin of these tests for all time.
+    # The leader's path is the origin in these tests.
+    at_origin = SimpleNamespace(position=(0.0, 0.0, 0.0))
     monkeypatch.setattr(
-        "ptnsbc_nodes.fleet.fleet_state.reference_positions",
-        lambda _path, times: np.zeros((len(times), 3)),
+        "ptnsbc_nodes.view.flight_state.reference", lambda _path, _time_s: at_origin
     )
     return make()
 
@@ -164,7 +165,7 @@ def test_the_state_names_who_is_not_in_place_and_who_is_silent(fleet):
 
 
 def test_before_the_first_leg_there_is_no_error(fleet):
-    fleet.spin_until_told(lambda: fleet.states and fleet.states[-1].uavs[0].ready, 0.0)
+    fleet.spin_until_told(lambda: fleet.states and fleet.states[-1].uavs[0].reason == "ready", 0.0)
     state = fleet.states[-1]
     assert (state.leg.name, list(state.not_in_place)) == ("", [])
     assert math.isnan(state.worst_error_m)
@@ -226,7 +227,7 @@ def test_another_leg_ends_the_goal(fleet):
 
 
 def test_a_silent_leader_ends_the_goal(fleet, monkeypatch):
-    monkeypatch.setattr("ptnsbc_nodes.fleet.operator_node._ANSWER_S", 0.5)
+    monkeypatch.setattr("ptnsbc_nodes.view.operator_node._ANSWER_S", 0.5)
     _, result = fleet.goal("start")
     fleet.ros.spin_until(result.done)
     assert result.result().result.message == "the leader is silent"
