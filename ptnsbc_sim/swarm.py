@@ -17,6 +17,7 @@ from ptnsbc_core.kernel import KernelList, borrowed, inline_kernel, kernel, kern
 from ptnsbc_core.step import guided_step, initial_state, inlined_step, step
 from ptnsbc_core.types import (
     MODE_FORMATION,
+    MODE_LAND,
     NEAR_COLUMNS,
     NEVER_RECEIVED_S,
     ODOMETRY_SIZE,
@@ -152,6 +153,7 @@ def inputs_of(
             estimates[k, i] = track.estimate[sent, sender, i] if sent >= 0 else 0.0
     pinned = wiring.pinned[row] > 0
     behind = tick % wiring.near_every
+    landing = tick * wiring.dt_ns >= wiring.landing_ns
     return AgentInputs(
         track.odometry[tick, row],
         _received(swarm, track, from_parent, parent),
@@ -162,9 +164,18 @@ def inputs_of(
         ages,
         swarm.near[row, : swarm.near_count[row]],
         (behind * wiring.dt_ns) * 1e-9,
-        MODE_FORMATION,
+        MODE_LAND if landing else MODE_FORMATION,
         (tick * wiring.dt_ns) * 1e-9,
     )
+
+
+@inline_kernel
+def since_epoch(wiring: Wiring, tick: int) -> float:
+    """Seconds since the latest epoch: the first one, or the begin of the landing."""
+    now_ns = tick * wiring.dt_ns
+    if now_ns >= wiring.landing_ns:
+        now_ns -= wiring.landing_ns
+    return now_ns * 1e-9
 
 
 @kernel
@@ -261,7 +272,7 @@ def _fly(
     wiring, swarm, track = borrowed(wiring), borrowed(swarm), borrowed(track)
     dt = wiring.dt_ns * 1e-9
     for tick in range(first, first + count):
-        t = (tick * wiring.dt_ns) * 1e-9
+        t = since_epoch(wiring, tick)
         sense(swarm, wiring, track, tick, disturbances)
         for row in range(swarm.bodies.shape[0]):
             inputs = inputs_of(swarm, wiring, track, tick, row, disturbances)

@@ -12,6 +12,8 @@ from ptnsbc_core.types import PLANTS, Array
 from ptnsbc_sim.plants.build import obstacle_rows
 from ptnsbc_sim.scenario import Scenario
 
+NO_LANDING_NS = 2**62
+
 
 class Wiring(NamedTuple):
     """Who hears whom, as rows of the swarm; constant during a flight."""
@@ -30,6 +32,7 @@ class Wiring(NamedTuple):
     substeps: int
     dt_ns: int
     plant: int  # PLANT_* of all UAVs
+    landing_ns: int  # when all UAVs begin to land; NO_LANDING_NS: never
 
 
 @inline_kernel
@@ -62,4 +65,5 @@ def wiring_of(scenario: Scenario) -> Wiring:
         int(scenario.physics_hz // scenario.control_hz),
         int(scenario.dt_ns),
         PLANTS[scenario.plant_kind],
+        NO_LANDING_NS if scenario.landing_ns is None else scenario.landing_ns,
     )

@@ -50,6 +50,7 @@ _EFFORT: _Columns = (
     ("missing", "missing", 0),
 )
 _CHANGES: _Columns = (("due s", "due_s", 2), ("largest error m", "error_m", 4))
+_LEGS: _Columns = (("begins s", "begin_s", 2), *_CHANGES, ("of UAV", "uav", 0))
 _SEPARATION: _Columns = (
     ("closest m", "distance_m", 4),
     ("at s", "at_s", 2),
@@ -109,7 +110,9 @@ def _regained_tables(verdict: Verdict) -> list[Table]:
 
 
 def _change_tables(verdict: Verdict) -> list[Table]:
-    """One row per change of the shape that was due: the worst UAV."""
+    """One row per leg of the mission, or per change of the shape that was due: the worst UAV."""
+    if verdict.mission:
+        return [_mission_table(verdict)]
     found = [
         (one.uav, change) for leg in verdict.legs for one in leg.uavs for change in one.changes
     ]
@@ -123,6 +126,14 @@ def _change_tables(verdict: Verdict) -> list[Table]:
         uav, worst = max(of_change, key=lambda one: one[1].error_m or 0.0)
         table.add_row(str(number), *_numbers(worst, _CHANGES), str(uav))
     return [table]
+
+
+def _mission_table(verdict: Verdict) -> Table:
+    table = _table("Legs of the mission", ("leg", "kind", "verdict"), _LEGS)
+    for leg in verdict.mission:
+        of = (leg.name, leg.kind, word(leg.verdict))
+        table.add_row(*of, *_numbers(leg, _LEGS))
+    return table
 
 
 def verdict_tables(verdict: Verdict) -> list[Table]:
@@ -155,7 +166,11 @@ def reasons(verdict: Verdict) -> list[Text]:
             for one in leg.uavs
             if (text := one.reason or one.excuse)
         ]
-    return found
+    return found + [
+        Text.assemble(f"leg {leg.name} ", word(leg.verdict), f": {leg.reason}")
+        for leg in verdict.mission
+        if leg.reason
+    ]
 
 
 def verdict_line(verdict: Verdict) -> Text:

@@ -19,6 +19,7 @@ SCHEMA = "verdict.schema.json"
 SCHEMAS = {DOCS / SCHEMA: schema.text, scenario_schema.FILE: scenario_schema.text}
 PAGES = {
     "scenarios.md": "docs.make.scenarios",
+    "missions.md": "docs.make.missions",
     "cli.md": "docs.make.cli",
     "architecture.md": "docs.make.architecture",
 }

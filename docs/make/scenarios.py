@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 from docs.make.markdown import table
 from docs.make.schema import REQUIRED, Row, rows
@@ -28,9 +28,9 @@ def regions() -> dict[str, str]:
     """Every made region of the page."""
     top = [row for row in rows(model.ScenarioFile) if "." not in row.key and "[" not in row.key]
     return {
-        "top": _table(_linked(row) for row in top),
-        **{name: _table(_own(rows(block))) for name, block in _BLOCKS.items()},
-        "gains": _table(_gains()),
+        "top": cells_table(_linked(row) for row in top),
+        **{name: cells_table(_own(rows(block))) for name, block in _BLOCKS.items()},
+        "gains": cells_table(_gains()),
         "loops": _loops(),
     }
 
@@ -40,7 +40,8 @@ def _own(of: Iterator[Row]) -> Iterator[Row]:
     return (row for row in of if not row.key.startswith("obstacles[].trajectory."))
 
 
-def _table(of: Iterator[Row]) -> str:
+def cells_table(of: Iterable[Row]) -> str:
+    """A table of keys."""
     return table(_HEADINGS, (_cells(row) for row in of))
 
 

@@ -90,7 +90,7 @@ class Bridge:
         )
         self.procedure = Procedure(autopilot, height_m, allow_arming, log)
         self.stream = SetpointStream(vehicle_link, self._mavlink, self._config)
-        self._epochs = Epochs()
+        self._epochs = Epochs(scenario.landing_ns)
         self._next_s = ports.clocks.steady_s()
 
     @property

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from ptnsbc_core.errors import PtnsbcError
-from ptnsbc_core.types import LEGS
+from ptnsbc_core.types import LEGS, MODE_FORMATION, MODE_LAND
 
 FIRST_LEG = "form"
 _MOST_LEGS = 256  # that are remembered
@@ -25,10 +25,15 @@ class Leg(NamedTuple):
 
 
 class Epochs:
-    """The announced legs, in the order of their announcement."""
+    """The announced legs, in the order of their announcement.
 
-    def __init__(self) -> None:
+    Args:
+        landing_ns: when the mission of the scenario lands, after the first epoch [ns]; None: never.
+    """
+
+    def __init__(self, landing_ns: int | None = None) -> None:
         self._legs: list[Leg] = []
+        self._landing_ns = landing_ns
 
     def announce(self, t0_ns: int, name: str) -> bool:
         """Add a leg; returns False for one that is known, which the latched topic may repeat."""
@@ -51,9 +56,19 @@ class Epochs:
     def at(self, now_ns: int) -> Leg | None:
         """The leg in force: of those whose epoch has come, the one announced last.
 
-        So an immediate stop wins over a hold that was announced before it for a later instant.
+        So an immediate stop wins over a hold that was announced before it for a later instant. The landing of the
+        mission follows a leg in formation that began before it.
         """
         for leg in reversed(self._legs):
             if leg.t0_ns <= now_ns:
-                return leg
+                return self._landing(leg, now_ns) or leg
         return None
+
+    def _landing(self, leg: Leg, now_ns: int) -> Leg | None:
+        """The landing of the mission, when it has begun in this leg."""
+        if self._landing_ns is None or leg.mode != MODE_FORMATION:
+            return None
+        t0_ns = leg.first_t0_ns + self._landing_ns
+        if not leg.t0_ns <= t0_ns <= now_ns:
+            return None
+        return Leg("land", MODE_LAND, t0_ns, leg.first_t0_ns)

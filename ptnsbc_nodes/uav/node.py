@@ -77,7 +77,7 @@ class UavNode:
         self._controller = UavController(agent_config(scenario, uav_id), edges.senders(uav_id), law)
         self._outbox = Outbox(self.endpoints, edges, uav_id)
         publish_description(self.endpoints, scenario, uav_id)
-        self._epochs = Epochs()
+        self._epochs = Epochs(scenario.landing_ns)
         names = self._controller.inbox.topic_names(uav_id)
         self._timing = _Timing(node, scenario, names, edges.options.lockstep)
         self._active = False

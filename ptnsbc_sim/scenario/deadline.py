@@ -16,8 +16,15 @@ from ptnsbc_core.curves.shape import place_samples
 from ptnsbc_core.curves.trajectory import course_samples, reference
 from ptnsbc_core.timebase import feasible_deadline
 from ptnsbc_core.types import Array
+from ptnsbc_sim.scenario.mission.legs import LandLeg, ScheduledLeg
 from ptnsbc_sim.scenario.mission.shapes import moves, shape_of
-from ptnsbc_sim.scenario.mission.trajectories import Circle, Line, extremes, trajectory_of
+from ptnsbc_sim.scenario.mission.trajectories import (
+    Circle,
+    Line,
+    Route,
+    extremes,
+    trajectory_of,
+)
 from ptnsbc_sim.scenario.model import ScenarioFile
 from ptnsbc_sim.scenario.problems import ScenarioError
 
@@ -52,17 +59,18 @@ def leader_motion(file: ScenarioFile) -> tuple[float, float]:
         return speed, speed * abs(path.rate_rad_s)
     if isinstance(path, Line):
         return math.hypot(*path.velocity_m_s), 0.0
-    most = extremes(path, file.timing.duration_s)
+    last = path.legs[0].begin_s if isinstance(path, Route) else math.inf
+    most = extremes(path, min(file.timing.duration_s, last))
     return most.speed_m_s, most.acceleration_m_s2
 
 
-def _places_motion(file: ScenarioFile, last: float) -> tuple[float, float]:
-    """Largest speed [m/s] and acceleration [m/s^2] of a place of a shape that moves, until `last` [s]; in the world."""
-    curve = trajectory_of(file.leader.trajectory)
-    times = np.linspace(0.0, last, min(max(round(last / _SAMPLE_S), 1), _MOST_SAMPLES) + 1)
+def _places_motion(file: ScenarioFile, first: float, last: float) -> tuple[float, float]:
+    """Largest speed [m/s] and acceleration [m/s^2] of the leader and the places in the world, between two times [s]."""
+    curve, span = trajectory_of(file.leader.trajectory), last - first
+    times = np.linspace(first, last, min(max(round(span / _SAMPLE_S), 1), _MOST_SAMPLES) + 1)
     lead = course_samples(curve, times)
-    speed = acceleration = 0.0
-    for uav in file.formation.offsets_m:
+    speed, acceleration = _longest(lead[:, 3:6]), _longest(lead[:, 6:9])
+    for uav in file.formation.offsets_m if moves(file.formation) else ():
         place = place_samples(shape_of(file, uav), curve, times)
         speed = max(speed, _longest(lead[:, 3:6] + place[:, 3:6]))
         acceleration = max(acceleration, _longest(lead[:, 6:9] + place[:, 6:9]))
@@ -78,7 +86,7 @@ def _motion(file: ScenarioFile) -> tuple[float, float]:
     leader, changes = leader_motion(file), file.formation.changes
     if not moves(file.formation) or not file.formation.offsets_m:
         return leader
-    places = _places_motion(file, changes[0].at_s if changes else file.timing.duration_s)
+    places = _places_motion(file, 0.0, changes[0].at_s if changes else file.timing.duration_s)
     return max(leader[0], places[0]), max(leader[1], places[1])
 
 
@@ -104,9 +112,53 @@ def limits_left(file: ScenarioFile) -> Limits:
     return _left(file, *_motion(file))
 
 
-def limits_left_by_changes(file: ScenarioFile) -> Limits:
-    """Speed and acceleration that the changes of the shape leave."""
-    return _left(file, *_places_motion(file, file.timing.duration_s))
+def limits_left_by_mission(file: ScenarioFile, first: float, last: float) -> Limits:
+    """Speed and acceleration that trajectory and shape leave between two times [s]."""
+    return _left(file, *_places_motion(file, first, last))
+
+
+class LegRoom(NamedTuple):
+    """Whether a leg can be flown."""
+
+    found: str
+    limit: str
+    advice: str  # empty when it can
+
+
+def leg_room(file: ScenarioFile, one: ScheduledLeg, until_s: float) -> LegRoom:
+    """Whether a leg after the first can be flown, by the limits of the vehicle.
+
+    Args:
+        file: a whole scenario, with the trajectory and the changes of its mission.
+        one: the leg.
+        until_s: end of the time [s] that counts, when another leg begins.
+    """
+    if isinstance(one.leg, LandLeg):
+        height = _highest(file, one.begin_s) - one.leg.ground_m
+        speed = file.gains.hold.land_speed_m_s
+        need = height / speed if speed > 0.0 else math.inf
+        return LegRoom(
+            f"{one.name}: {one.leg.over_s:g} s from {height:.2f} m above the ground",
+            f">= {need:.2f} s at gains.hold.land_speed_m_s, {speed:g} m/s",
+            "lengthen over_s, or land from a lower place" if need > one.leg.over_s else "",
+        )
+    left = limits_left_by_mission(file, one.begin_s, max(until_s, one.due_s))
+    return LegRoom(
+        f"{one.name} leaves {left.speed_m_s:.2f} m/s and {left.acceleration_m_s2:.2f} m/s^2 of the limits",
+        "> 0",
+        "lengthen over_s, or go less far" if min(left) <= 0.0 else "",
+    )
+
+
+def _highest(file: ScenarioFile, t: float) -> float:
+    """Height [m] of the highest place."""
+    curve, now = trajectory_of(file.leader.trajectory), np.array([t])
+    lead = float(course_samples(curve, now)[0, 2])
+    offsets = [place[2] for place in file.formation.offsets_m.values()]
+    if moves(file.formation):
+        shapes = [shape_of(file, uav) for uav in file.formation.offsets_m]
+        offsets = [float(place_samples(shape, curve, now)[0, 2]) for shape in shapes]
+    return lead + max([0.0, *offsets])
 
 
 def start_errors(file: ScenarioFile) -> dict[int, float]:

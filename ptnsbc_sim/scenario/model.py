@@ -23,6 +23,7 @@ from ptnsbc_sim.scenario.fields import (
 )
 from ptnsbc_sim.scenario.gains import Gains
 from ptnsbc_sim.scenario.mavlink import Mavlink
+from ptnsbc_sim.scenario.mission.legs import Mission
 from ptnsbc_sim.scenario.mission.shapes import Change, ShapeBlock
 from ptnsbc_sim.scenario.mission.trajectories import TrajectoryBlock
 from ptnsbc_sim.scenario.obstacles import ObstacleBlock
@@ -252,6 +253,9 @@ class ScenarioFile(Block):
     """The shape, and the task that holds it."""
     gains: Gains
     """All gains of the laws."""
+    mission: Mission | None = None
+    """What the formation does, leg by leg, see [missions.md](missions.md). Default: it forms and follows the trajectory
+    of the leader."""
     law: Annotated[str, Field(pattern=r"^.+\.py:[A-Za-z_]\w*$")] | None = None
     """Law of the followers in place of ours: `FILE.py:NAME` of a function, looked for beside this file, see
     [laws.md](laws.md)."""

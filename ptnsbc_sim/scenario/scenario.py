@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,7 +19,9 @@ from ptnsbc_sim.scenario.defaults import gain_defaults
 from ptnsbc_sim.scenario.fields import Wave
 from ptnsbc_sim.scenario.gains import Gains
 from ptnsbc_sim.scenario.mavlink import Mavlink, VehicleLink, vehicle_link
-from ptnsbc_sim.scenario.mission.completion import completed_shape
+from ptnsbc_sim.scenario.mission.completion import completed_mission, completed_shape
+from ptnsbc_sim.scenario.mission.legs import ScheduledLeg, Word, landing_s, schedule
+from ptnsbc_sim.scenario.mission.route import with_legs
 from ptnsbc_sim.scenario.model import Plant, Quadrotor, ScenarioFile, Sensor, UavBlock
 from ptnsbc_sim.scenario.obstacles import Obstacle
 from ptnsbc_sim.scenario.problems import ScenarioError, scenario_error
@@ -73,6 +75,8 @@ class Scenario:
     """YAML after `extends` and overrides: loads again to the same scenario; attached to bags."""
     source: str
     """Where it was read from, for messages."""
+    words: tuple[Word, ...] = ()
+    """What an operator said of its legs in flight."""
 
     def with_(self, keys: Mapping[str, Any] | None = None, /, **more: Any) -> Scenario:
         """This scenario with dotted keys set: `with_({"gains.formation.deadline_s": 6}, seed=3)`.
@@ -103,6 +107,30 @@ class Scenario:
                 for key in _BESIDE_POSITION
             )
         )
+
+    def with_words(self, words: Iterable[Word]) -> Scenario:
+        """This scenario as its legs go on after what an operator said; its text stays that of the whole flight.
+
+        Raises:
+            ScenarioError: the path of the leader gets too long.
+        """
+        given = tuple(words)
+        if given == self.words:
+            return self
+        return replace(self, file=_with_legs(self.file, self.source, given), words=given)
+
+    @property
+    def legs(self) -> tuple[ScheduledLeg, ...]:
+        """The legs of its mission that begin, in their order; none without a mission."""
+        if self.file.mission is None:
+            return ()
+        return schedule(self.file.mission, self.gains.formation.deadline_s, self.words)
+
+    @property
+    def landing_ns(self) -> int | None:
+        """When the leg `land` begins, after the first epoch [ns]; None without one."""
+        begin_s = landing_s(self.legs)
+        return None if begin_s is None else round(begin_s * NANOSECONDS)
 
     @property
     def name(self) -> str:
@@ -313,7 +341,7 @@ def completed(tree: reader.Tree, source: str = "scenario") -> reader.Tree:
     kind = plant.get("kind") if isinstance(plant, dict) else None
     if isinstance(gains, dict):
         tree = {**tree, "gains": reader.merged(gain_defaults(str(kind)), gains)}
-    return completed_shape(tree, source)
+    return completed_shape(completed_mission(tree), source)
 
 
 def scenario_from_text(
@@ -365,11 +393,33 @@ def scenario_from_text(
         text = reader.dump(final)
     filled = completed(final, source)
     if _deadline_of(filled) == AUTO:
-        deadline_s = auto_deadline(_validated(_with_deadline(filled, 1.0), source), source)
+        first = _validated(_with_deadline(filled, 1.0), source)
+        if first.mission is not None:
+            checked(first, source)
+            first = _with_legs(first, source)
+        deadline_s = auto_deadline(first, source)
         filled = _with_deadline(filled, deadline_s)
         text = reader.dump(_with_deadline(final, deadline_s))
-    file = _validated(filled, source)
-    return Scenario(file, checked(file, source), text, source)
+    return scenario_of(_validated(filled, source), text, source)
+
+
+def scenario_of(file: ScenarioFile, text: str, source: str) -> Scenario:
+    """The scenario of a whole file.
+
+    Raises:
+        ScenarioError: what is in the file does not fit together.
+    """
+    topology = checked(file, source)
+    return Scenario(_with_legs(file, source), topology, text, source)
+
+
+def _with_legs(file: ScenarioFile, source: str, words: tuple[Word, ...] = ()) -> ScenarioFile:
+    """A checked file with the trajectory and the changes of the shape of its mission."""
+    try:
+        found: ScenarioFile = with_legs(file, words)
+    except ValueError as error:
+        raise ScenarioError(f"{source}: {error}") from None
+    return found
 
 
 def _validated(tree: reader.Tree, source: str) -> ScenarioFile:

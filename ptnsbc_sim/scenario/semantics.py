@@ -10,7 +10,7 @@ from ptnsbc_core.timebase import peak_gain
 from ptnsbc_core.topology import Topology, validated_topology
 from ptnsbc_sim.scenario import obstacles
 from ptnsbc_sim.scenario.mavlink import Geofence, Mavlink, vehicle_link
-from ptnsbc_sim.scenario.mission import shapes, trajectories
+from ptnsbc_sim.scenario.mission import legs, shapes, trajectories
 from ptnsbc_sim.scenario.model import Positioning, ScenarioFile
 from ptnsbc_sim.scenario.problems import ScenarioError
 
@@ -166,6 +166,10 @@ def _motion_of_shape(file: ScenarioFile) -> Problems:
     yield from shapes.problems(file)
 
 
+def _legs(file: ScenarioFile) -> Problems:
+    yield from legs.problems(file)
+
+
 def _sight(file: ScenarioFile) -> Problems:
     shape = file.formation
     if shape.sight_m > 0.5 * shape.uav_keep_out_m:
@@ -254,6 +258,7 @@ _CHECKS: tuple[Callable[[ScenarioFile], Problems], ...] = (
     _offsets,
     _trajectory,
     _motion_of_shape,
+    _legs,
     _sight,
     _plant,
     _mavlink,

@@ -25,8 +25,7 @@ from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import Scenario, reader, scenario_from_text
 from ptnsbc_sim.scenario.model import ScenarioFile
 from ptnsbc_sim.scenario.problems import ScenarioError, scenario_error
-from ptnsbc_sim.scenario.scenario import completed
-from ptnsbc_sim.scenario.semantics import checked
+from ptnsbc_sim.scenario.scenario import completed, scenario_of
 from ptnsbc_sim.sweep.axes import SweepAxis, SweepError
 from ptnsbc_sim.sweep.family import Family, draw_family, family_from_text
 from ptnsbc_sim.sweep.starts import (
@@ -245,7 +244,7 @@ def _validated(tree: reader.Tree, source: str) -> Scenario:
         file = ScenarioFile.model_validate(full)
     except ValidationError as error:
         raise scenario_error(source, error, full) from None
-    return Scenario(file, checked(file, source), "", source)
+    return scenario_of(file, "", source)
 
 
 class _Common(NamedTuple):

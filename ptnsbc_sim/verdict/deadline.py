@@ -2,13 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ptnsbc_core.types import Array
+from ptnsbc_sim.scenario import Scenario
+from ptnsbc_sim.scenario.mission.legs import (
+    ChangeLeg,
+    FollowLeg,
+    FormLeg,
+    GoToLeg,
+    HoldLeg,
+    LandLeg,
+    ScheduledLeg,
+)
 from ptnsbc_sim.verdict.coverage import Coverage, first_bad_s, incomplete, silent_from_s
 from ptnsbc_sim.verdict.encounters import Encounter, ancestors, inside
 from ptnsbc_sim.verdict.recording import NANO, Recording, counter_rise
@@ -31,10 +41,14 @@ _NONE = np.empty(0)
 
 @dataclass(frozen=True)
 class ChangeError:
-    """The formation error of one UAV when a change of the shape was due. Times in seconds after the first epoch."""
+    """The error of one UAV when a change of the shape, or a leg of a mission, was due.
 
-    number: int  # of the change, from 1
-    due_s: float  # the end of the change
+    Times in seconds after the first epoch.
+    """
+
+    number: int  # of the change or of the leg, from 1
+    what: str  # in words
+    due_s: float  # the end of it
     error_m: float | None  # None: the leg ends before it
     excused: bool  # an encounter lasts over it
 
@@ -71,7 +85,7 @@ class UavVerdict:
     longest_gap_s: float  # between two odometry messages
     changes: tuple[
         ChangeError, ...
-    ]  # those of the shape that were due in this leg, after its deadline
+    ]  # those of the shape, or legs of a mission, that were due in this leg, after its deadline
 
 
 class ValueAt:
@@ -251,7 +265,7 @@ class ErrorFigures:
 
     @property
     def at_changes(self) -> tuple[ChangeError, ...]:
-        """The errors when the changes of the shape were due."""
+        """The errors when the changes of the shape, or the legs, were due."""
         return tuple(replace(change, error_m=at.value) for change, at in self._changes)
 
     @property
@@ -265,19 +279,42 @@ class ErrorFigures:
         return float(np.sqrt(self._squares / self._after)) if self._after else None
 
 
+def is_cut_short(legs: Sequence[ScheduledLeg], one: ScheduledLeg) -> bool:
+    """Whether a later leg took the place of this one before it was due: an operator said so."""
+    shapes = isinstance(one.leg, ChangeLeg)
+    return any(
+        one.begin_s < later.begin_s < one.due_s
+        and isinstance(later.leg, ChangeLeg if shapes else FollowLeg | GoToLeg | HoldLeg)
+        for later in legs
+    )
+
+
+def _dues(scenario: Scenario) -> list[tuple[int, str, float]]:
+    """Number, name and due time [s] of the legs after the first, or of the changes of the shape without a mission."""
+    if scenario.file.mission is not None:
+        return [
+            (one.number, f"leg {one.name}", one.due_s)
+            for one in scenario.legs
+            if not isinstance(one.leg, FormLeg | LandLeg) and not is_cut_short(scenario.legs, one)
+        ]
+    return [
+        (number, f"change {number} of the shape", change.at_s + change.over_s)
+        for number, change in enumerate(scenario.file.formation.changes, 1)
+    ]
+
+
 def _changes_due(
     recording: Recording, windows: list[Encounter]
 ) -> list[tuple[ChangeError, ValueAt]]:
-    """The changes of the shape that are due after the deadline of a leg; they count from the first epoch."""
+    """What is due after the deadline of a leg in formation; it counts from the first epoch."""
     scenario, found = recording.scenario, []
     before_s = (recording.start_ns - recording.first_ns) * NANO
-    for number, change in enumerate(scenario.file.formation.changes, 1):
-        due_s = change.at_s + change.over_s
+    for number, what, due_s in _dues(scenario):
         if due_s - before_s <= scenario.gains.formation.deadline_s:
             continue
         due_ns = recording.first_ns + round(due_s / NANO)
         excused = any(one.begin_ns <= due_ns <= one.back_ns for one in windows)
-        found.append((ChangeError(number, due_s, None, excused), ValueAt(due_s - before_s)))
+        found.append((ChangeError(number, what, due_s, None, excused), ValueAt(due_s - before_s)))
     return found
 
 
@@ -344,7 +381,7 @@ def _late_change(found: UavVerdict) -> str:
     for change in found.changes:
         error = change.error_m
         if error is not None and not change.excused and error > found.tolerance_m:
-            return f"{error:.3f} m off at {change.due_s:.2f} s, when change {change.number} of the shape was due"
+            return f"{error:.3f} m off at {change.due_s:.2f} s, when {change.what} was due"
     return ""
 
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from ptnsbc_core.types import Array
 from ptnsbc_sim import track as columns
 from ptnsbc_sim.swarm import HeadlessFlight
-from ptnsbc_sim.verdict.recording import COUNTERS, FORMATION, Recording
+from ptnsbc_sim.verdict.recording import COUNTERS, FORMATION, Recording, with_landing
 from ptnsbc_sim.verdict.track import Series
 
 _STATUS_HZ = 5
@@ -32,7 +32,7 @@ def recording_of(flight: HeadlessFlight) -> Recording:
         estimate={uav: Series(t_ns, track.estimate[:, row]) for row, uav in rows},
         truth={uav: Series(t_ns, track.truth[:, row]) for row, uav in rows if has_truth},
         counters={uav: Series(stamps, counted[:, row]) for row, uav in rows},
-        epochs=((int(t_ns[0]), FORMATION),),
+        epochs=with_landing(flight.scenario, ((int(t_ns[0]), FORMATION),)),
         slots={int(t_ns[0]): flight.slots} if flight.slots else {},
     )
 

@@ -17,10 +17,23 @@ from ptnsbc_sim.verdict.track import Track
 
 NANO = 1e-9
 FORMATION = "form"  # name of the legs that have a deadline
+LANDING = "land"
 
 
 class VerdictError(PtnsbcError):
     """A recording that cannot be judged."""
+
+
+def with_landing(
+    scenario: Scenario, epochs: tuple[tuple[int, str], ...]
+) -> tuple[tuple[int, str], ...]:
+    """Epochs (t0 [ns], leg) with the landing of the mission, which every UAV begins by itself."""
+    first_ns = next((t0_ns for t0_ns, leg in epochs if leg == FORMATION), None)
+    if first_ns is None or scenario.landing_ns is None:
+        return epochs
+    t0_ns = first_ns + scenario.landing_ns
+    before = [leg for begun_ns, leg in epochs if begun_ns <= t0_ns]
+    return tuple(sorted((*epochs, (t0_ns, LANDING)))) if before[-1] == FORMATION else epochs
 
 
 COUNTERS = (

@@ -24,7 +24,8 @@ def schema() -> dict[str, Any]:
     for part in (made, made["$defs"]["LegVerdict"]):
         part["properties"] = {"verdict": _WORD, **part["properties"]}
         part["required"] = ["verdict", *part["required"]]
-    made["$defs"]["UavVerdict"]["properties"]["verdict"] = _WORD
+    for name in ("UavVerdict", "MissionLegVerdict"):
+        made["$defs"][name]["properties"]["verdict"] = _WORD
     head = {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": "Verdict of ptnsbc",

@@ -31,6 +31,7 @@ from ptnsbc_sim.verdict.figures import (
     effort,
 )
 from ptnsbc_sim.verdict.formation_error import formation_errors
+from ptnsbc_sim.verdict.mission import MissionLegVerdict, mission_legs
 from ptnsbc_sim.verdict.recording import (
     COUNTERS,
     NANO,
@@ -83,13 +84,15 @@ class Verdict:
     priority_violation_m_s: float
     latency_ms: dict[str, float]
     legs: tuple[LegVerdict, ...]  # all formation legs; the figures above are of the first
+    mission: tuple[MissionLegVerdict, ...]  # the legs of the mission; empty without one
 
     @property
     def verdict(self) -> str:
-        """Violated when a keep-out was entered in any leg, else the worst of all UAVs: missed, void, met."""
+        """Violated when a keep-out was entered in any leg, else the worst of all UAVs and legs: missed, void, met."""
         if any(pair.entered for pair in self.separations):
             return VIOLATED
-        return _worst(leg.verdict for leg in self.legs)
+        legs = [leg.verdict for leg in self.legs]
+        return _worst([*legs, *(leg.verdict for leg in self.mission)])
 
     @property
     def exit_code(self) -> int:
@@ -158,6 +161,12 @@ def _verdict_on(recording: Recording, tolerance: float) -> Verdict:
         ),
         latency_ms=dict(recording.latency),
         legs=tuple(leg.verdict for leg in legs),
+        mission=mission_legs(
+            recording,
+            [leg.verdict.uavs for leg in legs],
+            [pair for part in parts for pair in part],
+            tolerance,
+        ),
     )
 
 

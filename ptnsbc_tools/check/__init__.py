@@ -17,6 +17,7 @@ from ptnsbc_tools.check.geometry import (
     spacing,
     starts_clear,
 )
+from ptnsbc_tools.check.mission import legs
 from ptnsbc_tools.check.slots import slots
 from ptnsbc_tools.check.trajectory import trajectory
 
@@ -34,6 +35,7 @@ _CHECKS: Sequence[Callable[[Scenario], Findings]] = (
     slots,
     feasible,
     changes,
+    legs,
     trajectory,
     encounters,
     recovery,

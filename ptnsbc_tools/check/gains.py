@@ -7,7 +7,7 @@ from ptnsbc_core.types import LoopGain
 from ptnsbc_sim.scenario import Scenario, agent_config
 from ptnsbc_sim.scenario.deadline import (
     limits_left,
-    limits_left_by_changes,
+    limits_left_by_mission,
     shortest_deadlines,
     start_errors,
 )
@@ -87,9 +87,9 @@ def printed(scenario: Scenario) -> Findings:
 def changes(scenario: Scenario) -> Findings:
     """The changes of the shape against the limits of speed and acceleration, and against the deadline."""
     found = scenario.file.formation.changes
-    if not found or not scenario.followers:
+    if not found or not scenario.followers or scenario.file.mission is not None:
         return
-    left = limits_left_by_changes(scenario.file)
+    left = limits_left_by_mission(scenario.file, 0.0, scenario.duration_s)
     short = min(left) <= 0
     yield Finding(
         ERROR if short else INFO,

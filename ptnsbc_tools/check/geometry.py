@@ -116,6 +116,13 @@ def spacing(scenario: Scenario) -> Findings:
             )
 
 
+def _what_moves(scenario: Scenario) -> str:
+    """The key that moves the shape."""
+    if not scenario.file.formation.changes:
+        return "formation.frame"
+    return "formation.changes" if scenario.file.mission is None else "mission.legs"
+
+
 def moving_spacing(scenario: Scenario) -> Findings:
     """Desired positions of a shape that moves, against the keep-out distance, along the whole flight."""
     if not moves(scenario.file.formation) or len(scenario.uav_ids) < 2:
@@ -133,7 +140,7 @@ def moving_spacing(scenario: Scenario) -> Findings:
     least = float(gaps[a, b][first])
     yield Finding(
         ERROR if least < keep_out else INFO,
-        "formation.changes" if scenario.file.formation.changes else "formation.frame",
+        _what_moves(scenario),
         f"the places of UAV {a} and UAV {b} come as close as {least:.2f} m at t = {times[first]:.1f} s",
         f">= {keep_out:g} m",
         "widen the shapes, or go through another one" if least < keep_out else "",

@@ -19,7 +19,7 @@ from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.slots import DecidedSlots, hear_recorded
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.verdict import Recording, Track
-from ptnsbc_sim.verdict.recording import FORMATION
+from ptnsbc_sim.verdict.recording import FORMATION, with_landing
 from ptnsbc_tools.reading.bag_sources import (
     OUR_TOPICS,
     BagSource,
@@ -136,7 +136,7 @@ def read_recording(path: Path, options: ReadOptions = DEFAULTS) -> Recording:
         truth=collector.tracks(names.truth),
         counters=collector.counters.counters(),
         sent=collector.counters.sent(),
-        epochs=epochs,
+        epochs=with_landing(scenario, epochs),
         slots=slots,
         latency=collector.counters.latency,
         window_s=options.window_s,

@@ -110,8 +110,10 @@ class _StatusMessages:
     def _diagnostics(self, tick: int, stamp_ns: int) -> Iterator[bytes]:
         from ptnsbc_nodes.comm.diagnostics import DiagnosticLevel, diagnostics, readiness
 
+        landing_ns = self._flight.scenario.landing_ns
+        mode = FORMATION if landing_ns is None or stamp_ns < landing_ns else "land"
         for uav, counters in zip(self._flight.scenario.uav_ids, self._counters, strict=True):
-            values = {**readiness([]), "mode": FORMATION, "missed_ticks": "0", **counters.values()}
+            values = {**readiness([]), "mode": mode, "missed_ticks": "0", **counters.values()}
             level, text = (
                 (DiagnosticLevel.WARN, "holding") if counters.holding else (DiagnosticLevel.OK, "")
             )

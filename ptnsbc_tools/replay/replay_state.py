@@ -43,7 +43,7 @@ class ReplayState:
         for replay in self.uavs.values():
             needed.update(heard_topics(replay.senders))
         self.buffers = {topic.name: TopicBuffer(topic.type) for topic in needed}
-        self.epochs = Epochs()
+        self.epochs = Epochs(scenario.landing_ns)
         self.first_t0_ns: int | None = None
         self._snapshots: dict[int, list[tuple[int, bytes]]] = {uav: [] for uav in uavs}
         self._snapshot_topics = {topics.snapshot(uav).name: uav for uav in uavs}

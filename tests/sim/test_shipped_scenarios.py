@@ -102,6 +102,19 @@ def test_bodies_are_kept_clear_of(name: str, plant: str) -> None:
     assert verdict_on(recording_of(flown)).verdict == MET
 
 
+@pytest.mark.parametrize("plant", PLANTS)
+def test_a_mission_is_flown_leg_by_leg(plant: str) -> None:
+    """Form, go, change, circle, hold, land: each by its time, and all on the ground at the end."""
+    scenario = load_scenario("mission_6", {"plant.kind": plant})
+    verdict = verdict_on(recording_of(fly(scenario)))
+    assert verdict.verdict == "met"
+    assert [leg.kind for leg in verdict.mission] == [
+        "form", "go_to", "change", "follow", "hold", "land",
+    ]  # fmt: skip
+    assert max(leg.error_m or 0.0 for leg in verdict.mission) < 0.02
+    assert [leg.due_s for leg in verdict.mission] == [7.0, 17.0, 24.0, 30.0, 40.0, 59.0]
+
+
 def test_twenty_start_and_form_as_the_file_says() -> None:
     scenario = load_scenario("paper_20")
     starts = np.array([scenario.uav(uav).position for uav in scenario.uav_ids])

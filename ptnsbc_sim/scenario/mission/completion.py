@@ -16,7 +16,14 @@ from ptnsbc_core.errors import FormationError
 from ptnsbc_core.tasks.registry import conditioning
 from ptnsbc_core.types import TASKS, Array
 from ptnsbc_sim.scenario.fields import Vec3
-from ptnsbc_sim.scenario.mission.shapes import Change, ShapeBlock, changed, named_places
+from ptnsbc_sim.scenario.mission.legs import ChangeLeg
+from ptnsbc_sim.scenario.mission.shapes import (
+    Change,
+    Reshaping,
+    ShapeBlock,
+    changed,
+    named_places,
+)
 from ptnsbc_sim.scenario.problems import ScenarioError
 
 AUTO_TREE = "auto"
@@ -36,6 +43,28 @@ Offsets = dict[int, list[float]]
 _PLACE, _PLACES = TypeAdapter(Vec3), TypeAdapter(dict[int, Vec3])
 
 
+def completed_mission(tree: Tree) -> Tree:
+    """`tree` with what the first leg of its mission says of the formation in the keys that say it without a mission."""
+    mission, formation, gains = (tree.get(key) for key in ("mission", "formation", "gains"))
+    legs = mission.get("legs") if isinstance(mission, dict) else None
+    first = legs[0] if isinstance(legs, list) and legs else None
+    if not isinstance(first, dict) or first.get("kind") != "form":
+        return tree
+    if first.get("over_s") is not None and isinstance(gains, dict):
+        loop = gains.get("formation")
+        if isinstance(loop, dict):
+            loop = {**loop, "deadline_s": first["over_s"]}
+            tree = {**tree, "gains": {**gains, "formation": loop}}
+    if isinstance(formation, dict):
+        if first.get("shape") is not None:
+            formation = {key: value for key, value in formation.items() if key != "offsets_m"}
+            formation["shape"] = first["shape"]
+        if first.get("slots") is not None:
+            formation = {**formation, "assignment": first["slots"]}
+        tree = {**tree, "formation": formation}
+    return tree
+
+
 def completed_shape(tree: Tree, source: str) -> Tree:
     """`tree` with offsets where it names shapes, and with a communication tree where it says `auto`.
 
@@ -52,6 +81,7 @@ def completed_shape(tree: Tree, source: str) -> Tree:
     formation = _with_changes(formation, ids, source)
     if formation is not tree["formation"]:
         tree = {**tree, "formation": formation}
+    tree = _with_leg_places(tree, ids, source)
     return _with_tree(tree, ids, source)
 
 
@@ -96,30 +126,66 @@ def _with_offsets(block: Tree, ids: list[int], where: str, source: str) -> Tree:
 
 
 def _with_changes(formation: Tree, ids: list[int], source: str) -> Tree:
-    """Each change to a named shape with the places that the followers take: those with the least squared distances."""
+    """`formation` with the places of each change to a named shape."""
     changes, present = formation.get("changes"), _offsets(formation)
-    if not isinstance(changes, list) or present is None or set(present) != set(ids):
+    if not isinstance(changes, list) or present is None:
         return formation
+    named = {f"formation.changes[{index}]": block for index, block in enumerate(changes)}
+    filled = _filled(named, Change, present, ids, source)
+    return formation if filled is None else {**formation, "changes": list(filled.values())}
+
+
+def _with_leg_places(tree: Tree, ids: list[int], source: str) -> Tree:
+    """`tree` with the places of each leg that changes to a named shape."""
+    mission, present = tree.get("mission"), _offsets(tree["formation"])
+    legs = mission.get("legs") if isinstance(mission, dict) else None
+    if not isinstance(legs, list) or present is None or not isinstance(mission, dict):
+        return tree
+    where = {
+        f"mission.legs[{index}]": leg
+        for index, leg in enumerate(legs)
+        if isinstance(leg, dict) and leg.get("kind") == "change"
+    }
+    filled = _filled(where, ChangeLeg, present, ids, source)
+    if filled is None:
+        return tree
+    legs = [filled.get(f"mission.legs[{index}]", leg) for index, leg in enumerate(legs)]
+    return {**tree, "mission": {**mission, "legs": legs}}
+
+
+def _filled(
+    changes: Mapping[str, Any],
+    kind: type[Reshaping],
+    present: Mapping[int, Array],
+    ids: list[int],
+    source: str,
+) -> dict[str, Tree] | None:
+    """Changes by their keys, those to named shapes with the places that the followers take; None: one is malformed.
+
+    They take the places with the least squared distances from those before.
+    """
+    if set(present) != set(ids):
+        return None
     now = np.stack([present[uav] for uav in ids]) if ids else np.zeros((0, 3))
-    held, filled = now, []
-    for index, block in enumerate(changes):
+    held, filled = now, {}
+    for where, block in changes.items():
         if not isinstance(block, dict):
-            return formation
-        whole = _with_offsets(block, ids, f"formation.changes[{index}]", source)
+            return None
+        whole = _with_offsets(block, ids, where, source)
         try:
-            change = Change.model_validate(whole)
+            change = kind.model_validate(whole)
         except ValidationError:
-            return formation
+            return None
         if change.offsets_m is not None:
             if set(change.offsets_m) != set(ids):
-                return formation
+                return None
             held = np.array([change.offsets_m[uav] for uav in ids])
         if change.shape is not None:
             held = held[_nearest(now, changed(change, held))]
             whole = {**whole, "offsets_m": dict(zip(ids, held.tolist(), strict=True))}
         now = changed(change, held)
-        filled.append(whole)
-    return {**formation, "changes": filled}
+        filled[where] = whole
+    return filled
 
 
 def _nearest(now: Array, places: Array) -> NDArray[np.int64]:

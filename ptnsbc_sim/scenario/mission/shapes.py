@@ -7,7 +7,7 @@ What moves becomes a table of polynomials (ptnsbc_core.curves.piecewise) for eac
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import pairwise
 from typing import Annotated, Any, Literal
 
@@ -35,11 +35,9 @@ class ShapeBlock(Block):
     """Distance of neighbours."""
 
 
-class Change(Block):
+class Reshaping(Block):
     """What the formation changes to."""
 
-    at_s: Annotated[Number, Field(ge=0, le=1e6)]
-    """Begin, after the first epoch."""
     over_s: Annotated[Number, Field(ge=0.1, le=1e6)]
     """Duration: by then the UAVs are in the changed shape."""
     shape: ShapeBlock | None = None
@@ -53,6 +51,13 @@ class Change(Block):
     """Metres ahead for each metre to the left."""
     rotation_rad: Factor = 0.0
     """Turn of the shape about the vertical, from its first position."""
+
+
+class Change(Reshaping):
+    """What the formation changes to, and when."""
+
+    at_s: Annotated[Number, Field(ge=0, le=1e6)]
+    """Begin, after the first epoch."""
 
 
 def v_places(size: int, spacing: float) -> Array:
@@ -120,7 +125,7 @@ def named_places(block: ShapeBlock, size: int) -> Array:
     return _PLACES[block.kind](size, block.spacing_m)
 
 
-def changed(change: Change, place: Array) -> Array:
+def changed(change: Reshaping, place: Array) -> Array:
     """A place (..., 3) scaled and sheared by a change."""
     return np.array(change.scale) * place + change.shear * place[..., 1:2] * np.eye(3)[0]
 
@@ -159,12 +164,32 @@ def _stages(formation: Any, uav: int | None) -> Array:
 
 
 def _table(changes: tuple[Change, ...], stages: Array) -> Array:
-    """Polynomials from stage to stage (1 + C, 7): at rest, then by h of the time base, then at rest again."""
+    """Polynomials from stage to stage (1 + C, 7): at rest, then by h of the time base, then at rest again.
+
+    A change that begins before the last one is done goes on from where that is, by a polynomial with the same
+    derivatives there.
+    """
     rows = [_row(0.0, stages[0], np.zeros(CHANNELS), 1.0)]
     for change, (before, after) in zip(changes, pairwise(stages), strict=True):
-        rows.append(_row(change.at_s, before, after - before, change.over_s))
+        if change.at_s < rows[-1][0]:
+            rows[-1] = _moving_row(rows[-2], change, after)
+        else:
+            rows.append(_row(change.at_s, before, after - before, change.over_s))
         rows.append(_row(change.at_s + change.over_s, after, np.zeros(CHANNELS), 1.0))
     return np.array(rows)
+
+
+def _moving_row(last: Array, change: Change, after: Array) -> Array:
+    """The row of a change that begins in the middle of row `last`."""
+    row = np.zeros(1 + COEFFICIENTS * CHANNELS)
+    row[0] = change.at_s
+    times = np.array([change.at_s, change.at_s + change.over_s])
+    for channel in range(CHANNELS):
+        at = slice(1 + COEFFICIENTS * channel, 1 + COEFFICIENTS * (channel + 1))
+        whole = np.poly1d(last[at])
+        now = [whole.deriv(k)(change.at_s - last[0]) for k in range(4)]
+        row[at] = hermite(times, [np.array(now), np.array([after[channel], 0.0, 0.0, 0.0])])[0]
+    return row
 
 
 def _row(begin: float, first: Array, step: Array, over: float) -> Array:
@@ -198,3 +223,18 @@ def problems(file: Any) -> Iterator[str]:
         last = change.at_s + change.over_s
         for uav in sorted(set(followers).symmetric_difference(change.offsets_m or followers)):
             yield f"{where}.offsets_m.{uav}: expected an offset of each follower {followers}, and of no other UAV"
+
+
+def hermite(times: Array, values: Sequence[Array]) -> Array:
+    """Polynomials (K - 1, 8) between K knots, the highest power first, of the time since each of them.
+
+    Args:
+        times: (K,) [s].
+        values: of each knot the value and its derivatives, as many as are known.
+    """
+    from scipy.interpolate import BPoly, PPoly  # late: half a second
+
+    found = PPoly.from_bernstein_basis(BPoly.from_derivatives(times, values)).c
+    out = np.zeros((len(times) - 1, COEFFICIENTS))
+    out[:, COEFFICIENTS - len(found) :] = found.T
+    return out

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
 from functools import lru_cache
 from itertools import pairwise
 from typing import Annotated, Any, Literal, NamedTuple
@@ -156,6 +157,16 @@ TrajectoryBlock = Annotated[
 ]
 
 
+@dataclass(frozen=True)
+class Route:
+    """The path of the leader through the legs of a mission, in the place of a trajectory block."""
+
+    first: Any  # the trajectory block that it begins with
+    legs: tuple[Any, ...]  # those that move the leader, with their times
+    until_s: float  # the curve ends there
+    curve: Trajectory = field(compare=False)
+
+
 class Samples(NamedTuple):
     """What a CSV file holds."""
 
@@ -276,6 +287,8 @@ def samples_of(text: str) -> Samples:
 @lru_cache(maxsize=64)
 def trajectory_of(block: Any) -> Trajectory:
     """The curve of a trajectory block that has no `problems`."""
+    if isinstance(block, Route):
+        return block.curve
     if isinstance(block, Circle):
         if block.heading == "path":
             return _harmonic(block)

@@ -43,3 +43,19 @@ def test_what_the_latched_topic_repeats_changes_nothing():
 def test_an_unknown_leg_is_refused_by_name():
     with pytest.raises(EpochError, match=r"'loop': expected one of form, hold, land"):
         Epochs().announce(0, "loop")
+
+
+def test_the_mission_lands_by_itself():
+    epochs = Epochs(landing_ns=600)
+    epochs.announce(100, "form")
+    assert epochs.at(699).name == "form"
+    assert epochs.at(700) == ("land", MODE_LAND, 700, 100)
+    epochs.announce(800, "form")  # started again
+    assert epochs.at(900) == ("form", MODE_FORMATION, 800, 100)
+
+
+def test_who_holds_does_not_land_with_the_mission():
+    epochs = Epochs(landing_ns=600)
+    epochs.announce(100, "form")
+    epochs.announce(500, "hold")
+    assert epochs.at(900).name == "hold"

@@ -125,6 +125,36 @@ def test_lockstep_flights_have_the_bytes_of_each_other_and_of_the_headless_one(l
     told = counts(bag)
     assert told["/clock"] == told["/uav5/setpoint/wrench"] == scenario.ticks
     assert told["/diagnostics"] == 5 * (1 + len(scenario.uav_ids))
+    assert_as_headless(bag, scenario)
+
+
+MISSION = """
+extends: mission_6
+timing: {duration_s: 6}
+mission:
+  legs:
+    - {kind: form, over_s: 4}
+    - {kind: follow, over_s: 1, trajectory: {kind: circle, centre_m: [0, 0, 4], radius_m: 1, rate_rad_s: 0.2}}
+    - {kind: change, at_s: 5, over_s: 0.4, scale: [1.1, 1, 1]}
+    - {kind: land, at_s: 5.41, over_s: 10}
+"""
+
+
+def test_a_mission_flown_by_processes_in_lockstep_has_the_bytes_of_the_headless_one(
+    launch, tmp_path
+):
+    """The landing begins between two ticks."""
+    (tmp_path / "short.yaml").write_text(MISSION)
+    scenario = load_scenario(tmp_path / "short.yaml")
+    flight = launch("--scenario", str(tmp_path / "short.yaml"), "--bag", str(tmp_path / "bag"))
+    assert flight.finish() == 0, flight.lines
+    bag = read_bag(tmp_path / "bag")
+    assert counts(bag)["/clock"] == scenario.ticks
+    assert_as_headless(bag, scenario)
+
+
+def assert_as_headless(bag, scenario):
+    """What the processes sent is what the same flight has without processes, to the last bit."""
     track = fly(scenario).track
     expected = {
         "odom": (wire.decode_odometry, track.odometry),

@@ -103,6 +103,13 @@ def test_starts_beyond_all_measure_are_refused_with_the_draw() -> None:
         plan_with(1, starts=parse_starts("near:1e308"))
 
 
+def test_the_loop_flies_the_mission_of_a_draw_too() -> None:
+    plan = plan_of(load_scenario("mission_6"), 3, starts=parse_starts("near:0.3"))
+    flown, whole = drawn_scenario(plan, 1)[0], draw(plan, 1)
+    assert flown.file == whole.file
+    assert flown.file.formation.changes
+
+
 def test_several_lists_make_a_grid_with_replicates() -> None:
     plan = plan_with(2, "plant.mass_kg=1.0,1.2", f"{KAPPA}=1:3:3")
     assert (plan.cells, plan.draws) == (6, 12)
