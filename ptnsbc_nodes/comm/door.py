@@ -29,6 +29,10 @@ FORGET_S = 0.5
 _LONGEST_REASON = 160
 
 
+class RepetitionError(WireError):
+    """A message with the stamp of the one before: it has nothing new, and nothing is wrong with its sender."""
+
+
 class StampRule(Protocol):
     """Decides by its stamp whether a message of one sender is taken."""
 
@@ -109,6 +113,8 @@ class RealTimeStamps:
                 f"stamp is {-age_s:.1f} s in the future: expected {AHEAD_S:g} s at most"
             )
         if stamp_ns <= self._newest_ns and now_s - self._accepted_s < FORGET_S:
+            if stamp_ns == self._newest_ns:  # a UAV that was late ticks twice with one odometry
+                raise RepetitionError(f"stamp {stamp_ns} ns again")
             behind_ms = (self._newest_ns - stamp_ns) * 1e-6
             raise WireError(f"stamp is {behind_ms:.3f} ms before that of an earlier message")
         self._newest_ns, self._accepted_s = stamp_ns, now_s
@@ -175,6 +181,8 @@ class Door(Generic[T]):
             if len(data) > self._largest:
                 raise WireError(f"{len(data)} bytes: expected {self._largest} at most")
             message = self._decode(data)
+        except RepetitionError:
+            return
         except PtnsbcError as error:
             self._refusals.add(self._topic, str(error))
             return

@@ -58,6 +58,19 @@ def test_real_time_stamps_are_near_the_clock_and_rise():
     assert taken(rule, now, now, old, future, now - 1, now + 5) == [now, now + 5]
 
 
+def test_in_real_time_a_stamp_that_comes_twice_is_dropped_and_is_no_refusal():
+    """A UAV that was late ticks twice with one odometry."""
+    clocks, refusals, delivered = Clocks(), Refusals(), []
+    decode = in_order(lambda data: wire.Stamped(clocks.now_ns - data[0], (data[0],)), clocks.rule())
+    door = Door("/uav2/leader_estimate", decode, delivered.append, refusals)
+    for age in (b"\2", b"\2", b"\1"):
+        door(age)
+    assert [message.values[0] for message in delivered] == [2, 1]
+    assert refusals.values() == {}
+    door(b"\3")
+    assert refusals.counts == {"/uav2/leader_estimate": 1}
+
+
 def test_a_clock_that_was_set_back_is_followed_after_a_silence():
     clocks = Clocks()
     rule, now = clocks.rule(), clocks.now_ns
