@@ -32,6 +32,7 @@ from ptnsbc_sim.disturbances.build import (
     sensor_noise_of,
     sensor_noise_samples,
 )
+from ptnsbc_sim.disturbances.faults import add_jumps
 from ptnsbc_sim.disturbances.gusts import gust_step
 from ptnsbc_sim.disturbances.links import last_state_received
 from ptnsbc_sim.disturbances.position_noise import initial_error, measured_odometry
@@ -39,11 +40,11 @@ from ptnsbc_sim.disturbances.sensor_noise import add_sensor_noise
 from ptnsbc_sim.law import Heard, UavLaw
 from ptnsbc_sim.plants.build import plant_config, start_states
 from ptnsbc_sim.plants.contract import PlantConfig, Waves, no_waves
-from ptnsbc_sim.plants.integrate import advance_with, store_odometry
+from ptnsbc_sim.plants.integrate import advance_with, stop, store_odometry
 from ptnsbc_sim.scenario import Scenario, agent_config
 from ptnsbc_sim.scenario.slots import are_open, optimal_slots, with_slots
 from ptnsbc_sim.sensor import near_objects, store_near, store_objects
-from ptnsbc_sim.track import FlightTrack, note, track_of
+from ptnsbc_sim.track import FlightTrack, note, note_silence, track_of
 from ptnsbc_sim.wiring import Wiring, obstacles_at, wiring_of
 from ptnsbc_sim.world import World, measure_all
 
@@ -226,7 +227,7 @@ def _believed(
     track: FlightTrack, tick: int, row: int, wiring: Wiring, disturbances: Disturbances
 ) -> Array:
     """Odometry vector (13,) that UAV number `row` sees, from its true one."""
-    return measured_odometry(
+    measured = measured_odometry(
         track.truth[tick, row],
         track.truth[max(tick - disturbances.position_noise.delay, 0), row],
         track.truth[max(tick - disturbances.position_noise.compensated, 0), row],
@@ -236,6 +237,14 @@ def _believed(
         wiring.dt_ns * 1e-9,
         disturbances.position_noise,
     )
+    add_jumps(measured, tick, row, disturbances.jumps)
+    return measured
+
+
+@inline_kernel
+def _dead(tick: int, row: int, disturbances: Disturbances) -> bool:
+    """Whether the process of UAV number `row` has been killed."""
+    return tick >= disturbances.ends_at[row]
 
 
 @inline_kernel
@@ -252,6 +261,9 @@ def advance_plant(
     if disturbances is not None:
         samples = disturbances.gust_samples[tick, row]
         gust_step(disturbances.gust[row], plant.wind, samples, tick, disturbances.gusts)
+        if _dead(tick, row, disturbances):
+            stop(swarm.bodies[row], wiring.plant)
+            return
     t, dt = (tick * wiring.dt_ns) * 1e-9, wiring.dt_ns * 1e-9
     advance_with(swarm.bodies[row], track.wrench[tick, row], t, dt, plant, swarm.waves)
 
@@ -275,6 +287,9 @@ def _fly(
         t = since_epoch(wiring, tick)
         sense(swarm, wiring, track, tick, disturbances)
         for row in range(swarm.bodies.shape[0]):
+            if disturbances is not None and _dead(tick, row, disturbances):
+                note_silence(track, tick, row)
+                continue
             inputs = inputs_of(swarm, wiring, track, tick, row, disturbances)
             swarm.states[row], out = inlined_step(
                 swarm.states[row], inputs, None, t, dt, swarm.configs[row]
@@ -297,6 +312,9 @@ def _step_guided(
     wiring, swarm, track = borrowed(wiring), borrowed(swarm), borrowed(track)
     t, dt = (tick * wiring.dt_ns) * 1e-9, wiring.dt_ns * 1e-9
     for row in range(swarm.bodies.shape[0]):
+        if disturbances is not None and _dead(tick, row, disturbances):
+            note_silence(track, tick, row)
+            continue
         inputs = inputs_of(swarm, wiring, track, tick, row, disturbances)
         if row == wiring.leader:
             swarm.states[row], out = step(swarm.states[row], inputs, t, dt, swarm.configs[row])

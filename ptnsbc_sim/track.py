@@ -43,6 +43,16 @@ def note(track: FlightTrack, tick: int, row: int, out: AgentOutputs) -> None:
     store3(track.reported[tick, row], 7, out.reported)
 
 
+@inline_kernel
+def note_silence(track: FlightTrack, tick: int, row: int) -> None:
+    """Write zeros for a UAV that sends nothing: the track may hold an earlier flight."""
+    track.velocity[tick, row] = 0.0
+    track.wrench[tick, row] = 0.0
+    track.estimate[tick, row] = 0.0
+    track.diagnostics[tick, row] = 0.0
+    track.reported[tick, row] = 0.0
+
+
 def track_of(
     ticks: int, size: int, *, with_truth: bool, room: FlightTrack | None = None
 ) -> FlightTrack:

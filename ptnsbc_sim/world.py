@@ -8,11 +8,11 @@ import numpy as np
 
 from ptnsbc_core.algebra import store
 from ptnsbc_core.kernel import kernel, kernel_list
-from ptnsbc_core.types import ODOMETRY_SIZE, PLANT_RIGID_BODY, Array
+from ptnsbc_core.types import ODOMETRY_SIZE, Array
 from ptnsbc_sim.disturbances.build import VehicleDisturbances
 from ptnsbc_sim.plants.build import obstacle_rows, plant_config, start_states
 from ptnsbc_sim.plants.contract import PlantConfig
-from ptnsbc_sim.plants.integrate import advance, odometry
+from ptnsbc_sim.plants.integrate import advance, odometry, stop
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.sensor import near_objects
 
@@ -35,12 +35,8 @@ def _advance_row(
     """One row of states (N, 17) by one control period, in place; who is not flying is stopped. Its odometry (13,)."""
     if flying:
         advance(states[row], wrench, t, dt, substeps, plants[row])
-    elif plants[row].kind == PLANT_RIGID_BODY:
-        for i in range(6, 12):
-            states[row, i] = 0.0
     else:
-        for i in range(7, 13):
-            states[row, i] = 0.0
+        stop(states[row], plants[row].kind)
     return odometry(states[row], plants[row])
 
 
@@ -84,6 +80,11 @@ class World:
             around = VehicleDisturbances(self._scenario, uav_id, plant.wind)
             self._odometry[row] = around.measured_odometry(0, self._truth[row])
             self._around.append(around)
+
+    def begin_mission(self, tick: int) -> None:
+        """The mission begins at this tick, from which faults are counted; it begins at 0 unless this is called."""
+        for around in self._around:
+            around.mission_tick = tick
 
     @property
     def tick(self) -> int:

@@ -21,6 +21,7 @@ from ptnsbc_tools.commands.demo import demo
 from ptnsbc_tools.commands.doctor import doctor
 from ptnsbc_tools.commands.export import export
 from ptnsbc_tools.commands.fleet import fleet
+from ptnsbc_tools.commands.inject import inject
 from ptnsbc_tools.commands.key import key
 from ptnsbc_tools.commands.new import new, scenarios
 from ptnsbc_tools.commands.node import SETTINGS, node
@@ -114,7 +115,7 @@ _BAGS, _PROCESSES = "Bags", "Processes, vehicles, networks"
 
 _GROUPS: dict[str, tuple[Callable[..., None], ...]] = {
     _BEGIN: (new, scenarios, doctor, check),
-    _FLY: (simulate, sweep, fleet, view, demo, stop),
+    _FLY: (simulate, sweep, fleet, view, demo, inject, stop),
     _LOOK: (verify, compare, report, plot, export, reproduce),
     _BAGS: (record, replay),
     _PROCESSES: (autopilot, bridge, params, key),

@@ -154,8 +154,8 @@ def verdict_tables(verdict: Verdict) -> list[Table]:
 
 
 def reasons(verdict: Verdict) -> list[Text]:
-    """Why UAVs are not met, and what met ones owe to encounters: one line per UAV and leg."""
-    found = []
+    """The injected faults, why UAVs are not met, and what met ones owe to encounters: one line each."""
+    found = [Text(f"injected: {fault}") for fault in verdict.faults]
     for leg in verdict.legs:
         of_leg = f"leg {leg.number} from {leg.epoch_s - verdict.epoch_s:.2f} s, "
         where = of_leg if len(verdict.legs) > 1 else ""

@@ -22,6 +22,7 @@ PAGES = {
     "missions.md": "docs.make.missions",
     "cli.md": "docs.make.cli",
     "architecture.md": "docs.make.architecture",
+    "faults.md": "docs.make.faults",
 }
 
 

@@ -33,6 +33,7 @@ from ptnsbc_sim.scenario.slots import are_open
 
 REAL_TIME, LOCKSTEP, BRIDGED = "real time", "lock-step", "flight controllers"
 SCENARIO = "experiment_4"  # has a truth, and a MAVLink block
+_FAULTS = {"faults": []}  # with it the nodes hear of faults that are injected
 _OPEN_SLOTS = {"formation.assignment": "optimal"}
 _MODES = {
     REAL_TIME: FlightOptions(recorded=True),
@@ -61,7 +62,7 @@ def ends() -> list[End]:
     with reserved_domain() as domain:
         found = []
         for mode, options in _MODES.items():
-            found += _flight(domain, mode, options, load_scenario(SCENARIO))
+            found += _flight(domain, mode, options, load_scenario(SCENARIO, _FAULTS))
             decided = _flight(domain, mode, options, load_scenario(SCENARIO, _OPEN_SLOTS))
             found += [end for end in decided if end.topic == topics.SLOTS.name]
         return found
@@ -101,6 +102,7 @@ def _flight(domain: int, mode: str, options: FlightOptions, scenario: Scenario) 
             name = "fleet" if leads else "fleet_elsewhere"
             coordinator = stack.enter_context(Coordinator(domain, name))
             coordinator.share(leads=leads)
+            coordinator.hear_faults(scenario.uav_ids, lambda _: None)
             made.append(("launcher", 0, coordinator._node))
         for kind, uav, one in made:
             yield from _ends(kind, uav, one, mode, scenario.leader_id)

@@ -8,6 +8,7 @@ from docs.make.markdown import table
 from docs.make.schema import REQUIRED, Row, rows
 from ptnsbc_sim.scenario import gains, model
 from ptnsbc_sim.scenario.defaults import gain_defaults
+from ptnsbc_sim.scenario.mission.faults import FaultBlock
 
 PLANTS = ("quadrotor", "rigid_body_6dof")
 _HEADINGS = ("Key", "Type", "Unit", "Default", "Range", "Meaning")
@@ -20,6 +21,7 @@ _BLOCKS = {
     "leader": model.Leader,
     "formation": model.Formation,
     "uavs": model.UavBlock,
+    "faults": FaultBlock,
     "mavlink": model.Mavlink,
 }
 

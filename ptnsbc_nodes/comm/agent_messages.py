@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from ptnsbc_core.agent import PackedOutputs
@@ -23,9 +25,13 @@ class AgentMessages:
     Args:
         uav_id: Id of the UAV.
         fleet: Namespace of its fleet, empty for the root.
+        faults: What injected faults make of a state before it is sent; None: nothing.
     """
 
-    def __init__(self, uav_id: int, fleet: str = "") -> None:
+    def __init__(
+        self, uav_id: int, fleet: str = "", faults: Callable[[Stamped], Stamped] | None = None
+    ) -> None:
+        self._faults = faults
         body = body_frame(uav_id, fleet)
         self._state = OdometryTemplate(WORLD_FRAME, body)
         # Velocities of an estimate are in the world frame, not in the body frame of the sender.
@@ -47,10 +53,18 @@ class AgentMessages:
         """nav_msgs/Odometry for the neighbours: the own pose, and the velocity that the UAV commands."""
         self._reported[:] = own.values
         self._reported[7:10] = outputs.reported
-        return self._state.encode(own.stamp_ns, self._reported)
+        return self.reported(own.stamp_ns, self._reported)
+
+    def reported(self, stamp_ns: int, values: Array) -> bytes:
+        """The same of (13,), which has the commanded velocity already."""
+        if self._faults is not None:
+            stamp_ns, values = self._faults(Stamped(stamp_ns, values))
+        return self._state.encode(stamp_ns, values)
 
     def estimate(self, stamp_ns: int, estimate: Array) -> bytes:
         """nav_msgs/Odometry of a leader estimate (13,), velocities in the world frame."""
+        if self._faults is not None:
+            stamp_ns, estimate = self._faults(Stamped(stamp_ns, estimate))
         return self._estimate.encode(stamp_ns, estimate)
 
     def velocity(self, stamp_ns: int, velocity: Array) -> bytes:

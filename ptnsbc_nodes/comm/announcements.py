@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import json
 import re
+from collections.abc import Callable, Collection
 from typing import NamedTuple
 
 from ptnsbc_core.types import LEGS
-from ptnsbc_io.wire import HeaderFields, WireError, decode_header
+from ptnsbc_io.wire import HeaderFields, HeaderTemplate, WireError, decode_header
 from ptnsbc_nodes.comm.topics import RECORDER, SIM
 from ptnsbc_nodes.emergency.orders import Order, parse_order
+from ptnsbc_sim.scenario.mission.faults import FaultBlock, fault_problems
 
 _PROCESS = re.compile(rf"(uav|bridge)([1-9][0-9]{{0,5}})|{RECORDER}|{SIM}", re.ASCII)
 _SHOWN = 40
@@ -38,6 +41,38 @@ def decode_lost(data: bytes) -> LostProcess:
     if found is None:
         raise WireError(f"process {name[:_SHOWN]!r}: expected uavN, bridgeN, {SIM} or {RECORDER}")
     return LostProcess(name, int(found[2]) if found[1] == "uav" else None)
+
+
+class OrderedFault(NamedTuple):
+    """A fault that an operator injects."""
+
+    stamp_ns: int  # when, by the operator's clock
+    fault: FaultBlock
+
+
+def encode_fault(stamp_ns: int, fault: FaultBlock) -> bytes:
+    """A fault that begins now."""
+    keys = fault.model_dump(mode="json", exclude_none=True, exclude={"at_s"})
+    return HeaderTemplate(json.dumps(keys)).encode(stamp_ns)
+
+
+def fault_decoder(uavs: Collection[int]) -> Callable[[bytes], OrderedFault]:
+    """What reads a fault of a fleet of these UAVs; WireError for one that none of them can have."""
+
+    def decode(data: bytes) -> OrderedFault:
+        stamp_ns, text = decode_header(data)
+        try:
+            keys = json.loads(text)
+            fault = FaultBlock.model_validate({**keys, "at_s": 0.0})
+        except (ValueError, TypeError, RecursionError):
+            raise WireError(f"fault {text[:_SHOWN]!r}: expected what ptnsbc inject sends") from None
+        for problem in fault_problems(fault, uavs):
+            raise WireError(f"fault: {problem}")
+        if not fault.rule.live:
+            raise WireError(f"fault: {fault.kind}: not by a message")
+        return OrderedFault(stamp_ns, fault)
+
+    return decode
 
 
 def decode_order(data: bytes) -> Order:

@@ -10,10 +10,10 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Callable
-from typing import Generic, Protocol, TypeVar
+from typing import Generic, NamedTuple, Protocol, TypeVar
 
 from ptnsbc_core.errors import PtnsbcError
-from ptnsbc_io.wire import Stamped, WireError
+from ptnsbc_io.wire import Stamped, WireError, peek_stamp
 
 T = TypeVar("T")
 S = TypeVar("S", bound=Stamped)
@@ -57,10 +57,14 @@ class LockstepStamps:
 
     def check(self, stamp_ns: int) -> None:
         """Raise WireError when the stamp is refused."""
+        self.look(stamp_ns)
+        self._newest_ns = stamp_ns
+
+    def look(self, stamp_ns: int) -> None:
+        """As `check`, of a message that is not taken: one of the same stamp may still be."""
         if self._newest_ns < stamp_ns <= self._horizon.latest_ns and (
             stamp_ns % self._period_ns == 0
         ):
-            self._newest_ns = stamp_ns
             return
         if stamp_ns <= self._newest_ns:
             raise WireError(f"stamp {stamp_ns} ns is not after {self._newest_ns} ns")
@@ -187,6 +191,31 @@ class Door(Generic[T]):
             self._refusals.add(self._topic, str(error))
             return
         self._deliver(message)
+
+
+class RefusedMessage(NamedTuple):
+    """A message that cannot be used, of which the stamp is known."""
+
+    stamp_ns: int
+    reason: str
+
+
+def in_lockstep(
+    decode: Callable[[bytes], Stamped], rule: LockstepStamps
+) -> Callable[[bytes], Stamped | RefusedMessage]:
+    """A decoder that refuses by the stamp, and keeps the stamp of a message that it refuses for another reason."""
+
+    def decode_in_lockstep(data: bytes) -> Stamped | RefusedMessage:
+        try:
+            message = decode(data)
+        except WireError as error:
+            refused = RefusedMessage(peek_stamp(data), str(error))
+            rule.look(refused.stamp_ns)
+            return refused
+        rule.check(message.stamp_ns)
+        return message
+
+    return decode_in_lockstep
 
 
 def in_order(decode: Callable[[bytes], S], rule: StampRule) -> Callable[[bytes], S]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from ptnsbc_nodes.comm.seal import Seal
 from ptnsbc_sim.disturbances.links import LinkDelay, MessageLoss, link_delay, message_loss
 from ptnsbc_sim.scenario import Scenario
+from ptnsbc_sim.scenario.mission.faults import FaultBlock
 from ptnsbc_sim.scenario.slots import Slots, are_open, with_slots
 
 LEAD_TICKS = 4
@@ -40,6 +41,8 @@ class Senders:
     peers: tuple[int, ...] = ()  # UAVs whose state the law of the scenario needs besides
     losses: MessageLoss | None = None  # which of their messages the scenario wants lost
     delays: Mapping[int, LinkDelay] = field(default_factory=dict)  # and how late, by sender
+    faults: tuple[FaultBlock, ...] | None = None  # of the scenario; None: none can be injected
+    period_ns: int = 0  # control period
 
     @property
     def states(self) -> tuple[int, ...]:
@@ -68,7 +71,7 @@ class CommunicationGraph:
     def senders(self, uav_id: int) -> Senders:
         """The senders that this UAV listens to."""
         scenario = self._scenario
-        others = (i for i in scenario.uav_ids if i != uav_id)
+        others = [i for i in scenario.uav_ids if i != uav_id]
         return Senders(
             parent=scenario.parent(uav_id),
             leader=scenario.leader_id if scenario.pinned(uav_id) else None,
@@ -77,6 +80,8 @@ class CommunicationGraph:
             peers=scenario.estimator_neighbours(uav_id) if scenario.law is not None else (),
             losses=message_loss(scenario, uav_id),
             delays={i: link_delay(scenario, i, uav_id) for i in others},
+            faults=scenario.file.faults,
+            period_ns=scenario.dt_ns,
         )
 
     def holding(self, slots: Slots) -> CommunicationGraph:

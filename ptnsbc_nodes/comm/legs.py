@@ -53,6 +53,11 @@ class Epochs:
         """Whether any leg is known, also one in the future."""
         return bool(self._legs)
 
+    @property
+    def first_t0_ns(self) -> int | None:
+        """The epoch of the first leg; None before one is announced."""
+        return self._legs[0].t0_ns if self._legs else None
+
     def at(self, now_ns: int) -> Leg | None:
         """The leg in force: of those whose epoch has come, the one announced last.
 

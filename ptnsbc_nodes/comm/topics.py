@@ -63,8 +63,11 @@ REQUEST = Topic("/formation/request", "std_msgs/msg/Header", Role.EVENT, "on dem
 """frame_id the leg that an operator calls the leader's service for next; with `security: signed` the leader answers
 no call without it."""
 
+FAULT = Topic("/formation/fault", "std_msgs/msg/Header", Role.EVENT, "on demand")
+"""frame_id a fault as JSON, from `ptnsbc inject`; heard only where the scenario has the key `faults`."""
+
 SEVERAL_PUBLISHERS = frozenset(
-    one.name for one in (DIAGNOSTICS, READY, LOST, EMERGENCY, TF, REQUEST)
+    one.name for one in (DIAGNOSTICS, READY, LOST, EMERGENCY, TF, REQUEST, FAULT)
 )
 """Topics on which several nodes publish."""
 

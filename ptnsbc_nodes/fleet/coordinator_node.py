@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +23,13 @@ from ptnsbc_io.wire import (
     decode_odometry,
 )
 from ptnsbc_nodes.comm import topics
-from ptnsbc_nodes.comm.announcements import LostProcess, decode_lost
+from ptnsbc_nodes.comm.announcements import (
+    LostProcess,
+    OrderedFault,
+    decode_lost,
+    encode_fault,
+    fault_decoder,
+)
 from ptnsbc_nodes.comm.diagnostics import INACTIVE
 from ptnsbc_nodes.comm.endpoints import Endpoints, full_name
 from ptnsbc_nodes.comm.qos import STATE_REALTIME, keep_last
@@ -34,8 +40,10 @@ from ptnsbc_nodes.emergency.records import VehicleRecord
 from ptnsbc_nodes.fleet.lifecycle_manager import LifecycleManager
 from ptnsbc_nodes.runtime.executor import make_executor
 from ptnsbc_nodes.runtime.watchdog import SAID_S, WAITED
+from ptnsbc_sim.scenario.mission.faults import FaultBlock
 
 _REQUEST_S = 1.0
+_LISTENERS_S = 0.5  # without a further listener to faults: all are discovered
 _REPORT_GAP_S = 1.0  # the sim reports five times a second
 _SIGN_OF_LIFE_S = 2.0  # a process that is kept waiting says so five times a second
 _ANEW_CALLS = 3  # so many calls without an answer, and the whole node joins the network again
@@ -85,6 +93,7 @@ class Coordinator:
         self._namespace = namespace
         self._seal = seal
         self._leads: bool | None = None  # where the fleet is shared
+        self._hear_faults: Callable[[], str] | None = None
         self._managed: dict[str, str] = {}  # node by process name
         self._last_status_s: dict[str, float] = {}  # when each process sent its last status
         self._wait = _LockstepWait()
@@ -128,6 +137,8 @@ class Coordinator:
         self._join()
         if self._leads is not None:
             self.share(leads=self._leads)
+        if self._hear_faults is not None:
+            self._hear_faults()
         for name, node in self._managed.items():
             self._manager.manage(name, self._endpoints.fleet + node, doubtful=True)
 
@@ -139,6 +150,33 @@ class Coordinator:
             self._publish_over = self._endpoints.publisher(OVER, 0)
         else:
             self._endpoints.listen(OVER, decode_header, self._on_over)
+
+    def hear_faults(self, uavs: Collection[int], take: Callable[[FaultBlock], None]) -> None:
+        """Hear of the faults that an operator injects into a fleet of these UAVs."""
+
+        def heard(order: OrderedFault) -> None:
+            take(order.fault)
+
+        self._hear_faults = lambda: self._endpoints.listen(
+            topics.FAULT, fault_decoder(uavs), heard, required=False
+        )
+        self._hear_faults()
+
+    def inject(self, fault: FaultBlock, patience_s: float) -> int:
+        """Tell a running fleet of a fault, once; returns how many processes listened, after at most this time."""
+        publish = self._endpoints.publisher(topics.FAULT, 1)
+        count = self._endpoints.readers(topics.FAULT)
+        deadline_s = time.monotonic() + patience_s
+        found = count()
+        while time.monotonic() < deadline_s:
+            self.spin(_LISTENERS_S)
+            if found and count() == found:  # no further one has been discovered for a while
+                break
+            found = count()
+        if found:
+            publish(encode_fault(time.time_ns(), fault))
+            self._endpoints.flush(patience_s)
+        return found
 
     @property
     def led(self) -> bool:

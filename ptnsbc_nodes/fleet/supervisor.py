@@ -22,6 +22,7 @@ from ptnsbc_nodes.emergency.records import in_pilots_hands, last_word
 from ptnsbc_nodes.fleet.child_process import ChildProcess, ProcessCommand, end
 from ptnsbc_nodes.fleet.coordinator_node import Coordinator
 from ptnsbc_nodes.fleet.emergency_stop import order_landing
+from ptnsbc_nodes.fleet.fault_injector import FaultInjector
 from ptnsbc_nodes.fleet.process_list import FleetOptions, names
 from ptnsbc_nodes.runtime.process import RUNNING
 from ptnsbc_nodes.runtime.signals import StopRequest
@@ -32,6 +33,7 @@ Report = Callable[[str], None]
 
 _BRIDGE = "ptnsbc_nodes.bridge.main"
 _LOOK_S = 0.05
+_EPOCH_S = 0.5  # from the call to the epoch
 _AFTER_START_S = 1.0  # the epoch is half a second after the call
 _LANDING_CALL_S = 3.0
 _POSITIONS_S = 5.0
@@ -70,6 +72,9 @@ class Supervisor:
         self._introduced: dict[str, float] = {}  # processes that were heard, and since when
         self._running: dict[str, float] = {}  # processes that have loaded, and since when
         self._restarts: Counter[str] = Counter()
+        self._faults = FaultInjector(options, progress, self._launch_again)
+        if options.scenario.file.faults is not None:
+            coordinator.hear_faults(options.scenario.uav_ids, self._faults.add)
         if options.shared:
             coordinator.share(leads=options.leads)
 
@@ -107,6 +112,7 @@ class Supervisor:
             self._refusal = self._coordinator.start(patience_s=2.0)
         if not self._stop.came:
             count = len(self.children) + len(self._elsewhere)
+            self._faults.begin(time.monotonic() + _EPOCH_S)
             self._progress(f"{count} processes are ready: started")
 
     def _check_positions(self) -> None:
@@ -170,6 +176,7 @@ class Supervisor:
     def _look(self) -> None:
         self._coordinator.spin(_LOOK_S)
         self._pass_on_lines()
+        self._faults.look(self.children)
         self._end_stuck()
         self._report_exits()
 
@@ -247,6 +254,7 @@ class Supervisor:
 
     def end(self) -> None:
         """End all processes, the recorder last, so that its bag is complete."""
+        self._faults.end()
         self._land()
         self._pass_on_lines()
         self._coordinator.end(_OVER_S)
@@ -343,6 +351,10 @@ class Supervisor:
     def _start_again(self, child: ChildProcess) -> None:
         end([child])
         del self._running[child.name]
+        self._launch_again(child)
+
+    def _launch_again(self, child: ChildProcess) -> None:
+        """Start a process that has ended once more, in its place."""
         command = child.command
         if child.name == RECORDER:  # the bag that is there is its own, and empty
             command = replace(command, arguments=(*command.arguments, "--overwrite"))

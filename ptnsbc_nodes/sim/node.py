@@ -104,6 +104,9 @@ class SimNode:
         self._epochs.announce(leg.stamp_ns, leg.frame_id)
         if not self._options.lockstep:
             self.endpoints.begin(self._clock_ns())
+            first_ns = self._epochs.first_t0_ns or 0
+            ahead = (first_ns - self._clock_ns()) // self._scenario.dt_ns
+            self._world.begin_mission(self._world.tick + ahead)
         self._start()
 
     def _decode_recorded(self, data: bytes) -> int:

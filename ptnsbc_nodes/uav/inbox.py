@@ -8,7 +8,7 @@ tick k that arrives before the tick does not replace the message of k-1. In real
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 
 import numpy as np
@@ -29,8 +29,10 @@ from ptnsbc_core.types import MODE_HOLD, NEAR_COLUMNS, ODOMETRY_SIZE, Array
 from ptnsbc_io.wire import Stamped
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.graph import LEAD_TICKS, Senders
+from ptnsbc_sim.disturbances.faults import MessageFault, delay_ns, message_fault
 from ptnsbc_sim.disturbances.links import NO_DELAY, LinkDelay
 from ptnsbc_sim.law import Heard
+from ptnsbc_sim.scenario.mission.faults import MOST_DELAY_S, FaultBlock
 
 NO_CUTOFF_NS = 2**63 - 1
 """Cutoff of real time: every message counts, also that of a neighbour whose clock is ahead."""
@@ -49,11 +51,20 @@ class MessageQueue:
     A message that the scenario wants late has arrived, but it does not count before its time.
     """
 
-    __slots__ = ("_delay_ns", "_messages", "newest_ns")
+    __slots__ = ("_delay_ns", "_faults", "_messages", "_sender", "newest_ns")
 
-    def __init__(self, delay: LinkDelay = NO_DELAY) -> None:
+    def __init__(
+        self,
+        delay: LinkDelay = NO_DELAY,
+        sender: int = 0,
+        faults: Sequence[MessageFault] = (),
+        room: int = 0,
+    ) -> None:
+        """`faults` may add to the delay of this sender's messages, by at most `room` control periods."""
         self._delay_ns = delay.ns
-        length = _QUEUE_LENGTH + delay.ticks
+        self._sender = sender
+        self._faults = faults
+        length = _QUEUE_LENGTH + delay.ticks + room
         self._messages: deque[Stamped] = deque(maxlen=length)  # the newest first
         self.newest_ns = -1  # stamp of the newest message, lost or not
 
@@ -71,9 +82,14 @@ class MessageQueue:
         if self._delay_ns:
             cutoff_ns = min(cutoff_ns, now_ns - self._delay_ns + 1)
         for message in self._messages:
-            if message.stamp_ns < cutoff_ns:
+            if message.stamp_ns < cutoff_ns and not (self._faults and self._late(message, now_ns)):
                 return message
         return None
+
+    def _late(self, message: Stamped, now_ns: int) -> bool:
+        """Whether a fault keeps a message from having arrived."""
+        added_ns = delay_ns(self._faults, self._sender, message.stamp_ns)
+        return added_ns > 0 and message.stamp_ns > now_ns - self._delay_ns - added_ns
 
 
 class Inbox:
@@ -83,13 +99,38 @@ class Inbox:
         self.senders = senders
         self.own: Stamped | None = None
         self.near: Stamped | None = None
-        delays = senders.delays
-        self._states = {i: MessageQueue(delays.get(i, NO_DELAY)) for i in senders.heard_states}
-        self._estimates = {
-            i: MessageQueue(delays.get(i, NO_DELAY)) for i in senders.heard_estimators
-        }
+        self._begun = False
+        self._faults: list[MessageFault] = []
+        self._states = {i: self._queue(i) for i in senders.heard_states}
+        self._estimates = {i: self._queue(i) for i in senders.heard_estimators}
         self._lost: set[int] = set()
         self.listen_to(senders)
+
+    def _queue(self, sender: int) -> MessageQueue:
+        delay = self.senders.delays.get(sender, NO_DELAY)
+        if self.senders.faults is None:
+            return MessageQueue(delay)
+        # A fault adds MOST_DELAY_S at most.
+        room = round(MOST_DELAY_S * 1e9) // max(self.senders.period_ns, 1)
+        return MessageQueue(delay, sender, self._faults, room)
+
+    def begin(self, t0_ns: int) -> None:
+        """The first epoch is known, from which the times of injected faults count."""
+        if not self._begun:
+            self._begun = True
+            for number, fault in enumerate(self.senders.faults or ()):
+                self.inject(fault, number, t0_ns)
+
+    def inject(self, fault: FaultBlock, number: int, t0_ns: int) -> None:
+        """One more fault, whose time counts from `t0_ns`; without effect unless it is one of messages."""
+        found = message_fault(fault, number, t0_ns)
+        if found is not None:
+            self._faults.append(found)
+
+    def miss(self, uav_id: int, stamp_ns: int, *, estimate: bool) -> None:
+        """A message of this stamp has arrived and cannot be used: lock-step does not wait for it."""
+        queue = (self._estimates if estimate else self._states)[uav_id]
+        queue.newest_ns = max(queue.newest_ns, stamp_ns)
 
     def listen_to(self, senders: Senders) -> None:
         """Use the messages of these senders from now on; what has arrived of them counts."""
@@ -121,13 +162,13 @@ class Inbox:
     def on_state(self, uav_id: int, message: Stamped) -> None:
         """Keep a formation_state."""
         losses = self.senders.losses
-        lost = losses is not None and losses.state(uav_id, message.stamp_ns)
+        lost = losses is not None and losses.state(uav_id, message.stamp_ns, self._faults)
         self._states[uav_id].put(message, lost)
 
     def on_estimate(self, uav_id: int, message: Stamped) -> None:
         """Keep a leader_estimate."""
         losses = self.senders.losses
-        lost = losses is not None and losses.estimate(uav_id, message.stamp_ns)
+        lost = losses is not None and losses.estimate(uav_id, message.stamp_ns, self._faults)
         self._estimates[uav_id].put(message, lost)
 
     def lose(self, uav_id: int) -> None:

@@ -17,7 +17,13 @@ from ptnsbc_core.types import MODE_HOLD
 from ptnsbc_io.wire import HeaderFields, OdometryDecoder, Stamped, checked_near
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.agent_messages import WORLD_FRAME, body_frame
-from ptnsbc_nodes.comm.announcements import LostProcess, decode_leg, decode_lost
+from ptnsbc_nodes.comm.announcements import (
+    LostProcess,
+    OrderedFault,
+    decode_leg,
+    decode_lost,
+    fault_decoder,
+)
 from ptnsbc_nodes.comm.diagnostics import (
     INACTIVE,
     STATUS_HZ,
@@ -31,7 +37,9 @@ from ptnsbc_nodes.comm.door import (
     LockstepHorizon,
     LockstepStamps,
     RealTimeStamps,
+    RefusedMessage,
     StampRule,
+    in_lockstep,
     in_order,
 )
 from ptnsbc_nodes.comm.endpoints import Endpoints, full_name
@@ -43,6 +51,7 @@ from ptnsbc_nodes.comm.vehicle_messages import PlannerLimits, decode_limits, lim
 from ptnsbc_nodes.runtime.clock_offset import ClockOffsetMonitor
 from ptnsbc_nodes.runtime.pacing import Pace, Ticker
 from ptnsbc_nodes.uav.controller import UavController, step_time
+from ptnsbc_nodes.uav.faults import UavFaults
 from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS
 from ptnsbc_nodes.uav.leg_services import LegServices
 from ptnsbc_nodes.uav.outbox import Outbox
@@ -54,6 +63,8 @@ from ptnsbc_sim.scenario.slots import are_open
 
 ABANDONED_S = 30.0
 """A UAV that no launcher watches ends when the process of its vehicle has been gone for so long."""
+
+_FAULT_WINDOW_NS = 5_000_000_000
 
 
 class UavNode:
@@ -75,7 +86,8 @@ class UavNode:
         self._uav = uav_id
         law = None if scenario.law is None else UavLaw.of(scenario, uav_id)
         self._controller = UavController(agent_config(scenario, uav_id), edges.senders(uav_id), law)
-        self._outbox = Outbox(self.endpoints, edges, uav_id)
+        self._faults = UavFaults(scenario, uav_id, self._controller.inbox, edges.options.lockstep)
+        self._outbox = Outbox(self.endpoints, edges, uav_id, self._faults)
         publish_description(self.endpoints, scenario, uav_id)
         self._epochs = Epochs(scenario.landing_ns)
         names = self._controller.inbox.topic_names(uav_id)
@@ -86,7 +98,7 @@ class UavNode:
         self._slots = self._decider = None
         if are_open(scenario):
             self._slots = OpenSlots(scenario, uav_id, edges, self._controller)
-        self._subscribe(uav_id)
+        self._subscribe(scenario, uav_id)
         if self._slots is not None and uav_id == scenario.leader_id:
             self._decider = self._slot_decider(scenario, edges)
         self._status = _StatusPublisher(self, f"uav{uav_id}")
@@ -188,7 +200,7 @@ class UavNode:
         """Notice when the process of the vehicle is gone for good."""
         self._vehicle.look(self._odom_name not in self.endpoints.unheard(), now_s)
 
-    def _subscribe(self, uav_id: int) -> None:
+    def _subscribe(self, scenario: Scenario, uav_id: int) -> None:
         listen, inbox = self.endpoints.listen, self._controller.inbox
         # An odometry may come from a program that has other names for its frames; neighbours are UAVs of ours.
         odom = in_order(OdometryDecoder(), self._timing.stamp_rule())
@@ -197,11 +209,15 @@ class UavNode:
         listen(topics.near(uav_id), near, self._on_near, required=self._options.lockstep)
         for sender, handler in inbox.state_handlers().items():
             frames = OdometryDecoder(WORLD_FRAME, body_frame(sender, self.endpoints.fleet))
-            self._listen_to(topics.formation_state(sender), frames, handler)
+            miss = partial(inbox.miss, sender, estimate=False)
+            self._listen_to(topics.formation_state(sender), frames, handler, miss)
         for sender, handler in inbox.estimate_handlers().items():
             frames = OdometryDecoder(WORLD_FRAME, WORLD_FRAME)
-            self._listen_to(topics.leader_estimate(sender), frames, handler)
+            miss = partial(inbox.miss, sender, estimate=True)
+            self._listen_to(topics.leader_estimate(sender), frames, handler, miss)
         listen(topics.EPOCH, decode_leg, self._on_epoch)
+        if self._faults.allowed:
+            listen(topics.FAULT, fault_decoder(scenario.uav_ids), self._on_fault, required=False)
         if self._slots is not None:
             listen(topics.SLOTS, self._slots.decided.decode, self._on_slots)
         listen(LOST, decode_lost, self._on_lost, required=False)
@@ -212,7 +228,11 @@ class UavNode:
         return max(self._timing.done_ns, 0) if self._options.lockstep else self._timing.now_ns()
 
     def _listen_to(
-        self, topic: Topic, decode: Callable[[bytes], Stamped], handler: Callable[[Stamped], None]
+        self,
+        topic: Topic,
+        decode: Callable[[bytes], Stamped],
+        handler: Callable[[Stamped], None],
+        miss: Callable[[int], None],
     ) -> None:
         advance = self._advance
 
@@ -220,7 +240,21 @@ class UavNode:
             handler(message)
             advance()
 
-        self.endpoints.listen(topic, in_order(decode, self._timing.stamp_rule()), on_message)
+        rule = self._timing.stamp_rule()
+        if not isinstance(rule, LockstepStamps):
+            self.endpoints.listen(topic, in_order(decode, rule), on_message)
+            return
+        name = full_name(self.node, topic)
+
+        def on_any(message: Stamped | RefusedMessage) -> None:
+            if isinstance(message, Stamped):
+                handler(message)
+            else:  # a lock-step flight does not wait for what cannot be used
+                self.endpoints.refusals.add(name, message.reason)
+                miss(message.stamp_ns)
+            advance()
+
+        self.endpoints.listen(topic, in_lockstep(decode, rule), on_any)
 
     def _on_odom(self, message: Stamped) -> None:
         self._controller.inbox.own = message
@@ -236,8 +270,17 @@ class UavNode:
         self._epochs.announce(leg.stamp_ns, leg.frame_id)
         if not self._options.lockstep:
             self.endpoints.begin(self._timing.now_ns())
+        first_ns = self._epochs.first_t0_ns
+        if first_ns is not None:
+            self._faults.begin(first_ns)
         self._timing.align(self._controller.inbox.own)
         self._advance()
+
+    def _on_fault(self, order: OrderedFault) -> None:
+        """A fault that an operator injects; in real time all UAVs count it from the same instant."""
+        now_ns = self._flight_ns()
+        alike = not self._options.lockstep and abs(order.stamp_ns - now_ns) < _FAULT_WINDOW_NS
+        self._faults.inject(order.fault, order.stamp_ns if alike else now_ns)
 
     def _on_slots(self, decision: Decision) -> None:
         """Who takes which slot; a UAV that hears it after its epoch holds until then."""
@@ -294,6 +337,7 @@ class UavNode:
         return (now_ns - own.stamp_ns) * 1e-9 > self._controller.config.stale_s
 
     def _tick(self, own: Stamped, now_ns: int, cutoff_ns: int, elapsed_ns: int) -> None:
+        self._faults.strike(now_ns)
         leg, timing = self._epochs.at(now_ns), self._timing
         if leg is None:  # not announced or still to come
             timing.pace.missed = 0
@@ -410,6 +454,8 @@ class _StatusPublisher:
             **uav._controller.counters.values(),
             **uav.endpoints.refusals.values(),
         }
+        if uav._faults.injected:
+            values["injected"] = "; ".join(uav._faults.injected)
         level, message = self._verdict(stamp_ns, missing)
         self._log.note(level, message)
         send = self._send if stamp_ns >= 0 else self._send_ready

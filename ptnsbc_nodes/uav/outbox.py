@@ -9,6 +9,7 @@ from ptnsbc_nodes.comm.agent_messages import AgentMessages
 from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.comm.graph import CommunicationGraph
 from ptnsbc_nodes.uav.controller import StepTime, UavController
+from ptnsbc_nodes.uav.faults import UavFaults
 from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS
 from ptnsbc_nodes.uav.step_log import SnapshotTemplate, TickTemplate, used_by
 
@@ -16,8 +17,11 @@ from ptnsbc_nodes.uav.step_log import SnapshotTemplate, TickTemplate, used_by
 class Outbox:
     """Publishers of one UAV."""
 
-    def __init__(self, endpoints: Endpoints, edges: CommunicationGraph, uav_id: int) -> None:
-        self._messages = AgentMessages(uav_id, endpoints.fleet)
+    def __init__(
+        self, endpoints: Endpoints, edges: CommunicationGraph, uav_id: int, faults: UavFaults
+    ) -> None:
+        sent = faults.sent if faults.allowed else None
+        self._messages = AgentMessages(uav_id, endpoints.fleet, sent)
         publisher = endpoints.publisher
         self._send_wrench = publisher(topics.wrench_setpoint(uav_id), edges.wrench_readers())
         self._send_state = publisher(topics.formation_state(uav_id), edges.state_readers(uav_id))

@@ -12,6 +12,7 @@ from ptnsbc_core.types import Array
 from ptnsbc_sim.disturbances import gusts as wind
 from ptnsbc_sim.disturbances import position_noise as position
 from ptnsbc_sim.disturbances import random_streams, sensor_noise
+from ptnsbc_sim.disturbances.faults import add_jumps, ends_at, jumps_of
 from ptnsbc_sim.disturbances.gusts import Gusts, gust_step, gusts
 from ptnsbc_sim.disturbances.links import last_received
 from ptnsbc_sim.disturbances.position_noise import (
@@ -76,6 +77,8 @@ class Disturbances(NamedTuple):
     gust: Array  # (N, 3) [m/s]
     sensor_samples: Array  # (T / near_every, N, 6 objects) standard normal
     sensor_noise: SensorNoise
+    jumps: Array  # (J, 6) as `jumps_of` has them
+    ends_at: NDArray[np.int64]  # (N,) tick from which the UAV's process is dead
 
 
 def flight_disturbances(scenario: Scenario, neighbours: int) -> Disturbances | None:
@@ -101,6 +104,8 @@ def flight_disturbances(scenario: Scenario, neighbours: int) -> Disturbances | N
         np.zeros((len(ids), wind.SAMPLES)),
         table(random_streams.SENSOR, _sensor_sample_count(scenario), scenario.near_every),
         sensor_noise_of(scenario),
+        jumps_of(scenario),
+        ends_at(scenario),
     )
 
 
@@ -118,6 +123,10 @@ class VehicleDisturbances:
         self._wind = wind_m_s
         self._gust = np.zeros(wind.SAMPLES)
         self._error = initial_error(self._position_noise)
+        self._row = scenario.uav_ids.index(uav_id)
+        self._jumps = jumps_of(scenario)
+        self.mission_tick = 0
+        """The tick at which the mission began, from which faults are counted."""
         self._past: deque[Array] = deque(maxlen=self._position_noise.delay + 1)
 
     def gust_step(self, tick: int) -> None:
@@ -133,9 +142,11 @@ class VehicleDisturbances:
             self._position_noise,
         )
         compensated = self._past[max(len(self._past) - 1 - kind.compensated, 0)]
-        return measured_odometry(
+        measured = measured_odometry(
             truth, self._past[0], compensated, self._error, samples, tick, self._dt, kind
         )
+        add_jumps(measured, tick - self.mission_tick, self._row, self._jumps)
+        return measured
 
     def add_sensor_noise(self, tick: int, near: Array, truth: Array, measured: Array) -> Array:
         """Measured near objects (M, 7), from the true ones and the true and measured odometry (13,)."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ptnsbc_sim.disturbances import random_streams
+from ptnsbc_sim.disturbances.faults import FaultyLink, MessageFault, delays_ns, message_faults
 from ptnsbc_sim.scenario import Scenario
 
 
@@ -22,25 +23,28 @@ class MessageLoss:
     receiver: int
     period_ns: int
 
-    def state(self, sender: int, stamp_ns: int) -> bool:
-        """Whether the formation_state of this stamp is lost."""
-        return self._lost(random_streams.STATE_LINK, sender, stamp_ns)
+    def state(self, sender: int, stamp_ns: int, faults: Sequence[MessageFault] = ()) -> bool:
+        """Whether the formation_state of this stamp is lost, by chance or by a fault."""
+        return self._lost(random_streams.STATE_LINK, sender, stamp_ns, faults)
 
-    def estimate(self, sender: int, stamp_ns: int) -> bool:
-        """Whether the leader_estimate of this stamp is lost."""
-        return self._lost(random_streams.ESTIMATE_LINK, sender, stamp_ns)
+    def estimate(self, sender: int, stamp_ns: int, faults: Sequence[MessageFault] = ()) -> bool:
+        """Whether the leader_estimate of this stamp is lost, by chance or by a fault."""
+        return self._lost(random_streams.ESTIMATE_LINK, sender, stamp_ns, faults)
 
-    def _lost(self, kind: int, sender: int, stamp_ns: int) -> bool:
+    def _lost(self, kind: int, sender: int, stamp_ns: int, faults: Sequence[MessageFault]) -> bool:
         address = (self.seed, kind, self.receiver, sender)
         number = random_streams.uniform(address, max(stamp_ns, 0) // self.period_ns)
-        return number < self.shares[sender]
+        if number < self.shares[sender]:
+            return True
+        link = FaultyLink(self.seed, kind, self.receiver, sender, self.period_ns)
+        return bool(faults) and link.loses(faults, stamp_ns)
 
 
 def message_loss(scenario: Scenario, uav_id: int) -> MessageLoss | None:
-    """The message loss of one UAV; None when none of its links loses any."""
+    """The message loss of one UAV; None when none of its links loses any, and no fault can be injected."""
     others = (i for i in scenario.uav_ids if i != uav_id)
     shares = {i: scenario.link(i, uav_id).loss for i in others}
-    if not any(shares.values()):
+    if not any(shares.values()) and scenario.file.faults is None:
         return None
     return MessageLoss(scenario.seed, shares, uav_id, scenario.dt_ns)
 
@@ -69,9 +73,34 @@ def _last_received(scenario: Scenario, kind: int, receiver: int, sender: int) ->
     ticks = scenario.ticks
     address = (scenario.seed, kind, receiver, sender)
     lost = random_streams.uniform_below(address, ticks, scenario.link(sender, receiver).loss)
+    faults = [fault for fault in message_faults(scenario) if fault.sender == sender]
+    if faults:
+        return _received_among_faults(scenario, kind, receiver, faults, lost)
     sent = np.maximum.accumulate(np.where(lost, -1, np.arange(ticks, dtype=np.int64)))
     late = min(max(link_delay(scenario, sender, receiver).ticks, 1), ticks)
     return np.concatenate((np.full(late, -1, dtype=np.int64), sent[: ticks - late]))
+
+
+def _received_among_faults(
+    scenario: Scenario,
+    kind: int,
+    receiver: int,
+    faults: list[MessageFault],
+    lost: NDArray[np.bool_],
+) -> NDArray[np.int64]:
+    """As `_last_received`, with faults of one sender. A late message does not replace a newer one."""
+    ticks, period_ns, sender = scenario.ticks, scenario.dt_ns, faults[0].sender
+    link = FaultyLink(scenario.seed, kind, receiver, sender, period_ns)
+    lost = lost | link.losses(faults, ticks)
+    late_ns = link_delay(scenario, sender, receiver).ns + delays_ns(
+        faults, sender, ticks, period_ns
+    )
+    sent = np.arange(ticks, dtype=np.int64)
+    arrival = sent + np.maximum(-(-late_ns // period_ns), 1)
+    newest = np.full(ticks, -1, dtype=np.int64)
+    there = ~lost & (arrival < ticks)
+    np.maximum.at(newest, arrival[there], sent[there])
+    return np.maximum.accumulate(newest)
 
 
 def last_state_received(scenario: Scenario, receiver: int, sender: int) -> NDArray[np.int64]:

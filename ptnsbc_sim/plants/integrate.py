@@ -39,6 +39,17 @@ def store_odometry(out: Array, x: Array, kind: int) -> None:
         quadrotor_odometry(out, x)
 
 
+@inline_kernel
+def stop(x: Array, kind: int) -> None:
+    """Bring a plant state (17,) to rest where it is, in place."""
+    if kind == PLANT_RIGID_BODY:
+        for i in range(6, 12):
+            x[i] = 0.0
+    else:
+        for i in range(7, 13):
+            x[i] = 0.0
+
+
 @kernel
 def odometry(x: Array, config: PlantConfig) -> Array:
     """Odometry vector (13,) of a plant state (17,)."""

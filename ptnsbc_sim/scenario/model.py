@@ -23,6 +23,7 @@ from ptnsbc_sim.scenario.fields import (
 )
 from ptnsbc_sim.scenario.gains import Gains
 from ptnsbc_sim.scenario.mavlink import Mavlink
+from ptnsbc_sim.scenario.mission.faults import FaultBlock
 from ptnsbc_sim.scenario.mission.legs import Mission
 from ptnsbc_sim.scenario.mission.shapes import Change, ShapeBlock
 from ptnsbc_sim.scenario.mission.trajectories import TrajectoryBlock
@@ -237,6 +238,9 @@ class ScenarioFile(Block):
     """Seed of all random numbers, see [below](#chance)."""
     security: Literal["none", "signed"] = "none"
     """`signed`: processes take only messages that carry the seal of the fleet, see [security.md](security.md)."""
+    faults: Annotated[tuple[FaultBlock, ...], Field(max_length=200)] | None = None
+    """Faults that are injected, see [faults.md](faults.md#injection). A fleet takes `ptnsbc inject` only with this key;
+    an empty list will do. Default: none, and `ptnsbc inject` is refused."""
     timing: Timing
     """Rates and duration."""
     world: Surroundings = Surroundings()

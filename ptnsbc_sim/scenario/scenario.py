@@ -20,6 +20,7 @@ from ptnsbc_sim.scenario.fields import Wave
 from ptnsbc_sim.scenario.gains import Gains
 from ptnsbc_sim.scenario.mavlink import Mavlink, VehicleLink, vehicle_link
 from ptnsbc_sim.scenario.mission.completion import completed_mission, completed_shape
+from ptnsbc_sim.scenario.mission.faults import MESSAGES, FaultBlock, modelled
 from ptnsbc_sim.scenario.mission.legs import ScheduledLeg, Word, landing_s, schedule
 from ptnsbc_sim.scenario.mission.route import with_legs
 from ptnsbc_sim.scenario.model import Plant, Quadrotor, ScenarioFile, Sensor, UavBlock
@@ -248,17 +249,29 @@ class Scenario:
         """Whether messages between UAVs get lost or come late."""
         block = self.file.communication
         own = any(link.loss or link.delay_s for link in block.links)
-        return own or block.loss > 0.0 or block.delay_s > 0.0
+        late = own or block.loss > 0.0 or block.delay_s > 0.0
+        return late or any(fault.rule.strikes == MESSAGES for fault in self.faults)
+
+    @property
+    def faults(self) -> tuple[FaultBlock, ...]:
+        """Faults that are injected."""
+        return self.file.faults or ()
+
+    @property
+    def modelled_faults(self) -> tuple[FaultBlock, ...]:
+        """Those of `faults` that a headless flight injects."""
+        return modelled(self.faults)
 
     @property
     def imperfect(self) -> bool:
-        """Whether the flight has random disturbances: position or sensor noise, gusts, lost or late messages."""
+        """Whether the flight has disturbances: position or sensor noise, gusts, lost or late messages, faults."""
         return (
             self.sensor.positioning is not None
             or self.sensor.noise_m > 0.0
             or self.sensor.velocity_noise_m_s > 0.0
             or any(self.file.world.gust_m_s)
             or self.lossy
+            or bool(self.modelled_faults)
         )
 
     @cached_property

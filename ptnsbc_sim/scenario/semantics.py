@@ -11,6 +11,7 @@ from ptnsbc_core.topology import Topology, validated_topology
 from ptnsbc_sim.scenario import obstacles
 from ptnsbc_sim.scenario.mavlink import Geofence, Mavlink, vehicle_link
 from ptnsbc_sim.scenario.mission import legs, shapes, trajectories
+from ptnsbc_sim.scenario.mission.faults import fault_problems
 from ptnsbc_sim.scenario.model import Positioning, ScenarioFile
 from ptnsbc_sim.scenario.problems import ScenarioError
 
@@ -249,6 +250,13 @@ def _law(file: ScenarioFile) -> Problems:
         )
 
 
+def _faults(file: ScenarioFile) -> Problems:
+    ids = {uav.id for uav in file.uavs}
+    for index, fault in enumerate(file.faults or ()):
+        for problem in fault_problems(fault, ids):
+            yield f"faults[{index}].{problem}"
+
+
 _CHECKS: tuple[Callable[[ScenarioFile], Problems], ...] = (
     _timing,
     _names,
@@ -263,6 +271,7 @@ _CHECKS: tuple[Callable[[ScenarioFile], Problems], ...] = (
     _plant,
     _mavlink,
     _law,
+    _faults,
 )
 
 

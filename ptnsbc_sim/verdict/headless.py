@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from ptnsbc_core.types import Array
 from ptnsbc_sim import track as columns
+from ptnsbc_sim.disturbances.faults import ends_at
 from ptnsbc_sim.swarm import HeadlessFlight
 from ptnsbc_sim.verdict.recording import COUNTERS, FORMATION, Recording, with_landing
 from ptnsbc_sim.verdict.track import Series
@@ -25,16 +26,24 @@ def recording_of(flight: HeadlessFlight) -> Recording:
     t_ns, track, rows = flight.t_ns, flight.track, list(enumerate(flight.scenario.uav_ids))
     has_truth = bool(len(track.truth))
     stamps, counted = _counters(flight)
+    # A UAV that is killed sends nothing more.
+    last_ns = t_ns[np.clip(ends_at(flight.scenario), 1, len(t_ns)) - 1]
     return Recording(
         scenario=flight.scenario,
         odometry={uav: Series(t_ns, track.odometry[:, row]) for row, uav in rows},
-        wrench={uav: Series(t_ns, track.wrench[:, row]) for row, uav in rows},
-        estimate={uav: Series(t_ns, track.estimate[:, row]) for row, uav in rows},
+        wrench={uav: _until(last_ns[row], t_ns, track.wrench[:, row]) for row, uav in rows},
+        estimate={uav: _until(last_ns[row], t_ns, track.estimate[:, row]) for row, uav in rows},
         truth={uav: Series(t_ns, track.truth[:, row]) for row, uav in rows if has_truth},
-        counters={uav: Series(stamps, counted[:, row]) for row, uav in rows},
+        counters={uav: _until(last_ns[row], stamps, counted[:, row]) for row, uav in rows},
         epochs=with_landing(flight.scenario, ((int(t_ns[0]), FORMATION),)),
         slots={int(t_ns[0]): flight.slots} if flight.slots else {},
     )
+
+
+def _until(last_ns: int, t_ns: NDArray[np.int64], values: Array) -> Series:
+    """Values (T, ...) up to an instant [ns]."""
+    count = int(np.searchsorted(t_ns, last_ns, "right"))
+    return Series(t_ns[:count], values[:count])
 
 
 def _counters(flight: HeadlessFlight) -> tuple[NDArray[np.int64], Array]:

@@ -77,6 +77,9 @@ class Recording:
     leg: int = 0  # which of the formation legs is judged
     # slot of every UAV by the epoch [ns] that decided it; empty where every UAV has its own
     slots: Mapping[int, Mapping[int, int]] = field(default_factory=dict)
+    injected: tuple[
+        str, ...
+    ] = ()  # faults of an operator, in words; those of the scenario are in it
     window_s: float | None = None  # judge only so many seconds after its epoch
 
     @cached_property

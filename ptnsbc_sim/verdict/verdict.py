@@ -85,6 +85,7 @@ class Verdict:
     latency_ms: dict[str, float]
     legs: tuple[LegVerdict, ...]  # all formation legs; the figures above are of the first
     mission: tuple[MissionLegVerdict, ...]  # the legs of the mission; empty without one
+    faults: tuple[str, ...]  # that were injected, in words
 
     @property
     def verdict(self) -> str:
@@ -167,6 +168,7 @@ def _verdict_on(recording: Recording, tolerance: float) -> Verdict:
             [pair for part in parts for pair in part],
             tolerance,
         ),
+        faults=(*(fault.text for fault in scenario.faults), *recording.injected),
     )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from ptnsbc_sim.scenario import Scenario
+from ptnsbc_tools.check.faults import faults
 from ptnsbc_tools.check.finding import ERROR, INFO, WARNING, CheckError, Finding, Findings
 from ptnsbc_tools.check.gains import changes, feasible, order, printed, steps
 from ptnsbc_tools.check.geometry import (
@@ -40,6 +41,7 @@ _CHECKS: Sequence[Callable[[Scenario], Findings]] = (
     encounters,
     recovery,
     sensor,
+    faults,
 )
 
 

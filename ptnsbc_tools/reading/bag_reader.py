@@ -139,5 +139,6 @@ def read_recording(path: Path, options: ReadOptions = DEFAULTS) -> Recording:
         epochs=with_landing(scenario, epochs),
         slots=slots,
         latency=collector.counters.latency,
+        injected=tuple(collector.counters.injected),
         window_s=options.window_s,
     )

@@ -23,6 +23,8 @@ _LINK = re.compile(r"bridge([0-9]{1,3}): link")
 _STATES_SENT = re.compile(r"([0-9]{1,19}) ([1-9][0-9]{0,14})")  # stamp [ns], number of messages
 _LAST_NS = 2**63 - 1
 _SIM = "sim: world"
+_INJECTED = re.compile(r"[a-z_]+ of [a-z0-9]+[ -~]{0,80}")  # a fault, in words
+_MOST_INJECTED = 200
 _LATENCY = re.compile(r"latency_(\w+)_ms")
 _TICK = re.compile(r"/uav([0-9]{1,3})/tick")
 _SENSORS = ("own", "near")  # the messages of a step that no neighbour sent
@@ -44,6 +46,7 @@ class DiagnosticCounters:
 
     def __init__(self, file: SampleFile) -> None:
         self.latency: dict[str, float] = {}
+        self.injected: dict[str, None] = {}  # faults of an operator, in the order of the first word
         self._counters = TrackWriters[int](file)
         self._sent = TrackWriters[int](file)
 
@@ -51,6 +54,9 @@ class DiagnosticCounters:
         """Take an array of diagnostics."""
         for status in array.statuses:
             if planner := _PLANNER.fullmatch(status.name):
+                for text in filter(None, status.values.get("injected", "").split("; ")):
+                    if _INJECTED.fullmatch(text) and len(self.injected) < _MOST_INJECTED:
+                        self.injected.setdefault(text)
                 if array.stamp_ns >= 0:
                     values = np.array([_number(status.values, key, 0.0) for key in COUNTERS])
                     self._counters.add(int(planner[1]), array.stamp_ns, values)

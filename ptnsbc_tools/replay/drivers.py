@@ -115,6 +115,7 @@ class LockstepDriver(Driver[int]):
         leg = self.state.epochs.at(step)
         if leg is None:
             return None
+        replay.controller.inbox.begin(leg.first_t0_ns)
         why = self._gaps.get(replay.uav)
         if why is None:
             try:

@@ -17,6 +17,7 @@ from ptnsbc_nodes.comm.agent_messages import AgentMessages
 from ptnsbc_nodes.comm.graph import CommunicationGraph, Senders
 from ptnsbc_nodes.comm.slots import DecidedSlots
 from ptnsbc_nodes.uav.controller import StepTime, UavController, VehicleSpeedLimits
+from ptnsbc_nodes.uav.faults import sent_faults
 from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS, Inbox
 from ptnsbc_nodes.uav.slots import SlotHolder
 from ptnsbc_nodes.uav.step_log import (
@@ -116,7 +117,9 @@ class UavReplay:
         self._law = law
         self.controller = UavController(self._config, senders, law)
         self._put = _inbox_setters(self.controller.inbox)
+        self._scenario, self._fleet = scenario, fleet
         self._encoder = AgentMessages(uav, fleet)
+        self._t0_ns: int | None = None  # first epoch of the step before
         self.next_step: int | None = None  # number of the next step; None: a step was left out
         self._held: dict[str, Stamped] = {}
         self._snapshot: SnapshotTemplate | None = None
@@ -212,6 +215,10 @@ class UavReplay:
     def step(self, at: StepTime, cutoff_ns: int = NO_CUTOFF_NS) -> PackedOutputs:
         """Make one control step on the messages in the inbox."""
         self.account.steps += 1
+        if at.first_t0_ns != self._t0_ns:
+            self._t0_ns = at.first_t0_ns
+            faults = sent_faults(self._scenario, self.uav, at.first_t0_ns)
+            self._encoder = AgentMessages(self.uav, self._fleet, faults)
         if self.next_step is not None:
             self.next_step += 1
         return self.controller.step(at, cutoff_ns)

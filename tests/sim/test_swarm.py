@@ -5,7 +5,6 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from dead_uav import flight_with_a_death
 
 from ptnsbc_core.agent import Agent
 from ptnsbc_core.curves.trajectory import reference
@@ -326,9 +325,10 @@ def test_a_flight_with_fixed_slots_has_none_to_tell() -> None:
 @pytest.mark.parametrize(("dead", "child"), [(2, 3), (3, 4)])
 def test_a_uav_in_the_middle_of_the_tree_dies_and_all_keep_clear(dead, child):
     """Its child holds, and leader and others fly on around both."""
-    changes = {"timing.duration_s": 18, "gains.clearance.approach": "braking"}
-    scenario = load_scenario("paper_5", changes)
-    flown, holding = flight_with_a_death(scenario, dead, 8.0)
+    death = [{"kind": "kill", "uav": dead, "at_s": 8.0}]
+    scenario = load_scenario("paper_5", {"timing.duration_s": 18, "faults": death})
+    flown = fly(scenario)
+    holding = flown.track.diagnostics[:, :, HOLDING] > 0
     places = flown.truth[:, :, :3]
     closest = min(
         np.linalg.norm(places[:, a] - places[:, b], axis=1).min()

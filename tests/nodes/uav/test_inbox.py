@@ -166,10 +166,10 @@ def test_nobody_waits_for_the_lost_and_their_last_message_ages():
 
 def test_lost_messages_are_not_heard_and_not_waited_for():
     class Half(MessageLoss):
-        def state(self, sender, stamp_ns):
+        def state(self, sender, stamp_ns, faults=()):
             return stamp_ns // PERIOD >= 4
 
-        def estimate(self, sender, stamp_ns):
+        def estimate(self, sender, stamp_ns, faults=()):
             return sender == 4
 
     inbox = Inbox(replace(FOLLOWER, losses=Half(1, {}, 3, PERIOD)))

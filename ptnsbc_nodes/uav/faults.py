@@ -1,0 +1,105 @@
+"""The faults of one UAV's process: those of its scenario, and those that an operator injects.
+
+What becomes of the messages of others is the inbox's. No ROS in here.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Callable, Sequence
+from functools import partial
+
+from ptnsbc_io.wire import Stamped
+from ptnsbc_nodes.uav.inbox import Inbox
+from ptnsbc_sim.disturbances.faults import strikes, without_position
+from ptnsbc_sim.scenario import Scenario
+from ptnsbc_sim.scenario.mission.faults import MESSAGES, FaultBlock
+
+_MOST_INJECTED = 20  # that are remembered
+
+
+def _kill_this_process() -> None:
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+class UavFaults:
+    """The faults that strike one UAV, in the stamps of its flight.
+
+    Args:
+        scenario: of the flight.
+        uav_id: the UAV.
+        inbox: of the UAV; it takes the faults of the others.
+        lockstep: whether this process carries out its own `kill`: then the flight is the same every time. In real
+            time the launcher kills.
+        kill: ends this process.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        uav_id: int,
+        inbox: Inbox,
+        lockstep: bool,
+        kill: Callable[[], None] = _kill_this_process,
+    ) -> None:
+        self.allowed = scenario.file.faults is not None
+        self.injected: list[str] = []
+        """The faults that were injected in flight, in words."""
+        self._uav = uav_id
+        self._inbox = inbox
+        self._lockstep = lockstep
+        self._kill = kill
+        self._scenario = [fault for fault in scenario.faults if fault.struck_uav == uav_id]
+        self._count = len(scenario.faults)
+        self._own: list[tuple[FaultBlock, int]] = []  # with the instant from which its time counts
+        self._t0_ns: int | None = None
+
+    def begin(self, t0_ns: int) -> None:
+        """The first epoch is known."""
+        if self._t0_ns is None:
+            self._t0_ns = t0_ns
+            self._inbox.begin(t0_ns)
+            self._own += [(fault, t0_ns) for fault in self._scenario]
+
+    def inject(self, fault: FaultBlock, now_ns: int) -> None:
+        """A fault that begins now."""
+        if self._lockstep and fault.rule.strikes == MESSAGES:
+            return  # receivers would begin it at different ticks
+        flight_s = 0.0 if self._t0_ns is None else (now_ns - self._t0_ns) * 1e-9
+        self.injected.append(fault.model_copy(update={"at_s": round(flight_s, 1)}).text)
+        del self.injected[:-_MOST_INJECTED]
+        fault = fault.model_copy(update={"at_s": 0.0})
+        self._inbox.inject(fault, self._count, now_ns)
+        self._count += 1
+        if fault.struck_uav == self._uav:
+            self._own.append((fault, now_ns))
+
+    def strike(self, now_ns: int) -> None:
+        """Lock-step: end this process when its time has come."""
+        if self._lockstep and any(
+            strikes(fault, "kill", self._uav, now_ns, t0_ns) for fault, t0_ns in self._own
+        ):
+            self._kill()
+
+    def sent(self, message: Stamped) -> Stamped:
+        """A state (13,) of this UAV as its neighbours get it."""
+        return _sent(self._own, self._uav, message) if self._own else message
+
+
+def sent_faults(
+    scenario: Scenario, uav_id: int, t0_ns: int = 0
+) -> Callable[[Stamped], Stamped] | None:
+    """What the faults of a scenario make of the states of one UAV; None: nothing."""
+    own = [(fault, t0_ns) for fault in scenario.faults if fault.struck_uav == uav_id]
+    return partial(_sent, own, uav_id) if own else None
+
+
+def _sent(own: Sequence[tuple[FaultBlock, int]], uav_id: int, message: Stamped) -> Stamped:
+    stamp_ns, values = message
+    for fault, t0_ns in own:
+        if strikes(fault, "nan", uav_id, message.stamp_ns, t0_ns):
+            values = without_position(values)
+        elif strikes(fault, "clock_offset", uav_id, message.stamp_ns, t0_ns):
+            stamp_ns += round((fault.offset_s or 0.0) * 1e9)
+    return Stamped(stamp_ns, values)

@@ -1,0 +1,177 @@
+"""Injected faults as a flight feels them: messages that get lost or come late, positions that jump, UAVs that end.
+
+Sender and receiver need not agree on anything: what becomes of a message follows from the fault, its stamp and the
+seed. A headless flight takes whole tables, a process asks for one message at a time; both get the same answers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ptnsbc_core.kernel import inline_kernel
+from ptnsbc_core.types import Array
+from ptnsbc_sim.disturbances import random_streams
+from ptnsbc_sim.scenario import Scenario
+from ptnsbc_sim.scenario.mission.faults import FOR_EVER_NS, FaultBlock
+
+NEVER = 2**62
+"""Tick at which a UAV ends that does not end."""
+
+_SILENCING = ("silence", "nan", "kill")  # a receiver refuses what is no number
+_JUMP_COLUMNS = 6
+
+
+class MessageFault(NamedTuple):
+    """What a fault does to the messages of one UAV that are stamped within its time."""
+
+    sender: int
+    start_ns: int
+    end_ns: int
+    loss: float = 0.0  # fraction that is lost
+    delay_ns: int = 0
+    number: int = 0  # of the fault in the scenario: each has random numbers of its own
+
+    def holds(self, stamp_ns: int) -> bool:
+        """Whether a message of this stamp [ns] is concerned."""
+        return self.start_ns <= stamp_ns < self.end_ns
+
+
+def message_fault(fault: FaultBlock, number: int, t0_ns: int) -> MessageFault | None:
+    """A fault of messages whose mission begins at `t0_ns`; None for any other fault."""
+    sender = fault.struck_uav
+    if sender is None:
+        return None
+    start_ns, end_ns = fault.window_ns(t0_ns)
+    if fault.kind in _SILENCING:
+        return MessageFault(sender, start_ns, end_ns, loss=1.0, number=number)
+    if fault.kind == "loss":
+        return MessageFault(sender, start_ns, end_ns, loss=fault.share or 0.0, number=number)
+    if fault.kind == "delay":
+        late_ns = round((fault.delay_s or 0.0) * 1e9)
+        return MessageFault(sender, start_ns, end_ns, delay_ns=late_ns, number=number)
+    return None
+
+
+def message_faults(scenario: Scenario, t0_ns: int = 0) -> tuple[MessageFault, ...]:
+    """The faults of messages of a scenario whose first epoch is `t0_ns`."""
+    found = (message_fault(fault, k, t0_ns) for k, fault in enumerate(scenario.faults))
+    return tuple(one for one in found if one is not None)
+
+
+class FaultyLink(NamedTuple):
+    """One kind of message on its way from one UAV to another, among faults."""
+
+    seed: int
+    kind: int  # random_streams.STATE_LINK or ESTIMATE_LINK
+    receiver: int
+    sender: int
+    period_ns: int
+
+    def _address(self, fault: MessageFault) -> random_streams.Address:
+        return (
+            self.seed,
+            random_streams.FAULT,
+            fault.number,
+            self.kind,
+            self.receiver,
+            self.sender,
+        )
+
+    def loses(self, faults: Sequence[MessageFault], stamp_ns: int) -> bool:
+        """Whether a message of this stamp is lost."""
+        return any(
+            fault.sender == self.sender
+            and fault.holds(stamp_ns)
+            and (
+                fault.loss >= 1.0
+                or random_streams.uniform(self._address(fault), max(stamp_ns, 0) // self.period_ns)
+                < fault.loss
+            )
+            for fault in faults
+        )
+
+    def losses(self, faults: Sequence[MessageFault], ticks: int) -> NDArray[np.bool_]:
+        """Whether the message of each tick (ticks,) is lost."""
+        lost = np.zeros(ticks, dtype=np.bool_)
+        for fault in faults:
+            if fault.sender == self.sender and fault.loss > 0.0:
+                span = _span(fault, ticks, self.period_ns)
+                if fault.loss >= 1.0:
+                    lost[span] = True
+                else:
+                    numbers = random_streams.uniform_below(self._address(fault), ticks, fault.loss)
+                    lost[span] |= numbers[span]
+        return lost
+
+
+def delay_ns(faults: Sequence[MessageFault], sender: int, stamp_ns: int) -> int:
+    """What faults add to the delay [ns] of a message of this stamp."""
+    return sum(
+        fault.delay_ns for fault in faults if fault.sender == sender and fault.holds(stamp_ns)
+    )
+
+
+def delays_ns(
+    faults: Sequence[MessageFault], sender: int, ticks: int, period_ns: int
+) -> NDArray[np.int64]:
+    """The same for the message of each tick (ticks,)."""
+    found = np.zeros(ticks, dtype=np.int64)
+    for fault in faults:
+        if fault.sender == sender and fault.delay_ns:
+            found[_span(fault, ticks, period_ns)] += fault.delay_ns
+    return found
+
+
+def _span(fault: MessageFault, ticks: int, period_ns: int) -> slice:
+    first = min(-(-fault.start_ns // period_ns), ticks)
+    return slice(first, min(-(-fault.end_ns // period_ns), ticks))
+
+
+def strikes(fault: FaultBlock, kind: str, uav_id: int, now_ns: int, t0_ns: int = 0) -> bool:
+    """Whether a fault of this kind strikes this UAV at `now_ns`; its time counts from `t0_ns`."""
+    if fault.kind != kind or fault.struck_uav != uav_id:
+        return False
+    start_ns, end_ns = fault.window_ns(t0_ns)
+    return start_ns <= now_ns < end_ns
+
+
+def without_position(values: Array) -> Array:
+    """A state (13,) whose position is no number, as a UAV with the fault `nan` sends it."""
+    broken = values.copy()
+    broken[0:3] = np.nan
+    return broken
+
+
+def ends_at(scenario: Scenario) -> NDArray[np.int64]:
+    """Tick (N,) from which the process of each UAV is dead, NEVER where it is not killed."""
+    found = np.full(len(scenario.uav_ids), NEVER, dtype=np.int64)
+    for fault in scenario.faults:
+        if fault.kind == "kill" and fault.struck_uav is not None:
+            row = scenario.uav_ids.index(fault.struck_uav)
+            found[row] = min(found[row], -(-fault.window_ns(0)[0] // scenario.dt_ns))
+    return found
+
+
+def jumps_of(scenario: Scenario) -> Array:
+    """The jumps of measured positions (J, 6): row of the UAV, first tick, tick after the last, offset [m] ENU."""
+    rows = []
+    for fault in scenario.faults:
+        if fault.kind == "jump" and fault.struck_uav is not None and fault.offset_m is not None:
+            start_ns, end_ns = fault.window_ns(0)
+            last_ns = min(end_ns, FOR_EVER_NS)
+            first, end = -(-start_ns // scenario.dt_ns), -(-last_ns // scenario.dt_ns)
+            rows.append((scenario.uav_ids.index(fault.struck_uav), first, end, *fault.offset_m))
+    return np.array(rows, dtype=np.float64).reshape(-1, _JUMP_COLUMNS)
+
+
+@inline_kernel
+def add_jumps(measured: Array, tick: int, row: int, jumps: Array) -> None:
+    """Add to a measured odometry vector (13,) the jumps (J, 6) of UAV number `row` at `tick`, in place."""
+    for k in range(jumps.shape[0]):
+        if jumps[k, 0] == row and jumps[k, 1] <= tick < jumps[k, 2]:
+            for i in range(3):
+                measured[i] += jumps[k, 3 + i]

@@ -1,0 +1,208 @@
+"""Faults that a scenario injects: what, whose, when and for how long. Sorted by what they strike.
+
+A fault begins at a mission time, counted from the first epoch. The tables of this module say which keys a kind takes,
+and where it can be injected; the checks, the documentation and `ptnsbc inject` read them.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from typing import Annotated, Literal, NamedTuple
+
+from pydantic import Field
+
+from ptnsbc_sim.scenario.fields import Block, NotNegative, Number, Positive, UavId, Vec3
+
+FaultKind = Literal[
+    "silence",
+    "loss",
+    "delay",
+    "nan",
+    "jump",
+    "kill",
+    "freeze",
+    "restart",
+    "clock_offset",
+    "disk_full",
+    "battery",
+    "gps_off",
+]
+MOST_DELAY_S = 1.0
+"""Largest `delay_s` of a fault."""
+FOR_EVER_NS = 2**62
+"""End of a fault without a duration."""
+
+MESSAGES, POSITION, PROCESS, RECORDER, AUTOPILOT = (
+    "messages",
+    "position",
+    "process",
+    "recorder",
+    "autopilot",
+)
+
+
+class FaultRule(NamedTuple):
+    """What a kind of fault strikes, and the keys it takes."""
+
+    strikes: str
+    what: str
+    needs: str = ""  # key of its amount
+    lasts: bool = True  # whether it takes `duration_s`
+    headless: bool = False  # whether a headless flight models it
+    lockstep: bool = True  # whether a fleet in lock-step can inject it
+    live: bool = True  # whether `ptnsbc inject` can send it to the processes of a fleet
+
+
+FAULTS: Mapping[str, FaultRule] = {
+    "silence": FaultRule(MESSAGES, "no message of the UAV reaches another UAV", headless=True),
+    "loss": FaultRule(
+        MESSAGES, "a share of the messages of the UAV gets lost", "share", headless=True
+    ),
+    "delay": FaultRule(MESSAGES, "the messages of the UAV come late", "delay_s", headless=True),
+    "nan": FaultRule(
+        MESSAGES, "the UAV sends states that are no numbers; receivers refuse them", headless=True
+    ),
+    "jump": FaultRule(
+        POSITION,
+        "the UAV measures its position with an offset",
+        "offset_m",
+        headless=True,
+        live=False,
+    ),
+    "kill": FaultRule(
+        PROCESS, "SIGKILL; the vehicle of a UAV stays in place", lasts=False, headless=True
+    ),
+    "freeze": FaultRule(PROCESS, "SIGSTOP, and SIGCONT after the duration", lockstep=False),
+    "restart": FaultRule(
+        PROCESS, "SIGKILL; the launcher starts the process again", lasts=False, lockstep=False
+    ),
+    "clock_offset": FaultRule(
+        MESSAGES, "the stamps of the UAV's messages are shifted", "offset_s", lockstep=False
+    ),
+    "disk_full": FaultRule(
+        RECORDER, "the recorder cannot write any more", lasts=False, lockstep=False
+    ),
+    "battery": FaultRule(
+        AUTOPILOT,
+        "a stand-in's battery has this charge",
+        "charge",
+        lasts=False,
+        lockstep=False,
+        live=False,
+    ),
+    "gps_off": FaultRule(
+        AUTOPILOT, "a stand-in has no satellite fixes", lockstep=False, live=False
+    ),
+}
+"""What each kind of fault does, and which keys it takes."""
+
+_AMOUNTS = tuple(rule.needs for rule in FAULTS.values() if rule.needs)
+_PROCESS = re.compile(r"(uav|bridge)([1-9]\d{0,2})|sim|recorder", re.ASCII)
+
+
+class FaultBlock(Block):
+    """A fault and its victim."""
+
+    kind: FaultKind
+    """Kind of the fault, see [faults.md](faults.md#injection)."""
+    at_s: NotNegative
+    """Mission time at which it begins, counted from the first epoch."""
+    uav: UavId | None = None
+    """Id of the UAV that it strikes."""
+    process: Annotated[str, Field(pattern=r"^((uav|bridge)[1-9]\d{0,2}|sim|recorder)$")] | None = (
+        None
+    )
+    """`kill`, `freeze`, `restart`: the process, if it is not that of `uav`."""
+    duration_s: Positive | None = None
+    """How long it lasts. Default: to the end of the flight."""
+    share: Annotated[Number, Field(gt=0, lt=1)] | None = None
+    """`loss`: fraction of the messages that is lost."""
+    delay_s: Annotated[Positive, Field(le=MOST_DELAY_S)] | None = None
+    """`delay`: what is added to the time from sending to arrival."""
+    offset_m: Vec3 | None = None
+    """`jump`: offset of the measured position, ENU."""
+    offset_s: Annotated[Number, Field(ge=-60, le=60)] | None = None
+    """`clock_offset`: what is added to the stamps."""
+    charge: Annotated[Number, Field(ge=0, le=1)] | None = None
+    """`battery`: charge, 0 to 1."""
+
+    @property
+    def rule(self) -> FaultRule:
+        """What the kind does."""
+        return FAULTS[self.kind]
+
+    @property
+    def victim(self) -> str:
+        """Name of the process that it strikes, `uav3`."""
+        if self.process is not None:
+            return self.process
+        return "recorder" if self.uav is None else f"uav{self.uav}"
+
+    @property
+    def struck_uav(self) -> int | None:
+        """Id of the UAV that it strikes; None when that is another process."""
+        name = self.victim
+        return int(name.removeprefix("uav")) if name.startswith("uav") else None
+
+    @property
+    def text(self) -> str:
+        """In words, for people."""
+        amount = getattr(self, self.rule.needs) if self.rule.needs else None
+        shown = "" if amount is None else f" {self.rule.needs} {amount}"
+        lasts = f" for {self.duration_s:g} s" if self.duration_s is not None else ""
+        return f"{self.kind} of {self.victim}{shown} at {self.at_s:g} s{lasts}"
+
+    def window_ns(self, t0_ns: int) -> tuple[int, int]:
+        """First instant [ns], and the first after it; `t0_ns` is the first epoch."""
+        start_ns = t0_ns + round(self.at_s * 1e9)
+        if self.duration_s is None:
+            return start_ns, FOR_EVER_NS
+        return start_ns, start_ns + round(self.duration_s * 1e9)
+
+
+def modelled(faults: Sequence[FaultBlock] | None) -> tuple[FaultBlock, ...]:
+    """The faults that a headless flight injects."""
+    return tuple(
+        fault
+        for fault in faults or ()
+        if fault.rule.headless and (fault.kind != "kill" or fault.victim.startswith("uav"))
+    )
+
+
+def fault_problems(fault: FaultBlock, uavs: Collection[int]) -> Iterator[str]:
+    """What is wrong with a fault among these UAVs: the key, and what is expected."""
+    yield from _victim_problems(fault)
+    found = _PROCESS.fullmatch(fault.process) if fault.process is not None else None
+    number = fault.uav if found is None or found[2] is None else int(found[2])
+    if number is not None and number not in uavs:
+        known = ", ".join(map(str, sorted(uavs)))
+        yield f"uav: {number}: no such UAV; expected one of the ids under uavs: {known}"
+    yield from _amount_problems(fault)
+
+
+def _victim_problems(fault: FaultBlock) -> Iterator[str]:
+    strikes = fault.rule.strikes
+    if strikes == RECORDER:
+        if fault.uav is not None or fault.process not in (None, "recorder"):
+            yield f"uav: {fault.kind} strikes the recorder: expected no UAV"
+    elif strikes == PROCESS:
+        if (fault.uav is None) == (fault.process is None):
+            yield f"uav: {fault.kind} needs uav or process: expected one of them"
+    elif fault.process is not None:
+        yield f"process: {fault.process}: {fault.kind} strikes a UAV: expected uav"
+    elif fault.uav is None:
+        yield f"uav: missing: expected the id of the UAV that {fault.kind} strikes"
+
+
+def _amount_problems(fault: FaultBlock) -> Iterator[str]:
+    needs = fault.rule.needs
+    if needs and getattr(fault, needs) is None:
+        yield f"{needs}: missing: {fault.kind} needs it"
+    for key in _AMOUNTS:
+        if key != needs and getattr(fault, key) is not None:
+            yield f"{key}: {fault.kind} does not take it: remove it"
+    if not fault.rule.lasts and fault.duration_s is not None:
+        yield f"duration_s: {fault.kind} has no end: remove it"
+    if fault.kind == "freeze" and fault.duration_s is None:
+        yield "duration_s: missing: a process that is frozen must go on; use kill to end it"
