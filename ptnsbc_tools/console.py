@@ -13,8 +13,11 @@ from typing import TYPE_CHECKING, Any, Protocol, TextIO
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.table import Table
 
 _PATIENCE_S = 2.0
+_COMPILING_SAY_S = 15.0  # between two lines
+_COMPILING_LOOK_S = 0.25
 COMPILING = "compiling the laws (once; then read from the cache)"
 _FIXED_WIDTH = 120  # a pipe has no width, and grep cannot read a table that is cut at 80 columns
 
@@ -67,6 +70,40 @@ def plain(text: str) -> str:
     )
 
 
+def narrowed(table: Table, console: Console) -> list[Table]:
+    """A table as several that keep their numbers at the width of a console: each has the first column and some more."""
+    from rich.measure import Measurement
+    from rich.table import Table
+
+    def fits(one: Table) -> bool:
+        return Measurement.get(console, console.options.update(width=1000), one).minimum <= limit
+
+    limit, columns = console.width, table.columns
+    found: list[Table] = []
+    if fits(table) or len(columns) < 3:
+        return [table]
+    rows = [row.style for row in table.rows]
+
+    def part(chosen: list[int]) -> Table:
+        title = None if found else table.title
+        made = Table(title=title, title_justify="left", title_style=table.title_style)
+        for number in chosen:
+            own = columns[number]
+            made.add_column(own.header, justify=own.justify, overflow="fold")
+        cells = [list(columns[number].cells) for number in chosen]
+        for style, row in zip(rows, zip(*cells, strict=True), strict=True):
+            made.add_row(*row, style=style)
+        return made
+
+    chosen = [0]
+    for number in range(1, len(columns)):
+        if len(chosen) > 1 and not fits(part([*chosen, number])):
+            found.append(part(chosen))
+            chosen = [0]
+        chosen.append(number)
+    return [*found, part(chosen)]
+
+
 def say(line: str) -> None:
     """One line on stderr, at once."""
     print(plain(line), file=sys.stderr, flush=True)
@@ -82,9 +119,9 @@ def print_json(data: Mapping[str, Any]) -> None:
     print(json.dumps(data, allow_nan=False), flush=True)
 
 
-def compiling() -> _LateCall:
-    """Around the first use of the laws: prints a line on stderr when it takes longer than a moment."""
-    return _LateCall(_say_compiling)
+def compiling() -> _Compilation:
+    """Around the first use of the laws: says on stderr what is compiled when it takes longer than a moment."""
+    return _Compilation()
 
 
 def patience(line: str) -> _LateCall:
@@ -106,10 +143,69 @@ class _LateCall:
         self._timer.cancel()
 
 
+class _Compilation:
+    """Names the function that is compiled, how many have been, and the time since the begin."""
+
+    def __init__(self) -> None:
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._show, daemon=True)
+        self._began = time.monotonic()
+
+    def __enter__(self) -> None:
+        self._thread.start()
+
+    def __exit__(self, *_: object) -> None:
+        self._ended.set()
+        self._thread.join()
+
+    def _show(self) -> None:
+        if self._ended.wait(_PATIENCE_S):
+            return
+        say_once(COMPILING)
+        with _counted_compilations() as compiled:
+            if not sys.stderr.isatty():
+                while not self._ended.wait(_COMPILING_SAY_S):
+                    say(self._words(compiled))
+                return
+            with err().status(self._words(compiled)) as status:
+                while not self._ended.wait(_COMPILING_LOOK_S):
+                    status.update(self._words(compiled))
+
+    def _words(self, compiled: list[str]) -> str:
+        elapsed_s = time.monotonic() - self._began
+        newest = f", {len(compiled)} functions, now {compiled[-1]}" if compiled else ""
+        return f"compiling: {elapsed_s:.0f} s{newest}"
+
+
+@contextmanager
+def _counted_compilations() -> Iterator[list[str]]:
+    """The names of the functions that numba begins to compile inside the `with`."""
+    names: list[str] = []
+    try:
+        from numba.core import event
+    except ImportError:  # the laws are interpreted
+        yield names
+        return
+
+    class Named(event.Listener):
+        def on_start(self, one: Any) -> None:
+            names.append(one.data["dispatcher"].py_func.__name__)
+
+        def on_end(self, one: Any) -> None:
+            pass
+
+    listener = Named()
+    event.register("numba:compile", listener)
+    try:
+        yield names
+    finally:
+        event.unregister("numba:compile", listener)
+
+
 @cache
-def _say_compiling() -> None:
-    # Once: the check and the flight may both have to compile.
-    say(COMPILING)
+def say_once(line: str) -> None:
+    """A line on stderr, and not again: the check and the flight may both have to compile."""
+    say(line)
 
 
 def watched() -> bool:

@@ -11,8 +11,21 @@ if TYPE_CHECKING:
     from ptnsbc_sim.scenario import Scenario
     from ptnsbc_tools.reading.bag_reader import ReadOptions
 
+
+def scenario_names(incomplete: str) -> list[str]:
+    """Names of scenarios for the completion of the shell; files are completed by the shell itself."""
+    from ptnsbc_sim.scenario.reader import available
+
+    return [name for name in available() if name.startswith(incomplete)]
+
+
 ScenarioArgument = Annotated[
-    str, typer.Argument(metavar="SCENARIO", help="A scenario file, or a name such as paper_5.")
+    str,
+    typer.Argument(
+        metavar="SCENARIO",
+        help="A scenario file, or a name such as paper_5.",
+        autocompletion=scenario_names,
+    ),
 ]
 NamespaceOption = Annotated[
     str,
@@ -42,7 +55,7 @@ SeedOption = Annotated[
     typer.Option("--seed", min=0, help="Seed of all random disturbances: noise, gusts, losses."),
 ]
 DurationOption = Annotated[
-    float | None, typer.Option("--duration", metavar="SECONDS", help="Length of the flight.")
+    float | None, typer.Option("--duration", metavar="S", help="Length of the flight.")
 ]
 SetOption = Annotated[
     list[str] | None,

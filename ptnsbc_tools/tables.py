@@ -213,7 +213,8 @@ def show_verdict(verdict: Verdict, *, json: bool, **extra: Any) -> None:
         return
     out = console.out()
     for table in verdict_tables(verdict):
-        out.print(table)
+        for part in console.narrowed(table, out):
+            out.print(part)
     for line in [*reasons(verdict), verdict_line(verdict)]:
         out.print(line, soft_wrap=True)
     for key, value in files.items():

@@ -150,7 +150,7 @@ def _writer(paths: _Paths, files: list[Path], found: list[Contents]) -> BagWrite
         for channel in contents.channels.values():
             schema = contents.schemas.get(channel.schema_id)
             if schema is not None:
-                topics.setdefault(channel.topic, _declaration(channel, schema))
+                topics.setdefault(channel.topic, declaration_of(channel, schema))
     foreign = {topic.message_encoding for topic in topics.values()} - {"cdr"}
     if foreign:
         raise BagError(
@@ -166,7 +166,8 @@ def _writer(paths: _Paths, files: list[Path], found: list[Contents]) -> BagWrite
     return writer
 
 
-def _declaration(channel: Channel, schema: Schema) -> TopicDeclaration:
+def declaration_of(channel: Channel, schema: Schema) -> TopicDeclaration:
+    """A topic as a file declares it, for a writer."""
     return TopicDeclaration(
         channel.topic,
         schema.name,

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_tools.check.faults import faults
 from ptnsbc_tools.check.finding import ERROR, INFO, WARNING, CheckError, Finding, Findings
-from ptnsbc_tools.check.gains import changes, feasible, order, printed, steps
+from ptnsbc_tools.check.gains import changes, feasible, order, printed, steps, within_flight
 from ptnsbc_tools.check.geometry import (
     encounters,
     graph,
@@ -35,6 +35,7 @@ _CHECKS: Sequence[Callable[[Scenario], Findings]] = (
     printed,
     slots,
     feasible,
+    within_flight,
     changes,
     legs,
     trajectory,

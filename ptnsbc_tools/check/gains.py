@@ -109,6 +109,19 @@ def changes(scenario: Scenario) -> Findings:
         )
 
 
+def within_flight(scenario: Scenario) -> Findings:
+    """Whether the flight lasts until the deadline, and long enough to be judged after it."""
+    deadline, duration = scenario.gains.formation.deadline_s, scenario.duration_s
+    if deadline >= duration:
+        yield Finding(
+            WARNING,
+            "timing.duration_s",
+            f"{duration:g} s: the flight ends before its deadline",
+            f"> {deadline:g} s, gains.formation.deadline_s",
+            "the verdict will be void: fly longer, or set an earlier deadline",
+        )
+
+
 def feasible(scenario: Scenario) -> Findings:
     """The formation deadline against the limits of speed and acceleration, from the actual starts."""
     deadline = scenario.gains.formation.deadline_s

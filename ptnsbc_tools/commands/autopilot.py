@@ -15,13 +15,18 @@ if TYPE_CHECKING:
     from ptnsbc_sim.autopilot.launch import Options
     from ptnsbc_sim.autopilot.server import VehicleServer
 
-Kind = Literal["px4", "arducopter", "stm32"]
+Kind = Literal["px4", "ardupilot", "generic", "arducopter", "stm32"]
+_EARLIER = {"ardupilot": "arducopter", "generic": "stm32"}  # the stand-ins' own names
 
 
 def autopilot(
     kind: Annotated[
         Kind | None,
-        typer.Option("--type", help="Firmware to imitate. Default: px4, or as in the scenario."),
+        typer.Option(
+            "--type",
+            help="Autopilot to imitate, by the names of mavlink.autopilot; arducopter and stm32 are the "
+            "earlier names of ardupilot and generic. Default: px4, or as in the scenario.",
+        ),
     ] = None,
     count: Annotated[
         int | None,
@@ -131,7 +136,7 @@ def autopilot(
     timed = [parse_timed_fault(text) for text in faults or ()]
     network = Network(port_base, connect, address, key)
     changed = dict(parse_parameter(text) for text in parameters or ())
-    run(Options(kind, fleet, network, boot_time, changed), control, timed)
+    run(Options(_EARLIER.get(kind or "", kind), fleet, network, boot_time, changed), control, timed)
 
 
 def run(options: Options, control_port: int | None, timed: list[TimedFault]) -> None:

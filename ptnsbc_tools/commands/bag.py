@@ -1,4 +1,4 @@
-"""`ptnsbc bag info` and `ptnsbc bag repair`."""
+"""`ptnsbc bag`: show, repair, trim and merge bags."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ptnsbc_tools import console
-from ptnsbc_tools.options import BagArgument, JsonOption
+from ptnsbc_tools.options import BagArgument, JsonOption, OverwriteOption
 
 if TYPE_CHECKING:
     from ptnsbc_io.bag import Bag
     from ptnsbc_io.bag.repair import Repaired
 
-app = typer.Typer(no_args_is_help=True, help="Show the content of a bag, or repair a bag.")
+app = typer.Typer(no_args_is_help=True, help="Show, repair, trim or merge bags.")
 
 
 @app.command()
@@ -73,6 +73,73 @@ def repair(
         console.print_json(made._asdict() | {"bag": str(made.bag), "original": original})
     else:
         _show_repair(made)
+
+
+_Output = Annotated[
+    Path, typer.Option("--output", "-o", metavar="DIR", help="Folder of the new bag.")
+]
+
+
+@app.command()
+def trim(
+    bag: BagArgument,
+    output: _Output,
+    begin: Annotated[
+        float,
+        typer.Option(
+            "--from", metavar="S", min=0.0, help="Keep messages from here on, after the first one."
+        ),
+    ] = 0.0,
+    end: Annotated[
+        float | None,
+        typer.Option("--to", metavar="S", min=0.0, help="Keep messages up to here. Default: all."),
+    ] = None,
+    overwrite: OverwriteOption = False,
+    json: JsonOption = False,
+) -> None:
+    """Write a span of a bag into a new one; times and bytes of the messages stay.
+
+    What latched topics said before the span, such as the epoch, is kept.
+    """
+    from ptnsbc_io.bag import read_bag
+    from ptnsbc_io.bag.cut import trim as work
+
+    found = read_bag(bag)
+    first_ns = found.start_ns + round(begin * 1e9)
+    last_ns = found.end_ns if end is None else found.start_ns + round(min(end, _LONGEST_S) * 1e9)
+    with console.progress("trimming") as advance:
+        count = work(bag, output, first_ns, last_ns, overwrite=overwrite, advance=advance)
+    _show_written(count, output, json=json)
+
+
+@app.command()
+def merge(
+    bags: Annotated[
+        list[Path], typer.Argument(metavar="BAG...", help="Two or more bags of one flight.")
+    ],
+    output: _Output,
+    overwrite: OverwriteOption = False,
+    json: JsonOption = False,
+) -> None:
+    """Write several bags of one flight into one, in the order of their times."""
+    from ptnsbc_io.bag import BagError
+    from ptnsbc_io.bag.cut import merge as work
+
+    if len(bags) < 2:
+        raise BagError(f"{bags[0]}: one bag: expected two or more to merge")
+    with console.progress("merging") as advance:
+        count = work(bags, output, overwrite=overwrite, advance=advance)
+    _show_written(count, output, json=json)
+
+
+_LONGEST_S = 1e9
+
+
+def _show_written(count: int, output: Path, *, json: bool) -> None:
+    if json:
+        console.print_json({"bag": str(output), "messages": count})
+    else:
+        print(f"{count} messages: {output}")
 
 
 def _show_repair(made: Repaired) -> None:

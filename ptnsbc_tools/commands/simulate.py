@@ -38,6 +38,10 @@ def simulate(
         int | None,
         typer.Option("--draw", metavar="K", min=0, help="The draw to fly; with --sweep."),
     ] = None,
+    picture: Annotated[
+        Path | None,
+        typer.Option("--picture", metavar="FILE", help="Draw the flight as a PNG, SVG or PDF."),
+    ] = None,
     bag: options.BagOption = None,
     overwrite: options.OverwriteOption = False,
     json: options.JsonOption = False,
@@ -60,7 +64,9 @@ def simulate(
         with console.progress("recording") as advance:
             bag = flight.save(bag, overwrite=overwrite, progress=advance).bag
     verdict = flight.verdict
-    show_verdict(verdict, json=json, bag=bag)
+    if picture is not None:
+        flight.save_picture(picture)
+    show_verdict(verdict, json=json, bag=bag, picture=picture)
     raise typer.Exit(verdict.exit_code)
 
 

@@ -50,8 +50,12 @@ def test_it_is_searched_without_a_network(built: Path) -> None:
         asked: list[str] = []
         page.on("request", lambda request: asked.append(request.url))
         page.goto((built / "index.html").as_uri())
-        page.locator("input.md-search__input").fill("null space")
         page.locator("input.md-search__input").click()
+        page.wait_for_function(
+            "() => !['', 'Initializing search'].includes("
+            "document.querySelector('.md-search-result__meta').textContent.trim())"
+        )
+        page.locator("input.md-search__input").press_sequentially("null space")
         found = page.locator("a.md-search-result__link").first
         found.wait_for()
         assert ".html" in found.get_attribute("href")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,6 @@ from typer.testing import CliRunner
 
 from ptnsbc_sim.sweep import SweepError, runner
 from ptnsbc_tools.cli import app
-from ptnsbc_tools.console import COMPILING
 from ptnsbc_tools.sweeps.table import read_sweep
 
 QUICK = ("--stop-after", 1.2, "--set", "gains.formation.deadline_s=0.8", "--workers", 1)
@@ -20,7 +20,7 @@ SMALL = ("paper_5", "--runs", 4, "--starts", "near:0.2", *QUICK)
 
 def run(*words: object) -> tuple[int, str, str]:
     result = CliRunner().invoke(app, [str(word) for word in words])
-    return result.exit_code, result.stdout, result.stderr.replace(f"{COMPILING}\n", "")
+    return result.exit_code, result.stdout, re.sub(r"compiling.*\n", "", result.stderr)
 
 
 def run_json(*words: object) -> dict[str, Any]:
