@@ -1,0 +1,264 @@
+"""What the processes of a flight do about faults: the rows of the table in docs/faults.md.
+
+The times are those of the code. Each row names the tests that fly or make its fault; a test of the table runs none.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from ptnsbc_nodes.bridge.procedure.steps import HEARTBEAT_LOST_S, RECOVERED_S, STALE_S, STOP_S
+from ptnsbc_nodes.comm.diagnostics import STATUS_HZ
+from ptnsbc_nodes.comm.door import AHEAD_S, OLDEST_S
+from ptnsbc_nodes.runtime.clock_offset import LIMIT_S
+from ptnsbc_nodes.runtime.watchdog import ENDED_S, RECORDER_ENDED_S, SAID_S
+from ptnsbc_nodes.uav.node import ABANDONED_S
+
+HEADLESS, SIM, MAVLINK = "headless", "sim", "mavlink"
+ALL = (HEADLESS, SIM, MAVLINK)
+
+
+class FaultAnswer(NamedTuple):
+    """One row."""
+
+    fault: str
+    where: tuple[str, ...]  # kinds of flights
+    detected_by: str
+    within: str
+    action: str
+    recovers: str  # when
+    tests: tuple[str, ...]
+
+
+_STALE = "`communication.stale_s`"
+_STATUS = f"{1.0 / STATUS_HZ:g} s"
+_AT_ONCE = "at once"
+_NEVER = "no"
+_FLEET = "tests/nodes/fleet/test_fleet.py::"
+_UAV = "tests/nodes/uav/test_node.py::"
+_BRIDGE = "tests/nodes/bridge/test_fleet_mavlink.py::"
+_PROCEDURE = "tests/nodes/bridge/procedure/test_procedure.py::"
+
+ANSWERS = (
+    FaultAnswer(
+        "the parent, or the leader over a leader link, is silent",
+        ALL,
+        "each follower, by the age of the newest message",
+        _STALE,
+        "holds where it is and keeps clear of others; warns `holding`",
+        "when it hears again",
+        (
+            "tests/sim/disturbances/test_faults.py::test_a_child_of_a_silent_uav_holds_after_stale_s_and_goes_on",
+            "tests/core/test_step.py::test_a_silent_neighbour_makes_it_hold_where_it_is",
+        ),
+    ),
+    FaultAnswer(
+        "a UAV dies in the middle of the tree",
+        ALL,
+        "its children, as above",
+        _STALE,
+        "its vehicle stays in place, its children hold, the others fly on around both",
+        _NEVER,
+        ("tests/sim/test_swarm.py::test_a_uav_in_the_middle_of_the_tree_dies_and_all_keep_clear",),
+    ),
+    FaultAnswer(
+        "a neighbour in the estimator graph is silent",
+        ALL,
+        "each follower, by the age of the newest message",
+        _STALE,
+        "its estimate is left out",
+        "when it is heard again",
+        ("tests/core/test_step.py::test_a_neighbours_estimate_counts_until_it_is_stale",),
+    ),
+    FaultAnswer(
+        "a message is damaged, not finite, out of range or out of order",
+        (SIM, MAVLINK),
+        "the door of each subscription",
+        _AT_ONCE,
+        "dropped, counted, named; the last good one counts",
+        "with the next good one",
+        (
+            f"{_UAV}test_a_broken_state_of_a_neighbour_is_dropped_and_named",
+            "tests/nodes/sim/test_node.py::test_no_message_ends_the_sim",
+            "tests/nodes/fleet/test_coordinator_node.py::test_no_message_ends_the_launcher_or_makes_it_end_a_uav",
+            "tests/nodes/fleet/test_fault_injector.py::test_a_fleet_in_lockstep_flies_its_faults_as_the_headless_flight_does",
+        ),
+    ),
+    FaultAnswer(
+        f"the clock of a sender is off by {LIMIT_S:g} s or more",
+        (SIM, MAVLINK),
+        "each receiver, by the stamps",
+        "1 s",
+        f"named; no flight begins; messages {AHEAD_S:g} s ahead or {OLDEST_S:g} s old are refused",
+        "when the clock is set right",
+        (
+            f"{_UAV}test_no_flight_begins_by_clocks_that_differ",
+            "tests/nodes/runtime/test_clock_offset.py::test_a_clock_that_is_set_right_is_forgiven",
+        ),
+    ),
+    FaultAnswer(
+        "a second publisher of a topic that has one",
+        (SIM, MAVLINK),
+        "each reader, by the GIDs",
+        f"{_STATUS} after its discovery",
+        "named with its node; with `security: signed` its messages are refused",
+        "when it is gone",
+        (f"{_UAV}test_with_a_seal_no_leg_of_an_outsider_counts",),
+    ),
+    FaultAnswer(
+        "the own odometry is stale",
+        (SIM, MAVLINK),
+        "the UAV",
+        _STALE,
+        "no setpoints: a setpoint is the proof of life; `/diagnostics` error",
+        "with the next odometry",
+        (f"{_UAV}test_real_time_setpoints_end_with_the_odometry",),
+    ),
+    FaultAnswer(
+        "a UAV process hangs or ends in real time",
+        (SIM,),
+        "the sim, by the age of the wrench",
+        _STALE,
+        "its vehicle stays in place, and is named; its children hold",
+        f"when it is back; one without a launcher ends {ABANDONED_S:g} s after the sim",
+        (
+            "tests/nodes/sim/test_node.py::test_real_time_runs_by_the_clock_and_hovers_without_wrenches",
+            "tests/nodes/sim/test_node.py::test_a_uav_that_comes_back_in_real_time_flies_its_vehicle_again",
+        ),
+    ),
+    FaultAnswer(
+        "a UAV process ends in flight",
+        (SIM, MAVLINK),
+        "the launcher, by the exit code",
+        "0.1 s",
+        "named with its last log lines; no process waits for it; exit code 1",
+        _NEVER,
+        (f"{_FLEET}test_who_dies_in_flight_is_named_and_the_others_fly_on",),
+    ),
+    FaultAnswer(
+        "a UAV process hangs in lock-step",
+        (SIM,),
+        "the sim, by the missing wrench",
+        f"{SAID_S:g} s",
+        f"named; ended by the launcher after {ENDED_S:g} s, then as above",
+        f"if it goes on within {ENDED_S:g} s",
+        (f"{_FLEET}test_who_dies_in_flight_is_named_and_the_others_fly_on",),
+    ),
+    FaultAnswer(
+        "a recorder hangs in lock-step",
+        (SIM,),
+        "the sim, by what it acknowledges",
+        f"{SAID_S:g} s",
+        f"the sim pauses; the launcher ends the recorder after {RECORDER_ENDED_S:g} s, since a disk may be slow",
+        f"if it goes on within {RECORDER_ENDED_S:g} s",
+        ("tests/nodes/fleet/test_supervisor.py::test_a_process_that_is_stuck_is_ended",),
+    ),
+    FaultAnswer(
+        "a recorder ends, or its disk is full",
+        (SIM, MAVLINK),
+        "the launcher, by the exit code",
+        "0.1 s",
+        "named; the flight goes on without a verdict; `ptnsbc bag repair` mends `<bag>.part`; exit code 1",
+        _NEVER,
+        (
+            f"{_FLEET}test_without_its_recorder_the_flight_goes_on_and_the_bag_can_be_mended",
+            "tests/io/bag/test_writer.py::test_full_disk",
+            "tests/nodes/fleet/test_fault_injector.py::test_a_full_disk_is_an_error_of_the_process_that_writes",
+        ),
+    ),
+    FaultAnswer(
+        "the sim ends",
+        (SIM,),
+        "the launcher, by the exit code",
+        "0.1 s",
+        "the flight is over, the bag is complete; exit code 1",
+        _NEVER,
+        (f"{_FLEET}test_who_dies_in_flight_is_named_and_the_others_fly_on",),
+    ),
+    FaultAnswer(
+        "the launcher is killed",
+        (SIM, MAVLINK),
+        "each process, by the end of its parent",
+        _AT_ONCE,
+        "its processes end by themselves",
+        _NEVER,
+        (f"{_FLEET}test_no_process_outlives_a_killed_launcher",),
+    ),
+    FaultAnswer(
+        "the controller of a vehicle is silent",
+        (MAVLINK,),
+        "the thread of its bridge, whatever ROS does",
+        f"{STALE_S:g} s",
+        f"held where it is; after {STOP_S:g} s the stream stops, and the failsafe of the vehicle acts",
+        f"when setpoints have been fresh for {RECOVERED_S:g} s, and no pilot has taken over",
+        (
+            f"{_PROCEDURE}test_setpoints_stop_first_a_hold_then_silence_then_the_failsafe",
+            f"{_PROCEDURE}test_after_a_failsafe_hold_px4_comes_back_by_itself",
+            f"{_BRIDGE}test_setpoints_end_the_stream_ends_the_failsafe_acts_and_then_the_pilot",
+        ),
+    ),
+    FaultAnswer(
+        "a bridge ends in flight",
+        (MAVLINK,),
+        "the vehicle, by the silence; the launcher, by the exit code",
+        "as the vehicle is set",
+        "the failsafe of the vehicle acts; `ptnsbc stop` reaches it past the bridge; exit code 1",
+        _NEVER,
+        (
+            f"{_BRIDGE}test_a_bridge_killed_leaves_the_vehicle_to_its_failsafe",
+            "tests/nodes/bridge/test_processes.py::test_a_uav_process_and_a_bridge_killed_and_the_operators_stop",
+        ),
+    ),
+    FaultAnswer(
+        "a vehicle is silent",
+        (MAVLINK,),
+        "its bridge, by the HEARTBEAT",
+        f"{HEARTBEAT_LOST_S:g} s",
+        "named; the stream goes on",
+        "when it is heard again",
+        (f"{_BRIDGE}test_heartbeat_lost_and_found_again",),
+    ),
+    FaultAnswer(
+        "a vehicle has lost its position",
+        (MAVLINK,),
+        "its bridge, by the estimator of the vehicle",
+        f"{STOP_S:g} s",
+        "no setpoints: the failsafe of the vehicle acts",
+        "as above, when the position is back",
+        (f"{_BRIDGE}test_gps_lost_in_flight",),
+    ),
+    FaultAnswer(
+        "the position of one vehicle jumps, or two come too near",
+        (MAVLINK,),
+        "each bridge, by the near objects",
+        _AT_ONCE,
+        "the formation is given up: all hold apart by height, then land from below",
+        _NEVER,
+        (
+            f"{_BRIDGE}test_a_jump_of_one_position_makes_all_hold_apart_by_height_and_land",
+            f"{_BRIDGE}test_a_vehicle_that_comes_too_near_ends_the_formation",
+        ),
+    ),
+    FaultAnswer(
+        "a battery is low, or the fence is reached",
+        (MAVLINK,),
+        "the bridge",
+        _AT_ONCE,
+        "this vehicle lands",
+        _NEVER,
+        (
+            f"{_BRIDGE}test_a_low_battery_lands_this_vehicle",
+            f"{_BRIDGE}test_a_fence_in_the_way_lands_it_no_farther_than_it_must",
+        ),
+    ),
+    FaultAnswer(
+        "the clock of a vehicle jumps",
+        (MAVLINK,),
+        "its bridge, by the stamps",
+        _AT_ONCE,
+        "measured anew; the flight goes on",
+        _AT_ONCE,
+        (f"{_BRIDGE}test_the_vehicles_clock_jumps_and_the_flight_goes_on",),
+    ),
+)
+"""The faults that are answered, and how."""
