@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from ptnsbc_sim.sweep.plan import drawn_scenario, plan_of
 
 BASE = load_scenario("paper_5_free", {"timing.duration_s": 0.5})
 KAPPA = "gains.formation.kappa_1_s"
+SHIPPED = sorted(path.stem for path in (Path(__file__).parents[3] / "scenarios").glob("*.yaml"))
 
 
 def plan_with(runs: int = 20, *axes: str, **rest) -> SweepPlan:
@@ -85,16 +87,15 @@ def test_draw_is_the_scenario_that_the_loop_flies() -> None:
         assert draw(plan, k).file == drawn_scenario(plan, k)[0].file
 
 
-@pytest.mark.parametrize("name", ["paper_5", "paper_5_free", "paper_20", "experiment_4", "show_20"])
+@pytest.mark.parametrize("name", SHIPPED)
 @pytest.mark.parametrize("starts", ["file", "near:0.4", "box:60,60,20"])
 def test_a_draw_of_starts_alone_is_one_that_was_validated(name: str, starts: str) -> None:
     rest = {"starts": parse_starts(starts), "stop_after_s": 0.3, "seed": 5}
-    plan = plan_of(load_scenario(name), 3, **rest)
-    for k in range(plan.draws):
-        (found, values), whole = drawn_scenario(plan, k), draw(plan, k)
-        assert (found.file, values, found.source) == (whole.file, {}, whole.source)
-        assert found.topology.neighbours == whole.topology.neighbours
-        np.testing.assert_array_equal(found.topology.matrix, whole.topology.matrix)
+    plan = plan_of(load_scenario(name), 2, **rest)
+    (found, values), whole = drawn_scenario(plan, 1), draw(plan, 1)
+    assert (found.file, values, found.source) == (whole.file, {}, whole.source)
+    assert found.topology.neighbours == whole.topology.neighbours
+    np.testing.assert_array_equal(found.topology.matrix, whole.topology.matrix)
 
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
