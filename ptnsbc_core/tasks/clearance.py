@@ -56,6 +56,8 @@ _SWEEPS = 60
 _TOLERANCE = 1e-9
 _COINCIDENT_M = 1e-6
 _LEAST_BRAKING = 0.25
+_STALL = 0.25
+"""Share of the wanted velocity above which a UAV makes progress."""
 
 
 class ObstacleView(NamedTuple):
@@ -186,7 +188,8 @@ def _braking_constraint(
     away = sub3(position, sight.centre)
     moves = dot3(velocity, velocity) > 0.0
     late = config.lag_s + (max(view.age_s, config.sensor_s) if moves else 0.0)
-    share = SHARE if moves else 1.0
+    alone = not moves
+    share = 1.0 if alone else SHARE
     depth = keep_out - norm3(away)
     allowed = braking_speed(-depth, _deceleration(view, config), LATENCIES * late)
     relative = sub3(view.velocity, velocity)
@@ -197,7 +200,7 @@ def _braking_constraint(
         relative = scale3(part, relative)
     space = clear_velocities(away, keep_out, relative, allowed)
     beside = view.velocity
-    if moves:
+    if not alone:
         beside = axpy(COMMON, sub3(view.command, view.velocity), view.velocity)
     bound = dot3(space.normal, beside) + share * (space.bound - dot3(space.normal, relative))
     return ClearanceConstraint(space.normal, bound, depth)
@@ -245,17 +248,36 @@ def admissible_multipliers(velocity: Vector3, rows: ClearanceConstraints) -> Arr
     return multipliers
 
 
+@inline_kernel
+def _stalled(
+    velocity: Vector3, admissible: Vector3, moving: Vector3, config: ClearanceConfig
+) -> float:
+    """How little progress beside an object that moves the admissible velocity leaves: 1 none, 0 enough."""
+    if config.approach != SPEED_BRAKING or dot3(moving, moving) == 0.0:
+        return 1.0
+    wanted = sub3(velocity, moving)
+    progress = dot3(sub3(admissible, moving), wanted)
+    return min(max(1.0 - progress / (_STALL * dot3(wanted, wanted) + _TOLERANCE), 0.0), 1.0)
+
+
 @kernel
 def _add_circulation(
     velocity: Vector3,
     rows: ClearanceConstraints,
     multipliers: Array,
+    near: Array,
     landmarks: Array,
     memory: Array,
     config: ClearanceConfig,
 ) -> Vector3:
-    """`velocity` plus a tangential motion around each blocking object, in proportion to how much it blocks."""
+    """`velocity` plus a tangential motion around each blocking object, in proportion to how much it blocks.
+
+    Around what moves only where it leaves the UAV no progress: it may be another UAV that moves along with this one.
+    """
     out = velocity
+    admissible = velocity
+    for m in range(multipliers.shape[0]):
+        admissible = axpy(multipliers[m], rows.normals[m], admissible)
     for m in range(multipliers.shape[0]):
         if multipliers[m] <= 0.0:
             continue
@@ -264,6 +286,7 @@ def _add_circulation(
             continue
         ramp = min(memory[slot, obstacle_memory.ACTIVE_S] / config.ramp_s, 1.0)
         speed = config.circulation * ramp * multipliers[m] * memory[slot, obstacle_memory.SIDE]
+        speed *= _stalled(velocity, admissible, load3(near[m], 4), config)
         out = axpy(speed, tangent(rows.normals[m]), out)
     return out
 
@@ -327,7 +350,9 @@ def set_based(
     after = obstacle_memory.update(view.memory, landmarks, multipliers, side, view.dt, config)
     secondary = velocity
     if obstacle_memory.any_used(after):
-        secondary = _add_circulation(velocity, rows, multipliers, landmarks, after, config)
+        secondary = _add_circulation(
+            velocity, rows, multipliers, view.near, landmarks, after, config
+        )
         multipliers = admissible_multipliers(secondary, rows)
     admissible = secondary
     for m in range(multipliers.shape[0]):

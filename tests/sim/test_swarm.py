@@ -14,7 +14,8 @@ from ptnsbc_sim.scenario.build import leader_trajectory
 from ptnsbc_sim.scenario.slots import optimal_slots
 from ptnsbc_sim.swarm import CHUNK_TICKS, HeadlessFlight, fly
 from ptnsbc_sim.sweep import parse_starts
-from ptnsbc_sim.sweep.plan import drawn_scenario, plan_of
+from ptnsbc_sim.sweep.plan import SweepPlan, draw, drawn_scenario, plan_of
+from ptnsbc_sim.sweep.starts import NEAR, Starts
 from ptnsbc_sim.track import ACTIVE_ROWS, HOLDING, PRIORITY_VIOLATION
 from ptnsbc_sim.verdict import verdict_on
 from ptnsbc_sim.verdict.headless import recording_of
@@ -125,6 +126,15 @@ def test_after_every_encounter_the_place_is_regained_in_the_recovery_time(plant:
     assert len(back) >= 3
     assert all(took <= promised for took, promised in back)
     assert max(took for took, _ in back) > 0.0
+    assert verdict.verdict == "met"
+
+
+def test_nobody_circles_around_its_own_child() -> None:
+    """UAV 2 was 7.5 m off at the deadline: a sideways motion around who moves along has no end."""
+    plan = SweepPlan(
+        load_scenario("paper_5_free").text, 4, 1122, starts=Starts(NEAR, (0.5,)), stop_after_s=10.0
+    )
+    verdict = verdict_on(recording_of(fly(draw(plan, 3))))
     assert verdict.verdict == "met"
 
 

@@ -451,6 +451,23 @@ def test_a_silent_sensor_makes_slow_whatever_it_saw(age: float, rule: int) -> No
     np.testing.assert_array_equal(velocity, [5.0, 5.0, 0])
 
 
+@pytest.mark.parametrize(("distance", "aside"), [(3.0, 0.0), (0.62, 0.3)])
+def test_sideways_motion_around_what_moves_only_where_there_is_no_progress(
+    distance: float, aside: float
+) -> None:
+    """3 m away it closes in, slower than it wants to. At arm's length, behind one that stands in the way, it turns."""
+    straight, turning = (braking(circulation=gain) for gain in (0.0, 0.6))
+    near = np.array([object_at((distance, 0.0, 0.0), (1e-6, 0.0, 0.0), 0.5)])
+    memory, wanted = empty_memory(), np.array([4.0, 0.0, 0.0])
+    for _ in range(100):
+        top, turned = result(np.zeros(3), wanted, near, turning, memory)
+        memory = top.memory
+    _, closing = result(np.zeros(3), wanted, near, straight, memory)
+    assert len(top.jacobian) == 1
+    sideways = np.linalg.norm(np.subtract(turned, closing))
+    assert sideways == pytest.approx(0.0, abs=1e-9) if aside == 0.0 else sideways > aside
+
+
 @pytest.mark.parametrize("aside_m", [0.0, 0.01])
 @pytest.mark.parametrize("count", [2, 3, 5, 8])
 def test_all_around_a_circle_change_places(count: int, aside_m: float) -> None:
