@@ -8,6 +8,7 @@ import numpy as np
 
 from ptnsbc_core.curves.trajectory import reference
 from ptnsbc_core.errors import FormationError
+from ptnsbc_core.tasks.approach import braking_speed
 from ptnsbc_core.tasks.registry import conditioning
 from ptnsbc_core.types import TASKS, Array
 from ptnsbc_sim.scenario import Scenario, agent_config
@@ -185,6 +186,9 @@ def encounters(scenario: Scenario) -> Findings:
             if distance[closest] >= obstacle.keep_out_m:
                 continue
             first = times[int(np.argmax(distance < obstacle.keep_out_m))]
+            speed = float(np.linalg.norm(np.gradient(path + beside, times, axis=0), axis=1).max())
+            if not off:
+                yield from _sight(scenario, obstacle.name, uav, obstacle.keep_out_m, speed)
             yield Finding(
                 WARNING if off else INFO,
                 f"world.obstacles {obstacle.name}",
@@ -192,6 +196,26 @@ def encounters(scenario: Scenario) -> Findings:
                 f">= {obstacle.keep_out_m:g} m",
                 "set formation.avoidance: set_based" if off else "avoided in flight",
             )
+
+
+def _sight(scenario: Scenario, name: str, uav: int, keep_out_m: float, speed: float) -> Findings:
+    """The speed of a UAV towards an obstacle, against what it can stop from within the range of the sensor.
+
+    Until it brakes it flies on for its lag and one period of the sensor, as it did before.
+    """
+    config = agent_config(scenario, uav).clearance
+    late, braking = config.lag_s + config.sensor_s, config.deceleration
+    room = max(config.range_m - keep_out_m - config.margin_m, 0.0)
+    most = braking_speed(room, braking, late)
+    if speed > most:
+        needed = keep_out_m + config.margin_m + speed * late + speed * speed / (2.0 * braking)
+        yield Finding(
+            WARNING,
+            "sensor.range_m",
+            f"UAV {uav} flies towards {name} at up to {speed:.2f} m/s, and sees it {room:.2f} m before its keep-out",
+            f"<= {most:.2f} m/s, from which it can stop there",
+            f"slow the leader down, or raise sensor.range_m to {needed:.2f} m",
+        )
 
 
 def recovery(scenario: Scenario) -> Findings:

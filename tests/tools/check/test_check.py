@@ -161,3 +161,22 @@ def test_the_deadline_is_checked_for_the_slots_that_the_starts_take() -> None:
 def test_tasks_do_not_fly_straight_to_open_slots() -> None:
     (found,) = findings_of("formation.approach", {"formation.approach": "task"})
     assert found.severity == "warning"
+
+
+@pytest.mark.parametrize(
+    ("speed", "range_m", "warned"), [(3.9, 4.0, False), (5.0, 4.0, True), (5.0, 6.0, False)]
+)
+def test_who_is_faster_than_it_can_stop_within_sight_is_told_the_speed(
+    speed: float, range_m: float, warned: bool
+) -> None:
+    """Towards a keep-out of 1.5 m. At 5 m/s and a range of 4 m the flight enters it by 13 mm, at 3.9 m/s not."""
+    path = {"kind": "line", "position_m": [0, 0, 6], "velocity_m_s": [speed, 0, 0]}
+    obstacle = {"name": "O1", "position_m": [8 * speed, 0, 6], "keep_out_m": 1.5}
+    changes = {"leader.trajectory": path, "world.obstacles": [obstacle], "sensor.range_m": range_m}
+    found = check(load_scenario("paper_5_free", {**changes, "timing.duration_s": 16}))
+    slow = [one for one in found if one.key == "sensor.range_m"]
+    assert bool(slow) == warned
+    if warned:
+        assert {one.severity for one in slow} == {"warning"}
+        assert slow[0].limit == "<= 4.00 m/s, from which it can stop there"
+        assert slow[0].advice.endswith("raise sensor.range_m to 4.99 m")
