@@ -63,6 +63,16 @@ class Sampler:
                 found[role].append(Usage(cores, last.rss_mb))
         return {role: _mean(each) for role, each in found.items()}
 
+    def growth(self, settle_s: float) -> dict[str, float]:
+        """By role: largest growth of a process after its first `settle_s`, as a share of what it had then."""
+        found: dict[str, float] = {}
+        for (role, _), samples in self._samples.items():
+            counted = [sample for sample in samples if sample.at >= self._began + settle_s]
+            if len(counted) > 1:
+                share = counted[-1].rss_mb / counted[0].rss_mb - 1.0
+                found[role] = max(found.get(role, share), share)
+        return found
+
     def _run(self) -> None:
         while not self._over.wait(_PERIOD_S):
             for pid in _children():

@@ -43,7 +43,7 @@ from ptnsbc_nodes.runtime.watchdog import SAID_S, WAITED
 from ptnsbc_sim.scenario.mission.faults import FaultBlock
 
 _REQUEST_S = 1.0
-_LISTENERS_S = 0.5  # without a further listener to faults: all are discovered
+_LISTENERS_S = 2.0  # without a further listener to faults: all are discovered
 _REPORT_GAP_S = 1.0  # the sim reports five times a second
 _SIGN_OF_LIFE_S = 2.0  # a process that is kept waiting says so five times a second
 _ANEW_CALLS = 3  # so many calls without an answer, and the whole node joins the network again

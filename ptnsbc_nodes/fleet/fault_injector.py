@@ -42,19 +42,23 @@ class FaultInjector:
         self._report = report
         self._restart = restart
         self._steady_s = steady_s
+        self._t0_s = steady_s()
         self._due: list[tuple[float, FaultBlock]] = []
         self._frozen: list[tuple[float, ChildProcess]] = []
 
     def begin(self, t0_s: float) -> None:
         """The mission begins at this time of the steady clock."""
+        self._t0_s = t0_s
         if not self._options.lockstep:
             faults = self._options.scenario.faults
             self._due += [(t0_s + one.at_s, one) for one in faults if _is_ours(one)]
 
     def add(self, fault: FaultBlock) -> None:
         """A fault that begins now."""
+        now_s = self._steady_s()
         if _is_ours(fault):
-            self._due.append((self._steady_s(), fault))
+            at_s = round(max(now_s - self._t0_s, 0.0), 1)
+            self._due.append((now_s, fault.model_copy(update={"at_s": at_s})))
 
     def look(self, children: Sequence[ChildProcess]) -> None:
         """Begin the faults that are due, and end those that are over."""

@@ -13,7 +13,7 @@ from ptnsbc_sim.scenario.mission.faults import AUTOPILOT, FAULTS, FaultBlock, fa
 from ptnsbc_tools import console, ros
 from ptnsbc_tools.options import NamespaceOption, full_namespace
 
-_PATIENCE_S = 5.0
+_PATIENCE_S = 15.0
 _HIGHEST_DOMAIN = 232
 
 

@@ -148,6 +148,7 @@ def test_in_lockstep_the_scenarios_faults_are_not_the_launchers(bench):
     one.injector.add(FaultBlock.model_validate({"kind": "kill", "uav": 2, "at_s": 0}))
     one.look_at(200.0)
     assert child.wait(30.0) == -9
+    assert one.lines == [f"fault: kill of uav2 at 100 s (pid {child.pid})"]
 
 
 def test_faults_of_messages_are_not_the_launchers(bench):

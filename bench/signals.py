@@ -1,0 +1,189 @@
+"""kill -9, STOP, and STOP with CONT of every kind of process at random moments of lock-step flights.
+
+`python -m bench.signals [--times 30] [--duration 40] [--seed 1]`. Each run is a whole fleet of five UAVs. At
+a moment that the seed draws, one process gets its signal; after STOP, CONT comes 1.5 s later or never. Afterwards the
+exit code must be the documented one, no process may be left, the bag (mended, where its recorder was killed) must open,
+and no two UAVs may have come closer than their keep-out. A flight that stands still for good is ended by Ctrl-C, as its
+documentation says.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import NamedTuple
+
+from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_io.bag.repair import repair
+from ptnsbc_sim.verdict.recording import Recording
+from ptnsbc_sim.verdict.verdict import verdict_on
+from ptnsbc_tools.reading.bag_reader import read_recording
+
+_VICTIMS = ("uav1", "uav3", "sim", "recorder", "launcher")
+_ORDERS = ("kill", "stop", "pause")
+_PAUSE_S = 1.5
+_STUCK_S = 25.0  # a lock-step flight ends what is stuck after 10 s
+_READY_S = 240.0
+_LEFT_S = 30.0
+
+
+class Struck(NamedTuple):
+    """One flight, and what is wrong with it."""
+
+    victim: str
+    order: str
+    after_s: float  # from the start of the flight
+    exit_code: int | None
+    wrong: tuple[str, ...]
+
+
+def struck(count: int, duration_s: float, seed: int) -> Iterator[Struck]:
+    """So many flights, each with a victim, an order and a moment of its own."""
+    chance = random.Random(seed)
+    for number in range(count):
+        victim, order = _VICTIMS[number % len(_VICTIMS)], chance.choice(_ORDERS)
+        with tempfile.TemporaryDirectory(prefix="signals-") as folder:
+            found = _flight(Path(folder), victim, order, chance.uniform(0.0, 4.0), duration_s)
+        print(f"bench: {found}", file=sys.stderr, flush=True)
+        yield found
+
+
+def _flight(folder: Path, victim: str, order: str, after_s: float, duration_s: float) -> Struck:
+    environment = {key: value for key, value in os.environ.items() if key != "ROS_DOMAIN_ID"}
+    command = [sys.executable, "-m", "ptnsbc_nodes.fleet.main", "--scenario", "paper_5"]
+    command += ["--duration", str(duration_s), "--lockstep"]
+    command += ["--log-dir", str(folder / "logs"), "--bag", str(folder / "bag")]
+    launcher = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=environment)
+    try:
+        _until_started(launcher)
+        time.sleep(after_s)  # the moment is the experiment
+        pid = launcher.pid if victim == "launcher" else _pids(folder).get(victim)
+        late = pid is None or launcher.poll() is not None
+        if pid is not None and not late:
+            _signal(pid, order)
+        code = _end(launcher, victim, order)
+    finally:
+        if launcher.poll() is None:
+            launcher.kill()
+        launcher.communicate()
+    wrong = () if late else tuple(_wrong(folder, victim, order, code))
+    return Struck(victim, order, round(after_s, 2), code, wrong)
+
+
+def _until_started(launcher: subprocess.Popen[str]) -> None:
+    assert launcher.stderr is not None
+    for line in launcher.stderr:
+        if line.rstrip().endswith("started"):
+            return
+    raise SystemExit("error: the fleet did not start")
+
+
+def _pids(folder: Path) -> dict[str, int]:
+    """The processes of the fleet by name: all of them name its scenario file."""
+    mark, found = str(folder / "logs" / "scenario.yaml"), {}
+    for entry in Path("/proc").iterdir():
+        if not entry.name.isdecimal():
+            continue
+        with suppress(OSError):
+            words = (entry / "cmdline").read_bytes().decode(errors="replace").split("\0")
+            if any(mark in word for word in words):
+                if "--uav" in words:
+                    found[f"uav{words[words.index('--uav') + 1]}"] = int(entry.name)
+                elif "ptnsbc_nodes.sim.main" in words:
+                    found["sim"] = int(entry.name)
+                elif "ptnsbc_nodes.recording.main" in words:
+                    found["recorder"] = int(entry.name)
+    return found
+
+
+def _signal(pid: int, order: str) -> None:
+    with suppress(ProcessLookupError):
+        if order == "kill":
+            os.kill(pid, signal.SIGKILL)
+            return
+        os.kill(pid, signal.SIGSTOP)
+        if order == "pause":
+            time.sleep(_PAUSE_S)
+            os.kill(pid, signal.SIGCONT)
+
+
+def _end(launcher: subprocess.Popen[str], victim: str, order: str) -> int | None:
+    """Wait for the end of the flight; who stands still for good is ended as an operator would."""
+    endless = order == "stop" and victim in ("sim", "launcher", "recorder")
+    with suppress(subprocess.TimeoutExpired):
+        launcher.communicate(timeout=_STUCK_S if endless else _READY_S)
+        return launcher.returncode
+    if victim == "launcher":
+        launcher.kill()
+    else:
+        launcher.send_signal(signal.SIGINT)
+    with suppress(subprocess.TimeoutExpired):
+        launcher.communicate(timeout=_READY_S)
+    return launcher.returncode
+
+
+def _exit_codes(victim: str, order: str) -> set[int]:
+    """What the launcher may end with: 1 when a process died, 130 after Ctrl-C."""
+    if order == "pause":
+        return {0}
+    if victim == "launcher":
+        return {-signal.SIGKILL}
+    return {1} if order == "kill" else {1, 130}
+
+
+def _wrong(folder: Path, victim: str, order: str, code: int | None) -> Iterator[str]:
+    fine = _exit_codes(victim, order)
+    if code not in fine:
+        yield f"exit code {code}: expected {sorted(fine)}"
+    until_s = time.monotonic() + _LEFT_S
+    while (left := _pids(folder)) and time.monotonic() < until_s:
+        time.sleep(0.2)
+    if left:
+        yield f"left behind: {' '.join(left)}"
+        for pid in left.values():
+            with suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)
+    try:
+        recording = _recording(folder)
+        entered = [pair for pair in verdict_on(recording).separations if pair.entered]
+    except PtnsbcError as error:
+        yield f"bag: {' '.join(str(error).split())}"
+        return
+    for pair in entered:
+        yield f"{pair.first} and {pair.second} {pair.distance_m:.3f} m apart"
+
+
+def _recording(folder: Path) -> Recording:
+    bag = folder / "bag"
+    if not bag.exists():
+        repair(folder / "bag.part", bag)
+    return read_recording(bag)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Exit code 1 when anything is wrong with a flight."""
+    parser = argparse.ArgumentParser(prog="python -m bench.signals", description=__doc__)
+    parser.add_argument("--times", type=int, default=30, metavar="N")
+    parser.add_argument("--duration", type=float, default=40.0, metavar="S")
+    parser.add_argument("--seed", type=int, default=1)
+    options = parser.parse_args(arguments)
+    found = list(struck(options.times, options.duration, options.seed))
+    bad = [one._asdict() for one in found if one.wrong]
+    cases = Counter(f"{one.order} {one.victim}" for one in found)
+    print(json.dumps({"flights": len(found), "cases": cases, "wrong": bad}, indent=1))
+    return int(bool(bad))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,171 @@
+"""A fleet of twenty UAVs among faults that a seed draws: who dies, who comes too near, who grows, who answers late?
+
+`python -m bench.soak [--lockstep] [--duration 600] [--faults 60] [--uavs 20] [--seed 1]`. Messages are silenced, lost,
+late and no numbers, positions jump by some centimetres; in real time processes also freeze and start again. No
+process is killed for good: that is `bench.crash` and the tests of the fleet. A follower answers when it holds; it must
+within `communication.stale_s` and two periods of /diagnostics, on which it is read.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import random
+import sys
+import tempfile
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from bench.scenarios import grid
+from bench.session import Machine, own_domain, print_progress
+from bench.usage import Sampler
+from ptnsbc_nodes.comm.diagnostics import STATUS_HZ
+from ptnsbc_nodes.fleet.fleet import FleetOptions, run_fleet
+from ptnsbc_sim.scenario import Scenario
+from ptnsbc_sim.scenario.mission.faults import FaultBlock
+from ptnsbc_sim.verdict import verdict_on
+from ptnsbc_sim.verdict.recording import COUNTERS, Recording
+from ptnsbc_tools.reading.bag_reader import read_recording
+
+_FORMED_S = 12.0  # faults begin when the formation stands
+_LAST_S = 4.0  # no fault begins so late
+_SETTLE_S = 60.0  # memory is compared with that after the first minute, or after a quarter of a shorter flight
+_PATIENCE_S = 600.0
+_SILENCING = ("silence", "nan", "freeze")
+
+
+class Answer(NamedTuple):
+    """A follower whose parent fell silent."""
+
+    fault: str
+    uav: int
+    after_s: float | None  # from the begin of the fault until it held; None: it did not
+
+
+def drawn(scenario: Scenario, count: int, seed: int, *, lockstep: bool) -> list[dict[str, Any]]:
+    """So many faults of followers, by the seed."""
+    chance = random.Random(seed)
+    kinds = ["silence", "loss", "delay", "nan", "jump"]
+    kinds += [] if lockstep else ["freeze", "restart"]
+    amounts: dict[str, dict[str, Any]] = {
+        "loss": {"share": 0.3},
+        "delay": {"delay_s": 0.1},
+        "jump": {"offset_m": [0.05, -0.05, 0.03]},
+    }
+    found = []
+    for _ in range(count):
+        kind = chance.choice(kinds)
+        at_s = round(chance.uniform(_FORMED_S, scenario.duration_s - _LAST_S), 2)
+        fault = {"kind": kind, "uav": chance.choice(scenario.followers), "at_s": at_s}
+        if kind != "restart":
+            fault["duration_s"] = round(chance.uniform(0.3, 2.5), 2)
+        found.append(fault | amounts.get(kind, {}))
+    return sorted(found, key=lambda one: float(one["at_s"]))
+
+
+def answers(recording: Recording) -> Iterator[Answer]:
+    """How soon the children of silent UAVs held, as far as no other fault hides it."""
+    scenario = recording.scenario
+    stale_s = float(scenario.file.communication.stale_s)
+    for fault in scenario.faults:
+        lasts_s = fault.duration_s or 0.0
+        if fault.kind not in _SILENCING or lasts_s < stale_s + 2.0 / STATUS_HZ:
+            continue
+        for child in scenario.followers:
+            if scenario.parent(child) == fault.struck_uav and not _struck(scenario, child, fault):
+                yield Answer(fault.text, child, _held_after_s(recording, child, fault))
+
+
+def _struck(scenario: Scenario, child: int, fault: FaultBlock) -> bool:
+    """Whether another fault strikes the child itself meanwhile, or its parent just before."""
+    first_s, last_s = fault.at_s - 3.0, fault.at_s + (fault.duration_s or 0.0)
+    return any(
+        one is not fault
+        and one.struck_uav in (child, fault.struck_uav)
+        and one.at_s < last_s
+        and one.at_s + (one.duration_s or 3.0) > first_s
+        for one in scenario.faults
+    )
+
+
+def _held_after_s(recording: Recording, uav: int, fault: FaultBlock) -> float | None:
+    counters, column = recording.counters[uav], COUNTERS.index("holding_s")
+    start_ns = recording.start_ns + round(fault.at_s * 1e9)
+    end_ns = start_ns + round(((fault.duration_s or 0.0) + 2.0 / STATUS_HZ) * 1e9)
+    first, last = counters.index(start_ns, "left"), counters.index(end_ns, "right")
+    rows = counters.rows(max(first - 1, 0), last)
+    held = rows.values[:, column]
+    for t_ns, value in zip(rows.t_ns[1:], held[1:], strict=True):
+        if value > held[0]:
+            # The counter says for how long it has held at this status.
+            return float(t_ns - start_ns) * 1e-9 - float(value - held[0])
+    return None
+
+
+def soak(uavs: int, duration_s: float, faults: int, seed: int, *, lockstep: bool) -> dict[str, Any]:
+    """Fly, and report."""
+    hz = 100 if lockstep else 50
+    scenario = grid(uavs, hz, duration_s)
+    scenario = scenario.with_({"faults": drawn(scenario, faults, seed, lockstep=lockstep)})
+    settle_s = min(_SETTLE_S, 0.25 * duration_s)
+    machine = Machine()
+    with tempfile.TemporaryDirectory(prefix="soak-") as name, own_domain(), Sampler() as sampler:
+        folder = Path(name)
+
+        def progress(line: str) -> None:
+            print_progress(line)
+            if line.endswith("started"):
+                sampler.begin()
+
+        options = FleetOptions(
+            scenario,
+            lockstep=lockstep,
+            bag=folder / "bag",
+            log_dir=folder / "logs",
+            ready_timeout_s=_PATIENCE_S,
+        )
+        flown = run_fleet(options, progress)
+        recording = read_recording(folder / "bag")
+    verdict, answered = verdict_on(recording), list(answers(recording))
+    limit_s = float(scenario.file.communication.stale_s) + 2.0 / STATUS_HZ
+    late = [one for one in answered if one.after_s is None or one.after_s > limit_s]
+    return {
+        "uavs": uavs,
+        "duration_s": duration_s,
+        "mode": f"{hz} Hz in {'lock-step' if lockstep else 'real time'}",
+        "seed": seed,
+        "faults": len(scenario.faults),
+        "wall_s": round(flown.flight_s, 1),
+        "died_unasked": list(flown.died),
+        "exit_code": flown.exit_code,
+        "keep_outs_entered": sum(pair.entered for pair in verdict.separations),
+        "closest_margin_m": round(min(p.distance_m - p.keep_out_m for p in verdict.separations), 3),
+        "memory_growth": {k: round(v, 4) for k, v in sampler.growth(settle_s).items()},
+        "answers": len(answered),
+        "answered_within_s": max((one.after_s or 0.0 for one in answered), default=None),
+        "answered_late": [one._asdict() for one in late],
+        "missed_ticks": verdict.missed_ticks,
+        "machine": machine.facts(),
+    }
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Exit code 1 when a process died unasked, a keep-out was entered, or a fault was answered late."""
+    parser = argparse.ArgumentParser(prog="python -m bench.soak", description=__doc__)
+    parser.add_argument("--uavs", type=int, default=20)
+    parser.add_argument("--duration", type=float, default=600.0, metavar="S")
+    parser.add_argument("--faults", type=int, default=60, metavar="N")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--lockstep", action="store_true")
+    options = parser.parse_args(arguments)
+    found = soak(
+        options.uavs, options.duration, options.faults, options.seed, lockstep=options.lockstep
+    )
+    print(json.dumps(found, indent=1, default=str))
+    bad = found["died_unasked"] or found["keep_outs_entered"] or found["answered_late"]
+    return int(bool(bad))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
