@@ -15,7 +15,7 @@ from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +27,7 @@ from ptnsbc_sim.sweep.chunks import (
     fly_chunk,
     join_chunks,
     made_by_others,
+    schema,
 )
 from ptnsbc_sim.sweep.plan import SweepPlan
 from ptnsbc_sim.sweep.rows import fly_draw
@@ -34,7 +35,6 @@ from ptnsbc_sim.sweep.rows import fly_draw
 PLAN, CHUNKS, TABLE = "plan.json", "chunks", "table.parquet"
 
 _MOST_ERRORS = 2  # a chunk that fails is tried once more
-_WARM_UP_S = 0.05
 _MOST_DEATHS = 3  # workers that a chunk may take with it
 
 Progress = Callable[[int, int], None]
@@ -213,9 +213,12 @@ def _with_processes(queue: _Queue, _: str, workers: int) -> Iterator[_Outcome]:
 
 
 def _warm_up(plan_json: str) -> None:
-    """Compile the laws, or load them, before the workers are forked: they have them at once."""
+    """Load what a chunk needs before the workers are forked: they have it at once."""
+    import pyarrow.parquet  # noqa: F401
+
     plan = SweepPlan.from_json(plan_json)
-    fly_draw(replace(plan, stop_after_s=_WARM_UP_S), 0)
+    schema(plan)
+    fly_draw(plan, 0)  # in full: the kernels that judge an encounter are among them
 
 
 def _pool(queue: _Queue, workers: int) -> Iterator[_Outcome]:
