@@ -138,6 +138,7 @@ class ClearanceConfig(NamedTuple):
     forget_s: float  # an object that did not bind for longer than this is forgotten
     approach: int  # SPEED_*
     deceleration: float  # [m/s^2] that the vehicle has in every direction
+    weakest: float  # [m/s^2] the same of the weakest vehicle of the fleet
     lag_s: float  # with which the vehicle follows a commanded velocity, the filter included
     bandwidth: float  # [1/s] of the command filter during an encounter
     sensor_s: float  # period of the near-object sensor

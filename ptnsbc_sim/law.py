@@ -183,7 +183,7 @@ class UavLaw:
         self._offset = scenario.offset(uav)
         self._offsets = {one: scenario.offset(one) for one in self.senders}
         self._deadline_s = float(scenario.gains.formation.deadline_s)
-        self._max_speed = float(scenario.gains.filter.max_speed_m_s)
+        self._max_speed = float(scenario.max_speed_m_s(uav))
 
     @classmethod
     def of(cls, scenario: Scenario, uav: int) -> UavLaw:

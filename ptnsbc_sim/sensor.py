@@ -28,12 +28,11 @@ from ptnsbc_core.types import NEAR_COLUMNS, Array, Vector3
 
 
 @kernel
-def store_objects(odometry: Array, obstacles: Array, uav_keep_out_m: float, out: Array) -> None:
-    """Rows (N + O, 7) of all UAVs, then of all obstacles, as any sensor tells them, into `out`."""
+def store_objects(odometry: Array, obstacles: Array, out: Array) -> None:
+    """Rows (N + O, 7) of all UAVs, then of all obstacles, into `out`; UAVs without the keep-out, which is a pair's."""
     count = odometry.shape[0]
     for uav in range(count):
         speed = velocity_enu(odometry[uav])
-        out[uav, 3] = np.float32(uav_keep_out_m)
         for i in range(3):
             out[uav, i] = np.float32(odometry[uav, i])
             out[uav, 4 + i] = np.float32(speed[i])
@@ -58,7 +57,13 @@ def _store_tangent(place: Vector3, body: Array, range_m: float, out: Array) -> b
 
 @kernel
 def store_near(
-    who: int, odometry: Array, obstacles: Array, objects: Array, range_m: float, out: Array
+    who: int,
+    odometry: Array,
+    obstacles: Array,
+    objects: Array,
+    keep_outs: Array,
+    range_m: float,
+    out: Array,
 ) -> int:
     """Rows of `objects` within the range of UAV number `who` into `out` (N - 1 + O, 7); returns their number."""
     count = odometry.shape[0]
@@ -77,13 +82,15 @@ def store_near(
             continue
         for i in range(NEAR_COLUMNS):
             out[used, i] = objects[other, i]
+        if other < count:
+            out[used, 3] = np.float32(0.5 * (keep_outs[who] + keep_outs[other]))
         used += 1
     return used
 
 
 @kernel
 def near_objects(
-    who: int, odometry: Array, obstacles: Array, uav_keep_out_m: float, range_m: float
+    who: int, odometry: Array, obstacles: Array, keep_outs: Array, range_m: float
 ) -> Array:
     """Rows (M, 7) x y z keep-out vx vy vz [m, m/s, ENU] that UAV number `who` (row) sees.
 
@@ -91,11 +98,11 @@ def near_objects(
         who: row of the observer.
         odometry: (N, 13) odometry vectors of all UAVs.
         obstacles: (O, 20) obstacles, rows of bodies.
-        uav_keep_out_m: keep-out radius of a UAV [m].
+        keep_outs: (N,) keep-outs of the UAVs [m]: the mean of both is that of a pair.
         range_m: detection range [m].
     """
     objects = np.empty((odometry.shape[0] + obstacles.shape[0], NEAR_COLUMNS))
-    store_objects(odometry, obstacles, uav_keep_out_m, objects)
+    store_objects(odometry, obstacles, objects)
     found = np.empty((objects.shape[0] - 1, NEAR_COLUMNS))
-    used = store_near(who, odometry, obstacles, objects, range_m, found)
+    used = store_near(who, odometry, obstacles, objects, keep_outs, range_m, found)
     return found[:used].copy()

@@ -103,7 +103,7 @@ class HeadlessFlight(NamedTuple):
             row,
             truth,
             obstacles_at(self.wiring, tick),
-            self.wiring.uav_keep_out_m,
+            self.wiring.keep_outs,
             self.wiring.range_m,
         )
         if not len(self.track.truth):
@@ -209,9 +209,11 @@ def _sense_near(
 ) -> None:
     true = track.odometry[tick] if disturbances is None else track.truth[tick]
     obstacles = obstacles_at(wiring, tick)
-    store_objects(true, obstacles, wiring.uav_keep_out_m, swarm.objects)
+    store_objects(true, obstacles, swarm.objects)
     for row in range(true.shape[0]):
-        count = store_near(row, true, obstacles, swarm.objects, wiring.range_m, swarm.near[row])
+        count = store_near(
+            row, true, obstacles, swarm.objects, wiring.keep_outs, wiring.range_m, swarm.near[row]
+        )
         swarm.near_count[row] = count
         if disturbances is not None:
             samples = disturbances.sensor_samples[tick // wiring.near_every, row]

@@ -26,7 +26,7 @@ class Wiring(NamedTuple):
     obstacles: (
         Array  # (S, O, 20) rows of bodies at every reading of the sensor; S = 1 where none moves
     )
-    uav_keep_out_m: float
+    keep_outs: Array  # (N,) [m]
     range_m: float
     near_every: int
     substeps: int
@@ -39,6 +39,11 @@ class Wiring(NamedTuple):
 def obstacles_at(wiring: Wiring, tick: int) -> Array:
     """The obstacles (O, 20) that the near-object sensor meets at `tick`."""
     return wiring.obstacles[min(tick // wiring.near_every, wiring.obstacles.shape[0] - 1)]
+
+
+def keep_outs_of(scenario: Scenario) -> Array:
+    """Keep-outs (N,) [m] of all UAVs."""
+    return np.array(list(scenario.keep_outs_m.values()), dtype=np.float64)
 
 
 def wiring_of(scenario: Scenario) -> Wiring:
@@ -59,7 +64,7 @@ def wiring_of(scenario: Scenario) -> Wiring:
         table,
         np.array([len(some) for some in neighbours], dtype=np.int64),
         obstacle_rows(scenario, sensed_s),
-        float(scenario.uav_keep_out_m),
+        keep_outs_of(scenario),
         float(scenario.sensor.range_m),
         int(scenario.near_every),
         int(scenario.physics_hz // scenario.control_hz),

@@ -15,6 +15,7 @@ from ptnsbc_sim.plants.contract import PlantConfig
 from ptnsbc_sim.plants.integrate import advance, odometry, stop
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.sensor import near_objects
+from ptnsbc_sim.wiring import keep_outs_of
 
 NANO = 1e-9
 
@@ -64,6 +65,7 @@ class World:
         self._slowest = 0
         self._dt_ns = scenario.dt_ns
         self._obstacles = obstacle_rows(scenario, np.zeros(1))[0]
+        self._keep_outs = keep_outs_of(scenario)
         self._moving = any(one.path is not None for one in scenario.obstacles)
         self.mission_s: float | None = None
         """Time since the first epoch [s] where that is not the simulated time: in real time."""
@@ -122,7 +124,7 @@ class World:
             row,
             self._truth,
             self._obstacles_now(self._ticks[uav_id]),
-            float(scenario.uav_keep_out_m),
+            self._keep_outs,
             float(scenario.sensor.range_m),
         )
         if not self._around:

@@ -96,9 +96,13 @@ def is_stale(view: ObstacleView, config: ClearanceConfig) -> bool:
 
 
 @inline_kernel
-def _deceleration(view: ObstacleView, config: ClearanceConfig) -> float:
-    """What is left of the vehicle's deceleration [m/s^2], at least a quarter."""
-    return max(config.deceleration - view.demand, _LEAST_BRAKING * config.deceleration)
+def _deceleration(view: ObstacleView, moves: bool, config: ClearanceConfig) -> float:
+    """What is left of the deceleration [m/s^2], at least a quarter.
+
+    An object that moves may be the weakest UAV: then both of the pair count on what that one has.
+    """
+    most = config.weakest if moves else config.deceleration
+    return max(most - view.demand, _LEAST_BRAKING * most)
 
 
 class _Sight(NamedTuple):
@@ -191,7 +195,7 @@ def _braking_constraint(
     alone = not moves
     share = 1.0 if alone else SHARE
     depth = keep_out - norm3(away)
-    allowed = braking_speed(-depth, _deceleration(view, config), LATENCIES * late)
+    allowed = braking_speed(-depth, _deceleration(view, moves, config), LATENCIES * late)
     relative = sub3(view.velocity, velocity)
     if moves and not straight:
         part = path_share(

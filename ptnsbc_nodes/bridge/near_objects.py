@@ -22,9 +22,9 @@ _FORGET_S = 5.0
 class NearObjects:
     """The obstacles, and the newest odometry of the other UAVs as bytes until it is needed."""
 
-    def __init__(self, scenario: Scenario) -> None:
+    def __init__(self, scenario: Scenario, uav_id: int) -> None:
         self._newest: dict[int, tuple[float, bytes]] = {}
-        self._keep_out_m = float(scenario.uav_keep_out_m)
+        self._keep_out_m = {uav: scenario.keep_out_between(uav_id, uav) for uav in scenario.uav_ids}
         self._range_m = float(scenario.sensor.range_m)
         self._scenario = scenario
         self._moving = any(one.path is not None for one in scenario.obstacles)
@@ -56,16 +56,16 @@ class NearObjects:
             bodies = obstacle_rows(self._scenario, np.array([mission_s]))[0]
         own = np.zeros((1, ODOMETRY_SIZE))
         own[0, 0:3], own[0, 6] = position, 1.0
-        return near_objects(0, own, bodies, self._keep_out_m, self._range_m)
+        return near_objects(0, own, bodies, np.zeros(1), self._range_m)
 
     def uavs(self, now_s: float) -> Array:
         """The rows (M, 7) of the other UAVs alone, at any distance."""
-        newest = list(self._newest.values())  # the thread of the node adds to it
-        rows = [self._row(now_s - arrived_s, data) for arrived_s, data in newest]
+        newest = list(self._newest.items())  # the thread of the node adds to it
+        rows = [self._row(uav, now_s - arrived_s, data) for uav, (arrived_s, data) in newest]
         known = [row for row in rows if row is not None]
         return np.array(known, dtype=np.float64).reshape(-1, NEAR_COLUMNS)
 
-    def _row(self, age_s: float, data: bytes) -> Array | None:
+    def _row(self, uav_id: int, age_s: float, data: bytes) -> Array | None:
         if age_s > _FORGET_S:
             return None
         try:
@@ -73,7 +73,7 @@ class NearObjects:
         except WireError:
             return None
         row = np.zeros(NEAR_COLUMNS)
-        row[0:3], row[3] = odometry[0:3], self._keep_out_m
+        row[0:3], row[3] = odometry[0:3], self._keep_out_m[uav_id]
         if age_s <= _MOVING_S:
             row[4:7] = velocity_enu(odometry)
             row[0:3] += age_s * row[4:7]

@@ -374,7 +374,7 @@ class _NearPublisher:
         edges: CommunicationGraph,
         clocks: Clocks,
     ) -> None:
-        self._objects = NearObjects(scenario)
+        self._objects = NearObjects(scenario, uav_id)
         self._clocks = clocks
         self._period_s = 1.0 / scenario.sensor.rate_hz
         self._next_s = 0.0

@@ -58,10 +58,10 @@ def robot_description(scenario: Scenario, uav_id: int) -> str:
 
 
 def _inertial(link: ElementTree.Element, scenario: Scenario, uav_id: int) -> None:
-    uav = scenario.uav(uav_id)
+    uav, vehicle = scenario.uav(uav_id), scenario.vehicle(uav_id)
     inertial = ElementTree.SubElement(link, "inertial")
-    ElementTree.SubElement(inertial, "mass", value=f"{scenario.mass_kg * uav.mass_scale:g}")
-    moments = zip(scenario.inertia_kg_m2, uav.inertia_scale, strict=True)
+    ElementTree.SubElement(inertial, "mass", value=f"{vehicle.mass_kg * uav.mass_scale:g}")
+    moments = zip(vehicle.inertia_kg_m2, uav.inertia_scale, strict=True)
     xx, yy, zz = (f"{moment * scale:g}" for moment, scale in moments)
     inertia = {"ixx": xx, "iyy": yy, "izz": zz, "ixy": "0", "ixz": "0", "iyz": "0"}
     ElementTree.SubElement(inertial, "inertia", inertia)

@@ -119,7 +119,7 @@ class FlightState:
             "left_s": _rounded(self._left_s(leg, since_s)),
             "pace": _rounded(self._pace.rate(self._clock_s())),
             "over": self._over,
-            "uavs": [self._uav(uav, places, goals) for uav in self.scenario.uav_ids],
+            "uavs": [self._uav(uav, places, goals, t) for uav in self.scenario.uav_ids],
             "processes": self._processes(),
         }
 
@@ -144,7 +144,9 @@ class FlightState:
                 goals[uav] = leader + beside
         return goals
 
-    def _uav(self, uav: int, places: dict[int, Array], goals: dict[int, Array]) -> dict[str, Any]:
+    def _uav(
+        self, uav: int, places: dict[int, Array], goals: dict[int, Array], t: float | None
+    ) -> dict[str, Any]:
         message = self._odometry.get(uav)
         found: dict[str, Any] = {"id": uav, "lost": f"uav{uav}" in self._lost, **self._said(uav)}
         if message is None:
@@ -157,18 +159,27 @@ class FlightState:
             "pose": [round(float(number), 4) for number in message.values[:7]],
             "speed": _rounded(float(np.linalg.norm(message.values[7:10]))),
             "error": _rounded(error),
-            "near": self._nearest(uav, places),
+            "near": self._nearest(uav, places, -1.0 if t is None else t),
         }
 
-    def _nearest(self, uav: int, places: dict[int, Array]) -> dict[str, Any] | None:
+    def _nearest(self, uav: int, places: dict[int, Array], t: float) -> dict[str, Any] | None:
         """What leaves the least room: its name, the distance, and the room above the keep-out."""
-        keep_out = self.scenario.uav_keep_out_m
-        others = [(f"UAV {i}", place, keep_out) for i, place in places.items() if i != uav]
-        things = [(one.name, one.position, one.keep_out_m) for one in self.scenario.obstacles]
+        own, scenario, at = places[uav], self.scenario, np.array([t])
+        things = [
+            *(
+                (f"UAV {i}", float(np.linalg.norm(own - place)), scenario.keep_out_between(uav, i))
+                for i, place in places.items()
+                if i != uav
+            ),
+            *(
+                (one.name, float(one.distances(own[None], at)[0]), one.keep_out_m)
+                for one in scenario.obstacles
+            ),
+        ]
         found = [
             (distance - limit, distance, name)
-            for name, place, limit in (*others, *things)
-            if math.isfinite(distance := float(np.linalg.norm(places[uav] - place)))
+            for name, distance, limit in things
+            if math.isfinite(distance)
         ]
         if not found:
             return None

@@ -19,21 +19,21 @@ from ptnsbc_sim.scenario.build import three
 
 def plant_config(scenario: Scenario, uav_id: int) -> PlantConfig:
     """Constants of one vehicle, with its true mass and inertia. The 6-DOF body has no motors, as in the paper."""
-    uav = scenario.uav(uav_id)
+    uav, vehicle = scenario.uav(uav_id), scenario.vehicle(uav_id)
     push = uav.disturbance
     kind = PLANTS[scenario.plant_kind]
     if kind == PLANT_RIGID_BODY:
-        body = scenario.plant.rigid_body
+        body = vehicle.rigid_body
         limits = (np.inf, (np.inf, np.inf, np.inf), 0.0, float(body.drag_1_s))
     else:
-        quad = scenario.quadrotor
+        quad = scenario.quadrotor if vehicle.quadrotor is None else vehicle.quadrotor
         torque = three(quad.max_torque_nm)
         limits = (float(quad.max_thrust_n), torque, float(quad.motor_lag_s), float(quad.drag_1_s))
     max_thrust, max_torque, lag, drag = limits
     return PlantConfig(
         kind,
-        float(scenario.mass_kg * uav.mass_scale),
-        three(scenario.inertia_kg_m2 * uav.inertia_scale),
+        float(vehicle.mass_kg * uav.mass_scale),
+        three(vehicle.inertia_kg_m2 * uav.inertia_scale),
         float(scenario.gravity_m_s2),
         max_thrust,
         max_torque,

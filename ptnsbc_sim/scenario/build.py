@@ -171,11 +171,11 @@ def loop_lag_s(scenario: Scenario) -> float:
     return 1.0 / gains.pointing.tilt_1_s + rate + scenario.quadrotor.motor_lag_s
 
 
-def deceleration(scenario: Scenario) -> float:
-    """Acceleration [m/s^2] that the vehicle has in every direction: tilt, descent, climb and the command filter."""
+def deceleration(scenario: Scenario, uav_id: int) -> float:
+    """Acceleration [m/s^2] that a vehicle has in every direction: tilt, descent, climb and the command filter."""
     limit = scenario.gains.filter.max_acceleration_m_s2
-    max_tilt, max_thrust, _ = _limits(scenario)
-    specific, gravity = max_thrust / scenario.mass_kg, scenario.gravity_m_s2
+    max_tilt, max_thrust, _ = _limits(scenario, uav_id)
+    specific, gravity = max_thrust / scenario.vehicle(uav_id).mass_kg, scenario.gravity_m_s2
     if PLANTS[scenario.plant_kind] != PLANT_QUADROTOR:
         return float(min(limit, specific - gravity))
     lift = (1.0 - MIN_LIFT_FRACTION) * gravity
@@ -183,7 +183,13 @@ def deceleration(scenario: Scenario) -> float:
     return float(min(limit, sideways, lift, specific - gravity))
 
 
-def _clearance(scenario: Scenario) -> ClearanceConfig:
+def weakest_deceleration(scenario: Scenario) -> float:
+    """The `deceleration` [m/s^2] of the weakest vehicle."""
+    unlike = {id(vehicle): uav_id for uav_id, vehicle in scenario.vehicles.items()}
+    return min(deceleration(scenario, uav_id) for uav_id in unlike.values())
+
+
+def _clearance(scenario: Scenario, uav_id: int) -> ClearanceConfig:
     gains = scenario.gains.clearance
     loops = loop_lag_s(scenario)
     bandwidth = min(scenario.gains.filter.bandwidth_1_s, 1.0 / loops)
@@ -196,7 +202,8 @@ def _clearance(scenario: Scenario) -> ClearanceConfig:
         timeout_s=float(gains.timeout_s),
         forget_s=float(gains.forget_s),
         approach=APPROACH_SPEEDS[gains.approach],
-        deceleration=deceleration(scenario),
+        deceleration=deceleration(scenario, uav_id),
+        weakest=weakest_deceleration(scenario),
         lag_s=float(1.0 / scenario.control_hz + 1.0 / bandwidth + loops),
         bandwidth=float(bandwidth),
         sensor_s=float(1.0 / scenario.sensor.rate_hz),
@@ -205,10 +212,10 @@ def _clearance(scenario: Scenario) -> ClearanceConfig:
     )
 
 
-def recovery_config(scenario: Scenario) -> RecoveryConfig:
+def recovery_config(scenario: Scenario, uav_id: int) -> RecoveryConfig:
     """What the way back after an encounter may ask for: half of what the leader's motion leaves of the vehicle."""
     speed, acceleration = leader_motion(scenario.file)
-    most, braking = float(scenario.gains.filter.max_speed_m_s), deceleration(scenario)
+    most, braking = float(scenario.max_speed_m_s(uav_id)), deceleration(scenario, uav_id)
     return RecoveryConfig(
         least_s=float(scenario.file.formation.recovery_s),
         speed=float(max(most - speed, _LEAST_LEFT * most)),
@@ -216,36 +223,37 @@ def recovery_config(scenario: Scenario) -> RecoveryConfig:
     )
 
 
-def _filter(scenario: Scenario) -> FilterConfig:
+def _filter(scenario: Scenario, uav_id: int) -> FilterConfig:
     gains = scenario.gains.filter
     return FilterConfig(
         bandwidth=float(gains.bandwidth_1_s),
         rate_bandwidth=float(gains.rate_bandwidth_1_s),
-        max_speed=float(gains.max_speed_m_s),
+        max_speed=float(scenario.max_speed_m_s(uav_id)),
         max_acceleration=float(gains.max_acceleration_m_s2),
         max_rate=float(gains.max_rate_rad_s),
         max_rate_acceleration=float(gains.max_rate_acceleration_rad_s2),
     )
 
 
-def _limits(scenario: Scenario) -> tuple[float, float, Vector3]:
-    """Tilt [rad], thrust or force [N], torque [N m] of the plant."""
+def _limits(scenario: Scenario, uav_id: int) -> tuple[float, float, Vector3]:
+    """Tilt [rad], thrust or force [N], torque [N m] of a vehicle."""
+    vehicle = scenario.vehicle(uav_id)
     if PLANTS[scenario.plant_kind] == PLANT_QUADROTOR:
-        limits = scenario.quadrotor
+        limits = scenario.quadrotor if vehicle.quadrotor is None else vehicle.quadrotor
         torque = three(limits.max_torque_nm)
         return float(limits.max_tilt_rad), float(limits.max_thrust_n), torque
-    body = scenario.plant.rigid_body
+    body = vehicle.rigid_body
     return float(_UPRIGHT), float(body.max_force_n), three(body.max_torque_nm)
 
 
-def _controller(scenario: Scenario) -> ControllerConfig:
-    gains = scenario.gains
+def _controller(scenario: Scenario, uav_id: int) -> ControllerConfig:
+    gains, vehicle = scenario.gains, scenario.vehicle(uav_id)
     adaptation = gains.adaptation
-    max_tilt, max_thrust, max_torque = _limits(scenario)
+    max_tilt, max_thrust, max_torque = _limits(scenario, uav_id)
     return ControllerConfig(
         plant=PLANTS[scenario.plant_kind],
         gravity=float(scenario.gravity_m_s2),
-        nominal=InertialParameters(float(scenario.mass_kg), three(scenario.inertia_kg_m2)),
+        nominal=InertialParameters(float(vehicle.mass_kg), three(vehicle.inertia_kg_m2)),
         force=loop_of(scenario, gains.force),
         torque=loop_of(scenario, gains.torque),
         boundary=(float(gains.boundary.velocity_m_s), float(gains.boundary.rate_rad_s)),
@@ -284,10 +292,10 @@ def agent_config(scenario: Scenario, uav_id: int) -> AgentConfig:
         damping_threshold=float(gains.damping.threshold),
         damping_max=float(gains.damping.maximum),
         estimator=_estimator(scenario, uav_id),
-        clearance=_clearance(scenario),
-        recovery=recovery_config(scenario),
-        filter=_filter(scenario),
-        controller=_controller(scenario),
+        clearance=_clearance(scenario, uav_id),
+        recovery=recovery_config(scenario, uav_id),
+        filter=_filter(scenario, uav_id),
+        controller=_controller(scenario, uav_id),
         trajectory=leader_trajectory(scenario),
         shape=shape_of(scenario.file, uav_id),
         association_gate_m=float(scenario.file.formation.sight_m),

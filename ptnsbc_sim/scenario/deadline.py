@@ -25,7 +25,7 @@ from ptnsbc_sim.scenario.mission.trajectories import (
     extremes,
     trajectory_of,
 )
-from ptnsbc_sim.scenario.model import ScenarioFile
+from ptnsbc_sim.scenario.model import Plant, ScenarioFile, UavBlock, plant_of
 from ptnsbc_sim.scenario.problems import ScenarioError
 
 AUTO = "auto"
@@ -90,9 +90,9 @@ def _motion(file: ScenarioFile) -> tuple[float, float]:
     return max(leader[0], places[0]), max(leader[1], places[1])
 
 
-def _vehicle_acceleration(file: ScenarioFile, leader_speed: float) -> float:
+def _vehicle_acceleration(file: ScenarioFile, plant: Plant, leader_speed: float) -> float:
     """Acceleration [m/s^2] that the actuators allow in the weakest direction, beside gravity and drag."""
-    plant, gravity = file.plant, file.world.gravity_m_s2
+    gravity = file.world.gravity_m_s2
     if plant.kind != "quadrotor" or plant.quadrotor is None:
         return plant.rigid_body.max_force_n / plant.mass_kg - gravity
     sideways = gravity * math.tan(plant.quadrotor.max_tilt_rad)
@@ -101,14 +101,22 @@ def _vehicle_acceleration(file: ScenarioFile, leader_speed: float) -> float:
     return min([upwards, *([sideways - drag] if gravity > 0 else [])])
 
 
-def _left(file: ScenarioFile, speed: float, acceleration: float) -> Limits:
+def _left_of(file: ScenarioFile, uav: UavBlock, speed: float, acceleration: float) -> Limits:
     limits = file.gains.filter
-    most = min(limits.max_acceleration_m_s2, _vehicle_acceleration(file, speed))
-    return Limits(limits.max_speed_m_s - speed, most - acceleration)
+    fastest = limits.max_speed_m_s if uav.max_speed_m_s is None else uav.max_speed_m_s
+    actuators = _vehicle_acceleration(file, plant_of(file.plant, uav), speed)
+    most = min(limits.max_acceleration_m_s2, actuators)
+    return Limits(fastest - speed, most - acceleration)
+
+
+def _left(file: ScenarioFile, speed: float, acceleration: float) -> Limits:
+    """What is left of the weakest vehicle: that of the speed and that of the acceleration may be two."""
+    every = [_left_of(file, uav, speed, acceleration) for uav in file.uavs]
+    return Limits(min(one.speed_m_s for one in every), min(one.acceleration_m_s2 for one in every))
 
 
 def limits_left(file: ScenarioFile) -> Limits:
-    """Speed and acceleration that are left for the approach."""
+    """Speed and acceleration that are left for the approach, of the weakest vehicles."""
     return _left(file, *_motion(file))
 
 

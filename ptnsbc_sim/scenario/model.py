@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
@@ -222,9 +222,42 @@ class UavBlock(Block):
     disturbance_rad_s2: Disturbance = STILL
     """Angular acceleration that acts on the UAV, in the same form."""
     mass_scale: Positive = 1.0
-    """True mass over `plant.mass_kg`, which the laws know."""
+    """True mass over the one that the laws know."""
     inertia_scale: PositiveVec3 = (1.0, 1.0, 1.0)
-    """True moments of inertia over `plant.inertia_kg_m2`, which the laws know."""
+    """True moments of inertia over those that the laws know."""
+    mass_kg: Positive | None = None
+    """Mass that the laws know. Default: `plant.mass_kg`."""
+    inertia_kg_m2: PositiveVec3 | None = None
+    """Moments of inertia that the laws know. Default: `plant.inertia_kg_m2`."""
+    max_force_n: Positive | None = None
+    """Largest thrust of a quadrotor, largest force of a rigid body. Default: that of `plant`."""
+    max_torque_nm: PositiveVec3 | None = None
+    """Largest torque, per body axis. Default: that of `plant`."""
+    max_tilt_rad: HalfTurn | None = None
+    """Largest tilt of a quadrotor. Default: that of `plant`."""
+    drag_1_s: NotNegative | None = None
+    """Linear drag, per unit of mass. Default: that of `plant`."""
+    max_speed_m_s: Positive | None = None
+    """Limit of its commanded speed. Default: `gains.filter.max_speed_m_s`."""
+    keep_out_m: Positive | None = None
+    """Its keep-out: two UAVs stay the mean of both apart. Default: `formation.uav_keep_out_m`."""
+
+
+def plant_of(plant: Plant, uav: UavBlock) -> Plant:
+    """The vehicle of one UAV, as the laws know it."""
+    own = {"mass_kg": uav.mass_kg, "inertia_kg_m2": uav.inertia_kg_m2}
+    limits = {"max_torque_nm": uav.max_torque_nm, "drag_1_s": uav.drag_1_s}
+    tilts = {"max_thrust_n": uav.max_force_n, "max_tilt_rad": uav.max_tilt_rad}
+    changes = _given(own)
+    if quadrotor := _given(limits | tilts):
+        changes["quadrotor"] = plant.quadrotor and plant.quadrotor.model_copy(update=quadrotor)
+    if rigid_body := _given(limits | {"max_force_n": uav.max_force_n}):
+        changes["rigid_body"] = plant.rigid_body.model_copy(update=rigid_body)
+    return plant.model_copy(update=changes) if changes else plant
+
+
+def _given(keys: dict[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in keys.items() if value is not None}
 
 
 class ScenarioFile(Block):

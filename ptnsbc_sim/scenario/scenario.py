@@ -23,7 +23,7 @@ from ptnsbc_sim.scenario.mission.completion import completed_mission, completed_
 from ptnsbc_sim.scenario.mission.faults import MESSAGES, FaultBlock, modelled
 from ptnsbc_sim.scenario.mission.legs import ScheduledLeg, Word, landing_s, schedule
 from ptnsbc_sim.scenario.mission.route import with_legs
-from ptnsbc_sim.scenario.model import Plant, Quadrotor, ScenarioFile, Sensor, UavBlock
+from ptnsbc_sim.scenario.model import Plant, Quadrotor, ScenarioFile, Sensor, UavBlock, plant_of
 from ptnsbc_sim.scenario.obstacles import Obstacle
 from ptnsbc_sim.scenario.problems import ScenarioError, scenario_error
 from ptnsbc_sim.scenario.semantics import NANOSECONDS, checked
@@ -208,14 +208,48 @@ class Scenario:
         """Name of the plant, a key of ptnsbc_core.types.PLANTS."""
         return self.file.plant.kind
 
+    @cached_property
+    def vehicles(self) -> dict[int, Plant]:
+        """The vehicle of every UAV, as the laws know it; `file.plant` itself where it has nothing of its own."""
+        return {uav.id: plant_of(self.file.plant, uav) for uav in self.file.uavs}
+
+    def vehicle(self, uav_id: int) -> Plant:
+        """The vehicle of one UAV, as the laws know it."""
+        if uav_id not in self.vehicles:
+            self.uav(uav_id)  # names the ids there are
+        return self.vehicles[uav_id]
+
+    def max_speed_m_s(self, uav_id: int) -> float:
+        """Limit of the commanded speed of one UAV."""
+        own = next(uav.max_speed_m_s for uav in self.file.uavs if uav.id == uav_id)
+        return self.gains.filter.max_speed_m_s if own is None else own
+
+    @cached_property
+    def keep_outs_m(self) -> dict[int, float]:
+        """The keep-out of every UAV."""
+        default = self.uav_keep_out_m
+        return {
+            uav.id: default if uav.keep_out_m is None else uav.keep_out_m for uav in self.file.uavs
+        }
+
+    def keep_out_between(self, one: int, other: int) -> float:
+        """Least distance [m] of two UAVs."""
+        return 0.5 * (self.keep_outs_m[one] + self.keep_outs_m[other])
+
+    @property
+    def widest_keep_out_m(self) -> float:
+        """The largest least distance of any two UAVs."""
+        widest = sorted(self.keep_outs_m.values())[-2:]
+        return 0.5 * (widest[0] + widest[-1])
+
     @property
     def mass_kg(self) -> float:
-        """Nominal mass of every UAV: what the laws know."""
+        """Nominal mass of a UAV without one of its own: what the laws know."""
         return self.file.plant.mass_kg
 
     @property
     def inertia_kg_m2(self) -> tuple[float, float, float]:
-        """Nominal moments of inertia of every UAV: what the laws know."""
+        """Nominal moments of inertia of a UAV without its own: what the laws know."""
         return self.file.plant.inertia_kg_m2
 
     @property
@@ -286,7 +320,7 @@ class Scenario:
 
     @property
     def uav_keep_out_m(self) -> float:
-        """Least distance between two UAVs."""
+        """Least distance between two UAVs without keep-outs of their own."""
         return self.file.formation.uav_keep_out_m
 
     @property

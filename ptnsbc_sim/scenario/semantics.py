@@ -12,7 +12,7 @@ from ptnsbc_sim.scenario import obstacles
 from ptnsbc_sim.scenario.mavlink import Geofence, Mavlink, vehicle_link
 from ptnsbc_sim.scenario.mission import legs, shapes, trajectories
 from ptnsbc_sim.scenario.mission.faults import fault_problems
-from ptnsbc_sim.scenario.model import Positioning, ScenarioFile
+from ptnsbc_sim.scenario.model import Positioning, ScenarioFile, plant_of
 from ptnsbc_sim.scenario.problems import ScenarioError
 
 STABILITY_LIMIT = 2.0
@@ -173,10 +173,12 @@ def _legs(file: ScenarioFile) -> Problems:
 
 def _sight(file: ScenarioFile) -> Problems:
     shape = file.formation
-    if shape.sight_m > 0.5 * shape.uav_keep_out_m:
+    own = [uav.keep_out_m for uav in file.uavs if uav.keep_out_m is not None]
+    least = min([shape.uav_keep_out_m, *own])
+    if shape.sight_m > 0.5 * least:
         yield (
-            f"formation.sight_m: {shape.sight_m:g}: expected at most half of formation.uav_keep_out_m "
-            f"({shape.uav_keep_out_m:g}), or one UAV may be taken for another"
+            f"formation.sight_m: {shape.sight_m:g}: expected at most half of the smallest keep-out of a UAV "
+            f"({least:g} m), or one UAV may be taken for another"
         )
 
 
@@ -184,14 +186,21 @@ def _plant(file: ScenarioFile) -> Problems:
     plant = file.plant
     if plant.kind == "quadrotor" and plant.quadrotor is None:
         yield "plant.quadrotor: missing: expected its limits, or plant.kind: rigid_body_6dof"
-    if plant.kind == "quadrotor" and plant.quadrotor is not None:
-        heaviest = max(file.uavs, key=lambda uav: uav.mass_scale)
-        weight = plant.mass_kg * max(heaviest.mass_scale, 1.0) * file.world.gravity_m_s2
-        if plant.quadrotor.max_thrust_n <= weight:
-            whose = f" of UAV {heaviest.id}" if heaviest.mass_scale > 1.0 else ""
+    for index, uav in enumerate(file.uavs):
+        own = plant_of(plant, uav)
+        if own.kind != "quadrotor" or own.quadrotor is None:
+            continue
+        weight = own.mass_kg * max(uav.mass_scale, 1.0) * file.world.gravity_m_s2
+        most = own.quadrotor.max_thrust_n
+        if most <= weight:
+            key = (
+                "plant.quadrotor.max_thrust_n"
+                if uav.max_force_n is None
+                else f"uavs[{index}].max_force_n"
+            )
+            whose = f" of UAV {uav.id}" if own != plant or uav.mass_scale > 1.0 else ""
             yield (
-                f"plant.quadrotor.max_thrust_n: {plant.quadrotor.max_thrust_n:g}: expected more "
-                f"than the weight{whose}, {weight:.3g} N, or it cannot hover"
+                f"{key}: {most:g}: expected more than the weight{whose}, {weight:.3g} N, or it cannot hover"
             )
 
 

@@ -165,7 +165,9 @@ def _judged(scenario: Scenario, rows: list[SweepRow]) -> DryFlight:
 
     worst = min(rows, key=rank)
     rooms = [
-        row.closest_uav_m - scenario.uav_keep_out_m for row in rows if row.closest_uav_m is not None
+        row.closest_uav_m - _keep_out_of(scenario, row.uav)
+        for row in rows
+        if row.closest_uav_m is not None
     ]
     rooms += [row.closest_obstacle_m for row in rows if row.closest_obstacle_m is not None]
     return DryFlight(
@@ -175,6 +177,11 @@ def _judged(scenario: Scenario, rows: list[SweepRow]) -> DryFlight:
         error_m=_finite(worst.largest_after_all_m),
         room_m=min(rooms, default=None),
     )
+
+
+def _keep_out_of(scenario: Scenario, uav: int) -> float:
+    """The largest distance [m] that a UAV keeps from any other."""
+    return max(scenario.keep_out_between(uav, one) for one in scenario.uav_ids if one != uav)
 
 
 def _finite(value: float | None) -> float | None:

@@ -101,9 +101,13 @@ def spheres_of(tree: dict[Any, Any], margin_m: float) -> Spheres:
     return Spheres(
         np.array([one.position for one in spheres], dtype=np.float64).reshape(-1, 3),
         np.array([one.keep_out_m + margin_m for one in spheres], dtype=np.float64),
-        float(tree["formation"]["uav_keep_out_m"]) + margin_m,
+        max([float(tree["formation"]["uav_keep_out_m"]), *_own_keep_outs(tree)]) + margin_m,
         tuple((one, one.keep_out_m + margin_m) for one in every if one.kind != "sphere"),
     )
+
+
+def _own_keep_outs(tree: dict[Any, Any]) -> list[float]:
+    return [float(uav["keep_out_m"]) for uav in tree["uavs"] if uav.get("keep_out_m") is not None]
 
 
 def with_starts(

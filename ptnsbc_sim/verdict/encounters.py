@@ -44,20 +44,21 @@ class Encounter(NamedTuple):
 def recovery_s(scenario: Scenario, error_m: float) -> float:
     """How long after an encounter that leaves a UAV `error_m` off its place has to be regained [s].
 
-    With `approach: task` there is no time base of the way back: three time constants and a second.
+    With `approach: task` there is no time base of the way back: three time constants and a second. Of unlike vehicles
+    it is that of the slowest.
     """
-    return _recovery_of(scenario)(error_m)
+    return max(_recovery_of(scenario, uav)(error_m) for uav in scenario.uav_ids)
 
 
-def _recovery_of(scenario: Scenario) -> Callable[[float], float]:
-    """`recovery_s` of one scenario."""
+def _recovery_of(scenario: Scenario, uav: int) -> Callable[[float], float]:
+    """`recovery_s` of one UAV."""
     loop = loop_of(scenario, scenario.gains.formation)  # as flown
     rate = loop.scale * loop.kappa
     settling = 1.0 / rate if rate > 0 else np.inf
     if scenario.file.formation.approach != "planned":
         constant = _PAUSE_S + min(_TIME_CONSTANTS * settling, _SLOWEST_RECOVERY_S)
         return lambda _: constant
-    config = recovery_config(scenario)
+    config = recovery_config(scenario, uav)
     return lambda error_m: recovery_duration(error_m, config) + min(settling, _SLOWEST_RECOVERY_S)
 
 
@@ -102,7 +103,8 @@ def encounters(recording: Recording) -> dict[int, list[Encounter]]:
     ends = np.unique([end for windows in own.values() for _, end in windows]).astype(np.int64)
     if not ends.size:
         return {uav: [] for uav in scenario.uav_ids}
-    away, lasts_s = _to_regain(recording, ends), _recovery_of(scenario)
+    away = _to_regain(recording, ends)
+    lasts_s = {uav: _recovery_of(scenario, uav) for uav in scenario.uav_ids}
     found = {}
     for uav in scenario.uav_ids:
         line = ancestors(scenario, uav)
@@ -110,8 +112,8 @@ def encounters(recording: Recording) -> dict[int, list[Encounter]]:
         for hops, one in enumerate(line):
             for begin, end in own.get(one, ()):
                 k = int(np.searchsorted(ends, end))
-                error = max(float(away[kin][k]) for kin in line[: hops + 1])
-                spans.append(Encounter(begin, end, end + round(lasts_s(error) * 1e9)))
+                back_s = max(lasts_s[kin](float(away[kin][k])) for kin in line[: hops + 1])
+                spans.append(Encounter(begin, end, end + round(back_s * 1e9)))
         found[uav] = _joined(spans)
     return found
 

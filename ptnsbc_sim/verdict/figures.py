@@ -41,9 +41,10 @@ class EstimatorError:
 class _InputFigures:
     """Figures of the inputs of one UAV, which arrive block by block."""
 
-    def __init__(self, recording: Recording) -> None:
+    def __init__(self, recording: Recording, uav: int) -> None:
         self._recording = recording
-        self._weight = recording.scenario.mass_kg * recording.scenario.gravity_m_s2
+        scenario = recording.scenario
+        self._weight = scenario.vehicle(uav).mass_kg * scenario.gravity_m_s2
         self.first: tuple[float, float] | None = None  # |u| and force at the epoch
         self.peak = self.peak_force = -np.inf
         self.peak_at_s = 0.0
@@ -97,7 +98,7 @@ def effort(recording: Recording, uav: int) -> Effort | None:
     track = recording.wrench.get(uav)
     if track is None:
         return None
-    figures = _InputFigures(recording)
+    figures = _InputFigures(recording, uav)
     # The last input before the epoch acts at the epoch.
     first = max(track.index(recording.start_ns, "right") - 1, 0)
     end = track.index(recording.end_ns, "right")

@@ -76,7 +76,7 @@ class Separations:
         scenario = recording.scenario
         self._recording = recording
         self._pairs = {
-            (a, b): _Pair((f"uav{a}", f"uav{b}"), scenario.uav_keep_out_m)
+            (a, b): _Pair((f"uav{a}", f"uav{b}"), scenario.keep_out_between(a, b))
             for a, b in combinations(scenario.uav_ids, 2)
         }
         self._obstacles = [

@@ -93,7 +93,7 @@ def shape(scenario: Scenario) -> Findings:
 
 def spacing(scenario: Scenario) -> Findings:
     """Desired positions and starts against the keep-out distance between UAVs."""
-    keep_out = scenario.uav_keep_out_m + scenario.gains.clearance.margin_m
+    margin = scenario.gains.clearance.margin_m
     positions = {
         "formation.offsets_m": {uav: scenario.offset(uav) for uav in scenario.uav_ids},
         "uavs position_m": {uav: scenario.uav(uav).position for uav in scenario.uav_ids},
@@ -103,16 +103,17 @@ def spacing(scenario: Scenario) -> Findings:
             (a, b): float(np.linalg.norm(where[a] - where[b]))
             for a, b in combinations(scenario.uav_ids, 2)
         }
-        near = {pair: d for pair, d in distances.items() if d < keep_out}
-        closest = min(distances, key=lambda pair: distances[pair], default=None)
+        least = {pair: scenario.keep_out_between(*pair) + margin for pair in distances}
+        near = {pair: d for pair, d in distances.items() if d < least[pair]}
+        closest = min(distances, key=lambda pair: distances[pair] - least[pair], default=None)
         for (a, b), distance in (
             near or ({closest: distances[closest]} if closest else {})
         ).items():
             yield Finding(
-                ERROR if distance < keep_out else INFO,
+                ERROR if near else INFO,
                 key,
                 f"UAV {a} and UAV {b} {distance:.2f} m apart",
-                f">= {keep_out:g} m",
+                f">= {least[a, b]:g} m",
                 "move them apart, or lower formation.uav_keep_out_m" if near else "",
             )
 
@@ -128,7 +129,7 @@ def moving_spacing(scenario: Scenario) -> Findings:
     """Desired positions of a shape that moves, against the keep-out distance, along the whole flight."""
     if not moves(scenario.file.formation) or len(scenario.uav_ids) < 2:
         return
-    keep_out = scenario.uav_keep_out_m + scenario.gains.clearance.margin_m
+    margin = scenario.gains.clearance.margin_m
     scenario = with_slots_of_starts(scenario)
     times = np.linspace(0.0, scenario.duration_s, _SAMPLES)
     places = {uav: places_beside_leader(scenario, uav, times) for uav in scenario.uav_ids}
@@ -136,7 +137,8 @@ def moving_spacing(scenario: Scenario) -> Findings:
         (a, b): np.linalg.norm(places[a] - places[b], axis=1)
         for a, b in combinations(scenario.uav_ids, 2)
     }
-    a, b = min(gaps, key=lambda pair: float(gaps[pair].min()))
+    a, b = min(gaps, key=lambda pair: float(gaps[pair].min()) - scenario.keep_out_between(*pair))
+    keep_out = scenario.keep_out_between(a, b) + margin
     first = int(np.argmin(gaps[a, b]))
     least = float(gaps[a, b][first])
     yield Finding(
@@ -237,7 +239,7 @@ def recovery(scenario: Scenario) -> Findings:
 def sensor(scenario: Scenario) -> Findings:
     """Range of the near-object sensor against the largest keep-out distance."""
     reach = max(
-        [scenario.uav_keep_out_m, *(obstacle.keep_out_m for obstacle in scenario.obstacles)]
+        [scenario.widest_keep_out_m, *(obstacle.keep_out_m for obstacle in scenario.obstacles)]
     )
     if scenario.sensor.range_m <= reach:
         yield Finding(

@@ -31,22 +31,22 @@ def slots(scenario: Scenario) -> Findings:
     first = {(a, b): start[a] - start[b] for a, b in pairs}
     last = {(a, b): held.offset(a) - held.offset(b) for a, b in pairs}
     ends = [min(float(np.linalg.norm(one)) for one in end.values()) for end in (first, last)]
-    needed = math.sqrt(2.0) * scenario.uav_keep_out_m
+    needed = math.sqrt(2.0) * scenario.widest_keep_out_m
     yield Finding(
         INFO if min(ends) >= needed else WARNING,
         "formation.assignment",
         f"starts {ends[0]:.2f} m apart or more, slots {ends[1]:.2f} m",
-        f">= {needed:.2f} m, which keeps all paths {scenario.uav_keep_out_m:g} m apart",
+        f">= {needed:.2f} m, which keeps all paths {scenario.widest_keep_out_m:g} m apart",
         "" if min(ends) >= needed else "start farther apart, or widen the formation",
     )
     paths = {pair: least_distance(first[pair], last[pair]) for pair in pairs}
     a, b = min(pairs, key=lambda pair: paths[pair])
-    near = paths[a, b] < scenario.uav_keep_out_m
+    near = paths[a, b] < scenario.widest_keep_out_m
     yield Finding(
         WARNING if near else INFO,
         "formation.assignment",
         f"UAV {a} and UAV {b} come as close as {paths[a, b]:.2f} m on their ways",
-        f">= {scenario.uav_keep_out_m:g} m",
+        f">= {scenario.widest_keep_out_m:g} m",
         "start farther apart, or widen the formation" if near else "",
     )
     if scenario.file.formation.approach == "task":

@@ -30,7 +30,6 @@ def stage(scenario: Scenario) -> dict[str, Any]:
             "bounds": _bounds(scenario, path),
             "legs": [],
             "deadlines": [],
-            "keepOut": scenario.uav_keep_out_m,
             "uavs": [_uav(scenario, uav) for uav in scenario.uav_ids],
             "obstacles": obstacles_of(scenario),
         },
@@ -43,6 +42,7 @@ def _uav(scenario: Scenario, uav: int) -> dict[str, Any]:
     style = look(scenario.uav_ids.index(uav))
     return {
         "id": uav,
+        "keepOut": scenario.keep_outs_m[uav],
         "leader": leader,
         "parent": scenario.parent(uav),
         "offset": None if leader else scenario.offset(uav).tolist(),

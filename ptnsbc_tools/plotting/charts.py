@@ -21,6 +21,7 @@ from ptnsbc_tools.plotting.thin import Points, ThinnedCurves, Thinner
 FLOOR_M = 1e-4  # of logarithmic axes
 MOST_PAIRS = 24  # in one figure
 _FLOOR_MS = 0.1
+_MOST_LIMITS = 6  # lines of keep-outs in one figure
 
 
 def _look_of(flight: FlightView, uav: int) -> Look:
@@ -157,8 +158,11 @@ def between(flight: FlightView) -> Chart | None:
     for (a, b), points in found.points().items():
         style = Look(look(ids.index(a)).colour, (ids.index(b) - ids.index(a) - 1) % len(DASHES))
         curves.append(Curve(f"UAV {a} – {b}", style, *points, (a, b)))
-    keep_out = flight.scenario.uav_keep_out_m
-    limits = (Limit(keep_out, f"keep-out {keep_out:g} m"),)
+    scenario = flight.scenario
+    keep_outs = sorted({scenario.keep_out_between(*pair) for pair in combinations(ids, 2)})
+    limits = tuple(
+        Limit(keep_out, f"keep-out {keep_out:g} m") for keep_out in keep_outs[:_MOST_LIMITS]
+    )
     kept, note = _tightest(curves), _left_out(curves)
     return _chart("between", "Separation between UAVs", "m", kept, limits=limits, note=note)
 
@@ -207,13 +211,15 @@ def _inputs(flight: FlightView, columns: slice, until_s: float | None = None) ->
 
 def _force_limits(flight: FlightView) -> tuple[Limit, ...]:
     scenario = flight.scenario
-    weight = scenario.mass_kg * scenario.gravity_m_s2
-    limits = [Limit(weight, f"weight {weight:.1f} N")]
-    rotors = scenario.file.plant.quadrotor
-    if scenario.plant_kind == "quadrotor" and rotors is not None:
-        most = float(rotors.max_thrust_n)
-        limits.append(Limit(most, f"most the rotors give, {most:.1f} N"))
-    return tuple(limits)
+    vehicles = [scenario.vehicle(uav) for uav in flight.uavs]
+    weights = sorted({one.mass_kg * scenario.gravity_m_s2 for one in vehicles})
+    limits = [Limit(weight, f"weight {weight:.1f} N") for weight in weights]
+    if scenario.plant_kind == "quadrotor":
+        for most in sorted(
+            {float(one.quadrotor.max_thrust_n) for one in vehicles if one.quadrotor}
+        ):
+            limits.append(Limit(most, f"most the rotors give, {most:.1f} N"))
+    return tuple(limits[:_MOST_LIMITS])
 
 
 def force(flight: FlightView) -> Chart | None:

@@ -123,7 +123,6 @@ def _space(flight: FlightView, pack: Pack) -> dict[str, Any]:
         "path": pack.add(path),
         "legs": _legs(flight, t),
         "deadlines": [mark.t for mark in deadlines(flight)],
-        "keepOut": scenario.uav_keep_out_m,
         "uavs": [_uav(flight, uav, stamps, pack) for uav in flight.uavs],
         "obstacles": obstacles_of(
             scenario, (flight.recording.start_ns - flight.recording.first_ns) * NANO
@@ -181,6 +180,7 @@ def _uav(
     style = look(scenario.uav_ids.index(uav))
     return {
         "id": uav,
+        "keepOut": scenario.keep_outs_m[uav],
         "leader": leader,
         "parent": scenario.parent(uav),
         "offset": None if leader else scenario.offset(uav).tolist(),

@@ -13,7 +13,7 @@ from ptnsbc_sim.scenario import load_scenario, scenario_from_text
 from ptnsbc_sim.sensor import near_objects
 from ptnsbc_sim.swarm import fly
 
-KEEP_OUT, RANGE = 0.5, 4.0
+KEEP_OUT, RANGE = np.full(4, 0.5), 4.0
 
 
 def fleet_of(*positions) -> np.ndarray:
@@ -51,6 +51,12 @@ def test_velocity_of_another_uav_is_the_worlds() -> None:
     fleet[1, 7] = 2.0  # forward, which is north
     seen = near_objects(0, fleet, obstacles_of(), KEEP_OUT, RANGE)
     np.testing.assert_allclose(seen[0, 4:7], [0, 2, 0], atol=1e-6)
+
+
+def test_a_pair_is_told_the_mean_of_both_keep_outs() -> None:
+    fleet = fleet_of((0, 0, 0), (1, 0, 0), (2, 0, 0))
+    seen = near_objects(0, fleet, obstacles_of(), np.array([0.5, 1.1, 0.25]), RANGE)
+    np.testing.assert_array_equal(seen[:, 3], np.float32([0.8, 0.375]))
 
 
 @pytest.mark.parametrize(("away_m", "seen"), [(3.9, 1), (4.1, 0)])

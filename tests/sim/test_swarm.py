@@ -346,3 +346,24 @@ def test_a_uav_in_the_middle_of_the_tree_dies_and_all_keep_clear(dead, child):
     )
     assert holding[-1].tolist() == [uav == child for uav in scenario.uav_ids]
     assert closest >= scenario.uav_keep_out_m
+
+
+@pytest.mark.parametrize("plant", PLANTS)
+def test_unlike_vehicles_form_and_keep_the_distance_of_each_pair(plant: str) -> None:
+    own = {
+        "uavs[1].mass_kg": 2.0,
+        "uavs[1].inertia_kg_m2": [0.04, 0.04, 0.05],
+        "uavs[1].max_force_n": 32.0,
+        "uavs[1].keep_out_m": 1.1,
+        "uavs[3].max_tilt_rad": 0.4,
+        "uavs[3].drag_1_s": 0.3,
+        "uavs[4].mass_kg": 0.6,
+        "uavs[4].inertia_kg_m2": [0.006, 0.006, 0.008],
+        "uavs[4].max_force_n": 16.0,
+    }
+    changes = {**own, "plant.kind": plant, "timing.duration_s": 15.0}
+    verdict = verdict_on(recording_of(fly(load_scenario("figure_eight", changes))))
+    assert verdict.verdict == "met"
+    limits = {(one.first, one.second): one.keep_out_m for one in verdict.separations}
+    assert limits["uav1", "uav2"] == pytest.approx(0.8)
+    assert limits["uav4", "uav5"] == 0.5

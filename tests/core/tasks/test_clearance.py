@@ -46,7 +46,7 @@ seeds = st.integers(0, 2**31)
 def config_of(rule: int = AVOIDANCE_SET_BASED, **changes) -> ClearanceConfig:
     gain = LoopGain(1.0, 1e-2, 1.0, KAPPA, PROFILE_PAPER)
     linear = ClearanceConfig(
-        rule, 0.0, gain, 0.0, 0.5, 1e9, 1.0, SPEED_LINEAR, 6.0, LAG, 1.0 / LAG, 0.05, 0.5, 4.0
+        rule, 0.0, gain, 0.0, 0.5, 1e9, 1.0, SPEED_LINEAR, 6.0, 6.0, LAG, 1.0 / LAG, 0.05, 0.5, 4.0
     )
     return linear._replace(**changes)
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from ptnsbc_core.types import AVOIDANCE_OFF, PLANT_RIGID_BODY, PROFILE_PAPER, PROFILE_SOFT
-from ptnsbc_sim.scenario import agent_config, load_scenario, scenario_from_text
+from ptnsbc_sim.plants.build import plant_config
+from ptnsbc_sim.scenario import ScenarioError, agent_config, load_scenario, scenario_from_text
 from ptnsbc_sim.scenario.defaults import gain_defaults
 
 PAPER = Path(__file__).resolve().parents[3] / "scenarios" / "paper_5.yaml"
@@ -177,3 +178,71 @@ def test_line_trajectory() -> None:
     line = {"kind": "line", "position_m": [1, 2, 3], "velocity_m_s": [4, 5, 6], "yaw_rad": 0.5}
     config = agent_config(load_scenario(PAPER, {"leader.trajectory": line}), 1)
     assert config.trajectory.numbers == (1, 1, 2, 3, 4, 5, 6, 0.5)
+
+
+UNLIKE = {
+    "uavs[1].mass_kg": 2.0,
+    "uavs[1].inertia_kg_m2": [0.04, 0.04, 0.05],
+    "uavs[1].max_force_n": 30.0,
+    "uavs[1].max_speed_m_s": 3.0,
+    "uavs[1].keep_out_m": 1.1,
+    "uavs[2].max_tilt_rad": 0.35,
+    "uavs[2].drag_1_s": 0.3,
+    "uavs[2].max_torque_nm": [1.0, 1.0, 0.2],
+}
+
+
+def test_a_uav_has_its_own_vehicle() -> None:
+    scenario = load_scenario("paper_5", UNLIKE)
+    heavy, weak, other = (agent_config(scenario, uav) for uav in (2, 3, 4))
+    assert heavy.controller.nominal == (2.0, (0.04, 0.04, 0.05))
+    assert (heavy.controller.max_thrust, heavy.filter.max_speed) == (30.0, 3.0)
+    assert (weak.controller.max_tilt, weak.controller.max_torque) == (0.35, (1.0, 1.0, 0.2))
+    alike = agent_config(load_scenario("paper_5"), 4)
+    assert (other.controller, other.filter) == (alike.controller, alike.filter)
+    plants = [plant_config(scenario, uav) for uav in (2, 3)]
+    assert [(one.mass, one.max_thrust, one.drag) for one in plants] == [
+        (2.0, 30.0, 0.1),
+        (1.2, 25.9, 0.3),
+    ]
+
+
+def test_true_mass_and_inertia_are_scales_of_the_uavs_own() -> None:
+    scenario = load_scenario("paper_5", {**UNLIKE, "uavs[1].mass_scale": 1.1})
+    assert plant_config(scenario, 2).mass == pytest.approx(2.2)
+    assert agent_config(scenario, 2).controller.nominal.mass == 2.0
+
+
+def test_near_what_moves_all_count_on_the_weakest() -> None:
+    scenario = load_scenario("paper_5", UNLIKE)
+    own = {uav: agent_config(scenario, uav).clearance.deceleration for uav in scenario.uav_ids}
+    assert own[3] == pytest.approx(9.81 * np.tan(0.35))
+    assert own[2] == pytest.approx(30.0 / 2.0 - 9.81)
+    assert own[1] == agent_config(load_scenario("paper_5"), 1).clearance.deceleration
+    weakest = {agent_config(scenario, uav).clearance.weakest for uav in scenario.uav_ids}
+    assert weakest == {min(own.values())}
+
+
+def test_two_stay_the_mean_of_their_keep_outs_apart() -> None:
+    scenario = load_scenario("paper_5", UNLIKE)
+    assert scenario.keep_out_between(2, 3) == pytest.approx(0.8)
+    assert scenario.keep_out_between(1, 3) == 0.5
+    assert scenario.widest_keep_out_m == pytest.approx(0.8)
+
+
+def test_the_common_deadline_counts_on_the_weakest() -> None:
+    shortest = load_scenario(
+        "paper_5", {"gains.formation.deadline_s": "auto"}
+    ).gains.formation.deadline_s
+    for own in ({"uavs[3].max_speed_m_s": 2.0}, {"uavs[3].max_tilt_rad": 0.1}):
+        changes = {"gains.formation.deadline_s": "auto", **own}
+        assert load_scenario("paper_5", changes).gains.formation.deadline_s > 1.3 * shortest
+
+
+def test_a_vehicle_that_cannot_hover_is_named() -> None:
+    with pytest.raises(ScenarioError) as caught:
+        load_scenario("paper_5", {"uavs[1].mass_kg": 3.0})
+    assert "expected more than the weight of UAV 2, 29.4 N" in str(caught.value)
+    with pytest.raises(ScenarioError) as caught:
+        load_scenario("paper_5", {"uavs[1].max_force_n": 9.0})
+    assert "uavs[1].max_force_n: 9: expected more than the weight" in str(caught.value)

@@ -57,7 +57,11 @@ FIXES = {"noise_m": 0.02, "rate_hz": 10}
             "unknown_latency_s: 0.004: expected a multiple",
         ),
         ("sensor.noise_m", -0.01, "sensor.noise_m: -0.01: expected >= 0"),
-        ("formation.sight_m", 0.3, "expected at most half of formation.uav_keep_out_m (0.5)"),
+        (
+            "formation.sight_m",
+            0.3,
+            "expected at most half of the smallest keep-out of a UAV (0.5 m)",
+        ),
         ("formation.tolerance_m", 0, "expected > 0"),
         ("gains.formation.time_base", "no", "expected true or false"),
     ],
