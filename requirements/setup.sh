@@ -97,8 +97,8 @@ if [ "$(cat .venv/.mode 2>/dev/null)" != "$mode" ] || ! .venv/bin/python -m pip 
 fi
 rm -f .venv/.stamp-*
 pip=(.venv/bin/python -m pip --quiet --disable-pip-version-check --no-input install --progress-bar off --no-deps)
-# --no-deps: a lock is complete, there is nothing to resolve.
-"${pip[@]}" -r "requirements/$lock.lock" || die "pip could not install requirements/$lock.lock (see above); repeat with: make setup"
+# --no-deps: a lock is complete, there is nothing to resolve. Every file must have a hash of the lock.
+"${pip[@]}" --require-hashes -r "requirements/$lock.lock" || die "pip could not install requirements/$lock.lock (see above); repeat with: make setup"
 "${pip[@]}" --no-build-isolation -e . || die "pip could not install this project (see above)"
 .venv/bin/python -c '
 import numba, numpy, rclpy
