@@ -85,7 +85,7 @@ def test_what_the_image_copies_is_there():
     assert [path for path in sent if not (ROOT / path).exists()] == []
     text = (DOCKER / "Dockerfile").read_text()
     assert "COPY --chmod=755 docker/entrypoint.sh" in text and "docker/entrypoint.sh" in sent
-    assert {"pyproject.toml", "requirements/apt.lock", "ros2_ws/src", "scenarios"} <= set(sent)
+    assert {"pyproject.toml", "requirements/image.lock", "ros2_ws/src", "scenarios"} <= set(sent)
 
 
 def test_the_image_runs_as_somebody_and_what_it_runs_is_installed():
