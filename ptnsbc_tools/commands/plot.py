@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -30,7 +30,7 @@ def plot(
             "-o",
             "--out",
             metavar="DIR|FILE",
-            help="Folder, or FILE.png or FILE.svg for one figure. "
+            help="Folder, FILE.pdf for all figures, or FILE.png or FILE.svg for one. "
             "Default: BAG-figures beside the bag.",
         ),
     ] = None,
@@ -44,7 +44,8 @@ def plot(
         ),
     ] = _ALL,
     form: Annotated[
-        Literal["png", "svg"], typer.Option("--format", help="Format of the files in a folder.")
+        Literal["png", "svg", "pdf"],
+        typer.Option("--format", help="Format of the files in a folder."),
     ] = "png",
     scenario: options.FlownOption = None,
     tolerance: options.ToleranceOption = None,
@@ -60,7 +61,8 @@ def plot(
 
     keys = _keys(what)
     one = out is not None and out.suffix.lower() in draw.FORMATS
-    if one and len(keys) != 1:
+    pages = out if out is not None and out.suffix.lower() == ".pdf" else None
+    if one and pages is None and len(keys) != 1:
         raise PlotError(
             f"--output {out}: one file for {len(keys)} figures: expected a folder, or --what with one name"
         )
@@ -69,7 +71,7 @@ def plot(
     if shown.problem:
         console.err().print(f"warning: no verdict: {shown.problem}", soft_wrap=True)
     folder = out or bag.parent / f"{bag.stem if bag.is_file() else bag.name}-figures"
-    written = _draw(shown, keys, folder, f".{form}", one)
+    written = _draw(shown, keys, folder, f".{form}", one, pages)
     if json:
         console.print_json({"figures": [str(path) for path in written]})
     else:
@@ -93,18 +95,25 @@ def _keys(what: str) -> list[str]:
     return list(dict.fromkeys(key for name in names for key in groups[name]))
 
 
-def _draw(shown: FlightView, keys: list[str], out: Path, suffix: str, one: bool) -> list[Path]:
+def _draw(
+    shown: FlightView, keys: list[str], out: Path, suffix: str, one: bool, pages: Path | None
+) -> list[Path]:
     from ptnsbc_tools.plotting import draw
     from ptnsbc_tools.plotting.charts import CHARTS
 
     written: list[Path] = []
+    figures: list[Any] = []
     with console.progress("drawing") as advance:
         for done, key in enumerate(keys, start=1):
             chart = CHARTS[key](shown) if shown.uavs else None
             if chart is not None:
+                figures.append(draw.figure_of(chart, shown.scenario.name))
                 path = out if one else out / f"{key}{suffix}"
-                written.append(draw.save(draw.figure_of(chart, shown.scenario.name), path))
+                if pages is None:
+                    written.append(draw.save(figures.pop(), path))
             advance(done, len(keys))
+    if pages is not None and figures:
+        written.append(draw.save_pages(figures, pages))
     if not written:
         reason = shown.problem or "the bag has no data for it"
         raise PlotError(f"nothing to draw for {', '.join(keys)}: {reason}")

@@ -33,6 +33,12 @@ def report(
             help="Folder for the page. Default: BAG-report beside the bag.",
         ),
     ] = None,
+    other: Annotated[
+        Path | None,
+        typer.Option(
+            "--with", metavar="BAG", help="Another flight, whose curves are shown dotted."
+        ),
+    ] = None,
     scenario: options.FlownOption = None,
     tolerance: options.ToleranceOption = None,
     window: options.WindowOption = None,
@@ -57,7 +63,8 @@ def report(
     folder = out or bag.parent / f"{bag.stem if bag.is_file() else bag.name}-report"
     with console.patience(f"reading {bag}"):
         shown = read_view(bag, options.read_options(context))
-    path = _write_page(bag, folder, shown)
+        beside = None if other is None else read_view(other, options.read_options(context))
+    path = _write_page(bag, folder, shown, beside)
     drawn = _draw(shown, folder) if pictures and shown.uavs else []
     if json:
         console.print_json(
@@ -75,7 +82,7 @@ def report(
         raise typer.Exit(_NO_VERDICT)
 
 
-def _write_page(bag: Path, folder: Path, shown: FlightView) -> Path:
+def _write_page(bag: Path, folder: Path, shown: FlightView, beside: FlightView | None) -> Path:
     from ptnsbc_io.bag import BagError, read_bag
     from ptnsbc_tools.files import replacing
     from ptnsbc_tools.report.page import page
@@ -84,7 +91,7 @@ def _write_page(bag: Path, folder: Path, shown: FlightView) -> Path:
         metadata = dict(read_bag(bag).metadata)
     except BagError:  # sqlite3 of other systems, which has no metadata
         metadata = {}
-    path, text = folder / "index.html", page(shown, metadata)
+    path, text = folder / "index.html", page(shown, metadata, beside)
     with replacing(path) as part:
         folder.mkdir(parents=True, exist_ok=True)
         part.write_text(text, encoding="utf-8")

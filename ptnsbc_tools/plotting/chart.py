@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from ptnsbc_core.types import Array
@@ -14,6 +15,7 @@ DARK_COLOURS = (
     "#4DA6E0", "#E69F00", "#2BBF95", "#F07B2E", "#DD93BB", "#8CD0F5", "#E8E8E8", "#F0E442"
 )  # fmt: skip
 DASHES = ("-", "--", "-.", ":")
+_OTHER_DASH = 3  # of another flight: dots
 OBSTACLE = "#7F7F7F"
 GOOD = "#009E73"
 
@@ -85,3 +87,24 @@ class Chart:
         """The label of the vertical axis."""
         name = self.title.split(":")[-1].split(",")[0].strip()
         return name[:1].lower() + name[1:]
+
+
+def overlaid(charts: Sequence[Chart], others: Sequence[Chart], name: str) -> list[Chart]:
+    """The charts with the curves of another flight in the charts of the same key: in the same colours, dotted."""
+    by_key = {chart.key: chart for chart in others}
+
+    def with_others(chart: Chart) -> Chart:
+        other = by_key.get(chart.key)
+        if other is None:
+            return chart
+        curves = [
+            replace(
+                one,
+                label=f"{one.label}, {name}",
+                look=Look(one.look.colour, (one.look.dash + _OTHER_DASH) % len(DASHES)),
+            )
+            for one in other.curves
+        ]
+        return replace(chart, curves=(*chart.curves, *curves))
+
+    return [with_others(chart) for chart in charts]

@@ -1,7 +1,8 @@
-"""Figures as PNG or SVG by Matplotlib: the same flight gives the same bytes."""
+"""Figures as PNG, SVG or PDF by Matplotlib: the same flight gives the same bytes."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import combinations, product
 from pathlib import Path
@@ -20,15 +21,25 @@ from ptnsbc_tools.plotting.flight import FlightView
 from ptnsbc_tools.plotting.thin import thin
 from ptnsbc_tools.reading.diagnostics import StatusSeries
 
-FORMATS = (".png", ".svg")
+FORMATS = (".png", ".svg", ".pdf")
 _SIZE_IN = (9.0, 4.2)
 _DPI = 110
 _CURVE_POINTS = 6000  # more than the page has pixels, and small enough for an SVG
 _PATH_POINTS = 4000
-_MOST_IN_LEGEND = 12
+_INSIDE = 12  # curves whose legend stands inside the axes; that of more below them
+_ROW_IN = 0.17  # height of a row of that legend
 _LONGEST_M = 20.0  # half of a cylinder without end
 _UPRIGHT = 0.7  # vertical part of the normal below which a surface is drawn from above
 _PAPER = {"boxstyle": "square,pad=0.1", "facecolor": "white", "edgecolor": "none", "alpha": 0.8}
+
+
+_IN_A_ROW = 8  # of a legend below the axes
+# Without these a file contains the date and random names.
+_UNDATED: dict[str, dict[str, None]] = {
+    ".png": {"Software": None},
+    ".svg": {"Date": None},
+    ".pdf": {"CreationDate": None},
+}
 
 
 class FigureError(PtnsbcError):
@@ -75,32 +86,53 @@ def draw_chart(axes: Any, chart: Chart) -> None:
     axes.set_title(chart.title, fontsize=10)
     axes.grid(alpha=0.3, which="both" if chart.log else "major")
     axes.margins(x=0.01)
-    if 1 < len(chart.curves) <= _MOST_IN_LEGEND:
-        axes.legend(fontsize=7, ncol=2 if len(chart.curves) > 6 else 1, loc="best")
+    count = len(chart.curves)
+    if 1 < count <= _INSIDE:
+        axes.legend(fontsize=7, ncol=2 if count > 6 else 1, loc="best")
 
 
 def figure_of(chart: Chart, heading: str) -> Any:
     """A Matplotlib figure of one chart."""
-    figure = blank_figure(_SIZE_IN)
+    width, height = _SIZE_IN
+    count = len(chart.curves)
+    rows = -(-count // _IN_A_ROW) if count > _INSIDE else 0
+    figure = blank_figure((width, height + _ROW_IN * rows))
     axes = figure.add_subplot()
     draw_chart(axes, chart)
+    if rows:
+        figure.legend(fontsize=7, ncols=_IN_A_ROW, loc="outside lower center")
+    if chart.note:
+        figure.supxlabel(chart.note, fontsize=7, x=0.01, ha="left")
     axes.set_title(f"{heading}: {chart.title}", fontsize=10)
     return figure
 
 
 def save(figure: Any, path: Path) -> Path:
-    """Write a figure; the suffix says whether as PNG or as SVG."""
+    """Write a figure; the suffix says whether as PNG, SVG or PDF."""
     import matplotlib
 
     kind = path.suffix.lower()
     if kind not in FORMATS:
-        raise FigureError(f"{path}: suffix {kind or 'missing'}: expected {' or '.join(FORMATS)}")
-    # Without these an SVG contains the date and random names.
-    metadata = {"Date": None} if kind == ".svg" else {"Software": None}
+        raise FigureError(
+            f"{path}: suffix {kind or 'missing'}: expected {', '.join(FORMATS[:-1])} or {FORMATS[-1]}"
+        )
+    metadata = _UNDATED[kind]
     with replacing(path) as part:
         path.parent.mkdir(parents=True, exist_ok=True)
         with matplotlib.rc_context({"svg.hashsalt": "ptnsbc"}):
             figure.savefig(part, dpi=_DPI, format=kind[1:], metadata=metadata)
+    return path
+
+
+def save_pages(figures: Sequence[Any], path: Path) -> Path:
+    """Write figures as the pages of one PDF."""
+    from matplotlib.backends.backend_pdf import PdfPages
+
+    with replacing(path) as part:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with PdfPages(part, metadata=_UNDATED[".pdf"]) as pages:
+            for figure in figures:
+                pages.savefig(figure)
     return path
 
 

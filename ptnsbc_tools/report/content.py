@@ -21,7 +21,7 @@ from ptnsbc_sim.scenario.build import leader_trajectory, places_beside_leader
 from ptnsbc_sim.scenario.mission.shapes import moves
 from ptnsbc_sim.verdict import Series, Track
 from ptnsbc_sim.verdict.recording import NANO
-from ptnsbc_tools.plotting.chart import COLOURS, DARK_COLOURS, Chart, look
+from ptnsbc_tools.plotting.chart import COLOURS, DARK_COLOURS, Chart, look, overlaid
 from ptnsbc_tools.plotting.charts import charts, deadlines
 from ptnsbc_tools.plotting.flight import FlightView
 from ptnsbc_tools.plotting.thin import thin
@@ -62,13 +62,13 @@ def compressed(data: bytes) -> str:
     return base64.b64encode(gzip.compress(data, 9, mtime=0)).decode("ascii")
 
 
-def content(flight: FlightView) -> str:
-    """The pack of a flight."""
+def content(flight: FlightView, other: FlightView | None = None) -> str:
+    """The pack of a flight; the curves of `other` beside its own."""
     pack = Pack()
     text: dict[str, Any] = {
         "colours": {"light": COLOURS, "dark": DARK_COLOURS},
         "space": _space(flight, pack) if flight.uavs and flight.samples > 1 else None,
-        "charts": _charts(flight, pack),
+        "charts": _charts(flight, other, pack),
     }
     return pack.encode(text)
 
@@ -191,8 +191,10 @@ def _uav(
     }
 
 
-def _charts(flight: FlightView, pack: Pack) -> list[dict[str, Any]]:
+def _charts(flight: FlightView, other: FlightView | None, pack: Pack) -> list[dict[str, Any]]:
     found = list(charts(flight))
+    if other is not None:
+        found = overlaid(found, list(charts(other)), f"with: {other.scenario.name}")
     curves = max(sum(len(chart.curves) for chart in found), 1)
     points = min(_CURVE_POINTS, max(_MOST_POINTS // curves, 50))
     return [_chart(chart, pack, points) for chart in found]

@@ -101,12 +101,13 @@ def _details(summary: str, text: str) -> str:
     return f"<details><summary>{escape(summary)}</summary><pre>{escape(text)}</pre></details>"
 
 
-def page(flight: FlightView, about: Mapping[str, str]) -> str:
+def page(flight: FlightView, about: Mapping[str, str], other: FlightView | None = None) -> str:
     """The whole page of a flight.
 
     Args:
         flight: what is shown.
         about: metadata of the bag.
+        other: a flight whose curves are shown beside its own.
     """
     verdict, name = flight.verdict, flight.scenario.name
     line, why, deadlines, tables = f"No verdict: {flight.problem}", "", "", ""
@@ -129,7 +130,7 @@ def page(flight: FlightView, about: Mapping[str, str]) -> str:
             "tables": tables,
             "details": (_details("Recorded with", recorded) if recorded else "")
             + _details("Scenario", flight.scenario.text),
-            "data": content(flight),
+            "data": content(flight, other),
             "plotly": plotly(),
             "style": asset("style.css"),
             "script": "\n".join(asset(name) for name in _SCRIPTS),

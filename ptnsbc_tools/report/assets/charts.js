@@ -2,8 +2,16 @@
 
 const DASHES = ["solid", "dash", "dashdot", "dot"];
 const MARGIN = { l: 58, r: 14, t: 14, b: 46 };
-const MOST_IN_LEGEND = 12;
+const IN_A_ROW = 4; // of the legend
+const LEGEND_ROW = 19; // pixels
+const MORE_ROWS = 3; // from which on a figure grows with its legend
 const MOST_UNIFIED = 8; // curves in one hover box
+
+/** Rows of the legend of a chart; 0 without one. */
+function legendRows(chart) {
+  const count = chart.curves.length;
+  return count < 2 ? 0 : count > 5 ? Math.ceil(count / IN_A_ROW) : 1;
+}
 
 class Figures {
   constructor(box, charts, state, seek) {
@@ -43,6 +51,8 @@ class Figures {
     title.textContent = chart.title + (chart.unit ? ` [${chart.unit}]` : "");
     const plot = document.createElement("div");
     plot.className = "plot";
+    const more = legendRows(chart) - MORE_ROWS;
+    if (more > 0) plot.style.height = `${(chart.key === "errors" ? 380 : 320) + LEGEND_ROW * more}px`;
     const cursor = document.createElement("div");
     cursor.className = "cursor";
     cursor.hidden = true;
@@ -55,10 +65,19 @@ class Figures {
       card.append(note);
     }
     this.box.append(card);
-    return { chart, card, plot, cursor, drawn: false, seen: false, linked: !chart.key.endsWith("-first") };
+    return { chart, card, plot, cursor, asked: false, drawn: false, seen: false, linked: !chart.key.endsWith("-first") };
+  }
+
+  /** Draw all the others while nothing else is to be done: what is printed or searched is complete. */
+  rest() {
+    const next = this.charts.find((one) => !one.asked);
+    const idle = window.requestIdleCallback || ((call) => setTimeout(call, 200));
+    if (next) idle(() => this.plot(next).then(() => this.rest()));
   }
 
   async plot(one) {
+    if (one.asked) return;
+    one.asked = true;
     this.library ??= loadPlotly();
     await this.library;
     const config = {
@@ -93,10 +112,10 @@ class Figures {
       gridcolor: colour("--grid"), tickfont: { size: 12 }, linecolor: colour("--rule"), zeroline: false, ticks: "outside",
       tickcolor: colour("--rule"), ticklen: 4, automargin: false,
     };
-    const rows = chart.curves.length > 5 ? Math.ceil(chart.curves.length / 4) : 1; // of the legend
-    const legend = chart.curves.length > 1 && chart.curves.length <= MOST_IN_LEGEND;
+    const rows = legendRows(chart);
+    const legend = rows > 0;
     return {
-      margin: { ...MARGIN, b: MARGIN.b + (legend ? 3 + 19 * rows : 0) }, paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)",
+      margin: { ...MARGIN, b: MARGIN.b + (legend ? 3 + LEGEND_ROW * rows : 0) }, paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)",
       font: { color: colour("--soft"), size: 12, family: "system-ui, sans-serif" },
       xaxis: { ...axis, title: { text: "time after the epoch [s]", standoff: 6 }, hoverformat: ".2f",
         // The same span for all over the whole time, so that their lines stand below each other.

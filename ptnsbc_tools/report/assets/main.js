@@ -45,6 +45,7 @@ class Page {
     this.figures = new Figures(byId("charts"), this.data.charts, this, (time) => this.clock.seek(time));
     this.transport();
     this.viewKeys();
+    this.printing();
     document.addEventListener("keydown", (event) => this.key(event));
     this.clock.listen((clock) => {
       this.scene.show(clock.now, clock.playing);
@@ -95,6 +96,19 @@ class Page {
       words.textContent = name;
       add("mark", { left: part(time) }).append(words);
     }
+  }
+
+  /** What is printed is complete: all figures, and all details open. */
+  printing() {
+    this.figures.rest();
+    let opened = [];
+    window.addEventListener("beforeprint", () => {
+      opened = [...document.querySelectorAll("details:not([open])")];
+      for (const one of opened) one.open = true;
+    });
+    window.addEventListener("afterprint", () => {
+      for (const one of opened) one.open = false;
+    });
   }
 
   viewKeys() {

@@ -7,12 +7,14 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from ptnsbc_tools.plotting.chart import COLOURS as PALETTE
+
 COLUMN_MM = 88.0
 _MM_PER_INCH = 25.4
 _DPI = 220
 
-# Okabe and Ito: distinct for all common kinds of colour blindness, and each with a dash of its own
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+# Those of all other figures, each with a dash of its own; yellow is too pale for a line of a journal
+COLOURS = PALETTE[:7]
 DASHES: tuple[Any, ...] = (
     "-", (0, (5, 1.5)), (0, (1.2, 1.2)), (0, (5, 1.2, 1.2, 1.2)), (0, (3, 1, 1, 1, 1, 1)),
     (0, (8, 2)), "-",

@@ -36,6 +36,18 @@ def test_a_page_and_pictures(tmp_path: Path) -> None:
     assert {one.name for one in (tmp_path / "out").iterdir()} == {"index.html", *pictures}
 
 
+def test_another_flight_beside_it_and_a_pdf_of_all_figures(tmp_path: Path) -> None:
+    code, out, _ = run("report", SAMPLE, "--with", SAMPLE, "-o", tmp_path / "two", "--no-pictures")
+    assert code == 0 and Path(out.strip()).is_file()
+    for name in ("a.pdf", "b.pdf"):
+        code, out, _ = run("plot", SAMPLE, "-o", tmp_path / name)
+        assert (code, out) == (0, f"{tmp_path / name}\n")
+    first, second = ((tmp_path / name).read_bytes() for name in ("a.pdf", "b.pdf"))
+    assert first == second and first.count(b"/Type /Page ") >= 5
+    assert run("report", SAMPLE, "--with", tmp_path / "none", "-o", tmp_path / "three")[0] == 2
+    assert not (tmp_path / "three").exists()
+
+
 def test_the_same_bag_gives_the_same_bytes(tmp_path: Path) -> None:
     for name in ("a", "b"):
         code, out, _ = run("report", SAMPLE, "-o", tmp_path / name, "--no-pictures")

@@ -16,7 +16,9 @@ from ptnsbc_tools.plotting.flight import view_of
 from ptnsbc_tools.reading.diagnostics import StatusSeries
 
 
-@pytest.mark.parametrize(("suffix", "start"), [(".png", b"\x89PNG"), (".svg", b"<?xml")])
+@pytest.mark.parametrize(
+    ("suffix", "start"), [(".png", b"\x89PNG"), (".svg", b"<?xml"), (".pdf", b"%PDF")]
+)
 def test_the_same_bytes_twice(fly, tmp_path, suffix, start):
     contents = set()
     for name in ("a", "b"):
@@ -30,8 +32,8 @@ def test_the_same_bytes_twice(fly, tmp_path, suffix, start):
 
 def test_other_suffixes_and_places_are_refused(fly, tmp_path):
     figure = draw.figure_of(errors(view_of(fly(seconds=7.0), StatusSeries())), "x")
-    with pytest.raises(draw.FigureError, match=r"suffix \.pdf: expected \.png or \.svg"):
-        draw.save(figure, tmp_path / "e.pdf")
+    with pytest.raises(draw.FigureError, match=r"suffix \.gif: expected \.png, \.svg or \.pdf"):
+        draw.save(figure, tmp_path / "e.gif")
     (tmp_path / "file").write_text("")
     with pytest.raises(OutputFileError, match="cannot be written"):
         draw.save(figure, tmp_path / "file" / "e.png")

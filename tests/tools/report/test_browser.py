@@ -204,6 +204,49 @@ def test_an_address_may_name_the_time(tab: Any, address: str) -> None:
     assert page.locator("#events .mark").all_inner_texts() == ["deadline"]
 
 
+def test_playback_comes_before_tables_and_figures(tab: Any) -> None:
+    page = tab().ready()
+    tops = [
+        page.locator(what).first.bounding_box()["y"]
+        for what in (".verdict", "#stage", ".scroll", "#charts")
+    ]
+    assert tops == sorted(tops)
+
+
+def test_what_is_printed_is_complete(tab: Any) -> None:
+    """All figures without a scroll, every legend, details open, and nothing cut off at the width of paper."""
+    one = tab()
+    page = one.ready()
+    page.wait_for_function("() => page.figures.charts.every((one) => one.drawn)")
+    legends = page.locator(".chart .legend .traces").count()
+    curves = page.evaluate(
+        "page.data.charts.map((one) => one.curves.length).filter((n) => n > 1).reduce((a, b) => a + b)"
+    )
+    assert legends == curves
+    page.emulate_media(media="print")
+    page.evaluate("window.dispatchEvent(new Event('beforeprint'))")
+    assert page.locator("details:not([open])").count() == 0
+    assert not page.locator("#transport").is_visible()
+    page.evaluate("window.dispatchEvent(new Event('afterprint'))")
+    assert page.locator("details[open]").count() == 0
+    assert page.pdf(format="A4").startswith(b"%PDF")
+    assert one.said == []
+
+
+def test_another_flight_is_overlaid(tab: Any, tmp_path: Path) -> None:
+    shown, other = (read_view(SAMPLE, ReadOptions()) for _ in range(2))
+    file = tmp_path / "index.html"
+    file.write_text(page(shown, {}, other), encoding="utf-8")
+    opened = tab(file.as_uri()).ready()
+    labels = opened.evaluate(
+        "page.data.charts.find((one) => one.key === 'errors').curves.map((one) => [one.label, one.colour, one.dash])"
+    )
+    assert len(labels) == 10
+    for own, beside in zip(labels[:5], labels[5:], strict=True):
+        assert beside[0] == f"{own[0]}, with: paper_5_free" and beside[1] == own[1]
+        assert beside[2] != own[2]
+
+
 def test_without_script_the_verdict_is_there(tab: Any) -> None:
     page = tab(java_script_enabled=False).page
     assert page.locator(".badge").inner_text().lower() == "met"
