@@ -12,7 +12,7 @@ from typer.core import TyperGroup
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_nodes.runtime.signals import exit_on_signal, keep_exit_code, restore_handlers
 from ptnsbc_tools import console
-from ptnsbc_tools.commands import bag, network
+from ptnsbc_tools.commands import bag, mission, network
 from ptnsbc_tools.commands.autopilot import autopilot
 from ptnsbc_tools.commands.bridge import bridge
 from ptnsbc_tools.commands.check import check
@@ -124,6 +124,7 @@ for _panel, _commands in _GROUPS.items():
         app.command(rich_help_panel=_panel)(_command)
 # All words after the name of a process are its own, --help too.
 app.command(rich_help_panel=_PROCESSES, context_settings=SETTINGS)(node)
+app.add_typer(mission.app, name="mission", rich_help_panel=_FLY)
 app.add_typer(bag.app, name="bag", rich_help_panel=_BAGS)
 app.add_typer(network.app, name="network", rich_help_panel=_PROCESSES)
 

@@ -164,9 +164,21 @@ _KEYS = {
 """Options that set a key of the scenario file."""
 
 
+MissionOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--mission",
+        metavar="FILE",
+        help="Fly these legs: a YAML file with what stands below `mission` in a scenario.",
+    ),
+]
+
+
 def overrides(**options: Any) -> dict[str, Any]:
     """Dotted keys of the scenario file from options by the name of their variable; ignores other options."""
     given = {key: options.get(name) for name, key in _KEYS.items()}
+    if options.get("mission") is not None:
+        given["mission"] = _mission(options["mission"])
     given |= dict(_setting(text) for text in options.get("settings") or ())
     return {key: value for key, value in given.items() if value is not None}
 
@@ -174,6 +186,14 @@ def overrides(**options: Any) -> dict[str, Any]:
 def chosen(context: typer.Context) -> Scenario:
     """The scenario that the arguments and options of a command make."""
     return scenario_with(context.params["scenario"], overrides(**context.params))
+
+
+def _mission(path: Path) -> Any:
+    """The mission of a file: the whole of it, or what stands below `mission`."""
+    from ptnsbc_sim.scenario.reader import parse, read_text
+
+    tree = parse(read_text(path), str(path))
+    return tree.get("mission", tree)
 
 
 def _setting(text: str) -> tuple[str, Any]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -133,6 +133,23 @@ def _mission_table(verdict: Verdict) -> Table:
     for leg in verdict.mission:
         of = (leg.name, leg.kind, word(leg.verdict))
         table.add_row(*of, *_numbers(leg, _LEGS))
+    return table
+
+
+def mission_list(found: Mapping[str, Any]) -> Table:
+    """The legs of a flying fleet, from the answer of its leader."""
+    now_s = found["now_s"]
+    title = "Legs" if now_s is None else f"Legs, {now_s:.1f} s after the first epoch"
+    table = _table(title, ("leg", "kind", "state"), (("begins s", "", 2), ("due s", "", 2)))
+    for one in found["legs"]:
+        begin_s, due_s = one.get("begin_s"), one.get("due_s")
+        state = "waits for a word"
+        if begin_s is not None:
+            begun = now_s is not None and begin_s <= now_s
+            state = "to come" if not begun else "begun" if now_s < one["end_s"] else "done"
+        times = ("-" if time is None else f"{time:.2f}" for time in (begin_s, due_s))
+        number = f"{one['number']} " if one["number"] else ""
+        table.add_row(f"{number}{one['name']}", one["kind"], state, *times)
     return table
 
 

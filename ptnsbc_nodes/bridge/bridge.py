@@ -90,7 +90,7 @@ class Bridge:
         )
         self.procedure = Procedure(autopilot, height_m, allow_arming, log)
         self.stream = SetpointStream(vehicle_link, self._mavlink, self._config)
-        self._epochs = Epochs(scenario.landing_ns)
+        self._epochs = Epochs(scenario)
         self._next_s = ports.clocks.steady_s()
 
     @property
@@ -163,7 +163,8 @@ class Bridge:
         inputs = self.ports.inputs
         data, inputs.setpoint = inputs.setpoint, None
         while inputs.legs:
-            self._epochs.announce(*inputs.legs.pop(0))
+            if self._epochs.announce(*inputs.legs.pop(0)):
+                self._config = agent_config(self._epochs.scenario or self._scenario, self._uav_id)
         while inputs.companions:
             self.companions.report(*inputs.companions.pop(0))
         if data is not None:

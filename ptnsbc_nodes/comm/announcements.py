@@ -12,6 +12,7 @@ from ptnsbc_io.wire import HeaderFields, HeaderTemplate, WireError, decode_heade
 from ptnsbc_nodes.comm.topics import RECORDER, SIM
 from ptnsbc_nodes.emergency.orders import Order, parse_order
 from ptnsbc_sim.scenario.mission.faults import FaultBlock, fault_problems
+from ptnsbc_sim.scenario.mission.legs import number_of
 
 _PROCESS = re.compile(rf"(uav|bridge)([1-9][0-9]{{0,5}})|{RECORDER}|{SIM}", re.ASCII)
 _SHOWN = 40
@@ -25,9 +26,9 @@ class LostProcess(NamedTuple):
 
 
 def decode_leg(data: bytes) -> HeaderFields:
-    """Epoch [ns] and name of a leg; WireError when no UAV can fly it."""
+    """Epoch [ns] and name of a leg, or a word on a leg of the mission; WireError when no UAV can fly it."""
     leg = decode_header(data)
-    if leg.frame_id not in LEGS:
+    if leg.frame_id not in LEGS and number_of(leg.frame_id) is None:
         raise WireError(f"leg {leg.frame_id[:_SHOWN]!r}: expected one of {', '.join(LEGS)}")
     if leg.stamp_ns < 0:
         raise WireError(f"leg {leg.frame_id}: epoch {leg.stamp_ns} ns: expected 0 or later")

@@ -6,6 +6,8 @@ from typing import NamedTuple
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.types import LEGS, MODE_FORMATION, MODE_LAND
+from ptnsbc_sim.scenario import Scenario
+from ptnsbc_sim.scenario.mission.legs import Word, number_of
 
 FIRST_LEG = "form"
 _MOST_LEGS = 256  # that are remembered
@@ -25,18 +27,22 @@ class Leg(NamedTuple):
 
 
 class Epochs:
-    """The announced legs, in the order of their announcement.
+    """The announced legs, in the order of their announcement, and what was said of the legs of a mission.
 
-    Args:
-        landing_ns: when the mission of the scenario lands, after the first epoch [ns]; None: never.
+    Attributes:
+        scenario: the flight, as its mission goes on after what was said; None without one.
     """
 
-    def __init__(self, landing_ns: int | None = None) -> None:
+    def __init__(self, scenario: Scenario | None = None) -> None:
+        self.scenario = scenario
         self._legs: list[Leg] = []
-        self._landing_ns = landing_ns
+        self._landing_ns = None if scenario is None else scenario.landing_ns
 
     def announce(self, t0_ns: int, name: str) -> bool:
         """Add a leg; returns False for one that is known, which the latched topic may repeat."""
+        number = number_of(name)
+        if number is not None:
+            return self._say(t0_ns, number)
         if name not in LEGS:
             raise EpochError(f"epoch with leg {name!r}: expected one of {', '.join(LEGS)}")
         first_t0_ns = self._legs[0].t0_ns if self._legs else t0_ns
@@ -46,6 +52,26 @@ class Epochs:
         self._legs.append(leg)
         if len(self._legs) > _MOST_LEGS:
             del self._legs[1]  # the first one is where the flight counts from
+        return True
+
+    def word(self, t0_ns: int, number: int) -> Word:
+        """A word that counts from `t0_ns`; a leg must have been announced."""
+        return Word(number, (t0_ns - self._legs[0].first_t0_ns) * 1e-9)
+
+    def _say(self, t0_ns: int, number: int) -> bool:
+        """Begin a leg of the mission, or cancel the present one; False where that means nothing, or is known."""
+        scenario = self.scenario
+        mission = None if scenario is None else scenario.file.mission
+        if scenario is None or mission is None or not self._legs or number > len(mission.legs):
+            return False
+        said, word = scenario.words, self.word(t0_ns, number)
+        if said and word.at_s <= said[-1].at_s:
+            return False
+        try:
+            self.scenario = scenario.with_words((*said, word))
+        except PtnsbcError:  # the leader has refused it
+            return False
+        self._landing_ns = self.scenario.landing_ns
         return True
 
     @property

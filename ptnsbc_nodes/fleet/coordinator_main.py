@@ -18,6 +18,7 @@ from ptnsbc_nodes.runtime.signals import StopRequest, exit_on_signal
 if TYPE_CHECKING:
     from ptnsbc_nodes.fleet.coordinator_node import Coordinator
     from ptnsbc_sim.scenario import Scenario
+from ptnsbc_sim.scenario.mission.legs import seconds_to_start
 
 _LOOK_S = 0.05
 _REPORT_S = 5.0
@@ -79,7 +80,8 @@ def _fly(
     if _start(coordinator, [*uavs, *vehicles], patience_s, stop):
         _say("started")
         if arguments.bridged:
-            _land(coordinator, scenario.duration_s, stop)
+            begins_in_s = seconds_to_start(scenario.file.mission, time.time_ns())
+            _land(coordinator, begins_in_s + scenario.duration_s, stop)
 
 
 def _start(

@@ -295,14 +295,19 @@ class Coordinator:
 
     def call(self, name: str, patience_s: float) -> str | None:
         """Call /formation/`name`, waiting until it is there; returns why it did not work."""
+        done, said = self.ask(name, patience_s)
+        return None if done else said
+
+    def ask(self, name: str, patience_s: float) -> tuple[bool, str]:
+        """Call /formation/`name`, waiting until it is there: whether it worked, and what the leader says."""
         client = self._client(name)
         deadline = time.monotonic() + patience_s
         while not client.service_is_ready() and time.monotonic() < deadline:
             self.spin(0.1)
         try:
             if not client.service_is_ready():
-                return f"the leader's service /formation/{name} is not there"
-            return self._answer(client, name, patience_s)
+                return False, f"the leader's service /formation/{name} is not there"
+            return self._asked(client, name, patience_s)
         finally:
             self._node.destroy_client(client)
 
@@ -318,6 +323,10 @@ class Coordinator:
         return self._node.create_client(Trigger, f"{self._endpoints.fleet}/formation/{name}")
 
     def _answer(self, client: Any, name: str, patience_s: float) -> str | None:
+        done, said = self._asked(client, name, patience_s)
+        return None if done else said
+
+    def _asked(self, client: Any, name: str, patience_s: float) -> tuple[bool, str]:
         self._publish_request(HeaderTemplate(name).encode(0))
         self._endpoints.flush(_REQUEST_S)
         call = client.call_async(Trigger.Request())
@@ -325,8 +334,8 @@ class Coordinator:
         response = call.result() if call.done() else None
         self._answers += response is not None
         if response is None:
-            return f"the leader does not answer /formation/{name}"
-        return None if response.success else str(response.message)
+            return False, f"the leader does not answer /formation/{name}"
+        return bool(response.success), str(response.message)
 
     def _on_lost(self, process: LostProcess) -> None:
         self.gone.add(process.name)

@@ -27,6 +27,7 @@ from ptnsbc_nodes.fleet.process_list import FleetOptions, names
 from ptnsbc_nodes.runtime.process import RUNNING
 from ptnsbc_nodes.runtime.signals import StopRequest
 from ptnsbc_nodes.runtime.watchdog import ENDED_S, RECORDER_ENDED_S
+from ptnsbc_sim.scenario.mission.legs import seconds_to_start
 from ptnsbc_sim.sweep.dry_run import with_starts_at
 
 Report = Callable[[str], None]
@@ -140,7 +141,8 @@ class Supervisor:
         if not self._options.leads:
             self._follow()
             return
-        over_s = time.monotonic() + duration_s + _AFTER_START_S
+        begins_in_s = seconds_to_start(self._options.scenario.file.mission, time.time_ns())
+        over_s = time.monotonic() + begins_in_s + duration_s + _AFTER_START_S
         bridged = self._options.backend == "mavlink"
         while self._flying() and not self._stop.came:
             self._look()

@@ -56,7 +56,7 @@ class SimNode:
         publishers = SimPublishers(self.endpoints, scenario, self._world, edges)
         self._lockstep = LockstepWorld(scenario, self._world, publishers)
         self._real_time = RealTimeWorld(scenario, self._world, publishers)
-        self._epochs = Epochs(scenario.landing_ns)
+        self._epochs = Epochs(scenario)
         self._progress = Progress(scenario.control_hz)
         self._running = False
         lead_ns = _lead_ticks(scenario) * scenario.dt_ns

@@ -155,6 +155,13 @@ class UavController:
             )
             self._agent = Agent.resumed(self._agent_config, state)
 
+    def go_on(self, config: AgentConfig) -> None:
+        """Fly by another trajectory and shape from the next step on, which go on from where those before have come."""
+        self.config = _speed_limits(self.config).applied_to(config)
+        if self._agent is not None:
+            self._agent_config = self.limits.applied_to(config)
+            self._agent = Agent.resumed(self._agent_config, self._agent.state)
+
     @property
     def limits(self) -> VehicleSpeedLimits:
         """The speed limits with which the agent flies."""

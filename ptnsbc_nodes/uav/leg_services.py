@@ -1,7 +1,12 @@
-"""The operator's services on the leader: /formation/{start,hold,land,stop} announce a leg."""
+"""The operator's services on the leader: /formation/{start,hold,land,stop} announce a leg.
+
+With a mission there are /formation/leg_N, which begins leg N, /formation/cancel, and /formation/mission, which answers
+with the legs as JSON.
+"""
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -9,26 +14,49 @@ from typing import Any
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
+from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_core.types import MODE_FORMATION
 from ptnsbc_io.wire import HeaderTemplate, WireError, decode_header
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.comm.graph import CommunicationGraph
 from ptnsbc_nodes.comm.legs import FIRST_LEG, Epochs
 from ptnsbc_nodes.uav.slots import SlotDecider
+from ptnsbc_sim.scenario import Scenario
+from ptnsbc_sim.scenario.deadline import leg_room
+from ptnsbc_sim.scenario.mission.legs import (
+    CANCEL,
+    ScheduledLeg,
+    Word,
+    leg_names,
+    utc_ns,
+    word_text,
+)
 
 LEAD_NS = 500_000_000
 """An epoch is announced this long before it begins, so that all UAVs switch at the same instant [ns]."""
 
 _PERMIT_S = 5.0
+_MOST_WAIT_S = 3600.0  # for the start of a mission
 
 _LEGS = {"start": FIRST_LEG, "hold": "hold", "land": "land", "stop": "land"}
 
 
-def _decode_request(data: bytes) -> str:
-    name = decode_header(data).frame_id
-    if name not in _LEGS:
-        raise WireError(f"request {name[:40]!r}: expected one of {', '.join(_LEGS)}")
-    return name
+CANCEL_SERVICE, LIST_SERVICE = "cancel", "mission"
+
+
+def leg_service(number: int) -> str:
+    """Name of the service that begins a leg of the mission."""
+    return f"leg_{number}"
+
+
+def _words(scenario: Scenario | None) -> dict[str, int]:
+    """Number of the leg that each service of the mission begins."""
+    mission = None if scenario is None else scenario.file.mission
+    if mission is None:
+        return {}
+    found = {leg_service(number): number for number in range(2, len(mission.legs) + 1)}
+    return {**found, CANCEL_SERVICE: CANCEL}
 
 
 class LegServices:
@@ -65,13 +93,21 @@ class LegServices:
         self._requested_s: dict[
             str, float
         ] = {}  # when each service was last announced on /formation/request
-        endpoints.listen(topics.REQUEST, _decode_request, self._on_announced, required=False)
+        self._words = _words(epochs.scenario)
+        self._names = (*_LEGS, *self._words, *((LIST_SERVICE,) if self._words else ()))
+        endpoints.listen(topics.REQUEST, self._decode_request, self._on_announced, required=False)
         self._services = [
             node.create_service(
                 Trigger, f"{endpoints.fleet}/formation/{name}", self._on_request(name)
             )
-            for name in _LEGS
+            for name in self._names
         ]
+
+    def _decode_request(self, data: bytes) -> str:
+        name = decode_header(data).frame_id
+        if name not in self._names:
+            raise WireError(f"request {name[:40]!r}: expected one of {', '.join(self._names)}")
+        return name
 
     def missing_listeners(self) -> list[str]:
         """UAVs that do not listen to the epoch yet."""
@@ -86,7 +122,14 @@ class LegServices:
         def on_request(_request: Any, response: Any) -> Any:
             refusal = self._refusal(name)
             response.success = refusal is None
-            response.message = refusal or self._announce(name)
+            if refusal is not None:
+                response.message = refusal
+            elif name == LIST_SERVICE:
+                response.message = self._list()
+            elif name in self._words:
+                response.success, response.message = self._say(self._words[name])
+            else:
+                response.message = self._announce(name)
             return response
 
         return on_request
@@ -99,13 +142,65 @@ class LegServices:
         announced_s = self._requested_s.pop(name, float("-inf"))
         return not self._signed or time.monotonic() - announced_s < _PERMIT_S
 
+    def _start_ns(self) -> int | None:
+        """When the mission begins by the wall clock; None when it does not say so, and in lock-step."""
+        scenario = self._epochs.scenario
+        mission = None if scenario is None else scenario.file.mission
+        if mission is None or mission.start is None or self._lockstep:
+            return None
+        return utc_ns(mission.start)
+
     def _refusal(self, name: str) -> str | None:
         if not self._is_permitted(name):
             return f"security: signed: expected a sealed {topics.REQUEST.name} before the call"
         if not self._epochs.announced and name != "start":
             return "not started: call /formation/start first"
+        start_ns = self._start_ns()
+        if start_ns is not None and not self._epochs.announced:
+            ahead_s = (start_ns - self._now_ns() - LEAD_NS) * 1e-9
+            if not 0.0 <= ahead_s <= _MOST_WAIT_S:
+                when = f"{ahead_s:.1f} s from now" if ahead_s > 0.0 else f"{-ahead_s:.1f} s ago"
+                return f"mission.start: {when}: expected a time within the next {_MOST_WAIT_S:g} s"
         missing = self._waiting_for() if name == "start" else ()
         return f"the leader waits for {' '.join(missing)}" if missing else None
+
+    def _list(self) -> str:
+        """The legs of the mission as JSON, with the time since the first epoch."""
+        scenario, now_ns = self._epochs.scenario, self._now_ns()
+        leg = self._epochs.at(now_ns)
+        assert scenario is not None and scenario.file.mission is not None  # or there is no service
+        begun = {one.number: one for one in scenario.legs}
+        rows = [
+            {"number": CANCEL, "name": one.name, "kind": "hold", **_times(one)}
+            for one in scenario.legs
+            if one.number == CANCEL
+        ]
+        names = leg_names(scenario.file.mission)
+        for number, block in enumerate(scenario.file.mission.legs, 1):
+            times = _times(begun[number]) if number in begun else {}
+            rows.append({"number": number, "name": names[number - 1], "kind": block.kind, **times})
+        now_s = None if leg is None else (now_ns - leg.first_t0_ns) * 1e-9
+        return json.dumps({"now_s": now_s, "legs": rows})
+
+    def _say(self, number: int) -> tuple[bool, str]:
+        """Begin a leg of the mission, or cancel the present one: whether that can be flown, and a sentence."""
+        now_ns, scenario = self._now_ns(), self._epochs.scenario
+        leg = self._epochs.at(now_ns)
+        if leg is None or leg.mode != MODE_FORMATION or scenario is None:
+            name = "no leg" if leg is None else f"leg {leg.name}"
+            return False, f"{name} is flown: expected the formation, which flies the mission"
+        t0_ns = now_ns + LEAD_NS
+        word = self._epochs.word(t0_ns, number)
+        refusal = _cannot_fly(scenario, word)
+        if refusal:
+            return False, refusal
+        text = word_text(number)
+        if not self._epochs.announce(t0_ns, text):
+            return False, "another leg was begun just now: try again"
+        self._publish(HeaderTemplate(text).encode(t0_ns))
+        said = scenario.with_words((*scenario.words, word)).legs
+        begun = next(one for one in said if one.begin_s >= word.at_s)
+        return True, f"leg {begun.name} from {begun.begin_s:.2f} s, due at {begun.due_s:.2f} s"
 
     def _announce(self, name: str) -> str:
         t0_ns, leg = self._epoch_ns(name), _LEGS[name]
@@ -118,5 +213,28 @@ class LegServices:
     def _epoch_ns(self, name: str) -> int:
         if self._lockstep and not self._epochs.announced:
             return 0
+        start_ns = self._start_ns()
+        if start_ns is not None and not self._epochs.announced:
+            return start_ns
         at_once = name == "stop" and not self._lockstep
         return self._now_ns() + (0 if at_once else LEAD_NS)
+
+
+def _times(one: ScheduledLeg) -> dict[str, float]:
+    return {"begin_s": one.begin_s, "due_s": one.due_s, "end_s": one.end_s}
+
+
+def _cannot_fly(scenario: Scenario, word: Word) -> str:
+    """Why the legs that a word begins cannot be flown from where the formation is then, empty when they can."""
+    try:
+        flown = scenario.with_words((*scenario.words, word))
+    except PtnsbcError as error:
+        return str(error)
+    legs = flown.legs
+    for index, one in enumerate(legs):
+        until_s = legs[index + 1].begin_s if index + 1 < len(legs) else one.end_s
+        if one.begin_s >= word.at_s:
+            room = leg_room(flown.file, one, until_s)
+            if room.advice:
+                return f"leg {room.found}: expected {room.limit}; {room.advice}"
+    return ""

@@ -56,7 +56,7 @@ from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS
 from ptnsbc_nodes.uav.leg_services import LegServices
 from ptnsbc_nodes.uav.outbox import Outbox
 from ptnsbc_nodes.uav.robot_description import publish_description
-from ptnsbc_nodes.uav.slots import OpenSlots, SlotDecider
+from ptnsbc_nodes.uav.slots import OpenSlots, SlotDecider, SlotHolder
 from ptnsbc_sim.law import UavLaw
 from ptnsbc_sim.scenario import Scenario, agent_config
 from ptnsbc_sim.scenario.slots import are_open
@@ -84,12 +84,13 @@ class UavNode:
         self.endpoints = Endpoints(node, edges.options.lockstep, edges.options.seal)
         self._options = edges.options
         self._uav = uav_id
+        self._scenario = scenario
         law = None if scenario.law is None else UavLaw.of(scenario, uav_id)
         self._controller = UavController(agent_config(scenario, uav_id), edges.senders(uav_id), law)
         self._faults = UavFaults(scenario, uav_id, self._controller.inbox, edges.options.lockstep)
         self._outbox = Outbox(self.endpoints, edges, uav_id, self._faults)
         publish_description(self.endpoints, scenario, uav_id)
-        self._epochs = Epochs(scenario.landing_ns)
+        self._epochs = Epochs(scenario)
         names = self._controller.inbox.topic_names(uav_id)
         self._timing = _Timing(node, scenario, names, edges.options.lockstep)
         self._active = False
@@ -98,6 +99,9 @@ class UavNode:
         self._slots = self._decider = None
         if are_open(scenario):
             self._slots = OpenSlots(scenario, uav_id, edges, self._controller)
+        self._holder = (
+            SlotHolder(scenario, uav_id, edges) if self._slots is None else self._slots.holder
+        )
         self._subscribe(scenario, uav_id)
         if self._slots is not None and uav_id == scenario.leader_id:
             self._decider = self._slot_decider(scenario, edges)
@@ -282,6 +286,16 @@ class UavNode:
         alike = not self._options.lockstep and abs(order.stamp_ns - now_ns) < _FAULT_WINDOW_NS
         self._faults.inject(order.fault, order.stamp_ns if alike else now_ns)
 
+    def _follow_mission(self) -> None:
+        """Fly by what was said of the legs of the mission."""
+        scenario = self._epochs.scenario
+        if scenario is None or scenario is self._scenario:
+            return
+        self._scenario = scenario
+        self._holder.follow(self._controller, scenario)
+        if self._decider is not None:
+            self._decider.follow(scenario)
+
     def _on_slots(self, decision: Decision) -> None:
         """Who takes which slot; a UAV that hears it after its epoch holds until then."""
         if self._slots is not None:
@@ -338,6 +352,7 @@ class UavNode:
 
     def _tick(self, own: Stamped, now_ns: int, cutoff_ns: int, elapsed_ns: int) -> None:
         self._faults.strike(now_ns)
+        self._follow_mission()
         leg, timing = self._epochs.at(now_ns), self._timing
         if leg is None:  # not announced or still to come
             timing.pace.missed = 0

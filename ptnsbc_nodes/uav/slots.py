@@ -40,6 +40,17 @@ class SlotHolder:
         senders = self._edges.holding(slots).senders(self._uav)
         controller.take_slot(stamped_slots(t0_ns, slots), config, senders)
 
+    def follow(self, controller: UavController, scenario: Scenario) -> None:
+        """Have the controller fly by the mission as it goes on after a word, in the slot that it has."""
+        self._scenario = scenario
+        if controller.slots is not None:
+            held = controller.slots.values.tolist()
+            slots = {
+                uav: int(slot) for uav, slot in zip(sorted(scenario.uav_ids), held, strict=True)
+            }
+            scenario = with_slots(scenario, slots)
+        controller.go_on(agent_config(scenario, self._uav))
+
 
 def stamped_slots(t0_ns: int, slots: Slots) -> Stamped:
     """Slots (N,) by ascending UAV, as a message that a step uses."""
@@ -64,7 +75,7 @@ class OpenSlots:
         controller: UavController,
     ) -> None:
         self.decided = DecidedSlots(scenario)
-        self._holder = SlotHolder(scenario, uav_id, edges)
+        self.holder = SlotHolder(scenario, uav_id, edges)
         self._controller = controller
 
     def take(self, leg: Leg | None) -> bool:
@@ -74,7 +85,7 @@ class OpenSlots:
         slots = self.decided.of(leg.t0_ns)
         if slots is None:
             return False
-        self._holder.take(self._controller, leg.t0_ns, slots)
+        self.holder.take(self._controller, leg.t0_ns, slots)
         return True
 
     def fault(self, leg: Leg | None) -> str:
@@ -101,6 +112,10 @@ class SlotDecider:
         self._newest: dict[int, Stamped] = {}
         self._epoch_ns: int | None = None  # waits for odometry
         self._first_ns: int | None = None  # the first epoch, from which places that move count
+
+    def follow(self, scenario: Scenario) -> None:
+        """Decide by the mission as it goes on after a word."""
+        self._scenario = scenario
 
     def on_odometry(self, uav_id: int, own: Stamped) -> None:
         """Take the newest odometry of a UAV."""

@@ -19,7 +19,7 @@ from ptnsbc_sim.scenario import Scenario, available, load_scenario, scenario_fro
 from ptnsbc_sim.scenario.build import leader_trajectory, places_beside_leader
 from ptnsbc_sim.scenario.mission.shapes import moves
 from ptnsbc_sim.scenario.reader import find, read_text
-from ptnsbc_sim.scenario.slots import with_slots
+from ptnsbc_sim.scenario.slots import are_open, with_slots
 
 SILENT_S = 2.0
 """A process whose last status is older than this is shown as silent."""
@@ -43,7 +43,7 @@ class FlightState:
         self._file = scenario
         self._clock_s = clock_s
         self._decided = DecidedSlots(scenario)
-        self._epochs = Epochs()
+        self._epochs = Epochs(scenario)
         self._odometry: dict[int, Stamped] = {}
         self._status: dict[str, tuple[float, DiagnosticStatus]] = {}  # by its name, with its age
         self._lost: set[str] = set()
@@ -64,6 +64,10 @@ class FlightState:
     def on_leg(self, leg: HeaderFields) -> None:
         """A leg was announced."""
         self._epochs.announce(leg.stamp_ns, leg.frame_id)
+        flown = self._epochs.scenario
+        if flown is not None and flown is not self._file and not are_open(flown):
+            self.scenario = self._file = flown  # a word on a leg of the mission
+            self.flown_anew += 1
 
     def on_slots(self, decision: Decision) -> None:
         """The UAVs have taken their slots."""

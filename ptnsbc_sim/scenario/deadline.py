@@ -59,7 +59,7 @@ def leader_motion(file: ScenarioFile) -> tuple[float, float]:
         return speed, speed * abs(path.rate_rad_s)
     if isinstance(path, Line):
         return math.hypot(*path.velocity_m_s), 0.0
-    last = path.legs[0].begin_s if isinstance(path, Route) else math.inf
+    last = path.legs[0].begin_s if isinstance(path, Route) and path.legs else math.inf
     most = extremes(path, min(file.timing.duration_s, last))
     return most.speed_m_s, most.acceleration_m_s2
 
@@ -86,7 +86,8 @@ def _motion(file: ScenarioFile) -> tuple[float, float]:
     leader, changes = leader_motion(file), file.formation.changes
     if not moves(file.formation) or not file.formation.offsets_m:
         return leader
-    places = _places_motion(file, 0.0, changes[0].at_s if changes else file.timing.duration_s)
+    first = next((one.at_s for one in changes if one.at_s > 0.0), file.timing.duration_s)
+    places = _places_motion(file, 0.0, first)
     return max(leader[0], places[0]), max(leader[1], places[1])
 
 

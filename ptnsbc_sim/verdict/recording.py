@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import Scenario
+from ptnsbc_sim.scenario.mission.legs import Word, number_of
 from ptnsbc_sim.scenario.slots import are_open, with_slots
 from ptnsbc_sim.verdict.track import Track
 
@@ -22,6 +23,23 @@ LANDING = "land"
 
 class VerdictError(PtnsbcError):
     """A recording that cannot be judged."""
+
+
+def with_said(
+    scenario: Scenario, epochs: tuple[tuple[int, str], ...]
+) -> tuple[Scenario, tuple[tuple[int, str], ...]]:
+    """The scenario as its mission was flown, and the epochs (t0 [ns], leg) without what was said of it."""
+    legs = tuple(one for one in epochs if number_of(one[1]) is None)
+    first_ns = next((t0_ns for t0_ns, leg in legs if leg == FORMATION), None)
+    words = sorted(
+        Word(number, (t0_ns - first_ns) * NANO)
+        for t0_ns, leg in epochs
+        if first_ns is not None and (number := number_of(leg)) is not None
+    )
+    if words and scenario.file.mission is not None:
+        known = [word for word in words if word.number <= len(scenario.file.mission.legs)]
+        scenario = scenario.with_words(sorted(known, key=lambda word: word.at_s))
+    return scenario, legs
 
 
 def with_landing(

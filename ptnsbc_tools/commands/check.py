@@ -24,6 +24,7 @@ def check(
     avoidance: options.AvoidanceOption = None,
     duration: options.DurationOption = None,
     settings: options.SetOption = None,
+    mission: options.MissionOption = None,
     backend: Annotated[
         Literal["sim", "mavlink"],
         typer.Option("--backend", help="Check what the fleet flies with this backend."),

@@ -58,6 +58,7 @@ def fleet(
     seed: options.SeedOption = None,
     duration: options.DurationOption = None,
     settings: options.SetOption = None,
+    mission: options.MissionOption = None,
     check: Annotated[
         bool,
         typer.Option(

@@ -30,6 +30,7 @@ def simulate(
     seed: options.SeedOption = None,
     duration: options.DurationOption = None,
     settings: options.SetOption = None,
+    mission: options.MissionOption = None,
     sweep: Annotated[
         Path | None,
         typer.Option("--sweep", metavar="DIR", help="Fly a draw of the sweep in this folder."),

@@ -19,7 +19,7 @@ from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.slots import DecidedSlots, hear_recorded
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.verdict import Recording, Track
-from ptnsbc_sim.verdict.recording import FORMATION, with_landing
+from ptnsbc_sim.verdict.recording import FORMATION, with_landing, with_said
 from ptnsbc_tools.reading.bag_sources import (
     OUR_TOPICS,
     BagSource,
@@ -128,6 +128,7 @@ def read_recording(path: Path, options: ReadOptions = DEFAULTS) -> Recording:
     if options.epoch_s is not None and odometry:
         first_ns = min(track.first_ns for track in odometry.values())
         epochs = ((first_ns + round(options.epoch_s * 1e9), FORMATION),)
+    scenario, epochs = with_said(scenario, epochs)
     return Recording(
         scenario=scenario,
         odometry=odometry,

@@ -71,6 +71,7 @@ class Driver(ABC, Generic[S]):
         replay = self.state.uavs[uav]
         if replay.account.difference is not None:  # its controller state differs from there on
             return
+        replay.follow(self.state.epochs.scenario)
         try:
             found = self.make(replay, step)
         except WireError as error:

@@ -15,6 +15,7 @@ from ptnsbc_nodes.comm.legs import Epochs
 from ptnsbc_nodes.comm.slots import DecidedSlots, hear_recorded
 from ptnsbc_sim.law import LoadedLaw, UavLaw
 from ptnsbc_sim.scenario import Scenario
+from ptnsbc_sim.scenario.mission.legs import number_of
 from ptnsbc_tools.replay.topic_buffer import TopicBuffer
 from ptnsbc_tools.replay.uav_replay import UavReplay, heard_topics
 
@@ -43,7 +44,7 @@ class ReplayState:
         for replay in self.uavs.values():
             needed.update(heard_topics(replay.senders))
         self.buffers = {topic.name: TopicBuffer(topic.type) for topic in needed}
-        self.epochs = Epochs(scenario.landing_ns)
+        self.epochs = Epochs(scenario)
         self.first_t0_ns: int | None = None
         self._snapshots: dict[int, list[tuple[int, bytes]]] = {uav: [] for uav in uavs}
         self._snapshot_topics = {topics.snapshot(uav).name: uav for uav in uavs}
@@ -89,9 +90,10 @@ class ReplayState:
 
     def _put_epoch(self, data: bytes) -> None:
         epoch = decode_header(data)
-        if epoch.frame_id in LEGS:
+        word = number_of(epoch.frame_id) is not None
+        if word or epoch.frame_id in LEGS:
             self.epochs.announce(epoch.stamp_ns, epoch.frame_id)
-            if self.first_t0_ns is None:
+            if not word and self.first_t0_ns is None:
                 self.first_t0_ns = epoch.stamp_ns
 
     def _put_diagnostics(self, data: bytes) -> None:

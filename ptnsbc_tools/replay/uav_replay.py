@@ -107,6 +107,7 @@ class UavReplay:
     ) -> None:
         self.uav = uav
         self.senders = senders = edges.senders(uav)
+        self._scenario = scenario
         self._decided = decided
         self._holder = SlotHolder(scenario, uav, edges)
         self.account = Account()
@@ -147,6 +148,13 @@ class UavReplay:
             self.take_slot(note.used[SLOTS].stamp_ns)
         self.controller.resume(found.state, found.counters)
         self.next_step = note.sequence + 1
+
+    def follow(self, scenario: Scenario | None) -> None:
+        """Fly by the mission as it goes on after a word."""
+        if scenario is not None and scenario is not self._scenario:
+            self._scenario = scenario
+            self._config = agent_config(scenario, self.uav)
+            self._holder.follow(self.controller, scenario)
 
     def take_slot(self, t0_ns: int) -> None:
         """Fly by the slot that the epoch at `t0_ns` decided; MissingError when that is not recorded."""

@@ -6,6 +6,7 @@ every process flies legs by the same kernels as a trajectory and a shape without
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime, timedelta
 from itertools import pairwise
@@ -54,7 +55,7 @@ class LegBlock(Block):
     at: Utc | None = None
     """Begin as a time in UTC, such as `2026-11-22T12:00:05Z`, in place of `at_s`."""
     on: Literal["word"] | None = None
-    """`word`: the leg waits for an operator's word, and begins without it at `at_s` or `at`, if one is given."""
+    """`word`: the leg waits for `ptnsbc mission start`, and begins without it at `at_s` or `at`, if one is given."""
     stay_s: NotNegative = 0.0
     """Time after which the leg is done, beyond its own."""
 
@@ -141,6 +142,9 @@ class Mission(Block):
     """The legs, in their order:"""
 
 
+_WORD = re.compile(r"mission (0|[1-9][0-9]{0,2})", re.ASCII)
+
+
 class Word(NamedTuple):
     """What an operator said in flight."""
 
@@ -159,9 +163,27 @@ class ScheduledLeg(NamedTuple):
     end_s: float  # when it is done
 
 
+def word_text(number: int) -> str:
+    """What the leader announces when a leg is to begin, or the present one to be cancelled."""
+    return f"mission {number}"
+
+
+def number_of(text: str) -> int | None:
+    """Number of the leg that an announcement begins, CANCEL; None for one of another kind."""
+    found = _WORD.fullmatch(text)
+    return None if found is None else int(found[1])
+
+
 def utc_ns(text: str) -> int:
     """Nanoseconds since 1970 of a time in UTC."""
     return (datetime.fromisoformat(text) - _UNIX) // timedelta(microseconds=1) * 1000
+
+
+def seconds_to_start(mission: Mission | None, now_ns: int) -> float:
+    """How long [s] until the time at which a mission is to begin by the wall clock, 0 when it says none."""
+    if mission is None or mission.start is None:
+        return 0.0
+    return max((utc_ns(mission.start) - now_ns) * 1e-9, 0.0)
 
 
 def leg_names(mission: Mission) -> list[str]:
@@ -212,10 +234,16 @@ def _run(mission: Mission, deadline_s: float, first: int, begin_s: float) -> Ite
         yield ScheduledLeg(index + 1, names[index], leg, begin_s, due_s, end_s)
 
 
-def scheduled_changes(legs: Sequence[ScheduledLeg]) -> tuple[Change, ...]:
-    """The legs that change the shape, as changes at their times."""
+def scheduled_changes(mission: Mission, legs: Sequence[ScheduledLeg]) -> tuple[Change, ...]:
+    """The legs that change the shape, as changes at their times.
+
+    The first one changes nothing. Where a leg may change the shape later, on a word, it is from the first epoch on one
+    that moves: it does not matter when a UAV hears of that word.
+    """
     keys = Reshaping.model_fields
-    return tuple(
+    nothing = Change.model_construct(at_s=0.0, over_s=0.1)
+    first = (nothing,) if any(isinstance(leg, ChangeLeg) for leg in mission.legs) else ()
+    return first + tuple(
         Change.model_construct(at_s=one.begin_s, **{key: getattr(one.leg, key) for key in keys})
         for one in legs
         if isinstance(one.leg, ChangeLeg)

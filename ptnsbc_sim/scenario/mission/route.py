@@ -58,16 +58,15 @@ def with_legs(file: Any, words: Sequence[Word] = ()) -> Any:
     legs = schedule(file.mission, file.gains.formation.deadline_s, words)
     path = file.leader.trajectory
     first = path.first if isinstance(path, Route) else path
-    own, update = leader_legs(legs), {"trajectory": first}
-    if own:
-        update["trajectory"] = route_of(first, own, file.timing.duration_s + _MARGIN_S)
-        if update["trajectory"] is None:
-            raise ValueError(
-                f"mission.legs: the path of the leader takes more than {MOST_KNOTS} polynomials: expected a shorter "
-                "timing.duration_s, or fewer points"
-            )
-    formation = file.formation.model_copy(update={"changes": scheduled_changes(legs)})
-    leader = file.leader.model_copy(update=update)
+    route = route_of(first, leader_legs(legs), file.timing.duration_s + _MARGIN_S)
+    if route is None:
+        raise ValueError(
+            f"mission.legs: the path of the leader takes more than {MOST_KNOTS} polynomials: expected a shorter "
+            "timing.duration_s, or fewer points"
+        )
+    changes = scheduled_changes(file.mission, legs)
+    formation = file.formation.model_copy(update={"changes": changes})
+    leader = file.leader.model_copy(update={"trajectory": route})
     return file.model_copy(update={"leader": leader, "formation": formation})
 
 

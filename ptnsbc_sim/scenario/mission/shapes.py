@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import cache
 from itertools import pairwise
 from typing import Annotated, Any, Literal
 
@@ -230,11 +231,25 @@ def hermite(times: Array, values: Sequence[Array]) -> Array:
 
     Args:
         times: (K,) [s].
-        values: of each knot the value and its derivatives, as many as are known.
+        values: of each knot the value and its derivatives, as many as are known, at most four.
     """
-    from scipy.interpolate import BPoly, PPoly  # late: half a second
-
-    found = PPoly.from_bernstein_basis(BPoly.from_derivatives(times, values)).c
-    out = np.zeros((len(times) - 1, COEFFICIENTS))
-    out[:, COEFFICIENTS - len(found) :] = found.T
+    known, spans = np.array([len(value) for value in values]), np.diff(times)
+    out = np.zeros((len(spans), COEFFICIENTS))
+    for before, after in set(pairwise(known.tolist())):
+        at = np.flatnonzero((known[:-1] == before) & (known[1:] == after))
+        rows: list[int] = at.tolist()
+        size, span = before + after, spans[rows, None]
+        first = np.stack([values[row] for row in rows]) * span ** np.arange(before)
+        last = np.stack([values[row + 1] for row in rows]) * span ** np.arange(after)
+        of_share = np.linalg.solve(_conditions(before, after), np.hstack([first, last]).T).T
+        out[rows, COEFFICIENTS - size :] = (of_share / span ** np.arange(size))[:, ::-1]
     return out
+
+
+@cache
+def _conditions(before: int, after: int) -> Array:
+    """Derivatives of the powers of s, the lowest first: so many at s = 0, and so many at s = 1."""
+    size = before + after
+    powers = [np.poly1d([1.0, *[0.0] * power]) for power in range(size)]
+    ends = [(0.0, k) for k in range(before)] + [(1.0, k) for k in range(after)]
+    return np.array([[power.deriv(k)(s) if k else power(s) for power in powers] for s, k in ends])

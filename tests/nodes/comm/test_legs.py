@@ -4,6 +4,8 @@ import pytest
 
 from ptnsbc_core.types import MODE_FORMATION, MODE_HOLD, MODE_LAND
 from ptnsbc_nodes.comm.legs import EpochError, Epochs
+from ptnsbc_sim.scenario import load_scenario
+from ptnsbc_sim.scenario.mission.legs import CANCEL, Word, word_text
 
 
 def test_no_leg_before_its_epoch():
@@ -45,17 +47,43 @@ def test_an_unknown_leg_is_refused_by_name():
         Epochs().announce(0, "loop")
 
 
+LEGS = [
+    {"kind": "form", "over_s": 4},
+    {"kind": "go_to", "position_m": [2, 5, 6], "over_s": 4, "on": "word"},
+    {"kind": "land", "over_s": 20},
+]
+S = 1_000_000_000
+
+
+def flight(*legs):
+    return load_scenario("paper_5_free", {"mission": {"legs": list(legs)}})
+
+
 def test_the_mission_lands_by_itself():
-    epochs = Epochs(landing_ns=600)
+    epochs = Epochs(flight(LEGS[0], LEGS[2]))
     epochs.announce(100, "form")
-    assert epochs.at(699).name == "form"
-    assert epochs.at(700) == ("land", MODE_LAND, 700, 100)
-    epochs.announce(800, "form")  # started again
-    assert epochs.at(900) == ("form", MODE_FORMATION, 800, 100)
+    assert epochs.at(4 * S + 99).name == "form"
+    assert epochs.at(4 * S + 100) == ("land", MODE_LAND, 4 * S + 100, 100)
+    epochs.announce(6 * S, "form")  # started again
+    assert epochs.at(7 * S) == ("form", MODE_FORMATION, 6 * S, 100)
 
 
 def test_who_holds_does_not_land_with_the_mission():
-    epochs = Epochs(landing_ns=600)
+    epochs = Epochs(flight(LEGS[0], LEGS[2]))
     epochs.announce(100, "form")
-    epochs.announce(500, "hold")
-    assert epochs.at(900).name == "hold"
+    epochs.announce(2 * S, "hold")
+    assert epochs.at(9 * S).name == "hold"
+
+
+def test_a_word_begins_a_leg_and_what_follows_it():
+    epochs = Epochs(flight(*LEGS))
+    assert not epochs.announce(9 * S, word_text(2))  # before the first epoch it means nothing
+    epochs.announce(1 * S, "form")
+    assert epochs.announce(9 * S, word_text(2))
+    assert not epochs.announce(9 * S, word_text(2))  # the latched topic may repeat it
+    assert not epochs.announce(10 * S, word_text(4))  # there is no such leg
+    assert epochs.scenario.words == (Word(2, 8.0),)
+    assert epochs.at(12 * S).name == "form"
+    assert epochs.at(13 * S).name == "land"
+    assert epochs.announce(11 * S, word_text(CANCEL))
+    assert epochs.at(14 * S).name == "form"

@@ -1,6 +1,8 @@
 """One UAV node, with everybody else played by the test."""
 
+import json
 import time
+from datetime import UTC, datetime
 
 import numpy as np
 import pytest
@@ -464,3 +466,52 @@ def test_a_users_error_is_one_line_and_exit_2(arguments, line, capsys):
     assert err.startswith("uav: ")
     assert line in err
     assert err.count("\n") == 1
+
+
+def test_leader_takes_words_on_the_legs_of_a_mission(ros):
+    legs = [
+        {"kind": "form", "over_s": 5},
+        {"kind": "go_to", "name": "gate", "position_m": [2, 5, 6], "over_s": 4, "on": "word"},
+        {"kind": "go_to", "name": "far", "position_m": [500, 5, 6], "over_s": 4, "on": "word"},
+    ]
+    others = Others(ros, load_scenario("paper_5_free", {"mission": {"legs": legs}}), LEADER)
+    assert "call /formation/start first" in call(ros, others.node, "leg_2").message
+    Endpoints(others.node, lockstep=True).listen(topics.EPOCH, bytes, lambda data: None)
+    ros.spin_until(lambda: not others.uav.waiting_for())
+    assert call(ros, others.node, "start").success
+    others.odom(0)
+    others.near(0)
+    ros.spin_until(lambda: others.ticks() == [0])
+    told = json.loads(call(ros, others.node, "mission").message)
+    assert told["now_s"] == 0.0
+    assert [(leg["name"], leg.get("begin_s")) for leg in told["legs"]] == [
+        ("form-1", 0.0), ("gate", None), ("far", None),
+    ]  # fmt: skip
+    refused = call(ros, others.node, "leg_3")
+    assert not refused.success
+    assert refused.message.startswith("leg far leaves -")
+    taken = call(ros, others.node, "leg_2")
+    assert (taken.success, taken.message) == (True, "leg gate from 0.50 s, due at 4.50 s")
+    ros.spin_until(lambda: others.epochs == [(0, "form"), (500_000_000, "mission 2")])
+    told = json.loads(call(ros, others.node, "mission").message)
+    assert told["legs"][1]["begin_s"] == 0.5
+
+
+def test_a_mission_that_should_have_begun_is_not_started(ros):
+    """In real time; one that is to begin later begins at that very instant."""
+    legs = [{"kind": "form", "over_s": 5}]
+    soon_s = round(time.time()) + 60
+    for start_s, begins in ((soon_s - 120, False), (soon_s + 7200, False), (soon_s, True)):
+        start = datetime.fromtimestamp(start_s, UTC).isoformat().replace("+00:00", "Z")
+        mission = {"mission": {"start": start, "legs": legs}}
+        others = Others(ros, load_scenario("paper_5_free", mission), LEADER, lockstep=False)
+        others.odom(time.time_ns())
+        ros.spin_until(lambda others=others: others.wrenches)
+        answer = call(ros, others.node, "start")
+        assert answer.success == begins
+        if begins:
+            ros.spin_until(lambda others=others: others.epochs)
+            assert others.epochs[0].stamp_ns == soon_s * 1_000_000_000
+        else:
+            assert "expected a time within the next 3600 s" in answer.message
+        others.uav.close()

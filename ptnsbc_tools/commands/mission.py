@@ -1,0 +1,86 @@
+"""`ptnsbc mission`: the legs of a flying fleet: list them, begin one, cancel the present one."""
+
+from __future__ import annotations
+
+import json as json_text
+import os
+from typing import Annotated, Any
+
+import typer
+
+from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_tools import console, options, ros
+
+_PATIENCE_S = 5.0
+
+app = typer.Typer(no_args_is_help=True, help="The legs of a flying fleet: list, start, cancel.")
+
+
+class MissionError(PtnsbcError):
+    """A word that the leader did not take."""
+
+
+LegArgument = Annotated[
+    str, typer.Argument(metavar="LEG", help="Name or number of the leg, as `list` prints it.")
+]
+
+
+@app.command("list")
+def list_(
+    domain: options.DomainOption = None,
+    namespace: options.NamespaceOption = "",
+    json: options.JsonOption = False,
+) -> None:
+    """Print the legs of the mission that a fleet flies, with their times since the first epoch."""
+    found = _ask("mission", domain, namespace)
+    if json:
+        console.print_json(found)
+        return
+    from ptnsbc_tools.tables import mission_list
+
+    console.out().print(mission_list(found))
+
+
+@app.command()
+def start(
+    leg: LegArgument, domain: options.DomainOption = None, namespace: options.NamespaceOption = ""
+) -> None:
+    """Begin a leg half a second from now, wherever the mission is; a leg that cannot be flown from there is refused."""
+    legs = _ask("mission", domain, namespace)["legs"]
+    known = {one["name"]: one["number"] for one in legs if one["number"] > 1}
+    numbers = {str(number): number for number in known.values()}
+    number = known.get(leg, numbers.get(leg))
+    if number is None:
+        raise MissionError(f"leg {leg}: expected one of {', '.join(known)}")
+    console.say(_answer(f"leg_{number}", domain, namespace))
+
+
+@app.command()
+def cancel(domain: options.DomainOption = None, namespace: options.NamespaceOption = "") -> None:
+    """Let the leader come to rest, and the formation with it; no later leg begins by itself."""
+    console.say(_answer("cancel", domain, namespace))
+
+
+def _ask(service: str, domain: int | None, namespace: str) -> Any:
+    return json_text.loads(_answer(service, domain, namespace))
+
+
+def _answer(service: str, domain: int | None, namespace: str) -> str:
+    """What the leader answers.
+
+    Raises:
+        MissionError: no fleet with a mission is there, or it refuses.
+    """
+    number = int(os.environ.get("ROS_DOMAIN_ID", "0")) if domain is None else domain
+    fleet = options.full_namespace(namespace)
+    with ros.required("install the extra [ros] or source ROS 2"):
+        from ptnsbc_nodes.runtime import environment
+
+        environment.prepare()
+        from ptnsbc_nodes.comm.seal import operators_seal
+        from ptnsbc_nodes.fleet.coordinator_node import Coordinator
+    with Coordinator(number, f"mission_{os.getpid()}", fleet, seal=operators_seal()) as coordinator:
+        done, said = coordinator.ask(service, _PATIENCE_S)
+    if not done:
+        raise MissionError(f"domain {number}: {said}")
+    return said
