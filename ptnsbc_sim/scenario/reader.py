@@ -211,31 +211,61 @@ def merged(base: Tree, own: Tree) -> Tree:
     return result
 
 
-def names_table(tree: Tree) -> bool:
-    """Whether the leader's trajectory is in a file of its own."""
-    leader = tree.get("leader")
-    path = leader.get("trajectory") if isinstance(leader, dict) else None
-    return isinstance(path, dict) and path.get("kind") == "csv" and path.get("file") is not None
+def _names_file(block: Any) -> bool:
+    """Whether a block is a trajectory or a shape in a file of its own."""
+    named = isinstance(block, dict) and block.get("kind") in ("csv", "file")
+    return named and block.get("file") is not None
+
+
+def names_table(tree: Any, key: str = "") -> str:
+    """The key of the first trajectory or shape that is in a file of its own; empty without one."""
+    if _names_file(tree):
+        return f"{key}.file"
+    found = (names_table(one, where) for where, one in _inside(tree, key))
+    return next((name for name in found if name), "")
+
+
+def _inside(node: Any, key: str) -> list[tuple[str, Any]]:
+    """What is in a mapping or list, with the dotted keys."""
+    if isinstance(node, list):
+        return [(f"{key}[{k}]", one) for k, one in enumerate(node)]
+    if isinstance(node, dict):
+        return [(f"{key}.{name}" if key else str(name), one) for name, one in node.items()]
+    return []
 
 
 def with_table(tree: Tree, source: str, folder: Path) -> Tree:
-    """`tree` with the content of the leader's CSV file in the place of its name."""
-    if not names_table(tree):
-        return tree
-    path = dict(tree["leader"]["trajectory"])
-    where, name = f"{source}: leader.trajectory.file", path.pop("file")
+    """`tree` with the content of CSV files in the place of their names."""
+    return _filled(tree, "", source, folder) if names_table(tree) else tree
+
+
+def _filled(node: Any, key: str, source: str, folder: Path) -> Any:
+    if isinstance(node, list):
+        return [_filled(one, f"{key}[{k}]", source, folder) for k, one in enumerate(node)]
+    if not isinstance(node, dict):
+        return node
+    if _names_file(node):
+        rest = {name: value for name, value in node.items() if name != "file"}
+        return {**rest, "samples": _content(node["file"], f"{source}: {key}.file", folder)}
+    return {
+        name: _filled(one, f"{key}.{name}" if key else str(name), source, folder)
+        for name, one in node.items()
+    }
+
+
+def _content(name: Any, where: str, folder: Path) -> str:
     if not isinstance(name, str) or not name:
         raise ScenarioError(f"{where}: {name!r}: expected the name or path of a CSV file")
     found = folder / Path(name).expanduser()
     try:
         with found.open(encoding="utf-8") as stream:
-            path["samples"] = stream.read(MOST_SAMPLES + 1)
+            text = stream.read(MOST_SAMPLES + 1)
     except (OSError, ValueError) as error:  # ValueError: a NUL in the name, or no UTF-8
         words = getattr(error, "strerror", None) or "expected UTF-8 text"
         raise ScenarioError(f"{where}: {found}: {words}: expected a readable CSV file") from None
-    if len(path["samples"]) > MOST_SAMPLES:
+    if len(text) > MOST_SAMPLES:
         raise ScenarioError(f"{where}: {found}: expected at most {MOST_SAMPLES} characters")
-    return {**tree, "leader": {**tree["leader"], "trajectory": path}}
+    return text
 
 
 def with_law(tree: Tree, folder: Path) -> Tree:

@@ -413,10 +413,8 @@ def scenario_from_text(
         raise ScenarioError(
             f"{source}: extends: not here: expected a whole scenario, no other file"
         )
-    if complete and reader.names_table(tree):
-        raise ScenarioError(
-            f"{source}: leader.trajectory.file: not here: expected samples, no other file"
-        )
+    if complete and (named := reader.names_table(tree)):
+        raise ScenarioError(f"{source}: {named}: not here: expected samples, no other file")
     if complete or folder is None:
         functions.refuse_functions(tree, source)
     given = {key: value for key, value in (overrides or {}).items() if value is not None}

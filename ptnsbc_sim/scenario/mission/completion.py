@@ -121,7 +121,10 @@ def _with_offsets(block: Tree, ids: list[int], where: str, source: str) -> Tree:
     shape = _shape(block)
     if shape is None:
         return {**block, "offsets_m": {}}
-    places = named_places(shape, len(ids) + 1)[1:]
+    try:
+        places = named_places(shape, len(ids) + 1)[1:]
+    except ValueError as error:
+        raise ScenarioError(f"{source}: {where}.shape.{error}") from None
     return {**block, "offsets_m": dict(zip(ids, places.tolist(), strict=True))}
 
 

@@ -6,6 +6,7 @@ What moves becomes a table of polynomials (ptnsbc_core.curves.piecewise) for eac
 
 from __future__ import annotations
 
+import csv
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache
@@ -19,6 +20,7 @@ from ptnsbc_core.curves.piecewise import COEFFICIENTS
 from ptnsbc_core.curves.shape import CHANNELS
 from ptnsbc_core.types import Array, Shape
 from ptnsbc_sim.scenario.fields import Block, Number, UavId, Vec3, three
+from ptnsbc_sim.scenario.reader import MOST_SAMPLES
 
 _RISE = (-20.0, 70.0, -84.0, 35.0)  # h of the time base, the powers 7 to 4
 
@@ -29,11 +31,16 @@ Factor = Annotated[Number, Field(ge=-1000, le=1000)]
 class ShapeBlock(Block):
     """Offsets by the name of a shape."""
 
-    kind: Literal["v", "line", "column", "grid", "circle", "sphere"]
+    kind: Literal["v", "line", "column", "grid", "circle", "sphere", "file"]
     """`v`: a wedge behind the leader; `line`: side by side; `column`: one behind the other; `grid`: rows behind the
-    leader; `circle`, `sphere`: around the leader. Ahead is along x."""
-    spacing_m: Annotated[Number, Field(ge=0.01, le=1e4)]
-    """Distance of neighbours."""
+    leader; `circle`, `sphere`: around the leader; `file`: places from a CSV file. Ahead is along x."""
+    spacing_m: Annotated[Number, Field(ge=0.01, le=1e4)] | None = None
+    """Distance of neighbours; all but `file` need it."""
+    file: str | None = None
+    """*file* Name of the file, looked for beside the scenario: a row x, y, z for each follower, in the order of `uavs`.
+    It becomes `samples` when it is read, so that a bag holds it."""
+    samples: Annotated[str, Field(max_length=MOST_SAMPLES)] | None = None
+    """*file* The content of such a file [m]; a first row of names is left out."""
 
 
 class Reshaping(Block):
@@ -122,8 +129,42 @@ _PLACES: Mapping[str, Callable[[int, float], Array]] = {
 
 
 def named_places(block: ShapeBlock, size: int) -> Array:
-    """Places (N, 3) [m] of a shape beside its leader, which is the first."""
+    """Places (N, 3) [m] of a shape beside its leader, which is the first.
+
+    Raises:
+        ValueError: a key is missing, or the file does not fit, in words that follow `shape.`.
+    """
+    if block.kind == "file":
+        return _places_of(block.samples, size)
+    if block.spacing_m is None:
+        raise ValueError("spacing_m: missing: expected a number in m")
     return _PLACES[block.kind](size, block.spacing_m)
+
+
+def _places_of(text: str | None, size: int) -> Array:
+    """Places (N, 3) [m] from CSV text with a row for each follower."""
+    if text is None:
+        raise ValueError("file: missing: expected the name of a CSV file, or samples")
+    rows = [row for row in csv.reader(text.splitlines()) if row and not row[0].startswith("#")]
+    if rows and not _is_number(rows[0][0]):
+        rows = rows[1:]
+    if len(rows) != size - 1:
+        raise ValueError(f"samples: {len(rows)} places: expected {size - 1}, one for each follower")
+    try:
+        places = np.array([[float(cell) for cell in row] for row in rows]).reshape(-1, 3)
+    except ValueError:
+        raise ValueError("samples: expected three numbers x, y, z in each row") from None
+    if len(places) != len(rows) or not np.isfinite(places).all() or np.abs(places).max() > 1e6:
+        raise ValueError("samples: expected three numbers x, y, z in each row, up to 1e6 m")
+    return np.concatenate([np.zeros((1, 3)), places])
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
 
 
 def changed(change: Reshaping, place: Array) -> Array:

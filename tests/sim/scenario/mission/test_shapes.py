@@ -5,9 +5,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 
 from ptnsbc_core.errors import PtnsbcError
-from ptnsbc_sim.scenario import Scenario, load_scenario, scenario_from_text
+from ptnsbc_sim.scenario import Scenario, ScenarioError, load_scenario, scenario_from_text
 from ptnsbc_sim.scenario.build import places_beside_leader
 from ptnsbc_sim.scenario.mission.shapes import ShapeBlock, moves, named_places
 
@@ -129,3 +130,49 @@ def test_shipped_show_keeps_its_distances_between_shapes() -> None:
 def test_shapes_that_are_none(changes: dict[str, Any], words: str) -> None:
     with pytest.raises(PtnsbcError, match=words):
         figure(**changes)
+
+
+PLACES = "x,y,z\n-1,1,0\n-1,-1,0\n-2,2,0\n-2,-2,0\n"
+
+
+def test_a_shape_from_a_file_is_carried_by_the_scenario(tmp_path) -> None:
+    (tmp_path / "places.csv").write_text(PLACES)
+    mine = tmp_path / "mine.yaml"
+    shape = "{kind: file, file: places.csv}"
+    formation = f"{{task: relative_position, offsets_m: null, shape: {shape}}}"
+    mine.write_text(f"extends: paper_5_free\nname: mine\nformation: {formation}\n")
+    scenario = load_scenario(mine)
+    assert [scenario.offset(uav).tolist() for uav in (1, 2, 5)] == [
+        [0, 0, 0],
+        [-1, 1, 0],
+        [-2, -2, 0],
+    ]
+    assert "places.csv" not in scenario.text
+    again = scenario_from_text(scenario.text, complete=True)
+    np.testing.assert_array_equal(again.offset(4), [-2, 2, 0])
+
+
+@pytest.mark.parametrize(
+    ("shape", "said"),
+    [
+        ({"kind": "v"}, "formation.shape.spacing_m: missing"),
+        ({"kind": "file"}, "formation.shape.file: missing"),
+        ({"kind": "file", "file": "nowhere.csv"}, "formation.shape.file: "),
+        ({"kind": "file", "samples": "1,2,3\n"}, "formation.shape.samples: 1 places: expected 4"),
+        (
+            {"kind": "file", "samples": "1,2\n" * 4},
+            "formation.shape.samples: expected three numbers",
+        ),
+        ({"kind": "file", "samples": "1,2,nan\n" * 4}, "formation.shape.samples: expected three"),
+    ],
+)
+def test_a_shape_that_does_not_fit_is_named(shape: dict, said: str) -> None:
+    text = yaml.safe_dump(
+        {
+            "extends": "paper_5_free",
+            "formation": {"task": "relative_position", "offsets_m": None, "shape": shape},
+        }
+    )
+    with pytest.raises(ScenarioError) as caught:
+        scenario_from_text(text)
+    assert said in str(caught.value)
