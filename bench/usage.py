@@ -68,7 +68,8 @@ class Sampler:
         found: dict[str, float] = {}
         for (role, _), samples in self._samples.items():
             counted = [sample for sample in samples if sample.at >= self._began + settle_s]
-            if len(counted) > 1:
+            loaded = samples[0].at < self._began  # one that starts again in flight loads only then
+            if loaded and len(counted) > 1:
                 share = counted[-1].rss_mb / counted[0].rss_mb - 1.0
                 found[role] = max(found.get(role, share), share)
         return found
