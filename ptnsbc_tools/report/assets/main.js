@@ -2,6 +2,7 @@
 
 const byId = (id) => document.getElementById(id);
 const STYLE = ["--card", "--ink", "--soft", "--rule", "--grid", "--accent", "--sky", "--floor", "--halo"]; // what is painted with
+const PAPER = 660; // width of A4 within its margins [pixels]
 const SVG_DASHES = ["", "6 3", "6 3 2 3", "2 3"];
 
 class Page {
@@ -105,9 +106,11 @@ class Page {
     window.addEventListener("beforeprint", () => {
       opened = [...document.querySelectorAll("details:not([open])")];
       for (const one of opened) one.open = true;
+      for (const { plot } of this.figures.charts) plot.style.zoom = Math.min(1, PAPER / plot.offsetWidth);
     });
     window.addEventListener("afterprint", () => {
       for (const one of opened) one.open = false;
+      for (const { plot } of this.figures.charts) plot.style.zoom = "";
     });
   }
 
