@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from ptnsbc_sim.scenario import Scenario
-from ptnsbc_sim.sweep.dry_run import LEAST, RUNS, START_M, DryRun, dry_run, remedies
+from ptnsbc_sim.sweep.dry_run import RUNS, START_M, DryRun, dry_run, remedies
 from ptnsbc_tools.check.finding import ERROR, INFO, WARNING, Finding, Findings
 from ptnsbc_tools.sweeps.share import share
 
@@ -38,7 +38,7 @@ def _share(scenario: Scenario, done: DryRun) -> Findings:
         ERROR if not accepted else WARNING if done.met < of else INFO,
         KEY,
         f"{share(done.met, of)} met; starts moved by {START_M:g} m{first}",
-        f">= {100 * LEAST:g} %, and the unperturbed flight",
+        f">= {100 * done.least:g} %, and the unperturbed flight",
         advice,
     )
 

@@ -10,6 +10,7 @@ from ptnsbc_sim.sweep.dry_run import (
     accepts,
     dry_run,
     dry_run_says,
+    least_share,
     remedies,
     with_starts_at,
 )
@@ -49,6 +50,16 @@ def test_a_deadline_that_is_too_short_is_refused_and_mended():
     assert first.said.startswith("set gains.formation.deadline_s to at least")
     mended = load_scenario("paper_5_free", {**SHORT, **first.changes})
     assert accepts(mended, 4, least=1.0)
+
+
+def test_where_chance_decides_nearly_all_flights_must_be_met():
+    """The flight is one of them then; without chance it is the first one, and the others start elsewhere."""
+    gusts = load_scenario("paper_5_free", {**SHORT, "world.gust_m_s": [1, 1, 1]})
+    half = tuple(flight("met" if k % 2 == 0 else "missed") for k in range(21))
+    assert DryRun(half, least_share(IN_TIME)).accepted()
+    assert not DryRun(half, least_share(gusts)).accepted()
+    one = (*(flight("met") for _ in range(20)), flight("missed"))
+    assert DryRun(one, least_share(gusts)).accepted()
 
 
 def test_progress_counts_all_flights():
