@@ -14,6 +14,8 @@ from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from ptnsbc_core.compile_cache import source_digest
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_sim.scenario.fields import unit_of
@@ -147,7 +149,30 @@ def _table(
         for name, kind in drawn_columns(plan).items()
     }
     columns |= {one.name: [getattr(row, one.name) for row in rows] for one in fields(SweepRow)}
-    return pa.table(columns, schema=schema(plan))
+    found = schema(plan)
+    return pa.Table.from_arrays(
+        [_array(columns[one.name], one.type) for one in found], schema=found
+    )
+
+
+def _array(values: Sequence[Any], kind: pa.DataType) -> pa.Array:
+    """As `pa.array(values, kind)`, which imports pandas to look at a list: a third of a second in every worker."""
+    import pyarrow as pa
+
+    there = np.array([value is not None for value in values], dtype=bool)
+    if pa.types.is_string(kind):
+        words = [b"" if value is None else value.encode() for value in values]
+        ends = np.cumsum([0, *map(len, words)], dtype=np.int32)
+        content = [pa.py_buffer(ends), pa.py_buffer(b"".join(words))]
+    else:
+        numbers = np.array([0 if value is None else value for value in values])
+        if pa.types.is_boolean(kind):
+            numbers = np.packbits(numbers.astype(bool), bitorder="little")
+        else:
+            numbers = numbers.astype(kind.to_pandas_dtype())
+        content = [pa.py_buffer(numbers)]
+    bits = None if there.all() else pa.py_buffer(np.packbits(there, bitorder="little"))
+    return pa.Array.from_buffers(kind, len(values), [bits, *content])
 
 
 def _cell(value: Value, kind: str) -> Value:

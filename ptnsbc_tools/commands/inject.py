@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 import os
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from pydantic import ValidationError
 
 from ptnsbc_core.errors import PtnsbcError
-from ptnsbc_sim.scenario.mission.faults import AUTOPILOT, FAULTS, FaultBlock, fault_problems
 from ptnsbc_tools import console, ros
 from ptnsbc_tools.options import NamespaceOption, full_namespace
+
+if TYPE_CHECKING:
+    from ptnsbc_sim.scenario.mission.faults import FaultBlock
+
+KINDS = (
+    "silence", "loss", "delay", "nan", "jump", "kill", "freeze", "restart", "clock_offset", "disk_full",
+    "battery", "gps_off",
+)  # fmt: skip
+"""The names in FAULTS, here too: --help does without the package of scenarios."""
 
 _PATIENCE_S = 15.0
 _HIGHEST_DOMAIN = 232
@@ -22,7 +29,7 @@ class InjectError(PtnsbcError):
 
 
 def inject(
-    kind: Annotated[str, typer.Argument(metavar="FAULT", help=f"One of {', '.join(FAULTS)}.")],
+    kind: Annotated[str, typer.Argument(metavar="FAULT", help=f"One of {', '.join(KINDS)}.")],
     uav: Annotated[
         int | None, typer.Option("--uav", metavar="N", help="UAV that it strikes.")
     ] = None,
@@ -79,6 +86,8 @@ def inject(
     The fleet must fly a scenario with the key `faults`; an empty list will do. The fault begins when
     the fleet hears of it. docs/faults.md lists the kinds.
     """
+    from ptnsbc_sim.scenario.mission.faults import AUTOPILOT
+
     fault = _fault(
         kind=kind,
         uav=uav,
@@ -115,9 +124,13 @@ def inject(
 
 def _fault(**keys: Any) -> FaultBlock:
     """The fault of the options; InjectError when they do not go together."""
+    from pydantic import ValidationError
+
+    from ptnsbc_sim.scenario.mission.faults import FaultBlock, fault_problems
+
     given = {key: value for key, value in keys.items() if value is not None}
-    if keys["kind"] not in FAULTS:
-        raise InjectError(f"fault {keys['kind']}: expected one of {', '.join(FAULTS)}")
+    if keys["kind"] not in KINDS:
+        raise InjectError(f"fault {keys['kind']}: expected one of {', '.join(KINDS)}")
     try:
         fault = FaultBlock.model_validate({**given, "at_s": 0.0})
     except ValidationError as error:

@@ -78,7 +78,7 @@ def test_a_deaf_process_is_ended_all_the_same(program, tmp_path):
 
 
 def test_an_exit_summary_has_the_last_lines_of_the_log(program):
-    child = program("import sys\nprint('one')\nsys.exit('two')")
+    child = program("import sys\nprint('one', flush=True)\nsys.exit('two')")
     wait_for_exit(child)
     assert child.exit_code == 1
     assert f"program (pid {child.pid}) has ended: exit code 1" in child.exit_summary()

@@ -10,7 +10,7 @@ from ptnsbc_io.wire import HeaderTemplate, WireError
 from ptnsbc_nodes.comm.announcements import encode_fault, fault_decoder
 from ptnsbc_nodes.fleet.coordinator_node import Coordinator
 from ptnsbc_nodes.runtime.environment import reserved_domain
-from ptnsbc_sim.scenario.mission.faults import FaultBlock
+from ptnsbc_sim.scenario.mission.faults import FAULTS, FaultBlock
 from ptnsbc_tools.cli import app
 from ptnsbc_tools.commands import inject as command
 
@@ -102,3 +102,7 @@ def test_a_fault_has_all_its_keys_after_the_wire():
     ):
         fault = FaultBlock.model_validate({**keys, "at_s": 0})
         assert fault_decoder(UAVS)(encode_fault(5, fault)) == (5, fault)
+
+
+def test_the_help_names_every_fault() -> None:
+    assert set(command.KINDS) == set(FAULTS)

@@ -31,7 +31,7 @@ def test_a_leg_begins_when_the_last_is_done_or_at_its_time() -> None:
     assert times(found) == [(0, 6, 7), (7, 12, 12), (20, 24, 24), (24, 27, 29), (29, 49, 49)]
     assert [one.name for one in found.legs] == ["form-1", "go_to-2", "change-3", "hold-4", "land-5"]
     assert found.landing_ns == 29_000_000_000
-    assert found.file.formation.changes[0].at_s == 20.0
+    assert [one.at_s for one in found.file.formation.changes] == [0.0, 20.0]
 
 
 def test_the_first_leg_says_deadline_shape_and_slots() -> None:
