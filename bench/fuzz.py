@@ -10,6 +10,7 @@ whose inputs every later run tries first. With `--seconds` it goes on for so lon
 from __future__ import annotations
 
 import argparse
+import multiprocessing
 import os
 import random
 import re
@@ -321,6 +322,21 @@ def inputs(kind: str, fuzzer: Fuzzer, seed: int) -> Iterator[bytes]:
         yield fuzzer.make(random.Random(f"{seed} {kind} {k}"))
 
 
+def _load(kind: str) -> None:
+    """Run one sound input."""
+    with tempfile.TemporaryDirectory(prefix="ptnsbc-fuzz-") as folder:
+        fuzzer = FUZZERS[kind](Path(folder))
+        fuzzer.run(fuzzer.sound)
+
+
+def compile_laws(kinds: Sequence[str]) -> None:
+    """Compile the laws that these kinds use, in a process of its own: no input is to blame for the compiler's memory."""
+    for kind in kinds:
+        process = multiprocessing.get_context("spawn").Process(target=_load, args=(kind,))
+        process.start()
+        process.join()
+
+
 def fuzzed(kind: str, number: int, seed: int, seconds: float | None = None) -> Result:
     """So many inputs of one kind, or as many as fit into a time."""
     slowest = largest = Cost(0.0, 0.0)
@@ -328,9 +344,7 @@ def fuzzed(kind: str, number: int, seed: int, seconds: float | None = None) -> R
     done, end = 0, time.monotonic() + (seconds or float("inf"))
     with tempfile.TemporaryDirectory(prefix="ptnsbc-fuzz-") as folder:
         fuzzer = FUZZERS[kind](Path(folder))
-        fuzzer.run(
-            fuzzer.sound
-        )  # the laws are loaded, or compiled, once: no input is to blame for that
+        fuzzer.run(fuzzer.sound)  # the laws are loaded once: no input is to blame for that
         for data in inputs(kind, fuzzer, seed):
             if time.monotonic() > end or (seconds is None and done >= number):
                 break
@@ -414,6 +428,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     numbers = {kind: getattr(options, kind) for kind in KINDS}
     chosen = [kind for kind in KINDS if numbers[kind] or not (any(numbers.values()) or options.cli)]
     failures: list[str] = []
+    compile_laws(chosen)
     for kind in chosen:
         share = None if options.seconds is None else options.seconds / len(chosen)
         result = fuzzed(kind, numbers[kind] or 1000, options.seed, share)
