@@ -330,7 +330,7 @@ def _load(kind: str) -> None:
 
 
 def compile_laws(kinds: Sequence[str]) -> None:
-    """Compile the laws that these kinds use, in a process of its own: no input is to blame for the compiler's memory."""
+    """Compile the laws of these kinds in a process of its own: the memory of the compiler is not that of an input."""
     for kind in kinds:
         process = multiprocessing.get_context("spawn").Process(target=_load, args=(kind,))
         process.start()
