@@ -132,6 +132,7 @@ EpochOption = Annotated[
         help="Epoch in seconds after the start, for a bag that has none.",
     ),
 ]
+LAST_DOMAIN = 232  # of the middleware: a fleet that flies may be in any
 HIGHEST_DOMAIN = 101  # above it the ports overlap those that the system assigns to programs
 NetworkOption = Annotated[
     Path | None,
@@ -148,6 +149,15 @@ DomainOption = Annotated[
         min=0,
         max=HIGHEST_DOMAIN,
         help="ROS domain, the same on all computers of a fleet. Default: ROS_DOMAIN_ID.",
+    ),
+]
+FlyingDomainOption = Annotated[
+    int | None,
+    typer.Option(
+        "--domain",
+        min=0,
+        max=LAST_DOMAIN,
+        help="ROS domain that the fleet printed. Default: ROS_DOMAIN_ID.",
     ),
 ]
 ODOM, WRENCH = "/uav{n}/odom", "/uav{n}/setpoint/wrench"

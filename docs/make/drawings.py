@@ -90,7 +90,7 @@ def null_space() -> Any:
 
 
 def slots() -> Any:
-    """Who flies where, by the scenario's order and by the smallest sum of squared distances."""
+    """The ways of the UAVs to their slots: fixed by the scenario, and with the smallest sum of squared distances."""
     places = np.array([[0.0, 0.0, 0.0], [-1, 1, 0], [-1, -1, 0], [-2, 2, 0], [-2, -2, 0]])
     starts = np.array(
         [[-3.6, -1.2, 0.0], [0.4, -2.2, 0], [-2.8, 2.6, 0], [-0.2, 1.6, 0], [-4, 0.6, 0]]

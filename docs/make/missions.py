@@ -22,7 +22,7 @@ def regions() -> dict[str, str]:
 
 
 def _common(found: list[Row]) -> Iterator[Row]:
-    """What all legs have, once."""
+    """The keys that all kinds of legs have, each once."""
     seen: set[str] = set()
     for row in found:
         key = row.key.removeprefix(_LEGS)

@@ -25,7 +25,7 @@ class AgentMessages:
     Args:
         uav_id: Id of the UAV.
         fleet: Namespace of its fleet, empty for the root.
-        faults: What injected faults make of a state before it is sent; None: nothing.
+        faults: Changes a state before it is sent, as the injected faults say; None changes nothing.
     """
 
     def __init__(

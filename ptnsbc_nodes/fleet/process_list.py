@@ -41,7 +41,7 @@ class FleetOptions:
     namespace: str = ""  # of all nodes and topics, for example "/blue"
     # In real time: why the scenario with the measured starts must not be flown, empty when it may.
     objection: Callable[[Scenario], str] | None = None
-    # What runs beside the flight, of the environment of its processes and the file of its scenario.
+    # Makes the live view that runs beside the flight, from the environment of the processes and the scenario file.
     beside: Callable[[Mapping[str, str], Path], AbstractContextManager[object]] | None = None
 
     @property

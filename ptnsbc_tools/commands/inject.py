@@ -9,7 +9,7 @@ import typer
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_tools import console, ros
-from ptnsbc_tools.options import NamespaceOption, full_namespace
+from ptnsbc_tools.options import FlyingDomainOption, NamespaceOption, full_namespace
 
 if TYPE_CHECKING:
     from ptnsbc_sim.scenario.mission.faults import FaultBlock
@@ -21,7 +21,6 @@ KINDS = (
 """The names in FAULTS, here too: --help does without the package of scenarios."""
 
 _PATIENCE_S = 15.0
-_HIGHEST_DOMAIN = 232
 
 
 class InjectError(PtnsbcError):
@@ -70,15 +69,7 @@ def inject(
             help="battery, gps_off: port of `ptnsbc autopilot --control`.",
         ),
     ] = None,
-    domain: Annotated[
-        int | None,
-        typer.Option(
-            "--domain",
-            min=0,
-            max=_HIGHEST_DOMAIN,
-            help="ROS domain that the fleet printed. Default: ROS_DOMAIN_ID.",
-        ),
-    ] = None,
+    domain: FlyingDomainOption = None,
     namespace: NamespaceOption = "",
 ) -> None:
     """Inject a fault into a running fleet, to see what it does.

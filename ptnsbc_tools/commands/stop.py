@@ -16,7 +16,7 @@ from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_nodes.emergency.orders import KILL, LAND, Order, release, runtime_folder
 from ptnsbc_nodes.emergency.records import forget_dead
 from ptnsbc_tools import console
-from ptnsbc_tools.options import NamespaceOption, full_namespace
+from ptnsbc_tools.options import FlyingDomainOption, NamespaceOption, full_namespace
 
 if TYPE_CHECKING:
     from ptnsbc_nodes.fleet.coordinator_node import Coordinator
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 
 _SERVICE_S = 3.0
 _DISCOVERY_S = 3.0
-_HIGHEST_DOMAIN = 232
 _MISSING = 1
 _LOOK_S = 0.02
 
@@ -55,15 +54,7 @@ def stop(
         float,
         typer.Option("--patience", min=0.5, help="Repeat the order for at most this time [s]."),
     ] = 10.0,
-    domain: Annotated[
-        int | None,
-        typer.Option(
-            "--domain",
-            min=0,
-            max=_HIGHEST_DOMAIN,
-            help="ROS domain that the fleet printed. Default: ROS_DOMAIN_ID.",
-        ),
-    ] = None,
+    domain: FlyingDomainOption = None,
     namespace: NamespaceOption = "",
 ) -> None:
     """Land every vehicle of a flying fleet, or stop its motors; repeats until every bridge has answered.

@@ -11,13 +11,12 @@ import typer
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_tools import console, ros
 from ptnsbc_tools.options import (
+    LAST_DOMAIN,
     FoxgloveOption,
     NamespaceOption,
     PlainOption,
     full_namespace,
 )
-
-_HIGHEST_DOMAIN = 232
 
 
 class NoFleetError(PtnsbcError):
@@ -36,7 +35,7 @@ def view(
         typer.Option(
             "--domain",
             min=0,
-            max=_HIGHEST_DOMAIN,
+            max=LAST_DOMAIN,
             help="ROS domain that the fleet printed. Default: ROS_DOMAIN_ID, or that of the only "
             "fleet of this host.",
         ),

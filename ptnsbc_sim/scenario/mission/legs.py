@@ -46,7 +46,7 @@ Span = Annotated[Number, Field(ge=0.1, le=1e6)]
 
 
 class LegBlock(Block):
-    """What all legs have."""
+    """The keys that all kinds of legs have."""
 
     name: Name | None = None
     """Name, unique among the legs. Default: the kind and the number, such as `hold-3`."""

@@ -18,7 +18,7 @@ from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_sim.scenario.mission.faults import FaultBlock
 from ptnsbc_sim.swarm import fly
 
-WAITS = "import time\nprint('running', flush=True)\ntime.sleep(300)\n"
+WAITS = "import signal\nprint('running', flush=True)\nsignal.pause()\n"
 WRITES = """
 import sys, time
 file = open(sys.argv[1], "wb", buffering=0)
