@@ -90,8 +90,8 @@ def _terminal(scenario: Scenario, law: str) -> list[Terminal]:
     return [Terminal(_place(scenario, uav), position, attitude) for uav in scenario.uav_ids]
 
 
-def _fly_by(scenario: Scenario, law: str, progress: Progress | None = None) -> HeadlessFlight:
-    """One flight by a law that is already tuned."""
+def fly_tuned(scenario: Scenario, law: str, progress: Progress | None = None) -> HeadlessFlight:
+    """One flight by a law that `law_scenario` has tuned, from the starts of this scenario."""
     if law not in _REACHING:
         return swarm.fly(scenario, progress)
     if are_open(scenario):
@@ -134,7 +134,7 @@ def _with(scenario: Scenario, law: str, value: float) -> Scenario:
 def _settles(scenario: Scenario, law: str, watched_s: float) -> Callable[[float], float | None]:
     """Settling time of the law in free space, as a function of the tuned value."""
     free = _changed(scenario, {"world.obstacles": [], "timing.duration_s": watched_s})
-    return lambda value: settled_s(_fly_by(_with(free, law, value), law))
+    return lambda value: settled_s(fly_tuned(_with(free, law, value), law))
 
 
 def _ladder(law: str, settle_s: float) -> list[float]:
@@ -171,7 +171,7 @@ def opened(scenario: Scenario, settle_s: float) -> Scenario:
     free = _changed(found, {"world.obstacles": [], "timing.duration_s": _watched_s(settle_s)})
 
     def settles(acceleration: float) -> float | None:
-        return settled_s(_fly_by(_changed(free, {_ACCELERATION: acceleration}), law))
+        return settled_s(fly_tuned(_changed(free, {_ACCELERATION: acceleration}), law))
 
     ladder = np.geomspace(limit, _WIDER * limit, 9).tolist()
     return _changed(found, {_ACCELERATION: tuned(settles, settle_s, ladder)})
@@ -190,6 +190,35 @@ def earliest_s(scenario: Scenario) -> float:
     if not times:
         raise BaselineError(f"{law}: no constant gain settles within {_LONGER * deadline_s:g} s")
     return min(times)
+
+
+def law_scenario(
+    scenario: Scenario,
+    law: str,
+    actuator_limit_n: float | None = None,
+    settle_s: float | None = None,
+    *,
+    open_filter: bool = False,
+) -> Scenario:
+    """The scenario as a law flies it: tuned from the starts of this scenario, and with limited actuators.
+
+    Args and errors are those of `fly`.
+    """
+    if law not in LAWS:
+        raise BaselineError(f"law {law!r}: expected one of {', '.join(LAWS)}")
+    if law != "ours" and scenario.plant_kind != "rigid_body_6dof":
+        raise BaselineError(
+            f"law {law} with plant.kind {scenario.plant_kind}: expected rigid_body_6dof, "
+            "the baselines command six forces and torques"
+        )
+    if law == "linear_cascade" and settle_s is None:
+        settle_s = scenario.gains.formation.deadline_s
+    if settle_s is not None:
+        wide = open_filter and law == "linear_cascade"
+        scenario = opened(scenario, settle_s) if wide else _tuned(scenario, law, settle_s)
+    if actuator_limit_n is not None:
+        scenario = _changed(scenario, {"plant.rigid_body.max_force_n": float(actuator_limit_n)})
+    return scenario
 
 
 def fly(
@@ -220,18 +249,7 @@ def fly(
         BaselineError: an unknown law, another plant, or a time that no value settles in: a constant
             gain that is firm at the start runs into the acceleration limit of the command filter.
     """
-    if law not in LAWS:
-        raise BaselineError(f"law {law!r}: expected one of {', '.join(LAWS)}")
-    if law != "ours" and scenario.plant_kind != "rigid_body_6dof":
-        raise BaselineError(
-            f"law {law} with plant.kind {scenario.plant_kind}: expected rigid_body_6dof, "
-            "the baselines command six forces and torques"
-        )
-    if law == "linear_cascade" and settle_s is None:
-        settle_s = scenario.gains.formation.deadline_s
-    if settle_s is not None:
-        wide = open_filter and law == "linear_cascade"
-        scenario = opened(scenario, settle_s) if wide else _tuned(scenario, law, settle_s)
-    if actuator_limit_n is not None:
-        scenario = _changed(scenario, {"plant.rigid_body.max_force_n": float(actuator_limit_n)})
-    return _fly_by(scenario, law, progress)
+    tuned_scenario = law_scenario(
+        scenario, law, actuator_limit_n, settle_s, open_filter=open_filter
+    )
+    return fly_tuned(tuned_scenario, law, progress)

@@ -147,20 +147,30 @@ def test_with_twenty_uavs_the_initial_input_is_far_below_too_but_not_as_printed(
     assert claims.initial_claim("twenty", found, None, 99.0, laws).verdict == FAILS
 
 
-def test_with_limited_actuators_the_baselines_are_in_time_too() -> None:
+def test_limited_actuators_limit_every_law_and_each_is_flown_from_the_same_draws() -> None:
     limit_n, laws = 23.5, baselines.PREDEFINED
-    way = baselines.LawVariant(limit_n=limit_n)
+    variant = baselines.LawVariant(limit_n=limit_n)
     found = {
         **baselines.ours(limit_n=limit_n),
-        **{law: baselines.flight(law, way) for law in laws},
+        **{law: baselines.flight(law, variant) for law in laws},
     }
     assert max(one.force.max() for one in found.values()) <= limit_n * (1 + 1e-9)
-    assert found["ours, soft"].within_at(5.0) == 5
-    claim = claims.saturated_claim(found, limit_n, laws)
-    assert "the profile is soft" in claim.verdict
-    assert claim.verdict.endswith("do too")
-    late = {**found, "ours, soft": found["ours, paper"]}
-    assert claims.saturated_claim(late, limit_n, laws).verdict == FAILS
+    from_file = baselines.shares_in_time(found, runs=1, starts="file")
+    for law, one in found.items():
+        assert from_file[law].count == (one.within_at(5.0) == 5), law
+    drawn = baselines.shares_in_time({"ours, soft": found["ours, soft"]}, runs=3)
+    assert drawn["ours, soft"].of == 3
+
+
+def test_a_law_suits_limited_actuators_when_its_share_is_sure() -> None:
+    sure, half = share(200, 200), share(100, 200)
+    shares = {**dict.fromkeys(claims.CASES, half), "ours, soft": sure}
+    shares |= {"one": sure, "other": half}
+    claim = claims.saturated_claim(shares, 5.0, 23.5, ("one", "other"))
+    assert claim.verdict == "holds when the profile is soft; one does too"
+    assert "ours, soft: 200 of 200" in claim.ours and "at 5 s" in claim.ours
+    late = {**shares, "ours, soft": half}
+    assert claims.saturated_claim(late, 5.0, 23.5, ("one", "other")).verdict == FAILS
 
 
 def test_the_cascade_is_compared_at_the_settling_it_reaches() -> None:
