@@ -132,6 +132,7 @@ EpochOption = Annotated[
         help="Epoch in seconds after the start, for a bag that has none.",
     ),
 ]
+SWEEPS = Path("out") / "sweeps"  # each sweep has a folder of its name here, unless -o says where
 LAST_DOMAIN = 232  # of the middleware: a fleet that flies may be in any
 HIGHEST_DOMAIN = 101  # above it the ports overlap those that the system assigns to programs
 NetworkOption = Annotated[

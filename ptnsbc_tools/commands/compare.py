@@ -16,7 +16,7 @@ _WORSE = 1
 
 
 def compare(
-    a: Annotated[Path, typer.Argument(metavar="A", help="Folder of a sweep, or a bag.")],
+    a: Annotated[Path, typer.Argument(metavar="A", help="Folder or --name of a sweep, or a bag.")],
     b: Annotated[Path, typer.Argument(metavar="B", help="Another one of the same kind.")],
     margin: Annotated[
         float,
@@ -39,6 +39,7 @@ def compare(
     """
     from ptnsbc_tools.sweeps import comparison
 
+    a, b = _found(a), _found(b)
     with console.patience("reading"):
         first, second = _both(a, b)
     found = comparison.compare(first, second, margin_m=margin, seed=seed)
@@ -60,6 +61,12 @@ def compare(
         raise typer.Exit(_WORSE)
 
 
+def _found(path: Path) -> Path:
+    """The path, or the folder where `ptnsbc sweep` puts the sweep of this name."""
+    named = options.SWEEPS / path
+    return named if not path.exists() and named.is_dir() else path
+
+
 def _both(a: Path, b: Path) -> tuple[FlightTable, FlightTable]:
     from ptnsbc_sim.sweep.runner import PLAN
     from ptnsbc_tools.sweeps.comparison import ComparisonError, same_draws
@@ -67,7 +74,9 @@ def _both(a: Path, b: Path) -> tuple[FlightTable, FlightTable]:
 
     for path in (a, b):
         if not path.exists():
-            raise ComparisonError(f"{path}: no such sweep or bag")
+            raise ComparisonError(
+                f"{path}: no such sweep or bag, and no sweep of that name in {options.SWEEPS}"
+            )
     kinds = {(path / PLAN).is_file() for path in (a, b)}
     if len(kinds) > 1:
         raise ComparisonError(f"{a}, {b}: expected two sweeps or two bags")

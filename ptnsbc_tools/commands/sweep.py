@@ -151,7 +151,7 @@ def sweep(
     draws were flown, whatever their verdicts are. 1: some draws could not be flown; they are named.
     """
     plan = _plan(context.params)
-    folder = out or Path("out") / "sweeps" / plan.name
+    folder = out or options.SWEEPS / plan.name
     _clear(folder, plan, overwrite=overwrite)
     flown = _fly(plan, folder, workers, scheduler)
 
