@@ -12,6 +12,7 @@ contains the kernels and the constants of other modules that it uses.
 from __future__ import annotations
 
 import hashlib
+import importlib.util
 import os
 import pickle
 import re
@@ -29,7 +30,6 @@ import numba
 from numba.core.compiler import CompileResult
 from numba.core.serialize import dumps
 
-_ROOT = Path(__file__).resolve().parent.parent
 _SOURCES = ("ptnsbc_core", "ptnsbc_sim")
 _KEPT_CACHES = 3
 _FOLDER_NAME = re.compile(r"[0-9a-f]{16}")
@@ -38,13 +38,22 @@ _CHECKSUM_SIZE = hashlib.sha256().digest_size
 _AT_EVERY_START = "the laws are compiled at every start"
 
 
+def _folders() -> dict[str, Path]:
+    """Folders of the packages with kernels: a colcon workspace installs each below a prefix of its own."""
+    specs = ((name, importlib.util.find_spec(name)) for name in _SOURCES)
+    return {
+        name: Path(spec.origin).resolve().parent for name, spec in specs if spec and spec.origin
+    }
+
+
 def source_digest() -> str:
-    """Digest of the sources that a kernel may contain."""
+    """Digest of the sources that a kernel may contain, the same wherever they are installed."""
     digest = hashlib.sha256()
-    for package in _SOURCES:
-        for path in sorted((_ROOT / package).rglob("*.py")):
+    for package, folder in _folders().items():
+        for path in sorted(folder.rglob("*.py")):
             source = path.read_bytes()
-            digest.update(f"{path.relative_to(_ROOT)} {len(source)}\n".encode())
+            name = Path(package, path.relative_to(folder)).as_posix()
+            digest.update(f"{name} {len(source)}\n".encode())
             digest.update(source)
     return digest.hexdigest()[:16]
 
@@ -162,7 +171,7 @@ class KernelCache:
         self._kernel: tuple[object, ...] = (
             (numba.__version__, llvmlite.__version__, sys.implementation.cache_tag),
             (self._name, code.co_firstlineno, hashlib.sha256(code.co_code).hexdigest()),
-            _stamp(code.co_filename),
+            None if law.__module__.split(".")[0] in _SOURCES else _content(code.co_filename),
         )
 
     def _key(self, signature: Any, codegen: Any) -> tuple[object, ...]:
@@ -197,10 +206,9 @@ class KernelCache:
         """`recompile` of a dispatcher calls this; what it compiles replaces the stored files."""
 
 
-def _stamp(source: str) -> tuple[int, int] | None:
-    """Time and size of a source file: a kernel need not be in the packages of the digest."""
+def _content(source: str) -> str | None:
+    """Digest of a source file that is in none of the packages of `source_digest`."""
     try:
-        status = os.stat(source)
+        return hashlib.sha256(Path(source).read_bytes()).hexdigest()
     except OSError:
         return None
-    return status.st_mtime_ns, status.st_size

@@ -14,7 +14,7 @@ mkdir -p out
 scratch=$(mktemp -d "$PWD/out/colcon-XXXXXX")  # on the disk of .venv, whose files it shares by hard links
 trap 'rm -rf "$scratch"' EXIT
 unset PYTHONPATH
-export PTNSBC_CACHE_DIR=$scratch/cache PIP_DISABLE_PIP_VERSION_CHECK=1
+export PIP_DISABLE_PIP_VERSION_CHECK=1
 version=$(sed -n 's/^version = "\(.*\)"$/\1/p' pyproject.toml)
 
 # Without what lies about in this checkout: build/, *.egg-info, ros2_ws/install.

@@ -184,17 +184,39 @@ def test_a_cache_that_is_removed_is_made_anew(tmp_path: Path) -> None:
 def test_digest_changes_with_any_law_and_its_place(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    law = tmp_path / "ptnsbc_core" / "tasks" / "law.py"
-    law.parent.mkdir(parents=True)
-    law.write_text("a = 1\n")
-    monkeypatch.setattr(compile_cache, "_ROOT", tmp_path)
+    core, sim = tmp_path / "one" / "ptnsbc_core", tmp_path / "other" / "ptnsbc_sim"
+    for folder in (core / "tasks", sim):
+        folder.mkdir(parents=True)
+        (folder / "law.py").write_text("a = 1\n")
+    monkeypatch.setattr(compile_cache, "_folders", lambda: {"ptnsbc_core": core, "ptnsbc_sim": sim})
     before = source_digest()
-    law.write_text("a = 2\n")
+    for law in (core / "tasks" / "law.py", sim / "law.py"):
+        law.write_text("a = 2\n")
+        assert source_digest() != before
+        law.write_text("a = 1\n")
+        assert source_digest() == before
+    (core / "tasks" / "law.py").rename(core / "law.py")
     assert source_digest() != before
-    law.write_text("a = 1\n")
-    assert source_digest() == before
-    law.rename(tmp_path / "ptnsbc_core" / "law.py")
-    assert source_digest() != before
+
+
+def test_packages_installed_apart_have_the_digest_of_those_side_by_side(tmp_path: Path) -> None:
+    apart = []
+    for package in ("ptnsbc_core", "ptnsbc_sim"):
+        prefix = tmp_path / package / "site-packages"
+        shutil.copytree(
+            ROOT / package, prefix / package, ignore=shutil.ignore_patterns("__pycache__")
+        )
+        apart.append(str(prefix))
+    code = "import ptnsbc_core.compile_cache as c; print(c.source_digest(), *c._folders().values())"
+    found = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(apart)},
+        capture_output=True,
+        text=True,
+        check=True,
+    ).stdout.split()
+    assert found == [source_digest(), *(str(Path(one) / Path(one).parent.name) for one in apart)]
 
 
 def test_only_the_latest_caches_are_kept_and_nothing_else_is_removed(tmp_path: Path) -> None:
