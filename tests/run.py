@@ -32,7 +32,18 @@ def run_half(name: str, *words: str) -> Half:
     start = time.monotonic()
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "counts.json"
-        command = (sys.executable, "-m", "pytest", "-q", "-rs", "--counts", str(file), *words)
+        command = (
+            sys.executable,
+            "-m",
+            "pytest",
+            "-q",
+            "-rs",
+            "--durations=20",
+            "--durations-min=2",
+            "--counts",
+            str(file),
+            *words,
+        )
         code = subprocess.run(command, cwd=ROOT, check=False).returncode
         try:
             counts = json.loads(file.read_text())
