@@ -64,7 +64,7 @@ class Bridge:
         abort = scenario.mavlink.abort
         self._monitor = FlightMonitor(
             AbortLimits(
-                abort.separation_share * scenario.uav_keep_out_m,
+                abort.separation_share,
                 abort.swing_m_s,
                 abort.away_m_s,
                 abort.jump_m,
@@ -72,9 +72,10 @@ class Bridge:
         )
         self._hazard = ""
         self._unfit = ""  # why its velocity loop cannot follow this scenario
-        self.companions = Companions(
-            uav_id, awaited, scenario.uav_keep_out_m, scenario.mavlink.climb_spacing_m
-        )
+        keep_outs_m = {
+            other: scenario.keep_out_between(uav_id, other) for other in scenario.uav_ids
+        }
+        self.companions = Companions(uav_id, awaited, keep_outs_m, scenario.mavlink.climb_spacing_m)
         self._mavlink, vehicle_link = scenario.mavlink, scenario.vehicle_link(uav_id)
         autopilot = AUTOPILOTS[vehicle_link.autopilot]
         height_m, log = self._mavlink.takeoff_height_m, ports.outputs.log
@@ -309,7 +310,7 @@ class Bridge:
         if odometry is None:
             return ""
         near = self.ports.inputs.near_uavs
-        beside_m = self._scenario.uav_keep_out_m + self._mavlink.climb_spacing_m
+        beside_m = near[:, 3] + self._mavlink.climb_spacing_m
         apart_m = np.hypot(near[:, 0] - odometry[0], near[:, 1] - odometry[1])
         blocks = (apart_m < beside_m) & (near[:, 2] < odometry[2]) & (near[:, 2] > _ON_GROUND_M)
         return "a vehicle below" if blocks.any() else ""

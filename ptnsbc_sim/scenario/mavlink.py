@@ -54,7 +54,7 @@ class Abort(Block):
     """From which values on the formation is given up in flight: all hold apart by height, then land. 0: off."""
 
     separation_share: Annotated[NotNegative, Field(le=1)] = 0.6
-    """Distance to another vehicle, now or within half a second, as a share of `formation.uav_keep_out_m`."""
+    """Distance to another vehicle, now or within half a second, as a share of the keep-out of the two."""
     swing_m_s: NotNegative = 1.0
     """Speed to and fro against the leader's reference, four reversals that do not die out."""
     away_m_s: NotNegative = 2.0

@@ -7,7 +7,7 @@ armed.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
 from ptnsbc_nodes.bridge.procedure.steps import Step
@@ -45,17 +45,21 @@ class Companions:
     """The reports of all other bridges."""
 
     def __init__(
-        self, uav_id: int, awaited: frozenset[int], keep_out_m: float, spacing_m: float
+        self,
+        uav_id: int,
+        awaited: frozenset[int],
+        keep_outs_m: Mapping[int, float],
+        spacing_m: float,
     ) -> None:
         """Args:
         uav_id: the own id.
         awaited: ids that must be heard; others count once they are heard.
-        keep_out_m: distance that two vehicles must keep.
+        keep_outs_m: distance that this vehicle and another must keep, by the id of the other.
         spacing_m: vehicles that stand nearer than the keep-out and this do not climb side by side.
         """
         self._uav_id = uav_id
         self._awaited = awaited - {uav_id}
-        self._keep_out_m, self._spacing_m = keep_out_m, spacing_m
+        self._keep_outs_m, self._spacing_m = keep_outs_m, spacing_m
         self._heard: dict[int, tuple[Companion, float]] = {}
 
     def report(self, uav_id: int, companion: Companion, now_s: float) -> None:
@@ -82,11 +86,12 @@ class Companions:
     def too_near(self, place: Place) -> str:
         """Why this vehicle may not arm where it stands; empty when it may."""
         for uav_id, _, apart_m, error_m in self._apart(place):
-            least_m = self._keep_out_m + error_m
+            keep_out_m = self._keep_outs_m[uav_id]
+            least_m = keep_out_m + error_m
             if apart_m < least_m:
                 return (
                     f"stands {apart_m:.2f} m from the vehicle of bridge{uav_id}: expected at least {least_m:.2f} m, "
-                    f"the keep-out of {self._keep_out_m:g} m and {error_m:.2f} m of position error"
+                    f"the keep-out of {keep_out_m:g} m and {error_m:.2f} m of position error"
                 )
         return ""
 
@@ -96,7 +101,7 @@ class Companions:
             f"bridge{uav_id}"
             for uav_id, other, apart_m, error_m in self._apart(place)
             if uav_id < self._uav_id
-            and apart_m < self._keep_out_m + self._spacing_m + error_m
+            and apart_m < self._keep_outs_m[uav_id] + self._spacing_m + error_m
             and other.height_m < _CLEAR_M
         )
         return ", ".join(waits)

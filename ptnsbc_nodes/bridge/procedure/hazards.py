@@ -26,7 +26,7 @@ _GAP_S = 0.5  # after a longer silence the next place is no jump
 class AbortLimits(NamedTuple):
     """From which values on the formation is given up; 0 switches one off."""
 
-    separation_m: float
+    separation_share: float  # of the keep-out of a pair
     swing_m_s: float
     away_m_s: float
     jump_m: float
@@ -73,8 +73,8 @@ class FlightMonitor:
         return f"its position jumped by {jump_m:.1f} m" if jump_m > limit_m else ""
 
     def _too_near(self, sight: Sight) -> str:
-        limit_m = self._limits.separation_m
-        if not limit_m or not len(sight.others):
+        share = self._limits.separation_share
+        if not share or not len(sight.others):
             self._near_since_s = None
             return ""
         away = sight.others[:, 0:3] - sight.position
@@ -82,8 +82,10 @@ class FlightMonitor:
         speed2 = np.einsum("ij,ij->i", closing, closing)
         soonest = -np.einsum("ij,ij->i", away, closing) / np.maximum(speed2, 1e-9)
         when = np.clip(soonest, 0.0, _SOON_S)
-        nearest_m = float(np.linalg.norm(away + when[:, None] * closing, axis=1).min())
-        if nearest_m >= limit_m:
+        apart_m = np.linalg.norm(away + when[:, None] * closing, axis=1)
+        nearest = int(np.argmin(apart_m - share * sight.others[:, 3]))
+        nearest_m = float(apart_m[nearest])
+        if nearest_m >= share * sight.others[nearest, 3]:
             self._near_since_s = None
             return ""
         since_s = self._near_since_s = (

@@ -10,8 +10,9 @@ from ptnsbc_nodes.bridge.procedure.steps import Step
 KEEP_OUT_M, SPACING_M = 0.5, 1.0
 
 
-def companions(*awaited, own=2):
-    return Companions(own, frozenset(awaited), KEEP_OUT_M, SPACING_M)
+def companions(*awaited, own=2, wide=()):
+    keep_outs_m = {uav: 3 * KEEP_OUT_M if uav in wide else KEEP_OUT_M for uav in range(1, 9)}
+    return Companions(own, frozenset(awaited), keep_outs_m, SPACING_M)
 
 
 def other(step=Step.READY, x=0.0, y=0.0, error_m=0.0, height_m=0.0, fault=""):
@@ -86,3 +87,11 @@ def test_who_stands_close_climbs_in_the_order_of_the_ids():
     assert second.climbs_first(here) == ""
     second.report(1, other(Step.ARMED, x=1.6), 0.4)  # far enough: side by side
     assert second.climbs_first(here) == ""
+
+
+def test_a_vehicle_with_a_keep_out_of_its_own_needs_more_room():
+    pair, here = companions(1, wide=(1,)), Place((0.0, 0.0, 0.0), 0.0)
+    pair.report(1, other(x=1.4), 0.0)
+    assert "expected at least 1.50 m, the keep-out of 1.5 m" in pair.too_near(here)
+    pair.report(1, other(x=2.4), 0.0)
+    assert (pair.too_near(here), pair.climbs_first(here)) == ("", "bridge1")

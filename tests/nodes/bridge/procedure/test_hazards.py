@@ -9,7 +9,7 @@ pytest.importorskip("pymavlink")
 
 from ptnsbc_nodes.bridge.procedure.hazards import AbortLimits, FlightMonitor, Sight
 
-LIMITS = AbortLimits(separation_m=0.3, swing_m_s=1.0, away_m_s=2.0, jump_m=1.0)
+LIMITS = AbortLimits(separation_share=0.6, swing_m_s=1.0, away_m_s=2.0, jump_m=1.0)
 NOBODY, DT = np.empty((0, 7)), 0.02
 
 
@@ -39,6 +39,14 @@ def one_at(x, y, z, *velocity):
 def test_a_vehicle_below_the_bound(distance_m, ends):
     reason, _ = fly(still, 2.0, others=one_at(distance_m, 0, 8))
     assert ("0.29 m from another vehicle" in reason) is ends
+
+
+def test_the_bound_is_a_share_of_the_keep_out_of_the_pair():
+    wide, narrow = one_at(0.9, 0, 8), one_at(0.4, 0, 8)
+    assert fly(still, 2.0, others=np.vstack((wide, narrow))) == ("", None)
+    wide[0, 3] = 1.6
+    reason, _ = fly(still, 2.0, others=np.vstack((wide, narrow)))
+    assert "0.90 m from another vehicle" in reason
 
 
 def test_a_vehicle_that_comes_fast_is_seen_before_it_is_there():
