@@ -16,7 +16,7 @@ from matplotlib.patches import Circle
 import ptnsbc
 from ptnsbc_core.nullspace import compose, null_space_projector
 from ptnsbc_core.timebase import h
-from ptnsbc_sim.scenario.slots import nearest_places
+from ptnsbc_sim.scenario.mission.shapes import nearest_places
 from ptnsbc_tools.plotting.chart import COLOURS, GOOD, OBSTACLE
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -17,7 +17,7 @@ from ptnsbc_core.curves.trajectory import course_samples, reference
 from ptnsbc_core.timebase import feasible_deadline
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario.mission.legs import LandLeg, ScheduledLeg
-from ptnsbc_sim.scenario.mission.shapes import moves, shape_of
+from ptnsbc_sim.scenario.mission.shapes import moves, nearest_places, shape_of
 from ptnsbc_sim.scenario.mission.trajectories import (
     Circle,
     Line,
@@ -170,17 +170,30 @@ def _highest(file: ScenarioFile, t: float) -> float:
     return lead + max([0.0, *offsets])
 
 
-def start_errors(file: ScenarioFile) -> dict[int, float]:
-    """Distance [m] of every start from its place, by UAV."""
-    first = _leader_start(file)
+def _offsets_at_start(file: ScenarioFile) -> dict[int, Array]:
+    """Place (3,) [m] of every slot beside the leader's, when the flight begins."""
     offsets = {uav: np.array(place) for uav, place in file.formation.offsets_m.items()}
     if moves(file.formation):
         curve, now = trajectory_of(file.leader.trajectory), np.zeros(1)
         offsets = {uav: place_samples(shape_of(file, uav), curve, now)[0, :3] for uav in offsets}
+    return {uav.id: offsets.get(uav.id, np.zeros(3)) for uav in file.uavs}
+
+
+def _slots_at_start(file: ScenarioFile) -> dict[int, int]:
+    """Slot of every UAV: its own, or the one that its start is given."""
+    ids = [uav.id for uav in file.uavs]
+    if file.formation.assignment == "fixed":
+        return dict(zip(ids, ids, strict=True))
+    places = np.stack(list(_offsets_at_start(file).values()))
+    order = nearest_places(np.array([uav.position_m for uav in file.uavs]), places)
+    return {uav: ids[row] for uav, row in zip(ids, order, strict=True)}
+
+
+def start_errors(file: ScenarioFile) -> dict[int, float]:
+    """Distance [m] of every start from its place, by UAV; the places of open slots are those by the starts."""
+    first, offsets, slots = _leader_start(file), _offsets_at_start(file), _slots_at_start(file)
     return {
-        uav.id: float(
-            np.linalg.norm(first + offsets.get(uav.id, np.zeros(3)) - np.array(uav.position_m))
-        )
+        uav.id: float(np.linalg.norm(first + offsets[slots[uav.id]] - np.array(uav.position_m)))
         for uav in file.uavs
     }
 
@@ -194,10 +207,10 @@ def shortest_deadlines(file: ScenarioFile, limits: Limits) -> dict[int, float]:
     if file.formation.approach == "task":
         return motion
     # The planned approach of a follower ends a little before the deadline: ptnsbc_core.timebase.plan_duration.
-    loop, leader = file.gains.formation, file.leader.id
+    loop, slots = file.gains.formation, _slots_at_start(file)
     settling = 1.0 / max(loop.scale * loop.kappa_1_s, 1e-9)
     return {
-        uav: need if uav == leader else min(need + settling, need / 0.8)
+        uav: need if slots[uav] == file.leader.id else min(need + settling, need / 0.8)
         for uav, need in motion.items()
     }
 

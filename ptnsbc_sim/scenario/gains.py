@@ -14,7 +14,8 @@ class Loop(Block):
 
     deadline_s: Positive
     """Deadline of the loop, counted from the epoch. `gains.formation` also takes `auto`: 1.5 times the shortest
-    deadline that the limits allow from the starts of the file; the scenario in a bag has the number."""
+    deadline that the limits allow from the starts of the file to their places, or with `assignment: optimal` to the
+    slots that these starts are given; the scenario in a bag has the number."""
     residual: Residual
     """q: fraction of the start error that remains at the deadline."""
     scale: Positive

@@ -12,13 +12,12 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.topology import Topology, estimator_matrix
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario.build import places_beside_leader
-from ptnsbc_sim.scenario.mission.shapes import Change
+from ptnsbc_sim.scenario.mission.shapes import Change, nearest_places
 from ptnsbc_sim.scenario.model import ScenarioFile
 from ptnsbc_sim.scenario.scenario import Scenario
 
@@ -33,29 +32,6 @@ class SlotsError(PtnsbcError):
 def are_open(scenario: Scenario) -> bool:
     """Whether it is open who takes which slot, until an epoch decides it."""
     return scenario.file.formation.assignment == "optimal"
-
-
-def nearest_places(starts: Array, places: Array) -> NDArray[np.int64]:
-    """The place of each start for which the sum of the squared distances is minimal.
-
-    Where the places lie as a whole does not matter: a shift of all of them adds the same to every sum. The same
-    numbers give the same answer, also where several sums are equal.
-
-    Args:
-        starts: (N, 3) [m].
-        places: (N, 3) [m].
-
-    Returns:
-        Row of `places` (N,) for each row of `starts`.
-    """
-    from scipy.optimize import (
-        linear_sum_assignment,
-    )  # late: half a second, and few processes decide
-
-    starts, places = starts - starts.mean(axis=0), places - places.mean(axis=0)
-    costs = np.sum((starts[:, None] - places[None]) ** 2, axis=2)
-    found: NDArray[np.int64] = linear_sum_assignment(costs)[1]
-    return found
 
 
 def optimal_slots(

@@ -14,6 +14,7 @@ from itertools import pairwise
 from typing import Annotated, Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field
 
 from ptnsbc_core.curves.piecewise import COEFFICIENTS
@@ -294,3 +295,26 @@ def _conditions(before: int, after: int) -> Array:
     powers = [np.poly1d([1.0, *[0.0] * power]) for power in range(size)]
     ends = [(0.0, k) for k in range(before)] + [(1.0, k) for k in range(after)]
     return np.array([[power.deriv(k)(s) if k else power(s) for power in powers] for s, k in ends])
+
+
+def nearest_places(starts: Array, places: Array) -> NDArray[np.int64]:
+    """The place of each start for which the sum of the squared distances is minimal.
+
+    Where the places lie as a whole does not matter: a shift of all of them adds the same to every sum. The same
+    numbers give the same answer, also where several sums are equal.
+
+    Args:
+        starts: (N, 3) [m].
+        places: (N, 3) [m].
+
+    Returns:
+        Row of `places` (N,) for each row of `starts`.
+    """
+    from scipy.optimize import (
+        linear_sum_assignment,
+    )  # late: half a second, and few processes decide
+
+    starts, places = starts - starts.mean(axis=0), places - places.mean(axis=0)
+    costs = np.sum((starts[:, None] - places[None]) ** 2, axis=2)
+    found: NDArray[np.int64] = linear_sum_assignment(costs)[1]
+    return found

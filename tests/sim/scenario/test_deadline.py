@@ -2,6 +2,7 @@
 
 import math
 
+import numpy as np
 import pytest
 
 from ptnsbc_core.curves.trajectory import reference
@@ -13,9 +14,12 @@ from ptnsbc_sim.scenario.deadline import (
     shortest_deadlines,
     start_errors,
 )
+from ptnsbc_sim.scenario.slots import with_slots_of_starts
 
+LEADER_AT = np.array([0.0, 5.0, 8.0])
 LINE = {"kind": "line", "position_m": [0, 0, 5], "velocity_m_s": [1.5, 2.0, 0.0]}
 AUTO = {"gains.formation.deadline_s": "auto"}
+OPEN = {"formation.assignment": "optimal"}
 
 
 @pytest.mark.parametrize("name", ["paper_5", "paper_20", "experiment_4"])
@@ -60,6 +64,31 @@ def test_auto_in_a_file_and_auto_as_an_option_are_the_same(tmp_path):
     path = tmp_path / "mine.yaml"
     path.write_text("extends: paper_5\ngains:\n  formation:\n    deadline_s: auto\n")
     assert load_scenario(path).file == load_scenario("paper_5", AUTO).file
+
+
+def test_auto_counts_from_the_slots_that_the_starts_are_given():
+    """In whatever order the UAVs stand at the starts of the file, the same ways are left."""
+    base = load_scenario("paper_20", {**AUTO, **OPEN})
+    moved = {
+        f"uavs[{row}].position_m": base.uav(uav).position.tolist()
+        for row, uav in enumerate(np.roll(base.uav_ids, 7).tolist())
+    }
+    fixed, free = (load_scenario("paper_20", {**AUTO, **one, **moved}) for one in ({}, OPEN))
+    assert free.gains.formation.deadline_s == base.gains.formation.deadline_s
+    assert free.gains.formation.deadline_s < fixed.gains.formation.deadline_s
+    assert start_errors(with_slots_of_starts(free).file) == pytest.approx(start_errors(free.file))
+
+
+def test_the_uav_in_the_slot_of_the_leader_needs_no_time_for_a_last_deviation():
+    base = load_scenario("paper_5", OPEN)
+    places = {uav: base.offset(uav) + LEADER_AT for uav in base.uav_ids}
+    changes = {
+        f"uavs[{row}].position_m": (places[uav % 5 + 1] + [0.0, 0.0, 3.0]).tolist()
+        for row, uav in enumerate(base.uav_ids)
+    }
+    scenario = base.with_(changes)
+    needs = shortest_deadlines(scenario.file, limits_left(scenario.file))
+    assert min(needs, key=lambda uav: needs[uav]) == 5
 
 
 def test_auto_is_longer_than_the_inner_loops():

@@ -14,10 +14,10 @@ from ptnsbc_core.timebase import Clock, plan_duration, plan_step
 from ptnsbc_core.topology import validated_topology
 from ptnsbc_sim.plants.build import plant_config
 from ptnsbc_sim.scenario import agent_config, load_scenario
+from ptnsbc_sim.scenario.mission.shapes import nearest_places
 from ptnsbc_sim.scenario.slots import (
     SlotsError,
     are_open,
-    nearest_places,
     optimal_slots,
     require_slots,
     with_slots,
