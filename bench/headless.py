@@ -12,15 +12,8 @@ from bench.table import Row, Target
 from ptnsbc_core.kernel import borrowed, kernel
 from ptnsbc_core.step import inlined_step
 from ptnsbc_sim.scenario import Scenario
-from ptnsbc_sim.swarm import (
-    HeadlessFlight,
-    SwarmState,
-    advance_plant,
-    fly,
-    inputs_of,
-    sense,
-    swarm_of,
-)
+from ptnsbc_sim.swarm import HeadlessFlight, fly, swarm_of
+from ptnsbc_sim.tick import SwarmState, advance_plant, inputs_of, sense
 from ptnsbc_sim.track import FlightTrack, note
 from ptnsbc_sim.wiring import Wiring
 

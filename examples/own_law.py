@@ -1,4 +1,4 @@
-"""Laws of one's own against ours: consensus and a potential field, over the same draws of starts."""
+"""Laws of one's own against ours: consensus, a potential field and a CBF-QP, over the same draws of starts."""
 
 import sys
 from pathlib import Path
@@ -18,6 +18,7 @@ scenarios = {
     "potential field": ours.with_(
         {"law": f"{LAWS}/potential_field.py:potential_field", "formation.avoidance": "off"}
     ),
+    "CBF-QP": ours.with_({"law": f"{LAWS}/cbf_qp.py:cbf_qp", "formation.avoidance": "off"}),
 }
 figure, axes = plt.subplots(figsize=(8, 4.5), layout="constrained")
 first = None

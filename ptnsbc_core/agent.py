@@ -14,7 +14,15 @@ import numpy as np
 from ptnsbc_core.algebra import store3
 from ptnsbc_core.kernel import inline_kernel, kernel, kernel_list
 from ptnsbc_core.kinematics import store_estimate
-from ptnsbc_core.step import guided_step, initial_state, inlined_step
+from ptnsbc_core.step import (
+    TaskPoints,
+    guided_step,
+    initial_state,
+    inlined_step,
+    task_points,
+    tasked_step,
+)
+from ptnsbc_core.tasks.contract import TaskGeometry
 from ptnsbc_core.types import (
     MODE_HOLD,
     NEVER_RECEIVED_S,
@@ -142,7 +150,9 @@ def _advance(
     memory: MutableSequence[_AgentMemory], inputs: Array, near: Array, t: float, dt: float
 ) -> Array:
     agent = memory[0]
-    state, outputs = inlined_step(agent.state, _unpack(inputs, near), None, t, dt, agent.config)
+    state, outputs = inlined_step(
+        agent.state, _unpack(inputs, near), None, None, t, dt, agent.config
+    )
     memory[0] = _AgentMemory(agent.config, state)
     return _packed(outputs)
 
@@ -161,6 +171,28 @@ def _advance_guided(
     state, outputs = guided_step(agent.state, unpacked, velocity, t, dt, agent.config)
     memory[0] = _AgentMemory(agent.config, state)
     return _packed(outputs)
+
+
+@kernel
+def _advance_tasked(
+    memory: MutableSequence[_AgentMemory],
+    inputs: Array,
+    near: Array,
+    task: TaskGeometry,
+    t: float,
+    dt: float,
+) -> Array:
+    agent = memory[0]
+    state, outputs = tasked_step(agent.state, _unpack(inputs, near), task, t, dt, agent.config)
+    memory[0] = _AgentMemory(agent.config, state)
+    return _packed(outputs)
+
+
+@kernel
+def _points(
+    memory: MutableSequence[_AgentMemory], inputs: Array, near: Array, t: float, dt: float
+) -> TaskPoints:
+    return task_points(memory[0].state, _unpack(inputs, near), t, dt, memory[0].config)
 
 
 @inline_kernel
@@ -233,13 +265,27 @@ class Agent:
         """State from which the next step starts."""
         return _state(self._memory)
 
+    def task_points(self, inputs: PackedInputs, t: float, dt: float) -> TaskPoints:
+        """Where the step with these inputs evaluates its task."""
+        return _points(self._memory, inputs.vector, inputs.near, t, dt)
+
     def advance(
-        self, inputs: PackedInputs, t: float, dt: float, guided: Vector3 | None = None
+        self,
+        inputs: PackedInputs,
+        t: float,
+        dt: float,
+        guided: Vector3 | None = None,
+        task: TaskGeometry | None = None,
     ) -> PackedOutputs:
         """One tick, see `step`: t [s] since the latest epoch, dt [s] the control period.
 
-        `guided` is the velocity [m/s, ENU] of another law, see `guided_step`.
+        `guided` is the velocity [m/s, ENU] of another law, see `guided_step`; `task` is a task of the user, see
+        `tasked_step`.
         """
+        if task is not None:
+            return PackedOutputs(
+                _advance_tasked(self._memory, inputs.vector, inputs.near, task, t, dt)
+            )
         if guided is None:
             return PackedOutputs(_advance(self._memory, inputs.vector, inputs.near, t, dt))
         return PackedOutputs(

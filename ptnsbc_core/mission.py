@@ -11,6 +11,7 @@ from ptnsbc_core.behaviours.neighbour import extrapolated
 from ptnsbc_core.curves.trajectory import Reference, reference
 from ptnsbc_core.kernel import inline_kernel
 from ptnsbc_core.kinematics import yaw_of
+from ptnsbc_core.tasks.contract import TaskGeometry
 from ptnsbc_core.timebase import Clock
 from ptnsbc_core.types import (
     MODE_FORMATION,
@@ -40,6 +41,24 @@ def link_lost(inputs: AgentInputs, start_t: float, config: AgentConfig) -> bool:
 
 
 @inline_kernel
+def parent_and_leader(
+    inputs: AgentInputs,
+    estimate: Estimate,
+    motions: NeighbourMotions,
+    clock: Clock,
+    config: AgentConfig,
+) -> tuple[Neighbour, Neighbour]:
+    """Where parent and leader are now, for a follower that has received its parent's state."""
+    parent = extrapolated(inputs.parent, motions.parent, inputs.parent_age_s, clock.dt)
+    leader = Neighbour(estimate.position, estimate.velocity, motions.leader.acceleration, 0.0)
+    if config.association_gate_m > 0.0:
+        near, age_s = inputs.near, inputs.near_age_s
+        parent = associate(parent, near, age_s, config.association_gate_m)
+        leader = associate(leader, near, age_s, config.association_gate_m)
+    return parent, leader
+
+
+@inline_kernel
 def mission_behaviour(
     inputs: AgentInputs,
     estimate: Estimate,
@@ -47,10 +66,12 @@ def mission_behaviour(
     epoch: EpochErrors,
     clock: Clock,
     config: AgentConfig,
+    task: TaskGeometry | None,
 ) -> Behaviour:
     """Leader tracking for the leader, formation for a follower.
 
-    A follower that has not received its parent's state stays where it is.
+    A follower that has not received its parent's state stays where it is. `task` is that of the user, where there
+    is one.
     """
     position = load3(inputs.own, 0)
     if config.leader:
@@ -59,13 +80,8 @@ def mission_behaviour(
     if inputs.parent_age_s >= NEVER_RECEIVED_S:
         rest = Reference(position, (0.0, 0.0, 0.0), 0.0, (0.0, 0.0, 0.0))
         return leader_tracking(position, rest, epoch, clock, config)
-    parent = extrapolated(inputs.parent, motions.parent, inputs.parent_age_s, clock.dt)
-    leader = Neighbour(estimate.position, estimate.velocity, motions.leader.acceleration, 0.0)
-    if config.association_gate_m > 0.0:
-        near, age_s = inputs.near, inputs.near_age_s
-        parent = associate(parent, near, age_s, config.association_gate_m)
-        leader = associate(leader, near, age_s, config.association_gate_m)
-    return formation(position, parent, leader, epoch, clock, config)
+    parent, leader = parent_and_leader(inputs, estimate, motions, clock, config)
+    return formation(position, parent, leader, epoch, clock, config, task)
 
 
 @inline_kernel

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from ptnsbc_core.algebra import load3, norm3, odometry_tuple, sub3, wrap_angle
+from ptnsbc_core.algebra import add3, load3, norm3, odometry_tuple, sub3, wrap_angle
 from ptnsbc_core.behaviours.attitude import attitude
 from ptnsbc_core.behaviours.contract import Behaviour, Beside, EpochErrors
 from ptnsbc_core.behaviours.neighbour import UNKNOWN, neighbour_motion, reported_velocity
@@ -30,10 +30,12 @@ from ptnsbc_core.mission import (
     hold_target,
     link_lost,
     mission_behaviour,
+    parent_and_leader,
     with_velocity,
 )
 from ptnsbc_core.nullspace import compose_with_clearance
 from ptnsbc_core.tasks.clearance import FilterPace, ObstacleView, clearance, filter_pace
+from ptnsbc_core.tasks.contract import TaskGeometry
 from ptnsbc_core.tasks.obstacle_memory import empty_memory
 from ptnsbc_core.tasks.told_path import ToldPaths
 from ptnsbc_core.timebase import Clock, loop_gain, plan_duration
@@ -248,7 +250,7 @@ def step(
     Returns:
         The state for the next tick and what to send now.
     """
-    return inlined_step(state, inputs, None, t, dt, config)
+    return inlined_step(state, inputs, None, None, t, dt, config)
 
 
 @kernel
@@ -264,7 +266,48 @@ def guided_step(
 
     Clearance, command filter and controller act on it as on ours; a UAV that holds does not follow it.
     """
-    return inlined_step(state, inputs, velocity, t, dt, config)
+    return inlined_step(state, inputs, velocity, None, t, dt, config)
+
+
+@kernel
+def tasked_step(
+    state: AgentState,
+    inputs: AgentInputs,
+    task: TaskGeometry,
+    t: float,
+    dt: float,
+    config: AgentConfig,
+) -> tuple[AgentState, AgentOutputs]:
+    """As `step`, with a task of the user, evaluated at `task_points`, in place of ours."""
+    return inlined_step(state, inputs, None, task, t, dt, config)
+
+
+class TaskPoints(NamedTuple):
+    """The points of a formation task at one tick."""
+
+    own: Vector3  # [m, ENU]
+    parent: Vector3  # [m, ENU]
+    reference: Vector3  # [m, ENU]
+    heard: bool  # the parent has been heard: without it the task does not count
+
+
+@kernel
+def task_points(
+    state: AgentState, inputs: AgentInputs, t: float, dt: float, config: AgentConfig
+) -> TaskPoints:
+    """Where the step that follows evaluates its task."""
+    inputs, config = _in_numbers(inputs), borrowed(config)
+    clock = Clock(t, inputs.start_age_s, dt)
+    holding = inputs.mode != MODE_FORMATION or link_lost(inputs, clock.start_t, config)
+    motions = _motions(state, inputs, clock, config)
+    estimate, _ = leader_estimate(state, inputs, motions.leader, clock, holding, config)
+    parent, leader = parent_and_leader(inputs, estimate, motions, clock, config)
+    return TaskPoints(
+        load3(inputs.own, 0),
+        parent.position,
+        add3(leader.position, config.anchor),
+        inputs.parent_age_s < NEVER_RECEIVED_S,
+    )
 
 
 @inline_kernel
@@ -272,13 +315,14 @@ def inlined_step(
     state: AgentState,
     inputs: AgentInputs,
     guided: Vector3 | None,
+    task: TaskGeometry | None,
     t: float,
     dt: float,
     config: AgentConfig,
 ) -> tuple[AgentState, AgentOutputs]:
-    """`step`, and with `guided` `guided_step`, as a part of the caller: no copies of state and constants between both.
+    """`step`, `guided_step` or `tasked_step` as a part of the caller: no copies of state and constants between both.
 
-    What depends on `guided` is compiled only where there is one: numba drops a branch on None.
+    What depends on `guided` and `task` is compiled only where there is one: numba drops a branch on None.
     """
     inputs, config = _in_numbers(inputs), borrowed(config)
     clock = Clock(t, inputs.start_age_s, dt)
@@ -297,7 +341,7 @@ def inlined_step(
         or (state.motions.parent.time == UNKNOWN.time) != (motions.parent.time == UNKNOWN.time)
     )
     epoch = EpochErrors(at_epoch, state.start, UNDISTURBED if at_epoch else state.recovery)
-    behaviour = mission_behaviour(inputs, estimate, motions, epoch, clock, config)
+    behaviour = mission_behaviour(inputs, estimate, motions, epoch, clock, config, task)
     rates, euler_error = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     if config.controller.plant == PLANT_RIGID_BODY:  # a quadrotor's controller sets its attitude
         rates, euler_error = attitude(inputs.own, yaw, epoch, clock, config)

@@ -36,6 +36,8 @@ TASKS = {
     "parent_angle": TASK_PARENT_ANGLE,
     "relative_position": TASK_RELATIVE_POSITION,
 }
+TASK_OWN = -1
+"""A task of the user, see `ptnsbc_core.step.tasked_step`."""
 
 APPROACH_TASK, APPROACH_PLANNED = 0, 1
 APPROACHES = {"task": APPROACH_TASK, "planned": APPROACH_PLANNED}

@@ -7,24 +7,18 @@ never what a bag names.
 
 from __future__ import annotations
 
-import hashlib
-import math
-import sys
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable
 from functools import lru_cache
 from pathlib import Path
-from types import FunctionType
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ptnsbc_core.kernel import COMPILED
 from ptnsbc_core.kinematics import velocity_enu
 from ptnsbc_core.types import Array, Vector3
 from ptnsbc_sim.scenario import Scenario
-from ptnsbc_sim.user_file import UserFileError, executed, place_of
+from ptnsbc_sim.user_file import UserFileError, UserFunction, user_function
 
 _REST: Vector3 = (0.0, 0.0, 0.0)
 
@@ -58,14 +52,8 @@ class Heard(NamedTuple):
     age_s: float
 
 
-@dataclass(frozen=True)
-class LoadedLaw:
+class LoadedLaw(UserFunction):
     """A law from a file."""
-
-    file: Path
-    name: str
-    function: FunctionType
-    call: Callable[[LawInputs], Any]  # compiled where it can be
 
     def __call__(self, inputs: LawInputs) -> Vector3:
         """The velocity [m/s, ENU].
@@ -73,33 +61,15 @@ class LoadedLaw:
         Raises:
             LawError: the law raised an error, or did not return three finite numbers.
         """
+        at = f" at t = {inputs.t:.3f} s"
         try:
-            found = self.call(inputs)
-        except Exception as error:
-            seen = self._interpreted(inputs) or error
-            raise LawError(
-                f"{place_of(self.function, seen)}: {type(error).__name__}: {error}"
-            ) from error
-        try:
-            x, y, z = (float(number) for number in found)
-        except (TypeError, ValueError):
-            raise LawError(
-                f"{place_of(self.function)}: returned {found!r}: expected a velocity of three numbers [m/s, ENU]"
-            ) from None
-        if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(z)):
-            raise LawError(
-                f"{place_of(self.function)}: returned ({x:g}, {y:g}, {z:g}) at t = {inputs.t:.3f} s: "
-                "expected finite numbers"
-            )
+            x, y, z = self.numbers(super().__call__(inputs), 3, _VELOCITY, at)
+        except UserFileError as error:
+            raise LawError(str(error)) from error
         return x, y, z
 
-    def _interpreted(self, inputs: LawInputs) -> Exception | None:
-        """The error that the law raises when it is interpreted: a compiled one does not know its line."""
-        try:
-            self.function(inputs)
-        except Exception as error:
-            return error
-        return None
+
+_VELOCITY = "a velocity of three numbers [m/s, ENU]"
 
 
 @lru_cache(maxsize=16)
@@ -112,47 +82,12 @@ def load_law(named: str) -> LoadedLaw:
     Raises:
         LawError: there is no such file or function, or the file raises an error.
     """
-    path, _, name = named.rpartition(":")
-    file = Path(path).expanduser().absolute()
     try:
-        function = executed(file, "a law").get(name)
+        found = user_function(named, "law", (_EXAMPLE,))
     except UserFileError as error:
         raise LawError(str(error)) from error
-    if not isinstance(function, FunctionType):
-        what = "no such name" if function is None else type(function).__name__
-        raise LawError(f"{file}: {name}: {what}: expected a function of the inputs of a law")
-    return LoadedLaw(file, name, function, _compiled(function, file))
+    return LoadedLaw(found.file, found.name, found.function, found.call)
 
-
-def _compiled(function: FunctionType, file: Path) -> Callable[[LawInputs], Any]:
-    """The function compiled and kept on disk; as it is where numba cannot compile it, with a word."""
-    if not COMPILED:
-        return function
-    import numba
-    from numba.core.errors import NumbaError
-
-    from ptnsbc_core.compile_cache import CacheFolder, KernelCache, cache_root, source_digest
-
-    law = numba.njit(function)
-    if not any(hasattr(value, "py_func") for value in function.__globals__.values()):
-        # A law that calls compiled functions of other files is compiled anew: their changes would not be seen.
-        digest = hashlib.sha256(source_digest().encode() + file.read_bytes()).hexdigest()[:16]
-        law._cache = KernelCache(function, CacheFolder(cache_root() / "laws", digest))
-    try:
-        law.compile((numba.typeof(_EXAMPLE),))
-    except NumbaError as error:
-        line = " ".join(str(error).split()) or type(error).__name__
-        print(
-            f"law {file}:{function.__code__.co_firstlineno}: {function.__name__} is interpreted, "
-            f"numba cannot compile it: {line[:_LONGEST]}",
-            file=sys.stderr,
-            flush=True,
-        )
-        return function
-    return law
-
-
-_LONGEST = 300
 
 _EXAMPLE = LawInputs(
     0.0,

@@ -10,8 +10,9 @@ from ptnsbc_core.algebra import store
 from ptnsbc_core.kernel import kernel, kernel_list
 from ptnsbc_core.types import ODOMETRY_SIZE, Array
 from ptnsbc_sim.disturbances.build import VehicleDisturbances
+from ptnsbc_sim.own_world import OwnWorld
 from ptnsbc_sim.plants.build import obstacle_rows, plant_config, start_states
-from ptnsbc_sim.plants.contract import PlantConfig
+from ptnsbc_sim.plants.contract import PlantConfig, plant_at, put_plant
 from ptnsbc_sim.plants.integrate import advance, odometry, stop
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.sensor import near_objects
@@ -38,6 +39,11 @@ def _advance_row(
         advance(states[row], wrench, t, dt, substeps, plants[row])
     else:
         stop(states[row], plants[row].kind)
+    return odometry(states[row], plants[row])
+
+
+@kernel
+def _measure_row(states: Array, row: int, plants: Sequence[PlantConfig]) -> Array:
     return odometry(states[row], plants[row])
 
 
@@ -72,6 +78,7 @@ class World:
         self._substeps = scenario.physics_hz // scenario.control_hz
         self._truth = measure_all(self._states, self._plants)
         self._odometry = self._truth
+        self._own = OwnWorld.of(scenario)
         self._around: list[VehicleDisturbances] = []
         if scenario.imperfect:
             self._begin_disturbances(plants)
@@ -119,18 +126,17 @@ class World:
 
     def near(self, uav_id: int) -> Array:
         """Rows (M, 7) that the near-object sensor of one UAV sees now."""
-        scenario, row = self._scenario, self._row[uav_id]
-        rows = near_objects(
-            row,
-            self._truth,
-            self._obstacles_now(self._ticks[uav_id]),
-            self._keep_outs,
-            float(scenario.sensor.range_m),
-        )
+        row, tick = self._row[uav_id], self._ticks[uav_id]
+        obstacles, range_m = self._obstacles_now(tick), float(self._scenario.sensor.range_m)
+        rows = None
+        if self._own is not None:
+            rows = self._own.near(row, tick, self._truth, obstacles, self._keep_outs)
+        if rows is None:
+            rows = near_objects(row, self._truth, obstacles, self._keep_outs, range_m)
         if not self._around:
             return rows
         seen = self._odometry[row]
-        return self._around[row].add_sensor_noise(self._ticks[uav_id], rows, self._truth[row], seen)
+        return self._around[row].add_sensor_noise(tick, rows, self._truth[row], seen)
 
     def step(self, wrenches: Mapping[int, Array]) -> None:
         """Advance all by one control period; a UAV without a wrench (6,) stays where it is, as in a hold failsafe."""
@@ -142,16 +148,24 @@ class World:
         row, tick = self._row[uav_id], self._ticks[uav_id]
         if self._around:
             self._around[row].gust_step(tick)
-        self._truth[row] = _advance_row(
-            self._states,
-            row,
-            _NO_WRENCH if wrench is None else wrench,
-            wrench is not None,
-            tick * self._dt_ns * NANO,
-            self._dt_ns * NANO,
-            self._substeps,
-            self._plants,
-        )
+        own = self._own
+        if own is not None and own.disturbs:
+            plant = own.pushed(uav_id, tick, self._truth[row], plant_at(self._plants, row))
+            put_plant(self._plants, row, plant)
+        if own is not None and own.flies and wrench is not None:
+            own.advance(self._states[row], wrench, tick, plant_at(self._plants, row))
+            self._truth[row] = _measure_row(self._states, row, self._plants)
+        else:
+            self._truth[row] = _advance_row(
+                self._states,
+                row,
+                _NO_WRENCH if wrench is None else wrench,
+                wrench is not None,
+                tick * self._dt_ns * NANO,
+                self._dt_ns * NANO,
+                self._substeps,
+                self._plants,
+            )
         if self._around:
             self._odometry[row] = self._around[row].measured_odometry(tick + 1, self._truth[row])
         self._ticks[uav_id] = tick + 1

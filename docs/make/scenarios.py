@@ -23,6 +23,7 @@ _BLOCKS = {
     "uavs": model.UavBlock,
     "faults": FaultBlock,
     "mavlink": model.Mavlink,
+    "plugins": model.Plugins,
 }
 
 

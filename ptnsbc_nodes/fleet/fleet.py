@@ -27,7 +27,8 @@ from ptnsbc_nodes.fleet.supervisor import FleetError, Report, Supervisor
 from ptnsbc_nodes.runtime import environment
 from ptnsbc_nodes.runtime.environment import reserved_domain
 from ptnsbc_nodes.runtime.signals import StopRequest
-from ptnsbc_nodes.runtime.warmup import load_agent, load_world
+from ptnsbc_nodes.runtime.warmup import load_fleet, load_world
+from ptnsbc_sim.own_uav import UavFunctions
 
 __all__ = ["FleetError", "FleetOptions", "FleetResult", "ProcessReport", "chosen", "run_fleet"]
 
@@ -176,6 +177,8 @@ def check_options(options: FleetOptions) -> None:
 def _prepare_kernels(options: FleetOptions, progress: Report) -> None:
     """Compile the laws once; otherwise a dozen processes would compile them side by side."""
     progress("preparing the laws (compiled at first use, then read from the cache)")
-    load_agent(options.scenario, options.scenario.leader_id)
+    load_fleet(options.scenario)
+    for uav in options.scenario.uav_ids[:2]:  # one of these is a follower
+        UavFunctions.of(options.scenario, uav)
     if options.backend == "sim":
         load_world(options.scenario)

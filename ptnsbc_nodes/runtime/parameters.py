@@ -189,8 +189,8 @@ class NodeParameters:
         return read.bridged() if self._is_bridged else read
 
     def _on_set(self, parameters: Iterable[Parameter]) -> SetParametersResult:
-        if any(p.name == "law" for p in parameters):
-            reason = "law: names a file to execute: give it in the scenario file"
+        if code := [p.name for p in parameters if p.name == "law" or p.name.startswith("plugins.")]:
+            reason = f"{code[0]}: names a file to execute: give it in the scenario file"
             return SetParametersResult(successful=False, reason=reason)
         changes = {p.name: _plain(p.value) for p in parameters if self._of_scenario(p.name)}
         # rclpy would move a flying node to another time.

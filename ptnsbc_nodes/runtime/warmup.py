@@ -10,6 +10,7 @@ import numpy as np
 from ptnsbc_core.agent import OWN, Agent, PackedInputs
 from ptnsbc_core.kernel import COMPILED
 from ptnsbc_core.types import NEAR_COLUMNS
+from ptnsbc_sim.own_task import NO_TASK
 from ptnsbc_sim.scenario import Scenario, agent_config
 from ptnsbc_sim.world import World
 
@@ -34,9 +35,20 @@ def load_agent(scenario: Scenario, uav_id: int) -> None:
     neighbours = len(scenario.estimator_neighbours(uav_id))
     inputs = PackedInputs(neighbours, np.zeros((0, NEAR_COLUMNS)))
     inputs.vector[OWN + 6] = 1.0  # the quaternion of no rotation
-    agent = Agent(agent_config(scenario, uav_id), inputs.unpack().own)
+    agent, dt = Agent(agent_config(scenario, uav_id), inputs.unpack().own), scenario.dt_ns * 1e-9
+    if uav_id != scenario.leader_id and scenario.plugins.task is not None:
+        agent.task_points(inputs, 0.0, dt)
+        agent.advance(inputs, 0.0, dt, task=NO_TASK)
+        return
     guided = scenario.law is not None and uav_id != scenario.leader_id
-    agent.advance(inputs, 0.0, scenario.dt_ns * 1e-9, (0.0, 0.0, 0.0) if guided else None)
+    agent.advance(inputs, 0.0, dt, (0.0, 0.0, 0.0) if guided else None)
+
+
+def load_fleet(scenario: Scenario) -> None:
+    """Compile or load the laws of all UAVs: those of the leader, and of a follower that flies by the user's."""
+    load_agent(scenario, scenario.leader_id)
+    if scenario.followers and (scenario.law is not None or scenario.plugins.task is not None):
+        load_agent(scenario, scenario.followers[0])
 
 
 def load_world(scenario: Scenario) -> None:

@@ -26,7 +26,7 @@ from ptnsbc_io.wire import Stamped
 from ptnsbc_nodes.comm.graph import Senders
 from ptnsbc_nodes.comm.legs import Leg
 from ptnsbc_nodes.uav.inbox import Inbox
-from ptnsbc_sim.law import UavLaw
+from ptnsbc_sim.own_uav import OURS, UavFunctions
 
 
 class StepTime(NamedTuple):
@@ -125,10 +125,10 @@ class UavCounters:
 class UavController:
     """Inbox, control law and counters of one UAV."""
 
-    def __init__(self, config: AgentConfig, senders: Senders, law: UavLaw | None = None) -> None:
-        """`law` flies a follower in place of the formation law."""
+    def __init__(self, config: AgentConfig, senders: Senders, own: UavFunctions = OURS) -> None:
+        """`own` are the functions of the user in the place of ours."""
         self.config = config
-        self._law = None if config.leader else law
+        self._own = own
         self.inbox = Inbox(senders)
         self.counters = UavCounters()
         self.slots: Stamped | None = None  # those in force, of the epoch that decided them
@@ -188,12 +188,12 @@ class UavController:
         self, inputs: PackedInputs, at: StepTime, t: float, cutoff_ns: int
     ) -> Vector3 | None:
         """The velocity of the law [m/s, ENU], at rest while it does not count; None without one."""
-        if self._law is None:
+        if self._own.law is None:
             return None
         if at.mode != MODE_FORMATION:
             return (0.0, 0.0, 0.0)
         heard = self.inbox.states(at.now_ns, cutoff_ns)
-        return self._law.velocity(t, inputs.vector[OWN:PARENT], heard, inputs.near)
+        return self._own.law.velocity(t, inputs.vector[OWN:PARENT], heard, inputs.near)
 
     def step(self, at: StepTime, cutoff_ns: int) -> PackedOutputs:
         """One control step on the messages of the inbox, which must hold the own odometry."""
@@ -206,7 +206,20 @@ class UavController:
         self.steps += 1
         dt = at.elapsed_ns * 1e-9
         t = (at.now_ns - at.t0_ns) * 1e-9
-        outputs = self._agent.advance(inputs, t, dt, self._wanted(inputs, at, t, cutoff_ns))
+        task = None
+        if self._own.task is not None:
+            task = self._own.task.at(self._agent.task_points(inputs, t, dt))
+        wanted = self._wanted(inputs, at, t, cutoff_ns)
+        outputs = self._agent.advance(inputs, t, dt, wanted, task)
+        if self._own.controller is not None:
+            outputs.wrench[:] = self._own.controller.wrench(
+                t,
+                dt,
+                inputs.vector[OWN:PARENT],
+                outputs.velocity,
+                outputs.wrench,
+                self.config,
+            )
         near_age_s = float(inputs.vector[NEAR_AGE])
         silent_s = near_age_s if near_age_s < NEVER_RECEIVED_S else start_age_s
         clearance = self.config.clearance

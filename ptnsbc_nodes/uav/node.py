@@ -57,7 +57,7 @@ from ptnsbc_nodes.uav.leg_services import LegServices
 from ptnsbc_nodes.uav.outbox import Outbox
 from ptnsbc_nodes.uav.robot_description import publish_description
 from ptnsbc_nodes.uav.slots import OpenSlots, SlotDecider, SlotHolder
-from ptnsbc_sim.law import UavLaw
+from ptnsbc_sim.own_uav import UavFunctions
 from ptnsbc_sim.scenario import Scenario, agent_config
 from ptnsbc_sim.scenario.slots import are_open
 
@@ -85,8 +85,8 @@ class UavNode:
         self._options = edges.options
         self._uav = uav_id
         self._scenario = scenario
-        law = None if scenario.law is None else UavLaw.of(scenario, uav_id)
-        self._controller = UavController(agent_config(scenario, uav_id), edges.senders(uav_id), law)
+        own = UavFunctions.of(scenario, uav_id)
+        self._controller = UavController(agent_config(scenario, uav_id), edges.senders(uav_id), own)
         self._faults = UavFaults(scenario, uav_id, self._controller.inbox, edges.options.lockstep)
         self._outbox = Outbox(self.endpoints, edges, uav_id, self._faults)
         publish_description(self.endpoints, scenario, uav_id)

@@ -22,7 +22,8 @@ from ptnsbc_sim.baselines.terminal import Axis, Terminal, terminal_step
 from ptnsbc_sim.disturbances.build import Disturbances
 from ptnsbc_sim.scenario import Scenario, scenario_from_text
 from ptnsbc_sim.scenario.slots import are_open
-from ptnsbc_sim.swarm import HeadlessFlight, SwarmState, advance_plant, inputs_of, sense
+from ptnsbc_sim.swarm import HeadlessFlight
+from ptnsbc_sim.tick import SwarmState, advance_plant, inputs_of, sense
 from ptnsbc_sim.track import FlightTrack, note
 from ptnsbc_sim.wiring import Wiring
 

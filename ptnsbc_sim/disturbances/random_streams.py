@@ -16,7 +16,7 @@ from ptnsbc_core.types import Array
 BLOCK_TICKS = 1024
 
 # Purposes of streams.
-POSITION, GUST, STATE_LINK, ESTIMATE_LINK, SENSOR, FAULT = 0, 1, 2, 3, 4, 5
+POSITION, GUST, STATE_LINK, ESTIMATE_LINK, SENSOR, FAULT, OWN = 0, 1, 2, 3, 4, 5, 6
 
 Address = tuple[int, ...]
 """Seed, purpose, and the ids of the UAVs that the stream concerns."""

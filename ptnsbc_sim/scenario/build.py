@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from pathlib import Path
 
 import numpy as np
 
@@ -24,6 +25,7 @@ from ptnsbc_core.types import (
     PLANT_QUADROTOR,
     PLANTS,
     PROFILES,
+    TASK_OWN,
     TASKS,
     AgentConfig,
     Array,
@@ -37,6 +39,7 @@ from ptnsbc_core.types import (
     Trajectory,
     Vector3,
 )
+from ptnsbc_sim.own_task import load_task
 from ptnsbc_sim.scenario.deadline import leader_motion
 from ptnsbc_sim.scenario.gains import Loop
 from ptnsbc_sim.scenario.mission.shapes import moves, shape_of
@@ -118,6 +121,16 @@ def _slots(scenario: Scenario, uav_ids: Iterable[int]) -> Array:
     return np.array(sorted(rows), dtype=np.float64).reshape(-1, 4)
 
 
+def _desired_by(
+    scenario: Scenario, own: Array, parent: Array, anchor: Array
+) -> tuple[Vector3, Vector3]:
+    """`_desired` by the task of the user; zeros of a scenario from a bag, which is not flown."""
+    named = str(scenario.plugins.task)
+    if not Path(named).is_absolute():
+        return (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)
+    return load_task(named).desired(own, parent, anchor)
+
+
 def _desired(scenario: Scenario, uav_id: int) -> tuple[Vector3, Vector3]:
     """Desired task value and the row scale that puts every row in metres."""
     parent = scenario.parent(uav_id)
@@ -125,6 +138,9 @@ def _desired(scenario: Scenario, uav_id: int) -> tuple[Vector3, Vector3]:
         return (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)
     task = scenario.file.formation.task
     own, above = scenario.offset(uav_id), scenario.offset(parent)
+    anchor = reference_offset(scenario, uav_id)
+    if scenario.plugins.task is not None:
+        return _desired_by(scenario, own, above, anchor)
     arm = float(np.hypot(*(own - above)[:2]))
     if task != "relative_position" and arm < _SHORTEST_ARM_M:
         raise FormationError(
@@ -132,7 +148,6 @@ def _desired(scenario: Scenario, uav_id: int) -> tuple[Vector3, Vector3]:
             f"{parent}: expected at least {_SHORTEST_ARM_M:g} m, the angles of task {task} have no "
             "meaning straight above or below; move it, or use task: relative_position"
         )
-    anchor = reference_offset(scenario, uav_id)
     try:
         value = desired_value(TASKS[task], own, above, anchor)
     except FormationError as error:
@@ -278,7 +293,7 @@ def agent_config(scenario: Scenario, uav_id: int) -> AgentConfig:
     gains = scenario.gains
     return AgentConfig(
         leader=bool(uav_id == scenario.leader_id),
-        task=TASKS[scenario.file.formation.task],
+        task=TASK_OWN if scenario.plugins.task else TASKS[scenario.file.formation.task],
         approach=APPROACHES[scenario.file.formation.approach],
         desired=desired,
         offset=three(_offset_from_parent(scenario, uav_id)),

@@ -18,7 +18,7 @@ from ptnsbc_sim.scenario.problems import ScenarioError
 from ptnsbc_sim.user_file import UserFileError, executed, place_of
 
 GROUP = "ptnsbc.plugins"
-"""The entry points of installed packages: `trajectory.NAME` and `shape.NAME`."""
+"""The entry points of installed packages: `trajectory.NAME`, `shape.NAME`, `law.NAME`, `task.NAME` and so on."""
 
 MOST_ROWS = 2000
 """Rows of a trajectory at most, as of any CSV file."""
@@ -148,6 +148,23 @@ def _trajectory(tree: Tree) -> Tree | None:
 
 def _shape(tree: Tree) -> Tree | None:
     return _block(tree, "formation", "shape", _SHAPES)
+
+
+def whole_path(kind: str, named: str, folder: Path) -> str:
+    """FILE.py:NAME with the whole path of the file, which is beside the scenario or that of an entry point.
+
+    Raises:
+        FunctionError: it is neither FILE.py:NAME nor the name of an entry point, or that does not load.
+    """
+    name, colon, function = named.rpartition(":")
+    if colon:
+        return f"{(folder / Path(name).expanduser()).absolute()}:{function}"
+    if _entry(kind, named) is None:
+        raise FunctionError(
+            f"{kind}: {named}: expected FILE.py:NAME, or the name of an entry point {kind}.NAME in {GROUP}"
+        )
+    found = _function(named, kind, folder, kind)
+    return f"{Path(found.__code__.co_filename).absolute()}:{found.__name__}"
 
 
 def _with_whole_path(tree: Tree, folder: Path) -> Tree:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import Field
@@ -28,6 +29,7 @@ from ptnsbc_sim.scenario.mission.legs import Mission
 from ptnsbc_sim.scenario.mission.shapes import Change, ShapeBlock
 from ptnsbc_sim.scenario.mission.trajectories import TrajectoryBlock
 from ptnsbc_sim.scenario.obstacles import ObstacleBlock
+from ptnsbc_sim.scenario.problems import ScenarioError
 
 STILL = (Wave(amount=0.0, shape="constant"),) * 3
 Delay = Annotated[NotNegative, Field(le=1)]
@@ -260,6 +262,49 @@ def _given(keys: dict[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in keys.items() if value is not None}
 
 
+FunctionName = Annotated[str, Field(pattern=r"^(.+\.py:)?[A-Za-z_]\w*$")]
+"""`FILE.py:NAME` of a function, or the name of an entry point."""
+
+
+class Plugins(Block):
+    """Functions of the user in the place of parts of the flight, see [laws.md](laws.md#more-of-your-own)."""
+
+    task: FunctionName | None = None
+    """Task of the followers in place of `formation.task`."""
+    controller: FunctionName | None = None
+    """Controller of every UAV: force and torque from the command."""
+    plant: FunctionName | None = None
+    """Equations of motion of every UAV, for `plant.kind: quadrotor`."""
+    disturbance: FunctionName | None = None
+    """Acceleration that acts on every UAV, besides the other disturbances."""
+    sensor: FunctionName | None = None
+    """Near-object sensor of every UAV."""
+
+    @property
+    def of_uav(self) -> bool:
+        """Whether a function runs in the process of a UAV."""
+        return self.task is not None or self.controller is not None
+
+    @property
+    def of_world(self) -> bool:
+        """Whether a function runs where the vehicles are simulated."""
+        return any(one is not None for one in (self.plant, self.disturbance, self.sensor))
+
+    def path_of(self, kind: str) -> str:
+        """FILE.py:NAME of a function, with the whole path of its file.
+
+        Raises:
+            ScenarioError: the scenario comes from a bag, which names no file to execute.
+        """
+        named = str(getattr(self, kind))
+        if not Path(named).is_absolute():
+            raise ScenarioError(
+                f"plugins.{kind}: {named}: a bag names a function and does not carry it: expected a scenario "
+                "whose function you give"
+            )
+        return named
+
+
 class ScenarioFile(Block):
     """A whole file, after `extends`, overrides and default gains."""
 
@@ -293,9 +338,11 @@ class ScenarioFile(Block):
     mission: Mission | None = None
     """What the formation does, leg by leg, see [missions.md](missions.md). Default: it forms and follows the trajectory
     of the leader."""
-    law: Annotated[str, Field(pattern=r"^.+\.py:[A-Za-z_]\w*$")] | None = None
-    """Law of the followers in place of ours: `FILE.py:NAME` of a function, looked for beside this file, see
-    [laws.md](laws.md)."""
+    law: FunctionName | None = None
+    """Law of the followers in place of ours: `FILE.py:NAME` of a function, looked for beside this file, or the name
+    of an entry point, see [laws.md](laws.md)."""
+    plugins: Plugins = Plugins()
+    """More functions of the user, each as `FILE.py:NAME` or as the name of an entry point:"""
     mavlink: Mavlink = Mavlink()
     """Flight controllers instead of the simulator."""
     uavs: Annotated[tuple[UavBlock, ...], Field(min_length=1)]

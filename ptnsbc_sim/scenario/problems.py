@@ -96,8 +96,8 @@ def _unit_text(path: list[str | int]) -> str:
 def _expectation(kind: str, path: list[str | int], detail: ErrorDetails) -> str:
     context = detail.get("ctx", {})
     if kind == "string_pattern_mismatch":
-        of_law = path[-1:] == ["law"]
-        return f"expected {'FILE.py:NAME' if of_law else 'a name of letters, digits, _ and -'}"
+        of_code = path[:1] in (["law"], ["plugins"])
+        return f"expected {'FILE.py:NAME' if of_code else 'a name of letters, digits, _ and -'}"
     if kind in _LIMITS:
         sign, key = _LIMITS[kind]
         return f"expected {sign} {context[key]:g}"

@@ -9,14 +9,14 @@ from __future__ import annotations
 import json
 import re
 import sysconfig
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
 
-from ptnsbc_sim.scenario.functions import with_trajectory
+from ptnsbc_sim.scenario.functions import whole_path, with_trajectory
 from ptnsbc_sim.scenario.problems import ScenarioError, shown, similar
 
 Tree = dict[Any, Any]
@@ -268,19 +268,41 @@ def _content(name: Any, where: str, folder: Path) -> str:
     return text
 
 
-def with_law(tree: Tree, folder: Path) -> Tree:
-    """`tree` with the whole path of the file that holds its law: processes elsewhere read it too."""
-    name, colon, function = str(tree.get("law") or "").rpartition(":")
-    if not colon:
-        return tree
-    return {**tree, "law": f"{(folder / Path(name).expanduser()).absolute()}:{function}"}
+def with_code(tree: Tree, folder: Path, given: Iterable[str] = ("law", "plugins")) -> Tree:
+    """`tree` with the whole paths of the files of its functions: processes elsewhere read it too.
+
+    Args:
+        tree: a scenario.
+        folder: where the files are looked for.
+        given: dotted keys; only the functions below these are changed.
+    """
+    keys = set(given)
+
+    def path(kind: str, named: str) -> str:
+        key = "law" if kind == "law" else f"plugins.{kind}"
+        known = key in keys or key.partition(".")[0] in keys
+        return whole_path(kind, named, folder) if known else named
+
+    return _each_function(tree, path)
 
 
 def without_folder(tree: Tree) -> Tree:
-    """`tree` with the mere name of the file that holds its law: what comes from outside names no file to execute."""
-    if not isinstance(tree.get("law"), str):
-        return tree
-    return {**tree, "law": tree["law"].replace("\\", "/").rpartition("/")[2]}
+    """`tree` with the mere names of the files of its functions: what comes from outside names no file to execute."""
+    return _each_function(tree, lambda _, named: named.replace("\\", "/").rpartition("/")[2])
+
+
+def named_functions(tree: Tree) -> Tree:
+    """The law and the plug-ins that a scenario names, by kind."""
+    plugins = tree.get("plugins")
+    found = {"law": tree.get("law"), **(plugins if isinstance(plugins, dict) else {})}
+    return {kind: named for kind, named in found.items() if isinstance(named, str) and named}
+
+
+def _each_function(tree: Tree, changed: Callable[[str, str], str]) -> Tree:
+    named = {kind: changed(kind, one) for kind, one in named_functions(tree).items()}
+    law = {"law": named.pop("law")} if "law" in named else {}
+    plugins = {"plugins": {**tree["plugins"], **named}} if named else {}
+    return {**tree, **law, **plugins} if law or plugins else tree
 
 
 def extended(tree: Tree, source: str, folder: Path, depth: int = 0) -> Tree:
@@ -299,7 +321,7 @@ def extended(tree: Tree, source: str, folder: Path, depth: int = 0) -> Tree:
     except ScenarioError as error:
         raise ScenarioError(f"{source}: extends: {error}") from None
     base = parse(read_text(path), str(path))
-    base = with_law(base, path.parent)
+    base = with_code(base, path.parent)
     return merged(extended(base, str(path), path.parent, depth + 1), own)
 
 

@@ -23,7 +23,15 @@ from ptnsbc_sim.scenario.mission.completion import completed_mission, completed_
 from ptnsbc_sim.scenario.mission.faults import MESSAGES, FaultBlock, modelled
 from ptnsbc_sim.scenario.mission.legs import ScheduledLeg, Word, landing_s, schedule
 from ptnsbc_sim.scenario.mission.route import with_legs
-from ptnsbc_sim.scenario.model import Plant, Quadrotor, ScenarioFile, Sensor, UavBlock, plant_of
+from ptnsbc_sim.scenario.model import (
+    Plant,
+    Plugins,
+    Quadrotor,
+    ScenarioFile,
+    Sensor,
+    UavBlock,
+    plant_of,
+)
 from ptnsbc_sim.scenario.obstacles import Obstacle
 from ptnsbc_sim.scenario.problems import ScenarioError, scenario_error
 from ptnsbc_sim.scenario.semantics import NANOSECONDS, checked
@@ -324,6 +332,17 @@ class Scenario:
         return self.file.formation.uav_keep_out_m
 
     @property
+    def plugins(self) -> Plugins:
+        """The functions of the user besides a law."""
+        return self.file.plugins
+
+    @property
+    def task_name(self) -> str:
+        """The task of the followers: ours by its name, or FILE.py:NAME of the user's."""
+        own = self.plugins.task
+        return self.file.formation.task if own is None else Path(own).name
+
+    @property
     def law(self) -> str | None:
         """FILE.py:NAME of the law of the followers; None: ours."""
         return self.file.law
@@ -422,18 +441,18 @@ def scenario_from_text(
     if complete:
         final = reader.without_folder(final)
     elif folder is not None:
-        final = reader.with_law(final, folder)
+        final = reader.with_code(final, folder)
     if given:
         final = reader.with_table(reader.overridden(final, given, source), source, Path.cwd())
         functions.refuse_new_functions(final, given, source)
-        final = reader.with_law(final, Path.cwd()) if "law" in given else final
+        final = reader.with_code(final, Path.cwd(), given)
     final = functions.with_shape(final, source)
     if (
         given
         or "extends" in tree
         or reader.names_table(tree)
         or functions.names_function(tree)
-        or final.get("law") != tree.get("law")
+        or reader.named_functions(final) != reader.named_functions(tree)
     ):
         text = reader.dump(final)
     filled = completed(final, source)

@@ -29,6 +29,12 @@ _EXTENDS = {
     "type": "string",
     "description": "Name or path of the scenario to start from; its own keys come over it.",
 }
+_FUNCTION = {
+    "type": "object",
+    "description": "A function of yours, with its arguments.",
+    "properties": {"kind": {"type": "string", "pattern": r"^.+\.py:[A-Za-z_]\w*$"}},
+    "required": ["kind"],
+}
 
 
 def meanings(model: type[BaseModel]) -> dict[str, str]:
@@ -75,6 +81,9 @@ def schema() -> dict[str, Any]:
     for block, key in (("Loop", "deadline_s"), ("Communication", "tree")):
         left_to_us = definitions[block]["properties"][key]
         left_to_us["anyOf"] = [*left_to_us["anyOf"], {"const": "auto"}]
+    for block, key in (("Leader", "trajectory"), ("Formation", "shape")):
+        by_kind = definitions[block]["properties"][key]
+        by_kind["anyOf"] = [*by_kind["anyOf"], _FUNCTION]
     made["properties"]["extends"] = _EXTENDS
     head = {
         "$schema": "https://json-schema.org/draft/2020-12/schema",

@@ -249,14 +249,19 @@ def _fence(fence: Geofence) -> Problems:
 
 
 def _law(file: ScenarioFile) -> Problems:
-    if file.law is None:
-        return
+    law, task = file.law, file.plugins.task
     formation = file.formation
-    if formation.assignment != "fixed" or formation.frame != "world" or formation.changes:
+    fixed = formation.assignment == "fixed" and formation.frame == "world"
+    if (law or task) and not (fixed and not formation.changes):
+        key, what = (f"law: {law}", "law") if law else (f"plugins.task: {task}", "task")
         yield (
-            f"law: {file.law}: expected formation.assignment: fixed, frame: world and no changes, for a "
-            "law of your own is told one place for each UAV"
+            f"{key}: expected formation.assignment: fixed, frame: world and no changes, for a "
+            f"{what} of your own is told one place for each UAV"
         )
+    if law and task:
+        yield f"plugins.task: {task}: a law flies the followers, not a task: expected one of the two"
+    if file.plugins.plant and file.plant.kind != "quadrotor":
+        yield f"plugins.plant: {file.plugins.plant}: expected plant.kind: quadrotor, whose state it has"
 
 
 def _faults(file: ScenarioFile) -> Problems:

@@ -141,7 +141,7 @@ def _verdict_on(recording: Recording, tolerance: float) -> Verdict:
     return Verdict(
         scenario=scenario.name,
         plant=scenario.plant_kind,
-        task=scenario.file.formation.task,
+        task=scenario.task_name,
         profile=scenario.gains.profile,
         avoidance=scenario.file.formation.avoidance,
         judged_by=recording.judged_by,

@@ -59,6 +59,10 @@ def _no_shape(scenario: Scenario, uav: int, error: FormationError) -> Finding:
 
 def shape(scenario: Scenario) -> Findings:
     """Conditioning of every follower's task at the desired formation."""
+    if (
+        scenario.plugins.task is not None
+    ):  # the user's: loading the scenario has refused a singular one
+        return
     task = scenario.file.formation.task
     threshold = scenario.gains.damping.threshold
     for uav in scenario.followers:

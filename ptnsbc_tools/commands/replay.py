@@ -16,6 +16,7 @@ from ptnsbc_tools.options import BagArgument, JsonOption
 if TYPE_CHECKING:
     from rich.table import Table
 
+    from ptnsbc_sim.scenario import Scenario
     from ptnsbc_tools.replay.rerun import Rerun
 
 _MOST_JOBS = 4
@@ -44,6 +45,14 @@ def replay(
             "--law",
             metavar="FILE.py:NAME",
             help="--rerun: execute this law, of a bag whose scenario names one.",
+        ),
+    ] = None,
+    plugin: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--plugin",
+            metavar="FILE.py:NAME",
+            help="--rerun: execute this task or controller, of a bag whose scenario names it; repeatable.",
         ),
     ] = None,
     rate: Annotated[
@@ -88,7 +97,7 @@ def replay(
     if rerun == publish:
         raise typer.BadParameter("expected one of --rerun and --publish")
     if rerun:
-        raise typer.Exit(_rerun(bag, scenario, law, json=json))
+        raise typer.Exit(_rerun(bag, scenario, law, plugin or [], json=json))
     chosen = tuple(topics or ("*",))
     raise typer.Exit(
         _publish(
@@ -120,7 +129,32 @@ def _publish(path: Path, json: bool, **play_options: Any) -> int:
     return _INTERRUPTED if played.interrupted else 0
 
 
-def _rerun(path: Path, scenario: Path | None, law: str | None, *, json: bool) -> int:
+def _trusted(path: Path, flown: Scenario, plugins: list[str]) -> Scenario:
+    """The scenario of a bag with the files of its functions, which the user gives.
+
+    Raises:
+        ScenarioError: the scenario names a function of a UAV, and none of this name is given.
+    """
+    from ptnsbc_sim.scenario import ScenarioError
+
+    given = {one.rpartition(":")[2]: one for one in plugins}
+    named = {kind: getattr(flown.plugins, kind) for kind in ("task", "controller")}
+    changes = {}
+    for kind, one in named.items():
+        name = str(one).rpartition(":")[2]
+        if one is None or Path(one).is_absolute():
+            continue
+        if name not in given:
+            raise ScenarioError(
+                f"{path}: flown with the {kind} {one}, which a bag does not carry: give it with --plugin FILE.py:{name}"
+            )
+        changes[f"plugins.{kind}"] = given[name]
+    return flown.with_(changes) if changes else flown
+
+
+def _rerun(
+    path: Path, scenario: Path | None, law: str | None, plugins: list[str], *, json: bool
+) -> int:
     from ptnsbc_io.bag import read_bag
     from ptnsbc_sim.law import LawError, load_law
     from ptnsbc_tools.reading.bag_sources import McapSource, scenario_of
@@ -134,11 +168,12 @@ def _rerun(path: Path, scenario: Path | None, law: str | None, *, json: bool) ->
             f"{path}: flown with the law {flown.law}, which a bag does not carry: give it with --law "
             f"FILE.py:{flown.law.rpartition(':')[2]}"
         )
+    flown = _trusted(path, flown, plugins)
     loaded = None if law is None else load_law(law)
     with console.compiling():
-        from ptnsbc_nodes.runtime.warmup import load_agent
+        from ptnsbc_nodes.runtime.warmup import load_fleet
 
-        load_agent(flown, flown.leader_id)
+        load_fleet(flown)
     jobs = min(os.cpu_count() or 1, _MOST_JOBS)
     done = rerun(bag, flown, lambda: console.progress("re-running"), jobs, loaded)
     seconds = time.monotonic() - began

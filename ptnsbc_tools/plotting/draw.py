@@ -251,7 +251,7 @@ def draw_flight(recording: Recording, path: Path, tolerance: float | None = None
         draw_chart(figure.add_subplot(panels[1, :]), chart)
     scenario = recording.flown
     figure.suptitle(
-        f"{scenario.name}: {scenario.plant_kind}, task {scenario.file.formation.task}, "
+        f"{scenario.name}: {scenario.plant_kind}, task {scenario.task_name}, "
         f"profile {scenario.gains.profile}, avoidance {scenario.file.formation.avoidance}"
     )
     with replacing(path) as part:

@@ -13,7 +13,8 @@ from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions
 from ptnsbc_nodes.comm.legs import Epochs
 from ptnsbc_nodes.comm.slots import DecidedSlots, hear_recorded
-from ptnsbc_sim.law import LoadedLaw, UavLaw
+from ptnsbc_sim.law import LoadedLaw
+from ptnsbc_sim.own_uav import UavFunctions
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.mission.legs import number_of
 from ptnsbc_tools.replay.topic_buffer import TopicBuffer
@@ -36,9 +37,9 @@ class ReplayState:
         edges = CommunicationGraph(scenario, FlightOptions())
         self.scenario = scenario
         self.slots = DecidedSlots(scenario)
-        laws = {uav: None if law is None else UavLaw(law, scenario, uav) for uav in uavs}
+        own = {uav: UavFunctions.of(scenario, uav, law) for uav in uavs}
         self.uavs = {
-            uav: UavReplay(scenario, uav, edges, self.slots, fleet, laws[uav]) for uav in uavs
+            uav: UavReplay(scenario, uav, edges, self.slots, fleet, own[uav]) for uav in uavs
         }
         needed = {topic for uav in uavs for topic in topics.of_uav(uav)}
         for replay in self.uavs.values():

@@ -30,7 +30,7 @@ from ptnsbc_nodes.uav.step_log import (
     decode_snapshot,
     sources,
 )
-from ptnsbc_sim.law import UavLaw
+from ptnsbc_sim.own_uav import OURS, UavFunctions
 from ptnsbc_sim.scenario import Scenario, agent_config
 from ptnsbc_tools.replay.difference import (
     Difference,
@@ -103,7 +103,7 @@ class UavReplay:
         edges: CommunicationGraph,
         decided: DecidedSlots,
         fleet: str = "",
-        law: UavLaw | None = None,
+        own: UavFunctions = OURS,
     ) -> None:
         self.uav = uav
         self.senders = senders = edges.senders(uav)
@@ -115,8 +115,8 @@ class UavReplay:
         self.outputs = [f"/uav{uav}/{name}" for name in OUTPUTS]
         self.recorded_counters: dict[int, list[dict[str, str]]] = {}  # of /diagnostics, by ticks
         self._config = agent_config(scenario, uav)
-        self._law = law
-        self.controller = UavController(self._config, senders, law)
+        self._own = own
+        self.controller = UavController(self._config, senders, own)
         self._put = _inbox_setters(self.controller.inbox)
         self._scenario, self._fleet = scenario, fleet
         self._encoder = AgentMessages(uav, fleet)
@@ -137,7 +137,7 @@ class UavReplay:
         self._held.clear()
         self.inputs = source_topics(self.uav, self.senders)
         config = self._config if limits is None else limits.applied_to(self._config)
-        self.controller = UavController(config, self.senders, self._law)
+        self.controller = UavController(config, self.senders, self._own)
         self._put = _inbox_setters(self.controller.inbox)
 
     def resume(self, note: TickNote, snapshot: bytes) -> None:

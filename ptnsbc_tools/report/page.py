@@ -45,7 +45,7 @@ def _facts(flight: FlightView, about: Mapping[str, str]) -> str:
     facts = {
         "UAVs": str(len(scenario.uav_ids)),
         "plant": scenario.plant_kind,
-        "task": scenario.file.formation.task,
+        "task": scenario.task_name,
         "profile": scenario.gains.profile,
         "avoidance": scenario.file.formation.avoidance,
     }

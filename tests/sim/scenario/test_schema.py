@@ -41,6 +41,9 @@ def test_the_shipped_files_fit_and_name_it(path: Path, validator: Any) -> None:
         "extends: paper_5\nformation: {offsets_m: {4: null}}",
         "gains: {formation: {deadline_s: auto}}",
         "timing: {duration_s: 5 s}",
+        "leader: {trajectory: {kind: spiral.py:spiral, arguments: {climb_m_s: 0.1}}}",
+        "formation: {shape: {kind: spiral.py:arc, radius_m: 2}}",
+        "plugins: {task: mine.py:cylinder, sensor: camera}",
         "uavs: [{id: 1, position_m: [0, 1 m, 0], disturbance_m_s2: [0.2 sin, 0, 0]}]",
     ],
 )

@@ -55,3 +55,22 @@ def test_without_the_file_nothing_is_executed(bag: Path) -> None:
 def test_the_verdict_needs_no_law(bag: Path) -> None:
     result = CliRunner().invoke(app, ["verify", str(bag), "--json"])
     assert json.loads(result.stdout)["scenario"] == "paper_5_free"
+
+
+PLUGINS = LAW.parents[1] / "plugins"
+
+
+def test_a_task_and_a_controller_are_given_by_name(tmp_path: Path) -> None:
+    """What surrounds the UAVs is recorded: plant, disturbance and sensor are not needed again."""
+    pytest.importorskip("rclpy")
+    flown = fly(load(PLUGINS / "all.yaml").with_({"timing.duration_s": 0.6}), checked=False)
+    flown.save(tmp_path / "bag")
+    code, out, err = _rerun(tmp_path / "bag", "--plugin", f"{PLUGINS}/cylinder.py:cylinder")
+    assert (code, out) == (2, "")
+    assert (
+        "flown with the controller proportional.py:proportional, which a bag does not carry" in err
+    )
+    both = [f"{PLUGINS}/{name}.py:{name}" for name in ("cylinder", "proportional")]
+    words = [word for one in both for word in ("--plugin", one)]
+    code, out, _ = _rerun(tmp_path / "bag", *words, "--json")
+    assert (code, json.loads(out)["verdict"]) == (0, "equal")

@@ -1,0 +1,226 @@
+"""One tick of a headless flight: what a UAV senses and hears, and what its plant makes of its command.
+
+At tick k a UAV holds its own odometry of tick k and its neighbours' messages of tick k-1; see
+docs/lockstep.md. Nothing here is a law.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, MutableSequence, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ptnsbc_core.algebra import store
+from ptnsbc_core.kernel import inline_kernel, kernel
+from ptnsbc_core.types import (
+    MODE_FORMATION,
+    MODE_LAND,
+    NEVER_RECEIVED_S,
+    ODOMETRY_SIZE,
+    AgentConfig,
+    AgentInputs,
+    AgentState,
+    Array,
+)
+from ptnsbc_sim.disturbances.build import Disturbances
+from ptnsbc_sim.disturbances.faults import add_jumps
+from ptnsbc_sim.disturbances.gusts import gust_step
+from ptnsbc_sim.disturbances.position_noise import measured_odometry
+from ptnsbc_sim.disturbances.sensor_noise import add_sensor_noise
+from ptnsbc_sim.plants.contract import PlantConfig, Waves
+from ptnsbc_sim.plants.integrate import advance_with, stop, store_odometry
+from ptnsbc_sim.sensor import store_near, store_objects
+from ptnsbc_sim.track import FlightTrack
+from ptnsbc_sim.wiring import Wiring, obstacles_at
+
+
+class SwarmState(NamedTuple):
+    """The UAVs of a flight, by row: constants, what is carried from tick to tick, and room to work in.
+
+    Everything but the constants is changed in place.
+    """
+
+    configs: Sequence[AgentConfig]
+    plants: MutableSequence[PlantConfig]
+    states: MutableSequence[AgentState]
+    bodies: Array  # (N, 17) plant states
+    objects: Array  # (N + O, 7) what the sensors tell of all UAVs and obstacles
+    near: Array  # (N, N - 1 + O, 7) last reading of the near-object sensor
+    near_count: NDArray[np.int64]  # (N,) rows of it that are used
+    estimates: Array  # (N, K, 13) received leader estimates
+    estimate_age_s: Array  # (N, K)
+    nothing: Array  # (13,) zeros: the message of a sender that is not there
+    waves: Waves
+
+
+Loop = Callable[[int, int, Wiring, SwarmState, FlightTrack, Disturbances | None], None]
+"""Flies so many ticks from the first: the law is in it."""
+
+
+@inline_kernel
+def _age(tick: int, sent: int, dt_ns: int) -> float:
+    """Seconds since a message of tick `sent`, -1: none was received."""
+    return ((tick - sent) * dt_ns) * 1e-9 if sent >= 0 else NEVER_RECEIVED_S
+
+
+@inline_kernel
+def _received(swarm: SwarmState, track: FlightTrack, sent: int, row: int) -> Array:
+    """Odometry vector (13,) that UAV number `row` sent at tick `sent`; zeros when there is none."""
+    if sent < 0 or row < 0:
+        return swarm.nothing
+    return track.reported[sent, row]
+
+
+@inline_kernel
+def inputs_of(
+    swarm: SwarmState,
+    wiring: Wiring,
+    track: FlightTrack,
+    tick: int,
+    row: int,
+    disturbances: Disturbances | None,
+) -> AgentInputs:
+    """What UAV number `row` knows at `tick`: what was sent at the tick before, or longer ago if that got lost."""
+    parent = wiring.parent[row]
+    from_parent, from_leader = tick - 1, tick - 1
+    if disturbances is not None:
+        received = disturbances.received[tick, row]
+        from_parent, from_leader = received[0], received[1]
+    count = wiring.neighbour_count[row]
+    estimates, ages = swarm.estimates[row, :count], swarm.estimate_age_s[row, :count]
+    for k in range(count):
+        sent = tick - 1
+        if disturbances is not None:
+            sent = disturbances.received[tick, row, 2 + k]
+        ages[k] = _age(tick, sent, wiring.dt_ns)
+        sender = wiring.neighbours[row, k]
+        for i in range(ODOMETRY_SIZE):
+            estimates[k, i] = track.estimate[sent, sender, i] if sent >= 0 else 0.0
+    pinned = wiring.pinned[row] > 0
+    behind = tick % wiring.near_every
+    landing = tick * wiring.dt_ns >= wiring.landing_ns
+    return AgentInputs(
+        track.odometry[tick, row],
+        _received(swarm, track, from_parent, parent),
+        _age(tick, from_parent, wiring.dt_ns) if parent >= 0 else NEVER_RECEIVED_S,
+        _received(swarm, track, from_leader, wiring.leader if pinned else -1),
+        _age(tick, from_leader, wiring.dt_ns) if pinned else NEVER_RECEIVED_S,
+        estimates,
+        ages,
+        swarm.near[row, : swarm.near_count[row]],
+        (behind * wiring.dt_ns) * 1e-9,
+        MODE_LAND if landing else MODE_FORMATION,
+        (tick * wiring.dt_ns) * 1e-9,
+    )
+
+
+@inline_kernel
+def since_epoch(wiring: Wiring, tick: int) -> float:
+    """Seconds since the latest epoch: the first one, or the begin of the landing."""
+    now_ns = tick * wiring.dt_ns
+    if now_ns >= wiring.landing_ns:
+        now_ns -= wiring.landing_ns
+    return now_ns * 1e-9
+
+
+@kernel
+def sense(
+    swarm: SwarmState,
+    wiring: Wiring,
+    track: FlightTrack,
+    tick: int,
+    disturbances: Disturbances | None,
+) -> None:
+    """Measure every UAV's odometry, and the near objects when the sensor's turn has come."""
+    size = swarm.bodies.shape[0]
+    true = track.odometry if disturbances is None else track.truth
+    for row in range(size):
+        store_odometry(true[tick, row], swarm.bodies[row], wiring.plant)
+    if disturbances is not None:
+        for row in range(size):
+            store(track.odometry[tick, row], 0, _believed(track, tick, row, wiring, disturbances))
+    if tick % wiring.near_every == 0:
+        _sense_near(swarm, wiring, track, tick, disturbances)
+
+
+@kernel
+def _sense_near(
+    swarm: SwarmState,
+    wiring: Wiring,
+    track: FlightTrack,
+    tick: int,
+    disturbances: Disturbances | None,
+) -> None:
+    true = track.odometry[tick] if disturbances is None else track.truth[tick]
+    obstacles = obstacles_at(wiring, tick)
+    store_objects(true, obstacles, swarm.objects)
+    for row in range(true.shape[0]):
+        count = store_near(
+            row, true, obstacles, swarm.objects, wiring.keep_outs, wiring.range_m, swarm.near[row]
+        )
+        swarm.near_count[row] = count
+        if disturbances is not None:
+            samples = disturbances.sensor_samples[tick // wiring.near_every, row]
+            seen = track.odometry[tick, row]
+            near = add_sensor_noise(
+                swarm.near[row, :count], true[row], seen, samples, disturbances.sensor_noise
+            )
+            swarm.near[row, :count] = near
+
+
+@kernel
+def _believed(
+    track: FlightTrack, tick: int, row: int, wiring: Wiring, disturbances: Disturbances
+) -> Array:
+    """Odometry vector (13,) that UAV number `row` sees, from its true one."""
+    measured = measured_odometry(
+        track.truth[tick, row],
+        track.truth[max(tick - disturbances.position_noise.delay, 0), row],
+        track.truth[max(tick - disturbances.position_noise.compensated, 0), row],
+        disturbances.position_errors[row],
+        disturbances.position_samples[tick, row],
+        tick,
+        wiring.dt_ns * 1e-9,
+        disturbances.position_noise,
+    )
+    add_jumps(measured, tick, row, disturbances.jumps)
+    return measured
+
+
+@inline_kernel
+def dead(tick: int, row: int, disturbances: Disturbances) -> bool:
+    """Whether the process of UAV number `row` has been killed."""
+    return tick >= disturbances.ends_at[row]
+
+
+@inline_kernel
+def blown(
+    swarm: SwarmState, wiring: Wiring, tick: int, row: int, disturbances: Disturbances | None
+) -> bool:
+    """Set the gust around UAV number `row`; whether it flies. One whose process was killed stops where it is."""
+    if disturbances is not None:
+        samples, wind = disturbances.gust_samples[tick, row], swarm.plants[row].wind
+        gust_step(disturbances.gust[row], wind, samples, tick, disturbances.gusts)
+        if dead(tick, row, disturbances):
+            stop(swarm.bodies[row], wiring.plant)
+            return False
+    return True
+
+
+@inline_kernel
+def advance_plant(
+    swarm: SwarmState,
+    wiring: Wiring,
+    track: FlightTrack,
+    tick: int,
+    row: int,
+    disturbances: Disturbances | None,
+) -> None:
+    """One control period of UAV number `row` under the wrench that it has just commanded."""
+    plant = swarm.plants[row]
+    if not blown(swarm, wiring, tick, row, disturbances):
+        return
+    t, dt = (tick * wiring.dt_ns) * 1e-9, wiring.dt_ns * 1e-9
+    advance_with(swarm.bodies[row], track.wrench[tick, row], t, dt, plant, swarm.waves)
