@@ -94,10 +94,11 @@ def causes(sweep: FlownSweep) -> list[tuple[str, str, int]]:
 
 
 def worst(sweep: FlownSweep, count: int = _WORST) -> list[WorstFlight]:
-    """The flights to look at: those not met first, the largest error after tf first."""
+    """The flights to look at: inside a keep-out first, then not met, then the largest error after tf."""
     flights, table = sweep.table.flights, sweep.table
     errors = np.nan_to_num(flights.largest_after_all_m, nan=-1.0, posinf=np.inf)
-    order = np.lexsort((flights.draw, -errors, flights.met))[:count]
+    inside = flights.verdict == VIOLATED
+    order = np.lexsort((flights.draw, -errors, flights.met, ~inside))[:count]
     return [
         WorstFlight(
             draw=int(flights.draw[k]),

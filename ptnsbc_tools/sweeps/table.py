@@ -16,7 +16,7 @@ from ptnsbc_sim.sweep import SweepError, SweepPlan
 from ptnsbc_sim.sweep.chunks import DRAWN
 from ptnsbc_sim.sweep.rows import NOT_FLOWN, SweepRow
 from ptnsbc_sim.sweep.runner import PLAN, TABLE
-from ptnsbc_sim.verdict.deadline import MET
+from ptnsbc_sim.verdict.deadline import MET, VIOLATED
 
 Column = NDArray[Any]
 
@@ -38,7 +38,7 @@ class Flights:
     largest_after_all_m: Array  # the largest, with excused spans
     closest_uav_m: Array
     closest_obstacle_m: Array
-    worst: NDArray[np.int64]  # row of the UAV with the largest error, with excused spans
+    worst: NDArray[np.int64]  # row of the UAV to look at: inside a keep-out, not met, largest error
 
 
 @dataclass(frozen=True)
@@ -82,10 +82,10 @@ class FlightTable:
 
     def _worst(self) -> NDArray[np.int64]:
         errors = np.nan_to_num(self["largest_after_all_m"], nan=-1.0, posinf=np.inf)
-        errors = np.where(self["verdict"] == MET, errors, errors + 1e9)  # a UAV that did not meet
+        rank = np.select([self["verdict"] == VIOLATED, self["verdict"] != MET], [2, 1], 0)
         ends = [*self.first[1:], len(self)]
         found = [
-            begin + int(np.argmax(errors[begin:end]))
+            begin + int(np.lexsort((errors[begin:end], rank[begin:end]))[-1])
             for begin, end in zip(self.first, ends, strict=True)
         ]
         return np.array(found, dtype=np.int64)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_sim.sweep import parse_axis
 from ptnsbc_sim.sweep.plan import plan_of
 from ptnsbc_tools.sweeps import summary
-from ptnsbc_tools.sweeps.table import FlightTable, FlownSweep, read_sweep
+from ptnsbc_tools.sweeps.table import FlightTable, FlownSweep, read_sweep, table_of
 
 BASE = load_scenario("paper_5")
 
@@ -35,6 +36,13 @@ def test_the_worst_flight_is_one_that_did_not_meet(made) -> None:
     assert (first.draw, first.uav, first.verdict) == (1, 2, "missed")
     assert first.command == "ptnsbc simulate --sweep there --draw 1"
     assert [one.draw for one in others] == [0, 2]
+
+
+def test_a_flight_inside_a_keep_out_is_named_before_a_larger_error(made) -> None:
+    missed = replace(made.ROW, verdict="missed", flight_verdict="missed", largest_after_all_m=9.0)
+    inside = replace(made.ROW, draw=1, verdict="violated", flight_verdict="violated")
+    found = summary.worst(sweep_of(table_of([missed, inside]), 2))
+    assert [(one.draw, one.verdict) for one in found] == [(1, "violated"), (0, "missed")]
 
 
 def test_the_cells_of_a_grid(made) -> None:

@@ -38,6 +38,8 @@ def test_a_uav_that_missed_is_worse_than_one_with_an_excused_error(made) -> None
     excused = replace(made.ROW, largest_after_all_m=3.0)
     missed = replace(made.ROW, uav=2, verdict="missed", largest_after_all_m=0.1)
     assert table_of([excused, missed]).flights.worst.tolist() == [1]
+    inside = replace(missed, uav=3, verdict="violated", largest_after_all_m=0.05)
+    assert table_of([excused, missed, inside]).flights.worst.tolist() == [2]
 
 
 def test_a_sweep_is_read_from_its_folder(flown: Path) -> None:
