@@ -11,7 +11,7 @@ from ptnsbc_core.topology import Topology, validated_topology
 from ptnsbc_sim.scenario import obstacles
 from ptnsbc_sim.scenario.mavlink import Geofence, Mavlink, vehicle_link
 from ptnsbc_sim.scenario.mission import legs, shapes, trajectories
-from ptnsbc_sim.scenario.mission.faults import fault_problems
+from ptnsbc_sim.scenario.mission.faults import AUTOPILOT, fault_problems
 from ptnsbc_sim.scenario.model import Positioning, ScenarioFile, plant_of
 from ptnsbc_sim.scenario.problems import ScenarioError
 
@@ -267,6 +267,11 @@ def _law(file: ScenarioFile) -> Problems:
 def _faults(file: ScenarioFile) -> Problems:
     ids = {uav.id for uav in file.uavs}
     for index, fault in enumerate(file.faults or ()):
+        if fault.rule.strikes == AUTOPILOT:
+            yield (
+                f"faults[{index}].kind: {fault.kind}: no flight can inject it, stand-ins can: expected "
+                f"`ptnsbc inject {fault.kind} --control PORT`, or `ptnsbc autopilot --fault`"
+            )
         for problem in fault_problems(fault, ids):
             yield f"faults[{index}].{problem}"
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ptnsbc_sim.scenario import Scenario
-from ptnsbc_sim.scenario.mission.faults import AUTOPILOT, FaultBlock
+from ptnsbc_sim.scenario.mission.faults import FaultBlock
 from ptnsbc_tools.check.finding import INFO, WARNING, Finding, Findings
 
 
@@ -25,8 +25,4 @@ def faults(scenario: Scenario) -> Findings:
 
 def _where(scenario: Scenario, fault: FaultBlock) -> str:
     """Where a fault is injected; empty when everywhere."""
-    if fault.rule.strikes == AUTOPILOT:
-        return "inject it by hand: ptnsbc inject --control PORT, into stand-ins alone"
-    if fault in scenario.modelled_faults:
-        return ""
-    return "only in real time"
+    return "" if fault in scenario.modelled_faults else "only in real time"

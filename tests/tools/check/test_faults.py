@@ -26,11 +26,5 @@ def test_where_a_fault_is_injected(fault, said):
     assert said_of(**fault) == said
 
 
-def test_what_stand_ins_suffer_is_injected_by_hand():
-    [(severity, advice)] = said_of(kind="battery", uav=2, charge=0.1)
-    assert severity == "info"
-    assert "ptnsbc inject --control PORT" in advice
-
-
 def test_a_fault_after_the_flight_is_a_warning():
     assert said_of(kind="silence", uav=2, at_s=1e6)[0][0] == "warning"

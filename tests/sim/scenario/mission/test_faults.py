@@ -3,7 +3,7 @@
 import pytest
 
 from ptnsbc_sim.scenario import ScenarioError, load_scenario
-from ptnsbc_sim.scenario.mission.faults import FAULTS, FOR_EVER_NS
+from ptnsbc_sim.scenario.mission.faults import AUTOPILOT, FAULTS, FOR_EVER_NS
 
 GOOD = {
     "silence": {"uav": 2},
@@ -16,8 +16,6 @@ GOOD = {
     "restart": {"uav": 2},
     "clock_offset": {"uav": 2, "offset_s": -0.4},
     "disk_full": {},
-    "battery": {"uav": 2, "charge": 0.1},
-    "gps_off": {"uav": 2},
 }
 
 
@@ -25,7 +23,7 @@ def with_fault(**keys):
     return load_scenario("paper_5", {"faults": [{"at_s": 1, **keys}]})
 
 
-@pytest.mark.parametrize("kind", FAULTS)
+@pytest.mark.parametrize("kind", GOOD)
 def test_every_kind_can_be_written(kind):
     (fault,) = with_fault(kind=kind, **GOOD[kind]).faults
     assert fault.rule is FAULTS[kind]
@@ -48,6 +46,8 @@ def test_every_kind_can_be_written(kind):
         ({"kind": "loss", "uav": 2, "share": 0.1, "charge": 1}, "charge: loss does not take it"),
         ({"kind": "disk_full", "uav": 2}, "strikes the recorder: expected no UAV"),
         ({"kind": "ghosts", "uav": 2}, r"faults\[0\].kind"),
+        ({"kind": "battery", "uav": 2, "charge": 0.1}, "expected `ptnsbc inject battery --control"),
+        ({"kind": "gps_off", "uav": 2}, "expected `ptnsbc inject gps_off --control"),
         ({"kind": "kill", "process": "launcher"}, r"faults\[0\].process"),
         ({"kind": "silence", "uav": 2, "at_s": -1}, r"faults\[0\].at_s"),
         ({"kind": "silence", "uav": 2, "for_s": 1}, "for_s.*unknown key"),
@@ -56,6 +56,10 @@ def test_every_kind_can_be_written(kind):
 def test_what_does_not_fit_is_refused_in_words(keys, said):
     with pytest.raises(ScenarioError, match=said):
         with_fault(**keys)
+
+
+def test_every_kind_can_be_written_or_is_one_of_stand_ins():
+    assert set(FAULTS) - set(GOOD) == {k for k, rule in FAULTS.items() if rule.strikes == AUTOPILOT}
 
 
 def test_units_may_be_repeated_and_times_count_from_the_epoch():
