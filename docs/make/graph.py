@@ -35,6 +35,16 @@ REAL_TIME, LOCKSTEP, BRIDGED = "real time", "lock-step", "flight controllers"
 SCENARIO = "experiment_4"  # has a truth, and a MAVLink block
 _FAULTS = {"faults": []}  # with it the nodes hear of faults that are injected
 _OPEN_SLOTS = {"formation.assignment": "optimal"}
+_STREAM = {
+    "leader.trajectory": {
+        "kind": "stream",
+        "position_m": [0, 0, 5],
+        "low_m": [-9, -9, 1],
+        "high_m": [9, 9, 9],
+        "speed_m_s": 1,
+        "acceleration_m_s2": 1,
+    }
+}
 _MODES = {
     REAL_TIME: FlightOptions(recorded=True),
     LOCKSTEP: FlightOptions(lockstep=True, recorded=True),
@@ -65,6 +75,9 @@ def ends() -> list[End]:
             found += _flight(domain, mode, options, load_scenario(SCENARIO, _FAULTS))
             decided = _flight(domain, mode, options, load_scenario(SCENARIO, _OPEN_SLOTS))
             found += [end for end in decided if end.topic == topics.SLOTS.name]
+            streamed = _flight(domain, mode, options, load_scenario(SCENARIO, _STREAM))
+            own = (topics.SETPOINT.name, topics.TAKEN.name)
+            found += [end for end in streamed if end.topic in own]
         return found
 
 
@@ -125,6 +138,7 @@ def _recorder(node: Node, scenario: Scenario, options: FlightOptions) -> Iterato
         "lockstep": lockstep,
         "with_truth": not options.bridged,
         "with_slots": are_open(scenario),
+        "with_stream": scenario.hears_setpoints,
     }
     infos = [topic_info(one, lockstep=lockstep) for one in topics.in_bag(uavs, **options_of_bag)]
     with tempfile.TemporaryDirectory() as folder, BagWriter(Path(folder) / "bag", infos) as writer:

@@ -31,6 +31,7 @@ from ptnsbc_nodes.bridge.world import WorldFrame
 from ptnsbc_nodes.comm.legs import Epochs
 from ptnsbc_nodes.emergency.orders import APART
 from ptnsbc_sim.scenario import Scenario, agent_config
+from ptnsbc_sim.scenario.build import leader_trajectory
 
 WANTED_MESSAGES = frozenset(
     getattr(mavlink, f"MAVLINK_MSG_ID_{name}")
@@ -166,6 +167,10 @@ class Bridge:
         while inputs.legs:
             if self._epochs.announce(*inputs.legs.pop(0)):
                 self._config = agent_config(self._epochs.scenario or self._scenario, self._uav_id)
+        while inputs.taken:
+            self._epochs.take(inputs.taken.pop(0))
+            flown = self._epochs.scenario or self._scenario
+            self._config = self._config._replace(trajectory=leader_trajectory(flown))
         while inputs.companions:
             self.companions.report(*inputs.companions.pop(0))
         if data is not None:

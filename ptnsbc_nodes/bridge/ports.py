@@ -11,7 +11,7 @@ import numpy as np
 
 from ptnsbc_core.types import NEAR_COLUMNS, Array
 from ptnsbc_io.mavlink.frames import GeoPoint
-from ptnsbc_io.wire import HeaderFields
+from ptnsbc_io.wire import HeaderFields, Stamped
 from ptnsbc_nodes.bridge.procedure.companions import Companion
 from ptnsbc_nodes.bridge.setpoint.guard import SetpointLimits
 from ptnsbc_nodes.emergency.orders import Order
@@ -25,6 +25,7 @@ class BridgeInputs:
     legs: list[HeaderFields] = field(
         default_factory=list
     )  # epochs in the order of their announcement
+    taken: list[Stamped] = field(default_factory=list)  # setpoints that the leader follows
     near_uavs: Array = field(default_factory=lambda: np.empty((0, NEAR_COLUMNS)))
     """The other vehicles (M, 7), wherever they are: x y z keep-out vx vy vz."""
     leader_origin: GeoPoint | None = None

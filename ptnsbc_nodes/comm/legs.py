@@ -5,9 +5,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from ptnsbc_core.errors import PtnsbcError
-from ptnsbc_core.types import LEGS, MODE_FORMATION, MODE_LAND
+from ptnsbc_core.types import LEGS, MODE_FORMATION, MODE_LAND, Array
+from ptnsbc_io.wire import Stamped
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.mission.legs import Word, number_of
+from ptnsbc_sim.scenario.mission.stream import SetpointError, setpoint_of
 
 FIRST_LEG = "form"
 _MOST_LEGS = 256  # that are remembered
@@ -73,6 +75,28 @@ class Epochs:
             return False
         self._landing_ns = self.scenario.landing_ns
         return True
+
+    def following(self, now_ns: int, odometry: Array) -> Scenario:
+        """The scenario whose leader follows one more setpoint (13,) from `now_ns` on.
+
+        Raises:
+            EpochError: the formation is not flown, or the leader cannot follow the setpoint.
+        """
+        leg = self.at(now_ns)
+        if self.scenario is None or leg is None or leg.mode != MODE_FORMATION:
+            raise EpochError("setpoint: expected one while the formation is flown")
+        one = setpoint_of((now_ns - leg.first_t0_ns) * 1e-9, odometry)
+        try:
+            return self.scenario.with_setpoint(one)
+        except SetpointError as error:
+            raise EpochError(f"setpoint: {error}") from None
+
+    def take(self, taken: Stamped) -> None:
+        """Follow a setpoint that the leader has taken; without effect where that means nothing."""
+        try:
+            self.scenario = self.following(taken.stamp_ns, taken.values)
+        except EpochError:
+            return
 
     @property
     def announced(self) -> bool:

@@ -20,7 +20,7 @@ class Role(Enum):
     LATCHED = "latched"  # the last message matters, also to nodes that join later
 
 
-CONTROL_RATE, SENSOR_RATE, STATUS_RATE = "control", "sensor", "5 Hz"
+CONTROL_RATE, SENSOR_RATE, STATUS_RATE, ON_DEMAND = "control", "sensor", "5 Hz", "on demand"
 
 
 class Topic(NamedTuple):
@@ -36,13 +36,17 @@ EPOCH = Topic("/formation/epoch", "std_msgs/msg/Header", Role.LATCHED, "once a l
 """A leg begins: stamp t0, frame_id its name."""
 SLOTS = Topic("/formation/slots", "std_msgs/msg/Header", Role.LATCHED, "once a leg")
 """With `formation.assignment: optimal`: stamp t0 of a leg, frame_id the slot of every UAV, "1:1 2:5 3:2"."""
+SETPOINT = Topic("/formation/setpoint", "nav_msgs/msg/Odometry", Role.STATE, ON_DEMAND)
+"""With a leader of kind `stream`: where it is to be, from a program of the user; all in the world frame."""
+TAKEN = Topic("/formation/setpoint_taken", "nav_msgs/msg/Odometry", Role.EVENT, ON_DEMAND)
+"""A setpoint that the leader follows: stamp from when."""
 DIAGNOSTICS = Topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", Role.EVENT, STATUS_RATE)
 """State and counters of every node."""
 MARKERS = Topic("/formation/markers", "visualization_msgs/msg/MarkerArray", Role.EVENT, STATUS_RATE)
 """The flight drawn, for viewers; with real vehicles in bags only."""
 ORIGIN = Topic("/formation/origin", "sensor_msgs/msg/NavSatFix", Role.LATCHED, "once")
 """Where the leader's local origin is on the Earth; from its bridge to the others."""
-EMERGENCY = Topic("/formation/emergency", "std_msgs/msg/Header", Role.EVENT, "on demand")
+EMERGENCY = Topic("/formation/emergency", "std_msgs/msg/Header", Role.EVENT, ON_DEMAND)
 """frame_id `land` or `kill` from an operator, or `apart` from a bridge, to all bridges: needs no leader."""
 CLOCK = Topic("/clock", "rosgraph_msgs/msg/Clock", Role.STATE)
 """Time of the simulated world."""
@@ -59,11 +63,11 @@ takes is chance, and /diagnostics is in the bag."""
 RECORDED = Topic("/formation/recorded", "std_msgs/msg/Header", Role.EVENT)
 """Stamp up to which the recorder has taken in every topic of a lock-step flight; the sim never runs far ahead."""
 
-REQUEST = Topic("/formation/request", "std_msgs/msg/Header", Role.EVENT, "on demand")
+REQUEST = Topic("/formation/request", "std_msgs/msg/Header", Role.EVENT, ON_DEMAND)
 """frame_id the leg that an operator calls the leader's service for next; with `security: signed` the leader answers
 no call without it."""
 
-FAULT = Topic("/formation/fault", "std_msgs/msg/Header", Role.EVENT, "on demand")
+FAULT = Topic("/formation/fault", "std_msgs/msg/Header", Role.EVENT, ON_DEMAND)
 """frame_id a fault as JSON, from `ptnsbc inject`; heard only where the scenario has the key `faults`."""
 
 SEVERAL_PUBLISHERS = frozenset(
@@ -165,6 +169,7 @@ def recorded(
     lockstep: bool = True,
     with_truth: bool = False,
     with_slots: bool = False,
+    with_stream: bool = False,
 ) -> tuple[Topic, ...]:
     """The topics that a recorder of these UAVs subscribes to; it makes /tf itself, out of odometry."""
 
@@ -173,7 +178,7 @@ def recorded(
         return (*of_uav(uav), *noted, *((truth(uav),) if with_truth else ()))
 
     own = tuple(topic for uav in uavs for topic in of_one(uav))
-    decided = (SLOTS,) if with_slots else ()
+    decided = (*((SLOTS,) if with_slots else ()), *((TAKEN,) if with_stream else ()))
     return (*own, EPOCH, *decided, DIAGNOSTICS, MARKERS, CLOCK)
 
 
@@ -183,10 +188,17 @@ def in_bag(
     lockstep: bool = True,
     with_truth: bool = False,
     with_slots: bool = False,
+    with_stream: bool = False,
 ) -> tuple[Topic, ...]:
     """Every topic of a bag of these UAVs."""
-    kinds = {"lockstep": lockstep, "with_truth": with_truth, "with_slots": with_slots}
-    return (*recorded(uavs, **kinds), TF)
+    every = recorded(
+        uavs,
+        lockstep=lockstep,
+        with_truth=with_truth,
+        with_slots=with_slots,
+        with_stream=with_stream,
+    )
+    return (*every, TF)
 
 
 def tf_is_available() -> bool:

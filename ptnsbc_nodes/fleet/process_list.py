@@ -153,6 +153,8 @@ def _recorder(options: FleetOptions, bag: Path, scenario_file: Path) -> ProcessC
         arguments.append("--truth")
     if are_open(options.scenario):
         arguments.append("--slots")
+    if options.scenario.hears_setpoints:
+        arguments.append("--stream")
     if options.backend == "mavlink":
         arguments += ["--draw", str(scenario_file), "--punctual"]
     if options.scenario.file.security == "signed":

@@ -39,7 +39,11 @@ def topic_info(topic: Topic, *, lockstep: bool) -> TopicInfo:
 
 def _sources(recorded: Iterable[Topic]) -> Iterator[str]:
     """What sends regularly in lock-step: every topic of a UAV, the sim's, and each process on /diagnostics."""
-    names = [topic.name for topic in recorded if topic.role is not Role.LATCHED]
+    names = [
+        topic.name
+        for topic in recorded
+        if topic.role is not Role.LATCHED and topic.rate != topics.ON_DEMAND
+    ]
     for name in names:
         if name == topics.DIAGNOSTICS.name:
             yield SIM

@@ -74,6 +74,7 @@ def _record(context: Context, options: argparse.Namespace, stop: StopRequest) ->
         "lockstep": options.lockstep,
         "with_truth": options.truth,
         "with_slots": options.slots,
+        "with_stream": options.stream,
     }
     every = topics.in_bag(options.uavs, **kinds)
     with recorder_node(context, "recorder") as (node, executor):
@@ -130,6 +131,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--slots", action="store_true", help="an epoch decides who takes which slot"
     )
+    parser.add_argument("--stream", action="store_true", help="the leader takes setpoints")
     parser.add_argument(
         "--draw",
         metavar="SCENARIO",

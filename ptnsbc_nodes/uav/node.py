@@ -53,6 +53,7 @@ from ptnsbc_nodes.runtime.pacing import Pace, Ticker
 from ptnsbc_nodes.uav.controller import UavController, step_time
 from ptnsbc_nodes.uav.faults import UavFaults
 from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS
+from ptnsbc_nodes.uav.leader_setpoints import LeaderSetpoints
 from ptnsbc_nodes.uav.leg_services import LegServices
 from ptnsbc_nodes.uav.outbox import Outbox
 from ptnsbc_nodes.uav.robot_description import publish_description
@@ -119,6 +120,10 @@ class UavNode:
             if uav_id == scenario.leader_id
             else None
         )
+        if scenario.hears_setpoints and uav_id == scenario.leader_id:
+            LeaderSetpoints(
+                self.endpoints, edges.options.recorders, self._epochs, self._next_flight_ns
+            )
         if not self._options.lockstep:
             self._outbox.log_steps(self.endpoints, edges, uav_id, every=scenario.control_hz)
 
@@ -230,6 +235,10 @@ class UavNode:
 
     def _flight_ns(self) -> int:
         return max(self._timing.done_ns, 0) if self._options.lockstep else self._timing.now_ns()
+
+    def _next_flight_ns(self) -> int:
+        """Time of the flight that no tick has reached yet."""
+        return self._flight_ns() + (self._timing.period_ns if self._options.lockstep else 0)
 
     def _listen_to(
         self,

@@ -69,6 +69,11 @@ class FlightState:
             self.scenario = self._file = flown  # a word on a leg of the mission
             self.flown_anew += 1
 
+    def on_taken(self, setpoint: Stamped) -> None:
+        """The leader follows a setpoint."""
+        self._epochs.take(setpoint)
+        self.scenario = self._epochs.scenario or self.scenario
+
     def on_slots(self, decision: Decision) -> None:
         """The UAVs have taken their slots."""
         self._decided.keep(decision)

@@ -27,7 +27,7 @@ from ptnsbc_sim.scenario.mavlink import Mavlink
 from ptnsbc_sim.scenario.mission.faults import FaultBlock
 from ptnsbc_sim.scenario.mission.legs import Mission
 from ptnsbc_sim.scenario.mission.shapes import Change, ShapeBlock
-from ptnsbc_sim.scenario.mission.trajectories import TrajectoryBlock
+from ptnsbc_sim.scenario.mission.trajectories import LeaderTrajectoryBlock
 from ptnsbc_sim.scenario.obstacles import ObstacleBlock
 from ptnsbc_sim.scenario.problems import ScenarioError
 
@@ -171,7 +171,7 @@ class Leader(Block):
 
     id: UavId
     """Id of one of `uavs`."""
-    trajectory: TrajectoryBlock
+    trajectory: LeaderTrajectoryBlock
     """Trajectory of the leader, one of these kinds:"""
 
 

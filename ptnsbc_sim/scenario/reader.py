@@ -213,7 +213,7 @@ def merged(base: Tree, own: Tree) -> Tree:
 
 def _names_file(block: Any) -> bool:
     """Whether a block is a trajectory or a shape in a file of its own."""
-    named = isinstance(block, dict) and block.get("kind") in ("csv", "file")
+    named = isinstance(block, dict) and block.get("kind") in ("csv", "file", "stream")
     return named and block.get("file") is not None
 
 

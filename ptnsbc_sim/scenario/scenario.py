@@ -23,6 +23,13 @@ from ptnsbc_sim.scenario.mission.completion import completed_mission, completed_
 from ptnsbc_sim.scenario.mission.faults import MESSAGES, FaultBlock, modelled
 from ptnsbc_sim.scenario.mission.legs import ScheduledLeg, Word, landing_s, schedule
 from ptnsbc_sim.scenario.mission.route import with_legs
+from ptnsbc_sim.scenario.mission.stream import (
+    Setpoint,
+    Streamed,
+    going_on,
+    hears_setpoints,
+    streamed,
+)
 from ptnsbc_sim.scenario.model import (
     Plant,
     Plugins,
@@ -127,6 +134,35 @@ class Scenario:
         if given == self.words:
             return self
         return replace(self, file=_with_legs(self.file, self.source, given), words=given)
+
+    def with_setpoints(self, setpoints: Iterable[Setpoint]) -> Scenario:
+        """This scenario with the setpoints that its leader, of kind `stream`, has taken from a topic.
+
+        Raises:
+            SetpointError: one that the leader cannot follow.
+        """
+        path: Any = self.file.leader.trajectory
+        return self._following(streamed(getattr(path, "block", path), tuple(setpoints)))
+
+    def with_setpoint(self, one: Setpoint) -> Scenario:
+        """The same with one more setpoint, in flight: what is long past is forgotten.
+
+        Raises:
+            SetpointError: the leader cannot follow it.
+        """
+        path: Any = self.file.leader.trajectory
+        return self._following(
+            going_on(path if isinstance(path, Streamed) else streamed(path, ()), one)
+        )
+
+    def _following(self, path: Streamed) -> Scenario:
+        leader = self.file.leader.model_copy(update={"trajectory": path})
+        return replace(self, file=self.file.model_copy(update={"leader": leader}))
+
+    @property
+    def hears_setpoints(self) -> bool:
+        """Whether its leader takes setpoints from a topic."""
+        return hears_setpoints(self.file.leader.trajectory)
 
     @property
     def legs(self) -> tuple[ScheduledLeg, ...]:

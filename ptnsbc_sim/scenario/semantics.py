@@ -12,6 +12,7 @@ from ptnsbc_sim.scenario import obstacles
 from ptnsbc_sim.scenario.mavlink import Geofence, Mavlink, vehicle_link
 from ptnsbc_sim.scenario.mission import legs, shapes, trajectories
 from ptnsbc_sim.scenario.mission.faults import AUTOPILOT, fault_problems
+from ptnsbc_sim.scenario.mission.stream import hears_setpoints
 from ptnsbc_sim.scenario.model import Positioning, ScenarioFile, plant_of
 from ptnsbc_sim.scenario.problems import ScenarioError
 
@@ -161,6 +162,16 @@ def _offsets(file: ScenarioFile) -> Problems:
 def _trajectory(file: ScenarioFile) -> Problems:
     for problem in trajectories.problems(file.leader.trajectory):
         yield f"leader.trajectory.{problem}"
+    if not hears_setpoints(file.leader.trajectory):
+        return
+    # What decides these needs the whole trajectory, which nobody knows.
+    for key, given, fits in (
+        ("formation.frame", file.formation.frame, "world"),
+        ("formation.assignment", file.formation.assignment, "fixed"),
+        ("mission", "legs" if file.mission else "none", "none"),
+    ):
+        if given != fits:
+            yield f"{key}: {given}: expected {fits} with a leader that follows setpoints from a topic"
 
 
 def _motion_of_shape(file: ScenarioFile) -> Problems:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -13,6 +13,7 @@ from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.mission.legs import Word, number_of
+from ptnsbc_sim.scenario.mission.stream import SetpointError, setpoint_of
 from ptnsbc_sim.scenario.slots import are_open, with_slots
 from ptnsbc_sim.verdict.track import Track
 
@@ -40,6 +41,25 @@ def with_said(
         known = [word for word in words if word.number <= len(scenario.file.mission.legs)]
         scenario = scenario.with_words(sorted(known, key=lambda word: word.at_s))
     return scenario, legs
+
+
+def with_taken(
+    scenario: Scenario, epochs: tuple[tuple[int, str], ...], taken: Sequence[tuple[int, Array]]
+) -> Scenario:
+    """The scenario whose leader follows the setpoints that it has taken in flight: from when [ns], and (13,) each.
+
+    Raises:
+        VerdictError: the leader cannot have followed them.
+    """
+    first_ns = next((t0_ns for t0_ns, leg in epochs if leg == FORMATION), None)
+    if not taken or first_ns is None or not scenario.hears_setpoints:
+        return scenario
+    try:
+        return scenario.with_setpoints(
+            setpoint_of((stamp_ns - first_ns) * NANO, values) for stamp_ns, values in taken
+        )
+    except SetpointError as error:
+        raise VerdictError(f"the setpoints that the leader has taken: {error}") from None
 
 
 def with_landing(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 
 from ptnsbc_core.curves.trajectory import reference_positions
@@ -9,6 +11,7 @@ from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.build import leader_trajectory, places_beside_leader
 from ptnsbc_sim.scenario.mavlink import Geofence
+from ptnsbc_sim.scenario.mission.stream import SetpointTrajectory
 from ptnsbc_sim.scenario.mission.trajectories import extremes
 from ptnsbc_tools.check.finding import ERROR, INFO, WARNING, Finding, Findings
 
@@ -69,10 +72,20 @@ def _outside(places: Array, fence: Geofence) -> Array:
     return far
 
 
+def _path(scenario: Scenario, times: Array) -> Array:
+    """Where the leader goes (T, 3) [m]; of setpoints from a topic nobody knows more than the region."""
+    path = scenario.file.leader.trajectory
+    if isinstance(path, SetpointTrajectory) and scenario.hears_setpoints:
+        corners = itertools.product(*zip(path.low_m, path.high_m, strict=True))
+        return np.array(list(corners), dtype=np.float64)
+    return reference_positions(leader_trajectory(scenario), times)
+
+
 def _region(scenario: Scenario) -> Findings:
     """Height above the ground, and the fence, of every place of the formation."""
     times = np.linspace(0.0, scenario.duration_s, _SAMPLES)
-    path = reference_positions(leader_trajectory(scenario), times)
+    path = _path(scenario, times)
+    times = times[: len(path)]
     places = {uav: path + places_beside_leader(scenario, uav, times) for uav in scenario.uav_ids}
     lowest = min(places, key=lambda uav: float(places[uav][:, 2].min()))
     height = float(places[lowest][:, 2].min())

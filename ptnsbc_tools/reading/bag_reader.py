@@ -19,7 +19,7 @@ from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.slots import DecidedSlots, hear_recorded
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.verdict import Recording, Track
-from ptnsbc_sim.verdict.recording import FORMATION, with_landing, with_said
+from ptnsbc_sim.verdict.recording import FORMATION, with_landing, with_said, with_taken
 from ptnsbc_tools.reading.bag_sources import (
     OUR_TOPICS,
     BagSource,
@@ -60,6 +60,7 @@ class _Collector:
     def __init__(self, source: BagSource, names: TopicNames, scenario: Scenario) -> None:
         uavs = scenario.uav_ids
         self.epochs: set[tuple[int, str]] = set()
+        self.taken: list[Stamped] = []
         self.slots = DecidedSlots(scenario)
         file = SampleFile()
         self.counters = DiagnosticCounters(file)
@@ -75,7 +76,12 @@ class _Collector:
 
     def collect(self) -> None:
         """Read all messages that the verdict needs."""
-        common = (topics.EPOCH.name, topics.SLOTS.name, topics.DIAGNOSTICS.name)
+        common = (
+            topics.EPOCH.name,
+            topics.SLOTS.name,
+            topics.TAKEN.name,
+            topics.DIAGNOSTICS.name,
+        )
         names = [*self._decoders, *common]
         types = self._source.types()
         for message in self._source.messages([name for name in names if name in types]):
@@ -94,6 +100,8 @@ class _Collector:
             self.epochs.add((epoch.stamp_ns, epoch.frame_id))
         elif topic == topics.SLOTS.name:
             hear_recorded(self.slots, data)
+        elif topic == topics.TAKEN.name:
+            self.taken.append(decode_odometry(data))
         elif topic == topics.DIAGNOSTICS.name:
             self.counters.add(decode_diagnostics(data))
         else:
@@ -128,6 +136,7 @@ def read_recording(path: Path, options: ReadOptions = DEFAULTS) -> Recording:
     if options.epoch_s is not None and odometry:
         first_ns = min(track.first_ns for track in odometry.values())
         epochs = ((first_ns + round(options.epoch_s * 1e9), FORMATION),)
+    scenario = with_taken(scenario, epochs, collector.taken)
     scenario, epochs = with_said(scenario, epochs)
     return Recording(
         scenario=scenario,

@@ -194,7 +194,10 @@ def write_flight(
     infos: list[Any] = [
         topic_info(topic, lockstep=True)
         for topic in topics.in_bag(
-            scenario.uav_ids, with_truth=scenario.imperfect, with_slots=are_open(scenario)
+            scenario.uav_ids,
+            with_truth=scenario.imperfect,
+            with_slots=are_open(scenario),
+            with_stream=scenario.hears_setpoints,
         )
     ]
     attachments = {SCENARIO_ATTACHMENT: scenario.text.encode()}

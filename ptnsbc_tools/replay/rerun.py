@@ -16,10 +16,11 @@ from typing import Any, NamedTuple
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_io.bag import Bag, BagError, BagMessage
-from ptnsbc_io.wire import WireError
+from ptnsbc_io.wire import WireError, decode_header, decode_odometry
 from ptnsbc_nodes.comm import topics
 from ptnsbc_sim.law import LawError, LoadedLaw
 from ptnsbc_sim.scenario import Scenario
+from ptnsbc_sim.verdict.recording import with_taken
 from ptnsbc_tools.replay.difference import Difference
 from ptnsbc_tools.replay.drivers import LockstepDriver, RealTimeDriver
 from ptnsbc_tools.replay.replay_state import ReplayState
@@ -106,6 +107,7 @@ def rerun(
         raise LawError(
             f"{bag.path}: flown with the law {scenario.law}, which a bag does not carry: expected its file"
         )
+    scenario = _with_taken(bag, scenario)
     realtime = any(_messages(bag, topics.tick(uav).name) for uav in scenario.uav_ids)
     ids = scenario.uav_ids
     groups = [ids[k::jobs] for k in range(min(jobs, len(ids)))]
@@ -117,6 +119,19 @@ def rerun(
     if not any(one.steps or one.gaps for one in accounts.values()):
         raise BagError(f"{bag.path}: no step to re-run: expected odometry and an epoch")
     return Rerun(realtime, (bag.end_ns - bag.start_ns) * 1e-9, accounts)
+
+
+def _with_taken(bag: Bag, scenario: Scenario) -> Scenario:
+    """The scenario with the setpoints that the leader has taken: each counts from its stamp on."""
+    wanted = [name for name in (topics.TAKEN.name, topics.EPOCH.name) if name in bag.topics]
+    epochs, taken = [], []
+    for message in bag.messages(wanted) if len(wanted) == 2 else ():
+        if message.topic == topics.EPOCH.name:
+            epoch = decode_header(message.data)
+            epochs.append((epoch.stamp_ns, epoch.frame_id))
+        else:
+            taken.append(decode_odometry(message.data))
+    return with_taken(scenario, tuple(sorted(epochs)), taken)
 
 
 def _accounts(

@@ -123,3 +123,22 @@ def ros(domain) -> Iterator[Ros]:
     instance = Ros(domain)
     yield instance
     instance.close()
+
+
+@pytest.fixture
+def launch(tmp_path):
+    """Starts fleets in lock-step as processes of their own; none is left behind."""
+    from launched_fleet import Launched
+
+    launched = []
+
+    def start(*arguments: str, domain: int | None = None) -> Launched:
+        log_dir = tmp_path / f"logs{len(launched)}"
+        launched.append(Launched(log_dir, *arguments, domain=domain))
+        return launched[-1]
+
+    yield start
+    for fleet in launched:
+        if fleet.process.poll() is None:
+            fleet.process.kill()
+            fleet.process.wait()

@@ -283,13 +283,13 @@ def hermite(times: Array, values: Sequence[Array]) -> Array:
         size, span = before + after, spans[rows, None]
         first = np.stack([values[row] for row in rows]) * span ** np.arange(before)
         last = np.stack([values[row + 1] for row in rows]) * span ** np.arange(after)
-        of_share = np.linalg.solve(_conditions(before, after), np.hstack([first, last]).T).T
+        of_share = np.linalg.solve(conditions(before, after), np.hstack([first, last]).T).T
         out[rows, COEFFICIENTS - size :] = (of_share / span ** np.arange(size))[:, ::-1]
     return out
 
 
 @cache
-def _conditions(before: int, after: int) -> Array:
+def conditions(before: int, after: int) -> Array:
     """Derivatives of the powers of s, the lowest first: so many at s = 0, and so many at s = 1."""
     size = before + after
     powers = [np.poly1d([1.0, *[0.0] * power]) for power in range(size)]

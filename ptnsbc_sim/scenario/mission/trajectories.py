@@ -29,6 +29,8 @@ from ptnsbc_core.types import (
     Trajectory,
 )
 from ptnsbc_sim.scenario.fields import Block, Flag, NotNegative, Number, Vec3
+from ptnsbc_sim.scenario.mission import stream
+from ptnsbc_sim.scenario.mission.stream import SetpointTrajectory, Streamed
 from ptnsbc_sim.scenario.reader import MOST_SAMPLES
 
 MOST_POINTS = 2000
@@ -155,6 +157,10 @@ class Csv(Block):
 TrajectoryBlock = Annotated[
     Circle | Line | Hover | Lissajous | Waypoints | Csv, Field(discriminator="kind")
 ]
+LeaderTrajectoryBlock = Annotated[
+    Circle | Line | Hover | Lissajous | Waypoints | Csv | SetpointTrajectory,
+    Field(discriminator="kind"),
+]
 
 
 @dataclass(frozen=True)
@@ -177,6 +183,8 @@ class Samples(NamedTuple):
 
 def problems(block: Any) -> Iterator[str]:
     """The errors of a trajectory, as `key: value: expectation` below `leader.trajectory`."""
+    if isinstance(block, SetpointTrajectory):
+        yield from stream.problems(block)
     if not isinstance(block, Waypoints | Csv):
         return
     found = list(
@@ -287,8 +295,10 @@ def samples_of(text: str) -> Samples:
 @lru_cache(maxsize=64)
 def trajectory_of(block: Any) -> Trajectory:
     """The curve of a trajectory block that has no `problems`."""
-    if isinstance(block, Route):
+    if isinstance(block, Route | Streamed):
         return block.curve
+    if isinstance(block, SetpointTrajectory):
+        return stream.streamed(block, stream.setpoints_of(block.samples or "")).curve
     if isinstance(block, Circle):
         if block.heading == "path":
             return _harmonic(block)
@@ -415,7 +425,11 @@ class Extremes(NamedTuple):
 
 @lru_cache(maxsize=64)
 def extremes(block: Any, duration_s: float) -> Extremes:
-    """The extremes over the first `duration_s` of a flight."""
+    """The extremes over the first `duration_s` of a flight; of a stream what its limits allow."""
+    if isinstance(block, SetpointTrajectory | Streamed):
+        most = block.block if isinstance(block, Streamed) else block
+        speed, acceleration = most.speed_m_s, most.acceleration_m_s2
+        return Extremes(speed, acceleration, most.jerk_m_s3, most.turn_rad_s, 0.0, 0.0)
     curve = trajectory_of(block)
     ends = curve.table[:, 0] if curve.numbers[0] == TRAJECTORY_PIECEWISE else np.zeros(0)
     last = max(duration_s, 0.0)

@@ -1,14 +1,7 @@
 """Whole fleets of real processes: equal bytes, deaths in flight, and nobody left behind."""
 
 import os
-import select
 import signal
-import subprocess
-import sys
-import threading
-import time
-from contextlib import suppress
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,86 +16,6 @@ from ptnsbc_sim.scenario import load_scenario, scenario_from_text
 from ptnsbc_sim.swarm import fly
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
-
-PATIENCE_S = 240  # the first flight compiles the laws
-
-
-class Launched:
-    """`fleet_node` as a process of its own, with the lines it has said."""
-
-    def __init__(self, log_dir: Path, *arguments: str) -> None:
-        self.log_dir = log_dir
-        self.lines: list[str] = []
-        environment = {k: v for k, v in os.environ.items() if k != "ROS_DOMAIN_ID"}
-        command = [sys.executable, "-m", "ptnsbc_nodes.fleet.main", "--scenario", "paper_5"]
-        self.process = subprocess.Popen(
-            [*command, "--lockstep", "--log-dir", str(log_dir), *arguments],
-            stderr=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-            env=environment,
-            cwd=Path(main.__file__).parents[2],
-        )
-        # A fleet that hangs fails its test, instead of hanging that too.
-        self._watchdog = threading.Timer(PATIENCE_S, self.process.kill)
-        self._watchdog.daemon = True
-        self._watchdog.start()
-
-    def wait_for(self, *texts: str) -> None:
-        """Return after the next line that has all of this."""
-        for line in self.process.stderr:
-            self.lines.append(line.rstrip())
-            if all(text in line for text in texts):
-                return
-        raise AssertionError(f"never said {texts}: {self.lines}")
-
-    def finish(self) -> int:
-        out, err = self.process.communicate()
-        self._watchdog.cancel()
-        assert out == ""
-        self.lines += err.splitlines()
-        return self.process.returncode
-
-    def running(self) -> dict[int, str]:
-        """Processes of this fleet besides the launcher: all of them name its scenario file."""
-        found = {}
-        for entry in Path("/proc").iterdir():
-            if entry.name.isdecimal() and int(entry.name) != self.process.pid:
-                try:
-                    words = (entry / "cmdline").read_bytes().decode().split("\0")
-                except OSError:
-                    continue
-                if any(str(self.log_dir / "scenario.yaml") in word for word in words):
-                    found[int(entry.name)] = " ".join(words)
-        return found
-
-    def pid_of(self, words: str) -> int:
-        (pid,) = [pid for pid, command in self.running().items() if words in command]
-        return pid
-
-    def all_end(self, within_s: float) -> bool:
-        deadline = time.monotonic() + within_s
-        for pid in self.running():
-            with suppress(ProcessLookupError):
-                end = os.pidfd_open(pid)
-                select.select([end], [], [], max(deadline - time.monotonic(), 0.0))
-                os.close(end)
-        return not self.running()
-
-
-@pytest.fixture
-def launch(tmp_path):
-    launched = []
-
-    def start(*arguments: str) -> Launched:
-        launched.append(Launched(tmp_path / f"logs{len(launched)}", *arguments))
-        return launched[-1]
-
-    yield start
-    for fleet in launched:
-        if fleet.process.poll() is None:
-            fleet.process.kill()
-            fleet.process.wait()
 
 
 def counts(bag):

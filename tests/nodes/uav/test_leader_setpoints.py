@@ -1,0 +1,110 @@
+"""Setpoints of a user's program: the leader of a fleet of processes follows them, and its bag is run again."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy")
+
+from ptnsbc_io import wire
+from ptnsbc_io.bag import read_bag
+from ptnsbc_nodes.comm import topics
+from ptnsbc_nodes.comm.endpoints import Endpoints
+from ptnsbc_sim.scenario import load_scenario, scenario_from_text
+from ptnsbc_tools.reading.bag_reader import read_recording
+from ptnsbc_tools.replay.rerun import rerun
+
+pytestmark = [pytest.mark.ros, pytest.mark.slow]
+
+STREAM = """
+extends: paper_5_free
+timing: {duration_s: 16}
+leader:
+  trajectory:
+    kind: stream
+    position_m: [0, 0, 4]
+    low_m: [-8, -8, 2]
+    high_m: [8, 8, 8]
+    speed_m_s: 1.5
+    acceleration_m_s2: 1.2
+"""
+
+
+def odometry(place):
+    found = np.zeros(13)
+    found[:3], found[6] = place, 1.0
+    return found
+
+
+def test_the_leader_of_a_fleet_follows_setpoints_and_the_bag_runs_again(
+    launch, ros, tmp_path, domain
+):
+    """In lock-step; what cannot be followed is refused, and the silent stream ends in a hover."""
+    (tmp_path / "stream.yaml").write_text(STREAM)
+    bag_path = tmp_path / "bag"
+    flight = launch(
+        "--scenario", str(tmp_path / "stream.yaml"), "--bag", str(bag_path), domain=domain
+    )
+    node = ros.node("user")
+    ends = Endpoints(node, lockstep=True)
+    heard, now = [], [0]
+    ends.listen(topics.TAKEN, wire.decode_odometry, heard.append)
+    ends.listen(topics.odom(1), wire.decode_odometry, lambda one: now.__setitem__(0, one.stamp_ns))
+    send = ends.publisher(topics.SETPOINT, 1)
+    world = wire.OdometryTemplate("map", "map")
+    ros.spin_until(lambda: now[0] > 6_000_000_000, timeout=200.0)
+    sent_ns = 0
+
+    def tell():
+        nonlocal sent_ns
+        if now[0] >= sent_ns + 100_000_000:
+            sent_ns = now[0]
+            send(world.encode(sent_ns, odometry((3.0, -2.0, 5.0))))
+            send(world.encode(sent_ns + 1, odometry((30.0, -2.0, 5.0))))  # outside of the region
+        return now[0] > 11_000_000_000
+
+    ros.spin_until(tell, timeout=200.0)
+    assert flight.finish() == 0, "\n".join(flight.lines)
+    recording = read_recording(bag_path)
+    taken = recording.scenario.file.leader.trajectory.setpoints
+    assert len(taken) >= 10
+    assert {one.position for one in taken} == {(3.0, -2.0, 5.0)}
+    assert all(b.at_s >= a.at_s for a, b in pairwise(taken))
+    last = recording.odometry[1].at(np.array([recording.end_ns]), 3)[0]
+    assert np.linalg.norm(last - [0, 0, 4]) > 1.0, "the leader has gone where it was told"
+    bag = read_bag(bag_path)
+    scenario = scenario_from_text(bag.attachment("scenario.yaml").decode())
+    assert rerun(bag, scenario).verdict == "equal"
+    said = " ".join(
+        value
+        for message in bag.messages(["/diagnostics"])
+        for status in wire.decode_diagnostics(message.data).statuses
+        for key, value in status.values.items()
+        if key == "refused_newest"
+    )
+    assert "expected one from low_m to high_m" in said
+
+
+def test_setpoints_before_the_flight_and_of_other_frames_are_refused():
+    from ptnsbc_nodes.comm.legs import EpochError, Epochs
+
+    live = {
+        "kind": "stream",
+        "position_m": [0, 0, 4],
+        "low_m": [-8, -8, 2],
+        "high_m": [8, 8, 8],
+        "speed_m_s": 1,
+        "acceleration_m_s2": 1,
+    }
+    epochs = Epochs(load_scenario("paper_5_free", {"leader.trajectory": live}))
+    with pytest.raises(EpochError, match="while the formation is flown"):
+        epochs.following(10, odometry((0, 0, 4)))
+    epochs.announce(1_000_000_000, "form")
+    epochs.take(wire.Stamped(2_000_000_000, odometry((1, 0, 4))))
+    before = epochs.scenario
+    epochs.take(wire.Stamped(3_000_000_000, odometry((np.nan, 0, 4))))
+    assert epochs.scenario is before
+    epochs.announce(3_000_000_000, "hold")
+    with pytest.raises(EpochError):
+        epochs.following(3_500_000_000, odometry((0, 0, 4)))
