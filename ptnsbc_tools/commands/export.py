@@ -19,7 +19,7 @@ def export(
             "--output",
             "-o",
             metavar="FILE",
-            help="FILE.csv or FILE.parquet. Default: BAG.csv beside the bag.",
+            help="FILE.csv, FILE.parquet, or FILE.rrd for Rerun. Default: BAG.csv beside the bag.",
         ),
     ] = None,
     scenario: options.FlownOption = None,
@@ -32,19 +32,32 @@ def export(
     """Write a table: one row for each instant and UAV of a flight, or the rows of a sweep.
 
     The names of columns end in their unit, and a Parquet file has the unit of each column in its
-    metadata. Times count from the epoch; ENU is the world frame.
+    metadata. Times count from the epoch; ENU is the world frame. FILE.rrd holds bodies, paths, errors and
+    obstacles of a flight for the viewer Rerun, and needs rerun-sdk.
     """
     from ptnsbc_sim.sweep.runner import PLAN
-    from ptnsbc_tools.library.export import checked, of_flight, of_sweep, write
+    from ptnsbc_tools.library.export import (
+        RERUN,
+        ExportError,
+        checked,
+        of_flight,
+        of_sweep,
+        write,
+    )
     from ptnsbc_tools.library.flight import flight_in
+    from ptnsbc_tools.library.rerun_file import write_rerun
     from ptnsbc_tools.library.sweeping import open_sweep
 
     beside = source.parent / f"{source.stem if source.is_file() else source.name}.csv"
     path = checked(beside if output is None else output)
     with console.patience(f"reading {source}"):
-        if (source / PLAN).is_file():
-            table = of_sweep(open_sweep(source))
+        of_flights = (source / PLAN).is_file()
+        if path.suffix.lower() == RERUN:
+            if of_flights:
+                raise ExportError(f"{path}: {source} is a sweep: expected .csv or .parquet")
+            write_rerun(flight_in(source, options.read_options(context)), path)
+        elif of_flights:
+            write(of_sweep(open_sweep(source)), path)
         else:
-            table = of_flight(flight_in(source, options.read_options(context)))
-        write(table, path)
+            write(of_flight(flight_in(source, options.read_options(context))), path)
     console.show(str(path))

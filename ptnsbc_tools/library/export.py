@@ -14,6 +14,8 @@ from ptnsbc_tools.library.flight import Flight
 from ptnsbc_tools.library.sweeping import Sweep
 
 FORMATS = (".csv", ".parquet")
+RERUN = ".rrd"
+"""A recording for the viewer Rerun: of a flight, not of a sweep."""
 
 
 class ExportError(PtnsbcError):
@@ -22,8 +24,10 @@ class ExportError(PtnsbcError):
 
 def checked(path: Path) -> Path:
     """The path, when its suffix names a format; ExportError else."""
-    if path.suffix.lower() not in FORMATS:
-        raise ExportError(f"{path}: suffix {path.suffix or 'missing'}: expected .csv or .parquet")
+    if path.suffix.lower() not in (*FORMATS, RERUN):
+        raise ExportError(
+            f"{path}: suffix {path.suffix or 'missing'}: expected .csv, .parquet or .rrd"
+        )
     return path
 
 
