@@ -26,7 +26,7 @@ COMMANDS = (
     ("ptnsbc replay lockstep --rerun --law my_law.py:consensus", 0, 1),
     (f"ptnsbc sweep paper_5_free {_SWEEP} -o ours", 0, 1),
     (f"ptnsbc sweep mine.yaml {_SWEEP} -o own", 0, 1),
-    ("ptnsbc compare ours own", 1, 18),
+    ("ptnsbc compare ours own", 1, 17),
 )
 """Each command, its exit code, and how many of its last lines are shown."""
 
