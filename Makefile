@@ -52,8 +52,9 @@ commands: setup  ## Run every command in README and docs, in a scratch clone
 bench: setup  ## Measure the figures that the README quotes
 	@time $(BIN)/python -m bench $(ARGS)
 
-lint: setup  ## ruff (style, layering), formatting, mypy; docker/
+lint: setup  ## ruff (style, layering), formatting, mypy, nothing newer than Python 3.10; docker/
 	@time { $(BIN)/ruff check . && $(BIN)/ruff format --check . && $(BIN)/mypy; }
+	@$(BIN)/vermin --quiet --no-tips --violations -t=3.10- --exclude operator.call $$(git ls-files '*.py')
 	@$(BIN)/hadolint docker/Dockerfile
 	@$(BIN)/check-jsonschema --builtin-schema vendor.compose-spec docker/compose.yaml
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
-from datetime import UTC, datetime, timedelta
+from datetime import datetime, timedelta, timezone
 from itertools import pairwise
 from typing import Annotated, Any, Literal, NamedTuple
 
@@ -25,7 +25,7 @@ CANCEL = 0
 
 _MOST_LEGS = 200
 _LATE_S = 1e-9  # by which the end of a leg may miss the begin of the next one
-_UNIX = datetime(1970, 1, 1, tzinfo=UTC)
+_UNIX = datetime(1970, 1, 1, tzinfo=timezone.utc)
 
 
 def _utc(value: Any) -> Any:

@@ -2,7 +2,7 @@
 
 import json
 import time
-from datetime import UTC, datetime
+from datetime import datetime, timezone
 
 import numpy as np
 import pytest
@@ -502,7 +502,7 @@ def test_a_mission_that_should_have_begun_is_not_started(ros):
     legs = [{"kind": "form", "over_s": 5}]
     soon_s = round(time.time()) + 60
     for start_s, begins in ((soon_s - 120, False), (soon_s + 7200, False), (soon_s, True)):
-        start = datetime.fromtimestamp(start_s, UTC).isoformat().replace("+00:00", "Z")
+        start = datetime.fromtimestamp(start_s, timezone.utc).isoformat().replace("+00:00", "Z")
         mission = {"mission": {"start": start, "legs": legs}}
         others = Others(ros, load_scenario("paper_5_free", mission), LEADER, lockstep=False)
         others.odom(time.time_ns())
