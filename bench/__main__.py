@@ -32,6 +32,7 @@ SECTIONS = (
     "autopilot",
     "bridge",
     "network",
+    "help",
 )
 _NARROWEST = 150
 

@@ -36,7 +36,7 @@ from ptnsbc_tools.commands.stop import stop
 from ptnsbc_tools.commands.sweep import sweep
 from ptnsbc_tools.commands.verify import verify
 from ptnsbc_tools.commands.view import view
-from ptnsbc_tools.quick_help import help_asked
+from ptnsbc_tools.quick_help import help_asked, spare_markdown
 
 _REFUSED, _INTERRUPTED = 2, 130
 _STARTS_PROCESSES = ("fleet", "demo", "node", "view")
@@ -48,6 +48,8 @@ class _Commands(TyperGroup):
     def make_context(
         self, info_name: str | None, args: list[str], parent: Any = None, **extra: Any
     ) -> Any:
+        if not args or {"-h", "--help"} & set(args):
+            spare_markdown()
         asked = help_asked(self, info_name, args)
         if asked is None:
             return super().make_context(info_name, args, parent, **extra)
