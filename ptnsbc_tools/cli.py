@@ -34,12 +34,13 @@ from ptnsbc_tools.commands.reproduce import reproduce
 from ptnsbc_tools.commands.simulate import simulate
 from ptnsbc_tools.commands.stop import stop
 from ptnsbc_tools.commands.sweep import sweep
+from ptnsbc_tools.commands.tune import tune
 from ptnsbc_tools.commands.verify import verify
 from ptnsbc_tools.commands.view import view
 from ptnsbc_tools.quick_help import help_asked, spare_markdown
 
 _REFUSED, _INTERRUPTED = 2, 130
-_STARTS_PROCESSES = ("fleet", "demo", "node", "view")
+_STARTS_PROCESSES = ("fleet", "demo", "node", "view", "tune")
 
 
 class _Commands(TyperGroup):
@@ -119,7 +120,7 @@ _GROUPS: dict[str, tuple[Callable[..., None], ...]] = {
     _FLY: (simulate, sweep, fleet, view, demo, inject, stop),
     _LOOK: (verify, compare, report, plot, export, reproduce),
     _BAGS: (record, replay),
-    _PROCESSES: (autopilot, bridge, params, key),
+    _PROCESSES: (autopilot, bridge, tune, params, key),
 }
 for _panel, _commands in _GROUPS.items():
     for _command in _commands:

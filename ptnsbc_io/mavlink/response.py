@@ -26,6 +26,19 @@ class VelocityResponse(NamedTuple):
     shaping_1_s: float | None  # first order before the loop; None: none
     tilt_s: tuple[float, float]  # the two lags between the acceleration asked for and flown
 
+    @property
+    def tilt_lag_s(self) -> float:
+        """Sum of the lags between the acceleration asked for and flown."""
+        return sum(self.tilt_s)
+
+    def measured(self, gain: float | None, tilt_lag_s: float | None) -> VelocityResponse:
+        """The same with a proportional gain, and lags of this sum in the same proportion, as they were measured."""
+        share = 1.0 if tilt_lag_s is None else tilt_lag_s / self.tilt_lag_s
+        first_s, second_s = self.tilt_s
+        return self._replace(
+            gain=self.gain if gain is None else gain, tilt_s=(share * first_s, share * second_s)
+        )
+
 
 _ARDUPILOT_NAMES = {
     "gain": ("PSC_NE_VEL_P", "PSC_VELXY_P"),
@@ -49,9 +62,9 @@ def velocity_response(autopilot: Autopilot, values: Mapping[str, float]) -> Velo
             return None
     except (KeyError, ZeroDivisionError, StopIteration):
         return None
-    return (
-        found if found.gain > 0.0 and min(found[:4]) >= 0.0 and min(found.tilt_s) >= 0.0 else None
-    )
+    if found.gain <= 0.0 or min(found[:4]) < 0.0 or min(found.tilt_s) < 0.0:
+        return None
+    return found
 
 
 def _ardupilot(values: Mapping[str, float]) -> VelocityResponse:

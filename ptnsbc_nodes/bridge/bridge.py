@@ -57,8 +57,14 @@ class Bridge:
         ports: BridgePorts,
         allow_arming: bool,
         awaited: frozenset[int] = frozenset(),
+        *,
+        alone: bool = False,
     ) -> None:
-        """`awaited`: ids of UAVs whose vehicles must be ready before this one arms."""
+        """`awaited`: ids of UAVs whose vehicles must be ready before this one arms.
+
+        `alone`: it flies for itself, without leader, formation and gains of the scenario.
+        """
+        self._alone = alone
         self._scenario, self._uav_id = scenario, uav_id
         self._config = agent_config(scenario, uav_id)
         self._start = scenario.uav(uav_id).position
@@ -73,6 +79,8 @@ class Bridge:
         )
         self._hazard = ""
         self._unfit = ""  # why its velocity loop cannot follow this scenario
+        self.response: VelocityResponse | None = None
+        """How the vehicle follows velocities, by its parameters; None before they are read, or without them."""
         keep_outs_m = {
             other: scenario.keep_out_between(uav_id, other) for other in scenario.uav_ids
         }
@@ -86,7 +94,7 @@ class Bridge:
         self.controller = ControllerSetpoints(
             decode_wrench if vehicle_link.setpoint == "attitude" else decode_velocity
         )
-        world = WorldFrame(scenario, uav_id, autopilot.earth_radius_m)
+        world = WorldFrame(scenario, uav_id, autopilot.earth_radius_m, alone=alone)
         self.state_publisher = StatePublisher(
             self.vehicle, world, self.maintenance.sync, self.controller, ports
         )
@@ -99,6 +107,11 @@ class Bridge:
     def link(self) -> MavlinkLink:
         """The link to the vehicle."""
         return self.maintenance.link
+
+    @property
+    def rate_hz(self) -> float:
+        """Rate of the setpoints."""
+        return self._mavlink.rate_hz
 
     @property
     def flew(self) -> bool:
@@ -187,9 +200,12 @@ class Bridge:
         guard.limits = allowed(settings.limits, limits(values))
         self.stream.attitude.hover.value = hover_thrust(values) or settings.hover_thrust
         outputs.limits(guard.limits)
-        response = velocity_response(self.vehicle.autopilot, values)
-        if response is not None:
-            self._fit_to(response)
+        found = velocity_response(self.vehicle.autopilot, values)
+        if found is not None:
+            own = self._scenario.vehicle_link(self._uav_id)
+            self.response = found.measured(own.velocity_loop_1_s, own.tilt_lag_s)
+            if not self._alone:
+                self._fit_to(self.response)
 
     def _fit_to(self, response: VelocityResponse) -> None:
         """Send velocities so that this vehicle flies what the planner wants, as far as that goes."""
@@ -285,7 +301,8 @@ class Bridge:
             return
         flight_s = self.flight_s()
         leader = reference(self._config.trajectory, max(flight_s, 0.0))
-        moves = np.array(leader.velocity) if step is Step.FLY else np.zeros(3)
+        follows = step is Step.FLY and not self._alone
+        moves = np.array(leader.velocity) if follows else np.zeros(3)
         deadline_s = float(self._scenario.gains.formation.deadline_s)
         near = self.ports.inputs.near_uavs
         sight = Sight(
@@ -297,7 +314,7 @@ class Bridge:
             flight_s - deadline_s,
         )
         self._hazard = self._hazard or self._monitor.look(sight)
-        middle_m = leader.position[2] if step is Step.FLY else self._mavlink.takeoff_height_m
+        middle_m = leader.position[2] if follows else self._mavlink.takeoff_height_m
         self.stream.layer_m = self._layer_m(float(middle_m))
 
     def _layer_m(self, middle_m: float) -> float:

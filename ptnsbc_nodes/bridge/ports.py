@@ -42,6 +42,10 @@ class BridgeInputs:
             return self.order != before
 
 
+Log = Callable[[str], None]
+"""Takes a line for the operator."""
+
+
 class BridgeOutputs(NamedTuple):
     """What the bridge publishes."""
 
@@ -50,7 +54,7 @@ class BridgeOutputs(NamedTuple):
     origin: Callable[[GeoPoint], None]  # the leader's place, for all bridges
     limits: Callable[[SetpointLimits], None]  # for the planner
     lost: Callable[[], None]  # this vehicle has left the formation
-    log: Callable[[str], None]  # a line for the operator
+    log: Log
     truth: Callable[[int, Array], None] = lambda _stamp_ns, _odometry: None
     """Stamp [ns] and true odometry (13,) of a simulated vehicle, for the verdict."""
 

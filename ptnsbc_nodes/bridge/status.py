@@ -111,6 +111,9 @@ def _health(
         return DiagnosticLevel.WARN, f"waiting for {' '.join(missing)}"
     if refused := endpoints.refusals.report() or endpoints.rivals():
         return DiagnosticLevel.WARN, refused
+    following = bridge.stream.following.found() if bridge.stream.lead is not None else None
+    if following is not None and following.unlike:
+        return DiagnosticLevel.WARN, following.unlike
     return DiagnosticLevel.OK, ""
 
 

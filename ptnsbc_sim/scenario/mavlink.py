@@ -96,6 +96,10 @@ class MavlinkVehicle(Block):
     """Autopilot, for mixed fleets. Default: as above."""
     setpoint: SetpointKind | None = None
     """Kind of setpoint, for mixed fleets. Default: as above."""
+    velocity_loop_1_s: Annotated[Positive, Field(le=20)] | None = None
+    """Gain of its velocity loop, as `ptnsbc tune` finds it. Default: by its parameters."""
+    tilt_lag_s: Annotated[Positive, Field(le=2)] | None = None
+    """Lag between the acceleration asked for and flown, as `ptnsbc tune` finds it. Default: by its parameters."""
 
 
 class Mavlink(Block):
@@ -148,6 +152,8 @@ class VehicleLink(NamedTuple):
     setpoint: SetpointKind
     origin_m: tuple[float, float, float] | None
     signing_key: str | None
+    velocity_loop_1_s: float | None = None
+    tilt_lag_s: float | None = None
 
 
 def vehicle_link(block: Mavlink, uav_ids: tuple[int, ...], uav_id: int) -> VehicleLink:
@@ -161,4 +167,6 @@ def vehicle_link(block: Mavlink, uav_ids: tuple[int, ...], uav_id: int) -> Vehic
         own.setpoint or block.setpoint,
         own.origin_m,
         own.signing_key,
+        own.velocity_loop_1_s,
+        own.tilt_lag_s,
     )

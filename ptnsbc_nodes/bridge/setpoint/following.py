@@ -12,6 +12,10 @@ from ptnsbc_core.types import Array
 _PERIOD_S = 0.05
 _SPAN_S, _LEAST_SPAN_S = 30.0, 10.0
 _MOST_LAG_S = 1.0
+_GAIN_OFF, _LAG_OFF_S = (
+    0.3,
+    0.3,
+)  # farther from what was wanted, the prediction does not fit the vehicle
 _LEAST_M_S = 0.1  # root of the mean square of what was wanted about its mean: less shows nothing
 
 
@@ -20,6 +24,16 @@ class Following(NamedTuple):
 
     gain: float
     lag_s: float
+
+    @property
+    def unlike(self) -> str:
+        """How far this is from a vehicle that flies what is wanted; empty when it is near."""
+        if abs(self.gain - 1.0) <= _GAIN_OFF and self.lag_s <= _LAG_OFF_S:
+            return ""
+        return (
+            f"flies the wanted velocities with gain {self.gain:.2f}, {self.lag_s:.2f} s late: expected "
+            f"{1.0 - _GAIN_OFF:g} to {1.0 + _GAIN_OFF:g} and at most {_LAG_OFF_S:g} s; ptnsbc tune finds what fits"
+        )
 
 
 class FollowingEstimator:

@@ -19,7 +19,9 @@ from ptnsbc_io.mavlink.response import VelocityResponse
 
 _SMOOTHING_S = 0.05
 """Low pass per derivative: the planner passes the noise of positions on. 0.05 s doubles it at 2 Hz."""
-_DELAY_S, _MOST_RISE, _MOST_KAPPA_TENTHS = 0.1, 4.0 / 3.0, 50
+PLANNER_DELAY_S = 0.1
+"""Allowed from a state of the vehicle to the setpoint that answers it: link both ways, planner, command filter."""
+_MOST_RISE, _MOST_KAPPA_TENTHS = 4.0 / 3.0, 50
 
 _ONE, _S = Polynomial([1.0]), Polynomial([0.0, 1.0])
 
@@ -99,16 +101,32 @@ def flown_per_wanted(
     return np.asarray(lag * (s + loop) * shaped / (s + drag_1_s + lag * loop))
 
 
+def _is_stable(response: VelocityResponse, drag_1_s: float) -> bool:
+    """Whether the velocity loop of the vehicle itself is stable."""
+    lag = (_ONE + response.tilt_s[0] * _S) * (_ONE + response.tilt_s[1] * _S)
+    loop = Polynomial([response.integral, response.gain, response.derivative])
+    closed = _S * (_S + drag_1_s) * lag + loop
+    if response.shaping_1_s is not None:
+        closed = _S**2 * (_S + drag_1_s) * lag + loop * Polynomial([response.position_gain, 1.0])
+    # A zero at the origin is an integral or a position loop that is switched off.
+    return bool(np.all(closed.roots().real < 1e-9))
+
+
 def largest_kappa_1_s(response: VelocityResponse, lead: bool) -> float:
     """Largest gain [1/s] of a position loop around the vehicle that rises by less than a third, in steps of 0.1.
 
+    It is 0 for a vehicle whose own velocity loop is not stable.
     It counts a delay of 0.1 s for link and planner, drags from 0 to 1 1/s, and tilts a quarter slower than known.
     """
     s = 1j * np.geomspace(0.1, 20.0, 300)
     made = inverse(response) if lead else None
     slower = response._replace(tilt_s=(1.25 * response.tilt_s[0], 1.25 * response.tilt_s[1]))
     cases = [(one, drag) for one in (response, slower) for drag in (0.0, 1.0)]
-    around = [np.exp(-_DELAY_S * s) / s * flown_per_wanted(one, made, d, s) for one, d in cases]
+    if not all(_is_stable(one, drag) for one, drag in cases):
+        return 0.0
+    around = [
+        np.exp(-PLANNER_DELAY_S * s) / s * flown_per_wanted(one, made, d, s) for one, d in cases
+    ]
     for tenths in range(1, _MOST_KAPPA_TENTHS):
         peaks = [np.abs(0.1 * tenths * loop / (1.0 + 0.1 * tenths * loop)).max() for loop in around]
         if max(peaks) > _MOST_RISE:

@@ -22,12 +22,18 @@ def test_own_entries_win():
         "autopilot": "ardupilot",
         "setpoint": "attitude",
         "vehicles": {
-            2: {"connect": "serial:/dev/ttyACM0:921600", "sysid": 42, "autopilot": "px4"},
+            2: {
+                "connect": "serial:/dev/ttyACM0:921600",
+                "sysid": 42,
+                "autopilot": "px4",
+                "tilt_lag_s": 0.4,
+            },
             3: {"setpoint": "velocity"},
         },
     }
     link = scenario(**block).vehicle_link(2)
-    assert link == ("serial:/dev/ttyACM0:921600", 42, "px4", "attitude", None, None)
+    assert link[:6] == ("serial:/dev/ttyACM0:921600", 42, "px4", "attitude", None, None)
+    assert (link.velocity_loop_1_s, link.tilt_lag_s) == (None, 0.4)
     others = [scenario(**block).vehicle_link(uav) for uav in (1, 3)]
     assert [other.autopilot for other in others] == ["ardupilot", "ardupilot"]
     assert [other.setpoint for other in others] == ["attitude", "velocity"]

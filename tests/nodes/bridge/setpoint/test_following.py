@@ -7,7 +7,7 @@ import pytest
 
 pytest.importorskip("pymavlink")
 
-from ptnsbc_nodes.bridge.setpoint.following import FollowingEstimator
+from ptnsbc_nodes.bridge.setpoint.following import Following, FollowingEstimator
 
 PERIOD_S = 0.02
 
@@ -59,3 +59,12 @@ def test_only_the_last_half_minute_counts():
         t = n * PERIOD_S
         made.add(t, wanted(t), wanted(t) * (0.5 if t < 35.0 else 1.0))
     assert made.found().gain == pytest.approx(1.0, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("gain", "lag_s", "near"),
+    [(1.0, 0.1, True), (1.25, 0.3, True), (0.6, 0.1, False), (1.0, 0.5, False)],
+)
+def test_a_vehicle_unlike_the_prediction_is_told(gain, lag_s, near):
+    assert (Following(gain, lag_s).unlike == "") is near
+    assert near or f"gain {gain:.2f}, {lag_s:.2f} s late" in Following(gain, lag_s).unlike

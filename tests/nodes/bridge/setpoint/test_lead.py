@@ -68,6 +68,12 @@ def test_the_lead_allows_gains_that_the_vehicle_alone_does_not(response, least, 
 
 
 @KINDS
+def test_no_gain_fits_a_vehicle_whose_own_loop_is_not_stable(response):
+    assert largest_kappa_1_s(response.measured(None, 2.0), lead=True) == 0.0
+    assert largest_kappa_1_s(response.measured(None, 2.0), lead=False) == 0.0
+
+
+@KINDS
 def test_a_steady_velocity_is_sent_as_it_is_with_the_push_against_the_drag(response):
     lead = VelocityLead(response, PERIOD_S)
     for _ in range(500):
