@@ -94,10 +94,12 @@ def _extrapolate(estimate: Estimate, age_s: float, acceleration: Vector3) -> Est
 
 
 @inline_kernel
-def _received_leader(inputs: AgentInputs, motion: NeighbourMotion, dt: float) -> Estimate:
-    """The leader's own message, extrapolated to the present."""
+def _received_leader(
+    inputs: AgentInputs, motion: NeighbourMotion, dt: float, slot: Vector3
+) -> Estimate:
+    """The leader's own message, extrapolated to the present, less the slot (3,) [m] of the leader."""
     leader = extrapolated(inputs.leader, motion, inputs.leader_age_s, dt)
-    return Estimate(leader.position, leader.velocity, yaw_of(inputs.leader))
+    return Estimate(sub3(leader.position, slot), leader.velocity, yaw_of(inputs.leader))
 
 
 @inline_kernel
@@ -118,7 +120,8 @@ def _measurements(
             other = _extrapolate(other, age_s, motion.acceleration)
             g, terms = add_disagreement(g, present, other), terms + 1
     if pinned:
-        g, terms = add_disagreement(g, present, _received_leader(inputs, motion, dt)), terms + 1
+        leader = _received_leader(inputs, motion, dt, config.leader_slot)
+        g, terms = add_disagreement(g, present, leader), terms + 1
     return EstimatorMeasurements(g, terms)
 
 
@@ -144,13 +147,16 @@ def leader_estimate(
 ) -> tuple[Estimate, bool]:
     """Leader estimate at this tick, and whether it has been initialised from a message.
 
+    What is estimated is the reference point of the formation: the leader's position less its slot, which is zero until
+    another UAV takes over.
     `motion` is the leader's, of its own messages; without a leader link its acceleration is zero.
     """
     if config.leader:
-        return state_to_estimate(inputs.own), True
+        own = state_to_estimate(inputs.own)
+        return Estimate(sub3(own.position, config.leader_slot), own.velocity, own.yaw), True
     pinned = config.estimator.pinned and inputs.leader_age_s < NEVER_RECEIVED_S
     if pinned and not state.estimate_valid:
-        return _received_leader(inputs, motion, clock.dt), True
+        return _received_leader(inputs, motion, clock.dt, config.leader_slot), True
     if frozen:
         last = state.estimate
         return Estimate(last.position, (0.0, 0.0, 0.0), last.yaw), state.estimate_valid

@@ -76,7 +76,7 @@ def mission_behaviour(
     position = load3(inputs.own, 0)
     if config.leader:
         desired = reference(config.trajectory, clock.start_t)
-        return leader_tracking(position, desired, epoch, clock, config)
+        return leader_tracking(sub3(position, config.leader_slot), desired, epoch, clock, config)
     if inputs.parent_age_s >= NEVER_RECEIVED_S:
         rest = Reference(position, (0.0, 0.0, 0.0), 0.0, (0.0, 0.0, 0.0))
         return leader_tracking(position, rest, epoch, clock, config)

@@ -11,6 +11,7 @@ from typing import NamedTuple
 from ptnsbc_core.algebra import add3, load3, norm3, odometry_tuple, sub3, wrap_angle
 from ptnsbc_core.behaviours.attitude import attitude
 from ptnsbc_core.behaviours.contract import Behaviour, Beside, EpochErrors
+from ptnsbc_core.behaviours.formation import is_plan_left
 from ptnsbc_core.behaviours.neighbour import UNKNOWN, neighbour_motion, reported_velocity
 from ptnsbc_core.behaviours.recovery import DISTURBED, UNDISTURBED, armed
 from ptnsbc_core.control.adaptation import initial_observer
@@ -188,6 +189,14 @@ def _rearmed(beside: Beside, command: Vector3, clock: Clock, config: AgentConfig
 
 
 @inline_kernel
+def _epoch_errors(state: AgentState, at_epoch: bool, t: float, config: AgentConfig) -> EpochErrors:
+    """The plan of this epoch. Who begins when the common plan is over has a time base of its own."""
+    if not at_epoch:
+        return EpochErrors(False, state.start, state.recovery)
+    return EpochErrors(True, state.start, UNDISTURBED if is_plan_left(t, config) else DISTURBED)
+
+
+@inline_kernel
 def _motions(
     state: AgentState, inputs: AgentInputs, clock: Clock, config: AgentConfig
 ) -> NeighbourMotions:
@@ -340,7 +349,7 @@ def inlined_step(
         or state.estimate_valid != estimate_valid
         or (state.motions.parent.time == UNKNOWN.time) != (motions.parent.time == UNKNOWN.time)
     )
-    epoch = EpochErrors(at_epoch, state.start, UNDISTURBED if at_epoch else state.recovery)
+    epoch = _epoch_errors(state, at_epoch, t, config)
     behaviour = mission_behaviour(inputs, estimate, motions, epoch, clock, config, task)
     rates, euler_error = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     if config.controller.plant == PLANT_RIGID_BODY:  # a quadrotor's controller sets its attitude

@@ -212,7 +212,8 @@ class AgentConfig(NamedTuple):
     approach: int  # APPROACH_*
     desired: Vector3  # desired task value sigma_d
     offset: Vector3  # [m, ENU] desired position relative to the parent
-    slot: Vector3  # [m, ENU] desired position relative to the leader
+    slot: Vector3  # [m, ENU] desired position relative to the reference point of the formation
+    leader_slot: Vector3  # [m, ENU] the leader's; not zero when another UAV took over in its slot
     slot_reach: float  # [m] half of the distance from the slot to the next one
     other_slots: Array  # (N - 1, 4) slots of the others, and their reach [m]
     anchor: Vector3  # [m, ENU] reference k = leader position + anchor (zero: the leader itself)

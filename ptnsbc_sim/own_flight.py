@@ -7,7 +7,7 @@ from collections.abc import Iterator, MutableSequence, Sequence
 import numpy as np
 
 from ptnsbc_core.kernel import borrowed, kernel, kernel_list
-from ptnsbc_core.step import guided_step, step, task_points, tasked_step
+from ptnsbc_core.step import guided_step, initial_state, step, task_points, tasked_step
 from ptnsbc_core.tasks.contract import TaskGeometry
 from ptnsbc_core.types import Array
 from ptnsbc_sim.disturbances.build import Disturbances
@@ -26,6 +26,7 @@ from ptnsbc_sim.tick import (
     blown,
     dead,
     inputs_of,
+    restarted,
     sense,
     since_epoch,
 )
@@ -47,14 +48,17 @@ def _step_all(
 ) -> None:
     """The control step of every UAV: followers by velocities (N, 3) [m/s, ENU] of a law, or by a task, if given."""
     wiring, swarm, track = borrowed(wiring), borrowed(swarm), borrowed(track)
-    t, dt = since_epoch(wiring, tick), wiring.dt_ns * 1e-9
+    dt = wiring.dt_ns * 1e-9
     for row in range(swarm.bodies.shape[0]):
         if disturbances is not None and dead(tick, row, disturbances):
             note_silence(track, tick, row)
             continue
+        if disturbances is not None and restarted(tick, row, disturbances):
+            swarm.states[row] = initial_state(track.odometry[tick, row], swarm.configs[row])
+        t = since_epoch(wiring, tick, row)
         inputs = inputs_of(swarm, wiring, track, tick, row, disturbances)
         state, config = swarm.states[row], swarm.configs[row]
-        follows = row != wiring.leader
+        follows = row != wiring.leader[row]
         if tasks is not None and follows:
             swarm.states[row], out = tasked_step(state, inputs, tasks[row], t, dt, config)
         elif velocities is not None and follows:
@@ -75,10 +79,11 @@ def _task_points(
 ) -> Array:
     """Where each UAV evaluates its task: rows (N, 10)."""
     wiring, swarm, track = borrowed(wiring), borrowed(swarm), borrowed(track)
-    t, dt = since_epoch(wiring, tick), wiring.dt_ns * 1e-9
+    dt = wiring.dt_ns * 1e-9
     out = np.zeros((swarm.bodies.shape[0], _POINTS + 1))
     for row in range(swarm.bodies.shape[0]):
         inputs = inputs_of(swarm, wiring, track, tick, row, disturbances)
+        t = since_epoch(wiring, tick, row)
         found = task_points(swarm.states[row], inputs, t, dt, swarm.configs[row])
         for i in range(3):
             out[row, i] = found.own[i]
@@ -173,7 +178,9 @@ class _OwnFlight:
     ) -> None:
         """Ticks first .. first + count - 1 of the whole swarm into `track`."""
         for tick in range(first, first + count):
-            t = since_epoch(wiring, tick)
+            t = since_epoch(
+                wiring, tick, 0
+            )  # nobody lands alone: a law and vacancy exclude each other
             sense(swarm, wiring, track, tick, disturbances)
             if self._world is not None and self._world.senses:
                 self._sense(tick, wiring, swarm, track, disturbances)

@@ -7,6 +7,7 @@ docs/lockstep.md. Nothing here is a law.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, MutableSequence, Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -21,12 +22,14 @@ from ptnsbc_sim.disturbances.build import (
     sensor_noise_of,
     sensor_noise_samples,
 )
+from ptnsbc_sim.disturbances.links import last_received_by
 from ptnsbc_sim.disturbances.position_noise import initial_error, measured_odometry
 from ptnsbc_sim.disturbances.sensor_noise import add_sensor_noise
 from ptnsbc_sim.own_flight import own_loop
 from ptnsbc_sim.own_world import OwnWorld
 from ptnsbc_sim.plants.build import plant_config, start_states
 from ptnsbc_sim.plants.contract import PlantConfig, no_waves
+from ptnsbc_sim.roles import RoleChange, moved_on, role_changes
 from ptnsbc_sim.scenario import Scenario, agent_config
 from ptnsbc_sim.scenario.slots import are_open, optimal_slots, with_slots
 from ptnsbc_sim.sensor import near_objects
@@ -36,11 +39,12 @@ from ptnsbc_sim.tick import (
     advance_plant,
     dead,
     inputs_of,
+    restarted,
     sense,
     since_epoch,
 )
 from ptnsbc_sim.track import FlightTrack, note, note_silence, track_of
-from ptnsbc_sim.wiring import Wiring, obstacles_at, wiring_of
+from ptnsbc_sim.wiring import Wiring, obstacles_at, wire, wiring_of
 from ptnsbc_sim.world import World, measure_all
 
 CHUNK_TICKS = 2000
@@ -98,12 +102,14 @@ def _fly(
     wiring, swarm, track = borrowed(wiring), borrowed(swarm), borrowed(track)
     dt = wiring.dt_ns * 1e-9
     for tick in range(first, first + count):
-        t = since_epoch(wiring, tick)
         sense(swarm, wiring, track, tick, disturbances)
         for row in range(swarm.bodies.shape[0]):
             if disturbances is not None and dead(tick, row, disturbances):
                 note_silence(track, tick, row)
                 continue
+            if disturbances is not None and restarted(tick, row, disturbances):
+                swarm.states[row] = initial_state(track.odometry[tick, row], swarm.configs[row])
+            t = since_epoch(wiring, tick, row)
             inputs = inputs_of(swarm, wiring, track, tick, row, disturbances)
             swarm.states[row], out = inlined_step(
                 swarm.states[row], inputs, None, None, t, dt, swarm.configs[row]
@@ -143,7 +149,7 @@ def swarm_of(
 ) -> SwarmState:
     """The UAVs of a scenario before the first tick; `like` has the constants of those that differ in starts only."""
     ids = scenario.uav_ids
-    configs: Sequence[AgentConfig]
+    configs: MutableSequence[AgentConfig]
     plants: MutableSequence[PlantConfig]
     if like is None:
         configs = kernel_list([agent_config(scenario, uav_id) for uav_id in ids])
@@ -170,6 +176,23 @@ def swarm_of(
         np.zeros(ODOMETRY_SIZE),
         no_waves(wiring.substeps),
     )
+
+
+def _take_role(
+    change: RoleChange,
+    tick: int,
+    wiring: Wiring,
+    swarm: SwarmState,
+    disturbances: Disturbances | None,
+) -> None:
+    """Have a UAV fly in another place of the graph from `tick` on."""
+    scenario, row = change.after, change.after.uav_ids.index(change.uav)
+    swarm.configs[row] = agent_config(scenario, change.uav)
+    swarm.states[row] = moved_on(swarm.states[row], change)
+    wire(wiring, scenario, change.uav)
+    if disturbances is not None:
+        received = last_received_by(scenario, change.uav, wiring.neighbours.shape[1])
+        disturbances.received[tick:, row] = received[tick:]
 
 
 def slots_at_start(scenario: Scenario) -> Mapping[int, int]:
@@ -210,14 +233,18 @@ def flown(
     slots = slots_at_start(scenario)
     held = with_slots(scenario, slots) if slots else scenario
     like = room if room is not None and held.shares_all_but_starts(room.flown) else None
+    if held.reconfigures:
+        like = None  # what a UAV has in common with others changes in flight
     wiring = wiring_of(held) if like is None else like.wiring
     disturbances = flight_disturbances(held, wiring.neighbours.shape[1])
     swarm = swarm_of(held, wiring, disturbances, None if like is None else like.swarm)
     track = track_of(ticks, size, with_truth=disturbances is not None, room=room and room.track)
-    for first in range(0, ticks, CHUNK_TICKS):
-        count = min(CHUNK_TICKS, ticks - first)
-        loop(first, count, wiring, swarm, track, disturbances)
+    changes = role_changes(held)
+    for first, end in pairwise(sorted({*range(0, ticks, CHUNK_TICKS), *changes, ticks})):
+        for change in changes.get(first, ()):
+            _take_role(change, first, wiring, swarm, disturbances)
+        loop(first, end - first, wiring, swarm, track, disturbances)
         if progress is not None:
-            progress(first + count, ticks)
+            progress(end, ticks)
     t_ns = np.arange(ticks, dtype=np.int64) * scenario.dt_ns
     return HeadlessFlight(scenario, t_ns, track, wiring, slots, swarm)

@@ -6,7 +6,7 @@ docs/lockstep.md. Nothing here is a law.
 
 from __future__ import annotations
 
-from collections.abc import Callable, MutableSequence, Sequence
+from collections.abc import Callable, MutableSequence
 from typing import NamedTuple
 
 import numpy as np
@@ -16,6 +16,7 @@ from ptnsbc_core.algebra import store
 from ptnsbc_core.kernel import inline_kernel, kernel
 from ptnsbc_core.types import (
     MODE_FORMATION,
+    MODE_HOLD,
     MODE_LAND,
     NEVER_RECEIVED_S,
     ODOMETRY_SIZE,
@@ -42,7 +43,7 @@ class SwarmState(NamedTuple):
     Everything but the constants is changed in place.
     """
 
-    configs: Sequence[AgentConfig]
+    configs: MutableSequence[AgentConfig]
     plants: MutableSequence[PlantConfig]
     states: MutableSequence[AgentState]
     bodies: Array  # (N, 17) plant states
@@ -100,28 +101,32 @@ def inputs_of(
             estimates[k, i] = track.estimate[sent, sender, i] if sent >= 0 else 0.0
     pinned = wiring.pinned[row] > 0
     behind = tick % wiring.near_every
-    landing = tick * wiring.dt_ns >= wiring.landing_ns
+    now_ns, mode = tick * wiring.dt_ns, MODE_FORMATION
+    if now_ns >= wiring.landing_ns[row]:
+        mode = MODE_LAND
+    elif now_ns < wiring.joins_ns[row]:
+        mode = MODE_HOLD
     return AgentInputs(
         track.odometry[tick, row],
         _received(swarm, track, from_parent, parent),
         _age(tick, from_parent, wiring.dt_ns) if parent >= 0 else NEVER_RECEIVED_S,
-        _received(swarm, track, from_leader, wiring.leader if pinned else -1),
+        _received(swarm, track, from_leader, wiring.leader[row] if pinned else -1),
         _age(tick, from_leader, wiring.dt_ns) if pinned else NEVER_RECEIVED_S,
         estimates,
         ages,
         swarm.near[row, : swarm.near_count[row]],
         (behind * wiring.dt_ns) * 1e-9,
-        MODE_LAND if landing else MODE_FORMATION,
-        (tick * wiring.dt_ns) * 1e-9,
+        mode,
+        now_ns * 1e-9,
     )
 
 
 @inline_kernel
-def since_epoch(wiring: Wiring, tick: int) -> float:
-    """Seconds since the latest epoch: the first one, or the begin of the landing."""
+def since_epoch(wiring: Wiring, tick: int, row: int) -> float:
+    """Seconds since the latest epoch of UAV number `row`: the first one, or the begin of its landing."""
     now_ns = tick * wiring.dt_ns
-    if now_ns >= wiring.landing_ns:
-        now_ns -= wiring.landing_ns
+    if now_ns >= wiring.landing_ns[row]:
+        now_ns -= wiring.landing_ns[row]
     return now_ns * 1e-9
 
 
@@ -191,8 +196,14 @@ def _believed(
 
 @inline_kernel
 def dead(tick: int, row: int, disturbances: Disturbances) -> bool:
-    """Whether the process of UAV number `row` has been killed."""
-    return tick >= disturbances.ends_at[row]
+    """Whether the process of UAV number `row` is not there."""
+    return disturbances.gone[tick, row]
+
+
+@inline_kernel
+def restarted(tick: int, row: int, disturbances: Disturbances) -> bool:
+    """Whether the process of UAV number `row`, which was dead, begins anew at `tick`."""
+    return tick > 0 and dead(tick - 1, row, disturbances)
 
 
 @inline_kernel

@@ -11,14 +11,13 @@ from ptnsbc_core.kernel import inline_kernel
 from ptnsbc_core.types import PLANTS, Array
 from ptnsbc_sim.plants.build import obstacle_rows
 from ptnsbc_sim.scenario import Scenario
-
-NO_LANDING_NS = 2**62
+from ptnsbc_sim.scenario.mission.membership import NEVER_NS, joins_ns, leaves_ns
 
 
 class Wiring(NamedTuple):
     """Who hears whom, as rows of the swarm; constant during a flight."""
 
-    leader: int
+    leader: NDArray[np.int64]  # (N,) row of the leader of each
     parent: NDArray[np.int64]  # (N,) row of the parent, -1 for the leader
     pinned: NDArray[np.int64]  # (N,) 1 where the leader is heard
     neighbours: NDArray[np.int64]  # (N, K) rows, -1 beyond the last
@@ -32,7 +31,8 @@ class Wiring(NamedTuple):
     substeps: int
     dt_ns: int
     plant: int  # PLANT_* of all UAVs
-    landing_ns: int  # when all UAVs begin to land; NO_LANDING_NS: never
+    joins_ns: NDArray[np.int64]  # (N,) until then a UAV holds
+    landing_ns: NDArray[np.int64]  # (N,) when a UAV begins to land
 
 
 @inline_kernel
@@ -46,6 +46,18 @@ def keep_outs_of(scenario: Scenario) -> Array:
     return np.array(list(scenario.keep_outs_m.values()), dtype=np.float64)
 
 
+def wire(wiring: Wiring, scenario: Scenario, uav_id: int) -> None:
+    """Give one UAV the edges that it has in another scenario of the same UAVs, in place."""
+    row = {one: index for index, one in enumerate(scenario.uav_ids)}
+    own, parent = row[uav_id], scenario.parent(uav_id)
+    neighbours = scenario.estimator_neighbours(uav_id)
+    wiring.leader[own] = row[scenario.leader_id]
+    wiring.parent[own] = -1 if parent is None else row[parent]
+    wiring.pinned[own] = int(scenario.pinned(uav_id))
+    wiring.neighbours[own, : len(neighbours)] = [row[one] for one in neighbours]
+    wiring.neighbour_count[own] = len(neighbours)
+
+
 def wiring_of(scenario: Scenario) -> Wiring:
     """The scenario's graph and sensors by row."""
     ids = scenario.uav_ids
@@ -57,8 +69,9 @@ def wiring_of(scenario: Scenario) -> Wiring:
     readings = np.arange(-(-scenario.ticks // scenario.near_every), dtype=np.int64)
     sensed_s: Array = readings * (scenario.near_every * scenario.dt_ns) * np.float64(1e-9)
     parents = [scenario.parent(uav_id) for uav_id in ids]
+    landing_ns = NEVER_NS if scenario.landing_ns is None else scenario.landing_ns
     return Wiring(
-        row[scenario.leader_id],
+        np.full(len(ids), row[scenario.leader_id], dtype=np.int64),
         np.array([-1 if parent is None else row[parent] for parent in parents], dtype=np.int64),
         np.array([int(scenario.pinned(uav_id)) for uav_id in ids], dtype=np.int64),
         table,
@@ -70,5 +83,6 @@ def wiring_of(scenario: Scenario) -> Wiring:
         int(scenario.physics_hz // scenario.control_hz),
         int(scenario.dt_ns),
         PLANTS[scenario.plant_kind],
-        NO_LANDING_NS if scenario.landing_ns is None else scenario.landing_ns,
+        np.array([joins_ns(scenario, uav) for uav in ids], dtype=np.int64),
+        np.array([min(landing_ns, leaves_ns(scenario, uav)) for uav in ids], dtype=np.int64),
     )

@@ -22,6 +22,7 @@ from ptnsbc_core.timebase import (
     Clock,
     PlanStep,
     fallback_gain,
+    h,
     plan_duration,
     plan_step,
     step_gain,
@@ -52,6 +53,12 @@ HOMING = 0.5
 
 _LEAST_LEFT = 0.1
 """A plan is not begun when less than this share of it is left."""
+
+
+@inline_kernel
+def is_plan_left(t: float, config: AgentConfig) -> bool:
+    """Whether a UAV whose epoch is at `t` [s] can still join the common plan."""
+    return 1.0 - h(t / plan_duration(config.formation)) > _LEAST_LEFT
 
 
 class FormationErrors(NamedTuple):

@@ -16,6 +16,9 @@ from ptnsbc_core.types import NEVER_RECEIVED_S, NeighbourMotion, OdometryLike, V
 UNKNOWN = NeighbourMotion((0.0, 0.0, 0.0), -NEVER_RECEIVED_S, (0.0, 0.0, 0.0))
 """Nothing has been received."""
 
+SILENT = NeighbourMotion((0.0, 0.0, 0.0), -1e6, (0.0, 0.0, 0.0))
+"""Long ago: the next message counts as the first one after a silence, and begins no epoch."""
+
 _SAME_S = 1e-6
 """Stamps that differ by less are those of one message."""
 

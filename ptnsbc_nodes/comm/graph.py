@@ -38,7 +38,10 @@ class Senders:
     leader: int | None  # None unless pinned
     estimators: tuple[int, ...]  # ascending: the order of the rows of AgentInputs.estimates
     others: tuple[int, ...] = ()  # all other UAVs, where an epoch may choose any of them
-    peers: tuple[int, ...] = ()  # UAVs whose state the law of the scenario needs besides
+    peers: tuple[
+        int, ...
+    ] = ()  # UAVs whose state is needed besides: by the law, or to see who is there
+    every_tick: bool = False  # lock-step waits for all that it subscribes to, used or not
     losses: MessageLoss | None = None  # which of their messages the scenario wants lost
     delays: Mapping[int, LinkDelay] = field(default_factory=dict)  # and how late, by sender
     faults: tuple[FaultBlock, ...] | None = None  # of the scenario; None: none can be injected
@@ -77,7 +80,8 @@ class CommunicationGraph:
             leader=scenario.leader_id if scenario.pinned(uav_id) else None,
             estimators=scenario.estimator_neighbours(uav_id),
             others=self._others(uav_id),
-            peers=scenario.estimator_neighbours(uav_id) if scenario.law is not None else (),
+            peers=self._peers(uav_id),
+            every_tick=scenario.reconfigures,
             losses=message_loss(scenario, uav_id),
             delays={i: link_delay(scenario, i, uav_id) for i in others},
             faults=scenario.file.faults,
@@ -86,22 +90,31 @@ class CommunicationGraph:
 
     def holding(self, slots: Slots) -> CommunicationGraph:
         """The graph in which every UAV has the edges of its slot."""
-        return CommunicationGraph(with_slots(self._scenario, slots), self.options)
+        return self.of(with_slots(self._scenario, slots))
+
+    def of(self, scenario: Scenario) -> CommunicationGraph:
+        """The graph of another scenario, flown with the same options."""
+        return CommunicationGraph(scenario, self.options)
+
+    def _peers(self, uav_id: int) -> tuple[int, ...]:
+        if self._scenario.reconfigures:
+            return self._others(uav_id)
+        return () if self._scenario.law is None else self._scenario.estimator_neighbours(uav_id)
 
     def _others(self, uav_id: int) -> tuple[int, ...]:
-        """UAVs that this one must be able to hear, whatever the epoch decides, ascending."""
-        if not are_open(self._scenario):
+        """UAVs that this one must be able to hear, whatever the epoch decides and whoever goes, ascending."""
+        if not are_open(self._scenario) and not self._scenario.reconfigures:
             return ()
         return tuple(sorted(i for i in self._scenario.uav_ids if i != uav_id))
 
     def linked(self, uav_id: int) -> tuple[int, ...]:
-        """UAVs that this one has an edge with, in either direction, ascending; all where slots are open."""
-        if are_open(self._scenario):
-            return self._others(uav_id)
+        """UAVs that this one has an edge with, in either direction, ascending; all where any may be needed."""
+        if others := self._others(uav_id):
+            return others
         all_senders = {i: self.senders(i) for i in self._scenario.uav_ids}
         heard = {i: {*one.states, *one.estimators} for i, one in all_senders.items()}
-        others = (i for i in heard if i in heard[uav_id] or uav_id in heard[i])
-        return tuple(sorted(set(others) - {uav_id}))
+        edged = (i for i in heard if i in heard[uav_id] or uav_id in heard[i])
+        return tuple(sorted(set(edged) - {uav_id}))
 
     def state_readers(self, uav_id: int) -> int:
         """How many nodes read the formation_state of this UAV."""

@@ -9,6 +9,7 @@ from ptnsbc_core.types import LEGS, MODE_FORMATION, MODE_LAND, Array
 from ptnsbc_io.wire import Stamped
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.mission.legs import Word, number_of
+from ptnsbc_sim.scenario.mission.membership import NEVER_NS, leaves_ns
 from ptnsbc_sim.scenario.mission.stream import SetpointError, setpoint_of
 
 FIRST_LEG = "form"
@@ -108,22 +109,25 @@ class Epochs:
         """The epoch of the first leg; None before one is announced."""
         return self._legs[0].t0_ns if self._legs else None
 
-    def at(self, now_ns: int) -> Leg | None:
+    def at(self, now_ns: int, uav_id: int | None = None) -> Leg | None:
         """The leg in force: of those whose epoch has come, the one announced last.
 
         So an immediate stop wins over a hold that was announced before it for a later instant. The landing of the
-        mission follows a leg in formation that began before it.
+        mission, and that of the UAV `uav_id` when it leaves, follow a leg in formation that began before them.
         """
         for leg in reversed(self._legs):
             if leg.t0_ns <= now_ns:
-                return self._landing(leg, now_ns) or leg
+                return self._landing(leg, now_ns, uav_id) or leg
         return None
 
-    def _landing(self, leg: Leg, now_ns: int) -> Leg | None:
-        """The landing of the mission, when it has begun in this leg."""
-        if self._landing_ns is None or leg.mode != MODE_FORMATION:
+    def _landing(self, leg: Leg, now_ns: int, uav_id: int | None) -> Leg | None:
+        """The landing of the mission, or of a UAV that leaves, when it has begun in this leg."""
+        if leg.mode != MODE_FORMATION:
             return None
-        t0_ns = leg.first_t0_ns + self._landing_ns
+        since_ns = NEVER_NS if self._landing_ns is None else self._landing_ns
+        if uav_id is not None and self.scenario is not None:
+            since_ns = min(since_ns, leaves_ns(self.scenario, uav_id))
+        t0_ns = leg.first_t0_ns + since_ns
         if not leg.t0_ns <= t0_ns <= now_ns:
             return None
         return Leg("land", MODE_LAND, t0_ns, leg.first_t0_ns)

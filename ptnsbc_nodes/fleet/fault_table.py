@@ -62,6 +62,18 @@ ANSWERS = (
         ("tests/sim/test_swarm.py::test_a_uav_in_the_middle_of_the_tree_dies_and_all_keep_clear",),
     ),
     FaultAnswer(
+        "a UAV, or the leader, is lost, with `formation.vacancy: keep` or `close_up`",
+        (HEADLESS,),
+        "all others, by the age of the newest message",
+        _STALE,
+        "its children get another parent, or the next of `leader.successors` leads; nobody holds",
+        "it takes its slot again, by a deadline of its own, when it is heard again",
+        (
+            "tests/sim/test_roles.py::test_a_loss_moves_nobody_by_more_than_the_stated_jump",
+            "tests/sim/test_roles.py::test_a_restarted_uav_comes_back_and_nobody_holds_meanwhile",
+        ),
+    ),
+    FaultAnswer(
         "a neighbour in the estimator graph is silent",
         ALL,
         "each follower, by the age of the newest message",

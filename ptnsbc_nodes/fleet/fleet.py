@@ -163,6 +163,11 @@ def check_options(options: FleetOptions) -> None:
             "--only: the computers of a fleet find each other in one domain: expected --domain N, "
             "the same on all of them, or ROS_DOMAIN_ID"
         )
+    if options.scenario.reconfigures:
+        raise FleetError(
+            f"formation.vacancy: {options.scenario.file.formation.vacancy}: a fleet of processes does not fly it: "
+            "expected wait, or a flight by ptnsbc simulate"
+        )
     if options.backend != "mavlink":
         return
     if options.lockstep:

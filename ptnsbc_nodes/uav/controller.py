@@ -26,7 +26,10 @@ from ptnsbc_io.wire import Stamped
 from ptnsbc_nodes.comm.graph import Senders
 from ptnsbc_nodes.comm.legs import Leg
 from ptnsbc_nodes.uav.inbox import Inbox
+from ptnsbc_nodes.uav.roles import RoleHolder
 from ptnsbc_sim.own_uav import OURS, UavFunctions
+from ptnsbc_sim.roles import moved_on
+from ptnsbc_sim.scenario import Scenario
 
 
 class StepTime(NamedTuple):
@@ -125,10 +128,17 @@ class UavCounters:
 class UavController:
     """Inbox, control law and counters of one UAV."""
 
-    def __init__(self, config: AgentConfig, senders: Senders, own: UavFunctions = OURS) -> None:
-        """`own` are the functions of the user in the place of ours."""
+    def __init__(
+        self,
+        config: AgentConfig,
+        senders: Senders,
+        own: UavFunctions = OURS,
+        roles: RoleHolder | None = None,
+    ) -> None:
+        """`own` are the functions of the user in the place of ours; `roles`: UAVs may come and go."""
         self.config = config
         self._own = own
+        self._roles = roles
         self.inbox = Inbox(senders)
         self.counters = UavCounters()
         self.slots: Stamped | None = None  # those in force, of the epoch that decided them
@@ -155,6 +165,28 @@ class UavController:
             )
             self._agent = Agent.resumed(self._agent_config, state)
 
+    def _take_role(self, at: StepTime, cutoff_ns: int) -> StepTime:
+        """Take the place that follows from who is there now; returns the step, in which the UAV may have to hold."""
+        if self._roles is None or not at.flying:
+            return at
+        ages = {one.sender: one.age_s for one in self.inbox.states(at.now_ns, cutoff_ns)}
+        new = self._roles.look(at.now_ns, at.first_t0_ns, ages)
+        if new is not None:
+            self.config = _speed_limits(self.config).applied_to(new.config)
+            self.inbox.listen_to(new.senders)
+            if self._agent is not None:
+                self._agent_config = self.limits.applied_to(new.config)
+                state = moved_on(self._agent.state, new.change)
+                self._agent = Agent.resumed(self._agent_config, state)
+        return at._replace(mode=MODE_HOLD) if self._roles.holds(at.mode) else at
+
+    def as_member(self, scenario: Scenario) -> Scenario:
+        """A scenario with the graph in which the UAV flies now."""
+        if self._roles is None:
+            return scenario
+        self._roles.follow(scenario)
+        return self._roles.flown()
+
     def go_on(self, config: AgentConfig) -> None:
         """Fly by another trajectory and shape from the next step on, which go on from where those before have come."""
         self.config = _speed_limits(self.config).applied_to(config)
@@ -177,6 +209,8 @@ class UavController:
     def restart(self) -> None:
         """Forget all steps: the next step begins a new agent at the vehicle's position."""
         self._agent = None
+        if self._roles is not None:
+            self._roles.restart()
 
     def resume(self, state: AgentState, counters: Array) -> None:
         """Continue from the state and the counters of another controller."""
@@ -197,6 +231,7 @@ class UavController:
 
     def step(self, at: StepTime, cutoff_ns: int) -> PackedOutputs:
         """One control step on the messages of the inbox, which must hold the own odometry."""
+        at = self._take_role(at, cutoff_ns)
         start_age_s = (at.now_ns - at.first_t0_ns) * 1e-9
         inputs = self.inbox.pack_inputs(at.now_ns, cutoff_ns, at.mode, start_age_s)
         if self._agent is None:

@@ -141,7 +141,7 @@ class Inbox:
         self._inputs = PackedInputs(len(estimates), _NOTHING_NEAR)
         self._own_row = self._inputs.vector[OWN:PARENT]
         self._queue_rows = tuple(self._rows())
-        self._awaited = [one for one in self._used if one[0] not in self._lost]
+        self._await()
 
     def state_handlers(self) -> Mapping[int, Callable[[Stamped], None]]:
         """The handler of each sender's formation_state; the queue itself where no message is to be lost."""
@@ -174,7 +174,13 @@ class Inbox:
     def lose(self, uav_id: int) -> None:
         """Stop waiting for this sender, whose process has ended. Its last messages age from now on."""
         self._lost.add(uav_id)
-        self._awaited = [one for one in self._used if one[0] not in self._lost]
+        self._await()
+
+    def _await(self) -> None:
+        """Who lock-step waits for; where UAVs may come and go, for all, because any may be used next."""
+        every = [*self._states.items(), *self._estimates.items()]
+        awaited = every if self.senders.every_tick else self._used
+        self._awaited = [one for one in awaited if one[0] not in self._lost]
 
     def holds_tick(self, period_ns: int, near_every: int) -> bool:
         """Whether everything that the tick of the own odometry needs is here (lock-step)."""

@@ -57,6 +57,7 @@ from ptnsbc_nodes.uav.leader_setpoints import LeaderSetpoints
 from ptnsbc_nodes.uav.leg_services import LegServices
 from ptnsbc_nodes.uav.outbox import Outbox
 from ptnsbc_nodes.uav.robot_description import publish_description
+from ptnsbc_nodes.uav.roles import role_holder
 from ptnsbc_nodes.uav.slots import OpenSlots, SlotDecider, SlotHolder
 from ptnsbc_sim.own_uav import UavFunctions
 from ptnsbc_sim.scenario import Scenario, agent_config
@@ -87,7 +88,10 @@ class UavNode:
         self._uav = uav_id
         self._scenario = scenario
         own = UavFunctions.of(scenario, uav_id)
-        self._controller = UavController(agent_config(scenario, uav_id), edges.senders(uav_id), own)
+        roles = role_holder(scenario, uav_id, edges)
+        self._controller = UavController(
+            agent_config(scenario, uav_id), edges.senders(uav_id), own, roles
+        )
         self._faults = UavFaults(scenario, uav_id, self._controller.inbox, edges.options.lockstep)
         self._outbox = Outbox(self.endpoints, edges, uav_id, self._faults)
         publish_description(self.endpoints, scenario, uav_id)
@@ -340,7 +344,7 @@ class UavNode:
         now_ns = own.stamp_ns
         if now_ns <= timing.done_ns or not self._epochs.announced:
             return
-        if not self._take_slot(self._epochs.at(now_ns)):
+        if not self._take_slot(self._epochs.at(now_ns, self._uav)):
             return  # the decision is on its way
         if inbox.holds_tick(timing.period_ns, timing.near_every):
             self._tick(own, now_ns, now_ns, timing.period_ns)
@@ -362,7 +366,7 @@ class UavNode:
     def _tick(self, own: Stamped, now_ns: int, cutoff_ns: int, elapsed_ns: int) -> None:
         self._faults.strike(now_ns)
         self._follow_mission()
-        leg, timing = self._epochs.at(now_ns), self._timing
+        leg, timing = self._epochs.at(now_ns, self._uav), self._timing
         if leg is None:  # not announced or still to come
             timing.pace.missed = 0
         elif not self._at_start:
@@ -470,7 +474,7 @@ class _StatusPublisher:
         """Publish the status at an instant of the flight; -1 is outside of the flight."""
         uav = self._uav
         missing = uav.waiting_for() if stamp_ns < 0 or not uav._options.lockstep else []
-        leg = uav._epochs.at(stamp_ns)
+        leg = uav._epochs.at(stamp_ns, uav._uav)
         values = {
             **readiness(missing),
             "mode": leg.name if leg else "waiting",
@@ -495,7 +499,9 @@ class _StatusPublisher:
             return DiagnosticLevel.ERROR, stale if offset is None else f"{stale}; {offset}"
         if offset is not None:
             return DiagnosticLevel.WARN, str(offset)
-        fault = uav._slots.fault(uav._epochs.at(stamp_ns)) if uav._slots is not None else ""
+        fault = (
+            uav._slots.fault(uav._epochs.at(stamp_ns, uav._uav)) if uav._slots is not None else ""
+        )
         if fault:
             return DiagnosticLevel.ERROR, fault
         if uav._epochs.announced and uav._controller.counters.holding:

@@ -49,6 +49,7 @@ class SlotHolder:
                 uav: int(slot) for uav, slot in zip(sorted(scenario.uav_ids), held, strict=True)
             }
             scenario = with_slots(scenario, slots)
+        scenario = controller.as_member(scenario)
         controller.go_on(agent_config(scenario, self._uav))
 
 

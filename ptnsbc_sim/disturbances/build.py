@@ -12,7 +12,7 @@ from ptnsbc_core.types import Array
 from ptnsbc_sim.disturbances import gusts as wind
 from ptnsbc_sim.disturbances import position_noise as position
 from ptnsbc_sim.disturbances import random_streams, sensor_noise
-from ptnsbc_sim.disturbances.faults import add_jumps, ends_at, jumps_of
+from ptnsbc_sim.disturbances.faults import add_jumps, gone, jumps_of
 from ptnsbc_sim.disturbances.gusts import Gusts, gust_step, gusts
 from ptnsbc_sim.disturbances.links import last_received
 from ptnsbc_sim.disturbances.position_noise import (
@@ -78,7 +78,7 @@ class Disturbances(NamedTuple):
     sensor_samples: Array  # (T / near_every, N, 6 objects) standard normal
     sensor_noise: SensorNoise
     jumps: Array  # (J, 6) as `jumps_of` has them
-    ends_at: NDArray[np.int64]  # (N,) tick from which the UAV's process is dead
+    gone: NDArray[np.bool_]  # (T, N) whether the UAV's process is dead
 
 
 def flight_disturbances(scenario: Scenario, neighbours: int) -> Disturbances | None:
@@ -105,7 +105,7 @@ def flight_disturbances(scenario: Scenario, neighbours: int) -> Disturbances | N
         table(random_streams.SENSOR, _sensor_sample_count(scenario), scenario.near_every),
         sensor_noise_of(scenario),
         jumps_of(scenario),
-        ends_at(scenario),
+        gone(scenario),
     )
 
 

@@ -18,10 +18,8 @@ from ptnsbc_sim.disturbances import random_streams
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.mission.faults import FOR_EVER_NS, FaultBlock
 
-NEVER = 2**62
-"""Tick at which a UAV ends that does not end."""
-
-_SILENCING = ("silence", "nan", "kill")  # a receiver refuses what is no number
+_GONE = ("kill", "restart")
+_SILENCING = ("silence", "nan", *_GONE)  # a receiver refuses what is no number
 _JUMP_COLUMNS = 6
 
 
@@ -146,13 +144,14 @@ def without_position(values: Array) -> Array:
     return broken
 
 
-def ends_at(scenario: Scenario) -> NDArray[np.int64]:
-    """Tick (N,) from which the process of each UAV is dead, NEVER where it is not killed."""
-    found = np.full(len(scenario.uav_ids), NEVER, dtype=np.int64)
+def gone(scenario: Scenario) -> NDArray[np.bool_]:
+    """Whether the process of each UAV is dead at each tick (T, N)."""
+    found = np.zeros((scenario.ticks, len(scenario.uav_ids)), dtype=np.bool_)
     for fault in scenario.faults:
-        if fault.kind == "kill" and fault.struck_uav is not None:
+        if fault.kind in _GONE and fault.struck_uav is not None:
             row = scenario.uav_ids.index(fault.struck_uav)
-            found[row] = min(found[row], -(-fault.window_ns(0)[0] // scenario.dt_ns))
+            first, end = (-(-time_ns // scenario.dt_ns) for time_ns in fault.window_ns(0))
+            found[min(first, len(found)) : min(end, len(found)), row] = True
     return found
 
 

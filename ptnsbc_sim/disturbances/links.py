@@ -116,14 +116,19 @@ def last_received(scenario: Scenario, width: int) -> NDArray[np.int64]:
     ids = scenario.uav_ids
     table = np.full((scenario.ticks, len(ids), 2 + width), -1, dtype=np.int64)
     for row, uav in enumerate(ids):
-        parent = scenario.parent(uav)
-        if parent is not None:
-            table[:, row, 0] = _last_received(scenario, random_streams.STATE_LINK, uav, parent)
-        if scenario.pinned(uav):
-            leader = scenario.leader_id
-            table[:, row, 1] = _last_received(scenario, random_streams.STATE_LINK, uav, leader)
-        for k, other in enumerate(scenario.estimator_neighbours(uav)):
-            table[:, row, 2 + k] = _last_received(
-                scenario, random_streams.ESTIMATE_LINK, uav, other
-            )
+        table[:, row] = last_received_by(scenario, uav, width)
+    return table
+
+
+def last_received_by(scenario: Scenario, uav: int, width: int) -> NDArray[np.int64]:
+    """The rows (T, 2 + width) of one UAV."""
+    table = np.full((scenario.ticks, 2 + width), -1, dtype=np.int64)
+    parent = scenario.parent(uav)
+    if parent is not None:
+        table[:, 0] = _last_received(scenario, random_streams.STATE_LINK, uav, parent)
+    if scenario.pinned(uav):
+        leader = scenario.leader_id
+        table[:, 1] = _last_received(scenario, random_streams.STATE_LINK, uav, leader)
+    for k, other in enumerate(scenario.estimator_neighbours(uav)):
+        table[:, 2 + k] = _last_received(scenario, random_streams.ESTIMATE_LINK, uav, other)
     return table

@@ -298,6 +298,7 @@ def agent_config(scenario: Scenario, uav_id: int) -> AgentConfig:
         desired=desired,
         offset=three(_offset_from_parent(scenario, uav_id)),
         slot=three(scenario.offset(uav_id)),
+        leader_slot=three(scenario.offset(scenario.leader_id)),
         slot_reach=float(_slots(scenario, [uav_id])[0, REACH]),
         other_slots=_slots(scenario, [one for one in scenario.uav_ids if one != uav_id]),
         anchor=three(reference_offset(scenario, uav_id)),

@@ -190,11 +190,15 @@ def _slots_at_start(file: ScenarioFile) -> dict[int, int]:
 
 
 def start_errors(file: ScenarioFile) -> dict[int, float]:
-    """Distance [m] of every start from its place, by UAV; the places of open slots are those by the starts."""
+    """Distance [m] of every start from its place, by UAV; the places of open slots are those by the starts.
+
+    Without the UAVs that join later, by a deadline of their own.
+    """
     first, offsets, slots = _leader_start(file), _offsets_at_start(file), _slots_at_start(file)
     return {
         uav.id: float(np.linalg.norm(first + offsets[slots[uav.id]] - np.array(uav.position_m)))
         for uav in file.uavs
+        if uav.joins_s is None
     }
 
 

@@ -171,6 +171,9 @@ class Leader(Block):
 
     id: UavId
     """Id of one of `uavs`."""
+    successors: tuple[UavId, ...] = ()
+    """UAVs that take over the lead, in this order, when the leader is lost or leaves, see
+    [missions.md](missions.md#coming-and-going)."""
     trajectory: LeaderTrajectoryBlock
     """Trajectory of the leader, one of these kinds:"""
 
@@ -186,6 +189,10 @@ class Formation(Block):
     assignment: Literal["fixed", "optimal"] = "fixed"
     """Who takes which slot: `fixed` gives every UAV its own; `optimal` decides at each epoch by the measured positions,
     see [method.md](method.md#slots)."""
+    vacancy: Literal["wait", "keep", "close_up"] = "wait"
+    """What becomes of the slot of a UAV that is lost or leaves, see [missions.md](missions.md#coming-and-going): with
+    `wait` its children hold until they hear it again; `keep` leaves the slot empty, and they get another parent;
+    `close_up` moves those behind it up."""
     avoidance: Literal["off", "set_based", "switched"] = "set_based"
     """Rule of the clearance from obstacles and other UAVs."""
     offsets_m: dict[UavId, Vec3]
@@ -243,6 +250,10 @@ class UavBlock(Block):
     """Limit of its commanded speed. Default: `gains.filter.max_speed_m_s`."""
     keep_out_m: Positive | None = None
     """Its keep-out: two UAVs stay the mean of both apart. Default: `formation.uav_keep_out_m`."""
+    joins_s: Positive | None = None
+    """Mission time at which it joins the formation; until then it holds at its start. Default: from the begin on."""
+    leaves_s: Positive | None = None
+    """Mission time at which it leaves the formation and lands. Default: never."""
 
 
 def plant_of(plant: Plant, uav: UavBlock) -> Plant:

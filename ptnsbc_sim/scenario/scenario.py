@@ -331,6 +331,11 @@ class Scenario:
         return late or any(fault.rule.strikes == MESSAGES for fault in self.faults)
 
     @property
+    def reconfigures(self) -> bool:
+        """Whether UAVs may come and go: the others take another parent or leader then."""
+        return self.file.formation.vacancy != "wait"
+
+    @property
     def faults(self) -> tuple[FaultBlock, ...]:
         """Faults that are injected."""
         return self.file.faults or ()
@@ -416,10 +421,12 @@ class Scenario:
         raise ScenarioError(f"{self.source}: UAV {uav_id}: expected one of {known}")
 
     def offset(self, uav_id: int) -> Array:
-        """Desired position relative to the leader (3,) [m], ENU; zeros for the leader."""
-        if uav_id == self.leader_id:
+        """Desired position relative to the reference point (3,) [m], ENU: zeros for the leader of the file."""
+        offsets = self.file.formation.offsets_m
+        if uav_id not in offsets:
+            self.uav(uav_id)  # names the ids there are when this is not one
             return np.zeros(3)
-        return np.array(self.file.formation.offsets_m[uav_id], dtype=np.float64)
+        return np.array(offsets[uav_id], dtype=np.float64)
 
     def parent(self, uav_id: int) -> int | None:
         """The UAV relative to which this one keeps its position; None for the leader."""

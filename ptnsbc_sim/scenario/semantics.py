@@ -275,6 +275,50 @@ def _law(file: ScenarioFile) -> Problems:
         yield f"plugins.plant: {file.plugins.plant}: expected plant.kind: quadrotor, whose state it has"
 
 
+def _membership(file: ScenarioFile) -> Problems:
+    formation = file.formation
+    keys = [f"uavs[{k}].joins_s" for k, uav in enumerate(file.uavs) if uav.joins_s is not None]
+    keys += [f"uavs[{k}].leaves_s" for k, uav in enumerate(file.uavs) if uav.leaves_s is not None]
+    if file.leader.successors:
+        keys.append("leader.successors")
+    if formation.vacancy == "wait":
+        for key in keys:
+            yield f"{key}: expected formation.vacancy: keep or close_up, which says what becomes of an empty slot"
+        return
+    yield from _comings(file)
+    expected = (
+        (formation.approach == "planned", "formation.approach: planned"),
+        (formation.assignment == "fixed", "formation.assignment: fixed"),
+        (not shapes.moves(formation), "a shape that does not move"),
+        (file.mission is None or not _changes_shape(file), "a mission without legs of kind change"),
+        (formation.sight_m == 0.0, "formation.sight_m: 0"),
+        (file.leader.trajectory.kind != "stream", "a trajectory that all UAVs know"),
+        (
+            not (file.law or file.plugins.task or file.plugins.controller),
+            "no functions of the user",
+        ),
+    )
+    for holds, what in expected:
+        if not holds:
+            yield f"formation.vacancy: {formation.vacancy}: expected {what}, or vacancy: wait"
+
+
+def _comings(file: ScenarioFile) -> Problems:
+    leader, ids = file.leader, [uav.id for uav in file.uavs]
+    for index, uav_id in enumerate(leader.successors):
+        if uav_id not in ids or uav_id == leader.id or uav_id in leader.successors[:index]:
+            yield f"leader.successors[{index}]: {uav_id}: expected followers, each once"
+    for index, uav in enumerate(file.uavs):
+        if uav.id == leader.id and uav.joins_s is not None:
+            yield f"uavs[{index}].joins_s: expected none for the leader, around which the others form"
+        if uav.joins_s is not None and uav.leaves_s is not None and uav.leaves_s <= uav.joins_s:
+            yield f"uavs[{index}].leaves_s: {uav.leaves_s:g}: expected more than joins_s, {uav.joins_s:g}"
+
+
+def _changes_shape(file: ScenarioFile) -> bool:
+    return any(leg.kind == "change" for leg in file.mission.legs) if file.mission else False
+
+
 def _faults(file: ScenarioFile) -> Problems:
     ids = {uav.id for uav in file.uavs}
     for index, fault in enumerate(file.faults or ()):
@@ -301,6 +345,7 @@ _CHECKS: tuple[Callable[[ScenarioFile], Problems], ...] = (
     _plant,
     _mavlink,
     _law,
+    _membership,
     _faults,
 )
 

@@ -19,6 +19,7 @@ from ptnsbc_sim.scenario.mission.legs import (
     LandLeg,
     ScheduledLeg,
 )
+from ptnsbc_sim.scenario.mission.membership import NEVER_NS
 from ptnsbc_sim.verdict.coverage import Coverage, first_bad_s, incomplete, silent_from_s
 from ptnsbc_sim.verdict.encounters import Encounter, ancestors, inside
 from ptnsbc_sim.verdict.recording import NANO, Recording, counter_rise
@@ -83,6 +84,8 @@ class UavVerdict:
     holding_s: float  # until the deadline
     missing: int  # odometry messages missing of those sent, or of one per control period
     longest_gap_s: float  # between two odometry messages
+    membership: str  # when it came and went, empty when it was there all the time
+    lost: bool  # at the end; the others go on without it, so it does not count for the flight
     changes: tuple[
         ChangeError, ...
     ]  # those of the shape, or legs of a mission, that were due in this leg, after its deadline
@@ -141,11 +144,14 @@ class ErrorFigures:
 
     Args:
         recording: the leg.
+        uav: the UAV.
         windows: encounters of the UAV.
         tolerance: limit of the error at the deadline [m].
     """
 
-    def __init__(self, recording: Recording, windows: list[Encounter], tolerance: float) -> None:
+    def __init__(
+        self, recording: Recording, uav: int, windows: list[Encounter], tolerance: float
+    ) -> None:
         self._recording = recording
         self._deadline_s = deadline = recording.scenario.gains.formation.deadline_s
         self._windows = windows
@@ -163,6 +169,11 @@ class ErrorFigures:
         self._at, self._at_due = ValueAt(deadline), ValueAt(self.due_s)
         self._settled, self._regained = _LastExit(), _LastExit()
         self._changes = _changes_due(recording, self._windows)
+        due_ns = recording.start_ns + round(deadline / NANO)
+        self.absent_s = sum(
+            max(min(one.end_ns, recording.end_ns) - max(one.begin_ns, due_ns), 0) * NANO
+            for one in recording.absences[uav]
+        )
         self._last = _NONE  # time and error of the newest sample
         self._squares = 0.0  # sum of the squared errors after the deadline
         self._after = 0  # number of samples in that sum
@@ -393,8 +404,8 @@ def _miss(found: UavVerdict, figures: ErrorFigures) -> str:
         miss = f"{miss}, {unrecovered}" if unrecovered else ""
     elif miss and _left_again(found) and _in_time(figures):
         miss = f"{miss}, not back after an encounter{_in_time(figures)}"
-    after_s = figures.end_s - found.deadline_s
-    if not miss and found.excused_outside_s > MOST_EXCUSED * after_s:
+    after_s = figures.end_s - found.deadline_s - figures.absent_s
+    if not miss and found.excused_outside_s - figures.absent_s > MOST_EXCUSED * after_s:
         return (
             f"outside {found.band_m:.3f} m near objects for {found.excused_outside_s:.2f} s of the "
             f"{after_s:.2f} s after the deadline"
@@ -405,14 +416,18 @@ def _miss(found: UavVerdict, figures: ErrorFigures) -> str:
 def _excuse(found: UavVerdict) -> str:
     """What a met deadline owes to encounters; empty when nothing."""
     if not found.excused_outside_s and not _late(found, np.inf):
-        return ""
+        return found.membership
     due = f", the deadline counted at {found.due_s:.2f} s" if _late(found, np.inf) else ""
+    if found.membership:
+        return f"{found.membership}{due}"
     return f"outside {found.band_m:.3f} m near objects for {found.excused_outside_s:.2f} s{due}"
 
 
 def _lost(recording: Recording, uav: int) -> list[str]:
     """The processes that a UAV depends on and that fell silent, in words."""
     needed = dict.fromkeys([*ancestors(recording.flown, uav), recording.flown.leader_id])
+    if recording.scenario.reconfigures:
+        needed = {uav: None}  # the others go on without the lost one
     silent = ((one, silent_from_s(recording, one)) for one in needed)
     return [f"UAV {one} silent from {t_s:.2f} s" for one, t_s in silent if t_s is not None]
 
@@ -433,7 +448,8 @@ def _causes(recording: Recording, found: UavVerdict, end_s: float) -> tuple[list
         causes = [*causes, f"held for {held:.2f} s, link stale"]
     if saturated > 0:
         causes = [*causes, f"at a limit of speed, acceleration or thrust for {saturated:.2f} s"]
-    return causes, bool(lost) or (held > 0 and not recording.scenario.lossy)
+    late = held > 0 and not recording.scenario.lossy and not recording.scenario.reconfigures
+    return causes, bool(lost) or late
 
 
 def _not_finite(recording: Recording, uav: int, figures: ErrorFigures) -> str:
@@ -489,6 +505,8 @@ def _of_deadline(
         # Comparisons with NaN are false: the error would seem never to leave the band.
         return replace(found, verdict=MISSED, reason=not_finite, settling_s=None)
     end_s = figures.end_s
+    if found.lost:
+        return replace(found, verdict=VOID, reason=found.membership)
     short = found.error_at_deadline_m is None
     miss = f"recording ends after {end_s:.2f} s" if short else _miss(found, figures)
     hole = incomplete(recording, uav, covers)
@@ -507,7 +525,7 @@ def _measured(
     recording: Recording, uav: int, figures: ErrorFigures, tolerance: float, cover: Coverage
 ) -> UavVerdict:
     """All figures of one UAV."""
-    regain = figures.longest_regain()
+    regain, away = figures.longest_regain(), recording.absences[uav]
     deadline = recording.scenario.gains.formation.deadline_s
     start, at = figures.start_error, figures.at_deadline
     return UavVerdict(
@@ -535,5 +553,7 @@ def _measured(
         holding_s=_rise(recording, uav, "holding_s", (0.0, deadline)),
         missing=cover.missing,
         longest_gap_s=cover.longest_gap_s,
+        membership=", ".join(one.text(recording.first_ns) for one in away),
+        lost=bool(away) and away[-1].end_ns >= NEVER_NS and not away[-1].planned,
         changes=figures.at_changes,
     )

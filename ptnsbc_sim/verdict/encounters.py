@@ -9,7 +9,7 @@ excuses an exit from the tolerance band. An encounter that lasts over the deadli
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -21,6 +21,7 @@ from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.build import loop_of, recovery_config
 from ptnsbc_sim.verdict.formation_error import formation_vectors
+from ptnsbc_sim.verdict.phases import Phase
 from ptnsbc_sim.verdict.recording import COUNTERS, Recording
 from ptnsbc_sim.verdict.track import Track, lengths
 
@@ -100,22 +101,45 @@ def encounters(recording: Recording) -> dict[int, list[Encounter]]:
     """Encounters of every UAV, recovery included."""
     scenario = recording.flown
     own = {uav: avoidance_windows(track) for uav, track in recording.counters.items()}
-    ends = np.unique([end for windows in own.values() for _, end in windows]).astype(np.int64)
+    away = {
+        uav: [(one.begin_ns, min(one.end_ns, recording.end_ns)) for one in absent]
+        for uav, absent in recording.absences.items()
+    }
+    for begin_ns, phase in _changes(recording):
+        for uav in phase.moved:
+            own.setdefault(uav, []).append((begin_ns, phase.begin_ns))
+    spans_of = [*own.values(), *away.values()]
+    ends = np.unique([end for windows in spans_of for _, end in windows]).astype(np.int64)
     if not ends.size:
         return {uav: [] for uav in scenario.uav_ids}
-    away = _to_regain(recording, ends)
+    off = _to_regain(recording, ends)
     lasts_s = {uav: _recovery_of(scenario, uav) for uav in scenario.uav_ids}
     found = {}
     for uav in scenario.uav_ids:
-        line = ancestors(scenario, uav)
         spans = []
-        for hops, one in enumerate(line):
-            for begin, end in own.get(one, ()):
-                k = int(np.searchsorted(ends, end))
-                back_s = max(lasts_s[kin](float(away[kin][k])) for kin in line[: hops + 1])
-                spans.append(Encounter(begin, end, end + round(back_s * 1e9)))
+        for phase, of_phase in recording.by_phase(ends):
+            first, last = int(ends[of_phase][0]), int(ends[of_phase][-1])
+            line = ancestors(phase.scenario, uav)
+            for hops, one in enumerate(line):
+                for begin, end in own.get(one, ()):
+                    if not first <= end <= last:
+                        continue
+                    k = int(np.searchsorted(ends, end))
+                    back_s = max(lasts_s[kin](float(off[kin][k])) for kin in line[: hops + 1])
+                    spans.append(Encounter(begin, end, end + round(back_s * 1e9)))
+        for begin, end in away[uav]:  # a UAV that comes has its own deadline, and disturbs nobody
+            back_s = lasts_s[uav](float(off[uav][int(np.searchsorted(ends, end))]))
+            spans.append(Encounter(begin, end, end + round(back_s * 1e9)))
         found[uav] = _joined(spans)
     return found
+
+
+def _changes(recording: Recording) -> Iterator[tuple[int, Phase]]:
+    """The phases in which UAVs have other places in the graph, each with the begin of the silence before it [ns]."""
+    stale_ns = round(recording.scenario.file.communication.stale_s * 1e9)
+    for phase in recording.phases[1:]:
+        if phase.moved:
+            yield phase.begin_ns - stale_ns - recording.scenario.dt_ns, phase
 
 
 def _to_regain(recording: Recording, ends: NDArray[np.int64]) -> dict[int, Array]:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from ptnsbc_core.types import Array
 from ptnsbc_sim.verdict.coverage import missing
 from ptnsbc_sim.verdict.deadline import ValueAt, max_of
+from ptnsbc_sim.verdict.formation_error import reference_of
 from ptnsbc_sim.verdict.recording import NANO, Recording
 from ptnsbc_sim.verdict.track import BLOCK, Series, lengths
 
@@ -123,11 +124,20 @@ class EstimatorErrors:
     def add(self, grid: NDArray[np.int64], positions: dict[int, Array]) -> None:
         """Take the next positions (T, 3) [m] of all UAVs at (T,) [ns]."""
         times = self._recording.times(grid)
-        leader = positions[self._recording.flown.leader_id]
+        leader = reference_of(self._recording, grid, positions)
+        silent = np.zeros(
+            grid.shape, dtype=np.bool_
+        )  # somebody, not yet noticed: it may be the leader
+        for own in self._recording.absences.values():
+            for one in own:
+                silent |= (grid >= one.begin_ns) & (grid < one.noticed_ns)
         for uav, track in self._tracks.items():
             error = lengths(np.asfortranarray(track.at(grid, 3)) - leader)
             self._at[uav].add(times, error)
-            after = error[times >= self._deadline_s]
+            counts = (times >= self._deadline_s) & ~silent
+            for absence in self._recording.absences[uav]:
+                counts &= (grid < absence.begin_ns) | (grid >= absence.end_ns)
+            after = error[counts]
             if after.size:
                 self._max[uav] = max_of(self._max.get(uav, -np.inf), after.max())
 

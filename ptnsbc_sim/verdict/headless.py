@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 
 from ptnsbc_core.types import Array
 from ptnsbc_sim import track as columns
-from ptnsbc_sim.disturbances.faults import ends_at
+from ptnsbc_sim.disturbances.faults import gone
+from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.swarm import HeadlessFlight
 from ptnsbc_sim.verdict.recording import COUNTERS, FORMATION, Recording, with_landing
 from ptnsbc_sim.verdict.track import Series
@@ -25,31 +26,35 @@ def recording_of(flight: HeadlessFlight) -> Recording:
     """The input of a verdict from a flight, without a bag."""
     t_ns, track, rows = flight.t_ns, flight.track, list(enumerate(flight.scenario.uav_ids))
     has_truth = bool(len(track.truth))
+    every = _chosen(flight.scenario)
     stamps, counted = _counters(flight)
-    # A UAV that is killed sends nothing more.
-    last_ns = t_ns[np.clip(ends_at(flight.scenario), 1, len(t_ns)) - 1]
+    silent = gone(flight.scenario)  # a UAV whose process is dead sends nothing
     return Recording(
         scenario=flight.scenario,
         odometry={uav: Series(t_ns, track.odometry[:, row]) for row, uav in rows},
-        wrench={uav: _until(last_ns[row], t_ns, track.wrench[:, row]) for row, uav in rows},
-        estimate={uav: _until(last_ns[row], t_ns, track.estimate[:, row]) for row, uav in rows},
+        wrench={uav: _sent(silent[:, row], t_ns, track.wrench[:, row]) for row, uav in rows},
+        estimate={uav: _sent(silent[:, row], t_ns, track.estimate[:, row]) for row, uav in rows},
         truth={uav: Series(t_ns, track.truth[:, row]) for row, uav in rows if has_truth},
-        counters={uav: _until(last_ns[row], stamps, counted[:, row]) for row, uav in rows},
+        counters={uav: _sent(silent[every, row], stamps, counted[:, row]) for row, uav in rows},
         epochs=with_landing(flight.scenario, ((int(t_ns[0]), FORMATION),)),
         slots={int(t_ns[0]): flight.slots} if flight.slots else {},
     )
 
 
-def _until(last_ns: int, t_ns: NDArray[np.int64], values: Array) -> Series:
-    """Values (T, ...) up to an instant [ns]."""
-    count = int(np.searchsorted(t_ns, last_ns, "right"))
-    return Series(t_ns[:count], values[:count])
+def _sent(silent: NDArray[np.bool_], t_ns: NDArray[np.int64], values: Array) -> Series:
+    """Values (T, ...) without those of silent ticks (T,)."""
+    return Series(t_ns[~silent], values[~silent]) if silent.any() else Series(t_ns, values)
+
+
+def _chosen(scenario: Scenario) -> slice:
+    """The ticks at which /diagnostics is published."""
+    return slice(None, None, max(scenario.control_hz // _STATUS_HZ, 1))
 
 
 def _counters(flight: HeadlessFlight) -> tuple[NDArray[np.int64], Array]:
     """Stamps (S,) and counters (S, N, 5) as /diagnostics would show them: cumulative, rounded to milliseconds."""
     scenario, log = flight.scenario, flight.track.diagnostics
-    chosen = slice(None, None, max(scenario.control_hz // _STATUS_HZ, 1))
+    chosen = _chosen(scenario)
     stamps = flight.t_ns[chosen]
     ticks = np.cumsum(log[:, :, list(_COUNTED.values())] > 0, axis=0)[chosen]
     values = np.zeros((*ticks.shape[:2], len(COUNTERS)))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,7 @@ from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.mission.legs import Word, number_of
 from ptnsbc_sim.scenario.mission.stream import SetpointError, setpoint_of
 from ptnsbc_sim.scenario.slots import are_open, with_slots
+from ptnsbc_sim.verdict.phases import Absence, Phase, absences, phases
 from ptnsbc_sim.verdict.track import Track
 
 NANO = 1e-9
@@ -151,6 +153,23 @@ class Recording:
                 f"{self.start_ns * NANO:.3f} s"
             )
         return with_slots(self.scenario, self.slots[self.start_ns])
+
+    @cached_property
+    def absences(self) -> Mapping[int, tuple[Absence, ...]]:
+        """When each UAV did not belong to the formation."""
+        return absences(self.scenario, self.estimate, self.first_ns)
+
+    @cached_property
+    def phases(self) -> tuple[Phase, ...]:
+        """The phases of the flight, in each of which the graph does not change."""
+        return phases(self.flown, self.absences, self.first_ns)
+
+    def by_phase(self, grid: NDArray[np.int64]) -> Iterator[tuple[Phase, slice]]:
+        """The phases of the instants (T,) [ns], and which instants are in each."""
+        cuts = np.searchsorted(grid, [phase.begin_ns for phase in self.phases[1:]]).tolist()
+        for phase, (first, end) in zip(self.phases, pairwise([0, *cuts, len(grid)]), strict=True):
+            if first < end:
+                yield phase, slice(first, end)
 
     def slot(self, uav: int) -> int:
         """The slot that a UAV took in this leg."""

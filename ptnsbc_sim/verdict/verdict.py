@@ -58,8 +58,9 @@ class LegVerdict:
 
     @property
     def verdict(self) -> str:
-        """The worst of its UAVs: violated, else missed, else void, else met."""
-        return VOID if self.reason else _worst(uav.verdict for uav in self.uavs)
+        """The worst of its UAVs: violated, else missed, else void, else met; who was lost does not count."""
+        judged = [uav.verdict for uav in self.uavs if not uav.lost or uav.verdict == VIOLATED]
+        return VOID if self.reason or not judged else _worst(judged)
 
 
 @dataclass(frozen=True)
@@ -199,7 +200,7 @@ def _legs(recording: Recording, tolerance: float, of_first: EstimatorErrors) -> 
 def _leg(recording: Recording, tolerance: float, estimators: EstimatorErrors | None) -> _JudgedLeg:
     uavs = recording.scenario.uav_ids
     windows = encounters(recording)
-    figures = {uav: ErrorFigures(recording, windows[uav], tolerance) for uav in uavs}
+    figures = {uav: ErrorFigures(recording, uav, windows[uav], tolerance) for uav in uavs}
     covers = coverages(recording)
     pairs = Separations(recording)
     end_ns = recording.start_ns

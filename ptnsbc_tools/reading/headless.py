@@ -20,7 +20,7 @@ from ptnsbc_nodes.comm.tf import Transforms
 from ptnsbc_nodes.runtime import environment
 from ptnsbc_nodes.runtime.provenance import provenance
 from ptnsbc_nodes.uav.faults import sent_faults
-from ptnsbc_sim.disturbances.faults import ends_at
+from ptnsbc_sim.disturbances.faults import gone
 from ptnsbc_sim.scenario.slots import are_open
 from ptnsbc_sim.swarm import HeadlessFlight
 from ptnsbc_sim.verdict.recording import FORMATION
@@ -65,7 +65,7 @@ class _UavMessages:
         self._truth = topics.truth(uav).name
         self._names = [topic.name for topic in topics.of_uav(uav)]
         self._encoder = AgentMessages(uav, faults=sent_faults(flight.scenario, uav))
-        self._ends_at = ends_at(flight.scenario)[row]
+        self._gone = gone(flight.scenario)[:, row]
 
     def at(self, tick: int, stamp_ns: int) -> Iterator[Message]:
         """Messages of one tick."""
@@ -77,7 +77,7 @@ class _UavMessages:
             yield self._truth, encoder.odometry(Stamped(stamp_ns, track.truth[tick, row]))
         if tick % self._near_every == 0:
             yield near, encode_near(stamp_ns, WORLD_FRAME, self._flight.near(tick, row))
-        if tick >= self._ends_at:
+        if self._gone[tick]:
             return
         yield state, encoder.reported(stamp_ns, track.reported[tick, row])
         yield estimate, encoder.estimate(stamp_ns, track.estimate[tick, row])
@@ -97,7 +97,7 @@ class _StatusMessages:
         self._every = max(scenario.control_hz // _STATUS_HZ, 1)
         self._dt = scenario.dt_ns * 1e-9
         self._counters = [UavCounters() for _ in scenario.uav_ids]
-        self._ends_at = ends_at(scenario)
+        self._gone = gone(scenario)
         self._world = _MarkerWorld(flight)
         # Only `ids`, `odometry` and `obstacle_positions` of a World are read.
         self._scene = Scene(scenario, self._world)  # type: ignore[arg-type]
@@ -120,7 +120,7 @@ class _StatusMessages:
         mode = FORMATION if landing_ns is None or stamp_ns < landing_ns else "land"
         for row, counters in enumerate(self._counters):
             uav = self._flight.scenario.uav_ids[row]
-            if tick >= self._ends_at[row]:
+            if self._gone[tick, row]:
                 continue
             values = {**readiness([]), "mode": mode, "missed_ticks": "0", **counters.values()}
             level, text = (

@@ -12,6 +12,7 @@ from ptnsbc_io.wire import WireError, decode_integers, peek_stamp
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.uav.controller import step_time
 from ptnsbc_nodes.uav.step_log import TickNote, tick_note
+from ptnsbc_sim.disturbances.faults import gone
 from ptnsbc_sim.scenario.slots import are_open
 from ptnsbc_tools.replay.difference import Difference, Mismatch
 from ptnsbc_tools.replay.replay_state import ReplayState
@@ -96,6 +97,8 @@ class LockstepDriver(Driver[int]):
         self._open_slots = are_open(state.scenario)
         self._next_ns = dict.fromkeys(state.uavs, 0)
         self._gaps: dict[int, str] = {}  # why the steps of a UAV cannot be made any more
+        dead = gone(state.scenario)
+        self._gone = {uav: dead[:, row] for row, uav in enumerate(state.scenario.uav_ids)}
 
     def read(self, uav: int, data: bytes) -> int:
         """The stamp; WireError when it is no instant of simulated time."""
@@ -113,9 +116,14 @@ class LockstepDriver(Driver[int]):
 
     def make(self, replay: UavReplay, step: int) -> Mismatch | None:
         """Make the step at `step` [ns] from the messages of the tick before."""
-        leg = self.state.epochs.at(step)
+        leg = self.state.epochs.at(step, replay.uav)
         if leg is None:
             return None
+        if self._is_gone(replay.uav, step, leg.first_t0_ns):
+            self._next_ns[replay.uav] = step + self._period_ns
+            return None
+        if self._is_gone(replay.uav, step - self._period_ns, leg.first_t0_ns):
+            replay.begin(None)  # another process
         replay.controller.inbox.begin(leg.first_t0_ns)
         why = self._gaps.get(replay.uav)
         if why is None:
@@ -132,6 +140,11 @@ class LockstepDriver(Driver[int]):
         found = replay.compare(outputs, self.state.buffers)
         return found or replay.compare_counters()
 
+    def _is_gone(self, uav: int, now_ns: int, t0_ns: int) -> bool:
+        """Whether the scenario has the process of a UAV killed, or not started again yet."""
+        tick = (now_ns - t0_ns) // self._period_ns
+        return 0 <= tick < len(self._gone[uav]) and bool(self._gone[uav][tick])
+
     def _fetch(self, replay: UavReplay, now_ns: int) -> None:
         """Put the inputs of a tick into the inbox."""
         expected_ns = self._next_ns[replay.uav]
@@ -142,21 +155,24 @@ class LockstepDriver(Driver[int]):
         last_near = (tick - tick % self._near_every) * self._period_ns
         for name, topic in replay.inputs.items():
             if name == "own":
-                self._hold(replay, name, topic.name, now_ns)
+                self._hold(replay, name, topic, now_ns)
             elif name == "near":
-                self._hold(replay, name, topic.name, last_near)
+                self._hold(replay, name, topic, last_near)
             elif now_ns > 0:
-                self._hold(replay, name, topic.name, now_ns - self._period_ns)
+                self._hold(replay, name, topic, now_ns - self._period_ns)
 
-    def _hold(self, replay: UavReplay, name: str, topic: str, due_ns: int) -> None:
+    def _hold(self, replay: UavReplay, name: str, topic: topics.Topic, due_ns: int) -> None:
         """Put in the message that is due; an older one only when its sender has ended."""
-        buffer = self.state.buffers[topic]
+        buffer = self.state.buffers[topic.name]
         due = buffer.read(due_ns)
         if due:
             replay.hold(name, due[-1])
             return
-        if name in ("own", "near") or buffer.newest_ns >= due_ns:
-            raise MissingError(f"{topic} stamped {due_ns} is not recorded")
+        sender = int("".join(filter(str.isdigit, name)) or 0)
+        first_ns = self.state.epochs.first_t0_ns or 0
+        ended = sender and (buffer.newest_ns < due_ns or self._is_gone(sender, due_ns, first_ns))
+        if not ended:
+            raise MissingError(f"{topic.name} stamped {due_ns} is not recorded")
         last = buffer.before(due_ns)
         if last is not None:
             replay.hold(name, last)

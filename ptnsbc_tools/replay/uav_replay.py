@@ -19,6 +19,7 @@ from ptnsbc_nodes.comm.slots import DecidedSlots
 from ptnsbc_nodes.uav.controller import StepTime, UavController, VehicleSpeedLimits
 from ptnsbc_nodes.uav.faults import sent_faults
 from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS, Inbox
+from ptnsbc_nodes.uav.roles import role_holder
 from ptnsbc_nodes.uav.slots import SlotHolder
 from ptnsbc_nodes.uav.step_log import (
     SLOTS,
@@ -28,7 +29,6 @@ from ptnsbc_nodes.uav.step_log import (
     checksum,
     current_label,
     decode_snapshot,
-    sources,
 )
 from ptnsbc_sim.own_uav import OURS, UavFunctions
 from ptnsbc_sim.scenario import Scenario, agent_config
@@ -83,8 +83,9 @@ def source_topics(uav: int, senders: Senders) -> dict[str, topics.Topic]:
     """The topic of each input of a UAV; the slots are no input of the inbox."""
     known = {"own": topics.odom(uav), "near": topics.near(uav)}
     known |= {f"state{i}": topics.formation_state(i) for i in senders.states}
-    known |= {f"estimate{i}": topics.leader_estimate(i) for i in senders.estimators}
-    return {name: known[name] for name in sources(senders) if name in known}
+    heard = senders.heard_estimators if senders.every_tick else senders.estimators
+    known |= {f"estimate{i}": topics.leader_estimate(i) for i in heard}
+    return known
 
 
 def heard_topics(senders: Senders) -> list[topics.Topic]:
@@ -116,7 +117,9 @@ class UavReplay:
         self.recorded_counters: dict[int, list[dict[str, str]]] = {}  # of /diagnostics, by ticks
         self._config = agent_config(scenario, uav)
         self._own = own
-        self.controller = UavController(self._config, senders, own)
+        self._edges = edges
+        roles = role_holder(scenario, uav, edges)
+        self.controller = UavController(self._config, senders, own, roles)
         self._put = _inbox_setters(self.controller.inbox)
         self._scenario, self._fleet = scenario, fleet
         self._encoder = AgentMessages(uav, fleet)
@@ -137,7 +140,8 @@ class UavReplay:
         self._held.clear()
         self.inputs = source_topics(self.uav, self.senders)
         config = self._config if limits is None else limits.applied_to(self._config)
-        self.controller = UavController(config, self.senders, self._own)
+        roles = role_holder(self._scenario, self.uav, self._edges)
+        self.controller = UavController(config, self.senders, self._own, roles)
         self._put = _inbox_setters(self.controller.inbox)
 
     def resume(self, note: TickNote, snapshot: bytes) -> None:

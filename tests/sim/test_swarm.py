@@ -242,7 +242,7 @@ def test_world_and_agents_in_python_fly_the_same_flight(plant: str) -> None:
 
 def test_wiring_of_the_paper() -> None:
     wiring = wiring_of(load_scenario("paper_5"))
-    assert wiring.leader == 0
+    assert wiring.leader.tolist() == [0] * 5
     np.testing.assert_array_equal(wiring.parent, [-1, 0, 1, 2, 3])
     np.testing.assert_array_equal(wiring.pinned, [0, 1, 1, 1, 1])
     np.testing.assert_array_equal(wiring.neighbours, [[-1, -1], [2, -1], [1, 3], [2, 4], [3, -1]])

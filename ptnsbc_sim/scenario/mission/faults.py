@@ -33,6 +33,9 @@ MOST_DELAY_S = 1.0
 FOR_EVER_NS = 2**62
 """End of a fault without a duration."""
 
+_RESTART_NS = 2_000_000_000
+"""What the start of a process takes: how long a UAV is gone that is restarted at once."""
+
 MESSAGES, POSITION, PROCESS, RECORDER, AUTOPILOT = (
     "messages",
     "position",
@@ -75,7 +78,10 @@ FAULTS: Mapping[str, FaultRule] = {
     ),
     "freeze": FaultRule(PROCESS, "SIGSTOP, and SIGCONT after the duration", lockstep=False),
     "restart": FaultRule(
-        PROCESS, "SIGKILL; the launcher starts the process again", lasts=False, lockstep=False
+        PROCESS,
+        "SIGKILL; the launcher starts the process again, after the duration or at once",
+        headless=True,
+        lockstep=False,
     ),
     "clock_offset": FaultRule(
         MESSAGES, "the stamps of the UAV's messages are shifted", "offset_s", lockstep=False
@@ -156,6 +162,8 @@ class FaultBlock(Block):
     def window_ns(self, t0_ns: int) -> tuple[int, int]:
         """First instant [ns], and the first after it; `t0_ns` is the first epoch."""
         start_ns = t0_ns + round(self.at_s * 1e9)
+        if self.kind == "restart" and self.duration_s is None:
+            return start_ns, start_ns + _RESTART_NS
         if self.duration_s is None:
             return start_ns, FOR_EVER_NS
         return start_ns, start_ns + round(self.duration_s * 1e9)
@@ -166,7 +174,7 @@ def modelled(faults: Sequence[FaultBlock] | None) -> tuple[FaultBlock, ...]:
     return tuple(
         fault
         for fault in faults or ()
-        if fault.rule.headless and (fault.kind != "kill" or fault.victim.startswith("uav"))
+        if fault.rule.headless and (fault.rule.strikes != PROCESS or fault.victim.startswith("uav"))
     )
 
 

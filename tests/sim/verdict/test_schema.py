@@ -24,6 +24,7 @@ def test_committed_schema_is_that_of_the_code():
 KINDS = {
     "number": lambda value: isinstance(value, int | float) and not isinstance(value, bool),
     "integer": lambda value: isinstance(value, int) and not isinstance(value, bool),
+    "boolean": lambda value: isinstance(value, bool),
     "string": lambda value: isinstance(value, str),
     "null": lambda value: value is None,
     "array": lambda value: isinstance(value, list),

@@ -1,0 +1,117 @@
+"""When the place of a UAV in the graph changes, and what it carries over: see docs/method.md, "Coming and going"."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ptnsbc_core.behaviours.neighbour import SILENT
+from ptnsbc_core.behaviours.recovery import DISTURBED
+from ptnsbc_core.types import NEVER_RECEIVED_S, AgentState, Array, NeighbourMotions, StartErrors
+from ptnsbc_sim.disturbances.faults import gone
+from ptnsbc_sim.disturbances.links import last_state_received
+from ptnsbc_sim.scenario import Scenario
+from ptnsbc_sim.scenario.mission.membership import (
+    Formations,
+    View,
+    changed,
+    joins_ns,
+    leaves_ns,
+)
+
+_ZERO = (0.0, 0.0, 0.0)
+
+
+class RoleChange(NamedTuple):
+    """One UAV has another place in the graph."""
+
+    uav: int
+    before: Scenario | None  # as it saw it; None: it was not there
+    after: Scenario
+
+
+def moved_on(state: AgentState, change: RoleChange) -> AgentState:
+    """The state of a UAV whose place in the graph has changed.
+
+    With another parent, slot or lead of its own it makes its way back: from where it is, with the velocity that it has,
+    by a time base of its own. The estimate goes on, because the reference point of the formation stays.
+    """
+    moved = led = True
+    if change.before is not None:
+        moved, led = changed(change.before, change.after, change.uav)
+    if moved:
+        return state._replace(
+            start=StartErrors(_ZERO, _ZERO, _ZERO, _ZERO),
+            recovery=DISTURBED,
+            motions=NeighbourMotions(SILENT, SILENT),
+        )
+    if led:
+        return state._replace(motions=NeighbourMotions(state.motions.parent, SILENT))
+    return state
+
+
+def role_changes(scenario: Scenario) -> dict[int, list[RoleChange]]:
+    """The changes of a headless flight, by the tick from which they hold; none unless UAVs may come and go."""
+    found: dict[int, list[RoleChange]] = {}
+    if not scenario.reconfigures:
+        return found
+    formations, dead = Formations(scenario), gone(scenario)
+    for row, uav in enumerate(scenario.uav_ids):
+        for tick, change in _of_uav(formations, uav, dead[:, row]):
+            found.setdefault(tick, []).append(change)
+    return found
+
+
+def _of_uav(
+    formations: Formations, uav: int, dead: NDArray[np.bool_]
+) -> Iterator[tuple[int, RoleChange]]:
+    scenario = formations.scenario
+    others = [other for other in scenario.uav_ids if other != uav]
+    ticks = np.arange(scenario.ticks, dtype=np.int64)
+    woke = np.maximum.accumulate(np.where(dead, ticks + 1, 0))  # first tick of the process
+    ages = {other: _ages(scenario, uav, other) for other in others}
+    view = View(scenario, uav)
+    before: Scenario | None = scenario
+    for tick in _looks(scenario, ages, dead, woke).tolist():
+        if dead[tick]:
+            continue
+        if tick == woke[tick] > 0:  # a process that begins anew knows nothing
+            view, before = View(scenario, uav), None
+        since_ns, awake_ns = tick * scenario.dt_ns, (tick - int(woke[tick])) * scenario.dt_ns
+        found = {other: float(of[tick]) for other, of in ages.items()}
+        members = view.at(since_ns, awake_ns, found)
+        after = formations.of(members)
+        if uav in members.absent:
+            before = None
+        elif after is not None and after is not before:
+            yield tick, RoleChange(uav, before, after)
+            before = after
+
+
+def _ages(scenario: Scenario, uav: int, other: int) -> Array:
+    """Age [s] of the newest state (T,) of another UAV at every tick."""
+    sent = last_state_received(scenario, uav, other)
+    age_s = ((np.arange(len(sent)) - sent) * scenario.dt_ns) * 1e-9
+    return np.asarray(np.where(sent >= 0, age_s, NEVER_RECEIVED_S), dtype=np.float64)
+
+
+def _looks(
+    scenario: Scenario,
+    ages: Mapping[int, Array],
+    dead: NDArray[np.bool_],
+    woke: NDArray[np.int64],
+) -> NDArray[np.int64]:
+    """The ticks at which what a UAV sees may have changed."""
+    stale_s = float(scenario.file.communication.stale_s)
+    ticks = np.arange(scenario.ticks, dtype=np.int64)
+    since_ns = ticks * scenario.dt_ns
+    seen = [dead, ((ticks - woke) * scenario.dt_ns) * 1e-9 <= stale_s]
+    seen += [of > stale_s for of in ages.values()]
+    seen += [of >= NEVER_RECEIVED_S for of in ages.values()]
+    seen += [since_ns >= joins_ns(scenario, uav) for uav in scenario.uav_ids]
+    seen += [since_ns >= leaves_ns(scenario, uav) for uav in scenario.uav_ids]
+    changes = [np.flatnonzero(np.diff(one.astype(np.int64))) + 1 for one in seen]
+    return np.unique(np.concatenate([[0], *changes]))

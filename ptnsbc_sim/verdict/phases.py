@@ -1,0 +1,122 @@
+"""Who belonged to the formation when, as a recording shows it: by the plan of the scenario, and by what was sent.
+
+A UAV was silent while its leader estimates are missing for longer than `communication.stale_s`: the rule of the UAVs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from ptnsbc_sim.scenario import Scenario
+from ptnsbc_sim.scenario.mission.membership import (
+    NEVER_NS,
+    Formations,
+    Membership,
+    changed,
+    joins_ns,
+    leaves_ns,
+)
+from ptnsbc_sim.verdict.track import Track
+
+_NANO = 1e-9
+
+
+class Absence(NamedTuple):
+    """A span in which a UAV did not belong to the formation."""
+
+    begin_ns: int
+    end_ns: int  # NEVER_NS: it did not come back
+    planned: bool  # by the scenario; else it was silent
+    noticed_ns: int  # when the others go on without it
+
+    def text(self, first_ns: int) -> str:
+        """In words; times in seconds after the first epoch."""
+        begin, end = ((t_ns - first_ns) * _NANO for t_ns in (self.begin_ns, self.end_ns))
+        if self.end_ns >= NEVER_NS:
+            return f"{'left' if self.planned else 'lost'} at {begin:.2f} s"
+        return (
+            f"joined at {end:.2f} s"
+            if self.planned
+            else f"lost at {begin:.2f} s, back at {end:.2f} s"
+        )
+
+
+class Phase(NamedTuple):
+    """A span in which the graph does not change; it lasts until the next one begins."""
+
+    begin_ns: int
+    scenario: Scenario
+    absent: frozenset[int]
+    moved: frozenset[int]  # UAVs with another parent, slot or lead than in the phase before
+
+
+def absences(
+    scenario: Scenario, tracks: Mapping[int, Track], first_ns: int
+) -> dict[int, tuple[Absence, ...]]:
+    """The absences of every UAV; none unless UAVs may come and go.
+
+    Args:
+        scenario: as flown.
+        tracks: what each UAV sent at every tick; UAVs without a track count as there.
+        first_ns: the first epoch [ns].
+    """
+    found: dict[int, tuple[Absence, ...]] = {uav: () for uav in scenario.uav_ids}
+    if not scenario.reconfigures:
+        return found
+    last_ns = max((track.last_ns for track in tracks.values() if track.size), default=first_ns)
+    for uav in scenario.uav_ids:
+        spans = []
+        if joins_ns(scenario, uav):
+            spans.append(Absence(first_ns, first_ns + joins_ns(scenario, uav), True, first_ns))
+        left_ns = first_ns + leaves_ns(scenario, uav)
+        if left_ns <= last_ns:
+            spans.append(Absence(left_ns, NEVER_NS, True, left_ns))
+        if uav in tracks:
+            spans += _silences(scenario, tracks[uav], first_ns, last_ns)
+        found[uav] = tuple(sorted(spans))
+    return found
+
+
+def _silences(scenario: Scenario, track: Track, first_ns: int, last_ns: int) -> list[Absence]:
+    stale_ns, dt_ns = round(scenario.file.communication.stale_s / _NANO), scenario.dt_ns
+    spans, last = [], first_ns
+
+    def silence(heard_ns: int, again_ns: int) -> Absence:
+        return Absence(heard_ns + dt_ns, again_ns, False, heard_ns + dt_ns + stale_ns)
+
+    for block in track.blocks():
+        stamps = np.concatenate(([last], block.t_ns[block.t_ns > last]))
+        for k in np.flatnonzero(np.diff(stamps) > stale_ns):
+            spans.append(silence(int(stamps[k]), int(stamps[k + 1]) + dt_ns))
+        last = max(int(stamps[-1]), last)
+    if last_ns - last > stale_ns:
+        spans.append(silence(last, NEVER_NS))
+    return spans
+
+
+def phases(
+    scenario: Scenario, away: Mapping[int, tuple[Absence, ...]], first_ns: int
+) -> tuple[Phase, ...]:
+    """The phases of a flight; one, unless UAVs come and go.
+
+    Args:
+        scenario: with the slots that the UAVs took.
+        away: the absences of every UAV.
+        first_ns: the first epoch [ns].
+    """
+    found = [Phase(first_ns, scenario, frozenset(), frozenset())]
+    spans = [(uav, span) for uav, own in away.items() for span in own]
+    formations, before = Formations(scenario), scenario
+    instants = {t_ns for _, span in spans for t_ns in (span.noticed_ns, span.end_ns)}
+    for t_ns in sorted(instants - {NEVER_NS}):
+        absent = frozenset(uav for uav, one in spans if one.noticed_ns <= t_ns < one.end_ns)
+        earlier = frozenset(uav for uav, one in spans if one.noticed_ns <= t_ns)
+        after = formations.of(Membership(absent, earlier - absent)) or before
+        there = set(scenario.uav_ids) - absent - found[-1].absent
+        moved = frozenset(uav for uav in there if changed(before, after, uav)[0])
+        found.append(Phase(t_ns, after, absent, moved))
+        before = after
+    return tuple(found[1:] if len(found) > 1 and found[1].begin_ns == first_ns else found)
