@@ -17,6 +17,7 @@ def live_page() -> str:
     own = files(__package__).joinpath("assets")
     scripts = [*map(asset, _SCRIPTS), own.joinpath("live.js").read_text("utf-8")]
     return Template(own.joinpath("live.html").read_text("utf-8")).substitute(
+        view=asset("view.html"),
         style=asset("style.css") + own.joinpath("live.css").read_text("utf-8"),
         script="\n".join(scripts),
         plotly=plotly(),

@@ -9,8 +9,8 @@ import numpy as np
 from ptnsbc_core.curves.trajectory import reference
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.build import leader_trajectory
-from ptnsbc_tools.plotting.chart import COLOURS, DARK_COLOURS, look
-from ptnsbc_tools.report.content import obstacles_of
+from ptnsbc_tools.plotting.chart import COLOURS, DARK_COLOURS
+from ptnsbc_tools.report.content import obstacles_of, uav_of
 
 _PATH_POINTS = 400
 
@@ -30,25 +30,10 @@ def stage(scenario: Scenario) -> dict[str, Any]:
             "bounds": _bounds(scenario, path),
             "legs": [],
             "deadlines": [],
-            "uavs": [_uav(scenario, uav) for uav in scenario.uav_ids],
+            "uavs": [{**uav_of(scenario, uav), "avoiding": []} for uav in scenario.uav_ids],
             "obstacles": obstacles_of(scenario),
         },
         "starts": [scenario.uav(uav).position.tolist() for uav in scenario.uav_ids],
-    }
-
-
-def _uav(scenario: Scenario, uav: int) -> dict[str, Any]:
-    leader = uav == scenario.leader_id
-    style = look(scenario.uav_ids.index(uav))
-    return {
-        "id": uav,
-        "keepOut": scenario.keep_outs_m[uav],
-        "leader": leader,
-        "parent": scenario.parent(uav),
-        "offset": None if leader else scenario.offset(uav).tolist(),
-        "colour": style.colour,
-        "dash": style.dash,
-        "avoiding": [],
     }
 
 

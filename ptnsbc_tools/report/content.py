@@ -175,7 +175,15 @@ def _moving_places(
 def _uav(
     flight: FlightView, uav: int, stamps: np.ndarray[Any, np.dtype[np.int64]], pack: Pack
 ) -> dict[str, Any]:
-    scenario = flight.scenario
+    return {
+        **uav_of(flight.scenario, uav),
+        "places": _moving_places(flight, uav, stamps, pack),
+        "avoiding": [flight.seconds(window) for window in flight.avoiding(uav)],
+    }
+
+
+def uav_of(scenario: Scenario, uav: int) -> dict[str, Any]:
+    """A UAV as the page's script draws it: what does not change in a flight."""
     leader = uav == scenario.leader_id
     style = look(scenario.uav_ids.index(uav))
     return {
@@ -184,10 +192,8 @@ def _uav(
         "leader": leader,
         "parent": scenario.parent(uav),
         "offset": None if leader else scenario.offset(uav).tolist(),
-        "places": _moving_places(flight, uav, stamps, pack),
         "colour": style.colour,
         "dash": style.dash,
-        "avoiding": [flight.seconds(window) for window in flight.avoiding(uav)],
     }
 
 

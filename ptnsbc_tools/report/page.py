@@ -132,6 +132,7 @@ def page(flight: FlightView, about: Mapping[str, str], other: FlightView | None 
             + _details("Scenario", flight.scenario.text),
             "data": content(flight, other),
             "plotly": plotly(),
+            "view": asset("view.html"),
             "style": asset("style.css"),
             "script": "\n".join(asset(name) for name in _SCRIPTS),
         }

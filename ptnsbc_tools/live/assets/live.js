@@ -185,24 +185,15 @@ class Board {
     this.page = page;
     this.rows = page.data.space.uavs.map((uav) => {
       const row = byId("board").insertRow();
-      row.innerHTML = '<td><button type="button" class="uav" aria-pressed="true"><svg viewBox="0 0 26 10" aria-hidden="true">' +
-        '<line x1="1" x2="25" y1="5" y2="5" stroke-width="3"/></svg><span></span></button></td>' +
-        '<td class="number"></td>'.repeat(4) + '<td class="mode"></td><td class="number"></td>';
-      const button = row.querySelector("button");
-      button.querySelector("span").textContent = uav.leader ? `${uav.id} leader` : `${uav.id}`;
-      button.addEventListener("click", (event) => page.toggle(uav.id, event.shiftKey));
+      row.innerHTML = UAV_CELL + '<td class="number"></td>'.repeat(4) + '<td class="mode"></td><td class="number"></td>';
+      const button = uavButton(page, row, uav);
       return { uav, row, button, cells: [...row.cells].slice(1) };
     });
     this.colours();
   }
 
   colours() {
-    for (const { uav, button } of this.rows) {
-      const line = button.querySelector("line");
-      line.setAttribute("stroke", this.page.colour(uav));
-      line.setAttribute("stroke-dasharray", SVG_DASHES[uav.dash]);
-      button.setAttribute("aria-pressed", !this.page.hidden.has(uav.id));
-    }
+    colourRows(this.page, this.rows);
   }
 
   show(frame) {

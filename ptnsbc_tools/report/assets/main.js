@@ -174,6 +174,29 @@ class Page {
   }
 }
 
+/** The first cell of a UAV's row: a button with its line and name, which hides it. */
+const UAV_CELL = '<td><button type="button" class="uav" aria-pressed="true"><svg viewBox="0 0 26 10" aria-hidden="true">' +
+  '<line x1="1" x2="25" y1="5" y2="5" stroke-width="3"/></svg><span></span></button></td>';
+
+/** Give the button of every row the name of its UAV, and what a click on it does. */
+function uavButton(page, row, uav) {
+  const button = row.querySelector("button");
+  button.querySelector("span").textContent = uav.leader ? `${uav.id} leader` : `${uav.id}`;
+  button.title = `Show or hide UAV ${uav.id}; with shift: it alone`;
+  button.addEventListener("click", (event) => page.toggle(uav.id, event.shiftKey));
+  return button;
+}
+
+/** Lines of the rows in the colours of the page; those of hidden UAVs are not pressed. */
+function colourRows(page, rows) {
+  for (const { uav, button } of rows) {
+    const line = button.querySelector("line");
+    line.setAttribute("stroke", page.colour(uav));
+    line.setAttribute("stroke-dasharray", SVG_DASHES[uav.dash]);
+    button.setAttribute("aria-pressed", !page.hidden.has(uav.id));
+  }
+}
+
 /** Numbers of every UAV at the time of the playback. */
 class Live {
   constructor(page) {
@@ -181,13 +204,8 @@ class Live {
     const errors = page.data.charts.find((chart) => chart.key === "errors");
     this.rows = page.data.space.uavs.map((uav, index) => {
       const row = byId("live").insertRow();
-      row.innerHTML = '<td><button type="button" class="uav" aria-pressed="true"><svg viewBox="0 0 26 10" aria-hidden="true">' +
-        '<line x1="1" x2="25" y1="5" y2="5" stroke-width="3"/></svg><span></span></button></td>' +
-        '<td class="number"></td>'.repeat(4);
-      const button = row.querySelector("button");
-      button.querySelector("span").textContent = uav.leader ? `${uav.id} leader` : `${uav.id}`;
-      button.title = `Show or hide UAV ${uav.id}; with shift: it alone`;
-      button.addEventListener("click", (event) => page.toggle(uav.id, event.shiftKey));
+      row.innerHTML = UAV_CELL + '<td class="number"></td>'.repeat(4);
+      const button = uavButton(page, row, uav);
       const curve = errors && errors.curves.find((one) => one.uavs[0] === uav.id);
       return { uav, index, row, button, curve, cells: [...row.querySelectorAll(".number")] };
     });
@@ -195,12 +213,7 @@ class Live {
   }
 
   colours() {
-    for (const { uav, button } of this.rows) {
-      const line = button.querySelector("line");
-      line.setAttribute("stroke", this.page.colour(uav));
-      line.setAttribute("stroke-dasharray", SVG_DASHES[uav.dash]);
-      button.setAttribute("aria-pressed", !this.page.hidden.has(uav.id));
-    }
+    colourRows(this.page, this.rows);
   }
 
   show(now) {
