@@ -263,7 +263,9 @@ def _law(file: ScenarioFile) -> Problems:
     law, task = file.law, file.plugins.task
     formation = file.formation
     fixed = formation.assignment == "fixed" and formation.frame == "world"
-    if (law or task) and not (fixed and not formation.changes):
+    legs = () if file.mission is None else file.mission.legs
+    changes = formation.changes or [leg for leg in legs if leg.kind == "change"]
+    if (law or task) and not (fixed and not changes):
         key, what = (f"law: {law}", "law") if law else (f"plugins.task: {task}", "task")
         yield (
             f"{key}: expected formation.assignment: fixed, frame: world and no changes, for a "

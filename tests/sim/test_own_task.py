@@ -11,7 +11,7 @@ import pytest
 from ptnsbc_core.algebra import sub3
 from ptnsbc_core.step import TaskPoints
 from ptnsbc_sim.own_task import NO_TASK, load_task
-from ptnsbc_sim.scenario import load_scenario
+from ptnsbc_sim.scenario import ScenarioError, load_scenario
 from ptnsbc_sim.user_file import UserFileError
 
 CYLINDER = f"{Path(__file__).parents[2] / 'examples' / 'plugins' / 'cylinder.py'}:cylinder"
@@ -71,3 +71,8 @@ def test_a_task_that_cannot_be_flown_is_named(
 
     with pytest.raises(UserFileError, match=match):
         agent_config(scenario, 2)
+
+
+def test_a_mission_that_changes_the_shape_is_refused() -> None:
+    with pytest.raises(ScenarioError, match=r"cylinder: expected .* no changes"):
+        load_scenario("mission_6", {"plugins.task": CYLINDER})
