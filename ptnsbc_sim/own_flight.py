@@ -82,6 +82,8 @@ def _task_points(
     dt = wiring.dt_ns * 1e-9
     out = np.zeros((swarm.bodies.shape[0], _POINTS + 1))
     for row in range(swarm.bodies.shape[0]):
+        if disturbances is not None and restarted(tick, row, disturbances):
+            swarm.states[row] = initial_state(track.odometry[tick, row], swarm.configs[row])
         inputs = inputs_of(swarm, wiring, track, tick, row, disturbances)
         t = since_epoch(wiring, tick, row)
         found = task_points(swarm.states[row], inputs, t, dt, swarm.configs[row])
