@@ -20,13 +20,15 @@ def vehicle_record(name: str, bridge: Bridge, base: VehicleRecord) -> VehicleRec
     """What this bridge knows of its vehicle now; `base` has what does not change."""
     vehicle, procedure, peer = bridge.vehicle, bridge.procedure, bridge.link.peer
     silence_s = vehicle.heartbeat_age_s(bridge.ports.clocks.steady_s())
+    # After the flight the bridge listens no longer, and the vehicle's last word stands.
+    landed = procedure.over and bridge.flew and not vehicle.armed
     return replace(
         base,
         name=name,
         peer="" if peer is None else f"{peer[0]}:{peer[1]}",
         step=procedure.step.value,
         order=bridge.ports.inputs.order.text,
-        heard=silence_s < HEARTBEAT_LOST_S,
+        heard=landed or silence_s < HEARTBEAT_LOST_S,
         armed=vehicle.armed,
         landed=bool(vehicle.landed),
         in_pilots_hands=procedure.in_pilots_hands,
