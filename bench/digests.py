@@ -47,7 +47,7 @@ def headless(case: tuple[str, str, str, str], root: Path, folder: Path, seconds:
     scenario, plant, task, rule = case
     bag = folder / "-".join(case)
     chosen = ("--plant", plant, "--task", task, "--avoidance", rule)
-    code = _ptnsbc(root, "simulate", scenario, *chosen, "--duration", f"{seconds:g}", bag=bag)
+    code = ptnsbc(root, "simulate", scenario, *chosen, "--duration", f"{seconds:g}", bag=bag)
     topics = topic_digests(bag)
     shutil.rmtree(bag)  # all of them would need gigabytes
     digest = hashlib.sha256(repr(sorted(topics.items())).encode()).hexdigest()[:_DIGITS]
@@ -58,13 +58,13 @@ def lockstep(root: Path, folder: Path, seconds: float) -> Iterator[str]:
     """The lines of the fleet in lock-step."""
     bag = folder / "lockstep"
     flags = ("--lockstep", "--duration", f"{seconds:g}")
-    code = _ptnsbc(root, "fleet", "paper_5", *flags, bag=bag)
+    code = ptnsbc(root, "fleet", "paper_5", *flags, bag=bag)
     for topic, digest in topic_digests(bag).items():
         yield f"lockstep {topic} {digest}"
     yield f"lockstep exit={code}"
 
 
-def _ptnsbc(root: Path, *words: str, bag: Path) -> int:
+def ptnsbc(root: Path, *words: str, bag: Path) -> int:
     """Exit code of a command of the checkout `root`: 0, or 1 for a deadline that was not met."""
     done = subprocess.run(
         [sys.executable, "-m", "ptnsbc_tools.cli", *words, "--bag", str(bag)],
