@@ -45,6 +45,7 @@ class FaultInjector:
         self._t0_s = steady_s()
         self._due: list[tuple[float, FaultBlock]] = []
         self._frozen: list[tuple[float, ChildProcess]] = []
+        self._gone: list[tuple[float, ChildProcess]] = []  # to be started again
 
     def begin(self, t0_s: float) -> None:
         """The mission begins at this time of the steady clock."""
@@ -69,6 +70,9 @@ class FaultInjector:
                 if child.name == fault.victim and child.exit_code is None:
                     self._report(f"fault: {fault.text} (pid {child.pid})")
                     self._strike(child, fault, now_s)
+        for until_s, child in [one for one in self._gone if one[0] <= now_s]:
+            self._gone.remove((until_s, child))
+            self._restart(child)
         for until_s, child in [one for one in self._frozen if one[0] <= now_s]:
             self._frozen.remove((until_s, child))
             child.send(signal.SIGCONT)
@@ -78,7 +82,12 @@ class FaultInjector:
         for _, child in self._frozen:
             child.send(signal.SIGCONT)
         self._frozen.clear()
+        self._gone.clear()
         self._due.clear()
+
+    def comes_back(self, child: ChildProcess) -> bool:
+        """Whether a process that has ended is to be started again."""
+        return any(child is one for _, one in self._gone)
 
     def _strike(self, child: ChildProcess, fault: FaultBlock, now_s: float) -> None:
         if fault.kind == "disk_full":
@@ -90,7 +99,10 @@ class FaultInjector:
             child.send(signal.SIGKILL)
             if fault.kind == "restart":
                 child.wait(_KILLED_S)
-                self._restart(child)
+                if fault.duration_s is None:
+                    self._restart(child)
+                else:
+                    self._gone.append((now_s + fault.duration_s, child))
 
     def _fill_disk(self, child: ChildProcess) -> None:
         """No file of the process grows beyond the largest that it writes."""

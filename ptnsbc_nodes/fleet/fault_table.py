@@ -63,7 +63,7 @@ ANSWERS = (
     ),
     FaultAnswer(
         "a UAV, or the leader, is lost, with `formation.vacancy: keep` or `close_up`",
-        (HEADLESS,),
+        (HEADLESS, SIM),
         "all others, by the age of the newest message",
         _STALE,
         "its children get another parent, or the next of `leader.successors` leads; nobody holds",
@@ -71,6 +71,7 @@ ANSWERS = (
         (
             "tests/sim/test_roles.py::test_a_loss_moves_nobody_by_more_than_the_stated_jump",
             "tests/sim/test_roles.py::test_a_restarted_uav_comes_back_and_nobody_holds_meanwhile",
+            "tests/nodes/fleet/test_fault_injector.py::test_a_fleet_in_lockstep_comes_and_goes_as_the_headless_flight_does",
         ),
     ),
     FaultAnswer(

@@ -163,13 +163,13 @@ def check_options(options: FleetOptions) -> None:
             "--only: the computers of a fleet find each other in one domain: expected --domain N, "
             "the same on all of them, or ROS_DOMAIN_ID"
         )
-    if options.scenario.reconfigures:
-        raise FleetError(
-            f"formation.vacancy: {options.scenario.file.formation.vacancy}: a fleet of processes does not fly it: "
-            "expected wait, or a flight by ptnsbc simulate"
-        )
     if options.backend != "mavlink":
         return
+    if options.scenario.reconfigures:
+        raise FleetError(
+            f"formation.vacancy: {options.scenario.file.formation.vacancy}: bridges do not fly it: expected wait, "
+            "or --backend sim"
+        )
     if options.lockstep:
         raise FleetError("real vehicles do not wait: expected no --lockstep with --backend mavlink")
     if not options.allow_arming:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -138,6 +138,13 @@ def _bridge(options: FleetOptions, common: Sequence[str], uav: int) -> ProcessCo
     )
 
 
+def _silences(options: FleetOptions) -> Iterator[str]:
+    """What a recorder in lock-step needs to know of UAVs that are restarted."""
+    for fault in options.scenario.faults:
+        if fault.kind == "restart" and fault.struck_uav is not None:
+            yield from ("--silent", str(fault.struck_uav), *map(str, fault.window_ns(0)))
+
+
 def _recorder(options: FleetOptions, bag: Path, scenario_file: Path) -> ProcessCommand:
     arguments = ["--bag", str(bag), "--uavs", *map(str, options.scenario.uav_ids)]
     arguments += ["--attach", f"scenario.yaml={scenario_file}"]
@@ -149,6 +156,7 @@ def _recorder(options: FleetOptions, bag: Path, scenario_file: Path) -> ProcessC
         arguments += ["--meta", f"{key}={value}"]
     if options.lockstep:
         arguments.append("--lockstep")
+        arguments += _silences(options)
     if options.scenario.imperfect or options.backend == "mavlink":
         arguments.append("--truth")
     if are_open(options.scenario):

@@ -384,6 +384,8 @@ class Supervisor:
         for child in self.children:
             if child.exit_code is None or child.name in self._reported:
                 continue
+            if self._faults.comes_back(child):
+                continue
             self._reported.add(child.name)
             if child.command.beside:
                 self._progress(f"{child.exit_summary()}; the flight goes on without it")

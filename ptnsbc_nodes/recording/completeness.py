@@ -7,9 +7,11 @@ this back; the sim pauses before a queue can overflow, and the recorder does not
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
+from types import MappingProxyType
 
 _NEVER = 2**63 - 1
+_NO_SILENCES: Mapping[str, Sequence[tuple[int, int]]] = MappingProxyType({})
 
 
 class Completeness:
@@ -17,9 +19,15 @@ class Completeness:
 
     Args:
         sources: names; a source is what one publisher sends on one topic.
+        silences: first instant [ns], and the first after it, of what a source sends nothing in.
     """
 
-    def __init__(self, sources: Iterable[str]) -> None:
+    def __init__(
+        self,
+        sources: Iterable[str],
+        silences: Mapping[str, Sequence[tuple[int, int]]] = _NO_SILENCES,
+    ) -> None:
+        self._silences = silences
         self._newest = dict.fromkeys(sources, -1)
         self._gap: dict[str, int] = {}  # shortest time between two messages of a source
         self._bounds = dict(self._newest)  # up to which each source is complete
@@ -36,7 +44,11 @@ class Completeness:
         else:
             gap = 1
         self._newest[source] = stamp_ns
-        before, self._bounds[source] = self._bounds[source], stamp_ns + gap - 1
+        bound = stamp_ns + gap - 1
+        for first_ns, end_ns in self._silences.get(source, ()):
+            if first_ns <= bound + 1 < end_ns:
+                bound = end_ns - 1
+        before, self._bounds[source] = self._bounds[source], bound
         if before > self.complete_ns:
             return False
         self._last -= 1

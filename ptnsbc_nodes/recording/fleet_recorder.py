@@ -52,6 +52,11 @@ def _sources(recorded: Iterable[Topic]) -> Iterator[str]:
             yield name
 
 
+def _told(uav: int) -> tuple[str, ...]:
+    """The sources of the process of a UAV."""
+    return f"uav{uav}", *(topic.name for topic in topics.of_uav(uav)[2:])
+
+
 def _sender_of(diagnostics: bytes) -> str:
     """The process that a message on /diagnostics is of; empty when it cannot be read."""
     try:
@@ -84,12 +89,18 @@ class FleetRecorder(BagRecorder):
         lockstep: bool,
         draw: Derive | None = None,
         seal: Seal | None = None,
+        silences: Iterable[tuple[int, int, int]] = (),
     ) -> None:
+        """`silences`: UAV, first instant [ns] and the first after it, in which it is to send nothing."""
         super().__init__(node, writer, seal)
         self._ticks = 0
         self._clock_ns = 0  # newest /clock of a lock-step flight
         recorded = tuple(recorded)
-        self._completeness = Completeness(_sources(recorded))
+        quiet: dict[str, list[tuple[int, int]]] = {}
+        for uav, first_ns, end_ns in silences:
+            for source in _told(uav):
+                quiet.setdefault(source, []).append((first_ns, end_ns))
+        self._completeness = Completeness(_sources(recorded), quiet)
         self._acknowledgement = wire.HeaderTemplate("recorder")
         self._close: Callable[[bytes], bytes] = bytes if seal is None else seal.closer(RECORDED)
         self._transforms = transforms
@@ -162,10 +173,7 @@ class FleetRecorder(BagRecorder):
             return
         if process.uav is None or self._order is None:
             return
-        told = topics.of_uav(process.uav)[2:]
-        moved = [
-            self._completeness.lose(source) for source in (process.name, *(t.name for t in told))
-        ]
+        moved = [self._completeness.lose(source) for source in _told(process.uav)]
         if any(moved):
             self._on_complete(self._order)
 

@@ -93,6 +93,7 @@ def _record(context: Context, options: argparse.Namespace, stop: StopRequest) ->
                 lockstep=options.lockstep,
                 draw=draw,
                 seal=required_seal() if options.signed else None,
+                silences=options.silent,
             )
             print("ready", file=sys.stderr, flush=True)
             recorder.serve(executor, lambda: stop.came, _DRAIN_LIMIT_S)
@@ -142,6 +143,15 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--signed", action="store_true", help="record sealed messages only")
     parser.add_argument("--overwrite", action="store_true", help="replace an existing bag")
+    parser.add_argument(
+        "--silent",
+        type=int,
+        nargs=3,
+        action="append",
+        default=[],
+        metavar=("N", "FIRST_NS", "END_NS"),
+        help="lock-step: when the process of a UAV is to send nothing",
+    )
     parser.add_argument("--attach", type=_pair, action="append", default=[], metavar="NAME=PATH")
     parser.add_argument("--meta", type=_pair, action="append", default=[], metavar="KEY=VALUE")
     return parser

@@ -17,6 +17,7 @@ from ptnsbc_io.wire import Stamped
 from ptnsbc_nodes.comm.diagnostics import status_every
 from ptnsbc_nodes.comm.graph import LEAD_TICKS
 from ptnsbc_nodes.sim.publishers import SimPublishers
+from ptnsbc_sim.disturbances.faults import gone
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.world import World
 
@@ -94,6 +95,8 @@ class LockstepWorld:
             world.ids, scenario.ticks, (scenario.near_every, self._status_every)
         )
         self._lost: set[int] = set()
+        silent = gone(scenario, ("restart",))
+        self._silent = {uav: silent[:, row] for row, uav in enumerate(scenario.uav_ids)}
         self._next_clock_tick = 0
         self.wrenches = 0
 
@@ -141,8 +144,9 @@ class LockstepWorld:
         together = tick % self._status_every == 0
         if together:
             self._publishers.markers(tick * self._period_ns)
-        for i in self._lost.intersection(due):
-            self._step(i, None)
+        for i in due:
+            if i in self._lost or self._silent[i][self._scheduler.at(i)]:
+                self._step(i, None)
         return StatePublished(tick, together)
 
     def _step(self, uav_id: int, wrench: Array | None) -> None:

@@ -212,6 +212,11 @@ class UavController:
         if self._roles is not None:
             self._roles.restart()
 
+    def forget(self) -> None:
+        """Begin as a new process does."""
+        self.restart()
+        self.counters = UavCounters()
+
     def resume(self, state: AgentState, counters: Array) -> None:
         """Continue from the state and the counters of another controller."""
         self._agent = Agent.resumed(self.config, state)

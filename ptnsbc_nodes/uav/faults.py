@@ -82,6 +82,12 @@ class UavFaults:
         ):
             self._kill()
 
+    def plays_dead(self, now_ns: int) -> bool:
+        """Lock-step: whether a restart has this process silent; none can be started at a tick, so it plays that."""
+        return self._lockstep and any(
+            strikes(fault, "restart", self._uav, now_ns, t0_ns) for fault, t0_ns in self._own
+        )
+
     def sent(self, message: Stamped) -> Stamped:
         """A state (13,) of this UAV as its neighbours get it."""
         return _sent(self._own, self._uav, message) if self._own else message

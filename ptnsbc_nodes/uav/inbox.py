@@ -101,6 +101,7 @@ class Inbox:
         self.near: Stamped | None = None
         self._begun = False
         self._faults: list[MessageFault] = []
+        self._restarts: list[MessageFault] = []
         self._states = {i: self._queue(i) for i in senders.heard_states}
         self._estimates = {i: self._queue(i) for i in senders.heard_estimators}
         self._lost: set[int] = set()
@@ -126,6 +127,8 @@ class Inbox:
         found = message_fault(fault, number, t0_ns)
         if found is not None:
             self._faults.append(found)
+            if fault.kind == "restart":
+                self._restarts.append(found)
 
     def miss(self, uav_id: int, stamp_ns: int, *, estimate: bool) -> None:
         """A message of this stamp has arrived and cannot be used: lock-step does not wait for it."""
@@ -188,10 +191,14 @@ class Inbox:
             return False
         now_ns = self.own.stamp_ns
         if now_ns > 0:
-            for _, queue in self._awaited:
-                if queue.newest_ns < now_ns - period_ns:
+            due_ns = now_ns - period_ns
+            for uav_id, queue in self._awaited:
+                if queue.newest_ns < due_ns and not self._plays_dead(uav_id, due_ns):
                     return False
         return self.near.stamp_ns == now_ns - now_ns % (period_ns * near_every)
+
+    def _plays_dead(self, uav_id: int, stamp_ns: int) -> bool:
+        return any(one.sender == uav_id and one.holds(stamp_ns) for one in self._restarts)
 
     def held(self, now_ns: int, cutoff_ns: int) -> list[Stamped | None]:
         """The messages of `pack_inputs`: own, near, states, estimates, the latter two by ascending sender."""

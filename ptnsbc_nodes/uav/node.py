@@ -43,7 +43,7 @@ from ptnsbc_nodes.comm.door import (
     in_order,
 )
 from ptnsbc_nodes.comm.endpoints import Endpoints, full_name
-from ptnsbc_nodes.comm.graph import LEAD_TICKS, CommunicationGraph
+from ptnsbc_nodes.comm.graph import LEAD_TICKS, CommunicationGraph, Senders
 from ptnsbc_nodes.comm.legs import Epochs, Leg
 from ptnsbc_nodes.comm.slots import Decision, encode_slots
 from ptnsbc_nodes.comm.topics import LOST, READY, Topic
@@ -319,12 +319,16 @@ class UavNode:
         """Take the slot of a leg; False while it is open and not decided."""
         if self._slots is None:
             return True
-        inbox = self._controller.inbox
-        before = inbox.senders
+        before = self._controller.inbox.senders
         known = self._slots.take(leg)
+        self._watch_clocks_unless(before)
+        return known
+
+    def _watch_clocks_unless(self, before: Senders) -> None:
+        """Compare the clocks of other senders than before, if there are others."""
+        inbox = self._controller.inbox
         if inbox.senders is not before:
             self._timing.clock_offset = ClockOffsetMonitor(inbox.topic_names(self._uav))
-        return known
 
     def _on_lost(self, process: LostProcess) -> None:
         if process.uav is not None:
@@ -343,6 +347,10 @@ class UavNode:
             return
         now_ns = own.stamp_ns
         if now_ns <= timing.done_ns or not self._epochs.announced:
+            return
+        if self._faults.plays_dead(now_ns):
+            self._controller.forget()
+            timing.done(now_ns)
             return
         if not self._take_slot(self._epochs.at(now_ns, self._uav)):
             return  # the decision is on its way
@@ -375,7 +383,9 @@ class UavNode:
         at = step_time(now_ns, elapsed_ns, leg, timing.start_ns)
         if not self._take_slot(leg):
             at = at._replace(mode=MODE_HOLD)
+        before = self._controller.inbox.senders
         outputs = self._controller.step(at, cutoff_ns)
+        self._watch_clocks_unless(before)
         timing.done(now_ns)
         self._outbox.send(own, outputs, at, self._controller)
 

@@ -6,7 +6,7 @@ seed. A headless flight takes whole tables, a process asks for one message at a 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -144,11 +144,11 @@ def without_position(values: Array) -> Array:
     return broken
 
 
-def gone(scenario: Scenario) -> NDArray[np.bool_]:
-    """Whether the process of each UAV is dead at each tick (T, N)."""
+def gone(scenario: Scenario, kinds: Collection[str] = _GONE) -> NDArray[np.bool_]:
+    """Whether the process of each UAV is dead at each tick (T, N), by faults of these kinds."""
     found = np.zeros((scenario.ticks, len(scenario.uav_ids)), dtype=np.bool_)
     for fault in scenario.faults:
-        if fault.kind in _GONE and fault.struck_uav is not None:
+        if fault.kind in kinds and fault.struck_uav is not None:
             row = scenario.uav_ids.index(fault.struck_uav)
             first, end = (-(-time_ns // scenario.dt_ns) for time_ns in fault.window_ns(0))
             found[min(first, len(found)) : min(end, len(found)), row] = True

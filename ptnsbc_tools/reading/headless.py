@@ -105,6 +105,9 @@ class _StatusMessages:
     def at(self, tick: int, stamp_ns: int) -> Iterator[Message]:
         """Messages of one tick, in the order that a lock-step bag gives them."""
         for row, counters in enumerate(self._counters):
+            if self._gone[tick, row]:  # its process begins anew, or never
+                self._counters[row] = type(counters)()
+                continue
             counters.add(load_diagnostics(self._flight.track.diagnostics[tick, row]), self._dt)
         if tick % self._every:
             return

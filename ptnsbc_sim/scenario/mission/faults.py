@@ -81,7 +81,6 @@ FAULTS: Mapping[str, FaultRule] = {
         PROCESS,
         "SIGKILL; the launcher starts the process again, after the duration or at once",
         headless=True,
-        lockstep=False,
     ),
     "clock_offset": FaultRule(
         MESSAGES, "the stamps of the UAV's messages are shifted", "offset_s", lockstep=False

@@ -14,6 +14,7 @@ from ptnsbc_nodes.fleet.child_process import ChildProcess, ProcessCommand, end
 from ptnsbc_nodes.fleet.fault_injector import FaultInjector
 from ptnsbc_nodes.fleet.fleet import FleetOptions, run_fleet
 from ptnsbc_nodes.runtime import environment
+from ptnsbc_sim.disturbances.faults import gone
 from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_sim.scenario.mission.faults import FaultBlock
 from ptnsbc_sim.swarm import fly
@@ -184,4 +185,39 @@ def test_a_fleet_in_lockstep_flies_its_faults_as_the_headless_flight_does(tmp_pa
             ends = 100 if uav == 5 and topic == "setpoint/wrench" else scenario.ticks
             assert len(found) == ends
             expected = np.ascontiguousarray(values[:ends, row])
+            assert np.stack([one.values for one in found]).tobytes() == expected.tobytes(), topic
+
+
+COMING_AND_GOING = {
+    "communication.stale_s": 0.2,
+    "timing.duration_s": 3.0,
+    "faults": [
+        {"kind": "restart", "uav": 5, "at_s": 0.8, "duration_s": 0.5},
+        {"kind": "kill", "uav": 1, "at_s": 2.0},
+    ],
+}
+
+
+@pytest.mark.ros
+@pytest.mark.slow
+def test_a_fleet_in_lockstep_comes_and_goes_as_the_headless_flight_does(tmp_path):
+    """A joiner, a leaver, a restart and the loss of the leader, after which UAV 2 leads: the same bits."""
+    uavs = [
+        uav.model_dump(mode="json", exclude_unset=True) for uav in load_scenario("relay").file.uavs
+    ]
+    uavs[5]["leaves_s"], uavs[6]["joins_s"] = 1.7, 0.6
+    scenario = load_scenario("relay", {**COMING_AND_GOING, "uavs": uavs})
+    done = run_fleet(FleetOptions(scenario, lockstep=True, bag=tmp_path / "bag"))
+    assert (done.exit_code, done.died) == (1, ("uav1",))
+    track, bag, silent = fly(scenario).track, read_bag(tmp_path / "bag"), gone(scenario)
+    for row, uav in enumerate(scenario.uav_ids):
+        for topic, decode, values in (
+            ("truth", wire.decode_odometry, track.truth),
+            ("setpoint/wrench", wire.decode_wrench, track.wrench),
+            ("leader_estimate", wire.decode_odometry, track.estimate),
+        ):
+            found = [decode(one.data) for one in bag.messages([f"/uav{uav}/{topic}"])]
+            sent = np.ones(scenario.ticks, bool) if topic == "truth" else ~silent[:, row]
+            expected = np.ascontiguousarray(values[sent, row])
+            assert len(found) == len(expected)
             assert np.stack([one.values for one in found]).tobytes() == expected.tobytes(), topic
