@@ -8,7 +8,7 @@ from ptnsbc_sim.scenario.mission.faults import FAULTS, FaultRule
 
 _HEADINGS = ("Kind", "What happens", "Needs", "Takes `duration_s`", "Headless", "Lock-step")
 
-_ANSWER = ("Fault", "In", "Detected by", "Within", "Action", "Recovers", "Tests")
+_ANSWER = ("Fault", "In", "Detected by", "Within", "State", "Action", "Recovers", "Tests")
 
 
 def regions() -> dict[str, str]:
@@ -28,4 +28,5 @@ def _cells(kind: str, rule: FaultRule) -> tuple[str, ...]:
 def _answer(one: FaultAnswer) -> tuple[str, ...]:
     tests = ", ".join(f"`{test}`" for test in one.tests)
     where = ", ".join(one.where)
-    return one.fault, where, one.detected_by, one.within, one.action, one.recovers, tests
+    how = one.detected_by, one.within, one.state, one.action, one.recovers
+    return one.fault, where, *how, tests

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 from ptnsbc_nodes.bridge.bridge import Bridge
 from ptnsbc_nodes.bridge.procedure.companions import Companion
-from ptnsbc_nodes.bridge.procedure.steps import HEARTBEAT_LOST_S, Step
+from ptnsbc_nodes.bridge.procedure.safety import procedure_concern
+from ptnsbc_nodes.bridge.procedure.steps import HEARTBEAT_LOST_S
 from ptnsbc_nodes.comm.diagnostics import DiagnosticLevel, StatusLog, diagnostics, readiness
 from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.emergency.records import VehicleRecord
+from ptnsbc_nodes.runtime.safety import SAFETY, Concern, SafetyState, assess
 
 _NEVER_S = 1e6
 
@@ -56,8 +58,10 @@ def bridge_status(
     report = bridge.report
     battery, shared = vehicle.battery_percent, state.shared
     following = bridge.stream.following.found()
+    safety = assess(_concerns(bridge, missing, endpoints))
     values = {
         **readiness(missing),
+        SAFETY: safety.state.text,
         "step": procedure.step.value,
         "fault": procedure.fault,
         "mode": vehicle.mode_name,
@@ -96,27 +100,23 @@ def bridge_status(
         **{f"clamped_{what}": str(count) for what, count in bridge.stream.guard.clamped.items()},
         **endpoints.refusals.values(),
     }
-    level, message = _health(bridge, missing, endpoints)
-    log.note(level, message)
-    return diagnostics(stamp_ns, f"{name}: link", level, message, values)
+    log.note(safety.level, safety.reason)
+    return diagnostics(stamp_ns, f"{name}: link", safety.level, safety.reason, values)
 
 
-def _health(
-    bridge: Bridge, missing: Sequence[str], endpoints: Endpoints
-) -> tuple[DiagnosticLevel, str]:
-    procedure = bridge.procedure
-    if procedure.fault and procedure.step is not Step.FLY:
-        return DiagnosticLevel.ERROR, f"{procedure.step.value}: {procedure.fault}"
+def _concerns(bridge: Bridge, missing: Sequence[str], endpoints: Endpoints) -> Iterator[Concern]:
+    """What concerns the bridge: its flight first, then what it lacks or refuses."""
+    procedure, warn = bridge.procedure, DiagnosticLevel.WARN
+    yield from procedure_concern(procedure.step, procedure.output.stream, procedure.fault)
     if fault := bridge.state_publisher.fault(bridge.ports.clocks.steady_s()):
-        return DiagnosticLevel.WARN, fault
+        yield Concern(SafetyState.DEGRADED, warn, fault)
     if missing:
-        return DiagnosticLevel.WARN, f"waiting for {' '.join(missing)}"
+        yield Concern(SafetyState.NOMINAL, warn, f"waiting for {' '.join(missing)}")
     if refused := endpoints.refusals.report() or endpoints.rivals():
-        return DiagnosticLevel.WARN, refused
+        yield Concern(SafetyState.DEGRADED, warn, refused)
     following = bridge.stream.following.found() if bridge.stream.lead is not None else None
     if following is not None and following.unlike:
-        return DiagnosticLevel.WARN, following.unlike
-    return DiagnosticLevel.OK, ""
+        yield Concern(SafetyState.DEGRADED, warn, following.unlike)
 
 
 def companion(values: Mapping[str, str]) -> Companion | None:

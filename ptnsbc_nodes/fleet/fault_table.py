@@ -7,10 +7,17 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from ptnsbc_nodes.bridge.procedure.steps import HEARTBEAT_LOST_S, RECOVERED_S, STALE_S, STOP_S
+from ptnsbc_nodes.bridge.procedure.steps import (
+    HEARTBEAT_LOST_S,
+    LAND_S,
+    RECOVERED_S,
+    STALE_S,
+    STOP_S,
+)
 from ptnsbc_nodes.comm.diagnostics import STATUS_HZ
 from ptnsbc_nodes.comm.door import AHEAD_S, OLDEST_S
 from ptnsbc_nodes.runtime.clock_offset import LIMIT_S
+from ptnsbc_nodes.runtime.safety import SafetyState
 from ptnsbc_nodes.runtime.watchdog import ENDED_S, RECORDER_ENDED_S, SAID_S
 from ptnsbc_nodes.uav.node import ABANDONED_S
 
@@ -25,11 +32,13 @@ class FaultAnswer(NamedTuple):
     where: tuple[str, ...]  # kinds of flights
     detected_by: str
     within: str
+    state: str  # of the safety layer of who answers
     action: str
     recovers: str  # when
     tests: tuple[str, ...]
 
 
+_NOMINAL, _DEGRADED, _HOLD, _LAND, _STOP = (state.text for state in SafetyState)
 _STALE = "`communication.stale_s`"
 _STATUS = f"{1.0 / STATUS_HZ:g} s"
 _AT_ONCE = "at once"
@@ -45,6 +54,7 @@ ANSWERS = (
         ALL,
         "each follower, by the age of the newest message",
         _STALE,
+        _HOLD,
         "holds where it is and keeps clear of others; warns `holding`",
         "when it hears again",
         (
@@ -57,6 +67,7 @@ ANSWERS = (
         ALL,
         "its children, as above",
         _STALE,
+        _HOLD,
         "its vehicle stays in place, its children hold, the others fly on around both",
         _NEVER,
         ("tests/sim/test_swarm.py::test_a_uav_in_the_middle_of_the_tree_dies_and_all_keep_clear",),
@@ -66,6 +77,7 @@ ANSWERS = (
         (HEADLESS, SIM),
         "all others, by the age of the newest message",
         _STALE,
+        _NOMINAL,
         "its children get another parent, or the next of `leader.successors` leads; nobody holds",
         "it takes its slot again, by a deadline of its own, when it is heard again",
         (
@@ -79,6 +91,7 @@ ANSWERS = (
         ALL,
         "each follower, by the age of the newest message",
         _STALE,
+        _DEGRADED,
         "its estimate is left out",
         "when it is heard again",
         ("tests/core/test_step.py::test_a_neighbours_estimate_counts_until_it_is_stale",),
@@ -88,6 +101,7 @@ ANSWERS = (
         (SIM, MAVLINK),
         "the door of each subscription",
         _AT_ONCE,
+        _DEGRADED,
         "dropped, counted, named; the last good one counts",
         "with the next good one",
         (
@@ -102,6 +116,7 @@ ANSWERS = (
         (SIM, MAVLINK),
         "each receiver, by the stamps",
         "1 s",
+        _DEGRADED,
         f"named; no flight begins; messages {AHEAD_S:g} s ahead or {OLDEST_S:g} s old are refused",
         "when the clock is set right",
         (
@@ -114,6 +129,7 @@ ANSWERS = (
         (SIM, MAVLINK),
         "each reader, by the GIDs",
         f"{_STATUS} after its discovery",
+        _DEGRADED,
         "named with its node; with `security: signed` its messages are refused",
         "when it is gone",
         (f"{_UAV}test_with_a_seal_no_leg_of_an_outsider_counts",),
@@ -123,6 +139,7 @@ ANSWERS = (
         (SIM, MAVLINK),
         "the UAV",
         _STALE,
+        _STOP,
         "no setpoints: a setpoint is the proof of life; `/diagnostics` error",
         "with the next odometry",
         (f"{_UAV}test_real_time_setpoints_end_with_the_odometry",),
@@ -132,6 +149,7 @@ ANSWERS = (
         (SIM,),
         "the sim, by the age of the wrench",
         _STALE,
+        _HOLD,
         "its vehicle stays in place, and is named; its children hold",
         f"when it is back; one without a launcher ends {ABANDONED_S:g} s after the sim",
         (
@@ -144,6 +162,7 @@ ANSWERS = (
         (SIM, MAVLINK),
         "the launcher, by the exit code",
         "0.1 s",
+        _HOLD,
         "named with its last log lines; no process waits for it; exit code 1",
         _NEVER,
         (f"{_FLEET}test_who_dies_in_flight_is_named_and_the_others_fly_on",),
@@ -153,6 +172,7 @@ ANSWERS = (
         (SIM,),
         "the sim, by the missing wrench",
         f"{SAID_S:g} s",
+        _HOLD,
         f"named; ended by the launcher after {ENDED_S:g} s, then as above",
         f"if it goes on within {ENDED_S:g} s",
         (f"{_FLEET}test_who_dies_in_flight_is_named_and_the_others_fly_on",),
@@ -162,6 +182,7 @@ ANSWERS = (
         (SIM,),
         "the sim, by what it acknowledges",
         f"{SAID_S:g} s",
+        _NOMINAL,
         f"the sim pauses; the launcher ends the recorder after {RECORDER_ENDED_S:g} s, since a disk may be slow",
         f"if it goes on within {RECORDER_ENDED_S:g} s",
         ("tests/nodes/fleet/test_supervisor.py::test_a_process_that_is_stuck_is_ended",),
@@ -171,6 +192,7 @@ ANSWERS = (
         (SIM, MAVLINK),
         "the launcher, by the exit code",
         "0.1 s",
+        _NOMINAL,
         "named; the flight goes on without a verdict; `ptnsbc bag repair` mends `<bag>.part`; exit code 1",
         _NEVER,
         (
@@ -184,6 +206,7 @@ ANSWERS = (
         (SIM,),
         "the launcher, by the exit code",
         "0.1 s",
+        _STOP,
         "the flight is over, the bag is complete; exit code 1",
         _NEVER,
         (f"{_FLEET}test_who_dies_in_flight_is_named_and_the_others_fly_on",),
@@ -193,6 +216,7 @@ ANSWERS = (
         (SIM, MAVLINK),
         "each process, by the end of its parent",
         _AT_ONCE,
+        _STOP,
         "its processes end by themselves",
         _NEVER,
         (f"{_FLEET}test_no_process_outlives_a_killed_launcher",),
@@ -202,11 +226,14 @@ ANSWERS = (
         (MAVLINK,),
         "the thread of its bridge, whatever ROS does",
         f"{STALE_S:g} s",
-        f"held where it is; after {STOP_S:g} s the stream stops, and the failsafe of the vehicle acts",
+        f"{_HOLD}, {_STOP}, {_LAND}",
+        f"held where it is; after {STOP_S:g} s the stream stops, and the failsafe of the vehicle acts; a vehicle that "
+        f"{LAND_S:g} s later is still in the mode of its bridge is landed",
         f"when setpoints have been fresh for {RECOVERED_S:g} s, and no pilot has taken over",
         (
             f"{_PROCEDURE}test_setpoints_stop_first_a_hold_then_silence_then_the_failsafe",
             f"{_PROCEDURE}test_after_a_failsafe_hold_px4_comes_back_by_itself",
+            f"{_PROCEDURE}test_a_failsafe_that_only_waits_ends_with_a_landing",
             f"{_BRIDGE}test_setpoints_end_the_stream_ends_the_failsafe_acts_and_then_the_pilot",
         ),
     ),
@@ -215,6 +242,7 @@ ANSWERS = (
         (MAVLINK,),
         "the vehicle, by the silence; the launcher, by the exit code",
         "as the vehicle is set",
+        _HOLD,
         "the failsafe of the vehicle acts; `ptnsbc stop` reaches it past the bridge; exit code 1",
         _NEVER,
         (
@@ -227,7 +255,8 @@ ANSWERS = (
         (MAVLINK,),
         "its bridge, by the HEARTBEAT",
         f"{HEARTBEAT_LOST_S:g} s",
-        "named; the stream goes on",
+        _STOP,
+        "named; no setpoints: the failsafe of the vehicle acts",
         "when it is heard again",
         (f"{_BRIDGE}test_heartbeat_lost_and_found_again",),
     ),
@@ -236,6 +265,7 @@ ANSWERS = (
         (MAVLINK,),
         "its bridge, by the estimator of the vehicle",
         f"{STOP_S:g} s",
+        _STOP,
         "no setpoints: the failsafe of the vehicle acts",
         "as above, when the position is back",
         (f"{_BRIDGE}test_gps_lost_in_flight",),
@@ -245,6 +275,7 @@ ANSWERS = (
         (MAVLINK,),
         "each bridge, by the near objects",
         _AT_ONCE,
+        f"{_HOLD}, {_LAND}",
         "the formation is given up: all hold apart by height, then land from below",
         _NEVER,
         (
@@ -257,6 +288,7 @@ ANSWERS = (
         (MAVLINK,),
         "the bridge",
         _AT_ONCE,
+        _LAND,
         "this vehicle lands",
         _NEVER,
         (
@@ -269,6 +301,7 @@ ANSWERS = (
         (MAVLINK,),
         "its bridge, by the stamps",
         _AT_ONCE,
+        _NOMINAL,
         "measured anew; the flight goes on",
         _AT_ONCE,
         (f"{_BRIDGE}test_the_vehicles_clock_jumps_and_the_flight_goes_on",),

@@ -206,6 +206,11 @@ class UavController:
             raise ValueError("state requested before the first step: expected a call of `step`")
         return self._agent.state
 
+    def silent_estimates(self, now_ns: int) -> list[int]:
+        """Real time: UAVs that have sent estimates of the leader which by now are too old to count."""
+        stale_ns = round(self.config.stale_s * 1e9)
+        return self.inbox.silent_estimates(now_ns, stale_ns)
+
     def restart(self) -> None:
         """Forget all steps: the next step begins a new agent at the vehicle's position."""
         self._agent = None

@@ -212,6 +212,13 @@ class Inbox:
             if message is not None:
                 yield Heard(uav_id, message.values, _age_s(message, now_ns))
 
+    def silent_estimates(self, now_ns: int, stale_ns: int) -> list[int]:
+        """Real time: the senders of estimates whose newest one is older than `stale_ns` [ns]."""
+        newest = (
+            (i, self._estimates[i].before(NO_CUTOFF_NS, now_ns)) for i in self.senders.estimators
+        )
+        return [i for i, one in newest if one is not None and now_ns - one.stamp_ns > stale_ns]
+
     def topic_names(self, uav_id: int) -> list[str]:
         """The topics of the `held` messages of the UAV `uav_id`."""
         own = [topics.odom(uav_id), topics.near(uav_id)]

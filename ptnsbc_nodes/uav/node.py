@@ -27,7 +27,6 @@ from ptnsbc_nodes.comm.announcements import (
 from ptnsbc_nodes.comm.diagnostics import (
     INACTIVE,
     STATUS_HZ,
-    DiagnosticLevel,
     StatusLog,
     diagnostics,
     readiness,
@@ -50,6 +49,7 @@ from ptnsbc_nodes.comm.topics import LOST, READY, Topic
 from ptnsbc_nodes.comm.vehicle_messages import PlannerLimits, decode_limits, limited
 from ptnsbc_nodes.runtime.clock_offset import ClockOffsetMonitor
 from ptnsbc_nodes.runtime.pacing import Pace, Ticker
+from ptnsbc_nodes.runtime.safety import SAFETY, assess
 from ptnsbc_nodes.uav.controller import UavController, step_time
 from ptnsbc_nodes.uav.faults import UavFaults
 from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS
@@ -58,6 +58,7 @@ from ptnsbc_nodes.uav.leg_services import LegServices
 from ptnsbc_nodes.uav.outbox import Outbox
 from ptnsbc_nodes.uav.robot_description import publish_description
 from ptnsbc_nodes.uav.roles import role_holder
+from ptnsbc_nodes.uav.safety import PlannerSight, planner_concerns
 from ptnsbc_nodes.uav.slots import OpenSlots, SlotDecider, SlotHolder
 from ptnsbc_sim.own_uav import UavFunctions
 from ptnsbc_sim.scenario import Scenario, agent_config
@@ -485,45 +486,39 @@ class _StatusPublisher:
         uav = self._uav
         missing = uav.waiting_for() if stamp_ns < 0 or not uav._options.lockstep else []
         leg = uav._epochs.at(stamp_ns, uav._uav)
+        safety = assess(planner_concerns(self._sight(stamp_ns, missing)))
         values = {
             **readiness(missing),
             "mode": leg.name if leg else "waiting",
+            SAFETY: safety.state.text,
             "missed_ticks": str(uav._timing.pace.missed),
             **uav._controller.counters.values(),
             **uav.endpoints.refusals.values(),
         }
         if uav._faults.injected:
             values["injected"] = "; ".join(uav._faults.injected)
-        level, message = self._verdict(stamp_ns, missing)
-        self._log.note(level, message)
+        self._log.note(safety.level, safety.reason)
         send = self._send if stamp_ns >= 0 else self._send_ready
-        send(diagnostics(max(stamp_ns, 0), f"{self._name}: planner", level, message, values))
+        name, (_, level, reason) = f"{self._name}: planner", safety
+        send(diagnostics(max(stamp_ns, 0), name, level, reason, values))
 
-    def _verdict(self, stamp_ns: int, missing: list[str]) -> tuple[DiagnosticLevel, str]:
-        uav = self._uav
-        own, offset = uav._controller.inbox.own, uav._timing.clock_offset.offset
-        if not uav._active:
-            return DiagnosticLevel.WARN, "inactive"
-        if not uav._options.lockstep and own is not None and uav._stale(own, stamp_ns):
-            stale = "own odometry is stale: no setpoints"
-            return DiagnosticLevel.ERROR, stale if offset is None else f"{stale}; {offset}"
-        if offset is not None:
-            return DiagnosticLevel.WARN, str(offset)
-        fault = (
-            uav._slots.fault(uav._epochs.at(stamp_ns, uav._uav)) if uav._slots is not None else ""
-        )
-        if fault:
-            return DiagnosticLevel.ERROR, fault
-        if uav._epochs.announced and uav._controller.counters.holding:
-            return DiagnosticLevel.WARN, "holding"
-        if uav._epochs.announced and uav._controller.near_stale:
-            return DiagnosticLevel.WARN, "near objects are stale: slow"
-        if intruder := uav.endpoints.refusals.report() or uav.endpoints.rivals():
-            return DiagnosticLevel.WARN, intruder
-        total = uav._timing.pace.missed
+    def _sight(self, stamp_ns: int, missing: list[str]) -> PlannerSight:
+        uav, lockstep = self._uav, self._uav._options.lockstep
+        flying, controller = uav._epochs.announced, uav._controller
+        leg = uav._epochs.at(stamp_ns, uav._uav)
+        own, total = controller.inbox.own, uav._timing.pace.missed
         missed, self._reported_missed = total - self._reported_missed, total
-        if missed > 0:
-            return DiagnosticLevel.WARN, f"{missed} ticks missed since the last status"
-        if missing:
-            return DiagnosticLevel.WARN, f"waiting for {' '.join(missing)}"
-        return DiagnosticLevel.OK, ""
+        silent = () if lockstep or not flying else controller.silent_estimates(stamp_ns)
+        return PlannerSight(
+            holding=flying and controller.counters.holding,
+            inactive=not uav._active,
+            odometry_stale=not lockstep and own is not None and uav._stale(own, stamp_ns),
+            slots_fault=uav._slots.fault(leg) if uav._slots is not None else "",
+            near_stale=flying and controller.near_stale,
+            silent_estimates=" ".join(f"uav{i}" for i in silent),
+            clock_offset=str(uav._timing.clock_offset.offset or ""),
+            intruder=uav.endpoints.refusals.report() or uav.endpoints.rivals(),
+            missed_ticks=missed,
+            waiting_for=" ".join(missing),
+            flying=flying,
+        )

@@ -118,6 +118,8 @@ class _StatusMessages:
 
     def _diagnostics(self, tick: int, stamp_ns: int) -> Iterator[bytes]:
         from ptnsbc_nodes.comm.diagnostics import DiagnosticLevel, diagnostics, readiness
+        from ptnsbc_nodes.runtime.safety import SAFETY, assess
+        from ptnsbc_nodes.uav.safety import PlannerSight, planner_concerns
 
         landing_ns = self._flight.scenario.landing_ns
         mode = FORMATION if landing_ns is None or stamp_ns < landing_ns else "land"
@@ -125,11 +127,15 @@ class _StatusMessages:
             uav = self._flight.scenario.uav_ids[row]
             if self._gone[tick, row]:
                 continue
-            values = {**readiness([]), "mode": mode, "missed_ticks": "0", **counters.values()}
-            level, text = (
-                (DiagnosticLevel.WARN, "holding") if counters.holding else (DiagnosticLevel.OK, "")
-            )
-            yield diagnostics(stamp_ns, f"uav{uav}: planner", level, text, values)
+            safety = assess(planner_concerns(PlannerSight(holding=counters.holding)))
+            values = {
+                **readiness([]),
+                "mode": mode,
+                SAFETY: safety.state.text,
+                "missed_ticks": "0",
+                **counters.values(),
+            }
+            yield diagnostics(stamp_ns, f"uav{uav}: planner", safety.level, safety.reason, values)
         still = {f"latency_{name}_ms": "0.000" for name in ("p50", "p99", "max")}
         values = {**readiness([]), "ticks": str(tick), "missed_ticks": "0", **still}
         yield diagnostics(stamp_ns, "sim: world", DiagnosticLevel.OK, "", values)

@@ -12,6 +12,8 @@ STALE_S = 0.25
 """A setpoint computed from older odometry is not followed: the vehicle is held where it is."""
 STOP_S = 0.5
 """The vehicle is held no longer than this. Then the stream stops, and the vehicle's own failsafe acts."""
+LAND_S = 10.0
+"""A vehicle that is still in the mode of its bridge after so long without setpoints is told to land."""
 HEARTBEAT_LOST_S = 3.0
 SILENT_S = 10.0
 """A vehicle that must land but has sent nothing for this long is given up: its bridge ends and says so."""

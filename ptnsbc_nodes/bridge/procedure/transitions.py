@@ -10,6 +10,7 @@ from ptnsbc_nodes.bridge.procedure.steps import (
     BEFORE_ARMING,
     FLYING,
     HEARTBEAT_LOST_S,
+    LAND_S,
     LIFTED_M,
     OVER,
     RECOVERED_S,
@@ -330,6 +331,13 @@ def _failsafe(progress: FlightProgress, snapshot: VehicleSnapshot) -> None:
     good = snapshot.controller_age_s < STALE_S and snapshot.heartbeat_age_s < HEARTBEAT_LOST_S
     if progress.lasts(good, snapshot, RECOVERED_S):
         _resume(progress, snapshot)
+    elif (
+        age_s > LAND_S
+        and snapshot.mode is FlightMode.OWN
+        and snapshot.heartbeat_age_s < HEARTBEAT_LOST_S
+    ):
+        # Nobody has taken it over: its failsafe only waits, as that of an ArduCopter in GUIDED does.
+        progress.enter(Step.LAND, snapshot, f"landed after {LAND_S:g} s without setpoints")
 
 
 def _resume(progress: FlightProgress, snapshot: VehicleSnapshot) -> None:

@@ -211,3 +211,12 @@ def test_in_real_time_a_late_message_counts_to_the_nanosecond():
     for now_ns, tick in ((due_ns - 1, 35), (due_ns, 36)):
         assert inputs_of(inbox, now_ns, NO_CUTOFF_NS).parent[0] == 20 + tick
         assert inbox.held(now_ns, NO_CUTOFF_NS)[3].stamp_ns == tick * PERIOD
+
+
+def test_the_senders_of_estimates_that_have_become_too_old_are_known():
+    inbox = Inbox(FOLLOWER)
+    inbox.on_estimate(2, message(1))
+    assert inbox.silent_estimates(3 * PERIOD, 2 * PERIOD) == []
+    assert inbox.silent_estimates(4 * PERIOD, 2 * PERIOD) == [2]
+    inbox.on_estimate(2, message(4))
+    assert inbox.silent_estimates(4 * PERIOD, 2 * PERIOD) == []

@@ -319,7 +319,27 @@ def test_real_time_setpoints_end_with_the_odometry(ros, scenario):
     count = len(others.wrenches)
     others.settle()
     assert len(others.wrenches) == count
-    assert others.newest()[0] == b"\x02"
+    level, _, told = others.newest()
+    assert (level, told["safety"]) == (b"\x02", "stop")
+
+
+def test_real_time_a_follower_whose_parent_is_silent_says_that_it_holds_and_goes_on(ros, scenario):
+    others = Others(ros, scenario, FOLLOWER, lockstep=False)
+    others.form(time.time_ns())
+
+    def told(state, *senders):
+        now_ns = time.time_ns()
+        others.odom(now_ns)
+        others.neighbours(now_ns, without={PARENT, LEADER, *NEIGHBOURS} - set(senders))
+        newest = others.status[-1] if others.status else (b"", "", {})
+        return newest[2].get("safety") == state
+
+    everybody = (PARENT, LEADER, *NEIGHBOURS)
+    ros.spin_until(lambda: told("degraded", *everybody))  # there is no near-object sensor
+    ros.spin_until(lambda: told("hold clear", LEADER))
+    assert others.status[-1][1].startswith("holding; ")
+    assert "estimates left out: uav2 uav4" in others.status[-1][1]
+    ros.spin_until(lambda: told("degraded", *everybody))
 
 
 def test_real_time_ticks_go_on_after_legs_in_a_row(ros, scenario):

@@ -9,6 +9,7 @@ pytest.importorskip("pymavlink")
 from ptnsbc_io.mavlink.autopilots import ARDUPILOT, PX4, FlightMode
 from ptnsbc_nodes.bridge.procedure.procedure import Procedure
 from ptnsbc_nodes.bridge.procedure.steps import (
+    LAND_S,
     STOP_S,
     CommandRequest,
     Step,
@@ -254,6 +255,22 @@ def test_after_a_failsafe_that_a_pilot_kept_the_bridge_yields():
     flight.run(30.0, mode=FlightMode.HOLD, controller_age_s=0.05)
     assert flight.step is Step.YIELDED
     assert flight.history[-1][2].stream is Stream.NONE
+
+
+def test_a_failsafe_that_only_waits_ends_with_a_landing():
+    flight = Flight(ARDUPILOT).flying()
+    stopped = flight.snapshot.now_s
+    flight.run(until=Step.LAND, controller_age_s=1.0)
+    assert flight.snapshot.now_s - stopped == pytest.approx(LAND_S, abs=3 * DT)
+    flight.run(until=Step.DONE)
+    assert "landed after 10 s without setpoints" in flight.procedure.fault
+
+
+def test_a_silent_vehicle_is_not_landed_by_a_mode_it_had_once():
+    flight = Flight(ARDUPILOT).flying()
+    flight.run(30.0, controller_age_s=1.0, heartbeat_age_s=4.0, state_fault="vehicle silent")
+    assert flight.step is Step.FAILSAFE
+    assert CommandRequest.LAND not in {output.command for _, _, output in flight.history}
 
 
 def test_a_failsafe_that_lands_is_left_alone():

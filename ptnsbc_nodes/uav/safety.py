@@ -1,0 +1,60 @@
+"""What concerns the process of one UAV. No ROS in here.
+
+A follower whose parent or leader is silent holds by the law itself, which keeps it clear meanwhile. A UAV without its
+own odometry sends no setpoint, because a setpoint is the proof of life for its vehicle.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from ptnsbc_nodes.comm.diagnostics import DiagnosticLevel
+from ptnsbc_nodes.runtime.safety import Concern, SafetyState
+
+
+class PlannerSight(NamedTuple):
+    """What a UAV process knows of itself; an empty text stands for what is well."""
+
+    holding: bool = False
+    inactive: bool = False
+    odometry_stale: bool = False
+    slots_fault: str = ""  # why it does not know its slot
+    near_stale: bool = False
+    silent_estimates: str = ""  # UAVs whose estimates of the leader are left out
+    clock_offset: str = ""
+    intruder: str = ""  # refused messages, or a second publisher
+    missed_ticks: int = 0  # since the last status
+    waiting_for: str = ""
+    flying: bool = True  # a leg has been announced
+
+
+def planner_concerns(sight: PlannerSight) -> Iterator[Concern]:
+    """What concerns a UAV process."""
+    error, warn = DiagnosticLevel.ERROR, DiagnosticLevel.WARN
+    if sight.inactive:  # it was told to be: nothing else of it counts
+        yield Concern(SafetyState.STOP, warn, "inactive")
+        return
+    if sight.odometry_stale:
+        yield Concern(SafetyState.STOP, error, "own odometry is stale: no setpoints")
+    if sight.slots_fault:
+        yield Concern(SafetyState.HOLD_CLEAR, error, sight.slots_fault)
+    elif sight.holding:
+        yield Concern(SafetyState.HOLD_CLEAR, warn, "holding")
+    for reason in filter(None, _lacks(sight)):
+        yield Concern(SafetyState.DEGRADED, warn, reason)
+    if sight.waiting_for:
+        state = SafetyState.DEGRADED if sight.flying else SafetyState.NOMINAL
+        yield Concern(state, warn, f"waiting for {sight.waiting_for}")
+
+
+def _lacks(sight: PlannerSight) -> tuple[str, ...]:
+    """What it flies on without; empty texts for what is well."""
+    silent, missed = sight.silent_estimates, sight.missed_ticks
+    return (
+        sight.clock_offset,
+        "near objects are stale: slow" if sight.near_stale else "",
+        f"estimates left out: {silent}" if silent else "",
+        sight.intruder,
+        f"{missed} ticks missed since the last status" if missed > 0 else "",
+    )
