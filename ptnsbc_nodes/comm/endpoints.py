@@ -25,6 +25,8 @@ from ptnsbc_nodes.comm.topics import TF, Role, Topic, message_class
 _LATCHED = qos.keep_last(64, reliable=True, latched=True)
 
 _LOCKSTEP_HISTORY = 1000
+# With a queue of one the messages of an outsider would push out the true one before it is taken.
+_SEALED_STATE = qos.keep_last(32, reliable=False)
 _SENT = "sent "
 
 T = TypeVar("T")
@@ -140,7 +142,7 @@ class Endpoints:
             message_class(topic),
             name,
             Door(name, decode, deliver, self.refusals),
-            profile or self._profile(topic),
+            profile or self._requested(topic),
             raw=True,
         )
         self._subscriptions.append(subscription)
@@ -239,6 +241,10 @@ class Endpoints:
             # socket drops in a burst must still be there when it asks for them again.
             return QoSProfile(depth=_LOCKSTEP_HISTORY, reliability=profile.reliability)
         return profile
+
+    def _requested(self, topic: Topic) -> QoSProfile:
+        sealed = self._seal is not None and not self._lockstep
+        return _SEALED_STATE if sealed and topic.role is Role.STATE else self._profile(topic)
 
     def _profile(self, topic: Topic) -> QoSProfile:
         if topic.role is Role.LATCHED:

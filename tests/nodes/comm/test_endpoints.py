@@ -1,5 +1,6 @@
 """What a process says it has sent."""
 
+import numpy as np
 import pytest
 
 pytest.importorskip("rclpy")
@@ -7,6 +8,7 @@ pytest.importorskip("rclpy")
 from ptnsbc_io import wire
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.endpoints import Endpoints, sent_in
+from ptnsbc_nodes.comm.seal import Seal
 
 pytestmark = pytest.mark.ros
 
@@ -30,3 +32,22 @@ def test_every_message_counts_and_those_before_the_first_leg_apart(ros):
 
 def test_a_process_that_was_killed_says_nothing():
     assert sent_in(["ready", "sent"]) is None
+
+
+def test_with_a_seal_the_messages_of_an_outsider_do_not_push_out_the_true_one(ros):
+    """A queue of one held the newest message alone, which was a forged one."""
+    seal, topic, taken = Seal(bytes(32)), topics.odom(1), []
+    ours, theirs, reader = (
+        Endpoints(ros.node(name), False, key)
+        for name, key in (("ours", seal), ("theirs", None), ("reader", seal))
+    )
+    reader.listen(topic, wire.decode_odometry, taken.append)
+    true, forged = ours.publisher(topic, 1), theirs.publisher(topic, 1)
+    ros.spin_until(lambda: not ours.unread() and not theirs.unread())
+    ros.spin_until(lambda: reader._subscriptions[0].get_publisher_count() == 2)
+    odometry = wire.OdometryTemplate("map", "uav1").encode(7, np.ones(13))
+    true(odometry)
+    for _ in range(10):  # before the reader has a chance to take one
+        forged(odometry)
+    ros.spin_until(lambda: reader.refusals.counts[topic.name] == 10)
+    assert [message.stamp_ns for message in taken] == [7]

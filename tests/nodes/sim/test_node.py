@@ -14,7 +14,7 @@ from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions
 from ptnsbc_nodes.comm.topics import LOST
 from ptnsbc_nodes.sim import main
-from ptnsbc_nodes.sim.node import SimNode
+from ptnsbc_nodes.sim.node import SimNode, _lead_ticks
 from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_sim.world import World
 
@@ -31,7 +31,7 @@ def scenario():
 class Uavs:
     """All UAVs in one node; `hands_off` do not answer."""
 
-    def __init__(self, ros, scenario, *, lockstep=True):
+    def __init__(self, ros, scenario, *, lockstep=True, recorded=False):
         self.ros, self.scenario = ros, scenario
         self.ended = self.mute = False
         self.hands_off = set()
@@ -43,6 +43,10 @@ class Uavs:
         self.send = {i: ends.publisher(topics.wrench_setpoint(i), 1) for i in scenario.uav_ids}
         self.announce = ends.publisher(topics.EPOCH, 1)
         self.lose = ends.publisher(LOST, 1)
+        if recorded:
+            self.acknowledge = ends.publisher(topics.RECORDED, 1)
+            for topic in topics.recorded(scenario.uav_ids):
+                ends.listen(topic, bytes, lambda data: None, required=False)
         for i in scenario.uav_ids:
             ends.listen(
                 topics.odom(i), bytes, lambda data, i=i: self.fly(i, wire.decode_odometry(data))
@@ -55,7 +59,7 @@ class Uavs:
         self.sim = SimNode(
             ros.node("sim"),
             scenario,
-            CommunicationGraph(scenario, FlightOptions(lockstep=lockstep)),
+            CommunicationGraph(scenario, FlightOptions(lockstep=lockstep, recorded=recorded)),
             self.end,
         )
         ros.spin_until(lambda: not ends.unread() and not ends.unheard())
@@ -63,6 +67,10 @@ class Uavs:
 
     def end(self):
         self.ended = True
+
+    def settle(self):
+        """Let everything sent so far arrive and be answered."""
+        self.ros.spin_for(0.2)
 
     def fly(self, i, message):
         self.odometry[i].append(message)
@@ -116,6 +124,26 @@ def test_lockstep_waits_for_the_wrench_of_the_tick(ros, scenario):
     assert uavs.clock == [0]
     uavs.push(4, 0)
     ros.spin_until(lambda: uavs.clock == [0, scenario.dt_ns])
+
+
+def test_lockstep_never_runs_farther_ahead_of_a_slow_recorder_than_its_queues_reach(
+    ros, monkeypatch
+):
+    """A recorder under overload once lost messages, and their order."""
+    monkeypatch.setattr("ptnsbc_nodes.sim.node._LEAD_TICKS", 1)  # the least is above it
+    scenario = load_scenario("paper_5", {"timing.duration_s": 2.0})
+    uavs = Uavs(ros, scenario, recorded=True)
+    lead = _lead_ticks(scenario)
+    uavs.start()
+    ros.spin_until(lambda: uavs.clock and uavs.clock[-1] >= lead * scenario.dt_ns)
+    uavs.settle()
+    assert uavs.clock[-1] <= (lead + 1) * scenario.dt_ns
+    uavs.acknowledge(wire.HeaderTemplate("recorder").encode(60 * scenario.dt_ns))
+    ros.spin_until(lambda: uavs.clock[-1] >= (lead + 60) * scenario.dt_ns)
+    uavs.settle()
+    assert uavs.clock[-1] <= (lead + 61) * scenario.dt_ns < scenario.ticks * scenario.dt_ns
+    uavs.lose(wire.HeaderTemplate("recorder").encode(0))  # nobody waits for one that has ended
+    ros.spin_until(lambda: uavs.ended)
 
 
 def test_lockstep_goes_on_without_a_lost_uav_which_stays_in_place(ros, scenario):
