@@ -66,7 +66,8 @@ def _flight(folder: Path, victim: str, order: str, after_s: float, duration_s: f
     command += ["--log-dir", str(folder / "logs"), "--bag", str(folder / "bag")]
     launcher = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=environment)
     try:
-        _until_started(launcher)
+        if words := _until_started(launcher):
+            return Struck(victim, order, round(after_s, 2), launcher.wait(), (words,))
         time.sleep(after_s)  # the moment is the experiment
         pid = launcher.pid if victim == "launcher" else _pids(folder).get(victim)
         late = pid is None or launcher.poll() is not None
@@ -81,12 +82,14 @@ def _flight(folder: Path, victim: str, order: str, after_s: float, duration_s: f
     return Struck(victim, order, round(after_s, 2), code, wrong)
 
 
-def _until_started(launcher: subprocess.Popen[str]) -> None:
+def _until_started(launcher: subprocess.Popen[str]) -> str:
+    """Wait for the start of the flight; the last words of a launcher that ended before it."""
     assert launcher.stderr is not None
+    line = ""
     for line in launcher.stderr:
         if line.rstrip().endswith("started"):
-            return
-    raise SystemExit("error: the fleet did not start")
+            return ""
+    return f"the fleet did not start: {line.strip()}"
 
 
 def _pids(folder: Path) -> dict[str, int]:
