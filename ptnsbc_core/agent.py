@@ -44,7 +44,7 @@ LEADER_AGE, NEAR_AGE, MODE, START_AGE = (PARENT_AGE + k for k in range(1, 5))
 ESTIMATES = START_AGE + 1
 
 # Offsets of the fields of AgentOutputs in `PackedOutputs.vector`, and its size.
-_VELOCITY, _WRENCH, _ESTIMATE, _REPORTED, _ERROR, _OUTPUT_SIZE = 0, 4, 10, 23, 26, 36
+_VELOCITY, _WRENCH, _ESTIMATE, _REPORTED, _ERROR, _OUTPUT_SIZE = 0, 4, 10, 23, 26, 37
 
 
 class PackedInputs:
@@ -86,7 +86,7 @@ class PackedInputs:
 
 
 class PackedOutputs:
-    """Outputs of a step, see `AgentOutputs`: each property reads from `vector` (36,)."""
+    """Outputs of a step, see `AgentOutputs`: each property reads from `vector` (37,)."""
 
     __slots__ = ("vector",)
 
@@ -222,7 +222,7 @@ def store_wrench(out: Array, outputs: AgentOutputs) -> None:
 
 @inline_kernel
 def store_diagnostics(out: Array, diagnostics: AgentDiagnostics) -> None:
-    """Write the diagnostics, in the order of their fields, into (10,)."""
+    """Write the diagnostics, in the order of their fields, into (11,)."""
     store3(out, 0, diagnostics.error)
     out[3] = diagnostics.gain
     out[4] = diagnostics.singular_value
@@ -231,6 +231,7 @@ def store_diagnostics(out: Array, diagnostics: AgentDiagnostics) -> None:
     out[7] = 1.0 if diagnostics.holding else 0.0
     out[8] = diagnostics.priority_violation
     out[9] = diagnostics.velocity_error
+    out[10] = 1.0 if diagnostics.deadlock else 0.0
 
 
 @kernel
@@ -239,10 +240,20 @@ def _state(memory: MutableSequence[_AgentMemory]) -> AgentState:
 
 
 def load_diagnostics(row: Array) -> AgentDiagnostics:
-    """The diagnostics that `store_diagnostics` has written into (10,)."""
-    x, y, z, gain, singular_value, rows, saturated, holding, *rest = row.tolist()
+    """The diagnostics that `store_diagnostics` has written into (11,)."""
+    x, y, z, gain, singular_value, rows, saturated, holding, violation, error, deadlock = (
+        row.tolist()
+    )
     return AgentDiagnostics(
-        (x, y, z), gain, singular_value, int(rows), saturated > 0.0, holding > 0.0, *rest
+        (x, y, z),
+        gain,
+        singular_value,
+        int(rows),
+        saturated > 0.0,
+        holding > 0.0,
+        violation,
+        error,
+        deadlock > 0.0,
     )
 
 

@@ -122,6 +122,7 @@ def with_velocity(behaviour: Behaviour, velocity: Vector3) -> Behaviour:
         behaviour.slot_start,
         behaviour.edge_start,
         behaviour.beside,
+        behaviour.place,
     )
 
 

@@ -11,6 +11,7 @@ from typing import NamedTuple
 from ptnsbc_core.algebra import add3, load3, norm3, odometry_tuple, sub3, wrap_angle
 from ptnsbc_core.behaviours.attitude import attitude
 from ptnsbc_core.behaviours.contract import Behaviour, Beside, EpochErrors
+from ptnsbc_core.behaviours.deadlock import in_deadlock, standing_time, stands_still, way_out
 from ptnsbc_core.behaviours.formation import is_plan_left
 from ptnsbc_core.behaviours.neighbour import UNKNOWN, neighbour_motion, reported_velocity
 from ptnsbc_core.behaviours.recovery import DISTURBED, UNDISTURBED, armed
@@ -78,6 +79,7 @@ def initial_state(own: OdometryLike, config: AgentConfig) -> AgentState:
         empty_memory(),
         StartErrors(zero, zero, zero, zero),
         UNDISTURBED,
+        0.0,
         NeighbourMotions(UNKNOWN, UNKNOWN),
         PoseTarget(load3(own, 0), yaw_of(own)),
         _NO_MODE,
@@ -153,7 +155,8 @@ def _plan(
 ) -> PlannerOutput:
     """Clearance above the behaviour, the speed limit, and the command filter."""
     view = _view(state, inputs, behaviour, told, dt)
-    task = clearance(load3(inputs.own, 0), behaviour.velocity, view, config.clearance)
+    wanted = way_out(behaviour.velocity, behaviour.place, state.standing_s, config.clearance)
+    task = clearance(load3(inputs.own, 0), wanted, view, config.clearance)
     limits = config.filter
     composed = compose_with_clearance(task, limits.max_speed)
     rows, zero = task.jacobian.shape[0], (0.0, 0.0, 0.0)
@@ -176,6 +179,32 @@ def _plan(
         composed.limited or linear.saturated,
         composed.violation,
     )
+
+
+@inline_kernel
+def _standing_s(
+    state: AgentState, planned: PlannerOutput, behaviour: Behaviour, dt: float, config: AgentConfig
+) -> float:
+    """Time [s] that the UAV has had no way to its place, after this tick."""
+    command = planned.command.velocity
+    still = stands_still(behaviour.velocity, command, behaviour.place)
+    still = still and planned.active_rows > 0
+    return standing_time(state.standing_s, still, dt, config.clearance)
+
+
+@inline_kernel
+def _recovery(
+    before: Recovery,
+    disturbed: bool,
+    beside: Beside,
+    command: VelocityReference,
+    clock: Clock,
+    config: AgentConfig,
+) -> Recovery:
+    """The way back after this tick."""
+    if disturbed:
+        return DISTURBED
+    return _rearmed(beside, command.velocity, clock, config) if before.disturbed else before
 
 
 @inline_kernel
@@ -371,11 +400,10 @@ def inlined_step(
     planned = _plan(state, inputs, behaviour, told, rates, yaw, dt, config)
     command = planned.command
     control = _control(state, inputs, command, clock, config)
-    recovery = epoch.recovery
-    if holding or planned.active_rows > 0:
-        recovery = DISTURBED
-    elif recovery.disturbed:
-        recovery = _rearmed(behaviour.beside, command.velocity, clock, config)
+    disturbed = holding or planned.active_rows > 0
+    recovery = _recovery(epoch.recovery, disturbed, behaviour.beside, command, clock, config)
+    counts = not (at_epoch or holding) and guided is None
+    standing_s = _standing_s(state, planned, behaviour, dt, config) if counts else 0.0
     after = AgentState(
         estimate,
         estimate_valid,
@@ -385,6 +413,7 @@ def inlined_step(
         planned.obstacle_memory,
         start,
         recovery,
+        standing_s,
         motions,
         target,
         max(inputs.mode, MODE_HOLD) if holding else MODE_FORMATION,
@@ -399,6 +428,7 @@ def inlined_step(
         holding,
         planned.violation,
         control.velocity_error,
+        in_deadlock(standing_s, config.clearance),
     )
     yaw_rate = _yaw_rate(inputs, command, config)
     reported = load3(inputs.own, 7)

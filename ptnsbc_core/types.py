@@ -146,6 +146,8 @@ class ClearanceConfig(NamedTuple):
     sensor_s: float  # period of the near-object sensor
     stale_s: float  # a sensor that is silent for longer makes the UAV slow
     range_m: float  # of the sensor
+    deadlock_s: float  # without a way to its place for longer a UAV is in a deadlock
+    climb: float  # [m/s] of this UAV in a deadlock; all have another one
 
 
 class RecoveryConfig(NamedTuple):
@@ -298,6 +300,7 @@ class AgentState(NamedTuple):
     obstacle_memory: Array  # (8, 7) x y z side active_s quiet_s used
     start: StartErrors
     recovery: Recovery
+    standing_s: float  # time without a way to the place [s], see behaviours/deadlock.py
     motions: NeighbourMotions
     hold: PoseTarget  # the pose at which holding began
     mode: int  # MODE_* of the previous tick; -1 before the first
@@ -315,6 +318,7 @@ class AgentDiagnostics(NamedTuple):
     holding: bool  # holding because of a stale neighbour or a hold leg
     priority_violation: float  # [m/s] change of a higher task's velocity by a lower one
     velocity_error: float  # [m/s] |V - V_r|, linear part
+    deadlock: bool  # avoidance has long left no way to the place
 
 
 class AgentOutputs(NamedTuple):

@@ -14,8 +14,8 @@ from ptnsbc_core.types import ODOMETRY_SIZE, AgentOutputs, Array
 
 # Columns of Track.diagnostics
 ERROR, GAIN, SINGULAR_VALUE, ACTIVE_ROWS = slice(0, 3), 3, 4, 5
-SATURATED, HOLDING, PRIORITY_VIOLATION, VELOCITY_ERROR = 6, 7, 8, 9
-DIAGNOSTICS_SIZE = 10
+SATURATED, HOLDING, PRIORITY_VIOLATION, VELOCITY_ERROR, DEADLOCK = 6, 7, 8, 9, 10
+DIAGNOSTICS_SIZE = 11
 
 
 class FlightTrack(NamedTuple):
@@ -25,7 +25,7 @@ class FlightTrack(NamedTuple):
     velocity: Array  # (T, N, 4)
     wrench: Array  # (T, N, 6)
     estimate: Array  # (T, N, 13)
-    diagnostics: Array  # (T, N, 10)
+    diagnostics: Array  # (T, N, 11)
     reported: (
         Array  # (T, N, 13) formation_state: the odometry with the velocity that the UAV commands
     )

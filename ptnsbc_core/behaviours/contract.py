@@ -16,6 +16,13 @@ class Beside(NamedTuple):
     planned: bool  # an encounter is followed by a way back
 
 
+class FormationPlace(NamedTuple):
+    """Where a UAV has to be in the end."""
+
+    error: Vector3  # [m, ENU] from the UAV to it
+    velocity: Vector3  # [m/s, ENU] of it
+
+
 class Behaviour(NamedTuple):
     """Velocity that one behaviour asks for, and the state of its task."""
 
@@ -28,6 +35,7 @@ class Behaviour(NamedTuple):
     slot_start: Vector3  # [m, ENU] start error that the plan of this epoch uses
     edge_start: Vector3  # [m, ENU] likewise, relative to the parent
     beside: Beside
+    place: FormationPlace
 
 
 class EpochErrors(NamedTuple):

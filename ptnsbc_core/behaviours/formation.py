@@ -10,7 +10,13 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from ptnsbc_core.algebra import add3, axpy, hadamard3, matvec, norm3, scale3, sub3
-from ptnsbc_core.behaviours.contract import Behaviour, Beside, EpochErrors, Neighbour
+from ptnsbc_core.behaviours.contract import (
+    Behaviour,
+    Beside,
+    EpochErrors,
+    FormationPlace,
+    Neighbour,
+)
 from ptnsbc_core.behaviours.recovery import way_back
 from ptnsbc_core.curves.shape import PlaceMotion, places_from_rest
 from ptnsbc_core.kernel import inline_kernel, kernel
@@ -172,6 +178,7 @@ def _by_task(
         errors.slot,
         errors.edge,
         Beside(errors.slot, leader.velocity, False),
+        FormationPlace(errors.slot, leader.velocity),
     )
 
 
@@ -253,6 +260,7 @@ def _planned(
         slot_start,
         edge_start,
         Beside(itself, add3(planned, shared), True),
+        FormationPlace(errors.slot, leader.velocity),
     )
 
 

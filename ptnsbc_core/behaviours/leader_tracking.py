@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ptnsbc_core.algebra import add3, axpy, norm3, scale3, sub3
-from ptnsbc_core.behaviours.contract import Behaviour, Beside, EpochErrors
+from ptnsbc_core.behaviours.contract import Behaviour, Beside, EpochErrors, FormationPlace
 from ptnsbc_core.behaviours.formation import braked
 from ptnsbc_core.behaviours.recovery import way_back
 from ptnsbc_core.curves.trajectory import Reference
@@ -41,4 +41,13 @@ def leader_tracking(
     acceleration = axpy(on_velocity, desired.velocity, acceleration)
     acceleration = axpy(onset_after, desired.acceleration, acceleration)
     planned = over and config.approach == APPROACH_PLANNED
-    return Behaviour(velocity, error, 1.0, acceleration, error, error, Beside(error, free, planned))
+    return Behaviour(
+        velocity,
+        error,
+        1.0,
+        acceleration,
+        error,
+        error,
+        Beside(error, free, planned),
+        FormationPlace(error, desired.velocity),
+    )

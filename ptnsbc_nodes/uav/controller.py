@@ -68,7 +68,7 @@ def _speed_limits(config: AgentConfig) -> VehicleSpeedLimits:
 class UavCounters:
     """Cumulative counters of one UAV since its start, and the newest figures of its planner; for /diagnostics."""
 
-    SIZE = 5  # numbers in `numbers`
+    SIZE = 6  # numbers in `numbers`
 
     def __init__(self) -> None:
         self.ticks = 0
@@ -76,6 +76,7 @@ class UavCounters:
         self.saturated_s = 0.0
         self.holding_s = 0.0
         self.priority_violation_max = 0.0  # [m/s]
+        self.deadlock_s = 0.0
         self._newest: AgentDiagnostics | None = None
 
     def add(self, step: AgentDiagnostics, dt: float) -> None:
@@ -85,7 +86,13 @@ class UavCounters:
         self.saturated_s += dt * step.saturated
         self.holding_s += dt * step.holding
         self.priority_violation_max = max(self.priority_violation_max, step.priority_violation)
+        self.deadlock_s += dt * step.deadlock
         self._newest = step
+
+    @property
+    def deadlock(self) -> bool:
+        """Whether the UAV was in a deadlock at the newest step."""
+        return self._newest is not None and bool(self._newest.deadlock)
 
     @property
     def holding(self) -> bool:
@@ -100,19 +107,20 @@ class UavCounters:
             self.saturated_s,
             self.holding_s,
             self.priority_violation_max,
+            self.deadlock_s,
         ]
 
     def restore(self, numbers: Array) -> None:
         """Continue from what `numbers` returned."""
         self.ticks = int(numbers[0])
-        self.avoidance_active_s, self.saturated_s, self.holding_s, self.priority_violation_max = (
-            float(value) for value in numbers[1:]
-        )
+        self.avoidance_active_s, self.saturated_s, self.holding_s = map(float, numbers[1:4])
+        self.priority_violation_max, self.deadlock_s = map(float, numbers[4:])
 
     def values(self) -> dict[str, str]:
-        """Counters and newest figures as key-value strings."""
+        """Counters and newest figures as key-value strings; `deadlock_s` from the first deadlock on."""
         newest: Any = self._newest
         error = newest.error if newest else (0.0, 0.0, 0.0)
+        deadlock = {"deadlock_s": f"{self.deadlock_s:.3f}"} if self.deadlock_s > 0.0 else {}
         return {
             "avoidance_active_s": f"{self.avoidance_active_s:.3f}",
             "saturated_s": f"{self.saturated_s:.3f}",
@@ -122,6 +130,7 @@ class UavCounters:
             "gain": f"{newest.gain if newest else 0.0:.6f}",
             "sigma_min": f"{newest.singular_value if newest else 0.0:.6f}",
             "priority_violation_max": f"{self.priority_violation_max:.6g}",
+            **deadlock,
         }
 
 

@@ -514,6 +514,7 @@ class _StatusPublisher:
             inactive=not uav._active,
             odometry_stale=not lockstep and own is not None and uav._stale(own, stamp_ns),
             slots_fault=uav._slots.fault(leg) if uav._slots is not None else "",
+            deadlock=flying and bool(controller.counters.deadlock),
             near_stale=flying and controller.near_stale,
             silent_estimates=" ".join(f"uav{i}" for i in silent),
             clock_offset=str(uav._timing.clock_offset.offset or ""),

@@ -20,6 +20,7 @@ class PlannerSight(NamedTuple):
     inactive: bool = False
     odometry_stale: bool = False
     slots_fault: str = ""  # why it does not know its slot
+    deadlock: bool = False  # it climbs out of one
     near_stale: bool = False
     silent_estimates: str = ""  # UAVs whose estimates of the leader are left out
     clock_offset: str = ""
@@ -53,6 +54,7 @@ def _lacks(sight: PlannerSight) -> tuple[str, ...]:
     silent, missed = sight.silent_estimates, sight.missed_ticks
     return (
         sight.clock_offset,
+        "deadlock: avoidance leaves no way to the place" if sight.deadlock else "",
         "near objects are stale: slow" if sight.near_stale else "",
         f"estimates left out: {silent}" if silent else "",
         sight.intruder,

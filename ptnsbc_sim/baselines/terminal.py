@@ -176,6 +176,7 @@ def terminal_step(
         state.obstacle_memory,
         state.start,
         state.recovery,
+        state.standing_s,
         state.motions,
         state.hold,
         MODE_FORMATION,
@@ -183,7 +184,7 @@ def terminal_step(
     )
     saturated = force.saturated or torque.saturated
     away = scale3(-1.0, error)
-    diagnostics = AgentDiagnostics(away, 0.0, 1.0, 0, saturated, False, 0.0, norm3(rate))
+    diagnostics = AgentDiagnostics(away, 0.0, 1.0, 0, saturated, False, 0.0, norm3(rate), False)
     reported = load3(inputs.own, 7)
     outputs = AgentOutputs(
         goal.velocity, 0.0, force.value, torque.value, estimate, heard, reported, diagnostics

@@ -224,6 +224,16 @@ def _clearance(scenario: Scenario, uav_id: int) -> ClearanceConfig:
         sensor_s=float(1.0 / scenario.sensor.rate_hz),
         stale_s=float(gains.stale_s),
         range_m=float(scenario.sensor.range_m),
+        deadlock_s=float(gains.deadlock_s),
+        climb=_climb(scenario, uav_id),
+    )
+
+
+def _climb(scenario: Scenario, uav_id: int) -> float:
+    """Speed [m/s] that no other UAV has: in a second deadlock_s any two are a keep-out apart."""
+    number = 1 + scenario.uav_ids.index(uav_id)
+    return float(
+        number * scenario.file.formation.uav_keep_out_m / scenario.gains.clearance.deadlock_s
     )
 
 

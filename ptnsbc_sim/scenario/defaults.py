@@ -39,6 +39,7 @@ _COMMON: dict[str, Any] = {
         "forget_s": 1,
         "approach": "braking",  # linear asks for three times the speed as braking, whatever there is
         "stale_s": 0.5,  # as the links: ten periods of the sensor of the shipped scenarios
+        "deadlock_s": 4,  # nobody who came through in 480 drawn flights stood still for 2.5 s
     },
     "filter": {
         "bandwidth_1_s": 20,  # well above the formation loop at its peak

@@ -66,6 +66,8 @@ class ClearanceGains(Loop):
     """Lag with which the vehicle follows the filtered velocity. Default: the sum of the lags of the plant's loops."""
     stale_s: Positive
     """A UAV whose near-object sensor has been silent for this long slows down."""
+    deadlock_s: Positive
+    """A UAV to which avoidance has left no way to its place for this long is in a deadlock."""
 
 
 class Filter(Block):

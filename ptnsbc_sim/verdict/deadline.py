@@ -446,6 +446,9 @@ def _causes(recording: Recording, found: UavVerdict, end_s: float) -> tuple[list
     saturated = _rise(recording, found.uav, "saturated_s", span)
     if held > 0:
         causes = [*causes, f"held for {held:.2f} s, link stale"]
+    blocked = _rise(recording, found.uav, "deadlock_s", span)
+    if blocked > 0:
+        causes = [*causes, f"in a deadlock for {blocked:.2f} s, avoidance left no way"]
     if saturated > 0:
         causes = [*causes, f"at a limit of speed, acceleration or thrust for {saturated:.2f} s"]
     late = held > 0 and not recording.scenario.lossy and not recording.scenario.reconfigures

@@ -18,6 +18,7 @@ _COUNTED = {
     "avoidance_active_s": columns.ACTIVE_ROWS,
     "saturated_s": columns.SATURATED,
     "holding_s": columns.HOLDING,
+    "deadlock_s": columns.DEADLOCK,
 }
 """The counters of a time, and the column of the diagnostics that is above 0 during it."""
 
@@ -52,7 +53,7 @@ def _chosen(scenario: Scenario) -> slice:
 
 
 def _counters(flight: HeadlessFlight) -> tuple[NDArray[np.int64], Array]:
-    """Stamps (S,) and counters (S, N, 5) as /diagnostics would show them: cumulative, rounded to milliseconds."""
+    """Stamps (S,) and counters (S, N, 6) as /diagnostics would show them: cumulative, rounded to milliseconds."""
     scenario, log = flight.scenario, flight.track.diagnostics
     chosen = _chosen(scenario)
     stamps = flight.t_ns[chosen]

@@ -82,6 +82,7 @@ COUNTERS = (
     "holding_s",
     "missed_ticks",  # since the process started
     "priority_violation_max",  # [m/s]
+    "deadlock_s",
 )
 """Columns of the counters that a UAV publishes on /diagnostics, counted from its start."""
 
@@ -108,7 +109,7 @@ class Recording:
     odometry: Mapping[int, Track]  # (T, 13) per UAV
     wrench: Mapping[int, Track]  # (T, 6) per UAV; may lack UAVs
     estimate: Mapping[int, Track]  # (T, 13) per UAV; may lack UAVs
-    counters: Mapping[int, Track]  # (T, 5) per UAV, `COUNTERS`; may lack UAVs
+    counters: Mapping[int, Track]  # (T, 6) per UAV, `COUNTERS`; may lack UAVs
     epochs: tuple[tuple[int, str], ...]  # (t0 [ns], leg), ascending; empty when not recorded
     truth: Mapping[int, Track] = field(default_factory=dict)  # (T, 13) per UAV; simulators only
     # (T, 1) per UAV: odometry messages sent until each stamp, counted by the bridge

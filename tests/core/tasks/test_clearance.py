@@ -9,6 +9,8 @@ from hypothesis import strategies as st
 from on_arrays import on_arrays
 
 from ptnsbc_core.algebra import limit_norm
+from ptnsbc_core.behaviours.contract import FormationPlace
+from ptnsbc_core.behaviours.deadlock import standing_time, stands_still, way_out
 from ptnsbc_core.nullspace import compose_with_clearance
 from ptnsbc_core.tasks.approach import LATENCIES, braking_speed, clear_velocities, tangent
 from ptnsbc_core.tasks.clearance import ClearanceTask, ObstacleView, clearance, constraints
@@ -32,6 +34,7 @@ constraints = on_arrays(constraints)
 compose_with_clearance = on_arrays(compose_with_clearance)
 limit_norm = on_arrays(limit_norm)
 tangent = on_arrays(tangent)
+stands_still, way_out = on_arrays(stands_still), on_arrays(way_out)
 
 DT, KAPPA, KEEP_OUT, LAG = 0.01, 3.0, 1.5, 0.2
 FREE = np.inf
@@ -46,7 +49,23 @@ seeds = st.integers(0, 2**31)
 def config_of(rule: int = AVOIDANCE_SET_BASED, **changes) -> ClearanceConfig:
     gain = LoopGain(1.0, 1e-2, 1.0, KAPPA, PROFILE_PAPER)
     linear = ClearanceConfig(
-        rule, 0.0, gain, 0.0, 0.5, 1e9, 1.0, SPEED_LINEAR, 6.0, 6.0, LAG, 1.0 / LAG, 0.05, 0.5, 4.0
+        rule,
+        0.0,
+        gain,
+        0.0,
+        0.5,
+        1e9,
+        1.0,
+        SPEED_LINEAR,
+        6.0,
+        6.0,
+        LAG,
+        1.0 / LAG,
+        0.05,
+        0.5,
+        4.0,
+        4.0,
+        0.1,
     )
     return linear._replace(**changes)
 
@@ -473,7 +492,7 @@ def test_sideways_motion_around_what_moves_only_where_there_is_no_progress(
 def test_all_around_a_circle_change_places(count: int, aside_m: float) -> None:
     """No talking: nobody comes into a keep-out, and all pass on the right.
 
-    Rings of more than three that are symmetric to the last bit stop in the middle: docs/method.md.
+    Rings of five and eight that are symmetric to the last bit stop in the middle: a deadlock, which they leave.
     """
     dt, lag, keep_out = 0.02, 0.2, 0.5
     config = braking(margin_m=0.1, circulation=0.6, lag_s=lag)
@@ -482,22 +501,29 @@ def test_all_around_a_circle_change_places(count: int, aside_m: float) -> None:
     goals, speeds = -places, np.zeros((count, 3))
     places += aside_m * np.random.default_rng(count).normal(size=places.shape)
     memories = [empty_memory() for _ in range(count)]
+    climbs = [config._replace(climb=0.125 * (uav + 1)) for uav in range(count)]
+    standing, stood = np.zeros(count), 0.0
     nearest = np.inf
-    for _ in range(900):
+    for _ in range(1500):
         commands = np.zeros((count, 3))
         for uav in range(count):
             others = [k for k in range(count) if k != uav]
             near = np.stack([object_at(places[k], speeds[k], keep_out) for k in others])
             wanted = limit_norm(goals[uav] - places[uav], 1.5)
+            place = FormationPlace(goals[uav] - places[uav], np.zeros(3))
+            asked = way_out(wanted, place, standing[uav], climbs[uav])
             view = ObstacleView(
                 near, 0.0, memories[uav], dt, speeds[uav], speeds[uav], 0.0, NOTHING_TOLD
             )
-            top = clearance(places[uav], wanted, view, config)
+            top = clearance(places[uav], asked, view, config)
             memories[uav] = top.memory
             commands[uav] = compose_with_clearance(top, FREE).velocity
+            still = len(top.jacobian) > 0 and stands_still(wanted, commands[uav], place)
+            standing[uav] = standing_time(standing[uav], still, dt, config)
+            stood = max(stood, standing[uav])
             nearest = min(nearest, np.linalg.norm(places[others] - places[uav], axis=1).min())
         speeds = speeds + dt / lag * (commands - speeds)
         places = places + dt * speeds
     assert nearest >= keep_out
-    if count <= 3 or aside_m > 0.0:
-        assert np.linalg.norm(places - goals, axis=1).max() < 0.05
+    assert (stood >= config.deadlock_s) == (count > 3 and aside_m == 0.0)
+    assert np.linalg.norm(places - goals, axis=1).max() < 0.05

@@ -19,7 +19,7 @@ from ptnsbc_core.types import PROFILE_PAPER, SPEED_LINEAR, ClearanceConfig, Loop
 DT = 0.1
 GAIN = LoopGain(1.0, 1e-2, 1.0, 3.0, PROFILE_PAPER)
 CONFIG = ClearanceConfig(
-    1, 0.0, GAIN, 0.6, 0.5, 2.05, 1.0, SPEED_LINEAR, 6.0, 6.0, 0.2, 5.0, 0.05, 0.5, 4.0
+    1, 0.0, GAIN, 0.6, 0.5, 2.05, 1.0, SPEED_LINEAR, 6.0, 6.0, 0.2, 5.0, 0.05, 0.5, 4.0, 4.0, 0.1
 )
 
 
