@@ -109,7 +109,10 @@ def bare(scenario: Scenario, *, lockstep: bool, bag: bool, typed: bool = False) 
             for role, uav in roles:
                 words = ("--scenario", str(file), "--role", role, "--uav", str(uav))
                 command = ProcessCommand(
-                    f"{role}{uav}", _MODULE, (*words, "--go", str(go), *flags), uav or None
+                    f"{role}{uav}",
+                    _MODULE,
+                    (*words, "--go", str(go), *flags),
+                    (uav,) if uav else (),
                 )
                 processes.append(ChildProcess(command, settings, folder))
             wait_ready(processes)

@@ -36,8 +36,8 @@ class ProcessCommand:
     name: str  # of the process, in messages and of its log
     module: str
     arguments: tuple[str, ...]
-    uav: int | None = None  # id of the UAV that is lost when it ends
-    managed: str | None = None  # its node below the fleet, when the launcher drives its life cycle
+    uavs: tuple[int, ...] = ()  # ids of the UAVs that are lost when it ends
+    managed: tuple[str, ...] = ()  # its nodes below the fleet whose life cycle the launcher drives
     ends: bool = False  # by itself, with 0, when the flight is over
     beside: bool = False  # the flight needs it not: its end is reported, and changes nothing
 
@@ -45,13 +45,20 @@ class ProcessCommand:
         """The same process with its node in the namespace of a fleet."""
         if not namespace:
             return self
-        name = namespace if self.uav is None else f"{namespace}/uav{self.uav}"
+        if len(self.uavs) > 1:  # a remapping of ROS would move all nodes into one namespace
+            return replace(self, arguments=(*self.arguments, "--fleet", namespace))
+        name = "/".join((namespace, *self.lost)) if self.uavs else namespace
         return replace(self, arguments=(*self.arguments, "--ros-args", "-r", f"__ns:={name}"))
 
     @property
-    def lost(self) -> str:
-        """What the flight loses when it ends: its UAV if it belongs to one, so also for a bridge."""
-        return self.name if self.uav is None else f"uav{self.uav}"
+    def lost(self) -> tuple[str, ...]:
+        """What the flight loses when it ends: its UAVs if it belongs to some, so also for a bridge."""
+        return tuple(f"uav{i}" for i in self.uavs) or (self.name,)
+
+    @property
+    def reporters(self) -> tuple[str, ...]:
+        """The names under which its nodes report on /diagnostics, in the order of `managed`."""
+        return self.lost if len(self.uavs) > 1 else (self.name,)
 
 
 EXECUTABLES = {

@@ -168,6 +168,18 @@ ANSWERS = (
         (f"{_FLEET}test_who_dies_in_flight_is_named_and_the_others_fly_on",),
     ),
     FaultAnswer(
+        "a process of several UAVs ends in flight (`--processes`)",
+        (SIM,),
+        "the launcher, by the exit code",
+        "0.1 s",
+        "each of its UAVs is lost, as above; a scenario whose faults strike one of them is refused",
+        _NEVER,
+        (
+            f"{_FLEET}test_the_end_of_a_process_is_the_end_of_its_uavs",
+            "tests/nodes/fleet/test_process_list.py::test_the_fault_of_one_uav_must_not_strike_those_beside_it",
+        ),
+    ),
+    FaultAnswer(
         "a UAV process hangs in lock-step",
         (SIM,),
         "the sim, by the missing wrench",

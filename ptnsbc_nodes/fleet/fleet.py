@@ -22,13 +22,14 @@ from ptnsbc_nodes.emergency.orders import list_fleet, release, runtime_folder
 from ptnsbc_nodes.emergency.records import forget_dead
 from ptnsbc_nodes.fleet.child_process import ChildProcess
 from ptnsbc_nodes.fleet.coordinator_node import Coordinator
-from ptnsbc_nodes.fleet.process_list import FleetOptions, chosen, commands, names
+from ptnsbc_nodes.fleet.process_list import FleetOptions, chosen, commands, groups, names
 from ptnsbc_nodes.fleet.supervisor import FleetError, Report, Supervisor
 from ptnsbc_nodes.runtime import environment
 from ptnsbc_nodes.runtime.environment import reserved_domain
 from ptnsbc_nodes.runtime.signals import StopRequest
 from ptnsbc_nodes.runtime.warmup import load_fleet, load_world
 from ptnsbc_sim.own_uav import UavFunctions
+from ptnsbc_sim.scenario.mission.faults import PROCESS
 
 __all__ = ["FleetError", "FleetOptions", "FleetResult", "ProcessReport", "chosen", "run_fleet"]
 
@@ -106,7 +107,7 @@ def run_fleet(options: FleetOptions, progress: Report = lambda line: None) -> Fl
             finally:
                 supervisor.end()
     children, died = supervisor.children, supervisor.died
-    lost = [child.command.uav for child in died if child.command.uav is not None]
+    lost = [uav for child in died for uav in child.command.uavs]
     lost += [int(name.removeprefix("uav")) for name in supervisor.lost_elsewhere]
     return FleetResult(
         processes=tuple(ProcessReport(c.name, c.pid, c.exit_code, c.log) for c in children),
@@ -163,6 +164,7 @@ def check_options(options: FleetOptions) -> None:
             "--only: the computers of a fleet find each other in one domain: expected --domain N, "
             "the same on all of them, or ROS_DOMAIN_ID"
         )
+    _check_processes(options)
     if options.backend != "mavlink":
         return
     if options.scenario.reconfigures:
@@ -177,6 +179,29 @@ def check_options(options: FleetOptions) -> None:
             "--backend mavlink arms and flies vehicles: expected --allow-arming; to look at a "
             "vehicle without arming it: ptnsbc bridge"
         )
+
+
+def _check_processes(options: FleetOptions) -> None:
+    """FleetError when UAVs that share a process must have processes of their own."""
+    count, most = options.processes, len(options.scenario.uav_ids)
+    if count is None or count == most:
+        return
+    if not 1 <= count <= most:
+        raise FleetError(
+            f"--processes {count}: {options.scenario.name} has {most} UAVs: expected 1 to {most}"
+        )
+    if options.backend == "mavlink" or options.shared:
+        other = "--only" if options.shared else "--backend mavlink"
+        raise FleetError(
+            f"--processes {count}: each UAV has a process of its own with {other}: expected no --processes"
+        )
+    shared = {uav for group in groups(options) if len(group) > 1 for uav in group}
+    for fault in options.scenario.faults:
+        if fault.rule.strikes == PROCESS and fault.struck_uav in shared:
+            raise FleetError(
+                f"--processes {count}: {fault.text}: it would strike the other UAVs of the process as "
+                "well: expected no --processes"
+            )
 
 
 def _prepare_kernels(options: FleetOptions, progress: Report) -> None:

@@ -25,6 +25,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--duration", type=float, metavar="S", help="instead of the scenario's")
     parser.add_argument("--bag", type=Path, help="record into this folder")
     parser.add_argument("--overwrite", action="store_true", help="replace an existing bag")
+    parser.add_argument("--processes", type=int, metavar="K", help="for all UAVs, not one for each")
     parser.add_argument("--backend", choices=("sim", "mavlink"), default="sim")
     parser.add_argument("--allow-arming", action="store_true", help="of real vehicles")
     parser.add_argument("--log-dir", type=Path, help="where each process writes its log")
@@ -45,6 +46,7 @@ def _fly(arguments: argparse.Namespace, _argv: list[str]) -> int:
         lockstep=arguments.lockstep,
         bag=arguments.bag,
         overwrite=arguments.overwrite,
+        processes=arguments.processes,
         log_dir=arguments.log_dir,
     )
     result = run_fleet(options, _say)

@@ -36,6 +36,7 @@ class FleetOptions:
     log_dir: Path | None = None  # one log per process; a new temporary folder by default
     meta: Mapping[str, str] = field(default_factory=dict)  # into the bag, beside our own
     ready_timeout_s: float | None = None  # from the first process to the last one ready
+    processes: int | None = None  # for the UAVs of this fleet; one for each by default
     only: frozenset[str] = frozenset()  # names of the processes of this computer, see `chosen`
     operator: bool = False  # offer the fleet in the types of ptnsbc_interfaces
     namespace: str = ""  # of all nodes and topics, for example "/blue"
@@ -85,12 +86,7 @@ def commands(options: FleetOptions, scenario_file: Path) -> list[ProcessCommand]
     if options.backend == "mavlink":
         common.append("--bridged")
         found += [_bridge(options, common, i) for i in options.scenario.uav_ids]
-    for i in options.scenario.uav_ids:
-        arguments = (*common, "--uav", str(i), "--managed")
-        node = f"/uav{i}/controller"
-        found.append(
-            ProcessCommand(f"uav{i}", "ptnsbc_nodes.uav.main", arguments, uav=i, managed=node)
-        )
+    found += [_uavs(common, group) for group in groups(options)]
     if options.backend != "mavlink":
         found.append(ProcessCommand(SIM, "ptnsbc_nodes.sim.main", tuple(common), ends=True))
     here = [one for one in found if not options.only or one.name in options.only]
@@ -128,13 +124,28 @@ def chosen(text: str, scenario: Scenario, backend: str) -> frozenset[str]:
     return frozenset(picked)
 
 
+def groups(options: FleetOptions) -> list[tuple[int, ...]]:
+    """The UAVs of each process, in the order of their ids and as even as can be."""
+    ids = options.scenario.uav_ids
+    count = options.processes or len(ids)
+    return [tuple(ids[k * len(ids) // count : (k + 1) * len(ids) // count]) for k in range(count)]
+
+
+def _uavs(common: Sequence[str], group: tuple[int, ...]) -> ProcessCommand:
+    """The process of one UAV or of several."""
+    name = f"uav{group[0]}" if len(group) == 1 else f"uav{group[0]}-{group[-1]}"
+    arguments = (*common, "--uav", *map(str, group), "--managed")
+    managed = tuple(f"/uav{i}/controller" for i in group)
+    return ProcessCommand(name, "ptnsbc_nodes.uav.main", arguments, group, managed)
+
+
 def _bridge(options: FleetOptions, common: Sequence[str], uav: int) -> ProcessCommand:
     arguments = [*common, "--uav", str(uav), "--managed"]
     if options.allow_arming:
         arguments.append("--allow-arming")
-    node = f"/uav{uav}/bridge"
+    managed = (f"/uav{uav}/bridge",)
     return ProcessCommand(
-        f"bridge{uav}", "ptnsbc_nodes.bridge.main", tuple(arguments), uav, managed=node, ends=True
+        f"bridge{uav}", "ptnsbc_nodes.bridge.main", tuple(arguments), (uav,), managed, ends=True
     )
 
 

@@ -96,8 +96,7 @@ class Supervisor:
             if self._stop.came:
                 return
             self.children.append(self._launch(command))
-            if command.managed is not None:
-                self._coordinator.manage(command.name, command.managed)
+            self._manage(command)
         if self._options.leads:
             self._start_flight(deadline)
         else:
@@ -172,7 +171,7 @@ class Supervisor:
         remote = [name for name in self._elsewhere if name not in self._coordinator.gone]
         remote_uavs = [name for name in remote if name.startswith("uav")]
         vehicles = any(c.command.ends and c.exit_code is None for c in self.children)
-        uavs = any(c.command.uav is not None and c not in self.died for c in self.children)
+        uavs = any(c.command.uavs and c not in self.died for c in self.children)
         return (vehicles or len(remote) > len(remote_uavs)) and (uavs or bool(remote_uavs))
 
     def _look(self) -> None:
@@ -189,8 +188,9 @@ class Supervisor:
         stuck = self._coordinator.stuck()
         for child in self.children:
             limit_s = RECORDER_ENDED_S if child.name == RECORDER else ENDED_S
-            ends = child.name == RECORDER or child.command.uav is not None
-            if ends and stuck.get(child.name, 0.0) >= limit_s and child.exit_code is None:
+            ends = child.name == RECORDER or bool(child.command.uavs)
+            stuck_s = max(stuck.get(name, 0.0) for name in child.command.reporters)
+            if ends and stuck_s >= limit_s and child.exit_code is None:
                 self._progress(f"{child.name} (pid {child.pid}) is stuck: it is ended")
                 child.send(signal.SIGKILL)
 
@@ -277,7 +277,8 @@ class Supervisor:
 
     def _awaited(self) -> list[str]:
         """The processes that must be ready before the flight."""
-        own = [child.name for child in self.children if not child.command.beside]
+        started = (child.command for child in self.children if not child.command.beside)
+        own = [name for command in started for name in command.reporters]
         return [name for name in (*own, *self._elsewhere) if name != RECORDER]
 
     def _silent(self) -> list[str]:
@@ -289,7 +290,7 @@ class Supervisor:
             return _READY in child.log_lines()
         if child.command.beside:
             return RUNNING in child.log_lines() or child.exit_code is not None
-        return child.name in self._coordinator.waiting
+        return self._coordinator.waiting.keys() >= set(child.command.reporters)
 
     def _wait(self, deadline: float) -> bool:
         """Wait a little; False when a signal has come, FleetError when it takes too long."""
@@ -300,10 +301,8 @@ class Supervisor:
             ended = child.exit_code is not None and not child.command.beside
             if ended and not self._stop.came:
                 raise FleetError(f"before the flight: {child.exit_summary()}")
-            if child.name in self._coordinator.refused:
-                raise FleetError(
-                    f"{child.name} refused to be activated, {child.log}\n{child.tail()}"
-                )
+            for name in set(child.command.reporters).intersection(self._coordinator.refused):
+                raise FleetError(f"{name} refused to be activated, {child.log}\n{child.tail()}")
         if time.monotonic() > deadline:
             raise FleetError(self._late())
         if self._options.shared and time.monotonic() > self._reminder:
@@ -338,7 +337,7 @@ class Supervisor:
         if child.command.beside:
             return True
         if child.name not in self._introduced:
-            heard = child.name in self._coordinator.waiting
+            heard = self._coordinator.waiting.keys() >= set(child.command.reporters)
             if heard or (child.name == RECORDER and self._coordinator.sees(RECORDER)):
                 self._introduced[child.name] = now
         return child.name in self._introduced
@@ -361,19 +360,23 @@ class Supervisor:
         if child.name == RECORDER:  # the bag that is there is its own, and empty
             command = replace(command, arguments=(*command.arguments, "--overwrite"))
         self.children[self.children.index(child)] = self._launch(command)
-        if command.managed is not None:
-            self._coordinator.manage(command.name, command.managed)
+        self._manage(command)
+
+    def _manage(self, command: ProcessCommand) -> None:
+        if command.managed:
+            for name, node in zip(command.reporters, command.managed, strict=True):
+                self._coordinator.manage(name, node)
 
     def _late(self) -> str:
         lines = self._waiting_for()
         if not lines:
             return f"all are ready, but {self._refusal}"
         late = self._coordinator.missing(self._awaited())
-        tail = [child.tail() for child in self.children if child.name in late][:1]
+        tail = [c.tail() for c in self.children if late.keys() & set(c.command.reporters)][:1]
         return "\n".join([f"not ready in time: {', '.join(late)}", *lines, *tail])
 
     def _waiting_for(self) -> list[str]:
-        logs = {child.name: str(child.log) for child in self.children}
+        logs = {name: str(c.log) for c in self.children for name in c.command.reporters}
         return [
             f"  {name} waits for {what}; {logs.get(name, 'on another computer')}"
             for name, what in self._coordinator.missing(self._awaited()).items()
@@ -395,7 +398,7 @@ class Supervisor:
                 self.died.append(child)
                 self._progress(child.exit_summary())
                 self._name_armed([child])
-                lost.add(child.command.lost)
+                lost.update(child.command.lost)
             for name in lost:
                 self._coordinator.lose(name)
         for name in self._coordinator.gone.intersection(self._elsewhere) - self._reported:

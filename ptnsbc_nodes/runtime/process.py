@@ -155,10 +155,11 @@ class ProcessLifetime:
         """Whether a signal has come, or `end` was called."""
         return self._signalled or self._done.done()
 
-    def serve(self, node: Node, endpoints: _Endpoints) -> None:
-        """Run callbacks until the end, then let readers catch up."""
+    def serve(self, node: Node, endpoints: _Endpoints, others: Sequence[ManagedNode] = ()) -> None:
+        """Run callbacks of a node, and of others in its process, until the end; then let readers catch up."""
         executor: Any = make_executor(node.context)
-        executor.add_node(node)
+        for one in (node, *others):
+            executor.add_node(one)
         # What was made so far lives as long as the process: no collection need look at it.
         gc.collect()
         gc.freeze()
@@ -166,8 +167,9 @@ class ProcessLifetime:
         while not self.over and node.context.ok():
             # Python sees a signal only between two calls.
             executor.spin_until_future_complete(self._done, timeout_sec=_SIGNAL_CHECK_S)
-        endpoints.flush(_FLUSH_S)
-        account = endpoints.account()
+        for each in (endpoints, *others):
+            each.flush(_FLUSH_S)
+        account = "\n".join(each.account() for each in (endpoints, *others))
         print(account, flush=True)
         report_finished(account)
         executor.shutdown()
@@ -177,24 +179,23 @@ class ProcessLifetime:
 
 
 @contextmanager
+def ros_context(argv: Sequence[str]) -> Iterator[None]:
+    """Inside the `with` nodes can be made; they have the remappings and parameters of `argv`."""
+    with ros_errors():
+        rclpy.init(args=list(argv), signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        yield
+    finally:
+        rclpy.try_shutdown()
+
+
+@contextmanager
 def ros_node(
     name: str, namespace: str, argv: Sequence[str], make: Any = rclpy.create_node, **options: Any
 ) -> Iterator[Any]:
     """One rclpy node, made by `make`, without the services that slow down each tick."""
-    with ros_errors():
-        rclpy.init(args=list(argv), signal_handler_options=SignalHandlerOptions.NO)
-    try:
-        node = make(
-            name,
-            namespace=namespace,
-            **{"start_parameter_services": False, **options},
-        )
-        try:
-            yield node
-        finally:
-            node.destroy_node()
-    finally:
-        rclpy.try_shutdown()
+    with ros_context(argv), _made(name, namespace, make, **options) as node:
+        yield node
 
 
 @contextmanager
@@ -206,19 +207,46 @@ def parameter_node(
     make: Any = rclpy.create_node,
 ) -> Iterator[Any]:
     """A node that has declared every parameter it was given; `NodeParameters` reads them."""
+    with ros_context(argv), node_with_parameters(name, namespace, overrides, make) as node:
+        yield node
+
+
+@contextmanager
+def node_with_parameters(
+    name: str, namespace: str, overrides: Sequence[Parameter], make: Any
+) -> Iterator[Any]:
+    """As `parameter_node`, in a context that is there: a process may have several."""
     options = {
         "start_parameter_services": True,
         "parameter_overrides": list(overrides),
         "automatically_declare_parameters_from_overrides": True,
     }
-    with ros_node(name, namespace, argv, make, **options) as node:
+    with _made(name, namespace, make, **options) as node:
         yield node
 
 
-def serve_managed(node: ManagedNode, lifetime: ProcessLifetime, *, autostart: bool) -> int:
-    """Serve a managed node until the end of its process; returns the exit code."""
+@contextmanager
+def _made(name: str, namespace: str, make: Any, **options: Any) -> Iterator[Any]:
+    node = make(name, namespace=namespace, **{"start_parameter_services": False, **options})
+    try:
+        yield node
+    finally:
+        node.destroy_node()
+
+
+def serve_managed(
+    node: ManagedNode,
+    lifetime: ProcessLifetime,
+    *,
+    autostart: bool,
+    others: Sequence[ManagedNode] = (),
+) -> int:
+    """Serve a managed node, and others, until the end of their process; returns the exit code."""
+    nodes = (node, *others)
     if autostart:
-        node.autostart()
-    lifetime.serve(node, node)
-    node.finish()
-    return int(node.broken)
+        for one in nodes:
+            one.autostart()
+    lifetime.serve(node, node, others)
+    for one in nodes:
+        one.finish()
+    return int(any(one.broken for one in nodes))

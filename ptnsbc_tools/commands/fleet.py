@@ -48,6 +48,15 @@ def fleet(
             "The host that runs the recorder waits for all other hosts, starts the flight and ends it.",
         ),
     ] = "",
+    processes: Annotated[
+        int | None,
+        typer.Option(
+            "--processes",
+            min=1,
+            metavar="K",
+            help="Fly the simulated UAVs in K processes instead of one for each: for large fleets.",
+        ),
+    ] = None,
     network: options.NetworkOption = None,
     domain: options.DomainOption = None,
     namespace: options.NamespaceOption = "",
@@ -94,6 +103,7 @@ def fleet(
         "backend",
         "allow_arming",
         "only",
+        "processes",
         "namespace",
         "bag",
         "overwrite",
@@ -149,8 +159,8 @@ def fly_and_judge(
     preflight(scenario, quiet=json)
     with ros.required(f"{ros.INSTALL}, or fly without it: ptnsbc simulate"):
         from ptnsbc_nodes.fleet.fleet import FleetOptions, chosen
-    processes = chosen(only, scenario, backend) if only else frozenset()
-    request = FleetOptions(scenario, backend=backend, bag=bag, only=processes, **given)
+    here = chosen(only, scenario, backend) if only else frozenset()
+    request = FleetOptions(scenario, backend=backend, bag=bag, only=here, **given)
     if check and request.leads:
         request = _checked(request)
     if not request.leads:

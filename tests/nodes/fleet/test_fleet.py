@@ -84,6 +84,48 @@ def assert_as_headless(bag, scenario):
                 assert found.tobytes() == np.ascontiguousarray(values[tick, row]).tobytes()
 
 
+def composed(scenario, folder, processes):
+    """A lock-step flight in a namespace, by so many processes: what became of it, and its messages by topic."""
+    options = FleetOptions(
+        scenario,
+        lockstep=True,
+        bag=folder / "bag",
+        log_dir=folder / "logs",
+        processes=processes,
+        namespace="/blue",
+    )
+    flown = run_fleet(options)
+    bag = read_bag(folder / "bag")
+    found = {name: [(m.stamp_ns, m.data) for m in bag.messages([name])] for name in bag.topics}
+    return flown, found
+
+
+def test_uavs_that_share_a_process_send_the_bytes_of_those_that_do_not(tmp_path):
+    scenario = load_scenario("paper_5", {"timing.duration_s": 1})
+    flown, alone = composed(scenario, tmp_path / "alone", None)
+    shared_flown, shared = composed(scenario, tmp_path / "shared", 2)
+    assert flown.exit_code == shared_flown.exit_code == 0
+    assert [p.name for p in shared_flown.processes] == ["recorder", "uav1-2", "uav3-5", "sim"]
+    assert len(alone["/uav5/setpoint/wrench"]) == scenario.ticks
+    assert shared.keys() == alone.keys()
+    for name, messages in alone.items():
+        assert shared[name] == messages, name
+
+
+def test_the_end_of_a_process_is_the_end_of_its_uavs(launch, tmp_path):
+    """The others fly to the end."""
+    flight = launch("--duration", "12", "--processes", "2", "--bag", str(tmp_path / "bag"))
+    flight.wait_for("steps/s")
+    os.kill(flight.pid_of("--uav 3 4 5"), signal.SIGKILL)
+    flight.wait_for("uav3-5 (pid ", "signal SIGKILL")
+    assert flight.finish() == 1
+    assert "lost uav3-5" in flight.lines[-1]
+    assert not flight.running()
+    told = counts(read_bag(tmp_path / "bag"))
+    assert told["/uav1/setpoint/wrench"] == told["/clock"] == 1200
+    assert all(0 < told[f"/uav{i}/setpoint/wrench"] < 1200 for i in (3, 4, 5))
+
+
 def test_who_dies_in_flight_is_named_and_the_others_fly_on(launch, tmp_path):
     """One UAV is killed, one hangs; without the sim there is nothing left to fly, and the bag is complete."""
     flight = launch("--duration", "200", "--bag", str(tmp_path / "bag"))

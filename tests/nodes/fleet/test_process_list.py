@@ -6,9 +6,9 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from ptnsbc_nodes.fleet.fleet import FleetError, run_fleet
+from ptnsbc_nodes.fleet.fleet import FleetError, check_options, run_fleet
 from ptnsbc_nodes.fleet.process_list import FleetOptions, ProcessListError, chosen, commands, names
-from ptnsbc_sim.scenario import load_scenario
+from ptnsbc_sim.scenario import load_scenario, scenario_from_text
 
 
 @pytest.fixture(scope="module")
@@ -53,6 +53,35 @@ def test_the_recorder_is_there_first_and_the_world_last(paper_5):
     first, *others, last = started(FleetOptions(paper_5, bag=Path("bag")))
     assert (first, last) == ("recorder", "sim")
     assert others == ["uav1", "uav2", "uav3", "uav4", "uav5"]
+
+
+def test_uavs_share_processes_evenly(paper_5):
+    found = started(FleetOptions(paper_5, processes=2, namespace="/blue"))
+    assert list(found) == ["uav1-2", "uav3-5", "sim"]
+    assert found["uav3-5"][2:] == ("--uav", "3", "4", "5", "--managed", "--fleet", "/blue")
+    assert started(FleetOptions(paper_5, processes=5)) == started(FleetOptions(paper_5))
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"processes": 6}, "paper_5 has 5 UAVs: expected 1 to 5"),
+        ({"backend": "mavlink", "allow_arming": True}, "of its own with --backend mavlink"),
+        ({"only": frozenset({"uav1"})}, "of its own with --only"),
+    ],
+)
+def test_some_uavs_share_no_process(paper_5, monkeypatch, given, words):
+    monkeypatch.setenv("ROS_DOMAIN_ID", "5")
+    with pytest.raises(FleetError, match=words):
+        check_options(FleetOptions(paper_5, **{"processes": 2, **given}))
+
+
+def test_the_fault_of_one_uav_must_not_strike_those_beside_it(paper_5):
+    text = paper_5.text + "\nfaults: [{kind: kill, uav: 3, at_s: 1}]\n"
+    struck = scenario_from_text(text)
+    with pytest.raises(FleetError, match=r"kill of uav3 at 1 s: it would strike the other UAVs"):
+        check_options(FleetOptions(struck, processes=2))
+    check_options(FleetOptions(struck))
 
 
 def test_the_operators_interface_runs_beside_the_computer_that_leads(paper_5):

@@ -106,7 +106,7 @@ def renewed(monkeypatch):
         flight._launch = launch
         for name in names:
             command = ProcessCommand(
-                name, "none", (), managed=f"/{name}", ends=name.startswith("bridge")
+                name, "none", (), managed=(f"/{name}",), ends=name.startswith("bridge")
             )
             flight.children.append(Loaded(command))
         for _ in range(looks):
@@ -168,9 +168,9 @@ def test_what_runs_beside_the_flight_is_reported_and_changes_nothing(ended):
 
 
 class Child:
-    def __init__(self, name, uav=None):
+    def __init__(self, name, *uavs):
         self.name, self.pid, self.exit_code, self.signals = name, 7, None, []
-        self.command = ProcessCommand(name, "module", (), uav=uav)
+        self.command = ProcessCommand(name, "module", (), uavs)
 
     def send(self, number):
         self.signals.append(number)
