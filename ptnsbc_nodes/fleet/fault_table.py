@@ -172,6 +172,7 @@ ANSWERS = (
         (SIM,),
         "the launcher, by the exit code",
         "0.1 s",
+        _HOLD,
         "each of its UAVs is lost, as above; a scenario whose faults strike one of them is refused",
         _NEVER,
         (
