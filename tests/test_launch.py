@@ -180,6 +180,7 @@ def test_a_fleet_is_that_of_the_command(kind, evaluate, flown, monkeypatch, tmp_
     assert given == {
         "lockstep": False, "backend": "sim", "allow_arming": False, "only": "", "namespace": "",
         "bag": None, "overwrite": False, "check": False, "operator": False,
+        "processes": None,
     }  # fmt: skip
 
 
@@ -198,7 +199,7 @@ def test_every_argument_arrives(kind, evaluate, flown, monkeypatch, tmp_path):
     assert given == {
         "lockstep": True, "backend": "mavlink", "allow_arming": True, "only": "",
         "namespace": "/blue", "bag": tmp_path / "flight", "overwrite": True, "check": True,
-        "operator": True,
+        "operator": True, "processes": None,
     }  # fmt: skip
 
 

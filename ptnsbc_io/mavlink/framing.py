@@ -26,11 +26,6 @@ class Frame(NamedTuple):
     signed: bool
     version: int  # 1 or 2
 
-    @property
-    def payload_at(self) -> int:
-        """Offset of the payload."""
-        return _HEADER_V2 if self.version == 2 else _HEADER_V1
-
 
 class BrokenFrame(NamedTuple):
     """Bytes that are not a frame."""

@@ -38,7 +38,6 @@ _POWERS = (
 _CONDITIONED = 0.35  # smallest singular value of a task below which it is damped
 
 Tree = dict[Any, Any]
-Offsets = dict[int, list[float]]
 
 _PLACE, _PLACES = TypeAdapter(Vec3), TypeAdapter(dict[int, Vec3])
 

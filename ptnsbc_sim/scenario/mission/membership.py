@@ -13,7 +13,6 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.sparse.csgraph import connected_components
 
 from ptnsbc_core.topology import validated_topology
 from ptnsbc_core.types import NEVER_RECEIVED_S
@@ -155,6 +154,8 @@ def _unreached(
     followers: Sequence[int], edges: Sequence[tuple[int, int]], pinned: Collection[int]
 ) -> Iterator[int]:
     """The smallest id of each connected part of the estimator graph in which nobody hears the leader."""
+    from scipy.sparse.csgraph import connected_components  # late: half a second
+
     linked = np.zeros((len(followers), len(followers)))
     for one, other in edges:
         linked[followers.index(one), followers.index(other)] = 1.0

@@ -28,7 +28,7 @@ NONE = EpochErrors(False, StartErrors(*np.zeros((4, 3))))
 
 
 def by_the_design(position, parent, leader, clock, config):
-    return formation(position, parent, leader, NONE, clock, config).velocity
+    return formation(position, parent, leader, NONE, clock, config, None).velocity
 
 
 def without_neighbours(sign: float):
@@ -98,10 +98,10 @@ def test_fallback_steers_where_the_task_cannot() -> None:
     leader = Neighbour(np.zeros(3), np.zeros(3), np.zeros(3), 0.0)
     position = np.array([1.0, -1.0, 0.0])
     clock = Clock(10.0, 10.0, DT)
-    first = formation(position, parent, leader, NONE, clock, config)
+    first = formation(position, parent, leader, NONE, clock, config, None)
     assert first.singular_value < 1e-6
     for _ in range(1500):
-        out = formation(position, parent, leader, NONE, clock, config)
+        out = formation(position, parent, leader, NONE, clock, config, None)
         position = position + DT * out.velocity
     desired = evaluate(config.task, position, parent.position, leader.position)
     assert np.linalg.norm(task_error(desired, config.desired)) < 0.02
@@ -117,7 +117,7 @@ def test_leaders_velocity_stays_outside_the_damping() -> None:
     position = np.array([1.0, -1.0, 0.0])
     here = evaluate(config.task, position, parent.position, leader.position).value
     config = config._replace(desired=tuple(here), offset=tuple(position - parent.position))
-    out = formation(position, parent, leader, NONE, Clock(1.0, 1.0, DT), config)
+    out = formation(position, parent, leader, NONE, Clock(1.0, 1.0, DT), config, None)
     assert out.singular_value < 1e-6
     np.testing.assert_allclose(out.velocity, moving, atol=1e-12)
 
@@ -141,7 +141,7 @@ def planned_chain(task: str, seconds: float, starts: np.ndarray):
         speed = {1: leader.velocity}
         for uav in FOLLOWERS:
             parent = Neighbour(place[uav - 1], speed[uav - 1], np.zeros(3), 0.0)
-            out = formation(place[uav], parent, leader, epochs[uav], clock, configs[uav])
+            out = formation(place[uav], parent, leader, epochs[uav], clock, configs[uav], None)
             if k == 0:
                 starts_of = StartErrors(*np.zeros((2, 3)), out.slot_start, out.edge_start)
                 epochs[uav] = EpochErrors(False, starts_of)
@@ -193,7 +193,7 @@ def test_half_of_a_parents_deviation_reaches_its_child(lag_s: float) -> None:
                 speed, push = np.array([told + rate * late, 0.0, 0.0]), np.array([rate, 0.0, 0.0])
                 parent = Neighbour(slot - offset + ahead, speed, push, late)
                 leader = Neighbour(still, still, still, 0.0)
-                out = formation(position, parent, leader, settled, Clock(t, t, DT), config)
+                out = formation(position, parent, leader, settled, Clock(t, t, DT), config, None)
                 velocity += min(1.0, DT / max(lag_s, DT)) * (out.velocity - velocity)
                 position = position + DT * velocity
                 seen.append(position[0] - slot[0])
@@ -213,7 +213,9 @@ def test_whatever_every_hop_adds_a_chain_adds_up_to_twice_that() -> None:
         parent = Neighbour(slot - offset + off, still, still, 0.0)
         position = slot.copy()
         for _ in range(1500):
-            position += DT * formation(position, parent, leader, settled, clock, config).velocity
+            position += (
+                DT * formation(position, parent, leader, settled, clock, config, None).velocity
+            )
         off = position - slot + added
     np.testing.assert_allclose(off, 2.0 * (1.0 - 0.5**12) * added, rtol=1e-4)
 
@@ -228,7 +230,7 @@ def test_a_badly_conditioned_task_leaves_holding_to_the_positions(uav: int, by_t
     parent = Neighbour(np.array(config.slot) - np.array(config.offset), still, still, 0.0)
     error = np.array([0.02, -0.01, 0.03])
     clock = Clock(3.0 * TF, 3.0 * TF, DT)
-    out = formation(np.array(config.slot) - error, parent, leader, settled, clock, config)
+    out = formation(np.array(config.slot) - error, parent, leader, settled, clock, config, None)
     kappa = config.formation.scale * config.formation.kappa
     assert np.allclose(out.velocity, kappa * error, atol=1e-12) is not by_task
     # Either way the error falls.

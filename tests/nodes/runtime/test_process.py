@@ -165,7 +165,10 @@ def plain(names):
 # What paper_5 has no use for, and what a bridge has without an operator and with other settings.
 UNUSED = {
     "/sim": {"publishes": {"/uavN/truth"}, "hears": {"/formation/recorded"}},
-    "/uav3/bridge": {"publishes": set(), "hears": {"/uavN/setpoint/wrench"}},
+    "/uav3/bridge": {
+        "publishes": set(),
+        "hears": {"/uavN/setpoint/wrench", "/formation/setpoint_taken"},
+    },
 }
 
 

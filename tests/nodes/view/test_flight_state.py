@@ -18,6 +18,7 @@ from ptnsbc_nodes.view.flight_state import SILENT_S, FlightState, scenario_of
 from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_sim.scenario.slots import with_slots
 from ptnsbc_sim.verdict.formation_error import formation_errors
+from ptnsbc_sim.verdict.phases import Phase
 
 SCENARIO = load_scenario("paper_5")
 EPOCH_NS = 7_000_000_000
@@ -85,7 +86,11 @@ def test_the_errors_are_those_of_the_verdict(name) -> None:
     for uav, place in positions.items():
         state.on_odometry(uav, odometry(place, 3.2))
     state.on_slots(Decision(EPOCH_NS, slots))
-    recording = SimpleNamespace(flown=with_slots(scenario, slots), first_ns=EPOCH_NS)
+    flown = with_slots(scenario, slots)
+    phase = Phase(EPOCH_NS, flown, frozenset(), frozenset())
+    recording = SimpleNamespace(
+        flown=flown, first_ns=EPOCH_NS, by_phase=lambda grid: [(phase, slice(len(grid)))]
+    )
     tracks = {uav: place[None, :] for uav, place in positions.items()}
     grid = np.array([EPOCH_NS + 3_200_000_000])
     expected = formation_errors(recording, grid, tracks)
