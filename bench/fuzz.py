@@ -284,8 +284,13 @@ class Packets:
                 message.to_dict()
 
 
-FUZZERS = {"bags": Bags, "scenarios": Scenarios, "wire": Wire, "mavlink": Packets}
 Fuzzer = Bags | Scenarios | Wire | Packets
+FUZZERS: dict[str, Callable[[Path], Fuzzer]] = {
+    "bags": Bags,
+    "scenarios": Scenarios,
+    "wire": Wire,
+    "mavlink": Packets,
+}
 
 
 def measured(work: Callable[[bytes], None], data: bytes) -> Cost:

@@ -49,7 +49,7 @@ def _laws(ticks: int, wiring: Wiring, swarm: SwarmState, track: FlightTrack) -> 
         for row in range(swarm.bodies.shape[0]):
             inputs = inputs_of(swarm, wiring, track, tick, row, None)
             swarm.states[row], out = inlined_step(
-                swarm.states[row], inputs, None, t, dt, swarm.configs[row]
+                swarm.states[row], inputs, None, None, t, dt, swarm.configs[row]
             )
             total += out.force[2]
     return total
@@ -64,7 +64,7 @@ def _noting(ticks: int, wiring: Wiring, swarm: SwarmState, track: FlightTrack) -
         for row in range(swarm.bodies.shape[0]):
             inputs = inputs_of(swarm, wiring, track, tick, row, None)
             swarm.states[row], out = inlined_step(
-                swarm.states[row], inputs, None, t, dt, swarm.configs[row]
+                swarm.states[row], inputs, None, None, t, dt, swarm.configs[row]
             )
             note(track, tick, row, out)
     return 0.0

@@ -21,7 +21,7 @@ from ptnsbc_io.mavlink.autopilots import PX4
 from ptnsbc_io.mavlink.dialect import mavlink
 from ptnsbc_io.mavlink.link import MavlinkLink
 from ptnsbc_io.mavlink.signing import Signer
-from ptnsbc_io.mavlink.transport import Packet, connect
+from ptnsbc_io.mavlink.transport import Address, Packet, connect
 from ptnsbc_nodes.bridge.bridge import WANTED_MESSAGES
 from ptnsbc_nodes.bridge.vehicle import VehicleMonitor
 
@@ -42,8 +42,17 @@ class _Given:
     def __init__(self) -> None:
         self.packets: list[bytes] = []
 
+    def fileno(self) -> int:
+        raise NotImplementedError
+
     def receive(self) -> Packet | None:
         return Packet(self.packets.pop(), ("127.0.0.1", 1)) if self.packets else None
+
+    def send(self, data: bytes, address: Address | None) -> bool:
+        raise NotImplementedError
+
+    def close(self) -> None:
+        raise NotImplementedError
 
 
 def _traffic(signed: bool) -> list[bytes]:

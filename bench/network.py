@@ -73,8 +73,10 @@ def _rows(case: Case) -> Iterator[Row]:
     flown = []
     for turn in range(case.times):
         print_progress(f"network: {case.name}, {turn + 1} of {case.times}")
-        with namespaces.computers(2, _LOST_PERCENT) as pair, _profile(case, pair) as profile:
-            flown.append(_fly(case, pair, profile))
+        with namespaces.computers(2, _LOST_PERCENT) as (ground, away):
+            pair = ground, away
+            with _profile(case, pair) as profile:
+                flown.append(_fly(case, pair, profile))
     begun = [one for one in flown if one is not None]
     settled = [one.settled_s for one in begun if one.settled_s is not None]
     met = sum(one.verdict == "met" for one in begun)

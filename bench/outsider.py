@@ -105,7 +105,7 @@ def attack(scenario: Scenario, hz: float) -> None:
 
     rclpy.init()
     node = rclpy.create_node(_NAME)
-    ends, begun = Endpoints(node, lockstep=False), []
+    ends, begun = Endpoints(node, lockstep=False), list[bytes]()
     ends.listen(topics.EPOCH, bytes, begun.append)
     while not begun:
         rclpy.spin_once(node, timeout_sec=0.1)
@@ -188,8 +188,8 @@ def _reports(bag: Path) -> tuple[tuple[str, ...], dict[str, int]]:
                 topic, _, count = word.rpartition("=")
                 newest[status.name, topic] = int(count)
     total: dict[str, int] = {}
-    for (_, topic), count in newest.items():
-        total[topic] = total.get(topic, 0) + count
+    for (_, topic), refused in newest.items():
+        total[topic] = total.get(topic, 0) + refused
     return tuple(sorted(named)), total
 
 

@@ -72,8 +72,8 @@ def _rows(case: Case, plan: Plan) -> list[Row]:
     ]
     for role in ("uav", "sim", "recorder") if case.bag else ("uav", "sim"):
         process = _PROCESS[role]
-        rows.append(row(f"CPU of {process}", "cores", lambda flown, r=role: flown.usage[r].cores))
-        rows.append(row(f"memory of {process}", "MB", lambda flown, r=role: flown.usage[r].rss_mb))
+        rows.append(row(f"CPU of {process}", "cores", _usage(role, "cores")))
+        rows.append(row(f"memory of {process}", "MB", _usage(role, "rss_mb")))
     if case.bag:
         lost = [flown.lost_percent for flown in found["fleet"]]
         rows.append(Row(f"{case.name}: odometry missing in the bag", lost, "%"))
@@ -81,3 +81,7 @@ def _rows(case: Case, plan: Plan) -> list[Row]:
 
 
 _PROCESS = {"uav": "one UAV", "sim": "the sim", "recorder": "the recorder"}
+
+
+def _usage(role: str, what: str) -> Callable[[Flown], float]:
+    return lambda flown: float(getattr(flown.usage[role], what))
