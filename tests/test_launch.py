@@ -179,7 +179,7 @@ def test_a_fleet_is_that_of_the_command(kind, evaluate, flown, monkeypatch, tmp_
     assert scenario.name == "paper_5"
     assert given == {
         "lockstep": False, "backend": "sim", "allow_arming": False, "only": "", "namespace": "",
-        "bag": None, "overwrite": False, "check": False, "operator": False,
+        "bag": None, "overwrite": False, "check": None, "operator": False,
         "processes": None,
     }  # fmt: skip
 

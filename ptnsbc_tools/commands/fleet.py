@@ -69,12 +69,13 @@ def fleet(
     settings: options.SetOption = None,
     mission: options.MissionOption = None,
     check: Annotated[
-        bool,
+        bool | None,
         typer.Option(
-            "--check",
-            help="Fly dry runs before anything starts, and from the measured positions before the flight.",
+            "--check/--no-check",
+            help="Fly dry runs before anything starts or arms, and from the measured positions before the flight. "
+            "Default: with real vehicles.",
         ),
-    ] = False,
+    ] = None,
     view: Annotated[
         bool,
         typer.Option("--view", help="Serve a page with the flight live, and print its address."),
@@ -135,7 +136,7 @@ def fly_and_judge(
     backend: Literal["sim", "mavlink"] = "sim",
     only: str = "",
     bag: Path | None = None,
-    check: bool = False,
+    check: bool | None = None,
     shown: Shown = _NOT_SHOWN,
     **given: Any,
 ) -> int:
@@ -148,7 +149,7 @@ def fly_and_judge(
         backend: the simulator or flight controllers.
         only: processes of this host, all when empty.
         bag: folder to record into, a temporary one by default.
-        check: fly dry runs first, and refuse what they refuse.
+        check: fly dry runs first, and refuse what they refuse; None: with flight controllers.
         shown: while it is flown.
         given: further fields of `FleetOptions`.
     """
@@ -161,7 +162,7 @@ def fly_and_judge(
         from ptnsbc_nodes.fleet.fleet import FleetOptions, chosen
     here = chosen(only, scenario, backend) if only else frozenset()
     request = FleetOptions(scenario, backend=backend, bag=bag, only=here, **given)
-    if check and request.leads:
+    if request.leads and (backend == "mavlink" if check is None else check):
         request = _checked(request)
     if not request.leads:
         return _show_part(_fly(request, shown), json=json)
@@ -199,7 +200,7 @@ def _objection(scenario: Scenario) -> str:
     try:
         refuse(scenario, flown_before(scenario))
     except PtnsbcError as error:
-        return f"{error}; without --check it is flown all the same"
+        return f"{error}; with --no-check it is flown all the same"
     return ""
 
 

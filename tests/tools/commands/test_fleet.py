@@ -156,3 +156,32 @@ def test_every_override_is_told_beside_what_the_file_says() -> None:
 
 def test_without_overrides_there_is_nothing_to_tell() -> None:
     assert list(fleet._flight_overrides(load_scenario("paper_5"))) == []
+
+
+@needs_rclpy
+@pytest.mark.ros
+@pytest.mark.parametrize(
+    ("backend", "check", "first"),
+    [
+        ("mavlink", None, "dry runs"),
+        ("mavlink", False, "flown"),
+        ("sim", None, "flown"),
+        ("sim", True, "dry runs"),
+    ],
+)
+def test_real_vehicles_do_not_arm_before_dry_runs(
+    monkeypatch: pytest.MonkeyPatch, backend: Any, check: bool | None, first: str
+) -> None:
+    class EndedError(Exception):
+        """What came first."""
+
+    def ends(word: str) -> Any:
+        def call(*_: object) -> None:
+            raise EndedError(word)
+
+        return call
+
+    monkeypatch.setattr(fleet, "_checked", ends("dry runs"))
+    monkeypatch.setattr(fleet, "_fly", ends("flown"))
+    with pytest.raises(EndedError, match=first):
+        fleet.fly_and_judge(load_scenario("experiment_4"), True, backend=backend, check=check)
