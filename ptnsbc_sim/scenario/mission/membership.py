@@ -86,6 +86,8 @@ class Formations:
     """The scenario by who is there; those that were needed are kept."""
 
     def __init__(self, scenario: Scenario) -> None:
+        import scipy.sparse.csgraph  # noqa: F401 - before the flight: no tick waits half a second for it
+
         self.scenario = scenario
         self._known: dict[Membership, Scenario | None] = {}
 
