@@ -109,6 +109,8 @@ def phases(
     """
     found = [Phase(first_ns, scenario, frozenset(), frozenset())]
     spans = [(uav, span) for uav, own in away.items() for span in own]
+    if not spans:
+        return tuple(found)
     formations, before = Formations(scenario), scenario
     instants = {t_ns for _, span in spans for t_ns in (span.noticed_ns, span.end_ns)}
     for t_ns in sorted(instants - {NEVER_NS}):
