@@ -43,16 +43,16 @@ class _Given:
         self.packets: list[bytes] = []
 
     def fileno(self) -> int:
-        raise NotImplementedError
+        return -1  # no file: nobody waits for it
 
     def receive(self) -> Packet | None:
         return Packet(self.packets.pop(), ("127.0.0.1", 1)) if self.packets else None
 
     def send(self, data: bytes, address: Address | None) -> bool:
-        raise NotImplementedError
+        return False  # nothing hears it
 
     def close(self) -> None:
-        raise NotImplementedError
+        self.packets.clear()
 
 
 def _traffic(signed: bool) -> list[bytes]:

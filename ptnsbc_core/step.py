@@ -219,7 +219,7 @@ def _rearmed(beside: Beside, command: Vector3, clock: Clock, config: AgentConfig
 
 @inline_kernel
 def _epoch_errors(state: AgentState, at_epoch: bool, t: float, config: AgentConfig) -> EpochErrors:
-    """The plan of this epoch. Who begins when the common plan is over has a time base of its own."""
+    """The plan of this epoch. A UAV that begins after the end of the common plan has a time base of its own."""
     if not at_epoch:
         return EpochErrors(False, state.start, state.recovery)
     return EpochErrors(True, state.start, UNDISTURBED if is_plan_left(t, config) else DISTURBED)

@@ -17,7 +17,7 @@ SAFETY = "safety"
 
 
 class SafetyState(IntEnum):
-    """What a process still does, from all of it to nothing."""
+    """The state of the safety layer of a UAV process or a bridge, from full control to none."""
 
     NOMINAL = 0  # what the mission wants
     DEGRADED = 1  # the same with less: a sensor, a neighbour or ticks are missing

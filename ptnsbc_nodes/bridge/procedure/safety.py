@@ -23,7 +23,7 @@ _STATES: Mapping[Step, SafetyState] = {
 
 
 def procedure_concern(step: Step, stream: Stream, fault: str) -> Iterator[Concern]:
-    """What the flight of the vehicle has come to; nothing while it goes as planned.
+    """The concerns that the procedure of a vehicle raises; none while the flight goes as planned.
 
     Args:
         step: where in the flight the vehicle is.

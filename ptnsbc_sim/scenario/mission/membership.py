@@ -1,4 +1,4 @@
-"""Who belongs to the formation, and what becomes of its graph when a UAV comes or goes.
+"""Members of the formation, and the graph and the slots that the formation has when a UAV comes or goes.
 
 Every UAV hears all others and applies the same rule to what it hears, so no messages are needed to agree: see
 docs/method.md, "Coming and going". A UAV is *absent* before it joins, after it has left, and when it has been silent
