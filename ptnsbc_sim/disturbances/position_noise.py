@@ -81,6 +81,15 @@ def position_std_m(kind: PositionNoise, dt: float) -> float:
     return math.sqrt(place + 2.0 * late * both + late * late * speed + pushed * pushed)
 
 
+def correction_std_m(kind: PositionNoise, dt: float) -> float:
+    """Standard deviation per axis of what a fix changes the measured position by [m].
+
+    The innovation has the variance s^2 / (1 - alpha); the correction is carried from the measurement to the present.
+    """
+    gain = kind.alpha + kind.compensated * dt * kind.beta_1_s
+    return gain * kind.noise_m / math.sqrt(1.0 - kind.alpha)
+
+
 def initial_error(kind: PositionNoise) -> Array:
     """Error (12 + 3 (compensated + 1),) before the first tick: e, h, and a of the latest control periods."""
     return np.zeros(_ACCELERATION + 3 * (kind.compensated + 1))

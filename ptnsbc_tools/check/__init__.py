@@ -7,7 +7,15 @@ from collections.abc import Callable, Sequence
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_tools.check.faults import faults
 from ptnsbc_tools.check.finding import ERROR, INFO, WARNING, CheckError, Finding, Findings
-from ptnsbc_tools.check.gains import changes, feasible, order, printed, steps, within_flight
+from ptnsbc_tools.check.gains import (
+    changes,
+    feasible,
+    order,
+    positioning,
+    printed,
+    steps,
+    within_flight,
+)
 from ptnsbc_tools.check.geometry import (
     encounters,
     graph,
@@ -42,6 +50,7 @@ _CHECKS: Sequence[Callable[[Scenario], Findings]] = (
     encounters,
     recovery,
     sensor,
+    positioning,
     faults,
 )
 

@@ -1,9 +1,13 @@
-"""Pre-flight checks of gains against the control period, and of deadlines against the limits of the vehicle."""
+"""Pre-flight checks of gains and deadlines against control period, limits of the vehicle and positioning."""
 
 from __future__ import annotations
 
+import math
+
 from ptnsbc_core.timebase import peak_gain
 from ptnsbc_core.types import LoopGain
+from ptnsbc_sim.disturbances.build import position_noise_of
+from ptnsbc_sim.disturbances.position_noise import correction_std_m, position_std_m
 from ptnsbc_sim.scenario import Scenario, agent_config
 from ptnsbc_sim.scenario.deadline import (
     limits_left,
@@ -16,6 +20,8 @@ from ptnsbc_sim.scenario.slots import with_slots_of_starts
 from ptnsbc_tools.check.finding import ERROR, INFO, WARNING, Finding, Findings
 
 _SMOOTH_STEP = 1.0  # above this a sampled decay overshoots, above STABILITY_LIMIT it grows
+_RARE = 1e-3  # share of flights that may miss for their positioning alone, without a warning
+_RARE_SIGMAS = 4.0331  # a Maxwell variable is above it with this probability
 
 
 def _loop_rate(loop: LoopGain) -> float:
@@ -150,3 +156,46 @@ def feasible(scenario: Scenario) -> Findings:
             if short
             else "",
         )
+
+
+def leader_error_std_m(scenario: Scenario) -> float:
+    """Standard deviation per axis of the true error of the leader [m] that its position fixes leave.
+
+    The measured position is off by the error of the navigation filter, and jumps at each fix. The leader flies a
+    jump back with kappa and the lag tau: x_dot = -kappa x(t - tau), whose variance under jumps is that without a lag
+    times (1 + sin kappa tau) / cos kappa tau (Kuechler and Mensch 1992). Both parts are uncorrelated, because the
+    filter is optimal, see docs/method.md ("Position fixes").
+    """
+    kind, dt = position_noise_of(scenario), 1.0 / scenario.control_hz
+    if kind.period == 0:
+        return 0.0
+    config = agent_config(scenario, scenario.leader_id)
+    kappa = config.formation.scale * config.formation.kappa
+    turn = kappa * config.clearance.lag_s
+    if turn >= 0.5 * math.pi:
+        return math.inf
+    left = -math.expm1(-2.0 * kappa * kind.period * dt)
+    slower = (1.0 + math.sin(turn)) / math.cos(turn)
+    flown = correction_std_m(kind, dt) * math.sqrt(slower / left)
+    return math.hypot(position_std_m(kind, dt), flown)
+
+
+def positioning(scenario: Scenario) -> Findings:
+    """The tolerance against the error that the leader's own position fixes leave."""
+    sigma, tolerance = leader_error_std_m(scenario), scenario.file.formation.tolerance_m
+    if not sigma > 0.0:
+        return
+    ratio = tolerance / sigma
+    share = math.erfc(ratio / math.sqrt(2.0))
+    share += math.sqrt(2.0 / math.pi) * ratio * math.exp(-0.5 * ratio * ratio)  # Maxwell
+    rare = share <= _RARE
+    yield Finding(
+        INFO if rare else WARNING,
+        "sensor.positioning",
+        f"the leader is {1e3 * sigma:.1f} mm off per axis (standard deviation), "
+        f"and at the deadline outside {tolerance:g} m in {100 * share:.2g} % of flights",
+        f"<= {100 * _RARE:g} %",
+        ""
+        if rare
+        else f"raise formation.tolerance_m to {_RARE_SIGMAS * sigma:.3f} m, or take a receiver with less noise_m",
+    )

@@ -1,11 +1,16 @@
 """What the pre-flight check refuses, and what it lets pass."""
 
+import math
 from typing import Any
 
 import pytest
 
 from ptnsbc_sim.scenario import load_scenario
+from ptnsbc_sim.swarm import fly
+from ptnsbc_sim.verdict import verdict_on
+from ptnsbc_sim.verdict.headless import recording_of
 from ptnsbc_tools.check import CheckError, Finding, check, refuse
+from ptnsbc_tools.check.gains import leader_error_std_m
 
 
 def errors(**changes: Any) -> list[Finding]:
@@ -180,3 +185,26 @@ def test_who_is_faster_than_it_can_stop_within_sight_is_told_the_speed(
         assert {one.severity for one in slow} == {"warning"}
         assert slow[0].limit == "<= 4.00 m/s, from which it can stop there"
         assert slow[0].advice.endswith("raise sensor.range_m to 4.99 m")
+
+
+@pytest.mark.parametrize("noise_m", [0.005, 0.02, 0.1])
+def test_the_error_that_position_fixes_leave_the_leader_is_foreseen(noise_m: float) -> None:
+    """Within a sixth of what four flights of 50 s show, whatever the receiver is."""
+    squares = []
+    for seed in range(4):
+        keys = {"sensor.positioning.noise_m": noise_m, "seed": seed}
+        scenario = load_scenario("experiment_4", keys)
+        squares.append(verdict_on(recording_of(fly(scenario))).uavs[0].rmse_after_m ** 2)
+    flown = math.sqrt(sum(squares) / len(squares) / 3.0)
+    assert flown == pytest.approx(leader_error_std_m(scenario), rel=1 / 6)
+
+
+def test_a_tolerance_within_the_noise_of_the_fixes_is_told_with_one_that_is_not() -> None:
+    def said(**keys: float) -> Finding:
+        scenario = load_scenario("experiment_4", keys)
+        return next(one for one in check(scenario) if one.key == "sensor.positioning")
+
+    assert said().severity == "warning"
+    wide = float(said().advice.split("tolerance_m to ")[1].split(" m")[0])
+    assert said(**{"formation.tolerance_m": wide + 1e-3}).severity == "info"
+    assert said(**{"formation.tolerance_m": wide - 1e-3}).severity == "warning"
