@@ -12,31 +12,33 @@ from typer.core import TyperGroup
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_nodes.runtime.signals import exit_on_signal, keep_exit_code, restore_handlers
 from ptnsbc_tools import console
-from ptnsbc_tools.commands import bag, mission, network
-from ptnsbc_tools.commands.autopilot import autopilot
-from ptnsbc_tools.commands.bridge import bridge
-from ptnsbc_tools.commands.check import check
-from ptnsbc_tools.commands.compare import compare
-from ptnsbc_tools.commands.demo import demo
-from ptnsbc_tools.commands.doctor import doctor
-from ptnsbc_tools.commands.export import export
-from ptnsbc_tools.commands.fleet import fleet
-from ptnsbc_tools.commands.inject import inject
-from ptnsbc_tools.commands.key import key
-from ptnsbc_tools.commands.new import new, scenarios
-from ptnsbc_tools.commands.node import SETTINGS, node
-from ptnsbc_tools.commands.params import params
-from ptnsbc_tools.commands.plot import plot
-from ptnsbc_tools.commands.record import record
-from ptnsbc_tools.commands.replay import replay
-from ptnsbc_tools.commands.report import report
-from ptnsbc_tools.commands.reproduce import reproduce
-from ptnsbc_tools.commands.simulate import simulate
-from ptnsbc_tools.commands.stop import stop
-from ptnsbc_tools.commands.sweep import sweep
-from ptnsbc_tools.commands.tune import tune
-from ptnsbc_tools.commands.verify import verify
-from ptnsbc_tools.commands.view import view
+from ptnsbc_tools.commands.bags import bag
+from ptnsbc_tools.commands.bags.record import record
+from ptnsbc_tools.commands.bags.replay import replay
+from ptnsbc_tools.commands.begin.check import check
+from ptnsbc_tools.commands.begin.doctor import doctor
+from ptnsbc_tools.commands.begin.new import new, scenarios
+from ptnsbc_tools.commands.fly import mission
+from ptnsbc_tools.commands.fly.demo import demo
+from ptnsbc_tools.commands.fly.fleet import fleet
+from ptnsbc_tools.commands.fly.inject import inject
+from ptnsbc_tools.commands.fly.simulate import simulate
+from ptnsbc_tools.commands.fly.stop import stop
+from ptnsbc_tools.commands.fly.sweep import sweep
+from ptnsbc_tools.commands.fly.view import view
+from ptnsbc_tools.commands.look.compare import compare
+from ptnsbc_tools.commands.look.export import export
+from ptnsbc_tools.commands.look.plot import plot
+from ptnsbc_tools.commands.look.report import report
+from ptnsbc_tools.commands.look.reproduce import reproduce
+from ptnsbc_tools.commands.look.verify import verify
+from ptnsbc_tools.commands.processes import network
+from ptnsbc_tools.commands.processes.autopilot import autopilot
+from ptnsbc_tools.commands.processes.bridge import bridge
+from ptnsbc_tools.commands.processes.key import key
+from ptnsbc_tools.commands.processes.node import SETTINGS, node
+from ptnsbc_tools.commands.processes.params import params
+from ptnsbc_tools.commands.processes.tune import tune
 from ptnsbc_tools.quick_help import help_asked, spare_markdown
 
 _REFUSED, _INTERRUPTED = 2, 130
@@ -112,24 +114,35 @@ def _main(
     pass
 
 
-_BEGIN, _FLY, _LOOK = "Begin", "Fly", "Look at flights"
-_BAGS, _PROCESSES = "Bags", "Processes, vehicles, networks"
-
-_GROUPS: dict[str, tuple[Callable[..., None], ...]] = {
-    _BEGIN: (new, scenarios, doctor, check),
-    _FLY: (simulate, sweep, fleet, view, demo, inject, stop),
-    _LOOK: (verify, compare, report, plot, export, reproduce),
-    _BAGS: (record, replay),
-    _PROCESSES: (autopilot, bridge, tune, params, key),
+_PANELS = {
+    "begin": "Begin",
+    "fly": "Fly",
+    "look": "Look at flights",
+    "bags": "Bags",
+    "processes": "Processes, vehicles, networks",
 }
-for _panel, _commands in _GROUPS.items():
-    for _command in _commands:
-        app.command(rich_help_panel=_panel)(_command)
+"""The panel of the help for each folder of `ptnsbc_tools.commands`."""
+
+_COMMANDS: tuple[Callable[..., None], ...] = (
+    *(new, scenarios, doctor, check),
+    *(simulate, sweep, fleet, view, demo, inject, stop),
+    *(verify, compare, report, plot, export, reproduce),
+    *(record, replay),
+    *(autopilot, bridge, tune, params, key),
+)
+
+
+def _panel(module: str) -> str:
+    return _PANELS[module.split(".")[2]]
+
+
+for _command in _COMMANDS:
+    app.command(rich_help_panel=_panel(_command.__module__))(_command)
 # All words after the name of a process are its own, --help too.
-app.command(rich_help_panel=_PROCESSES, context_settings=SETTINGS)(node)
-app.add_typer(mission.app, name="mission", rich_help_panel=_FLY)
-app.add_typer(bag.app, name="bag", rich_help_panel=_BAGS)
-app.add_typer(network.app, name="network", rich_help_panel=_PROCESSES)
+app.command(rich_help_panel=_panel(node.__module__), context_settings=SETTINGS)(node)
+for _group in (mission, bag, network):
+    _name = _group.__name__.rsplit(".", 1)[1]
+    app.add_typer(_group.app, name=_name, rich_help_panel=_panel(_group.__name__))
 
 
 def main() -> None:

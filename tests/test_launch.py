@@ -19,7 +19,7 @@ from ptnsbc_nodes.bridge import main as bridge_main
 from ptnsbc_nodes.runtime.environment import ONE_THREAD
 from ptnsbc_nodes.uav import main as uav_main
 from ptnsbc_tools.cli import app
-from ptnsbc_tools.commands import fleet as fleet_command
+from ptnsbc_tools.commands.fly import fleet as fleet_command
 
 ROOT = Path(__file__).resolve().parents[1]
 BRINGUP = ROOT / "ros2_ws" / "src" / "ptnsbc_bringup"

@@ -34,9 +34,7 @@ ROOM_CIRCLES: set[Arrow] = set()
 SAME_NAMES: set[str] = set()
 
 # Folders above LARGEST_FOLDER modules, and why.
-LARGE_FOLDERS: dict[str, str] = {
-    "ptnsbc_tools/commands": "one module for each command",
-}
+LARGE_FOLDERS: dict[str, str] = {}
 
 # Tests of no single module, and what they test.
 TESTS_OF_MORE: dict[str, str] = {

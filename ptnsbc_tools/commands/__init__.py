@@ -1,1 +1,1 @@
-"""One module for each command of `ptnsbc`; `ptnsbc_tools.cli` registers them."""
+"""The commands of `ptnsbc`, a folder for each panel of its help; `ptnsbc_tools.cli` registers them."""

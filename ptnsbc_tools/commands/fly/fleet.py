@@ -15,7 +15,7 @@ import typer
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_nodes.runtime.signals import restore_handlers
 from ptnsbc_tools import console, options, ros
-from ptnsbc_tools.commands.check import preflight
+from ptnsbc_tools.commands.begin.check import preflight
 
 if TYPE_CHECKING:
     from ptnsbc_nodes.fleet.fleet import FleetOptions, FleetResult

@@ -12,7 +12,7 @@ import pytest
 
 from ptnsbc_io.bag import read_bag
 from ptnsbc_sim.scenario import load_scenario
-from ptnsbc_tools.commands import fleet
+from ptnsbc_tools.commands.fly import fleet
 
 needs_rclpy = pytest.mark.skipif(find_spec("rclpy") is None, reason="needs rclpy")
 RECORDED = {"messages": 900, "lost": 0, "late": 0}

@@ -16,7 +16,7 @@ from ptnsbc_tools.reading.diagnostics import StatusSeries
 from ptnsbc_tools.report.page import page
 
 ODOMETRY = "nav_msgs/msg/Odometry"
-SAMPLE = Path(__file__).parents[3] / "bags" / "sample"
+SAMPLE = Path(__file__).parents[4] / "bags" / "sample"
 
 
 def run(*words: object) -> tuple[int, str, str]:

@@ -12,7 +12,7 @@ from ptnsbc_nodes.fleet.coordinator_node import Coordinator
 from ptnsbc_nodes.runtime.environment import reserved_domain
 from ptnsbc_sim.scenario.mission.faults import FAULTS, FaultBlock
 from ptnsbc_tools.cli import app
-from ptnsbc_tools.commands import inject as command
+from ptnsbc_tools.commands.fly import inject as command
 
 UAVS = (1, 2, 3)
 

@@ -14,7 +14,7 @@ import typer
 from ptnsbc_nodes.emergency.order_port import OrderPort
 from ptnsbc_nodes.emergency.orders import Order, latch, latched, list_fleet, runtime_folder
 from ptnsbc_nodes.emergency.records import VehicleRecord, write_record
-from ptnsbc_tools.commands import stop as command
+from ptnsbc_tools.commands.fly import stop as command
 
 DOMAIN = 7
 

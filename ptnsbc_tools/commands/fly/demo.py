@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from ptnsbc_tools import options
-from ptnsbc_tools.commands.fleet import fly_and_judge
+from ptnsbc_tools.commands.fly.fleet import fly_and_judge
 
 _SCENARIO = "paper_5"
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ptnsbc_tools import console, options
-from ptnsbc_tools.commands.check import preflight
+from ptnsbc_tools.commands.begin.check import preflight
 
 if TYPE_CHECKING:
     from ptnsbc_sim.scenario import Scenario

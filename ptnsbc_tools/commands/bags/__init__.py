@@ -1,0 +1,1 @@
+"""Commands on bags: record, replay, repair."""

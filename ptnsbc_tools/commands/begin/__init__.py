@@ -1,0 +1,1 @@
+"""Commands to begin with: write, list and check scenarios, examine the computer."""

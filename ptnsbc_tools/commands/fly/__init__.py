@@ -1,0 +1,1 @@
+"""Commands that fly a swarm or act on one that flies."""

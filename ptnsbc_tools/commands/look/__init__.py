@@ -1,0 +1,1 @@
+"""Commands that judge, compare and show recorded flights."""
