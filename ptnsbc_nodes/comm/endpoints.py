@@ -90,6 +90,7 @@ class Endpoints:
         self._node = node
         self._seal = seal
         self._known: dict[str, tuple[int, ...]] = {}  # GID of the first publisher of each topic
+        self._shared = set(topics.SEVERAL_PUBLISHERS)
         self.fleet = fleet_namespace(node.get_namespace())
         self._lockstep = lockstep
         self._published: list[_CountingPublisher] = []
@@ -181,6 +182,10 @@ class Endpoints:
         short = [uav for uav, nodes in readers.items() if found[f"{self.fleet}/uav{uav}"] < nodes]
         return [f"{name} at uav{uav}" for uav in short]
 
+    def shares(self, topic: Topic) -> None:
+        """Several nodes publish this topic in this flight."""
+        self._shared.add(topic.name)
+
     def rivals(self) -> str:
         """Second publishers of topics that have one publisher, as a warning; empty without any.
 
@@ -188,7 +193,7 @@ class Endpoints:
         """
         for subscription in self._subscriptions:
             name = subscription.topic_name
-            if name.removeprefix(self.fleet) in topics.SEVERAL_PUBLISHERS:
+            if name.removeprefix(self.fleet) in self._shared:
                 continue
             if subscription.get_publisher_count() < 2 and name in self._known:
                 continue

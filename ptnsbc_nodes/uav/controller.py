@@ -204,6 +204,11 @@ class UavController:
             self._agent = Agent.resumed(self._agent_config, self._agent.state)
 
     @property
+    def leads(self) -> bool:
+        """Whether the UAV leads where UAVs may come and go."""
+        return self._roles is not None and self._roles.leads
+
+    @property
     def limits(self) -> VehicleSpeedLimits:
         """The speed limits with which the agent flies."""
         return _speed_limits(self._agent_config)

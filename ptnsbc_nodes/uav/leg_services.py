@@ -16,7 +16,7 @@ from std_srvs.srv import Trigger
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.types import MODE_FORMATION
-from ptnsbc_io.wire import HeaderTemplate, WireError, decode_header
+from ptnsbc_io.wire import HeaderFields, HeaderTemplate, WireError, decode_header
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.comm.graph import CommunicationGraph
@@ -218,6 +218,29 @@ class LegServices:
             return start_ns
         at_once = name == "stop" and not self._lockstep
         return self._now_ns() + (0 if at_once else LEAD_NS)
+
+
+class LegMemory:
+    """What a successor of the leader has heard of the legs, to tell it again when it leads.
+
+    The messages of the leader are latched as long as its process lives. A UAV that is started after that hears the
+    legs from the successor.
+    """
+
+    def __init__(self, endpoints: Endpoints) -> None:
+        endpoints.shares(topics.EPOCH)
+        self._publish = endpoints.publisher(topics.EPOCH, 0)
+        self._untold: list[HeaderFields] = []
+
+    def keep(self, leg: HeaderFields) -> None:
+        """A leg, or a word on a leg of the mission, that was not known before."""
+        self._untold.append(leg)
+
+    def tell(self) -> None:
+        """Announce again what has been heard, once; UAVs that know it leave it out."""
+        for leg in self._untold:
+            self._publish(HeaderTemplate(leg.frame_id).encode(leg.stamp_ns))
+        self._untold.clear()
 
 
 def _times(one: ScheduledLeg) -> dict[str, float]:

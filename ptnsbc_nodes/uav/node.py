@@ -54,7 +54,7 @@ from ptnsbc_nodes.uav.controller import UavController, step_time
 from ptnsbc_nodes.uav.faults import UavFaults
 from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS
 from ptnsbc_nodes.uav.leader_setpoints import LeaderSetpoints
-from ptnsbc_nodes.uav.leg_services import LegServices
+from ptnsbc_nodes.uav.leg_services import LegMemory, LegServices
 from ptnsbc_nodes.uav.outbox import Outbox
 from ptnsbc_nodes.uav.robot_description import publish_description
 from ptnsbc_nodes.uav.roles import role_holder
@@ -124,6 +124,11 @@ class UavNode:
             )
             if uav_id == scenario.leader_id
             else None
+        )
+        # In lock-step a process cannot be started in flight.
+        succeeds = roles is not None and uav_id in scenario.file.leader.successors
+        self._leg_memory = (
+            LegMemory(self.endpoints) if succeeds and not edges.options.lockstep else None
         )
         if scenario.hears_setpoints and uav_id == scenario.leader_id:
             LeaderSetpoints(
@@ -285,7 +290,9 @@ class UavNode:
         self._advance()
 
     def _on_epoch(self, leg: HeaderFields) -> None:
-        self._epochs.announce(leg.stamp_ns, leg.frame_id)
+        is_new = self._epochs.announce(leg.stamp_ns, leg.frame_id)
+        if is_new and self._leg_memory is not None:
+            self._leg_memory.keep(leg)
         if not self._options.lockstep:
             self.endpoints.begin(self._timing.now_ns())
         first_ns = self._epochs.first_t0_ns
@@ -389,6 +396,8 @@ class UavNode:
         self._watch_clocks_unless(before)
         timing.done(now_ns)
         self._outbox.send(own, outputs, at, self._controller)
+        if self._leg_memory is not None and self._controller.leads:
+            self._leg_memory.tell()
 
 
 class _VehiclePresence:

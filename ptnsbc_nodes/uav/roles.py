@@ -51,6 +51,11 @@ class RoleHolder:
         found = self._before = self._formations.of(self._members) or self._formations.scenario
         return found
 
+    @property
+    def leads(self) -> bool:
+        """Whether the UAV leads, as it sees it."""
+        return self._before is not None and self._before.leader_id == self.uav
+
     def holds(self, mode: int) -> bool:
         """Whether the UAV has to hold in a leg, because it is not there yet."""
         return mode == MODE_FORMATION and self.uav in self._members.absent

@@ -535,3 +535,29 @@ def test_a_mission_that_should_have_begun_is_not_started(ros):
         else:
             assert "expected a time within the next 3600 s" in answer.message
         others.uav.close()
+
+
+def test_who_leads_next_tells_the_legs_again(ros):
+    """A UAV that is started after the leader's process has ended hears of the epoch from its successor."""
+    relay = load_scenario("relay")
+    others = Others(ros, relay, 2, lockstep=False)
+    heard = []
+    listener = Endpoints(ros.node("listener"), lockstep=False)
+    listener.listen(topics.EPOCH, wire.decode_header, heard.append)
+    epoch = wire.HeaderFields(time.time_ns(), "form")
+    others.form(*epoch)
+
+    def flown(*absent):
+        others.odom(time.time_ns())
+        others.neighbours(time.time_ns(), without=absent)
+
+    def all_there():
+        flown()
+        return heard and others.newest()[2]["mode"] == "form"
+
+    ros.spin_until(all_there)
+    ros.spin_until(lambda: flown() or time.time_ns() > epoch.stamp_ns + 1_000_000_000)
+    assert heard == [epoch]
+    ros.spin_until(lambda: flown(1) or len(heard) == 2)
+    assert heard == [epoch, epoch]
+    assert "second publisher" not in others.newest()[1]
