@@ -79,7 +79,7 @@ class CommunicationGraph:
             parent=scenario.parent(uav_id),
             leader=scenario.leader_id if scenario.pinned(uav_id) else None,
             estimators=scenario.estimator_neighbours(uav_id),
-            others=self._others(uav_id),
+            others=self._others(uav_id) if self._reassigns() else (),
             peers=self._peers(uav_id),
             every_tick=scenario.reconfigures,
             losses=message_loss(scenario, uav_id),
@@ -95,6 +95,10 @@ class CommunicationGraph:
     def of(self, scenario: Scenario) -> CommunicationGraph:
         """The graph of another scenario, flown with the same options."""
         return CommunicationGraph(scenario, self.options)
+
+    def _reassigns(self) -> bool:
+        """Whether a UAV may get another slot, and with it the edges of another UAV; else it only loses edges."""
+        return are_open(self._scenario) or self._scenario.file.formation.vacancy == "close_up"
 
     def _peers(self, uav_id: int) -> tuple[int, ...]:
         if self._scenario.reconfigures:

@@ -228,7 +228,6 @@ class LegMemory:
     """
 
     def __init__(self, endpoints: Endpoints) -> None:
-        endpoints.shares(topics.EPOCH)
         self._publish = endpoints.publisher(topics.EPOCH, 0)
         self._untold: list[HeaderFields] = []
 

@@ -125,11 +125,11 @@ class UavNode:
             if uav_id == scenario.leader_id
             else None
         )
-        # In lock-step a process cannot be started in flight.
-        succeeds = roles is not None and uav_id in scenario.file.leader.successors
-        self._leg_memory = (
-            LegMemory(self.endpoints) if succeeds and not edges.options.lockstep else None
-        )
+        self._leg_memory = None
+        if roles is not None and not edges.options.lockstep:  # where no process starts in flight
+            self.endpoints.shares(topics.EPOCH)
+            if uav_id in scenario.file.leader.successors:
+                self._leg_memory = LegMemory(self.endpoints)
         if scenario.hears_setpoints and uav_id == scenario.leader_id:
             LeaderSetpoints(
                 self.endpoints, edges.options.recorders, self._epochs, self._next_flight_ns
