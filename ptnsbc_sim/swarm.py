@@ -173,6 +173,9 @@ def swarm_of(
         np.zeros(size, dtype=np.int64),
         np.zeros((*received, ODOMETRY_SIZE)),
         np.zeros(received),
+        np.zeros((wiring.parents.rows.shape[1], ODOMETRY_SIZE)),
+        np.zeros(wiring.parents.rows.shape[1]),
+        np.zeros(ODOMETRY_SIZE),
         np.zeros(ODOMETRY_SIZE),
         no_waves(wiring.substeps),
     )

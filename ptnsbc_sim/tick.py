@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ptnsbc_core.algebra import store
+from ptnsbc_core.behaviours.parents import mean_parent
 from ptnsbc_core.kernel import inline_kernel, kernel
 from ptnsbc_core.types import (
     MODE_FORMATION,
@@ -52,6 +53,9 @@ class SwarmState(NamedTuple):
     near_count: NDArray[np.int64]  # (N,) rows of it that are used
     estimates: Array  # (N, K, 13) received leader estimates
     estimate_age_s: Array  # (N, K)
+    parent_states: Array  # (P, 13) received from the parents of the UAV that is about to step
+    parent_age_s: Array  # (P,)
+    parent_mean: Array  # (13,) the message of a parent that stands for several
     nothing: Array  # (13,) zeros: the message of a sender that is not there
     waves: Waves
 
@@ -74,6 +78,29 @@ def _received(swarm: SwarmState, track: FlightTrack, sent: int, row: int) -> Arr
     return track.reported[sent, row]
 
 
+@kernel
+def _mean_parent(
+    swarm: SwarmState,
+    wiring: Wiring,
+    track: FlightTrack,
+    tick: int,
+    row: int,
+    disturbances: Disturbances | None,
+) -> float:
+    """Set `parent_mean` of a UAV with several parents; returns its age [s]."""
+    parents, neighbours = wiring.parents, wiring.neighbours.shape[1]
+    count = parents.several[row]
+    states, ages = swarm.parent_states[:count], swarm.parent_age_s[:count]
+    for k in range(count):
+        sent = tick - 1
+        if disturbances is not None:
+            sent = disturbances.received[tick, row, 2 + neighbours + k]
+        ages[k] = _age(tick, sent, wiring.dt_ns)
+        states[k] = _received(swarm, track, sent, parents.rows[row, k])
+    weights, shifts = parents.weights[row, :count], parents.shifts[row, :count]
+    return mean_parent(states, ages, weights, shifts, parents.stale_s, swarm.parent_mean)
+
+
 @inline_kernel
 def inputs_of(
     swarm: SwarmState,
@@ -89,6 +116,11 @@ def inputs_of(
     if disturbances is not None:
         received = disturbances.received[tick, row]
         from_parent, from_leader = received[0], received[1]
+    parent_state = _received(swarm, track, from_parent, parent)
+    parent_age_s = _age(tick, from_parent, wiring.dt_ns) if parent >= 0 else NEVER_RECEIVED_S
+    if wiring.parents.several[row] > 0:
+        parent_age_s = _mean_parent(swarm, wiring, track, tick, row, disturbances)
+        parent_state = swarm.parent_mean
     count = wiring.neighbour_count[row]
     estimates, ages = swarm.estimates[row, :count], swarm.estimate_age_s[row, :count]
     for k in range(count):
@@ -108,8 +140,8 @@ def inputs_of(
         mode = MODE_HOLD
     return AgentInputs(
         track.odometry[tick, row],
-        _received(swarm, track, from_parent, parent),
-        _age(tick, from_parent, wiring.dt_ns) if parent >= 0 else NEVER_RECEIVED_S,
+        parent_state,
+        parent_age_s,
         _received(swarm, track, from_leader, wiring.leader[row] if pinned else -1),
         _age(tick, from_leader, wiring.dt_ns) if pinned else NEVER_RECEIVED_S,
         estimates,

@@ -10,8 +10,18 @@ from numpy.typing import NDArray
 from ptnsbc_core.kernel import inline_kernel
 from ptnsbc_core.types import PLANTS, Array
 from ptnsbc_sim.plants.build import obstacle_rows
-from ptnsbc_sim.scenario import Scenario
+from ptnsbc_sim.scenario import Scenario, several_parents
 from ptnsbc_sim.scenario.mission.membership import NEVER_NS, joins_ns, leaves_ns
+
+
+class ParentRows(NamedTuple):
+    """UAVs with several parents, as rows of the swarm; see `ptnsbc_core.behaviours.parents`."""
+
+    several: NDArray[np.int64]  # (N,) how many; 0 for a UAV with one
+    rows: NDArray[np.int64]  # (N, P), -1 beyond the last
+    weights: Array  # (N, P)
+    shifts: Array  # (N, P, 3) [m, ENU]
+    stale_s: float
 
 
 class Wiring(NamedTuple):
@@ -19,6 +29,7 @@ class Wiring(NamedTuple):
 
     leader: NDArray[np.int64]  # (N,) row of the leader of each
     parent: NDArray[np.int64]  # (N,) row of the parent, -1 for the leader
+    parents: ParentRows
     pinned: NDArray[np.int64]  # (N,) 1 where the leader is heard
     neighbours: NDArray[np.int64]  # (N, K) rows, -1 beyond the last
     neighbour_count: NDArray[np.int64]  # (N,)
@@ -58,6 +69,26 @@ def wire(wiring: Wiring, scenario: Scenario, uav_id: int) -> None:
     wiring.neighbour_count[own] = len(neighbours)
 
 
+def _parent_rows(scenario: Scenario) -> ParentRows:
+    ids = scenario.uav_ids
+    found = [several_parents(scenario, uav_id) for uav_id in ids]
+    width = max([1, *(len(one.ids) for one in found if one is not None)])
+    size = len(ids)
+    parents = ParentRows(
+        np.zeros(size, dtype=np.int64),
+        np.full((size, width), -1, dtype=np.int64),
+        np.zeros((size, width)),
+        np.zeros((size, width, 3)),
+        float(scenario.file.communication.stale_s),
+    )
+    for row, one in enumerate(found):
+        if one is not None:
+            count = parents.several[row] = len(one.ids)
+            parents.rows[row, :count] = [ids.index(uav_id) for uav_id in one.ids]
+            parents.weights[row, :count], parents.shifts[row, :count] = one.weights, one.shifts
+    return parents
+
+
 def wiring_of(scenario: Scenario) -> Wiring:
     """The scenario's graph and sensors by row."""
     ids = scenario.uav_ids
@@ -73,6 +104,7 @@ def wiring_of(scenario: Scenario) -> Wiring:
     return Wiring(
         np.full(len(ids), row[scenario.leader_id], dtype=np.int64),
         np.array([-1 if parent is None else row[parent] for parent in parents], dtype=np.int64),
+        _parent_rows(scenario),
         np.array([int(scenario.pinned(uav_id)) for uav_id in ids], dtype=np.int64),
         table,
         np.array([len(some) for some in neighbours], dtype=np.int64),

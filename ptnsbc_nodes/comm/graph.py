@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from ptnsbc_nodes.comm.seal import Seal
 from ptnsbc_sim.disturbances.links import LinkDelay, MessageLoss, link_delay, message_loss
-from ptnsbc_sim.scenario import Scenario
+from ptnsbc_sim.scenario import Scenario, SeveralParents, several_parents
 from ptnsbc_sim.scenario.mission.faults import FaultBlock
 from ptnsbc_sim.scenario.slots import Slots, are_open, with_slots
 
@@ -37,10 +37,11 @@ class Senders:
     parent: int | None
     leader: int | None  # None unless pinned
     estimators: tuple[int, ...]  # ascending: the order of the rows of AgentInputs.estimates
-    others: tuple[int, ...] = ()  # all other UAVs, where an epoch may choose any of them
+    others: tuple[int, ...] = ()  # all other UAVs, where the edges of any of them may be needed
     peers: tuple[
         int, ...
     ] = ()  # UAVs whose state is needed besides: by the law, or to see who is there
+    several: SeveralParents | None = None  # the parents of a UAV with more than one
     every_tick: bool = False  # lock-step waits for all that it subscribes to, used or not
     losses: MessageLoss | None = None  # which of their messages the scenario wants lost
     delays: Mapping[int, LinkDelay] = field(default_factory=dict)  # and how late, by sender
@@ -51,7 +52,8 @@ class Senders:
     def states(self) -> tuple[int, ...]:
         """UAVs whose formation_state is needed; a child of the leader subscribes once."""
         tree = {i for i in (self.parent, self.leader) if i is not None}
-        return tuple(sorted(tree.union(self.peers)))
+        several = () if self.several is None else self.several.ids
+        return tuple(sorted(tree.union(self.peers, several)))
 
     @property
     def heard_states(self) -> tuple[int, ...]:
@@ -81,6 +83,7 @@ class CommunicationGraph:
             estimators=scenario.estimator_neighbours(uav_id),
             others=self._others(uav_id) if self._reassigns() else (),
             peers=self._peers(uav_id),
+            several=several_parents(scenario, uav_id),
             every_tick=scenario.reconfigures,
             losses=message_loss(scenario, uav_id),
             delays={i: link_delay(scenario, i, uav_id) for i in others},

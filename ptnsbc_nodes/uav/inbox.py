@@ -25,13 +25,15 @@ from ptnsbc_core.agent import (
     START_AGE,
     PackedInputs,
 )
-from ptnsbc_core.types import MODE_HOLD, NEAR_COLUMNS, ODOMETRY_SIZE, Array
+from ptnsbc_core.behaviours.parents import mean_parent
+from ptnsbc_core.types import MODE_HOLD, NEAR_COLUMNS, NEVER_RECEIVED_S, ODOMETRY_SIZE, Array
 from ptnsbc_io.wire import Stamped
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.graph import LEAD_TICKS, Senders
 from ptnsbc_sim.disturbances.faults import MessageFault, delay_ns, message_fault
 from ptnsbc_sim.disturbances.links import NO_DELAY, LinkDelay
 from ptnsbc_sim.law import Heard
+from ptnsbc_sim.scenario import SeveralParents
 from ptnsbc_sim.scenario.mission.faults import MOST_DELAY_S, FaultBlock
 
 NO_CUTOFF_NS = 2**63 - 1
@@ -142,6 +144,7 @@ class Inbox:
         estimates = [(i, self._estimates[i]) for i in senders.estimators]
         self._used = [*states, *estimates]
         self._inputs = PackedInputs(len(estimates), _NOTHING_NEAR)
+        self._parents = None if senders.several is None else _ParentMessages(senders.several)
         self._own_row = self._inputs.vector[OWN:PARENT]
         self._queue_rows = tuple(self._rows())
         self._await()
@@ -245,18 +248,45 @@ class Inbox:
             if message is not None:
                 row[:] = message.values
                 vector[age_at] = _age_s(message, now_ns)
+        if self._parents is not None:
+            queues, mean = self._states, vector[PARENT:LEADER]
+            newest = [queues[i].before(cutoff_ns, now_ns) for i in self._parents.several.ids]
+            vector[PARENT_AGE] = self._parents.mean(newest, now_ns, mean)
         return inputs
 
     def _rows(self) -> Iterator[tuple[MessageQueue, Array, int]]:
         """Each queue, the part (13,) of `PackedInputs.vector` for its message, and the offset of its age."""
         inputs, senders = self._inputs, self.senders
-        if senders.parent is not None:
+        if senders.parent is not None and senders.several is None:
             yield self._states[senders.parent], inputs.vector[PARENT:LEADER], PARENT_AGE
         if senders.leader is not None:
             yield self._states[senders.leader], inputs.vector[LEADER:PARENT_AGE], LEADER_AGE
         estimates = inputs.vector[ESTIMATES : inputs.ages].reshape(-1, ODOMETRY_SIZE)
         for k, uav_id in enumerate(senders.estimators):
             yield self._estimates[uav_id], estimates[k], inputs.ages + k
+
+
+class _ParentMessages:
+    """The messages of several parents as one."""
+
+    def __init__(self, several: SeveralParents) -> None:
+        self.several = several
+        count = len(several.ids)
+        self._states = np.zeros((count, ODOMETRY_SIZE))
+        self._ages = np.zeros(count)
+
+    def mean(self, newest: Sequence[Stamped | None], now_ns: int, mean: Array) -> float:
+        """Write the mean of the newest messages into `mean` (13,); returns its age [s]."""
+        several = self.several
+        for k, message in enumerate(newest):
+            self._ages[k] = NEVER_RECEIVED_S if message is None else _age_s(message, now_ns)
+            if message is not None:
+                self._states[k] = message.values
+        return float(
+            mean_parent(
+                self._states, self._ages, several.weights, several.shifts, several.stale_s, mean
+            )
+        )
 
 
 def _age_s(message: Stamped, now_ns: int) -> float:

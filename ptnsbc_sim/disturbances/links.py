@@ -109,20 +109,22 @@ def last_state_received(scenario: Scenario, receiver: int, sender: int) -> NDArr
 
 
 def last_received(scenario: Scenario, width: int) -> NDArray[np.int64]:
-    """Tick of the newest message (T, N, 2 + width) received before each tick; -1: none.
+    """Tick of the newest message (T, N, 2 + width + P) received before each tick; -1: none.
 
-    Columns: from the parent, from the leader, from the neighbours in the estimator graph.
+    Columns: from the parent, from the leader, from the neighbours in the estimator graph, and from each of several
+    parents, where a UAV has some.
     """
     ids = scenario.uav_ids
-    table = np.full((scenario.ticks, len(ids), 2 + width), -1, dtype=np.int64)
+    columns = 2 + width + scenario.most_parents
+    table = np.full((scenario.ticks, len(ids), columns), -1, dtype=np.int64)
     for row, uav in enumerate(ids):
         table[:, row] = last_received_by(scenario, uav, width)
     return table
 
 
 def last_received_by(scenario: Scenario, uav: int, width: int) -> NDArray[np.int64]:
-    """The rows (T, 2 + width) of one UAV."""
-    table = np.full((scenario.ticks, 2 + width), -1, dtype=np.int64)
+    """The rows (T, 2 + width + P) of one UAV."""
+    table = np.full((scenario.ticks, 2 + width + scenario.most_parents), -1, dtype=np.int64)
     parent = scenario.parent(uav)
     if parent is not None:
         table[:, 0] = _last_received(scenario, random_streams.STATE_LINK, uav, parent)
@@ -131,4 +133,7 @@ def last_received_by(scenario: Scenario, uav: int, width: int) -> NDArray[np.int
         table[:, 1] = _last_received(scenario, random_streams.STATE_LINK, uav, leader)
     for k, other in enumerate(scenario.estimator_neighbours(uav)):
         table[:, 2 + k] = _last_received(scenario, random_streams.ESTIMATE_LINK, uav, other)
+    for k, other in enumerate(scenario.parent_weights(uav)):
+        received = _last_received(scenario, random_streams.STATE_LINK, uav, other)
+        table[:, 2 + width + k] = received
     return table

@@ -1,6 +1,6 @@
 """Scenario files: read, validated, and turned into the configuration of every UAV."""
 
-from ptnsbc_sim.scenario.build import agent_config
+from ptnsbc_sim.scenario.build import SeveralParents, agent_config, several_parents
 from ptnsbc_sim.scenario.obstacles import Obstacle
 from ptnsbc_sim.scenario.problems import ScenarioError
 from ptnsbc_sim.scenario.reader import available
@@ -14,6 +14,7 @@ from ptnsbc_sim.scenario.scenario import (
 
 __all__ = [
     "Scenario",
+    "SeveralParents",
     "ScenarioError",
     "Disturbance",
     "Obstacle",
@@ -22,4 +23,5 @@ __all__ = [
     "available",
     "load_scenario",
     "scenario_from_text",
+    "several_parents",
 ]

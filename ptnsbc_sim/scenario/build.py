@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -106,6 +107,29 @@ def _offset_from_parent(scenario: Scenario, uav_id: int) -> Array:
     if parent is None:
         return np.zeros(3)
     return scenario.offset(uav_id) - scenario.offset(parent)
+
+
+class SeveralParents(NamedTuple):
+    """What one UAV takes of each of its parents; see `ptnsbc_core.behaviours.parents`."""
+
+    ids: tuple[int, ...]  # (P,)
+    weights: Array  # (P,)
+    shifts: Array  # (P, 3) [m, ENU] from the slot of each to that of the parent in the tree
+    stale_s: float
+
+
+def several_parents(scenario: Scenario, uav_id: int) -> SeveralParents | None:
+    """The parents of a UAV with several; None where it has one."""
+    weights, first = scenario.parent_weights(uav_id), scenario.parent(uav_id)
+    if not weights or first is None:
+        return None
+    shifts = [scenario.offset(first) - scenario.offset(one) for one in weights]
+    return SeveralParents(
+        tuple(weights),
+        np.array(list(weights.values())),
+        np.stack(shifts),
+        float(scenario.file.communication.stale_s),
+    )
 
 
 def _slots(scenario: Scenario, uav_ids: Iterable[int]) -> Array:

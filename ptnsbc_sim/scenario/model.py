@@ -139,7 +139,7 @@ class LinkBlock(Block):
     sender: UavId
     """Id of the UAV that sends."""
     receiver: UavId
-    """Id of the UAV that receives; `tree`, `leader_links` or `estimator_edges` must have the edge."""
+    """Id of the UAV that receives; `tree`, `parents`, `leader_links` or `estimator_edges` must have the edge."""
     loss: Share | None = None
     """Fraction of the messages that is lost. Default: that of all links."""
     delay_s: Delay | None = None
@@ -152,6 +152,9 @@ class Communication(Block):
     tree: dict[UavId, UavId]
     """`child: parent`, a tree rooted at the leader. `auto` proposes one for the shape: short edges over which the
     task is well conditioned, at most three hops deep."""
+    parents: dict[UavId, dict[UavId, Positive]] | None = None
+    """Several parents of a follower, each with its weight: `child: {parent: weight}`. The parent in `tree` is one of
+    them, and the weights sum to 1, see [method.md](method.md#several-parents)."""
     leader_links: tuple[UavId, ...]
     """Followers that receive the leader's state."""
     estimator_edges: tuple[tuple[UavId, UavId], ...]

@@ -432,6 +432,21 @@ class Scenario:
         """The UAV relative to which this one keeps its position; None for the leader."""
         return self.file.communication.tree.get(uav_id)
 
+    def parent_weights(self, uav_id: int) -> Mapping[int, float]:
+        """Weights of the parents of a UAV with several, ascending by id; empty where it has one."""
+        given = (self.file.communication.parents or {}).get(uav_id, {})
+        return dict(sorted(given.items()))
+
+    def parents(self, uav_id: int) -> tuple[int, ...]:
+        """The parent or the several parents of a UAV, ascending; empty for the leader."""
+        one = self.parent(uav_id)
+        return tuple(self.parent_weights(uav_id)) or (() if one is None else (one,))
+
+    @property
+    def most_parents(self) -> int:
+        """How many parents a UAV with several has at most; 0 where each has one."""
+        return max(map(len, (self.file.communication.parents or {}).values()), default=0)
+
     def pinned(self, uav_id: int) -> bool:
         """Whether this follower receives the leader's state."""
         return uav_id in self.topology.pinned

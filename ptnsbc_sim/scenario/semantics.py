@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Iterator
+from graphlib import CycleError, TopologicalSorter
 
 from ptnsbc_core.errors import GainError, TopologyError
 from ptnsbc_core.timebase import peak_gain
@@ -23,6 +25,8 @@ NANOSECONDS = 1_000_000_000
 
 _CONNECT = re.compile(r"udp(in|out):[^:\s]+:\d{1,5}|serial:[^:\s]+(:\d+)?")
 _CONNECT_HELP = "expected udpin:ADDRESS:PORT, udpout:ADDRESS:PORT or serial:DEVICE[:BAUD]"
+
+_WEIGHTS_SUM = 1e-6
 
 Problems = Iterator[str]
 
@@ -126,12 +130,13 @@ def _links(file: ScenarioFile) -> Problems:
         pair = {ends, ends[::-1]}
         if not (
             block.tree.get(link.receiver) == link.sender
+            or link.sender in (block.parents or {}).get(link.receiver, ())
             or (link.sender == file.leader.id and link.receiver in block.leader_links)
             or pair.intersection(block.estimator_edges)
         ):
             yield (
                 f"{where}: no messages from UAV {link.sender} to UAV {link.receiver}: expected an edge "
-                "of communication.tree, leader_links or estimator_edges"
+                "of communication.tree, parents, leader_links or estimator_edges"
             )
         if ends in first:
             yield f"{where}: duplicate of communication.links[{first[ends]}], give each link once"
@@ -143,6 +148,41 @@ def _links(file: ScenarioFile) -> Problems:
                 f"communication.{key}: {delay_s:g}: expected less than communication.stale_s "
                 f"({block.stale_s:g}), or the receiver holds for ever"
             )
+
+
+def _parents(file: ScenarioFile) -> Problems:
+    links, formation = file.communication, file.formation
+    if not links.parents:
+        return
+    for child, weights in links.parents.items():
+        where = f"communication.parents.{child}"
+        above = links.tree.get(child)
+        if above is None or above not in weights:
+            known = "no follower" if above is None else f"expected {above}, its parent in the tree"
+            yield f"{where}: {known}, among its parents"
+        for parent in weights:
+            if parent not in links.tree and parent != file.leader.id:
+                yield f"{where}.{parent}: no such UAV; expected ids under uavs"
+        total = math.fsum(weights.values())
+        if abs(total - 1.0) > _WEIGHTS_SUM:
+            yield f"{where}: weights sum to {total:g}: expected 1"
+    graph = {child: {above} for child, above in links.tree.items()}
+    try:
+        TopologicalSorter({**graph, **links.parents}).prepare()
+    except CycleError as error:
+        cycle = " -> ".join(map(str, reversed(error.args[1])))
+        yield f"communication.parents: cycle {cycle}: expected parents on the leader's side"
+    expected = (
+        (formation.task == "relative_position", "formation.task: relative_position"),
+        (formation.vacancy == "wait", "formation.vacancy: wait"),
+        (formation.assignment == "fixed", "formation.assignment: fixed"),
+        (not (shapes.moves(formation) or _changes_shape(file)), "a shape that does not move"),
+        (formation.sight_m == 0.0, "formation.sight_m: 0"),
+        (not (file.law or file.plugins.task), "no law and no task of the user"),
+    )
+    for holds, what in expected:
+        if not holds:
+            yield f"communication.parents: expected {what}"
 
 
 def _offsets(file: ScenarioFile) -> Problems:
@@ -339,6 +379,7 @@ _CHECKS: tuple[Callable[[ScenarioFile], Problems], ...] = (
     _obstacles,
     _members,
     _links,
+    _parents,
     _offsets,
     _trajectory,
     _motion_of_shape,

@@ -88,13 +88,11 @@ def merged(windows: Iterable[Window]) -> list[Window]:
 
 
 def ancestors(scenario: Scenario, uav_id: int) -> list[int]:
-    """The UAV itself, its parent, and so on up to the leader."""
-    chain = [uav_id]
-    parent = scenario.parent(uav_id)
-    while parent is not None and parent not in chain:
-        chain.append(parent)
-        parent = scenario.parent(parent)
-    return chain
+    """The UAV itself, its parents, and so on up to the leader."""
+    found = [uav_id]
+    for one in found:
+        found += [parent for parent in scenario.parents(one) if parent not in found]
+    return found
 
 
 def encounters(recording: Recording) -> dict[int, list[Encounter]]:

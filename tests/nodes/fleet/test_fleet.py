@@ -14,6 +14,7 @@ from ptnsbc_nodes.fleet import main
 from ptnsbc_nodes.fleet.fleet import FleetError, FleetOptions, run_fleet
 from ptnsbc_sim.scenario import load_scenario, scenario_from_text
 from ptnsbc_sim.swarm import fly
+from ptnsbc_tools.replay.rerun import rerun
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
@@ -64,6 +65,22 @@ def test_a_mission_flown_by_processes_in_lockstep_has_the_bytes_of_the_headless_
     bag = read_bag(tmp_path / "bag")
     assert counts(bag)["/clock"] == scenario.ticks
     assert_as_headless(bag, scenario)
+
+
+def test_processes_with_several_parents_have_the_bytes_of_the_headless_flight(tmp_path):
+    """With messages that get lost; the bag runs again."""
+    changes = {
+        "communication.parents": {4: {2: 0.3, 3: 0.7}, 5: {3: 0.5, 4: 0.5}},
+        "communication.loss": 0.3,
+        "formation.task": "relative_position",
+        "timing.duration_s": 1.0,
+    }
+    scenario = load_scenario("paper_5", changes)
+    assert run_fleet(FleetOptions(scenario, lockstep=True, bag=tmp_path / "bag")).exit_code == 0
+    bag = read_bag(tmp_path / "bag")
+    assert_as_headless(bag, scenario)
+    carried = scenario_from_text(bag.attachment("scenario.yaml").decode())
+    assert rerun(bag, carried).verdict == "equal"
 
 
 def assert_as_headless(bag, scenario):
