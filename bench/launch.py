@@ -41,8 +41,8 @@ class Flown:
     usage: Mapping[str, Usage]
 
 
-def fleet(scenario: Scenario, *, lockstep: bool, bag: bool) -> Flown:
-    """Fly a fleet as `ptnsbc fleet` does."""
+def fleet(scenario: Scenario, *, lockstep: bool, bag: bool, processes: int | None = None) -> Flown:
+    """Fly a fleet as `ptnsbc fleet` does, its UAVs in as many `processes`: one for each by default."""
     rate = 0.0
     with (
         tempfile.TemporaryDirectory(prefix="bench-") as folder,
@@ -64,6 +64,7 @@ def fleet(scenario: Scenario, *, lockstep: bool, bag: bool) -> Flown:
             lockstep=lockstep,
             bag=Path(folder) / "bag" if bag else None,
             log_dir=Path(folder) / "logs",
+            processes=processes,
         )
         result = run_fleet(options, progress)
         values_by_node = observer.newest() if observer else {}

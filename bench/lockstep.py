@@ -1,4 +1,4 @@
-"""Lock-step: steps per second of the whole fleet, beside two bare ping-pongs.
+"""Lock-step: steps per second of the whole fleet, beside two bare ping-pongs; large fleets by 25 UAVs a process.
 
 One passes message objects, as programs with rclpy do; the other passes bytes on that nobody looks into, and
 shows what the machine could do at best.
@@ -6,18 +6,38 @@ shows what the machine could do at best.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator
 
 from bench.launch import Flown, bare, fleet
-from bench.scenarios import paper
-from bench.session import Plan, take_turns
+from bench.scenarios import grid, paper
+from bench.session import Plan, print_progress, take_turns
 from bench.table import Row, Target
 
 _SHARE = Target(0.6, at_least=True, of_reference=True)
+_LARGE_HZ, _IN_PROCESS = 50, 25
+_LARGE = {50: Target(0.5, at_least=True), 100: Target(0.2, at_least=True)}
 
 
-def measure(plan: Plan) -> Sequence[Row]:
-    """Rows of this section."""
+def measure(plan: Plan) -> Iterator[Row]:
+    """Rows of this section, the large fleets first."""
+    for size, target in _LARGE.items():
+        yield from _large(size, target, plan)
+    yield from _small(plan)
+
+
+def _large(size: int, target: Target, plan: Plan) -> Iterator[Row]:
+    """A fleet by `ptnsbc fleet --processes K`."""
+    processes = size // _IN_PROCESS
+    name = f"lock-step, N = {size} in {processes} processes, {_LARGE_HZ} Hz"
+    print_progress(name)
+    scenario = grid(size, _LARGE_HZ, plan.of(10.0, 3.0))
+    flown = fleet(scenario, lockstep=True, bag=False, processes=processes)
+    speed = flown.steps_per_s / _LARGE_HZ
+    yield Row(f"{name}: speed", [speed], "× real time", target=target)
+    yield Row(f"{name}: memory of a process", [flown.usage["uav"].rss_mb], "MB")
+
+
+def _small(plan: Plan) -> list[Row]:
     scenario = paper(plan.of(10.0, 3.0))
     found = take_turns(
         {

@@ -34,6 +34,7 @@ CASES = (
     Case(10, 50, bag=False),
     Case(20, 50, bag=False, target=True),
     Case(20, 50, bag=True),
+    Case(20, 100, bag=False, target=True),
 )
 
 
@@ -45,7 +46,7 @@ def measure(plan: Plan) -> Iterator[Row]:
 
 def _rows(case: Case, plan: Plan) -> list[Row]:
     duration_s = plan.of(15.0, 5.0)
-    scenario = paper(duration_s) if case.size == 5 else grid(case.size, 50, duration_s)
+    scenario = paper(duration_s) if case.size == 5 else grid(case.size, case.control_hz, duration_s)
     found = take_turns(
         {
             "bare fleet": lambda: bare(scenario, lockstep=False, bag=case.bag),

@@ -37,7 +37,7 @@ class ProcessCommand:
     module: str
     arguments: tuple[str, ...]
     uavs: tuple[int, ...] = ()  # ids of the UAVs that are lost when it ends
-    managed: tuple[str, ...] = ()  # its nodes below the fleet whose life cycle the launcher drives
+    managed: str = ""  # its node below the fleet, if the launcher drives its life cycle
     ends: bool = False  # by itself, with 0, when the flight is over
     beside: bool = False  # the flight needs it not: its end is reported, and changes nothing
 
@@ -57,7 +57,7 @@ class ProcessCommand:
 
     @property
     def reporters(self) -> tuple[str, ...]:
-        """The names under which its nodes report on /diagnostics, in the order of `managed`."""
+        """The names under which its nodes report on /diagnostics."""
         return self.lost if len(self.uavs) > 1 else (self.name,)
 
 

@@ -32,7 +32,7 @@ from ptnsbc_nodes.comm.announcements import (
 )
 from ptnsbc_nodes.comm.diagnostics import INACTIVE
 from ptnsbc_nodes.comm.endpoints import Endpoints, full_name
-from ptnsbc_nodes.comm.qos import STATE_REALTIME, keep_last
+from ptnsbc_nodes.comm.qos import RECORDER_RELIABLE, STATE_REALTIME
 from ptnsbc_nodes.comm.seal import Seal
 from ptnsbc_nodes.comm.topics import LOST, OVER, READY, SIM
 from ptnsbc_nodes.emergency.orders import Order, runtime_folder
@@ -126,7 +126,7 @@ class Coordinator:
         self._start = self._client("start")
         self._diagnostics, _ = (
             self._endpoints.listen(
-                topic, decode_diagnostics, self._on_status, False, keep_last(50, reliable=True)
+                topic, decode_diagnostics, self._on_status, False, RECORDER_RELIABLE
             )
             for topic in (topics.DIAGNOSTICS, READY)
         )

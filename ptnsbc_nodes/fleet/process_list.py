@@ -132,18 +132,26 @@ def groups(options: FleetOptions) -> list[tuple[int, ...]]:
 
 
 def _uavs(common: Sequence[str], group: tuple[int, ...]) -> ProcessCommand:
-    """The process of one UAV or of several."""
-    name = f"uav{group[0]}" if len(group) == 1 else f"uav{group[0]}-{group[-1]}"
-    arguments = (*common, "--uav", *map(str, group), "--managed")
-    managed = tuple(f"/uav{i}/controller" for i in group)
-    return ProcessCommand(name, "ptnsbc_nodes.uav.main", arguments, group, managed)
+    """The process of one UAV, or of several, which activate themselves.
+
+    Fifty nodes of one process answer fifty requests one after the other, and the last answers come too late.
+    """
+    arguments = (*common, "--uav", *map(str, group))
+    if len(group) > 1:
+        name = f"uav{group[0]}-{group[-1]}"
+        return ProcessCommand(name, "ptnsbc_nodes.uav.main", arguments, group)
+    (uav,) = group
+    managed = f"/uav{uav}/controller"
+    return ProcessCommand(
+        f"uav{uav}", "ptnsbc_nodes.uav.main", (*arguments, "--managed"), group, managed
+    )
 
 
 def _bridge(options: FleetOptions, common: Sequence[str], uav: int) -> ProcessCommand:
     arguments = [*common, "--uav", str(uav), "--managed"]
     if options.allow_arming:
         arguments.append("--allow-arming")
-    managed = (f"/uav{uav}/bridge",)
+    managed = f"/uav{uav}/bridge"
     return ProcessCommand(
         f"bridge{uav}", "ptnsbc_nodes.bridge.main", tuple(arguments), (uav,), managed, ends=True
     )

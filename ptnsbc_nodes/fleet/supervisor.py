@@ -364,8 +364,7 @@ class Supervisor:
 
     def _manage(self, command: ProcessCommand) -> None:
         if command.managed:
-            for name, node in zip(command.reporters, command.managed, strict=True):
-                self._coordinator.manage(name, node)
+            self._coordinator.manage(command.name, command.managed)
 
     def _late(self) -> str:
         lines = self._waiting_for()

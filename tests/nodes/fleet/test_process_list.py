@@ -58,7 +58,7 @@ def test_the_recorder_is_there_first_and_the_world_last(paper_5):
 def test_uavs_share_processes_evenly(paper_5):
     found = started(FleetOptions(paper_5, processes=2, namespace="/blue"))
     assert list(found) == ["uav1-2", "uav3-5", "sim"]
-    assert found["uav3-5"][2:] == ("--uav", "3", "4", "5", "--managed", "--fleet", "/blue")
+    assert found["uav3-5"][2:] == ("--uav", "3", "4", "5", "--fleet", "/blue")
     assert started(FleetOptions(paper_5, processes=5)) == started(FleetOptions(paper_5))
 
 

@@ -106,7 +106,7 @@ def renewed(monkeypatch):
         flight._launch = launch
         for name in names:
             command = ProcessCommand(
-                name, "none", (), managed=(f"/{name}",), ends=name.startswith("bridge")
+                name, "none", (), managed=f"/{name}", ends=name.startswith("bridge")
             )
             flight.children.append(Loaded(command))
         for _ in range(looks):
