@@ -12,7 +12,7 @@ from ptnsbc_core.curves.trajectory import reference
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import Scenario, load_scenario
 from ptnsbc_sim.scenario.build import leader_trajectory
-from ptnsbc_sim.verdict import Recording, Series
+from ptnsbc_sim.verdict import Recording, Series, Verdict
 from ptnsbc_sim.verdict.recording import COUNTERS
 
 Errors = Callable[[Array], Array]
@@ -70,3 +70,18 @@ def flight(
 def thinned(series: Series, *ticks: int) -> Series:
     """A series without the messages of some ticks."""
     return Series(np.delete(series.t_ns, ticks), np.delete(series.values, ticks, axis=0))
+
+
+def decay(start: float, rate: float) -> Errors:
+    """An error that decays from `start` [m] at `rate` [1/s]."""
+    return lambda t: start * np.exp(-rate * t)
+
+
+def away(begin: float, back: float) -> Errors:
+    """Half a metre off from `begin` to `back` [s]."""
+    return lambda t: np.where((t > begin) & (t < back), 0.5, 0.0)
+
+
+def verdict_of(verdict: Verdict, uav: int) -> Any:
+    """What a verdict says of one UAV."""
+    return next(one for one in verdict.uavs if one.uav == uav)

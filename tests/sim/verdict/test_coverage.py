@@ -1,12 +1,15 @@
-"""Missing messages of a flight of real vehicles, whose bridges count the messages that they sent."""
+"""Missing messages, gaps, early ends and numbers that are not finite; vehicles whose bridges count what they sent."""
 
+import json
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
+from synthetic_flights import decay, verdict_of
 
 from ptnsbc_sim.verdict import Recording, Series, verdict_on
+from ptnsbc_tools.tables import verdict_tables
 
 Fly = Callable[..., Recording]
 EVERY = 2  # 50 Hz of a vehicle in a scenario with 100 Hz of control
@@ -46,3 +49,109 @@ def test_what_was_sent_and_not_recorded_is_missing(bridged: Fly) -> None:
 
 def test_what_is_lost_before_the_epoch_does_not_count(bridged: Fly) -> None:
     assert verdict_on(bridged(3, 4, 30)).uavs[1].missing == 0
+
+
+def test_a_recording_that_ends_early_is_void(fly: Fly) -> None:
+    verdict = verdict_on(fly(seconds=3.0))
+    assert verdict.verdict == "void"
+    assert verdict.uavs[0].reason == "recording ends after 2.99 s"
+    assert verdict.uavs[0].error_at_deadline_m is None
+
+
+def test_not_a_number_is_missed(fly: Fly) -> None:
+    recording = fly()
+    recording.odometry[4].values[620:, 8] = np.nan
+    recording.wrench[5].values[123, 3] = np.inf
+    verdict = verdict_on(recording)
+    assert (verdict.verdict, verdict.exit_code) == ("missed", 1)
+    assert verdict_of(verdict, 4).reason == "state not finite from t = 6.20 s"
+    assert verdict_of(verdict, 5).reason == "state not finite from t = 1.23 s"
+    assert verdict_of(verdict, 4).verdict == verdict_of(verdict, 5).verdict == "missed"
+    assert verdict_of(verdict, 4).settling_s is None
+    assert [verdict_of(verdict, uav).verdict for uav in (1, 2, 3)] == ["met"] * 3
+
+
+def test_a_flight_of_nothing_but_nan_is_missed_and_can_be_printed(fly: Fly) -> None:
+    recording = fly()
+    for series in (*recording.odometry.values(), *recording.wrench.values()):
+        series.values[:] = np.nan
+    verdict = verdict_on(recording)
+    assert {one.verdict for one in verdict.uavs} == {"missed"}
+    assert json.loads(json.dumps(verdict.as_json(), allow_nan=False))["verdict"] == "missed"
+    assert verdict_tables(verdict)
+
+
+def test_without_the_leaders_place_no_follower_has_an_error(fly: Fly) -> None:
+    recording = fly()
+    recording.odometry[1].values[300:, 0] = np.nan
+    verdict = verdict_on(recording)
+    assert {one.verdict for one in verdict.uavs} == {"missed"}
+    assert verdict_of(verdict, 1).reason == "state not finite from t = 3.00 s"
+    assert verdict_of(verdict, 4).reason == "error not finite from t = 3.00 s"
+
+
+def test_a_few_missing_messages_are_counted(fly: Fly, without: Callable[..., Any]) -> None:
+    recording = fly()
+    odometry = {**recording.odometry, 3: without(recording.odometry[3], 100, 101, 102, 700)}
+    verdict = verdict_on(fly(odometry=odometry))
+    assert verdict.verdict == "met"
+    assert [one.missing for one in verdict.uavs] == [0, 0, 4, 0, 0]
+    assert verdict_of(verdict, 3).longest_gap_s == pytest.approx(0.04)
+    assert verdict_of(verdict, 4).longest_gap_s == pytest.approx(0.01)
+
+
+@pytest.mark.parametrize(("ticks", "kind"), [(24, "met"), (25, "void")])
+def test_a_gap_longer_than_a_quarter_of_a_second_is_void(
+    fly: Fly, without: Callable[..., Any], ticks: int, kind: str
+) -> None:
+    recording = fly()
+    cut = without(recording.odometry[3], *range(401, 401 + ticks))
+    verdict = verdict_on(fly(odometry={**recording.odometry, 3: cut}))
+    one = verdict_of(verdict, 3)
+    assert (one.verdict, one.missing) == (kind, ticks)
+    assert verdict_of(verdict, 4).verdict == "met"
+    if kind == "void":
+        nothing = "nothing on /uav3/odom for 0.26 s from t = 4.00 s"
+        assert one.reason == f"recording incomplete: {nothing}"
+        assert verdict.exit_code == 1
+
+
+def test_a_gap_of_the_leader_voids_everybody(fly: Fly, without: Callable[..., Any]) -> None:
+    recording = fly({4: decay(2.0, 0.5)})
+    cut = without(recording.odometry[1], *range(100, 200))
+    odometry = {**recording.odometry, 1: cut}
+    verdict = verdict_on(fly(odometry=odometry))
+    assert {one.verdict for one in verdict.uavs} == {"void"}
+    assert "nothing on /uav1/odom for 1.01 s" in verdict_of(verdict, 4).reason
+    assert verdict_of(verdict, 4).reason.endswith("settled after 7.38 s")
+    assert verdict_of(verdict, 4).missing == 0
+
+
+def test_silence_after_the_epoch_is_a_gap(fly: Fly, without: Callable[..., Any]) -> None:
+    recording = fly()
+    late = {**recording.odometry, 2: without(recording.odometry[2], *range(60))}
+    one = verdict_of(verdict_on(fly(odometry=late)), 2)
+    assert one.reason == "recording incomplete: nothing on /uav2/odom for 0.60 s from t = 0.00 s"
+
+
+@pytest.mark.parametrize(("ticks", "kind"), [(25, "met"), (26, "void")])
+def test_a_recording_cut_before_the_end_of_the_flight_is_void(
+    fly: Fly, without: Callable[..., Any], ticks: int, kind: str
+) -> None:
+    recording = fly()
+    cut = without(recording.odometry[5], *range(1200 - ticks, 1200))
+    verdict = verdict_on(fly(odometry={**recording.odometry, 5: cut}))
+    assert {one.verdict for one in verdict.uavs} == {kind}
+    if kind == "void":
+        reason = "recording incomplete: /uav5/odom ends after 11.73 s of 12.00 s"
+        assert verdict.uavs[0].reason == reason
+
+
+def test_a_missing_wrench_is_held_not_dropped(fly: Fly, without: Callable[..., Any]) -> None:
+    """A weight held for 11.99 s costs the same with and without two thirds of its messages."""
+    recording = fly()
+    gone = [tick for tick in range(1200) if tick % 3]
+    wrench = {**recording.wrench, 2: without(recording.wrench[2], *gone)}
+    one = next(one for one in verdict_on(fly(wrench=wrench)).efforts if one.uav == 2)
+    assert one.energy == pytest.approx((1.2 * 9.81) ** 2 * 11.99)
+    assert one.missing == 800

@@ -1,0 +1,139 @@
+"""What an encounter excuses, and until when."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from synthetic_flights import away, decay, verdict_of
+
+from ptnsbc_sim.scenario import load_scenario
+from ptnsbc_sim.verdict import Recording, verdict_on
+from ptnsbc_sim.verdict.encounters import recovery_s
+
+Fly = Callable[..., Recording]
+SWAY = away(8.0, 8.5)
+
+
+def ramp(t: Any) -> Any:
+    return np.clip(t - 7.9, 0.0, 0.6)
+
+
+@pytest.mark.parametrize("busy", [4, 3, 1])
+def test_an_encounter_of_the_uav_or_an_ancestor_excuses_it(
+    fly: Fly, count: Callable[..., Any], busy: int
+) -> None:
+    recording = fly({4: SWAY})
+    others = {**recording.counters, busy: count(12.0, ramp)}
+    one = verdict_of(verdict_on(fly({4: SWAY}, counters=others)), 4)
+    assert one.verdict == "met"
+    assert one.max_error_after_m == pytest.approx(0.0, abs=1e-12)
+    assert one.encounter_s > 2
+
+
+def test_an_encounter_of_a_child_excuses_nothing(fly: Fly, count: Callable[..., Any]) -> None:
+    recording = fly({4: SWAY})
+    others = {**recording.counters, 5: count(12.0, ramp)}
+    assert verdict_of(verdict_on(fly({4: SWAY}, counters=others)), 4).verdict == "missed"
+
+
+def test_recovery_ends(fly: Fly, count: Callable[..., Any]) -> None:
+    """The recovery time after the counter's last rise at 8.6 s the error counts again: 1.45 s for who is in place."""
+    recording = fly()
+    others = {**recording.counters, 4: count(12.0, ramp)}
+    late = fly({4: lambda t: np.where(t > 10.1, 0.5, 0.0)}, counters=others)
+    assert verdict_of(verdict_on(late), 4).verdict == "missed"
+    early = fly({4: lambda t: np.where((t > 8) & (t < 10.0), 0.5, 0.0)}, counters=others)
+    assert verdict_of(verdict_on(early), 4).verdict == "met"
+
+
+@pytest.mark.parametrize(
+    ("late", "kind", "text"),
+    [
+        (-0.1, "met", "the deadline counted at {:.2f} s"),
+        (
+            0.1,
+            "missed",
+            "0.500 m off at {:.2f} s, when it had to be back after an encounter that ended at 5.60 s, in {:.2f} s",
+        ),
+    ],
+)
+def test_an_encounter_over_the_deadline_moves_it_to_the_end_of_the_recovery(
+    fly: Fly, count: Callable[..., Any], late: float, kind: str, text: str
+) -> None:
+    """The counter rises last at 5.6 s; a recovery time later the UAV has to be back."""
+    due_s = 5.6 + recovery_s(load_scenario("paper_5_free"), 0.5)
+    others = {4: count(12.0, lambda t: np.clip(t - 4.5, 0.0, 1.05))}
+    one = verdict_of(verdict_on(fly({4: away(4.0, due_s + late)}, counters=others)), 4)
+    assert one.verdict == kind
+    assert one.due_s == pytest.approx(due_s)
+    assert one.error_at_deadline_m == pytest.approx(0.5)
+    assert (one.excuse or one.reason).endswith(text.format(due_s, due_s - 5.6))
+    assert one.max_error_after_all_m == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize(("late", "kind"), [(-0.3, "met"), (0.3, "missed")])
+def test_a_place_is_regained_within_the_recovery_time(
+    fly: Fly, count: Callable[..., Any], late: float, kind: str
+) -> None:
+    """After the deadline too: the counter rises last at 7.6 s, and the verdict says how long the way back took."""
+    promised_s = recovery_s(load_scenario("paper_5_free"), 0.5)
+    others = {4: count(12.0, lambda t: np.clip(t - 6.5, 0.0, 1.05))}
+    back = 7.6 + promised_s + late
+    one = verdict_of(verdict_on(fly({4: away(7.0, back)}, counters=others)), 4)
+    assert one.verdict == kind
+    assert one.recovery_s == pytest.approx(promised_s, abs=0.011)
+    if kind == "met":
+        assert one.regained_s == pytest.approx(promised_s + late, abs=0.011)
+    else:
+        text = f"not back after an encounter that ended at 7.60 s, in {promised_s:.2f} s"
+        assert one.reason.endswith(text)
+
+
+def test_who_is_farther_off_has_longer(fly: Fly, count: Callable[..., Any]) -> None:
+    scenario = load_scenario("paper_5_free")
+    near, far, farthest = (recovery_s(scenario, away) for away in (0.0, 1.0, 4.0))
+    assert near < far < farthest
+    assert near == pytest.approx(scenario.file.formation.recovery_s + 1.0 / 2.2)
+    assert farthest - 1.0 / 2.2 == pytest.approx(2.0 * (far - 1.0 / 2.2), rel=0.01)
+    paper = load_scenario("paper_5_free", {"formation.approach": "task"})
+    assert recovery_s(paper, 1.0) == recovery_s(paper, 4.0)
+
+
+def test_an_encounter_until_the_end_is_no_excuse(fly: Fly, count: Callable[..., Any]) -> None:
+    others = {4: count(12.0, lambda t: np.maximum(t - 4.5, 0.0))}
+    one = verdict_of(verdict_on(fly({4: away(4.0, 9.0)}, counters=others)), 4)
+    assert (one.verdict, one.max_error_after_m) == ("missed", None)
+    assert one.reason.endswith("an encounter lasts over the deadline until the end")
+
+
+@pytest.mark.parametrize(("back", "kind"), [(9.4, "met"), (9.8, "missed")])
+def test_a_uav_that_is_excused_for_most_of_the_time_is_not_met(
+    fly: Fly, count: Callable[..., Any], back: float, kind: str
+) -> None:
+    """The flight goes on for 6.99 s after the deadline; half of them may be excused, 3.495 s."""
+    others = {4: count(12.0, lambda t: np.clip(t - 5.9, 0.0, 2.6))}
+    one = verdict_of(verdict_on(fly({4: away(6.0, back)}, counters=others)), 4)
+    assert one.verdict == kind
+    assert one.excused_outside_s == pytest.approx(back - 6.0, abs=0.011)
+    assert one.max_error_after_m == pytest.approx(0.0, abs=1e-12)
+    if kind == "missed":
+        assert one.reason == (
+            "outside 0.050 m near objects for 3.79 s of the 6.99 s after the deadline"
+        )
+
+
+def test_who_stays_in_its_place_needs_no_excuse(fly: Fly, count: Callable[..., Any]) -> None:
+    """However long it gives way by millimetres."""
+    others = {4: count(12.0, lambda t: t)}
+    one = verdict_of(verdict_on(fly({4: lambda t: np.full_like(t, 0.01)}, counters=others)), 4)
+    assert (one.verdict, one.excuse, one.excused_outside_s) == ("met", "", 0.0)
+    assert one.max_error_after_all_m == pytest.approx(0.01)
+
+
+def test_keeping_clear_before_the_deadline_hides_nothing(
+    fly: Fly, count: Callable[..., Any]
+) -> None:
+    others = {4: count(12.0, lambda t: np.clip(t - 1.0, 0.0, 1.0))}
+    one = verdict_of(verdict_on(fly({4: decay(2.0, 1.0)}, counters=others)), 4)
+    assert (one.verdict, one.settling_s) == ("met", pytest.approx(3.69))
