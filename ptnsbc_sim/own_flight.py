@@ -7,7 +7,7 @@ from collections.abc import Iterator, MutableSequence, Sequence
 import numpy as np
 
 from ptnsbc_core.kernel import borrowed, kernel, kernel_list
-from ptnsbc_core.step import guided_step, initial_state, step, task_points, tasked_step
+from ptnsbc_core.step import guided_step, step, task_points, tasked_step
 from ptnsbc_core.tasks.contract import TaskGeometry
 from ptnsbc_core.types import Array
 from ptnsbc_sim.disturbances.build import Disturbances
@@ -24,13 +24,13 @@ from ptnsbc_sim.tick import (
     SwarmState,
     advance_plant,
     blown,
+    computes,
     dead,
     inputs_of,
-    restarted,
     sense,
     since_epoch,
 )
-from ptnsbc_sim.track import FlightTrack, note, note_silence
+from ptnsbc_sim.track import FlightTrack, note
 from ptnsbc_sim.wiring import Wiring, obstacles_at
 
 _POINTS = 9  # own, parent and reference of a task; then whether the parent has been heard
@@ -50,11 +50,8 @@ def _step_all(
     wiring, swarm, track = borrowed(wiring), borrowed(swarm), borrowed(track)
     dt = wiring.dt_ns * 1e-9
     for row in range(swarm.bodies.shape[0]):
-        if disturbances is not None and dead(tick, row, disturbances):
-            note_silence(track, tick, row)
+        if not computes(swarm, track, tick, row, disturbances):
             continue
-        if disturbances is not None and restarted(tick, row, disturbances):
-            swarm.states[row] = initial_state(track.odometry[tick, row], swarm.configs[row])
         t = since_epoch(wiring, tick, row)
         inputs = inputs_of(swarm, wiring, track, tick, row, disturbances)
         state, config = swarm.states[row], swarm.configs[row]
@@ -82,8 +79,8 @@ def _task_points(
     dt = wiring.dt_ns * 1e-9
     out = np.zeros((swarm.bodies.shape[0], _POINTS + 1))
     for row in range(swarm.bodies.shape[0]):
-        if disturbances is not None and restarted(tick, row, disturbances):
-            swarm.states[row] = initial_state(track.odometry[tick, row], swarm.configs[row])
+        if not computes(swarm, track, tick, row, disturbances):
+            continue
         inputs = inputs_of(swarm, wiring, track, tick, row, disturbances)
         t = since_epoch(wiring, tick, row)
         found = task_points(swarm.states[row], inputs, t, dt, swarm.configs[row])
@@ -180,9 +177,7 @@ class _OwnFlight:
     ) -> None:
         """Ticks first .. first + count - 1 of the whole swarm into `track`."""
         for tick in range(first, first + count):
-            t = since_epoch(
-                wiring, tick, 0
-            )  # nobody lands alone: a law and vacancy exclude each other
+            t = since_epoch(wiring, tick, 0)  # of all: a law and vacancy exclude each other
             sense(swarm, wiring, track, tick, disturbances)
             if self._world is not None and self._world.senses:
                 self._sense(tick, wiring, swarm, track, disturbances)

@@ -37,13 +37,12 @@ from ptnsbc_sim.tick import (
     Loop,
     SwarmState,
     advance_plant,
-    dead,
+    computes,
     inputs_of,
-    restarted,
     sense,
     since_epoch,
 )
-from ptnsbc_sim.track import FlightTrack, note, note_silence, track_of
+from ptnsbc_sim.track import FlightTrack, note, track_of
 from ptnsbc_sim.wiring import Wiring, obstacles_at, wire, wiring_of
 from ptnsbc_sim.world import World, measure_all
 
@@ -104,11 +103,8 @@ def _fly(
     for tick in range(first, first + count):
         sense(swarm, wiring, track, tick, disturbances)
         for row in range(swarm.bodies.shape[0]):
-            if disturbances is not None and dead(tick, row, disturbances):
-                note_silence(track, tick, row)
+            if not computes(swarm, track, tick, row, disturbances):
                 continue
-            if disturbances is not None and restarted(tick, row, disturbances):
-                swarm.states[row] = initial_state(track.odometry[tick, row], swarm.configs[row])
             t = since_epoch(wiring, tick, row)
             inputs = inputs_of(swarm, wiring, track, tick, row, disturbances)
             swarm.states[row], out = inlined_step(

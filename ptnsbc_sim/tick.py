@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from ptnsbc_core.algebra import store
 from ptnsbc_core.behaviours.parents import mean_parent
 from ptnsbc_core.kernel import inline_kernel, kernel
+from ptnsbc_core.step import initial_state
 from ptnsbc_core.types import (
     MODE_FORMATION,
     MODE_HOLD,
@@ -34,7 +35,7 @@ from ptnsbc_sim.disturbances.sensor_noise import add_sensor_noise
 from ptnsbc_sim.plants.contract import PlantConfig, Waves
 from ptnsbc_sim.plants.integrate import advance_with, stop, store_odometry
 from ptnsbc_sim.sensor import store_near, store_objects
-from ptnsbc_sim.track import FlightTrack
+from ptnsbc_sim.track import FlightTrack, note_silence
 from ptnsbc_sim.wiring import Wiring, obstacles_at
 
 
@@ -233,9 +234,17 @@ def dead(tick: int, row: int, disturbances: Disturbances) -> bool:
 
 
 @inline_kernel
-def restarted(tick: int, row: int, disturbances: Disturbances) -> bool:
-    """Whether the process of UAV number `row`, which was dead, begins anew at `tick`."""
-    return tick > 0 and dead(tick - 1, row, disturbances)
+def computes(
+    swarm: SwarmState, track: FlightTrack, tick: int, row: int, disturbances: Disturbances | None
+) -> bool:
+    """Whether UAV number `row` computes at `tick`. One that begins anew starts from what it sees."""
+    if disturbances is not None:
+        if dead(tick, row, disturbances):
+            note_silence(track, tick, row)
+            return False
+        if tick > 0 and dead(tick - 1, row, disturbances):
+            swarm.states[row] = initial_state(track.odometry[tick, row], swarm.configs[row])
+    return True
 
 
 @inline_kernel
