@@ -75,6 +75,7 @@ def _rows(case: Case, plan: Plan) -> list[Row]:
         process = _PROCESS[role]
         rows.append(row(f"CPU of {process}", "cores", _usage(role, "cores")))
         rows.append(row(f"memory of {process}", "MB", _usage(role, "rss_mb")))
+        rows.append(row(f"memory of {process}, its share", "MB", _usage(role, "pss_mb")))
     if case.bag:
         lost = [flown.lost_percent for flown in found["fleet"]]
         rows.append(Row(f"{case.name}: odometry missing in the bag", lost, "%"))

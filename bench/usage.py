@@ -21,6 +21,7 @@ class Usage(NamedTuple):
 
     cores: float  # CPU time per wall time
     rss_mb: float  # memory, shared libraries counted in every process
+    pss_mb: float  # memory, shared libraries divided among the processes that map them
 
 
 class Sample(NamedTuple):
@@ -36,6 +37,9 @@ class Sampler:
 
     def __init__(self) -> None:
         self._samples: dict[tuple[str, int], list[Sample]] = defaultdict(list)
+        self._shares: dict[
+            int, float
+        ] = {}  # [MB], by pid: looked at once, because the kernel visits every page
         self._began = float("inf")
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
@@ -55,12 +59,12 @@ class Sampler:
     def usage(self) -> dict[str, Usage]:
         """By role: uav and bridge (mean), sim, recorder; a role with less than two samples is left out."""
         found: dict[str, list[Usage]] = defaultdict(list)
-        for (role, _), samples in self._samples.items():
+        for (role, pid), samples in self._samples.items():
             counted = [sample for sample in samples if sample.at >= self._began]
             if len(counted) > 1:
                 first, last = counted[0], counted[-1]
                 cores = (last.cpu_s - first.cpu_s) / (last.at - first.at)
-                found[role].append(Usage(cores, last.rss_mb))
+                found[role].append(Usage(cores, last.rss_mb, self._shares.get(pid, 0.0)))
         return {role: _mean(each) for role, each in found.items()}
 
     def growth(self, settle_s: float) -> dict[str, float]:
@@ -83,6 +87,8 @@ class Sampler:
         try:
             words = Path(f"/proc/{pid}/cmdline").read_bytes().replace(b"\0", b" ").decode()
             sample = look(pid)
+            if sample.at >= self._began and pid not in self._shares:
+                self._shares[pid] = _share_mb(pid)
         except OSError:  # it has just ended
             return
         if role := _ROLE.search(words):
@@ -95,6 +101,11 @@ def look(pid: int) -> Sample:
     fields = _stat(pid)
     cpu_s = (int(fields[11]) + int(fields[12])) / _TICKS_PER_S
     return Sample(time.monotonic(), cpu_s, int(fields[21]) * _PAGE_MB)
+
+
+def _share_mb(pid: int) -> float:
+    lines = Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines()
+    return next(float(line.split()[1]) / 1024 for line in lines if line.startswith("Pss:"))
 
 
 def _stat(pid: int) -> list[str]:
@@ -117,4 +128,4 @@ def _children() -> list[int]:
 
 def _mean(each: list[Usage]) -> Usage:
     count = len(each)
-    return Usage(sum(u.cores for u in each) / count, sum(u.rss_mb for u in each) / count)
+    return Usage(*(sum(column) / count for column in zip(*each, strict=True)))
