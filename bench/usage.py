@@ -37,9 +37,8 @@ class Sampler:
 
     def __init__(self) -> None:
         self._samples: dict[tuple[str, int], list[Sample]] = defaultdict(list)
-        self._shares: dict[
-            int, float
-        ] = {}  # [MB], by pid: looked at once, because the kernel visits every page
+        # [MB], by pid; looked at once, because the kernel visits every page for it.
+        self._shares: dict[int, float] = {}
         self._began = float("inf")
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
