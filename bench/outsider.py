@@ -40,7 +40,6 @@ from ptnsbc_tools.reading.bag_reader import read_recording
 
 _NAME = "outsider"
 _GROWTH_M = 5e-3
-_JOINS_S = 2.0  # its publishers are discovered by then
 
 
 class Forgery(NamedTuple):
@@ -110,13 +109,15 @@ def attack(scenario: Scenario, hz: float) -> None:
     while not begun:
         rclpy.spin_once(node, timeout_sec=0.1)
     kinds = {one.topic for one in forgeries(scenario, 0)}
-    send = {topic: ends.publisher(topic, 0) for topic in kinds}
-    time.sleep(_JOINS_S)
+    send = {topic: ends.publisher(topic, 1) for topic in kinds}
+    while ends.unread():  # until somebody in the fleet reads each of them
+        rclpy.spin_once(node, timeout_sec=0.1)
     sent, began = 0, time.monotonic()
     while True:
         for topic, data in list(forgeries(scenario, time.time_ns())):
             send[topic](data)
             sent += 1
+            # The rate is what is asked of it: there is nothing else to wait for.
             time.sleep(max(began + sent / hz - time.monotonic(), 0.0))
         rate = sent / (time.monotonic() - began)
         print(json.dumps({"sent": sent, "hz": round(rate)}), flush=True)
@@ -138,7 +139,7 @@ def _beside(settings: Mapping[str, str], scenario_file: Path, hz: float) -> Iter
 
 
 class Flown(NamedTuple):
-    """What one flight showed."""
+    """Errors, exits and diagnostics of one flight."""
 
     error_m: float  # the largest of all UAVs after the deadline
     died: tuple[str, ...]

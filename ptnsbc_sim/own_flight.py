@@ -113,7 +113,7 @@ def _flies(
 
 
 class _Laws:
-    """The law of every follower, and what each has received."""
+    """The user's law of every follower, and the states that each has received."""
 
     def __init__(self, scenario: Scenario) -> None:
         self._scenario = scenario

@@ -21,7 +21,7 @@ _ZERO: Vector3 = (0.0, 0.0, 0.0)
 
 _ONES: Matrix3 = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 NO_TASK = TaskGeometry(_ZERO, _ONES, ZERO, ZERO, _ZERO)
-"""Of a UAV that has not heard its parent: nothing is computed with it."""
+"""Placeholder for a UAV that has not heard its parent: no step computes with it."""
 
 
 class OwnTask:

@@ -26,7 +26,7 @@ _HOMING = 2.0
 
 @inline_kernel
 def stands_still(wanted: Vector3, command: Vector3, place: FormationPlace) -> bool:
-    """Whether a command [m/s, ENU] has near nothing left of what a velocity has towards the place."""
+    """Whether the command [m/s, ENU] goes hardly towards the place although the wanted velocity does."""
     distance = norm3(place.error)
     asked = dot3(sub3(wanted, place.velocity), place.error)
     left = dot3(sub3(command, place.velocity), place.error)

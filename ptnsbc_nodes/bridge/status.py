@@ -105,7 +105,7 @@ def bridge_status(
 
 
 def _concerns(bridge: Bridge, missing: Sequence[str], endpoints: Endpoints) -> Iterator[Concern]:
-    """What concerns the bridge: its flight first, then what it lacks or refuses."""
+    """The reasons for the safety state of the bridge: its step of the flight, missing topics, refused messages."""
     procedure, warn = bridge.procedure, DiagnosticLevel.WARN
     yield from procedure_concern(procedure.step, procedure.output.stream, procedure.fault)
     if fault := bridge.state_publisher.fault(bridge.ports.clocks.steady_s()):

@@ -100,7 +100,7 @@ class CommunicationGraph:
         return CommunicationGraph(scenario, self.options)
 
     def _reassigns(self) -> bool:
-        """Whether a UAV may get another slot, and with it the edges of another UAV; else it only loses edges."""
+        """Whether a UAV may get another slot, and the edges of that slot. Otherwise it only loses edges."""
         return are_open(self._scenario) or self._scenario.file.formation.vacancy == "close_up"
 
     def _peers(self, uav_id: int) -> tuple[int, ...]:
@@ -109,7 +109,7 @@ class CommunicationGraph:
         return () if self._scenario.law is None else self._scenario.estimator_neighbours(uav_id)
 
     def _others(self, uav_id: int) -> tuple[int, ...]:
-        """UAVs that this one must be able to hear, whatever the epoch decides and whoever goes, ascending."""
+        """UAVs, ascending, that this one may have to hear later, when slots are assigned or UAVs come and go."""
         if not are_open(self._scenario) and not self._scenario.reconfigures:
             return ()
         return tuple(sorted(i for i in self._scenario.uav_ids if i != uav_id))

@@ -175,7 +175,7 @@ class UavController:
             self._agent = Agent.resumed(self._agent_config, state)
 
     def _take_role(self, at: StepTime, cutoff_ns: int) -> StepTime:
-        """Take the place that follows from who is there now; returns the step, in which the UAV may have to hold."""
+        """Take the role that follows from the present members; returns the step, in hold for an absent UAV."""
         if self._roles is None or not at.flying:
             return at
         ages = {one.sender: one.age_s for one in self.inbox.states(at.now_ns, cutoff_ns)}

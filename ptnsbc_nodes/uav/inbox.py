@@ -183,7 +183,7 @@ class Inbox:
         self._await()
 
     def _await(self) -> None:
-        """Who lock-step waits for; where UAVs may come and go, for all, because any may be used next."""
+        """Choose the senders that lock-step waits for: all where UAVs may come and go, because any may be used next."""
         every = [*self._states.items(), *self._estimates.items()]
         awaited = every if self.senders.every_tick else self._used
         self._awaited = [one for one in awaited if one[0] not in self._lost]

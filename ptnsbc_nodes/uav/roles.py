@@ -13,7 +13,7 @@ from ptnsbc_sim.scenario.mission.membership import Formations, Membership, View
 
 
 class NewRole(NamedTuple):
-    """What a UAV flies by from this step on."""
+    """The role that a UAV has from this step on."""
 
     change: RoleChange
     config: AgentConfig
@@ -21,7 +21,7 @@ class NewRole(NamedTuple):
 
 
 class RoleHolder:
-    """One UAV, who is there as it sees it, and what that makes of its place.
+    """The role of one UAV, by the members that it sees.
 
     Args:
         scenario: of the flight; UAVs may come and go in it.
@@ -36,7 +36,7 @@ class RoleHolder:
         self.restart()
 
     def restart(self) -> None:
-        """Forget who was there."""
+        """Forget the members seen so far."""
         self._view = View(self._formations.scenario, self.uav)
         self._began_ns: int | None = None
         self._before: Scenario | None = self._formations.scenario
@@ -53,15 +53,15 @@ class RoleHolder:
 
     @property
     def leads(self) -> bool:
-        """Whether the UAV leads, as it sees it."""
+        """Whether the UAV leads by the members that it sees."""
         return self._before is not None and self._before.leader_id == self.uav
 
     def holds(self, mode: int) -> bool:
-        """Whether the UAV has to hold in a leg, because it is not there yet."""
+        """Whether the UAV has to hold in a leg, because it is no member yet."""
         return mode == MODE_FORMATION and self.uav in self._members.absent
 
     def look(self, now_ns: int, first_t0_ns: int, ages_s: Mapping[int, float]) -> NewRole | None:
-        """Look who is there at a step; returns the new role, if that changes it.
+        """Determine the members at a step; returns the new role of the UAV if it changes.
 
         Args:
             now_ns: the instant of the step [ns].

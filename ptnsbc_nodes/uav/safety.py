@@ -1,4 +1,4 @@
-"""What concerns the process of one UAV. No ROS in here.
+"""The safety state of a UAV process, derived from what it observes. No ROS in here.
 
 A follower whose parent or leader is silent holds by the law itself, which keeps it clear meanwhile. A UAV without its
 own odometry sends no setpoint, because a setpoint is the proof of life for its vehicle.
@@ -14,7 +14,7 @@ from ptnsbc_nodes.runtime.safety import Concern, SafetyState
 
 
 class PlannerSight(NamedTuple):
-    """What a UAV process knows of itself; an empty text stands for what is well."""
+    """What a UAV process observes of its inputs and its flight; an empty text says that nothing is wrong."""
 
     holding: bool = False
     inactive: bool = False
@@ -31,7 +31,7 @@ class PlannerSight(NamedTuple):
 
 
 def planner_concerns(sight: PlannerSight) -> Iterator[Concern]:
-    """What concerns a UAV process."""
+    """The reasons for the safety state of a UAV process."""
     error, warn = DiagnosticLevel.ERROR, DiagnosticLevel.WARN
     if sight.inactive:  # it was told to be: nothing else of it counts
         yield Concern(SafetyState.STOP, warn, "inactive")
@@ -50,7 +50,7 @@ def planner_concerns(sight: PlannerSight) -> Iterator[Concern]:
 
 
 def _lacks(sight: PlannerSight) -> tuple[str, ...]:
-    """What it flies on without; empty texts for what is well."""
+    """Faults in spite of which the UAV flies on; an empty text says that there is none."""
     silent, missed = sight.silent_estimates, sight.missed_ticks
     return (
         sight.clock_offset,

@@ -73,7 +73,7 @@ def _outside(places: Array, fence: Geofence) -> Array:
 
 
 def _path(scenario: Scenario, times: Array) -> Array:
-    """Where the leader goes (T, 3) [m]; of setpoints from a topic nobody knows more than the region."""
+    """Positions (T, 3) of the leader [m]; the corners (8, 3) of the region if setpoints come from a topic."""
     path = scenario.file.leader.trajectory
     if isinstance(path, SetpointTrajectory) and scenario.hears_setpoints:
         corners = itertools.product(*zip(path.low_m, path.high_m, strict=True))

@@ -1,4 +1,4 @@
-"""What concerns a bridge: its step of the flight in the terms that all processes share.
+"""The safety state of a bridge, derived from its step of the flight.
 
 The thread of the bridge advances the procedure whatever ROS and the planner do, so these states do not wait for either.
 """

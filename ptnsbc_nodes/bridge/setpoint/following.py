@@ -27,7 +27,7 @@ class Following(NamedTuple):
 
     @property
     def unlike(self) -> str:
-        """How far this is from a vehicle that flies what is wanted; empty when it is near."""
+        """A sentence on gain and lag that are too far from 1 and 0 s; empty when both are near enough."""
         if abs(self.gain - 1.0) <= _GAIN_OFF and self.lag_s <= _LAG_OFF_S:
             return ""
         return (

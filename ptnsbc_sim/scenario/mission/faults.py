@@ -34,7 +34,7 @@ FOR_EVER_NS = 2**62
 """End of a fault without a duration."""
 
 _RESTART_NS = 2_000_000_000
-"""What the start of a process takes: how long a UAV is gone that is restarted at once."""
+"""Time that a process takes to start [ns]: so long is a UAV gone that is restarted at once."""
 
 MESSAGES, POSITION, PROCESS, RECORDER, AUTOPILOT = (
     "messages",

@@ -24,14 +24,14 @@ NEVER_NS = 2**62
 
 
 class Membership(NamedTuple):
-    """Who is there, as one UAV sees it."""
+    """The UAVs that are absent or have returned, as one UAV sees it."""
 
     absent: frozenset[int]
     returned: frozenset[int]  # that are there, and were absent before
 
 
 class GraphPlace(NamedTuple):
-    """What the graph makes of one UAV."""
+    """The place of one UAV in the graph."""
 
     leader: int
     parent: int | None
@@ -51,7 +51,7 @@ def leaves_ns(scenario: Scenario, uav_id: int) -> int:
 
 
 class View:
-    """Who is there, as one UAV sees it from the begin of its process on."""
+    """How one UAV finds the members, from the start of its process on."""
 
     def __init__(self, scenario: Scenario, uav_id: int) -> None:
         self._uav = uav_id
@@ -62,7 +62,7 @@ class View:
         self._away: set[int] = set()
 
     def at(self, since_ns: int, awake_ns: int, ages_s: Mapping[int, float]) -> Membership:
-        """Who is there at this tick; call it tick by tick.
+        """The members at this tick; to be called at every tick in turn.
 
         Args:
             since_ns: time since the first epoch [ns].
@@ -83,7 +83,7 @@ class View:
 
 
 class Formations:
-    """The scenario by who is there; those that were needed are kept."""
+    """The scenario with the graph of the members; every graph that was computed is kept."""
 
     def __init__(self, scenario: Scenario) -> None:
         import scipy.sparse.csgraph  # noqa: F401 - before the flight: no tick waits half a second for it

@@ -179,7 +179,7 @@ def going_on(path: Streamed, one: Setpoint) -> Streamed:
 
 
 def _later(one: Setpoint, before_s: float) -> float:
-    """When a setpoint counts: not before the one before, whose place it takes at the same time."""
+    """When a setpoint counts [s]: not before the previous one, which it replaces if both are of the same time."""
     if not (one.at_s >= 0.0 and one.at_s >= before_s):
         raise SetpointError(f"expected a time from the first epoch on, and from {before_s:g} s on")
     return one.at_s

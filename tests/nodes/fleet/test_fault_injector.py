@@ -8,8 +8,9 @@ import pytest
 
 pytest.importorskip("rclpy")
 
+from ptnsbc_core.types import Array
 from ptnsbc_io import wire
-from ptnsbc_io.bag import read_bag
+from ptnsbc_io.bag import Bag, read_bag
 from ptnsbc_nodes.fleet.child_process import ChildProcess, ProcessCommand, end
 from ptnsbc_nodes.fleet.fault_injector import FaultInjector
 from ptnsbc_nodes.fleet.fleet import FleetOptions, run_fleet
@@ -159,6 +160,14 @@ def test_faults_of_messages_are_not_the_launchers(bench):
     assert one.lines == []
 
 
+def assert_recorded(bag: Bag, uav: int, topic: str, expected: Array) -> None:
+    """A bag holds the messages of a UAV on a topic, to the bit."""
+    decode = wire.decode_wrench if topic == "setpoint/wrench" else wire.decode_odometry
+    found = [decode(one.data).values for one in bag.messages([f"/uav{uav}/{topic}"])]
+    assert len(found) == len(expected), topic
+    assert np.stack(found).tobytes() == np.ascontiguousarray(expected).tobytes(), topic
+
+
 @pytest.mark.ros
 @pytest.mark.slow
 def test_a_fleet_in_lockstep_flies_its_faults_as_the_headless_flight_does(tmp_path):
@@ -176,16 +185,10 @@ def test_a_fleet_in_lockstep_flies_its_faults_as_the_headless_flight_does(tmp_pa
     assert (done.exit_code, done.died) == (1, ("uav5",))
     track, bag = fly(scenario).track, read_bag(tmp_path / "bag")
     for row, uav in enumerate(scenario.uav_ids):
-        for topic, decode, values in (
-            ("odom", wire.decode_odometry, track.odometry),
-            ("truth", wire.decode_odometry, track.truth),
-            ("setpoint/wrench", wire.decode_wrench, track.wrench),
-        ):
-            found = [decode(one.data) for one in bag.messages([f"/uav{uav}/{topic}"])]
-            ends = 100 if uav == 5 and topic == "setpoint/wrench" else scenario.ticks
-            assert len(found) == ends
-            expected = np.ascontiguousarray(values[:ends, row])
-            assert np.stack([one.values for one in found]).tobytes() == expected.tobytes(), topic
+        ends = 100 if uav == 5 else scenario.ticks
+        assert_recorded(bag, uav, "odom", track.odometry[:, row])
+        assert_recorded(bag, uav, "truth", track.truth[:, row])
+        assert_recorded(bag, uav, "setpoint/wrench", track.wrench[:ends, row])
 
 
 COMING_AND_GOING = {
@@ -211,13 +214,7 @@ def test_a_fleet_in_lockstep_comes_and_goes_as_the_headless_flight_does(tmp_path
     assert (done.exit_code, done.died) == (1, ("uav1",))
     track, bag, silent = fly(scenario).track, read_bag(tmp_path / "bag"), gone(scenario)
     for row, uav in enumerate(scenario.uav_ids):
-        for topic, decode, values in (
-            ("truth", wire.decode_odometry, track.truth),
-            ("setpoint/wrench", wire.decode_wrench, track.wrench),
-            ("leader_estimate", wire.decode_odometry, track.estimate),
-        ):
-            found = [decode(one.data) for one in bag.messages([f"/uav{uav}/{topic}"])]
-            sent = np.ones(scenario.ticks, bool) if topic == "truth" else ~silent[:, row]
-            expected = np.ascontiguousarray(values[sent, row])
-            assert len(found) == len(expected)
-            assert np.stack([one.values for one in found]).tobytes() == expected.tobytes(), topic
+        sent = ~silent[:, row]
+        assert_recorded(bag, uav, "truth", track.truth[:, row])
+        assert_recorded(bag, uav, "setpoint/wrench", track.wrench[sent, row])
+        assert_recorded(bag, uav, "leader_estimate", track.estimate[sent, row])
