@@ -25,7 +25,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--duration", type=float, metavar="S", help="instead of the scenario's")
     parser.add_argument("--bag", type=Path, help="record into this folder")
     parser.add_argument("--overwrite", action="store_true", help="replace an existing bag")
-    parser.add_argument("--processes", type=int, metavar="K", help="for all UAVs, not one for each")
+    parser.add_argument(
+        "--processes",
+        type=int,
+        metavar="K",
+        help="fly all UAVs in K processes, not in one for each",
+    )
     parser.add_argument("--backend", choices=("sim", "mavlink"), default="sim")
     parser.add_argument("--allow-arming", action="store_true", help="of real vehicles")
     parser.add_argument("--log-dir", type=Path, help="where each process writes its log")

@@ -150,7 +150,7 @@ def _parser() -> argparse.ArgumentParser:
         action="append",
         default=[],
         metavar=("N", "FIRST_NS", "END_NS"),
-        help="lock-step: when the process of a UAV is to send nothing",
+        help="lock-step: span in which the process of a UAV is gone and sends nothing",
     )
     parser.add_argument("--attach", type=_pair, action="append", default=[], metavar="NAME=PATH")
     parser.add_argument("--meta", type=_pair, action="append", default=[], metavar="KEY=VALUE")

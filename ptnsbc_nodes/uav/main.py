@@ -28,10 +28,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         nargs="+",
         metavar="N",
         default=[None],
-        help="id of this UAV; several fly in one process",
+        help="ids of the UAVs of this process, one or several",
     )
     parser.add_argument(
-        "--fleet", default="", metavar="NAMESPACE", help="of the fleet, where several UAVs fly"
+        "--fleet",
+        default="",
+        metavar="NAMESPACE",
+        help="namespace of the fleet, for a process of several UAVs",
     )
     parser.add_argument("--managed", action="store_true", help="wait to be configured")
     return run(parser, argv, _fly)

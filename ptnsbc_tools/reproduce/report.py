@@ -42,10 +42,10 @@ A share counts flights, with its Wilson interval at 95 %. A claim about meeting 
 of its share is above {sure:g} %.
 """
 PAGES = {
-    "results": ("Results", "What the paper says, flown again with this code."),
+    "results": ("Results", "The results of the paper, flown again with this code."),
     "envelope": (
         "How far it goes",
-        "Where formation control by this code succeeds, and where it stops to.",
+        "Where formation control by this code succeeds, and where it fails.",
     ),
 }
 
