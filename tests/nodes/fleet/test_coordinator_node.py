@@ -4,9 +4,13 @@ import pytest
 
 pytest.importorskip("rclpy")
 
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.duration import Duration
+
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.diagnostics import DiagnosticLevel, diagnostics
 from ptnsbc_nodes.comm.endpoints import Endpoints
+from ptnsbc_nodes.comm.qos import RECORDER_RELIABLE
 from ptnsbc_nodes.comm.topics import READY
 from ptnsbc_nodes.fleet.coordinator_node import Coordinator, _LockstepWait
 from ptnsbc_nodes.runtime.watchdog import ENDED_S, SAID_S, WAITED
@@ -45,3 +49,18 @@ def test_no_message_ends_the_launcher_or_makes_it_end_a_uav(ros):
             launcher.spin(0.02)
         assert launcher.waiting["sim"] == names
         assert all(waited_s < ENDED_S for waited_s in launcher.stuck().values())
+
+
+def test_statuses_of_the_largest_fleet_that_come_at_once_are_all_heard(ros):
+    """UAVs of one process send together; the launcher started a process again that it had not heard."""
+    sender = ros.node("uavs").create_publisher(DiagnosticArray, READY.name, RECORDER_RELIABLE)
+    names = {f"uav{i}" for i in range(1, 255)}
+    with Coordinator(ros.domain) as launcher:
+        while not sender.get_subscription_count():
+            launcher.spin(0.02)
+        for name in names:
+            values = {"ready": "true"}
+            sender.publish(diagnostics(0, f"{name}: planner", DiagnosticLevel.OK, "", values))
+        assert sender.wait_for_all_acked(Duration(seconds=30))
+        launcher.spin(1.0)
+        assert launcher.waiting.keys() == names
