@@ -289,7 +289,8 @@ def _add_circulation(
         if slot < 0:
             continue
         ramp = min(memory[slot, obstacle_memory.ACTIVE_S] / config.ramp_s, 1.0)
-        speed = config.circulation * ramp * multipliers[m] * memory[slot, obstacle_memory.SIDE]
+        speed = config.circulation * ramp * multipliers[m]
+        speed *= obstacle_memory.side_of(memory, slot, config.timeout_s)
         speed *= _stalled(velocity, admissible, load3(near[m], 4), config)
         out = axpy(speed, tangent(rows.normals[m]), out)
     return out

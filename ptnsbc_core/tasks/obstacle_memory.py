@@ -16,6 +16,9 @@ SLOTS = 8
 SIDE, ACTIVE_S, QUIET_S, USED = 3, 4, 5, 6
 MATCH_RADIUS_M = 1.0
 
+_CHANGE = 0.25
+"""The side changes from this share of timeout_s before it to the same share after it."""
+
 
 @kernel
 def empty_memory() -> Array:
@@ -57,6 +60,17 @@ def active_time(memory: Array, centre: Vector3) -> float:
     return float(memory[slot, ACTIVE_S])
 
 
+@inline_kernel
+def side_of(memory: Array, slot: int, timeout_s: float) -> float:
+    """Side on which an object is passed, -1 to 1: it changes around timeout_s, and again after another timeout_s.
+
+    The change takes half of that time. A step would saturate the filter, and the tilt of the vehicle beside a slope
+    would lead into it.
+    """
+    left = (timeout_s - memory[slot, ACTIVE_S]) / (_CHANGE * timeout_s)
+    return memory[slot, SIDE] * min(max(left, -1.0), 1.0)
+
+
 @kernel
 def _claim_slot(memory: Array, side: float) -> int:
     """Take a free slot, or the one that was not binding for the longest time."""
@@ -80,8 +94,8 @@ def update(
 ) -> Array:
     """Memory after a tick in which the objects with a positive `binding` (M,) changed the velocity.
 
-    A new object is passed on the side to which `side` (M,) points. After timeout_s the side changes. A slot that
-    was not binding for forget_s is free again.
+    A new object is passed on the side to which `side` (M,) points. After timeout_s the side changes, see `side_of`. A
+    slot that was not binding for forget_s is free again.
     """
     out = memory.copy()
     for slot in range(SLOTS):
@@ -99,7 +113,7 @@ def update(
         if out[slot, QUIET_S] > 0.0:  # once per tick, also when two near objects share the slot
             out[slot, ACTIVE_S] += dt
         out[slot, QUIET_S] = 0.0
-        if out[slot, ACTIVE_S] > config.timeout_s:
+        if out[slot, ACTIVE_S] > (1.0 + _CHANGE) * config.timeout_s:
             out[slot, SIDE] = -out[slot, SIDE]
-            out[slot, ACTIVE_S] = 0.0
+            out[slot, ACTIVE_S] -= config.timeout_s
     return out

@@ -93,8 +93,29 @@ def test_no_body_is_touched_at_any_angle(kind: str, velocity: tuple, plant: str)
     """A leader whose trajectory leads straight through it, along it, and up and down beside it."""
     if kind == "slope" and np.dot(_BODIES[kind]["normal"], velocity) >= 0.0:
         pytest.skip("leads away from it")
+    assert_kept_clear(_BODIES[kind], velocity, plant, 7.0)
+
+
+@pytest.mark.parametrize("kind", ["plane", "half_space"])
+@pytest.mark.parametrize(
+    ("normal", "velocity"),
+    [
+        ((-0.54, -0.13, -0.83), (0.97, -1.13, -0.08)),
+        ((-0.34, -0.12, -0.93), (1.55, 3.3, 1.51)),
+        ((0.26, 0.73, -0.63), (-1.27, -2.78, 0.68)),
+        ((-0.23, -0.45, -0.86), (-0.91, 0.62, 0.23)),
+    ],
+)
+def test_no_slope_is_touched_when_the_side_changes(
+    kind: str, normal: tuple, velocity: tuple
+) -> None:
+    """Level and climb lag by unlike times, so a step along a slope would lead the vehicle into it."""
+    assert_kept_clear({"kind": kind, "normal": list(normal)}, velocity, "quadrotor", 14.0)
+
+
+def assert_kept_clear(body: dict, velocity: tuple, plant: str, duration_s: float) -> None:
     start = np.array([0.0, 0.0, 30.0]) - 3.0 * np.array(velocity)
-    body = {"name": "it", "keep_out_m": 0.4, "position_m": [0, 0, 30], **_BODIES[kind]}
+    body = {"name": "it", "keep_out_m": 0.4, "position_m": [0, 0, 30], **body}
     path = {"kind": "line", "position_m": start.tolist(), "velocity_m_s": list(velocity)}
     tree = yaml.safe_load(load_scenario("paper_5_free", {"plant.kind": plant}).text) | {
         "communication": {"tree": {}, "leader_links": [], "estimator_edges": []},
@@ -102,7 +123,7 @@ def test_no_body_is_touched_at_any_angle(kind: str, velocity: tuple, plant: str)
         "formation": {"task": "relative_position", "offsets_m": {}, "uav_keep_out_m": 0.5},
         "uavs": [{"id": 1, "position_m": start.tolist()}],
     }
-    tree["world"]["obstacles"], tree["timing"]["duration_s"] = [body], 7
+    tree["world"]["obstacles"], tree["timing"]["duration_s"] = [body], duration_s
     scenario = scenario_from_text(yaml.safe_dump(tree))
     flown = fly(scenario)
     (found,) = scenario.obstacles

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from ptnsbc_core.tasks.obstacle_memory import (
-    ACTIVE_S,
     QUIET_S,
     SIDE,
     SLOTS,
@@ -12,6 +11,7 @@ from ptnsbc_core.tasks.obstacle_memory import (
     active_time,
     empty_memory,
     find_slot,
+    side_of,
     update,
 )
 from ptnsbc_core.types import PROFILE_PAPER, SPEED_LINEAR, ClearanceConfig, LoopGain
@@ -70,13 +70,14 @@ def test_an_encounter_ends_when_it_has_been_quiet() -> None:
     assert met(memory, near_of((0, 0, 0)), side=-1.0)[0, SIDE] == -1.0
 
 
-def test_time_out_tries_the_other_side_and_starts_anew() -> None:
-    memory = met(empty_memory(), near_of((0, 0, 0)), ticks=20)
-    assert (memory[0, SIDE], memory[0, ACTIVE_S]) == (1.0, pytest.approx(2.0))
-    memory = met(memory, near_of((0, 0, 0)))
-    assert (memory[0, SIDE], memory[0, ACTIVE_S]) == (-1.0, 0.0)
-    memory = met(memory, near_of((0, 0, 0)), ticks=21)
-    assert memory[0, SIDE] == 1.0
+def test_around_every_time_out_the_side_changes_without_a_step() -> None:
+    memory, length = empty_memory(), CONFIG.timeout_s
+    for k in range(1, 200):
+        memory = met(memory, near_of((0, 0, 0)))
+        turn = max(round(k * DT / length), 1)
+        left = np.clip((turn * length - k * DT) / (0.25 * length), -1.0, 1.0)
+        expected = left if turn % 2 else -left
+        assert side_of(memory, 0, length) == pytest.approx(expected, abs=1e-9)
 
 
 def test_a_ninth_object_takes_the_slot_that_is_quiet_longest() -> None:
