@@ -46,15 +46,30 @@ class DomainError(PtnsbcError):
     """No usable ROS domain."""
 
 
+class DdsSecurityError(PtnsbcError):
+    """DDS Security was asked for, and the middleware has none."""
+
+
 def prepare() -> None:
-    """Set the variables that are not set. With ROS from wheels rclpy.init() fails without them."""
+    """Set the variables that are not set. With ROS from wheels rclpy.init() fails without them.
+
+    Raises:
+        DdsSecurityError: `ROS_SECURITY_ENABLE` is true, and ROS comes from wheels.
+    """
+    wheels = (Path(sys.prefix) / "share" / "ament_index").is_dir()
+    if wheels and os.environ.get("ROS_SECURITY_ENABLE") == "true":
+        # Without a keystore rcl would go on unprotected; with one it raises from the first node.
+        raise DdsSecurityError(
+            "ROS_SECURITY_ENABLE=true: the ROS wheels are built without DDS Security: expected it unset"
+            " (security: signed in the scenario seals the messages), or another ROS"
+        )
     _stay_with_parent()
     if os.environ.get(NETWORK):
         os.environ.update(_joined(os.environ))
     for name, value in _DEFAULTS.items():
         os.environ.setdefault(name, value)
     # The wheels put the ament index into the environment's prefix, but do not set the variable.
-    if (Path(sys.prefix) / "share" / "ament_index").is_dir():
+    if wheels:
         os.environ.setdefault("AMENT_PREFIX_PATH", sys.prefix)
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from ptnsbc_nodes.runtime import environment
-from ptnsbc_nodes.runtime.environment import DomainError, reserved_domain
+from ptnsbc_nodes.runtime.environment import DdsSecurityError, DomainError, reserved_domain
 
 
 @pytest.fixture
@@ -102,3 +102,19 @@ def test_without_the_right_to_hurry_everything_goes_on(monkeypatch):
 
     monkeypatch.setattr(os, "sched_setscheduler", refuse)
     assert environment.prefer_punctuality(flies=True) is False
+
+
+@pytest.mark.parametrize("strategy", ["Enforce", "Permissive"])
+def test_dds_security_without_a_middleware_that_has_it_is_refused(monkeypatch, tmp_path, strategy):
+    (tmp_path / "share" / "ament_index").mkdir(parents=True)
+    monkeypatch.setattr(sys, "prefix", str(tmp_path))
+    monkeypatch.setenv("ROS_SECURITY_STRATEGY", strategy)
+    monkeypatch.setenv("ROS_SECURITY_ENABLE", "true")
+    with pytest.raises(DdsSecurityError, match="built without DDS Security"):
+        environment.prepare()
+
+
+def test_dds_security_of_another_ros_is_left_to_it(monkeypatch, tmp_path):
+    monkeypatch.setattr(sys, "prefix", str(tmp_path))
+    monkeypatch.setenv("ROS_SECURITY_ENABLE", "true")
+    environment.prepare()
