@@ -40,6 +40,7 @@ from ptnsbc_tools.reading.bag_reader import read_recording
 
 _NAME = "outsider"
 _GROWTH_M = 5e-3
+_JOINS_S = 2.0  # its publishers are discovered by then
 
 
 class Forgery(NamedTuple):
@@ -109,9 +110,8 @@ def attack(scenario: Scenario, hz: float) -> None:
     while not begun:
         rclpy.spin_once(node, timeout_sec=0.1)
     kinds = {one.topic for one in forgeries(scenario, 0)}
-    send = {topic: ends.publisher(topic, 1) for topic in kinds}
-    while ends.unread():  # until somebody in the fleet reads each of them
-        rclpy.spin_once(node, timeout_sec=0.1)
+    send = {topic: ends.publisher(topic, 0) for topic in kinds}
+    time.sleep(_JOINS_S)  # for discovery: there is no match to wait for on topics without a reader
     sent, began = 0, time.monotonic()
     while True:
         for topic, data in list(forgeries(scenario, time.time_ns())):
