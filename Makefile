@@ -1,7 +1,7 @@
 # One command for everything. `make` alone lists them.
 SHELL := /bin/bash
 .DEFAULT_GOAL := help
-.PHONY: help setup test repeat fuzz demo docs site results commands bench lint format colcon clean
+.PHONY: help setup test repeat fuzz demo docs site results commands bench lint format colcon wheels clean
 
 BIN  := .venv/bin
 # Workers of the test run; `make test JOBS=1` runs in one process. One more than cores: a third of the time tests wait.
@@ -64,6 +64,10 @@ format: setup  ## Let ruff format the code and fix what it can
 colcon: setup  ## Build the ROS workspace from a clean copy, fly from what is installed, compare with pip
 	@time ros2_ws/fly.sh
 
+wheels: setup  ## Wheels of the message packages in dist/, for the Python of .venv: install them where no compiler is
+	@.venv/bin/python requirements/interfaces/build.py --wheels dist $(patsubst %/,%,$(wildcard requirements/interfaces/*/)) ros2_ws/src/ptnsbc_interfaces
+	@ls dist/*.whl
+
 clean:  ## Remove .venv and everything built
-	rm -rf .venv .venv.lock build *.egg-info out ros2_ws/{build,install,log} .mypy_cache .pytest_cache .ruff_cache
+	rm -rf .venv .venv.lock build dist *.egg-info out ros2_ws/{build,install,log} .mypy_cache .pytest_cache .ruff_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

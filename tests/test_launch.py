@@ -203,6 +203,11 @@ def test_every_argument_arrives(kind, evaluate, flown, monkeypatch, tmp_path):
     }  # fmt: skip
 
 
+def test_a_mission_arrives(kind, evaluate):
+    (one,) = processes(kind, evaluate("fleet", mission="legs.yaml"))
+    assert one.cmd[-2:] == ["--mission", "legs.yaml"]
+
+
 @pytest.mark.parametrize(
     ("viewer", "package"), [("rviz", "rviz2"), ("foxglove", "foxglove_bridge")]
 )

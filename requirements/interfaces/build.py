@@ -1,14 +1,16 @@
 """Message packages that the wheels of ROS lack, made by the generators and libraries that come in these wheels.
 
-    .venv/bin/python requirements/interfaces/build.py PACKAGE...
+    .venv/bin/python requirements/interfaces/build.py [--wheels DIR] PACKAGE...
 
 Each PACKAGE is a folder with a package.xml and files in msg/, srv/ or action/. It is generated, compiled by g++ and
 installed beside the others: Python into site-packages, libraries into lib, definitions and hashes into share. All is
-built elsewhere first, so that a package is there whole or not at all.
+built elsewhere first, so that a package is there whole or not at all. With --wheels it becomes a wheel in DIR, for the
+Python that runs this.
 """
 
 from __future__ import annotations
 
+import argparse
 import json
 import shutil
 import subprocess
@@ -19,12 +21,37 @@ import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import redirect_stdout
+from functools import partial
 from io import StringIO
 from pathlib import Path
 
 PREFIX = Path(sys.prefix)
 SHARE, LIB, INCLUDE = PREFIX / "share", PREFIX / "lib", PREFIX / "include"
 SITE = Path(sysconfig.get_path("purelib"))
+
+_SETUP = """\
+from pathlib import Path
+
+from setuptools import Distribution, setup
+
+
+class Compiled(Distribution):
+    def has_ext_modules(self):
+        return True
+
+
+files = sorted(path for top in ("lib", "share") for path in Path(top).rglob("*") if path.is_file())
+setup(
+    name={name!r},
+    version={version!r},
+    license="Apache-2.0",
+    packages={packages!r},
+    package_dir={{"": "site"}},
+    package_data={{"": ["*.so"]}},
+    data_files=[(str(path.parent), [str(path)]) for path in files],
+    distclass=Compiled,
+)
+"""
 
 _C, _FASTRTPS, _INTROSPECTION = (
     "rosidl_generator_c",
@@ -187,26 +214,41 @@ class Package:
         paths = [f"-Wl,-rpath,{path}" for path in ("$ORIGIN", "$ORIGIN/../../..")]
         _run(["g++", "-shared", "-o", str(target), *objects, *found, *paths])
 
-    def install(self) -> None:
-        """Beside the packages of the wheels; what Python imports comes last."""
-        share = SHARE / self.name
-        kinds = {path.parent.name for path in self.definitions}
-        for kind in kinds:
-            (share / kind).mkdir(parents=True, exist_ok=True)
+    def install(self, share: Path = SHARE, lib: Path = LIB, site: Path = SITE) -> None:
+        """By default beside the packages of the wheels; what Python imports comes last."""
+        for kind in {path.parent.name for path in self.definitions}:
+            (share / self.name / kind).mkdir(parents=True, exist_ok=True)
         described = self._made("rosidl_generator_type_description")
+        own = share / self.name
         for path, idl in zip(self.definitions, self.idl, strict=True):
-            shutil.copy(path, share / path.relative_to(self.source))
-            shutil.copy(self.work / "idl" / idl, share / idl)
-            shutil.copy(described / f"{idl.removesuffix('.idl')}.json", share / Path(idl).parent)
-        shutil.copy(self.source / "package.xml", share)
-        index = SHARE / "ament_index" / "resource_index"
+            shutil.copy(path, own / path.relative_to(self.source))
+            shutil.copy(self.work / "idl" / idl, own / idl)
+            shutil.copy(described / f"{idl.removesuffix('.idl')}.json", own / Path(idl).parent)
+        shutil.copy(self.source / "package.xml", own)
+        index = share / "ament_index" / "resource_index"
         listed = [str(path.relative_to(self.source)) for path in self.definitions]
         for resource, text in (("packages", ""), ("rosidl_interfaces", "\n".join(listed))):
             (index / resource).mkdir(parents=True, exist_ok=True)
             (index / resource / self.name).write_text(text, encoding="utf-8")
         for path in (self.out / "lib").iterdir():
-            _replace(path, LIB / path.name)
-        _replace(self.out / "site" / self.name, SITE / self.name)
+            _replace(path, lib / path.name)
+        _replace(self.out / "site" / self.name, site / self.name)
+
+    def make_wheel(self, folder: Path) -> None:
+        """A wheel that installs the same files."""
+        tree = self.work / "wheel"
+        for name in ("share", "lib", "site"):
+            (tree / name).mkdir(parents=True)
+        self.install(tree / "share", tree / "lib", tree / "site")
+        top = tree / "site"
+        packages = [str(one.parent.relative_to(top)) for one in top.rglob("__init__.py")]
+        version = ElementTree.parse(self.source / "package.xml").findtext("version")
+        names = sorted(name.replace("/", ".") for name in packages)
+        text = _SETUP.format(name=self.name, version=version, packages=names)
+        (tree / "setup.py").write_text(text, encoding="utf-8")
+        pip = [sys.executable, "-m", "pip", "wheel", "--quiet", "--disable-pip-version-check"]
+        options = ["--no-deps", "--no-build-isolation", "--no-index", "-w", str(folder)]
+        _run([*pip, *options, str(tree)])
 
 
 def _replace(made: Path, target: Path) -> None:
@@ -228,15 +270,18 @@ def _run(command: list[str]) -> None:
         raise BuildError(f"{' '.join(command)}\n{done.stderr[-4000:]}")
 
 
-def build(source: Path) -> None:
-    """Generate, compile and install one package.
+def build(source: Path, wheels: Path | None = None) -> None:
+    """Generate, compile and install one package, or make a wheel of it in the folder `wheels`.
 
     Raises:
-        BuildError: the compiler is missing or refuses.
+        BuildError: there is no package, or the compiler is missing or refuses.
     """
+    if not (source / "package.xml").is_file():
+        raise BuildError("no package.xml")
     with tempfile.TemporaryDirectory() as folder:
         package = Package(source, Path(folder))
-        steps: list[Callable[[], None]] = [package.generate, package.compile, package.install]
+        steps: list[Callable[[], None]] = [package.generate, package.compile]
+        steps.append(package.install if wheels is None else partial(package.make_wheel, wheels))
         with redirect_stdout(StringIO()):  # the generators tell every file
             for step in steps:
                 step()
@@ -244,11 +289,15 @@ def build(source: Path) -> None:
 
 def main() -> int:
     """The command."""
-    for name in sys.argv[1:]:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--wheels", type=Path, metavar="DIR", help="make wheels in DIR instead")
+    parser.add_argument("package", type=Path, nargs="+")
+    given = parser.parse_args()
+    for path in given.package:
         try:
-            build(Path(name).resolve())
+            build(path.resolve(), given.wheels)
         except BuildError as error:
-            print(f"interfaces: {name}: {error}", file=sys.stderr)
+            print(f"interfaces: {path}: {error}", file=sys.stderr)
             return 1
     return 0
 

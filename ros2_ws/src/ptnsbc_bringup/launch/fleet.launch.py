@@ -36,7 +36,7 @@ from launch_ros.actions import Node
 PATIENCE_S = "300"
 FLAGS = ("true", "false")
 SWITCHES = ("lockstep", "allow_arming", "overwrite", "check", "operator")
-VALUES = {"backend": "--backend", "namespace": "--namespace", "duration": "--duration"}
+VALUES = ("backend", "namespace", "duration", "mission")
 VIEWERS = {"rviz": "rviz2", "foxglove": "foxglove_bridge"}
 
 
@@ -62,6 +62,7 @@ def generate_launch_description() -> LaunchDescription:
             flag("lockstep", "as fast as it goes, the same bytes every time; or by the wall clock"),
             argument("namespace", "", "of all nodes and topics: two fleets in one domain"),
             argument("duration", "", "length of the flight [s], instead of the scenario's"),
+            argument("mission", "", "file with the legs to fly, instead of the scenario's"),
             argument("set", "", "other keys of the scenario: 'KEY=VALUE KEY=VALUE'"),
             argument("record", "", "record into this folder"),
             flag("overwrite", "replace an existing recording"),
@@ -87,9 +88,9 @@ def flight(context: LaunchContext) -> list[LaunchDescriptionEntity]:
     program = Path(get_package_prefix("ptnsbc_tools")) / "lib" / "ptnsbc_tools" / "ptnsbc"
     words = ["fleet", told("scenario")]
     words += [f"--{name.replace('_', '-')}" for name in SWITCHES if told(name) == "true"]
-    for name, option in VALUES.items():
+    for name in VALUES:
         if told(name):
-            words += [option, told(name)]
+            words += [f"--{name}", told(name)]
     for setting in shlex.split(told("set")):
         words += ["--set", setting]
     if told("record"):

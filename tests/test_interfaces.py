@@ -1,0 +1,49 @@
+"""Wheels of the message packages: they hold what `make setup` puts beside the wheels of ROS."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+import sysconfig
+from pathlib import Path
+from zipfile import ZipFile
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+BUILD = ROOT / "requirements" / "interfaces"
+HOME = {"platlib": Path(sysconfig.get_path("platlib")), "data": Path(sys.prefix)}
+
+
+def test_a_wheel_holds_every_file_of_the_package(tmp_path: Path) -> None:
+    pytest.importorskip("tf2_msgs")
+    if shutil.which("g++") is None or not (HOME["platlib"] / "tf2_msgs").is_dir():
+        pytest.skip("tf2_msgs is made where ROS comes from wheels and g++ is installed")
+    command = [sys.executable, BUILD / "build.py", "--wheels", tmp_path, BUILD / "tf2_msgs"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    (wheel,) = tmp_path.glob("tf2_msgs-*.whl")
+    held = set()
+    for name in ZipFile(wheel).namelist():
+        top, _, rest = name.partition("/")
+        if top.endswith(".data"):
+            held.add(HOME["data"] / rest.partition("/")[2])
+        elif not top.endswith(".dist-info"):
+            held.add(HOME["platlib"] / name)
+    installed = [
+        *HOME["data"].glob("lib/libtf2_msgs__*.so"),
+        *HOME["data"].glob("share/tf2_msgs/**/*"),
+        *HOME["platlib"].glob("tf2_msgs/**/*"),
+    ]
+    found = {path for path in installed if path.is_file() and "__pycache__" not in path.parts}
+    assert found <= held
+    assert all(path.is_file() for path in held)
+
+
+def test_a_package_that_is_not_there_is_named(tmp_path: Path) -> None:
+    pytest.importorskip("rosidl_adapter")
+    command = [sys.executable, BUILD / "build.py", "--wheels", tmp_path, tmp_path / "none"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert done.stderr == f"interfaces: {tmp_path / 'none'}: no package.xml\n"
