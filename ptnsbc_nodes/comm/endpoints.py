@@ -102,7 +102,10 @@ class Endpoints:
     def publisher(self, topic: Topic, readers: int) -> Callable[[bytes], None]:
         """A publisher of serialised messages; `readers` subscriptions must match it before the flight."""
         publisher = self._node.create_publisher(
-            message_class(topic), full_name(self._node, topic), self._offered(topic)
+            message_class(topic),
+            full_name(self._node, topic),
+            self._offered(topic),
+            event_callbacks=qos.NO_WRITER_EVENTS,
         )
         close = None if self._seal is None else self._seal.closer(topic)
         self._published.append(_CountingPublisher(publisher, readers, close))
@@ -145,6 +148,7 @@ class Endpoints:
             Door(name, decode, deliver, self.refusals),
             profile or self._requested(topic),
             raw=True,
+            event_callbacks=qos.NO_READER_EVENTS,
         )
         self._subscriptions.append(subscription)
         if required:

@@ -7,6 +7,7 @@ In lock-step every message counts and time does not.
 
 from __future__ import annotations
 
+from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.qos import QoSDurabilityPolicy, QoSHistoryPolicy, QoSProfile, QoSReliabilityPolicy
 
 from ptnsbc_nodes.comm.topics import Role, Topic
@@ -32,6 +33,11 @@ LATCHED = keep_last(1, reliable=True, latched=True)
 RECORDER_REALTIME = keep_last(100, reliable=False)
 RECORDER_RELIABLE = keep_last(1000, reliable=True)
 RECORDER_LATCHED = keep_last(100, reliable=True, latched=True)
+
+NO_READER_EVENTS = SubscriptionEventCallbacks(use_default_callbacks=False)
+NO_WRITER_EVENTS = PublisherEventCallbacks(use_default_callbacks=False)
+"""No callbacks for lost messages or incompatible profiles: a process that takes such an event while the next one
+arrives can wait for ever, in rmw_fastrtps before pull request 890 of 2026 (docs/platform.md)."""
 
 
 def profile(topic: Topic, *, lockstep: bool) -> QoSProfile:

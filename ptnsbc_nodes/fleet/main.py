@@ -67,9 +67,8 @@ def _summary(result: FleetResult) -> str:
     end = "interrupted" if result.interrupted else "landed"
     lost = f", lost {', '.join(result.died)}" if result.died else ""
     kept = f", {result.recorded.get('messages', 0)} messages in {result.bag}" if result.bag else ""
-    for what in ("lost", "late"):
-        if result.recorded.get(what):
-            kept += f", {result.recorded[what]} {what}"
+    if result.recorded.get("late"):
+        kept += f", {result.recorded['late']} late"
     return f"{end} after {result.flight_s:.1f} s (start-up {result.startup_s:.1f} s){lost}{kept}"
 
 

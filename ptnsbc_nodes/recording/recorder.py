@@ -10,7 +10,6 @@ from typing import Any
 import rclpy
 from rclpy.clock import Clock, ClockType
 from rclpy.context import Context
-from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.executors import Executor
 from rclpy.node import Node
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
@@ -18,7 +17,7 @@ from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 from ptnsbc_io import wire
 from ptnsbc_io.bag import BagWriter, TopicInfo
 from ptnsbc_io.bag.definitions import has_header
-from ptnsbc_nodes.comm import topics
+from ptnsbc_nodes.comm import qos, topics
 from ptnsbc_nodes.comm.door import Door, Refusals
 from ptnsbc_nodes.comm.seal import Seal
 from ptnsbc_nodes.comm.topics import Topic
@@ -41,7 +40,6 @@ class BagRecorder:
         self._seal = seal
         self.refusals = Refusals()
         self.received = 0
-        self.lost = 0  # as far as DDS reports it: gaps in the network, not in our own queue
         self.after_each: Callable[[], None] = lambda: None  # called after each message
         self._node = node
         self._writer = writer
@@ -62,7 +60,7 @@ class BagRecorder:
             door,
             profile,
             raw=True,
-            event_callbacks=SubscriptionEventCallbacks(message_lost=self._count_lost),
+            event_callbacks=qos.NO_READER_EVENTS,
         )
 
     def _opener(self, topic: Topic) -> Callable[[bytes], bytes]:
@@ -111,12 +109,8 @@ class BagRecorder:
             "bag": str(self._writer.directory),
             "messages": sum(counts.values()),
             "topics": counts,
-            "lost": self.lost,
             **more,
         }
-
-    def _count_lost(self, event: Any) -> None:
-        self.lost += event.total_count_change
 
     def _flush(self) -> None:
         self._writer.flush_if_due(time.monotonic())

@@ -58,10 +58,10 @@ class FamilyShape(Block):
 class FamilyStarts(Block):
     """Where the UAVs start."""
 
-    kind: Literal["near", "box", "swap"] = "near"
-    """Beside their places, anywhere in a box, or each follower at the place of another one."""
+    kind: Literal["near", "box", "swap", "opposite"] = "near"
+    """Beside their places, anywhere in a box, each follower at the place of another one, or across the leader."""
     sigma_m: Range = 0.5
-    """Of `near` and `swap`: standard deviation per axis."""
+    """Of `near`, `swap` and `opposite`: standard deviation per axis."""
     box_m: tuple[Positive, Positive, Positive] = (10.0, 10.0, 4.0)
     """Of `box`: its edges; the lowest places of the formation lie at its bottom."""
     apart_m: NotNegative = 0.0
@@ -286,6 +286,8 @@ def _starts(
         cycle = 1 + rng.permutation(len(goals) - 1)
         places = goals.copy()
         places[cycle] = goals[np.roll(cycle, 1)]
+    if starts.kind == "opposite":
+        places = 2.0 * goals[0] - goals
     return clear_places([(place, sigma) for place in places], True, spheres, rng)
 
 

@@ -236,7 +236,7 @@ def _fleet_facts(flown: FleetResult) -> dict[str, Any]:
         "flight_s": round(flown.flight_s, 3),
         "died": list(flown.died),
         "interrupted": flown.interrupted,
-        "recorded": {key: flown.recorded.get(key) for key in ("messages", "lost", "late")},
+        "recorded": {key: flown.recorded.get(key) for key in ("messages", "late")},
         "logs": str(flown.processes[0].log.parent) if flown.processes else None,
     }
 
@@ -248,8 +248,6 @@ def _losses(flown: FleetResult) -> Iterator[str]:
     recorded = flown.recorded
     if not recorded:
         yield "the recorder left no count of its messages: the bag may be cut"
-    if recorded.get("lost"):
-        yield f"the recorder lost {recorded['lost']} of {recorded.get('messages', 0)} messages"
     if recorded.get("late"):
         yield f"{recorded['late']} messages came too late to be sorted: bytes differ between runs"
 

@@ -51,3 +51,13 @@ def test_with_a_seal_the_messages_of_an_outsider_do_not_push_out_the_true_one(ro
         forged(odometry)
     ros.spin_until(lambda: reader.refusals.counts[topic.name] == 10)
     assert [message.stamp_ns for message in taken] == [7]
+
+
+def test_nothing_listens_for_events_of_the_quality_of_service(ros):
+    """A recorder that counted lost messages waited for a lock of the middleware for ever."""
+    endpoints = Endpoints(ros.node("both"), lockstep=False)
+    endpoints.publisher(topics.odom(1), 0)
+    endpoints.listen(topics.odom(2), wire.decode_odometry, list().append)
+    ends = [*endpoints._node.subscriptions, *(one.publisher for one in endpoints._published)]
+    assert len(ends) == 2
+    assert [handler for one in ends for handler in one.event_handlers] == []

@@ -128,3 +128,13 @@ def test_open_slots_and_the_distance_of_starts() -> None:
         gaps = np.linalg.norm(starts[:, None] - starts[None], axis=2)
         assert gaps[np.triu_indices(len(starts), 1)].min() >= 1.0
         assert draw(plan, k).file == scenario.file  # disturbances that are given over and over
+
+
+def test_on_a_ring_every_follower_starts_opposite_to_its_place() -> None:
+    plan = plan_of_family(find_family("ring").read_text())
+    for k in range(5):
+        scenario, _ = drawn_scenario(plan, k)
+        leader = np.array(scenario.uav(scenario.leader_id).position)
+        for uav in scenario.followers:
+            start = np.array(scenario.uav(uav).position) - leader
+            assert start == pytest.approx(-scenario.offset(uav), abs=1e-9)
