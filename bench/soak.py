@@ -20,6 +20,7 @@ from typing import Any, NamedTuple
 from bench.scenarios import grid
 from bench.session import Machine, own_domain, print_progress
 from bench.usage import Sampler
+from ptnsbc_io.bag.repair import repair
 from ptnsbc_nodes.comm.diagnostics import STATUS_HZ
 from ptnsbc_nodes.fleet.fleet import FleetOptions, run_fleet
 from ptnsbc_sim.scenario import Scenario
@@ -126,6 +127,8 @@ def soak(uavs: int, duration_s: float, faults: int, seed: int, *, lockstep: bool
             ready_timeout_s=_PATIENCE_S,
         )
         flown = run_fleet(options, progress)
+        if not (folder / "bag").exists():  # its recorder died: what it wrote is judged
+            repair(folder / "bag.part", folder / "bag")
         recording = read_recording(folder / "bag")
     verdict, answered = verdict_on(recording), list(answers(recording))
     limit_s = float(scenario.file.communication.stale_s) + 2.0 / STATUS_HZ
