@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from ptnsbc_core.types import Array
 
 BLOCK_TICKS = 1024
+_STREAMS = 1024  # of 254 vehicles in one sim
 
 # Purposes of streams.
 POSITION, GUST, STATE_LINK, ESTIMATE_LINK, SENSOR, FAULT, OWN = 0, 1, 2, 3, 4, 5, 6
@@ -29,26 +30,38 @@ def _generator(address: Address, block: int) -> np.random.Generator:
     )
 
 
-@lru_cache(maxsize=256)
 def _normals(address: Address, block: int, width: int) -> Array:
     return _generator(address, block).standard_normal((BLOCK_TICKS, width))
 
 
-@lru_cache(maxsize=256)
 def _uniforms(address: Address, block: int) -> Array:
     return _generator(address, block).random(BLOCK_TICKS)
+
+
+@lru_cache(maxsize=_STREAMS)
+def _newest(address: Address, width: int) -> dict[int, Array]:
+    """The block from which the last number of a stream came, by its number; `width` 0 is for uniform numbers."""
+    return {}
+
+
+def _block(address: Address, block: int, width: int) -> Array:
+    held = _newest(address, width)
+    if block not in held:
+        held.clear()  # a flight goes on: who kept its past would grow
+        held[block] = _normals(address, block, width) if width else _uniforms(address, block)
+    return held[block]
 
 
 def normal(address: Address, tick: int, width: int) -> Array:
     """Standard normal numbers (width,) for one tick."""
     block, row = divmod(tick, BLOCK_TICKS)
-    return _normals(address, block, width)[row]
+    return np.asarray(_block(address, block, width)[row])
 
 
 def uniform(address: Address, tick: int) -> float:
     """One number in [0, 1) for one tick."""
     block, row = divmod(tick, BLOCK_TICKS)
-    return float(_uniforms(address, block)[row])
+    return float(_block(address, block, 0)[row])
 
 
 def normals(address: Address, ticks: int, width: int) -> Array:

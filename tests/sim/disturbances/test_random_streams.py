@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from ptnsbc_sim.disturbances import random_streams
 from ptnsbc_sim.disturbances.random_streams import (
     BLOCK_TICKS,
     normal,
@@ -21,6 +22,14 @@ def test_one_tick_alone_is_the_same_as_in_a_table() -> None:
         assert normal(ADDRESS, tick, 6).tobytes() == table[tick].tobytes()
     lost = uniform_below(ADDRESS, ticks, 0.3)
     assert [uniform(ADDRESS, tick) < 0.3 for tick in range(ticks)] == lost.tolist()
+
+
+def test_a_long_flight_holds_one_block_of_a_stream() -> None:
+    """A sim grew for minutes, by 10 % of its memory."""
+    address = (7, 0, 33)
+    for tick in range(0, 10 * BLOCK_TICKS, 100):
+        normal(address, tick, 3)
+    assert list(random_streams._newest(address, 3)) == [9]
 
 
 def test_a_longer_table_begins_with_the_shorter_one() -> None:
