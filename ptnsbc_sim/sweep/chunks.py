@@ -5,7 +5,9 @@ What goes in and out is plain: the plan as JSON text, the number of the chunk, b
 
 from __future__ import annotations
 
+import hashlib
 import json
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields
 from functools import cache, lru_cache
@@ -34,6 +36,8 @@ CHUNK_DRAWS = 25
 
 DRAWN = "drawn."
 """Prefix of the columns that hold what was drawn."""
+
+_FILE = re.compile(r"(/[^\n'\"]+?\.py):[A-Za-z_]")  # of a function of the user
 
 
 def chunk_count(plan: SweepPlan) -> int:
@@ -90,7 +94,7 @@ def schema(plan: SweepPlan) -> pa.Schema:
         kind = str(field.type).partition(" ")[0]
         columns.append(pa.field(field.name, types[kind], metadata=_unit(UNITS[field.name])))
     return pa.schema(
-        columns, metadata={"ptnsbc.plan": plan.to_json(), "ptnsbc.made_by": _made_by()}
+        columns, metadata={"ptnsbc.plan": plan.to_json(), "ptnsbc.made_by": made_by(plan)}
     )
 
 
@@ -112,8 +116,8 @@ def _unit(unit: str) -> dict[str, str]:
     return {"unit": unit} if unit else {}
 
 
-def made_by_others(chunk: Path) -> bool:
-    """Whether the flights in the file of a chunk were flown by other laws or library versions than these."""
+def made_by_others(chunk: Path, today: str) -> bool:
+    """Whether the flights in the file of a chunk were flown by other laws or library versions than `made_by` says."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -121,14 +125,27 @@ def made_by_others(chunk: Path) -> bool:
         metadata = pq.read_schema(chunk).metadata or {}
     except (OSError, pa.ArrowInvalid):  # a damaged file is nobody's
         return True
-    return metadata.get(b"ptnsbc.made_by") != _made_by().encode()
+    return metadata.get(b"ptnsbc.made_by") != today.encode()
+
+
+def made_by(plan: SweepPlan) -> str:
+    """What the figures depend on besides the plan, as JSON; no times and hosts: the same sweep gives the same bytes."""
+    texts = [plan.scenario, *(str(value) for axis in plan.axes for value in axis.values)]
+    files = sorted({name for text in texts for name in _FILE.findall(text)})
+    return json.dumps(_ours() | {f"file {name}": _digest(Path(name)) for name in files})
 
 
 @cache
-def _made_by() -> str:
-    """Versions that the figures depend on, as JSON; no times and hosts: the same sweep gives the same bytes."""
+def _ours() -> dict[str, str]:
     packages = ("ptnsbc", "numpy", "numba")
-    return json.dumps({**dict(_versions(packages)), "kernels": source_digest()})
+    return {**dict(_versions(packages)), "kernels": source_digest()}
+
+
+def _digest(file: Path) -> str:
+    try:
+        return hashlib.sha256(file.read_bytes()).hexdigest()
+    except OSError:  # the first flight says so
+        return ""
 
 
 def _versions(packages: Sequence[str]) -> Iterable[tuple[str, str]]:

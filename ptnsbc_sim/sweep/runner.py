@@ -26,6 +26,7 @@ from ptnsbc_sim.sweep.chunks import (
     chunk_draws,
     fly_chunk,
     join_chunks,
+    made_by,
     made_by_others,
     schema,
 )
@@ -135,7 +136,7 @@ def _prepare(plan: SweepPlan, folder: Path) -> None:
             raise SweepError(
                 f"{folder}: holds a sweep of another plan: expected an empty folder, or the same plan"
             )
-        if flown_by_others(folder):
+        if flown_by_others(folder, plan):
             raise SweepError(
                 f"{folder}: holds flights of other laws or library versions, which do not belong into one "
                 "table with those of today: expected an empty folder"
@@ -146,9 +147,10 @@ def _prepare(plan: SweepPlan, folder: Path) -> None:
     write_whole(path, text.encode())
 
 
-def flown_by_others(folder: Path) -> bool:
-    """Whether a folder holds flights of other laws or library versions."""
-    return any(made_by_others(chunk) for chunk in (folder / CHUNKS).glob("*.parquet"))
+def flown_by_others(folder: Path, plan: SweepPlan) -> bool:
+    """Whether a folder holds flights of other laws, the user's too, or library versions."""
+    today = made_by(plan)
+    return any(made_by_others(chunk, today) for chunk in (folder / CHUNKS).glob("*.parquet"))
 
 
 def write_whole(path: Path, data: bytes) -> None:

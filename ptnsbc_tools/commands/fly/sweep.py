@@ -208,7 +208,7 @@ def _clear(folder: Path, plan: SweepPlan, *, overwrite: bool) -> None:
         return
     if path.read_text(encoding="utf-8") != plan.to_json():
         other = "a sweep of another plan"
-    elif flown_by_others(folder):
+    elif flown_by_others(folder, plan):
         other = "flights of other laws or library versions"
     else:
         return

@@ -120,7 +120,7 @@ def test_flights_of_other_laws_are_not_mixed_with_those_of_today(
 ) -> None:
     plan = small(2, stop_after_s=0.1)
     chunk = run(plan, tmp_path, workers=1).folder / runner.CHUNKS / "00000.parquet"
-    assert not runner.flown_by_others(tmp_path)
+    assert not runner.flown_by_others(tmp_path, plan)
     if damage == "other laws":
         table = pq.read_table(chunk)
         made_by = json.loads(table.schema.metadata[b"ptnsbc.made_by"]) | {"kernels": "of last week"}
@@ -130,6 +130,19 @@ def test_flights_of_other_laws_are_not_mixed_with_those_of_today(
         chunk.write_bytes(chunk.read_bytes()[:-5])
     with pytest.raises(SweepError, match="other laws"):
         run(plan, tmp_path, workers=1)
+
+
+def test_flights_of_a_law_that_the_user_has_changed_are_not_mixed(tmp_path: Path) -> None:
+    law = tmp_path / "my laws" / "still.py"
+    law.parent.mkdir()
+    law.write_text("def still(inputs):\n    return 0.0, 0.0, 0.0\n")
+    plan = plan_of(base(law=f"{law}:still"), 2, stop_after_s=0.1, starts=parse_starts("near:0.1"))
+    folder = tmp_path / "sweep"
+    run(plan, folder, workers=1)
+    assert not runner.flown_by_others(folder, plan)
+    law.write_text("def still(inputs):\n    return 0.0, 0.0, 0.1\n")
+    with pytest.raises(SweepError, match="other laws"):
+        run(plan, folder, workers=1)
 
 
 def test_a_chunk_that_fails_is_tried_once_more_and_named(
