@@ -384,7 +384,9 @@ def test_a_broken_state_of_a_neighbour_is_dropped_and_named(ros, scenario, value
     others.neighbours(0)
     ros.spin_until(lambda: others.ticks() == [0, 1])
     assert np.isfinite(others.wrenches[-1].values).all()
-    level, message, told = others.newest()
+    # The status after the refusal warns, those after it only count.
+    ros.spin_until(lambda: any(told.get("refused") for _, _, told in others.status))
+    level, message, told = next(one for one in others.status if one[2].get("refused"))
     assert (level, told["refused"]) == (b"\x01", f"/uav{LEADER}/formation_state=1")
     assert "1 messages refused: /uav1/formation_state: nav_msgs/Odometry: position" in message
 
