@@ -80,7 +80,7 @@ def record(
         return
     for name, count in done["topics"].items():
         print(f"{count:8d}  {name}")
-    print(f"{done['messages']} messages, {done['lost']} lost: {done['bag']}")
+    print(f"{done['messages']} messages: {done['bag']}")
 
 
 def _of_scenario(name: str | None) -> dict[str, Any]:
