@@ -60,10 +60,10 @@ def _words(scenario: Scenario | None) -> dict[str, int]:
 
 
 class LegServices:
-    """Answers the four services of the leader.
+    """Answers the four services of the leader, while `serve` holds.
 
     In lock-step the first epoch is 0, where simulated time starts. Every other leg begins after
-    `LEAD_NS`, but a stop in real time begins at once.
+    `LEAD_NS`, but a stop in real time begins at once. A successor of the leader serves when it leads.
     """
 
     def __init__(
@@ -75,10 +75,12 @@ class LegServices:
         now_ns: Callable[[], int],
         waiting_for: Callable[[], Sequence[str]],
         decider: SlotDecider | None = None,
+        readers: int = 0,
     ) -> None:
         """`now_ns`: time of the flight; `waiting_for`: empty when the leader is ready to start.
 
-        `decider` decides the slots of each leg in formation, where they are open.
+        `decider` decides the slots of each leg in formation, where they are open. `readers`: nodes that must read
+        the epoch before the flight.
         """
         self._node = node
         self._endpoints = endpoints
@@ -88,7 +90,8 @@ class LegServices:
         self._waiting_for = waiting_for
         self._decider = decider
         self._listeners = edges.epoch_listeners()
-        self._publish = endpoints.publisher(topics.EPOCH, edges.epoch_readers())
+        self._publish = endpoints.publisher(topics.EPOCH, readers)
+        self._untold: list[HeaderFields] = []
         self._signed = edges.options.seal is not None
         self._requested_s: dict[
             str, float
@@ -96,12 +99,7 @@ class LegServices:
         self._words = _words(epochs.scenario)
         self._names = (*_LEGS, *self._words, *((LIST_SERVICE,) if self._words else ()))
         endpoints.listen(topics.REQUEST, self._decode_request, self._on_announced, required=False)
-        self._services = [
-            node.create_service(
-                Trigger, f"{endpoints.fleet}/formation/{name}", self._on_request(name)
-            )
-            for name in self._names
-        ]
+        self._services: list[Any] = []
 
     def _decode_request(self, data: bytes) -> str:
         name = decode_header(data).frame_id
@@ -110,13 +108,38 @@ class LegServices:
         return name
 
     def missing_listeners(self) -> list[str]:
-        """UAVs that do not listen to the epoch yet."""
+        """UAVs that do not listen to the epoch yet; none for a UAV that does not serve."""
+        if not self._services:
+            return []
         return self._endpoints.unmatched(topics.EPOCH, self._listeners)
+
+    def keep(self, leg: HeaderFields) -> None:
+        """A leg, or a word on a leg of the mission, that another UAV has announced."""
+        self._untold.append(leg)
+
+    def serve(self) -> None:
+        """Answer the services from now on, and announce again what another UAV has announced.
+
+        The messages of a leader are latched as long as its process lives. A UAV that is started after that hears the
+        legs from the successor; UAVs that know them leave them out.
+        """
+        for leg in self._untold:
+            self._publish(HeaderTemplate(leg.frame_id).encode(leg.stamp_ns))
+        self._untold.clear()
+        if self._services:
+            return
+        self._services = [
+            self._node.create_service(
+                Trigger, f"{self._endpoints.fleet}/formation/{name}", self._on_request(name)
+            )
+            for name in self._names
+        ]
 
     def close(self) -> None:
         """Remove the services from the node."""
         for service in self._services:
             self._node.destroy_service(service)
+        self._services.clear()
 
     def _on_request(self, name: str) -> Callable[[Any, Any], Any]:
         def on_request(_request: Any, response: Any) -> Any:
@@ -218,28 +241,6 @@ class LegServices:
             return start_ns
         at_once = name == "stop" and not self._lockstep
         return self._now_ns() + (0 if at_once else LEAD_NS)
-
-
-class LegMemory:
-    """What a successor of the leader has heard of the legs, to tell it again when it leads.
-
-    The messages of the leader are latched as long as its process lives. A UAV that is started after that hears the
-    legs from the successor.
-    """
-
-    def __init__(self, endpoints: Endpoints) -> None:
-        self._publish = endpoints.publisher(topics.EPOCH, 0)
-        self._untold: list[HeaderFields] = []
-
-    def keep(self, leg: HeaderFields) -> None:
-        """A leg, or a word on a leg of the mission, that was not known before."""
-        self._untold.append(leg)
-
-    def tell(self) -> None:
-        """Announce again what has been heard, once; UAVs that know it leave it out."""
-        for leg in self._untold:
-            self._publish(HeaderTemplate(leg.frame_id).encode(leg.stamp_ns))
-        self._untold.clear()
 
 
 def _times(one: ScheduledLeg) -> dict[str, float]:

@@ -54,7 +54,7 @@ from ptnsbc_nodes.uav.controller import UavController, step_time
 from ptnsbc_nodes.uav.faults import UavFaults
 from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS
 from ptnsbc_nodes.uav.leader_setpoints import LeaderSetpoints
-from ptnsbc_nodes.uav.leg_services import LegMemory, LegServices
+from ptnsbc_nodes.uav.leg_services import LegServices
 from ptnsbc_nodes.uav.outbox import Outbox
 from ptnsbc_nodes.uav.robot_description import publish_description
 from ptnsbc_nodes.uav.roles import role_holder
@@ -112,24 +112,8 @@ class UavNode:
         if self._slots is not None and uav_id == scenario.leader_id:
             self._decider = self._slot_decider(scenario, edges)
         self._status = _StatusPublisher(self, f"uav{uav_id}")
-        self._leg_services = (
-            LegServices(
-                node,
-                self.endpoints,
-                edges,
-                self._epochs,
-                self._flight_ns,
-                self._waiting_to_start,
-                self._decider,
-            )
-            if uav_id == scenario.leader_id
-            else None
-        )
-        self._leg_memory = None
-        if roles is not None and not edges.options.lockstep:  # where no process starts in flight
-            self.endpoints.shares(topics.EPOCH)
-            if uav_id in scenario.file.leader.successors:
-                self._leg_memory = LegMemory(self.endpoints)
+        self._comes_and_goes = roles is not None
+        self._leg_services = self._services_in_line(scenario, edges)
         if scenario.hears_setpoints and uav_id == scenario.leader_id:
             LeaderSetpoints(
                 self.endpoints, edges.options.recorders, self._epochs, self._next_flight_ns
@@ -199,6 +183,40 @@ class UavNode:
         stale_ns = round(self._controller.config.stale_s * 1e9)
         unknown = self._decider.unknown(self._timing.now_ns() - stale_ns)
         return [full_name(self.node, topics.odom(uav)) for uav in unknown]
+
+    def _services_in_line(
+        self, scenario: Scenario, edges: CommunicationGraph
+    ) -> LegServices | None:
+        """The services of the leader, which a successor serves when it leads; None for all others."""
+        if self._comes_and_goes:
+            self.endpoints.shares(topics.EPOCH)
+        leads = self._uav == scenario.leader_id
+        if not leads and not (
+            self._comes_and_goes and self._uav in scenario.file.leader.successors
+        ):
+            return None
+        services = LegServices(
+            self.node,
+            self.endpoints,
+            edges,
+            self._epochs,
+            self._flight_ns,
+            self._waiting_to_start,
+            self._decider,
+            edges.epoch_readers() if leads else 0,
+        )
+        if leads:
+            services.serve()
+        return services
+
+    def _serve_while_leading(self) -> None:
+        """Serve the operator while the UAV leads, where UAVs may come and go."""
+        if self._leg_services is None or not self._comes_and_goes:
+            return
+        if self._controller.leads:
+            self._leg_services.serve()
+        else:
+            self._leg_services.close()
 
     def _slot_decider(self, scenario: Scenario, edges: CommunicationGraph) -> SlotDecider:
         """The decision on the slots, by the odometry of all UAVs."""
@@ -291,8 +309,8 @@ class UavNode:
 
     def _on_epoch(self, leg: HeaderFields) -> None:
         is_new = self._epochs.announce(leg.stamp_ns, leg.frame_id)
-        if is_new and self._leg_memory is not None:
-            self._leg_memory.keep(leg)
+        if is_new and self._leg_services is not None and not self._options.lockstep:
+            self._leg_services.keep(leg)  # in lock-step no process starts in flight
         if not self._options.lockstep:
             self.endpoints.begin(self._timing.now_ns())
         first_ns = self._epochs.first_t0_ns
@@ -396,8 +414,8 @@ class UavNode:
         self._watch_clocks_unless(before)
         timing.done(now_ns)
         self._outbox.send(own, outputs, at, self._controller)
-        if self._leg_memory is not None and self._controller.leads:
-            self._leg_memory.tell()
+        if leg is not None:
+            self._serve_while_leading()
 
 
 class _VehiclePresence:

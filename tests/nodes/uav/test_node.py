@@ -563,3 +563,21 @@ def test_who_leads_next_tells_the_legs_again(ros):
     ros.spin_until(lambda: flown(1) or len(heard) == 2)
     assert heard == [epoch, epoch]
     assert "second publisher" not in others.newest()[1]
+    assert call(ros, others.node, "hold").success
+    ros.spin_until(lambda: flown(1) or others.newest()[2]["mode"] == "hold")
+    assert [leg.frame_id for leg in heard] == ["form", "form", "hold"]
+
+
+def test_a_leader_that_comes_back_serves_no_longer(ros):
+    """Its successor does: a UAV that was away does not lead again."""
+    others = Others(ros, load_scenario("relay"), LEADER, lockstep=False)
+    hold = others.node.create_client(Trigger, "/formation/hold")
+    ros.spin_until(hold.service_is_ready)
+    told = Endpoints(ros.node("successor"), lockstep=False).publisher(topics.EPOCH, 1)
+    told(wire.HeaderTemplate("form").encode(time.time_ns() - 10_000_000_000))
+
+    def flown():
+        others.odom(time.time_ns())
+        others.neighbours(time.time_ns())
+
+    ros.spin_until(lambda: flown() or not hold.service_is_ready())
