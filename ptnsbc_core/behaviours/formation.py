@@ -270,13 +270,15 @@ def braked(
 ) -> Vector3:
     """A velocity that closes a deviation of `distance` [m], beside `free`, no faster than half of the braking allows.
 
-    A UAV that avoidance led far from its plan would otherwise come back faster than it can stop, and circle.
+    A UAV that avoidance led far from its plan would otherwise come back faster than it can stop, and circle. Nor is it
+    faster than its way back may be: what stands in its way is seen within the range of the sensor only.
     """
     if config.clearance.approach != SPEED_BRAKING:
         return correction
     closing = sub3(correction, free)
     speed = norm3(closing)
     limit = homing_speed(distance, gain, HOMING * config.clearance.deceleration)
+    limit = min(limit, config.recovery.speed)
     if speed <= limit:
         return correction
     return axpy(limit / speed, closing, free)

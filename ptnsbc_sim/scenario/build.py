@@ -17,6 +17,7 @@ from ptnsbc_core.behaviours.formation import HOMING
 from ptnsbc_core.control.quadrotor_control import MIN_LIFT_FRACTION
 from ptnsbc_core.curves.shape import place_samples
 from ptnsbc_core.errors import FormationError
+from ptnsbc_core.tasks.approach import braking_speed
 from ptnsbc_core.tasks.registry import desired_value
 from ptnsbc_core.tasks.told_path import REACH
 from ptnsbc_core.types import (
@@ -261,14 +262,30 @@ def _climb(scenario: Scenario, uav_id: int) -> float:
     )
 
 
+def sight_speed(config: ClearanceConfig, keep_out_m: float, busy: float = 0.0) -> float:
+    """Largest speed [m/s] from which a UAV can stop before a keep-out [m] that comes into the sensor's range.
+
+    Until it brakes it flies on for its lag and one period of the sensor, as it did before. `busy` [m/s^2] of its
+    braking are in use already.
+    """
+    room = max(config.range_m - keep_out_m - config.margin_m, 0.0)
+    return braking_speed(room, config.deceleration - busy, config.lag_s + config.sensor_s)
+
+
 def recovery_config(scenario: Scenario, uav_id: int) -> RecoveryConfig:
-    """What the way back after an encounter may ask for: half of what the leader's motion leaves of the vehicle."""
+    """What the way back after an encounter may ask for: half of what the leader's motion leaves of the vehicle.
+
+    A UAV that is on its way back can stop before what it does not see yet, with the braking that the way back leaves.
+    """
     speed, acceleration = leader_motion(scenario.file)
     most, braking = float(scenario.max_speed_m_s(uav_id)), deceleration(scenario, uav_id)
+    half = HOMING * max(braking - acceleration, _LEAST_LEFT * braking)
+    if scenario.file.formation.avoidance != "off":
+        most = min(most, sight_speed(_clearance(scenario, uav_id), scenario.reach_m, half))
     return RecoveryConfig(
         least_s=float(scenario.file.formation.recovery_s),
         speed=float(max(most - speed, _LEAST_LEFT * most)),
-        acceleration=float(HOMING * max(braking - acceleration, _LEAST_LEFT * braking)),
+        acceleration=float(half),
     )
 
 

@@ -287,6 +287,11 @@ class Scenario:
         return 0.5 * (widest[0] + widest[-1])
 
     @property
+    def reach_m(self) -> float:
+        """The largest keep-out of anything that a UAV may meet."""
+        return max([self.widest_keep_out_m, *(one.keep_out_m for one in self.obstacles)])
+
+    @property
     def mass_kg(self) -> float:
         """Nominal mass of a UAV without one of its own: what the laws know."""
         return self.file.plant.mass_kg

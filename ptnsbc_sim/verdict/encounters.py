@@ -10,6 +10,7 @@ excuses an exit from the tolerance band. An encounter that lasts over the deadli
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -20,8 +21,8 @@ from ptnsbc_core.timebase import h, plan_duration
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.build import loop_of, recovery_config
+from ptnsbc_sim.scenario.mission.membership import NEVER_NS
 from ptnsbc_sim.verdict.formation_error import formation_vectors
-from ptnsbc_sim.verdict.phases import Phase
 from ptnsbc_sim.verdict.recording import COUNTERS, Recording
 from ptnsbc_sim.verdict.track import Track, lengths
 
@@ -103,24 +104,24 @@ def encounters(recording: Recording) -> dict[int, list[Encounter]]:
         uav: [(one.begin_ns, min(one.end_ns, recording.end_ns)) for one in absent]
         for uav, absent in recording.absences.items()
     }
-    for begin_ns, phase in _changes(recording):
-        for uav in phase.moved:
-            own.setdefault(uav, []).append((begin_ns, phase.begin_ns))
+    for window, concerned in _changes(recording):
+        for uav in concerned:
+            own.setdefault(uav, []).append(window)
     spans_of = [*own.values(), *away.values()]
     ends = np.unique([end for windows in spans_of for _, end in windows]).astype(np.int64)
     if not ends.size:
         return {uav: [] for uav in scenario.uav_ids}
     off = _to_regain(recording, ends)
     lasts_s = {uav: _recovery_of(scenario, uav) for uav in scenario.uav_ids}
+    cuts_ns = [0, *(phase.begin_ns for phase in recording.phases[1:]), NEVER_NS]
     found = {}
     for uav in scenario.uav_ids:
         spans = []
-        for phase, of_phase in recording.by_phase(ends):
-            first, last = int(ends[of_phase][0]), int(ends[of_phase][-1])
+        for phase, (from_ns, until_ns) in zip(recording.phases, pairwise(cuts_ns), strict=True):
             line = ancestors(phase.scenario, uav)
             for hops, one in enumerate(line):
                 for begin, end in own.get(one, ()):
-                    if not first <= end <= last:
+                    if end < from_ns or begin >= until_ns:
                         continue
                     k = int(np.searchsorted(ends, end))
                     back_s = max(lasts_s[kin](float(off[kin][k])) for kin in line[: hops + 1])
@@ -132,12 +133,22 @@ def encounters(recording: Recording) -> dict[int, list[Encounter]]:
     return found
 
 
-def _changes(recording: Recording) -> Iterator[tuple[int, Phase]]:
-    """The phases in which UAVs have other places in the graph, each with the begin of the silence before it [ns]."""
+def _changes(recording: Recording) -> Iterator[tuple[Window, Iterable[int]]]:
+    """The silences after which UAVs have other places in the graph, and these UAVs.
+
+    Without its leader that is everybody: until the loss is noticed, errors are measured from a vehicle that nobody
+    leads, also those of UAVs that leave meanwhile.
+    """
     stale_ns = round(recording.scenario.file.communication.stale_s * 1e9)
     for phase in recording.phases[1:]:
         if phase.moved:
-            yield phase.begin_ns - stale_ns - recording.scenario.dt_ns, phase
+            begin_ns = phase.begin_ns - stale_ns - recording.scenario.dt_ns
+            yield (begin_ns, phase.begin_ns), phase.moved
+    for uav, spans in recording.absences.items():
+        for one in spans:
+            ((phase, _),) = recording.by_phase(np.array([one.begin_ns]))
+            if not one.planned and phase.scenario.leader_id == uav:
+                yield (one.begin_ns, one.noticed_ns), recording.scenario.uav_ids
 
 
 def _to_regain(recording: Recording, ends: NDArray[np.int64]) -> dict[int, Array]:

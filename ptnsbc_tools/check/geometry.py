@@ -8,11 +8,15 @@ import numpy as np
 
 from ptnsbc_core.curves.trajectory import reference
 from ptnsbc_core.errors import FormationError
-from ptnsbc_core.tasks.approach import braking_speed
 from ptnsbc_core.tasks.registry import conditioning
 from ptnsbc_core.types import TASKS, Array
 from ptnsbc_sim.scenario import Scenario, agent_config
-from ptnsbc_sim.scenario.build import leader_trajectory, places_beside_leader, reference_offset
+from ptnsbc_sim.scenario.build import (
+    leader_trajectory,
+    places_beside_leader,
+    reference_offset,
+    sight_speed,
+)
 from ptnsbc_sim.scenario.mission.shapes import moves
 from ptnsbc_sim.scenario.semantics import STABILITY_LIMIT, estimator_peak, estimator_step
 from ptnsbc_sim.scenario.slots import with_slots_of_starts
@@ -212,7 +216,7 @@ def _sight(scenario: Scenario, name: str, uav: int, keep_out_m: float, speed: fl
     config = agent_config(scenario, uav).clearance
     late, braking = config.lag_s + config.sensor_s, config.deceleration
     room = max(config.range_m - keep_out_m - config.margin_m, 0.0)
-    most = braking_speed(room, braking, late)
+    most = sight_speed(config, keep_out_m)
     if speed > most:
         needed = keep_out_m + config.margin_m + speed * late + speed * speed / (2.0 * braking)
         yield Finding(
@@ -242,9 +246,7 @@ def recovery(scenario: Scenario) -> Findings:
 
 def sensor(scenario: Scenario) -> Findings:
     """Range of the near-object sensor against the largest keep-out distance."""
-    reach = max(
-        [scenario.widest_keep_out_m, *(obstacle.keep_out_m for obstacle in scenario.obstacles)]
-    )
+    reach = scenario.reach_m
     if scenario.sensor.range_m <= reach:
         yield Finding(
             ERROR,

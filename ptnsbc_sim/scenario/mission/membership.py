@@ -36,6 +36,7 @@ class GraphPlace(NamedTuple):
     leader: int
     parent: int | None
     slot: tuple[float, ...]  # [m, ENU]
+    pinned: bool  # it hears the leader
 
 
 def joins_ns(scenario: Scenario, uav_id: int) -> int:
@@ -103,7 +104,7 @@ class Formations:
 def role_of(scenario: Scenario, uav_id: int) -> GraphPlace:
     """The role of a UAV in a formation."""
     slot = tuple(scenario.offset(uav_id).tolist())
-    return GraphPlace(scenario.leader_id, scenario.parent(uav_id), slot)
+    return GraphPlace(scenario.leader_id, scenario.parent(uav_id), slot, scenario.pinned(uav_id))
 
 
 def reconfigured(scenario: Scenario, members: Membership) -> Scenario | None:
@@ -203,7 +204,11 @@ def _closed_up(scenario: Scenario, members: Membership, leader: int) -> dict[int
 
 
 def changed(before: Scenario, after: Scenario, uav_id: int) -> tuple[bool, bool]:
-    """Whether a UAV has another place in the graph: another parent, slot or lead of its own, and another leader."""
+    """Whether a UAV has another place in the graph: another parent, slot or lead of its own, and another leader.
+
+    Who no longer hears the leader has none: the last acceleration that it was told would count for ever.
+    """
     was, now = role_of(before, uav_id), role_of(after, uav_id)
     leads = (was.leader == uav_id) != (now.leader == uav_id)
-    return leads or was.parent != now.parent or was.slot != now.slot, was.leader != now.leader
+    led = was.leader != now.leader or was.pinned != now.pinned
+    return leads or was.parent != now.parent or was.slot != now.slot, led
