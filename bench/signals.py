@@ -1,10 +1,10 @@
-"""kill -9, STOP, and STOP with CONT of every kind of process at random moments of lock-step flights.
+"""kill -9, STOP, and STOP with CONT of every kind of process at random moments of flights.
 
-`python -m bench.signals [--times 30] [--duration 40] [--seed 1]`. Each run is a whole fleet of five UAVs. At
-a moment that the seed draws, one process gets its signal; after STOP, CONT comes 1.5 s later or never. Afterwards the
-exit code must be the documented one, no process may be left, the bag (mended, where its recorder was killed) must open,
-and no two UAVs may have come closer than their keep-out. A flight that stands still for good is ended by Ctrl-C, as its
-documentation says.
+`python -m bench.signals [--mode lockstep|real|mavlink] [--times 30] [--duration 40] [--seed 1]`. Each run is a whole
+fleet: five UAVs and their sim, or with mavlink four UAVs, bridges and stand-ins. At a moment that the seed draws, one
+process gets its signal; after STOP, CONT comes 1.5 s later or never. Afterwards the exit code must be the documented
+one, no process may be left, the bag (mended, where its recorder was killed) must open, and no two UAVs may have come
+closer than their keep-out. Where the launcher itself is stopped for good, it is killed after a while.
 """
 
 from __future__ import annotations
@@ -20,21 +20,31 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import NamedTuple
 
+from bench.stand_ins import stand_ins, write_scenario
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_io.bag.repair import repair
 from ptnsbc_sim.verdict.recording import Recording
 from ptnsbc_sim.verdict.verdict import verdict_on
 from ptnsbc_tools.reading.bag_reader import read_recording
 
-_VICTIMS = ("uav1", "uav3", "sim", "recorder", "launcher")
+_VICTIMS = {
+    "lockstep": ("uav1", "uav3", "sim", "recorder", "launcher"),
+    "real": ("uav1", "uav3", "sim", "recorder", "launcher"),
+    "mavlink": ("uav1", "uav3", "bridge1", "bridge3", "recorder", "launcher"),
+}
+_MOMENTS_S = {
+    "lockstep": 4.0,
+    "real": 12.0,
+    "mavlink": 25.0,
+}  # of the first seconds after the start
 _ORDERS = ("kill", "stop", "pause")
 _PAUSE_S = 1.5
-_STUCK_S = 25.0  # a lock-step flight ends what is stuck after 10 s
-_READY_S = 240.0
+_STUCK_S = 25.0  # so long a launcher stands still before it is killed
+_READY_S = 600.0  # vehicles that do not land are waited for 240 s
 _LEFT_S = 30.0
 
 
@@ -48,26 +58,43 @@ class Struck(NamedTuple):
     wrong: tuple[str, ...]
 
 
-def struck(count: int, duration_s: float, seed: int) -> Iterator[Struck]:
+def struck(mode: str, count: int, duration_s: float, seed: int) -> Iterator[Struck]:
     """So many flights, each with a victim, an order and a moment of its own."""
-    chance = random.Random(seed)
+    chance, victims = random.Random(seed), _VICTIMS[mode]
     for number in range(count):
-        victim, order = _VICTIMS[number % len(_VICTIMS)], chance.choice(_ORDERS)
-        with tempfile.TemporaryDirectory(prefix="signals-") as folder:
-            found = _flight(Path(folder), victim, order, chance.uniform(0.0, 4.0), duration_s)
+        victim, order = victims[number % len(victims)], chance.choice(_ORDERS)
+        after_s, domain = chance.uniform(0.0, _MOMENTS_S[mode]), chance.randint(81, 100)
+        with (
+            tempfile.TemporaryDirectory(prefix="signals-") as name,
+            _vehicles(Path(name), mode, domain, duration_s) as words,
+        ):
+            found = _flight(Path(name), domain, words, victim, order, after_s)
         print(f"bench: {found}", file=sys.stderr, flush=True)
         yield found
 
 
-def _flight(folder: Path, victim: str, order: str, after_s: float, duration_s: float) -> Struck:
-    environment = {key: value for key, value in os.environ.items() if key != "ROS_DOMAIN_ID"}
-    command = [sys.executable, "-m", "ptnsbc_nodes.fleet.main", "--scenario", "paper_5"]
-    command += ["--duration", str(duration_s), "--lockstep"]
+@contextmanager
+def _vehicles(folder: Path, mode: str, domain: int, duration_s: float) -> Iterator[list[str]]:
+    """Words of the launcher for this mode; the stand-ins of its vehicles fly meanwhile."""
+    length = ["--duration", str(duration_s)]
+    if mode != "mavlink":
+        yield ["--scenario", "paper_5", *length, *(["--lockstep"] if mode == "lockstep" else [])]
+        return
+    scenario, control = write_scenario(folder, duration_s)
+    with stand_ins(folder, domain, scenario, control):
+        yield ["--scenario", str(scenario), *length, "--backend", "mavlink", "--allow-arming"]
+
+
+def _flight(
+    folder: Path, domain: int, words: Sequence[str], victim: str, order: str, after_s: float
+) -> Struck:
+    environment = {**os.environ, "ROS_DOMAIN_ID": str(domain)}
+    command = [sys.executable, "-m", "ptnsbc_nodes.fleet.main", *words]
     command += ["--log-dir", str(folder / "logs"), "--bag", str(folder / "bag")]
     launcher = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=environment)
     try:
-        if words := _until_started(launcher):
-            return Struck(victim, order, round(after_s, 2), launcher.wait(), (words,))
+        if refusal := _until_started(launcher):
+            return Struck(victim, order, round(after_s, 2), launcher.wait(), (refusal,))
         time.sleep(after_s)  # the moment is the experiment
         pid = launcher.pid if victim == "launcher" else _pids(folder).get(victim)
         late = pid is None or launcher.poll() is not None
@@ -102,7 +129,8 @@ def _pids(folder: Path) -> dict[str, int]:
             words = (entry / "cmdline").read_bytes().decode(errors="replace").split("\0")
             if any(mark in word for word in words):
                 if "--uav" in words:
-                    found[f"uav{words[words.index('--uav') + 1]}"] = int(entry.name)
+                    kind = "bridge" if "ptnsbc_nodes.bridge.main" in words else "uav"
+                    found[f"{kind}{words[words.index('--uav') + 1]}"] = int(entry.name)
                 elif "ptnsbc_nodes.sim.main" in words:
                     found["sim"] = int(entry.name)
                 elif "ptnsbc_nodes.recording.main" in words:
@@ -122,27 +150,22 @@ def _signal(pid: int, order: str) -> None:
 
 
 def _end(launcher: subprocess.Popen[str], victim: str, order: str) -> int | None:
-    """Wait for the end of the flight; who stands still for good is ended as an operator would."""
-    endless = order == "stop" and victim in ("sim", "launcher", "recorder")
+    """Wait for the end of the flight; a launcher that stands still for good is killed."""
+    endless = order == "stop" and victim == "launcher"
     with suppress(subprocess.TimeoutExpired):
         launcher.communicate(timeout=_STUCK_S if endless else _READY_S)
         return launcher.returncode
-    if victim == "launcher":
-        launcher.kill()
-    else:
-        launcher.send_signal(signal.SIGINT)
+    launcher.kill()
     with suppress(subprocess.TimeoutExpired):
         launcher.communicate(timeout=_READY_S)
     return launcher.returncode
 
 
 def _exit_codes(victim: str, order: str) -> set[int]:
-    """What the launcher may end with: 1 when a process died, 130 after Ctrl-C."""
+    """What the launcher may end with: 1 when a process died or was ended because it hung."""
     if order == "pause":
         return {0}
-    if victim == "launcher":
-        return {-signal.SIGKILL}
-    return {1} if order == "kill" else {1, 130}
+    return {-signal.SIGKILL} if victim == "launcher" else {1}
 
 
 def _wrong(folder: Path, victim: str, order: str, code: int | None) -> Iterator[str]:
@@ -177,14 +200,19 @@ def _recording(folder: Path) -> Recording:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Exit code 1 when anything is wrong with a flight."""
     parser = argparse.ArgumentParser(prog="python -m bench.signals", description=__doc__)
+    parser.add_argument("--mode", choices=list(_VICTIMS), default="lockstep")
     parser.add_argument("--times", type=int, default=30, metavar="N")
     parser.add_argument("--duration", type=float, default=40.0, metavar="S")
     parser.add_argument("--seed", type=int, default=1)
     options = parser.parse_args(arguments)
-    found = list(struck(options.times, options.duration, options.seed))
+    found = list(struck(options.mode, options.times, options.duration, options.seed))
     bad = [one._asdict() for one in found if one.wrong]
     cases = Counter(f"{one.order} {one.victim}" for one in found)
-    print(json.dumps({"flights": len(found), "cases": cases, "wrong": bad}, indent=1))
+    print(
+        json.dumps(
+            {"flights": len(found), "mode": options.mode, "cases": cases, "wrong": bad}, indent=1
+        )
+    )
     return int(bool(bad))
 
 

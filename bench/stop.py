@@ -12,8 +12,6 @@ import argparse
 import json
 import os
 import random
-import signal
-import socket
 import statistics
 import subprocess
 import sys
@@ -24,23 +22,22 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import NamedTuple
 
+from bench.stand_ins import (
+    PATIENCE_S,
+    VEHICLES,
+    Running,
+    program,
+    stand_ins,
+    wait_for,
+    write_scenario,
+)
 from ptnsbc_sim.autopilot.faults import send_fault
 from ptnsbc_sim.autopilot.vehicle import AutopilotError
 
-_PATIENCE_S = 600.0  # the laws are compiled once
 _MOMENT_S = 6.0  # the key is pressed within this time after the formation has begun
 _OBEYED_S = 20.0
-_VEHICLES = (1, 2, 3, 4)
 _STARVED = 2
-_BASE = Path(__file__).resolve().parents[1] / "scenarios" / "experiment_4.yaml"
-_SCENARIO = """
-extends: {base}
-timing: {{duration_s: 120}}
-leader: {{trajectory: {{centre_m: [0, 0, 4]}}}}
-mavlink:
-  takeoff_height_m: 2
-  vehicles:
-"""
+_FLIGHT_S = 120.0
 
 
 class Stopped(NamedTuple):
@@ -56,89 +53,45 @@ class Stopped(NamedTuple):
     @property
     def all_obeyed(self) -> bool:
         """Whether every vehicle obeyed, and the command said so."""
-        return len(self.seconds) == len(_VEHICLES) and self.exit_code == 0
+        return len(self.seconds) == len(VEHICLES) and self.exit_code == 0
 
 
 def run_once(order: str, moment_s: float, starved: Sequence[int]) -> Stopped:
     """One flight and one order."""
     with tempfile.TemporaryDirectory(prefix="bench-") as name:
         folder = Path(name)
-        first = _free_ports()
-        scenario, control = folder / "scenario.yaml", first + 90
-        links = "".join(f'    {i}: {{connect: "udpin:127.0.0.1:{first + i}"}}\n' for i in _VEHICLES)
-        scenario.write_text(_SCENARIO.format(base=_BASE) + links)
+        scenario, control = write_scenario(folder, _FLIGHT_S)
         domain = random.randint(81, 100)
-        stand_in = (
-            "autopilot", "--scenario", scenario, "--gcs", "", "--boot-time", "0", "--gnss", "rtk",
-            "--control", control, "--param", "COM_OF_LOSS_T=5",
-        )  # fmt: skip
-        fleet = (
-            "fleet", scenario, "--backend", "mavlink", "--allow-arming",
-        )  # fmt: skip
+        fleet = ("fleet", scenario, "--backend", "mavlink", "--allow-arming")
         stop = ("stop", "--ready", *(["--kill"] if order == "kill" else []))
-        with _program(folder, "stand_in", domain, *stand_in) as vehicles:
-            _wait_for(vehicles, ["system 4 at"])
-            with _program(folder, "fleet", domain, *fleet) as flight:
-                _wait_for(flight, [f"bridge{i}: in formation" for i in _VEHICLES])
-                with _program(folder, "stop", domain, *stop) as terminal:
-                    _wait_for(terminal, ["bridge4"])
-                    time.sleep(moment_s)
-                    with _starved([_bridge_pid(flight.process.pid, i) for i in starved]):
-                        return _press(terminal, order, control)
+        with (
+            stand_ins(folder, domain, scenario, control),
+            program(folder, "fleet", domain, "ptnsbc_tools.cli", *fleet) as flight,
+        ):
+            wait_for(flight, [f"bridge{i}: in formation" for i in VEHICLES])
+            with program(folder, "stop", domain, "ptnsbc_tools.cli", *stop) as terminal:
+                wait_for(terminal, ["bridge4"])
+                time.sleep(moment_s)
+                with _starved([_bridge_pid(flight.process.pid, i) for i in starved]):
+                    return _press(terminal, order, control)
 
 
-class _Running(NamedTuple):
-    process: subprocess.Popen[bytes]
-    log: Path
-
-
-def _press(terminal: _Running, order: str, control: int) -> Stopped:
+def _press(terminal: Running, order: str, control: int) -> Stopped:
     assert terminal.process.stdin is not None
     time.sleep(0.5)  # the starving has begun
     pressed = time.monotonic()
     terminal.process.stdin.write(b"\n")
     terminal.process.stdin.flush()
     found: dict[int, float] = {}
-    while len(found) < len(_VEHICLES) and time.monotonic() - pressed < _OBEYED_S:
+    while len(found) < len(VEHICLES) and time.monotonic() - pressed < _OBEYED_S:
         with suppress(AutopilotError):
             for state in json.loads(send_fault(control, "all state")):
                 obeyed = not state["armed"] or (order == "land" and state["mode"] == "LAND")
                 if obeyed:
                     found.setdefault(state["system"], time.monotonic() - pressed)
         time.sleep(0.01)
-    code = terminal.process.wait(_PATIENCE_S)
+    code = terminal.process.wait(PATIENCE_S)
     return Stopped(order, found, code, tuple(terminal.log.read_text().splitlines()))
-
-
-@contextmanager
-def _program(folder: Path, name: str, domain: int, *arguments: object) -> Iterator[_Running]:
-    log = folder / f"{name}.log"
-    with log.open("wb") as out:
-        process = subprocess.Popen(
-            [sys.executable, "-m", "ptnsbc_tools.cli", *map(str, arguments)],
-            stdin=subprocess.PIPE,
-            stdout=out,
-            stderr=out,
-            env={**os.environ, "ROS_DOMAIN_ID": str(domain), "PYTHONUNBUFFERED": "1"},
-        )
-    try:
-        yield _Running(process, log)
-    finally:
-        for number in (signal.SIGINT, signal.SIGINT, signal.SIGKILL):
-            if process.poll() is None:
-                process.send_signal(number)
-                with suppress(subprocess.TimeoutExpired):
-                    process.wait(30.0)
-
-
-def _wait_for(program: _Running, texts: Sequence[str]) -> None:
-    deadline = time.monotonic() + _PATIENCE_S
-    while time.monotonic() < deadline and program.process.poll() is None:
-        lines = program.log.read_text(errors="replace")
-        if all(text in lines for text in texts):
-            return
-        time.sleep(0.1)
-    raise SystemExit(f"{program.log.name} without {texts}:\n{program.log.read_text()[-3000:]}")
 
 
 @contextmanager
@@ -169,13 +122,6 @@ def _bridge_pid(launcher: int, uav: int) -> int:
     raise SystemExit(f"no bridge of UAV {uav}")
 
 
-def _free_ports() -> int:
-    with socket.socket(type=socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-    return min(port, 60000)
-
-
 def _summary(order: str, runs: Sequence[Stopped]) -> str:
     firsts = sorted(min(run.seconds.values()) for run in runs if run.seconds)
     lasts = sorted(max(run.seconds.values()) for run in runs if run.seconds)
@@ -183,7 +129,7 @@ def _summary(order: str, runs: Sequence[Stopped]) -> str:
     vehicles = sum(len(run.seconds) for run in runs)
     return (
         f"{order}: {obeyed} of {len(runs)} orders reached all vehicles with exit code 0; "
-        f"{vehicles} of {len(_VEHICLES) * len(runs)} vehicles; "
+        f"{vehicles} of {len(VEHICLES) * len(runs)} vehicles; "
         f"first vehicle median {statistics.median(firsts):.2f} s; last vehicle median "
         f"{statistics.median(lasts):.2f} s, 90 % {lasts[int(0.9 * (len(lasts) - 1))]:.2f} s, "
         f"largest {lasts[-1]:.2f} s"
@@ -201,10 +147,10 @@ def main() -> None:
     found: dict[str, list[Stopped]] = {order: [] for order in arguments.orders.split(",")}
     for turn in range(arguments.times):
         for order, runs in found.items():
-            starved = chance.sample(_VEHICLES, _STARVED)
+            starved = chance.sample(VEHICLES, _STARVED)
             run = run_once(order, chance.uniform(0.0, _MOMENT_S), starved)
             runs.append(run)
-            times = ", ".join(f"{i}: {run.seconds.get(i, float('nan')):.2f}" for i in _VEHICLES)
+            times = ", ".join(f"{i}: {run.seconds.get(i, float('nan')):.2f}" for i in VEHICLES)
             print(
                 f"{turn + 1} {order}: starved {starved}, exit {run.exit_code}, {times} s",
                 flush=True,

@@ -293,6 +293,10 @@ class Coordinator:
             if self._last_status_s.get(name, 0.0) < since_s
         }
 
+    def last_status_s(self, name: str) -> float | None:
+        """When a process sent its last status [s], by the monotonic clock; None: no status was heard."""
+        return self._last_status_s.get(name)
+
     def call(self, name: str, patience_s: float) -> str | None:
         """Call /formation/`name`, waiting until it is there; returns why it did not work."""
         done, said = self.ask(name, patience_s)

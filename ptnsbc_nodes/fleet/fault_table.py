@@ -225,6 +225,16 @@ ANSWERS = (
         (f"{_FLEET}test_who_dies_in_flight_is_named_and_the_others_fly_on",),
     ),
     FaultAnswer(
+        "the sim hangs",
+        (SIM,),
+        "the launcher, by the sim's log and statuses",
+        "30 s",
+        _STOP,
+        "named and ended, then as above",
+        "if it goes on within 30 s",
+        ("tests/nodes/fleet/test_supervisor.py::test_a_sim_without_a_sign_of_life_is_ended",),
+    ),
+    FaultAnswer(
         "the launcher is killed",
         (SIM, MAVLINK),
         "each process, by the end of its parent",

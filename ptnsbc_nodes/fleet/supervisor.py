@@ -26,7 +26,7 @@ from ptnsbc_nodes.fleet.fault_injector import FaultInjector
 from ptnsbc_nodes.fleet.process_list import FleetOptions, names
 from ptnsbc_nodes.runtime.process import RUNNING
 from ptnsbc_nodes.runtime.signals import StopRequest
-from ptnsbc_nodes.runtime.watchdog import ENDED_S, RECORDER_ENDED_S
+from ptnsbc_nodes.runtime.watchdog import ENDED_S, RECORDER_ENDED_S, SIM_ENDED_S
 from ptnsbc_sim.scenario.mission.legs import seconds_to_start
 from ptnsbc_sim.sweep.dry_run import with_starts_at
 
@@ -73,6 +73,8 @@ class Supervisor:
         self._introduced: dict[str, float] = {}  # processes that were heard, and since when
         self._running: dict[str, float] = {}  # processes that have loaded, and since when
         self._restarts: Counter[str] = Counter()
+        self._sim_sign: object = None  # the newest sign of life of the sim
+        self._sim_lines = self._quiet_looks = 0
         self._faults = FaultInjector(options, progress, self._launch_again)
         if options.scenario.file.faults is not None:
             coordinator.hear_faults(options.scenario.uav_ids, self._faults.add)
@@ -141,10 +143,13 @@ class Supervisor:
             self._follow()
             return
         begins_in_s = seconds_to_start(self._options.scenario.file.mission, time.time_ns())
-        over_s = time.monotonic() + begins_in_s + duration_s + _AFTER_START_S
+        begin_s = time.monotonic() + begins_in_s + _AFTER_START_S
+        over_s = begin_s + duration_s
         bridged = self._options.backend == "mavlink"
         while self._flying() and not self._stop.came:
             self._look()
+            if time.monotonic() > begin_s:
+                self._end_silent_sim()
             if bridged and time.monotonic() > over_s:
                 return
 
@@ -194,11 +199,25 @@ class Supervisor:
                 self._progress(f"{child.name} (pid {child.pid}) is stuck: it is ended")
                 child.send(signal.SIGKILL)
 
+    def _end_silent_sim(self) -> None:
+        """End a sim that gives no sign of life: no UAV can fly on, and a flight must not wait for ever."""
+        sign = self._sim_lines, self._coordinator.last_status_s(SIM)
+        # Looks are counted, not seconds: while the launcher itself is suspended it hears nothing.
+        self._quiet_looks = self._quiet_looks + 1 if sign == self._sim_sign else 0
+        self._sim_sign = sign
+        for child in self.children:
+            silent = child.name == SIM and self._quiet_looks * _LOOK_S >= SIM_ENDED_S
+            if silent and child.exit_code is None:
+                self._progress(f"{SIM} (pid {child.pid}) gives no sign of life: it is ended")
+                child.send(signal.SIGKILL)
+
     def _pass_on_lines(self) -> None:
         """Pass on what the sim and the bridges say of the flight."""
         for child in self.children:
             if child.command.ends:
-                for line in child.new_lines():
+                lines = child.new_lines()
+                self._sim_lines += len(lines) if child.name == SIM else 0
+                for line in lines:
                     if line.startswith(f"{child.name}: "):
                         self._progress(line)
 

@@ -4,6 +4,9 @@ The rule: when no UAV has answered the sim for `SAID_S`, the sim prints the proc
 tells the launcher. A UAV that only waits for others still sends its status, so it is alive. The launcher ends
 a UAV that has sent none when the wait has lasted `ENDED_S`; the others then fly on without it. A recorder has
 `RECORDER_ENDED_S`, because a disk may be slow; then the flight goes on without it.
+
+The sim gives a sign of life every two seconds, and five times a second while it waits. The launcher ends one
+that has given none for `SIM_ENDED_S`, in real time too.
 """
 
 from __future__ import annotations
@@ -16,6 +19,7 @@ from ptnsbc_nodes.comm.diagnostics import STATUS_HZ, DiagnosticLevel, diagnostic
 SAID_S = 3.0
 ENDED_S = 10.0
 RECORDER_ENDED_S = 60.0
+SIM_ENDED_S = 30.0
 WAITED = "waited_s"
 """Key of /formation/ready: for how long the sim has waited for those in `waiting_for`."""
 

@@ -13,6 +13,7 @@ from ptnsbc_nodes.fleet import supervisor as flights
 from ptnsbc_nodes.fleet.child_process import ChildProcess, ProcessCommand
 from ptnsbc_nodes.fleet.process_list import FleetOptions
 from ptnsbc_nodes.fleet.supervisor import FleetError, Supervisor
+from ptnsbc_nodes.runtime.watchdog import SIM_ENDED_S
 from ptnsbc_sim.scenario import load_scenario
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -199,6 +200,37 @@ def test_a_process_that_is_stuck_is_ended(lockstep):
     flight._end_stuck()
     assert children[3].signals == ([signal.SIGKILL] if lockstep else [])
     assert children[4].signals == []
+
+
+@pytest.mark.ros
+def test_a_sim_without_a_sign_of_life_is_ended():
+    """Each line of its log and each status counts; so long as they come it may take as long as it likes."""
+    statuses = iter(range(10_000))
+    alive = True
+    newest: list[int | None] = [None]
+
+    def last_status_s(_name: str) -> int | None:
+        if alive:
+            newest[0] = next(statuses)
+        return newest[0]
+
+    coordinator = SimpleNamespace(last_status_s=last_status_s)
+    flight = Supervisor(FleetOptions(load_scenario("paper_5")), coordinator, None, print)
+    flight.children.extend([Child("uav1", 1), sim := Child("sim")])
+    looks = round(SIM_ENDED_S / flights._LOOK_S)
+    for _ in range(2 * looks):
+        flight._end_silent_sim()
+    alive = False
+    for _ in range(looks - 1):
+        flight._end_silent_sim()
+        assert sim.signals == []
+    flight._sim_lines += 1  # a line of its log
+    for _ in range(looks):
+        flight._end_silent_sim()
+        assert sim.signals == []
+    flight._end_silent_sim()
+    assert sim.signals == [signal.SIGKILL]
+    assert flight.children[0].signals == []
 
 
 def checked(objection, *, lockstep=False):
