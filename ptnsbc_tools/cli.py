@@ -32,7 +32,7 @@ from ptnsbc_tools.commands.look.plot import plot
 from ptnsbc_tools.commands.look.report import report
 from ptnsbc_tools.commands.look.reproduce import reproduce
 from ptnsbc_tools.commands.look.verify import verify
-from ptnsbc_tools.commands.processes import network
+from ptnsbc_tools.commands.processes import network, security
 from ptnsbc_tools.commands.processes.autopilot import autopilot
 from ptnsbc_tools.commands.processes.bridge import bridge
 from ptnsbc_tools.commands.processes.key import key
@@ -140,7 +140,7 @@ for _command in _COMMANDS:
     app.command(rich_help_panel=_panel(_command.__module__))(_command)
 # All words after the name of a process are its own, --help too.
 app.command(rich_help_panel=_panel(node.__module__), context_settings=SETTINGS)(node)
-for _group in (mission, bag, network):
+for _group in (mission, bag, network, security):
     _name = _group.__name__.rsplit(".", 1)[1]
     app.add_typer(_group.app, name=_name, rich_help_panel=_panel(_group.__name__))
 

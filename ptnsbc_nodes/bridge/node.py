@@ -104,7 +104,7 @@ class BridgeNode:
         self._on_end = on_end
         recorders = edges.options.recorders
         clocks = Clocks(time.monotonic, lambda: int(node.get_clock().now().nanoseconds))
-        ports = BridgePorts(BridgeInputs(), self._outputs(recorders), clocks)
+        ports = BridgePorts(BridgeInputs(), self._outputs(scenario, recorders), clocks)
         awaited = frozenset(scenario.uav_ids) if options.with_fleet else frozenset()
         self.bridge = Bridge(scenario, uav_id, link, ports, options.allow_arming, awaited)
         self._near = _NearPublisher(self.endpoints, scenario, uav_id, edges, clocks)
@@ -204,7 +204,7 @@ class BridgeNode:
         """Name of the status of the UAV process."""
         return f"uav{self._uav_id}: planner"
 
-    def _outputs(self, recorders: int) -> BridgeOutputs:
+    def _outputs(self, scenario: Scenario, recorders: int) -> BridgeOutputs:
         publisher = self.endpoints.publisher
         body = body_frame(self._uav_id, self.endpoints.fleet)
         odometry = OdometryTemplate(WORLD_FRAME, body)
@@ -212,7 +212,8 @@ class BridgeNode:
         send_track = publisher(topics.track(self._uav_id), 0)
         send_truth = publisher(topics.truth(self._uav_id), 0)
         send_limits = publisher(topics.limits(self._uav_id), 1)
-        send_origin = publisher(topics.ORIGIN, 0)
+        leads = self._uav_id == scenario.leader_id
+        send_origin = publisher(topics.ORIGIN, 0) if leads else None
         send_lost = publisher(LOST, 0)
 
         def publish_limits(limits: SetpointLimits) -> None:
@@ -220,6 +221,10 @@ class BridgeNode:
             speed, acceleration = planner
             self._log(f"planner: at most {speed:g} m/s, {acceleration:g} m/s^2")
             send_limits(vehicle_messages.encode_limits(planner))
+
+        def publish_origin(place: GeoPoint) -> None:
+            if send_origin is not None:
+                send_origin(vehicle_messages.encode_origin(place))
 
         transforms = LiveTransforms(self.endpoints, [self._uav_id])
 
@@ -231,7 +236,7 @@ class BridgeNode:
         return BridgeOutputs(
             odom=publish_odometry,
             track=lambda stamp_ns, values: send_track(odometry.encode(stamp_ns, values)),
-            origin=lambda place: send_origin(vehicle_messages.encode_origin(place)),
+            origin=publish_origin,
             limits=publish_limits,
             lost=lambda: send_lost(HeaderTemplate(f"uav{self._uav_id}").encode(0)),
             log=self._log,

@@ -41,14 +41,19 @@ class ProcessCommand:
     ends: bool = False  # by itself, with 0, when the flight is over
     beside: bool = False  # the flight needs it not: its end is reported, and changes nothing
 
-    def within(self, namespace: str) -> ProcessCommand:
-        """The same process with its node in the namespace of a fleet."""
-        if not namespace:
-            return self
-        if len(self.uavs) > 1:  # a remapping of ROS would move all nodes into one namespace
-            return replace(self, arguments=(*self.arguments, "--fleet", namespace))
-        name = "/".join((namespace, *self.lost)) if self.uavs else namespace
-        return replace(self, arguments=(*self.arguments, "--ros-args", "-r", f"__ns:={name}"))
+    def within(self, namespace: str, *, secured: bool = False) -> ProcessCommand:
+        """The same process with its node in the namespace of a fleet, and with its own identity of DDS Security."""
+        words: list[str] = []
+        if namespace and len(self.uavs) == 1:
+            words += ["-r", f"__ns:={namespace}/{self.lost[0]}"]
+        elif namespace and not self.uavs:
+            words += ["-r", f"__ns:={namespace}"]
+        if secured:
+            words += ["--enclave", f"{namespace}/{self.name}"]
+        # A remapping of ROS would move all nodes of several UAVs into one namespace.
+        own = ["--fleet", namespace] if namespace and len(self.uavs) > 1 else []
+        ros = ["--ros-args", *words] if words else []
+        return replace(self, arguments=(*self.arguments, *own, *ros))
 
     @property
     def lost(self) -> tuple[str, ...]:

@@ -46,9 +46,11 @@ def _serve(arguments: argparse.Namespace, argv: list[str]) -> int:
     from ptnsbc_nodes.fleet.coordinator_node import Coordinator
     from ptnsbc_nodes.fleet.process_list import FleetOptions
     from ptnsbc_nodes.runtime.process import ros_errors
+    from ptnsbc_nodes.security.middleware import check_enforced
     from ptnsbc_sim.scenario import load_scenario
 
     scenario = load_scenario(arguments.scenario)
+    check_enforced(scenario)
     options = FleetOptions(
         scenario,
         backend="mavlink" if arguments.bridged else "sim",

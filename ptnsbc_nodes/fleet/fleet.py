@@ -28,6 +28,8 @@ from ptnsbc_nodes.runtime import environment
 from ptnsbc_nodes.runtime.environment import reserved_domain
 from ptnsbc_nodes.runtime.signals import StopRequest
 from ptnsbc_nodes.runtime.warmup import load_fleet, load_world
+from ptnsbc_nodes.security.middleware import ENCLAVE, enforced
+from ptnsbc_nodes.security.permissions import FLEET, OPERATOR
 from ptnsbc_sim.own_uav import UavFunctions
 from ptnsbc_sim.scenario.mission.faults import PROCESS
 
@@ -78,6 +80,10 @@ def run_fleet(options: FleetOptions, progress: Report = lambda line: None) -> Fl
     if options.bag is not None:
         check_replaceable(options.bag, overwrite=options.overwrite)
     check_options(options)
+    secured = options.scenario.file.security == "required"
+    if secured:
+        os.environ.update(enforced(os.environ))
+        os.environ.pop(ENCLAVE, None)  # each process has an identity of its own
     seal = seal_of(options.scenario)
     log_dir = Path(options.log_dir or tempfile.mkdtemp(prefix="ptnsbc-")).resolve()
     log_dir.mkdir(parents=True, exist_ok=True)
@@ -93,10 +99,12 @@ def run_fleet(options: FleetOptions, progress: Report = lambda line: None) -> Fl
         progress(f"domain {domain}, logs in {log_dir}")
         stack.enter_context(_listed(options, domain, progress))
         if options.beside is not None:
-            stack.enter_context(options.beside(settings, scenario_file))
+            of_operator = {ENCLAVE: f"{options.namespace}/{OPERATOR}"} if secured else {}
+            stack.enter_context(options.beside({**settings, **of_operator}, scenario_file))
         # Launchers on other computers have other names.
         name = "fleet" if options.leads else f"fleet_{min(options.only)}"
-        with Coordinator(domain, name, options.namespace, seal=seal) as coordinator:
+        identity = ("--ros-args", "--enclave", f"{options.namespace}/{FLEET}") if secured else ()
+        with Coordinator(domain, name, options.namespace, identity, seal) as coordinator:
             supervisor = Supervisor(options, coordinator, stop, progress)
             began = time.monotonic()
             try:
@@ -186,6 +194,10 @@ def _check_processes(options: FleetOptions) -> None:
     count, most = options.processes, len(options.scenario.uav_ids)
     if count is None or count == most:
         return
+    if options.scenario.file.security == "required":
+        raise FleetError(
+            f"--processes {count}: with security: required each UAV has an identity of its own: expected no --processes"
+        )
     if not 1 <= count <= most:
         raise FleetError(
             f"--processes {count}: {options.scenario.name} has {most} UAVs: expected 1 to {most}"

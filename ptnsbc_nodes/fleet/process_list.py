@@ -95,7 +95,8 @@ def commands(options: FleetOptions, scenario_file: Path) -> list[ProcessCommand]
         here.append(
             ProcessCommand("operator", "ptnsbc_nodes.view.operator_main", arguments, beside=True)
         )
-    return [command.within(options.namespace) for command in here]
+    secured = options.scenario.file.security == "required"
+    return [command.within(options.namespace, secured=secured) for command in here]
 
 
 def names(scenario: Scenario, backend: str) -> list[str]:

@@ -18,6 +18,7 @@ from pathlib import Path
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_nodes.runtime import dds_profiles
+from ptnsbc_nodes.security.middleware import DdsSecurityError, lacks_security
 
 PARENT = "PTNSBC_PARENT"
 """Process id of the launcher: a process that has it set ends with the launcher."""
@@ -46,23 +47,19 @@ class DomainError(PtnsbcError):
     """No usable ROS domain."""
 
 
-class DdsSecurityError(PtnsbcError):
-    """DDS Security was asked for, and the middleware has none."""
-
-
 def prepare() -> None:
     """Set the variables that are not set. With ROS from wheels rclpy.init() fails without them.
 
     Raises:
-        DdsSecurityError: `ROS_SECURITY_ENABLE` is true, and ROS comes from wheels.
+        DdsSecurityError: `ROS_SECURITY_ENABLE` is true, and the middleware has no DDS Security.
     """
-    wheels = (Path(sys.prefix) / "share" / "ament_index").is_dir()
-    if wheels and os.environ.get("ROS_SECURITY_ENABLE") == "true":
+    if os.environ.get("ROS_SECURITY_ENABLE") == "true" and lacks_security():
         # Without a keystore rcl would go on unprotected; with one it raises from the first node.
         raise DdsSecurityError(
-            "ROS_SECURITY_ENABLE=true: the ROS wheels are built without DDS Security: expected it unset"
+            "ROS_SECURITY_ENABLE=true: this ROS is built without DDS Security, as the wheels are: expected it unset"
             " (security: signed in the scenario seals the messages), or another ROS"
         )
+    wheels = (Path(sys.prefix) / "share" / "ament_index").is_dir()
     _stay_with_parent()
     if os.environ.get(NETWORK):
         os.environ.update(_joined(os.environ))

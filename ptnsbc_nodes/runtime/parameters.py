@@ -25,6 +25,7 @@ from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_nodes.comm.graph import FlightOptions
 from ptnsbc_nodes.comm.seal import seal_of
 from ptnsbc_nodes.runtime.scenario_parameters import ScenarioParameter, Value, leaves
+from ptnsbc_nodes.security.middleware import check_enforced
 from ptnsbc_sim.scenario import Scenario, load_scenario, scenario_from_text
 from ptnsbc_sim.scenario.model import ScenarioFile
 
@@ -129,6 +130,7 @@ class NodeParameters:
     @property
     def options(self) -> FlightOptions:
         """The options that all processes of a flight share."""
+        check_enforced(self.scenario)
         seal = seal_of(self.scenario)
         return FlightOptions(self["lockstep"], self["recorded"], self._is_bridged, seal)
 

@@ -34,6 +34,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _serve(arguments: argparse.Namespace, argv: list[str]) -> int:
     from ptnsbc_nodes.comm.seal import seal_of
     from ptnsbc_nodes.runtime import process as processes
+    from ptnsbc_nodes.security.middleware import check_enforced
     from ptnsbc_nodes.view.observer import Observer
     from ptnsbc_sim.scenario import load_scenario
 
@@ -54,6 +55,7 @@ def _serve(arguments: argparse.Namespace, argv: list[str]) -> int:
             namespace = node.get_namespace().rstrip("/")
             with Observer(node.context.get_domain_id(), namespace, "operator_lookup") as observer:
                 scenario = observer.scenario(_PATIENCE_S, lambda: lifetime.over)
+        check_enforced(scenario)
         operator = OperatorNode(node, scenario, node.context.get_domain_id(), seal_of(scenario))
         lifetime.serve(node, operator)
         operator.close()

@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 
 from ptnsbc_nodes.runtime import environment
-from ptnsbc_nodes.runtime.environment import DdsSecurityError, DomainError, reserved_domain
+from ptnsbc_nodes.runtime.environment import DomainError, reserved_domain
+from ptnsbc_nodes.security.middleware import DdsSecurityError
 
 
 @pytest.fixture
@@ -105,16 +106,15 @@ def test_without_the_right_to_hurry_everything_goes_on(monkeypatch):
 
 
 @pytest.mark.parametrize("strategy", ["Enforce", "Permissive"])
-def test_dds_security_without_a_middleware_that_has_it_is_refused(monkeypatch, tmp_path, strategy):
-    (tmp_path / "share" / "ament_index").mkdir(parents=True)
-    monkeypatch.setattr(sys, "prefix", str(tmp_path))
+def test_dds_security_without_a_middleware_that_has_it_is_refused(monkeypatch, strategy):
+    monkeypatch.setattr(environment, "lacks_security", lambda: True)
     monkeypatch.setenv("ROS_SECURITY_STRATEGY", strategy)
     monkeypatch.setenv("ROS_SECURITY_ENABLE", "true")
     with pytest.raises(DdsSecurityError, match="built without DDS Security"):
         environment.prepare()
 
 
-def test_dds_security_of_another_ros_is_left_to_it(monkeypatch, tmp_path):
-    monkeypatch.setattr(sys, "prefix", str(tmp_path))
+def test_dds_security_of_another_ros_is_left_to_it(monkeypatch):
+    monkeypatch.setattr(environment, "lacks_security", lambda: False)
     monkeypatch.setenv("ROS_SECURITY_ENABLE", "true")
     environment.prepare()

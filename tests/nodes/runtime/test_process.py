@@ -162,11 +162,11 @@ def plain(names):
     return {re.sub(r"^/uav\d+/(?!bridge/)", "/uavN/", name) for name in names}
 
 
-# What paper_5 has no use for, and what a bridge has without an operator and with other settings.
+# What paper_5 has no use for, and what a bridge has that leads, or has an operator or other settings.
 UNUSED = {
     "/sim": {"publishes": {"/uavN/truth"}, "hears": {"/formation/recorded"}},
     "/uav3/bridge": {
-        "publishes": set(),
+        "publishes": {"/formation/origin"},
         "hears": {"/uavN/setpoint/wrench", "/formation/setpoint_taken"},
     },
 }
