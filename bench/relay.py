@@ -1,6 +1,8 @@
 """`relay` as real processes in real time: one killed with SIGKILL and started again, the leader killed for good.
 
-`python -m bench.relay [--runs 20]` flies it so often and counts the flights whose verdict is *met*.
+`python -m bench.relay [--runs 20]` flies it so often and counts the flights whose verdict is *met*. A flight that is
+not met while other programs had the processors is *not judged*, by the rule of the tests in real time
+(`tests/support/real_time.py`).
 """
 
 from __future__ import annotations
@@ -8,7 +10,9 @@ from __future__ import annotations
 import argparse
 import sys
 import tempfile
+from collections import Counter
 from collections.abc import Sequence
+from contextlib import closing
 from pathlib import Path
 
 from bench.session import own_domain, print_progress
@@ -19,18 +23,34 @@ from ptnsbc_sim.verdict import verdict_on
 from ptnsbc_sim.verdict.deadline import MET
 from ptnsbc_tools.reading.bag_reader import read_recording
 
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "support"))
+from real_time import (  # type: ignore[import-not-found]
+    NOT_JUDGED,
+    Probe,
+    evidence,
+    taken,
+    usage,
+)
 
-def flown(number: int, folder: Path) -> bool:
-    """Fly it once, and tell its verdict and why a UAV has not met it."""
+NOT_MET = "not met"
+
+
+def flown(number: int, folder: Path, probe: Probe) -> str:
+    """Fly it once, and tell its verdict, why a UAV has not met it, and what the machine left to it."""
     bag = folder / f"bag_{number}"
     options = FleetOptions(load_scenario("relay"), bag=bag, log_dir=folder)
+    probe.ask()
+    before = usage()
     with own_domain():
-        run_fleet(options, print_progress)
+        if run_fleet(options, print_progress).interrupted:
+            raise KeyboardInterrupt
+    delays, used = probe.ask(), usage().minus(before)
     verdict = verdict_on(read_recording(bag))
     for one in verdict.uavs:
         print(f"{number}: UAV {one.uav} {one.verdict} {one.reason or one.excuse}")
-    print(f"{number}: {verdict.verdict}", flush=True)
-    return verdict.verdict == MET
+    found = MET if verdict.verdict == MET else NOT_JUDGED if taken(delays, used) else NOT_MET
+    print(f"{number}: {found}, verdict {verdict.verdict}; {evidence(delays, used)}", flush=True)
+    return found
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -38,10 +58,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="bench.relay", description=__doc__)
     parser.add_argument("--runs", type=int, default=20)
     runs = parser.parse_args(argv).runs
-    with tempfile.TemporaryDirectory() as folder:
-        met = sum(flown(number, Path(folder)) for number in range(1, runs + 1))
-    print(f"met: {met} of {runs}")
-    return 0 if met == runs else 1
+    with tempfile.TemporaryDirectory() as folder, closing(Probe()) as probe:
+        count = Counter(flown(number, Path(folder), probe) for number in range(1, runs + 1))
+    print(", ".join(f"{kind}: {count[kind]} of {runs}" for kind in (MET, NOT_MET, NOT_JUDGED)))
+    return 0 if count[MET] == runs else 1
 
 
 if __name__ == "__main__":

@@ -39,6 +39,7 @@ class RoleHolder:
         """Forget the members seen so far."""
         self._view = View(self._formations.scenario, self.uav)
         self._began_ns: int | None = None
+        self._looked_ns: int | None = None
         self._before: Scenario | None = self._formations.scenario
         self._members = Membership(frozenset(), frozenset())
 
@@ -71,6 +72,9 @@ class RoleHolder:
         scenario = self._formations.scenario
         if self._began_ns is None:
             self._began_ns = max(now_ns, first_t0_ns)
+        if self._looked_ns is not None:
+            self._view.pause(now_ns - self._looked_ns)
+        self._looked_ns = now_ns
         others = (uav for uav in scenario.uav_ids if uav != self.uav)
         ages = {uav: ages_s.get(uav, NEVER_RECEIVED_S) for uav in others}
         self._members = self._view.at(now_ns - first_t0_ns, now_ns - self._began_ns, ages)

@@ -62,6 +62,11 @@ class View:
         self._stale_s = float(scenario.file.communication.stale_s)
         self._away: set[int] = set()
 
+    def pause(self, gap_ns: int) -> None:
+        """The UAV has not stepped for so long [ns]: for the others it was lost, if that is too long."""
+        if gap_ns * 1e-9 > self._stale_s:
+            self._away.add(self._uav)
+
     def at(self, since_ns: int, awake_ns: int, ages_s: Mapping[int, float]) -> Membership:
         """The members at this tick; to be called at every tick in turn.
 
