@@ -39,7 +39,7 @@ from ptnsbc_tools.commands.processes.key import key
 from ptnsbc_tools.commands.processes.node import SETTINGS, node
 from ptnsbc_tools.commands.processes.params import params
 from ptnsbc_tools.commands.processes.tune import tune
-from ptnsbc_tools.quick_help import help_asked, spare_markdown
+from ptnsbc_tools.quick_help import help_asked, keep_only, spare_unused
 
 _REFUSED, _INTERRUPTED = 2, 130
 _STARTS_PROCESSES = ("fleet", "demo", "node", "view", "tune")
@@ -52,7 +52,7 @@ class _Commands(TyperGroup):
         self, info_name: str | None, args: list[str], parent: Any = None, **extra: Any
     ) -> Any:
         if not args or {"-h", "--help"} & set(args):
-            spare_markdown()
+            spare_unused()
         asked = help_asked(self, info_name, args)
         if asked is None:
             return super().make_context(info_name, args, parent, **extra)
@@ -148,6 +148,7 @@ for _group in (mission, bag, network, security):
 def main() -> None:
     """Run the command line; `ptnsbc_tools.__main__` is the entry point."""
     exit_on_signal(_INTERRUPTED, "interrupted")
+    keep_only(app, sys.argv[1:])
     app(prog_name="ptnsbc")
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 
@@ -49,3 +50,18 @@ def test_help_loads_neither_the_laws_nor_what_parses_options() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stderr == "[]\n"
+
+
+@pytest.mark.parametrize("path", [("check",), ("bag", "trim"), ("no-such-command",)], ids=" ".join)
+def test_the_program_alone_says_the_same_as_with_all_commands(path: tuple[str, ...]) -> None:
+    alone = subprocess.run(
+        [sys.executable, "-m", "ptnsbc_tools", *path, "-h"],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "COLUMNS": "80", "TERM": "dumb"},
+    )
+    with_all = CliRunner().invoke(
+        app, [*path, "-h"], prog_name="ptnsbc", env={"COLUMNS": "80", "TERM": "dumb"}
+    )
+    assert (alone.returncode, alone.stdout) == (with_all.exit_code, with_all.stdout)
+    assert alone.stderr == with_all.stderr
