@@ -14,6 +14,10 @@ from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_sim.scenario import Scenario, available
 from ptnsbc_sim.sweep.family import families
 from ptnsbc_sim.verdict import Verdict
+from ptnsbc_tools.check import Finding
+from ptnsbc_tools.doctor import examine as doctor
+from ptnsbc_tools.library.bags import merge, rerun, trim
+from ptnsbc_tools.library.export import export
 from ptnsbc_tools.library.flight import Flight
 from ptnsbc_tools.library.flying import (
     CheckReport,
@@ -24,13 +28,18 @@ from ptnsbc_tools.library.flying import (
     read_bag,
     verdict,
 )
+from ptnsbc_tools.library.new_scenario import new
 from ptnsbc_tools.library.notebook import register as _register
 from ptnsbc_tools.library.quantities import QUANTITIES, Quantity
+from ptnsbc_tools.library.reporting import Report, report
 from ptnsbc_tools.library.sweeping import Sweep, compare, open_sweep, sweep
+from ptnsbc_tools.replay.rerun import Rerun
 from ptnsbc_tools.sweeps.comparison import SweepComparison
 from ptnsbc_tools.sweeps.share import Share
 
 __all__ = [
+    "new",
+    "doctor",
     "available",
     "families",
     "load",
@@ -42,8 +51,16 @@ __all__ = [
     "sweep",
     "open_sweep",
     "compare",
+    "export",
+    "report",
+    "rerun",
+    "trim",
+    "merge",
     "Scenario",
     "CheckReport",
+    "Finding",
+    "Report",
+    "Rerun",
     "Flight",
     "Verdict",
     "Sweep",

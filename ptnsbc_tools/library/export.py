@@ -11,6 +11,7 @@ import numpy as np
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_tools.files import replacing
 from ptnsbc_tools.library.flight import Flight
+from ptnsbc_tools.library.rerun_file import write_rerun
 from ptnsbc_tools.library.sweeping import Sweep
 
 FORMATS = (".csv", ".parquet")
@@ -28,6 +29,30 @@ def checked(path: Path) -> Path:
         raise ExportError(
             f"{path}: suffix {path.suffix or 'missing'}: expected .csv, .parquet or .rrd"
         )
+    return path
+
+
+def export(source: Flight | Sweep, file: str | Path) -> Path:
+    """Write a flight or a sweep as a table, as `ptnsbc export`, and return the file.
+
+    Args:
+        source: a flight, or a sweep.
+        file: FILE.csv, FILE.parquet, or FILE.rrd of a flight, for the viewer Rerun.
+
+    Raises:
+        ExportError: no such format, or a sweep as .rrd.
+        LibraryMissingError: rerun-sdk is not installed.
+        OutputFileError: the file cannot be written.
+    """
+    path = checked(Path(file))
+    if isinstance(source, Sweep):
+        if path.suffix.lower() == RERUN:
+            raise ExportError(f"{path}: a sweep: expected .csv or .parquet")
+        write(of_sweep(source), path)
+    elif path.suffix.lower() == RERUN:
+        write_rerun(source, path)
+    else:
+        write(of_flight(source), path)
     return path
 
 

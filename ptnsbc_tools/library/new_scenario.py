@@ -9,6 +9,7 @@ from pathlib import Path
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_sim.scenario.problems import similar
 from ptnsbc_sim.scenario.schema import FILE
+from ptnsbc_tools.files import replacing
 
 MOST = 254
 _RADIUS_M, _HEIGHT_M, _START_M = 5.0, 6.0, 1.0
@@ -120,6 +121,38 @@ def text_of(name: str, shape: str = "v", n: int = 5, spacing_m: float = 2.0) -> 
         offsets=offsets,
         starts=starts,
     )
+
+
+def new(
+    file: str | Path,
+    shape: str = "v",
+    n: int = 5,
+    spacing_m: float = 2.0,
+    *,
+    overwrite: bool = False,
+) -> Path:
+    """Write a commented scenario of so many UAVs, as `ptnsbc new`, and return its file.
+
+    Args:
+        file: NAME, which becomes NAME.yaml, or the file.
+        shape: v, line, column, circle or grid.
+        n: UAVs with the leader.
+        spacing_m: distance of neighbours.
+        overwrite: replace an existing file.
+
+    Raises:
+        NewScenarioError: an unknown shape, or a file that exists.
+        OutputFileError: the file cannot be written.
+    """
+    given = Path(file)
+    path = given if given.suffix in (".yaml", ".yml") else given.with_name(f"{given.name}.yaml")
+    if path.exists() and not overwrite:
+        raise NewScenarioError(f"{path}: exists: choose another name, or --overwrite")
+    text = text_of(named(path), shape, n, spacing_m)
+    with replacing(path) as part:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        part.write_text(text, encoding="utf-8")
+    return path
 
 
 def named(path: Path) -> str:

@@ -18,7 +18,7 @@ from ptnsbc_sim.sweep import SweepError, SweepPlan, SweepResult, draw, parse_axi
 from ptnsbc_sim.sweep.chunks import DRAWN
 from ptnsbc_sim.sweep.family import find_family
 from ptnsbc_sim.sweep.plan import plan_of
-from ptnsbc_sim.sweep.rows import UNITS, fly_draw
+from ptnsbc_sim.sweep.rows import UNITS, fly_draw, rows_of
 from ptnsbc_sim.sweep.runner import TABLE
 from ptnsbc_tools import console
 from ptnsbc_tools.library.flight import Flight, new_axes
@@ -27,7 +27,7 @@ from ptnsbc_tools.library.optional import required
 from ptnsbc_tools.sweeps import comparison, summary
 from ptnsbc_tools.sweeps.comparison import SweepComparison
 from ptnsbc_tools.sweeps.share import Share
-from ptnsbc_tools.sweeps.table import Column, FlownSweep, read_sweep
+from ptnsbc_tools.sweeps.table import Column, FlightTable, FlownSweep, read_sweep, table_of
 
 _MOMENT_S = 0.05
 
@@ -262,17 +262,38 @@ def open_sweep(folder: str | Path) -> Sweep:
     return Sweep(read_sweep(Path(folder)))
 
 
-def compare(a: Sweep, b: Sweep, *, margin_m: float = 0.001, seed: int = 0) -> SweepComparison:
+def compare(
+    a: Sweep | Flight, b: Sweep | Flight, *, margin_m: float = 0.001, seed: int = 0
+) -> SweepComparison:
     """Whether B is worse than A: what was met and the errors, paired by draw, with intervals.
 
     Args:
-        a: a sweep.
-        b: another one of the same draws.
+        a: a sweep, or a flight.
+        b: another one of the same draws, or another flight.
         margin_m: an error that grew by less is not worse.
         seed: of the bootstrap.
 
     Raises:
-        ComparisonError: the sweeps draw differently.
+        ComparisonError: the sweeps draw differently, a flight beside a sweep, or a bag that lacks a UAV.
     """
-    comparison.same_draws(a.plan, b.plan)
-    return comparison.compare(a.flown.table, b.flown.table, margin_m=margin_m, seed=seed)
+    return comparison.compare(*compared(a, b), margin_m=margin_m, seed=seed)
+
+
+def compared(a: Sweep | Flight, b: Sweep | Flight) -> tuple[FlightTable, FlightTable]:
+    """The tables that a comparison compares; ComparisonError as `compare`."""
+    if isinstance(a, Sweep) and isinstance(b, Sweep):
+        comparison.same_draws(a.plan, b.plan)
+        return a.flown.table, b.flown.table
+    if isinstance(a, Flight) and isinstance(b, Flight):
+        return _row(a), _row(b)
+    raise comparison.ComparisonError("a sweep and a flight: expected two sweeps, or two flights")
+
+
+def _row(flight: Flight) -> FlightTable:
+    recording = flight.recording
+    lacking = [uav for uav in recording.scenario.uav_ids if uav not in recording.counters]
+    if lacking:
+        raise comparison.ComparisonError(
+            f"{flight.bag or flight.scenario.name}: /diagnostics lacks UAV {lacking[0]}: expected a whole flight"
+        )
+    return table_of(rows_of(0, recording.scenario, recording))

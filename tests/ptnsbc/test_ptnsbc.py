@@ -27,3 +27,9 @@ def test_the_page_has_the_quantities() -> None:
     shown = {name: (unit, axes) for name, unit, axes in rows}
     for one in ptnsbc.QUANTITIES:
         assert shown[one.name] == (one.unit, ", ".join(one.axes))
+
+
+def test_the_findings_of_the_doctor_are_those_of_the_command() -> None:
+    found = ptnsbc.doctor()
+    assert all(isinstance(one, ptnsbc.Finding) for one in found)
+    assert {one.key for one in found} >= {"platform", "cores", "clock"}

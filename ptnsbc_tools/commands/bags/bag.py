@@ -101,14 +101,9 @@ def trim(
 
     What latched topics said before the span, such as the epoch, is kept.
     """
-    from ptnsbc_io.bag import read_bag
-    from ptnsbc_io.bag.cut import trim as work
+    from ptnsbc_tools.library import bags as library
 
-    found = read_bag(bag)
-    first_ns = found.start_ns + round(begin * 1e9)
-    last_ns = found.end_ns if end is None else found.start_ns + round(min(end, _LONGEST_S) * 1e9)
-    with console.progress("trimming") as advance:
-        count = work(bag, output, first_ns, last_ns, overwrite=overwrite, advance=advance)
+    count = library.trim(bag, output, begin, end, overwrite=overwrite, progress=True)
     _show_written(count, output, json=json)
 
 
@@ -122,17 +117,10 @@ def merge(
     json: JsonOption = False,
 ) -> None:
     """Write several bags of one flight into one, in the order of their times."""
-    from ptnsbc_io.bag import BagError
-    from ptnsbc_io.bag.cut import merge as work
+    from ptnsbc_tools.library import bags as library
 
-    if len(bags) < 2:
-        raise BagError(f"{bags[0]}: one bag: expected two or more to merge")
-    with console.progress("merging") as advance:
-        count = work(bags, output, overwrite=overwrite, advance=advance)
+    count = library.merge(bags, output, overwrite=overwrite, progress=True)
     _show_written(count, output, json=json)
-
-
-_LONGEST_S = 1e9
 
 
 def _show_written(count: int, output: Path, *, json: bool) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -16,10 +15,8 @@ from ptnsbc_tools.options import BagArgument, JsonOption
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from ptnsbc_sim.scenario import Scenario
     from ptnsbc_tools.replay.rerun import Rerun
 
-_MOST_JOBS = 4
 _INTERRUPTED = 130
 
 
@@ -129,53 +126,14 @@ def _publish(path: Path, json: bool, **play_options: Any) -> int:
     return _INTERRUPTED if played.interrupted else 0
 
 
-def _trusted(path: Path, flown: Scenario, plugins: list[str]) -> Scenario:
-    """The scenario of a bag with the files of its functions, which the user gives.
-
-    Raises:
-        ScenarioError: the scenario names a function of a UAV, and none of this name is given.
-    """
-    from ptnsbc_sim.scenario import ScenarioError
-
-    given = {one.rpartition(":")[2]: one for one in plugins}
-    named = {kind: getattr(flown.plugins, kind) for kind in ("task", "controller")}
-    changes = {}
-    for kind, one in named.items():
-        name = str(one).rpartition(":")[2]
-        if one is None or Path(one).is_absolute():
-            continue
-        if name not in given:
-            raise ScenarioError(
-                f"{path}: flown with the {kind} {one}, which a bag does not carry: give it with --plugin FILE.py:{name}"
-            )
-        changes[f"plugins.{kind}"] = given[name]
-    return flown.with_(changes) if changes else flown
-
-
 def _rerun(
     path: Path, scenario: Path | None, law: str | None, plugins: list[str], *, json: bool
 ) -> int:
-    from ptnsbc_io.bag import read_bag
-    from ptnsbc_sim.law import LawError, load_law
-    from ptnsbc_tools.reading.bag_sources import McapSource, scenario_of
-    from ptnsbc_tools.replay.rerun import EQUAL, rerun
+    from ptnsbc_tools.library.bags import rerun
+    from ptnsbc_tools.replay.rerun import EQUAL
 
     began = time.monotonic()
-    bag = read_bag(path)
-    flown = scenario_of(McapSource(bag), scenario)
-    if flown.law is not None and law is None:
-        raise LawError(
-            f"{path}: flown with the law {flown.law}, which a bag does not carry: give it with --law "
-            f"FILE.py:{flown.law.rpartition(':')[2]}"
-        )
-    flown = _trusted(path, flown, plugins)
-    loaded = None if law is None else load_law(law)
-    with console.compiling():
-        from ptnsbc_nodes.runtime.warmup import load_fleet
-
-        load_fleet(flown)
-    jobs = min(os.cpu_count() or 1, _MOST_JOBS)
-    done = rerun(bag, flown, lambda: console.progress("re-running"), jobs, loaded)
+    done = rerun(path, scenario=scenario, law=law, plugins=plugins, progress=True)
     seconds = time.monotonic() - began
     if json:
         console.print_json(done.as_json(seconds))

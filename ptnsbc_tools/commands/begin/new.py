@@ -29,16 +29,9 @@ def new(
     ] = False,
 ) -> None:
     """Write a commented scenario of so many UAVs, ready to check and fly."""
-    from ptnsbc_tools.files import replacing
-    from ptnsbc_tools.library.new_scenario import NewScenarioError, named, text_of
+    from ptnsbc_tools.library import new_scenario
 
-    path = file if file.suffix in (".yaml", ".yml") else file.with_name(f"{file.name}.yaml")
-    if path.exists() and not overwrite:
-        raise NewScenarioError(f"{path}: exists: choose another name, or --overwrite")
-    text = text_of(named(path), shape, n, spacing)
-    with replacing(path) as part:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        part.write_text(text, encoding="utf-8")
+    path = new_scenario.new(file, shape, n, spacing, overwrite=overwrite)
     console.show(str(path))
     console.say(f"next: ptnsbc check {path}")
 

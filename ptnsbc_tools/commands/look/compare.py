@@ -69,8 +69,9 @@ def _found(path: Path) -> Path:
 
 def _both(a: Path, b: Path) -> tuple[FlightTable, FlightTable]:
     from ptnsbc_sim.sweep.runner import PLAN
-    from ptnsbc_tools.sweeps.comparison import ComparisonError, same_draws
-    from ptnsbc_tools.sweeps.table import read_sweep
+    from ptnsbc_tools.library.flight import flight_in
+    from ptnsbc_tools.library.sweeping import compared, open_sweep
+    from ptnsbc_tools.sweeps.comparison import ComparisonError
 
     for path in (a, b):
         if not path.exists():
@@ -81,22 +82,5 @@ def _both(a: Path, b: Path) -> tuple[FlightTable, FlightTable]:
     if len(kinds) > 1:
         raise ComparisonError(f"{a}, {b}: expected two sweeps or two bags")
     if kinds == {False}:
-        return _flight(a), _flight(b)
-    sweeps = read_sweep(a), read_sweep(b)
-    same_draws(sweeps[0].plan, sweeps[1].plan)
-    return sweeps[0].table, sweeps[1].table
-
-
-def _flight(bag: Path) -> FlightTable:
-    from ptnsbc_sim.sweep.rows import rows_of
-    from ptnsbc_tools.reading.bag_reader import read_recording
-    from ptnsbc_tools.sweeps.comparison import ComparisonError
-    from ptnsbc_tools.sweeps.table import table_of
-
-    recording = read_recording(bag)
-    lacking = [uav for uav in recording.scenario.uav_ids if uav not in recording.counters]
-    if lacking:
-        raise ComparisonError(
-            f"{bag}: /diagnostics lacks UAV {lacking[0]}: expected a whole flight"
-        )
-    return table_of(rows_of(0, recording.scenario, recording))
+        return compared(flight_in(a), flight_in(b))
+    return compared(open_sweep(a), open_sweep(b))

@@ -36,28 +36,16 @@ def export(
     obstacles of a flight for the viewer Rerun, and needs rerun-sdk.
     """
     from ptnsbc_sim.sweep.runner import PLAN
-    from ptnsbc_tools.library.export import (
-        RERUN,
-        ExportError,
-        checked,
-        of_flight,
-        of_sweep,
-        write,
-    )
+    from ptnsbc_tools.library.export import checked
+    from ptnsbc_tools.library.export import export as write
     from ptnsbc_tools.library.flight import flight_in
-    from ptnsbc_tools.library.rerun_file import write_rerun
     from ptnsbc_tools.library.sweeping import open_sweep
 
     beside = source.parent / f"{source.stem if source.is_file() else source.name}.csv"
     path = checked(beside if output is None else output)
     with console.patience(f"reading {source}"):
-        of_flights = (source / PLAN).is_file()
-        if path.suffix.lower() == RERUN:
-            if of_flights:
-                raise ExportError(f"{path}: {source} is a sweep: expected .csv or .parquet")
-            write_rerun(flight_in(source, options.read_options(context)), path)
-        elif of_flights:
-            write(of_sweep(open_sweep(source)), path)
+        if (source / PLAN).is_file():
+            write(open_sweep(source), path)
         else:
-            write(of_flight(flight_in(source, options.read_options(context))), path)
+            write(flight_in(source, options.read_options(context)), path)
     console.show(str(path))

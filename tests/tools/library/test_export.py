@@ -11,6 +11,7 @@ import pyarrow.parquet
 import pytest
 from typer.testing import CliRunner
 
+import ptnsbc
 from ptnsbc_sim.verdict import Recording
 from ptnsbc_tools.cli import app
 from ptnsbc_tools.library.export import ExportError, checked, of_flight, write
@@ -50,3 +51,11 @@ def test_the_sample_bag_is_exported(tmp_path: Path) -> None:
     assert (done.exit_code, done.stdout) == (0, f"{file}\n")
     assert pyarrow.parquet.read_metadata(file).num_rows == 101 * 5
     assert CliRunner().invoke(app, ["export", "bags/sample", "-o", "a.txt"]).exit_code == 2
+
+
+def test_the_library_writes_the_same_table(fly: Fly, tmp_path: Path) -> None:
+    flight = Flight(fly(seconds=1.0))
+    assert ptnsbc.export(flight, tmp_path / "a.parquet") == tmp_path / "a.parquet"
+    write(of_flight(flight), tmp_path / "b.parquet")
+    first, second = ((tmp_path / f"{name}.parquet").read_bytes() for name in "ab")
+    assert first == second

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+import ptnsbc
 from ptnsbc_sim.scenario import scenario_from_text
 from ptnsbc_tools.library.flying import check
 from ptnsbc_tools.library.new_scenario import SHAPES, NewScenarioError, named, places, text_of
@@ -50,3 +51,11 @@ def test_what_cannot_be_made_is_refused(shape: str, n: int, spacing: float, matc
 
 def test_a_file_gives_its_name() -> None:
     assert named(Path("a b/my flock ü.yaml")) == "my_flock__"
+
+
+def test_the_library_writes_the_file_that_the_check_accepts(tmp_path: Path) -> None:
+    file = ptnsbc.new(tmp_path / "mine", "line", 3)
+    assert file == tmp_path / "mine.yaml"
+    assert ptnsbc.check(ptnsbc.load(file), dry_runs=0).ok
+    with pytest.raises(NewScenarioError, match="exists"):
+        ptnsbc.new(file)

@@ -7,7 +7,7 @@ import pytest
 
 from ptnsbc_sim.scenario import ScenarioError
 from ptnsbc_sim.sweep import SweepError
-from ptnsbc_tools.library.flying import load
+from ptnsbc_tools.library.flying import load, read_bag
 from ptnsbc_tools.library.sweeping import Sweep, compare, open_sweep, sweep
 from ptnsbc_tools.plotting.draw import blank_figure
 from ptnsbc_tools.sweeps.comparison import ComparisonError
@@ -72,3 +72,10 @@ def test_pandas_has_the_table(flown: Sweep) -> None:
 def test_an_unknown_family_names_the_known_ones() -> None:
     with pytest.raises(ScenarioError, match=r"nowhere: no family of this name; .*anywhere"):
         sweep(load("paper_5_free"), 1, family="nowhere", workers=1)
+
+
+def test_two_flights_are_compared_and_a_flight_with_a_sweep_is_not(flown: Sweep) -> None:
+    flight = read_bag("bags/sample")
+    assert not compare(flight, flight).worse
+    with pytest.raises(ComparisonError, match="expected two sweeps, or two flights"):
+        compare(flight, flown)

@@ -1,0 +1,146 @@
+"""Bags: the functions behind `ptnsbc bag trim`, `ptnsbc bag merge` and `ptnsbc replay --rerun`."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+from ptnsbc_io import bag as bags
+from ptnsbc_io.bag import BagError, cut
+from ptnsbc_sim.law import LawError, load_law
+from ptnsbc_sim.scenario import Scenario, ScenarioError
+from ptnsbc_tools import console
+from ptnsbc_tools.reading.bag_sources import McapSource, scenario_of
+from ptnsbc_tools.replay import rerun as runs
+from ptnsbc_tools.replay.rerun import Rerun
+
+_LONGEST_S = 1e9
+_MOST_JOBS = 4
+
+
+def trim(
+    bag: str | Path,
+    output: str | Path,
+    begin_s: float = 0.0,
+    end_s: float | None = None,
+    *,
+    overwrite: bool = False,
+    progress: bool | None = None,
+) -> int:
+    """Write a span of a bag into a new one, as `ptnsbc bag trim`; times and bytes of the messages stay.
+
+    Args:
+        bag: folder of the bag, or its .mcap file.
+        output: folder of the new bag.
+        begin_s: keep messages from here on [s], after the first one.
+        end_s: keep messages up to here [s]; None: all.
+        overwrite: replace an existing bag.
+        progress: show progress on stderr; by default in a terminal and in a notebook.
+
+    Returns:
+        The number of messages in the span.
+
+    Raises:
+        BagError: no bag, no message in this span, or an existing bag at `output`.
+    """
+    found = bags.read_bag(Path(bag))
+    first_ns = found.start_ns + round(begin_s * 1e9)
+    last_ns = found.end_ns
+    if end_s is not None:
+        last_ns = found.start_ns + round(min(end_s, _LONGEST_S) * 1e9)
+    with console.progress("trimming", progress) as advance:
+        return cut.trim(
+            Path(bag), Path(output), first_ns, last_ns, overwrite=overwrite, advance=advance
+        )
+
+
+def merge(
+    sources: Sequence[str | Path],
+    output: str | Path,
+    *,
+    overwrite: bool = False,
+    progress: bool | None = None,
+) -> int:
+    """Write several bags of one flight into one, as `ptnsbc bag merge`, in the order of their times.
+
+    Args:
+        sources: two or more bags of one flight.
+        output: folder of the new bag.
+        overwrite: replace an existing bag.
+        progress: show progress on stderr; by default in a terminal and in a notebook.
+
+    Returns:
+        The number of messages.
+
+    Raises:
+        BagError: fewer than two bags, or two that contradict each other.
+    """
+    paths = [Path(one) for one in sources]
+    if len(paths) < 2:
+        raise BagError(f"{', '.join(map(str, paths)) or 'no bag'}: expected two or more to merge")
+    with console.progress("merging", progress) as advance:
+        return cut.merge(paths, Path(output), overwrite=overwrite, advance=advance)
+
+
+def rerun(
+    bag: str | Path,
+    *,
+    scenario: str | Path | None = None,
+    law: str | None = None,
+    plugins: Sequence[str] = (),
+    progress: bool | None = None,
+) -> Rerun:
+    """Run the recorded inputs of a flight through the controllers again, as `ptnsbc replay --rerun`.
+
+    Args:
+        bag: folder of a bag of ours, or its .mcap file.
+        scenario: scenario file to use instead of the attached one.
+        law: FILE.py:NAME to execute, of a bag whose scenario names a law.
+        plugins: FILE.py:NAME to execute, of a bag whose scenario names a task or a controller.
+        progress: show progress on stderr; by default in a terminal and in a notebook.
+
+    Returns:
+        What was compared, byte for byte; `verdict` is the word, `first` the first difference.
+
+    Raises:
+        LawError, ScenarioError: the scenario names a function, and none is given.
+        BagError: no bag, or none that can be run again.
+    """
+    path = Path(bag)
+    found = bags.read_bag(path)
+    flown = scenario_of(McapSource(found), None if scenario is None else Path(scenario))
+    if flown.law is not None and law is None:
+        raise LawError(
+            f"{path}: flown with the law {flown.law}, which a bag does not carry: give it with --law "
+            f"FILE.py:{flown.law.rpartition(':')[2]}"
+        )
+    flown = _trusted(path, flown, plugins)
+    loaded = None if law is None else load_law(law)
+    with console.compiling():
+        from ptnsbc_nodes.runtime.warmup import load_fleet
+
+        load_fleet(flown)
+    jobs = min(os.cpu_count() or 1, _MOST_JOBS)
+    return runs.rerun(found, flown, lambda: console.progress("re-running", progress), jobs, loaded)
+
+
+def _trusted(path: Path, flown: Scenario, plugins: Sequence[str]) -> Scenario:
+    """The scenario of a bag with the files of its functions, which the user gives.
+
+    Raises:
+        ScenarioError: the scenario names a function of a UAV, and none of this name is given.
+    """
+    given = {one.rpartition(":")[2]: one for one in plugins}
+    named = {kind: getattr(flown.plugins, kind) for kind in ("task", "controller")}
+    changes = {}
+    for kind, one in named.items():
+        name = str(one).rpartition(":")[2]
+        if one is None or Path(one).is_absolute():
+            continue
+        if name not in given:
+            raise ScenarioError(
+                f"{path}: flown with the {kind} {one}, which a bag does not carry: give it with --plugin FILE.py:{name}"
+            )
+        changes[f"plugins.{kind}"] = given[name]
+    return flown.with_(changes) if changes else flown
