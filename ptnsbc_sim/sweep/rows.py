@@ -38,6 +38,7 @@ class SweepRow:
     regained_s: float | None  # longest time from the end of an encounter until back in its place
     recovery_s: float | None  # the promise for it
     avoidance_s: float | None  # time in which the avoidance changed the velocity
+    deadlock_s: float | None  # time in deadlocks, with no way left by the avoidance
     saturated_s: float | None  # until the deadline
     holding_s: float | None  # until the deadline
     closest_uav_m: float | None  # between centres; None: no other UAV
@@ -126,6 +127,7 @@ def rows_of(draw: int, scenario: Scenario, recording: Recording, check: str = ""
                 regained_s=one.regained_s,
                 recovery_s=one.recovery_s,
                 avoidance_s=counter_rise(counters, "avoidance_active_s", begin_ns, end_ns),
+                deadlock_s=counter_rise(counters, "deadlock_s", begin_ns, end_ns),
                 saturated_s=one.saturated_s,
                 holding_s=one.holding_s,
                 closest_uav_m=room.uav_m,

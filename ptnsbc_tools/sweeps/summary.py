@@ -155,6 +155,11 @@ def inside_keep_out(sweep: FlownSweep) -> Share:
     return share_of(sweep.table.flights.verdict == VIOLATED)
 
 
+def deadlocks(sweep: FlownSweep) -> Share:
+    """Flights in which avoidance left a UAV no way to its place for `gains.clearance.deadlock_s`."""
+    return share_of(sweep.table.flights.deadlock_s > 0.0)
+
+
 def dry_runs(sweep: FlownSweep) -> dict[str, Share]:
     """How well the dry runs before the flights foresaw them; empty without dry runs."""
     flights = sweep.table.flights
@@ -190,6 +195,7 @@ def _share_table(sweep: FlownSweep) -> Table:
         "flights met": flights_met(sweep),
         "UAVs met": uavs_met(sweep),
         "flights inside a keep-out": inside_keep_out(sweep),
+        "flights with a deadlock": deadlocks(sweep),
         **dry_runs(sweep),
     }
     for name, one in shares.items():
@@ -334,6 +340,7 @@ def as_json(sweep: FlownSweep) -> dict[str, Any]:
         "flights": flights_met(sweep).as_json(),
         "uavs": uavs_met(sweep).as_json(),
         "inside_keep_out": inside_keep_out(sweep).as_json(),
+        "deadlocks": deadlocks(sweep).as_json(),
         "dry_runs": {name: one.as_json() for name, one in dry_runs(sweep).items()},
         "cells": [
             {"values": {key: _plain(value) for key, value in values.items()}, **one.as_json()}

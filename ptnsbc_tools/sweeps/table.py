@@ -36,6 +36,7 @@ class Flights:
     error_at_deadline_m: Array  # the largest
     largest_after_m: Array  # the largest, without excused spans
     largest_after_all_m: Array  # the largest, with excused spans
+    deadlock_s: Array  # the longest of its UAVs
     closest_uav_m: Array
     closest_obstacle_m: Array
     worst: NDArray[np.int64]  # row of the UAV to look at: inside a keep-out, not met, largest error
@@ -71,6 +72,7 @@ class FlightTable:
             error_at_deadline_m=self._most("error_at_deadline_m"),
             largest_after_m=self._most("largest_after_m"),
             largest_after_all_m=self._most("largest_after_all_m"),
+            deadlock_s=self._most("deadlock_s"),
             closest_uav_m=self._most("closest_uav_m", least=True),
             closest_obstacle_m=self._most("closest_obstacle_m", least=True),
             worst=self._worst(),

@@ -13,7 +13,8 @@ ROW = SweepRow(
     largest_after_all_m=0.02, rmse_after_m=0.01, encounter_s=0.0, excused_outside_s=0.0,
     regained_s=None,
     recovery_s=None,
-    avoidance_s=0.0, saturated_s=0.0, holding_s=0.0, closest_uav_m=0.8, closest_obstacle_m=None, inside_keep_out_s=0.0,
+    avoidance_s=0.0, deadlock_s=0.0, saturated_s=0.0,
+    holding_s=0.0, closest_uav_m=0.8, closest_obstacle_m=None, inside_keep_out_s=0.0,
     peak_force_n=20.0, energy_n2_s=100.0, check="",
 )  # fmt: skip
 

@@ -108,3 +108,12 @@ def test_a_flight_inside_a_keep_out_is_not_met(made) -> None:
     verdicts = np.array(["met", "met", "violated", "violated"])
     sweep = sweep_of(FlightTable({**table.columns, "flight_verdict": verdicts}), 2)
     assert (summary.inside_keep_out(sweep).count, summary.flights_met(sweep).count) == (1, 1)
+
+
+def test_a_deadlock_of_one_uav_counts_once_for_its_flight(made) -> None:
+    table = made.flights(True, True, True)
+    sweep = sweep_of(
+        FlightTable({**table.columns, "deadlock_s": np.array([0, 0.5, 1, 2, 0, 0])}), 3
+    )
+    assert (summary.deadlocks(sweep).count, summary.deadlocks(sweep).of) == (2, 3)
+    assert summary.as_json(sweep)["deadlocks"]["count"] == 2
