@@ -183,6 +183,14 @@ MissionOption = Annotated[
         help="Fly these legs: a YAML file with what stands below `mission` in a scenario.",
     ),
 ]
+ParamsFileOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--params-file",
+        metavar="FILE",
+        help="Values from a ROS parameter file, as `ptnsbc params` and `ros2 param dump` write one; other options win.",
+    ),
+]
 
 
 def overrides(**options: Any) -> dict[str, Any]:
@@ -196,7 +204,27 @@ def overrides(**options: Any) -> dict[str, Any]:
 
 def chosen(context: typer.Context) -> Scenario:
     """The scenario that the arguments and options of a command make."""
-    return scenario_with(context.params["scenario"], overrides(**context.params))
+    name, given = context.params["scenario"], overrides(**context.params)
+    file = context.params.get("params_file")
+    return scenario_with(name, given) if file is None else _with_parameters(name, file, given)
+
+
+def _with_parameters(name: str, file: Path, given: dict[str, Any]) -> Scenario:
+    """A scenario with the values of a ROS parameter file, and with other options, which win."""
+    from ptnsbc_nodes.runtime.scenario_parameters import given_parameters
+    from ptnsbc_sim.scenario import ScenarioError, load_scenario, scenario_from_text
+    from ptnsbc_sim.scenario.reader import read_text
+
+    scenario, parameters = load_scenario(name), given_parameters(read_text(file), str(file))
+    if parameters.text:
+        other = scenario_from_text(parameters.text, parameters.values, source=str(file))
+        if other.name != scenario.name:
+            raise ScenarioError(
+                f"{file}: holds the scenario {other.name}: expected the values of {scenario.name}, or "
+                f"{other.name} to be flown"
+            )
+        return other.with_(given)
+    return scenario.with_(parameters.values).with_(given)
 
 
 def _mission(path: Path) -> Any:

@@ -17,7 +17,9 @@ from typer.testing import CliRunner
 
 from ptnsbc_nodes.bridge import main as bridge_main
 from ptnsbc_nodes.runtime.environment import ONE_THREAD
+from ptnsbc_nodes.runtime.scenario_parameters import parameter_file
 from ptnsbc_nodes.uav import main as uav_main
+from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_tools.cli import app
 from ptnsbc_tools.commands.fly import fleet as fleet_command
 
@@ -206,6 +208,23 @@ def test_every_argument_arrives(kind, evaluate, flown, monkeypatch, tmp_path):
 def test_a_mission_arrives(kind, evaluate):
     (one,) = processes(kind, evaluate("fleet", mission="legs.yaml"))
     assert one.cmd[-2:] == ["--mission", "legs.yaml"]
+
+
+def test_a_parameter_file_arrives(kind, evaluate, flown, tmp_path):
+    file, values = tmp_path / "tuned.yaml", "{seed: 9, gains: {formation: {kappa_1_s: 2.5}}}"
+    file.write_text(f"/**: {{ros__parameters: {values}}}")
+    entities = evaluate("fleet", params_file=str(file), set="gains.formation.kappa_1_s=3")
+    (one,) = processes(kind, entities)
+    scenario, _ = flown(one.cmd[1:])
+    assert scenario.file.seed == 9
+    assert scenario.file.gains.formation.kappa_1_s == 3
+    # As `ptnsbc params` writes it, the file is a whole scenario; another one is refused.
+    file.write_text(parameter_file(load_scenario("paper_5", {"seed": 8})))
+    scenario, _ = flown(["fleet", "paper_5", "--params-file", str(file)])
+    assert scenario.file == load_scenario("paper_5", {"seed": 8}).file
+    refused = CliRunner().invoke(app, ["fleet", "paper_20", "--params-file", str(file)])
+    assert refused.exit_code == 2
+    assert "holds the scenario paper_5" in refused.output
 
 
 @pytest.mark.parametrize(

@@ -24,15 +24,13 @@ from rclpy.parameter import Parameter
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_nodes.comm.graph import FlightOptions
 from ptnsbc_nodes.comm.seal import seal_of
-from ptnsbc_nodes.runtime.scenario_parameters import ScenarioParameter, Value, leaves
+from ptnsbc_nodes.runtime.scenario_parameters import OF_SOME_NODES, ScenarioParameter, Value, leaves
 from ptnsbc_nodes.security.middleware import check_enforced
 from ptnsbc_sim.scenario import Scenario, load_scenario, scenario_from_text
 from ptnsbc_sim.scenario.model import ScenarioFile
 
 SIM_TIME = "use_sim_time"
 _OF_RCLPY = ("start_type_description_service",)
-# One parameter file serves all nodes of a fleet.
-_OF_OTHERS = ("uav", "bridged", "autostart", "signing_key", "allow_arming")
 _OF_QOS = "qos_overrides."
 _LARGEST = sys.float_info.max
 _INTEGERS = (-(2**63), 2**63 - 1)
@@ -160,7 +158,7 @@ class NodeParameters:
         self._node.declare_parameter(leaf.key, leaf.value, about, ignore_override=True)
 
     def _refuse_unknown(self) -> None:
-        known = {SIM_TIME, *_OF_RCLPY, *_OF_OTHERS, *(one.name for one in self._read_only)}
+        known = {SIM_TIME, *_OF_RCLPY, *OF_SOME_NODES, *(one.name for one in self._read_only)}
         known |= {leaf.key for leaf in leaves(self.scenario)} | self._changed.keys()
         for name in self._given.keys() - known:
             if not name.startswith(_OF_QOS):

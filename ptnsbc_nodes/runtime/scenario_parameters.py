@@ -14,11 +14,20 @@ import yaml
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from ptnsbc_sim.scenario import Scenario
+from ptnsbc_sim.scenario import Scenario, ScenarioError
+from ptnsbc_sim.scenario.model import ScenarioFile
 from ptnsbc_sim.scenario.reader import dump, parse
 
 Value = bool | int | float | str
 Numbers = list[int] | list[float]
+
+OF_SOME_NODES = ("uav", "bridged", "autostart", "signing_key", "allow_arming")
+"""Parameters that only some nodes have: one parameter file serves all nodes of a fleet."""
+_OF_NODES = (
+    *("scenario", "lockstep", "recorded", "use_sim_time", "start_type_description_service"),
+    *("qos_overrides", *OF_SOME_NODES),
+)
+_TEXT = "scenario_text"
 
 
 class ScenarioParameter(NamedTuple):
@@ -114,6 +123,52 @@ def parameter_file(scenario: Scenario) -> str:
         _indented(yaml.safe_dump(named, sort_keys=False, allow_unicode=True, width=10**6), 4),
     ]
     return "\n".join(parts) + "\n"
+
+
+class GivenParameters(NamedTuple):
+    """What a parameter file says of a scenario."""
+
+    values: dict[str, Any]  # by dotted key
+    text: str  # what the values leave out of a whole scenario; empty when the file has only some values
+
+
+def given_parameters(text: str, source: str) -> GivenParameters:
+    """The scenario in a ROS parameter file, as `parameter_file` or `ros2 param dump` writes one.
+
+    What a launcher tells each of its processes by itself, such as `uav` or `lockstep`, is passed over.
+
+    Args:
+        text: The file.
+        source: Its name, for messages.
+
+    Raises:
+        ScenarioError: it is no parameter file, a key is unknown, or two nodes have different values.
+    """
+    found: dict[str, Any] = {}
+    nodes = parse(text, source)
+    for node, block in nodes.items():
+        values = block.get("ros__parameters") if isinstance(block, dict) else None
+        if not isinstance(values, dict):
+            raise ScenarioError(f"{source}: {node}: expected ros__parameters with values below")
+        for key, value in _flat("", values):
+            if key.partition(".")[0] not in (*ScenarioFile.model_fields, *_OF_NODES, _TEXT):
+                raise ScenarioError(f"{source}: {node}: {key}: no parameter of a fleet's nodes")
+            if found.setdefault(key, value) != value:
+                raise ScenarioError(
+                    f"{source}: {node}: {key}: {value!r}, but another node has {found[key]!r}: expected "
+                    "one value, because all processes of a flight must agree"
+                )
+    whole = str(found.pop(_TEXT, ""))
+    values = {key: value for key, value in found.items() if key.partition(".")[0] not in _OF_NODES}
+    return GivenParameters(values, whole)
+
+
+def _flat(prefix: str, tree: dict[Any, Any]) -> Iterator[tuple[str, Any]]:
+    for name, value in tree.items():
+        if isinstance(value, dict):
+            yield from _flat(f"{prefix}{name}.", value)
+        else:
+            yield f"{prefix}{name}", value
 
 
 def _subtree(tree: dict[str, Any], keys: list[str]) -> dict[str, Any]:

@@ -68,6 +68,7 @@ def fleet(
     duration: options.DurationOption = None,
     settings: options.SetOption = None,
     mission: options.MissionOption = None,
+    params_file: options.ParamsFileOption = None,
     check: Annotated[
         bool | None,
         typer.Option(

@@ -5,8 +5,8 @@ import math
 import pytest
 import yaml
 
-from ptnsbc_nodes.runtime.scenario_parameters import leaves, parameter_file
-from ptnsbc_sim.scenario import available, load_scenario
+from ptnsbc_nodes.runtime.scenario_parameters import given_parameters, leaves, parameter_file
+from ptnsbc_sim.scenario import ScenarioError, available, load_scenario, scenario_from_text
 
 
 @pytest.fixture(scope="module")
@@ -102,3 +102,33 @@ def test_uav1_and_uav10_have_their_own(ros, tmp_path, uav, gain):
     told.declare_scenario()
     assert (told.uav, told.scenario.file.gains.hold.gain_1_s) == (uav, gain)
     assert (told.scenario.parent(2), told.scenario.parent(20)) == (1, 2)
+
+
+def test_a_parameter_file_is_read_back_as_the_same_scenario():
+    scenario = load_scenario("experiment_4", {"gains.formation.kappa_1_s": 2.25})
+    given = given_parameters(parameter_file(scenario), "fleet.yaml")
+    again = scenario_from_text(given.text, given.values, source="fleet.yaml")
+    assert again.file == scenario.file
+
+
+def test_the_dump_of_one_node_gives_the_values_of_the_scenario_alone():
+    dumped = {"uav": 3, "use_sim_time": False, "qos_overrides": {"/clock": {"depth": 1}}, "seed": 7}
+    text = yaml.safe_dump({"/uav3/controller": {"ros__parameters": dumped}})
+    assert given_parameters(text, "dump.yaml") == ({"seed": 7}, "")
+
+
+@pytest.mark.parametrize(
+    ("file", "words"),
+    [
+        ({"/**": {"ros__parameters": {"gain": 1}}}, "fleet.yaml: /\\*\\*: gain: no parameter"),
+        ({"/**": {"seed": 1}}, "expected ros__parameters"),
+        ({"/**": 3}, "expected ros__parameters"),
+        (
+            {"/a": {"ros__parameters": {"seed": 1}}, "/b": {"ros__parameters": {"seed": 2}}},
+            "/b: seed: 2, but another node has 1",
+        ),
+    ],
+)
+def test_what_is_no_parameter_file_of_a_fleet_is_refused(file, words):
+    with pytest.raises(ScenarioError, match=words):
+        given_parameters(yaml.safe_dump(file), "fleet.yaml")

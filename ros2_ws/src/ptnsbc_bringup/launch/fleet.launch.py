@@ -36,7 +36,7 @@ from launch_ros.actions import Node
 PATIENCE_S = "300"
 FLAGS = ("true", "false")
 SWITCHES = ("lockstep", "allow_arming", "overwrite", "check", "operator")
-VALUES = ("backend", "namespace", "duration", "mission")
+VALUES = ("backend", "namespace", "duration", "mission", "params_file")
 VIEWERS = {"rviz": "rviz2", "foxglove": "foxglove_bridge"}
 
 
@@ -63,6 +63,7 @@ def generate_launch_description() -> LaunchDescription:
             argument("namespace", "", "of all nodes and topics: two fleets in one domain"),
             argument("duration", "", "length of the flight [s], instead of the scenario's"),
             argument("mission", "", "file with the legs to fly, instead of the scenario's"),
+            argument("params_file", "", "ROS parameter file with values of the scenario"),
             argument("set", "", "other keys of the scenario: 'KEY=VALUE KEY=VALUE'"),
             argument("record", "", "record into this folder"),
             flag("overwrite", "replace an existing recording"),
@@ -90,7 +91,7 @@ def flight(context: LaunchContext) -> list[LaunchDescriptionEntity]:
     words += [f"--{name.replace('_', '-')}" for name in SWITCHES if told(name) == "true"]
     for name in VALUES:
         if told(name):
-            words += [f"--{name}", told(name)]
+            words += [f"--{name.replace('_', '-')}", told(name)]
     for setting in shlex.split(told("set")):
         words += ["--set", setting]
     if told("record"):
