@@ -17,6 +17,7 @@ from ptnsbc_nodes.comm.legs import Epochs, Leg
 from ptnsbc_nodes.comm.slots import DecidedSlots, Decision
 from ptnsbc_sim.scenario import Scenario, available, load_scenario, scenario_from_text
 from ptnsbc_sim.scenario.build import leader_trajectory, places_beside_leader
+from ptnsbc_sim.scenario.mission.legs import ScheduledLeg, Word
 from ptnsbc_sim.scenario.mission.shapes import moves
 from ptnsbc_sim.scenario.reader import find, read_text
 from ptnsbc_sim.scenario.slots import are_open, with_slots
@@ -105,6 +106,16 @@ class FlightState:
     def leg(self) -> Leg | None:
         """The leg in force."""
         return self._epochs.at(self.stamp_ns)
+
+    @property
+    def legs(self) -> tuple[ScheduledLeg, ...]:
+        """The legs of the mission that begin, after what was said in flight; none without a mission."""
+        return () if self._epochs.scenario is None else self._epochs.scenario.legs
+
+    @property
+    def words(self) -> tuple[Word, ...]:
+        """What was said of the legs of the mission in flight."""
+        return () if self._epochs.scenario is None else self._epochs.scenario.words
 
     @property
     def stamp_ns(self) -> int:

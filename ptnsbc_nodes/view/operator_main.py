@@ -40,12 +40,12 @@ def _serve(arguments: argparse.Namespace, argv: list[str]) -> int:
 
     try:
         from ptnsbc_nodes.view.operator_node import OperatorNode
-    except ModuleNotFoundError as error:
-        if error.name != "ptnsbc_interfaces":
+    except ImportError as error:
+        if (error.name or "").partition(".")[0] != "ptnsbc_interfaces":
             raise
         raise OperatorError(
-            "the messages of ptnsbc_interfaces are not built: expected g++ and `make setup`, "
-            "or with ROS from apt `colcon build` and its setup.bash"
+            "the messages of ptnsbc_interfaces are not built, or older than this program: "
+            "expected g++ and `make setup`, or with ROS from apt `colcon build` and its setup.bash"
         ) from None
     lifetime = processes.ProcessLifetime()
     with processes.ros_node("operator", "", argv) as node:

@@ -1,4 +1,4 @@
-"""The fleet in types of ROS, for operators and viewers: its state, legs as an action, the emergency stop as a service.
+"""The fleet in types of ROS, for operators and viewers: its state, legs and missions as actions, the emergency stop.
 
 The UAVs need none of this: they speak messages that every ROS has. This node translates.
 """
@@ -7,12 +7,12 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import rclpy
-from ptnsbc_interfaces.action import FlyLeg
+from ptnsbc_interfaces.action import FlyLeg, FlyMission
 from ptnsbc_interfaces.msg import FleetState, UavState
 from ptnsbc_interfaces.srv import StartLeg, Stop
 from rclpy.action import ActionServer, CancelResponse
@@ -24,24 +24,26 @@ from std_srvs.srv import Trigger
 from ptnsbc_io.wire.cdr import split_stamp
 from ptnsbc_nodes.comm.diagnostics import STATUS_HZ
 from ptnsbc_nodes.comm.endpoints import Endpoints
-from ptnsbc_nodes.comm.legs import Leg
 from ptnsbc_nodes.comm.qos import keep_last
 from ptnsbc_nodes.comm.seal import Seal
 from ptnsbc_nodes.emergency.orders import KILL, LAND, Order, runtime_folder
 from ptnsbc_nodes.fleet.coordinator_node import Coordinator
 from ptnsbc_nodes.fleet.emergency_stop import EmergencyStop
 from ptnsbc_nodes.runtime.executor import make_executor
+from ptnsbc_nodes.uav.leg_services import CANCEL_SERVICE, leg_service
 from ptnsbc_nodes.view.flight_state import FlightState
+from ptnsbc_nodes.view.goals import Answer, LegGoal, MissionGoal
 from ptnsbc_nodes.view.observer import listen_to_fleet, listen_to_vehicles
 from ptnsbc_sim.scenario import Scenario
 
 STATE = "/formation/state"
 START_LEG = "/formation/start_leg"
 FLY_LEG = "/formation/fly_leg"
+FLY_MISSION = "/formation/fly_mission"
 EMERGENCY_STOP = "/formation/emergency_stop"
 
 _LEGS = ("start", "hold", "land", "stop")
-_ANSWER_S = 3.0  # of the leader
+_ANSWER_S = 3.0  # of the leader to a call
 _STOP_S = 10.0  # of all bridges
 _LOCAL_S = 0.1  # of the bridges of this host, before the middleware is asked
 _DISCOVERY_S = 1.5
@@ -49,13 +51,6 @@ _NOT_HEARD = {"silent": True, "level": 0, "word": "nothing was heard"}
 _SEALED = (
     "security: signed: this interface carries no seal: use `ptnsbc stop` or the commands of ptnsbc"
 )
-
-
-class Answer(NamedTuple):
-    """Of the leader to a call."""
-
-    accepted: bool
-    message: str
 
 
 class OperatorNode:
@@ -71,7 +66,7 @@ class OperatorNode:
         self.flight = FlightState(scenario, time.monotonic)
         self._tolerance_m = float(scenario.file.formation.tolerance_m)
         self._sees_vehicles = False
-        self._goals: list[_Goal] = []  # that are flown
+        self._goals: list[LegGoal | MissionGoal] = []  # that are flown
         self._listen = partial(self._endpoints.listen, required=False)
         listen_to_fleet(self._listen, self.flight)
         fleet = self._endpoints.fleet
@@ -89,20 +84,31 @@ class OperatorNode:
         self._calls: Any = make_executor(node.context)
         self._calls.add_node(self._caller)
         self._leader = {
-            name: self._caller.create_client(Trigger, f"{fleet}/formation/{name}") for name in _LEGS
+            name: self._caller.create_client(Trigger, f"{fleet}/formation/{name}")
+            for name in (*_LEGS, *_mission_services(scenario))
         }
         node.create_service(StartLeg, fleet + START_LEG, self._on_start_leg)
         node.create_service(Stop, fleet + EMERGENCY_STOP, self._on_stop)
-        self._action = ActionServer(
-            node,
-            FlyLeg,
-            fleet + FLY_LEG,
-            lambda goal: FlyLeg.Result(),
-            handle_accepted_callback=self._on_goal,
-            cancel_callback=lambda _goal: CancelResponse.ACCEPT,
-        )
+        self._actions = [
+            self._serve(FlyLeg, FLY_LEG, lambda goal: LegGoal(self.flight, self.begin, goal)),
+            self._serve(
+                FlyMission, FLY_MISSION, lambda goal: MissionGoal(self.flight, self.call, goal)
+            ),
+        ]
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         node.create_timer(1.0 / STATUS_HZ, self._on_timer, clock=steady)
+
+    def _serve(
+        self, kind: Any, name: str, follow: Callable[[ServerGoalHandle], LegGoal | MissionGoal]
+    ) -> ActionServer:
+        return ActionServer(
+            self._node,
+            kind,
+            self._endpoints.fleet + name,
+            lambda goal: kind.Result(),
+            handle_accepted_callback=lambda goal: self._goals.append(follow(goal)),
+            cancel_callback=lambda _goal: CancelResponse.ACCEPT,
+        )
 
     def flush(self, timeout_s: float) -> None:
         """As the process wants it at its end."""
@@ -114,7 +120,8 @@ class OperatorNode:
 
     def close(self) -> None:
         """Remove everything from the node."""
-        self._action.destroy()
+        for action in self._actions:
+            action.destroy()
         self._endpoints.close()
         self._calls.shutdown()
         self._caller.destroy_node()
@@ -175,12 +182,16 @@ class OperatorNode:
         """Whether every service of the leader has been found."""
         return all(client.service_is_ready() for client in self._leader.values())
 
+    def begin(self, name: str) -> Answer:
+        """Let the leader begin a leg of `_LEGS`."""
+        if name not in _LEGS and not self._signed:
+            return Answer(False, f"leg {name[:40]!r}: expected one of {', '.join(_LEGS)}")
+        return self.call(name)
+
     def call(self, name: str) -> Answer:
-        """Call the leader's service of a leg; waits for the answer."""
+        """Call a service of the leader; waits for the answer."""
         if self._signed:
             return Answer(False, _SEALED)
-        if name not in self._leader:
-            return Answer(False, f"leg {name[:40]!r}: expected one of {', '.join(_LEGS)}")
         client = self._leader[name]
         if not client.service_is_ready():
             return Answer(False, f"the leader's service {client.srv_name} is not there")
@@ -193,11 +204,8 @@ class OperatorNode:
         return Answer(bool(response.success), str(response.message))
 
     def _on_start_leg(self, request: Any, response: Any) -> Any:
-        response.accepted, response.message = self.call(request.leg)
+        response.accepted, response.message = self.begin(request.leg)
         return response
-
-    def _on_goal(self, goal: ServerGoalHandle) -> None:
-        self._goals.append(_Goal(self, goal))
 
     def _on_stop(self, request: Any, response: Any) -> Any:
         """As `ptnsbc stop`: on every path until each bridge has answered."""
@@ -228,67 +236,9 @@ class OperatorNode:
         return response
 
 
-class _Goal:
-    """A leg that is flown for a client of the action: until its predefined time, another leg or a cancel request.
-
-    The goal's `execute` runs only at the end, for the result: it would hold the one thread of the node.
-    """
-
-    def __init__(self, operator: OperatorNode, goal: ServerGoalHandle) -> None:
-        self._operator, self._goal = operator, goal
-        self._before = operator.flight.leg
-        self._own: Leg | None = None
-        self._answer = operator.call(goal.request.leg)
-        self._heard_s = time.monotonic()
-
-    def look(self, state: FleetState) -> bool:
-        """Publish the feedback; whether the goal has ended."""
-        if not self._answer.accepted:
-            return self._end("abort", self._answer.message, state)
-        if self._goal.is_cancel_requested:
-            return self._end("canceled", f"hold: {self._operator.call('hold').message}", state)
-        leader = self._operator.flight.scenario.leader_id
-        if any(uav.id == leader and uav.level != UavState.STALE for uav in state.uavs):
-            self._heard_s = time.monotonic()
-        elif time.monotonic() > self._heard_s + _ANSWER_S:
-            return self._end("abort", "the leader is silent", state)
-        return self._follow(state)
-
-    def _follow(self, state: FleetState) -> bool:
-        """Look at the leg that the leader accepted."""
-        leg = self._operator.flight.leg
-        if self._own is None and leg != self._before:
-            self._own = leg
-        if self._own is None:
-            return False
-        if leg != self._own:
-            name = leg.name if leg else "none"
-            return self._end("abort", f"another leg has begun: {name}", state)
-        feedback = FlyLeg.Feedback(share_of_time=state.share_of_time)
-        self._goal.publish_feedback(_filled(feedback, state))
-        if not state.leg.predefined_time_s:
-            return self._end("succeed", f"leg {leg.name}: it has begun", state)
-        return state.share_of_time >= 1.0 and self._judge(state)
-
-    def _judge(self, state: FleetState) -> bool:
-        time_s, late = state.leg.predefined_time_s, state.not_in_place
-        if late:
-            names = ", ".join(f"uav{uav}" for uav in late)
-            return self._end("abort", f"not in place after {time_s:g} s: {names}", state)
-        return self._end("succeed", f"in place after {time_s:g} s", state)
-
-    def _end(self, how: str, message: str, state: FleetState) -> bool:
-        result = _filled(FlyLeg.Result(success=how == "succeed", message=message), state)
-
-        def execute(goal: ServerGoalHandle) -> Any:
-            getattr(goal, how)()
-            return result
-
-        self._goal.execute(execute)
-        return True
-
-
-def _filled(message: Any, state: FleetState) -> Any:
-    """Feedback or result with the worst error and who is not in place."""
-    message.worst_error_m, message.not_in_place = state.worst_error_m, state.not_in_place
-    return message
+def _mission_services(scenario: Scenario) -> list[str]:
+    """The leader's services for the legs of the mission; none without a mission."""
+    mission = scenario.file.mission
+    if mission is None:
+        return []
+    return [CANCEL_SERVICE, *(leg_service(number) for number in range(2, len(mission.legs) + 1))]

@@ -87,7 +87,7 @@ def fleet(
         bool,
         typer.Option(
             "--operator",
-            help="Offer the fleet in the types of ptnsbc_interfaces: its state, an action and services.",
+            help="Offer the fleet in the types of ptnsbc_interfaces: its state, actions and services.",
         ),
     ] = False,
     bag: options.BagOption = None,
