@@ -23,10 +23,10 @@ from pathlib import Path
 from mcap.reader import make_reader
 
 from bench.session import print_progress
+from ptnsbc_core.tasks.table import TASKS
 
 SCENARIOS = ("paper_5", "paper_5_free", "paper_20", "experiment_4", "experiment_4_calm")
 PLANTS = ("quadrotor", "rigid_body_6dof")
-TASKS = ("distance_angles", "parent_angle", "relative_position")
 RULES = ("set_based", "switched", "off")
 _DIGITS = 16
 

@@ -30,12 +30,6 @@ NEAR_COLUMNS = 7
 PROFILE_PAPER, PROFILE_SOFT, PROFILE_REFERENCE = 0, 1, 2
 PROFILES = {"paper": PROFILE_PAPER, "soft": PROFILE_SOFT, "reference": PROFILE_REFERENCE}
 
-TASK_DISTANCE_ANGLES, TASK_PARENT_ANGLE, TASK_RELATIVE_POSITION = 0, 1, 2
-TASKS = {
-    "distance_angles": TASK_DISTANCE_ANGLES,
-    "parent_angle": TASK_PARENT_ANGLE,
-    "relative_position": TASK_RELATIVE_POSITION,
-}
 TASK_OWN = -1
 """A task of the user, see `ptnsbc_core.step.tasked_step`."""
 
@@ -210,7 +204,7 @@ class AgentConfig(NamedTuple):
     """Everything constant that one UAV needs."""
 
     leader: bool
-    task: int  # TASK_*
+    task: int  # number in tasks/table.py, or TASK_OWN
     approach: int  # APPROACH_*
     desired: Vector3  # desired task value sigma_d
     offset: Vector3  # [m, ENU] desired position relative to the parent

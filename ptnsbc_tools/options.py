@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from ptnsbc_core.tasks.table import TaskName
+
 if TYPE_CHECKING:
     from ptnsbc_sim.scenario import Scenario
     from ptnsbc_tools.reading.bag_reader import ReadOptions
@@ -39,7 +41,7 @@ PlantOption = Annotated[
     Literal["quadrotor", "rigid_body_6dof"] | None, typer.Option("--plant", help="Vehicle model.")
 ]
 TaskOption = Annotated[
-    Literal["distance_angles", "parent_angle", "relative_position"] | None,
+    TaskName | None,
     typer.Option("--task", help="Formation task."),
 ]
 ProfileOption = Annotated[

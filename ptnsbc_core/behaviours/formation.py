@@ -24,6 +24,7 @@ from ptnsbc_core.nullspace import TaskVelocity, damped_solve
 from ptnsbc_core.tasks.approach import homing_speed
 from ptnsbc_core.tasks.contract import TaskGeometry
 from ptnsbc_core.tasks.registry import evaluate, task_error
+from ptnsbc_core.tasks.table import TASKS
 from ptnsbc_core.timebase import (
     Clock,
     PlanStep,
@@ -37,10 +38,12 @@ from ptnsbc_core.timebase import (
 from ptnsbc_core.types import (
     APPROACH_PLANNED,
     SPEED_BRAKING,
-    TASK_RELATIVE_POSITION,
     AgentConfig,
     Vector3,
 )
+
+_RELATIVE_POSITION = TASKS["relative_position"]
+"""The task whose errors are the positions' own."""
 
 _NEAR, _FAR = 0.1, 0.3
 """Shares of the parent's distance: a position error below the first is the task's, above the second it is not."""
@@ -290,7 +293,7 @@ def _task_weight(error_m: float, singular_value: float, t: float, config: AgentC
 
     An error of the parent reaches the child through J^+ J_j, which grows with 1 / singular_value.
     """
-    if config.task == TASK_RELATIVE_POSITION:
+    if config.task == _RELATIVE_POSITION:
         return 0.0
     distance = norm3(config.offset)
     near = min(max((_FAR * distance - error_m) / ((_FAR - _NEAR) * distance), 0.0), 1.0)

@@ -1,1 +1,1 @@
-"""Tasks: one module each; `contract.py` says what a task is, `registry.py` which there are."""
+"""Tasks: one module each; `contract.py` says what a task is, `table.py` which there are, `registry.py` chooses."""

@@ -1,28 +1,39 @@
-"""The formation tasks by kind. The kernel chooses, so that no task costs the computation of another one."""
+"""The formation tasks by number. The kernel chooses, so that no task costs the computation of another one."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
+from importlib import import_module
+from typing import Any, cast
 
 import numpy as np
 
 from ptnsbc_core.algebra import eigen3, gram3, sub3, wrap_angle
 from ptnsbc_core.kernel import inline_kernel, kernel
 from ptnsbc_core.tasks.contract import TaskGeometry
-from ptnsbc_core.tasks.distance_angles import distance_angles
-from ptnsbc_core.tasks.parent_angle import parent_angle
-from ptnsbc_core.tasks.relative_position import relative_position
-from ptnsbc_core.types import TASK_DISTANCE_ANGLES, TASK_PARENT_ANGLE, Array, Vector3, Vector3Like
+from ptnsbc_core.tasks.table import TASKS
+from ptnsbc_core.types import Array, Vector3, Vector3Like
+
+_Evaluate = Callable[[int, Vector3Like, Vector3Like, Vector3Like], TaskGeometry]
 
 
-@kernel
-def evaluate(
-    task: int, own: Vector3Like, parent: Vector3Like, reference: Vector3Like
-) -> TaskGeometry:
-    """Value and Jacobians of the task of this kind at positions (3,) [m, ENU]."""
-    if task == TASK_DISTANCE_ANGLES:
-        return distance_angles(own, parent, reference)
-    if task == TASK_PARENT_ANGLE:
-        return parent_angle(own, parent, reference)
-    return relative_position(own, parent, reference)
+def _evaluate() -> _Evaluate:
+    """A chain of comparisons, written from the table: numba has no table of functions that costs as little."""
+    laws = {name: getattr(import_module(f"ptnsbc_core.tasks.{name}"), name) for name in TASKS}
+    points = "own, parent, reference"
+    *chosen, last = TASKS
+    lines = [
+        f"def evaluate(task, {points}):",
+        *(f"    if task == {TASKS[name]}: return {name}({points})" for name in chosen),
+        f"    return {last}({points})",
+    ]
+    scope: dict[str, Any] = {"__name__": __name__, **laws}
+    exec(compile("\n".join(lines), __file__, "exec"), scope)
+    return cast(_Evaluate, kernel(scope["evaluate"]))
+
+
+evaluate = _evaluate()
+"""Value and Jacobians of the task of this number at positions (3,) of own UAV, parent and reference [m, ENU]."""
 
 
 @inline_kernel

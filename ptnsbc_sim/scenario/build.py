@@ -19,6 +19,7 @@ from ptnsbc_core.curves.shape import place_samples
 from ptnsbc_core.errors import FormationError
 from ptnsbc_core.tasks.approach import braking_speed
 from ptnsbc_core.tasks.registry import desired_value
+from ptnsbc_core.tasks.table import FORMATION_TASKS, TASKS
 from ptnsbc_core.tasks.told_path import REACH
 from ptnsbc_core.types import (
     APPROACH_SPEEDS,
@@ -28,7 +29,6 @@ from ptnsbc_core.types import (
     PLANTS,
     PROFILES,
     TASK_OWN,
-    TASKS,
     AgentConfig,
     Array,
     ClearanceConfig,
@@ -167,7 +167,7 @@ def _desired(scenario: Scenario, uav_id: int) -> tuple[Vector3, Vector3]:
     if scenario.plugins.task is not None:
         return _desired_by(scenario, own, above, anchor)
     arm = float(np.hypot(*(own - above)[:2]))
-    if task != "relative_position" and arm < _SHORTEST_ARM_M:
+    if FORMATION_TASKS[task].needs_arm and arm < _SHORTEST_ARM_M:
         raise FormationError(
             f"{scenario.source}: formation.offsets_m.{uav_id}: {arm:.3g} m beside its parent UAV "
             f"{parent}: expected at least {_SHORTEST_ARM_M:g} m, the angles of task {task} have no "
@@ -178,12 +178,7 @@ def _desired(scenario: Scenario, uav_id: int) -> tuple[Vector3, Vector3]:
     except FormationError as error:
         where = f"{scenario.source}: formation.offsets_m.{uav_id}"
         raise FormationError(f"{where}: {error}") from None
-    scale = {
-        "distance_angles": (1.0, arm, arm),
-        "parent_angle": (1.0, arm, 1.0),
-        "relative_position": (1.0, 1.0, 1.0),
-    }[task]
-    return value, scale
+    return value, FORMATION_TASKS[task].row_scale(arm)
 
 
 def _estimator(scenario: Scenario, uav_id: int) -> EstimatorConfig:

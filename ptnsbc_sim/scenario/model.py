@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
+from ptnsbc_core.tasks.table import TaskName
 from ptnsbc_sim.scenario.fields import (
     Block,
     Count,
@@ -184,7 +185,7 @@ class Leader(Block):
 class Formation(Block):
     """The shape to hold and the task that holds it."""
 
-    task: Literal["distance_angles", "parent_angle", "relative_position"]
+    task: TaskName
     """Task of the followers, see [method.md](method.md)."""
     approach: Literal["planned", "task"] = "planned"
     """How the formation comes about: `planned` forms by positions, on straight lines with one time profile, and holds

@@ -16,6 +16,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, ValidationError, model_validator
 
+from ptnsbc_core.tasks.table import TaskName
 from ptnsbc_core.timebase import feasible_deadline
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import reader
@@ -144,7 +145,7 @@ class Family(Block):
     """Where the UAVs start."""
     path: FamilyPath = FamilyPath()
     """What the leader flies."""
-    task: Literal["distance_angles", "parent_angle", "relative_position"] | None = None
+    task: TaskName | None = None
     """formation.task; the base scenario's without it."""
     assignment: Literal["fixed", "optimal"] | None = None
     """formation.assignment; the base scenario's without it."""

@@ -9,7 +9,8 @@ import numpy as np
 from ptnsbc_core.curves.trajectory import reference
 from ptnsbc_core.errors import FormationError
 from ptnsbc_core.tasks.registry import conditioning
-from ptnsbc_core.types import TASKS, Array
+from ptnsbc_core.tasks.table import TASKS
+from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import Scenario, agent_config
 from ptnsbc_sim.scenario.build import (
     leader_trajectory,
@@ -95,7 +96,7 @@ def shape(scenario: Scenario) -> Findings:
             ""
             if severity == INFO
             else f"move UAV {uav} off the singular shape (for distance_angles a right angle at the "
-            "reference), or use formation.task: parent_angle or relative_position",
+            f"reference), or use formation.task: {' or '.join(other for other in TASKS if other != task)}",
         )
 
 

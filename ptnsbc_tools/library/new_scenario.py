@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_core.tasks.table import TASKS
 from ptnsbc_sim.scenario.problems import similar
 from ptnsbc_sim.scenario.schema import FILE
 from ptnsbc_tools.files import replacing
@@ -119,6 +120,7 @@ def text_of(name: str, shape: str = "v", n: int = 5, spacing_m: float = 2.0) -> 
         height=f"{_HEIGHT_M:g}",
         radius=f"{_RADIUS_M:g}",
         offsets=offsets,
+        other_tasks=", ".join(task for task in TASKS if task != "relative_position"),
         starts=starts,
     )
 
@@ -207,7 +209,7 @@ leader:
   # or: {{kind: line, position_m: [0, {radius}, {height}], velocity_m_s: [0.5, 0, 0]}}
 
 formation:
-  task: relative_position     # or distance_angles, parent_angle
+  task: relative_position     # or {other_tasks}
   avoidance: set_based        # or switched, off
   uav_keep_out_m: 0.5         # least distance of two UAVs, between centres
   tolerance_m: 0.05           # largest error at the deadline

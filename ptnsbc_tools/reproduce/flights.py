@@ -22,7 +22,6 @@ Setting = Mapping[str, Any]
 SCENARIOS = ("paper_5", "paper_5_free", "paper_20", "experiment_4", "experiment_4_calm")
 PLANTS = ("rigid_body_6dof", "quadrotor")
 PROFILES = ("paper", "soft", "reference")
-TASKS = ("distance_angles", "parent_angle", "relative_position")
 # The printed law has no command filter; ours limits the commanded acceleration and speed.
 UNFILTERED = {"gains.filter.max_acceleration_m_s2": 1000.0, "gains.filter.max_speed_m_s": 100.0}
 _INITIAL_S = 0.1

@@ -8,7 +8,8 @@ import pytest
 
 from ptnsbc_core.agent import Agent
 from ptnsbc_core.curves.trajectory import reference
-from ptnsbc_core.types import MODE_FORMATION, NEVER_RECEIVED_S, TASKS, AgentInputs
+from ptnsbc_core.tasks.table import TASKS
+from ptnsbc_core.types import MODE_FORMATION, NEVER_RECEIVED_S, AgentInputs
 from ptnsbc_sim.scenario import agent_config, load_scenario
 from ptnsbc_sim.scenario.build import leader_trajectory
 from ptnsbc_sim.scenario.slots import optimal_slots

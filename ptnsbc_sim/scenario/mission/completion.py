@@ -14,7 +14,8 @@ from pydantic import TypeAdapter, ValidationError
 
 from ptnsbc_core.errors import FormationError
 from ptnsbc_core.tasks.registry import conditioning
-from ptnsbc_core.types import TASKS, Array
+from ptnsbc_core.tasks.table import FORMATION_TASKS, TASKS
+from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario.fields import Vec3
 from ptnsbc_sim.scenario.mission.legs import ChangeLeg
 from ptnsbc_sim.scenario.mission.shapes import (
@@ -279,11 +280,11 @@ def _depth(parents: Array, root: int) -> int:
 def _usable(task: str, own: Array, above: Array, reference: Array) -> bool:
     """Whether a follower can hold its place by this task with that parent."""
     arm = float(np.hypot(*(own - above)[:2]))
-    if task == "relative_position":
+    if not FORMATION_TASKS[task].needs_arm:
         return True
     if arm < 1e-3:
         return False
-    scale = (1.0, arm, arm) if task == "distance_angles" else (1.0, arm, 1.0)
+    scale = FORMATION_TASKS[task].row_scale(arm)
     try:
         return conditioning(TASKS[task], own, above, reference, scale) >= _CONDITIONED
     except FormationError:

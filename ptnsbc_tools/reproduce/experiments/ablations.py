@@ -6,9 +6,10 @@ from collections.abc import Iterator
 from itertools import product
 from typing import Any
 
+from ptnsbc_core.tasks.table import TASKS
 from ptnsbc_sim.sweep.family import find_family
 from ptnsbc_tools.reproduce.experiment_result import ExperimentResult
-from ptnsbc_tools.reproduce.flights import PROFILES, TASKS, Setting
+from ptnsbc_tools.reproduce.flights import PROFILES, Setting
 from ptnsbc_tools.reproduce.output import ExperimentFolder
 from ptnsbc_tools.reproduce.swept import DEFAULT_APPROACH, RUNS, SweepCase, swept_table
 

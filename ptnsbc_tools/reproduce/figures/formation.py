@@ -7,7 +7,8 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from ptnsbc_core.tasks.registry import evaluate
-from ptnsbc_core.types import TASK_DISTANCE_ANGLES, Array
+from ptnsbc_core.tasks.table import TASKS
+from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import agent_config
 from ptnsbc_sim.scenario.build import reference_offset
 from ptnsbc_sim.verdict.deadline import TOLERANCE_M
@@ -52,7 +53,7 @@ def task_values(flight: JudgedFlight) -> Array:
         j = positions[:, flight.uavs.index(parent)]
         k = leader + reference_offset(flight.scenario, uav)
         for tick in range(positions.shape[0]):
-            found = evaluate(TASK_DISTANCE_ANGLES, positions[tick, row], j[tick], k[tick])
+            found = evaluate(TASKS["distance_angles"], positions[tick, row], j[tick], k[tick])
             value[tick, row] = found.value
     return value
 

@@ -13,7 +13,7 @@ from ptnsbc_core.nullspace import damped_solve
 from ptnsbc_core.tasks.angles import SOFTENING_M2, softened
 from ptnsbc_core.tasks.distance_angles import distance_angles
 from ptnsbc_core.tasks.registry import conditioning, desired_value, evaluate, task_error
-from ptnsbc_core.types import TASK_DISTANCE_ANGLES
+from ptnsbc_core.tasks.table import TASKS
 
 damped_solve = on_arrays(damped_solve)
 distance_angles = on_arrays(distance_angles)
@@ -99,53 +99,56 @@ def test_conditioning_of_paper_5(
     uav: int, parent: int, reference: np.ndarray, least: float
 ) -> None:
     own, above = OFFSETS[uav], OFFSETS[parent]
-    assert conditioning(TASK_DISTANCE_ANGLES, own, above, reference, EQUAL) == pytest.approx(
+    assert conditioning(TASKS["distance_angles"], own, above, reference, EQUAL) == pytest.approx(
         least, abs=5e-4
     )
-    jacobian = evaluate(TASK_DISTANCE_ANGLES, own, above, reference).own
+    jacobian = evaluate(TASKS["distance_angles"], own, above, reference).own
     singular = np.linalg.svd(jacobian, compute_uv=False)[-1]
-    assert conditioning(TASK_DISTANCE_ANGLES, own, above, reference, EQUAL) == pytest.approx(
+    assert conditioning(TASKS["distance_angles"], own, above, reference, EQUAL) == pytest.approx(
         singular
     )
 
 
 def test_a_follower_of_the_leader_needs_a_heading_anchor() -> None:
     """With j = k both vectors are the same: the angles say nothing, one row is left."""
-    jacobian = evaluate(TASK_DISTANCE_ANGLES, OFFSETS[2], LEADER, LEADER).own
+    jacobian = evaluate(TASKS["distance_angles"], OFFSETS[2], LEADER, LEADER).own
     assert np.linalg.matrix_rank(jacobian) == 1
 
 
 def test_right_angle_at_the_reference_is_singular() -> None:
     """A right-angled V, UAV 3 and 4 on its arms behind the leader: 90 degrees at k."""
     v3, v4 = np.array([-1.0, -1, 0]), np.array([1.0, -1, 0])
-    assert conditioning(TASK_DISTANCE_ANGLES, v4, v3, LEADER, EQUAL) == pytest.approx(0.0, abs=1e-7)
-    assert conditioning(TASK_DISTANCE_ANGLES, v4, v3 * 1.3, LEADER, EQUAL) < 1e-7
+    assert conditioning(TASKS["distance_angles"], v4, v3, LEADER, EQUAL) == pytest.approx(
+        0.0, abs=1e-7
+    )
+    assert conditioning(TASKS["distance_angles"], v4, v3 * 1.3, LEADER, EQUAL) < 1e-7
     flatter = v4 * np.array([1.0, 0.7, 1.0])
     assert (
-        conditioning(TASK_DISTANCE_ANGLES, flatter, v3 * np.array([1, 0.7, 1]), LEADER, ONES) > 0.1
+        conditioning(TASKS["distance_angles"], flatter, v3 * np.array([1, 0.7, 1]), LEADER, ONES)
+        > 0.1
     )
 
 
 def test_damped_velocity_at_a_right_angle_is_bounded() -> None:
     v3, v4 = np.array([-1.0, -1, 0]), np.array([1.0, -1, 0])
-    jacobian = evaluate(TASK_DISTANCE_ANGLES, v4, v3, LEADER).own
+    jacobian = evaluate(TASKS["distance_angles"], v4, v3, LEADER).own
     velocity = damped_solve(jacobian, ONES, np.zeros(3), 0.35, 0.5).velocity
     assert np.linalg.norm(velocity) <= np.linalg.norm(ONES) / 0.35
 
 
 def flown(error_of, seconds: float = 3.0) -> tuple[float, float]:
     """Task error of UAV 3 at the start and after `seconds` of v = J^-1 error, parent and leader at rest."""
-    desired = desired_value(TASK_DISTANCE_ANGLES, OFFSETS[3], OFFSETS[2], LEADER)
+    desired = desired_value(TASKS["distance_angles"], OFFSETS[3], OFFSETS[2], LEADER)
     position = OFFSETS[3] + np.array([0.3, -0.2, 0.2])
     first = None
     for _ in range(round(seconds / 0.01)):
-        geometry = evaluate(TASK_DISTANCE_ANGLES, position, OFFSETS[2], LEADER)
+        geometry = evaluate(TASKS["distance_angles"], position, OFFSETS[2], LEADER)
         error = task_error(geometry, desired)
         first = np.linalg.norm(error) if first is None else first
         rate = error_of(geometry, desired)
         solved = damped_solve(geometry.own, rate, np.zeros(3), 0.35, 0.5)
         position = position + 0.01 * solved.velocity
-    geometry = evaluate(TASK_DISTANCE_ANGLES, position, OFFSETS[2], LEADER)
+    geometry = evaluate(TASKS["distance_angles"], position, OFFSETS[2], LEADER)
     return first, np.linalg.norm(task_error(geometry, desired))
 
 
@@ -163,7 +166,7 @@ def test_table_2_start_of_uav_3_is_where_the_printed_law_divides_by_zero() -> No
     assert np.linalg.norm(a) == 0.0
     geometry = distance_angles(own, parent, leader)
     assert np.all(np.isfinite(geometry.value))
-    desired = desired_value(TASK_DISTANCE_ANGLES, OFFSETS[3], OFFSETS[2], LEADER)
+    desired = desired_value(TASKS["distance_angles"], OFFSETS[3], OFFSETS[2], LEADER)
     solved = damped_solve(geometry.own, task_error(geometry, desired), np.zeros(3), 0.35, 0.5)
     assert np.linalg.norm(solved.velocity) < 10.0
 

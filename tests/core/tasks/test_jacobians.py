@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from on_arrays import on_arrays
 
 from ptnsbc_core.tasks.registry import evaluate, task_error
-from ptnsbc_core.types import TASKS
+from ptnsbc_core.tasks.table import TASKS
 
 evaluate = on_arrays(evaluate)
 task_error = on_arrays(task_error)

@@ -9,7 +9,7 @@ from on_arrays import on_arrays
 from ptnsbc_core.tasks.parent_angle import parent_angle
 from ptnsbc_core.tasks.registry import conditioning
 from ptnsbc_core.tasks.relative_position import relative_position
-from ptnsbc_core.types import TASK_DISTANCE_ANGLES, TASK_PARENT_ANGLE, TASK_RELATIVE_POSITION
+from ptnsbc_core.tasks.table import TASKS
 
 parent_angle = on_arrays(parent_angle)
 
@@ -35,20 +35,22 @@ def test_conditioning_of_a_flat_formation(place: tuple[float, float, float]) -> 
     rho, bearing, towards = place
     own = rho * np.array([np.cos(bearing), np.sin(bearing), 0.0])
     reference = 3.0 * np.array([np.cos(towards), np.sin(towards), 0.0])
-    found = conditioning(TASK_PARENT_ANGLE, own, np.zeros(3), reference, ONES)
+    found = conditioning(TASKS["parent_angle"], own, np.zeros(3), reference, ONES)
     assert found == pytest.approx(min(1.0, 1.0 / rho), rel=1e-6)
-    scaled = conditioning(TASK_PARENT_ANGLE, own, np.zeros(3), reference, np.array([1.0, rho, 1.0]))
+    scaled = conditioning(
+        TASKS["parent_angle"], own, np.zeros(3), reference, np.array([1.0, rho, 1.0])
+    )
     assert scaled == pytest.approx(1.0, rel=1e-6)
 
 
 def test_where_distance_angles_vanishes_this_one_does_not() -> None:
     own, parent, leader = np.array([1.0, -1, 0]), np.array([-1.0, -1, 0]), np.zeros(3)
-    assert conditioning(TASK_DISTANCE_ANGLES, own, parent, leader, ONES) < 1e-7
-    assert conditioning(TASK_PARENT_ANGLE, own, parent, leader, ONES) == pytest.approx(0.5)
+    assert conditioning(TASKS["distance_angles"], own, parent, leader, ONES) < 1e-7
+    assert conditioning(TASKS["parent_angle"], own, parent, leader, ONES) == pytest.approx(0.5)
 
 
 @given(seed=st.integers(0, 2**31))
 def test_relative_position_is_never_singular(seed: int) -> None:
     own, parent, leader = np.random.default_rng(seed).normal(size=(3, 3))
     np.testing.assert_array_equal(relative_position(own, parent, leader).value, own - parent)
-    assert conditioning(TASK_RELATIVE_POSITION, own, parent, leader, ONES) == 1.0
+    assert conditioning(TASKS["relative_position"], own, parent, leader, ONES) == 1.0
