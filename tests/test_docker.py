@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from ptnsbc_nodes.runtime import dds_profiles
+from ptnsbc_nodes.runtime import dds_profiles, environment
 from ptnsbc_sim.scenario import load_scenario
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -63,6 +63,15 @@ def test_the_command_line_takes_what_the_containers_say(compose):
             asked = CliRunner().invoke(app, ["nowhere" if w == "paper_5" else w for w in words])
             assert asked.exit_code == 2
             assert "nowhere" in asked.stderr and "No such option" not in asked.stderr
+
+
+def test_the_containers_may_have_the_priority_that_bridges_ask_for(compose):
+    asked = []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(environment, "_schedule", lambda _policy, priority: asked.append(priority))
+        environment.prefer_punctuality(flies=True)
+    for service in compose["services"].values():
+        assert service["ulimits"]["rtprio"] >= asked[0]
 
 
 def test_the_profile_names_the_address_of_every_container(compose):
