@@ -170,5 +170,10 @@ def peak_gain(duration_s: float, residual: float) -> float:
 
 @kernel
 def feasible_deadline(error_m: float, max_speed: float, max_acceleration: float) -> float:
-    """Shortest tf [s] for a start error [m] under limits [m/s], [m/s^2], from the peaks of h_dot and h_ddot."""
+    """Shortest tf [s] for a start error [m] under limits [m/s], [m/s^2], from the peaks of h_dot and h_ddot.
+
+    inf where a limit is 0, as for a UAV that cannot stop within its sight.
+    """
+    if max_speed <= 0.0 or max_acceleration <= 0.0:
+        return math.inf if error_m > 0.0 else 0.0
     return max(2.1875 * error_m / max_speed, math.sqrt(7.513 * error_m / max_acceleration))

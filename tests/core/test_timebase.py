@@ -159,6 +159,11 @@ def test_feasible_deadline_just_meets_the_limits(
     assert max(fastest / speed, hardest / acceleration) == pytest.approx(1.0, rel=1e-4)
 
 
+def test_who_may_not_move_has_no_feasible_deadline():
+    assert feasible_deadline(1.0, 0.0, 2.0) == feasible_deadline(1.0, 2.0, 0.0) == np.inf
+    assert feasible_deadline(0.0, 0.0, 2.0) == 0.0
+
+
 def gain_of(profile: int) -> LoopGain:
     return LoopGain(TF, Q, 1.5, 2.0, profile)
 
