@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -95,6 +97,10 @@ class Coordinator:
         self._leads: bool | None = None  # where the fleet is shared
         self._hear_faults: Callable[[], str] | None = None
         self._managed: dict[str, str] = {}  # node by process name
+        self.held: set[str] = set()
+        """Processes whose nodes are configured and not activated."""
+        self.places: dict[str, tuple[float, ...]] = {}
+        """Measured position (3,) [m], ENU, of each vehicle, by bridge, before the flight."""
         self._last_status_s: dict[str, float] = {}  # when each process sent its last status
         self._wait = _LockstepWait()
         self._answers = self._unanswered = 0  # calls of services
@@ -122,7 +128,7 @@ class Coordinator:
         self._publish_request = self._endpoints.publisher(topics.REQUEST, 1)
         self._publish_lost = self._endpoints.publisher(LOST, 0)
         self._publish_emergency = self._endpoints.publisher(topics.EMERGENCY, 1)
-        self._manager = LifecycleManager(self._node)
+        self._manager = LifecycleManager(self._node, self.held)
         self._start = self._client("start")
         self._diagnostics, _ = (
             self._endpoints.listen(
@@ -359,7 +365,14 @@ class Coordinator:
                     self._wait.reported(time.monotonic(), waits_for.split())
                 if "order" in values:
                     self.vehicles[name] = _vehicle(name, values)
+                    self._on_place(name, values.get("position_m", ""))
                 self.waiting[name] = "" if values["ready"] == "true" else waits_for or "something"
+
+    def _on_place(self, name: str, text: str) -> None:
+        with suppress(ValueError):
+            place = tuple(map(float, text.split()))
+            if len(place) == 3 and all(map(math.isfinite, place)):
+                self.places[name] = place
 
 
 def _vehicle(name: str, values: Mapping[str, str]) -> VehicleRecord:

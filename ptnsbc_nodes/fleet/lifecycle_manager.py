@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Collection
 from typing import Any
 
 from lifecycle_msgs.msg import Transition
@@ -21,8 +22,8 @@ class _ManagedTransitions:
     the client to the node. A transition without an answer may have happened, so the other one is tried next.
     """
 
-    def __init__(self, node: Node, name: str, doubtful: bool) -> None:
-        self._node, self._name = node, name
+    def __init__(self, node: Node, name: str, doubtful: bool, held: Callable[[], bool]) -> None:
+        self._node, self._name, self._held = node, name, held
         self._client = self._new_client()
         self._steps = list(_STEPS)
         self._asked_s = float("-inf")
@@ -38,10 +39,14 @@ class _ManagedTransitions:
     def done(self) -> bool:
         return not self._steps or self.refused
 
+    @property
+    def _may_ask(self) -> bool:
+        return bool(self._steps) and not (self._steps[0] == _ACTIVATE and self._held())
+
     def look(self) -> None:
         """Request the next transition when no answer is awaited."""
         silent = time.monotonic() - self._asked_s > _ANSWER_S
-        if not self.done and silent and self._client.service_is_ready():
+        if not self.done and silent and self._may_ask and self._client.service_is_ready():
             if self._call is not None:
                 self._doubtful = True
                 self._turn()
@@ -81,18 +86,20 @@ class _ManagedTransitions:
             self._turn()
         else:
             self._steps.pop(0)
-        if self._steps:
+        if self._may_ask:
             self._ask()
 
     def _turn(self) -> None:
-        self._steps.append(self._steps.pop(0))
+        if not self._held():  # whether or not it is configured, it is not asked to become active
+            self._steps.append(self._steps.pop(0))
 
 
 class LifecycleManager:
     """Takes any number of nodes to active; call `look` regularly."""
 
-    def __init__(self, node: Node) -> None:
-        self._node = node
+    def __init__(self, node: Node, held: Collection[str] = ()) -> None:
+        """`held`: names of processes whose nodes stay inactive for as long as they are in there."""
+        self._node, self._held = node, held
         self._nodes: dict[str, _ManagedTransitions] = {}
         self.refused: list[str] = []
         """Names of those that refused a transition."""
@@ -107,7 +114,9 @@ class LifecycleManager:
         """
         if name in self._nodes:
             self._nodes[name].close()
-        self._nodes[name] = _ManagedTransitions(self._node, node, doubtful)
+        self._nodes[name] = _ManagedTransitions(
+            self._node, node, doubtful, lambda: name in self._held
+        )
 
     def asked(self, name: str) -> bool:
         """Whether a transition has been requested of the process."""

@@ -23,12 +23,12 @@ from ptnsbc_nodes.fleet.child_process import ChildProcess, ProcessCommand, end
 from ptnsbc_nodes.fleet.coordinator_node import Coordinator
 from ptnsbc_nodes.fleet.emergency_stop import order_landing
 from ptnsbc_nodes.fleet.fault_injector import FaultInjector
+from ptnsbc_nodes.fleet.flight_check import FlightCheck
 from ptnsbc_nodes.fleet.process_list import FleetOptions, names
 from ptnsbc_nodes.runtime.process import RUNNING
 from ptnsbc_nodes.runtime.signals import StopRequest
 from ptnsbc_nodes.runtime.watchdog import ENDED_S, RECORDER_ENDED_S, SIM_ENDED_S
 from ptnsbc_sim.scenario.mission.legs import seconds_to_start
-from ptnsbc_sim.sweep.dry_run import with_starts_at
 
 Report = Callable[[str], None]
 
@@ -37,7 +37,6 @@ _LOOK_S = 0.05
 _EPOCH_S = 0.5  # from the call to the epoch
 _AFTER_START_S = 1.0  # the epoch is half a second after the call
 _LANDING_CALL_S = 3.0
-_POSITIONS_S = 5.0
 _LANDING_S = 240.0
 _RECORDER_PATIENCE_S = 60.0  # what is still queued belongs into the bag
 _PILOTS_S = 10.0  # a pilot lands when it suits the pilot
@@ -62,6 +61,7 @@ class Supervisor:
         self.lost_elsewhere: list[str] = []  # UAVs that have ended on other computers
         self._options = options
         self._coordinator = coordinator
+        self._check = FlightCheck(options, coordinator)
         self._stop = stop
         self._progress = progress
         all_names = names(options.scenario, options.backend) if options.shared else []
@@ -105,30 +105,23 @@ class Supervisor:
             self._wait_for_own(deadline)
 
     def _start_flight(self, deadline: float) -> None:
+        while self._check.holds and not self._check.located() and self._wait(deadline):
+            pass
+        if self._check.holds and not self._stop.came:
+            if objection := self._check.before_arming():
+                raise FleetError(f"from where the vehicles stand nothing is armed: {objection}")
+            self._progress("dry runs from where the vehicles stand are met: they may arm")
         awaited = self._awaited()
         while self._coordinator.missing(awaited) and self._wait(deadline):
             pass
-        if not self._stop.came:
-            self._check_positions()
+        if not self._stop.came and (objection := self._check.before_start()):
+            raise FleetError(f"from the measured positions the flight is not started: {objection}")
         while self._refusal and self._wait(deadline):
             self._refusal = self._coordinator.start(patience_s=2.0)
         if not self._stop.came:
             count = len(self.children) + len(self._elsewhere)
             self._faults.begin(time.monotonic() + _EPOCH_S)
             self._progress(f"{count} processes are ready: started")
-
-    def _check_positions(self) -> None:
-        """FleetError when the flight must not begin from where the vehicles are.
-
-        In lock-step they are where the file says.
-        """
-        options = self._options
-        if options.objection is None or options.lockstep:
-            return
-        places = self._coordinator.positions(options.scenario.uav_ids, _POSITIONS_S)
-        objection = options.objection(with_starts_at(options.scenario, places))
-        if objection:
-            raise FleetError(f"from the measured positions the flight is not started: {objection}")
 
     def _wait_for_own(self, deadline: float) -> None:
         while self._silent() and self._wait(deadline):

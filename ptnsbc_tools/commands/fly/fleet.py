@@ -73,8 +73,8 @@ def fleet(
         bool | None,
         typer.Option(
             "--check/--no-check",
-            help="Fly dry runs before anything starts or arms, and from the measured positions before the flight. "
-            "Default: with real vehicles.",
+            help="Fly dry runs before anything starts, and from the measured positions before anything arms and before "
+            "the flight. Default: with real vehicles.",
         ),
     ] = None,
     view: Annotated[

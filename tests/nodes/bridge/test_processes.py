@@ -50,7 +50,7 @@ def test_the_command_flies_stand_ins_of_both_kinds_into_formation(tmp_path, doma
         code = fleet.finish()
         output = fleet.json_output()
         assert code == 0, "\n".join((*fleet.lines, str(output)))
-    assert fleet.printed("in flight: gains.formation.deadline_s: 10 instead of 5.0")
+    assert fleet.printed("in flight: gains.formation.deadline_s: 10 instead of 5.0", "they may arm")
     steps = ("taking off", "airborne", "in formation", "landing", "done")
     assert fleet.printed(*(f"bridge{i}: {step}" for i in FOUR for step in steps))
     landed = ("px4 1", "arducopter 2", "arducopter 3", "px4 4")
@@ -58,6 +58,24 @@ def test_the_command_flies_stand_ins_of_both_kinds_into_formation(tmp_path, doma
     assert output["verdict"] == "met"
     assert [uav["verdict"] for uav in output["uavs"]] == ["met"] * 4
     assert min(pair["distance_m"] for pair in output["separations"]) > 0.5
+
+
+def test_nothing_is_armed_for_a_flight_that_is_refused_from_where_the_vehicles_stand(
+    tmp_path, domain
+):
+    """The file is accepted; UAV 2 stands 300 m from where the file says."""
+    path = write_scenario(tmp_path / "four.yaml", domain, duration_s=13)
+    starts = {1: (0.1, 1.1), 2: (300, 0), 3: (-1, -0.1), 4: (1.1, -0.2)}
+    uavs = "".join(f"  - {{id: {i}, position_m: [{x}, {y}, 1]}}\n" for i, (x, y) in starts.items())
+    (tmp_path / "stand.yaml").write_text(f"extends: {path}\nuavs:\n{uavs}")
+    command = (COMMAND, "fleet", path, "--backend", "mavlink", "--allow-arming")
+    with (
+        stand_ins(tmp_path / "stand.yaml", domain) as vehicles,
+        flying(*command, "--bag", tmp_path / "bag", domain=domain) as fleet,
+    ):
+        assert fleet.finish() == 2, fleet.lines
+    assert fleet.printed("error: from where the vehicles stand nothing is armed: "), fleet.lines
+    assert not any("armed" in line for line in vehicles.lines), vehicles.lines
 
 
 def test_a_uav_process_and_a_bridge_killed_and_the_operators_stop(tmp_path, domain):

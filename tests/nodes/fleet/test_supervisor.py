@@ -12,7 +12,7 @@ pytest.importorskip("rclpy")
 from ptnsbc_nodes.fleet import supervisor as flights
 from ptnsbc_nodes.fleet.child_process import ChildProcess, ProcessCommand
 from ptnsbc_nodes.fleet.process_list import FleetOptions
-from ptnsbc_nodes.fleet.supervisor import FleetError, Supervisor
+from ptnsbc_nodes.fleet.supervisor import Supervisor
 from ptnsbc_nodes.runtime.watchdog import SIM_ENDED_S
 from ptnsbc_sim.scenario import load_scenario
 
@@ -231,26 +231,3 @@ def test_a_sim_without_a_sign_of_life_is_ended():
     flight._end_silent_sim()
     assert sim.signals == [signal.SIGKILL]
     assert flight.children[0].signals == []
-
-
-def checked(objection, *, lockstep=False):
-    """Check where the vehicles are; UAV 3 is measured a metre above its start."""
-    scenario = load_scenario("paper_5")
-    places = {3: (*scenario.uav(3).position[:2], scenario.uav(3).position[2] + 1.0)}
-    coordinator = SimpleNamespace(positions=lambda uav_ids, patience_s: places)
-    options = FleetOptions(scenario, lockstep=lockstep, objection=objection)
-    Supervisor(options, coordinator, None, print)._check_positions()
-    return places[3]
-
-
-def test_the_flight_is_judged_from_the_measured_positions():
-    seen = []
-    place = checked(lambda scenario: seen.append(scenario.uav(3).position) or "")
-    assert seen[0].tolist() == pytest.approx(list(place))
-
-
-def test_a_flight_that_is_refused_from_there_does_not_begin():
-    with pytest.raises(FleetError, match=r"measured positions .* UAV 2 is late"):
-        checked(lambda _: "UAV 2 is late")
-    checked(lambda _: "UAV 2 is late", lockstep=True)  # the file has been judged
-    checked(None)

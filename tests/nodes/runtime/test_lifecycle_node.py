@@ -204,6 +204,38 @@ def test_a_manager_that_gets_no_answer_goes_on(ros, managed, monkeypatch, lost):
     assert manager._nodes == {}
 
 
+@pytest.mark.parametrize("answers", [True, False])
+def test_a_node_that_is_held_is_configured_and_not_activated(ros, managed, monkeypatch, answers):
+    """Also where no answer arrives, and the manager tries the other transition."""
+    node, fleet, held = managed(), ros.node("fleet"), {"uav3"}
+    requests = []
+    if not answers:
+        make, destroy = fleet.create_client, fleet.destroy_client
+
+        def lost(transition):
+            requests.append(transition)
+            return True
+
+        monkeypatch.setattr(fleet, "create_client", lambda *of: Unanswered(make(*of), lost))
+        monkeypatch.setattr(fleet, "destroy_client", lambda client: destroy(client._client))
+        monkeypatch.setattr(manager_module, "_ANSWER_S", 0.05)
+    manager = LifecycleManager(fleet, held)
+    manager.manage("uav3", "/uav3/controller")
+
+    def configured():
+        manager.look()
+        return node.state == "inactive" and (answers or len(requests) > 2)
+
+    ros.spin_until(configured)
+    for _ in range(20):
+        manager.look()
+        ros.spin_for(0.02)
+    assert node.state == "inactive" and ACTIVATE not in requests
+    held.clear()
+    ros.spin_until(lambda: manager.look() or node.state == "active")
+    assert manager.refused == []
+
+
 class Ear:
     """Real odometry for one UAV, and the wrenches it answers with."""
 

@@ -1,0 +1,144 @@
+"""From which places a flight is judged before anything arms and before it begins."""
+
+from types import SimpleNamespace
+
+import pytest
+
+pytest.importorskip("rclpy")
+pytest.importorskip("pymavlink")
+
+from ptnsbc_nodes.bridge.procedure.steps import Step
+from ptnsbc_nodes.fleet.flight_check import SAME_M, FlightCheck
+from ptnsbc_nodes.fleet.process_list import FleetOptions
+from ptnsbc_nodes.fleet.supervisor import FleetError, Supervisor
+from ptnsbc_sim.scenario import load_scenario
+
+SCENARIO = load_scenario("experiment_4")
+IDS = SCENARIO.uav_ids
+HEIGHT_M = SCENARIO.mavlink.takeoff_height_m
+
+
+class Vehicles:
+    """The launcher's node as the check sees it; all vehicles stand a metre east of their starts."""
+
+    def __init__(self):
+        self.held = set()
+        self.places = {f"bridge{i}": (*self.spot(i), 0.1) for i in IDS}
+        self.vehicles = {name: vehicle(Step.CONTROLLER) for name in self.places}
+        self.measured = {i: (*self.spot(i), HEIGHT_M + 0.1) for i in IDS}
+        self.started = []
+
+    @staticmethod
+    def spot(uav):
+        x, y, _ = SCENARIO.uav(uav).position
+        return float(x) + 1.0, float(y)
+
+    def positions(self, uav_ids, patience_s):
+        assert tuple(uav_ids) == IDS
+        return self.measured
+
+    def missing(self, names):
+        return {}
+
+    def start(self, patience_s):
+        self.started.append(patience_s)
+
+
+def vehicle(step, *, armed=False, landed=False):
+    return SimpleNamespace(step=step.value, armed=armed, landed=landed)
+
+
+def judge(objection=""):
+    """A judge, and the starts of the flights that it was asked for."""
+    seen = []
+
+    def judges(scenario):
+        seen.append({i: tuple(map(float, scenario.uav(i).position)) for i in IDS})
+        return objection
+
+    return judges, seen
+
+
+def check_of(vehicles, judges, **more):
+    options = FleetOptions(SCENARIO, **{"backend": "mavlink", "objection": judges, **more})
+    return FlightCheck(options, vehicles)
+
+
+def test_no_uav_process_becomes_active_before_the_flight_is_judged_from_above_the_vehicles():
+    vehicles, (judges, seen) = Vehicles(), judge()
+    check = check_of(vehicles, judges)
+    assert vehicles.held == {f"uav{i}" for i in IDS} and check.holds
+    assert check.before_arming() == ""
+    assert seen == [{i: pytest.approx(place) for i, place in vehicles.measured.items()}]
+    assert vehicles.held == set() and not check.holds
+
+
+def test_a_vehicle_that_a_pilot_flew_up_is_judged_where_it_is():
+    vehicles, (judges, seen) = Vehicles(), judge()
+    vehicles.places["bridge2"] = (1.0, 2.0, 7.0)
+    vehicles.vehicles["bridge2"] = vehicle(Step.CONTROLLER, armed=True)
+    check_of(vehicles, judges).before_arming()
+    assert seen[0][2] == (1.0, 2.0, 7.0)
+
+
+def test_a_refused_flight_keeps_all_vehicles_from_arming():
+    vehicles = Vehicles()
+    check = check_of(vehicles, judge("UAV 2 is late")[0])
+    assert check.before_arming() == "UAV 2 is late"
+    assert check.holds
+
+
+def test_every_bridge_must_know_where_its_vehicle_is():
+    vehicles = Vehicles()
+    check = check_of(vehicles, judge()[0])
+    assert check.located()
+    vehicles.vehicles["bridge3"] = vehicle(Step.STATE)
+    assert not check.located()
+    vehicles.vehicles["bridge3"] = vehicle(Step.READY)  # of another computer, which holds nothing
+    assert check.located()
+    del vehicles.places["bridge3"]
+    assert not check.located()
+
+
+def test_in_the_air_a_flight_is_judged_again_only_from_other_places():
+    vehicles, (judges, seen) = Vehicles(), judge()
+    check = check_of(vehicles, judges)
+    check.before_arming()
+    x, y, z = vehicles.measured[3]
+    vehicles.measured[3] = (x + 0.9 * SAME_M, y, z)
+    assert check.before_start() == "" and len(seen) == 1
+    vehicles.measured[3] = (x + 1.1 * SAME_M, y, z)
+    check.before_start()
+    assert seen[1][3] == pytest.approx(vehicles.measured[3])
+    del vehicles.measured[3]  # its odometry was not heard
+    check.before_start()
+    assert len(seen) == 3
+
+
+def test_simulated_vehicles_are_judged_once_where_they_are():
+    vehicles, (judges, seen) = Vehicles(), judge("UAV 2 is late")
+    check = check_of(vehicles, judges, backend="sim")
+    assert not check.holds
+    assert check.before_start() == "UAV 2 is late"
+    assert seen == [{i: pytest.approx(place) for i, place in vehicles.measured.items()}]
+    assert check_of(vehicles, judges, backend="sim", lockstep=True).before_start() == ""
+    assert check_of(vehicles, None).before_start() == ""
+
+
+def launched(vehicles, judges, **more):
+    options = FleetOptions(SCENARIO, **{"backend": "mavlink", "objection": judges, **more})
+    stop, said = SimpleNamespace(came=False), []
+    supervisor = Supervisor(options, vehicles, stop, said.append)
+    supervisor._wait = lambda _deadline: True
+    supervisor._start_flight(0.0)
+    return said
+
+
+def test_the_launcher_starts_only_what_is_not_refused():
+    vehicles = Vehicles()
+    assert "may arm" in launched(vehicles, judge()[0])[0]
+    assert len(vehicles.started) == 1
+    with pytest.raises(FleetError, match="stand nothing is armed: UAV 2 is late"):
+        launched(Vehicles(), judge("UAV 2 is late")[0])
+    with pytest.raises(FleetError, match=r"measured positions .* UAV 2 is late"):
+        launched(Vehicles(), judge("UAV 2 is late")[0], backend="sim")
