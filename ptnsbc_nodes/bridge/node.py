@@ -61,6 +61,7 @@ from ptnsbc_nodes.emergency.orders import (
     runtime_folder,
 )
 from ptnsbc_nodes.emergency.records import VehicleRecord, write_record
+from ptnsbc_nodes.runtime.environment import named_domain
 from ptnsbc_sim.scenario import Scenario
 
 _RECORD_S = 1.0
@@ -274,7 +275,7 @@ class BridgeNode:
     def _open_order_port(self) -> OrderPort | None:
         """The socket for orders of this host, and the order that still holds from before."""
         try:
-            domain = int(os.environ.get("ROS_DOMAIN_ID", "0"))
+            domain = named_domain()
             self._folder = runtime_folder(domain, self.endpoints.fleet)
             port = OrderPort(
                 self._folder, self._record.name, self._on_order, lambda: self._present().encode()

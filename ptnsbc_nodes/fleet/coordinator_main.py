@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 import time
 from collections.abc import Sequence
@@ -45,6 +44,7 @@ def _serve(arguments: argparse.Namespace, argv: list[str]) -> int:
     from ptnsbc_nodes.comm.seal import seal_of
     from ptnsbc_nodes.fleet.coordinator_node import Coordinator
     from ptnsbc_nodes.fleet.process_list import FleetOptions
+    from ptnsbc_nodes.runtime import environment
     from ptnsbc_nodes.runtime.process import ros_errors
     from ptnsbc_nodes.security.middleware import check_enforced
     from ptnsbc_sim.scenario import load_scenario
@@ -58,7 +58,7 @@ def _serve(arguments: argparse.Namespace, argv: list[str]) -> int:
     )
     with StopRequest() as stop:
         with ros_errors():
-            domain = int(os.environ.get("ROS_DOMAIN_ID", "0"))
+            domain = environment.named_domain()
             coordinator = Coordinator(domain, ros_arguments=argv[1:], seal=seal_of(scenario))
         with coordinator:
             _fly(coordinator, arguments, options.patience_s, scenario, stop)

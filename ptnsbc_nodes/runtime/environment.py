@@ -40,6 +40,7 @@ _RMW = "rmw_fastrtps_cpp"
 _SPARE_PEERS = 12  # for viewers, a command line, a second recorder
 _PR_SET_PDEATHSIG = 1
 _DOMAINS = range(1, 102)  # above, the ports reach into those the system hands out
+_LAST_DOMAIN = 232  # the ports of the next one do not exist
 _FIRST_PARTICIPANTS = 3
 
 
@@ -52,7 +53,9 @@ def prepare() -> None:
 
     Raises:
         DdsSecurityError: `ROS_SECURITY_ENABLE` is true, and the middleware has no DDS Security.
+        DomainError: `ROS_DOMAIN_ID` is no domain. The middleware would end the process.
     """
+    named_domain()
     if os.environ.get("ROS_SECURITY_ENABLE") == "true" and lacks_security():
         # Without a keystore rcl would go on unprotected; with one it raises from the first node.
         raise DdsSecurityError(
@@ -162,14 +165,21 @@ def _stay_with_parent() -> None:
         raise SystemExit("the launcher has ended")
 
 
+def named_domain() -> int:
+    """The user's ROS_DOMAIN_ID, 0 by default; DomainError when it is none."""
+    given = os.environ.get("ROS_DOMAIN_ID") or "0"
+    if not (
+        given.isdecimal() and given.isascii() and len(given) < 4 and int(given) <= _LAST_DOMAIN
+    ):
+        raise DomainError(f"ROS_DOMAIN_ID={given[:20]}: expected a number from 0 to {_LAST_DOMAIN}")
+    return int(given)
+
+
 @contextmanager
 def reserved_domain() -> Iterator[int]:
     """The user's ROS_DOMAIN_ID, or a free domain that no other fleet takes inside the `with`."""
-    given = os.environ.get("ROS_DOMAIN_ID")
-    if given is not None:
-        if not given.isdecimal():
-            raise DomainError(f"ROS_DOMAIN_ID={given!r}: expected a number from 0 to 101")
-        yield int(given)
+    if "ROS_DOMAIN_ID" in os.environ:
+        yield named_domain()
         return
     lock, domain = _locked_domain()
     with lock:

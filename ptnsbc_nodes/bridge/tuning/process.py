@@ -46,7 +46,7 @@ def fly_hover_test(
     Raises:
         TuneError: no result, with the reason.
     """
-    folder = runtime_folder(int(os.environ.get("ROS_DOMAIN_ID", "0")))
+    folder = runtime_folder(environment.named_domain())
     if (held := latched(folder)).what:
         raise TuneError(
             f"the operator's order {held.text!r} still holds: expected none; ptnsbc stop --clear releases it"

@@ -95,13 +95,11 @@ def inject(
         return
     if not fault.rule.live:
         raise InjectError(f"{kind}: expected it under faults in the scenario")
-    number = int(os.environ.get("ROS_DOMAIN_ID", "0")) if domain is None else domain
     with ros.required(ros.INSTALL):
-        from ptnsbc_nodes.runtime import environment
-
-        environment.prepare()
         from ptnsbc_nodes.comm.seal import operators_seal
         from ptnsbc_nodes.fleet.coordinator_node import Coordinator
+        from ptnsbc_nodes.runtime import environment
+    number = environment.named_domain() if domain is None else domain
     name = f"inject_{os.getpid()}"
     with Coordinator(number, name, full_namespace(namespace), seal=operators_seal()) as node:
         listeners = node.inject(fault, _PATIENCE_S)

@@ -71,14 +71,12 @@ def _answer(service: str, domain: int | None, namespace: str) -> str:
     Raises:
         MissionError: no fleet with a mission is there, or it refuses.
     """
-    number = int(os.environ.get("ROS_DOMAIN_ID", "0")) if domain is None else domain
     fleet = options.full_namespace(namespace)
     with ros.required("install the extra [ros] or source ROS 2"):
-        from ptnsbc_nodes.runtime import environment
-
-        environment.prepare()
         from ptnsbc_nodes.comm.seal import operators_seal
         from ptnsbc_nodes.fleet.coordinator_node import Coordinator
+        from ptnsbc_nodes.runtime import environment
+    number = environment.named_domain() if domain is None else domain
     with Coordinator(number, f"mission_{os.getpid()}", fleet, seal=operators_seal()) as coordinator:
         done, said = coordinator.ask(service, _PATIENCE_S)
     if not done:

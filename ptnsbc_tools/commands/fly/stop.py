@@ -63,7 +63,9 @@ def stop(
     The order holds: a bridge that starts again obeys it too, until a new `ptnsbc fleet` or --clear
     releases it. Prints what every vehicle does.
     """
-    number = int(os.environ.get("ROS_DOMAIN_ID", "0")) if domain is None else domain
+    from ptnsbc_nodes.runtime import environment
+
+    number = environment.named_domain() if domain is None else domain
     fleet = full_namespace(namespace)
     folder = runtime_folder(number, fleet)
     if clear:

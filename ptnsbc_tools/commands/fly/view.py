@@ -82,9 +82,10 @@ def _domain(given: int | None) -> int:
     """
     if given is not None:
         return given
-    named = os.environ.get("ROS_DOMAIN_ID", "")
-    if named.isdecimal():
-        return int(named)
+    if os.environ.get("ROS_DOMAIN_ID"):
+        from ptnsbc_nodes.runtime import environment
+
+        return environment.named_domain()
     with ros.required():
         from ptnsbc_nodes.view.observer import flying_domains
     found = flying_domains()

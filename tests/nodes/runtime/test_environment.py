@@ -30,10 +30,20 @@ def test_the_users_domain_wins(monkeypatch):
         assert domain == 77
 
 
-def test_a_users_domain_that_is_no_number_is_refused(monkeypatch):
-    monkeypatch.setenv("ROS_DOMAIN_ID", "x")
-    with pytest.raises(DomainError, match="ROS_DOMAIN_ID='x'"), reserved_domain():
+@pytest.mark.parametrize("domain", ["x", "-1", "233", "100000", "\u0663", "1" * 5000])
+def test_a_users_domain_that_is_none_is_refused_before_the_middleware_sees_it(monkeypatch, domain):
+    monkeypatch.setenv("ROS_DOMAIN_ID", domain)
+    for begin in (environment.named_domain, environment.prepare):
+        with pytest.raises(DomainError, match="expected a number from 0 to 232"):
+            begin()
+    with pytest.raises(DomainError, match=f"ROS_DOMAIN_ID={domain[:9]}"), reserved_domain():
         pass
+
+
+def test_without_a_domain_it_is_that_of_ros(monkeypatch, no_domain):
+    assert environment.named_domain() == 0
+    monkeypatch.setenv("ROS_DOMAIN_ID", "")
+    assert environment.named_domain() == 0
 
 
 @pytest.fixture
