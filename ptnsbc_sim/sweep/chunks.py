@@ -129,7 +129,7 @@ def made_by_others(chunk: Path, today: str) -> bool:
 
 
 def made_by(plan: SweepPlan) -> str:
-    """What the figures depend on besides the plan, as JSON; no times and hosts: the same sweep gives the same bytes."""
+    """All that decides the figures besides the plan, as JSON; the same sweep gives the same bytes."""
     texts = [plan.scenario, *(str(value) for axis in plan.axes for value in axis.values)]
     files = sorted({name for text in texts for name in _FILE.findall(text)})
     return json.dumps(_ours() | {f"file {name}": _digest(Path(name)) for name in files})

@@ -14,6 +14,7 @@ from pathlib import Path
 
 from domain_ports import first_port
 
+from bench.stand_ins import BASE, SCENARIO
 from ptnsbc_sim.autopilot.faults import send_fault
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -21,15 +22,6 @@ COMMAND = "ptnsbc_tools.cli"
 PATIENCE_S = 600
 _INTERRUPTED = (0, 130)
 
-# Four metres lower than the shipped file: otherwise climbing and landing take longer than a short flight.
-_SCENARIO = """
-extends: {base}
-timing: {{duration_s: {duration_s}}}
-leader: {{trajectory: {{centre_m: [0, 0, 4]}}}}
-mavlink:
-  takeoff_height_m: 2
-  vehicles:
-"""
 _VEHICLE = (
     '    {uav}: {{autopilot: {kind}, setpoint: {setpoint}, connect: "udpin:127.0.0.1:{port}"}}\n'
 )
@@ -39,13 +31,12 @@ _LANDING = {"px4": "MPC_LAND_SPEED=1.5", "ardupilot": "LAND_SPD_MS=1.5"}
 
 def write_scenario(path, domain, *, duration_s, fleet=(("px4", "velocity"),) * 4):
     """`experiment_4` on ports of its own, each vehicle of a kind and with setpoints of a kind."""
-    base = ROOT / "scenarios" / "experiment_4.yaml"
     first = first_port(domain)
     vehicles = (
         _VEHICLE.format(uav=n + 1, kind=kind, setpoint=setpoint, port=first + n)
         for n, (kind, setpoint) in enumerate(fleet)
     )
-    head = _SCENARIO.format(base=base, duration_s=duration_s)
+    head = SCENARIO.format(base=BASE, duration_s=duration_s)
     path.write_text(head + "".join(vehicles))
     return path
 

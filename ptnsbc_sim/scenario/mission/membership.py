@@ -211,7 +211,7 @@ def _closed_up(scenario: Scenario, members: Membership, leader: int) -> dict[int
 def changed(before: Scenario, after: Scenario, uav_id: int) -> tuple[bool, bool]:
     """Whether a UAV has another place in the graph: another parent, slot or lead of its own, and another leader.
 
-    Who no longer hears the leader has none: the last acceleration that it was told would count for ever.
+    A UAV that no longer hears the leader takes none: the last one that it was told would count for ever.
     """
     was, now = role_of(before, uav_id), role_of(after, uav_id)
     leads = (was.leader == uav_id) != (now.leader == uav_id)

@@ -162,7 +162,7 @@ def plain(names):
     return {re.sub(r"^/uav\d+/(?!bridge/)", "/uavN/", name) for name in names}
 
 
-# What paper_5 has no use for, and what a bridge has that leads, or has an operator or other settings.
+# Topics that paper_5 has no use for, and those of a bridge that leads, or has an operator or other settings.
 UNUSED = {
     "/sim": {"publishes": {"/uavN/truth"}, "hears": {"/formation/recorded"}},
     "/uav3/bridge": {

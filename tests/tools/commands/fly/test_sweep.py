@@ -16,7 +16,7 @@ from ptnsbc_tools.sweeps.table import read_sweep
 
 QUICK = ("--stop-after", 1.2, "--set", "gains.formation.deadline_s=0.8", "--workers", 1)
 SMALL = ("paper_5", "--runs", 4, "--starts", "near:0.2", *QUICK)
-# Who avoids others to the end has no error that is not excused.
+# Avoidance to the end of so short a flight would excuse every error in it.
 ALONE = ("--set", "formation.avoidance=off")
 
 
