@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 VEHICLES = (1, 2, 3, 4)
+_LOOK_S = 0.1
 PATIENCE_S = 600.0  # the laws are compiled once
 BASE = Path(__file__).resolve().parents[1] / "scenarios" / "experiment_4.yaml"
 # Four metres lower than the shipped file: otherwise climbing and landing take longer than a short flight.
@@ -86,7 +87,8 @@ def wait_for(running: Running, texts: Sequence[str]) -> None:
         lines = running.log.read_text(errors="replace")
         if all(text in lines for text in texts):
             return
-        time.sleep(0.1)
+        with suppress(subprocess.TimeoutExpired):  # a log that grows wakes nobody
+            running.process.wait(_LOOK_S)
     raise SystemExit(f"{running.log.name} without {texts}:\n{running.log.read_text()[-3000:]}")
 
 

@@ -42,6 +42,7 @@ def test_each_identity_has_what_rcl_looks_for(keystore):
         assert path.resolve().is_relative_to(keystore.with_name("copy").resolve())
 
 
+# Another program judges than the one that wrote them; .ci/run installs it.
 @pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl is not installed")
 def test_openssl_accepts_certificates_and_signatures(keystore):
     authority = keystore / "public" / "ca.cert.pem"
