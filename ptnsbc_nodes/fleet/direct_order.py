@@ -41,25 +41,34 @@ class DirectOrder:
         self._request = CommandRequest.KILL if order.what == KILL else CommandRequest.LAND
         self._autopilot = AUTOPILOTS[record.autopilot]
         self._commands = Commands(self._autopilot, record.sysid)
+        self._record = record
         self._next_s = 0.0
-        self._link: MavlinkLink | None = None
+        self._link = self._open()
+
+    def _open(self) -> MavlinkLink | None:
+        """The link to the vehicle; None while it cannot be opened, as the port of a bridge that is just ending."""
+        record, self.problem = self._record, ""
         try:
             signer = (
                 Signer(read_key(Path(record.signing_key)), _LINK_ID) if record.signing_key else None
             )
-            self._link = MavlinkLink(_transport(record), record.sysid, _WANTED, signer)
+            return MavlinkLink(_transport(record), record.sysid, _WANTED, signer)
         except PtnsbcError as error:
             self.problem = " ".join(str(error).split())
+            return None
 
     def look(self) -> None:
         """Take in what has arrived, and send when it is time."""
+        now_s = time.monotonic()
+        due = now_s >= self._next_s
+        if due:
+            self._next_s = now_s + _REPEAT_S
+            self._link = self._link or self._open()
         if self._link is None:
             return
-        now_s = time.monotonic()
         for message in self._link.poll(now_s):
             self._on_heartbeat(message)
-        if now_s >= self._next_s:
-            self._next_s = now_s + _REPEAT_S
+        if due:
             self.sent += self._link.send(self._commands.message(self._request, 0.0))
 
     def close(self) -> None:

@@ -4,6 +4,7 @@ import os
 import select
 import subprocess
 import sys
+import time
 from dataclasses import replace
 
 import pytest
@@ -188,6 +189,25 @@ def test_the_vehicle_of_a_dead_bridge_is_told_past_it(bridge, give, tmp_path, de
     (found,) = operation.outcomes()
     assert found.obeyed
     assert "its bridge has ended, the vehicle is disarmed after" in found.text
+    operation.close()
+    far.close()
+
+
+def test_a_port_that_a_dying_bridge_still_has_is_opened_when_it_is_free(bridge, tmp_path, dead):
+    far, still = Far(), Far()
+    bridge("bridge1", pid=dead, connect=f"udpin:127.0.0.1:{still.port}")
+    operation = EmergencyStop(tmp_path, KILL)
+    operation.begin()
+    assert not operation.run(0.05)
+    (found,) = operation.outcomes()
+    assert "not reached past it: udpin" in found.text
+    far.to = ("127.0.0.1", still.port)
+    still.close()
+    deadline = time.monotonic() + PATIENCE_S
+    while not operation.look() and time.monotonic() < deadline:
+        far.send(heartbeat())  # disarmed
+    (found,) = operation.outcomes()
+    assert found.obeyed
     operation.close()
     far.close()
 
