@@ -74,6 +74,22 @@ def test_the_containers_may_have_the_priority_that_bridges_ask_for(compose):
         assert service["ulimits"]["rtprio"] >= asked[0]
 
 
+def test_every_container_is_healthy_by_what_its_own_process_reports(compose, monkeypatch):
+    from typer.testing import CliRunner
+
+    from ptnsbc_tools.cli import app
+    from ptnsbc_tools.commands.fly import view
+
+    asked = []
+    monkeypatch.setattr(view, "_health", lambda *about: asked.append(about) or 0)
+    for name, service in compose["services"].items():
+        run, entrypoint, *words = service["healthcheck"]["test"]
+        assert (run, entrypoint, words[0]) == ("CMD", "entrypoint.sh", "ptnsbc")
+        environment = service["environment"]
+        assert CliRunner().invoke(app, words[1:], env=environment).exit_code == 0
+        assert asked[-1] == (int(environment["ROS_DOMAIN_ID"]), "", [name])
+
+
 def test_the_profile_names_the_address_of_every_container(compose):
     addresses = [
         service["networks"]["fleet"]["ipv4_address"] for service in compose["services"].values()
@@ -95,6 +111,12 @@ def test_what_the_image_copies_is_there():
     text = (DOCKER / "Dockerfile").read_text()
     assert "COPY --chmod=755 docker/entrypoint.sh" in text and "docker/entrypoint.sh" in sent
     assert {"pyproject.toml", "requirements/image.lock", "ros2_ws/src", "scenarios"} <= set(sent)
+
+
+def test_the_base_image_is_named_by_its_digest():
+    text = (DOCKER / "Dockerfile").read_text()
+    assert re.search(r"^ARG BASE=ros:jazzy-ros-base-noble@sha256:[0-9a-f]{64}$", text, re.M)
+    assert "--require-hashes -r requirements/image.lock" in text
 
 
 def test_the_image_runs_as_somebody_and_what_it_runs_is_installed():

@@ -1,5 +1,6 @@
 """The ROS workspace holds links to the packages at the root; these must hold, or fail aloud."""
 
+import ast
 import importlib
 import importlib.util
 import re
@@ -68,6 +69,59 @@ def test_dependencies_point_down():
         package = ET.parse(SRC / name / "package.xml").getroot()
         needed = {element.text for element in package.iter("exec_depend")}
         assert needed.isdisjoint(LINKED[position:]), name
+
+
+UBUNTU = {
+    "hypothesis": "python3-hypothesis",
+    "matplotlib": "python3-matplotlib",
+    "numpy": "python3-numpy",
+    "psutil": "python3-psutil",
+    "pytest": "python3-pytest",
+    "scipy": "python3-scipy",
+    "serial": "python3-serial",
+    "yaml": "python3-yaml",
+}
+"""The rosdep keys of modules that Ubuntu 24.04 has; all other names are packages of ROS, or in the lock."""
+IN_THE_LOCK = {
+    "cryptography", "distributed", "llvmlite", "lz4", "mcap", "numba", "pyarrow", "pydantic", "pydantic_core",
+    "pymavlink", "rich", "rosbags", "typer", "websockets", "zstandard",
+}  # fmt: skip
+
+
+def imported(folder: Path) -> set[str]:
+    """Packages outside the standard library and the lock that a folder imports, as rosdep names them."""
+    found: set[str] = set()
+    for path in folder.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Import):
+                found |= {alias.name.partition(".")[0] for alias in node.names}
+            elif isinstance(node, ast.ImportFrom) and not node.level:
+                found.add(node.module.partition(".")[0])
+    return {UBUNTU.get(name, name) for name in found - sys.stdlib_module_names - IN_THE_LOCK}
+
+
+def declared(name: str, kind: str) -> set[str]:
+    package = ET.parse(SRC / name / "package.xml").getroot()
+    return {element.text for element in package.iter(kind)}
+
+
+@pytest.mark.parametrize("name", LINKED)
+def test_what_a_package_imports_is_a_dependency(name):
+    assert imported(ROOT / name) - {name} <= declared(name, "exec_depend")
+
+
+@pytest.mark.parametrize("name", LINKED[:-1])
+def test_what_the_tests_of_a_package_import_is_a_dependency(name):
+    own = {path.stem for path in (ROOT / "tests").rglob("*.py")} | {"bench", "docs", "tests"}
+    needed = imported(ROOT / "tests" / name.removeprefix("ptnsbc_")) - own - set(LINKED)
+    assert needed <= declared(name, "exec_depend") | declared(name, "test_depend")
+
+
+def test_cmake_makes_every_message_that_is_defined():
+    package = SRC / "ptnsbc_interfaces"
+    named = re.findall(r'"(\w+/\w+\.\w+)"', (package / "CMakeLists.txt").read_text())
+    defined = [path for kind in ("action", "msg", "srv") for path in package.glob(f"{kind}/*")]
+    assert named == sorted(str(path.relative_to(package)) for path in defined)
 
 
 def test_version_is_read_through_the_link(copied_workspace):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -16,9 +16,16 @@ from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import Trigger
 
 from ptnsbc_core.errors import PtnsbcError
-from ptnsbc_io.wire import HeaderTemplate, OdometryDecoder, decode_diagnostics, decode_header
+from ptnsbc_io.wire import (
+    Diagnostics,
+    HeaderTemplate,
+    OdometryDecoder,
+    decode_diagnostics,
+    decode_header,
+)
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.announcements import decode_leg, decode_lost
+from ptnsbc_nodes.comm.diagnostics import DiagnosticLevel
 from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.comm.qos import STATE_REALTIME, keep_last
 from ptnsbc_nodes.comm.seal import operators_seal, seal_of
@@ -181,6 +188,31 @@ class Observer:
 
         assert self._endpoints is not None
         self._endpoints.listen(topic, decode, taken, required=False, profile=profile)
+
+    def ailments(self, names: Sequence[str], patience_s: float) -> dict[str, str]:
+        """What is wrong with processes of the fleet: those that are silent for so long, or report an error.
+
+        A recorder has no status: it counts as well while its node is there.
+        """
+        heard: dict[str, str] = {}
+
+        def on_status(array: Diagnostics) -> None:
+            for status in array.statuses:
+                name = status.name.partition(":")[0]
+                ails = status.level >= DiagnosticLevel.ERROR
+                heard[name] = (status.message or "an error") if ails else ""
+
+        endpoints = Endpoints(self._node, lockstep=False, seal=operators_seal())
+        for topic in (topics.DIAGNOSTICS, topics.READY):
+            endpoints.listen(topic, decode_diagnostics, on_status, required=False)
+        end = time.monotonic() + patience_s
+        while not heard.keys() >= set(names) and time.monotonic() < end:
+            self.spin(_LOOK_S)
+            if topics.RECORDER in self._node.get_node_names():
+                heard[topics.RECORDER] = ""
+        endpoints.close()
+        found = {name: heard.get(name, "silent") for name in names}
+        return {name: what for name, what in found.items() if what}
 
     def call(self, leg: str) -> str:
         """Call the leader's service for a leg; returns why it did not work, empty when it did."""

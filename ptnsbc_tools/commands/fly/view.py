@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Sequence
 from typing import Annotated
 
 import typer
@@ -17,6 +18,8 @@ from ptnsbc_tools.options import (
     PlainOption,
     full_namespace,
 )
+
+_HEALTH_S = 10.0  # for discovery, and two statuses
 
 
 class NoFleetError(PtnsbcError):
@@ -46,6 +49,14 @@ def view(
     ] = 0,
     foxglove: FoxgloveOption = None,
     plain: PlainOption = False,
+    healthy: Annotated[
+        str,
+        typer.Option(
+            "--healthy",
+            metavar="PROCESSES",
+            help="Show nothing: exit with 1 when one of these processes (uav3,sim) is silent or reports an error.",
+        ),
+    ] = "",
     frames: Annotated[bool, typer.Option("--frames", hidden=True)] = False,
     page: Annotated[bool, typer.Option("--page/--no-page", hidden=True)] = True,
 ) -> None:
@@ -55,6 +66,8 @@ def view(
     fleet flies on.
     """
     number = _domain(domain)
+    if healthy:
+        raise typer.Exit(_health(number, full_namespace(namespace), healthy.split(",")))
     with ros.required():
         from ptnsbc_tools.live.watch import WatchOptions, frames_on_stdout, watch
     from ptnsbc_tools.live.dashboard import Dashboard
@@ -72,6 +85,17 @@ def view(
     else:
         with Dashboard() as dashboard:
             watch(replace(options, begin=lambda flown: dashboard.sink(flown)), dashboard.say)
+
+
+def _health(domain: int, fleet: str, names: Sequence[str]) -> int:
+    """Say what is wrong with these processes; the exit code."""
+    with ros.required():
+        from ptnsbc_nodes.view.observer import Observer
+    with Observer(domain, fleet, f"view_{os.getpid()}") as observer:
+        wrong = observer.ailments(names, _HEALTH_S)
+    for name, what in wrong.items():
+        console.say(f"{name}: {what}")
+    return 1 if wrong else 0
 
 
 def _domain(given: int | None) -> int:
