@@ -182,7 +182,7 @@ def test_a_fleet_is_that_of_the_command(kind, evaluate, flown, monkeypatch, tmp_
     assert given == {
         "lockstep": False, "backend": "sim", "allow_arming": False, "only": "", "namespace": "",
         "bag": None, "overwrite": False, "check": None, "operator": False,
-        "processes": None,
+        "processes": None, "wait": False,
     }  # fmt: skip
 
 
@@ -191,6 +191,7 @@ def test_every_argument_arrives(kind, evaluate, flown, monkeypatch, tmp_path):
     entities = evaluate(
         "fleet", scenario="experiment_4", backend="mavlink", allow_arming="true", lockstep="true",
         namespace="blue", duration="12.5", record="flight", overwrite="true", check="true", operator="true",
+        wait="true",
         set="gains.formation.kappa_1_s=1.5 'world.wind_m_s=[1, 0, 0]'",
     )  # fmt: skip
     (one,) = processes(kind, entities)
@@ -201,7 +202,7 @@ def test_every_argument_arrives(kind, evaluate, flown, monkeypatch, tmp_path):
     assert given == {
         "lockstep": True, "backend": "mavlink", "allow_arming": True, "only": "",
         "namespace": "/blue", "bag": tmp_path / "flight", "overwrite": True, "check": True,
-        "operator": True, "processes": None,
+        "operator": True, "processes": None, "wait": True,
     }  # fmt: skip
 
 

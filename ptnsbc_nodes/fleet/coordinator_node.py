@@ -28,6 +28,7 @@ from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.announcements import (
     LostProcess,
     OrderedFault,
+    decode_leg,
     decode_lost,
     encode_fault,
     fault_decoder,
@@ -89,12 +90,14 @@ class Coordinator:
         self.domain = domain
         self.gone: set[str] = set()  # processes that have ended on other computers
         self.over = False  # the launcher that leads has ended the flight
+        self.begun = False  # a leg has been announced, after `hear_start`
         self.waiting: dict[str, str] = {}  # process name: what it waits for, empty when ready
         self.vehicles: dict[str, VehicleRecord] = {}  # by bridge: what it reported of its vehicle
         self._name, self._ros_arguments = name, list(ros_arguments)
         self._namespace = namespace
         self._seal = seal
         self._leads: bool | None = None  # where the fleet is shared
+        self._hears_start = False
         self._hear_faults: Callable[[], str] | None = None
         self._managed: dict[str, str] = {}  # node by process name
         self.held: set[str] = set()
@@ -143,6 +146,8 @@ class Coordinator:
         self._join()
         if self._leads is not None:
             self.share(leads=self._leads)
+        if self._hears_start:
+            self.hear_start()
         if self._hear_faults is not None:
             self._hear_faults()
         for name, node in self._managed.items():
@@ -156,6 +161,11 @@ class Coordinator:
             self._publish_over = self._endpoints.publisher(OVER, 0)
         else:
             self._endpoints.listen(OVER, decode_header, self._on_over)
+
+    def hear_start(self) -> None:
+        """Hear of the first leg, when an operator starts the flight."""
+        self._hears_start = True
+        self._endpoints.listen(topics.EPOCH, decode_leg, self._on_leg, required=False)
 
     def hear_faults(self, uavs: Collection[int], take: Callable[[FaultBlock], None]) -> None:
         """Hear of the faults that an operator injects into a fleet of these UAVs."""
@@ -349,6 +359,9 @@ class Coordinator:
 
     def _on_lost(self, process: LostProcess) -> None:
         self.gone.add(process.name)
+
+    def _on_leg(self, _leg: HeaderFields) -> None:
+        self.begun = True
 
     def _on_over(self, _over: HeaderFields) -> None:
         self.over = True

@@ -31,6 +31,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         metavar="K",
         help="fly all UAVs in K processes, not in one for each",
     )
+    parser.add_argument("--wait", action="store_true", help="leave the start to an operator")
     parser.add_argument("--backend", choices=("sim", "mavlink"), default="sim")
     parser.add_argument("--allow-arming", action="store_true", help="of real vehicles")
     parser.add_argument("--log-dir", type=Path, help="where each process writes its log")
@@ -52,6 +53,7 @@ def _fly(arguments: argparse.Namespace, _argv: list[str]) -> int:
         bag=arguments.bag,
         overwrite=arguments.overwrite,
         processes=arguments.processes,
+        wait=arguments.wait,
         log_dir=arguments.log_dir,
     )
     result = run_fleet(options, _say)

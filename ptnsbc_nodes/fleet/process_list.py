@@ -39,6 +39,7 @@ class FleetOptions:
     processes: int | None = None  # for the UAVs of this fleet; one for each by default
     only: frozenset[str] = frozenset()  # names of the processes of this computer, see `chosen`
     operator: bool = False  # offer the fleet in the types of ptnsbc_interfaces
+    wait: bool = False  # an operator starts the flight, not the launcher
     namespace: str = ""  # of all nodes and topics, for example "/blue"
     # In real time: why the scenario with the measured starts must not be flown, empty when it may.
     objection: Callable[[Scenario], str] | None = None

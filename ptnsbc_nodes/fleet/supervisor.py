@@ -6,6 +6,7 @@ the flight, ends it, and tells the others. Each computer starts and ends its own
 
 from __future__ import annotations
 
+import math
 import os
 import signal
 import time
@@ -116,12 +117,21 @@ class Supervisor:
             pass
         if not self._stop.came and (objection := self._check.before_start()):
             raise FleetError(f"from the measured positions the flight is not started: {objection}")
-        while self._refusal and self._wait(deadline):
-            self._refusal = self._coordinator.start(patience_s=2.0)
+        if self._options.wait:
+            self._wait_for_operator()
+        else:
+            while self._refusal and self._wait(deadline):
+                self._refusal = self._coordinator.start(patience_s=2.0)
         if not self._stop.came:
             count = len(self.children) + len(self._elsewhere)
             self._faults.begin(time.monotonic() + _EPOCH_S)
             self._progress(f"{count} processes are ready: started")
+
+    def _wait_for_operator(self) -> None:
+        self._coordinator.hear_start()
+        self._progress("all are ready: the flight begins when an operator calls /formation/start")
+        while not self._coordinator.begun and self._wait(math.inf):
+            pass
 
     def _wait_for_own(self, deadline: float) -> None:
         while self._silent() and self._wait(deadline):

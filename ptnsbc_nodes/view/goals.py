@@ -133,9 +133,8 @@ class MissionGoal(_Goal):
         if first > 1:
             return self._call(leg_service(first))
         if self._flight.started:
-            return Answer(
-                False, f"the flight has begun: expected from_leg from 2 to {len(mission.legs)}"
-            )
+            later = f"expected from_leg from 2 to {self._last}"
+            return Answer(False, f"the flight has begun: {later}, or a fleet with --wait")
         return self._call("start")
 
     def _stop(self) -> Answer:

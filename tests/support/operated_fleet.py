@@ -19,6 +19,23 @@ from ptnsbc_nodes.view.operator_node import FLY_LEG, FLY_MISSION, STATE, Operato
 T0_S = 100.0
 
 
+def send_mission(ros):
+    """Ask a fleet to fly its mission from the start: the first feedback, or the result when there is none."""
+    told = []
+    try:
+        action = ActionClient(ros.node("client"), FlyMission, FLY_MISSION)
+        ros.spin_until(action.server_is_ready)
+        sent = action.send_goal_async(
+            FlyMission.Goal(from_leg=0), feedback_callback=lambda one: told.append(one.feedback)
+        )
+        ros.spin_until(sent.done)
+        sent.result().get_result_async().add_done_callback(lambda end: told.append(end.result()))
+        ros.spin_until(lambda: told)
+        return told[0]
+    finally:
+        ros.close()
+
+
 class Fleet:
     """UAVs whose leader answers, and a client of the operator's interface."""
 

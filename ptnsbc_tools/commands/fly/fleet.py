@@ -90,6 +90,13 @@ def fleet(
             help="Offer the fleet in the types of ptnsbc_interfaces: its state, actions and services.",
         ),
     ] = False,
+    wait: Annotated[
+        bool,
+        typer.Option(
+            "--wait",
+            help="Leave the start to an operator: /formation/start, `ptnsbc mission start 1`, or a goal of --operator.",
+        ),
+    ] = False,
     bag: options.BagOption = None,
     overwrite: options.OverwriteOption = False,
     json: options.JsonOption = False,
@@ -111,6 +118,7 @@ def fleet(
         "overwrite",
         "check",
         "operator",
+        "wait",
     )
     given = {name: context.params[name] for name in names}
     given["namespace"] = options.full_namespace(namespace)

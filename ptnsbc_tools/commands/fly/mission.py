@@ -12,6 +12,7 @@ from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_tools import console, options, ros
 
 _PATIENCE_S = 5.0
+_FIRST = "1"
 
 app = typer.Typer(no_args_is_help=True, help="The legs of a flying fleet: list, start, cancel.")
 
@@ -45,7 +46,13 @@ def list_(
 def start(
     leg: LegArgument, domain: options.DomainOption = None, namespace: options.NamespaceOption = ""
 ) -> None:
-    """Begin a leg half a second from now, wherever the mission is; a leg that cannot be flown from there is refused."""
+    """Begin a leg half a second from now, wherever the mission is; a leg that cannot be flown from there is refused.
+
+    Leg 1 starts a flight that waits for its operator (`ptnsbc fleet --wait`).
+    """
+    if leg == _FIRST:
+        console.say(_answer("start", domain, namespace))
+        return
     legs = _ask("mission", domain, namespace)["legs"]
     known = {one["name"]: one["number"] for one in legs if one["number"] > 1}
     numbers = {str(number): number for number in known.values()}

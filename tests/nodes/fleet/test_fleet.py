@@ -2,6 +2,7 @@
 
 import os
 import signal
+import threading
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from ptnsbc_io import wire
 from ptnsbc_io.bag import BagError, read_bag
 from ptnsbc_nodes.fleet import main
 from ptnsbc_nodes.fleet.fleet import FleetError, FleetOptions, run_fleet
+from ptnsbc_nodes.view.observer import Observer
 from ptnsbc_sim.scenario import load_scenario, scenario_from_text
 from ptnsbc_sim.swarm import fly
 from ptnsbc_tools.replay.rerun import rerun
@@ -222,12 +224,39 @@ def test_who_is_late_is_named(tmp_path):
         run_fleet(options)
 
 
-def test_the_operators_interface_flies_beside_and_ends_with_the_fleet(tmp_path):
+def test_a_fleet_that_waits_flies_its_mission_for_a_client_of_the_operators_interface(
+    ros, tmp_path
+):
+    """The interface ends with the fleet."""
     pytest.importorskip("ptnsbc_interfaces", reason="make setup builds its messages where g++ is")
-    scenario = load_scenario("paper_5", {"timing.duration_s": 1})
-    options = FleetOptions(scenario, lockstep=True, log_dir=tmp_path, operator=True)
-    flown = run_fleet(options)
+    from tests.support.operated_fleet import send_mission
+
+    (tmp_path / "short.yaml").write_text(MISSION)
+    scenario = load_scenario(tmp_path / "short.yaml")
+    said, told = [], []
+
+    def order():
+        domain = int(next(line for line in said if line.startswith("domain "))[7:].split(",")[0])
+        try:
+            with Observer(domain, "", "health") as observer:
+                told.append(observer.ailments(["uav1", "uav6", "sim"], 60.0))
+            told.append(send_mission(type(ros)(domain)).leg)
+        except (AttributeError, TimeoutError):  # the flight has not begun, and would wait for ever
+            os.kill(os.getpid(), signal.SIGINT)
+
+    client = threading.Thread(target=order)
+
+    def progress(line):
+        said.append(line)
+        if line.startswith("all are ready"):
+            client.start()
+
+    options = FleetOptions(scenario, lockstep=True, log_dir=tmp_path, operator=True, wait=True)
+    flown = run_fleet(options, progress)
+    client.join()
+    assert told == [{}, 1]
     assert flown.exit_code == 0
+    assert any(line.endswith("processes are ready: started") for line in said)
     lines = (tmp_path / "operator.log").read_text().splitlines()
     assert lines[0] == "running"
     assert lines[-1].startswith("sent ")

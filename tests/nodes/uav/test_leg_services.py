@@ -46,8 +46,9 @@ def test_an_operator_begins_and_cancels_legs_of_a_sealed_fleet(
     monkeypatch.setenv(KEY_FILE, str(key))
     (tmp_path / "mission.yaml").write_text(MISSION)
     flight = launch(
-        "--scenario", str(tmp_path / "mission.yaml"), "--bag", str(tmp_path / "bag"), domain=domain
-    )
+        "--scenario", str(tmp_path / "mission.yaml"), "--bag", str(tmp_path / "bag"), "--wait",
+        domain=domain,
+    )  # fmt: skip
     now = [0]
     seal = Seal(read_key(key), required=True)
     ends = Endpoints(ros.node("operator"), lockstep=True, seal=seal)
@@ -59,6 +60,10 @@ def test_an_operator_begins_and_cancels_legs_of_a_sealed_fleet(
             [*command, "--domain", str(domain)], capture_output=True, text=True, timeout=200
         )
 
+    flight.wait_for("all are ready")
+    assert now == [0]
+    started = mission("start", "1")
+    assert started.returncode == 0, started.stderr
     ros.spin_until(lambda: now[0] > 0, timeout=200.0)
     begun = mission("start", "gate")
     assert begun.returncode == 0, begun.stderr

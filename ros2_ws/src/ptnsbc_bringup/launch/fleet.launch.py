@@ -35,7 +35,7 @@ from launch_ros.actions import Node
 # [s] from SIGINT to the harder signals: a bridge lands its vehicle, and the recorder completes its bag.
 PATIENCE_S = "300"
 FLAGS = ("true", "false")
-SWITCHES = ("lockstep", "allow_arming", "overwrite", "check", "operator")
+SWITCHES = ("lockstep", "allow_arming", "overwrite", "check", "operator", "wait")
 VALUES = ("backend", "namespace", "duration", "mission", "params_file")
 VIEWERS = {"rviz": "rviz2", "foxglove": "foxglove_bridge"}
 
@@ -69,6 +69,7 @@ def generate_launch_description() -> LaunchDescription:
             flag("overwrite", "replace an existing recording"),
             flag("check", "dry runs before anything starts; a scenario that they miss is refused"),
             flag("operator", "offer the state of the fleet, legs and stop in ptnsbc_interfaces"),
+            flag("wait", "an operator starts the flight, by /formation/start or a goal"),
             flag("rviz", "show the formation"),
             flag(
                 "foxglove",
