@@ -179,6 +179,6 @@ def _operator(namespace: str) -> Permission:
     own.calls("/*")
     own.serves("/formation/*")
     offered = f"rt{namespace}/formation/"
-    own.permission.publish += [f"{offered}state", f"{offered}*/_action/*"]
+    own.permission.publish += [f"{offered}state", f"{offered}announced", f"{offered}*/_action/*"]
     own.permission.subscribe += [f"rt{namespace}/*", "rt/tf", "rt/rosout"]
     return own.permission

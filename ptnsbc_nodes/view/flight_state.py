@@ -207,7 +207,7 @@ class FlightState:
         return {"name": name, "distance": _rounded(distance), "room": _rounded(room)}
 
     def _said(self, uav: int) -> dict[str, Any]:
-        """What the processes of one UAV report: mode, vehicle, battery."""
+        """What the processes of one UAV report: mode, vehicle, battery, order of an operator."""
         own = [s for _, s in self._status.values() if s.name.partition(":")[0] == f"uav{uav}"]
         link = [s for _, s in self._status.values() if s.name.partition(":")[0] == f"bridge{uav}"]
         mode = next((s.values["mode"] for s in own if "mode" in s.values), None)
@@ -219,6 +219,7 @@ class FlightState:
             "step": vehicle.get("step") or None,
             "armed": vehicle["armed"] == "true" if vehicle else None,
             "battery": int(battery) if battery.isdecimal() else None,
+            "order": vehicle.get("order") or None,
         }
 
     def _processes(self) -> list[dict[str, Any]]:

@@ -13,7 +13,7 @@ from typing import Any
 
 import rclpy
 from ptnsbc_interfaces.action import FlyLeg, FlyMission
-from ptnsbc_interfaces.msg import FleetState, UavState
+from ptnsbc_interfaces.msg import Emergency, Epoch, FleetState, Limits, UavState
 from ptnsbc_interfaces.srv import StartLeg, Stop
 from rclpy.action import ActionServer, CancelResponse
 from rclpy.action.server import ServerGoalHandle
@@ -21,12 +21,16 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
+from ptnsbc_io.wire import HeaderFields
 from ptnsbc_io.wire.cdr import split_stamp
+from ptnsbc_nodes.comm import topics
+from ptnsbc_nodes.comm.announcements import decode_leg
 from ptnsbc_nodes.comm.diagnostics import STATUS_HZ
 from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.comm.qos import keep_last
 from ptnsbc_nodes.comm.seal import Seal
-from ptnsbc_nodes.emergency.orders import KILL, LAND, Order, runtime_folder
+from ptnsbc_nodes.comm.vehicle_messages import PlannerLimits, decode_limits, limited
+from ptnsbc_nodes.emergency.orders import APART, KILL, LAND, Order, parse_order, runtime_folder
 from ptnsbc_nodes.fleet.coordinator_node import Coordinator
 from ptnsbc_nodes.fleet.emergency_stop import EmergencyStop
 from ptnsbc_nodes.runtime.executor import make_executor
@@ -35,8 +39,11 @@ from ptnsbc_nodes.view.flight_state import FlightState
 from ptnsbc_nodes.view.goals import Answer, LegGoal, MissionGoal
 from ptnsbc_nodes.view.observer import listen_to_fleet, listen_to_vehicles
 from ptnsbc_sim.scenario import Scenario
+from ptnsbc_sim.scenario.build import agent_config
+from ptnsbc_sim.scenario.mission.legs import CANCEL, leg_names, number_of
 
 STATE = "/formation/state"
+ANNOUNCED = "/formation/announced"
 START_LEG = "/formation/start_leg"
 FLY_LEG = "/formation/fly_leg"
 FLY_MISSION = "/formation/fly_mission"
@@ -47,6 +54,8 @@ _ANSWER_S = 3.0  # of the leader to a call
 _STOP_S = 10.0  # of all bridges
 _LOCAL_S = 0.1  # of the bridges of this host, before the middleware is asked
 _DISCOVERY_S = 1.5
+_MOST_EPOCHS = 64  # that a node which joins late is told
+_ORDERS = {APART: Emergency.APART, LAND: Emergency.LAND, KILL: Emergency.KILL}
 _NOT_HEARD = {"silent": True, "level": 0, "word": "nothing was heard"}
 _SEALED = (
     "security: signed: this interface carries no seal: use `ptnsbc stop` or the commands of ptnsbc"
@@ -66,6 +75,7 @@ class OperatorNode:
         self.flight = FlightState(scenario, time.monotonic)
         self._tolerance_m = float(scenario.file.formation.tolerance_m)
         self._sees_vehicles = False
+        self._configs = {uav: agent_config(scenario, uav) for uav in scenario.uav_ids}
         self._goals: list[LegGoal | MissionGoal] = []  # that are flown
         self._listen = partial(self._endpoints.listen, required=False)
         listen_to_fleet(self._listen, self.flight)
@@ -73,6 +83,10 @@ class OperatorNode:
         self._publish = node.create_publisher(
             FleetState, fleet + STATE, keep_last(10, reliable=True)
         ).publish
+        self._announce = node.create_publisher(
+            Epoch, fleet + ANNOUNCED, keep_last(_MOST_EPOCHS, reliable=True, latched=True)
+        ).publish
+        self._listen(topics.EPOCH, decode_leg, self._on_epoch)
         # A callback of this node waits for answers of the leader: another node's executor receives them.
         self._caller = rclpy.create_node(
             "operator_calls",
@@ -130,9 +144,29 @@ class OperatorNode:
         if self.flight.started and not self._sees_vehicles:
             self._sees_vehicles = True
             listen_to_vehicles(self._listen, self.flight)
+            for uav in self._configs:
+                # As with odometry: before the start its bridge waits for its planner, and for no viewer.
+                self._listen(topics.limits(uav), decode_limits, partial(self._on_limits, uav))
         self._state = self._fleet_state()
         self._publish(self._state)
         self._goals = [goal for goal in self._goals if not goal.look(self._state)]
+
+    def _on_epoch(self, leg: HeaderFields) -> None:
+        number = number_of(leg.frame_id)
+        mission = self.flight.scenario.file.mission
+        names = [] if mission is None else leg_names(mission)
+        epoch = Epoch(leg=leg.frame_id)
+        if number == CANCEL:
+            epoch.leg = CANCEL_SERVICE
+        elif number is not None:
+            if number > len(names):
+                return
+            epoch.leg, epoch.number = names[number - 1], number
+        epoch.epoch.sec, epoch.epoch.nanosec = split_stamp(leg.stamp_ns)
+        self._announce(epoch)
+
+    def _on_limits(self, uav: int, limits: PlannerLimits) -> None:
+        self._configs[uav] = limited(self._configs[uav], *limits)
 
     def _fleet_state(self) -> FleetState:
         frame, leg = self.flight.frame(), self.flight.leg
@@ -164,6 +198,7 @@ class OperatorNode:
         said = said or _NOT_HEARD
         error = one["error"] if in_formation and one["error"] is not None else math.nan
         near, battery = one["near"], one["battery"]
+        limits, order = self._configs[one["id"]].filter, parse_order(one["order"] or "")
         return UavState(
             id=one["id"],
             level=UavState.STALE if said["silent"] else said["level"],
@@ -176,6 +211,11 @@ class OperatorNode:
             vehicle=one["vehicle"] or "",
             armed=bool(one["armed"]),
             battery_percent=-1 if battery is None else min(battery, 100),
+            limits=Limits(speed_m_s=limits.max_speed, acceleration_m_s2=limits.max_acceleration),
+            emergency=Emergency(
+                order=Emergency.NONE if order is None else _ORDERS[order.what],
+                all=order is not None and order.pilots_too,
+            ),
         )
 
     def leader_is_there(self) -> bool:

@@ -6,7 +6,7 @@ import threading
 
 import numpy as np
 from ptnsbc_interfaces.action import FlyLeg, FlyMission
-from ptnsbc_interfaces.msg import FleetState
+from ptnsbc_interfaces.msg import Epoch, FleetState
 from rclpy.action import ActionClient
 from std_srvs.srv import Trigger
 
@@ -14,7 +14,14 @@ from ptnsbc_io.wire import HeaderTemplate, OdometryTemplate
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.diagnostics import DiagnosticLevel, diagnostics
 from ptnsbc_nodes.comm.endpoints import Endpoints
-from ptnsbc_nodes.view.operator_node import FLY_LEG, FLY_MISSION, STATE, OperatorNode
+from ptnsbc_nodes.comm.qos import keep_last
+from ptnsbc_nodes.view.operator_node import (
+    ANNOUNCED,
+    FLY_LEG,
+    FLY_MISSION,
+    STATE,
+    OperatorNode,
+)
 
 T0_S = 100.0
 
@@ -43,6 +50,7 @@ class Fleet:
         self.ros, self.scenario = ros, scenario
         others = ros.node("others")
         ends = Endpoints(others, lockstep=False, seal=seal)
+        self.limits = {uav: ends.publisher(topics.limits(uav), 0) for uav in scenario.uav_ids}
         self.odom = {uav: ends.publisher(topics.odom(uav), 0) for uav in scenario.uav_ids}
         self.status = ends.publisher(topics.DIAGNOSTICS, 1)
         self.epoch = ends.publisher(topics.EPOCH, 1)
@@ -50,11 +58,13 @@ class Fleet:
         self._serve_leader(type(ros)(ros.domain))
         self.operator = OperatorNode(ros.node("operator"), scenario, ros.domain, seal)
         self.client = ros.node("client")
-        self.states, self.feedback = [], []
+        self.states, self.feedback, self.epochs = [], [], []
         self.client.create_subscription(FleetState, STATE, self.states.append, 10)
+        latched = keep_last(10, reliable=True, latched=True)
+        self.client.create_subscription(Epoch, ANNOUNCED, self.epochs.append, latched)
         self.action = ActionClient(self.client, FlyLeg, FLY_LEG)
         self.missions = ActionClient(self.client, FlyMission, FLY_MISSION)
-        self.at_s, self.off = T0_S, {}
+        self.at_s, self.off, self.orders = T0_S, {}, {}  # of the bridges, by UAV
         ready = self.operator.leader_is_there
         ros.spin_until(lambda: not ends.unread() and self.action.server_is_ready() and ready())
         ros.spin_until(self.missions.server_is_ready)
@@ -96,6 +106,9 @@ class Fleet:
             if uav not in silent:
                 told = {"ready": "true", "waiting_for": "", "mode": "form"}
                 self.status(diagnostics(0, f"uav{uav}: planner", DiagnosticLevel.OK, "", told))
+        for uav, order in self.orders.items():
+            link = {"armed": "true", "mode": "OFFBOARD", "order": order}
+            self.status(diagnostics(0, f"bridge{uav}: vehicle", DiagnosticLevel.OK, "", link))
 
     def spin_until_told(self, condition, seconds, **more):
         def told():

@@ -107,6 +107,11 @@ def test_a_mission_begins_at_a_leg_and_ends_when_it_is_cancelled(with_mission):
     assert answer.status == GoalStatus.STATUS_ABORTED
     assert answer.result.message == "the mission was cancelled"
     assert [(one.number, one.outcome) for one in answer.result.legs] == [(4, LegOutcome.CUT_SHORT)]
+    fleet.announce("mission 9", 14.0)  # there are six
+    fleet.announce("hold", 15.0)
+    fleet.ros.spin_until(lambda: fleet.epochs and fleet.epochs[-1].leg == "hold")
+    told = [(one.leg, one.number) for one in fleet.epochs]
+    assert told == [("form", 0), ("circle", 4), ("cancel", 0), ("hold", 0)]
 
 
 def test_a_client_cancels_the_mission(with_mission):

@@ -9,10 +9,11 @@ pytest.importorskip("rclpy")
 pytest.importorskip("ptnsbc_interfaces", reason="make setup builds its messages where g++ is")
 
 from action_msgs.msg import GoalStatus
-from ptnsbc_interfaces.msg import UavState
+from ptnsbc_interfaces.msg import Emergency, UavState
 from ptnsbc_interfaces.srv import StartLeg, Stop
 
 from ptnsbc_nodes.comm.seal import Seal
+from ptnsbc_nodes.comm.vehicle_messages import PlannerLimits, encode_limits
 from ptnsbc_nodes.view.operator_node import (
     EMERGENCY_STOP,
     START_LEG,
@@ -76,6 +77,35 @@ def test_before_the_first_leg_there_is_no_error(fleet):
     assert math.isnan(state.worst_error_m)
 
 
+def test_the_limits_are_those_of_the_scenario_or_of_a_vehicle_with_lower_ones(fleet, scenario):
+    fleet.announce("form")
+    fleet.limits[2](encode_limits(PlannerLimits(1.5, 1e3)))
+    fleet.spin_until_told(
+        lambda: fleet.states and fleet.states[-1].uavs[1].limits.speed_m_s == 1.5, 1.0
+    )
+    told = {uav.id: uav.limits for uav in fleet.states[-1].uavs}
+    most = scenario.gains.filter.max_acceleration_m_s2
+    assert told[1].speed_m_s == scenario.max_speed_m_s(1)
+    assert (told[1].acceleration_m_s2, told[2].acceleration_m_s2) == (most, most)
+
+
+def test_the_order_that_a_bridge_obeys_is_told(fleet):
+    fleet.orders.update({2: "land", 3: "kill all", 4: "apart", 5: "rubbish"})
+    expected = [
+        (Emergency.NONE, False),
+        (Emergency.LAND, False),
+        (Emergency.KILL, True),
+        (Emergency.APART, False),
+        (Emergency.NONE, False),
+    ]
+
+    def told():
+        found = fleet.states[-1].uavs if fleet.states else []
+        return [(one.emergency.order, one.emergency.all) for one in found]
+
+    fleet.spin_until_told(lambda: told() == expected, 0.0)
+
+
 def test_a_leg_is_flown_to_its_predefined_time(fleet):
     goal, result = fleet.goal("start")
     assert goal.accepted
@@ -127,7 +157,11 @@ def test_another_leg_ends_the_goal(fleet):
     fleet.announce("form")
     fleet.spin_until_told(lambda: fleet.feedback, 1.0)
     fleet.announce("land", 2.0)
-    fleet.spin_until_told(result.done, 2.5)
+    fleet.spin_until_told(lambda: result.done() and len(fleet.epochs) == 2, 2.5)
+    assert [(one.epoch.sec, one.leg, one.number) for one in fleet.epochs] == [
+        (round(T0_S), "form", 0),
+        (round(T0_S) + 2, "land", 0),
+    ]
     assert result.result().result.message == "another leg has begun: land"
 
 
