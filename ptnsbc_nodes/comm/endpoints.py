@@ -25,6 +25,7 @@ from ptnsbc_nodes.comm.topics import TF, Role, Topic, message_class
 _LATCHED = qos.keep_last(64, reliable=True, latched=True)
 
 _LOCKSTEP_HISTORY = 1000
+_LOCKSTEP_STATUSES = 100  # of what is published 5 times a second: the sim is at most 80 of them ahead of the recorder
 # With a queue of one the messages of an outsider would push out the true one before it is taken.
 _SEALED_STATE = qos.keep_last(32, reliable=False)
 _SENT = "sent "
@@ -248,7 +249,10 @@ class Endpoints:
         if self._lockstep and topic.role is not Role.LATCHED:
             # The lock-step rule keeps all nodes within a few ticks, but not the recorder: messages that its
             # socket drops in a burst must still be there when it asks for them again.
-            return QoSProfile(depth=_LOCKSTEP_HISTORY, reliability=profile.reliability)
+            # A history fills up slowly with rare messages, and those of RViz are large.
+            rare = topic.rate == topics.STATUS_RATE
+            depth = _LOCKSTEP_STATUSES if rare else _LOCKSTEP_HISTORY
+            return QoSProfile(depth=depth, reliability=profile.reliability)
         return profile
 
     def _requested(self, topic: Topic) -> QoSProfile:

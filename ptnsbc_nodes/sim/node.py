@@ -38,6 +38,7 @@ from ptnsbc_sim.world import World
 
 _LEAD_TICKS = 400  # well below the depth of the queues to the recorder, which is 1000
 _LEAD_STATUSES = 800  # the same for the queue of /diagnostics, which all processes share
+_OWN_STATUSES = 80  # the same for what one process publishes 5 times a second, whose depth is 100
 _LEAST_LEAD_TICKS = 50  # more than from one word of the recorder to the next
 
 
@@ -226,7 +227,7 @@ def _lead_ticks(scenario: Scenario) -> int:
     """Lock-step: ticks that the sim may be ahead of what the recorder has received."""
     every = status_every(scenario)
     statuses = _LEAD_STATUSES * every // (1 + len(scenario.uav_ids))
-    return max(min(_LEAD_TICKS, statuses), 2 * every + _LEAST_LEAD_TICKS)
+    return max(min(_LEAD_TICKS, statuses, _OWN_STATUSES * every), 2 * every + _LEAST_LEAD_TICKS)
 
 
 class _RecorderBacklog:
