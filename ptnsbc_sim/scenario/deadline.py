@@ -86,7 +86,9 @@ def _motion(file: ScenarioFile) -> tuple[float, float]:
     leader, changes = leader_motion(file), file.formation.changes
     if not moves(file.formation) or not file.formation.offsets_m:
         return leader
-    first = next((one.at_s for one in changes if one.at_s > 0.0), file.timing.duration_s)
+    begins = [one.at_s for one in changes if one.at_s > 0.0]
+    begins += [one.begin_s for one in getattr(file.leader.trajectory, "apart", ())]
+    first = min(begins, default=file.timing.duration_s)
     places = _places_motion(file, 0.0, first)
     return max(leader[0], places[0]), max(leader[1], places[1])
 

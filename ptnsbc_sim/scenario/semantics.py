@@ -176,7 +176,10 @@ def _parents(file: ScenarioFile) -> Problems:
         (formation.task == "relative_position", "formation.task: relative_position"),
         (formation.vacancy == "wait", "formation.vacancy: wait"),
         (formation.assignment == "fixed", "formation.assignment: fixed"),
-        (not (shapes.moves(formation) or _changes_shape(file)), "a shape that does not move"),
+        (
+            not (shapes.moves(formation) or legs.moves_shape(file.mission)),
+            "a shape that does not move",
+        ),
         (formation.sight_m == 0.0, "formation.sight_m: 0"),
         (not (file.law or file.plugins.task), "no law and no task of the user"),
     )
@@ -303,8 +306,7 @@ def _law(file: ScenarioFile) -> Problems:
     law, task = file.law, file.plugins.task
     formation = file.formation
     fixed = formation.assignment == "fixed" and formation.frame == "world"
-    legs = () if file.mission is None else file.mission.legs
-    changes = formation.changes or [leg for leg in legs if leg.kind == "change"]
+    changes = formation.changes or legs.moves_shape(file.mission)
     if (law or task) and not (fixed and not changes):
         key, what = (f"law: {law}", "law") if law else (f"plugins.task: {task}", "task")
         yield (
@@ -332,7 +334,7 @@ def _membership(file: ScenarioFile) -> Problems:
         (formation.approach == "planned", "formation.approach: planned"),
         (formation.assignment == "fixed", "formation.assignment: fixed"),
         (not shapes.moves(formation), "a shape that does not move"),
-        (file.mission is None or not _changes_shape(file), "a mission without legs of kind change"),
+        (not legs.moves_shape(file.mission), "a mission without legs of kind change or split"),
         (formation.sight_m == 0.0, "formation.sight_m: 0"),
         (file.leader.trajectory.kind != "stream", "a trajectory that all UAVs know"),
         (
@@ -355,10 +357,6 @@ def _comings(file: ScenarioFile) -> Problems:
             yield f"uavs[{index}].joins_s: expected none for the leader, around which the others form"
         if uav.joins_s is not None and uav.leaves_s is not None and uav.leaves_s <= uav.joins_s:
             yield f"uavs[{index}].leaves_s: {uav.leaves_s:g}: expected more than joins_s, {uav.joins_s:g}"
-
-
-def _changes_shape(file: ScenarioFile) -> bool:
-    return any(leg.kind == "change" for leg in file.mission.legs) if file.mission else False
 
 
 def _faults(file: ScenarioFile) -> Problems:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,13 +11,9 @@ from numpy.typing import NDArray
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.mission.legs import (
-    ChangeLeg,
-    FollowLeg,
     FormLeg,
-    GoToLeg,
-    HoldLeg,
     LandLeg,
-    ScheduledLeg,
+    is_cut_short,
 )
 from ptnsbc_sim.scenario.mission.membership import NEVER_NS
 from ptnsbc_sim.verdict.coverage import Coverage, first_bad_s, incomplete, silent_from_s
@@ -288,16 +284,6 @@ class ErrorFigures:
     def rmse_after(self) -> float | None:
         """Root mean square after the deadline, outside encounters."""
         return float(np.sqrt(self._squares / self._after)) if self._after else None
-
-
-def is_cut_short(legs: Sequence[ScheduledLeg], one: ScheduledLeg) -> bool:
-    """Whether a later leg took the place of this one before it was due: an operator said so."""
-    shapes = isinstance(one.leg, ChangeLeg)
-    return any(
-        one.begin_s < later.begin_s < one.due_s
-        and isinstance(later.leg, ChangeLeg if shapes else FollowLeg | GoToLeg | HoldLeg)
-        for later in legs
-    )
 
 
 def _dues(scenario: Scenario) -> list[tuple[int, str, float]]:

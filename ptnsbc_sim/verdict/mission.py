@@ -8,8 +8,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ptnsbc_sim.scenario.mission.legs import CANCEL, FormLeg, LandLeg, ScheduledLeg
-from ptnsbc_sim.verdict.deadline import MET, MISSED, VIOLATED, VOID, UavVerdict, is_cut_short
+from ptnsbc_sim.scenario.mission.legs import (
+    CANCEL,
+    FormLeg,
+    LandLeg,
+    ScheduledLeg,
+    is_cut_short,
+)
+from ptnsbc_sim.verdict.deadline import MET, MISSED, VIOLATED, VOID, UavVerdict
 from ptnsbc_sim.verdict.recording import NANO, Recording
 from ptnsbc_sim.verdict.separation import Separation
 

@@ -114,6 +114,20 @@ def test_a_mission_is_flown_leg_by_leg(plant: str) -> None:
     assert [leg.due_s for leg in verdict.mission] == [7.0, 17.0, 24.0, 30.0, 40.0, 59.0]
 
 
+@pytest.mark.parametrize("plant", PLANTS)
+def test_a_formation_splits_and_joins_again(plant: str) -> None:
+    """Each group on a trajectory of its own, far apart, and all in one shape at the end."""
+    flown = flight("split_join", plant, load_scenario("split_join").duration_s)
+    verdict = verdict_on(recording_of(flown))
+    assert verdict.verdict == MET
+    assert [leg.kind for leg in verdict.mission] == [
+        "form", "follow", "split", "change", "join", "hold",
+    ]  # fmt: skip
+    assert max(leg.error_m or 0.0 for leg in verdict.mission) < 0.02
+    apart = flown.track.odometry[3500, [2, 4, 5, 6], :3] - flown.track.odometry[3500, 0, :3]
+    assert np.linalg.norm(apart, axis=1).min() > 10.0
+
+
 def test_twenty_start_and_form_as_the_file_says() -> None:
     scenario = load_scenario("paper_20")
     starts = np.array([scenario.uav(uav).position for uav in scenario.uav_ids])

@@ -15,7 +15,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 from pydantic import BeforeValidator, Field
 from pydantic_core import PydanticCustomError
 
-from ptnsbc_sim.scenario.fields import Block, Name, NotNegative, Number, Positive, Vec3
+from ptnsbc_sim.scenario.fields import Block, Name, NotNegative, Number, Positive, UavId, Vec3
 from ptnsbc_sim.scenario.mission import trajectories
 from ptnsbc_sim.scenario.mission.shapes import Change, Reshaping, ShapeBlock
 from ptnsbc_sim.scenario.mission.trajectories import TrajectoryBlock
@@ -113,6 +113,29 @@ class HoldLeg(LegBlock):
     """Duration: by then it is at rest."""
 
 
+class SplitLeg(LegBlock):
+    """A part of the formation leaves with a trajectory of its own."""
+
+    kind: Literal["split"]
+    """A group of followers leaves with a trajectory of its own, while the leader goes on as in the leg before."""
+    over_s: Span
+    """Duration: by then the group is on its trajectory. It stays on it until it joins."""
+    head: UavId
+    """The follower that leads the group. The group is this UAV and all below it in `communication.tree`."""
+    trajectory: TrajectoryBlock
+    """Trajectory of the head, one of the kinds of `leader.trajectory`. Its time counts from the begin of the leg. The
+    others of the group keep their places beside the head; heading is that of the leader."""
+
+
+class JoinLeg(LegBlock):
+    """The group that has left comes back."""
+
+    kind: Literal["join"]
+    """The group that has left comes back to its places beside the leader."""
+    over_s: Span
+    """Duration: by then every UAV is in its place."""
+
+
 class LandLeg(LegBlock):
     """All UAVs descend over their places."""
 
@@ -125,7 +148,7 @@ class LandLeg(LegBlock):
 
 
 AnyLeg = Annotated[
-    FormLeg | ChangeLeg | FollowLeg | GoToLeg | HoldLeg | LandLeg,
+    FormLeg | ChangeLeg | FollowLeg | GoToLeg | HoldLeg | SplitLeg | JoinLeg | LandLeg,
     Field(discriminator="kind"),
 ]
 
@@ -234,6 +257,11 @@ def _run(mission: Mission, deadline_s: float, first: int, begin_s: float) -> Ite
         yield ScheduledLeg(index + 1, names[index], leg, begin_s, due_s, end_s)
 
 
+def moves_shape(mission: Mission | None) -> bool:
+    """Whether a leg of the mission moves places beside the leader."""
+    return any(isinstance(leg, ChangeLeg | SplitLeg) for leg in (mission.legs if mission else ()))
+
+
 def scheduled_changes(mission: Mission, legs: Sequence[ScheduledLeg]) -> tuple[Change, ...]:
     """The legs that change the shape, as changes at their times.
 
@@ -242,7 +270,7 @@ def scheduled_changes(mission: Mission, legs: Sequence[ScheduledLeg]) -> tuple[C
     """
     keys = Reshaping.model_fields
     nothing = Change.model_construct(at_s=0.0, over_s=0.1)
-    first = (nothing,) if any(isinstance(leg, ChangeLeg) for leg in mission.legs) else ()
+    first = (nothing,) if moves_shape(mission) else ()
     return first + tuple(
         Change.model_construct(at_s=one.begin_s, **{key: getattr(one.leg, key) for key in keys})
         for one in legs
@@ -253,6 +281,21 @@ def scheduled_changes(mission: Mission, legs: Sequence[ScheduledLeg]) -> tuple[C
 def leader_legs(legs: Sequence[ScheduledLeg]) -> tuple[ScheduledLeg, ...]:
     """The legs that move the leader."""
     return tuple(one for one in legs if isinstance(one.leg, FollowLeg | GoToLeg | HoldLeg))
+
+
+_SAME_PATH = ((ChangeLeg,), (FollowLeg, GoToLeg, HoldLeg), (SplitLeg, JoinLeg))
+"""The kinds of legs that move the same places: one of them takes the place of another one."""
+
+
+def is_cut_short(legs: Sequence[ScheduledLeg], one: ScheduledLeg) -> bool:
+    """Whether a later leg took the place of this one before it was due: an operator said so."""
+    kinds = next((kinds for kinds in _SAME_PATH if isinstance(one.leg, kinds)), ())
+    stops = isinstance(one.leg, SplitLeg)  # a group that has left comes to rest with the leader
+    return any(
+        one.begin_s < later.begin_s < one.due_s
+        and (isinstance(later.leg, kinds) or (stops and later.number == CANCEL))
+        for later in legs
+    )
 
 
 def landing_s(legs: Sequence[ScheduledLeg]) -> float | None:
@@ -269,10 +312,10 @@ def problems(file: Any) -> Iterator[str]:
         yield "formation.changes: expected none beside mission.legs: a leg of kind change does the same"
     if file.formation.approach != "planned":
         yield f"formation.approach: {file.formation.approach}: expected planned for a mission"
-    reshaped = any(isinstance(leg, ChangeLeg) for leg in mission.legs)
-    if reshaped and file.formation.task != "relative_position":
+    if moves_shape(mission) and file.formation.task != "relative_position":
         yield (
-            f"formation.task: {file.formation.task}: expected relative_position for a mission that changes the shape"
+            f"formation.task: {file.formation.task}: expected relative_position for a mission that changes "
+            "the shape or splits"
         )
     if file.law is not None:
         yield f"law: {file.law}: expected none beside a mission"
@@ -312,9 +355,33 @@ def _kinds(mission: Mission, file: Any) -> Iterator[str]:
             yield f"{where}: expected no at_s, at or on: the first leg begins with the first epoch"
         if isinstance(leg, LandLeg) and index + 1 < len(mission.legs):
             yield f"{where}.kind: land: expected no leg after it"
-        if isinstance(leg, FollowLeg):
-            for problem in trajectories.problems(leg.trajectory):
-                yield f"{where}.trajectory.{problem}"
-        if isinstance(leg, ChangeLeg):
-            for uav in sorted(set(followers).symmetric_difference(leg.offsets_m or followers)):
-                yield f"{where}.offsets_m.{uav}: expected an offset of each follower {followers}, and of no other UAV"
+        for problem in _content(leg, followers):
+            yield f"{where}.{problem}"
+        if isinstance(leg, SplitLeg):
+            for problem in _beside_split(mission, file.formation):
+                yield f"{where}.kind: split: {problem}"
+
+
+def _content(leg: Any, followers: list[int]) -> Iterator[str]:
+    """What is wrong with a leg by itself."""
+    if isinstance(leg, FollowLeg | SplitLeg):
+        for problem in trajectories.problems(leg.trajectory):
+            yield f"trajectory.{problem}"
+    if isinstance(leg, SplitLeg) and leg.head not in followers:
+        yield f"head: {leg.head}: expected one of the followers {followers}"
+    if isinstance(leg, ChangeLeg):
+        for uav in sorted(set(followers).symmetric_difference(leg.offsets_m or followers)):
+            yield f"offsets_m.{uav}: expected an offset of each follower {followers}, and of no other UAV"
+
+
+def _beside_split(mission: Mission, formation: Any) -> Iterator[str]:
+    """What a mission with a leg of kind split may not have."""
+    turned = any(isinstance(leg, ChangeLeg) and leg.rotation_rad for leg in mission.legs)
+    expected = (
+        (formation.frame == "world", "formation.frame: world"),
+        (formation.assignment == "fixed", "formation.assignment: fixed"),
+        (not turned, "no leg of kind change with rotation_rad"),
+    )
+    for holds, what in expected:
+        if not holds:
+            yield f"expected {what}"

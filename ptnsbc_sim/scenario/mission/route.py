@@ -8,7 +8,8 @@ has knots on it: between knots 1/16 of a half turn apart, a circle is met to 1e-
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,15 +19,18 @@ from ptnsbc_core.curves.piecewise import COEFFICIENTS
 from ptnsbc_core.curves.trajectory import course_samples
 from ptnsbc_core.types import HEADING_TABLE, TRAJECTORY_PIECEWISE, Array, Trajectory
 from ptnsbc_sim.scenario.mission.legs import (
+    CANCEL,
     FollowLeg,
     GoToLeg,
+    JoinLeg,
     ScheduledLeg,
+    SplitLeg,
     Word,
     leader_legs,
     schedule,
     scheduled_changes,
 )
-from ptnsbc_sim.scenario.mission.shapes import hermite
+from ptnsbc_sim.scenario.mission.shapes import Apart, hermite, place_rows, summed
 from ptnsbc_sim.scenario.mission.trajectories import (
     NO_TABLE,
     Circle,
@@ -60,14 +64,66 @@ def with_legs(file: Any, words: Sequence[Word] = ()) -> Any:
     first = path.first if isinstance(path, Route) else path
     route = route_of(first, leader_legs(legs), file.timing.duration_s + _MARGIN_S)
     if route is None:
-        raise ValueError(
-            f"mission.legs: the path of the leader takes more than {MOST_KNOTS} polynomials: expected a shorter "
-            "timing.duration_s, or fewer points"
-        )
+        raise ValueError(_too_many("leader"))
     changes = scheduled_changes(file.mission, legs)
     formation = file.formation.model_copy(update={"changes": changes})
-    leader = file.leader.model_copy(update={"trajectory": route})
-    return file.model_copy(update={"leader": leader, "formation": formation})
+    file = file.model_copy(update={"formation": formation})
+    route = replace(route, apart=tuple(_apart(file, route, legs)))
+    return file.model_copy(update={"leader": file.leader.model_copy(update={"trajectory": route})})
+
+
+def _too_many(whose: str) -> str:
+    return (
+        f"mission.legs: the path of the {whose} takes more than {MOST_KNOTS} polynomials: expected a shorter "
+        "timing.duration_s, or fewer points"
+    )
+
+
+def _spans(legs: Sequence[ScheduledLeg]) -> list[list[ScheduledLeg]]:
+    """The legs that move each group: the one with which it leaves, those with which it rests, the one of its return.
+
+    Raises:
+        ValueError: a leg that does not fit where it begins.
+    """
+    spans: list[list[ScheduledLeg]] = []
+    for one in legs:
+        apart = bool(spans) and not isinstance(spans[-1][-1].leg, JoinLeg)
+        if isinstance(one.leg, SplitLeg):
+            if apart:
+                raise ValueError(f"mission.legs: {one.name}: expected a leg of kind join before it")
+            spans.append([one])
+        elif isinstance(one.leg, JoinLeg):
+            if not apart:
+                raise ValueError(
+                    f"mission.legs: {one.name}: expected a leg of kind split before it"
+                )
+            spans[-1].append(one)
+        elif one.number == CANCEL and apart:
+            spans[-1].append(one)
+    return spans
+
+
+def _apart(file: Any, route: Route, legs: Sequence[ScheduledLeg]) -> Iterator[Apart]:
+    """The groups that leave, and by what their places are displaced meanwhile: the path of the head less its place.
+
+    A group comes back by a displacement that ends at rest, so it does not matter what the leader does meanwhile.
+    """
+    for span in _spans(legs):
+        first, last = span[0], span[-1]
+        back = last if isinstance(last.leg, JoinLeg) else None
+        place = summed(route.curve.table, place_rows(file, first.leg.head))
+        path = _through(place, span[:-1] if back else span, route.until_s)
+        if path is None:
+            raise ValueError(_too_many("group"))
+        beside = summed(path, place, -1.0)
+        beside = beside[beside[:, 0] > first.begin_s - _APART_S]
+        if back is not None:
+            beside = beside[beside[:, 0] < back.begin_s - _APART_S]
+            now = course_samples(_curve(beside), np.array([back.begin_s]))[0]
+            knots = [_Knot(back.begin_s, now, 4), _Knot(back.due_s, np.zeros(15), 4)]
+            beside = np.concatenate([beside, _rows(knots)])
+        rows = np.concatenate([np.zeros((1, beside.shape[1])), beside])
+        yield Apart(first.leg.head, first.begin_s, rows[:, : 1 + 3 * COEFFICIENTS])
 
 
 class _Knot(NamedTuple):
@@ -84,23 +140,26 @@ def route_of(first: Any, legs: tuple[ScheduledLeg, ...], until_s: float) -> Rout
     What is flown before a leg begins does not depend on that leg, to the last bit: a UAV may hear of it late.
     """
     knots = _follow(first, 0.0, 0.0, until_s)
-    rows = None if knots is None else _rows(knots)
+    rows = None if knots is None else _through(_rows(knots), legs, until_s)
+    return None if rows is None else Route(first, legs, until_s, _curve(rows))
+
+
+def _through(rows: Array, legs: Sequence[ScheduledLeg], until_s: float) -> Array | None:
+    """A path that goes on by these legs; None when it takes too many polynomials."""
     for leg in legs:
-        if rows is None:
-            return None
         rows = rows[rows[:, 0] < leg.begin_s - _APART_S]
         now = course_samples(_curve(rows), np.array([leg.begin_s]))[0]
         knots = _flown(leg, now, until_s)
         if knots is None or len(rows) + len(knots) > MOST_KNOTS:
             return None
         rows = np.concatenate([rows, _rows([_Knot(leg.begin_s, now, 4), *knots])])
-    return None if rows is None else Route(first, legs, until_s, _curve(rows))
+    return rows
 
 
 def _flown(one: ScheduledLeg, now: Array, until_s: float) -> list[_Knot] | None:
     """The knots of a leg that begins in a state (15,)."""
     leg = one.leg
-    if isinstance(leg, FollowLeg):
+    if isinstance(leg, FollowLeg | SplitLeg):
         joined = _follow(leg.trajectory, one.begin_s, leg.over_s, until_s)
         if joined is not None:
             turn = _nearest_turn(joined[0].state[_YAW], now[_YAW])

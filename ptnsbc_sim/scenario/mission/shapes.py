@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache
 from itertools import pairwise
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,12 @@ from ptnsbc_sim.scenario.fields import Block, Number, UavId, Vec3, three
 from ptnsbc_sim.scenario.reader import MOST_SAMPLES
 
 _RISE = (-20.0, 70.0, -84.0, 35.0)  # h of the time base, the powers 7 to 4
+_BINOMIALS = np.array(
+    [
+        [math.comb(k, j) for j in reversed(range(COEFFICIENTS))]
+        for k in reversed(range(COEFFICIENTS))
+    ]
+)
 
 
 Factor = Annotated[Number, Field(ge=-1000, le=1000)]
@@ -192,7 +198,65 @@ def shape_of(file: Any, uav: int) -> Shape:
     own, above = _stages(formation, uav), _stages(formation, parent)
     turns = [0.0, *(change.rotation_rad for change in formation.changes)]
     stages = np.concatenate([own, above, np.array(turns)[:, None]], axis=1)
-    return Shape(True, formation.frame == "heading", _table(formation.changes, stages))
+    table = _table(formation.changes, stages)
+    for one in getattr(file.leader.trajectory, "apart", ()):
+        group = _branch(file.communication.tree, one.head)
+        which = [at for at, who in enumerate((uav, parent)) if who in group]
+        table = _displaced(table, one.rows, which)
+    return Shape(True, formation.frame == "heading", table)
+
+
+class Apart(NamedTuple):
+    """A group that leaves the formation for a while."""
+
+    head: int  # it and all UAVs below it in the tree are the group
+    begin_s: float  # when it leaves [s]
+    rows: Array  # (K, 25) by what its places are displaced, three channels
+
+
+def _branch(tree: Mapping[int, int], head: int) -> set[int]:
+    """A UAV and all below it in the tree."""
+    found = {head}
+    while more := {uav for uav, above in tree.items() if above in found} - found:
+        found |= more
+    return found
+
+
+def _displaced(table: Array, rows: Array, which: list[int]) -> Array:
+    """A table of places, those of the UAV (0) or of its parent (1) displaced."""
+    if not which:
+        return table
+    times = np.union1d(table[:, 0], rows[:, 0])
+    table, rows = at_knots(table, times), at_knots(rows, times)
+    width = rows.shape[1] - 1
+    for at in which:
+        table[:, 1 + width * at : 1 + width * (at + 1)] += rows[:, 1:]
+    return table
+
+
+def place_rows(file: Any, uav: int) -> Array:
+    """Polynomials (K, 25) of the place of a UAV in the axes of the shape, without what groups are displaced by."""
+    return _table(file.formation.changes, _stages(file.formation, uav))
+
+
+def at_knots(table: Array, times: Array) -> Array:
+    """The same polynomials with a row at each of the times (K,), among which all of its own are."""
+    rows = np.maximum(np.searchsorted(table[:, 0], times, side="right") - 1, 0)
+    since = (times - table[rows, 0])[:, None, None]
+    given = table[rows, 1:].reshape(len(times), -1, COEFFICIENTS)
+    power = np.arange(COEFFICIENTS)[::-1]  # of each coefficient
+    rise = power[:, None] - power[None, :]  # from a new power to that of a given one
+    shift = np.where(rise >= 0, _BINOMIALS * since ** np.maximum(rise, 0), 0.0)
+    moved = (given[:, :, :, None] * shift[:, None]).sum(axis=2)
+    return np.column_stack([times, moved.reshape(len(times), -1)])
+
+
+def summed(one: Array, other: Array, sign: float = 1.0) -> Array:
+    """A table with `sign` times the first three channels of another one added to its own, at the knots of both."""
+    times, width = np.union1d(one[:, 0], other[:, 0]), 1 + 3 * COEFFICIENTS
+    found = at_knots(one, times)
+    found[:, 1:width] += sign * at_knots(other[:, :width], times)[:, 1:]
+    return found
 
 
 def _stages(formation: Any, uav: int | None) -> Array:
@@ -207,27 +271,27 @@ def _stages(formation: Any, uav: int | None) -> Array:
 
 
 def _table(changes: tuple[Change, ...], stages: Array) -> Array:
-    """Polynomials from stage to stage (1 + C, 7): at rest, then by h of the time base, then at rest again.
+    """Polynomials from stage to stage (1 + C, K): at rest, then by h of the time base, then at rest again.
 
     A change that begins before the last one is done goes on from where that is, by a polynomial with the same
     derivatives there.
     """
-    rows = [_row(0.0, stages[0], np.zeros(CHANNELS), 1.0)]
+    rows = [_row(0.0, stages[0], np.zeros_like(stages[0]), 1.0)]
     for change, (before, after) in zip(changes, pairwise(stages), strict=True):
         if change.at_s < rows[-1][0]:
             rows[-1] = _moving_row(rows[-2], change, after)
         else:
             rows.append(_row(change.at_s, before, after - before, change.over_s))
-        rows.append(_row(change.at_s + change.over_s, after, np.zeros(CHANNELS), 1.0))
+        rows.append(_row(change.at_s + change.over_s, after, np.zeros_like(after), 1.0))
     return np.array(rows)
 
 
 def _moving_row(last: Array, change: Change, after: Array) -> Array:
     """The row of a change that begins in the middle of row `last`."""
-    row = np.zeros(1 + COEFFICIENTS * CHANNELS)
+    row = np.zeros_like(last)
     row[0] = change.at_s
     times = np.array([change.at_s, change.at_s + change.over_s])
-    for channel in range(CHANNELS):
+    for channel in range(len(after)):
         at = slice(1 + COEFFICIENTS * channel, 1 + COEFFICIENTS * (channel + 1))
         whole = np.poly1d(last[at])
         now = [whole.deriv(k)(change.at_s - last[0]) for k in range(4)]
@@ -236,9 +300,9 @@ def _moving_row(last: Array, change: Change, after: Array) -> Array:
 
 
 def _row(begin: float, first: Array, step: Array, over: float) -> Array:
-    row = np.zeros(1 + COEFFICIENTS * CHANNELS)
+    row = np.zeros(1 + COEFFICIENTS * len(step))
     row[0] = begin
-    for channel in range(CHANNELS):
+    for channel in range(len(step)):
         at = 1 + COEFFICIENTS * channel
         for k, factor in enumerate(_RISE):
             row[at + k] = factor * step[channel] / over ** (7 - k)

@@ -171,6 +171,9 @@ class Route:
     legs: tuple[Any, ...]  # those that move the leader, with their times
     until_s: float  # the curve ends there
     curve: Trajectory = field(compare=False)
+    apart: tuple[Any, ...] = field(
+        default=(), compare=False
+    )  # the groups that leave it for a while
 
 
 class Samples(NamedTuple):

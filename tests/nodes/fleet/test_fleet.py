@@ -51,7 +51,9 @@ mission:
   legs:
     - {kind: form, over_s: 4}
     - {kind: follow, over_s: 1, trajectory: {kind: circle, centre_m: [0, 0, 4], radius_m: 1, rate_rad_s: 0.2}}
-    - {kind: change, at_s: 5, over_s: 0.4, scale: [1.1, 1, 1]}
+    - {kind: split, at_s: 5, over_s: 0.2, head: 3, trajectory: {kind: hover, position_m: [-1, -1, 4]}}
+    - {kind: change, over_s: 0.1, scale: [1.1, 1, 1]}
+    - {kind: join, over_s: 0.1}
     - {kind: land, at_s: 5.41, over_s: 10}
 """
 
