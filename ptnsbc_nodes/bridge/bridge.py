@@ -41,6 +41,7 @@ WANTED_MESSAGES = frozenset(
 _ANGLES = frozenset({mavlink.MAVLINK_MSG_ID_ATTITUDE})
 _STREAMED_S = 0.1
 _DUPLICATE_S = 3.0
+_HELD_S = 2.0  # statuses come five times a second
 _APART_M = 0.4  # from the height of its layer
 _LOWEST_M = 1.5  # of a layer above the world's ground
 _ON_GROUND_M = 0.5
@@ -238,6 +239,7 @@ class Bridge:
             state_fault=self.state_publisher.fault(now_s),
             controller_age_s=self.controller.age_s(now_s),
             controller_ready=inputs.controller_ready,
+            controller_held=now_s - inputs.controller_held_s < _HELD_S,
             mode=vehicle.mode,
             mode_name=vehicle.mode_name,
             armed=vehicle.armed,

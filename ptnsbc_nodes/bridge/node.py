@@ -313,7 +313,10 @@ class BridgeNode:
         """Before arming: whether the UAV process has everything it needs."""
         for status in array.statuses if array is not None else ():
             if status.name == self._planner:
-                self.bridge.ports.inputs.controller_ready = status.values.get("ready") == "true"
+                ports, values = self.bridge.ports, status.values
+                ports.inputs.controller_ready = values.get("ready") == "true"
+                if INACTIVE in values.get("waiting_for", "").split():
+                    ports.inputs.controller_held_s = ports.clocks.steady_s()
             elif status.name.startswith(_BRIDGE) and status.name.endswith(_LINK):
                 number = status.name.removeprefix(_BRIDGE).removesuffix(_LINK)
                 self._on_companion(number, status.values)

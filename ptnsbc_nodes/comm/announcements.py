@@ -4,18 +4,26 @@ from __future__ import annotations
 
 import json
 import re
+import time
 from collections.abc import Callable, Collection
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from ptnsbc_core.types import LEGS
 from ptnsbc_io.wire import HeaderFields, HeaderTemplate, WireError, decode_header
+from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.topics import RECORDER, SIM
 from ptnsbc_nodes.emergency.orders import Order, parse_order
 from ptnsbc_sim.scenario.mission.faults import FaultBlock, fault_problems
 from ptnsbc_sim.scenario.mission.legs import number_of
 
+if TYPE_CHECKING:
+    from ptnsbc_nodes.comm.endpoints import Endpoints
+
 _PROCESS = re.compile(rf"(uav|bridge)([1-9][0-9]{{0,5}})|{RECORDER}|{SIM}", re.ASCII)
 _SHOWN = 40
+_PERMIT_S = 5.0
+ARM_SERVICE = "arm"
+"""Of the launcher, below /formation; all others are the leader's."""
 
 
 class LostProcess(NamedTuple):
@@ -74,6 +82,35 @@ def fault_decoder(uavs: Collection[int]) -> Callable[[bytes], OrderedFault]:
         return OrderedFault(stamp_ns, fault)
 
     return decode
+
+
+class Requests:
+    """Which services of this node an operator may call.
+
+    A service carries no seal: in a sealed fleet a sealed message on /formation/request permits one call.
+    """
+
+    def __init__(self, endpoints: Endpoints, names: Collection[str], *, signed: bool) -> None:
+        """`names`: of the services of this node and of others that operators call."""
+        self._names, self._signed = names, signed
+        self._requested_s: dict[str, float] = {}  # when each was last requested
+        endpoints.listen(topics.REQUEST, self._decode, self._on_request, required=False)
+
+    def refusal(self, name: str) -> str | None:
+        """Why a service must not answer; None when it may, and its permission is used up."""
+        requested_s = self._requested_s.pop(name, float("-inf"))
+        if not self._signed or time.monotonic() - requested_s < _PERMIT_S:
+            return None
+        return f"security: signed: expected a sealed {topics.REQUEST.name} before the call"
+
+    def _decode(self, data: bytes) -> str:
+        name = decode_header(data).frame_id
+        if name not in self._names:
+            raise WireError(f"request {name[:_SHOWN]!r}: expected one of {', '.join(self._names)}")
+        return name
+
+    def _on_request(self, name: str) -> None:
+        self._requested_s[name] = time.monotonic()
 
 
 def decode_order(data: bytes) -> Order:

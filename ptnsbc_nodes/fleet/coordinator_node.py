@@ -26,8 +26,10 @@ from ptnsbc_io.wire import (
 )
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.announcements import (
+    ARM_SERVICE,
     LostProcess,
     OrderedFault,
+    Requests,
     decode_leg,
     decode_lost,
     encode_fault,
@@ -98,6 +100,8 @@ class Coordinator:
         self._seal = seal
         self._leads: bool | None = None  # where the fleet is shared
         self._hears_start = False
+        self.may_arm = False  # an operator has called /formation/arm, and it was accepted
+        self._arming: Callable[[], str] | None = None
         self._hear_faults: Callable[[], str] | None = None
         self._managed: dict[str, str] = {}  # node by process name
         self.held: set[str] = set()
@@ -148,6 +152,8 @@ class Coordinator:
             self.share(leads=self._leads)
         if self._hears_start:
             self.hear_start()
+        if self._arming is not None:
+            self.serve_arming(self._arming)
         if self._hear_faults is not None:
             self._hear_faults()
         for name, node in self._managed.items():
@@ -166,6 +172,22 @@ class Coordinator:
         """Hear of the first leg, when an operator starts the flight."""
         self._hears_start = True
         self._endpoints.listen(topics.EPOCH, decode_leg, self._on_leg, required=False)
+
+    def serve_arming(self, refusal: Callable[[], str]) -> None:
+        """Answer /formation/arm; `refusal` says why the vehicles must not arm, or nothing."""
+        self._arming = refusal
+        requests = Requests(self._endpoints, (ARM_SERVICE,), signed=self._seal is not None)
+
+        def answer(_request: Any, response: Any) -> Any:
+            reason = requests.refusal(ARM_SERVICE) or refusal()
+            response.success = not reason
+            response.message = reason or "the vehicles arm, and take off"
+            self.may_arm = self.may_arm or not reason
+            return response
+
+        self._node.create_service(
+            Trigger, f"{self._endpoints.fleet}/formation/{ARM_SERVICE}", answer
+        )
 
     def hear_faults(self, uavs: Collection[int], take: Callable[[FaultBlock], None]) -> None:
         """Hear of the faults that an operator injects into a fleet of these UAVs."""

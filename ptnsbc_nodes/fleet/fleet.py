@@ -180,6 +180,11 @@ def check_options(options: FleetOptions) -> None:
             f"formation.vacancy: {options.scenario.file.formation.vacancy}: bridges do not fly it: expected wait, "
             "or --backend sim"
         )
+    if options.wait and options.shared:
+        raise FleetError(
+            "--wait: a launcher keeps the vehicles of its own computer from arming, not those of others: expected no "
+            "--only with --backend mavlink"
+        )
     if options.lockstep:
         raise FleetError("real vehicles do not wait: expected no --lockstep with --backend mavlink")
     if not options.allow_arming:

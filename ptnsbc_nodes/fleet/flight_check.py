@@ -24,7 +24,8 @@ class FlightCheck:
     def __init__(self, options: FleetOptions, coordinator: Coordinator) -> None:
         self._options, self._coordinator = options, coordinator
         self._judged: dict[int, tuple[float, ...]] = {}  # places from which it may begin
-        if options.objection is not None and options.backend == "mavlink":
+        self._met = False  # nothing speaks against arming
+        if (options.objection is not None or options.wait) and options.backend == "mavlink":
             coordinator.held.update(f"uav{uav}" for uav in options.scenario.uav_ids)
 
     @property
@@ -34,19 +35,40 @@ class FlightCheck:
 
     def located(self) -> bool:
         """Whether all bridges know where their vehicles are."""
+        return not self._lost()
+
+    def refusal(self) -> str:
+        """Why an operator must not let the vehicles arm now; empty when nothing speaks against it."""
+        if self._options.backend != "mavlink":
+            return "simulated vehicles need no arming: /formation/start begins the flight"
+        if not self._options.wait:
+            return "the vehicles arm by themselves: with --wait the fleet leaves it to an operator"
+        if not self.holds:
+            return "the vehicles may arm already"
+        lost, vehicles = self._lost(), self._coordinator.vehicles
+        if lost:
+            steps = (f"{n}: {vehicles[n].step if n in vehicles else 'not heard'}" for n in lost)
+            return "; ".join(steps)
+        return "" if self._met else "dry runs from where the vehicles stand are flown: try again"
+
+    def release(self) -> None:
+        """Let the vehicles arm."""
+        self._coordinator.held.clear()
+
+    def _lost(self) -> list[str]:
+        """Bridges that do not know where their vehicle is."""
         from ptnsbc_nodes.bridge.procedure.steps import OVER, Step  # needs pymavlink
 
         early = {one.value for one in (Step.HEARTBEAT, Step.PARAMETERS, Step.STATE, *OVER)}
         vehicles, places = self._coordinator.vehicles, self._coordinator.places
         names = [f"bridge{uav}" for uav in self._options.scenario.uav_ids]
-        return all(name in places and vehicles[name].step not in early for name in names)
+        return [name for name in names if name not in places or vehicles[name].step in early]
 
     def before_arming(self) -> str:
-        """Judge the flight from above where the vehicles stand; without an objection they may arm."""
+        """Judge the flight from above where the vehicles stand; without an objection they may be released."""
         self._judged = {uav: self._in_the_air(uav) for uav in self._options.scenario.uav_ids}
         objection = self._objection(self._judged)
-        if not objection:
-            self._coordinator.held.clear()
+        self._met = not objection
         return objection
 
     def before_start(self) -> str:

@@ -93,6 +93,8 @@ class Supervisor:
         # Half of a process's start is loading, half is waiting for its discovery.
         at_once = 2 * (os.cpu_count() or 1)
         self._launch = partial(ChildProcess, environment=settings, log_dir=log_dir)
+        if self._options.leads:
+            self._coordinator.serve_arming(self._check.refusal)
         for command in commands:
             while len(self._silent()) >= at_once and self._wait(deadline):
                 pass
@@ -111,7 +113,10 @@ class Supervisor:
         if self._check.holds and not self._stop.came:
             if objection := self._check.before_arming():
                 raise FleetError(f"from where the vehicles stand nothing is armed: {objection}")
-            self._progress("dry runs from where the vehicles stand are met: they may arm")
+            if self._options.objection is not None:
+                self._progress("dry runs from where the vehicles stand are met: they may arm")
+            deadline += self._wait_for_arming()
+            self._check.release()
         awaited = self._awaited()
         while self._coordinator.missing(awaited) and self._wait(deadline):
             pass
@@ -126,6 +131,15 @@ class Supervisor:
             count = len(self.children) + len(self._elsewhere)
             self._faults.begin(time.monotonic() + _EPOCH_S)
             self._progress(f"{count} processes are ready: started")
+
+    def _wait_for_arming(self) -> float:
+        """Where an operator lets the vehicles arm: wait for that; returns for how long [s]."""
+        began = time.monotonic()
+        if self._options.wait:
+            self._progress("the vehicles arm when an operator calls /formation/arm")
+            while not self._coordinator.may_arm and self._wait(math.inf):
+                pass
+        return time.monotonic() - began
 
     def _wait_for_operator(self) -> None:
         self._coordinator.hear_start()

@@ -164,7 +164,9 @@ def _launcher(scenario: Scenario, namespace: str) -> Permission:
     own = _Permitted(namespace, FLEET)
     own.is_node("/fleet*")  # launchers on several computers have names of their own
     own.publishes(topics.REQUEST, topics.LOST, topics.EMERGENCY, topics.OVER, topics.FAULT)
-    own.reads(topics.DIAGNOSTICS, topics.READY, topics.OVER, topics.FAULT, topics.EPOCH)
+    own.reads(topics.DIAGNOSTICS, topics.READY, topics.OVER, topics.FAULT)
+    own.reads(topics.EPOCH, topics.REQUEST)
+    own.serves("/formation/arm")
     own.reads(*map(topics.odom, scenario.uav_ids))
     own.calls("/formation/*", "/uav*")
     return own.permission

@@ -7,7 +7,6 @@ with the legs as JSON.
 from __future__ import annotations
 
 import json
-import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -16,8 +15,9 @@ from std_srvs.srv import Trigger
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.types import MODE_FORMATION
-from ptnsbc_io.wire import HeaderFields, HeaderTemplate, WireError, decode_header
+from ptnsbc_io.wire import HeaderFields, HeaderTemplate
 from ptnsbc_nodes.comm import topics
+from ptnsbc_nodes.comm.announcements import ARM_SERVICE, Requests
 from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.comm.graph import CommunicationGraph
 from ptnsbc_nodes.comm.legs import FIRST_LEG, Epochs
@@ -36,7 +36,6 @@ from ptnsbc_sim.scenario.mission.legs import (
 LEAD_NS = 500_000_000
 """An epoch is announced this long before it begins, so that all UAVs switch at the same instant [ns]."""
 
-_PERMIT_S = 5.0
 _MOST_WAIT_S = 3600.0  # for the start of a mission
 
 _LEGS = {"start": FIRST_LEG, "hold": "hold", "land": "land", "stop": "land"}
@@ -92,20 +91,12 @@ class LegServices:
         self._listeners = edges.epoch_listeners()
         self._publish = endpoints.publisher(topics.EPOCH, readers)
         self._untold: list[HeaderFields] = []
-        self._signed = edges.options.seal is not None
-        self._requested_s: dict[
-            str, float
-        ] = {}  # when each service was last announced on /formation/request
         self._words = _words(epochs.scenario)
         self._names = (*_LEGS, *self._words, *((LIST_SERVICE,) if self._words else ()))
-        endpoints.listen(topics.REQUEST, self._decode_request, self._on_announced, required=False)
+        self._requests = Requests(
+            endpoints, (*self._names, ARM_SERVICE), signed=edges.options.seal is not None
+        )
         self._services: list[Any] = []
-
-    def _decode_request(self, data: bytes) -> str:
-        name = decode_header(data).frame_id
-        if name not in self._names:
-            raise WireError(f"request {name[:40]!r}: expected one of {', '.join(self._names)}")
-        return name
 
     def missing_listeners(self) -> list[str]:
         """UAVs that do not listen to the epoch yet; none for a UAV that does not serve."""
@@ -157,14 +148,6 @@ class LegServices:
 
         return on_request
 
-    def _on_announced(self, name: str) -> None:
-        self._requested_s[name] = time.monotonic()
-
-    def _is_permitted(self, name: str) -> bool:
-        """A service carries no seal: the sealed message before its call does. It permits one call."""
-        announced_s = self._requested_s.pop(name, float("-inf"))
-        return not self._signed or time.monotonic() - announced_s < _PERMIT_S
-
     def _start_ns(self) -> int | None:
         """When the mission begins by the wall clock; None when it does not say so, and in lock-step."""
         scenario = self._epochs.scenario
@@ -174,8 +157,8 @@ class LegServices:
         return utc_ns(mission.start)
 
     def _refusal(self, name: str) -> str | None:
-        if not self._is_permitted(name):
-            return f"security: signed: expected a sealed {topics.REQUEST.name} before the call"
+        if refused := self._requests.refusal(name):
+            return refused
         if not self._epochs.announced and name != "start":
             return "not started: call /formation/start first"
         start_ns = self._start_ns()

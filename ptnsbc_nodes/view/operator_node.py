@@ -14,7 +14,7 @@ from typing import Any
 import rclpy
 from ptnsbc_interfaces.action import FlyLeg, FlyMission
 from ptnsbc_interfaces.msg import Emergency, Epoch, FleetState, Limits, UavState
-from ptnsbc_interfaces.srv import StartLeg, Stop
+from ptnsbc_interfaces.srv import Arm, StartLeg, Stop
 from rclpy.action import ActionServer, CancelResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.clock import Clock, ClockType
@@ -24,7 +24,7 @@ from std_srvs.srv import Trigger
 from ptnsbc_io.wire import HeaderFields
 from ptnsbc_io.wire.cdr import split_stamp
 from ptnsbc_nodes.comm import topics
-from ptnsbc_nodes.comm.announcements import decode_leg
+from ptnsbc_nodes.comm.announcements import ARM_SERVICE, decode_leg
 from ptnsbc_nodes.comm.diagnostics import STATUS_HZ
 from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.comm.qos import keep_last
@@ -44,6 +44,7 @@ from ptnsbc_sim.scenario.mission.legs import CANCEL, leg_names, number_of
 
 STATE = "/formation/state"
 ANNOUNCED = "/formation/announced"
+ARM_VEHICLES = "/formation/arm_vehicles"
 START_LEG = "/formation/start_leg"
 FLY_LEG = "/formation/fly_leg"
 FLY_MISSION = "/formation/fly_mission"
@@ -101,6 +102,8 @@ class OperatorNode:
             name: self._caller.create_client(Trigger, f"{fleet}/formation/{name}")
             for name in (*_LEGS, *_mission_services(scenario))
         }
+        self._launcher = self._caller.create_client(Trigger, f"{fleet}/formation/{ARM_SERVICE}")
+        node.create_service(Arm, fleet + ARM_VEHICLES, self._on_arm)
         node.create_service(StartLeg, fleet + START_LEG, self._on_start_leg)
         node.create_service(Stop, fleet + EMERGENCY_STOP, self._on_stop)
         self._actions = [
@@ -218,9 +221,9 @@ class OperatorNode:
             ),
         )
 
-    def leader_is_there(self) -> bool:
-        """Whether every service of the leader has been found."""
-        return all(client.service_is_ready() for client in self._leader.values())
+    def services_are_there(self) -> bool:
+        """Whether every service of the leader and of the launcher has been found."""
+        return all(one.service_is_ready() for one in (*self._leader.values(), self._launcher))
 
     def begin(self, name: str) -> Answer:
         """Let the leader begin a leg of `_LEGS`."""
@@ -230,18 +233,24 @@ class OperatorNode:
 
     def call(self, name: str) -> Answer:
         """Call a service of the leader; waits for the answer."""
+        return self._ask("leader", self._leader[name])
+
+    def _ask(self, who: str, client: Any) -> Answer:
         if self._signed:
             return Answer(False, _SEALED)
-        client = self._leader[name]
         if not client.service_is_ready():
-            return Answer(False, f"the leader's service {client.srv_name} is not there")
+            return Answer(False, f"the {who}'s service {client.srv_name} is not there")
         call = client.call_async(Trigger.Request())
         self._calls.spin_until_future_complete(call, timeout_sec=_ANSWER_S)
         if not call.done():
             client.remove_pending_request(call)
-            return Answer(False, "the leader does not answer")
+            return Answer(False, f"the {who} does not answer")
         response = call.result()
         return Answer(bool(response.success), str(response.message))
+
+    def _on_arm(self, _request: Any, response: Any) -> Any:
+        response.accepted, response.message = self._ask("launcher", self._launcher)
+        return response
 
     def _on_start_leg(self, request: Any, response: Any) -> Any:
         response.accepted, response.message = self.begin(request.leg)

@@ -65,7 +65,7 @@ class Fleet:
         self.action = ActionClient(self.client, FlyLeg, FLY_LEG)
         self.missions = ActionClient(self.client, FlyMission, FLY_MISSION)
         self.at_s, self.off, self.orders = T0_S, {}, {}  # of the bridges, by UAV
-        ready = self.operator.leader_is_there
+        ready = self.operator.services_are_there
         ros.spin_until(lambda: not ends.unread() and self.action.server_is_ready() and ready())
         ros.spin_until(self.missions.server_is_ready)
 
@@ -74,7 +74,14 @@ class Fleet:
         node = leader.node("leader")
         mission = self.scenario.file.mission
         legs = [f"leg_{n}" for n in range(2, len(mission.legs) + 1)] if mission else []
-        for name in ("start", "hold", "land", "stop", *(["cancel", *legs] if mission else [])):
+        for name in (
+            "arm",
+            "start",
+            "hold",
+            "land",
+            "stop",
+            *(["cancel", *legs] if mission else []),
+        ):
             node.create_service(Trigger, f"/formation/{name}", self.answer(name))
         self._over = threading.Event()
 

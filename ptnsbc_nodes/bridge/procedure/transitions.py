@@ -232,6 +232,8 @@ def _controller(progress: FlightProgress, snapshot: VehicleSnapshot) -> None:
     good = snapshot.controller_ready and snapshot.controller_age_s < STALE_S
     if snapshot.state_fault:
         progress.enter(Step.STATE, snapshot)
+    elif snapshot.controller_held:
+        progress.memory = _StepMemory(snapshot.now_s)  # the limit is for a controller that may act
     elif progress.lasts(good, snapshot, _SETTLED_S):
         progress.enter(Step.STREAM, snapshot)
 

@@ -94,7 +94,7 @@ def fleet(
         bool,
         typer.Option(
             "--wait",
-            help="Leave the start to an operator: /formation/start, `ptnsbc mission start 1`, or a goal of --operator.",
+            help="Leave arming (`ptnsbc mission arm`) and the start (`ptnsbc mission start 1`) to an operator.",
         ),
     ] = False,
     bag: options.BagOption = None,

@@ -14,7 +14,9 @@ from ptnsbc_tools import console, options, ros
 _PATIENCE_S = 5.0
 _FIRST = "1"
 
-app = typer.Typer(no_args_is_help=True, help="The legs of a flying fleet: list, start, cancel.")
+app = typer.Typer(
+    no_args_is_help=True, help="The legs of a flying fleet: list, start, cancel; arm before them."
+)
 
 
 class MissionError(PtnsbcError):
@@ -66,6 +68,12 @@ def start(
 def cancel(domain: options.DomainOption = None, namespace: options.NamespaceOption = "") -> None:
     """Let the leader come to rest, and the formation with it; no later leg begins by itself."""
     console.say(_answer("cancel", domain, namespace))
+
+
+@app.command()
+def arm(domain: options.DomainOption = None, namespace: options.NamespaceOption = "") -> None:
+    """Let the vehicles of a fleet that waits for its operator arm and take off (`ptnsbc fleet --wait`)."""
+    console.say(_answer("arm", domain, namespace))
 
 
 def _ask(service: str, domain: int | None, namespace: str) -> Any:

@@ -79,16 +79,27 @@ def test_nothing_is_armed_for_a_flight_that_is_refused_from_where_the_vehicles_s
 
 
 def test_a_uav_process_and_a_bridge_killed_and_the_operators_stop(tmp_path, domain):
+    """The fleet waits for its operator: before the word nothing is armed."""
     path = write_scenario(tmp_path / "four.yaml", domain, duration_s=60)
     logs, control = tmp_path / "logs", first_port(domain) + 20
     command = (
         "ptnsbc_nodes.fleet.main", "--scenario", path, "--backend", "mavlink", "--allow-arming",
-        "--bag", tmp_path / "bag", "--log-dir", logs,
+        "--bag", tmp_path / "bag", "--log-dir", logs, "--wait",
     )  # fmt: skip
+
+    def mission(*words):
+        said = Program(COMMAND, "mission", *words, "--domain", domain, domain=domain)
+        assert said.finish() == 0, said.lines
+
     with (
-        stand_ins(path, domain, "--param", "COM_OBL_RC_ACT=5", "--control", control),
+        stand_ins(path, domain, "--param", "COM_OBL_RC_ACT=5", "--control", control) as vehicles,
         flying(*command, domain=domain) as fleet,
     ):
+        fleet.wait_for("the vehicles arm when an operator calls /formation/arm")
+        assert not any("armed" in line for line in vehicles.lines), vehicles.lines
+        mission("arm")
+        fleet.wait_for("all are ready: the flight begins when an operator calls /formation/start")
+        mission("start", 1)
         fleet.wait_for(*(f"bridge{i}: in formation" for i in FOUR))
         os.kill(pid_of("ptnsbc_nodes.uav.main", 3, logs), signal.SIGKILL)
         fleet.wait_for("uav3 (pid ", "bridge3: no setpoints: ")

@@ -70,6 +70,7 @@ def test_no_uav_process_becomes_active_before_the_flight_is_judged_from_above_th
     assert vehicles.held == {f"uav{i}" for i in IDS} and check.holds
     assert check.before_arming() == ""
     assert seen == [{i: pytest.approx(place) for i, place in vehicles.measured.items()}]
+    check.release()
     assert vehicles.held == set() and not check.holds
 
 
@@ -125,11 +126,47 @@ def test_simulated_vehicles_are_judged_once_where_they_are():
     assert check_of(vehicles, None).before_start() == ""
 
 
-def launched(vehicles, judges, **more):
+def test_an_operator_lets_vehicles_arm_once_all_know_where_they_are_and_the_flight_was_judged():
+    vehicles, (judges, seen) = Vehicles(), judge()
+    assert "arm by themselves" in check_of(vehicles, judges).refusal()
+    assert "need no arming" in check_of(vehicles, judges, backend="sim", wait=True).refusal()
+    check = check_of(vehicles, judges, wait=True)
+    vehicles.vehicles["bridge3"] = vehicle(Step.STATE)
+    assert check.refusal() == "bridge3: waiting for a valid position"
+    vehicles.vehicles["bridge3"] = vehicle(Step.CONTROLLER)
+    assert check.refusal().startswith("dry runs")
+    check.before_arming()
+    assert check.refusal() == "" and len(seen) == 1
+    check.release()
+    assert check.refusal() == "the vehicles may arm already"
+
+
+def test_without_dry_runs_too_vehicles_wait_for_their_operator():
+    vehicles = Vehicles()
+    vehicles.may_arm, vehicles.begun, vehicles.hear_start = False, False, lambda: None
+    orders = iter(("arm", "start"))
+
+    def look():
+        order = next(orders)
+        assert bool(vehicles.held) == (order == "arm")
+        vehicles.may_arm, vehicles.begun = True, order == "start"
+
+    said = launched(vehicles, None, look, wait=True)
+    assert vehicles.begun and vehicles.started == []
+    assert said[0] == "the vehicles arm when an operator calls /formation/arm"
+    assert said[1].endswith("when an operator calls /formation/start")
+
+
+def launched(vehicles, judges, look=lambda: None, **more):
     options = FleetOptions(SCENARIO, **{"backend": "mavlink", "objection": judges, **more})
     stop, said = SimpleNamespace(came=False), []
     supervisor = Supervisor(options, vehicles, stop, said.append)
-    supervisor._wait = lambda _deadline: True
+
+    def wait(_deadline):
+        look()
+        return True
+
+    supervisor._wait = wait
     supervisor._start_flight(0.0)
     return said
 

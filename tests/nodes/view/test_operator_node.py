@@ -10,11 +10,12 @@ pytest.importorskip("ptnsbc_interfaces", reason="make setup builds its messages 
 
 from action_msgs.msg import GoalStatus
 from ptnsbc_interfaces.msg import Emergency, UavState
-from ptnsbc_interfaces.srv import StartLeg, Stop
+from ptnsbc_interfaces.srv import Arm, StartLeg, Stop
 
 from ptnsbc_nodes.comm.seal import Seal
 from ptnsbc_nodes.comm.vehicle_messages import PlannerLimits, encode_limits
 from ptnsbc_nodes.view.operator_node import (
+    ARM_VEHICLES,
     EMERGENCY_STOP,
     START_LEG,
 )
@@ -181,6 +182,15 @@ def test_the_service_passes_legs_on(fleet):
     assert fleet.asked == ["hold"]
 
 
+def test_the_launcher_says_whether_the_vehicles_may_arm(fleet):
+    fleet.answers["arm"] = (False, "bridge3: waiting for a valid position")
+    answer = fleet.call(Arm, ARM_VEHICLES, Arm.Request())
+    assert (answer.accepted, answer.message) == fleet.answers["arm"]
+    fleet.answers["arm"] = (True, "the vehicles arm, and take off")
+    assert fleet.call(Arm, ARM_VEHICLES, Arm.Request()).accepted
+    assert fleet.asked == ["arm", "arm"]
+
+
 def test_an_emergency_stop_without_bridges_reaches_the_leader(fleet):
     answer = fleet.call(Stop, EMERGENCY_STOP, Stop.Request())
     assert answer.success
@@ -191,6 +201,7 @@ def test_an_emergency_stop_without_bridges_reaches_the_leader(fleet):
 def test_a_signed_fleet_takes_no_order_from_an_interface_without_a_seal(make):
     fleet = make(seal=Seal(bytes(range(32))))
     for answer in (
+        fleet.call(Arm, ARM_VEHICLES, Arm.Request()).message,
         fleet.call(StartLeg, START_LEG, StartLeg.Request(leg="start")).message,
         fleet.call(Stop, EMERGENCY_STOP, Stop.Request()).vehicles[0],
     ):
