@@ -11,12 +11,13 @@ docs/library.md says more. What this module names stays; modules below it may ch
 """
 
 from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_io.bag.repair import Repaired
 from ptnsbc_sim.scenario import Scenario, available
 from ptnsbc_sim.sweep.family import families
 from ptnsbc_sim.verdict import Verdict
 from ptnsbc_tools.check import Finding
 from ptnsbc_tools.doctor import examine as doctor
-from ptnsbc_tools.library.bags import merge, rerun, trim
+from ptnsbc_tools.library.bags import merge, repair, rerun, trim
 from ptnsbc_tools.library.export import export
 from ptnsbc_tools.library.flight import Flight
 from ptnsbc_tools.library.flying import (
@@ -56,11 +57,13 @@ __all__ = [
     "rerun",
     "trim",
     "merge",
+    "repair",
     "Scenario",
     "CheckReport",
     "Finding",
     "Report",
     "Rerun",
+    "Repaired",
     "Flight",
     "Verdict",
     "Sweep",

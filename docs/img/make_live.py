@@ -22,10 +22,19 @@ from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_tools.console import recording
 from ptnsbc_tools.live.dashboard import picture
 
-SIZE = {"width": 1280, "height": 1000}
+SIZE = {"width": 1280, "height": 1340}
 SCENARIO = "paper_5"
 SHOWN_S = 1.5
 HERE = Path(__file__).parent
+# The page shows the first frame at or after this time, and none after it.
+FREEZE = """(time) => {
+  const show = page.frame.bind(page);
+  page.frame = (one) => {
+    if (window.shown) return;
+    show(one);
+    if (one.t >= time && one.uavs[0].mode) window.shown = one;
+  };
+}"""
 
 
 def main() -> None:
@@ -64,13 +73,9 @@ def photograph(address: str, path: Path) -> dict[str, Any]:
         tab = browser.new_page(viewport=SIZE, color_scheme="light")
         tab.goto(address)
         tab.wait_for_selector("html[data-ready=true]")
-        tab.evaluate(
-            "() => { const show = page.frame.bind(page); page.frame = (one) => { window.shown = one; show(one); } }"
-        )
-        tab.wait_for_function(
-            f"() => window.shown && shown.t >= {SHOWN_S} && shown.uavs[0].mode", timeout=180_000
-        )
-        tab.locator("#chart-errors .main-svg").first.wait_for()
+        tab.evaluate(FREEZE, SHOWN_S)
+        tab.wait_for_function("() => window.shown && page.figures.charts[0].drawn", timeout=180_000)
+        tab.evaluate("page.figures.refresh()")
         save(tab.screenshot(), path)
         frame: dict[str, Any] = tab.evaluate("shown")
         browser.close()

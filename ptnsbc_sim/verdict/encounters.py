@@ -28,7 +28,7 @@ from ptnsbc_sim.verdict.track import Track, lengths
 
 Window = tuple[int, int]  # [ns], inclusive
 
-_ACTIVE = COUNTERS.index("avoidance_active_s")
+_ACTIVE = "avoidance_active_s"
 _PAUSE_S = 1.0
 _TIME_CONSTANTS = 3.0
 _SLOWEST_RECOVERY_S = 10.0  # without kappa the loop would never recover
@@ -64,13 +64,14 @@ def _recovery_of(scenario: Scenario, uav: int) -> Callable[[float], float]:
     return lambda error_m: recovery_duration(error_m, config) + min(settling, _SLOWEST_RECOVERY_S)
 
 
-def avoidance_windows(counters: Track) -> list[Window]:
-    """Spans in which a UAV was avoiding something."""
+def rising(counters: Track, name: str) -> list[Window]:
+    """Spans in which a counter of a UAV rises, one of `COUNTERS`."""
+    column = COUNTERS.index(name)
     found: list[Window] = []
     last_ns, last = np.empty(0, np.int64), np.empty(0)
     for block in counters.blocks():
         stamps = np.concatenate((last_ns, block.t_ns))
-        active = np.concatenate((last, block.values[:, _ACTIVE]))
+        active = np.concatenate((last, block.values[:, column]))
         rises = np.flatnonzero(active[1:] > active[:-1])
         found = merged([*found, *((int(stamps[k]), int(stamps[k + 1])) for k in rises)])
         last_ns, last = stamps[-1:], active[-1:]
@@ -99,7 +100,7 @@ def ancestors(scenario: Scenario, uav_id: int) -> list[int]:
 def encounters(recording: Recording) -> dict[int, list[Encounter]]:
     """Encounters of every UAV, recovery included."""
     scenario = recording.flown
-    own = {uav: avoidance_windows(track) for uav, track in recording.counters.items()}
+    own = {uav: rising(track, _ACTIVE) for uav, track in recording.counters.items()}
     away = {
         uav: [(one.begin_ns, min(one.end_ns, recording.end_ns)) for one in absent]
         for uav, absent in recording.absences.items()

@@ -1,4 +1,4 @@
-"""Bags: the functions behind `ptnsbc bag trim`, `ptnsbc bag merge` and `ptnsbc replay --rerun`."""
+"""Bags: the functions behind `ptnsbc bag trim`, `merge` and `repair`, and `ptnsbc replay --rerun`."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from pathlib import Path
 
 from ptnsbc_io import bag as bags
 from ptnsbc_io.bag import BagError, cut
+from ptnsbc_io.bag import repair as repairs
 from ptnsbc_sim.law import LawError, load_law
 from ptnsbc_sim.scenario import Scenario, ScenarioError
 from ptnsbc_tools import console
@@ -81,6 +82,31 @@ def merge(
         raise BagError(f"{', '.join(map(str, paths)) or 'no bag'}: expected two or more to merge")
     with console.progress("merging", progress) as advance:
         return cut.merge(paths, Path(output), overwrite=overwrite, advance=advance)
+
+
+def repair(
+    bag: str | Path,
+    output: str | Path | None = None,
+    *,
+    discard: bool = False,
+    progress: bool | None = None,
+) -> repairs.Repaired:
+    """Restore the index and metadata.yaml of a cut or damaged bag, as `ptnsbc bag repair`.
+
+    A killed recording DIR.part becomes DIR. A damaged bag DIR is replaced and kept as DIR.original.
+
+    Args:
+        bag: folder of the bag, the .part of a killed recording, or an .mcap file.
+        output: folder of the repaired bag; by default as said above.
+        discard: remove the damaged bag after the repair.
+        progress: show progress on stderr; by default in a terminal and in a notebook.
+
+    Raises:
+        BagError: no bag, or nothing in it can be read.
+    """
+    with console.progress("repairing", progress) as advance:
+        target = None if output is None else Path(output)
+        return repairs.repair(Path(bag), target, discard=discard, advance=advance)
 
 
 def rerun(

@@ -8,6 +8,7 @@ from pathlib import Path
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_tools import console
 from ptnsbc_tools.files import replacing
+from ptnsbc_tools.library.flight import Flight
 from ptnsbc_tools.plotting.flight import FlightView, read_view
 from ptnsbc_tools.reading.bag_reader import DEFAULTS, ReadOptions
 
@@ -29,10 +30,10 @@ class Report:
 
 
 def report(
-    bag: str | Path,
+    flight: Flight | str | Path,
     folder: str | Path | None = None,
     *,
-    other: str | Path | None = None,
+    other: Flight | str | Path | None = None,
     options: ReadOptions = DEFAULTS,
     pictures: bool = True,
     progress: bool | None = None,
@@ -40,10 +41,10 @@ def report(
     """Write the page of a recorded flight, as `ptnsbc report`; it works offline.
 
     Args:
-        bag: folder of the bag, or its .mcap file.
-        folder: for the page; by default BAG-report beside the bag.
+        flight: a flight, the folder of a bag, or its .mcap file.
+        folder: for the page; by default BAG-report beside the bag, of a flight without one SCENARIO-report here.
         other: another flight, whose curves are shown dotted.
-        options: how to read a bag that another program wrote.
+        options: how to read a bag that another program wrote; a `Flight` is read already.
         pictures: write the figures as PNG beside the page.
         progress: show progress on stderr; by default in a terminal and in a notebook.
 
@@ -51,32 +52,49 @@ def report(
         ReportError: no such bag.
         PtnsbcError: a bag cannot be read; nothing is written.
     """
-    source = Path(bag)
-    if not source.exists():
-        raise ReportError(f"{source}: no such bag")
-    name = source.stem if source.is_file() else source.name
-    target = source.parent / f"{name}-report" if folder is None else Path(folder)
-    shown = read_view(source, options)
-    beside = None if other is None else read_view(Path(other), options)
-    page = _write_page(source, target, shown, beside)
+    bag = flight.bag if isinstance(flight, Flight) else Path(flight)
+    shown = _view_of(flight, options)
+    if folder is not None:
+        target = Path(folder)
+    elif bag is not None:
+        target = bag.parent / f"{bag.stem if bag.is_file() else bag.name}-report"
+    else:
+        target = Path(f"{shown.scenario.name}-report")
+    beside = None if other is None else _view_of(other, options)
+    page = _write_page(bag, target, shown, beside)
     drawn = _draw(shown, target, progress) if pictures and shown.uavs else ()
     word = None if shown.verdict is None else shown.verdict.verdict
     return Report(page, drawn, word, shown.problem or "")
 
 
-def _write_page(bag: Path, folder: Path, shown: FlightView, beside: FlightView | None) -> Path:
-    from ptnsbc_io.bag import BagError, read_bag
+def _view_of(flight: Flight | str | Path, options: ReadOptions) -> FlightView:
+    if isinstance(flight, Flight):
+        return flight.view
+    if not Path(flight).exists():
+        raise ReportError(f"{flight}: no such bag")
+    return read_view(Path(flight), options)
+
+
+def _write_page(
+    bag: Path | None, folder: Path, shown: FlightView, beside: FlightView | None
+) -> Path:
     from ptnsbc_tools.report.page import page
 
-    try:
-        metadata = dict(read_bag(bag).metadata)
-    except BagError:  # sqlite3 of other systems, which has no metadata
-        metadata = {}
+    metadata = {"mode": "headless"} if bag is None else _metadata(bag)
     path, text = folder / "index.html", page(shown, metadata, beside)
     with replacing(path) as part:
         folder.mkdir(parents=True, exist_ok=True)
         part.write_text(text, encoding="utf-8")
     return path
+
+
+def _metadata(bag: Path) -> dict[str, str]:
+    from ptnsbc_io.bag import BagError, read_bag
+
+    try:
+        return dict(read_bag(bag).metadata)
+    except BagError:  # sqlite3 of other systems, which has no metadata
+        return {}
 
 
 def _draw(shown: FlightView, folder: Path, progress: bool | None) -> tuple[Path, ...]:

@@ -30,7 +30,10 @@ def stage(scenario: Scenario) -> dict[str, Any]:
             "bounds": _bounds(scenario, path),
             "legs": [],
             "deadlines": [],
-            "uavs": [{**uav_of(scenario, uav), "avoiding": []} for uav in scenario.uav_ids],
+            "uavs": [
+                {**uav_of(scenario, uav), "avoiding": [], "deadlocks": []}
+                for uav in scenario.uav_ids
+            ],
             "obstacles": obstacles_of(scenario),
         },
         "starts": [scenario.uav(uav).position.tolist() for uav in scenario.uav_ids],

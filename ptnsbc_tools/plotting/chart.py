@@ -41,6 +41,7 @@ class Curve:
     t: Array  # (T,) [s] after the epoch
     values: Array  # (T,)
     uavs: tuple[int, ...]  # UAVs that it shows; hidden with any of them
+    other: bool = False  # of another flight, drawn beside this one
 
 
 @dataclass(frozen=True)
@@ -79,7 +80,9 @@ class Chart:
     limits: tuple[Limit, ...] = ()
     marks: tuple[Mark, ...] = ()
     band: tuple[float, float] | None = None  # good values
+    band_label: str = ""
     spans: tuple[Span, ...] = ()  # times in which the error of some UAV is excused
+    spans_label: str = ""
     note: str = ""
 
     @property
@@ -102,9 +105,11 @@ def overlaid(charts: Sequence[Chart], others: Sequence[Chart], name: str) -> lis
                 one,
                 label=f"{one.label}, {name}",
                 look=Look(one.look.colour, (one.look.dash + _OTHER_DASH) % len(DASHES)),
+                other=True,
             )
             for one in other.curves
         ]
-        return replace(chart, curves=(*chart.curves, *curves))
+        note = f"{chart.note} Dotted, in the same colours: {name}.".strip()
+        return replace(chart, curves=(*chart.curves, *curves), note=note)
 
     return [with_others(chart) for chart in charts]

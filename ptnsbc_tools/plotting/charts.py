@@ -123,9 +123,10 @@ def errors(flight: FlightView) -> Chart | None:
         limits=(Limit(flight.tolerance_m, f"tolerance {flight.tolerance_m:g} m"),),
         marks=tuple(mark for mark in deadlines(flight) if mark.t <= end),
         band=(FLOOR_M, widest),
+        band_label=f"widest band, {widest:.2f} m",
         spans=_excused(flight),
-        note=f"Distance from its place; of the leader, from its trajectory. Green: widest band, "
-        f"{widest:.2f} m. Grey: somebody keeps clear of something, or has just done so.",
+        spans_label="somebody keeps clear of something, or has just done so",
+        note="Distance from its place; of the leader, from its trajectory.",
     )
 
 

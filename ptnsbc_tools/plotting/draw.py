@@ -64,10 +64,15 @@ def draw_chart(axes: Any, chart: Chart) -> None:
     """Draw a chart on Matplotlib axes."""
     if chart.log:
         axes.set_yscale("log")
+    shaded = []  # one of each kind, for the legend
     for span in chart.spans:
-        axes.axvspan(span.begin, span.end, color=OBSTACLE, alpha=0.12, linewidth=0)
+        area = axes.axvspan(span.begin, span.end, color=OBSTACLE, alpha=0.12, linewidth=0)
+        shaded = [(area, chart.spans_label)]
     if chart.band is not None:
-        axes.axhspan(*chart.band, color=GOOD, alpha=0.10, linewidth=0)
+        area = axes.axhspan(*chart.band, color=GOOD, alpha=0.10, linewidth=0)
+        shaded.append((area, chart.band_label))
+    for area, label in shaded:
+        area.set_label(label)
     for curve in chart.curves:
         points = thin(curve.t, curve.values, _CURVE_POINTS)
         axes.plot(points.t, points.values, label=curve.label, linewidth=1.2, **_style(curve.look))

@@ -13,7 +13,7 @@ from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.verdict import Recording, Track, Verdict, verdict_on
-from ptnsbc_sim.verdict.encounters import Window, avoidance_windows, merged
+from ptnsbc_sim.verdict.encounters import Window, merged, rising
 from ptnsbc_sim.verdict.recording import NANO, tolerance_of
 from ptnsbc_tools.reading.bag_reader import ReadOptions, read_recording
 from ptnsbc_tools.reading.diagnostics import StatusSeries, read_status
@@ -81,8 +81,15 @@ class FlightView:
 
     def avoiding(self, uav: int) -> list[Window]:
         """Spans in which a UAV was avoiding something."""
+        return self._rising(uav, "avoidance_active_s")
+
+    def deadlocks(self, uav: int) -> list[Window]:
+        """Spans in which a UAV was in a deadlock."""
+        return self._rising(uav, "deadlock_s")
+
+    def _rising(self, uav: int, name: str) -> list[Window]:
         counters = self.recording.counters.get(uav)
-        return [] if counters is None else merged(avoidance_windows(counters))
+        return [] if counters is None else merged(rising(counters, name))
 
 
 def view_of(

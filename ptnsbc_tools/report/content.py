@@ -179,6 +179,7 @@ def _uav(
         **uav_of(flight.scenario, uav),
         "places": _moving_places(flight, uav, stamps, pack),
         "avoiding": [flight.seconds(window) for window in flight.avoiding(uav)],
+        "deadlocks": [flight.seconds(window) for window in flight.deadlocks(uav)],
     }
 
 
@@ -200,7 +201,7 @@ def uav_of(scenario: Scenario, uav: int) -> dict[str, Any]:
 def _charts(flight: FlightView, other: FlightView | None, pack: Pack) -> list[dict[str, Any]]:
     found = list(charts(flight))
     if other is not None:
-        found = overlaid(found, list(charts(other)), f"with: {other.scenario.name}")
+        found = overlaid(found, list(charts(other)), f"flight {other.scenario.name}")
     curves = max(sum(len(chart.curves) for chart in found), 1)
     points = min(_CURVE_POINTS, max(_MOST_POINTS // curves, 50))
     return [_chart(chart, pack, points) for chart in found]
@@ -216,6 +217,7 @@ def _chart(chart: Chart, pack: Pack, points: int) -> dict[str, Any]:
                 "uavs": curve.uavs,
                 "colour": curve.look.colour,
                 "dash": curve.look.dash,
+                "other": curve.other,
                 "t": pack.add(kept.t),
                 "values": pack.add(kept.values),
             }
@@ -227,8 +229,10 @@ def _chart(chart: Chart, pack: Pack, points: int) -> dict[str, Any]:
         "log": chart.log,
         "note": chart.note,
         "band": chart.band,
+        "bandLabel": chart.band_label,
         "limits": [[one.value, one.label] for one in chart.limits],
         "marks": [[one.t, one.label] for one in chart.marks],
         "spans": [[one.begin, one.end] for one in chart.spans],
+        "spansLabel": chart.spans_label,
         "curves": curves,
     }

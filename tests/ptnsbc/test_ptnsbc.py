@@ -6,7 +6,10 @@ import inspect
 import re
 from pathlib import Path
 
+from typer.main import get_command
+
 import ptnsbc
+from ptnsbc_tools.cli import app
 
 PAGE = Path(__file__).parents[2] / "docs" / "library.md"
 
@@ -33,3 +36,17 @@ def test_the_findings_of_the_doctor_are_those_of_the_command() -> None:
     found = ptnsbc.doctor()
     assert all(isinstance(one, ptnsbc.Finding) for one in found)
     assert {one.key for one in found} >= {"platform", "cores", "clock"}
+
+
+def test_each_command_has_its_call_or_a_reason() -> None:
+    text = PAGE.read_text("utf-8")
+    rows = dict(re.findall(r"^\| `ptnsbc ([a-z]+)` \| (.+) \|$", text, re.MULTILINE))
+    assert rows.keys() == get_command(app).commands.keys()  # type: ignore[attr-defined]
+    for command, cell in rows.items():
+        if cell.startswith("none: "):
+            continue
+        calls = re.findall(r"`(\w+)(?:\.(\w+))?`", cell.partition(";")[0])
+        assert calls, command
+        for name, method in calls:
+            assert name in ptnsbc.__all__, (command, name)
+            assert not method or hasattr(getattr(ptnsbc, name), method), (command, method)

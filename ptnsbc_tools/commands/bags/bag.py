@@ -64,10 +64,9 @@ def repair(
 
     A killed recording DIR.part becomes DIR. A damaged bag DIR is replaced and kept as DIR.original.
     """
-    from ptnsbc_io.bag.repair import repair as work
+    from ptnsbc_tools.library import bags as library
 
-    with console.progress("repairing") as advance:
-        made = work(bag, output, discard=discard, advance=advance)
+    made = library.repair(bag, output, discard=discard, progress=True)
     if json:
         original = None if made.original is None else str(made.original)
         console.print_json(made._asdict() | {"bag": str(made.bag), "original": original})

@@ -66,6 +66,7 @@ class LivePage extends Page {
     byId("space").replaceWith(byId("space").cloneNode()); // without what listened to it
     for (const box of ["events", "charts", "board"]) byId(box).replaceChildren();
     byId("stage").hidden = byId("transport").hidden = false;
+    byId("stage").classList.toggle("many", stage.space.uavs.length > MANY);
     byId("name").textContent = stage.name;
     document.title = `${stage.name} – live view`;
     byId("count").textContent = stage.space.uavs.length;

@@ -9,8 +9,8 @@ const MOST_UNIFIED = 8; // curves in one hover box
 
 /** Rows of the legend of a chart; 0 without one. */
 function legendRows(chart) {
-  const count = chart.curves.length;
-  return count < 2 ? 0 : count > 5 ? Math.ceil(count / IN_A_ROW) : 1;
+  const count = chart.curves.filter((one) => !one.other).length;
+  return chart.curves.length < 2 ? 0 : count > 5 ? Math.ceil(count / IN_A_ROW) : 1;
 }
 
 class Figures {
@@ -58,10 +58,15 @@ class Figures {
     cursor.hidden = true;
     plot.append(cursor);
     card.append(title, plot);
-    if (chart.note) {
+    const shaded = [["band", chart.band && chart.bandLabel], ["span", chart.spans.length && chart.spansLabel]].filter(([, words]) => words);
+    if (chart.note || shaded.length) {
       const note = document.createElement("p");
       note.className = "note";
-      note.textContent = chart.note;
+      note.append(chart.note);
+      for (const [kind, words] of shaded) {
+        const swatch = Object.assign(document.createElement("span"), { className: `swatch ${kind}` });
+        note.append(swatch, words);
+      }
       card.append(note);
     }
     this.box.append(card);
@@ -96,7 +101,7 @@ class Figures {
 
   traces(chart) {
     return chart.curves.map((curve) => ({
-      type: "scatter", mode: "lines", name: curve.label, x: curve.t, y: curve.values,
+      type: "scatter", mode: "lines", name: curve.label, showlegend: !curve.other, x: curve.t, y: curve.values,
       line: { color: this.state.colour(curve), dash: DASHES[curve.dash], width: 1.6 },
       visible: this.visible(curve), hovertemplate: `%{y:.4~g} ${chart.unit}`,
     }));
@@ -181,6 +186,15 @@ class Figures {
     const others = this.charts.filter((other) => other !== one && other.linked && other.drawn);
     const wish = whole ? { "xaxis.autorange": true } : { "xaxis.range": [...range], "xaxis.autorange": false };
     Promise.all(others.map((other) => Plotly.relayout(other.plot, wish))).finally(() => { this.syncing = false; });
+  }
+
+  /** Draw all figures that are drawn in another size, with room for its legend; null: as wide as their cards. */
+  resize(size) {
+    for (const { chart, plot, drawn } of this.charts) {
+      if (!drawn) continue;
+      const more = Math.max(legendRows(chart) - MORE_ROWS, 0) * LEGEND_ROW;
+      Plotly.relayout(plot, size ? { width: size.width, height: size.height + more } : { width: null, height: null, autosize: true });
+    }
   }
 
   show(now) {

@@ -1,8 +1,9 @@
 // Puts clock, scene, figures and controls together.
 
 const byId = (id) => document.getElementById(id);
-const STYLE = ["--card", "--ink", "--soft", "--rule", "--grid", "--accent", "--sky", "--floor", "--halo"]; // what is painted with
-const PAPER = 660; // width of A4 within its margins [pixels]
+const STYLE = ["--card", "--ink", "--soft", "--rule", "--grid", "--accent", "--sky", "--floor", "--halo", "--missed"]; // what is painted with
+const PAPER = { width: 680, height: 262 }; // of a figure: A4 within its margins, three on a page [pixels]
+const MANY = 12; // UAVs from which on the rows of the table are lower
 const SVG_DASHES = ["", "6 3", "6 3 2 3", "2 3"];
 
 class Page {
@@ -39,6 +40,7 @@ class Page {
   begin() {
     const motion = new Motion(this.data.space);
     byId("stage").hidden = byId("transport").hidden = false;
+    byId("stage").classList.toggle("many", motion.count > MANY);
     this.clock = new Clock(motion.begin, motion.end);
     this.motion = motion;
     this.live = new Live(this);
@@ -90,6 +92,13 @@ class Page {
     for (const uav of this.data.space.uavs) {
       for (const [from, to] of uav.avoiding) add("span", { left: part(from), right: `calc(100% - ${part(to)})` });
     }
+    for (const uav of this.data.space.uavs) {
+      for (const [from, to] of uav.deadlocks) {
+        add("span stuck", { left: part(from), right: `calc(100% - ${part(to)})` });
+        const words = Object.assign(document.createElement("span"), { textContent: `UAV ${uav.id}: deadlock` });
+        add("mark", { left: part(from) }).append(words);
+      }
+    }
     const { deadlines, legs } = this.data.space;
     for (const [time, name] of [...deadlines.map((time) => [time, "deadline"]), ...legs]) {
       if (time <= begin || time >= end) continue;
@@ -106,11 +115,11 @@ class Page {
     window.addEventListener("beforeprint", () => {
       opened = [...document.querySelectorAll("details:not([open])")];
       for (const one of opened) one.open = true;
-      for (const { plot } of this.figures.charts) plot.style.zoom = Math.min(1, PAPER / plot.offsetWidth);
+      this.figures.resize(PAPER);
     });
     window.addEventListener("afterprint", () => {
       for (const one of opened) one.open = false;
-      for (const { plot } of this.figures.charts) plot.style.zoom = "";
+      this.figures.resize(null);
     });
   }
 
@@ -229,6 +238,7 @@ class Live {
       ];
       text.forEach((one, k) => { if (cells[k].textContent !== one) cells[k].textContent = one; });
       row.classList.toggle("clear", inside(uav.avoiding, now));
+      row.classList.toggle("stuck", inside(uav.deadlocks, now));
       row.classList.toggle("inside", Boolean(near && near.room < 0));
     }
   }

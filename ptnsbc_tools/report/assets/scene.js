@@ -5,6 +5,13 @@ const RING = Array.from({ length: 49 }, (_, k) => {
   return [Math.cos(angle), Math.sin(angle)];
 });
 const NEAR = 0.2; // [m] in front of the eye
+const NAME_FONT = "600 12px system-ui, sans-serif";
+const NAME_HALF = 11; // of the height of a name with its line [pixels]
+const COVERED_NAME = 10; // cost of a square pixel: a name has to be readable,
+const COVERED_UAV = 1; // a UAV may be covered a little
+// Where a name may stand: right, down, and pixels away from its UAV; the nearest first.
+const NAME_PLACES = [0, 16, 32, 48, 64].flatMap((far) => [
+  [0, -1], [1, -1], [-1, -1], [1, 0], [-1, 0], [1, 1], [-1, 1], [0, 1]].map((side) => [...side, far]));
 
 class Scene {
   constructor(canvas, motion, state) {
@@ -52,7 +59,8 @@ class Scene {
     const snap = (value, up) => (up ? Math.ceil(value / this.step) : Math.floor(value / this.step)) * this.step;
     this.ground = [snap(low[0] - 1, false), snap(low[1] - 1, false), snap(high[0] + 1, true), snap(high[1] + 1, true)];
     const bottom = Math.min(this.floor, low[2]);
-    this.camera = new Camera([low[0], low[1], bottom], high);
+    const [west, south, east, north] = this.ground;
+    this.camera = new Camera([west, south, bottom], [east, north, high[2]]);
   }
 
   /** Show a time; `inFrame`: the browser is about to draw, another turn would halve the rate. */
@@ -93,7 +101,47 @@ class Scene {
     this.addUavs(items);
     items.sort((a, b) => b.depth - a.depth);
     for (const item of items) item.draw();
-    for (const name of this.names) this.name(...name); // never behind anything
+    this.paintNames(); // never behind anything
+  }
+
+  /** The names, each where it covers neither another name nor a UAV as far as there is room; those farther off with a line. */
+  paintNames() {
+    const { pen } = this;
+    pen.font = NAME_FONT;
+    this.names.sort((a, b) => a.uav.id - b.uav.id); // by depth they would change places
+    const taken = this.names.map(({ x, y, size }) => [x - size, y - size, x + size, y + size, COVERED_UAV]);
+    for (const one of this.names) {
+      const words = one.uav.leader ? `${one.uav.id} leader` : `${one.uav.id}`;
+      const half = pen.measureText(words).width / 2;
+      let best = null;
+      for (const [right, down, far] of NAME_PLACES) {
+        const x = one.x + right * (one.size + half + far);
+        const y = one.y + down * (one.size + NAME_HALF + far);
+        const cost = far + taken.reduce((sum, [x0, y0, x1, y1, weight]) => {
+          const wide = Math.min(x + half + 2, x1) - Math.max(x - half - 2, x0);
+          const high = Math.min(y + NAME_HALF, y1) - Math.max(y - NAME_HALF, y0);
+          return wide > 0 && high > 0 ? sum + weight * wide * high : sum;
+        }, 0);
+        if (!best || cost < best.cost) best = { x, y, half, cost, far };
+        if (cost <= far) break; // free, and no place after it is nearer
+      }
+      taken.push([best.x - half - 2, best.y - NAME_HALF, best.x + half + 2, best.y + NAME_HALF, COVERED_NAME]);
+      Object.assign(one, { words, place: best });
+    }
+    for (const one of this.names) this.lead(one);
+    for (const { words, place, colour } of this.names) this.name(words, place, colour);
+  }
+
+  /** A thin line from a UAV to its name, when the name is not beside it. */
+  lead({ x, y, place, colour }) {
+    if (!place.far) return;
+    const { pen } = this;
+    pen.strokeStyle = colour;
+    pen.lineWidth = 1;
+    pen.beginPath();
+    pen.moveTo(x, y);
+    pen.lineTo(place.x, place.y);
+    pen.stroke();
   }
 
   followLeader() {
@@ -449,23 +497,23 @@ class Scene {
       pen.stroke();
     }
     this.halo(uav, x, y, arm * scale);
-    this.names.push([uav, x, y - arm * scale - 12, colour]);
+    this.names.push({ uav, x, y, size: arm * scale, colour });
   }
 
   halo(uav, x, y, size) {
-    if (!inside(uav.avoiding, this.now)) return;
+    const stuck = inside(uav.deadlocks, this.now);
+    if (!stuck && !inside(uav.avoiding, this.now)) return;
     const { pen } = this;
-    pen.strokeStyle = this.colour("--halo");
+    pen.strokeStyle = this.colour(stuck ? "--missed" : "--halo");
     pen.lineWidth = 2;
     pen.beginPath();
     pen.arc(x, y, size + 6, 0, 2 * Math.PI);
     pen.stroke();
   }
 
-  name(uav, x, y, colour) {
+  name(words, { x, y, half }, colour) {
     const { pen } = this;
-    const words = uav.leader ? `${uav.id} leader` : `${uav.id}`;
-    pen.font = "600 12px system-ui, sans-serif";
+    pen.font = NAME_FONT;
     pen.textAlign = "center";
     pen.textBaseline = "middle";
     pen.lineWidth = 3.5;
@@ -474,7 +522,7 @@ class Scene {
     pen.fillStyle = this.colour("--ink");
     pen.fillText(words, x, y);
     pen.fillStyle = colour;
-    pen.fillRect(x - pen.measureText(words).width / 2, y + 7, pen.measureText(words).width, 2);
+    pen.fillRect(x - half, y + 7, 2 * half, 2);
   }
 }
 

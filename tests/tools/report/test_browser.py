@@ -5,11 +5,15 @@ from __future__ import annotations
 import shutil
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
+from ptnsbc_sim.verdict import Series
+from ptnsbc_sim.verdict.recording import COUNTERS
 from ptnsbc_tools.plotting.flight import read_view, view_of
 from ptnsbc_tools.reading.bag_reader import ReadOptions, read_recording
 from ptnsbc_tools.reading.diagnostics import StatusSeries
@@ -243,8 +247,51 @@ def test_another_flight_is_overlaid(tab: Any, tmp_path: Path) -> None:
     )
     assert len(labels) == 10
     for own, beside in zip(labels[:5], labels[5:], strict=True):
-        assert beside[0] == f"{own[0]}, with: paper_5_free" and beside[1] == own[1]
+        assert beside[0] == f"{own[0]}, flight paper_5_free" and beside[1] == own[1]
         assert beside[2] != own[2]
+    card = opened.locator("#chart-errors")
+    card.scroll_into_view_if_needed()
+    card.locator(".main-svg").first.wait_for()
+    assert card.locator(".legend .traces").count() == 5  # the note says what the dots are
+    assert "Dotted, in the same colours: flight paper_5_free." in card.locator(".note").inner_text()
+
+
+def test_names_cover_no_other_name(tab: Any) -> None:
+    """Five UAVs seen as one spot from afar."""
+    one = tab()
+    opened = one.ready()
+    opened.evaluate("page.scene.camera.zoom(6)")
+    opened.evaluate("page.scene.paint()")
+    boxes = opened.evaluate(
+        "page.scene.names.map(({place: {x, y, half}}) => [x - half, y - NAME_HALF, x + half, y + NAME_HALF])"
+    )
+    for (x0, y0, x1, y1), (u0, v0, u1, v1) in combinations(boxes, 2):
+        assert x1 <= u0 or u1 <= x0 or y1 <= v0 or v1 <= y0
+    assert len(boxes) == 5
+
+
+def test_a_deadlock_stands_in_the_bar_of_time(tab: Any, tmp_path: Path) -> None:
+    view = read_view(SAMPLE, ReadOptions())
+    track = view.recording.counters[3]
+    values = track.rows(0, track.size).values.copy()
+    values[:, COUNTERS.index("deadlock_s")] = np.clip(np.arange(len(values)) - 10.0, 0.0, 5.0)
+    stuck = {**view.recording.counters, 3: Series(track.rows(0, track.size).t_ns, values)}
+    file = tmp_path / "index.html"
+    shown = view_of(replace(view.recording, counters=stuck), StatusSeries())
+    file.write_text(page(shown, {}), encoding="utf-8")
+    opened = tab(file.as_uri()).ready()
+    assert opened.locator("#events .stuck").count() == 1
+    assert "UAV 3: deadlock" in opened.locator("#events .mark").all_inner_texts()
+    opened.evaluate("page.clock.seek(page.data.space.uavs[2].deadlocks[0][0] + 0.1)")
+    opened.wait_for_selector("#live tr.stuck")
+    assert opened.locator("#live tr.stuck button").inner_text() == "3"
+
+
+def test_shaded_areas_have_a_legend(tab: Any) -> None:
+    opened = tab().ready()
+    note = opened.locator("#chart-errors .note")
+    assert note.locator(".swatch.band").count() == 1
+    assert "widest band" in note.inner_text()
 
 
 def test_without_script_the_verdict_is_there(tab: Any) -> None:

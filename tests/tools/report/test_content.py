@@ -16,6 +16,7 @@ from ptnsbc_sim.scenario.build import places_beside_leader
 from ptnsbc_sim.swarm import fly as fly_headless
 from ptnsbc_sim.verdict import Series
 from ptnsbc_sim.verdict.headless import recording_of
+from ptnsbc_sim.verdict.recording import COUNTERS
 from ptnsbc_tools.plotting.flight import view_of
 from ptnsbc_tools.reading.diagnostics import StatusSeries
 from ptnsbc_tools.report.content import Pack, content
@@ -91,6 +92,18 @@ def test_encounters_and_legs(fly, count):
     ((begin, end),) = space["uavs"][3]["avoiding"]
     assert (begin, end) == (pytest.approx(7.0), pytest.approx(8.0))
     assert space["legs"] == [[9.0, "hold"]]
+
+
+def test_a_deadlock_is_told(fly, count):
+    counters = count(12.0)
+    values = counters.values.copy()
+    values[:, COUNTERS.index("deadlock_s")] = np.clip(counters.t_ns * 1e-9 - 7.0, 0.0, 1.0)
+    recording = fly()
+    stuck = {**recording.counters, 4: Series(counters.t_ns, values)}
+    uavs = Unpacked(replace(recording, counters=stuck)).space["uavs"]
+    assert [uav["deadlocks"] for uav in uavs if uav["id"] != 4] == [[]] * 4
+    ((begin, end),) = uavs[3]["deadlocks"]
+    assert (begin, end) == (pytest.approx(7.0), pytest.approx(8.0))
 
 
 def test_a_long_flight_of_many_stays_small(fly, monkeypatch):
