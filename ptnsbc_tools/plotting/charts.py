@@ -125,7 +125,7 @@ def errors(flight: FlightView) -> Chart | None:
         band=(FLOOR_M, widest),
         band_label=f"widest band, {widest:.2f} m",
         spans=_excused(flight),
-        spans_label="somebody keeps clear of something, or has just done so",
+        spans_label="excused near objects",
         note="Distance from its place; of the leader, from its trajectory.",
     )
 

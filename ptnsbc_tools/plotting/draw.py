@@ -64,15 +64,11 @@ def draw_chart(axes: Any, chart: Chart) -> None:
     """Draw a chart on Matplotlib axes."""
     if chart.log:
         axes.set_yscale("log")
-    shaded = []  # one of each kind, for the legend
-    for span in chart.spans:
-        area = axes.axvspan(span.begin, span.end, color=OBSTACLE, alpha=0.12, linewidth=0)
-        shaded = [(area, chart.spans_label)]
+    for number, span in enumerate(chart.spans):
+        label = "_" if number else chart.spans_label  # once in the legend
+        axes.axvspan(span.begin, span.end, color=OBSTACLE, alpha=0.12, linewidth=0, label=label)
     if chart.band is not None:
-        area = axes.axhspan(*chart.band, color=GOOD, alpha=0.10, linewidth=0)
-        shaded.append((area, chart.band_label))
-    for area, label in shaded:
-        area.set_label(label)
+        axes.axhspan(*chart.band, color=GOOD, alpha=0.10, linewidth=0, label=chart.band_label)
     for curve in chart.curves:
         points = thin(curve.t, curve.values, _CURVE_POINTS)
         axes.plot(points.t, points.values, label=curve.label, linewidth=1.2, **_style(curve.look))
@@ -93,7 +89,8 @@ def draw_chart(axes: Any, chart: Chart) -> None:
     axes.margins(x=0.01)
     count = len(chart.curves)
     if 1 < count <= _INSIDE:
-        axes.legend(fontsize=7, ncol=2 if count > 6 else 1, loc="best")
+        entries = len(axes.get_legend_handles_labels()[0])
+        axes.legend(fontsize=7, ncol=2 if entries > 6 else 1, loc="best")
 
 
 def figure_of(chart: Chart, heading: str) -> Any:
