@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import os
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -142,3 +142,27 @@ def in_pilots_hands(folder: Path, names: Iterable[str]) -> bool:
     """Whether pilots fly all of these vehicles, as far as their bridges know."""
     known = {record.name: record for record in records(folder)}
     return all(name in known and known[name].in_pilots_hands for name in names)
+
+
+def reported(name: str, values: Mapping[str, str]) -> VehicleRecord:
+    """What a bridge of any host reports of its vehicle."""
+
+    def yes(key: str) -> bool:
+        return values.get(key) == "true"
+
+    return VehicleRecord(
+        name=name,
+        pid=0,
+        sysid=0,
+        autopilot="",
+        connect="",
+        step=values.get("step", ""),
+        order=values.get("order", ""),
+        heard=yes("heard"),
+        armed=yes("armed"),
+        landed=yes("landed"),
+        in_pilots_hands=yes("in_pilots_hands"),
+        mode=values.get("mode", ""),
+        place=values.get("place", ""),
+        fault=values.get("fault", ""),
+    )

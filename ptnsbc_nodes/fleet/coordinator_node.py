@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -41,40 +41,16 @@ from ptnsbc_nodes.comm.qos import RECORDER_RELIABLE, STATE_REALTIME
 from ptnsbc_nodes.comm.seal import Seal
 from ptnsbc_nodes.comm.topics import LOST, OVER, READY, SIM
 from ptnsbc_nodes.emergency.orders import Order, runtime_folder
-from ptnsbc_nodes.emergency.records import VehicleRecord
+from ptnsbc_nodes.emergency.records import VehicleRecord, reported
 from ptnsbc_nodes.fleet.lifecycle_manager import LifecycleManager
 from ptnsbc_nodes.runtime.executor import make_executor
-from ptnsbc_nodes.runtime.watchdog import SAID_S, WAITED
+from ptnsbc_nodes.runtime.watchdog import WAITED, LockstepWait
 from ptnsbc_sim.scenario.mission.faults import FaultBlock
 
 _REQUEST_S = 1.0
 _LISTENERS_S = 2.0  # without a further listener to faults: all are discovered
-_REPORT_GAP_S = 1.0  # the sim reports five times a second
 _SIGN_OF_LIFE_S = 2.0  # a process that is kept waiting says so five times a second
 _ANEW_CALLS = 3  # so many calls without an answer, and the whole node joins the network again
-
-
-class _LockstepWait:
-    """For how long the sim has reported that it waits, by our own clock: what a report says of it is not believed."""
-
-    def __init__(self) -> None:
-        self._since_s: dict[str, float] = {}  # by process
-        self._newest_s = float("-inf")
-
-    def reported(self, now_s: float, names: Iterable[str]) -> None:
-        """The sim waits for these processes."""
-        before = self._since_s if now_s - self._newest_s < _REPORT_GAP_S else {}
-        # The sim's first report comes after SAID_S of waiting.
-        self._since_s = {name: before.get(name, now_s - SAID_S) for name in names}
-        self._newest_s = now_s
-
-    def at(self, now_s: float) -> dict[str, float]:
-        """How long [s] each process has been waited for; empty when the reports have ceased."""
-        if now_s - self._newest_s >= _REPORT_GAP_S:
-            return {}
-        return {name: now_s - since_s for name, since_s in self._since_s.items()}
-
-
 _LOOK_S = 0.05
 
 
@@ -109,7 +85,7 @@ class Coordinator:
         self.places: dict[str, tuple[float, ...]] = {}
         """Measured position (3,) [m], ENU, of each vehicle, by bridge, before the flight."""
         self._last_status_s: dict[str, float] = {}  # when each process sent its last status
-        self._wait = _LockstepWait()
+        self._wait = LockstepWait()
         self._answers = self._unanswered = 0  # calls of services
         self._join()
 
@@ -399,7 +375,7 @@ class Coordinator:
                 if WAITED in values and name == SIM:
                     self._wait.reported(time.monotonic(), waits_for.split())
                 if "order" in values:
-                    self.vehicles[name] = _vehicle(name, values)
+                    self.vehicles[name] = reported(name, values)
                     self._on_place(name, values.get("position_m", ""))
                 self.waiting[name] = "" if values["ready"] == "true" else waits_for or "something"
 
@@ -408,27 +384,3 @@ class Coordinator:
             place = tuple(map(float, text.split()))
             if len(place) == 3 and all(map(math.isfinite, place)):
                 self.places[name] = place
-
-
-def _vehicle(name: str, values: Mapping[str, str]) -> VehicleRecord:
-    """What a bridge of any host reports of its vehicle."""
-
-    def yes(key: str) -> bool:
-        return values.get(key) == "true"
-
-    return VehicleRecord(
-        name=name,
-        pid=0,
-        sysid=0,
-        autopilot="",
-        connect="",
-        step=values.get("step", ""),
-        order=values.get("order", ""),
-        heard=yes("heard"),
-        armed=yes("armed"),
-        landed=yes("landed"),
-        in_pilots_hands=yes("in_pilots_hands"),
-        mode=values.get("mode", ""),
-        place=values.get("place", ""),
-        fault=values.get("fault", ""),
-    )

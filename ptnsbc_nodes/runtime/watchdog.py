@@ -12,7 +12,7 @@ that has given none for `SIM_ENDED_S`, in real time too.
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 from ptnsbc_nodes.comm.diagnostics import STATUS_HZ, DiagnosticLevel, diagnostics, readiness
 
@@ -22,6 +22,7 @@ RECORDER_ENDED_S = 60.0
 SIM_ENDED_S = 30.0
 WAITED = "waited_s"
 """Key of /formation/ready: for how long the sim has waited for those in `waiting_for`."""
+_REPORT_GAP_S = 1.0  # the sim reports five times a second
 
 
 class LockstepWatchdog:
@@ -49,3 +50,24 @@ class LockstepWatchdog:
             print(f"sim: {message}", file=sys.stderr, flush=True)
         values = {**readiness(names), WAITED: f"{waited_s:.1f}"}
         self._send(diagnostics(0, "sim: world", DiagnosticLevel.ERROR, message, values))
+
+
+class LockstepWait:
+    """For how long the sim has reported that it waits, by our own clock: what a report says of it is not believed."""
+
+    def __init__(self) -> None:
+        self._since_s: dict[str, float] = {}  # by process
+        self._newest_s = float("-inf")
+
+    def reported(self, now_s: float, names: Iterable[str]) -> None:
+        """The sim waits for these processes."""
+        before = self._since_s if now_s - self._newest_s < _REPORT_GAP_S else {}
+        # The sim's first report comes after SAID_S of waiting.
+        self._since_s = {name: before.get(name, now_s - SAID_S) for name in names}
+        self._newest_s = now_s
+
+    def at(self, now_s: float) -> dict[str, float]:
+        """How long [s] each process has been waited for; empty when the reports have ceased."""
+        if now_s - self._newest_s >= _REPORT_GAP_S:
+            return {}
+        return {name: now_s - since_s for name, since_s in self._since_s.items()}

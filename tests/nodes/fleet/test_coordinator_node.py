@@ -12,22 +12,10 @@ from ptnsbc_nodes.comm.diagnostics import DiagnosticLevel, diagnostics
 from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.comm.qos import RECORDER_RELIABLE
 from ptnsbc_nodes.comm.topics import READY
-from ptnsbc_nodes.fleet.coordinator_node import Coordinator, _LockstepWait
-from ptnsbc_nodes.runtime.watchdog import ENDED_S, SAID_S, WAITED
+from ptnsbc_nodes.fleet.coordinator_node import Coordinator
+from ptnsbc_nodes.runtime.watchdog import ENDED_S, WAITED
 
 pytestmark = pytest.mark.ros
-
-
-def test_a_wait_lasts_as_long_as_the_sim_goes_on_reporting_it():
-    wait = _LockstepWait()
-    for tenths in range(70):
-        wait.reported(tenths / 10, ["uav3", *(["uav4"] if tenths > 30 else [])])
-    waited = wait.at(7.0)
-    assert waited["uav3"] == pytest.approx(7.0 + SAID_S)
-    assert waited["uav4"] == pytest.approx(3.9 + SAID_S)
-    assert wait.at(8.0) == {}  # the reports have ceased
-    wait.reported(8.0, ["uav3"])
-    assert wait.at(8.0) == {"uav3": SAID_S}
 
 
 def test_no_message_ends_the_launcher_or_makes_it_end_a_uav(ros):

@@ -6,7 +6,7 @@ pytest.importorskip("rclpy")
 
 from ptnsbc_io.wire import decode_diagnostics
 from ptnsbc_nodes.comm.diagnostics import STATUS_HZ
-from ptnsbc_nodes.runtime.watchdog import ENDED_S, SAID_S, LockstepWatchdog
+from ptnsbc_nodes.runtime.watchdog import ENDED_S, SAID_S, LockstepWait, LockstepWatchdog
 
 pytestmark = pytest.mark.ros
 
@@ -44,3 +44,15 @@ def test_a_slow_flight_is_none_that_stands_still(standstill, sent):
     for mark in range(20):
         looks(standstill, SAID_S - 0.2, mark)
     assert sent == []
+
+
+def test_a_wait_lasts_as_long_as_the_sim_goes_on_reporting_it():
+    wait = LockstepWait()
+    for tenths in range(70):
+        wait.reported(tenths / 10, ["uav3", *(["uav4"] if tenths > 30 else [])])
+    waited = wait.at(7.0)
+    assert waited["uav3"] == pytest.approx(7.0 + SAID_S)
+    assert waited["uav4"] == pytest.approx(3.9 + SAID_S)
+    assert wait.at(8.0) == {}  # the reports have ceased
+    wait.reported(8.0, ["uav3"])
+    assert wait.at(8.0) == {"uav3": SAID_S}
