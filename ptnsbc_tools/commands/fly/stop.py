@@ -73,6 +73,8 @@ def stop(
         return
     from ptnsbc_nodes.fleet.emergency_stop import EmergencyStop
 
+    # On a busy host the processes that fly come first, and the order would wait behind them.
+    environment.prefer_punctuality(flies=True)
     operation = EmergencyStop(folder, Order(KILL if kill else LAND, pilots_too))
     try:
         code = _give(operation, number, fleet, patience, ready=ready, kill=kill)

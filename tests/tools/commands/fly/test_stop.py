@@ -14,6 +14,7 @@ import typer
 from ptnsbc_nodes.emergency.order_port import OrderPort
 from ptnsbc_nodes.emergency.orders import Order, latch, latched, list_fleet, runtime_folder
 from ptnsbc_nodes.emergency.records import VehicleRecord, write_record
+from ptnsbc_nodes.runtime import environment
 from ptnsbc_tools.commands.fly import stop as command
 
 DOMAIN = 7
@@ -50,6 +51,13 @@ def middleware(monkeypatch):
     monkeypatch.setattr(command, "_middleware", lambda _domain, _fleet: one)
     monkeypatch.setattr(command, "_DISCOVERY_S", 0.1)
     return one
+
+
+@pytest.fixture(autouse=True)
+def hurries(monkeypatch):
+    calls = []
+    monkeypatch.setattr(environment, "prefer_punctuality", lambda *, flies: calls.append(flies))
+    return calls
 
 
 @pytest.fixture
@@ -89,13 +97,14 @@ def give(**options):
     return ended.value.exit_code
 
 
-def test_all_obey(bridge, middleware, folder, capsys):
+def test_all_obey(bridge, middleware, folder, hurries, capsys):
     list_fleet(folder, ["bridge1"])
     bridge()
     assert give(kill=True) == 0
     assert "bridge1: motors stopped after 0." in capsys.readouterr().err
     assert middleware.called == []
     assert latched(folder) == Order("kill")
+    assert hurries == [True]  # it does not wait behind the processes that fly
 
 
 def test_a_landing_is_told_to_the_leader_as_well(bridge, middleware, folder, capsys):
