@@ -152,11 +152,13 @@ def _profiles(found: list[End], roles: dict[str, Role], role: Role) -> tuple[str
 
 
 def _one(found: Iterable[End], what: str) -> str:
-    """The profile that all of `found` have."""
-    profiles = {_profile(end.profile) for end in found}
-    if len(profiles) > 1:
+    """The profile that all of `found` have; in two depths where that is all that differs."""
+    profiles = {_profile(end.profile): end.profile for end in found}
+    kinds = {(one.reliability, one.durability) for one in profiles.values()}  # type: ignore[attr-defined]
+    if len(kinds) > 1:
         raise TopicsError(f"{what}: several profiles, {', '.join(sorted(profiles))}: expected one")
-    return next(iter(profiles), "")
+    first, *more = sorted(profiles, key=lambda name: -profiles[name].depth) or [""]  # type: ignore[attr-defined]
+    return " or ".join([first, *(name.rpartition("depth ")[2] for name in more)])
 
 
 def _profile(profile: object) -> str:
