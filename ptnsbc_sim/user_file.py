@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import importlib.util
+import inspect
 import math
 import sys
 import traceback
@@ -151,6 +152,12 @@ def user_function(named: str, what: str, example: tuple[Any, ...]) -> UserFuncti
         raise UserFileError(
             f"{file}: {name}: {found}: expected a function of the inputs of a {what}"
         )
+    try:
+        inspect.signature(function).bind(*example)
+    except TypeError as error:
+        raise UserFileError(
+            f"{place_of(function)}: {error}: expected a function of the inputs of a {what}"
+        ) from None
     return UserFunction(file, name, function, _compiled(function, file, what, example))
 
 
@@ -172,7 +179,7 @@ def _compiled(
         law._cache = KernelCache(function, CacheFolder(cache_root() / "laws", digest))
     try:
         law.compile(tuple(numba.typeof(one) for one in example))
-    except NumbaError as error:
+    except (NumbaError, TypeError) as error:  # TypeError: *inputs
         line = " ".join(str(error).split()) or type(error).__name__
         print(
             f"{what} {file}:{function.__code__.co_firstlineno}: {function.__name__} is interpreted, "

@@ -147,6 +147,7 @@ def test_a_law_that_gives_no_velocity_names_its_line(
         (("import numpy", "import no_such_module"), r"mine\.py:2: ModuleNotFoundError"),
         (("other = 3",), r"law: no such name: expected a function"),
         (("law = 3",), r"law: int: expected a function"),
+        (("def law(a, b):", "    return a"), r"mine\.py:1: law: missing a required argument: 'b'"),
     ],
 )
 def test_a_file_without_a_law_names_its_line(
