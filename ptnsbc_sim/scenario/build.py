@@ -17,7 +17,7 @@ from ptnsbc_core.behaviours.formation import HOMING
 from ptnsbc_core.control.quadrotor_control import MIN_LIFT_FRACTION
 from ptnsbc_core.curves.shape import place_samples
 from ptnsbc_core.errors import FormationError
-from ptnsbc_core.tasks.approach import braking_speed
+from ptnsbc_core.tasks.approach import SHARE, braking_speed
 from ptnsbc_core.tasks.registry import desired_value
 from ptnsbc_core.tasks.table import FORMATION_TASKS, TASKS
 from ptnsbc_core.tasks.told_path import REACH
@@ -224,7 +224,8 @@ def weakest_deceleration(scenario: Scenario) -> float:
     return min(deceleration(scenario, uav_id) for uav_id in unlike.values())
 
 
-def _clearance(scenario: Scenario, uav_id: int) -> ClearanceConfig:
+def clearance_config(scenario: Scenario, uav_id: int) -> ClearanceConfig:
+    """Constants of the clearance of one UAV."""
     gains = scenario.gains.clearance
     loops = loop_lag_s(scenario)
     bandwidth = min(scenario.gains.filter.bandwidth_1_s, 1.0 / loops)
@@ -257,29 +258,34 @@ def _climb(scenario: Scenario, uav_id: int) -> float:
     )
 
 
-def sight_speed(config: ClearanceConfig, keep_out_m: float, busy: float = 0.0) -> float:
+def sight_speed(
+    config: ClearanceConfig, keep_out_m: float, busy: float = 0.0, share: float = 1.0
+) -> float:
     """Largest speed [m/s] from which a UAV can stop before a keep-out [m] that comes into the sensor's range.
 
     Until it brakes it flies on for its lag and one period of the sensor, as it did before. `busy` [m/s^2] of its
-    braking are in use already.
+    braking are in use already. Each of two that both brake has its `share` of the room: `SHARE`.
     """
-    room = max(config.range_m - keep_out_m - config.margin_m, 0.0)
+    room = share * max(config.range_m - keep_out_m - config.margin_m, 0.0)
     return braking_speed(room, config.deceleration - busy, config.lag_s + config.sensor_s)
 
 
 def recovery_config(scenario: Scenario, uav_id: int) -> RecoveryConfig:
     """What the way back after an encounter may ask for: half of what the leader's motion leaves of the vehicle.
 
-    A UAV that is on its way back can stop before what it does not see yet, with the braking that the way back leaves.
+    The motion of the leader is common to all and closes no pair. So beside it each of two that come back can stop
+    within half of what they see, with the braking that the way back leaves.
     """
     speed, acceleration = leader_motion(scenario.file)
     most, braking = float(scenario.max_speed_m_s(uav_id)), deceleration(scenario, uav_id)
     half = HOMING * max(braking - acceleration, _LEAST_LEFT * braking)
+    left = max(most - speed, _LEAST_LEFT * most)
     if scenario.file.formation.avoidance != "off":
-        most = min(most, sight_speed(_clearance(scenario, uav_id), scenario.reach_m, half))
+        config = clearance_config(scenario, uav_id)
+        left = min(left, sight_speed(config, scenario.widest_keep_out_m, half, SHARE))
     return RecoveryConfig(
         least_s=float(scenario.file.formation.recovery_s),
-        speed=float(max(most - speed, _LEAST_LEFT * most)),
+        speed=float(left),
         acceleration=float(half),
     )
 
@@ -354,7 +360,7 @@ def agent_config(scenario: Scenario, uav_id: int) -> AgentConfig:
         damping_threshold=float(gains.damping.threshold),
         damping_max=float(gains.damping.maximum),
         estimator=_estimator(scenario, uav_id),
-        clearance=_clearance(scenario, uav_id),
+        clearance=clearance_config(scenario, uav_id),
         recovery=recovery_config(scenario, uav_id),
         filter=_filter(scenario, uav_id),
         controller=_controller(scenario, uav_id),

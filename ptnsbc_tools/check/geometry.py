@@ -13,11 +13,14 @@ from ptnsbc_core.tasks.table import TASKS
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import Scenario, agent_config
 from ptnsbc_sim.scenario.build import (
+    clearance_config,
     leader_trajectory,
     places_beside_leader,
+    recovery_config,
     reference_offset,
     sight_speed,
 )
+from ptnsbc_sim.scenario.deadline import leader_motion
 from ptnsbc_sim.scenario.mission.shapes import moves
 from ptnsbc_sim.scenario.semantics import STABILITY_LIMIT, estimator_peak, estimator_step
 from ptnsbc_sim.scenario.slots import with_slots_of_starts
@@ -243,6 +246,22 @@ def recovery(scenario: Scenario) -> Findings:
         f">= {formation.recovery_s:g} s, and what speed and acceleration need",
         "",
     )
+    leader, _ = leader_motion(scenario.file)
+    if leader <= 0.0:
+        return
+    for uav in scenario.uav_ids:
+        back = recovery_config(scenario, uav)
+        config = clearance_config(scenario, uav)
+        most = sight_speed(config, scenario.reach_m, back.acceleration)
+        if leader + back.speed > most:
+            yield Finding(
+                INFO,
+                "formation.recovery_s",
+                f"beside a leader at {leader:.2f} m/s UAV {uav} comes back at up to {back.speed:.2f} m/s",
+                f"<= {most:.2f} m/s together, from which it can stop before what stands in its way",
+                "slow the leader down, or raise sensor.range_m",
+            )
+            return
 
 
 def sensor(scenario: Scenario) -> Findings:

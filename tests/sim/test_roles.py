@@ -118,16 +118,32 @@ def test_a_uav_that_comes_back_from_afar_sees_in_time_what_stands_in_its_way(
     assert verdict.verdict == "met", [(one.uav, one.reason) for one in verdict.uavs]
 
 
+def stopping_way(speed, config):
+    """What a UAV on its way back needs to stop [m], from when something comes into the range of its sensor."""
+    late = config.clearance.lag_s + config.clearance.sensor_s
+    return speed * late + speed**2 / (
+        2.0 * (config.clearance.deceleration - config.recovery.acceleration)
+    )
+
+
 @pytest.mark.parametrize("range_m", [3.0, 4.0, 8.0])
-def test_a_way_back_is_no_faster_than_the_uav_can_stop_within_sight(range_m):
-    scenario = load_scenario("relay", {"sensor.range_m": range_m})
-    config = agent_config(scenario, 5)
-    speed = recovery_config(scenario, 5).speed + 1.2  # that of the leader
+@pytest.mark.parametrize("rate", [0.05, 0.1, 0.4])
+def test_two_on_their_ways_back_can_stop_within_sight_whatever_the_speed_of_the_leader(
+    range_m, rate
+):
+    keys = {"sensor.range_m": range_m, "leader.trajectory.rate_rad_s": rate}
+    config = agent_config(load_scenario("relay", keys), 5)
     room = range_m - 0.5 - config.clearance.margin_m
-    needed = speed * (config.clearance.lag_s + config.clearance.sensor_s)
-    busy = config.recovery.acceleration
-    needed += speed**2 / (2.0 * (config.clearance.deceleration - busy))
-    assert needed == pytest.approx(room) or (speed == config.filter.max_speed and needed < room)
+    left = config.filter.max_speed - 12.0 * rate
+    needed = 2.0 * stopping_way(config.recovery.speed, config)
+    assert needed == pytest.approx(room) or (config.recovery.speed == left and needed < room)
+
+
+def test_beside_the_leader_of_relay_a_way_back_can_also_stop_before_what_stands():
+    """Whatever their directions: the speeds add up at most."""
+    config = agent_config(load_scenario("relay"), 5)
+    room = config.clearance.range_m - 0.5 - config.clearance.margin_m
+    assert stopping_way(1.2 + config.recovery.speed, config) < room
 
 
 def test_who_loses_its_leader_link_forgets_the_leaders_acceleration():

@@ -8,6 +8,7 @@ import pytest
 from synthetic_flights import away, decay, verdict_of
 
 from ptnsbc_sim.scenario import load_scenario
+from ptnsbc_sim.scenario.build import recovery_config
 from ptnsbc_sim.verdict import Recording, verdict_on
 from ptnsbc_sim.verdict.encounters import recovery_s
 
@@ -92,10 +93,12 @@ def test_a_place_is_regained_within_the_recovery_time(
 
 def test_who_is_farther_off_has_longer(fly: Fly, count: Callable[..., Any]) -> None:
     scenario = load_scenario("paper_5_free")
-    near, far, farthest = (recovery_s(scenario, away) for away in (0.0, 1.0, 4.0))
-    assert near < far < farthest
+    near, far, farther, farthest = (recovery_s(scenario, away) for away in (0.0, 0.7, 2.8, 8.0))
+    assert near < far < farther < farthest
     assert near == pytest.approx(scenario.file.formation.recovery_s + 1.0 / 2.2)
-    assert farthest - 1.0 / 2.2 == pytest.approx(2.0 * (far - 1.0 / 2.2), rel=0.01)
+    assert farther - 1.0 / 2.2 == pytest.approx(2.0 * (far - 1.0 / 2.2), rel=0.01)
+    speed = min(recovery_config(scenario, uav).speed for uav in scenario.uav_ids)
+    assert farthest - 1.0 / 2.2 == pytest.approx(2.1875 * 8.0 / speed, rel=0.01)
     paper = load_scenario("paper_5_free", {"formation.approach": "task"})
     assert recovery_s(paper, 1.0) == recovery_s(paper, 4.0)
 

@@ -187,6 +187,15 @@ def test_who_is_faster_than_it_can_stop_within_sight_is_told_the_speed(
         assert slow[0].advice.endswith("raise sensor.range_m to 4.99 m")
 
 
+@pytest.mark.parametrize(("speed", "told"), [(1.3, False), (1.5, True), (5.0, True)])
+def test_ways_back_too_fast_to_stop_before_what_stands_are_told(speed: float, told: bool) -> None:
+    path = {"kind": "line", "position_m": [0, 0, 6], "velocity_m_s": [speed, 0, 0]}
+    found = check(load_scenario("paper_5_free", {"leader.trajectory": path}))
+    beside = [one.value for one in found if one.value.startswith("beside a leader")]
+    says = f"beside a leader at {speed:.2f} m/s UAV 1 comes back at up to 2.51 m/s"
+    assert beside == ([says] if told else [])
+
+
 @pytest.mark.parametrize("noise_m", [0.005, 0.02, 0.1])
 def test_the_error_that_position_fixes_leave_the_leader_is_foreseen(noise_m: float) -> None:
     """Within a sixth of what four flights of 50 s show, whatever the receiver is."""
