@@ -277,7 +277,7 @@ class Agent:
         return _state(self._memory)
 
     def task_points(self, inputs: PackedInputs, t: float, dt: float) -> TaskPoints:
-        """Where the step with these inputs evaluates its task."""
+        """The state at which the step with these inputs evaluates its task."""
         return _points(self._memory, inputs.vector, inputs.near, t, dt)
 
     def advance(

@@ -1,4 +1,4 @@
-"""What one UAV does at this tick: follow the trajectory, keep its formation position, hold, or land."""
+"""The task of one UAV at this tick: follow the trajectory, keep its formation position, hold, or land."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def parent_and_leader(
     clock: Clock,
     config: AgentConfig,
 ) -> tuple[Neighbour, Neighbour]:
-    """Where parent and leader are now, for a follower that has received its parent's state."""
+    """The places of parent and leader now, for a follower that has received its parent's state."""
     parent = extrapolated(inputs.parent, motions.parent, inputs.parent_age_s, clock.dt)
     leader = Neighbour(estimate.position, estimate.velocity, motions.leader.acceleration, 0.0)
     if config.association_gate_m > 0.0:

@@ -107,7 +107,7 @@ def _control(
 
 @inline_kernel
 def _told_paths(estimate: Estimate, planned: bool, clock: Clock, config: AgentConfig) -> ToldPaths:
-    """What the formation tells of the paths of its UAVs."""
+    """The announced paths of the UAVs of the formation."""
     return ToldPaths(
         clock.t,
         plan_duration(config.formation) if planned else 0.0,
@@ -133,7 +133,7 @@ class PlannerOutput(NamedTuple):
 def _view(
     state: AgentState, inputs: AgentInputs, behaviour: Behaviour, told: ToldPaths, dt: float
 ) -> ObstacleView:
-    """What the UAV senses; without any message the silence counts from the first epoch."""
+    """The readings of the UAV; without any message the silence counts from the first epoch."""
     age_s = inputs.near_age_s if inputs.near_age_s < NEVER_RECEIVED_S else inputs.start_age_s
     demand = norm3(behaviour.acceleration) + norm3(state.adapted.observer.disturbance)
     velocity = velocity_enu(inputs.own)
@@ -229,7 +229,7 @@ def _epoch_errors(state: AgentState, at_epoch: bool, t: float, config: AgentConf
 def _motions(
     state: AgentState, inputs: AgentInputs, clock: Clock, config: AgentConfig
 ) -> NeighbourMotions:
-    """What the newest messages of parent and leader say of their motion."""
+    """The motion of parent and leader in their newest messages."""
     before, start_t = state.motions, clock.start_t
     limit, stale_s = config.filter.max_acceleration, config.stale_s
     if config.approach != APPROACH_PLANNED:
@@ -333,7 +333,7 @@ class TaskPoints(NamedTuple):
 def task_points(
     state: AgentState, inputs: AgentInputs, t: float, dt: float, config: AgentConfig
 ) -> TaskPoints:
-    """Where the step that follows evaluates its task."""
+    """The state at which the step that follows evaluates its task."""
     inputs, config = _in_numbers(inputs), borrowed(config)
     clock = Clock(t, inputs.start_age_s, dt)
     holding = inputs.mode != MODE_FORMATION or link_lost(inputs, clock.start_t, config)

@@ -1,4 +1,4 @@
-"""What goes into and comes out of one control step of one UAV.
+"""Input and output of one control step of one UAV.
 
 An *odometry vector* (13,) float64 is the content of a nav_msgs/Odometry: position x y z [m, ENU] |
 quaternion x y z w (body FLU to world ENU) | linear velocity [m/s] | angular velocity [rad/s]. Velocities are
@@ -232,7 +232,7 @@ class AgentConfig(NamedTuple):
 
 
 class AgentInputs(NamedTuple):
-    """What one UAV knows at this tick. Ages count from a message's stamp; NEVER_RECEIVED_S without a message."""
+    """The inputs of one UAV at this tick. Ages count from a message's stamp; NEVER_RECEIVED_S without a message."""
 
     own: OdometryLike  # (13,) odometry vector
     parent: OdometryLike  # (13,) odometry vector of the parent
@@ -284,7 +284,7 @@ class Recovery(NamedTuple):
 
 
 class AgentState(NamedTuple):
-    """What one UAV carries from tick to tick."""
+    """The state that one UAV carries from tick to tick."""
 
     estimate: Estimate  # of the leader
     estimate_valid: bool  # the estimate has been initialised from a message
@@ -316,7 +316,7 @@ class AgentDiagnostics(NamedTuple):
 
 
 class AgentOutputs(NamedTuple):
-    """What one UAV sends at this tick."""
+    """The messages of one UAV at this tick."""
 
     velocity: Vector3  # setpoint [m/s, ENU]
     yaw_rate: float  # setpoint [rad/s]

@@ -28,7 +28,7 @@ class LawError(UserFileError):
 
 
 class LawInputs(NamedTuple):
-    """What a law knows at one tick; positions and velocities are ENU. K: senders heard, M: objects near."""
+    """The input of a law at one tick; positions and velocities are ENU. K: senders heard, M: objects near."""
 
     t: float  # [s] since the epoch
     position: Array  # (3,) own [m]

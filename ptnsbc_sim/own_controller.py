@@ -14,7 +14,7 @@ _EXPECTED = "force [N] and torque [N m], six numbers in the body frame (FLU)"
 
 
 class ControllerInputs(NamedTuple):
-    """What a controller knows at one tick; it must not remember anything."""
+    """The input of a controller at one tick; it must not remember anything."""
 
     t: float  # [s] since the epoch
     dt: float  # [s] control period

@@ -74,7 +74,7 @@ def _task_points(
     track: FlightTrack,
     disturbances: Disturbances | None,
 ) -> Array:
-    """Where each UAV evaluates its task: rows (N, 10)."""
+    """The states at which the UAVs evaluate their tasks: rows (N, 10)."""
     wiring, swarm, track = borrowed(wiring), borrowed(swarm), borrowed(track)
     dt = wiring.dt_ns * 1e-9
     out = np.zeros((swarm.bodies.shape[0], _POINTS + 1))

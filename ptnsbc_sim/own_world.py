@@ -26,7 +26,7 @@ _QUATERNION = slice(3, 7)
 
 
 class DisturbanceInputs(NamedTuple):
-    """What a disturbance knows at the start of a control period."""
+    """The input of a disturbance at the start of a control period."""
 
     t: float  # [s] of the simulated world
     uav: int  # id
@@ -37,7 +37,7 @@ class DisturbanceInputs(NamedTuple):
 
 
 class PlantInputs(NamedTuple):
-    """What a plant knows at an instant."""
+    """The input of a plant at an instant."""
 
     t: float  # [s] of the simulated world
     state: Array  # (17,) position, quaternion x y z w, velocity [ENU], body rates, four numbers of its own
@@ -54,7 +54,7 @@ class PlantInputs(NamedTuple):
 
 
 class SensorInputs(NamedTuple):
-    """What a near-object sensor knows at a reading. M: all other UAVs and all obstacles, at any distance."""
+    """The input of a near-object sensor at a reading. M: all other UAVs and all obstacles, at any distance."""
 
     t: float  # [s] of the simulated world
     uav: int  # id

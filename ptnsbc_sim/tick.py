@@ -111,7 +111,7 @@ def inputs_of(
     row: int,
     disturbances: Disturbances | None,
 ) -> AgentInputs:
-    """What UAV number `row` knows at `tick`: what was sent at the tick before, or longer ago if that got lost."""
+    """The inputs of UAV number `row` at `tick`: the messages of the tick before, or older ones if those got lost."""
     parent = wiring.parent[row]
     from_parent, from_leader = tick - 1, tick - 1
     if disturbances is not None:

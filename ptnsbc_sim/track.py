@@ -1,4 +1,4 @@
-"""What a headless flight leaves behind, tick by tick."""
+"""The record of a headless flight, tick by tick."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ DIAGNOSTICS_SIZE = 11
 
 
 class FlightTrack(NamedTuple):
-    """What a flight leaves behind, one row per tick; also the buffer that the kernel fills."""
+    """The record of a flight, one row per tick; also the buffer that the kernel fills."""
 
     odometry: Array  # (T, N, 13)
     velocity: Array  # (T, N, 4)

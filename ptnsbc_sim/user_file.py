@@ -70,7 +70,7 @@ def place_of(function: FunctionType, error: BaseException | None = None) -> str:
 
 
 def shown(found: object) -> str:
-    """What a function returned, in one line of a message."""
+    """The result of a function, in one line of a message."""
     return " ".join(repr(found).split())[:_LONGEST_VALUE]
 
 
@@ -84,7 +84,7 @@ class UserFunction:
     call: Callable[..., Any]  # compiled where it can be
 
     def __call__(self, *inputs: Any) -> Any:
-        """What the function returns.
+        """The result of the function.
 
         Raises:
             UserFileError: it raised an error.
@@ -98,7 +98,7 @@ class UserFunction:
             ) from error
 
     def numbers(self, found: Any, count: int, expected: str, at: str = "") -> tuple[float, ...]:
-        """What the function returned, as so many finite numbers.
+        """The result of the function, as so many finite numbers.
 
         Args:
             found: what it returned.

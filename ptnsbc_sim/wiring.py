@@ -1,4 +1,4 @@
-"""Who hears whom in a headless flight, and how its sensors and its physics are timed."""
+"""The receivers of every message in a headless flight, and the times of its sensors and its physics."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class ParentRows(NamedTuple):
 
 
 class Wiring(NamedTuple):
-    """Who hears whom, as rows of the swarm; constant during a flight."""
+    """The receivers of every message, as rows of the swarm; constant during a flight."""
 
     leader: NDArray[np.int64]  # (N,) row of the leader of each
     parent: NDArray[np.int64]  # (N,) row of the parent, -1 for the leader

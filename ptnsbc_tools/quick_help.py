@@ -8,7 +8,7 @@ from types import ModuleType
 from typing import Any
 
 _UNUSED = {"rich.markdown": "Markdown", "rich.traceback": "Traceback"}
-"""What the formatter of help imports and our help does not use: no text is Markdown, no error has a traceback."""
+"""Modules that the formatter of help imports in vain: no text of our help is Markdown, no error has a traceback."""
 
 _END_OF_OPTIONS = "--"
 

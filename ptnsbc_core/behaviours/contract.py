@@ -1,4 +1,4 @@
-"""What goes into a behaviour and what comes out of it."""
+"""Input and output of a behaviour."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from ptnsbc_core.types import Recovery, StartErrors, Vector3
 
 
 class Beside(NamedTuple):
-    """Where a UAV is beside its plan, by itself: without what it takes over from its parent."""
+    """The distance of a UAV from its plan by its own doing: without the part that it takes over from its parent."""
 
     deviation: Vector3  # [m, ENU] to the plan
     velocity: Vector3  # [m/s, ENU] of the plan: what the behaviour asks for without a deviation
@@ -17,7 +17,7 @@ class Beside(NamedTuple):
 
 
 class FormationPlace(NamedTuple):
-    """Where a UAV has to be in the end."""
+    """The place of a UAV in the end."""
 
     error: Vector3  # [m, ENU] from the UAV to it
     velocity: Vector3  # [m/s, ENU] of it

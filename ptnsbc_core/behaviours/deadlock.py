@@ -51,7 +51,7 @@ def in_deadlock(standing_s: float, config: ClearanceConfig) -> bool:
 def way_out(
     velocity: Vector3, place: FormationPlace, standing_s: float, config: ClearanceConfig
 ) -> Vector3:
-    """What a UAV asks for: a velocity [m/s, ENU], and in a deadlock the climb to its layer beside that."""
+    """The request of a UAV: a velocity [m/s, ENU], and in a deadlock the climb to its layer beside that."""
     if not in_deadlock(standing_s, config):
         return velocity
     below = config.climb * config.deadlock_s + place.error[2]  # [m] to the layer

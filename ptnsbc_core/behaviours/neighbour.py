@@ -1,4 +1,4 @@
-"""What a neighbour's messages say of its motion.
+"""The motion of a neighbour, as its messages report it.
 
 A message carries the velocity that its sender commands, not the one that it measures: a measured velocity has
 gone through the tilt, the motors and the filter of the sender, and a chain of UAVs that feed it forward amplifies

@@ -34,7 +34,7 @@ class PlaceMotion(NamedTuple):
 
 
 class Places(NamedTuple):
-    """Where a UAV and its parent are to be, beside the leader."""
+    """The places of a UAV and its parent beside the leader."""
 
     own: PlaceMotion
     parent: PlaceMotion

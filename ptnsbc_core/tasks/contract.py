@@ -1,4 +1,4 @@
-"""What a task gives to the behaviours and to the composition."""
+"""The result of a task, for the behaviours and the composition."""
 
 from __future__ import annotations
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 
 
 class FormationTask(NamedTuple):
-    """What others have to know of a task."""
+    """One formation task: its name, and the units of its rows."""
 
     name: str
     angles: tuple[bool, bool, bool]

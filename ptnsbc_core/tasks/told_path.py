@@ -1,4 +1,4 @@
-"""What the formation tells of the paths of its UAVs: all fly to their slots by one time profile.
+"""The paths of the UAVs, as the formation announces them: all fly to their slots by one time profile.
 
 On the planned approach a UAV is at x = g + (1 - h) (x_0 - g) beside the leader, with its slot g. Its velocity there is
 x_dot = h_dot / (1 - h) (g - x): where a UAV goes can be read from where it is and how fast it flies.
@@ -24,7 +24,7 @@ _LEAST_RATE = 1e-6
 
 
 class ToldPaths(NamedTuple):
-    """What one UAV knows of the paths of all."""
+    """The paths of all UAVs, as one UAV knows them."""
 
     t: float  # since the epoch [s]
     duration_s: float  # of the planned approach; 0: nothing is planned
@@ -43,7 +43,7 @@ def _nearness(gap: float, reach: float) -> float:
 
 @inline_kernel
 def _goal(told: ToldPaths, position: Vector3, velocity: Vector3, left_s: float) -> Vector3:
-    """Where a UAV ends that flies so and is on its path, relative to the leader."""
+    """The end of the path of a UAV that flies so, relative to the leader."""
     place = sub3(position, told.leader_position)
     return axpy(left_s, sub3(velocity, told.leader_velocity), place)
 

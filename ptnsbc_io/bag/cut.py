@@ -139,7 +139,7 @@ def _attachments(bags: Sequence[Bag]) -> dict[str, bytes]:
 
 
 def _metadata(bags: Sequence[Bag]) -> dict[str, str]:
-    """What all bags say alike; where they differ, the first one counts."""
+    """The common metadata of all bags; where they differ, the first bag counts."""
     found: dict[str, str] = {}
     for bag in bags:
         for key, value in bag.metadata.items():

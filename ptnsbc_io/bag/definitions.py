@@ -25,7 +25,7 @@ _TABLE_FILE = Path(__file__).with_name("definitions.json")
 
 
 class Definition(NamedTuple):
-    """What identifies a message type in a bag."""
+    """The identity of a message type in a bag."""
 
     text: str  # ros2msg: the .msg file, then those of all nested types
     type_hash: str  # RIHS01_...

@@ -34,7 +34,7 @@ R = TypeVar("R", Attachment, Metadata)
 
 
 class ChunkLocation(NamedTuple):
-    """Where a chunk is and what it holds; a long bag keeps thousands of these while it is read."""
+    """Place and contents of a chunk; a long bag keeps thousands of these while it is read."""
 
     first_ns: int  # log time
     last_ns: int
@@ -45,7 +45,7 @@ class ChunkLocation(NamedTuple):
 
 @dataclass
 class Contents:
-    """What a file holds besides its messages."""
+    """The contents of a file besides its messages."""
 
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)

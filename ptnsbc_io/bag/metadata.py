@@ -47,7 +47,7 @@ class TopicDeclaration(NamedTuple):
 
     @property
     def channel_metadata(self) -> dict[str, str]:
-        """What rosbag2 writes beside the channel."""
+        """The metadata that rosbag2 writes beside the channel."""
         if self.metadata is not None:
             return dict(self.metadata)
         offered = to_yaml([dict(profile) for profile in self.qos])

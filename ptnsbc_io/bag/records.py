@@ -69,7 +69,7 @@ Record: TypeAlias = Schema | Channel | Attachment | Metadata | MessageRecord
 
 @dataclass
 class Damage:
-    """What a walk could not read."""
+    """The part of a file that a walk could not read."""
 
     chunks: int = 0  # damaged chunks, lost with all their messages
     cut: bool = False  # the file ends inside a record, or before its footer

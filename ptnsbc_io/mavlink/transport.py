@@ -41,7 +41,7 @@ class Transport(Protocol):
         """For select()."""
 
     def receive(self) -> Packet | None:
-        """What has arrived; None when nothing has."""
+        """The bytes that have arrived; None when there are none."""
 
     def send(self, data: bytes, address: Address | None) -> bool:
         """Send, to `address` where the transport has no fixed address; False when that fails."""

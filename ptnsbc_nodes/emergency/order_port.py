@@ -114,7 +114,7 @@ class OrderClient:
         return True
 
     def answers(self) -> list[bytes]:
-        """What has arrived."""
+        """The orders that have arrived."""
         found = []
         with suppress(OSError):
             while True:

@@ -29,7 +29,7 @@ class RuntimeFolderError(PtnsbcError):
 
 
 class Order(NamedTuple):
-    """What every vehicle must do."""
+    """The action that every vehicle must take."""
 
     what: str = (
         ""  # "land", "kill", "apart" (from a bridge: hold apart by height, then land) or nothing

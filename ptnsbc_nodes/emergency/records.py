@@ -1,4 +1,4 @@
-"""What a bridge says of its vehicle: in its answers to orders, and in a file that outlives it.
+"""The state of a vehicle by its bridge: in its answers to orders, and in a file that outlives it.
 
 The file tells others how to reach the vehicle when the bridge is dead, and what the vehicle was doing.
 """
@@ -130,7 +130,7 @@ def forget_dead(folder: Path) -> None:
 
 
 def last_word(folder: Path, name: str) -> str:
-    """Where a vehicle is whose bridge has ended, and what it does now; empty when it is not armed or not known."""
+    """Place and present action of a vehicle whose bridge has ended; empty when it is not armed or not known."""
     record = parse_record(read_json(record_path(folder, name)))
     if record is None or not record.armed:
         return ""

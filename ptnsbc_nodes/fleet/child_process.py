@@ -57,7 +57,7 @@ class ProcessCommand:
 
     @property
     def lost(self) -> tuple[str, ...]:
-        """What the flight loses when it ends: its UAVs if it belongs to some, so also for a bridge."""
+        """The loss to the flight when it ends: its UAVs if it belongs to some, so also for a bridge."""
         return tuple(f"uav{i}" for i in self.uavs) or (self.name,)
 
     @property
@@ -116,7 +116,7 @@ class ChildProcess:
 
     @property
     def summary(self) -> str | None:
-        """What it reported when it had finished its work (`report_finished`); None before that."""
+        """Its report when it had finished its work (`report_finished`); None before that."""
         with suppress(BlockingIOError):
             while part := os.read(self._report, 1 << 16):
                 self._received += part

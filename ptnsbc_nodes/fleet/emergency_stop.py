@@ -35,7 +35,7 @@ class RemotePath(Protocol):
 
     @property
     def vehicles(self) -> Mapping[str, VehicleRecord]:
-        """What each bridge reported last, by its name."""
+        """The last report of each bridge, by its name."""
 
     def send(self, order: Order) -> None:
         """Publish the order."""
@@ -45,7 +45,7 @@ class RemotePath(Protocol):
 
 
 class VehicleOutcome(NamedTuple):
-    """What an order has come to at one vehicle."""
+    """The outcome of an order at one vehicle."""
 
     name: str  # of the bridge
     obeyed: bool  # it answered and does as it was told, or is left alone as it should be
@@ -119,7 +119,7 @@ class EmergencyStop:
             pass
 
     def outcomes(self) -> list[VehicleOutcome]:
-        """What has come of the order, per bridge."""
+        """The outcome of the order, per bridge."""
         return [self._outcome(name) for name in self.bridges]
 
     def close(self) -> None:

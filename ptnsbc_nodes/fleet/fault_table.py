@@ -1,4 +1,4 @@
-"""What the processes of a flight do about faults: the rows of the table in docs/faults.md.
+"""The answers of the processes of a flight to faults: the rows of the table in docs/faults.md.
 
 The times are those of the code. Each row names the tests that fly or make its fault; a test of the table runs none.
 """

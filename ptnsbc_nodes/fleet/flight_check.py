@@ -83,7 +83,7 @@ class FlightCheck:
         return "" if same else self._objection(places)
 
     def _in_the_air(self, uav: int) -> tuple[float, ...]:
-        """Where the vehicle will be after the take-off (3,) [m]; it may be airborne already, in a pilot's hands."""
+        """The place of the vehicle after the take-off (3,) [m]; it may be airborne already, in a pilot's hands."""
         name = f"bridge{uav}"
         x, y, z = self._coordinator.places[name]
         vehicle, height_m = self._coordinator.vehicles[name], 0.0

@@ -1,4 +1,4 @@
-"""Which processes a flight consists of, which of them this computer runs, and their command lines."""
+"""The processes of a flight, those of them that this computer runs, and their command lines."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class ProcessListError(PtnsbcError):
 
 @dataclass(frozen=True)
 class FleetOptions:
-    """What to fly, and how."""
+    """The scenario to fly, and how it is flown."""
 
     scenario: Scenario
     lockstep: bool = False
@@ -160,7 +160,7 @@ def _bridge(options: FleetOptions, common: Sequence[str], uav: int) -> ProcessCo
 
 
 def _silences(options: FleetOptions) -> Iterator[str]:
-    """What a recorder in lock-step needs to know of UAVs that are restarted."""
+    """The knowledge of restarted UAVs that a recorder in lock-step needs."""
     for fault in options.scenario.faults:
         if fault.kind == "restart" and fault.struck_uav is not None:
             yield from ("--silent", str(fault.struck_uav), *map(str, fault.window_ns(0)))

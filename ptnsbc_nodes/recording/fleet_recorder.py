@@ -38,7 +38,7 @@ def topic_info(topic: Topic, *, lockstep: bool) -> TopicInfo:
 
 
 def _sources(recorded: Iterable[Topic]) -> Iterator[str]:
-    """What sends regularly in lock-step: every topic of a UAV, the sim's, and each process on /diagnostics."""
+    """The regular senders in lock-step: every topic of a UAV, the sim's, and each process on /diagnostics."""
     names = [
         topic.name
         for topic in recorded

@@ -37,7 +37,7 @@ class PlayError(PtnsbcError):
 
 @dataclass(frozen=True)
 class PlayOptions:
-    """What to play, and how."""
+    """The bag to play, and how it is played."""
 
     topics: Sequence[str] = ("*",)  # patterns
     rate: float = 1.0
@@ -49,7 +49,7 @@ class PlayOptions:
 
 @dataclass
 class Played:
-    """What was played."""
+    """The outcome of playing a bag."""
 
     messages: int = 0
     rounds: int = 0

@@ -1,4 +1,4 @@
-"""What every recording over DDS does alike: subscriptions that write into a bag, served until they are told to end."""
+"""The common part of every recording over DDS: subscriptions that write into a bag until they are told to end."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ class BagRecorder:
         slices.drain(lambda: self.received, _QUIET_S, drain_limit_s)
 
     def summary(self, **more: Any) -> Mapping[str, Any]:
-        """What was recorded, once the bag is complete."""
+        """The outcome of the recording, once the bag is complete."""
         counts = self._writer.counts
         return {
             "bag": str(self._writer.directory),

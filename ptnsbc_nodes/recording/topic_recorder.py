@@ -58,7 +58,7 @@ class RecordError(PtnsbcError):
 
 @dataclass(frozen=True)
 class RecordOptions:
-    """What to record, and how."""
+    """The topics to record, and how they are recorded."""
 
     bag: Path
     topics: Sequence[str] = OURS  # patterns

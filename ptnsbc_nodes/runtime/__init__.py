@@ -1,1 +1,1 @@
-"""What every process needs: executor, signals, life cycle, parameters, environment, clocks."""
+"""The common needs of every process: executor, signals, life cycle, parameters, environment, clocks."""

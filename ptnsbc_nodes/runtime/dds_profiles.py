@@ -1,4 +1,4 @@
-"""Which processes can find each other: Fast DDS profiles for one host, known computers, and a discovery server.
+"""Fast DDS profiles by which processes find each other: for one host, known computers, and a discovery server.
 
 The templates lie in `profiles/`; this module fills them in. None of them uses multicast, so that no packet
 reaches a network that the user has not named.
@@ -33,7 +33,7 @@ class NetworkError(PtnsbcError):
 
 
 class Server(NamedTuple):
-    """Where a discovery server listens."""
+    """The address of a discovery server."""
 
     address: str
     port: int = SERVER_PORT

@@ -19,7 +19,7 @@ from ptnsbc_nodes.runtime.parameters import FIXED
 
 
 class ConfiguredNode(Protocol):
-    """What a configured node does: it has topics from the start, and acts while it is active."""
+    """The behaviour of a configured node: it has topics from the start, and acts while it is active."""
 
     endpoints: Endpoints
 

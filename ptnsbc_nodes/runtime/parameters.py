@@ -212,7 +212,7 @@ class NodeParameters:
 
 
 def descriptor(leaf: ScenarioParameter, *, read_only: bool) -> ParameterDescriptor:
-    """What `ros2 param describe` shows of a value."""
+    """The text that `ros2 param describe` shows of a value."""
     about = ParameterDescriptor(
         description=leaf.description, additional_constraints=leaf.rule, read_only=read_only
     )

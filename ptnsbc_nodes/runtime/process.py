@@ -1,4 +1,4 @@
-"""What every node process does alike: arguments, one rclpy node, one thread, an orderly end."""
+"""The common part of every node process: arguments, one rclpy node, one thread, an orderly end."""
 
 from __future__ import annotations
 

@@ -126,7 +126,7 @@ def parameter_file(scenario: Scenario) -> str:
 
 
 class GivenParameters(NamedTuple):
-    """What a parameter file says of a scenario."""
+    """The values of a scenario in a parameter file."""
 
     values: dict[str, Any]  # by dotted key
     text: str  # what the values leave out of a whole scenario; empty when the file has only some values

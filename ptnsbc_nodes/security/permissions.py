@@ -1,4 +1,4 @@
-"""What each process of a fleet may publish and read with DDS Security: the edges of its scenario, and no more.
+"""Permissions of each process of a fleet with DDS Security: the topics of its edges in the scenario, and no more.
 
 Names are those of DDS. ROS puts `rt` before a topic, `rq` and `rr` before the two topics of a service. A `*` stands
 for any characters, slashes included.
@@ -75,7 +75,7 @@ def permissions(
     backend: Literal["sim", "mavlink"],
     namespace: str = "",
 ) -> Iterator[Permission]:
-    """What each process of a fleet may do.
+    """The permissions of each process of a fleet.
 
     Args:
         scenario: Its edges say who hears whom.

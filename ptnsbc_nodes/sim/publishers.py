@@ -1,4 +1,4 @@
-"""What the simulated world publishes: odometry, near objects, time, markers and transforms."""
+"""The publishers of the simulated world: odometry, near objects, time, markers and transforms."""
 
 from __future__ import annotations
 

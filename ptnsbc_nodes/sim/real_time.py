@@ -47,7 +47,7 @@ class RealTimeWorld:
         self._publishers.publish(now_ns)
 
     def hovering(self, now_ns: int) -> str:
-        """Which vehicles hover because their UAVs send no setpoints; empty when none does."""
+        """The vehicles that hover because their UAVs send no setpoints; empty when none does."""
         fresh = self._fresh(now_ns)
         names = [f"uav{i}" for i in self._world.ids if i not in fresh]
         return f"hovering without setpoints: {' '.join(names)}" if names else ""

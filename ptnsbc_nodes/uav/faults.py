@@ -96,7 +96,7 @@ class UavFaults:
 def sent_faults(
     scenario: Scenario, uav_id: int, t0_ns: int = 0
 ) -> Callable[[Stamped], Stamped] | None:
-    """What the faults of a scenario make of the states of one UAV; None: nothing."""
+    """The faults of a scenario in the states of one UAV; None without any."""
     own = [(fault, t0_ns) for fault in scenario.faults if fault.struck_uav == uav_id]
     return partial(_sent, own, uav_id) if own else None
 

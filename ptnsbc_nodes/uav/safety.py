@@ -14,7 +14,7 @@ from ptnsbc_nodes.runtime.safety import Concern, SafetyState
 
 
 class PlannerSight(NamedTuple):
-    """What a UAV process observes of its inputs and its flight; an empty text says that nothing is wrong."""
+    """The observations of a UAV process on its inputs and its flight; an empty text says that nothing is wrong."""
 
     holding: bool = False
     inactive: bool = False

@@ -90,7 +90,7 @@ class OpenSlots:
         return True
 
     def fault(self, leg: Leg | None) -> str:
-        """What is wrong with the slots of a leg, empty when nothing is."""
+        """The fault of the slots of a leg, empty without one."""
         missing = leg is not None and leg.mode == MODE_FORMATION
         if leg is None or not missing or self.decided.of(leg.t0_ns) is not None:
             return ""

@@ -1,4 +1,4 @@
-"""What a viewer knows of a flight now: places, errors, time to the deadline, faults. Without ROS."""
+"""The knowledge of a viewer of a flight now: places, errors, time to the deadline, faults. Without ROS."""
 
 from __future__ import annotations
 
@@ -114,7 +114,7 @@ class FlightState:
 
     @property
     def words(self) -> tuple[Word, ...]:
-        """What was said of the legs of the mission in flight."""
+        """The words of an operator on the legs of the mission in flight."""
         return () if self._epochs.scenario is None else self._epochs.scenario.words
 
     @property
@@ -149,7 +149,7 @@ class FlightState:
         return float(self.scenario.gains.formation.deadline_s) - since_s
 
     def _goals(self, places: dict[int, Array], t: float | None) -> dict[int, Array]:
-        """Where each UAV is to be (3,) [m]; without the followers while the leader is not heard."""
+        """The wanted place of each UAV (3,) [m]; without the followers while the leader is not heard."""
         scenario, instant = self.scenario, max(t or 0.0, 0.0)
         goals: dict[int, Array] = {}
         leader = places.get(scenario.leader_id)
@@ -183,7 +183,7 @@ class FlightState:
         }
 
     def _nearest(self, uav: int, places: dict[int, Array], t: float) -> dict[str, Any] | None:
-        """What leaves the least room: its name, the distance, and the room above the keep-out."""
+        """The object that leaves the least room: its name, the distance, and the room above the keep-out."""
         own, scenario, at = places[uav], self.scenario, np.array([t])
         things = [
             *(
@@ -207,7 +207,7 @@ class FlightState:
         return {"name": name, "distance": _rounded(distance), "room": _rounded(room)}
 
     def _said(self, uav: int) -> dict[str, Any]:
-        """What the processes of one UAV report: mode, vehicle, battery, order of an operator."""
+        """The reports of the processes of one UAV: mode, vehicle, battery, order of an operator."""
         own = [s for _, s in self._status.values() if s.name.partition(":")[0] == f"uav{uav}"]
         link = [s for _, s in self._status.values() if s.name.partition(":")[0] == f"bridge{uav}"]
         mode = next((s.values["mode"] for s in own if "mode" in s.values), None)

@@ -29,7 +29,7 @@ class Answer(NamedTuple):
 
 
 class _Goal(ABC):
-    """What is flown for a client of an action: until its end, another leg or a cancel request.
+    """The flight for a client of an action: until its end, another leg or a cancel request.
 
     The goal's `execute` runs only at the end, for the result: it would hold the one thread of the node.
     """

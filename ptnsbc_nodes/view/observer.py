@@ -129,7 +129,7 @@ class Observer:
             listen_to_vehicles(self._listen, self._state)
 
     def scenario(self, patience_s: float, stopped: Callable[[], bool]) -> Scenario:
-        """What the fleet flies, as one of its UAVs says.
+        """The scenario of the fleet, from one of its UAVs.
 
         Raises:
             ViewError: no UAV answers in this time, or `stopped` says so.

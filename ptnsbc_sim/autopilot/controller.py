@@ -15,7 +15,7 @@ _IMPOSTOR_OLDER_MS = 90_000
 
 
 class FlightController(StandInVehicle):
-    """What the stand-ins of all firmwares do alike: `px4`, `arducopter` and `stm32` derive from it."""
+    """The common part of the stand-ins of all firmwares: `px4`, `arducopter` and `stm32` derive from it."""
 
     _impostor_t = -math.inf
 

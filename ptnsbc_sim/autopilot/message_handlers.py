@@ -1,4 +1,4 @@
-"""What a stand-in does with each kind of message; commands are in `commands`."""
+"""The answers of a stand-in to each kind of message; commands are in `commands`."""
 
 from __future__ import annotations
 

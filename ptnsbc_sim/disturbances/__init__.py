@@ -1,1 +1,1 @@
-"""What goes wrong by chance: noisy and late positions, gusts, lost messages. All of it follows from the seed."""
+"""Random disturbances: noisy and late positions, gusts, lost messages. All of it follows from the seed."""

@@ -24,7 +24,7 @@ _JUMP_COLUMNS = 6
 
 
 class MessageFault(NamedTuple):
-    """What a fault does to the messages of one UAV that are stamped within its time."""
+    """The effect of a fault on the messages of one UAV that are stamped within its time."""
 
     sender: int
     start_ns: int
@@ -107,7 +107,7 @@ class FaultyLink(NamedTuple):
 
 
 def delay_ns(faults: Sequence[MessageFault], sender: int, stamp_ns: int) -> int:
-    """What faults add to the delay [ns] of a message of this stamp."""
+    """The delay [ns] that faults add to a message of this stamp."""
     return sum(
         fault.delay_ns for fault in faults if fault.sender == sender and fault.holds(stamp_ns)
     )

@@ -48,7 +48,7 @@ def store_state(out: Array, x: QuadrotorState) -> None:
 
 
 class QuadrotorForces(NamedTuple):
-    """What acts on the vehicle during one control period, but for the disturbance."""
+    """The actions on the vehicle during one control period, but for the disturbance."""
 
     mass: float  # [kg]
     inertia: Vector3  # [kg m^2]

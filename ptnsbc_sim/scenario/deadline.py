@@ -37,7 +37,7 @@ _STEP_S = 0.1  # `auto` is rounded up to it
 
 
 class Limits(NamedTuple):
-    """What the leader's motion leaves of the limits of speed and acceleration; not above 0: nothing."""
+    """The rest of the limits of speed and acceleration beside the leader's motion; not above 0: nothing."""
 
     speed_m_s: float
     acceleration_m_s2: float
@@ -113,7 +113,7 @@ def _left_of(file: ScenarioFile, uav: UavBlock, speed: float, acceleration: floa
 
 
 def _left(file: ScenarioFile, speed: float, acceleration: float) -> Limits:
-    """What is left of the weakest vehicle: that of the speed and that of the acceleration may be two."""
+    """The rest of the limits of the weakest vehicle: that of the speed and that of the acceleration may be two."""
     every = [_left_of(file, uav, speed, acceleration) for uav in file.uavs]
     return Limits(min(one.speed_m_s for one in every), min(one.acceleration_m_s2 for one in every))
 

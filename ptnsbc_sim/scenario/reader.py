@@ -226,7 +226,7 @@ def names_table(tree: Any, key: str = "") -> str:
 
 
 def _inside(node: Any, key: str) -> list[tuple[str, Any]]:
-    """What is in a mapping or list, with the dotted keys."""
+    """The values in a mapping or list, with the dotted keys."""
     if isinstance(node, list):
         return [(f"{key}[{k}]", one) for k, one in enumerate(node)]
     if isinstance(node, dict):

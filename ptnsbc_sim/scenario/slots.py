@@ -1,4 +1,4 @@
-"""Who takes which slot of the formation.
+"""Assignment of the UAVs to the slots of the formation.
 
 A slot is a place of the formation with all that belongs to it: its offset from the leader, its parent, its links and
 its task. It has the number of the UAV to which the scenario gives it. With `formation.assignment: optimal` the UAVs

@@ -121,7 +121,7 @@ def least_share(scenario: Scenario) -> float:
 def accepts(
     scenario: Scenario, runs: int = RUNS, seed: int = 0, least: float | None = None
 ) -> bool:
-    """What `dry_run(…).accepted()` says; no flight is flown that cannot change it. `least`: another share."""
+    """The answer of `dry_run(…).accepted()`; no flight is flown that cannot change it. `least`: another share."""
     least, missed = least_share(scenario) if least is None else least, 0
     for number, flight in enumerate(_flights(scenario, runs, seed)):
         missed += not flight.met

@@ -1,4 +1,4 @@
-"""What a sweep flies: a base scenario, what varies in it, and the scenario of each draw.
+"""The flights of a sweep: a base scenario, the keys that vary, and the scenario of each draw.
 
 Draw k is a pure function of the plan and k. It does not depend on the number of draws, of workers or of chunks;
 a Latin hypercube alone is made for its number of draws as a whole.
@@ -46,7 +46,7 @@ Value = float | int | str | bool | None
 
 @dataclass(frozen=True)
 class SweepPlan:
-    """What a sweep flies.
+    """The flights of a sweep.
 
     Axes of a list or a grid make a grid of all their combinations, each of which is flown `runs` times. Axes of
     a range are drawn for every flight. Draw k is flight k // cells of grid cell k % cells.
@@ -69,7 +69,7 @@ class SweepPlan:
     """Perturbed flights of the dry run before each draw; 0: no dry run."""
     name: str = "sweep"
     source: str = "scenario"
-    """Where the base scenario comes from, for messages."""
+    """The origin of the base scenario, for messages."""
 
     @property
     def grid(self) -> tuple[SweepAxis, ...]:
@@ -218,7 +218,7 @@ def _source(plan: SweepPlan, k: int) -> str:
 
 
 def drawn_values(plan: SweepPlan, k: int) -> dict[str, Value]:
-    """What was drawn for draw k: the axes' values, and what a family drew."""
+    """The values of draw k: those of the axes, and those of a family."""
     return _drawn(plan, k)[1]
 
 
@@ -248,7 +248,7 @@ def _validated(tree: reader.Tree, source: str) -> Scenario:
 
 
 class _Common(NamedTuple):
-    """What draws have in common of which only starts and seed are drawn."""
+    """The common parts of draws that differ in starts and seed only."""
 
     scenario: Scenario
     spheres: Spheres  # of which the starts must be clear

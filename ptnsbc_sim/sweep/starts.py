@@ -1,4 +1,4 @@
-"""Where the UAVs of a flight start: as the file says, beside that, or anywhere in a box."""
+"""Starts of the UAVs of a flight: as the file says, beside that, or anywhere in a box."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def parse_starts(text: str) -> Starts:
 
 @dataclass(frozen=True)
 class Spheres:
-    """What a start must be clear of."""
+    """The distances that a start must keep."""
 
     centres: Array  # (O, 3) [m]
     radii: Array  # (O,) [m]
@@ -94,7 +94,7 @@ def _clear(place: Array, others: Sequence[Array], spheres: Spheres) -> bool:
 
 
 def spheres_of(tree: dict[Any, Any], margin_m: float) -> Spheres:
-    """What the starts of a scenario tree must be clear of."""
+    """The distances that the starts of a scenario tree must keep."""
     blocks = (tree.get("world") or {}).get("obstacles") or []
     every = [Obstacle(ObstacleBlock.model_validate(block)) for block in blocks]
     spheres = [one for one in every if one.kind == "sphere"]

@@ -98,7 +98,7 @@ def _early_end(recording: Recording) -> str:
 
 
 def incomplete(recording: Recording, uav: int, covers: Mapping[int, Coverage]) -> str:
-    """What the recording lacks of a UAV or of its leader; empty when it is complete enough.
+    """The gaps of the recording of a UAV or of its leader; empty when it is complete enough.
 
     Args:
         recording: the leg.

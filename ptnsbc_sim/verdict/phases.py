@@ -1,4 +1,4 @@
-"""Who belonged to the formation when, as a recording shows it: by the plan of the scenario, and by what was sent.
+"""The members of the formation over time in a recording: by the plan of the scenario, and by the messages.
 
 A UAV was silent while its leader estimates are missing for longer than `communication.stale_s`: the rule of the UAVs.
 """

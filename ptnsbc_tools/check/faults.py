@@ -24,5 +24,5 @@ def faults(scenario: Scenario) -> Findings:
 
 
 def _where(scenario: Scenario, fault: FaultBlock) -> str:
-    """Where a fault is injected; empty when everywhere."""
+    """The place of a fault; empty when it is injected everywhere."""
     return "" if fault in scenario.modelled_faults else "only in real time"

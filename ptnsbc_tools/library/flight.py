@@ -45,11 +45,11 @@ class Flight:
     tolerance_m: float | None = field(default=None, repr=False)
     """Limit of the error at the deadline [m]; None: that of the scenario."""
     bag: Path | None = None
-    """Where it was read from or written to."""
+    """The file that it was read from or written to."""
     headless: HeadlessFlight | None = field(default=None, repr=False)
-    """What the simulator left, of a flight in this process."""
+    """The record of the simulator, of a flight in this process."""
     status: StatusSeries | None = field(default=None, repr=False)
-    """What the nodes published; None: read from the bag when a figure needs it."""
+    """The published messages of the nodes; None: read from the bag when a figure needs them."""
 
     @property
     def scenario(self) -> Scenario:
@@ -291,7 +291,7 @@ def new_axes() -> Any:
 
 
 def _status_of(flight: HeadlessFlight) -> StatusSeries:
-    """What the UAVs of a headless flight would have published, at every tick."""
+    """The messages that the UAVs of a headless flight would have published, at every tick."""
     from ptnsbc_sim.track import GAIN, SINGULAR_VALUE
 
     log = flight.track.diagnostics

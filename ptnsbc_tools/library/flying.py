@@ -48,7 +48,7 @@ def load(scenario: str | Path | Mapping[str, Any], /, **keys: Any) -> Scenario:
 
 @dataclass(frozen=True)
 class CheckReport:
-    """What the pre-flight check found, errors first."""
+    """The findings of the pre-flight check, errors first."""
 
     scenario: Scenario = field(repr=False)
     findings: tuple[Finding, ...]

@@ -19,7 +19,7 @@ class ReportError(PtnsbcError):
 
 @dataclass(frozen=True)
 class Report:
-    """What `report` wrote."""
+    """The files that `report` wrote."""
 
     page: Path
     pictures: tuple[Path, ...]

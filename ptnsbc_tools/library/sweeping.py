@@ -40,7 +40,7 @@ class Sweep:
 
     @property
     def plan(self) -> SweepPlan:
-        """What was flown."""
+        """The plan of the flights."""
         return self.flown.plan
 
     @property
@@ -136,7 +136,7 @@ def plan(
     dry_runs: int = 0,
     name: str | None = None,
 ) -> SweepPlan:
-    """What a sweep flies; the arguments are those of `sweep`.
+    """The flights of a sweep; the arguments are those of `sweep`.
 
     Raises:
         SweepError: an axis, a start or a family that cannot be.

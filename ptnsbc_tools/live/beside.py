@@ -36,7 +36,7 @@ class Viewing:
     def beside(
         self, say: Callable[[str], None]
     ) -> Callable[[Mapping[str, str], Path], ExitStack] | None:
-        """What `FleetOptions.beside` takes; None when nothing is shown."""
+        """The value for `FleetOptions.beside`; None when nothing is shown."""
         if not self.wanted:
             return None
 

@@ -56,7 +56,7 @@ class Dashboard:
             self._live.console.print(console.plain(line), highlight=False)
 
     def sink(self, scenario: Scenario) -> Sink:
-        """What takes the frames of this flight."""
+        """The receiver of the frames of this flight."""
         self._scenario = scenario
 
         def show(frame: dict[str, Any]) -> None:

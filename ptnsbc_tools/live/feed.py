@@ -1,4 +1,4 @@
-"""What the pages of a live view show: the stage, the frames so far, and the newest frame."""
+"""The data of the pages of a live view: the stage, the frames so far, and the newest frame."""
 
 from __future__ import annotations
 

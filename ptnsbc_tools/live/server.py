@@ -22,7 +22,7 @@ from ptnsbc_tools.live.feed import Feed
 
 HOST = "127.0.0.1"
 ORDERS = ("hold", "land", "stop")
-"""What a page may order; each is confirmed there."""
+"""The orders that a page may give; each is confirmed there."""
 _MOST_PAGES = 16
 _LARGEST_ORDER = 1024  # bytes
 _LOOK_S = 0.2
@@ -47,7 +47,7 @@ class LiveServer:
 
     def __init__(self, feed: Feed, page: Callable[[], str], port: int = 0) -> None:
         self.orders: queue.SimpleQueue[str] = queue.SimpleQueue()
-        """What people at the pages have ordered, in their order."""
+        """The orders of people at the pages, in their order."""
         self.token = secrets.token_urlsafe(18)
         self._feed, self._page = feed, page
         self._pages = threading.BoundedSemaphore(_MOST_PAGES)
@@ -70,7 +70,7 @@ class LiveServer:
 
     @property
     def address(self) -> str:
-        """What a browser of this host opens."""
+        """The address that a browser of this host opens."""
         return f"http://{HOST}:{self.port}/?token={self.token}"
 
     def __enter__(self) -> LiveServer:

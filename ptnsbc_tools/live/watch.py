@@ -29,7 +29,7 @@ Sink = Callable[[dict[str, Any]], None]
 
 @dataclass(frozen=True)
 class WatchOptions:
-    """Which fleet, and how it is shown."""
+    """The fleet to watch, and how it is shown."""
 
     domain: int
     namespace: str = ""

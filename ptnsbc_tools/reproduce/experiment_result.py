@@ -1,4 +1,4 @@
-"""What an experiment of `ptnsbc reproduce` returns: figures, tables and claims as plain data."""
+"""The result of an experiment of `ptnsbc reproduce`: figures, tables and claims as plain data."""
 
 from __future__ import annotations
 

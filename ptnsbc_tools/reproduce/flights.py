@@ -36,7 +36,7 @@ class JudgedFlight:
 
     @property
     def scenario(self) -> Scenario:
-        """What was flown."""
+        """The plan of the flights."""
         return self.flight.scenario
 
     @property

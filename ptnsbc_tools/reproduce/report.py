@@ -52,7 +52,7 @@ PAGES = {
 
 @dataclass(frozen=True)
 class Origin:
-    """Where results come from: the command, the code and the seeds."""
+    """The origin of results: the command, the code and the seeds."""
 
     command: str
     commit: str

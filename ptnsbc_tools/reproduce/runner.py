@@ -29,7 +29,7 @@ _POLL_S = 0.1
 
 
 class ExperimentProgress(NamedTuple):
-    """What an experiment is doing now; `done` when it has ended."""
+    """The progress of an experiment now; `done` when it has ended."""
 
     experiment: str
     line: str

@@ -30,7 +30,7 @@ START_ERROR = "largest start error [m]"
 
 @dataclass(frozen=True)
 class DrawnAxis:
-    """What was drawn for each flight, in groups that are shown side by side."""
+    """The drawn values of each flight, in groups that are shown side by side."""
 
     name: str
     labels: tuple[str, ...]

@@ -1,4 +1,4 @@
-"""What a sweep found: shares, causes, errors and the worst flights, as tables and as JSON."""
+"""The result of a sweep: shares, causes, errors and the worst flights, as tables and as JSON."""
 
 from __future__ import annotations
 
@@ -217,7 +217,7 @@ def axis_text(axis: SweepAxis) -> str:
 
 
 def title(sweep: FlownSweep) -> str:
-    """What was flown, in a line."""
+    """The flights of a sweep, in a line."""
     plan = sweep.plan
     drawn = [axis_text(axis) for axis in plan.axes]
     if plan.starts.kind != "file":

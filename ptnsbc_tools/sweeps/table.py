@@ -99,7 +99,7 @@ class FlightTable:
 
     @property
     def drawn(self) -> dict[str, Column]:
-        """What was drawn for each flight (D,), by key."""
+        """The drawn values of each flight (D,), by key."""
         names = [name for name in self.columns if name.startswith(DRAWN)]
         return {name.removeprefix(DRAWN): self[name][self.first] for name in names}
 

@@ -229,7 +229,7 @@ def _fly(request: FleetOptions, shown: Shown) -> FleetResult:
 
 
 def _flight_overrides(scenario: Scenario) -> Iterator[str]:
-    """What real vehicles change in a scenario, one line each."""
+    """The changes that real vehicles make to a scenario, one line each."""
     for key, value in scenario.mavlink.overrides.items():
         own: Any = scenario.file
         for name in key.split("."):
@@ -251,7 +251,7 @@ def _fleet_facts(flown: FleetResult) -> dict[str, Any]:
 
 
 def _losses(flown: FleetResult) -> Iterator[str]:
-    """What the flight and its recording lack, one line each."""
+    """The defects of the flight and its recording, one line each."""
     for name in flown.died:
         yield f"{name} ended before its time"
     recorded = flown.recorded

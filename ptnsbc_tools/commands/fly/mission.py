@@ -81,7 +81,7 @@ def _ask(service: str, domain: int | None, namespace: str) -> Any:
 
 
 def _answer(service: str, domain: int | None, namespace: str) -> str:
-    """What the leader answers.
+    """The answer of the leader.
 
     Raises:
         MissionError: no fleet with a mission is there, or it refuses.

@@ -1,4 +1,4 @@
-"""What one UAV computes and receives, with more and more UAVs in the formation."""
+"""Computing time and received messages of one UAV, with more and more UAVs in the formation."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def tick_load(scenario: Scenario) -> TickLoad:
 
 
 def follower_inputs(scenario: Scenario, world: World, uav: int) -> AgentInputs:
-    """What a follower knows in flight: parent, leader, neighbours' estimates, near objects."""
+    """The inputs of a follower in flight: parent, leader, neighbours' estimates, near objects."""
     parent, age_s = scenario.parent(uav), scenario.dt_ns * 1e-9
     leader = world.odometry(scenario.leader_id)
     neighbours = scenario.estimator_neighbours(uav)
