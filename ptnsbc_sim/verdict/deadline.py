@@ -1,4 +1,4 @@
-"""Whether a UAV kept its deadline and its distances: settling, the error when it was due, and the causes of a miss."""
+"""Whether a UAV kept its deadline: the verdict on the figures of its error, and the causes of a miss."""
 
 from __future__ import annotations
 
@@ -6,18 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ptnsbc_core.types import Array
-from ptnsbc_sim.scenario import Scenario
-from ptnsbc_sim.scenario.mission.legs import (
-    FormLeg,
-    LandLeg,
-    is_cut_short,
-)
 from ptnsbc_sim.scenario.mission.membership import NEVER_NS
 from ptnsbc_sim.verdict.coverage import Coverage, first_bad_s, incomplete, silent_from_s
-from ptnsbc_sim.verdict.encounters import Encounter, ancestors, inside
+from ptnsbc_sim.verdict.encounters import ancestors
+from ptnsbc_sim.verdict.error_figures import ChangeError, ErrorFigures
 from ptnsbc_sim.verdict.recording import NANO, Recording, counter_rise
 
 MET, MISSED, VIOLATED, VOID = "met", "missed", "violated", "void"
@@ -26,28 +19,8 @@ WORST_FIRST = (VIOLATED, MISSED, VOID, MET)
 TOLERANCE_M = 0.05
 """Default limit of the formation error at the deadline."""
 
-SHARE_OF_START = 0.02
-"""Share of the start error that widens the band of the settling time."""
-
 MOST_EXCUSED = 0.5
 """Share of the time after the deadline that encounters may excuse at most."""
-
-_EXACT_S = 1e-9
-_NONE = np.empty(0)
-
-
-@dataclass(frozen=True)
-class ChangeError:
-    """The error of one UAV when a change of the shape, or a leg of a mission, was due.
-
-    Times in seconds after the first epoch.
-    """
-
-    number: int  # of the change or of the leg, from 1
-    what: str  # in words
-    due_s: float  # the end of it
-    error_m: float | None  # None: the leg ends before it
-    excused: bool  # an encounter lasts over it
 
 
 @dataclass(frozen=True)
@@ -85,239 +58,6 @@ class UavVerdict:
     changes: tuple[
         ChangeError, ...
     ]  # those of the shape, or legs of a mission, that were due in this leg, after its deadline
-
-
-class ValueAt:
-    """The value of a curve at one time [s], interpolated; None while the curve ends before that time."""
-
-    def __init__(self, t_s: float) -> None:
-        self.value: float | None = None
-        self._t_s = t_s
-        self._last = (_NONE, _NONE)
-
-    def add(self, times: Array, values: Array) -> None:
-        """Take the next samples (T,) [s] and (T,)."""
-        if self.value is None and times[-1] >= self._t_s:
-            t, v = (np.concatenate(pair) for pair in zip(self._last, (times, values), strict=True))
-            self.value = float(np.interp(self._t_s, t, v))
-        self._last = times[-1:], values[-1:]
-
-
-class _LastExit:
-    """When a curve entered its band for the last time, for samples that arrive block by block."""
-
-    def __init__(self) -> None:
-        self.entered_s: float | None = 0.0  # None: it ends outside
-
-    def add(self, times: Array, outside: NDArray[np.bool_], first: int = 0) -> None:
-        """Take the next samples (T,); before number `first` none is outside."""
-        if self.entered_s is None:
-            self.entered_s = float(times[0])
-        latest_first = outside[first:][::-1]
-        if latest_first.any():
-            after = times.size - int(latest_first.argmax())
-            self.entered_s = float(times[after]) if after < times.size else None
-
-
-@dataclass
-class Regain:
-    """How a UAV regained its place after one encounter. Times in seconds after the epoch."""
-
-    over_s: float  # when nothing kept it from its place any more
-    promised_s: float  # recovery time: so long after it the UAV has to be back
-    outside_s: float | None = (
-        None  # the last time outside the band, until the recovery time is over
-    )
-
-    @property
-    def took_s(self) -> float:
-        """How long after the encounter the UAV was outside the band."""
-        return 0.0 if self.outside_s is None else self.outside_s - self.over_s
-
-
-class ErrorFigures:
-    """Figures of the formation error of one UAV, which arrives block by block.
-
-    Args:
-        recording: the leg.
-        uav: the UAV.
-        windows: encounters of the UAV.
-        tolerance: limit of the error at the deadline [m].
-    """
-
-    def __init__(
-        self, recording: Recording, uav: int, windows: list[Encounter], tolerance: float
-    ) -> None:
-        self._recording = recording
-        self._deadline_s = deadline = recording.scenario.gains.formation.deadline_s
-        self._windows = windows
-        start_ns = recording.start_ns
-        spans = [((a - start_ns) * NANO, (b - start_ns) * NANO) for a, _, b in self._windows]
-        # Only encounters that begin after the deadline are left out of the settling time.
-        self._later = [w for w, (a, _) in zip(self._windows, spans, strict=True) if a > deadline]
-        self._tolerance = tolerance
-        self.due_s = next((b for a, b in spans if a <= deadline < b), deadline)
-        self.regains = [
-            Regain((one.over_ns - start_ns) * NANO, (one.back_ns - one.over_ns) * NANO)
-            for one, (_, back_s) in zip(self._windows, spans, strict=True)
-            if back_s > deadline
-        ]
-        self._at, self._at_due = ValueAt(deadline), ValueAt(self.due_s)
-        self._settled, self._regained = _LastExit(), _LastExit()
-        self._changes = _changes_due(recording, self._windows)
-        due_ns = recording.start_ns + round(deadline / NANO)
-        self.absent_s = sum(
-            max(min(one.end_ns, recording.end_ns) - max(one.begin_ns, due_ns), 0) * NANO
-            for one in recording.absences[uav]
-        )
-        self._last = _NONE  # time and error of the newest sample
-        self._squares = 0.0  # sum of the squared errors after the deadline
-        self._after = 0  # number of samples in that sum
-        self.start_error = np.nan
-        self.band = tolerance
-        self.max_after: float | None = None
-        self.max_after_all: float | None = None  # inside encounters too
-        self.encounter_s = 0.0
-        self.excused_outside_s = 0.0  # after the deadline, inside encounters and outside the band
-        self.not_finite_s: float | None = None
-
-    def add(self, grid: NDArray[np.int64], error: Array) -> None:
-        """Take the next errors (T,) [m] at (T,) [ns]."""
-        times = self._recording.times(grid)
-        if not self._last.size:
-            self.start_error = float(error[0])
-            self.band = max(self._tolerance, SHARE_OF_START * self.start_error)
-        due = int(times.searchsorted(self._deadline_s - _EXACT_S))
-        outside = error > self.band
-        if self._windows:
-            near = inside(self._windows, grid)
-            self._settled.add(times, outside & ~inside(self._later, grid))
-            self._regained.add(times, outside & ~near, due)
-            self._take_after(error[due:], error[due:][~near[due:]])
-            self._take_encounters(times, outside, near, due)
-        else:
-            self._settled.add(times, outside)
-            self._regained.add(times, outside, due)
-            self._take_after(error[due:], error[due:])
-        self._at.add(times, error)
-        self._at_due.add(times, error)
-        for _, at in self._changes:
-            at.add(times, error)
-        for one in self.regains:
-            span = (times >= one.over_s) & (times <= one.over_s + one.promised_s + _EXACT_S)
-            late = np.flatnonzero(outside & span)
-            if late.size:
-                one.outside_s = float(times[late[-1]])
-        finite = np.isfinite(error)
-        if self.not_finite_s is None and not finite.all():
-            self.not_finite_s = float(times[int(np.argmin(finite))])
-        self._last = np.array([times[-1], error[-1]])
-
-    def _take_encounters(
-        self, times: Array, outside: NDArray[np.bool_], near: NDArray[np.bool_], due: int
-    ) -> None:
-        """Which samples (T,) are inside encounters; those from number `due` on are after the deadline."""
-        period = np.diff(times, prepend=self._last[:1])
-        fresh = times.size - period.size  # the first sample of all has no period
-        self.encounter_s += float(np.sum(period[near[fresh:]]))
-        excused = near & outside
-        excused[:due] = False
-        self.excused_outside_s += float(np.sum(period[excused[fresh:]]))
-
-    def _take_after(self, error: Array, after: Array) -> None:
-        """Errors after the deadline, and those of them outside encounters."""
-        if error.size:
-            before = -np.inf if self.max_after_all is None else self.max_after_all
-            self.max_after_all = max_of(before, error.max())
-        if after.size:
-            largest = after.max() if self.max_after is None else max_of(self.max_after, after.max())
-            self.max_after = float(largest)
-            self._squares += float(np.sum(after**2))
-            self._after += after.size
-
-    @property
-    def end_s(self) -> float:
-        """Time of the last sample."""
-        return float(self._last[0])
-
-    @property
-    def settling_s(self) -> float | None:
-        """When the error entered the band for good; later encounters are left out. None: it ends outside."""
-        return self._settled.entered_s
-
-    @property
-    def regained_s(self) -> float | None:
-        """After which time past the deadline the error is in the band outside encounters; None: never."""
-        return self._regained.entered_s
-
-    def unregained(self) -> Regain | None:
-        """The first encounter after which the place was not regained in the recovery time; None: none."""
-        period_s = self._recording.scenario.dt_ns * NANO
-        for one in self.regains:
-            if one.outside_s is not None and one.took_s > one.promised_s - 1.5 * period_s:
-                return one
-        return None
-
-    def longest_regain(self) -> Regain | None:
-        """Of the encounters that the leg outlasts the one after which the place was regained last."""
-        done = [one for one in self.regains if one.over_s + one.promised_s <= self.end_s]
-        return max(done, key=lambda one: one.took_s, default=None)
-
-    @property
-    def at_deadline(self) -> float | None:
-        """The error at the deadline [m]; None when the leg ends before it."""
-        if self._at.value is None and self.max_after_all is not None:
-            return float(self._last[1])  # the last sample is at the deadline
-        return self._at.value
-
-    @property
-    def at_changes(self) -> tuple[ChangeError, ...]:
-        """The errors when the changes of the shape, or the legs, were due."""
-        return tuple(replace(change, error_m=at.value) for change, at in self._changes)
-
-    @property
-    def at_due(self) -> float | None:
-        """The error when it was due [m]; None when the leg ends before."""
-        return self._at_due.value if self.due_s > self._deadline_s else self.at_deadline
-
-    @property
-    def rmse_after(self) -> float | None:
-        """Root mean square after the deadline, outside encounters."""
-        return float(np.sqrt(self._squares / self._after)) if self._after else None
-
-
-def _dues(scenario: Scenario) -> list[tuple[int, str, float]]:
-    """Number, name and due time [s] of the legs after the first, or of the changes of the shape without a mission."""
-    if scenario.file.mission is not None:
-        return [
-            (one.number, f"leg {one.name}", one.due_s)
-            for one in scenario.legs
-            if not isinstance(one.leg, FormLeg | LandLeg) and not is_cut_short(scenario.legs, one)
-        ]
-    return [
-        (number, f"change {number} of the shape", change.at_s + change.over_s)
-        for number, change in enumerate(scenario.file.formation.changes, 1)
-    ]
-
-
-def _changes_due(
-    recording: Recording, windows: list[Encounter]
-) -> list[tuple[ChangeError, ValueAt]]:
-    """What is due after the deadline of a leg in formation; it counts from the first epoch."""
-    scenario, found = recording.scenario, []
-    before_s = (recording.start_ns - recording.first_ns) * NANO
-    for number, what, due_s in _dues(scenario):
-        if due_s - before_s <= scenario.gains.formation.deadline_s:
-            continue
-        due_ns = recording.first_ns + round(due_s / NANO)
-        excused = any(one.begin_ns <= due_ns <= one.back_ns for one in windows)
-        found.append((ChangeError(number, what, due_s, None, excused), ValueAt(due_s - before_s)))
-    return found
-
-
-def max_of(first: float, second: float) -> float:
-    """The larger of two numbers, NaN when one of them is NaN."""
-    return float(np.maximum(first, second))
 
 
 def _rise(recording: Recording, uav: int, name: str, span_s: tuple[float, float]) -> float:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ptnsbc_core.types import Array
 from ptnsbc_sim.verdict.coverage import missing
-from ptnsbc_sim.verdict.deadline import ValueAt, max_of
+from ptnsbc_sim.verdict.error_figures import ValueAt, max_of
 from ptnsbc_sim.verdict.formation_error import reference_of
 from ptnsbc_sim.verdict.recording import NANO, Recording
 from ptnsbc_sim.verdict.track import BLOCK, Series, lengths

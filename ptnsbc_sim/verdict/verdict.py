@@ -19,11 +19,11 @@ from ptnsbc_sim.verdict.deadline import (
     VIOLATED,
     VOID,
     WORST_FIRST,
-    ErrorFigures,
     UavVerdict,
     judge,
 )
 from ptnsbc_sim.verdict.encounters import encounters
+from ptnsbc_sim.verdict.error_figures import ErrorFigures
 from ptnsbc_sim.verdict.figures import (
     Effort,
     EstimatorError,

@@ -10,8 +10,8 @@ import numpy as np
 
 from ptnsbc_core.types import Array
 from ptnsbc_sim.verdict import Recording, Track, VerdictError
-from ptnsbc_sim.verdict.deadline import SHARE_OF_START
 from ptnsbc_sim.verdict.encounters import encounters, merged
+from ptnsbc_sim.verdict.error_figures import SHARE_OF_START
 from ptnsbc_sim.verdict.formation_error import formation_errors
 from ptnsbc_sim.verdict.recording import NANO
 from ptnsbc_tools.plotting.chart import DASHES, Chart, Curve, Limit, Look, Mark, Span, look
