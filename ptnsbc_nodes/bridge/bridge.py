@@ -150,10 +150,17 @@ class Bridge:
         if state is not None:
             output = self.procedure.output
             self.state_publisher.on_state(state, output.in_formation)
-            if output.stream is Stream.PLANNER and self.state_publisher.odometry is not None:
-                self.stream.attitude.hover.on_odometry(now_s, self.state_publisher.odometry)
-                self.stream.drag.on_odometry(now_s, self.state_publisher.odometry)
+            self._learn(now_s)
         return self.maintenance.on_message(message, now_s)
+
+    def _learn(self, now_s: float) -> None:
+        """From the newest state: what thrust and drag do to this vehicle."""
+        state, stream = self.state_publisher, self.procedure.output.stream
+        lifted = stream is Stream.PLANNER or state.height_m > _ON_GROUND_M
+        if state.odometry is not None and lifted:
+            news = self.stream.learn(stream, now_s, state.sampled_s, state.odometry)
+            if news:
+                self.ports.outputs.log(news)
 
     def _tick(self, now_s: float) -> None:
         """One period of the stream."""
@@ -246,7 +253,7 @@ class Bridge:
             landed=vehicle.landed,
             height_m=self.state_publisher.height_m,
             speed_m_s=self.state_publisher.speed_m_s,
-            heading_reached=odometry is None or self.stream.climb.heading_reached(odometry),
+            unprepared="" if odometry is None else self.stream.unprepared(odometry),
             leg=None if leg is None else leg.name,
             battery_low=f"battery at {vehicle.battery_percent:.0f} %, below {percent:g}"
             if battery_low
@@ -315,7 +322,7 @@ class Bridge:
             near,
             flight_s - deadline_s,
         )
-        self._hazard = self._hazard or self._monitor.look(sight)
+        self._hazard = self._hazard or self.stream.unfit or self._monitor.look(sight)
         middle_m = leader.position[2] if follows else self._mavlink.takeoff_height_m
         self.stream.layer_m = self._layer_m(float(middle_m))
 

@@ -49,6 +49,7 @@ class StatePublisher:
         self._controller = controller
         self._ports = ports
         self.odometry: Array | None = None  # newest (13,), world frame
+        self.sampled_s = float("-inf")  # of it, on the steady clock
         self._local_position: Array | None = None  # (3,) in the vehicle's own frame
         self._ground_m = 0.0
         self._stamp_ns = 0
@@ -143,10 +144,10 @@ class StatePublisher:
         # states. Compared with those at an older instant, the vehicle would fly that little ahead of its place.
         age_s = max(now_s - sampled_s, 0.0)
         odometry[0:3] += offset + age_s * np.array(velocity_enu(odometry))
-        self.odometry = odometry
+        self.odometry, self.sampled_s = odometry, min(sampled_s, now_s)
         stamp_ns = self._stamp(clocks.ros_ns())
         self._published_s = now_s
-        published = PublishedOdometry(min(sampled_s, now_s), now_s, odometry)
+        published = PublishedOdometry(self.sampled_s, now_s, odometry)
         self._controller.remember(stamp_ns, published)
         if in_formation:
             self._ports.outputs.odom(stamp_ns, odometry)

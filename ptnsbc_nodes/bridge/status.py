@@ -9,7 +9,7 @@ from dataclasses import replace
 from ptnsbc_nodes.bridge.bridge import Bridge
 from ptnsbc_nodes.bridge.procedure.companions import Companion
 from ptnsbc_nodes.bridge.procedure.safety import procedure_concern
-from ptnsbc_nodes.bridge.procedure.steps import HEARTBEAT_LOST_S
+from ptnsbc_nodes.bridge.procedure.steps import HEARTBEAT_LOST_S, Stream
 from ptnsbc_nodes.comm.diagnostics import DiagnosticLevel, StatusLog, diagnostics, readiness
 from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.emergency.records import VehicleRecord
@@ -58,6 +58,8 @@ def bridge_status(
     report = bridge.report
     battery, shared = vehicle.battery_percent, state.shared
     following = bridge.stream.following.found()
+    attitude = bridge.stream.attitude if bridge.stream.sends_thrust(Stream.PLANNER) else None
+    thrust = attitude.thrust_test.found if attitude else None
     safety = assess(_concerns(bridge, missing, endpoints))
     values = {
         **readiness(missing),
@@ -81,6 +83,9 @@ def bridge_status(
         "setpoint_age_ms": f"{1e3 * age_s:.0f}" if age_s < _NEVER_S else "",
         "velocity_gain": "" if following is None else f"{following.gain:.2f}",
         "velocity_lag_s": "" if following is None else f"{following.lag_s:.2f}",
+        "hover_thrust": f"{attitude.hover.value:.3f}" if attitude else "",
+        "thrust_slope": f"{attitude.hover.slope:.2f}" if attitude else "",
+        "thrust_delay_s": f"{thrust.delay_s:.2f}" if thrust else "",
         "drag_1_s": f"{bridge.stream.drag.value:.2f}",
         "timesync": bridge.maintenance.sync_text,
         "latency_p50_ms": f"{1e3 * latency.percentile_s(50):.3f}",

@@ -158,5 +158,13 @@ ARDUCOPTER: Mapping[str, Value] = {
 https://ardupilot.org/copter/docs/parameters.html
 """
 
-STM32: Mapping[str, Value] = {"ATT_TIMEOUT_S": 0.5, "DISARM_LAND_S": 2.0, "MAX_TILT_RAD": 0.7}
+STM32: Mapping[str, Value] = {
+    "ATT_TIMEOUT_S": 0.5,
+    "BATT_LIFE_S": 1500.0,
+    "DISARM_LAND_S": 2.0,
+    "MAX_TILT_RAD": 0.7,
+    "THR_CURVE": 1.0,
+    "THR_DELAY_S": 0.0,
+    "THR_SAG": 0.0,
+}
 """Of the controller that takes attitude targets only; ours."""

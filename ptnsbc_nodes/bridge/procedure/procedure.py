@@ -62,7 +62,7 @@ class Procedure:
     ) -> None:
         self._options = ProcedureOptions(autopilot, takeoff_height_m, allow_arming)
         self._progress = FlightProgress(self._options, log)
-        self._heading_reached = False
+        self._unprepared = ""
         self.in_pilots_hands = False
         """Whether a pilot flies the vehicle, as far as the bridge knows."""
         self.output = ProcedureOutput(Stream.NONE, None, True)
@@ -86,15 +86,14 @@ class Procedure:
     @property
     def ready(self) -> bool:
         """Whether the formation may begin, as far as this vehicle is concerned."""
-        return self.step is Step.FLY or (self.step is Step.AIRBORNE and self._heading_reached)
+        return self.step is Step.FLY or (self.step is Step.AIRBORNE and not self._unprepared)
 
     @property
     def awaited(self) -> str:
         """What keeps the formation waiting for this vehicle; empty when nothing does."""
         if self.ready:
             return ""
-        turning = "turning to the formation's heading"
-        return turning if self.step is Step.AIRBORNE else self.step.value
+        return self._unprepared if self.step is Step.AIRBORNE else self.step.value
 
     def fail(self, reason: str) -> None:
         """Record that the bridge itself has failed."""
@@ -103,7 +102,7 @@ class Procedure:
     def advance(self, snapshot: VehicleSnapshot) -> ProcedureOutput:
         """What to do at `snapshot.now_s`; the step changes as far as the snapshot allows."""
         progress = self._progress
-        self._heading_reached = snapshot.heading_reached
+        self._unprepared = snapshot.unprepared
         for _ in Step:  # one snapshot may complete several steps
             if not advance(progress, snapshot):
                 break

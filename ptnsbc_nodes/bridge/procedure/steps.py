@@ -95,7 +95,7 @@ class VehicleSnapshot:
     landed: bool | None = None  # None: the vehicle does not report it
     height_m: float = 0.0  # above the place of arming
     speed_m_s: float = 0.0
-    heading_reached: bool = True  # the heading with which the formation begins
+    unprepared: str = ""  # what the formation waits for once the vehicle is airborne
     leg: str | None = None  # the announced leg whose epoch has come
     battery_low: str = ""
     fence_breach: str = ""

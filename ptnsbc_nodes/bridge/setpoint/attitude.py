@@ -8,15 +8,20 @@ rates_d = rates + torque / (inertia G), turn = rates_d / attitude_gain, q_d = q 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ptnsbc_core.kinematics import rotation_from_quaternion
 from ptnsbc_core.timebase import Clock, loop_gain
-from ptnsbc_core.types import Array, ControllerConfig
+from ptnsbc_core.types import AgentConfig, Array, ControllerConfig
+from ptnsbc_nodes.bridge.setpoint.lead import MOST_RISE
+from ptnsbc_nodes.bridge.setpoint.thrust import HoverThrust, ThrustTest
 
 _AT_LIMIT = 1.0 - 1e-9
+_RATE_LOOP_S = 0.04  # part of the lag of the tilt; the motors are in the delay
+_STEEPER = 1.12  # error of the slope that is found
+_MOST_KAPPA_TENTHS = 100
 _ALL_AXES = np.ones(3, dtype=bool)
 _CONJUGATE = np.array([-1.0, -1.0, -1.0, 1.0])
 
@@ -134,7 +139,7 @@ class BodyRateEstimator:
     measured attitude and moves with it would feed the vehicle's own turning back to it.
     """
 
-    _SMOOTHING_S = 0.15
+    SMOOTHING_S = 0.15
     _MAX_RAD_S = 2.0
     _MAX_GAP_S = 0.2
 
@@ -162,7 +167,7 @@ class BodyRateEstimator:
             measured = 2.0 * np.copysign(1.0, step[3]) * step[0:3] / dt
             if np.abs(measured).max() > self._MAX_RAD_S:
                 measured = np.zeros(3)  # the target jumped: that is no motion of the target
-            smoothed = self._rates + dt / (self._SMOOTHING_S + dt) * (measured - self._rates)
+            smoothed = self._rates + dt / (self.SMOOTHING_S + dt) * (measured - self._rates)
             self._rates = np.where(known & self._known, smoothed, 0.0)
         self._last, self._last_s, self._known = quaternion, at_s, known
         return self._rates
@@ -173,63 +178,13 @@ def vertical_rate(rates: Array, quaternion: Array) -> float:
     return float(rotation_from_quaternion(quaternion)[2] @ rates)
 
 
-class HoverThrust:
-    """Normalised thrust at hover: from a parameter, then from what thrust does to the velocity."""
-
-    _MIN_THRUST, _MAX_THRUST = 0.05, 0.95
-    _RANGE = 0.5  # the estimate stays within this share of its first value
-    _TIME_S = 2.0
-    _SPAN_S = 0.2
-    _LEVEL = (
-        0.5  # upward part of the thrust axis; a vehicle tilted farther shows nothing about hovering
-    )
-
-    def __init__(self, first: float, gravity_m_s2: float) -> None:
-        self.value = first
-        self._bounds = (first * (1.0 - self._RANGE), min(first * (1.0 + self._RANGE), 0.9))
-        self._gravity = gravity_m_s2
-        self._since: tuple[float, float] | None = None  # (time, upward velocity)
-        self._sum = 0.0
-        self._count = 0
-
-    def on_sent(self, thrust: float) -> None:
-        """Count a thrust that was sent."""
-        self._sum += thrust
-        self._count += 1
-
-    def on_odometry(self, now_s: float, odometry: Array) -> None:
-        """Learn from every new odometry (13,) while the bridge sends the thrust."""
-        rotation = rotation_from_quaternion(odometry[3:7])
-        climb = float(rotation[2] @ odometry[7:10])
-        if self._since is None or now_s - self._since[0] > 2 * self._SPAN_S:
-            return self._restart(now_s, climb)
-        span = now_s - self._since[0]
-        if span < self._SPAN_S or not self._count:
-            return None
-        lift = ((climb - self._since[1]) / span + self._gravity) / max(rotation[2, 2], self._LEVEL)
-        if lift > 0.2 * self._gravity and rotation[2, 2] > self._LEVEL:
-            measured = self._sum / self._count * self._gravity / lift
-            share = span / (self._TIME_S + span)
-            self.value += share * (measured - self.value)
-            self.value = min(max(self.value, self._bounds[0]), self._bounds[1])
-        return self._restart(now_s, climb)
-
-    def _restart(self, now_s: float, climb: float) -> None:
-        self._since = (now_s, climb)
-        self._sum, self._count = 0.0, 0
-
-    def normalised(self, force_n: float, mass_kg: float) -> float:
-        """Thrust 0 to 1 for a force along body z [N]."""
-        thrust = self.value * force_n / (mass_kg * self._gravity)
-        return min(max(thrust, self._MIN_THRUST), self._MAX_THRUST)
-
-
 class AttitudeTargets:
     """Complete attitude targets for one vehicle: their body rates, and the thrust that its hover thrust asks for."""
 
     def __init__(self, config: ControllerConfig, hover_thrust: float) -> None:
         self._config = config
         self.hover = HoverThrust(hover_thrust, config.gravity)
+        self.thrust_test = ThrustTest(config.gravity)
         self._point_hold = PointHold(config.gravity)
         self._body_rates = BodyRateEstimator()
 
@@ -262,10 +217,72 @@ class AttitudeTargets:
         quaternion = limit_tilt(attitude_from_force(force, yaw), max_tilt_rad)
         along = float(force @ rotation_from_quaternion(odometry[3:7])[:, 2])
         rates = self._body_rates.update(quaternion, _ALL_AXES, now_s)
-        return self._with_thrust(quaternion, rates, along)
+        nudge = self.thrust_test.nudge(now_s)
+        target = self._with_thrust(quaternion, rates, along, nudge)
+        self.thrust_test.on_sent(now_s, target.thrust)
+        return target
 
-    def _with_thrust(self, quaternion: Array, rates: Array, force_per_kg: float) -> AttitudeTarget:
-        mass = self._config.nominal[0]
-        thrust = self.hover.normalised(force_per_kg * mass, mass)
+    def on_odometry(self, now_s: float, sampled_s: float, odometry: Array) -> str:
+        """Learn from every odometry (13,) of a flying vehicle whose thrust the bridge sends; a line with news."""
+        self.hover.on_odometry(now_s, odometry)
+        test = self.thrust_test
+        if test.over or not test.on_odometry(now_s, sampled_s, odometry):
+            return ""
+        if test.found is None:
+            return "warning: the vehicle did not show what thrust does: its force is taken as proportional"
+        self.hover.slope = test.found.slope
+        return (
+            f"thrust: {self.hover.value:.2f} at hover, the force grows with its power of {test.found.slope:.2f}, "
+            f"{test.found.delay_s:.2f} s after the target"
+        )
+
+    def _with_thrust(
+        self, quaternion: Array, rates: Array, force_per_kg: float, nudge: float = 0.0
+    ) -> AttitudeTarget:
+        thrust = self.hover.normalised(force_per_kg, nudge)
         self.hover.on_sent(thrust)
         return AttitudeTarget(quaternion, rates, thrust)
+
+
+class AttitudeResponse(NamedTuple):
+    """How late a vehicle does what an attitude target asks for."""
+
+    delay_s: float  # from the state that a target answers to its force
+    tilt_lag_s: float  # of the tilt behind the target
+
+
+def _rise(config: AgentConfig, kappa_1_s: float, flown: Any, observed: bool, s: Any) -> float:
+    """Largest rise of a position loop; `flown`: acceleration per wanted one at the complex frequencies `s` (K,)."""
+    force, pole = config.controller.force, config.controller.observer_bandwidth if observed else 0.0
+    bound = config.controller.bound_cap[0] / config.controller.boundary[0]
+    gain = force.scale * kappa_1_s + bound
+    low_pass = config.filter.bandwidth / (s + config.filter.bandwidth)
+    planner = config.formation.scale * config.formation.kappa * low_pass
+    # The observer sees velocity and wanted acceleration, and feeds back what is missing between them.
+    seen = (3.0 * pole**2 * s + pole**3) / (s + pole) ** 3
+    forward = flown / s * (s + gain) * planner / s / (1.0 - seen)
+    loop = flown / s * (gain + seen * s) / (1.0 - seen) + forward
+    return float(np.abs(forward / (1.0 + loop)).max())
+
+
+def largest_force_kappa_1_s(config: AgentConfig, response: AttitudeResponse) -> float:
+    """Largest gain [1/s] of the velocity loop with which the position loop rises by less than a third, in steps of 0.1.
+
+    It counts a thrust that is 12 % steeper than known, a tilt that is a quarter slower, and every shorter delay. It is
+    0 where no gain will do.
+    """
+    s = 1j * np.geomspace(0.1, 40.0, 200)
+    ahead = s / (1.0 + BodyRateEstimator.SMOOTHING_S * s)  # rates that are sent with a target
+    cases = []
+    for share in (0.0, 0.5, 1.0):
+        late = np.exp(-share * response.delay_s * s)
+        for slower in (1.0, 1.25):
+            rate_s = slower * _RATE_LOOP_S
+            tilt_s = max(slower * response.tilt_lag_s - rate_s, rate_s)
+            tilt = (1.0 + tilt_s * ahead) / (1.0 + tilt_s * s * (1.0 + rate_s * s))
+            cases.append((late * tilt, False))  # the observer knows the tilt: it sees no lag
+        cases += [(late, True), (_STEEPER * late, True)]
+    for tenths in range(1, _MOST_KAPPA_TENTHS):
+        if max(_rise(config, 0.1 * tenths, *case, s) for case in cases) > MOST_RISE:
+            return 0.1 * (tenths - 1)
+    return 0.1 * _MOST_KAPPA_TENTHS

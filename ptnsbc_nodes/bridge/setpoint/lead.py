@@ -21,7 +21,9 @@ _SMOOTHING_S = 0.05
 """Low pass per derivative: the planner passes the noise of positions on. 0.05 s doubles it at 2 Hz."""
 PLANNER_DELAY_S = 0.1
 """Allowed from a state of the vehicle to the setpoint that answers it: link both ways, planner, command filter."""
-_MOST_RISE, _MOST_KAPPA_TENTHS = 4.0 / 3.0, 50
+MOST_RISE = 4.0 / 3.0
+"""Of a position loop around a vehicle: the most that it may make of a wanted motion."""
+_MOST_KAPPA_TENTHS = 50
 
 _ONE, _S = Polynomial([1.0]), Polynomial([0.0, 1.0])
 
@@ -129,7 +131,7 @@ def largest_kappa_1_s(response: VelocityResponse, lead: bool) -> float:
     ]
     for tenths in range(1, _MOST_KAPPA_TENTHS):
         peaks = [np.abs(0.1 * tenths * loop / (1.0 + 0.1 * tenths * loop)).max() for loop in around]
-        if max(peaks) > _MOST_RISE:
+        if max(peaks) > MOST_RISE:
             return 0.1 * (tenths - 1)
     return 0.1 * _MOST_KAPPA_TENTHS
 

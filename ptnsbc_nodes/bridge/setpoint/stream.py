@@ -14,7 +14,12 @@ from ptnsbc_core.types import AgentConfig, Array
 from ptnsbc_io.mavlink.autopilots import AUTOPILOTS, limits
 from ptnsbc_nodes.bridge.controller import SetpointReply
 from ptnsbc_nodes.bridge.procedure.steps import Stream
-from ptnsbc_nodes.bridge.setpoint.attitude import AttitudeTarget, AttitudeTargets
+from ptnsbc_nodes.bridge.setpoint.attitude import (
+    AttitudeResponse,
+    AttitudeTarget,
+    AttitudeTargets,
+    largest_force_kappa_1_s,
+)
 from ptnsbc_nodes.bridge.setpoint.following import FollowingEstimator
 from ptnsbc_nodes.bridge.setpoint.guard import SetpointGuard, allowed
 from ptnsbc_nodes.bridge.setpoint.lead import DragEstimator, VelocityLead
@@ -28,6 +33,7 @@ _HEADING_TOLERANCE_RAD = 0.2
 _AHEAD_M = 1.0  # the climbing target is at most this far above the vehicle
 _LEASH_M = 1.5
 _MAX_STEP_S = 0.1
+_TILT_LAG_S = 0.165  # behind an attitude target, unless vehicles.N.tilt_lag_s says it
 _SMOOTHING_S = 0.1  # of the feed-forward: the planner passes the noise of positions on
 
 
@@ -132,10 +138,16 @@ class SetpointStream:
         self._attitude_only = autopilot.attitude_only
         self._setpoint = link.setpoint
         self._feed_forward = mavlink.acceleration_feed_forward
+        self._config = config
+        self._hold_s = 0.5 / mavlink.rate_hz  # how long a target waits for the next one, on average
+        self._tilt_lag_s = _TILT_LAG_S if link.tilt_lag_s is None else link.tilt_lag_s
+        self.unfit = ""
+        """Why the scenario's velocity loop would swing this vehicle by attitudes; empty while nothing says so."""
         self._yaw_gain = config.controller.attitude_gain[1]
         self.guard = SetpointGuard(mavlink.geofence, allowed(mavlink.limits, limits({})))
         self._messages = SetpointMessages(autopilot, link.sysid)
         self.attitude = AttitudeTargets(config.controller, mavlink.hover_thrust)
+        self.attitude.thrust_test.over = not self._attitude_only
         self.climb = _Climb(mavlink.takeoff_height_m, reference(config.trajectory, 0.0).yaw)
         self._integral = _VelocityIntegral()
         self.drag = DragEstimator(config.controller.gravity)
@@ -143,11 +155,55 @@ class SetpointStream:
         self.lead: VelocityLead | None = None
         """For a vehicle whose response is known; without it the velocity is sent as it is wanted."""
         self.latency = Latency()
+        self.ages = Latency()
+        """Of the states that the controller's newest setpoints answer, when targets are sent."""
         self._stream = Stream.NONE
         self._hold: _HoldPoint | None = None
         self.layer_m = 0.0
         """Height [m] in the world at which this vehicle holds apart from the others."""
         self._last_s = float("inf")
+
+    def sends_thrust(self, stream: Stream) -> bool:
+        """Whether the setpoints of a stream have a thrust."""
+        if stream is Stream.PLANNER:
+            return self._setpoint == "attitude"
+        return self._attitude_only and stream is not Stream.NONE
+
+    def learn(self, stream: Stream, now_s: float, sampled_s: float, odometry: Array) -> str:
+        """From a state (13,) of the flying vehicle: what thrust and drag do to it; a line when there is news."""
+        if stream is Stream.PLANNER:
+            self.drag.on_odometry(now_s, odometry)
+        if not self.sends_thrust(stream):
+            return ""
+        news = self.attitude.on_odometry(now_s, sampled_s, odometry)
+        found = self.attitude.thrust_test.found
+        return news if not news or found is None else f"{news}; {self._fit_to(found.delay_s)}"
+
+    def _fit_to(self, found_s: float) -> str:
+        """Whether the scenario's loop bears a delay from target to force; a line with the gain that fits."""
+        delay_s = self.ages.percentile_s(50) + self._hold_s + found_s
+        response = AttitudeResponse(delay_s, self._tilt_lag_s)
+        config, most = self._config, largest_force_kappa_1_s(self._config, response)
+        kappa, pole = config.controller.force.kappa, config.controller.observer_bandwidth
+        swings = f"the vehicle would swing, {delay_s:.3f} s from a state to its force: expected"
+        if most == 0.0:  # then the observer is too fast, or the planner
+            self.unfit = (
+                f"gains.observer.bandwidth_1_s = {pole:g}, gains.formation.kappa_1_s = {config.formation.kappa:g}: "
+                f"{swings} less, or a faster link"
+            )
+        elif kappa > most + 1e-9:
+            self.unfit = (
+                f"gains.force.kappa_1_s = {kappa:g}: {swings} at most {most:.1f}, or a faster link"
+            )
+        return (
+            f"gains.force.kappa_1_s up to {most:.1f} fits {delay_s:.3f} s from a state to its force"
+        )
+
+    def unprepared(self, odometry: Array) -> str:
+        """What the vehicle must still do before the formation; empty when nothing."""
+        if not self.climb.heading_reached(odometry):
+            return "turning to the formation's heading"
+        return "" if self.attitude.thrust_test.over else "showing what its thrust does"
 
     def message(self, tick: StreamInput) -> Any:
         """The setpoint of this tick; None when none may be sent."""
@@ -155,6 +211,8 @@ class SetpointStream:
         self._last_s = tick.now_s
         if tick.stream is not self._stream or not tick.armed:
             self._restart(tick)
+        if tick.reply is not None:
+            self.ages.add(tick.now_s - tick.reply.odometry.sampled_s)
         if tick.stream is Stream.PLANNER and tick.reply is not None:
             self.latency.add(tick.now_s - tick.reply.odometry.arrived_s)
             return self._follow(tick, tick.reply, dt)

@@ -7,6 +7,7 @@ target sets it. Beside that it can land.
 from __future__ import annotations
 
 import math
+from collections import deque
 from typing import Any
 
 from ptnsbc_core.types import Array
@@ -56,7 +57,7 @@ class Stm32(FlightController):
     )
 
     def default_parameters(self) -> AutopilotParameters:
-        """Its three parameters."""
+        """Its own parameters."""
         return AutopilotParameters(STM32, bytewise=False)
 
     def gains(self) -> LoopGains:
@@ -67,6 +68,7 @@ class Stm32(FlightController):
     def on_boot(self, t: float) -> None:
         """Without setpoints."""
         self._target = targets.IDLE_TARGET
+        self._late: deque[tuple[float, Array]] = deque()  # targets, and when they count
         self._latest_t = -math.inf
         self._guided = False
         self._land_at: targets.TargetPoint | None = None
@@ -107,6 +109,7 @@ class Stm32(FlightController):
 
     def on_armed(self, t: float) -> None:
         """The motors idle until a target arrives."""
+        self.flight.endurance_s = self.parameters["BATT_LIFE_S"]
 
     def on_disarmed(self, t: float) -> None:
         """Target and landing end."""
@@ -154,8 +157,12 @@ class Stm32(FlightController):
         if wanted.attitude_ned is None or not math.isfinite(wanted.thrust):
             return
         if setpoints.is_unit(wanted.attitude_ned, _UNIT_TOLERANCE):
-            self._target, self._latest_t = setpoints.attitude_airframe_target(wanted), t
-            self._guided = True
+            # Motors without a speed loop: the force grows with a power of the thrust, and falls with the battery.
+            sag = self.parameters["THR_SAG"] * (1.0 - self.flight.battery)
+            force = max(wanted.thrust, 0.0) ** self.parameters["THR_CURVE"] * (1.0 - sag)
+            target = setpoints.attitude_airframe_target(wanted._replace(thrust=force))
+            self._late.append((t + self.parameters["THR_DELAY_S"], target))
+            self._latest_t, self._guided = t, True
 
     def update_mode(self, t: float) -> None:
         """Disarm after landing, or after 10 s of standing armed."""
@@ -173,6 +180,8 @@ class Stm32(FlightController):
         if self._land_at is not None:
             on_ground = self.landed or not self.lifted
             return targets.IDLE_TARGET if on_ground else targets.climb(self._land_at, -_SINK_M_S)
+        while self._late and self._late[0][0] <= t:
+            self._target = self._late.popleft()[1]
         if t - self._latest_t <= self.parameters["ATT_TIMEOUT_S"]:
             return self._target
         return targets.sink(_SINK_M_S) if self.lifted and not self.landed else targets.IDLE_TARGET

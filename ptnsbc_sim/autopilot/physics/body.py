@@ -82,6 +82,7 @@ class VehiclePhysics:
         self.gains = gains
         self.target = airframe.no_target()
         self.battery = body.battery
+        self.endurance_s = HOVER_ENDURANCE_S
         self.navigation = Navigation(body.quality, body.start_enu, body.origin_spread_m, body.seed)
         self._plants = kernel_list([body.plant])
         self._state = initial_state(body.start_enu, np.array((0.0, 0.0, body.yaw_rad)), body.plant)
@@ -123,7 +124,7 @@ class VehiclePhysics:
         """Update the slow states: estimation errors, battery, time on the ground."""
         self.navigation.update(dt, self.in_contact)
         load = (self.thrust_share / self.hover_share) ** 1.5
-        self.battery = max(0.0, self.battery - (0.02 + 0.98 * load) * dt / HOVER_ENDURANCE_S)
+        self.battery = max(0.0, self.battery - (0.02 + 0.98 * load) * dt / self.endurance_s)
         if not self.in_contact:
             self._contact_t = self.t
 

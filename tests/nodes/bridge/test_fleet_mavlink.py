@@ -31,6 +31,9 @@ def scenario(kind="px4", setpoint="velocity", duration_s=12.0, **overrides):
         "mavlink.setpoint": setpoint,
         **overrides,
     }
+    if kind == "stm32":  # 4 1/s is too much for it, and it would say so before the formation
+        settings = load_scenario("experiment_4").mavlink.overrides
+        changes["mavlink.overrides"] = {**settings, "gains.force.kappa_1_s": 3.0}
     return load_scenario("experiment_4", changes).bridged()
 
 

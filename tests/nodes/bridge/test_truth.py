@@ -22,6 +22,8 @@ def fleet(kind, **overrides):
     changes = {"mavlink.autopilot": AUTOPILOTS[kind], **overrides}
     if kind == "stm32":
         changes["mavlink.setpoint"] = "attitude"
+        settings = load_scenario("experiment_4").mavlink.overrides
+        changes["mavlink.overrides"] = {**settings, "gains.force.kappa_1_s": 3.0}
     made = MavlinkFleet(
         load_scenario("experiment_4", changes).bridged(), kind, count=1, gnss="quiet"
     )

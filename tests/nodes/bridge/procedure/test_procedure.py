@@ -91,11 +91,11 @@ class Flight:
 
 
 def test_the_formation_waits_until_the_vehicle_has_turned():
-    flight = Flight().run(until=Step.AIRBORNE, heading_reached=False)
+    flight = Flight().run(until=Step.AIRBORNE, unprepared="turning")
     flight.run(5.0)
     assert not flight.procedure.ready
-    assert flight.procedure.awaited == "turning to the formation's heading"
-    flight.run(0.1, heading_reached=True)
+    assert flight.procedure.awaited == "turning"
+    flight.run(0.1, unprepared="")
     assert flight.procedure.ready
     assert flight.procedure.awaited == ""
 

@@ -1,6 +1,7 @@
 """Attitude targets: quaternion from a wrench, tilt limit, hover thrust, and the target's own body rates."""
 
 import math
+from collections import deque
 
 import numpy as np
 import pytest
@@ -20,9 +21,10 @@ from ptnsbc_core.kinematics import quaternion_from_euler, rotation_from_quaterni
 from ptnsbc_core.timebase import Clock
 from ptnsbc_core.types import AdaptationState
 from ptnsbc_nodes.bridge.setpoint.attitude import (
+    AttitudeResponse,
     BodyRateEstimator,
-    HoverThrust,
     attitude_from_wrench,
+    largest_force_kappa_1_s,
     limit_tilt,
     unsaturated_axes,
     vertical_rate,
@@ -33,6 +35,11 @@ from ptnsbc_sim.scenario import agent_config, load_scenario
 @pytest.fixture(scope="module")
 def config():
     return agent_config(load_scenario("experiment_4"), 1)
+
+
+@pytest.fixture(scope="module")
+def flown():
+    return agent_config(load_scenario("experiment_4").bridged(), 1)
 
 
 def state(euler=(0, 0, 0), rates=(0, 0, 0), velocity=(0, 0, 0)):
@@ -82,18 +89,6 @@ def test_tilt_is_limited_in_the_direction_it_has():
     assert math.atan2(after[1], after[0]) == pytest.approx(math.atan2(before[1], before[0]))
     gentle = quaternion_from_euler(np.array([0.1, 0.2, 0.4]))
     assert limit_tilt(gentle, 0.6).tolist() == gentle.tolist()
-
-
-def test_hover_thrust_is_learnt_from_what_thrust_does():
-    hover = HoverThrust(0.5, 9.81)
-    climb, now = 0.0, 0.0
-    for _ in range(1000):  # it really hovers at 0.4
-        thrust = hover.normalised(1.2 * 9.81 - 0.6 * climb, 1.2)
-        hover.on_sent(thrust)
-        climb += 0.02 * 9.81 * (thrust / 0.4 - 1.0)
-        now += 0.02
-        hover.on_odometry(now, state(velocity=(0, 0, climb)))
-    assert hover.value == pytest.approx(0.4, rel=0.03)
 
 
 ALL = np.ones(3, dtype=bool)
@@ -176,3 +171,50 @@ def test_the_part_about_the_vertical_is_that_of_the_heading(roll, pitch, yaw, tu
     attitude = quaternion(roll, pitch, yaw)
     rates = turn * rotation_from_quaternion(attitude)[2]
     assert vertical_rate(rates, attitude) == pytest.approx(turn, abs=1e-9)
+
+
+def most(config, delay_s, tilt_lag_s=0.165):
+    return largest_force_kappa_1_s(config, AttitudeResponse(delay_s, tilt_lag_s))
+
+
+def step_response(config, kappa_1_s, delay_s, tilt_lag_s):
+    """Places (N,) [m] after a wanted step of 1 m, and none of the formulas: a tilt behind a late target, in time."""
+    dt, bound = 1e-3, config.controller.bound_cap[0] / config.controller.boundary[0]
+    planner, bandwidth = config.formation.kappa, config.filter.bandwidth
+    late = deque([(0.0, 0.0)] * max(round(delay_s / dt), 1))
+    place = speed = tilt = rate = wanted = before = slope = 0.0
+    out = []
+    for _ in range(20000):
+        push = bandwidth * (planner * (1.0 - place) - wanted)
+        wanted += dt * push
+        target = push - (kappa_1_s + bound) * (speed - wanted)
+        slope += dt * ((target - before) / dt - slope) / BodyRateEstimator.SMOOTHING_S
+        before = target
+        late.append((target, slope))
+        asked, ahead = late.popleft()
+        rate += dt * ((asked - tilt) / (tilt_lag_s - 0.04) + ahead - rate) / 0.04
+        tilt += dt * rate
+        speed += dt * tilt
+        place += dt * speed
+        out.append(place)
+    return np.array(out)
+
+
+@pytest.mark.parametrize("delay_s", [0.03, 0.06, 0.1])
+@pytest.mark.parametrize("tilt_lag_s", [0.1, 0.165, 0.25])
+def test_the_largest_gain_settles_and_twice_as_much_swings(flown, delay_s, tilt_lag_s):
+    found = most(flown, delay_s, tilt_lag_s)
+    if found > 0.5:
+        settled = step_response(flown, found, delay_s, tilt_lag_s)
+        assert settled.max() < 1.2
+        assert settled[15000:] == pytest.approx(1.0, abs=0.02)
+    wild = step_response(flown, 2.0 * found + 2.0, delay_s, tilt_lag_s)
+    assert np.abs(wild[15000:] - 1.0).max() > 0.05
+
+
+def test_the_largest_gain_falls_with_the_delay_and_the_lag(flown):
+    delays = [most(flown, 0.01 * n) for n in range(20)]
+    lags = [most(flown, 0.05, 0.02 * n) for n in range(4, 20)]
+    assert delays == sorted(delays, reverse=True)
+    assert lags == sorted(lags, reverse=True)
+    assert delays[-1] == 0.0

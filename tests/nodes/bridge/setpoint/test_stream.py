@@ -176,6 +176,19 @@ def test_an_attitude_only_vehicle_holds_a_point_in_wind(scenario):
     assert message.type_mask == 0
 
 
+@pytest.mark.parametrize("autopilot", ["px4", "generic"])
+def test_only_a_vehicle_that_takes_attitudes_alone_must_show_its_thrust(scenario, autopilot):
+    stream, news = make(scenario, "attitude", autopilot), set()
+    waits = stream.unprepared(state())
+    for n in range(3000):
+        send(stream, Stream.PLANNER, 0.02 * n, values=[0, 0, 11.7, 0, 0, 0])
+        news.add(stream.learn(Stream.PLANNER, 0.02 * n, 0.02 * n, state()))
+    assert bool(waits) == (autopilot == "generic")
+    assert not stream.unprepared(state())
+    assert any("did not show" in line for line in news) == (autopilot == "generic")
+    assert stream.unfit == ""
+
+
 def _ours(wxyz):
     from ptnsbc_io.mavlink.frames import quaternion_ned_frd_to_enu_flu
 

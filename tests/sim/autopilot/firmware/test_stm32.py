@@ -44,6 +44,26 @@ def test_thrust_lifts_it_and_silence_brings_it_down(stm32):
     assert not stm32.vehicle.armed
 
 
+def test_its_force_is_a_power_of_the_thrust_and_falls_with_the_battery(stm32):
+    for name, value in (("THR_CURVE", 2.0), ("THR_SAG", 0.5), ("BATT_LIFE_S", 20.0)):
+        stm32.vehicle.set_parameter(name, value)
+    stm32.arm()
+    stm32.run(2.0, lambda: attitude(stm32, 0.9), hz=50.0)
+    flight = stm32.vehicle.flight
+    assert flight.battery < 0.9
+    left = 1.0 - 0.5 * (1.0 - flight.battery)
+    assert flight.thrust_share == pytest.approx(0.9**2 * left, rel=0.02)
+
+
+def test_a_target_counts_after_its_delay(stm32):
+    stm32.vehicle.set_parameter("THR_DELAY_S", 0.2)
+    stm32.arm()
+    stm32.run(0.18, lambda: attitude(stm32, 0.9), hz=50.0)
+    assert stm32.vehicle.flight.thrust_share < 0.5
+    stm32.run(0.1, lambda: attitude(stm32, 0.9), hz=50.0)
+    assert stm32.vehicle.flight.thrust_share == pytest.approx(0.9, rel=0.02)
+
+
 @pytest.mark.parametrize("mask", [0b10000111, 0b1000111])
 def test_attitude_and_thrust_must_be_there(stm32, mask):
     stm32.arm()
