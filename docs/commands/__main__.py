@@ -1,26 +1,32 @@
 """`python -m docs.commands [PAGE]...`: run every ```bash block of the pages in a scratch clone.
 
-Each page has a clone of its own, in which its blocks run in order; each block is a shell of its own. The clone
-has no `.venv`: the environment that runs this must not be within reach of what a page installs.
+Each page has a clone and a ROS domain of its own, in which its blocks run in order; each block is a shell of its own.
+The clone has no `.venv`: the environment that runs this must not be within reach of what a page installs. Several pages
+run at the same time, those with the most commands first. What came of them is printed in the order of the pages.
 """
 
 from __future__ import annotations
 
 import argparse
 import os
+import re
 import signal
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from pathlib import Path
 
-from docs.commands.blocks import Block, PageError, blocks_of
-from docs.commands.runner import Outcome, Page
+from docs.commands.blocks import NOT_RUN, Block, PageError, blocks_of
+from docs.commands.runner import Outcome, Page, Shared
 from ptnsbc_nodes.runtime.environment import reserved_domain
 
 ROOT = Path(__file__).resolve().parents[2]
+_DOMAIN = re.compile(r"(?:--domain |ROS_DOMAIN_ID=)(\d+)")
+_DOMAIN_IS_GIVEN = "ROS_DOMAIN_ID" in os.environ
 _LEFT_OUT = ("CHANGELOG.md",)  # tells of commands that were
 
 
@@ -41,7 +47,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             print(f"{block.place}: {block.marker.how.value}: {'; '.join(block.lines)}")
         return 0
     began = time.monotonic()
-    done = [outcome for blocks in pages.values() for outcome in _run(blocks)]
+    done = [_printed(outcome) for outcome in _outcomes(pages, options.jobs)]
     return _print_summary(done, time.monotonic() - began)
 
 
@@ -53,19 +59,39 @@ def _pages() -> list[str]:
     return sorted(names, key=lambda name: (name != "README.md", name))
 
 
-def _run(blocks: Sequence[Block]) -> Iterator[Outcome]:
+def _outcomes(pages: Mapping[str, Sequence[Block]], jobs: int) -> Iterator[Outcome]:
+    """What came of every block, page by page; at Ctrl-C every page ends its processes."""
+    shared = Shared()
+    scripts = "\n".join(block.script for blocks in pages.values() for block in blocks)
+    named = () if _DOMAIN_IS_GIVEN else {int(number) for number in _DOMAIN.findall(scripts)}
+    longest_first = sorted(pages, key=lambda name: -_commands_in(pages[name]))
+    with ThreadPoolExecutor(jobs) as pool:
+        running = {name: pool.submit(_run, pages[name], shared, named) for name in longest_first}
+        try:
+            for name in pages:
+                yield from running[name].result()
+        finally:
+            shared.over.set()
+            pool.shutdown(cancel_futures=True)
+
+
+def _commands_in(blocks: Sequence[Block]) -> int:
+    return sum(len(block.lines) for block in blocks if block.marker.how not in NOT_RUN)
+
+
+def _run(blocks: Sequence[Block], shared: Shared, named: Collection[int]) -> list[Outcome]:
     if not blocks:
-        return
+        return []
     ci = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
-    with tempfile.TemporaryDirectory(prefix="ptnsbc-docs-") as scratch, reserved_domain() as domain:
-        folder, logs = Path(scratch) / "ptnsbc", Path(scratch) / "logs"
+    with ExitStack() as stack:
+        scratch = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="ptnsbc-docs-")))
+        while (domain := stack.enter_context(reserved_domain())) in named:
+            continue  # it belongs to the page that names it
+        folder, logs = scratch / "ptnsbc", scratch / "logs"
         logs.mkdir()
         subprocess.run(["git", "clone", "--quiet", str(ROOT), str(folder)], check=True)
-        with Page(folder, logs, _environment(domain), ci) as page:
-            for block in blocks:
-                yield _printed(page.run(block))
-            for outcome in page.finish():
-                yield _printed(outcome)
+        page = stack.enter_context(Page(folder, logs, _environment(domain), ci, shared))
+        return [*(page.run(block) for block in blocks), *page.finish()]
 
 
 def _environment(domain: int) -> dict[str, str]:
@@ -111,6 +137,15 @@ def _parser() -> argparse.ArgumentParser:
         prog="python -m docs.commands", description="Run every command block of the pages."
     )
     parser.add_argument("pages", nargs="*", metavar="PAGE", help="as docs/bags.md; by default all")
+    parser.add_argument(
+        "--jobs",
+        type=int,
+        choices=range(1, 65),
+        # Pages in one domain would hear each other.
+        default=1 if _DOMAIN_IS_GIVEN else len(os.sched_getaffinity(0)),
+        metavar="N",
+        help="pages at the same time; by default one for each core, one where ROS_DOMAIN_ID is set",
+    )
     parser.add_argument(
         "--list", action="store_true", help="print how each block is run, and run none"
     )

@@ -44,6 +44,9 @@ class How(Enum):
     BESIDE = "beside"
 
 
+NOT_RUN = (How.SKIP, How.ELSEWHERE)
+
+
 @dataclass(frozen=True)
 class Marker:
     """How a block is run."""
@@ -146,7 +149,7 @@ def _blocks(tokens: Sequence[Token], name: str) -> Iterator[Block]:
 
 
 def _fitting(block: Block) -> Block:
-    run = block.marker.how not in (How.SKIP, How.ELSEWHERE)
+    run = block.marker.how not in NOT_RUN
     if run and any(_INSTALL.search(line) for line in block.lines):
         raise PageError(
             f"{block.place}: would install into the environment that runs it: expected the pip of an "

@@ -9,7 +9,9 @@ import subprocess
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
+from threading import Event, RLock
 from typing import NamedTuple
 
 from docs.commands.blocks import Block, How
@@ -19,6 +21,7 @@ _LONGEST_S = 240.0
 _ENDING_S = 60.0
 _LOOK_S = 0.05
 _TAIL_LINES = 25
+_VEHICLES = "ptnsbc autopilot"
 
 
 class Outcome(NamedTuple):
@@ -31,13 +34,28 @@ class Outcome(NamedTuple):
     output: str = ""  # its end, where there is a problem
 
 
+class InterruptedRunError(Exception):
+    """The run of all pages is over before this page is."""
+
+
+@dataclass(frozen=True)
+class Shared:
+    """What the pages have in common that run at the same time."""
+
+    over: Event = field(default_factory=Event)
+    """Set when no page shall go on."""
+    vehicles: RLock = field(default_factory=RLock)
+    """Held by the page whose stand-in flight controllers have the UDP ports."""
+
+
 class _Process:
     """A shell with the commands of a block, in a process group of its own."""
 
     def __init__(
-        self, script: str, folder: Path, environment: Mapping[str, str], log: Path
+        self, script: str, folder: Path, environment: Mapping[str, str], log: Path, over: Event
     ) -> None:
         self._log = log
+        self._over = over
         with log.open("wb") as output:
             self._shell = subprocess.Popen(
                 ["bash", "-euo", "pipefail", "-c", script],
@@ -65,7 +83,8 @@ class _Process:
         while self.code is None and (text is None or text not in self.output):
             if time.monotonic() > end:
                 return False
-            time.sleep(_LOOK_S)  # what stands in a log wakes nobody
+            if self._over.wait(_LOOK_S):  # what stands in a log wakes nobody
+                raise InterruptedRunError
         return True
 
     def interrupt(self) -> bool:
@@ -91,7 +110,10 @@ class _Process:
 class Page:
     """The blocks of a page run in order, in one folder; use it as a context manager."""
 
-    def __init__(self, folder: Path, logs: Path, environment: Mapping[str, str], ci: str) -> None:
+    def __init__(
+        self, folder: Path, logs: Path, environment: Mapping[str, str], ci: str, shared: Shared
+    ) -> None:
+        self._shared = shared
         self._folder = folder
         self._logs = logs
         self._environment = environment
@@ -113,6 +135,9 @@ class Page:
             return Outcome(block, 0.0, skipped=marker.text)
         if marker.how is How.ELSEWHERE:
             return self._elsewhere(block)
+        if _VEHICLES in block.script:
+            self._stack.enter_context(self._shared.vehicles)  # until the page is over
+            began = time.monotonic()
         if marker.how is How.BESIDE:
             return self._start_beside(block)
         if marker.how is How.EACH:
@@ -169,7 +194,7 @@ class Page:
     @contextmanager
     def _process(self, script: str) -> Iterator[_Process]:
         log = self._logs / f"{len(list(self._logs.iterdir()))}.log"
-        process = _Process(script, self._folder, self._environment, log)
+        process = _Process(script, self._folder, self._environment, log, self._shared.over)
         try:
             yield process
         finally:

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import os
+import subprocess
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 
 from docs.commands import __main__ as command
 from docs.commands.blocks import How, PageError, blocks_of, marker_of
-from docs.commands.runner import Page
+from docs.commands.runner import InterruptedRunError, Page, Shared
 
 CI = """
 # make format
@@ -21,6 +23,11 @@ end_to_end() { make demo; }
 def _page(tmp_path: Path, text: str) -> Path:
     path = tmp_path / "page.md"
     path.write_text(text, encoding="utf-8")
+    return path
+
+
+def _folder(path: Path) -> Path:
+    path.mkdir()
     return path
 
 
@@ -37,7 +44,7 @@ def _outcomes(tmp_path: Path, *marked: tuple[str, str]):
     logs, folder = tmp_path / "logs", tmp_path / "folder"
     logs.mkdir()
     folder.mkdir()
-    with Page(folder, logs, dict(os.environ), CI) as page:
+    with Page(folder, logs, dict(os.environ), CI, Shared()) as page:
         done = [page.run(block) for block in blocks]
         return done, list(page.finish())
 
@@ -155,6 +162,53 @@ def test_a_block_beside_that_never_says_it_is_found(tmp_path):
     done, beside = _outcomes(tmp_path, ('beside, until "ready"', "echo other"))
     assert "did not say 'ready'" in done[0].problem
     assert not beside
+
+
+def test_nothing_goes_on_when_the_run_of_all_pages_is_over(tmp_path):
+    shared = Shared()
+    shared.over.set()
+    (block,) = _blocks(tmp_path, ("", "sleep 60"))
+    with (
+        pytest.raises(InterruptedRunError),
+        Page(tmp_path, _folder(tmp_path / "logs"), dict(os.environ), CI, shared) as page,
+    ):
+        page.run(block)
+
+
+def test_one_page_at_a_time_has_the_ports_of_the_vehicles(tmp_path):
+    shared = Shared()
+
+    def are_free() -> bool:
+        with ThreadPoolExecutor(1) as other:
+            return other.submit(shared.vehicles.acquire, blocking=False).result()
+
+    blocks = _blocks(tmp_path, ("", ": ptnsbc autopilot"), ("", ": ptnsbc autopilot again"))
+    with Page(tmp_path, _folder(tmp_path / "logs"), dict(os.environ), CI, shared) as page:
+        assert [page.run(block).problem for block in blocks] == ["", ""]
+        assert not are_free()
+    assert are_free()
+
+
+def test_pages_run_at_the_same_time_and_are_printed_in_their_order(tmp_path, capsys, monkeypatch):
+    up, down = tmp_path / "up", tmp_path / "down"
+    root = _folder(tmp_path / "root")
+    (_folder(root / ".ci") / "run").write_text(CI, encoding="utf-8")
+    first = f"touch {up}\nuntil [ -e {down} ]; do sleep 0.01; done"
+    second = f"until [ -e {up} ]; do sleep 0.01; done\necho $ROS_DOMAIN_ID > {down}"
+    for name, script in (("a.md", first), ("b.md", second), ("c.md", "ptnsbc-none --domain 42")):
+        (root / name).write_text(f"```bash\n{script}\n```\n", encoding="utf-8")
+    subprocess.run(["git", "init", "--quiet"], cwd=root, check=True)
+    monkeypatch.setattr(command, "ROOT", root)
+    monkeypatch.setattr(command, "_DOMAIN_IS_GIVEN", False)
+    monkeypatch.delenv("ROS_DOMAIN_ID", raising=False)
+    assert command.main(["a.md", "b.md", "c.md", "--jobs", "2"]) == 1
+    told = capsys.readouterr().out.splitlines()
+    assert [line.split()[:2] for line in told if ".md:" in line] == [
+        ["a.md:1", "ok"],
+        ["b.md:1", "ok"],
+        ["c.md:1", "FAILED"],
+    ]
+    assert int(down.read_text()) in range(1, 102)
 
 
 def test_the_pages_of_the_repository_can_be_run(capsys):
