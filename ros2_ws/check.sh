@@ -34,22 +34,26 @@ colcon build --base-paths src "${skipped[@]}" --event-handlers console_direct- "
   die "colcon build failed (see above)"
 }
 
+checks=()  # beside each other: each is a process that mostly starts
 for package in src/*/; do
   name=$(basename "$package")
   if [ "$name" = $interfaces ] && [ ${#skipped[@]} -gt 0 ]; then continue; fi
   [ -e "install/$name/share/ament_index/resource_index/packages/$name" ] || die "$name: not in the ament index"
   case "$name" in ptnsbc_bringup | $interfaces) continue ;; esac
   # From elsewhere and without the virtual environment's editable install: what ROS would import.
-  (set +u; cd / && source "$OLDPWD/install/local_setup.bash" && python -S -c "
+  { (set +u; cd / && source "$OLDPWD/install/local_setup.bash" && python -S -c "
 import importlib.util, pathlib
 found = importlib.util.find_spec('$name')
 assert found and found.origin, '$name: built, but cannot be found'
 assert pathlib.Path(found.origin).with_name('py.typed').exists(), '$name: py.typed is missing'
-") || die "$name: not importable from install/"
+") || die "$name: not importable from install/"; } &
+  checks+=($!)
 done
 for program in ptnsbc_nodes/{uav,sim,recorder,bridge,coordinator,operator,fleet} ptnsbc_tools/ptnsbc; do
   program=install/${program%/*}/lib/$program
   [ -x "$program" ] || die "$program: 'ros2 run' would not find it"
-  (set +u; program=$PWD/$program; source install/local_setup.bash; cd / && "$program" --help >/dev/null) || die "$program does not start"
+  { (set +u; program=$PWD/$program; source install/local_setup.bash; cd / && "$program" --help >/dev/null) || die "$program does not start"; } &
+  checks+=($!)
 done
+for check in "${checks[@]}"; do wait "$check"; done
 printf 'ros2_ws: all packages are what they should be, and installed\n'

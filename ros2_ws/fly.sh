@@ -60,13 +60,15 @@ check_version() {
 #   check_programs WHAT, where ptnsbc_nodes and ptnsbc_tools are, COMMAND...
 names=
 check_programs() {
-  local what=$1 nodes=$2 tools=$3 found program
+  local what=$1 nodes=$2 tools=$3 found program checks=()
   shift 3
   found=$(cd "$nodes/lib" && ls ptnsbc_nodes/*; cd "$tools/lib" && ls ptnsbc_tools/*; cd "$tools" && ls bin/ptnsbc*)
   [ "$found" = "${names:=$found}" ] || die "$what: programs: ${found//$'\n'/ }: expected as colcon made them: ${names//$'\n'/ }"
   for program in "$nodes"/lib/ptnsbc_nodes/* "$tools/lib/ptnsbc_tools/ptnsbc" "$tools/bin/ptnsbc"; do
-    check_version "$what: $program" "$@" "$program"
+    check_version "$what: $program" "$@" "$program" &
+    checks+=($!)
   done
+  for program in "${checks[@]}"; do wait "$program"; done
 }
 
 # A module that is no more, as an older version leaves it where builds put things.

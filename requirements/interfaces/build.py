@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -60,7 +61,7 @@ _C, _FASTRTPS, _INTROSPECTION = (
 )
 _TYPE_SUPPORT, _PYTHON = "rosidl_typesupport_c", "rosidl_generator_py"
 _DEPENDENCIES = ("depend", "build_depend", "exec_depend", "build_export_depend")
-_JOBS = 2
+_JOBS = min(4, os.cpu_count() or 1)
 
 
 class BuildError(Exception):
