@@ -148,10 +148,10 @@ def _parser() -> argparse.ArgumentParser:
         "--jobs",
         type=int,
         choices=range(1, 65),
-        # Pages in one domain would hear each other.
-        default=1 if _DOMAIN_IS_GIVEN else len(os.sched_getaffinity(0)),
+        # A fleet in real time needs two cores. Pages in one domain would hear each other.
+        default=1 if _DOMAIN_IS_GIVEN else max(1, len(os.sched_getaffinity(0)) // 2),
         metavar="N",
-        help="pages at the same time; by default one for each core, one where ROS_DOMAIN_ID is set",
+        help="pages at the same time; by default one for two cores, one where ROS_DOMAIN_ID is set",
     )
     parser.add_argument(
         "--list", action="store_true", help="print how each block is run, and run none"
