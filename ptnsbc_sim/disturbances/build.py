@@ -57,7 +57,7 @@ def sensor_noise_samples(scenario: Scenario, uav_id: int, tick: int) -> Array:
 
 
 def _sensor_sample_count(scenario: Scenario) -> int:
-    return sensor_noise.SAMPLES * (len(scenario.uav_ids) - 1 + len(scenario.file.world.obstacles))
+    return sensor_noise.SAMPLES * (len(scenario.uav_ids) - 1 + len(scenario.obstacles))
 
 
 def sensor_noise_of(scenario: Scenario) -> SensorNoise:

@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from functools import cached_property
-from typing import Literal, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
+from pydantic import Field
 
 from ptnsbc_core.curves.trajectory import course_samples
 from ptnsbc_core.kinematics import rotation_from_euler
@@ -22,6 +23,7 @@ from ptnsbc_core.tasks.signed_distance import (
     signed_distances,
 )
 from ptnsbc_core.types import Array, Trajectory
+from ptnsbc_sim.occupancy import boxes_of
 from ptnsbc_sim.scenario.fields import (
     Block,
     Name,
@@ -33,8 +35,9 @@ from ptnsbc_sim.scenario.fields import (
 )
 from ptnsbc_sim.scenario.mission import trajectories
 from ptnsbc_sim.scenario.mission.trajectories import TrajectoryBlock, trajectory_of
+from ptnsbc_sim.scenario.reader import MOST_SAMPLES
 
-Kind = Literal["sphere", "box", "cylinder", "plane", "half_space", "ground"]
+Kind = Literal["sphere", "box", "cylinder", "plane", "half_space", "ground", "map"]
 
 _KEYS: dict[str, tuple[str, ...]] = {
     "sphere": ("position_m", "trajectory"),
@@ -43,6 +46,7 @@ _KEYS: dict[str, tuple[str, ...]] = {
     "plane": ("position_m", "trajectory", "normal"),
     "half_space": ("position_m", "trajectory", "normal"),
     "ground": ("height_m",),
+    "map": ("file", "samples", "resolution_m"),
 }
 _NEEDED: dict[str, tuple[str, ...]] = {
     "box": ("size_m",),
@@ -50,15 +54,17 @@ _NEEDED: dict[str, tuple[str, ...]] = {
     "plane": ("normal",),
     "half_space": ("normal",),
     "ground": ("height_m",),
+    "map": ("samples",),
 }
 _EXPECTED = {
     "size_m": "the length of three edges",
     "radius_m": "a radius in m",
     "normal": "a direction of three numbers",
     "height_m": "the height of the ground in m",
+    "samples": "file: NAME and resolution_m, or the boxes",
 }
 _THIN_M = 0.02  # as thick as a surface is drawn
-_OWN = ("position_m", "trajectory", "size_m", "rotation_rad", "radius_m", "height_m", "normal")
+_OWN = tuple(dict.fromkeys(key for keys in _KEYS.values() for key in keys))
 
 
 class ObstacleBlock(Block):
@@ -68,7 +74,7 @@ class ObstacleBlock(Block):
     """Name, unique among the obstacles."""
     kind: Kind = "sphere"
     """Form of the body: `sphere`; `box`; `cylinder`, upright; `plane`, thin and without end; `half_space`, solid
-    behind a plane; `ground`, solid below a height."""
+    behind a plane; `ground`, solid below a height; `map`, boxes that cover the points of a file."""
     position_m: Vec3 | None = None
     """Centre; of a plane and a half-space a point of the surface. Give this or `trajectory`."""
     trajectory: TrajectoryBlock | None = None
@@ -86,12 +92,21 @@ class ObstacleBlock(Block):
     """*cylinder* Height; default: without end. *ground* Height of the ground."""
     normal: Vec3 | None = None
     """*plane*, *half_space* Direction across the surface, of any length; out of the half-space."""
+    file: str | None = None
+    """*map* Name of a point cloud, looked for beside the scenario: `.pcd` (ASCII or binary), `.csv` with rows x, y, z,
+    or `.npy`; at most 100 MB. It becomes `samples` when it is read, so that a bag holds it."""
+    resolution_m: Annotated[Positive, Field(ge=0.01, le=100)] | None = None
+    """*map* Edge of the cells of a grid: those in which a point lies are kept out of."""
+    samples: Annotated[str, Field(max_length=MOST_SAMPLES)] | None = None
+    """*map* The boxes, at most 400: rows x, y, z, x, y, z of two corners [m]."""
 
 
 def problems(block: ObstacleBlock) -> Iterator[str]:
     """What is wrong with an obstacle, as `key: value: expectation` below it."""
     yield from _wrong_keys(block)
-    if block.kind != "ground" and (block.position_m is None) == (block.trajectory is None):
+    if block.kind not in ("ground", "map") and (block.position_m is None) == (
+        block.trajectory is None
+    ):
         what = "missing" if block.position_m is None else "given beside trajectory"
         yield f"position_m: {what}: expected either position_m or trajectory"
     if block.kind == "sphere" and block.keep_out_m == 0.0:
@@ -100,6 +115,11 @@ def problems(block: ObstacleBlock) -> Iterator[str]:
         yield f"height_m: {block.height_m:g}: expected > 0"
     if block.normal is not None and not 1e-6 < math.hypot(*block.normal) < 1e6:
         yield "normal: expected a direction, of a length from 1e-6 to 1e6"
+    if block.samples is not None:
+        try:
+            boxes_of(block.samples)
+        except ValueError as error:
+            yield f"samples: {error}"
     if block.trajectory is not None:
         for problem in trajectories.problems(block.trajectory):
             yield f"trajectory.{problem}"
@@ -113,6 +133,22 @@ def _wrong_keys(block: ObstacleBlock) -> Iterator[str]:
     for key in _NEEDED.get(block.kind, ()):
         if getattr(block, key) is None:
             yield f"{key}: missing: expected {_EXPECTED[key]}"
+
+
+def bodies(block: ObstacleBlock) -> Iterator[ObstacleBlock]:
+    """The blocks of the bodies of an obstacle without problems: itself, of a map its boxes, numbered from 1."""
+    if block.kind != "map" or block.samples is None:
+        yield block
+        return
+    for number, corners in enumerate(boxes_of(block.samples), 1):
+        low, high = corners[:3], corners[3:]
+        yield ObstacleBlock.model_construct(
+            name=f"{block.name}-{number}",
+            kind="box",
+            position_m=tuple((0.5 * (low + high)).tolist()),
+            size_m=tuple((high - low).tolist()),
+            keep_out_m=block.keep_out_m,
+        )
 
 
 class Motion(NamedTuple):

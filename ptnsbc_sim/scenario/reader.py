@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import yaml
 
+from ptnsbc_sim.occupancy import MapError, map_text
 from ptnsbc_sim.scenario.functions import whole_path, with_trajectory
 from ptnsbc_sim.scenario.problems import ScenarioError, shown, similar
 
@@ -212,8 +213,8 @@ def merged(base: Tree, own: Tree) -> Tree:
 
 
 def _names_file(block: Any) -> bool:
-    """Whether a block is a trajectory or a shape in a file of its own."""
-    named = isinstance(block, dict) and block.get("kind") in ("csv", "file", "stream")
+    """Whether a block is a trajectory, a shape or a map in a file of its own."""
+    named = isinstance(block, dict) and block.get("kind") in ("csv", "file", "stream", "map")
     return named and block.get("file") is not None
 
 
@@ -246,17 +247,41 @@ def _filled(node: Any, key: str, source: str, folder: Path) -> Any:
         return node
     if _names_file(node):
         rest = {name: value for name, value in node.items() if name != "file"}
-        return {**rest, "samples": _content(node["file"], f"{source}: {key}.file", folder)}
+        read = _map if node["kind"] == "map" else _content
+        return {**rest, "samples": read(node, f"{source}: {key}.", folder)}
     return {
         name: _filled(one, f"{key}.{name}" if key else str(name), source, folder)
         for name, one in node.items()
     }
 
 
-def _content(name: Any, where: str, folder: Path) -> str:
+def _place_of(block: Tree, where: str, folder: Path, what: str) -> Path:
+    """Where the file of a block is."""
+    name = block["file"]
     if not isinstance(name, str) or not name:
-        raise ScenarioError(f"{where}: {name!r}: expected the name or path of a CSV file")
-    found = folder / Path(name).expanduser()
+        raise ScenarioError(f"{where}: {name!r}: expected the name or path of a {what}")
+    return folder / Path(name).expanduser()
+
+
+def _map(block: Tree, below: str, folder: Path) -> str:
+    """The boxes of a map."""
+    found, resolution = _place_of(block, f"{below}file", folder, "map"), block.get("resolution_m")
+    if (
+        isinstance(resolution, bool)
+        or not isinstance(resolution, int | float)
+        or not resolution > 0
+    ):
+        raise ScenarioError(f"{below}resolution_m: {resolution!r}: expected a number in m above 0")
+    try:
+        text = map_text(found, float(resolution))
+    except MapError as error:
+        raise ScenarioError(f"{below}file: {found}: {error}") from None
+    return text
+
+
+def _content(block: Tree, below: str, folder: Path) -> str:
+    where = f"{below}file"
+    found = _place_of(block, where, folder, "CSV file")
     try:
         with found.open(encoding="utf-8") as stream:
             text = stream.read(MOST_SAMPLES + 1)

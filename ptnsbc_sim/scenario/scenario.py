@@ -39,7 +39,7 @@ from ptnsbc_sim.scenario.model import (
     UavBlock,
     plant_of,
 )
-from ptnsbc_sim.scenario.obstacles import Obstacle
+from ptnsbc_sim.scenario.obstacles import Obstacle, bodies
 from ptnsbc_sim.scenario.problems import ScenarioError, scenario_error
 from ptnsbc_sim.scenario.semantics import NANOSECONDS, checked
 
@@ -365,7 +365,7 @@ class Scenario:
     @cached_property
     def obstacles(self) -> tuple[Obstacle, ...]:
         """All obstacles."""
-        return tuple(Obstacle(block) for block in self.file.world.obstacles)
+        return tuple(Obstacle(body) for one in self.file.world.obstacles for body in bodies(one))
 
     def obstacle_positions(self, t_s: float) -> Array:
         """Positions (O, 3) [m] of all obstacles, so many seconds after the first epoch."""

@@ -10,6 +10,7 @@ from graphlib import CycleError, TopologicalSorter
 from ptnsbc_core.errors import GainError, TopologyError
 from ptnsbc_core.timebase import peak_gain
 from ptnsbc_core.topology import Topology, validated_topology
+from ptnsbc_io.wire.checks import MOST_NEAR_OBJECTS
 from ptnsbc_sim.scenario import obstacles
 from ptnsbc_sim.scenario.mavlink import Geofence, Mavlink, vehicle_link
 from ptnsbc_sim.scenario.mission import legs, shapes, trajectories
@@ -100,6 +101,12 @@ def _obstacles(file: ScenarioFile) -> Problems:
     for index, obstacle in enumerate(file.world.obstacles):
         for problem in obstacles.problems(obstacle):
             yield f"world.obstacles[{index}].{problem}"
+    seen = len(file.uavs) + sum(len(list(obstacles.bodies(one))) for one in file.world.obstacles)
+    if seen > MOST_NEAR_OBJECTS:
+        yield (
+            f"world.obstacles: {seen} bodies with the UAVs and the boxes of maps: expected at most "
+            f"{MOST_NEAR_OBJECTS}, of which a near-object sensor tells"
+        )
 
 
 def _members(file: ScenarioFile) -> Problems:

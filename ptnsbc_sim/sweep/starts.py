@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ptnsbc_core.types import Array
-from ptnsbc_sim.scenario.obstacles import Obstacle, ObstacleBlock
+from ptnsbc_sim.scenario.obstacles import Obstacle, ObstacleBlock, bodies
 from ptnsbc_sim.sweep.axes import SweepError
 
 FILE, NEAR, BOX = "file", "near", "box"
@@ -96,7 +96,8 @@ def _clear(place: Array, others: Sequence[Array], spheres: Spheres) -> bool:
 def spheres_of(tree: dict[Any, Any], margin_m: float) -> Spheres:
     """The distances that the starts of a scenario tree must keep."""
     blocks = (tree.get("world") or {}).get("obstacles") or []
-    every = [Obstacle(ObstacleBlock.model_validate(block)) for block in blocks]
+    given = [ObstacleBlock.model_validate(block) for block in blocks]
+    every = [Obstacle(body) for block in given for body in bodies(block)]
     spheres = [one for one in every if one.kind == "sphere"]
     return Spheres(
         np.array([one.position for one in spheres], dtype=np.float64).reshape(-1, 3),

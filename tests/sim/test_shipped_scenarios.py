@@ -89,7 +89,7 @@ def test_every_uav_stays_in_its_place(name: str, most_m: float, apart_m: float, 
 
 
 @pytest.mark.parametrize("plant", PLANTS)
-@pytest.mark.parametrize("name", ["corridor", "moving_obstacles"])
+@pytest.mark.parametrize("name", ["corridor", "moving_obstacles", "yard"])
 def test_bodies_are_kept_clear_of(name: str, plant: str) -> None:
     """Every UAV is met and outside every keep-out at every instant, where each obstacle is then."""
     flown = flight(name, plant, load_scenario(name).duration_s)

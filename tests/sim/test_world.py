@@ -56,7 +56,7 @@ def test_near_objects_are_those_of_now() -> None:
     np.testing.assert_allclose(seen[:, 3], 0.5)
 
 
-@pytest.mark.parametrize("name", ["corridor", "moving_obstacles"])
+@pytest.mark.parametrize("name", ["corridor", "moving_obstacles", "yard"])
 def test_bodies_are_seen_as_in_the_headless_flight_to_the_last_bit(name: str) -> None:
     scenario = load_scenario(name, {"timing.duration_s": 8.0})
     flown, world = fly(scenario), World(scenario)

@@ -10,7 +10,8 @@ from shell import install_linked  # noqa: E402
 
 
 def _files(folder: str) -> list[str]:
-    return sorted(f"{folder}/{file.name}" for file in (HERE / folder).glob("*.yaml"))
+    found = (HERE / folder).iterdir()
+    return sorted(f"{folder}/{file.name}" for file in found if file.suffix in (".yaml", ".pcd"))
 
 
 install_linked(

@@ -1,0 +1,163 @@
+"""Point clouds in files: PCD (ASCII and binary), CSV with rows x, y, z, and NumPy's `.npy`."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+import numpy as np
+
+from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_core.types import Array
+
+MOST_BYTES = 100_000_000
+"""Of a file."""
+
+_LONGEST_HEADER = 10_000
+_MOST_COUNT = 10_000  # of numbers in one field
+_FARTHEST_M = 1e6
+_TYPES = {"F4": "<f4", "F8": "<f8", "I1": "i1", "I2": "<i2", "I4": "<i4", "I8": "<i8"}
+_TYPES |= {"U1": "u1", "U2": "<u2", "U4": "<u4", "U8": "<u8"}
+
+
+class PointCloudFileError(PtnsbcError):
+    """A file that holds no point cloud, in words that follow its name."""
+
+
+def read_points(path: Path) -> Array:
+    """Points (N, 3) [m] of a file; those that are not finite are left out.
+
+    Raises:
+        PointCloudFileError: the file is no such file, too large, or has no points.
+    """
+    readers = {".pcd": _pcd, ".csv": _csv, ".npy": _npy}
+    read = readers.get(path.suffix.lower())
+    if read is None:
+        raise PointCloudFileError(f"expected a file that ends in {', '.join(readers)}")
+    try:
+        with path.open("rb") as stream:
+            data = stream.read(MOST_BYTES + 1)
+    except (OSError, ValueError) as error:  # ValueError: a NUL in the name
+        raise PointCloudFileError(
+            f"{getattr(error, 'strerror', None) or error}: expected a readable file"
+        ) from None
+    if len(data) > MOST_BYTES:
+        raise PointCloudFileError(f"expected at most {MOST_BYTES} bytes")
+    points = read(data)
+    points = points[np.isfinite(points).all(axis=1)]
+    if not len(points):
+        raise PointCloudFileError("no points: expected at least one with three finite numbers")
+    if np.abs(points).max() > _FARTHEST_M:
+        raise PointCloudFileError(f"expected no coordinate beyond {_FARTHEST_M:g} m")
+    return np.asarray(points, dtype=np.float64)
+
+
+def _csv(data: bytes) -> Array:
+    """Rows x, y, z and what else a row may have; a first row of names is left out."""
+    try:
+        lines = data.decode("utf-8").splitlines()
+    except UnicodeDecodeError as error:
+        raise PointCloudFileError(f"byte {error.start}: expected UTF-8 text") from None
+    rows = [line for line in lines if line.strip() and not line.startswith("#")]
+    for skipped in (0, 1) if len(rows) > 1 else (0,) * len(rows):
+        try:
+            return np.loadtxt(rows[skipped:], delimiter=",", usecols=(0, 1, 2), ndmin=2)
+        except (ValueError, IndexError):
+            continue
+    raise PointCloudFileError("expected rows of numbers x, y, z, with commas between them")
+
+
+def _npy(data: bytes) -> Array:
+    try:
+        found = np.load(io.BytesIO(data), allow_pickle=False)
+    except (ValueError, EOFError, OSError, MemoryError):
+        raise PointCloudFileError("expected an array that numpy.save has written") from None
+    if not isinstance(found, np.ndarray) or found.ndim != 2 or found.shape[1] < 3:
+        raise PointCloudFileError("expected an array of shape (N, 3)")
+    if found.dtype.kind not in "fiu":
+        raise PointCloudFileError(f"{found.dtype}: expected an array of numbers")
+    return found[:, :3].astype(np.float64)
+
+
+def _pcd(data: bytes) -> Array:
+    """The fields x, y and z of a PCD file, version 0.7."""
+    end = data.find(b"\nDATA", 0, _LONGEST_HEADER)
+    after = data.find(b"\n", end + 1)
+    if end < 0 or after < 0:
+        raise PointCloudFileError("expected the header of a PCD file, with a line DATA")
+    header = _header(data[:after].decode("ascii", "replace"))
+    points, kind = _numbers(header, "POINTS")[0], header["DATA"][0]
+    record = _record(header)
+    if kind == "ascii":
+        return _ascii(data[after + 1 :], record, points)
+    if kind != "binary":
+        raise PointCloudFileError(
+            f"DATA {kind}: expected ascii or binary, as pcl_convert_pcd_ascii_binary writes it"
+        )
+    size = points * record.itemsize
+    if not 0 < size <= len(data) - after - 1:
+        raise PointCloudFileError(f"expected {size} bytes of points, found {len(data) - after - 1}")
+    rows = np.frombuffer(data, record, points, after + 1)
+    return np.stack([rows[axis].astype(np.float64) for axis in "xyz"], axis=1)
+
+
+def _header(text: str) -> dict[str, list[str]]:
+    lines = [line.split() for line in text.splitlines()]
+    header = {words[0]: words[1:] for words in lines if words and not words[0].startswith("#")}
+    for key in ("FIELDS", "SIZE", "TYPE", "POINTS", "DATA"):
+        if not header.get(key):
+            raise PointCloudFileError(f"expected a line {key} in the header of a PCD file")
+    return header
+
+
+def _numbers(header: dict[str, list[str]], key: str) -> list[int]:
+    """The numbers of a line of the header, each from 1 to `MOST_BYTES`."""
+    words = header[key]
+    if not all(word.isascii() and word.isdecimal() and len(word) < 10 for word in words):
+        raise PointCloudFileError(f"{key} {' '.join(words)[:40]}: expected whole numbers")
+    return [int(word) for word in words]
+
+
+def _record(header: dict[str, list[str]]) -> np.dtype[np.void]:
+    """One point of a PCD file."""
+    names, kinds = header["FIELDS"], header["TYPE"]
+    sizes = _numbers(header, "SIZE")
+    counts = _numbers(header, "COUNT") if header.get("COUNT") else [1] * len(names)
+    if not len(names) == len(kinds) == len(sizes) == len(counts):
+        raise PointCloudFileError("expected as many words in FIELDS, SIZE, TYPE and COUNT")
+    fields: list[tuple[str, str, tuple[int, ...]]] = []
+    for index, (name, kind, size, count) in enumerate(
+        zip(names, kinds, sizes, counts, strict=True)
+    ):
+        number = _TYPES.get(f"{kind}{size}")
+        if number is None:
+            raise PointCloudFileError(
+                f"field {name[:40]}: {kind[:8]}{size}: expected a type of PCD"
+            )
+        is_axis = name in ("x", "y", "z") and name not in [one for one, _, _ in fields]
+        most = 1 if is_axis else _MOST_COUNT
+        if not 1 <= count <= most:
+            raise PointCloudFileError(f"field {name[:40]}: COUNT {count}: expected 1 to {most}")
+        fields.append((name if is_axis else f"other{index}", number, () if is_axis else (count,)))
+    missing = {"x", "y", "z"} - {name for name, _, _ in fields}
+    if missing:
+        raise PointCloudFileError(f"no field {min(missing)}: expected fields x, y and z")
+    return np.dtype(fields)
+
+
+def _ascii(data: bytes, record: np.dtype[np.void], points: int) -> Array:
+    first: dict[str, int] = {}
+    column = 0
+    for name in record.names or ():
+        first[name] = column
+        column += int(np.prod(record[name].shape))
+    columns = [first[axis] for axis in "xyz"]
+    if not data.strip():
+        raise PointCloudFileError(f"no points: expected {points}, as POINTS says")
+    try:
+        rows = np.loadtxt(io.BytesIO(data), usecols=columns, ndmin=2)
+    except ValueError:
+        raise PointCloudFileError("expected a row of numbers for each point") from None
+    if len(rows) != points:
+        raise PointCloudFileError(f"{len(rows)} points: expected {points}, as POINTS says")
+    return np.asarray(rows, dtype=np.float64)

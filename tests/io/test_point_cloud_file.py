@@ -1,0 +1,115 @@
+"""Point clouds from files, and what is refused."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ptnsbc_core.types import Array
+from ptnsbc_io.point_cloud_file import PointCloudFileError, read_points
+
+POINTS = np.array([[1.0, 2.0, 3.0], [-4.5, 0.25, 6.0], [7.0, 8.0, -9.0]])
+
+
+def header(data: str, points: int = 3, fields: str = "x y z", kinds: str = "F F F") -> str:
+    size = " ".join("4" for _ in fields.split())
+    return (
+        f"# .PCD v0.7\nVERSION 0.7\nFIELDS {fields}\nSIZE {size}\nTYPE {kinds}\n"
+        f"WIDTH {points}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {points}\nDATA {data}\n"
+    )
+
+
+def rows(points: Array) -> str:
+    return "".join(" ".join(map(str, row)) + "\n" for row in points.tolist())
+
+
+def written(folder: Path, name: str, content: str | bytes) -> Path:
+    path = folder / name
+    path.write_bytes(content.encode() if isinstance(content, str) else content)
+    return path
+
+
+def test_every_form_holds_the_same_points(tmp_path: Path) -> None:
+    single = POINTS.astype("<f4")
+    np.save(tmp_path / "a.npy", POINTS)
+    files = [
+        tmp_path / "a.npy",
+        written(tmp_path, "a.csv", "x,y,z\n" + rows(POINTS).replace(" ", ",")),
+        written(tmp_path, "b.csv", "# a scan\n" + rows(POINTS).replace(" ", ",")),
+        written(tmp_path, "a.pcd", header("ascii") + rows(POINTS)),
+        written(tmp_path, "b.PCD", header("binary").encode() + single.tobytes()),
+    ]
+    for path in files:
+        np.testing.assert_array_equal(read_points(path), POINTS)
+
+
+def test_other_fields_of_a_pcd_are_skipped(tmp_path: Path) -> None:
+    record = np.dtype([("i", "<u4"), ("z", "<f4"), ("n", "<f4", (3,)), ("x", "<f4"), ("y", "<f4")])
+    given = np.zeros(3, record)
+    for axis, column in zip("xyz", POINTS.T, strict=True):
+        given[axis] = column
+    text = header("binary", fields="i z n x y", kinds="U F F F F")
+    text = text.replace("WIDTH", "COUNT 1 1 3 1 1\nWIDTH")
+    path = written(tmp_path, "a.pcd", text.encode() + given.tobytes())
+    np.testing.assert_array_equal(read_points(path), POINTS)
+    flat = "".join(f"7 {z} 0 0 0 {x} {y}\n" for x, y, z in POINTS.tolist())
+    path = written(tmp_path, "b.pcd", text.replace("binary", "ascii") + flat)
+    np.testing.assert_array_equal(read_points(path), POINTS)
+
+
+def test_points_that_are_no_numbers_are_left_out(tmp_path: Path) -> None:
+    path = written(tmp_path, "a.pcd", header("ascii", 4) + "nan nan nan\n" + rows(POINTS))
+    np.testing.assert_array_equal(read_points(path), POINTS)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("a.ply", "ply", r"expected a file that ends in \.pcd, \.csv, \.npy"),
+        ("a.csv", "", "expected rows of numbers x, y, z"),
+        ("a.csv", "x,y,z\n", "expected rows of numbers x, y, z"),
+        ("a.csv", "1,2\n3,4\n", "expected rows of numbers x, y, z"),
+        ("a.csv", "1,2,3\n4,five,6\n", "expected rows of numbers x, y, z"),
+        ("a.csv", b"\xff\xfe1,2,3", "byte 0: expected UTF-8 text"),
+        ("a.csv", "nan,0,0\n", "no points"),
+        ("a.csv", "1e7,0,0\n", "expected no coordinate beyond"),
+        ("a.npy", "text", r"expected an array that numpy\.save has written"),
+        ("a.pcd", "", "expected the header of a PCD file"),
+        ("a.pcd", "FIELDS x y z\nDATA ascii\n", "expected a line SIZE in the header"),
+        ("a.pcd", header("ascii"), "no points: expected 3"),
+        ("a.pcd", header("ascii") + "1 2 3\n", "1 points: expected 3"),
+        ("a.pcd", header("ascii") + "1 2 3\n1 2\n1 2 3\n", "expected a row of numbers for each"),
+        ("a.pcd", header("binary") + "1234", "expected 36 bytes of points, found 4"),
+        (
+            "a.pcd",
+            header("binary_compressed") + "1234",
+            "DATA binary_compressed: expected ascii or",
+        ),
+        ("a.pcd", header("ascii", fields="x y i"), "no field z: expected fields x, y and z"),
+        ("a.pcd", header("ascii", kinds="F F Q"), "field z: Q4: expected a type of PCD"),
+        ("a.pcd", header("ascii", kinds="F F"), "expected as many words in FIELDS"),
+        ("a.pcd", header("ascii").replace("POINTS 3", "POINTS -3"), "POINTS -3: expected whole"),
+        (
+            "a.pcd",
+            header("ascii").replace("WIDTH", "COUNT 1 2 1\nWIDTH"),
+            "field y: COUNT 2: expected 1 to 1",
+        ),
+    ],
+)
+def test_what_is_no_point_cloud_is_refused(
+    tmp_path: Path, name: str, content: str | bytes, message: str
+) -> None:
+    with pytest.raises(PointCloudFileError, match=message):
+        read_points(written(tmp_path, name, content))
+
+
+def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
+    with pytest.raises(PointCloudFileError, match="No such file"):
+        read_points(tmp_path / "a.csv")
+
+
+def test_an_array_of_another_shape_is_refused(tmp_path: Path) -> None:
+    for odd in (np.zeros(3), np.zeros((4, 2)), np.array([["a", "b", "c"]])):
+        np.save(tmp_path / "a.npy", odd)
+        with pytest.raises(PointCloudFileError, match="expected an array of"):
+            read_points(tmp_path / "a.npy")
