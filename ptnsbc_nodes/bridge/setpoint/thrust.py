@@ -119,8 +119,7 @@ class ThrustTest:
         """What to add to the logarithm of the thrust now; zero on the ground and when the test is over."""
         if not self._runs(now_s):
             return 0.0
-        if self._sent and now_s - self._sent[-1][0] > self._GAP_S:
-            self._sent, self._states = [], []
+        self._forget_before_gap(now_s)
         since_s = now_s - self._sent[0][0] if self._sent else 0.0
         return self._SIZE * float(self._pattern(np.array([since_s]))[0])
 
@@ -133,6 +132,7 @@ class ThrustTest:
         """Take the odometry (13,) of a flying vehicle, sampled at `sampled_s`; returns whether the test is over."""
         if self.over:
             return True
+        self._forget_before_gap(now_s)
         self._flew_s = now_s
         self._first_s = min(self._first_s, now_s)
         if not self._states or sampled_s > self._states[-1][0]:
@@ -141,6 +141,11 @@ class ThrustTest:
             self.over, self.found = True, self._response()
         self.over = self.over or now_s - self._first_s > self._PATIENCE * self.length_s
         return self.over
+
+    def _forget_before_gap(self, now_s: float) -> None:
+        """Without states nothing is sent: so a gap of either shows in what was sent."""
+        if self._sent and now_s - self._sent[-1][0] > self._GAP_S:
+            self._sent, self._states = [], []
 
     def _runs(self, now_s: float) -> bool:
         return not self.over and now_s - self._flew_s <= self._GAP_S
@@ -166,8 +171,8 @@ class ThrustTest:
         best = int(np.argmin(left))
         motor, delay = divmod(best, len(self._DELAYS_S))
         slope, (low, high) = float(slopes[best]), self._SLOPES
-        explained = 1.0 - left[best] / float(shown @ shown)
-        if not (low <= slope <= high and explained >= self._LEAST_EXPLAINED):
+        most_left = (1.0 - self._LEAST_EXPLAINED) * float(shown @ shown)
+        if not (low <= slope <= high and left[best] <= most_left):
             return None
         return ThrustResponse(slope, float(self._DELAYS_S[delay]) + self._MOTORS_S[motor])
 

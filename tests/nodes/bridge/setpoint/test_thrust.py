@@ -136,6 +136,23 @@ def test_there_is_no_nudge_on_the_ground_and_none_after_the_test():
     assert test.nudge(62.0) == 0.0
 
 
+@pytest.mark.parametrize("silent", ["states", "targets"])
+def test_the_test_begins_anew_after_a_hole(silent):
+    test, ended_s = ThrustTest(GRAVITY), None
+    for n in range(1500):
+        now = n * PERIOD_S
+        hole = 2.0 < now < 14.0  # longer than the test
+        if not (hole and silent == "states"):
+            test.on_odometry(now, now, state())
+        if test.over:
+            ended_s = now
+            break
+        if not (hole and silent == "targets"):
+            test.on_sent(now, 0.5 * math.exp(test.nudge(now)))
+    assert ended_s == pytest.approx(14.0 + test.length_s, abs=0.1)
+    assert test.found is None  # the vehicle did not move
+
+
 def test_the_pattern_leaves_neither_speed_nor_height():
     times = np.arange(0.0, 12.0, 1e-3) + 5e-4
     speed = np.cumsum(ThrustTest(GRAVITY)._pattern(times)) * 1e-3
