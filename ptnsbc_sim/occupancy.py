@@ -19,6 +19,9 @@ from ptnsbc_io.point_cloud_file import PointCloudFileError, read_points
 MOST_BOXES = 400
 """Of one map: each costs the near-object sensor a distance at every reading."""
 
+FINEST_M, COARSEST_M = 0.01, 100.0
+"""Bounds of the edge of a cell."""
+
 _MOST_CELLS = 200_000
 
 

@@ -23,7 +23,7 @@ from ptnsbc_core.tasks.signed_distance import (
     signed_distances,
 )
 from ptnsbc_core.types import Array, Trajectory
-from ptnsbc_sim.occupancy import boxes_of
+from ptnsbc_sim.occupancy import COARSEST_M, FINEST_M, boxes_of
 from ptnsbc_sim.scenario.fields import (
     Block,
     Name,
@@ -95,7 +95,7 @@ class ObstacleBlock(Block):
     file: str | None = None
     """*map* Name of a point cloud, looked for beside the scenario: `.pcd` (ASCII or binary), `.csv` with rows x, y, z,
     or `.npy`; at most 100 MB. It becomes `samples` when it is read, so that a bag holds it."""
-    resolution_m: Annotated[Positive, Field(ge=0.01, le=100)] | None = None
+    resolution_m: Annotated[Positive, Field(ge=FINEST_M, le=COARSEST_M)] | None = None
     """*map* Edge of the cells of a grid: those in which a point lies are kept out of."""
     samples: Annotated[str, Field(max_length=MOST_SAMPLES)] | None = None
     """*map* The boxes, at most 400: rows x, y, z, x, y, z of two corners [m]."""

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from ptnsbc_sim.occupancy import MapError, map_text
+from ptnsbc_sim.occupancy import COARSEST_M, FINEST_M, MapError, map_text
 from ptnsbc_sim.scenario.functions import whole_path, with_trajectory
 from ptnsbc_sim.scenario.problems import ScenarioError, shown, similar
 
@@ -266,14 +266,14 @@ def _place_of(block: Tree, where: str, folder: Path, what: str) -> Path:
 def _map(block: Tree, below: str, folder: Path) -> str:
     """The boxes of a map."""
     found, resolution = _place_of(block, f"{below}file", folder, "map"), block.get("resolution_m")
-    if (
-        isinstance(resolution, bool)
-        or not isinstance(resolution, int | float)
-        or not resolution > 0
-    ):
-        raise ScenarioError(f"{below}resolution_m: {resolution!r}: expected a number in m above 0")
+    number = isinstance(resolution, int | float) and not isinstance(resolution, bool)
+    edge_m = float(resolution) if number and resolution is not None else 0.0
+    if not FINEST_M <= edge_m <= COARSEST_M:
+        raise ScenarioError(
+            f"{below}resolution_m: {shown(resolution)}: expected a number from {FINEST_M:g} to {COARSEST_M:g} m"
+        )
     try:
-        text = map_text(found, float(resolution))
+        text = map_text(found, edge_m)
     except MapError as error:
         raise ScenarioError(f"{below}file: {found}: {error}") from None
     return text

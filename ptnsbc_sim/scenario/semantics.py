@@ -98,10 +98,23 @@ def _names(file: ScenarioFile) -> Problems:
 
 
 def _obstacles(file: ScenarioFile) -> Problems:
+    wrong = False
     for index, obstacle in enumerate(file.world.obstacles):
         for problem in obstacles.problems(obstacle):
+            wrong = True
             yield f"world.obstacles[{index}].{problem}"
-    seen = len(file.uavs) + sum(len(list(obstacles.bodies(one))) for one in file.world.obstacles)
+    if wrong:
+        return
+    names = {one.name: index for index, one in enumerate(file.world.obstacles)}
+    seen = len(file.uavs)
+    for index, obstacle in enumerate(file.world.obstacles):
+        for body in obstacles.bodies(obstacle):
+            seen += 1
+            if names.setdefault(body.name, index) != index:
+                yield (
+                    f'world.obstacles[{names[body.name]}].name: "{body.name}": a box of world.obstacles[{index}] '
+                    "has it, give every obstacle its own name"
+                )
     if seen > MOST_NEAR_OBJECTS:
         yield (
             f"world.obstacles: {seen} bodies with the UAVs and the boxes of maps: expected at most "

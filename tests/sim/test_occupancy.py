@@ -82,9 +82,9 @@ def test_a_map_is_as_far_as_its_nearest_cell() -> None:
     [
         ({"file": "none.pcd", "resolution_m": 1}, r"obstacles\[0\]\.file: .*none\.pcd: No such file or directory"),
         ({"file": 7}, r"obstacles\[0\]\.file: 7: expected the name or path of a map"),
-        ({"file": "a.csv", "resolution_m": 0}, r"\[0\]\.resolution_m: 0: expected a number in m"),
+        ({"file": "a.csv", "resolution_m": 0}, r"\[0\]\.resolution_m: 0: expected a number from"),
         ({"file": "a.csv", "resolution_m": None}, r"\[0\]\.resolution_m: None: expected a number"),
-        ({"file": "a.csv", "resolution_m": 1e-3}, r"\[0\]\.resolution_m: 0\.001: expected >= 0\.01"),
+        ({"file": "a.csv", "resolution_m": 1e-3}, r"resolution_m: 0\.001: expected a number from 0\.01"),
         ({"resolution_m": 1}, r"\[0\]\.samples: missing: expected file: NAME and resolution_m, or"),
         ({"samples": "1,2"}, r"\[0\]\.samples: expected rows of six numbers"),
         ({"samples": "1,1,1,0,2,2"}, r"\[0\]\.samples: expected boxes whose second corner"),
@@ -112,3 +112,10 @@ def test_a_text_from_outside_names_no_map() -> None:
     text = load_scenario("yard").text.replace("samples: ", "file: yard.pcd\n    name_: ", 1)
     with pytest.raises(PtnsbcError, match=r"obstacles\[0\]\.file: not here: expected samples"):
         scenario_from_text(text, complete=True)
+
+
+def test_a_box_of_a_map_and_an_obstacle_do_not_share_a_name() -> None:
+    hall = {"name": "hall", "kind": "map", "samples": "0,0,0,1,1,1", "keep_out_m": 0.5}
+    other = {"name": "hall-1", "position_m": [9, 9, 9], "keep_out_m": 0.5}
+    with pytest.raises(PtnsbcError, match=r'obstacles\[1\].name: "hall-1": a box of world'):
+        load_scenario("paper_5", {"world.obstacles": [hall, other]})
