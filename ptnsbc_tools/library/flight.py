@@ -195,7 +195,7 @@ class Flight:
     @cached_property
     def view(self) -> FlightView:
         """The flight as the figures of `ptnsbc plot` and `ptnsbc report` show it."""
-        return view_of(self.recording, self._status(), self.tolerance_m)
+        return view_of(self.recording, self._status(), self.tolerance_m, self.bag)
 
     def _status(self) -> StatusSeries:
         if self.status is not None:

@@ -54,12 +54,8 @@ def report(
     """
     bag = flight.bag if isinstance(flight, Flight) else Path(flight)
     shown = _view_of(flight, options)
-    if folder is not None:
-        target = Path(folder)
-    elif bag is not None:
-        target = bag.parent / f"{bag.stem if bag.is_file() else bag.name}-report"
-    else:
-        target = Path(f"{shown.scenario.name}-report")
+    beside_bag = (Path() if bag is None else bag.parent) / f"{shown.name}-report"
+    target = beside_bag if folder is None else Path(folder)
     beside = None if other is None else _view_of(other, options)
     page = _write_page(bag, target, shown, beside)
     drawn = _draw(shown, target, progress) if pictures and shown.uavs else ()

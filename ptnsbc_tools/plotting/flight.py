@@ -30,6 +30,14 @@ class FlightView:
     tolerance_m: float
     verdict: Verdict | None
     problem: str  # why there is no verdict, else empty
+    bag: Path | None = None
+
+    @property
+    def name(self) -> str:
+        """The name of the bag, or of the scenario without one."""
+        if self.bag is None:
+            return self.scenario.name
+        return self.bag.stem if self.bag.is_file() else self.bag.resolve().name
 
     @property
     def scenario(self) -> Scenario:
@@ -93,7 +101,10 @@ class FlightView:
 
 
 def view_of(
-    recording: Recording, status: StatusSeries, tolerance_m: float | None = None
+    recording: Recording,
+    status: StatusSeries,
+    tolerance_m: float | None = None,
+    bag: Path | None = None,
 ) -> FlightView:
     """Judge a recording, or say why that fails; the tolerance is that of the scenario by default."""
     limit_m = tolerance_of(recording, tolerance_m)
@@ -101,7 +112,7 @@ def view_of(
         verdict, problem = verdict_on(recording, limit_m), ""
     except PtnsbcError as error:
         verdict, problem = None, str(error)
-    return FlightView(recording, status, limit_m, verdict, problem)
+    return FlightView(recording, status, limit_m, verdict, problem, bag)
 
 
 def read_view(bag: Path, options: ReadOptions) -> FlightView:
@@ -110,4 +121,4 @@ def read_view(bag: Path, options: ReadOptions) -> FlightView:
     Raises:
         PtnsbcError: no bag, cut, damaged, or without a scenario.
     """
-    return view_of(read_recording(bag, options), read_status(bag), options.tolerance)
+    return view_of(read_recording(bag, options), read_status(bag), options.tolerance, bag)

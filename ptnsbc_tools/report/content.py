@@ -201,7 +201,7 @@ def uav_of(scenario: Scenario, uav: int) -> dict[str, Any]:
 def _charts(flight: FlightView, other: FlightView | None, pack: Pack) -> list[dict[str, Any]]:
     found = list(charts(flight))
     if other is not None:
-        found = overlaid(found, list(charts(other)), f"flight {other.scenario.name}")
+        found = overlaid(found, list(charts(other)), f"flight {other.name}")
     curves = max(sum(len(chart.curves) for chart in found), 1)
     points = min(_CURVE_POINTS, max(_MOST_POINTS // curves, 50))
     return [_chart(chart, pack, points) for chart in found]

@@ -247,13 +247,13 @@ def test_another_flight_is_overlaid(tab: Any, tmp_path: Path) -> None:
     )
     assert len(labels) == 10
     for own, beside in zip(labels[:5], labels[5:], strict=True):
-        assert beside[0] == f"{own[0]}, flight paper_5_free" and beside[1] == own[1]
+        assert beside[0] == f"{own[0]}, flight sample" and beside[1] == own[1]
         assert beside[2] != own[2]
     card = opened.locator("#chart-errors")
     card.scroll_into_view_if_needed()
     card.locator(".main-svg").first.wait_for()
     assert card.locator(".legend .traces").count() == 5  # the note says what the dots are
-    assert "Dotted, in the same colours: flight paper_5_free." in card.locator(".note").inner_text()
+    assert "Dotted, in the same colours: flight sample." in card.locator(".note").inner_text()
 
 
 def test_names_cover_no_other_name(tab: Any) -> None:
