@@ -67,7 +67,7 @@ class Cost(NamedTuple):
 
 
 class Result(NamedTuple):
-    """What came of many inputs."""
+    """The outcomes of many inputs."""
 
     inputs: int
     slowest: Cost

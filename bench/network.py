@@ -46,7 +46,7 @@ class Case(NamedTuple):
 
 
 class Flown(NamedTuple):
-    """What came of one flight."""
+    """The outcome of one flight."""
 
     verdict: str
     settled_s: float | None  # of UAV 5 after the epoch

@@ -71,7 +71,8 @@ def run_once(order: str, moment_s: float, starved: Sequence[int]) -> Stopped:
             wait_for(flight, [f"bridge{i}: taking off" for i in VEHICLES])
             with program(folder, "stop", domain, "ptnsbc_tools.cli", *stop) as terminal:
                 wait_for(terminal, ["bridge4"])
-                time.sleep(moment_s)  # the moment is the experiment
+                # A drawn moment of climb, hover or formation: no event marks it.
+                time.sleep(moment_s)
                 with _starved([_bridge_pid(flight.process.pid, i) for i in starved]):
                     return _press(terminal, order, control)
 

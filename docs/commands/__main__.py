@@ -2,7 +2,7 @@
 
 Each page has a clone and a ROS domain of its own, in which its blocks run in order; each block is a shell of its own.
 The clone has no `.venv`: the environment that runs this must not be within reach of what a page installs. Several pages
-run at the same time, those with the most commands first. What came of them is printed in the order of the pages.
+run at the same time, those with the most commands first. Their results are printed in the order of the pages.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ def _compile_laws() -> None:
 
 
 def _outcomes(pages: Mapping[str, Sequence[Block]], jobs: int) -> Iterator[Outcome]:
-    """What came of every block, page by page; at Ctrl-C every page ends its processes."""
+    """The outcome of every block, page by page; at Ctrl-C every page ends its processes."""
     shared = Shared()
     scripts = "\n".join(block.script for blocks in pages.values() for block in blocks)
     named = () if _DOMAIN_IS_GIVEN else {int(number) for number in _DOMAIN.findall(scripts)}

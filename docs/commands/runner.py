@@ -25,7 +25,7 @@ _VEHICLES = "ptnsbc autopilot"
 
 
 class Outcome(NamedTuple):
-    """What came of a block."""
+    """The outcome of a block."""
 
     block: Block
     took_s: float
@@ -40,7 +40,7 @@ class InterruptedRunError(Exception):
 
 @dataclass(frozen=True)
 class Shared:
-    """What the pages have in common that run at the same time."""
+    """Things that all pages which run at the same time share."""
 
     over: Event = field(default_factory=Event)
     """Set when no page shall go on."""

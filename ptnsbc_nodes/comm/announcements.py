@@ -85,7 +85,7 @@ def fault_decoder(uavs: Collection[int]) -> Callable[[bytes], OrderedFault]:
 
 
 class Requests:
-    """Which services of this node an operator may call.
+    """Permission of an operator to call services of this node.
 
     A service carries no seal: in a sealed fleet a sealed message on /formation/request permits one call.
     """

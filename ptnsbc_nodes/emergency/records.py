@@ -145,7 +145,7 @@ def in_pilots_hands(folder: Path, names: Iterable[str]) -> bool:
 
 
 def reported(name: str, values: Mapping[str, str]) -> VehicleRecord:
-    """What a bridge of any host reports of its vehicle."""
+    """The record of a vehicle, as its bridge on any host reports it."""
 
     def yes(key: str) -> bool:
         return values.get(key) == "true"

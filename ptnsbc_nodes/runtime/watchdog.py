@@ -67,7 +67,7 @@ class LockstepWait:
         self._newest_s = now_s
 
     def at(self, now_s: float) -> dict[str, float]:
-        """How long [s] each process has been waited for; empty when the reports have ceased."""
+        """Time [s] for which each process has been waited for; empty when the reports have ceased."""
         if now_s - self._newest_s >= _REPORT_GAP_S:
             return {}
         return {name: now_s - since_s for name, since_s in self._since_s.items()}

@@ -190,7 +190,7 @@ class Observer:
         self._endpoints.listen(topic, decode, taken, required=False, profile=profile)
 
     def ailments(self, names: Sequence[str], patience_s: float) -> dict[str, str]:
-        """What is wrong with processes of the fleet: those that are silent for so long, or report an error.
+        """Faults of processes of the fleet: those that are silent for so long, or report an error.
 
         A recorder has no status: it counts as well while its node is there.
         """

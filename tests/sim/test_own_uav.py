@@ -1,4 +1,4 @@
-"""What a UAV flies by: the leader has no law; functions of every kind, of a file or of an installed package."""
+"""Functions that a UAV flies by, of every kind, of a file or of an installed package; the leader has no law."""
 
 from __future__ import annotations
 

@@ -119,7 +119,7 @@ def test_a_uav_that_comes_back_from_afar_sees_in_time_what_stands_in_its_way(
 
 
 def stopping_way(speed, config):
-    """What a UAV on its way back needs to stop [m], from when something comes into the range of its sensor."""
+    """The way [m] that a UAV on its way back needs to stop, from when something comes into the range of its sensor."""
     late = config.clearance.lag_s + config.clearance.sensor_s
     return speed * late + speed**2 / (
         2.0 * (config.clearance.deceleration - config.recovery.acceleration)
@@ -140,7 +140,7 @@ def test_two_on_their_ways_back_can_stop_within_sight_whatever_the_speed_of_the_
 
 
 def test_beside_the_leader_of_relay_a_way_back_can_also_stop_before_what_stands():
-    """Whatever their directions: the speeds add up at most."""
+    """Two speeds in any directions are together at most their sum."""
     config = agent_config(load_scenario("relay"), 5)
     room = config.clearance.range_m - 0.5 - config.clearance.margin_m
     assert stopping_way(1.2 + config.recovery.speed, config) < room

@@ -245,7 +245,7 @@ class AttitudeTargets:
 
 
 class AttitudeResponse(NamedTuple):
-    """How late a vehicle does what an attitude target asks for."""
+    """Lateness of a vehicle behind an attitude target."""
 
     delay_s: float  # from the state that a target answers to its force
     tilt_lag_s: float  # of the tilt behind the target

@@ -200,7 +200,7 @@ class SetpointStream:
         )
 
     def unprepared(self, odometry: Array) -> str:
-        """What the vehicle must still do before the formation; empty when nothing."""
+        """The task that the vehicle has left before the formation; empty when none."""
         if not self.climb.heading_reached(odometry):
             return "turning to the formation's heading"
         return "" if self.attitude.thrust_test.over else "showing what its thrust does"

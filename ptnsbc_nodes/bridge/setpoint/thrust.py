@@ -1,4 +1,4 @@
-"""What a normalised thrust does to a vehicle: force = weight (thrust / thrust at hover)^slope, after a delay.
+"""The force of a normalised thrust: force = weight (thrust / thrust at hover)^slope, after a delay.
 
 The thrust at hover is followed in the whole flight, so a battery that sags costs no height. Slope and delay are found
 once, before the formation: `ThrustTest` adds a known pattern to the thrust of a vehicle that holds a point.
@@ -71,7 +71,7 @@ class HoverThrust:
 
 
 class ThrustResponse(NamedTuple):
-    """What `ThrustTest` finds."""
+    """The findings of `ThrustTest`."""
 
     slope: float  # relative change of the force per relative change of the thrust
     delay_s: float  # from a target that is sent to its force, the motors' lag included
@@ -112,11 +112,11 @@ class ThrustTest:
 
     @property
     def length_s(self) -> float:
-        """How long it takes."""
+        """Duration of the test [s]."""
         return len(self._PATTERN) * self._PART_S + self._TAIL_S
 
     def nudge(self, now_s: float) -> float:
-        """What to add to the logarithm of the thrust now; zero on the ground and when the test is over."""
+        """The pattern now, to be added to the logarithm of the thrust; zero on the ground and when the test is over."""
         if not self._runs(now_s):
             return 0.0
         self._forget_before_gap(now_s)

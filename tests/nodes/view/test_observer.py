@@ -1,4 +1,4 @@
-"""What an observer hears of the health of processes that a test plays."""
+"""The health of processes that a test plays, as an observer hears it."""
 
 import threading
 

@@ -140,7 +140,7 @@ def mission(*legs: dict[str, Any], **keys: Any) -> Scenario:
 
 
 def places(scenario: Scenario, uav: int, times: Array) -> Array:
-    """Where a UAV is to be in the world (T, 3) [m]."""
+    """Place of a UAV in the world (T, 3) [m] by the scenario."""
     lead = course_samples(leader_trajectory(scenario), times)[:, :3]
     return np.asarray(lead + places_beside_leader(scenario, uav, times))
 
