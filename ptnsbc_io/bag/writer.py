@@ -10,12 +10,14 @@ import os
 import re
 import shutil
 from collections.abc import Mapping, Sequence
+from contextlib import closing
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Any, NamedTuple
 
 from mcap.writer import CompressionType, Writer
 
+from ptnsbc_io.bag.chunk_index import keep_on_disk
 from ptnsbc_io.bag.errors import BagError
 from ptnsbc_io.bag.interrupt import InterruptGuard
 from ptnsbc_io.bag.metadata import (
@@ -99,6 +101,7 @@ class McapFileWriter:
         self._schemas: dict[tuple[str, bytes], int] = {}
         self._stream: IO[bytes] = path.open("wb")
         self._writer = Writer(self._stream, chunk_size=_CHUNK_SIZE, compression=compression)
+        self._indexes = keep_on_disk(self._writer, path.parent)
         self._writer.start(profile="ros2", library=_LIBRARY)
         for name, data in sorted(attachments.items()):
             media_type = _MEDIA_TYPES.get(Path(name).suffix, "application/octet-stream")
@@ -154,7 +157,7 @@ class McapFileWriter:
 
     def finish(self, information: Mapping[str, Any]) -> None:
         """Write rosbag2's record, the index and the summary, and close the file."""
-        with self._stream:
+        with self._stream, closing(self._indexes):
             record = {"serialized_metadata": to_yaml(dict(information))}
             self._writer.add_metadata("rosbag2", record)
             self._writer.finish()
@@ -362,8 +365,7 @@ class BagWriter:
     def _finish_file(self, file: McapFileWriter) -> None:
         """Close a file, with a record that describes it as metadata.yaml describes the bag."""
         self._finished.append(file.summary)
-        topics = zip(self._topics, file.counts, strict=False)
-        file.finish(bag_information([file.summary], topics))
+        file.finish(bag_information([file.summary], zip(self._topics, file.counts, strict=False)))
 
     def _make_part(self) -> None:
         """Create `<dir>.part`; BagError when it or `<dir>` exists."""
