@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 def scenario_names(incomplete: str) -> list[str]:
     """Names of scenarios for the completion of the shell; files are completed by the shell itself."""
-    from ptnsbc_sim.scenario.reader import available
+    from ptnsbc_sim.scenario.reading.reader import available
 
     return [name for name in available() if name.startswith(incomplete)]
 
@@ -215,7 +215,7 @@ def _with_parameters(name: str, file: Path, given: dict[str, Any]) -> Scenario:
     """A scenario with the values of a ROS parameter file, and with other options, which win."""
     from ptnsbc_nodes.runtime.scenario_parameters import given_parameters
     from ptnsbc_sim.scenario import ScenarioError, load_scenario, scenario_from_text
-    from ptnsbc_sim.scenario.reader import read_text
+    from ptnsbc_sim.scenario.reading.reader import read_text
 
     scenario, parameters = load_scenario(name), given_parameters(read_text(file), str(file))
     if parameters.text:
@@ -231,14 +231,14 @@ def _with_parameters(name: str, file: Path, given: dict[str, Any]) -> Scenario:
 
 def _mission(path: Path) -> Any:
     """The mission of a file: the whole of it, or what stands below `mission`."""
-    from ptnsbc_sim.scenario.reader import parse, read_text
+    from ptnsbc_sim.scenario.reading.reader import parse, read_text
 
     tree = parse(read_text(path), str(path))
     return tree.get("mission", tree)
 
 
 def _setting(text: str) -> tuple[str, Any]:
-    from ptnsbc_sim.scenario.reader import parse
+    from ptnsbc_sim.scenario.reading.reader import parse
 
     key, found, value = text.partition("=")
     if not found or not key.strip():

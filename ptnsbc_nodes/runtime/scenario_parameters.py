@@ -16,7 +16,7 @@ from pydantic.fields import FieldInfo
 
 from ptnsbc_sim.scenario import Scenario, ScenarioError
 from ptnsbc_sim.scenario.model import ScenarioFile
-from ptnsbc_sim.scenario.reader import dump, parse
+from ptnsbc_sim.scenario.reading.reader import dump, parse
 
 Value = bool | int | float | str
 Numbers = list[int] | list[float]

@@ -19,7 +19,7 @@ from ptnsbc_sim.scenario import Scenario, available, load_scenario, scenario_fro
 from ptnsbc_sim.scenario.build import leader_trajectory, places_beside_leader
 from ptnsbc_sim.scenario.mission.legs import ScheduledLeg, Word
 from ptnsbc_sim.scenario.mission.shapes import moves
-from ptnsbc_sim.scenario.reader import find, read_text
+from ptnsbc_sim.scenario.reading.reader import find, read_text
 from ptnsbc_sim.scenario.slots import are_open, with_slots
 
 SILENT_S = 2.0

@@ -3,14 +3,13 @@
 from ptnsbc_sim.scenario.build import SeveralParents, agent_config, several_parents
 from ptnsbc_sim.scenario.obstacles import Obstacle
 from ptnsbc_sim.scenario.problems import ScenarioError
-from ptnsbc_sim.scenario.reader import available
+from ptnsbc_sim.scenario.reading.reader import available
 from ptnsbc_sim.scenario.scenario import (
-    Disturbance,
     Scenario,
-    UavStart,
     load_scenario,
     scenario_from_text,
 )
+from ptnsbc_sim.scenario.start import Disturbance, UavStart
 
 __all__ = [
     "Scenario",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import Field
 
@@ -147,6 +147,13 @@ class LinkBlock(Block):
     """Time from sending to arrival. Default: that of all links."""
 
 
+class LinkQuality(NamedTuple):
+    """What becomes of the messages from one UAV to another."""
+
+    loss: float  # fraction that is lost
+    delay_s: float  # from sending to arrival
+
+
 class Communication(Block):
     """The communication graph of the formation."""
 
@@ -168,6 +175,16 @@ class Communication(Block):
     """Time from sending to arrival of a message between UAVs; less than `stale_s`."""
     links: tuple[LinkBlock, ...] = ()
     """Single links with a loss or a delay of their own, each in one direction:"""
+
+    def link(self, sender: int, receiver: int) -> LinkQuality:
+        """Loss and delay of the messages from one UAV to another."""
+        for link in self.links:
+            if (link.sender, link.receiver) == (sender, receiver):
+                return LinkQuality(
+                    self.loss if link.loss is None else link.loss,
+                    self.delay_s if link.delay_s is None else link.delay_s,
+                )
+        return LinkQuality(self.loss, self.delay_s)
 
 
 class Leader(Block):

@@ -35,7 +35,7 @@ from ptnsbc_sim.scenario.fields import (
 )
 from ptnsbc_sim.scenario.mission import trajectories
 from ptnsbc_sim.scenario.mission.trajectories import TrajectoryBlock, trajectory_of
-from ptnsbc_sim.scenario.reader import MOST_SAMPLES
+from ptnsbc_sim.scenario.reading.named_files import MOST_SAMPLES
 
 Kind = Literal["sphere", "box", "cylinder", "plane", "half_space", "ground", "map"]
 

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable, Mapping
+from typing import Any
 
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_sim.scenario.fields import unit_of
+
+Tree = dict[Any, Any]
+"""A scenario file as YAML has it, before it is validated."""
 
 _LIMITS = {
     "greater_than": (">", "gt"),

@@ -6,23 +6,16 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from pydantic import ValidationError
 
 from ptnsbc_core.topology import Topology
 from ptnsbc_core.types import Array
-from ptnsbc_sim.scenario import functions, reader
-from ptnsbc_sim.scenario.deadline import AUTO, auto_deadline
-from ptnsbc_sim.scenario.defaults import gain_defaults
-from ptnsbc_sim.scenario.fields import Wave
 from ptnsbc_sim.scenario.gains import Gains
 from ptnsbc_sim.scenario.mavlink import Mavlink, VehicleLink, vehicle_link
-from ptnsbc_sim.scenario.mission.completion import completed_mission, completed_shape
 from ptnsbc_sim.scenario.mission.faults import MESSAGES, FaultBlock, modelled
 from ptnsbc_sim.scenario.mission.legs import ScheduledLeg, Word, landing_s, schedule
-from ptnsbc_sim.scenario.mission.route import with_legs
 from ptnsbc_sim.scenario.mission.stream import (
     Setpoint,
     Streamed,
@@ -31,6 +24,7 @@ from ptnsbc_sim.scenario.mission.stream import (
     streamed,
 )
 from ptnsbc_sim.scenario.model import (
+    LinkQuality,
     Plant,
     Plugins,
     Quadrotor,
@@ -40,45 +34,14 @@ from ptnsbc_sim.scenario.model import (
     plant_of,
 )
 from ptnsbc_sim.scenario.obstacles import Obstacle, bodies
-from ptnsbc_sim.scenario.problems import ScenarioError, scenario_error
+from ptnsbc_sim.scenario.problems import ScenarioError
+from ptnsbc_sim.scenario.reading import reader
+from ptnsbc_sim.scenario.reading.loading import load_text, with_route
 from ptnsbc_sim.scenario.semantics import NANOSECONDS, checked
+from ptnsbc_sim.scenario.start import UavStart, uav_start
 
-_PHASES = {"sin": 0.0, "cos": np.pi / 2}
 _BESIDE_STARTS = tuple(set(ScenarioFile.model_fields) - {"uavs", "seed"})
 _BESIDE_POSITION = tuple(set(UavBlock.model_fields) - {"position_m"})
-
-
-class Disturbance(NamedTuple):
-    """amplitudes * sin(t + phases) + offset, linear [m/s^2] then angular [rad/s^2]."""
-
-    amplitudes: Array  # (6,)
-    phases: Array  # (6,) [rad]
-    offset: Array  # (6,)
-
-
-class UavStart(NamedTuple):
-    """One UAV's start."""
-
-    id: int
-    position: Array  # (3,) [m], ENU
-    attitude: Array  # (3,) roll, pitch, yaw [rad]
-    disturbance: Disturbance
-    mass_scale: float  # true over nominal
-    inertia_scale: Array  # (3,) true over nominal
-
-
-class LinkQuality(NamedTuple):
-    """What becomes of the messages from one UAV to another."""
-
-    loss: float  # fraction that is lost
-    delay_s: float  # from sending to arrival
-
-
-def _disturbance(waves: tuple[Wave, ...]) -> Disturbance:
-    periodic = [wave.amount if wave.shape in _PHASES else 0.0 for wave in waves]
-    phases = [_PHASES.get(wave.shape, 0.0) for wave in waves]
-    constant = [0.0 if wave.shape in _PHASES else wave.amount for wave in waves]
-    return Disturbance(np.array(periodic), np.array(phases), np.array(constant))
 
 
 @dataclass(frozen=True)
@@ -133,7 +96,7 @@ class Scenario:
         given = tuple(words)
         if given == self.words:
             return self
-        return replace(self, file=_with_legs(self.file, self.source, given), words=given)
+        return replace(self, file=with_route(self.file, self.source, given), words=given)
 
     def with_setpoints(self, setpoints: Iterable[Setpoint]) -> Scenario:
         """This scenario with the setpoints that its leader, of kind `stream`, has taken from a topic.
@@ -320,12 +283,7 @@ class Scenario:
 
     def link(self, sender: int, receiver: int) -> LinkQuality:
         """Loss and delay of the messages from one UAV to another."""
-        block = self.file.communication
-        for link in block.links:
-            if (link.sender, link.receiver) == (sender, receiver):
-                loss = block.loss if link.loss is None else link.loss
-                return LinkQuality(loss, block.delay_s if link.delay_s is None else link.delay_s)
-        return LinkQuality(block.loss, block.delay_s)
+        return self.file.communication.link(sender, receiver)
 
     @property
     def lossy(self) -> bool:
@@ -413,15 +371,7 @@ class Scenario:
         """Start and disturbance of one UAV."""
         for block in self.file.uavs:
             if block.id == uav_id:
-                waves = (*block.disturbance_m_s2, *block.disturbance_rad_s2)
-                return UavStart(
-                    block.id,
-                    np.array(block.position_m, dtype=np.float64),
-                    np.array(block.attitude_rad, dtype=np.float64),
-                    _disturbance(waves),
-                    float(block.mass_scale),
-                    np.array(block.inertia_scale, dtype=np.float64),
-                )
+                return uav_start(block)
         known = ", ".join(map(str, self.uav_ids))
         raise ScenarioError(f"{self.source}: UAV {uav_id}: expected one of {known}")
 
@@ -461,18 +411,6 @@ class Scenario:
         return tuple(sorted(self.topology.neighbours.get(uav_id, ())))
 
 
-def completed(tree: reader.Tree, source: str = "scenario") -> reader.Tree:
-    """`tree` with default gains, the offsets of shapes, and a tree of communication that was left to us.
-
-    Blocks of the wrong type are left for the validation to name.
-    """
-    plant, gains = tree.get("plant"), tree.get("gains")
-    kind = plant.get("kind") if isinstance(plant, dict) else None
-    if isinstance(gains, dict):
-        tree = {**tree, "gains": reader.merged(gain_defaults(str(kind)), gains)}
-    return completed_shape(completed_mission(tree), source)
-
-
 def scenario_from_text(
     text: str,
     overrides: Mapping[str, Any] | None = None,
@@ -490,44 +428,8 @@ def scenario_from_text(
         folder: Where files that it extends are searched first. Without it the text names no code to execute.
         complete: The text comes from outside, such as from a bag: it must not name files to read.
     """
-    tree = reader.parse(text, source)
-    if complete and "extends" in tree:
-        raise ScenarioError(
-            f"{source}: extends: not here: expected a whole scenario, no other file"
-        )
-    if complete and (named := reader.names_table(tree)):
-        raise ScenarioError(f"{source}: {named}: not here: expected samples, no other file")
-    if complete or folder is None:
-        functions.refuse_functions(tree, source)
-    given = {key: value for key, value in (overrides or {}).items() if value is not None}
-    final = reader.extended(tree, source, folder or Path.cwd())
-    if complete:
-        final = reader.without_folder(final)
-    elif folder is not None:
-        final = reader.with_code(final, folder)
-    if given:
-        final = reader.with_table(reader.overridden(final, given, source), source, Path.cwd())
-        functions.refuse_new_functions(final, given, source)
-        final = reader.with_code(final, Path.cwd(), given)
-    final = functions.with_shape(final, source)
-    if (
-        given
-        or "extends" in tree
-        or reader.names_table(tree)
-        or functions.names_function(tree)
-        or reader.named_functions(final) != reader.named_functions(tree)
-    ):
-        text = reader.dump(final)
-    filled = completed(final, source)
-    if _deadline_of(filled) == AUTO:
-        first = _validated(_with_deadline(filled, 1.0), source)
-        if first.mission is not None:
-            checked(first, source)
-            first = _with_legs(first, source)
-        deadline_s = auto_deadline(first, source)
-        filled = _with_deadline(filled, deadline_s)
-        text = reader.dump(_with_deadline(final, deadline_s))
-    return scenario_of(_validated(filled, source), text, source)
+    file, final = load_text(text, overrides, source, folder, complete)
+    return scenario_of(file, final, source)
 
 
 def scenario_of(file: ScenarioFile, text: str, source: str) -> Scenario:
@@ -537,38 +439,7 @@ def scenario_of(file: ScenarioFile, text: str, source: str) -> Scenario:
         ScenarioError: what is in the file does not fit together.
     """
     topology = checked(file, source)
-    return Scenario(_with_legs(file, source), topology, text, source)
-
-
-def _with_legs(file: ScenarioFile, source: str, words: tuple[Word, ...] = ()) -> ScenarioFile:
-    """A checked file with the trajectory and the changes of the shape of its mission."""
-    try:
-        found: ScenarioFile = with_legs(file, words)
-    except ValueError as error:
-        raise ScenarioError(f"{source}: {error}") from None
-    return found
-
-
-def _validated(tree: reader.Tree, source: str) -> ScenarioFile:
-    try:
-        return ScenarioFile.model_validate(tree)
-    except ValidationError as error:
-        raise scenario_error(source, error, tree) from None
-
-
-def _deadline_of(tree: reader.Tree) -> Any:
-    """gains.formation.deadline_s as it is written; None where the blocks are not there."""
-    gains = tree.get("gains")
-    loop = gains.get("formation") if isinstance(gains, dict) else None
-    return loop.get("deadline_s") if isinstance(loop, dict) else None
-
-
-def _with_deadline(tree: reader.Tree, deadline_s: float) -> reader.Tree:
-    gains = tree["gains"]
-    return {
-        **tree,
-        "gains": {**gains, "formation": {**gains["formation"], "deadline_s": deadline_s}},
-    }
+    return Scenario(with_route(file, source), topology, text, source)
 
 
 def load_scenario(path_or_name: str | Path, overrides: Mapping[str, Any] | None = None) -> Scenario:

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.special import ndtri
 
 from ptnsbc_core.errors import PtnsbcError
-from ptnsbc_sim.scenario.reader import parse
+from ptnsbc_sim.scenario.reading.reader import parse
 
 _NUMBER = r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)"
 _RANGE = re.compile(rf"\s*{_NUMBER}\s*:\s*{_NUMBER}\s*")

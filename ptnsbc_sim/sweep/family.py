@@ -19,11 +19,11 @@ from pydantic import Field, ValidationError, model_validator
 from ptnsbc_core.tasks.table import TaskName
 from ptnsbc_core.timebase import feasible_deadline
 from ptnsbc_core.types import Array
-from ptnsbc_sim.scenario import reader
 from ptnsbc_sim.scenario.fields import Block, Count, Name, NotNegative, Number, Positive
 from ptnsbc_sim.scenario.mission.shapes import circle_places, column_places, grid_places, v_places
-from ptnsbc_sim.scenario.problems import ScenarioError, scenario_error
-from ptnsbc_sim.scenario.scenario import completed
+from ptnsbc_sim.scenario.problems import ScenarioError, Tree, scenario_error
+from ptnsbc_sim.scenario.reading import reader
+from ptnsbc_sim.scenario.reading.loading import completed
 from ptnsbc_sim.sweep.starts import Spheres, clear_places, spheres_of
 
 Generator = Callable[[str], np.random.Generator]
@@ -355,7 +355,7 @@ def _network(parents: dict[int, int], size: int) -> dict[str, Any]:
     return {"tree": parents, "leader_links": followers, "estimator_edges": edges, "links": []}
 
 
-def draw_family(family: Family, tree: reader.Tree, generator: Generator) -> dict[str, Any]:
+def draw_family(family: Family, tree: Tree, generator: Generator) -> dict[str, Any]:
     """Draw a scenario of the family into the base scenario `tree`, in place.
 
     Args:
@@ -409,7 +409,7 @@ def draw_family(family: Family, tree: reader.Tree, generator: Generator) -> dict
 
 
 def _draw_deadline(
-    family: Family, tree: reader.Tree, starts: Array, goals: Array, rng: np.random.Generator
+    family: Family, tree: Tree, starts: Array, goals: Array, rng: np.random.Generator
 ) -> dict[str, Any]:
     if family.deadline is None:
         return {}
@@ -420,7 +420,7 @@ def _draw_deadline(
     return {"deadline_s": deadline_s}
 
 
-def _draw_surroundings(family: Family, tree: reader.Tree, generator: Generator) -> dict[str, Any]:
+def _draw_surroundings(family: Family, tree: Tree, generator: Generator) -> dict[str, Any]:
     values: dict[str, Any] = {}
     if family.wind is not None:
         rng = generator("family wind")
@@ -440,9 +440,7 @@ def _draw_surroundings(family: Family, tree: reader.Tree, generator: Generator) 
     return values
 
 
-def _draw_masses(
-    mass: FamilyMass, tree: reader.Tree, rng: np.random.Generator
-) -> tuple[float, float]:
+def _draw_masses(mass: FamilyMass, tree: Tree, rng: np.random.Generator) -> tuple[float, float]:
     """Draw true mass and inertia of every UAV; returns the largest and the smallest factor of the mass."""
     for uav in tree["uavs"]:
         uav["mass_scale"] = _number(mass.mass_scale, rng)

@@ -22,10 +22,12 @@ from scipy.stats import qmc
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.types import Array
-from ptnsbc_sim.scenario import Scenario, reader, scenario_from_text
+from ptnsbc_sim.scenario import Scenario, scenario_from_text
 from ptnsbc_sim.scenario.model import ScenarioFile
-from ptnsbc_sim.scenario.problems import ScenarioError, scenario_error
-from ptnsbc_sim.scenario.scenario import completed, scenario_of
+from ptnsbc_sim.scenario.problems import ScenarioError, Tree, scenario_error
+from ptnsbc_sim.scenario.reading import reader
+from ptnsbc_sim.scenario.reading.loading import completed
+from ptnsbc_sim.scenario.scenario import scenario_of
 from ptnsbc_sim.sweep.axes import SweepAxis, SweepError
 from ptnsbc_sim.sweep.family import Family, draw_family, family_from_text
 from ptnsbc_sim.sweep.starts import (
@@ -172,11 +174,11 @@ def axis_values(plan: SweepPlan, k: int) -> dict[str, Value]:
     return {key: _plain(value) for key, value in _axis_values(plan, k).items()}
 
 
-def _drawn(plan: SweepPlan, k: int) -> tuple[reader.Tree, dict[str, Value]]:
+def _drawn(plan: SweepPlan, k: int) -> tuple[Tree, dict[str, Value]]:
     """The scenario tree of draw k, and what was drawn for it."""
     if not 0 <= k < plan.draws:
         raise SweepError(f"draw {k}: expected 0 to {plan.draws - 1}")
-    tree: reader.Tree = pickle.loads(_base(plan.scenario, plan.source))
+    tree: Tree = pickle.loads(_base(plan.scenario, plan.source))
     values: dict[str, Value] = {}
     if plan.family:
         values |= draw_family(_family(plan.family), tree, lambda name: generator(plan, k, name))
@@ -191,7 +193,7 @@ def _drawn(plan: SweepPlan, k: int) -> tuple[reader.Tree, dict[str, Value]]:
     return tree, values
 
 
-def _margin_m(tree: reader.Tree) -> float:
+def _margin_m(tree: Tree) -> float:
     return float(completed(tree)["gains"]["clearance"]["margin_m"])
 
 
@@ -199,7 +201,7 @@ def _seed(plan: SweepPlan, k: int) -> int:
     return int(generator(plan, k, "seed").integers(2**32))
 
 
-def _stop(tree: reader.Tree, after_s: float | None) -> None:
+def _stop(tree: Tree, after_s: float | None) -> None:
     """Have the flight of a tree end at this time, or when it would end anyway."""
     if after_s is not None:
         timing = tree["timing"]
@@ -238,7 +240,7 @@ def drawn_scenario(plan: SweepPlan, k: int) -> tuple[Scenario, Mapping[str, Valu
     return _validated(tree, _source(plan, k)), values
 
 
-def _validated(tree: reader.Tree, source: str) -> Scenario:
+def _validated(tree: Tree, source: str) -> Scenario:
     full = completed(tree, source)
     try:
         file = ScenarioFile.model_validate(full)
@@ -256,7 +258,7 @@ class _Common(NamedTuple):
 
 @lru_cache(maxsize=4)
 def _common(text: str, source: str, stop_after_s: float | None) -> _Common:
-    tree: reader.Tree = pickle.loads(_base(text, source))
+    tree: Tree = pickle.loads(_base(text, source))
     _stop(tree, stop_after_s)
     return _Common(_validated(tree, source), spheres_of(tree, _margin_m(tree)))
 

@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from ptnsbc_core.errors import PtnsbcError
-from ptnsbc_sim.scenario import Scenario, load_scenario, reader, scenario_from_text
+from ptnsbc_sim.scenario import Scenario, load_scenario, scenario_from_text
+from ptnsbc_sim.scenario.reading import reader
 from ptnsbc_sim.verdict import Verdict, verdict_on
 from ptnsbc_tools import console, ros
 from ptnsbc_tools.check import ERROR, WARNING, Finding, refuse

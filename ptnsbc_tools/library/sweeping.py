@@ -11,9 +11,10 @@ from pathlib import Path
 from typing import Any
 
 from ptnsbc_core.errors import PtnsbcError
-from ptnsbc_sim.scenario import Scenario, reader
+from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.fields import unit_of
 from ptnsbc_sim.scenario.problems import similar
+from ptnsbc_sim.scenario.reading import reader
 from ptnsbc_sim.sweep import SweepError, SweepPlan, SweepResult, draw, parse_axis, parse_starts, run
 from ptnsbc_sim.sweep.chunks import DRAWN
 from ptnsbc_sim.sweep.family import find_family

@@ -13,7 +13,7 @@ from typing import Any
 
 from rich.table import Table as RichTable
 
-from ptnsbc_sim.scenario import reader
+from ptnsbc_sim.scenario.reading import reader
 from ptnsbc_sim.sweep.runner import write_whole
 from ptnsbc_tools.reproduce.claims import SURE
 from ptnsbc_tools.reproduce.experiment_result import (

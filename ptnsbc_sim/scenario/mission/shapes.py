@@ -21,7 +21,7 @@ from ptnsbc_core.curves.piecewise import COEFFICIENTS
 from ptnsbc_core.curves.shape import CHANNELS
 from ptnsbc_core.types import Array, Shape
 from ptnsbc_sim.scenario.fields import Block, Number, UavId, Vec3, three
-from ptnsbc_sim.scenario.reader import MOST_SAMPLES
+from ptnsbc_sim.scenario.reading.named_files import MOST_SAMPLES
 
 _RISE = (-20.0, 70.0, -84.0, 35.0)  # h of the time base, the powers 7 to 4
 _BINOMIALS = np.array(

@@ -25,7 +25,7 @@ from ptnsbc_core.kinematics import yaw_of
 from ptnsbc_core.types import HEADING_TABLE, TRAJECTORY_PIECEWISE, Array, Trajectory
 from ptnsbc_sim.scenario.fields import Block, Number, Positive, Vec3
 from ptnsbc_sim.scenario.mission.shapes import conditions
-from ptnsbc_sim.scenario.reader import MOST_SAMPLES
+from ptnsbc_sim.scenario.reading.named_files import MOST_SAMPLES
 
 _COLUMNS = ("t", "x", "y", "z", "vx", "vy", "vz", "yaw")
 _CHANNELS = 4  # x, y, z, yaw

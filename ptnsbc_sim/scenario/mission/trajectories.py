@@ -31,7 +31,7 @@ from ptnsbc_core.types import (
 from ptnsbc_sim.scenario.fields import Block, Flag, NotNegative, Number, Vec3
 from ptnsbc_sim.scenario.mission import stream
 from ptnsbc_sim.scenario.mission.stream import SetpointTrajectory, Streamed
-from ptnsbc_sim.scenario.reader import MOST_SAMPLES
+from ptnsbc_sim.scenario.reading.named_files import MOST_SAMPLES
 
 MOST_POINTS = 2000
 """Points of a curve at most, also rows of a CSV file."""

@@ -41,7 +41,7 @@ def scenarios(json: options.JsonOption = False) -> None:
     from rich.table import Table
 
     from ptnsbc_sim.scenario import available, load_scenario
-    from ptnsbc_sim.scenario.reader import find
+    from ptnsbc_sim.scenario.reading.reader import find
 
     rows: list[dict[str, Any]] = []
     for name in available():

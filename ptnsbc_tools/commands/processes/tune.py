@@ -146,7 +146,7 @@ def _keys(
 
 def _write(path: Path, base: str, keys: dict[str, Any], found: Identified) -> None:
     """A scenario file that extends the one that was given."""
-    from ptnsbc_sim.scenario.reader import dump, find
+    from ptnsbc_sim.scenario.reading.reader import dump, find
     from ptnsbc_tools.files import replacing
 
     source = find(base)

@@ -7,7 +7,8 @@ from typing import Any
 
 import pytest
 
-from ptnsbc_sim.scenario import reader, schema
+from ptnsbc_sim.scenario import schema
+from ptnsbc_sim.scenario.reading import reader
 
 jsonschema = pytest.importorskip("jsonschema")
 SHIPPED = sorted((Path(__file__).parents[3] / "scenarios").glob("*.yaml"))

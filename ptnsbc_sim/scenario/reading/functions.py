@@ -8,13 +8,13 @@ A kind that is neither ours nor FILE.py:NAME is looked for among the entry point
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from importlib.metadata import entry_points
 from pathlib import Path
 from types import FunctionType
 from typing import Any
 
-from ptnsbc_sim.scenario.problems import ScenarioError
+from ptnsbc_sim.scenario.problems import ScenarioError, Tree
 from ptnsbc_sim.user_file import UserFileError, executed, place_of
 
 GROUP = "ptnsbc.plugins"
@@ -22,8 +22,6 @@ GROUP = "ptnsbc.plugins"
 
 MOST_ROWS = 2000
 """Rows of a trajectory at most, as of any CSV file."""
-
-Tree = dict[Any, Any]
 
 _TRAJECTORIES = ("circle", "line", "hover", "lissajous", "waypoints", "csv")
 _SHAPES = ("v", "line", "column", "grid", "circle", "sphere")
@@ -39,6 +37,43 @@ class FunctionError(UserFileError, ScenarioError):
 def names_function(tree: Tree) -> bool:
     """Whether the leader's trajectory or the formation's shape is a function of the user."""
     return _trajectory(tree) is not None or _shape(tree) is not None
+
+
+def with_code(tree: Tree, folder: Path, given: Iterable[str] = ("law", "plugins")) -> Tree:
+    """`tree` with the whole paths of the files of its functions: processes elsewhere read it too.
+
+    Args:
+        tree: a scenario.
+        folder: where the files are looked for.
+        given: dotted keys; only the functions below these are changed.
+    """
+    keys = set(given)
+
+    def path(kind: str, named: str) -> str:
+        key = "law" if kind == "law" else f"plugins.{kind}"
+        known = key in keys or key.partition(".")[0] in keys
+        return whole_path(kind, named, folder) if known else named
+
+    return _each_function(tree, path)
+
+
+def without_folder(tree: Tree) -> Tree:
+    """`tree` with the mere names of the files of its functions: what comes from outside names no file to execute."""
+    return _each_function(tree, lambda _, named: named.replace("\\", "/").rpartition("/")[2])
+
+
+def named_functions(tree: Tree) -> Tree:
+    """The law and the plug-ins that a scenario names, by kind."""
+    plugins = tree.get("plugins")
+    found = {"law": tree.get("law"), **(plugins if isinstance(plugins, dict) else {})}
+    return {kind: named for kind, named in found.items() if isinstance(named, str) and named}
+
+
+def _each_function(tree: Tree, changed: Callable[[str, str], str]) -> Tree:
+    named = {kind: changed(kind, one) for kind, one in named_functions(tree).items()}
+    law = {"law": named.pop("law")} if "law" in named else {}
+    plugins = {"plugins": {**tree["plugins"], **named}} if named else {}
+    return {**tree, **law, **plugins} if law or plugins else tree
 
 
 def refuse_functions(tree: Tree, source: str) -> None:

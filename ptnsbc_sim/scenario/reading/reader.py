@@ -9,25 +9,20 @@ from __future__ import annotations
 import json
 import re
 import sysconfig
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
 
-from ptnsbc_sim.occupancy import COARSEST_M, FINEST_M, MapError, map_text
-from ptnsbc_sim.scenario.functions import whole_path, with_trajectory
-from ptnsbc_sim.scenario.problems import ScenarioError, shown, similar
-
-Tree = dict[Any, Any]
+from ptnsbc_sim.scenario.problems import ScenarioError, Tree, shown, similar
+from ptnsbc_sim.scenario.reading.functions import with_code, with_trajectory
+from ptnsbc_sim.scenario.reading.named_files import with_table
 
 _SUFFIXES = (".yaml", ".yml", ".json")
 _MOST_BYTES = 1_000_000
 _DEEPEST_EXTENDS = 8
-
-MOST_SAMPLES = 200_000
-"""Characters of a CSV file at most."""
 
 
 class _Loader(yaml.SafeLoader):
@@ -129,7 +124,7 @@ def _one_line(text: object) -> str:
 
 def folders() -> list[Path]:
     """Folders in which a scenario given by name is searched: source tree, installed copy, current folder."""
-    root = Path(__file__).resolve().parents[2]
+    root = Path(__file__).resolve().parents[3]
     # pip and colcon install the code into PREFIX/lib/pythonX.Y/site-packages, Debian's pip somewhat deeper.
     prefixes = dict.fromkeys((*root.parents[2:3], Path(sysconfig.get_path("data"))))
     shared = [prefix / "share" / "ptnsbc" / "scenarios" for prefix in prefixes]
@@ -210,124 +205,6 @@ def merged(base: Tree, own: Tree) -> Tree:
         else:
             result[key] = value
     return result
-
-
-def _names_file(block: Any) -> bool:
-    """Whether a block is a trajectory, a shape or a map in a file of its own."""
-    named = isinstance(block, dict) and block.get("kind") in ("csv", "file", "stream", "map")
-    return named and block.get("file") is not None
-
-
-def names_table(tree: Any, key: str = "") -> str:
-    """The key of the first trajectory or shape that is in a file of its own; empty without one."""
-    if _names_file(tree):
-        return f"{key}.file"
-    found = (names_table(one, where) for where, one in _inside(tree, key))
-    return next((name for name in found if name), "")
-
-
-def _inside(node: Any, key: str) -> list[tuple[str, Any]]:
-    """The values in a mapping or list, with the dotted keys."""
-    if isinstance(node, list):
-        return [(f"{key}[{k}]", one) for k, one in enumerate(node)]
-    if isinstance(node, dict):
-        return [(f"{key}.{name}" if key else str(name), one) for name, one in node.items()]
-    return []
-
-
-def with_table(tree: Tree, source: str, folder: Path) -> Tree:
-    """`tree` with the content of CSV files in the place of their names."""
-    return _filled(tree, "", source, folder) if names_table(tree) else tree
-
-
-def _filled(node: Any, key: str, source: str, folder: Path) -> Any:
-    if isinstance(node, list):
-        return [_filled(one, f"{key}[{k}]", source, folder) for k, one in enumerate(node)]
-    if not isinstance(node, dict):
-        return node
-    if _names_file(node):
-        rest = {name: value for name, value in node.items() if name != "file"}
-        read = _map if node["kind"] == "map" else _content
-        return {**rest, "samples": read(node, f"{source}: {key}.", folder)}
-    return {
-        name: _filled(one, f"{key}.{name}" if key else str(name), source, folder)
-        for name, one in node.items()
-    }
-
-
-def _place_of(block: Tree, where: str, folder: Path, what: str) -> Path:
-    """Where the file of a block is."""
-    name = block["file"]
-    if not isinstance(name, str) or not name:
-        raise ScenarioError(f"{where}: {name!r}: expected the name or path of a {what}")
-    return folder / Path(name).expanduser()
-
-
-def _map(block: Tree, below: str, folder: Path) -> str:
-    """The boxes of a map."""
-    found, resolution = _place_of(block, f"{below}file", folder, "map"), block.get("resolution_m")
-    number = isinstance(resolution, int | float) and not isinstance(resolution, bool)
-    edge_m = float(resolution) if number and resolution is not None else 0.0
-    if not FINEST_M <= edge_m <= COARSEST_M:
-        raise ScenarioError(
-            f"{below}resolution_m: {shown(resolution)}: expected a number from {FINEST_M:g} to {COARSEST_M:g} m"
-        )
-    try:
-        text = map_text(found, edge_m)
-    except MapError as error:
-        raise ScenarioError(f"{below}file: {found}: {error}") from None
-    return text
-
-
-def _content(block: Tree, below: str, folder: Path) -> str:
-    where = f"{below}file"
-    found = _place_of(block, where, folder, "CSV file")
-    try:
-        with found.open(encoding="utf-8") as stream:
-            text = stream.read(MOST_SAMPLES + 1)
-    except (OSError, ValueError) as error:  # ValueError: a NUL in the name, or no UTF-8
-        words = getattr(error, "strerror", None) or "expected UTF-8 text"
-        raise ScenarioError(f"{where}: {found}: {words}: expected a readable CSV file") from None
-    if len(text) > MOST_SAMPLES:
-        raise ScenarioError(f"{where}: {found}: expected at most {MOST_SAMPLES} characters")
-    return text
-
-
-def with_code(tree: Tree, folder: Path, given: Iterable[str] = ("law", "plugins")) -> Tree:
-    """`tree` with the whole paths of the files of its functions: processes elsewhere read it too.
-
-    Args:
-        tree: a scenario.
-        folder: where the files are looked for.
-        given: dotted keys; only the functions below these are changed.
-    """
-    keys = set(given)
-
-    def path(kind: str, named: str) -> str:
-        key = "law" if kind == "law" else f"plugins.{kind}"
-        known = key in keys or key.partition(".")[0] in keys
-        return whole_path(kind, named, folder) if known else named
-
-    return _each_function(tree, path)
-
-
-def without_folder(tree: Tree) -> Tree:
-    """`tree` with the mere names of the files of its functions: what comes from outside names no file to execute."""
-    return _each_function(tree, lambda _, named: named.replace("\\", "/").rpartition("/")[2])
-
-
-def named_functions(tree: Tree) -> Tree:
-    """The law and the plug-ins that a scenario names, by kind."""
-    plugins = tree.get("plugins")
-    found = {"law": tree.get("law"), **(plugins if isinstance(plugins, dict) else {})}
-    return {kind: named for kind, named in found.items() if isinstance(named, str) and named}
-
-
-def _each_function(tree: Tree, changed: Callable[[str, str], str]) -> Tree:
-    named = {kind: changed(kind, one) for kind, one in named_functions(tree).items()}
-    law = {"law": named.pop("law")} if "law" in named else {}
-    plugins = {"plugins": {**tree["plugins"], **named}} if named else {}
-    return {**tree, **law, **plugins} if law or plugins else tree
 
 
 def extended(tree: Tree, source: str, folder: Path, depth: int = 0) -> Tree:

@@ -10,7 +10,7 @@ import pickle
 from functools import cache
 from typing import Any
 
-from ptnsbc_sim.scenario.reader import merged
+from ptnsbc_sim.scenario.reading.reader import merged
 
 _COMMON: dict[str, Any] = {
     "profile": "soft",  # no input step at t = 0

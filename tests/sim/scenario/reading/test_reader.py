@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ptnsbc_sim.scenario import ScenarioError, load_scenario, reader, scenario_from_text
+from ptnsbc_sim.scenario import ScenarioError, load_scenario, scenario_from_text
+from ptnsbc_sim.scenario.reading import reader
 
 
 def test_a_json_file_is_the_same_scenario(tmp_path: Path) -> None:
