@@ -10,7 +10,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 
 from ptnsbc_io.wire.cdr import split_stamp
-from ptnsbc_nodes.comm.serialize import encode
+from ptnsbc_io.wire.serialize import encode
 from ptnsbc_sim.scenario import Scenario
 
 STATUS_HZ = 5

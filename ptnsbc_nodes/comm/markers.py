@@ -15,11 +15,11 @@ from ptnsbc_core.curves.trajectory import reference
 from ptnsbc_core.types import Array
 from ptnsbc_io.wire import WireError, decode_odometry
 from ptnsbc_io.wire.cdr import split_stamp
+from ptnsbc_io.wire.serialize import encode
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.agent_messages import WORLD_FRAME
 from ptnsbc_nodes.comm.announcements import decode_leg
 from ptnsbc_nodes.comm.diagnostics import STATUS_HZ
-from ptnsbc_nodes.comm.serialize import encode
 from ptnsbc_sim.scenario import Scenario, agent_config
 from ptnsbc_sim.scenario.slots import are_open
 from ptnsbc_sim.world import World

@@ -16,7 +16,7 @@ from ptnsbc_core.types import AgentConfig
 from ptnsbc_io.mavlink.frames import GeoPoint
 from ptnsbc_io.wire import WireError
 from ptnsbc_io.wire.cdr import split_stamp
-from ptnsbc_nodes.comm.serialize import encode
+from ptnsbc_io.wire.serialize import encode
 
 _HIGHEST_M = 1e5
 

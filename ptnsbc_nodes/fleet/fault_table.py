@@ -19,7 +19,7 @@ from ptnsbc_nodes.comm.door import AHEAD_S, OLDEST_S
 from ptnsbc_nodes.runtime.clock_offset import LIMIT_S
 from ptnsbc_nodes.runtime.safety import SafetyState
 from ptnsbc_nodes.runtime.watchdog import ENDED_S, RECORDER_ENDED_S, SAID_S
-from ptnsbc_nodes.uav.node import ABANDONED_S
+from ptnsbc_nodes.uav.status import ABANDONED_S
 
 HEADLESS, SIM, MAVLINK = "headless", "sim", "mavlink"
 ALL = (HEADLESS, SIM, MAVLINK)

@@ -10,7 +10,6 @@ import math
 import os
 import signal
 import time
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -25,6 +24,7 @@ from ptnsbc_nodes.fleet.coordinator_node import Coordinator
 from ptnsbc_nodes.fleet.emergency_stop import order_landing
 from ptnsbc_nodes.fleet.fault_injector import FaultInjector
 from ptnsbc_nodes.fleet.flight_check import FlightCheck
+from ptnsbc_nodes.fleet.introduction import LISTENS, Introduction
 from ptnsbc_nodes.fleet.process_list import FleetOptions, names
 from ptnsbc_nodes.runtime.process import RUNNING
 from ptnsbc_nodes.runtime.signals import StopRequest
@@ -43,8 +43,6 @@ _RECORDER_PATIENCE_S = 60.0  # what is still queued belongs into the bag
 _PILOTS_S = 10.0  # a pilot lands when it suits the pilot
 _OVER_S = 3.0
 _REMINDER_S = 10.0
-_UNHEARD_S = 15.0  # discovery takes a few seconds, on a busy machine too
-_READY = "ready"  # the line of a recorder that listens
 
 
 class FleetError(PtnsbcError):
@@ -71,9 +69,7 @@ class Supervisor:
         self._refusal: str | None = "/formation/start was not called"
         self._reminder = time.monotonic() + _REMINDER_S
         self._was_led = False
-        self._introduced: dict[str, float] = {}  # processes that were heard, and since when
-        self._running: dict[str, float] = {}  # processes that have loaded, and since when
-        self._restarts: Counter[str] = Counter()
+        self._introduction = Introduction(coordinator, progress, self._start_again)
         self._sim_sign: object = None  # the newest sign of life of the sim
         self._sim_lines = self._quiet_looks = 0
         self._faults = FaultInjector(options, progress, self._launch_again)
@@ -323,7 +319,7 @@ class Supervisor:
 
     def _heard(self, child: ChildProcess) -> bool:
         if child.name == RECORDER:  # it has no status on /diagnostics
-            return _READY in child.log_lines()
+            return LISTENS in child.log_lines()
         if child.command.beside:
             return RUNNING in child.log_lines() or child.exit_code is not None
         return self._coordinator.waiting.keys() >= set(child.command.reporters)
@@ -332,7 +328,7 @@ class Supervisor:
         """Wait a little; False when a signal has come, FleetError when it takes too long."""
         self._coordinator.spin(_LOOK_S)
         self._pass_on_lines()
-        self._renew_unheard()
+        self._introduction.look(self.children)
         for child in self.children:
             ended = child.exit_code is not None and not child.command.beside
             if ended and not self._stop.came:
@@ -346,48 +342,8 @@ class Supervisor:
             self._progress("\n".join(self._waiting_for()) or f"all are ready, but {self._refusal}")
         return not self._stop.came
 
-    def _renew_unheard(self) -> None:
-        """Start a process again that has loaded and that nobody hears.
-
-        A discovery server now and then leaves a process out for good. Then a new one is introduced.
-        """
-        now = time.monotonic()
-        unheard = [child for child in self.children if not self._is_introduced(child, now)]
-        loaded = [child for child in unheard if self._is_running(child, now)]
-        # As long as others are found, and while the machine is busy with loading, it may just be slow.
-        last_s = max([*self._introduced.values(), *self._running.values()], default=now)
-        for child in loaded:
-            if now < last_s + _UNHEARD_S * 2 ** self._restarts[child.name]:
-                continue
-            self._restarts[child.name] += 1
-            if not self._coordinator.waiting and self._restarts[child.name] % 2:
-                self._progress("no process is heard: the launcher joins the network again")
-                self._coordinator.rejoin()
-                self._restarts.update(other.name for other in loaded if other is not child)
-                return
-            self._progress(f"{child.name} (pid {child.pid}) is not heard: it is started again")
-            self._start_again(child)
-            return
-
-    def _is_introduced(self, child: ChildProcess, now: float) -> bool:
-        if child.command.beside:
-            return True
-        if child.name not in self._introduced:
-            heard = self._coordinator.waiting.keys() >= set(child.command.reporters)
-            if heard or (child.name == RECORDER and self._coordinator.sees(RECORDER)):
-                self._introduced[child.name] = now
-        return child.name in self._introduced
-
-    def _is_running(self, child: ChildProcess, now: float) -> bool:
-        if child.name not in self._running and {RUNNING, _READY}.intersection(child.log_lines()):
-            self._running[child.name] = now
-        # A bridge that was asked to act may be flying its vehicle.
-        bridge = child.command.ends and child.name != SIM
-        return child.name in self._running and not (bridge and self._coordinator.asked(child.name))
-
     def _start_again(self, child: ChildProcess) -> None:
         end([child])
-        del self._running[child.name]
         self._launch_again(child)
 
     def _launch_again(self, child: ChildProcess) -> None:

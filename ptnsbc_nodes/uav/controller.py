@@ -220,6 +220,11 @@ class UavController:
             raise ValueError("state requested before the first step: expected a call of `step`")
         return self._agent.state
 
+    def odometry_stale(self, now_ns: int) -> bool:
+        """Real time: True if the own odometry is too old to fly by; False before the first."""
+        own = self.inbox.own
+        return own is not None and (now_ns - own.stamp_ns) * 1e-9 > self.config.stale_s
+
     def silent_estimates(self, now_ns: int) -> list[int]:
         """Real time: UAVs that have sent estimates of the leader which by now are too old to count."""
         stale_ns = round(self.config.stale_s * 1e9)

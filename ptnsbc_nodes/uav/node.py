@@ -6,17 +6,14 @@ happens when all its messages are here: the own odometry of tick k, and the neig
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from functools import partial
 
-from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
 from ptnsbc_core.types import MODE_HOLD
 from ptnsbc_io.wire import HeaderFields, OdometryDecoder, Stamped, checked_near
 from ptnsbc_nodes.comm import topics
-from ptnsbc_nodes.comm.agent_messages import WORLD_FRAME, body_frame
 from ptnsbc_nodes.comm.announcements import (
     LostProcess,
     OrderedFault,
@@ -26,46 +23,32 @@ from ptnsbc_nodes.comm.announcements import (
 )
 from ptnsbc_nodes.comm.diagnostics import (
     INACTIVE,
-    STATUS_HZ,
-    StatusLog,
-    diagnostics,
-    readiness,
-    status_every,
 )
 from ptnsbc_nodes.comm.door import (
-    LockstepHorizon,
-    LockstepStamps,
-    RealTimeStamps,
-    RefusedMessage,
-    StampRule,
-    in_lockstep,
     in_order,
 )
 from ptnsbc_nodes.comm.endpoints import Endpoints, full_name
-from ptnsbc_nodes.comm.graph import LEAD_TICKS, CommunicationGraph, Senders
+from ptnsbc_nodes.comm.graph import CommunicationGraph, Senders
 from ptnsbc_nodes.comm.legs import Epochs, Leg
+from ptnsbc_nodes.comm.robot_description import publish_description
 from ptnsbc_nodes.comm.slots import Decision, encode_slots
-from ptnsbc_nodes.comm.topics import LOST, READY, Topic
+from ptnsbc_nodes.comm.topics import LOST
 from ptnsbc_nodes.comm.vehicle_messages import PlannerLimits, decode_limits, limited
 from ptnsbc_nodes.runtime.clock_offset import ClockOffsetMonitor
-from ptnsbc_nodes.runtime.pacing import Pace, Ticker
-from ptnsbc_nodes.runtime.safety import SAFETY, assess
 from ptnsbc_nodes.uav.controller import UavController, step_time
 from ptnsbc_nodes.uav.faults import UavFaults
 from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS
 from ptnsbc_nodes.uav.leader_setpoints import LeaderSetpoints
 from ptnsbc_nodes.uav.leg_services import LegServices
+from ptnsbc_nodes.uav.neighbours import NeighbourListener
 from ptnsbc_nodes.uav.outbox import Outbox
-from ptnsbc_nodes.uav.robot_description import publish_description
 from ptnsbc_nodes.uav.roles import role_holder
-from ptnsbc_nodes.uav.safety import PlannerSight, planner_concerns
 from ptnsbc_nodes.uav.slots import OpenSlots, SlotDecider, SlotHolder
+from ptnsbc_nodes.uav.status import StatusPublisher, UavParts, VehiclePresence
+from ptnsbc_nodes.uav.timing import UavTiming
 from ptnsbc_sim.own_uav import UavFunctions
 from ptnsbc_sim.scenario import Scenario, agent_config
 from ptnsbc_sim.scenario.slots import are_open
-
-ABANDONED_S = 30.0
-"""A UAV that no launcher watches ends when the process of its vehicle has been gone for so long."""
 
 _FAULT_WINDOW_NS = 5_000_000_000
 
@@ -83,7 +66,7 @@ class UavNode:
     ) -> None:
         """`on_abandoned` is called when the vehicle of the UAV is gone for good."""
         self.node = node
-        self._vehicle = _VehiclePresence(on_abandoned)
+        self._vehicle = VehiclePresence(on_abandoned)
         self.endpoints = Endpoints(node, edges.options.lockstep, edges.options.seal)
         self._options = edges.options
         self._uav = uav_id
@@ -98,7 +81,7 @@ class UavNode:
         publish_description(self.endpoints, scenario, uav_id)
         self._epochs = Epochs(scenario)
         names = self._controller.inbox.topic_names(uav_id)
-        self._timing = _Timing(node, scenario, names, edges.options.lockstep)
+        self._timing = UavTiming(node, scenario, names, edges.options.lockstep)
         self._active = False
         self._at_start = not edges.options.bridged
         """Whether the UAV is at its start; a bridge brings its vehicle there before the first leg."""
@@ -111,7 +94,7 @@ class UavNode:
         self._subscribe(scenario, uav_id)
         if self._slots is not None and uav_id == scenario.leader_id:
             self._decider = self._slot_decider(scenario, edges)
-        self._status = _StatusPublisher(self, f"uav{uav_id}")
+        self._status = StatusPublisher(node, self._parts())
         self._comes_and_goes = roles is not None
         self._leg_services = self._services_in_line(scenario, edges)
         if scenario.hears_setpoints and uav_id == scenario.leader_id:
@@ -146,6 +129,21 @@ class UavNode:
         if self._leg_services is not None:
             self._leg_services.close()
         self.endpoints.close()
+
+    def _parts(self) -> UavParts:
+        return UavParts(
+            self._uav,
+            self._options,
+            self.endpoints,
+            self._epochs,
+            self._timing,
+            self._controller,
+            self._faults,
+            self._slots,
+            lambda: self._active,
+            self.waiting_for,
+            self.look_for_vehicle,
+        )
 
     def waiting_for(self) -> list[str]:
         """Topics without their other end; in real time also an odometry that has not arrived yet.
@@ -244,14 +242,7 @@ class UavNode:
         near = in_order(checked_near, self._timing.stamp_rule())
         self._odom_name = listen(topics.odom(uav_id), odom, self._on_odom)
         listen(topics.near(uav_id), near, self._on_near, required=self._options.lockstep)
-        for sender, handler in inbox.state_handlers().items():
-            frames = OdometryDecoder(WORLD_FRAME, body_frame(sender, self.endpoints.fleet))
-            miss = partial(inbox.miss, sender, estimate=False)
-            self._listen_to(topics.formation_state(sender), frames, handler, miss)
-        for sender, handler in inbox.estimate_handlers().items():
-            frames = OdometryDecoder(WORLD_FRAME, WORLD_FRAME)
-            miss = partial(inbox.miss, sender, estimate=True)
-            self._listen_to(topics.leader_estimate(sender), frames, handler, miss)
+        NeighbourListener(self.node, self.endpoints, self._timing, self._advance).listen(inbox)
         listen(topics.EPOCH, decode_leg, self._on_epoch)
         if self._faults.allowed:
             listen(topics.FAULT, fault_decoder(scenario.uav_ids), self._on_fault, required=False)
@@ -267,35 +258,6 @@ class UavNode:
     def _next_flight_ns(self) -> int:
         """Time of the flight that no tick has reached yet."""
         return self._flight_ns() + (self._timing.period_ns if self._options.lockstep else 0)
-
-    def _listen_to(
-        self,
-        topic: Topic,
-        decode: Callable[[bytes], Stamped],
-        handler: Callable[[Stamped], None],
-        miss: Callable[[int], None],
-    ) -> None:
-        advance = self._advance
-
-        def on_message(message: Stamped) -> None:
-            handler(message)
-            advance()
-
-        rule = self._timing.stamp_rule()
-        if not isinstance(rule, LockstepStamps):
-            self.endpoints.listen(topic, in_order(decode, rule), on_message)
-            return
-        name = full_name(self.node, topic)
-
-        def on_any(message: Stamped | RefusedMessage) -> None:
-            if isinstance(message, Stamped):
-                handler(message)
-            else:  # a lock-step flight does not wait for what cannot be used
-                self.endpoints.refusals.add(name, message.reason)
-                miss(message.stamp_ns)
-            advance()
-
-        self.endpoints.listen(topic, in_lockstep(decode, rule), on_any)
 
     def _on_odom(self, message: Stamped) -> None:
         self._controller.inbox.own = message
@@ -391,11 +353,8 @@ class UavNode:
         periods = timing.pace.tick(now_ns)
         timing.clock_offset.look(now_ns, inbox.held(NO_CUTOFF_NS, NO_CUTOFF_NS))
         # A setpoint proves that the controller has fresh odometry, so there is none without it.
-        if inbox.own is not None and not self._stale(inbox.own, now_ns):
+        if inbox.own is not None and not self._controller.odometry_stale(now_ns):
             self._tick(inbox.own, now_ns, NO_CUTOFF_NS, periods * timing.period_ns)
-
-    def _stale(self, own: Stamped, now_ns: int) -> bool:
-        return (now_ns - own.stamp_ns) * 1e-9 > self._controller.config.stale_s
 
     def _tick(self, own: Stamped, now_ns: int, cutoff_ns: int, elapsed_ns: int) -> None:
         self._faults.strike(now_ns)
@@ -416,137 +375,3 @@ class UavNode:
         self._outbox.send(own, outputs, at, self._controller)
         if leg is not None:
             self._serve_while_leading()
-
-
-class _VehiclePresence:
-    """Notices that a vehicle's process, which was there, has been gone for `ABANDONED_S`."""
-
-    def __init__(self, on_abandoned: Callable[[], None]) -> None:
-        self._on_abandoned = on_abandoned
-        self._seen_s: float | None = None
-
-    def look(self, present: bool, now_s: float) -> None:
-        if present:
-            self._seen_s = now_s
-        elif self._seen_s is not None and now_s - self._seen_s > ABANDONED_S:
-            self._on_abandoned()
-
-
-class _Timing:
-    """The clock, the ticks and the periods of one UAV."""
-
-    def __init__(
-        self, node: Node, scenario: Scenario, topic_names: list[str], lockstep: bool
-    ) -> None:
-        self._node = node
-        self._lockstep = lockstep
-        # The queues keep as many ticks, see `inbox`.
-        self._horizon = LockstepHorizon((LEAD_TICKS + 2) * scenario.dt_ns)
-        self.period_ns = scenario.dt_ns
-        self.near_every = scenario.near_every
-        self.status_every = status_every(scenario)
-        self.start_ns = self.now_ns()
-        self.done_ns = -1  # stamp of the newest tick
-        self.pace = Pace(self.period_ns)
-        self.clock_offset = ClockOffsetMonitor(topic_names)
-        self._ticker: Ticker | None = None
-
-    def now_ns(self) -> int:
-        return int(self._node.get_clock().now().nanoseconds)
-
-    def stamp_rule(self) -> StampRule:
-        """Of a new sender."""
-        if self._lockstep:
-            return LockstepStamps(self._horizon, self.period_ns)
-        return RealTimeStamps(self.now_ns)
-
-    def done(self, now_ns: int) -> None:
-        """The tick at `now_ns` is done."""
-        self.done_ns = now_ns
-        self._horizon.move(now_ns)
-
-    def start(self, on_tick: Callable[[], None]) -> None:
-        """Real time: tick once per period."""
-        self.pace = Pace(self.period_ns)
-        self._ticker = Ticker(self._node, self.period_ns, on_tick)
-
-    def align(self, own: Stamped | None) -> None:
-        """Real time: tick a little after the arrival of the own odometry."""
-        if self._ticker is not None and own is not None:
-            self._ticker.align(own.stamp_ns)
-
-    def stop(self) -> None:
-        if self._ticker is not None:
-            self._ticker.close()
-            self._ticker = None
-
-
-class _StatusPublisher:
-    """The status of one UAV: on /diagnostics, and in lock-step before and between ticks on /formation/ready."""
-
-    def __init__(self, uav: UavNode, name: str) -> None:
-        self._uav = uav
-        self._name = name
-        self._send = uav.endpoints.publisher(topics.DIAGNOSTICS, uav._options.recorders)
-        self._send_ready = uav.endpoints.publisher(READY, 0)
-        self._log = StatusLog(uav.node)
-        self._seen_done_ns = -1
-        self._reported_missed = 0
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._timer = uav.node.create_timer(1.0 / STATUS_HZ, self._on_timer, clock=steady)
-
-    def close(self) -> None:
-        self._uav.node.destroy_timer(self._timer)
-
-    def _on_timer(self) -> None:
-        timing = self._uav._timing
-        self._uav.look_for_vehicle(time.monotonic())
-        if not self._uav._options.lockstep:
-            self.publish(timing.now_ns())
-        elif timing.done_ns in (-1, self._seen_done_ns):
-            # The flight has not begun, or the UAV waits for others: the launcher learns that it is alive.
-            self.publish(-1)
-        self._seen_done_ns = timing.done_ns
-
-    def publish(self, stamp_ns: int) -> None:
-        """Publish the status at an instant of the flight; -1 is outside of the flight."""
-        uav = self._uav
-        missing = uav.waiting_for() if stamp_ns < 0 or not uav._options.lockstep else []
-        leg = uav._epochs.at(stamp_ns, uav._uav)
-        safety = assess(planner_concerns(self._sight(stamp_ns, missing)))
-        values = {
-            **readiness(missing),
-            "mode": leg.name if leg else "waiting",
-            SAFETY: safety.state.text,
-            "missed_ticks": str(uav._timing.pace.missed),
-            **uav._controller.counters.values(),
-            **uav.endpoints.refusals.values(),
-        }
-        if uav._faults.injected:
-            values["injected"] = "; ".join(uav._faults.injected)
-        self._log.note(safety.level, safety.reason)
-        send = self._send if stamp_ns >= 0 else self._send_ready
-        name, (_, level, reason) = f"{self._name}: planner", safety
-        send(diagnostics(max(stamp_ns, 0), name, level, reason, values))
-
-    def _sight(self, stamp_ns: int, missing: list[str]) -> PlannerSight:
-        uav, lockstep = self._uav, self._uav._options.lockstep
-        flying, controller = uav._epochs.announced, uav._controller
-        leg = uav._epochs.at(stamp_ns, uav._uav)
-        own, total = controller.inbox.own, uav._timing.pace.missed
-        missed, self._reported_missed = total - self._reported_missed, total
-        silent = () if lockstep or not flying else controller.silent_estimates(stamp_ns)
-        return PlannerSight(
-            holding=flying and controller.counters.holding,
-            inactive=not uav._active,
-            odometry_stale=not lockstep and own is not None and uav._stale(own, stamp_ns),
-            slots_fault=uav._slots.fault(leg) if uav._slots is not None else "",
-            deadlock=flying and bool(controller.counters.deadlock),
-            near_stale=flying and controller.near_stale,
-            silent_estimates=" ".join(f"uav{i}" for i in silent),
-            clock_offset=str(uav._timing.clock_offset.offset or ""),
-            intruder=uav.endpoints.refusals.report() or uav.endpoints.rivals(),
-            missed_ticks=missed,
-            waiting_for=" ".join(missing),
-            flying=flying,
-        )

@@ -7,9 +7,9 @@ from xml.etree import ElementTree
 
 from std_msgs.msg import String
 
+from ptnsbc_io.wire.serialize import encode
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.endpoints import Endpoints
-from ptnsbc_nodes.comm.serialize import encode
 from ptnsbc_sim.scenario import Scenario
 
 _SPAN_M = 0.4  # between opposite rotors, as the markers draw it

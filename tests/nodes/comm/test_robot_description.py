@@ -14,7 +14,7 @@ from std_msgs.msg import String
 
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.endpoints import Endpoints
-from ptnsbc_nodes.uav.robot_description import publish_description, robot_description
+from ptnsbc_nodes.comm.robot_description import publish_description, robot_description
 from ptnsbc_sim.scenario import load_scenario
 
 

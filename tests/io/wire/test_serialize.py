@@ -11,8 +11,8 @@ from rclpy.serialization import deserialize_message
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
+from ptnsbc_io.wire.serialize import encode
 from ptnsbc_nodes.comm.diagnostics import DiagnosticLevel, diagnostics, readiness
-from ptnsbc_nodes.comm.serialize import encode
 
 
 def status(name: str) -> DiagnosticStatus:
