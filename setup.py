@@ -1,4 +1,4 @@
-"""What pyproject.toml cannot say: programs for `ros2 run`, and that a build forgets what an earlier one left."""
+"""The settings without a place in pyproject.toml: programs for `ros2 run`, and a build that forgets the earlier one."""
 
 import sys
 from pathlib import Path

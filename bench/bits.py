@@ -1,4 +1,4 @@
-"""Whether a fleet of processes in lock-step flies a scenario as one process does, to the last bit.
+"""A fleet of processes in lock-step against one process: both fly a scenario alike, to the last bit.
 
 `python -m bench.bits show_20` flies it as processes and headless, and compares every odometry, formation state, leader
 estimate and wrench. `--bag BAG` compares a lock-step flight that is recorded.

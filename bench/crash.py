@@ -78,7 +78,7 @@ def _start(bag: Path, settings: Mapping[str, str] | None) -> subprocess.Popen[by
 
 
 def _began(bag: Path, process: subprocess.Popen[bytes]) -> float:
-    """When the first messages were on disk."""
+    """The time at which the first messages were on disk."""
     file = bag.with_name(bag.name + ".part") / f"{bag.name}_0.mcap"
     end, empty = time.monotonic() + _BEFORE_FIRST_S, 0
     while time.monotonic() < end and process.poll() is None:

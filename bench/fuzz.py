@@ -60,7 +60,7 @@ _INTEGERS = (0, 1, 0x7F, 0x80, 0xFF, 0x7FFFFFFF, 0xFFFFFFFF, 2**63 - 1, 2**63, 2
 
 
 class Cost(NamedTuple):
-    """What one input took."""
+    """The time and memory of one input."""
 
     seconds: float  # of a processor
     megabytes: float  # largest memory of the process

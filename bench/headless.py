@@ -134,7 +134,7 @@ def _ticks_per_s(scenario: Scenario) -> Callable[[], float]:
 
 
 def _pieces(size: int, scenario: Scenario, repeats: int) -> list[Row]:
-    """What each piece costs per UAV and tick: each is run over the whole flight alone."""
+    """The cost of each piece per UAV and tick: each is run over the whole flight alone."""
     flight = fly(scenario)
     passes = {piece.whole for piece in _PIECES.values()}
     for one in passes:

@@ -39,7 +39,7 @@ _PATIENCE_S = 600.0  # the machine may be busy before what is measured begins
 
 
 class Load(NamedTuple):
-    """How the fleet flies."""
+    """The options of a flight of the fleet."""
 
     name: str
     control_hz: int
@@ -53,7 +53,7 @@ _MADE = (topics.TF.name,)  # by the recorder itself
 
 
 _Since = Callable[[bytes], bool]
-"""Whether a message counts."""
+"""True if a message counts."""
 
 _Counting = Callable[[str], tuple[_Since, int]]
 """Of a topic: which of its messages count, and how many of those sent do not."""
@@ -68,7 +68,7 @@ class Kept(NamedTuple):
 
 
 class Recorded(NamedTuple):
-    """What the recorder made of a flight."""
+    """The recording of one flight, in numbers."""
 
     kept: tuple[Kept, ...]
     cores: float
@@ -132,7 +132,7 @@ def _fly(load: Load, seconds: float) -> Recorded:
 
 
 def _published(flown: FleetResult) -> dict[str, PublishCounters]:
-    """What each process has sent."""
+    """The number of messages that each process has sent."""
     found = {}
     for process in flown.processes:
         if process.name != RECORDER:

@@ -1,4 +1,4 @@
-"""What a MAVLink bridge costs, and a million broken packets: `python -m bench.mavlink_bridge [--packets N]`.
+"""The cost of a MAVLink bridge, and a million broken packets: `python -m bench.mavlink_bridge [--packets N]`.
 
 The cost is that of the link, without ROS: 100 packets a second checked and decoded, as many setpoints packed
 and sent, and the time from a packet that came in to the setpoint that answers it. What ROS and the
@@ -99,7 +99,7 @@ class _Flight:
         self._told = self._facts()
 
     def real(self) -> None:
-        """What the vehicle itself says, on a link without faults: it stands still in the air."""
+        """The messages of the vehicle itself, on a link without faults: it stands still in the air."""
         boot_ms = round(1e3 * self._now_s)
         for message in (
             mavlink.MAVLink_attitude_quaternion_message(boot_ms, 1, 0, 0, 0, 0.1, 0.2, 0.3),

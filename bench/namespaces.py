@@ -94,7 +94,7 @@ class Computer:
 
 
 def missing() -> str | None:
-    """Why there can be no namespaces here; None when there can."""
+    """The reason why there can be no namespaces here; None when there can."""
     if os.geteuid() != 0:
         return "network namespaces need root"
     for program, package in {"ip": "iproute2", "nft": "nftables"}.items():

@@ -32,7 +32,7 @@ Pair = tuple[Computer, Computer]
 
 
 class Case(NamedTuple):
-    """What flies, and how its processes find each other."""
+    """One case: the fleet that flies, and the way its processes find each other."""
 
     server: bool  # or static peers
     plant: str

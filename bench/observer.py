@@ -64,7 +64,7 @@ class Observer:
         }
 
     def first_at(self) -> float | None:
-        """When the first status came [s], monotonic; None before it."""
+        """The time of the first status [s], monotonic; None before it."""
         return self._raw[0][0] if self._raw else None
 
     def _on_status(self, data: bytes) -> None:

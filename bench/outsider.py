@@ -178,7 +178,7 @@ def fly(scenario: Scenario, hz: float) -> Flown:
 
 
 def _reports(bag: Path) -> tuple[tuple[str, ...], dict[str, int]]:
-    """What the diagnostics in a bag say of the outsider."""
+    """The lines about the outsider in the diagnostics of a bag."""
     named: set[str] = set()
     newest: dict[tuple[str, str], int] = {}
     for message in read_bag(bag).messages([topics.DIAGNOSTICS.name]):

@@ -22,7 +22,7 @@ _DOMAINS = cycle(range(71, 80))
 
 @dataclass(frozen=True)
 class Plan:
-    """How much to measure."""
+    """The extent of a measurement."""
 
     quick: bool = False
 

@@ -162,7 +162,7 @@ def _end(launcher: subprocess.Popen[str], victim: str, order: str) -> int | None
 
 
 def _exit_codes(victim: str, order: str) -> set[int]:
-    """What the launcher may end with: 1 when a process died or was ended because it hung."""
+    """The exit codes with which the launcher may end: 1 when a process died or was ended because it hung."""
     if order == "pause":
         return {0}
     return {-signal.SIGKILL} if victim == "launcher" else {1}

@@ -66,7 +66,7 @@ def drawn(scenario: Scenario, count: int, seed: int, *, lockstep: bool) -> list[
 
 
 def answers(recording: Recording) -> Iterator[Answer]:
-    """How soon the children of silent UAVs held, as far as no other fault hides it."""
+    """The times after which the children of silent UAVs held, as far as no other fault hides them."""
     scenario = recording.scenario
     stale_s = float(scenario.file.communication.stale_s)
     for fault in scenario.faults:
@@ -79,7 +79,7 @@ def answers(recording: Recording) -> Iterator[Answer]:
 
 
 def _struck(scenario: Scenario, child: int, fault: FaultBlock) -> bool:
-    """Whether another fault strikes the child itself meanwhile, or its parent just before."""
+    """True if another fault strikes the child itself meanwhile, or its parent just before."""
     first_s, last_s = fault.at_s - 3.0, fault.at_s + (fault.duration_s or 0.0)
     return any(
         one is not fault

@@ -52,7 +52,7 @@ class Stopped(NamedTuple):
 
     @property
     def all_obeyed(self) -> bool:
-        """Whether every vehicle obeyed, and the command said so."""
+        """True if every vehicle obeyed, and the command said so."""
         return len(self.seconds) == len(VEHICLES) and self.exit_code == 0
 
 

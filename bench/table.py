@@ -14,14 +14,14 @@ HEADINGS = ("figure", "measured", "runs", "reference", "ratio", "target", "met")
 
 @dataclass(frozen=True)
 class Target:
-    """What a figure should reach; it decides a column of the table and nothing else."""
+    """The value that a figure should reach; it decides a column of the table and nothing else."""
 
     limit: float
     at_least: bool = False
     of_reference: bool = False  # the limit is for figure / reference
 
     def met(self, row: Row) -> bool:
-        """Whether the figure of `row` reaches it."""
+        """True if the figure of `row` reaches it."""
         found = (row.ratio or 0.0) if self.of_reference else row.value
         return found >= self.limit if self.at_least else found <= self.limit
 
@@ -63,7 +63,7 @@ class Row:
 
     @property
     def met(self) -> bool | None:
-        """Whether the target is reached; None without one."""
+        """True if the target is reached; None without one."""
         return None if self.target is None else self.target.met(self)
 
     def as_json(self) -> dict[str, Any]:

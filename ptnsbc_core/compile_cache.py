@@ -96,7 +96,7 @@ class CacheFolder:
 
     @cached_property
     def _refused(self) -> bool:
-        """Whether another user owns the folder, or the folder of all caches."""
+        """True if another user owns the folder, or the folder of all caches."""
         for folder in (self.path.parent, self.path):
             try:
                 owner = folder.stat().st_uid

@@ -36,7 +36,7 @@ def _compiler() -> Callable[..., Any] | None:
 
 _COMPILE = _compiler()
 COMPILED: bool = _COMPILE is not None
-"""Whether kernels run compiled in this process."""
+"""True if kernels run compiled in this process."""
 
 
 def kernel(law: Callable[P, R]) -> Callable[P, R]:

@@ -148,7 +148,7 @@ def odometry_to_estimate(odometry: OdometryLike) -> Estimate:
 
 @inline_kernel
 def is_estimate(odometry: OdometryLike) -> bool:
-    """Whether a leader estimate (13,) was made by somebody who knows of the leader."""
+    """True if a leader estimate (13,) was made by somebody who knows of the leader."""
     return bool(odometry[5] != 0.0 or odometry[6] != 0.0)
 
 

@@ -29,7 +29,7 @@ from ptnsbc_core.types import (
 
 @inline_kernel
 def link_lost(inputs: AgentInputs, start_t: float, config: AgentConfig) -> bool:
-    """Whether the parent or a leader link has been silent for longer than stale_s.
+    """True if the parent or a leader link has been silent for longer than stale_s.
 
     A link on which nothing was ever received counts as lost from stale_s after the first epoch.
     """

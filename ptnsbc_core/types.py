@@ -145,7 +145,7 @@ class ClearanceConfig(NamedTuple):
 
 
 class RecoveryConfig(NamedTuple):
-    """How fast a UAV regains its place after an encounter, see behaviours/recovery.py."""
+    """The return of a UAV to its place after an encounter, see behaviours/recovery.py."""
 
     least_s: float  # [s] shortest duration of the way back
     speed: float  # [m/s] that its plan may ask for, beside the leader's motion
@@ -171,7 +171,7 @@ class Trajectory(NamedTuple):
 
 
 class Shape(NamedTuple):
-    """How the places of one UAV and its parent move beside the leader, see curves/shape.py."""
+    """The motion of the places of one UAV and its parent beside the leader, see curves/shape.py."""
 
     moving: bool
     turns: bool  # with the heading of the leader's trajectory
@@ -302,7 +302,7 @@ class AgentState(NamedTuple):
 
 
 class AgentDiagnostics(NamedTuple):
-    """Why the UAV does what it does, one tick."""
+    """The causes of the behaviour of a UAV in one tick."""
 
     error: Vector3  # task error sigma_d - sigma (leader: position error [m])
     gain: float  # G(t) of the formation loop [1/s]

@@ -1,4 +1,4 @@
-"""When the place of a UAV in the graph changes, and what it carries over: see docs/method.md, "Coming and going"."""
+"""The changes of the place of a UAV in the graph, and the state that it keeps: docs/method.md, "Coming and going"."""
 
 from __future__ import annotations
 

@@ -229,7 +229,7 @@ def _believed(
 
 @inline_kernel
 def dead(tick: int, row: int, disturbances: Disturbances) -> bool:
-    """Whether the process of UAV number `row` is not there."""
+    """True if the process of UAV number `row` is not there."""
     return disturbances.gone[tick, row]
 
 
@@ -237,7 +237,7 @@ def dead(tick: int, row: int, disturbances: Disturbances) -> bool:
 def computes(
     swarm: SwarmState, track: FlightTrack, tick: int, row: int, disturbances: Disturbances | None
 ) -> bool:
-    """Whether UAV number `row` computes at `tick`. One that begins anew starts from what it sees."""
+    """True if UAV number `row` computes at `tick`. One that begins anew starts from what it sees."""
     if disturbances is not None:
         if dead(tick, row, disturbances):
             note_silence(track, tick, row)

@@ -209,7 +209,7 @@ def say_once(line: str) -> None:
 
 
 def watched() -> bool:
-    """Whether somebody looks: in a terminal, and in a notebook."""
+    """True if somebody looks: in a terminal, and in a notebook."""
     return sys.stderr.isatty() or "ipykernel" in sys.modules
 
 

@@ -64,7 +64,7 @@ def _cores() -> Findings:
 
 
 def _lateness_ms() -> float:
-    """How late the kernel wakes a process that sleeps for a millisecond: the sleep is what is measured."""
+    """The lateness with which the kernel wakes a process that sleeps for a millisecond, by real sleeps."""
     wanted = time.monotonic() + 1e-3
     time.sleep(1e-3)
     return 1e3 * (time.monotonic() - wanted)
@@ -164,7 +164,7 @@ def _libraries() -> Findings:
 
 
 def ports(scenario: Scenario) -> Findings:
-    """Whether the ports on which the bridges of a scenario listen are free."""
+    """True if the ports on which the bridges of a scenario listen are free."""
     for uav in scenario.uav_ids:
         connect = scenario.vehicle_link(uav).connect
         kind, _, rest = connect.partition(":")

@@ -256,7 +256,7 @@ def scenario_with(name: str, given: dict[str, Any]) -> Scenario:
 
 
 def read_options(context: typer.Context) -> ReadOptions:
-    """How a bag is read and judged, from the options of a command."""
+    """The options with which a bag is read and judged, from the options of a command."""
     from ptnsbc_tools.reading.bag_reader import ReadOptions
     from ptnsbc_tools.reading.bag_sources import TopicNames
 

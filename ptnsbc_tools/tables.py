@@ -99,7 +99,7 @@ def deadline_table(verdict: Verdict) -> Table:
 
 
 def _regained_tables(verdict: Verdict) -> list[Table]:
-    """How long after an encounter every UAV was back in its place; none without encounters."""
+    """The times after an encounter at which every UAV was back in its place; none without encounters."""
     found = [one for one in verdict.uavs if one.regained_s is not None]
     if not found:
         return []

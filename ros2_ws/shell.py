@@ -1,4 +1,4 @@
-"""What the setup.py of every package here does alike, for colcon."""
+"""The common part of the setup.py of every package here, for colcon."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ PROGRAMS = {
     },
     "ptnsbc_tools": {"ptnsbc": "ptnsbc_tools.__main__:main"},
 }
-"""What `ros2 run` finds in each package, made by colcon or by pip: name and function."""
+"""The programs that `ros2 run` finds in each package, made by colcon or by pip: name and function."""
 
 # pip makes bin/ptnsbc, with its Python; names as plain as `sim` do not belong beside it.
 _BESIDE_PIPS = """#!/bin/sh

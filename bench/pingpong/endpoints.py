@@ -1,4 +1,4 @@
-"""How a process of the reference publishes and subscribes: bytes or message objects; and how all begin together."""
+"""The publishers and subscribers of the reference, with bytes or message objects, and their common start."""
 
 from __future__ import annotations
 

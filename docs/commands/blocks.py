@@ -34,7 +34,7 @@ class PageError(Exception):
 
 
 class How(Enum):
-    """What is done with a block."""
+    """The treatment of a block."""
 
     RUN = "run"
     SKIP = "skip"
@@ -49,7 +49,7 @@ NOT_RUN = (How.SKIP, How.ELSEWHERE)
 
 @dataclass(frozen=True)
 class Marker:
-    """How a block is run."""
+    """The way in which a block is run."""
 
     how: How = How.RUN
     text: str = ""  # reason of a skip, or what a background block says when the next may start

@@ -151,7 +151,7 @@ class Page:
         return Outcome(block, time.monotonic() - began)
 
     def finish(self) -> Iterator[Outcome]:
-        """What became of the blocks in the background, last first, after Ctrl-C to those that run."""
+        """The results of the blocks in the background, last first, after Ctrl-C to those that run."""
         for block, process, began in reversed(self._beside):
             ended = process.code is not None
             allowed = (0,) if ended else (0, _INTERRUPTED)

@@ -36,7 +36,7 @@ class Parameter(NamedTuple):
 
     @property
     def word(self) -> str:
-        """What stands for its value."""
+        """The word that stands for its value."""
         names = {int: "INTEGER", float: "NUMBER"}
         return self.info.metavar or names.get(self.kind, self.name.upper())
 

@@ -32,7 +32,7 @@ def _common(found: list[Row]) -> Iterator[Row]:
 
 
 def _own(found: list[Row]) -> Iterator[Row]:
-    """What a kind of leg has; the keys of a trajectory are those of `leader.trajectory`."""
+    """The keys of a kind of leg; the keys of a trajectory are those of `leader.trajectory`."""
     for row in found:
         key = row.key.removeprefix(_LEGS)
         if (

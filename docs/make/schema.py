@@ -73,7 +73,7 @@ def _kind(block: type[BaseModel]) -> str:
 
 
 def _step(prop: Schema) -> str:
-    """What stands between the key of a block and the keys in it, besides the dot."""
+    """The text between the key of a block and the keys in it, besides the dot."""
     if prop.get("type") == "array":
         return "[]"
     return ".N" if isinstance(prop.get("additionalProperties"), dict) else ""

@@ -77,7 +77,7 @@ def stage(folder: Path) -> None:
 
 
 def settings(source: Path, output: Path) -> dict[str, Any]:
-    """What mkdocs.yml says."""
+    """The settings in mkdocs.yml."""
     return {
         "site_name": "PTNSBC",
         "site_description": "Predefined-time formations of UAVs on ROS 2 Jazzy",

@@ -1,4 +1,4 @@
-"""Whether two bags hold the same messages, byte for byte: python same_bytes.py A B."""
+"""Two bags compared, message by message and byte for byte: python same_bytes.py A B."""
 
 import sys
 from pathlib import Path

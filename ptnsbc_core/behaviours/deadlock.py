@@ -26,7 +26,7 @@ _HOMING = 2.0
 
 @inline_kernel
 def stands_still(wanted: Vector3, command: Vector3, place: FormationPlace) -> bool:
-    """Whether the command [m/s, ENU] goes hardly towards the place although the wanted velocity does."""
+    """True if the command [m/s, ENU] goes hardly towards the place although the wanted velocity does."""
     distance = norm3(place.error)
     asked = dot3(sub3(wanted, place.velocity), place.error)
     left = dot3(sub3(command, place.velocity), place.error)
@@ -43,7 +43,7 @@ def standing_time(before_s: float, still: bool, dt: float, config: ClearanceConf
 
 @inline_kernel
 def in_deadlock(standing_s: float, config: ClearanceConfig) -> bool:
-    """Whether a UAV that has stood still for so long is in a deadlock."""
+    """True if a UAV that has stood still for so long is in a deadlock."""
     return standing_s >= config.deadlock_s
 
 

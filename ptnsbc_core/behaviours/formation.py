@@ -66,12 +66,12 @@ _LEAST_LEFT = 0.1
 
 @inline_kernel
 def is_plan_left(t: float, config: AgentConfig) -> bool:
-    """Whether a UAV whose epoch is at `t` [s] can still join the common plan."""
+    """True if a UAV whose epoch is at `t` [s] can still join the common plan."""
     return 1.0 - h(t / plan_duration(config.formation)) > _LEAST_LEFT
 
 
 class FormationErrors(NamedTuple):
-    """How far a follower is from the formation."""
+    """The errors of a follower in the formation."""
 
     task: Vector3  # sigma_d - sigma, the task's own units
     slot: Vector3  # [m, ENU] to the desired position relative to the leader

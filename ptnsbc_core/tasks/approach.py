@@ -1,4 +1,4 @@
-"""How fast a UAV may come near an object: the braking that it has, and the velocities that end in a keep-out.
+"""The speed at which a UAV may come near an object: the braking that it has, and the velocities that end in a keep-out.
 
 Positions [m] and velocities [m/s] are world ENU, docs/method.md ("Clearance that can brake").
 """

@@ -91,13 +91,13 @@ class ClearanceConstraints(NamedTuple):
 
 @inline_kernel
 def is_stale(view: ObstacleView, config: ClearanceConfig) -> bool:
-    """Whether the near-object sensor has been silent for longer than it may."""
+    """True if the near-object sensor has been silent for longer than it may."""
     return view.age_s > config.stale_s
 
 
 @inline_kernel
 def _deceleration(view: ObstacleView, moves: bool, config: ClearanceConfig) -> float:
-    """What is left of the deceleration [m/s^2], at least a quarter.
+    """The remaining deceleration [m/s^2], at least a quarter.
 
     An object that moves may be the weakest UAV: then both of the pair count on what that one has.
     """
@@ -106,7 +106,7 @@ def _deceleration(view: ObstacleView, moves: bool, config: ClearanceConfig) -> f
 
 
 class _Sight(NamedTuple):
-    """Where an object is by now, as far as it is known."""
+    """The place of an object by now, as far as it is known."""
 
     centre: Vector3  # [m, ENU]
     velocity: Vector3  # [m/s, ENU]
@@ -130,7 +130,7 @@ def _sight(position: Vector3, near: Array, view: ObstacleView, config: Clearance
 
 @inline_kernel
 def _landmark(near: Array, centre: Vector3Like, normal: Vector3Like) -> Vector3:
-    """What the memory knows an object by: its centre, or where the sphere that stands for a body touches the keep-out.
+    """The point by which the memory knows an object: its centre, or where the sphere of a body touches the keep-out.
 
     The centre of such a sphere jumps where the body is round or has an edge.
     """
@@ -256,7 +256,7 @@ def admissible_multipliers(velocity: Vector3, rows: ClearanceConstraints) -> Arr
 def _stalled(
     velocity: Vector3, admissible: Vector3, moving: Vector3, config: ClearanceConfig
 ) -> float:
-    """How little progress beside an object that moves the admissible velocity leaves: 1 none, 0 enough."""
+    """The lack of progress that the admissible velocity leaves beside an object that moves: 1 none, 0 enough."""
     if config.approach != SPEED_BRAKING or dot3(moving, moving) == 0.0:
         return 1.0
     wanted = sub3(velocity, moving)
@@ -324,7 +324,7 @@ def _row_space_velocity(jacobian: Array, admissible: Vector3) -> Vector3:
 def _unconstrained(
     position: Vector3, velocity: Vector3, view: ObstacleView, config: ClearanceConfig
 ) -> bool:
-    """Whether the memory is empty and `velocity` satisfies the constraints of all near objects on straight paths.
+    """True if the memory is empty and `velocity` satisfies the constraints of all near objects on straight paths.
 
     The told paths only loosen constraints: they are looked at where straight paths bind.
     """
@@ -415,7 +415,7 @@ def clearance(
 
 
 class FilterPace(NamedTuple):
-    """How fast the command filter may be."""
+    """The limits of the command filter."""
 
     bandwidth: float  # [1/s]
     acceleration: float  # [m/s^2]

@@ -44,7 +44,7 @@ def find_slot(memory: Array, centre: Vector3Like) -> int:
 
 @inline_kernel
 def any_used(memory: Array) -> bool:
-    """Whether any slot is in use."""
+    """True if any slot is in use."""
     used = 0.0
     for slot in range(SLOTS):
         used += memory[slot, USED]
@@ -53,7 +53,7 @@ def any_used(memory: Array) -> bool:
 
 @kernel
 def active_time(memory: Array, centre: Vector3) -> float:
-    """How long the object at `centre` has been binding [s]; 0 for a new one."""
+    """The time for which the object at `centre` has been binding [s]; 0 for a new one."""
     slot = find_slot(memory, centre)
     if slot < 0:
         return 0.0

@@ -18,7 +18,7 @@ class FormationTask(NamedTuple):
 
     @property
     def needs_arm(self) -> bool:
-        """Whether the task has no meaning for a place straight above or below the parent."""
+        """True if the task has no meaning for a place straight above or below the parent."""
         return any(self.angles)
 
     def row_scale(self, arm_m: float) -> tuple[float, float, float]:

@@ -51,7 +51,7 @@ def definition(type_name: str) -> Definition:
 
 @cache
 def has_header(type_name: str) -> bool:
-    """Whether messages of this type start with a std_msgs/Header, or are a Header or a Clock."""
+    """True if messages of this type start with a std_msgs/Header, or are a Header or a Clock."""
     if type_name in ("std_msgs/msg/Header", "rosgraph_msgs/msg/Clock"):
         return True
     first = next(_field_types(_msg_text(*_split(type_name))), "")

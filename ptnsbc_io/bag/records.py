@@ -249,7 +249,7 @@ def walk(stream: IO[bytes], damage: Damage) -> Iterator[Record]:
 
 
 def _is_known(opcode: int) -> bool:
-    """Whether MCAP has such a record, or leaves it to others."""
+    """True if MCAP has such a record, or leaves it to others."""
     return 0 < opcode <= Opcode.DATA_END or opcode >= 0x80
 
 

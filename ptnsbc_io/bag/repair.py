@@ -192,7 +192,7 @@ def _qos(text: str) -> list[dict[str, Any]]:
 
 
 def _is_profile(value: Any) -> bool:
-    """Whether it is a mapping of texts to numbers, texts and durations."""
+    """True if it is a mapping of texts to numbers, texts and durations."""
     if not isinstance(value, dict):
         return False
     parts = [

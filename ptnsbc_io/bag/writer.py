@@ -50,7 +50,7 @@ _MEDIA_TYPES = {
 
 
 class SplitLimits(NamedTuple):
-    """When a bag goes on in another file; None: never."""
+    """The limits at which a bag goes on in another file; None: never."""
 
     size_bytes: int | None = None
     duration_ns: int | None = None  # in log time
@@ -135,7 +135,7 @@ class McapFileWriter:
         return FileSummary(self.path.name, self.start_ns or 0, self._end_ns, sum(self.counts))
 
     def is_full(self, limits: SplitLimits, log_ns: int) -> bool:
-        """Whether a message logged at `log_ns` belongs into the next file."""
+        """True if a message logged at `log_ns` belongs into the next file."""
         if self.start_ns is None:
             return False
         if limits.duration_ns is not None and log_ns - self.start_ns >= limits.duration_ns:

@@ -284,7 +284,7 @@ def advice(values: Mapping[str, float], rate_hz: float) -> Iterator[str]:
 
 
 def refusal(autopilot: Autopilot, values: Mapping[str, float], setpoint: str) -> str | None:
-    """Why the vehicle cannot follow this type of setpoint; None when it can."""
+    """The reason why the vehicle cannot follow this type of setpoint; None when it can."""
     if autopilot.attitude_only and setpoint != "attitude":
         return f"{autopilot.name}: takes attitude targets only: expected mavlink.setpoint: attitude"
     options = int(values.get("GUID_OPTIONS", 0))

@@ -85,7 +85,7 @@ def _size(data: bytes, at: int) -> int | None:
 
 
 def _is_noise(data: bytes, at: int, size: int) -> bool:
-    """Whether noise looks like the beginning of a frame; False while more bytes are needed to tell."""
+    """True if noise looks like the beginning of a frame; False while more bytes are needed to tell."""
     if at + size > len(data):
         return False
     frame = _frame(data[at : at + size])

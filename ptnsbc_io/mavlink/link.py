@@ -26,7 +26,7 @@ _MOST_PER_POLL = 200  # packets; a flood must not delay the setpoint stream
 
 
 class Dropped(Enum):
-    """Why a packet was dropped; the values are names of counters."""
+    """The reason why a packet was dropped; the values are names of counters."""
 
     MALFORMED = "malformed"  # no frame, wrong checksum, impossible length
     TRUNCATED = "truncated"
@@ -71,7 +71,7 @@ class MavlinkLink:
 
     @property
     def signed(self) -> bool:
-        """Whether only signed packets are accepted."""
+        """True if only signed packets are accepted."""
         return self._signer is not None
 
     def fileno(self) -> int:
@@ -160,7 +160,7 @@ class MavlinkLink:
         return self._drop(Dropped.MALFORMED)
 
     def _is_from_peer(self, sender: Address | None, now_s: float) -> bool:
-        """Whether the sender has the address of the vehicle; after 3 s of silence a new address is taken."""
+        """True if the sender has the address of the vehicle; after 3 s of silence a new address is taken."""
         if sender is None or self.peer == sender:
             self._peer_time_s = now_s
             return True

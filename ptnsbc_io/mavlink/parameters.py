@@ -34,7 +34,7 @@ class MavlinkParameterError(PtnsbcError):
 
 
 class Encoding(Enum):
-    """How integers are encoded."""
+    """The encoding of integers."""
 
     BYTEWISE = "bytewise"
     C_CAST = "C cast"
@@ -77,7 +77,7 @@ class ParameterReader:
         return [name for name in self._requests if name not in self.values]
 
     def done(self, now_s: float) -> bool:
-        """Whether every name is answered or given up."""
+        """True if every name is answered or given up."""
         return all(
             self._requests[name] >= _MAX_REQUESTS and now_s >= self._next_s[name]
             for name in self.missing

@@ -23,11 +23,11 @@ class ConfirmedValue:
 
     @property
     def unconfirmed(self) -> bool:
-        """Whether the newest message had a new value that no other message has confirmed yet."""
+        """True if the newest message had a new value that no other message has confirmed yet."""
         return self._candidate is not None
 
     def accepts(self, value: Hashable) -> bool:
-        """Whether this message is plausible."""
+        """True if this message is plausible."""
         known = value in (self._known, self._candidate)
         if known:
             self._known = value
@@ -46,7 +46,7 @@ class RateLimitedValue:
         self.rejected = 0
 
     def accepts(self, numbers: Array, now_s: float) -> bool:
-        """Whether these numbers are plausible; False for NaN."""
+        """True if these numbers are plausible; False for NaN."""
         if any(self._follows(numbers, now_s, *seen) for seen in self._seen):
             self._seen = [(numbers, now_s)]
             return True

@@ -1,4 +1,4 @@
-"""How a vehicle follows a velocity setpoint, from the parameters of its autopilot.
+"""The response of a vehicle to a velocity setpoint, from the parameters of its autopilot.
 
 Both autopilots close a velocity loop around the tilt of the vehicle. ArduCopter shapes the velocity before it and
 follows the shaped path by position too. docs/autopilot.md has what was measured of them.

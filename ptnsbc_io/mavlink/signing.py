@@ -79,12 +79,12 @@ class Signer:
         codec.signing.sign_outgoing = True
 
     def has_valid_signature(self, frame: Frame) -> bool:
-        """Whether the signature was made with our key, at any time."""
+        """True if the signature was made with our key, at any time."""
         digest = hashlib.sha256(self.key + frame.data[:-6]).digest()[:6]
         return hmac.compare_digest(digest, frame.data[-6:])
 
     def is_new(self, frame: Frame) -> bool:
-        """Whether a validly signed frame is newer than all before it in its stream; stores its timestamp then."""
+        """True if a validly signed frame is newer than all before it in its stream; stores its timestamp then."""
         block = frame.data[-SIGNATURE_SIZE:]
         stamp = int.from_bytes(block[1:7], "little")
         stream = (block[0], frame.sysid, frame.compid)

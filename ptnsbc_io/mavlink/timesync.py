@@ -32,7 +32,7 @@ class TimeSync:
 
     @property
     def synchronised(self) -> bool:
-        """Whether round trips are known; False while the offset is from one-way times."""
+        """True if round trips are known; False while the offset is from one-way times."""
         return bool(self._trips)
 
     @property
@@ -75,7 +75,7 @@ class TimeSync:
             self._one_way.popleft()
 
     def ready(self, now_s: float) -> bool:
-        """Whether times can be converted: by round trips, or after 5 s without any."""
+        """True if times can be converted: by round trips, or after 5 s without any."""
         if self._trips:
             return True
         return self._first_s is not None and now_s - self._first_s > _ANSWER_TIMEOUT_S

@@ -35,7 +35,7 @@ class Transport(Protocol):
     """A connection to one vehicle."""
 
     stream: bool
-    """Whether it is a stream of bytes, without datagrams."""
+    """True for a stream of bytes, without datagrams."""
 
     def fileno(self) -> int:
         """For select()."""

@@ -81,7 +81,7 @@ class Bridge:
         self._hazard = ""
         self._unfit = ""  # why its velocity loop cannot follow this scenario
         self.response: VelocityResponse | None = None
-        """How the vehicle follows velocities, by its parameters; None before they are read, or without them."""
+        """The response of the vehicle to velocities, by its parameters; None before they are read, or without them."""
         keep_outs_m = {
             other: scenario.keep_out_between(uav_id, other) for other in scenario.uav_ids
         }
@@ -116,7 +116,7 @@ class Bridge:
 
     @property
     def flew(self) -> bool:
-        """Whether the vehicle has been armed."""
+        """True if the vehicle has been armed."""
         return self.state_publisher.world.frozen
 
     def wait_and_serve(self) -> None:
@@ -277,7 +277,7 @@ class Bridge:
 
     @property
     def report(self) -> Companion:
-        """What the bridges of the other vehicles must know before the flight."""
+        """The values that the bridges of the other vehicles must know before the flight."""
         odometry, procedure = self.state_publisher.odometry, self.procedure
         position = None if odometry is None else tuple(map(float, odometry[0:3]))
         return Companion(
@@ -336,7 +336,7 @@ class Bridge:
         return low_m + (high_m - low_m) * ids.index(self._uav_id) / max(last, 1)
 
     def _below(self) -> str:
-        """Whether another vehicle is still in the air below this one, too close beside to land past it."""
+        """True if another vehicle is still in the air below this one, too close beside to land past it."""
         odometry = self.state_publisher.odometry
         if odometry is None:
             return ""
@@ -353,7 +353,7 @@ class Bridge:
         return self.stream.guard.breach(odometry[0:3], np.array(velocity_enu(odometry)))
 
     def _misplaced(self) -> str:
-        """Why the vehicle may not arm where it stands: by the scenario, and by the others."""
+        """The reason why the vehicle may not arm where it stands: by the scenario, and by the others."""
         standing = self._standing()
         if standing is None:
             return ""
@@ -372,7 +372,7 @@ class Bridge:
         return "" if standing is None else self.companions.climbs_first(standing)
 
     def _vehicle_words(self) -> tuple[str, ...]:
-        """What the vehicle itself says of a refusal."""
+        """The words of the vehicle itself about a refusal."""
         vehicle = self.vehicle
         health = (
             "" if vehicle.armed or not vehicle.unhealthy else f"not healthy: {vehicle.unhealthy}"
@@ -381,7 +381,7 @@ class Bridge:
 
     @property
     def place(self) -> str:
-        """Where the vehicle was last, in the world; empty while that is not known."""
+        """The last known place of the vehicle in the world; empty while none is known."""
         odometry = self.state_publisher.odometry
         if odometry is None:
             return ""
@@ -389,7 +389,7 @@ class Bridge:
 
     @property
     def fate(self) -> str:
-        """What the vehicle does when this bridge is silent."""
+        """The behaviour of the vehicle when this bridge is silent."""
         vehicle = self.vehicle
         return fate(vehicle.autopilot, vehicle.mode, self.maintenance.parameters)
 

@@ -1,4 +1,4 @@
-"""What a link needs besides setpoints: heartbeats, time, requests and parameters, each at its own pace."""
+"""The needs of a link besides setpoints: heartbeats, time, requests and parameters, each at its own pace."""
 
 from __future__ import annotations
 
@@ -37,19 +37,19 @@ class LinkMaintenance:
         self._parameters = ParameterReader(vehicle.autopilot.parameters, vehicle.autopilot.encoding)
         self.parameters_read = False
         self.urgent = False
-        """Whether the vehicle's state is asked for more often than it comes: HEARTBEAT comes once a second."""
+        """True if the vehicle's state is asked for more often than it comes: HEARTBEAT comes once a second."""
         self._interval_requests = 0
         self._next_s: dict[str, float] = {}
 
     @property
     def sync_text(self) -> str:
-        """How the vehicle's clock is known."""
+        """The source of the knowledge of the vehicle's clock."""
         sync = self.sync
         return f"round trip {1e3 * sync.round_trip_s:.1f} ms" if sync.synchronised else "one-way"
 
     @property
     def parameter_refusal(self) -> str:
-        """Why the vehicle cannot be flown with its parameters; empty while they are unknown or right."""
+        """The reason why the vehicle cannot be flown with its parameters; empty while they are unknown or right."""
         if not self.parameters_read:
             return ""
         values, setpoint = self._parameters.values, self._settings.setpoint

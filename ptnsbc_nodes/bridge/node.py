@@ -74,11 +74,11 @@ class FlyingError(PtnsbcError):
 
 
 class BridgeOptions(NamedTuple):
-    """What is settled at the start of the process."""
+    """The options that are settled at the start of the process."""
 
     allow_arming: bool
     with_fleet: bool = False
-    """Whether every other UAV of the scenario has a bridge, which must be ready as well."""
+    """True if every other UAV of the scenario has a bridge, which must be ready as well."""
     signing_key: str = ""
     """Path of the key file, for who must reach the vehicle when this process is dead."""
 
@@ -184,11 +184,11 @@ class BridgeNode:
 
     @property
     def begun(self) -> bool:
-        """Whether the vehicle has been armed."""
+        """True if the vehicle has been armed."""
         return self.bridge.flew
 
     def waiting_for(self) -> list[str]:
-        """What the formation waits for; empty when it may begin."""
+        """The things for which the formation waits; empty when it may begin."""
         missing = self.endpoints.unheard()
         if self._thread is None:
             missing.append(INACTIVE)

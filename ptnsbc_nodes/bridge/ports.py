@@ -1,4 +1,4 @@
-"""What goes in and out of a bridge, besides the bytes of its vehicle."""
+"""The inputs and outputs of a bridge, besides the bytes of its vehicle."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from ptnsbc_nodes.emergency.orders import Order
 
 @dataclass
 class BridgeInputs:
-    """What the bridge receives: the thread of the node writes it, the thread of the bridge reads it."""
+    """The messages that the bridge receives: the thread of the node writes it, the thread of the bridge reads it."""
 
     setpoint: bytes | None = None  # newest
     legs: list[HeaderFields] = field(
@@ -48,7 +48,7 @@ Log = Callable[[str], None]
 
 
 class BridgeOutputs(NamedTuple):
-    """What the bridge publishes."""
+    """The publishers of a bridge."""
 
     odom: Callable[[int, Array], None]  # stamp [ns], odometry (13,)
     track: Callable[[int, Array], None]  # the same, of a vehicle that has left the formation

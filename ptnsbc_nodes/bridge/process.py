@@ -1,4 +1,4 @@
-"""What the process of one bridge does: it makes the node and its link, and serves them until their end."""
+"""The process of one bridge: it makes the node and its link, and serves them until their end."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ _JUMP_BACK_NS = 50_000_000
 
 
 class SharedVehicleState(NamedTuple):
-    """How much of this vehicle the formation has received."""
+    """The odometry of this vehicle that the formation has received."""
 
     messages: int  # odometry
     stamp_ns: int  # of the newest
@@ -77,11 +77,11 @@ class StatePublisher:
         return float(np.sqrt(self.odometry[7:10] @ self.odometry[7:10]))
 
     def clock_jumped(self, now_s: float) -> bool:
-        """Whether the vehicle's clock did not fit ours just now."""
+        """True if the vehicle's clock did not fit ours just now."""
         return now_s - self._clock_fault_s < _FRESH_S
 
     def fault(self, now_s: float) -> str:
-        """Why the vehicle's state is not published; empty when it is."""
+        """The reason why the vehicle's state is not published; empty when it is."""
         vehicle = self._vehicle
         silence = vehicle.heartbeat_age_s(now_s)
         if silence > _HEARTBEAT_S:

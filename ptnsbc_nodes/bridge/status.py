@@ -19,7 +19,7 @@ _NEVER_S = 1e6
 
 
 def vehicle_record(name: str, bridge: Bridge, base: VehicleRecord) -> VehicleRecord:
-    """What this bridge knows of its vehicle now; `base` has what does not change."""
+    """The knowledge of this bridge about its vehicle now; `base` has the part that does not change."""
     vehicle, procedure, peer = bridge.vehicle, bridge.procedure, bridge.link.peer
     silence_s = vehicle.heartbeat_age_s(bridge.ports.clocks.steady_s())
     # After the flight the bridge listens no longer, and the vehicle's last word stands.
@@ -125,7 +125,7 @@ def _concerns(bridge: Bridge, missing: Sequence[str], endpoints: Endpoints) -> I
 
 
 def companion(values: Mapping[str, str]) -> Companion | None:
-    """What the status of another bridge says of its vehicle; None when that is not one."""
+    """The report in the status of another bridge; None when the status is not of a bridge."""
     try:
         numbers = tuple(map(float, values["position_m"].split()))
         error_m, height_m = float(values["position_error_m"]), float(values["height_m"])

@@ -1,4 +1,4 @@
-"""Where a simulated vehicle really is, for the verdict: HIL_STATE_QUATERNION of PX4, SIM_STATE of ArduPilot.
+"""The true place of a simulated vehicle, for the verdict: HIL_STATE_QUATERNION of PX4, SIM_STATE of ArduPilot.
 
 Nothing flies by it. A real vehicle sends neither.
 """

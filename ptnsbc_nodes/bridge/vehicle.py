@@ -1,4 +1,4 @@
-"""What one flight controller reports: state, mode, battery, origin, reboots and duplicates.
+"""The reports of one flight controller: state, mode, battery, origin, reboots and duplicates.
 
 No sockets and no ROS: messages in, facts out, all times on our steady clock [s].
 """
@@ -42,7 +42,7 @@ _MULTIROTORS = (
 
 
 class Battery(NamedTuple):
-    """What the vehicle reports of its battery; None is a figure that it does not know."""
+    """The battery, as the vehicle reports it; None is a figure that it does not know."""
 
     voltage_v: float | None
     current_a: float | None  # drawn from it
@@ -89,11 +89,11 @@ class _BootClock:
 
     @property
     def young(self) -> bool:
-        """Whether the vehicle has not been up for long, by its own clock; False while that is not known."""
+        """True if the vehicle has not been up for long, by its own clock; False while that is not known."""
         return self._newest is not None and self._newest[0] < _YOUNG_S
 
     def jumps_to_and_fro(self, now_s: float) -> bool:
-        """Whether the time has stepped back several times just now."""
+        """True if the time has stepped back several times just now."""
         steps = self._backward_steps
         return len(steps) == _DUPLICATE_STEPS and now_s - steps[0] <= _DUPLICATE_WINDOW_S
 
@@ -133,17 +133,17 @@ class VehicleMonitor:
         return float("inf") if self.heartbeat_s is None else now_s - self.heartbeat_s
 
     def fix_lost(self, now_s: float) -> bool:
-        """Whether a GPS fix is gone; a vehicle that never had one needs none."""
+        """True if a GPS fix is gone; a vehicle that never had one needs none."""
         since_s = self._no_fix_since_s
         return self._had_fix and since_s is not None and now_s - since_s >= _NO_FIX_S
 
     @property
     def battery_percent(self) -> float | None:
-        """What is left of the battery."""
+        """The remaining charge of the battery."""
         return None if self.battery is None else self.battery.percent
 
     def battery_below(self, percent: float, now_s: float) -> bool:
-        """Whether the battery has been below `percent` for some seconds."""
+        """True if the battery has been below `percent` for some seconds."""
         if self.battery_percent is None or self.battery_percent >= percent:
             self._low_battery_since_s = None
             return False
@@ -152,12 +152,12 @@ class VehicleMonitor:
         return now_s - self._low_battery_since_s >= _LOW_BATTERY_S
 
     def duplicate_sysid(self, now_s: float) -> bool:
-        """Whether two vehicles speak with one id: the time since boot jumps to and fro."""
+        """True if two vehicles speak with one id: the time since boot jumps to and fro."""
         return self._clock.jumps_to_and_fro(now_s)
 
     @property
     def rebooted(self) -> bool:
-        """Whether the vehicle's clock began anew and it is disarmed since, or it says BOOT with a young clock.
+        """True if the vehicle's clock began anew and it is disarmed since, or it says BOOT with a young clock.
 
         A disarmed PX4 says UNINIT while its checks fail, so that is no sign of a boot.
         """
@@ -169,7 +169,7 @@ class VehicleMonitor:
 
     @property
     def unconfirmed(self) -> bool:
-        """Whether the newest HEARTBEAT brought a change that the next one must confirm."""
+        """True if the newest HEARTBEAT brought a change that the next one must confirm."""
         return self._confirmed is not None and self._confirmed["heartbeat"].unconfirmed
 
     def on_message(self, message: Any, now_s: float) -> VehicleState | None:

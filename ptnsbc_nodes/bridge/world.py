@@ -1,4 +1,4 @@
-"""Where a vehicle's local frame lies in the world frame that the fleet shares."""
+"""The place of a vehicle's local frame in the world frame that the fleet shares."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class WorldFrame:
 
     @property
     def needs_leader(self) -> bool:
-        """Whether this bridge needs the leader's place."""
+        """True if this bridge needs the leader's place."""
         return not (self._given or self._leads or self._surveyed is not None)
 
     def leader_at(self, place: GeoPoint) -> None:
@@ -100,7 +100,7 @@ class WorldFrame:
 
     @property
     def missing(self) -> str:
-        """What is missing for the offset; empty when nothing is."""
+        """The values that the offset lacks; empty when it has all."""
         if self.offset is not None:
             return ""
         if self._surveyed is None and self._anchor is None:

@@ -1,1 +1,1 @@
-"""What travels between processes: topics, quality of service, messages, the communication graph."""
+"""The traffic between processes: topics, quality of service, messages, the communication graph."""

@@ -66,7 +66,7 @@ def encode_fault(stamp_ns: int, fault: FaultBlock) -> bytes:
 
 
 def fault_decoder(uavs: Collection[int]) -> Callable[[bytes], OrderedFault]:
-    """What reads a fault of a fleet of these UAVs; WireError for one that none of them can have."""
+    """The decoder of a fault of a fleet of these UAVs; WireError for one that none of them can have."""
 
     def decode(data: bytes) -> OrderedFault:
         stamp_ns, text = decode_header(data)
@@ -97,7 +97,7 @@ class Requests:
         endpoints.listen(topics.REQUEST, self._decode, self._on_request, required=False)
 
     def refusal(self, name: str) -> str | None:
-        """Why a service must not answer; None when it may, and its permission is used up."""
+        """The reason why a service must not answer; None when it may, and its permission is used up."""
         requested_s = self._requested_s.pop(name, float("-inf"))
         if not self._signed or time.monotonic() - requested_s < _PERMIT_S:
             return None

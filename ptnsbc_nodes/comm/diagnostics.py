@@ -1,4 +1,4 @@
-"""What the nodes publish about themselves on /diagnostics: mostly cumulative counters."""
+"""The figures that nodes publish about themselves on /diagnostics: mostly cumulative counters."""
 
 from __future__ import annotations
 

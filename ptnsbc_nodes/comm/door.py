@@ -146,7 +146,7 @@ class Refusals:
         return {"refused": counts, "refused_newest": self.newest}
 
     def report(self) -> str:
-        """What was refused since the last report, as a warning; empty when nothing was."""
+        """The messages refused since the last report, as a warning; empty without any."""
         total = sum(self.counts.values())
         new, self._reported = total - self._reported, total
         return f"{new} messages refused: {self.newest}" if new else ""

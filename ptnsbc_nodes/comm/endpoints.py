@@ -52,7 +52,7 @@ class _CountingPublisher:
 
 
 class PublishCounters(NamedTuple):
-    """How many messages a process has published, by topic."""
+    """The number of messages that a process has published, by topic."""
 
     since_ns: int  # when `before` was counted, by the node's clock; -1: from the start
     before: dict[str, int]
@@ -221,7 +221,7 @@ class Endpoints:
             self._before = (now_ns, self._counts())
 
     def account(self) -> str:
-        """How many messages were sent, as the line of the log that `sent_in` reads."""
+        """The number of messages that were sent, as the line of the log that `sent_in` reads."""
         since_ns, before = self._before or (-1, {})
         return _SENT + json.dumps(PublishCounters(since_ns, before, self._counts())._asdict())
 

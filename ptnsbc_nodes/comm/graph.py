@@ -1,4 +1,4 @@
-"""Which UAV receives messages from which, and how many nodes read each topic: the edges of the scenario."""
+"""The edges of a scenario: the senders that each UAV hears, and the number of nodes that read each topic."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ LEAD_TICKS = 4
 
 @dataclass(frozen=True)
 class FlightOptions:
-    """How a flight is run; the same for all its processes."""
+    """The options of a flight; the same for all its processes."""
 
     lockstep: bool = False
     recorded: bool = False  # a recorder must hear every topic before the flight
@@ -100,7 +100,7 @@ class CommunicationGraph:
         return CommunicationGraph(scenario, self.options)
 
     def _reassigns(self) -> bool:
-        """Whether a UAV may get another slot, and the edges of that slot. Otherwise it only loses edges."""
+        """True if a UAV may get another slot, and the edges of that slot. Otherwise it only loses edges."""
         return are_open(self._scenario) or self._scenario.file.formation.vacancy == "close_up"
 
     def _peers(self, uav_id: int) -> tuple[int, ...]:
@@ -124,34 +124,34 @@ class CommunicationGraph:
         return tuple(sorted(set(edged) - {uav_id}))
 
     def state_readers(self, uav_id: int) -> int:
-        """How many nodes read the formation_state of this UAV."""
+        """The number of nodes that read the formation_state of this UAV."""
         heard = sum(uav_id in self.senders(other).heard_states for other in self._scenario.uav_ids)
         return heard + self.options.recorders
 
     def estimate_readers(self, uav_id: int) -> int:
-        """How many nodes read the leader_estimate of this UAV."""
+        """The number of nodes that read the leader_estimate of this UAV."""
         heard = sum(
             uav_id in self.senders(other).heard_estimators for other in self._scenario.uav_ids
         )
         return heard + self.options.recorders
 
     def odometry_readers(self, uav_id: int) -> int:
-        """How many nodes read the odometry of this UAV; with open slots the UAV that decides them is one."""
+        """The number of nodes that read the odometry of this UAV; with open slots the UAV that decides them is one."""
         decides = are_open(self._scenario) and uav_id != self._scenario.leader_id
         return 1 + decides + self.options.recorders
 
     def wrench_readers(self) -> int:
-        """How many nodes read a wrench; in real time a bridge may fly instead of the sim."""
+        """The number of nodes that read a wrench; in real time a bridge may fly instead of the sim."""
         return int(self.options.lockstep) + self.options.recorders
 
     def epoch_readers(self) -> int:
-        """How many nodes read the epoch: all UAVs, and in lock-step the sim; not every real-time flight has one."""
+        """The number of nodes that read the epoch: all UAVs, in lock-step also the sim; not every flight has one."""
         return len(self._scenario.uav_ids) + self.wrench_readers()
 
     def slots_readers(self) -> int:
-        """How many nodes read the slots: all UAVs."""
+        """The number of nodes that read the slots: all UAVs."""
         return len(self._scenario.uav_ids) + self.options.recorders
 
     def epoch_listeners(self) -> dict[int, int]:
-        """How many nodes of each UAV read the epoch: its controller, and its bridge."""
+        """The number of nodes of each UAV that read the epoch: its controller, and its bridge."""
         return dict.fromkeys(self._scenario.uav_ids, 1 + self.options.bridged)

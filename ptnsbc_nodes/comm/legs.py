@@ -101,7 +101,7 @@ class Epochs:
 
     @property
     def announced(self) -> bool:
-        """Whether any leg is known, also one in the future."""
+        """True if any leg is known, also one in the future."""
         return bool(self._legs)
 
     @property

@@ -1,4 +1,4 @@
-"""What RViz and Foxglove draw: UAVs, keep-outs, tree edges, the leader's path."""
+"""The markers that RViz and Foxglove draw: UAVs, keep-outs, tree edges, the leader's path."""
 
 from __future__ import annotations
 

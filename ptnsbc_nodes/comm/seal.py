@@ -56,7 +56,7 @@ class Seal:
         self._now_ns = now_ns
 
     def closer(self, topic: Topic) -> Callable[[bytes], bytes]:
-        """What seals the messages of one topic."""
+        """The function that seals the messages of one topic."""
         if topic.name in _UNSEALED:
             return bytes
         start, now_ns, pack = self._start(topic), self._now_ns, _TIME.pack
@@ -70,7 +70,7 @@ class Seal:
         return close
 
     def opener(self, topic: Topic, *, lockstep: bool = False) -> Callable[[bytes], bytes]:
-        """What opens the messages of one topic; SealError for one that the fleet has not sealed.
+        """The function that opens the messages of one topic; SealError for one that the fleet has not sealed.
 
         In lock-step a state may wait longer than any window; there its own stamp says whether it is the right one.
         """
@@ -110,7 +110,7 @@ class Seal:
 
 
 def key_file() -> Path:
-    """Where the key of the fleet is: `PTNSBC_FLEET_KEY`, or `ptnsbc/fleet.key` in the folder for settings."""
+    """The path of the key of the fleet: `PTNSBC_FLEET_KEY`, or `ptnsbc/fleet.key` in the folder for settings."""
     given = os.environ.get(KEY_FILE)
     folder = os.environ.get("XDG_CONFIG_HOME") or str(Path.home() / ".config")
     return Path(given) if given else Path(folder) / "ptnsbc" / "fleet.key"

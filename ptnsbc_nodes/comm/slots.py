@@ -1,4 +1,4 @@
-"""Who takes which slot, as one process decides it and all others hear it: /formation/slots.
+"""The decision on the slots, which one process makes and all others hear: /formation/slots.
 
 A message belongs to the epoch of its stamp. Its text has a pair for each UAV, "1:1 2:5 3:2".
 """
@@ -19,7 +19,7 @@ _MOST_DECISIONS = 256  # that are remembered
 
 
 class Decision(NamedTuple):
-    """Who takes which slot from an epoch on."""
+    """The slot of every UAV from an epoch on."""
 
     t0_ns: int  # of the epoch
     slots: Slots

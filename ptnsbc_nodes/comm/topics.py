@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 
 class Role(Enum):
-    """How a topic is delivered; `qos.profile` turns it into a profile."""
+    """The delivery of a topic; `qos.profile` turns it into a profile."""
 
     STATE = "state"  # the next message replaces this one
     EVENT = "event"  # each message matters
@@ -45,7 +45,7 @@ DIAGNOSTICS = Topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", Role.
 MARKERS = Topic("/formation/markers", "visualization_msgs/msg/MarkerArray", Role.EVENT, STATUS_RATE)
 """The flight drawn, for viewers; with real vehicles in bags only."""
 ORIGIN = Topic("/formation/origin", "sensor_msgs/msg/NavSatFix", Role.LATCHED, "once")
-"""Where the leader's local origin is on the Earth; from its bridge to the others."""
+"""The place of the leader's local origin on the Earth; from its bridge to the others."""
 EMERGENCY = Topic("/formation/emergency", "std_msgs/msg/Header", Role.EVENT, ON_DEMAND)
 """frame_id `land` or `kill` from an operator, or `apart` from a bridge, to all bridges: needs no leader."""
 CLOCK = Topic("/clock", "rosgraph_msgs/msg/Clock", Role.STATE)
@@ -159,7 +159,7 @@ def of_uav(uav: int) -> tuple[Topic, ...]:
 
 
 def notes(uav: int) -> tuple[Topic, ...]:
-    """What a UAV logs in real time so that its steps can be re-run; lock-step steps follow from its rule."""
+    """The log of a UAV in real time, from which its steps can be re-run; lock-step steps follow from its rule."""
     return (tick(uav), snapshot(uav))
 
 
@@ -202,7 +202,7 @@ def in_bag(
 
 
 def tf_is_available() -> bool:
-    """Whether /tf can be published: tf2_msgs comes with ROS from apt; beside the wheels `make setup` builds it."""
+    """True if /tf can be published: tf2_msgs comes with ROS from apt; beside the wheels `make setup` builds it."""
     return find_spec("tf2_msgs") is not None
 
 

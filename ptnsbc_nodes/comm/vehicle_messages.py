@@ -1,4 +1,4 @@
-"""What a bridge sends besides odometry: the vehicle's limits and battery, and the origin of the world.
+"""The messages of a bridge besides odometry: the vehicle's limits and battery, and the origin of the world.
 
 These messages are rare, so message objects are fast enough.
 """

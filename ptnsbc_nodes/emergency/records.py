@@ -58,7 +58,7 @@ class VehicleRecord:
 
     @property
     def alive(self) -> bool:
-        """Whether the bridge's process still exists on this host."""
+        """True if the bridge's process still exists on this host."""
         if self.ended:
             return False
         try:
@@ -139,7 +139,7 @@ def last_word(folder: Path, name: str) -> str:
 
 
 def in_pilots_hands(folder: Path, names: Iterable[str]) -> bool:
-    """Whether pilots fly all of these vehicles, as far as their bridges know."""
+    """True if pilots fly all of these vehicles, as far as their bridges know."""
     known = {record.name: record for record in records(folder)}
     return all(name in known and known[name].in_pilots_hands for name in names)
 

@@ -194,7 +194,7 @@ class Coordinator:
 
     @property
     def led(self) -> bool:
-        """Whether the launcher that leads is there; only for a launcher that follows."""
+        """True if the launcher that leads is there; only for a launcher that follows."""
         return full_name(self._node, OVER) not in self._endpoints.unheard()
 
     def end(self, patience_s: float) -> None:
@@ -229,11 +229,11 @@ class Coordinator:
         self._manager.manage(name, self._endpoints.fleet + node)
 
     def asked(self, name: str) -> bool:
-        """Whether a transition has been requested of the managed process."""
+        """True if a transition has been requested of the managed process."""
         return self._manager.asked(name)
 
     def sees(self, node: str) -> bool:
-        """Whether a node of this name is in the graph of ROS."""
+        """True if a node of this name is in the graph of ROS."""
         return node in self._node.get_node_names()
 
     @property
@@ -308,7 +308,7 @@ class Coordinator:
         }
 
     def last_status_s(self, name: str) -> float | None:
-        """When a process sent its last status [s], by the monotonic clock; None: no status was heard."""
+        """The time at which a process sent its last status [s], by the monotonic clock; None: no status was heard."""
         return self._last_status_s.get(name)
 
     def call(self, name: str, patience_s: float) -> str | None:

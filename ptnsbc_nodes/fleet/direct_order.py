@@ -34,9 +34,9 @@ class DirectOrder:
         self.armed: bool | None = None
         """As the vehicle's HEARTBEAT said it; None before the first."""
         self.lands = False
-        """Whether its HEARTBEAT shows that it lands by itself."""
+        """True if its HEARTBEAT shows that it lands by itself."""
         self.problem = ""
-        """Why the vehicle cannot be reached; empty when it can."""
+        """The reason why the vehicle cannot be reached; empty when it can."""
         self.sent = 0
         self._request = CommandRequest.KILL if order.what == KILL else CommandRequest.LAND
         self._autopilot = AUTOPILOTS[record.autopilot]

@@ -73,7 +73,7 @@ class EmergencyStop:
 
     @property
     def local(self) -> bool:
-        """Whether every bridge of the fleet has a record on this host, so that no other path is needed."""
+        """True if every bridge of the fleet has a record on this host, so that no other path is needed."""
         fleet = fleet_bridges(self._folder)
         return bool(fleet) and set(fleet) <= set(self._known)
 
@@ -160,7 +160,7 @@ class EmergencyStop:
             self._done.setdefault(name, self._elapsed())
 
     def _enough(self, record: VehicleRecord) -> bool:
-        """Whether this answer shows that the vehicle does as it was told."""
+        """True if this answer shows that the vehicle does as it was told."""
         if record.order and record.in_pilots_hands and not self._order.pilots_too:
             return True
         took = self._order.what in record.order.partition(" ")[0] or KILL in record.order

@@ -88,7 +88,7 @@ class FaultInjector:
         self._due.clear()
 
     def comes_back(self, child: ChildProcess) -> bool:
-        """Whether a process that has ended is to be started again."""
+        """True if a process that has ended is to be started again."""
         return any(child is one for _, one in self._gone)
 
     def _strike(self, child: ChildProcess, fault: FaultBlock, now_s: float) -> None:

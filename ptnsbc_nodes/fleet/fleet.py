@@ -40,7 +40,7 @@ _DIED, _INTERRUPTED = 1, 130
 
 @dataclass(frozen=True)
 class ProcessReport:
-    """How one process ended."""
+    """The end of one process."""
 
     name: str
     pid: int

@@ -30,15 +30,15 @@ class FlightCheck:
 
     @property
     def holds(self) -> bool:
-        """Whether vehicles are kept from arming until `before_arming`."""
+        """True if vehicles are kept from arming until `before_arming`."""
         return bool(self._coordinator.held)
 
     def located(self) -> bool:
-        """Whether all bridges know where their vehicles are."""
+        """True if all bridges know where their vehicles are."""
         return not self._lost()
 
     def refusal(self) -> str:
-        """Why an operator must not let the vehicles arm now; empty when nothing speaks against it."""
+        """The reason why an operator must not let the vehicles arm now; empty when nothing speaks against it."""
         if self._options.backend != "mavlink":
             return "simulated vehicles need no arming: /formation/start begins the flight"
         if not self._options.wait:

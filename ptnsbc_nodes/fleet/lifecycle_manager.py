@@ -119,7 +119,7 @@ class LifecycleManager:
         )
 
     def asked(self, name: str) -> bool:
-        """Whether a transition has been requested of the process."""
+        """True if a transition has been requested of the process."""
         return name not in self._nodes or self._nodes[name].asked
 
     def look(self) -> None:

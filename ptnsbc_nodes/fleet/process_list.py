@@ -48,17 +48,17 @@ class FleetOptions:
 
     @property
     def shared(self) -> bool:
-        """Whether other computers run the rest of the fleet."""
+        """True if other computers run the rest of the fleet."""
         return bool(self.only)
 
     @property
     def leads(self) -> bool:
-        """Whether this computer starts and ends the flight: the one that records it."""
+        """True if this computer starts and ends the flight: the one that records it."""
         return not self.only or RECORDER in self.only
 
     @property
     def recorded(self) -> bool:
-        """Whether a recorder listens, here or elsewhere."""
+        """True if a recorder listens, here or elsewhere."""
         return self.bag is not None or self.shared
 
     @property

@@ -129,7 +129,7 @@ class Supervisor:
             self._progress(f"{count} processes are ready: started")
 
     def _wait_for_arming(self) -> float:
-        """Where an operator lets the vehicles arm: wait for that; returns for how long [s]."""
+        """Wait until an operator lets the vehicles arm, if one does; returns for how long [s]."""
         began = time.monotonic()
         if self._options.wait:
             self._progress("the vehicles arm when an operator calls /formation/arm")
@@ -185,7 +185,7 @@ class Supervisor:
         return self._options.backend == "sim"
 
     def _flying(self) -> bool:
-        """Whether both a vehicle's process and a UAV are left, as far as this computer knows."""
+        """True if both a vehicle's process and a UAV are left, as far as this computer knows."""
         remote = [name for name in self._elsewhere if name not in self._coordinator.gone]
         remote_uavs = [name for name in remote if name.startswith("uav")]
         vehicles = any(c.command.ends and c.exit_code is None for c in self.children)
@@ -268,7 +268,7 @@ class Supervisor:
 
     @property
     def _folder(self) -> Path:
-        """Where the bridges keep their records."""
+        """The folder in which the bridges keep their records."""
         return runtime_folder(self._coordinator.domain)
 
     def _name_armed(self, bridges: Sequence[ChildProcess]) -> None:

@@ -33,7 +33,7 @@ _SHARED = frozenset({topics.DIAGNOSTICS.name, topics.TF.name})
 
 
 def topic_info(topic: Topic, *, lockstep: bool) -> TopicInfo:
-    """How `topic` is described in a bag: the profile that its publishers offer."""
+    """The description of `topic` in a bag: the profile that its publishers offer."""
     return describe(topic.name, topic.type, [qos.profile(topic, lockstep=lockstep)])
 
 

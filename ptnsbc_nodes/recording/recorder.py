@@ -132,7 +132,7 @@ def recorder_node(context: Context, name: str) -> Iterator[tuple[Node, Executor]
 
 
 def describe(name: str, kind: str, offered: Sequence[QoSProfile]) -> TopicInfo:
-    """How a bag describes a topic: by the weakest profile that its publishers offer."""
+    """The description of a topic in a bag, by the weakest profile that its publishers offer."""
     reliable = all(qos.reliability == QoSReliabilityPolicy.RELIABLE for qos in offered)
     latched = all(qos.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL for qos in offered)
     return TopicInfo(

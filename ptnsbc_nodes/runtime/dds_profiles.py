@@ -20,7 +20,7 @@ from ptnsbc_core.errors import PtnsbcError
 LOOPBACK = "127.0.0.1"
 SERVER_PORT = 11811
 PROCESSES = 32
-"""How many processes are looked for on each host by default."""
+"""The number of processes that are looked for on each host by default."""
 
 # rmw_fastrtps numbers the servers of ROS_DISCOVERY_SERVER in the same way: `DS SERVER <id>`.
 _SERVER_PREFIX = "44.53.{:02x}.5f.45.50.52.4f.53.49.4d.41"

@@ -204,7 +204,7 @@ def _locked_domain() -> tuple[socket.socket, int]:
 
 
 def _is_unused(domain: int) -> bool:
-    """Whether the ports of the first participants of the domain are free."""
+    """True if the ports of the first participants of the domain are free."""
     for participant in range(_FIRST_PARTICIPANTS):
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
             try:

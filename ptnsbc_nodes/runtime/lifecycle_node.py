@@ -25,7 +25,7 @@ class ConfiguredNode(Protocol):
 
     @property
     def begun(self) -> bool:
-        """Whether its flight has begun."""
+        """True if its flight has begun."""
 
     def activate(self) -> None:
         """Begin."""
@@ -61,7 +61,7 @@ class ManagedNode(LifecycleNode):
         return str(self._state_machine.current_state[1])
 
     def fixed(self) -> str:
-        """Why values of the scenario may not change now; empty where they may."""
+        """The reason why values of the scenario may not change now; empty where they may."""
         if self._flown:
             return "the flight has begun, and all its processes must agree; start this one anew"
         return "" if self.state == "unconfigured" else FIXED
@@ -80,7 +80,7 @@ class ManagedNode(LifecycleNode):
             self.work.endpoints.flush(timeout_s)
 
     def account(self) -> str:
-        """How many messages it has sent, see `Endpoints.account`."""
+        """The number of messages that it has sent, see `Endpoints.account`."""
         return "" if self.work is None else self.work.endpoints.account()
 
     def finish(self) -> None:

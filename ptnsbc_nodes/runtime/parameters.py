@@ -62,7 +62,7 @@ SCENARIO = (
 )
 UAV = ReadOnlyParameter("uav", 0, "id of the UAV; 0: that of the namespace", 0, 254)
 FIXED = "fixed since the node was configured; clean it up first"
-"""Why a value of the scenario may not change."""
+"""The reason why a value of the scenario may not change."""
 BRIDGED = ReadOnlyParameter("bridged", False, "flight controllers fly, there is no sim")
 AUTOSTART = ReadOnlyParameter("autostart", True, "configure and activate without being asked")
 

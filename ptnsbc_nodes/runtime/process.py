@@ -152,7 +152,7 @@ class ProcessLifetime:
 
     @property
     def over(self) -> bool:
-        """Whether a signal has come, or `end` was called."""
+        """True if a signal has come, or `end` was called."""
         return self._signalled or self._done.done()
 
     def serve(self, node: Node, endpoints: _Endpoints, others: Sequence[ManagedNode] = ()) -> None:

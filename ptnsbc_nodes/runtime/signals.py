@@ -73,7 +73,7 @@ def signals_blocked() -> Iterator[None]:
 
 
 class StopRequest:
-    """Whether one of the signals has come inside the `with`; their old handlers return after it.
+    """A request to stop: true when one of the signals has come inside the `with`; their old handlers return after it.
 
     Outside the main thread Python allows no handlers, and no signal is noticed.
     """
@@ -88,7 +88,7 @@ class StopRequest:
 
     @property
     def came(self) -> bool:
-        """Whether any has come."""
+        """True if any has come."""
         return self.count > 0
 
     def __enter__(self) -> StopRequest:

@@ -1,4 +1,4 @@
-"""Whether the middleware has DDS Security, and the settings that make a process insist on it."""
+"""The DDS Security of the middleware, and the settings that make a process insist on it."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class DdsSecurityError(PtnsbcError):
 
 
 def lacks_security() -> bool:
-    """Whether the installed rmw_fastrtps was built without DDS Security; False also for another middleware."""
+    """True if the installed rmw_fastrtps was built without DDS Security; False also for another middleware."""
     found = next((path for path in _libraries() if path.is_file()), None)
     return found is not None and _WITHOUT in found.read_bytes()
 

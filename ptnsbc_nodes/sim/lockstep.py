@@ -48,7 +48,7 @@ class LockstepScheduler:
         return self._at[uav_id]
 
     def awaited(self, uav_id: int) -> bool:
-        """Whether the state of this UAV is published and its wrench is not here yet."""
+        """True if the state of this UAV is published and its wrench is not here yet."""
         return uav_id not in self._unpublished
 
     def mark_published(self, uav_id: int) -> None:

@@ -91,12 +91,12 @@ class UavCounters:
 
     @property
     def deadlock(self) -> bool:
-        """Whether the UAV was in a deadlock at the newest step."""
+        """True if the UAV was in a deadlock at the newest step."""
         return self._newest is not None and bool(self._newest.deadlock)
 
     @property
     def holding(self) -> bool:
-        """Whether the UAV held its position at the newest step."""
+        """True if the UAV held its position at the newest step."""
         return self._newest is not None and bool(self._newest.holding)
 
     def numbers(self) -> list[float]:
@@ -205,7 +205,7 @@ class UavController:
 
     @property
     def leads(self) -> bool:
-        """Whether the UAV leads where UAVs may come and go."""
+        """True if the UAV leads where UAVs may come and go."""
         return self._roles is not None and self._roles.leads
 
     @property

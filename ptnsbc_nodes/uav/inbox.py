@@ -89,7 +89,7 @@ class MessageQueue:
         return None
 
     def _late(self, message: Stamped, now_ns: int) -> bool:
-        """Whether a fault keeps a message from having arrived."""
+        """True if a fault keeps a message from having arrived."""
         added_ns = delay_ns(self._faults, self._sender, message.stamp_ns)
         return added_ns > 0 and message.stamp_ns > now_ns - self._delay_ns - added_ns
 
@@ -189,7 +189,7 @@ class Inbox:
         self._awaited = [one for one in awaited if one[0] not in self._lost]
 
     def holds_tick(self, period_ns: int, near_every: int) -> bool:
-        """Whether everything that the tick of the own odometry needs is here (lock-step)."""
+        """True if everything that the tick of the own odometry needs is here (lock-step)."""
         if self.own is None or self.near is None:
             return False
         now_ns = self.own.stamp_ns

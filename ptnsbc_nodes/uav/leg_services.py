@@ -149,7 +149,7 @@ class LegServices:
         return on_request
 
     def _start_ns(self) -> int | None:
-        """When the mission begins by the wall clock; None when it does not say so, and in lock-step."""
+        """The time at which the mission begins by the wall clock; None when it does not say so, and in lock-step."""
         scenario = self._epochs.scenario
         mission = None if scenario is None else scenario.file.mission
         if mission is None or mission.start is None or self._lockstep:
@@ -231,7 +231,7 @@ def _times(one: ScheduledLeg) -> dict[str, float]:
 
 
 def _cannot_fly(scenario: Scenario, word: Word) -> str:
-    """Why the legs that a word begins cannot be flown from where the formation is then, empty when they can."""
+    """The reason why legs that a word begins cannot be flown from where the formation is then; empty when they can."""
     try:
         flown = scenario.with_words((*scenario.words, word))
     except PtnsbcError as error:

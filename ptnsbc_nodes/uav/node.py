@@ -84,7 +84,7 @@ class UavNode:
         self._timing = UavTiming(node, scenario, names, edges.options.lockstep)
         self._active = False
         self._at_start = not edges.options.bridged
-        """Whether the UAV is at its start; a bridge brings its vehicle there before the first leg."""
+        """True if the UAV is at its start; a bridge brings its vehicle there before the first leg."""
         self._slots = self._decider = None
         if are_open(scenario):
             self._slots = OpenSlots(scenario, uav_id, edges, self._controller)
@@ -106,7 +106,7 @@ class UavNode:
 
     @property
     def begun(self) -> bool:
-        """Whether a leg has been announced."""
+        """True if a leg has been announced."""
         return self._epochs.announced
 
     def activate(self) -> None:
@@ -170,7 +170,7 @@ class UavNode:
         return missing
 
     def _waiting_to_start(self) -> list[str]:
-        """What a leg in formation waits for: with open slots, positions too."""
+        """The things for which a leg in formation waits: with open slots, positions too."""
         missing = self.waiting_for()
         return [*missing, *(name for name in self._unknown_positions() if name not in missing)]
 
@@ -298,7 +298,7 @@ class UavNode:
             self._decider.follow(scenario)
 
     def _on_slots(self, decision: Decision) -> None:
-        """Who takes which slot; a UAV that hears it after its epoch holds until then."""
+        """Take the decision on the slots; a UAV that hears it after its epoch holds until then."""
         if self._slots is not None:
             self._slots.decided.keep(decision)
         self._advance()

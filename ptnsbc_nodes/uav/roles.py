@@ -54,11 +54,11 @@ class RoleHolder:
 
     @property
     def leads(self) -> bool:
-        """Whether the UAV leads by the members that it sees."""
+        """True if the UAV leads by the members that it sees."""
         return self._before is not None and self._before.leader_id == self.uav
 
     def holds(self, mode: int) -> bool:
-        """Whether the UAV has to hold in a leg, because it is no member yet."""
+        """True if the UAV has to hold in a leg, because it is no member yet."""
         return mode == MODE_FORMATION and self.uav in self._members.absent
 
     def look(self, now_ns: int, first_t0_ns: int, ages_s: Mapping[int, float]) -> NewRole | None:

@@ -40,7 +40,7 @@ class FlightState:
         self.scenario = scenario
         """As it is flown: with the slots that the UAVs took, once they are known."""
         self.flown_anew = 0
-        """How often `scenario` has changed."""
+        """The number of times that `scenario` has changed."""
         self._file = scenario
         self._clock_s = clock_s
         self._decided = DecidedSlots(scenario)
@@ -99,7 +99,7 @@ class FlightState:
 
     @property
     def started(self) -> bool:
-        """Whether the first leg is announced."""
+        """True if the first leg is announced."""
         return self._epochs.announced
 
     @property

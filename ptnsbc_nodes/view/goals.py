@@ -185,7 +185,7 @@ class MissionGoal(_Goal):
 
 
 def _outcome(one: ScheduledLeg, following_s: float, now_s: float, state: FleetState) -> LegOutcome:
-    """How a leg was flown that another one at `following_s` cut short, or that is due."""
+    """The result of a leg that another one at `following_s` cut short, or that is due."""
     found = LegOutcome(number=one.number, name=one.name, worst_error_m=math.nan)
     if following_s < one.due_s - 1e-9:
         found.outcome = LegOutcome.CUT_SHORT

@@ -132,7 +132,7 @@ class OperatorNode:
         self._endpoints.flush(timeout_s)
 
     def account(self) -> str:
-        """What was sent."""
+        """The number of messages that were sent."""
         return self._endpoints.account()
 
     def close(self) -> None:
@@ -222,7 +222,7 @@ class OperatorNode:
         )
 
     def services_are_there(self) -> bool:
-        """Whether every service of the leader and of the launcher has been found."""
+        """True if every service of the leader and of the launcher has been found."""
         return all(one.service_is_ready() for one in (*self._leader.values(), self._launcher))
 
     def begin(self, name: str) -> Answer:

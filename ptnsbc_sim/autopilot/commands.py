@@ -48,7 +48,7 @@ def whole(value: float) -> int:
 
 
 def custom_mode(request: Request) -> bool:
-    """Whether a DO_SET_MODE means the autopilot's own modes."""
+    """True if a DO_SET_MODE means the autopilot's own modes."""
     base = whole(request.params[0])
     return base > 0 and bool(base & mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED)
 

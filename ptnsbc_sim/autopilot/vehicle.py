@@ -206,25 +206,25 @@ class StandInVehicle(ABC):
 
     @property
     def in_contact(self) -> bool:
-        """Whether it touches the ground."""
+        """True if it touches the ground."""
         return self.flight.in_contact
 
     @property
     def landed(self) -> bool:
-        """Whether the land detector is sure."""
+        """True if the land detector is sure."""
         return self.flight.standing_s >= _LANDED_AFTER_S or not (self.armed or not self.in_contact)
 
     def booting(self, t: float) -> bool:
-        """Whether it is still silent after a reboot."""
+        """True if it is still silent after a reboot."""
         return t < self._silent_until
 
     def position_valid(self, t: float) -> bool:
-        """Whether the estimator has a valid position."""
+        """True if the estimator has a valid position."""
         lost_s = self.flight.navigation.lost_s(t)
         return t >= self._ready_at and lost_s < self.dead_reckoning_s
 
     def gcs_on(self, link: int, t: float) -> bool:
-        """Whether a ground station sent HEARTBEAT on a link lately; a companion does not count."""
+        """True if a ground station sent HEARTBEAT on a link lately; a companion does not count."""
         return t - self.gcs_heard.get(link, -math.inf) < GCS_TIMEOUT_S
 
     # Power and arming.

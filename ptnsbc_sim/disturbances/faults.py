@@ -34,7 +34,7 @@ class MessageFault(NamedTuple):
     number: int = 0  # of the fault in the scenario: each has random numbers of its own
 
     def holds(self, stamp_ns: int) -> bool:
-        """Whether a message of this stamp [ns] is concerned."""
+        """True if a message of this stamp [ns] is concerned."""
         return self.start_ns <= stamp_ns < self.end_ns
 
 
@@ -80,7 +80,7 @@ class FaultyLink(NamedTuple):
         )
 
     def loses(self, faults: Sequence[MessageFault], stamp_ns: int) -> bool:
-        """Whether a message of this stamp is lost."""
+        """True if a message of this stamp is lost."""
         return any(
             fault.sender == self.sender
             and fault.holds(stamp_ns)
@@ -93,7 +93,7 @@ class FaultyLink(NamedTuple):
         )
 
     def losses(self, faults: Sequence[MessageFault], ticks: int) -> NDArray[np.bool_]:
-        """Whether the message of each tick (ticks,) is lost."""
+        """True if the message of each tick (ticks,) is lost."""
         lost = np.zeros(ticks, dtype=np.bool_)
         for fault in faults:
             if fault.sender == self.sender and fault.loss > 0.0:
@@ -130,7 +130,7 @@ def _span(fault: MessageFault, ticks: int, period_ns: int) -> slice:
 
 
 def strikes(fault: FaultBlock, kind: str, uav_id: int, now_ns: int, t0_ns: int = 0) -> bool:
-    """Whether a fault of this kind strikes this UAV at `now_ns`; its time counts from `t0_ns`."""
+    """True if a fault of this kind strikes this UAV at `now_ns`; its time counts from `t0_ns`."""
     if fault.kind != kind or fault.struck_uav != uav_id:
         return False
     start_ns, end_ns = fault.window_ns(t0_ns)
@@ -145,7 +145,7 @@ def without_position(values: Array) -> Array:
 
 
 def gone(scenario: Scenario, kinds: Collection[str] = _GONE) -> NDArray[np.bool_]:
-    """Whether the process of each UAV is dead at each tick (T, N), by faults of these kinds."""
+    """True if the process of each UAV is dead at each tick (T, N), by faults of these kinds."""
     found = np.zeros((scenario.ticks, len(scenario.uav_ids)), dtype=np.bool_)
     for fault in scenario.faults:
         if fault.kind in kinds and fault.struck_uav is not None:

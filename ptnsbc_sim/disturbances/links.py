@@ -24,11 +24,11 @@ class MessageLoss:
     period_ns: int
 
     def state(self, sender: int, stamp_ns: int, faults: Sequence[MessageFault] = ()) -> bool:
-        """Whether the formation_state of this stamp is lost, by chance or by a fault."""
+        """True if the formation_state of this stamp is lost, by chance or by a fault."""
         return self._lost(random_streams.STATE_LINK, sender, stamp_ns, faults)
 
     def estimate(self, sender: int, stamp_ns: int, faults: Sequence[MessageFault] = ()) -> bool:
-        """Whether the leader_estimate of this stamp is lost, by chance or by a fault."""
+        """True if the leader_estimate of this stamp is lost, by chance or by a fault."""
         return self._lost(random_streams.ESTIMATE_LINK, sender, stamp_ns, faults)
 
     def _lost(self, kind: int, sender: int, stamp_ns: int, faults: Sequence[MessageFault]) -> bool:
@@ -50,7 +50,7 @@ def message_loss(scenario: Scenario, uav_id: int) -> MessageLoss | None:
 
 
 class LinkDelay(NamedTuple):
-    """How late the messages of one sender come."""
+    """The delays of the messages of one sender."""
 
     ns: int
     ticks: int  # in control periods, rounded up

@@ -71,6 +71,6 @@ def normals(address: Address, ticks: int, width: int) -> Array:
 
 
 def uniform_below(address: Address, ticks: int, share: float) -> NDArray[np.bool_]:
-    """Whether the numbers of the first ticks (ticks,) are below `share`."""
+    """True if the numbers of the first ticks (ticks,) are below `share`."""
     blocks = range(-(-ticks // BLOCK_TICKS))
     return np.concatenate([_uniforms(address, block) for block in blocks])[:ticks] < share

@@ -111,7 +111,7 @@ def _offset_from_parent(scenario: Scenario, uav_id: int) -> Array:
 
 
 class SeveralParents(NamedTuple):
-    """What one UAV takes of each of its parents; see `ptnsbc_core.behaviours.parents`."""
+    """The share that one UAV takes of each of its parents; see `ptnsbc_core.behaviours.parents`."""
 
     ids: tuple[int, ...]  # (P,)
     weights: Array  # (P,)
@@ -271,7 +271,7 @@ def sight_speed(
 
 
 def recovery_config(scenario: Scenario, uav_id: int) -> RecoveryConfig:
-    """What the way back after an encounter may ask for: half of what the leader's motion leaves of the vehicle.
+    """The demands of the way back after an encounter: half of what the leader's motion leaves of the vehicle.
 
     The motion of the leader is common to all and closes no pair. So beside it each of two that come back can stop
     within half of what they see, with the braking that the way back leaves.

@@ -129,7 +129,7 @@ def limits_left_by_mission(file: ScenarioFile, first: float, last: float) -> Lim
 
 
 class LegRoom(NamedTuple):
-    """Whether a leg can be flown."""
+    """The room of a leg: it can be flown, or not."""
 
     found: str
     limit: str
@@ -137,7 +137,7 @@ class LegRoom(NamedTuple):
 
 
 def leg_room(file: ScenarioFile, one: ScheduledLeg, until_s: float) -> LegRoom:
-    """Whether a leg after the first can be flown, by the limits of the vehicle.
+    """True if a leg after the first can be flown, by the limits of the vehicle.
 
     Args:
         file: a whole scenario, with the trajectory and the changes of its mission.

@@ -42,7 +42,7 @@ class Estimator(Block):
     boundary: Positive
     """Width of the saturation, per estimated unit."""
     feed_forward: Flag
-    """Whether the estimated velocity is fed forward to the estimated position."""
+    """True if the estimated velocity is fed forward to the estimated position."""
     time_base: Flag
     """False: the estimator has no time base, and its gain is always `k1_1_s`."""
 
@@ -157,7 +157,7 @@ class Gains(Block):
     """All gains of the laws."""
 
     profile: Profile
-    """How the gains start at the epoch, see [method.md](method.md#time-base-1215)."""
+    """The start of the gains at the epoch, see [method.md](method.md#time-base-1215)."""
     formation: Loop
     """Loop of leader tracking and formation."""
     attitude: Loop

@@ -112,7 +112,7 @@ class Mavlink(Block):
     rate_hz: Annotated[Count, Field(ge=20, le=100)] = 50
     """Rate of the setpoints."""
     acceleration_feed_forward: Flag = True
-    """Whether velocity setpoints lead the known lag of the vehicle, with an acceleration beside them."""
+    """True if velocity setpoints lead the known lag of the vehicle, with an acceleration beside them."""
     takeoff_height_m: Positive = 3.0
     """Takeoff height above the ground under each vehicle."""
     start_tolerance_m: Positive = 1.0
@@ -134,7 +134,7 @@ class Mavlink(Block):
     geofence: Geofence = Geofence()
     """Region in which the vehicles may fly; a vehicle outside lands."""
     abort: Abort = Abort()
-    """When the formation is given up in flight."""
+    """The limits beyond which the formation is given up in flight."""
     limits: VehicleLimits = VehicleLimits()
     """Limits of the setpoints."""
     vehicles: dict[UavId, MavlinkVehicle] = Field(default_factory=dict)

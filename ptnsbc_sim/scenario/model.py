@@ -49,7 +49,7 @@ class Timing(Block):
 
 
 class Surroundings(Block):
-    """What surrounds the UAVs."""
+    """The surroundings of the UAVs."""
 
     gravity_m_s2: NotNegative = 9.81
     """Acceleration, downwards."""
@@ -60,7 +60,7 @@ class Surroundings(Block):
     gust_time_s: Positive = 2.0
     """Correlation time of the gusts."""
     obstacles: tuple[ObstacleBlock, ...] = ()
-    """What to keep out of:"""
+    """Obstacles to keep out of:"""
 
 
 class Positioning(Block):
@@ -148,7 +148,7 @@ class LinkBlock(Block):
 
 
 class LinkQuality(NamedTuple):
-    """What becomes of the messages from one UAV to another."""
+    """The loss and delay of the messages from one UAV to another."""
 
     loss: float  # fraction that is lost
     delay_s: float  # from sending to arrival
@@ -205,13 +205,13 @@ class Formation(Block):
     task: TaskName
     """Task of the followers, see [method.md](method.md)."""
     approach: Literal["planned", "task"] = "planned"
-    """How the formation comes about: `planned` forms by positions, on straight lines with one time profile, and holds
+    """The way to the formation: `planned` forms by positions, on straight lines with one time profile, and holds
     by the task; `task` lets the task itself close every error, as the paper does."""
     assignment: Literal["fixed", "optimal"] = "fixed"
-    """Who takes which slot: `fixed` gives every UAV its own; `optimal` decides at each epoch by the measured positions,
-    see [method.md](method.md#slots)."""
+    """Assignment of the slots: `fixed` gives every UAV its own; `optimal` decides at each epoch by the measured
+    positions, see [method.md](method.md#slots)."""
     vacancy: Literal["wait", "keep", "close_up"] = "wait"
-    """What becomes of the slot of a UAV that is lost or leaves, see [missions.md](missions.md#coming-and-going): with
+    """Use of the slot of a UAV that is lost or leaves, see [missions.md](missions.md#coming-and-going): with
     `wait` its children hold until they hear it again; `keep` leaves the slot empty, and they get another parent;
     `close_up` moves those behind it up."""
     avoidance: Literal["off", "set_based", "switched"] = "set_based"
@@ -314,12 +314,12 @@ class Plugins(Block):
 
     @property
     def of_uav(self) -> bool:
-        """Whether a function runs in the process of a UAV."""
+        """True if a function runs in the process of a UAV."""
         return self.task is not None or self.controller is not None
 
     @property
     def of_world(self) -> bool:
-        """Whether a function runs where the vehicles are simulated."""
+        """True if a function runs where the vehicles are simulated."""
         return any(one is not None for one in (self.plant, self.disturbance, self.sensor))
 
     def path_of(self, kind: str) -> str:
@@ -355,7 +355,7 @@ class ScenarioFile(Block):
     timing: Timing
     """Rates and duration."""
     world: Surroundings = Surroundings()
-    """What surrounds the UAVs."""
+    """The surroundings of the UAVs."""
     sensor: Sensor
     """Sensors of a UAV."""
     plant: Plant
@@ -369,7 +369,7 @@ class ScenarioFile(Block):
     gains: Gains
     """All gains of the laws."""
     mission: Mission | None = None
-    """What the formation does, leg by leg, see [missions.md](missions.md). Default: it forms and follows the trajectory
+    """Task of the formation, leg by leg, see [missions.md](missions.md). Default: it forms and follows the trajectory
     of the leader."""
     law: FunctionName | None = None
     """Law of the followers in place of ours: `FILE.py:NAME` of a function, looked for beside this file, or the name

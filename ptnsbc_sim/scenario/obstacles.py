@@ -1,4 +1,4 @@
-"""What the UAVs keep out of: its block in a scenario file, and the bodies that sensor, verdict and check share."""
+"""An obstacle: its block in a scenario file, and the bodies that sensor, verdict and check share."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ class ObstacleBlock(Block):
 
 
 def problems(block: ObstacleBlock) -> Iterator[str]:
-    """What is wrong with an obstacle, as `key: value: expectation` below it."""
+    """The problems of an obstacle, as `key: value: expectation` below it."""
     yield from _wrong_keys(block)
     if block.kind not in ("ground", "map") and (block.position_m is None) == (
         block.trajectory is None
@@ -152,7 +152,7 @@ def bodies(block: ObstacleBlock) -> Iterator[ObstacleBlock]:
 
 
 class Motion(NamedTuple):
-    """Where an obstacle is at some times, and how fast."""
+    """The places and velocities of an obstacle at some times."""
 
     positions: Array  # (T, 3) [m], ENU
     velocities: Array  # (T, 3) [m/s], ENU

@@ -53,9 +53,9 @@ class Scenario:
     text: str = field(repr=False)
     """YAML after `extends` and overrides: loads again to the same scenario; attached to bags."""
     source: str
-    """Where it was read from, for messages."""
+    """The file or text that it was read from, for messages."""
     words: tuple[Word, ...] = ()
-    """What an operator said of its legs in flight."""
+    """The words of an operator about its legs, in flight."""
 
     def with_(self, keys: Mapping[str, Any] | None = None, /, **more: Any) -> Scenario:
         """This scenario with dotted keys set: `with_({"gains.formation.deadline_s": 6}, seed=3)`.
@@ -71,7 +71,7 @@ class Scenario:
         return scenario_from_text(self.text, given, source=self.source)
 
     def shares_all_but_starts(self, other: Scenario) -> bool:
-        """Whether `other` has the very objects of this scenario, but for seed, start positions and text.
+        """True if `other` has the very objects of this scenario, but for seed, start positions and text.
 
         A scenario that was read anew shares nothing, even where it says the same.
         """
@@ -124,7 +124,7 @@ class Scenario:
 
     @property
     def hears_setpoints(self) -> bool:
-        """Whether its leader takes setpoints from a topic."""
+        """True if its leader takes setpoints from a topic."""
         return hears_setpoints(self.file.leader.trajectory)
 
     @property
@@ -136,7 +136,7 @@ class Scenario:
 
     @property
     def landing_ns(self) -> int | None:
-        """When the leg `land` begins, after the first epoch [ns]; None without one."""
+        """The time at which the leg `land` begins, after the first epoch [ns]; None without one."""
         begin_s = landing_s(self.legs)
         return None if begin_s is None else round(begin_s * NANOSECONDS)
 
@@ -287,7 +287,7 @@ class Scenario:
 
     @property
     def lossy(self) -> bool:
-        """Whether messages between UAVs get lost or come late."""
+        """True if messages between UAVs get lost or come late."""
         block = self.file.communication
         own = any(link.loss or link.delay_s for link in block.links)
         late = own or block.loss > 0.0 or block.delay_s > 0.0
@@ -295,7 +295,7 @@ class Scenario:
 
     @property
     def reconfigures(self) -> bool:
-        """Whether UAVs may come and go: the others take another parent or leader then."""
+        """True if UAVs may come and go: the others take another parent or leader then."""
         return self.file.formation.vacancy != "wait"
 
     @property
@@ -310,7 +310,7 @@ class Scenario:
 
     @property
     def imperfect(self) -> bool:
-        """Whether the flight has disturbances: position or sensor noise, gusts, lost or late messages, faults."""
+        """True if the flight has disturbances: position or sensor noise, gusts, lost or late messages, faults."""
         return (
             self.sensor.positioning is not None
             or self.sensor.noise_m > 0.0
@@ -399,11 +399,11 @@ class Scenario:
 
     @property
     def most_parents(self) -> int:
-        """How many parents a UAV with several has at most; 0 where each has one."""
+        """The largest number of parents of a UAV with several; 0 where each has one."""
         return max(map(len, (self.file.communication.parents or {}).values()), default=0)
 
     def pinned(self, uav_id: int) -> bool:
-        """Whether this follower receives the leader's state."""
+        """True if this follower receives the leader's state."""
         return uav_id in self.topology.pinned
 
     def estimator_neighbours(self, uav_id: int) -> tuple[int, ...]:

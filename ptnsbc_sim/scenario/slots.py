@@ -30,7 +30,7 @@ class SlotsError(PtnsbcError):
 
 
 def are_open(scenario: Scenario) -> bool:
-    """Whether it is open who takes which slot, until an epoch decides it."""
+    """True if it is open who takes which slot, until an epoch decides it."""
     return scenario.file.formation.assignment == "optimal"
 
 

@@ -35,7 +35,7 @@ class SweepAxis:
 
     @property
     def random(self) -> bool:
-        """Whether a value is drawn; otherwise the axis is one of the grid."""
+        """True if a value is drawn; otherwise the axis is one of the grid."""
         return self.kind != VALUES
 
     def at(self, share: float) -> float:

@@ -41,7 +41,7 @@ _FILE = re.compile(r"(/[^\n'\"]+?\.py):[A-Za-z_]")  # of a function of the user
 
 
 def chunk_count(plan: SweepPlan) -> int:
-    """How many chunks a sweep has."""
+    """The number of chunks of a sweep."""
     return -(-plan.draws // CHUNK_DRAWS)
 
 
@@ -117,7 +117,7 @@ def _unit(unit: str) -> dict[str, str]:
 
 
 def made_by_others(chunk: Path, today: str) -> bool:
-    """Whether the flights in the file of a chunk were flown by other laws or library versions than `made_by` says."""
+    """True if the flights in the file of a chunk were flown by other laws or library versions than `made_by` says."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 

@@ -59,7 +59,7 @@ class DryFlight:
 
     @property
     def met(self) -> bool:
-        """Whether all UAVs met the deadline and kept their distances."""
+        """True if all UAVs met the deadline and kept their distances."""
         return self.verdict == MET
 
 
@@ -72,11 +72,11 @@ class DryRun:
 
     @property
     def met(self) -> int:
-        """How many are met."""
+        """The number of those that are met."""
         return sum(flight.met for flight in self.flights)
 
     def accepted(self) -> bool:
-        """Whether the unperturbed flight is met, and at least the share `least` of all."""
+        """True if the unperturbed flight is met, and at least the share `least` of all."""
         return self.flights[0].met and self.met >= self.least * len(self.flights) - _EXACT
 
     @property

@@ -39,7 +39,7 @@ CountRange = Annotated[Count | tuple[Count, Count], Field(description="a number,
 
 
 class FamilyTree(Block):
-    """Who follows whom."""
+    """The parent of every follower."""
 
     kinds: tuple[Literal["chain", "star", "random"], ...] = ("random",)
     """One of these is drawn. Followers hear the leader, and the next and the last one by number."""
@@ -57,7 +57,7 @@ class FamilyShape(Block):
 
 
 class FamilyStarts(Block):
-    """Where the UAVs start."""
+    """The starts of the UAVs."""
 
     kind: Literal["near", "box", "swap", "opposite"] = "near"
     """Beside their places, anywhere in a box, each follower at the place of another one, or across the leader."""
@@ -70,7 +70,7 @@ class FamilyStarts(Block):
 
 
 class FamilyPath(Block):
-    """What the leader flies."""
+    """The path of the leader."""
 
     kinds: tuple[Literal["hover", "line", "circle"], ...] = ("hover",)
     """One of these is drawn."""
@@ -103,7 +103,7 @@ class FamilyObstacles(Block):
     """Spheres to keep out of."""
 
     count: CountRange
-    """How many, as far as there is room for them: the table tells how many there were."""
+    """Number of obstacles, as far as there is room for them: the table tells how many there were."""
     keep_out_m: Range = (0.5, 1.5)
     """Radius."""
     where: Literal["way", "anywhere"] = "way"
@@ -138,13 +138,13 @@ class Family(Block):
     size: CountRange = 5
     """UAVs, the leader among them."""
     tree: FamilyTree = FamilyTree()
-    """Who follows whom."""
+    """The parent of every follower."""
     shape: FamilyShape = FamilyShape()
     """The formation."""
     starts: FamilyStarts = FamilyStarts()
-    """Where the UAVs start."""
+    """The starts of the UAVs."""
     path: FamilyPath = FamilyPath()
-    """What the leader flies."""
+    """The path of the leader."""
     task: TaskName | None = None
     """formation.task; the base scenario's without it."""
     assignment: Literal["fixed", "optimal"] | None = None

@@ -143,7 +143,7 @@ def rows_of(draw: int, scenario: Scenario, recording: Recording, check: str = ""
 
 @dataclass
 class _Room:
-    """How close one UAV came to others."""
+    """The least distances of one UAV to others."""
 
     uav_m: float | None = None
     obstacle_m: float | None = None

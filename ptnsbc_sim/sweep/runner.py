@@ -148,7 +148,7 @@ def _prepare(plan: SweepPlan, folder: Path) -> None:
 
 
 def flown_by_others(folder: Path, plan: SweepPlan) -> bool:
-    """Whether a folder holds flights of other laws, the user's too, or library versions."""
+    """True if a folder holds flights of other laws, the user's too, or library versions."""
     today = made_by(plan)
     return any(made_by_others(chunk, today) for chunk in (folder / CHUNKS).glob("*.parquet"))
 

@@ -18,7 +18,7 @@ _MOST_TRIES = 1000
 
 @dataclass(frozen=True)
 class Starts:
-    """How the starts are drawn.
+    """The rule by which the starts are drawn.
 
     `near`: each coordinate of the file's start plus a normal number. `box`: uniform in X by Y by Z metres,
     around the mean of the file's starts horizontally, and from the lowest of them upwards. A start is drawn

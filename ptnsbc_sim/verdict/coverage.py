@@ -1,4 +1,4 @@
-"""Whether a recording is complete: missing messages, gaps, an early end, numbers that are not finite."""
+"""The completeness of a recording: missing messages, gaps, an early end, numbers that are not finite."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ LOST_S = 2.0
 
 
 class Coverage(NamedTuple):
-    """How much of the judged time a track covers."""
+    """The share of the judged time that a track covers."""
 
     missing: int  # messages missing of those sent, or of one per control period
     longest_gap_s: float

@@ -1,4 +1,4 @@
-"""Whether a UAV kept its deadline: the verdict on the figures of its error, and the causes of a miss."""
+"""The verdict on the deadline of one UAV, by the figures of its error, with the causes of a miss."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ MOST_EXCUSED = 0.5
 
 @dataclass(frozen=True)
 class UavVerdict:
-    """How one UAV kept its deadline. Errors in metres, times in seconds after the epoch."""
+    """The verdict on the deadline of one UAV. Errors in metres, times in seconds after the epoch."""
 
     uav: int
     slot: int  # its place in the formation, by the number of the UAV to which the scenario gives it
@@ -70,7 +70,7 @@ def _rise(recording: Recording, uav: int, name: str, span_s: tuple[float, float]
 
 
 def _left_again(found: UavVerdict) -> bool:
-    """Whether the error met the tolerance at the deadline and left the band after it."""
+    """True if the error met the tolerance at the deadline and left the band after it."""
     at, settled = found.error_at_deadline_m, found.settling_s
     late = settled is None or settled > found.deadline_s
     return late and at is not None and at <= found.tolerance_m
@@ -93,7 +93,7 @@ def _late(found: UavVerdict, end_s: float) -> str:
 
 
 def _unrecovered(found: UavVerdict, figures: ErrorFigures) -> str:
-    """Why an encounter over the deadline does not excuse the miss, empty when it does."""
+    """The reason why an encounter over the deadline does not excuse the miss, empty when it does."""
     at, regained, due = figures.at_due, figures.regained_s, f"{found.due_s:.2f} s"
     if at is None:
         return "an encounter lasts over the deadline until the end"
@@ -140,7 +140,7 @@ def _miss(found: UavVerdict, figures: ErrorFigures) -> str:
 
 
 def _excuse(found: UavVerdict) -> str:
-    """What a met deadline owes to encounters; empty when nothing."""
+    """The excuse of a met deadline by encounters; empty when it needs none."""
     if not found.excused_outside_s and not _late(found, np.inf):
         return found.membership
     due = f", the deadline counted at {found.due_s:.2f} s" if _late(found, np.inf) else ""
@@ -159,7 +159,7 @@ def _lost(recording: Recording, uav: int) -> list[str]:
 
 
 def _causes(recording: Recording, found: UavVerdict, end_s: float) -> tuple[list[str], bool]:
-    """What happened before a missed deadline or a late exit, and whether it voids the verdict.
+    """The events before a missed deadline or a late exit, and whether they void the verdict.
 
     Only what the UAVs could not help voids it: a lost process, and messages that were late although the
     scenario neither loses nor delays any.

@@ -44,7 +44,7 @@ class Encounter(NamedTuple):
 
 
 def recovery_s(scenario: Scenario, error_m: float) -> float:
-    """How long after an encounter that leaves a UAV `error_m` off its place has to be regained [s].
+    """The time after an encounter within which a UAV that is `error_m` off its place must regain it [s].
 
     With `approach: task` there is no time base of the way back: three time constants and a second. Of unlike vehicles
     it is that of the slowest.
@@ -153,7 +153,7 @@ def _changes(recording: Recording) -> Iterator[tuple[Window, Iterable[int]]]:
 
 
 def _to_regain(recording: Recording, ends: NDArray[np.int64]) -> dict[int, Array]:
-    """What every UAV has to regain (E,) [m] at the ends of encounters (E,) [ns], 0 where nothing is known.
+    """The distance that every UAV has to regain (E,) [m] at the ends of encounters (E,) [ns], 0 where nothing is known.
 
     It is the deviation from the plan, and what the velocity at which it grows adds until the loop has stopped it. Until
     the deadline the plan of a follower is its start error times 1 - h; the leader has no plan to return to before.
@@ -194,7 +194,7 @@ def _joined(spans: Iterable[Encounter]) -> list[Encounter]:
 
 
 def inside(windows: Iterable[Encounter], t_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Which instants (T,) lie in any of the encounters."""
+    """The instants (T,) that lie in any of the encounters."""
     mask = np.zeros(t_ns.shape, dtype=np.bool_)
     for one in windows:
         mask |= (t_ns >= one.begin_ns) & (t_ns <= one.back_ns)

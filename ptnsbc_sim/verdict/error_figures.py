@@ -51,7 +51,7 @@ class ValueAt:
 
 
 class _LastExit:
-    """When a curve entered its band for the last time, for samples that arrive block by block."""
+    """The last time at which a curve entered its band, for samples that arrive block by block."""
 
     def __init__(self) -> None:
         self.entered_s: float | None = 0.0  # None: it ends outside
@@ -68,7 +68,7 @@ class _LastExit:
 
 @dataclass
 class Regain:
-    """How a UAV regained its place after one encounter. Times in seconds after the epoch."""
+    """The return of a UAV to its place after one encounter. Times in seconds after the epoch."""
 
     over_s: float  # when nothing kept it from its place any more
     promised_s: float  # recovery time: so long after it the UAV has to be back
@@ -78,7 +78,7 @@ class Regain:
 
     @property
     def took_s(self) -> float:
-        """How long after the encounter the UAV was outside the band."""
+        """The time after the encounter during which the UAV was outside the band."""
         return 0.0 if self.outside_s is None else self.outside_s - self.over_s
 
 
@@ -163,7 +163,7 @@ class ErrorFigures:
     def _take_encounters(
         self, times: Array, outside: NDArray[np.bool_], near: NDArray[np.bool_], due: int
     ) -> None:
-        """Which samples (T,) are inside encounters; those from number `due` on are after the deadline."""
+        """The samples (T,) that are inside encounters; those from number `due` on are after the deadline."""
         period = np.diff(times, prepend=self._last[:1])
         fresh = times.size - period.size  # the first sample of all has no period
         self.encounter_s += float(np.sum(period[near[fresh:]]))
@@ -189,7 +189,7 @@ class ErrorFigures:
 
     @property
     def settling_s(self) -> float | None:
-        """When the error entered the band for good; later encounters are left out. None: it ends outside."""
+        """The time when the error entered the band for good; later encounters are left out. None: it ends outside."""
         return self._settled.entered_s
 
     @property
@@ -250,7 +250,7 @@ def _dues(scenario: Scenario) -> list[tuple[int, str, float]]:
 def _changes_due(
     recording: Recording, windows: list[Encounter]
 ) -> list[tuple[ChangeError, ValueAt]]:
-    """What is due after the deadline of a leg in formation; it counts from the first epoch."""
+    """The changes that are due after the deadline of a leg in formation; it counts from the first epoch."""
     scenario, found = recording.scenario, []
     before_s = (recording.start_ns - recording.first_ns) * NANO
     for number, what, due_s in _dues(scenario):

@@ -1,4 +1,4 @@
-"""How far every UAV is from its place in the formation."""
+"""The distance of every UAV from its place in the formation."""
 
 from __future__ import annotations
 

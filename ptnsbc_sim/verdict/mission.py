@@ -1,4 +1,4 @@
-"""Whether each leg of a mission was met when it was due."""
+"""The verdict on the legs of a mission, each when it was due."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _EXACT_S = 1e-9
 
 @dataclass(frozen=True)
 class MissionLegVerdict:
-    """How the UAVs met one leg of the mission. Times in seconds after the first epoch, the error in metres."""
+    """The verdict on one leg of the mission. Times in seconds after the first epoch, the error in metres."""
 
     number: int  # from 1; 0 for the one that a cancelled leg gave way to
     name: str

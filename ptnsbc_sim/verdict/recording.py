@@ -157,7 +157,7 @@ class Recording:
 
     @cached_property
     def absences(self) -> Mapping[int, tuple[Absence, ...]]:
-        """When each UAV did not belong to the formation."""
+        """The times during which each UAV did not belong to the formation."""
         return absences(self.scenario, self.estimate, self.first_ns)
 
     @cached_property
@@ -178,12 +178,12 @@ class Recording:
 
     @cached_property
     def due_ns(self) -> int:
-        """When the leg should end: at the next epoch, the end of the window, or the end of the flight."""
+        """The time at which the leg should end: at the next epoch, the end of the window, or the end of the flight."""
         return self._ended(self.first_ns + self.scenario.ticks * self.scenario.dt_ns)
 
     @cached_property
     def end_ns(self) -> int:
-        """When the judged time ends: with the leg, or at the last instant that is recorded of all UAVs."""
+        """The end of the judged time: with the leg, or at the last instant that is recorded of all UAVs."""
         return self._ended(min(track.last_ns for track in self.odometry.values()))
 
     def _ended(self, last_ns: int) -> int:

@@ -1,4 +1,4 @@
-"""How close UAVs came to each other and to obstacles, and which keep-outs they entered.
+"""The distances of UAVs to each other and to obstacles, and the keep-outs that they entered.
 
 A keep-out is entered where a distance is below it at a judged instant: between centres, and from the surface of an
 obstacle that is no sphere. The distance is compared as it is:
@@ -32,7 +32,7 @@ class Separation:
 
     @property
     def entered(self) -> bool:
-        """Whether the distance was below the keep-out."""
+        """True if the distance was below the keep-out."""
         return self.distance_m < self.keep_out_m
 
 

@@ -48,7 +48,7 @@ _VIOLATION = COUNTERS.index("priority_violation_max")
 
 @dataclass(frozen=True)
 class LegVerdict:
-    """How the UAVs kept the deadline of one formation leg, which begins at an epoch with that name."""
+    """The verdict on the deadline of one formation leg, which begins at an epoch with that name."""
 
     number: int  # from 1
     epoch_s: float

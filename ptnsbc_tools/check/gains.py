@@ -116,7 +116,7 @@ def changes(scenario: Scenario) -> Findings:
 
 
 def within_flight(scenario: Scenario) -> Findings:
-    """Whether the flight lasts until the deadline, and long enough to be judged after it."""
+    """True if the flight lasts until the deadline, and long enough to be judged after it."""
     deadline, duration = scenario.gains.formation.deadline_s, scenario.duration_s
     if deadline >= duration:
         yield Finding(

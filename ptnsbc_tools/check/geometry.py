@@ -233,7 +233,7 @@ def _sight(scenario: Scenario, name: str, uav: int, keep_out_m: float, speed: fl
 
 
 def recovery(scenario: Scenario) -> Findings:
-    """How long after an encounter a place is regained."""
+    """The time after an encounter within which a place is regained."""
     formation = scenario.file.formation
     if formation.avoidance == "off" or formation.approach != "planned":
         return

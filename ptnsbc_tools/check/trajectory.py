@@ -62,7 +62,7 @@ def _extremes(scenario: Scenario) -> Findings:
 
 
 def _outside(places: Array, fence: Geofence) -> Array:
-    """How far [m] each of the places (T, 3) is outside the fence, at most 0 inside."""
+    """The distance [m] of each of the places (T, 3) from the fence, at most 0 inside."""
     far = np.full(len(places), -np.inf)
     if fence.radius_m is not None:
         far = np.maximum(far, np.hypot(places[:, 0], places[:, 1]) - fence.radius_m)

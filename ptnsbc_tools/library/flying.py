@@ -56,7 +56,7 @@ class CheckReport:
 
     @property
     def ok(self) -> bool:
-        """Whether nothing that was found is an error."""
+        """True if nothing that was found is an error."""
         return all(finding.severity != ERROR for finding in self.findings)
 
     def __iter__(self) -> Iterator[Finding]:

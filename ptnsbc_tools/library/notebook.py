@@ -1,4 +1,4 @@
-"""How flights, sweeps, checks and verdicts look in a notebook: the tables of the command line."""
+"""The tables of flights, sweeps, checks and verdicts in a notebook: the tables of the command line."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ class Report:
     verdict: str | None
     """The word of the verdict; None: the flight cannot be judged."""
     problem: str
-    """Why the flight cannot be judged; empty when it can."""
+    """The reason why the flight cannot be judged; empty when it can."""
 
 
 def report(

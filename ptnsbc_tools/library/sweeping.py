@@ -82,7 +82,7 @@ class Sweep:
         return fly(self.scenario(k), checked=False, progress=progress)
 
     def compare(self, other: Sweep, *, margin_m: float = 0.001, seed: int = 0) -> SweepComparison:
-        """Whether another sweep of the same draws is worse, as `ptnsbc compare` says it.
+        """True if another sweep of the same draws is worse, as `ptnsbc compare` says it.
 
         Raises:
             ComparisonError: the sweeps draw differently.
@@ -266,7 +266,7 @@ def open_sweep(folder: str | Path) -> Sweep:
 def compare(
     a: Sweep | Flight, b: Sweep | Flight, *, margin_m: float = 0.001, seed: int = 0
 ) -> SweepComparison:
-    """Whether B is worse than A: what was met and the errors, paired by draw, with intervals.
+    """Compare A with B: the share that was met and the errors, paired by draw, with intervals.
 
     Args:
         a: a sweep, or a flight.

@@ -20,7 +20,7 @@ _ADDRESS = ("live view: ", "Foxglove: ")
 
 @dataclass(frozen=True)
 class Viewing:
-    """How a flight is shown while it is flown."""
+    """The views of a flight while it is flown."""
 
     scenario: Scenario
     namespace: str = ""
@@ -30,7 +30,7 @@ class Viewing:
 
     @property
     def wanted(self) -> bool:
-        """Whether anything is shown."""
+        """True if anything is shown."""
         return self.page or self.foxglove is not None or self.dashboard is not None
 
     def beside(

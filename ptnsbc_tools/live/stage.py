@@ -1,4 +1,4 @@
-"""What does not change in a flight, for the page of the live view: the same data as in a report, without samples."""
+"""The data that do not change in a flight, for the page of the live view: those of a report, without samples."""
 
 from __future__ import annotations
 

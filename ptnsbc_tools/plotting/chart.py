@@ -21,7 +21,7 @@ GOOD = "#009E73"
 
 
 class Look(NamedTuple):
-    """How one curve is drawn."""
+    """The style of one curve."""
 
     colour: int  # index into COLOURS
     dash: int  # index into DASHES

@@ -23,7 +23,7 @@ _BEFORE_S = 2.0  # shown of the time before the epoch
 
 @dataclass(frozen=True)
 class FlightView:
-    """What of a flight is shown."""
+    """The part of a flight that is shown."""
 
     recording: Recording
     status: StatusSeries

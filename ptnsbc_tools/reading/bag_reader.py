@@ -34,7 +34,7 @@ from ptnsbc_tools.reading.disk_track import SampleFile, TrackWriters
 
 @dataclass(frozen=True)
 class ReadOptions:
-    """How a bag is read and judged.
+    """The options with which a bag is read and judged.
 
     Args:
         scenario: scenario file to use instead of the attached one.

@@ -138,7 +138,7 @@ def open_source(path: Path) -> BagSource:
 
 
 def _needs_rosbags(folder: Path) -> bool:
-    """Whether a folder holds sqlite3 files, or files that rosbag2 compressed."""
+    """True if a folder holds sqlite3 files, or files that rosbag2 compressed."""
     if not (folder / METADATA_FILE).is_file():
         return False
     if not any(folder.glob("*.mcap")):

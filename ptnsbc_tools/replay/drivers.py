@@ -141,7 +141,7 @@ class LockstepDriver(Driver[int]):
         return found or replay.compare_counters()
 
     def _is_gone(self, uav: int, now_ns: int, t0_ns: int) -> bool:
-        """Whether the scenario has the process of a UAV killed, or not started again yet."""
+        """True if the scenario has the process of a UAV killed, or not started again yet."""
         tick = (now_ns - t0_ns) // self._period_ns
         return 0 <= tick < len(self._gone[uav]) and bool(self._gone[uav][tick])
 

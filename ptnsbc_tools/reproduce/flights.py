@@ -103,12 +103,12 @@ class JudgedFlight:
         return float(log[self.times >= seconds].max())
 
     def settled_s(self) -> float | None:
-        """When the last UAV settled; None when a UAV never did."""
+        """The time at which the last UAV settled; None when a UAV never did."""
         times = [uav.settling_s for uav in self.verdict.uavs]
         return None if None in times else max(time for time in times if time is not None)
 
     def met(self) -> int:
-        """How many UAVs kept the deadline and their distances."""
+        """The number of UAVs that kept the deadline and their distances."""
         return sum(uav.verdict == "met" for uav in self.verdict.uavs)
 
     def met_text(self) -> str:
@@ -136,7 +136,7 @@ class JudgedFlight:
         return max(uav.encounter_s for uav in self.verdict.uavs)
 
     def within_at(self, seconds: float) -> int:
-        """How many UAVs are within the tolerance at a time, whatever the deadline of the scenario is."""
+        """The number of UAVs within the tolerance at a time, whatever the deadline of the scenario is."""
         return int(np.sum(self.errors_at(seconds) <= self.verdict.uavs[0].tolerance_m))
 
     def clearance_m(self) -> float:
@@ -148,7 +148,7 @@ class JudgedFlight:
         return sum(one.energy_above_hover for one in self.verdict.efforts)
 
     def missed_reason(self) -> str:
-        """Why the worst UAV is not met; empty when all are."""
+        """The reason why the worst UAV is not met; empty when all are."""
         missed = [uav for uav in self.verdict.uavs if uav.verdict != "met"]
         if not missed:
             return ""

@@ -42,7 +42,7 @@ class ComparisonError(PtnsbcError):
 
 @dataclass(frozen=True)
 class MetDifference:
-    """How often the deadline was met, in A and in B, over the same draws."""
+    """The shares of flights that met the deadline, in A and in B, over the same draws."""
 
     a: Share
     b: Share
@@ -54,7 +54,7 @@ class MetDifference:
 
     @property
     def worse(self) -> bool:
-        """Whether B meets less often, and that is no chance at 5 %."""
+        """True if B meets less often, and that is no chance at 5 %."""
         return self.only_a > self.only_b and self.p < LEVEL
 
 
@@ -85,7 +85,7 @@ class SweepComparison:
 
     @property
     def worse(self) -> bool:
-        """Whether B is worse."""
+        """True if B is worse."""
         return bool(self.reasons)
 
 

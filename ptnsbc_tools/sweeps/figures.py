@@ -39,7 +39,7 @@ class DrawnAxis:
 
     @property
     def words(self) -> bool:
-        """Whether the groups are named, not placed."""
+        """True if the groups are named, not placed."""
         return np.array_equal(self.centres, np.arange(len(self.labels)))
 
 

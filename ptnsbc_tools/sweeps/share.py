@@ -28,7 +28,7 @@ class Share:
 
     @property
     def wide(self) -> bool:
-        """Whether the interval says little: fly more."""
+        """True if the interval says little: fly more."""
         return self.high - self.low > WIDE
 
     @property

@@ -161,7 +161,7 @@ def deadlocks(sweep: FlownSweep) -> Share:
 
 
 def dry_runs(sweep: FlownSweep) -> dict[str, Share]:
-    """How well the dry runs before the flights foresaw them; empty without dry runs."""
+    """The agreement of the dry runs with the flights that followed; empty without dry runs."""
     flights = sweep.table.flights
     accepted, refused = flights.check == ACCEPTED, flights.check == REFUSED
     if not accepted.any() and not refused.any():

@@ -1,7 +1,11 @@
-"""Pages and help texts have plain sentences: none has a clause as its subject ("Who has the recorder waits")."""
+"""Pages, help texts and docstrings have plain sentences, whose subject is a thing and no clause.
+
+"Who has the recorder waits" is none. A docstring begins with a noun or a verb, not with "Whether" or "How".
+"""
 
 from __future__ import annotations
 
+import ast
 import re
 from collections.abc import Iterator
 from itertools import pairwise
@@ -21,6 +25,13 @@ _VERB = r"(?:is|are|was|were|has|have|comes|counts|goes|stays|wins)"
 _CLAUSE = re.compile(
     rf"(?:^|[.;:] )((?:(?:Who|Whoever) [a-z]|What [a-z]+ [^.;:?,]+? {_VERB}\b)[^.;:?]*[.;](?=\s|$))"
 )
+
+SOURCES = sorted(
+    path
+    for folder in (*ROOT.glob("ptnsbc*"), *map(ROOT.joinpath, ("bench", "docs", "examples")))
+    for path in folder.rglob("*.py")
+)
+_QUESTION = re.compile(r"(?:Wh(?:at|en|ere|ether|ich|o|oever|om|ose|y)|How)\b")
 
 
 def riddles(text: str) -> list[str]:
@@ -58,6 +69,48 @@ def _helps(command: click.Command, name: str) -> Iterator[tuple[str, str]]:
 def test_no_sentence_of_a_help_begins_with_a_clause():
     helps = _helps(typer.main.get_command(app), "ptnsbc")
     assert [(name, found) for name, text in helps for found in riddles(text)] == []
+
+
+def docstrings(node: ast.AST, name: str) -> Iterator[tuple[str, str]]:
+    """The docstrings of a module, class or function, of what is public in it, and of its attributes."""
+    body = [one for one in getattr(node, "body", ()) if isinstance(one, ast.stmt)]
+    for line in body:
+        value = line.value if isinstance(line, ast.Expr) else None
+        if isinstance(value, ast.Constant) and isinstance(value.value, str):
+            yield f"{name}:{line.lineno}", value.value
+    for below in body:
+        word = getattr(below, "name", "")
+        if word.startswith("__") or not word.startswith("_"):
+            yield from docstrings(below, name)
+
+
+def test_no_docstring_begins_with_a_clause():
+    found = [
+        (where, text)
+        for path in SOURCES
+        for where, text in docstrings(
+            ast.parse(path.read_text("utf-8")), str(path.relative_to(ROOT))
+        )
+        if _QUESTION.match(text)
+    ]
+    assert found == []
+
+
+def test_docstrings_of_what_is_public_count():
+    source = '''
+"""How a module begins."""
+LIMIT = 3
+"""Which limit."""
+class Public:
+    """Why a class is there."""
+    def __init__(self):
+        self.flag = True
+        """Whether it is set."""
+    def _own(self):
+        """Whose method."""
+'''
+    found = [text for _, text in docstrings(ast.parse(source), "m") if _QUESTION.match(text)]
+    assert [text.split()[0] for text in found] == ["How", "Which", "Why", "Whether"]
 
 
 @pytest.mark.parametrize(

@@ -25,7 +25,7 @@ Position = tuple[float, float, float]
 
 
 class Companion(NamedTuple):
-    """What the bridge of another vehicle reports."""
+    """The report of the bridge of another vehicle."""
 
     step: str
     fault: str
@@ -35,7 +35,7 @@ class Companion(NamedTuple):
 
 
 class Place(NamedTuple):
-    """Where a vehicle stands, and how well that is known."""
+    """The place where a vehicle stands, and its uncertainty."""
 
     position: Position
     error_m: float
@@ -68,15 +68,15 @@ class Companions:
             self._heard[uav_id] = (companion, now_s)
 
     def not_ready(self, now_s: float) -> str:
-        """Who is not ready to arm; empty when all are."""
+        """The vehicles that are not ready to arm; empty when all are."""
         return ", ".join(self._missing(_READY, now_s))
 
     def not_armed(self, now_s: float) -> str:
-        """Who is not armed; empty when all are."""
+        """The vehicles that are not armed; empty when all are."""
         return ", ".join(self._missing(_ARMED, now_s))
 
     def out(self) -> str:
-        """Who will not fly, and why; empty while all may."""
+        """The vehicles that will not fly, and why; empty while all may."""
         for uav_id, (companion, _) in sorted(self._heard.items()):
             if companion.step in _OUT:
                 why = f": {companion.fault}" if companion.fault else ""
@@ -84,7 +84,7 @@ class Companions:
         return ""
 
     def too_near(self, place: Place) -> str:
-        """Why this vehicle may not arm where it stands; empty when it may."""
+        """The reason why this vehicle may not arm where it stands; empty when it may."""
         for uav_id, _, apart_m, error_m in self._apart(place):
             keep_out_m = self._keep_outs_m[uav_id]
             least_m = keep_out_m + error_m
@@ -96,7 +96,7 @@ class Companions:
         return ""
 
     def climbs_first(self, place: Place) -> str:
-        """Who must climb before this vehicle, because both stand close; empty when it may climb."""
+        """The vehicles that must climb before this one, because both stand close; empty when it may climb."""
         waits = (
             f"bridge{uav_id}"
             for uav_id, other, apart_m, error_m in self._apart(place)

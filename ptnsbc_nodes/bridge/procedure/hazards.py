@@ -1,4 +1,4 @@
-"""What ends a formation in flight, seen on board of one vehicle: too near, swinging, running away, a jump.
+"""The hazards that end a formation in flight, seen on board of one vehicle: too near, swinging, running away, a jump.
 
 The monitor is pure: states in, a reason out. It looks at the vehicle as it flies, not at what was commanded, so that it
 sees the same for every kind of setpoint.
@@ -33,7 +33,7 @@ class AbortLimits(NamedTuple):
 
 
 class Sight(NamedTuple):
-    """What is known at one instant."""
+    """The observations of one instant."""
 
     now_s: float
     position: Array  # (3,) [m], world
@@ -55,7 +55,7 @@ class FlightMonitor:
         self._swings: deque[tuple[float, float]] = deque(maxlen=_SWINGS)  # when, and how fast
 
     def look(self, sight: Sight) -> str:
-        """Why the formation must end; empty when it may go on."""
+        """The reason why the formation must end; empty when it may go on."""
         checks = (self._jump, self._too_near, self._swinging, self._away)
         reasons = [check(sight) for check in checks]
         self._last = sight

@@ -64,33 +64,33 @@ class Procedure:
         self._progress = FlightProgress(self._options, log)
         self._unprepared = ""
         self.in_pilots_hands = False
-        """Whether a pilot flies the vehicle, as far as the bridge knows."""
+        """True if a pilot flies the vehicle, as far as the bridge knows."""
         self.output = ProcedureOutput(Stream.NONE, None, True)
-        """What `advance` returned last."""
+        """The newest result of `advance`."""
 
     @property
     def step(self) -> Step:
-        """Where in the flight the vehicle is."""
+        """The step of the flight in which the vehicle is."""
         return self._progress.step
 
     @property
     def fault(self) -> str:
-        """Why the flight did not go as planned, in the order in which it went wrong."""
+        """The reasons why the flight did not go as planned, in the order in which it went wrong."""
         return self._progress.fault
 
     @property
     def over(self) -> bool:
-        """Whether there is nothing left to do."""
+        """True if there is nothing left to do."""
         return self.step in OVER
 
     @property
     def ready(self) -> bool:
-        """Whether the formation may begin, as far as this vehicle is concerned."""
+        """True if the formation may begin, as far as this vehicle is concerned."""
         return self.step is Step.FLY or (self.step is Step.AIRBORNE and not self._unprepared)
 
     @property
     def awaited(self) -> str:
-        """What keeps the formation waiting for this vehicle; empty when nothing does."""
+        """The reason why the formation waits for this vehicle; empty when it does not."""
         if self.ready:
             return ""
         return self._unprepared if self.step is Step.AIRBORNE else self.step.value
@@ -100,7 +100,7 @@ class Procedure:
         self._progress.report_fault(reason)
 
     def advance(self, snapshot: VehicleSnapshot) -> ProcedureOutput:
-        """What to do at `snapshot.now_s`; the step changes as far as the snapshot allows."""
+        """The actions at `snapshot.now_s`; the step changes as far as the snapshot allows."""
         progress = self._progress
         self._unprepared = snapshot.unprepared
         for _ in Step:  # one snapshot may complete several steps

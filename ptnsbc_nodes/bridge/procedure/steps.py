@@ -25,7 +25,7 @@ LIFTED_M = 0.3
 
 
 class Step(Enum):
-    """Where in the flight the vehicle is."""
+    """The step of the flight in which the vehicle is."""
 
     HEARTBEAT = "waiting for a heartbeat"
     PARAMETERS = "reading parameters"
@@ -56,7 +56,7 @@ OVER = (Step.DONE, Step.FAILED)
 
 
 class Stream(Enum):
-    """What the setpoint stream carries."""
+    """The content of the setpoint stream."""
 
     NONE = "none"
     HOLD = "hold"  # the position at which holding began
@@ -118,7 +118,7 @@ class VehicleSnapshot:
 
     @property
     def flown_by_hand(self) -> bool:
-        """Whether it is armed in a mode that only a pilot chooses."""
+        """True if it is armed in a mode that only a pilot chooses."""
         return self.armed and self.mode is FlightMode.OTHER
 
     @property
@@ -128,7 +128,7 @@ class VehicleSnapshot:
 
 
 class ProcedureOptions(NamedTuple):
-    """What is settled before the flight."""
+    """The options that are settled before the flight."""
 
     autopilot: Autopilot
     takeoff_height_m: float
@@ -136,9 +136,9 @@ class ProcedureOptions(NamedTuple):
 
 
 class ProcedureOutput(NamedTuple):
-    """What to do now."""
+    """The actions of one instant."""
 
     stream: Stream
     command: CommandRequest | None
     in_formation: bool
-    """Whether the formation follows this vehicle's odometry; otherwise the others only avoid it."""
+    """True if the formation follows this vehicle's odometry; otherwise the others only avoid it."""

@@ -38,7 +38,7 @@ _REPEAT_KILL_S = 0.2
 
 @dataclass
 class _StepMemory:
-    """What has been seen since the current step began."""
+    """The observations since the current step began."""
 
     since_s: float
     good_since_s: float | None = None
@@ -55,7 +55,7 @@ class FlightProgress:
         self.log = log
         self.step = Step.HEARTBEAT
         self.fault = ""
-        """Why the flight did not go as planned, in the order in which it went wrong."""
+        """The reasons why the flight did not go as planned, in the order in which it went wrong."""
         self.memory: _StepMemory | None = None
         self.step_before_failsafe = Step.AIRBORNE
         self.climbed = False
@@ -83,11 +83,11 @@ class FlightProgress:
         return self.memory
 
     def age_s(self, snapshot: VehicleSnapshot) -> float:
-        """How long this step has lasted."""
+        """The time for which this step has lasted."""
         return snapshot.now_s - self.current(snapshot).since_s
 
     def lasts(self, good: bool, snapshot: VehicleSnapshot, seconds: float) -> bool:
-        """Whether a condition has been true for this long without a break."""
+        """True if a condition has been true for this long without a break."""
         memory = self.current(snapshot)
         if not good:
             memory.good_since_s = None
@@ -96,12 +96,12 @@ class FlightProgress:
         return good and self.good_for_s(snapshot) >= seconds
 
     def good_for_s(self, snapshot: VehicleSnapshot) -> float:
-        """How long the condition of `lasts` has been true."""
+        """The time for which the condition of `lasts` has been true."""
         since_s = self.current(snapshot).good_since_s
         return 0.0 if since_s is None else snapshot.now_s - since_s
 
     def in_pilots_hands(self, snapshot: VehicleSnapshot) -> bool:
-        """Whether a pilot flies the vehicle, as far as the bridge knows."""
+        """True if a pilot flies the vehicle, as far as the bridge knows."""
         return self.step is Step.YIELDED or (self.step in BEFORE_ARMING and snapshot.flown_by_hand)
 
     def stop_request(self, snapshot: VehicleSnapshot) -> str:
@@ -164,7 +164,7 @@ def _react_before_arming(progress: FlightProgress, snapshot: VehicleSnapshot, st
 
 
 def _given_up(progress: FlightProgress, snapshot: VehicleSnapshot, stop: str) -> bool:
-    """Whether the flight has just ended because the vehicle that must come down is silent."""
+    """True if the flight has just ended because the vehicle that must come down is silent."""
     step = progress.step
     coming_down = step in (Step.LAND, Step.KILL) or (step is Step.YIELDED and snapshot.stop_request)
     limit_s = SILENT_KILL_S if stop == "kill" else SILENT_S

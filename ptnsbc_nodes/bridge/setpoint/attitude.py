@@ -27,7 +27,7 @@ _CONJUGATE = np.array([-1.0, -1.0, -1.0, 1.0])
 
 
 class AttitudeTarget(NamedTuple):
-    """What SET_ATTITUDE_TARGET carries, in ENU and FLU."""
+    """The content of SET_ATTITUDE_TARGET, in ENU and FLU."""
 
     quaternion: Array  # (4,) x y z w, FLU to ENU
     rates: Array  # (3,) [rad/s] at which the target itself turns, FLU of the target

@@ -1,4 +1,4 @@
-"""How well a vehicle has flown the velocities that were wanted of it: gain and lag, from the flight itself."""
+"""The response of a vehicle to the velocities that were wanted of it: gain and lag, from the flight itself."""
 
 from __future__ import annotations
 

@@ -75,11 +75,11 @@ class SetpointGuard:
         return float(self._high[2])
 
     def ahead(self, position_enu: Array, moving_enu: Array) -> Array:
-        """Where the vehicle is (3,) [m] when a setpoint of now takes effect."""
+        """The place of the vehicle (3,) [m] when a setpoint of now takes effect."""
         return np.asarray(position_enu + self._ahead_s * moving_enu)
 
     def outside(self, position_enu: Array) -> bool:
-        """Whether a position (3,) [m] is outside of the fence."""
+        """True if a position (3,) [m] is outside of the fence."""
         return self._excess(position_enu) > 0.0
 
     def position(self, position_enu: Array) -> Array:
@@ -93,7 +93,7 @@ class SetpointGuard:
         return out
 
     def breach(self, position_enu: Array, moving_enu: Array) -> str:
-        """Why the vehicle must land; empty while its place and its predicted path are within the slack."""
+        """The reason why the vehicle must land; empty while its place and its predicted path are within the slack."""
         if text := self._breach_at(position_enu):
             return f"outside the geofence: {text}"
         if text := self._breach_at(self.ahead(position_enu, moving_enu)):
@@ -111,7 +111,7 @@ class SetpointGuard:
         return f"{distance:.1f} m of {self._radius_m:g} m from the origin"
 
     def _excess(self, position: Array) -> float:
-        """How far outside a position is [m]; negative inside."""
+        """The distance of a position from the fence [m]; negative inside."""
         box = float(np.maximum(self._low - position, position - self._high).max())
         return max(box, math.hypot(position[0], position[1]) - self._radius_m)
 

@@ -104,7 +104,7 @@ def flown_per_wanted(
 
 
 def _is_stable(response: VelocityResponse, drag_1_s: float) -> bool:
-    """Whether the velocity loop of the vehicle itself is stable."""
+    """True if the velocity loop of the vehicle itself is stable."""
     lag = (_ONE + response.tilt_s[0] * _S) * (_ONE + response.tilt_s[1] * _S)
     loop = Polynomial([response.integral, response.gain, response.derivative])
     closed = _S * (_S + drag_1_s) * lag + loop

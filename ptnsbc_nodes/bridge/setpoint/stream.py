@@ -62,7 +62,7 @@ class _Climb:
         self._target, self._ground_m = None, ground_m
 
     def heading_reached(self, odometry: Array) -> bool:
-        """Whether the vehicle has the heading with which the formation begins, if it climbed by setpoints."""
+        """True if the vehicle has the heading with which the formation begins, if it climbed by setpoints."""
         error = wrap_angle(yaw_of(odometry) - self._heading)
         return self._target is None or abs(error) < _HEADING_TOLERANCE_RAD
 
@@ -80,7 +80,7 @@ class _Climb:
 
 
 class _VelocityIntegral:
-    """What is derived from the sequence of velocity setpoints: a reference position and an acceleration."""
+    """The quantities derived from the sequence of velocity setpoints: a reference position and an acceleration."""
 
     def __init__(self) -> None:
         self._reference: Array | None = None
@@ -119,7 +119,7 @@ class _VelocityIntegral:
 
 
 class StreamInput(NamedTuple):
-    """What one tick of the stream depends on."""
+    """The inputs of one tick of the stream."""
 
     stream: Stream  # what the procedure requests
     now_s: float  # steady clock
@@ -142,7 +142,7 @@ class SetpointStream:
         self._hold_s = 0.5 / mavlink.rate_hz  # how long a target waits for the next one, on average
         self._tilt_lag_s = _TILT_LAG_S if link.tilt_lag_s is None else link.tilt_lag_s
         self.unfit = ""
-        """Why the scenario's velocity loop would swing this vehicle by attitudes; empty while nothing says so."""
+        """The reason why the scenario's loop would swing this vehicle by attitudes; empty while nothing says so."""
         self._yaw_gain = config.controller.attitude_gain[1]
         self.guard = SetpointGuard(mavlink.geofence, allowed(mavlink.limits, limits({})))
         self._messages = SetpointMessages(autopilot, link.sysid)
@@ -164,7 +164,7 @@ class SetpointStream:
         self._last_s = float("inf")
 
     def sends_thrust(self, stream: Stream) -> bool:
-        """Whether the setpoints of a stream have a thrust."""
+        """True if the setpoints of a stream have a thrust."""
         if stream is Stream.PLANNER:
             return self._setpoint == "attitude"
         return self._attitude_only and stream is not Stream.NONE
@@ -180,7 +180,7 @@ class SetpointStream:
         return news if not news or found is None else f"{news}; {self._fit_to(found.delay_s)}"
 
     def _fit_to(self, found_s: float) -> str:
-        """Whether the scenario's loop bears a delay from target to force; a line with the gain that fits."""
+        """True if the scenario's loop bears a delay from target to force; a line with the gain that fits."""
         delay_s = self.ages.percentile_s(50) + self._hold_s + found_s
         response = AttitudeResponse(delay_s, self._tilt_lag_s)
         config, most = self._config, largest_force_kappa_1_s(self._config, response)

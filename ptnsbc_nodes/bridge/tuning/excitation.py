@@ -97,7 +97,7 @@ class Excitation:
         return np.asarray(back)
 
     def left(self, away: Array) -> bool:
-        """Whether a place `away` (3,) [m] from the middle is outside of the box."""
+        """True if a place `away` (3,) [m] from the middle is outside of the box."""
         return bool(np.abs(away).max() > 0.5 * self.box_m)
 
     def points(self, sent: Array, flown: Array) -> list[FrequencyPoint]:

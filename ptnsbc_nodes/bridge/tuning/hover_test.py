@@ -90,7 +90,7 @@ class HoverTest:
 
     @property
     def over(self) -> bool:
-        """Whether the vehicle has landed, or a pilot has taken over."""
+        """True if the vehicle has landed, or a pilot has taken over."""
         return self.bridge.procedure.over
 
     def land(self) -> None:

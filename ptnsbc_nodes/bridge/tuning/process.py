@@ -1,4 +1,4 @@
-"""What the process of a hover test does: it opens the link, flies, and lets the operator land or stop the vehicle.
+"""The process of a hover test: it opens the link, flies, and lets the operator land or stop the vehicle.
 
 `ptnsbc stop` reaches it as it reaches a bridge of this host, and knows how to reach the vehicle past it.
 """

@@ -90,7 +90,7 @@ def identified(
 
 
 class Settings(NamedTuple):
-    """What a scenario needs to fly this vehicle; each is the scenario's own where that fits."""
+    """The settings with which a scenario flies this vehicle; each is the scenario's own where that fits."""
 
     kappa_1_s: float
     largest_kappa_1_s: float

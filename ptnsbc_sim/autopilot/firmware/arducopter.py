@@ -291,7 +291,7 @@ class ArduCopter(FlightController):
         return targets.hold(self._hold_point)
 
     def _leaves_ground(self) -> bool:
-        """Whether it may leave the ground: by a take-off, or by an attitude target that climbs."""
+        """True if it may leave the ground: by a take-off, or by an attitude target that climbs."""
         guided = self.mode == GUIDED and self._auto_armed
         return guided and (self._guided.submode is Submode.TAKE_OFF or self._guided.climbs)
 

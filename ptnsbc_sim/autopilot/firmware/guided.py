@@ -183,7 +183,7 @@ class Guided:
 
     @property
     def climbs(self) -> bool:
-        """Whether an attitude target leads off the ground."""
+        """True if an attitude target leads off the ground."""
         if self.submode is not Submode.ANGLE:
             return False
         return self._climb > 0.0 or not self._thrust_is_climb

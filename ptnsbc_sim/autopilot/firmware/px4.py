@@ -37,7 +37,7 @@ from ptnsbc_sim.autopilot.physics.airframe import LoopGains
 from ptnsbc_sim.autopilot.vehicle import HeartbeatFields, Request
 
 STREAM_BEFORE_S = 1.0
-"""How long setpoints must arrive before offboard can be entered.
+"""The time for which setpoints must arrive before offboard can be entered.
 
 https://docs.px4.io/main/en/flight_modes/offboard
 """
@@ -257,7 +257,7 @@ class Px4(FlightController):
             self._offboard.take(read, t, self.parameters["COM_OF_LOSS_T"])
 
     def _offboard_alive(self, t: float) -> bool:
-        """Whether setpoints arrive, and the position is valid if they need it."""
+        """True if setpoints arrive, and the position is valid if they need it."""
         if not self._offboard.fresh(t, self.parameters["COM_OF_LOSS_T"]):
             return False
         return not self._offboard.needs_position or self.position_valid(t)

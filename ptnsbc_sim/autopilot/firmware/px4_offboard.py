@@ -82,16 +82,16 @@ class OffboardStream:
         self.setpoint, self._latest_t = wanted, t
 
     def fresh(self, t: float, loss_s: float) -> bool:
-        """Whether the latest setpoint is at most `loss_s` old."""
+        """True if the latest setpoint is at most `loss_s` old."""
         return t - self._latest_t <= loss_s
 
     def streamed_s(self, t: float) -> float:
-        """How long setpoints have arrived."""
+        """The time for which setpoints have arrived."""
         return t - self._since_t
 
     @property
     def needs_position(self) -> bool:
-        """Whether the setpoint needs a valid position."""
+        """True if the setpoint needs a valid position."""
         return bool(self.setpoint.target[airframe.KIND] == airframe.TRAJECTORY)
 
 

@@ -96,7 +96,7 @@ def read_attitude(message: Any) -> AttitudeSetpoint:
 
 
 def is_unit(q: Quaternion, tolerance: float) -> bool:
-    """Whether the length of a quaternion is one within a tolerance; False for NaN."""
+    """True if the length of a quaternion is one within a tolerance; False for NaN."""
     return abs(math.sqrt(sum(v * v for v in q)) - 1.0) <= tolerance
 
 

@@ -130,12 +130,12 @@ class VehiclePhysics:
 
     @property
     def in_contact(self) -> bool:
-        """Whether the vehicle stands on the ground."""
+        """True if the vehicle stands on the ground."""
         return bool(self._loop[airframe.CONTACT])
 
     @property
     def standing_s(self) -> float:
-        """How long it has been on the ground."""
+        """The time for which it has been on the ground."""
         return self.t - self._contact_t if self.in_contact else 0.0
 
     @property

@@ -1,4 +1,4 @@
-"""What a scenario leaves to us: the offsets of a named shape, and a tree for it.
+"""The parts that a scenario leaves to us: the offsets of a named shape, and a tree for it.
 
 Both are worked out on the tree of the file, before the schema reads it. The schema names what is malformed.
 """
@@ -278,7 +278,7 @@ def _depth(parents: Array, root: int) -> int:
 
 
 def _usable(task: str, own: Array, above: Array, reference: Array) -> bool:
-    """Whether a follower can hold its place by this task with that parent."""
+    """True if a follower can hold its place by this task with that parent."""
     arm = float(np.hypot(*(own - above)[:2]))
     if not FORMATION_TASKS[task].needs_arm:
         return True

@@ -46,7 +46,7 @@ MESSAGES, POSITION, PROCESS, RECORDER, AUTOPILOT = (
 
 
 class FaultRule(NamedTuple):
-    """What a kind of fault strikes, and the keys it takes."""
+    """The target of a kind of fault, and the keys that it takes."""
 
     strikes: str
     what: str
@@ -100,7 +100,7 @@ FAULTS: Mapping[str, FaultRule] = {
         AUTOPILOT, "a stand-in has no satellite fixes", lockstep=False, live=False
     ),
 }
-"""What each kind of fault does, and which keys it takes."""
+"""The effect of each kind of fault, and the keys that it takes."""
 
 _AMOUNTS = tuple(rule.needs for rule in FAULTS.values() if rule.needs)
 _PROCESS = re.compile(r"(uav|bridge)([1-9]\d{0,2})|sim|recorder", re.ASCII)
@@ -120,7 +120,7 @@ class FaultBlock(Block):
     )
     """`kill`, `freeze`, `restart`: the process, if it is not that of `uav`."""
     duration_s: Positive | None = None
-    """How long it lasts. Default: to the end of the flight."""
+    """Duration. Default: to the end of the flight."""
     share: Annotated[Number, Field(gt=0, lt=1)] | None = None
     """`loss`: fraction of the messages that is lost."""
     delay_s: Annotated[Positive, Field(le=MOST_DELAY_S)] | None = None
@@ -134,7 +134,7 @@ class FaultBlock(Block):
 
     @property
     def rule(self) -> FaultRule:
-        """What the kind does."""
+        """The rule of the kind."""
         return FAULTS[self.kind]
 
     @property
@@ -178,7 +178,7 @@ def modelled(faults: Sequence[FaultBlock] | None) -> tuple[FaultBlock, ...]:
 
 
 def fault_problems(fault: FaultBlock, uavs: Collection[int]) -> Iterator[str]:
-    """What is wrong with a fault among these UAVs: the key, and what is expected."""
+    """The problems of a fault among these UAVs: the key, and what is expected."""
     yield from _victim_problems(fault)
     found = _PROCESS.fullmatch(fault.process) if fault.process is not None else None
     number = fault.uav if found is None or found[2] is None else int(found[2])

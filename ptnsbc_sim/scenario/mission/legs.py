@@ -70,7 +70,7 @@ class FormLeg(LegBlock):
     shape: ShapeBlock | None = None
     """Shape, in place of `formation.shape` and `formation.offsets_m`."""
     slots: Literal["fixed", "optimal"] | None = None
-    """Who takes which slot, in place of `formation.assignment`."""
+    """Assignment of the slots, in place of `formation.assignment`."""
 
 
 class ChangeLeg(Reshaping, LegBlock):
@@ -154,7 +154,7 @@ AnyLeg = Annotated[
 
 
 class Mission(Block):
-    """What a formation does, leg by leg."""
+    """The task of a formation, leg by leg."""
 
     start: Utc | None = None
     """Time in UTC of the first epoch, for legs with `at`. In real time the fleet begins then; headless and in lock-step
@@ -169,7 +169,7 @@ _WORD = re.compile(r"mission (0|[1-9][0-9]{0,2})", re.ASCII)
 
 
 class Word(NamedTuple):
-    """What an operator said in flight."""
+    """An operator's word in flight."""
 
     number: int  # of the leg to begin, from 1; CANCEL
     at_s: float  # from when it counts [s since the first epoch]
@@ -187,7 +187,7 @@ class ScheduledLeg(NamedTuple):
 
 
 def word_text(number: int) -> str:
-    """What the leader announces when a leg is to begin, or the present one to be cancelled."""
+    """The announcement of the leader when a leg is to begin, or the present one to be cancelled."""
     return f"mission {number}"
 
 
@@ -203,7 +203,7 @@ def utc_ns(text: str) -> int:
 
 
 def seconds_to_start(mission: Mission | None, now_ns: int) -> float:
-    """How long [s] until the time at which a mission is to begin by the wall clock, 0 when it says none."""
+    """The time [s] left until a mission is to begin by the wall clock, 0 when it names no time."""
     if mission is None or mission.start is None:
         return 0.0
     return max((utc_ns(mission.start) - now_ns) * 1e-9, 0.0)
@@ -215,7 +215,7 @@ def leg_names(mission: Mission) -> list[str]:
 
 
 def begin_of(mission: Mission, leg: Any) -> float | None:
-    """When a leg begins at the latest [s]; None: when the last one is done, or when it is said."""
+    """The latest begin of a leg [s]; None: when the last one is done, or when it is said."""
     if leg.at is not None and mission.start is not None:
         return (utc_ns(leg.at) - utc_ns(mission.start)) * 1e-9
     return None if leg.at_s is None else float(leg.at_s)
@@ -258,7 +258,7 @@ def _run(mission: Mission, deadline_s: float, first: int, begin_s: float) -> Ite
 
 
 def moves_shape(mission: Mission | None) -> bool:
-    """Whether a leg of the mission moves places beside the leader."""
+    """True if a leg of the mission moves places beside the leader."""
     return any(isinstance(leg, ChangeLeg | SplitLeg) for leg in (mission.legs if mission else ()))
 
 
@@ -288,7 +288,7 @@ _SAME_PATH = ((ChangeLeg,), (FollowLeg, GoToLeg, HoldLeg), (SplitLeg, JoinLeg))
 
 
 def is_cut_short(legs: Sequence[ScheduledLeg], one: ScheduledLeg) -> bool:
-    """Whether a later leg took the place of this one before it was due: an operator said so."""
+    """True if a later leg took the place of this one before it was due: an operator said so."""
     kinds = next((kinds for kinds in _SAME_PATH if isinstance(one.leg, kinds)), ())
     stops = isinstance(one.leg, SplitLeg)  # a group that has left comes to rest with the leader
     return any(
@@ -299,12 +299,12 @@ def is_cut_short(legs: Sequence[ScheduledLeg], one: ScheduledLeg) -> bool:
 
 
 def landing_s(legs: Sequence[ScheduledLeg]) -> float | None:
-    """When the landing begins [s]; None without one."""
+    """The begin of the landing [s]; None without one."""
     return next((one.begin_s for one in legs if isinstance(one.leg, LandLeg)), None)
 
 
 def problems(file: Any) -> Iterator[str]:
-    """What is wrong with the mission of a whole scenario file, before it is scheduled."""
+    """The problems of the mission of a whole scenario file, before it is scheduled."""
     mission = file.mission
     if mission is None:
         return
@@ -363,7 +363,7 @@ def _kinds(mission: Mission, file: Any) -> Iterator[str]:
 
 
 def _content(leg: Any, followers: list[int]) -> Iterator[str]:
-    """What is wrong with a leg by itself."""
+    """The problems of a leg by itself."""
     if isinstance(leg, FollowLeg | SplitLeg):
         for problem in trajectories.problems(leg.trajectory):
             yield f"trajectory.{problem}"
@@ -375,7 +375,7 @@ def _content(leg: Any, followers: list[int]) -> Iterator[str]:
 
 
 def _beside_split(mission: Mission, formation: Any) -> Iterator[str]:
-    """What a mission with a leg of kind split may not have."""
+    """The parts that a mission with a leg of kind split may not have."""
     turned = any(isinstance(leg, ChangeLeg) and leg.rotation_rad for leg in mission.legs)
     expected = (
         (formation.frame == "world", "formation.frame: world"),

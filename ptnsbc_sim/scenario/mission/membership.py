@@ -40,19 +40,19 @@ class GraphPlace(NamedTuple):
 
 
 def joins_ns(scenario: Scenario, uav_id: int) -> int:
-    """When a UAV joins, after the first epoch [ns]; 0: it is there from the begin on."""
+    """The time at which a UAV joins, after the first epoch [ns]; 0: it is there from the begin on."""
     joins_s = next(uav.joins_s for uav in scenario.file.uavs if uav.id == uav_id)
     return 0 if joins_s is None else round(joins_s * _NANO)
 
 
 def leaves_ns(scenario: Scenario, uav_id: int) -> int:
-    """When a UAV leaves, after the first epoch [ns]."""
+    """The time at which a UAV leaves, after the first epoch [ns]."""
     leaves_s = next(uav.leaves_s for uav in scenario.file.uavs if uav.id == uav_id)
     return NEVER_NS if leaves_s is None else round(leaves_s * _NANO)
 
 
 class View:
-    """How one UAV finds the members, from the start of its process on."""
+    """The members as one UAV finds them, from the start of its process on."""
 
     def __init__(self, scenario: Scenario, uav_id: int) -> None:
         self._uav = uav_id
@@ -209,7 +209,7 @@ def _closed_up(scenario: Scenario, members: Membership, leader: int) -> dict[int
 
 
 def changed(before: Scenario, after: Scenario, uav_id: int) -> tuple[bool, bool]:
-    """Whether a UAV has another place in the graph: another parent, slot or lead of its own, and another leader.
+    """True if a UAV has another place in the graph: another parent, slot or lead of its own, and another leader.
 
     A UAV that no longer hears the leader takes none: the last one that it was told would count for ever.
     """

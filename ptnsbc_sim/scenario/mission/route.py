@@ -177,7 +177,7 @@ def _flown(one: ScheduledLeg, now: Array, until_s: float) -> list[_Knot] | None:
 
 
 def _nearest_turn(angle: float, to: float) -> float:
-    """What to add to an angle so that it lies within half a turn of another one."""
+    """The turn to add to an angle so that it lies within half a turn of another one."""
     return float(to + wrap_angle(angle - to) - angle)
 
 

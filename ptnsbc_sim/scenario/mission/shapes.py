@@ -51,7 +51,7 @@ class ShapeBlock(Block):
 
 
 class Reshaping(Block):
-    """What the formation changes to."""
+    """The new shape of the formation."""
 
     over_s: Annotated[Number, Field(ge=0.1, le=1e6)]
     """Duration: by then the UAVs are in the changed shape."""
@@ -69,7 +69,7 @@ class Reshaping(Block):
 
 
 class Change(Reshaping):
-    """What the formation changes to, and when."""
+    """The new shape of the formation, and the time of the change."""
 
     at_s: Annotated[Number, Field(ge=0, le=1e6)]
     """Begin, after the first epoch."""
@@ -185,7 +185,7 @@ STANDING = Shape(False, False, NO_TABLE)
 
 
 def moves(formation: Any) -> bool:
-    """Whether the shape of a formation block moves in itself."""
+    """True if the shape of a formation block moves in itself."""
     return formation.frame == "heading" or bool(formation.changes)
 
 
@@ -311,7 +311,7 @@ def _row(begin: float, first: Array, step: Array, over: float) -> Array:
 
 
 def problems(file: Any) -> Iterator[str]:
-    """What is wrong with a shape that moves."""
+    """The problems of a shape that moves."""
     formation, last = file.formation, 0.0
     if not moves(formation):
         return

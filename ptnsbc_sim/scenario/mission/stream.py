@@ -73,7 +73,7 @@ class SetpointTrajectory(Block):
 
 
 class Setpoint(NamedTuple):
-    """Where the leader is to be, and how that moves on; world ENU."""
+    """The wanted place of the leader, and its motion; world ENU."""
 
     at_s: float  # from when it counts [s since the first epoch]
     position: tuple[float, float, float]  # [m]
@@ -101,7 +101,7 @@ class Streamed:
 
 
 def hears_setpoints(path: Any) -> bool:
-    """Whether a leader with this trajectory takes setpoints from a topic."""
+    """True if a leader with this trajectory takes setpoints from a topic."""
     block = path.block if isinstance(path, Streamed) else path
     return isinstance(block, SetpointTrajectory) and block.samples is None
 
@@ -179,7 +179,7 @@ def going_on(path: Streamed, one: Setpoint) -> Streamed:
 
 
 def _later(one: Setpoint, before_s: float) -> float:
-    """When a setpoint counts [s]: not before the previous one, which it replaces if both are of the same time."""
+    """The time from which a setpoint counts [s]: not before the previous one, which one of the same time replaces."""
     if not (one.at_s >= 0.0 and one.at_s >= before_s):
         raise SetpointError(f"expected a time from the first epoch on, and from {before_s:g} s on")
     return one.at_s
@@ -297,7 +297,7 @@ def _values(polynomials: Array, span: float) -> Array:
 def _beyond(
     block: SetpointTrajectory, now: Array, polynomial: Array, span: float, until_s: float = math.inf
 ) -> str:
-    """Which limit a polynomial (4, 8) goes beyond, empty for none; it is in the region until `until_s`."""
+    """The limit beyond which a polynomial (4, 8) goes, empty for none; it is in the region until `until_s`."""
     at = _values(polynomial, span)
     places = at[0, _SHARES * span <= until_s, :3]
     if not ((block.low_m <= places + 1e-6) & (places - 1e-6 <= block.high_m)).all():

@@ -129,7 +129,7 @@ class Waypoints(Block):
     """`straight` goes in straight lines and rests at each point; `cubic` is a spline with continuous acceleration;
     `minimum_snap` has the least integral of the squared fourth derivative. All begin and end at rest, unless closed."""
     closed: Flag = False
-    """Whether the curve goes back to the first point and repeats."""
+    """True if the curve goes back to the first point and repeats."""
     yaws_rad: tuple[Number, ...] | None = None
     """Heading at each point; between them it turns the shorter way. Default: `heading` decides."""
     yaw_rad: Number = 0.0
@@ -177,7 +177,7 @@ class Route:
 
 
 class Samples(NamedTuple):
-    """What a CSV file holds."""
+    """The content of a CSV file."""
 
     times: Array  # (S,) [s]
     points: Array  # (S, 3) [m]
@@ -207,7 +207,7 @@ def _csv_problems(block: Csv) -> Iterator[str]:
 
 
 def _curve_problems(block: Waypoints | Csv) -> Iterator[str]:
-    """Whether a finite curve goes through the points."""
+    """True if a finite curve goes through the points."""
     try:
         with np.errstate(all="ignore"):
             finite = bool(np.isfinite(trajectory_of(block).table).all())
@@ -416,7 +416,7 @@ def _piecewise(
 
 
 class Extremes(NamedTuple):
-    """How fast and where a trajectory goes during a flight, at instants 10 ms apart or less."""
+    """The speeds and places of a trajectory during a flight, at instants 10 ms apart or less."""
 
     speed_m_s: float
     acceleration_m_s2: float

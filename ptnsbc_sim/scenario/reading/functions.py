@@ -35,7 +35,7 @@ class FunctionError(UserFileError, ScenarioError):
 
 
 def names_function(tree: Tree) -> bool:
-    """Whether the leader's trajectory or the formation's shape is a function of the user."""
+    """True if the leader's trajectory or the formation's shape is a function of the user."""
     return _trajectory(tree) is not None or _shape(tree) is not None
 
 

@@ -13,7 +13,7 @@ MOST_SAMPLES = 200_000
 
 
 def _names_file(block: Any) -> bool:
-    """Whether a block is a trajectory, a shape or a map in a file of its own."""
+    """True if a block is a trajectory, a shape or a map in a file of its own."""
     named = isinstance(block, dict) and block.get("kind") in ("csv", "file", "stream", "map")
     return named and block.get("file") is not None
 
@@ -56,7 +56,7 @@ def _filled(node: Any, key: str, source: str, folder: Path) -> Any:
 
 
 def _place_of(block: Tree, where: str, folder: Path, what: str) -> Path:
-    """Where the file of a block is."""
+    """The path of the file of a block."""
     name = block["file"]
     if not isinstance(name, str) or not name:
         raise ScenarioError(f"{where}: {name!r}: expected the name or path of a {what}")

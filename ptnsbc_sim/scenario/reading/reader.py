@@ -189,7 +189,7 @@ def _text_of(path: Path) -> str:
 
 
 def _other_trajectory(key: object, below: Tree, value: Tree) -> bool:
-    """Whether `value` is a trajectory of another kind, which has other keys."""
+    """True if `value` is a trajectory of another kind, which has other keys."""
     return key == "trajectory" and value.get("kind", below.get("kind")) != below.get("kind")
 
 

@@ -127,7 +127,7 @@ def fleet(
 
 
 class Shown(NamedTuple):
-    """How a flight is shown while it is flown."""
+    """The views of a flight while it is flown."""
 
     page: bool = False
     foxglove: int | None = None  # port
@@ -202,7 +202,7 @@ def _checked(request: FleetOptions) -> FleetOptions:
 
 
 def _objection(scenario: Scenario) -> str:
-    """Why a scenario must not be flown, in a line; empty when it may."""
+    """The reason why a scenario must not be flown, in a line; empty when it may."""
     from ptnsbc_tools.check import refuse
     from ptnsbc_tools.library.flying import flown_before
 

@@ -43,7 +43,7 @@ _PAST_S = 0.1  # a flight from a drawn start ends this long after the deadline
 
 
 class LawVariant(NamedTuple):
-    """How a law is flown."""
+    """One way to fly a law."""
 
     profile: str = "soft"
     filtered: bool = True

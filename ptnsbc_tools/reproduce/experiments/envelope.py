@@ -1,4 +1,4 @@
-"""How far it goes: success against one quantity at a time, from where it is easy to where it fails."""
+"""The envelope: success against one quantity at a time, from where it is easy to where it fails."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ Row = tuple[Any, Any]
 
 
 def is_large(flight: JudgedFlight) -> bool:
-    """Whether there are too many UAVs to have a colour each."""
+    """True if there are too many UAVs to have a colour each."""
     return len(flight.uavs) > len(style.COLOURS)
 
 

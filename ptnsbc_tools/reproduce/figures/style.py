@@ -1,4 +1,4 @@
-"""How every figure looks: the width of a journal's column, its fonts, and colours that all readers can tell apart."""
+"""The style of every figure: the width of a journal's column, its fonts, and colours that readers can tell apart."""
 
 from __future__ import annotations
 
