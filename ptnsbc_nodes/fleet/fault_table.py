@@ -44,9 +44,8 @@ _STATUS = f"{1.0 / STATUS_HZ:g} s"
 _AT_ONCE = "at once"
 _NEVER = "no"
 _FLEET = "tests/nodes/fleet/test_fleet.py::"
-_UAV = "tests/nodes/uav/test_node.py::"
-_BRIDGE = "tests/nodes/bridge/test_fleet_mavlink.py::"
-_PROCEDURE = "tests/nodes/bridge/procedure/test_procedure.py::"
+_UAV = "tests/nodes/uav/"
+_BRIDGE = "tests/nodes/bridge/"
 
 ANSWERS = (
     FaultAnswer(
@@ -105,7 +104,7 @@ ANSWERS = (
         "dropped, counted, named; the last good one counts",
         "with the next good one",
         (
-            f"{_UAV}test_a_broken_state_of_a_neighbour_is_dropped_and_named",
+            f"{_UAV}test_neighbours.py::test_a_broken_state_of_a_neighbour_is_dropped_and_named",
             "tests/nodes/sim/test_node.py::test_no_message_ends_the_sim",
             "tests/nodes/fleet/test_coordinator_node.py::test_no_message_ends_the_launcher_or_makes_it_end_a_uav",
             "tests/nodes/fleet/test_fault_injector.py::test_a_fleet_in_lockstep_flies_its_faults_as_the_headless_flight_does",
@@ -120,7 +119,7 @@ ANSWERS = (
         f"named; no flight begins; messages {AHEAD_S:g} s ahead or {OLDEST_S:g} s old are refused",
         "when the clock is set right",
         (
-            f"{_UAV}test_no_flight_begins_by_clocks_that_differ",
+            f"{_UAV}test_status.py::test_no_flight_begins_by_clocks_that_differ",
             "tests/nodes/runtime/test_clock_offset.py::test_a_clock_that_is_set_right_is_forgiven",
         ),
     ),
@@ -132,7 +131,7 @@ ANSWERS = (
         _DEGRADED,
         "named with its node; with `security: signed` its messages are refused",
         "when it is gone",
-        (f"{_UAV}test_with_a_seal_no_leg_of_an_outsider_counts",),
+        (f"{_UAV}test_leg_services.py::test_with_a_seal_no_leg_of_an_outsider_counts",),
     ),
     FaultAnswer(
         "the own odometry is stale",
@@ -142,7 +141,7 @@ ANSWERS = (
         _STOP,
         "no setpoints: a setpoint is the proof of life; `/diagnostics` error",
         "with the next odometry",
-        (f"{_UAV}test_real_time_setpoints_end_with_the_odometry",),
+        (f"{_UAV}test_node.py::test_real_time_setpoints_end_with_the_odometry",),
     ),
     FaultAnswer(
         "a UAV process hangs or ends in real time",
@@ -254,10 +253,10 @@ ANSWERS = (
         f"{LAND_S:g} s later is still in the mode of its bridge is landed",
         f"when setpoints have been fresh for {RECOVERED_S:g} s, and no pilot has taken over",
         (
-            f"{_PROCEDURE}test_setpoints_stop_first_a_hold_then_silence_then_the_failsafe",
-            f"{_PROCEDURE}test_after_a_failsafe_hold_px4_comes_back_by_itself",
-            f"{_PROCEDURE}test_a_failsafe_that_only_waits_ends_with_a_landing",
-            f"{_BRIDGE}test_setpoints_end_the_stream_ends_the_failsafe_acts_and_then_the_pilot",
+            f"{_BRIDGE}procedure/test_transitions.py::test_setpoints_stop_first_a_hold_then_silence_then_the_failsafe",
+            f"{_BRIDGE}procedure/test_transitions.py::test_after_a_failsafe_hold_px4_comes_back_by_itself",
+            f"{_BRIDGE}procedure/test_transitions.py::test_a_failsafe_that_only_waits_ends_with_a_landing",
+            f"{_BRIDGE}test_bridge.py::test_setpoints_end_the_stream_ends_the_failsafe_acts_and_then_the_pilot",
         ),
     ),
     FaultAnswer(
@@ -269,8 +268,8 @@ ANSWERS = (
         "the failsafe of the vehicle acts; `ptnsbc stop` reaches it past the bridge; exit code 1",
         _NEVER,
         (
-            f"{_BRIDGE}test_a_bridge_killed_leaves_the_vehicle_to_its_failsafe",
-            "tests/nodes/bridge/test_processes.py::test_a_uav_process_and_a_bridge_killed_and_the_operators_stop",
+            f"{_BRIDGE}test_bridge.py::test_a_bridge_killed_leaves_the_vehicle_to_its_failsafe",
+            f"{_BRIDGE}test_processes.py::test_a_uav_process_and_a_bridge_killed_and_the_operators_stop",
         ),
     ),
     FaultAnswer(
@@ -281,7 +280,7 @@ ANSWERS = (
         _STOP,
         "named; no setpoints: the failsafe of the vehicle acts",
         "when it is heard again",
-        (f"{_BRIDGE}test_heartbeat_lost_and_found_again",),
+        (f"{_BRIDGE}test_bridge.py::test_heartbeat_lost_and_found_again",),
     ),
     FaultAnswer(
         "a vehicle has lost its position",
@@ -291,7 +290,7 @@ ANSWERS = (
         _STOP,
         "no setpoints: the failsafe of the vehicle acts",
         "as above, when the position is back",
-        (f"{_BRIDGE}test_gps_lost_in_flight",),
+        (f"{_BRIDGE}test_bridge.py::test_gps_lost_in_flight",),
     ),
     FaultAnswer(
         "the position of one vehicle jumps, or two come too near",
@@ -302,8 +301,8 @@ ANSWERS = (
         "the formation is given up: all hold apart by height, then land from below",
         _NEVER,
         (
-            f"{_BRIDGE}test_a_jump_of_one_position_makes_all_hold_apart_by_height_and_land",
-            f"{_BRIDGE}test_a_vehicle_that_comes_too_near_ends_the_formation",
+            f"{_BRIDGE}test_fleet_mavlink.py::test_a_jump_of_one_position_makes_all_hold_apart_by_height_and_land",
+            f"{_BRIDGE}test_bridge.py::test_a_vehicle_that_comes_too_near_ends_the_formation",
         ),
     ),
     FaultAnswer(
@@ -315,8 +314,8 @@ ANSWERS = (
         "this vehicle lands",
         _NEVER,
         (
-            f"{_BRIDGE}test_a_low_battery_lands_this_vehicle",
-            f"{_BRIDGE}test_a_fence_in_the_way_lands_it_no_farther_than_it_must",
+            f"{_BRIDGE}test_bridge.py::test_a_low_battery_lands_this_vehicle",
+            f"{_BRIDGE}test_bridge.py::test_a_fence_in_the_way_lands_it_no_farther_than_it_must",
         ),
     ),
     FaultAnswer(
@@ -327,7 +326,7 @@ ANSWERS = (
         _NOMINAL,
         "measured anew; the flight goes on",
         _AT_ONCE,
-        (f"{_BRIDGE}test_the_vehicles_clock_jumps_and_the_flight_goes_on",),
+        (f"{_BRIDGE}test_bridge.py::test_the_vehicles_clock_jumps_and_the_flight_goes_on",),
     ),
 )
 """The faults that are answered, and how."""

@@ -28,12 +28,27 @@ from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS
 from ptnsbc_sim.autopilot.launch import KINDS, Fleet, starts
 from ptnsbc_sim.autopilot.server import Codec
 from ptnsbc_sim.autopilot.vehicle import COMPANION, IMPOSTOR
-from ptnsbc_sim.scenario import agent_config
+from ptnsbc_sim.scenario import agent_config, load_scenario
 
 STEP_S = 0.004  # of the stand-ins
 BASE_NS = 1_700_000_000_000_000_000
 START_S = 1000.0
+AUTOPILOTS = {"px4": "px4", "arducopter": "ardupilot", "stm32": "generic"}
 HERE, ELSEWHERE = ("127.0.0.1", 14580), ("127.0.0.1", 50000)
+
+
+def scenario(kind="px4", setpoint="velocity", duration_s=12.0, **overrides):
+    """`experiment_4` for stand-ins of one kind."""
+    changes = {
+        "timing.duration_s": duration_s,
+        "mavlink.autopilot": AUTOPILOTS[kind],
+        "mavlink.setpoint": setpoint,
+        **overrides,
+    }
+    if kind == "stm32":  # 4 1/s is too much for it, and it would say so before the formation
+        settings = load_scenario("experiment_4").mavlink.overrides
+        changes["mavlink.overrides"] = {**settings, "gains.force.kappa_1_s": 3.0}
+    return load_scenario("experiment_4", changes).bridged()
 
 
 class Wire:
@@ -147,7 +162,9 @@ class FleetUav:
         self.inputs.legs.append(HeaderFields(t0_ns, leg))
 
     def control(self, now_ns, near):
-        """One tick of the UAV process."""
+        """One tick of the UAV process, and what its bridge knows of others at the rate of the sensor."""
+        if near:
+            self.inputs.near_uavs = self.near_objects.uavs(self.fleet.now_s)
         own = self.controller.inbox.own
         stale_ns = self.controller.config.stale_s * 1e9
         if not self.alive or own is None or now_ns - own.stamp_ns > stale_ns:
@@ -177,7 +194,6 @@ class FleetUav:
                     self.setpoints.append((now_s, message))
                 self._send(self.vehicle.handle(message, COMPANION, now_s))
         self._send(self.vehicle.step(now_s))
-        self.inputs.near_uavs = self.near_objects.uavs(now_s)
         if self.bridge_alive and not self.bridge.procedure.over:
             self.bridge.serve()
 

@@ -1,27 +1,40 @@
-"""Words on the legs of a mission, as an operator says them to a fleet of processes with sealed messages."""
+"""The services of the leader: legs, words on a mission, seals; called in one process, and by an operator of a fleet."""
 
 import json
 import signal
 import subprocess
 import sys
+import time
+from datetime import datetime, timezone
 
 import numpy as np
 import pytest
 
 pytest.importorskip("rclpy")
 
+from std_srvs.srv import Trigger
+from uav_surroundings import FOLLOWER, LEADER, Others, call
+
 from ptnsbc_io import wire
 from ptnsbc_io.bag import read_bag
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.endpoints import Endpoints
+from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions
 from ptnsbc_nodes.comm.seal import KEY_FILE, Seal, new_key, read_key
 from ptnsbc_nodes.fleet.coordinator_node import Coordinator
-from ptnsbc_sim.scenario import scenario_from_text
+from ptnsbc_nodes.uav.node import UavNode
+from ptnsbc_sim.scenario import load_scenario, scenario_from_text
 from ptnsbc_sim.scenario.mission.legs import CANCEL
 from ptnsbc_tools.reading.bag_reader import read_recording
 from ptnsbc_tools.replay.rerun import rerun
 
-pytestmark = [pytest.mark.ros, pytest.mark.slow]
+pytestmark = pytest.mark.ros
+
+
+@pytest.fixture(scope="module")
+def scenario():
+    return load_scenario("paper_5")
+
 
 MISSION = """
 extends: paper_5_free
@@ -37,6 +50,7 @@ mission:
 """
 
 
+@pytest.mark.slow
 def test_an_operator_begins_and_cancels_legs_of_a_sealed_fleet(
     launch, ros, tmp_path, domain, monkeypatch
 ):
@@ -95,3 +109,157 @@ def test_an_operator_begins_and_cancels_legs_of_a_sealed_fleet(
     at = recording.odometry[1].at(np.array([rest_ns, recording.end_ns]), 3)
     assert np.linalg.norm(at[1] - at[0]) < 0.05, "at rest"
     assert at[1, 0] < 5.5, "not at the gate"
+
+
+def test_leader_serves_the_legs_of_a_lockstep_flight(ros, scenario):
+    others = Others(ros, scenario, LEADER)
+    early = call(ros, others.node, "hold")
+    assert not early.success
+    assert "call /formation/start first" in early.message
+    too_early = call(ros, others.node, "start")
+    assert (too_early.success, too_early.message) == (
+        False,
+        "the leader waits for /formation/epoch",
+    )
+    Endpoints(others.node, lockstep=True).listen(topics.EPOCH, bytes, lambda data: None)
+    ros.spin_until(lambda: not others.uav.waiting_for())
+    assert call(ros, others.node, "start").success
+    ros.spin_until(lambda: others.epochs == [(0, "form")])
+    others.odom(0)
+    others.near(0)
+    ros.spin_until(lambda: others.ticks() == [0])
+    assert call(ros, others.node, "land").success
+    ros.spin_until(lambda: others.epochs == [(0, "form"), (500_000_000, "land")])
+
+
+def sealed_uav(ros, scenario, uav_id):
+    """A UAV of a fleet with a seal, and the ends of a node with the seal and of one without."""
+    seal = Seal(bytes(32))
+    edges = CommunicationGraph(scenario, FlightOptions(seal=seal))
+    uav = UavNode(ros.node("controller", namespace=f"/uav{uav_id}"), scenario, uav_id, edges)
+    return uav, Endpoints(ros.node("ours"), False, seal), Endpoints(ros.node("theirs"), False)
+
+
+def test_with_a_seal_no_leg_of_an_outsider_counts(ros, scenario):
+    uav, ours, theirs = sealed_uav(ros, scenario, FOLLOWER)
+    leg = wire.HeaderTemplate("form").encode(7)
+    true, forged = ours.publisher(topics.EPOCH, 1), theirs.publisher(topics.EPOCH, 1)
+    ros.spin_until(lambda: not ours.unread() and not theirs.unread())
+    forged(leg)
+    ros.spin_until(lambda: uav.endpoints.refusals.counts)
+    assert "not sealed with the key of the fleet" in uav.endpoints.refusals.newest
+    assert not uav._epochs.announced
+    true(leg)
+    ros.spin_until(lambda: uav._epochs.announced)
+    ros.spin_until(uav.endpoints.rivals)
+    assert uav.endpoints.rivals().startswith("/formation/epoch has a second publisher: /")
+
+
+def test_with_a_seal_the_leader_answers_no_call_without_a_sealed_request(ros, scenario):
+    _, ours, theirs = sealed_uav(ros, scenario, LEADER)
+    send = [ends.publisher(topics.REQUEST, 1) for ends in (ours, theirs)]
+    ros.spin_until(lambda: not ours.unread() and not theirs.unread())
+    node = ours._node
+    refused = call(ros, node, "stop").message
+    assert refused.startswith("security: signed: expected a sealed /formation/request")
+    request = wire.HeaderTemplate("stop").encode(0)
+    send[1](request)
+    ros.spin_for(0.1)
+    assert call(ros, node, "stop").message == refused
+    send[0](request)
+    ros.spin_for(0.1)
+    assert call(ros, node, "stop").message == "not started: call /formation/start first"
+    assert call(ros, node, "stop").message == refused  # one call for one request
+
+
+def test_leader_takes_words_on_the_legs_of_a_mission(ros):
+    legs = [
+        {"kind": "form", "over_s": 5},
+        {"kind": "go_to", "name": "gate", "position_m": [2, 5, 6], "over_s": 4, "on": "word"},
+        {"kind": "go_to", "name": "far", "position_m": [500, 5, 6], "over_s": 4, "on": "word"},
+    ]
+    others = Others(ros, load_scenario("paper_5_free", {"mission": {"legs": legs}}), LEADER)
+    assert "call /formation/start first" in call(ros, others.node, "leg_2").message
+    Endpoints(others.node, lockstep=True).listen(topics.EPOCH, bytes, lambda data: None)
+    ros.spin_until(lambda: not others.uav.waiting_for())
+    assert call(ros, others.node, "start").success
+    others.odom(0)
+    others.near(0)
+    ros.spin_until(lambda: others.ticks() == [0])
+    told = json.loads(call(ros, others.node, "mission").message)
+    assert told["now_s"] == 0.0
+    assert [(leg["name"], leg.get("begin_s")) for leg in told["legs"]] == [
+        ("form-1", 0.0), ("gate", None), ("far", None),
+    ]  # fmt: skip
+    refused = call(ros, others.node, "leg_3")
+    assert not refused.success
+    assert refused.message.startswith("leg far leaves -")
+    taken = call(ros, others.node, "leg_2")
+    assert (taken.success, taken.message) == (True, "leg gate from 0.50 s, due at 4.50 s")
+    ros.spin_until(lambda: others.epochs == [(0, "form"), (500_000_000, "mission 2")])
+    told = json.loads(call(ros, others.node, "mission").message)
+    assert told["legs"][1]["begin_s"] == 0.5
+
+
+def test_a_mission_that_should_have_begun_is_not_started(ros):
+    """In real time; one that is to begin later begins at that very instant."""
+    legs = [{"kind": "form", "over_s": 5}]
+    soon_s = round(time.time()) + 60
+    for start_s, begins in ((soon_s - 120, False), (soon_s + 7200, False), (soon_s, True)):
+        start = datetime.fromtimestamp(start_s, timezone.utc).isoformat().replace("+00:00", "Z")
+        mission = {"mission": {"start": start, "legs": legs}}
+        others = Others(ros, load_scenario("paper_5_free", mission), LEADER, lockstep=False)
+        others.odom(time.time_ns())
+        ros.spin_until(lambda others=others: others.wrenches)
+        answer = call(ros, others.node, "start")
+        assert answer.success == begins
+        if begins:
+            ros.spin_until(lambda others=others: others.epochs)
+            assert others.epochs[0].stamp_ns == soon_s * 1_000_000_000
+        else:
+            assert "expected a time within the next 3600 s" in answer.message
+        others.uav.close()
+
+
+def test_who_leads_next_tells_the_legs_again(ros):
+    """A UAV that is started after the leader's process has ended hears of the epoch from its successor."""
+    relay = load_scenario("relay")
+    others = Others(ros, relay, 2, lockstep=False)
+    heard = []
+    listener = Endpoints(ros.node("listener"), lockstep=False)
+    listener.listen(topics.EPOCH, wire.decode_header, heard.append)
+    epoch = wire.HeaderFields(time.time_ns(), "form")
+    others.form(*epoch)
+
+    def flown(*absent):
+        others.odom(time.time_ns())
+        others.neighbours(time.time_ns(), without=absent)
+
+    def all_there():
+        flown()
+        return heard and others.newest()[2]["mode"] == "form"
+
+    ros.spin_until(all_there)
+    ros.spin_until(lambda: flown() or time.time_ns() > epoch.stamp_ns + 1_000_000_000)
+    assert heard == [epoch]
+    ros.spin_until(lambda: flown(1) or len(heard) == 2)
+    assert heard == [epoch, epoch]
+    assert "second publisher" not in others.newest()[1]
+    assert call(ros, others.node, "hold").success
+    ros.spin_until(lambda: flown(1) or others.newest()[2]["mode"] == "hold")
+    assert [leg.frame_id for leg in heard] == ["form", "form", "hold"]
+
+
+def test_a_leader_that_comes_back_serves_no_longer(ros):
+    """Its successor does: a UAV that was away does not lead again."""
+    others = Others(ros, load_scenario("relay"), LEADER, lockstep=False)
+    hold = others.node.create_client(Trigger, "/formation/hold")
+    ros.spin_until(hold.service_is_ready)
+    told = Endpoints(ros.node("successor"), lockstep=False).publisher(topics.EPOCH, 1)
+    told(wire.HeaderTemplate("form").encode(time.time_ns() - 10_000_000_000))
+
+    def flown():
+        others.odom(time.time_ns())
+        others.neighbours(time.time_ns())
+
+    ros.spin_until(lambda: flown() or not hold.service_is_ready())
