@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.polynomial import Polynomial
-from scipy.signal import cont2discrete, lfilter_zi
+from scipy.signal import bilinear_zpk, sosfilt, sosfilt_zi, tf2zpk, zpk2sos
 
 from ptnsbc_core.kinematics import rotation_from_quaternion
 from ptnsbc_core.types import Array
@@ -137,14 +137,18 @@ def largest_kappa_1_s(response: VelocityResponse, lead: bool) -> float:
 
 
 class _Filter:
-    """A transfer function in discrete time on horizontal vectors (2,)."""
+    """A transfer function in discrete time on horizontal vectors (2,), in sections of second order.
+
+    In one piece its coefficients lose what the sixth power of a short period leaves of them.
+    """
 
     def __init__(self, transfer: Transfer, period_s: float) -> None:
-        above, below = transfer.above.coef[::-1], transfer.below.coef[::-1]
-        numbers, divisors, _ = cont2discrete((above, below), period_s, method="bilinear")
-        self._b, self._a = np.ravel(numbers), np.ravel(divisors)
-        self._b, self._a = self._b / self._a[0], self._a / self._a[0]
-        self._rest = lfilter_zi(self._b, self._a)
+        above, below = transfer.above.trim().coef, transfer.below.trim().coef
+        # Without an integral the vehicle's loop and its lead have an s in common.
+        while above[0] == 0.0 and below[0] == 0.0:
+            above, below = above[1:], below[1:]
+        self._sections = zpk2sos(*bilinear_zpk(*tf2zpk(above[::-1], below[::-1]), 1.0 / period_s))
+        self._rest = sosfilt_zi(self._sections)
         self._state: Array | None = None
 
     def restart(self) -> None:
@@ -154,11 +158,9 @@ class _Filter:
     def step(self, value: Array) -> Array:
         """The output (2,) after one more period."""
         if self._state is None:
-            self._state = np.outer(self._rest, value)
-        out = self._b[0] * value + self._state[0]
-        moved = np.vstack((self._state[1:], np.zeros((1, 2))))
-        self._state = moved + np.outer(self._b[1:], value) - np.outer(self._a[1:], out)
-        return np.asarray(out)
+            self._state = self._rest[:, :, None] * value
+        out, self._state = sosfilt(self._sections, value[None, :], axis=0, zi=self._state)
+        return np.asarray(out[0])
 
 
 class VelocityLead:

@@ -73,14 +73,29 @@ def test_no_gain_fits_a_vehicle_whose_own_loop_is_not_stable(response):
     assert largest_kappa_1_s(response.measured(None, 2.0), lead=False) == 0.0
 
 
-@KINDS
+@pytest.mark.parametrize(
+    "response",
+    [ARDUPILOT, ARDUPILOT._replace(integral=0.0), PX4, PX4._replace(integral=0.0)],
+    ids=["ardupilot", "ardupilot-without-integral", "px4", "px4-without-integral"],
+)
 def test_a_steady_velocity_is_sent_as_it_is_with_the_push_against_the_drag(response):
     lead = VelocityLead(response, PERIOD_S)
     for _ in range(500):
         velocity, push = lead.setpoint(np.array([1.0, -0.5]), 0.3)
-    assert velocity == pytest.approx([1.0, -0.5], abs=1e-6)
+    assert velocity == pytest.approx([1.0, -0.5], abs=1e-9)
     expected = 0.0 if response.shaping_1_s else 0.3
-    assert push == pytest.approx([expected, -0.5 * expected], abs=1e-6)
+    assert push == pytest.approx([expected, -0.5 * expected], abs=1e-9)
+
+
+def test_a_vehicle_without_integral_and_position_loop_is_pushed_by_its_setpoint():
+    """Nothing else of it holds a velocity against the drag: the additions are finite and constant."""
+    response = ARDUPILOT._replace(integral=0.0, position_gain=0.0)
+    lead = VelocityLead(response, PERIOD_S)
+    for _ in range(500):
+        velocity, push = lead.setpoint(np.array([1.0, -0.5]), 0.3)
+    against = 0.3 / response.gain
+    assert velocity == pytest.approx([1.0 + against, -0.5 * (1.0 + against)], abs=1e-9)
+    assert push == pytest.approx([0.0, 0.0], abs=1e-9)
 
 
 @KINDS
