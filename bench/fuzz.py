@@ -254,7 +254,6 @@ class Packets:
     _wanted = frozenset(mavlink.mavlink_map)
 
     def __init__(self, _folder: Path) -> None:
-        self._codec = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
         self._kinds = sorted(mavlink.mavlink_map)
         self.sound = b""
 

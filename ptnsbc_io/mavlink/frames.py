@@ -52,13 +52,8 @@ def wrapped(angle_rad: float) -> float:
 
 
 def yaw_enu_to_ned(yaw_enu_rad: float) -> float:
-    """Heading: counter-clockwise from east to clockwise from north, in (-pi, pi]."""
+    """Heading: counter-clockwise from east to clockwise from north, in (-pi, pi]; the same the other way round."""
     return wrapped(0.5 * math.pi - yaw_enu_rad)
-
-
-def yaw_ned_to_enu(yaw_ned_rad: float) -> float:
-    """Heading: clockwise from north to counter-clockwise from east, in (-pi, pi]."""
-    return wrapped(0.5 * math.pi - yaw_ned_rad)
 
 
 def quaternion_ned_frd_to_enu_flu(wxyz: Array) -> Array:

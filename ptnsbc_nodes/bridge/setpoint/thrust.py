@@ -91,6 +91,7 @@ class ThrustTest:
     _SIZE = 0.06  # of the logarithm of the thrust
     _PART_S, _PARTS = 0.15, np.array((1.0, -1.0, -1.0, 1.0))
     _PATTERN = np.kron(np.random.default_rng(6).choice((-1.0, 1.0), 18), _PARTS)
+    _PADDED = np.pad(_PATTERN, 1)  # zero before and after
     _GAP_S = 0.25
     _TAIL_S = 0.8
     _LAGS_S = np.arange(-0.2, _TAIL_S, 0.02)  # of the pattern
@@ -152,9 +153,8 @@ class ThrustTest:
 
     def _pattern(self, since_s: Array) -> Array:
         """The pattern (N,) at times (N,) since it began [s]; zero before and after."""
-        padded = np.pad(self._PATTERN, 1)
         part = np.floor(since_s / self._PART_S).astype(int) + 1
-        return np.asarray(padded[np.clip(part, 0, len(padded) - 1)])
+        return np.asarray(self._PADDED[np.clip(part, 0, len(self._PADDED) - 1)])
 
     def _response(self) -> ThrustResponse | None:
         sent, states = np.array(self._sent), np.array(self._states)

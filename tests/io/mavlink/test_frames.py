@@ -81,7 +81,7 @@ def test_vectors_return(vector):
 
 @given(angles)
 def test_yaw_returns(yaw):
-    assert frames.yaw_ned_to_enu(frames.yaw_enu_to_ned(yaw)) == pytest.approx(yaw, abs=1e-12)
+    assert frames.yaw_enu_to_ned(frames.yaw_enu_to_ned(yaw)) == pytest.approx(yaw, abs=1e-12)
 
 
 @given(angles, pitches, angles)
@@ -104,7 +104,7 @@ def test_euler_angles_of_the_attitude_message(roll, pitch, yaw):
     ours = frames.quaternion_ned_frd_to_enu_flu(frames.quaternion_from_euler_ned(roll, pitch, yaw))
     odometry = np.zeros(13)
     odometry[3:7] = ours
-    off = frames.wrapped(yaw_of(odometry) - frames.yaw_ned_to_enu(yaw))
+    off = frames.wrapped(yaw_of(odometry) - frames.yaw_enu_to_ned(yaw))
     assert off == pytest.approx(0.0, abs=1e-9)
 
 
