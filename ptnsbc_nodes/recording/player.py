@@ -11,7 +11,6 @@ from typing import Any
 import rclpy
 import yaml
 from rclpy.context import Context
-from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
@@ -21,6 +20,7 @@ from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_io.bag import Bag, BagMessage, BagTopic
 from ptnsbc_io.wire import ClockTemplate
 from ptnsbc_nodes.comm import topics
+from ptnsbc_nodes.comm.endpoints import wait_for_readers
 from ptnsbc_nodes.comm.qos import keep_last
 from ptnsbc_nodes.comm.topics import CLOCK, Role, Topic
 from ptnsbc_nodes.runtime.signals import StopRequest
@@ -127,8 +127,7 @@ class _Player:
             if not self._options.loop:
                 break
         played.interrupted = self._stop.came
-        for publisher in self._publishers.values():
-            publisher.wait_for_all_acked(Duration(seconds=_FLUSH_S / len(self._publishers)))
+        wait_for_readers(self._publishers.values(), _FLUSH_S)
         return played
 
     def _round(self, advance: Callable[[int, int], None]) -> None:

@@ -1,5 +1,7 @@
 """What a process says it has sent."""
 
+import threading
+
 import numpy as np
 import pytest
 
@@ -7,7 +9,7 @@ pytest.importorskip("rclpy")
 
 from ptnsbc_io import wire
 from ptnsbc_nodes.comm import topics
-from ptnsbc_nodes.comm.endpoints import Endpoints, sent_in
+from ptnsbc_nodes.comm.endpoints import Endpoints, sent_in, wait_for_readers
 from ptnsbc_nodes.comm.seal import Seal
 
 pytestmark = pytest.mark.ros
@@ -61,3 +63,32 @@ def test_nothing_listens_for_events_of_the_quality_of_service(ros):
     ends = [*endpoints._node.subscriptions, *(one.publisher for one in endpoints._published)]
     assert len(ends) == 2
     assert [handler for one in ends for handler in one.event_handlers] == []
+
+
+class _UnreadPublisher:
+    """A publisher whose reader answers as soon as another thread of this process has had its turn."""
+
+    def __init__(self):
+        self.read = threading.Event()
+        self.waited_ns = 0
+
+    def wait_for_all_acked(self, timeout):
+        self.waited_ns += timeout.nanoseconds
+        return self.read.is_set()
+
+
+def test_other_threads_act_while_a_process_waits_for_its_readers():
+    """rclpy keeps Python's lock inside `wait_for_all_acked`: a bridge could not say for 3 s that its motors stood."""
+    publisher = _UnreadPublisher()
+    other = threading.Thread(target=publisher.read.set)
+    other.start()
+    assert wait_for_readers([publisher], 60.0)
+    assert publisher.waited_ns == 0
+    other.join()
+
+
+def test_readers_that_do_not_answer_end_the_wait_when_it_is_over():
+    publisher = _UnreadPublisher()
+    assert not wait_for_readers([publisher], 0.0)
+    publisher.read.set()
+    assert wait_for_readers([publisher], 0.0)
