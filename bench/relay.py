@@ -1,13 +1,14 @@
 """`relay` as real processes in real time: one killed with SIGKILL and started again, the leader killed for good.
 
-`python -m bench.relay [--runs 20]` flies it so often and counts the flights whose verdict is *met*. A flight that is
-not met while other programs had the processors is *not judged*, by the rule of the tests in real time
-(`tests/support/real_time.py`).
+`python -m bench.relay [--runs 20] [--out DIR]` flies it so often and counts the flights whose verdict is *met*; DIR
+keeps the bags and logs of the others. A flight that is not met while other programs had the processors is *not judged*,
+by the rule of the tests in real time (`tests/support/real_time.py`).
 """
 
 from __future__ import annotations
 
 import argparse
+import shutil
 import sys
 import tempfile
 from collections import Counter
@@ -57,9 +58,18 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Entry point; exit code 1 when a flight is not met."""
     parser = argparse.ArgumentParser(prog="bench.relay", description=__doc__)
     parser.add_argument("--runs", type=int, default=20)
-    runs = parser.parse_args(argv).runs
-    with tempfile.TemporaryDirectory() as folder, closing(Probe()) as probe:
-        count = Counter(flown(number, Path(folder), probe) for number in range(1, runs + 1))
+    parser.add_argument(
+        "--out", type=Path, metavar="DIR", help="keeps the flights that are not met"
+    )
+    arguments = parser.parse_args(argv)
+    runs, count = arguments.runs, Counter[str]()
+    with closing(Probe()) as probe:
+        for number in range(1, runs + 1):
+            with tempfile.TemporaryDirectory() as folder:
+                found = flown(number, Path(folder), probe)
+                if found != MET and arguments.out is not None:
+                    shutil.copytree(folder, arguments.out / f"flight_{number}")
+            count[found] += 1
     print(", ".join(f"{kind}: {count[kind]} of {runs}" for kind in (MET, NOT_MET, NOT_JUDGED)))
     return 0 if count[MET] == runs else 1
 
