@@ -116,6 +116,7 @@ def _told_paths(estimate: Estimate, planned: bool, clock: Clock, config: AgentCo
         config.slot,
         config.other_slots,
         config.slot_reach,
+        config.turn,
     )
 
 

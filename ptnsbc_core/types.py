@@ -206,6 +206,7 @@ class AgentConfig(NamedTuple):
     leader: bool
     task: int  # number in tasks/table.py, or TASK_OWN
     approach: int  # APPROACH_*
+    turn: float  # [rad] of the planned approach about the vertical, the same for all UAVs; 0: straight
     desired: Vector3  # desired task value sigma_d
     offset: Vector3  # [m, ENU] desired position relative to the parent
     slot: Vector3  # [m, ENU] desired position relative to the reference point of the formation

@@ -1,8 +1,9 @@
 """Behaviour of a follower: the formation law.
 
 Two ways to the formation. `task` is the paper's: the task itself closes every error. `planned` forms by positions
-and holds by the task: all UAVs move on straight lines with one time profile, in the leader's moving frame, and
-feedback acts on deviations from that plan only (docs/method.md, "The planned approach").
+and holds by the task: all UAVs move on straight lines, or on arcs that all turn by the same angle, with one time
+profile, in the leader's moving frame. Feedback acts on deviations from that plan only (docs/method.md, "The planned
+approach").
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from ptnsbc_core.behaviours.contract import (
 )
 from ptnsbc_core.behaviours.recovery import way_back
 from ptnsbc_core.curves.shape import PlaceMotion, places_from_rest
+from ptnsbc_core.curves.turned import TurnedStep, plus_scaled, start_of, turned_step
 from ptnsbc_core.kernel import inline_kernel, kernel
 from ptnsbc_core.nullspace import TaskVelocity, damped_solve
 from ptnsbc_core.tasks.approach import homing_speed
@@ -27,11 +29,9 @@ from ptnsbc_core.tasks.registry import evaluate, task_error
 from ptnsbc_core.tasks.table import TASKS
 from ptnsbc_core.timebase import (
     Clock,
-    PlanStep,
     fallback_gain,
     h,
     plan_duration,
-    plan_step,
     step_gain,
     task_rate,
 )
@@ -194,14 +194,15 @@ class ParentDeviation(NamedTuple):
 
 @inline_kernel
 def _parent_deviation(
-    parent: Neighbour, leader: Neighbour, start: Vector3, plan: PlanStep
+    parent: Neighbour, leader: Neighbour, start: Vector3, plan: TurnedStep
 ) -> ParentDeviation:
-    """Against v_L + h_dot E_0 of the parent's own start error (3,) [m].
+    """Against v_L - z_dot E_0 of the parent's own start error (3,) [m].
 
     A deviation is not extrapolated. Extrapolated over a delay, it would grow from hop to hop.
     """
-    acceleration = axpy(-plan.acceleration, start, sub3(parent.acceleration, leader.acceleration))
-    velocity = axpy(-plan.rate, start, sub3(parent.velocity, leader.velocity))
+    relative = sub3(parent.acceleration, leader.acceleration)
+    acceleration = plus_scaled(-1.0, plan.acceleration, start, relative)
+    velocity = plus_scaled(-1.0, plan.rate, start, sub3(parent.velocity, leader.velocity))
     return ParentDeviation(axpy(-parent.delay_s, acceleration, velocity), acceleration)
 
 
@@ -215,29 +216,33 @@ def _planned(
     clock: Clock,
     config: AgentConfig,
 ) -> Behaviour:
-    """v_L + h_dot E_0 + (Xi + (1 - rho) kappa) D + rho (kappa d + d_j), after tf the task in place of d.
+    """v_L - z_dot E_0 + (Xi + (1 - rho) kappa) D + rho (kappa d + d_j), after tf the task in place of d.
 
-    E is the error in the leader's frame, e the error relative to the parent, D = E - E_0 (1 - h) and
-    d = e - e_0 (1 - h) what they deviate from the plan, and d_j the velocity of the parent beside its own plan. After
-    tf the task has J^+ (kappa e_task - J_j d_j) in place of kappa d + d_j. A deviation of the parent reaches its
+    E is the error in the leader's frame, e the error relative to the parent, D = E - z E_0 and d = e - z e_0
+    what they deviate from the plan, and d_j the velocity of the parent beside its own plan. z is 1 - h, turned.
+    After tf the task has J^+ (kappa e_task - J_j d_j) in place of kappa d + d_j. A deviation of the parent reaches its
     child through rho (s + kappa) / (s + kappa): the gain per hop is rho, whatever the vehicle and the delay. After an
     encounter D and d count from the UAV's own way back.
     """
     gain = config.formation
     kappa = gain.scale * gain.kappa
-    plan = plan_step(plan_duration(gain), clock)
+    plan = turned_step(plan_duration(gain), config.turn, clock)
     slot_start, edge_start = epoch.start.slot, epoch.start.edge
     if epoch.at_epoch:
-        share = 1.0 / plan.left if plan.left > _LEAST_LEFT else 0.0
-        slot_start, edge_start = scale3(share, errors.slot), scale3(share, errors.edge)
+        slot_start, edge_start = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+        if plan.left.up > _LEAST_LEFT:
+            slot_start, edge_start = (
+                start_of(plan.left, errors.slot),
+                start_of(plan.left, errors.edge),
+            )
     beside = _parent_deviation(parent, leader, sub3(slot_start, edge_start), plan)
     late = parent.delay_s
     edge = axpy(-late, beside.velocity, errors.edge)
     edge = axpy(-0.5 * late * late, beside.acceleration, edge)
 
     back = way_back(epoch.recovery, clock, kappa)
-    own = axpy(-plan.left, slot_start, errors.slot)
-    relative = axpy(-plan.left, edge_start, edge)
+    own = plus_scaled(-1.0, plan.left, slot_start, errors.slot)
+    relative = plus_scaled(-1.0, plan.left, edge_start, edge)
     beside_plan, beside_edge = sub3(own, back.deviation), sub3(relative, back.deviation)
 
     follow = beside.velocity
@@ -253,13 +258,13 @@ def _planned(
     shared = scale3(_SHARE, follow)
     correction = braked(correction, shared, far, kappa + xi, config)
     lead = axpy(_SHARE, beside.acceleration, leader.acceleration)
-    planned = axpy(plan.rate, slot_start, leader.velocity)
+    planned = plus_scaled(1.0, plan.rate, slot_start, leader.velocity)
     itself = axpy(_SHARE, relative, scale3(1.0 - _SHARE, own))
     return Behaviour(
         add3(add3(planned, back.velocity), correction),
         errors.task,
         by_task.singular_value,
-        add3(axpy(plan.acceleration, slot_start, lead), back.acceleration),
+        add3(plus_scaled(1.0, plan.acceleration, slot_start, lead), back.acceleration),
         slot_start,
         edge_start,
         Beside(itself, add3(planned, shared), True),

@@ -27,6 +27,7 @@ from ptnsbc_core.algebra import (
     store3,
     sub3,
 )
+from ptnsbc_core.curves.turned import scaled
 from ptnsbc_core.kernel import inline_kernel, kernel
 from ptnsbc_core.nullspace import null_space_projector
 from ptnsbc_core.tasks import obstacle_memory
@@ -201,7 +202,7 @@ def _braking_constraint(
         part = path_share(
             view.told, position, view.velocity, sight.centre, velocity, -depth / allowed
         )
-        relative = scale3(part, relative)
+        relative = scaled(part, relative)
     space = clear_velocities(away, keep_out, relative, allowed)
     beside = view.velocity
     if not alone:

@@ -42,7 +42,7 @@ from ptnsbc_core.types import (
     Vector3,
 )
 from ptnsbc_sim.own_task import load_task
-from ptnsbc_sim.scenario.deadline import leader_motion
+from ptnsbc_sim.scenario.deadline import leader_motion, turn_of
 from ptnsbc_sim.scenario.gains import Loop
 from ptnsbc_sim.scenario.mission.shapes import moves, shape_of
 from ptnsbc_sim.scenario.mission.trajectories import trajectory_of
@@ -347,6 +347,7 @@ def agent_config(scenario: Scenario, uav_id: int) -> AgentConfig:
         leader=bool(uav_id == scenario.leader_id),
         task=TASK_OWN if scenario.plugins.task else TASKS[scenario.file.formation.task],
         approach=APPROACHES[scenario.file.formation.approach],
+        turn=turn_of(scenario.file),
         desired=desired,
         offset=three(_offset_from_parent(scenario, uav_id)),
         slot=three(scenario.offset(uav_id)),

@@ -1,13 +1,15 @@
 """The shortest deadline of the formation in closed form, and the one that `deadline_s: auto` takes.
 
-The planned approach E_0 (1 - h) asks for the largest speed and acceleration of h (`feasible_deadline`). The motion of
-the leader, that of a shape and the drag take their part of the limits of the vehicle, with the largest speed and the
-largest acceleration of the whole flight.
+The planned approach E_0 (1 - h) asks for the largest speed and acceleration of h (`feasible_deadline`), a turned one
+for more (`approach_peaks`). The turn that a scenario leaves open is the first of those that fit into its deadline. The
+motion of the leader, that of a shape and the drag take their part of the limits of the vehicle, with the largest speed
+and the largest acceleration of the whole flight.
 """
 
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +18,7 @@ from ptnsbc_core.curves.shape import place_samples
 from ptnsbc_core.curves.trajectory import course_samples, reference
 from ptnsbc_core.timebase import feasible_deadline
 from ptnsbc_core.types import Array
-from ptnsbc_sim.scenario.mission.legs import LandLeg, ScheduledLeg
+from ptnsbc_sim.scenario.mission.legs import LandLeg, ScheduledLeg, moves_shape
 from ptnsbc_sim.scenario.mission.shapes import moves, nearest_places, shape_of
 from ptnsbc_sim.scenario.mission.trajectories import (
     Circle,
@@ -27,10 +29,14 @@ from ptnsbc_sim.scenario.mission.trajectories import (
 )
 from ptnsbc_sim.scenario.model import Plant, ScenarioFile, UavBlock, plant_of
 from ptnsbc_sim.scenario.problems import ScenarioError
+from ptnsbc_sim.scenario.turn import Pairs, approach_peaks, candidates, pairs_of
 
 AUTO = "auto"
 MARGIN = 1.5
 """`auto` is so many times the shortest deadline."""
+
+_RESERVE = 1.2
+"""A turn is taken where the deadline is so many times the shortest one with it."""
 
 _SAMPLE_S, _MOST_SAMPLES = 0.02, 20_000  # of the motion of a shape
 _STEP_S = 0.1  # `auto` is rounded up to it
@@ -204,8 +210,64 @@ def start_errors(file: ScenarioFile) -> dict[int, float]:
     }
 
 
+def _open_turns(file: ScenarioFile) -> tuple[float, ...]:
+    """The turns [rad] that a scenario leaves open, the one to take first; the last one is that of straight paths."""
+    formation = file.formation
+    together = formation.vacancy == "wait" and not file.leader.successors
+    fixed = formation.assignment == "fixed" and formation.approach == "planned"
+    rests = not (moves(formation) or moves_shape(file.mission))
+    if not (together and fixed and rests and all(uav.joins_s is None for uav in file.uavs)):
+        return (0.0,)
+    return _candidates(*(np.asarray(part).tobytes() for part in planned_pairs(file)))
+
+
+def planned_pairs(file: ScenarioFile) -> Pairs:
+    """All pairs of UAVs with their own places, from the starts of the file."""
+    formation, offsets = file.formation, _offsets_at_start(file)
+    starts = np.array([uav.position_m for uav in file.uavs])
+    lead = next(row for row, uav in enumerate(file.uavs) if uav.id == file.leader.id)
+    own = [uav.keep_out_m for uav in file.uavs]
+    keep_outs = [formation.uav_keep_out_m if one is None else one for one in own]
+    places = np.array([offsets[uav.id] for uav in file.uavs])
+    margin_m = float(file.gains.clearance.margin_m)
+    return pairs_of(starts - starts[lead], places, np.array(keep_outs), margin_m)
+
+
+@lru_cache(maxsize=64)
+def _candidates(places: bytes, errors: bytes, clear: bytes) -> tuple[float, ...]:
+    ends, ways = (np.frombuffer(one).reshape(-1, 3) for one in (places, errors))
+    return candidates(Pairs(ends, ways, np.frombuffer(clear)))
+
+
+def turn_of(file: ScenarioFile) -> float:
+    """The turn of the planned approach [rad]: that of the scenario, or the first open one that its deadline allows."""
+    if file.formation.turn_rad is not None:
+        return float(file.formation.turn_rad)
+    turns = _open_turns(file)
+    if len(turns) == 1:
+        return turns[0]
+    limits, deadline_s = limits_left(file), float(file.gains.formation.deadline_s)
+    if min(limits) <= 0.0:
+        return 0.0
+    for turn in turns:
+        if _RESERVE * max(_deadlines(file, limits, turn).values()) <= deadline_s:
+            return turn
+    return 0.0
+
+
 def shortest_deadlines(file: ScenarioFile, limits: Limits) -> dict[int, float]:
     """Shortest deadline [s] that the limits, both above 0, allow for each UAV."""
+    return _deadlines(file, limits, turn_of(file))
+
+
+def _turned_s(error_m: float, limits: Limits, turn: float) -> float:
+    """`feasible_deadline` of an approach that turns by `turn` [rad]."""
+    peaks = approach_peaks(turn)
+    by_speed = peaks.speed * error_m / limits.speed_m_s
+    return max(by_speed, math.sqrt(peaks.acceleration * error_m / limits.acceleration_m_s2))
+
+
+def _deadlines(file: ScenarioFile, limits: Limits, turn: float) -> dict[int, float]:
     motion = {
         uav: feasible_deadline(error, limits.speed_m_s, limits.acceleration_m_s2)
         for uav, error in start_errors(file).items()
@@ -215,6 +277,10 @@ def shortest_deadlines(file: ScenarioFile, limits: Limits) -> dict[int, float]:
     # The planned approach of a follower ends a little before the deadline: ptnsbc_core.timebase.plan_duration.
     loop, slots = file.gains.formation, _slots_at_start(file)
     settling = 1.0 / max(loop.scale * loop.kappa_1_s, 1e-9)
+    if turn != 0.0:
+        lead = next(uav for uav, slot in slots.items() if slot == file.leader.id)
+        turned = {uav: _turned_s(error, limits, turn) for uav, error in start_errors(file).items()}
+        motion = {uav: motion[uav] if uav == lead else need for uav, need in turned.items()}
     return {
         uav: need if slots[uav] == file.leader.id else min(need + settling, need / 0.8)
         for uav, need in motion.items()
@@ -233,7 +299,9 @@ def auto_deadline(file: ScenarioFile, source: str) -> float:
             f"{source}: gains.formation.deadline_s: auto: the leader's motion leaves {limits.speed_m_s:.2f} m/s and "
             f"{limits.acceleration_m_s2:.2f} m/s^2: expected both above 0, slow the leader down or raise the limits"
         )
-    shortest = max(shortest_deadlines(file, limits).values())
+    turn = file.formation.turn_rad
+    turn = _open_turns(file)[0] if turn is None else float(turn)
+    shortest = max(_deadlines(file, limits, turn).values())
     # The inner loops have to be done before the formation is.
     inner = file.gains
     least = 1.2 * max(inner.estimator.deadline_s, inner.force.deadline_s, inner.torque.deadline_s)

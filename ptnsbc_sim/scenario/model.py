@@ -210,6 +210,10 @@ class Formation(Block):
     assignment: Literal["fixed", "optimal"] = "fixed"
     """Assignment of the slots: `fixed` gives every UAV its own; `optimal` decides at each epoch by the measured
     positions, see [method.md](method.md#slots)."""
+    turn_rad: Annotated[Number, Field(ge=-3.2, le=3.2)] | None = None
+    """Angle about the vertical by which all planned paths turn on their way, 0 for straight lines, see
+    [method.md](method.md#turned-approach). Default: 0 where straight lines keep all pairs of UAVs apart, else
+    by starts, places and deadline of the scenario."""
     vacancy: Literal["wait", "keep", "close_up"] = "wait"
     """Use of the slot of a UAV that is lost or leaves, see [missions.md](missions.md#coming-and-going): with
     `wait` its children hold until they hear it again; `keep` leaves the slot empty, and they get another parent;

@@ -237,6 +237,18 @@ def _trajectory(file: ScenarioFile) -> Problems:
             yield f"{key}: {given}: expected {fits} with a leader that follows setpoints from a topic"
 
 
+def _turn(file: ScenarioFile) -> Problems:
+    formation = file.formation
+    if not formation.turn_rad:
+        return
+    for key, given, fits in (
+        ("assignment", formation.assignment, "fixed"),
+        ("approach", formation.approach, "planned"),
+    ):
+        if given != fits:
+            yield f"formation.turn_rad: {formation.turn_rad:g}: expected formation.{key}: {fits}"
+
+
 def _motion_of_shape(file: ScenarioFile) -> Problems:
     yield from shapes.problems(file)
 
@@ -400,6 +412,7 @@ _CHECKS: tuple[Callable[[ScenarioFile], Problems], ...] = (
     _parents,
     _offsets,
     _trajectory,
+    _turn,
     _motion_of_shape,
     _legs,
     _sight,

@@ -14,6 +14,7 @@ from typing import Any
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_sim.scenario import Scenario, scenario_from_text
+from ptnsbc_sim.scenario.deadline import turn_of
 from ptnsbc_sim.swarm import HeadlessFlight
 from ptnsbc_sim.sweep.axes import UNIFORM, SweepAxis
 from ptnsbc_sim.sweep.plan import SweepPlan, draw
@@ -137,10 +138,10 @@ def dry_run_says(plan: SweepPlan, k: int) -> str:
 
 def _flights(scenario: Scenario, runs: int, seed: int) -> Iterator[DryFlight]:
     deadline_s = scenario.gains.formation.deadline_s
-    text, stop_s = scenario.text, deadline_s + AFTER_S
+    stop_s, changes = deadline_s + AFTER_S, dict(_turn_as_flown(scenario))
     if scenario.duration_s < deadline_s + _LEAST_AFTER_S:  # nothing could be judged
-        longer = {"timing.duration_s": deadline_s + _LEAST_AFTER_S}
-        text = scenario_from_text(text, longer, source=scenario.source).text
+        changes["timing.duration_s"] = deadline_s + _LEAST_AFTER_S
+    text = scenario_from_text(scenario.text, changes, source=scenario.source).text
     as_it_stands = SweepPlan(text, 1, seed, source=scenario.source)
     perturbed = SweepPlan(
         text,
@@ -156,6 +157,11 @@ def _flights(scenario: Scenario, runs: int, seed: int) -> Iterator[DryFlight]:
         for k in range(plan.draws if plan.runs else 0):
             rows, _, room = fly_draw(plan, k, room)
             yield _judged(scenario, rows)
+
+
+def _turn_as_flown(scenario: Scenario) -> dict[str, float]:
+    """The turn of the scenario by name: the fleet computes it from the starts of the file, wherever its UAVs stand."""
+    return {"formation.turn_rad": turn_of(scenario.file)}
 
 
 def _worse_links(scenario: Scenario) -> Iterator[SweepAxis]:
@@ -201,12 +207,15 @@ def _finite(value: float | None) -> float | None:
 
 def with_starts_at(scenario: Scenario, positions: Mapping[int, tuple[float, ...]]) -> Scenario:
     """The scenario with UAVs at measured positions (3,) [m], ENU, by id."""
-    keys = {
+    keys: dict[str, Any] = {
         f"uavs[{index}].position_m": [float(number) for number in positions[uav]]
         for index, uav in enumerate(scenario.uav_ids)
         if uav in positions
     }
-    return scenario_from_text(scenario.text, keys, source=scenario.source) if keys else scenario
+    if not keys:
+        return scenario
+    keys |= _turn_as_flown(scenario)
+    return scenario_from_text(scenario.text, keys, source=scenario.source)
 
 
 @dataclass(frozen=True)

@@ -17,10 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ptnsbc_core.behaviours.recovery import recovery_duration
-from ptnsbc_core.timebase import h, plan_duration
+from ptnsbc_core.curves.turned import left_at
+from ptnsbc_core.timebase import plan_duration
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.build import loop_of, recovery_config
+from ptnsbc_sim.scenario.deadline import turn_of
 from ptnsbc_sim.scenario.mission.membership import NEVER_NS
 from ptnsbc_sim.verdict.formation_error import formation_vectors
 from ptnsbc_sim.verdict.recording import COUNTERS, Recording
@@ -168,17 +170,25 @@ def _to_regain(recording: Recording, ends: NDArray[np.int64]) -> dict[int, Array
     grid, which = np.unique(looked, return_inverse=True)
     begin, now, soon = which[0], which[1 : 1 + ends.size], which[1 + ends.size :]
     times = recording.times(grid)
-    left = np.array([1.0 - h(t / duration_s) for t in times.tolist()])
+    turn = turn_of(scenario.file)
+    left = np.array([left_at(turn, t / duration_s) for t in times.tolist()])
     away = {}
     for uav, vectors in formation_vectors(recording, grid, recording.positions(grid)).items():
         if uav != scenario.leader_id:
-            vectors = vectors - left[:, None] * vectors[begin]
+            vectors = vectors - _turned(left, vectors[begin])
         else:
             vectors[times < gain.duration_s] = 0.0
         beside = lengths(vectors)
         growing = np.maximum(beside[soon] - beside[now], 0.0) / (_GROWTH_NS * 1e-9)
         away[uav] = np.nan_to_num(beside[now] + growing * slowing_s, posinf=0.0)
     return away
+
+
+def _turned(left: Array, start: Array) -> Array:
+    """The planned errors (T, 3) [m] for what is left (T, 3) of a start error (3,) [m]."""
+    x, y, z = start
+    along, across, up = left.T
+    return np.stack([along * x - across * y, across * x + along * y, up * z], axis=1)
 
 
 def _joined(spans: Iterable[Encounter]) -> list[Encounter]:

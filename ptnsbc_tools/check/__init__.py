@@ -27,7 +27,7 @@ from ptnsbc_tools.check.geometry import (
     starts_clear,
 )
 from ptnsbc_tools.check.mission import legs
-from ptnsbc_tools.check.slots import slots
+from ptnsbc_tools.check.slots import slots, turn
 from ptnsbc_tools.check.trajectory import trajectory
 
 __all__ = ["ERROR", "INFO", "WARNING", "CheckError", "Finding", "check", "refuse"]
@@ -42,6 +42,7 @@ _CHECKS: Sequence[Callable[[Scenario], Findings]] = (
     order,
     printed,
     slots,
+    turn,
     feasible,
     within_flight,
     changes,

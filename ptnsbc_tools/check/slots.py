@@ -1,4 +1,4 @@
-"""Pre-flight check of open slots: whether the straight paths to them keep their distance."""
+"""Pre-flight check of the ways to the slots: whether the planned paths to them keep their distance."""
 
 from __future__ import annotations
 
@@ -9,7 +9,9 @@ import numpy as np
 
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import Scenario
+from ptnsbc_sim.scenario.deadline import planned_pairs, turn_of
 from ptnsbc_sim.scenario.slots import are_open, with_slots_of_starts
+from ptnsbc_sim.scenario.turn import distances
 from ptnsbc_tools.check.finding import INFO, WARNING, Finding, Findings
 
 
@@ -57,3 +59,20 @@ def slots(scenario: Scenario) -> Findings:
             "planned, where slots are open",
             "the paths of a task are not straight and keep no distance",
         )
+
+
+def turn(scenario: Scenario) -> Findings:
+    """The turn of the planned approach, and the distance that it keeps (docs/method.md, Turned approach)."""
+    angle = turn_of(scenario.file)
+    if angle == 0.0:
+        return
+    pairs = planned_pairs(scenario.file)
+    straight, turned = (float(distances(pairs, one).min()) for one in (0.0, angle))
+    near = turned < scenario.widest_keep_out_m
+    yield Finding(
+        WARNING if near else INFO,
+        "formation.turn_rad",
+        f"{angle:.2f}: planned paths come as close as {turned:.2f} m, straight ones {straight:.2f} m",
+        f">= {scenario.widest_keep_out_m:g} m",
+        "leave formation.turn_rad out" if near else "",
+    )

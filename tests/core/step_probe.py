@@ -67,6 +67,7 @@ def outputs() -> dict[str, np.ndarray]:
             "formation.task": task,
             "formation.avoidance": rule,
             "gains.profile": profile,
+            "formation.turn_rad": 0.8 * (uav == 4),
         }
         config = agent_config(load_scenario("paper_5", changes), uav)
         rng = np.random.default_rng(number)

@@ -8,6 +8,7 @@ from ptnsbc_core.behaviours.contract import EpochErrors, Neighbour
 from ptnsbc_core.behaviours.formation import formation
 from ptnsbc_core.behaviours.leader_tracking import leader_tracking
 from ptnsbc_core.curves.trajectory import reference
+from ptnsbc_core.curves.turned import left_at, scaled
 from ptnsbc_core.nullspace import damped_solve
 from ptnsbc_core.tasks.registry import evaluate, task_error
 from ptnsbc_core.tasks.table import TASKS
@@ -126,9 +127,9 @@ def test_leaders_velocity_stays_outside_the_damping() -> None:
 PLANNED = EpochErrors(True, StartErrors(*np.zeros((4, 3))))
 
 
-def planned_chain(task: str, seconds: float, starts: np.ndarray):
+def planned_chain(task: str, seconds: float, starts: np.ndarray, turn: float = 0.0):
     """Errors (T, 4, 3) [m] in the leader's frame of single integrators that start anywhere."""
-    scenario = load_scenario("paper_5", {"formation.task": task})
+    scenario = load_scenario("paper_5", {"formation.task": task, "formation.turn_rad": turn})
     configs = {uav: agent_config(scenario, uav) for uav in scenario.uav_ids}
     place = dict(zip(scenario.uav_ids, starts, strict=True))
     epochs = dict.fromkeys(scenario.uav_ids, PLANNED)
@@ -162,6 +163,20 @@ def test_planned_approach_is_the_plan_in_closed_form_whatever_the_task(task: str
     for k in range(0, len(errors), 25):
         left = 1.0 - time_base(k * DT / length)
         np.testing.assert_allclose(errors[k], left * errors[0], atol=1e-9)
+
+
+@pytest.mark.parametrize("turn", [-0.5, 1.2])
+def test_a_turned_approach_is_its_plan_in_closed_form(turn: float) -> None:
+    """E(t) = z E(0), and as long as without the turn: a UAV without noise follows to the last bit but rounding."""
+    starts = np.random.default_rng(3).uniform([-6, -6, 1], [6, 6, 6], (5, 3))
+    errors, gain = planned_chain("distance_angles", TF, starts, turn)
+    length = plan_duration(gain)
+    for k in range(0, len(errors), 25):
+        z = left_at(turn, k * DT / length)
+        for error, start in zip(errors[k], errors[0], strict=True):
+            np.testing.assert_allclose(error, scaled(z, tuple(start)), atol=1e-9)
+        lengths = np.linalg.norm(errors[k], axis=1)
+        np.testing.assert_allclose(lengths, z.up * np.linalg.norm(errors[0], axis=1), atol=1e-9)
 
 
 @pytest.mark.parametrize("task", TASKS)

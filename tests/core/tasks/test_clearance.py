@@ -41,7 +41,7 @@ FREE = np.inf
 FIRST = KAPPA + step_gain(0.0, DT, 1.0, 1e-2)
 """alpha of the first tick inside, where the encounter's time base has only begun to rise."""
 
-NOTHING_TOLD = ToldPaths(0.0, 0.0, (0.0,) * 3, (0.0,) * 3, (0.0,) * 3, np.empty((0, 4)), 0.0)
+NOTHING_TOLD = ToldPaths(0.0, 0.0, (0.0,) * 3, (0.0,) * 3, (0.0,) * 3, np.empty((0, 4)), 0.0, 0.0)
 
 seeds = st.integers(0, 2**31)
 
@@ -401,7 +401,7 @@ def test_half_of_what_a_pair_is_blown_off_by_is_no_reason_to_give_way(seed: int)
 def test_a_neighbour_whose_told_path_ends_clear_is_left_alone(t: float) -> None:
     """On straight paths the two would meet; they stop 1.2 m apart. Without slots they give way."""
     slots = np.array([[1.2, 0.0, 0.0, 0.6]])
-    told = ToldPaths(t, 5.0, (0.0,) * 3, (0.0,) * 3, (0.0,) * 3, slots, 0.6)
+    told = ToldPaths(t, 5.0, (0.0,) * 3, (0.0,) * 3, (0.0,) * 3, slots, 0.6, 0.0)
     left, rate = 1.0 - h(t / 5.0), h_rate(t / 5.0, 5.0)
     own, other = np.array([-4.0, 0, 0]), np.array([4.0, 0, 0])  # start errors
     place, velocity = own * left, -own * rate

@@ -6,6 +6,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from on_arrays import on_arrays
 
+from ptnsbc_core.curves.turned import Factor, left_at, scaled
 from ptnsbc_core.tasks.told_path import ToldPaths, path_share
 from ptnsbc_core.timebase import h, h_rate
 
@@ -23,28 +24,42 @@ horizons = st.floats(0.05, 4.0)
 class Pair:
     """Two UAVs on their planned approach behind a leader that moves, the other one at a slot of SLOTS."""
 
-    def __init__(self, seed: int, t: float) -> None:
+    def __init__(self, seed: int, t: float, turn: float = 0.0) -> None:
         rng = np.random.default_rng(seed)
         self.leader, self.leader_velocity = rng.normal(size=(2, 3))
         self.starts = 4.0 * rng.normal(size=(2, 3))
         self.slots = np.stack([OWN, SLOTS[rng.integers(len(SLOTS)), :3]])
-        self.told = ToldPaths(t, TF, self.leader, self.leader_velocity, OWN, SLOTS, REACH)
+        self.told = ToldPaths(t, TF, self.leader, self.leader_velocity, OWN, SLOTS, REACH, turn)
         left, rate = 1.0 - h(t / TF), h_rate(t / TF, TF)
-        errors = self.slots - self.starts
-        self.positions = self.leader + self.slots - left * errors
-        self.velocities = self.leader_velocity + rate * errors
+        dt = 1e-6
+        self.positions = self.leader + self.places(t)
+        self.velocities = self.leader_velocity + (self.places(t + dt) - self.places(t - dt)) / (
+            2.0 * dt
+        )
         self.goal_moves = left / rate  # by so much for 1 m/s
+
+    def places(self, t: float) -> np.ndarray:
+        """Planned positions (2, 3) beside the leader."""
+        z = left_at(self.told.turn, t / TF)
+        errors = self.slots - self.starts
+        return self.slots - np.array([scaled(z, tuple(one)) for one in errors])
 
     def apart(self, t: float) -> np.ndarray:
         """Planned vector between the two at a later instant."""
-        own, other = self.slots - (1.0 - h(t / TF)) * (self.slots - self.starts)
+        own, other = self.places(t)
         return own - other
 
     def share(self, horizon: float, off_m=(0.0, 0.0, 0.0)) -> float:
         """With a velocity of the other one whose goal is so far from its slot."""
+        return self.factor(horizon, off_m).up
+
+    def factor(self, horizon: float, off_m=(0.0, 0.0, 0.0)) -> Factor:
         off = np.asarray(off_m) / self.goal_moves
         place, velocity = self.positions, self.velocities
-        return path_share(self.told, place[0], velocity[0], place[1], velocity[1] + off, horizon)
+        told = self.told
+        return Factor(
+            *path_share(told, place[0], velocity[0], place[1], velocity[1] + off, horizon)
+        )
 
 
 @given(seed=seeds, t=times, horizon=horizons)
@@ -57,6 +72,18 @@ def test_on_their_paths_it_is_the_mean_of_the_plan(seed: int, t: float, horizon:
     assert share == pytest.approx(min(np.linalg.norm(planned) / np.linalg.norm(now), 1.0), rel=1e-6)
     if share < 1.0:
         np.testing.assert_allclose(share * now, planned, atol=1e-6)
+
+
+@given(seed=seeds, t=times, horizon=horizons, turn=st.floats(-1.5, 1.5))
+def test_on_turned_paths_it_is_the_mean_of_the_plan_too(seed, t, horizon, turn) -> None:
+    """In its direction, and no longer than the present velocity."""
+    pair = Pair(seed, t, turn)
+    planned = (pair.apart(t + horizon) - pair.apart(t)) / horizon
+    now = pair.velocities[0] - pair.velocities[1]
+    along, flat = np.linalg.norm(planned[:2]), np.linalg.norm(now[:2])
+    expected = planned[:2] * min(1.0, flat / along) if along > 0.0 else planned[:2]
+    told = scaled(pair.factor(horizon), tuple(now))
+    np.testing.assert_allclose(told[:2], expected, atol=2e-4)
 
 
 @given(seed=seeds, t=times, horizon=horizons, off=st.floats(0.0, 2.0))
@@ -94,7 +121,7 @@ def test_where_paths_speed_up_the_present_velocity_counts(seed: int, t: float) -
 
 @pytest.mark.parametrize("t", [0.0, TF, TF + 1.0])
 def test_before_and_after_the_plan_nothing_is_told(t: float) -> None:
-    told = ToldPaths(t, TF, np.zeros(3), np.zeros(3), OWN, SLOTS, REACH)
+    told = ToldPaths(t, TF, np.zeros(3), np.zeros(3), OWN, SLOTS, REACH, 0.0)
     still = path_share(told, OWN, np.zeros(3), SLOTS[1, :3], np.zeros(3), 1.0)
     without = path_share(told._replace(duration_s=0.0), OWN, OWN, OWN, OWN, 1.0)
-    assert still == without == 1.0
+    assert tuple(still) == tuple(without) == (1.0, 0.0, 1.0)
