@@ -28,6 +28,7 @@ from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS
 from ptnsbc_sim.autopilot.launch import KINDS, Fleet, starts
 from ptnsbc_sim.autopilot.server import Codec
 from ptnsbc_sim.autopilot.vehicle import COMPANION, IMPOSTOR
+from ptnsbc_sim.own_uav import UavFunctions
 from ptnsbc_sim.scenario import agent_config, load_scenario
 
 STEP_S = 0.004  # of the stand-ins
@@ -103,7 +104,8 @@ class FleetUav:
         )
         self.wire = Wire(lambda: fleet.now_s, fleet.delay_s)
         edges = CommunicationGraph(scenario, FlightOptions(bridged=True))
-        self.controller = UavController(agent_config(scenario, uav_id), edges.senders(uav_id))
+        own = UavFunctions.of(scenario, uav_id)
+        self.controller = UavController(agent_config(scenario, uav_id), edges.senders(uav_id), own)
         self.senders = edges.senders(uav_id)
         self.epochs = Epochs()
         self.near_objects = NearObjects(scenario, uav_id)

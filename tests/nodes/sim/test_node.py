@@ -21,6 +21,18 @@ from ptnsbc_sim.world import World
 pytestmark = pytest.mark.ros
 
 TICKS = 12
+OWN_WORLD = """
+import numpy as np
+
+
+def disturbance(inputs):
+    return 9.0, 0.0, 0.0, 0.0, 0.0, 0.0
+
+
+def sensor(inputs):
+    x, y, z = inputs.odometry[:3]
+    return np.array([[x, y, z + 1.0, 0.25, 0.0, 0.0, 0.0]])
+"""
 
 
 @pytest.fixture(scope="module")
@@ -217,6 +229,18 @@ def test_a_uav_that_comes_back_in_real_time_flies_its_vehicle_again(ros, scenari
     ros.spin_until(lambda: "uav4" in hovering(uavs))
     uavs.hands_off = set()
     ros.spin_until(lambda: "uav4" not in hovering(uavs))
+
+
+def test_functions_of_the_user_are_the_world_in_real_time(ros, tmp_path):
+    """The disturbance pushes each vehicle east, where no wrench does; the sensor sees a thing above it."""
+    (tmp_path / "mine.py").write_text(OWN_WORLD, "utf-8")
+    keys = {f"plugins.{kind}": f"{tmp_path}/mine.py:{kind}" for kind in ("disturbance", "sensor")}
+    uavs = Uavs(ros, load_scenario("paper_5", {**keys, "plant.kind": "quadrotor"}), lockstep=False)
+    uavs.announce(wire.HeaderTemplate("form").encode(uavs.sim._clock_ns()))
+    ros.spin_until(lambda: uavs.odometry[4] and uavs.near[4])
+    began_m = uavs.odometry[4][0].values[0]
+    ros.spin_until(lambda: uavs.odometry[4][-1].values[0] > began_m + 0.2)
+    np.testing.assert_array_equal(uavs.near[4][-1].values[:, 3:], [[0.25, 0.0, 0.0, 0.0]])
 
 
 def hovering(uavs):
