@@ -15,6 +15,7 @@ from ptnsbc_io.wire import Diagnostics, DiagnosticStatus, HeaderFields, Stamped
 from ptnsbc_nodes.comm.announcements import LostProcess
 from ptnsbc_nodes.comm.legs import Epochs, Leg
 from ptnsbc_nodes.comm.slots import DecidedSlots, Decision
+from ptnsbc_nodes.view.recent_states import RecentStates
 from ptnsbc_sim.scenario import Scenario, available, load_scenario, scenario_from_text
 from ptnsbc_sim.scenario.build import leader_trajectory, places_beside_leader
 from ptnsbc_sim.scenario.mission.legs import ScheduledLeg, Word
@@ -45,7 +46,7 @@ class FlightState:
         self._clock_s = clock_s
         self._decided = DecidedSlots(scenario)
         self._epochs = Epochs(scenario)
-        self._odometry: dict[int, Stamped] = {}
+        self._states = RecentStates()
         self._status: dict[str, tuple[float, DiagnosticStatus]] = {}  # by its name, with its age
         self._lost: set[str] = set()
         self._over = False
@@ -59,7 +60,7 @@ class FlightState:
 
     def on_odometry(self, uav: int, message: Stamped) -> None:
         """The state of one vehicle."""
-        self._odometry[uav] = message
+        self._states.add(uav, message)
         self._pace.add(message.stamp_ns, self._clock_s())
 
     def on_leg(self, leg: HeaderFields) -> None:
@@ -119,8 +120,8 @@ class FlightState:
 
     @property
     def stamp_ns(self) -> int:
-        """The newest stamp of a vehicle's state; -1 before the first."""
-        return max((message.stamp_ns for message in self._odometry.values()), default=-1)
+        """The instant that is shown, of which the states of all vehicles are known; -1 before the first."""
+        return self._states.common_ns
 
     def frame(self) -> dict[str, Any]:
         """The picture of this instant, as plain data: times [s], lengths [m]; None for what is not known.
@@ -130,7 +131,8 @@ class FlightState:
         leg = self.leg
         t = None if leg is None else (self.stamp_ns - leg.first_t0_ns) * _NANO
         since_s = None if leg is None else (self.stamp_ns - leg.t0_ns) * _NANO
-        places = {uav: message.values[:3] for uav, message in self._odometry.items()}
+        states = self._states.at(self.stamp_ns)
+        places = {uav: state[:3] for uav, state in states.items()}
         goals = self._goals(places, t)
         return {
             "t": _rounded(t),
@@ -139,7 +141,9 @@ class FlightState:
             "left_s": _rounded(self._left_s(leg, since_s)),
             "pace": _rounded(self._pace.rate(self._clock_s())),
             "over": self._over,
-            "uavs": [self._uav(uav, places, goals, t) for uav in self.scenario.uav_ids],
+            "uavs": [
+                self._uav(uav, states.get(uav), places, goals, t) for uav in self.scenario.uav_ids
+            ],
             "processes": self._processes(),
         }
 
@@ -165,19 +169,23 @@ class FlightState:
         return goals
 
     def _uav(
-        self, uav: int, places: dict[int, Array], goals: dict[int, Array], t: float | None
+        self,
+        uav: int,
+        state: Array | None,
+        places: dict[int, Array],
+        goals: dict[int, Array],
+        t: float | None,
     ) -> dict[str, Any]:
-        message = self._odometry.get(uav)
         found: dict[str, Any] = {"id": uav, "lost": f"uav{uav}" in self._lost, **self._said(uav)}
-        if message is None:
+        if state is None:
             return found | {"pose": None, "speed": None, "error": None, "near": None}
         error = float(np.linalg.norm(places[uav] - goals[uav])) if uav in goals else None
         leader = places.get(self.scenario.leader_id)
         if self._moving and leader is not None and uav in goals:
             found["beside"] = np.round(goals[uav] - leader, 4).tolist()
         return found | {
-            "pose": [round(float(number), 4) for number in message.values[:7]],
-            "speed": _rounded(float(np.linalg.norm(message.values[7:10]))),
+            "pose": [round(float(number), 4) for number in state[:7]],
+            "speed": _rounded(float(np.linalg.norm(state[7:10]))),
             "error": _rounded(error),
             "near": self._nearest(uav, places, -1.0 if t is None else t),
         }
