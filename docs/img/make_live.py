@@ -24,15 +24,20 @@ from ptnsbc_tools.live.dashboard import picture
 
 SIZE = {"width": 1280, "height": 1340}
 SCENARIO = "paper_5"
-SHOWN_S = 1.5
+SHOWN_S = 3.0
 HERE = Path(__file__).parent
-# The page shows the first frame at or after this time, and none after it.
-FREEZE = """(time) => {
-  const show = page.frame.bind(page);
-  page.frame = (one) => {
-    if (window.shown) return;
-    show(one);
-    if (one.t >= time && one.uavs[0].mode) window.shown = one;
+# The page gets the first frame at or after this time, and none after it.
+FREEZE = """{
+  const Socket = window.WebSocket;
+  window.WebSocket = class extends Socket {
+    set onmessage(take) {
+      super.onmessage = (event) => {
+        if (window.shown) return;
+        take(event);
+        const told = JSON.parse(event.data);
+        if (told.kind === "frame" && told.t >= SHOWN_S && told.uavs[0].mode) window.shown = told;
+      };
+    }
   };
 }"""
 
@@ -50,35 +55,35 @@ def main() -> None:
         "--plain",
     ]
     environment = {k: v for k, v in os.environ.items() if k != "ROS_DOMAIN_ID"}
-    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=environment) as fleet:
-        try:
-            assert fleet.stderr is not None
-            address = next(line for line in fleet.stderr if "live view: " in line).split()[-1]
-            frame = photograph(address, HERE / "live.png")
-        finally:
-            fleet.send_signal(signal.SIGINT)
-            fleet.communicate()
+    with sync_playwright() as driver:
+        browser = driver.chromium.launch(
+            executable_path=shutil.which("chromium"), args=["--no-sandbox"]
+        )  # first: it is to look before the flight begins
+        tab = browser.new_page(viewport=SIZE, color_scheme="light")
+        tab.add_init_script(FREEZE.replace("SHOWN_S", str(SHOWN_S)))
+        with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=environment) as fleet:
+            try:
+                assert fleet.stderr is not None
+                address = next(line for line in fleet.stderr if "live view: " in line).split()[-1]
+                frame = photograph(tab, address, HERE / "live.png")
+            finally:
+                fleet.send_signal(signal.SIGINT)
+                fleet.communicate()
+        browser.close()
     for width in (80, 140):
         console = recording(io.StringIO(), width)
         console.print(picture(frame, load_scenario(SCENARIO), width))
         console.save_svg(str(HERE / f"dashboard_{width}.svg"), title=f"ptnsbc fleet {SCENARIO}")
 
 
-def photograph(address: str, path: Path) -> dict[str, Any]:
-    """The page at SHOWN_S; returns the frame that it shows."""
-    with sync_playwright() as driver:
-        browser = driver.chromium.launch(
-            executable_path=shutil.which("chromium"), args=["--no-sandbox"]
-        )
-        tab = browser.new_page(viewport=SIZE, color_scheme="light")
-        tab.goto(address)
-        tab.wait_for_selector("html[data-ready=true]")
-        tab.evaluate(FREEZE, SHOWN_S)
-        tab.wait_for_function("() => window.shown && page.figures.charts[0].drawn", timeout=180_000)
-        tab.evaluate("page.figures.refresh()")
-        save(tab.screenshot(), path)
-        frame: dict[str, Any] = tab.evaluate("shown")
-        browser.close()
+def photograph(tab: Any, address: str, path: Path) -> dict[str, Any]:
+    """Save the page at SHOWN_S; returns the frame that it shows."""
+    tab.goto(address)
+    tab.wait_for_function("() => window.shown && page.figures.charts[0].drawn", timeout=180_000)
+    tab.evaluate("page.figures.refresh()")
+    tab.wait_for_timeout(1000)  # the figure is drawn meanwhile
+    save(tab.screenshot(), path)
+    frame: dict[str, Any] = tab.evaluate("shown")
     return frame
 
 

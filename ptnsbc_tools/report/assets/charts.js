@@ -120,6 +120,8 @@ class Figures {
     const rows = legendRows(chart);
     const legend = rows > 0;
     return {
+      // Curves of the live view grow in place, which Plotly would not see.
+      datarevision: chart.curves.length ? chart.curves[0].t.length : 0,
       margin: { ...MARGIN, b: MARGIN.b + (legend ? 3 + LEGEND_ROW * rows : 0) }, paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)",
       font: { color: colour("--soft"), size: 12, family: "system-ui, sans-serif" },
       xaxis: { ...axis, title: { text: "time after the epoch [s]", standoff: 6 }, hoverformat: ".2f",

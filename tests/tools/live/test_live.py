@@ -106,6 +106,12 @@ def test_a_flying_fleet_is_shown_joined_ordered_and_found_again(fleet: Any, brow
     assert len(errors) == 5
     page.locator("#chart-errors .main-svg").first.wait_for()
 
+    # The curves that are drawn grow with the flight.
+    page.wait_for_function("() => page.figures.charts[0].drawn")
+    page.evaluate("() => { window.drawn = () => page.figures.charts[0].plot.calcdata[0].length; }")
+    before = page.evaluate("drawn()")
+    page.wait_for_function("(before) => drawn() > before", arg=before)
+
     # Back in time, and live again.
     page.evaluate("page.clock.seek(0.5)")
     assert page.locator("#golive").get_attribute("aria-pressed") == "false"
