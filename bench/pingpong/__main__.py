@@ -35,6 +35,8 @@ def _serve(arguments: argparse.Namespace, argv: list[str]) -> int:
     name = f"{arguments.role}{arguments.uav or ''}"
     if options.lockstep and arguments.role != "recorder":  # as the processes of a fleet
         environment.prefer_throughput()
+    elif not options.lockstep and environment.has_room(len(scenario.uav_ids), scenario.control_hz):
+        environment.prefer_punctuality(flies=arguments.role != "recorder")
     with ros_node(name, "", argv) as node:
         kind = TypedEndpoints if arguments.typed else RawEndpoints
         endpoints = kind(node, options.lockstep)

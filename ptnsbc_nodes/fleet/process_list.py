@@ -12,6 +12,7 @@ from typing import Literal
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_nodes.comm.topics import RECORDER, SIM
 from ptnsbc_nodes.fleet.child_process import ProcessCommand
+from ptnsbc_nodes.runtime.environment import has_room
 from ptnsbc_nodes.runtime.provenance import provenance
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.slots import are_open
@@ -166,6 +167,13 @@ def _silences(options: FleetOptions) -> Iterator[str]:
             yield from ("--silent", str(fault.struck_uav), *map(str, fault.window_ns(0)))
 
 
+def _is_punctual(options: FleetOptions) -> bool:
+    """True if the processes that fly ask for real-time scheduling."""
+    scenario = options.scenario
+    room = not options.lockstep and has_room(len(scenario.uav_ids), scenario.control_hz)
+    return options.backend == "mavlink" or room
+
+
 def _recorder(options: FleetOptions, bag: Path, scenario_file: Path) -> ProcessCommand:
     arguments = ["--bag", str(bag), "--uavs", *map(str, options.scenario.uav_ids)]
     arguments += ["--attach", f"scenario.yaml={scenario_file}"]
@@ -178,16 +186,15 @@ def _recorder(options: FleetOptions, bag: Path, scenario_file: Path) -> ProcessC
     if options.lockstep:
         arguments.append("--lockstep")
         arguments += _silences(options)
-    if options.scenario.imperfect or options.backend == "mavlink":
-        arguments.append("--truth")
-    if are_open(options.scenario):
-        arguments.append("--slots")
-    if options.scenario.hears_setpoints:
-        arguments.append("--stream")
     if options.backend == "mavlink":
-        arguments += ["--draw", str(scenario_file), "--punctual"]
-    if options.scenario.file.security == "signed":
-        arguments.append("--signed")
-    if options.overwrite:
-        arguments.append("--overwrite")
+        arguments += ["--draw", str(scenario_file)]
+    chosen = {
+        "--truth": options.scenario.imperfect or options.backend == "mavlink",
+        "--slots": are_open(options.scenario),
+        "--stream": options.scenario.hears_setpoints,
+        "--punctual": _is_punctual(options),
+        "--signed": options.scenario.file.security == "signed",
+        "--overwrite": options.overwrite,
+    }
+    arguments += [flag for flag, on in chosen.items() if on]
     return ProcessCommand(RECORDER, "ptnsbc_nodes.recording.main", tuple(arguments))

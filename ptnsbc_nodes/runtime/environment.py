@@ -40,6 +40,8 @@ _RMW = "rmw_fastrtps_cpp"
 _SPARE_PEERS = 12  # for viewers, a command line, a second recorder
 _PR_SET_PDEATHSIG = 1
 _DOMAINS = range(1, 102)  # above, the ports reach into those the system hands out
+_TICK_S = 0.0015  # of a core: what a tick of a UAV and its share of the sim take (`bench --only realtime`)
+_MOST_LOAD = 0.7
 _LAST_DOMAIN = 232  # the ports of the next one do not exist
 _FIRST_PARTICIPANTS = 3
 
@@ -84,15 +86,25 @@ def prefer_throughput() -> None:
 
 
 def prefer_punctuality(*, flies: bool) -> bool:
-    """For real vehicles: real-time scheduling, before all other programs.
+    """For flights in real time: real-time scheduling, before all other programs.
 
-    A setpoint that waits half a second for a compiler on the same host ends the flight. The policy is round robin,
+    A setpoint that waits half a second for a compiler on the same host ends the flight of a real vehicle, and 50 ms
+    cost a simulated one half a metre: its motors keep the last wrench meanwhile. The policy is round robin,
     so that processes that fly share the time; one that does not fly, as the recorder, comes after them. The
     kernel keeps a twentieth of the time for all other programs.
 
     Returns False without the right to change the scheduling; the process works all the same.
     """
     return _schedule(os.SCHED_RR, os.sched_get_priority_min(os.SCHED_RR) + flies)
+
+
+def has_room(uavs: int, control_hz: float) -> bool:
+    """True if a simulated fleet leaves these cores room, so that real-time scheduling serves it.
+
+    Processes of equal priority take turns of 100 ms. Where all of them together ask for more than there is, they are
+    later with it than with the ordinary scheduling.
+    """
+    return uavs * control_hz * _TICK_S <= _MOST_LOAD * len(os.sched_getaffinity(0))
 
 
 def _schedule(policy: int, priority: int) -> bool:
