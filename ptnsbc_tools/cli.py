@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import sys
 from collections.abc import Callable
 from typing import Annotated, Any
@@ -136,8 +137,15 @@ def _panel(module: str) -> str:
     return _PANELS[module.split(".")[2]]
 
 
+def _paragraphs(command: Callable[..., None]) -> str:
+    """The docstring of a command, each paragraph in one line: the terminal wraps it, wherever the source does."""
+    text = inspect.cleandoc(command.__doc__ or "")
+    return "\n\n".join(" ".join(one.split()) for one in text.split("\n\n"))
+
+
 for _command in _COMMANDS:
-    app.command(rich_help_panel=_panel(_command.__module__))(_command)
+    _help = _paragraphs(_command)
+    app.command(help=_help, rich_help_panel=_panel(_command.__module__))(_command)
 # All words after the name of a process are its own, --help too.
 app.command(rich_help_panel=_panel(node.__module__), context_settings=SETTINGS)(node)
 for _group in (mission, bag, network, security):

@@ -54,7 +54,9 @@ AvoidanceOption = Annotated[
 ]
 SeedOption = Annotated[
     int | None,
-    typer.Option("--seed", min=0, help="Seed of all random disturbances: noise, gusts, losses."),
+    typer.Option(
+        "--seed", metavar="N", min=0, help="Seed of all random disturbances: noise, gusts, losses."
+    ),
 ]
 DurationOption = Annotated[
     float | None, typer.Option("--duration", metavar="S", help="Length of the flight.")
@@ -64,7 +66,7 @@ SetOption = Annotated[
     typer.Option(
         "--set",
         metavar="KEY=VALUE",
-        help="Any other key of the scenario, dotted, e.g. gains.formation.kappa_1_s=3. Repeatable.",
+        help="Any other key of the scenario, dotted, e.g. sensor.range_m=5. Repeatable.",
     ),
 ]
 
@@ -94,7 +96,7 @@ FoxgloveOption = Annotated[
         metavar="PORT",
         min=1,
         max=65535,
-        help="Serve the live view to Foxglove on this port of this host, e.g. 8765 (extra [foxglove]).",
+        help="Serve the live view to Foxglove on this port of this host, e.g. 8765 with the extra `foxglove`.",
     ),
 ]
 BagArgument = Annotated[
@@ -149,6 +151,7 @@ DomainOption = Annotated[
     int | None,
     typer.Option(
         "--domain",
+        metavar="N",
         min=0,
         max=HIGHEST_DOMAIN,
         help="ROS domain, the same on all computers of a fleet. Default: ROS_DOMAIN_ID.",
@@ -158,6 +161,7 @@ FlyingDomainOption = Annotated[
     int | None,
     typer.Option(
         "--domain",
+        metavar="N",
         min=0,
         max=LAST_DOMAIN,
         help="ROS domain that the fleet printed. Default: ROS_DOMAIN_ID.",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 
@@ -33,6 +34,21 @@ def test_every_command_has_help_by_both_names(path: tuple[str, ...]) -> None:
 def test_help_after_other_words_and_not_after_the_end_of_options() -> None:
     assert CliRunner().invoke(app, ["check", "paper_5", "--seed", "x", "-h"]).exit_code == 0
     assert CliRunner().invoke(app, ["check", "--", "-h"]).exit_code == 2
+
+
+@pytest.mark.parametrize("path", _paths(), ids=" ".join)
+def test_no_word_of_a_help_is_taken_for_markup(path: tuple[str, ...]) -> None:
+    """Rich leaves out what stands in brackets, as a unit or the name of an extra."""
+    command = COMMANDS[path[0]]
+    for name in path[1:]:
+        command = command.commands[name]
+    texts = [command.help, *(getattr(one, "help", None) for one in command.params)]
+    assert not [text for text in texts if text and re.search(r"\[[a-z#/@]", text)]
+
+
+def test_paragraphs_are_wrapped_by_the_terminal() -> None:
+    out = CliRunner().invoke(app, ["compare", "-h"], env={"COLUMNS": "200"}).stdout
+    assert "when the largest error after the deadline has grown in the median" in out
 
 
 def test_the_commands_are_in_groups() -> None:

@@ -43,21 +43,25 @@ def inject(
         ),
     ] = None,
     share: Annotated[
-        float | None, typer.Option("--share", help="loss: fraction of the messages.")
+        float | None,
+        typer.Option("--share", metavar="SHARE", help="loss: fraction of the messages."),
     ] = None,
     delay: Annotated[
         float | None, typer.Option("--delay", metavar="S", help="delay: how late.")
     ] = None,
     offset: Annotated[
         tuple[float, float, float] | None,
-        typer.Option("--offset", metavar="X Y Z", help="jump: offset of the position [m], ENU."),
+        typer.Option(
+            "--offset", metavar="X Y Z", help="jump: offset of the position in metres, ENU."
+        ),
     ] = None,
     clock: Annotated[
         float | None,
         typer.Option("--clock", metavar="S", help="clock_offset: added to the stamps."),
     ] = None,
     charge: Annotated[
-        float | None, typer.Option("--charge", help="battery: charge of a stand-in, 0 to 1.")
+        float | None,
+        typer.Option("--charge", metavar="SHARE", help="battery: charge of a stand-in, 0 to 1."),
     ] = None,
     control: Annotated[
         int | None,

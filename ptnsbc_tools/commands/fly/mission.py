@@ -30,7 +30,7 @@ LegArgument = Annotated[
 
 @app.command("list")
 def list_(
-    domain: options.DomainOption = None,
+    domain: options.FlyingDomainOption = None,
     namespace: options.NamespaceOption = "",
     json: options.JsonOption = False,
 ) -> None:
@@ -46,7 +46,9 @@ def list_(
 
 @app.command()
 def start(
-    leg: LegArgument, domain: options.DomainOption = None, namespace: options.NamespaceOption = ""
+    leg: LegArgument,
+    domain: options.FlyingDomainOption = None,
+    namespace: options.NamespaceOption = "",
 ) -> None:
     """Begin a leg half a second from now, wherever the mission is; a leg that cannot be flown from there is refused.
 
@@ -65,13 +67,15 @@ def start(
 
 
 @app.command()
-def cancel(domain: options.DomainOption = None, namespace: options.NamespaceOption = "") -> None:
+def cancel(
+    domain: options.FlyingDomainOption = None, namespace: options.NamespaceOption = ""
+) -> None:
     """Let the leader come to rest, and the formation with it; no later leg begins by itself."""
     console.say(_answer("cancel", domain, namespace))
 
 
 @app.command()
-def arm(domain: options.DomainOption = None, namespace: options.NamespaceOption = "") -> None:
+def arm(domain: options.FlyingDomainOption = None, namespace: options.NamespaceOption = "") -> None:
     """Let the vehicles of a fleet that waits for its operator arm and take off (`ptnsbc fleet --wait`)."""
     console.say(_answer("arm", domain, namespace))
 

@@ -53,7 +53,9 @@ def stop(
     ] = False,
     patience: Annotated[
         float,
-        typer.Option("--patience", min=0.5, help="Repeat the order for at most this time [s]."),
+        typer.Option(
+            "--patience", metavar="S", min=0.5, help="Repeat the order for at most this time."
+        ),
     ] = 10.0,
     domain: FlyingDomainOption = None,
     namespace: NamespaceOption = "",

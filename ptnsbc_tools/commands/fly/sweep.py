@@ -89,12 +89,10 @@ def sweep(
     profile: options.ProfileOption = None,
     avoidance: options.AvoidanceOption = None,
     settings: options.SetOption = None,
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of all draws.")] = 0,
+    seed: Annotated[int, typer.Option("--seed", metavar="N", min=0, help="Seed of all draws.")] = 0,
     stop_after: Annotated[
         float | None,
-        typer.Option(
-            "--stop-after", metavar="SECONDS", min=0.01, help="End every flight at this time."
-        ),
+        typer.Option("--stop-after", metavar="S", min=0.01, help="End every flight at this time."),
     ] = None,
     check: Annotated[
         int,
@@ -117,7 +115,9 @@ def sweep(
     ] = None,
     workers: Annotated[
         int | None,
-        typer.Option("--workers", "-j", min=1, max=256, help="Processes. Default: one per core."),
+        typer.Option(
+            "--workers", "-j", metavar="N", min=1, max=256, help="Processes. Default: one per core."
+        ),
     ] = None,
     scheduler: Annotated[
         str | None,

@@ -24,7 +24,9 @@ def compare(
             "--margin", metavar="M", min=0.0, help="An error that grew by less is not worse."
         ),
     ] = 0.001,
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the bootstrap.")] = 0,
+    seed: Annotated[
+        int, typer.Option("--seed", metavar="N", min=0, help="Seed of the bootstrap.")
+    ] = 0,
     html: Annotated[
         Path | None,
         typer.Option("--html", metavar="FILE", help="Write the comparison as a page too."),

@@ -23,7 +23,10 @@ def reproduce(
         typer.Option("--only", metavar="NAME", help=f"This part alone, repeatable: {_NAMES}."),
     ] = None,
     jobs: Annotated[
-        int, typer.Option("--jobs", "-j", min=1, max=64, help="Processes at a time.")
+        int,
+        typer.Option(
+            "--workers", "-j", "--jobs", metavar="N", min=1, max=64, help="Processes at a time."
+        ),
     ] = 2,
     docs: Annotated[
         Path | None,

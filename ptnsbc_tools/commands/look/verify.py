@@ -21,7 +21,7 @@ def verify(
     epoch: options.EpochOption = None,
     picture: Annotated[
         Path | None,
-        typer.Option("--picture", metavar="PNG", help="Draw the flight into this file."),
+        typer.Option("--picture", metavar="FILE", help="Draw the flight as a PNG, SVG or PDF."),
     ] = None,
     json: options.JsonOption = False,
 ) -> None:

@@ -88,17 +88,24 @@ def autopilot(
         typer.Option("--yaw", metavar="DEG", help="ENU yaw at boot. Default: random."),
     ] = None,
     battery: Annotated[
-        float, typer.Option("--battery", min=0.0, max=1.0, help="Charge at the start, 0 to 1.")
+        float,
+        typer.Option(
+            "--battery", metavar="SHARE", min=0.0, max=1.0, help="Charge at the start, 0 to 1."
+        ),
     ] = 1.0,
     boot_time: Annotated[
         float,
         typer.Option(
-            "--boot-time", min=0.0, help="Factor for the time until the position is valid."
+            "--boot-time",
+            metavar="X",
+            min=0.0,
+            help="Factor for the time until the position is valid.",
         ),
     ] = 1.0,
     key: Annotated[
         str | None,
         typer.Option(
+            "--signing-key",
             "--key",
             metavar="FILE",
             help="Key for signing; unsigned packets are dropped. {n} is the system id.",
@@ -121,7 +128,7 @@ def autopilot(
         ),
     ] = None,
     seed: Annotated[
-        int, typer.Option("--seed", min=0, help="Seed of errors, yaws and origins.")
+        int, typer.Option("--seed", metavar="N", min=0, help="Seed of errors, yaws and origins.")
     ] = 1,
 ) -> None:
     """Stand-in flight controllers: real MAVLink on real UDP around simulated quadrotors.

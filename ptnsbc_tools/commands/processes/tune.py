@@ -43,7 +43,7 @@ def tune(
     allow_arming: AllowArmingOption = False,
     box: Annotated[
         float,
-        typer.Option("--box", metavar="M", help="Side of the box that the vehicle may use [m]."),
+        typer.Option("--box", metavar="M", help="Side of the box that the vehicle may use."),
     ] = 3.0,
     alike: Annotated[
         bool,
