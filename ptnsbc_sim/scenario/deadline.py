@@ -215,7 +215,7 @@ def _open_turns(file: ScenarioFile) -> tuple[float, ...]:
     formation = file.formation
     together = formation.vacancy == "wait" and not file.leader.successors
     fixed = formation.assignment == "fixed" and formation.approach == "planned"
-    rests = not (moves(formation) or moves_shape(file.mission))
+    rests = not (moves(formation) or moves_shape(file.mission) or file.world.obstacles)
     if not (together and fixed and rests and all(uav.joins_s is None for uav in file.uavs)):
         return (0.0,)
     return _candidates(*(np.asarray(part).tobytes() for part in planned_pairs(file)))

@@ -113,10 +113,11 @@ def test_where_no_turn_keeps_all_pairs_clear_the_paths_are_straight() -> None:
         {"formation.assignment": "optimal"},
         {"formation.approach": "task"},
         {"formation.vacancy": "keep"},
+        {"world.obstacles": [{"name": "O1", "position_m": [9, 9, 5], "keep_out_m": 1.0}]},
         {"formation.frame": "heading", "formation.task": "relative_position"},
     ],
 )
-def test_only_own_places_that_stand_still_are_turned_to(changes) -> None:
+def test_only_own_places_that_stand_still_in_free_space_are_turned_to(changes) -> None:
     assert turn_of(ring(8, **changes).file) == 0.0
 
 
