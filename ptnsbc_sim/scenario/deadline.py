@@ -65,7 +65,8 @@ def leader_motion(file: ScenarioFile) -> tuple[float, float]:
         return speed, speed * abs(path.rate_rad_s)
     if isinstance(path, Line):
         return math.hypot(*path.velocity_m_s), 0.0
-    last = path.legs[0].begin_s if isinstance(path, Route) and path.legs else math.inf
+    begins = [leg.begin_s for leg in path.legs] if isinstance(path, Route) else []
+    last = min((begin_s for begin_s in begins if begin_s > 0.0), default=math.inf)
     most = extremes(path, min(file.timing.duration_s, last))
     return most.speed_m_s, most.acceleration_m_s2
 
@@ -143,7 +144,7 @@ class LegRoom(NamedTuple):
 
 
 def leg_room(file: ScenarioFile, one: ScheduledLeg, until_s: float) -> LegRoom:
-    """True if a leg after the first can be flown, by the limits of the vehicle.
+    """True if a leg other than a first one of kind form can be flown, by the limits of the vehicle.
 
     Args:
         file: a whole scenario, with the trajectory and the changes of its mission.

@@ -15,7 +15,14 @@ from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario.gains import Gains
 from ptnsbc_sim.scenario.mavlink import Mavlink, VehicleLink, vehicle_link
 from ptnsbc_sim.scenario.mission.faults import MESSAGES, FaultBlock, modelled
-from ptnsbc_sim.scenario.mission.legs import ScheduledLeg, Word, landing_s, schedule
+from ptnsbc_sim.scenario.mission.legs import (
+    FROM_KEY,
+    ScheduledLeg,
+    Word,
+    landing_s,
+    schedule,
+    takes_off_from_starts,
+)
 from ptnsbc_sim.scenario.mission.stream import (
     Setpoint,
     Streamed,
@@ -362,10 +369,16 @@ class Scenario:
         return vehicle_link(self.mavlink, self.uav_ids, uav_id)
 
     def bridged(self) -> Scenario:
-        """The scenario for real vehicles, with `mavlink.overrides` applied; applying them again changes nothing."""
-        if not self.mavlink.overrides:
+        """The scenario for real vehicles, with `mavlink.overrides` applied; applying them again changes nothing.
+
+        A leg `take_off` begins where their own take-off ends.
+        """
+        overrides = dict(self.mavlink.overrides)
+        if self.file.mission is not None and takes_off_from_starts(self.file.mission):
+            overrides[FROM_KEY] = self.mavlink.takeoff_height_m
+        if not overrides:
             return self
-        return scenario_from_text(self.text, self.mavlink.overrides, source=self.source)
+        return scenario_from_text(self.text, overrides, source=self.source)
 
     def uav(self, uav_id: int) -> UavStart:
         """Start and disturbance of one UAV."""

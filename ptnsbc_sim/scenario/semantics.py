@@ -13,7 +13,7 @@ from ptnsbc_core.topology import Topology, validated_topology
 from ptnsbc_io.wire.checks import MOST_NEAR_OBJECTS
 from ptnsbc_sim.scenario import obstacles
 from ptnsbc_sim.scenario.mavlink import Geofence, Mavlink, vehicle_link
-from ptnsbc_sim.scenario.mission import legs, shapes, trajectories
+from ptnsbc_sim.scenario.mission import leg_problems, legs, shapes, trajectories
 from ptnsbc_sim.scenario.mission.faults import AUTOPILOT, fault_problems
 from ptnsbc_sim.scenario.mission.stream import hears_setpoints
 from ptnsbc_sim.scenario.model import Positioning, ScenarioFile, plant_of
@@ -254,7 +254,7 @@ def _motion_of_shape(file: ScenarioFile) -> Problems:
 
 
 def _legs(file: ScenarioFile) -> Problems:
-    yield from legs.problems(file)
+    yield from leg_problems.problems(file)
 
 
 def _sight(file: ScenarioFile) -> Problems:
@@ -366,7 +366,10 @@ def _membership(file: ScenarioFile) -> Problems:
         (formation.approach == "planned", "formation.approach: planned"),
         (formation.assignment == "fixed", "formation.assignment: fixed"),
         (not shapes.moves(formation), "a shape that does not move"),
-        (not legs.moves_shape(file.mission), "a mission without legs of kind change or split"),
+        (
+            not legs.moves_shape(file.mission),
+            "a mission without legs of kind take_off, change or split",
+        ),
         (formation.sight_m == 0.0, "formation.sight_m: 0"),
         (file.leader.trajectory.kind != "stream", "a trajectory that all UAVs know"),
         (

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import Scenario
-from ptnsbc_sim.scenario.mission.legs import FormLeg, LandLeg, is_cut_short
+from ptnsbc_sim.scenario.mission.legs import FIRST, LandLeg, is_cut_short
 from ptnsbc_sim.verdict.encounters import Encounter, inside
 from ptnsbc_sim.verdict.recording import NANO, Recording
 
@@ -239,7 +239,9 @@ def _dues(scenario: Scenario) -> list[tuple[int, str, float]]:
         return [
             (one.number, f"leg {one.name}", one.due_s)
             for one in scenario.legs
-            if not isinstance(one.leg, FormLeg | LandLeg) and not is_cut_short(scenario.legs, one)
+            if one.number != FIRST
+            and not isinstance(one.leg, LandLeg)
+            and not is_cut_short(scenario.legs, one)
         ]
     return [
         (number, f"change {number} of the shape", change.at_s + change.over_s)

@@ -10,7 +10,7 @@ import numpy as np
 
 from ptnsbc_sim.scenario.mission.legs import (
     CANCEL,
-    FormLeg,
+    FIRST,
     LandLeg,
     ScheduledLeg,
     is_cut_short,
@@ -81,7 +81,7 @@ def _errors(
     recording: Recording, one: ScheduledLeg, judged: Sequence[Sequence[UavVerdict]]
 ) -> list[_Error] | None:
     """The errors of all UAVs when a leg was due; None: a later leg took its place before."""
-    if isinstance(one.leg, FormLeg):
+    if one.number == FIRST:
         return [
             _Error(uav.uav, uav.error_at_deadline_m, uav.due_s > uav.deadline_s)
             for uav in judged[0]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.deadline import leg_room
+from ptnsbc_sim.scenario.mission.legs import FIRST, FormLeg
 from ptnsbc_tools.check.finding import ERROR, INFO, WARNING, Finding, Findings
 
 
@@ -11,7 +12,9 @@ def legs(scenario: Scenario) -> Findings:
     """Each leg against the limits of the vehicle, and the last one against the length of the flight."""
     found = scenario.legs
     ends = [*(one.begin_s for one in found[1:]), scenario.duration_s]
-    for one, end_s in list(zip(found, ends, strict=False))[1:]:
+    for one, end_s in zip(found, ends, strict=False):
+        if isinstance(one.leg, FormLeg) and one.number == FIRST:
+            continue  # checks of the deadline are about it
         room = leg_room(scenario.file, one, end_s)
         yield Finding(
             ERROR if room.advice else INFO,

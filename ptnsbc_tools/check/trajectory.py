@@ -11,6 +11,7 @@ from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.build import leader_trajectory, places_beside_leader
 from ptnsbc_sim.scenario.mavlink import Geofence
+from ptnsbc_sim.scenario.mission.legs import TakeOffLeg
 from ptnsbc_sim.scenario.mission.stream import SetpointTrajectory
 from ptnsbc_sim.scenario.mission.trajectories import extremes
 from ptnsbc_tools.check.finding import ERROR, INFO, WARNING, Finding, Findings
@@ -81,14 +82,22 @@ def _path(scenario: Scenario, times: Array) -> Array:
     return reference_positions(leader_trajectory(scenario), times)
 
 
+def _up_s(scenario: Scenario) -> float:
+    """The time [s] from which every UAV is off the ground: the end of the take-off of a mission."""
+    legs = scenario.legs
+    return legs[0].due_s if legs and isinstance(legs[0].leg, TakeOffLeg) else 0.0
+
+
 def _region(scenario: Scenario) -> Findings:
     """Height above the ground, and the fence, of every place of the formation."""
     times = np.linspace(0.0, scenario.duration_s, _SAMPLES)
     path = _path(scenario, times)
     times = times[: len(path)]
     places = {uav: path + places_beside_leader(scenario, uav, times) for uav in scenario.uav_ids}
-    lowest = min(places, key=lambda uav: float(places[uav][:, 2].min()))
-    height = float(places[lowest][:, 2].min())
+    up = times >= _up_s(scenario)
+    heights = {uav: float(at[up, 2].min(initial=np.inf)) for uav, at in places.items()}
+    lowest = min(heights, key=lambda uav: heights[uav])
+    height = heights[lowest]
     yield Finding(
         ERROR if height <= 0.0 else INFO,
         _KEY,

@@ -115,6 +115,20 @@ def test_a_mission_is_flown_leg_by_leg(plant: str) -> None:
 
 
 @pytest.mark.parametrize("plant", PLANTS)
+def test_a_mission_goes_from_the_ground_to_the_ground(plant: str) -> None:
+    """All rise straight up at the same pace, and each leg is met."""
+    flown = flight("take_off_4", plant, load_scenario("take_off_4").duration_s)
+    verdict = verdict_on(recording_of(flown))
+    assert verdict.verdict == MET
+    assert [leg.kind for leg in verdict.mission] == ["take_off", "form", "change", "hold", "land"]
+    assert max(leg.error_m or 0.0 for leg in verdict.mission) < 0.02
+    rising = flown.track.odometry[: round(6.0 * flown.scenario.control_hz), :, :3]
+    starts = np.array([flown.scenario.uav(uav).position for uav in flown.scenario.uav_ids])
+    assert np.abs(rising[:, :, :2] - starts[:, :2]).max() < 0.02
+    assert np.ptp(rising[:, :, 2], axis=1).max() < 0.02
+
+
+@pytest.mark.parametrize("plant", PLANTS)
 def test_a_formation_splits_and_joins_again(plant: str) -> None:
     """Each group on a trajectory of its own, far apart, and all in one shape at the end."""
     flown = flight("split_join", plant, load_scenario("split_join").duration_s)

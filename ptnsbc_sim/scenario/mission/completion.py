@@ -16,7 +16,7 @@ from ptnsbc_core.errors import FormationError
 from ptnsbc_core.tasks.registry import conditioning
 from ptnsbc_core.tasks.table import FORMATION_TASKS, TASKS
 from ptnsbc_core.types import Array
-from ptnsbc_sim.scenario.fields import Vec3
+from ptnsbc_sim.scenario.fields import Number, Vec3
 from ptnsbc_sim.scenario.mission.legs import ChangeLeg
 from ptnsbc_sim.scenario.mission.shapes import (
     Change,
@@ -40,29 +40,123 @@ _CONDITIONED = 0.35  # smallest singular value of a task below which it is dampe
 
 Tree = dict[Any, Any]
 
-_PLACE, _PLACES = TypeAdapter(Vec3), TypeAdapter(dict[int, Vec3])
+_NUMBER, _PLACE, _PLACES = TypeAdapter(Number), TypeAdapter(Vec3), TypeAdapter(dict[int, Vec3])
 
 
-def completed_mission(tree: Tree) -> Tree:
-    """`tree` with what the first leg of its mission says of the formation in the keys that say it without a mission."""
-    mission, formation, gains = (tree.get(key) for key in ("mission", "formation", "gains"))
-    legs = mission.get("legs") if isinstance(mission, dict) else None
-    first = legs[0] if isinstance(legs, list) and legs else None
-    if not isinstance(first, dict) or first.get("kind") != "form":
+def completed_mission(tree: Tree, source: str) -> Tree:
+    """`tree` with what the first legs of its mission say of the formation in the keys that say it without a mission.
+
+    Raises:
+        ScenarioError: a leg gives both a shape and offsets.
+    """
+    legs = _legs(tree)
+    first = legs[0] if legs else None
+    if not isinstance(first, dict):
         return tree
-    if first.get("over_s") is not None and isinstance(gains, dict):
+    if first.get("kind") == "take_off":
+        return _risen(_with_form(tree, legs[1]), source) if len(legs) > 1 else tree
+    return _with_form(tree, first)
+
+
+def _legs(tree: Tree) -> list[Any]:
+    """The legs of the mission; none where it is malformed."""
+    mission = tree.get("mission")
+    legs = mission.get("legs") if isinstance(mission, dict) else None
+    return legs if isinstance(legs, list) else []
+
+
+def _with_form(tree: Tree, form: Any) -> Tree:
+    """`tree` with what a leg of kind form says in the keys that say it without a mission."""
+    formation, gains, leader = (tree.get(key) for key in ("formation", "gains", "leader"))
+    if not isinstance(form, dict) or form.get("kind") != "form":
+        return tree
+    if form.get("over_s") is not None and isinstance(gains, dict):
         loop = gains.get("formation")
         if isinstance(loop, dict):
-            loop = {**loop, "deadline_s": first["over_s"]}
+            loop = {**loop, "deadline_s": form["over_s"]}
             tree = {**tree, "gains": {**gains, "formation": loop}}
+    if form.get("trajectory") is not None and isinstance(leader, dict):
+        tree = {**tree, "leader": {**leader, "trajectory": form["trajectory"]}}
     if isinstance(formation, dict):
-        if first.get("shape") is not None:
-            formation = {key: value for key, value in formation.items() if key != "offsets_m"}
-            formation["shape"] = first["shape"]
-        if first.get("slots") is not None:
-            formation = {**formation, "assignment": first["slots"]}
+        places = {key: form[key] for key in ("shape", "offsets_m") if form.get(key) is not None}
+        if places:
+            rest = {
+                key: value for key, value in formation.items() if key not in ("shape", "offsets_m")
+            }
+            formation = {**rest, **places}
+        if form.get("slots") is not None:
+            formation = {**formation, "assignment": form["slots"]}
         tree = {**tree, "formation": formation}
     return tree
+
+
+def _risen(tree: Tree, source: str) -> Tree:
+    """`tree` with the starts as the first places, and with the formation in the leg `form` after the take-off.
+
+    The first epoch finds every UAV in its place: beside the leader as it starts, around a hovering leader. `take_off`
+    moves leader and places, `form` is a change of the shape and a leg of the leader in one.
+    """
+    formation, gains, leader = (tree.get(key) for key in ("formation", "gains", "leader"))
+    ids, (first, form, *rest) = _followers(tree), _legs(tree)
+    starts = _starts(tree, first.get("from_m"))
+    loop = gains.get("formation") if isinstance(gains, dict) else None
+    if not (isinstance(formation, dict) and isinstance(leader, dict) and isinstance(gains, dict)):
+        return tree
+    if ids is None or starts is None or not isinstance(loop, dict):
+        return tree
+    if not isinstance(form, dict) or form.get("kind") != "form":
+        return tree
+    path, own = leader.get("trajectory"), starts[leader["id"]]
+    offsets = {uav: (starts[uav] - own).tolist() for uav in ids}
+    formed = _with_offsets(formation, ids, "formation", source)
+    places = _offsets(formed)
+    if places is None or set(places) != set(ids):
+        return tree
+    if formation.get("assignment") == "optimal" and ids:
+        now, then = (np.array([of[uav] for uav in ids]) for of in (offsets, places))
+        order = _nearest(now, then)
+        places = {uav: then[row] for uav, row in zip(ids, order, strict=True)}
+    form = {
+        **{key: value for key, value in form.items() if key != "shape"},
+        "over_s": loop.get("deadline_s"),
+        "offsets_m": {uav: place.tolist() for uav, place in places.items()},
+        "trajectory": path,
+    }
+    formation = {key: value for key, value in formation.items() if key != "shape"}
+    return {
+        **tree,
+        "formation": {**formation, "offsets_m": offsets, "assignment": "fixed"},
+        "gains": {**gains, "formation": {**loop, "deadline_s": first.get("over_s")}},
+        "leader": {**leader, "trajectory": {"kind": "hover", "position_m": own.tolist()}},
+        "mission": {**tree["mission"], "legs": [first, form, *rest]},
+    }
+
+
+def _starts(tree: Tree, from_m: Any) -> dict[int, Array] | None:
+    """The start (3,) [m] of every UAV, at the height `from_m` where it is given; None where the file is malformed."""
+    try:
+        height = None if from_m is None else _NUMBER.validate_python(from_m)
+        found = {
+            uav["id"]: np.array(_PLACE.validate_python(uav.get("position_m")))
+            for uav in tree.get("uavs", ())
+        }
+    except (ValidationError, TypeError, KeyError, AttributeError):
+        return None
+    leader = tree.get("leader")
+    if not isinstance(leader, dict) or leader.get("id") not in found:
+        return None
+    if height is not None:
+        found = {uav: np.array([*place[:2], height]) for uav, place in found.items()}
+    return found
+
+
+def _formed(tree: Tree) -> Tree:
+    """The block with the places of the formation: that of the leg `form` after a take-off."""
+    legs, formation = _legs(tree), tree["formation"]
+    rises = len(legs) > 1 and isinstance(legs[0], dict) and legs[0].get("kind") == "take_off"
+    if rises and isinstance(legs[1], dict) and legs[1].get("offsets_m") is not None:
+        return {**formation, "offsets_m": legs[1]["offsets_m"]}
+    return dict(formation)
 
 
 def completed_shape(tree: Tree, source: str) -> Tree:
@@ -140,9 +234,8 @@ def _with_changes(formation: Tree, ids: list[int], source: str) -> Tree:
 
 def _with_leg_places(tree: Tree, ids: list[int], source: str) -> Tree:
     """`tree` with the places of each leg that changes to a named shape."""
-    mission, present = tree.get("mission"), _offsets(tree["formation"])
-    legs = mission.get("legs") if isinstance(mission, dict) else None
-    if not isinstance(legs, list) or present is None or not isinstance(mission, dict):
+    legs, present = _legs(tree), _offsets(_formed(tree))
+    if not legs or present is None:
         return tree
     where = {
         f"mission.legs[{index}]": leg
@@ -153,7 +246,7 @@ def _with_leg_places(tree: Tree, ids: list[int], source: str) -> Tree:
     if filled is None:
         return tree
     legs = [filled.get(f"mission.legs[{index}]", leg) for index, leg in enumerate(legs)]
-    return {**tree, "mission": {**mission, "legs": legs}}
+    return {**tree, "mission": {**tree["mission"], "legs": legs}}
 
 
 def _filled(
@@ -210,7 +303,7 @@ def _without_auto(tree: Tree) -> Tree:
 
 
 def _with_tree(tree: Tree, ids: list[int], source: str) -> Tree:
-    links, formation = tree.get("communication"), tree["formation"]
+    links, formation = tree.get("communication"), _formed(tree)
     if not isinstance(links, dict) or links.get("tree") != AUTO_TREE:
         return tree
     offsets, leader = _offsets(formation), tree["leader"].get("id")

@@ -7,24 +7,30 @@ every process flies legs by the same kernels as a trajectory and a shape without
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from datetime import datetime, timedelta, timezone
-from itertools import pairwise
 from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import BeforeValidator, Field
 from pydantic_core import PydanticCustomError
 
 from ptnsbc_sim.scenario.fields import Block, Name, NotNegative, Number, Positive, UavId, Vec3
-from ptnsbc_sim.scenario.mission import trajectories
 from ptnsbc_sim.scenario.mission.shapes import Change, Reshaping, ShapeBlock
 from ptnsbc_sim.scenario.mission.trajectories import TrajectoryBlock
+
+Places = Mapping[int, tuple[float, float, float]]
+"""Offsets [m] from the leader, by UAV."""
 
 CANCEL = 0
 """Number of the leg that a cancelled one gives way to."""
 
+FIRST = 1
+"""Number of the leg that begins with the first epoch, and whose deadline is that of the formation."""
+
+FROM_KEY = "mission.legs[0].from_m"
+"""Key of the height from which a mission takes off."""
+
 _MOST_LEGS = 200
-_LATE_S = 1e-9  # by which the end of a leg may miss the begin of the next one
 _UNIX = datetime(1970, 1, 1, tzinfo=timezone.utc)
 
 
@@ -60,17 +66,36 @@ class LegBlock(Block):
     """Time after which the leg is done, beyond its own."""
 
 
+class TakeOffLeg(LegBlock):
+    """All UAVs rise over their starts."""
+
+    kind: Literal["take_off"]
+    """Every UAV rises straight up over its start, all with one time profile. A mission may begin with it; `form` comes
+    next."""
+    over_s: Span
+    """Duration: by then every UAV is at the height, at rest."""
+    height_m: Number
+    """Height to rise to."""
+    from_m: Number | None = None
+    """Height from which the UAVs rise. Default: that of each start; of real vehicles `mavlink.takeoff_height_m`, at
+    which their own take-off ends."""
+
+
 class FormLeg(LegBlock):
-    """The first leg: the formation comes about."""
+    """The formation comes about."""
 
     kind: Literal["form"]
-    """The formation comes about. A mission begins with it."""
+    """The formation comes about. A mission begins with it, or with `take_off` before it."""
     over_s: Span | None = None
     """Deadline, in place of `gains.formation.deadline_s`."""
     shape: ShapeBlock | None = None
     """Shape, in place of `formation.shape` and `formation.offsets_m`."""
+    offsets_m: dict[UavId, Vec3] | None = None
+    """Offsets, in place of those of `formation`."""
     slots: Literal["fixed", "optimal"] | None = None
     """Assignment of the slots, in place of `formation.assignment`."""
+    trajectory: TrajectoryBlock | None = None
+    """Trajectory of the leader, in place of `leader.trajectory`. Its time counts from the begin of the leg."""
 
 
 class ChangeLeg(Reshaping, LegBlock):
@@ -148,7 +173,7 @@ class LandLeg(LegBlock):
 
 
 AnyLeg = Annotated[
-    FormLeg | ChangeLeg | FollowLeg | GoToLeg | HoldLeg | SplitLeg | JoinLeg | LandLeg,
+    TakeOffLeg | FormLeg | ChangeLeg | FollowLeg | GoToLeg | HoldLeg | SplitLeg | JoinLeg | LandLeg,
     Field(discriminator="kind"),
 ]
 
@@ -252,44 +277,79 @@ def _run(mission: Mission, deadline_s: float, first: int, begin_s: float) -> Ite
         if leg.on == "word" and at_s is None:
             return
         begin_s = end_s if at_s is None else max(at_s, end_s)
-        due_s = begin_s + (deadline_s if isinstance(leg, FormLeg) else leg.over_s)
+        over_s = None if index == 0 else leg.over_s
+        due_s = begin_s + (deadline_s if over_s is None else over_s)
         end_s = due_s + leg.stay_s
         yield ScheduledLeg(index + 1, names[index], leg, begin_s, due_s, end_s)
 
 
 def moves_shape(mission: Mission | None) -> bool:
     """True if a leg of the mission moves places beside the leader."""
-    return any(isinstance(leg, ChangeLeg | SplitLeg) for leg in (mission.legs if mission else ()))
+    return any(
+        isinstance(leg, TakeOffLeg | ChangeLeg | SplitLeg)
+        for leg in (mission.legs if mission else ())
+    )
 
 
-def scheduled_changes(mission: Mission, legs: Sequence[ScheduledLeg]) -> tuple[Change, ...]:
+def takes_off_from_starts(mission: Mission) -> bool:
+    """True if the mission begins with a take-off from the heights of the starts."""
+    first = mission.legs[0]
+    return isinstance(first, TakeOffLeg) and first.from_m is None
+
+
+def scheduled_changes(
+    mission: Mission, legs: Sequence[ScheduledLeg], starts: Places
+) -> tuple[Change, ...]:
     """The legs that change the shape, as changes at their times.
 
     The first one changes nothing. Where a leg may change the shape later, on a word, it is from the first epoch on one
     that moves: it does not matter when a UAV hears of that word.
+
+    Args:
+        mission: the legs.
+        legs: those that begin.
+        starts: offsets [m] of the followers at the first epoch.
     """
-    keys = Reshaping.model_fields
     nothing = Change.model_construct(at_s=0.0, over_s=0.1)
-    first = (nothing,) if moves_shape(mission) else ()
-    return first + tuple(
-        Change.model_construct(at_s=one.begin_s, **{key: getattr(one.leg, key) for key in keys})
-        for one in legs
-        if isinstance(one.leg, ChangeLeg)
-    )
+    found = [nothing] if moves_shape(mission) else []
+    for one in legs:
+        given: dict[str, Any] = {}
+        if isinstance(one.leg, TakeOffLeg):
+            given = {"offsets_m": {uav: (x, y, 0.0) for uav, (x, y, _) in starts.items()}}
+        elif isinstance(one.leg, FormLeg) and one.number > FIRST:
+            given = {"offsets_m": one.leg.offsets_m}
+        elif isinstance(one.leg, ChangeLeg):
+            given = {key: getattr(one.leg, key) for key in Reshaping.model_fields}
+        if given:
+            over_s = one.due_s - one.begin_s
+            found.append(Change.model_construct(**{**given, "at_s": one.begin_s, "over_s": over_s}))
+    return tuple(found)
 
 
 def leader_legs(legs: Sequence[ScheduledLeg]) -> tuple[ScheduledLeg, ...]:
-    """The legs that move the leader."""
-    return tuple(one for one in legs if isinstance(one.leg, FollowLeg | GoToLeg | HoldLeg))
+    """The legs that move the leader away from its first path. A leg of kind form after the first joins a trajectory."""
+    found = []
+    for one in legs:
+        if isinstance(one.leg, FormLeg) and one.number > FIRST and one.leg.trajectory is not None:
+            over_s = one.due_s - one.begin_s
+            leg = FollowLeg(kind="follow", over_s=over_s, trajectory=one.leg.trajectory)
+            found.append(one._replace(leg=leg))
+        elif isinstance(one.leg, TakeOffLeg | FollowLeg | GoToLeg | HoldLeg):
+            found.append(one)
+    return tuple(found)
 
 
-_SAME_PATH = ((ChangeLeg,), (FollowLeg, GoToLeg, HoldLeg), (SplitLeg, JoinLeg))
+_SAME_PATH = (
+    (TakeOffLeg, FormLeg, ChangeLeg),
+    (TakeOffLeg, FormLeg, FollowLeg, GoToLeg, HoldLeg),
+    (SplitLeg, JoinLeg),
+)
 """The kinds of legs that move the same places: one of them takes the place of another one."""
 
 
 def is_cut_short(legs: Sequence[ScheduledLeg], one: ScheduledLeg) -> bool:
     """True if a later leg took the place of this one before it was due: an operator said so."""
-    kinds = next((kinds for kinds in _SAME_PATH if isinstance(one.leg, kinds)), ())
+    kinds = tuple(kind for kinds in _SAME_PATH if isinstance(one.leg, kinds) for kind in kinds)
     stops = isinstance(one.leg, SplitLeg)  # a group that has left comes to rest with the leader
     return any(
         one.begin_s < later.begin_s < one.due_s
@@ -301,87 +361,3 @@ def is_cut_short(legs: Sequence[ScheduledLeg], one: ScheduledLeg) -> bool:
 def landing_s(legs: Sequence[ScheduledLeg]) -> float | None:
     """The begin of the landing [s]; None without one."""
     return next((one.begin_s for one in legs if isinstance(one.leg, LandLeg)), None)
-
-
-def problems(file: Any) -> Iterator[str]:
-    """The problems of the mission of a whole scenario file, before it is scheduled."""
-    mission = file.mission
-    if mission is None:
-        return
-    if file.formation.changes:
-        yield "formation.changes: expected none beside mission.legs: a leg of kind change does the same"
-    if file.formation.approach != "planned":
-        yield f"formation.approach: {file.formation.approach}: expected planned for a mission"
-    if moves_shape(mission) and file.formation.task != "relative_position":
-        yield (
-            f"formation.task: {file.formation.task}: expected relative_position for a mission that changes "
-            "the shape or splits"
-        )
-    if file.law is not None:
-        yield f"law: {file.law}: expected none beside a mission"
-    yield from _begins(mission, file.gains.formation.deadline_s)
-    yield from _kinds(mission, file)
-
-
-def _begins(mission: Mission, deadline_s: float) -> Iterator[str]:
-    names = leg_names(mission)
-    for index, leg in enumerate(mission.legs):
-        where = f"mission.legs[{index}]"
-        if names[index] in names[:index]:
-            yield f"{where}.name: {names[index]}: expected a name that no other leg has"
-        if leg.at is not None and leg.at_s is not None:
-            yield f"{where}.at: expected either at or at_s"
-        if leg.at is not None and mission.start is None:
-            yield f"{where}.at: expected mission.start, from which the flight counts"
-    for before, one in pairwise(_run(mission, deadline_s, 0, 0.0)):
-        at_s = begin_of(mission, one.leg)
-        if at_s is not None and at_s < before.end_s - _LATE_S:
-            key = "at" if one.leg.at is not None else "at_s"
-            yield (
-                f"mission.legs[{one.number - 1}].{key}: {at_s:g} s: expected at least {before.end_s:g} s, "
-                "when the leg before is done"
-            )
-
-
-def _kinds(mission: Mission, file: Any) -> Iterator[str]:
-    followers = [uav.id for uav in file.uavs if uav.id != file.leader.id]
-    for index, leg in enumerate(mission.legs):
-        where = f"mission.legs[{index}]"
-        if index == 0 and not isinstance(leg, FormLeg):
-            yield f"{where}.kind: {leg.kind}: expected form, with which a mission begins"
-        if index > 0 and isinstance(leg, FormLeg):
-            yield f"{where}.kind: form: expected change, with which a later leg takes another shape"
-        if index == 0 and (leg.at_s or leg.at is not None or leg.on is not None):
-            yield f"{where}: expected no at_s, at or on: the first leg begins with the first epoch"
-        if isinstance(leg, LandLeg) and index + 1 < len(mission.legs):
-            yield f"{where}.kind: land: expected no leg after it"
-        for problem in _content(leg, followers):
-            yield f"{where}.{problem}"
-        if isinstance(leg, SplitLeg):
-            for problem in _beside_split(mission, file.formation):
-                yield f"{where}.kind: split: {problem}"
-
-
-def _content(leg: Any, followers: list[int]) -> Iterator[str]:
-    """The problems of a leg by itself."""
-    if isinstance(leg, FollowLeg | SplitLeg):
-        for problem in trajectories.problems(leg.trajectory):
-            yield f"trajectory.{problem}"
-    if isinstance(leg, SplitLeg) and leg.head not in followers:
-        yield f"head: {leg.head}: expected one of the followers {followers}"
-    if isinstance(leg, ChangeLeg):
-        for uav in sorted(set(followers).symmetric_difference(leg.offsets_m or followers)):
-            yield f"offsets_m.{uav}: expected an offset of each follower {followers}, and of no other UAV"
-
-
-def _beside_split(mission: Mission, formation: Any) -> Iterator[str]:
-    """The parts that a mission with a leg of kind split may not have."""
-    turned = any(isinstance(leg, ChangeLeg) and leg.rotation_rad for leg in mission.legs)
-    expected = (
-        (formation.frame == "world", "formation.frame: world"),
-        (formation.assignment == "fixed", "formation.assignment: fixed"),
-        (not turned, "no leg of kind change with rotation_rad"),
-    )
-    for holds, what in expected:
-        if not holds:
-            yield f"expected {what}"

@@ -25,6 +25,7 @@ from ptnsbc_sim.scenario.mission.legs import (
     JoinLeg,
     ScheduledLeg,
     SplitLeg,
+    TakeOffLeg,
     Word,
     leader_legs,
     schedule,
@@ -65,7 +66,7 @@ def with_legs(file: Any, words: Sequence[Word] = ()) -> Any:
     route = route_of(first, leader_legs(legs), file.timing.duration_s + _MARGIN_S)
     if route is None:
         raise ValueError(_too_many("leader"))
-    changes = scheduled_changes(file.mission, legs)
+    changes = scheduled_changes(file.mission, legs, file.formation.offsets_m)
     formation = file.formation.model_copy(update={"changes": changes})
     file = file.model_copy(update={"formation": formation})
     route = replace(route, apart=tuple(_apart(file, route, legs)))
@@ -147,8 +148,10 @@ def route_of(first: Any, legs: tuple[ScheduledLeg, ...], until_s: float) -> Rout
 def _through(rows: Array, legs: Sequence[ScheduledLeg], until_s: float) -> Array | None:
     """A path that goes on by these legs; None when it takes too many polynomials."""
     for leg in legs:
-        rows = rows[rows[:, 0] < leg.begin_s - _APART_S]
-        now = course_samples(_curve(rows), np.array([leg.begin_s]))[0]
+        before = rows[rows[:, 0] < leg.begin_s - _APART_S]
+        flown = before if len(before) else rows  # a leg may begin with the path
+        now = course_samples(_curve(flown), np.array([leg.begin_s]))[0]
+        rows = before
         knots = _flown(leg, now, until_s)
         if knots is None or len(rows) + len(knots) > MOST_KNOTS:
             return None
@@ -169,6 +172,8 @@ def _flown(one: ScheduledLeg, now: Array, until_s: float) -> list[_Knot] | None:
     rest = np.zeros(15)
     rest[0:3] = now[0:3] + 0.5 * (one.due_s - one.begin_s) * now[3:6]
     rest[_YAW] = now[_YAW]
+    if isinstance(leg, TakeOffLeg):
+        rest[2] = leg.height_m
     if isinstance(leg, GoToLeg):
         rest[0:3] = leg.position_m
         if leg.yaw_rad is not None:

@@ -76,7 +76,7 @@ def completed(tree: Tree, source: str = "scenario") -> Tree:
     kind = plant.get("kind") if isinstance(plant, dict) else None
     if isinstance(gains, dict):
         tree = {**tree, "gains": reader.merged(gain_defaults(str(kind)), gains)}
-    return completed_shape(completed_mission(tree), source)
+    return completed_shape(completed_mission(tree, source), source)
 
 
 def with_route(file: ScenarioFile, source: str, words: tuple[Word, ...] = ()) -> ScenarioFile:

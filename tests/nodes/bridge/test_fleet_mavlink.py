@@ -90,6 +90,19 @@ def test_four_vehicles_fly_a_figure_of_eight_in_a_v_that_turns(kind):
     assert min(pair.distance_m for pair in found.separations) > 1.5
 
 
+@pytest.mark.slow
+def test_four_vehicles_fly_a_mission_from_the_ground_to_the_ground():
+    """Their own take-off ends where the leg take_off begins; land is the landing of their flight controllers."""
+    made = load_scenario("take_off_4").bridged()
+    fleet = MavlinkFleet(made, "px4", gnss="perfect")
+    fleet.airborne().form().run(made.duration_s)
+    assert {uav.bridge.procedure.fault for uav in fleet.uavs.values()} == {""}
+    found = verdict_on(fleet.recording())
+    assert found.verdict == "met", [(leg.name, leg.verdict, leg.reason) for leg in found.mission]
+    assert [leg.kind for leg in found.mission][:4] == ["take_off", "form", "change", "hold"]
+    assert min(pair.distance_m for pair in found.separations) > 1.5
+
+
 def true_places(fleet):
     return np.array([uav.vehicle.flight.truth_enu for uav in fleet.uavs.values()])
 

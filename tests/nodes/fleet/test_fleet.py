@@ -49,7 +49,8 @@ extends: mission_6
 timing: {duration_s: 6}
 mission:
   legs:
-    - {kind: form, over_s: 4}
+    - {kind: take_off, height_m: 2, over_s: 2}
+    - {kind: form, over_s: 2}
     - {kind: follow, over_s: 1, trajectory: {kind: circle, centre_m: [0, 0, 4], radius_m: 1, rate_rad_s: 0.2}}
     - {kind: split, at_s: 5, over_s: 0.2, head: 3, trajectory: {kind: hover, position_m: [-1, -1, 4]}}
     - {kind: change, over_s: 0.1, scale: [1.1, 1, 1]}

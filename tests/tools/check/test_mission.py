@@ -4,6 +4,7 @@ from typing import Any
 
 from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_tools.check.mission import legs
+from ptnsbc_tools.check.trajectory import trajectory
 
 
 def odd(*more: dict[str, Any], seconds: float = 60.0) -> list[tuple[str, str]]:
@@ -28,6 +29,18 @@ def test_a_leg_that_asks_for_more_than_the_vehicle_has_is_refused() -> None:
     """35/16 of 50 m in 10 s are 10.9 m/s, of 8 m/s; in 20 s they are 5.5 m/s."""
     assert odd(go_to(50.0, 10.0)) == [("error", "mission.legs[1]")]
     assert odd(go_to(50.0, 20.0)) == []
+
+
+def test_a_take_off_is_checked_as_a_leg() -> None:
+    """35/16 of 40 m in 8 s are 10.9 m/s, of 8 m/s; the ground counts from the end of it."""
+    assert [one.severity for one in legs(load_scenario("take_off_4"))] == ["info"] * 5
+    steep = load_scenario(
+        "take_off_4", {"mission.legs[0].height_m": 40, "mission.legs[0].over_s": 8}
+    )
+    assert [one.key for one in legs(steep) if one.severity == "error"] == ["mission.legs[0]"]
+    low = load_scenario("take_off_4", {"mission.legs[0].height_m": 0})
+    assert not [one for one in trajectory(load_scenario("take_off_4")) if one.severity == "error"]
+    assert "the ground" in next(one.limit for one in trajectory(low) if one.severity == "error")
 
 
 def test_a_landing_needs_the_time_to_come_down() -> None:

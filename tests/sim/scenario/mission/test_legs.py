@@ -2,10 +2,15 @@
 
 from typing import Any
 
+import numpy as np
 import pytest
 
+from ptnsbc_core.curves.trajectory import reference
 from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_core.timebase import h
+from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import Scenario, load_scenario
+from ptnsbc_sim.scenario.build import leader_trajectory, places_beside_leader
 from ptnsbc_sim.scenario.mission.legs import CANCEL, Word
 from ptnsbc_sim.scenario.scenario import scenario_from_text
 
@@ -15,6 +20,7 @@ LINE = {"kind": "change", "shape": {"kind": "line", "spacing_m": 2}, "over_s": 4
 HOLD = {"kind": "hold", "over_s": 3}
 UNTIMED = {"kind": "waypoints", "points_m": [[0, 0, 1], [1, 0, 1]]}
 LAND = {"kind": "land", "over_s": 20}
+RISE = {"kind": "take_off", "height_m": 5, "over_s": 4, "stay_s": 1}
 
 
 def mission(*legs: dict[str, Any], **keys: Any) -> Scenario:
@@ -40,6 +46,76 @@ def test_the_first_leg_says_deadline_shape_and_slots() -> None:
     assert found.gains.formation.deadline_s == 6.0
     assert found.offset(2).tolist() == [-3, 0, 0]
     assert found.file.formation.assignment == "optimal"
+
+
+def test_the_first_leg_may_say_offsets_and_trajectory() -> None:
+    circle = {"kind": "circle", "centre_m": [0, 0, 5], "radius_m": 5, "rate_rad_s": 0.1}
+    places = {2: [1, 0, 0], 3: [2, 0, 0], 4: [3, 0, 0], 5: [4, 0, 0]}
+    found = mission({**FORM, "trajectory": circle, "offsets_m": places})
+    assert found.offset(4).tolist() == [3, 0, 0]
+    assert reference(leader_trajectory(found), 0.0).position == pytest.approx([0, 5, 5])
+
+
+def starts(scenario: Scenario) -> Array:
+    return np.array([scenario.uav(uav).position for uav in scenario.uav_ids])
+
+
+def places(scenario: Scenario, t: float) -> Array:
+    """Places (N, 3) [m] of all UAVs in the world."""
+    lead = np.array(reference(leader_trajectory(scenario), t).position)
+    now = np.array([t])
+    return np.array([lead + places_beside_leader(scenario, u, now)[0] for u in scenario.uav_ids])
+
+
+def test_a_take_off_rises_straight_up_over_the_starts() -> None:
+    """From rest to rest by the time profile of the method, whatever the heights of the starts are."""
+    found = mission(RISE, FORM, LAND).with_({"uavs[2].position_m": [-1, 0, 0.4]})
+    begin = starts(found)
+    assert places(found, 0.0) == pytest.approx(begin, abs=1e-12)
+    for t in (1.0, 2.0, 3.0, 4.0, 5.0):
+        assert places(found, t)[:, :2] == pytest.approx(begin[:, :2], abs=1e-12)
+    assert places(found, 4.0)[:, 2] == pytest.approx([5] * 5)
+    lead = begin[0, 2] + h(0.25) * (5 - begin[0, 2])
+    assert places(found, 1.0)[0, 2] == pytest.approx(lead)
+    assert found.gains.formation.deadline_s == 4.0
+    assert times(found) == [(0, 4, 5), (5, 11, 12), (12, 32, 32)]
+
+
+def test_after_the_take_off_the_formation_comes_about_on_the_trajectory() -> None:
+    form = {**FORM, "shape": {"kind": "v", "spacing_m": 2}}
+    found, without = mission(RISE, form, GO), mission(form)
+    assert places(found, 11.0) == pytest.approx(places(without, 6.0), abs=1e-6)
+    assert places(found, 12.0) == pytest.approx(places(without, 7.0), abs=1e-6)
+    assert found.with_words([Word(CANCEL, 2.0)]).legs[-1].name == "cancelled"
+
+
+def test_slots_are_decided_by_the_starts_of_a_take_off() -> None:
+    crossed = {2: [2, 0, 0], 3: [-2, 0, 0], 4: [-2, 2, 0], 5: [-2, -2, 0]}
+    first = {**FORM, "offsets_m": crossed}
+    begin = {f"uavs[{k}].position_m": [2.0 * k if k != 1 else -2.0, 0, 0] for k in range(5)}
+    fixed, free = (
+        mission(RISE, {**first, "slots": one}).with_(begin) for one in ("fixed", "optimal")
+    )
+    leader = places(fixed, 10.9)[0]
+    assert places(fixed, 11.0)[1] - leader == pytest.approx([2, 0, 0], abs=0.2)
+    assert places(free, 11.0)[1] - leader == pytest.approx([-2, 0, 0], abs=0.2)
+    assert free.file.formation.assignment == "fixed"
+
+
+def test_the_take_off_of_real_vehicles_begins_where_their_own_ends() -> None:
+    found = load_scenario("take_off_4").bridged()
+    assert found.bridged().text == found.text
+    assert places(found, 0.0)[:, 2] == pytest.approx([3.0] * 4)
+    assert places(found, 6.0)[:, 2] == pytest.approx([5.0] * 4)
+    own = mission({**RISE, "from_m": 2}, FORM)
+    assert own.bridged() is own
+
+
+def test_the_text_of_a_take_off_loads_again_to_the_same_flight() -> None:
+    found = mission(RISE, {**FORM, "shape": {"kind": "v", "spacing_m": 2}}, LINE, LAND)
+    again = scenario_from_text(found.text)
+    assert again.file == found.file
+    assert again.legs == found.legs
 
 
 def test_times_in_utc_count_from_the_start_of_the_mission() -> None:
@@ -82,7 +158,10 @@ def test_the_text_of_a_mission_loads_again_to_the_same_flight() -> None:
     ("legs", "keys", "message"),
     [
         ([], {}, r"mission\.legs: .*: expected at least one entry"),
-        ([GO], {}, r"legs\[0\]\.kind: go_to: expected form"),
+        ([GO], {}, r"legs\[0\]\.kind: go_to: expected form or take_off"),
+        ([FORM, RISE], {}, r"legs\[1\]\.kind: take_off: expected no take_off after the first"),
+        ([RISE, GO], {}, r"legs\[1\]\.kind: go_to: expected form, which follows take_off"),
+        ([RISE, FORM, FORM], {}, r"legs\[2\]\.kind: form: expected change"),
         ([FORM, FORM], {}, r"legs\[1\]\.kind: form: expected change"),
         ([FORM, {**GO, "at_s": 6}], {}, r"legs\[1\]\.at_s: 6 s: expected at least 7 s"),
         ([FORM, LAND, GO], {}, r"legs\[1\]\.kind: land: expected no leg after it"),

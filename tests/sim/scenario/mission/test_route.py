@@ -272,7 +272,7 @@ def value(table: Array, channel: int, t: float) -> float:
         ([SPLIT], {"formation.assignment": "optimal"}, r"split: expected formation\.assignment"),
         ([SPLIT, {**CHANGE, "rotation_rad": 1}], {}, r"split: expected no leg of kind change with"),
         ([SPLIT], {"formation.task": "parent_angle"}, r"formation\.task: parent_angle: expected rel"),
-        ([SPLIT], {"formation.vacancy": "keep"}, r"without legs of kind change or split"),
+        ([SPLIT], {"formation.vacancy": "keep"}, r"without legs of kind take_off, change or split"),
     ],
 )  # fmt: skip
 def test_a_group_that_cannot_leave_is_refused(
