@@ -1,4 +1,4 @@
-"""Point clouds in files: PCD (ASCII and binary), CSV with rows x, y, z, and NumPy's `.npy`."""
+"""Point clouds in files: PCD and PLY (ASCII and binary), CSV with rows x, y, z, and NumPy's `.npy`."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.types import Array
+from ptnsbc_io.ply_file import PlyError, ply_points
 
 MOST_BYTES = 100_000_000
 """Of a file."""
@@ -18,6 +19,13 @@ _MOST_COUNT = 10_000  # of numbers in one field
 _FARTHEST_M = 1e6
 _TYPES = {"F4": "<f4", "F8": "<f8", "I1": "i1", "I2": "<i2", "I4": "<i4", "I8": "<i8"}
 _TYPES |= {"U1": "u1", "U2": "<u2", "U4": "<u4", "U8": "<u8"}
+
+
+_POINTS_OF_TREE = "which octree2pointcloud MAP.bt MAP.pcd of OctoMap writes"
+_OCTOMAP = {
+    ".bt": _POINTS_OF_TREE,
+    ".ot": f"{_POINTS_OF_TREE}, after convert_octree MAP.ot MAP.bt",
+}
 
 
 class PointCloudFileError(PtnsbcError):
@@ -30,8 +38,11 @@ def read_points(path: Path) -> Array:
     Raises:
         PointCloudFileError: the file is no such file, too large, or has no points.
     """
-    readers = {".pcd": _pcd, ".csv": _csv, ".npy": _npy}
-    read = readers.get(path.suffix.lower())
+    readers = {".pcd": _pcd, ".ply": _ply, ".csv": _csv, ".npy": _npy}
+    suffix = path.suffix.lower()
+    read = readers.get(suffix)
+    if suffix in _OCTOMAP:
+        raise PointCloudFileError(f"an octree: expected its points, {_OCTOMAP[suffix]}")
     if read is None:
         raise PointCloudFileError(f"expected a file that ends in {', '.join(readers)}")
     try:
@@ -65,6 +76,13 @@ def _csv(data: bytes) -> Array:
         except (ValueError, IndexError):
             continue
     raise PointCloudFileError("expected rows of numbers x, y, z, with commas between them")
+
+
+def _ply(data: bytes) -> Array:
+    try:
+        return ply_points(data)
+    except PlyError as error:
+        raise PointCloudFileError(str(error)) from None
 
 
 def _npy(data: bytes) -> Array:

@@ -19,6 +19,15 @@ def header(data: str, points: int = 3, fields: str = "x y z", kinds: str = "F F 
     )
 
 
+FACE = b"3 0 1 2\n"
+
+
+def ply(form: str, properties: str = "x y z", vertices: str = "3") -> str:
+    lines = "".join(f"property float {name}\n" for name in properties.split())
+    faces = "element face 1\nproperty list uchar int vertex_indices\n"
+    return f"ply\nformat {form} 1.0\nelement vertex {vertices}\n{lines}{faces}end_header\n"
+
+
 def rows(points: Array) -> str:
     return "".join(" ".join(map(str, row)) + "\n" for row in points.tolist())
 
@@ -37,6 +46,11 @@ def test_every_form_holds_the_same_points(tmp_path: Path) -> None:
         written(tmp_path, "a.csv", "x,y,z\n" + rows(POINTS).replace(" ", ",")),
         written(tmp_path, "b.csv", "# a scan\n" + rows(POINTS).replace(" ", ",")),
         written(tmp_path, "a.pcd", header("ascii") + rows(POINTS)),
+        written(tmp_path, "a.ply", ply("ascii").encode() + rows(POINTS).encode() + FACE),
+        written(tmp_path, "b.ply", ply("binary_little_endian").encode() + single.tobytes()),
+        written(
+            tmp_path, "c.PLY", ply("binary_big_endian").encode() + POINTS.astype(">f4").tobytes()
+        ),
         written(tmp_path, "b.PCD", header("binary").encode() + single.tobytes()),
     ]
     for path in files:
@@ -57,6 +71,36 @@ def test_other_fields_of_a_pcd_are_skipped(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_points(path), POINTS)
 
 
+def test_other_properties_of_a_ply_are_skipped(tmp_path: Path) -> None:
+    text = ply("ascii", "nx x y z red")
+    path = written(
+        tmp_path, "a.ply", text + "".join(f"9 {row} 7\n" for row in rows(POINTS).split("\n") if row)
+    )
+    np.testing.assert_array_equal(read_points(path), POINTS)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("a.ply", "plyx\n", "with a line end_header"),
+        ("a.ply", ply("ascii 9").replace("ascii", "text"), "format text: expected ascii"),
+        ("a.ply", ply("ascii", "x y"), "expected properties x, y and z"),
+        ("a.ply", ply("ascii", "x x y z"), "each name once"),
+        ("a.ply", ply("ascii", vertices="-1"), "element vertex -1: expected a whole number"),
+        ("a.ply", ply("ascii").replace("vertex 3", "edge 3"), "expected vertices as the first"),
+        ("a.ply", ply("ascii").replace("float x", "list uchar int x"), "a property of one number"),
+        ("a.ply", ply("ascii") + "1 2 3\n", "1 vertices: expected 3"),
+        ("a.ply", ply("ascii") + "1 2\n" * 3, "a row of numbers for each vertex"),
+        ("a.ply", ply("binary_little_endian") + "abc", "expected 36 bytes of vertices, found 3"),
+        ("a.bt", "", "octree2pointcloud"),
+        ("a.ot", "", "convert_octree"),
+    ],
+)  # fmt: skip
+def test_what_is_no_ply_is_refused(tmp_path: Path, name: str, content: str, message: str) -> None:
+    with pytest.raises(PointCloudFileError, match=message):
+        read_points(written(tmp_path, name, content))
+
+
 def test_points_that_are_no_numbers_are_left_out(tmp_path: Path) -> None:
     path = written(tmp_path, "a.pcd", header("ascii", 4) + "nan nan nan\n" + rows(POINTS))
     np.testing.assert_array_equal(read_points(path), POINTS)
@@ -65,7 +109,7 @@ def test_points_that_are_no_numbers_are_left_out(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
-        ("a.ply", "ply", r"expected a file that ends in \.pcd, \.csv, \.npy"),
+        ("a.las", "", r"expected a file that ends in \.pcd, \.ply, \.csv, \.npy"),
         ("a.csv", "", "expected rows of numbers x, y, z"),
         ("a.csv", "x,y,z\n", "expected rows of numbers x, y, z"),
         ("a.csv", "1,2\n3,4\n", "expected rows of numbers x, y, z"),
