@@ -23,6 +23,7 @@ from scipy.stats import qmc
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import Scenario, scenario_from_text
+from ptnsbc_sim.scenario.mission.legs import takes_off
 from ptnsbc_sim.scenario.model import ScenarioFile
 from ptnsbc_sim.scenario.problems import ScenarioError, Tree, scenario_error
 from ptnsbc_sim.scenario.reading import reader
@@ -267,7 +268,7 @@ def _with_starts_alone(plan: SweepPlan, k: int) -> Scenario | None:
     """The scenario of a draw without axes and family; None where its starts are to be validated.
 
     No check of a scenario looks at seed and starts, but that they are finite: the base scenario is validated once,
-    and every draw shares its blocks.
+    and every draw shares its blocks. A take-off is the exception, as it makes places and path of the starts.
     """
     source = _source(plan, k)
     try:
@@ -276,6 +277,8 @@ def _with_starts_alone(plan: SweepPlan, k: int) -> Scenario | None:
         return None  # whoever validates the draw names it in the message
     file = base.file.model_copy(update={"seed": _seed(plan, k)})
     if plan.starts.kind != FILE:
+        if takes_off(file.mission):
+            return None
         given = [uav.position_m for uav in file.uavs]
         places = drawn_places(given, plan.starts, spheres, generator(plan, k, "starts"))
         if not np.isfinite(places).all():

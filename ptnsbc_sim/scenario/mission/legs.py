@@ -291,6 +291,11 @@ def moves_shape(mission: Mission | None) -> bool:
     )
 
 
+def takes_off(mission: Mission | None) -> bool:
+    """True if the mission begins with a take-off: its first places are those of the starts."""
+    return mission is not None and isinstance(mission.legs[0], TakeOffLeg)
+
+
 def takes_off_from_starts(mission: Mission) -> bool:
     """True if the mission begins with a take-off from the heights of the starts."""
     first = mission.legs[0]
