@@ -15,6 +15,7 @@ from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
+from hypothesis.internal.conjecture import providers
 
 sys.path.insert(0, str(Path(__file__).parent / "support"))
 
@@ -41,6 +42,9 @@ settings.register_profile(
     "steady", deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow]
 )
 settings.load_profile("steady")
+
+# Hypothesis draws constants of all modules that are imported by then: the order of the tests would decide.
+providers._get_local_constants = lambda: providers._local_constants
 
 # As for `make test &`: whatever the tests start would ignore it too, and be waited for.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
