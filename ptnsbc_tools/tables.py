@@ -20,6 +20,7 @@ _COLOURS = {
     "missed": "bold red",
     "violated": "bold red",
     "void": "yellow",
+    "cut short": "yellow",
     "met": "green",
 }
 _PAIRS = 3

@@ -9,7 +9,6 @@ from typing import NamedTuple
 import numpy as np
 
 from ptnsbc_sim.scenario.mission.legs import (
-    CANCEL,
     FIRST,
     LandLeg,
     ScheduledLeg,
@@ -18,6 +17,9 @@ from ptnsbc_sim.scenario.mission.legs import (
 from ptnsbc_sim.verdict.deadline import MET, MISSED, VIOLATED, VOID, UavVerdict
 from ptnsbc_sim.verdict.recording import NANO, Recording
 from ptnsbc_sim.verdict.separation import Separation
+
+CUT_SHORT = "cut short"
+"""The verdict on a leg that gave way to another one before it was due: it is not judged."""
 
 _EXACT_S = 1e-9
 
@@ -35,7 +37,7 @@ class MissionLegVerdict:
         float | None
     )  # the largest one when it was due; of a landing the largest height above the ground
     uav: int | None  # that had it
-    verdict: str  # met | missed | violated | void
+    verdict: str  # met | missed | violated | void | cut short
     reason: str  # why not met, empty when met
 
 
@@ -51,7 +53,7 @@ def mission_legs(
     separations: Iterable[Separation],
     tolerance: float,
 ) -> tuple[MissionLegVerdict, ...]:
-    """The verdicts on the legs that are due before the flight ends.
+    """The verdicts on the legs that are due before the flight ends, or were cut short.
 
     Args:
         recording: the whole flight.
@@ -70,8 +72,8 @@ def mission_legs(
     until_s = [*(leg.begin_s for leg in scenario.legs[1:]), np.inf]
     found = []
     for one, next_s in zip(scenario.legs, until_s, strict=True):
-        if one.due_s > end_s + _EXACT_S:
-            break
+        if one.due_s > end_s + _EXACT_S and not is_cut_short(scenario.legs, one):
+            continue
         near = [pair for pair in entered if one.begin_s <= pair.at_s < next_s]
         found.append(_judged(one, _errors(recording, one, judged), near, tolerance, last_s))
     return tuple(found)
@@ -132,7 +134,7 @@ def _judged(
         off = "above the ground" if isinstance(one.leg, LandLeg) else "off"
         reason = f"{named} {off} at {one.due_s:.2f} s, expected at most {tolerance:g} m"
     elif errors is None:
-        reason = "" if one.number == CANCEL else "cut short by an operator"
+        verdict, reason = CUT_SHORT, "by an operator"
     elif not known:
         verdict = VOID
         reason = f"the recording ends after {last_s:.2f} s, it was due at {one.due_s:.2f} s"

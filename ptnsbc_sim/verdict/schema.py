@@ -11,6 +11,7 @@ from typing import Any
 from pydantic import TypeAdapter
 
 from ptnsbc_sim.verdict.deadline import MET, MISSED, VIOLATED, VOID
+from ptnsbc_sim.verdict.mission import CUT_SHORT
 from ptnsbc_sim.verdict.verdict import Verdict
 
 _WORD = {"enum": [MET, MISSED, VIOLATED, VOID]}
@@ -24,8 +25,10 @@ def schema() -> dict[str, Any]:
     for part in (made, made["$defs"]["LegVerdict"]):
         part["properties"] = {"verdict": _WORD, **part["properties"]}
         part["required"] = ["verdict", *part["required"]]
-    for name in ("UavVerdict", "MissionLegVerdict"):
-        made["$defs"][name]["properties"]["verdict"] = _WORD
+    made["$defs"]["UavVerdict"]["properties"]["verdict"] = _WORD
+    made["$defs"]["MissionLegVerdict"]["properties"]["verdict"] = {
+        "enum": [*_WORD["enum"], CUT_SHORT]
+    }
     head = {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": "Verdict of ptnsbc",

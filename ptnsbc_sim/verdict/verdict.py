@@ -31,7 +31,7 @@ from ptnsbc_sim.verdict.figures import (
     effort,
 )
 from ptnsbc_sim.verdict.formation_error import formation_errors
-from ptnsbc_sim.verdict.mission import MissionLegVerdict, mission_legs
+from ptnsbc_sim.verdict.mission import CUT_SHORT, MissionLegVerdict, mission_legs
 from ptnsbc_sim.verdict.recording import (
     COUNTERS,
     NANO,
@@ -94,7 +94,7 @@ class Verdict:
         if any(pair.entered for pair in self.separations):
             return VIOLATED
         legs = [leg.verdict for leg in self.legs]
-        return _worst([*legs, *(leg.verdict for leg in self.mission)])
+        return _worst([*legs, *(leg.verdict for leg in self.mission if leg.verdict != CUT_SHORT)])
 
     @property
     def exit_code(self) -> int:

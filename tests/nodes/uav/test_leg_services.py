@@ -25,6 +25,7 @@ from ptnsbc_nodes.fleet.coordinator_node import Coordinator
 from ptnsbc_nodes.uav.node import UavNode
 from ptnsbc_sim.scenario import load_scenario, scenario_from_text
 from ptnsbc_sim.scenario.mission.legs import CANCEL
+from ptnsbc_sim.verdict import verdict_on
 from ptnsbc_tools.reading.bag_reader import read_recording
 from ptnsbc_tools.replay.rerun import rerun
 
@@ -102,6 +103,10 @@ def test_an_operator_begins_and_cancels_legs_of_a_sealed_fleet(
     recording = read_recording(tmp_path / "bag")
     words = recording.scenario.words
     assert [word.number for word in words] == [2, CANCEL]
+    judged = verdict_on(recording)
+    assert [(leg.name, leg.verdict) for leg in judged.mission[1:]] == [
+        ("gate", "cut short"), ("cancelled", "met"),
+    ]  # fmt: skip
     bag = read_bag(tmp_path / "bag")
     scenario = scenario_from_text(bag.attachment("scenario.yaml").decode())
     assert rerun(bag, scenario).verdict == "equal"

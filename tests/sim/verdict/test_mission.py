@@ -98,7 +98,34 @@ def test_a_leg_that_an_operator_cancels_is_cut_short() -> None:
     verdict = verdict_on(flown(18.0, (Word(0, 8.0),)))
     assert verdict.verdict == "met"
     assert [(leg.name, leg.verdict) for leg in verdict.mission] == [
-        ("form-1", "met"), ("there", "met"), ("cancelled", "met"),
+        ("form-1", "met"), ("there", "cut short"), ("cancelled", "met"),
     ]  # fmt: skip
-    assert verdict.mission[1].reason == "cut short by an operator"
+    assert verdict.mission[1].reason == "by an operator"
     assert verdict.mission[2].due_s == 12.0
+    early = verdict_on(flown(9.5, (Word(0, 8.0), Word(2, 8.5))))
+    assert [(leg.name, leg.verdict) for leg in early.mission] == [
+        ("form-1", "met"), ("there", "cut short"), ("cancelled", "cut short"),
+    ]  # fmt: skip
+
+
+def test_legs_at_a_time_in_utc_and_on_a_word_are_judged_when_they_are_due() -> None:
+    """What nobody begins has no row."""
+    legs = [
+        LEGS[0],
+        {**LEGS[1], "name": "utc", "at": "2026-11-22T12:00:06.5Z"},
+        {**LEGS[1], "name": "gate", "on": "word", "position_m": [3, 5, 6]},
+        {**LEGS[1], "name": "unsaid", "on": "word"},
+    ]
+    changes = {
+        "leader.trajectory": {"kind": "hover", "position_m": [0, 5, 6]},
+        "timing.duration_s": 18,
+        "mission": {"start": "2026-11-22T12:00:00Z", "legs": legs},
+    }
+    said = load_scenario("paper_5_free", changes).with_words((Word(3, 12.25),))
+    verdict = verdict_on(recording_of(fly(said)))
+    assert verdict.verdict == "met"
+    assert [(leg.name, leg.verdict, leg.begin_s, leg.due_s) for leg in verdict.mission] == [
+        ("form-1", "met", 0.0, 5.0),
+        ("utc", "met", 6.5, 11.5),
+        ("gate", "met", 12.25, 17.25),
+    ]

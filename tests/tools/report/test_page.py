@@ -11,6 +11,8 @@ import pytest
 from rich.table import Table
 from rich.text import Text
 
+from ptnsbc_sim.scenario import load_scenario
+from ptnsbc_sim.scenario.mission.legs import CANCEL, Word
 from ptnsbc_sim.verdict import Series
 from ptnsbc_tools.plotting.flight import view_of
 from ptnsbc_tools.reading.diagnostics import StatusSeries
@@ -83,6 +85,23 @@ def test_every_leg_has_its_table(fly):
     assert "Leg 1, from 0.00 s: met" in read
     assert "Leg 2, from 6.00 s: missed" in read
     assert "leg 2 from 6.00 s, UAV 2 missed" in read
+
+
+def test_every_leg_of_a_mission_has_its_row(fly):
+    """Begun by itself, on a word, and cut short by one."""
+    legs = [
+        {"kind": "form", "over_s": 5},
+        {"kind": "hold", "name": "utc", "over_s": 1, "at": "2026-11-22T12:00:06Z"},
+        {"kind": "hold", "name": "gate", "over_s": 2, "on": "word"},
+    ]
+    mission = {"mission": {"start": "2026-11-22T12:00:00Z", "legs": legs}}
+    recording = fly()
+    said = load_scenario("paper_5_free", mission).with_words((Word(3, 7.5), Word(CANCEL, 8.25)))
+    read = text(made(replace(recording, scenario=said)))
+    assert "Legs of the mission" in read
+    assert re.search(r"utc hold \w+ 6\.00 7\.00", read)
+    assert "gate hold cut short 7.50 9.50 - -" in read
+    assert "leg gate cut short: by an operator" in read
 
 
 def test_nothing_points_outside(fly):
