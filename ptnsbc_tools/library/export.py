@@ -13,10 +13,11 @@ from ptnsbc_tools.files import replacing
 from ptnsbc_tools.library.flight import Flight
 from ptnsbc_tools.library.rerun_file import write_rerun
 from ptnsbc_tools.library.sweeping import Sweep
+from ptnsbc_tools.library.ulog_file import write_ulog
 
 FORMATS = (".csv", ".parquet")
-RERUN = ".rrd"
-"""A recording for the viewer Rerun: of a flight, not of a sweep."""
+OF_A_FLIGHT = {".rrd": write_rerun, ".ulg": write_ulog}
+"""Recordings for other programs, Rerun and PlotJuggler: of a flight, not of a sweep."""
 
 
 class ExportError(PtnsbcError):
@@ -25,9 +26,9 @@ class ExportError(PtnsbcError):
 
 def checked(path: Path) -> Path:
     """The path, when its suffix names a format; ExportError else."""
-    if path.suffix.lower() not in (*FORMATS, RERUN):
+    if path.suffix.lower() not in (*FORMATS, *OF_A_FLIGHT):
         raise ExportError(
-            f"{path}: suffix {path.suffix or 'missing'}: expected .csv, .parquet or .rrd"
+            f"{path}: suffix {path.suffix or 'missing'}: expected .csv, .parquet, .rrd or .ulg"
         )
     return path
 
@@ -37,20 +38,20 @@ def export(source: Flight | Sweep, file: str | Path) -> Path:
 
     Args:
         source: a flight, or a sweep.
-        file: FILE.csv, FILE.parquet, or FILE.rrd of a flight, for the viewer Rerun.
+        file: FILE.csv or FILE.parquet; of a flight also FILE.rrd for Rerun or FILE.ulg for PlotJuggler.
 
     Raises:
-        ExportError: no such format, or a sweep as .rrd.
-        LibraryMissingError: rerun-sdk is not installed.
+        ExportError: no such format, or a sweep as .rrd or .ulg.
+        LibraryMissingError: rerun-sdk or pyulog is not installed.
         OutputFileError: the file cannot be written.
     """
     path = checked(Path(file))
     if isinstance(source, Sweep):
-        if path.suffix.lower() == RERUN:
+        if path.suffix.lower() in OF_A_FLIGHT:
             raise ExportError(f"{path}: a sweep: expected .csv or .parquet")
         write(of_sweep(source), path)
-    elif path.suffix.lower() == RERUN:
-        write_rerun(source, path)
+    elif one := OF_A_FLIGHT.get(path.suffix.lower()):
+        one(source, path)
     else:
         write(of_flight(source), path)
     return path

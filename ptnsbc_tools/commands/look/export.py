@@ -19,7 +19,7 @@ def export(
             "--output",
             "-o",
             metavar="FILE",
-            help="FILE.csv, FILE.parquet, or FILE.rrd for Rerun. Default: BAG.csv beside the bag.",
+            help="FILE.csv, FILE.parquet, FILE.rrd or FILE.ulg. Default: BAG.csv beside the bag.",
         ),
     ] = None,
     scenario: options.FlownOption = None,
@@ -33,7 +33,8 @@ def export(
 
     The names of columns end in their unit, and a Parquet file has the unit of each column in its
     metadata. Times count from the epoch; ENU is the world frame. FILE.rrd holds bodies, paths, errors and
-    obstacles of a flight for the viewer Rerun, and needs rerun-sdk.
+    obstacles of a flight for the viewer Rerun, and needs rerun-sdk. FILE.ulg holds the topics of every UAV of a
+    flight as PX4 logs them, NED and FRD, for PlotJuggler, and needs pyulog.
     """
     from ptnsbc_sim.sweep.runner import PLAN
     from ptnsbc_tools.library.export import checked

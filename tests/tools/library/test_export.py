@@ -41,7 +41,7 @@ def test_a_csv_file_gives_the_same_numbers(fly: Fly, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["flight", "flight.xlsx"])
 def test_another_format_is_refused(name: str) -> None:
-    with pytest.raises(ExportError, match=r"expected \.csv, \.parquet or \.rrd"):
+    with pytest.raises(ExportError, match=r"expected \.csv, \.parquet, \.rrd or \.ulg"):
         checked(Path(name))
 
 
