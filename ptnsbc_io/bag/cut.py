@@ -55,9 +55,10 @@ def trim(
                 yield message
 
     if not any(begin_ns <= message.stamp_ns <= end_ns for message in bag.messages()):
+        begin, end, last = ((t - bag.start_ns) * 1e-9 for t in (begin_ns, end_ns, bag.end_ns))
         raise BagError(
-            f"{path}: no message between {begin_ns} ns and {end_ns} ns: expected times between "
-            f"{bag.start_ns} ns and {bag.end_ns} ns"
+            f"{path}: no message from {begin:g} s to {end:g} s after its first one: "
+            f"expected times from 0 s to {last:g} s"
         )
     _write([bag], kept(), target, overwrite=overwrite, advance=advance)
     return inside
@@ -72,9 +73,13 @@ def merge(
         The number of messages written.
 
     Raises:
-        BagError: a topic or an attachment is in two of the bags, and is not the same.
+        BagError: a topic or an attachment is in two of the bags, and is not the same; or a bag is given twice.
     """
     bags = [read_bag(path) for path in paths]
+    files = [file.resolve() for bag in bags for file, _ in bag.files]
+    for file in files:
+        if files.count(file) > 1:
+            raise BagError(f"{file} is given twice: expected different bags")
     total = sum(topic.messages for bag in bags for topic in bag.topics.values())
     messages = heapq.merge(*(bag.messages() for bag in bags), key=lambda one: one.stamp_ns)
     _write(bags, messages, target, overwrite=overwrite, advance=advance)

@@ -75,7 +75,7 @@ def merge(
         The number of messages.
 
     Raises:
-        BagError: fewer than two bags, or two that contradict each other.
+        BagError: fewer than two bags, one of them twice, or two that contradict each other.
     """
     paths = [Path(one) for one in sources]
     if len(paths) < 2:

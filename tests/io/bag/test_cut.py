@@ -46,7 +46,7 @@ def test_a_span_keeps_bytes_times_and_what_was_latched(tmp_path: Path) -> None:
 
 def test_an_empty_span_is_refused_and_leaves_nothing(tmp_path: Path) -> None:
     whole = write(tmp_path / "whole", "/a", range(100, 200, 10))
-    with pytest.raises(BagError, match=r"no message between 300 ns and 400 ns: expected times"):
+    with pytest.raises(BagError, match="no message from 2e-07 s to 3e-07 s after its first"):
         trim(whole, tmp_path / "part", 300, 400)
     assert [path.name for path in tmp_path.iterdir()] == ["whole"]
     trim(whole, tmp_path / "part", 100, 400)

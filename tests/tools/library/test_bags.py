@@ -30,6 +30,14 @@ def test_a_bag_cut_in_two_and_merged_has_its_messages_again(tmp_path: Path) -> N
 def test_one_bag_is_not_merged(tmp_path: Path) -> None:
     with pytest.raises(BagError, match="sample: expected two or more to merge"):
         ptnsbc.merge([SAMPLE], tmp_path / "both")
+    with pytest.raises(BagError, match=r"sample_0\.mcap is given twice: expected different bags"):
+        ptnsbc.merge([SAMPLE, SAMPLE / "sample_0.mcap"], tmp_path / "both")
+
+
+def test_a_span_outside_the_bag_is_refused_in_seconds(tmp_path: Path) -> None:
+    words = "no message from 100 s to 7.99 s after its first one: expected times from 0 s to 7.99 s"
+    with pytest.raises(BagError, match=words):
+        ptnsbc.trim(SAMPLE, tmp_path / "part", 100.0)
 
 
 @pytest.mark.slow
