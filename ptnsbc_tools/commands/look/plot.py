@@ -56,12 +56,17 @@ def plot(
     json: options.JsonOption = False,
 ) -> None:
     """Draw a recorded flight: errors, inputs, separations, estimator, gain, timing."""
+    from mimetypes import guess_type
+
     from ptnsbc_tools.plotting import draw
     from ptnsbc_tools.plotting.flight import read_view
 
     keys = _keys(what)
     one = out is not None and out.suffix.lower() in draw.FORMATS
     pages = out if out is not None and out.suffix.lower() == ".pdf" else None
+    if out is not None and not one and not out.is_dir() and guess_type(out.name)[0] is not None:
+        formats = f"{', '.join(draw.FORMATS[:-1])} or {draw.FORMATS[-1]}"
+        raise PlotError(f"--output {out}: expected a folder, or FILE with {formats}")
     if one and pages is None and len(keys) != 1:
         raise PlotError(
             f"--output {out}: one file for {len(keys)} figures: expected a folder, or --what with one name"

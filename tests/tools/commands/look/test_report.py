@@ -92,6 +92,10 @@ def test_a_flight_that_cannot_be_judged_has_a_page_that_says_why(tmp_path: Path)
         (("report", "nowhere"), "nowhere: no such bag"),
         (("plot", "nowhere"), "nowhere: no such bag"),
         (("plot", SAMPLE, "--what", "dance"), "--what dance: expected one or more of all"),
+        (
+            ("plot", SAMPLE, "-o", "x.gif"),
+            "x.gif: expected a folder, or FILE with .png, .svg or .pdf",
+        ),
         (("plot", SAMPLE, "-o", "x.png"), "x.png: one file for 13 figures"),
         (("plot", SAMPLE, "-o", "x.png", "--what", "latency"), "nothing to draw for latency"),
         (("report", SAMPLE, "-o", "/dev/null/x"), "cannot be written: Not a directory"),
