@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -21,6 +22,11 @@ KINDS = (
 """The names in FAULTS, here too: --help does without the package of scenarios."""
 
 _PATIENCE_S = 15.0
+_OPTIONS = {
+    "uav": "--uav", "process": "--process", "duration_s": "--duration", "share": "--share",
+    "delay_s": "--delay", "offset_m": "--offset", "offset_s": "--clock", "charge": "--charge",
+}  # fmt: skip
+"""The option of each key of a fault."""
 
 
 class InjectError(PtnsbcError):
@@ -129,12 +135,17 @@ def _fault(**keys: Any) -> FaultBlock:
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(map(str, first["loc"]))
-        raise InjectError(f"{where}: {first.get('input')}: {first['msg']}") from None
+        raise InjectError(_in_options(f"{where}: {first.get('input')}: {first['msg']}")) from None
     uavs = [number for number in (fault.uav, fault.struck_uav) if number is not None]
     bridges = [int(fault.victim.removeprefix("bridge"))] if "bridge" in fault.victim else []
     for problem in fault_problems(fault, [*uavs, *bridges]):
-        raise InjectError(problem)
+        raise InjectError(_in_options(problem))
     return fault
+
+
+def _in_options(problem: str) -> str:
+    """A problem with the options in place of the keys of a scenario."""
+    return re.sub(rf"\b({'|'.join(_OPTIONS)})\b", lambda key: _OPTIONS[key[0]], problem)
 
 
 def _shown(fault: FaultBlock) -> str:
