@@ -54,6 +54,11 @@ _ANEW_CALLS = 3  # so many calls without an answer, and the whole node joins the
 _LOOK_S = 0.05
 
 
+def not_there(service: str) -> str:
+    """The words for a service of the leader that nobody offers."""
+    return f"the leader's service /formation/{service} is not there"
+
+
 class Coordinator:
     """One rclpy node in a context of its own; use it as a context manager."""
 
@@ -255,7 +260,7 @@ class Coordinator:
         """Call /formation/start; returns why it did not work, None if it did."""
         if not self._start.service_is_ready():
             self.spin(0.1)
-            return "the leader's service /formation/start is not there"
+            return not_there("start")
         answers = self._answers
         refusal = self._answer(self._start, "start", patience_s)
         if self._answers == answers:
@@ -324,7 +329,7 @@ class Coordinator:
             self.spin(0.1)
         try:
             if not client.service_is_ready():
-                return False, f"the leader's service /formation/{name} is not there"
+                return False, not_there(name)
             return self._asked(client, name, patience_s)
         finally:
             self._node.destroy_client(client)

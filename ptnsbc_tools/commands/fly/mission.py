@@ -13,6 +13,8 @@ from ptnsbc_tools import console, options, ros
 
 _PATIENCE_S = 5.0
 _FIRST = "1"
+_FLEETS = {"start": "", "arm": " that waits for its operator (ptnsbc fleet --wait)"}
+_FLYING = " that flies a scenario with the key mission"
 
 app = typer.Typer(
     no_args_is_help=True, help="The legs of a flying fleet: list, start, cancel; arm before them."
@@ -93,11 +95,16 @@ def _answer(service: str, domain: int | None, namespace: str) -> str:
     fleet = options.full_namespace(namespace)
     with ros.required("install the extra [ros] or source ROS 2"):
         from ptnsbc_nodes.comm.seal import operators_seal
-        from ptnsbc_nodes.fleet.coordinator_node import Coordinator
+        from ptnsbc_nodes.fleet.coordinator_node import Coordinator, not_there
         from ptnsbc_nodes.runtime import environment
     number = environment.named_domain() if domain is None else domain
     with Coordinator(number, f"mission_{os.getpid()}", fleet, seal=operators_seal()) as coordinator:
         done, said = coordinator.ask(service, _PATIENCE_S)
+    if not done and said == not_there(service):
+        raise MissionError(
+            f"domain {number}: no fleet answered: expected one there{_FLEETS.get(service, _FLYING)}; "
+            "choose another by --domain N or --namespace NAME"
+        )
     if not done:
         raise MissionError(f"domain {number}: {said}")
     return said
