@@ -109,6 +109,11 @@ def say(line: str) -> None:
     print(plain(line), file=sys.stderr, flush=True)
 
 
+def counted(number: int, what: str) -> str:
+    """A number of things in words: 1 message, 2 messages."""
+    return f"{number} {what}{'' if number == 1 else 's'}"
+
+
 def show(line: str) -> None:
     """One line on stdout."""
     print(plain(line))

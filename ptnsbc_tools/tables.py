@@ -211,9 +211,9 @@ def verdict_line(verdict: Verdict) -> Text:
     missing = sum(one.missing for one in verdict.uavs)
     missing += sum(one.missing for one in verdict.efforts)
     if missing:
-        tail += f"; {missing} messages missing"
+        tail += f"; {console.counted(missing, 'message')} missing"
     if verdict.missed_ticks:
-        tail += f"; {verdict.missed_ticks} ticks missed"
+        tail += f"; {console.counted(verdict.missed_ticks, 'tick')} missed"
     if verdict.latency_ms:
         figures = ", ".join(f"{key} {value:.1f} ms" for key, value in verdict.latency_ms.items())
         tail += f"; latency {figures}"

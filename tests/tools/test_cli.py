@@ -173,6 +173,8 @@ def test_a_bag_with_holes_says_so(fly: Fly, without: Callable[..., Series], tmp_
     code, out, _ = run("verify", write(cut, tmp_path / "few"))
     assert code == 0
     assert "2 messages missing" in out
+    cut = replace(recording, odometry={**recording.odometry, 3: without(whole, 10)})
+    assert "1 message missing" in run("verify", write(cut, tmp_path / "one"))[1]
     hole = without(whole, *range(100, 400))
     cut = replace(recording, odometry={**recording.odometry, 3: hole})
     code, out, _ = run("verify", write(cut, tmp_path / "many"), "--json")

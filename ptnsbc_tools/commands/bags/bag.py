@@ -126,7 +126,7 @@ def _show_written(count: int, output: Path, *, json: bool) -> None:
     if json:
         console.print_json({"bag": str(output), "messages": count})
     else:
-        print(f"{count} messages: {output}")
+        print(f"{console.counted(count, 'message')}: {output}")
 
 
 def _show_repair(made: Repaired) -> None:
@@ -134,8 +134,10 @@ def _show_repair(made: Repaired) -> None:
     if made.cut:
         lost.append("the end was missing")
     if made.damaged_chunks:
-        lost.append(f"{made.damaged_chunks} damaged chunks are left out")
-    print(f"{made.messages} messages rescued; {'; '.join(lost) or 'nothing was missing'}")
+        lost.append(f"{console.counted(made.damaged_chunks, 'damaged chunk')} left out")
+    print(
+        f"{console.counted(made.messages, 'message')} rescued; {'; '.join(lost) or 'nothing was missing'}"
+    )
     print(f"bag: {made.bag}")
     print(f"original: {made.original or 'discarded'}")
 
@@ -167,7 +169,9 @@ def _show(bag: Bag, wrong: list[str] | None) -> None:
         table.add_row(topic.name, topic.type, str(topic.messages))
     console.out().print(table)
     total = sum(topic.messages for topic in bag.topics.values())
-    console.show(f"{total} messages, {_when(bag.start_ns)} to {_when(bag.end_ns)}")
+    console.show(
+        f"{console.counted(total, 'message')}, {_when(bag.start_ns)} to {_when(bag.end_ns)}"
+    )
     for key, value in bag.metadata.items():
         console.show(f"{key}: {value}")
     console.show(f"attachments: {', '.join(bag.attachments) or 'none'}")
