@@ -21,7 +21,7 @@ from playwright.sync_api import sync_playwright
 
 SIZE = {"width": 1280, "height": 1200}
 TIME_S = 20.5  # two UAVs keep clear of an obstacle
-FLIGHTS = (("paper_5", 60), ("paper_20", 14))
+FLIGHTS = (("paper_5",), ("paper_20", "--duration", "14"))
 PAGE_WIDTH = 420  # of a printed page in the picture [pixels]
 IN_A_ROW = 4
 GAP = 8  # between printed pages [pixels]
@@ -32,7 +32,7 @@ def main(bags: list[Path]) -> None:
     """Take the pictures."""
     with tempfile.TemporaryDirectory() as folder_name:
         folder = Path(folder_name)
-        bag, many = bags or [flown(folder, *flight) for flight in FLIGHTS]
+        bag, many = bags or [flown(folder, flight) for flight in FLIGHTS]
         with sync_playwright() as driver:
             browser = driver.chromium.launch(
                 executable_path=shutil.which("chromium"), args=["--no-sandbox"]
@@ -45,11 +45,12 @@ def main(bags: list[Path]) -> None:
             browser.close()
 
 
-def flown(folder: Path, scenario: str, duration_s: int) -> Path:
-    """The bag of a headless flight."""
-    words = ["simulate", scenario, "--duration", str(duration_s), "--bag", str(folder / scenario)]
+def flown(folder: Path, flight: tuple[str, ...]) -> Path:
+    """The bag of a headless flight: its scenario, and options."""
+    bag = folder / flight[0]
+    words = ["simulate", *flight, "--bag", str(bag)]
     subprocess.run([sys.executable, "-m", "ptnsbc_tools", *words], check=True)
-    return folder / scenario
+    return bag
 
 
 def opened(browser: Any, bag: Path, folder: Path) -> Any:
