@@ -65,7 +65,9 @@ class Figures {
       note.append(chart.note);
       for (const [kind, words] of shaded) {
         const swatch = Object.assign(document.createElement("span"), { className: `swatch ${kind}` });
-        note.append(swatch, words);
+        const shade = Object.assign(document.createElement("span"), { className: "shade" });
+        shade.append(swatch, words); // together on a line
+        note.append(shade, " ");
       }
       card.append(note);
     }
