@@ -169,7 +169,8 @@ def test_tasks_do_not_fly_straight_to_open_slots() -> None:
 
 
 @pytest.mark.parametrize(
-    ("speed", "range_m", "warned"), [(3.9, 4.0, False), (5.0, 4.0, True), (5.0, 6.0, False)]
+    ("speed", "range_m", "warned"),
+    [(3.9, 4.0, False), (5.0, 4.0, True), (5.0, 6.0, False), (6.0, 6.5, False)],
 )
 def test_who_is_faster_than_it_can_stop_within_sight_is_told_the_speed(
     speed: float, range_m: float, warned: bool
