@@ -19,6 +19,7 @@ from ptnsbc_sim.scenario.mission.legs import (
     leg_names,
     moves_shape,
     schedule,
+    takes_off,
 )
 
 _LATE_S = 1e-9  # by which the end of a leg may miss the begin of the next one
@@ -83,7 +84,7 @@ def _kinds(mission: Mission, file: Any) -> Iterator[str]:
 
 def _order(mission: Mission, index: int) -> str:
     """The reason why a leg may not stand where it stands; empty when it may."""
-    leg, rises = mission.legs[index], isinstance(mission.legs[0], TakeOffLeg)
+    leg, rises = mission.legs[index], takes_off(mission)
     if index == 0:
         allowed = isinstance(leg, FormLeg | TakeOffLeg)
         return "" if allowed else "expected form or take_off, with which a mission begins"

@@ -142,12 +142,17 @@ def independence(rows: np.ndarray) -> float:
     return min(np.linalg.svd(rows[of], compute_uv=False)[-1] for of in sets)
 
 
+def directions_ahead(rng: np.random.Generator, count: int) -> np.ndarray:
+    """Unit vectors (count, 3) on the side of +x."""
+    directions = rng.normal(size=(count, 3))
+    directions[:, 0] = np.abs(directions[:, 0]) + 1.0
+    return directions / np.linalg.norm(directions, axis=1)[:, np.newaxis]
+
+
 def directions_apart(rng: np.random.Generator, count: int) -> np.ndarray:
-    """Unit vectors (count, 3) on the side of +x, far enough from one line or plane for 60 sweeps to converge."""
+    """The same, far enough from one line or plane for 60 sweeps to converge."""
     while True:
-        directions = rng.normal(size=(count, 3))
-        directions[:, 0] = np.abs(directions[:, 0]) + 1.0
-        directions /= np.linalg.norm(directions, axis=1)[:, np.newaxis]
+        directions = directions_ahead(rng, count)
         if independence(directions) >= 0.5:
             return directions
 
@@ -171,6 +176,20 @@ def test_many_objects_are_kept_clear_of_with_the_least_change(seed: int, count: 
     np.testing.assert_allclose(velocity, expected, atol=1e-6)
     # only rows that bind are tasks, and the task's velocity is all in their row space
     np.testing.assert_allclose(top.jacobian @ velocity, top.jacobian @ top.velocity, atol=1e-6)
+
+
+@given(seed=seeds, count=st.integers(2, 4))
+def test_no_demand_of_many_is_missed_by_more_than_what_sixty_sweeps_leave(
+    seed: int, count: int
+) -> None:
+    """The normals may lie in one plane: the largest lack was 14 mm/s in 18000 draws."""
+    rng = np.random.default_rng(seed)
+    directions = directions_ahead(rng, count)
+    distances = rng.uniform(1.4, 2.0, count)
+    near = np.stack([object_at(distances[m] * directions[m]) for m in range(count)])
+    demanded = np.where(distances < KEEP_OUT, FIRST, KAPPA) * (KEEP_OUT - distances)
+    _, velocity = result(np.zeros(3), rng.normal(size=3) + np.array([2.0, 0, 0]), near, config_of())
+    assert np.all(-directions @ velocity >= demanded - 0.02)
 
 
 def test_between_two_objects_neither_is_given_up() -> None:

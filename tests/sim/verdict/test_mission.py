@@ -109,7 +109,7 @@ def test_a_leg_that_an_operator_cancels_is_cut_short() -> None:
 
 
 def test_legs_at_a_time_in_utc_and_on_a_word_are_judged_when_they_are_due() -> None:
-    """What nobody begins has no row."""
+    """A leg that nobody begins has no row."""
     legs = [
         LEGS[0],
         {**LEGS[1], "name": "utc", "at": "2026-11-22T12:00:06.5Z"},

@@ -88,7 +88,7 @@ def test_every_leg_has_its_table(fly):
 
 
 def test_every_leg_of_a_mission_has_its_row(fly):
-    """Begun by itself, on a word, and cut short by one."""
+    """One leg begins by its time, one on a word, and a word cuts the second one short."""
     legs = [
         {"kind": "form", "over_s": 5},
         {"kind": "hold", "name": "utc", "over_s": 1, "at": "2026-11-22T12:00:06Z"},
