@@ -56,6 +56,7 @@ class Struck(NamedTuple):
     after_s: float  # from the start of the flight
     exit_code: int | None
     wrong: tuple[str, ...]
+    struck: bool = True  # whether the victim still ran at that moment
 
 
 def struck(mode: str, count: int, duration_s: float, seed: int) -> Iterator[Struck]:
@@ -94,7 +95,7 @@ def _flight(
     launcher = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=environment)
     try:
         if refusal := _until_started(launcher):
-            return Struck(victim, order, round(after_s, 2), launcher.wait(), (refusal,))
+            return Struck(victim, order, round(after_s, 2), launcher.wait(), (refusal,), False)
         time.sleep(after_s)  # the moment is the experiment
         pid = launcher.pid if victim == "launcher" else _pids(folder).get(victim)
         late = pid is None or launcher.poll() is not None
@@ -106,7 +107,7 @@ def _flight(
             launcher.kill()
         launcher.communicate()
     wrong = () if late else tuple(_wrong(folder, victim, order, code))
-    return Struck(victim, order, round(after_s, 2), code, wrong)
+    return Struck(victim, order, round(after_s, 2), code, wrong, not late)
 
 
 def _until_started(launcher: subprocess.Popen[str]) -> str:
@@ -207,12 +208,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     found = list(struck(options.mode, options.times, options.duration, options.seed))
     bad = [one._asdict() for one in found if one.wrong]
-    cases = Counter(f"{one.order} {one.victim}" for one in found)
-    print(
-        json.dumps(
-            {"flights": len(found), "mode": options.mode, "cases": cases, "wrong": bad}, indent=1
-        )
-    )
+    hit = [one for one in found if one.struck]
+    cases = Counter(f"{one.order} {one.victim}" for one in hit)
+    summary = {"flights": len(found), "struck": len(hit), "mode": options.mode}
+    print(json.dumps({**summary, "cases": cases, "wrong": bad}, indent=1))
     return int(bool(bad))
 
 
