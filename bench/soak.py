@@ -1,9 +1,9 @@
 """A fleet of twenty UAVs among faults that a seed draws: who dies, who comes too near, who grows, who answers late?
 
-`python -m bench.soak [--lockstep] [--duration 600] [--faults 60] [--uavs 20] [--seed 1]`. Messages are silenced, lost,
-late and no numbers, positions jump by some centimetres; in real time processes also freeze and start again. No
-process is killed for good: that is `bench.crash` and the tests of the fleet. A follower answers when it holds; it must
-within `communication.stale_s` and two periods of /diagnostics, on which it is read.
+`python -m bench.soak [--lockstep] [--hz 50] [--duration 600] [--faults 60] [--uavs 20] [--seed 1]`. Messages are
+silenced, lost, late and no numbers, positions jump by some centimetres; in real time processes also freeze and start
+again. No process is killed for good: that is `bench.crash` and the tests of the fleet. A follower answers when it
+holds; it must within `communication.stale_s` and two periods of /diagnostics, on which it is read.
 """
 
 from __future__ import annotations
@@ -104,9 +104,10 @@ def _held_after_s(recording: Recording, uav: int, fault: FaultBlock) -> float | 
     return None
 
 
-def soak(uavs: int, duration_s: float, faults: int, seed: int, *, lockstep: bool) -> dict[str, Any]:
-    """Fly, and report."""
-    hz = 100 if lockstep else 50
+def soak(
+    uavs: int, duration_s: float, faults: int, seed: int, hz: int, *, lockstep: bool
+) -> dict[str, Any]:
+    """Fly at `hz` control periods per second, and report."""
     scenario = grid(uavs, hz, duration_s)
     scenario = scenario.with_({"faults": drawn(scenario, faults, seed, lockstep=lockstep)})
     settle_s = min(_SETTLE_S, 0.25 * duration_s)
@@ -161,9 +162,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--faults", type=int, default=60, metavar="N")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--lockstep", action="store_true")
+    parser.add_argument("--hz", type=int, default=50, help="control periods per second")
     options = parser.parse_args(arguments)
     found = soak(
-        options.uavs, options.duration, options.faults, options.seed, lockstep=options.lockstep
+        options.uavs,
+        options.duration,
+        options.faults,
+        options.seed,
+        options.hz,
+        lockstep=options.lockstep,
     )
     print(json.dumps(found, indent=1, default=str))
     bad = found["died_unasked"] or found["keep_outs_entered"] or found["answered_late"]
