@@ -214,7 +214,9 @@ def test_a_tolerance_within_the_noise_of_the_fixes_is_told_with_one_that_is_not(
         scenario = load_scenario("experiment_4", keys)
         return next(one for one in check(scenario) if one.key == "sensor.positioning")
 
-    assert said().severity == "warning"
-    wide = float(said().advice.split("tolerance_m to ")[1].split(" m")[0])
+    tight = said(**{"formation.tolerance_m": 0.05})
+    assert tight.severity == "warning"
+    wide = float(tight.advice.split("tolerance_m to ")[1].split(" m")[0])
     assert said(**{"formation.tolerance_m": wide + 1e-3}).severity == "info"
     assert said(**{"formation.tolerance_m": wide - 1e-3}).severity == "warning"
+    assert said().severity == "info"  # the shipped file follows the advice
