@@ -38,6 +38,8 @@ LARGE_FOLDERS: dict[str, str] = {}
 
 # Tests of no single module, and what they test.
 TESTS_OF_MORE: dict[str, str] = {
+    "tests/core/tasks/test_clearance_braking.py": "clearance.py with approach.py",
+    "tests/core/tasks/test_clearance_flights.py": "clearance.py with obstacle_memory.py and deadlock.py",
     "tests/core/tasks/test_jacobians.py": "all tasks",
     "tests/io/bag/test_hostile.py": "bags that were made to do harm",
     "tests/nodes/bridge/test_failure_table.py": "docs/hardware.md",
