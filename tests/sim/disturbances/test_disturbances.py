@@ -210,10 +210,10 @@ def test_the_experiment_meets_its_deadline_by_the_truth_and_nobody_comes_close()
     off = places[:, 1:] - places[:, :1]
     off -= np.array([scenario.offset(uav) for uav in scenario.followers])
     error = np.linalg.norm(off, axis=2)
-    tolerance_m = scenario.file.formation.tolerance_m
-    assert tolerance_m == 0.05
-    assert error[500].max() < tolerance_m
-    assert np.sqrt(np.mean(error[500:] ** 2, axis=0)).max() < 0.5 * tolerance_m
+    beside_leader_m = 0.05  # the tolerance has the leader's position fixes in it beside this
+    assert beside_leader_m < scenario.file.formation.tolerance_m
+    assert error[500].max() < beside_leader_m
+    assert np.sqrt(np.mean(error[500:] ** 2, axis=0)).max() < 0.5 * beside_leader_m
     believed = np.linalg.norm(flown.track.odometry[500:, :, :3] - places[500:], axis=2)
     assert 0.01 < np.sqrt(np.mean(believed**2)) < 0.04
     for a in range(4):
