@@ -31,7 +31,7 @@ from numba.core.compiler import CompileResult
 from numba.core.serialize import dumps
 
 _SOURCES = ("ptnsbc_core", "ptnsbc_sim")
-_KEPT_CACHES = 3
+_KEPT_CACHES = 8  # some 11 MB each; several checkouts fly in turn
 _FOLDER_NAME = re.compile(r"[0-9a-f]{16}")
 _HEADER = b"ptnsbc-kernel-1\n"
 _CHECKSUM_SIZE = hashlib.sha256().digest_size
@@ -67,7 +67,7 @@ def cache_root() -> Path:
 
 
 def prune(root: Path, keep: Path) -> None:
-    """Remove all but the latest caches: every edit of a law makes a new one."""
+    """Remove all caches but those used last: every edit of a law makes a new one."""
     try:
         stale = sorted(
             (path for path in root.iterdir() if _FOLDER_NAME.fullmatch(path.name) and path != keep),
@@ -86,6 +86,7 @@ class CacheFolder:
     def __init__(self, root: Path, digest: str) -> None:
         self.path = root / digest
         self._reported = False
+        self._marked = False
 
     def report(self, fault: str, consequence: str) -> None:
         """Say the first fault in one line on stderr."""
@@ -129,8 +130,16 @@ class CacheFolder:
         elif data != _sealed(content):
             self.report_damage(name)
         else:
+            self._mark_used()
             return content
         return None
+
+    def _mark_used(self) -> None:
+        """Date the folder, once for each process: `prune` keeps what was used last, also by other checkouts."""
+        if not self._marked:
+            self._marked = True
+            with suppress(OSError):  # a cache that may only be read
+                os.utime(self.path)
 
     def report_damage(self, name: str) -> None:
         """Say that a file cannot be used."""

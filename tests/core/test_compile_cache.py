@@ -219,13 +219,18 @@ def test_packages_installed_apart_have_the_digest_of_those_side_by_side(tmp_path
     assert found == [source_digest(), *(str(Path(one) / Path(one).parent.name) for one in apart)]
 
 
-def test_only_the_latest_caches_are_kept_and_nothing_else_is_removed(tmp_path: Path) -> None:
-    folders = [tmp_path / f"{age:016x}" for age in range(6)]
-    for age, folder in enumerate(folders):
-        folder.mkdir()
-        os.utime(folder, (1000.0 - age, 1000.0 - age))
-    (tmp_path / "photos").mkdir()
-    keep = folders[5]  # the oldest, and the one in use
-    prune(tmp_path, keep)
+def test_only_the_caches_used_last_are_kept_and_nothing_else_is_removed(tmp_path: Path) -> None:
+    digests = [f"{number:016x}" for number in range(12)]
+    for age, digest in enumerate(digests):
+        (tmp_path / digest).mkdir()
+        os.utime(tmp_path / digest, (1000 - age, 1000 - age))
+    other = [tmp_path / "notes", tmp_path / "0123"]
+    for path in other:
+        path.mkdir()
+    read = CacheFolder(tmp_path, digests[9])
+    read.write("law", b"code")
+    os.utime(read.path, (0, 0))
+    assert CacheFolder(tmp_path, digests[9]).read("law") == b"code"  # by another checkout
+    prune(tmp_path, tmp_path / digests[11])
     left = {path.name for path in tmp_path.iterdir()}
-    assert left == {folders[0].name, folders[1].name, keep.name, "photos"}
+    assert left == {*digests[:6], digests[9], digests[11], *(path.name for path in other)}

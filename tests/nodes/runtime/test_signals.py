@@ -18,7 +18,7 @@ from ptnsbc_nodes.runtime.signals import (
 )
 
 ROOT = Path(__file__).resolve().parents[3]
-PATIENCE_S = 120
+PATIENCE_S = 240  # "ptnsbc fleet" may compile the laws before its last moment
 
 
 def test_a_signal_wakes_who_waits_for_it():
