@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
 
-from ptnsbc_core.curves.trajectory import reference
 from ptnsbc_core.kinematics import velocity_enu
 from ptnsbc_io.mavlink.autopilots import AUTOPILOTS, fate, findings, hover_thrust, limits
 from ptnsbc_io.mavlink.dialect import mavlink
@@ -17,8 +15,10 @@ from ptnsbc_io.wire import decode_velocity, decode_wrench
 from ptnsbc_nodes.bridge.controller import ControllerSetpoints
 from ptnsbc_nodes.bridge.link_maintenance import LINK_MESSAGES, LinkMaintenance
 from ptnsbc_nodes.bridge.ports import BridgePorts
-from ptnsbc_nodes.bridge.procedure.companions import Companion, Companions, Place
+from ptnsbc_nodes.bridge.procedure.companions import Companion
 from ptnsbc_nodes.bridge.procedure.hazards import AbortLimits, FlightMonitor, Sight
+from ptnsbc_nodes.bridge.procedure.leader_reference import LeaderReference
+from ptnsbc_nodes.bridge.procedure.placement import ON_GROUND_M, Placement
 from ptnsbc_nodes.bridge.procedure.procedure import Procedure
 from ptnsbc_nodes.bridge.procedure.steps import Step, Stream, VehicleSnapshot
 from ptnsbc_nodes.bridge.setpoint.guard import allowed
@@ -28,10 +28,8 @@ from ptnsbc_nodes.bridge.state_publisher import StatePublisher
 from ptnsbc_nodes.bridge.truth import TRUTH_MESSAGES
 from ptnsbc_nodes.bridge.vehicle import VEHICLE_MESSAGES, VehicleMonitor
 from ptnsbc_nodes.bridge.world import WorldFrame
-from ptnsbc_nodes.comm.legs import Epochs
 from ptnsbc_nodes.emergency.orders import APART
-from ptnsbc_sim.scenario import Scenario, agent_config
-from ptnsbc_sim.scenario.build import leader_trajectory
+from ptnsbc_sim.scenario import Scenario
 
 WANTED_MESSAGES = frozenset(
     getattr(mavlink, f"MAVLINK_MSG_ID_{name}")
@@ -43,8 +41,6 @@ _STREAMED_S = 0.1
 _DUPLICATE_S = 3.0
 _HELD_S = 2.0  # statuses come five times a second
 _APART_M = 0.4  # from the height of its layer
-_LOWEST_M = 1.5  # of a layer above the world's ground
-_ON_GROUND_M = 0.5
 
 
 class Bridge:
@@ -67,8 +63,6 @@ class Bridge:
         """
         self._alone = alone
         self._scenario, self._uav_id = scenario, uav_id
-        self._config = agent_config(scenario, uav_id)
-        self._start = scenario.uav(uav_id).position
         abort = scenario.mavlink.abort
         self._monitor = FlightMonitor(
             AbortLimits(
@@ -82,10 +76,6 @@ class Bridge:
         self._unfit = ""  # why its velocity loop cannot follow this scenario
         self.response: VelocityResponse | None = None
         """The response of the vehicle to velocities, by its parameters; None before they are read, or without them."""
-        keep_outs_m = {
-            other: scenario.keep_out_between(uav_id, other) for other in scenario.uav_ids
-        }
-        self.companions = Companions(uav_id, awaited, keep_outs_m, scenario.mavlink.climb_spacing_m)
         self._mavlink, vehicle_link = scenario.mavlink, scenario.vehicle_link(uav_id)
         autopilot = AUTOPILOTS[vehicle_link.autopilot]
         height_m, log = self._mavlink.takeoff_height_m, ports.outputs.log
@@ -99,9 +89,10 @@ class Bridge:
         self.state_publisher = StatePublisher(
             self.vehicle, world, self.maintenance.sync, self.controller, ports
         )
+        self.placement = Placement(scenario, uav_id, awaited, self.vehicle, self.state_publisher)
         self.procedure = Procedure(autopilot, height_m, allow_arming, log)
-        self.stream = SetpointStream(vehicle_link, self._mavlink, self._config)
-        self._epochs = Epochs(scenario)
+        self._reference = LeaderReference(scenario, uav_id)
+        self.stream = SetpointStream(vehicle_link, self._mavlink, self._reference.config)
         self._next_s = ports.clocks.steady_s()
 
     @property
@@ -156,7 +147,7 @@ class Bridge:
     def _learn(self, now_s: float) -> None:
         """From the newest state: what thrust and drag do to this vehicle."""
         state, stream = self.state_publisher, self.procedure.output.stream
-        lifted = stream is Stream.PLANNER or state.height_m > _ON_GROUND_M
+        lifted = stream is Stream.PLANNER or state.height_m > ON_GROUND_M
         if state.odometry is not None and lifted:
             news = self.stream.learn(stream, now_s, state.sampled_s, state.odometry)
             if news:
@@ -185,15 +176,9 @@ class Bridge:
     def _take_inputs(self) -> None:
         inputs = self.ports.inputs
         data, inputs.setpoint = inputs.setpoint, None
-        while inputs.legs:
-            if self._epochs.announce(*inputs.legs.pop(0)):
-                self._config = agent_config(self._epochs.scenario or self._scenario, self._uav_id)
-        while inputs.taken:
-            self._epochs.take(inputs.taken.pop(0))
-            flown = self._epochs.scenario or self._scenario
-            self._config = self._config._replace(trajectory=leader_trajectory(flown))
+        self._reference.update(inputs)
         while inputs.companions:
-            self.companions.report(*inputs.companions.pop(0))
+            self.placement.companions.report(*inputs.companions.pop(0))
         if data is not None:
             self.controller.on_message(data)
 
@@ -232,7 +217,8 @@ class Bridge:
     def snapshot(self, now_s: float) -> VehicleSnapshot:
         """Everything by which the procedure decides."""
         vehicle, odometry, inputs = self.vehicle, self.state_publisher.odometry, self.ports.inputs
-        leg = self._epochs.at(self.ports.clocks.ros_ns())
+        leg = self._reference.leg(self.ports.clocks.ros_ns())
+        companions = self.placement.companions
         percent = self._mavlink.battery_land_percent
         battery_low = vehicle.battery_below(percent, now_s)
         rival_s = self.link.duplicate_sysid_s
@@ -264,44 +250,33 @@ class Bridge:
             stop_request="" if inputs.order.what == APART else inputs.order.what,
             hazard=self._hazard or ("told by another bridge" if inputs.order.what == APART else ""),
             apart=abs(self.state_publisher.height_over_world_m - self.stream.layer_m) < _APART_M,
-            below=self._below() if self.procedure.step is Step.APART else "",
+            below=self.placement.below(inputs.near_uavs)
+            if self.procedure.step is Step.APART
+            else "",
             pilots_too=inputs.order.pilots_too,
             left_behind=self.left_behind,
-            misplaced=self._misplaced() if self.procedure.step is Step.READY else "",
-            not_ready=self.companions.not_ready(now_s),
-            not_armed=self.companions.not_armed(now_s),
-            climbs_first=self._climbs_first() if self.procedure.step is Step.ARMED else "",
-            companion_out=self.companions.out(),
+            misplaced=self.placement.misplaced() if self.procedure.step is Step.READY else "",
+            not_ready=companions.not_ready(now_s),
+            not_armed=companions.not_armed(now_s),
+            climbs_first=self.placement.climbs_first() if self.procedure.step is Step.ARMED else "",
+            companion_out=companions.out(),
             vehicle_warning=", ".join(filter(None, self._vehicle_words())),
         )
 
     @property
     def report(self) -> Companion:
         """The values that the bridges of the other vehicles must know before the flight."""
-        odometry, procedure = self.state_publisher.odometry, self.procedure
-        position = None if odometry is None else tuple(map(float, odometry[0:3]))
         return Companion(
-            procedure.step.value,
-            procedure.fault,
-            position,  # type: ignore[arg-type]
-            self._error_m,
+            self.procedure.step.value,
+            self.procedure.fault,
+            self.placement.position,
+            self.placement.error_m,
             self.state_publisher.height_m,
         )
 
-    @property
-    def _error_m(self) -> float:
-        error_m = self.vehicle.position_error_m
-        return self._mavlink.position_error_m if error_m is None else error_m
-
-    def _standing(self) -> Place | None:
-        report = self.report
-        return None if report.position is None else Place(report.position, report.error_m)
-
     def flight_s(self) -> float:
         """Time since the first epoch; negative before it."""
-        now_ns = self.ports.clocks.ros_ns()
-        leg = self._epochs.at(now_ns)
-        return -1.0 if leg is None else (now_ns - leg.first_t0_ns) * 1e-9
+        return self._reference.flight_s(self.ports.clocks.ros_ns())
 
     def _look_out(self, now_s: float) -> None:
         """In formation: whether it must be given up. At the end of it: the height of this vehicle's layer."""
@@ -309,7 +284,7 @@ class Bridge:
         if odometry is None or step not in (Step.AIRBORNE, Step.FLY):
             return
         flight_s = self.flight_s()
-        leader = reference(self._config.trajectory, max(flight_s, 0.0))
+        leader = self._reference.at(flight_s)
         follows = step is Step.FLY and not self._alone
         moves = np.array(leader.velocity) if follows else np.zeros(3)
         deadline_s = float(self._scenario.gains.formation.deadline_s)
@@ -324,52 +299,13 @@ class Bridge:
         )
         self._hazard = self._hazard or self.stream.unfit or self._monitor.look(sight)
         middle_m = leader.position[2] if follows else self._mavlink.takeoff_height_m
-        self.stream.layer_m = self._layer_m(float(middle_m))
-
-    def _layer_m(self, middle_m: float) -> float:
-        """The height of this vehicle's layer; all bridges compute the same layers about the leader's height."""
-        ids, guard = self._scenario.uav_ids, self.stream.guard
-        apart_m, last = self._mavlink.abort.layer_m, len(ids) - 1
-        low_m = max(middle_m - 0.5 * last * apart_m, _LOWEST_M, guard.lowest_m)
-        high_m = min(low_m + last * apart_m, guard.highest_m)
-        low_m = max(min(low_m, high_m - last * apart_m), _LOWEST_M, guard.lowest_m)
-        return low_m + (high_m - low_m) * ids.index(self._uav_id) / max(last, 1)
-
-    def _below(self) -> str:
-        """True if another vehicle is still in the air below this one, too close beside to land past it."""
-        odometry = self.state_publisher.odometry
-        if odometry is None:
-            return ""
-        near = self.ports.inputs.near_uavs
-        beside_m = near[:, 3] + self._mavlink.climb_spacing_m
-        apart_m = np.hypot(near[:, 0] - odometry[0], near[:, 1] - odometry[1])
-        blocks = (apart_m < beside_m) & (near[:, 2] < odometry[2]) & (near[:, 2] > _ON_GROUND_M)
-        return "a vehicle below" if blocks.any() else ""
+        self.stream.layer_m = self.placement.layer_m(float(middle_m), self.stream.guard)
 
     def _fence_breach(self) -> str:
         odometry = self.state_publisher.odometry
         if odometry is None:
             return ""
         return self.stream.guard.breach(odometry[0:3], np.array(velocity_enu(odometry)))
-
-    def _misplaced(self) -> str:
-        """The reason why the vehicle may not arm where it stands: by the scenario, and by the others."""
-        standing = self._standing()
-        if standing is None:
-            return ""
-        away_m = math.dist(standing.position[:2], self._start[:2])
-        limit_m = self._mavlink.start_tolerance_m + standing.error_m
-        if away_m > limit_m:
-            x, y = self._start[:2]
-            return (
-                f"stands at {self.place}, {away_m:.2f} m from its start ({x:g}, {y:g}) m: expected at most "
-                f"{limit_m:.2f} m, see uavs and mavlink.start_tolerance_m"
-            )
-        return self.companions.too_near(standing)
-
-    def _climbs_first(self) -> str:
-        standing = self._standing()
-        return "" if standing is None else self.companions.climbs_first(standing)
 
     def _vehicle_words(self) -> tuple[str, ...]:
         """The words of the vehicle itself about a refusal."""
@@ -382,10 +318,7 @@ class Bridge:
     @property
     def place(self) -> str:
         """The last known place of the vehicle in the world; empty while none is known."""
-        odometry = self.state_publisher.odometry
-        if odometry is None:
-            return ""
-        return "({:.1f}, {:.1f}, {:.1f}) m".format(*odometry[0:3])
+        return self.placement.text
 
     @property
     def fate(self) -> str:

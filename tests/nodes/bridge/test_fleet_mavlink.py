@@ -203,7 +203,7 @@ def test_vehicles_at_one_place_are_not_armed(tmp_path):
 
 def test_a_vehicle_far_from_its_start_is_not_armed():
     fleet = MavlinkFleet(scenario(), count=2)
-    fleet.uavs[2].bridge._start = (-0.8, 2.2, 0.0)
+    fleet.uavs[2].bridge.placement.start = (-0.8, 2.2, 0.0)
     fleet.run(90.0, until=lambda: all(u.bridge.procedure.over for u in fleet.uavs.values()))
     assert "m from its start (-0.8, 2.2) m: expected at most 1.0" in (
         fleet.uavs[2].bridge.procedure.fault
