@@ -50,36 +50,50 @@ def bridge_status(
     log: StatusLog,
 ) -> bytes:
     """A DiagnosticArray about one bridge, noted in `log`; `missing` is what the formation waits for."""
-    now_s, stamp_ns = bridge.ports.clocks.steady_s(), bridge.ports.clocks.ros_ns()
-    procedure, vehicle, latency = bridge.procedure, bridge.vehicle, bridge.stream.latency
-    state, controller, link = bridge.state_publisher, bridge.controller, bridge.link
-    age_s = controller.age_s(now_s)
-    # Both numbers are of one instant, so that a reader of the bag can count what it lacks.
-    report = bridge.report
-    battery, shared = vehicle.battery_percent, state.shared
-    following = bridge.stream.following.found()
-    attitude = bridge.stream.attitude if bridge.stream.sends_thrust(Stream.PLANNER) else None
-    thrust = attitude.thrust_test.found if attitude else None
     safety = assess(_concerns(bridge, missing, endpoints))
     values = {
         **readiness(missing),
         SAFETY: safety.state.text,
-        "step": procedure.step.value,
-        "fault": procedure.fault,
-        "mode": vehicle.mode_name,
-        "armed": str(vehicle.armed).lower(),
+        **_flight_values(bridge, record),
+        **_setpoint_values(bridge),
+        **_link_values(bridge),
+        **_message_values(bridge),
+        **endpoints.refusals.values(),
+    }
+    log.note(safety.level, safety.reason)
+    stamp_ns = bridge.ports.clocks.ros_ns()
+    return diagnostics(stamp_ns, f"{name}: link", safety.level, safety.reason, values)
+
+
+def _flight_values(bridge: Bridge, record: VehicleRecord) -> dict[str, str]:
+    """The step of the flight, and the state of the vehicle."""
+    report, battery = bridge.report, bridge.vehicle.battery_percent
+    place = "" if report.position is None else " ".join(map("{:.3f}".format, report.position))
+    return {
+        "step": bridge.procedure.step.value,
+        "fault": bridge.procedure.fault,
+        "mode": bridge.vehicle.mode_name,
+        "armed": str(bridge.vehicle.armed).lower(),
         "heard": str(record.heard).lower(),
         "landed": str(record.landed).lower(),
         "in_pilots_hands": str(record.in_pilots_hands).lower(),
         "place": record.place,
         "order": record.order,
-        "position_m": ""
-        if report.position is None
-        else " ".join(map("{:.3f}".format, report.position)),
+        "position_m": place,
         "position_error_m": f"{report.error_m:.3f}",
         "height_m": f"{report.height_m:.3f}",
         "battery_percent": "" if battery is None else f"{battery:.0f}",
-        "stream": procedure.output.stream.value,
+    }
+
+
+def _setpoint_values(bridge: Bridge) -> dict[str, str]:
+    """The setpoints that the vehicle gets, and what was learnt of how it follows them."""
+    age_s = bridge.controller.age_s(bridge.ports.clocks.steady_s())
+    following = bridge.stream.following.found()
+    attitude = bridge.stream.attitude if bridge.stream.sends_thrust(Stream.PLANNER) else None
+    thrust = attitude.thrust_test.found if attitude else None
+    return {
+        "stream": bridge.procedure.output.stream.value,
         "setpoint_age_ms": f"{1e3 * age_s:.0f}" if age_s < _NEVER_S else "",
         "velocity_gain": "" if following is None else f"{following.gain:.2f}",
         "velocity_lag_s": "" if following is None else f"{following.lag_s:.2f}",
@@ -87,6 +101,13 @@ def bridge_status(
         "thrust_slope": f"{attitude.hover.slope:.2f}" if attitude else "",
         "thrust_delay_s": f"{thrust.delay_s:.2f}" if thrust else "",
         "drag_1_s": f"{bridge.stream.drag.value:.2f}",
+    }
+
+
+def _link_values(bridge: Bridge) -> dict[str, str]:
+    """The link to the vehicle."""
+    link, latency = bridge.link, bridge.stream.latency
+    return {
         "timesync": bridge.maintenance.sync_text,
         "latency_p50_ms": f"{1e3 * latency.percentile_s(50):.3f}",
         "latency_p99_ms": f"{1e3 * latency.percentile_s(99):.3f}",
@@ -94,19 +115,24 @@ def bridge_status(
         "received": str(link.received),
         "sent": str(link.sent),
         "unsent": str(link.unsent),
+    }
+
+
+def _message_values(bridge: Bridge) -> dict[str, str]:
+    """Counters of states, setpoints and MAVLink messages: sent, dropped, clamped."""
+    state, controller, pose = bridge.state_publisher, bridge.controller, bridge.vehicle.pose
+    shared = state.shared  # both of its numbers are of one instant: a reader counts what it lacks
+    return {
         "states_sent": f"{shared.stamp_ns} {shared.messages}",
         "states_old": str(state.dropped["old"]),
         "states_skewed": str(state.dropped["skewed"]),
-        "states_invalid": str(vehicle.pose.invalid),
-        "states_doubted": str(vehicle.pose.rejected),
+        "states_invalid": str(pose.invalid),
+        "states_doubted": str(pose.rejected),
         "setpoints_foreign": str(controller.foreign),
         "setpoints_invalid": str(controller.invalid),
-        **{f"dropped_{reason}": str(count) for reason, count in link.counts.items()},
+        **{f"dropped_{reason}": str(count) for reason, count in bridge.link.counts.items()},
         **{f"clamped_{what}": str(count) for what, count in bridge.stream.guard.clamped.items()},
-        **endpoints.refusals.values(),
     }
-    log.note(safety.level, safety.reason)
-    return diagnostics(stamp_ns, f"{name}: link", safety.level, safety.reason, values)
 
 
 def _concerns(bridge: Bridge, missing: Sequence[str], endpoints: Endpoints) -> Iterator[Concern]:

@@ -85,16 +85,11 @@ def run_fleet(options: FleetOptions, progress: Report = lambda line: None) -> Fl
         os.environ.update(enforced(os.environ))
         os.environ.pop(ENCLAVE, None)  # each process has an identity of its own
     seal = seal_of(options.scenario)
-    log_dir = Path(options.log_dir or tempfile.mkdtemp(prefix="ptnsbc-")).resolve()
-    log_dir.mkdir(parents=True, exist_ok=True)
-    scenario_file = log_dir / "scenario.yaml"
-    scenario_file.write_text(options.scenario.text, encoding="utf-8")
+    log_dir, scenario_file = _log_folder(options)
     _prepare_kernels(options, progress)
     processes = commands(options, scenario_file)
     with StopRequest() as stop, reserved_domain() as domain, ExitStack() as stack:
-        # A launcher for each process at most, where other computers fly the rest.
-        everywhere = 2 * len(names(options.scenario, options.backend))
-        count = everywhere if options.shared else len(processes) + 1
+        count = _most_participants(options, len(processes))
         settings = environment.for_children(domain, count, log_dir)
         progress(f"domain {domain}, logs in {log_dir}")
         stack.enter_context(_listed(options, domain, progress))
@@ -114,6 +109,39 @@ def run_fleet(options: FleetOptions, progress: Report = lambda line: None) -> Fl
                 landed = time.monotonic()
             finally:
                 supervisor.end()
+    return _result(
+        supervisor,
+        interrupted=stop.came,
+        bag=options.bag,
+        startup_s=took_off - began,
+        flight_s=landed - took_off,
+    )
+
+
+def _log_folder(options: FleetOptions) -> tuple[Path, Path]:
+    """The folder for the logs, and the scenario in it that all processes read."""
+    log_dir = Path(options.log_dir or tempfile.mkdtemp(prefix="ptnsbc-")).resolve()
+    log_dir.mkdir(parents=True, exist_ok=True)
+    scenario_file = log_dir / "scenario.yaml"
+    scenario_file.write_text(options.scenario.text, encoding="utf-8")
+    return log_dir, scenario_file
+
+
+def _most_participants(options: FleetOptions, processes: int) -> int:
+    """The most processes that join the domain, this launcher included."""
+    # A launcher for each process at most, where other computers fly the rest.
+    everywhere = 2 * len(names(options.scenario, options.backend))
+    return everywhere if options.shared else processes + 1
+
+
+def _result(
+    supervisor: Supervisor,
+    *,
+    interrupted: bool,
+    bag: Path | None,
+    startup_s: float,
+    flight_s: float,
+) -> FleetResult:
     children, died = supervisor.children, supervisor.died
     lost = [uav for child in died for uav in child.command.uavs]
     lost += [int(name.removeprefix("uav")) for name in supervisor.lost_elsewhere]
@@ -121,11 +149,11 @@ def run_fleet(options: FleetOptions, progress: Report = lambda line: None) -> Fl
         processes=tuple(ProcessReport(c.name, c.pid, c.exit_code, c.log) for c in children),
         died=(*(child.name for child in died), *supervisor.lost_elsewhere),
         lost=tuple(dict.fromkeys(lost)),
-        interrupted=stop.came,
-        bag=options.bag,
+        interrupted=interrupted,
+        bag=bag,
         recorded=_recorded(children),
-        startup_s=took_off - began,
-        flight_s=landed - took_off,
+        startup_s=startup_s,
+        flight_s=flight_s,
     )
 
 

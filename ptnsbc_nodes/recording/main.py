@@ -19,6 +19,8 @@ from ptnsbc_nodes.runtime.signals import StopRequest, exit_on_signal
 if TYPE_CHECKING:
     from rclpy.context import Context
 
+    from ptnsbc_nodes.recording.recorder import Derive
+
 _FAILED = 1
 _DRAIN_LIMIT_S = 50.0  # under load the queues hold seconds, and the launcher waits a minute
 
@@ -64,12 +66,7 @@ def _record(context: Context, options: argparse.Namespace, stop: StopRequest) ->
     from ptnsbc_nodes.recording.recorder import recorder_node
     from ptnsbc_nodes.runtime.process import report_finished
 
-    draw = None
-    if options.draw is not None:
-        from ptnsbc_nodes.comm.markers import OdometryMarkers
-        from ptnsbc_sim.scenario import load_scenario
-
-        draw = OdometryMarkers(load_scenario(options.draw, {})).of
+    draw = _drawing(options.draw)
     kinds = {
         "lockstep": options.lockstep,
         "with_truth": options.truth,
@@ -102,6 +99,16 @@ def _record(context: Context, options: argparse.Namespace, stop: StopRequest) ->
         summary = json.dumps(recorder.summary(late=recorder.late))
         print(summary, flush=True)
         report_finished(summary)
+
+
+def _drawing(scenario_file: str | None) -> Derive | None:
+    """The function that makes /formation/markers of odometry; None where nothing is drawn."""
+    if scenario_file is None:
+        return None
+    from ptnsbc_nodes.comm.markers import OdometryMarkers
+    from ptnsbc_sim.scenario import load_scenario
+
+    return OdometryMarkers(load_scenario(scenario_file, {})).of
 
 
 def _content(name: str, path: str) -> bytes:
