@@ -141,7 +141,8 @@ class Source:
         ]
 
     def _run(self) -> None:
-        began = due = time.monotonic()
+        began = time.monotonic()
+        due = began
         while due - began < self._seconds:
             for send in self._sends:
                 send(int(1e9 * (due - began)))

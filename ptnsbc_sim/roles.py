@@ -39,7 +39,7 @@ def moved_on(state: AgentState, change: RoleChange) -> AgentState:
     With another parent, slot or lead of its own it makes its way back: from where it is, with the velocity that it has,
     by a time base of its own. The estimate goes on, because the reference point of the formation stays.
     """
-    moved = led = True
+    moved, led = True, True
     if change.before is not None:
         moved, led = changed(change.before, change.after, change.uav)
     if moved:

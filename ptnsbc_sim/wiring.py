@@ -83,7 +83,8 @@ def _parent_rows(scenario: Scenario) -> ParentRows:
     )
     for row, one in enumerate(found):
         if one is not None:
-            count = parents.several[row] = len(one.ids)
+            count = len(one.ids)
+            parents.several[row] = count
             parents.rows[row, :count] = [ids.index(uav_id) for uav_id in one.ids]
             parents.weights[row, :count], parents.shifts[row, :count] = one.weights, one.shifts
     return parents

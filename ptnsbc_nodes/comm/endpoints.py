@@ -224,7 +224,8 @@ class Endpoints:
                 continue
             first = self._known.setdefault(name, next(iter(gids)))
             if first not in gids:  # it has ended, and another one has taken its place
-                first = self._known[name] = next(iter(gids))
+                first = next(iter(gids))
+                self._known[name] = first
             others = [info for gid, info in gids.items() if gid != first]
             if others:
                 names = " ".join(sorted({_node_of(info) for info in others}))

@@ -90,7 +90,8 @@ def _start(
     coordinator: Coordinator, names: Sequence[str], patience_s: float, stop: StopRequest
 ) -> bool:
     """Wait until all are ready, and start; False when a signal came first."""
-    began = told = time.monotonic()
+    began = time.monotonic()
+    told = began
     refusal: str | None = "/formation/start was not called"
     while not stop.came:
         coordinator.spin(_LOOK_S)

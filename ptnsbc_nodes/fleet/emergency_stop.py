@@ -63,7 +63,8 @@ class EmergencyStop:
         self._answered: dict[str, float] = {}  # when a bridge first answered
         self._done: dict[str, float] = {}  # when its answer was enough
         self._direct: dict[str, DirectOrder] = {}
-        self._began = self._next_s = time.monotonic()
+        self._began = time.monotonic()
+        self._next_s = self._began
         self.look_up()
 
     @property
@@ -80,7 +81,8 @@ class EmergencyStop:
     def begin(self) -> None:
         """Latch the order, and count the time from now on."""
         latch(self._folder, self._order)
-        self._began = self._next_s = time.monotonic()
+        self._began = time.monotonic()
+        self._next_s = self._began
 
     def look(self) -> bool:
         """One round on every path; returns whether all is done."""

@@ -40,7 +40,8 @@ class Completeness:
         if newest is None or stamp_ns <= newest:
             return False
         if newest >= 0:
-            gap = self._gap[source] = min(stamp_ns - newest, self._gap.get(source, _NEVER))
+            gap = min(stamp_ns - newest, self._gap.get(source, _NEVER))
+            self._gap[source] = gap
         else:
             gap = 1
         self._newest[source] = stamp_ns

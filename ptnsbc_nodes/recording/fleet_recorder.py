@@ -104,7 +104,8 @@ class FleetRecorder(BagRecorder):
         self._acknowledgement = wire.HeaderTemplate("recorder")
         self._close: Callable[[bytes], bytes] = bytes if seal is None else seal.closer(RECORDED)
         self._transforms = transforms
-        self._order = order = ReorderBuffer(_SHARED) if lockstep else None
+        order = ReorderBuffer(_SHARED) if lockstep else None
+        self._order = order
         derived: list[tuple[str, Derive]] = [(topics.TF.name, transforms.of)]
         if draw is not None:
             derived.append((topics.MARKERS.name, draw))

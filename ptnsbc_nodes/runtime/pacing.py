@@ -70,7 +70,8 @@ class Progress:
 
     def begin(self) -> None:
         """The first tick."""
-        self._began = self._shown = time.monotonic()
+        self._began = time.monotonic()
+        self._shown = self._began
 
     def show(self, ticks: int) -> None:
         """Print if it is time."""

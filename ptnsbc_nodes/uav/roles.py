@@ -49,8 +49,8 @@ class RoleHolder:
 
     def flown(self) -> Scenario:
         """The scenario with the present graph."""
-        found = self._before = self._formations.of(self._members) or self._formations.scenario
-        return found
+        self._before = self._formations.of(self._members) or self._formations.scenario
+        return self._before
 
     @property
     def leads(self) -> bool:

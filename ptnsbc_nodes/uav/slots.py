@@ -132,11 +132,12 @@ class SlotDecider:
     def decide(self, t0_ns: int) -> None:
         """Decide the slots of the epoch at `t0_ns`: at once, or when all odometry is here."""
         self._epoch_ns = t0_ns
-        first_ns = self._first_ns = t0_ns if self._first_ns is None else self._first_ns
+        if self._first_ns is None:
+            self._first_ns = t0_ns
         if len(self._newest) == len(self._scenario.uav_ids):
             self._epoch_ns = None
             positions = {uav: at_epoch(own, t0_ns) for uav, own in self._newest.items()}
-            since_s = (t0_ns - first_ns) * 1e-9
+            since_s = (t0_ns - self._first_ns) * 1e-9
             self._announce(Decision(t0_ns, optimal_slots(self._scenario, positions, since_s)))
 
 

@@ -68,7 +68,8 @@ class FlightState:
         self._epochs.announce(leg.stamp_ns, leg.frame_id)
         flown = self._epochs.scenario
         if flown is not None and flown is not self._file and not are_open(flown):
-            self.scenario = self._file = flown  # a word on a leg of the mission
+            self._file = flown  # a word on a leg of the mission
+            self.scenario = flown
             self.flown_anew += 1
 
     def on_taken(self, setpoint: Stamped) -> None:

@@ -186,10 +186,10 @@ class StandInVehicle(ABC):
         """
         self.system = system
         self.component = 1
-        self.body = body = body.with_drag(self.drag_1_s)
+        self.body = body.with_drag(self.drag_1_s)
         self.log = say
         self.parameters = self.default_parameters()
-        self.flight = VehiclePhysics(body, self.gains(), t)
+        self.flight = VehiclePhysics(self.body, self.gains(), t)
         self.clock = BootClock(t)
         self.faults = Faults()
         self.boots = 0

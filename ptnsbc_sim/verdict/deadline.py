@@ -167,16 +167,17 @@ def _causes(recording: Recording, found: UavVerdict, end_s: float) -> tuple[list
     span = (0.0, found.due_s)
     if _left_again(found):
         span = (found.deadline_s, end_s if found.settling_s is None else found.settling_s)
-    causes = lost = _lost(recording, found.uav)
+    lost = _lost(recording, found.uav)
+    causes = list(lost)
     held = _rise(recording, found.uav, "holding_s", span)
     saturated = _rise(recording, found.uav, "saturated_s", span)
     if held > 0:
-        causes = [*causes, f"held for {held:.2f} s, link stale"]
+        causes.append(f"held for {held:.2f} s, link stale")
     blocked = _rise(recording, found.uav, "deadlock_s", span)
     if blocked > 0:
-        causes = [*causes, f"in a deadlock for {blocked:.2f} s, avoidance left no way"]
+        causes.append(f"in a deadlock for {blocked:.2f} s, avoidance left no way")
     if saturated > 0:
-        causes = [*causes, f"at a limit of speed, acceleration or thrust for {saturated:.2f} s"]
+        causes.append(f"at a limit of speed, acceleration or thrust for {saturated:.2f} s")
     late = held > 0 and not recording.scenario.lossy and not recording.scenario.reconfigures
     return causes, bool(lost) or late
 

@@ -96,7 +96,8 @@ class ErrorFigures:
         self, recording: Recording, uav: int, windows: list[Encounter], tolerance: float
     ) -> None:
         self._recording = recording
-        self._deadline_s = deadline = recording.scenario.gains.formation.deadline_s
+        deadline = recording.scenario.gains.formation.deadline_s
+        self._deadline_s = deadline
         self._windows = windows
         start_ns = recording.start_ns
         spans = [((a - start_ns) * NANO, (b - start_ns) * NANO) for a, _, b in self._windows]

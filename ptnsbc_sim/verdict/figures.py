@@ -115,10 +115,10 @@ class EstimatorErrors:
 
     def __init__(self, recording: Recording) -> None:
         self._recording = recording
-        self._deadline_s = deadline = recording.scenario.gains.estimator.deadline_s
+        self._deadline_s = recording.scenario.gains.estimator.deadline_s
         tracks = recording.estimate
         self._tracks = {u: tracks[u] for u in recording.flown.followers if u in tracks}
-        self._at = {uav: ValueAt(deadline) for uav in self._tracks}
+        self._at = {uav: ValueAt(self._deadline_s) for uav in self._tracks}
         self._max: dict[int, float] = {}
 
     def add(self, grid: NDArray[np.int64], positions: dict[int, Array]) -> None:

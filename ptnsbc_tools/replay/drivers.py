@@ -132,7 +132,8 @@ class LockstepDriver(Driver[int]):
                     replay.take_slot(leg.t0_ns)
                 self._fetch(replay, step)
             except MissingError as missing:
-                self._gaps[replay.uav] = why = str(missing)
+                why = str(missing)
+                self._gaps[replay.uav] = why
         if why is not None:
             replay.account.skip(self.state.seconds(step), 1, why)
             return None

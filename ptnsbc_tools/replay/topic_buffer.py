@@ -58,7 +58,8 @@ class TopicBuffer:
         if found is None or len(found) < len(data):
             if self._decode is None:
                 raise WireError("a message that no step is made of")
-            self._decoded[stamp_ns] = found = [self._decode(one) for one in data]
+            found = [self._decode(one) for one in data]
+            self._decoded[stamp_ns] = found
         return found
 
     def before(self, stamp_ns: int) -> Stamped | None:

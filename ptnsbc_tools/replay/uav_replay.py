@@ -107,21 +107,20 @@ class UavReplay:
         own: UavFunctions = OURS,
     ) -> None:
         self.uav = uav
-        self.senders = senders = edges.senders(uav)
-        self._scenario = scenario
+        self.senders = edges.senders(uav)
+        self._scenario, self._fleet = scenario, fleet
         self._decided = decided
         self._holder = SlotHolder(scenario, uav, edges)
         self.account = Account()
-        self.inputs = source_topics(uav, senders)
+        self.inputs = source_topics(uav, self.senders)
         self.outputs = [f"/uav{uav}/{name}" for name in OUTPUTS]
         self.recorded_counters: dict[int, list[dict[str, str]]] = {}  # of /diagnostics, by ticks
         self._config = agent_config(scenario, uav)
         self._own = own
         self._edges = edges
         roles = role_holder(scenario, uav, edges)
-        self.controller = UavController(self._config, senders, own, roles)
+        self.controller = UavController(self._config, self.senders, own, roles)
         self._put = _inbox_setters(self.controller.inbox)
-        self._scenario, self._fleet = scenario, fleet
         self._encoder = AgentMessages(uav, fleet)
         self._t0_ns: int | None = None  # first epoch of the step before
         self.next_step: int | None = None  # number of the next step; None: a step was left out

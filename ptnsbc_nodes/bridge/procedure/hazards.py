@@ -88,10 +88,9 @@ class FlightMonitor:
         if nearest_m >= share * sight.others[nearest, 3]:
             self._near_since_s = None
             return ""
-        since_s = self._near_since_s = (
-            sight.now_s if self._near_since_s is None else self._near_since_s
-        )
-        if sight.now_s - since_s < _TOO_NEAR_S:
+        if self._near_since_s is None:
+            self._near_since_s = sight.now_s
+        if sight.now_s - self._near_since_s < _TOO_NEAR_S:
             return ""
         return f"{nearest_m:.2f} m from another vehicle, now or within {_SOON_S:g} s"
 
@@ -122,9 +121,8 @@ class FlightMonitor:
         if not limit_m_s or sight.settled_s < _SETTLED_S or speed_m_s < limit_m_s:
             self._away_since_s = None
             return ""
-        since_s = self._away_since_s = (
-            sight.now_s if self._away_since_s is None else self._away_since_s
-        )
-        if sight.now_s - since_s < _AWAY_S:
+        if self._away_since_s is None:
+            self._away_since_s = sight.now_s
+        if sight.now_s - self._away_since_s < _AWAY_S:
             return ""
         return f"its error grows: {speed_m_s:.1f} m/s away from the formation's motion for {_AWAY_S:g} s"

@@ -86,7 +86,8 @@ class Guided:
         self._attitude = targets.IDLE_TARGET
         self._thrust_is_climb = False
         self._climb = 0.0
-        self._latest_t = self._stepped_t = t
+        self._latest_t = t
+        self._stepped_t = t
         self.take_off_height = 0.0
 
     # Requests.

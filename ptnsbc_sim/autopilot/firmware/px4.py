@@ -196,7 +196,8 @@ class Px4(FlightController):
             return _LATER
         if mode != self.mode:
             self.log(f"mode {mode.name}")
-        self.mode = self.active = mode
+        self.mode = mode
+        self.active = mode
         self._hold_point = self._here()
         if mode not in TRANSIENT_MODES:
             self._mode_after_disarm = mode
