@@ -115,7 +115,7 @@ def _flight(domain: int, mode: str, options: FlightOptions, scenario: Scenario) 
             name = "fleet" if leads else "fleet_elsewhere"
             coordinator = stack.enter_context(Coordinator(domain, name))
             coordinator.share(leads=leads)
-            coordinator.hear_faults(scenario.uav_ids, lambda _: None)
+            coordinator.listen_for_faults(scenario.uav_ids, lambda _: None)
             made.append(("launcher", 0, coordinator._node))
         for kind, uav, one in made:
             yield from _ends(kind, uav, one, mode, scenario.leader_id)
@@ -138,7 +138,7 @@ def _recorder(node: Node, scenario: Scenario, options: FlightOptions) -> Iterato
         "lockstep": lockstep,
         "with_truth": not options.bridged,
         "with_slots": are_open(scenario),
-        "with_stream": scenario.hears_setpoints,
+        "with_stream": scenario.takes_setpoints,
     }
     infos = [topic_info(one, lockstep=lockstep) for one in topics.in_bag(uavs, **options_of_bag)]
     with tempfile.TemporaryDirectory() as folder, BagWriter(Path(folder) / "bag", infos) as writer:

@@ -14,7 +14,7 @@ import numpy as np
 
 from ptnsbc_core.algebra import axpy, scale3, store3, sub3
 from ptnsbc_core.curves.piecewise import polynomial, row_at
-from ptnsbc_core.curves.trajectory import Heading, course
+from ptnsbc_core.curves.trajectory import Heading, curve_state
 from ptnsbc_core.kernel import inline_kernel, kernel
 from ptnsbc_core.timebase import h, h_rate
 from ptnsbc_core.types import Array, Shape, Trajectory, Vector3
@@ -46,7 +46,7 @@ def _angle(shape: Shape, trajectory: Trajectory, row: int, t: float) -> Heading:
     turn = polynomial(shape.table, row, TURN, t)
     if not shape.turns:
         return Heading(turn.value, turn.first, turn.second)
-    with_leader = course(trajectory, t).heading
+    with_leader = curve_state(trajectory, t).heading
     return Heading(
         turn.value + with_leader.angle,
         turn.first + with_leader.rate,

@@ -55,7 +55,7 @@ class Heading(NamedTuple):
     acceleration: float  # [rad/s^2]
 
 
-class Course(NamedTuple):
+class CurveState(NamedTuple):
     """The curve at one time with what is needed to turn with it, world ENU."""
 
     position: Vector3  # [m]
@@ -88,7 +88,7 @@ def _harmonic(table: Array, axis: int, t: float) -> tuple[float, float, float, f
 
 
 @kernel
-def _course_by_table(trajectory: Trajectory, t: float) -> Course:
+def _state_by_table(trajectory: Trajectory, t: float) -> CurveState:
     """The curve of a kind that has a table."""
     numbers, table = trajectory.numbers, trajectory.table
     yaw = Heading(numbers[7], 0.0, 0.0)
@@ -109,7 +109,7 @@ def _course_by_table(trajectory: Trajectory, t: float) -> Course:
         acceleration, jerk = (one[2], two[2], three[2]), (one[3], two[3], three[3])
     if int(numbers[1]) == HEADING_PATH:
         yaw = _along(velocity, acceleration, jerk, numbers[7])
-    return Course(position, velocity, acceleration, jerk, yaw)
+    return CurveState(position, velocity, acceleration, jerk, yaw)
 
 
 @kernel
@@ -133,23 +133,23 @@ def reference(trajectory: Trajectory, t: float) -> Reference:
     if kind == TRAJECTORY_LINE:
         along = (numbers[4], numbers[5], numbers[6])
         return Reference(axpy(t, along, (x, y, z)), along, numbers[7], (0.0, 0.0, 0.0))
-    at = _course_by_table(trajectory, t)
+    at = _state_by_table(trajectory, t)
     return Reference(at.position, at.velocity, at.heading.angle, at.acceleration)
 
 
 @kernel
-def course(trajectory: Trajectory, t: float) -> Course:
+def curve_state(trajectory: Trajectory, t: float) -> CurveState:
     """The curve at t [s] since the first epoch, to its third derivative, and its heading to the second."""
     numbers = trajectory.numbers
     kind = int(numbers[0])
     if kind != TRAJECTORY_CIRCLE and kind != TRAJECTORY_LINE:
-        return _course_by_table(trajectory, t)
+        return _state_by_table(trajectory, t)
     at = reference(trajectory, t)
     jerk = (0.0, 0.0, 0.0)
     if kind == TRAJECTORY_CIRCLE:
         square = numbers[5] * numbers[5]
         jerk = (-square * at.velocity[0], -square * at.velocity[1], 0.0)
-    return Course(at.position, at.velocity, at.acceleration, jerk, Heading(at.yaw, 0.0, 0.0))
+    return CurveState(at.position, at.velocity, at.acceleration, jerk, Heading(at.yaw, 0.0, 0.0))
 
 
 @kernel
@@ -162,11 +162,11 @@ def reference_positions(trajectory: Trajectory, times: Array) -> Array:
 
 
 @kernel
-def course_samples(trajectory: Trajectory, times: Array) -> Array:
-    """`course` at times (T,) [s]: (T, 15), the fields in their order."""
+def curve_samples(trajectory: Trajectory, times: Array) -> Array:
+    """`curve_state` at times (T,) [s]: (T, 15), the fields in their order."""
     out = np.empty((times.shape[0], 15))
     for k in range(times.shape[0]):
-        at = course(trajectory, times[k])
+        at = curve_state(trajectory, times[k])
         store3(out[k], 0, at.position)
         store3(out[k], 3, at.velocity)
         store3(out[k], 6, at.acceleration)

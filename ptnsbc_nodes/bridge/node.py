@@ -251,7 +251,7 @@ class BridgeNode:
         decode = as_bytes(checked_wrench if attitude else checked_velocity)
         listen(setpoint(self._uav_id), decode, lambda data: setattr(inputs, "setpoint", data))
         listen(topics.EPOCH, decode_leg, inputs.legs.append)
-        if scenario.hears_setpoints:
+        if scenario.takes_setpoints:
             decode_taken = OdometryDecoder(WORLD_FRAME, WORLD_FRAME)
             listen(topics.TAKEN, decode_taken, inputs.taken.append, required=False)
         listen(topics.EMERGENCY, decode_order, self._on_order, required=False)

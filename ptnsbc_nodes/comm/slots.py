@@ -77,7 +77,7 @@ class DecidedSlots:
         return self._by_epoch.get(t0_ns)
 
 
-def hear_recorded(decided: DecidedSlots, data: bytes) -> None:
+def keep_recorded(decided: DecidedSlots, data: bytes) -> None:
     """Take a recorded message as the UAVs did: one that is no decision is forgotten."""
     with suppress(PtnsbcError):
         decided.keep(decided.decode(data))

@@ -73,17 +73,17 @@ class Coordinator:
         self.domain = domain
         self.gone: set[str] = set()  # processes that have ended on other computers
         self.over = False  # the launcher that leads has ended the flight
-        self.begun = False  # a leg has been announced, after `hear_start`
+        self.begun = False  # a leg has been announced, after `listen_for_start`
         self.waiting: dict[str, str] = {}  # process name: what it waits for, empty when ready
         self.vehicles: dict[str, VehicleRecord] = {}  # by bridge: what it reported of its vehicle
         self._name, self._ros_arguments = name, list(ros_arguments)
         self._namespace = namespace
         self._seal = seal
         self._leads: bool | None = None  # where the fleet is shared
-        self._hears_start = False
+        self._listens_for_start = False
         self.may_arm = False  # an operator has called /formation/arm, and it was accepted
         self._arming: Callable[[], str] | None = None
-        self._hear_faults: Callable[[], str] | None = None
+        self._listen_for_faults: Callable[[], str] | None = None
         self._managed: dict[str, str] = {}  # node by process name
         self.held: set[str] = set()
         """Processes whose nodes are configured and not activated."""
@@ -131,12 +131,12 @@ class Coordinator:
         self._join()
         if self._leads is not None:
             self.share(leads=self._leads)
-        if self._hears_start:
-            self.hear_start()
+        if self._listens_for_start:
+            self.listen_for_start()
         if self._arming is not None:
             self.serve_arming(self._arming)
-        if self._hear_faults is not None:
-            self._hear_faults()
+        if self._listen_for_faults is not None:
+            self._listen_for_faults()
         for name, node in self._managed.items():
             self._manager.manage(name, self._endpoints.fleet + node, doubtful=True)
 
@@ -149,9 +149,9 @@ class Coordinator:
         else:
             self._endpoints.listen(OVER, decode_header, self._on_over)
 
-    def hear_start(self) -> None:
+    def listen_for_start(self) -> None:
         """Hear of the first leg, when an operator starts the flight."""
-        self._hears_start = True
+        self._listens_for_start = True
         self._endpoints.listen(topics.EPOCH, decode_leg, self._on_leg, required=False)
 
     def serve_arming(self, refusal: Callable[[], str]) -> None:
@@ -170,16 +170,16 @@ class Coordinator:
             Trigger, f"{self._endpoints.fleet}/formation/{ARM_SERVICE}", answer
         )
 
-    def hear_faults(self, uavs: Collection[int], take: Callable[[FaultBlock], None]) -> None:
+    def listen_for_faults(self, uavs: Collection[int], take: Callable[[FaultBlock], None]) -> None:
         """Hear of the faults that an operator injects into a fleet of these UAVs."""
 
         def heard(order: OrderedFault) -> None:
             take(order.fault)
 
-        self._hear_faults = lambda: self._endpoints.listen(
+        self._listen_for_faults = lambda: self._endpoints.listen(
             topics.FAULT, fault_decoder(uavs), heard, required=False
         )
-        self._hear_faults()
+        self._listen_for_faults()
 
     def inject(self, fault: FaultBlock, patience_s: float) -> int:
         """Tell a running fleet of a fault, once; returns how many processes listened, after at most this time."""

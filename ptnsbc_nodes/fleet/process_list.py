@@ -191,7 +191,7 @@ def _recorder(options: FleetOptions, bag: Path, scenario_file: Path) -> ProcessC
     chosen = {
         "--truth": options.scenario.imperfect or options.backend == "mavlink",
         "--slots": are_open(options.scenario),
-        "--stream": options.scenario.hears_setpoints,
+        "--stream": options.scenario.takes_setpoints,
         "--punctual": _is_punctual(options),
         "--signed": options.scenario.file.security == "signed",
         "--overwrite": options.overwrite,

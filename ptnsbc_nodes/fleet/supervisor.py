@@ -74,7 +74,7 @@ class Supervisor:
         self._sim_lines = self._quiet_looks = 0
         self._faults = FaultInjector(options, progress, self._launch_again)
         if options.scenario.file.faults is not None:
-            coordinator.hear_faults(options.scenario.uav_ids, self._faults.add)
+            coordinator.listen_for_faults(options.scenario.uav_ids, self._faults.add)
         if options.shared:
             coordinator.share(leads=options.leads)
 
@@ -138,7 +138,7 @@ class Supervisor:
         return time.monotonic() - began
 
     def _wait_for_operator(self) -> None:
-        self._coordinator.hear_start()
+        self._coordinator.listen_for_start()
         self._progress("all are ready: the flight begins when an operator calls /formation/start")
         while not self._coordinator.begun and self._wait(math.inf):
             pass

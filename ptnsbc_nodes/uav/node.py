@@ -97,7 +97,7 @@ class UavNode:
         self._status = StatusPublisher(node, self._parts())
         self._comes_and_goes = roles is not None
         self._leg_services = self._services_in_line(scenario, edges)
-        if scenario.hears_setpoints and uav_id == scenario.leader_id:
+        if scenario.takes_setpoints and uav_id == scenario.leader_id:
             LeaderSetpoints(
                 self.endpoints, edges.options.recorders, self._epochs, self._next_flight_ns
             )

@@ -66,7 +66,7 @@ def listen_to_fleet(listen: Callable[..., Any], state: FlightState) -> None:
     listen(topics.EPOCH, decode_leg, state.on_leg)
     listen(topics.LOST, decode_lost, state.on_lost)
     listen(topics.OVER, decode_header, state.on_over)
-    if scenario.hears_setpoints:
+    if scenario.takes_setpoints:
         listen(topics.TAKEN, OdometryDecoder(), state.on_taken, required=False)
     if are_open(scenario):
         listen(topics.SLOTS, state.decode_slots, state.on_slots)

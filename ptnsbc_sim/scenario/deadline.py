@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ptnsbc_core.curves.shape import place_samples
-from ptnsbc_core.curves.trajectory import course_samples, reference
+from ptnsbc_core.curves.trajectory import curve_samples, reference
 from ptnsbc_core.timebase import feasible_deadline
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario.mission.legs import LandLeg, ScheduledLeg, moves_shape
@@ -42,7 +42,7 @@ _SAMPLE_S, _MOST_SAMPLES = 0.02, 20_000  # of the motion of a shape
 _STEP_S = 0.1  # `auto` is rounded up to it
 
 
-class Limits(NamedTuple):
+class MotionLimits(NamedTuple):
     """The rest of the limits of speed and acceleration beside the leader's motion; not above 0: nothing."""
 
     speed_m_s: float
@@ -75,7 +75,7 @@ def _places_motion(file: ScenarioFile, first: float, last: float) -> tuple[float
     """Largest speed [m/s] and acceleration [m/s^2] of the leader and the places in the world, between two times [s]."""
     curve, span = trajectory_of(file.leader.trajectory), last - first
     times = np.linspace(first, last, min(max(round(span / _SAMPLE_S), 1), _MOST_SAMPLES) + 1)
-    lead = course_samples(curve, times)
+    lead = curve_samples(curve, times)
     speed, acceleration = _longest(lead[:, 3:6]), _longest(lead[:, 6:9])
     for uav in file.formation.offsets_m if moves(file.formation) else ():
         place = place_samples(shape_of(file, uav), curve, times)
@@ -111,26 +111,28 @@ def _vehicle_acceleration(file: ScenarioFile, plant: Plant, leader_speed: float)
     return min([upwards, *([sideways - drag] if gravity > 0 else [])])
 
 
-def _left_of(file: ScenarioFile, uav: UavBlock, speed: float, acceleration: float) -> Limits:
+def _left_of(file: ScenarioFile, uav: UavBlock, speed: float, acceleration: float) -> MotionLimits:
     limits = file.gains.filter
     fastest = limits.max_speed_m_s if uav.max_speed_m_s is None else uav.max_speed_m_s
     actuators = _vehicle_acceleration(file, plant_of(file.plant, uav), speed)
     most = min(limits.max_acceleration_m_s2, actuators)
-    return Limits(fastest - speed, most - acceleration)
+    return MotionLimits(fastest - speed, most - acceleration)
 
 
-def _left(file: ScenarioFile, speed: float, acceleration: float) -> Limits:
+def _left(file: ScenarioFile, speed: float, acceleration: float) -> MotionLimits:
     """The rest of the limits of the weakest vehicle: that of the speed and that of the acceleration may be two."""
     every = [_left_of(file, uav, speed, acceleration) for uav in file.uavs]
-    return Limits(min(one.speed_m_s for one in every), min(one.acceleration_m_s2 for one in every))
+    return MotionLimits(
+        min(one.speed_m_s for one in every), min(one.acceleration_m_s2 for one in every)
+    )
 
 
-def limits_left(file: ScenarioFile) -> Limits:
+def limits_left(file: ScenarioFile) -> MotionLimits:
     """Speed and acceleration that are left for the approach, of the weakest vehicles."""
     return _left(file, *_motion(file))
 
 
-def limits_left_by_mission(file: ScenarioFile, first: float, last: float) -> Limits:
+def limits_left_by_mission(file: ScenarioFile, first: float, last: float) -> MotionLimits:
     """Speed and acceleration that trajectory and shape leave between two times [s]."""
     return _left(file, *_places_motion(file, first, last))
 
@@ -171,7 +173,7 @@ def leg_room(file: ScenarioFile, one: ScheduledLeg, until_s: float) -> LegRoom:
 def _highest(file: ScenarioFile, t: float) -> float:
     """Height [m] of the highest place."""
     curve, now = trajectory_of(file.leader.trajectory), np.array([t])
-    lead = float(course_samples(curve, now)[0, 2])
+    lead = float(curve_samples(curve, now)[0, 2])
     offsets = [place[2] for place in file.formation.offsets_m.values()]
     if moves(file.formation):
         shapes = [shape_of(file, uav) for uav in file.formation.offsets_m]
@@ -256,19 +258,19 @@ def turn_of(file: ScenarioFile) -> float:
     return 0.0
 
 
-def shortest_deadlines(file: ScenarioFile, limits: Limits) -> dict[int, float]:
+def shortest_deadlines(file: ScenarioFile, limits: MotionLimits) -> dict[int, float]:
     """Shortest deadline [s] that the limits, both above 0, allow for each UAV."""
     return _deadlines(file, limits, turn_of(file))
 
 
-def _turned_s(error_m: float, limits: Limits, turn: float) -> float:
+def _turned_s(error_m: float, limits: MotionLimits, turn: float) -> float:
     """`feasible_deadline` of an approach that turns by `turn` [rad]."""
     peaks = approach_peaks(turn)
     by_speed = peaks.speed * error_m / limits.speed_m_s
     return max(by_speed, math.sqrt(peaks.acceleration * error_m / limits.acceleration_m_s2))
 
 
-def _deadlines(file: ScenarioFile, limits: Limits, turn: float) -> dict[int, float]:
+def _deadlines(file: ScenarioFile, limits: MotionLimits, turn: float) -> dict[int, float]:
     motion = {
         uav: feasible_deadline(error, limits.speed_m_s, limits.acceleration_m_s2)
         for uav, error in start_errors(file).items()

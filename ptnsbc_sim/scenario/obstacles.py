@@ -10,7 +10,7 @@ from typing import Annotated, Literal, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from ptnsbc_core.curves.trajectory import course_samples
+from ptnsbc_core.curves.trajectory import curve_samples
 from ptnsbc_core.kinematics import rotation_from_euler
 from ptnsbc_core.tasks.signed_distance import (
     AXES,
@@ -234,7 +234,7 @@ class Obstacle:
         if self.path is None:
             place = block.position_m if block.kind != "ground" else (0.0, 0.0, block.height_m)
             return Motion(np.tile(np.array(place, dtype=np.float64), (len(times), 1)), still)
-        at = course_samples(self.path, np.maximum(times, 0.0))
+        at = curve_samples(self.path, np.maximum(times, 0.0))
         velocities = np.where((times >= 0.0)[:, None], at[:, 3:6], 0.0)
         return Motion(at[:, 0:3], velocities)
 

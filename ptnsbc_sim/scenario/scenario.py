@@ -19,8 +19,8 @@ from ptnsbc_sim.scenario.mission.stream import (
     Setpoint,
     Streamed,
     going_on,
-    hears_setpoints,
     streamed,
+    takes_setpoints,
 )
 from ptnsbc_sim.scenario.model import ScenarioFile, UavBlock
 from ptnsbc_sim.scenario.reading import reader
@@ -105,9 +105,9 @@ class Scenario(ScenarioSettings):
         return replace(self, file=self.file.model_copy(update={"leader": leader}))
 
     @property
-    def hears_setpoints(self) -> bool:
+    def takes_setpoints(self) -> bool:
         """True if its leader takes setpoints from a topic."""
-        return hears_setpoints(self.file.leader.trajectory)
+        return takes_setpoints(self.file.leader.trajectory)
 
     @property
     def legs(self) -> tuple[ScheduledLeg, ...]:

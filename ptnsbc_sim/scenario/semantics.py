@@ -15,7 +15,7 @@ from ptnsbc_sim.scenario import obstacles
 from ptnsbc_sim.scenario.mavlink import Geofence, Mavlink, vehicle_link
 from ptnsbc_sim.scenario.mission import leg_problems, legs, shapes, trajectories
 from ptnsbc_sim.scenario.mission.faults import AUTOPILOT, fault_problems
-from ptnsbc_sim.scenario.mission.stream import hears_setpoints
+from ptnsbc_sim.scenario.mission.stream import takes_setpoints
 from ptnsbc_sim.scenario.model import Positioning, ScenarioFile, plant_of
 from ptnsbc_sim.scenario.problems import ScenarioError
 
@@ -225,7 +225,7 @@ def _offsets(file: ScenarioFile) -> Problems:
 def _trajectory(file: ScenarioFile) -> Problems:
     for problem in trajectories.problems(file.leader.trajectory):
         yield f"leader.trajectory.{problem}"
-    if not hears_setpoints(file.leader.trajectory):
+    if not takes_setpoints(file.leader.trajectory):
         return
     # What decides these needs the whole trajectory, which nobody knows.
     for key, given, fits in (

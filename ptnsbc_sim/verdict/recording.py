@@ -54,7 +54,7 @@ def with_taken(
         VerdictError: the leader cannot have followed them.
     """
     first_ns = next((t0_ns for t0_ns, leg in epochs if leg == FORMATION), None)
-    if not taken or first_ns is None or not scenario.hears_setpoints:
+    if not taken or first_ns is None or not scenario.takes_setpoints:
         return scenario
     try:
         return scenario.with_setpoints(

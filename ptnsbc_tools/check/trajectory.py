@@ -76,7 +76,7 @@ def _outside(places: Array, fence: Geofence) -> Array:
 def _path(scenario: Scenario, times: Array) -> Array:
     """Positions (T, 3) of the leader [m]; the corners (8, 3) of the region if setpoints come from a topic."""
     path = scenario.file.leader.trajectory
-    if isinstance(path, SetpointTrajectory) and scenario.hears_setpoints:
+    if isinstance(path, SetpointTrajectory) and scenario.takes_setpoints:
         corners = itertools.product(*zip(path.low_m, path.high_m, strict=True))
         return np.array(list(corners), dtype=np.float64)
     return reference_positions(leader_trajectory(scenario), times)

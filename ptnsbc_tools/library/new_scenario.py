@@ -15,51 +15,51 @@ from ptnsbc_tools.files import replacing
 MOST = 254
 _RADIUS_M, _HEIGHT_M, _START_M = 5.0, 6.0, 1.0
 
-Place = tuple[float, float, float]
+Offset = tuple[float, float, float]
 
 
 class NewScenarioError(PtnsbcError):
     """A scenario that cannot be made."""
 
 
-def _vee(k: int, n: int, spacing_m: float) -> Place:
+def _vee(k: int, n: int, spacing_m: float) -> Offset:
     arm, side = (k + 1) // 2, -1.0 if k % 2 else 1.0
     step = spacing_m / math.sqrt(2.0)
     return -arm * step, side * arm * step, 0.0
 
 
-def _line(k: int, n: int, spacing_m: float) -> Place:
+def _line(k: int, n: int, spacing_m: float) -> Offset:
     arm, side = (k + 1) // 2, -1.0 if k % 2 else 1.0
     return 0.0, side * arm * spacing_m, 0.0
 
 
-def _column(k: int, n: int, spacing_m: float) -> Place:
+def _column(k: int, n: int, spacing_m: float) -> Offset:
     return -k * spacing_m, 0.0, 0.0
 
 
-def _circle(k: int, n: int, spacing_m: float) -> Place:
+def _circle(k: int, n: int, spacing_m: float) -> Offset:
     apart = 2.0 * math.pi / (n - 1)
     radius = max(spacing_m, spacing_m / (2.0 * math.sin(apart / 2.0)) if n > 2 else spacing_m)
     return radius * math.cos(k * apart), radius * math.sin(k * apart), 0.0
 
 
-def _grid(k: int, n: int, spacing_m: float) -> Place:
+def _grid(k: int, n: int, spacing_m: float) -> Offset:
     row, column = divmod(k, math.ceil(math.sqrt(n)))
     return -row * spacing_m, -column * spacing_m, 0.0
 
 
-SHAPES: dict[str, Callable[[int, int, float], Place]] = {
+SHAPES: dict[str, Callable[[int, int, float], Offset]] = {
     "v": _vee,
     "line": _line,
     "column": _column,
     "circle": _circle,
     "grid": _grid,
 }
-"""Place of follower number k = 1 … n - 1 relative to the leader [m], ENU, east being ahead."""
+"""Offset of follower number k = 1 … n - 1 relative to the leader [m], ENU, east being ahead."""
 
 
-def places(shape: str, n: int, spacing_m: float) -> dict[int, Place]:
-    """Place of UAV 2 … n relative to the leader [m], ENU.
+def places(shape: str, n: int, spacing_m: float) -> dict[int, Offset]:
+    """Offset of UAV 2 … n relative to the leader [m], ENU.
 
     Raises:
         NewScenarioError: an unknown shape, too few or too many UAVs, or no distance between them.
@@ -74,9 +74,9 @@ def places(shape: str, n: int, spacing_m: float) -> dict[int, Place]:
     return {uav: (round(x, 2) + 0.0, round(y, 2) + 0.0, z) for uav, (x, y, z) in found.items()}
 
 
-def _parents(at: dict[int, Place]) -> dict[int, int]:
+def _parents(at: dict[int, Offset]) -> dict[int, int]:
     """The nearest UAV with a lower id, the leader being at the origin: the tree of the formation."""
-    known: dict[int, Place] = {1: (0.0, 0.0, 0.0)}
+    known: dict[int, Offset] = {1: (0.0, 0.0, 0.0)}
     parents = {}
     for uav, place in at.items():
         parents[uav] = min(known, key=lambda one: (round(math.dist(known[one], place), 6), one))
@@ -84,7 +84,7 @@ def _parents(at: dict[int, Place]) -> dict[int, int]:
     return parents
 
 
-def _vector(place: Place) -> str:
+def _vector(place: Offset) -> str:
     return f"[{', '.join(f'{number:g}' for number in place)}]"
 
 

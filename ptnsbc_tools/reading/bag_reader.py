@@ -16,7 +16,7 @@ from ptnsbc_io.wire import (
     decode_wrench,
 )
 from ptnsbc_nodes.comm import topics
-from ptnsbc_nodes.comm.slots import DecidedSlots, hear_recorded
+from ptnsbc_nodes.comm.slots import DecidedSlots, keep_recorded
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.verdict import Recording, Track
 from ptnsbc_sim.verdict.recording import FORMATION, with_landing, with_said, with_taken
@@ -99,7 +99,7 @@ class _Collector:
             epoch = decode_header(data)
             self.epochs.add((epoch.stamp_ns, epoch.frame_id))
         elif topic == topics.SLOTS.name:
-            hear_recorded(self.slots, data)
+            keep_recorded(self.slots, data)
         elif topic == topics.TAKEN.name:
             self.taken.append(decode_odometry(data))
         elif topic == topics.DIAGNOSTICS.name:

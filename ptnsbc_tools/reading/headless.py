@@ -206,7 +206,7 @@ def write_flight(
             scenario.uav_ids,
             with_truth=scenario.imperfect,
             with_slots=are_open(scenario),
-            with_stream=scenario.hears_setpoints,
+            with_stream=scenario.takes_setpoints,
         )
     ]
     attachments = {SCENARIO_ATTACHMENT: scenario.text.encode()}

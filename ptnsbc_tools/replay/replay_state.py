@@ -12,7 +12,7 @@ from ptnsbc_io.wire import WireError, decode_diagnostics, decode_floats, decode_
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions
 from ptnsbc_nodes.comm.legs import Epochs
-from ptnsbc_nodes.comm.slots import DecidedSlots, hear_recorded
+from ptnsbc_nodes.comm.slots import DecidedSlots, keep_recorded
 from ptnsbc_sim.law import LoadedLaw
 from ptnsbc_sim.own_uav import UavFunctions
 from ptnsbc_sim.scenario import Scenario
@@ -67,7 +67,7 @@ class ReplayState:
         elif message.topic == topics.EPOCH.name:
             self._put_epoch(message.data)
         elif message.topic == topics.SLOTS.name:
-            hear_recorded(self.slots, message.data)
+            keep_recorded(self.slots, message.data)
         elif message.topic in self._snapshot_topics:
             numbers = decode_floats(message.data).values
             if not numbers.size or not np.isfinite(numbers[0]):

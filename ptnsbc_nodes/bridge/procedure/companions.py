@@ -34,7 +34,7 @@ class Companion(NamedTuple):
     height_m: float  # above the place of arming
 
 
-class Place(NamedTuple):
+class StandingPlace(NamedTuple):
     """The place where a vehicle stands, and its uncertainty."""
 
     position: Position
@@ -83,7 +83,7 @@ class Companions:
                 return f"bridge{uav_id} {companion.step}{why}"
         return ""
 
-    def too_near(self, place: Place) -> str:
+    def too_near(self, place: StandingPlace) -> str:
         """The reason why this vehicle may not arm where it stands; empty when it may."""
         for uav_id, _, apart_m, error_m in self._apart(place):
             keep_out_m = self._keep_outs_m[uav_id]
@@ -95,7 +95,7 @@ class Companions:
                 )
         return ""
 
-    def climbs_first(self, place: Place) -> str:
+    def climbs_first(self, place: StandingPlace) -> str:
         """The vehicles that must climb before this one, because both stand close; empty when it may climb."""
         waits = (
             f"bridge{uav_id}"
@@ -106,7 +106,7 @@ class Companions:
         )
         return ", ".join(waits)
 
-    def _apart(self, place: Place) -> Iterator[tuple[int, Companion, float, float]]:
+    def _apart(self, place: StandingPlace) -> Iterator[tuple[int, Companion, float, float]]:
         """The others with the horizontal distance to each and the error of that distance [m]."""
         for uav_id, (other, _) in sorted(self._heard.items()):
             if other.position is not None:

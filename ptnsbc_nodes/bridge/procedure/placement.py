@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from ptnsbc_core.types import Array
-from ptnsbc_nodes.bridge.procedure.companions import Companions, Place, Position
+from ptnsbc_nodes.bridge.procedure.companions import Companions, Position, StandingPlace
 from ptnsbc_nodes.bridge.setpoint.guard import SetpointGuard
 from ptnsbc_nodes.bridge.state_publisher import StatePublisher
 from ptnsbc_nodes.bridge.vehicle import VehicleMonitor
@@ -98,6 +98,6 @@ class Placement:
         low_m = max(min(low_m, high_m - last * apart_m), _LOWEST_M, guard.lowest_m)
         return low_m + (high_m - low_m) * self._uav_ids.index(self._uav_id) / max(last, 1)
 
-    def _standing(self) -> Place | None:
+    def _standing(self) -> StandingPlace | None:
         position = self.position
-        return None if position is None else Place(position, self.error_m)
+        return None if position is None else StandingPlace(position, self.error_m)

@@ -16,7 +16,7 @@ import numpy as np
 
 from ptnsbc_core.algebra import wrap_angle
 from ptnsbc_core.curves.piecewise import COEFFICIENTS
-from ptnsbc_core.curves.trajectory import course_samples
+from ptnsbc_core.curves.trajectory import curve_samples
 from ptnsbc_core.types import HEADING_TABLE, TRAJECTORY_PIECEWISE, Array, Trajectory
 from ptnsbc_sim.scenario.mission.legs import (
     CANCEL,
@@ -48,7 +48,7 @@ MOST_KNOTS = 20_000
 _TURN = math.pi / 16  # of a periodic path between two knots
 _HEADING_STEP_S = 0.1  # between two knots of a path that the leader looks along
 _APART_S = 1e-6  # knots are at least so far apart
-_YAW = 12  # column of `course_samples`
+_YAW = 12  # column of `curve_samples`
 _MARGIN_S = 60.0  # of a route beyond the flight
 
 
@@ -120,7 +120,7 @@ def _apart(file: Any, route: Route, legs: Sequence[ScheduledLeg]) -> Iterator[Ap
         beside = beside[beside[:, 0] > first.begin_s - _APART_S]
         if back is not None:
             beside = beside[beside[:, 0] < back.begin_s - _APART_S]
-            now = course_samples(_curve(beside), np.array([back.begin_s]))[0]
+            now = curve_samples(_curve(beside), np.array([back.begin_s]))[0]
             knots = [_Knot(back.begin_s, now, 4), _Knot(back.due_s, np.zeros(15), 4)]
             beside = np.concatenate([beside, _rows(knots)])
         rows = np.concatenate([np.zeros((1, beside.shape[1])), beside])
@@ -131,7 +131,7 @@ class _Knot(NamedTuple):
     """A point of the path."""
 
     t: float  # [s]
-    state: Array  # (15,) a row of `course_samples`
+    state: Array  # (15,) a row of `curve_samples`
     known: int  # derivatives of the position that are the same before and after it, the position included
 
 
@@ -150,7 +150,7 @@ def _through(rows: Array, legs: Sequence[ScheduledLeg], until_s: float) -> Array
     for leg in legs:
         before = rows[rows[:, 0] < leg.begin_s - _APART_S]
         flown = before if len(before) else rows  # a leg may begin with the path
-        now = course_samples(_curve(flown), np.array([leg.begin_s]))[0]
+        now = curve_samples(_curve(flown), np.array([leg.begin_s]))[0]
         rows = before
         knots = _flown(leg, now, until_s)
         if knots is None or len(rows) + len(knots) > MOST_KNOTS:
@@ -193,7 +193,7 @@ def _follow(block: Any, begin_s: float, from_s: float, until_s: float) -> list[_
     times = _knot_times(block, curve, from_s, until_s - begin_s)
     if times is None:
         return None
-    at = course_samples(curve, times)
+    at = curve_samples(curve, times)
     at[:, _YAW] = np.unwrap(at[:, _YAW])
     found = [_Knot(begin_s + float(t), row, known) for t, row in zip(times, at, strict=True)]
     return [found[0]._replace(known=4), *found[1:]]

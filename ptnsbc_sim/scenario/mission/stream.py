@@ -20,7 +20,7 @@ from pydantic import Field
 
 from ptnsbc_core.algebra import wrap_angle
 from ptnsbc_core.curves.piecewise import COEFFICIENTS
-from ptnsbc_core.curves.trajectory import course_samples
+from ptnsbc_core.curves.trajectory import curve_samples
 from ptnsbc_core.kinematics import yaw_of
 from ptnsbc_core.types import HEADING_TABLE, TRAJECTORY_PIECEWISE, Array, Trajectory
 from ptnsbc_sim.scenario.fields import Block, Number, Positive, Vec3
@@ -34,7 +34,7 @@ _STRETCH: Array = np.power(1.25, np.arange(20.0))  # of join_s and stop_s, up to
 _SHARES = np.linspace(0.0, 1.0, 65)  # of a polynomial, at which it is compared with the limits
 _SLACK = 1.0 + 1e-6
 _LIVE_ROWS = 8  # that a process keeps which flies
-_YAW = 12  # column of `course_samples`
+_YAW = 12  # column of `curve_samples`
 
 
 class SetpointTrajectory(Block):
@@ -100,7 +100,7 @@ class Streamed:
     curve: Trajectory = field(compare=False)
 
 
-def hears_setpoints(path: Any) -> bool:
+def takes_setpoints(path: Any) -> bool:
     """True if a leader with this trajectory takes setpoints from a topic."""
     block = path.block if isinstance(path, Streamed) else path
     return isinstance(block, SetpointTrajectory) and block.samples is None
@@ -327,7 +327,7 @@ def _moving(begin_s: float, state: Array) -> Array:
 
 def _state(rows: Array, t: float) -> Array:
     """Value and three derivatives of x, y, z and yaw (4, 4) at a time; the yaw has two."""
-    at = course_samples(_curve(rows), np.array([t]))[0]
+    at = curve_samples(_curve(rows), np.array([t]))[0]
     found = np.zeros((4, _CHANNELS))
     found[:, :3] = at[:12].reshape(4, 3)
     found[:3, 3] = at[_YAW : _YAW + 3]

@@ -16,7 +16,7 @@ import numpy as np
 from pydantic import Field
 
 from ptnsbc_core.curves.piecewise import COEFFICIENTS
-from ptnsbc_core.curves.trajectory import course_samples
+from ptnsbc_core.curves.trajectory import curve_samples
 from ptnsbc_core.types import (
     HEADING_FIXED,
     HEADING_PATH,
@@ -445,7 +445,7 @@ def extremes(block: Any, duration_s: float) -> Extremes:
     steps = min(max(round(last / _STEP_S), 1), _MOST_STEPS)
     inside = ends[(ends > 0.0) & (ends <= last)]
     times = np.concatenate([np.linspace(0.0, last, steps + 1), inside, inside - _BEFORE_S])
-    at = course_samples(curve, times)
+    at = curve_samples(curve, times)
     velocity = at[:, 3:6]
     jumps = velocity[steps + 1 : steps + 1 + len(inside)] - velocity[steps + 1 + len(inside) :]
     return Extremes(

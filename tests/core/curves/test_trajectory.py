@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from on_arrays import on_arrays
 
-from ptnsbc_core.curves.trajectory import course, reference
+from ptnsbc_core.curves.trajectory import curve_state, reference
 from ptnsbc_core.types import (
     HEADING_FIXED,
     HEADING_PATH,
@@ -20,7 +20,7 @@ from ptnsbc_core.types import (
 from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_sim.scenario.build import leader_trajectory
 
-reference, course = on_arrays(reference), on_arrays(course)
+reference, curve_state = on_arrays(reference), on_arrays(curve_state)
 
 NO_TABLE = np.zeros((0, 33))
 LINE = Trajectory((float(TRAJECTORY_LINE), 1.0, 2.0, 3.0, 0.5, -0.25, 0.1, 0.7), NO_TABLE)
@@ -81,7 +81,11 @@ def test_every_derivative_is_the_slope_of_the_one_before(name: str, t: float) ->
     since = t % 3.5 if name == "pieces along their path" else t
     if any(abs(since - seam) < 2 * step for seam in seams):
         return
-    now, ahead, behind = course(curve, t), course(curve, t + step), course(curve, t - step)
+    now, ahead, behind = (
+        curve_state(curve, t),
+        curve_state(curve, t + step),
+        curve_state(curve, t - step),
+    )
     if np.hypot(*now.velocity[:2]) < 0.05 and "path" in name:
         return  # the heading of a path that stands still is none
     derivatives = [now.velocity, now.acceleration, now.jerk]
@@ -99,7 +103,7 @@ def test_every_derivative_is_the_slope_of_the_one_before(name: str, t: float) ->
 @pytest.mark.parametrize("name", CURVES)
 def test_reference_is_the_course_without_its_jerk(name: str) -> None:
     for t in (0.0, 1.3, 20.0):
-        at, full = reference(CURVES[name], t), course(CURVES[name], t)
+        at, full = reference(CURVES[name], t), curve_state(CURVES[name], t)
         np.testing.assert_array_equal(at.position, full.position)
         np.testing.assert_array_equal(at.velocity, full.velocity)
         np.testing.assert_array_equal(at.acceleration, full.acceleration)
@@ -108,7 +112,7 @@ def test_reference_is_the_course_without_its_jerk(name: str) -> None:
 
 def test_a_path_that_stands_still_keeps_its_yaw() -> None:
     rest = Trajectory((float(TRAJECTORY_PIECEWISE), 1.0, *5 * (0.0,), 0.4), np.zeros((1, 33)))
-    assert course(rest, 3.0).heading == (0.4, 0.0, 0.0)
+    assert curve_state(rest, 3.0).heading == (0.4, 0.0, 0.0)
 
 
 def test_pieces_repeat_after_their_period() -> None:

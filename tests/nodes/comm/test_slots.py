@@ -9,7 +9,7 @@ from ptnsbc_nodes.comm.slots import (
     Decision,
     decode_slots,
     encode_slots,
-    hear_recorded,
+    keep_recorded,
 )
 from ptnsbc_sim.scenario import load_scenario
 
@@ -49,7 +49,7 @@ def test_what_is_no_decision_is_refused_and_named(text: str, reason: str) -> Non
     data = HeaderTemplate(text).encode(T0_NS)
     with pytest.raises(PtnsbcError, match=reason):
         decided.decode(data)
-    hear_recorded(decided, data)
+    keep_recorded(decided, data)
     assert decided.of(T0_NS) is None
 
 
@@ -65,7 +65,7 @@ def test_the_first_decision_for_an_epoch_counts() -> None:
     other = encode_slots(Decision(T0_NS, {uav: uav for uav in SLOTS}))
     with pytest.raises(PtnsbcError, match="second slots of the epoch"):
         decided.decode(other)
-    hear_recorded(decided, other)
+    keep_recorded(decided, other)
     assert decided.of(T0_NS) == SLOTS
 
 

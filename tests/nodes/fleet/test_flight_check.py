@@ -143,7 +143,7 @@ def test_an_operator_lets_vehicles_arm_once_all_know_where_they_are_and_the_flig
 
 def test_without_dry_runs_too_vehicles_wait_for_their_operator():
     vehicles = Vehicles()
-    vehicles.may_arm, vehicles.begun, vehicles.hear_start = False, False, lambda: None
+    vehicles.may_arm, vehicles.begun, vehicles.listen_for_start = False, False, lambda: None
     orders = iter(("arm", "start"))
 
     def look():

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ptnsbc_core.curves.trajectory import course_samples
+from ptnsbc_core.curves.trajectory import curve_samples
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.timebase import h
 from ptnsbc_core.types import Array
@@ -53,7 +53,7 @@ def flight(*legs: dict[str, Any], first: dict[str, Any] | None = None) -> Scenar
 
 
 def path(scenario: Scenario, times: Array) -> Array:
-    return course_samples(leader_trajectory(scenario), times)
+    return curve_samples(leader_trajectory(scenario), times)
 
 
 def test_from_rest_to_rest_it_is_the_time_profile_of_the_method() -> None:
@@ -70,7 +70,7 @@ def test_who_has_joined_a_trajectory_is_on_it(kind: str) -> None:
     found = flight({"kind": "follow", "over_s": 3, "trajectory": CURVES[kind]})
     block = found.file.mission.legs[1].trajectory  # type: ignore[union-attr]
     times = np.linspace(9.0, 59.0, 2000)
-    wanted = course_samples(trajectory_of(block), times - 6.0)
+    wanted = curve_samples(trajectory_of(block), times - 6.0)
     np.testing.assert_allclose(path(found, times)[:, :9], wanted[:, :9], atol=1e-6)
 
 
@@ -141,7 +141,7 @@ def mission(*legs: dict[str, Any], **keys: Any) -> Scenario:
 
 def places(scenario: Scenario, uav: int, times: Array) -> Array:
     """Place of a UAV in the world (T, 3) [m] by the scenario."""
-    lead = course_samples(leader_trajectory(scenario), times)[:, :3]
+    lead = curve_samples(leader_trajectory(scenario), times)[:, :3]
     return np.asarray(lead + places_beside_leader(scenario, uav, times))
 
 
@@ -150,7 +150,7 @@ def test_the_head_flies_its_trajectory_and_its_group_keeps_its_places() -> None:
     found = load_scenario("split_join")
     split, join = found.legs[2], found.legs[4]
     times = np.linspace(split.due_s, join.begin_s, 400)
-    wanted = course_samples(trajectory_of(split.leg.trajectory), times - split.begin_s)[:, :3]
+    wanted = curve_samples(trajectory_of(split.leg.trajectory), times - split.begin_s)[:, :3]
     np.testing.assert_allclose(places(found, 3, times), wanted, atol=1e-9)
     late = np.array([join.begin_s])
     wide = np.array([1.0, 1.4, 1.0])
@@ -196,7 +196,7 @@ def test_what_a_child_is_told_of_its_parent_is_the_place_of_the_parent() -> None
         assert above is not None
         for part, who in ((own, uav), (parent, above)):
             curve = np.column_stack([part, np.zeros((len(part), 8))])
-            given = course_samples(leader_trajectory(found)._replace(table=curve), times)[:, :3]
+            given = curve_samples(leader_trajectory(found)._replace(table=curve), times)[:, :3]
             np.testing.assert_allclose(given, places_beside_leader(found, who, times), atol=1e-9)
 
 

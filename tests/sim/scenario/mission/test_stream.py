@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ptnsbc_core.curves.trajectory import course_samples
+from ptnsbc_core.curves.trajectory import curve_samples
 from ptnsbc_sim.scenario import ScenarioError, load_scenario
 from ptnsbc_sim.scenario.mission.stream import (
     Setpoint,
@@ -28,7 +28,7 @@ BETWEEN = 1.005  # the limits are compared at 65 instants of a polynomial
 
 
 def at(path, times):
-    return course_samples(path.curve, np.asarray(times, dtype=float))
+    return curve_samples(path.curve, np.asarray(times, dtype=float))
 
 
 def still(t, place, yaw=0.0):
@@ -152,6 +152,6 @@ def test_what_needs_the_whole_trajectory_is_refused_beside_a_topic(keys, why):
     live = {k: v for k, v in BLOCK.model_dump().items() if v is not None}
     live = {k: list(v) if isinstance(v, tuple) else v for k, v in live.items()}
     scenario = load_scenario("paper_5_free", {"leader.trajectory": live})
-    assert scenario.hears_setpoints
+    assert scenario.takes_setpoints
     with pytest.raises(ScenarioError, match=why):
         scenario.with_(keys)

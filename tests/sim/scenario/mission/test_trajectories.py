@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from ptnsbc_core.curves.trajectory import course, reference
+from ptnsbc_core.curves.trajectory import curve_state, reference
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_sim.scenario import Scenario, load_scenario, scenario_from_text
 from ptnsbc_sim.scenario.build import leader_trajectory
@@ -57,7 +57,7 @@ def test_derivatives_are_continuous_inside(through: str, closed: bool, order: in
     times = [*TIMES, 18] if closed else TIMES
     path = curve(kind="waypoints", points_m=POINTS, times_s=times, through=through, closed=closed)
     for t in [4.0, 9.0, *([14.0, 18.0] if closed else [])]:
-        before, after = course(path, t - 1e-9), course(path, t)
+        before, after = curve_state(path, t - 1e-9), curve_state(path, t)
         for k in range(order + 1):
             np.testing.assert_allclose(before[k], after[k], atol=1e-6)
 
@@ -68,7 +68,9 @@ def test_minimum_snap_has_less_snap_than_rests_and_than_its_neighbours() -> None
 
     def snap(path: Any, t: float) -> float:
         step = 1e-4
-        return (course(path, t + step).jerk[0] - course(path, t - step).jerk[0]) / (2 * step)
+        return (curve_state(path, t + step).jerk[0] - curve_state(path, t - step).jerk[0]) / (
+            2 * step
+        )
 
     def cost(path: Any) -> float:
         spans = pairwise(TIMES)
@@ -102,15 +104,15 @@ def test_a_speed_gives_the_times() -> None:
 def test_yaws_turn_the_shorter_way() -> None:
     given = {"kind": "waypoints", "points_m": POINTS, "times_s": TIMES}
     path = curve(**given, yaws_rad=[3.0, -3.0, -2.0, 0.0])
-    assert course(path, 4.0).heading.angle == pytest.approx(2 * np.pi - 3.0)
-    assert course(path, 2.0).heading.rate > 0.0
+    assert curve_state(path, 4.0).heading.angle == pytest.approx(2 * np.pi - 3.0)
+    assert curve_state(path, 2.0).heading.rate > 0.0
 
 
 def test_circle_and_lissajous_along_their_path_are_the_circle() -> None:
     given = {"kind": "circle", "centre_m": [1, 2, 8], "radius_m": 5, "rate_rad_s": -0.2}
     still, turning = curve(**given, phase_rad=0.3), curve(**given, phase_rad=0.3, heading="path")
     for t in (0.0, 3.0, 11.0):
-        one, other = course(still, t), course(turning, t)
+        one, other = curve_state(still, t), curve_state(turning, t)
         for k in range(4):
             np.testing.assert_allclose(one[k], other[k], atol=1e-12)
         assert other.heading.rate == pytest.approx(0.2)  # a negative rate goes counter-clockwise
@@ -216,7 +218,7 @@ def test_extremes_of_a_figure_of_eight() -> None:
     assert most.speed_m_s == pytest.approx(0.6 * np.sqrt(2.0), rel=1e-3)
     assert most.jump_m_s == 0.0
     assert 0.2 < most.slowest_m_s < 0.6
-    rates = [course(trajectory_of(path), t).heading.rate for t in np.linspace(0.0, 63.0, 200)]
+    rates = [curve_state(trajectory_of(path), t).heading.rate for t in np.linspace(0.0, 63.0, 200)]
     assert most.turn_rad_s == pytest.approx(max(np.abs(rates)), rel=1e-2)
 
 

@@ -67,7 +67,7 @@ def test_a_fault_of_a_stand_in_goes_to_its_port(monkeypatch):
 def test_a_fault_reaches_the_fleet(domain):
     heard = []
     with Coordinator(domain) as fleet:
-        fleet.hear_faults(UAVS, heard.append)
+        fleet.listen_for_faults(UAVS, heard.append)
         with Coordinator(domain, "inject") as operator:
             fault = FaultBlock.model_validate({"kind": "loss", "uav": 2, "at_s": 0, "share": 0.5})
             assert operator.inject(fault, 30.0) == 1
