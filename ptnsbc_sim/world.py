@@ -34,7 +34,7 @@ def _advance_row(
     substeps: int,
     plants: Sequence[PlantConfig],
 ) -> Array:
-    """One row of states (N, 17) by one control period, in place; who is not flying is stopped. Its odometry (13,)."""
+    """One row of states (N, 17) by one control period, in place, or standing still; and its odometry (13,)."""
     if flying:
         advance(states[row], wrench, t, dt, substeps, plants[row])
     else:

@@ -80,7 +80,7 @@ class BridgeOptions(NamedTuple):
     with_fleet: bool = False
     """True if every other UAV of the scenario has a bridge, which must be ready as well."""
     signing_key: str = ""
-    """Path of the key file, for who must reach the vehicle when this process is dead."""
+    """Path of the key file: `ptnsbc stop` reaches the vehicle with it when this process is dead."""
 
 
 class BridgeNode:

@@ -78,7 +78,7 @@ def fault_decoder(uavs: Collection[int]) -> Callable[[bytes], OrderedFault]:
         for problem in fault_problems(fault, uavs):
             raise WireError(f"fault: {problem}")
         if not fault.rule.live:
-            raise WireError(f"fault: {fault.kind}: not by a message")
+            raise WireError(f"fault {fault.kind}: expected one that ptnsbc inject sends")
         return OrderedFault(stamp_ns, fault)
 
     return decode

@@ -40,7 +40,7 @@ class Senders:
     others: tuple[int, ...] = ()  # all other UAVs, where the edges of any of them may be needed
     peers: tuple[
         int, ...
-    ] = ()  # UAVs whose state is needed besides: by the law, or to see who is there
+    ] = ()  # UAVs whose state is needed besides: by the law, or to see which are there
     several: SeveralParents | None = None  # the parents of a UAV with more than one
     every_tick: bool = False  # lock-step waits for all that it subscribes to, used or not
     losses: MessageLoss | None = None  # which of their messages the scenario wants lost

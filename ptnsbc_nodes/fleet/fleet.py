@@ -214,7 +214,9 @@ def check_options(options: FleetOptions) -> None:
             "--only with --backend mavlink"
         )
     if options.lockstep:
-        raise FleetError("real vehicles do not wait: expected no --lockstep with --backend mavlink")
+        raise FleetError(
+            "--lockstep: real vehicles do not wait for messages: expected --backend sim, or no --lockstep"
+        )
     if not options.allow_arming:
         raise FleetError(
             "--backend mavlink arms and flies vehicles: expected --allow-arming; to look at a "

@@ -213,6 +213,6 @@ def _names(uavs: Any) -> str:
 
 
 def _filled(message: Any, state: FleetState) -> Any:
-    """A message with the worst error and who is not in place."""
+    """A message with the worst error and the UAVs that are not in place."""
     message.worst_error_m, message.not_in_place = state.worst_error_m, state.not_in_place
     return message

@@ -58,7 +58,7 @@ class LegVerdict:
 
     @property
     def verdict(self) -> str:
-        """The worst of its UAVs: violated, else missed, else void, else met; who was lost does not count."""
+        """The worst of its UAVs: violated, else missed, else void, else met; a lost UAV does not count."""
         judged = [uav.verdict for uav in self.uavs if not uav.lost or uav.verdict == VIOLATED]
         return VOID if self.reason or not judged else _worst(judged)
 

@@ -101,7 +101,7 @@ class VehicleSnapshot:
     fence_breach: str = ""
     hazard: str = ""  # why the formation must be given up, seen on board or told by another bridge
     apart: bool = False  # whether the vehicle is at the height of its layer
-    below: str = ""  # who must land before this vehicle
+    below: str = ""  # the vehicle that must land before this one
     rebooted: bool = False
     duplicate_sysid: bool = False  # a second vehicle uses this system id
     stop_request: str = ""  # "land" or "kill", by the operator or at the end of this process
