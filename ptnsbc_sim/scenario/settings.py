@@ -1,4 +1,4 @@
-"""What a scenario file says of a flight, by name: UAVs, vehicles, distances, links, rates and gains."""
+"""The settings of a flight in a scenario file: UAVs, vehicles, distances, links, rates and gains."""
 
 from __future__ import annotations
 
