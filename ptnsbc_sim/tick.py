@@ -103,6 +103,16 @@ def _mean_parent(
 
 
 @inline_kernel
+def _mode_at(wiring: Wiring, row: int, now_ns: int) -> int:
+    """The mode of a UAV: it holds until it joins, and lands at the end of a mission that lands."""
+    if now_ns >= wiring.landing_ns[row]:
+        return MODE_LAND
+    if now_ns < wiring.joins_ns[row]:
+        return MODE_HOLD
+    return MODE_FORMATION
+
+
+@inline_kernel
 def inputs_of(
     swarm: SwarmState,
     wiring: Wiring,
@@ -134,11 +144,7 @@ def inputs_of(
             estimates[k, i] = track.estimate[sent, sender, i] if sent >= 0 else 0.0
     pinned = wiring.pinned[row] > 0
     behind = tick % wiring.near_every
-    now_ns, mode = tick * wiring.dt_ns, MODE_FORMATION
-    if now_ns >= wiring.landing_ns[row]:
-        mode = MODE_LAND
-    elif now_ns < wiring.joins_ns[row]:
-        mode = MODE_HOLD
+    now_ns = tick * wiring.dt_ns
     return AgentInputs(
         track.odometry[tick, row],
         parent_state,
@@ -149,7 +155,7 @@ def inputs_of(
         ages,
         swarm.near[row, : swarm.near_count[row]],
         (behind * wiring.dt_ns) * 1e-9,
-        mode,
+        _mode_at(wiring, row, now_ns),
         now_ns * 1e-9,
     )
 

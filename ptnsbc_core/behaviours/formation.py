@@ -206,6 +206,18 @@ def _parent_deviation(
     return ParentDeviation(axpy(-parent.delay_s, acceleration, velocity), acceleration)
 
 
+@inline_kernel
+def _planned_starts(
+    errors: FormationErrors, epoch: EpochErrors, plan: TurnedStep
+) -> tuple[Vector3, Vector3]:
+    """E_0 and e_0, from which the plan leads to the place; at an epoch they follow from the errors of now."""
+    if not epoch.at_epoch:
+        return epoch.start.slot, epoch.start.edge
+    if plan.left.up > _LEAST_LEFT:
+        return start_of(plan.left, errors.slot), start_of(plan.left, errors.edge)
+    return (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+
+
 @kernel
 def _planned(
     errors: FormationErrors,
@@ -227,14 +239,7 @@ def _planned(
     gain = config.formation
     kappa = gain.scale * gain.kappa
     plan = turned_step(plan_duration(gain), config.turn, clock)
-    slot_start, edge_start = epoch.start.slot, epoch.start.edge
-    if epoch.at_epoch:
-        slot_start, edge_start = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
-        if plan.left.up > _LEAST_LEFT:
-            slot_start, edge_start = (
-                start_of(plan.left, errors.slot),
-                start_of(plan.left, errors.edge),
-            )
+    slot_start, edge_start = _planned_starts(errors, epoch, plan)
     beside = _parent_deviation(parent, leader, sub3(slot_start, edge_start), plan)
     late = parent.delay_s
     edge = axpy(-late, beside.velocity, errors.edge)

@@ -119,17 +119,8 @@ class BridgeNode:
             profile=keep_last(20, reliable=True),
         )
         self._subscribe(scenario)
-        settings = scenario.vehicle_link(uav_id)
-        fleet = self.endpoints.fleet.strip("/").replace("/", ".")
         self._numbers = frozenset(map(str, scenario.uav_ids))
-        self._record = VehicleRecord(
-            name=f"{fleet}.{self._name}" if fleet else self._name,
-            pid=os.getpid(),
-            sysid=settings.sysid,
-            autopilot=settings.autopilot,
-            connect=settings.connect,
-            signing_key=options.signing_key,
-        )
+        self._record = self._new_record(scenario, options.signing_key)
         self._kept, self._kept_s = self._record, -_RECORD_S  # what the file has, and since when
         self._folder: Path | None = None
         self._status_log = StatusLog(node)
@@ -204,6 +195,19 @@ class BridgeNode:
     def _planner(self) -> str:
         """Name of the status of the UAV process."""
         return f"uav{self._uav_id}: planner"
+
+    def _new_record(self, scenario: Scenario, signing_key: str) -> VehicleRecord:
+        """The vehicle's record with all that does not change in flight."""
+        settings = scenario.vehicle_link(self._uav_id)
+        fleet = self.endpoints.fleet.strip("/").replace("/", ".")
+        return VehicleRecord(
+            name=f"{fleet}.{self._name}" if fleet else self._name,
+            pid=os.getpid(),
+            sysid=settings.sysid,
+            autopilot=settings.autopilot,
+            connect=settings.connect,
+            signing_key=signing_key,
+        )
 
     def _outputs(self, scenario: Scenario, recorders: int) -> BridgeOutputs:
         publisher = self.endpoints.publisher

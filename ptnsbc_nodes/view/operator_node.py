@@ -88,6 +88,14 @@ class OperatorNode:
             Epoch, fleet + ANNOUNCED, keep_last(_MOST_EPOCHS, reliable=True, latched=True)
         ).publish
         self._listen(topics.EPOCH, decode_leg, self._on_epoch)
+        self._join_as_caller(scenario)
+        self._offer_services()
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        node.create_timer(1.0 / STATUS_HZ, self._on_timer, clock=steady)
+
+    def _join_as_caller(self, scenario: Scenario) -> None:
+        """The node and the clients that call the services of the leader and of the launcher."""
+        node, fleet = self._node, self._endpoints.fleet
         # A callback of this node waits for answers of the leader: another node's executor receives them.
         self._caller = rclpy.create_node(
             "operator_calls",
@@ -103,6 +111,9 @@ class OperatorNode:
             for name in (*_LEGS, *_mission_services(scenario))
         }
         self._launcher = self._caller.create_client(Trigger, f"{fleet}/formation/{ARM_SERVICE}")
+
+    def _offer_services(self) -> None:
+        node, fleet = self._node, self._endpoints.fleet
         node.create_service(Arm, fleet + ARM_VEHICLES, self._on_arm)
         node.create_service(StartLeg, fleet + START_LEG, self._on_start_leg)
         node.create_service(Stop, fleet + EMERGENCY_STOP, self._on_stop)
@@ -112,8 +123,6 @@ class OperatorNode:
                 FlyMission, FLY_MISSION, lambda goal: MissionGoal(self.flight, self.call, goal)
             ),
         ]
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        node.create_timer(1.0 / STATUS_HZ, self._on_timer, clock=steady)
 
     def _serve(
         self, kind: Any, name: str, follow: Callable[[ServerGoalHandle], LegGoal | MissionGoal]

@@ -215,8 +215,21 @@ def _unmatched(flights: Mapping[str, JudgedFlight], settle_s: float) -> str:
     return f" No match, and shown for comparison only: {'; '.join(others)}."
 
 
-def run(output: ExperimentFolder) -> ExperimentResult:
-    """Fly, compare and draw."""
+class _Flown(NamedTuple):
+    """All flights of the comparison, by law."""
+
+    nominal: Mapping[str, JudgedFlight]
+    matched: Mapping[str, JudgedFlight]
+    limited: Mapping[str, JudgedFlight]
+    cascade: Mapping[str, JudgedFlight]
+    twenty: Mapping[str, JudgedFlight]
+    shares: Mapping[str, Share]
+    wanted_s: float  # settling of ours: `matched` is tuned for it
+    limit_n: float  # of the actuators in `limited`
+    earliest_s: float  # settling of `cascade`
+
+
+def _fly(output: ExperimentFolder) -> _Flown:
     output.progress("flying at the same deadline")
     nominal = same_deadline()
     wanted_s = nominal[SOFT].settled_s() or 0.0
@@ -231,15 +244,24 @@ def run(output: ExperimentFolder) -> ExperimentResult:
     twenty = same_deadline("paper_20")
     output.progress("tuning for the settling of the cascade")
     earliest_s, cascade = cascade_settling()
+    return _Flown(nominal, matched, limited, cascade, twenty, shares, wanted_s, limit_n, earliest_s)
+
+
+def run(output: ExperimentFolder) -> ExperimentResult:
+    """Fly, compare and draw."""
+    flown = _fly(output)
+    nominal, matched, limit_n = flown.nominal, flown.matched, flown.limit_n
     titles = {
         "same_deadline": "The same nominal deadline, 5 s",
-        "same_settling": f"The same actual settling, {wanted_s:.1f} s",
+        "same_settling": f"The same actual settling, {flown.wanted_s:.1f} s",
         "limited": f"The same nominal deadline, at most {limit_n:.1f} N",
-        "cascade_settling": f"The earliest settling of `{CASCADE}` behind the command filter, {earliest_s:.1f} s",
+        "cascade_settling": f"The earliest settling of `{CASCADE}` behind the command filter, {flown.earliest_s:.1f} s",
         "twenty": "Twenty UAVs, the same nominal deadline",
     }
-    sets = dict(zip(titles, (nominal, matched, limited, cascade, twenty), strict=True))
-    settling_s = {"same_settling": wanted_s, "cascade_settling": earliest_s}
+    sets = dict(
+        zip(titles, (nominal, matched, flown.limited, flown.cascade, flown.twenty), strict=True)
+    )
+    settling_s = {"same_settling": flown.wanted_s, "cascade_settling": flown.earliest_s}
     laws = (*PREDEFINED, CASCADE, OPEN_CASCADE)
     output.progress("drawing")
     return ExperimentResult(
@@ -261,8 +283,8 @@ def run(output: ExperimentFolder) -> ExperimentResult:
         ),
         claims=(
             initial_claim("initial_input", nominal, matched, 60.0, PREDEFINED),
-            initial_claim("twenty_initial_input", twenty, None, 66.0, PREDEFINED),
-            saturated_claim(shares, limited[SOFT].deadline_s, limit_n, PREDEFINED),
+            initial_claim("twenty_initial_input", flown.twenty, None, 66.0, PREDEFINED),
+            saturated_claim(flown.shares, flown.limited[SOFT].deadline_s, limit_n, PREDEFINED),
             energy_claim(nominal, matched, PREDEFINED),
         ),
     )
