@@ -35,13 +35,15 @@ def load_agent(scenario: Scenario, uav_id: int) -> None:
     neighbours = len(scenario.estimator_neighbours(uav_id))
     inputs = PackedInputs(neighbours, np.zeros((0, NEAR_COLUMNS)))
     inputs.vector[OWN + 6] = 1.0  # the quaternion of no rotation
-    agent, dt = Agent(agent_config(scenario, uav_id), inputs.unpack().own), scenario.dt_ns * 1e-9
+    config, dt = agent_config(scenario, uav_id), scenario.dt_ns * 1e-9
+    agent = Agent(config, inputs.unpack().own)
     if uav_id != scenario.leader_id and scenario.plugins.task is not None:
         agent.task_points(inputs, 0.0, dt)
         agent.advance(inputs, 0.0, dt, task=NO_TASK)
-        return
-    guided = scenario.law is not None and uav_id != scenario.leader_id
-    agent.advance(inputs, 0.0, dt, (0.0, 0.0, 0.0) if guided else None)
+    else:
+        guided = scenario.law is not None and uav_id != scenario.leader_id
+        agent.advance(inputs, 0.0, dt, (0.0, 0.0, 0.0) if guided else None)
+    Agent.resumed(config, agent.state)  # the step log reads the state, and the next leg goes on from it
 
 
 def load_fleet(scenario: Scenario) -> None:

@@ -79,3 +79,6 @@ def fly(scenario, edges, controllers, ticks):
         world.step(
             {i: controller.step(at, NO_CUTOFF_NS).wrench for i, controller in controllers.items()}
         )
+        for controller in controllers.values():
+            assert len(controller.state.obstacle_memory)  # as the step log reads it
+            controller.go_on(controller.config)  # as the next leg of a mission does
