@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import gc
 import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -19,7 +18,7 @@ from rclpy.task import Future
 from rclpy.utilities import remove_ros_args
 
 from ptnsbc_core.errors import PtnsbcError
-from ptnsbc_nodes.runtime import environment
+from ptnsbc_nodes.runtime import environment, memory
 from ptnsbc_nodes.runtime.executor import make_executor
 from ptnsbc_nodes.runtime.lifecycle_node import ManagedNode
 from ptnsbc_nodes.runtime.provenance import add_version
@@ -160,9 +159,7 @@ class ProcessLifetime:
         executor: Any = make_executor(node.context)
         for one in (node, *others):
             executor.add_node(one)
-        # What was made so far lives as long as the process: no collection need look at it.
-        gc.collect()
-        gc.freeze()
+        memory.settle()
         print(RUNNING, flush=True)
         while not self.over and node.context.ok():
             # Python sees a signal only between two calls.
