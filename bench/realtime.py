@@ -21,11 +21,13 @@ class Case(NamedTuple):
     control_hz: int
     bag: bool
     target: bool = False
+    processes: int | None = None  # for the UAVs; one for each by default
 
     @property
     def name(self) -> str:
         """Like `N = 20, 50 Hz`."""
-        return f"N = {self.size}, {self.control_hz} Hz{', recorded' if self.bag else ''}"
+        shared = f", {self.processes} processes" if self.processes else ""
+        return f"N = {self.size}, {self.control_hz} Hz{shared}{', recorded' if self.bag else ''}"
 
 
 CASES = (
@@ -35,6 +37,7 @@ CASES = (
     Case(20, 50, bag=False, target=True),
     Case(20, 50, bag=True),
     Case(20, 100, bag=False, target=True),
+    Case(20, 100, bag=False, target=True, processes=4),
 )
 
 
@@ -50,7 +53,9 @@ def _rows(case: Case, plan: Plan) -> list[Row]:
     found = take_turns(
         {
             "bare fleet": lambda: bare(scenario, lockstep=False, bag=case.bag),
-            "fleet": lambda: fleet(scenario, lockstep=False, bag=case.bag),
+            "fleet": lambda: fleet(
+                scenario, lockstep=False, bag=case.bag, processes=case.processes
+            ),
         },
         plan.of(2, 1),
         f"real time, {case.name}",

@@ -88,6 +88,8 @@ def commands(options: FleetOptions, scenario_file: Path) -> list[ProcessCommand]
     if options.backend == "mavlink":
         common.append("--bridged")
         found += [_bridge(options, common, i) for i in options.scenario.uav_ids]
+    elif _is_punctual(options):
+        common.append("--punctual")
     found += [_uavs(common, group) for group in groups(options)]
     if options.backend != "mavlink":
         found.append(ProcessCommand(SIM, "ptnsbc_nodes.sim.main", tuple(common), ends=True))
@@ -170,7 +172,8 @@ def _silences(options: FleetOptions) -> Iterator[str]:
 def _is_punctual(options: FleetOptions) -> bool:
     """True if the processes that fly ask for real-time scheduling."""
     scenario = options.scenario
-    room = not options.lockstep and has_room(len(scenario.uav_ids), scenario.control_hz)
+    processes = len(groups(options))
+    room = not options.lockstep and has_room(len(scenario.uav_ids), scenario.control_hz, processes)
     return options.backend == "mavlink" or room
 
 

@@ -40,7 +40,9 @@ _RMW = "rmw_fastrtps_cpp"
 _SPARE_PEERS = 12  # for viewers, a command line, a second recorder
 _PR_SET_PDEATHSIG = 1
 _DOMAINS = range(1, 102)  # above, the ports reach into those the system hands out
-_TICK_S = 0.0015  # of a core: what a tick of a UAV and its share of the sim take (`bench --only realtime`)
+# Of a core: what a tick of a UAV with its share of the sim takes, and what one more process adds to it. UAVs of one
+# process share its wake-ups and its datagrams (`bench --only realtime`).
+_UAV_TICK_S, _PROCESS_TICK_S = 0.0004, 0.0011
 _MOST_LOAD = 0.7
 _LAST_DOMAIN = 232  # the ports of the next one do not exist
 _FIRST_PARTICIPANTS = 3
@@ -98,13 +100,16 @@ def prefer_punctuality(*, flies: bool) -> bool:
     return _schedule(os.SCHED_RR, os.sched_get_priority_min(os.SCHED_RR) + flies)
 
 
-def has_room(uavs: int, control_hz: float) -> bool:
+def has_room(uavs: int, control_hz: float, processes: int | None = None) -> bool:
     """True if a simulated fleet leaves these cores room, so that real-time scheduling serves it.
+
+    A launcher knows in how many `processes` its UAVs fly; one that was started by hand takes one for each.
 
     Processes of equal priority take turns of 100 ms. Where all of them together ask for more than there is, they are
     later with it than with the ordinary scheduling.
     """
-    return uavs * control_hz * _TICK_S <= _MOST_LOAD * len(os.sched_getaffinity(0))
+    tick_s = uavs * _UAV_TICK_S + (processes or uavs) * _PROCESS_TICK_S
+    return tick_s * control_hz <= _MOST_LOAD * len(os.sched_getaffinity(0))
 
 
 def _schedule(policy: int, priority: int) -> bool:

@@ -51,6 +51,11 @@ class Arguments(argparse.ArgumentParser):
         self.add_argument(
             "--bridged", action="store_true", help="flight controllers fly, there is no sim"
         )
+        self.add_argument(
+            "--punctual",
+            action="store_true",
+            help="run before all that does not fly, where allowed",
+        )
 
     def error(self, message: str) -> NoReturn:
         """Print one line and exit with 2."""

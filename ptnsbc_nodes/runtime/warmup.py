@@ -43,7 +43,9 @@ def load_agent(scenario: Scenario, uav_id: int) -> None:
     else:
         guided = scenario.law is not None and uav_id != scenario.leader_id
         agent.advance(inputs, 0.0, dt, (0.0, 0.0, 0.0) if guided else None)
-    Agent.resumed(config, agent.state)  # the step log reads the state, and the next leg goes on from it
+    Agent.resumed(
+        config, agent.state
+    )  # the step log reads the state, and the next leg goes on from it
 
 
 def load_fleet(scenario: Scenario) -> None:

@@ -51,7 +51,9 @@ def _simulate(arguments: argparse.Namespace, argv: list[str]) -> int:
         load_world(settings.scenario)
         if settings.options.lockstep:
             environment.prefer_throughput()
-        elif environment.has_room(len(settings.scenario.uav_ids), settings.scenario.control_hz):
+        elif arguments.punctual or environment.has_room(
+            len(settings.scenario.uav_ids), settings.scenario.control_hz
+        ):
             environment.prefer_punctuality(flies=True)
         graph = CommunicationGraph(settings.scenario, settings.options)
         sim = SimNode(node, settings.scenario, graph, lifetime.end)

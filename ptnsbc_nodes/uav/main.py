@@ -71,8 +71,10 @@ def _fly(arguments: argparse.Namespace, argv: list[str]) -> int:
             nodes.append(node)
         if settings.options.lockstep:
             environment.prefer_throughput()
-        elif settings.options.bridged or environment.has_room(
-            len(settings.scenario.uav_ids), settings.scenario.control_hz
+        elif (
+            arguments.punctual
+            or settings.options.bridged
+            or environment.has_room(len(settings.scenario.uav_ids), settings.scenario.control_hz)
         ):
             environment.prefer_punctuality(flies=True)
         autostart = settings["autostart"] and not arguments.managed

@@ -108,21 +108,24 @@ def test_who_flies_runs_before_who_records_and_both_before_the_rest():
 
 
 @pytest.mark.parametrize(
-    ("cores", "uavs", "control_hz", "has_room"),
+    ("cores", "uavs", "control_hz", "processes", "has_room"),
     [
-        (4, 7, 100, True),
-        (4, 20, 100, False),
-        (4, 20, 50, True),
-        (2, 7, 100, True),
-        (1, 7, 100, False),
+        (4, 7, 100, None, True),
+        (4, 20, 100, None, False),
+        (4, 20, 50, None, True),
+        (2, 7, 100, None, True),
+        (1, 7, 100, None, False),
+        (2, 20, 100, 20, False),
+        (2, 20, 100, 4, True),
+        (2, 50, 100, 4, False),
     ],
 )
 def test_a_fleet_that_fills_the_cores_shares_them_in_the_ordinary_way(
-    monkeypatch, cores, uavs, control_hz, has_room
+    monkeypatch, cores, uavs, control_hz, processes, has_room
 ):
-    """Twenty UAVs on two cores missed 22 % of their ticks with real-time scheduling, 9 % without."""
+    """Twenty UAVs, a process each, on two cores missed 22 % of their ticks with real-time scheduling, 9 % without."""
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(cores)))
-    assert environment.has_room(uavs, control_hz) is has_room
+    assert environment.has_room(uavs, control_hz, processes) is has_room
 
 
 def test_without_the_right_to_hurry_everything_goes_on(monkeypatch):
