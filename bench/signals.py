@@ -4,7 +4,8 @@
 fleet: five UAVs and their sim, or with mavlink four UAVs, bridges and stand-ins. At a moment that the seed draws, one
 process gets its signal; after STOP, CONT comes 1.5 s later or never. Afterwards the exit code must be the documented
 one, no process may be left, the bag (mended, where its recorder was killed) must open, and no two UAVs may have come
-closer than their keep-out. Where the launcher itself is stopped for good, it is killed after a while.
+closer than their keep-out. After a pause of a UAV or a bridge in flight the code is 1: the setpoints of a vehicle
+stopped. Where the launcher itself is stopped for good, it is killed after a while.
 """
 
 from __future__ import annotations
@@ -26,7 +27,11 @@ from typing import NamedTuple
 
 from bench.stand_ins import stand_ins, write_scenario
 from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_io.bag import read_bag
 from ptnsbc_io.bag.repair import repair
+from ptnsbc_io.wire import decode_diagnostics
+from ptnsbc_nodes.bridge.procedure.steps import FLYING, STOP_S, Step
+from ptnsbc_nodes.comm.topics import DIAGNOSTICS
 from ptnsbc_sim.verdict.recording import Recording
 from ptnsbc_sim.verdict.verdict import verdict_on
 from ptnsbc_tools.reading.bag_reader import read_recording
@@ -42,6 +47,8 @@ _MOMENTS_S = {
     "mavlink": 25.0,
 }  # of the first seconds after the start
 _ORDERS = ("kill", "stop", "pause")
+_FLIES = frozenset(step.value for step in FLYING)
+_COMES_DOWN = frozenset(step.value for step in (Step.LAND, Step.DISARM, Step.DONE))
 _PAUSE_S = 1.5
 _STUCK_S = 25.0  # so long a launcher stands still before it is killed
 _READY_S = 600.0  # vehicles that do not land are waited for 240 s
@@ -99,6 +106,7 @@ def _flight(
         time.sleep(after_s)  # the moment is the experiment
         pid = launcher.pid if victim == "launcher" else _pids(folder).get(victim)
         late = pid is None or launcher.poll() is not None
+        struck_ns = time.time_ns()
         if pid is not None and not late:
             _signal(pid, order)
         code = _end(launcher, victim, order)
@@ -106,7 +114,7 @@ def _flight(
         if launcher.poll() is None:
             launcher.kill()
         launcher.communicate()
-    wrong = () if late else tuple(_wrong(folder, victim, order, code))
+    wrong = () if late else tuple(_wrong(folder, victim, order, struck_ns, code))
     return Struck(victim, order, round(after_s, 2), code, wrong, not late)
 
 
@@ -162,15 +170,46 @@ def _end(launcher: subprocess.Popen[str], victim: str, order: str) -> int | None
     return launcher.returncode
 
 
-def _exit_codes(victim: str, order: str) -> set[int]:
-    """The exit codes with which the launcher may end: 1 when a process died or was ended because it hung."""
+class BridgeSteps(NamedTuple):
+    """The step of a bridge when its process or its controller paused, and once its setpoints were missing."""
+
+    before: str = ""
+    after: str = ""
+
+
+def _exit_codes(victim: str, order: str, steps: BridgeSteps) -> set[int]:
+    """The exit codes with which the launcher may end.
+
+    1 when a process died, was ended because it hung, or left a vehicle to its failsafe; either where it was landed
+    within the pause.
+    """
     if order == "pause":
-        return {0}
+        if steps.before not in _FLIES:
+            return {0}
+        return {0, 1} if steps.after in _COMES_DOWN else {1}
     return {-signal.SIGKILL} if victim == "launcher" else {1}
 
 
-def _wrong(folder: Path, victim: str, order: str, code: int | None) -> Iterator[str]:
-    fine = _exit_codes(victim, order)
+def _steps(bag: Path, victim: str, struck_ns: int) -> BridgeSteps:
+    """The steps of the bridge of a UAV by its statuses in the bag; empty for a victim without a bridge."""
+    bridge = f"bridge{victim.removeprefix('uav').removeprefix('bridge')}: link"
+    before, silent_ns = "", struck_ns + round(1e9 * STOP_S)
+    for message in read_bag(bag).messages([DIAGNOSTICS.name]):
+        array = decode_diagnostics(message.data)
+        for step in (one.values.get("step", "") for one in array.statuses if one.name == bridge):
+            if array.stamp_ns > silent_ns:
+                return BridgeSteps(before, step)
+            before = step if array.stamp_ns <= struck_ns else before
+    return BridgeSteps(before)
+
+
+def _wrong(
+    folder: Path, victim: str, order: str, struck_ns: int, code: int | None
+) -> Iterator[str]:
+    steps = BridgeSteps()
+    with suppress(PtnsbcError):  # a bag that cannot be read is reported below
+        steps = _steps(folder / "bag", victim, struck_ns) if order == "pause" else steps
+    fine = _exit_codes(victim, order, steps)
     if code not in fine:
         yield f"exit code {code}: expected {sorted(fine)}"
     until_s = time.monotonic() + _LEFT_S

@@ -102,6 +102,7 @@ class Procedure:
     def advance(self, snapshot: VehicleSnapshot) -> ProcedureOutput:
         """The actions at `snapshot.now_s`; the step changes as far as the snapshot allows."""
         progress = self._progress
+        progress.measure_own_pause(snapshot)
         self._unprepared = snapshot.unprepared
         for _ in Step:  # one snapshot may complete several steps
             if not advance(progress, snapshot):

@@ -60,6 +60,9 @@ class FlightProgress:
         self.step_before_failsafe = Step.AIRBORNE
         self.climbed = False
         self.hold_tolerated_until_s = float("-inf")
+        self.stood_still_s = 0.0
+        """The time for which this process itself has just stood still."""
+        self._advanced_s: float | None = None
 
     def enter(self, step: Step, snapshot: VehicleSnapshot, reason: str = "") -> None:
         """Begin a step; `reason` is a fault."""
@@ -76,6 +79,12 @@ class FlightProgress:
         if reason not in self.fault:
             self.fault = "; ".join(filter(None, (self.fault, reason)))
         self.log(reason)
+
+    def measure_own_pause(self, snapshot: VehicleSnapshot) -> None:
+        """Note how long ago the procedure was advanced before, unless that is soon enough for the stream."""
+        before_s, self._advanced_s = self._advanced_s, snapshot.now_s
+        paused_s = 0.0 if before_s is None else snapshot.now_s - before_s
+        self.stood_still_s = paused_s if paused_s > STOP_S else 0.0
 
     def current(self, snapshot: VehicleSnapshot) -> _StepMemory:
         """The memory of this step; the first step begins with the first snapshot."""
@@ -184,7 +193,7 @@ def _react_in_flight(progress: FlightProgress, snapshot: VehicleSnapshot) -> Non
         early = progress.step is Step.TAKEOFF and snapshot.height_m < LIFTED_M
         reason = f"disarmed before it took off{snapshot.vehicle_reason}"
         return progress.enter(Step.FAILED, snapshot, reason if early else "disarmed in flight")
-    silent = snapshot.controller_age_s > STOP_S
+    silent = snapshot.controller_age_s > STOP_S or progress.stood_still_s > 0.0
     # The last HEARTBEAT of a failsafe may arrive after the failsafe has ended.
     failsafe_ended = (
         snapshot.mode is FlightMode.HOLD and snapshot.now_s < progress.hold_tolerated_until_s
@@ -204,9 +213,17 @@ def _react_in_flight(progress: FlightProgress, snapshot: VehicleSnapshot) -> Non
         return progress.enter(following, snapshot, f"formation given up: {snapshot.hazard}")
     if silent:
         progress.step_before_failsafe = progress.step
-        reason = f"no setpoints: {snapshot.state_fault or 'the controller is silent'}"
-        return progress.enter(Step.FAILSAFE, snapshot, reason)
+        return progress.enter(
+            Step.FAILSAFE, snapshot, f"no setpoints: {_silence(progress, snapshot)}"
+        )
     return None
+
+
+def _silence(progress: FlightProgress, snapshot: VehicleSnapshot) -> str:
+    """Why there are no setpoints; a bridge that stood still has let its state and its setpoints age itself."""
+    if progress.stood_still_s:
+        return f"this bridge stood still for {progress.stood_still_s:.1f} s"
+    return snapshot.state_fault or "the controller is silent"
 
 
 def _heartbeat(progress: FlightProgress, snapshot: VehicleSnapshot) -> None:

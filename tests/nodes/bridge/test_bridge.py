@@ -88,6 +88,20 @@ def test_a_bridge_killed_leaves_the_vehicle_to_its_failsafe():
     assert uav.vehicle.armed
 
 
+def test_a_bridge_that_stood_still_has_its_vehicle_back_from_the_failsafe():
+    fleet, uav = one()
+    uav.bridge_alive = False
+    fleet.run(1.8)
+    assert uav.vehicle.mode_name == "HOLD"
+    uav.bridge_alive = True
+    until(fleet, uav, Step.FAILSAFE, 0.1)
+    until(fleet, uav, Step.FLY)
+    fleet.run(3.0)
+    assert uav.step is Step.FLY
+    assert uav.vehicle.mode_name == "OFFBOARD"
+    assert uav.bridge.procedure.fault == "no setpoints: this bridge stood still for 1.8 s"
+
+
 def test_a_vehicle_that_is_rebooted_is_not_armed_again():
     fleet, uav = one()
     inject(uav.vehicle, "reboot", "", fleet.now_s)

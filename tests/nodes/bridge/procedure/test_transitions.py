@@ -1,5 +1,7 @@
 """The end of a formation flight: failsafes, pilots, faults, and holding apart, with a vehicle of a few lines."""
 
+from dataclasses import replace
+
 import pytest
 
 pytest.importorskip("pymavlink")
@@ -47,6 +49,18 @@ def test_after_a_failsafe_hold_px4_comes_back_by_itself():
     flight.run(0.3, mode=FlightMode.HOLD).run(1.0, mode=FlightMode.OWN)
     assert flight.step is Step.FLY
     assert flight.requested(back) == []
+
+
+def test_a_bridge_that_stood_still_says_so_and_comes_back_as_after_a_silent_controller():
+    flight = Flight().flying()
+    stopped = flight.history[-1][0]
+    flight.snapshot = replace(flight.snapshot, now_s=stopped + 1.5)
+    flight.run(0.5, mode=FlightMode.HOLD)  # no pilot: the failsafe of the vehicle has acted
+    assert flight.step is Step.FAILSAFE
+    assert flight.procedure.fault == "no setpoints: this bridge stood still for 1.5 s"
+    flight.run(0.7).run(1.0, mode=FlightMode.OWN)
+    assert flight.step is Step.FLY
+    assert flight.requested(stopped) == []
 
 
 def test_after_a_failsafe_that_a_pilot_kept_the_bridge_yields():
