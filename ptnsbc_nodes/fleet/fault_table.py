@@ -250,7 +250,7 @@ ANSWERS = (
         f"{STALE_S:g} s",
         f"{_HOLD}, {_STOP}, {_LAND}",
         f"held where it is; after {STOP_S:g} s the stream stops, and the failsafe of the vehicle acts; a vehicle that "
-        f"{LAND_S:g} s later is still in the mode of its bridge is landed",
+        f"{LAND_S:g} s later is still in the mode of its bridge is landed; once the stream stopped, exit code 1",
         f"when setpoints have been fresh for {RECOVERED_S:g} s, and no pilot has taken over",
         (
             f"{_BRIDGE}procedure/test_transitions.py::test_setpoints_stop_first_a_hold_then_silence_then_the_failsafe",
@@ -270,6 +270,19 @@ ANSWERS = (
         (
             f"{_BRIDGE}test_bridge.py::test_a_bridge_killed_leaves_the_vehicle_to_its_failsafe",
             f"{_BRIDGE}test_processes.py::test_a_uav_process_and_a_bridge_killed_and_the_operators_stop",
+        ),
+    ),
+    FaultAnswer(
+        f"a bridge hangs in flight for more than {STOP_S:g} s",
+        (MAVLINK,),
+        "the vehicle, by the silence; the bridge, by its own clock",
+        "as the vehicle is set",
+        _STOP,
+        "the failsafe of the vehicle acts; a bridge that goes on says that it stood still; exit code 1",
+        f"when it goes on and setpoints have been fresh for {RECOVERED_S:g} s",
+        (
+            f"{_BRIDGE}procedure/test_transitions.py::test_a_bridge_that_stood_still_says_so_and_comes_back_as_after_a_silent_controller",
+            f"{_BRIDGE}test_bridge.py::test_a_bridge_that_stood_still_has_its_vehicle_back_from_the_failsafe",
         ),
     ),
     FaultAnswer(

@@ -48,6 +48,7 @@ def test_after_a_failsafe_hold_px4_comes_back_by_itself():
     # one late HEARTBEAT of the failsafe is no pilot
     flight.run(0.3, mode=FlightMode.HOLD).run(1.0, mode=FlightMode.OWN)
     assert flight.step is Step.FLY
+    assert flight.procedure.fault == "no setpoints: the controller is silent"
     assert flight.requested(back) == []
 
 
