@@ -129,9 +129,12 @@ ANSWERS = (
         "each reader, by the GIDs",
         f"{_STATUS} after its discovery",
         _DEGRADED,
-        "named with its node; with `security: signed` its messages are refused",
+        "named with its node; with `security: signed` its messages are refused, without it both are heard",
         "when it is gone",
-        (f"{_UAV}test_leg_services.py::test_with_a_seal_no_leg_of_an_outsider_counts",),
+        (
+            f"{_UAV}test_leg_services.py::test_with_a_seal_no_leg_of_an_outsider_counts",
+            "tests/nodes/comm/test_endpoints.py::test_without_a_seal_a_second_publisher_of_a_command_is_named_with_its_node",
+        ),
     ),
     FaultAnswer(
         "the own odometry is stale",

@@ -55,6 +55,24 @@ def test_with_a_seal_the_messages_of_an_outsider_do_not_push_out_the_true_one(ro
     assert [message.stamp_ns for message in taken] == [7]
 
 
+def test_without_a_seal_a_second_publisher_of_a_command_is_named_with_its_node(ros):
+    """rclpy tells of no message who sent it: so both are heard, and the operator is told."""
+    ours, theirs, reader = (
+        Endpoints(ros.node(name), False) for name in ("leader", "outsider", "uav")
+    )
+    taken = []
+    reader.listen(topics.EPOCH, wire.decode_header, taken.append)
+    ours.publisher(topics.EPOCH, 1)
+    ros.spin_until(lambda: not ours.unread())
+    assert reader.rivals() == ""
+    forged = theirs.publisher(topics.EPOCH, 1)
+    ros.spin_until(lambda: not theirs.unread())
+    ros.spin_until(reader.rivals)
+    assert reader.rivals() == "/formation/epoch has a second publisher: /outsider"
+    forged(wire.HeaderTemplate("land").encode(7))
+    ros.spin_until(lambda: taken)
+
+
 def test_nothing_listens_for_events_of_the_quality_of_service(ros):
     """A recorder that counted lost messages waited for a lock of the middleware for ever."""
     endpoints = Endpoints(ros.node("both"), lockstep=False)
