@@ -168,7 +168,6 @@ def _compiled(
     if not COMPILED:
         return function
     import numba
-    from numba.core.errors import NumbaError
 
     from ptnsbc_core.compile_cache import CacheFolder, KernelCache, cache_root, source_digest
 
@@ -179,7 +178,7 @@ def _compiled(
         law._cache = KernelCache(function, CacheFolder(cache_root() / "laws", digest))
     try:
         law.compile(tuple(numba.typeof(one) for one in example))
-    except (NumbaError, TypeError) as error:  # TypeError: *inputs
+    except Exception as error:  # not all of numba's errors are NumbaErrors: `global`, *inputs
         line = " ".join(str(error).split()) or type(error).__name__
         print(
             f"{what} {file}:{function.__code__.co_firstlineno}: {function.__name__} is interpreted, "

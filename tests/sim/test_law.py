@@ -97,10 +97,17 @@ def test_a_law_flies_its_followers_and_leaves_the_leader(write: Write) -> None:
     assert again.track.odometry.tobytes() == theirs.track.odometry.tobytes()
 
 
+@pytest.mark.parametrize(
+    "lines",
+    [
+        ("import json", "def law(inputs):", "    return json.loads('[1, 2, 3]')"),
+        ("", "def law(inputs):", "    global last", "    last = 3", "    return (1, 2, 3)"),
+    ],
+)
 def test_what_numba_cannot_compile_is_interpreted_with_a_word(
-    write: Write, capsys: pytest.CaptureFixture[str]
+    write: Write, capsys: pytest.CaptureFixture[str], lines: tuple[str, ...]
 ) -> None:
-    law = load_law(write("import json", "def law(inputs):", "    return json.loads('[1, 2, 3]')"))
+    law = load_law(write(*lines))
     assert law(_EXAMPLE) == (1.0, 2.0, 3.0)
     said = capsys.readouterr().err
     assert not COMPILED or ("mine.py:2: law is interpreted" in said and said.count("\n") == 1)
