@@ -44,13 +44,10 @@ def trim(
     """
     bag = read_bag(path)
     latched = {name for name, topic in bag.topics.items() if _is_latched(topic.offered_qos)}
-    inside = 0
 
     def kept() -> Iterator[BagMessage]:
-        nonlocal inside
         for message in bag.messages():
             within = begin_ns <= message.stamp_ns <= end_ns
-            inside += within
             if within or (message.topic in latched and message.stamp_ns < begin_ns):
                 yield message
 
@@ -60,8 +57,7 @@ def trim(
             f"{path}: no message from {begin:g} s to {end:g} s after its first one: "
             f"expected times from 0 s to {last:g} s"
         )
-    _write([bag], kept(), target, overwrite=overwrite, advance=advance)
-    return inside
+    return _write([bag], kept(), target, overwrite=overwrite, advance=advance)
 
 
 def merge(
@@ -80,10 +76,8 @@ def merge(
     for file in files:
         if files.count(file) > 1:
             raise BagError(f"{file} is given twice: expected different bags")
-    total = sum(topic.messages for bag in bags for topic in bag.topics.values())
     messages = heapq.merge(*(bag.messages() for bag in bags), key=lambda one: one.stamp_ns)
-    _write(bags, messages, target, overwrite=overwrite, advance=advance)
-    return total
+    return _write(bags, messages, target, overwrite=overwrite, advance=advance)
 
 
 def _is_latched(offered: str) -> bool:
@@ -97,7 +91,8 @@ def _write(
     *,
     overwrite: bool,
     advance: Progress,
-) -> None:
+) -> int:
+    """Write the messages; returns how many they were."""
     total = sum(topic.messages for bag in bags for topic in bag.topics.values())
     writer = BagWriter(
         target,
@@ -106,11 +101,13 @@ def _write(
         metadata=_metadata(bags),
         overwrite=overwrite,
     )
+    done = 0
     with writer:
         for done, message in enumerate(messages, start=1):
             writer.write(message.topic, message.stamp_ns, message.data)
             if done % _PROGRESS_EVERY == 0:
                 advance(done, total)
+    return done
 
 
 def _topics(bags: Sequence[Bag]) -> Mapping[str, TopicDeclaration]:
