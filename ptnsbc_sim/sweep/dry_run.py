@@ -7,9 +7,9 @@ of flights and seed give the same dry runs.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from math import isfinite
 from typing import Any
 
 from ptnsbc_core.errors import PtnsbcError
@@ -202,7 +202,7 @@ def _keep_out_of(scenario: Scenario, uav: int) -> float:
 
 
 def _finite(value: float | None) -> float | None:
-    return value if value is not None and isfinite(value) else None
+    return value if value is not None and math.isfinite(value) else None
 
 
 def with_starts_at(scenario: Scenario, positions: Mapping[int, tuple[float, ...]]) -> Scenario:
@@ -264,18 +264,23 @@ def _longer(scenario: Scenario, deadline_s: float) -> dict[str, Any]:
 def _shortest_deadline(scenario: Scenario, seed: int) -> Remedy | None:
     """The shortest deadline above the present one that flies, to a few percent."""
     low = scenario.gains.formation.deadline_s
-    high = next((low * k for k in _LONGER if _mends(scenario, _longer(scenario, low * k), seed)), 0)
-    if not high:
+    longer = (_to_hundredths(low * k) for k in _LONGER)
+    high = next((one for one in longer if _mends(scenario, _longer(scenario, one), seed)), None)
+    if high is None:
         return None
     for _ in range(_HALVINGS):
-        middle = round(0.5 * (low + high), 3)
+        middle = _to_hundredths(0.5 * (low + high))
         if _mends(scenario, _longer(scenario, middle), seed):
             high = middle
         else:
             low = middle
-    deadline_s = round(high, 3)
-    said = f"set gains.formation.deadline_s to at least {deadline_s:.2f} s"
-    return Remedy(_longer(scenario, deadline_s), said)
+    said = f"set gains.formation.deadline_s to at least {high:.2f} s"
+    return Remedy(_longer(scenario, high), said)
+
+
+def _to_hundredths(deadline_s: float) -> float:
+    """A deadline as it is printed: what is said has been flown."""
+    return math.ceil(100.0 * deadline_s) / 100.0
 
 
 def _mends(scenario: Scenario, changes: Mapping[str, Any], seed: int) -> bool:

@@ -144,18 +144,20 @@ def feasible(scenario: Scenario) -> Findings:
         )
         return
     away, needs = start_errors(scenario.file), shortest_deadlines(scenario.file, left)
-    short = [uav for uav, need in needs.items() if need > deadline]
-    for uav in short or [max(needs, key=lambda one: needs[one])]:
-        yield Finding(
-            ERROR if short else INFO,
-            "gains.formation.deadline_s",
-            f"{deadline:g} s, UAV {uav} starts {away[uav]:.2f} m from its place",
-            f">= {needs[uav]:.2f} s at {left.speed_m_s:.3g} m/s and {left.acceleration_m_s2:.3g} m/s^2",
-            f"set gains.formation.deadline_s to at least {needs[uav]:.2f} s or to auto, start it closer, "
-            "or raise gains.filter.max_speed_m_s"
-            if short
-            else "",
-        )
+    short = sum(need > deadline for need in needs.values())
+    last = max(needs, key=lambda one: needs[one])
+    shortest = math.ceil(100.0 * needs[last]) / 100.0  # as it is printed: never rounded down
+    too_short = f", too short for {short} of {len(needs)} UAVs" if short else ""
+    yield Finding(
+        ERROR if short else INFO,
+        "gains.formation.deadline_s",
+        f"{deadline:g} s{too_short}; UAV {last} starts {away[last]:.2f} m from its place",
+        f">= {shortest:.2f} s at {left.speed_m_s:.3g} m/s and {left.acceleration_m_s2:.3g} m/s^2",
+        f"set gains.formation.deadline_s to at least {shortest:.2f} s or to auto, start it closer, "
+        "or raise gains.filter.max_speed_m_s"
+        if short
+        else "",
+    )
 
 
 def leader_error_std_m(scenario: Scenario) -> float:

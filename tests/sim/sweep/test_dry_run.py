@@ -47,7 +47,8 @@ def test_a_deadline_that_is_too_short_is_refused_and_mended():
     assert not accepts(TOO_SOON, 2)
     assert done.worst.cause
     first = next(remedies(TOO_SOON))
-    assert first.said.startswith("set gains.formation.deadline_s to at least")
+    named = float(first.said.removeprefix("set gains.formation.deadline_s to at least ")[:-2])
+    assert named == first.changes["gains.formation.deadline_s"]  # what was flown, not rounded down
     mended = load_scenario("paper_5_free", {**SHORT, **first.changes})
     assert accepts(mended, 4, least=1.0)
 

@@ -45,17 +45,27 @@ def test_the_same_v_is_fine_by_the_angle_at_the_parent() -> None:
 
 
 def test_deadline_below_what_the_speed_limit_allows() -> None:
-    """The leader starts 8.06 m away: 2.1875 * 8.062 / (3 - 0.5) = 7.05 s."""
-    found = errors(gains__filter={"max_speed_m_s": 3})
-    assert {finding.key for finding in found} == {"gains.formation.deadline_s"}
-    assert found[0].limit.startswith(">= 7.05 s at 2.5 m/s")
-    assert "UAV 1" in found[0].value
+    """UAVs 3 and 4 start 7.97 m away, and settle for 1/kappa: 2.1875 * 7.975 / (3 - 0.5) + 1 / 2.2 = 7.433 s."""
+    (found,) = errors(gains__filter={"max_speed_m_s": 3})
+    assert found.key == "gains.formation.deadline_s"
+    assert found.limit.startswith(">= 7.44 s at 2.5 m/s")
+    assert found.value == "5 s, too short for 5 of 5 UAVs; UAV 3 starts 7.97 m from its place"
 
 
 def test_deadline_below_what_the_acceleration_limit_allows() -> None:
-    """The leader's circle takes 0.05 m/s^2 of it: sqrt(7.513 * 8.062 / 0.95) = 7.98 s."""
-    found = errors(gains__filter={"max_acceleration_m_s2": 1})
-    assert found[0].limit.startswith(">= 7.98 s")
+    """The leader's circle takes 0.05 m/s^2 of it: sqrt(7.513 * 7.975 / 0.95) + 1 / 2.2 = 8.396 s."""
+    (found,) = errors(gains__filter={"max_acceleration_m_s2": 1})
+    assert found.limit.startswith(">= 8.40 s")
+
+
+@pytest.mark.parametrize("x", [3.0, 4.0, 5.0, 7.0, 9.0])
+def test_the_deadline_that_is_named_is_enough_and_no_shorter_one_is(x: float) -> None:
+    """Starts of unlike errors; the deadline is named to a hundredth of a second."""
+    starts = {"uavs[0].position_m": [x, -x, 5], "uavs[2].position_m": [-x, 0, 5]}
+    (found,) = errors(gains__formation__deadline_s=2, **starts)
+    named = float(found.advice.split("at least ")[1].split(" s")[0])
+    assert not errors(gains__formation__deadline_s=named, **starts)
+    assert errors(gains__formation__deadline_s=round(named - 0.01, 2), **starts)
 
 
 def test_desired_positions_closer_than_the_safe_distance() -> None:
