@@ -66,13 +66,17 @@ def _no_shape(scenario: Scenario, uav: int, error: FormationError) -> Finding:
 
 
 def shape(scenario: Scenario) -> Findings:
-    """Conditioning of every follower's task at the desired formation."""
+    """Conditioning of every follower's task at the desired formation.
+
+    A singular one is refused where the task alone closes the errors. The planned approach never hands over to it.
+    """
     if (
         scenario.plugins.task is not None
     ):  # the user's: loading the scenario has refused a singular one
         return
     task = scenario.file.formation.task
     threshold = scenario.gains.damping.threshold
+    planned = scenario.file.formation.approach == "planned"
     for uav in scenario.followers:
         parent = scenario.parent(uav)
         assert parent is not None  # or the scenario would not have loaded
@@ -88,14 +92,14 @@ def shape(scenario: Scenario) -> Findings:
             reference_offset(scenario, uav),
             row_scale,
         )
-        singular = not sigma >= _SINGULAR  # also when it is NaN
+        singular = not sigma >= (0.0 if planned else _SINGULAR)  # also when it is NaN
         severity = ERROR if singular else WARNING if sigma < threshold else INFO
+        otherwise = f", or relative positions hold UAV {uav}" if planned else " or it is damped"
         yield Finding(
             severity,
             f"formation.offsets_m.{uav}",
             f"sigma_min of task {task} {sigma:.3f}",
-            f">= {_SINGULAR if singular else threshold:g}"
-            + ("" if singular else " or it is damped"),
+            f">= {_SINGULAR:g}" if singular else f">= {threshold:g}{otherwise}",
             ""
             if severity == INFO
             else f"move UAV {uav} off the singular shape (for distance_angles a right angle at the "

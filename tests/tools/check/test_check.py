@@ -33,11 +33,24 @@ def test_shipped_scenarios_pass(name: str, plant: str, task: str) -> None:
 V = {2: [-1.5, -1.5, 0], 3: [-0.75, -0.75, 0], 4: [0.75, -0.75, 0], 5: [1.5, -1.5, 0]}
 
 
-def test_a_right_angled_v_is_singular() -> None:
-    found = errors(formation__offsets_m=V)
+def test_a_right_angled_v_is_singular_for_a_task_that_closes_every_error() -> None:
+    found = errors(formation__offsets_m=V, formation__approach="task")
     assert [finding.key for finding in found] == ["formation.offsets_m.4"]
     assert "sigma_min" in found[0].value
     assert "parent_angle" in found[0].advice
+
+
+def test_a_planned_approach_holds_a_right_angled_v_by_positions_and_check_says_so() -> None:
+    """The singular task never takes over, so the formation is met as if the task were relative_position."""
+    keys = {"formation.offsets_m": V, "timing.duration_s": 8.0}
+    scenario = load_scenario("paper_5_free", keys)
+    found = [finding for finding in check(scenario) if finding.severity != "info"]
+    assert [(finding.severity, finding.key) for finding in found] == [
+        ("warning", "formation.offsets_m.4")
+    ]
+    assert found[0].limit == ">= 0.35, or relative positions hold UAV 4"
+    assert "parent_angle" in found[0].advice
+    assert verdict_on(recording_of(fly(scenario))).verdict == "met"
 
 
 def test_the_same_v_is_fine_by_the_angle_at_the_parent() -> None:
