@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
+from ptnsbc_sim.verdict.deadline import TOLERANCE_M
+from ptnsbc_tools.reproduce import flights
 from ptnsbc_tools.reproduce.claims import experiment_claim, formation_claim
 from ptnsbc_tools.reproduce.experiment_result import ExperimentResult, Table
 from ptnsbc_tools.reproduce.flights import PLANTS
@@ -63,11 +65,19 @@ def swept_laws(
         title,
         ("scenario", "plant", "law"),
         flown.items(),
-        "A flight is met when every UAV is within the tolerance of its place at the deadline, stays within that or "
+        "A flight is met when every UAV is within the tolerance of its place at the deadline "
+        f"({_tolerances(scenarios)}), stays within that or "
         "2 % of its start error, and nobody enters a keep-out. An error in an encounter is excused; the column beside "
         "it has the error without excuse (`docs/verdict.md`).",
     )
     return table, shares
+
+
+def _tolerances(names: Iterable[str]) -> str:
+    """The tolerances of scenarios in words."""
+    own = {name: flights.scenario(name).file.formation.tolerance_m for name in names}
+    others = [f"{metres:g} m in `{name}`" for name, metres in own.items() if metres != TOLERANCE_M]
+    return ", ".join([f"{TOLERANCE_M:g} m", *others])
 
 
 MEANING = (

@@ -212,10 +212,11 @@ def test_what_settles_at_another_time_is_named() -> None:
 
 
 def test_told_places_alone_would_not_keep_the_experiment_s_promise() -> None:
-    own_m, pair_m, share = experiment.fixes_only_bound()
+    own_m, pair_m, share = experiment.fixes_only_bound(0.05)
     assert own_m == pytest.approx(0.0095, abs=1e-4)
     assert pair_m == pytest.approx(own_m * 6**0.5)
     assert 0.98 < share < 0.995
+    assert experiment.fixes_only_bound(0.06)[2] > share
     short = {"timing.duration_s": 6.0, "formation.sight_m": 0}
     blind = [fly_judged("experiment_4", {"seed": seed, **short}) for seed in range(1, 7)]
     assert max(one.worst_at_deadline_m() for one in blind) > 0.05
