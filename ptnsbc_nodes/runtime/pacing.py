@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 import time
-from collections import deque
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
@@ -45,19 +44,21 @@ class Latency:
     """Percentiles of the newest latencies, and the largest ever."""
 
     def __init__(self) -> None:
-        self._recent_s: deque[float] = deque(maxlen=_LATENCY_WINDOW)
+        self._recent_s = np.zeros(_LATENCY_WINDOW)  # a ring
+        self._count = 0
         self.max_s = 0.0
 
     def add(self, latency_s: float) -> None:
         """Count one message."""
-        self._recent_s.append(latency_s)
+        self._recent_s[self._count % _LATENCY_WINDOW] = latency_s
+        self._count += 1
         self.max_s = max(self.max_s, latency_s)
 
     def percentile_s(self, percent: float) -> float:
         """The percentile [s] over the newest messages; 0 before the first."""
-        if not self._recent_s:
+        if not self._count:
             return 0.0
-        return float(np.percentile(np.fromiter(self._recent_s, float), percent))
+        return float(np.percentile(self._recent_s[: self._count], percent))
 
 
 class Progress:

@@ -40,6 +40,14 @@ def test_latency_percentiles():
     assert latency.max_s == 0.1
 
 
+def test_percentiles_are_of_the_newest_latencies_and_the_largest_of_all():
+    latency = Latency()
+    for ms in range(1, 12_001):
+        latency.add(ms * 1e-3)
+    assert latency.percentile_s(0) == 7.001
+    assert latency.percentile_s(100) == latency.max_s == 12.0
+
+
 @pytest.mark.parametrize(
     ("now", "wait"), [(1000, 300), (1299, 1), (1300, 0), (1301, 999), (51_000, 300), (500, 800)]
 )

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy.signal import bilinear_zpk, sosfilt, sosfilt_zi, tf2zpk, zpk2sos
 
 pytest.importorskip("pymavlink")
 
@@ -106,6 +107,28 @@ def test_a_new_sequence_begins_without_a_kick(response):
     velocity, push = lead.setpoint(np.array([2.0, 0.0]), 0.0)
     assert velocity == pytest.approx([2.0, 0.0])
     assert push == pytest.approx([0.0, 0.0], abs=1e-5)
+
+
+def filtered(transfer, wanted):
+    """The wanted velocities (N, 2) through a transfer function, by SciPy in one call; it was at rest at the first."""
+    above, below = transfer.above.coef[::-1], transfer.below.coef[::-1]
+    sections = zpk2sos(*bilinear_zpk(*tf2zpk(above, below), 1.0 / PERIOD_S))
+    rest = sosfilt_zi(sections)[:, :, None] * wanted[0]
+    return sosfilt(sections, wanted, axis=0, zi=rest)[0]
+
+
+@KINDS
+def test_sample_by_sample_it_is_the_filter_that_scipy_makes_of_the_whole(response):
+    wanted = np.random.default_rng(7).uniform(-2.0, 2.0, (500, 2)).cumsum(axis=0)
+    made, drag = inverse(response), 0.4
+    push = filtered(made.acceleration, wanted) + drag * filtered(made.acceleration_by_drag, wanted)
+    ahead = np.zeros((500, 2))
+    if made.velocity is not None:
+        ahead = filtered(made.velocity, wanted) + drag * filtered(made.velocity_by_drag, wanted)
+    lead = VelocityLead(response, PERIOD_S)
+    sent = np.array([lead.setpoint(velocity, drag) for velocity in wanted])
+    assert np.abs(sent[:, 0] - wanted - ahead).max() <= 1e-12 * np.abs(wanted).max()
+    assert np.abs(sent[:, 1] - push).max() <= 1e-12 * np.abs(push).max()
 
 
 @KINDS
