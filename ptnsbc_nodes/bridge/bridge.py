@@ -90,7 +90,7 @@ class Bridge:
             self.vehicle, world, self.maintenance.sync, self.controller, ports
         )
         self.placement = Placement(scenario, uav_id, awaited, self.vehicle, self.state_publisher)
-        self.procedure = Procedure(autopilot, height_m, allow_arming, log)
+        self.procedure = Procedure(autopilot, height_m, allow_arming, log, self._left_behind)
         self._reference = LeaderReference(scenario, uav_id)
         self.stream = SetpointStream(vehicle_link, self._mavlink, self._reference.config)
         self._next_s = ports.clocks.steady_s()
@@ -254,7 +254,6 @@ class Bridge:
             if self.procedure.step is Step.APART
             else "",
             pilots_too=inputs.order.pilots_too,
-            left_behind=self.left_behind,
             misplaced=self.placement.misplaced() if self.procedure.step is Step.READY else "",
             not_ready=companions.not_ready(now_s),
             not_armed=companions.not_armed(now_s),
@@ -326,8 +325,7 @@ class Bridge:
         vehicle = self.vehicle
         return fate(vehicle.autopilot, vehicle.mode, self.maintenance.parameters)
 
-    @property
-    def left_behind(self) -> str:
+    def _left_behind(self) -> str:
         """The vehicle's state as the last word about it."""
         place = f" at {self.place}" if self.place else ""
         return f"armed{place} in {self.vehicle.mode_name or 'no mode'}: {self.fate}"

@@ -24,7 +24,9 @@ class Flight:
 
     def __init__(self, autopilot=PX4, allow_arming=True):
         self.lines = []
-        self.procedure = Procedure(autopilot, HEIGHT, allow_arming, self.lines.append)
+        log, left_behind = self.lines.append, lambda: self.left_behind
+        self.procedure = Procedure(autopilot, HEIGHT, allow_arming, log, left_behind)
+        self.left_behind = "armed"
         self.autopilot = autopilot
         self.snapshot = VehicleSnapshot(
             now_s=0.0,

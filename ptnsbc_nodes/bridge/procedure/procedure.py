@@ -59,9 +59,11 @@ class Procedure:
         takeoff_height_m: float,
         allow_arming: bool,
         log: Callable[[str], None],
+        left_behind: Callable[[], str],
     ) -> None:
+        """`left_behind`: where the armed vehicle is, in which mode, and what it will do without this bridge."""
         self._options = ProcedureOptions(autopilot, takeoff_height_m, allow_arming)
-        self._progress = FlightProgress(self._options, log)
+        self._progress = FlightProgress(self._options, log, left_behind)
         self._unprepared = ""
         self.in_pilots_hands = False
         """True if a pilot flies the vehicle, as far as the bridge knows."""

@@ -50,9 +50,12 @@ class _StepMemory:
 class FlightProgress:
     """The current step of a flight, and what the procedure remembers of the flight so far."""
 
-    def __init__(self, options: ProcedureOptions, log: Callable[[str], None]) -> None:
+    def __init__(
+        self, options: ProcedureOptions, log: Callable[[str], None], left_behind: Callable[[], str]
+    ) -> None:
         self.options = options
         self.log = log
+        self._left_behind = left_behind
         self.step = Step.HEARTBEAT
         self.fault = ""
         """The reasons why the flight did not go as planned, in the order in which it went wrong."""
@@ -66,8 +69,8 @@ class FlightProgress:
 
     def enter(self, step: Step, snapshot: VehicleSnapshot, reason: str = "") -> None:
         """Begin a step; `reason` is a fault."""
-        if step in OVER and snapshot.armed and snapshot.left_behind:
-            reason = "; ".join(filter(None, (reason, f"left behind {snapshot.left_behind}")))
+        if step in OVER and snapshot.armed:
+            reason = "; ".join(filter(None, (reason, f"left behind {self._left_behind()}")))
         if reason:
             self.report_fault(reason)
         self.log(f"{step.value}{f': {self.fault}' if step is Step.FAILED else ''}")

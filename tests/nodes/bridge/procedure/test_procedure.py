@@ -231,13 +231,13 @@ def test_a_silent_vehicle_that_must_come_down_is_given_up_and_named(request_, li
     flight.obeys = False
     flight.run(1.0, heartbeat_age_s=5.0, state_fault="silent", controller_age_s=5.0)
     began = flight.snapshot.now_s
-    where = "armed at (1.0, 2.0, 8.0) m in OFFBOARD: without setpoints it hovers"
-    flight.run(5.0, stop_request=request_, left_behind=where)
+    flight.left_behind = "armed at (1.0, 2.0, 8.0) m in OFFBOARD: without setpoints it hovers"
+    flight.run(5.0, stop_request=request_)
     assert flight.step is (Step.KILL if request_ == "kill" else Step.LAND)
     flight.run(until=Step.FAILED, heartbeat_age_s=limit_s + 1.0)
     assert flight.snapshot.now_s - began < 15.0
     assert f"silent for {limit_s + 1.0:.0f} s" in flight.procedure.fault
-    assert f"left behind {where}" in flight.procedure.fault
+    assert f"left behind {flight.left_behind}" in flight.procedure.fault
 
 
 def test_stop_before_arming_ends_it():
