@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from ptnsbc_core.kinematics import velocity_enu
+from ptnsbc_core.types import Array
 from ptnsbc_io.mavlink.autopilots import AUTOPILOTS, fate, findings, hover_thrust, limits
 from ptnsbc_io.mavlink.dialect import mavlink
 from ptnsbc_io.mavlink.link import MavlinkLink
@@ -69,6 +70,7 @@ class Bridge:
                 abort.separation_share,
                 abort.swing_m_s,
                 abort.away_m_s,
+                abort.against_m_s,
                 abort.jump_m,
             )
         )
@@ -92,6 +94,7 @@ class Bridge:
         self.placement = Placement(scenario, uav_id, awaited, self.vehicle, self.state_publisher)
         self.procedure = Procedure(autopilot, height_m, allow_arming, log, self._left_behind)
         self._reference = LeaderReference(scenario, uav_id)
+        self._reference.place_velocity(0.0)  # compiled or loaded now, not in flight
         self.stream = SetpointStream(vehicle_link, self._mavlink, self._reference.config)
         self._next_s = ports.clocks.steady_s()
 
@@ -285,7 +288,7 @@ class Bridge:
         flight_s = self.flight_s()
         leader = self._reference.at(flight_s)
         follows = step is Step.FLY and not self._alone
-        moves = np.array(leader.velocity) if follows else np.zeros(3)
+        moves = self._reference.place_velocity(flight_s) if follows else np.zeros(3)
         deadline_s = float(self._scenario.gains.formation.deadline_s)
         near = self.ports.inputs.near_uavs
         sight = Sight(
@@ -293,12 +296,23 @@ class Bridge:
             odometry[0:3].copy(),
             np.array(velocity_enu(odometry)),
             moves,
+            self._wanted(odometry),
             near,
             flight_s - deadline_s,
         )
         self._hazard = self._hazard or self.stream.unfit or self._monitor.look(sight)
         middle_m = leader.position[2] if follows else self._mavlink.takeoff_height_m
         self.stream.layer_m = self.placement.layer_m(float(middle_m), self.stream.guard)
+
+    def _wanted(self, odometry: Array) -> Array | None:
+        """Velocity (3,) [m/s] that the planner wants; None while the vehicle does not fly by it, as at the fence."""
+        guard, inputs, newest = self.stream.guard, self.ports.inputs, self.controller.newest
+        ahead = guard.ahead(odometry[0:3], np.array(velocity_enu(odometry)))
+        if self.procedure.output.stream is not Stream.PLANNER or guard.outside(ahead):
+            return None
+        if self.stream.sends_thrust(Stream.PLANNER):
+            return None if inputs.wanted is None else inputs.wanted.values[0:3]
+        return None if newest is None else newest.values[0:3]
 
     def _fence_breach(self) -> str:
         odometry = self.state_publisher.odometry

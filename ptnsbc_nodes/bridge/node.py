@@ -254,6 +254,11 @@ class BridgeNode:
         setpoint = topics.wrench_setpoint if attitude else topics.velocity_setpoint
         decode = as_bytes(checked_wrench if attitude else checked_velocity)
         listen(setpoint(self._uav_id), decode, lambda data: setattr(inputs, "setpoint", data))
+        if attitude:  # a wrench does not tell where the planner wants the vehicle to go
+            wanted = topics.velocity_setpoint(self._uav_id)
+            listen(
+                wanted, checked_velocity, lambda one: setattr(inputs, "wanted", one), required=False
+            )
         listen(topics.EPOCH, decode_leg, inputs.legs.append)
         if scenario.takes_setpoints:
             decode_taken = OdometryDecoder(WORLD_FRAME, WORLD_FRAME)

@@ -22,6 +22,9 @@ class BridgeInputs:
     """The messages that the bridge receives: the thread of the node writes it, the thread of the bridge reads it."""
 
     setpoint: bytes | None = None  # newest
+    wanted: Stamped | None = (
+        None  # newest velocity that the planner wants, where the setpoint is a wrench
+    )
     legs: list[HeaderFields] = field(
         default_factory=list
     )  # epochs in the order of their announcement

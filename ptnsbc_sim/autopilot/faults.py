@@ -12,6 +12,7 @@ from ptnsbc_sim.autopilot.vehicle import AutopilotError, Log, StandInVehicle
 
 _HOST = "127.0.0.1"
 _LINE_BYTES = 4096
+_STRONGEST_M_S = 60.0  # of a wind
 
 
 def _choice(word: str, off: str, on: str, what: str) -> bool:
@@ -60,6 +61,15 @@ def _battery(vehicle: StandInVehicle, word: str, _t: float) -> None:
     vehicle.flight.battery = charge
 
 
+def _wind(vehicle: StandInVehicle, word: str, _t: float) -> None:
+    east_m_s = _number(word, "wind")
+    if abs(east_m_s) > _STRONGEST_M_S:
+        raise AutopilotError(
+            f"fault wind {word}: expected -{_STRONGEST_M_S:g} to {_STRONGEST_M_S:g} m/s"
+        )
+    vehicle.flight.blow(east_m_s)
+
+
 def _mode(vehicle: StandInVehicle, word: str, t: float) -> None:
     if not vehicle.set_mode_by_rc(word, t):
         raise AutopilotError(f"fault mode {word!r}: expected a mode of this autopilot, as LAND")
@@ -75,6 +85,7 @@ FAULTS: dict[str, Callable[[StandInVehicle, str, float], None]] = {
     "clock": lambda vehicle, word, _t: vehicle.clock.jump(_number(word, "clock")),
     "mode": _mode,
     "jump": lambda vehicle, word, _t: vehicle.flight.navigation.jump(_number(word, "jump")),
+    "wind": _wind,
     "reboot": lambda vehicle, _word, t: vehicle.reboot(t),
 }
 

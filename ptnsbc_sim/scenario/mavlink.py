@@ -56,9 +56,11 @@ class Abort(Block):
     separation_share: Annotated[NotNegative, Field(le=1)] = 0.6
     """Distance to another vehicle, now or within half a second, as a share of the keep-out of the two."""
     swing_m_s: NotNegative = 1.0
-    """Speed to and fro against the leader's reference, four reversals that do not die out."""
+    """Speed to and fro against the motion of the vehicle's place, four reversals that do not die out."""
     away_m_s: NotNegative = 2.0
-    """Speed against the leader's reference for 3 s, from 5 s after the deadline on."""
+    """Speed against the motion of the vehicle's place for 3 s, from 5 s after the deadline on."""
+    against_m_s: NotNegative = 1.0
+    """Speed back to its place that its planner wants, while the vehicle flies away from it for 3 s."""
     jump_m: NotNegative = 1.0
     """Jump of the vehicle's own position: its estimator was reset."""
     layer_m: Positive = 1.5

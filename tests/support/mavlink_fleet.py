@@ -183,6 +183,7 @@ class FleetUav:
         values = (
             out.wrench if self.attitude else np.array([*out.velocity[0:3], 0, 0, out.velocity[3]])
         )
+        self.inputs.wanted = Stamped(own.stamp_ns, out.velocity.copy())
         self.inputs.setpoint = self.setpoint_template.encode(own.stamp_ns, values)
         self.wrenches.append((own.stamp_ns, out.wrench.copy()))
         return own, Stamped(own.stamp_ns, out.leader_estimate.copy())

@@ -1,7 +1,7 @@
 """The hazards that end a formation in flight, seen on board of one vehicle: too near, swinging, running away, a jump.
 
-The monitor is pure: states in, a reason out. It looks at the vehicle as it flies, not at what was commanded, so that it
-sees the same for every kind of setpoint.
+The monitor is pure: states in, a reason out. It looks at the vehicle as it flies and at the velocity that its planner
+wants, not at what was sent, so that it sees the same for every kind of setpoint.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ _SOON_S = 0.5  # the predicted paths count so far ahead
 _TOO_NEAR_S = 0.2  # one odd message is no approach
 _SWINGS, _SWINGS_S = 4, 15.0  # so many reversals within this time
 _GROWING = 0.8  # the newest swing as a share of the first of them: below, the motion dies out
-_AWAY_S = 3.0
+_AWAY_S, _AGAINST_S = 3.0, 3.0
 _SETTLED_S = 5.0  # after the deadline
 _GAP_S = 0.5  # after a longer silence the next place is no jump
 
@@ -29,6 +29,7 @@ class AbortLimits(NamedTuple):
     separation_share: float  # of the keep-out of a pair
     swing_m_s: float
     away_m_s: float
+    against_m_s: float
     jump_m: float
 
 
@@ -38,9 +39,27 @@ class Sight(NamedTuple):
     now_s: float
     position: Array  # (3,) [m], world
     velocity: Array  # (3,) [m/s], world
-    reference_m_s: Array  # (3,) velocity of the leader's reference
+    reference_m_s: Array  # (3,) velocity of its place in the formation
+    wanted_m_s: (
+        Array | None
+    )  # (3,) velocity that its planner wants; None while it flies by nothing of it
     others: Array  # (M, 7) x y z keep-out vx vy vz of the other vehicles
     settled_s: float  # time since the formation's deadline; negative before it
+
+
+class _Lasting:
+    """The time for which a condition has been true without a break."""
+
+    def __init__(self) -> None:
+        self._since_s: float | None = None
+
+    def seconds(self, now_s: float, holds: bool) -> float:
+        """The time at `now_s`; negative while the condition is false."""
+        if not holds:
+            self._since_s = None
+            return -1.0
+        self._since_s = now_s if self._since_s is None else self._since_s
+        return now_s - self._since_s
 
 
 class FlightMonitor:
@@ -49,14 +68,13 @@ class FlightMonitor:
     def __init__(self, limits: AbortLimits) -> None:
         self._limits = limits
         self._last: Sight | None = None
-        self._near_since_s: float | None = None
-        self._away_since_s: float | None = None
+        self._near, self._fast, self._astray = _Lasting(), _Lasting(), _Lasting()
         self._peak = np.zeros(2)  # of the present swing
         self._swings: deque[tuple[float, float]] = deque(maxlen=_SWINGS)  # when, and how fast
 
     def look(self, sight: Sight) -> str:
         """The reason why the formation must end; empty when it may go on."""
-        checks = (self._jump, self._too_near, self._swinging, self._away)
+        checks = (self._jump, self._too_near, self._swinging, self._away, self._against)
         reasons = [check(sight) for check in checks]
         self._last = sight
         return next(filter(None, reasons), "")
@@ -75,7 +93,7 @@ class FlightMonitor:
     def _too_near(self, sight: Sight) -> str:
         share = self._limits.separation_share
         if not share or not len(sight.others):
-            self._near_since_s = None
+            self._near.seconds(sight.now_s, False)
             return ""
         away = sight.others[:, 0:3] - sight.position
         closing = sight.others[:, 4:7] - sight.velocity
@@ -85,12 +103,8 @@ class FlightMonitor:
         apart_m = np.linalg.norm(away + when[:, None] * closing, axis=1)
         nearest = int(np.argmin(apart_m - share * sight.others[:, 3]))
         nearest_m = float(apart_m[nearest])
-        if nearest_m >= share * sight.others[nearest, 3]:
-            self._near_since_s = None
-            return ""
-        if self._near_since_s is None:
-            self._near_since_s = sight.now_s
-        if sight.now_s - self._near_since_s < _TOO_NEAR_S:
+        near = nearest_m < share * sight.others[nearest, 3]
+        if self._near.seconds(sight.now_s, near) < _TOO_NEAR_S:
             return ""
         return f"{nearest_m:.2f} m from another vehicle, now or within {_SOON_S:g} s"
 
@@ -115,14 +129,25 @@ class FlightMonitor:
         return f"it swings at {newest_m_s:.1f} m/s, {_SWINGS} times to and fro without dying out"
 
     def _away(self, sight: Sight) -> str:
-        """Faster than the reference for seconds, when the formation should long have been there."""
+        """Faster than its place for seconds, when the formation should long have been there."""
         limit_m_s = self._limits.away_m_s
         speed_m_s = float(np.linalg.norm(sight.velocity - sight.reference_m_s))
-        if not limit_m_s or sight.settled_s < _SETTLED_S or speed_m_s < limit_m_s:
-            self._away_since_s = None
+        fast = bool(limit_m_s) and sight.settled_s >= _SETTLED_S and speed_m_s >= limit_m_s
+        if self._fast.seconds(sight.now_s, fast) < _AWAY_S:
             return ""
-        if self._away_since_s is None:
-            self._away_since_s = sight.now_s
-        if sight.now_s - self._away_since_s < _AWAY_S:
+        return f"its error grows: {speed_m_s:.1f} m/s away from the motion of its place for {_AWAY_S:g} s"
+
+    def _against(self, sight: Sight) -> str:
+        """Told to correct its place one way while it flies the other, for seconds: its error grows, at any speed."""
+        limit_m_s = self._limits.against_m_s
+        wanted = sight.reference_m_s if sight.wanted_m_s is None else sight.wanted_m_s
+        correction, motion = wanted - sight.reference_m_s, sight.velocity - sight.reference_m_s
+        wanted_m_s = float(np.linalg.norm(correction))
+        large = bool(limit_m_s) and wanted_m_s >= limit_m_s
+        astray = large and float(motion @ correction) < 0.0
+        if self._astray.seconds(sight.now_s, astray) < _AGAINST_S:
             return ""
-        return f"its error grows: {speed_m_s:.1f} m/s away from the formation's motion for {_AWAY_S:g} s"
+        return (
+            f"its error grows: for {_AGAINST_S:g} s it flies away from its place, "
+            f"towards which its planner wants {wanted_m_s:.1f} m/s"
+        )

@@ -1,12 +1,17 @@
-"""The motion of the leader as one bridge follows it: the legs that are announced, and its trajectory."""
+"""The motion of the leader as one bridge follows it: the legs that are announced, its trajectory, and the own place."""
 
 from __future__ import annotations
 
+import numpy as np
+
+from ptnsbc_core.curves.shape import places
 from ptnsbc_core.curves.trajectory import Reference, reference
+from ptnsbc_core.types import AgentConfig, Array
 from ptnsbc_nodes.bridge.ports import BridgeInputs
 from ptnsbc_nodes.comm.legs import Epochs, Leg
 from ptnsbc_sim.scenario import Scenario, agent_config
 from ptnsbc_sim.scenario.build import leader_trajectory
+from ptnsbc_sim.scenario.slots import are_open
 
 
 class LeaderReference:
@@ -39,5 +44,21 @@ class LeaderReference:
         """The leader's motion so many seconds after the first epoch; before it, that of the epoch."""
         return reference(self.config.trajectory, max(flight_s, 0.0))
 
+    def place_velocity(self, flight_s: float) -> Array:
+        """Velocity (3,) [m/s] of the vehicle's place in the formation, which may move beside the leader."""
+        known = not are_open(self._scenario)
+        return place_velocity(self.config, max(flight_s, 0.0), slot_known=known)
+
     def _flown(self) -> Scenario:
         return self._epochs.scenario or self._scenario
+
+
+def place_velocity(config: AgentConfig, t: float, *, slot_known: bool) -> Array:
+    """Velocity (3,) [m/s] of a UAV's place at t [s]: that of the leader's reference, and that of a shape that moves.
+
+    Where slots are open a bridge does not hear who takes which, and the leader's has to do.
+    """
+    velocity = np.array(reference(config.trajectory, t).velocity)
+    if config.shape.moving and slot_known:
+        velocity += places(config.shape, config.trajectory, t).own.velocity
+    return velocity

@@ -95,6 +95,11 @@ class VehiclePhysics:
         self._contact_t = t
         self._fly(0)
 
+    def blow(self, east_m_s: float) -> None:
+        """From now on the wind blows steadily towards the east [m/s]."""
+        plant = self.body.plant._replace(wind=np.array([east_m_s, 0.0, 0.0]))
+        self._plants = kernel_list([plant])
+
     @property
     def t(self) -> float:
         """Time of the physics [s]."""

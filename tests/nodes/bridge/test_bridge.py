@@ -305,6 +305,20 @@ def test_a_vehicle_that_comes_too_near_ends_the_formation():
     until(fleet, uav, Step.DONE, 90.0)
 
 
+@pytest.mark.parametrize(
+    ("kind", "setpoint", "wind_m_s"), [("px4", "velocity", 7), ("arducopter", "attitude", 29)]
+)
+def test_a_gale_that_carries_a_vehicle_off_ends_the_formation(kind, setpoint, wind_m_s):
+    """Its tilt is at its limit, and its planner wants it back; nobody waits until it runs at `abort.away_m_s`."""
+    made = scenario(kind, setpoint, **{"mavlink.geofence": {"radius_m": 60.0}})
+    fleet = MavlinkFleet(made, kind, gnss="perfect", count=1)
+    fleet.set_parameter("GUID_OPTIONS", 8)
+    uav = fleet.airborne().form().run(2.0).uavs[1]
+    inject(uav.vehicle, "wind", str(wind_m_s), fleet.now_s)
+    until(fleet, uav, Step.APART, 8.0)
+    assert "its error grows: for 3 s it flies away from its place" in uav.bridge.procedure.fault
+
+
 def test_the_operators_stop_lands_a_vehicle_that_holds_apart():
     fleet, uav = one()
     uav.inputs.take(Order("apart"))

@@ -111,7 +111,18 @@ def test_somebody_else_with_our_system_id(companion):
 
 
 @pytest.mark.parametrize(
-    "line", ["1 gps maybe", "9 gps off", "1", "", "1 sulk", "1 battery 2", "1 mode X", "1 clock x"]
+    "line",
+    [
+        "1 gps maybe",
+        "9 gps off",
+        "1",
+        "",
+        "1 sulk",
+        "1 battery 2",
+        "1 mode X",
+        "1 clock x",
+        "1 wind 90",
+    ],
 )
 def test_what_cannot_be_done_is_refused(companion, line):
     px4 = companion(Px4)

@@ -9,11 +9,20 @@ pytest.importorskip("pymavlink")
 
 from ptnsbc_nodes.bridge.procedure.hazards import AbortLimits, FlightMonitor, Sight
 
-LIMITS = AbortLimits(separation_share=0.6, swing_m_s=1.0, away_m_s=2.0, jump_m=1.0)
+LIMITS = AbortLimits(separation_share=0.6, swing_m_s=1.0, away_m_s=2.0, against_m_s=1.0, jump_m=1.0)
 NOBODY, DT = np.empty((0, 7)), 0.02
 
 
-def fly(path, seconds, *, others=NOBODY, limits=LIMITS, settled_s=-100.0, reference=(0, 0, 0)):
+def fly(
+    path,
+    seconds,
+    *,
+    others=NOBODY,
+    limits=LIMITS,
+    settled_s=-100.0,
+    reference=(0, 0, 0),
+    wanted=lambda _t: None,
+):
     """The first reason and its time, for a vehicle on `path(t) -> position`."""
     monitor = FlightMonitor(limits)
     for k in range(round(seconds / DT)):
@@ -21,7 +30,11 @@ def fly(path, seconds, *, others=NOBODY, limits=LIMITS, settled_s=-100.0, refere
         velocity = (np.array(path(t + 1e-4)) - np.array(path(t - 1e-4))) / 2e-4
         near = others(t) if callable(others) else others
         moves = np.array(reference(t) if callable(reference) else reference, dtype=float)
-        reason = monitor.look(Sight(t, np.array(path(t)), velocity, moves, near, settled_s + t))
+        told = wanted(t)
+        told = None if told is None else np.array(told, dtype=float)
+        reason = monitor.look(
+            Sight(t, np.array(path(t)), velocity, moves, told, near, settled_s + t)
+        )
         if reason:
             return reason, t
     return "", None
@@ -115,8 +128,51 @@ def test_an_error_that_grows_after_the_deadline():
     assert fly(running, 20.0, settled_s=0.0, reference=(2.0, 0, 0)) == ("", None)
 
 
+@pytest.mark.parametrize("speed_m_s", [0.2, 1.0])
+def test_an_error_that_grows_slowly_while_the_planner_wants_the_vehicle_back(speed_m_s):
+    """A gale carries it off; its planner wants 1.2 1/s of the error, 1 m/s and more from 0.83 m on."""
+
+    def carried(t):
+        return (speed_m_s * t, 0.0, 8.0)
+
+    def back(t):
+        return (-1.2 * speed_m_s * t, 0.0, 0.0)
+
+    reason, at_s = fly(carried, 20.0, wanted=back)
+    assert "its error grows: for 3 s it flies away from its place" in reason
+    assert at_s == pytest.approx(1.0 / 1.2 / speed_m_s + 3.0, abs=0.05)
+    assert speed_m_s * at_s < 4.0
+    assert fly(carried, 20.0, wanted=back, limits=LIMITS._replace(against_m_s=0)) == ("", None)
+    assert fly(carried, 20.0) == ("", None)  # nothing says where it should fly
+
+
+def test_a_vehicle_that_obeys_or_swings_about_its_place_is_not_carried_off():
+    """Beside a leader at 1 m/s: on its way back, behind a detour, and with a swing that dies out."""
+
+    def back(t):
+        return (1.0 * t + 6.0 * math.exp(-0.5 * t), 0.0, 8.0)
+
+    def wanted(t):
+        return (1.0 - 3.0 * math.exp(-0.5 * t), 0.0, 0.0)
+
+    assert fly(back, 20.0, wanted=wanted, reference=(1, 0, 0)) == ("", None)
+
+    def waits(_t):  # behind an obstacle, as its planner wants it
+        return (0.0, 0.0, 8.0)
+
+    assert fly(waits, 20.0, wanted=lambda _t: (0, 0, 0), reference=(1, 0, 0)) == ("", None)
+
+    def decaying(t):
+        return (t + 3.0 * math.exp(-0.3 * t) * math.sin(1.5 * t), 0.0, 8.0)
+
+    def about(t):
+        return (1.0 - 1.2 * (decaying(t)[0] - t), 0.0, 0.0)
+
+    assert fly(decaying, 30.0, wanted=about, reference=(1, 0, 0)) == ("", None)
+
+
 def test_a_limit_of_zero_is_off():
-    none = AbortLimits(0.0, 0.0, 0.0, 0.0)
+    none = AbortLimits(0.0, 0.0, 0.0, 0.0, 0.0)
     assert fly(
         lambda t: (9.0 * math.sin(3 * t), 0, 8), 9.0, others=one_at(0, 0, 8), limits=none
     ) == (
