@@ -165,7 +165,7 @@ ANSWERS = (
         "the launcher, by the exit code",
         "0.1 s",
         _HOLD,
-        "named with its last log lines; no process waits for it; exit code 1",
+        "named with its last log lines; no process waits for it; exit code 1, unless the scenario kills it",
         _NEVER,
         (f"{_FLEET}test_who_dies_in_flight_is_named_and_the_others_fly_on",),
     ),

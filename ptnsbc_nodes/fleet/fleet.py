@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import tempfile
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -31,6 +32,7 @@ from ptnsbc_nodes.runtime.warmup import load_fleet, load_world
 from ptnsbc_nodes.security.middleware import ENCLAVE, enforced
 from ptnsbc_nodes.security.permissions import FLEET, OPERATOR
 from ptnsbc_sim.own_uav import UavFunctions
+from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.mission.faults import PROCESS
 
 __all__ = ["FleetError", "FleetOptions", "FleetResult", "ProcessReport", "chosen", "run_fleet"]
@@ -54,7 +56,7 @@ class FleetResult:
 
     processes: tuple[ProcessReport, ...]
     died: tuple[str, ...]  # processes that ended before their time
-    lost: tuple[int, ...]  # ids of the UAVs among them
+    killed: tuple[str, ...]  # processes of UAVs that ended by a fault of the scenario
     interrupted: bool  # by SIGINT or SIGTERM
     bag: Path | None
     recorded: Mapping[str, Any]  # the recorder's own summary
@@ -110,6 +112,7 @@ def run_fleet(options: FleetOptions, progress: Report = lambda line: None) -> Fl
             finally:
                 supervisor.end()
     return _result(
+        options.scenario,
         supervisor,
         interrupted=stop.came,
         bag=options.bag,
@@ -135,6 +138,7 @@ def _most_participants(options: FleetOptions, processes: int) -> int:
 
 
 def _result(
+    scenario: Scenario,
     supervisor: Supervisor,
     *,
     interrupted: bool,
@@ -142,19 +146,25 @@ def _result(
     startup_s: float,
     flight_s: float,
 ) -> FleetResult:
-    children, died = supervisor.children, supervisor.died
-    lost = [uav for child in died for uav in child.command.uavs]
-    lost += [int(name.removeprefix("uav")) for name in supervisor.lost_elsewhere]
+    children, killed = supervisor.children, _killed_by(scenario, supervisor.died)
+    died = (*(child.name for child in supervisor.died), *supervisor.lost_elsewhere)
     return FleetResult(
         processes=tuple(ProcessReport(c.name, c.pid, c.exit_code, c.log) for c in children),
-        died=(*(child.name for child in died), *supervisor.lost_elsewhere),
-        lost=tuple(dict.fromkeys(lost)),
+        died=tuple(name for name in died if name not in killed),
+        killed=killed,
         interrupted=interrupted,
         bag=bag,
         recorded=_recorded(children),
         startup_s=startup_s,
         flight_s=flight_s,
     )
+
+
+def _killed_by(scenario: Scenario, ended: Sequence[ChildProcess]) -> tuple[str, ...]:
+    """The UAVs among the processes that have ended which a fault of the scenario kills: no defect of the fleet."""
+    victims = {one.victim for one in scenario.faults if one.kind in ("kill", "restart")}
+    by_signal = (one for one in ended if one.exit_code == -signal.SIGKILL)
+    return tuple(one.name for one in by_signal if one.command.uavs and one.name in victims)
 
 
 def _recorded(children: Sequence[ChildProcess]) -> Mapping[str, Any]:

@@ -67,7 +67,8 @@ def _say(line: str) -> None:
 
 def _summary(result: FleetResult) -> str:
     end = "interrupted" if result.interrupted else "landed"
-    lost = f", lost {', '.join(result.died)}" if result.died else ""
+    gone = (*result.died, *result.killed)
+    lost = f", lost {', '.join(gone)}" if gone else ""
     kept = f", {result.recorded.get('messages', 0)} messages in {result.bag}" if result.bag else ""
     if result.recorded.get("late"):
         kept += f", {result.recorded['late']} late"

@@ -244,16 +244,24 @@ def _fleet_facts(flown: FleetResult) -> dict[str, Any]:
         "startup_s": round(flown.startup_s, 3),
         "flight_s": round(flown.flight_s, 3),
         "died": list(flown.died),
+        "killed": list(flown.killed),
         "interrupted": flown.interrupted,
         "recorded": {key: flown.recorded.get(key) for key in ("messages", "late")},
         "logs": str(flown.processes[0].log.parent) if flown.processes else None,
     }
 
 
-def _losses(flown: FleetResult) -> Iterator[str]:
-    """The defects of the flight and its recording, one line each."""
+def _ends(flown: FleetResult) -> Iterator[str]:
+    """The processes that ended in flight, one line each."""
     for name in flown.died:
         yield f"{name} ended before its time"
+    for name in flown.killed:
+        yield f"{name} was killed, as the scenario has it"
+
+
+def _losses(flown: FleetResult) -> Iterator[str]:
+    """The defects of the flight and its recording, one line each."""
+    yield from _ends(flown)
     recorded = flown.recorded
     if not recorded:
         yield "the recorder left no count of its messages: the bag may be cut"
@@ -293,8 +301,8 @@ def _judge(
 
 def _show_part(flown: FleetResult, *, json: bool) -> int:
     """Show how a part of the fleet ended; the host with the recorder shows the verdict."""
-    for name in flown.died:
-        console.say(f"{name} ended before its time")
+    for line in _ends(flown):
+        console.say(line)
     console.say(f"over after {flown.flight_s:.1f} s; the verdict is on the host with the recorder")
     if json:
         facts = _fleet_facts(flown)

@@ -3,6 +3,7 @@
 import os
 import signal
 import threading
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ pytest.importorskip("rclpy")
 from ptnsbc_io import wire
 from ptnsbc_io.bag import BagError, read_bag
 from ptnsbc_nodes.fleet import main
-from ptnsbc_nodes.fleet.fleet import FleetError, FleetOptions, run_fleet
+from ptnsbc_nodes.fleet.fleet import FleetError, FleetOptions, _killed_by, run_fleet
 from ptnsbc_nodes.view.observer import Observer
 from ptnsbc_sim.scenario import load_scenario, scenario_from_text
 from ptnsbc_sim.swarm import fly
@@ -282,3 +283,15 @@ def test_a_bad_scenario_is_one_line_and_exit_2(tmp_path, capsys):
     assert out == ""
     assert err.startswith("fleet: ")
     assert "bad.yaml" in err
+
+
+def test_a_uav_that_the_scenario_kills_has_not_died():
+    """Only of a signal, only a UAV, and only one that the scenario names: `relay` kills 1 and restarts 5."""
+
+    def ended(name, exit_code, *uavs):
+        return SimpleNamespace(name=name, exit_code=exit_code, command=SimpleNamespace(uavs=uavs))
+
+    gone = [ended("uav1", -9, 1), ended("uav5", -9, 5), ended("uav2", -9, 2), ended("sim", -9)]
+    assert _killed_by(load_scenario("relay"), gone) == ("uav1", "uav5")
+    assert _killed_by(load_scenario("relay"), [ended("uav1", 1, 1), ended("uav5", -15, 5)]) == ()
+    assert _killed_by(load_scenario("paper_5"), gone) == ()

@@ -92,6 +92,7 @@ def flown(**changes: Any) -> Any:
     facts = {
         "processes": (),
         "died": (),
+        "killed": (),
         "interrupted": False,
         "recorded": RECORDED,
         "startup_s": 1.0,
@@ -106,6 +107,7 @@ def flown(**changes: Any) -> Any:
     [
         ({}, []),
         ({"died": ("uav3",)}, ["uav3 ended before its time"]),
+        ({"killed": ("uav1",)}, ["uav1 was killed, as the scenario has it"]),
         (
             {"recorded": {**RECORDED, "late": 2}},
             ["2 messages came too late to be sorted: bytes differ between runs"],
