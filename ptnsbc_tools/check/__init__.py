@@ -26,7 +26,7 @@ from ptnsbc_tools.check.geometry import (
     spacing,
     starts_clear,
 )
-from ptnsbc_tools.check.mission import legs
+from ptnsbc_tools.check.mission import legs, words
 from ptnsbc_tools.check.slots import slots, turn
 from ptnsbc_tools.check.trajectory import trajectory
 
@@ -47,6 +47,7 @@ _CHECKS: Sequence[Callable[[Scenario], Findings]] = (
     within_flight,
     changes,
     legs,
+    words,
     trajectory,
     encounters,
     recovery,

@@ -11,6 +11,7 @@ from ptnsbc_sim.scenario.mission.legs import (
     ChangeLeg,
     FollowLeg,
     FormLeg,
+    JoinLeg,
     LandLeg,
     Mission,
     SplitLeg,
@@ -94,6 +95,18 @@ def _order(mission: Mission, index: int) -> str:
         return "" if isinstance(leg, FormLeg) else "expected form, which follows take_off"
     if isinstance(leg, FormLeg):
         return "expected change, with which a later leg takes another shape"
+    return _apart(mission, index)
+
+
+def _apart(mission: Mission, index: int) -> str:
+    """The same of a group that leaves or comes back, which legs that wait for a word do too."""
+    leg = mission.legs[index]
+    before = [one for one in mission.legs[:index] if isinstance(one, SplitLeg | JoinLeg)]
+    apart = bool(before) and isinstance(before[-1], SplitLeg)
+    if isinstance(leg, SplitLeg) and apart:
+        return "expected a leg of kind join before it"
+    if isinstance(leg, JoinLeg) and not apart:
+        return "expected a leg of kind split before it"
     return ""
 
 

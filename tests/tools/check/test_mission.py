@@ -3,7 +3,7 @@
 from typing import Any
 
 from ptnsbc_sim.scenario import load_scenario
-from ptnsbc_tools.check.mission import legs
+from ptnsbc_tools.check.mission import legs, words
 from ptnsbc_tools.check.trajectory import trajectory
 
 
@@ -54,3 +54,24 @@ def test_a_landing_needs_the_time_to_come_down() -> None:
 
 def test_a_flight_that_ends_before_its_legs_is_warned_of() -> None:
     assert odd(go_to(5.0, 10.0), seconds=12.0) == [("warning", "timing.duration_s")]
+
+
+def waiting(*more: dict[str, Any]) -> list[tuple[str, str, str]]:
+    changes = {"mission": {"legs": [{"kind": "form", "over_s": 6}, *more]}}
+    found = words(load_scenario("split_join", changes))
+    return [(one.severity, one.key, one.value.partition(" leaves")[0]) for one in found]
+
+
+def test_legs_that_wait_for_a_word_are_checked_as_if_it_were_said_at_once() -> None:
+    """35/16 of 50 m in 10 s are too fast, and a fifth of the shape is within the keep-out of two UAVs."""
+    gate, home = {**go_to(50.0, 10.0), "on": "word", "name": "gate"}, go_to(0.0, 20.0)
+    narrow = {"kind": "change", "scale": [0.2, 0.2, 1], "over_s": 5, "on": "word"}
+    assert waiting(home) == []
+    assert waiting({**gate, "over_s": 20}, {**home, "name": "home"}) == [
+        ("info", "mission.legs[1].on", "gate waits for a word"),
+        ("info", "mission.legs[1]", "said at once, gate"),
+        ("info", "mission.legs[2]", "said at once, home"),
+    ]
+    found = [one for one in waiting(gate, narrow) if one[0] != "info"]
+    assert found[0] == ("warning", "mission.legs[1]", "said at once, gate")
+    assert found[1][2].startswith("said at once, the places of UAV")

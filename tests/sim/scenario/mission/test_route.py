@@ -263,9 +263,10 @@ def value(table: Array, channel: int, t: float) -> float:
 @pytest.mark.parametrize(
     ("legs", "keys", "message"),
     [
-        ([JOIN], {}, r"join-2: expected a leg of kind split before it"),
-        ([SPLIT, SPLIT], {}, r"split-3: expected a leg of kind join before it"),
-        ([SPLIT, JOIN, JOIN], {}, r"join-4: expected a leg of kind split before it"),
+        ([JOIN], {}, r"legs\[1\]\.kind: join: expected a leg of kind split before it"),
+        ([{**JOIN, "on": "word"}], {}, r"legs\[1\]\.kind: join: expected a leg of kind split"),
+        ([SPLIT, SPLIT], {}, r"legs\[2\]\.kind: split: expected a leg of kind join before it"),
+        ([SPLIT, JOIN, JOIN], {}, r"legs\[3\]\.kind: join: expected a leg of kind split"),
         ([{**SPLIT, "head": 1}], {}, r"legs\[1\]\.head: 1: expected one of the followers"),
         ([{**SPLIT, "head": 9}], {}, r"legs\[1\]\.head: 9: expected one of the followers"),
         ([SPLIT], {"formation.frame": "heading"}, r"split: expected formation\.frame: world"),
