@@ -213,11 +213,6 @@ def check_options(options: FleetOptions) -> None:
     _check_processes(options)
     if options.backend != "mavlink":
         return
-    if options.scenario.reconfigures:
-        raise FleetError(
-            f"formation.vacancy: {options.scenario.file.formation.vacancy}: bridges do not fly it: expected wait, "
-            "or --backend sim"
-        )
     if options.wait and options.shared:
         raise FleetError(
             "--wait: a launcher keeps the vehicles of its own computer from arming, not those of others: expected no "

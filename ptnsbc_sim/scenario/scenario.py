@@ -126,13 +126,20 @@ class Scenario(ScenarioSettings):
         """The scenario for real vehicles, with `mavlink.overrides` applied; applying them again changes nothing.
 
         A leg `take_off` begins where their own take-off ends.
+
+        Raises:
+            ScenarioError: an override does not fit, or UAVs come and go, which bridges do not fly.
         """
         overrides = dict(self.mavlink.overrides)
         if self.file.mission is not None and takes_off_from_starts(self.file.mission):
             overrides[FROM_KEY] = self.mavlink.takeoff_height_m
-        if not overrides:
-            return self
-        return scenario_from_text(self.text, overrides, source=self.source)
+        flown = scenario_from_text(self.text, overrides, source=self.source) if overrides else self
+        if flown.reconfigures:
+            raise ScenarioError(
+                f"{self.source}: formation.vacancy: {flown.file.formation.vacancy}: bridges do not fly it: expected "
+                "wait, or --backend sim"
+            )
+        return flown
 
 
 def scenario_from_text(

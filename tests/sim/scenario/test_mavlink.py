@@ -81,3 +81,9 @@ def test_overrides_hold_with_real_vehicles_only():
     assert real.bridged().text == real.text
     with pytest.raises(PtnsbcError, match=r"gains.formation.kapa: unknown key"):
         scenario(overrides={"gains.formation.kapa": 1.1}).bridged()
+
+
+def test_uavs_do_not_come_and_go_with_real_vehicles():
+    relay = load_scenario("relay")
+    with pytest.raises(PtnsbcError, match=r"formation\.vacancy: keep: bridges do not fly it"):
+        relay.bridged()
