@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -212,7 +214,22 @@ def chosen(context: typer.Context) -> Scenario:
     """The scenario that the arguments and options of a command make."""
     name, given = context.params["scenario"], overrides(**context.params)
     file = context.params.get("params_file")
-    return scenario_with(name, given) if file is None else _with_parameters(name, file, given)
+    with _named(context.params.get("mission")):
+        return scenario_with(name, given) if file is None else _with_parameters(name, file, given)
+
+
+@contextmanager
+def _named(mission: Path | None) -> Iterator[None]:
+    """Errors of legs name the file that they are in, not the scenario that flies them."""
+    from ptnsbc_sim.scenario import ScenarioError
+
+    try:
+        yield
+    except ScenarioError as error:
+        _, found, rest = str(error).partition(": mission.")
+        if mission is None or not found:
+            raise
+        raise ScenarioError(f"{mission}: mission.{rest}") from None
 
 
 def _with_parameters(name: str, file: Path, given: dict[str, Any]) -> Scenario:
@@ -235,10 +252,16 @@ def _with_parameters(name: str, file: Path, given: dict[str, Any]) -> Scenario:
 
 def _mission(path: Path) -> Any:
     """The mission of a file: the whole of it, or what stands below `mission`."""
+    from ptnsbc_sim.scenario import ScenarioError
     from ptnsbc_sim.scenario.reading.reader import parse, read_text
 
-    tree = parse(read_text(path), str(path))
-    return tree.get("mission", tree)
+    tree = parse(read_text(path), str(path), begins="legs")
+    found = tree.get("mission", tree)
+    if not isinstance(found, dict) or "legs" not in found:
+        raise ScenarioError(
+            f"{path}: no legs: expected the key legs, or mission with legs below it"
+        )
+    return found
 
 
 def _setting(text: str) -> tuple[str, Any]:

@@ -74,8 +74,8 @@ def _plain_int(loader: yaml.SafeLoader, node: Any) -> int:
 _Loader.add_constructor("tag:yaml.org,2002:int", _plain_int)
 
 
-def parse(text: str, source: str) -> Tree:
-    """The mapping that a scenario text holds."""
+def parse(text: str, source: str, begins: str = "name") -> Tree:
+    """The mapping that a scenario text holds, or another one that begins with another key."""
     if len(text) > _MOST_BYTES:
         raise ScenarioError(f"{source}: over {_MOST_BYTES} bytes: expected a scenario file")
     try:
@@ -88,7 +88,7 @@ def parse(text: str, source: str) -> Tree:
         raise ScenarioError(f"{source}: not YAML: {_one_line(error)}") from None
     if not isinstance(tree, dict):
         found = "nothing" if tree is None else type(tree).__name__
-        raise ScenarioError(f"{source}: {found}: expected a mapping that starts with name:")
+        raise ScenarioError(f"{source}: {found}: expected a mapping that starts with {begins}:")
     return tree
 
 
