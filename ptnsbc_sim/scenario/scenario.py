@@ -23,6 +23,7 @@ from ptnsbc_sim.scenario.mission.stream import (
     takes_setpoints,
 )
 from ptnsbc_sim.scenario.model import ScenarioFile, UavBlock
+from ptnsbc_sim.scenario.problems import ScenarioError
 from ptnsbc_sim.scenario.reading import reader
 from ptnsbc_sim.scenario.reading.loading import load_text, with_route
 from ptnsbc_sim.scenario.semantics import NANOSECONDS, checked
