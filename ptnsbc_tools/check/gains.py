@@ -146,7 +146,8 @@ def feasible(scenario: Scenario) -> Findings:
     away, needs = start_errors(scenario.file), shortest_deadlines(scenario.file, left)
     short = sum(need > deadline for need in needs.values())
     last = max(needs, key=lambda one: needs[one])
-    shortest = math.ceil(100.0 * needs[last]) / 100.0  # as it is printed: never rounded down
+    hundredths = 100.0 * needs[last]  # as it is printed: never rounded down
+    shortest = math.ceil(hundredths) / 100.0 if math.isfinite(hundredths) else needs[last]
     too_short = f", too short for {short} of {len(needs)} UAVs" if short else ""
     yield Finding(
         ERROR if short else INFO,
