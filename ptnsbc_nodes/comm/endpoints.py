@@ -52,12 +52,6 @@ class _CountingPublisher:
         self.sent += 1
         self._publish(data if self._close is None else self._close(data))
 
-    def send_if_read(self, encode: Callable[[], bytes]) -> None:
-        if self.publisher.get_subscription_count():
-            self.send(encode())
-        else:
-            self.sent += 1  # a recorder that is not there lacks it
-
 
 class PublishCounters(NamedTuple):
     """The number of messages that a process has published, by topic."""
@@ -124,13 +118,6 @@ class Endpoints:
 
     def publisher(self, topic: Topic, readers: int) -> Callable[[bytes], None]:
         """A publisher of serialised messages; `readers` subscriptions must match it before the flight."""
-        return self._publisher(topic, readers).send
-
-    def lazy_publisher(self, topic: Topic, readers: int) -> Callable[[Callable[[], bytes]], None]:
-        """As `publisher`, for what recorders and viewers read: it takes a function, and calls it for a reader only."""
-        return self._publisher(topic, readers).send_if_read
-
-    def _publisher(self, topic: Topic, readers: int) -> _CountingPublisher:
         publisher = self._node.create_publisher(
             message_class(topic),
             full_name(self._node, topic),
@@ -139,7 +126,7 @@ class Endpoints:
         )
         close = None if self._seal is None else self._seal.closer(topic)
         self._published.append(_CountingPublisher(publisher, readers, close))
-        return self._published[-1]
+        return self._published[-1].send
 
     def readers(self, topic: Topic) -> Callable[[], int]:
         """A function that counts the subscriptions to a topic that this node publishes."""

@@ -28,9 +28,7 @@ class Outbox:
         self._send_estimate = publisher(
             topics.leader_estimate(uav_id), edges.estimate_readers(uav_id)
         )
-        self._send_velocity = endpoints.lazy_publisher(
-            topics.velocity_setpoint(uav_id), edges.options.recorders
-        )
+        self._send_velocity = publisher(topics.velocity_setpoint(uav_id), edges.options.recorders)
         self._step_log: _StepLogPublisher | None = None
 
     def log_steps(
@@ -47,7 +45,7 @@ class Outbox:
         self._send_wrench(messages.wrench(stamp_ns, outputs.wrench))
         self._send_state(messages.state(own, outputs))
         self._send_estimate(messages.estimate(stamp_ns, outputs.leader_estimate))
-        self._send_velocity(lambda: messages.velocity(stamp_ns, outputs.velocity))
+        self._send_velocity(messages.velocity(stamp_ns, outputs.velocity))
         if self._step_log is not None:
             self._step_log.send(at, controller)
 
@@ -62,7 +60,7 @@ class _StepLogPublisher:
         self._every = every  # steps from one snapshot to the next
         self._senders = edges.senders(uav_id)
         self._template = TickTemplate(self._senders)
-        self._send_tick = endpoints.lazy_publisher(topics.tick(uav_id), readers)
+        self._send_tick = endpoints.publisher(topics.tick(uav_id), readers)
         self._send_snapshot = endpoints.publisher(topics.snapshot(uav_id), readers)
         self._snapshot: SnapshotTemplate | None = None
 
@@ -72,11 +70,8 @@ class _StepLogPublisher:
         if controller.inbox.senders is not self._senders:  # it has taken another slot
             self._senders = controller.inbox.senders
             self._template = TickTemplate(self._senders)
-        self._send_tick(
-            lambda: self._template.encode(
-                sequence, at, used_by(controller, at.now_ns, NO_CUTOFF_NS)
-            )
-        )
+        used = used_by(controller, at.now_ns, NO_CUTOFF_NS)
+        self._send_tick(self._template.encode(sequence, at, used))
         if sequence % self._every == 0:
             self._snapshot = self._snapshot or SnapshotTemplate(controller)
             self._send_snapshot(self._snapshot.encode(sequence, controller))
