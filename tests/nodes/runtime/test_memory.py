@@ -47,7 +47,7 @@ class Mapped:
         release(re.compile(re.escape(self._name)))
 
     def resident_kb(self):
-        """What the kernel counts as resident, of all parts of the mapping."""
+        """The resident memory that the kernel counts for all parts of the mapping."""
         inside, found = False, 0
         for line in Path("/proc/self/smaps").read_text().splitlines():
             if re.match(r"[0-9a-f]+-", line):
