@@ -23,7 +23,7 @@ from ptnsbc_nodes.comm.graph import CommunicationGraph
 from ptnsbc_nodes.comm.legs import FIRST_LEG, Epochs
 from ptnsbc_nodes.uav.slots import SlotDecider
 from ptnsbc_sim.scenario import Scenario
-from ptnsbc_sim.scenario.deadline import leg_room
+from ptnsbc_sim.scenario.approach.deadline import leg_room
 from ptnsbc_sim.scenario.mission.legs import (
     CANCEL,
     ScheduledLeg,

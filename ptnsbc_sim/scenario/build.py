@@ -42,7 +42,8 @@ from ptnsbc_core.types import (
     Vector3,
 )
 from ptnsbc_sim.own_task import load_task
-from ptnsbc_sim.scenario.deadline import leader_motion, turn_of
+from ptnsbc_sim.scenario.approach.deadline import turn_of
+from ptnsbc_sim.scenario.approach.limits import leader_motion
 from ptnsbc_sim.scenario.gains import Loop
 from ptnsbc_sim.scenario.mission.shapes import moves, shape_of
 from ptnsbc_sim.scenario.mission.trajectories import trajectory_of

@@ -14,7 +14,7 @@ from typing import Any
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_sim.scenario import Scenario, scenario_from_text
-from ptnsbc_sim.scenario.deadline import turn_of
+from ptnsbc_sim.scenario.approach.deadline import turn_of
 from ptnsbc_sim.swarm import HeadlessFlight
 from ptnsbc_sim.sweep.axes import UNIFORM, SweepAxis
 from ptnsbc_sim.sweep.plan import SweepPlan, draw

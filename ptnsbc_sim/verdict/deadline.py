@@ -7,6 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ptnsbc_sim.scenario.approach.deadline import shortest_from
+from ptnsbc_sim.scenario.approach.path import EpochPlaces
 from ptnsbc_sim.scenario.mission.membership import NEVER_NS
 from ptnsbc_sim.verdict.coverage import Coverage, first_bad_s, incomplete, silent_from_s
 from ptnsbc_sim.verdict.encounters import ancestors
@@ -122,10 +124,39 @@ def _late_change(found: UavVerdict) -> str:
     return ""
 
 
-def _miss(found: UavVerdict, figures: ErrorFigures) -> str:
+def _shortest_s(recording: Recording, uav: int) -> float | None:
+    """Shortest deadline [s] from where a UAV was at the epoch; None for one that came later, by its own deadline."""
+    there = {
+        one
+        for one in recording.scenario.uav_ids
+        if not any(
+            gap.begin_ns <= recording.start_ns < gap.end_ns for gap in recording.absences[one]
+        )
+    }
+    flown = recording.flown
+    if not {uav, flown.leader_id} <= there:
+        return None
+    at = recording.positions(np.array([recording.start_ns]))
+    begin_s = float(recording.since_first(np.array([recording.start_ns]))[0])
+    starts = EpochPlaces({one: at[one][0] for one in there}, {one: one for one in there}, begin_s)
+    return shortest_from(flown.file, starts, uav)
+
+
+def _too_short(recording: Recording, found: UavVerdict) -> str:
+    """The deadline that the limits of the vehicle allow from where it was at the epoch, when that is longer."""
+    shortest = _shortest_s(recording, found.uav)
+    if shortest is None or shortest <= found.deadline_s:
+        return ""
+    return f"the limits allow no deadline below {shortest:.2f} s, which no encounter excuses"
+
+
+def _miss(recording: Recording, found: UavVerdict, figures: ErrorFigures) -> str:
     """By how much the deadline was missed, empty when it was met."""
     miss = _late(found, figures.end_s) or _late_change(found)
     if miss and found.due_s > found.deadline_s:
+        too_short = _too_short(recording, found)
+        if too_short:
+            return f"{miss}, {too_short}"
         unrecovered = _unrecovered(found, figures)
         miss = f"{miss}, {unrecovered}" if unrecovered else ""
     elif miss and _left_again(found) and _in_time(figures):
@@ -238,7 +269,7 @@ def _of_deadline(
     if found.lost:
         return replace(found, verdict=VOID, reason=found.membership)
     short = found.error_at_deadline_m is None
-    miss = f"recording ends after {end_s:.2f} s" if short else _miss(found, figures)
+    miss = f"recording ends after {end_s:.2f} s" if short else _miss(recording, found, figures)
     hole = incomplete(recording, uav, covers)
     if hole:
         parts = [f"recording incomplete: {hole}", *([miss] if miss and not short else [])]

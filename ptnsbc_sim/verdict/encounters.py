@@ -21,8 +21,8 @@ from ptnsbc_core.curves.turned import left_at
 from ptnsbc_core.timebase import plan_duration
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import Scenario
+from ptnsbc_sim.scenario.approach.deadline import turn_of
 from ptnsbc_sim.scenario.build import loop_of, recovery_config
-from ptnsbc_sim.scenario.deadline import turn_of
 from ptnsbc_sim.scenario.mission.membership import NEVER_NS
 from ptnsbc_sim.verdict.formation_error import formation_vectors
 from ptnsbc_sim.verdict.recording import COUNTERS, Recording

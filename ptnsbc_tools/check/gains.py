@@ -9,12 +9,8 @@ from ptnsbc_core.types import LoopGain
 from ptnsbc_sim.disturbances.build import position_noise_of
 from ptnsbc_sim.disturbances.position_noise import correction_std_m, position_std_m
 from ptnsbc_sim.scenario import Scenario, agent_config
-from ptnsbc_sim.scenario.deadline import (
-    limits_left,
-    limits_left_by_mission,
-    shortest_deadlines,
-    start_errors,
-)
+from ptnsbc_sim.scenario.approach.deadline import shortest_deadlines, start_errors
+from ptnsbc_sim.scenario.approach.limits import limits_left, limits_left_by_mission
 from ptnsbc_sim.scenario.semantics import STABILITY_LIMIT
 from ptnsbc_sim.scenario.slots import with_slots_of_starts
 from ptnsbc_tools.check.finding import ERROR, INFO, WARNING, Finding, Findings
@@ -153,7 +149,8 @@ def feasible(scenario: Scenario) -> Findings:
         ERROR if short else INFO,
         "gains.formation.deadline_s",
         f"{deadline:g} s{too_short}; UAV {last} starts {away[last]:.2f} m from its place",
-        f">= {shortest:.2f} s at {left.speed_m_s:.3g} m/s and {left.acceleration_m_s2:.3g} m/s^2",
+        f">= {shortest:.2f} s, with {left.speed_m_s:.3g} m/s and {left.acceleration_m_s2:.3g} m/s^2 "
+        "beside the leader's largest motion",
         f"set gains.formation.deadline_s to at least {shortest:.2f} s or to auto, start it closer, "
         "or raise gains.filter.max_speed_m_s"
         if short

@@ -12,6 +12,7 @@ from ptnsbc_core.tasks.registry import conditioning
 from ptnsbc_core.tasks.table import TASKS
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import Scenario, agent_config
+from ptnsbc_sim.scenario.approach.limits import leader_motion
 from ptnsbc_sim.scenario.build import (
     clearance_config,
     leader_trajectory,
@@ -20,7 +21,6 @@ from ptnsbc_sim.scenario.build import (
     reference_offset,
     sight_speed,
 )
-from ptnsbc_sim.scenario.deadline import leader_motion
 from ptnsbc_sim.scenario.mission.shapes import moves
 from ptnsbc_sim.scenario.semantics import STABILITY_LIMIT, estimator_peak, estimator_step
 from ptnsbc_sim.scenario.slots import with_slots_of_starts

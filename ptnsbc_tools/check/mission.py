@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from ptnsbc_sim.scenario import Scenario
-from ptnsbc_sim.scenario.deadline import leg_room
+from ptnsbc_sim.scenario.approach.deadline import leg_room
 from ptnsbc_sim.scenario.mission.legs import FIRST, FormLeg, Word, leg_names
 from ptnsbc_tools.check.finding import ERROR, INFO, WARNING, Finding, Findings
 from ptnsbc_tools.check.geometry import moving_spacing

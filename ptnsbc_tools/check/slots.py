@@ -9,9 +9,9 @@ import numpy as np
 
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import Scenario
-from ptnsbc_sim.scenario.deadline import planned_pairs, turn_of
+from ptnsbc_sim.scenario.approach.deadline import planned_pairs, turn_of
+from ptnsbc_sim.scenario.approach.turn import distances
 from ptnsbc_sim.scenario.slots import are_open, with_slots_of_starts
-from ptnsbc_sim.scenario.turn import distances
 from ptnsbc_tools.check.finding import INFO, WARNING, Finding, Findings
 
 

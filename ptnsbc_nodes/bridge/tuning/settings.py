@@ -20,7 +20,8 @@ from ptnsbc_nodes.bridge.setpoint.lead import (
 )
 from ptnsbc_nodes.bridge.tuning.excitation import FrequencyPoint, TuneError
 from ptnsbc_sim.scenario import Scenario, agent_config
-from ptnsbc_sim.scenario.deadline import limits_left, shortest_deadlines, start_errors
+from ptnsbc_sim.scenario.approach.deadline import shortest_deadlines, start_errors
+from ptnsbc_sim.scenario.approach.limits import limits_left
 
 AGREES = 0.1
 """The model of the vehicle must be so near to each measured response."""

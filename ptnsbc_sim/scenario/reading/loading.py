@@ -8,7 +8,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from ptnsbc_sim.scenario.deadline import AUTO, auto_deadline
+from ptnsbc_sim.scenario.approach.deadline import AUTO, auto_deadline
 from ptnsbc_sim.scenario.mission.completion import completed_mission, completed_shape
 from ptnsbc_sim.scenario.mission.legs import Word
 from ptnsbc_sim.scenario.mission.route import with_legs

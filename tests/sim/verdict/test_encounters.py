@@ -140,3 +140,18 @@ def test_keeping_clear_before_the_deadline_hides_nothing(
     others = {4: count(12.0, lambda t: np.clip(t - 1.0, 0.0, 1.0))}
     one = verdict_of(verdict_on(fly({4: decay(2.0, 1.0)}, counters=others)), 4)
     assert (one.verdict, one.settling_s) == ("met", pytest.approx(3.69))
+
+
+def test_no_encounter_excuses_a_deadline_that_the_limits_do_not_allow(
+    fly: Fly, count: Callable[..., Any]
+) -> None:
+    """60 m in 5 s ask for 26 m/s. From half a metre the same flight meets at the end of its way back."""
+    busy = {4: count(12.0, lambda t: np.clip(t - 4.5, 0.0, 1.05))}
+    found = {}
+    for start_m in (0.5, 60.0):
+        errors = {4: lambda t, m=start_m: np.where(t < 4.0, m, np.where(t < 5.7, 0.5, 0.0))}
+        found[start_m] = verdict_of(verdict_on(fly(errors, counters=busy)), 4)
+    assert found[0.5].verdict == "met"
+    assert found[60.0].verdict == "missed"
+    assert "the limits allow no deadline below 15.90 s" in found[60.0].reason
+    assert found[60.0].reason.endswith("s, which no encounter excuses")

@@ -61,7 +61,7 @@ def test_deadline_below_what_the_speed_limit_allows() -> None:
     """UAVs 3 and 4 start 7.97 m away, and settle for 1/kappa: 2.1875 * 7.975 / (3 - 0.5) + 1 / 2.2 = 7.433 s."""
     (found,) = errors(gains__filter={"max_speed_m_s": 3})
     assert found.key == "gains.formation.deadline_s"
-    assert found.limit.startswith(">= 7.44 s at 2.5 m/s")
+    assert found.limit.startswith(">= 7.44 s, with 2.5 m/s")
     assert found.value == "5 s, too short for 5 of 5 UAVs; UAV 3 starts 7.97 m from its place"
 
 

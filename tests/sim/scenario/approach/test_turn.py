@@ -11,10 +11,17 @@ from hypothesis import strategies as st
 
 from ptnsbc_core.curves.turned import left_at, scaled
 from ptnsbc_sim.scenario import agent_config, load_scenario
-from ptnsbc_sim.scenario.deadline import limits_left, shortest_deadlines, turn_of
+from ptnsbc_sim.scenario.approach.deadline import shortest_deadlines, turn_of
+from ptnsbc_sim.scenario.approach.limits import limits_left
+from ptnsbc_sim.scenario.approach.turn import (
+    APART_M,
+    approach_peaks,
+    candidates,
+    distances,
+    pairs_of,
+)
 from ptnsbc_sim.scenario.problems import ScenarioError
 from ptnsbc_sim.scenario.scenario import Scenario
-from ptnsbc_sim.scenario.turn import APART_M, approach_peaks, candidates, distances, pairs_of
 
 turns = st.floats(-2.0, 2.0)
 

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ptnsbc_core.curves.turned import left_at
+from ptnsbc_core.timebase import h
 from ptnsbc_core.types import Array
 
 APART_M = 0.2
@@ -55,6 +56,16 @@ def _left(turn: float, s: Array) -> Array:
 @lru_cache
 def _shares(turn: float) -> Array:
     return _left(turn, np.linspace(0.0, 1.0, _SAMPLES))
+
+
+def left_of_start(turn: float, s: Array, error: Array) -> Array:
+    """The rest (..., 3) [m] of a start error (3,) [m] at s = t / T (...) of a planned approach."""
+    every = s.ravel().tolist()
+    if turn == 0.0:
+        return np.array([1.0 - h(one) for one in every]).reshape(*s.shape, 1) * error
+    along, across, up = np.array([left_at(turn, one) for one in every]).T.reshape(3, *s.shape)
+    x, y, z = error
+    return np.stack([along * x - across * y, across * x + along * y, up * z], axis=-1)
 
 
 class Pairs(NamedTuple):

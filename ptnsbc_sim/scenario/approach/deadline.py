@@ -1,9 +1,10 @@
 """The shortest deadline of the formation in closed form, and the one that `deadline_s: auto` takes.
 
 The planned approach E_0 (1 - h) asks for the largest speed and acceleration of h (`feasible_deadline`), a turned one
-for more (`approach_peaks`). The turn that a scenario leaves open is the first of those that fit into its deadline. The
-motion of the leader, that of a shape and the drag take their part of the limits of the vehicle, with the largest speed
-and the largest acceleration of the whole flight.
+for more (`approach_peaks`). With the rest that the mission leaves of the limits (`limits_left`) this is a bound: it
+takes the leader to move all the time as fast as ever, against the way of each UAV. A deadline below the bound is
+possible where the planned path itself keeps the limits (`ptnsbc_sim.scenario.approach.path`). The turn that a scenario
+leaves open is the first of those whose bound fits into its deadline.
 """
 
 from __future__ import annotations
@@ -18,18 +19,18 @@ from ptnsbc_core.curves.shape import place_samples
 from ptnsbc_core.curves.trajectory import curve_samples, reference
 from ptnsbc_core.timebase import feasible_deadline
 from ptnsbc_core.types import Array
+from ptnsbc_sim.scenario.approach.limits import (
+    MotionLimits,
+    limits_left,
+    limits_left_by_mission,
+)
+from ptnsbc_sim.scenario.approach.path import EpochPlaces, shortest_below
+from ptnsbc_sim.scenario.approach.turn import Pairs, approach_peaks, candidates, pairs_of
 from ptnsbc_sim.scenario.mission.legs import LandLeg, ScheduledLeg, moves_shape
 from ptnsbc_sim.scenario.mission.shapes import moves, nearest_places, shape_of
-from ptnsbc_sim.scenario.mission.trajectories import (
-    Circle,
-    Line,
-    Route,
-    extremes,
-    trajectory_of,
-)
-from ptnsbc_sim.scenario.model import Plant, ScenarioFile, UavBlock, plant_of
+from ptnsbc_sim.scenario.mission.trajectories import Circle, trajectory_of
+from ptnsbc_sim.scenario.model import ScenarioFile
 from ptnsbc_sim.scenario.problems import ScenarioError
-from ptnsbc_sim.scenario.turn import Pairs, approach_peaks, candidates, pairs_of
 
 AUTO = "auto"
 MARGIN = 1.5
@@ -38,103 +39,7 @@ MARGIN = 1.5
 _RESERVE = 1.2
 """A turn is taken where the deadline is so many times the shortest one with it."""
 
-_SAMPLE_S, _MOST_SAMPLES = 0.02, 20_000  # of the motion of a shape
 _STEP_S = 0.1  # `auto` is rounded up to it
-
-
-class MotionLimits(NamedTuple):
-    """The rest of the limits of speed and acceleration beside the leader's motion; not above 0: nothing."""
-
-    speed_m_s: float
-    acceleration_m_s2: float
-
-
-def _leader_start(file: ScenarioFile) -> Array:
-    path = file.leader.trajectory
-    if isinstance(path, Circle) and path.heading == "fixed":
-        along = np.array([math.sin(path.phase_rad), math.cos(path.phase_rad), 0.0])
-        return np.array(path.centre_m, dtype=np.float64) + path.radius_m * along
-    return np.array(reference(trajectory_of(path), 0.0).position)
-
-
-def leader_motion(file: ScenarioFile) -> tuple[float, float]:
-    """Largest speed [m/s] and acceleration [m/s^2] of the leader's path."""
-    path = file.leader.trajectory
-    if isinstance(path, Circle):
-        speed = abs(path.radius_m * path.rate_rad_s)
-        return speed, speed * abs(path.rate_rad_s)
-    if isinstance(path, Line):
-        return math.hypot(*path.velocity_m_s), 0.0
-    begins = [leg.begin_s for leg in path.legs] if isinstance(path, Route) else []
-    last = min((begin_s for begin_s in begins if begin_s > 0.0), default=math.inf)
-    most = extremes(path, min(file.timing.duration_s, last))
-    return most.speed_m_s, most.acceleration_m_s2
-
-
-def _places_motion(file: ScenarioFile, first: float, last: float) -> tuple[float, float]:
-    """Largest speed [m/s] and acceleration [m/s^2] of the leader and the places in the world, between two times [s]."""
-    curve, span = trajectory_of(file.leader.trajectory), last - first
-    times = np.linspace(first, last, min(max(round(span / _SAMPLE_S), 1), _MOST_SAMPLES) + 1)
-    lead = curve_samples(curve, times)
-    speed, acceleration = _longest(lead[:, 3:6]), _longest(lead[:, 6:9])
-    for uav in file.formation.offsets_m if moves(file.formation) else ():
-        place = place_samples(shape_of(file, uav), curve, times)
-        speed = max(speed, _longest(lead[:, 3:6] + place[:, 3:6]))
-        acceleration = max(acceleration, _longest(lead[:, 6:9] + place[:, 6:9]))
-    return speed, acceleration
-
-
-def _longest(vectors: Array) -> float:
-    return float(np.linalg.norm(vectors, axis=1).max())
-
-
-def _motion(file: ScenarioFile) -> tuple[float, float]:
-    """Largest speed [m/s] and acceleration [m/s^2] that the mission asks of a UAV beside the approach."""
-    leader, changes = leader_motion(file), file.formation.changes
-    if not moves(file.formation) or not file.formation.offsets_m:
-        return leader
-    begins = [one.at_s for one in changes if one.at_s > 0.0]
-    begins += [one.begin_s for one in getattr(file.leader.trajectory, "apart", ())]
-    first = min(begins, default=file.timing.duration_s)
-    places = _places_motion(file, 0.0, first)
-    return max(leader[0], places[0]), max(leader[1], places[1])
-
-
-def _vehicle_acceleration(file: ScenarioFile, plant: Plant, leader_speed: float) -> float:
-    """Acceleration [m/s^2] that the actuators allow in the weakest direction, beside gravity and drag."""
-    gravity = file.world.gravity_m_s2
-    if plant.kind != "quadrotor" or plant.quadrotor is None:
-        return plant.rigid_body.max_force_n / plant.mass_kg - gravity
-    sideways = gravity * math.tan(plant.quadrotor.max_tilt_rad)
-    upwards = plant.quadrotor.max_thrust_n / plant.mass_kg - gravity
-    drag = plant.quadrotor.drag_1_s * (leader_speed + math.hypot(*file.world.wind_m_s))
-    return min([upwards, *([sideways - drag] if gravity > 0 else [])])
-
-
-def _left_of(file: ScenarioFile, uav: UavBlock, speed: float, acceleration: float) -> MotionLimits:
-    limits = file.gains.filter
-    fastest = limits.max_speed_m_s if uav.max_speed_m_s is None else uav.max_speed_m_s
-    actuators = _vehicle_acceleration(file, plant_of(file.plant, uav), speed)
-    most = min(limits.max_acceleration_m_s2, actuators)
-    return MotionLimits(fastest - speed, most - acceleration)
-
-
-def _left(file: ScenarioFile, speed: float, acceleration: float) -> MotionLimits:
-    """The rest of the limits of the weakest vehicle: that of the speed and that of the acceleration may be two."""
-    every = [_left_of(file, uav, speed, acceleration) for uav in file.uavs]
-    return MotionLimits(
-        min(one.speed_m_s for one in every), min(one.acceleration_m_s2 for one in every)
-    )
-
-
-def limits_left(file: ScenarioFile) -> MotionLimits:
-    """Speed and acceleration that are left for the approach, of the weakest vehicles."""
-    return _left(file, *_motion(file))
-
-
-def limits_left_by_mission(file: ScenarioFile, first: float, last: float) -> MotionLimits:
-    """Speed and acceleration that trajectory and shape leave between two times [s]."""
-    return _left(file, *_places_motion(file, first, last))
 
 
 class LegRoom(NamedTuple):
@@ -181,11 +86,11 @@ def _highest(file: ScenarioFile, t: float) -> float:
     return lead + max([0.0, *offsets])
 
 
-def _offsets_at_start(file: ScenarioFile) -> dict[int, Array]:
-    """Place (3,) [m] of every slot beside the leader's, when the flight begins."""
+def _offsets_at(file: ScenarioFile, begin_s: float) -> dict[int, Array]:
+    """Place (3,) [m] of every slot beside the leader's, so long after the first epoch."""
     offsets = {uav: np.array(place) for uav, place in file.formation.offsets_m.items()}
     if moves(file.formation):
-        curve, now = trajectory_of(file.leader.trajectory), np.zeros(1)
+        curve, now = trajectory_of(file.leader.trajectory), np.array([begin_s])
         offsets = {uav: place_samples(shape_of(file, uav), curve, now)[0, :3] for uav in offsets}
     return {uav.id: offsets.get(uav.id, np.zeros(3)) for uav in file.uavs}
 
@@ -195,21 +100,34 @@ def _slots_at_start(file: ScenarioFile) -> dict[int, int]:
     ids = [uav.id for uav in file.uavs]
     if file.formation.assignment == "fixed":
         return dict(zip(ids, ids, strict=True))
-    places = np.stack(list(_offsets_at_start(file).values()))
+    places = np.stack(list(_offsets_at(file, 0.0).values()))
     order = nearest_places(np.array([uav.position_m for uav in file.uavs]), places)
     return {uav: ids[row] for uav, row in zip(ids, order, strict=True)}
 
 
-def start_errors(file: ScenarioFile) -> dict[int, float]:
-    """Distance [m] of every start from its place, by UAV; the places of open slots are those by the starts.
+def starts_of(file: ScenarioFile) -> EpochPlaces:
+    """The starts of the file; the slots are its own, or those that these starts are given.
 
     Without the UAVs that join later, by a deadline of their own.
     """
-    first, offsets, slots = _leader_start(file), _offsets_at_start(file), _slots_at_start(file)
+    slots = _slots_at_start(file)
+    there = [uav for uav in file.uavs if uav.joins_s is None]
+    positions = {uav.id: np.array(uav.position_m, dtype=np.float64) for uav in there}
+    return EpochPlaces(positions, {uav: slots[uav] for uav in positions}, 0.0)
+
+
+def start_errors(file: ScenarioFile, starts: EpochPlaces | None = None) -> dict[int, float]:
+    """Distance [m] of every UAV from its place, from the starts of the file or other ones."""
+    starts = starts or starts_of(file)
+    offsets, path = _offsets_at(file, starts.begin_s), file.leader.trajectory
+    if not starts.begin_s and isinstance(path, Circle) and path.heading == "fixed":
+        along = np.array([math.sin(path.phase_rad), math.cos(path.phase_rad), 0.0])
+        first = np.array(path.centre_m, dtype=np.float64) + path.radius_m * along
+    else:
+        first = np.array(reference(trajectory_of(path), starts.begin_s).position)
     return {
-        uav.id: float(np.linalg.norm(first + offsets[slots[uav.id]] - np.array(uav.position_m)))
-        for uav in file.uavs
-        if uav.joins_s is None
+        uav: float(np.linalg.norm(first + offsets[starts.slots[uav]] - position))
+        for uav, position in starts.positions_m.items()
     }
 
 
@@ -226,7 +144,7 @@ def _open_turns(file: ScenarioFile) -> tuple[float, ...]:
 
 def planned_pairs(file: ScenarioFile) -> Pairs:
     """All pairs of UAVs with their own places, from the starts of the file."""
-    formation, offsets = file.formation, _offsets_at_start(file)
+    formation, offsets = file.formation, _offsets_at(file, 0.0)
     starts = np.array([uav.position_m for uav in file.uavs])
     lead = next(row for row, uav in enumerate(file.uavs) if uav.id == file.leader.id)
     own = [uav.keep_out_m for uav in file.uavs]
@@ -253,14 +171,28 @@ def turn_of(file: ScenarioFile) -> float:
     if min(limits) <= 0.0:
         return 0.0
     for turn in turns:
-        if _RESERVE * max(_deadlines(file, limits, turn).values()) <= deadline_s:
+        if _RESERVE * max(_bounds(file, limits, turn).values()) <= deadline_s:
             return turn
     return 0.0
 
 
 def shortest_deadlines(file: ScenarioFile, limits: MotionLimits) -> dict[int, float]:
-    """Shortest deadline [s] that the limits, both above 0, allow for each UAV."""
+    """Shortest deadline [s] for each UAV, with what a mission leaves of the limits, both above 0."""
     return _deadlines(file, limits, turn_of(file))
+
+
+def shortest_from(file: ScenarioFile, starts: EpochPlaces, uav: int) -> float | None:
+    """Shortest deadline [s] for a UAV from where it was at an epoch; None: the mission leaves nothing of the limits."""
+    limits, turn = limits_left(file), turn_of(file)
+    if min(limits) <= 0.0:
+        return None
+    bound = _bound(file, limits, turn, start_errors(file, starts)[uav], starts.slots[uav])
+    return shortest_below(file, starts, uav, bound, turn)
+
+
+def _deadlines(file: ScenarioFile, limits: MotionLimits, turn: float) -> dict[int, float]:
+    starts, bounds = starts_of(file), _bounds(file, limits, turn)
+    return {uav: shortest_below(file, starts, uav, bound, turn) for uav, bound in bounds.items()}
 
 
 def _turned_s(error_m: float, limits: MotionLimits, turn: float) -> float:
@@ -270,24 +202,23 @@ def _turned_s(error_m: float, limits: MotionLimits, turn: float) -> float:
     return max(by_speed, math.sqrt(peaks.acceleration * error_m / limits.acceleration_m_s2))
 
 
-def _deadlines(file: ScenarioFile, limits: MotionLimits, turn: float) -> dict[int, float]:
-    motion = {
-        uav: feasible_deadline(error, limits.speed_m_s, limits.acceleration_m_s2)
-        for uav, error in start_errors(file).items()
-    }
-    if file.formation.approach == "task":
-        return motion
+def _bounds(file: ScenarioFile, limits: MotionLimits, turn: float) -> dict[int, float]:
+    slots = starts_of(file).slots
+    errors = start_errors(file)
+    return {uav: _bound(file, limits, turn, errors[uav], slots[uav]) for uav in errors}
+
+
+def _bound(
+    file: ScenarioFile, limits: MotionLimits, turn: float, error_m: float, slot: int
+) -> float:
+    straight = feasible_deadline(error_m, limits.speed_m_s, limits.acceleration_m_s2)
+    if file.formation.approach == "task" or slot == file.leader.id:
+        return straight
+    need = straight if turn == 0.0 else _turned_s(error_m, limits, turn)
     # The planned approach of a follower ends a little before the deadline: ptnsbc_core.timebase.plan_duration.
-    loop, slots = file.gains.formation, _slots_at_start(file)
+    loop = file.gains.formation
     settling = 1.0 / max(loop.scale * loop.kappa_1_s, 1e-9)
-    if turn != 0.0:
-        lead = next(uav for uav, slot in slots.items() if slot == file.leader.id)
-        turned = {uav: _turned_s(error, limits, turn) for uav, error in start_errors(file).items()}
-        motion = {uav: motion[uav] if uav == lead else need for uav, need in turned.items()}
-    return {
-        uav: need if slots[uav] == file.leader.id else min(need + settling, need / 0.8)
-        for uav, need in motion.items()
-    }
+    return min(need + settling, need / 0.8)
 
 
 def auto_deadline(file: ScenarioFile, source: str) -> float:

@@ -1,0 +1,149 @@
+"""The path that the law plans for each UAV until the deadline, and what it asks of the vehicle.
+
+In the world a UAV is planned at r - e + s - z E. The leader is e behind its trajectory r, by its law
+e' = (1 - c) r' - G e from its start error (`ptnsbc_core.behaviours.leader_tracking`). The place s moves in from rest,
+and z E is what is left of the start error E beside the leader (`ptnsbc_core.curves.turned`). Speed and acceleration
+are differences of the samples.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from ptnsbc_core.curves.shape import place_samples
+from ptnsbc_core.curves.trajectory import curve_samples
+from ptnsbc_core.timebase import h
+from ptnsbc_core.types import Array
+from ptnsbc_sim.scenario.approach.limits import fastest_m_s
+from ptnsbc_sim.scenario.approach.turn import left_of_start
+from ptnsbc_sim.scenario.mission.shapes import moves, shape_of
+from ptnsbc_sim.scenario.mission.trajectories import trajectory_of
+from ptnsbc_sim.scenario.model import ScenarioFile, UavBlock, plant_of
+
+_SAMPLES = 241
+_SHORTER = 0.98  # from one deadline that is tried to the next
+_AT_ONCE = 32
+_ROUNDING = 1e-9
+
+
+class EpochPlaces(NamedTuple):
+    """The places of the UAVs at an epoch, and the slots that they take."""
+
+    positions_m: Mapping[int, Array]  # (3,) by UAV, ENU
+    slots: Mapping[int, int]  # by UAV
+    begin_s: float  # the epoch, after the first one
+
+
+def _rise(s: Array) -> Array:
+    """h of an array."""
+    return np.array([h(one) for one in s.ravel().tolist()]).reshape(s.shape)
+
+
+def _errors_of_leader(
+    file: ScenarioFile, start: Array, path: Array, t: Array, begin_s: float
+) -> Array:
+    """e (D, K, 3) [m] of the leader's law, from `start` (3,) along its trajectory (D, K, 3) at times (D, K)."""
+    loop, duration = file.gains.formation, t[:, -1:]
+    profile = (loop.profile or file.gains.profile) if loop.time_base else "paper"
+    printed = loop.time_base and loop.profile is None and profile == "paper"
+    scale, kappa = (1.0, 1.0) if printed else (loop.scale, loop.kappa_1_s)
+    risen = _rise(t / duration) if loop.time_base else np.zeros_like(t)
+    if profile == "reference":
+        return np.asarray((1.0 - risen)[..., None] * start)
+    left = 1.0 - risen + loop.residual
+    onset = _rise((t + begin_s) / duration) if profile == "soft" else np.ones_like(t)
+    middle = 0.5 * (onset[:, 1:] + onset[:, :-1])
+    kept = (left[:, 1:] / left[:, :-1]) ** scale * np.exp(-scale * kappa * middle * np.diff(t))
+    lost = ((1.0 - middle) * np.sqrt(kept))[..., None] * np.diff(path, axis=1)
+    errors = np.empty_like(path)
+    errors[:, 0] = start
+    for k in range(t.shape[1] - 1):
+        errors[:, k + 1] = kept[:, k, None] * errors[:, k] + lost[:, k]
+    return errors
+
+
+def plan_durations(file: ScenarioFile, deadlines: Array) -> Array:
+    """Lengths (D,) [s] of the planned approach of followers, as `ptnsbc_core.timebase.plan_duration`."""
+    if file.formation.approach == "task":
+        return deadlines
+    loop = file.gains.formation
+    settling = 1.0 / max(loop.scale * loop.kappa_1_s, 1e-9)
+    return np.maximum(deadlines - settling, 0.8 * deadlines)
+
+
+def planned_paths(
+    file: ScenarioFile, starts: EpochPlaces, uav: int, deadlines: Array, turn: float
+) -> tuple[Array, Array]:
+    """Times (D, K) [s] since the epoch and positions (D, K, 3) [m, ENU] of a UAV, for deadlines (D,) [s]."""
+    t = deadlines[:, None] * np.linspace(0.0, 1.0, _SAMPLES)
+    times, curve = (t + starts.begin_s).ravel(), trajectory_of(file.leader.trajectory)
+    path = curve_samples(curve, times)[:, :3].reshape(*t.shape, 3)
+    slot = starts.slots[uav]
+    lead = next(one for one, taken in starts.slots.items() if taken == file.leader.id)
+    behind = path[0, 0] - starts.positions_m[lead]
+    path = path - _errors_of_leader(file, behind, path, t, starts.begin_s)
+    if slot == file.leader.id:
+        return t, path
+    s = np.minimum(t / plan_durations(file, deadlines)[:, None], 1.0)
+    place = np.broadcast_to(np.array(file.formation.offsets_m[slot]), path.shape)
+    if moves(file.formation):
+        moving = place_samples(shape_of(file, slot), curve, times)[:, :3].reshape(path.shape)
+        share = 1.0 if starts.begin_s else _rise(s)[..., None]
+        place = moving[:1, :1] + share * (moving - moving[:1, :1])
+    error = starts.positions_m[lead] + place[0, 0] - starts.positions_m[uav]
+    return t, path + place - left_of_start(turn, s, error)
+
+
+def _demand(file: ScenarioFile, block: UavBlock, t: Array, path: Array) -> Array:
+    """Largest part (D,) of any limit of the vehicle that a path (D, K, 3) at times (D, K) takes; 1 is all of it."""
+    dt = (t[:, 1] - t[:, 0])[:, None, None]
+    velocity = np.diff(path, axis=1) / dt
+    acceleration = np.diff(velocity, axis=1) / dt
+    plant, gravity = plant_of(file.plant, block), file.world.gravity_m_s2
+    speed = np.linalg.norm(velocity, axis=2).max(axis=1) / fastest_m_s(file, block)
+    rate = (
+        np.linalg.norm(acceleration, axis=2).max(axis=1) / file.gains.filter.max_acceleration_m_s2
+    )
+    if plant.kind != "quadrotor" or plant.quadrotor is None:
+        force = np.linalg.norm(acceleration + np.array([0.0, 0.0, gravity]), axis=2).max(axis=1)
+        return np.max([speed, rate, force * plant.mass_kg / plant.rigid_body.max_force_n], axis=0)
+    middle = 0.5 * (velocity[:, 1:] + velocity[:, :-1])
+    force = acceleration + plant.quadrotor.drag_1_s * (middle - np.array(file.world.wind_m_s))
+    force[..., 2] += gravity
+    thrust = (
+        np.linalg.norm(force, axis=2).max(axis=1) * plant.mass_kg / plant.quadrotor.max_thrust_n
+    )
+    if gravity <= 0.0:
+        return np.max([speed, rate, thrust], axis=0)
+    lift = np.maximum(force[..., 2], _ROUNDING) * math.tan(plant.quadrotor.max_tilt_rad)
+    tilt = (np.hypot(force[..., 0], force[..., 1]) / lift).max(axis=1)
+    return np.max([speed, rate, thrust, tilt], axis=0)
+
+
+def demands(
+    file: ScenarioFile, starts: EpochPlaces, uav: int, deadlines: Array, turn: float
+) -> Array:
+    """Largest part (D,) of any limit that the planned path of a UAV takes, for deadlines (D,) [s]."""
+    block = next(one for one in file.uavs if one.id == uav)
+    return _demand(file, block, *planned_paths(file, starts, uav, deadlines, turn))
+
+
+def shortest_below(
+    file: ScenarioFile, starts: EpochPlaces, uav: int, bound_s: float, turn: float
+) -> float:
+    """The shortest deadline [s] from which on, up to a bound, every one leaves the planned path within the limits.
+
+    The bound itself where the path for the next shorter one is not.
+    """
+    found = bound_s
+    while found > _ROUNDING and math.isfinite(found):
+        tried = found * _SHORTER ** np.arange(1.0, _AT_ONCE + 1.0, dtype=np.float64)
+        beyond = np.flatnonzero(demands(file, starts, uav, tried, turn) > 1.0 + _ROUNDING)
+        if beyond.size:
+            return float(tried[beyond[0] - 1]) if beyond[0] else found
+        found = float(tried[-1])
+    return found
