@@ -27,7 +27,6 @@ from ptnsbc_core.types import (
     AVOIDANCE,
     PLANT_QUADROTOR,
     PLANTS,
-    PROFILES,
     TASK_OWN,
     AgentConfig,
     Array,
@@ -44,7 +43,7 @@ from ptnsbc_core.types import (
 from ptnsbc_sim.own_task import load_task
 from ptnsbc_sim.scenario.approach.deadline import turn_of
 from ptnsbc_sim.scenario.approach.limits import leader_motion
-from ptnsbc_sim.scenario.gains import Loop
+from ptnsbc_sim.scenario.gains import Loop, gain_of
 from ptnsbc_sim.scenario.mission.shapes import moves, shape_of
 from ptnsbc_sim.scenario.mission.trajectories import trajectory_of
 from ptnsbc_sim.scenario.scenario import Scenario
@@ -61,26 +60,8 @@ def three(vector: Iterable[float]) -> Vector3:
 
 
 def loop_of(scenario: Scenario, loop: Loop) -> LoopGain:
-    """A loop's gains; where the scenario's profile is `paper`, Lambda and kappa are 1 as printed.
-
-    Without a time base the gain is constant from the first instant: h_dot / (1 - h + inf) is 0, and c is 1.
-    """
-    if not loop.time_base:
-        return LoopGain(
-            duration_s=float(loop.deadline_s),
-            residual=math.inf,
-            scale=float(loop.scale),
-            kappa=float(loop.kappa_1_s),
-            profile=PROFILES["paper"],
-        )
-    printed = loop.profile is None and scenario.gains.profile == "paper"
-    return LoopGain(
-        duration_s=float(loop.deadline_s),
-        residual=float(loop.residual),
-        scale=1.0 if printed else float(loop.scale),
-        kappa=1.0 if printed else float(loop.kappa_1_s),
-        profile=PROFILES[loop.profile or scenario.gains.profile],
-    )
+    """A loop's gains as flown: `gain_of` with the scenario's profile."""
+    return gain_of(scenario.gains, loop)
 
 
 def leader_trajectory(scenario: Scenario) -> Trajectory:

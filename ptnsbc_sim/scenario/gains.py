@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from typing import Literal
 
+from ptnsbc_core.types import PROFILES, LoopGain
 from ptnsbc_sim.scenario.fields import Block, Flag, NotNegative, Positive, Residual
 
 Profile = Literal["paper", "soft", "reference"]
@@ -184,3 +186,26 @@ class Gains(Block):
     """Damping near a singularity."""
     hold: Hold
     """Holding a position and landing."""
+
+
+def gain_of(gains: Gains, loop: Loop) -> LoopGain:
+    """A loop's gains; where the profile of all loops is `paper`, Lambda and kappa are 1 as printed.
+
+    Without a time base the gain is constant from the first instant: h_dot / (1 - h + inf) is 0, and c is 1.
+    """
+    if not loop.time_base:
+        return LoopGain(
+            duration_s=float(loop.deadline_s),
+            residual=math.inf,
+            scale=float(loop.scale),
+            kappa=float(loop.kappa_1_s),
+            profile=PROFILES["paper"],
+        )
+    printed = loop.profile is None and gains.profile == "paper"
+    return LoopGain(
+        duration_s=float(loop.deadline_s),
+        residual=float(loop.residual),
+        scale=1.0 if printed else float(loop.scale),
+        kappa=1.0 if printed else float(loop.kappa_1_s),
+        profile=PROFILES[loop.profile or gains.profile],
+    )

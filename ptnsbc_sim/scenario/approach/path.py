@@ -16,10 +16,11 @@ import numpy as np
 
 from ptnsbc_core.curves.shape import place_samples
 from ptnsbc_core.curves.trajectory import curve_samples
-from ptnsbc_core.timebase import h
-from ptnsbc_core.types import Array
+from ptnsbc_core.timebase import plan_duration
+from ptnsbc_core.types import PROFILE_REFERENCE, PROFILE_SOFT, Array
 from ptnsbc_sim.scenario.approach.limits import fastest_m_s
-from ptnsbc_sim.scenario.approach.turn import left_of_start
+from ptnsbc_sim.scenario.approach.turn import left_of_start, rise
+from ptnsbc_sim.scenario.gains import gain_of
 from ptnsbc_sim.scenario.mission.shapes import moves, shape_of
 from ptnsbc_sim.scenario.mission.trajectories import trajectory_of
 from ptnsbc_sim.scenario.model import ScenarioFile, UavBlock, plant_of
@@ -38,26 +39,21 @@ class EpochPlaces(NamedTuple):
     begin_s: float  # the epoch, after the first one
 
 
-def _rise(s: Array) -> Array:
-    """h of an array."""
-    return np.array([h(one) for one in s.ravel().tolist()]).reshape(s.shape)
-
-
 def _errors_of_leader(
     file: ScenarioFile, start: Array, path: Array, t: Array, begin_s: float
 ) -> Array:
     """e (D, K, 3) [m] of the leader's law, from `start` (3,) along its trajectory (D, K, 3) at times (D, K)."""
-    loop, duration = file.gains.formation, t[:, -1:]
-    profile = (loop.profile or file.gains.profile) if loop.time_base else "paper"
-    printed = loop.time_base and loop.profile is None and profile == "paper"
-    scale, kappa = (1.0, 1.0) if printed else (loop.scale, loop.kappa_1_s)
-    risen = _rise(t / duration) if loop.time_base else np.zeros_like(t)
-    if profile == "reference":
+    gain, duration = gain_of(file.gains, file.gains.formation), t[:, -1:]
+    risen = rise(t / duration)
+    if gain.profile == PROFILE_REFERENCE:
         return np.asarray((1.0 - risen)[..., None] * start)
-    left = 1.0 - risen + loop.residual
-    onset = _rise((t + begin_s) / duration) if profile == "soft" else np.ones_like(t)
+    soft = gain.profile == PROFILE_SOFT
+    onset = rise((t + begin_s) / duration) if soft else np.ones_like(t)
     middle = 0.5 * (onset[:, 1:] + onset[:, :-1])
-    kept = (left[:, 1:] / left[:, :-1]) ** scale * np.exp(-scale * kappa * middle * np.diff(t))
+    kept = np.exp(-gain.scale * gain.kappa * middle * np.diff(t))
+    if math.isfinite(gain.residual):
+        left = 1.0 - risen + gain.residual
+        kept *= (left[:, 1:] / left[:, :-1]) ** gain.scale
     lost = ((1.0 - middle) * np.sqrt(kept))[..., None] * np.diff(path, axis=1)
     errors = np.empty_like(path)
     errors[:, 0] = start
@@ -67,12 +63,11 @@ def _errors_of_leader(
 
 
 def plan_durations(file: ScenarioFile, deadlines: Array) -> Array:
-    """Lengths (D,) [s] of the planned approach of followers, as `ptnsbc_core.timebase.plan_duration`."""
+    """Lengths (D,) [s] of the planned approach of followers."""
     if file.formation.approach == "task":
         return deadlines
-    loop = file.gains.formation
-    settling = 1.0 / max(loop.scale * loop.kappa_1_s, 1e-9)
-    return np.maximum(deadlines - settling, 0.8 * deadlines)
+    gain = gain_of(file.gains, file.gains.formation)
+    return np.array([plan_duration(gain._replace(duration_s=one)) for one in deadlines.tolist()])
 
 
 def planned_paths(
@@ -92,7 +87,7 @@ def planned_paths(
     place = np.broadcast_to(np.array(file.formation.offsets_m[slot]), path.shape)
     if moves(file.formation):
         moving = place_samples(shape_of(file, slot), curve, times)[:, :3].reshape(path.shape)
-        share = 1.0 if starts.begin_s else _rise(s)[..., None]
+        share = 1.0 if starts.begin_s else rise(s)[..., None]
         place = moving[:1, :1] + share * (moving - moving[:1, :1])
     error = starts.positions_m[lead] + place[0, 0] - starts.positions_m[uav]
     return t, path + place - left_of_start(turn, s, error)

@@ -58,12 +58,17 @@ def _shares(turn: float) -> Array:
     return _left(turn, np.linspace(0.0, 1.0, _SAMPLES))
 
 
+def rise(s: Array) -> Array:
+    """h of every number of an array."""
+    return np.array([h(one) for one in s.ravel().tolist()]).reshape(s.shape)
+
+
 def left_of_start(turn: float, s: Array, error: Array) -> Array:
     """The rest (..., 3) [m] of a start error (3,) [m] at s = t / T (...) of a planned approach."""
-    every = s.ravel().tolist()
     if turn == 0.0:
-        return np.array([1.0 - h(one) for one in every]).reshape(*s.shape, 1) * error
-    along, across, up = np.array([left_at(turn, one) for one in every]).T.reshape(3, *s.shape)
+        return np.asarray((1.0 - rise(s))[..., None] * error)
+    factors = np.array([left_at(turn, one) for one in s.ravel().tolist()])
+    along, across, up = factors.T.reshape(3, *s.shape)
     x, y, z = error
     return np.stack([along * x - across * y, across * x + along * y, up * z], axis=-1)
 
