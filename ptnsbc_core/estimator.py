@@ -19,6 +19,7 @@ from ptnsbc_core.kinematics import (
 )
 from ptnsbc_core.timebase import Clock, step_gain
 from ptnsbc_core.types import (
+    MODE_FORMATION,
     NEVER_RECEIVED_S,
     AgentConfig,
     AgentInputs,
@@ -137,19 +138,26 @@ def _mean_received(present: Estimate, measurements: EstimatorMeasurements) -> Es
 
 
 @inline_kernel
+def _at_rest(estimate: Estimate) -> Estimate:
+    return Estimate(estimate.position, (0.0, 0.0, 0.0), estimate.yaw)
+
+
+@inline_kernel
 def leader_estimate(
     state: AgentState,
     inputs: AgentInputs,
     motion: NeighbourMotion,
     clock: Clock,
-    frozen: bool,
+    lost: bool,
     config: AgentConfig,
 ) -> tuple[Estimate, bool]:
     """Leader estimate at this tick, and whether it has been initialised from a message.
 
     What is estimated is the reference point of the formation: the leader's position less its slot, which is zero until
     another UAV takes over.
-    `motion` is the leader's, of its own messages; without a leader link its acceleration is zero.
+    `motion` is the leader's, of its own messages; without a leader link its acceleration is zero. The estimate stays
+    where it is while a link is `lost`. In a leg that holds, and before the first leg is known, it is what is received:
+    the leader may fly on meanwhile. Where nothing is received in flight, it goes on with its velocity.
     """
     if config.leader:
         own = state_to_estimate(inputs.own)
@@ -157,9 +165,11 @@ def leader_estimate(
     pinned = config.estimator.pinned and inputs.leader_age_s < NEVER_RECEIVED_S
     if pinned and not state.estimate_valid:
         return _received_leader(inputs, motion, clock.dt, config.leader_slot), True
-    if frozen:
-        last = state.estimate
-        return Estimate(last.position, (0.0, 0.0, 0.0), last.yaw), state.estimate_valid
+    if lost:
+        return _at_rest(state.estimate), state.estimate_valid
+    waits = inputs.mode != MODE_FORMATION
+    if waits and pinned and inputs.leader_age_s <= config.stale_s:
+        return _received_leader(inputs, motion, clock.dt, config.leader_slot), True
     # Received states are extrapolated to the present, so the own estimate must be too. Compared one tick late, it
     # settles v dt behind, and the angle tasks multiply that error along the chain.
     before, present = state.estimate, state.estimate
@@ -170,8 +180,9 @@ def leader_estimate(
         before = Estimate(back, present.velocity, present.yaw)
     measurements = _measurements(present, inputs, pinned, motion, clock.dt, config)
     if measurements.terms == 0:
-        return state.estimate, state.estimate_valid
-    if not state.estimate_valid:
+        goes_on = state.estimate_valid and not waits
+        return present if goes_on else _at_rest(state.estimate), state.estimate_valid
+    if waits or not state.estimate_valid:
         return _mean_received(present, measurements), True
     g = measurements.disagreement
     return estimator_step(before, g, clock.t, clock.dt, config.estimator), True

@@ -337,9 +337,9 @@ def task_points(
     """The state at which the step that follows evaluates its task."""
     inputs, config = _in_numbers(inputs), borrowed(config)
     clock = Clock(t, inputs.start_age_s, dt)
-    holding = inputs.mode != MODE_FORMATION or link_lost(inputs, clock.start_t, config)
+    lost = link_lost(inputs, clock.start_t, config)
     motions = _motions(state, inputs, clock, config)
-    estimate, _ = leader_estimate(state, inputs, motions.leader, clock, holding, config)
+    estimate, _ = leader_estimate(state, inputs, motions.leader, clock, lost, config)
     parent, leader = parent_and_leader(inputs, estimate, motions, clock, config)
     return TaskPoints(
         load3(inputs.own, 0),
@@ -365,11 +365,10 @@ def inlined_step(
     """
     inputs, config = _in_numbers(inputs), borrowed(config)
     clock = Clock(t, inputs.start_age_s, dt)
-    holding = inputs.mode != MODE_FORMATION or link_lost(inputs, clock.start_t, config)
+    lost = link_lost(inputs, clock.start_t, config)
+    holding = inputs.mode != MODE_FORMATION or lost
     motions = _motions(state, inputs, clock, config)
-    estimate, estimate_valid = leader_estimate(
-        state, inputs, motions.leader, clock, holding, config
-    )
+    estimate, estimate_valid = leader_estimate(state, inputs, motions.leader, clock, lost, config)
     target = hold_target(state, inputs, holding)
     yaw = desired_yaw(estimate, target, holding, clock, config)
 

@@ -260,10 +260,41 @@ def test_an_unpinned_follower_learns_of_the_leader_from_its_neighbours() -> None
     np.testing.assert_allclose(
         vector(state.estimate), [4.0 + 0.5 * 5.99, 5, 6, 0.5, 0, 0, 0.3], atol=1e-6
     )
-    # and not from one that has fallen silent
+    # and not from one that has fallen silent: the estimate goes on with its velocity
     stale = said._replace(estimates=np.stack([message()]), estimate_age_s=np.array([9.0]))
-    kept, _ = step(state, stale, 6.0, DT, config)
-    assert kept.estimate == state.estimate
+    for k in range(50):
+        state, out = step(state, stale, 6.0 + k * DT, DT, config)
+    gone_on = [4.0 + 0.5 * 6.49, 5, 6, 0.5, 0, 0, 0.3]
+    np.testing.assert_allclose(vector(state.estimate), gone_on, atol=1e-6)
+    assert out.estimate_valid
+
+
+@pytest.mark.parametrize("pinned", [True, False])
+def test_a_uav_that_waits_estimates_what_it_receives(pinned: bool) -> None:
+    """A process that is started in flight has no leg yet, and its neighbours use its estimate at once."""
+    config = config_of(3)
+    config = config._replace(estimator=config.estimator._replace(pinned=pinned))
+    own = message((1.0, 1, 1))
+    state = initial_state(own, config)
+    for k in range(20):
+        leader = message((4.0 + 0.5 * k * DT, 5, 6), (0.5, 0, 0))
+        said = inputs_of(own, k * DT, mode=MODE_HOLD)
+        if pinned:
+            said = said._replace(leader=leader, leader_age_s=0.0)
+        else:
+            said = said._replace(
+                leader_age_s=NEVER_RECEIVED_S,
+                estimates=np.stack([leader]),
+                estimate_age_s=np.array([0.0]),
+            )
+        state, out = step(state, said, k * DT, DT, config)
+        expected = [4.0 + 0.5 * k * DT, 5, 6, 0.5, 0, 0, 0]
+        np.testing.assert_allclose(vector(out.estimate), expected, atol=1e-12)
+        assert out.estimate_valid
+    # Nobody is heard: whether the leader flies on, nobody knows.
+    alone = said._replace(estimate_age_s=np.full(1 - pinned, 9.0), leader_age_s=NEVER_RECEIVED_S)
+    rest, _ = step(state, alone, 0.2, DT, config)
+    assert rest.estimate == state.estimate._replace(velocity=(0.0, 0.0, 0.0))
 
 
 def test_a_neighbour_that_knows_nothing_of_the_leader_is_not_asked() -> None:
