@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import importlib.util
+import re
 import runpy
 from pathlib import Path
 from types import SimpleNamespace
@@ -238,6 +239,15 @@ def test_viewers_come_when_asked_for_and_go_with_the_flight(kind, evaluate, view
     (end,) = kind.after(entities, 0)
     matches = end.event.process_matcher
     assert [matches(entity) for entity in entities if kind.started(entity)] == [False, True]
+
+
+def test_rviz_shows_the_fleet_of_the_namespace(kind, evaluate):
+    for namespace, expected in (("", []), ("/blue", ["/formation/markers", "/clock"])):
+        viewer = processes(kind, evaluate("fleet", rviz="true", namespace=namespace))[1]
+        renamed = [word for word in viewer.arguments if ":=" in word]
+        assert renamed == [f"{topic}:=/blue{topic}" for topic in expected]
+    layout = (BRINGUP / "rviz" / "formation.rviz").read_text()
+    assert re.findall(r"Value: (/.+)", layout) == ["/formation/markers"]
 
 
 def test_a_viewer_that_is_missing_is_named_before_anything_starts(evaluate, viewers):

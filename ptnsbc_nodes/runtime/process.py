@@ -172,7 +172,10 @@ class ProcessLifetime:
         for each in (endpoints, *others):
             each.flush(_FLUSH_S)
         account = "\n".join(each.account() for each in (endpoints, *others))
-        print(account, flush=True)
+        if (
+            environment.REPORT in os.environ
+        ):  # for the log of a launcher; a terminal has no use for it
+            print(account, flush=True)
         report_finished(account)
         executor.shutdown()
 

@@ -126,8 +126,8 @@ def test_a_node_waits_without_burning_the_processor(domain):
     process.send_signal(signal.SIGTERM)
     out, _ = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 0
-    *_, end, used_s = out.split()
-    assert end == "end"
+    *_, used_s = out.split()
+    assert "end" not in out  # what it has sent is for the log of a launcher
     # A busy loop takes all of the 2.5 s of waiting that it is given.
     assert float(used_s) < 0.5
 

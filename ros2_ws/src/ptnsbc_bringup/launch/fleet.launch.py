@@ -38,6 +38,7 @@ FLAGS = ("true", "false")
 SWITCHES = ("lockstep", "allow_arming", "overwrite", "check", "operator", "wait")
 VALUES = ("backend", "namespace", "duration", "mission", "params_file")
 VIEWERS = {"rviz": "rviz2", "foxglove": "foxglove_bridge"}
+VIEWED = ("/formation/markers", "/clock")
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -86,7 +87,8 @@ def flight(context: LaunchContext) -> list[LaunchDescriptionEntity]:
     def told(name: str) -> str:
         return LaunchConfiguration(name).perform(context)
 
-    viewers = [_viewer(name) for name in VIEWERS if told(name) == "true"]
+    namespace = told("namespace").strip("/")
+    viewers = [_viewer(name, namespace) for name in VIEWERS if told(name) == "true"]
     program = Path(get_package_prefix("ptnsbc_tools")) / "lib" / "ptnsbc_tools" / "ptnsbc"
     words = ["fleet", told("scenario")]
     words += [f"--{name.replace('_', '-')}" for name in SWITCHES if told(name) == "true"]
@@ -121,7 +123,7 @@ def flight(context: LaunchContext) -> list[LaunchDescriptionEntity]:
     return [over, fleet, *viewers]
 
 
-def _viewer(name: str) -> Node:
+def _viewer(name: str, namespace: str) -> Node:
     package = VIEWERS[name]
     try:
         get_package_prefix(package)
@@ -131,8 +133,12 @@ def _viewer(name: str) -> Node:
             f"sudo apt install ros-jazzy-{package.replace('_', '-')}"
         ) from None
     layout = Path(get_package_share_directory("ptnsbc_bringup")) / "rviz" / "formation.rviz"
-    return Node(
-        package=package,
-        executable=package,
-        arguments=["-d", str(layout)] if name == "rviz" else [],
-    )
+    words: list[str] = []
+    if name == "rviz":
+        words = ["-d", str(layout)]
+        if namespace:
+            # The layout names the topics of a fleet without a namespace.
+            words += ["--ros-args"]
+            for topic in VIEWED:
+                words += ["-r", f"{topic}:=/{namespace}{topic}"]
+    return Node(package=package, executable=package, arguments=words)
