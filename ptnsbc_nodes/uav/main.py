@@ -6,6 +6,7 @@ import argparse
 import os
 from collections.abc import Sequence
 from contextlib import ExitStack
+from functools import partial
 from typing import TYPE_CHECKING
 
 from ptnsbc_nodes.runtime.signals import exit_on_signal
@@ -67,23 +68,21 @@ def _fly(arguments: argparse.Namespace, argv: list[str]) -> int:
             settings = ros_parameters.NodeParameters(node, (*ros_parameters.SCENARIO, *fixed))
             settings.declare_scenario(node.fixed)
             load_agent(settings.scenario, settings.uav)
-            _assign(node, settings, lifetime)
+            _assign(node, settings, lifetime, punctual=arguments.punctual)
             nodes.append(node)
         if settings.options.lockstep:
             environment.prefer_throughput()
-        elif (
-            arguments.punctual
-            or settings.options.bridged
-            or environment.has_room(len(settings.scenario.uav_ids), settings.scenario.control_hz)
-        ):
+        elif settings.options.bridged:
             environment.prefer_punctuality(flies=True)
         autostart = settings["autostart"] and not arguments.managed
         first, *others = nodes
         return processes.serve_managed(first, lifetime, autostart=autostart, others=others)
 
 
-def _assign(node: ManagedNode, settings: NodeParameters, lifetime: ProcessLifetime) -> None:
-    """The work of the node of one UAV."""
+def _assign(
+    node: ManagedNode, settings: NodeParameters, lifetime: ProcessLifetime, *, punctual: bool
+) -> None:
+    """The work of the node of one UAV; `punctual`: real-time scheduling from its first leg on."""
     from ptnsbc_nodes.comm.graph import CommunicationGraph
     from ptnsbc_nodes.runtime import environment
     from ptnsbc_nodes.uav.node import UavNode
@@ -93,7 +92,13 @@ def _assign(node: ManagedNode, settings: NodeParameters, lifetime: ProcessLifeti
         # A launcher ends its processes in order; one that was started by hand would outlive the flight.
         watched = environment.PARENT in os.environ
         on_abandoned = (lambda: None) if watched else lifetime.end
-        return UavNode(node, settings.scenario, settings.uav, graph, on_abandoned)
+        uav = UavNode(node, settings.scenario, settings.uav, graph, on_abandoned)
+        scenario, options = settings.scenario, settings.options
+        room = environment.has_room(len(scenario.uav_ids), scenario.control_hz)
+        if (punctual or room) and not (options.lockstep or options.bridged):
+            # Not before: a process that is started again in flight would take the others' time to get ready.
+            uav.on_first_leg = partial(environment.prefer_punctuality, flies=True)
+        return uav
 
     node.assign(configure, lifetime.end)
 

@@ -67,6 +67,8 @@ class UavNode:
         """`on_abandoned` is called when the vehicle of the UAV is gone for good."""
         self.node = node
         self._vehicle = VehiclePresence(on_abandoned)
+        self.on_first_leg: Callable[[], object] = lambda: None
+        """Called when the first leg is announced."""
         self.endpoints = Endpoints(node, edges.options.lockstep, edges.options.seal)
         self._options = edges.options
         self._uav = uav_id
@@ -270,6 +272,7 @@ class UavNode:
         self._advance()
 
     def _on_epoch(self, leg: HeaderFields) -> None:
+        begins = not self._epochs.announced
         is_new = self._epochs.announce(leg.stamp_ns, leg.frame_id)
         if is_new and self._leg_services is not None and not self._options.lockstep:
             self._leg_services.keep(leg)  # in lock-step no process starts in flight
@@ -279,6 +282,8 @@ class UavNode:
         if first_ns is not None:
             self._faults.begin(first_ns)
         self._timing.align(self._controller.inbox.own)
+        if begins and self._epochs.announced:
+            self.on_first_leg()
         self._advance()
 
     def _on_fault(self, order: OrderedFault) -> None:

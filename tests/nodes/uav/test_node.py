@@ -120,8 +120,11 @@ def test_real_time_setpoints_end_with_the_odometry(ros, scenario):
 def test_real_time_ticks_go_on_after_legs_in_a_row(ros, scenario):
     """A hold and a start 4 ms apart once stopped them for good; so did the legs of a flight, read by a late UAV."""
     others = Others(ros, scenario, FOLLOWER, lockstep=False)
+    first = []
+    others.uav.on_first_leg = lambda: first.append(time.time_ns())
     others.odom(time.time_ns())
     ros.spin_until(lambda: others.wrenches)
+    assert not first
     now = time.time_ns()
     for number, leg in enumerate(("form", "hold", "form", "hold", "form")):
         others.form(now + number * 4_000_000, leg)
@@ -134,6 +137,7 @@ def test_real_time_ticks_go_on_after_legs_in_a_row(ros, scenario):
         return len(others.wrenches) > count + 20
 
     ros.spin_until(flies_on)
+    assert len(first) == 1
 
 
 def test_no_message_ends_a_uav(ros, scenario):
