@@ -161,3 +161,14 @@ def test_the_experiment_starts_where_the_paper_says() -> None:
     assert starts == [[0.1, 1.1, 1], [-0.8, -0.8, 1], [-1, -0.1, 1], [1.1, -0.2, 1]]
     np.testing.assert_allclose(np.linalg.norm(scenario.wind_m_s), 2.0)
     assert scenario.duration_s == 50.0
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["lattice_10", "mission_6", "relay", "split_join", "stream_5", "unlike_6", "waypoints_5"],
+)
+def test_a_scenario_of_its_own_is_met_whole(name: str) -> None:
+    """Several parents, legs, coming and going, two groups, a stream of setpoints, unlike vehicles, waypoints."""
+    flown = fly(load_scenario(name))
+    assert verdict_on(recording_of(flown)).verdict == MET
+    assert separation(flown) >= 0.5
