@@ -160,7 +160,8 @@ class ManagedNode(LifecycleNode):
             wanted = request.transition
             if wanted.label in possible.values() or (not wanted.label and wanted.id in possible):
                 return change(request, response)
-            self.get_logger().error(
+            # A launcher whose answer was late asks again: that is no error.
+            self.get_logger().warning(
                 f"transition {wanted.label or wanted.id}: not possible now, {self.state}: expected "
                 f"one of {', '.join(possible.values())}"
             )
