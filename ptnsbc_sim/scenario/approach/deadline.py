@@ -26,6 +26,7 @@ from ptnsbc_sim.scenario.approach.limits import (
 )
 from ptnsbc_sim.scenario.approach.path import EpochPlaces, shortest_below
 from ptnsbc_sim.scenario.approach.turn import Pairs, approach_peaks, candidates, pairs_of
+from ptnsbc_sim.scenario.gains import gain_of
 from ptnsbc_sim.scenario.mission.legs import LandLeg, ScheduledLeg, moves_shape
 from ptnsbc_sim.scenario.mission.shapes import moves, nearest_places, shape_of
 from ptnsbc_sim.scenario.mission.trajectories import Circle, trajectory_of
@@ -216,8 +217,8 @@ def _bound(
         return straight
     need = straight if turn == 0.0 else _turned_s(error_m, limits, turn)
     # The planned approach of a follower ends a little before the deadline: ptnsbc_core.timebase.plan_duration.
-    loop = file.gains.formation
-    settling = 1.0 / max(loop.scale * loop.kappa_1_s, 1e-9)
+    gain = gain_of(file.gains, file.gains.formation)
+    settling = 1.0 / max(gain.scale * gain.kappa, 1e-9)
     return min(need + settling, need / 0.8)
 
 
