@@ -199,9 +199,8 @@ class BridgeNode:
     def _new_record(self, scenario: Scenario, signing_key: str) -> VehicleRecord:
         """The vehicle's record with all that does not change in flight."""
         settings = scenario.vehicle_link(self._uav_id)
-        fleet = self.endpoints.fleet.strip("/").replace("/", ".")
         return VehicleRecord(
-            name=f"{fleet}.{self._name}" if fleet else self._name,
+            name=self._name,  # the folder is the fleet's own, so a namespace does not belong into it
             pid=os.getpid(),
             sysid=settings.sysid,
             autopilot=settings.autopilot,

@@ -1,7 +1,8 @@
 """The operator's order to all vehicles, and the folder of this host in which it is latched.
 
-The folder is `ptnsbc/<domain>` below `$XDG_RUNTIME_DIR`, or `ptnsbc-<user>/<domain>` in the folder for temporary files.
-It belongs to one user. It holds the latched order, a socket and a record per bridge, and the list of a fleet's bridges.
+The folder is `ptnsbc/<domain>` below `$XDG_RUNTIME_DIR`, or `ptnsbc-<user>/<domain>` in the folder for temporary files;
+for a fleet in the namespace `/blue` its name is `<domain>.blue`. It belongs to one user. It holds the latched order, a
+socket and a record per bridge, and the list of a fleet's bridges.
 """
 
 from __future__ import annotations
@@ -74,7 +75,8 @@ def runtime_folder(domain: int, fleet: str = "") -> Path:
         if given and Path(given).is_dir()
         else Path(tempfile.gettempdir()) / f"ptnsbc-{user}"
     )
-    folder = base / f"{domain}{fleet.replace('/', '_')}"
+    # A namespace may hold `_` and never `.`: /a/b and /a_b have folders of their own.
+    folder = base / f"{domain}{fleet.replace('/', '.')}"
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         found = os.lstat(base)

@@ -17,7 +17,6 @@ from pathlib import Path
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_nodes.comm.topics import RECORDER, SIM
-from ptnsbc_nodes.emergency.orders import runtime_folder
 from ptnsbc_nodes.emergency.records import in_pilots_hands, last_word
 from ptnsbc_nodes.fleet.child_process import ChildProcess, ProcessCommand, end
 from ptnsbc_nodes.fleet.coordinator_node import Coordinator
@@ -269,7 +268,7 @@ class Supervisor:
     @property
     def _folder(self) -> Path:
         """The folder in which the bridges keep their records."""
-        return runtime_folder(self._coordinator.domain)
+        return self._coordinator.runtime_folder()
 
     def _name_armed(self, bridges: Sequence[ChildProcess]) -> None:
         """Name each vehicle that is still armed, with place, mode and what it does now."""

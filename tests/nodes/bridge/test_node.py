@@ -1,4 +1,4 @@
-"""The bridge as a managed node: when it may be deactivated."""
+"""The bridge as a managed node: when it may be deactivated, and what it tells others of its vehicle."""
 
 import math
 
@@ -20,6 +20,12 @@ from ptnsbc_nodes.bridge.vehicle import Battery
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions
+from ptnsbc_nodes.emergency.order_port import socket_path
+from ptnsbc_nodes.emergency.orders import KILL, LAND, Order, list_fleet, runtime_folder
+from ptnsbc_nodes.emergency.records import record_path
+from ptnsbc_nodes.fleet.coordinator_node import Coordinator
+from ptnsbc_nodes.fleet.emergency_stop import EmergencyStop
+from ptnsbc_nodes.fleet.fleet import FleetOptions, _listed
 from ptnsbc_nodes.runtime.lifecycle_node import ManagedNode
 from ptnsbc_sim.scenario import load_scenario
 
@@ -30,25 +36,40 @@ UAV = 3
 
 
 @pytest.fixture
-def active(ros):
-    """A bridge without a vehicle; its `bridge` does not run, so that a test sets its step."""
+def bridge(ros, monkeypatch):
+    """Bridges without a vehicle; their `bridge` does not run, so that a test sets its step."""
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(ros.domain))
     scenario = load_scenario("experiment_4").bridged()
-    node = ManagedNode("bridge", namespace=f"/uav{UAV}", context=ros.context, enable_rosout=False)
-    ros.adopt(node)
     edges = CommunicationGraph(scenario, FlightOptions(bridged=True))
+    made = []
 
-    def make():
-        link = MavlinkLink(connect("udpout:127.0.0.1:9"), UAV, WANTED_MESSAGES, None)
-        bridge_node = BridgeNode(
-            node, scenario, UAV, edges, link, BridgeOptions(True), lambda: None
+    def make(fleet=""):
+        node = ManagedNode(
+            "bridge", namespace=f"{fleet}/uav{UAV}", context=ros.context, enable_rosout=False
         )
-        bridge_node.bridge.wait_and_serve = lambda: None
-        return bridge_node
+        ros.adopt(node)
 
-    node.assign(make, lambda: None)
-    node.autostart()
-    yield node
-    node.work.close()
+        def configure():
+            link = MavlinkLink(connect("udpout:127.0.0.1:9"), UAV, WANTED_MESSAGES, None)
+            bridge_node = BridgeNode(
+                node, scenario, UAV, edges, link, BridgeOptions(True), lambda: None
+            )
+            bridge_node.bridge.wait_and_serve = lambda: None
+            return bridge_node
+
+        node.assign(configure, lambda: None)
+        node.autostart()
+        made.append(node)
+        return node
+
+    yield make
+    for node in made:
+        node.work.close()
+
+
+@pytest.fixture
+def active(bridge):
+    return bridge()
 
 
 @pytest.mark.parametrize("step", [Step.TAKEOFF, Step.AIRBORNE, Step.FLY, Step.LAND])
@@ -84,3 +105,42 @@ def test_the_battery_is_published_once_it_is_known(ros, active):
     assert (message.voltage, message.percentage) == (pytest.approx(15.8), 0.75)
     assert math.isnan(message.current)
     assert message.header.stamp.sec > 0
+
+
+@pytest.mark.parametrize("fleet", ["", "/blue"])
+def test_a_vehicle_has_one_name_on_every_path(ros, bridge, fleet):
+    """Also in a namespace: the launcher's list, socket, record and status name the same bridge."""
+    scenario = load_scenario("experiment_4").bridged()
+    options = FleetOptions(scenario, backend="mavlink", allow_arming=True, namespace=fleet)
+    folder = runtime_folder(ros.domain, fleet)
+    with (
+        _listed(options, ros.domain, print),
+        Coordinator(ros.domain, "stop", fleet) as coordinator,
+    ):
+        bridge(fleet)
+        assert socket_path(folder, "bridge3").exists()
+        assert record_path(folder, "bridge3").exists()
+        ros.spin_until(lambda: coordinator.spin(0.02) or coordinator.vehicles)
+        operation = EmergencyStop(folder, Order(LAND), coordinator)
+        try:
+            assert operation.bridges == [f"bridge{i}" for i in scenario.uav_ids]
+            operation.begin()
+            operation.run(0.5)
+            obeyed = [one.name for one in operation.outcomes() if one.obeyed]
+            assert obeyed == ["bridge3"]
+        finally:
+            operation.close()
+
+
+def test_the_order_to_a_bridge_alone_in_a_namespace_needs_no_discovery(ros, bridge):
+    folder = runtime_folder(ros.domain, "/blue")
+    bridge("/blue")
+    list_fleet(folder, ["bridge3"])
+    operation = EmergencyStop(folder, Order(KILL))
+    try:
+        assert operation.local
+        operation.begin()
+        assert operation.run(30.0)
+    finally:
+        operation.close()
+        list_fleet(folder, [])

@@ -80,6 +80,12 @@ def test_the_folder_belongs_to_one_user(tmp_path, monkeypatch):
         runtime_folder(42)
 
 
+def test_each_fleet_of_a_domain_has_a_folder_of_its_own(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    fleets = ["", "/blue", "/red", "/blue/one", "/blue_one"]
+    assert len({runtime_folder(42, fleet) for fleet in fleets}) == len(fleets)
+
+
 def test_a_folder_that_cannot_be_made(tmp_path, monkeypatch):
     (tmp_path / "ptnsbc").write_text("a file")
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))

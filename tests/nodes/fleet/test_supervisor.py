@@ -2,6 +2,7 @@
 
 import os
 import signal
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -9,8 +10,11 @@ import pytest
 
 pytest.importorskip("rclpy")
 
+from ptnsbc_nodes.emergency.orders import runtime_folder
+from ptnsbc_nodes.emergency.records import VehicleRecord, write_record
 from ptnsbc_nodes.fleet import supervisor as flights
 from ptnsbc_nodes.fleet.child_process import ChildProcess, ProcessCommand
+from ptnsbc_nodes.fleet.coordinator_node import Coordinator
 from ptnsbc_nodes.fleet.process_list import FleetOptions
 from ptnsbc_nodes.fleet.supervisor import Supervisor
 from ptnsbc_nodes.runtime.watchdog import SIM_ENDED_S
@@ -146,3 +150,209 @@ def test_a_sim_without_a_sign_of_life_is_ended():
     flight._end_silent_sim()
     assert sim.signals == [signal.SIGKILL]
     assert flight.children[0].signals == []
+
+
+class Bridge(Child):
+    """The process of a bridge that does not end, unless a test ends it."""
+
+    def __init__(self, name, module="ptnsbc_nodes.bridge.main"):
+        super().__init__(name)
+        self.command = ProcessCommand(name, module, (), (int(name[-1]),), ends=True)
+
+    def new_lines(self):
+        return []
+
+    def exit_summary(self):
+        return f"{self.name} has ended with {self.exit_code}"
+
+
+class Fleet:
+    """The launcher of a MAVLink fleet without processes, on a clock that moves with its looks."""
+
+    def __init__(self, monkeypatch, folder, *bridges, stopped=False, only=(), leads=True):
+        self.now_s, self.said, self.calls, self.looks = 0.0, [], [], []
+        self.folder, self.answer, self.over, self.gone, self.lost = folder, None, False, set(), []
+        self.stop = SimpleNamespace(came=stopped, count=int(stopped))
+        self.bridges = [Bridge(name) for name in bridges]
+        only = frozenset({*only, "recorder"} if leads and only else only)
+        options = FleetOptions(
+            load_scenario("experiment_4"), backend="mavlink", allow_arming=True, only=only
+        )
+        monkeypatch.setattr(flights.time, "monotonic", lambda: self.now_s)
+        self.supervisor = Supervisor(options, self, self.stop, self.said.append)
+        self.supervisor.children.extend(self.bridges)
+
+    def share(self, leads):
+        pass
+
+    def runtime_folder(self):
+        return self.folder
+
+    def call(self, leg, _patience_s):
+        self.calls.append(leg)
+        return self.answer
+
+    def lose(self, name):
+        self.lost.append(name)
+
+    def spin(self, seconds):
+        self.now_s += seconds
+        for look in self.looks:
+            look()
+
+    def record(self, name, **changes):
+        values = {"heard": True, "armed": True, "mode": "OFFBOARD", "place": "(1.0, 2.0, 3.0) m"}
+        record = VehicleRecord(name, os.getpid(), 1, "px4", "", **{**values, **changes})
+        write_record(self.folder, record)
+
+    def end_at(self, seconds, bridge, code=0):
+        def look():
+            if self.now_s >= seconds:
+                bridge.exit_code = code
+
+        self.looks.append(look)
+
+
+WORD = "its vehicle was armed at (1.0, 2.0, 3.0) m in OFFBOARD"
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize(("stopped", "leg"), [(False, "land"), (True, "stop")])
+def test_at_the_end_it_waits_until_all_have_landed(monkeypatch, tmp_path, stopped, leg):
+    fleet = Fleet(monkeypatch, tmp_path, "bridge1", "bridge2", stopped=stopped)
+    for seconds, bridge in zip((5.0, 30.0), fleet.bridges, strict=True):
+        fleet.end_at(seconds, bridge)
+    fleet.supervisor._land()
+    assert fleet.calls == [leg]
+    assert 30.0 <= fleet.now_s < 31.0
+    assert fleet.said == []
+
+
+@pytest.mark.ros
+def test_a_landing_takes_240_s_at_most_and_what_is_armed_then_is_named(monkeypatch, tmp_path):
+    fleet = Fleet(monkeypatch, tmp_path, "bridge1", "bridge2", "bridge3")
+    fleet.end_at(20.0, fleet.bridges[0])
+    fleet.record("bridge1", armed=False)
+    fleet.record("bridge2", fate="without setpoints it hovers")
+    fleet.record("bridge3", mode="LAND", place="(4.0, 5.0, 6.0) m", fate="it lands by itself")
+    fleet.supervisor._land()
+    assert 240.0 <= fleet.now_s < 241.0
+    reaches = "ptnsbc stop reaches it past its bridge"
+    assert fleet.said == [
+        "not waited for any longer: bridge2, bridge3",
+        f"bridge2: {WORD}: without setpoints it hovers; {reaches}",
+        "bridge3: its vehicle was armed at (4.0, 5.0, 6.0) m in LAND: it lands by itself; "
+        f"{reaches}",
+    ]
+
+
+@pytest.mark.ros
+def test_vehicles_of_pilots_are_waited_for_10_s(monkeypatch, tmp_path):
+    """Counted from when pilots fly all that is left; a landing bridge is waited for longer."""
+    fleet = Fleet(monkeypatch, tmp_path, "bridge1", "bridge2")
+    fleet.end_at(60.0, fleet.bridges[0])
+    fleet.record("bridge1")
+    fleet.record("bridge2", in_pilots_hands=True)
+    fleet.supervisor._land()
+    assert 70.0 <= fleet.now_s < 71.0
+    assert fleet.said[0] == "not waited for any longer: bridge2"
+
+
+@pytest.mark.ros
+def test_a_second_signal_ends_the_wait_and_the_armed_are_named(monkeypatch, tmp_path):
+    fleet = Fleet(monkeypatch, tmp_path, "bridge1", stopped=True)
+    fleet.record("bridge1")
+    fleet.looks.append(lambda: setattr(fleet.stop, "count", 2 if fleet.now_s > 3.0 else 1))
+    fleet.supervisor._land()
+    assert fleet.now_s < 4.0
+    assert fleet.said == [f"bridge1: {WORD}; ptnsbc stop reaches it past its bridge"]
+
+
+@pytest.mark.ros
+def test_without_a_leader_every_bridge_is_told_by_itself(monkeypatch, tmp_path):
+    fleet = Fleet(monkeypatch, tmp_path, "bridge1")
+    fleet.answer = "the leader does not answer /formation/land"
+    told = []
+    monkeypatch.setattr(
+        flights, "order_landing", lambda one: told.append(one) or ["bridge1: silent"]
+    )
+    fleet.end_at(1.0, fleet.bridges[0])
+    fleet.supervisor._land()
+    assert told == [fleet]
+    assert fleet.said == [
+        f"{fleet.answer}: every bridge is told to land by itself",
+        "bridge1: silent",
+    ]
+
+
+@pytest.mark.ros
+def test_a_leader_that_answers_is_enough(monkeypatch, tmp_path):
+    fleet = Fleet(monkeypatch, tmp_path, "bridge1")
+    monkeypatch.setattr(flights, "order_landing", pytest.fail)
+    fleet.end_at(1.0, fleet.bridges[0])
+    fleet.supervisor._land()
+    assert fleet.said == []
+
+
+@pytest.mark.ros
+def test_nothing_is_called_down_when_all_have_ended(monkeypatch, tmp_path):
+    fleet = Fleet(monkeypatch, tmp_path, "bridge1")
+    fleet.bridges[0].exit_code = 0
+    fleet.supervisor._land()
+    assert (fleet.calls, fleet.now_s) == ([], 0.0)
+
+
+@pytest.mark.ros
+def test_a_launcher_that_follows_lands_only_its_own_vehicles(monkeypatch, tmp_path):
+    fleet = Fleet(monkeypatch, tmp_path, "bridge1", only=["bridge1"], leads=False)
+    fleet.end_at(1.0, fleet.bridges[0])
+    fleet.supervisor._land()
+    assert fleet.bridges[0].signals == [signal.SIGINT]
+    assert fleet.calls == []
+    over = Fleet(monkeypatch, tmp_path, "bridge1", only=["bridge1"], leads=False)
+    over.over = True  # the leader's launcher has called all of them down
+    over.end_at(1.0, over.bridges[0])
+    over.supervisor._land()
+    assert over.bridges[0].signals == []
+
+
+@pytest.mark.ros
+def test_a_leader_waits_for_the_bridges_of_other_computers(monkeypatch, tmp_path):
+    fleet = Fleet(monkeypatch, tmp_path, "bridge1", only=["bridge1", "uav1"])
+    fleet.end_at(1.0, fleet.bridges[0])
+    elsewhere = {f"bridge{i}" for i in (2, 3, 4)}
+    fleet.looks.append(lambda: fleet.gone.update(elsewhere if fleet.now_s > 50.0 else ()))
+    fleet.supervisor._land()
+    assert 50.0 <= fleet.now_s < 51.0
+
+
+@pytest.mark.ros
+def test_a_bridge_that_dies_in_flight_leaves_its_last_word(monkeypatch, tmp_path):
+    fleet = Fleet(monkeypatch, tmp_path, "bridge1", "bridge2")
+    fleet.record("bridge1", fate="without setpoints it hovers")
+    fleet.record("bridge2", armed=False)
+    for bridge in fleet.bridges:
+        bridge.exit_code = -9
+    fleet.supervisor._report_exits()
+    fleet.supervisor._report_exits()
+    assert [line for line in fleet.said if WORD in line] == [
+        f"bridge1: {WORD}: without setpoints it hovers; ptnsbc stop reaches it past its bridge"
+    ]
+    assert fleet.lost == ["uav1", "uav2"]
+
+
+@pytest.mark.ros
+def test_the_records_of_a_fleet_are_those_of_its_namespace(domain, monkeypatch, tmp_path):
+    """`bridge1` of another fleet in the domain is another vehicle."""
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    for fleet, place in (("", "(9.0, 9.0, 9.0) m"), ("/blue", "(1.0, 2.0, 3.0) m")):
+        record = VehicleRecord(
+            "bridge1", os.getpid(), 1, "px4", "", heard=True, armed=True, mode="OFFBOARD"
+        )
+        write_record(runtime_folder(domain, fleet), replace(record, place=place))
+    options = FleetOptions(load_scenario("experiment_4"), backend="mavlink", namespace="/blue")
+    said: list[str] = []
+    with Coordinator(domain, "fleet", "/blue") as coordinator:
+        flight = Supervisor(options, coordinator, None, said.append)
+        flight._name_armed([Bridge("bridge1"), Child("uav1", 1)])
+    assert said == [f"bridge1: {WORD}; ptnsbc stop reaches it past its bridge"]
