@@ -75,6 +75,7 @@ class Bridge:
             )
         )
         self._hazard = ""
+        self._told_apart = False
         self._unfit = ""  # why its velocity loop cannot follow this scenario
         self.response: VelocityResponse | None = None
         """The response of the vehicle to velocities, by its parameters; None before they are read, or without them."""
@@ -166,6 +167,7 @@ class Bridge:
         self._apply_parameters(now_s)
         self._look_out(now_s)
         output = self.procedure.advance(self.snapshot(now_s))
+        self._tell_apart()
         failsafe = self.procedure.step is Step.FAILSAFE
         self.state_publisher.report_presence(output.in_formation and not failsafe)
         if output.command is not None:
@@ -175,6 +177,12 @@ class Bridge:
         self.maintenance.urgent = self.procedure.step is Step.KILL
         healthy = self.procedure.step is not Step.FAILED
         self.maintenance.send_due(now_s, healthy, self.state_publisher.clock_jumped(now_s))
+
+    def _tell_apart(self) -> None:
+        """Tell the others at once that the formation is given up: this vehicle may land in the same tick."""
+        if self.procedure.gave_up and not self._told_apart:
+            self.ports.outputs.apart()
+            self._told_apart = True
 
     def _take_inputs(self) -> None:
         inputs = self.ports.inputs

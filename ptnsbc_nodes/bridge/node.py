@@ -103,13 +103,13 @@ class BridgeNode:
         self.endpoints = Endpoints(node, lockstep=False, seal=edges.options.seal)
         self._uav_id = uav_id
         self._on_end = on_end
+        self._send_order = self.endpoints.publisher(topics.EMERGENCY, 0)
         recorders = edges.options.recorders
         clocks = Clocks(time.monotonic, lambda: int(node.get_clock().now().nanoseconds))
         ports = BridgePorts(BridgeInputs(), self._outputs(scenario, recorders), clocks)
         awaited = frozenset(scenario.uav_ids) if options.with_fleet else frozenset()
         self.bridge = Bridge(scenario, uav_id, link, ports, options.allow_arming, awaited)
         self._near = _NearPublisher(self.endpoints, scenario, uav_id, edges, clocks)
-        self._send_order = self.endpoints.publisher(topics.EMERGENCY, 0)
         self._send_status = self.endpoints.publisher(topics.DIAGNOSTICS, recorders)
         self._diagnostics = self.endpoints.listen(
             topics.DIAGNOSTICS,
@@ -245,6 +245,7 @@ class BridgeNode:
             lost=lambda: send_lost(HeaderTemplate(f"uav{self._uav_id}").encode(0)),
             log=self._log,
             truth=lambda stamp_ns, values: send_truth(odometry.encode(stamp_ns, values)),
+            apart=self._tell_apart,
         )
 
     def _subscribe(self, scenario: Scenario) -> None:
@@ -340,8 +341,8 @@ class BridgeNode:
         if self.bridge.procedure.ready:
             # In flight nothing reads the diagnostics of others, so they are not worth their reception.
             self._unsubscribe_diagnostics()
-        if self.bridge.procedure.step is Step.APART:  # all others give the formation up as well
-            self._send_order(HeaderTemplate(APART).encode(0))
+        if self.bridge.procedure.step is Step.APART:
+            self._tell_apart()  # again, for a bridge that has just met this one
         battery = self.bridge.vehicle.battery
         if battery is not None:
             stamp_ns = self.bridge.ports.clocks.ros_ns()
@@ -353,6 +354,10 @@ class BridgeNode:
                 self._name, record, self.bridge, missing, self.endpoints, self._status_log
             )
         )
+
+    def _tell_apart(self) -> None:
+        """All others give the formation up as well."""
+        self._send_order(HeaderTemplate(APART).encode(0))
 
     def _unsubscribe_diagnostics(self) -> None:
         self.endpoints.ignore(self._diagnostics)

@@ -61,6 +61,8 @@ class BridgeOutputs(NamedTuple):
     log: Log
     truth: Callable[[int, Array], None] = lambda _stamp_ns, _odometry: None
     """Stamp [ns] and true odometry (13,) of a simulated vehicle, for the verdict."""
+    apart: Callable[[], None] = lambda: None
+    """This vehicle gives the formation up: all others must as well."""
 
 
 class Clocks(NamedTuple):

@@ -120,6 +120,7 @@ class FleetUav:
             origin=fleet.set_leader_origin,
             limits=self.on_limits,
             lost=self.on_lost,
+            apart=self.on_apart,
             truth=lambda stamp_ns, odometry: self.truths.append((stamp_ns, odometry)),
             log=lambda line: self.lines.append(f"{fleet.now_s - START_S:7.2f} bridge {line}"),
         )
@@ -137,6 +138,10 @@ class FleetUav:
 
     def on_lost(self):
         self.lost += 1
+
+    def on_apart(self):
+        for other in self.fleet.uavs.values():
+            other.inputs.take(Order(APART))
 
     def on_limits(self, limits):
         self.controller.config = limited(
@@ -276,8 +281,7 @@ class MavlinkFleet:
         for uav in self.uavs.values():
             if uav.bridge_alive:
                 if uav.step is Step.APART:
-                    for other in self.uavs.values():
-                        other.inputs.take(Order(APART))
+                    uav.on_apart()
                 for other in self.uavs.values():
                     other.inputs.companions.append((uav.id, uav.bridge.report, self.now_s))
 

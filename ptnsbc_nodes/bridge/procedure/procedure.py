@@ -81,6 +81,11 @@ class Procedure:
         return self._progress.fault
 
     @property
+    def gave_up(self) -> bool:
+        """True once this vehicle has given the formation up, so that all others must as well."""
+        return self._progress.gave_up
+
+    @property
     def over(self) -> bool:
         """True if there is nothing left to do."""
         return self.step in OVER

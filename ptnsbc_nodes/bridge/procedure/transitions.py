@@ -60,6 +60,8 @@ class FlightProgress:
         self.fault = ""
         """The reasons why the flight did not go as planned, in the order in which it went wrong."""
         self.memory: _StepMemory | None = None
+        self.gave_up = False
+        """True once this vehicle has given the formation up; it stays true whatever follows, even in the same tick."""
         self.step_before_failsafe = Step.AIRBORNE
         self.climbed = False
         self.hold_tolerated_until_s = float("-inf")
@@ -75,6 +77,7 @@ class FlightProgress:
             self.report_fault(reason)
         self.log(f"{step.value}{f': {self.fault}' if step is Step.FAILED else ''}")
         self.step = step
+        self.gave_up = self.gave_up or step is Step.APART
         self.memory = _StepMemory(snapshot.now_s)
 
     def report_fault(self, reason: str) -> None:

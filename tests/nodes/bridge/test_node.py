@@ -1,6 +1,8 @@
 """The bridge as a managed node: when it may be deactivated, and what it tells others of its vehicle."""
 
 import math
+import time
+from dataclasses import replace
 
 import pytest
 
@@ -11,17 +13,29 @@ from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import BatteryState
 
+from ptnsbc_io.mavlink.autopilots import FlightMode
 from ptnsbc_io.mavlink.link import MavlinkLink
 from ptnsbc_io.mavlink.transport import connect
 from ptnsbc_nodes.bridge.bridge import WANTED_MESSAGES
 from ptnsbc_nodes.bridge.node import BridgeNode, BridgeOptions, FlyingError
-from ptnsbc_nodes.bridge.procedure.steps import Step
+from ptnsbc_nodes.bridge.procedure.steps import CommandRequest, Step, VehicleSnapshot
 from ptnsbc_nodes.bridge.vehicle import Battery
 from ptnsbc_nodes.comm import topics
+from ptnsbc_nodes.comm.announcements import decode_order
 from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions
 from ptnsbc_nodes.emergency.order_port import socket_path
-from ptnsbc_nodes.emergency.orders import KILL, LAND, Order, list_fleet, runtime_folder
+from ptnsbc_nodes.emergency.orders import (
+    APART,
+    KILL,
+    LAND,
+    Order,
+    latch,
+    latched,
+    list_fleet,
+    release,
+    runtime_folder,
+)
 from ptnsbc_nodes.emergency.records import record_path
 from ptnsbc_nodes.fleet.coordinator_node import Coordinator
 from ptnsbc_nodes.fleet.emergency_stop import EmergencyStop
@@ -144,3 +158,96 @@ def test_the_order_to_a_bridge_alone_in_a_namespace_needs_no_discovery(ros, brid
     finally:
         operation.close()
         list_fleet(folder, [])
+
+
+def listens_for_orders(ros, active, hear):
+    """Another bridge, met by this one."""
+    viewer = Endpoints(ros.node("viewer"), lockstep=False)
+    viewer.listen(topics.EMERGENCY, decode_order, hear, required=False)
+    readers = active.work.endpoints.readers(topics.EMERGENCY)
+    ros.spin_until(lambda: readers() == 2)  # itself and the other
+
+
+@pytest.mark.parametrize(
+    "change", [{"state_fault": "GPS fix lost"}, {"battery_low": "battery at 9 %"}, {"apart": False}]
+)
+def test_the_others_are_told_at_once_that_the_formation_is_given_up(ros, active, change):
+    """Also when this vehicle lands in the same tick, long before the next status."""
+    heard, order = [], []
+    listens_for_orders(ros, active, heard.append)
+    active.work.node.destroy_timer(active.work._status_timer)  # nothing is repeated
+    bridge = active.work.bridge
+    bridge.procedure._progress.step = Step.FLY
+    flies = VehicleSnapshot(
+        time.monotonic(), heartbeat_age_s=0.1, controller_age_s=0.1, mode=FlightMode.OWN, armed=True
+    )
+    given_up = replace(flies, hazard="it swings")
+    for snapshot in (flies, given_up, replace(given_up, **change)):
+        bridge.snapshot = lambda _now_s, one=snapshot: one
+        bridge._tick(snapshot.now_s)
+        order.append(bridge.procedure.step)
+    expected = Step.APART if change == {"apart": False} else Step.LAND
+    assert order == [Step.FLY, Step.APART, expected]
+    ros.spin_until(lambda: heard)
+    ros.spin_for(0.3)
+    assert heard == [Order(APART)]
+
+
+def test_a_vehicle_that_lands_in_the_tick_of_giving_up_tells_the_others_too(ros, active):
+    heard = []
+    listens_for_orders(ros, active, heard.append)
+    bridge = active.work.bridge
+    bridge.procedure._progress.step = Step.FLY
+    bridge.snapshot = lambda now_s: VehicleSnapshot(
+        now_s,
+        heartbeat_age_s=0.1,
+        controller_age_s=0.1,
+        mode=FlightMode.OWN,
+        armed=True,
+        hazard="its position jumped by 2.5 m",
+        state_fault="GPS fix lost",
+    )
+    bridge._tick(time.monotonic())
+    assert bridge.procedure.step is Step.LAND
+    ros.spin_until(lambda: heard)
+    assert heard[0] == Order(APART)
+
+
+@pytest.mark.parametrize(
+    ("order", "armed", "step", "command"),
+    [
+        (Order(LAND), False, Step.DONE, None),
+        (Order(LAND), True, Step.LAND, CommandRequest.LAND),
+        (Order(KILL), True, Step.KILL, CommandRequest.KILL),
+    ],
+)
+def test_a_bridge_that_starts_while_an_order_holds_obeys_it(
+    ros, bridge, order, armed, step, command
+):
+    latch(runtime_folder(ros.domain), order)
+    work = bridge().work
+    assert work.bridge.ports.inputs.order == order
+    work.bridge.vehicle.armed, work.bridge.vehicle.mode = armed, FlightMode.OWN
+    work.bridge._tick(time.monotonic())
+    procedure = work.bridge.procedure
+    assert (procedure.step, procedure.output.command) == (step, command)
+    assert f"the operator's order '{order.text}' still holds" in procedure.fault
+    assert work.exit_code == 1
+
+
+def test_a_bridge_that_starts_after_the_order_was_released_obeys_none(ros, bridge):
+    folder = runtime_folder(ros.domain)
+    latch(folder, Order(KILL))
+    release(folder)
+    work = bridge().work
+    assert work.bridge.ports.inputs.order == Order()
+    assert work.exit_code == 0
+
+
+def test_an_order_that_a_bridge_heard_holds_for_the_next_one(ros, active):
+    """`apart` is of one flight and holds for no other."""
+    folder = runtime_folder(ros.domain)
+    active.work._on_order(Order(APART))
+    assert latched(folder) == Order()
+    active.work._on_order(Order(LAND))
+    assert latched(folder) == Order(LAND)
