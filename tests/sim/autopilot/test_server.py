@@ -73,15 +73,37 @@ def names(messages):
     return {m.get_type() for m in messages}
 
 
-def test_two_vehicles_reach_the_companion_and_the_ground_station():
-    with udp() as first, udp() as ground:
-        port = first.getsockname()[1]
+def systems(messages, name):
+    return {m.get_srcSystem() for m in messages if m.get_type() == name}
+
+
+@contextmanager
+def udp_in_a_row():
+    """Two sockets with ports that follow each other."""
+    for _ in range(1000):
+        with udp() as first, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as second:
+            second.settimeout(0.2)
+            try:
+                second.bind(("127.0.0.1", first.getsockname()[1] + 1))
+            except (OSError, OverflowError):  # taken, or beyond the last port
+                continue
+            yield first, second
+            return
+    raise AssertionError("no two free ports follow each other")
+
+
+def test_two_vehicles_reach_their_companions_and_the_ground_station():
+    """Each sends to a companion of its own, and the ground station hears both on one port."""
+    with udp_in_a_row() as companions, udp() as ground:
+        port = companions[0].getsockname()[1]
         network = Network(connect=f"udpout:127.0.0.1:{port}", gcs=Address(*ground.getsockname()))
-        options = Options(fleet=Fleet(count=1), network=network, boot_time=0.0)
+        options = Options(fleet=Fleet(count=2), network=network, boot_time=0.0)
         with serving(options):
             wanted = {"HEARTBEAT", "ATTITUDE", "LOCAL_POSITION_NED"}
-            receive(first, Codec(245), lambda got: wanted <= names(got))
-            receive(ground, Codec(255), lambda got: "HEARTBEAT" in names(got))
+            for system, companion in enumerate(companions, start=1):
+                got = receive(companion, Codec(245), lambda got: wanted <= names(got))
+                assert {m.get_srcSystem() for m in got} == {system}
+            receive(ground, Codec(255), lambda got: systems(got, "HEARTBEAT") == {1, 2})
 
 
 def test_whoever_calls_a_listening_vehicle_is_answered():
