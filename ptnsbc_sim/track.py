@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -11,11 +12,18 @@ from ptnsbc_core.algebra import store, store3
 from ptnsbc_core.kernel import inline_kernel
 from ptnsbc_core.kinematics import store_estimate
 from ptnsbc_core.types import ODOMETRY_SIZE, AgentOutputs, Array
+from ptnsbc_sim.scenario.problems import ScenarioError
+
+if TYPE_CHECKING:
+    from ptnsbc_sim.scenario import Scenario
 
 # Columns of Track.diagnostics
 ERROR, GAIN, SINGULAR_VALUE, ACTIVE_ROWS = slice(0, 3), 3, 4, 5
 SATURATED, HOLDING, PRIORITY_VIOLATION, VELOCITY_ERROR, DEADLOCK = 6, 7, 8, 9, 10
 DIAGNOSTICS_SIZE = 11
+
+_WIDTHS = (ODOMETRY_SIZE, 4, 6, ODOMETRY_SIZE, DIAGNOSTICS_SIZE, ODOMETRY_SIZE, ODOMETRY_SIZE)
+_NUMBER_BYTES = 8
 
 
 class FlightTrack(NamedTuple):
@@ -57,9 +65,33 @@ def track_of(
     ticks: int, size: int, *, with_truth: bool, room: FlightTrack | None = None
 ) -> FlightTrack:
     """Room for a flight of so many ticks and UAVs: that of an earlier one where it is given and fits."""
-    widths = (ODOMETRY_SIZE, 4, 6, ODOMETRY_SIZE, DIAGNOSTICS_SIZE, ODOMETRY_SIZE, ODOMETRY_SIZE)
     lengths = (ticks,) * 6 + (ticks if with_truth else 0,)
-    shapes = [(length, size, width) for length, width in zip(lengths, widths, strict=True)]
+    shapes = [(length, size, width) for length, width in zip(lengths, _WIDTHS, strict=True)]
     if room is not None and [array.shape for array in room] == shapes:
         return room
     return FlightTrack(*(np.zeros(shape) for shape in shapes))
+
+
+def refuse_without_memory(scenario: Scenario) -> None:
+    """Raise ScenarioError, before anything is allocated, for a flight whose record does not fit into free memory."""
+    count, free = len(scenario.uav_ids), _free_bytes()
+    widths = _WIDTHS if scenario.imperfect else _WIDTHS[:-1]
+    second = scenario.control_hz * count * sum(widths) * _NUMBER_BYTES
+    needed = scenario.duration_s * second
+    if needed > free:
+        raise ScenarioError(
+            f"{scenario.source}: timing.duration_s: {scenario.duration_s:g} s of {count} UAVs at "
+            f"{scenario.control_hz} Hz take {needed * 1e-9:.3g} GB of memory: expected at most {free * 1e-9:.3g} GB, "
+            f"which are free: shorten timing.duration_s (--duration) to at most {free // second:.0f} s, or lower "
+            "timing.control_hz"
+        )
+
+
+def _free_bytes() -> float:
+    """Memory that a process can still have, of this computer; no limit where the system does not say it."""
+    try:
+        lines = Path("/proc/meminfo").read_text("ascii").splitlines()
+    except OSError:
+        return float("inf")
+    sizes = dict(line.split(":", 1) for line in lines)
+    return 1024.0 * int(sizes["MemAvailable"].split()[0])

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from ptnsbc_core.tasks.table import TaskName
+from ptnsbc_tools.limits import LONGEST_S, SHORTEST_WINDOW_S
 
 if TYPE_CHECKING:
     from ptnsbc_sim.scenario import Scenario
@@ -120,7 +121,11 @@ ToleranceOption = Annotated[
 WindowOption = Annotated[
     float | None,
     typer.Option(
-        "--window", metavar="S", min=0.01, help="Judge only the first S seconds of each leg."
+        "--window",
+        metavar="S",
+        min=SHORTEST_WINDOW_S,
+        max=LONGEST_S,
+        help="Judge only the first S seconds of each leg.",
     ),
 ]
 OdomOption = Annotated[
@@ -135,6 +140,7 @@ EpochOption = Annotated[
         "--epoch",
         metavar="S",
         min=0.0,
+        max=LONGEST_S,
         help="Epoch in seconds after the start, for a bag that has none.",
     ),
 ]

@@ -12,11 +12,11 @@ from ptnsbc_io.bag import repair as repairs
 from ptnsbc_sim.law import LawError, load_law
 from ptnsbc_sim.scenario import Scenario, ScenarioError
 from ptnsbc_tools import console
+from ptnsbc_tools.limits import refuse_outside
 from ptnsbc_tools.reading.bag_sources import McapSource, scenario_of
 from ptnsbc_tools.replay import rerun as runs
 from ptnsbc_tools.replay.rerun import Rerun
 
-_LONGEST_S = 1e9
 _MOST_JOBS = 4
 
 
@@ -44,12 +44,15 @@ def trim(
 
     Raises:
         BagError: no bag, no message in this span, or an existing bag at `output`.
+        LimitError: a time that no bag reaches.
     """
+    refuse_outside("begin_s", begin_s)
+    refuse_outside("end_s", end_s)
     found = bags.read_bag(Path(bag))
     first_ns = found.start_ns + round(begin_s * 1e9)
     last_ns = found.end_ns
     if end_s is not None:
-        last_ns = found.start_ns + round(min(end_s, _LONGEST_S) * 1e9)
+        last_ns = found.start_ns + round(end_s * 1e9)
     with console.progress("trimming", progress) as advance:
         return cut.trim(
             Path(bag), Path(output), first_ns, last_ns, overwrite=overwrite, advance=advance

@@ -13,6 +13,7 @@ from typing import Any
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_sim.scenario import Scenario, load_scenario, scenario_from_text
 from ptnsbc_sim.scenario.reading import reader
+from ptnsbc_sim.track import refuse_without_memory
 from ptnsbc_sim.verdict import Verdict, verdict_on
 from ptnsbc_tools import console, ros
 from ptnsbc_tools.check import ERROR, WARNING, Finding, refuse
@@ -109,7 +110,9 @@ def fly(scenario: Scenario, *, checked: bool = True, progress: bool | None = Non
 
     Raises:
         CheckError: the pre-flight check refuses the scenario.
+        ScenarioError: the flight does not fit into the memory of this computer.
     """
+    refuse_without_memory(scenario)
     if checked:
         report = check(scenario, dry_runs=0)
         report.refuse()
@@ -153,6 +156,7 @@ def read_bag(
 
     Raises:
         BagError: no bag, cut, damaged, or without a scenario.
+        LimitError: a window or an epoch that no bag reaches.
     """
     names = TopicNames(odom=odom, wrench=wrench)
     given = None if scenario is None else Path(scenario)

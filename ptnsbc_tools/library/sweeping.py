@@ -21,6 +21,7 @@ from ptnsbc_sim.sweep.family import find_family
 from ptnsbc_sim.sweep.plan import plan_of
 from ptnsbc_sim.sweep.rows import UNITS, fly_draw, rows_of
 from ptnsbc_sim.sweep.runner import TABLE
+from ptnsbc_sim.track import refuse_without_memory
 from ptnsbc_tools import console
 from ptnsbc_tools.library.flight import Flight, new_axes
 from ptnsbc_tools.library.flying import fly
@@ -183,10 +184,13 @@ def fly_plan(
 
     Raises:
         SweepError: the folder holds something else, or no draw could be flown.
+        ScenarioError: a flight does not fit into the memory of this computer.
         KeyboardInterrupt: ended early; the next call goes on from there.
     """
+    with suppress(SweepError):  # a draw that cannot be flown is named later
+        refuse_without_memory(draw(plan, 0))
     if scheduler is None and not (folder / TABLE).exists():
-        # The sweep's own progress would stand still for a minute; a draw that cannot be flown is named later.
+        # The sweep's own progress would stand still for a minute.
         with console.compiling(), suppress(PtnsbcError):
             fly_draw(replace(plan, stop_after_s=_MOMENT_S), 0)
     with console.progress("flying", progress) as advance:

@@ -20,6 +20,7 @@ from ptnsbc_nodes.comm.slots import DecidedSlots, keep_recorded
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.verdict import Recording, Track
 from ptnsbc_sim.verdict.recording import FORMATION, with_landing, with_said, with_taken
+from ptnsbc_tools.limits import SHORTEST_WINDOW_S, refuse_outside
 from ptnsbc_tools.reading.bag_sources import (
     OUR_TOPICS,
     BagSource,
@@ -42,6 +43,9 @@ class ReadOptions:
         window_s: judge only the first seconds of each leg.
         epoch_s: epoch of the formation leg after the first odometry, for bags without epochs.
         names: names of the topics.
+
+    Raises:
+        LimitError: a time that no bag reaches.
     """
 
     scenario: Path | None = None
@@ -49,6 +53,10 @@ class ReadOptions:
     window_s: float | None = None
     epoch_s: float | None = None
     names: TopicNames = OUR_TOPICS
+
+    def __post_init__(self) -> None:
+        refuse_outside("window_s", self.window_s, SHORTEST_WINDOW_S)
+        refuse_outside("epoch_s", self.epoch_s)
 
 
 DEFAULTS = ReadOptions()

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ptnsbc_tools import console
+from ptnsbc_tools.limits import LONGEST_S
 from ptnsbc_tools.options import BagArgument, JsonOption, OverwriteOption
 
 if TYPE_CHECKING:
@@ -86,12 +87,22 @@ def trim(
     begin: Annotated[
         float,
         typer.Option(
-            "--from", metavar="S", min=0.0, help="Keep messages from here on, after the first one."
+            "--from",
+            metavar="S",
+            min=0.0,
+            max=LONGEST_S,
+            help="Keep messages from here on, after the first one.",
         ),
     ] = 0.0,
     end: Annotated[
         float | None,
-        typer.Option("--to", metavar="S", min=0.0, help="Keep messages up to here. Default: all."),
+        typer.Option(
+            "--to",
+            metavar="S",
+            min=0.0,
+            max=LONGEST_S,
+            help="Keep messages up to here. Default: all.",
+        ),
     ] = None,
     overwrite: OverwriteOption = False,
     json: JsonOption = False,

@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from ptnsbc_tools import console, ros
+from ptnsbc_tools.limits import LARGEST_MB, LONGEST_S
 from ptnsbc_tools.options import JsonOption, OverwriteOption
 
 _MEGABYTE = 1_000_000
@@ -38,19 +39,31 @@ def record(
     split_size: Annotated[
         float | None,
         typer.Option(
-            "--split-size", metavar="MB", min=1.0, help="Start another file at this size."
+            "--split-size",
+            metavar="MB",
+            min=1.0,
+            max=LARGEST_MB,
+            help="Start another file at this size.",
         ),
     ] = None,
     split_duration: Annotated[
         float | None,
         typer.Option(
-            "--split-duration", metavar="S", min=0.1, help="Start another file after so long."
+            "--split-duration",
+            metavar="S",
+            min=0.1,
+            max=LONGEST_S,
+            help="Start another file after so long.",
         ),
     ] = None,
     duration: Annotated[
         float | None,
         typer.Option(
-            "--duration", metavar="S", min=0.1, help="Stop after so long. Default: at Ctrl-C."
+            "--duration",
+            metavar="S",
+            min=0.1,
+            max=LONGEST_S,
+            help="Stop after so long. Default: at Ctrl-C.",
         ),
     ] = None,
     overwrite: OverwriteOption = False,

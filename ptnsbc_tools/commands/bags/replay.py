@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ptnsbc_tools import console, ros
+from ptnsbc_tools.limits import FASTEST_HZ, LONGEST_S
 from ptnsbc_tools.options import BagArgument, JsonOption
 
 if TYPE_CHECKING:
@@ -60,7 +61,13 @@ def replay(
     ] = 1.0,
     start: Annotated[
         float,
-        typer.Option("--start", metavar="S", min=0.0, help="--publish: skip the first S seconds."),
+        typer.Option(
+            "--start",
+            metavar="S",
+            min=0.0,
+            max=LONGEST_S,
+            help="--publish: skip the first S seconds.",
+        ),
     ] = 0.0,
     loop: Annotated[bool, typer.Option("--loop", help="--publish: repeat until Ctrl-C.")] = False,
     topics: Annotated[
@@ -75,13 +82,18 @@ def replay(
             "--clock",
             metavar="HZ",
             min=0.1,
+            max=FASTEST_HZ,
             help="--publish: also publish the time of the bag on /clock.",
         ),
     ] = None,
     wait: Annotated[
         float,
         typer.Option(
-            "--wait", metavar="S", min=0.0, help="--publish: wait at most so long for subscribers."
+            "--wait",
+            metavar="S",
+            min=0.0,
+            max=LONGEST_S,
+            help="--publish: wait at most so long for subscribers.",
         ),
     ] = 1.0,
     json: JsonOption = False,

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from ptnsbc_tools import console, options
+from ptnsbc_tools.limits import MOST_RUNS
 
 if TYPE_CHECKING:
     from ptnsbc_sim.scenario import Scenario
@@ -33,7 +34,8 @@ def check(
         bool, typer.Option("--fly/--no-fly", help="Fly dry runs when the rest finds no error.")
     ] = True,
     runs: Annotated[
-        int, typer.Option("--runs", "-n", metavar="N", min=1, help="Perturbed dry runs.")
+        int,
+        typer.Option("--runs", "-n", metavar="N", min=1, max=MOST_RUNS, help="Perturbed dry runs."),
     ] = _RUNS,
     json: options.JsonOption = False,
 ) -> None:

@@ -48,6 +48,7 @@ def simulate(
     json: options.JsonOption = False,
 ) -> None:
     """Fly a scenario in this process, without ROS, as fast as possible; ends with the verdict."""
+    from ptnsbc_sim.track import refuse_without_memory
     from ptnsbc_tools.library.flying import fly
     from ptnsbc_tools.reading.headless import prepare_bag
     from ptnsbc_tools.tables import show_verdict
@@ -56,6 +57,7 @@ def simulate(
         chosen = options.chosen(context)
     else:
         chosen = _drawn(context, scenario, sweep, draw)
+    refuse_without_memory(chosen)  # the check of a flight of ages takes ages
     preflight(chosen, quiet=json, refusing=sweep is None)
     if bag is not None:
         prepare_bag(bag, overwrite=overwrite)

@@ -16,6 +16,7 @@ from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_nodes.emergency.orders import KILL, LAND, Order, release, runtime_folder
 from ptnsbc_nodes.emergency.records import forget_dead
 from ptnsbc_tools import console
+from ptnsbc_tools.limits import LONGEST_S
 from ptnsbc_tools.options import FlyingDomainOption, NamespaceOption, full_namespace
 
 if TYPE_CHECKING:
@@ -54,7 +55,11 @@ def stop(
     patience: Annotated[
         float,
         typer.Option(
-            "--patience", metavar="S", min=0.5, help="Repeat the order for at most this time."
+            "--patience",
+            metavar="S",
+            min=0.5,
+            max=LONGEST_S,
+            help="Repeat the order for at most this time.",
         ),
     ] = 10.0,
     domain: FlyingDomainOption = None,

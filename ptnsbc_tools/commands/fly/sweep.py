@@ -11,6 +11,7 @@ import typer
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_tools import console, options
+from ptnsbc_tools.limits import LONGEST_S, MOST_RUNS
 
 if TYPE_CHECKING:
     from ptnsbc_sim.sweep import SweepPlan, SweepResult
@@ -53,6 +54,7 @@ def sweep(
             "-n",
             metavar="N",
             min=1,
+            max=MOST_RUNS,
             help="Flights; of each cell when lists or grids are varied.",
         ),
     ] = 200,
@@ -92,7 +94,13 @@ def sweep(
     seed: Annotated[int, typer.Option("--seed", metavar="N", min=0, help="Seed of all draws.")] = 0,
     stop_after: Annotated[
         float | None,
-        typer.Option("--stop-after", metavar="S", min=0.01, help="End every flight at this time."),
+        typer.Option(
+            "--stop-after",
+            metavar="S",
+            min=0.01,
+            max=LONGEST_S,
+            help="End every flight at this time.",
+        ),
     ] = None,
     check: Annotated[
         int,
@@ -100,6 +108,7 @@ def sweep(
             "--check",
             metavar="N",
             min=0,
+            max=MOST_RUNS,
             help="Before each flight a dry run with N perturbed flights accepts or refuses it; flown it is anyway.",
         ),
     ] = 0,

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 Kind = Literal["px4", "ardupilot", "generic", "arducopter", "stm32"]
 _EARLIER = {"ardupilot": "arducopter", "generic": "stm32"}  # the stand-ins' own names
 
+_FARTHEST_M = 1e4  # the flat map of a stand-in holds for some kilometres
+
 
 def autopilot(
     kind: Annotated[
@@ -80,12 +82,15 @@ def autopilot(
             "--origin-spread",
             metavar="M",
             min=0.0,
+            max=_FARTHEST_M,
             help="Distance of the local origins from each other.",
         ),
     ] = 0.0,
     yaw: Annotated[
         float | None,
-        typer.Option("--yaw", metavar="DEG", help="ENU yaw at boot. Default: random."),
+        typer.Option(
+            "--yaw", metavar="DEG", min=-360.0, max=360.0, help="ENU yaw at boot. Default: random."
+        ),
     ] = None,
     battery: Annotated[
         float,

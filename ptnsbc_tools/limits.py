@@ -1,0 +1,30 @@
+"""Largest values that the command line and the library take: times beyond them have no nanosecond."""
+
+from __future__ import annotations
+
+from ptnsbc_core.errors import PtnsbcError
+
+LONGEST_S = 1e6  # as timing.duration_s
+FASTEST_HZ = 1e4
+LARGEST_MB = 1e6
+MOST_RUNS = 1_000_000
+SHORTEST_WINDOW_S = 0.01
+
+
+class LimitError(PtnsbcError):
+    """A value outside the range in which it has a meaning."""
+
+
+def refuse_outside(
+    name: str, value: float | None, low: float = 0.0, high: float = LONGEST_S
+) -> None:
+    """Raise LimitError for a value that is not in `low` to `high`, such as NaN; None is no value.
+
+    Args:
+        name: of the argument, with its unit.
+        value: what was given.
+        low: smallest value.
+        high: largest value.
+    """
+    if value is not None and not low <= value <= high:
+        raise LimitError(f"{name}: {value:g}: expected {low:g} to {high:g}")

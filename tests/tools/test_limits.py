@@ -1,0 +1,102 @@
+"""Huge numbers: refused in words, on the command line and in the library, never a traceback."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+import ptnsbc
+from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_sim import track
+from ptnsbc_sim.scenario import ScenarioError
+from ptnsbc_tools.cli import app
+from ptnsbc_tools.library import bags
+
+SAMPLE = "bags/sample"
+READERS = (
+    ("verify", SAMPLE),
+    ("report", SAMPLE, "-o", "OUT.html"),
+    ("plot", SAMPLE, "-o", "OUT"),
+    ("export", SAMPLE, "-o", "OUT.csv"),
+)
+TIMED = (
+    *((*words, option) for words in READERS for option in ("--window", "--epoch")),
+    ("bag", "trim", SAMPLE, "-o", "OUT", "--from"),
+    ("bag", "trim", SAMPLE, "-o", "OUT", "--to"),
+    ("record", "-o", "OUT", "--duration"),
+    ("record", "-o", "OUT", "--split-duration"),
+    ("record", "-o", "OUT", "--split-size"),
+    ("replay", SAMPLE, "--publish", "--start"),
+    ("replay", SAMPLE, "--publish", "--wait"),
+    ("replay", SAMPLE, "--publish", "--clock"),
+    ("sweep", "paper_5", "-o", "OUT", "--stop-after"),
+    ("sweep", "paper_5", "-o", "OUT", "--runs"),
+    ("sweep", "paper_5", "-o", "OUT", "--check"),
+    ("check", "paper_5", "--runs"),
+    ("stop", "--patience"),
+    ("autopilot", "--origin-spread"),
+    ("autopilot", "--yaw"),
+)
+
+
+def run(*words: str) -> tuple[int, str]:
+    result = CliRunner().invoke(app, list(words), catch_exceptions=False)
+    return result.exit_code, result.stderr.replace("│\n│", "")  # a box wraps its line
+
+
+@pytest.mark.parametrize("value", ["1e300", "inf", "nan"])
+@pytest.mark.parametrize("words", TIMED, ids=" ".join)
+def test_a_huge_number_is_refused(words: tuple[str, ...], value: str, tmp_path: Path) -> None:
+    given = [word.replace("OUT", str(tmp_path / "out")) for word in words]
+    if words[-1] in ("--runs", "--check"):  # whole numbers
+        value = str(10**24)
+    code, err = run(*given, value)
+    assert code == 2
+    words_in = " ".join(err.split())
+    assert re.search(rf"'{words[-1]}'.*: .* (less|greater) than or equal to [\d.]+", words_in)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("value", [1e300, float("inf"), float("nan"), -1.0])
+@pytest.mark.parametrize(
+    ("call", "name"),
+    [
+        (lambda value, out: ptnsbc.read_bag(SAMPLE, window_s=value), "window_s"),
+        (lambda value, out: ptnsbc.read_bag(SAMPLE, epoch_s=value), "epoch_s"),
+        (lambda value, out: bags.trim(SAMPLE, out, value), "begin_s"),
+        (lambda value, out: bags.trim(SAMPLE, out, 0.0, value), "end_s"),
+    ],
+)
+def test_the_library_refuses_it_too(
+    call: Callable[[float, Path], object], name: str, value: float, tmp_path: Path
+) -> None:
+    with pytest.raises(PtnsbcError, match=rf"^{name}: .*: expected [\d.]+ to 1e\+06$"):
+        call(value, tmp_path / "out")
+
+
+WITHOUT_MEMORY = (
+    r"timing\.duration_s: 1e\+06 s of 5 UAVs at 100 Hz take 240 GB of memory: expected at most "
+    r"16(\.0)? GB, which are free: shorten timing\.duration_s \(--duration\) to at most 66666 s, "
+    r"or lower timing\.control_hz"
+)
+
+
+def test_a_flight_that_does_not_fit_into_memory_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Before anything is allocated, compiled or checked."""
+    monkeypatch.setattr(track, "_free_bytes", lambda: 16e9)
+    for work in ("ptnsbc_sim.swarm.track_of", "ptnsbc_tools.library.flying.findings_of"):
+        monkeypatch.setattr(work, lambda *_: pytest.fail("begun"))
+    code, err = run("simulate", "paper_5", "--duration", "1e6")
+    assert (code, err.count("\n")) == (2, 1)
+    assert re.search(WITHOUT_MEMORY, err)
+    long = ptnsbc.load("paper_5", **{"timing.duration_s": 1e6})
+    for checked in (True, False):
+        with pytest.raises(ScenarioError, match=WITHOUT_MEMORY):
+            ptnsbc.fly(long, checked=checked)
+    with pytest.raises(ScenarioError, match=WITHOUT_MEMORY):
+        ptnsbc.sweep(long, runs=1)
+    track.refuse_without_memory(ptnsbc.load("paper_5", **{"timing.duration_s": 66666}))
