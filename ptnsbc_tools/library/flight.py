@@ -240,7 +240,7 @@ class Flight:
         return axes
 
     def save_picture(self, path: str | Path) -> Path:
-        """Draw paths and errors into a PNG, as `ptnsbc verify --picture` does, and return its path."""
+        """Draw paths and errors into a PNG, SVG or PDF, as `ptnsbc verify --picture` does, and return its path."""
         from ptnsbc_tools.plotting.draw import draw_flight
 
         return draw_flight(self.recording, Path(path), self.tolerance_m)

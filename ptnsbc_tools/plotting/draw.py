@@ -109,15 +109,21 @@ def figure_of(chart: Chart, heading: str) -> Any:
     return figure
 
 
-def save(figure: Any, path: Path) -> Path:
-    """Write a figure; the suffix says whether as PNG, SVG or PDF."""
-    import matplotlib
-
+def format_of(path: Path) -> str:
+    """The suffix of a figure, one of FORMATS; raise FigureError for any other."""
     kind = path.suffix.lower()
     if kind not in FORMATS:
         raise FigureError(
             f"{path}: suffix {kind or 'missing'}: expected {', '.join(FORMATS[:-1])} or {FORMATS[-1]}"
         )
+    return kind
+
+
+def save(figure: Any, path: Path) -> Path:
+    """Write a figure; the suffix says whether as PNG, SVG or PDF."""
+    import matplotlib
+
+    kind = format_of(path)
     metadata = _UNDATED[kind]
     with replacing(path) as part:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -239,7 +245,7 @@ def draw_flight(recording: Recording, path: Path, tolerance: float | None = None
 
     Args:
         recording: the flight, with all its legs.
-        path: PNG to write.
+        path: PNG, SVG or PDF to write.
         tolerance: [m], by default that of the scenario.
     """
     positions = _paths(recording)
@@ -256,7 +262,4 @@ def draw_flight(recording: Recording, path: Path, tolerance: float | None = None
         f"{scenario.name}: {scenario.plant_kind}, task {scenario.task_name}, "
         f"profile {scenario.gains.profile}, avoidance {scenario.file.formation.avoidance}"
     )
-    with replacing(path) as part:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(part, dpi=_DPI, format="png")
-    return path
+    return save(figure, path)

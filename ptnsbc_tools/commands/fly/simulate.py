@@ -50,6 +50,7 @@ def simulate(
     """Fly a scenario in this process, without ROS, as fast as possible; ends with the verdict."""
     from ptnsbc_sim.track import refuse_without_memory
     from ptnsbc_tools.library.flying import fly
+    from ptnsbc_tools.plotting.draw import format_of
     from ptnsbc_tools.reading.headless import prepare_bag
     from ptnsbc_tools.tables import show_verdict
 
@@ -57,6 +58,8 @@ def simulate(
         chosen = options.chosen(context)
     else:
         chosen = _drawn(context, scenario, sweep, draw)
+    if picture is not None:
+        format_of(picture)  # refused before the flight, not after it
     refuse_without_memory(chosen)  # the check of a flight of ages takes ages
     preflight(chosen, quiet=json, refusing=sweep is None)
     if bag is not None:

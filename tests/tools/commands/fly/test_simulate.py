@@ -1,0 +1,32 @@
+"""`ptnsbc simulate`: the picture of its flight."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from ptnsbc_tools.cli import app
+
+BEGINS = {"png": b"\x89PNG", "svg": b"<?xml", "pdf": b"%PDF"}
+
+
+@pytest.mark.parametrize("suffix", BEGINS)
+def test_the_picture_is_drawn_and_named(suffix: str, tmp_path: Path) -> None:
+    picture = tmp_path / f"flight.{suffix}"
+    words = ["simulate", "paper_5_free", "--duration", "6", "--json", "--picture", str(picture)]
+    result = CliRunner().invoke(app, words)
+    assert result.exit_code == 0
+    assert json.loads(result.stdout)["picture"] == str(picture)
+    assert picture.read_bytes().startswith(BEGINS[suffix])
+    assert picture.stat().st_size > 10_000
+
+
+def test_a_picture_of_another_kind_is_refused(tmp_path: Path) -> None:
+    words = ["simulate", "paper_5_free", "--duration", "1", "--picture", str(tmp_path / "a.xyz")]
+    result = CliRunner().invoke(app, words)
+    assert result.exit_code == 2
+    assert "a.xyz" in result.stderr and ".png" in result.stderr
+    assert not list(tmp_path.iterdir())
