@@ -1,5 +1,8 @@
-"""The legs of a file in place of those of the scenario, and what its errors name."""
+"""The legs of a file in place of those of the scenario, what its errors name, and the completion of the shell."""
 
+import os
+import subprocess
+import sys
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -40,3 +43,29 @@ def test_the_legs_of_a_file_are_flown(tmp_path: Path, text: str) -> None:
 def test_what_is_wrong_in_the_file_names_the_file(tmp_path: Path, text: str, said: str) -> None:
     with pytest.raises(PtnsbcError, match=rf"my_legs\.yaml: {said}"):
         flown(tmp_path, text)
+
+
+def test_the_shell_completes_the_names_of_scenarios() -> None:
+    every = options.scenario_names("")
+    assert {"paper_5", "mission_6"} <= set(every)
+    assert options.scenario_names("paper_5") == [one for one in every if one.startswith("paper_5")]
+    assert options.scenario_names("nothing") == []
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [("check paper_5_f", ["paper_5_free"]), ("simulate nothing", []), ("bag mer", ["merge"])],
+)
+def test_the_completion_answers_the_shell(words: str, said: list[str]) -> None:
+    asked = {"_PTNSBC_COMPLETE": "complete_bash", "COMP_WORDS": f"ptnsbc {words}"}
+    environment = {**os.environ, **asked, "COMP_CWORD": str(len(words.split()))}
+    command = [sys.executable, "-m", "ptnsbc_tools"]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    assert (done.stdout.split(), done.stderr) == (said, "")
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_the_script_of_the_completion_calls_us(shell: str) -> None:
+    command = [sys.executable, "-m", "ptnsbc_tools", "--show-completion", shell]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert "_PTNSBC_COMPLETE" in done.stdout

@@ -243,3 +243,15 @@ def test_a_tolerance_within_the_noise_of_the_fixes_is_told_with_one_that_is_not(
     assert said(**{"formation.tolerance_m": wide + 1e-3}).severity == "info"
     assert said(**{"formation.tolerance_m": wide - 1e-3}).severity == "warning"
     assert said().severity == "info"  # the shipped file follows the advice
+
+
+@pytest.mark.parametrize(("duration_s", "warned"), [(4.0, True), (5.0, True), (5.01, False)])
+def test_a_flight_that_ends_before_its_deadline_is_told(duration_s: float, warned: bool) -> None:
+    """The deadline of paper_5 is 5 s; a flight of 5 s has its last instant before it."""
+    found = check(load_scenario("paper_5", {"timing.duration_s": duration_s}))
+    told = [one for one in found if one.key == "timing.duration_s"]
+    assert bool(told) == warned
+    if warned:
+        assert told[0].severity == "warning"
+        assert told[0].value == f"{duration_s:g} s: the flight ends before its deadline"
+        assert told[0].limit == "> 5 s, gains.formation.deadline_s"

@@ -1,0 +1,130 @@
+"""The orders of people at a page, without a fleet: what is asked, what reaches the server, what becomes of it."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from ptnsbc_sim.scenario import load_scenario
+from ptnsbc_tools.live.feed import Feed
+from ptnsbc_tools.live.page import live_page
+from ptnsbc_tools.live.server import ORDERS, LiveServer
+from ptnsbc_tools.live.stage import stage
+
+NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
+CHROMIUM = next((found for name in NAMES if (found := shutil.which(name))), None)
+SCENARIO = load_scenario("paper_5")
+
+
+def frame(leg: str) -> dict[str, Any]:
+    uavs = [
+        {
+            "id": uav,
+            "pose": [*SCENARIO.uav(uav).position.tolist(), 0.0, 0.0, 0.0, 1.0],
+            "error": 0.5,
+        }
+        for uav in SCENARIO.uav_ids
+    ]
+    more = {"beside": None, "speed": 0.0, "near": None, "mode": leg, "lost": False, "vehicle": None}
+    uavs = [{**uav, **more, "armed": None, "battery": None} for uav in uavs]
+    here = {"t": 1.0, "since_s": 1.0, "left_s": 4.0, "pace": 1.0, "over": False, "processes": []}
+    return {**here, "leg": leg, "uavs": uavs}
+
+
+@pytest.fixture
+def feed() -> Feed:
+    one = Feed()
+    one.set_stage(stage(SCENARIO))
+    return one
+
+
+@pytest.fixture
+def server(feed: Feed) -> Iterator[LiveServer]:
+    with LiveServer(feed, live_page) as one:
+        yield one
+
+
+@pytest.fixture
+def page(server: LiveServer, feed: Feed) -> Iterator[Any]:
+    playwright = pytest.importorskip("playwright.sync_api", reason="needs playwright (extra [dev])")
+    if CHROMIUM is None:
+        pytest.skip("needs Chromium: apt install chromium")
+    with playwright.sync_playwright() as driver:
+        browser = driver.chromium.launch(
+            executable_path=CHROMIUM, args=["--no-sandbox", "--disable-dev-shm-usage"]
+        )
+        page = browser.new_page()
+        page.set_default_timeout(60_000)
+        page.goto(server.address)
+        page.wait_for_selector("html[data-ready=true]")
+        feed.add(frame("form"))
+        page.wait_for_selector("[data-order=hold]:enabled")
+        yield page
+        browser.close()
+
+
+@pytest.mark.slow
+def test_every_order_is_asked_sent_and_answered(page: Any, server: LiveServer, feed: Feed) -> None:
+    for order in ORDERS:
+        button, dialog = page.locator(f"[data-order={order}]"), page.locator("#confirm")
+        button.click()
+        assert page.locator("#asked").inner_text().endswith(f"{order.capitalize()}?")
+        dialog.get_by_role("button", name="Cancel").click()
+        assert server.orders.empty()
+        button.click()
+        dialog.get_by_role("button", name="Yes").click()
+        assert server.orders.get(timeout=60) == order
+        feed.answer(f"{order}: done")
+        page.wait_for_function(
+            "(text) => document.querySelector('#notice').textContent === text", arg=f"{order}: done"
+        )
+    assert server.orders.empty()
+
+
+@pytest.mark.slow
+def test_before_the_flight_only_stop_can_be_given(page: Any, feed: Feed) -> None:
+    feed.add(frame("waiting"))
+    page.wait_for_selector("[data-order=hold]:disabled")
+    assert page.locator("[data-order=land]").is_disabled()
+    assert page.locator("[data-order=stop]").is_enabled()
+
+
+@pytest.mark.parametrize(
+    ("refusal", "said"),
+    [(None, "hold: the leader has announced it"), ("no leader", "hold: no leader")],
+)
+def test_hold_is_a_call_to_the_fleet(refusal: str | None, said: str) -> None:
+    pytest.importorskip("rclpy")
+    from ptnsbc_tools.live.watch import WatchOptions, _obey
+
+    called: list[str] = []
+    observer: Any = SimpleNamespace(call=lambda order: (called.append(order), refusal)[1])
+    assert _obey("hold", observer, WatchOptions(7)) == said
+    assert called == ["hold"]
+
+
+def test_stop_is_the_command_and_says_what_it_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("rclpy")
+    from ptnsbc_tools.live import watch
+
+    ran: list[list[str]] = []
+
+    def run(command: list[str], **_: Any) -> Any:
+        ran.append(command)
+        if len(ran) > 1:
+            raise subprocess.TimeoutExpired(command, 30.0)
+        return SimpleNamespace(stderr="uav1: lands\nuav2: lands\n")
+
+    monkeypatch.setattr(subprocess, "run", run)
+    options = watch.WatchOptions(7, "/blue")
+    observer: Any = None
+    assert watch._obey("stop", observer, options) == "stop: uav1: lands; uav2: lands"
+    assert watch._obey("stop", observer, options) == "stop: no answer in 30 s"
+    words = ["-m", "ptnsbc_tools", "stop", "--domain", "7", "--namespace", "/blue"]
+    assert ran == [[sys.executable, *words]] * 2
