@@ -104,7 +104,12 @@ def test_hold_is_a_call_to_the_fleet(refusal: str | None, said: str) -> None:
     from ptnsbc_tools.live.watch import WatchOptions, _obey
 
     called: list[str] = []
-    observer: Any = SimpleNamespace(call=lambda order: (called.append(order), refusal)[1])
+
+    def call(order: str) -> str | None:
+        called.append(order)
+        return refusal
+
+    observer: Any = SimpleNamespace(call=call)
     assert _obey("hold", observer, WatchOptions(7)) == said
     assert called == ["hold"]
 
