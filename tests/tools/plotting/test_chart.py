@@ -41,7 +41,7 @@ def in_paths(recording: Recording) -> dict[int, str]:
 
 
 def in_foxglove(scenario: Scenario) -> dict[int, str]:
-    """What the sink draws, without its server: its messages are namespaces of their fields."""
+    """Messages that the sink draws, as namespaces of their fields, without its server."""
 
     class Kinds:
         def __getattr__(self, _: str) -> Any:
@@ -58,7 +58,7 @@ def in_foxglove(scenario: Scenario) -> dict[int, str]:
 
 
 def in_rerun(flight: Flight) -> dict[int, str]:
-    """What is logged as the body, the path and the error of every UAV, without the library."""
+    """Entries of the log for body, path and error of every UAV, without the library."""
     shades: dict[int, set[str]] = {}
 
     class Library:
