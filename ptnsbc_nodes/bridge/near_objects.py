@@ -1,10 +1,13 @@
 """Near objects of a vehicle without a sensor for them: the scenario's obstacles and the other UAVs.
 
-A bridge receives the odometry of the UAVs that its UAV has an edge with (`mavlink.near: links`), or of all.
-A UAV that falls silent stays where it was for a while; then it is forgotten.
+A bridge receives the odometry of all UAVs: nobody comes too near to it unseen. `mavlink.near` says which of them its
+UAV avoids: those that it has an edge with (`links`), or all. A UAV that falls silent stays where it was for a while;
+then it is forgotten.
 """
 
 from __future__ import annotations
+
+from collections.abc import Collection
 
 import numpy as np
 
@@ -22,7 +25,9 @@ _FORGET_S = 5.0
 class NearObjects:
     """The obstacles, and the newest odometry of the other UAVs as bytes until it is needed."""
 
-    def __init__(self, scenario: Scenario, uav_id: int) -> None:
+    def __init__(self, scenario: Scenario, uav_id: int, linked: Collection[int]) -> None:
+        """`linked`: ids of the UAVs that share an edge with this one."""
+        self._avoided = frozenset(linked if scenario.mavlink.near == "links" else scenario.uav_ids)
         self._newest: dict[int, tuple[float, bytes]] = {}
         self._keep_out_m = {uav: scenario.keep_out_between(uav_id, uav) for uav in scenario.uav_ids}
         self._range_m = float(scenario.sensor.range_m)
@@ -35,14 +40,14 @@ class NearObjects:
         self._newest[uav_id] = (now_s, data)
 
     def rows(self, now_s: float, position: Array, mission_s: float = -1.0) -> Array:
-        """x y z keep-out vx vy vz (M, 7) [m, m/s, ENU] within the scenario's detection range.
+        """What its UAV avoids: x y z keep-out vx vy vz (M, 7) [m, m/s, ENU] within the scenario's detection range.
 
         Args:
             now_s: time of `on_odometry`.
             position: (3,) own position [m].
             mission_s: time since the first epoch [s], negative before it: moving obstacles stand still then.
         """
-        rows = self.uavs(now_s)
+        rows = self._known(now_s, self._avoided)
         away = rows[:, 0:3] - position
         near = rows[np.einsum("ij,ij->i", away, away) <= self._range_m**2]
         return np.vstack([near, self._obstacles(position, mission_s)])
@@ -59,8 +64,11 @@ class NearObjects:
         return near_objects(0, own, bodies, np.zeros(1), self._range_m)
 
     def uavs(self, now_s: float) -> Array:
-        """The rows (M, 7) of the other UAVs alone, at any distance."""
-        newest = list(self._newest.items())  # the thread of the node adds to it
+        """The rows (M, 7) of all other UAVs, at any distance, avoided or not."""
+        return self._known(now_s, self._keep_out_m)
+
+    def _known(self, now_s: float, which: Collection[int]) -> Array:
+        newest = [one for one in list(self._newest.items()) if one[0] in which]  # a thread adds
         rows = [self._row(uav, now_s - arrived_s, data) for uav, (arrived_s, data) in newest]
         known = [row for row in rows if row is not None]
         return np.array(known, dtype=np.float64).reshape(-1, NEAR_COLUMNS)

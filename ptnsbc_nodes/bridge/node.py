@@ -389,7 +389,10 @@ class BridgeNode:
 
 
 class _NearPublisher:
-    """Publishes the near objects of one UAV, from the scenario and from the odometry of other UAVs."""
+    """Publishes the near objects of one UAV, from the scenario and from the odometry of other UAVs.
+
+    It hears all of them, because its bridge gives the formation up for any that comes too near, and lands above any.
+    """
 
     def __init__(
         self,
@@ -399,14 +402,12 @@ class _NearPublisher:
         edges: CommunicationGraph,
         clocks: Clocks,
     ) -> None:
-        self._objects = NearObjects(scenario, uav_id)
+        self._objects = NearObjects(scenario, uav_id, edges.linked(uav_id))
         self._clocks = clocks
         self._period_s = 1.0 / scenario.sensor.rate_hz
         self._next_s = 0.0
         self._send = endpoints.publisher(topics.near(uav_id), 1 + edges.options.recorders)
-        all_uavs = scenario.mavlink.near == "all"
-        others = set(scenario.uav_ids) - {uav_id} if all_uavs else edges.linked(uav_id)
-        for other in others:
+        for other in sorted(set(scenario.uav_ids) - {uav_id}):
             for topic in (topics.odom(other), topics.track(other)):
                 decode = as_bytes(OdometryDecoder())
                 endpoints.listen(topic, decode, self._on_odometry(other), required=False)

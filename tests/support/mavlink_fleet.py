@@ -108,7 +108,7 @@ class FleetUav:
         self.controller = UavController(agent_config(scenario, uav_id), edges.senders(uav_id), own)
         self.senders = edges.senders(uav_id)
         self.epochs = Epochs()
-        self.near_objects = NearObjects(scenario, uav_id)
+        self.near_objects = NearObjects(scenario, uav_id, edges.linked(uav_id))
         self.odometry_template = OdometryTemplate("map", "x")
         attitude = scenario.vehicle_link(uav_id).setpoint == "attitude"
         self.setpoint_template = WrenchTemplate("x") if attitude else VelocityTemplate("map")

@@ -4,6 +4,7 @@ import math
 import time
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 pytest.importorskip("rclpy")
@@ -16,6 +17,7 @@ from sensor_msgs.msg import BatteryState
 from ptnsbc_io.mavlink.autopilots import FlightMode
 from ptnsbc_io.mavlink.link import MavlinkLink
 from ptnsbc_io.mavlink.transport import connect
+from ptnsbc_io.wire import OdometryTemplate, checked_near
 from ptnsbc_nodes.bridge.bridge import WANTED_MESSAGES
 from ptnsbc_nodes.bridge.node import BridgeNode, BridgeOptions, FlyingError
 from ptnsbc_nodes.bridge.procedure.steps import CommandRequest, Step, VehicleSnapshot
@@ -53,11 +55,11 @@ UAV = 3
 def bridge(ros, monkeypatch):
     """Bridges without a vehicle; their `bridge` does not run, so that a test sets its step."""
     monkeypatch.setenv("ROS_DOMAIN_ID", str(ros.domain))
-    scenario = load_scenario("experiment_4").bridged()
-    edges = CommunicationGraph(scenario, FlightOptions(bridged=True))
     made = []
 
-    def make(fleet=""):
+    def make(fleet="", scenario=None):
+        scenario = scenario or load_scenario("experiment_4").bridged()
+        edges = CommunicationGraph(scenario, FlightOptions(bridged=True))
         node = ManagedNode(
             "bridge", namespace=f"{fleet}/uav{UAV}", context=ros.context, enable_rosout=False
         )
@@ -119,6 +121,27 @@ def test_the_battery_is_published_once_it_is_known(ros, active):
     assert (message.voltage, message.percentage) == (pytest.approx(15.8), 0.75)
     assert math.isnan(message.current)
     assert message.header.stamp.sec > 0
+
+
+def test_with_near_links_it_sees_a_vehicle_that_its_uav_does_not_avoid(ros, bridge):
+    """In `figure_eight_4` UAV 3 and UAV 4 share no edge; the separation of the two is watched all the same."""
+    work = bridge(scenario=load_scenario("figure_eight_4", {"mavlink.near": "links"})).work
+    heard, inputs = [], work.bridge.ports.inputs
+    viewer = Endpoints(ros.node("viewer"), lockstep=False)
+    viewer.listen(topics.near(UAV), checked_near, heard.append, required=False)
+    template, odometry = OdometryTemplate("map", "uav4"), np.zeros(13)
+    odometry[0:3], odometry[6] = (1.0, 2.0, 3.0), 1.0
+    send = viewer.publisher(topics.odom(4), 1)
+
+    def seen():
+        send(template.encode(time.time_ns(), odometry))
+        work._near.publish_due(odometry, inputs, -1.0)
+        ros.spin_for(0.02)
+        return len(inputs.near_uavs) and heard
+
+    ros.spin_until(seen)
+    assert inputs.near_uavs[:, 0:3].tolist() == [[1.0, 2.0, 3.0]]
+    assert not any(len(message.values) for message in heard)
 
 
 @pytest.mark.parametrize("fleet", ["", "/blue"])
