@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ptnsbc_core.algebra import store3
-from ptnsbc_core.kernel import inline_kernel, kernel, kernel_list
+from ptnsbc_core.kernel import KernelList, inline_kernel, kernel, prepared
 from ptnsbc_core.kinematics import store_estimate
 from ptnsbc_core.step import (
     TaskPoints,
@@ -25,6 +25,7 @@ from ptnsbc_core.step import (
 from ptnsbc_core.tasks.contract import TaskGeometry
 from ptnsbc_core.types import (
     MODE_HOLD,
+    NEAR_COLUMNS,
     NEVER_RECEIVED_S,
     ODOMETRY_SIZE,
     AgentConfig,
@@ -53,10 +54,9 @@ class PackedInputs:
     Attributes:
         vector: (44 + 14 K,) for K neighbours in the estimator graph, filled by the offsets of this module.
         ages: offset of the ages of the estimates in `vector`.
-        near: (M, 7), as in AgentInputs.
     """
 
-    __slots__ = ("ages", "near", "vector")
+    __slots__ = ("_near", "ages", "vector")
 
     def __init__(self, neighbours: int, near: Array) -> None:
         self.ages = ESTIMATES + ODOMETRY_SIZE * neighbours
@@ -65,6 +65,15 @@ class PackedInputs:
         self.vector[self.ages :] = NEVER_RECEIVED_S
         self.vector[MODE] = MODE_HOLD
         self.near = near
+
+    @property
+    def near(self) -> Array:
+        """Near objects (M, 7), as in AgentInputs; an array of another layout or type is converted."""
+        return self._near
+
+    @near.setter
+    def near(self, near: Array) -> None:
+        self._near: Array = np.ascontiguousarray(near, dtype=np.float64)
 
     @classmethod
     def pack(cls, inputs: AgentInputs) -> PackedInputs:
@@ -123,7 +132,7 @@ class _AgentMemory(NamedTuple):
     """Configuration and state, which stay with the kernels from step to step."""
 
     config: AgentConfig
-    state: AgentState
+    states: MutableSequence[AgentState]  # one; apart, because it alone is written at every step
 
 
 @inline_kernel
@@ -147,14 +156,17 @@ def _unpack(vector: Array, near: Array) -> AgentInputs:
 
 @kernel
 def _advance(
-    memory: MutableSequence[_AgentMemory], inputs: Array, near: Array, t: float, dt: float
-) -> Array:
-    agent = memory[0]
-    state, outputs = inlined_step(
-        agent.state, _unpack(inputs, near), None, None, t, dt, agent.config
-    )
-    memory[0] = _AgentMemory(agent.config, state)
-    return _packed(outputs)
+    memory: MutableSequence[_AgentMemory],
+    inputs: Array,
+    near: Array,
+    t: float,
+    dt: float,
+    out: Array,
+) -> None:
+    config, states = memory[0]
+    state, outputs = inlined_step(states[0], _unpack(inputs, near), None, None, t, dt, config)
+    states[0] = state
+    _pack(outputs, out)
 
 
 @kernel
@@ -165,12 +177,11 @@ def _advance_guided(
     velocity: Vector3,
     t: float,
     dt: float,
-) -> Array:
-    agent = memory[0]
-    unpacked = _unpack(inputs, near)
-    state, outputs = guided_step(agent.state, unpacked, velocity, t, dt, agent.config)
-    memory[0] = _AgentMemory(agent.config, state)
-    return _packed(outputs)
+    out: Array,
+) -> None:
+    config, states = memory[0]
+    states[0], outputs = guided_step(states[0], _unpack(inputs, near), velocity, t, dt, config)
+    _pack(outputs, out)
 
 
 @kernel
@@ -181,29 +192,28 @@ def _advance_tasked(
     task: TaskGeometry,
     t: float,
     dt: float,
-) -> Array:
-    agent = memory[0]
-    state, outputs = tasked_step(agent.state, _unpack(inputs, near), task, t, dt, agent.config)
-    memory[0] = _AgentMemory(agent.config, state)
-    return _packed(outputs)
+    out: Array,
+) -> None:
+    config, states = memory[0]
+    states[0], outputs = tasked_step(states[0], _unpack(inputs, near), task, t, dt, config)
+    _pack(outputs, out)
 
 
 @kernel
 def _points(
     memory: MutableSequence[_AgentMemory], inputs: Array, near: Array, t: float, dt: float
 ) -> TaskPoints:
-    return task_points(memory[0].state, _unpack(inputs, near), t, dt, memory[0].config)
+    config, states = memory[0]
+    return task_points(states[0], _unpack(inputs, near), t, dt, config)
 
 
 @inline_kernel
-def _packed(outputs: AgentOutputs) -> Array:
-    packed = np.empty(_OUTPUT_SIZE)
-    store_velocity(packed[_VELOCITY:_WRENCH], outputs)
-    store_wrench(packed[_WRENCH:_ESTIMATE], outputs)
-    store_estimate(packed[_ESTIMATE:_REPORTED], outputs.estimate, outputs.estimate_valid)
-    store3(packed, _REPORTED, outputs.reported)
-    store_diagnostics(packed[_ERROR:], outputs.diagnostics)
-    return packed
+def _pack(outputs: AgentOutputs, out: Array) -> None:
+    store_velocity(out[_VELOCITY:_WRENCH], outputs)
+    store_wrench(out[_WRENCH:_ESTIMATE], outputs)
+    store_estimate(out[_ESTIMATE:_REPORTED], outputs.estimate, outputs.estimate_valid)
+    store3(out, _REPORTED, outputs.reported)
+    store_diagnostics(out[_ERROR:], outputs.diagnostics)
 
 
 @inline_kernel
@@ -235,8 +245,17 @@ def store_diagnostics(out: Array, diagnostics: AgentDiagnostics) -> None:
 
 
 @kernel
+def _memory(config: AgentConfig, state: AgentState) -> MutableSequence[_AgentMemory]:
+    memory = KernelList()
+    states = KernelList()
+    states.append(state)
+    memory.append(_AgentMemory(config, states))
+    return memory
+
+
+@kernel
 def _state(memory: MutableSequence[_AgentMemory]) -> AgentState:
-    return memory[0].state
+    return memory[0].states[0]
 
 
 def load_diagnostics(row: Array) -> AgentDiagnostics:
@@ -258,18 +277,28 @@ def load_diagnostics(row: Array) -> AgentDiagnostics:
 
 
 class Agent:
-    """One UAV's control step with its configuration and state."""
+    """One UAV's control step with its configuration and state.
+
+    The outputs of a step are valid until the next one, which writes them into the same vector.
+    """
 
     def __init__(self, config: AgentConfig, own: OdometryLike) -> None:
         """Start from the UAV's own odometry vector (13,)."""
-        self._memory = kernel_list([_AgentMemory(config, initial_state(own, config))])
+        self._begin(config, initial_state(own, config))
 
     @classmethod
     def resumed(cls, config: AgentConfig, state: AgentState) -> Agent:
         """An agent that continues from the state of another one."""
         agent = cls.__new__(cls)
-        agent._memory = kernel_list([_AgentMemory(config, state)])
+        agent._begin(config, state)
         return agent
+
+    def _begin(self, config: AgentConfig, state: AgentState) -> None:
+        self._memory, self._outputs = _memory(config, state), PackedOutputs(np.empty(_OUTPUT_SIZE))
+        empty = PackedInputs(0, np.empty((0, NEAR_COLUMNS)))
+        self._advance = prepared(
+            _advance, self._memory, empty.vector, empty.near, 0.0, 0.0, self._outputs.vector
+        )
 
     @property
     def state(self) -> AgentState:
@@ -293,15 +322,14 @@ class Agent:
         `guided` is the velocity [m/s, ENU] of another law, see `guided_step`; `task` is a task of the user, see
         `tasked_step`.
         """
+        memory, vector, near, outputs = self._memory, inputs.vector, inputs.near, self._outputs
         if task is not None:
-            return PackedOutputs(
-                _advance_tasked(self._memory, inputs.vector, inputs.near, task, t, dt)
-            )
-        if guided is None:
-            return PackedOutputs(_advance(self._memory, inputs.vector, inputs.near, t, dt))
-        return PackedOutputs(
-            _advance_guided(self._memory, inputs.vector, inputs.near, guided, t, dt)
-        )
+            _advance_tasked(memory, vector, near, task, t, dt, outputs.vector)
+        elif guided is not None:
+            _advance_guided(memory, vector, near, guided, t, dt, outputs.vector)
+        else:
+            self._advance(memory, vector, near, t, dt, outputs.vector)
+        return outputs
 
     def step(self, inputs: AgentInputs, t: float, dt: float) -> PackedOutputs:
         """The same with named inputs."""

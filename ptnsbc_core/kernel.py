@@ -53,6 +53,21 @@ def inline_kernel(law: Callable[P, R]) -> Callable[P, R]:
     return law if _COMPILE is None else _COMPILE(law, forceinline=True)
 
 
+def prepared(law: Callable[P, R], *arguments: Any) -> Callable[P, R]:
+    """The kernel `law` for arguments of the types of `arguments`, which no call checks.
+
+    A call of a kernel first finds out the types of its arguments: of a KernelList that takes longer than to hand
+    it over (`bench --only step` shows a step without it).
+    """
+    if not COMPILED:
+        return law
+    from numba import typeof
+
+    kinds, dispatcher = tuple(typeof(argument) for argument in arguments), cast(Any, law)
+    dispatcher.compile(kinds)
+    return cast(Callable[P, R], dispatcher.overloads[kinds].entry_point)
+
+
 def _lend() -> Callable[..., Any]:
     if not COMPILED:
         return lambda value: value

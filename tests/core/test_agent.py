@@ -72,6 +72,28 @@ def test_agent_is_step_with_its_state_kept() -> None:
     assert (again.step(inputs, 1.0, DT).vector == agent.step(inputs, 1.0, DT).vector).all()
 
 
+def test_near_objects_of_another_layout_are_the_same_to_a_step() -> None:
+    rng = np.random.default_rng(3)
+    config = agent_config(load_scenario("paper_5"), 3)
+    inputs = PackedInputs.pack(random_inputs(rng, 2, 3))
+    near = inputs.near.astype(np.float32)
+    agents = [Agent(config, inputs.unpack().own) for _ in range(2)]
+    inputs.near = near.astype(np.float64)
+    expected = agents[0].advance(inputs, 0.0, DT).vector
+    inputs.near = np.asfortranarray(near)
+    assert agents[1].advance(inputs, 0.0, DT).vector.tobytes() == expected.tobytes()
+
+
+def test_outputs_are_valid_until_the_next_step() -> None:
+    rng = np.random.default_rng(4)
+    config, own = agent_config(load_scenario("paper_5"), 3), random_inputs(rng, 0, 0).own
+    agent = Agent(config, own)
+    first = agent.step(random_inputs(rng, 2, 3), 0.0, DT)
+    kept = first.vector.tolist()
+    assert agent.step(random_inputs(rng, 2, 3), DT, DT) is first
+    assert first.vector.tolist() != kept
+
+
 def test_told_has_names_for_what_a_step_gives() -> None:
     rng = np.random.default_rng(2)
     config, own = agent_config(load_scenario("paper_5"), 3), random_inputs(rng, 0, 0).own

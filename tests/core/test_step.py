@@ -6,7 +6,7 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from ptnsbc_core.agent import Agent
+from ptnsbc_core.agent import Agent, PackedOutputs
 from ptnsbc_core.kinematics import store_estimate, velocity_enu
 from ptnsbc_core.step import guided_step, initial_state, step
 from ptnsbc_core.types import (
@@ -121,7 +121,7 @@ class Flown:
             t = self.tick * DT
             now = {key: (say(t) if callable(say) else say) for key, say in changes.items()}
             out = self.agent.step(inputs_of(self.own, t, **now), t, DT)
-            self.told.append(out)
+            self.told.append(PackedOutputs(out.vector.copy()))
             advance(self.body, out.wrench, t, DT, 5, self.plant)
             self.tick += 1
             places.append(self.body[:3].copy())
