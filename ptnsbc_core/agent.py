@@ -6,7 +6,8 @@ on the way back. That costs more than the laws (`bench --only step` shows both).
 
 from __future__ import annotations
 
-from collections.abc import MutableSequence
+from collections.abc import Callable, MutableSequence
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -295,10 +296,12 @@ class Agent:
 
     def _begin(self, config: AgentConfig, state: AgentState) -> None:
         self._memory, self._outputs = _memory(config, state), PackedOutputs(np.empty(_OUTPUT_SIZE))
+
+    @cached_property
+    def _own_advance(self) -> Callable[..., None]:
         empty = PackedInputs(0, np.empty((0, NEAR_COLUMNS)))
-        self._advance = prepared(
-            _advance, self._memory, empty.vector, empty.near, 0.0, 0.0, self._outputs.vector
-        )
+        out = self._outputs.vector
+        return prepared(_advance, self._memory, empty.vector, empty.near, 0.0, 0.0, out)
 
     @property
     def state(self) -> AgentState:
@@ -328,7 +331,7 @@ class Agent:
         elif guided is not None:
             _advance_guided(memory, vector, near, guided, t, dt, outputs.vector)
         else:
-            self._advance(memory, vector, near, t, dt, outputs.vector)
+            self._own_advance(memory, vector, near, t, dt, outputs.vector)
         return outputs
 
     def step(self, inputs: AgentInputs, t: float, dt: float) -> PackedOutputs:
