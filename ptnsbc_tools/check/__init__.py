@@ -26,6 +26,7 @@ from ptnsbc_tools.check.geometry import (
     spacing,
     starts_clear,
 )
+from ptnsbc_tools.check.membership import membership
 from ptnsbc_tools.check.mission import legs, words
 from ptnsbc_tools.check.slots import slots, turn
 from ptnsbc_tools.check.trajectory import trajectory
@@ -48,6 +49,7 @@ _CHECKS: Sequence[Callable[[Scenario], Findings]] = (
     changes,
     legs,
     words,
+    membership,
     trajectory,
     encounters,
     recovery,
