@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_nodes.runtime.signals import StopRequest, exit_on_signal
+from ptnsbc_sim.scenario.mission.legs import starts_by_clock
 
 if TYPE_CHECKING:
     from ptnsbc_nodes.fleet.coordinator_node import Coordinator
     from ptnsbc_sim.scenario import Scenario
-from ptnsbc_sim.scenario.mission.legs import seconds_to_start
 
 _LOOK_S = 0.05
 _REPORT_S = 5.0
@@ -79,11 +79,15 @@ def _fly(
                 coordinator.manage(f"bridge{i}", f"/uav{i}/bridge")
     uavs = [f"uav{i}" for i in scenario.uav_ids]
     vehicles = [f"bridge{i}" for i in scenario.uav_ids] if arguments.bridged else ["sim"]
+    by_clock = arguments.bridged and starts_by_clock(scenario.file.mission)
+    if by_clock:
+        coordinator.listen_for_start()
     if _start(coordinator, [*uavs, *vehicles], patience_s, stop):
         _say("started")
         if arguments.bridged:
-            begins_in_s = seconds_to_start(scenario.file.mission, time.time_ns())
-            _land(coordinator, begins_in_s + scenario.duration_s, stop)
+            if by_clock:
+                _hear_begin(coordinator, patience_s, stop)
+            _land(coordinator, coordinator.begins_in_s() + scenario.duration_s, stop)
 
 
 def _start(
@@ -109,6 +113,14 @@ def _start(
             told = time.monotonic()
             _say("; ".join(lines))
     return False
+
+
+def _hear_begin(coordinator: Coordinator, patience_s: float, stop: StopRequest) -> None:
+    over_s = time.monotonic() + patience_s
+    while not (coordinator.begun or stop.came):
+        coordinator.spin(_LOOK_S)
+        if time.monotonic() > over_s:
+            raise CoordinatorError("the leader does not tell when the mission begins")
 
 
 def _land(coordinator: Coordinator, duration_s: float, stop: StopRequest) -> None:

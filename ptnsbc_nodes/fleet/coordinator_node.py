@@ -73,7 +73,7 @@ class Coordinator:
         self.domain = domain
         self.gone: set[str] = set()  # processes that have ended on other computers
         self.over = False  # the launcher that leads has ended the flight
-        self.begun = False  # a leg has been announced, after `listen_for_start`
+        self._first_epoch_ns: int | None = None  # of the first leg, after `listen_for_start`
         self.waiting: dict[str, str] = {}  # process name: what it waits for, empty when ready
         self.vehicles: dict[str, VehicleRecord] = {}  # by bridge: what it reported of its vehicle
         self._name, self._ros_arguments = name, list(ros_arguments)
@@ -150,9 +150,18 @@ class Coordinator:
             self._endpoints.listen(OVER, decode_header, self._on_over)
 
     def listen_for_start(self) -> None:
-        """Hear of the first leg, when an operator starts the flight."""
+        """Hear of the first leg, when an operator starts the flight, or the mission begins by the clock."""
         self._listens_for_start = True
         self._endpoints.listen(topics.EPOCH, decode_leg, self._on_leg, required=False)
+
+    @property
+    def begun(self) -> bool:
+        """True if a leg has been announced, after `listen_for_start`."""
+        return self._first_epoch_ns is not None
+
+    def begins_in_s(self) -> float:
+        """The time left until the first leg begins by the wall clock; 0 when none was heard, and in lock-step."""
+        return max(((self._first_epoch_ns or 0) - time.time_ns()) * 1e-9, 0.0)
 
     def serve_arming(self, refusal: Callable[[], str]) -> None:
         """Answer /formation/arm; `refusal` says why the vehicles must not arm, or nothing."""
@@ -363,8 +372,9 @@ class Coordinator:
     def _on_lost(self, process: LostProcess) -> None:
         self.gone.add(process.name)
 
-    def _on_leg(self, _leg: HeaderFields) -> None:
-        self.begun = True
+    def _on_leg(self, leg: HeaderFields) -> None:
+        if self._first_epoch_ns is None:
+            self._first_epoch_ns = leg.stamp_ns
 
     def _on_over(self, _over: HeaderFields) -> None:
         self.over = True

@@ -15,6 +15,7 @@ from ptnsbc_nodes.fleet.child_process import ProcessCommand
 from ptnsbc_nodes.runtime.environment import has_room
 from ptnsbc_nodes.runtime.provenance import provenance
 from ptnsbc_sim.scenario import Scenario
+from ptnsbc_sim.scenario.mission.legs import starts_by_clock
 from ptnsbc_sim.scenario.slots import are_open
 
 _AIRBORNE_S = 240.0  # boot, position, arming and take-off of a real vehicle
@@ -61,6 +62,11 @@ class FleetOptions:
     def recorded(self) -> bool:
         """True if a recorder listens, here or elsewhere."""
         return self.bag is not None or self.shared
+
+    @property
+    def starts_by_clock(self) -> bool:
+        """True if the mission begins at a time in UTC: in real time, where it names one."""
+        return not self.lockstep and starts_by_clock(self.scenario.file.mission)
 
     @property
     def patience_s(self) -> float:

@@ -28,7 +28,6 @@ from ptnsbc_nodes.fleet.process_list import FleetOptions, names
 from ptnsbc_nodes.runtime.process import RUNNING
 from ptnsbc_nodes.runtime.signals import StopRequest
 from ptnsbc_nodes.runtime.watchdog import ENDED_S, RECORDER_ENDED_S, SIM_ENDED_S
-from ptnsbc_sim.scenario.mission.legs import seconds_to_start
 
 Report = Callable[[str], None]
 
@@ -120,12 +119,23 @@ class Supervisor:
         if self._options.wait:
             self._wait_for_operator()
         else:
-            while self._refusal and self._wait(deadline):
-                self._refusal = self._coordinator.start(patience_s=2.0)
+            self._begin(deadline)
         if not self._stop.came:
             count = len(self.children) + len(self._elsewhere)
-            self._faults.begin(time.monotonic() + _EPOCH_S)
-            self._progress(f"{count} processes are ready: started")
+            begins_in_s = self._coordinator.begins_in_s()
+            after = f", and the mission begins in {begins_in_s:.0f} s" if begins_in_s > 1.0 else ""
+            self._faults.begin(time.monotonic() + (begins_in_s or _EPOCH_S))
+            self._progress(f"{count} processes are ready: started{after}")
+
+    def _begin(self, deadline: float) -> None:
+        """Call for the first leg; with a mission that begins by the clock, until the leader has told when."""
+        by_clock = self._options.starts_by_clock
+        if by_clock:
+            self._coordinator.listen_for_start()
+        while self._refusal and self._wait(deadline):
+            self._refusal = self._coordinator.start(patience_s=2.0)
+        while by_clock and not self._coordinator.begun and self._wait(deadline):
+            pass
 
     def _wait_for_arming(self) -> float:
         """Wait until an operator lets the vehicles arm, if one does; returns for how long [s]."""
@@ -154,8 +164,7 @@ class Supervisor:
         if not self._options.leads:
             self._follow()
             return
-        begins_in_s = seconds_to_start(self._options.scenario.file.mission, time.time_ns())
-        begin_s = time.monotonic() + begins_in_s + _AFTER_START_S
+        begin_s = time.monotonic() + self._coordinator.begins_in_s() + _AFTER_START_S
         over_s = begin_s + duration_s
         bridged = self._options.backend == "mavlink"
         while self._flying() and not self._stop.came:

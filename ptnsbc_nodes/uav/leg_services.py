@@ -29,9 +29,9 @@ from ptnsbc_sim.scenario.mission.legs import (
     ScheduledLeg,
     Word,
     leg_names,
-    utc_ns,
     word_text,
 )
+from ptnsbc_sim.scenario.mission.utc import utc_time
 
 LEAD_NS = 500_000_000
 """An epoch is announced this long before it begins, so that all UAVs switch at the same instant [ns]."""
@@ -154,7 +154,7 @@ class LegServices:
         mission = None if scenario is None else scenario.file.mission
         if mission is None or mission.start is None or self._lockstep:
             return None
-        return utc_ns(mission.start)
+        return utc_time(mission.start).next_ns(self._now_ns() + LEAD_NS)
 
     def _refusal(self, name: str) -> str | None:
         if refused := self._requests.refusal(name):

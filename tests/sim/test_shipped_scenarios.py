@@ -81,11 +81,14 @@ def test_twenty_pass_both_obstacles_and_stay_in_formation(
     ],
 )
 def test_every_uav_stays_in_its_place(name: str, most_m: float, apart_m: float, plant: str) -> None:
-    """From the deadline to the end, also while the shape turns or changes."""
+    """From the deadline to the end, also while the shape turns or changes; the legs of the show are at times in UTC."""
     flown = flight(name, plant, load_scenario(name).duration_s)
     first = round(DEADLINE_S * flown.scenario.control_hz)
     assert max(errors(flown, tick).max() for tick in range(first, len(flown.t_ns), 20)) < most_m
     assert separation(flown) >= apart_m >= flown.scenario.uav_keep_out_m
+    legs = verdict_on(recording_of(flown)).mission
+    due_s = [5.0, 16.0, 28.0, 41.0, 55.0] if name == "show_20" else []
+    assert [(leg.verdict, leg.due_s) for leg in legs] == [(MET, due) for due in due_s]
 
 
 @pytest.mark.parametrize("plant", PLANTS)

@@ -22,6 +22,7 @@ from ptnsbc_sim.scenario.mission.legs import (
     schedule,
     takes_off,
 )
+from ptnsbc_sim.scenario.mission.utc import utc_time
 
 _LATE_S = 1e-9  # by which the end of a leg may miss the begin of the next one
 
@@ -54,8 +55,8 @@ def _begins(mission: Mission, deadline_s: float) -> Iterator[str]:
             yield f"{where}.name: {names[index]}: expected a name that no other leg has"
         if leg.at is not None and leg.at_s is not None:
             yield f"{where}.at: expected either at or at_s"
-        if leg.at is not None and mission.start is None:
-            yield f"{where}.at: expected mission.start, from which the flight counts"
+        if leg.at is not None:
+            yield from _counts_from(mission.start, leg.at, where)
     for before, one in pairwise(schedule(mission, deadline_s)):
         at_s = begin_of(mission, one.leg)
         if at_s is not None and at_s < before.end_s - _LATE_S:
@@ -64,6 +65,16 @@ def _begins(mission: Mission, deadline_s: float) -> Iterator[str]:
                 f"mission.legs[{one.number - 1}].{key}: {at_s:g} s: expected at least {before.end_s:g} s, "
                 "when the leg before is done"
             )
+
+
+def _counts_from(start: str | None, at: str, where: str) -> Iterator[str]:
+    if start is None:
+        yield f"{where}.at: expected mission.start, from which the flight counts"
+    elif not utc_time(at).follows(utc_time(start)):
+        yield (
+            f"{where}.at: {at}: expected a time that recurs as mission.start, {start}, does, or more often; "
+            "a date where that is one"
+        )
 
 
 def _kinds(mission: Mission, file: Any) -> Iterator[str]:

@@ -8,15 +8,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from datetime import datetime, timedelta, timezone
 from typing import Annotated, Any, Literal, NamedTuple
 
-from pydantic import BeforeValidator, Field
-from pydantic_core import PydanticCustomError
+from pydantic import Field
 
 from ptnsbc_sim.scenario.fields import Block, Name, NotNegative, Number, Positive, UavId, Vec3
 from ptnsbc_sim.scenario.mission.shapes import Change, Reshaping, ShapeBlock
 from ptnsbc_sim.scenario.mission.trajectories import TrajectoryBlock
+from ptnsbc_sim.scenario.mission.utc import Utc, utc_time
 
 Places = Mapping[int, tuple[float, float, float]]
 """Offsets [m] from the leader, by UAV."""
@@ -31,23 +30,8 @@ FROM_KEY = "mission.legs[0].from_m"
 """Key of the height from which a mission takes off."""
 
 _MOST_LEGS = 200
-_UNIX = datetime(1970, 1, 1, tzinfo=timezone.utc)
 
 
-def _utc(value: Any) -> Any:
-    """A time in UTC, as text."""
-    try:
-        if isinstance(value, str) and value.endswith("Z"):
-            datetime.fromisoformat(value)
-            return value
-    except ValueError:
-        pass
-    raise PydanticCustomError(
-        "utc", "expected a time in UTC, such as 2026-11-22T12:00:05Z", {"value": value}
-    )
-
-
-Utc = Annotated[str, BeforeValidator(_utc)]
 Span = Annotated[Number, Field(ge=0.1, le=1e6)]
 
 
@@ -59,7 +43,8 @@ class LegBlock(Block):
     at_s: Annotated[Number, Field(ge=0, le=1e6)] | None = None
     """Begin, after the first epoch. Default: when the last leg is done."""
     at: Utc | None = None
-    """Begin as a time in UTC, such as `2026-11-22T12:00:05Z`, in place of `at_s`."""
+    """Begin as a time in UTC, such as `2026-11-22T12:00:05Z`, in place of `at_s`. With a `mission.start` that recurs it
+    recurs too, as often or more often: then it is the first such time after the start."""
     on: Literal["word"] | None = None
     """`word`: the leg waits for `ptnsbc mission start`, and begins without it at `at_s` or `at`, if one is given."""
     stay_s: NotNegative = 0.0
@@ -183,7 +168,7 @@ class Mission(Block):
 
     start: Utc | None = None
     """Time in UTC of the first epoch, for legs with `at`. In real time the fleet begins then; headless and in lock-step
-    the flight counts from it."""
+    the flight counts from it. `12:00:00Z` recurs every day, `*:00:00Z` every hour, `*:*:00Z` every minute."""
     cancel_s: Positive = 4.0
     """Time within which the leader comes to rest when a leg is cancelled."""
     legs: Annotated[tuple[AnyLeg, ...], Field(min_length=1, max_length=_MOST_LEGS)]
@@ -222,16 +207,9 @@ def number_of(text: str) -> int | None:
     return None if found is None else int(found[1])
 
 
-def utc_ns(text: str) -> int:
-    """Nanoseconds since 1970 of a time in UTC."""
-    return (datetime.fromisoformat(text) - _UNIX) // timedelta(microseconds=1) * 1000
-
-
-def seconds_to_start(mission: Mission | None, now_ns: int) -> float:
-    """The time [s] left until a mission is to begin by the wall clock, 0 when it names no time."""
-    if mission is None or mission.start is None:
-        return 0.0
-    return max((utc_ns(mission.start) - now_ns) * 1e-9, 0.0)
+def starts_by_clock(mission: Mission | None) -> bool:
+    """True if the mission names the time in UTC at which it begins in real time."""
+    return mission is not None and mission.start is not None
 
 
 def leg_names(mission: Mission) -> list[str]:
@@ -242,7 +220,7 @@ def leg_names(mission: Mission) -> list[str]:
 def begin_of(mission: Mission, leg: Any) -> float | None:
     """The latest begin of a leg [s]; None: when the last one is done, or when it is said."""
     if leg.at is not None and mission.start is not None:
-        return (utc_ns(leg.at) - utc_ns(mission.start)) * 1e-9
+        return utc_time(leg.at).after(utc_time(mission.start)) * 1e-9
     return None if leg.at_s is None else float(leg.at_s)
 
 

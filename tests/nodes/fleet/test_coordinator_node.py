@@ -1,5 +1,7 @@
 """The launcher's node: what it believes of the messages of others."""
 
+import time
+
 import pytest
 
 pytest.importorskip("rclpy")
@@ -7,6 +9,7 @@ pytest.importorskip("rclpy")
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.duration import Duration
 
+from ptnsbc_io.wire import HeaderTemplate
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.diagnostics import DiagnosticLevel, diagnostics
 from ptnsbc_nodes.comm.endpoints import Endpoints
@@ -52,3 +55,20 @@ def test_statuses_of_the_largest_fleet_that_come_at_once_are_all_heard(ros):
         assert sender.wait_for_all_acked(Duration(seconds=30))
         launcher.spin(1.0)
         assert launcher.waiting.keys() == names
+
+
+def test_the_launcher_hears_when_the_first_leg_begins(ros):
+    """By the wall clock; later legs do not change it."""
+    tell = Endpoints(ros.node("leader"), lockstep=False).publisher(topics.EPOCH, 1)
+    with Coordinator(ros.domain) as launcher:
+        launcher.listen_for_start()
+        assert (launcher.begun, launcher.begins_in_s()) == (False, 0.0)
+        first_ns = time.time_ns() + 1_000_000_000_000
+        tell(HeaderTemplate("form").encode(first_ns))
+        while not launcher.begun:
+            launcher.spin(0.02)
+        left_s = (first_ns - time.time_ns()) * 1e-9
+        assert 0.0 < launcher.begins_in_s() <= left_s <= 1000.0
+        tell(HeaderTemplate("hold").encode(0))
+        launcher.spin(0.2)
+        assert launcher.begins_in_s() > 0.0

@@ -207,11 +207,21 @@ def test_leader_takes_words_on_the_legs_of_a_mission(ros):
 
 
 def test_a_mission_that_should_have_begun_is_not_started(ros):
-    """In real time; one that is to begin later begins at that very instant."""
+    """In real time; one that is to begin later begins at that very instant, one of every hour at the next."""
     legs = [{"kind": "form", "over_s": 5}]
     soon_s = round(time.time()) + 60
-    for start_s, begins in ((soon_s - 120, False), (soon_s + 7200, False), (soon_s, True)):
-        start = datetime.fromtimestamp(start_s, timezone.utc).isoformat().replace("+00:00", "Z")
+
+    def text(start_s):
+        return datetime.fromtimestamp(start_s, timezone.utc).isoformat().replace("+00:00", "Z")
+
+    hourly = "*" + text(soon_s)[13:]
+    cases = (
+        (text(soon_s - 120), False),
+        (text(soon_s + 7200), False),
+        (text(soon_s), True),
+        (hourly, True),
+    )
+    for start, begins in cases:
         mission = {"mission": {"start": start, "legs": legs}}
         others = Others(ros, load_scenario("paper_5_free", mission), LEADER, lockstep=False)
         others.odom(time.time_ns())

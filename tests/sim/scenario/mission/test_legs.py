@@ -122,6 +122,8 @@ def test_times_in_utc_count_from_the_start_of_the_mission() -> None:
     leg = {**GO, "at": "2026-11-22T12:00:09.5Z"}
     found = mission(FORM, leg, start="2026-11-22T12:00:00Z")
     assert found.legs[1].begin_s == 9.5
+    every_minute = mission(FORM, {**GO, "at": "*:*:05.5Z"}, start="*:*:56Z")
+    assert every_minute.legs[1].begin_s == 9.5
 
 
 def test_a_leg_on_a_word_waits_for_it_and_what_follows_waits_too() -> None:
@@ -167,6 +169,11 @@ def test_the_text_of_a_mission_loads_again_to_the_same_flight() -> None:
         ([FORM, LAND, GO], {}, r"legs\[1\]\.kind: land: expected no leg after it"),
         ([FORM, {**GO, "at": "2026-11-22T12:00:09Z"}], {}, r"at: expected mission\.start"),
         ([FORM, {**GO, "at": "soon"}], {}, r"legs\[1\]\.at: \"soon\": expected a time in UTC"),
+        (
+            [FORM, {**GO, "at": "12:00:09Z"}],
+            {"start": "*:*:00Z"},
+            r"legs\[1\]\.at: 12:00:09Z: expected a time that recurs as mission\.start, \*:\*:00Z",
+        ),
         (
             [FORM, {**GO, "at": "2026-11-22T12:00:09Z", "at_s": 9}],
             {"start": "2026-11-22T12:00:00Z"},
