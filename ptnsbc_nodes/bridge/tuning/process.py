@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 import time
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -54,9 +54,6 @@ def fly_hover_test(
     settings = scenario.vehicle_link(uav)
     path = str(key or settings.signing_key or "")
     signer = Signer(read_key(Path(path))) if path else None
-    link = MavlinkLink(connect(settings.connect), settings.sysid, WANTED_MESSAGES, signer)
-    clocks = Clocks(time.monotonic, time.time_ns)
-    test = HoverTest(scenario, uav, link, clocks, log, allow_arming=allow_arming, box_m=box_m)
     record = VehicleRecord(
         name=f"bridge{uav}",
         pid=os.getpid(),
@@ -65,11 +62,12 @@ def fly_hover_test(
         connect=settings.connect,
         signing_key=str(Path(path).resolve()) if path else "",
     )
-    environment.prefer_punctuality(flies=True)
-    try:
+    clocks = Clocks(time.monotonic, time.time_ns)
+    link = MavlinkLink(connect(settings.connect), settings.sysid, WANTED_MESSAGES, signer)
+    with closing(link):
+        test = HoverTest(scenario, uav, link, clocks, log, allow_arming=allow_arming, box_m=box_m)
+        environment.prefer_punctuality(flies=True)
         _serve(test, folder, record)
-    finally:
-        link.close()
     return test.identified()
 
 

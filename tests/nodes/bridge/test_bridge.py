@@ -216,6 +216,26 @@ def test_a_fence_in_the_way_lands_it_no_farther_than_it_must():
     assert "outside the geofence: z = " in uav.bridge.procedure.fault
 
 
+def test_by_attitude_a_vehicle_at_the_fence_is_held_at_the_nearest_place_inside():
+    """A wrench cannot be cut down: outside, or soon there, a position inside the fence takes its place."""
+    made = scenario(setpoint="attitude", **{"mavlink.takeoff_height_m": 3.0})
+    fleet = MavlinkFleet(made, gnss="perfect", count=1)
+    uav = fleet.airborne().uavs[1]
+    uav.bridge.stream.guard._high[2] = 4.0  # the leader's path is at 8 m
+    fleet.form().run(1.0)
+    assert uav.setpoints[-1][1].get_type() == "SET_ATTITUDE_TARGET"
+    fleet.run(6.0)
+    late = [message for _, message in uav.setpoints[-100:]]
+    held = [one for one in late if one.get_type() == "SET_POSITION_TARGET_LOCAL_NED"]
+    assert len(held) > 50
+    assert max(-one.z for one in held) == pytest.approx(4.0, abs=0.03)
+    assert max(odometry[2] for odometry in uav.odometry) < 4.2
+    assert uav.step is Step.FLY
+    uav.bridge.stream.guard._high[2] = 2.5  # and now it is farther outside than the slack
+    until(fleet, uav, Step.LAND)
+    assert "outside the geofence: z = " in uav.bridge.procedure.fault
+
+
 def test_the_planner_is_slowed_down_to_the_vehicle():
     fleet = MavlinkFleet(scenario(), count=1)
     fleet.set_parameter("MPC_XY_VEL_MAX", 0.4)
