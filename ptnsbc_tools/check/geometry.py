@@ -6,11 +6,10 @@ from itertools import combinations
 
 import numpy as np
 
-from ptnsbc_core.curves.trajectory import reference
+from ptnsbc_core.curves.trajectory import reference_positions
 from ptnsbc_core.errors import FormationError
 from ptnsbc_core.tasks.registry import conditioning
 from ptnsbc_core.tasks.table import TASKS
-from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import Scenario, agent_config
 from ptnsbc_sim.scenario.approach.limits import leader_motion
 from ptnsbc_sim.scenario.build import (
@@ -29,6 +28,7 @@ from ptnsbc_tools.check.finding import ERROR, INFO, WARNING, Finding, Findings
 
 _SINGULAR = 0.02  # smallest singular value [1] of a scaled task with which a formation can be held
 _PATH_STEP_S = 0.05
+_MOST_STEPS = 400_000  # of a path: 20 000 s
 _SAMPLES = 5000  # of a flight
 _AWAY_M = (0.5, 1.0, 2.0)
 
@@ -182,19 +182,23 @@ def starts_clear(scenario: Scenario) -> Findings:
                 )
 
 
-def _path(scenario: Scenario, times: Array) -> Array:
-    vector = leader_trajectory(scenario)
-    return np.stack([reference(vector, float(t)).position for t in times])
-
-
 def encounters(scenario: Scenario) -> Findings:
     """Obstacles on the path of the formation after the deadline."""
     deadline = scenario.gains.formation.deadline_s
     scenario = with_slots_of_starts(scenario)
     if scenario.duration_s <= deadline or not scenario.obstacles:
         return
-    times = np.arange(deadline, scenario.duration_s, _PATH_STEP_S)
-    path = _path(scenario, times)
+    step_s = max(_PATH_STEP_S, (scenario.duration_s - deadline) / _MOST_STEPS)
+    if step_s > _PATH_STEP_S:
+        yield Finding(
+            WARNING,
+            "timing.duration_s",
+            f"{scenario.duration_s:g} s: obstacles are looked for every {step_s:.2g} s of the path",
+            f"<= {deadline + _MOST_STEPS * _PATH_STEP_S:g} s, to look every {_PATH_STEP_S:g} s",
+            "check a shorter flight on the same path",
+        )
+    times = np.arange(deadline, scenario.duration_s, step_s)
+    path = reference_positions(leader_trajectory(scenario), times)
     off = scenario.file.formation.avoidance == "off"
     for obstacle in scenario.obstacles:
         for uav in scenario.uav_ids:

@@ -9,7 +9,7 @@ from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_sim.swarm import fly
 from ptnsbc_sim.verdict import verdict_on
 from ptnsbc_sim.verdict.headless import recording_of
-from ptnsbc_tools.check import CheckError, Finding, check, refuse
+from ptnsbc_tools.check import CheckError, Finding, check, geometry, refuse
 from ptnsbc_tools.check.gains import leader_error_std_m
 
 
@@ -135,6 +135,15 @@ def test_encounters_are_named() -> None:
     findings = check(load_scenario("paper_5"))
     values = [finding.value for finding in findings if finding.key == "world.obstacles O1"]
     assert any(value.startswith("meets UAV 5 from t = 18.0 s") for value in values)
+
+
+def test_the_path_of_a_flight_of_days_is_looked_at_in_wider_steps() -> None:
+    """A bounded number of samples: a million seconds take no longer than six hours."""
+    hour, days = (load_scenario("paper_5", {"timing.duration_s": s}) for s in (3600.0, 1e6))
+    [said] = [one for one in geometry.encounters(days) if one.key == "timing.duration_s"]
+    assert (said.severity, said.limit.split(",")[0]) == ("warning", "<= 20005 s")
+    assert "every 2.5 s" in said.value
+    assert all(one.key != "timing.duration_s" for one in geometry.encounters(hour))
 
 
 def test_encounters_without_avoidance_are_a_warning() -> None:
