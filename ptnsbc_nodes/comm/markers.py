@@ -1,4 +1,4 @@
-"""The markers that RViz and Foxglove draw: UAVs, keep-outs, tree edges, the leader's path."""
+"""The markers that RViz and Foxglove draw: UAVs, keep-outs of UAVs and obstacles, tree edges, the leader's path."""
 
 from __future__ import annotations
 
@@ -27,6 +27,7 @@ from ptnsbc_sim.world import World
 _LEADER = (0.95, 0.55, 0.1, 1.0)  # red, green, blue, opacity
 _FOLLOWER = (0.15, 0.45, 0.85, 1.0)
 _KEEP_OUT = (0.8, 0.1, 0.1, 0.35)
+_AROUND = (0.8, 0.1, 0.1, 0.12)
 _EDGE = (0.5, 0.5, 0.5, 0.9)
 _PATH = (0.95, 0.55, 0.1, 0.5)
 _UAV_DIAMETER_M = 0.4
@@ -50,7 +51,7 @@ class Scene:
         self._world = world
         parents = {} if are_open(scenario) else {i: scenario.parent(i) for i in world.ids}
         children = {i: parent for i, parent in parents.items() if parent is not None}
-        self._shown = [*world.ids, *(end for edge in children.items() for end in edge)]
+        self._shown = [*world.ids, *world.ids, *(end for edge in children.items() for end in edge)]
         self._moving = [k for k, one in enumerate(scenario.obstacles) if one.path is not None]
         self._buffer = bytearray(encode(MarkerArray(markers=_all_markers(scenario, len(children)))))
         self._times_at = _find_all(self._buffer, _TIME.pack(*_SOMETIME))
@@ -122,14 +123,17 @@ def _epoch_of(data: bytes) -> int | None:
 
 
 def _all_markers(scenario: Scenario, edges: int) -> list[Any]:
-    """Every marker, with placeholders for values that change: the UAVs, the ends of the tree's edges, then
-    the obstacles that move.
+    """Every marker, with placeholders for values that change: the UAVs, their keep-outs, the ends of the
+    tree's edges, then the obstacles that move.
     """
     somewhere = np.array(_SOMEWHERE)
     shown = []
     for i in scenario.uav_ids:
         shown.append(_sphere("uavs", i, _UAV_DIAMETER_M, _colour(i == scenario.leader_id)))
-        shown[-1].pose.position = _point(somewhere)
+    for i in scenario.uav_ids:  # two UAVs whose spheres touch are at their least distance
+        shown.append(_sphere("keep_outs", i, scenario.keep_outs_m[i], _AROUND))
+    for marker in shown:
+        marker.pose.position = _point(somewhere)
     tree = _marker("tree", 0, Marker.LINE_LIST, _EDGE)
     tree.scale.x = _LINE_M
     tree.points = [_point(somewhere) for _ in range(2 * edges)]

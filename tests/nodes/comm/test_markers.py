@@ -38,6 +38,19 @@ def test_one_picture_a_period_of_everybody_where_last_heard():
     assert sorted(places) == list(scenario.uav_ids)
     assert (places[1].x, places[1].y) == (1.0, 40.0)
     assert (places[3].x, places[3].y) == (3.0, 39.0)  # its message of that tick came later
+    around = {m.id: m for m in markers if m.ns == "keep_outs"}
+    assert {i: m.pose.position for i, m in around.items()} == places
+
+
+def test_the_spheres_of_two_uavs_touch_at_their_least_distance():
+    scenario = load_scenario("experiment_4", {"uavs.3.keep_out_m": 1.3})
+    pictures = OdometryMarkers(scenario)
+    found = [pictures.of(topics.odom(uav).name, told(uav, 1)) for uav in (4, 3, 2, 1)][-1]
+    markers = deserialize_message(found, MarkerArray).markers
+    widths = {m.id: m.scale.x for m in markers if m.ns == "keep_outs"}
+    assert widths[4] == 1.3
+    for one, other in [(1, 4), (1, 2)]:
+        assert (widths[one] + widths[other]) / 2 == scenario.keep_out_between(one, other)
 
 
 def test_other_topics_and_broken_messages_draw_nothing():
