@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import re
-import shutil
 from pathlib import Path
 
 import pytest
+from chromium import chromium
 
 pytest.importorskip("mkdocs", reason="needs mkdocs-material (extra [dev])")
 
 from docs.make import site
-
-NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
-CHROMIUM = next((found for name in NAMES if (found := shutil.which(name))), None)
 
 pytestmark = pytest.mark.slow
 
@@ -37,13 +34,7 @@ def test_every_page_is_there_and_loads_nothing_from_elsewhere(built: Path) -> No
 
 
 def test_it_is_searched_without_a_network(built: Path) -> None:
-    playwright = pytest.importorskip("playwright.sync_api", reason="needs playwright (extra [dev])")
-    if CHROMIUM is None:
-        pytest.skip("needs Chromium: apt install chromium")
-    with playwright.sync_playwright() as driver:
-        browser = driver.chromium.launch(
-            executable_path=CHROMIUM, args=["--no-sandbox", "--disable-dev-shm-usage"]
-        )
+    with chromium() as browser:
         context = browser.new_context(viewport={"width": 1280, "height": 900})
         context.set_offline(True)
         page = context.new_page()
@@ -59,7 +50,6 @@ def test_it_is_searched_without_a_network(built: Path) -> None:
         found = page.locator("a.md-search-result__link").first
         found.wait_for()
         assert ".html" in found.get_attribute("href")
-        browser.close()
     assert [one for one in asked if not one.startswith("file:")] == []
 
 

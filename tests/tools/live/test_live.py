@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -13,20 +12,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from chromium import chromium
 
 pytest.importorskip("rclpy")
-playwright = pytest.importorskip("playwright.sync_api", reason="needs playwright (extra [dev])")
 
 ROOT = Path(__file__).parents[3]
-NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
-CHROMIUM = next((found for name in NAMES if (found := shutil.which(name))), None)
 LIMIT_MS = 240_000  # the first flight compiles the laws
 
-pytestmark = [
-    pytest.mark.ros,
-    pytest.mark.slow,
-    pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium: apt install chromium"),
-]
+pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
 
 def launched(*words: str) -> subprocess.Popen[str]:
@@ -70,12 +63,8 @@ def fleet() -> Iterator[tuple[subprocess.Popen[str], str, int]]:
 
 @pytest.fixture
 def browser() -> Iterator[Any]:
-    with playwright.sync_playwright() as driver:
-        browser = driver.chromium.launch(
-            executable_path=CHROMIUM, args=["--no-sandbox", "--disable-dev-shm-usage"]
-        )
-        yield browser
-        browser.close()
+    with chromium() as running:
+        yield running
 
 
 def opened(browser: Any, address: str, complaints: list[str]) -> Any:
@@ -87,7 +76,7 @@ def opened(browser: Any, address: str, complaints: list[str]) -> Any:
     return page
 
 
-def test_a_flying_fleet_is_shown_joined_ordered_and_found_again(fleet: Any, browser: Any) -> None:
+def test_a_flying_fleet_is_shown_joined_ordered_and_found_again(browser: Any, fleet: Any) -> None:
     process, address, domain = fleet
     complaints: list[str] = []
     page = opened(browser, address, complaints)
