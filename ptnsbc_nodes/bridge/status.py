@@ -83,6 +83,7 @@ def _flight_values(bridge: Bridge, record: VehicleRecord) -> dict[str, str]:
         "position_error_m": f"{report.error_m:.3f}",
         "height_m": f"{report.height_m:.3f}",
         "battery_percent": "" if battery is None else f"{battery:.0f}",
+        "fix": bridge.vehicle.fix,
     }
 
 

@@ -26,6 +26,16 @@ _BACKWARDS_S = 0.5
 _YOUNG_S = 60.0  # a clock that shows more has not just begun
 _DUPLICATE_STEPS, _DUPLICATE_WINDOW_S = 3, 3.0
 _FIX_3D = 3
+_FIXES = {
+    1: "none",
+    2: "2D",
+    _FIX_3D: "3D",
+    4: "DGPS",
+    5: "RTK float",
+    6: "RTK fixed",
+    7: "static",
+    8: "PPP",
+}
 _NO_FIX_S = 1.0
 _LOW_BATTERY_S = 3.0
 
@@ -116,6 +126,7 @@ class VehicleMonitor:
         self.unhealthy = (
             ""  # what SYS_STATUS reports as not healthy; PX4 tells a companion no other reason
         )
+        self.fix = ""  # of the GNSS receiver; empty without one
         self.position_error_m: float | None = None  # horizontally, as the receiver estimates it
         self.pose = Pose(signed=signed)
         self._confirmed: Mapping[str, ConfirmedValue] | None = (
@@ -272,6 +283,7 @@ class VehicleMonitor:
     def _on_gps(self, message: Any, now_s: float) -> None:
         if message.h_acc > 0:
             self.position_error_m = message.h_acc * _MILLI
+        self.fix = _FIXES.get(message.fix_type, "")
         if message.fix_type >= _FIX_3D:
             self._had_fix, self._no_fix_since_s = True, None
         elif self._no_fix_since_s is None:

@@ -216,7 +216,7 @@ class FlightState:
         return {"name": name, "distance": _rounded(distance), "room": _rounded(room)}
 
     def _said(self, uav: int) -> dict[str, Any]:
-        """The reports of the processes of one UAV: mode, vehicle, battery, order of an operator."""
+        """The reports of the processes of one UAV: mode, vehicle, battery, fix, readiness."""
         own = [s for _, s in self._status.values() if s.name.partition(":")[0] == f"uav{uav}"]
         link = [s for _, s in self._status.values() if s.name.partition(":")[0] == f"bridge{uav}"]
         mode = next((s.values["mode"] for s in own if "mode" in s.values), None)
@@ -229,6 +229,8 @@ class FlightState:
             "armed": vehicle["armed"] == "true" if vehicle else None,
             "battery": int(battery) if battery.isdecimal() else None,
             "order": vehicle.get("order") or None,
+            "fix": vehicle.get("fix") or None,
+            "readiness": _readiness(link or own),
         }
 
     def _processes(self) -> list[dict[str, Any]]:
@@ -281,6 +283,19 @@ def _in_order(name: str) -> tuple[str, int]:
     """uav2 before uav10."""
     letters = name.rstrip("0123456789")
     return letters, int(name.removeprefix(letters) or 0)
+
+
+def _readiness(statuses: Iterable[DiagnosticStatus]) -> str | None:
+    """The fault of a process, or what it waits for, or the step that it is at; None of one that was not heard."""
+    word = None
+    for said in statuses:
+        values = said.values
+        if values.get("fault"):
+            return values["fault"]
+        if values.get("ready") == "false":
+            return values.get("waiting_for") or "not ready"
+        word = values.get("step") or word or "ready"
+    return word
 
 
 def _rounded(number: float | None) -> float | None:

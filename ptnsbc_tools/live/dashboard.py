@@ -10,6 +10,7 @@ from ptnsbc_tools import console
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
+    from rich.table import Table
 
     from ptnsbc_sim.scenario import Scenario
     from ptnsbc_tools.live.watch import Sink
@@ -88,7 +89,8 @@ def picture(frame: dict[str, Any], scenario: Scenario, width: int) -> Renderable
         lines.append(Text(f"and {len(faults) - _MOST_FAULTS} more", "yellow"))
     for line in lines:
         line.truncate(width - 4, overflow="ellipsis")
-    inside = Group(_table(frame, scenario, width), *lines)
+    table = _board(frame, scenario) if frame["leg"] == "waiting" else _table(frame, scenario, width)
+    inside = Group(table, *lines)
     return Panel(inside, title=_title(frame, scenario), width=width, padding=(0, 1))
 
 
@@ -106,11 +108,41 @@ def _title(frame: dict[str, Any], scenario: Scenario) -> str:
     return " | ".join(parts)
 
 
-def _table(frame: dict[str, Any], scenario: Scenario, width: int) -> RenderableType:
+def _board(frame: dict[str, Any], scenario: Scenario) -> RenderableType:
+    """The health board before the flight: what each UAV waits for, its fix, its mode and its battery."""
+    table = _empty_table()
+    table.add_column("UAV", no_wrap=True)
+    table.add_column("step, or what it waits for", overflow="fold", ratio=1)
+    table.add_column("GNSS fix", no_wrap=True)
+    table.add_column("mode", no_wrap=True)
+    for name in ("bat %", "height m"):
+        table.add_column(name, justify="right", no_wrap=True)
+    for uav in frame["uavs"]:
+        height = _number(uav["pose"] and uav["pose"][2], 2)
+        words = (
+            _name(uav, scenario),
+            uav["readiness"] or "not heard",
+            uav["fix"] or "-",
+            _mode(uav),
+        )
+        style = "red" if uav["lost"] or uav["readiness"] is None else ""
+        table.add_row(*words, _number(uav["battery"], 0), height, style=style)
+    return table
+
+
+def _empty_table() -> Table:
     from rich import box
     from rich.table import Table
 
-    table = Table(box=box.SIMPLE_HEAD, expand=True, pad_edge=False, padding=(0, 1))
+    return Table(box=box.SIMPLE_HEAD, expand=True, pad_edge=False, padding=(0, 1))
+
+
+def _name(uav: dict[str, Any], scenario: Scenario) -> str:
+    return f"{uav['id']} leader" if uav["id"] == scenario.leader_id else str(uav["id"])
+
+
+def _table(frame: dict[str, Any], scenario: Scenario, width: int) -> RenderableType:
+    table = _empty_table()
     table.add_column("UAV", no_wrap=True)
     names = ["error m", "height m", "speed m/s", "nearest m"]
     wide = width >= _WIDE
@@ -126,7 +158,7 @@ def _table(frame: dict[str, Any], scenario: Scenario, width: int) -> RenderableT
         table.add_column("east, north, up m", justify="right", no_wrap=True)
     tolerance = scenario.file.formation.tolerance_m
     for uav in frame["uavs"]:
-        cells = [f"{uav['id']} leader" if uav["id"] == scenario.leader_id else str(uav["id"])]
+        cells = [_name(uav, scenario)]
         if wide:
             cells.append(_bar(uav["error"], tolerance))
         near = uav["near"]

@@ -186,7 +186,8 @@ class Board {
     this.page = page;
     this.rows = page.data.space.uavs.map((uav) => {
       const row = byId("board").insertRow();
-      row.innerHTML = UAV_CELL + '<td class="number"></td>'.repeat(4) + '<td class="mode"></td><td class="number"></td>';
+      const cells = ["number flying", "number", "number flying", "number flying", "mode", "number", "before", "before"];
+      row.innerHTML = UAV_CELL + cells.map((kind) => `<td class="${kind}"></td>`).join("");
       const button = uavButton(page, row, uav);
       return { uav, row, button, cells: [...row.cells].slice(1) };
     });
@@ -199,12 +200,13 @@ class Board {
 
   show(frame) {
     const number = (value, digits) => (value === null || value === undefined ? "–" : value.toFixed(digits));
+    byId("board").parentElement.classList.toggle("waiting", frame.leg === "waiting");
     frame.uavs.forEach((uav, k) => {
       const { row, cells } = this.rows[k];
       const near = uav.near && uav.near.distance !== null ? `${uav.near.distance.toFixed(2)} ·${uav.near.name.replace("UAV ", "")}` : "–";
       const mode = [uav.lost ? "lost" : uav.mode, uav.vehicle, uav.armed ? "armed" : null].filter(Boolean).join(", ");
       const text = [number(uav.error, uav.error !== null && uav.error < 0.1 ? 4 : 3), number(uav.pose && uav.pose[2], 2), number(uav.speed, 2),
-        near, mode || "–", number(uav.battery, 0)];
+        near, mode || "–", number(uav.battery, 0), uav.fix || "–", uav.readiness || "not heard"];
       text.forEach((one, i) => { if (cells[i].textContent !== one) cells[i].textContent = one; });
       row.classList.toggle("lost", uav.lost);
       row.classList.toggle("inside", Boolean(uav.near && uav.near.room < 0));

@@ -186,9 +186,12 @@ def test_gps_battery_landing_and_texts():
     def gps(fix):
         return mavlink.MAVLink_gps_raw_int_message(0, fix, 0, 0, 0, 0, 0, 0, 0, 9)
 
+    assert vehicle.fix == ""  # no receiver was heard
     vehicle.on_message(gps(1), 0.0)
+    assert vehicle.fix == "none"
     assert not vehicle.fix_lost(9.0)  # never had one: it flies without
     vehicle.on_message(gps(6), 10.0)
+    assert vehicle.fix == "RTK fixed"
     vehicle.on_message(gps(1), 11.0)
     assert not vehicle.fix_lost(11.5)
     assert vehicle.fix_lost(12.0)

@@ -128,9 +128,32 @@ def test_faults_lost_and_silent_processes_are_named() -> None:
 def test_a_vehicle_shows_mode_arming_and_battery() -> None:
     state = in_formation(1.0)
     said = {"ready": "true", "mode": "OFFBOARD", "armed": "true", "battery_percent": "81"}
+    said["fix"] = "RTK float"
     state.on_status(status("bridge2: link", **said))
     [second] = [uav for uav in state.frame()["uavs"] if uav["id"] == 2]
     assert (second["vehicle"], second["armed"], second["battery"]) == ("OFFBOARD", True, 81)
+    assert second["fix"] == "RTK float"
+
+
+def readiness_of(*statuses: Diagnostics) -> str | None:
+    state = FlightState(SCENARIO, Steady())
+    for one in statuses:
+        state.on_status(one)
+    [second] = [uav for uav in state.frame()["uavs"] if uav["id"] == 2]
+    return second["readiness"]
+
+
+def test_the_board_names_a_fault_or_what_is_awaited_or_the_step() -> None:
+    planner = status("uav2: planner", ready="false", waiting_for="/uav2/odom")
+    link = {"step": "waiting for the mode", "ready": "false", "waiting_for": "waiting for the mode"}
+    ready = {"step": "ready to arm, waiting for the others", "ready": "true", "fault": ""}
+    assert readiness_of() is None
+    assert readiness_of(planner) == "/uav2/odom"
+    assert readiness_of(status("uav2: planner", ready="true")) == "ready"
+    assert readiness_of(planner, status("bridge2: link", **link)) == "waiting for the mode"
+    assert readiness_of(planner, status("bridge2: link", **ready)) == ready["step"]
+    refused = status("bridge2: link", **link | {"fault": "arming refused"})
+    assert readiness_of(planner, refused) == "arming refused"
 
 
 def test_the_pace_is_flight_time_per_wall_time() -> None:

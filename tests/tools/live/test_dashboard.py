@@ -19,7 +19,10 @@ def uav(number: int, **more: Any) -> dict[str, Any]:
     base = {"id": number, "lost": False, "mode": "form", "vehicle": None, "armed": None}
     pose = [1.0, -20.25, 7.9, 0.0, 0.0, 0.0, 1.0]
     return (
-        base | {"battery": None, "pose": pose, "speed": 0.5, "error": 0.0123, "near": near} | more
+        base
+        | {"fix": None, "readiness": "ready", "battery": None}
+        | {"pose": pose, "speed": 0.5, "error": 0.0123, "near": near}
+        | more
     )
 
 
@@ -62,6 +65,21 @@ def test_before_the_first_state() -> None:
     empty = {"pose": None, "speed": None, "error": None, "near": None, "mode": None}
     shown = frame(t=None, left_s=None, pace=None, leg="waiting", uavs=[uav(1, **empty)])
     assert "waiting" in text(shown, 80)
+
+
+@pytest.mark.parametrize("width", [80, 100, 140])
+def test_before_the_flight_it_is_a_health_board(width: int) -> None:
+    known = {"vehicle": "OFFBOARD", "armed": False, "battery": 81, "fix": "RTK fixed"}
+    ready = uav(2, readiness="ready to arm, waiting for the others", mode=None, **known)
+    fault = uav(3, readiness="arming refused (not healthy: gps, prearm check)", mode=None)
+    shown = text(frame(leg="waiting", uavs=[ready, fault, uav(4, readiness=None)]), width)
+    assert max(map(len, shown.splitlines())) <= width
+    words = " ".join(shown.replace("│", " ").split())
+    for word in ("RTK fixed", "OFFBOARD", "81", "ready to arm", "arming refused", "not heard"):
+        assert word in words
+    assert "error" not in shown
+    if width >= 100:
+        assert "ready to arm, waiting for the others" in words
 
 
 def test_lines_stay_above_and_the_pace_of_the_sim_is_left_out(capsys: Any) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -10,6 +9,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from chromium import chromium
 
 from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_tools.live.feed import Feed
@@ -17,8 +17,6 @@ from ptnsbc_tools.live.page import live_page
 from ptnsbc_tools.live.server import ORDERS, LiveServer
 from ptnsbc_tools.live.stage import stage
 
-NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
-CHROMIUM = next((found for name in NAMES if (found := shutil.which(name))), None)
 SCENARIO = load_scenario("paper_5")
 
 
@@ -52,13 +50,7 @@ def server(feed: Feed) -> Iterator[LiveServer]:
 
 @pytest.fixture
 def page(server: LiveServer, feed: Feed) -> Iterator[Any]:
-    playwright = pytest.importorskip("playwright.sync_api", reason="needs playwright (extra [dev])")
-    if CHROMIUM is None:
-        pytest.skip("needs Chromium: apt install chromium")
-    with playwright.sync_playwright() as driver:
-        browser = driver.chromium.launch(
-            executable_path=CHROMIUM, args=["--no-sandbox", "--disable-dev-shm-usage"]
-        )
+    with chromium() as browser:
         page = browser.new_page()
         page.set_default_timeout(60_000)
         page.goto(server.address)
@@ -66,7 +58,6 @@ def page(server: LiveServer, feed: Feed) -> Iterator[Any]:
         feed.add(frame("form"))
         page.wait_for_selector("[data-order=hold]:enabled")
         yield page
-        browser.close()
 
 
 @pytest.mark.slow
@@ -88,11 +79,21 @@ def test_every_order_is_asked_sent_and_answered(page: Any, server: LiveServer, f
 
 
 @pytest.mark.slow
-def test_before_the_flight_only_stop_can_be_given(page: Any, feed: Feed) -> None:
-    feed.add(frame("waiting"))
+def test_before_the_flight_only_stop_can_be_given_and_the_board_says_what_is_awaited(
+    page: Any, feed: Feed
+) -> None:
+    cells = page.locator("#board tr:first-child td.before")
+    assert not any(cell.is_visible() for cell in cells.all())
+    waiting = frame("waiting")
+    waiting["uavs"][0] |= {"fix": "RTK fixed", "readiness": "waiting for the mode"}
+    feed.add(waiting)
     page.wait_for_selector("[data-order=hold]:disabled")
     assert page.locator("[data-order=land]").is_disabled()
     assert page.locator("[data-order=stop]").is_enabled()
+    assert cells.all_inner_texts() == ["RTK fixed", "waiting for the mode"]
+    assert all(cell.is_visible() for cell in cells.all())
+    assert not page.locator("#board tr:first-child td.flying").first.is_visible()
+    assert page.locator("#board tr:nth-child(2) td.before").last.inner_text() == "not heard"
 
 
 @pytest.mark.parametrize(
