@@ -22,7 +22,7 @@ from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_tools.console import recording
 from ptnsbc_tools.live.dashboard import picture
 
-SIZE = {"width": 1280, "height": 1340}
+SIZE = {"width": 1280, "height": 1440}  # down to the legend of the figure
 SCENARIO = "paper_5"
 SHOWN_S = 3.0
 HERE = Path(__file__).parent

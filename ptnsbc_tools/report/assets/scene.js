@@ -241,13 +241,22 @@ class Scene {
         pen.stroke();
         pen.globalAlpha = 1;
         pen.setLineDash([]);
-        pen.fillStyle = this.colour("--ink");
-        pen.font = "600 12px system-ui, sans-serif";
-        pen.textAlign = "center";
-        pen.textBaseline = "middle";
-        pen.fillText(one.name, x, y);
+        this.label(one.name, x, y, radius);
       } });
     }
+  }
+
+  /** A name at a point; of a point beyond the edge, on the part of the body of this radius that is in the picture. */
+  label(words, x, y, radius) {
+    const { pen, camera } = this;
+    pen.fillStyle = this.colour("--ink");
+    pen.font = "600 12px system-ui, sans-serif";
+    pen.textAlign = "center";
+    pen.textBaseline = "middle";
+    const away = [pen.measureText(words).width / 2 + 4, NAME_HALF];
+    const seen = [x, y].map((at, i) => Math.min(Math.max(at, away[i]), 2 * camera.middle[i] - away[i]));
+    const shift = Math.hypot(seen[0] - x, seen[1] - y);
+    if (shift < Math.max(radius - NAME_HALF, 2 * away[0])) pen.fillText(words, ...seen);
   }
 
   /** The faces of a body that is no sphere, each a ring of points; of a surface without end as much as the floor has. */
@@ -302,13 +311,7 @@ class Scene {
     }
     const [x, y, depth] = camera.project(place);
     if (depth < NEAR || one.kind === "half_space" || one.kind === "plane") return;
-    items.push({ depth: NEAR, draw: () => {
-      pen.fillStyle = this.colour("--ink");
-      pen.font = "600 12px system-ui, sans-serif";
-      pen.textAlign = "center";
-      pen.textBaseline = "middle";
-      pen.fillText(one.name, x, y);
-    } });
+    items.push({ depth: NEAR, draw: () => this.label(one.name, x, y, 0) });
   }
 
   /** The edge of a ball as the eye sees it: the circle in which rays from the eye touch it. */

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import combinations
@@ -11,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from chromium import chromium
 
 from ptnsbc_sim.verdict import Series
 from ptnsbc_sim.verdict.recording import COUNTERS
@@ -19,10 +19,6 @@ from ptnsbc_tools.reading.bag_reader import ReadOptions, read_recording
 from ptnsbc_tools.reading.diagnostics import StatusSeries
 from ptnsbc_tools.report.page import page
 
-playwright = pytest.importorskip("playwright.sync_api", reason="needs playwright (extra [dev])")
-
-NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
-CHROMIUM = next((found for name in NAMES if (found := shutil.which(name))), None)
 SAMPLE = Path(__file__).parents[3] / "bags" / "sample"
 
 # Plotly's own pixels between two times, and how many curves of two figures are shown.
@@ -35,8 +31,6 @@ SHOWN = """(() => ['#chart-errors', '#chart-between'].map((id) =>
 STICK_OUT = """() => [...document.querySelectorAll('.live, .view, .chart, .transport, .scroll')]
   .filter((one) => one.scrollWidth > one.clientWidth + 1).map((one) => one.className)"""
 
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium: apt install chromium")
-
 
 @pytest.fixture(scope="module")
 def address(tmp_path_factory: pytest.TempPathFactory) -> str:
@@ -47,13 +41,8 @@ def address(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
-    with playwright.sync_playwright() as driver:
-        # CI runs as root, without a sandbox, and maybe in a container with little shared memory.
-        browser = driver.chromium.launch(
-            executable_path=CHROMIUM, args=["--no-sandbox", "--disable-dev-shm-usage"]
-        )
-        yield browser
-        browser.close()
+    with chromium() as running:
+        yield running
 
 
 class Tab:
@@ -268,6 +257,30 @@ def test_names_cover_no_other_name(tab: Any) -> None:
     for (x0, y0, x1, y1), (u0, v0, u1, v1) in combinations(boxes, 2):
         assert x1 <= u0 or u1 <= x0 or y1 <= v0 or v1 <= y0
     assert len(boxes) == 5
+
+
+LABELS = """() => {
+  const { scene } = page;
+  const [wide, high] = scene.camera.middle.map((half) => 2 * half);
+  const reach = ([x, y]) => {
+    const found = [];
+    scene.pen.fillText = (words, at) => {
+      const half = scene.pen.measureText(words).width / 2;
+      found.push(at - half >= 0 && at + half <= wide);
+    };
+    scene.label("O1", x, y, 100);
+    delete scene.pen.fillText;
+    return found;
+  };
+  return [[-50, high / 2], [wide + 50, high / 2], [wide / 2, high / 2], [wide + 200, high / 2]].map(reach);
+}"""
+
+
+def test_the_name_of_an_obstacle_at_the_edge_is_whole(tab: Any) -> None:
+    one = tab()
+    page = one.ready()
+    one.place(1)
+    assert page.evaluate(LABELS) == [[True], [True], [True], []]  # the last one is out of sight
 
 
 def test_a_deadlock_stands_in_the_bar_of_time(tab: Any, tmp_path: Path) -> None:
