@@ -3,10 +3,12 @@
 import os
 import signal
 import threading
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import yaml
 
 pytest.importorskip("rclpy")
 
@@ -20,6 +22,8 @@ from ptnsbc_sim.swarm import fly
 from ptnsbc_tools.replay.rerun import rerun
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
+
+SCENARIOS = Path(__file__).parents[3] / "scenarios"
 
 
 def counts(bag):
@@ -87,6 +91,39 @@ def test_processes_with_several_parents_have_the_bytes_of_the_headless_flight(tm
     assert_as_headless(bag, scenario)
     carried = scenario_from_text(bag.attachment("scenario.yaml").decode())
     assert rerun(bag, carried).verdict == "equal"
+
+
+AMONG_OBSTACLES = f"""
+extends: yard
+timing: {{duration_s: 3}}
+leader: {{trajectory: {{position_m: [2.5, 0, 3]}}}}
+world:
+  obstacles:
+    - {{name: yard, kind: map, file: {SCENARIOS / "yard.pcd"}, resolution_m: 0.5, keep_out_m: 0.5}}
+    - {{name: box, kind: box, position_m: [3.6, 0.6, 3.4], size_m: [0.4, 0.4, 0.4], keep_out_m: 0.5}}
+    - {{name: ball, keep_out_m: 0.8, trajectory: {{kind: line, position_m: [1, 3, 2], velocity_m_s: [0, -1, 0]}}}}
+uavs:
+  - {{id: 1, position_m: [2.5, 0, 1]}}
+  - {{id: 2, position_m: [1, 1, 1]}}
+  - {{id: 3, position_m: [1, -1, 1]}}
+  - {{id: 4, position_m: [-0.5, 2, 1]}}
+  - {{id: 5, position_m: [-0.5, -2, 1]}}
+"""
+
+
+def test_processes_among_obstacles_have_the_bytes_of_the_headless_flight(tmp_path):
+    """A point cloud, a box and a ball that comes, each of which turns somebody."""
+    (tmp_path / "among.yaml").write_text(AMONG_OBSTACLES)
+    scenario = load_scenario(tmp_path / "among.yaml")
+    options = FleetOptions(scenario, lockstep=True, bag=tmp_path / "bag", processes=1)
+    assert run_fleet(options).exit_code == 0
+    assert_as_headless(read_bag(tmp_path / "bag"), scenario)
+    flown = fly(scenario).track.odometry[:, :, :3]
+    obstacles = yaml.safe_load(AMONG_OBSTACLES)["world"]["obstacles"]
+    for row in range(len(obstacles)):
+        others = {"world.obstacles": obstacles[:row] + obstacles[row + 1 :]}
+        without = fly(load_scenario(tmp_path / "among.yaml", others)).track.odometry
+        assert np.abs(flown - without[:, :, :3]).max() > 0.3, obstacles[row]["name"]
 
 
 def assert_as_headless(bag, scenario):
