@@ -107,7 +107,7 @@ class FleetUav:
         own = UavFunctions.of(scenario, uav_id)
         self.controller = UavController(agent_config(scenario, uav_id), edges.senders(uav_id), own)
         self.senders = edges.senders(uav_id)
-        self.epochs = Epochs()
+        self.epochs = Epochs(scenario)
         self.near_objects = NearObjects(scenario, uav_id, edges.linked(uav_id))
         self.odometry_template = OdometryTemplate("map", "x")
         attitude = scenario.vehicle_link(uav_id).setpoint == "attitude"
@@ -168,6 +168,11 @@ class FleetUav:
         self.epochs.announce(t0_ns, leg)
         self.inputs.legs.append(HeaderFields(t0_ns, leg))
 
+    def mission_s(self, now_ns):
+        """The time since the first epoch [s], negative before it."""
+        first_ns = self.epochs.first_t0_ns
+        return -1.0 if first_ns is None or now_ns < first_ns else (now_ns - first_ns) * 1e-9
+
     def control(self, now_ns, near):
         """One tick of the UAV process, and what its bridge knows of others at the rate of the sensor."""
         if near:
@@ -177,9 +182,9 @@ class FleetUav:
         if not self.alive or own is None or now_ns - own.stamp_ns > stale_ns:
             return None
         if near:
-            rows = self.near_objects.rows(self.fleet.now_s, own.values[0:3])
+            rows = self.near_objects.rows(self.fleet.now_s, own.values[0:3], self.mission_s(now_ns))
             self.controller.inbox.near = Stamped(now_ns, rows)
-        leg = self.epochs.at(now_ns)
+        leg = self.epochs.at(now_ns, self.id)
         if leg is not None and not self.began:
             self.began = True
             self.controller.restart()

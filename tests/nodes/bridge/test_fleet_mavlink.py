@@ -14,6 +14,7 @@ from ptnsbc_core.curves.trajectory import reference
 from ptnsbc_nodes.bridge.procedure.steps import Step, Stream
 from ptnsbc_sim.autopilot.faults import inject
 from ptnsbc_sim.scenario import agent_config, load_scenario
+from ptnsbc_sim.scenario.build import places_beside_leader
 from ptnsbc_sim.verdict import verdict_on
 
 PLUGINS = Path(__file__).parents[3] / "examples" / "plugins"
@@ -50,6 +51,37 @@ plugins:
   task: {PLUGINS / "cylinder.py"}:cylinder
   controller: {PLUGINS / "proportional.py"}:proportional
 """
+
+MISSION = {
+    "formation.frame": "world",
+    "timing.duration_s": 52.0,
+    "mission.legs": [
+        {"kind": "take_off", "height_m": 5, "over_s": 4},
+        {"kind": "form", "over_s": 9},
+        {"kind": "change", "shape": {"kind": "line", "spacing_m": 3}, "over_s": 7},
+        {"kind": "go_to", "position_m": [0, 0, 6], "over_s": 6},
+        {
+            "kind": "split",
+            "name": "away",
+            "head": 3,
+            "over_s": 5,
+            "trajectory": {"kind": "hover", "position_m": [2, -6, 7]},
+        },
+        {"kind": "join", "over_s": 5},
+        {"kind": "land", "over_s": 16},
+    ],
+    "world.obstacles": [
+        {
+            "name": "ball",
+            "keep_out_m": 0.8,
+            "trajectory": {
+                "kind": "line",
+                "position_m": [-22.4, 2.4, 6],
+                "velocity_m_s": [0.8, 0, 0],
+            },
+        }
+    ],
+}
 
 
 @pytest.mark.slow
@@ -92,18 +124,41 @@ def test_four_vehicles_fly_a_figure_of_eight_in_a_v_that_turns(kind):
 
 @pytest.mark.slow
 def test_four_vehicles_fly_a_mission_from_the_ground_to_the_ground():
-    """Their own take-off ends where the leg take_off begins; land is the landing of their flight controllers."""
-    # From V to line the place of UAV 4 moves at up to 1.9 m/s beside the leader: nobody runs away.
-    made = load_scenario("take_off_4", {"mavlink.abort.away_m_s": 1.0}).bridged()
+    """Their own take-off ends where the leg take_off begins; land is the landing of their flight controllers.
+
+    A ball flies through the place of UAV 2 while UAV 3 is apart.
+    """
+    # From V to line the place of UAV 4 moves at more than 1 m/s beside the leader: nobody runs away.
+    made = load_scenario("take_off_4", {**MISSION, "mavlink.abort.away_m_s": 1.0}).bridged()
     fleet = MavlinkFleet(made, "px4", gnss="perfect")
-    fleet.airborne().form().run(made.duration_s)
+    fleet.airborne().form()
+    fleet.run(
+        made.duration_s, until=lambda: all(u.bridge.procedure.over for u in fleet.uavs.values())
+    )
     assert {uav.bridge.procedure.fault for uav in fleet.uavs.values()} == {""}
     found = verdict_on(fleet.recording())
-    assert [(leg.kind, leg.verdict) for leg in found.mission[:4]] == [
-        ("take_off", "met"), ("form", "met"), ("change", "met"), ("hold", "met"),
-    ]  # fmt: skip
+    assert [(leg.kind, leg.verdict) for leg in found.mission[:6]] == [
+        (kind, "met") for kind in ("take_off", "form", "change", "go_to", "split", "join")
+    ]
     assert not any(uav.vehicle.armed for uav in fleet.uavs.values())  # down before land is due
-    assert min(pair.distance_m for pair in found.separations) > 1.5
+    assert min(pair.distance_m for pair in found.separations) > 0.5
+    (ball,) = made.obstacles
+    away_m, ways_m = passed(fleet, ball, 2)
+    assert min(away_m) > ball.keep_out_m > min(ways_m)
+
+
+def passed(fleet, ball, uav_id):
+    """The distances [m] of a UAV to a ball that moves, and those that its place has during the leg split."""
+    uav, made = fleet.uavs[uav_id], fleet.scenario
+    times = (np.array(uav.stamps) - fleet.legs[0][0]) * 1e-9
+    flown = times >= 0.0
+    split = next(leg for leg in made.legs if leg.name == "away")
+    during = np.linspace(split.begin_s, split.due_s, 101)
+    path = agent_config(made, made.leader_id).trajectory
+    beside = places_beside_leader(made, uav_id, during)
+    places = np.array([reference(path, t).position for t in during]) + beside
+    own = np.array(uav.odometry)[flown, 0:3]
+    return ball.distances(own, times[flown]), ball.distances(places, during)
 
 
 def true_places(fleet):
@@ -202,12 +257,15 @@ def test_vehicles_at_one_place_are_not_armed(tmp_path):
     assert not any(uav.vehicle.armed or uav.vehicle.lifted for uav in fleet.uavs.values())
 
 
-def test_a_vehicle_far_from_its_start_is_not_armed():
-    fleet = MavlinkFleet(scenario(), count=2)
-    fleet.uavs[2].bridge.placement.start = (-0.8, 2.2, 0.0)
+@pytest.mark.parametrize("count", [1, 2])
+def test_a_vehicle_far_from_its_start_is_not_armed(count):
+    """Also when it is the last to be ready: then it passes several steps at once."""
+    fleet = MavlinkFleet(scenario(), count=count)
+    x, y, _ = fleet.uavs[count].bridge.placement.start
+    fleet.uavs[count].bridge.placement.start = (x, y + 2.0, 0.0)
     fleet.run(90.0, until=lambda: all(u.bridge.procedure.over for u in fleet.uavs.values()))
-    assert "m from its start (-0.8, 2.2) m: expected at most 1.0" in (
-        fleet.uavs[2].bridge.procedure.fault
+    assert f"m from its start ({x:g}, {y + 2.0:g}) m: expected at most 1.0" in (
+        fleet.uavs[count].bridge.procedure.fault
     )
     assert not any(uav.vehicle.lifted for uav in fleet.uavs.values())
 
