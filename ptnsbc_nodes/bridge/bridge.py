@@ -21,7 +21,7 @@ from ptnsbc_nodes.bridge.procedure.hazards import AbortLimits, FlightMonitor, Si
 from ptnsbc_nodes.bridge.procedure.leader_reference import LeaderReference
 from ptnsbc_nodes.bridge.procedure.placement import ON_GROUND_M, Placement
 from ptnsbc_nodes.bridge.procedure.procedure import Procedure
-from ptnsbc_nodes.bridge.procedure.steps import Step, Stream, VehicleSnapshot
+from ptnsbc_nodes.bridge.procedure.steps import BEFORE_ARMING, Step, Stream, VehicleSnapshot
 from ptnsbc_nodes.bridge.setpoint.guard import allowed
 from ptnsbc_nodes.bridge.setpoint.lead import VelocityLead, largest_kappa_1_s
 from ptnsbc_nodes.bridge.setpoint.stream import SetpointStream, StreamInput
@@ -41,6 +41,10 @@ _ANGLES = frozenset({mavlink.MAVLINK_MSG_ID_ATTITUDE})
 _STREAMED_S = 0.1
 _DUPLICATE_S = 3.0
 _HELD_S = 2.0  # statuses come five times a second
+_NOT_COMPARED = (
+    "warning: position_velocity: gains.formation.kappa_1_s is not compared with the vehicle"
+)
+_LEAST_AGES_S = 0.8  # the procedure waits for fresh setpoints for 1 s
 _APART_M = 0.4  # from the height of its layer
 
 
@@ -77,6 +81,7 @@ class Bridge:
         self._hazard = ""
         self._told_apart = False
         self._unfit = ""  # why its velocity loop cannot follow this scenario
+        self._fitted = False  # whether the delay of the link has been compared with the gains
         self.response: VelocityResponse | None = None
         """The response of the vehicle to velocities, by its parameters; None before they are read, or without them."""
         self._mavlink, vehicle_link = scenario.mavlink, scenario.vehicle_link(uav_id)
@@ -166,6 +171,7 @@ class Bridge:
         self.state_publisher.update_world()
         self._apply_parameters(now_s)
         self._look_out(now_s)
+        self._fit_to_link()
         output = self.procedure.advance(self.snapshot(now_s))
         self._tell_apart()
         failsafe = self.procedure.step is Step.FAILSAFE
@@ -216,14 +222,28 @@ class Bridge:
         lead = self._mavlink.acceleration_feed_forward
         if lead:
             self.stream.lead = VelocityLead(response, 1.0 / self._mavlink.rate_hz)
+        setpoint = self._scenario.vehicle_link(self._uav_id).setpoint
+        if setpoint != "velocity":
+            if setpoint == "position_velocity":
+                self.ports.outputs.log(_NOT_COMPARED)
+            return
         kappa, most = self._scenario.gains.formation.kappa_1_s, largest_kappa_1_s(response, lead)
         self.ports.outputs.log(f"gains.formation.kappa_1_s up to {most:.1f} fits its velocity loop")
-        if self._scenario.vehicle_link(self._uav_id).setpoint == "velocity" and kappa > most + 1e-9:
+        if kappa > most + 1e-9:
             remedy = "" if lead else ", or mavlink.acceleration_feed_forward: true"
             self._unfit = (
                 f"gains.formation.kappa_1_s = {kappa:g}: the vehicle's velocity loop would swing: "
                 f"expected at most {most:.1f}{remedy}"
             )
+
+    def _fit_to_link(self) -> None:
+        """Before arming: whether a vehicle that flies by attitude bears its link; a generic one shows it in flight."""
+        stream = self.stream
+        by_attitude = stream.sends_thrust(Stream.PLANNER) and not stream.sends_thrust(Stream.HOLD)
+        enough = stream.ages.count >= _LEAST_AGES_S * self._mavlink.rate_hz
+        if by_attitude and enough and not self._fitted and self.procedure.step in BEFORE_ARMING:
+            self._fitted = True
+            self.ports.outputs.log(stream.fit_to())
 
     def snapshot(self, now_s: float) -> VehicleSnapshot:
         """Everything by which the procedure decides."""
@@ -265,10 +285,13 @@ class Bridge:
             if self.procedure.step is Step.APART
             else "",
             pilots_too=inputs.order.pilots_too,
-            misplaced=self.placement.misplaced() if self.procedure.step is Step.READY else "",
+            unfit=self.stream.unfit,
+            misplaced=self.placement.misplaced() if self.procedure.step in BEFORE_ARMING else "",
             not_ready=companions.not_ready(now_s),
             not_armed=companions.not_armed(now_s),
-            climbs_first=self.placement.climbs_first() if self.procedure.step is Step.ARMED else "",
+            climbs_first=self.placement.climbs_first()
+            if self.procedure.step in (*BEFORE_ARMING, Step.ARMED)
+            else "",
             companion_out=companions.out(),
             vehicle_warning=", ".join(filter(None, self._vehicle_words())),
         )

@@ -45,20 +45,20 @@ class Latency:
 
     def __init__(self) -> None:
         self._recent_s = np.zeros(_LATENCY_WINDOW)  # a ring
-        self._count = 0
+        self.count = 0
         self.max_s = 0.0
 
     def add(self, latency_s: float) -> None:
         """Count one message."""
-        self._recent_s[self._count % _LATENCY_WINDOW] = latency_s
-        self._count += 1
+        self._recent_s[self.count % _LATENCY_WINDOW] = latency_s
+        self.count += 1
         self.max_s = max(self.max_s, latency_s)
 
     def percentile_s(self, percent: float) -> float:
         """The percentile [s] over the newest messages; 0 before the first."""
-        if not self._count:
+        if not self.count:
             return 0.0
-        return float(np.percentile(self._recent_s[: self._count], percent))
+        return float(np.percentile(self._recent_s[: self.count], percent))
 
 
 class Progress:

@@ -106,6 +106,7 @@ class VehicleSnapshot:
     duplicate_sysid: bool = False  # a second vehicle uses this system id
     stop_request: str = ""  # "land" or "kill", by the operator or at the end of this process
     pilots_too: bool = False  # whether the request counts in a pilot's hands as well
+    unfit: str = ""  # why the scenario's gains would swing the vehicle
     misplaced: str = ""  # why the vehicle may not arm where it stands
     not_ready: str = ""  # other vehicles that are not ready to arm
     not_armed: str = ""  # other vehicles that are not armed

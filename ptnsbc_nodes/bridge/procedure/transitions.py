@@ -273,8 +273,8 @@ def _mode(progress: FlightProgress, snapshot: VehicleSnapshot) -> None:
 
 
 def _ready(progress: FlightProgress, snapshot: VehicleSnapshot) -> None:
-    """Arm only where the vehicle may climb, and together with all others."""
-    if refusal := snapshot.misplaced or snapshot.companion_out:
+    """Arm only with gains that fit, where the vehicle may climb, and together with all others."""
+    if refusal := snapshot.unfit or snapshot.misplaced or snapshot.companion_out:
         progress.enter(Step.FAILED, snapshot, f"not armed: {refusal}")
     elif snapshot.mode is not FlightMode.OWN:
         reason = f"the pilot took over before arming: mode {snapshot.mode_name}"

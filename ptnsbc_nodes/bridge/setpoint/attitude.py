@@ -249,6 +249,9 @@ class AttitudeResponse(NamedTuple):
 
     delay_s: float  # from the state that a target answers to its force
     tilt_lag_s: float  # of the tilt behind the target
+    led: bool = (
+        True  # whether the vehicle flies the rates of roll and pitch that are sent with a target
+    )
 
 
 def _rise(config: AgentConfig, kappa_1_s: float, flown: Any, observed: bool, s: Any) -> float:
@@ -272,7 +275,7 @@ def largest_force_kappa_1_s(config: AgentConfig, response: AttitudeResponse) -> 
     0 where no gain will do.
     """
     s = 1j * np.geomspace(0.1, 40.0, 200)
-    ahead = s / (1.0 + BodyRateEstimator.SMOOTHING_S * s)  # rates that are sent with a target
+    ahead = s / (1.0 + BodyRateEstimator.SMOOTHING_S * s) if response.led else 0.0 * s
     cases = []
     for share in (0.0, 0.5, 1.0):
         late = np.exp(-share * response.delay_s * s)

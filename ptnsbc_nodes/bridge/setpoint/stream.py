@@ -177,12 +177,15 @@ class SetpointStream:
             return ""
         news = self.attitude.on_odometry(now_s, sampled_s, odometry)
         found = self.attitude.thrust_test.found
-        return news if not news or found is None else f"{news}; {self._fit_to(found.delay_s)}"
+        return news if not news or found is None else f"{news}; {self.fit_to(found.delay_s)}"
 
-    def _fit_to(self, found_s: float) -> str:
-        """True if the scenario's loop bears a delay from target to force; a line with the gain that fits."""
+    def fit_to(self, found_s: float = 0.0) -> str:
+        """Whether the scenario's loop bears the link, and a delay from target to force; a line with the gain that fits.
+
+        Autopilots that close loops of their own besides take no rates of roll and pitch beside an attitude.
+        """
         delay_s = self.ages.percentile_s(50) + self._hold_s + found_s
-        response = AttitudeResponse(delay_s, self._tilt_lag_s)
+        response = AttitudeResponse(delay_s, self._tilt_lag_s, led=self._attitude_only)
         config, most = self._config, largest_force_kappa_1_s(self._config, response)
         kappa, pole = config.controller.force.kappa, config.controller.observer_bandwidth
         swings = f"the vehicle would swing, {delay_s:.3f} s from a state to its force: expected"

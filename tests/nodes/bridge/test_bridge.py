@@ -302,6 +302,29 @@ def test_gains_that_do_not_fit_the_vehicle_are_refused_with_the_number_that_woul
     assert not fleet.uavs[1].vehicle.armed
 
 
+@pytest.mark.parametrize(
+    ("setpoint", "says"),
+    [
+        ("attitude", "gains.force.kappa_1_s = 12: the vehicle would swing, "),
+        ("position_velocity", "gains.formation.kappa_1_s is not compared with the vehicle"),
+    ],
+)
+def test_by_the_other_setpoints_gains_are_judged_by_the_link_or_the_bridge_says_that_they_are_not(
+    setpoint, says
+):
+    """12 1/s by attitude swings this stand-in until its bridge gives the formation up; 4 1/s are flown."""
+    gains = {**load_scenario("experiment_4").mavlink.overrides, "gains.force.kappa_1_s": 12.0}
+    made = scenario(setpoint=setpoint, **{"mavlink.overrides": gains})
+    fleet = MavlinkFleet(made, count=1)
+    uav = fleet.uavs[1]
+    fleet.run(60.0, until=lambda: uav.bridge.procedure.over or uav.vehicle.armed)
+    assert any(says in line for line in uav.lines)
+    assert uav.vehicle.armed == (setpoint == "position_velocity")
+    assert uav.bridge.procedure.fault.startswith("not armed: gains.force") == (
+        setpoint == "attitude"
+    )
+
+
 def test_a_vehicle_that_comes_too_near_ends_the_formation():
     fleet, uav = one()
     place = uav.odometry[-1][0:3]

@@ -212,6 +212,21 @@ def test_the_largest_gain_settles_and_twice_as_much_swings(flown, delay_s, tilt_
     assert np.abs(wild[15000:] - 1.0).max() > 0.05
 
 
+def test_a_vehicle_that_flies_no_rates_of_the_target_bears_more_delay_and_less_lag(flown):
+    """The rates that are sent make up for the lag of the tilt, and turn a late target too far."""
+
+    def both(delay_s, tilt_lag_s):
+        return [
+            largest_force_kappa_1_s(flown, AttitudeResponse(delay_s, tilt_lag_s, led=led))
+            for led in (True, False)
+        ]
+
+    led, bare = both(0.05, 0.12)
+    assert bare > led
+    led, bare = both(0.05, 0.35)
+    assert bare < led
+
+
 def test_the_largest_gain_falls_with_the_delay_and_the_lag(flown):
     delays = [most(flown, 0.01 * n) for n in range(20)]
     lags = [most(flown, 0.05, 0.02 * n) for n in range(4, 20)]
