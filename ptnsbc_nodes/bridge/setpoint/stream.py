@@ -180,7 +180,7 @@ class SetpointStream:
         return news if not news or found is None else f"{news}; {self.fit_to(found.delay_s)}"
 
     def fit_to(self, found_s: float = 0.0) -> str:
-        """Whether the scenario's loop bears the link, and a delay from target to force; a line with the gain that fits.
+        """A line with the gain that fits the link, and a delay from target to force; `unfit` if the scenario has more.
 
         Autopilots that close loops of their own besides take no rates of roll and pitch beside an attitude.
         """
