@@ -40,7 +40,7 @@ class NearObjects:
         self._newest[uav_id] = (now_s, data)
 
     def rows(self, now_s: float, position: Array, mission_s: float = -1.0) -> Array:
-        """The rows that its UAV avoids: x y z keep-out vx vy vz (M, 7) [m, m/s, ENU] within the scenario's detection range.
+        """The rows that its UAV avoids: x y z keep-out vx vy vz (M, 7) [m, m/s, ENU] within the detection range.
 
         Args:
             now_s: time of `on_odometry`.
