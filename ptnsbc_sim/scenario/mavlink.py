@@ -124,7 +124,7 @@ class Mavlink(Block):
     climb_spacing_m: NotNegative = 1.0
     """Vehicles that stand nearer than the keep-out, the position error and this climb one after the other."""
     near: Literal["links", "all"] = "links"
-    """`links`: a vehicle avoids the vehicles with which it has an edge; `all`: it avoids all. Abort and landing look at all."""
+    """`links`: a vehicle avoids those with which it has an edge; `all`: it avoids all. Abort and landing see all."""
     world_origin: WorldOrigin | None = None
     """Position of the world's origin on the Earth. Default: the leader's position."""
     height: Literal["origin", "ground"] = "origin"
