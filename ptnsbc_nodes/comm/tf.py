@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import TYPE_CHECKING
 
 from ptnsbc_io.wire import WireError, peek_stamp, transform_of
 from ptnsbc_nodes.comm import topics
-from ptnsbc_nodes.comm.endpoints import Endpoints
+
+if TYPE_CHECKING:
+    # It needs rclpy, which a headless flight does not.
+    from ptnsbc_nodes.comm.endpoints import Endpoints
 
 TRANSFORM_HZ = 20
 _PERIOD_NS = 10**9 // TRANSFORM_HZ

@@ -10,7 +10,7 @@ import time
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from ptnsbc_nodes.emergency.order_port import OrderClient
 from ptnsbc_nodes.emergency.orders import (
@@ -21,8 +21,11 @@ from ptnsbc_nodes.emergency.orders import (
     latch,
 )
 from ptnsbc_nodes.emergency.records import VehicleRecord, decode_record, records
-from ptnsbc_nodes.fleet.coordinator_node import Coordinator
 from ptnsbc_nodes.fleet.direct_order import DirectOrder
+
+if TYPE_CHECKING:
+    # It imports rclpy: an order on this host neither needs the middleware nor waits for its import.
+    from ptnsbc_nodes.fleet.coordinator_node import Coordinator
 
 _REPEAT_S = 0.05
 _LAUNCHER_PATIENCE_S = 3.0

@@ -2,6 +2,8 @@
 
 import json
 import re
+import subprocess
+import sys
 import threading
 from collections.abc import Callable
 from dataclasses import replace
@@ -257,6 +259,23 @@ def test_the_same_flight_gives_the_same_bytes(tmp_path: Path) -> None:
         run("simulate", "paper_5", "--duration", "1", "--bag", tmp_path / name / "bag", "--json")
     first, second = (next((tmp_path / name / "bag").glob("*.mcap")) for name in ("a", "b"))
     assert first.read_bytes() == second.read_bytes()
+
+
+WITHOUT_ROS = "import sys; sys.modules['rclpy'] = None\n"
+
+
+def test_a_flight_in_one_process_needs_no_ros() -> None:
+    modules = "ptnsbc, ptnsbc_tools.reading.headless, ptnsbc_tools.commands.fly.simulate"
+    subprocess.run([sys.executable, "-c", f"{WITHOUT_ROS}import {modules}"], check=True)
+
+
+def test_an_order_without_ros_is_refused_in_words_where_no_bridge_of_this_host_hears_it() -> None:
+    code = f"{WITHOUT_ROS}from ptnsbc_tools.cli import main\nmain()"
+    words = ("stop", "--namespace", "nobody")
+    done = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True)
+    assert done.returncode == 2
+    assert done.stderr.startswith("error: rclpy is not installed: ")
+    assert done.stderr.count("\n") == 1
 
 
 def test_what_a_bag_names_is_no_command_for_the_terminal(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ import typer
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_nodes.emergency.orders import KILL, LAND, Order, release, runtime_folder
 from ptnsbc_nodes.emergency.records import forget_dead
-from ptnsbc_tools import console
+from ptnsbc_tools import console, ros
 from ptnsbc_tools.limits import LONGEST_S
 from ptnsbc_tools.options import FlyingDomainOption, NamespaceOption, full_namespace
 
@@ -135,11 +135,10 @@ def _have_recorded(coordinator: Coordinator) -> None:
 
 
 def _middleware(domain: int, fleet: str) -> Coordinator:
-    from ptnsbc_nodes.runtime import environment
-
-    environment.prepare()
     from ptnsbc_nodes.comm.seal import operators_seal
-    from ptnsbc_nodes.fleet.coordinator_node import Coordinator
+
+    with ros.required(f"{ros.INSTALL}: without it an order reaches bridges of this host only"):
+        from ptnsbc_nodes.fleet.coordinator_node import Coordinator
 
     return Coordinator(domain, f"stop_{os.getpid()}", fleet, seal=operators_seal())
 
