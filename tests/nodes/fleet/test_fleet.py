@@ -213,6 +213,33 @@ def test_who_dies_in_flight_is_named_and_the_others_fly_on(launch, tmp_path):
     assert scenario_from_text(bag.attachment("scenario.yaml").decode()).name == "paper_5"
 
 
+FAILING_LAW = """
+def law(inputs):
+    if inputs.t > 0.5 and inputs.offset[0] > 1.0:
+        raise ValueError("no way out")
+    return (0.0, 0.0, 0.0)
+"""
+
+
+def test_a_law_that_raises_in_flight_is_named_by_file_and_line_and_its_vehicle_hovers(
+    launch, tmp_path
+):
+    (tmp_path / "mine.py").write_text(FAILING_LAW)
+    (tmp_path / "flown.yaml").write_text("extends: paper_5\nlaw: mine.py:law\n")
+    bag = tmp_path / "bag"
+    words = ("--scenario", str(tmp_path / "flown.yaml"), "--duration", "1.5", "--bag", str(bag))
+    flight = launch(*words)
+    assert flight.finish() == 1
+    assert f"{tmp_path}/mine.py:4: law: ValueError: no way out" in "\n".join(flight.lines)
+    assert "lost uav5" in flight.lines[-1]  # the only UAV whose place is so far out
+    assert not flight.running()
+    flown = read_bag(bag)
+    told = counts(flown)
+    assert told["/uav5/setpoint/wrench"] < told["/uav4/setpoint/wrench"]
+    hovers = [wire.decode_odometry(m.data).values for m in flown.messages(["/uav5/odom"])][-2:]
+    assert hovers[0].tolist() == hovers[1].tolist()
+
+
 def test_without_its_recorder_the_flight_goes_on_and_the_bag_can_be_mended(launch, tmp_path):
     """To its end, without one of the UAVs as well."""
     flight = launch("--duration", "12", "--bag", str(tmp_path / "bag"))
