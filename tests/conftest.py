@@ -22,6 +22,7 @@ sys.path.insert(0, str(Path(__file__).parent / "support"))
 import real_time
 
 from ptnsbc_nodes.emergency.orders import release
+from ptnsbc_nodes.emergency.records import forget_dead
 
 HERE = Path(__file__).parent
 # Folders and files below tests/ that run, or read bags, without a compiled law.
@@ -82,11 +83,12 @@ def runtime_folder() -> Iterator[Path]:
 
 
 @pytest.fixture(autouse=True)
-def no_order_holds(runtime_folder: Path) -> Iterator[None]:
-    """An operator's order holds until it is released: a test must not give one to the next test."""
+def nothing_holds(runtime_folder: Path) -> Iterator[None]:
+    """Orders hold until they are released, and records of dead bridges stay: not for the next test."""
     yield
     for domain in runtime_folder.glob("ptnsbc/*"):
         release(domain)
+        forget_dead(domain)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
