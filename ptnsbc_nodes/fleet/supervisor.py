@@ -175,9 +175,12 @@ class Supervisor:
                 return
 
     def _follow(self) -> None:
-        """Return when the launcher that leads says so or is gone, or when a signal has come."""
+        """Return when the launcher that leads says so or is gone, when the sim has ended, or when a signal has come."""
         while not (self._coordinator.over or self._stop.came or self._abandoned()):
             self._look()
+            # A network that loses packets may introduce the topic of the end to one side only.
+            if SIM in self._coordinator.gone:
+                return
             if all(child.exit_code is not None for child in self.children):
                 return
 

@@ -317,6 +317,28 @@ def test_a_launcher_that_follows_lands_only_its_own_vehicles(monkeypatch, tmp_pa
 
 
 @pytest.mark.ros
+def test_a_launcher_that_follows_ends_with_the_sim_on_another_computer():
+    """Seen with a fifth of the packets lost: it knew that the sim had ended, and no word of the flight's end came."""
+    following = SimpleNamespace(
+        led=True, over=False, gone=set(), looks=0, share=lambda leads: None, lose=lambda name: None
+    )
+
+    def spin(_seconds):
+        following.looks += 1
+        if following.looks == 3:
+            following.gone.add("sim")
+
+    following.spin = spin
+    said = []
+    options = FleetOptions(load_scenario("paper_5"), only=frozenset({"uav4"}))
+    follower = Supervisor(options, following, SimpleNamespace(came=False), said.append)
+    follower.children.append(Child("uav4"))
+    follower.watch(10.0)
+    assert following.looks == 3
+    assert said == ["sim has ended, on another computer"]
+
+
+@pytest.mark.ros
 def test_a_leader_waits_for_the_bridges_of_other_computers(monkeypatch, tmp_path):
     fleet = Fleet(monkeypatch, tmp_path, "bridge1", only=["bridge1", "uav1"])
     fleet.end_at(1.0, fleet.bridges[0])
