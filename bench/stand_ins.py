@@ -35,21 +35,34 @@ class Running(NamedTuple):
     log: Path
 
 
-def write_scenario(folder: Path, duration_s: float) -> tuple[Path, int]:
-    """A scenario of four vehicles, and the port at which their stand-ins take faults."""
+def write_scenario(
+    folder: Path, duration_s: float, *, autopilot: str = "px4", setpoint: str = "velocity"
+) -> tuple[Path, int]:
+    """A scenario of four vehicles of one kind, and the port at which their stand-ins take faults."""
     first = _free_ports()
     path = folder / "scenario.yaml"
-    links = "".join(f'    {i}: {{connect: "udpin:127.0.0.1:{first + i}"}}\n' for i in VEHICLES)
+    kind = f"autopilot: {autopilot}, setpoint: {setpoint}"
+    links = "".join(
+        f'    {i}: {{{kind}, connect: "udpin:127.0.0.1:{first + i}"}}\n' for i in VEHICLES
+    )
     path.write_text(SCENARIO.format(base=BASE, duration_s=duration_s) + links)
     return path, first + 90
 
 
 @contextmanager
-def stand_ins(folder: Path, domain: int, scenario: Path, control: int) -> Iterator[Running]:
-    """Four stand-ins that wait for their bridges."""
+def stand_ins(
+    folder: Path,
+    domain: int,
+    scenario: Path,
+    control: int,
+    *,
+    gnss: str = "rtk",
+    parameters: Sequence[str] = ("COM_OF_LOSS_T=5",),
+) -> Iterator[Running]:
+    """Four stand-ins that wait for their bridges, with these parameters of their firmware."""
     words = (
-        "autopilot", "--scenario", scenario, "--gcs", "", "--boot-time", "0", "--gnss", "rtk",
-        "--control", control, "--param", "COM_OF_LOSS_T=5",
+        "autopilot", "--scenario", scenario, "--gcs", "", "--boot-time", "0", "--gnss", gnss,
+        "--control", control, *(word for one in parameters for word in ("--param", one)),
     )  # fmt: skip
     with program(folder, "stand_in", domain, "ptnsbc_tools.cli", *words) as vehicles:
         wait_for(vehicles, ["system 4 at"])
