@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import signal
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -79,7 +80,7 @@ class Computer:
             stderr=subprocess.PIPE,
             text=True,
             cwd=ROOT,
-            env={**inherited, **environment},
+            env={**inherited, "PYTHONFAULTHANDLER": "1", **environment},
         )
 
     def ptnsbc(self, *words: object, **environment: str) -> subprocess.Popen[str]:
@@ -131,11 +132,11 @@ def computers(count: int = 2, loss_percent: int = 0) -> Iterator[tuple[Computer,
 def finished(
     process: subprocess.Popen[str], patience_s: float = PATIENCE_S
 ) -> tuple[int, str, str]:
-    """Exit code and what was said; a process that hangs is ended."""
+    """Exit code and what was said; a process that hangs is ended, and says where it was."""
     try:
         out, err = process.communicate(timeout=patience_s)
     except subprocess.TimeoutExpired:
-        process.kill()
+        process.send_signal(signal.SIGABRT)
         out, err = process.communicate()
         raise AssertionError(f"still running after {patience_s} s:\n{out}\n{err}") from None
     return process.returncode, out, err
