@@ -27,7 +27,8 @@ from ptnsbc_tools.library.flight import flight_in
 HOVER_S = 15.0
 _LIMIT = 1.3  # RMS of the formation against that of the hover
 _SETTLED_S = 3.0  # of the hover, after the climb
-_PARAMETERS = ("COM_OBL_RC_ACT=5", "GUID_OPTIONS=8")  # ArduPilot: attitude targets carry thrust
+# ArduPilot then takes attitude targets with a thrust.
+_PARAMETERS = {"px4": ("COM_OBL_RC_ACT=5",), "ardupilot": ("GUID_OPTIONS=8",)}
 
 
 class Held(NamedTuple):
@@ -60,7 +61,7 @@ def fly(kind: str, setpoint: str, gnss: str, duration_s: float) -> Held:
             bag,
         )
         with (
-            stand_ins(folder, domain, scenario, control, gnss=gnss, parameters=_PARAMETERS),
+            stand_ins(folder, domain, scenario, control, gnss=gnss, parameters=_PARAMETERS[kind]),
             program(folder, "fleet", domain, "ptnsbc_tools.cli", *fleet) as flight,
         ):
             wait_for(flight, ["calls /formation/arm"])
