@@ -21,7 +21,13 @@ from ptnsbc_nodes.bridge.procedure.hazards import AbortLimits, FlightMonitor, Si
 from ptnsbc_nodes.bridge.procedure.leader_reference import LeaderReference
 from ptnsbc_nodes.bridge.procedure.placement import ON_GROUND_M, Placement
 from ptnsbc_nodes.bridge.procedure.procedure import Procedure
-from ptnsbc_nodes.bridge.procedure.steps import BEFORE_ARMING, Step, Stream, VehicleSnapshot
+from ptnsbc_nodes.bridge.procedure.steps import (
+    AWAY_S,
+    BEFORE_ARMING,
+    Step,
+    Stream,
+    VehicleSnapshot,
+)
 from ptnsbc_nodes.bridge.setpoint.guard import allowed
 from ptnsbc_nodes.bridge.setpoint.lead import VelocityLead, largest_kappa_1_s
 from ptnsbc_nodes.bridge.setpoint.stream import SetpointStream, StreamInput
@@ -98,7 +104,10 @@ class Bridge:
             self.vehicle, world, self.maintenance.sync, self.controller, ports
         )
         self.placement = Placement(scenario, uav_id, awaited, self.vehicle, self.state_publisher)
-        self.procedure = Procedure(autopilot, height_m, allow_arming, log, self._left_behind)
+        away_s = AWAY_S if scenario.reconfigures and not alone else 0.0
+        self.procedure = Procedure(
+            autopilot, height_m, allow_arming, log, self._left_behind, away_s
+        )
         self._reference = LeaderReference(scenario, uav_id)
         self._reference.place_velocity(0.0)  # compiled or loaded now, not in flight
         self.stream = SetpointStream(vehicle_link, self._mavlink, self._reference.config)
@@ -248,7 +257,8 @@ class Bridge:
     def snapshot(self, now_s: float) -> VehicleSnapshot:
         """Everything by which the procedure decides."""
         vehicle, odometry, inputs = self.vehicle, self.state_publisher.odometry, self.ports.inputs
-        leg = self._reference.leg(self.ports.clocks.ros_ns())
+        now_ns = self.ports.clocks.ros_ns()
+        leg, leaves = self._reference.leg(now_ns), self._reference.leaves(now_ns)
         companions = self.placement.companions
         percent = self._mavlink.battery_land_percent
         battery_low = vehicle.battery_below(percent, now_s)
@@ -272,6 +282,7 @@ class Bridge:
             speed_m_s=self.state_publisher.speed_m_s,
             unprepared="" if odometry is None else self.stream.unprepared(odometry),
             leg=None if leg is None else leg.name,
+            leaves=leaves,
             battery_low=f"battery at {vehicle.battery_percent:.0f} %, below {percent:g}"
             if battery_low
             else "",
@@ -282,7 +293,7 @@ class Bridge:
             hazard=self._hazard or ("told by another bridge" if inputs.order.what == APART else ""),
             apart=abs(self.state_publisher.height_over_world_m - self.stream.layer_m) < _APART_M,
             below=self.placement.below(inputs.near_uavs)
-            if self.procedure.step is Step.APART
+            if leaves or self.procedure.step is Step.APART
             else "",
             pilots_too=inputs.order.pilots_too,
             unfit=self.stream.unfit,
@@ -314,11 +325,12 @@ class Bridge:
     def _look_out(self, now_s: float) -> None:
         """In formation: whether it must be given up. At the end of it: the height of this vehicle's layer."""
         odometry, step = self.state_publisher.odometry, self.procedure.step
-        if odometry is None or step not in (Step.AIRBORNE, Step.FLY):
+        if odometry is None or step not in (Step.AIRBORNE, Step.FLY, Step.HELD):
             return
         flight_s = self.flight_s()
         leader = self._reference.at(flight_s)
-        follows = step is Step.FLY and not self._alone
+        in_flight = step is not Step.AIRBORNE and not self._alone
+        follows = step is Step.FLY and in_flight and self._reference.is_member(flight_s)
         moves = self._reference.place_velocity(flight_s) if follows else np.zeros(3)
         deadline_s = float(self._scenario.gains.formation.deadline_s)
         near = self.ports.inputs.near_uavs
@@ -329,10 +341,11 @@ class Bridge:
             moves,
             self._wanted(odometry),
             near,
-            flight_s - deadline_s,
+            flight_s - deadline_s if follows or self._alone else -1.0,
+            self._reference.places(flight_s) if follows else None,
         )
         self._hazard = self._hazard or self.stream.unfit or self._monitor.look(sight)
-        middle_m = leader.position[2] if follows else self._mavlink.takeoff_height_m
+        middle_m = leader.position[2] if in_flight else self._mavlink.takeoff_height_m
         self.stream.layer_m = self.placement.layer_m(float(middle_m), self.stream.guard)
 
     def _wanted(self, odometry: Array) -> Array | None:

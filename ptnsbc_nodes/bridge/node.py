@@ -260,6 +260,8 @@ class BridgeNode:
                 wanted, checked_velocity, lambda one: setattr(inputs, "wanted", one), required=False
             )
         listen(topics.EPOCH, decode_leg, inputs.legs.append)
+        if scenario.reconfigures:  # a successor of the leader announces the legs as well
+            self.endpoints.shares(topics.EPOCH)
         if scenario.takes_setpoints:
             decode_taken = OdometryDecoder(WORLD_FRAME, WORLD_FRAME)
             listen(topics.TAKEN, decode_taken, inputs.taken.append, required=False)

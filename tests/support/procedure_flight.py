@@ -22,10 +22,10 @@ HEIGHT = 3.0
 class Flight:
     """A procedure, and a vehicle that obeys it until a test changes that."""
 
-    def __init__(self, autopilot=PX4, allow_arming=True):
+    def __init__(self, autopilot=PX4, allow_arming=True, away_s=0.0):
         self.lines = []
         log, left_behind = self.lines.append, lambda: self.left_behind
-        self.procedure = Procedure(autopilot, HEIGHT, allow_arming, log, left_behind)
+        self.procedure = Procedure(autopilot, HEIGHT, allow_arming, log, left_behind, away_s)
         self.left_behind = "armed"
         self.autopilot = autopilot
         self.snapshot = VehicleSnapshot(

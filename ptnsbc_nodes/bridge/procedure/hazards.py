@@ -45,6 +45,8 @@ class Sight(NamedTuple):
     )  # (3,) velocity that its planner wants; None while it flies by nothing of it
     others: Array  # (M, 7) x y z keep-out vx vy vz of the other vehicles
     settled_s: float  # time since the formation's deadline; negative before it
+    places: Array | None = None
+    """(K, 3) the places that it may have to take, where UAVs come and go: on its way to one it is faster than it."""
 
 
 class _Lasting:
@@ -131,7 +133,12 @@ class FlightMonitor:
     def _away(self, sight: Sight) -> str:
         """Faster than its place for seconds, when the formation should long have been there."""
         limit_m_s = self._limits.away_m_s
-        speed_m_s = float(np.linalg.norm(sight.velocity - sight.reference_m_s))
+        motion = sight.velocity - sight.reference_m_s
+        speed_m_s = float(np.linalg.norm(motion))
+        if sight.places is not None:
+            off = sight.position - sight.places
+            apart_m = np.maximum(np.linalg.norm(off, axis=1), 1e-9)
+            speed_m_s = float(np.min(off @ motion / apart_m))
         fast = bool(limit_m_s) and sight.settled_s >= _SETTLED_S and speed_m_s >= limit_m_s
         if self._fast.seconds(sight.now_s, fast) < _AWAY_S:
             return ""

@@ -11,6 +11,8 @@ from ptnsbc_nodes.bridge.ports import BridgeInputs
 from ptnsbc_nodes.comm.legs import Epochs, Leg
 from ptnsbc_sim.scenario import Scenario, agent_config
 from ptnsbc_sim.scenario.build import leader_trajectory
+from ptnsbc_sim.scenario.mission.membership import joins_ns, leaves_ns
+from ptnsbc_sim.scenario.semantics import NANOSECONDS
 from ptnsbc_sim.scenario.slots import are_open
 
 
@@ -32,8 +34,13 @@ class LeaderReference:
             self.config = self.config._replace(trajectory=leader_trajectory(self._flown()))
 
     def leg(self, now_ns: int) -> Leg | None:
-        """The leg in force; None before the first."""
-        return self._epochs.at(now_ns)
+        """The leg in force for the vehicle; None before the first."""
+        return self._epochs.at(now_ns, self._uav_id)
+
+    def leaves(self, now_ns: int) -> bool:
+        """True if the vehicle lands while the others fly on."""
+        own, others = self.leg(now_ns), self._epochs.at(now_ns)
+        return own is not None and own != others
 
     def flight_s(self, now_ns: int) -> float:
         """Time since the first epoch; negative before it."""
@@ -48,6 +55,24 @@ class LeaderReference:
         """Velocity (3,) [m/s] of the vehicle's place in the formation, which may move beside the leader."""
         known = not are_open(self._scenario)
         return place_velocity(self.config, max(flight_s, 0.0), slot_known=known)
+
+    def is_member(self, flight_s: float) -> bool:
+        """True if the vehicle belongs to the formation by the scenario: it has joined, and has not left."""
+        begin_ns, end_ns = (
+            joins_ns(self._scenario, self._uav_id),
+            leaves_ns(self._scenario, self._uav_id),
+        )
+        return begin_ns <= flight_s * NANOSECONDS < end_ns
+
+    def places(self, flight_s: float) -> Array | None:
+        """The places (K, 3) [m] that the vehicle may have to take where UAVs come and go; None elsewhere."""
+        scenario = self._scenario
+        if not scenario.reconfigures:
+            return None
+        closes_up = scenario.file.formation.vacancy == "close_up"
+        slots = scenario.uav_ids if closes_up else (self._uav_id,)
+        leader = np.array(self.at(flight_s).position)
+        return leader + np.array([scenario.offset(slot) for slot in slots])
 
     def _flown(self) -> Scenario:
         return self._epochs.scenario or self._scenario

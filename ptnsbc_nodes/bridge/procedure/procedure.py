@@ -60,9 +60,13 @@ class Procedure:
         allow_arming: bool,
         log: Callable[[str], None],
         left_behind: Callable[[], str],
+        away_s: float = 0.0,
     ) -> None:
-        """`left_behind`: where the armed vehicle is, in which mode, and what it will do without this bridge."""
-        self._options = ProcedureOptions(autopilot, takeoff_height_m, allow_arming)
+        """`left_behind`: where the armed vehicle is, in which mode, and what it will do without this bridge.
+
+        `away_s`: time for which the vehicle is held while its controller is away, and may come back.
+        """
+        self._options = ProcedureOptions(autopilot, takeoff_height_m, allow_arming, away_s)
         self._progress = FlightProgress(self._options, log, left_behind)
         self._unprepared = ""
         self.in_pilots_hands = False
@@ -93,7 +97,8 @@ class Procedure:
     @property
     def ready(self) -> bool:
         """True if the formation may begin, as far as this vehicle is concerned."""
-        return self.step is Step.FLY or (self.step is Step.AIRBORNE and not self._unprepared)
+        flies = self.step in (Step.FLY, Step.HELD)
+        return flies or (self.step is Step.AIRBORNE and not self._unprepared)
 
     @property
     def awaited(self) -> str:
@@ -165,9 +170,9 @@ class Procedure:
             return Stream.NONE, CommandRequest.TAKEOFF if snapshot.height_m < LIFTED_M else None
         if step is Step.AIRBORNE:
             return (Stream.CLIMB if progress.climbed else Stream.HOLD), None
-        if step is Step.FLY:
-            fresh = snapshot.controller_age_s <= STALE_S
-            return Stream.PLANNER if fresh else Stream.HOLD, None
+        if step in (Step.FLY, Step.HELD):
+            follows = step is Step.FLY and snapshot.controller_age_s <= STALE_S
+            return Stream.PLANNER if follows else Stream.HOLD, None
         if step is Step.LAND:
             return self._landing(snapshot)
         if step is Step.FAILSAFE:

@@ -31,8 +31,13 @@ def procedure_concern(step: Step, stream: Stream, fault: str) -> Iterator[Concer
         fault: why the flight did not go as planned.
     """
     state = _STATES.get(step, SafetyState.NOMINAL)
-    if step is Step.FLY and stream is Stream.HOLD:
-        reason = "held where it is: the setpoints of the controller are late"
+    if step in (Step.FLY, Step.HELD) and stream is Stream.HOLD:
+        why = (
+            "the setpoints of the controller are late"
+            if step is Step.FLY
+            else "its controller is away"
+        )
+        reason = f"held where it is: {why}"
         yield Concern(SafetyState.HOLD_CLEAR, DiagnosticLevel.WARN, reason)
     elif fault and step is not Step.FLY:
         if step in FLYING:

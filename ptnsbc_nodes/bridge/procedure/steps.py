@@ -14,6 +14,8 @@ STOP_S = 0.5
 """The vehicle is held no longer than this. Then the stream stops, and the vehicle's own failsafe acts."""
 LAND_S = 10.0
 """A vehicle that is still in the mode of its bridge after so long without setpoints is told to land."""
+AWAY_S = 30.0
+"""Where UAVs come and go, a vehicle is held for so long while its controller is away; then it is told to land."""
 HEARTBEAT_LOST_S = 3.0
 SILENT_S = 10.0
 """A vehicle that must land but has sent nothing for this long is given up: its bridge ends and says so."""
@@ -40,6 +42,7 @@ class Step(Enum):
     TAKEOFF = "taking off"
     AIRBORNE = "airborne, waiting for the formation"
     FLY = "in formation"
+    HELD = "held: its controller is away"
     APART = "holding apart by height"
     FAILSAFE = "no setpoints: left to the vehicle's failsafe"
     YIELDED = "left to the pilot"
@@ -51,7 +54,7 @@ class Step(Enum):
 
 SETTING_OUT = (Step.STREAM, Step.MODE, Step.READY, Step.ARM)
 BEFORE_ARMING = (Step.HEARTBEAT, Step.PARAMETERS, Step.STATE, Step.CONTROLLER, *SETTING_OUT)
-FLYING = (Step.TAKEOFF, Step.AIRBORNE, Step.FLY)
+FLYING = (Step.TAKEOFF, Step.AIRBORNE, Step.FLY, Step.HELD)
 OVER = (Step.DONE, Step.FAILED)
 
 
@@ -97,11 +100,12 @@ class VehicleSnapshot:
     speed_m_s: float = 0.0
     unprepared: str = ""  # what the formation waits for once the vehicle is airborne
     leg: str | None = None  # the announced leg whose epoch has come
+    leaves: bool = False  # its leg is the landing of this vehicle alone: the others fly on
     battery_low: str = ""
     fence_breach: str = ""
     hazard: str = ""  # why the formation must be given up, seen on board or told by another bridge
     apart: bool = False  # whether the vehicle is at the height of its layer
-    below: str = ""  # the vehicle that must land before this one
+    below: str = ""  # the vehicle in the air below, in the way of a landing
     rebooted: bool = False
     duplicate_sysid: bool = False  # a second vehicle uses this system id
     stop_request: str = ""  # "land" or "kill", by the operator or at the end of this process
@@ -113,6 +117,11 @@ class VehicleSnapshot:
     climbs_first: str = ""  # other vehicles that climb before this one
     companion_out: str = ""  # another vehicle that will not fly, and why
     vehicle_warning: str = ""  # newest refusal or warning of the vehicle
+
+    @property
+    def lands(self) -> bool:
+        """True if its leg is a landing; one that leaves the others does not land onto a vehicle below."""
+        return self.leg == "land" and not (self.leaves and self.below)
 
     @property
     def flown_by_hand(self) -> bool:
@@ -131,6 +140,8 @@ class ProcedureOptions(NamedTuple):
     autopilot: Autopilot
     takeoff_height_m: float
     allow_arming: bool
+    away_s: float = 0.0
+    """Time for which the vehicle is held while its controller is away; 0: it is left to its own failsafe."""
 
 
 class ProcedureOutput(NamedTuple):

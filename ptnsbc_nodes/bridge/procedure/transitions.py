@@ -119,6 +119,11 @@ class FlightProgress:
         """True if a pilot flies the vehicle, as far as the bridge knows."""
         return self.step is Step.YIELDED or (self.step in BEFORE_ARMING and snapshot.flown_by_hand)
 
+    def may_hold(self, snapshot: VehicleSnapshot) -> bool:
+        """True if a vehicle whose controller is away may be held, because nothing else is wrong with it."""
+        flies = self.step in (Step.FLY, Step.HELD) and self.options.away_s > 0.0
+        return flies and not (snapshot.state_fault or self.stood_still_s)
+
     def stop_request(self, snapshot: VehicleSnapshot) -> str:
         """The operator's request as far as it is for this vehicle: a pilot's vehicle is left alone."""
         left_alone = self.in_pilots_hands(snapshot) and not snapshot.pilots_too
@@ -161,7 +166,7 @@ def _react(progress: FlightProgress, snapshot: VehicleSnapshot) -> None:
         return progress.enter(Step.FAILED, snapshot, reason)
     if step in FLYING:
         return _react_in_flight(progress, snapshot)
-    called_down = bool(stop) or snapshot.leg == "land"
+    called_down = bool(stop) or snapshot.lands
     if (step is Step.FAILSAFE and called_down) or (step is Step.YIELDED and stop):
         return progress.enter(Step.LAND, snapshot)
     return _react_before_arming(progress, snapshot, stop) if step in BEFORE_ARMING else None
@@ -200,6 +205,7 @@ def _react_in_flight(progress: FlightProgress, snapshot: VehicleSnapshot) -> Non
         reason = f"disarmed before it took off{snapshot.vehicle_reason}"
         return progress.enter(Step.FAILED, snapshot, reason if early else "disarmed in flight")
     silent = snapshot.controller_age_s > STOP_S or progress.stood_still_s > 0.0
+    silent = silent and not progress.may_hold(snapshot)
     # The last HEARTBEAT of a failsafe may arrive after the failsafe has ended.
     failsafe_ended = (
         snapshot.mode is FlightMode.HOLD and snapshot.now_s < progress.hold_tolerated_until_s
@@ -210,7 +216,7 @@ def _react_in_flight(progress: FlightProgress, snapshot: VehicleSnapshot) -> Non
     if snapshot.mode is not FlightMode.OWN and not (silent or failsafe_ended or landing):
         reason = f"the pilot took over: mode {snapshot.mode_name}"
         return progress.enter(Step.YIELDED, snapshot, reason)
-    if snapshot.stop_request or snapshot.leg == "land":
+    if snapshot.stop_request or snapshot.lands:
         return progress.enter(Step.LAND, snapshot)
     if unfit := snapshot.battery_low or snapshot.fence_breach:
         return progress.enter(Step.LAND, snapshot, unfit)
@@ -303,7 +309,7 @@ def _armed(progress: FlightProgress, snapshot: VehicleSnapshot) -> None:
         progress.enter(Step.YIELDED, snapshot, reason)
     elif snapshot.companion_out:
         progress.enter(Step.DISARM, snapshot, f"not taken off: {snapshot.companion_out}")
-    elif snapshot.stop_request or snapshot.leg == "land":
+    elif snapshot.stop_request or snapshot.lands:
         progress.enter(Step.DISARM, snapshot)
     elif not (snapshot.not_armed or snapshot.climbs_first):
         progress.climbed = True
@@ -327,6 +333,21 @@ def _airborne(progress: FlightProgress, snapshot: VehicleSnapshot) -> None:
         progress.enter(Step.FLY, snapshot)
 
 
+def _fly(progress: FlightProgress, snapshot: VehicleSnapshot) -> None:
+    if snapshot.controller_age_s > STOP_S and progress.may_hold(snapshot):
+        progress.enter(Step.HELD, snapshot)
+
+
+def _held(progress: FlightProgress, snapshot: VehicleSnapshot) -> None:
+    """Wait for the controller: it takes its place again, from where the vehicle is held."""
+    away_s = progress.options.away_s
+    if progress.lasts(snapshot.controller_age_s < STALE_S, snapshot, RECOVERED_S):
+        progress.log("its controller is back, the formation goes on")
+        progress.enter(Step.FLY, snapshot)
+    elif progress.age_s(snapshot) > away_s:
+        progress.enter(Step.LAND, snapshot, f"landed after {away_s:g} s without its controller")
+
+
 def _apart(progress: FlightProgress, snapshot: VehicleSnapshot) -> None:
     """Hold at a height that no other vehicle has; then land, the lower ones first."""
     if not snapshot.armed:
@@ -334,7 +355,7 @@ def _apart(progress: FlightProgress, snapshot: VehicleSnapshot) -> None:
     elif snapshot.mode is not FlightMode.OWN and not snapshot.stop_request:
         reason = f"the pilot took over: mode {snapshot.mode_name}"
         progress.enter(Step.YIELDED, snapshot, reason)
-    elif snapshot.stop_request or snapshot.leg == "land" or snapshot.battery_low:
+    elif snapshot.stop_request or snapshot.lands or snapshot.battery_low:
         progress.enter(Step.LAND, snapshot, snapshot.battery_low)
     elif snapshot.state_fault:  # it cannot be held by a position that is not known
         progress.enter(Step.LAND, snapshot, snapshot.state_fault)
@@ -404,7 +425,7 @@ def _wait_for_disarming(progress: FlightProgress, snapshot: VehicleSnapshot) -> 
 
 
 def _wait(progress: FlightProgress, snapshot: VehicleSnapshot) -> None:
-    """Wait for nothing: only `_react` ends a flight in formation, and nothing follows a flight."""
+    """Wait for nothing: nothing follows a flight."""
 
 
 _HANDLERS: Mapping[Step, Callable[[FlightProgress, VehicleSnapshot], None]] = {
@@ -420,6 +441,8 @@ _HANDLERS: Mapping[Step, Callable[[FlightProgress, VehicleSnapshot], None]] = {
     Step.DISARM: _disarm,
     Step.TAKEOFF: _takeoff,
     Step.AIRBORNE: _airborne,
+    Step.FLY: _fly,
+    Step.HELD: _held,
     Step.APART: _apart,
     Step.FAILSAFE: _failsafe,
     Step.YIELDED: _wait_for_disarming,

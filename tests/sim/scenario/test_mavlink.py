@@ -83,7 +83,7 @@ def test_overrides_hold_with_real_vehicles_only():
         scenario(overrides={"gains.formation.kapa": 1.1}).bridged()
 
 
-def test_uavs_do_not_come_and_go_with_real_vehicles():
+def test_uavs_come_and_go_with_real_vehicles_too():
     relay = load_scenario("relay")
-    with pytest.raises(PtnsbcError, match=r"formation\.vacancy: keep: bridges do not fly it"):
-        relay.bridged()
+    assert relay.bridged().text == relay.text
+    assert relay.bridged().reconfigures

@@ -22,6 +22,7 @@ def fly(
     settled_s=-100.0,
     reference=(0, 0, 0),
     wanted=lambda _t: None,
+    places=None,
 ):
     """The first reason and its time, for a vehicle on `path(t) -> position`."""
     monitor = FlightMonitor(limits)
@@ -33,7 +34,7 @@ def fly(
         told = wanted(t)
         told = None if told is None else np.array(told, dtype=float)
         reason = monitor.look(
-            Sight(t, np.array(path(t)), velocity, moves, told, near, settled_s + t)
+            Sight(t, np.array(path(t)), velocity, moves, told, near, settled_s + t, places)
         )
         if reason:
             return reason, t
@@ -179,3 +180,16 @@ def test_a_limit_of_zero_is_off():
         "",
         None,
     )
+
+
+@pytest.mark.parametrize(("speed_m_s", "ends"), [(2.5, True), (1.5, False), (-2.5, False)])
+def test_where_uavs_come_and_go_a_vehicle_may_be_fast_towards_a_place(speed_m_s, ends):
+    """Its way back is longer than that of the others, and it may move up into another slot."""
+    places = np.array([[0.0, 0.0, 8.0], [0.0, 3.0, 8.0]])
+    beside = 12.0 if speed_m_s < 0.0 else 1.0
+
+    def path(t):
+        return (beside + speed_m_s * t, 1.0, 8.0)
+
+    reason, _ = fly(path, 4.5, settled_s=10.0, places=places)
+    assert ("m/s away from the motion of its place" in reason) is ends

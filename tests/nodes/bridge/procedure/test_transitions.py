@@ -10,6 +10,7 @@ from procedure_flight import DT, Flight
 
 from ptnsbc_io.mavlink.autopilots import ARDUPILOT, FlightMode
 from ptnsbc_nodes.bridge.procedure.steps import (
+    AWAY_S,
     LAND_S,
     STOP_S,
     CommandRequest,
@@ -244,3 +245,69 @@ def test_a_formation_given_up_during_the_take_off_lands_at_once():
     flight.obeys = False
     flight.run(5.0, mode=FlightMode.OWN).run(until=Step.TAKEOFF, armed=True)
     flight.run(until=Step.LAND, hazard="told by another bridge")
+
+
+def test_where_uavs_come_and_go_a_vehicle_is_held_until_its_controller_is_back():
+    flight = Flight(away_s=AWAY_S).flying()
+    left = flight.snapshot.now_s
+    flight.run(until=Step.HELD, controller_age_s=STOP_S + DT).run(20.0)
+    assert flight.streams(left + DT) == {Stream.HOLD}
+    assert flight.history[-1][2].in_formation  # its process needs its odometry to go on
+    flight.run(until=Step.FLY, controller_age_s=0.05).run(1.0)
+    assert flight.history[-1][2].stream is Stream.PLANNER
+    assert (flight.procedure.fault, flight.requested(left)) == ("", [])
+
+
+def test_a_vehicle_is_not_held_for_a_controller_that_stays_away():
+    flight = Flight(away_s=AWAY_S).flying()
+    flight.run(until=Step.HELD, controller_age_s=1.0)
+    held = flight.snapshot.now_s
+    flight.run(until=Step.LAND)
+    assert flight.snapshot.now_s - held == pytest.approx(AWAY_S, abs=3 * DT)
+    assert flight.procedure.fault == "landed after 30 s without its controller"
+    flight.run(until=Step.DONE)
+
+
+@pytest.mark.parametrize(
+    ("change", "step"),
+    [
+        ({"mode": FlightMode.OTHER}, Step.YIELDED),
+        ({"mode": FlightMode.HOLD}, Step.YIELDED),  # a pilot: no failsafe acts while it is held
+        ({"state_fault": "GPS fix lost"}, Step.FAILSAFE),
+        ({"battery_low": "battery at 10 %"}, Step.LAND),
+        ({"hazard": "told by another bridge"}, Step.APART),
+        ({"leg": "land"}, Step.LAND),
+        ({"armed": False}, Step.FAILED),
+    ],
+)
+def test_a_vehicle_that_is_held_answers_as_in_formation(change, step):
+    flight = Flight(away_s=AWAY_S).flying().run(until=Step.HELD, controller_age_s=1.0)
+    flight.run(1.0)
+    flight.obeys = False
+    flight.run(2 * DT, **change)
+    assert flight.step is step
+
+
+def test_a_bridge_that_stood_still_cannot_have_held_its_vehicle():
+    flight = Flight(away_s=AWAY_S).flying()
+    flight.snapshot = replace(flight.snapshot, now_s=flight.history[-1][0] + 1.5)
+    flight.run(0.2, mode=FlightMode.HOLD)
+    assert flight.step is Step.FAILSAFE
+
+
+def test_one_that_leaves_goes_down_by_its_controller_until_nobody_is_below():
+    flight = Flight().flying()
+    left = flight.snapshot.now_s
+    flight.run(3.0, leg="land", leaves=True, below="a vehicle below")
+    assert flight.step is Step.FLY
+    assert flight.streams(left) == {Stream.PLANNER}
+    flight.run(until=Step.LAND, below="")
+    assert flight.history[-1][2].in_formation
+    flight.run(until=Step.DONE)
+    assert flight.procedure.fault == ""
+
+
+def test_when_all_land_nobody_waits_for_a_vehicle_below():
+    flight = Flight().flying()
+    flight.run(2 * DT, leg="land", below="a vehicle below")
+    assert flight.step is Step.LAND
