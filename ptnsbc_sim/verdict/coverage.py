@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ptnsbc_sim.verdict.phases import Absence
 from ptnsbc_sim.verdict.recording import NANO, Recording
 from ptnsbc_sim.verdict.track import Series, Track
 
@@ -29,21 +30,23 @@ class Coverage(NamedTuple):
 def coverages(recording: Recording) -> dict[int, Coverage]:
     """Coverage of the odometry of every UAV; of those whose samples share their stamps it is worked out once."""
     found: dict[int, Coverage] = {}
-    known: dict[int, Coverage] = {}
+    known: dict[tuple[int, tuple[Absence, ...]], Coverage] = {}
     for uav in recording.scenario.uav_ids:
         track = recording.odometry[uav]
         if uav in recording.sent or not isinstance(track, Series):
             found[uav] = coverage(recording, uav, track)
             continue
-        stamps = id(track.t_ns)
-        if stamps not in known:
-            known[stamps] = coverage(recording, uav, track)
-        found[uav] = known[stamps]
+        alike = id(track.t_ns), recording.absences[uav]
+        if alike not in known:
+            known[alike] = coverage(recording, uav, track)
+        found[uav] = known[alike]
     return found
 
 
 def coverage(recording: Recording, uav: int, track: Track) -> Coverage:
     """Coverage of the time from the epoch to the end of the leg; both ends count as messages.
+
+    While the UAV does not belong to the formation it need not be heard.
 
     Args:
         recording: the flight.
@@ -56,6 +59,8 @@ def coverage(recording: Recording, uav: int, track: Track) -> Coverage:
     for block in chain(stamps, [np.array([end_ns])]):
         edges = np.concatenate(([last_ns], block))
         gaps = np.diff(edges)
+        for one in recording.absences[uav]:
+            gaps[(edges[1:] > one.begin_ns) & (edges[:-1] < one.end_ns)] = 0
         longest = int(np.argmax(gaps))
         if gaps[longest] > longest_ns:
             longest_ns, at_ns = int(gaps[longest]), int(edges[longest])
@@ -92,7 +97,7 @@ def _early_end(recording: Recording) -> str:
     last_ns = due_ns - scenario.dt_ns  # a flight of n periods ends with message n - 1
     if (last_ns - end_ns) * NANO <= LONGEST_GAP_S:
         return ""
-    first = min(scenario.uav_ids, key=lambda uav: recording.odometry[uav].last_ns)
+    first = min(recording.staying, key=lambda uav: recording.odometry[uav].last_ns)
     lengths = (f"{(t_ns - start_ns) * NANO:.2f} s" for t_ns in (end_ns, due_ns))
     return f"/uav{first}/odom ends after {' of '.join(lengths)}"
 

@@ -9,7 +9,6 @@ import numpy as np
 
 from ptnsbc_sim.scenario.approach.deadline import shortest_from
 from ptnsbc_sim.scenario.approach.path import EpochPlaces
-from ptnsbc_sim.scenario.mission.membership import NEVER_NS
 from ptnsbc_sim.verdict.coverage import Coverage, first_bad_s, incomplete, silent_from_s
 from ptnsbc_sim.verdict.encounters import ancestors
 from ptnsbc_sim.verdict.error_figures import ChangeError, ErrorFigures
@@ -315,6 +314,6 @@ def _measured(
         missing=cover.missing,
         longest_gap_s=cover.longest_gap_s,
         membership=", ".join(one.text(recording.first_ns) for one in away),
-        lost=bool(away) and away[-1].end_ns >= NEVER_NS and not away[-1].planned,
+        lost=bool(away) and away[-1].for_good and not away[-1].planned,
         changes=figures.at_changes,
     )

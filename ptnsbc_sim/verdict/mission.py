@@ -67,8 +67,7 @@ def mission_legs(
     entered = [pair for pair in separations if pair.entered]
     end_s = (scenario.ticks - 1) * scenario.dt_ns * NANO  # the last instant of the flight
     end_s = end_s if recording.window_s is None else min(end_s, recording.window_s)
-    last_ns = min(track.last_ns for track in recording.odometry.values())
-    last_s = (last_ns - recording.first_ns) * NANO
+    last_s = (recording.last_ns - recording.first_ns) * NANO
     until_s = [*(leg.begin_s for leg in scenario.legs[1:]), np.inf]
     found = []
     for one, next_s in zip(scenario.legs, until_s, strict=True):
@@ -104,7 +103,7 @@ def _errors(
 def _heights(recording: Recording, one: ScheduledLeg) -> list[_Error]:
     """Heights above the ground when the landing was due."""
     due_ns = recording.first_ns + round(one.due_s / NANO)
-    if due_ns > min(track.last_ns for track in recording.odometry.values()):
+    if due_ns > recording.last_ns:
         return []
     at = recording.positions(np.array([due_ns]))
     return [

@@ -32,10 +32,15 @@ class Absence(NamedTuple):
     planned: bool  # by the scenario; else it was silent
     noticed_ns: int  # when the others go on without it
 
+    @property
+    def for_good(self) -> bool:
+        """True if the UAV did not come back."""
+        return self.end_ns >= NEVER_NS
+
     def text(self, first_ns: int) -> str:
         """In words; times in seconds after the first epoch."""
         begin, end = ((t_ns - first_ns) * _NANO for t_ns in (self.begin_ns, self.end_ns))
-        if self.end_ns >= NEVER_NS:
+        if self.for_good:
             return f"{'left' if self.planned else 'lost'} at {begin:.2f} s"
         return (
             f"joined at {end:.2f} s"
@@ -75,7 +80,10 @@ def absences(
         if left_ns <= last_ns:
             spans.append(Absence(left_ns, NEVER_NS, True, left_ns))
         if uav in tracks:
-            spans += _silences(scenario, tracks[uav], first_ns, last_ns)
+            silences = _silences(scenario, tracks[uav], first_ns, last_ns)
+            spans += [
+                one for one in silences if one.begin_ns < left_ns
+            ]  # it may end when it has landed
         found[uav] = tuple(sorted(spans))
     return found
 

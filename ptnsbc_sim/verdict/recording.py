@@ -182,9 +182,30 @@ class Recording:
         return self._ended(self.first_ns + self.scenario.ticks * self.scenario.dt_ns)
 
     @cached_property
+    def staying(self) -> tuple[int, ...]:
+        """The UAVs that have not gone for good; all when nobody stays."""
+        gone = {uav for uav, away in self.absences.items() if away and away[-1].for_good}
+        return (
+            tuple(uav for uav in self.scenario.uav_ids if uav not in gone) or self.scenario.uav_ids
+        )
+
+    @cached_property
+    def last_ns(self) -> int:
+        """The last instant that is recorded of all UAVs which have not gone for good: bridges end with the landing."""
+        return min(self.odometry[uav].last_ns for uav in self.staying)
+
+    @cached_property
+    def clock(self) -> Track:
+        """The odometry whose stamps are the judged instants: of the leader, or of a UAV that stays when it has gone."""
+        uav = self.scenario.leader_id
+        if self.odometry[uav].last_ns < self.last_ns and uav not in self.staying:
+            uav = self.staying[0]
+        return self.odometry[uav]
+
+    @cached_property
     def end_ns(self) -> int:
         """The end of the judged time: with the leg, or at the last instant that is recorded of all UAVs."""
-        return self._ended(min(track.last_ns for track in self.odometry.values()))
+        return self._ended(self.last_ns)
 
     def _ended(self, last_ns: int) -> int:
         later = [t0_ns for t0_ns, _ in self.epochs if t0_ns > self.start_ns]
@@ -195,7 +216,7 @@ class Recording:
     @property
     def samples(self) -> int:
         """Number of judged instants."""
-        first, end = self.odometry[self.scenario.leader_id].span(self.start_ns, self.end_ns)
+        first, end = self.clock.span(self.start_ns, self.end_ns)
         return end - first
 
     def grids(self) -> Iterator[NDArray[np.int64]]:
@@ -209,8 +230,7 @@ class Recording:
 
     def grids_between(self, start_ns: int, end_ns: int) -> Iterator[NDArray[np.int64]]:
         """The leader's stamps between two times, both included, block by block."""
-        leader = self.odometry[self.scenario.leader_id]
-        for block in leader.blocks(*leader.span(start_ns, end_ns)):
+        for block in self.clock.blocks(*self.clock.span(start_ns, end_ns)):
             yield block.t_ns
 
     @property
@@ -218,7 +238,7 @@ class Recording:
         """Begin and end [ns] of the legs that have no deadline, as far as they are recorded; none in a window."""
         if self.window_s is not None:
             return []
-        last_ns = min(track.last_ns for track in self.odometry.values())
+        last_ns = self.last_ns
         ends = [*(t0_ns for t0_ns, _ in self.epochs[1:]), last_ns]
         spans = zip(self.epochs, ends, strict=False)  # without epochs there are no spans
         found = [

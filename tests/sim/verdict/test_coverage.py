@@ -2,13 +2,17 @@
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from synthetic_flights import decay, verdict_of
 
+from ptnsbc_sim.scenario import load_scenario
+from ptnsbc_sim.swarm import fly as fly_headless
 from ptnsbc_sim.verdict import Recording, Series, verdict_on
+from ptnsbc_sim.verdict.headless import recording_of
 from ptnsbc_tools.tables import verdict_tables
 
 Fly = Callable[..., Recording]
@@ -155,3 +159,31 @@ def test_a_missing_wrench_is_held_not_dropped(fly: Fly, without: Callable[..., A
     one = next(one for one in verdict_on(fly(wrench=wrench)).efforts if one.uav == 2)
     assert one.energy == pytest.approx((1.2 * 9.81) ** 2 * 11.99)
     assert one.missing == 800
+
+
+def until(track: Series, t_s: float) -> Series:
+    end = track.index(round(t_s * 1e9), "right")
+    return Series(track.t_ns[:end], track.values[:end])
+
+
+def test_vehicles_that_are_gone_need_not_be_recorded_to_the_end() -> None:
+    """Through bridges one that leaves is heard until it has landed, and a lost one as long as its own bridge lives."""
+    whole = recording_of(fly_headless(load_scenario("relay")))
+    ends_s = {6: 34.0, 1: 36.0}  # UAV 6 leaves at 30 s, UAV 1 is killed at 36 s
+    parts = {
+        name: {uav: until(one, ends_s.get(uav, 99.0)) for uav, one in getattr(whole, name).items()}
+        for name in ("odometry", "wrench", "estimate", "counters")
+    }
+    found, expected = verdict_on(replace(whole, **parts)), verdict_on(whole)
+    assert found.verdict == expected.verdict == "met"
+    alike = ("uav", "verdict", "reason", "membership", "error_at_deadline_m", "settling_s")
+    for one, other in zip(found.uavs, expected.uavs, strict=True):
+        assert [getattr(one, name) for name in alike] == [getattr(other, name) for name in alike]
+
+
+def test_a_gap_of_one_that_stays_still_makes_the_recording_incomplete() -> None:
+    whole = recording_of(fly_headless(load_scenario("relay")))
+    odometry = {uav: until(one, 40.0 if uav == 3 else 99.0) for uav, one in whole.odometry.items()}
+    found = verdict_on(replace(whole, odometry=odometry))
+    assert found.verdict == "void"
+    assert "/uav3/odom ends after 40.00 s of 50.00 s" in verdict_of(found, 2).reason
