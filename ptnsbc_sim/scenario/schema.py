@@ -63,18 +63,40 @@ def _blocks(annotation: Any) -> Iterator[type[Block]]:
         yield from _blocks(part)
 
 
-def schema() -> dict[str, Any]:
-    """JSON schema, draft 2020-12, of a scenario file."""
-    made = ScenarioFile.model_json_schema()
-    definitions = made.pop("$defs")
-    told = {block.__name__: meanings(block) for block in _blocks(ScenarioFile)}
-    for name, part in (("ScenarioFile", made), *definitions.items()):
+def described(model: type[Block]) -> dict[str, Any]:
+    """JSON schema of a block and of those in it: each key with its meaning, none of them required."""
+    made = model.model_json_schema()
+    told = {block.__name__: meanings(block) for block in _blocks(model)}
+    for name, part in ((model.__name__, made), *made["$defs"].items()):
         if "properties" not in part or name == Wave.__name__:
             continue
         part["properties"] = {
             key: _property(key, value, told[name][key]) for key, value in part["properties"].items()
         }
         part.pop("required", None)
+    return made
+
+
+def headed(made: dict[str, Any], title: str, description: str) -> dict[str, Any]:
+    """A schema as it is published, JSON schema draft 2020-12, without the titles that pydantic gives."""
+    head = {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": title,
+        "description": description,
+    }
+    rest = {key: value for key, value in made.items() if key not in (*head, "$defs")}
+    return {**head, **_plain({**rest, "$defs": made["$defs"]})}
+
+
+def as_text(made: dict[str, Any]) -> str:
+    """A schema as the committed file holds it."""
+    return json.dumps(made, indent=1, ensure_ascii=False) + "\n"
+
+
+def schema() -> dict[str, Any]:
+    """The schema of a scenario file."""
+    made = described(ScenarioFile)
+    definitions = made["$defs"]
     definitions[Wave.__name__] = {
         "anyOf": [{"type": "number"}, {"type": "string", "pattern": r"^\S+\s*(sin|cos)?$"}]
     }
@@ -85,13 +107,8 @@ def schema() -> dict[str, Any]:
         by_kind = definitions[block]["properties"][key]
         by_kind["anyOf"] = [*by_kind["anyOf"], _FUNCTION]
     made["properties"]["extends"] = _EXTENDS
-    head = {
-        "$schema": "https://json-schema.org/draft/2020-12/schema",
-        "title": "Scenario of ptnsbc",
-        "description": "One flight: UAVs, world, formation and gains. docs/scenarios.md explains every key.",
-    }
-    rest = {key: value for key, value in made.items() if key not in head}
-    return {**head, **_plain({**rest, "$defs": definitions})}
+    told = "One flight: UAVs, world, formation and gains. docs/scenarios.md explains every key."
+    return headed(made, "Scenario of ptnsbc", told)
 
 
 def _property(key: str, value: dict[str, Any], meaning: str) -> dict[str, Any]:
@@ -130,7 +147,7 @@ def _plain(part: Any) -> Any:
 
 def text() -> str:
     """The schema as the committed file holds it."""
-    return json.dumps(schema(), indent=1, ensure_ascii=False) + "\n"
+    return as_text(schema())
 
 
 if __name__ == "__main__":
