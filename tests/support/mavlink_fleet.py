@@ -25,6 +25,8 @@ from ptnsbc_nodes.comm.vehicle_messages import limited
 from ptnsbc_nodes.emergency.orders import APART, Order
 from ptnsbc_nodes.uav.controller import UavController, step_time
 from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS
+from ptnsbc_nodes.uav.roles import role_holder
+from ptnsbc_nodes.uav.slots import SlotHolder
 from ptnsbc_sim.autopilot.launch import KINDS, Fleet, starts
 from ptnsbc_sim.autopilot.server import Codec
 from ptnsbc_sim.autopilot.vehicle import COMPANION, IMPOSTOR
@@ -103,11 +105,14 @@ class FleetUav:
             start.system, start.body, fleet.now_s, boot_time=0.1, say=self.lines.append
         )
         self.wire = Wire(lambda: fleet.now_s, fleet.delay_s)
-        edges = CommunicationGraph(scenario, FlightOptions(bridged=True))
-        own = UavFunctions.of(scenario, uav_id)
-        self.controller = UavController(agent_config(scenario, uav_id), edges.senders(uav_id), own)
+        self.edges = edges = CommunicationGraph(scenario, FlightOptions(bridged=True))
+        self.limits = None  # of the vehicle, as its bridge tells them
         self.senders = edges.senders(uav_id)
+        self.controller = self.new_controller()
+        self.estimates = []
         self.epochs = Epochs(scenario)
+        self.holder = SlotHolder(scenario, uav_id, edges)
+        self.followed = scenario
         self.near_objects = NearObjects(scenario, uav_id, edges.linked(uav_id))
         self.odometry_template = OdometryTemplate("map", "x")
         attitude = scenario.vehicle_link(uav_id).setpoint == "attitude"
@@ -136,6 +141,19 @@ class FleetUav:
             fleet.awaited,
         )
 
+    def new_controller(self):
+        """The controller as a process has it that begins."""
+        scenario, senders = self.fleet.scenario, self.edges.senders(self.id)
+        own = UavFunctions.of(scenario, self.id)
+        roles = role_holder(scenario, self.id, self.edges)
+        return UavController(agent_config(scenario, self.id), senders, own, roles)
+
+    def start_again(self):
+        """The UAV process that has ended begins anew: legs and limits are latched, all else is forgotten."""
+        self.controller, self.began, self.alive = self.new_controller(), False, True
+        if self.limits is not None:
+            self.on_limits(self.limits)
+
     def on_lost(self):
         self.lost += 1
 
@@ -144,6 +162,7 @@ class FleetUav:
             other.inputs.take(Order(APART))
 
     def on_limits(self, limits):
+        self.limits = limits
         self.controller.config = limited(
             self.controller.config, limits.planner_m_s, limits.acceleration_m_s2
         )
@@ -188,6 +207,9 @@ class FleetUav:
         if leg is not None and not self.began:
             self.began = True
             self.controller.restart()
+        if self.epochs.scenario is not self.followed:
+            self.followed = self.epochs.scenario
+            self.holder.follow(self.controller, self.followed)
         period_ns = self.fleet.scenario.dt_ns
         out = self.controller.step(step_time(now_ns, period_ns, leg, BASE_NS), NO_CUTOFF_NS)
         values = (
@@ -196,6 +218,7 @@ class FleetUav:
         self.inputs.wanted = Stamped(own.stamp_ns, out.velocity.copy())
         self.inputs.setpoint = self.setpoint_template.encode(own.stamp_ns, values)
         self.wrenches.append((own.stamp_ns, out.wrench.copy()))
+        self.estimates.append((own.stamp_ns, out.leader_estimate.copy()))
         return own, Stamped(own.stamp_ns, out.leader_estimate.copy())
 
     def exchange(self):
@@ -266,6 +289,14 @@ class MavlinkFleet:
         for uav in self.uavs.values():
             uav.announce(t0_ns, leg)
 
+    def tell_setpoint(self, odometry):
+        """A setpoint (13,) of a user's program, as the leader takes it and tells all bridges."""
+        now_ns = self.now_ns
+        epochs = self.uavs[self.scenario.leader_id].epochs
+        epochs.scenario = epochs.following(now_ns, odometry)
+        for uav in self.uavs.values():
+            uav.inputs.taken.append(Stamped(now_ns, odometry))
+
     def run(self, seconds, until=None):
         """Let time pass; with `until`, only until it becomes true, and it must become true."""
         end = self.now_s + seconds
@@ -296,10 +327,10 @@ class MavlinkFleet:
         near = self.ticks % self.scenario.near_every == 0
         sent = {i: uav.control(self.now_ns, near) for i, uav in self.uavs.items()}
         for uav in self.uavs.values():
-            for i in uav.senders.states:
+            for i in uav.senders.heard_states:
                 if sent.get(i) is not None:
                     uav.controller.inbox.on_state(i, sent[i][0])
-            for i in uav.senders.estimators:
+            for i in uav.senders.heard_estimators:
                 if sent.get(i) is not None:
                     uav.controller.inbox.on_estimate(i, sent[i][1])
 
@@ -333,7 +364,10 @@ class MavlinkFleet:
                 i: Series(np.array(u.stamps), np.array(u.odometry)) for i, u in self.uavs.items()
             },
             wrench={i: series(u.wrenches) for i, u in self.uavs.items()},
-            estimate={},
+            # By them a verdict tells where UAVs come and go who was silent.
+            estimate={i: series(u.estimates) for i, u in self.uavs.items()}
+            if self.scenario.reconfigures
+            else {},
             truth={i: series(u.truths) for i, u in self.uavs.items() if u.truths},
             counters={},
             epochs=tuple(self.legs),

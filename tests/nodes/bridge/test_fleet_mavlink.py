@@ -310,3 +310,44 @@ def test_a_follower_is_where_functions_of_the_user_lead_it_by_the_deadline(
     fleet.airborne().form().run(10.5)
     assert {uav.bridge.procedure.fault for uav in fleet.uavs.values()} == {""}, fleet.report()
     np.testing.assert_allclose(off_place_m(fleet), expected, atol=0.1)
+
+
+STREAM = {
+    "communication.tree": {2: 1, 3: 1, 4: 1},
+    "leader.trajectory": {
+        "kind": "stream",
+        "position_m": [0, 0, 7],
+        "low_m": [-6, -6, 3],
+        "high_m": [6, 6, 10],
+        "speed_m_s": 1.5,
+        "acceleration_m_s2": 1.2,
+        "silent_s": 1.0,
+    },
+}
+
+
+@pytest.mark.slow
+def test_a_stream_of_setpoints_is_followed_and_ends_in_a_hover():
+    made = scenario(duration_s=60.0, **STREAM)
+    fleet = MavlinkFleet(made, "px4", gnss="perfect", count=2)
+    fleet.airborne().form().run(11.0)
+    began, speed = fleet.now_s, np.array([0.6, 0.3, 0.1])
+
+    def asked():
+        return np.array([0.0, 0.0, 7.0]) + (fleet.now_s - began) * speed
+
+    while fleet.now_s - began < 8.0:
+        odometry = np.zeros(13)
+        odometry[0:3], odometry[6], odometry[7:10] = asked(), 1.0, speed
+        fleet.tell_setpoint(odometry)
+        fleet.run(0.2)
+    leader, follower = (uav.vehicle.flight for uav in fleet.uavs.values())
+    np.testing.assert_allclose(leader.truth_enu, asked(), atol=0.15)
+    np.testing.assert_allclose(follower.truth_enu - made.offset(2), asked(), atol=0.15)
+    fleet.run(6.0)  # nobody tells it anything
+    rests = leader.truth_enu.copy()
+    fleet.run(3.0)
+    assert np.linalg.norm(leader.truth_enu - rests) < 0.05
+    assert np.linalg.norm(follower.truth_enu - made.offset(2) - rests) < 0.15
+    assert [uav.step for uav in fleet.uavs.values()] == [Step.FLY] * 2
+    assert {uav.bridge.procedure.fault for uav in fleet.uavs.values()} == {""}, fleet.report()

@@ -61,7 +61,7 @@ def test_the_places_that_a_vehicle_may_have_to_take(vacancy, slots):
     found = following(5, **{"formation.vacancy": vacancy})
     places = found.places(0.0)
     assert places.shape == (slots, 3)
-    own = np.array(found.at(0.0).position) + [-4.0, -3.0, 0.0]
+    own = np.array(found.at(0.0).position) - np.array([4.0, 3.0, 0.0])
     assert min(np.linalg.norm(places - own, axis=1)) == pytest.approx(0.0)
 
 
