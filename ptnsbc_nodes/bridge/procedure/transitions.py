@@ -341,7 +341,7 @@ def _fly(progress: FlightProgress, snapshot: VehicleSnapshot) -> None:
 def _held(progress: FlightProgress, snapshot: VehicleSnapshot) -> None:
     """Wait for the controller: it takes its place again, from where the vehicle is held."""
     away_s = progress.options.away_s
-    if progress.lasts(snapshot.controller_age_s < STALE_S, snapshot, RECOVERED_S):
+    if snapshot.controller_age_s < STALE_S:  # at once: its way back counts from its first step
         progress.log("its controller is back, the formation goes on")
         progress.enter(Step.FLY, snapshot)
     elif progress.age_s(snapshot) > away_s:
