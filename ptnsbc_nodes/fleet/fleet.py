@@ -24,7 +24,7 @@ from ptnsbc_nodes.emergency.records import forget_dead
 from ptnsbc_nodes.fleet.child_process import ChildProcess
 from ptnsbc_nodes.fleet.coordinator_node import Coordinator
 from ptnsbc_nodes.fleet.process_list import FleetOptions, chosen, commands, groups, names
-from ptnsbc_nodes.fleet.supervisor import FleetError, Report, Supervisor
+from ptnsbc_nodes.fleet.supervisor import BRIDGE, FleetError, Report, Supervisor
 from ptnsbc_nodes.runtime import environment
 from ptnsbc_nodes.runtime.environment import reserved_domain
 from ptnsbc_nodes.runtime.signals import StopRequest
@@ -161,10 +161,22 @@ def _result(
 
 
 def _killed_by(scenario: Scenario, ended: Sequence[ChildProcess]) -> tuple[str, ...]:
-    """The UAVs among the processes that have ended which a fault of the scenario kills: no defect of the fleet."""
+    """The processes that have ended because a fault of the scenario kills a UAV: no defect of the fleet.
+
+    They are its own process and its bridge, which lands the vehicle of a UAV that stays away.
+    """
     victims = {one.victim for one in scenario.faults if one.kind in ("kill", "restart")}
-    by_signal = (one for one in ended if one.exit_code == -signal.SIGKILL)
-    return tuple(one.name for one in by_signal if one.command.uavs and one.name in victims)
+    struck = (one for one in ended if one.command.uavs)
+    return tuple(
+        one.name
+        for one in struck
+        if (one.name in victims and one.exit_code == -signal.SIGKILL)
+        or (
+            one.command.module == BRIDGE
+            and victims.intersection(one.command.lost)
+            and one.exit_code == _DIED
+        )
+    )
 
 
 def _recorded(children: Sequence[ChildProcess]) -> Mapping[str, Any]:

@@ -31,7 +31,7 @@ from ptnsbc_nodes.runtime.watchdog import ENDED_S, RECORDER_ENDED_S, SIM_ENDED_S
 
 Report = Callable[[str], None]
 
-_BRIDGE = "ptnsbc_nodes.bridge.main"
+BRIDGE = "ptnsbc_nodes.bridge.main"
 _LOOK_S = 0.05
 _EPOCH_S = 0.5  # from the call to the epoch
 _AFTER_START_S = 1.0  # the epoch is half a second after the call
@@ -285,7 +285,7 @@ class Supervisor:
     def _name_armed(self, bridges: Sequence[ChildProcess]) -> None:
         """Name each vehicle that is still armed, with place, mode and what it does now."""
         for bridge in bridges:
-            is_bridge = bridge.command.module == _BRIDGE
+            is_bridge = bridge.command.module == BRIDGE
             if is_bridge and (word := last_word(self._folder, bridge.name)):
                 self._progress(f"{bridge.name}: {word}")
 
