@@ -15,6 +15,7 @@ pytest.importorskip("rclpy")
 from ptnsbc_io import wire
 from ptnsbc_io.bag import BagError, read_bag
 from ptnsbc_nodes.fleet import main
+from ptnsbc_nodes.fleet.child_process import ProcessCommand
 from ptnsbc_nodes.fleet.fleet import FleetError, FleetOptions, _killed_by, run_fleet
 from ptnsbc_nodes.view.observer import Observer
 from ptnsbc_sim.scenario import load_scenario, scenario_from_text
@@ -124,6 +125,44 @@ def test_processes_among_obstacles_have_the_bytes_of_the_headless_flight(tmp_pat
         others = {"world.obstacles": obstacles[:row] + obstacles[row + 1 :]}
         without = fly(load_scenario(tmp_path / "among.yaml", others)).track.odometry
         assert np.abs(flown - without[:, :, :3]).max() > 0.3, obstacles[row]["name"]
+
+
+BETWEEN_WALLS = """
+extends: corridor
+timing: {duration_s: 6}
+communication: {tree: {2: 1, 3: 1}, leader_links: [2, 3], estimator_edges: [[2, 3]]}
+leader: {trajectory: {position_m: [0, 0, 2.9]}}
+formation: {changes: [], shape: {spacing_m: 2.2}}
+world:
+  obstacles:
+    - {name: box, kind: box, position_m: [3, 4.5, 2.5], size_m: [12, 6, 5], keep_out_m: 0.5}
+    - {name: half_space, kind: half_space, position_m: [0, -1.5, 0], normal: [0, 1, 0], keep_out_m: 0.5}
+    - {name: plane, kind: plane, position_m: [0, 0, 3.2], normal: [0, 0, 1], keep_out_m: 0.5}
+    - {name: ground, kind: ground, height_m: 0, keep_out_m: 0.3}
+uavs:
+  - {id: 1, position_m: [0, 0, 1]}
+  - {id: 2, position_m: [-1.5, 0.8, 1]}
+  - {id: 3, position_m: [-1.5, -0.8, 1]}
+"""
+
+
+def test_processes_between_walls_have_the_bytes_of_the_headless_flight(tmp_path):
+    """A box on the left, a half-space on the right and a plane above, each nearer to a place than its keep-out."""
+    (tmp_path / "walls.yaml").write_text(BETWEEN_WALLS)
+    scenario = load_scenario(tmp_path / "walls.yaml")
+    options = FleetOptions(scenario, lockstep=True, bag=tmp_path / "bag", processes=1)
+    assert run_fleet(options).exit_code == 0
+    bag = read_bag(tmp_path / "bag")
+    assert_as_headless(bag, scenario)
+    flown = [wire.decode_odometry(one.data) for one in bag.messages(["/uav2/odom", "/uav3/odom"])]
+    times = np.array([one.stamp_ns for one in flown]) * 1e-9
+    places = np.array([one.values[:3] for one in flown])
+    near_m = {
+        one.name: (one.distances(places, times) - one.keep_out_m).min()
+        for one in scenario.obstacles
+    }
+    assert min(near_m.values()) > 0.0
+    assert max(near_m[name] for name in ("box", "half_space", "plane")) < 0.1
 
 
 def assert_as_headless(bag, scenario):
@@ -350,12 +389,20 @@ def test_a_bad_scenario_is_one_line_and_exit_2(tmp_path, capsys):
 
 
 def test_a_uav_that_the_scenario_kills_has_not_died():
-    """Only of a signal, only a UAV, and only one that the scenario names: `relay` kills 1 and restarts 5."""
+    """Only of a signal, only a UAV, and only one that the scenario names: `relay` kills 1 and restarts 5.
+
+    The bridge of such a UAV lands its vehicle after a while, and ends with 1.
+    """
 
     def ended(name, exit_code, *uavs):
-        return SimpleNamespace(name=name, exit_code=exit_code, command=SimpleNamespace(uavs=uavs))
+        module = "ptnsbc_nodes.bridge.main" if name.startswith("bridge") else "other"
+        return SimpleNamespace(
+            name=name, exit_code=exit_code, command=ProcessCommand(name, module, (), uavs)
+        )
 
     gone = [ended("uav1", -9, 1), ended("uav5", -9, 5), ended("uav2", -9, 2), ended("sim", -9)]
     assert _killed_by(load_scenario("relay"), gone) == ("uav1", "uav5")
     assert _killed_by(load_scenario("relay"), [ended("uav1", 1, 1), ended("uav5", -15, 5)]) == ()
     assert _killed_by(load_scenario("paper_5"), gone) == ()
+    bridges = [ended("bridge1", 1, 1), ended("bridge2", 1, 2), ended("bridge5", -9, 5)]
+    assert _killed_by(load_scenario("relay"), bridges) == ("bridge1",)
