@@ -2,9 +2,8 @@
 
 `python -m bench.accuracy [--kinds px4,ardupilot] [--setpoints velocity,attitude] [--gnss rtk] [--duration 50]`. Each
 row is a whole fleet over UDP, in real time, on a machine that has nothing else to do. The vehicles hover under their
-own position loops for HOVER_S before the operator starts the formation. All errors are by the truth: of the hover
-against its mean, which leaves the constant part of the error out, and of the formation against its places, which does
-not.
+own position loops for HOVER_S before the operator starts the formation. All errors are by the truth: of the formation
+against its places, and of the hover against the point that the vehicle holds, which is the mean of its own estimates.
 """
 
 from __future__ import annotations
@@ -37,7 +36,7 @@ class Held(NamedTuple):
     verdict: str
     exit_code: int
     hover_m: Array
-    """RMS distance (4,) of each vehicle from the mean of its hover [m]."""
+    """RMS distance (4,) of each vehicle from the point that it holds [m]."""
     formation_m: Array
     """RMS error (4,) of each vehicle after the deadline [m]."""
     largest_m: float
@@ -89,15 +88,18 @@ def _operator(folder: Path, domain: int, *words: object) -> None:
 
 
 def _hover_m(bag: Path, uav: int) -> float:
-    """RMS distance of a vehicle from its mean place [m] while it waited for the start, by the truth."""
+    """RMS distance of a vehicle by the truth from the mean of its estimates [m] while it waited for the start."""
     found = read_bag(bag)
     epoch_ns = next(
         decode_header(one.data).stamp_ns for one in found.messages(["/formation/epoch"])
     )
-    truth = [decode_odometry(one.data) for one in found.messages([f"/uav{uav}/truth"])]
     first_ns = epoch_ns - int((HOVER_S - _SETTLED_S) * 1e9)
-    places = np.array([one.values[:3] for one in truth if first_ns < one.stamp_ns < epoch_ns])
-    return float(np.sqrt(np.mean(np.sum((places - places.mean(axis=0)) ** 2, axis=1))))
+
+    def places(topic: str) -> Array:
+        all_of_it = (decode_odometry(one.data) for one in found.messages([f"/uav{uav}/{topic}"]))
+        return np.array([one.values[:3] for one in all_of_it if first_ns < one.stamp_ns < epoch_ns])
+
+    return rms(np.linalg.norm(places("truth") - places("odom").mean(axis=0), axis=1))
 
 
 def main() -> None:
