@@ -1,12 +1,14 @@
 """Near objects of a vehicle without a sensor for them: the scenario's obstacles and the other UAVs.
 
 A bridge receives the odometry of all UAVs: nobody comes too near to it unseen. `mavlink.near` says which of them its
-UAV avoids: those that it has an edge with (`links`), or all. A UAV that falls silent stays where it was for a while;
-then it is forgotten.
+UAV avoids: those that it has an edge with (`links`), or all. A UAV that falls silent flies on for a while, and may
+have stopped anywhere on that way; then it is forgotten. Where UAVs come and go it is not: the others fly on, and its
+vehicle may hover.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection
 
 import numpy as np
@@ -19,7 +21,9 @@ from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.sensor import near_objects
 
 _MOVING_S = 0.5
+_COASTS_S = 4.0  # ArduCopter follows its last velocity for 3 s, GUID_TIMEOUT, and then brakes
 _FORGET_S = 5.0
+_MOST_STOPS = 50
 
 
 class NearObjects:
@@ -31,6 +35,7 @@ class NearObjects:
         self._newest: dict[int, tuple[float, bytes]] = {}
         self._keep_out_m = {uav: scenario.keep_out_between(uav_id, uav) for uav in scenario.uav_ids}
         self._range_m = float(scenario.sensor.range_m)
+        self._forget_s = math.inf if scenario.reconfigures else _FORGET_S
         self._scenario = scenario
         self._moving = any(one.path is not None for one in scenario.obstacles)
         self._bodies = obstacle_rows(scenario, np.full(1, -1.0))[0]
@@ -69,20 +74,37 @@ class NearObjects:
 
     def _known(self, now_s: float, which: Collection[int]) -> Array:
         newest = [one for one in list(self._newest.items()) if one[0] in which]  # a thread adds
-        rows = [self._row(uav, now_s - arrived_s, data) for uav, (arrived_s, data) in newest]
-        known = [row for row in rows if row is not None]
-        return np.array(known, dtype=np.float64).reshape(-1, NEAR_COLUMNS)
+        rows = [self._rows_of(uav, now_s - arrived_s, data) for uav, (arrived_s, data) in newest]
+        return np.vstack([np.zeros((0, NEAR_COLUMNS)), *rows])
 
-    def _row(self, uav_id: int, age_s: float, data: bytes) -> Array | None:
-        if age_s > _FORGET_S:
-            return None
+    def _rows_of(self, uav_id: int, age_s: float, data: bytes) -> Array:
+        """The places (K, 7) where a UAV may be: of a silent one the way that its last velocity has taken it.
+
+        Its vehicle may have stopped anywhere on it, at once or when its failsafe has acted.
+        """
+        nowhere = np.zeros((0, NEAR_COLUMNS))
+        if age_s > self._forget_s:
+            return nowhere
         try:
             odometry = decode_odometry(data).values
         except WireError:
-            return None
-        row = np.zeros(NEAR_COLUMNS)
-        row[0:3], row[3] = odometry[0:3], self._keep_out_m[uav_id]
-        if age_s <= _MOVING_S:
-            row[4:7] = velocity_enu(odometry)
-            row[0:3] += age_s * row[4:7]
-        return row if np.isfinite(row).all() else None
+            return nowhere
+        keep_out_m, velocity = self._keep_out_m[uav_id], np.array(velocity_enu(odometry))
+        way = min(age_s, _COASTS_S) * velocity
+        if not np.isfinite([*odometry[0:3], *way]).all():
+            return nowhere
+        stops = 0
+        if age_s > _MOVING_S:
+            between_m = (
+                0.5 * keep_out_m
+            )  # from one to the next, so that their spheres hold the whole way
+            stops = 1 + math.floor(min(float(np.linalg.norm(way)) / between_m, _MOST_STOPS))
+            keep_out_m = math.hypot(keep_out_m, 0.5 * between_m)
+        rows = np.zeros((stops + 1, NEAR_COLUMNS))
+        rows[:, 0:3] = (
+            odometry[0:3] + np.linspace(1.0 - min(stops, 1), 1.0, stops + 1)[:, None] * way
+        )
+        rows[:, 3] = keep_out_m
+        if age_s < _COASTS_S:
+            rows[-1, 4:7] = velocity
+        return rows

@@ -30,8 +30,28 @@ def test_it_sees_all_vehicles_and_its_uav_avoids_what_the_scenario_says(near, av
     assert objects.rows(10.0, HERE)[:, 0:3].tolist() == [list(PLACES[i]) for i in avoided]
 
 
-def test_a_silent_vehicle_flies_on_then_stays_and_is_forgotten():
-    objects = near_objects("all")
-    assert objects.uavs(10.4)[0, [0, 4]].tolist() == pytest.approx([2.2, 0.5])
-    assert objects.uavs(11.0)[0, [0, 4]].tolist() == [2.0, 0.0]
-    assert not len(objects.uavs(15.1))
+def test_a_silent_vehicle_flies_on_may_have_stopped_on_its_way_and_is_forgotten():
+    """It flies with 0.5 m/s, and everybody keeps 0.5 m from it."""
+    objects, beside = near_objects("links"), np.array(PLACES[2])
+    assert objects.rows(10.4, beside)[:, [0, 4]].tolist() == [pytest.approx([2.2, 0.5])]
+    late = objects.rows(11.0, beside)
+    assert late[:, 0].tolist() == pytest.approx([2.0, 2.0 + 0.5 / 3, 2.0 + 1.0 / 3, 2.5])
+    assert late[:, 4].tolist() == [0.0] * 3 + [0.5]
+    stopped = objects.rows(14.9, beside)
+    assert stopped[-1, 0] == pytest.approx(4.0)
+    assert not stopped[:, 4].any()
+    way = np.linspace(2.0, 4.0, 101)[:, None]
+    nearest = np.abs(way - stopped[:, 0]).min(axis=1)
+    assert (stopped[0, 3] ** 2 - nearest**2).min() > 0.5**2 - 1e-9  # nowhere nearer to the way
+    assert not len(objects.rows(15.1, beside))
+
+
+@pytest.mark.parametrize(("name", "kept"), [("relay", True), ("paper_5", False)])
+def test_where_uavs_come_and_go_a_silent_one_is_not_forgotten(name, kept):
+    """The others fly on, and its vehicle may hover in their way."""
+    near = NearObjects(load_scenario(name), 1, [2])
+    odometry = np.zeros(13)
+    odometry[0], odometry[6] = 2.0, 1.0
+    near.on_odometry(2, 0.0, OdometryTemplate("map", "uav2").encode(1, odometry))
+    assert len(near.rows(0.4, HERE)) == 1
+    assert bool(len(near.rows(60.0, HERE))) is kept
