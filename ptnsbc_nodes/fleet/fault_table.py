@@ -8,6 +8,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from ptnsbc_nodes.bridge.procedure.steps import (
+    AWAY_S,
     HEARTBEAT_LOST_S,
     LAND_S,
     RECOVERED_S,
@@ -73,7 +74,7 @@ ANSWERS = (
     ),
     FaultAnswer(
         "a UAV, or the leader, is lost, with `formation.vacancy: keep` or `close_up`",
-        (HEADLESS, SIM),
+        ALL,
         "all others, by the age of the newest message",
         _STALE,
         _NOMINAL,
@@ -83,6 +84,8 @@ ANSWERS = (
             "tests/sim/test_roles.py::test_a_loss_moves_nobody_by_more_than_the_stated_jump",
             "tests/sim/test_roles.py::test_a_restarted_uav_comes_back_and_nobody_holds_meanwhile",
             "tests/nodes/fleet/test_fault_injector.py::test_a_fleet_in_lockstep_comes_and_goes_as_the_headless_flight_does",
+            f"{_BRIDGE}test_fleet_comings.py::test_vehicles_join_late_are_held_leave_and_lose_their_leader_to_a_pilot",
+            f"{_BRIDGE}test_fleet_comings.py::test_when_the_bridge_of_the_leader_dies_the_others_move_up_past_its_vehicle",
         ),
     ),
     FaultAnswer(
@@ -260,6 +263,19 @@ ANSWERS = (
             f"{_BRIDGE}procedure/test_transitions.py::test_after_a_failsafe_hold_px4_comes_back_by_itself",
             f"{_BRIDGE}procedure/test_transitions.py::test_a_failsafe_that_only_waits_ends_with_a_landing",
             f"{_BRIDGE}test_bridge.py::test_setpoints_end_the_stream_ends_the_failsafe_acts_and_then_the_pilot",
+        ),
+    ),
+    FaultAnswer(
+        "the controller of a vehicle is silent, where UAVs come and go (`formation.vacancy`)",
+        (MAVLINK,),
+        "the thread of its bridge, whatever ROS does",
+        f"{STALE_S:g} s",
+        f"{_HOLD}, {_LAND}",
+        f"held where it is, and landed after {AWAY_S:g} s",
+        "at once, when its controller is back: it takes its slot again",
+        (
+            f"{_BRIDGE}procedure/test_transitions.py::test_where_uavs_come_and_go_a_vehicle_is_held_until_its_controller_is_back",
+            f"{_BRIDGE}procedure/test_transitions.py::test_a_vehicle_is_not_held_for_a_controller_that_stays_away",
         ),
     ),
     FaultAnswer(
