@@ -1,7 +1,8 @@
-"""A fleet on two computers (network namespaces), a fifth of the packets between them lost: starts and deadlines.
+"""A fleet on two and three computers (network namespaces), a fifth of the packets lost: starts and deadlines.
 
-Three UAVs, sim and recorder on one, two UAVs on the other, with the profiles that `ptnsbc network` writes. A start
-counts when the flight is over within two minutes and a half. Needs root, iproute2 and nftables.
+With static peers three UAVs, sim and recorder are on one computer and two UAVs on the other; with a discovery server
+each of two further computers has two UAVs. They fly with the profiles that `ptnsbc network` writes. A start counts
+when the flight is over within two minutes and a half. Needs root, iproute2 and nftables.
 """
 
 from __future__ import annotations
@@ -28,7 +29,8 @@ _LOST_PERCENT = 20
 _PATIENCE_S = 150.0
 _FARTHEST = 5  # the UAV with the longest way to the leader, on the other computer
 
-Pair = tuple[Computer, Computer]
+_TWO = ("recorder,sim,1,2,3", "4,5")
+_THREE = ("recorder,sim,1", "2,3", "4,5")
 
 
 class Case(NamedTuple):
@@ -36,13 +38,14 @@ class Case(NamedTuple):
 
     server: bool  # or static peers
     plant: str
+    parts: tuple[str, ...]  # processes on each computer, the ground first
     times: int
 
     @property
     def name(self) -> str:
         """As in the table."""
         found_by = "a discovery server" if self.server else "static peers"
-        return f"{found_by}, {self.plant}, {_LOST_PERCENT} % lost"
+        return f"{len(self.parts)} computers, {found_by}, {self.plant}, {_LOST_PERCENT} % lost"
 
 
 class Flown(NamedTuple):
@@ -62,9 +65,9 @@ def measure(plan: Plan) -> Sequence[Row]:
         load_agent(scenario, scenario.leader_id)
         load_world(scenario)
     cases = [
-        Case(False, "quadrotor", plan.of(4, 1)),
-        Case(False, "rigid_body_6dof", plan.of(4, 1)),
-        Case(True, "rigid_body_6dof", plan.of(10, 1)),
+        Case(False, "quadrotor", _TWO, plan.of(4, 1)),
+        Case(False, "rigid_body_6dof", _TWO, plan.of(4, 1)),
+        Case(True, "rigid_body_6dof", _THREE, plan.of(20, 1)),
     ]
     return [row for case in cases for row in _rows(case)]
 
@@ -73,10 +76,11 @@ def _rows(case: Case) -> Iterator[Row]:
     flown = []
     for turn in range(case.times):
         print_progress(f"network: {case.name}, {turn + 1} of {case.times}")
-        with namespaces.computers(2, _LOST_PERCENT) as (ground, away):
-            pair = ground, away
-            with _profile(case, pair) as profile:
-                flown.append(_fly(case, pair, profile))
+        with (
+            namespaces.computers(len(case.parts), _LOST_PERCENT) as computers,
+            _profile(case, computers) as profile,
+        ):
+            flown.append(_fly(case, computers, profile))
     begun = [one for one in flown if one is not None]
     settled = [one.settled_s for one in begun if one.settled_s is not None]
     met = sum(one.verdict == "met" for one in begun)
@@ -87,10 +91,10 @@ def _rows(case: Case) -> Iterator[Row]:
 
 
 @contextmanager
-def _profile(case: Case, pair: Pair) -> Iterator[Path]:
-    """The file that both computers fly with, and the server on the ground where there is one."""
-    ground, away = pair
-    words = ("server", ground.address) if case.server else ("peers", ground.address, away.address)
+def _profile(case: Case, computers: Sequence[Computer]) -> Iterator[Path]:
+    """The file that all computers fly with, and the server on the ground where there is one."""
+    ground, addresses = computers[0], [computer.address for computer in computers]
+    words = ("server", ground.address) if case.server else ("peers", *addresses)
     with tempfile.TemporaryDirectory(prefix="bench-") as folder, ExitStack() as stack:
         file = Path(folder) / "fleet.xml"
         namespaces.finished(ground.ptnsbc("network", *words, "-o", file))
@@ -101,24 +105,24 @@ def _profile(case: Case, pair: Pair) -> Iterator[Path]:
         yield file
 
 
-def _fly(case: Case, pair: Pair, profile: Path) -> Flown | None:
+def _fly(case: Case, computers: Sequence[Computer], profile: Path) -> Flown | None:
     """None when the fleet does not get ready."""
     words = ("paper_5", "--domain", _DOMAIN, "--plant", case.plant, "--duration", 8)
-    ground, away = pair
     running = [
         computer.ptnsbc("fleet", *words, "--json", "--only", only, "--network", profile)
-        for computer, only in ((away, "4,5"), (ground, "recorder,sim,1,2,3"))
+        for computer, only in zip(computers, case.parts, strict=True)
     ]
     try:
-        out, _ = running[1].communicate(timeout=_PATIENCE_S)
+        out, _ = running[0].communicate(timeout=_PATIENCE_S)
     except subprocess.TimeoutExpired:
         for process in running:
             process.send_signal(signal.SIGINT)
         said = [namespaces.finished(process)[2] for process in running]
-        waits = [line for line in said[1].splitlines() if " waits for " in line]
+        waits = [line for line in said[0].splitlines() if " waits for " in line]
         print_progress("\n".join(["network: it did not start in time:", *waits[-4:]]))
         return None
-    namespaces.finished(running[0])
+    for process in running[1:]:
+        namespaces.finished(process)
     verdict = json.loads(out)
     if verdict["verdict"] is None:
         raise BenchError(f"{case.name}: {verdict['error']}")
