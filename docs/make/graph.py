@@ -158,7 +158,7 @@ def _ends(kind: str, uav: int, node: Node, mode: str, leader: int) -> Iterator[E
             kind_of_message = f"{package}/msg/{one.msg_type.__name__}"
             own = belongs[1] is not None and int(belongs[1]) == uav
             leads = uav == leader
-            guarded = isinstance(getattr(one, "callback", None), Door)
+            guarded = isinstance(getattr(one, "door", getattr(one, "callback", None)), Door)
             yield End(
                 name, kind_of_message, kind, own, leads, mode, publishes, one.qos_profile, guarded
             )

@@ -14,11 +14,12 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
-from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from ptnsbc_nodes.comm import qos, topics
 from ptnsbc_nodes.comm.door import Door, Refusals, opened
 from ptnsbc_nodes.comm.seal import Seal
+from ptnsbc_nodes.comm.senders.first import FirstSender
+from ptnsbc_nodes.comm.senders.hearing import first_sender, hear_first
 from ptnsbc_nodes.comm.topics import TF, Role, Topic, message_class
 
 # The last message alone is not enough: a node that joins late must learn the first epoch, and of every lost UAV.
@@ -27,7 +28,7 @@ _LATCHED = qos.keep_last(64, reliable=True, latched=True)
 _LOCKSTEP_HISTORY = 1000
 _LOCKSTEP_STATUSES = 100  # of what is published 5 times a second: the sim is at most 80 of them ahead of the recorder
 # With a queue of one the messages of an outsider would push out the true one before it is taken.
-_SEALED_STATE = qos.keep_last(32, reliable=False)
+_STATE = qos.keep_last(32, reliable=False)
 _SENT = "sent "
 _AT_ONCE = Duration()
 _ACKED_LOOK_S = 0.005
@@ -75,10 +76,6 @@ def full_name(node: Node, topic: Topic) -> str:
     return topic.name if topic is TF else fleet_namespace(node.get_namespace()) + topic.name
 
 
-def _node_of(info: TopicEndpointInfo) -> str:
-    return f"{info.node_namespace.rstrip('/')}/{info.node_name}"
-
-
 def sent_in(lines: Iterable[str]) -> PublishCounters | None:
     """The counts that a process has written into its log; None without any."""
     counts = [line.removeprefix(_SENT) for line in lines if line.startswith(_SENT)]
@@ -106,7 +103,7 @@ class Endpoints:
         """`seal`: closes what is published and opens what is received; None in a fleet without one."""
         self._node = node
         self._seal = seal
-        self._known: dict[str, tuple[int, ...]] = {}  # GID of the first publisher of each topic
+        self._first: dict[str, FirstSender] = {}  # by topic
         self._shared = set(topics.SEVERAL_PUBLISHERS)
         self.fleet = fleet_namespace(node.get_namespace())
         self._lockstep = lockstep
@@ -144,7 +141,7 @@ class Endpoints:
         required: bool = True,
         profile: QoSProfile | None = None,
     ) -> str:
-        """Subscribe to a topic, through a `Door`.
+        """Subscribe to a topic, through a `Door`; without a seal only its first publisher is heard.
 
         Args:
             topic: A `required` topic needs a publisher before the flight.
@@ -167,6 +164,14 @@ class Endpoints:
             raw=True,
             event_callbacks=qos.NO_READER_EVENTS,
         )
+        resolved = subscription.topic_name
+        if resolved not in self._first:
+            self._first[resolved] = first_sender(
+                self._node, resolved, topic, lockstep=self._lockstep
+            )
+        if self._seal is None and topic.name not in topics.SEVERAL_PUBLISHERS:
+            shared, first = self._shared, self._first[resolved]
+            hear_first(subscription, first, self.refusals, lambda: topic.name in shared)
         self._subscriptions.append(subscription)
         if required:
             self._awaited.append(subscription)
@@ -208,28 +213,16 @@ class Endpoints:
         self._shared.add(topic.name)
 
     def rivals(self) -> str:
-        """Second publishers of topics that have one publisher, as a warning; empty without any.
-
-        rclpy tells for no message which publisher sent it. So the messages of both are judged by their doors.
-        """
+        """Second publishers of topics that have one publisher, as a warning; empty without any."""
         for subscription in self._subscriptions:
             name = subscription.topic_name
             if name.removeprefix(self.fleet) in self._shared:
                 continue
-            if subscription.get_publisher_count() < 2 and name in self._known:
+            first = self._first[name]
+            if first.kept is not None and subscription.get_publisher_count() < 2:
                 continue
-            found = self._node.get_publishers_info_by_topic(name)
-            gids = {tuple(info.endpoint_gid): info for info in found}
-            if not gids:
-                continue
-            first = self._known.setdefault(name, next(iter(gids)))
-            if first not in gids:  # it has ended, and another one has taken its place
-                first = next(iter(gids))
-                self._known[name] = first
-            others = [info for gid, info in gids.items() if gid != first]
-            if others:
-                names = " ".join(sorted({_node_of(info) for info in others}))
-                return f"{name} has a second publisher: {names}"
+            if others := first.others():
+                return f"{name} has a second publisher: {' '.join(others)}"
         return ""
 
     def begin(self, now_ns: int) -> None:
@@ -271,8 +264,8 @@ class Endpoints:
         return profile
 
     def _requested(self, topic: Topic) -> QoSProfile:
-        sealed = self._seal is not None and not self._lockstep
-        return _SEALED_STATE if sealed and topic.role is Role.STATE else self._profile(topic)
+        state = topic.role is Role.STATE and not self._lockstep
+        return _STATE if state else self._profile(topic)
 
     def _profile(self, topic: Topic) -> QoSProfile:
         if topic.role is Role.LATCHED:

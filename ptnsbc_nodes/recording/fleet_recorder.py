@@ -12,6 +12,7 @@ import re
 from collections.abc import Callable, Iterable, Iterator
 
 from rclpy.node import Node
+from rclpy.subscription import Subscription
 
 from ptnsbc_io import wire
 from ptnsbc_io.bag import BagWriter, TopicInfo
@@ -20,6 +21,7 @@ from ptnsbc_nodes.comm import qos, topics
 from ptnsbc_nodes.comm.announcements import decode_lost
 from ptnsbc_nodes.comm.endpoints import full_name
 from ptnsbc_nodes.comm.seal import Seal
+from ptnsbc_nodes.comm.senders.hearing import first_sender, hear_first
 from ptnsbc_nodes.comm.tf import Transforms
 from ptnsbc_nodes.comm.topics import RECORDED, SIM, Role, Topic
 from ptnsbc_nodes.recording.completeness import Completeness
@@ -93,8 +95,10 @@ class FleetRecorder(BagRecorder):
     ) -> None:
         """`silences`: UAV, first instant [ns] and the first after it, in which it is to send nothing."""
         super().__init__(node, writer, seal)
+        self._lockstep = lockstep
         self._ticks = 0
         self._clock_ns = 0  # newest /clock of a lock-step flight
+        self._ends: dict[Topic, Subscription] = {}
         recorded = tuple(recorded)
         quiet: dict[str, list[tuple[int, int]]] = {}
         for uav, first_ns, end_ns in silences:
@@ -112,7 +116,7 @@ class FleetRecorder(BagRecorder):
         for topic in recorded:
             record = self._in_order(topic, order) if order else self.on_arrival(topic, derived)
             profile = qos.recorder_profile(topic, lockstep=lockstep)
-            self.subscribe(topic, full_name(node, topic), record, profile)
+            self._ends[topic] = self.subscribe(topic, full_name(node, topic), record, profile)
         if order is not None:
             order.complete_ns = self._completeness.complete_ns
             latched = qos.recorder_profile(topics.LOST, lockstep=True)
@@ -122,6 +126,14 @@ class FleetRecorder(BagRecorder):
             )
         else:  # in lock-step the bytes would depend on wall time: flushed by stamp
             self.flush_regularly()
+
+    def hear_first(self, several: Iterable[Topic]) -> None:
+        """Record what the first publisher of each topic sends, and of `several` everything: as the fleet hears it."""
+        of_several = topics.SEVERAL_PUBLISHERS.union(topic.name for topic in several)
+        for topic, end in self._ends.items():
+            if topic.name not in of_several:
+                first = first_sender(self._node, end.topic_name, topic, lockstep=self._lockstep)
+                hear_first(end, first, self.refusals)
 
     @property
     def late(self) -> int:

@@ -13,6 +13,7 @@ from rclpy.context import Context
 from rclpy.executors import Executor
 from rclpy.node import Node
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
+from rclpy.subscription import Subscription
 
 from ptnsbc_io import wire
 from ptnsbc_io.bag import BagWriter, TopicInfo
@@ -46,7 +47,7 @@ class BagRecorder:
 
     def subscribe(
         self, topic: Topic, name: str, callback: Callable[[bytes], None], profile: QoSProfile
-    ) -> None:
+    ) -> Subscription:
         """Subscribe to the topic under its full name.
 
         Raises:
@@ -54,7 +55,7 @@ class BagRecorder:
         """
         # What was on a topic belongs into the bag, broken or not.
         door = Door(name, self._opener(topic), callback, self.refusals, _LARGEST)
-        self._node.create_subscription(
+        return self._node.create_subscription(
             topics.message_class(topic),
             name,
             door,

@@ -81,6 +81,8 @@ class SimNode:
             if not self._options.lockstep:  # in lock-step one stamp only is the right one
                 decode = in_order(decode, RealTimeStamps(self._clock_ns))
             listen(topics.wrench_setpoint(i), decode, self._on_wrench(i))
+        if self._scenario.reconfigures:  # a successor of the leader announces the legs as well
+            self.endpoints.shares(topics.EPOCH)
         listen(topics.EPOCH, decode_leg, self._on_epoch)
         listen(LOST, decode_lost, self._on_lost, required=False)
         if self._recorder.limits:

@@ -78,6 +78,8 @@ class OperatorNode:
         self._sees_vehicles = False
         self._configs = {uav: agent_config(scenario, uav) for uav in scenario.uav_ids}
         self._goals: list[LegGoal | MissionGoal] = []  # that are flown
+        if scenario.reconfigures:  # a successor of the leader announces the legs as well
+            self._endpoints.shares(topics.EPOCH)
         self._listen = partial(self._endpoints.listen, required=False)
         listen_to_fleet(self._listen, self.flight)
         fleet = self._endpoints.fleet

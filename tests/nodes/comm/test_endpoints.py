@@ -55,22 +55,95 @@ def test_with_a_seal_the_messages_of_an_outsider_do_not_push_out_the_true_one(ro
     assert [message.stamp_ns for message in taken] == [7]
 
 
-def test_without_a_seal_a_second_publisher_of_a_command_is_named_with_its_node(ros):
-    """rclpy tells of no message who sent it: so both are heard, and the operator is told."""
-    ours, theirs, reader = (
-        Endpoints(ros.node(name), False) for name in ("leader", "outsider", "uav")
-    )
-    taken = []
+ODOMETRY = wire.OdometryTemplate("map", "uav1")
+
+
+class Rivals:
+    """A node of the fleet that publishes a topic, an outsider that joins later, and a reader."""
+
+    def __init__(self, ros, topic, lockstep=False, seal=None, decode=wire.decode_header):
+        self.ros, self.topic, self.taken = ros, topic, []
+        self.ours, self.theirs, self.reader = (
+            Endpoints(ros.node(name), lockstep, key)
+            for name, key in (("uav1", seal), ("outsider", None), ("reader", seal))
+        )
+        self.reader.listen(topic, decode, self.taken.append)
+        self.send = self.ours.publisher(topic, 1)
+        ros.spin_until(lambda: not self.ours.unread())
+        ros.spin_until(lambda: not self.reader.unheard())
+        assert self.reader.rivals() == ""
+
+    def join(self, ends=None):
+        ends = ends or self.theirs
+        send = ends.publisher(self.topic, 1)
+        self.ros.spin_until(lambda: not ends.unread())
+        self.ros.spin_until(lambda: self.reader._subscriptions[0].get_publisher_count() == 2)
+        return send
+
+
+@pytest.mark.parametrize("lockstep", [False, True])
+@pytest.mark.parametrize("topic", [topics.EPOCH, topics.TAKEN])
+def test_a_second_publisher_of_a_command_is_refused_and_named_with_its_node(ros, topic, lockstep):
+    rivals = Rivals(ros, topic, lockstep)
+    forge = rivals.join()
+    ros.spin_until(rivals.reader.rivals)
+    assert rivals.reader.rivals() == f"{topic.name} has a second publisher: /outsider"
+    forge(wire.HeaderTemplate("land").encode(7))
+    rivals.send(HEADER.encode(8))
+    refusals = rivals.reader.refusals
+    ros.spin_until(lambda: rivals.taken and refusals.counts)
+    assert [one.stamp_ns for one in rivals.taken] == [8]
+    assert refusals.newest == f"{topic.name}: is from a second publisher: /outsider"
+
+
+def test_forged_states_do_not_push_out_the_true_one_and_are_refused(ros):
+    rivals = Rivals(ros, topics.odom(1), decode=wire.decode_odometry)
+    forge = rivals.join()
+    rivals.send(ODOMETRY.encode(7, np.ones(13)))
+    for _ in range(10):  # before the reader has a chance to take one
+        forge(ODOMETRY.encode(8, np.ones(13)))
+    ros.spin_until(lambda: rivals.reader.refusals.counts["/uav1/odom"] == 10)
+    assert [one.stamp_ns for one in rivals.taken] == [7]
+
+
+@pytest.mark.parametrize("lockstep", [False, True])
+def test_a_process_that_was_started_again_is_heard(ros, lockstep):
+    """It has a new GID, and its node the name of the old one."""
+    rivals = Rivals(ros, topics.odom(1), lockstep, decode=wire.decode_odometry)
+    rivals.send(ODOMETRY.encode(7, np.ones(13)))
+    ros.spin_until(lambda: rivals.taken)
+    again = rivals.join(Endpoints(ros.node("uav1"), lockstep))
+
+    def heard():
+        again(ODOMETRY.encode(8, np.ones(13)))
+        return len(rivals.taken) > 1
+
+    ros.spin_until(heard)
+
+
+def test_all_publishers_of_a_shared_topic_are_heard(ros):
+    rivals = Rivals(ros, topics.EMERGENCY)
+    rivals.join()(wire.HeaderTemplate("land").encode(7))
+    ros.spin_until(lambda: rivals.taken)
+    assert rivals.reader.rivals() == ""
+    rivals = Rivals(ros, topics.SLOTS)
+    rivals.reader.shares(topics.SLOTS)
+    rivals.join()(wire.HeaderTemplate("1:1").encode(7))
+    ros.spin_until(lambda: rivals.taken)
+
+
+def test_with_a_seal_an_outsider_that_was_there_first_does_not_keep_the_topic(ros):
+    """The seal tells who is who: with it the first publisher has no advantage."""
+    seal, taken = Seal(bytes(32)), []
+    theirs, reader = Endpoints(ros.node("outsider"), False), Endpoints(ros.node("r"), False, seal)
     reader.listen(topics.EPOCH, wire.decode_header, taken.append)
-    ours.publisher(topics.EPOCH, 1)
-    ros.spin_until(lambda: not ours.unread())
-    assert reader.rivals() == ""
-    forged = theirs.publisher(topics.EPOCH, 1)
-    ros.spin_until(lambda: not theirs.unread())
-    ros.spin_until(reader.rivals)
-    assert reader.rivals() == "/formation/epoch has a second publisher: /outsider"
-    forged(wire.HeaderTemplate("land").encode(7))
+    forge = theirs.publisher(topics.EPOCH, 1)
+    forge(HEADER.encode(7))
+    ros.spin_until(lambda: reader.refusals.counts)
+    ours = Endpoints(ros.node("leader"), False, seal)
+    ours.publisher(topics.EPOCH, 1)(HEADER.encode(8))
     ros.spin_until(lambda: taken)
+    assert [one.stamp_ns for one in taken] == [8]
 
 
 def test_nothing_listens_for_events_of_the_quality_of_service(ros):

@@ -121,6 +121,26 @@ def test_lockstep_gives_the_same_bytes(ros, tmp_path):
     assert keys == sorted(keys)
 
 
+@pytest.mark.parametrize("several", [(), (topics.odom(1),)])
+def test_what_a_second_publisher_sends_is_not_in_the_bag(ros, tmp_path, several):
+    """Nor does the fleet hear it; of a topic that several publish the bag has everything."""
+    odom, sent = topics.odom(1), messages(2)[topics.odom(1)]
+    infos = [topic_info(topic, lockstep=False) for topic in (odom, topics.TF)]
+    with BagWriter(tmp_path / "flight", infos) as writer:
+        node = ros.node("recorder")
+        recorder = FleetRecorder(node, writer, [odom], Transforms([1]), lockstep=False)
+        recorder.hear_first(several)
+        flight = Flight(ros, [odom], lockstep=False, recorder=node)
+        flight.publish(odom, sent[0])
+        ros.spin_until(lambda: recorder.received == 1)
+        outsider = Endpoints(ros.node("outsider"), lockstep=False)
+        outsider.publisher(odom, 1)(sent[1])
+        ros.spin_until(lambda: recorder.received == 2 or recorder.refusals.counts)
+        recorder.finish()
+    assert recorder.received == 1 + len(several)
+    assert sum(recorder.refusals.counts.values()) == 1 - len(several)
+
+
 def test_the_sim_is_told_of_what_all_topics_have(ros, tmp_path):
     """A topic whose messages come late held nothing back once, and the queues of a recorder lost messages."""
     odom, velocity, clock = topics.odom(1), topics.velocity_setpoint(1), topics.CLOCK

@@ -1,0 +1,122 @@
+"""The first publisher of a topic is kept; the messages of a second one are refused.
+
+Publishers are told apart by their GIDs, and where a message comes without one, by how they number their messages. A
+process that was killed and started again has a new GID, and the graph shows the old one until the lease of the dead
+participant is over. So a publisher of a node with the same name may take the place of the first one, once that cannot
+be heard any more.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from enum import Enum
+
+SILENT_S = 1.0
+"""A publisher of states that has not been heard for so long gives way to one of the same node."""
+_LOST = 100  # at most so many messages in a row are lost
+_UNNAMED = "an unknown node"
+_LOOK_S = 0.1  # at most so often a flood of messages makes us ask for the graph
+
+
+class Yields(Enum):
+    """When the first publisher gives way to a second one of a node with the same name.
+
+    To one of another node it gives way only when the graph shows it no more.
+    """
+
+    SILENT = "silent"  # states in real time: when it has been silent
+    AT_ONCE = "at once"  # events: silence is usual there
+    UNNAMED = "unnamed"  # lock-step: at once, also when the name is not known yet: a lost message would stop the flight
+
+
+class FirstSender:
+    """Decides which publisher of one topic is heard.
+
+    Args:
+        yields: when the first one gives way.
+        graph: asks for the publishers of the topic: GID to name of the node, empty while that is unknown.
+        now_s: steady time.
+    """
+
+    def __init__(
+        self,
+        yields: Yields,
+        graph: Callable[[], Mapping[bytes, str]],
+        now_s: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.kept: bytes | None = None
+        self._yields = yields
+        self._graph = graph
+        self._now_s = now_s
+        self._names: Mapping[bytes, str] = {}
+        self._numbers: dict[bytes, int] = {}  # newest of each publisher
+        self._in_graph = False  # the graph has shown the kept one
+        self._heard_s = self._looked_s = float("-inf")
+
+    def others(self) -> list[str]:
+        """Nodes of second publishers by the graph as it is now."""
+        self._look(self._now_s())
+        names = {name or _UNNAMED for gid, name in self._names.items() if gid != self.kept}
+        return sorted(names)
+
+    def objection(self, gid: bytes, number: int) -> str:
+        """Why a message is refused; empty when it is taken.
+
+        Args:
+            gid: of its publisher; empty when it is not known.
+            number: by which the publisher counts its messages.
+        """
+        now_s = self._now_s()
+        gid = gid or self._nearest(number, now_s)
+        if self.kept is None and not gid:
+            return ""
+        if gid != self.kept:
+            if (gid and gid not in self._names) or now_s - self._looked_s >= _LOOK_S:
+                self._look(now_s)
+            if self.kept is None or self._gives_way(gid, now_s):
+                self._keep(gid)
+        self._numbers[gid] = number
+        if gid != self.kept:
+            return f"is from a second publisher: {self._names.get(gid) or _UNNAMED}"
+        self._heard_s = now_s
+        return ""
+
+    def _nearest(self, number: int, now_s: float) -> bytes:
+        """The publisher whose newest number is the nearest below one; the first when it is the only one."""
+        ahead = {gid: number - newest for gid, newest in self._numbers.items()}
+        near = {gid: step for gid, step in ahead.items() if 0 < step <= _LOST}
+        if near:
+            return min(near, key=lambda gid: near[gid])
+        if now_s - self._looked_s >= _LOOK_S:
+            self._look(now_s)
+        if self.kept is not None and (len(self._names) < 2 or self._yields is Yields.UNNAMED):
+            return self.kept
+        return b""
+
+    def _look(self, now_s: float) -> None:
+        name = "" if self.kept is None else self._names.get(self.kept, "")
+        self._names, self._looked_s = self._graph(), now_s
+        ended = self._numbers.keys() - self._names.keys() - {self.kept}
+        for gid in ended:
+            del self._numbers[gid]
+        if self.kept in self._names:
+            self._in_graph = True
+        elif self._names and (self.kept is None or self._in_graph or self._silent(now_s)):
+            # It has ended. One of the same node comes before an outsider that was there already.
+            self._keep(min(self._names, key=lambda gid: self._names[gid] != name))
+            self._heard_s = float("-inf")
+
+    def _keep(self, gid: bytes) -> None:
+        self.kept, self._in_graph = gid, gid in self._names
+
+    def _gives_way(self, gid: bytes, now_s: float) -> bool:
+        assert self.kept is not None
+        theirs, ours = self._names.get(gid, ""), self._names.get(self.kept, "")
+        if self._yields is Yields.AT_ONCE:
+            return bool(theirs) and theirs == ours
+        alike = not theirs or theirs == ours
+        return alike and (self._yields is Yields.UNNAMED or self._silent(now_s))
+
+    def _silent(self, now_s: float) -> bool:
+        return now_s - self._heard_s > SILENT_S
