@@ -1,9 +1,12 @@
 """An outsider in the domain of a fleet that sends every forged message at 1 kHz: is it named, and what does it cost?
 
-`python -m bench.outsider [--duration 25] [--times 2] [--hz 1000]`. The five UAVs of the paper with `security: signed`
-fly calmly and among forged messages, in turns, in real time, without obstacles: which way a UAV goes around one is
-decided by milliseconds. The outsider joins when the flight has begun, and sends the messages of `forgeries` one after
-the other. Exit code 1 when a process died, no diagnostics named the outsider, a
+`python -m bench.outsider [--duration 25] [--times 2] [--hz 1000] [--without-seal]`. The five UAVs of the paper fly
+calmly
+and among forged messages, in turns, in real time, without obstacles: which way a UAV goes around one is
+decided by milliseconds. The outsider joins when the flight has begun, and sends the messages of `forgeries` and
+the states that it hears, moved by 0.5 m, in turns. The fleet has `security: signed`; with `--without-seal` it has
+no seal, and the outsider leaves out the topics that several nodes publish, on which nothing tells it from a process of
+the fleet. Exit code 1 when a process died, no diagnostics named the outsider, a
 forged topic was not reported, or the largest error after the deadline grew by 5 mm or more.
 """
 
@@ -12,14 +15,15 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import re
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 from unittest.mock import patch
 
 import numpy as np
@@ -38,9 +42,14 @@ from ptnsbc_sim.scenario import Scenario, load_scenario
 from ptnsbc_sim.verdict import verdict_on
 from ptnsbc_tools.reading.bag_reader import read_recording
 
+if TYPE_CHECKING:
+    from ptnsbc_nodes.comm.endpoints import Endpoints
+
 _NAME = "outsider"
 _GROWTH_M = 5e-3
 _JOINS_S = 2.0  # its publishers are discovered by then
+_MOVED_M = 0.5
+_NAMED = re.compile(r"(/\S+?):? (?:has|is from) a second publisher: \S*/" + _NAME)
 
 
 class Forgery(NamedTuple):
@@ -69,6 +78,16 @@ def forgeries(scenario: Scenario, now_ns: int) -> Iterator[Forgery]:
         yield from _of_uav(uav, now_ns)
 
 
+def _states(uav: int) -> tuple[tuple[Topic, str], ...]:
+    """Topics with the state of a UAV, and their child frames."""
+    body = f"uav{uav}/base_link"
+    return (
+        (topics.odom(uav), body),
+        (topics.formation_state(uav), body),
+        (topics.leader_estimate(uav), "map"),
+    )
+
+
 def _of_uav(uav: int, now_ns: int) -> Iterator[Forgery]:
     still = np.zeros(13)
     still[6] = 1.0
@@ -76,11 +95,7 @@ def _of_uav(uav: int, now_ns: int) -> Iterator[Forgery]:
     for value in (np.nan, 1e308):
         odd.append(still.copy())
         odd[-1][0] = value
-    for topic, frame in (
-        (topics.odom(uav), f"uav{uav}/base_link"),
-        (topics.formation_state(uav), f"uav{uav}/base_link"),
-        (topics.leader_estimate(uav), "map"),
-    ):
+    for topic, frame in _states(uav):
         template = wire.OdometryTemplate("map", frame)
         for values in odd:
             yield Forgery(topic, template.encode(now_ns, values))
@@ -94,6 +109,45 @@ def _of_uav(uav: int, now_ns: int) -> Iterator[Forgery]:
         yield Forgery(topics.wrench_setpoint(uav), wrench)
 
 
+class Eavesdropper:
+    """Hears the states of all UAVs, and moves them."""
+
+    def __init__(self, ends: Endpoints, scenario: Scenario) -> None:
+        self._heard: dict[Topic, tuple[bytes, wire.OdometryTemplate]] = {}
+        for uav in scenario.uav_ids:
+            for topic, frame in _states(uav):
+                ends.listen(topic, bytes, self._keep(topic, wire.OdometryTemplate("map", frame)))
+
+    def _keep(self, topic: Topic, template: wire.OdometryTemplate) -> Callable[[bytes], None]:
+        return lambda data: self._heard.__setitem__(topic, (data, template))
+
+    def moved(self, now_ns: int) -> list[Forgery]:
+        """The newest states, `_MOVED_M` beside where they are, with stamps of now."""
+        forged = []
+        for topic, (data, template) in self._heard.items():
+            values = wire.decode_odometry(data).values.copy()
+            values[0] += _MOVED_M
+            forged.append(Forgery(topic, template.encode(now_ns, values)))
+        return forged
+
+    def mixed(self, scenario: Scenario) -> Iterator[Forgery]:
+        """Every forged message that there is a topic for, and a state that is moved after each."""
+        wanted = attacked(scenario)
+        moved: list[Forgery] = []
+        for one in list(forgeries(scenario, time.time_ns())):
+            if one.topic in wanted:
+                yield one
+                moved = moved or self.moved(time.time_ns())
+                if moved:
+                    yield moved.pop()
+
+
+def attacked(scenario: Scenario) -> set[Topic]:
+    """The topics of forged messages: without a seal those that have one publisher."""
+    shared = topics.SEVERAL_PUBLISHERS if scenario.file.security == "none" else ()
+    return {one.topic for one in forgeries(scenario, 0) if one.topic.name not in shared}
+
+
 def attack(scenario: Scenario, hz: float) -> None:
     """Join the domain of the environment, wait for the flight, and send until the end of the process."""
     from ptnsbc_nodes.runtime import environment
@@ -102,23 +156,27 @@ def attack(scenario: Scenario, hz: float) -> None:
     import rclpy
 
     from ptnsbc_nodes.comm.endpoints import Endpoints
+    from ptnsbc_nodes.runtime.executor import BoundedSpin, make_executor
 
     rclpy.init()
     node = rclpy.create_node(_NAME)
+    executor = make_executor(rclpy.get_default_context())
+    executor.add_node(node)
+    spin = BoundedSpin(executor)
     ends, begun = Endpoints(node, lockstep=False), list[bytes]()
     ends.listen(topics.EPOCH, bytes, begun.append)
+    eavesdropper = Eavesdropper(ends, scenario)
     while not begun:
-        rclpy.spin_once(node, timeout_sec=0.1)
-    kinds = {one.topic for one in forgeries(scenario, 0)}
-    send = {topic: ends.publisher(topic, 0) for topic in kinds}
-    time.sleep(_JOINS_S)  # for discovery: there is no match to wait for on topics without a reader
+        spin.serve(0.1)
+    send = {topic: ends.publisher(topic, 0) for topic in attacked(scenario)}
+    spin.serve(_JOINS_S)  # for discovery: there is no match to wait for on topics without a reader
     sent, began = 0, time.monotonic()
     while True:
-        for topic, data in list(forgeries(scenario, time.time_ns())):
+        for topic, data in eavesdropper.mixed(scenario):
             send[topic](data)
             sent += 1
             # The rate is what is asked of it: there is nothing else to wait for.
-            time.sleep(max(began + sent / hz - time.monotonic(), 0.0))
+            spin.serve(max(began + sent / hz - time.monotonic(), 0.0))
         rate = sent / (time.monotonic() - began)
         print(json.dumps({"sent": sent, "hz": round(rate)}), flush=True)
 
@@ -183,8 +241,7 @@ def _reports(bag: Path) -> tuple[tuple[str, ...], dict[str, int]]:
     newest: dict[tuple[str, str], int] = {}
     for message in read_bag(bag).messages([topics.DIAGNOSTICS.name]):
         for status in wire.decode_diagnostics(message.data).statuses:
-            if _NAME in status.message:
-                named.add(status.message.rpartition(" has a ")[0].rpartition("; ")[2])
+            named.update(_NAMED.findall(status.message))
             for word in status.values.get("refused", "").split():
                 topic, _, count = word.rpartition("=")
                 newest[status.name, topic] = int(count)
@@ -195,14 +252,14 @@ def _reports(bag: Path) -> tuple[tuple[str, ...], dict[str, int]]:
 
 
 def heard(scenario: Scenario) -> set[str]:
-    """The names of the topics that a UAV or the sim takes messages of."""
+    """The names of the attacked topics that a UAV or the sim takes messages of."""
     edges = CommunicationGraph(scenario, FlightOptions())
     found = {topics.EPOCH, topics.LOST}
     for uav in scenario.uav_ids:
         found |= {topics.odom(uav), topics.near(uav), topics.wrench_setpoint(uav)}
         found |= {topics.formation_state(i) for i in edges.senders(uav).states}
         found |= {topics.leader_estimate(i) for i in edges.senders(uav).estimators}
-    return {one.name for one in found}
+    return {one.name for one in found & attacked(scenario)}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -211,11 +268,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--duration", type=float, default=25.0, metavar="S")
     parser.add_argument("--times", type=int, default=2, metavar="N")
     parser.add_argument("--hz", type=float, default=1000.0)
+    parser.add_argument("--without-seal", action="store_true")
     parser.add_argument("--attack", metavar="SCENARIO", help=argparse.SUPPRESS)
     options = parser.parse_args(arguments)
     if options.attack is not None:
         attack(load_scenario(options.attack), options.hz)
-    scenario = paper(options.duration).with_({"security": "signed", "world.obstacles": []})
+    security = "none" if options.without_seal else "signed"
+    scenario = paper(options.duration).with_({"security": security, "world.obstacles": []})
     machine = Machine()
     runs = {"calm": lambda: fly(scenario, 0.0), "attacked": lambda: fly(scenario, options.hz)}
     found = take_turns(runs, options.times, _NAME)

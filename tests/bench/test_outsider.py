@@ -4,15 +4,18 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from bench.outsider import Flown, forgeries, heard, summary
+import numpy as np
+
+from bench.outsider import Eavesdropper, Flown, attacked, forgeries, heard, summary
 from bench.scenarios import grid
+from ptnsbc_io import wire
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.seal import Seal, SealError
 
 
 @pytest.fixture(scope="module")
 def scenario():
-    return grid(3, 50, 10.0)
+    return grid(3, 50, 10.0).with_({"security": "signed"})
 
 
 def test_there_is_a_forgery_for_every_topic_that_the_fleet_hears(scenario):
@@ -26,6 +29,39 @@ def test_no_forgery_passes_a_seal(scenario):
     for topic, data in forgeries(scenario, 10**18):
         with pytest.raises(SealError):
             seal.opener(topic)(data)
+
+
+class Air:
+    """The subscriptions of the outsider, by topic."""
+
+    def __init__(self):
+        self.deliver = {}
+
+    def listen(self, topic, decode, deliver):
+        self.deliver[topic] = lambda data: deliver(decode(data))
+
+
+def test_states_that_are_heard_are_sent_again_moved(scenario):
+    air, values = Air(), np.arange(13.0)
+    eavesdropper = Eavesdropper(air, scenario)
+    assert len(air.deliver) == 9
+    template = wire.OdometryTemplate("map", "uav2/base_link")
+    air.deliver[topics.odom(2)](template.encode(5, values))
+    [(topic, data)] = eavesdropper.moved(7)
+    stamp_ns, moved = wire.decode_odometry(data)
+    assert (topic, stamp_ns) == (topics.odom(2), 7)
+    assert list(moved - values) == [0.5] + [0.0] * 12
+    mixed = list(eavesdropper.mixed(scenario))
+    assert len(mixed) == 2 * len(list(forgeries(scenario, 0)))
+
+
+def test_without_a_seal_topics_of_several_publishers_are_left_out(scenario):
+    unsealed = scenario.with_({"security": "none"})
+    left_out = {one.name for one in attacked(scenario) - attacked(unsealed)}
+    assert left_out == {"/diagnostics"} | {
+        f"/formation/{name}" for name in ("lost", "emergency", "ready")
+    }
+    assert heard(unsealed) <= {one.name for one in attacked(unsealed)}
 
 
 def flown(scenario, error_m=0.01, **changes):
