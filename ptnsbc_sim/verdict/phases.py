@@ -72,6 +72,9 @@ def absences(
     if not scenario.reconfigures:
         return found
     last_ns = max((track.last_ns for track in tracks.values() if track.size), default=first_ns)
+    last_ns = min(
+        last_ns, first_ns + scenario.ticks * scenario.dt_ns
+    )  # processes go on until all have landed
     for uav in scenario.uav_ids:
         spans = []
         if joins_ns(scenario, uav):
@@ -81,9 +84,8 @@ def absences(
             spans.append(Absence(left_ns, NEVER_NS, True, left_ns))
         if uav in tracks:
             silences = _silences(scenario, tracks[uav], first_ns, last_ns)
-            spans += [
-                one for one in silences if one.begin_ns < left_ns
-            ]  # it may end when it has landed
+            # Through bridges one that has left is silent when it has landed.
+            spans += [one for one in silences if one.begin_ns < left_ns]
         found[uav] = tuple(sorted(spans))
     return found
 
@@ -96,7 +98,8 @@ def _silences(scenario: Scenario, track: Track, first_ns: int, last_ns: int) -> 
         return Absence(heard_ns + dt_ns, again_ns, False, heard_ns + dt_ns + stale_ns)
 
     for block in track.blocks():
-        stamps = np.concatenate(([last], block.t_ns[block.t_ns > last]))
+        inside = (block.t_ns > last) & (block.t_ns <= last_ns)
+        stamps = np.concatenate(([last], block.t_ns[inside]))
         for k in np.flatnonzero(np.diff(stamps) > stale_ns):
             spans.append(silence(int(stamps[k]), int(stamps[k + 1]) + dt_ns))
         last = max(int(stamps[-1]), last)

@@ -13,6 +13,7 @@ from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_sim.swarm import fly as fly_headless
 from ptnsbc_sim.verdict import Recording, Series, verdict_on
 from ptnsbc_sim.verdict.headless import recording_of
+from ptnsbc_sim.verdict.phases import absences
 from ptnsbc_tools.tables import verdict_tables
 
 Fly = Callable[..., Recording]
@@ -187,3 +188,21 @@ def test_a_gap_of_one_that_stays_still_makes_the_recording_incomplete() -> None:
     found = verdict_on(replace(whole, odometry=odometry))
     assert found.verdict == "void"
     assert "/uav3/odom ends after 40.00 s of 50.00 s" in verdict_of(found, 2).reason
+
+
+def test_one_that_comes_back_after_the_flight_is_lost() -> None:
+    """Processes go on until all vehicles have landed."""
+    relay = load_scenario("relay")
+    spans_s = [(0.0, 22.0), (51.0, 60.0)]
+    stamps = np.concatenate([np.arange(*span, 0.01) for span in spans_s])
+    track = Series(np.round(stamps * 1e9).astype(np.int64), np.zeros((stamps.size, 13)))
+    (span,) = absences(relay, {5: track}, 0)[5]
+    assert span.for_good
+    assert span.text(0) == "lost at 22.00 s"
+
+
+def test_one_that_lands_before_the_others_after_the_flight_is_not_lost() -> None:
+    stamps = np.arange(0, 5200, dtype=np.int64) * 10_000_000
+    later = np.arange(0, 6000, dtype=np.int64) * 10_000_000
+    tracks = {5: Series(stamps, np.zeros((5200, 13))), 2: Series(later, np.zeros((6000, 13)))}
+    assert absences(load_scenario("relay"), tracks, 0)[5] == ()
