@@ -3,7 +3,7 @@
 Publishers are told apart by their GIDs, and where a message comes without one, by how they number their messages. A
 process that was killed and started again has a new GID, and the graph shows the old one until the lease of the dead
 participant is over. So a publisher of a node with the same name may take the place of the first one, once that cannot
-be heard any more.
+be heard any more. An outsider may not, even when the first one has ended: it would speak for every UAV that dies.
 """
 
 from __future__ import annotations
@@ -20,10 +20,7 @@ _LOOK_S = 0.1  # at most so often a flood of messages makes us ask for the graph
 
 
 class Yields(Enum):
-    """When the first publisher gives way to a second one of a node with the same name.
-
-    To one of another node it gives way only when the graph shows it no more.
-    """
+    """When the first publisher gives way to a second one of a node with the same name."""
 
     SILENT = "silent"  # states in real time: when it has been silent
     AT_ONCE = "at once"  # events: silence is usual there
@@ -36,6 +33,7 @@ class FirstSender:
     Args:
         yields: when the first one gives way.
         graph: asks for the publishers of the topic: GID to name of the node, empty while that is unknown.
+        any_node: once the graph shows the first one no more, one of another node may take its place.
         now_s: steady time.
     """
 
@@ -43,12 +41,15 @@ class FirstSender:
         self,
         yields: Yields,
         graph: Callable[[], Mapping[bytes, str]],
+        any_node: bool = False,
         now_s: Callable[[], float] = time.monotonic,
     ) -> None:
         self.kept: bytes | None = None
         self._yields = yields
         self._graph = graph
+        self._any_node = any_node
         self._now_s = now_s
+        self._name = ""  # of the node of the kept one
         self._names: Mapping[bytes, str] = {}
         self._numbers: dict[bytes, int] = {}  # newest of each publisher
         self._in_graph = False  # the graph has shown the kept one
@@ -88,35 +89,42 @@ class FirstSender:
         near = {gid: step for gid, step in ahead.items() if 0 < step <= _LOST}
         if near:
             return min(near, key=lambda gid: near[gid])
-        if now_s - self._looked_s >= _LOOK_S:
-            self._look(now_s)
+        self._look(now_s)
         if self.kept is not None and (len(self._names) < 2 or self._yields is Yields.UNNAMED):
             return self.kept
         return b""
 
     def _look(self, now_s: float) -> None:
-        name = "" if self.kept is None else self._names.get(self.kept, "")
         self._names, self._looked_s = self._graph(), now_s
         ended = self._numbers.keys() - self._names.keys() - {self.kept}
         for gid in ended:
             del self._numbers[gid]
         if self.kept in self._names:
-            self._in_graph = True
-        elif self._names and (self.kept is None or self._in_graph or self._silent(now_s)):
-            # It has ended. One of the same node comes before an outsider that was there already.
-            self._keep(min(self._names, key=lambda gid: self._names[gid] != name))
+            self._in_graph, self._name = True, self._names[self.kept] or self._name
+        elif self.kept is None or self._in_graph or self._silent(now_s):
+            self._replace()
+
+    def _replace(self) -> None:
+        """The first one has ended. One of its node comes before an outsider that was there already."""
+        anybody = self.kept is None or self._any_node or not self._name
+        found = sorted(self._names, key=lambda gid: self._names[gid] != self._name)
+        if found and (anybody or self._names[found[0]] == self._name):
+            self._keep(found[0])
             self._heard_s = float("-inf")
 
     def _keep(self, gid: bytes) -> None:
         self.kept, self._in_graph = gid, gid in self._names
+        self._name = self._names.get(gid, "")
 
     def _gives_way(self, gid: bytes, now_s: float) -> bool:
-        assert self.kept is not None
-        theirs, ours = self._names.get(gid, ""), self._names.get(self.kept, "")
-        if self._yields is Yields.AT_ONCE:
-            return bool(theirs) and theirs == ours
-        alike = not theirs or theirs == ours
-        return alike and (self._yields is Yields.UNNAMED or self._silent(now_s))
+        theirs = self._names.get(gid, "")
+        match self._yields:
+            case Yields.SILENT:
+                return theirs == self._name and self._silent(now_s)
+            case Yields.AT_ONCE:
+                return bool(theirs) and theirs == self._name
+            case Yields.UNNAMED:
+                return not theirs or theirs == self._name
 
     def _silent(self, now_s: float) -> bool:
         return now_s - self._heard_s > SILENT_S

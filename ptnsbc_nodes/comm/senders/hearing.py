@@ -12,7 +12,7 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 from ptnsbc_nodes.comm.door import Refusals
 from ptnsbc_nodes.comm.senders.first import FirstSender, Yields
 from ptnsbc_nodes.comm.senders.taking import Taken, tell_gids
-from ptnsbc_nodes.comm.topics import Role, Topic
+from ptnsbc_nodes.comm.topics import ON_DEMAND, Role, Topic
 
 _UNNAMED = "_NODE_NAME_UNKNOWN_"  # of rmw_dds_common
 
@@ -20,7 +20,11 @@ _UNNAMED = "_NODE_NAME_UNKNOWN_"  # of rmw_dds_common
 def first_sender(node: Node, name: str, topic: Topic, *, lockstep: bool) -> FirstSender:
     """The rule of a topic; `name`: after remapping."""
     yields = Yields.SILENT if topic.role is Role.STATE else Yields.AT_ONCE
-    return FirstSender(Yields.UNNAMED if lockstep else yields, partial(_publishers, node, name))
+    return FirstSender(
+        Yields.UNNAMED if lockstep else yields,
+        partial(_publishers, node, name),
+        any_node=topic.rate == ON_DEMAND,  # from programs of the user, too
+    )
 
 
 def hear_first(

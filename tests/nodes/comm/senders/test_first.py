@@ -19,8 +19,8 @@ class Air:
         self.looks += 1
         return dict(self.names)
 
-    def first(self, yields=Yields.SILENT):
-        return FirstSender(yields, self.graph, lambda: self.now_s)
+    def first(self, yields=Yields.SILENT, any_node=False):
+        return FirstSender(yields, self.graph, any_node, lambda: self.now_s)
 
 
 def objection(sender, gid):
@@ -67,14 +67,22 @@ def test_who_ends_makes_room_for_the_next_of_its_node(yields):
     assert not is_heard(sender, THEIRS)
 
 
-def test_without_one_of_its_node_another_takes_its_place():
-    air = Air(ours="/uav1", theirs="/other")
-    sender = air.first()
+@pytest.mark.parametrize("any_node", [False, True])
+@pytest.mark.parametrize("yields", Yields)
+def test_an_outsider_takes_the_place_of_one_that_has_ended_only_where_any_node_may(
+    yields, any_node
+):
+    """At the end of a flight the bag had the states of the outsider, once the sim was gone."""
+    air = Air(ours="/sim", theirs="/outsider")
+    sender = air.first(yields, any_node)
     assert is_heard(sender, OURS)
     assert not is_heard(sender, THEIRS)
     del air.names[OURS]
-    air.now_s += 0.2
-    assert is_heard(sender, THEIRS)
+    air.now_s += 60.0
+    assert is_heard(sender, THEIRS) is any_node
+    assert sender.others() == ([] if any_node else ["/outsider"])
+    air.names[THIRD] = "/sim"
+    assert is_heard(sender, THIRD) is not any_node
 
 
 def test_a_process_that_was_killed_and_started_again_is_heard_before_the_graph_forgets_the_dead_one():
