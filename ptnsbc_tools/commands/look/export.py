@@ -36,17 +36,28 @@ def export(
     obstacles of a flight for the viewer Rerun, and needs rerun-sdk. FILE.ulg holds the topics of every UAV of a
     flight as PX4 logs them, NED and FRD, for PlotJuggler, and needs pyulog.
     """
-    from ptnsbc_sim.sweep.runner import PLAN
     from ptnsbc_tools.library.export import checked
     from ptnsbc_tools.library.export import export as write
     from ptnsbc_tools.library.flight import flight_in
-    from ptnsbc_tools.library.sweeping import open_sweep
 
     beside = source.parent / f"{source.stem if source.is_file() else source.name}.csv"
     path = checked(beside if output is None else output)
     with console.patience(f"reading {source}"):
-        if (source / PLAN).is_file():
+        if _is_sweep(source):
+            from ptnsbc_tools.library.sweeping import open_sweep
+
             write(open_sweep(source), path)
         else:
             write(flight_in(source, options.read_options(context)), path)
     console.show(str(path))
+
+
+def _is_sweep(source: Path) -> bool:
+    """Whether this is the folder of a sweep: only then is the code of sweeps imported."""
+    from ptnsbc_io.bag.metadata import METADATA_FILE
+
+    if not source.is_dir() or (source / METADATA_FILE).exists():
+        return False
+    from ptnsbc_sim.sweep.runner import PLAN
+
+    return (source / PLAN).is_file()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -51,6 +53,18 @@ def test_the_sample_bag_is_exported(tmp_path: Path) -> None:
     assert (done.exit_code, done.stdout) == (0, f"{file}\n")
     assert pyarrow.parquet.read_metadata(file).num_rows == 101 * 5
     assert CliRunner().invoke(app, ["export", "bags/sample", "-o", "a.txt"]).exit_code == 2
+
+
+def test_the_export_of_a_flight_imports_no_library_that_it_does_not_need(tmp_path: Path) -> None:
+    """A bag of six ticks took 316 MB, two thirds of it for pandas, Parquet and the code of sweeps."""
+    code = (
+        "import sys; from ptnsbc_tools.cli import app;"
+        f"app(['export', 'bags/sample', '--window', '1', '-o', {str(tmp_path / 'a.csv')!r}], standalone_mode=False);"
+        "spared = 'pandas', 'pyarrow.parquet', 'ptnsbc_sim.sweep', 'scipy.stats';"
+        "print([name for name in spared if name in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=200)
+    assert done.stdout.splitlines()[-1] == "[]", done.stderr
 
 
 def test_the_library_writes_the_same_table(fly: Fly, tmp_path: Path) -> None:
