@@ -45,6 +45,7 @@ _STATUS = f"{1.0 / STATUS_HZ:g} s"
 _AT_ONCE = "at once"
 _NEVER = "no"
 _FLEET = "tests/nodes/fleet/test_fleet.py::"
+_ENDS = "tests/nodes/comm/test_endpoints.py"
 _UAV = "tests/nodes/uav/"
 _BRIDGE = "tests/nodes/bridge/"
 
@@ -130,13 +131,14 @@ ANSWERS = (
         "a second publisher of a topic that has one",
         (SIM, MAVLINK),
         "each reader, by the GIDs",
-        f"{_STATUS} after its discovery",
+        f"with its first message; without one {_STATUS} after its discovery",
         _DEGRADED,
-        "named with its node; with `security: signed` its messages are refused, without it both are heard",
+        "named with its node; its messages are refused, with `security: signed` by the seal",
         "when it is gone",
         (
             f"{_UAV}test_leg_services.py::test_with_a_seal_no_leg_of_an_outsider_counts",
-            "tests/nodes/comm/test_endpoints.py::test_without_a_seal_a_second_publisher_of_a_command_is_named_with_its_node",
+            f"{_ENDS}::test_a_second_publisher_of_a_command_is_refused_and_named_with_its_node",
+            f"{_ENDS}::test_forged_states_do_not_push_out_the_true_one_and_are_refused",
         ),
     ),
     FaultAnswer(
