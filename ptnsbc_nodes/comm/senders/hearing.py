@@ -19,11 +19,13 @@ _UNNAMED = "_NODE_NAME_UNKNOWN_"  # of rmw_dds_common
 
 def first_sender(node: Node, name: str, topic: Topic, *, lockstep: bool) -> FirstSender:
     """The rule of a topic; `name`: after remapping."""
-    yields = Yields.SILENT if topic.role is Role.STATE else Yields.AT_ONCE
+    state = topic.role is Role.STATE
+    yields = Yields.SILENT if state else Yields.AT_ONCE
     return FirstSender(
         Yields.UNNAMED if lockstep else yields,
         partial(_publishers, node, name),
         any_node=topic.rate == ON_DEMAND,  # from programs of the user, too
+        by_numbers=state,
     )
 
 
@@ -37,13 +39,17 @@ def hear_first(
     name, door = subscription.topic, subscription.callback
 
     def take(taken: Taken) -> None:
-        objection = "" if several() else first.objection(taken.gid, taken.number)
-        if objection:
-            refusals.add(name, objection)
-        else:
-            door(taken.data)
+        if several():
+            heard.by_gid = False
+        elif heard.by_gid or not first.follows(taken.number):
+            heard.by_gid = True
+            if objection := first.objection(taken.gid, taken.number):
+                refusals.add(name, objection)
+                return
+            heard.by_gid = not first.is_alone()
+        door(taken.data)
 
-    tell_gids(subscription, take)
+    heard = tell_gids(subscription, take)
 
 
 def _publishers(node: Node, name: str) -> dict[bytes, str]:

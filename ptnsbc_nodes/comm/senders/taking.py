@@ -126,6 +126,8 @@ class GidSubscription(Subscription):
     """A raw subscription that hands its messages over with the GIDs of their publishers."""
 
     door: Callable[[bytes], None]
+    by_gid: bool
+    """False: rclpy takes the messages, which costs less, and they come without GIDs."""
     _taker: _Taker | None
     _on_message: OnMessage
 
@@ -135,7 +137,7 @@ class GidSubscription(Subscription):
 
         The executors of rclpy ask for this right before they take a message. All that wait are taken here.
         """
-        if self._taker is not None:
+        if self.by_gid and self._taker is not None:
             # A subscription that is being destroyed may have a last event.
             with suppress(InvalidHandle), self.handle:
                 self._take_all(self._taker)
@@ -159,13 +161,16 @@ class GidSubscription(Subscription):
                 return
 
 
-def tell_gids(subscription: Subscription, on_message: OnMessage) -> None:
+def tell_gids(subscription: Subscription, on_message: OnMessage) -> GidSubscription:
     """Hand the messages of a raw subscription to `on_message`, and no more to its callback."""
     rcl = _rcl()
     subscription.door = subscription.callback
     subscription._taker = None if rcl is None else _Taker(rcl, subscription.handle.pointer)
     subscription._on_message = on_message
+    subscription.by_gid = True
     subscription.__class__ = GidSubscription
     # Kept in an attribute, because the EventsExecutor holds no reference of its own.
     subscription._callback = subscription.on_late
     subscription._callback_type = Subscription.CallbackType.WithMessageInfo
+    heard: GidSubscription = subscription
+    return heard

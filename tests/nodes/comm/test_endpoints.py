@@ -1,6 +1,7 @@
 """What a process says it has sent."""
 
 import threading
+from functools import partial
 
 import numpy as np
 import pytest
@@ -73,6 +74,9 @@ class Rivals:
         ros.spin_until(lambda: not self.reader.unheard())
         assert self.reader.rivals() == ""
 
+    def heard(self, count):
+        return len(self.taken) == count
+
     def join(self, ends=None):
         ends = ends or self.theirs
         send = ends.publisher(self.topic, 1)
@@ -104,6 +108,24 @@ def test_forged_states_do_not_push_out_the_true_one_and_are_refused(ros):
         forge(ODOMETRY.encode(8, np.ones(13)))
     ros.spin_until(lambda: rivals.reader.refusals.counts["/uav1/odom"] == 10)
     assert [one.stamp_ns for one in rivals.taken] == [7]
+
+
+def test_a_second_publisher_of_a_long_stream_is_refused_from_its_first_message_on(ros):
+    """As long as the first is alone its messages come without GIDs, which costs less."""
+    rivals = Rivals(ros, topics.odom(1), decode=wire.decode_odometry)
+    (subscription,) = rivals.reader._subscriptions
+    while subscription.by_gid:
+        sent = len(rivals.taken) + 1
+        rivals.send(ODOMETRY.encode(sent, np.ones(13)))
+        ros.spin_until(partial(rivals.heard, sent))
+    forge = rivals.join()
+    for k in range(5):
+        forge(ODOMETRY.encode(10**6, np.ones(13)))
+        rivals.send(ODOMETRY.encode(sent + k + 1, np.ones(13)))
+    refusals = rivals.reader.refusals
+    ros.spin_until(lambda: refusals.counts["/uav1/odom"] == 5 and rivals.heard(sent + 5))
+    assert [one.stamp_ns for one in rivals.taken] == [*range(1, sent + 6)]
+    assert subscription.by_gid
 
 
 @pytest.mark.parametrize("lockstep", [False, True])

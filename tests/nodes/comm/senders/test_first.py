@@ -19,8 +19,8 @@ class Air:
         self.looks += 1
         return dict(self.names)
 
-    def first(self, yields=Yields.SILENT, any_node=False):
-        return FirstSender(yields, self.graph, any_node, lambda: self.now_s)
+    def first(self, yields=Yields.SILENT, any_node=False, by_numbers=False):
+        return FirstSender(yields, self.graph, any_node, by_numbers, lambda: self.now_s)
 
 
 def objection(sender, gid):
@@ -196,3 +196,57 @@ def test_in_lockstep_no_message_without_a_gid_is_lost():
     assert sender.objection(THEIRS, 20)
     assert sender.objection(UNKNOWN, 21)
     assert not sender.objection(UNKNOWN, 1)
+
+
+def alone(air, **options):
+    """A first publisher whose numbers are enough, after its message 150."""
+    sender = air.first(by_numbers=True, **options)
+    alone_at = next(n for n in range(1, 200) if not sender.objection(OURS, n) and sender.is_alone())
+    assert alone_at == 100
+    for number in range(101, 151):
+        assert sender.follows(number)
+    return sender
+
+
+def test_while_the_first_is_alone_its_numbers_are_enough():
+    air = Air(ours="/uav1")
+    sender = alone(air)
+    looks = air.looks
+    assert sender.follows(160)  # nine are lost
+    assert not sender.follows(160)
+    assert not sender.follows(3)
+    assert not sender.follows(161 + 100)  # no network loses so many in a row
+    assert sender.follows(161)
+    assert air.looks == looks
+
+
+def test_a_second_publisher_is_noticed_by_its_first_number_and_refused_by_its_gid():
+    air = Air(ours="/uav1")
+    sender = alone(air)
+    air.names[THEIRS] = "/outsider"
+    assert not sender.follows(1)
+    assert "second publisher" in sender.objection(b"", 1)  # it came without its GID
+    assert "/outsider" in sender.objection(THEIRS, 2)
+    for number in range(151, 300):
+        assert not sender.objection(OURS, number)
+        assert not sender.is_alone()
+    del air.names[THEIRS]
+    heard = [sender.objection(OURS, n) == "" and sender.is_alone() for n in range(300, 450)]
+    assert any(heard)
+
+
+def test_one_that_was_heard_by_its_numbers_has_not_been_silent():
+    air = Air(ours="/uav1")
+    sender = alone(air)
+    air.now_s += 10.0
+    assert sender.follows(151)
+    air.names[THIRD] = "/uav1"  # of a node with the same name
+    assert not sender.follows(1)
+    assert "second publisher" in sender.objection(THIRD, 1)
+    assert not sender.objection(OURS, 152)
+
+
+def test_rare_messages_are_judged_by_their_gids():
+    air = Air(ours="/uav1")
+    sender = air.first()
+    assert not any(not sender.objection(OURS, n) and sender.is_alone() for n in range(1, 300))
