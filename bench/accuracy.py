@@ -1,4 +1,4 @@
-"""How well does a fleet of four stand-ins hold its formation, beside how well each vehicle holds a point by itself?
+"""The error of a fleet of four stand-ins in formation, beside that of each vehicle which holds a point by itself.
 
 `python -m bench.accuracy [--kinds px4,ardupilot] [--setpoints velocity,attitude] [--gnss rtk] [--duration 50]`. Each
 row is a whole fleet over UDP, in real time, on a machine that has nothing else to do. The vehicles hover under their

@@ -1,1 +1,1 @@
-"""Who sent a message: the GID of its publisher, and whether it is the first publisher of its topic."""
+"""The sender of a message: the GID of its publisher, and whether it is the first publisher of its topic."""

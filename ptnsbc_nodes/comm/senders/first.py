@@ -24,7 +24,7 @@ _LOOK_S = 0.1  # at most so often a flood of messages makes us ask for the graph
 
 
 class Yields(Enum):
-    """When the first publisher gives way to a second one of a node with the same name."""
+    """The moment at which the first publisher gives way to a second one of a node with the same name."""
 
     SILENT = "silent"  # states in real time: when it has been silent
     AT_ONCE = "at once"  # events: silence is usual there
@@ -90,7 +90,7 @@ class FirstSender:
         return self._newest > 0 and set(self._names) == {self.kept}
 
     def objection(self, gid: bytes, number: int) -> str:
-        """Why a message is refused; empty when it is taken.
+        """The reason why a message is refused; empty when it is taken.
 
         Args:
             gid: of its publisher; empty when it is not known.
