@@ -15,7 +15,7 @@ STOP_S = 0.5
 LAND_S = 10.0
 """A vehicle that is still in the mode of its bridge after so long without setpoints is told to land."""
 AWAY_S = 30.0
-"""The time for which a vehicle is held while its controller is away, where UAVs come and go; then it is told to land."""
+"""The time for which a vehicle is held without its controller where UAVs come and go; then it is told to land."""
 HEARTBEAT_LOST_S = 3.0
 SILENT_S = 10.0
 """A vehicle that must land but has sent nothing for this long is given up: its bridge ends and says so."""
