@@ -23,7 +23,7 @@ from ptnsbc_io.bag import read_bag
 from ptnsbc_io.wire import decode_header, decode_odometry
 from ptnsbc_tools.library.flight import flight_in
 
-HOVER_S = 15.0
+HOVER_S = 43.0  # as long as the formation after its deadline: errors of receivers wander
 _LIMIT = 1.3  # RMS of the formation against that of the hover
 _SETTLED_S = 3.0  # of the hover, after the climb
 # ArduPilot then takes attitude targets with a thrust.
