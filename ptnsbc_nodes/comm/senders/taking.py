@@ -67,7 +67,7 @@ class _MessageInfo(ctypes.Structure):
 
 
 class _Rcl(NamedTuple):
-    """What is called of the libraries that rclpy has loaded."""
+    """The functions of rcl, rcutils and the middleware that take a message; rclpy has loaded these libraries."""
 
     take: Callable[..., int]
     begin: Callable[..., int]
