@@ -14,6 +14,7 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
+from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from ptnsbc_nodes.comm import qos, topics
 from ptnsbc_nodes.comm.door import Door, Refusals, opened
@@ -44,7 +45,8 @@ class _CountingPublisher:
     ) -> None:
         self.publisher = publisher
         self.topic_name: str = publisher.topic_name
-        self.readers = readers  # subscriptions that must match before the flight
+        self.readers = readers  # nodes of the fleet that must subscribe before the flight
+        self.found = False  # they have been found
         self.sent = 0
         self._publish = publisher.publish
         self._close = close
@@ -114,7 +116,7 @@ class Endpoints:
         self._before: tuple[int, dict[str, int]] | None = None
 
     def publisher(self, topic: Topic, readers: int) -> Callable[[bytes], None]:
-        """A publisher of serialised messages; `readers` subscriptions must match it before the flight."""
+        """A publisher of serialised messages, to which `readers` nodes of the fleet must subscribe before the flight."""
         publisher = self._node.create_publisher(
             message_class(topic),
             full_name(self._node, topic),
@@ -190,18 +192,14 @@ class Endpoints:
         return [sub.topic_name for sub in self._awaited if sub.get_publisher_count() == 0]
 
     def unread(self) -> list[str]:
-        """Published topics that do not have all their readers yet."""
-        return [
-            one.topic_name
-            for one in self._published
-            if one.publisher.get_subscription_count() < one.readers
-        ]
+        """Published topics to which fewer nodes of the fleet subscribe than are to read them.
+
+        A viewer must not stand in for a node that has not been found yet: what that one missed would not come again.
+        """
+        return [one.topic_name for one in self._published if not self._is_read(one)]
 
     def unmatched(self, topic: Topic, readers: Mapping[int, int]) -> list[str]:
-        """UAVs of which fewer nodes than `readers` are known to subscribe to a topic.
-
-        `unread` counts any reader: a viewer may stand in for a UAV that has not been found yet.
-        """
+        """UAVs of which fewer nodes than `readers` are known to subscribe to a topic."""
         name = full_name(self._node, topic)
         infos = self._node.get_subscriptions_info_by_topic(name)
         found = Counter(info.node_namespace for info in infos)
@@ -248,6 +246,21 @@ class Endpoints:
         self._published.clear()
         self._subscriptions.clear()
         self._awaited.clear()
+
+    def _is_read(self, one: _CountingPublisher) -> bool:
+        if one.publisher.get_subscription_count() < one.readers:
+            return False
+        if not one.found:
+            infos = self._node.get_subscriptions_info_by_topic(one.topic_name)
+            one.found = sum(map(self._is_of_fleet, infos)) >= one.readers
+        return one.found
+
+    def _is_of_fleet(self, reader: TopicEndpointInfo) -> bool:
+        """True for the nodes of UAVs and their bridges, the sim and the recorder."""
+        if fleet_namespace(reader.node_namespace) != self.fleet:
+            return False
+        of_uav = reader.node_namespace.rstrip("/") != self.fleet
+        return of_uav or reader.node_name in (topics.SIM, topics.RECORDER)
 
     def _counts(self) -> dict[str, int]:
         return {one.topic_name: one.sent for one in self._published}

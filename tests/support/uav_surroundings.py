@@ -27,7 +27,7 @@ class Others:
 
     def __init__(self, ros, scenario, uav_id, *, lockstep=True):
         self.ros, self.scenario, self.uav_id = ros, scenario, uav_id
-        node = ros.node("others")
+        node = ros.node("others", namespace="/uav2")  # viewers do not count among the readers
         self.node = node
         ends = Endpoints(node, lockstep)
         edges = CommunicationGraph(scenario, FlightOptions(lockstep=lockstep))

@@ -42,7 +42,7 @@ def test_with_a_seal_the_messages_of_an_outsider_do_not_push_out_the_true_one(ro
     seal, topic, taken = Seal(bytes(32)), topics.odom(1), []
     ours, theirs, reader = (
         Endpoints(ros.node(name), False, key)
-        for name, key in (("ours", seal), ("theirs", None), ("reader", seal))
+        for name, key in (("ours", seal), ("theirs", None), ("recorder", seal))
     )
     reader.listen(topic, wire.decode_odometry, taken.append)
     true, forged = ours.publisher(topic, 1), theirs.publisher(topic, 1)
@@ -59,6 +59,24 @@ def test_with_a_seal_the_messages_of_an_outsider_do_not_push_out_the_true_one(ro
 ODOMETRY = wire.OdometryTemplate("map", "uav1")
 
 
+@pytest.mark.parametrize("reader", [("recorder", ""), ("controller", "/uav2")])
+def test_a_viewer_does_not_stand_in_for_a_node_that_is_not_found_yet(ros, reader):
+    """A recorder missed the first seconds of a topic that a user read, and the flight waited for it for ever."""
+    sender, topic = Endpoints(ros.node("sim"), lockstep=True), topics.odom(1)
+    sender.publisher(topic, 1)
+    nodes = [ros.node("viewer"), ros.node("recorder", namespace="/red")]
+    for node in nodes:
+        Endpoints(node, lockstep=True).listen(topic, wire.decode_odometry, print)
+    (own,) = sender._published
+    ros.spin_until(lambda: own.publisher.get_subscription_count() == 1)
+    ros.spin_until(lambda: len(nodes[0].get_subscriptions_info_by_topic("/uav1/odom")) == 1)
+    assert sender.unread() == ["/uav1/odom"]
+    name, namespace = reader
+    found = Endpoints(ros.node(name, namespace=namespace), lockstep=True)
+    found.listen(topic, wire.decode_odometry, print)
+    ros.spin_until(lambda: not sender.unread())
+
+
 class Rivals:
     """A node of the fleet that publishes a topic, an outsider that joins later, and a reader."""
 
@@ -66,7 +84,7 @@ class Rivals:
         self.ros, self.topic, self.taken = ros, topic, []
         self.ours, self.theirs, self.reader = (
             Endpoints(ros.node(name), lockstep, key)
-            for name, key in (("uav1", seal), ("outsider", None), ("reader", seal))
+            for name, key in (("uav1", seal), ("outsider", None), ("recorder", seal))
         )
         self.reader.listen(topic, decode, self.taken.append)
         self.send = self.ours.publisher(topic, 1)

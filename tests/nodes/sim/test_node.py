@@ -50,7 +50,7 @@ class Uavs:
         self.odometry = {i: [] for i in scenario.uav_ids}
         self.near = {i: [] for i in scenario.uav_ids}
         self.clock, self.markers = [], []
-        node = ros.node("uavs")
+        node = ros.node("uavs", namespace="/uav1")
         ends = Endpoints(node, lockstep)
         self.send = {i: ends.publisher(topics.wrench_setpoint(i), 1) for i in scenario.uav_ids}
         self.announce = ends.publisher(topics.EPOCH, 1)

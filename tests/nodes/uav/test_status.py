@@ -65,7 +65,9 @@ def test_the_leader_begins_when_every_uav_hears_it_and_not_others_instead(ros, s
     uav.activate()
     for number in range(2 * len(scenario.uav_ids)):
         Endpoints(ros.node(f"viewer{number}"), False).listen(topics.EPOCH, bytes, lambda _: None)
-    ros.spin_until(lambda: topics.EPOCH.name not in uav.waiting_for())
+    epochs = uav.endpoints.readers(topics.EPOCH)
+    ros.spin_until(lambda: epochs() >= 2 * len(scenario.uav_ids))
+    assert topics.EPOCH.name in uav.waiting_for()
 
     def missing_listeners():
         return {what for what in uav.waiting_for() if what.startswith(f"{topics.EPOCH.name} at ")}
