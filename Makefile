@@ -1,7 +1,7 @@
 # One command for everything. `make` alone lists them.
 SHELL := /bin/bash
 .DEFAULT_GOAL := help
-.PHONY: help setup test repeat fuzz demo docs site results commands bench lint format colcon wheels clean
+.PHONY: help setup test slow repeat fuzz demo docs site results commands bench lint format colcon wheels clean
 
 BIN  := .venv/bin
 # Workers of the test run; `make test JOBS=1` runs in one process. One more than cores: a third of the time tests wait.
@@ -21,14 +21,17 @@ setup:  ## Make .venv from a lock; quick when nothing has changed
 	@requirements/setup.sh
 
 # Jazzy leaves field type checks off: Point().x = 1 would be sent as 5e-324.
-test repeat: export ROS_PYTHON_CHECK_FIELDS := 1
-test repeat: export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
+test slow repeat: export ROS_PYTHON_CHECK_FIELDS := 1
+test slow repeat: export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 # Containers tend to set it: every process of the tests would compile every module of ours.
-test repeat: export PYTHONDONTWRITEBYTECODE :=
-test: setup  ## Run the tests, those in real time last, and say why any are skipped
-	@time $(BIN)/python tests/run.py $(JOBS) $(ARGS)
+test slow repeat: export PYTHONDONTWRITEBYTECODE :=
+test: setup  ## Run the quick tests, those in real time last, and say why any are skipped
+	@time $(BIN)/python tests/run.py quick $(JOBS) $(ARGS)
 
-repeat: setup  ## Run the tests N times, every second time beside busy loops
+slow: setup  ## Run the tests that take more than five seconds each, such as flights of processes
+	@time $(BIN)/python tests/run.py slow $(JOBS)
+
+repeat: setup  ## Run the quick tests N times, every second time beside busy loops
 	@$(BIN)/python tests/repeat.py $(N) $(PROCESSES) $(JOBS) $(ARGS)
 
 fuzz: setup  ## Mutated bags, scenarios, messages and packets: make fuzz ARGS="--seconds 600"

@@ -2,9 +2,9 @@
 
     tests/repeat.py N PROCESSES JOBS [WORD...]
 
-`tests/run.py` runs N times, then the part that starts processes runs PROCESSES times. Every second run has as many busy
-loops beside it as there are cores. Words go to pytest, as in `make repeat ARGS="-k signals"`. Prints the time and the
-summary of each run, and how many tests were not judged; nothing is run again because it failed.
+`make test` runs N times, then the part of all tests that starts processes runs PROCESSES times. Every second run has as
+many busy loops beside it as there are cores. Words go to pytest, as in `make repeat ARGS="-k signals"`. Prints the time
+and the summary of each run, and how many tests were not judged; nothing is run again because it failed.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ def run(title: str, loops: int, log: Path, *words: str) -> Run:
 
 def main() -> int:
     times, part_times, jobs = (int(word) for word in sys.argv[1:4])
-    words = (str(jobs), *sys.argv[4:])
+    words = ("quick", str(jobs), *sys.argv[4:])
     logs = HERE.parent / "out" / "repeat"
     logs.mkdir(parents=True, exist_ok=True)
     cores = len(os.sched_getaffinity(0))

@@ -1,9 +1,9 @@
-"""`make test`: the tests in two halves, what runs in parallel and then, one by one, what flies in real time.
+"""`make test` and `make slow`: the tests in two halves, in parallel, then, one by one, what flies in real time.
 
-    tests/run.py JOBS [WORD...]
+    tests/run.py quick|slow JOBS [WORD...]
 
 Both halves always run, and each ends in one line of the summary. With words for pytest, as in
-`make test ARGS="-k frames"`, only the first half runs.
+`make test ARGS="-k frames"`, only the first half runs, on all tests, whether quick or slow.
 """
 
 from __future__ import annotations
@@ -56,13 +56,16 @@ def run_half(name: str, *words: str) -> Half:
 
 def main() -> int:
     """The exit code: 0 where no test of either half failed."""
-    jobs, *words = sys.argv[1:]
+    kind, jobs, *words = sys.argv[1:]
     workers = () if jobs == "1" else ("-n", jobs, "--maxschedchunk", "1")
-    halves = [run_half("in parallel", *workers, "-m", "not alone", *words)]
     if words:
+        halves = [run_half("in parallel", *workers, "-m", "not alone", *words)]
         halves.append(Half("in real time: left out, other words were given", 0))
     else:
-        halves.append(run_half("in real time", "-m", "alone", "tests/nodes", "tests/support"))
+        which = {"quick": "not slow", "slow": "slow"}[kind]
+        places = "tests/nodes", "tests/support"
+        halves = [run_half("in parallel", *workers, "-m", f"{which} and not alone")]
+        halves.append(run_half("in real time", "-m", f"{which} and alone", *places))
     print("=== summary", *(half.line for half in halves), sep="\n", flush=True)
     return max(half.code for half in halves)
 

@@ -16,6 +16,7 @@ BUILD = ROOT / "requirements" / "interfaces"
 HOME = {"platlib": Path(sysconfig.get_path("platlib")), "data": Path(sys.prefix)}
 
 
+@pytest.mark.slow
 def test_a_wheel_holds_every_file_of_the_package(tmp_path: Path) -> None:
     pytest.importorskip("tf2_msgs")
     if shutil.which("g++") is None or not (HOME["platlib"] / "tf2_msgs").is_dir():

@@ -133,6 +133,7 @@ def _check_circles(graph: Mapping[str, set[str]], exceptions: set[Arrow]) -> Non
         assert needed, f"{module} -> {name} closes no circle any more: remove the exception"
 
 
+@pytest.mark.slow
 def test_no_circle_between_modules() -> None:
     _check_circles(_import_graph(), CIRCLES)
 

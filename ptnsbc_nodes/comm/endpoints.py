@@ -116,7 +116,7 @@ class Endpoints:
         self._before: tuple[int, dict[str, int]] | None = None
 
     def publisher(self, topic: Topic, readers: int) -> Callable[[bytes], None]:
-        """A publisher of serialised messages, to which `readers` nodes of the fleet must subscribe before the flight."""
+        """A publisher of serialised messages, which `readers` nodes of the fleet must hear before the flight."""
         publisher = self._node.create_publisher(
             message_class(topic),
             full_name(self._node, topic),

@@ -6,6 +6,7 @@ import shutil
 import sys
 from pathlib import Path
 
+import pytest
 from mcap.reader import make_reader
 
 sys.path.insert(0, str(Path(__file__).parents[2]))  # the benchmark is in no wheel
@@ -16,6 +17,7 @@ from ptnsbc_io.bag import BagWriter, TopicInfo
 SAMPLE = Path(__file__).parents[2] / "bags" / "sample"
 
 
+@pytest.mark.slow
 def test_every_topic_of_a_bag_has_a_digest(tmp_path):
     found = topic_digests(SAMPLE)
     with next(SAMPLE.glob("*.mcap")).open("rb") as stream:

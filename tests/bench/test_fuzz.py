@@ -18,6 +18,7 @@ PACKETS = fuzz.Packets(NOWHERE)
 SCENARIOS = fuzz.Scenarios(NOWHERE)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", fuzz.KINDS)
 def test_the_corpus_and_some_mutations_do_no_harm(kind: str, monkeypatch, tmp_path) -> None:
     """Without the limits of time and memory: other programs may have the machine."""
@@ -40,6 +41,7 @@ def test_bytes_are_packets_or_dropped(data: bytes) -> None:
     PACKETS.run(data)
 
 
+@pytest.mark.slow
 @given(st.recursive(st.none() | st.booleans() | st.floats() | st.integers() | st.text(), lambda part: (
     st.lists(part, max_size=4) | st.dictionaries(st.text(max_size=8), part, max_size=4)
 )))  # fmt: skip

@@ -8,6 +8,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).parents[2]
 
 ROW_KEYS = {
@@ -34,6 +36,7 @@ MACHINE_KEYS = {
 }
 
 
+@pytest.mark.slow
 def test_a_quick_section_as_json_and_as_markdown(tmp_path):
     command = [sys.executable, "-m", "bench", "--only", "step", "--quick", "--json"]
     done = subprocess.run(

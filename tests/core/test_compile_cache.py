@@ -84,6 +84,7 @@ def files_of(cache: Path) -> list[Path]:
     return sorted(folder.glob("laws.law_*"))
 
 
+@pytest.mark.slow
 def test_damaged_files_are_compiled_again_and_replaced(laws: Path, tmp_path: Path) -> None:
     cache = tmp_path / "cache"
     assert run(laws, cache, count=KERNELS) == (0, [])
@@ -105,6 +106,7 @@ def test_damaged_files_are_compiled_again_and_replaced(laws: Path, tmp_path: Pat
     assert run(laws, cache, count=KERNELS) == (KERNELS, [])
 
 
+@pytest.mark.slow
 def test_two_processes_at_once_fill_one_cache(laws: Path, tmp_path: Path) -> None:
     cache = tmp_path / "cache"
     both = [started(laws, cache) for _ in range(2)]
@@ -131,6 +133,7 @@ def test_a_disk_that_takes_no_more(laws: Path, tmp_path: Path) -> None:
     assert files_of(tmp_path / "cache") == []
 
 
+@pytest.mark.slow
 def test_a_read_only_cache_is_read(laws: Path, tmp_path: Path) -> None:
     cache = tmp_path / "cache"
     run(laws, cache)

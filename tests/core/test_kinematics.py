@@ -79,6 +79,7 @@ def test_euler_angles_come_back(euler: np.ndarray) -> None:
     np.testing.assert_allclose(euler_from_rotation(rotation_from_euler(euler)), euler, atol=1e-12)
 
 
+@pytest.mark.slow
 @given(euler=eulers, rates=vectors)
 def test_w_and_its_inverse(euler: np.ndarray, rates: np.ndarray) -> None:
     np.testing.assert_allclose(body_rates(euler, euler_rates(euler, rates)), rates, atol=1e-11)

@@ -16,6 +16,7 @@ SCRIPTS = sorted(path.stem for path in EXAMPLES.glob("*.py"))
 IN_REAL_TIME = "fleet"  # docs/examples.md runs it
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in SCRIPTS if name != IN_REAL_TIME])
 def test_a_script_draws_its_picture(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -20,6 +20,7 @@ def _stale(name: str) -> bool:
     return (command.DOCS / name).read_text("utf-8") != command.made(name)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sorted({*command.PAGES} - {"architecture.md"}))
 def test_the_committed_pages_are_what_is_made(name):
     assert not _stale(name), "make docs"

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from ptnsbc_sim.own_flight import own_loop
 from ptnsbc_sim.scenario import load_scenario
@@ -35,6 +36,7 @@ def test_our_task_written_again_flies_as_ours(tmp_path: Path) -> None:
     assert own.scenario.task_name == "mine.py:place"
 
 
+@pytest.mark.slow
 def test_all_kinds_at_once_from_one_file() -> None:
     scenario = load_scenario(EXAMPLES / "all.yaml", {"timing.duration_s": 0.5})
     first, again = fly(scenario).track, fly(scenario).track

@@ -50,6 +50,7 @@ def _flown(kind: str, named: str) -> Scenario:
     return scenario
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_an_installed_package_brings_functions(
     kind: str,

@@ -43,6 +43,7 @@ def test_a_disturbance_adds_its_acceleration_and_is_drawn_from_the_seed(tmp_path
     assert first.tobytes() == again.tobytes() != other.tobytes()
 
 
+@pytest.mark.slow
 def test_our_plant_made_again_flies_as_ours(tmp_path: Path) -> None:
     """`square_drag` without drag is our quadrotor: sums are rounded in another order."""
     text = (EXAMPLES / "square_drag.py").read_text("utf-8").replace("0.05", "0.0")
@@ -65,6 +66,7 @@ def test_a_sensor_sees_what_it_returns(tmp_path: Path) -> None:
     assert len(forward) < len(rows) and all(tuple(row) in rows for row in forward)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scenario", ["paper_5_free", "experiment_4"])
 def test_the_world_gives_the_bits_of_the_headless_flight(scenario: str) -> None:
     one = load_scenario(scenario, {**KEYS, "timing.duration_s": 0.4, **OF_WORLD})

@@ -18,6 +18,7 @@ DT = 0.01
 NONE = EpochErrors(False, StartErrors(*np.zeros((4, 3))))
 
 
+@pytest.mark.slow
 def test_attitude_decays_in_closed_form() -> None:
     """beta_dot = W W^-1 Lambda G beta~: the Euler angles decay as if they were alone."""
     config = agent_config(load_scenario("paper_5", {"plant.kind": "rigid_body_6dof"}), 1)

@@ -74,6 +74,7 @@ def chain(task: str, law, seconds: float = TF, profile: int = PROFILE_PAPER, kap
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("task", TASKS)
 def test_formation_is_there_at_the_deadline(task: str) -> None:
     assert chain(task, by_the_design).max() < 0.01

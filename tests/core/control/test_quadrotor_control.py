@@ -134,6 +134,7 @@ def flown(start: np.ndarray, seconds: float, push=None, config: ControllerConfig
     return np.array(tilts), np.array(velocities), np.array(observers)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "attitude", [(1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (1.0, 1.0, 1.0), (2.5, 0.0, 0.5)]
 )

@@ -213,6 +213,7 @@ def closed_loop(
     return state, parameters, bound
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dt", [0.01, 0.002])
 def test_velocity_error_reaches_the_residual_at_tf3(dt: float) -> None:
     plant, config = plant_of(), config_of()

@@ -189,6 +189,7 @@ def test_a_second_vehicle_with_the_same_id_is_not_armed():
     assert not uav.vehicle.armed
 
 
+@pytest.mark.slow
 def test_a_low_battery_lands_this_vehicle():
     fleet, uav = one()
     inject(uav.vehicle, "battery", "0.15", fleet.now_s)
@@ -258,6 +259,7 @@ def test_angles_are_decoded_only_while_no_quaternions_come():
     assert published_last_s(fleet, uav) < 0.1
 
 
+@pytest.mark.slow
 def test_stop_and_kill_in_flight():
     fleet, uav = one()
     uav.inputs.take(Order("land"))

@@ -210,6 +210,7 @@ def test_by_the_truth_a_fleet_holds_its_formation_as_its_vehicles_hold_a_point(k
     assert rms(formed) < 1.3 * rms(held), (rms(formed), rms(held))
 
 
+@pytest.mark.slow
 def test_when_one_vehicle_refuses_to_arm_no_other_leaves_the_ground():
     fleet = MavlinkFleet(scenario(), count=3)
     inject(fleet.uavs[2].vehicle, "arming", "refuse", fleet.now_s)
@@ -226,6 +227,7 @@ def test_when_one_vehicle_refuses_to_arm_no_other_leaves_the_ground():
     assert "bridge2" in fleet.uavs[1].bridge.procedure.fault
 
 
+@pytest.mark.slow
 def test_vehicles_arm_together_and_those_that_stand_close_climb_in_turns():
     """2 and 3 stand 0.73 m apart, and keep 0.5 m."""
     fleet = MavlinkFleet(scenario(), count=3)
@@ -270,6 +272,7 @@ def test_a_vehicle_far_from_its_start_is_not_armed(count):
     assert not any(uav.vehicle.lifted for uav in fleet.uavs.values())
 
 
+@pytest.mark.slow
 def test_a_jump_of_one_position_makes_all_hold_apart_by_height_and_land():
     fleet = MavlinkFleet(scenario(), count=3)
     fleet.airborne().form().run(4.0)

@@ -101,6 +101,7 @@ signal.pause()
 """
 
 
+@pytest.mark.slow
 def test_a_process_reports_that_it_has_finished_before_it_ends(program):
     child = program(REPORTS)
     assert select.select([child._report], [], [], 60)[0], child.tail()

@@ -22,7 +22,7 @@ from ptnsbc_sim.scenario import load_scenario, scenario_from_text
 from ptnsbc_sim.swarm import fly
 from ptnsbc_tools.replay.rerun import rerun
 
-pytestmark = [pytest.mark.ros, pytest.mark.slow]
+pytestmark = pytest.mark.ros
 
 SCENARIOS = Path(__file__).parents[3] / "scenarios"
 
@@ -65,6 +65,7 @@ mission:
 """
 
 
+@pytest.mark.slow
 def test_a_mission_flown_by_processes_in_lockstep_has_the_bytes_of_the_headless_one(
     launch, tmp_path
 ):
@@ -78,6 +79,7 @@ def test_a_mission_flown_by_processes_in_lockstep_has_the_bytes_of_the_headless_
     assert_as_headless(bag, scenario)
 
 
+@pytest.mark.slow
 def test_processes_with_several_parents_have_the_bytes_of_the_headless_flight(tmp_path):
     """With messages that get lost; the bag runs again."""
     changes = {
@@ -112,6 +114,7 @@ uavs:
 """
 
 
+@pytest.mark.slow
 def test_processes_among_obstacles_have_the_bytes_of_the_headless_flight(tmp_path):
     """A point cloud, a box and a ball that comes, each of which turns somebody."""
     (tmp_path / "among.yaml").write_text(AMONG_OBSTACLES)
@@ -146,6 +149,7 @@ uavs:
 """
 
 
+@pytest.mark.slow
 def test_processes_between_walls_have_the_bytes_of_the_headless_flight(tmp_path):
     """A box on the left, a half-space on the right and a plane above, each nearer to a place than its keep-out."""
     (tmp_path / "walls.yaml").write_text(BETWEEN_WALLS)
@@ -199,6 +203,7 @@ def composed(scenario, folder, processes):
     return flown, found
 
 
+@pytest.mark.slow
 def test_uavs_that_share_a_process_send_the_bytes_of_those_that_do_not(tmp_path):
     scenario = load_scenario("paper_5", {"timing.duration_s": 1})
     flown, alone = composed(scenario, tmp_path / "alone", None)
@@ -211,6 +216,7 @@ def test_uavs_that_share_a_process_send_the_bytes_of_those_that_do_not(tmp_path)
         assert shared[name] == messages, name
 
 
+@pytest.mark.slow
 def test_the_end_of_a_process_is_the_end_of_its_uavs(launch, tmp_path):
     """The others fly to the end."""
     flight = launch("--duration", "12", "--processes", "2", "--bag", str(tmp_path / "bag"))
@@ -225,6 +231,7 @@ def test_the_end_of_a_process_is_the_end_of_its_uavs(launch, tmp_path):
     assert all(0 < told[f"/uav{i}/setpoint/wrench"] < 1200 for i in (3, 4, 5))
 
 
+@pytest.mark.slow
 def test_who_dies_in_flight_is_named_and_the_others_fly_on(launch, tmp_path):
     """One UAV is killed, one hangs; without the sim there is nothing left to fly, and the bag is complete."""
     flight = launch("--duration", "200", "--bag", str(tmp_path / "bag"))
@@ -260,6 +267,7 @@ def law(inputs):
 """
 
 
+@pytest.mark.slow
 def test_a_law_that_raises_in_flight_is_named_by_file_and_line_and_its_vehicle_hovers(
     launch, tmp_path
 ):
@@ -279,6 +287,7 @@ def test_a_law_that_raises_in_flight_is_named_by_file_and_line_and_its_vehicle_h
     assert hovers[0].tolist() == hovers[1].tolist()
 
 
+@pytest.mark.slow
 def test_without_its_recorder_the_flight_goes_on_and_the_bag_can_be_mended(launch, tmp_path):
     """To its end, without one of the UAVs as well."""
     flight = launch("--duration", "12", "--bag", str(tmp_path / "bag"))
@@ -295,6 +304,7 @@ def test_without_its_recorder_the_flight_goes_on_and_the_bag_can_be_mended(launc
     assert counts(read_bag(tmp_path / "bag.part", salvage=True))["/uav1/odom"] > 100
 
 
+@pytest.mark.slow
 def test_ctrl_c_ends_the_flight_in_order(launch, tmp_path):
     flight = launch("--duration", "200", "--bag", str(tmp_path / "bag"))
     flight.wait_for("steps/s")
@@ -306,6 +316,7 @@ def test_ctrl_c_ends_the_flight_in_order(launch, tmp_path):
     assert told["/uav1/odom"] > 100
 
 
+@pytest.mark.slow
 def test_no_process_outlives_a_killed_launcher(launch):
     flight = launch("--duration", "600")
     flight.wait_for("started")
@@ -314,6 +325,7 @@ def test_no_process_outlives_a_killed_launcher(launch):
     assert flight.all_end(within_s=60)
 
 
+@pytest.mark.slow
 def test_a_process_that_dies_before_the_flight_is_shown_with_its_log(launch, tmp_path):
     (tmp_path / "file").write_text("")
     flight = launch("--bag", str(tmp_path / "file" / "bag"))
@@ -331,6 +343,7 @@ def test_who_is_late_is_named(tmp_path):
         run_fleet(options)
 
 
+@pytest.mark.slow
 def test_a_fleet_that_waits_flies_its_mission_for_a_client_of_the_operators_interface(
     ros, tmp_path
 ):

@@ -204,6 +204,7 @@ def test_a_manager_that_gets_no_answer_goes_on(ros, managed, monkeypatch, lost):
     assert manager._nodes == {}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("answers", [True, False])
 def test_a_node_that_is_held_is_configured_and_not_activated(ros, managed, monkeypatch, answers):
     """Also where no answer arrives, and the manager tries the other transition."""

@@ -44,6 +44,7 @@ def enclave(name, namespace):
     return namespace if name == "controller" else f"/{name}"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "changes",
     [{}, {"formation.assignment": "optimal", "formation.task": "relative_position"}],

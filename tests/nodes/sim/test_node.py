@@ -231,6 +231,7 @@ def test_a_uav_that_comes_back_in_real_time_flies_its_vehicle_again(ros, scenari
     ros.spin_until(lambda: "uav4" not in hovering(uavs))
 
 
+@pytest.mark.slow
 def test_functions_of_the_user_are_the_world_in_real_time(ros, tmp_path):
     """The disturbance pushes each vehicle east, where no wrench does; the sensor sees a thing above it."""
     (tmp_path / "mine.py").write_text(OWN_WORLD, "utf-8")

@@ -26,6 +26,7 @@ def inputs(flown: HeadlessFlight) -> np.ndarray:
     return np.linalg.norm(flown.track.wrench, axis=2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", LAWS)
 def test_all_settle_by_the_deadline_where_nothing_limits_them(law: str) -> None:
     settled = settled_s(flight(law))
@@ -34,6 +35,7 @@ def test_all_settle_by_the_deadline_where_nothing_limits_them(law: str) -> None:
     assert all(np.all(np.isfinite(part)) for part in flight(law).track)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", WITHOUT)
 def test_our_input_at_the_start_is_sixty_percent_below_theirs(law: str) -> None:
     """The claim of the paper, in the first 0.1 s: at t = 0 itself nobody has heard anybody."""

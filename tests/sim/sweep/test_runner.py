@@ -65,6 +65,7 @@ def test_a_row_has_the_figures_of_the_headless_flight(changes: dict) -> None:
     assert table == [{name: getattr(row, name) for name in names} for row in expected]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("workers", [2, 4])
 def test_the_table_is_the_same_for_any_number_of_workers(
     flown: Path, workers: int, tmp_path: Path
@@ -88,6 +89,7 @@ def test_the_table_tells_units_plan_and_versions(flown: Path) -> None:
     assert "kernels" in json.loads(table.schema.metadata[b"ptnsbc.made_by"])
 
 
+@pytest.mark.slow
 def test_a_sweep_goes_on_where_it_ended(flown: Path, tmp_path: Path) -> None:
     seen: list[int] = []
 
@@ -186,6 +188,7 @@ def _dying_once(text: str, index: int) -> bytes:
     return chunks_module.fly_chunk(text, index)
 
 
+@pytest.mark.slow
 def test_a_worker_that_dies_loses_only_its_chunk(
     flown: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -206,6 +209,7 @@ run(plan, Path(sys.argv[2]), workers=2, progress=lambda done, total: print(done,
 """
 
 
+@pytest.mark.slow
 def test_workers_end_with_a_sweep_that_is_killed(tmp_path: Path) -> None:
     plan = tmp_path / "plan.json"
     plan.write_text(small(100_000).to_json())

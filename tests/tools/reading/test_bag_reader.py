@@ -66,6 +66,7 @@ def test_damage_in_the_file(brief, scenario, tmp_path_factory, data):
     shutil.rmtree(folder)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["headless", "realtime"])
 @settings(max_examples=25, deadline=None)
 @given(data=st.data())
@@ -131,6 +132,7 @@ def test_commands_refuse_in_one_line(brief, tmp_path, command, capfd):
         assert sorted(tmp_path.iterdir()) == before, f"{what}: something was left behind"
 
 
+@pytest.mark.slow
 def test_memory_does_not_grow_with_the_bag(tmp_path, scenario):
     """Twice the flight, the same peak: messages stream, and a re-run keeps a window of them."""
     peaks = []

@@ -310,6 +310,7 @@ def run(*words: object) -> tuple[int, str, str]:
     return done.returncode, done.stdout, done.stderr
 
 
+@pytest.mark.slow
 def test_command(headless, rewritten):
     code, out, err = run("replay", headless, "--rerun", "--json")
     assert code == 0, err

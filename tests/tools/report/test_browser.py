@@ -96,6 +96,7 @@ def tab(browser: Any, address: str) -> Iterator[Any]:
         one.context.close()
 
 
+@pytest.mark.slow
 def test_the_slider_moves_time_and_uavs(tab: Any) -> None:
     one = tab()
     page = one.ready()
@@ -113,6 +114,7 @@ def test_the_slider_moves_time_and_uavs(tab: Any) -> None:
     assert page.locator("#space").screenshot() != picture
 
 
+@pytest.mark.slow
 def test_play_and_pause(tab: Any) -> None:
     page = tab().ready()
     page.get_by_role("button", name="Play").click()
@@ -129,6 +131,7 @@ def test_play_and_pause(tab: Any) -> None:
     assert page.evaluate("page.clock.playing && page.clock.now < page.clock.end")
 
 
+@pytest.mark.slow
 def test_the_line_in_the_figures_follows(tab: Any) -> None:
     one = tab()
     page = one.ready()
@@ -149,6 +152,7 @@ def test_the_line_in_the_figures_follows(tab: Any) -> None:
     page.wait_for_function("() => document.querySelector('#chart-errors .cursor').hidden")
 
 
+@pytest.mark.slow
 def test_a_uav_is_hidden_everywhere(tab: Any) -> None:
     one = tab()
     page = one.ready()
@@ -162,6 +166,7 @@ def test_a_uav_is_hidden_everywhere(tab: Any) -> None:
     assert one.said == []
 
 
+@pytest.mark.slow
 def test_the_view_turns_with_the_mouse(tab: Any) -> None:
     one = tab()
     page = one.ready()
@@ -176,6 +181,7 @@ def test_the_view_turns_with_the_mouse(tab: Any) -> None:
     assert one.place(5) == pytest.approx(before, abs=0.5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("width", "scheme"), [(1280, "light"), (800, "dark"), (390, "light")])
 def test_offline_without_a_request_a_complaint_or_an_overflow(
     tab: Any, address: str, width: int, scheme: str
@@ -191,12 +197,14 @@ def test_offline_without_a_request_a_complaint_or_an_overflow(
     assert one.said == []
 
 
+@pytest.mark.slow
 def test_an_address_may_name_the_time(tab: Any, address: str) -> None:
     page = tab(f"{address}#t=4.25").ready()
     assert page.locator("#now").inner_text() == "4.25 s"
     assert page.locator("#events .mark").all_inner_texts() == ["deadline"]
 
 
+@pytest.mark.slow
 def test_playback_comes_before_tables_and_figures(tab: Any) -> None:
     page = tab().ready()
     tops = [
@@ -206,6 +214,7 @@ def test_playback_comes_before_tables_and_figures(tab: Any) -> None:
     assert tops == sorted(tops)
 
 
+@pytest.mark.slow
 def test_what_is_printed_is_complete(tab: Any) -> None:
     """All figures without a scroll, every legend, details open, and nothing cut off at the width of paper."""
     one = tab()
@@ -226,6 +235,7 @@ def test_what_is_printed_is_complete(tab: Any) -> None:
     assert one.said == []
 
 
+@pytest.mark.slow
 def test_another_flight_is_overlaid(tab: Any, tmp_path: Path) -> None:
     shown, other = (read_view(SAMPLE, ReadOptions()) for _ in range(2))
     file = tmp_path / "index.html"
@@ -283,6 +293,7 @@ def test_the_name_of_an_obstacle_at_the_edge_is_whole(tab: Any) -> None:
     assert page.evaluate(LABELS) == [[True], [True], [True], []]  # the last one is out of sight
 
 
+@pytest.mark.slow
 def test_a_deadlock_stands_in_the_bar_of_time(tab: Any, tmp_path: Path) -> None:
     view = read_view(SAMPLE, ReadOptions())
     track = view.recording.counters[3]

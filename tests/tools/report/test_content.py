@@ -64,6 +64,7 @@ def test_the_tree_and_the_places_in_it(fly):
     assert uavs[1]["places"] is None
 
 
+@pytest.mark.slow
 def test_places_of_a_shape_that_moves():
     scenario = load_scenario("figure_eight", {"timing.duration_s": 2.0})
     found = Unpacked(recording_of(fly_headless(scenario)))

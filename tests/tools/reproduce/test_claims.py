@@ -173,6 +173,7 @@ def test_a_law_suits_limited_actuators_when_its_share_is_sure() -> None:
     assert claims.saturated_claim(late, 5.0, 23.5, ("one", "other")).verdict == FAILS
 
 
+@pytest.mark.slow
 def test_the_cascade_is_compared_at_the_settling_it_reaches() -> None:
     settle_s, found = baselines.cascade_settling()
     assert set(found) == {"ours, soft", "ours, reference", *baselines.PREDEFINED, baselines.CASCADE}
@@ -185,6 +186,7 @@ def test_the_cascade_is_compared_at_the_settling_it_reaches() -> None:
     assert mine.energy_beyond_hover() < 0.5 * cascade.energy_beyond_hover()
 
 
+@pytest.mark.slow
 def test_a_cascade_behind_an_opened_filter_settles_when_ours_does() -> None:
     wanted_s = 4.0
     with pytest.raises(BaselineError):

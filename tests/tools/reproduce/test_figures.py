@@ -4,6 +4,7 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from ptnsbc_tools.reproduce.figures import formation, inputs, paths, style
 from ptnsbc_tools.reproduce.flights import JudgedFlight, fly_judged
@@ -33,6 +34,7 @@ def flights() -> dict[str, JudgedFlight]:
     }
 
 
+@pytest.mark.slow
 def test_no_legend_covers_a_panel(tmp_path: Path, monkeypatch) -> None:
     kept = []
     monkeypatch.setattr(style, "save", lambda made, folder, name: kept.append((name, made)))

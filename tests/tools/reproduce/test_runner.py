@@ -35,6 +35,7 @@ def quick(name: str, seconds: float, alone: bool = False) -> Quick:
     return Quick(name, "nothing", seconds, alone)
 
 
+@pytest.mark.slow
 def test_results_come_in_the_order_given_and_timed_ones_are_run_last(tmp_path: Path) -> None:
     told: list[ExperimentProgress] = []
     given = [quick("timed", 9, alone=True), quick("one", 1), quick("two", 2)]

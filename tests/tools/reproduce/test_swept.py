@@ -29,6 +29,7 @@ PROMISE = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cases", [PROMISE, ABLATIONS, CAUSES, ENVELOPE])
 def test_every_case_can_be_drawn(cases: list[SweepCase]) -> None:
     for case in cases:

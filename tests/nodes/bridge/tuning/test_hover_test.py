@@ -81,6 +81,7 @@ def test_outside_its_box_it_lands():
         rig.test.points()
 
 
+@pytest.mark.slow
 def test_at_the_fence_it_shows_nothing_and_outside_of_it_lands():
     rig = HoverRig("px4", **{"mavlink.geofence.box_max_m": [0.4, 8, 14]}).run()
     with pytest.raises(TuneError, match=r"setpoints were clamped \(fence\)"):

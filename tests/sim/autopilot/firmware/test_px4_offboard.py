@@ -144,6 +144,7 @@ def test_zero_velocity_is_not_hold(companion):
     assert np.sqrt(np.mean(np.square(drifts))) == pytest.approx(4.0, abs=1.5)
 
 
+@pytest.mark.slow
 def test_its_own_position_loop_holds_as_with_a_twentieth_of_the_noise(companion):
     """Measured: 0.16 m RMS."""
     errors = []

@@ -108,6 +108,7 @@ def test_played_and_recorded_again(start, headless, tmp_path):
     assert again.wait(120) == 0, again.stdout.read()
 
 
+@pytest.mark.slow
 def test_split_recording_of_some_topics(start, headless, tmp_path):
     recorder = start(
         "record", "-o", tmp_path / "part", "--topics", "/uav1/*", "--topics", "/clock",

@@ -36,6 +36,7 @@ def test_a_page_and_pictures(tmp_path: Path) -> None:
     assert {one.name for one in (tmp_path / "out").iterdir()} == {"index.html", *pictures}
 
 
+@pytest.mark.slow
 def test_another_flight_beside_it_and_a_pdf_of_all_figures(tmp_path: Path) -> None:
     code, out, _ = run("report", SAMPLE, "--with", SAMPLE, "-o", tmp_path / "two", "--no-pictures")
     assert code == 0 and Path(out.strip()).is_file()
