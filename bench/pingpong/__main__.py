@@ -37,7 +37,7 @@ def _serve(arguments: argparse.Namespace, argv: list[str]) -> int:
         environment.prefer_throughput()
     elif not options.lockstep and environment.has_room(len(scenario.uav_ids), scenario.control_hz):
         environment.prefer_punctuality(flies=arguments.role != "recorder")
-    with ros_node(name, "", argv) as node:
+    with ros_node(name, f"uav{arguments.uav}" if arguments.uav else "", argv) as node:
         kind = TypedEndpoints if arguments.typed else RawEndpoints
         endpoints = kind(node, options.lockstep)
         if arguments.role == "uav":

@@ -52,8 +52,9 @@ class Fleet:
         ends = Endpoints(others, lockstep=False, seal=seal)
         self.limits = {uav: ends.publisher(topics.limits(uav), 0) for uav in scenario.uav_ids}
         self.odom = {uav: ends.publisher(topics.odom(uav), 0) for uav in scenario.uav_ids}
-        self.status = ends.publisher(topics.DIAGNOSTICS, 1)
-        self.epoch = ends.publisher(topics.EPOCH, 1)
+        self.status = ends.publisher(topics.DIAGNOSTICS, 0)
+        self.epoch = ends.publisher(topics.EPOCH, 0)
+        heard = ends.readers(topics.DIAGNOSTICS), ends.readers(topics.EPOCH)
         self.answers, self.asked = {}, []
         self._serve_leader(type(ros)(ros.domain))
         self.operator = OperatorNode(ros.node("operator"), scenario, ros.domain, seal)
@@ -66,7 +67,11 @@ class Fleet:
         self.missions = ActionClient(self.client, FlyMission, FLY_MISSION)
         self.at_s, self.off, self.orders = T0_S, {}, {}  # of the bridges, by UAV
         ready = self.operator.services_are_there
-        ros.spin_until(lambda: not ends.unread() and self.action.server_is_ready() and ready())
+        ros.spin_until(
+            lambda: (
+                all(readers() for readers in heard) and self.action.server_is_ready() and ready()
+            )
+        )
         ros.spin_until(self.missions.server_is_ready)
 
     def _serve_leader(self, leader):
