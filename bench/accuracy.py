@@ -67,9 +67,8 @@ def fly(kind: str, setpoint: str, gnss: str, duration_s: float) -> Held:
             _operator(folder, domain, "arm")
             wait_for(flight, [f"bridge{i}: airborne" for i in VEHICLES])
             wait_for(flight, ["calls /formation/start"])
-            time.sleep(
-                HOVER_S
-            )  # the vehicles hover in real time: nothing marks the end of a measurement
+            # The vehicles hover in real time, and nothing but the time marks the end of the measurement.
+            time.sleep(HOVER_S)
             _operator(folder, domain, "start", 1)
             code = flight.process.wait()
         told = flight_in(bag).verdict
