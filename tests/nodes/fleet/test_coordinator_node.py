@@ -21,13 +21,23 @@ from ptnsbc_nodes.runtime.watchdog import ENDED_S, WAITED
 pytestmark = pytest.mark.ros
 
 
+def spin_until(launcher, condition):
+    """Serve the launcher; a condition that never comes about fails the test, and does not hang it."""
+    end = time.monotonic() + 60.0
+    while not condition():
+        assert time.monotonic() < end, "not within 60 s"
+        launcher.spin(0.02)
+
+
 def test_no_message_ends_the_launcher_or_makes_it_end_a_uav(ros):
     """`waited_s=100` once had all UAVs killed; a bad float ended the launcher."""
     others = Endpoints(ros.node("others"), lockstep=True)
     send = [others.publisher(topic, 0) for topic in (READY, topics.DIAGNOSTICS)]
     with Coordinator(ros.domain) as launcher:
-        while not all(one.publisher.get_subscription_count() for one in others._published):
-            launcher.spin(0.02)
+        spin_until(
+            launcher,
+            lambda: all(one.publisher.get_subscription_count() for one in others._published),
+        )
         names = " ".join(f"uav{i}" for i in range(1, 6))
         for waited in ("100", "1e9", "many", 5000 * "9"):
             values = {"ready": "false", "waiting_for": names, WAITED: waited}
@@ -36,8 +46,7 @@ def test_no_message_ends_the_launcher_or_makes_it_end_a_uav(ros):
         for publish in send:
             publish(b"\0\1\0\0\xff\xff\xff\xff")
             publish(b"nonsense")
-        while sum(launcher._endpoints.refusals.counts.values()) < 4:
-            launcher.spin(0.02)
+        spin_until(launcher, lambda: sum(launcher._endpoints.refusals.counts.values()) >= 4)
         assert launcher.waiting["sim"] == names
         assert all(waited_s < ENDED_S for waited_s in launcher.stuck().values())
 
@@ -47,8 +56,7 @@ def test_statuses_of_the_largest_fleet_that_come_at_once_are_all_heard(ros):
     sender = ros.node("uavs").create_publisher(DiagnosticArray, READY.name, RECORDER_RELIABLE)
     names = {f"uav{i}" for i in range(1, 255)}
     with Coordinator(ros.domain) as launcher:
-        while not sender.get_subscription_count():
-            launcher.spin(0.02)
+        spin_until(launcher, lambda: sender.get_subscription_count())
         for name in names:
             values = {"ready": "true"}
             sender.publish(diagnostics(0, f"{name}: planner", DiagnosticLevel.OK, "", values))
@@ -65,8 +73,7 @@ def test_the_launcher_hears_when_the_first_leg_begins(ros):
         assert (launcher.begun, launcher.begins_in_s()) == (False, 0.0)
         first_ns = time.time_ns() + 1_000_000_000_000
         tell(HeaderTemplate("form").encode(first_ns))
-        while not launcher.begun:
-            launcher.spin(0.02)
+        spin_until(launcher, lambda: launcher.begun)
         left_s = (first_ns - time.time_ns()) * 1e-9
         assert 0.0 < launcher.begins_in_s() <= left_s <= 1000.0
         tell(HeaderTemplate("hold").encode(0))
