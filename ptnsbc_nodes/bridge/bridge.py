@@ -44,6 +44,8 @@ WANTED_MESSAGES = frozenset(
 )
 """Ids of the messages that a bridge decodes."""
 _ANGLES = frozenset({mavlink.MAVLINK_MSG_ID_ATTITUDE})
+_ODOMETRY = frozenset({mavlink.MAVLINK_MSG_ID_ODOMETRY})
+_NONE: frozenset[int] = frozenset()
 _STREAMED_S = 0.1
 _DUPLICATE_S = 3.0
 _HELD_S = 2.0  # statuses come five times a second
@@ -174,9 +176,7 @@ class Bridge:
     def _tick(self, now_s: float) -> None:
         """One period of the stream."""
         self._take_inputs()
-        # PX4 sends both. Angles come twice as often without being asked for, and say the same as the quaternion.
-        quaternions = now_s - self.vehicle.pose.quaternion_s < _STREAMED_S
-        self.link.ignored = _ANGLES if quaternions else frozenset()
+        self.link.ignored = self._repeated(now_s)
         self.state_publisher.update_world()
         self._apply_parameters(now_s)
         self._look_out(now_s)
@@ -192,6 +192,12 @@ class Bridge:
         self.maintenance.urgent = self.procedure.step is Step.KILL
         healthy = self.procedure.step is not Step.FAILED
         self.maintenance.send_due(now_s, healthy, self.state_publisher.clock_jumped(now_s))
+
+    def _repeated(self, now_s: float) -> frozenset[int]:
+        """The messages that say what others say: PX4 streams both kinds, angles at 100 Hz without being asked for."""
+        pose = self.vehicle.pose
+        quaternions = now_s - pose.quaternion_s < _STREAMED_S
+        return (_ANGLES if quaternions else _NONE) | (_ODOMETRY if pose.leaves_odometry else _NONE)
 
     def _tell_apart(self) -> None:
         """Tell the others at once that the formation is given up: this vehicle may land in the same tick."""

@@ -63,6 +63,11 @@ class Pose:
         both = (self._plausible_position, self._plausible_attitude)
         return sum(each.rejected for each in both if each is not None)
 
+    @property
+    def leaves_odometry(self) -> bool:
+        """True once LOCAL_POSITION_NED has come: from then on ODOMETRY says nothing that counts."""
+        return self.position_s is not None and not self._uses_odometry
+
     def forget_attitude(self) -> None:
         """Drop the attitude: its time belongs to another clock now."""
         self._attitude = None
@@ -105,7 +110,7 @@ class Pose:
 
     def on_odometry(self, message: Any, now_s: float) -> VehicleState | None:
         """ODOMETRY, for controllers that send neither position nor attitude alone."""
-        if self.position_s is not None and not self._uses_odometry:
+        if self.leaves_odometry:
             return None
         if (message.frame_id, message.child_frame_id) != _LOCAL_FRAMES:
             return None

@@ -49,7 +49,7 @@ def test_the_command_flies_stand_ins_of_both_kinds_into_formation(tmp_path, doma
     ):
         code = fleet.finish()
         output = fleet.json_output()
-        assert code == 0, "\n".join((*fleet.lines, str(output)))
+        assert code == 0, [uav["reason"] for uav in output["uavs"]]
     assert fleet.printed("in flight: gains.formation.deadline_s: 10 instead of 5.0", "they may arm")
     steps = ("taking off", "airborne", "in formation", "landing", "done")
     assert fleet.printed(*(f"bridge{i}: {step}" for i in FOUR for step in steps))
