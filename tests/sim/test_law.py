@@ -85,6 +85,7 @@ def test_what_a_law_hears_is_extrapolated_by_it_and_turned_to_the_world() -> Non
     assert (seen[0].ids.tolist(), seen[0].ages_s.tolist()) == ([1], [0.02])
 
 
+@pytest.mark.slow
 def test_a_law_flies_its_followers_and_leaves_the_leader(write: Write) -> None:
     named = write("def law(inputs):", "    return (0.0, 0.0, 0.2)")
     keys = {"timing.duration_s": 2.0, "formation.avoidance": "off"}

@@ -22,6 +22,7 @@ def _written(folder: Path, *lines: str) -> str:
     return f"{file}:mine"
 
 
+@pytest.mark.slow
 def test_our_wrench_passed_on_gives_our_flight(tmp_path: Path) -> None:
     named = _written(tmp_path, "    return inputs.wrench")
     own = fly(load_scenario("paper_5_free", {**KEYS, "plugins.controller": named}))

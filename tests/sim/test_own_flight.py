@@ -18,6 +18,7 @@ def test_without_functions_the_loop_is_ours() -> None:
     assert own_loop(load_scenario("paper_5_free")) is None
 
 
+@pytest.mark.slow
 def test_our_task_written_again_flies_as_ours(tmp_path: Path) -> None:
     file = tmp_path / "mine.py"
     file.write_text(

@@ -74,7 +74,10 @@ def test_an_installed_package_brings_functions(
     assert "is interpreted" not in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    "kind",
+    [pytest.param(kind, marks=[pytest.mark.slow] * (kind == "task")) for kind in KINDS],
+)
 def test_what_numba_cannot_compile_is_interpreted_with_a_word(
     kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

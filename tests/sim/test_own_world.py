@@ -55,6 +55,7 @@ def test_our_plant_made_again_flies_as_ours(tmp_path: Path) -> None:
     np.testing.assert_allclose(own, ours, atol=1e-7)
 
 
+@pytest.mark.slow
 def test_a_sensor_sees_what_it_returns(tmp_path: Path) -> None:
     blind = _written(tmp_path, "    return np.zeros((0, 7))")
     seen = fly(load_scenario("paper_5_free", {**KEYS, "plugins.sensor": blind}))

@@ -43,6 +43,7 @@ def test_our_input_at_the_start_is_sixty_percent_below_theirs(law: str) -> None:
     assert inputs(flight("ours")).max() < 0.4 * inputs(flight(law)).max()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", WITHOUT)
 def test_also_when_they_are_tuned_to_settle_when_ours_does(law: str) -> None:
     ours = settled_s(flight("ours"))
@@ -55,6 +56,7 @@ def test_also_when_they_are_tuned_to_settle_when_ours_does(law: str) -> None:
     assert inputs(flight("ours"))[:10].max() < 0.4 * inputs(matched)[:10].max()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", LAWS)
 def test_an_actuator_limit_holds_for_everybody(law: str) -> None:
     flown = flight(law, 2 * WEIGHT_N)

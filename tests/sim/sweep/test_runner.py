@@ -134,6 +134,7 @@ def test_flights_of_other_laws_are_not_mixed_with_those_of_today(
         run(plan, tmp_path, workers=1)
 
 
+@pytest.mark.slow
 def test_flights_of_a_law_that_the_user_has_changed_are_not_mixed(tmp_path: Path) -> None:
     law = tmp_path / "my laws" / "still.py"
     law.parent.mkdir()

@@ -18,7 +18,13 @@ from ptnsbc_tools.replay.rerun import rerun
 LAW = Path(__file__).parents[3] / "examples" / "laws" / "consensus.py"
 
 
-@pytest.fixture(scope="module", params=[0.0, 0.2], ids=["all arrive", "some get lost"])
+@pytest.fixture(
+    scope="module",
+    params=[
+        pytest.param(0.0, id="all arrive"),
+        pytest.param(0.2, id="some get lost", marks=pytest.mark.slow),
+    ],
+)
 def bag(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
     pytest.importorskip("rclpy")
     keys = {"timing.duration_s": 1.2, "communication.loss": request.param}
@@ -60,6 +66,7 @@ def test_the_verdict_needs_no_law(bag: Path) -> None:
 PLUGINS = LAW.parents[1] / "plugins"
 
 
+@pytest.mark.slow
 def test_a_task_and_a_controller_are_given_by_name(tmp_path: Path) -> None:
     """What surrounds the UAVs is recorded: plant, disturbance and sensor are not needed again."""
     pytest.importorskip("rclpy")

@@ -134,6 +134,7 @@ def test_split_recording_of_some_topics(start, headless, tmp_path):
     assert clock[0] >= 500_000_000
 
 
+@pytest.mark.slow
 def test_ctrl_c_ends_a_loop_in_order(start, domain, headless):
     recorder = start("record", "-o", headless.parent / "none", "--topics", "/nothing/*")
     played = start("replay", headless, "--publish", "--loop", "--wait", 0, "--json")

@@ -26,6 +26,7 @@ def run(*words: object) -> tuple[int, str, str]:
     return result.exit_code, result.stdout, "".join(one for one in lines if "error" in one)
 
 
+@pytest.mark.slow
 def test_a_page_and_pictures(tmp_path: Path) -> None:
     code, out, _ = run("report", SAMPLE, "-o", tmp_path / "out", "--json")
     told = json.loads(out)
