@@ -24,7 +24,8 @@ from ptnsbc_sim.scenario.fields import unit_of
 from ptnsbc_sim.swarm import HeadlessFlight
 from ptnsbc_sim.sweep.axes import SweepAxis
 from ptnsbc_sim.sweep.dry_run import dry_run_says
-from ptnsbc_sim.sweep.family import family_columns, family_from_text
+from ptnsbc_sim.sweep.family import family_from_text
+from ptnsbc_sim.sweep.family_draw import family_columns
 from ptnsbc_sim.sweep.plan import SweepPlan, Value, axis_values
 from ptnsbc_sim.sweep.rows import UNITS, SweepRow, fly_draw, not_flown
 

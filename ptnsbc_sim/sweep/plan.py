@@ -30,7 +30,8 @@ from ptnsbc_sim.scenario.reading import reader
 from ptnsbc_sim.scenario.reading.loading import completed
 from ptnsbc_sim.scenario.scenario import scenario_of
 from ptnsbc_sim.sweep.axes import SweepAxis, SweepError
-from ptnsbc_sim.sweep.family import Family, draw_family, family_from_text
+from ptnsbc_sim.sweep.family import Family, family_from_text
+from ptnsbc_sim.sweep.family_draw import draw_family
 from ptnsbc_sim.sweep.starts import (
     FILE,
     FROM_FILE,
