@@ -40,7 +40,7 @@ from ptnsbc_tools.commands.processes.key import key
 from ptnsbc_tools.commands.processes.node import SETTINGS, node
 from ptnsbc_tools.commands.processes.params import params
 from ptnsbc_tools.commands.processes.tune import tune
-from ptnsbc_tools.quick_help import help_asked, keep_only, spare_unused
+from ptnsbc_tools.quick_start import help_asked, keep_only, spare_unused
 
 _REFUSED, _INTERRUPTED = 2, 130
 _STARTS_PROCESSES = ("fleet", "demo", "node", "view", "tune")

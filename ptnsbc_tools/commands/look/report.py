@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from ptnsbc_tools import console, options
+from ptnsbc_tools.quick_start import spare_compiler
 
 _NO_VERDICT = 1
 
@@ -48,6 +49,7 @@ def report(
     Exit code 0: the page shows a verdict, whatever it is. 1: the flight cannot be judged; the page
     says why and shows what is recorded. 2: the bag cannot be read; nothing is written.
     """
+    spare_compiler(bag)
     from ptnsbc_tools.library import reporting
 
     with console.patience(f"reading {bag}"):

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from ptnsbc_tools import options
+from ptnsbc_tools.quick_start import spare_compiler
 
 
 def verify(
@@ -33,6 +34,7 @@ def verify(
     tolerance, whichever is larger. Each formation leg is judged. Bags of other systems (MCAP, sqlite3)
     need --scenario and the names of their topics.
     """
+    spare_compiler(bag)
     from ptnsbc_tools.library.flight import flight_in
     from ptnsbc_tools.tables import show_verdict
 

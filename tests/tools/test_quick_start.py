@@ -1,4 +1,4 @@
-"""Help without parsing: the same text, for every command, and no library that help does not need."""
+"""Help without parsing and verdicts without the compiler: the same text, and no library that is not needed."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import os
 import re
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 import typer.main
@@ -81,3 +82,24 @@ def test_the_program_alone_says_the_same_as_with_all_commands(path: tuple[str, .
     )
     assert (alone.returncode, alone.stdout) == (with_all.exit_code, with_all.stdout)
     assert alone.stderr == with_all.stderr
+
+
+def test_a_short_recording_is_judged_without_the_compiler_and_with_the_same_words(
+    tmp_path: Path,
+) -> None:
+    bag = tmp_path / "bag"
+    done = CliRunner().invoke(app, ["simulate", "paper_5", "--duration", "0.5", "--bag", str(bag)])
+    assert done.exit_code in (0, 1), done.output
+    code = (
+        "import sys\nfrom ptnsbc_tools.cli import app\n"
+        "try:\n    app(sys.argv[1:], prog_name='ptnsbc')\nexcept SystemExit:\n    pass\n"
+        "print('numba' in sys.modules, file=sys.stderr)"
+    )
+    said = {}
+    for how in ({}, {"PTNSBC_JIT": "1"}):
+        words = [sys.executable, "-c", code, "verify", str(bag), "--json"]
+        environment = {name: text for name, text in os.environ.items() if name != "PTNSBC_JIT"}
+        run = subprocess.run(words, capture_output=True, text=True, env=environment | how)
+        said[run.stderr.splitlines()[-1]] = run.stdout
+    assert said["False"] == said.get("True", said["False"])  # numba may not be installed
+    assert '"verdict": ' in said["False"]

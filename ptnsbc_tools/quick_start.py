@@ -1,9 +1,11 @@
-"""The help of a command without the parsing of any option: what parses them takes longer to load than all the rest."""
+"""What a command need not load: what parses options for a help, and the compiler of the laws for a short recording."""
 
 from __future__ import annotations
 
+import os
 import sys
 from importlib import import_module
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -11,6 +13,9 @@ _UNUSED = {"rich.markdown": "Markdown", "rich.traceback": "Traceback"}
 """Modules that the formatter of help imports in vain: no text of our help is Markdown, no error has a traceback."""
 
 _END_OF_OPTIONS = "--"
+_LAWS = "ptnsbc_core.kernel"
+_COMPILED_FROM = 64_000_000
+"""Bytes of a bag. The judgement of one takes few laws; that of a shorter bag is done before numba has been loaded."""
 
 
 def help_asked(group: Any, name: str | None, words: list[str]) -> Any:
@@ -49,6 +54,14 @@ def spare_unused() -> None:
     finally:
         for name in missing:
             del sys.modules[name]
+
+
+def spare_compiler(bag: Path) -> None:
+    """Interpret the laws in this process, with the same results, unless they are loaded already or the bag is long."""
+    files = bag.glob("*") if bag.is_dir() else (bag,)
+    size = sum(file.stat().st_size for file in files if file.is_file())
+    if _LAWS not in sys.modules and size < _COMPILED_FROM:
+        os.environ.setdefault("PTNSBC_JIT", "0")
 
 
 def _name(given: str | None, command: Any) -> str:
