@@ -13,9 +13,7 @@ import argparse
 import multiprocessing
 import os
 import random
-import re
 import resource
-import shutil
 import subprocess
 import sys
 import tempfile
@@ -28,35 +26,13 @@ from itertools import count, cycle, islice
 from pathlib import Path
 from typing import NamedTuple
 
-from ptnsbc_core.errors import PtnsbcError
-from ptnsbc_io import wire
-from ptnsbc_io.bag import BagMessage, BagWriter, TopicInfo, read_bag
-from ptnsbc_io.bag.reader import find_problems
-from ptnsbc_io.bag.repair import repair
-from ptnsbc_io.mavlink.dialect import mavlink
-from ptnsbc_io.mavlink.link import MavlinkLink
-from ptnsbc_io.mavlink.transport import Packet
-from ptnsbc_io.wire.diagnostics import decode_diagnostics
-from ptnsbc_sim.scenario import agent_config, scenario_from_text
-from ptnsbc_sim.verdict import verdict_on
-from ptnsbc_tools.check import check
-from ptnsbc_tools.reading.bag_reader import read_recording
-from ptnsbc_tools.reading.diagnostics import read_status
+from bench.fuzz_inputs import FUZZERS, ROOT, Fuzzer
 
-ROOT = Path(__file__).resolve().parents[1]
 CORPUS = Path(__file__).with_name("corpus")
-KINDS = ("bags", "scenarios", "wire", "mavlink")
+KINDS = tuple(FUZZERS)
 LONGEST_S = 2.0
 LARGEST_MB = 300.0
-_SAMPLE_NS = 60_000_000  # of the sample flight: six ticks of five UAVs
-_CUT = 60  # at most so many bytes are moved, repeated or left out at once
-_NUMBER = re.compile(rb"-?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
-_WORDS = (
-    b"0", b"-1", b"1e300", b"-1e300", b"1e-300", b"inf", b".nan", b".inf", b"null", b"[]", b"{}", b"true",
-    b"18446744073709551616", b"9" * 5000, b"[[[[1]]]]", b'"\x1b[2J"', b"&a [*a]", b"!!python/object:os.system x",
-    b"extends: /etc/passwd", b"name: x", b"1 furlong", "λ".encode(),
-)  # fmt: skip
-_INTEGERS = (0, 1, 0x7F, 0x80, 0xFF, 0x7FFFFFFF, 0xFFFFFFFF, 2**63 - 1, 2**63, 2**64 - 1)
+_TOLD_S = 30.0  # between two lines of progress
 
 
 class Cost(NamedTuple):
@@ -75,221 +51,20 @@ class Result(NamedTuple):
     failures: list[str]
 
 
-def mutated(data: bytes, chance: random.Random) -> bytes:
-    """A few random changes to some bytes."""
-    buffer = bytearray(data)
-    for _ in range(chance.choice((1, 1, 2, 4, 16))):
-        at = chance.randrange(len(buffer) + 1)
-        length = chance.randrange(1, _CUT)
-        match chance.randrange(7):
-            case 0 if at < len(buffer):
-                buffer[at] ^= 1 << chance.randrange(8)
-            case 1:
-                size = chance.choice((1, 2, 4, 8))
-                number = chance.choice(_INTEGERS) % 2 ** (8 * size)
-                buffer[at : at + size] = number.to_bytes(size, "little")
-            case 2:
-                del buffer[at : at + length]
-            case 3:
-                buffer[at:at] = buffer[at : at + length]
-            case 4:
-                other = chance.randrange(len(buffer) + 1)
-                buffer[at : at + length] = buffer[other : other + length]
-            case 5:
-                buffer[at:at] = chance.choice((bytes(length), chance.randbytes(length)))
-            case 6 if chance.random() < 0.3:
-                del buffer[at:]
-    return bytes(buffer)
+class _Progress:
+    """A line on stderr now and then."""
 
+    def __init__(self, name: str) -> None:
+        self._name = name
+        self._next_s = time.monotonic() + _TOLD_S
 
-def mutated_text(data: bytes, chance: random.Random) -> bytes:
-    """A few changes to numbers, words and lines; now and then to bytes."""
-    if chance.random() < 0.2:
-        return mutated(data, chance)
-    for _ in range(chance.choice((1, 1, 2, 4))):
-        found = list(_NUMBER.finditer(data))
-        lines = data.split(b"\n")
-        at = chance.randrange(len(lines))
-        match chance.randrange(5):
-            case 0 | 1 if found:
-                start, end = chance.choice(found).span()
-                data = data[:start] + chance.choice(_WORDS) + data[end:]
-            case 2:
-                data = b"\n".join([*lines[:at], *lines[at + 1 :]])
-            case 3:
-                lines.insert(at, chance.choice((*lines, *_WORDS)))
-                data = b"\n".join(lines)
-            case 4:
-                key, colon, _ = lines[at].partition(b":")
-                lines[at] = key + colon + b" " + chance.choice(_WORDS)
-                data = b"\n".join(lines)
-    return data
-
-
-class Bags:
-    """Bags of some ticks of the sample flight, changed as files, or in the messages and the scenario in them."""
-
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
-        sample = read_bag(ROOT / "bags" / "sample")
-        self._scenario = sample.attachment("scenario.yaml")
-        self._topics = [TopicInfo(one.name, one.type) for one in sample.topics.values()]
-        self._messages = [one for one in sample.messages() if one.stamp_ns <= _SAMPLE_NS]
-        self._files = [self._written(self._messages, one) for one in ("zstd", "lz4", "none")]
-        self.sound = self._files[0]
-
-    def make(self, chance: random.Random) -> bytes:
-        """A mutation."""
-        if chance.random() < 0.5:
-            return mutated(chance.choice(self._files), chance)
-        changed = [
-            one._replace(data=mutated(one.data, chance)) if chance.random() < 0.05 else one
-            for one in self._messages
-        ]
-        scenario = mutated_text(self._scenario, chance) if chance.random() < 0.3 else None
-        return self._written(changed, "none", scenario)
-
-    def _written(
-        self, messages: Sequence[BagMessage], compression: str, scenario: bytes | None = None
-    ) -> bytes:
-        goal = self._folder / "made"
-        attached = {"scenario.yaml": scenario or self._scenario}
-        with BagWriter(
-            goal, self._topics, attachments=attached, compression=compression, overwrite=True
-        ) as writer:
-            for one in messages:
-                writer.write(one.topic, one.stamp_ns, one.data)
-        return (goal / "made_0.mcap").read_bytes()
-
-    def run(self, data: bytes) -> None:
-        """Read, judge, check and repair."""
-        path = self._folder / "bag.mcap"
-        path.write_bytes(data)
-        for salvage in (False, True):
-            with suppress(PtnsbcError):
-                bag = read_bag(path, salvage=salvage)
-                for _ in bag.messages():
-                    pass
-                find_problems(bag)
-        with suppress(PtnsbcError):
-            verdict_on(read_recording(path)).as_json()
-        with suppress(PtnsbcError):
-            read_status(path)
-        try:
-            with suppress(PtnsbcError):
-                repair(path, self._folder / "repaired")
-        finally:
-            shutil.rmtree(self._folder / "repaired", ignore_errors=True)
-
-
-class Scenarios:
-    """Shipped scenarios, changed as texts."""
-
-    def __init__(self, _folder: Path) -> None:
-        self._texts = [path.read_bytes() for path in sorted((ROOT / "scenarios").glob("*.yaml"))]
-        self.sound = self._texts[0]
-
-    def make(self, chance: random.Random) -> bytes:
-        """A mutation."""
-        return mutated_text(chance.choice(self._texts), chance)
-
-    def run(self, data: bytes) -> None:
-        """Load and check."""
-        with suppress(PtnsbcError):
-            scenario = scenario_from_text(data.decode(errors="replace"), folder=ROOT / "scenarios")
-            check(scenario)
-            for uav in scenario.uav_ids:
-                agent_config(scenario, uav)
-
-
-class Wire:
-    """Serialised messages of the sample flight, through every decoder."""
-
-    _decoders: tuple[Callable[[bytes], object], ...] = (
-        wire.decode_odometry, wire.decode_velocity, wire.decode_wrench, wire.decode_header, wire.decode_clock,
-        wire.decode_near, wire.decode_integers, wire.decode_floats, wire.peek_stamp, wire.peek_sequence_stamp,
-        decode_diagnostics,
-    )  # fmt: skip
-
-    def __init__(self, _folder: Path) -> None:
-        sample = read_bag(ROOT / "bags" / "sample").messages()
-        of_topic = {one.topic: one.data for one in islice(sample, 2000)}
-        self._messages = list(of_topic.values())
-        self.sound = self._messages[0]
-
-    def make(self, chance: random.Random) -> bytes:
-        """A mutation."""
-        return mutated(chance.choice(self._messages), chance)
-
-    def run(self, data: bytes) -> None:
-        """Decode as every kind of message."""
-        for decode in self._decoders:
-            with suppress(PtnsbcError):
-                decode(data)
-
-
-class _Wires:
-    """A transport that delivers what it is given."""
-
-    def __init__(self, data: bytes, stream: bool) -> None:
-        self.stream = stream
-        self._left = [Packet(data, ("127.0.0.1", 1))]
-
-    def fileno(self) -> int:
-        return -1
-
-    def receive(self) -> Packet | None:
-        return self._left.pop() if self._left else None
-
-    def send(self, data: bytes, address: object) -> bool:
-        return bool(data and address)
-
-    def close(self) -> None:
-        pass
-
-
-class Packets:
-    """MAVLink packets of every kind that the dialect has."""
-
-    _wanted = frozenset(mavlink.mavlink_map)
-
-    def __init__(self, _folder: Path) -> None:
-        self._kinds = sorted(mavlink.mavlink_map)
-        self.sound = b""
-
-    def make(self, chance: random.Random) -> bytes:
-        """Packets with right checksums, half of them mutated."""
-        packets = b"".join(self._packet(chance) for _ in range(chance.choice((1, 1, 3))))
-        return mutated(packets, chance) if chance.random() < 0.5 else packets
-
-    def _packet(self, chance: random.Random) -> bytes:
-        """A packet with a right checksum and random content, cut or too long at times."""
-        number = chance.choice(self._kinds)
-        kind = mavlink.mavlink_map[number]
-        payload = chance.randbytes(
-            min(255, max(0, kind.unpacker.size + chance.choice((0, 0, -1, 5))))
-        )
-        head = bytes((0xFD, len(payload), 0, 0, chance.randrange(256), 1, 1)) + number.to_bytes(
-            3, "little"
-        )
-        crc = mavlink.x25crc(head[1:] + payload + bytes([kind.crc_extra])).crc
-        return head + payload + crc.to_bytes(2, "little")
-
-    def run(self, data: bytes) -> None:
-        """Through a link of datagrams, and through one of a serial line."""
-        for stream in (False, True):
-            link = MavlinkLink(_Wires(data, stream), 1, self._wanted)
-            for message in link.poll(0.0):
-                message.to_dict()
-
-
-Fuzzer = Bags | Scenarios | Wire | Packets
-FUZZERS: dict[str, Callable[[Path], Fuzzer]] = {
-    "bags": Bags,
-    "scenarios": Scenarios,
-    "wire": Wire,
-    "mavlink": Packets,
-}
+    def tell(self, inputs: int, failures: int) -> None:
+        """Say how many inputs were tried, and how many failed."""
+        if time.monotonic() >= self._next_s:
+            self._next_s += _TOLD_S
+            print(
+                f"{self._name}: {inputs} inputs, {failures} failures", file=sys.stderr, flush=True
+            )
 
 
 def measured(work: Callable[[bytes], None], data: bytes) -> Cost:
@@ -346,6 +121,7 @@ def fuzzed(kind: str, number: int, seed: int, seconds: float | None = None) -> R
     slowest = largest = Cost(0.0, 0.0)
     failures: list[str] = []
     done, end = 0, time.monotonic() + (seconds or float("inf"))
+    progress = _Progress(kind)
     with tempfile.TemporaryDirectory(prefix="ptnsbc-fuzz-") as folder:
         fuzzer = FUZZERS[kind](Path(folder))
         fuzzer.run(fuzzer.sound)  # the laws are loaded once: no input is to blame for that
@@ -358,6 +134,7 @@ def fuzzed(kind: str, number: int, seed: int, seconds: float | None = None) -> R
             largest = max(largest, cost, key=lambda one: one.megabytes)
             if wrong:
                 failures.append(f"{kept(kind, data)}: {wrong}")
+            progress.tell(done, len(failures))
     return Result(done, slowest, largest, failures)
 
 
@@ -373,7 +150,7 @@ def through_commands(number: int, seed: int) -> Result:
     """So many bags and so many scenarios through the commands in turn, each in a process of its own."""
     slowest = largest = Cost(0.0, 0.0)
     failures: list[str] = []
-    done = 0
+    done, progress = 0, _Progress(_BY_COMMANDS)
     with tempfile.TemporaryDirectory(prefix="ptnsbc-fuzz-") as folder:
         for kind, commands in _COMMANDS.items():
             fuzzer = FUZZERS[kind](Path(folder))
@@ -386,9 +163,11 @@ def through_commands(number: int, seed: int) -> Result:
                 largest = max(largest, cost, key=lambda one: one.megabytes)
                 if wrong:
                     failures.append(f"{kept(kind, data)}: ptnsbc {' '.join(words)}: {wrong}")
+                progress.tell(done, len(failures))
     return Result(done, slowest, largest, failures)
 
 
+_BY_COMMANDS = "through the commands"
 _COMMANDS = {
     "bags": (("verify", "--json"), ("bag", "info", "--check")),
     "scenarios": (("check", "--no-fly"),),  # a dry run takes seconds, whatever the file is
@@ -441,7 +220,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     if options.cli:
         result = through_commands(options.cli, options.seed)
         failures += result.failures
-        print(_shown("through the commands", result), flush=True)
+        print(_shown(_BY_COMMANDS, result), flush=True)
     for line in failures:
         print(line, file=sys.stderr)
     return 1 if failures else 0

@@ -11,11 +11,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bench import fuzz
+from bench.fuzz_inputs import Packets, Scenarios, Wire
 
 NOWHERE = Path()
-WIRE = fuzz.Wire(NOWHERE)
-PACKETS = fuzz.Packets(NOWHERE)
-SCENARIOS = fuzz.Scenarios(NOWHERE)
+WIRE = Wire(NOWHERE)
+PACKETS = Packets(NOWHERE)
+SCENARIOS = Scenarios(NOWHERE)
 
 
 @pytest.mark.slow
@@ -58,11 +59,11 @@ def test_the_same_seed_gives_the_same_inputs() -> None:
 def test_what_fails_is_kept_and_said(monkeypatch, tmp_path, capsys) -> None:
     monkeypatch.setattr(fuzz, "CORPUS", tmp_path)
 
-    def fails(self: fuzz.Wire, data: bytes) -> None:
+    def fails(self: Wire, data: bytes) -> None:
         if data != self.sound:
             raise KeyError(len(data))
 
-    monkeypatch.setattr(fuzz.Wire, "run", fails)
+    monkeypatch.setattr(Wire, "run", fails)
     monkeypatch.setattr(fuzz.resource, "setrlimit", lambda *_: None)
     assert fuzz.main(["--wire", "2"]) == 1
     out, err = capsys.readouterr()
