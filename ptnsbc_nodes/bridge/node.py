@@ -375,9 +375,7 @@ class BridgeNode:
         try:
             while not self._leaving and not bridge.procedure.over:
                 bridge.wait_and_serve()
-                self._near.publish_due(
-                    bridge.state_publisher.odometry, bridge.ports.inputs, bridge.flight_s()
-                )
+                self._near.publish_due(bridge)
             bridge.leave()
         except Exception as error:  # the thread must not die in silence and leave a stream behind
             bridge.procedure.fail(f"bridge failed: {error!r}")
@@ -417,12 +415,12 @@ class _NearPublisher:
     def _on_odometry(self, uav_id: int) -> Callable[[bytes], None]:
         return lambda data: self._objects.on_odometry(uav_id, self._clocks.steady_s(), data)
 
-    def publish_due(self, odometry: Array | None, inputs: BridgeInputs, mission_s: float) -> None:
-        """Publish at the rate of the scenario's sensor, once the own odometry (13,) is known."""
-        now_s = self._clocks.steady_s()
+    def publish_due(self, bridge: Bridge) -> None:
+        """Publish at the rate of the scenario's sensor, once the bridge knows its own odometry."""
+        now_s, odometry = self._clocks.steady_s(), bridge.state_publisher.odometry
         if odometry is None or now_s < self._next_s:
             return
         self._next_s = now_s + self._period_s
-        inputs.near_uavs = self._objects.uavs(now_s)
-        rows = self._objects.rows(now_s, odometry[0:3], mission_s)
+        bridge.ports.inputs.near_uavs = self._objects.uavs(now_s)
+        rows = self._objects.rows(now_s, odometry[0:3], bridge.flight_s())
         self._send(encode_near(self._clocks.ros_ns(), WORLD_FRAME, rows))

@@ -132,10 +132,11 @@ def test_with_near_links_it_sees_a_vehicle_that_its_uav_does_not_avoid(ros, brid
     template, odometry = OdometryTemplate("map", "uav4"), np.zeros(13)
     odometry[0:3], odometry[6] = (1.0, 2.0, 3.0), 1.0
     send = viewer.publisher(topics.odom(4), 1)
+    work.bridge.state_publisher.odometry = odometry
 
     def seen():
         send(template.encode(time.time_ns(), odometry))
-        work._near.publish_due(odometry, inputs, -1.0)
+        work._near.publish_due(work.bridge)
         ros.spin_for(0.02)
         return len(inputs.near_uavs) and heard
 
