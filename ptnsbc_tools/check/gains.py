@@ -9,7 +9,11 @@ from ptnsbc_core.types import LoopGain
 from ptnsbc_sim.disturbances.build import position_noise_of
 from ptnsbc_sim.disturbances.position_noise import correction_std_m, position_std_m
 from ptnsbc_sim.scenario import Scenario, agent_config
-from ptnsbc_sim.scenario.approach.deadline import shortest_deadlines, start_errors
+from ptnsbc_sim.scenario.approach.deadline import (
+    longest_need,
+    shortest_deadlines,
+    start_errors,
+)
 from ptnsbc_sim.scenario.approach.limits import limits_left, limits_left_by_mission
 from ptnsbc_sim.scenario.semantics import STABILITY_LIMIT
 from ptnsbc_sim.scenario.slots import with_slots_of_starts
@@ -139,12 +143,14 @@ def feasible(scenario: Scenario) -> Findings:
             "slow the leader down, or raise the limit",
         )
         return
-    away, needs = start_errors(scenario.file), shortest_deadlines(scenario.file, left)
-    short = sum(need > deadline for need in needs.values())
-    last = max(needs, key=lambda one: needs[one])
-    hundredths = 100.0 * needs[last]  # as it is printed: never rounded down
-    shortest = math.ceil(hundredths) / 100.0 if math.isfinite(hundredths) else needs[last]
-    too_short = f", too short for {short} of {len(needs)} UAVs" if short else ""
+    away, (last, need_s) = start_errors(scenario.file), longest_need(scenario.file, left)
+    short = 0
+    if need_s > deadline:
+        needs = shortest_deadlines(scenario.file, left)
+        short = sum(need > deadline for need in needs.values())
+    hundredths = 100.0 * need_s  # as it is printed: never rounded down
+    shortest = math.ceil(hundredths) / 100.0 if math.isfinite(hundredths) else need_s
+    too_short = f", too short for {short} of {len(away)} UAVs" if short else ""
     yield Finding(
         ERROR if short else INFO,
         "gains.formation.deadline_s",

@@ -20,7 +20,7 @@ from ptnsbc_nodes.bridge.setpoint.lead import (
 )
 from ptnsbc_nodes.bridge.tuning.excitation import FrequencyPoint, TuneError
 from ptnsbc_sim.scenario import Scenario, agent_config
-from ptnsbc_sim.scenario.approach.deadline import shortest_deadlines, start_errors
+from ptnsbc_sim.scenario.approach.deadline import longest_need, start_errors
 from ptnsbc_sim.scenario.approach.limits import limits_left
 
 AGREES = 0.1
@@ -140,7 +140,7 @@ def _limit_s(scenario: Scenario) -> float:
         raise TuneError(
             f"{scenario.source}: the leader's motion leaves nothing of the limits: see ptnsbc check"
         )
-    return max(shortest_deadlines(scenario.file, left).values())
+    return longest_need(scenario.file, left).deadline_s
 
 
 def _shortest_s(

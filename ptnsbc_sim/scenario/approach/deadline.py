@@ -43,6 +43,13 @@ _RESERVE = 1.2
 _STEP_S = 0.1  # `auto` is rounded up to it
 
 
+class Need(NamedTuple):
+    """The shortest deadline of one UAV."""
+
+    uav: int
+    deadline_s: float
+
+
 class LegRoom(NamedTuple):
     """The room of a leg: it can be flown, or not."""
 
@@ -182,6 +189,11 @@ def shortest_deadlines(file: ScenarioFile, limits: MotionLimits) -> dict[int, fl
     return _deadlines(file, limits, turn_of(file))
 
 
+def longest_need(file: ScenarioFile, limits: MotionLimits) -> Need:
+    """The UAV whose shortest deadline is the longest, the first by number; as `shortest_deadlines`, for less work."""
+    return _longest_need(file, limits, turn_of(file))
+
+
 def shortest_from(file: ScenarioFile, starts: EpochPlaces, uav: int) -> float | None:
     """Shortest deadline [s] for a UAV from where it was at an epoch; None: the mission leaves nothing of the limits."""
     limits, turn = limits_left(file), turn_of(file)
@@ -194,6 +206,17 @@ def shortest_from(file: ScenarioFile, starts: EpochPlaces, uav: int) -> float | 
 def _deadlines(file: ScenarioFile, limits: MotionLimits, turn: float) -> dict[int, float]:
     starts, bounds = starts_of(file), _bounds(file, limits, turn)
     return {uav: shortest_below(file, starts, uav, bound, turn) for uav, bound in bounds.items()}
+
+
+def _longest_need(file: ScenarioFile, limits: MotionLimits, turn: float) -> Need:
+    starts, bounds = starts_of(file), _bounds(file, limits, turn)
+    longest = Need(0, -math.inf)
+    for uav in sorted(bounds, key=lambda one: (-bounds[one], one)):
+        if bounds[uav] < longest.deadline_s:  # nor does any that follows need more than its bound
+            break
+        need = Need(uav, shortest_below(file, starts, uav, bounds[uav], turn))
+        longest = max(longest, need, key=lambda one: (one.deadline_s, -one.uav))
+    return longest
 
 
 def _turned_s(error_m: float, limits: MotionLimits, turn: float) -> float:
@@ -236,7 +259,7 @@ def auto_deadline(file: ScenarioFile, source: str) -> float:
         )
     turn = file.formation.turn_rad
     turn = _open_turns(file)[0] if turn is None else float(turn)
-    shortest = max(_deadlines(file, limits, turn).values())
+    shortest = _longest_need(file, limits, turn).deadline_s
     # The inner loops have to be done before the formation is.
     inner = file.gains
     least = 1.2 * max(inner.estimator.deadline_s, inner.force.deadline_s, inner.torque.deadline_s)

@@ -7,7 +7,12 @@ import pytest
 
 from ptnsbc_core.curves.trajectory import reference
 from ptnsbc_sim.scenario import ScenarioError, load_scenario, scenario_from_text
-from ptnsbc_sim.scenario.approach.deadline import MARGIN, shortest_deadlines, start_errors
+from ptnsbc_sim.scenario.approach.deadline import (
+    MARGIN,
+    longest_need,
+    shortest_deadlines,
+    start_errors,
+)
 from ptnsbc_sim.scenario.approach.limits import limits_left
 from ptnsbc_sim.scenario.build import leader_trajectory
 from ptnsbc_sim.scenario.slots import with_slots_of_starts
@@ -54,6 +59,15 @@ def test_auto_is_a_number_in_the_text():
     assert MARGIN * shortest <= deadline_s < MARGIN * shortest + 0.1
     assert "auto" not in scenario.text
     assert scenario_from_text(scenario.text).file == scenario.file
+
+
+@pytest.mark.parametrize(
+    "name", ["paper_5", "paper_5_free", "paper_20", "experiment_4", "corridor"]
+)
+def test_the_longest_need_is_the_largest_of_all(name):
+    file = load_scenario(name).file
+    needs, need = shortest_deadlines(file, limits_left(file)), longest_need(file, limits_left(file))
+    assert need == (max(needs, key=lambda uav: needs[uav]), max(needs.values()))
 
 
 def test_auto_in_a_file_and_auto_as_an_option_are_the_same(tmp_path):
