@@ -2,9 +2,10 @@
 
     tests/repeat.py N PROCESSES JOBS [WORD...]
 
-`make test` runs N times, then the part of all tests that starts processes runs PROCESSES times. Every second run has as
-many busy loops beside it as there are cores. Words go to pytest, as in `make repeat ARGS="-k signals"`. Prints the time
-and the summary of each run, and how many tests were not judged; nothing is run again because it failed.
+`make test` runs N times, then its part that starts processes runs PROCESSES times, without the flights in real time.
+Every second run has as many busy loops beside it as there are cores. Words go to pytest, as in
+`make repeat ARGS="-k signals"`. Prints the time and the summary of each run, and how many tests were not judged;
+nothing is run again because it failed.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ HERE = Path(__file__).resolve().parent
 STARTS_PROCESSES = (
     "nodes", "io/bag", "sim/autopilot", "tools/commands", "tools/replay", "tools/reproduce", "bench", "test_launch.py",
 )  # fmt: skip
+QUICK = "not slow and not alone"
 NOT_JUDGED = re.compile(r"(\d+) not judged")
 BUSY = "import os\nparent = os.getppid()\nwhile os.getppid() == parent: pass"
 """A busy loop that ends with the program that started it."""
@@ -84,7 +86,7 @@ def main() -> int:
         runs.append(run(f"all, {k + 1} of {times}", k % 2 * cores, file, *words))
     for k in range(part_times):
         title, file = f"processes, {k + 1} of {part_times}", logs / f"processes{k + 1}.log"
-        runs.append(run(title, k % 2 * cores, file, *words, *paths))
+        runs.append(run(title, k % 2 * cores, file, *words, "-m", QUICK, *paths))
     passed, not_judged = sum(one.passed for one in runs), sum(one.not_judged for one in runs)
     print(f"{passed} of {len(runs)} runs without a failure, {not_judged} tests not judged")
     return 0 if passed == len(runs) else 1
