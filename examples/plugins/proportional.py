@@ -2,7 +2,7 @@
 
 import numpy as np
 
-VELOCITY_1_S, TILT_1_S2, RATE_1_S, YAW_1_S = 8.0, 200.0, 30.0, 10.0
+VELOCITY_1_S, TILT_1_S2, RATE_1_S, YAW_1_S = 8.0, 200.0, 25.0, 8.0
 
 
 def proportional(inputs):

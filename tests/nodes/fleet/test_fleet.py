@@ -20,11 +20,13 @@ from ptnsbc_nodes.fleet.fleet import FleetError, FleetOptions, _killed_by, run_f
 from ptnsbc_nodes.view.observer import Observer
 from ptnsbc_sim.scenario import load_scenario, scenario_from_text
 from ptnsbc_sim.swarm import fly
+from ptnsbc_tools.library.flight import flight_in
 from ptnsbc_tools.replay.rerun import rerun
 
 pytestmark = pytest.mark.ros
 
 SCENARIOS = Path(__file__).parents[3] / "scenarios"
+PLUGINS = Path(__file__).parents[3] / "examples" / "plugins"
 
 
 def counts(bag):
@@ -214,6 +216,19 @@ def test_uavs_that_share_a_process_send_the_bytes_of_those_that_do_not(tmp_path)
     assert shared.keys() == alone.keys()
     for name, messages in alone.items():
         assert shared[name] == messages, name
+
+
+@pytest.mark.slow
+@pytest.mark.alone
+def test_functions_of_the_user_fly_in_real_time_to_their_deadline_and_run_again(tmp_path):
+    """Task, controller, plant, disturbance and sensor at once, by the wall clock."""
+    scenario = load_scenario(PLUGINS / "all.yaml")
+    bag = tmp_path / "bag"
+    flown = run_fleet(FleetOptions(scenario, bag=bag, log_dir=tmp_path / "logs", processes=2))
+    assert (flown.died, flown.exit_code) == ((), 0)
+    found = flight_in(bag).verdict
+    assert found.verdict == "met", found
+    assert rerun(read_bag(bag), scenario).verdict == "equal"
 
 
 @pytest.mark.slow
