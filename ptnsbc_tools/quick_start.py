@@ -1,4 +1,4 @@
-"""What a command need not load: what parses options for a help, and the compiler of the laws for a short recording."""
+"""Imports that a command can do without: parsers of options for a help, the compiler of the laws for a short bag."""
 
 from __future__ import annotations
 
