@@ -32,6 +32,8 @@ class Completeness:
         self._gap: dict[str, int] = {}  # shortest time between two messages of a source
         self._bounds = dict(self._newest)  # up to which each source is complete
         self.complete_ns = -1
+        self.tick_ns = _NEVER
+        """Shortest time between two messages of any source: the control period, once two messages have come."""
         self._last = len(self._bounds)  # sources that hold `complete_ns` back
 
     def add(self, source: str, stamp_ns: int) -> bool:
@@ -42,6 +44,7 @@ class Completeness:
         if newest >= 0:
             gap = min(stamp_ns - newest, self._gap.get(source, _NEVER))
             self._gap[source] = gap
+            self.tick_ns = min(self.tick_ns, gap)
         else:
             gap = 1
         self._newest[source] = stamp_ns

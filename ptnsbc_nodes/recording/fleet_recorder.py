@@ -96,7 +96,7 @@ class FleetRecorder(BagRecorder):
         """`silences`: UAV, first instant [ns] and the first after it, in which it is to send nothing."""
         super().__init__(node, writer, seal)
         self._lockstep = lockstep
-        self._ticks = 0
+        self._acknowledged_ns = 0
         self._clock_ns = 0  # newest /clock of a lock-step flight
         self._ends: dict[Topic, Subscription] = {}
         recorded = tuple(recorded)
@@ -170,11 +170,14 @@ class FleetRecorder(BagRecorder):
         return record
 
     def _on_complete(self, order: ReorderBuffer) -> None:
-        """Acknowledge to the sim that all topics have been received up to some stamp."""
+        """Acknowledge to the sim that all topics have been received up to some stamp.
+
+        Ticks are counted by stamps: where a status arrives last, it completes all ticks since the one before.
+        """
         order.complete_ns = self._completeness.complete_ns
-        self._ticks += 1
-        if self._ticks % _ACK_TICKS == 0:
-            stamp_ns = min(max(order.complete_ns, 0), self._clock_ns)
+        stamp_ns = min(max(order.complete_ns, 0), self._clock_ns)
+        if stamp_ns - self._acknowledged_ns >= _ACK_TICKS * self._completeness.tick_ns:
+            self._acknowledged_ns = stamp_ns
             self._acknowledge.publish(self._close(self._acknowledgement.encode(stamp_ns)))
 
     def _on_lost(self, data: bytes) -> None:

@@ -173,6 +173,30 @@ def test_the_sim_is_told_of_what_all_topics_have(ros, tmp_path):
         assert recorder.late == 0
 
 
+def test_the_sim_is_told_when_what_comes_seldom_comes_last(ros, tmp_path):
+    """Each of its messages completes several ticks. Counted as one, the word came too late, and the sim waited."""
+    odom, near, clock = recorded = topics.odom(1), topics.near(1), topics.CLOCK
+    sent, told, every = messages(60), [], 10
+    infos = [topic_info(topic, lockstep=True) for topic in (*recorded, topics.TF)]
+    with BagWriter(tmp_path / "flight", infos) as writer:
+        node = ros.node("recorder")
+        recorder = FleetRecorder(node, writer, recorded, Transforms([1]), lockstep=True)
+        sim = Endpoints(ros.node("sim"), lockstep=True)
+        sim.listen(topics.RECORDED, wire.decode_header, told.append)
+        flight = Flight(ros, recorded, lockstep=True)
+        ros.spin_until(lambda: not sim.unheard())
+        for tick in range(60):
+            flight.publish(odom, sent[odom][tick])
+            flight.publish(clock, sent[clock][tick])
+            ros.spin_until(lambda n=2 * (tick + 1): recorder.received == n)
+        for count, tick in enumerate(range(0, 60, every), start=1):
+            flight.publish(near, sent[near][tick])
+            ros.spin_until(lambda n=120 + count: recorder.received == n)
+        ros.spin_until(lambda: len(told) == 2)
+        recorder.finish()
+    assert [word.stamp_ns // TICK_NS for word in told] == [29, 59]
+
+
 def test_real_time(ros, tmp_path):
     before = time.time_ns()
     order = mixed(1, ticks=10)
