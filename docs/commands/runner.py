@@ -154,7 +154,8 @@ class Page:
         """The results of the blocks in the background, last first, after Ctrl-C to those that run."""
         for block, process, began in reversed(self._beside):
             ended = process.code is not None
-            allowed = (0,) if ended else (0, _INTERRUPTED)
+            own = block.marker.code
+            allowed = (own,) if ended else (0, own, _INTERRUPTED)
             quick = ended or process.interrupt()
             problem = _verdict(process.code, allowed) if quick else "did not end at Ctrl-C"
             took = time.monotonic() - began
