@@ -6,8 +6,9 @@
     <!-- run: each for 3 s -->            every line by itself, likewise
     <!-- run: beside, until "TEXT" -->    goes on in the background; the next block starts when it has
                                           said TEXT; Ctrl-C when the page is over, unless it has ended;
-                                          `, exits 1` at the end: with this code where it ends by itself
-    <!-- run: with --duration 3 -->       these words added to its one line, to make it short
+                                          `, exits 1` after that: with this code where it ends by itself;
+                                          `, with WORDS` at the end, as below
+    <!-- run: with --duration 3 -->       these words added to its one line, to make it short or light
     <!-- run: exits 1 -->                 with this code and no other
     <!-- run: where ros2 -->              only where there is such a program; one of the others may
                                           follow, as in `where ros2: for 3 s`
@@ -86,7 +87,10 @@ _FORMS = (
     (r"by \.ci/run", How.ELSEWHERE),
     (r"for (?P<seconds>\d+) s", How.FOR),
     (r"each for (?P<seconds>\d+) s", How.EACH),
-    (r'beside, until "(?P<text>[^"]+)"(, exits (?P<code>\d+))?', How.BESIDE),
+    (
+        r'beside, until "(?P<text>[^"]+)"(, exits (?P<code>\d+))?(, with (?P<words>\S.*))?',
+        How.BESIDE,
+    ),
     (r"with (?P<words>\S.*)", How.RUN),
     (r"exits (?P<code>\d+)", How.RUN),
 )
@@ -117,7 +121,7 @@ def marker_of(text: str, place: str) -> Marker:
                 int(given.get("code") or 0),
             )
     forms = (
-        'no, REASON | by .ci/run | [each] for N s | beside, until "TEXT"[, exits N] | with WORDS | exits N | '
+        'no, REASON | by .ci/run | [each] for N s | beside, until "TEXT"[, exits N][, with WORDS] | with WORDS | exits N | '
         "where PROGRAM[: ...]"
     )
     raise PageError(f"{place}: run: {said}: expected {forms}")

@@ -143,7 +143,7 @@ class Page:
         if marker.how is How.EACH:
             scripts = block.lines
         else:
-            scripts = [f"{block.lines[0]} {marker.words}" if marker.words else block.script]
+            scripts = [_script(block)]
         for script in scripts:
             problem, output = self._one(script, block)
             if problem:
@@ -169,7 +169,7 @@ class Page:
 
     def _start_beside(self, block: Block) -> Outcome:
         began = time.monotonic()
-        process = self._stack.enter_context(self._process(block.script))
+        process = self._stack.enter_context(self._process(_script(block)))
         said = process.wait(_LONGEST_S, block.marker.text) and block.marker.text in process.output
         if not said:
             problem = f"did not say {block.marker.text!r}, {_verdict(process.code, (0,))}"
@@ -209,6 +209,12 @@ def _commands_of(script: str) -> Iterator[str]:
         step = re.fullmatch(r'step "[^"]*" (.+)', bare)
         body = re.fullmatch(r"\w+\(\) \{ (.+); \}", bare)
         yield (step or body)[1] if step or body else bare
+
+
+def _script(block: Block) -> str:
+    """The block with the words that its marker adds."""
+    words = block.marker.words
+    return f"{block.lines[0]} {words}" if words else block.script
 
 
 def _verdict(code: int | None, allowed: tuple[int, ...]) -> str:

@@ -61,6 +61,7 @@ def _outcomes(tmp_path: Path, *marked: tuple[str, str]):
         ("for 3 s", How.FOR),
         ("each for 3 s", How.EACH),
         ('beside, until "ready"', How.BESIDE),
+        ('beside, until "ready", exits 1, with --set a=1', How.BESIDE),
         ("with --duration 3", How.RUN),
         ("exits 1", How.RUN),
     ],
