@@ -121,8 +121,8 @@ def marker_of(text: str, place: str) -> Marker:
                 int(given.get("code") or 0),
             )
     forms = (
-        'no, REASON | by .ci/run | [each] for N s | beside, until "TEXT"[, exits N][, with WORDS] | with WORDS | exits N | '
-        "where PROGRAM[: ...]"
+        'no, REASON | by .ci/run | [each] for N s | beside, until "TEXT"[, exits N][, with WORDS] | '
+        "with WORDS | exits N | where PROGRAM[: ...]"
     )
     raise PageError(f"{place}: run: {said}: expected {forms}")
 
