@@ -48,6 +48,13 @@ class Launched:
                 return
         raise AssertionError(f"never said {texts}: {self.lines}")
 
+    def wait_until_flown(self, flight_s: float) -> None:
+        """Return once the sim has told of as much flight."""
+        while True:
+            self.wait_for("sim: ", "steps/s")
+            if float(self.lines[-1].partition("sim: ")[2].split()[0]) >= flight_s:
+                return
+
     def finish(self) -> int:
         out, err = self.process.communicate()
         self._watchdog.cancel()

@@ -10,8 +10,10 @@ import sys
 import threading
 import time
 from contextlib import contextmanager
+from itertools import pairwise
 from pathlib import Path
 
+import yaml
 from domain_ports import first_port
 
 from bench.stand_ins import BASE, SCENARIO
@@ -22,27 +24,40 @@ COMMAND = "ptnsbc_tools.cli"
 PATIENCE_S = 600
 _INTERRUPTED = (0, 130)
 
-_VEHICLE = (
-    '    {uav}: {{autopilot: {kind}, setpoint: {setpoint}, connect: "udpin:127.0.0.1:{port}"}}\n'
-)
 # The vehicles sink as fast as they climb, because these flights do not test the landing.
 _LANDING = {"px4": "MPC_LAND_SPEED=1.5", "ardupilot": "LAND_SPD_MS=1.5"}
 
 
-def write_scenario(path, domain, *, duration_s, fleet=(("px4", "velocity"),) * 4):
-    """`experiment_4` on ports of its own, each vehicle of a kind and with setpoints of a kind.
+def write_scenario(path, domain, *, duration_s, fleet):
+    """Some UAVs of `experiment_4` on ports of their own: by id, 1 among them and not 2, the kind and the setpoints.
 
-    At its 100 Hz two slow cores are all that four UAVs, bridges and stand-ins need: none is left for a late start.
+    Its four UAVs with bridges and stand-ins are all that two cores can do in real time, at 50 Hz too.
     """
     first = first_port(domain)
-    vehicles = (
-        _VEHICLE.format(uav=n + 1, kind=kind, setpoint=setpoint, port=first + n)
-        for n, (kind, setpoint) in enumerate(fleet)
-    )
-    head = SCENARIO.format(base=BASE, duration_s=f"{duration_s}, control_hz: 50")
-    path.write_text(
-        "sensor: {rate_hz: 10, positioning: {latency_s: 0.04}}" + head + "".join(vehicles)
-    )
+    followers = [number for number in fleet if number != 1]
+    left_out = {number: None for number in (2, 3, 4) if number not in fleet}
+    base = yaml.safe_load(Path(BASE).read_text(encoding="utf-8"))
+    tree = yaml.safe_load(SCENARIO.format(base=BASE, duration_s=duration_s))
+    tree |= {
+        "sensor": {"rate_hz": 10, "positioning": {"latency_s": 0.04}},
+        "communication": {
+            "tree": left_out,
+            "leader_links": followers,
+            "estimator_edges": list(map(list, pairwise(followers))),
+        },
+        "formation": {"offsets_m": dict(left_out)},
+        "uavs": [uav for uav in base["uavs"] if uav["id"] in fleet],
+    }
+    tree["timing"]["control_hz"] = 50
+    tree["mavlink"]["vehicles"] = {
+        number: {
+            "autopilot": kind,
+            "setpoint": setpoint,
+            "connect": f"udpin:127.0.0.1:{first + number}",
+        }
+        for number, (kind, setpoint) in fleet.items()
+    }
+    path.write_text(yaml.safe_dump(tree))
     return path
 
 
@@ -76,6 +91,7 @@ class Program:
             with self._new_line:
                 self.lines.append(line.rstrip())
                 self._new_line.notify_all()
+        self.process.wait()  # who waits for a line asks whether the program has ended
         with self._new_line:
             self._new_line.notify_all()
 
@@ -112,8 +128,8 @@ class Program:
 
 
 @contextmanager
-def stand_ins(path, domain, *options, kinds=("px4",)):
-    """Four flight controllers for the scenario at `path`, with RTK receivers as in the paper's experiment."""
+def stand_ins(path, domain, *options, count, kinds=("px4",)):
+    """The `count` flight controllers of the scenario at `path`, with RTK receivers as in the paper's experiment."""
     landing = [word for kind in kinds for word in ("--param", _LANDING[kind])]
     program = Program(
         COMMAND, "autopilot", "--scenario", path, "--gcs", "", "--boot-time", "0",
@@ -121,7 +137,7 @@ def stand_ins(path, domain, *options, kinds=("px4",)):
     )  # fmt: skip
     try:
         # Stand-ins and fleet compile at their first start, one after the other.
-        program.wait_for("system 4 at", patience_s=PATIENCE_S)
+        program.wait_for(f"system {count} at", patience_s=PATIENCE_S)
         yield program
     finally:
         assert program.finish(signal.SIGINT) in _INTERRUPTED, program.lines

@@ -1,7 +1,6 @@
 """A failure is hidden only where others had the machine."""
 
 import os
-import re
 import subprocess
 import sys
 import time
@@ -9,11 +8,10 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import pytest
-from real_time import SLOW_ROUNDS_A_S, Cores, Usage, taken, usage
+from real_time import Cores, Usage, taken, usage
 
 HERE = Path(__file__).parent
-FAST, SLOW = 2.0 * SLOW_ROUNDS_A_S, 0.9 * SLOW_ROUNDS_A_S
-PROMPT, LATE, STOPPED = Cores(0.001, 0.02, FAST), Cores(0.011, 0.02, FAST), Cores(0.001, 0.6, FAST)
+PROMPT, LATE, STOPPED = Cores(0.001, 0.02, 8e6), Cores(0.011, 0.02, 8e6), Cores(0.001, 0.6, 8e6)
 
 
 def ten_seconds(*, idle, ours, others, cores=2):
@@ -31,11 +29,9 @@ def ten_seconds(*, idle, ours, others, cores=2):
         (PROMPT, ten_seconds(idle=0.0, ours=0.5, others=0.5), True),  # others yielded in time
         (LATE, ten_seconds(idle=0.0, ours=0.5, others=0.5), False),
         (STOPPED, ten_seconds(idle=0.1, ours=0.4, others=0.5), False),
-        (LATE._replace(rounds_a_s=SLOW), ten_seconds(idle=0.0, ours=0.97, others=0.03), False),
-        (PROMPT._replace(rounds_a_s=SLOW), ten_seconds(idle=0.5, ours=0.47, others=0.03), True),
     ],
 )
-def test_late_and_by_others_or_on_slow_cores(cores, used, judged):
+def test_late_and_by_others(cores, used, judged):
     assert taken(cores, used) is not judged
 
 
@@ -116,8 +112,6 @@ def test_on_an_idle_machine_every_failure_is_one(tmp_path):
         others = usage().minus(before).others
     if "not judged" in out and others > 0.02:
         pytest.skip(f"the machine is not idle: other programs had {others:.0%} of this core")
-    if slow := re.search(r"not judged: .*a core did \d\d% ", out):
-        pytest.skip(slow.group())
     assert flights.returncode == 1
     assert out.splitlines()[-1].startswith("3 failed, 1 passed in"), out
     assert "scheduling delay p99" in out
@@ -138,5 +132,5 @@ def test_beside_busy_loops_of_others_it_is_not_judged(tmp_path):
         out, _ = flights.communicate()
     assert flights.returncode == 1  # of the test that is not in real time
     assert "1 failed, 1 passed, 1 deselected, 1 not judged in" in out.splitlines()[-1], out
-    assert "not judged: the machine was taken away, or slow: scheduling delay p99" in out
+    assert "not judged: the machine was taken away: scheduling delay p99" in out
     assert "as it must" in out
