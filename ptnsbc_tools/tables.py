@@ -80,10 +80,16 @@ def word(kind: str) -> Text:
 
 
 def findings_table(title: str, findings: Iterable[Finding]) -> Table:
-    """Findings, the worst first."""
-    table = _table(title, ("", "key", "found", "limit", "change"))
+    """Findings, the worst first: what was found, then the limit and the advice in lines of their own."""
+    table = _table(title, ("", "key"))
+    table.add_column("found; limit; change", overflow="fold", ratio=1)
     for one in findings:
-        table.add_row(word(one.severity), one.key, one.value, one.limit, one.advice)
+        text = Text(one.value)
+        if one.limit:
+            text.append(f"\nlimit: {one.limit}", style="dim")
+        if one.advice:
+            text.append(f"\nchange: {one.advice}")
+        table.add_row(word(one.severity), one.key, text)
     return table
 
 
