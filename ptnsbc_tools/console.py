@@ -166,8 +166,11 @@ class _Compilation:
     def _show(self) -> None:
         if self._ended.wait(_PATIENCE_S):
             return
-        say_once(COMPILING)
         with _counted_compilations() as compiled:
+            while not compiled:  # what is read from the cache, or interpreted, is no compilation
+                if self._ended.wait(_COMPILING_LOOK_S):
+                    return
+            say_once(COMPILING)
             if not sys.stderr.isatty():
                 while not self._ended.wait(_COMPILING_SAY_S):
                     say(self._words(compiled))
@@ -185,12 +188,13 @@ class _Compilation:
 @contextmanager
 def _counted_compilations() -> Iterator[list[str]]:
     """The names of the functions that numba begins to compile inside the `with`."""
+    from ptnsbc_core.kernel import COMPILED
+
     names: list[str] = []
-    try:
-        from numba.core import event
-    except ImportError:  # the laws are interpreted
+    if not COMPILED:
         yield names
         return
+    from numba.core import event
 
     class Named(event.Listener):
         def on_start(self, one: Any) -> None:

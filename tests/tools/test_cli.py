@@ -4,7 +4,6 @@ import json
 import re
 import subprocess
 import sys
-import threading
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -16,9 +15,7 @@ from ptnsbc_io.bag import BagWriter, TopicInfo
 from ptnsbc_io.wire import HeaderTemplate, OdometryTemplate, WrenchTemplate
 from ptnsbc_nodes.comm import topics
 from ptnsbc_sim.verdict import Recording, Series
-from ptnsbc_tools import console
 from ptnsbc_tools.cli import app
-from ptnsbc_tools.console import COMPILING
 from ptnsbc_tools.reading.bag_sources import SCENARIO_ATTACHMENT
 
 Fly = Callable[..., Recording]
@@ -185,24 +182,6 @@ def test_a_bag_with_holes_says_so(fly: Fly, without: Callable[..., Series], tmp_
     assert data["uavs"][2]["reason"].startswith("recording incomplete: nothing on /uav3/odom")
     assert [one["missing"] for one in data["uavs"]] == [0, 0, 300, 0, 0]
     assert [one["missing"] for one in data["efforts"]] == [0, 0, 0, 0, 0]
-
-
-def test_a_line_says_what_takes_long(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    console.say_once.cache_clear()
-    say, due = console.say_once, threading.Event()
-    monkeypatch.setattr(console, "say_once", lambda line: (say(line), due.set()))
-    monkeypatch.setattr(console, "_PATIENCE_S", 0.01)
-    for _ in range(2):  # said once
-        due.clear()
-        with console.compiling():
-            assert due.wait(10.0)
-    assert capsys.readouterr().err == f"{COMPILING}\n"
-    monkeypatch.setattr(console, "_PATIENCE_S", 60.0)
-    with console.compiling():
-        pass
-    assert capsys.readouterr().err == ""
 
 
 def test_seed_says_what_it_is_for() -> None:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import io
+import threading
 import time
+from contextlib import nullcontext
 
 import pytest
 from rich.table import Table
@@ -56,3 +58,35 @@ def test_a_compilation_names_its_functions(
             said += capsys.readouterr().err
     assert said.startswith(console.COMPILING)
     assert "now law_of_this_test" in said
+
+
+class Compiled(list[str]):
+    """The names of compiled functions, and whether somebody has looked."""
+
+    def __init__(self, *names: str) -> None:
+        super().__init__(names)
+        self.looked = threading.Event()
+
+    def __len__(self) -> int:
+        self.looked.set()
+        return super().__len__()
+
+
+@pytest.mark.parametrize(("names", "said"), [((), ""), (("law",), f"{console.COMPILING}\n")])
+def test_only_a_compilation_is_said_and_once(
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    names: tuple[str, ...],
+    said: str,
+) -> None:
+    """A long look at the disk, or laws that are interpreted, are none."""
+    console.say_once.cache_clear()
+    monkeypatch.setattr(console, "_PATIENCE_S", 0.0)
+    for _ in range(2):
+        compiled = Compiled(*names)
+        monkeypatch.setattr(
+            console, "_counted_compilations", lambda found=compiled: nullcontext(found)
+        )
+        with console.compiling():
+            assert compiled.looked.wait(60.0)
+    assert capsys.readouterr().err == said
