@@ -143,7 +143,7 @@ def _concerns(bridge: Bridge, missing: Sequence[str], endpoints: Endpoints) -> I
     if fault := bridge.state_publisher.fault(bridge.ports.clocks.steady_s()):
         yield Concern(SafetyState.DEGRADED, warn, fault)
     if missing:
-        yield Concern(SafetyState.NOMINAL, warn, f"waiting for {' '.join(missing)}")
+        yield Concern(SafetyState.NOMINAL, warn, f"waiting for {', '.join(missing)}")
     if refused := endpoints.refusals.report() or endpoints.rivals():
         yield Concern(SafetyState.DEGRADED, warn, refused)
     following = bridge.stream.following.found() if bridge.stream.lead is not None else None

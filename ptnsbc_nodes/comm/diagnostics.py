@@ -75,5 +75,5 @@ def readiness(waiting_for: Sequence[str]) -> dict[str, str]:
     """The first values in the status of every node."""
     return {
         "ready": "false" if waiting_for else "true",
-        "waiting_for": " ".join(waiting_for),
+        "waiting_for": ", ".join(waiting_for),
     }

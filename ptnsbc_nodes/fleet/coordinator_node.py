@@ -391,7 +391,9 @@ class Coordinator:
                 if INACTIVE not in waits_for:
                     self._manager.arrived(name)
                 if WAITED in values and name == SIM:
-                    self._wait.reported(time.monotonic(), waits_for.split())
+                    self._wait.reported(
+                        time.monotonic(), waits_for.split(", ") if waits_for else []
+                    )
                 if "order" in values:
                     self.vehicles[name] = reported(name, values)
                     self._on_place(name, values.get("position_m", ""))

@@ -217,7 +217,7 @@ class SimNode:
         }
         hovering = "" if lockstep or not self._running else self._real_time.hovering(stamp_ns)
         values |= self.endpoints.refusals.values()
-        message = f"waiting for {' '.join(missing)}" if missing else hovering
+        message = f"waiting for {', '.join(missing)}" if missing else hovering
         message = message or self.endpoints.refusals.report() or self.endpoints.rivals()
         level = DiagnosticLevel.WARN if message else DiagnosticLevel.OK
         self._log.note(level, message)

@@ -168,7 +168,7 @@ class LegServices:
                 when = f"{ahead_s:.1f} s from now" if ahead_s > 0.0 else f"{-ahead_s:.1f} s ago"
                 return f"mission.start: {when}: expected a time within the next {_MOST_WAIT_S:g} s"
         missing = self._waiting_for() if name == "start" else ()
-        return f"the leader waits for {' '.join(missing)}" if missing else None
+        return f"the leader waits for {', '.join(missing)}" if missing else None
 
     def _list(self) -> str:
         """The legs of the mission as JSON, with the time since the first epoch."""

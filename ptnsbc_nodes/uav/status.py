@@ -124,6 +124,6 @@ class StatusPublisher:
             clock_offset=str(parts.timing.clock_offset.offset or ""),
             intruder=parts.endpoints.refusals.report() or parts.endpoints.rivals(),
             missed_ticks=missed,
-            waiting_for=" ".join(missing),
+            waiting_for=", ".join(missing),
             flying=flying,
         )

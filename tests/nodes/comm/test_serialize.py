@@ -56,5 +56,5 @@ def test_diagnostics_message():
     assert (only.name, only.hardware_id, only.level) == ("uav3: planner", "uav3", b"\x01")
     assert {pair.key: pair.value for pair in only.values} == {
         "ready": "false",
-        "waiting_for": "/a /b",
+        "waiting_for": "/a, /b",
     }

@@ -38,7 +38,7 @@ def test_no_message_ends_the_launcher_or_makes_it_end_a_uav(ros):
             launcher,
             lambda: all(one.publisher.get_subscription_count() for one in others._published),
         )
-        names = " ".join(f"uav{i}" for i in range(1, 6))
+        names = ", ".join(f"uav{i}" for i in range(1, 6))
         for waited in ("100", "1e9", "many", 5000 * "9"):
             values = {"ready": "false", "waiting_for": names, WAITED: waited}
             for publish in send:

@@ -33,7 +33,7 @@ def test_said_once_and_told_until_it_is_over(standstill, sent, capsys):
     assert capsys.readouterr().err == "sim: no answer from uav3 uav5 for 3 s\n"
     (status,) = decode_diagnostics(sent[-1]).statuses
     assert status.name == "sim: world"
-    assert status.values["waiting_for"] == "uav3 uav5"
+    assert status.values["waiting_for"] == "uav3, uav5"
     assert float(status.values["waited_s"]) == pytest.approx(SAID_S + ENDED_S - 1 / STATUS_HZ)
     told = len(sent)
     looks(standstill, SAID_S, mark=8)
