@@ -172,8 +172,13 @@ class _Compilation:
                     return
             say_once(COMPILING)
             if not sys.stderr.isatty():
+                told = 0
                 while not self._ended.wait(_COMPILING_SAY_S):
-                    say(self._words(compiled))
+                    if (
+                        len(compiled) > told
+                    ):  # what comes after the compilation has words of its own
+                        told = len(compiled)
+                        say(self._words(compiled))
                 return
             with err().status(self._words(compiled)) as status:
                 while not self._ended.wait(_COMPILING_LOOK_S):
