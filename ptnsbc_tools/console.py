@@ -186,8 +186,7 @@ class _Compilation:
 
     def _words(self, compiled: list[str]) -> str:
         elapsed_s = time.monotonic() - self._began
-        newest = f", {len(compiled)} functions, now {compiled[-1]}" if compiled else ""
-        return f"compiling: {elapsed_s:.0f} s{newest}"
+        return f"compiling: {elapsed_s:.0f} s, {len(compiled)} functions, now {compiled[-1]}"
 
 
 @contextmanager
