@@ -111,6 +111,7 @@ class BridgeNode:
         self.bridge = Bridge(scenario, uav_id, link, ports, options.allow_arming, awaited)
         self._near = _NearPublisher(self.endpoints, scenario, uav_id, edges, clocks)
         self._send_status = self.endpoints.publisher(topics.DIAGNOSTICS, recorders)
+        self.endpoints.end_with(self._publish_status)
         self._diagnostics = self.endpoints.listen(
             topics.DIAGNOSTICS,
             self._decode_diagnostics,
@@ -349,6 +350,9 @@ class BridgeNode:
         if battery is not None:
             stamp_ns = self.bridge.ports.clocks.ros_ns()
             self._send_battery(vehicle_messages.encode_battery(stamp_ns, *battery))
+        self._publish_status()
+
+    def _publish_status(self) -> None:
         record = self._keep_record()
         missing = self.waiting_for()
         self._send_status(

@@ -114,6 +114,7 @@ class Endpoints:
         self._awaited: list[Subscription] = []
         self.refusals = Refusals()
         self._before: tuple[int, dict[str, int]] | None = None
+        self._last_word: Callable[[], None] | None = None
 
     def publisher(self, topic: Topic, readers: int) -> Callable[[bytes], None]:
         """A publisher of serialised messages, which `readers` nodes of the fleet must hear before the flight."""
@@ -233,8 +234,19 @@ class Endpoints:
         since_ns, before = self._before or (-1, {})
         return _SENT + json.dumps(PublishCounters(since_ns, before, self._counts())._asdict())
 
+    def end_with(self, last_word: Callable[[], None]) -> None:
+        """Let `flush` call this first: it publishes one reliable message behind those sent with best effort.
+
+        A state that is sent with best effort is not acknowledged, and is lost with the shared memory of its process
+        when its reader is slow. A reader receives what one process sends in order: who has acknowledged the last
+        word has the states before it.
+        """
+        self._last_word = last_word
+
     def flush(self, timeout_s: float) -> None:
         """Wait until reliable readers have everything: an earlier exit would cut their bags."""
+        if self._last_word is not None:
+            self._last_word()
         wait_for_readers([one.publisher for one in self._published], timeout_s)
 
     def close(self) -> None:

@@ -73,6 +73,7 @@ class SimNode:
         node.create_timer(1.0 / STATUS_HZ, self._on_status_timer, clock=steady)
         if not edges.options.lockstep:
             node.create_timer(scenario.dt_ns * 1e-9, self._on_tick_timer)
+            self.endpoints.end_with(lambda: self._report(self._clock_ns()))
 
     def _subscribe(self) -> None:
         listen = self.endpoints.listen

@@ -8,6 +8,8 @@ import pytest
 
 pytest.importorskip("rclpy")
 
+from rclpy.duration import Duration
+
 from ptnsbc_io import wire
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.endpoints import Endpoints, sent_in, wait_for_readers
@@ -57,6 +59,22 @@ def test_with_a_seal_the_messages_of_an_outsider_do_not_push_out_the_true_one(ro
 
 
 ODOMETRY = wire.OdometryTemplate("map", "uav1")
+
+
+def test_the_last_word_is_sent_behind_the_states_and_waited_for(ros):
+    """Nobody acknowledges a state that is sent with best effort."""
+    sender, reader = (Endpoints(ros.node(name), lockstep=False) for name in ("sender", "recorder"))
+    taken = []
+    reader.listen(topics.odom(1), wire.decode_odometry, lambda _: taken.append("state"))
+    reader.listen(topics.EPOCH, wire.decode_header, lambda _: taken.append("last word"))
+    send, announce = sender.publisher(topics.odom(1), 1), sender.publisher(topics.EPOCH, 1)
+    sender.end_with(lambda: announce(HEADER.encode(1)))
+    ros.spin_until(lambda: not sender.unread())
+    send(ODOMETRY.encode(7, np.ones(13)))
+    sender.flush(30.0)
+    assert sender._published[1].publisher.wait_for_all_acked(Duration())
+    sender.close()
+    ros.spin_until(lambda: sorted(taken) == ["last word", "state"])
 
 
 @pytest.mark.parametrize("reader", [("recorder", ""), ("controller", "/uav2")])
