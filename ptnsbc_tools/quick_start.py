@@ -13,6 +13,7 @@ _UNUSED = {"rich.markdown": "Markdown", "rich.traceback": "Traceback"}
 """Modules that the formatter of help imports in vain: no text of our help is Markdown, no error has a traceback."""
 
 _END_OF_OPTIONS = "--"
+_HELP = ("-h", "--help")
 _LAWS = "ptnsbc_core.kernel"
 _COMPILED_FROM = 64_000_000
 """Bytes of a bag. The judgement of one takes few laws; that of a shorter bag is done before numba has been loaded."""
@@ -34,12 +35,28 @@ def help_asked(group: Any, name: str | None, words: list[str]) -> Any:
 
 
 def keep_only(app: Any, words: list[str]) -> None:
-    """Drop all commands but the one that these words begin with: Typer reads the options of every command it has."""
+    """Drop what these words do not need: Typer reads the options of every command it has.
+
+    Of a command that they name the others go; of a help of all commands the options of each.
+    """
     commands = {_name(one.name, one.callback): one for one in app.registered_commands}
     groups = {one.name: one for one in app.registered_groups}
     if words and (words[0] in commands or words[0] in groups):
         app.registered_commands = [commands[words[0]]] if words[0] in commands else []
         app.registered_groups = [groups[words[0]]] if words[0] in groups else []
+    elif not words or words[0] in _HELP:
+        for command in commands.values():
+            command.callback = _without_options(command.callback)
+        for group in groups.values():
+            group.typer_instance.registered_commands = []
+
+
+def _without_options(command: Any) -> Any:
+    def named() -> None:
+        pass
+
+    named.__name__, named.__doc__ = command.__name__, command.__doc__
+    return named
 
 
 def spare_unused() -> None:

@@ -69,7 +69,9 @@ def test_help_loads_neither_the_laws_nor_what_parses_options() -> None:
     assert done.stderr == "[]\n"
 
 
-@pytest.mark.parametrize("path", [("check",), ("bag", "trim"), ("no-such-command",)], ids=" ".join)
+@pytest.mark.parametrize(
+    "path", [(), ("check",), ("bag", "trim"), ("no-such-command",)], ids=" ".join
+)
 def test_the_program_alone_says_the_same_as_with_all_commands(path: tuple[str, ...]) -> None:
     alone = subprocess.run(
         [sys.executable, "-m", "ptnsbc_tools", *path, "-h"],
