@@ -132,7 +132,7 @@ def track(uav: int) -> Topic:
 
 
 def limits(uav: int) -> Topic:
-    """Speed [m/s] and acceleration [m/s^2] of a real vehicle, from its bridge to its planner."""
+    """Speed [m/s] and acceleration [m/s²] of a real vehicle, from its bridge to its planner."""
     return Topic(f"/uav{uav}/limits", "std_msgs/msg/Float64MultiArray", Role.LATCHED, "once")
 
 
