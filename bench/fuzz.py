@@ -155,6 +155,11 @@ def through_commands(number: int, seed: int) -> Result:
         for kind, commands in _COMMANDS.items():
             fuzzer = FUZZERS[kind](Path(folder))
             path = Path(folder) / ("flight.mcap" if kind == "bags" else "flight.yaml")
+            path.write_bytes(fuzzer.sound)
+            for words in commands:
+                _command(*words, str(path))  # which compiles what is not yet in the cache
+                cost, _ = _command(*words, str(path))
+                print(f"ptnsbc {' '.join(words)}, sound: {cost.seconds:.2f} s of a processor")
             for words, data in islice(zip(cycle(commands), inputs(kind, fuzzer, seed)), number):
                 path.write_bytes(data)
                 cost, wrong = _command(*words, str(path))
