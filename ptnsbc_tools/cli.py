@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import inspect
 import sys
 from collections.abc import Callable
@@ -61,6 +62,7 @@ class _Commands(TyperGroup):
         raise typer.Exit
 
     def invoke(self, ctx: Any) -> Any:
+        gc.enable()
         code = 0
         try:
             return super().invoke(ctx)
