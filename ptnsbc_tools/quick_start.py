@@ -14,6 +14,8 @@ _UNUSED = {"rich.markdown": "Markdown", "rich.traceback": "Traceback"}
 
 _END_OF_OPTIONS = "--"
 _HELP = ("-h", "--help")
+_COMPLETION = "_PTNSBC_COMPLETE"
+"""A shell that completes a line names it here, and gives no words."""
 _LAWS = "ptnsbc_core.kernel"
 _COMPILED_FROM = 64_000_000
 """Bytes of a bag. The judgement of one takes few laws; that of a shorter bag is done before numba has been loaded."""
@@ -44,7 +46,7 @@ def keep_only(app: Any, words: list[str]) -> None:
     if words and (words[0] in commands or words[0] in groups):
         app.registered_commands = [commands[words[0]]] if words[0] in commands else []
         app.registered_groups = [groups[words[0]]] if words[0] in groups else []
-    elif not words or words[0] in _HELP:
+    elif (not words or words[0] in _HELP) and _COMPLETION not in os.environ:
         for command in commands.values():
             command.callback = _without_options(command.callback)
         for group in groups.values():
