@@ -12,7 +12,7 @@ _INTERRUPTED = 130
 def main() -> None:
     """Load the command line and run it."""
     exit_on_signal(_INTERRUPTED, "interrupted")
-    gc.disable()  # until a command begins: what a help loads is no garbage, and the search for it takes a tenth
+    gc.disable()  # until a command begins: a help leaves no garbage, and the search for it takes a tenth
     from ptnsbc_tools import cli
 
     cli.main()

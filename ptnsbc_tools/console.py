@@ -167,16 +167,15 @@ class _Compilation:
         if self._ended.wait(_PATIENCE_S):
             return
         with _counted_compilations() as compiled:
-            while not compiled:  # what is read from the cache, or interpreted, is no compilation
+            while not compiled:  # laws from the cache, or interpreted ones, are not compiled
                 if self._ended.wait(_COMPILING_LOOK_S):
                     return
             say_once(COMPILING)
             if not sys.stderr.isatty():
                 told = 0
                 while not self._ended.wait(_COMPILING_SAY_S):
-                    if (
-                        len(compiled) > told
-                    ):  # what comes after the compilation has words of its own
+                    # The work after the compilation has words of its own.
+                    if len(compiled) > told:
                         told = len(compiled)
                         say(self._words(compiled))
                 return

@@ -238,8 +238,8 @@ class Endpoints:
         """Let `flush` call this first: it publishes one reliable message behind those sent with best effort.
 
         A state that is sent with best effort is not acknowledged, and is lost with the shared memory of its process
-        when its reader is slow. A reader receives what one process sends in order: who has acknowledged the last
-        word has the states before it.
+        when its reader is slow. A reader receives the messages of one process in order: a reader that has
+        acknowledged the last word has the states before it.
         """
         self._last_word = last_word
 
