@@ -67,9 +67,8 @@ format: setup  ## Let ruff format the code and fix what it can
 colcon: setup  ## Build the ROS workspace from a clean copy, fly from what is installed, compare with pip
 	@time ros2_ws/fly.sh
 
-wheels: setup  ## Wheels of the message packages in dist/, for the Python of .venv: install them where no compiler is
-	@.venv/bin/python requirements/interfaces/build.py --wheels dist $(patsubst %/,%,$(wildcard requirements/interfaces/*/)) ros2_ws/src/ptnsbc_interfaces
-	@ls dist/*.whl
+wheels:  ## Wheels of the message packages in dist/, for each Python 3.10 to 3.13 here: install them where no compiler is
+	@requirements/interfaces/wheels.sh
 
 clean:  ## Remove .venv and everything built
 	rm -rf .venv .venv.lock build dist *.egg-info out ros2_ws/{build,install,log} .mypy_cache .pytest_cache .ruff_cache

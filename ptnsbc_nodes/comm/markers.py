@@ -1,4 +1,4 @@
-"""The markers that RViz and Foxglove draw: UAVs, keep-outs of UAVs and obstacles, tree edges, the leader's path."""
+"""The markers that RViz and Foxglove draw: UAVs with their trails and keep-outs, obstacles, tree edges, the leader's path."""
 
 from __future__ import annotations
 
@@ -30,11 +30,14 @@ _KEEP_OUT = (0.8, 0.1, 0.1, 0.35)
 _AROUND = (0.8, 0.1, 0.1, 0.12)
 _EDGE = (0.5, 0.5, 0.5, 0.9)
 _PATH = (0.95, 0.55, 0.1, 0.5)
+_TRAIL_OPACITY = 0.8
 _UAV_DIAMETER_M = 0.4
 _LINE_M = 0.04
 _WITHOUT_END_M = 100.0  # of planes and endless cylinders
 _FORMS = {"sphere": Marker.SPHERE, "cylinder": Marker.CYLINDER}
 _PATH_POINTS = 200
+TRAIL_POINTS = 6 * STATUS_HZ
+"""The trail of a UAV has the positions of so many of the newest messages: six seconds."""
 _PERIOD_NS = 10**9 // STATUS_HZ
 
 _TIME, _PLACE = struct.Struct("<iI"), struct.Struct("<3d")
@@ -49,6 +52,7 @@ class Scene:
 
     def __init__(self, scenario: Scenario, world: World) -> None:
         self._world = world
+        self._trails: Array | None = None  # positions (U, TRAIL_POINTS, 3), the newest first
         parents = {} if are_open(scenario) else {i: scenario.parent(i) for i in world.ids}
         children = {i: parent for i, parent in parents.items() if parent is not None}
         self._shown = [*world.ids, *world.ids, *(end for edge in children.items() for end in edge)]
@@ -65,9 +69,18 @@ class Scene:
         places = [self._world.odometry(i)[0:3] for i in self._shown]
         if self._moving:
             places += [*self._world.obstacle_positions()[self._moving]]
+        places += [*self._trail_points()]
         for at, place in zip(self._places_at, places, strict=True):
             _PLACE.pack_into(self._buffer, at, *place)
         return bytes(self._buffer)
+
+    def _trail_points(self) -> Array:
+        """The points (U * TRAIL_POINTS, 3) of all trails; where a UAV has flown for less, its first position repeats."""
+        now = np.array([self._world.odometry(i)[0:3] for i in self._world.ids])[:, None]
+        if self._trails is None:
+            self._trails = np.repeat(now, TRAIL_POINTS, axis=1)
+        self._trails = np.concatenate((now, self._trails[:, :-1]), axis=1)
+        return self._trails.reshape(-1, 3)
 
 
 class OdometryMarkers:
@@ -124,7 +137,7 @@ def _epoch_of(data: bytes) -> int | None:
 
 def _all_markers(scenario: Scenario, edges: int) -> list[Any]:
     """Every marker, with placeholders for values that change: the UAVs, their keep-outs, the ends of the
-    tree's edges, then the obstacles that move.
+    tree's edges, the obstacles that move, then the trails of the UAVs.
     """
     somewhere = np.array(_SOMEWHERE)
     shown = []
@@ -137,7 +150,7 @@ def _all_markers(scenario: Scenario, edges: int) -> list[Any]:
     tree = _marker("tree", 0, Marker.LINE_LIST, _EDGE)
     tree.scale.x = _LINE_M
     tree.points = [_point(somewhere) for _ in range(2 * edges)]
-    shown += [tree, *_obstacles(scenario), _path(scenario)]
+    shown += [tree, *_obstacles(scenario), _path(scenario), *_trails(scenario)]
     for marker in shown:
         marker.header.stamp.sec, marker.header.stamp.nanosec = _SOMETIME
     return shown
@@ -195,3 +208,14 @@ def _path(scenario: Scenario) -> Any:
     times = np.linspace(0.0, float(scenario.duration_s), _PATH_POINTS)
     path.points = [_point(np.array(reference(trajectory, t).position)) for t in times]
     return path
+
+
+def _trails(scenario: Scenario) -> list[Any]:
+    found = []
+    for i in scenario.uav_ids:
+        red, green, blue, _ = _colour(i == scenario.leader_id)
+        trail = _marker("trails", i, Marker.LINE_STRIP, (red, green, blue, _TRAIL_OPACITY))
+        trail.scale.x = _LINE_M
+        trail.points = [_point(np.array(_SOMEWHERE)) for _ in range(TRAIL_POINTS)]
+        found.append(trail)
+    return found

@@ -10,7 +10,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from ptnsbc_io import wire
 from ptnsbc_nodes.comm import topics
-from ptnsbc_nodes.comm.markers import OdometryMarkers
+from ptnsbc_nodes.comm.markers import TRAIL_POINTS, OdometryMarkers
 from ptnsbc_sim.scenario import load_scenario
 
 PERIOD_NS = 20_000_000
@@ -51,6 +51,19 @@ def test_the_spheres_of_two_uavs_touch_at_their_least_distance():
     assert widths[4] == 1.3
     for one, other in [(1, 4), (1, 2)]:
         assert (widths[one] + widths[other]) / 2 == scenario.keep_out_between(one, other)
+
+
+def test_the_trail_of_a_uav_is_where_it_was_the_newest_position_first():
+    scenario = load_scenario("experiment_4")
+    pictures = OdometryMarkers(scenario)
+    ids = scenario.uav_ids[::-1]  # the leader's odometry ends the picture
+    for tick in range(0, 10 * (TRAIL_POINTS + 5), 10):  # one picture each
+        found = [pictures.of(topics.odom(uav).name, told(uav, tick)) for uav in ids][-1]
+        markers = deserialize_message(found, MarkerArray).markers
+        trails = {m.id: [(p.x, p.y, p.z) for p in m.points] for m in markers if m.ns == "trails"}
+        assert sorted(trails) == list(scenario.uav_ids)
+        was = [max(tick - 10 * k, 0) for k in range(TRAIL_POINTS)]
+        assert trails[3] == [(3.0, float(at), 2.0) for at in was]
 
 
 def test_other_topics_and_broken_messages_draw_nothing():
