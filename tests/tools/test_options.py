@@ -64,8 +64,13 @@ def test_the_completion_answers_the_shell(words: str, said: list[str]) -> None:
     assert (done.stdout.split(), done.stderr) == (said, "")
 
 
-@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
-def test_the_script_of_the_completion_calls_us(shell: str) -> None:
+@pytest.mark.parametrize(
+    ("shell", "word"), [("bash", "complete -o"), ("zsh", "compdef"), ("fish", "complete --command")]
+)
+def test_the_script_of_the_completion_calls_us(shell: str, word: str) -> None:
+    # Typer looks for the shell among the parents of the process, and a test may have none there.
+    environment = os.environ | {"_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION": "1"}
     command = [sys.executable, "-m", "ptnsbc_tools", "--show-completion", shell]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    done = subprocess.run(command, capture_output=True, text=True, check=True, env=environment)
+    assert word in done.stdout
     assert "_PTNSBC_COMPLETE" in done.stdout
