@@ -97,13 +97,12 @@ class Bags:
         self._scenario = sample.attachment("scenario.yaml")
         self._topics = [TopicInfo(one.name, one.type) for one in sample.topics.values()]
         self._messages = [one for one in sample.messages() if one.stamp_ns <= _SAMPLE_NS]
-        self._files = [self._written(self._messages, one) for one in ("zstd", "lz4", "none")]
-        self.sound = self._files[0]
+        self.sound = [self._written(self._messages, one) for one in ("zstd", "lz4", "none")]
 
     def make(self, chance: random.Random) -> bytes:
         """A mutation."""
         if chance.random() < 0.5:
-            return mutated(chance.choice(self._files), chance)
+            return mutated(chance.choice(self.sound), chance)
         changed = [
             one._replace(data=mutated(one.data, chance)) if chance.random() < 0.05 else one
             for one in self._messages
@@ -148,12 +147,11 @@ class Scenarios:
     """Shipped scenarios, changed as texts."""
 
     def __init__(self, _folder: Path) -> None:
-        self._texts = [path.read_bytes() for path in sorted((ROOT / "scenarios").glob("*.yaml"))]
-        self.sound = self._texts[0]
+        self.sound = [path.read_bytes() for path in sorted((ROOT / "scenarios").glob("*.yaml"))]
 
     def make(self, chance: random.Random) -> bytes:
         """A mutation."""
-        return mutated_text(chance.choice(self._texts), chance)
+        return mutated_text(chance.choice(self.sound), chance)
 
     def run(self, data: bytes) -> None:
         """Load and check."""
@@ -176,12 +174,11 @@ class Wire:
     def __init__(self, _folder: Path) -> None:
         sample = read_bag(ROOT / "bags" / "sample").messages()
         of_topic = {one.topic: one.data for one in islice(sample, 2000)}
-        self._messages = list(of_topic.values())
-        self.sound = self._messages[0]
+        self.sound = list(of_topic.values())
 
     def make(self, chance: random.Random) -> bytes:
         """A mutation."""
-        return mutated(chance.choice(self._messages), chance)
+        return mutated(chance.choice(self.sound), chance)
 
     def run(self, data: bytes) -> None:
         """Decode as every kind of message."""
@@ -217,7 +214,7 @@ class Packets:
 
     def __init__(self, _folder: Path) -> None:
         self._kinds = sorted(mavlink.mavlink_map)
-        self.sound = b""
+        self.sound = [b""]
 
     def make(self, chance: random.Random) -> bytes:
         """Packets with right checksums, half of them mutated."""

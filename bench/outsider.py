@@ -1,13 +1,12 @@
 """An outsider in the domain of a fleet that sends every forged message at 1 kHz: is it named, and what does it cost?
 
 `python -m bench.outsider [--duration 25] [--times 2] [--hz 1000] [--without-seal]`. The five UAVs of the paper fly
-calmly
-and among forged messages, in turns, in real time, without obstacles: which way a UAV goes around one is
-decided by milliseconds. The outsider joins when the flight has begun, and sends the messages of `forgeries` and
-the states that it hears, moved by 0.5 m, in turns. The fleet has `security: signed`; with `--without-seal` it has
-no seal, and the outsider leaves out the topics that several nodes publish, on which nothing tells it from a process of
-the fleet. Exit code 1 when a process died, no diagnostics named the outsider, a
-forged topic was not reported, or the largest error after the deadline grew by 5 mm or more.
+calmly and among forged messages, in turns, in real time, without obstacles: which way a UAV goes around one is
+decided by milliseconds. The outsider joins when the flight has begun, and sends the messages of `forgeries` and the
+states that it hears, moved by 0.5 m, in turns. The fleet has `security: signed`; with `--without-seal` it has no
+seal, and the outsider leaves out the topics that several nodes publish, on which nothing tells it from a process of
+the fleet. Exit code 1 when a process died, no diagnostics named the outsider, a forged topic was not reported, or the
+largest error after the deadline grew by 5 mm or more.
 """
 
 from __future__ import annotations

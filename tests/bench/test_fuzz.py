@@ -60,7 +60,7 @@ def test_what_fails_is_kept_and_said(monkeypatch, tmp_path, capsys) -> None:
     monkeypatch.setattr(fuzz, "CORPUS", tmp_path)
 
     def fails(self: Wire, data: bytes) -> None:
-        if data != self.sound:
+        if data not in self.sound:
             raise KeyError(len(data))
 
     monkeypatch.setattr(Wire, "run", fails)
