@@ -1,4 +1,4 @@
-"""The markers that RViz and Foxglove draw: UAVs with their trails and keep-outs, obstacles, tree edges, the leader's path."""
+"""The markers that RViz and Foxglove draw: UAVs, trails, keep-outs, obstacles, tree edges, the leader's path."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ class Scene:
         return bytes(self._buffer)
 
     def _trail_points(self) -> Array:
-        """The points (U * TRAIL_POINTS, 3) of all trails; where a UAV has flown for less, its first position repeats."""
+        """The points (U * TRAIL_POINTS, 3) of all trails; of a UAV that has just begun, the first position repeats."""
         now = np.array([self._world.odometry(i)[0:3] for i in self._world.ids])[:, None]
         if self._trails is None:
             self._trails = np.repeat(now, TRAIL_POINTS, axis=1)
