@@ -2,10 +2,10 @@
 
     tests/repeat.py N PROCESSES JOBS [WORD...]
 
-`make test` runs N times, then its part that starts processes runs PROCESSES times, without the flights in real time.
-Every second run has as many busy loops beside it as there are cores. Words go to pytest, as in
-`make repeat ARGS="-k signals"`. Prints the time and the summary of each run, and how many tests were not judged;
-nothing is run again because it failed.
+`make test` runs N times. Then its part that starts processes runs, without the flights in real time, until it has run
+PROCESSES times; the N runs of everything count. Every second run has as many busy loops beside it as there are cores.
+Words go to pytest, as in `make repeat ARGS="-k signals"`. Prints the time and the summary of each run, and how many
+tests were not judged; nothing is run again because it failed.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ def main() -> int:
     for k in range(times):
         file = logs / f"all{k + 1}.log"
         runs.append(run(f"all, {k + 1} of {times}", k % 2 * cores, file, *words))
-    for k in range(part_times):
+    for k in range(times, part_times):
         title, file = f"processes, {k + 1} of {part_times}", logs / f"processes{k + 1}.log"
         runs.append(run(title, k % 2 * cores, file, *words, "-m", QUICK, *paths))
     passed, not_judged = sum(one.passed for one in runs), sum(one.not_judged for one in runs)
