@@ -57,12 +57,13 @@ def stand_ins(
     control: int,
     *,
     gnss: str = "rtk",
+    seed: int = 1,
     parameters: Sequence[str] = ("COM_OF_LOSS_T=5",),
 ) -> Iterator[Running]:
     """Four stand-ins that wait for their bridges, with these parameters of their firmware."""
     words = (
         "autopilot", "--scenario", scenario, "--gcs", "", "--boot-time", "0", "--gnss", gnss,
-        "--control", control, *(word for one in parameters for word in ("--param", one)),
+        "--seed", seed, "--control", control, *(word for one in parameters for word in ("--param", one)),
     )  # fmt: skip
     with program(folder, "stand_in", domain, "ptnsbc_tools.cli", *words) as vehicles:
         wait_for(vehicles, ["system 4 at"])
