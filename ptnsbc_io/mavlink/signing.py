@@ -1,4 +1,4 @@
-"""MAVLink 2 message signing (mavlink.io, Message Signing): key files, and signatures checked.
+"""MAVLink 2 message signing (mavlink.io, Message Signing): signatures made and checked.
 
 pymavlink stores the timestamp of a packet before it verifies the signature, so one forged packet
 locks the true sender out. Here the signature is verified first.
@@ -9,49 +9,13 @@ from __future__ import annotations
 import hashlib
 import hmac
 import time
-from pathlib import Path
 from typing import Any
 
-from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_io.mavlink.framing import SIGNATURE_SIZE, Frame
 
-KEY_BYTES = 32
 _EPOCH_2015_S = 1420070400
 _TICKS_PER_S = 100_000  # timestamps count 10 us
 _NEW_STREAM_AGE = 60 * _TICKS_PER_S
-_SHARED_BITS = 0o077
-
-
-class KeyFileError(PtnsbcError):
-    """A signing key that cannot be used."""
-
-
-def read_key(path: Path) -> bytes:
-    """The secret key (32 bytes) in a file, in binary or as 64 hexadecimal digits.
-
-    Raises:
-        KeyFileError: the file is not readable, has another size, or is readable for others.
-    """
-    try:
-        mode, raw = path.stat().st_mode, path.read_bytes()
-    except OSError as error:
-        raise KeyFileError(f"{path}: {error.strerror}: expected a readable key file") from None
-    if mode & _SHARED_BITS:
-        raise KeyFileError(
-            f"{path}: mode {mode & 0o777:o}: expected a key that others cannot read: chmod 600"
-        )
-    text = raw.strip()
-    if len(text) == 2 * KEY_BYTES:
-        try:
-            return bytes.fromhex(text.decode("ascii"))
-        except ValueError:  # UnicodeDecodeError is one too
-            pass
-    if len(raw) != KEY_BYTES:
-        raise KeyFileError(
-            f"{path}: {len(raw)} bytes: expected {KEY_BYTES}, or {2 * KEY_BYTES} hexadecimal "
-            "digits: head -c 32 /dev/urandom | xxd -p -c 64"
-        )
-    return raw
 
 
 def timestamp_now() -> int:

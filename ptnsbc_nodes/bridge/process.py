@@ -10,6 +10,7 @@ from types import FrameType
 from typing import TYPE_CHECKING, cast
 
 from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_io.key_file import read_key
 from ptnsbc_nodes.comm.graph import CommunicationGraph
 from ptnsbc_nodes.runtime import environment
 from ptnsbc_nodes.runtime.lifecycle_node import ManagedNode
@@ -140,7 +141,7 @@ def _open(
     scenario, uav = parameters.scenario, parameters.uav
     try:
         from ptnsbc_io.mavlink.link import MavlinkLink
-        from ptnsbc_io.mavlink.signing import Signer, read_key
+        from ptnsbc_io.mavlink.signing import Signer
         from ptnsbc_io.mavlink.transport import connect
         from ptnsbc_nodes.bridge.bridge import WANTED_MESSAGES
         from ptnsbc_nodes.bridge.node import BridgeNode, BridgeOptions

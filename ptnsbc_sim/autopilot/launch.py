@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ptnsbc_io.mavlink.signing import read_key
+from ptnsbc_io.key_file import read_key
 from ptnsbc_sim.autopilot.controller import FlightController
 from ptnsbc_sim.autopilot.firmware.arducopter import ArduCopter
 from ptnsbc_sim.autopilot.firmware.px4 import Px4

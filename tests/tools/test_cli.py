@@ -248,6 +248,14 @@ def test_a_flight_in_one_process_needs_no_ros() -> None:
     subprocess.run([sys.executable, "-c", f"{WITHOUT_ROS}import {modules}"], check=True)
 
 
+def test_a_simulated_fleet_needs_no_mavlink() -> None:
+    """pymavlink is an extra of the package."""
+    programs = ("fleet.main", "uav.main", "sim.main", "recording.main", "fleet.coordinator_main")
+    modules = ", ".join(f"ptnsbc_nodes.{program}" for program in programs)
+    code = f"import sys; sys.modules['pymavlink'] = None\nimport ptnsbc, {modules}"
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
 def test_an_order_without_ros_is_refused_in_words_where_no_bridge_of_this_host_hears_it() -> None:
     code = f"{WITHOUT_ROS}from ptnsbc_tools.cli import main\nmain()"
     words = ("stop", "--namespace", "nobody")

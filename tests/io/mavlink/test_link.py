@@ -3,7 +3,6 @@
 import os
 import pty
 import random
-import stat
 import tracemalloc
 import tty
 
@@ -17,7 +16,7 @@ from mavlink_wires import Far, arrived, heartbeat, settled
 from ptnsbc_io.mavlink.dialect import mavlink
 from ptnsbc_io.mavlink.framing import BrokenFrame, Framer
 from ptnsbc_io.mavlink.link import MavlinkLink
-from ptnsbc_io.mavlink.signing import KeyFileError, Signer, read_key
+from ptnsbc_io.mavlink.signing import Signer
 from ptnsbc_io.mavlink.transport import ConnectError, connect
 
 KEY, OTHER_KEY = bytes(range(32)), bytes(range(1, 33))
@@ -250,23 +249,6 @@ def test_a_port_in_use_is_named(make):
     _link, far = make()
     with pytest.raises(ConnectError, match="free port"):
         connect(f"udpin:127.0.0.1:{far.to[1]}")
-
-
-def test_key_files(tmp_path):
-    path = tmp_path / "key"
-    path.write_text(KEY.hex() + "\n")
-    path.chmod(0o600)
-    assert read_key(path) == KEY
-    path.write_bytes(KEY)
-    assert read_key(path) == KEY
-    path.write_text("short")
-    with pytest.raises(KeyFileError, match="expected 32"):
-        read_key(path)
-    path.chmod(0o600 | stat.S_IRGRP)
-    with pytest.raises(KeyFileError, match="chmod 600"):
-        read_key(path)
-    with pytest.raises(KeyFileError, match="readable key file"):
-        read_key(tmp_path / "nothing")
 
 
 class _Loop:
