@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import json
 import random
+import shutil
 import sys
 import tempfile
 from collections.abc import Iterator, Sequence
@@ -105,9 +106,16 @@ def _held_after_s(recording: Recording, uav: int, fault: FaultBlock) -> float | 
 
 
 def soak(
-    uavs: int, duration_s: float, faults: int, seed: int, hz: int, *, lockstep: bool
+    uavs: int,
+    duration_s: float,
+    faults: int,
+    seed: int,
+    hz: int,
+    *,
+    lockstep: bool,
+    out: Path | None = None,
 ) -> dict[str, Any]:
-    """Fly at `hz` control periods per second, and report."""
+    """Fly at `hz` control periods per second, and report; `out` keeps bag and logs."""
     scenario = grid(uavs, hz, duration_s)
     scenario = scenario.with_({"faults": drawn(scenario, faults, seed, lockstep=lockstep)})
     settle_s = min(_SETTLE_S, 0.25 * duration_s)
@@ -131,7 +139,10 @@ def soak(
         if not (folder / "bag").exists():  # its recorder died: what it wrote is judged
             repair(folder / "bag.part", folder / "bag")
         recording = read_recording(folder / "bag")
+        if out is not None:
+            shutil.copytree(folder, out)
     verdict, answered = verdict_on(recording), list(answers(recording))
+    closest = min(verdict.separations, key=lambda one: one.distance_m - one.keep_out_m)
     limit_s = float(scenario.file.communication.stale_s) + 2.0 / STATUS_HZ
     late = [one for one in answered if one.after_s is None or one.after_s > limit_s]
     return {
@@ -144,7 +155,8 @@ def soak(
         "died_unasked": list(flown.died),
         "exit_code": flown.exit_code,
         "keep_outs_entered": sum(pair.entered for pair in verdict.separations),
-        "closest_margin_m": round(min(p.distance_m - p.keep_out_m for p in verdict.separations), 3),
+        "closest_margin_m": round(closest.distance_m - closest.keep_out_m, 3),
+        "closest": f"{closest.first} and {closest.second} at {closest.at_s:.2f} s",
         "memory_growth": {k: round(v, 4) for k, v in sampler.growth(settle_s).items()},
         "answers": len(answered),
         "answered_within_s": max((one.after_s or 0.0 for one in answered), default=None),
@@ -163,6 +175,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--lockstep", action="store_true")
     parser.add_argument("--hz", type=int, default=50, help="control periods per second")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="keeps bag and logs")
     options = parser.parse_args(arguments)
     found = soak(
         options.uavs,
@@ -171,6 +184,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         options.seed,
         options.hz,
         lockstep=options.lockstep,
+        out=options.out,
     )
     print(json.dumps(found, indent=1, default=str))
     bad = found["died_unasked"] or found["keep_outs_entered"] or found["answered_late"]
