@@ -226,10 +226,8 @@ def _row(kind: str, setpoint: str, flights: Sequence[Held]) -> tuple[str, bool]:
             interval = f" ({low:.2f} to {high:.2f}); {each.min():.2f} to {each.max():.2f}"
         rms = (f"{np.sqrt(one.mean()):.3f}" for one in (hover, formation))
         columns += [", ".join(rms), f"{ratio:.2f}{interval}"]
-    largest_m, closest_m = (
-        max(one.largest_m for one in flights),
-        min(one.closest_m for one in flights),
-    )
+    largest_m = max(one.largest_m for one in flights)
+    closest_m = min(one.closest_m for one in flights)
     columns.append(f"{largest_m:.3f}; {closest_m:.2f}")
     return f"| {' | '.join(columns)} |", good
 

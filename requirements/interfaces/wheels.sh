@@ -28,7 +28,7 @@ build_for() {
   "$venv/bin/python" requirements/interfaces/build.py --wheels "$out" "${packages[@]}"
   "${pip[@]}" install --no-deps --no-index "$out"/*.whl
   for package in "${packages[@]}"; do
-    # The types of a package whose library does not load are found by their support only.
+    # An import alone loads no library: the support of each type does.
     "$venv/bin/python" -c '
 import importlib, sys
 import rclpy
