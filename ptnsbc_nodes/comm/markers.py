@@ -59,7 +59,11 @@ class Scene:
         self._moving = [k for k, one in enumerate(scenario.obstacles) if one.path is not None]
         self._buffer = bytearray(encode(MarkerArray(markers=_all_markers(scenario, len(children)))))
         self._times_at = _find_all(self._buffer, _TIME.pack(*_SOMETIME))
-        self._places_at = _find_all(self._buffer, _PLACE.pack(*_SOMEWHERE))
+        places_at = _find_all(self._buffer, _PLACE.pack(*_SOMEWHERE))
+        trails = (
+            len(world.ids) * TRAIL_POINTS
+        )  # the last places; the points of a trail are side by side
+        self._places_at, self._trails_at = places_at[:-trails], places_at[-trails::TRAIL_POINTS]
 
     def markers(self, stamp_ns: int) -> bytes:
         """A serialised MarkerArray of this instant."""
@@ -69,18 +73,19 @@ class Scene:
         places = [self._world.odometry(i)[0:3] for i in self._shown]
         if self._moving:
             places += [*self._world.obstacle_positions()[self._moving]]
-        places += [*self._trail_points()]
         for at, place in zip(self._places_at, places, strict=True):
             _PLACE.pack_into(self._buffer, at, *place)
+        for at, trail in zip(self._trails_at, self._newest_trails(), strict=True):
+            self._buffer[at : at + trail.nbytes] = trail.tobytes()
         return bytes(self._buffer)
 
-    def _trail_points(self) -> Array:
-        """The points (U * TRAIL_POINTS, 3) of all trails; of a UAV that has just begun, the first position repeats."""
+    def _newest_trails(self) -> Array:
+        """The trails (U, TRAIL_POINTS, 3) with the present positions; at the beginning the first position repeats."""
         now = np.array([self._world.odometry(i)[0:3] for i in self._world.ids])[:, None]
         if self._trails is None:
             self._trails = np.repeat(now, TRAIL_POINTS, axis=1)
         self._trails = np.concatenate((now, self._trails[:, :-1]), axis=1)
-        return self._trails.reshape(-1, 3)
+        return self._trails
 
 
 class OdometryMarkers:
