@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from ptnsbc_core.algebra import load3, matvec, store3
+from ptnsbc_core.algebra import axpy, load3, matvec, matvec_transposed, norm3, scale3, store3
 from ptnsbc_core.errors import AttitudeError
 from ptnsbc_core.kernel import inline_kernel, kernel
 from ptnsbc_core.types import Array, Estimate, Matrix3, OdometryLike, Vector3, Vector3Like
@@ -116,6 +116,25 @@ def checked_pitch(pitch_rad: float) -> float:
 def velocity_enu(odometry: OdometryLike) -> Vector3:
     """World velocity [m/s] of an odometry vector whose twist is in the body frame."""
     return matvec(rotation(odometry, 3), load3(odometry, 7))
+
+
+@kernel
+def move_to_present(odometry: Array, age_s: float) -> None:
+    """Move the pose of an odometry vector (13,) by its twist over its age: where the vehicle is by now.
+
+    World velocity and body rates stay as they were measured.
+    """
+    velocity, rates = velocity_enu(odometry), load3(odometry, 10)
+    store3(odometry, 0, axpy(age_s, velocity, load3(odometry, 0)))
+    x, y, z, w = odometry[3], odometry[4], odometry[5], odometry[6]
+    half = 0.5 * age_s * norm3(rates)
+    sine, c = (math.sin(half) / half if half > 0.0 else 1.0), math.cos(half)
+    a, b, d = scale3(0.5 * age_s * sine, rates)
+    odometry[3] = c * x + w * a + y * d - z * b
+    odometry[4] = c * y + w * b + z * a - x * d
+    odometry[5] = c * z + w * d + x * b - y * a
+    odometry[6] = c * w - x * a - y * b - z * d
+    store3(odometry, 7, matvec_transposed(rotation(odometry, 3), velocity))
 
 
 @inline_kernel

@@ -7,8 +7,9 @@ from importlib import import_module
 
 import numpy as np
 
-from ptnsbc_core.agent import OWN, Agent, PackedInputs
+from ptnsbc_core.agent import OWN, PARENT, Agent, PackedInputs
 from ptnsbc_core.kernel import COMPILED
+from ptnsbc_core.kinematics import move_to_present
 from ptnsbc_core.types import NEAR_COLUMNS
 from ptnsbc_sim.own_task import NO_TASK
 from ptnsbc_sim.scenario import Scenario, agent_config
@@ -35,6 +36,7 @@ def load_agent(scenario: Scenario, uav_id: int) -> None:
     neighbours = len(scenario.estimator_neighbours(uav_id))
     inputs = PackedInputs(neighbours, np.zeros((0, NEAR_COLUMNS)))
     inputs.vector[OWN + 6] = 1.0  # the quaternion of no rotation
+    move_to_present(inputs.vector[OWN:PARENT], 0.0)
     config, dt = agent_config(scenario, uav_id), scenario.dt_ns * 1e-9
     agent = Agent(config, inputs.unpack().own)
     if uav_id != scenario.leader_id and scenario.plugins.task is not None:

@@ -26,6 +26,7 @@ from ptnsbc_core.agent import (
     PackedInputs,
 )
 from ptnsbc_core.behaviours.parents import mean_parent
+from ptnsbc_core.kinematics import move_to_present
 from ptnsbc_core.types import MODE_HOLD, NEAR_COLUMNS, NEVER_RECEIVED_S, ODOMETRY_SIZE, Array
 from ptnsbc_io.wire import Stamped
 from ptnsbc_nodes.comm import topics
@@ -238,6 +239,9 @@ class Inbox:
         inputs = self._inputs
         vector = inputs.vector
         self._own_row[:] = self.own.values
+        own_age_s = _age_s(self.own, now_ns)
+        if own_age_s > 0.0:  # all others are extrapolated to the present too
+            move_to_present(self._own_row, own_age_s)
         vector[MODE] = mode
         vector[START_AGE] = start_age_s
         if self.near is not None:

@@ -14,6 +14,7 @@ from ptnsbc_core.kinematics import (
     euler_from_rotation,
     euler_rates,
     is_estimate,
+    move_to_present,
     odometry_to_estimate,
     quaternion_from_euler,
     rotation_from_euler,
@@ -145,6 +146,24 @@ def test_accessors_of_an_odometry_vector(
     np.testing.assert_array_equal(estimate.position, position)
     assert estimate.velocity == velocity_enu(own)
     assert estimate.yaw == yaw_of(own)
+
+
+@given(euler=eulers, position=vectors, velocity=vectors, rates=vectors, age_s=st.floats(0.0, 0.5))
+def test_a_vehicle_moves_on_by_its_twist(
+    euler: np.ndarray, position: np.ndarray, velocity: np.ndarray, rates: np.ndarray, age_s: float
+) -> None:
+    turned = Rotation.from_euler("xyz", euler)
+    own = np.concatenate((position, turned.as_quat(), velocity, rates))
+    world = turned.apply(velocity)
+    move_to_present(own, age_s)
+    np.testing.assert_allclose(own[0:3], position + age_s * world, atol=1e-13)
+    by_now = turned * Rotation.from_rotvec(age_s * rates)
+    np.testing.assert_allclose(
+        (by_now.inv() * Rotation.from_quat(own[3:7])).magnitude(), 0.0, atol=1e-7
+    )
+    assert np.linalg.norm(own[3:7]) == pytest.approx(1.0, abs=1e-14)
+    np.testing.assert_allclose(velocity_enu(own), world, atol=1e-13)
+    np.testing.assert_array_equal(own[10:13], rates)
 
 
 @given(position=vectors, velocity=vectors, yaw=st.floats(-3.1, 3.1))

@@ -96,6 +96,17 @@ def test_real_time_inputs_are_the_newest():
     assert inputs.parent_age_s == PERIOD * 1e-9
 
 
+def test_the_own_odometry_is_moved_to_the_present():
+    inbox = Inbox(FOLLOWER)
+    values = np.array([1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 1.0, 0.5, 0.0, -0.5, 0.0, 0.0, 0.0])
+    inbox.own = Stamped(7 * PERIOD, values)
+    np.testing.assert_array_equal(inputs_of(inbox, 7 * PERIOD, 7 * PERIOD).own, values)
+    moved = inputs_of(inbox, 9 * PERIOD, NO_CUTOFF_NS).own
+    np.testing.assert_allclose(moved[0:3], [1.01, 2.0, 2.99])
+    np.testing.assert_array_equal(moved[3:], values[3:])
+    assert inbox.own.values[0] == 1.0  # what the UAV sends is the message as it came
+
+
 def test_a_neighbours_clock_ahead_of_ours_is_no_negative_age():
     inbox = Inbox(FOLLOWER)
     hear_all(inbox, 9)
