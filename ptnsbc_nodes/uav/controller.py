@@ -284,6 +284,9 @@ class UavController:
                 outputs.wrench,
                 self.config,
             )
+        if self.inbox.own_age_s > 0.0:  # it is sent with the stamp of the odometry
+            estimate = outputs.leader_estimate
+            estimate[0:3] -= self.inbox.own_age_s * estimate[7:10]
         near_age_s = float(inputs.vector[NEAR_AGE])
         silent_s = near_age_s if near_age_s < NEVER_RECEIVED_S else start_age_s
         clearance = self.config.clearance

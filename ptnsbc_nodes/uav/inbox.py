@@ -101,6 +101,7 @@ class Inbox:
     def __init__(self, senders: Senders) -> None:
         self.senders = senders
         self.own: Stamped | None = None
+        self.own_age_s = 0.0  # at the newest step
         self.near: Stamped | None = None
         self._begun = False
         self._faults: list[MessageFault] = []
@@ -239,9 +240,9 @@ class Inbox:
         inputs = self._inputs
         vector = inputs.vector
         self._own_row[:] = self.own.values
-        own_age_s = _age_s(self.own, now_ns)
-        if own_age_s > 0.0:  # all others are extrapolated to the present too
-            move_to_present(self._own_row, own_age_s)
+        self.own_age_s = _age_s(self.own, now_ns)
+        if self.own_age_s > 0.0:  # all others are extrapolated to the present too
+            move_to_present(self._own_row, self.own_age_s)
         vector[MODE] = mode
         vector[START_AGE] = start_age_s
         if self.near is not None:

@@ -66,3 +66,24 @@ def test_late_odometry_does_not_move_the_leader_ahead_of_its_path() -> None:
     assert fresh < 0.001
     assert one < 0.002
     assert two < 0.006
+
+
+@pytest.mark.parametrize("late_ticks", [0, 3])
+def test_an_estimate_is_of_the_time_that_its_message_has(late_ticks: int) -> None:
+    scenario = load_scenario("paper_5_free")
+    flown = UavController(agent_config(scenario, 2), Senders(1, 1, ()))
+    flown.inbox.near = Stamped(0, np.zeros((0, 7)))
+    velocity, start, period_ns = np.array([1.2, 0.0, -0.3]), np.array([5.0, 0.0, 3.0]), 10_000_000
+
+    def leader_at(tick: int) -> np.ndarray:
+        return start + velocity * tick * period_ns * 1e-9
+
+    for tick in range(late_ticks, 300):
+        leader = np.concatenate((leader_at(tick - 1), [0.0, 0.0, 0.0, 1.0], velocity, np.zeros(3)))
+        flown.inbox.on_state(1, Stamped((tick - 1) * period_ns, leader))
+        beside = leader_at(tick) + np.array([2.0, 0.0, 0.0])
+        own = np.concatenate((beside, [0.0, 0.0, 0.0, 1.0], np.zeros(6)))
+        flown.inbox.own = Stamped((tick - late_ticks) * period_ns, own)
+        at = StepTime(tick * period_ns, period_ns, MODE_FORMATION, 0, 0, True)
+        outputs = flown.step(at, NO_CUTOFF_NS)
+    np.testing.assert_allclose(outputs.leader_estimate[0:3], leader_at(299 - late_ticks), atol=1e-6)
