@@ -69,6 +69,7 @@ class UavNode:
         self._vehicle = VehiclePresence(on_abandoned)
         self.on_first_leg: Callable[[], object] = lambda: None
         """Called when the first leg is announced."""
+        self._on_a_leg = False
         self.endpoints = Endpoints(node, edges.options.lockstep, edges.options.seal)
         self._options = edges.options
         self._uav = uav_id
@@ -272,7 +273,6 @@ class UavNode:
         self._advance()
 
     def _on_epoch(self, leg: HeaderFields) -> None:
-        begins = not self._epochs.announced
         is_new = self._epochs.announce(leg.stamp_ns, leg.frame_id)
         if is_new and self._leg_services is not None and not self._options.lockstep:
             self._leg_services.keep(leg)  # in lock-step no process starts in flight
@@ -282,7 +282,8 @@ class UavNode:
         if first_ns is not None:
             self._faults.begin(first_ns)
         self._timing.align(self._controller.inbox.own)
-        if begins and self._epochs.announced:
+        if self._epochs.announced and not self._on_a_leg:  # the leader has announced it itself
+            self._on_a_leg = True
             self.on_first_leg()
         self._advance()
 

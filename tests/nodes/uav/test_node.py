@@ -92,9 +92,11 @@ def test_real_time_hovers_before_the_epoch_and_flies_after_it(ros, scenario):
     ros.spin_until(lambda: others.wrenches)
     _, _, values = others.newest()
     assert (values["mode"], values["ready"]) == ("waiting", "true")
+    first = []
+    others.uav.on_first_leg = lambda: first.append(time.time_ns())
     before = time.time_ns()
     assert call(ros, others.node, "start").success
-    ros.spin_until(lambda: others.epochs)
+    ros.spin_until(lambda: others.epochs and first)
     assert others.epochs[0].frame_id == "form"
     assert before + 500_000_000 <= others.epochs[0].stamp_ns <= time.time_ns() + 500_000_000
 
