@@ -50,7 +50,12 @@ def flown(number: int, folder: Path, probe: Probe) -> str:
     for one in verdict.uavs:
         print(f"{number}: UAV {one.uav} {one.verdict} {one.reason or one.excuse}")
     found = MET if verdict.verdict == MET else NOT_JUDGED if taken(delays, used) else NOT_MET
-    print(f"{number}: {found}, verdict {verdict.verdict}; {evidence(delays, used)}", flush=True)
+    rmse_m = max(one.rmse_after_m for one in verdict.uavs if one.rmse_after_m is not None)
+    print(
+        f"{number}: {found}, verdict {verdict.verdict}, RMSE at most {rmse_m * 1e3:.1f} mm outside encounters; "
+        f"{evidence(delays, used)}",
+        flush=True,
+    )
     return found
 
 
