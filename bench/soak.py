@@ -157,7 +157,7 @@ def soak(
         "keep_outs_entered": sum(pair.entered for pair in verdict.separations),
         "closest_margin_m": round(closest.distance_m - closest.keep_out_m, 3),
         "closest": f"{closest.first} and {closest.second} at {closest.at_s:.2f} s",
-        "memory_growth": {k: round(v, 4) for k, v in sampler.growth(settle_s).items()},
+        "memory_growth": {k: round(v, 4) for k, v in sampler.growth(settle_s, duration_s).items()},
         "answers": len(answered),
         "answered_within_s": max((one.after_s or 0.0 for one in answered), default=None),
         "answered_late": [one._asdict() for one in late],

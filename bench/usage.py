@@ -66,11 +66,15 @@ class Sampler:
                 found[role].append(Usage(cores, last.rss_mb, self._shares.get(pid, 0.0)))
         return {role: _mean(each) for role, each in found.items()}
 
-    def growth(self, settle_s: float) -> dict[str, float]:
-        """By role: largest growth of a process after its first `settle_s`, as a share of what it had then."""
+    def growth(self, settle_s: float, until_s: float) -> dict[str, float]:
+        """By role: largest growth of a process from `settle_s` to `until_s`, as a share of what it had at first.
+
+        Both count from `begin`. A process that ends reads the compiler's pages again.
+        """
         found: dict[str, float] = {}
         for (role, _), samples in self._samples.items():
-            counted = [sample for sample in samples if sample.at >= self._began + settle_s]
+            first_s, last_s = self._began + settle_s, self._began + until_s
+            counted = [sample for sample in samples if first_s <= sample.at <= last_s]
             loaded = samples[0].at < self._began  # one that starts again in flight loads only then
             if loaded and len(counted) > 1:
                 share = counted[-1].rss_mb / counted[0].rss_mb - 1.0
