@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -29,6 +30,8 @@ RUNNING = "running"
 """The line that a process writes into its log once it has loaded everything and serves its node."""
 _FLUSH_S = 5.0  # half of what the launcher waits; a recorder that is busy is seconds behind
 _SIGNAL_CHECK_S = 0.2
+TEARDOWN_S = 20.0  # a launcher kills after 13 s
+_OWN_PROCESS: list[bool] = []  # not empty: `run` is all that this process does
 
 
 class RosArgumentsError(PtnsbcError):
@@ -79,6 +82,8 @@ def run(
         laws: Whether the process computes the compiled laws.
     """
     full = list(sys.argv if argv is None else (parser.prog, *argv))
+    if argv is None:
+        _OWN_PROCESS.append(True)
     try:
         environment.prepare()
         arguments = parser.parse_args(without_ros(full[1:]))
@@ -123,8 +128,11 @@ def namespace_of(uav: int | None) -> str:
 def report_finished(summary: str) -> None:
     """Tell the launcher, if there is one, that this process has finished its work, and with what result.
 
-    A process may still hang after this, in the shutdown of the middleware.
+    A process may still hang after this, in the shutdown of the middleware, which keeps Python's lock: no handler and no
+    thread of ours runs then, and the system's timer ends the process.
     """
+    if _OWN_PROCESS:
+        signal.setitimer(signal.ITIMER_REAL, TEARDOWN_S)
     descriptor = os.environ.pop(environment.REPORT, None)
     if descriptor is not None:
         with suppress(OSError), os.fdopen(int(descriptor), "w") as pipe:  # the launcher may be gone

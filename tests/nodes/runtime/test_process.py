@@ -147,6 +147,27 @@ def test_arguments_that_ros_refuses_are_one_line_and_exit_2(start, arguments, sa
     assert err.count("\n") == 1
 
 
+HANGS = """
+import argparse, ctypes
+from ptnsbc_nodes.runtime import process
+process.TEARDOWN_S = 0.2
+
+def body(arguments, argv):
+    process.report_finished("all is done")
+    ctypes.PyDLL(None).sleep(600)  # with Python's lock, as the middleware does it
+    return 0
+
+process.run(argparse.ArgumentParser(), None, body, laws=False)
+"""
+
+
+def test_a_process_that_the_middleware_keeps_after_its_work_is_ended():
+    process = subprocess.run(
+        [sys.executable, "-c", HANGS], cwd=ROOT, timeout=PATIENCE_S, check=False
+    )
+    assert process.returncode == -signal.SIGALRM
+
+
 COLUMNS = {"publishes": 3, "hears": 4}
 
 
