@@ -235,7 +235,7 @@ class Endpoints:
         return _SENT + json.dumps(PublishCounters(since_ns, before, self._counts())._asdict())
 
     def end_with(self, last_word: Callable[[], None]) -> None:
-        """Let `flush` call this first: it publishes one reliable message behind those sent with best effort.
+        """Let `say_last_word` call this: it publishes one reliable message behind those sent with best effort.
 
         A state that is sent with best effort is not acknowledged, and is lost with the shared memory of its process
         when its reader is slow. A reader receives the messages of one process in order: a reader that has
@@ -243,10 +243,13 @@ class Endpoints:
         """
         self._last_word = last_word
 
-    def flush(self, timeout_s: float) -> None:
-        """Wait until reliable readers have everything: an earlier exit would cut their bags."""
+    def say_last_word(self) -> None:
+        """Publish the message that the process ends with, before `flush`."""
         if self._last_word is not None:
             self._last_word()
+
+    def flush(self, timeout_s: float) -> None:
+        """Wait until reliable readers have everything: an earlier exit would cut their bags."""
         wait_for_readers([one.publisher for one in self._published], timeout_s)
 
     def close(self) -> None:

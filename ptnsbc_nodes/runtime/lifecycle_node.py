@@ -74,6 +74,11 @@ class ManagedNode(LifecycleNode):
                 raise self.refusal
         self._by_itself = False
 
+    def say_last_word(self) -> None:
+        """Publish what its work publishes last, see `Endpoints.end_with`."""
+        if self.work is not None:
+            self.work.endpoints.say_last_word()
+
     def flush(self, timeout_s: float) -> None:
         """Wait until reliable readers have everything."""
         if self.work is not None:

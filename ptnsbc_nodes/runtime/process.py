@@ -6,6 +6,7 @@ import argparse
 import os
 import signal
 import sys
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from types import FrameType
@@ -28,7 +29,7 @@ from ptnsbc_nodes.runtime.signals import install_handler, keep_exit_code
 USER_ERROR = 2
 RUNNING = "running"
 """The line that a process writes into its log once it has loaded everything and serves its node."""
-_FLUSH_S = 5.0  # half of what the launcher waits; a recorder that is busy is seconds behind
+FLUSH_S = 5.0  # half of what the launcher waits; a recorder that is busy is seconds behind
 _SIGNAL_CHECK_S = 0.2
 TEARDOWN_S = 20.0  # a launcher kills after 13 s
 _OWN_PROCESS: list[bool] = []  # not empty: `run` is all that this process does
@@ -140,6 +141,8 @@ def report_finished(summary: str) -> None:
 
 
 class _Endpoints(Protocol):
+    def say_last_word(self) -> None: ...
+
     def flush(self, timeout_s: float) -> None: ...
 
     def account(self) -> str: ...
@@ -177,9 +180,13 @@ class ProcessLifetime:
         while not self.over and node.context.ok():
             # Python sees a signal only between two calls.
             executor.spin_until_future_complete(self._done, timeout_sec=_SIGNAL_CHECK_S)
-        for each in (endpoints, *others):
-            each.flush(_FLUSH_S)
-        account = "\n".join(each.account() for each in (endpoints, *others))
+        served = (endpoints, *others)
+        for each in served:
+            each.say_last_word()
+        limit_s = time.monotonic() + FLUSH_S
+        for each in served:
+            each.flush(max(limit_s - time.monotonic(), 0.0))
+        account = "\n".join(each.account() for each in served)
         if (
             environment.REPORT in os.environ
         ):  # for the log of a launcher; a terminal has no use for it

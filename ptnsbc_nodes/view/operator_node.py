@@ -70,19 +70,19 @@ class OperatorNode:
         """`seal` of the fleet: with one the node only tells, because its services carry none."""
         self._node = node
         self._signed = seal is not None
-        self._endpoints = Endpoints(node, lockstep=False, seal=seal)
+        self.endpoints = Endpoints(node, lockstep=False, seal=seal)
         self._domain = domain
-        self._folder = runtime_folder(domain, self._endpoints.fleet)
+        self._folder = runtime_folder(domain, self.endpoints.fleet)
         self.flight = FlightState(scenario, time.monotonic)
         self._tolerance_m = float(scenario.file.formation.tolerance_m)
         self._sees_vehicles = False
         self._configs = {uav: agent_config(scenario, uav) for uav in scenario.uav_ids}
         self._goals: list[LegGoal | MissionGoal] = []  # that are flown
         if scenario.reconfigures:  # a successor of the leader announces the legs as well
-            self._endpoints.shares(topics.EPOCH)
-        self._listen = partial(self._endpoints.listen, required=False)
+            self.endpoints.shares(topics.EPOCH)
+        self._listen = partial(self.endpoints.listen, required=False)
         listen_to_fleet(self._listen, self.flight)
-        fleet = self._endpoints.fleet
+        fleet = self.endpoints.fleet
         self._publish = node.create_publisher(
             FleetState, fleet + STATE, keep_last(10, reliable=True)
         ).publish
@@ -97,7 +97,7 @@ class OperatorNode:
 
     def _join_as_caller(self, scenario: Scenario) -> None:
         """The node and the clients that call the services of the leader and of the launcher."""
-        node, fleet = self._node, self._endpoints.fleet
+        node, fleet = self._node, self.endpoints.fleet
         # A callback of this node waits for answers of the leader: another node's executor receives them.
         self._caller = rclpy.create_node(
             "operator_calls",
@@ -115,7 +115,7 @@ class OperatorNode:
         self._launcher = self._caller.create_client(Trigger, f"{fleet}/formation/{ARM_SERVICE}")
 
     def _offer_services(self) -> None:
-        node, fleet = self._node, self._endpoints.fleet
+        node, fleet = self._node, self.endpoints.fleet
         node.create_service(Arm, fleet + ARM_VEHICLES, self._on_arm)
         node.create_service(StartLeg, fleet + START_LEG, self._on_start_leg)
         node.create_service(Stop, fleet + EMERGENCY_STOP, self._on_stop)
@@ -132,25 +132,17 @@ class OperatorNode:
         return ActionServer(
             self._node,
             kind,
-            self._endpoints.fleet + name,
+            self.endpoints.fleet + name,
             lambda goal: kind.Result(),
             handle_accepted_callback=lambda goal: self._goals.append(follow(goal)),
             cancel_callback=lambda _goal: CancelResponse.ACCEPT,
         )
 
-    def flush(self, timeout_s: float) -> None:
-        """As the process wants it at its end."""
-        self._endpoints.flush(timeout_s)
-
-    def account(self) -> str:
-        """The number of messages that were sent."""
-        return self._endpoints.account()
-
     def close(self) -> None:
         """Remove everything from the node."""
         for action in self._actions:
             action.destroy()
-        self._endpoints.close()
+        self.endpoints.close()
         self._calls.shutdown()
         self._caller.destroy_node()
 
@@ -277,7 +269,7 @@ class OperatorNode:
         try:
             operation.begin()
             operation.run(_LOCAL_S)  # the bridges of this host need not wait for the middleware
-            with Coordinator(self._domain, "operator_stop", self._endpoints.fleet) as coordinator:
+            with Coordinator(self._domain, "operator_stop", self.endpoints.fleet) as coordinator:
                 operation.remote = coordinator
                 operation.discover(_DISCOVERY_S)
                 if not operation.bridges:  # a simulated fleet

@@ -71,6 +71,7 @@ def test_the_last_word_is_sent_behind_the_states_and_waited_for(ros):
     sender.end_with(lambda: announce(HEADER.encode(1)))
     ros.spin_until(lambda: not sender.unread())
     send(ODOMETRY.encode(7, np.ones(13)))
+    sender.say_last_word()
     sender.flush(30.0)
     assert sender._published[1].publisher.wait_for_all_acked(Duration())
     sender.close()

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import textwrap
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from domain_ports import first_port
@@ -16,6 +17,7 @@ from own_services import LIFECYCLE, PARAMETERS
 pytest.importorskip("rclpy")
 
 from ptnsbc_nodes.comm import topics
+from ptnsbc_nodes.runtime import process as processes
 
 ROOT = Path(__file__).resolve().parents[3]
 PATIENCE_S = 240  # the first flight compiles the laws
@@ -92,6 +94,9 @@ NODE = textwrap.dedent(
     from ptnsbc_nodes.runtime.process import Arguments
 
     class Quiet:
+        def say_last_word(self):
+            pass
+
         def flush(self, timeout_s):
             pass
 
@@ -145,6 +150,41 @@ def test_arguments_that_ros_refuses_are_one_line_and_exit_2(start, arguments, sa
     assert (process.returncode, out) == (2, "")
     assert err.startswith("uav: ") and says in err
     assert err.count("\n") == 1
+
+
+class Deaf:
+    """A node of which one reader acknowledges nothing, by a clock that only its waiting moves."""
+
+    now_s = 0.0
+
+    def __init__(self, words):
+        self._words = words
+
+    def say_last_word(self):
+        self._words.append(Deaf.now_s)
+
+    def flush(self, timeout_s):
+        Deaf.now_s += timeout_s
+
+    def account(self):
+        return ""
+
+
+def test_several_nodes_of_a_process_wait_for_their_readers_together(ros, monkeypatch):
+    """Fast DDS asks a reader again after 3 s: one after the other, five nodes outlasted their launcher's patience."""
+    node, words = ros.node("first"), []
+    monkeypatch.setattr(Deaf, "now_s", 0.0)
+    monkeypatch.setattr(processes, "time", SimpleNamespace(monotonic=lambda: Deaf.now_s))
+    monkeypatch.setattr(processes.memory, "settle", lambda: None)
+    monkeypatch.setattr(
+        processes, "make_executor", lambda _: SimpleNamespace(add_node=id, shutdown=int)
+    )
+    lifetime = processes.ProcessLifetime()
+    lifetime.end()
+    first, *others = (Deaf(words) for _ in range(5))
+    lifetime.serve(node, first, others)
+    assert words == [0.0] * 5
+    assert Deaf.now_s == processes.FLUSH_S
 
 
 HANGS = """

@@ -226,7 +226,7 @@ def test_in_real_time_the_last_word_is_a_status(ros, scenario, lockstep, more):
     """The readers of states that nobody acknowledges have them once they have it."""
     ends = Uavs(ros, scenario, lockstep=lockstep).sim.endpoints
     before = sent_in([ends.account()]).sent
-    ends.flush(30.0)
+    ends.say_last_word()
     after = sent_in([ends.account()]).sent
     assert after == {**before, "/diagnostics": before["/diagnostics"] + more}
 

@@ -60,7 +60,7 @@ def test_in_real_time_the_last_word_is_a_status(ros, scenario, lockstep, more):
     edges = CommunicationGraph(scenario, FlightOptions(lockstep=lockstep))
     ends = UavNode(ros.node("controller"), scenario, FOLLOWER, edges).endpoints
     before = sent_in([ends.account()]).sent
-    ends.flush(30.0)
+    ends.say_last_word()
     after = sent_in([ends.account()]).sent
     assert after == {**before, "/diagnostics": before["/diagnostics"] + more}
 
