@@ -28,6 +28,7 @@ from typing import Any
 import llvmlite
 import numba
 from numba.core.compiler import CompileResult
+from numba.core.runtime import rtsys
 from numba.core.serialize import dumps
 
 _SOURCES = ("ptnsbc_core", "ptnsbc_sim")
@@ -177,10 +178,11 @@ class KernelCache:
         self.cache_path = str(folder.path)
         self._name = f"{law.__module__}.{law.__qualname__}"
         code = law.__code__
+        self._ours = law.__module__.split(".")[0] in _SOURCES
         self._kernel: tuple[object, ...] = (
             (numba.__version__, llvmlite.__version__, sys.implementation.cache_tag),
             (self._name, code.co_firstlineno, hashlib.sha256(code.co_code).hexdigest()),
-            None if law.__module__.split(".")[0] in _SOURCES else _content(code.co_filename),
+            None if self._ours else _content(code.co_filename),
         )
 
     def _key(self, signature: Any, codegen: Any) -> tuple[object, ...]:
@@ -192,7 +194,12 @@ class KernelCache:
 
     def load_overload(self, signature: Any, context: Any) -> CompileResult | None:
         """The compiled kernel of this signature, or None."""
-        context.refresh()
+        # The registries of numba tell it how to compile, and take half a second of a processor. They also define the
+        # symbols of hashes, which a kernel of somebody else may need; LLVM would end the process without them.
+        if self._ours:
+            rtsys.initialize(context)
+        else:
+            context.refresh()
         key = self._key(signature, context.codegen())
         content = self._folder.read(self._file(key))
         if content is None:

@@ -106,6 +106,49 @@ def test_damaged_files_are_compiled_again_and_replaced(laws: Path, tmp_path: Pat
     assert run(laws, cache, count=KERNELS) == (KERNELS, [])
 
 
+OTHERS = """
+from ptnsbc_core.algebra import dot3
+from ptnsbc_core.kernel import kernel
+
+@kernel
+def squared(x):
+    return dot3(x, x)
+
+@kernel
+def number(x):
+    return {"a": squared(x)}["a"]
+"""
+BOTH = """
+import sys
+from ptnsbc_core.algebra import dot3
+
+print(dot3((1.0, 2.0, 3.0), (4.0, 5.0, 6.0)))
+print("numba.cpython.unicode" in sys.modules)
+import others
+print(others.number((1.0, 2.0, 3.0)))
+"""
+
+
+@pytest.mark.slow
+def test_a_law_from_the_cache_loads_nothing_that_only_compiling_needs(tmp_path: Path) -> None:
+    """A law of somebody else may need it; one that is compiled may contain laws that came from the cache."""
+    (tmp_path / "others.py").write_text(OTHERS)
+    cache = tmp_path / "cache"
+
+    def printed() -> list[str]:
+        process = started(tmp_path, cache, BOTH + "raise SystemExit\n")
+        out, error = process.communicate(timeout=120)
+        assert (process.returncode, error) == (0, "")
+        return out.split()
+
+    assert printed() == ["32.0", "True", "14.0"]
+    assert printed() == ["32.0", "False", "14.0"]
+    (folder,) = cache.iterdir()
+    for path in folder.glob("others.number*"):
+        path.unlink()
+    assert printed() == ["32.0", "False", "14.0"]
+
+
 @pytest.mark.slow
 def test_two_processes_at_once_fill_one_cache(laws: Path, tmp_path: Path) -> None:
     cache = tmp_path / "cache"
