@@ -13,6 +13,7 @@ from ptnsbc_sim.disturbances.build import VehicleDisturbances
 from ptnsbc_sim.own_world import OwnWorld
 from ptnsbc_sim.plants.build import obstacle_rows, plant_config, start_states
 from ptnsbc_sim.plants.contract import PlantConfig, plant_at, put_plant
+from ptnsbc_sim.plants.inner_loop import keeping_attitude
 from ptnsbc_sim.plants.integrate import advance, odometry, stop
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.sensor import near_objects
@@ -137,6 +138,12 @@ class World:
             return rows
         seen = self._odometry[row]
         return self._around[row].add_sensor_noise(tick, rows, self._truth[row], seen)
+
+    def with_late_setpoint(self, uav_id: int, wrench: Array) -> Array:
+        """The wrench (6,) of a vehicle whose setpoint is late: its inner loop keeps the attitude."""
+        row = self._row[uav_id]
+        rates = self._truth[row][10:13]
+        return keeping_attitude(wrench, rates, plant_at(self._plants, row), self._dt_ns * NANO)
 
     def step(self, wrenches: Mapping[int, Array]) -> None:
         """Advance all by one control period; a UAV without a wrench (6,) stays where it is, as in a hold failsafe."""

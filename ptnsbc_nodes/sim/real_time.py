@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from ptnsbc_core.types import Array
 from ptnsbc_io.wire import Stamped
 from ptnsbc_nodes.runtime.pacing import Latency, Pace
@@ -10,15 +12,22 @@ from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.world import World
 
 _MAX_CATCH_UP_S = 0.5
+_LATE_PERIODS = 2.5  # a wrench in time is one period old, and two where its UAV has missed one tick
 
 
 class RealTimeWorld:
-    """The vehicles of `world` in real time; a vehicle without a fresh wrench hovers."""
+    """The vehicles of `world` in real time; one keeps its attitude while its wrench is late, and hovers without one.
+
+    Torques are right for a control period. Held for a tenth of a second while a computer is busy, they turn a
+    vehicle over; the flight controllers of real ones do not let that happen.
+    """
 
     def __init__(self, scenario: Scenario, world: World, publishers: SimPublishers) -> None:
         self._world = world
         self._publishers = publishers
         self._stale_ns = round(scenario.file.communication.stale_s * 1e9)
+        self._late_ns = round(_LATE_PERIODS * scenario.dt_ns)
+        self._dt_ns = scenario.dt_ns
         self._catch_up = max(round(_MAX_CATCH_UP_S * scenario.control_hz), 1)
         self._wrenches: dict[int, Stamped] = {}
         self.pace = Pace(scenario.dt_ns)
@@ -40,10 +49,10 @@ class RealTimeWorld:
 
     def tick(self, now_ns: int) -> None:
         """Step all vehicles to now, and publish their states."""
-        periods = self.pace.tick(now_ns)
+        periods = min(self.pace.tick(now_ns), self._catch_up)
         fresh = self._fresh(now_ns)
-        for _ in range(min(periods, self._catch_up)):
-            self._world.step(fresh)
+        for left in range(periods - 1, -1, -1):
+            self._world.step(self._acting(fresh, now_ns - left * self._dt_ns))
         self._publishers.publish(now_ns)
 
     def hovering(self, now_ns: int) -> str:
@@ -52,9 +61,17 @@ class RealTimeWorld:
         names = [f"uav{i}" for i in self._world.ids if i not in fresh]
         return f"hovering without setpoints: {' '.join(names)}" if names else ""
 
-    def _fresh(self, now_ns: int) -> dict[int, Array]:
+    def _acting(self, fresh: Mapping[int, Stamped], at_ns: int) -> dict[int, Array]:
+        """The wrenches (6,) of one control period."""
+        late = self._world.with_late_setpoint
         return {
-            i: wrench.values
+            i: late(i, one.values) if at_ns - one.stamp_ns > self._late_ns else one.values
+            for i, one in fresh.items()
+        }
+
+    def _fresh(self, now_ns: int) -> dict[int, Stamped]:
+        return {
+            i: wrench
             for i, wrench in self._wrenches.items()
             if now_ns - wrench.stamp_ns <= self._stale_ns
         }
