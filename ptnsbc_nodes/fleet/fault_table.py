@@ -157,9 +157,11 @@ ANSWERS = (
         "the sim, by the age of the wrench",
         _STALE,
         _HOLD,
-        "its vehicle stays in place, and is named; its children hold",
+        "its vehicle keeps its attitude from the third control period on, then stays in place, and is named; its "
+        "children hold",
         f"when it is back; one without a launcher ends {ABANDONED_S:g} s after the sim",
         (
+            "tests/nodes/sim/test_real_time.py::test_a_vehicle_keeps_its_attitude_while_a_process_stands_still",
             "tests/nodes/sim/test_node.py::test_real_time_runs_by_the_clock_and_hovers_without_wrenches",
             "tests/nodes/sim/test_node.py::test_a_uav_that_comes_back_in_real_time_flies_its_vehicle_again",
         ),

@@ -90,10 +90,10 @@ def prefer_throughput() -> None:
 def prefer_punctuality(*, flies: bool) -> bool:
     """For flights in real time: real-time scheduling, before all other programs.
 
-    A setpoint that waits half a second for a compiler on the same host ends the flight of a real vehicle, and 50 ms
-    cost a simulated one half a metre: its motors keep the last wrench meanwhile. The policy is round robin,
-    so that processes that fly share the time; one that does not fly, as the recorder, comes after them. The
-    kernel keeps a twentieth of the time for all other programs.
+    A setpoint that waits half a second for a compiler on the same host ends the flight of a real vehicle, and a
+    simulated one flies on with the last force meanwhile. The policy is round robin, so that processes that fly share
+    the time; one that does not fly, as the recorder, comes after them. The kernel keeps a twentieth of the time for
+    all other programs.
 
     Returns False without the right to change the scheduling; the process works all the same.
     """
