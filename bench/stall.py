@@ -1,4 +1,4 @@
-"""How far a simulated UAV leaves its path when it gets no setpoint for a moment, because a computer is busy.
+"""The distance of a simulated UAV from its path, when a busy computer gives it no setpoint for a moment.
 
 `python -m bench.stall [--runs 200] [--hz 50] [--seed 1]` flies a leader in the sim's real time, on a clock of its own:
 in half of the flights it hovers, in the others it flies a circle at 2.4 m/s. Once in a flight its wrenches, or the
