@@ -67,6 +67,7 @@ class World:
         self._row = {uav_id: row for row, uav_id in enumerate(self.ids)}
         plants = [plant_config(scenario, uav_id) for uav_id in self.ids]
         self._plants = kernel_list(plants)
+        self._built = plants  # a call of a kernel for one of the list would load it in the middle of a flight
         self._states = start_states(scenario, self._plants)
         self._ticks = dict.fromkeys(self.ids, 0)
         self._slowest = 0
@@ -143,7 +144,7 @@ class World:
         """The wrench (6,) of a vehicle whose setpoint is late: its inner loop keeps the attitude."""
         row = self._row[uav_id]
         rates = self._truth[row][10:13]
-        return keeping_attitude(wrench, rates, plant_at(self._plants, row), self._dt_ns * NANO)
+        return keeping_attitude(wrench, rates, self._built[row], self._dt_ns * NANO)
 
     def step(self, wrenches: Mapping[int, Array]) -> None:
         """Advance all by one control period; a UAV without a wrench (6,) stays where it is, as in a hold failsafe."""
