@@ -67,7 +67,7 @@ class World:
         self._row = {uav_id: row for row, uav_id in enumerate(self.ids)}
         plants = [plant_config(scenario, uav_id) for uav_id in self.ids]
         self._plants = kernel_list(plants)
-        self._built = plants  # a call of a kernel for one of the list would load it in the middle of a flight
+        self._built = plants  # without a call of a kernel, which would load it in flight
         self._states = start_states(scenario, self._plants)
         self._ticks = dict.fromkeys(self.ids, 0)
         self._slowest = 0
