@@ -154,6 +154,7 @@ def soak(
         "wall_s": round(flown.flight_s, 1),
         "died_unasked": list(flown.died),
         "exit_code": flown.exit_code,
+        "recorder_lost": flown.recorded.get("lost"),
         "keep_outs_entered": sum(pair.entered for pair in verdict.separations),
         "closest_margin_m": round(closest.distance_m - closest.keep_out_m, 3),
         "closest": f"{closest.first} and {closest.second} at {closest.at_s:.2f} s",

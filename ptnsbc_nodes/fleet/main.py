@@ -72,6 +72,8 @@ def _summary(result: FleetResult) -> str:
     kept = f", {result.recorded.get('messages', 0)} messages in {result.bag}" if result.bag else ""
     if result.recorded.get("late"):
         kept += f", {result.recorded['late']} late"
+    if result.recorded.get("lost"):
+        kept += f", {result.recorded['lost']} lost"
     return f"{end} after {result.flight_s:.1f} s (start-up {result.startup_s:.1f} s){lost}{kept}"
 
 

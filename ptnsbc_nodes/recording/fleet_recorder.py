@@ -21,6 +21,7 @@ from ptnsbc_nodes.comm import qos, topics
 from ptnsbc_nodes.comm.announcements import decode_lost
 from ptnsbc_nodes.comm.endpoints import full_name
 from ptnsbc_nodes.comm.seal import Seal
+from ptnsbc_nodes.comm.senders.first import FirstSender
 from ptnsbc_nodes.comm.senders.hearing import first_sender, hear_first
 from ptnsbc_nodes.comm.tf import Transforms
 from ptnsbc_nodes.comm.topics import RECORDED, SIM, Role, Topic
@@ -99,6 +100,7 @@ class FleetRecorder(BagRecorder):
         self._acknowledged_ns = 0
         self._clock_ns = 0  # newest /clock of a lock-step flight
         self._ends: dict[Topic, Subscription] = {}
+        self._first: list[FirstSender] = []
         recorded = tuple(recorded)
         quiet: dict[str, list[tuple[int, int]]] = {}
         for uav, first_ns, end_ns in silences:
@@ -134,11 +136,17 @@ class FleetRecorder(BagRecorder):
             if topic.name not in of_several:
                 first = first_sender(self._node, end.topic_name, topic, lockstep=self._lockstep)
                 hear_first(end, first, self.refusals)
+                self._first.append(first)
 
     @property
     def late(self) -> int:
         """Lock-step messages too late to be sorted in; above zero the bytes may differ."""
         return self._order.late if self._order else 0
+
+    @property
+    def lost(self) -> int:
+        """Messages that were sent and did not arrive, where the first publisher of each topic is heard."""
+        return sum(first.lost for first in self._first)
 
     def finish(self) -> None:
         """Write what is still held back; call before the writer is closed."""

@@ -43,6 +43,8 @@ def _serve(options: argparse.Namespace, argv: list[str]) -> int:
 
     if options.punctual:
         environment.prefer_punctuality(flies=False)
+    elif not options.lockstep:
+        environment.prefer_records()
     context = Context()
     with StopRequest() as stop:
         with ros_errors():
@@ -98,7 +100,7 @@ def _record(context: Context, options: argparse.Namespace, stop: StopRequest) ->
             recorder.serve(executor, lambda: stop.came, _DRAIN_LIMIT_S)
             recorder.finish()
         # Before the middleware is shut down: that does not always return.
-        summary = json.dumps(recorder.summary(late=recorder.late))
+        summary = json.dumps(recorder.summary(late=recorder.late, lost=recorder.lost))
         print(summary, flush=True)
         report_finished(summary)
 

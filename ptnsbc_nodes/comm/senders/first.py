@@ -51,6 +51,8 @@ class FirstSender:
         now_s: Callable[[], float] = time.monotonic,
     ) -> None:
         self.kept: bytes | None = None
+        self.lost = 0
+        """Messages that the kept publisher sent between two that were heard, and that have not come."""
         self._yields = yields
         self._graph = graph
         self._any_node = any_node
@@ -76,6 +78,7 @@ class FirstSender:
         if not self._newest < number <= self._newest + _LOST:
             self._in_a_row = 0
             return False
+        self.lost += number - self._newest - 1
         self._newest, self._heard_s = number, self._now_s()
         return True
 
@@ -105,11 +108,12 @@ class FirstSender:
                 self._look(now_s)
             if self.kept is None or self._gives_way(gid, now_s):
                 self._keep(gid)
-        self._numbers[gid] = number
+        before, self._numbers[gid] = self._numbers.get(gid, number), number
         if gid != self.kept:
             self._in_a_row = 0
             return f"is from a second publisher: {self._names.get(gid) or _UNNAMED}"
         self._heard_s = now_s
+        self.lost += max(number - max(before, self._newest) - 1, 0)
         return ""
 
     def _nearest(self, number: int, now_s: float) -> bytes:
@@ -144,7 +148,7 @@ class FirstSender:
             self._heard_s = float("-inf")
 
     def _keep(self, gid: bytes) -> None:
-        self.kept, self._in_graph = gid, gid in self._names
+        self.kept, self._in_graph, self._newest = gid, gid in self._names, 0
         self._name = self._names.get(gid, "")
 
     def _gives_way(self, gid: bytes, now_s: float) -> bool:

@@ -246,7 +246,7 @@ def _fleet_facts(flown: FleetResult) -> dict[str, Any]:
         "died": list(flown.died),
         "killed": list(flown.killed),
         "interrupted": flown.interrupted,
-        "recorded": {key: flown.recorded.get(key) for key in ("messages", "late")},
+        "recorded": {key: flown.recorded.get(key) for key in ("messages", "late", "lost")},
         "logs": str(flown.processes[0].log.parent) if flown.processes else None,
     }
 
@@ -267,6 +267,8 @@ def _losses(flown: FleetResult) -> Iterator[str]:
         yield "the recorder left no count of its messages: the bag may be cut"
     if recorded.get("late"):
         yield f"{recorded['late']} messages came too late to be sorted: bytes differ between runs"
+    if recorded.get("lost"):
+        yield f"{recorded['lost']} messages did not reach the recorder: {recorded['messages']} are in the bag"
 
 
 def _judge(

@@ -141,6 +141,25 @@ def test_what_a_second_publisher_sends_is_not_in_the_bag(ros, tmp_path, several)
     assert sum(recorder.refusals.counts.values()) == 1 - len(several)
 
 
+def test_messages_that_a_full_queue_drops_are_counted(ros, tmp_path):
+    odom = topics.odom(1)
+    depth = qos.recorder_profile(odom, lockstep=False).depth
+    sent = messages(depth + 31)[odom]
+    infos = [topic_info(topic, lockstep=False) for topic in (odom, topics.TF)]
+    with BagWriter(tmp_path / "flight", infos) as writer:
+        node = ros.node("recorder")
+        recorder = FleetRecorder(node, writer, [odom], Transforms([1]), lockstep=False)
+        recorder.hear_first([])
+        flight = Flight(ros, [odom], lockstep=False, recorder=node)
+        flight.publish(odom, sent[0])
+        ros.spin_until(lambda: recorder.received == 1)
+        assert recorder.lost == 0
+        flight.publish_paced((odom, data) for data in sent[1:])
+        ros.spin_until(lambda: recorder.received == 1 + depth)
+        recorder.finish()
+    assert recorder.lost == 30
+
+
 def test_the_sim_is_told_of_what_all_topics_have(ros, tmp_path):
     """A topic whose messages come late held nothing back once, and the queues of a recorder lost messages."""
     odom, velocity, clock = topics.odom(1), topics.velocity_setpoint(1), topics.CLOCK
@@ -282,7 +301,7 @@ def test_process(ros, tmp_path, how, lockstep):
     assert report["messages"] == len(order) + 2 == sum(report["topics"].values())
     assert report["topics"]["/tf"] == 2
     assert report["topics"]["/uav1/odom"] == 10
-    assert report["late"] == 0
+    assert (report["late"], report["lost"]) == (0, 0)
     bag = read_bag(tmp_path / "flight")
     assert bag.metadata == {"seed": "7"}
     assert bag.attachment("scenario.yaml") == b"n: 1\n"

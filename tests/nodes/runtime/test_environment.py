@@ -107,6 +107,34 @@ def test_who_flies_runs_before_who_records_and_both_before_the_rest():
     assert told.stdout.split() == [str(os.SCHED_RR), "1"] * 2 + [str(os.SCHED_RR), "2"] * 2
 
 
+RECORD = """
+import os
+from pathlib import Path
+from ptnsbc_nodes.runtime import environment
+assert environment.prefer_records()
+print(os.getpriority(os.PRIO_PROCESS, 0), Path("/proc/self/autogroup").read_text().split()[-1])
+"""
+
+
+@pytest.mark.skipif(
+    os.geteuid() != 0 or not Path("/proc/self/autogroup").exists(),
+    reason="no right to lower nice values here, or no groups of sessions",
+)
+@pytest.mark.parametrize(("session", "group"), [(True, "-10"), (False, None)])
+def test_a_recorder_has_ten_shares_of_full_cores_and_its_shell_has_not(session, group):
+    before = Path("/proc/self/autogroup").read_text().split()[-1]
+    told = subprocess.run(
+        [sys.executable, "-c", RECORD],
+        capture_output=True,
+        text=True,
+        check=True,
+        cwd=Path(environment.__file__).parents[2],
+        start_new_session=session,
+    )
+    assert told.stdout.split() == ["-10", group or before]
+    assert Path("/proc/self/autogroup").read_text().split()[-1] == before
+
+
 @pytest.mark.parametrize(
     ("cores", "uavs", "control_hz", "processes", "has_room"),
     [
@@ -133,7 +161,9 @@ def test_without_the_right_to_hurry_everything_goes_on(monkeypatch):
         raise PermissionError(1, "Operation not permitted")
 
     monkeypatch.setattr(os, "sched_setscheduler", refuse)
+    monkeypatch.setattr(os, "setpriority", refuse)
     assert environment.prefer_punctuality(flies=True) is False
+    assert environment.prefer_records() is False
 
 
 @pytest.mark.parametrize("strategy", ["Enforce", "Permissive"])

@@ -220,6 +220,39 @@ def test_while_the_first_is_alone_its_numbers_are_enough():
     assert air.looks == looks
 
 
+def test_lost_messages_of_the_first_are_counted_by_whatever_tells_it_apart():
+    air = Air(ours="/uav1")
+    sender = air.first(by_numbers=True)
+    for number in (40, 41, 44):  # what it sent before it was heard is not lost
+        assert not sender.objection(OURS, number)
+    assert sender.lost == 2
+    for number in range(45, 150):
+        assert not sender.objection(OURS, number)
+        sender.is_alone()
+    assert sender.follows(150)
+    assert sender.follows(153)
+    assert sender.lost == 4
+    assert not sender.follows(400)  # too many: the GID decides
+    assert not sender.objection(OURS, 400)
+    assert sender.lost == 4 + 246
+    air.names[THEIRS] = "/outsider"
+    assert sender.objection(THEIRS, 7)
+    assert sender.objection(THEIRS, 9)
+    assert not sender.objection(OURS, 401)
+    assert sender.lost == 250
+
+
+def test_a_restarted_publisher_counts_anew():
+    air = Air(ours="/uav1")
+    sender = alone(air)
+    air.names[THIRD] = "/uav1"
+    air.now_s += 10.0
+    assert not sender.follows(3)
+    assert not sender.objection(THIRD, 3)
+    assert not sender.objection(THIRD, 5)
+    assert sender.lost == 1
+
+
 def test_a_second_publisher_is_noticed_by_its_first_number_and_refused_by_its_gid():
     air = Air(ours="/uav1")
     sender = alone(air)

@@ -15,7 +15,7 @@ from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_tools.commands.fly import fleet
 
 needs_rclpy = pytest.mark.skipif(find_spec("rclpy") is None, reason="needs rclpy")
-RECORDED = {"messages": 900, "late": 0}
+RECORDED = {"messages": 900, "late": 0, "lost": 0}
 
 
 def run(*words: object) -> tuple[int, str, str]:
@@ -111,6 +111,10 @@ def flown(**changes: Any) -> Any:
         (
             {"recorded": {**RECORDED, "late": 2}},
             ["2 messages came too late to be sorted: bytes differ between runs"],
+        ),
+        (
+            {"recorded": {**RECORDED, "lost": 3}},
+            ["3 messages did not reach the recorder: 900 are in the bag"],
         ),
         (
             {"died": ("recorder",), "recorded": {}},
