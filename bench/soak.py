@@ -21,7 +21,10 @@ from typing import Any, NamedTuple
 from bench.scenarios import grid
 from bench.session import Machine, own_domain, print_progress
 from bench.usage import Sampler
+from ptnsbc_io.bag import Bag, read_bag
 from ptnsbc_io.bag.repair import repair
+from ptnsbc_io.wire import peek_stamp
+from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.diagnostics import STATUS_HZ
 from ptnsbc_nodes.fleet.fleet import FleetOptions, run_fleet
 from ptnsbc_sim.scenario import Scenario
@@ -105,6 +108,12 @@ def _held_after_s(recording: Recording, uav: int, fault: FaultBlock) -> float | 
     return None
 
 
+def behind_s(bag: Bag, topic: str) -> float:
+    """The longest time [s] that a message of a topic waited for the recorder of a flight in real time."""
+    waits = (message.stamp_ns - peek_stamp(message.data) for message in bag.messages([topic]))
+    return max(waits, default=0) * 1e-9
+
+
 def soak(
     uavs: int,
     duration_s: float,
@@ -139,6 +148,7 @@ def soak(
         if not (folder / "bag").exists():  # its recorder died: what it wrote is judged
             repair(folder / "bag.part", folder / "bag")
         recording = read_recording(folder / "bag")
+        waited_s = behind_s(read_bag(folder / "bag"), topics.odom(scenario.leader_id).name)
         if out is not None:
             shutil.copytree(folder, out)
     verdict, answered = verdict_on(recording), list(answers(recording))
@@ -155,6 +165,7 @@ def soak(
         "died_unasked": list(flown.died),
         "exit_code": flown.exit_code,
         "recorder_lost": flown.recorded.get("lost"),
+        "recorder_behind_s": round(waited_s, 3),
         "keep_outs_entered": sum(pair.entered for pair in verdict.separations),
         "closest_margin_m": round(closest.distance_m - closest.keep_out_m, 3),
         "closest": f"{closest.first} and {closest.second} at {closest.at_s:.2f} s",
