@@ -44,8 +44,8 @@ from ptnsbc_sim.own_task import load_task
 from ptnsbc_sim.scenario.approach.deadline import turn_of
 from ptnsbc_sim.scenario.approach.limits import leader_motion
 from ptnsbc_sim.scenario.gains import Loop, gain_of
+from ptnsbc_sim.scenario.mission.curves import trajectory_of
 from ptnsbc_sim.scenario.mission.shapes import moves, shape_of
-from ptnsbc_sim.scenario.mission.trajectories import trajectory_of
 from ptnsbc_sim.scenario.scenario import Scenario
 
 _SHORTEST_ARM_M = 1e-3

@@ -33,8 +33,9 @@ from ptnsbc_sim.scenario.fields import (
     PositiveVec3,
     Vec3,
 )
-from ptnsbc_sim.scenario.mission import trajectories
-from ptnsbc_sim.scenario.mission.trajectories import TrajectoryBlock, trajectory_of
+from ptnsbc_sim.scenario.mission import curves
+from ptnsbc_sim.scenario.mission.curves import trajectory_of
+from ptnsbc_sim.scenario.mission.trajectories import TrajectoryBlock
 from ptnsbc_sim.scenario.reading.named_files import MOST_SAMPLES
 
 Kind = Literal["sphere", "box", "cylinder", "plane", "half_space", "ground", "map"]
@@ -121,7 +122,7 @@ def problems(block: ObstacleBlock) -> Iterator[str]:
         except ValueError as error:
             yield f"samples: {error}"
     if block.trajectory is not None:
-        for problem in trajectories.problems(block.trajectory):
+        for problem in curves.problems(block.trajectory):
             yield f"trajectory.{problem}"
 
 

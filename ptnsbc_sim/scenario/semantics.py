@@ -13,7 +13,7 @@ from ptnsbc_core.topology import Topology, validated_topology
 from ptnsbc_io.wire.checks import MOST_NEAR_OBJECTS
 from ptnsbc_sim.scenario import obstacles
 from ptnsbc_sim.scenario.mavlink import Geofence, Mavlink, vehicle_link
-from ptnsbc_sim.scenario.mission import leg_problems, legs, shapes, trajectories
+from ptnsbc_sim.scenario.mission import curves, leg_problems, legs, shapes
 from ptnsbc_sim.scenario.mission.faults import AUTOPILOT, fault_problems
 from ptnsbc_sim.scenario.mission.stream import takes_setpoints
 from ptnsbc_sim.scenario.model import Positioning, ScenarioFile, plant_of
@@ -223,7 +223,7 @@ def _offsets(file: ScenarioFile) -> Problems:
 
 
 def _trajectory(file: ScenarioFile) -> Problems:
-    for problem in trajectories.problems(file.leader.trajectory):
+    for problem in curves.problems(file.leader.trajectory):
         yield f"leader.trajectory.{problem}"
     if not takes_setpoints(file.leader.trajectory):
         return

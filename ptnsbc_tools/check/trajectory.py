@@ -11,9 +11,9 @@ from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.build import leader_trajectory, places_beside_leader
 from ptnsbc_sim.scenario.mavlink import Geofence
+from ptnsbc_sim.scenario.mission.curves import extremes
 from ptnsbc_sim.scenario.mission.legs import TakeOffLeg
 from ptnsbc_sim.scenario.mission.stream import SetpointTrajectory
-from ptnsbc_sim.scenario.mission.trajectories import extremes
 from ptnsbc_tools.check.finding import ERROR, INFO, WARNING, Finding, Findings
 
 _KEY = "leader.trajectory"

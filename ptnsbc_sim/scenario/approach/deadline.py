@@ -27,9 +27,10 @@ from ptnsbc_sim.scenario.approach.limits import (
 from ptnsbc_sim.scenario.approach.path import EpochPlaces, shortest_below
 from ptnsbc_sim.scenario.approach.turn import Pairs, approach_peaks, candidates, pairs_of
 from ptnsbc_sim.scenario.gains import gain_of
+from ptnsbc_sim.scenario.mission.curves import trajectory_of
 from ptnsbc_sim.scenario.mission.legs import LandLeg, ScheduledLeg, moves_shape
 from ptnsbc_sim.scenario.mission.shapes import moves, nearest_places, shape_of
-from ptnsbc_sim.scenario.mission.trajectories import Circle, trajectory_of
+from ptnsbc_sim.scenario.mission.trajectories import Circle
 from ptnsbc_sim.scenario.model import ScenarioFile
 from ptnsbc_sim.scenario.problems import ScenarioError
 

@@ -14,14 +14,9 @@ import numpy as np
 from ptnsbc_core.curves.shape import place_samples
 from ptnsbc_core.curves.trajectory import curve_samples
 from ptnsbc_core.types import Array
+from ptnsbc_sim.scenario.mission.curves import extremes, trajectory_of
 from ptnsbc_sim.scenario.mission.shapes import moves, shape_of
-from ptnsbc_sim.scenario.mission.trajectories import (
-    Circle,
-    Line,
-    Route,
-    extremes,
-    trajectory_of,
-)
+from ptnsbc_sim.scenario.mission.trajectories import Circle, Line, Route
 from ptnsbc_sim.scenario.model import Plant, ScenarioFile, UavBlock, plant_of
 
 _SAMPLE_S, _MOST_SAMPLES = 0.02, 20_000  # of the motion of a shape

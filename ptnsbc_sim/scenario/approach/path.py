@@ -21,8 +21,8 @@ from ptnsbc_core.types import PROFILE_REFERENCE, PROFILE_SOFT, Array
 from ptnsbc_sim.scenario.approach.limits import fastest_m_s
 from ptnsbc_sim.scenario.approach.turn import left_of_start, rise
 from ptnsbc_sim.scenario.gains import gain_of
+from ptnsbc_sim.scenario.mission.curves import trajectory_of
 from ptnsbc_sim.scenario.mission.shapes import moves, shape_of
-from ptnsbc_sim.scenario.mission.trajectories import trajectory_of
 from ptnsbc_sim.scenario.model import ScenarioFile, UavBlock, plant_of
 
 _SAMPLES = 241

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from itertools import pairwise
 from typing import Any
 
-from ptnsbc_sim.scenario.mission import trajectories
+from ptnsbc_sim.scenario.mission import curves
 from ptnsbc_sim.scenario.mission.legs import (
     ChangeLeg,
     FollowLeg,
@@ -124,7 +124,7 @@ def _apart(mission: Mission, index: int) -> str:
 def _content(leg: Any, followers: list[int]) -> Iterator[str]:
     """The problems of a leg by itself."""
     if isinstance(leg, FollowLeg | SplitLeg) or getattr(leg, "trajectory", None) is not None:
-        for problem in trajectories.problems(leg.trajectory):
+        for problem in curves.problems(leg.trajectory):
             yield f"trajectory.{problem}"
     if isinstance(leg, SplitLeg) and leg.head not in followers:
         yield f"head: {leg.head}: expected one of the followers {followers}"
