@@ -45,7 +45,8 @@ _DOMAINS = range(1, 102)  # above, the ports reach into those the system hands o
 _UAV_TICK_S, _PROCESS_TICK_S = 0.0004, 0.0011
 _MOST_LOAD = 0.7
 _AUTOGROUP = Path("/proc/self/autogroup")
-_NICE_OF_RECORDER = -10  # weighs 9.3 times as much as 0: beside twenty UAVs and the sim a third of the cores
+# It weighs 9.3 times as much as 0: beside twenty UAVs and the sim a third of the cores.
+_NICE_OF_RECORDER = -10
 _LAST_DOMAIN = 232  # the ports of the next one do not exist
 _FIRST_PARTICIPANTS = 3
 

@@ -13,6 +13,7 @@ from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.endpoints import Endpoints, sent_in
 from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions
 from ptnsbc_nodes.comm.topics import LOST
+from ptnsbc_nodes.runtime import environment
 from ptnsbc_nodes.sim import main
 from ptnsbc_nodes.sim.node import SimNode, _lead_ticks
 from ptnsbc_sim.scenario import load_scenario
@@ -284,3 +285,24 @@ def test_a_users_error_is_one_line_and_exit_2(capsys):
     assert out == ""
     assert err.startswith("sim: ")
     assert err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "wanted"), [([], "punctuality"), (["--lockstep"], "throughput")]
+)
+def test_the_world_of_a_fleet_that_fills_the_cores_is_never_late(monkeypatch, arguments, wanted):
+    class AskedError(Exception):
+        pass
+
+    def ask(name):
+        def asked(*_, **__):
+            raise AskedError(name)
+
+        return asked
+
+    for name in ("punctuality", "throughput"):
+        monkeypatch.setattr(environment, f"prefer_{name}", ask(name))
+    monkeypatch.setattr(environment, "has_room", lambda *_: False)
+    monkeypatch.setattr("ptnsbc_nodes.comm.graph.CommunicationGraph", ask("nothing"))
+    with pytest.raises(AskedError, match=wanted):
+        main.main(["--scenario", "paper_20", *arguments])
