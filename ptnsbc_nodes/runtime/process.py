@@ -31,6 +31,7 @@ RUNNING = "running"
 """The line that a process writes into its log once it has loaded everything and serves its node."""
 FLUSH_S = 5.0  # half of what the launcher waits; a recorder that is busy is seconds behind
 _SIGNAL_CHECK_S = 0.2
+_LEAST_REST_S = 0.0002  # a timer that is due takes as long to say so
 TEARDOWN_S = 20.0  # a launcher kills after 13 s
 _OWN_PROCESS: list[bool] = []  # not empty: `run` is all that this process does
 
@@ -170,8 +171,22 @@ class ProcessLifetime:
         """True if a signal has come, or `end` was called."""
         return self._signalled or self._done.done()
 
-    def serve(self, node: Node, endpoints: _Endpoints, others: Sequence[ManagedNode] = ()) -> None:
-        """Run callbacks of a node, and of others in its process, until the end; then let readers catch up."""
+    def serve(
+        self,
+        node: Node,
+        endpoints: _Endpoints,
+        others: Sequence[ManagedNode] = (),
+        rest_s: Callable[[], float] | None = None,
+    ) -> None:
+        """Run callbacks of a node, and of others in its process, until the end; then let readers catch up.
+
+        Args:
+            node: Served.
+            endpoints: Of `node`.
+            others: Served beside it.
+            rest_s: For a node that uses its messages at ticks only: time [s] until the next tick, for which they wait.
+                So they come all at once, and do not wake the process one by one.
+        """
         executor: Any = make_executor(node.context)
         for one in (node, *others):
             executor.add_node(one)
@@ -179,7 +194,10 @@ class ProcessLifetime:
         print(RUNNING, flush=True)
         while not self.over and node.context.ok():
             # Python sees a signal only between two calls.
-            executor.spin_until_future_complete(self._done, timeout_sec=_SIGNAL_CHECK_S)
+            timeout_s = _SIGNAL_CHECK_S if rest_s is None else 0.0
+            executor.spin_until_future_complete(self._done, timeout_sec=timeout_s)
+            if rest_s is not None:
+                time.sleep(min(max(rest_s(), _LEAST_REST_S), _SIGNAL_CHECK_S))
         served = (endpoints, *others)
         for each in served:
             each.say_last_word()

@@ -71,8 +71,11 @@ class SimNode:
         self._watchdog = LockstepWatchdog(self._send_ready)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         node.create_timer(1.0 / STATUS_HZ, self._on_status_timer, clock=steady)
+        self.rest_s: Callable[[], float] | None = None
+        """In real time: the time [s] until the next tick, at which the wrenches are used."""
         if not edges.options.lockstep:
-            node.create_timer(scenario.dt_ns * 1e-9, self._on_tick_timer)
+            ticks = node.create_timer(scenario.dt_ns * 1e-9, self._on_tick_timer)
+            self.rest_s = lambda: ticks.time_until_next_call() * 1e-9
             self.endpoints.end_with(lambda: self._report(self._clock_ns()))
 
     def _subscribe(self) -> None:

@@ -187,6 +187,29 @@ def test_several_nodes_of_a_process_wait_for_their_readers_together(ros, monkeyp
     assert Deaf.now_s == processes.FLUSH_S
 
 
+def test_messages_of_a_node_that_uses_them_at_ticks_wait_for_the_next_one(ros, monkeypatch):
+    """Each of 1000 wrenches a second woke the sim of twenty UAVs; it took 0.30 cores, and 0.20 since."""
+    node, happened = ros.node("resting"), []
+    lifetime = processes.ProcessLifetime()
+
+    def spin(_, timeout_sec):
+        happened.append(("served", timeout_sec))
+        if len(happened) == 7:
+            lifetime.end()
+
+    clock = SimpleNamespace(
+        monotonic=lambda: 0.0, sleep=lambda rest_s: happened.append(("rested", rest_s))
+    )
+    monkeypatch.setattr(processes, "time", clock)
+    monkeypatch.setattr(processes.memory, "settle", lambda: None)
+    executor = SimpleNamespace(add_node=id, shutdown=int, spin_until_future_complete=spin)
+    monkeypatch.setattr(processes, "make_executor", lambda _: executor)
+    until_tick_s = iter([0.015, -0.001, 90.0, 0.015])
+    lifetime.serve(node, Deaf([]), rest_s=lambda: next(until_tick_s))
+    rests = [0.015, processes._LEAST_REST_S, processes._SIGNAL_CHECK_S, 0.015]
+    assert happened == [one for rest_s in rests for one in (("served", 0.0), ("rested", rest_s))]
+
+
 HANGS = """
 import argparse, ctypes
 from ptnsbc_nodes.runtime import process
