@@ -19,7 +19,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -53,6 +53,7 @@ _PAUSE_S = 1.5
 _STUCK_S = 25.0  # so long a launcher stands still before it is killed
 _READY_S = 600.0  # vehicles that do not land are waited for 240 s
 _LEFT_S = 30.0
+_LAST_WORDS = 6  # lines of a launcher that did not start: the reason, and the end of a log
 
 
 class Struck(NamedTuple):
@@ -121,11 +122,12 @@ def _flight(
 def _until_started(launcher: subprocess.Popen[str]) -> str:
     """Wait for the start of the flight; the last words of a launcher that ended before it."""
     assert launcher.stderr is not None
-    line = ""
+    last = deque[str](maxlen=_LAST_WORDS)
     for line in launcher.stderr:
         if line.rstrip().endswith("started"):
             return ""
-    return f"the fleet did not start: {line.strip()}"
+        last.append(line.strip())
+    return f"the fleet did not start: {' '.join(last)}"
 
 
 def _pids(folder: Path) -> dict[str, int]:
