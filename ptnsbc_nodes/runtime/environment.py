@@ -115,11 +115,19 @@ def prefer_records() -> bool:
     try:
         os.setpriority(os.PRIO_PROCESS, 0, _NICE_OF_RECORDER)
         # By hand it is of the session of its shell, whose other programs are left alone.
-        if os.getsid(0) == os.getpid() and _AUTOGROUP.exists():
+        if os.getsid(0) == os.getpid() and sessions_are_groups():
             _AUTOGROUP.write_text(str(_NICE_OF_RECORDER))
     except OSError:
         return False
     return True
+
+
+def sessions_are_groups() -> bool:
+    """True if the scheduler counts the session of this process as one.
+
+    Without such groups the file is missing or empty: they are off, or a container has a share of its own.
+    """
+    return _AUTOGROUP.exists() and bool(_AUTOGROUP.read_text().strip())
 
 
 def has_room(uavs: int, control_hz: float, processes: int | None = None) -> bool:

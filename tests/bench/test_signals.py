@@ -52,7 +52,7 @@ def test_the_steps_of_a_bridge_are_those_before_and_after_its_setpoints_stopped(
 
 @pytest.mark.parametrize(
     ("said", "words"),
-    [("fleet started\nmore\n", ""), ("a\nerror: no\n", "the fleet did not start: error: no")],
+    [("fleet started\nmore\n", ""), ("a\nerror: no\n", "the fleet did not start: a error: no")],
 )
 def test_a_fleet_that_does_not_start_ends_no_series(said, words):
     launcher = SimpleNamespace(stderr=io.StringIO(said))

@@ -117,7 +117,7 @@ print(os.getpriority(os.PRIO_PROCESS, 0), Path("/proc/self/autogroup").read_text
 
 
 @pytest.mark.skipif(
-    os.geteuid() != 0 or not Path("/proc/self/autogroup").exists(),
+    os.geteuid() != 0 or not environment.sessions_are_groups(),
     reason="no right to lower nice values here, or no groups of sessions",
 )
 @pytest.mark.parametrize(("session", "group"), [(True, "-10"), (False, None)])
@@ -133,6 +133,17 @@ def test_a_recorder_has_ten_shares_of_full_cores_and_its_shell_has_not(session, 
     )
     assert told.stdout.split() == ["-10", group or before]
     assert Path("/proc/self/autogroup").read_text().split()[-1] == before
+
+
+@pytest.mark.parametrize(("said", "left"), [("", ""), ("/autogroup-7 nice 0\n", "-10")])
+def test_a_recorder_whose_session_is_no_group_is_preferred_alone(tmp_path, monkeypatch, said, left):
+    group = tmp_path / "autogroup"
+    group.write_text(said)
+    monkeypatch.setattr(environment, "_AUTOGROUP", group)
+    monkeypatch.setattr(os, "setpriority", lambda *_: None)
+    monkeypatch.setattr(os, "getsid", lambda _: os.getpid())
+    assert environment.prefer_records()
+    assert group.read_text() == left
 
 
 @pytest.mark.parametrize(
