@@ -36,8 +36,9 @@ from ptnsbc_core.mission import (
     with_velocity,
 )
 from ptnsbc_core.nullspace import compose_with_clearance
-from ptnsbc_core.tasks.clearance import FilterPace, ObstacleView, clearance, filter_pace
+from ptnsbc_core.tasks.clearance import FilterPace, clearance, filter_pace
 from ptnsbc_core.tasks.contract import TaskGeometry
+from ptnsbc_core.tasks.near_constraints import ObstacleView
 from ptnsbc_core.tasks.obstacle_memory import empty_memory
 from ptnsbc_core.tasks.told_path import ToldPaths
 from ptnsbc_core.timebase import Clock, loop_gain, plan_duration

@@ -22,7 +22,7 @@ from hypothesis import strategies as st
 from on_arrays import on_arrays
 
 from ptnsbc_core.tasks.approach import LATENCIES, braking_speed, clear_velocities, tangent
-from ptnsbc_core.tasks.clearance import ObstacleView, constraints
+from ptnsbc_core.tasks.near_constraints import ObstacleView, constraints
 from ptnsbc_core.tasks.obstacle_memory import empty_memory
 from ptnsbc_core.tasks.told_path import ToldPaths
 from ptnsbc_core.timebase import h, h_rate

@@ -20,7 +20,7 @@ from on_arrays import on_arrays
 from ptnsbc_core.algebra import limit_norm
 from ptnsbc_core.behaviours.contract import FormationPlace
 from ptnsbc_core.behaviours.deadlock import standing_time, stands_still, way_out
-from ptnsbc_core.tasks.clearance import ObstacleView
+from ptnsbc_core.tasks.near_constraints import ObstacleView
 from ptnsbc_core.tasks.obstacle_memory import SIDE, USED, empty_memory
 from ptnsbc_core.types import AVOIDANCE_SET_BASED, AVOIDANCE_SWITCHED
 
