@@ -15,7 +15,7 @@ from ptnsbc_sim.scenario.approach.deadline import (
     start_errors,
 )
 from ptnsbc_sim.scenario.approach.limits import limits_left, limits_left_by_mission
-from ptnsbc_sim.scenario.semantics import STABILITY_LIMIT
+from ptnsbc_sim.scenario.communication import STABILITY_LIMIT
 from ptnsbc_sim.scenario.slots import with_slots_of_starts
 from ptnsbc_tools.check.finding import ERROR, INFO, WARNING, Finding, Findings
 

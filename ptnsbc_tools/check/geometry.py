@@ -20,8 +20,8 @@ from ptnsbc_sim.scenario.build import (
     reference_offset,
     sight_speed,
 )
+from ptnsbc_sim.scenario.communication import STABILITY_LIMIT, estimator_peak, estimator_step
 from ptnsbc_sim.scenario.mission.shapes import moves
-from ptnsbc_sim.scenario.semantics import STABILITY_LIMIT, estimator_peak, estimator_step
 from ptnsbc_sim.scenario.slots import with_slots_of_starts
 from ptnsbc_sim.verdict.encounters import recovery_s
 from ptnsbc_tools.check.finding import ERROR, INFO, WARNING, Finding, Findings
