@@ -120,8 +120,8 @@ print(os.getpriority(os.PRIO_PROCESS, 0), Path("/proc/self/autogroup").read_text
     os.geteuid() != 0 or not environment.sessions_are_groups(),
     reason="no right to lower nice values here, or no groups of sessions",
 )
-@pytest.mark.parametrize(("session", "group"), [(True, "-10"), (False, None)])
-def test_a_recorder_has_ten_shares_of_full_cores_and_its_shell_has_not(session, group):
+@pytest.mark.parametrize(("session", "group"), [(True, "-15"), (False, None)])
+def test_a_recorder_is_preferred_on_full_cores_and_its_shell_is_not(session, group):
     before = Path("/proc/self/autogroup").read_text().split()[-1]
     told = subprocess.run(
         [sys.executable, "-c", RECORD],
@@ -131,11 +131,11 @@ def test_a_recorder_has_ten_shares_of_full_cores_and_its_shell_has_not(session, 
         cwd=Path(environment.__file__).parents[2],
         start_new_session=session,
     )
-    assert told.stdout.split() == ["-10", group or before]
+    assert told.stdout.split() == ["-15", group or before]
     assert Path("/proc/self/autogroup").read_text().split()[-1] == before
 
 
-@pytest.mark.parametrize(("said", "left"), [("", ""), ("/autogroup-7 nice 0\n", "-10")])
+@pytest.mark.parametrize(("said", "left"), [("", ""), ("/autogroup-7 nice 0\n", "-15")])
 def test_a_recorder_whose_session_is_no_group_is_preferred_alone(tmp_path, monkeypatch, said, left):
     group = tmp_path / "autogroup"
     group.write_text(said)
