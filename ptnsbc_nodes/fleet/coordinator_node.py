@@ -127,7 +127,7 @@ class Coordinator:
 
     def rejoin(self) -> None:
         """Leave the network and join it again: a discovery server may have left this node out."""
-        self._leave()
+        self.leave()
         self._join()
         if self._leads is not None:
             self.share(leads=self._leads)
@@ -228,9 +228,12 @@ class Coordinator:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._leave()
+        self.leave()
 
-    def _leave(self) -> None:
+    def leave(self) -> None:
+        """Leave the network; again is no harm."""
+        if not self._context.ok():
+            return
         self._executor.shutdown()
         self._node.destroy_node()
         rclpy.shutdown(context=self._context)

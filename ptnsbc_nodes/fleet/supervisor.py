@@ -303,6 +303,8 @@ class Supervisor:
         self._land()
         self._pass_on_lines()
         self._coordinator.end(_OVER_S)
+        # The middleware may hang a process that hears others leave, and then no signal ends it (docs/platform.md).
+        self._coordinator.leave()
         end([child for child in self.children if child.name != RECORDER])
         end(self.children, _RECORDER_PATIENCE_S)
         for child in self.children:

@@ -51,6 +51,15 @@ def test_no_message_ends_the_launcher_or_makes_it_end_a_uav(ros):
         assert all(waited_s < ENDED_S for waited_s in launcher.stuck().values())
 
 
+def test_a_launcher_that_has_left_the_network_is_seen_no_more(ros):
+    other = ros.node("other")
+    with Coordinator(ros.domain) as launcher:
+        spin_until(launcher, lambda: "fleet" in other.get_node_names())
+        launcher.leave()
+        ros.spin_until(lambda: "fleet" not in other.get_node_names())
+        launcher.leave()
+
+
 def test_statuses_of_the_largest_fleet_that_come_at_once_are_all_heard(ros):
     """UAVs of one process send together; the launcher started a process again that it had not heard."""
     sender = ros.node("uavs").create_publisher(DiagnosticArray, READY.name, RECORDER_RELIABLE)

@@ -47,7 +47,7 @@ def ended(tmp_path, monkeypatch):
 
     def end(name: str, state: str, **more: bool) -> tuple[list[str], list[str]]:
         said: list[str] = []
-        coordinator = SimpleNamespace(end=lambda _seconds: None)
+        coordinator = SimpleNamespace(end=lambda _seconds: None, leave=lambda: None)
         flight = Supervisor(FleetOptions(load_scenario("paper_5")), coordinator, None, said.append)
         folders = os.pathsep.join([str(ROOT), str(tmp_path)])
         environment = {**os.environ, "PYTHONPATH": folders}
@@ -70,6 +70,21 @@ def test_a_process_that_has_finished_but_does_not_exit_is_killed_and_has_not_die
     assert died == []
     assert line.startswith(f"{name} (pid ")
     assert line.endswith("had finished its work but did not exit: killed")
+
+
+@pytest.mark.ros
+def test_the_launcher_has_left_the_network_before_its_processes_leave_it(monkeypatch):
+    """Fast DDS hung a launcher for good that heard them leave (its issue 6502)."""
+    done: list[object] = []
+    coordinator = SimpleNamespace(
+        end=lambda _seconds: done.append("tells"), leave=lambda: done.append("leaves")
+    )
+    monkeypatch.setattr(flights, "end", lambda children, *_: done.append(list(children)))
+    flight = Supervisor(FleetOptions(load_scenario("paper_5")), coordinator, None, print)
+    flight.children.extend([uav := Child("uav1", 1), recorder := Child("recorder")])
+    uav.exit_code = recorder.exit_code = 0
+    flight.end()
+    assert done == ["tells", "leaves", [uav], [uav, recorder]]
 
 
 @pytest.mark.ros
