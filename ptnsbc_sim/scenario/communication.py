@@ -1,4 +1,4 @@
-"""Who hears whom: checks of the tree, the links and the parents, and the graph that they make."""
+"""The communication of a scenario: checks of the tree, the links and the parents, and the graph that they make."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Problems = Iterator[str]
 
 
 def problems(file: ScenarioFile) -> Problems:
-    """What does not fit together among the UAVs that hear each other."""
+    """Contradictions among tree, links and parents."""
     yield from _members(file)
     yield from _links(file)
     yield from _parents(file)
@@ -91,9 +91,9 @@ def _parents(file: ScenarioFile) -> Problems:
         total = math.fsum(weights.values())
         if abs(total - 1.0) > _WEIGHTS_SUM:
             yield f"{where}: weights sum to {total:g}: expected 1"
-    graph = {child: {above} for child, above in links.tree.items()}
+    edges = {child: {above} for child, above in links.tree.items()}
     try:
-        TopologicalSorter({**graph, **links.parents}).prepare()
+        TopologicalSorter({**edges, **links.parents}).prepare()
     except CycleError as error:
         cycle = " -> ".join(map(str, reversed(error.args[1])))
         yield f"communication.parents: cycle {cycle}: expected parents on the leader's side"
