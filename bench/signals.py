@@ -1,11 +1,12 @@
 """kill -9, STOP, and STOP with CONT of every kind of process at random moments of flights.
 
-`python -m bench.signals [--mode lockstep|real|mavlink] [--times 30] [--duration 40] [--seed 1]`. Each run is a whole
-fleet: five UAVs and their sim, or with mavlink four UAVs, bridges and stand-ins. At a moment that the seed draws, one
-process gets its signal; after STOP, CONT comes 1.5 s later or never. Afterwards the exit code must be the documented
-one, no process may be left, the bag (mended, where its recorder was killed) must open, and no two UAVs may have come
-closer than their keep-out. After a pause of a UAV or a bridge in flight the code is 1: the setpoints of a vehicle
-stopped. Where the launcher itself is stopped for good, it is killed after a while.
+`python -m bench.signals [--mode lockstep|real|mavlink] [--times 30] [--duration 40] [--seed 1] [--within S]`. Each run
+is a whole fleet: five UAVs and their sim, or with mavlink four UAVs, bridges and stand-ins. At a moment that the seed
+draws, in the first S seconds after the start, one process gets its signal; after STOP, CONT comes 1.5 s later or
+never. Afterwards the exit code must be the documented one, no process may be left, the bag (mended, where its recorder
+was killed) must open, and no two UAVs may have come closer than their keep-out. After a pause of a UAV or a bridge in
+flight the code is 1: the setpoints of a vehicle stopped. Where the launcher itself is stopped for good, it is killed
+after a while.
 """
 
 from __future__ import annotations
@@ -45,7 +46,7 @@ _MOMENTS_S = {
     "lockstep": 4.0,
     "real": 12.0,
     "mavlink": 25.0,
-}  # of the first seconds after the start
+}  # after the start, the latest
 _ORDERS = ("kill", "stop", "pause")
 _FLIES = frozenset(step.value for step in FLYING)
 _COMES_DOWN = frozenset(step.value for step in (Step.LAND, Step.DISARM, Step.DONE))
@@ -67,12 +68,14 @@ class Struck(NamedTuple):
     struck: bool = True  # whether the victim still ran at that moment
 
 
-def struck(mode: str, count: int, duration_s: float, seed: int) -> Iterator[Struck]:
+def struck(
+    mode: str, count: int, duration_s: float, seed: int, within_s: float
+) -> Iterator[Struck]:
     """So many flights, each with a victim, an order and a moment of its own."""
     chance, victims = random.Random(seed), _VICTIMS[mode]
     for number in range(count):
         victim, order = victims[number % len(victims)], chance.choice(_ORDERS)
-        after_s, domain = chance.uniform(0.0, _MOMENTS_S[mode]), chance.randint(81, 100)
+        after_s, domain = chance.uniform(0.0, within_s), chance.randint(81, 100)
         with (
             tempfile.TemporaryDirectory(prefix="signals-") as name,
             _vehicles(Path(name), mode, domain, duration_s) as words,
@@ -246,8 +249,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--times", type=int, default=30, metavar="N")
     parser.add_argument("--duration", type=float, default=40.0, metavar="S")
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument(
+        "--within", type=float, metavar="S", help=f"latest moment; by default {_MOMENTS_S}"
+    )
     options = parser.parse_args(arguments)
-    found = list(struck(options.mode, options.times, options.duration, options.seed))
+    within_s = _MOMENTS_S[options.mode] if options.within is None else options.within
+    flights = struck(options.mode, options.times, options.duration, options.seed, within_s)
+    found = list(flights)
     bad = [one._asdict() for one in found if one.wrong]
     hit = [one for one in found if one.struck]
     cases = Counter(f"{one.order} {one.victim}" for one in hit)

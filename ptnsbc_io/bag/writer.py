@@ -233,7 +233,8 @@ class BagWriter:
         self._finished: list[FileSummary] = []
         self._file: McapFileWriter | None = None
         self._unflushed = 0  # messages
-        self._last_flush: float | None = None
+        self._first_look: float | None = None  # at messages that are not on the disk
+        self._last_flush = 0.0
         self._guard = _WriteGuard(self._part)
 
     def __enter__(self) -> BagWriter:
@@ -323,17 +324,22 @@ class BagWriter:
                 self._file = self._next_file()
 
     def flush_if_due(self, now: float) -> None:
-        """Close the chunk when FLUSH_PERIOD has passed since the last one.
+        """Close the chunk when it is as old as the recording was at its begin, after FLUSH_PERIOD at the latest.
 
-        The ends of chunks show in the bytes of the file. Live recording passes wall time. Lock-step,
-        where the same flight gives the same bytes, passes the time of the flight.
+        So a recording that is killed soon after its start can be read too: its chunks end at 1, 2, 4, 8, ... times
+        the first step of `now`, until they last FLUSH_PERIOD. The ends of chunks show in the bytes of the file. Live
+        recording passes wall time. Lock-step, where the same flight gives the same bytes, passes the time of the
+        flight.
 
         Args:
             now: Any clock that does not jump [s].
         """
-        if self._last_flush is None:
-            self._last_flush = now
-        if now - self._last_flush < FLUSH_PERIOD or not self._unflushed or self._file is None:
+        if not self._unflushed or self._file is None:
+            return
+        if self._first_look is None:
+            self._first_look = self._last_flush = now
+        age = now - self._last_flush
+        if age <= 0.0 or age < min(FLUSH_PERIOD, self._last_flush - self._first_look):
             return
         with self._guard:
             self._file.flush()

@@ -238,17 +238,37 @@ def test_flush_if_due(tmp_path):
     writer = BagWriter(tmp_path / "flight", TOPICS)
     writer.open()
     file = tmp_path / "flight.part" / "flight_0.mcap"
-    writer.flush_if_due(10.0)
     write_all(writer)
+    for now in (10.0, 10.5):
+        writer.flush_if_due(now)
     size = file.stat().st_size
-    writer.flush_if_due(10.4)
-    assert file.stat().st_size == size
-    writer.flush_if_due(10.5)
-    assert file.stat().st_size > size
     with pytest.raises(BagError, match=f"{5 * TICKS + 1} messages are readable"):
         read_bag(tmp_path / "flight.part")
+    writer.flush_if_due(99.0)  # nothing new
+    assert file.stat().st_size == size
     writer.close()
     assert len(list(read_bag(tmp_path / "flight").messages())) == 5 * TICKS + 1
+
+
+def test_a_recording_killed_soon_after_its_start_has_what_came_before_half_its_age(tmp_path):
+    """After k steps of 10 ms at least k/2 are on the disk; chunks grow to half a second and no further."""
+    clock = wire.ClockTemplate()
+    writer = BagWriter(tmp_path / "flight", TOPICS)
+    writer.open()
+    file = tmp_path / "flight.part" / "flight_0.mcap"
+    kept, flushes, size = [], [], file.stat().st_size
+    for k in range(201):
+        stamp_ns = 10_000_000 * k
+        writer.write("/clock", stamp_ns, clock.encode(stamp_ns))
+        writer.flush_if_due(stamp_ns * 1e-9)
+        if file.stat().st_size > size:
+            size = file.stat().st_size
+            flushes.append(k)
+            kept = [m.stamp_ns for m in read_bag(file, salvage=True).messages()]
+            assert kept == [10_000_000 * one for one in range(k + 1)]
+        assert k < 1 or len(kept) > k / 2
+    assert flushes == [1, 2, 4, 8, 16, 32, 64, 114, 164]
+    writer.close()
 
 
 ENDLESS = textwrap.dedent(
