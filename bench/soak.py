@@ -2,8 +2,8 @@
 
 `python -m bench.soak [--lockstep] [--hz 50] [--duration 600] [--faults 60] [--uavs 20] [--seed 1]`. Messages are
 silenced, lost, late and no numbers, positions jump by some centimetres; in real time processes also freeze and start
-again. No process is killed for good: that is `bench.crash` and the tests of the fleet. A follower answers when it
-holds; it must within `communication.stale_s` and two periods of /diagnostics, on which it is read.
+again. No process is killed for good: that is `bench.crash` and the tests of the fleet. `bench.answers` says how soon
+the followers answered.
 """
 
 from __future__ import annotations
@@ -14,10 +14,11 @@ import random
 import shutil
 import sys
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
+from bench.answers import answers
 from bench.scenarios import grid
 from bench.session import Machine, own_domain, print_progress
 from bench.usage import Sampler
@@ -25,27 +26,16 @@ from ptnsbc_io.bag import Bag, read_bag
 from ptnsbc_io.bag.repair import repair
 from ptnsbc_io.wire import peek_stamp
 from ptnsbc_nodes.comm import topics
-from ptnsbc_nodes.comm.diagnostics import STATUS_HZ
 from ptnsbc_nodes.fleet.fleet import FleetOptions, run_fleet
 from ptnsbc_sim.scenario import Scenario
-from ptnsbc_sim.scenario.mission.faults import FaultBlock
 from ptnsbc_sim.verdict import verdict_on
-from ptnsbc_sim.verdict.recording import COUNTERS, Recording
 from ptnsbc_tools.reading.bag_reader import read_recording
 
 _FORMED_S = 12.0  # faults begin when the formation stands
 _LAST_S = 4.0  # no fault begins so late
 _SETTLE_S = 60.0  # memory is compared with that after the first minute, or after a quarter of a shorter flight
 _PATIENCE_S = 600.0
-_SILENCING = ("silence", "nan", "freeze")
-
-
-class Answer(NamedTuple):
-    """A follower whose parent fell silent."""
-
-    fault: str
-    uav: int
-    after_s: float | None  # from the begin of the fault until it held; None: it did not
+_MOST_GROWTH = 0.01  # share of the memory
 
 
 def drawn(scenario: Scenario, count: int, seed: int, *, lockstep: bool) -> list[dict[str, Any]]:
@@ -67,45 +57,6 @@ def drawn(scenario: Scenario, count: int, seed: int, *, lockstep: bool) -> list[
             fault["duration_s"] = round(chance.uniform(0.3, 2.5), 2)
         found.append(fault | amounts.get(kind, {}))
     return sorted(found, key=lambda one: float(one["at_s"]))
-
-
-def answers(recording: Recording) -> Iterator[Answer]:
-    """The times after which the children of silent UAVs held, as far as no other fault hides them."""
-    scenario = recording.scenario
-    stale_s = float(scenario.file.communication.stale_s)
-    for fault in scenario.faults:
-        lasts_s = fault.duration_s or 0.0
-        if fault.kind not in _SILENCING or lasts_s < stale_s + 2.0 / STATUS_HZ:
-            continue
-        for child in scenario.followers:
-            if scenario.parent(child) == fault.struck_uav and not _struck(scenario, child, fault):
-                yield Answer(fault.text, child, _held_after_s(recording, child, fault))
-
-
-def _struck(scenario: Scenario, child: int, fault: FaultBlock) -> bool:
-    """True if another fault strikes the child itself meanwhile, or its parent just before."""
-    first_s, last_s = fault.at_s - 3.0, fault.at_s + (fault.duration_s or 0.0)
-    return any(
-        one is not fault
-        and one.struck_uav in (child, fault.struck_uav)
-        and one.at_s < last_s
-        and one.at_s + (one.duration_s or 3.0) > first_s
-        for one in scenario.faults
-    )
-
-
-def _held_after_s(recording: Recording, uav: int, fault: FaultBlock) -> float | None:
-    counters, column = recording.counters[uav], COUNTERS.index("holding_s")
-    start_ns = recording.start_ns + round(fault.at_s * 1e9)
-    end_ns = start_ns + round(((fault.duration_s or 0.0) + 2.0 / STATUS_HZ) * 1e9)
-    first, last = counters.index(start_ns, "left"), counters.index(end_ns, "right")
-    rows = counters.rows(max(first - 1, 0), last)
-    held = rows.values[:, column]
-    for t_ns, value in zip(rows.t_ns[1:], held[1:], strict=True):
-        if value > held[0]:
-            # The counter says for how long it has held at this status.
-            return float(t_ns - start_ns) * 1e-9 - float(value - held[0])
-    return None
 
 
 def behind_s(bag: Bag, topic: str) -> float:
@@ -148,13 +99,16 @@ def soak(
         if not (folder / "bag").exists():  # its recorder died: what it wrote is judged
             repair(folder / "bag.part", folder / "bag")
         recording = read_recording(folder / "bag")
-        waited_s = behind_s(read_bag(folder / "bag"), topics.odom(scenario.leader_id).name)
+        bag = read_bag(folder / "bag")
+        waited_s = behind_s(bag, topics.odom(scenario.leader_id).name)
+        verdict, answered = verdict_on(recording), list(answers(recording, bag))
         if out is not None:
             shutil.copytree(folder, out)
-    verdict, answered = verdict_on(recording), list(answers(recording))
     closest = min(verdict.separations, key=lambda one: one.distance_m - one.keep_out_m)
-    limit_s = float(scenario.file.communication.stale_s) + 2.0 / STATUS_HZ
-    late = [one for one in answered if one.after_s is None or one.after_s > limit_s]
+    by_action = {
+        action: [one for one in answered if one.action == action]
+        for action in sorted({one.action for one in answered})
+    }
     return {
         "uavs": uavs,
         "duration_s": duration_s,
@@ -170,16 +124,23 @@ def soak(
         "closest_margin_m": round(closest.distance_m - closest.keep_out_m, 3),
         "closest": f"{closest.first} and {closest.second} at {closest.at_s:.2f} s",
         "memory_growth": {k: round(v, 4) for k, v in sampler.growth(settle_s, duration_s).items()},
-        "answers": len(answered),
-        "answered_within_s": max((one.after_s or 0.0 for one in answered), default=None),
-        "answered_late": [one._asdict() for one in late],
+        "answers": {action: len(each) for action, each in by_action.items()},
+        "answered_within_s": {
+            action: max((one.after_s or 0.0 for one in each), default=None)
+            for action, each in by_action.items()
+        },
+        "answered_late": [one._asdict() for one in answered if one.late],
         "missed_ticks": verdict.missed_ticks,
         "machine": machine.facts(),
     }
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Exit code 1 when a process died unasked, a keep-out was entered, or a fault was answered late."""
+    """Exit code 1 when anything is not as wanted.
+
+    A process died unasked or grew by 1 %, a keep-out was entered, a fault was answered late or never, or a message did
+    not reach the recorder.
+    """
     parser = argparse.ArgumentParser(prog="python -m bench.soak", description=__doc__)
     parser.add_argument("--uavs", type=int, default=20)
     parser.add_argument("--duration", type=float, default=600.0, metavar="S")
@@ -199,8 +160,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         out=options.out,
     )
     print(json.dumps(found, indent=1, default=str))
-    bad = found["died_unasked"] or found["keep_outs_entered"] or found["answered_late"]
-    return int(bool(bad))
+    bad = ("died_unasked", "keep_outs_entered", "answered_late", "recorder_lost")
+    grown = max(found["memory_growth"].values(), default=0.0)
+    return int(any(found[one] for one in bad) or grown >= _MOST_GROWTH)
 
 
 if __name__ == "__main__":
