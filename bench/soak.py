@@ -34,6 +34,7 @@ from ptnsbc_tools.reading.bag_reader import read_recording
 _FORMED_S = 12.0  # faults begin when the formation stands
 _LAST_S = 4.0  # no fault begins so late
 _SETTLE_S = 60.0  # memory is compared with that after the first minute, or after a quarter of a shorter flight
+_END_S = 5.0  # so long before its end no process of a flight ends
 _PATIENCE_S = 600.0
 _MOST_GROWTH = 0.01  # share of the memory
 
@@ -105,6 +106,8 @@ def soak(
         if out is not None:
             shutil.copytree(folder, out)
     closest = min(verdict.separations, key=lambda one: one.distance_m - one.keep_out_m)
+    # A fast lock-step is over before that.
+    grown = sampler.growth(settle_s, min(duration_s, flown.flight_s - _END_S))
     by_action = {
         action: [one for one in answered if one.action == action]
         for action in sorted({one.action for one in answered})
@@ -123,7 +126,7 @@ def soak(
         "keep_outs_entered": sum(pair.entered for pair in verdict.separations),
         "closest_margin_m": round(closest.distance_m - closest.keep_out_m, 3),
         "closest": f"{closest.first} and {closest.second} at {closest.at_s:.2f} s",
-        "memory_growth": {k: round(v, 4) for k, v in sampler.growth(settle_s, duration_s).items()},
+        "memory_growth": {role: round(share, 4) for role, share in grown.items()},
         "answers": {action: len(each) for action, each in by_action.items()},
         "answered_within_s": {
             action: max((one.after_s or 0.0 for one in each), default=None)
