@@ -36,7 +36,7 @@ from ptnsbc_nodes.sim.real_time import RealTimeWorld
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.world import World
 
-_LEAD_TICKS = 400  # well below the depth of the queues to the recorder, which is 1000
+_LEAD_TICKS = 100  # what waits for the recorder takes its memory; its queues have a depth of 1000
 _LEAD_STATUSES = 800  # the same for the queue of /diagnostics, which all processes share
 _OWN_STATUSES = 80  # the same for what one process publishes 5 times a second, whose depth is 100
 _LEAST_LEAD_TICKS = 50  # more than from one word of the recorder to the next
