@@ -24,12 +24,18 @@ def test_one_tick_alone_is_the_same_as_in_a_table() -> None:
     assert [uniform(ADDRESS, tick) < 0.3 for tick in range(ticks)] == lost.tolist()
 
 
-def test_a_long_flight_holds_one_block_of_a_stream() -> None:
-    """A sim grew for minutes, by 10 % of its memory."""
+def test_a_long_flight_takes_the_memory_of_one_block_of_a_stream() -> None:
+    """A sim that kept all blocks grew by 10 %, and one that made a new array for each by 2 %."""
     address = (7, 0, 33)
+    first = normal(address, 0, 3)
+    before = first.tobytes()
+    place = random_streams._newest(address, 3)._values.ctypes.data
     for tick in range(0, 10 * BLOCK_TICKS, 100):
         normal(address, tick, 3)
-    assert list(random_streams._newest(address, 3)) == [9]
+    newest = random_streams._newest(address, 3)
+    assert newest._number == 9
+    assert newest._values.ctypes.data == place
+    assert first.tobytes() == before == normals(address, 1, 3).tobytes()
 
 
 def test_a_longer_table_begins_with_the_shorter_one() -> None:
