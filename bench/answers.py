@@ -25,7 +25,7 @@ _BEGINS_WITHIN_S = 1.0  # the launcher carries out a restart
 
 
 class Answer(NamedTuple):
-    """What a follower did about a fault of its parent."""
+    """The answer of a follower to a fault of its parent."""
 
     fault: str
     uav: int
