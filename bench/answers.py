@@ -1,8 +1,8 @@
-"""How soon the faults of a flight were answered, as its bag tells: who held, and who named what it refused.
+"""The answers to the faults of a flight, as its bag tells them: who held, and who named refused messages.
 
 Every answer is read from /diagnostics, on which a UAV reports five times a second. So a limit is the time of
-docs/faults.md and two reports. What another fault may hide is left out: one that strikes the follower itself
-meanwhile, or its parent just before.
+docs/faults.md and two reports. An answer that another fault may hide is left out: one that strikes the follower
+itself meanwhile, or its parent just before.
 """
 
 from __future__ import annotations
