@@ -5,7 +5,6 @@ A key ends in its unit. A value may repeat the unit ("5 s"); a wrong unit is ref
 
 from __future__ import annotations
 
-import math
 import re
 from functools import cache
 from typing import Annotated, Any
@@ -18,9 +17,6 @@ from pydantic import (
     model_validator,
 )
 from pydantic_core import PydanticCustomError
-
-LARGEST = 1e12
-"""Size of the largest number in a scenario file."""
 
 # Suffix of a key -> its unit as we write it. Longer suffixes first: `_m_s2` also ends in `_s2`.
 _UNITS = {
@@ -82,19 +78,6 @@ def strip_unit(key: str, value: Any) -> Any:
     return value if unit is None else _number(value, unit, (key,))
 
 
-def _check_size(value: Any, below: tuple[str | int, ...]) -> None:
-    """Refuse a number that no quantity has, also inside lists and mappings: the laws square and cube them."""
-    if isinstance(value, float | int) and LARGEST < abs(value) < math.inf:
-        expected = f"expected a number from {-LARGEST:g} to {LARGEST:g}"
-        raise PydanticCustomError(
-            "too_large", "{expected}", {"below": below, "value": value, "expected": expected}
-        )
-    if isinstance(value, list | dict):
-        inside = enumerate(value) if isinstance(value, list) else value.items()
-        for key, item in inside:
-            _check_size(item, (*below, key))
-
-
 _WAVE = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(sin|cos)?\s*")
 
 
@@ -115,7 +98,6 @@ def _wave(value: Any) -> Any:
         raise PydanticCustomError(
             "wave", 'expected a number, "0.2 sin" or "0.2 cos"', {"value": value}
         )
-    _check_size(float(match[1]), ())
     return Wave(amount=float(match[1]), shape=match[2] or "constant")
 
 
@@ -148,13 +130,10 @@ class Block(BaseModel):
                 raise PydanticCustomError(
                     "unknown_key", "unknown key", {"below": (key,), "known": (*cls.model_fields,)}
                 )
-        plain = {
+        return {
             key: value if _holds_waves(key) else strip_unit(key, value)
             for key, value in tree.items()
         }
-        for key, value in plain.items():
-            _check_size(value, (key,))
-        return plain
 
 
 def _holds_waves(key: str) -> bool:

@@ -53,19 +53,6 @@ def refusal(old: str, new: str, *, count: int = 1) -> str:
         ("feed_forward: true", "feed_forward: 1", "gains.estimator.feed_forward: 1: ", "true or"),
         ("range_m: 4", "range_m: .nan", "sensor.range_m: nan: ", "finite"),
         ("range_m: 4", "range_m: .inf", "sensor.range_m: inf: ", "finite"),
-        (
-            "mass_kg: 1.2",
-            "mass_kg: 1e13",
-            "plant.mass_kg: 10000000000000.0: ",
-            "from -1e+12 to 1e+12",
-        ),
-        ("mass_kg: 1.2", "mass_kg: 1e13 kg", "plant.mass_kg: 10000000000000: ", "to 1e+12"),
-        (
-            "3: [-0.6, -1.2, 0]",
-            "3: [-0.6, -1e300, 0]",
-            "formation.offsets_m.3[1]: -1e+300: ",
-            "to 1e+12",
-        ),
         ("name: paper_5", "name: 'paper 5'", 'name: "paper 5": ', "letters"),
         # a range
         ("mass_kg: 1.2", "mass_kg: -1.2", "plant.mass_kg: -1.2: ", "> 0"),
@@ -96,12 +83,6 @@ def refusal(old: str, new: str, *, count: int = 1) -> str:
         ("kind: circle", "kind: circel", 'leader.trajectory.kind: "circel": ', '"circle"'),
         ("kind: circle, ", "", "leader.trajectory.kind: missing", "this key"),
         # a disturbance
-        (
-            '"0.2 cos", "0.1 sin", "0.1 sin"',
-            '"0.2 cos", "1e13 sin", "0.1 sin"',
-            "uavs[0].disturbance_m_s2[1]: ",
-            "to 1e+12",
-        ),
         (
             '["0.3 cos", "0.1 sin", "0.4 sin"]',
             '["0.3 cos", "0.1 tan", "0.4 sin"]',
