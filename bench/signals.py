@@ -4,10 +4,9 @@
 is a whole fleet: five UAVs and their sim, or with mavlink four UAVs, bridges and stand-ins. At a moment that the seed
 draws, in the first S seconds after the start, one process gets its signal; after STOP, CONT comes 1.5 s later or
 never. Afterwards the exit code must be the documented one, no process may be left, the bag (mended, where its recorder
-was killed) must open, and no two UAVs may have come closer than their keep-out. A recorder in lock-step sorts its first
-ticks before it writes them: one that is struck within 0.1 s may leave none, which is counted. After a pause of a UAV
-or a bridge in flight the code is 1: the setpoints of a vehicle stopped. Where the launcher itself is stopped for good,
-it is killed after a while.
+was killed) must open, and no two UAVs may have come closer than their keep-out. After a pause of a UAV or a bridge in
+flight the code is 1: the setpoints of a vehicle stopped. Where the launcher itself is stopped for good, it is killed
+after a while.
 """
 
 from __future__ import annotations
@@ -55,7 +54,6 @@ _PAUSE_S = 1.5
 _STUCK_S = 25.0  # so long a launcher stands still before it is killed
 _READY_S = 600.0  # vehicles that do not land are waited for 240 s
 _LEFT_S = 30.0
-_UNWRITTEN_S = 0.1  # so soon after the start a recorder may have written nothing
 _LAST_WORDS = 6  # lines of a launcher that did not start: the reason, and the end of a log
 
 
@@ -68,7 +66,6 @@ class Struck(NamedTuple):
     exit_code: int | None
     wrong: tuple[str, ...]
     struck: bool = True  # whether the victim still ran at that moment
-    unwritten: bool = False  # whether its recorder had nothing on the disk yet
 
 
 def struck(
@@ -121,9 +118,8 @@ def _flight(
         if launcher.poll() is None:
             launcher.kill()
         launcher.communicate()
-    unwritten = victim == "recorder" and after_s < _UNWRITTEN_S and not _has_messages(folder)
-    wrong = () if late else tuple(_wrong(folder, victim, order, struck_ns, code, unwritten))
-    return Struck(victim, order, round(after_s, 2), code, wrong, not late, unwritten)
+    wrong = () if late else tuple(_wrong(folder, victim, order, struck_ns, code))
+    return Struck(victim, order, round(after_s, 2), code, wrong, not late)
 
 
 def _until_started(launcher: subprocess.Popen[str]) -> str:
@@ -213,7 +209,7 @@ def _steps(bag: Path, victim: str, struck_ns: int) -> BridgeSteps:
 
 
 def _wrong(
-    folder: Path, victim: str, order: str, struck_ns: int, code: int | None, unwritten: bool
+    folder: Path, victim: str, order: str, struck_ns: int, code: int | None
 ) -> Iterator[str]:
     steps = BridgeSteps()
     with suppress(PtnsbcError):  # a bag that cannot be read is reported below
@@ -229,8 +225,6 @@ def _wrong(
         for pid in left.values():
             with suppress(ProcessLookupError):
                 os.kill(pid, signal.SIGKILL)
-    if unwritten:
-        return
     try:
         recording = _recording(folder)
         entered = [pair for pair in verdict_on(recording).separations if pair.entered]
@@ -239,15 +233,6 @@ def _wrong(
         return
     for pair in entered:
         yield f"{pair.first} and {pair.second} {pair.distance_m:.3f} m apart"
-
-
-def _has_messages(folder: Path) -> bool:
-    bag = folder / "bag"
-    try:
-        read_bag(bag if bag.exists() else folder / "bag.part", salvage=True)
-    except PtnsbcError:
-        return False
-    return True
 
 
 def _recording(folder: Path) -> Recording:
@@ -274,12 +259,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     bad = [one._asdict() for one in found if one.wrong]
     hit = [one for one in found if one.struck]
     cases = Counter(f"{one.order} {one.victim}" for one in hit)
-    summary = {
-        "flights": len(found),
-        "struck": len(hit),
-        "unwritten": sum(one.unwritten for one in hit),
-        "mode": options.mode,
-    }
+    summary = {"flights": len(found), "struck": len(hit), "mode": options.mode}
     print(json.dumps({**summary, "cases": cases, "wrong": bad}, indent=1))
     return int(bool(bad))
 

@@ -7,7 +7,7 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from bench.signals import BridgeSteps, _exit_codes, _has_messages, _steps, _until_started
+from bench.signals import BridgeSteps, _exit_codes, _steps, _until_started
 from ptnsbc_io.bag import BagWriter, TopicInfo
 from ptnsbc_nodes.comm.diagnostics import DiagnosticLevel, diagnostics
 from ptnsbc_nodes.comm.topics import DIAGNOSTICS
@@ -48,19 +48,6 @@ def test_the_steps_of_a_bridge_are_those_before_and_after_its_setpoints_stopped(
     assert _steps(tmp_path / "bag", "uav3", 2) == _steps(tmp_path / "bag", "bridge3", 2)
     assert _steps(tmp_path / "bag", "uav3", 2) == BridgeSteps("a", "c")
     assert _steps(tmp_path / "bag", "sim", 2) == SIMULATED
-
-
-def test_a_killed_recorder_has_what_was_on_the_disk(tmp_path):
-    writer = BagWriter(tmp_path / "bag", [TopicInfo(DIAGNOSTICS.name, DIAGNOSTICS.type)])
-    writer.open()
-    data = diagnostics(1, "sim", DiagnosticLevel.OK, "", {})
-    writer.write(DIAGNOSTICS.name, 1, data)
-    assert not _has_messages(tmp_path)
-    writer.flush_if_due(0.0)
-    writer.flush_if_due(0.1)
-    assert _has_messages(tmp_path)
-    writer.close()
-    assert _has_messages(tmp_path)
 
 
 @pytest.mark.parametrize(
