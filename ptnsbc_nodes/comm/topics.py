@@ -62,6 +62,8 @@ READY = Topic("/formation/ready", "diagnostic_msgs/msg/DiagnosticArray", Role.EV
 takes is chance, and /diagnostics is in the bag."""
 RECORDED = Topic("/formation/recorded", "std_msgs/msg/Header", Role.EVENT)
 """Stamp up to which the recorder has taken in every topic of a lock-step flight; the sim never runs far ahead."""
+RECORDED_EVERY = 10
+"""Ticks from one word of a recorder in lock-step to the next."""
 
 REQUEST = Topic("/formation/request", "std_msgs/msg/Header", Role.EVENT, ON_DEMAND)
 """frame_id the leg that an operator calls the leader's service for next; with `security: signed` the leader answers

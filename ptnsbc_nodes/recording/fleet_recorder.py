@@ -24,11 +24,10 @@ from ptnsbc_nodes.comm.seal import Seal
 from ptnsbc_nodes.comm.senders.first import FirstSender
 from ptnsbc_nodes.comm.senders.hearing import first_sender, hear_first
 from ptnsbc_nodes.comm.tf import Transforms
-from ptnsbc_nodes.comm.topics import RECORDED, SIM, Role, Topic
+from ptnsbc_nodes.comm.topics import RECORDED, RECORDED_EVERY, SIM, Role, Topic
 from ptnsbc_nodes.recording.completeness import Completeness
 from ptnsbc_nodes.recording.recorder import BagRecorder, Derive, describe, stamp_of
 
-_ACK_TICKS = 25
 _OWN = re.compile(r"/uav(\d+)/odom")
 
 # Published by every UAV: the order of arrival between UAVs is chance even within the topic.
@@ -184,7 +183,7 @@ class FleetRecorder(BagRecorder):
         """
         order.complete_ns = self._completeness.complete_ns
         stamp_ns = min(max(order.complete_ns, 0), self._clock_ns)
-        if stamp_ns - self._acknowledged_ns >= _ACK_TICKS * self._completeness.tick_ns:
+        if stamp_ns - self._acknowledged_ns >= RECORDED_EVERY * self._completeness.tick_ns:
             self._acknowledged_ns = stamp_ns
             self._acknowledge.publish(self._close(self._acknowledgement.encode(stamp_ns)))
 

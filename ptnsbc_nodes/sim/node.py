@@ -27,7 +27,7 @@ from ptnsbc_nodes.comm.door import RealTimeStamps, in_order
 from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.comm.graph import CommunicationGraph
 from ptnsbc_nodes.comm.legs import Epochs
-from ptnsbc_nodes.comm.topics import LOST, READY, RECORDED, RECORDER
+from ptnsbc_nodes.comm.topics import LOST, READY, RECORDED, RECORDED_EVERY, RECORDER
 from ptnsbc_nodes.runtime.pacing import Progress
 from ptnsbc_nodes.runtime.watchdog import LockstepWatchdog
 from ptnsbc_nodes.sim.lockstep import LockstepWorld
@@ -35,11 +35,6 @@ from ptnsbc_nodes.sim.publishers import SimPublishers
 from ptnsbc_nodes.sim.real_time import RealTimeWorld
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.world import World
-
-_LEAD_TICKS = 100  # what waits for the recorder takes its memory; its queues have a depth of 1000
-_LEAD_STATUSES = 800  # the same for the queue of /diagnostics, which all processes share
-_OWN_STATUSES = 80  # the same for what one process publishes 5 times a second, whose depth is 100
-_LEAST_LEAD_TICKS = 50  # more than from one word of the recorder to the next
 
 
 class SimNode:
@@ -230,10 +225,12 @@ class SimNode:
 
 
 def _lead_ticks(scenario: Scenario) -> int:
-    """Lock-step: ticks that the sim may be ahead of what the recorder has received."""
-    every = status_every(scenario)
-    statuses = _LEAD_STATUSES * every // (1 + len(scenario.uav_ids))
-    return max(min(_LEAD_TICKS, statuses, _OWN_STATUSES * every), 2 * every + _LEAST_LEAD_TICKS)
+    """Lock-step: ticks that the sim may be ahead of what the recorder has received.
+
+    What waits takes the recorder's memory and a place in its queues. A topic is complete up to its next message, and
+    the recorder is up to one word late: half of the lead. The other half lets the sim go on meanwhile.
+    """
+    return 2 * (status_every(scenario) + RECORDED_EVERY)
 
 
 class _RecorderBacklog:

@@ -139,11 +139,8 @@ def test_lockstep_waits_for_the_wrench_of_the_tick(ros, scenario):
     ros.spin_until(lambda: uavs.clock == [0, scenario.dt_ns])
 
 
-def test_lockstep_never_runs_farther_ahead_of_a_slow_recorder_than_its_queues_reach(
-    ros, monkeypatch
-):
+def test_lockstep_never_runs_farther_ahead_of_a_slow_recorder_than_its_queues_reach(ros):
     """A recorder under overload once lost messages, and their order."""
-    monkeypatch.setattr("ptnsbc_nodes.sim.node._LEAD_TICKS", 1)  # the least is above it
     scenario = load_scenario("paper_5", {"timing.duration_s": 2.0})
     uavs = Uavs(ros, scenario, recorded=True)
     lead = _lead_ticks(scenario)
