@@ -7,7 +7,7 @@ from typing import Any, NamedTuple, get_args
 
 from pydantic import BaseModel, TypeAdapter
 
-from ptnsbc_sim.scenario.fields import Block, Name, Wave, unit_of
+from ptnsbc_sim.scenario.fields import LARGEST, Block, Name, Wave, unit_of
 from ptnsbc_sim.scenario.schema import meanings
 
 REQUIRED = "required"
@@ -133,8 +133,11 @@ def _range(prop: Schema, schema: Schema) -> str:
 
 
 def _bounds(prop: Schema) -> str:
+    """The range of a number, without the limits that every number has."""
     low, above = prop.get("minimum"), prop.get("exclusiveMinimum")
     high, below = prop.get("maximum"), prop.get("exclusiveMaximum")
+    low = None if low == -LARGEST else low
+    high = None if high == LARGEST else high
     if low is not None and high is not None:
         return f"{_number(low)} to {_number(high)}"
     said = []

@@ -18,6 +18,9 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
+LARGEST = 1e12
+"""Size of the largest number of a quantity: the laws square and cube them."""
+
 # Suffix of a key -> its unit as we write it. Longer suffixes first: `_m_s2` also ends in `_s2`.
 _UNITS = {
     "_rad_s2": "rad/s^2",
@@ -98,14 +101,19 @@ def _wave(value: Any) -> Any:
         raise PydanticCustomError(
             "wave", 'expected a number, "0.2 sin" or "0.2 cos"', {"value": value}
         )
-    return Wave(amount=float(match[1]), shape=match[2] or "constant")
+    amount = float(match[1])
+    if abs(amount) > LARGEST:
+        expected = f"expected an amount from {-LARGEST:g} to {LARGEST:g}"
+        raise PydanticCustomError("wave", "{expected}", {"value": value, "expected": expected})
+    return Wave(amount=amount, shape=match[2] or "constant")
 
 
-Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
-Positive = Annotated[Number, Field(gt=0)]
-NotNegative = Annotated[Number, Field(ge=0)]
-Share = Annotated[Number, Field(ge=0, lt=1)]
-Residual = Annotated[Number, Field(gt=0, lt=1)]
+_Finite = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+Number = Annotated[_Finite, Field(ge=-LARGEST, le=LARGEST)]
+Positive = Annotated[_Finite, Field(gt=0, le=LARGEST)]
+NotNegative = Annotated[_Finite, Field(ge=0, le=LARGEST)]
+Share = Annotated[_Finite, Field(ge=0, lt=1)]
+Residual = Annotated[_Finite, Field(gt=0, lt=1)]
 Count = Annotated[int, Field(strict=True, gt=0)]
 UavId = Annotated[int, Field(strict=True, ge=1, le=254)]
 Name = Annotated[str, Field(strict=True, pattern=r"^[A-Za-z0-9_-]+$", max_length=64)]

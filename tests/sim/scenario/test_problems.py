@@ -70,6 +70,14 @@ def refusal(old: str, new: str, *, count: int = 1) -> str:
         ),
         ("motor_lag_s: 0.02", "motor_lag_s: 0", "plant.quadrotor.motor_lag_s: 0: ", "> 0"),
         ("    motor_lag_s: 0.02\n", "", "plant.quadrotor.motor_lag_s: missing", "number in s"),
+        ("mass_kg: 1.2", "mass_kg: 1e13", "plant.mass_kg: 10000000000000.0: ", "<= 1e+12"),
+        ("mass_kg: 1.2", "mass_kg: 1e13 kg", "plant.mass_kg: 10000000000000: ", "<= 1e+12"),
+        (
+            "3: [-0.6, -1.2, 0]",
+            "3: [-0.6, -1e300, 0]",
+            "formation.offsets_m.3[1]: -1e+300: ",
+            ">= -1e+12",
+        ),
         # a list of the wrong length
         (
             "position_m: [2, -1, 1]",
@@ -88,6 +96,12 @@ def refusal(old: str, new: str, *, count: int = 1) -> str:
             '["0.3 cos", "0.1 tan", "0.4 sin"]',
             'uavs[2].disturbance_m_s2[1]: "0.1 tan": ',
             "0.2 cos",
+        ),
+        (
+            '["0.3 cos", "0.1 sin", "0.4 sin"]',
+            '["0.3 cos", "1e13 sin", "0.4 sin"]',
+            'uavs[2].disturbance_m_s2[1]: "1e13 sin": ',
+            "-1e+12 to 1e+12",
         ),
         # something missing
         ("  mass_kg: 1.2", "  # no mass", "plant.mass_kg: missing", "number in kg"),

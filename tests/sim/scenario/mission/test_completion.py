@@ -10,6 +10,7 @@ from ptnsbc_core.tasks.registry import conditioning
 from ptnsbc_core.tasks.table import TASKS
 from ptnsbc_sim.scenario import agent_config, load_scenario
 from ptnsbc_sim.scenario.build import reference_offset
+from ptnsbc_sim.scenario.fields import LARGEST
 from ptnsbc_sim.scenario.mission.completion import proposed_tree
 from ptnsbc_sim.scenario.mission.shapes import ShapeBlock, named_places
 
@@ -79,9 +80,16 @@ def test_what_is_malformed_is_named_and_not_the_tree(changes: dict[str, Any], wo
         load_scenario("paper_5", {"communication.tree": "auto", **changes})
 
 
-def test_places_beyond_all_measure_are_no_traceback() -> None:
-    far = {k: [1e308, float(k), 0] for k in (2, 3, 4, 5)}
+@pytest.mark.parametrize("size", [1e12, 1e308])
+def test_places_beyond_all_measure_are_no_traceback(size: float) -> None:
+    far = {k: [size, float(k), 0] for k in (2, 3, 4, 5)}
     line = {"kind": "line", "spacing_m": 2}
     changes = [{"at_s": 6, "over_s": 1, "offsets_m": far}, {"at_s": 8, "over_s": 1, "shape": line}]
     overrides = {"formation.task": "relative_position", "formation.changes": changes}
-    assert len(load_scenario("paper_5", overrides).file.formation.changes) == 2
+    if size > LARGEST:
+        with pytest.raises(
+            PtnsbcError, match=r"changes\[0\]\.offsets_m\.2\[0\]: 1e\+308: expected <= 1e\+12"
+        ):
+            load_scenario("paper_5", overrides)
+    else:
+        assert len(load_scenario("paper_5", overrides).file.formation.changes) == 2
