@@ -38,9 +38,10 @@ def _serve(options: argparse.Namespace, argv: list[str]) -> int:
     from rclpy.context import Context
     from rclpy.signals import SignalHandlerOptions
 
-    from ptnsbc_nodes.runtime import environment
+    from ptnsbc_nodes.runtime import environment, memory
     from ptnsbc_nodes.runtime.process import ros_errors
 
+    memory.share_heap()
     if options.punctual:
         environment.prefer_punctuality(flies=False)
     elif not options.lockstep:

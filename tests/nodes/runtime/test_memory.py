@@ -3,6 +3,8 @@
 import ctypes
 import mmap
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -114,3 +116,38 @@ def test_laws_are_compiled_and_computed_after_the_compiler_was_let_go():
     assert compiler
     assert double(2.5) == 5.0
     assert double(2) == 4.0  # compiles again, for another type
+
+
+HEAPS = """
+import ctypes, os, re, sys, tempfile, threading
+from ptnsbc_nodes.runtime import memory
+library = ctypes.CDLL(None)
+library.malloc.restype, library.malloc.argtypes = ctypes.c_void_p, [ctypes.c_size_t]
+if sys.argv[1] == "shared":
+    memory.share_heap()
+all_run = threading.Barrier(4)
+def take():
+    library.malloc(5000)
+    all_run.wait()
+threads = [threading.Thread(target=take) for _ in range(4)]
+for thread in threads: thread.start()
+for thread in threads: thread.join()
+library.fdopen.restype = ctypes.c_void_p
+file = os.open(sys.argv[2], os.O_RDWR | os.O_CREAT)
+stream = ctypes.c_void_p(library.fdopen(file, b"w"))
+library.malloc_info(0, stream)
+library.fflush(stream)
+"""
+
+
+def heaps(tmp_path, kind):
+    """The number of heaps of a process whose four threads take memory at the same time."""
+    file = tmp_path / kind
+    subprocess.run([sys.executable, "-c", HEAPS, kind, str(file)], check=True)
+    return len(re.findall("<heap nr=", file.read_text()))
+
+
+@pytest.mark.skipif(not hasattr(ctypes.CDLL(None), "malloc_info"), reason="not the GNU C library")
+def test_threads_share_one_heap(tmp_path):
+    assert heaps(tmp_path, "own") > 1
+    assert heaps(tmp_path, "shared") == 1
