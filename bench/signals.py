@@ -33,6 +33,7 @@ from ptnsbc_io.bag.repair import repair
 from ptnsbc_io.wire import decode_diagnostics
 from ptnsbc_nodes.bridge.procedure.steps import FLYING, STOP_S, Step
 from ptnsbc_nodes.comm.topics import DIAGNOSTICS
+from ptnsbc_nodes.runtime.environment import reserved_domain
 from ptnsbc_sim.verdict.recording import Recording
 from ptnsbc_sim.verdict.verdict import verdict_on
 from ptnsbc_tools.reading.bag_reader import read_recording
@@ -75,9 +76,10 @@ def struck(
     chance, victims = random.Random(seed), _VICTIMS[mode]
     for number in range(count):
         victim, order = victims[number % len(victims)], chance.choice(_ORDERS)
-        after_s, domain = chance.uniform(0.0, within_s), chance.randint(81, 100)
+        after_s = chance.uniform(0.0, within_s)
         with (
             tempfile.TemporaryDirectory(prefix="signals-") as name,
+            reserved_domain() as domain,  # of two benches at once, one activated a UAV of the other
             _vehicles(Path(name), mode, domain, duration_s) as words,
         ):
             found = _flight(Path(name), domain, words, victim, order, after_s)
