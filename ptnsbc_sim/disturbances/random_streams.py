@@ -30,12 +30,21 @@ def _generator(address: Address, block: int) -> np.random.Generator:
     )
 
 
-def _normals(address: Address, block: int, width: int) -> Array:
-    return _generator(address, block).standard_normal((BLOCK_TICKS, width))
+def _fill(values: Array, address: Address, block: int) -> None:
+    """Put the numbers of a block into `values`: normal (BLOCK_TICKS, width), or uniform (BLOCK_TICKS,)."""
+    generator = _generator(address, block)
+    if values.ndim == 2:
+        generator.standard_normal(out=values)
+    else:
+        generator.random(out=values)
 
 
-def _uniforms(address: Address, block: int) -> Array:
-    return _generator(address, block).random(BLOCK_TICKS)
+def _first(address: Address, ticks: int, *width: int) -> Array:
+    """The numbers of the first ticks: normal (ticks, width), or uniform (ticks,) without a width."""
+    values = np.empty((-(-ticks // BLOCK_TICKS), BLOCK_TICKS, *width))
+    for block, part in enumerate(values):
+        _fill(part, address, block)
+    return values.reshape(-1, *width)[:ticks]
 
 
 class _Newest:
@@ -49,18 +58,13 @@ class _Newest:
         self._address = address
         self._number = -1
         self._values = np.empty((BLOCK_TICKS, width) if width else BLOCK_TICKS)
-        self._normal = width > 0
 
     def row(self, tick: int) -> Array:
         """The numbers of a tick, which stay when the stream goes on."""
         block, row = divmod(tick, BLOCK_TICKS)
         if block != self._number:
             self._number = -1
-            generator = _generator(self._address, block)
-            if self._normal:
-                generator.standard_normal(out=self._values)
-            else:
-                generator.random(out=self._values)
+            _fill(self._values, self._address, block)
             self._number = block
         return np.array(self._values[row])
 
@@ -80,11 +84,9 @@ def uniform(address: Address, tick: int) -> float:
 
 def normals(address: Address, ticks: int, width: int) -> Array:
     """The numbers (ticks, width) of the first ticks."""
-    blocks = range(-(-ticks // BLOCK_TICKS))
-    return np.concatenate([_normals(address, block, width) for block in blocks])[:ticks]
+    return _first(address, ticks, width)
 
 
 def uniform_below(address: Address, ticks: int, share: float) -> NDArray[np.bool_]:
     """True if the numbers of the first ticks (ticks,) are below `share`."""
-    blocks = range(-(-ticks // BLOCK_TICKS))
-    return np.concatenate([_uniforms(address, block) for block in blocks])[:ticks] < share
+    return _first(address, ticks) < share
