@@ -7,17 +7,10 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from bench.signals import (
-    BridgeSteps,
-    _exit_codes,
-    _steps,
-    _struck_before_the_flight,
-    _until_started,
-)
+from bench.signals import BridgeSteps, _exit_codes, _steps, _until_started
 from ptnsbc_io.bag import BagWriter, TopicInfo
-from ptnsbc_io.wire import HeaderTemplate
 from ptnsbc_nodes.comm.diagnostics import DiagnosticLevel, diagnostics
-from ptnsbc_nodes.comm.topics import DIAGNOSTICS, EPOCH
+from ptnsbc_nodes.comm.topics import DIAGNOSTICS
 
 SIMULATED = BridgeSteps()  # no bridge
 
@@ -55,23 +48,6 @@ def test_the_steps_of_a_bridge_are_those_before_and_after_its_setpoints_stopped(
     assert _steps(tmp_path / "bag", "uav3", 2) == _steps(tmp_path / "bag", "bridge3", 2)
     assert _steps(tmp_path / "bag", "uav3", 2) == BridgeSteps("a", "c")
     assert _steps(tmp_path / "bag", "sim", 2) == SIMULATED
-
-
-@pytest.mark.parametrize(
-    ("legs_ns", "struck_ns", "before"),
-    [([500], 400, True), ([500, 900], 600, False), ([0], 400, False), ([], 400, False)],
-)
-def test_a_blow_before_the_first_leg_leaves_a_bag_without_a_flight(
-    tmp_path, legs_ns, struck_ns, before
-):
-    infos = [TopicInfo(EPOCH.name, EPOCH.type), TopicInfo(DIAGNOSTICS.name, DIAGNOSTICS.type)]
-    with BagWriter(tmp_path / "bag", infos) as writer:
-        status = diagnostics(1, "sim: world", DiagnosticLevel.OK, "", {})
-        writer.write(DIAGNOSTICS.name, 1, status)
-        for leg_ns in legs_ns:
-            writer.write(EPOCH.name, 1, HeaderTemplate("form").encode(leg_ns))
-    assert _struck_before_the_flight(tmp_path / "bag", struck_ns) is before
-    assert not _struck_before_the_flight(tmp_path / "none", struck_ns)
 
 
 @pytest.mark.parametrize(
