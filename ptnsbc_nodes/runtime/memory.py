@@ -17,8 +17,8 @@ from typing import NamedTuple
 
 _MAPPINGS = Path("/proc/self/smaps")
 _HEAD = re.compile(r"([0-9a-f]+)-([0-9a-f]+) (\S+) \S+ \S+ \S+\s*(.*)")
-# The wheels of llvmlite contain LLVM; a Linux distribution has a library of its own for it.
 _M_ARENA_MAX = -8  # of mallopt in the C library of GNU
+# The wheels of llvmlite contain LLVM; a Linux distribution has a library of its own for it.
 _COMPILER = re.compile(r"libllvmlite|libLLVM")
 
 

@@ -119,7 +119,7 @@ def test_laws_are_compiled_and_computed_after_the_compiler_was_let_go():
 
 
 HEAPS = """
-import ctypes, os, re, sys, tempfile, threading
+import ctypes, os, sys, threading
 from ptnsbc_nodes.runtime import memory
 library = ctypes.CDLL(None)
 library.malloc.restype, library.malloc.argtypes = ctypes.c_void_p, [ctypes.c_size_t]
