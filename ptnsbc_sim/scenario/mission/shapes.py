@@ -300,14 +300,11 @@ def _moving_row(last: Array, change: Change, after: Array) -> Array:
 
 
 def _row(begin: float, first: Array, step: Array, over: float) -> Array:
-    row = np.zeros(1 + COEFFICIENTS * len(step))
-    row[0] = begin
-    for channel in range(len(step)):
-        at = 1 + COEFFICIENTS * channel
-        for k, factor in enumerate(_RISE):
-            row[at + k] = factor * step[channel] / over ** (7 - k)
-        row[at + COEFFICIENTS - 1] = first[channel]
-    return row
+    channels = np.zeros((len(step), COEFFICIENTS))
+    spans = np.array([over ** (7 - k) for k in range(len(_RISE))])
+    channels[:, : len(_RISE)] = np.array(_RISE) * step[:, None] / spans
+    channels[:, -1] = first
+    return np.concatenate([[begin], channels.ravel()])
 
 
 def problems(file: Any) -> Iterator[str]:
