@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import inspect
+import os
 import sys
 from collections.abc import Callable
 from typing import Annotated, Any
@@ -12,6 +13,7 @@ import typer
 from typer.core import TyperGroup
 
 from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_nodes.runtime.environment import one_thread
 from ptnsbc_nodes.runtime.signals import exit_on_signal, keep_exit_code, restore_handlers
 from ptnsbc_tools import console
 from ptnsbc_tools.commands.bags import bag
@@ -158,6 +160,7 @@ for _group in (mission, bag, network, security):
 def main() -> None:
     """Run the command line; `ptnsbc_tools.__main__` is the entry point."""
     exit_on_signal(_INTERRUPTED, "interrupted")
+    one_thread(os.environ)
     keep_only(app, sys.argv[1:])
     app(prog_name="ptnsbc")
 

@@ -12,7 +12,7 @@ import random
 import signal
 import socket
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, MutableMapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -33,7 +33,7 @@ _DEFAULTS = {
     # Shared memory is no faster here, and a killed process leaves its segments behind.
     "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
 }
-# Every UAV is a process: with more threads than one each they would compete for the cores.
+# Our arrays are small. A library of linear algebra starts threads for large ones, and they spin while they wait.
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 _PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 _RMW = "rmw_fastrtps_cpp"
@@ -78,6 +78,12 @@ def prepare() -> None:
     # The wheels put the ament index into the environment's prefix, but do not set the variable.
     if wheels:
         os.environ.setdefault("AMENT_PREFIX_PATH", sys.prefix)
+
+
+def one_thread(environment: MutableMapping[str, str]) -> None:
+    """Set the variables by which the libraries of linear algebra, once they are loaded, work without threads."""
+    for name in ONE_THREAD:
+        environment.setdefault(name, "1")
 
 
 def prefer_throughput() -> None:
@@ -160,8 +166,7 @@ def for_children(domain: int, processes: int, folder: Path) -> dict[str, str]:
     child = dict(os.environ)
     child[PARENT] = str(os.getpid())
     child["ROS_DOMAIN_ID"] = str(domain)
-    for name in ONE_THREAD:
-        child.setdefault(name, "1")
+    one_thread(child)
     # `-m ptnsbc_nodes...` must find the same code, installed or not.
     root = str(Path(__file__).resolve().parents[2])
     child["PYTHONPATH"] = os.pathsep.join(filter(None, (root, child.get("PYTHONPATH"))))

@@ -1,6 +1,7 @@
 """The command line as a user meets it: exit codes, one line per error, JSON alone on stdout."""
 
 import json
+import os
 import re
 import subprocess
 import sys
@@ -14,6 +15,7 @@ from typer.testing import CliRunner
 from ptnsbc_io.bag import BagWriter, TopicInfo
 from ptnsbc_io.wire import HeaderTemplate, OdometryTemplate, WrenchTemplate
 from ptnsbc_nodes.comm import topics
+from ptnsbc_nodes.runtime.environment import ONE_THREAD
 from ptnsbc_sim.verdict import Recording, Series
 from ptnsbc_tools.cli import app
 from ptnsbc_tools.reading.bag_sources import SCENARIO_ATTACHMENT
@@ -246,6 +248,22 @@ WITHOUT_ROS = "import sys; sys.modules['rclpy'] = None\n"
 def test_a_flight_in_one_process_needs_no_ros() -> None:
     modules = "ptnsbc, ptnsbc_tools.reading.headless, ptnsbc_tools.commands.fly.simulate"
     subprocess.run([sys.executable, "-c", f"{WITHOUT_ROS}import {modules}"], check=True)
+
+
+def test_linear_algebra_has_one_thread_unless_the_user_says_otherwise() -> None:
+    code = (
+        "import os\nfrom ptnsbc_tools.cli import main\n"
+        "try:\n    main()\nfinally:\n    print(os.environ['OMP_NUM_THREADS'], os.environ['OPENBLAS_NUM_THREADS'])"
+    )
+    unset = {name: value for name, value in os.environ.items() if name not in ONE_THREAD}
+    done = subprocess.run(
+        [sys.executable, "-c", code, "--version"],
+        env={**unset, "OMP_NUM_THREADS": "3"},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout.splitlines()[-1] == "3 1"
 
 
 def test_a_simulated_fleet_needs_no_mavlink() -> None:
