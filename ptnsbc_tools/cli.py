@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import inspect
 import os
 import sys
@@ -64,7 +63,6 @@ class _Commands(TyperGroup):
         raise typer.Exit
 
     def invoke(self, ctx: Any) -> Any:
-        gc.enable()
         code = 0
         try:
             return super().invoke(ctx)
