@@ -34,7 +34,8 @@ from ptnsbc_io.wire import decode_diagnostics
 from ptnsbc_nodes.bridge.procedure.steps import FLYING, STOP_S, Step
 from ptnsbc_nodes.comm.topics import DIAGNOSTICS
 from ptnsbc_nodes.runtime.environment import reserved_domain
-from ptnsbc_sim.verdict.recording import Recording
+from ptnsbc_sim.verdict.recording import Recording, VerdictError, require_all_uavs
+from ptnsbc_sim.verdict.separation import Separation, Separations, joined
 from ptnsbc_sim.verdict.verdict import verdict_on
 from ptnsbc_tools.reading.bag_reader import read_recording
 
@@ -228,13 +229,34 @@ def _wrong(
             with suppress(ProcessLookupError):
                 os.kill(pid, signal.SIGKILL)
     try:
-        recording = _recording(folder)
-        entered = [pair for pair in verdict_on(recording).separations if pair.entered]
+        separations = list(_separations(_recording(folder)))
     except PtnsbcError as error:
         yield f"bag: {' '.join(str(error).split())}"
         return
-    for pair in entered:
-        yield f"{pair.first} and {pair.second} {pair.distance_m:.3f} m apart"
+    for pair in joined([separations]):
+        if pair.entered:
+            yield f"{pair.first} and {pair.second} {pair.distance_m:.3f} m apart"
+
+
+def _separations(recording: Recording) -> Iterator[Separation]:
+    """The closest approaches at all instants of which every UAV is recorded, and those of the verdict on a flight.
+
+    A process that is struck before the first leg leaves a bag without a flight to judge. Distances are kept there too.
+
+    Raises:
+        VerdictError: there is no such instant, or the verdict refuses the flight.
+    """
+    require_all_uavs(recording)
+    begin_ns = max(track.first_ns for track in recording.odometry.values())
+    pairs, instants = Separations(recording), 0
+    for grid in recording.grids_between(begin_ns, recording.last_ns):
+        pairs.add(grid, recording.positions(grid))
+        instants += len(grid)
+    if not instants:
+        raise VerdictError("no instant at which all UAVs are recorded")
+    yield from pairs.found()
+    if recording.samples > 1:
+        yield from verdict_on(recording).separations
 
 
 def _recording(folder: Path) -> Recording:

@@ -3,14 +3,17 @@
 import io
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
+from synthetic_flights import flight
 
 pytest.importorskip("rclpy")
 
-from bench.signals import BridgeSteps, _exit_codes, _steps, _until_started
+from bench.signals import BridgeSteps, _exit_codes, _separations, _steps, _until_started
 from ptnsbc_io.bag import BagWriter, TopicInfo
 from ptnsbc_nodes.comm.diagnostics import DiagnosticLevel, diagnostics
 from ptnsbc_nodes.comm.topics import DIAGNOSTICS
+from ptnsbc_sim.verdict.recording import VerdictError
 
 SIMULATED = BridgeSteps()  # no bridge
 
@@ -48,6 +51,37 @@ def test_the_steps_of_a_bridge_are_those_before_and_after_its_setpoints_stopped(
     assert _steps(tmp_path / "bag", "uav3", 2) == _steps(tmp_path / "bag", "bridge3", 2)
     assert _steps(tmp_path / "bag", "uav3", 2) == BridgeSteps("a", "c")
     assert _steps(tmp_path / "bag", "sim", 2) == SIMULATED
+
+
+def entered(begin_s, **changes):
+    """The pairs too close where UAV 3, 1.2 m from UAV 4, is 0.8 m nearer for a second; the first leg is at 5 s."""
+    errors = {3: lambda t: np.where((t >= begin_s) & (t < begin_s + 1.0), 0.8, 0.0)}
+    found = _separations(flight(errors, **{"epochs": ((5 * 10**9, "form"),), **changes}))
+    return {(one.first, one.second) for one in found if one.entered}
+
+
+@pytest.mark.parametrize("begin_s", [0.0, 2.0, 7.0])
+def test_distances_are_judged_before_the_first_leg_too(begin_s):
+    assert entered(begin_s) == {("uav3", "uav4")}
+
+
+@pytest.mark.parametrize("seconds", [4.0, 12.0])
+def test_a_bag_is_judged_whether_its_first_leg_began_or_not(seconds):
+    assert entered(1.0, seconds=seconds) == {("uav3", "uav4")}
+    assert not entered(20.0, seconds=seconds)
+
+
+def test_a_bag_that_lacks_a_uav_is_wrong():
+    whole = flight().odometry
+    with pytest.raises(VerdictError, match="expected odometry of every UAV"):
+        list(_separations(flight(odometry={1: whole[1]})))
+
+
+def test_a_bag_without_an_instant_of_all_uavs_is_wrong():
+    whole = flight().odometry
+    apart = {**whole, 1: whole[1].rows(0, 600), 2: whole[2].rows(900, 1200)}
+    with pytest.raises(VerdictError, match="no instant at which all UAVs are recorded"):
+        list(_separations(flight(odometry=apart)))
 
 
 @pytest.mark.parametrize(
