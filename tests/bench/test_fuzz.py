@@ -70,3 +70,31 @@ def test_what_fails_is_kept_and_said(monkeypatch, tmp_path, capsys) -> None:
     assert out.startswith("wire: 2 inputs, 2 failures")
     assert "KeyError" in err
     assert {path.parent.name for path in tmp_path.rglob("*") if path.is_file()} == {"wire"}
+
+
+def _commands_that_take(monkeypatch, seconds: list[float], references: list[float]) -> None:
+    """Processes of these costs, one after the other: those of a command, and those of the reference."""
+    of_command, of_reference = iter(seconds), iter(references)
+
+    def process(call):
+        costs = of_reference if call == fuzz._REFERENCE else of_command
+        return fuzz.Cost(next(costs), 200.0), 0, ""
+
+    monkeypatch.setattr(fuzz, "_process", process)
+
+
+@pytest.mark.parametrize(
+    ("seconds", "references", "wrong"),
+    [
+        ([1.9], [], ""),
+        ([2.6, 2.5, 2.7, 2.6], [0.7, 0.7, 0.7], ""),  # a host that is slow for all processes
+        ([2.6, 1.2, 2.9, 1.3], [0.35, 0.35, 0.35], ""),  # now and then
+        ([2.6, 2.5, 2.7, 2.6], [0.35, 0.36, 0.34], "2.6 s"),  # a command that is slow
+        ([9.0, 9.0, 9.0, 9.0], [0.7, 0.7, 0.7], "4.5 s"),
+    ],
+)
+def test_a_command_over_the_limit_is_measured_beside_a_reference(
+    monkeypatch, seconds, references, wrong
+) -> None:
+    _commands_that_take(monkeypatch, seconds, references)
+    assert fuzz._command("check")[1] == wrong
