@@ -233,7 +233,7 @@ class BagWriter:
         self._finished: list[FileSummary] = []
         self._file: McapFileWriter | None = None
         self._unflushed = 0  # messages
-        self._first_look: float | None = None  # at messages that are not on the disk
+        self._first_look: float | None = None  # of `flush_if_due`
         self._last_flush = 0.0
         self._guard = _WriteGuard(self._part)
 
@@ -334,17 +334,20 @@ class BagWriter:
         Args:
             now: Any clock that does not jump [s].
         """
-        if not self._unflushed or self._file is None:
-            return
         if self._first_look is None:
             self._first_look = self._last_flush = now
         age = now - self._last_flush
-        if age <= 0.0 or age < min(FLUSH_PERIOD, self._last_flush - self._first_look):
-            return
-        with self._guard:
-            self._file.flush()
-        self._last_flush = now
-        self._unflushed = 0
+        long = age > 0.0 and age >= min(FLUSH_PERIOD, self._last_flush - self._first_look)
+        if long and self._unflushed:
+            self.flush()
+            self._last_flush = now
+
+    def flush(self) -> None:
+        """Close the chunk, so that a crash does not take what has been written."""
+        if self._unflushed and self._file is not None:
+            with self._guard:
+                self._file.flush()
+            self._unflushed = 0
 
     def close(self) -> None:
         """Complete the bag and rename its folder; does nothing the second time."""

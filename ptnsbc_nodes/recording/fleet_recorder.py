@@ -111,6 +111,10 @@ class FleetRecorder(BagRecorder):
         self._transforms = transforms
         order = ReorderBuffer(_SHARED) if lockstep else None
         self._order = order
+        self._written_ns = -1
+        # Topics whose first message is still to come before the first instant is known to be whole.
+        self._awaited = {topic.name for topic in recorded if topic.role is Role.LATCHED}
+        self._begun = topics.TAKEN in recorded  # at any instant
         derived: list[tuple[str, Derive]] = [(topics.TF.name, transforms.of)]
         if draw is not None:
             derived.append((topics.MARKERS.name, draw))
@@ -172,9 +176,19 @@ class FleetRecorder(BagRecorder):
             transform = self._transforms.of(topic.name, data)
             if transform is not None:
                 self._write_sorted(order.push(last_ns, topics.TF.name, transform))
+            if not self._begun:
+                self._begin(topic, order)
             self.after_each()
 
         return record
+
+    def _begin(self, heard: Topic, order: ReorderBuffer) -> None:
+        """Write the first instant as soon as it is whole: who kills the recorder then finds a bag that can be read."""
+        self._awaited.discard(heard.name)
+        if self._written_ns < 0 and not self._awaited:
+            self._write_sorted(order.first())
+            self._writer.flush()
+        self._begun = self._written_ns >= 0
 
     def _on_complete(self, order: ReorderBuffer) -> None:
         """Acknowledge to the sim that all topics have been received up to some stamp.
@@ -201,6 +215,9 @@ class FleetRecorder(BagRecorder):
             self._on_complete(self._order)
 
     def _write_sorted(self, messages: Iterable[PendingMessage]) -> None:
+        """Write messages in their order; chunks end between two instants."""
         for message in messages:
+            if message.stamp_ns > self._written_ns:
+                self._written_ns = message.stamp_ns
+                self._writer.flush_if_due(message.stamp_ns * 1e-9)
             self._writer.write(message.topic, message.stamp_ns, message.data)
-            self._writer.flush_if_due(message.stamp_ns * 1e-9)

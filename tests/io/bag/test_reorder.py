@@ -68,3 +68,16 @@ def test_late_messages_are_kept_and_counted():
     out, late = run([(k, "/a", b"") for k in range(30)] + [(0, "/b", b"late")])
     assert late == 1
     assert (0, "/b", b"late") in out
+
+
+def test_the_oldest_stamp_waits_for_no_later_one_where_it_is_complete():
+    order = ReorderBuffer()
+    assert not list(order.first())
+    order.complete_ns = -1
+    for message in ((2, "/a", b""), (0, "/b", b""), (1, "/a", b""), (0, "/a", b"")):
+        assert not list(order.push(*message))
+    assert not list(order.first())
+    order.complete_ns = 1
+    assert [(held.stamp_ns, held.topic) for held in order.first()] == [(0, "/a"), (0, "/b")]
+    assert [held.stamp_ns for held in order.flush()] == [1, 2]
+    assert order.late == 0

@@ -250,6 +250,16 @@ def test_flush_if_due(tmp_path):
     assert len(list(read_bag(tmp_path / "flight").messages())) == 5 * TICKS + 1
 
 
+def test_flush(tmp_path):
+    with BagWriter(tmp_path / "flight", TOPICS) as writer:
+        writer.flush()  # nothing yet
+        writer.write("/clock", 7, wire.ClockTemplate().encode(7))
+        writer.flush()
+        kept = read_bag(tmp_path / "flight.part", salvage=True)
+        assert [message.stamp_ns for message in kept.messages()] == [7]
+    writer.flush()  # closed
+
+
 def test_a_recording_killed_soon_after_its_start_has_what_came_before_half_its_age(tmp_path):
     """After k steps of 10 ms at least k/2 are on the disk; chunks grow to half a second and no further."""
     clock = wire.ClockTemplate()

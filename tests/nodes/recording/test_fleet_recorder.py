@@ -74,12 +74,12 @@ class Flight:
             time.sleep(0.002)
 
 
-def record(ros, path: Path, lockstep: bool, order) -> FleetRecorder:
+def record(ros, path: Path, lockstep: bool, order, recorded=RECORDED) -> FleetRecorder:
     """Publish `order`, a list of (topic, bytes), and record it."""
     infos = [topic_info(topic, lockstep=lockstep) for topic in topics.in_bag([1])]
     with BagWriter(path, infos) as writer:
         node = ros.node("recorder")
-        recorder = FleetRecorder(node, writer, RECORDED, Transforms([1]), lockstep=lockstep)
+        recorder = FleetRecorder(node, writer, recorded, Transforms([1]), lockstep=lockstep)
         flight = Flight(ros, messages(1), lockstep=lockstep, recorder=node)
         for count, (topic, data) in enumerate(order, start=1):
             flight.publish(topic, data)
@@ -119,6 +119,41 @@ def test_lockstep_gives_the_same_bytes(ros, tmp_path):
     assert [m.stamp_ns for m in got if m.topic == "/tf"] == [k * 5 * TICK_NS for k in range(8)]
     keys = [(m.stamp_ns, m.topic) for m in got]
     assert keys == sorted(keys)
+
+
+def test_lockstep_writes_the_first_instant_as_soon_as_it_is_whole(ros, tmp_path):
+    """A recorder that was killed in the first twenty ticks left a bag without a message."""
+    odom, clock = topics.odom(1), topics.CLOCK
+    recorded = (odom, clock, topics.EPOCH)
+    infos = [topic_info(topic, lockstep=True) for topic in (*recorded, topics.TF)]
+    with BagWriter(tmp_path / "flight", infos) as writer:
+        node = ros.node("recorder")
+        recorder = FleetRecorder(node, writer, recorded, Transforms([1]), lockstep=True)
+        flight = Flight(ros, recorded, lockstep=True, recorder=node)
+        first = [(topic, sent[0]) for topic, sent in messages(1).items() if topic in recorded]
+        for count, (topic, data) in enumerate(first, start=1):
+            assert readable(tmp_path / "flight.part") == 0
+            flight.publish(topic, data)
+            ros.spin_until(lambda n=count: recorder.received == n)
+        assert readable(tmp_path / "flight.part") == len({odom, clock, topics.TF})
+        recorder.finish()
+
+
+def test_lockstep_gives_the_same_bytes_whenever_a_leg_is_announced(ros, tmp_path):
+    """Before the first instant, among the ticks that are sorted, and after the first instant is written without it."""
+    leg = (topics.EPOCH, wire.HeaderTemplate("leg 1").encode(38 * TICK_NS))
+    rest = [
+        (topic, sent[k])
+        for k in range(40)
+        for topic, sent in messages(40).items()
+        if topic != topics.EPOCH
+    ]
+    contents = set()
+    for at in (0, 20, 120):
+        path = tmp_path / str(at) / "flight"
+        assert record(ros, path, True, [*rest[:at], leg, *rest[at:]], messages(1)).late == 0
+        contents.add((path / "flight_0.mcap").read_bytes())
+    assert len(contents) == 1
 
 
 @pytest.mark.parametrize("several", [(), (topics.odom(1),)])
