@@ -22,11 +22,12 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _simulate(arguments: argparse.Namespace, argv: list[str]) -> int:
     from ptnsbc_nodes.comm import topics
     from ptnsbc_nodes.comm.graph import CommunicationGraph
-    from ptnsbc_nodes.runtime import environment, parameters
+    from ptnsbc_nodes.runtime import environment, memory, parameters
     from ptnsbc_nodes.runtime.process import ProcessLifetime, parameter_node
     from ptnsbc_nodes.runtime.warmup import load_world
     from ptnsbc_nodes.sim.node import SimNode
 
+    memory.share_heap()
     lifetime = ProcessLifetime()
     given = parameters.overrides(
         {
