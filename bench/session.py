@@ -6,18 +6,20 @@ import os
 import platform
 import sys
 import time
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
-from itertools import cycle
 from typing import Any, TypeVar
 from unittest.mock import patch
+
+from ptnsbc_nodes.runtime.environment import free_domain
 
 T = TypeVar("T")
 
 _PACKAGES = ("numpy", "numba", "ros-rclpy", "ros-rmw-fastrtps-cpp")
-_DOMAINS = cycle(range(71, 80))
+_JUST_USED: deque[int] = deque(maxlen=9)
 
 
 @dataclass(frozen=True)
@@ -59,9 +61,12 @@ def cpu_seconds(work: Callable[[], object], calls: int = 1) -> float:
 
 @contextmanager
 def own_domain() -> Iterator[int]:
-    """One of our ROS domains, another one each time: a fleet that has just ended is not discovered again."""
-    domain = next(_DOMAINS)
-    with patch.dict(os.environ, ROS_DOMAIN_ID=str(domain)):
+    """A free ROS domain, another one each time: a fleet that has just ended is not discovered again."""
+    with ExitStack() as stack:
+        while (domain := stack.enter_context(free_domain())) in _JUST_USED:
+            continue
+        _JUST_USED.append(domain)
+        stack.enter_context(patch.dict(os.environ, ROS_DOMAIN_ID=str(domain)))
         yield domain
 
 

@@ -33,7 +33,7 @@ from ptnsbc_io.bag.repair import repair
 from ptnsbc_io.wire import decode_diagnostics
 from ptnsbc_nodes.bridge.procedure.steps import FLYING, STOP_S, Step
 from ptnsbc_nodes.comm.topics import DIAGNOSTICS
-from ptnsbc_nodes.runtime.environment import reserved_domain
+from ptnsbc_nodes.runtime.environment import free_domain
 from ptnsbc_sim.verdict.recording import Recording, VerdictError, require_all_uavs
 from ptnsbc_sim.verdict.separation import Separation, Separations, joined
 from ptnsbc_sim.verdict.verdict import verdict_on
@@ -80,7 +80,7 @@ def struck(
         after_s = chance.uniform(0.0, within_s)
         with (
             tempfile.TemporaryDirectory(prefix="signals-") as name,
-            reserved_domain() as domain,  # of two benches at once, one activated a UAV of the other
+            free_domain() as domain,  # of two benches at once, one activated a UAV of the other
             _vehicles(Path(name), mode, domain, duration_s) as words,
         ):
             found = _flight(Path(name), domain, words, victim, order, after_s)

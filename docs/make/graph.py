@@ -25,7 +25,7 @@ from ptnsbc_nodes.comm.tf import Transforms
 from ptnsbc_nodes.comm.topics import recorded
 from ptnsbc_nodes.fleet.coordinator_node import Coordinator
 from ptnsbc_nodes.recording.fleet_recorder import FleetRecorder, topic_info
-from ptnsbc_nodes.runtime.environment import reserved_domain
+from ptnsbc_nodes.runtime.environment import free_domain
 from ptnsbc_nodes.sim.node import SimNode
 from ptnsbc_nodes.uav.node import UavNode
 from ptnsbc_sim.scenario import Scenario, load_scenario
@@ -69,7 +69,7 @@ class End(NamedTuple):
 
 def ends() -> list[End]:
     """Every end of every topic of ours, in all three kinds of flight."""
-    with reserved_domain() as domain:
+    with free_domain() as domain:
         found = []
         for mode, options in _MODES.items():
             found += _flight(domain, mode, options, load_scenario(SCENARIO, _FAULTS))

@@ -40,6 +40,8 @@ _RMW = "rmw_fastrtps_cpp"
 _SPARE_PEERS = 12  # for viewers, a command line, a second recorder
 _PR_SET_PDEATHSIG = 1
 _DOMAINS = range(1, 102)  # above, the ports reach into those the system hands out
+# Who takes a domain binds this port plus its number, as the tests of ROS packages do (ROS's domain_coordinator).
+_FIRST_LOCK = 32768
 # Of a core: what a tick of a UAV with its share of the sim takes, and what one more process adds to it. UAVs of one
 # process share its wake-ups and its datagrams (`bench --only realtime`).
 _UAV_TICK_S, _PROCESS_TICK_S = 0.0004, 0.0011
@@ -233,7 +235,18 @@ def reserved_domain() -> Iterator[int]:
     """The user's ROS_DOMAIN_ID, or a free domain that no other fleet takes inside the `with`."""
     if "ROS_DOMAIN_ID" in os.environ:
         yield named_domain()
-        return
+    else:
+        with free_domain() as domain:
+            yield domain
+
+
+@contextmanager
+def free_domain() -> Iterator[int]:
+    """A domain that no other fleet and no test of ROS takes inside the `with`, whatever ROS_DOMAIN_ID says.
+
+    Raises:
+        DomainError: All of them are in use.
+    """
     lock, domain = _locked_domain()
     with lock:
         yield domain
@@ -241,10 +254,10 @@ def reserved_domain() -> Iterator[int]:
 
 def _locked_domain() -> tuple[socket.socket, int]:
     for domain in random.sample(_DOMAINS, len(_DOMAINS)):
-        # An abstract socket: the kernel frees it however this process ends.
-        lock = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        # The kernel frees the port however this process ends.
+        lock = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
         try:
-            lock.bind(f"\0ptnsbc-domain-{domain}")
+            lock.bind(("", _FIRST_LOCK + domain))
         except OSError as error:
             lock.close()
             if error.errno != errno.EADDRINUSE:

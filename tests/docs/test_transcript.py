@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from docs.make.transcript import PAGE, lasting, made
+from ptnsbc_nodes.runtime.environment import free_domain
 
 
 def test_times_and_digits_of_lengths_do_not_count_verdicts_and_counts_do() -> None:
@@ -21,8 +22,7 @@ def test_times_and_digits_of_lengths_do_not_count_verdicts_and_counts_do() -> No
 @pytest.mark.ros
 def test_the_page_is_what_the_commands_print(monkeypatch: pytest.MonkeyPatch) -> None:
     """If it fails although all is well: `python -m docs.make.transcript` writes the page anew."""
-    coordinator = pytest.importorskip("domain_coordinator")
-    with coordinator.domain_id() as domain:
+    with free_domain() as domain:
         monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
         now = made()
     assert lasting(now) == lasting(PAGE.read_text("utf-8"))

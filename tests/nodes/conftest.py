@@ -6,7 +6,6 @@ import os
 import signal
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 
 import pytest
 
@@ -38,26 +37,10 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             item.add_marker(beside)
 
 
-@contextmanager
-def _own_domain() -> Iterator[int]:
-    """A domain id that no test beside us uses."""
-    # Not ROS_DOMAIN_ID: a fleet may be flying there.
-    if "PTNSBC_TEST_DOMAIN" in os.environ:
-        yield int(os.environ["PTNSBC_TEST_DOMAIN"])
-        return
-    try:
-        import domain_coordinator
-    except ImportError:
-        # 1 to 101: the ids whose ports are free on every system.
-        yield os.getpid() % 101 + 1
-    else:
-        with domain_coordinator.domain_id() as domain:
-            yield domain
-
-
 @pytest.fixture(scope="session")
 def domain() -> Iterator[int]:
-    with _own_domain() as number:
+    """A domain that nobody beside us takes. Not ROS_DOMAIN_ID: a fleet may be flying there."""
+    with environment.free_domain() as number:
         yield number
 
 

@@ -24,6 +24,42 @@ def test_two_fleets_get_two_domains(no_domain):
         assert {first, second} <= set(range(1, 102))
 
 
+@pytest.fixture
+def drawn_first(monkeypatch):
+    """Have the next fleets try this domain first, then all others."""
+
+    def patch(domain):
+        monkeypatch.setattr(
+            environment.random, "sample", lambda domains, _: sorted(domains, key=domain.__ne__)
+        )
+
+    return patch
+
+
+def test_a_domain_of_the_tests_is_taken_by_no_fleet(no_domain, drawn_first, domain):
+    """Not even between two tests, when no participant is there."""
+    drawn_first(domain)
+    with reserved_domain() as fleet:
+        assert fleet != domain
+
+
+def test_a_test_of_ros_and_a_fleet_leave_each_other_their_domains(no_domain, drawn_first):
+    coordinator = pytest.importorskip("domain_coordinator")
+    with coordinator.domain_id() as theirs:
+        drawn_first(theirs)
+        with reserved_domain() as fleet:
+            assert fleet != theirs
+            with coordinator.domain_id(iter([fleet, *range(1, 101)]).__next__) as next_theirs:
+                assert next_theirs != fleet
+
+
+def test_of_a_free_domain_the_user_need_not_say(monkeypatch):
+    with environment.free_domain() as domain:
+        monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
+        with environment.free_domain() as other:
+            assert other != domain
+
+
 def test_the_users_domain_wins(monkeypatch):
     monkeypatch.setenv("ROS_DOMAIN_ID", "77")
     with reserved_domain() as domain:

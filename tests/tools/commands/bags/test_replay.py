@@ -25,6 +25,7 @@ from ptnsbc_io.bag.metadata import TopicInfo, qos_profiles, to_yaml
 from ptnsbc_io.wire import decode_clock
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.recording.player import profile
+from ptnsbc_nodes.runtime.environment import free_domain
 
 pytestmark = pytest.mark.ros
 
@@ -32,7 +33,7 @@ pytestmark = pytest.mark.ros
 @pytest.fixture
 def domain() -> Iterator[int]:
     """A domain that nobody else uses."""
-    with pytest.importorskip("domain_coordinator").domain_id() as number:
+    with free_domain() as number:
         yield number
 
 

@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 from ptnsbc_io.wire import HeaderTemplate, WireError
 from ptnsbc_nodes.comm.announcements import encode_fault, fault_decoder
 from ptnsbc_nodes.fleet.coordinator_node import Coordinator
-from ptnsbc_nodes.runtime.environment import reserved_domain
+from ptnsbc_nodes.runtime.environment import free_domain
 from ptnsbc_sim.scenario.mission.faults import FAULTS, FaultBlock
 from ptnsbc_tools.cli import app
 from ptnsbc_tools.commands.fly import inject as command
@@ -19,7 +19,7 @@ UAVS = (1, 2, 3)
 
 @pytest.fixture
 def domain():
-    with reserved_domain() as number:
+    with free_domain() as number:
         yield number
 
 

@@ -6,13 +6,13 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from ptnsbc_nodes.runtime.environment import reserved_domain
+from ptnsbc_nodes.runtime.environment import free_domain
 from ptnsbc_tools.commands.fly import mission as command
 
 
 def test_an_empty_domain_says_what_is_expected_there(monkeypatch):
     monkeypatch.setattr(command, "_PATIENCE_S", 0.3)
-    with reserved_domain() as number:
+    with free_domain() as number:
         words = re.escape(
             f"domain {number}: no fleet answered: expected one there that flies a scenario with the key "
             "mission; choose another by --domain N or --namespace NAME"
