@@ -57,7 +57,8 @@ def _simulate(arguments: argparse.Namespace, argv: list[str]) -> int:
             environment.prefer_punctuality(flies=True)
         graph = CommunicationGraph(settings.scenario, settings.options)
         sim = SimNode(node, settings.scenario, graph, lifetime.end)
-        lifetime.serve(node, sim.endpoints, rest_s=sim.rest_s)
+        rest_s = None if settings.options.lockstep else sim.rest_s
+        lifetime.serve(node, sim.endpoints, rest_s=rest_s)
     return 0
 
 

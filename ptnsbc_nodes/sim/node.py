@@ -11,6 +11,7 @@ from collections.abc import Callable
 
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
+from rclpy.timer import Timer
 
 from ptnsbc_io.wire import HeaderFields, Stamped, WireError, checked_wrench, decode_header
 from ptnsbc_nodes.comm import topics
@@ -66,12 +67,18 @@ class SimNode:
         self._watchdog = LockstepWatchdog(self._send_ready)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         node.create_timer(1.0 / STATUS_HZ, self._on_status_timer, clock=steady)
-        self.rest_s: Callable[[], float] | None = None
-        """In real time: the time [s] until the next tick, at which the wrenches are used."""
+        self._ticks: Timer | None = None
+        self._ticked = False
         if not edges.options.lockstep:
-            ticks = node.create_timer(scenario.dt_ns * 1e-9, self._on_tick_timer)
-            self.rest_s = lambda: ticks.time_until_next_call() * 1e-9
+            self._ticks = node.create_timer(scenario.dt_ns * 1e-9, self._on_tick_timer)
             self.endpoints.end_with(lambda: self._report(self._clock_ns()))
+
+    def rest_s(self) -> float | None:
+        """In real time, after a tick: the time [s] until the next one, which uses the wrenches that come meanwhile."""
+        if self._ticks is None or not self._ticked:
+            return None
+        self._ticked = False
+        return self._ticks.time_until_next_call() * 1e-9
 
     def _subscribe(self) -> None:
         listen = self.endpoints.listen
@@ -166,6 +173,7 @@ class SimNode:
         leg = self._epochs.at(now_ns)
         self._world.mission_s = -1.0 if leg is None else (now_ns - leg.first_t0_ns) * 1e-9
         self._real_time.tick(now_ns)
+        self._ticked = True
         if leg is None:
             return
         if not self._running:
