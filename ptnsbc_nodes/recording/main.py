@@ -41,7 +41,7 @@ def _serve(options: argparse.Namespace, argv: list[str]) -> int:
     from ptnsbc_nodes.runtime import environment, memory
     from ptnsbc_nodes.runtime.process import ros_errors
 
-    memory.share_heap()
+    memory.keep_heap()
     if options.punctual:
         environment.prefer_punctuality(flies=False)
     elif not options.lockstep:

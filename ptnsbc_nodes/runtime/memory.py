@@ -1,4 +1,4 @@
-"""The memory of a process: what it needed to start and does not need to work is given back, and threads share one heap.
+"""The memory of a process: what it needed to start and does not need to work is given back, and the rest is kept.
 
 Loading the laws reads most of LLVM's code and tables, and a process that has loaded them calls no LLVM again. These
 pages are the same in all processes, but each process counts them as resident.
@@ -17,7 +17,13 @@ from typing import NamedTuple
 
 _MAPPINGS = Path("/proc/self/smaps")
 _HEAD = re.compile(r"([0-9a-f]+)-([0-9a-f]+) (\S+) \S+ \S+ \S+\s*(.*)")
-_M_ARENA_MAX = -8  # of mallopt in the C library of GNU
+# Options of mallopt in the C library of GNU.
+_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD, _M_ARENA_MAX = -1, -3, -8
+_KEPT = {
+    _M_ARENA_MAX: 1,
+    _M_TRIM_THRESHOLD: -1,  # never
+    _M_MMAP_THRESHOLD: 32 * 2**20,  # the most that it takes: larger blocks have pages of their own
+}
 # The wheels of llvmlite contain LLVM; a Linux distribution has a library of its own for it.
 _COMPILER = re.compile(r"libllvmlite|libLLVM")
 
@@ -45,14 +51,18 @@ def settle() -> None:
     release(_COMPILER)
 
 
-def share_heap() -> None:
-    """Call this before the first thread starts: all threads take their memory from one heap.
+def keep_heap() -> None:
+    """Call this before the first thread starts: all threads share one heap, of which nothing goes back in flight.
 
     Otherwise the C library gives each thread a heap of its own. What the threads of the middleware took for one
     backlog of messages is then of no use to the others for the next one: beside twenty UAVs in real time a recorder
     grew by 2 % in ten minutes, and with one heap by 0.3 %; a sim in lock-step by 1.6 and 0.3 % (`bench.soak`).
+
+    Now and then the C library gives the free end of a heap back. Its pages come again one by one, each with a fault,
+    and such a recorder had sometimes 2 MB less than before and after. `settle` gives back what is free before a flight.
     """
-    _call("mallopt", ctypes.c_int(_M_ARENA_MAX), ctypes.c_int(1))
+    for option, value in _KEPT.items():
+        _call("mallopt", ctypes.c_int(option), ctypes.c_int(value))
 
 
 def release(files: re.Pattern[str]) -> None:

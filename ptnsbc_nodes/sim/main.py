@@ -27,7 +27,7 @@ def _simulate(arguments: argparse.Namespace, argv: list[str]) -> int:
     from ptnsbc_nodes.runtime.warmup import load_world
     from ptnsbc_nodes.sim.node import SimNode
 
-    memory.share_heap()
+    memory.keep_heap()
     lifetime = ProcessLifetime()
     given = parameters.overrides(
         {

@@ -124,7 +124,7 @@ from ptnsbc_nodes.runtime import memory
 library = ctypes.CDLL(None)
 library.malloc.restype, library.malloc.argtypes = ctypes.c_void_p, [ctypes.c_size_t]
 if sys.argv[1] == "shared":
-    memory.share_heap()
+    memory.keep_heap()
 all_run = threading.Barrier(4)
 def take():
     library.malloc(5000)
@@ -151,3 +151,40 @@ def heaps(tmp_path, kind):
 def test_threads_share_one_heap(tmp_path):
     assert heaps(tmp_path, "own") > 1
     assert heaps(tmp_path, "shared") == 1
+
+
+FAULTS = """
+import ctypes, resource, sys
+from ptnsbc_nodes.runtime import memory
+library = ctypes.CDLL(None)
+library.malloc.restype, library.malloc.argtypes = ctypes.c_void_p, [ctypes.c_size_t]
+library.free.argtypes = [ctypes.c_void_p]
+if sys.argv[1] == "kept":
+    memory.keep_heap()
+def backlog():
+    blocks = [library.malloc(size) for size in (400_000, *[50_000] * 40)]
+    for block in blocks:
+        ctypes.memset(block, 1, 50_000)
+    for block in blocks:
+        library.free(block)
+def faults():
+    return resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+backlog()
+before = faults()
+for _ in range(20):
+    backlog()
+print(faults() - before)
+"""
+
+
+@pytest.mark.skipif(not hasattr(ctypes.CDLL(None), "malloc_info"), reason="not the GNU C library")
+def test_a_backlog_takes_the_pages_of_the_one_before():
+    """One of 2 MB has 500 pages."""
+    count = {
+        kind: int(
+            subprocess.run([sys.executable, "-c", FAULTS, kind], check=True, stdout=-1).stdout
+        )
+        for kind in ("kept", "given back")
+    }
+    assert count["kept"] < 100
+    assert count["given back"] > 20 * 400
