@@ -347,13 +347,21 @@ class Supervisor:
             if ended and not self._stop.came:
                 raise FleetError(f"before the flight: {child.exit_summary()}")
             for name in set(child.command.reporters).intersection(self._coordinator.refused):
-                raise FleetError(f"{name} refused to be activated, {child.log}\n{child.tail()}")
+                raise FleetError(self._refused(name, child))
         if time.monotonic() > deadline:
             raise FleetError(self._late())
         if self._options.shared and time.monotonic() > self._reminder:
             self._reminder = time.monotonic() + _REMINDER_S
             self._progress("\n".join(self._waiting_for()) or f"all are ready, but {self._refusal}")
         return not self._stop.came
+
+    def _refused(self, name: str, child: ChildProcess) -> str:
+        if RUNNING not in child.log_lines():  # it cannot have answered
+            return (
+                f"{name} of another fleet is in domain {self._coordinator.domain}: expected another domain "
+                "(--domain N, or no ROS_DOMAIN_ID), or a --namespace of its own"
+            )
+        return f"{name} refused to be activated, {child.log}\n{child.tail()}"
 
     def _start_again(self, child: ChildProcess) -> None:
         end([child])
