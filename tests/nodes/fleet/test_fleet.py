@@ -351,19 +351,6 @@ def test_a_process_that_dies_before_the_flight_is_shown_with_its_log(launch, tmp
     assert not flight.running()
 
 
-@pytest.mark.slow
-def test_a_second_fleet_in_the_domain_ends_and_the_first_flies_on(launch, domain):
-    first = launch("--duration", "600", domain=domain)
-    first.wait_for("are ready: started")
-    second = launch("--duration", "1", domain=domain)
-    assert second.finish() == 2
-    assert f" of another fleet is in domain {domain}: expected another" in second.lines[-1]
-    first.wait_until_flown(3.0)
-    first.process.send_signal(signal.SIGINT)
-    assert first.finish() == 130
-    assert not any("has ended" in line for line in first.lines)
-
-
 def test_who_is_late_is_named(tmp_path):
     scenario = load_scenario("paper_5")
     options = FleetOptions(scenario, lockstep=True, log_dir=tmp_path, ready_timeout_s=0.0)

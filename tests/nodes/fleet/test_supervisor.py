@@ -1,5 +1,6 @@
 """The judgement of a flight on processes that end, that are stuck, or that it has to kill."""
 
+import math
 import os
 import signal
 from dataclasses import replace
@@ -16,7 +17,7 @@ from ptnsbc_nodes.fleet import supervisor as flights
 from ptnsbc_nodes.fleet.child_process import ChildProcess, ProcessCommand
 from ptnsbc_nodes.fleet.coordinator_node import Coordinator
 from ptnsbc_nodes.fleet.process_list import FleetOptions
-from ptnsbc_nodes.fleet.supervisor import Supervisor
+from ptnsbc_nodes.fleet.supervisor import FleetError, Supervisor
 from ptnsbc_nodes.runtime.watchdog import SIM_ENDED_S
 from ptnsbc_sim.scenario import load_scenario
 
@@ -100,6 +101,33 @@ def test_what_runs_beside_the_flight_is_reported_and_changes_nothing(ended):
     died, (line,) = ended("operator", "working", beside=True)
     assert died == []
     assert "signal SIGKILL" in line
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize(
+    ("log", "says"),
+    [
+        ([], "uav1 of another fleet is in domain 7: expected another domain"),
+        (["running"], "uav1 refused to be activated, uav1.log"),
+    ],
+)
+def test_a_uav_that_refuses_before_its_process_has_loaded_is_of_another_fleet(log, says):
+    coordinator = SimpleNamespace(
+        domain=7,
+        held=set(),
+        refused=["uav1"],
+        waiting={},
+        serve_arming=lambda _refusal: None,
+        missing=lambda names: dict.fromkeys(names, "its first diagnostics"),
+        spin=lambda _seconds: None,
+    )
+    child = Child("uav1", 1)
+    child.log, child.log_lines, child.tail = "uav1.log", lambda: log, lambda: ""
+    options, stop = FleetOptions(load_scenario("paper_5")), SimpleNamespace(came=False)
+    flight = Supervisor(options, coordinator, stop, print)
+    flight.children.append(child)
+    with pytest.raises(FleetError, match=says):
+        flight.start([], {}, Path(), math.inf)
 
 
 class Child:
