@@ -183,7 +183,7 @@ class FleetRecorder(BagRecorder):
         return record
 
     def _begin(self, heard: Topic, order: ReorderBuffer) -> None:
-        """Write the first instant as soon as it is whole: who kills the recorder then finds a bag that can be read."""
+        """Write the first instant as soon as it is whole: a recorder killed afterwards leaves a readable bag."""
         self._awaited.discard(heard.name)
         if self._written_ns < 0 and not self._awaited:
             self._write_sorted(order.first())

@@ -40,7 +40,8 @@ _RMW = "rmw_fastrtps_cpp"
 _SPARE_PEERS = 12  # for viewers, a command line, a second recorder
 _PR_SET_PDEATHSIG = 1
 _DOMAINS = range(1, 102)  # above, the ports reach into those the system hands out
-# Who takes a domain binds this port plus its number, as the tests of ROS packages do (ROS's domain_coordinator).
+# A launcher reserves a domain by the TCP port of this number plus the domain's. ROS's domain_coordinator does the same
+# for the tests of ROS packages.
 _FIRST_LOCK = 32768
 # Of a core: what a tick of a UAV with its share of the sim takes, and what one more process adds to it. UAVs of one
 # process share its wake-ups and its datagrams (`bench --only realtime`).

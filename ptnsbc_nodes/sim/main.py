@@ -57,8 +57,7 @@ def _simulate(arguments: argparse.Namespace, argv: list[str]) -> int:
             environment.prefer_punctuality(flies=True)
         graph = CommunicationGraph(settings.scenario, settings.options)
         sim = SimNode(node, settings.scenario, graph, lifetime.end)
-        rest_s = None if settings.options.lockstep else sim.rest_s
-        lifetime.serve(node, sim.endpoints, rest_s=rest_s)
+        lifetime.serve(node, sim.endpoints, rest_s=sim.rest_s)
     return 0
 
 

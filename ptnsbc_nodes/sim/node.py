@@ -67,18 +67,19 @@ class SimNode:
         self._watchdog = LockstepWatchdog(self._send_ready)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         node.create_timer(1.0 / STATUS_HZ, self._on_status_timer, clock=steady)
-        self._ticks: Timer | None = None
         self._ticked = False
+        self.rest_s: Callable[[], float | None] | None = None
+        """In real time, after a tick: the time [s] until the next one, which uses the wrenches that come meanwhile."""
         if not edges.options.lockstep:
-            self._ticks = node.create_timer(scenario.dt_ns * 1e-9, self._on_tick_timer)
+            ticks = node.create_timer(scenario.dt_ns * 1e-9, self._on_tick_timer)
+            self.rest_s = lambda: self._until_tick_s(ticks)
             self.endpoints.end_with(lambda: self._report(self._clock_ns()))
 
-    def rest_s(self) -> float | None:
-        """In real time, after a tick: the time [s] until the next one, which uses the wrenches that come meanwhile."""
-        if self._ticks is None or not self._ticked:
+    def _until_tick_s(self, ticks: Timer) -> float | None:
+        if not self._ticked:
             return None
         self._ticked = False
-        return self._ticks.time_until_next_call() * 1e-9
+        return ticks.time_until_next_call() * 1e-9
 
     def _subscribe(self) -> None:
         listen = self.endpoints.listen

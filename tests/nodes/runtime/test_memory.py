@@ -19,6 +19,12 @@ pytestmark = pytest.mark.skipif(
 )
 
 
+of_gnu = pytest.mark.skipif(
+    not hasattr(ctypes.CDLL(None), "malloc_info"),
+    reason="heaps are set and shown by functions that only the C library of GNU has",
+)
+
+
 class Mapped:
     """A file in memory as a library is: private, and read only."""
 
@@ -147,7 +153,7 @@ def heaps(tmp_path, kind):
     return len(re.findall("<heap nr=", file.read_text()))
 
 
-@pytest.mark.skipif(not hasattr(ctypes.CDLL(None), "malloc_info"), reason="not the GNU C library")
+@of_gnu
 def test_threads_share_one_heap(tmp_path):
     assert heaps(tmp_path, "own") > 1
     assert heaps(tmp_path, "shared") == 1
@@ -177,7 +183,7 @@ print(faults() - before)
 """
 
 
-@pytest.mark.skipif(not hasattr(ctypes.CDLL(None), "malloc_info"), reason="not the GNU C library")
+@of_gnu
 def test_a_backlog_takes_the_pages_of_the_one_before():
     """One of 2 MB has 500 pages."""
     command = [sys.executable, "-c", FAULTS]
