@@ -19,8 +19,7 @@ import numpy as np
 
 from ptnsbc_io.mavlink.autopilots import PX4
 from ptnsbc_io.mavlink.dialect import mavlink
-from ptnsbc_io.mavlink.link import MavlinkLink
-from ptnsbc_io.mavlink.signing import Signer
+from ptnsbc_io.mavlink.link import MavlinkLink, Signer
 from ptnsbc_io.mavlink.transport import Address, Packet, connect
 from ptnsbc_nodes.bridge.bridge import WANTED_MESSAGES
 from ptnsbc_nodes.bridge.vehicle import VehicleMonitor

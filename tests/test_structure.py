@@ -98,7 +98,7 @@ def _import_graph() -> dict[str, set[str]]:
 
 
 def _room(module: str) -> str:
-    """`ptnsbc_nodes.bridge` of `ptnsbc_nodes.bridge.setpoint.stream`."""
+    """`ptnsbc_nodes.bridge` of `ptnsbc_nodes.bridge.setpoint.setpoint_stream`."""
     return ".".join(module.split(".")[:2])
 
 

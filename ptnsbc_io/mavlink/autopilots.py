@@ -1,17 +1,103 @@
-"""The differences between autopilots: modes, parameters, encodings, and the order of commands.
+"""The differences between autopilots: modes, parameters and their encodings, velocity loops, and what they mean.
 
-PX4: docs.px4.io, Offboard Mode and Parameter Reference. ArduCopter: ardupilot.org, Copter Commands
-in Guided Mode and Complete Parameter List; 4.7 renamed WPNAV_* (centimetres) to WP_* (metres).
+PX4: docs.px4.io, Offboard Mode and Parameter Reference. ArduCopter: ardupilot.org, Copter Commands in Guided Mode and
+Complete Parameter List; 4.7 renamed WPNAV_* (centimetres) to WP_* (metres).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import struct
+from collections.abc import Iterator, Mapping, Sequence
 from enum import Enum
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_io.mavlink.dialect import mavlink
-from ptnsbc_io.mavlink.parameters import Encoding
+from ptnsbc_io.mavlink.link import V2
+
+_RETRY_S = 0.5
+_MAX_REQUESTS = 4
+_PARALLEL = 4
+
+_INTEGERS: Mapping[int, str] = {
+    mavlink.MAV_PARAM_TYPE_UINT8: "<Bxxx",
+    mavlink.MAV_PARAM_TYPE_INT8: "<bxxx",
+    mavlink.MAV_PARAM_TYPE_UINT16: "<Hxx",
+    mavlink.MAV_PARAM_TYPE_INT16: "<hxx",
+    mavlink.MAV_PARAM_TYPE_UINT32: "<I",
+    mavlink.MAV_PARAM_TYPE_INT32: "<i",
+}
+
+
+class MavlinkParameterError(PtnsbcError):
+    """A parameter has an unknown type."""
+
+
+class Encoding(Enum):
+    """The encoding of integers."""
+
+    BYTEWISE = "bytewise"
+    C_CAST = "C cast"
+
+
+def decoded(raw: bytes, kind: int, encoding: Encoding) -> float:
+    """The value of four raw bytes of `param_value`, of MAV_PARAM_TYPE `kind`."""
+    if kind in _INTEGERS and encoding is Encoding.BYTEWISE:
+        return float(struct.unpack(_INTEGERS[kind], raw)[0])
+    if kind not in _INTEGERS and kind != mavlink.MAV_PARAM_TYPE_REAL32:
+        raise MavlinkParameterError(
+            f"parameter of type {kind}: expected REAL32 or an integer of 32 bits"
+        )
+    return float(struct.unpack("<f", raw)[0])
+
+
+def raw_value(message: Any) -> bytes:
+    """The four bytes of `param_value` as they were sent: a float in between may change NaN bits."""
+    data: bytes = bytes(message.get_msgbuf())
+    at = 10 if data[0] == V2 else 6
+    return data[at : at + 4].ljust(4, b"\0")
+
+
+class ParameterReader:
+    """Requests parameters, a few at a time, and stores the answers.
+
+    An autopilot does not answer for a name that it does not have: after four requests without an
+    answer a parameter counts as missing.
+    """
+
+    def __init__(self, names: Sequence[str], encoding: Encoding) -> None:
+        self._encoding = encoding
+        self._requests = dict.fromkeys(names, 0)
+        self._next_s = dict.fromkeys(names, 0.0)
+        self.values: dict[str, float] = {}
+
+    @property
+    def missing(self) -> list[str]:
+        """Names without an answer."""
+        return [name for name in self._requests if name not in self.values]
+
+    def done(self, now_s: float) -> bool:
+        """True if every name is answered or given up."""
+        return all(
+            self._requests[name] >= _MAX_REQUESTS and now_s >= self._next_s[name]
+            for name in self.missing
+        )
+
+    def due(self, now_s: float) -> Iterator[str]:
+        """Names to request now."""
+        open_names = [n for n in self.missing if self._requests[n] < _MAX_REQUESTS]
+        for name in open_names[:_PARALLEL]:
+            if now_s >= self._next_s[name]:
+                self._requests[name] += 1
+                self._next_s[name] = now_s + _RETRY_S
+                yield name
+
+    def on_param_value(self, message: Any) -> None:
+        """Store a PARAM_VALUE if it was requested; only the first answer counts."""
+        name = str(message.param_id)
+        if self._requests.get(name) and name not in self.values:
+            self.values[name] = decoded(raw_value(message), message.param_type, self._encoding)
+
 
 _CENTI = 0.01
 _DEGREE = 0.017453292519943295
@@ -72,17 +158,11 @@ class Autopilot(NamedTuple):
 
     def mode(self, base_mode: int, custom_mode: int) -> FlightMode:
         """The mode in a HEARTBEAT."""
-        if self.attitude_only:
-            guided = base_mode & mavlink.MAV_MODE_FLAG_GUIDED_ENABLED
-            return (
-                FlightMode.OWN
-                if guided
-                else self.modes.get(ModeNumbers(custom_mode, 0), FlightMode.OTHER)
-            )
+        if self.attitude_only and base_mode & mavlink.MAV_MODE_FLAG_GUIDED_ENABLED:
+            return FlightMode.OWN
+        numbers = ModeNumbers(custom_mode, 0)
         if self.packed:
             numbers = ModeNumbers(custom_mode >> 16 & 0xFF, custom_mode >> 24 & 0xFF)
-        else:
-            numbers = ModeNumbers(custom_mode, 0)
         return self.modes.get(numbers, FlightMode.OTHER)
 
     def mode_numbers(self, mode: FlightMode) -> ModeNumbers:
@@ -305,3 +385,59 @@ def findings(autopilot: Autopilot, values: Mapping[str, float], rate_hz: float) 
         yield f"not answered: {' '.join(missing)}"
     for line in advice(values, rate_hz):
         yield f"warning: {line}"
+
+
+_RATE_LOOP_S = 0.06  # of the rates and the motors
+_PX4_TILT = 0.65  # lag of the tilt times MC_ROLL_P, as measured
+_ARDUPILOT_TILT_S = 0.167  # behind the shaped tilt, as measured
+
+
+class VelocityResponse(NamedTuple):
+    """The horizontal velocity loop of a vehicle, around its tilt.
+
+    ArduCopter shapes the velocity before it, and follows the shaped path by position too. docs/autopilot.md has what
+    was measured.
+    """
+
+    gain: float  # [1/s] proportional
+    integral: float  # [1/s^2]
+    derivative: float
+    position_gain: float  # [1/s]; 0: no position loop around it
+    shaping_1_s: float | None  # first order before the loop; None: none
+    tilt_s: tuple[float, float]  # the two lags between the acceleration asked for and flown
+
+    @property
+    def tilt_lag_s(self) -> float:
+        """Sum of the lags between the acceleration asked for and flown."""
+        return sum(self.tilt_s)
+
+    def measured(self, gain: float | None, tilt_lag_s: float | None) -> VelocityResponse:
+        """The same with a proportional gain, and lags of this sum in the same proportion, as they were measured."""
+        share = 1.0 if tilt_lag_s is None else tilt_lag_s / self.tilt_lag_s
+        first_s, second_s = self.tilt_s
+        return self._replace(
+            gain=self.gain if gain is None else gain, tilt_s=(share * first_s, share * second_s)
+        )
+
+
+def velocity_response(autopilot: Autopilot, values: Mapping[str, float]) -> VelocityResponse | None:
+    """The response by the parameters that were read; None where one of them is missing or makes no sense."""
+    try:
+        if autopilot is PX4:
+            gain, integral, derivative = (values[f"MPC_XY_VEL_{part}_ACC"] for part in "PID")
+            tilt_s = (_PX4_TILT / values["MC_ROLL_P"], _RATE_LOOP_S)
+            response = VelocityResponse(gain, integral, derivative, 0.0, None, tilt_s)
+        elif autopilot is ARDUPILOT:
+            known = (values[new] if new in values else values[old] for new, old in _SHAPING)
+            position_gain, gain, integral, derivative, jerk = known
+            acceleration = values["WP_ACC"] if "WP_ACC" in values else 0.01 * values["WPNAV_ACCEL"]
+            tilt_s = (values["ATC_INPUT_TC"], _ARDUPILOT_TILT_S + _RATE_LOOP_S)
+            response = VelocityResponse(
+                gain, integral, derivative, position_gain, jerk / acceleration, tilt_s
+            )
+        else:
+            return None
+    except (KeyError, ZeroDivisionError):
+        return None
+    sensible = response.gain > 0.0 and min(*response[:4], *response.tilt_s) >= 0.0
+    return response if sensible else None

@@ -1,22 +1,171 @@
-"""A link to one vehicle: messages of that vehicle are passed on, everything else is dropped and counted.
+"""A link to one vehicle: bytes to frames, signatures, and the messages of that vehicle alone.
 
-Dropped are other system ids and components, unsigned or wrongly signed packets on a signed link,
-replays, and bytes that are no packet. Neither state nor setpoints depend on them.
+Other system ids and components are dropped and counted, and so are unsigned or wrongly signed packets on a signed
+link, replays, and bytes that are no packet. Neither state nor setpoints depend on them.
 """
 
 from __future__ import annotations
 
 import contextlib
+import hashlib
+import hmac
 import select
+import time
 from collections import Counter
 from collections.abc import Iterator
 from enum import Enum
-from typing import Any
+from typing import Any, NamedTuple
 
 from ptnsbc_io.mavlink.dialect import mavlink
-from ptnsbc_io.mavlink.framing import BrokenFrame, Frame, Framer
-from ptnsbc_io.mavlink.signing import Signer
 from ptnsbc_io.mavlink.transport import Address, Transport
+
+V2, V1 = 0xFD, 0xFE
+SIGNED = 0x01
+"""The incompatibility flag of a signed frame; a frame with any other flag must be dropped."""
+
+SIGNATURE_SIZE = 13
+_HEADER_V2, _HEADER_V1, _CHECKSUM = 10, 6, 2
+
+
+class Frame(NamedTuple):
+    """One whole frame; its checksum is not verified yet."""
+
+    data: bytes
+    message_id: int
+    sysid: int
+    compid: int
+    sequence: int
+    signed: bool
+    version: int  # 1 or 2
+
+
+class BrokenFrame(NamedTuple):
+    """Bytes that are not a frame."""
+
+    truncated: bool  # a frame begins, but its end is missing
+
+
+class Framer:
+    """Cuts datagrams or a stream of bytes into frames.
+
+    A frame that a datagram cuts is lost. The cut frame of a stream is kept until more bytes arrive.
+    In a stream a frame with a wrong checksum counts as noise: noise that looks like a header must
+    not hide the frames behind it.
+    """
+
+    def __init__(self, stream: bool) -> None:
+        self._stream = stream
+        self._rest = b""
+
+    def feed(self, data: bytes) -> Iterator[Frame | BrokenFrame]:
+        """Frames of these bytes in order; for each run of bytes between them one `BrokenFrame`."""
+        data, self._rest = self._rest + data, b""
+        at, junk = 0, False
+        while at < len(data):
+            size = _size(data, at)
+            if size is None or (self._stream and _is_noise(data, at, size)):
+                junk, at = True, at + 1
+                continue
+            if junk:
+                junk = False
+                yield BrokenFrame(truncated=False)
+            if at + size > len(data):
+                if self._stream:
+                    self._rest = data[at:]
+                else:
+                    yield BrokenFrame(truncated=True)
+                return
+            yield _frame(data[at : at + size])
+            at += size
+        if junk:
+            yield BrokenFrame(truncated=False)
+
+
+def _size(data: bytes, at: int) -> int | None:
+    """Length of the frame that begins at `at`; None when no frame begins there."""
+    marker, left = data[at], len(data) - at
+    if marker == V2:
+        if left < 3:
+            return _HEADER_V2 + _CHECKSUM
+        if data[at + 2] & ~SIGNED:
+            return None
+        signature = SIGNATURE_SIZE if data[at + 2] & SIGNED else 0
+        return _HEADER_V2 + data[at + 1] + _CHECKSUM + signature
+    if marker == V1:
+        return _HEADER_V1 + (data[at + 1] if left > 1 else 0) + _CHECKSUM
+    return None
+
+
+def _is_noise(data: bytes, at: int, size: int) -> bool:
+    """True if noise looks like the beginning of a frame; False while more bytes are needed to tell."""
+    if at + size > len(data):
+        return False
+    frame = _frame(data[at : at + size])
+    kind = mavlink.mavlink_map.get(frame.message_id)
+    if kind is None:  # without the dialect there is no checksum; another frame must follow
+        return at + size < len(data) and data[at + size] not in (V1, V2)
+    end = size - _CHECKSUM - (SIGNATURE_SIZE if frame.signed else 0)
+    found = mavlink.x25crc(frame.data[1:end] + bytes([kind.crc_extra])).crc
+    return bool(found != int.from_bytes(frame.data[end : end + _CHECKSUM], "little"))
+
+
+def _frame(data: bytes) -> Frame:
+    if data[0] == V2:
+        number = data[7] | data[8] << 8 | data[9] << 16
+        return Frame(data, number, data[5], data[6], data[4], bool(data[2] & SIGNED), 2)
+    return Frame(data, data[5], data[3], data[4], data[2], False, 1)
+
+
+_EPOCH_2015_S = 1420070400
+_TICKS_PER_S = 100_000  # timestamps count 10 us
+_NEW_STREAM_AGE = 60 * _TICKS_PER_S
+
+
+def timestamp_now() -> int:
+    """The signing clock: units of 10 us since 2015."""
+    return max(int((time.time() - _EPOCH_2015_S) * _TICKS_PER_S), 0)
+
+
+class Signer:
+    """One side of a signed link (mavlink.io, Message Signing).
+
+    pymavlink stores the timestamp of a packet before it verifies the signature, so one forged packet locks the true
+    sender out. Here the signature is verified first.
+    """
+
+    def __init__(self, key: bytes, link_id: int = 0, timestamp: int | None = None) -> None:
+        self.key = key
+        self.link_id = link_id
+        self._newest = timestamp_now() if timestamp is None else timestamp
+        self._streams: dict[tuple[int, int, int], int] = {}
+
+    def prepare(self, codec: Any) -> None:
+        """Set pymavlink up to sign the next packet that it packs."""
+        # Never behind the wall clock, so that a restart does not look like a replay; and never
+        # behind what we have sent or accepted.
+        self._newest = max(self._newest + 1, timestamp_now())
+        codec.signing.secret_key = self.key
+        codec.signing.link_id = self.link_id
+        codec.signing.timestamp = self._newest
+        codec.signing.sign_outgoing = True
+
+    def has_valid_signature(self, frame: Frame) -> bool:
+        """True if the signature was made with our key, at any time."""
+        digest = hashlib.sha256(self.key + frame.data[:-6]).digest()[:6]
+        return hmac.compare_digest(digest, frame.data[-6:])
+
+    def is_new(self, frame: Frame) -> bool:
+        """True if a validly signed frame is newer than all before it in its stream; stores its timestamp then."""
+        block = frame.data[-SIGNATURE_SIZE:]
+        stamp = int.from_bytes(block[1:7], "little")
+        stream = (block[0], frame.sysid, frame.compid)
+        last = self._streams.get(stream)
+        if (stamp + _NEW_STREAM_AGE < self._newest) if last is None else (stamp <= last):
+            return False
+        self._streams[stream] = stamp
+        self._newest = max(self._newest, stamp)
+        return True
+
 
 OWN_COMPONENT = mavlink.MAV_COMP_ID_ONBOARD_COMPUTER
 AUTOPILOT_COMPONENT = mavlink.MAV_COMP_ID_AUTOPILOT1

@@ -8,10 +8,17 @@ import numpy as np
 
 from ptnsbc_core.kinematics import velocity_enu
 from ptnsbc_core.types import Array
-from ptnsbc_io.mavlink.autopilots import AUTOPILOTS, fate, findings, hover_thrust, limits
+from ptnsbc_io.mavlink.autopilots import (
+    AUTOPILOTS,
+    VelocityResponse,
+    fate,
+    findings,
+    hover_thrust,
+    limits,
+    velocity_response,
+)
 from ptnsbc_io.mavlink.dialect import mavlink
 from ptnsbc_io.mavlink.link import MavlinkLink
-from ptnsbc_io.mavlink.response import VelocityResponse, velocity_response
 from ptnsbc_io.wire import decode_velocity, decode_wrench
 from ptnsbc_nodes.bridge.controller import ControllerSetpoints
 from ptnsbc_nodes.bridge.link_maintenance import LINK_MESSAGES, LinkMaintenance
@@ -28,9 +35,9 @@ from ptnsbc_nodes.bridge.procedure.steps import (
     Stream,
     VehicleSnapshot,
 )
-from ptnsbc_nodes.bridge.setpoint.guard import allowed
-from ptnsbc_nodes.bridge.setpoint.lead import VelocityLead, largest_kappa_1_s
-from ptnsbc_nodes.bridge.setpoint.stream import SetpointStream, StreamInput
+from ptnsbc_nodes.bridge.setpoint.setpoint_guard import allowed
+from ptnsbc_nodes.bridge.setpoint.setpoint_stream import SetpointStream, StreamInput
+from ptnsbc_nodes.bridge.setpoint.velocity_lead import VelocityLead, largest_kappa_1_s
 from ptnsbc_nodes.bridge.state_publisher import StatePublisher
 from ptnsbc_nodes.bridge.truth import TRUTH_MESSAGES
 from ptnsbc_nodes.bridge.vehicle import VEHICLE_MESSAGES, VehicleMonitor

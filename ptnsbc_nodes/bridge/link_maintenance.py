@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from ptnsbc_io.mavlink.autopilots import refusal
+from ptnsbc_io.mavlink.autopilots import MavlinkParameterError, ParameterReader, refusal
 from ptnsbc_io.mavlink.dialect import mavlink
 from ptnsbc_io.mavlink.link import AUTOPILOT_COMPONENT, MavlinkLink
-from ptnsbc_io.mavlink.parameters import MavlinkParameterError, ParameterReader
 from ptnsbc_io.mavlink.timesync import TimeSync
 from ptnsbc_nodes.bridge.commands import Commands
 from ptnsbc_nodes.bridge.vehicle import VehicleMonitor

@@ -37,7 +37,7 @@ from ptnsbc_nodes.bridge.bridge import Bridge
 from ptnsbc_nodes.bridge.near_objects import NearObjects
 from ptnsbc_nodes.bridge.ports import BridgeInputs, BridgeOutputs, BridgePorts, Clocks
 from ptnsbc_nodes.bridge.procedure.steps import Step
-from ptnsbc_nodes.bridge.setpoint.guard import SetpointLimits
+from ptnsbc_nodes.bridge.setpoint.setpoint_guard import SetpointLimits
 from ptnsbc_nodes.bridge.status import bridge_status, companion, vehicle_record
 from ptnsbc_nodes.comm import topics, vehicle_messages
 from ptnsbc_nodes.comm.agent_messages import WORLD_FRAME, body_frame

@@ -140,8 +140,7 @@ def _open(
     """The bridge with an open link to its vehicle."""
     scenario, uav = parameters.scenario, parameters.uav
     try:
-        from ptnsbc_io.mavlink.link import MavlinkLink
-        from ptnsbc_io.mavlink.signing import Signer
+        from ptnsbc_io.mavlink.link import MavlinkLink, Signer
         from ptnsbc_io.mavlink.transport import connect
         from ptnsbc_nodes.bridge.bridge import WANTED_MESSAGES
         from ptnsbc_nodes.bridge.node import BridgeNode, BridgeOptions

@@ -15,8 +15,7 @@ from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_io.key_file import read_key
 from ptnsbc_io.mavlink.autopilots import AUTOPILOTS, FlightMode
 from ptnsbc_io.mavlink.dialect import mavlink
-from ptnsbc_io.mavlink.link import MavlinkLink
-from ptnsbc_io.mavlink.signing import Signer
+from ptnsbc_io.mavlink.link import MavlinkLink, Signer
 from ptnsbc_io.mavlink.transport import ConnectError, Transport, connect
 from ptnsbc_nodes.bridge.commands import Commands
 from ptnsbc_nodes.bridge.procedure.steps import CommandRequest

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 from ptnsbc_io.mavlink.dialect import mavlink
-from ptnsbc_io.mavlink.signing import timestamp_now
+from ptnsbc_io.mavlink.link import timestamp_now
 from ptnsbc_sim.autopilot.controller import FlightController
 from ptnsbc_sim.autopilot.vehicle import COMPANION, IMPOSTOR, AutopilotError, Outgoing
 

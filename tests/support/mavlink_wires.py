@@ -8,7 +8,7 @@ import socket
 import time
 
 from ptnsbc_io.mavlink.dialect import mavlink
-from ptnsbc_io.mavlink.signing import Signer
+from ptnsbc_io.mavlink.link import Signer
 
 
 def codec(sysid=1, compid=1):

@@ -8,7 +8,7 @@ import numpy as np
 
 from ptnsbc_core.types import Array
 from ptnsbc_nodes.bridge.procedure.companions import Companions, Position, StandingPlace
-from ptnsbc_nodes.bridge.setpoint.guard import SetpointGuard
+from ptnsbc_nodes.bridge.setpoint.setpoint_guard import SetpointGuard
 from ptnsbc_nodes.bridge.state_publisher import StatePublisher
 from ptnsbc_nodes.bridge.vehicle import VehicleMonitor
 from ptnsbc_sim.scenario import Scenario

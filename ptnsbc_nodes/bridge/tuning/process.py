@@ -12,8 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from ptnsbc_io.key_file import read_key
-from ptnsbc_io.mavlink.link import MavlinkLink
-from ptnsbc_io.mavlink.signing import Signer
+from ptnsbc_io.mavlink.link import MavlinkLink, Signer
 from ptnsbc_io.mavlink.transport import connect
 from ptnsbc_nodes.bridge.bridge import WANTED_MESSAGES
 from ptnsbc_nodes.bridge.ports import Clocks, Log

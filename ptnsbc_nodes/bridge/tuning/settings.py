@@ -11,8 +11,8 @@ from scipy.optimize import least_squares
 
 from ptnsbc_core.timebase import Clock, h, loop_gain, plan_duration
 from ptnsbc_core.types import Array, LoopGain
-from ptnsbc_io.mavlink.response import VelocityResponse
-from ptnsbc_nodes.bridge.setpoint.lead import (
+from ptnsbc_io.mavlink.autopilots import VelocityResponse
+from ptnsbc_nodes.bridge.setpoint.velocity_lead import (
     PLANNER_DELAY_S,
     flown_per_wanted,
     inverse,

@@ -1,10 +1,30 @@
 """What the parameters of an autopilot mean: advice, refusals, and what a vehicle does without its companion."""
 
+import struct
+
 import pytest
 
 pytest.importorskip("pymavlink")
 
-from ptnsbc_io.mavlink.autopilots import ARDUPILOT, GENERIC, PX4, FlightMode, advice, fate, refusal
+from mavlink_wires import codec
+
+from ptnsbc_io.mavlink.autopilots import (
+    ARDUPILOT,
+    GENERIC,
+    PX4,
+    Encoding,
+    FlightMode,
+    MavlinkParameterError,
+    ParameterReader,
+    advice,
+    decoded,
+    fate,
+    missing_parameters,
+    raw_value,
+    refusal,
+    velocity_response,
+)
+from ptnsbc_io.mavlink.dialect import mavlink
 
 
 def test_what_a_lab_should_know_before_it_flies():
@@ -66,3 +86,124 @@ def test_an_arducopter_left_in_guided_hovers_after_its_timeout(values, seconds):
 
 def test_of_another_vehicle_only_its_failsafe_is_known():
     assert fate(GENERIC, FlightMode.OWN, {}) == "its own failsafe acts"
+
+
+INT32, REAL32 = mavlink.MAV_PARAM_TYPE_INT32, mavlink.MAV_PARAM_TYPE_REAL32
+INT8 = mavlink.MAV_PARAM_TYPE_INT8
+
+
+def value(name, raw, kind):
+    """A PARAM_VALUE as it arrives, with exactly these four bytes."""
+    message = mavlink.MAVLink_param_value_message(name.encode(), 1.5, kind, 10, 3)
+    data = bytearray(message.pack(codec()))
+    data[10:14] = raw
+    data[-2:] = struct.pack("<H", mavlink.x25crc(data[1:-2] + bytes([message.crc_extra])).crc)
+    return mavlink.MAVLink(None).decode(data)
+
+
+@pytest.mark.parametrize(
+    ("raw", "kind", "encoding", "expected"),
+    [
+        (struct.pack("<i", 5), INT32, Encoding.BYTEWISE, 5.0),  # COM_OBL_RC_ACT of PX4
+        (struct.pack("<f", 5.0), INT32, Encoding.C_CAST, 5.0),  # the same from ArduPilot
+        (struct.pack("<i", -1), INT32, Encoding.BYTEWISE, -1.0),
+        (struct.pack("<b", -3) + b"\x07\x07\x07", INT8, Encoding.BYTEWISE, -3.0),
+        (struct.pack("<f", 0.5), REAL32, Encoding.BYTEWISE, 0.5),
+        (struct.pack("<f", 0.5), REAL32, Encoding.C_CAST, 0.5),
+        # a signalling NaN as a float: passing it through one changes the number
+        (struct.pack("<I", 0x7F800001), INT32, Encoding.BYTEWISE, float(0x7F800001)),
+    ],
+)
+def test_values_travel(raw, kind, encoding, expected):
+    message = value("P", raw, kind)
+    assert decoded(raw_value(message), message.param_type, encoding) == expected
+
+
+def test_a_type_of_64_bits_is_refused():
+    with pytest.raises(MavlinkParameterError, match="expected REAL32"):
+        decoded(b"\0\0\0\0", mavlink.MAV_PARAM_TYPE_INT64, Encoding.BYTEWISE)
+
+
+def test_questions_are_repeated_and_given_up():
+    reader = ParameterReader(["A", "B"], Encoding.C_CAST)
+    assert list(reader.due(0.0)) == ["A", "B"]
+    assert list(reader.due(0.4)) == []
+    reader.on_param_value(value("A", struct.pack("<f", 2.0), REAL32))
+    reader.on_param_value(value("UNASKED", struct.pack("<f", 2.0), REAL32))
+    asked = [list(reader.due(0.5 * n)) for n in (1, 2, 3, 4)]
+    assert asked == [["B"], ["B"], ["B"], []]
+    assert not reader.done(1.9)
+    assert reader.done(2.0)
+    assert reader.values == {"A": 2.0}
+    assert reader.missing == ["B"]
+
+
+def test_not_all_at_once():
+    names = [f"P{n}" for n in range(10)]
+    reader = ParameterReader(names, Encoding.C_CAST)
+    assert len(list(reader.due(0.0))) == 4
+
+
+PX4_VALUES = {
+    "MPC_XY_VEL_P_ACC": 1.8,
+    "MPC_XY_VEL_I_ACC": 0.4,
+    "MPC_XY_VEL_D_ACC": 0.2,
+    "MC_ROLL_P": 6.5,
+}
+NEW = {
+    "PSC_NE_POS_P": 1.0,
+    "PSC_NE_VEL_P": 2.0,
+    "PSC_NE_VEL_I": 1.0,
+    "PSC_NE_VEL_D": 0.5,
+    "PSC_JERK_NE": 5.0,
+    "WP_ACC": 2.5,
+    "ATC_INPUT_TC": 0.15,
+}
+OLD = {
+    "PSC_POSXY_P": 1.0,
+    "PSC_VELXY_P": 2.0,
+    "PSC_VELXY_I": 1.0,
+    "PSC_VELXY_D": 0.5,
+    "PSC_JERK_XY": 5.0,
+    "WPNAV_ACCEL": 250.0,
+    "ATC_INPUT_TC": 0.15,
+}
+
+
+def test_px4_has_a_velocity_loop_alone():
+    found = velocity_response(PX4, PX4_VALUES)
+    assert found[:4] == (1.8, 0.4, 0.2, 0.0)
+    assert found.shaping_1_s is None
+    assert found.tilt_s[0] == pytest.approx(0.1)
+
+
+def test_ardupilot_shapes_with_jerk_over_acceleration():
+    found = velocity_response(ARDUPILOT, NEW)
+    assert found[:5] == (2.0, 1.0, 0.5, 1.0, 2.0)
+
+
+def test_older_names_say_the_same():
+    assert velocity_response(ARDUPILOT, OLD) == velocity_response(ARDUPILOT, NEW)
+
+
+@pytest.mark.parametrize("name", NEW)
+def test_a_parameter_without_an_answer_leaves_the_response_unknown(name):
+    assert velocity_response(ARDUPILOT, {n: v for n, v in NEW.items() if n != name}) is None
+
+
+@pytest.mark.parametrize("changes", [{"WP_ACC": 0.0}, {"PSC_NE_VEL_P": 0.0}, {"ATC_INPUT_TC": -1}])
+def test_numbers_without_sense_leave_it_unknown(changes):
+    assert velocity_response(ARDUPILOT, {**NEW, **changes}) is None
+
+
+def test_a_controller_of_attitudes_has_none():
+    assert velocity_response(GENERIC, {**NEW, **PX4_VALUES}) is None
+
+
+@pytest.mark.parametrize(
+    ("autopilot", "values"), [(PX4, PX4_VALUES), (ARDUPILOT, NEW), (ARDUPILOT, OLD)]
+)
+def test_a_bridge_asks_for_them(autopilot, values):
+    missing = missing_parameters(autopilot, values)
+    assert not set(missing) & (set(NEW) | set(OLD) | set(PX4_VALUES))
+    assert set(values) <= set(autopilot.parameters)

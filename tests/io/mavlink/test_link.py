@@ -14,9 +14,7 @@ import mavlink_wires as wires
 from mavlink_wires import Far, arrived, heartbeat, settled
 
 from ptnsbc_io.mavlink.dialect import mavlink
-from ptnsbc_io.mavlink.framing import BrokenFrame, Framer
-from ptnsbc_io.mavlink.link import MavlinkLink
-from ptnsbc_io.mavlink.signing import Signer
+from ptnsbc_io.mavlink.link import BrokenFrame, Framer, MavlinkLink, Signer
 from ptnsbc_io.mavlink.transport import ConnectError, connect
 
 KEY, OTHER_KEY = bytes(range(32)), bytes(range(1, 33))

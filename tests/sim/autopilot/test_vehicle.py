@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from ptnsbc_io.mavlink.dialect import mavlink
-from ptnsbc_io.mavlink.framing import Framer
-from ptnsbc_io.mavlink.signing import Signer
+from ptnsbc_io.mavlink.link import Framer, Signer
 from ptnsbc_sim.autopilot.firmware.arducopter import ArduCopter
 from ptnsbc_sim.autopilot.firmware.px4 import Px4
 from ptnsbc_sim.autopilot.firmware.stm32 import Stm32

@@ -8,7 +8,7 @@ import pytest
 pytest.importorskip("pymavlink")
 
 from ptnsbc_core.types import PROFILE_SOFT, LoopGain
-from ptnsbc_io.mavlink.response import VelocityResponse
+from ptnsbc_io.mavlink.autopilots import VelocityResponse
 from ptnsbc_nodes.bridge.tuning.excitation import FrequencyPoint, TuneError
 from ptnsbc_nodes.bridge.tuning.settings import (
     Identified,

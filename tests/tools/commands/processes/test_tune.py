@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 pytest.importorskip("pymavlink")
 pytest.importorskip("rclpy")
 
-from ptnsbc_io.mavlink.response import VelocityResponse
+from ptnsbc_io.mavlink.autopilots import VelocityResponse
 from ptnsbc_nodes.bridge.tuning import process
 from ptnsbc_nodes.bridge.tuning.excitation import FrequencyPoint
 from ptnsbc_nodes.bridge.tuning.settings import Identified

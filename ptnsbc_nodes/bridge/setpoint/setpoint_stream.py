@@ -12,18 +12,20 @@ from ptnsbc_core.curves.trajectory import reference
 from ptnsbc_core.kinematics import velocity_enu, yaw_of
 from ptnsbc_core.types import AgentConfig, Array
 from ptnsbc_io.mavlink.autopilots import AUTOPILOTS, limits
+from ptnsbc_io.mavlink.setpoints import AttitudeTarget, SetpointMessages
 from ptnsbc_nodes.bridge.controller import SetpointReply
 from ptnsbc_nodes.bridge.procedure.steps import Stream
-from ptnsbc_nodes.bridge.setpoint.attitude import (
+from ptnsbc_nodes.bridge.setpoint.attitude_targets import (
     AttitudeResponse,
-    AttitudeTarget,
     AttitudeTargets,
     largest_force_kappa_1_s,
 )
-from ptnsbc_nodes.bridge.setpoint.following import FollowingEstimator
-from ptnsbc_nodes.bridge.setpoint.guard import SetpointGuard, allowed
-from ptnsbc_nodes.bridge.setpoint.lead import DragEstimator, VelocityLead
-from ptnsbc_nodes.bridge.setpoint.messages import SetpointMessages
+from ptnsbc_nodes.bridge.setpoint.setpoint_guard import SetpointGuard, allowed
+from ptnsbc_nodes.bridge.setpoint.velocity_lead import (
+    DragEstimator,
+    FollowingEstimator,
+    VelocityLead,
+)
 from ptnsbc_nodes.runtime.pacing import Latency
 from ptnsbc_sim.scenario.mavlink import Mavlink, VehicleLink
 
@@ -253,11 +255,11 @@ class SetpointStream:
             return self._messages.position_target(now_s, target.yaw, position=local)
         if not tick.armed:  # the rotors must not turn before the vehicle is meant to lift
             level = AttitudeTarget(tick.odometry[3:7], np.zeros(3), 0.0)
-            return self._messages.attitude(now_s, level)
+            return self._messages.attitude_target(now_s, level)
         attitude = self.attitude.for_point(
             position, target.yaw, tick.odometry, now_s, dt, self.guard.limits.tilt_rad
         )
-        return self._messages.attitude(now_s, attitude)
+        return self._messages.attitude_target(now_s, attitude)
 
     def _follow(self, tick: StreamInput, reply: SetpointReply, dt: float) -> Any:
         """The controller's setpoint as a message."""
@@ -275,7 +277,7 @@ class SetpointStream:
                 tick.flight_s,
                 guard.limits.tilt_rad,
             )
-            return self._messages.attitude(tick.now_s, attitude)
+            return self._messages.attitude_target(tick.now_s, attitude)
         velocity = guard.velocity(reply.values[0:3], tick.odometry[0:3], moving)
         self.following.add(tick.now_s, velocity, moving)
         acceleration = position = None

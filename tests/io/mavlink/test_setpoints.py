@@ -1,4 +1,4 @@
-"""Attitude targets on the wire: which body rates each autopilot is sent."""
+"""Setpoint messages: type masks that real autopilots were seen to accept, and the body rates that each is sent."""
 
 import math
 
@@ -8,14 +8,45 @@ import pytest
 pytest.importorskip("pymavlink")
 
 from ptnsbc_core.kinematics import quaternion_from_euler
+from ptnsbc_io.mavlink import setpoints
 from ptnsbc_io.mavlink.autopilots import ARDUPILOT, GENERIC, PX4
-from ptnsbc_nodes.bridge.setpoint.attitude import AttitudeTarget
-from ptnsbc_nodes.bridge.setpoint.messages import SetpointMessages
+from ptnsbc_io.mavlink.setpoints import AttitudeTarget, SetpointMessages
+
+
+@pytest.mark.parametrize(
+    ("used", "mask"),
+    [
+        ((*setpoints.VELOCITY, "yaw_rate"), 0x05C7),  # both were tried on PX4
+        (("vx", "vy", "z", "yaw_rate"), 0x05E3),
+        ((*setpoints.VELOCITY, "yaw"), 0x09C7),
+        ((*setpoints.POSITION, *setpoints.VELOCITY, "yaw"), 0x09C0),
+        ((*setpoints.VELOCITY, *setpoints.ACCELERATION, "yaw"), 0x0807),
+        ((*setpoints.POSITION, "yaw"), 0x09F8),
+    ],
+)
+def test_position_target_masks(used, mask):
+    assert setpoints.position_target_mask(used) == mask
+
+
+def test_attitude_target_masks():
+    assert setpoints.attitude_target_mask(("q", "thrust")) == 0b00000111
+    assert setpoints.attitude_target_mask(("q", "thrust", *setpoints.RATES)) == 0
+    assert setpoints.attitude_target_mask((*setpoints.RATES, "thrust")) == 0b10000000
+
+
+def test_a_setpoint_never_means_force():
+    assert setpoints.position_target_mask(setpoints.ACCELERATION) & 0x200 == 0
+
+
+@pytest.mark.parametrize("used", [(), ("vx", "speed")])
+def test_nothing_and_unknown_fields_are_refused(used):
+    with pytest.raises(setpoints.MaskError, match="expected some of x, y, z"):
+        setpoints.position_target_mask(used)
 
 
 def on_the_wire(autopilot, attitude, rates):
     target = AttitudeTarget(attitude, np.array(rates, dtype=float), 0.5)
-    return SetpointMessages(autopilot, 3).attitude(1.0, target)
+    return SetpointMessages(autopilot, 3).attitude_target(1.0, target)
 
 
 def body_rates(message):
