@@ -18,10 +18,10 @@ from bench.launch import BenchError
 from bench.session import Plan, print_progress
 from bench.table import Row, Target
 from bench.usage import look
+from ptnsbc_autopilot.firmware.px4 import Px4
+from ptnsbc_autopilot.physics.body import VehicleDescription
+from ptnsbc_autopilot.server import Codec
 from ptnsbc_io.mavlink.dialect import mavlink
-from ptnsbc_sim.autopilot.firmware.px4 import Px4
-from ptnsbc_sim.autopilot.physics.body import VehicleDescription
-from ptnsbc_sim.autopilot.server import Codec
 
 _COUNT, _STREAM_HZ, _READY_S = 4, 50.0, 300.0
 _VELOCITY_YAW = 0x09C7  # position, acceleration and yaw rate ignored

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import yaml
 
+from paper.experiments.cost import binary_tree
 from ptnsbc_sim.scenario import Scenario, load_scenario, scenario_from_text
-from ptnsbc_tools.reproduce.experiments.cost import binary_tree
 
 # Slower than the paper's: three neighbours at 50 Hz leave less room for an explicit step.
 _ESTIMATOR = {"deadline_s": 3, "residual": 1e-2, "k1_1_s": 5, "k2": 3.5, "boundary": 1.2}

@@ -9,6 +9,7 @@ import numpy as np
 from bench.scenarios import paper
 from bench.session import Plan, cpu_seconds, take_turns
 from bench.table import Row, Target
+from paper.experiments.cost import follower_inputs
 from ptnsbc_core.agent import Agent, PackedInputs
 from ptnsbc_core.algebra import eigen3, gram3
 from ptnsbc_core.kernel import kernel
@@ -16,7 +17,6 @@ from ptnsbc_core.step import initial_state, step
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import agent_config, load_scenario
 from ptnsbc_sim.world import World
-from ptnsbc_tools.reproduce.experiments.cost import follower_inputs
 
 SVD = "NumPy 3×3 SVD"
 _MATRIX = np.array([[2.0, 0.3, -0.1], [0.2, 1.0, 0.4], [-0.3, 0.1, 0.5]])

@@ -31,8 +31,8 @@ from bench.stand_ins import (
     wait_for,
     write_scenario,
 )
-from ptnsbc_sim.autopilot.faults import send_fault
-from ptnsbc_sim.autopilot.vehicle import AutopilotError
+from ptnsbc_autopilot.faults import send_fault
+from ptnsbc_autopilot.vehicle import AutopilotError
 
 _MOMENT_S = 20.0  # the key is pressed within this time after all have begun to climb
 _OBEYED_S = 20.0

@@ -31,7 +31,7 @@ from numba.core.compiler import CompileResult
 from numba.core.runtime import rtsys
 from numba.core.serialize import dumps
 
-_SOURCES = ("ptnsbc_core", "ptnsbc_sim")
+_SOURCES = ("ptnsbc_core", "ptnsbc_sim", "ptnsbc_autopilot", "paper")
 _KEPT_CACHES = 8  # some 11 MB each; several checkouts fly in turn
 _FOLDER_NAME = re.compile(r"[0-9a-f]{16}")
 _HEADER = b"ptnsbc-kernel-1\n"

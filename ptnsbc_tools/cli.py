@@ -33,6 +33,7 @@ from ptnsbc_tools.commands.look.compare import compare
 from ptnsbc_tools.commands.look.export import export
 from ptnsbc_tools.commands.look.plot import plot
 from ptnsbc_tools.commands.look.report import report
+from ptnsbc_tools.commands.look.reproduce import SETTINGS as PAPER
 from ptnsbc_tools.commands.look.reproduce import reproduce
 from ptnsbc_tools.commands.look.verify import verify
 from ptnsbc_tools.commands.processes import network, security
@@ -129,7 +130,7 @@ _PANELS = {
 _COMMANDS: tuple[Callable[..., None], ...] = (
     *(new, scenarios, doctor, check),
     *(simulate, sweep, fleet, view, demo, inject, stop),
-    *(verify, compare, report, plot, export, reproduce),
+    *(verify, compare, report, plot, export),
     *(record, replay),
     *(autopilot, bridge, tune, params, key),
 )
@@ -150,6 +151,7 @@ for _command in _COMMANDS:
     app.command(help=_help, rich_help_panel=_panel(_command.__module__))(_command)
 # All words after the name of a process are its own, --help too.
 app.command(rich_help_panel=_panel(node.__module__), context_settings=SETTINGS)(node)
+app.command(rich_help_panel=_panel(reproduce.__module__), context_settings=PAPER)(reproduce)
 for _group in (mission, bag, network, security):
     _name = _group.__name__.rsplit(".", 1)[1]
     app.add_typer(_group.app, name=_name, rich_help_panel=_panel(_group.__name__))

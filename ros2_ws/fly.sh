@@ -41,7 +41,7 @@ within() {
 places() {
   "$2" - "$(realpath "$1")" <<'PYTHON'
 import importlib.util, pkgutil, sys
-for name in ("ptnsbc_core", "ptnsbc_io", "ptnsbc_sim", "ptnsbc_nodes", "ptnsbc_tools", "ptnsbc"):
+for name in ("ptnsbc_core", "ptnsbc_io", "ptnsbc_sim", "ptnsbc_autopilot", "ptnsbc_nodes", "ptnsbc_tools", "ptnsbc"):
     package = importlib.import_module(name)
     for module in pkgutil.walk_packages(package.__path__, f"{name}."):
         place = importlib.util.find_spec(module.name).origin

@@ -15,7 +15,15 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 SRC = ROOT / "ros2_ws" / "src"
-LINKED = ["ptnsbc_core", "ptnsbc_io", "ptnsbc_sim", "ptnsbc_nodes", "ptnsbc_tools", "ptnsbc"]
+LINKED = [
+    "ptnsbc_core",
+    "ptnsbc_io",
+    "ptnsbc_sim",
+    "ptnsbc_autopilot",
+    "ptnsbc_nodes",
+    "ptnsbc_tools",
+    "ptnsbc",
+]
 ALL = [*LINKED, "ptnsbc_bringup"]
 VERSION = re.search(r'^version = "(.+)"$', (ROOT / "pyproject.toml").read_text(), re.M).group(1)
 

@@ -17,7 +17,16 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 
-LAYERS = ("ptnsbc_core", "ptnsbc_io", "ptnsbc_sim", "ptnsbc_nodes", "ptnsbc_tools", "ptnsbc")
+LAYERS = (
+    "ptnsbc_core",
+    "ptnsbc_io",
+    "ptnsbc_sim",
+    "ptnsbc_autopilot",
+    "ptnsbc_nodes",
+    "ptnsbc_tools",
+    "ptnsbc",
+    "paper",
+)
 """From bottom to top: a package imports itself and those before it."""
 
 LARGEST_FOLDER = 15
@@ -48,7 +57,7 @@ TESTS_OF_MORE: dict[str, str] = {
     "tests/nodes/bridge/test_processes.py": "the processes of a bridged UAV",
     "tests/nodes/comm/test_serialize.py": "ptnsbc_io/wire/serialize.py, with the message classes of ROS",
     "tests/nodes/fleet/test_computers.py": "a fleet on two computers",
-    "tests/sim/autopilot/firmware/test_response.py": "how stand-ins follow velocities",
+    "tests/autopilot/firmware/test_response.py": "how stand-ins follow velocities",
     "tests/sim/sweep/test_dask.py": "a sweep on a dask cluster",
     "tests/sim/test_shipped_scenarios.py": "scenarios/",
     "tests/tools/report/test_browser.py": "report/assets/",

@@ -82,6 +82,6 @@ def _top_names(module: Path) -> set[str]:
 
 
 def test_a_dotted_name_is_looked_up():
-    assert _exists("ptnsbc_core.step.step") and _exists("ptnsbc_sim.baselines.fly")
+    assert _exists("ptnsbc_core.step.step") and _exists("paper.baselines.fly")
     assert _exists("ptnsbc_core.tasks") and _exists("ptnsbc_core.types.Array")
     assert not _exists("ptnsbc_core.step.stop") and not _exists("ptnsbc_core.nothing")

@@ -13,6 +13,7 @@ import pytest
 import typer.main
 from markdown_it import MarkdownIt
 
+from paper.command import app as paper_app
 from ptnsbc_nodes.fleet.child_process import EXECUTABLES
 from ptnsbc_tools.cli import app
 
@@ -54,6 +55,8 @@ def test_ptnsbc(page, span, capsys):
     at_the_root = command is COMMANDS and words and re.fullmatch(r"[a-z]\w*", words[0])
     assert not at_the_root, f"{page}: `{span}`: no command {words[0]}"
     known = {option for one in command.params for option in (*one.opts, *one.secondary_opts)}
+    if command is COMMANDS.commands["reproduce"]:
+        known |= {option for one in typer.main.get_command(paper_app).params for option in one.opts}
     if command is COMMANDS.commands["node"] and words and words[0] != "NAME":
         known |= _options_of_a_process(words[0], capsys)
     given = {word for word in re.findall(r"(?:^|[\s|])(--[a-z][\w-]*)", " ".join(words))}

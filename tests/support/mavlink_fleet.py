@@ -11,6 +11,9 @@ from collections import deque
 
 import numpy as np
 
+from ptnsbc_autopilot.launch import KINDS, Fleet, starts
+from ptnsbc_autopilot.server import Codec
+from ptnsbc_autopilot.vehicle import COMPANION, IMPOSTOR
 from ptnsbc_core.curves.trajectory import reference
 from ptnsbc_io.mavlink.link import MavlinkLink
 from ptnsbc_io.mavlink.transport import Packet
@@ -27,9 +30,6 @@ from ptnsbc_nodes.uav.controller import UavController, step_time
 from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS
 from ptnsbc_nodes.uav.roles import role_holder
 from ptnsbc_nodes.uav.slots import SlotHolder
-from ptnsbc_sim.autopilot.launch import KINDS, Fleet, starts
-from ptnsbc_sim.autopilot.server import Codec
-from ptnsbc_sim.autopilot.vehicle import COMPANION, IMPOSTOR
 from ptnsbc_sim.own_uav import UavFunctions
 from ptnsbc_sim.scenario import agent_config, load_scenario
 

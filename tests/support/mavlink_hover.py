@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from mavlink_fleet import BASE_NS, START_S, STEP_S, Wire
 
+from ptnsbc_autopilot.launch import KINDS, Fleet, starts
+from ptnsbc_autopilot.server import Codec
+from ptnsbc_autopilot.vehicle import COMPANION
 from ptnsbc_io.mavlink.link import MavlinkLink
 from ptnsbc_nodes.bridge.bridge import WANTED_MESSAGES
 from ptnsbc_nodes.bridge.ports import Clocks
 from ptnsbc_nodes.bridge.tuning.hover_test import HoverTest
-from ptnsbc_sim.autopilot.launch import KINDS, Fleet, starts
-from ptnsbc_sim.autopilot.server import Codec
-from ptnsbc_sim.autopilot.vehicle import COMPANION
 from ptnsbc_sim.scenario import load_scenario
 
 NAMES = {"px4": "px4", "arducopter": "ardupilot", "stm32": "generic"}

@@ -154,7 +154,7 @@ def _shown(fault: FaultBlock) -> str:
 
 def _strike_stand_in(fault: FaultBlock, control: int | None) -> None:
     """Tell a stand-in, whose system id is the number of its UAV unless the scenario says otherwise."""
-    from ptnsbc_sim.autopilot.faults import send_fault
+    from ptnsbc_autopilot.faults import send_fault
 
     if control is None:
         raise InjectError(

@@ -1,82 +1,34 @@
-"""`ptnsbc reproduce`: fly the paper again, draw its figures, judge its claims."""
+"""`ptnsbc reproduce`: the command of a clone, whose folder `paper/` has the experiments."""
 
 from __future__ import annotations
 
-import shlex
+import sys
+from importlib import import_module
 from pathlib import Path
-from typing import Annotated
 
 import typer
 
-from ptnsbc_tools.options import JsonOption, SetOption
-from ptnsbc_tools.reproduce.catalogue import EXPERIMENTS
+from ptnsbc_core.errors import PtnsbcError
 
-_NAMES = ", ".join(one.name for one in EXPERIMENTS)
+CLONE = Path(__file__).resolve().parents[3]
+SETTINGS = {"ignore_unknown_options": True, "allow_extra_args": True, "help_option_names": []}
 
 
-def reproduce(
-    folder: Annotated[
-        Path, typer.Option("--output", "-o", metavar="DIR", help="Folder for everything made.")
-    ] = Path("out/reproduce"),
-    only: Annotated[
-        list[str] | None,
-        typer.Option("--only", metavar="NAME", help=f"This part alone, repeatable: {_NAMES}."),
-    ] = None,
-    jobs: Annotated[
-        int,
-        typer.Option(
-            "--workers", "-j", "--jobs", metavar="N", min=1, max=64, help="Processes at a time."
-        ),
-    ] = 2,
-    docs: Annotated[
-        Path | None,
-        typer.Option(
-            "--docs",
-            metavar="DIR",
-            help="Write DIR/results.md, DIR/envelope.md and their pictures too.",
-        ),
-    ] = None,
-    settings: SetOption = None,
-    json: JsonOption = False,
-) -> None:
+class NoCloneError(PtnsbcError):
+    """The packages are installed without the repository."""
+
+
+def reproduce(context: typer.Context) -> None:
     """Fly the paper again: its figures, the baselines, our ablations, and a verdict on each claim.
 
-    Writes figures (PNG, SVG), every curve in them (CSV), the table of every sweep (Parquet),
-    results.md, envelope.md and results.json. The same
-    command gives the same bytes, except for what is measured by the clock: timing.json and the
-    part `cost` of results.md.
+    All words are those of `paper/`, `--help` too.
     """
-    from ptnsbc_tools import console, options
-    from ptnsbc_tools.reproduce import output
-    from ptnsbc_tools.reproduce.catalogue import select
-
-    experiments = select(only)
-    changes = options.overrides(settings=settings)
-    output.check_free(folder, [one.name for one in experiments])
-    # Not above: this loads the laws, and a refusal does not wait for them.
-    from ptnsbc_tools.reproduce import flights, report, runner
-
-    with flights.using(changes), output.temporary_folder(folder) as place:
-        with console.compiling():  # once here, or every process would compile for itself
-            flights.compile_laws()
-        with runner.progress_shown(experiments) as on_progress:
-            results = runner.run_all(experiments, place, jobs, on_progress, changes)
-        origin = report.Origin.of(_command(only, docs, settings))
-        report.write(origin, results, place)
-        if docs is not None:
-            report.write_docs(origin, results, place, docs)
-    if json:
-        console.print_json({**report.summary(results), "folder": str(folder)})
-        return
-    console.out().print(report.claims_table(results))
-    print(f"results: {folder / 'results.md'}")
-
-
-def _command(only: list[str] | None, docs: Path | None, settings: list[str] | None) -> str:
-    """The command line that repeats this run, without the options that change no result."""
-    words = ["ptnsbc", "reproduce"]
-    for name in only or ():
-        words += ["--only", name]
-    for setting in settings or ():
-        words += ["--set", setting]
-    return shlex.join(words + (["--docs", str(docs)] if docs else []))
+    if not (CLONE / "paper" / "command.py").is_file():
+        raise NoCloneError(
+            f"{CLONE}/paper: there is no such folder: expected a clone of the repository; "
+            "run ptnsbc reproduce from its .venv (make setup)"
+        )
+    sys.path.insert(0, str(CLONE))
+    import_module("paper.command").app(
+        context.args, prog_name="ptnsbc reproduce", standalone_mode=False
+    )

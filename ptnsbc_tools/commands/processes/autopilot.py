@@ -11,9 +11,9 @@ import typer
 from ptnsbc_tools import console
 
 if TYPE_CHECKING:
-    from ptnsbc_sim.autopilot.faults import TimedFault
-    from ptnsbc_sim.autopilot.launch import Options
-    from ptnsbc_sim.autopilot.server import VehicleServer
+    from ptnsbc_autopilot.faults import TimedFault
+    from ptnsbc_autopilot.launch import Options
+    from ptnsbc_autopilot.server import VehicleServer
 
 Kind = Literal["px4", "ardupilot", "generic", "arducopter", "stm32"]
 _EARLIER = {"ardupilot": "arducopter", "generic": "stm32"}  # the stand-ins' own names
@@ -140,8 +140,8 @@ def autopilot(
 
     For tests and demonstrations without hardware. Runs until Ctrl-C.
     """
-    from ptnsbc_sim.autopilot.faults import parse_timed_fault
-    from ptnsbc_sim.autopilot.launch import Fleet, Network, Options, parse_address, parse_parameter
+    from ptnsbc_autopilot.faults import parse_timed_fault
+    from ptnsbc_autopilot.launch import Fleet, Network, Options, parse_address, parse_parameter
 
     fleet = Fleet(count, scenario, gnss, origin_spread, yaw, seed, battery)
     address = parse_address(gcs, "gcs") if gcs else None
@@ -153,11 +153,11 @@ def autopilot(
 
 def run(options: Options, control_port: int | None, timed: list[TimedFault]) -> None:
     """Build the vehicles, open the ports and serve them."""
+    from ptnsbc_autopilot.faults import FaultPort
+    from ptnsbc_autopilot.launch import stations
+    from ptnsbc_autopilot.server import serve
     from ptnsbc_nodes.runtime import environment
     from ptnsbc_nodes.runtime.signals import StopRequest
-    from ptnsbc_sim.autopilot.faults import FaultPort
-    from ptnsbc_sim.autopilot.launch import stations
-    from ptnsbc_sim.autopilot.server import serve
 
     began = time.monotonic()
 

@@ -7,14 +7,14 @@ pytest.importorskip("pymavlink")
 
 from mavlink_fleet import AUTOPILOTS, BASE_NS, START_S, MavlinkFleet, scenario
 
+from ptnsbc_autopilot.faults import inject
+from ptnsbc_autopilot.server import Codec
+from ptnsbc_autopilot.vehicle import COMPANION
 from ptnsbc_io.mavlink.autopilots import FlightMode
 from ptnsbc_io.mavlink.dialect import mavlink
 from ptnsbc_io.wire import OdometryTemplate
 from ptnsbc_nodes.bridge.procedure.steps import Step
 from ptnsbc_nodes.emergency.orders import Order
-from ptnsbc_sim.autopilot.faults import inject
-from ptnsbc_sim.autopilot.server import Codec
-from ptnsbc_sim.autopilot.vehicle import COMPANION
 from ptnsbc_sim.scenario import load_scenario
 
 

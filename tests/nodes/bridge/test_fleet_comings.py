@@ -7,9 +7,9 @@ pytest.importorskip("pymavlink")
 
 from mavlink_fleet import MavlinkFleet
 
+from ptnsbc_autopilot.faults import inject
 from ptnsbc_core.curves.trajectory import reference
 from ptnsbc_nodes.bridge.procedure.steps import Step
-from ptnsbc_sim.autopilot.faults import inject
 from ptnsbc_sim.scenario import agent_config, load_scenario
 from ptnsbc_sim.verdict import verdict_on
 

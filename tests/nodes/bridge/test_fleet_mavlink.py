@@ -10,9 +10,9 @@ pytest.importorskip("pymavlink")
 
 from mavlink_fleet import AUTOPILOTS, MavlinkFleet, scenario
 
+from ptnsbc_autopilot.faults import inject
 from ptnsbc_core.curves.trajectory import reference
 from ptnsbc_nodes.bridge.procedure.steps import Step, Stream
-from ptnsbc_sim.autopilot.faults import inject
 from ptnsbc_sim.scenario import agent_config, load_scenario
 from ptnsbc_sim.scenario.build import places_beside_leader
 from ptnsbc_sim.verdict import verdict_on

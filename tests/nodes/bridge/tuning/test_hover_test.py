@@ -6,11 +6,11 @@ pytest.importorskip("pymavlink")
 
 from mavlink_hover import HoverRig
 
+from ptnsbc_autopilot.faults import inject
 from ptnsbc_nodes.bridge.procedure.steps import Step
 from ptnsbc_nodes.bridge.tuning.excitation import TuneError
 from ptnsbc_nodes.bridge.tuning.settings import settings
 from ptnsbc_nodes.emergency.orders import KILL, Order
-from ptnsbc_sim.autopilot.faults import inject
 
 # Gain and lag [s] at 0.1, 0.25 and 0.5 Hz by the truth, without a link: docs/autopilot.md, and its test.
 TRUE = {

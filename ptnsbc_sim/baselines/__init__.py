@@ -1,6 +1,0 @@
-"""Baselines of the comparison (docs/method.md): other laws with the same plant, estimator and start."""
-
-from ptnsbc_sim.baselines.flights import LAWS, earliest_s, fly, fly_tuned, opened
-from ptnsbc_sim.baselines.settling import BaselineError, settled_s
-
-__all__ = ["LAWS", "BaselineError", "earliest_s", "fly", "fly_tuned", "opened", "settled_s"]

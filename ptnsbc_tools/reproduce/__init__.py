@@ -1,1 +1,0 @@
-"""`ptnsbc reproduce`: the paper's figures and claims, flown again and judged."""

@@ -1,0 +1,57 @@
+"""From parts to text: tables, claims, rounding."""
+
+import math
+
+from paper.experiment_result import (
+    Claim,
+    Column,
+    ExperimentResult,
+    Figure,
+    Table,
+    cell_text,
+    rounded,
+)
+from paper.report import Origin, results_page
+
+ORIGIN = Origin("ptnsbc reproduce", "abc", "def", "seed 1")
+TABLE = Table(
+    "t",
+    "A table",
+    (Column("name"), Column("x, m", 3)),
+    (("a", 1.23456), ("b", None)),
+    "It means it.",
+)
+CLAIM = Claim("k", "It flies", "5 s", "4 s", "holds when soft", "Fig. 5")
+PART = ExperimentResult(
+    "one", "Part one", "Text.", (Figure("f1", "Fig. 1", "first", telling=True), Figure("f2", "Fig. 2", "second")),
+    (TABLE,), (CLAIM,),
+)  # fmt: skip
+
+
+def test_cells() -> None:
+    assert cell_text(1.23456, 3) == "1.235"
+    assert cell_text(7) == "7"
+    assert cell_text(None) == "–"
+    assert cell_text("a | b") == "a | b"
+
+
+def test_rounding_reaches_everywhere_and_keeps_integers() -> None:
+    tree = {"a": [1.23456789, 2, (math.nan,)], "b": {"c": math.inf, "d": "x"}}
+    assert rounded(tree) == {"a": [1.23457, 2, [None]], "b": {"c": None, "d": "x"}}
+
+
+def test_a_document_has_claims_tables_and_the_asked_for_figures() -> None:
+    text = results_page(ORIGIN, [PART], images="img", all_figures=False)
+    assert "commit `abc`" in text
+    assert "| It flies | 5 s | 4 s | **holds when soft** | Fig. 5 |" in text
+    assert "| name | x, m |\n| --- | ---: |\n| a | 1.235 |\n| b | – |" in text
+    assert "It means it." in text
+    assert "(img/f1.png)" in text
+    assert "(img/f2.png)" not in text
+    assert "(img/f2.png)" in results_page(ORIGIN, [PART], images="img", all_figures=True)
+
+
+def test_what_is_timed_says_so() -> None:
+    timed = ExperimentResult("two", "Part two", "Text.", timed=True)
+    assert "by the clock" in results_page(ORIGIN, [timed], images="img", all_figures=True)
+    assert "by the clock" not in results_page(ORIGIN, [PART], images="img", all_figures=True)
