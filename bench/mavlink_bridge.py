@@ -22,7 +22,7 @@ from ptnsbc_io.mavlink.dialect import mavlink
 from ptnsbc_io.mavlink.link import MavlinkLink, Signer
 from ptnsbc_io.mavlink.transport import Address, Packet, connect
 from ptnsbc_nodes.bridge.bridge import WANTED_MESSAGES
-from ptnsbc_nodes.bridge.vehicle import VehicleMonitor
+from ptnsbc_nodes.bridge.vehicle_monitor import VehicleMonitor
 
 _KEY = bytes(range(32))
 _ARMED = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | mavlink.MAV_MODE_FLAG_SAFETY_ARMED

@@ -1,4 +1,4 @@
-"""The offset between the vehicle's clock and ours: by TIMESYNC, or without answers by the fastest messages.
+"""The vehicle's clock: its offset to ours by TIMESYNC, or without answers by the fastest messages; and its restarts.
 
 Both clocks are monotonic: ours is the steady clock of this host, the vehicle's is the time since its
 boot that every message carries. Steps of the wall clock by NTP have no effect.
@@ -16,6 +16,9 @@ _ONE_WAY_WINDOW_S = 5.0
 _JUMP_S = 0.5
 _JUMP_SAMPLES = 3
 _ANSWER_TIMEOUT_S = 5.0
+_BACKWARDS_S = 0.5
+_YOUNG_S = 60.0  # a clock that shows more has not just begun
+_DUPLICATE_STEPS, _DUPLICATE_WINDOW_S = 3, 3.0
 
 
 class TimeSync:
@@ -98,3 +101,45 @@ class TimeSync:
     def _round_trip_offset(self) -> float:
         # The fastest round trip was delayed least, so its middle is the most accurate.
         return min(self._trips)[1]
+
+
+class BootClock:
+    """The vehicle's time since boot: notices when it begins anew, and when it jumps to and fro."""
+
+    def __init__(self) -> None:
+        self._newest: tuple[float, float] | None = None  # time since boot, and when it arrived
+        self._unexpected_s: float | None = None  # a time since boot that does not follow it
+        self.restarted_s: float | None = None
+        self._backward_steps: deque[float] = deque(maxlen=_DUPLICATE_STEPS)
+
+    def update(self, boot_s: float, now_s: float) -> bool:
+        """Take a time since boot; returns whether it stepped back once.
+
+        One step back is an accident; two in a row are another boot. Messages that were held up make no
+        step: they arrive late, but in their order.
+        """
+        last_s, arrived_s = self._newest or (boot_s, now_s)
+        step_s, elapsed_s = boot_s - last_s, now_s - arrived_s
+        if -_BACKWARDS_S <= step_s <= elapsed_s + _BACKWARDS_S:
+            self._newest, self._unexpected_s = (boot_s, now_s), None
+            return False
+        went_back = step_s < 0.0
+        before_s, self._unexpected_s = self._unexpected_s, boot_s
+        if before_s is not None and abs(boot_s - before_s) < _BACKWARDS_S:
+            # A clock that shows its old time again has not begun anew: forged messages looked like it.
+            self.restarted_s = now_s if went_back and boot_s < _YOUNG_S else None
+            self._newest, self._unexpected_s = (boot_s, now_s), None
+            return False
+        if went_back:
+            self._backward_steps.append(now_s)
+        return went_back
+
+    @property
+    def young(self) -> bool:
+        """True if the vehicle has not been up for long, by its own clock; False while that is not known."""
+        return self._newest is not None and self._newest[0] < _YOUNG_S
+
+    def jumps_to_and_fro(self, now_s: float) -> bool:
+        """True if the time has stepped back several times just now."""
+        steps = self._backward_steps
+        return len(steps) == _DUPLICATE_STEPS and now_s - steps[0] <= _DUPLICATE_WINDOW_S

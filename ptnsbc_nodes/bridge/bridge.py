@@ -20,7 +20,6 @@ from ptnsbc_io.mavlink.autopilots import (
 from ptnsbc_io.mavlink.dialect import mavlink
 from ptnsbc_io.mavlink.link import MavlinkLink
 from ptnsbc_io.wire import decode_velocity, decode_wrench
-from ptnsbc_nodes.bridge.controller import ControllerSetpoints
 from ptnsbc_nodes.bridge.link_maintenance import LINK_MESSAGES, LinkMaintenance
 from ptnsbc_nodes.bridge.ports import BridgePorts
 from ptnsbc_nodes.bridge.procedure.companions import Companion
@@ -38,10 +37,9 @@ from ptnsbc_nodes.bridge.procedure.steps import (
 from ptnsbc_nodes.bridge.setpoint.setpoint_guard import allowed
 from ptnsbc_nodes.bridge.setpoint.setpoint_stream import SetpointStream, StreamInput
 from ptnsbc_nodes.bridge.setpoint.velocity_lead import VelocityLead, largest_kappa_1_s
-from ptnsbc_nodes.bridge.state_publisher import StatePublisher
-from ptnsbc_nodes.bridge.truth import TRUTH_MESSAGES
-from ptnsbc_nodes.bridge.vehicle import VEHICLE_MESSAGES, VehicleMonitor
-from ptnsbc_nodes.bridge.world import WorldFrame
+from ptnsbc_nodes.bridge.state_publisher import ControllerSetpoints, StatePublisher, WorldFrame
+from ptnsbc_nodes.bridge.vehicle_monitor import VEHICLE_MESSAGES, VehicleMonitor
+from ptnsbc_nodes.bridge.vehicle_pose import TRUTH_MESSAGES
 from ptnsbc_nodes.emergency.orders import APART
 from ptnsbc_sim.scenario import Scenario
 
@@ -274,7 +272,7 @@ class Bridge:
         leg, leaves = self._reference.leg(now_ns), self._reference.leaves(now_ns)
         companions = self.placement.companions
         percent = self._mavlink.battery_land_percent
-        battery_low = vehicle.battery_below(percent, now_s)
+        battery_low = vehicle.battery.below(percent, now_s)
         rival_s = self.link.duplicate_sysid_s
         rival = rival_s is not None and now_s - rival_s < _DUPLICATE_S
         return VehicleSnapshot(
@@ -296,12 +294,12 @@ class Bridge:
             unprepared="" if odometry is None else self.stream.unprepared(odometry),
             leg=None if leg is None else leg.name,
             leaves=leaves,
-            battery_low=f"battery at {vehicle.battery_percent:.0f} %, below {percent:g}"
+            battery_low=f"battery at {vehicle.battery.percent:.0f} %, below {percent:g}"
             if battery_low
             else "",
             fence_breach=self._fence_breach(),
             rebooted=vehicle.rebooted,
-            duplicate_sysid=vehicle.duplicate_sysid(now_s) or rival,
+            duplicate_sysid=vehicle.pose.clock.jumps_to_and_fro(now_s) or rival,
             stop_request="" if inputs.order.what == APART else inputs.order.what,
             hazard=self._hazard or ("told by another bridge" if inputs.order.what == APART else ""),
             apart=abs(self.state_publisher.height_over_world_m - self.stream.layer_m) < _APART_M,

@@ -10,7 +10,7 @@ from ptnsbc_io.mavlink.dialect import mavlink
 from ptnsbc_io.mavlink.link import AUTOPILOT_COMPONENT, MavlinkLink
 from ptnsbc_io.mavlink.timesync import TimeSync
 from ptnsbc_nodes.bridge.commands import Commands
-from ptnsbc_nodes.bridge.vehicle import VehicleMonitor
+from ptnsbc_nodes.bridge.vehicle_monitor import VehicleMonitor
 from ptnsbc_sim.scenario.mavlink import VehicleLink
 
 _HEARTBEAT_S = 1.0

@@ -346,7 +346,7 @@ class BridgeNode:
             self._unsubscribe_diagnostics()
         if self.bridge.procedure.step is Step.APART:
             self._tell_apart()  # again, for a bridge that has just met this one
-        battery = self.bridge.vehicle.battery
+        battery = self.bridge.vehicle.battery.newest
         if battery is not None:
             stamp_ns = self.bridge.ports.clocks.ros_ns()
             self._send_battery(vehicle_messages.encode_battery(stamp_ns, *battery))

@@ -67,7 +67,7 @@ def bridge_status(
 
 def _flight_values(bridge: Bridge, record: VehicleRecord) -> dict[str, str]:
     """The step of the flight, and the state of the vehicle."""
-    report, battery = bridge.report, bridge.vehicle.battery_percent
+    report, battery = bridge.report, bridge.vehicle.battery.percent
     place = "" if report.position is None else " ".join(map("{:.3f}".format, report.position))
     return {
         "step": bridge.procedure.step.value,
@@ -83,7 +83,7 @@ def _flight_values(bridge: Bridge, record: VehicleRecord) -> dict[str, str]:
         "position_error_m": f"{report.error_m:.3f}",
         "height_m": f"{report.height_m:.3f}",
         "battery_percent": "" if battery is None else f"{battery:.0f}",
-        "fix": bridge.vehicle.fix,
+        "fix": bridge.vehicle.gnss.fix,
     }
 
 

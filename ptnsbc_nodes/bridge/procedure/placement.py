@@ -10,7 +10,7 @@ from ptnsbc_core.types import Array
 from ptnsbc_nodes.bridge.procedure.companions import Companions, Position, StandingPlace
 from ptnsbc_nodes.bridge.setpoint.setpoint_guard import SetpointGuard
 from ptnsbc_nodes.bridge.state_publisher import StatePublisher
-from ptnsbc_nodes.bridge.vehicle import VehicleMonitor
+from ptnsbc_nodes.bridge.vehicle_monitor import VehicleMonitor
 from ptnsbc_sim.scenario import Scenario
 
 ON_GROUND_M = 0.5
@@ -48,7 +48,7 @@ class Placement:
     @property
     def error_m(self) -> float:
         """Uncertainty of the position, horizontally."""
-        error_m = self._vehicle.position_error_m
+        error_m = self._vehicle.gnss.error_m
         return self._mavlink.position_error_m if error_m is None else error_m
 
     @property

@@ -13,7 +13,6 @@ from ptnsbc_core.kinematics import velocity_enu, yaw_of
 from ptnsbc_core.types import AgentConfig, Array
 from ptnsbc_io.mavlink.autopilots import AUTOPILOTS, limits
 from ptnsbc_io.mavlink.setpoints import AttitudeTarget, SetpointMessages
-from ptnsbc_nodes.bridge.controller import SetpointReply
 from ptnsbc_nodes.bridge.procedure.steps import Stream
 from ptnsbc_nodes.bridge.setpoint.attitude_targets import (
     AttitudeResponse,
@@ -26,6 +25,7 @@ from ptnsbc_nodes.bridge.setpoint.velocity_lead import (
     FollowingEstimator,
     VelocityLead,
 )
+from ptnsbc_nodes.bridge.state_publisher import SetpointReply
 from ptnsbc_nodes.runtime.pacing import Latency
 from ptnsbc_sim.scenario.mavlink import Mavlink, VehicleLink
 

@@ -21,7 +21,7 @@ from ptnsbc_io.wire import OdometryTemplate, checked_near
 from ptnsbc_nodes.bridge.bridge import WANTED_MESSAGES
 from ptnsbc_nodes.bridge.node import BridgeNode, BridgeOptions, FlyingError
 from ptnsbc_nodes.bridge.procedure.steps import CommandRequest, Step, VehicleSnapshot
-from ptnsbc_nodes.bridge.vehicle import Battery
+from ptnsbc_nodes.bridge.vehicle_monitor import Battery
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.announcements import decode_order
 from ptnsbc_nodes.comm.endpoints import Endpoints
@@ -115,7 +115,7 @@ def test_the_battery_is_published_once_it_is_known(ros, active):
     viewer = Endpoints(ros.node("viewer"), lockstep=False)
     viewer.listen(topics.battery(UAV), bytes, heard.append)
     ros.spin_until(lambda: not viewer.unheard())
-    active.work.bridge.vehicle.battery = Battery(15.8, None, 75.0)
+    active.work.bridge.vehicle.battery.newest = Battery(15.8, None, 75.0)
     ros.spin_until(lambda: heard)
     message = deserialize_message(heard[0], BatteryState)
     assert (message.voltage, message.percentage) == (pytest.approx(15.8), 0.75)

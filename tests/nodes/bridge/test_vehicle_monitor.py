@@ -11,7 +11,7 @@ from mavlink_wires import attitude, heartbeat, position
 from ptnsbc_core.kinematics import velocity_enu, yaw_of
 from ptnsbc_io.mavlink.autopilots import ARDUPILOT, PX4, FlightMode
 from ptnsbc_io.mavlink.dialect import mavlink
-from ptnsbc_nodes.bridge.vehicle import VehicleMonitor
+from ptnsbc_nodes.bridge.vehicle_monitor import VehicleMonitor
 
 ARMED = mavlink.MAV_MODE_FLAG_SAFETY_ARMED
 
@@ -167,17 +167,17 @@ def test_messages_that_were_held_up_are_no_reboot():
         vehicle.on_message(attitude(20_000 + 20 * n), 100.0 + 0.02 * n)
     vehicle.on_message(heartbeat(), 107.5)
     assert not vehicle.rebooted
-    assert not vehicle.duplicate_sysid(107.5)
+    assert not vehicle.pose.clock.jumps_to_and_fro(107.5)
 
 
 def test_two_vehicles_with_one_id_are_time_to_and_fro():
     vehicle = VehicleMonitor(PX4)
     for n in range(3):
         vehicle.on_message(attitude(90_000 + n), 100.0 + 0.1 * n)
-        assert not vehicle.duplicate_sysid(100.0 + 0.1 * n)
+        assert not vehicle.pose.clock.jumps_to_and_fro(100.0 + 0.1 * n)
         vehicle.on_message(attitude(5_000 + n), 100.05 + 0.1 * n)
-    assert vehicle.duplicate_sysid(100.3)
-    assert not vehicle.duplicate_sysid(110.0)
+    assert vehicle.pose.clock.jumps_to_and_fro(100.3)
+    assert not vehicle.pose.clock.jumps_to_and_fro(110.0)
 
 
 def test_gps_battery_landing_and_texts():
@@ -186,27 +186,27 @@ def test_gps_battery_landing_and_texts():
     def gps(fix):
         return mavlink.MAVLink_gps_raw_int_message(0, fix, 0, 0, 0, 0, 0, 0, 0, 9)
 
-    assert vehicle.fix == ""  # no receiver was heard
+    assert vehicle.gnss.fix == ""  # no receiver was heard
     vehicle.on_message(gps(1), 0.0)
-    assert vehicle.fix == "none"
-    assert not vehicle.fix_lost(9.0)  # never had one: it flies without
+    assert vehicle.gnss.fix == "none"
+    assert not vehicle.gnss.fix_lost(9.0)  # never had one: it flies without
     vehicle.on_message(gps(6), 10.0)
-    assert vehicle.fix == "RTK fixed"
+    assert vehicle.gnss.fix == "RTK fixed"
     vehicle.on_message(gps(1), 11.0)
-    assert not vehicle.fix_lost(11.5)
-    assert vehicle.fix_lost(12.0)
+    assert not vehicle.gnss.fix_lost(11.5)
+    assert vehicle.gnss.fix_lost(12.0)
     status = mavlink.MAVLink_sys_status_message(0, 0, 0, 0, 0, 0, 15, 0, 0, 0, 0, 0, 0)
     vehicle.on_message(status, 0.0)
-    assert not vehicle.battery_below(20.0, 0.0)  # one reading may be a dip
-    assert vehicle.battery_below(20.0, 3.5)
-    assert not vehicle.battery_below(10.0, 4.0)
-    assert vehicle.battery == (None, 0.0, 15.0)
+    assert not vehicle.battery.below(20.0, 0.0)  # one reading may be a dip
+    assert vehicle.battery.below(20.0, 3.5)
+    assert not vehicle.battery.below(10.0, 4.0)
+    assert vehicle.battery.newest == (None, 0.0, 15.0)
     unknown = mavlink.MAVLink_sys_status_message(0, 0, 0, 0, 15_800, 1_234, -1, 0, 0, 0, 0, 0, 0)
     vehicle.on_message(unknown, 4.0)
-    assert vehicle.battery == (15.8, 12.34, 15.0)  # the share that was known last
+    assert vehicle.battery.newest == (15.8, 12.34, 15.0)  # the share that was known last
     cells = mavlink.MAVLink_battery_status_message(0, 0, 0, 0, [3_900] * 10, 900, 0, 0, 12)
     vehicle.on_message(cells, 5.0)
-    assert vehicle.battery == (15.8, 12.34, 12.0)
+    assert vehicle.battery.newest == (15.8, 12.34, 12.0)
     vehicle.on_message(mavlink.MAVLink_extended_sys_state_message(0, 2), 0.0)
     assert vehicle.landed is False
     for chunk, text in enumerate((b"Preflight Fail: ", b"no compass\t")):

@@ -1,0 +1,260 @@
+"""The reports of one flight controller: mode, battery, GNSS, origin, pose, reboots and duplicates.
+
+No sockets and no ROS: messages in, facts out, all times on our steady clock [s].
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable, Hashable, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ptnsbc_core.types import Array
+from ptnsbc_io.mavlink import frames
+from ptnsbc_io.mavlink.autopilots import AUTOPILOTS, Autopilot, FlightMode
+from ptnsbc_io.mavlink.dialect import mavlink
+from ptnsbc_io.mavlink.frames import GeoPoint
+from ptnsbc_nodes.bridge.vehicle_pose import ConfirmedValue, Pose, VehicleState
+
+_DEGREES_E7, _CENTI, _MILLI = 1e-7, 1e-2, 1e-3
+_NO_VOLTAGE = 65535  # UINT16_MAX: not sent
+_FIX_3D = 3
+_FIXES = {
+    1: "none",
+    2: "2D",
+    _FIX_3D: "3D",
+    4: "DGPS",
+    5: "RTK float",
+    6: "RTK fixed",
+    7: "static",
+    8: "PPP",
+}
+_NO_FIX_S = 1.0
+_LOW_BATTERY_S = 3.0
+_MULTIROTORS = (
+    mavlink.MAV_TYPE_GENERIC,
+    mavlink.MAV_TYPE_QUADROTOR,
+    mavlink.MAV_TYPE_COAXIAL,
+    mavlink.MAV_TYPE_HEXAROTOR,
+    mavlink.MAV_TYPE_OCTOROTOR,
+    mavlink.MAV_TYPE_TRICOPTER,
+    mavlink.MAV_TYPE_DODECAROTOR,
+    mavlink.MAV_TYPE_DECAROTOR,
+)
+
+
+class Battery(NamedTuple):
+    """The battery, as the vehicle reports it; None is a figure that it does not know."""
+
+    voltage_v: float | None = None
+    current_a: float | None = None  # drawn from it
+    percent: float | None = None  # left
+
+
+class Anchor(NamedTuple):
+    """A point known in both frames."""
+
+    place: GeoPoint
+    local_enu: Array  # (3,) the same point in the vehicle's local frame [m]
+
+
+class BatteryMonitor:
+    """The newest figures of the battery, and since when it is low."""
+
+    def __init__(self) -> None:
+        self.newest: Battery | None = None
+        self._low_since_s: float | None = None
+
+    @property
+    def percent(self) -> float | None:
+        """The remaining charge."""
+        return None if self.newest is None else self.newest.percent
+
+    def below(self, percent: float, now_s: float) -> bool:
+        """True if the charge has been below `percent` for some seconds."""
+        if self.percent is None or self.percent >= percent:
+            self._low_since_s = None
+            return False
+        self._low_since_s = now_s if self._low_since_s is None else self._low_since_s
+        return now_s - self._low_since_s >= _LOW_BATTERY_S
+
+    def on_status(self, message: Any) -> None:
+        """SYS_STATUS, in which -1 and the largest voltage stand for a figure that is not known."""
+        volts, amperes = message.voltage_battery, message.current_battery
+        percent = message.battery_remaining
+        self.newest = Battery(
+            volts * _MILLI if 0 < volts < _NO_VOLTAGE else None,
+            amperes * _CENTI if amperes >= 0 else None,
+            float(percent) if 0 <= percent <= 100 else self.percent,
+        )
+
+    def on_cells(self, message: Any) -> None:
+        """BATTERY_STATUS: its share counts; voltage and current are those of SYS_STATUS."""
+        if 0 <= message.battery_remaining <= 100:
+            percent = float(message.battery_remaining)
+            self.newest = (self.newest or Battery())._replace(percent=percent)
+
+
+class GnssMonitor:
+    """The receiver of the vehicle; `fix` is empty without one."""
+
+    def __init__(self) -> None:
+        self.fix = ""
+        self.error_m: float | None = None  # horizontally, as the receiver estimates it
+        self._had_fix = False
+        self._no_fix_since_s: float | None = None
+
+    def fix_lost(self, now_s: float) -> bool:
+        """True if a fix is gone; a vehicle that never had one needs none."""
+        since_s = self._no_fix_since_s
+        return self._had_fix and since_s is not None and now_s - since_s >= _NO_FIX_S
+
+    def on_message(self, message: Any, now_s: float) -> None:
+        """GPS_RAW_INT."""
+        if message.h_acc > 0:
+            self.error_m = message.h_acc * _MILLI
+        self.fix = _FIXES.get(message.fix_type, "")
+        if message.fix_type >= _FIX_3D:
+            self._had_fix, self._no_fix_since_s = True, None
+        elif self._no_fix_since_s is None:
+            self._no_fix_since_s = now_s
+
+
+class VehicleMonitor:
+    """The newest facts about one vehicle."""
+
+    def __init__(self, autopilot: Autopilot, *, signed: bool = True) -> None:
+        """`signed`: whether every message can be believed; otherwise a change needs two messages."""
+        self.autopilot = autopilot
+        self.heartbeat_s: float | None = None
+        self.wrong_vehicle = ""  # why this is not the expected vehicle
+        self.mode = FlightMode.OTHER
+        self.mode_name = ""
+        self.armed = False
+        self.landed: bool | None = None
+        self.anchor: Anchor | None = None
+        self.warning = ""  # newest STATUSTEXT that is a warning or an error
+        self.unhealthy = ""  # by SYS_STATUS; PX4 tells a companion no other reason
+        self.battery = BatteryMonitor()
+        self.gnss = GnssMonitor()
+        self.pose = Pose(signed=signed)
+        self._signed = signed
+        self._confirmed: Mapping[str, ConfirmedValue] = defaultdict(ConfirmedValue)
+        self._booting = False
+        self._chunks: dict[int, str] = {}
+
+    def heartbeat_age_s(self, now_s: float) -> float:
+        """Infinite before the first HEARTBEAT."""
+        return float("inf") if self.heartbeat_s is None else now_s - self.heartbeat_s
+
+    @property
+    def rebooted(self) -> bool:
+        """True if the vehicle's clock began anew and it is disarmed since, or it says BOOT with a young clock.
+
+        A disarmed PX4 says UNINIT while its checks fail, so that is no sign of a boot.
+        """
+        clock, heartbeat_s = self.pose.clock, self.heartbeat_s
+        restarted_s = clock.restarted_s
+        if self.armed or restarted_s is None or heartbeat_s is None or heartbeat_s < restarted_s:
+            return self._booting and clock.young
+        return True
+
+    @property
+    def unconfirmed(self) -> bool:
+        """True if the newest HEARTBEAT brought a change that the next one must confirm."""
+        return not self._signed and self._confirmed["heartbeat"].unconfirmed
+
+    def on_message(self, message: Any, now_s: float) -> VehicleState | None:
+        """Take in a message; returns the vehicle's new state when the message completes one."""
+        handler = _HANDLERS.get(message.get_type())
+        return handler(self, message, now_s) if handler else None
+
+    def _believes(self, kind: str, value: Hashable) -> bool:
+        return self._signed or self._confirmed[kind].accepts(value)
+
+    def _on_heartbeat(self, message: Any, now_s: float) -> None:
+        if message.autopilot == mavlink.MAV_AUTOPILOT_INVALID:
+            return  # a gimbal or a camera with the autopilot's component id
+        m, autopilot = message, self.autopilot
+        value = (m.type, m.autopilot, m.base_mode, m.custom_mode, m.system_status)
+        if not self._believes("heartbeat", value):
+            return
+        self.heartbeat_s = now_s
+        self._booting = m.system_status == mavlink.MAV_STATE_BOOT
+        self.armed = bool(m.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
+        self.mode = autopilot.mode(m.base_mode, m.custom_mode)
+        own = self.mode is FlightMode.OWN
+        other = f"{self.mode.value} (custom_mode {m.custom_mode})"
+        self.mode_name = autopilot.own_mode if own else other
+        self.wrong_vehicle = ""
+        if m.autopilot != autopilot.number:
+            names = {known.number: known.name for known in AUTOPILOTS.values()}
+            self.wrong_vehicle = (
+                f"MAV_AUTOPILOT {m.autopilot} ({names.get(m.autopilot, 'unknown')}): "
+                f"expected {autopilot.name}, see mavlink.autopilot"
+            )
+        elif m.type not in _MULTIROTORS:
+            self.wrong_vehicle = f"MAV_TYPE {m.type}: expected a multirotor"
+
+    def _on_anchor(self, message: Any, now_s: float) -> None:
+        """GPS_GLOBAL_ORIGIN, and HOME_POSITION as long as there is none."""
+        local, kind = np.zeros(3), message.get_type()
+        if kind == "HOME_POSITION":
+            if self.anchor is not None and not self.anchor.local_enu.any():
+                return
+            local = frames.vector_ned_to_enu(np.array([message.x, message.y, message.z]))
+        latitude_deg, longitude_deg = message.latitude, message.longitude
+        place = GeoPoint(
+            latitude_deg * _DEGREES_E7, longitude_deg * _DEGREES_E7, message.altitude * _MILLI
+        )
+        if self._believes(kind, (place, *local.tolist())):
+            self.anchor = Anchor(place, local)
+
+    def _on_landed(self, message: Any, now_s: float) -> None:
+        state = message.landed_state
+        if self._believes("landed", state):
+            unknown = state == mavlink.MAV_LANDED_STATE_UNDEFINED
+            self.landed = None if unknown else state == mavlink.MAV_LANDED_STATE_ON_GROUND
+
+    def _on_status(self, message: Any, now_s: float) -> None:
+        self.battery.on_status(message)
+        bits = message.onboard_control_sensors_present & message.onboard_control_sensors_enabled
+        bits &= ~message.onboard_control_sensors_health
+        self.unhealthy = ", ".join(
+            entry.name.removeprefix("MAV_SYS_STATUS_")
+            .removeprefix("SENSOR_")
+            .lower()
+            .replace("_", " ")
+            for bit, entry in mavlink.enums["MAV_SYS_STATUS_SENSOR"].items()
+            if bit and bits & bit == bit
+        )
+
+    def _on_text(self, message: Any, now_s: float) -> None:
+        """STATUSTEXT; PX4 sends long texts in chunks, with a tab at the end."""
+        if message.severity > mavlink.MAV_SEVERITY_WARNING:
+            return
+        text = str(message.text)
+        if getattr(message, "id", 0):
+            text = self._chunks.get(message.id, "") * bool(message.chunk_seq) + text
+            self._chunks = {message.id: text}
+        self.warning = text.strip()
+
+
+_HANDLERS: Mapping[str, Callable[[VehicleMonitor, Any, float], VehicleState | None]] = {
+    "HEARTBEAT": VehicleMonitor._on_heartbeat,
+    "SYSTEM_TIME": lambda vehicle, message, now_s: vehicle.pose.on_time(message, now_s),
+    "ATTITUDE": lambda vehicle, message, now_s: vehicle.pose.on_attitude(message, now_s),
+    "ATTITUDE_QUATERNION": lambda vehicle, message, now_s: vehicle.pose.on_attitude(message, now_s),
+    "LOCAL_POSITION_NED": lambda vehicle, message, now_s: vehicle.pose.on_position(message, now_s),
+    "ODOMETRY": lambda vehicle, message, now_s: vehicle.pose.on_odometry(message, now_s),
+    "GPS_GLOBAL_ORIGIN": VehicleMonitor._on_anchor,
+    "HOME_POSITION": VehicleMonitor._on_anchor,
+    "EXTENDED_SYS_STATE": VehicleMonitor._on_landed,
+    "SYS_STATUS": VehicleMonitor._on_status,
+    "BATTERY_STATUS": lambda vehicle, message, _: vehicle.battery.on_cells(message),
+    "GPS_RAW_INT": lambda vehicle, message, now_s: vehicle.gnss.on_message(message, now_s),
+    "STATUSTEXT": VehicleMonitor._on_text,
+}
+VEHICLE_MESSAGES = tuple(_HANDLERS)
