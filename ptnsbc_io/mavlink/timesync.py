@@ -103,7 +103,7 @@ class TimeSync:
         return min(self._trips)[1]
 
 
-class BootClock:
+class VehicleClock:
     """The vehicle's time since boot: notices when it begins anew, and when it jumps to and fro."""
 
     def __init__(self) -> None:

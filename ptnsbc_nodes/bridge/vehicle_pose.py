@@ -19,7 +19,7 @@ from ptnsbc_core.types import ODOMETRY_SIZE, Array
 from ptnsbc_io.mavlink import frames
 from ptnsbc_io.mavlink.dialect import mavlink
 from ptnsbc_io.mavlink.frames import GeoPoint
-from ptnsbc_io.mavlink.timesync import BootClock
+from ptnsbc_io.mavlink.timesync import VehicleClock
 
 TRUTH_MESSAGES = ("HIL_STATE_QUATERNION", "SIM_STATE")
 """The true place of a simulated vehicle, of PX4 and of ArduPilot. Nothing flies by it; a real vehicle sends neither."""
@@ -93,7 +93,7 @@ class Pose:
     """The newest attitude and position; `signed`: whether every message can be believed."""
 
     def __init__(self, *, signed: bool) -> None:
-        self.clock = BootClock()
+        self.clock = VehicleClock()
         self.position_s: float | None = None  # when the newest position arrived
         self.quaternion_s = float("-inf")  # when the newest ATTITUDE_QUATERNION arrived
         self.invalid = 0
