@@ -182,6 +182,8 @@ class BridgeNode:
     def waiting_for(self) -> list[str]:
         """The things for which the formation waits; empty when it may begin."""
         missing = self.endpoints.unheard()
+        if not self.begun:
+            missing += self.endpoints.contested()
         if self._thread is None:
             missing.append(INACTIVE)
         if self.bridge.procedure.awaited:

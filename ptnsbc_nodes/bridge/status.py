@@ -144,7 +144,7 @@ def _concerns(bridge: Bridge, missing: Sequence[str], endpoints: Endpoints) -> I
         yield Concern(SafetyState.DEGRADED, warn, fault)
     if missing:
         yield Concern(SafetyState.NOMINAL, warn, f"waiting for {', '.join(missing)}")
-    if refused := endpoints.refusals.report() or endpoints.rivals():
+    if refused := endpoints.warning():
         yield Concern(SafetyState.DEGRADED, warn, refused)
     following = bridge.stream.following.found() if bridge.stream.lead is not None else None
     if following is not None and following.unlike:

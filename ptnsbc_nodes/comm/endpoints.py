@@ -19,8 +19,6 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 from ptnsbc_nodes.comm import qos, topics
 from ptnsbc_nodes.comm.door import Door, Refusals, opened
 from ptnsbc_nodes.comm.seal import Seal
-from ptnsbc_nodes.comm.senders.first import FirstSender
-from ptnsbc_nodes.comm.senders.hearing import first_sender, hear_first
 from ptnsbc_nodes.comm.topics import TF, Role, Topic, message_class
 
 # The last message alone is not enough: a node that joins late must learn the first epoch, and of every lost UAV.
@@ -31,6 +29,7 @@ _LOCKSTEP_STATUSES = 100  # of what is published 5 times a second: the sim is at
 # With a queue of one the messages of an outsider would push out the true one before it is taken.
 _STATE = qos.keep_last(32, reliable=False)
 _SENT = "sent "
+_UNNAMED = "_NODE_NAME_UNKNOWN_"  # of rmw_dds_common
 _AT_ONCE = Duration()
 _ACKED_LOOK_S = 0.005
 
@@ -62,6 +61,13 @@ class PublishCounters(NamedTuple):
     since_ns: int  # when `before` was counted, by the node's clock; -1: from the start
     before: dict[str, int]
     sent: dict[str, int]  # in all
+
+
+def _node_name(publisher: TopicEndpointInfo) -> str:
+    """The full name of the node of a publisher, as far as its participant has told it."""
+    if publisher.node_name == _UNNAMED:
+        return "an unknown node"
+    return f"{publisher.node_namespace.rstrip('/')}/{publisher.node_name}"
 
 
 def fleet_namespace(namespace: str) -> str:
@@ -105,7 +111,6 @@ class Endpoints:
         """`seal`: closes what is published and opens what is received; None in a fleet without one."""
         self._node = node
         self._seal = seal
-        self._first: dict[str, FirstSender] = {}  # by topic
         self._shared = set(topics.SEVERAL_PUBLISHERS)
         self.fleet = fleet_namespace(node.get_namespace())
         self._lockstep = lockstep
@@ -144,7 +149,7 @@ class Endpoints:
         required: bool = True,
         profile: QoSProfile | None = None,
     ) -> str:
-        """Subscribe to a topic, through a `Door`; without a seal only its first publisher is heard.
+        """Subscribe to a topic, through a `Door`.
 
         Args:
             topic: A `required` topic needs a publisher before the flight.
@@ -167,14 +172,6 @@ class Endpoints:
             raw=True,
             event_callbacks=qos.NO_READER_EVENTS,
         )
-        resolved = subscription.topic_name
-        if resolved not in self._first:
-            self._first[resolved] = first_sender(
-                self._node, resolved, topic, lockstep=self._lockstep
-            )
-        if self._seal is None and topic.name not in topics.SEVERAL_PUBLISHERS:
-            shared, first = self._shared, self._first[resolved]
-            hear_first(subscription, first, self.refusals, lambda: topic.name in shared)
         self._subscriptions.append(subscription)
         if required:
             self._awaited.append(subscription)
@@ -211,18 +208,27 @@ class Endpoints:
         """Several nodes publish this topic in this flight."""
         self._shared.add(topic.name)
 
-    def rivals(self) -> str:
-        """Second publishers of topics that have one publisher, as a warning; empty without any."""
+    def rivals(self) -> list[str]:
+        """Topics of one publisher that have several, with the nodes that publish them; nothing tells which is ours."""
+        rivals = []
         for subscription in self._subscriptions:
             name = subscription.topic_name
-            if name.removeprefix(self.fleet) in self._shared:
+            shared = name.removeprefix(self.fleet) in self._shared
+            if shared or subscription.get_publisher_count() < 2:
                 continue
-            first = self._first[name]
-            if first.kept is not None and subscription.get_publisher_count() < 2:
-                continue
-            if others := first.others():
-                return f"{name} has a second publisher: {' '.join(others)}"
-        return ""
+            nodes = sorted(map(_node_name, self._node.get_publishers_info_by_topic(name)))
+            if len(nodes) > 1:  # the graph may have lost one of them already
+                rivals.append(f"{name}: {' and '.join(nodes)} publish it")
+        return rivals
+
+    def warning(self) -> str:
+        """Messages that were refused since the last call, or else a rival; empty without any."""
+        refused = self.refusals.report()
+        return refused or "".join(f"second publisher of {one}" for one in self.rivals()[:1])
+
+    def contested(self) -> list[str]:
+        """Before a flight: what a fleet waits for that has no seal, and so believes whoever publishes."""
+        return [] if self._seal else [f"a single publisher of {one}" for one in self.rivals()]
 
     def begin(self, now_ns: int) -> None:
         """The first leg has been announced: from here on every message counts."""

@@ -130,15 +130,15 @@ ANSWERS = (
     FaultAnswer(
         "a second publisher of a topic that has one",
         (SIM, MAVLINK),
-        "each reader, by the GIDs",
-        f"with its first message; without one {_STATUS} after its discovery",
+        "each reader, by the graph",
+        f"{_STATUS} after its discovery",
         _DEGRADED,
-        "named with its node; its messages are refused, with `security: signed` by the seal",
+        "no flight begins; in flight named with its node; its messages are refused with `security: signed`",
         "when it is gone",
         (
             f"{_UAV}test_leg_services.py::test_with_a_seal_no_leg_of_an_outsider_counts",
-            f"{_ENDS}::test_a_second_publisher_of_a_command_is_refused_and_named_with_its_node",
-            f"{_ENDS}::test_forged_states_do_not_push_out_the_true_one_and_are_refused",
+            f"{_UAV}test_status.py::test_no_flight_begins_beside_a_rival_and_one_in_flight_is_named",
+            f"{_ENDS}::test_with_a_seal_the_messages_of_an_outsider_do_not_push_out_the_true_one",
         ),
     ),
     FaultAnswer(

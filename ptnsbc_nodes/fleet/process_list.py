@@ -201,7 +201,6 @@ def _recorder(options: FleetOptions, bag: Path, scenario_file: Path) -> ProcessC
         "--truth": options.scenario.imperfect or options.backend == "mavlink",
         "--slots": are_open(options.scenario),
         "--stream": options.scenario.takes_setpoints,
-        "--successors": options.scenario.reconfigures,
         "--punctual": _is_punctual(options),
         "--signed": options.scenario.file.security == "signed",
         "--overwrite": options.overwrite,

@@ -12,7 +12,6 @@ import re
 from collections.abc import Callable, Iterable, Iterator
 
 from rclpy.node import Node
-from rclpy.subscription import Subscription
 
 from ptnsbc_io import wire
 from ptnsbc_io.bag import BagWriter, TopicInfo
@@ -21,8 +20,6 @@ from ptnsbc_nodes.comm import qos, topics
 from ptnsbc_nodes.comm.announcements import decode_lost
 from ptnsbc_nodes.comm.endpoints import full_name
 from ptnsbc_nodes.comm.seal import Seal
-from ptnsbc_nodes.comm.senders.first import FirstSender
-from ptnsbc_nodes.comm.senders.hearing import first_sender, hear_first
 from ptnsbc_nodes.comm.tf import Transforms
 from ptnsbc_nodes.comm.topics import RECORDED, RECORDED_EVERY, SIM, Role, Topic
 from ptnsbc_nodes.recording.completeness import Completeness
@@ -95,11 +92,8 @@ class FleetRecorder(BagRecorder):
     ) -> None:
         """`silences`: UAV, first instant [ns] and the first after it, in which it is to send nothing."""
         super().__init__(node, writer, seal)
-        self._lockstep = lockstep
         self._acknowledged_ns = 0
         self._clock_ns = 0  # newest /clock of a lock-step flight
-        self._ends: dict[Topic, Subscription] = {}
-        self._first: list[FirstSender] = []
         recorded = tuple(recorded)
         quiet: dict[str, list[tuple[int, int]]] = {}
         for uav, first_ns, end_ns in silences:
@@ -121,7 +115,7 @@ class FleetRecorder(BagRecorder):
         for topic in recorded:
             record = self._in_order(topic, order) if order else self.on_arrival(topic, derived)
             profile = qos.recorder_profile(topic, lockstep=lockstep)
-            self._ends[topic] = self.subscribe(topic, full_name(node, topic), record, profile)
+            self.subscribe(topic, full_name(node, topic), record, profile)
         if order is not None:
             order.complete_ns = self._completeness.complete_ns
             latched = qos.recorder_profile(topics.LOST, lockstep=True)
@@ -132,24 +126,10 @@ class FleetRecorder(BagRecorder):
         else:  # in lock-step the bytes would depend on wall time: flushed by stamp
             self.flush_regularly()
 
-    def hear_first(self, several: Iterable[Topic]) -> None:
-        """Record what the first publisher of each topic sends, and of `several` everything: as the fleet hears it."""
-        of_several = topics.SEVERAL_PUBLISHERS.union(topic.name for topic in several)
-        for topic, end in self._ends.items():
-            if topic.name not in of_several:
-                first = first_sender(self._node, end.topic_name, topic, lockstep=self._lockstep)
-                hear_first(end, first, self.refusals)
-                self._first.append(first)
-
     @property
     def late(self) -> int:
         """Lock-step messages too late to be sorted in; above zero the bytes may differ."""
         return self._order.late if self._order else 0
-
-    @property
-    def lost(self) -> int:
-        """Messages that were sent and did not arrive, where the first publisher of each topic is heard."""
-        return sum(first.lost for first in self._first)
 
     def finish(self) -> None:
         """Write what is still held back; call before the writer is closed."""

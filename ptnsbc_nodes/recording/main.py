@@ -95,8 +95,6 @@ def _record(context: Context, options: argparse.Namespace, stop: StopRequest) ->
                 seal=required_seal() if options.signed else None,
                 silences=options.silent,
             )
-            if not options.signed:  # a seal tells better who is heard
-                recorder.hear_first([topics.EPOCH] if options.successors else [])
             print("ready", file=sys.stderr, flush=True)
             recorder.serve(executor, lambda: stop.came, _DRAIN_LIMIT_S)
             recorder.finish()
@@ -145,11 +143,6 @@ def _parser() -> argparse.ArgumentParser:
         "--slots", action="store_true", help="an epoch decides who takes which slot"
     )
     parser.add_argument("--stream", action="store_true", help="the leader takes setpoints")
-    parser.add_argument(
-        "--successors",
-        action="store_true",
-        help="successors of the leader announce the legs as well",
-    )
     parser.add_argument(
         "--draw",
         metavar="SCENARIO",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from inspect import Parameter, Signature
 from typing import Any
 
 import rclpy
@@ -13,7 +14,6 @@ from rclpy.context import Context
 from rclpy.executors import Executor
 from rclpy.node import Node
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
-from rclpy.subscription import Subscription
 
 from ptnsbc_io import wire
 from ptnsbc_io.bag import BagWriter, TopicInfo
@@ -21,7 +21,7 @@ from ptnsbc_io.bag.definitions import has_header
 from ptnsbc_nodes.comm import qos, topics
 from ptnsbc_nodes.comm.door import Door, Refusals
 from ptnsbc_nodes.comm.seal import Seal
-from ptnsbc_nodes.comm.topics import Topic
+from ptnsbc_nodes.comm.topics import Role, Topic
 from ptnsbc_nodes.runtime.executor import BoundedSpin, make_executor
 
 Derive = Callable[[str, bytes], bytes | None]
@@ -34,6 +34,31 @@ _LARGEST = 1 << 30  # bytes of a message: an image or a point cloud of any senso
 _LISTS = frozenset({topics.MARKERS.type, topics.TF.type})
 
 
+class NumberedDoor(Door[bytes]):
+    """A door that counts the messages that were sent between two that came: a publisher numbers its messages.
+
+    rclpy gives the number to a callback of two parameters, and the EventsExecutor of Jazzy gives it both as one tuple.
+    """
+
+    __slots__ = ("_newest", "lost")
+    __signature__ = Signature(
+        [Parameter(name, Parameter.POSITIONAL_ONLY) for name in ("data", "info")]
+    )
+
+    def __init__(self, *arguments: Any) -> None:
+        super().__init__(*arguments)
+        self._newest = self.lost = 0
+
+    def __call__(self, data: Any, info: Any = None) -> None:
+        """Record the message, or refuse it."""
+        if info is None:
+            data, info = data
+        newest, self._newest = self._newest, info["publication_sequence_number"] or 0
+        if 0 < newest < self._newest:  # else a publisher that was started again
+            self.lost += self._newest - newest - 1
+        super().__call__(data)
+
+
 class BagRecorder:
     """Subscriptions of a node that write into an open bag."""
 
@@ -41,21 +66,26 @@ class BagRecorder:
         self._seal = seal
         self.refusals = Refusals()
         self.received = 0
+        self._doors: list[NumberedDoor] = []  # of topics with one publisher
         self.after_each: Callable[[], None] = lambda: None  # called after each message
         self._node = node
         self._writer = writer
 
     def subscribe(
         self, topic: Topic, name: str, callback: Callable[[bytes], None], profile: QoSProfile
-    ) -> Subscription:
+    ) -> None:
         """Subscribe to the topic under its full name.
 
         Raises:
             ImportError, AttributeError: its message type is not installed.
         """
         # What was on a topic belongs into the bag, broken or not.
-        door = Door(name, self._opener(topic), callback, self.refusals, _LARGEST)
-        return self._node.create_subscription(
+        opener = bytes if self._seal is None else self._seal.opener(topic, lockstep=True)
+        door = Door(name, opener, callback, self.refusals, _LARGEST)
+        if topic.role is Role.STATE:
+            door = NumberedDoor(name, opener, callback, self.refusals, _LARGEST)
+            self._doors.append(door)
+        self._node.create_subscription(
             topics.message_class(topic),
             name,
             door,
@@ -64,8 +94,10 @@ class BagRecorder:
             event_callbacks=qos.NO_READER_EVENTS,
         )
 
-    def _opener(self, topic: Topic) -> Callable[[bytes], bytes]:
-        return bytes if self._seal is None else self._seal.opener(topic, lockstep=True)
+    @property
+    def lost(self) -> int:
+        """States that were sent and did not arrive."""
+        return sum(door.lost for door in self._doors)
 
     def flush_regularly(self) -> None:
         """Write to the disk by wall time."""

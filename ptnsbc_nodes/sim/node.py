@@ -97,9 +97,12 @@ class SimNode:
 
     def waiting_for(self) -> list[str]:
         """Topics without their other end."""
-        missing = self.endpoints.unheard()
-        early = self._options.recorded and not self._epochs.announced
-        return missing + self.endpoints.unread() if self._options.lockstep or early else missing
+        missing, early = self.endpoints.unheard(), not self._epochs.announced
+        if early:
+            missing += self.endpoints.contested()
+        if self._options.lockstep or (self._options.recorded and early):
+            missing += self.endpoints.unread()
+        return missing
 
     def _on_wrench(self, uav_id: int) -> Callable[[Stamped], None]:
         def on_wrench(wrench: Stamped) -> None:
@@ -226,7 +229,7 @@ class SimNode:
         hovering = "" if lockstep or not self._running else self._real_time.hovering(stamp_ns)
         values |= self.endpoints.refusals.values()
         message = f"waiting for {', '.join(missing)}" if missing else hovering
-        message = message or self.endpoints.refusals.report() or self.endpoints.rivals()
+        message = message or self.endpoints.warning()
         level = DiagnosticLevel.WARN if message else DiagnosticLevel.OK
         self._log.note(level, message)
         send = self._send_status if stamp_ns >= 0 else self._send_ready

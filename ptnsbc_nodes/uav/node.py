@@ -157,6 +157,8 @@ class UavNode:
         missing = self.endpoints.unheard()
         if not self._active:
             missing.append(INACTIVE)
+        if not self._epochs.announced:
+            missing += self.endpoints.contested()
         if self._options.lockstep:
             return missing + self.endpoints.unread()
         if self._options.recorded and not self._epochs.announced:

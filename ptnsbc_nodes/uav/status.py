@@ -124,7 +124,7 @@ class StatusPublisher:
             near_stale=flying and controller.near_stale,
             silent_estimates=" ".join(f"uav{i}" for i in silent),
             clock_offset=str(parts.timing.clock_offset.offset or ""),
-            intruder=parts.endpoints.refusals.report() or parts.endpoints.rivals(),
+            intruder=parts.endpoints.warning(),
             missed_ticks=missed,
             waiting_for=", ".join(missing),
             flying=flying,

@@ -1,7 +1,6 @@
 """What a process says it has sent."""
 
 import threading
-from functools import partial
 
 import numpy as np
 import pytest
@@ -96,99 +95,44 @@ def test_a_viewer_does_not_stand_in_for_a_node_that_is_not_found_yet(ros, reader
     ros.spin_until(lambda: not sender.unread())
 
 
-class Rivals:
-    """A node of the fleet that publishes a topic, an outsider that joins later, and a reader."""
-
-    def __init__(self, ros, topic, lockstep=False, seal=None, decode=wire.decode_header):
-        self.ros, self.topic, self.taken = ros, topic, []
-        self.ours, self.theirs, self.reader = (
-            Endpoints(ros.node(name), lockstep, key)
-            for name, key in (("uav1", seal), ("outsider", None), ("recorder", seal))
-        )
-        self.reader.listen(topic, decode, self.taken.append)
-        self.send = self.ours.publisher(topic, 1)
-        ros.spin_until(lambda: not self.ours.unread())
-        ros.spin_until(lambda: not self.reader.unheard())
-        assert self.reader.rivals() == ""
-
-    def heard(self, count):
-        return len(self.taken) == count
-
-    def join(self, ends=None):
-        ends = ends or self.theirs
-        send = ends.publisher(self.topic, 1)
-        self.ros.spin_until(lambda: not ends.unread())
-        self.ros.spin_until(lambda: self.reader._subscriptions[0].get_publisher_count() == 2)
-        return send
-
-
-@pytest.mark.parametrize("lockstep", [False, True])
-@pytest.mark.parametrize("topic", [topics.EPOCH, topics.TAKEN])
-def test_a_second_publisher_of_a_command_is_refused_and_named_with_its_node(ros, topic, lockstep):
-    rivals = Rivals(ros, topic, lockstep)
-    forge = rivals.join()
-    ros.spin_until(rivals.reader.rivals)
-    assert rivals.reader.rivals() == f"{topic.name} has a second publisher: /outsider"
-    forge(wire.HeaderTemplate("land").encode(7))
-    rivals.send(HEADER.encode(8))
-    refusals = rivals.reader.refusals
-    ros.spin_until(lambda: rivals.taken and refusals.counts)
-    assert [one.stamp_ns for one in rivals.taken] == [8]
-    assert refusals.newest == f"{topic.name}: is from a second publisher: /outsider"
-
-
-def test_forged_states_do_not_push_out_the_true_one_and_are_refused(ros):
-    rivals = Rivals(ros, topics.odom(1), decode=wire.decode_odometry)
-    forge = rivals.join()
-    rivals.send(ODOMETRY.encode(7, np.ones(13)))
-    for _ in range(10):  # before the reader has a chance to take one
-        forge(ODOMETRY.encode(8, np.ones(13)))
-    ros.spin_until(lambda: rivals.reader.refusals.counts["/uav1/odom"] == 10)
-    assert [one.stamp_ns for one in rivals.taken] == [7]
-
-
-def test_a_second_publisher_of_a_long_stream_is_refused_from_its_first_message_on(ros):
-    """As long as the first is alone its messages come without GIDs, which costs less."""
-    rivals = Rivals(ros, topics.odom(1), decode=wire.decode_odometry)
-    (subscription,) = rivals.reader._subscriptions
-    while subscription.by_gid:
-        sent = len(rivals.taken) + 1
-        rivals.send(ODOMETRY.encode(sent, np.ones(13)))
-        ros.spin_until(partial(rivals.heard, sent))
-    forge = rivals.join()
-    for k in range(5):
-        forge(ODOMETRY.encode(10**6, np.ones(13)))
-        rivals.send(ODOMETRY.encode(sent + k + 1, np.ones(13)))
-    refusals = rivals.reader.refusals
-    ros.spin_until(lambda: refusals.counts["/uav1/odom"] == 5 and rivals.heard(sent + 5))
-    assert [one.stamp_ns for one in rivals.taken] == [*range(1, sent + 6)]
-    assert subscription.by_gid
-
-
-@pytest.mark.parametrize("lockstep", [False, True])
-def test_a_process_that_was_started_again_is_heard(ros, lockstep):
-    """It has a new GID, and its node the name of the old one."""
-    rivals = Rivals(ros, topics.odom(1), lockstep, decode=wire.decode_odometry)
-    rivals.send(ODOMETRY.encode(7, np.ones(13)))
-    ros.spin_until(lambda: rivals.taken)
-    again = rivals.join(Endpoints(ros.node("uav1"), lockstep))
-
-    def heard():
-        again(ODOMETRY.encode(8, np.ones(13)))
-        return len(rivals.taken) > 1
-
-    ros.spin_until(heard)
+@pytest.mark.parametrize("seal", [None, Seal(bytes(32))])
+def test_rivals_are_named_with_their_nodes_and_a_fleet_without_a_seal_waits_for_their_end(
+    ros, seal
+):
+    """Two publishers may be of nodes with one name: a second fleet in the domain."""
+    topic = topics.odom(1)
+    reader = Endpoints(ros.node("reader"), False, seal)
+    reader.listen(topic, wire.decode_odometry, print)
+    names = ["sim", "outsider", "sim"]
+    nodes = []
+    for count, name in enumerate(names, start=1):
+        nodes.append(ros.node(name))
+        Endpoints(nodes[-1], False).publisher(topic, 1)
+        ros.spin_until(lambda n=count: reader._subscriptions[0].get_publisher_count() == n)
+        if count == 1:
+            assert (reader.rivals(), reader.contested(), reader.warning()) == ([], [], "")
+    named = f"{topic.name}: /outsider and /sim and /sim publish it"
+    ros.spin_until(lambda: reader.rivals() == [named])
+    assert reader.contested() == ([] if seal else [f"a single publisher of {named}"])
+    assert reader.warning() == f"second publisher of {named}"
+    for node in nodes[1:]:
+        ros.remove(node)
+    ros.spin_until(lambda: reader.rivals() == [])
 
 
 def test_all_publishers_of_a_shared_topic_are_heard(ros):
-    rivals = Rivals(ros, topics.EMERGENCY)
-    rivals.join()(wire.HeaderTemplate("land").encode(7))
-    ros.spin_until(lambda: rivals.taken)
-    assert rivals.reader.rivals() == ""
-    rivals = Rivals(ros, topics.SLOTS)
-    rivals.reader.shares(topics.SLOTS)
-    rivals.join()(wire.HeaderTemplate("1:1").encode(7))
-    ros.spin_until(lambda: rivals.taken)
+    taken, reader = [], Endpoints(ros.node("recorder"), lockstep=False)
+    reader.shares(topics.SLOTS)
+    for topic in (topics.EMERGENCY, topics.SLOTS):
+        reader.listen(topic, wire.decode_header, taken.append)
+    for name in ("ours", "theirs"):
+        ends = Endpoints(ros.node(name), lockstep=False)
+        for topic in (topics.EMERGENCY, topics.SLOTS):
+            ends.publisher(topic, 1)(HEADER.encode(7))
+            ros.spin_until(lambda ends=ends: not ends.unread())
+    ros.spin_until(lambda: len(taken) == 4)
+    assert all(end.get_publisher_count() == 2 for end in reader._subscriptions)
+    assert reader.rivals() == []
 
 
 def test_with_a_seal_an_outsider_that_was_there_first_does_not_keep_the_topic(ros):

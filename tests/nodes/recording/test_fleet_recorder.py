@@ -156,26 +156,6 @@ def test_lockstep_gives_the_same_bytes_whenever_a_leg_is_announced(ros, tmp_path
     assert len(contents) == 1
 
 
-@pytest.mark.parametrize("several", [(), (topics.odom(1),)])
-def test_what_a_second_publisher_sends_is_not_in_the_bag(ros, tmp_path, several):
-    """Nor does the fleet hear it; of a topic that several publish the bag has everything."""
-    odom, sent = topics.odom(1), messages(2)[topics.odom(1)]
-    infos = [topic_info(topic, lockstep=False) for topic in (odom, topics.TF)]
-    with BagWriter(tmp_path / "flight", infos) as writer:
-        node = ros.node("recorder")
-        recorder = FleetRecorder(node, writer, [odom], Transforms([1]), lockstep=False)
-        recorder.hear_first(several)
-        flight = Flight(ros, [odom], lockstep=False, recorder=node)
-        flight.publish(odom, sent[0])
-        ros.spin_until(lambda: recorder.received == 1)
-        outsider = Endpoints(ros.node("outsider"), lockstep=False)
-        outsider.publisher(odom, 1)(sent[1])
-        ros.spin_until(lambda: recorder.received == 2 or recorder.refusals.counts)
-        recorder.finish()
-    assert recorder.received == 1 + len(several)
-    assert sum(recorder.refusals.counts.values()) == 1 - len(several)
-
-
 def test_messages_that_a_full_queue_drops_are_counted(ros, tmp_path):
     odom = topics.odom(1)
     depth = qos.recorder_profile(odom, lockstep=False).depth
@@ -184,7 +164,6 @@ def test_messages_that_a_full_queue_drops_are_counted(ros, tmp_path):
     with BagWriter(tmp_path / "flight", infos) as writer:
         node = ros.node("recorder")
         recorder = FleetRecorder(node, writer, [odom], Transforms([1]), lockstep=False)
-        recorder.hear_first([])
         flight = Flight(ros, [odom], lockstep=False, recorder=node)
         flight.publish(odom, sent[0])
         ros.spin_until(lambda: recorder.received == 1)

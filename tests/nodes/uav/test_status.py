@@ -106,6 +106,27 @@ def test_no_flight_begins_by_clocks_that_differ(ros, scenario):
     assert f"s ahead of /uav{LEADER}/odom" in refused.message
 
 
+def test_no_flight_begins_beside_a_rival_and_one_in_flight_is_named(ros, scenario):
+    """A fleet without a seal believes whoever publishes."""
+    others = Others(ros, scenario, LEADER, lockstep=False)
+    rivals = f"publisher of /uav{LEADER}/odom: /outsider and /uav2/others publish it"
+
+    def told(text):
+        others.odom(time.time_ns())
+        return others.status and text in others.status[-1][1]
+
+    for begun in (False, True):
+        outsider = ros.node("outsider")
+        Endpoints(outsider, lockstep=False).publisher(topics.odom(LEADER), 0)
+        ros.spin_until(lambda: told(f"second {rivals}"))
+        assert told(f"a single {rivals}") == (not begun)
+        answer = call(ros, others.node, "start")
+        assert (answer.success, rivals in answer.message) == (begun, not begun)
+        ros.remove(outsider)
+        ros.spin_until(lambda: not told(rivals))
+        assert call(ros, others.node, "start").success
+
+
 def test_real_time_a_follower_whose_parent_is_silent_says_that_it_holds_and_goes_on(ros, scenario):
     others = Others(ros, scenario, FOLLOWER, lockstep=False)
     others.form(time.time_ns())
