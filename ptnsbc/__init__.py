@@ -17,7 +17,7 @@ from ptnsbc_sim.sweep.family import families
 from ptnsbc_sim.verdict import Verdict
 from ptnsbc_tools.check import Finding
 from ptnsbc_tools.doctor import examine as doctor
-from ptnsbc_tools.library.bags import merge, repair, rerun, trim
+from ptnsbc_tools.library.bags import repair, rerun, trim
 from ptnsbc_tools.library.export import export
 from ptnsbc_tools.library.flight import Flight
 from ptnsbc_tools.library.flying import (
@@ -56,7 +56,6 @@ __all__ = [
     "report",
     "rerun",
     "trim",
-    "merge",
     "repair",
     "Scenario",
     "CheckReport",

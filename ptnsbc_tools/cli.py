@@ -46,6 +46,8 @@ from ptnsbc_tools.commands.processes.tune import tune
 from ptnsbc_tools.quick_start import help_asked, keep_only, spare_unused
 
 _REFUSED, _INTERRUPTED = 2, 130
+_REPLACED = {"--out": "--output", "--jobs": "--workers", "--key": "--signing-key"}
+"""Options of earlier versions, and those of today."""
 _STARTS_PROCESSES = ("fleet", "demo", "node", "view", "tune")
 
 
@@ -73,6 +75,13 @@ class _Commands(TyperGroup):
         except PtnsbcError as error:
             line = " ".join(str(error).split())
             console.say(f"error: {line}")
+            code = _REFUSED
+            raise typer.Exit(_REFUSED) from None
+        except Exception as error:
+            option = getattr(error, "option_name", "")  # of Click's NoSuchOption
+            if option not in _REPLACED:
+                raise
+            console.say(f"error: {option}: no such option: expected {_REPLACED[option]}")
             code = _REFUSED
             raise typer.Exit(_REFUSED) from None
         except KeyboardInterrupt:

@@ -49,6 +49,8 @@ def regions() -> dict[str, str]:
 def commands(of: Typer, before: str = "") -> Iterator[tuple[str, Callable[..., Any]]]:
     """The name of every command and the function behind it."""
     for one in of.registered_commands:
+        if one.hidden:
+            continue
         assert one.callback is not None
         yield f"{before}{one.name or one.callback.__name__.replace('_', '-')}", one.callback
     for group in of.registered_groups:

@@ -1,4 +1,4 @@
-"""Bags: the functions behind `ptnsbc bag trim`, `merge` and `repair`, and `ptnsbc replay --rerun`."""
+"""Bags: the functions behind `ptnsbc bag trim` and `repair`, and `ptnsbc replay --rerun`."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ptnsbc_io import bag as bags
-from ptnsbc_io.bag import BagError, cut
+from ptnsbc_io.bag import cut
 from ptnsbc_io.bag import repair as repairs
 from ptnsbc_sim.law import LawError, load_law
 from ptnsbc_sim.scenario import Scenario, ScenarioError
@@ -57,34 +57,6 @@ def trim(
         return cut.trim(
             Path(bag), Path(output), first_ns, last_ns, overwrite=overwrite, advance=advance
         )
-
-
-def merge(
-    sources: Sequence[str | Path],
-    output: str | Path,
-    *,
-    overwrite: bool = False,
-    progress: bool | None = None,
-) -> int:
-    """Write several bags of one flight into one, as `ptnsbc bag merge`, in the order of their times.
-
-    Args:
-        sources: two or more bags of one flight.
-        output: folder of the new bag.
-        overwrite: replace an existing bag.
-        progress: show progress on stderr; by default in a terminal and in a notebook.
-
-    Returns:
-        The number of messages.
-
-    Raises:
-        BagError: fewer than two bags, one of them twice, or two that contradict each other.
-    """
-    paths = [Path(one) for one in sources]
-    if len(paths) < 2:
-        raise BagError(f"{', '.join(map(str, paths)) or 'no bag'}: expected two or more to merge")
-    with console.progress("merging", progress) as advance:
-        return cut.merge(paths, Path(output), overwrite=overwrite, advance=advance)
 
 
 def repair(

@@ -12,15 +12,12 @@ from numpy.typing import NDArray
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_tools.files import replacing
 from ptnsbc_tools.library.flight import Flight
-from ptnsbc_tools.library.rerun_file import write_rerun
-from ptnsbc_tools.library.ulog_file import write_ulog
 
 if TYPE_CHECKING:  # half the memory of an export of a flight
     from ptnsbc_tools.library.sweeping import Sweep
 
 FORMATS = (".csv", ".parquet")
-OF_A_FLIGHT = {".rrd": write_rerun, ".ulg": write_ulog}
-"""Recordings for other programs, Rerun and PlotJuggler: of a flight, not of a sweep."""
+_READ_MCAP = {".rrd": "Rerun", ".ulg": "PlotJuggler"}
 
 
 class ExportError(PtnsbcError):
@@ -29,9 +26,12 @@ class ExportError(PtnsbcError):
 
 def checked(path: Path) -> Path:
     """The path, when its suffix names a format; ExportError else."""
-    if path.suffix.lower() not in (*FORMATS, *OF_A_FLIGHT):
+    suffix = path.suffix.lower()
+    if suffix not in FORMATS:
+        viewer = _READ_MCAP.get(suffix)
+        way = f"; {viewer} opens the .mcap file of the bag itself" if viewer else ""
         raise ExportError(
-            f"{path}: suffix {path.suffix or 'missing'}: expected .csv, .parquet, .rrd or .ulg"
+            f"{path}: suffix {suffix or 'missing'}: expected {' or '.join(FORMATS)}{way}"
         )
     return path
 
@@ -41,22 +41,14 @@ def export(source: Flight | Sweep, file: str | Path) -> Path:
 
     Args:
         source: a flight, or a sweep.
-        file: FILE.csv or FILE.parquet; of a flight also FILE.rrd for Rerun or FILE.ulg for PlotJuggler.
+        file: FILE.csv or FILE.parquet.
 
     Raises:
-        ExportError: no such format, or a sweep as .rrd or .ulg.
-        LibraryMissingError: rerun-sdk or pyulog is not installed.
+        ExportError: no such format.
         OutputFileError: the file cannot be written.
     """
     path = checked(Path(file))
-    if not isinstance(source, Flight):
-        if path.suffix.lower() in OF_A_FLIGHT:
-            raise ExportError(f"{path}: a sweep: expected .csv or .parquet")
-        write(of_sweep(source), path)
-    elif one := OF_A_FLIGHT.get(path.suffix.lower()):
-        one(source, path)
-    else:
-        write(of_flight(source), path)
+    write(of_flight(source) if isinstance(source, Flight) else of_sweep(source), path)
     return path
 
 

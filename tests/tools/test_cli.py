@@ -113,6 +113,22 @@ def test_errors_are_one_line_and_two(words: tuple[str, ...]) -> None:
 
 
 @pytest.mark.parametrize(
+    ("words", "instead"),
+    [
+        (("demo", "--out", "x"), "--output"),
+        (("reproduce", "--jobs", "2"), "--workers"),
+        (("autopilot", "--key", "x"), "--signing-key"),
+        (("bag", "merge", "a", "b", "-o", "c"), "mcap merge"),
+        (("export", "bags/sample", "-o", "a.rrd"), "Rerun opens the .mcap file"),
+    ],
+)
+def test_what_is_gone_names_what_to_use_instead(words: tuple[str, ...], instead: str) -> None:
+    code, out, err = run(*words)
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert err.startswith("error: ") and instead in err
+
+
+@pytest.mark.parametrize(
     "words", [("check",), ("check", "paper_5", "--task", "dance"), ("dance",), ("check", "a", "b")]
 )
 def test_usage_errors_are_two(words: tuple[str, ...]) -> None:

@@ -1,4 +1,4 @@
-"""`ptnsbc bag`: show, repair, trim and merge bags."""
+"""`ptnsbc bag`: show, repair and trim bags."""
 
 from __future__ import annotations
 
@@ -16,7 +16,9 @@ if TYPE_CHECKING:
     from ptnsbc_io.bag import Bag
     from ptnsbc_io.bag.repair import Repaired
 
-app = typer.Typer(no_args_is_help=True, help="Show, repair, trim or merge bags.")
+ANY_WORDS = {"ignore_unknown_options": True, "allow_extra_args": True}
+
+app = typer.Typer(no_args_is_help=True, help="Show, repair or trim bags.")
 
 
 @app.command()
@@ -75,15 +77,12 @@ def repair(
         _show_repair(made)
 
 
-_Output = Annotated[
-    Path, typer.Option("--output", "-o", metavar="DIR", help="Folder of the new bag.")
-]
-
-
 @app.command()
 def trim(
     bag: BagArgument,
-    output: _Output,
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="DIR", help="Folder of the new bag.")
+    ],
     begin: Annotated[
         float,
         typer.Option(
@@ -114,30 +113,21 @@ def trim(
     from ptnsbc_tools.library import bags as library
 
     count = library.trim(bag, output, begin, end, overwrite=overwrite, progress=True)
-    _show_written(count, output, json=json)
-
-
-@app.command()
-def merge(
-    bags: Annotated[
-        list[Path], typer.Argument(metavar="BAG...", help="Two or more bags of one flight.")
-    ],
-    output: _Output,
-    overwrite: OverwriteOption = False,
-    json: JsonOption = False,
-) -> None:
-    """Write several bags of one flight into one, in the order of their times."""
-    from ptnsbc_tools.library import bags as library
-
-    count = library.merge(bags, output, overwrite=overwrite, progress=True)
-    _show_written(count, output, json=json)
-
-
-def _show_written(count: int, output: Path, *, json: bool) -> None:
     if json:
         console.print_json({"bag": str(output), "messages": count})
     else:
         print(f"{console.counted(count, 'message')}: {output}")
+
+
+@app.command(hidden=True, context_settings=ANY_WORDS)
+def merge() -> None:
+    """Refused: other programs merge bags."""
+    from ptnsbc_io.bag import BagError
+
+    raise BagError(
+        "bag merge: no such command any more: expected `mcap merge A.mcap B.mcap -o C.mcap` (the program mcap), "
+        "or `ros2 bag convert` with an -i for each bag"
+    )
 
 
 def _show_repair(made: Repaired) -> None:

@@ -18,9 +18,7 @@ def demo(
     duration: options.DurationOption = None,
     folder: Annotated[
         Path,
-        typer.Option(
-            "--output", "-o", "--out", metavar="DIR", help="Folder for the bag and the picture."
-        ),
+        typer.Option("--output", "-o", metavar="DIR", help="Folder for the bag and the picture."),
     ] = Path("out"),
     json: options.JsonOption = False,
 ) -> None:

@@ -118,9 +118,7 @@ def sweep(
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option(
-            "--output", "-o", "--out", metavar="DIR", help="Folder. Default: out/sweeps/NAME."
-        ),
+        typer.Option("--output", "-o", metavar="DIR", help="Folder. Default: out/sweeps/NAME."),
     ] = None,
     workers: Annotated[
         int | None,

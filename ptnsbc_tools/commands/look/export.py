@@ -19,7 +19,7 @@ def export(
             "--output",
             "-o",
             metavar="FILE",
-            help="FILE.csv, FILE.parquet, FILE.rrd or FILE.ulg. Default: BAG.csv beside the bag.",
+            help="FILE.csv or FILE.parquet. Default: BAG.csv beside the bag.",
         ),
     ] = None,
     scenario: options.FlownOption = None,
@@ -32,9 +32,8 @@ def export(
     """Write a table: one row for each instant and UAV of a flight, or the rows of a sweep.
 
     The names of columns end in their unit, and a Parquet file has the unit of each column in its
-    metadata. Times count from the epoch; ENU is the world frame. FILE.rrd holds bodies, paths, errors and
-    obstacles of a flight for the viewer Rerun, and needs rerun-sdk. FILE.ulg holds the topics of every UAV of a
-    flight as PX4 logs them, NED and FRD, for PlotJuggler, and needs pyulog.
+    metadata. Times count from the epoch; ENU is the world frame. Foxglove, PlotJuggler and Rerun read the
+    .mcap file of a bag as it is.
     """
     from ptnsbc_tools.library.export import checked
     from ptnsbc_tools.library.export import export as write

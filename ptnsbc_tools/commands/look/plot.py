@@ -28,7 +28,6 @@ def plot(
         typer.Option(
             "--output",
             "-o",
-            "--out",
             metavar="DIR|FILE",
             help="Folder, FILE.pdf for all figures, or FILE.png or FILE.svg for one. "
             "Default: BAG-figures beside the bag.",

@@ -21,7 +21,6 @@ def report(
         typer.Option(
             "--output",
             "-o",
-            "--out",
             metavar="DIR",
             help="Folder for the page. Default: BAG-report beside the bag.",
         ),

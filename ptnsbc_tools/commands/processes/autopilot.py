@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from ptnsbc_autopilot.launch import Options
     from ptnsbc_autopilot.server import VehicleServer
 
-Kind = Literal["px4", "ardupilot", "generic", "arducopter", "stm32"]
-_EARLIER = {"ardupilot": "arducopter", "generic": "stm32"}  # the stand-ins' own names
+Kind = Literal["px4", "ardupilot", "generic"]
+_FIRMWARE = {"ardupilot": "arducopter", "generic": "stm32"}  # that a stand-in imitates
 
 _FARTHEST_M = 1e4  # the flat map of a stand-in holds for some kilometres
 
@@ -26,8 +26,7 @@ def autopilot(
         Kind | None,
         typer.Option(
             "--type",
-            help="Autopilot to imitate, by the names of mavlink.autopilot; arducopter and stm32 are the "
-            "earlier names of ardupilot and generic. Default: px4, or as in the scenario.",
+            help="Autopilot to imitate, as mavlink.autopilot names it. Default: px4, or as in the scenario.",
         ),
     ] = None,
     count: Annotated[
@@ -111,7 +110,6 @@ def autopilot(
         str | None,
         typer.Option(
             "--signing-key",
-            "--key",
             metavar="FILE",
             help="Key for signing; unsigned packets are dropped. {n} is the system id.",
         ),
@@ -148,7 +146,9 @@ def autopilot(
     timed = [parse_timed_fault(text) for text in faults or ()]
     network = Network(port_base, connect, address, key)
     changed = dict(parse_parameter(text) for text in parameters or ())
-    run(Options(_EARLIER.get(kind or "", kind), fleet, network, boot_time, changed), control, timed)
+    run(
+        Options(_FIRMWARE.get(kind or "", kind), fleet, network, boot_time, changed), control, timed
+    )
 
 
 def run(options: Options, control_port: int | None, timed: list[TimedFault]) -> None:

@@ -19,7 +19,6 @@ def params(
         typer.Option(
             "--output",
             "-o",
-            "--out",
             metavar="FILE",
             help="Write into this file and not to stdout.",
         ),

@@ -1,4 +1,4 @@
-"""Spans of a bag, and several bags as one."""
+"""Spans of a bag."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from ptnsbc_io.bag import BagError, BagWriter, TopicInfo, read_bag
-from ptnsbc_io.bag.cut import merge, trim
+from ptnsbc_io.bag.cut import trim
 from ptnsbc_io.bag.reader import find_problems
 from ptnsbc_io.wire import HeaderTemplate
 
@@ -19,11 +19,9 @@ def message(k: int) -> bytes:
     return HeaderTemplate(f"m{k}").encode(k)
 
 
-def write(
-    path: Path, topic: str, times: range, scenario: bytes = b"n: 1\n", kind: str = HEADER
-) -> Path:
-    topics = [EPOCH, TopicInfo(topic, kind)]
-    attached = {"scenario.yaml": scenario}
+def write(path: Path, topic: str, times: range) -> Path:
+    topics = [EPOCH, TopicInfo(topic, HEADER)]
+    attached = {"scenario.yaml": b"n: 1\n"}
     with BagWriter(path, topics, attachments=attached, metadata={"seed": "7"}) as bag:
         bag.write(EPOCH.name, times[0], message(0))
         for k in times:
@@ -52,27 +50,3 @@ def test_an_empty_span_is_refused_and_leaves_nothing(tmp_path: Path) -> None:
     trim(whole, tmp_path / "part", 100, 400)
     with pytest.raises(BagError, match="exists"):
         trim(whole, tmp_path / "part", 100, 400)
-
-
-def test_two_spans_merge_to_the_whole(tmp_path: Path) -> None:
-    whole = write(tmp_path / "whole", "/a", range(100, 200, 10))
-    trim(whole, tmp_path / "one", 100, 140)
-    other = write(tmp_path / "other", "/b", range(105, 205, 10))
-    assert merge([tmp_path / "one", other], tmp_path / "both") == 6 + 11
-    both = read_bag(tmp_path / "both")
-    assert find_problems(both) == []
-    stamps = [m.stamp_ns for m in both.messages()]
-    assert stamps == sorted(stamps) and len(stamps) == 17
-    assert set(both.topics) == {EPOCH.name, "/a", "/b"}
-
-
-def test_bags_of_two_flights_are_refused(tmp_path: Path) -> None:
-    one = write(tmp_path / "one", "/a", range(10))
-    for name, more, words in (
-        ("two", {"scenario": b"n: 2\n"}, "its scenario.yaml is not that of the other bag"),
-        ("three", {"kind": "rosgraph_msgs/msg/Clock"}, "expected one type for a topic"),
-    ):
-        two = write(tmp_path / name, "/a", range(10), **more)
-        with pytest.raises(BagError, match=words):
-            merge([one, two], tmp_path / "both")
-    assert not (tmp_path / "both").exists()

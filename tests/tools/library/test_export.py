@@ -41,9 +41,17 @@ def test_a_csv_file_gives_the_same_numbers(fly: Fly, tmp_path: Path) -> None:
     assert table.column_names[:3] == ["time_s", "uav", "position_m.x"]
 
 
-@pytest.mark.parametrize("name", ["flight", "flight.xlsx"])
-def test_another_format_is_refused(name: str) -> None:
-    with pytest.raises(ExportError, match=r"expected \.csv, \.parquet, \.rrd or \.ulg"):
+@pytest.mark.parametrize(
+    ("name", "way"),
+    [
+        ("flight", "$"),
+        ("flight.xlsx", "$"),
+        ("flight.rrd", "; Rerun opens the .mcap file"),
+        ("flight.ulg", "; PlotJuggler opens the .mcap file"),
+    ],
+)
+def test_another_format_is_refused(name: str, way: str) -> None:
+    with pytest.raises(ExportError, match=rf"expected \.csv or \.parquet{way}"):
         checked(Path(name))
 
 

@@ -10,8 +10,6 @@ import numpy as np
 
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.verdict import Recording
-from ptnsbc_tools.library import rerun_file
-from ptnsbc_tools.library.flight import Flight
 from ptnsbc_tools.live.foxglove import FoxgloveSink
 from ptnsbc_tools.live.stage import stage
 from ptnsbc_tools.plotting import draw
@@ -57,27 +55,6 @@ def in_foxglove(scenario: Scenario) -> dict[int, str]:
     return found
 
 
-def in_rerun(flight: Flight) -> dict[int, str]:
-    """Entries of the log for body, path and error of every UAV, without the library."""
-    shades: dict[int, set[str]] = {}
-
-    class Library:
-        def __getattr__(self, _: str) -> Any:
-            return Library()
-
-        def __call__(self, *_: Any, **fields: Any) -> Any:
-            return fields
-
-    def log(name: str, style: Any, static: bool) -> None:
-        uav = int(name.partition("uav")[2].partition("/")[0])
-        shades.setdefault(uav, set()).update(map(hexadecimal, style["colors"]))
-
-    stream = SimpleNamespace(log=log, send_columns=lambda *_, **__: None)
-    for row, uav in enumerate(flight.uavs):
-        rerun_file._uav(Library(), stream, flight, row, uav)
-    return {uav: one for uav, (one,) in shades.items()}
-
-
 def test_a_uav_has_the_same_colour_everywhere(fly: Callable[..., Recording]) -> None:
     recording = fly(seconds=7.0)
     scenario = recording.scenario
@@ -88,7 +65,6 @@ def test_a_uav_has_the_same_colour_everywhere(fly: Callable[..., Recording]) -> 
     assert drawn[0] == wanted
     assert in_paths(recording) == wanted
     assert in_foxglove(scenario) == wanted
-    assert in_rerun(Flight(recording)) == wanted
     page = stage(scenario)
     assert page["colours"] == {"light": COLOURS, "dark": DARK_COLOURS}
     assert {one["id"]: COLOURS[one["colour"]] for one in page["space"]["uavs"]} == wanted

@@ -77,7 +77,7 @@ def test_a_fleet_with_open_slots_flies_what_one_process_flies(tmp_path: Path) ->
 @needs_rclpy
 def test_demo_leaves_a_bag_a_verdict_and_a_picture(tmp_path: Path) -> None:
     """Of the flight of `paper_5` as one process flies it."""
-    code, out, err = run("demo", "--duration", "2", "--out", tmp_path, "--json")
+    code, out, err = run("demo", "--duration", "2", "--output", tmp_path, "--json")
     assert code == 1, err
     data = json.loads(out)
     assert Path(data["picture"]).read_bytes().startswith(b"\x89PNG")

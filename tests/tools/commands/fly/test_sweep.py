@@ -34,13 +34,13 @@ def run_json(*words: object) -> dict[str, Any]:
 @pytest.fixture(scope="module")
 def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("sweep") / "small"
-    assert run("sweep", *SMALL, "--out", folder, "--no-report")[0] == 0
+    assert run("sweep", *SMALL, "--output", folder, "--no-report")[0] == 0
     return folder
 
 
 def test_a_sweep_says_its_share_and_how_to_fly_the_worst_again(tmp_path: Path) -> None:
     folder = tmp_path / "sweep"
-    code, out, _ = run("sweep", *SMALL, *ALONE, "--out", folder)
+    code, out, _ = run("sweep", *SMALL, *ALONE, "--output", folder)
     assert code == 0
     assert "paper_5: 4 flights, seed 0; starts near:0.2" in out
     assert "Flights met: " in out
@@ -55,7 +55,7 @@ def test_a_sweep_that_is_done_is_not_flown_again(
     small: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(runner, "fly_chunk", None)
-    data = run_json("sweep", *SMALL, "--out", small, "--no-report")
+    data = run_json("sweep", *SMALL, "--output", small, "--no-report")
     assert data["flights"]["of"] == 4
     assert (data["missing"], data["failed"], data["report"]) == (0, [], None)
 
@@ -107,7 +107,7 @@ def test_compare_finds_what_is_worse(small: Path, tmp_path: Path) -> None:
     assert (code, out.splitlines()[-1]) == (0, "B is not worse at 5 %")
     worse = ("--set", "plant.mass_kg=1.3")
     other = tmp_path / "other"
-    assert run("sweep", *SMALL, *worse, "--out", other, "--no-report")[0] == 0
+    assert run("sweep", *SMALL, *worse, "--output", other, "--no-report")[0] == 0
     page = tmp_path / "pages" / "compare.html"
     code, out, _ = run("compare", small, other, "--html", page)
     assert (code in (0, 1), out.splitlines()[-1]) == (True, f"page: {page}")
@@ -131,14 +131,14 @@ def test_ctrl_c_keeps_what_is_done(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 
     monkeypatch.setattr(runner, "fly_chunk", interrupted)
     folder = tmp_path / "sweep"
-    code, out, err = run("sweep", *SMALL, "--out", folder)
+    code, out, err = run("sweep", *SMALL, "--output", folder)
     assert (code, out) == (130, "")
     assert (
         err
         == f"interrupted: 0 of 4 flights are kept in {folder}; the same command goes on from there\n"
     )
     monkeypatch.undo()
-    assert run("sweep", *SMALL, "--out", folder, "--no-report")[0] == 0
+    assert run("sweep", *SMALL, "--output", folder, "--no-report")[0] == 0
 
 
 def test_draws_that_cannot_be_flown_are_named(
@@ -172,8 +172,8 @@ def test_a_draw_that_cannot_be_flown_leaves_the_others(tmp_path: Path) -> None:
 
 def test_a_sweep_of_another_plan_stays_unless_it_may_go(tmp_path: Path) -> None:
     folder = tmp_path / "sweep"
-    assert run("sweep", *SMALL, "--out", folder)[0] == 0
-    other = ("paper_5", "--runs", 1, *QUICK, "--out", folder, "--no-report")
+    assert run("sweep", *SMALL, "--output", folder)[0] == 0
+    other = ("paper_5", "--runs", 1, *QUICK, "--output", folder, "--no-report")
     code, _, err = run("sweep", *other)
     assert (code, "--overwrite" in err) == (2, True)
     assert run("sweep", *other, "--overwrite")[0] == 0
