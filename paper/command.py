@@ -31,9 +31,7 @@ def reproduce(
     ] = None,
     jobs: Annotated[
         int,
-        typer.Option(
-            "--workers", "-j", "--jobs", metavar="N", min=1, max=64, help="Processes at a time."
-        ),
+        typer.Option("--workers", "-j", metavar="N", min=1, max=64, help="Processes at a time."),
     ] = 2,
     docs: Annotated[
         Path | None,
