@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from ptnsbc_io.bag.errors import BagError
+from ptnsbc_io.bag.metadata import TopicDeclaration
 from ptnsbc_io.bag.reader import read_bag
 from ptnsbc_io.bag.records import BagMessage
 from ptnsbc_io.bag.repair import declaration_of
@@ -55,7 +56,7 @@ def trim(
             f"{path}: no message from {begin:g} s to {end:g} s after its first one: "
             f"expected times from 0 s to {last:g} s"
         )
-    topics = {}
+    topics: dict[str, TopicDeclaration] = {}
     for _, contents in bag.files:
         for channel in contents.channels.values():
             schema = contents.schemas.get(channel.schema_id)
