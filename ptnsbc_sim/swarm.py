@@ -25,10 +25,10 @@ from ptnsbc_sim.disturbances.build import (
 from ptnsbc_sim.disturbances.links import last_received_by
 from ptnsbc_sim.disturbances.position_noise import initial_error, measured_odometry
 from ptnsbc_sim.disturbances.sensor_noise import add_sensor_noise
-from ptnsbc_sim.own_flight import own_loop
-from ptnsbc_sim.own_world import OwnWorld
 from ptnsbc_sim.plants.build import plant_config, start_states
 from ptnsbc_sim.plants.contract import PlantConfig, no_waves
+from ptnsbc_sim.plugins.loop import PluginLoop
+from ptnsbc_sim.plugins.world_plugins import WorldPlugins
 from ptnsbc_sim.roles import RoleChange, moved_on, role_changes
 from ptnsbc_sim.scenario import Scenario, agent_config
 from ptnsbc_sim.scenario.slots import are_open, optimal_slots, with_slots
@@ -74,8 +74,8 @@ class HeadlessFlight(NamedTuple):
     def near(self, tick: int, row: int) -> Array:
         """Rows (M, 7) that UAV number `row` saw at a tick that is a multiple of near_every."""
         truth, obstacles = self.truth[tick], obstacles_at(self.wiring, tick)
-        own, keep_outs = OwnWorld.of(self.scenario), self.wiring.keep_outs
-        rows = None if own is None else own.near(row, tick, truth, obstacles, keep_outs)
+        world, keep_outs = WorldPlugins.of(self.scenario), self.wiring.keep_outs
+        rows = None if world is None else world.near(row, tick, truth, obstacles, keep_outs)
         if rows is None:
             rows = near_objects(row, truth, obstacles, keep_outs, self.wiring.range_m)
         if not len(self.track.truth):
@@ -218,7 +218,7 @@ def fly(
     Returns:
         The whole flight; the same scenario gives the same bytes.
     """
-    return flown(scenario, own_loop(scenario) or _fly, progress, room)
+    return flown(scenario, PluginLoop.of(scenario) or _fly, progress, room)
 
 
 def flown(

@@ -10,11 +10,11 @@ from ptnsbc_core.algebra import store
 from ptnsbc_core.kernel import kernel, kernel_list
 from ptnsbc_core.types import ODOMETRY_SIZE, Array
 from ptnsbc_sim.disturbances.build import VehicleDisturbances
-from ptnsbc_sim.own_world import OwnWorld
 from ptnsbc_sim.plants.build import obstacle_rows, plant_config, start_states
 from ptnsbc_sim.plants.contract import PlantConfig, plant_at, put_plant
 from ptnsbc_sim.plants.inner_loop import keeping_attitude
 from ptnsbc_sim.plants.integrate import advance, odometry, stop
+from ptnsbc_sim.plugins.world_plugins import WorldPlugins
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.sensor import near_objects
 from ptnsbc_sim.wiring import keep_outs_of
@@ -80,7 +80,7 @@ class World:
         self._substeps = scenario.physics_hz // scenario.control_hz
         self._truth = measure_all(self._states, self._plants)
         self._odometry = self._truth
-        self._own = OwnWorld.of(scenario)
+        self._plugins = WorldPlugins.of(scenario)
         self._around: list[VehicleDisturbances] = []
         if scenario.imperfect:
             self._begin_disturbances(plants)
@@ -131,8 +131,8 @@ class World:
         row, tick = self._row[uav_id], self._ticks[uav_id]
         obstacles, range_m = self._obstacles_now(tick), float(self._scenario.sensor.range_m)
         rows = None
-        if self._own is not None:
-            rows = self._own.near(row, tick, self._truth, obstacles, self._keep_outs)
+        if self._plugins is not None:
+            rows = self._plugins.near(row, tick, self._truth, obstacles, self._keep_outs)
         if rows is None:
             rows = near_objects(row, self._truth, obstacles, self._keep_outs, range_m)
         if not self._around:
@@ -156,12 +156,12 @@ class World:
         row, tick = self._row[uav_id], self._ticks[uav_id]
         if self._around:
             self._around[row].gust_step(tick)
-        own = self._own
-        if own is not None and own.disturbs:
-            plant = own.pushed(uav_id, tick, self._truth[row], plant_at(self._plants, row))
+        plugins = self._plugins
+        if plugins is not None and plugins.disturbance is not None:
+            plant = plugins.disturbed(uav_id, tick, self._truth[row], plant_at(self._plants, row))
             put_plant(self._plants, row, plant)
-        if own is not None and own.flies and wrench is not None:
-            own.advance(self._states[row], wrench, tick, plant_at(self._plants, row))
+        if plugins is not None and plugins.plant is not None and wrench is not None:
+            plugins.advance(self._states[row], wrench, tick, plant_at(self._plants, row))
             self._truth[row] = _measure_row(self._states, row, self._plants)
         else:
             self._truth[row] = _advance_row(

@@ -31,7 +31,7 @@ from ptnsbc_nodes.runtime.signals import StopRequest
 from ptnsbc_nodes.runtime.warmup import load_fleet, load_world
 from ptnsbc_nodes.security.middleware import ENCLAVE, enforced
 from ptnsbc_nodes.security.permissions import FLEET, OPERATOR
-from ptnsbc_sim.own_uav import UavFunctions
+from ptnsbc_sim.plugins.uav_plugins import UavPlugins
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.mission.faults import PROCESS
 
@@ -273,6 +273,6 @@ def _prepare_kernels(options: FleetOptions, progress: Report) -> None:
     progress("preparing the laws (compiled at first use, then read from the cache)")
     load_fleet(options.scenario)
     for uav in options.scenario.uav_ids[:2]:  # one of these is a follower
-        UavFunctions.of(options.scenario, uav)
+        UavPlugins.of(options.scenario, uav)
     if options.backend == "sim":
         load_world(options.scenario)

@@ -11,7 +11,7 @@ from ptnsbc_core.agent import OWN, PARENT, Agent, PackedInputs
 from ptnsbc_core.kernel import COMPILED
 from ptnsbc_core.kinematics import move_to_present
 from ptnsbc_core.types import NEAR_COLUMNS
-from ptnsbc_sim.own_task import NO_TASK
+from ptnsbc_sim.plugins.formation_task import NO_TASK
 from ptnsbc_sim.scenario import Scenario, agent_config
 from ptnsbc_sim.world import World
 

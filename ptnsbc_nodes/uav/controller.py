@@ -27,7 +27,7 @@ from ptnsbc_nodes.comm.graph import Senders
 from ptnsbc_nodes.comm.legs import Leg
 from ptnsbc_nodes.uav.inbox import Inbox
 from ptnsbc_nodes.uav.roles import RoleHolder
-from ptnsbc_sim.own_uav import OURS, UavFunctions
+from ptnsbc_sim.plugins.uav_plugins import OURS, UavPlugins
 from ptnsbc_sim.roles import moved_on
 from ptnsbc_sim.scenario import Scenario
 
@@ -141,12 +141,12 @@ class UavController:
         self,
         config: AgentConfig,
         senders: Senders,
-        own: UavFunctions = OURS,
+        plugins: UavPlugins = OURS,
         roles: RoleHolder | None = None,
     ) -> None:
-        """`own` are the functions of the user in the place of ours; `roles`: UAVs may come and go."""
+        """`plugins`: in the place of ours; `roles`: UAVs may come and go."""
         self.config = config
-        self._own = own
+        self._plugins = plugins
         self._roles = roles
         self.inbox = Inbox(senders)
         self.counters = UavCounters()
@@ -251,12 +251,12 @@ class UavController:
         self, inputs: PackedInputs, at: StepTime, t: float, cutoff_ns: int
     ) -> Vector3 | None:
         """The velocity of the law [m/s, ENU], at rest while it does not count; None without one."""
-        if self._own.law is None:
+        if self._plugins.law is None:
             return None
         if at.mode != MODE_FORMATION:
             return (0.0, 0.0, 0.0)
         heard = self.inbox.states(at.now_ns, cutoff_ns)
-        return self._own.law.velocity(t, inputs.vector[OWN:PARENT], heard, inputs.near)
+        return self._plugins.law.velocity(t, inputs.vector[OWN:PARENT], heard, inputs.near)
 
     def step(self, at: StepTime, cutoff_ns: int) -> PackedOutputs:
         """One control step on the messages of the inbox, which must hold the own odometry."""
@@ -271,18 +271,14 @@ class UavController:
         dt = at.elapsed_ns * 1e-9
         t = (at.now_ns - at.t0_ns) * 1e-9
         task = None
-        if self._own.task is not None:
-            task = self._own.task.at(self._agent.task_points(inputs, t, dt))
+        if self._plugins.task is not None:
+            task = self._plugins.task.at(self._agent.task_points(inputs, t, dt))
         wanted = self._wanted(inputs, at, t, cutoff_ns)
         outputs = self._agent.advance(inputs, t, dt, wanted, task)
-        if self._own.controller is not None:
-            outputs.wrench[:] = self._own.controller.wrench(
-                t,
-                dt,
-                inputs.vector[OWN:PARENT],
-                outputs.velocity,
-                outputs.wrench,
-                self.config,
+        if self._plugins.controller is not None:
+            odometry = inputs.vector[OWN:PARENT]
+            outputs.wrench[:] = self._plugins.wrench(
+                t, dt, odometry, outputs.velocity, outputs.wrench, self.config
             )
         if self.inbox.own_age_s > 0.0:  # it is sent with the stamp of the odometry
             estimate = outputs.leader_estimate

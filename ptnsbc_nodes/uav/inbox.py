@@ -33,7 +33,7 @@ from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.graph import LEAD_TICKS, Senders
 from ptnsbc_sim.disturbances.faults import MessageFault, delay_ns, message_fault
 from ptnsbc_sim.disturbances.links import NO_DELAY, LinkDelay
-from ptnsbc_sim.law import Heard
+from ptnsbc_sim.plugins.uav_plugins import Heard
 from ptnsbc_sim.scenario import SeveralParents
 from ptnsbc_sim.scenario.mission.faults import MOST_DELAY_S, FaultBlock
 

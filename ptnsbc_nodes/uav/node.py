@@ -46,7 +46,7 @@ from ptnsbc_nodes.uav.roles import role_holder
 from ptnsbc_nodes.uav.slots import OpenSlots, SlotDecider, SlotHolder
 from ptnsbc_nodes.uav.status import StatusPublisher, UavParts, VehiclePresence
 from ptnsbc_nodes.uav.timing import UavTiming
-from ptnsbc_sim.own_uav import UavFunctions
+from ptnsbc_sim.plugins.uav_plugins import UavPlugins
 from ptnsbc_sim.scenario import Scenario, agent_config
 from ptnsbc_sim.scenario.slots import are_open
 
@@ -74,10 +74,10 @@ class UavNode:
         self._options = edges.options
         self._uav = uav_id
         self._scenario = scenario
-        own = UavFunctions.of(scenario, uav_id)
+        plugins = UavPlugins.of(scenario, uav_id)
         roles = role_holder(scenario, uav_id, edges)
         self._controller = UavController(
-            agent_config(scenario, uav_id), edges.senders(uav_id), own, roles
+            agent_config(scenario, uav_id), edges.senders(uav_id), plugins, roles
         )
         self._faults = UavFaults(scenario, uav_id, self._controller.inbox, edges.options.lockstep)
         self._outbox = Outbox(self.endpoints, edges, uav_id, self._faults)

@@ -40,7 +40,7 @@ from ptnsbc_core.types import (
     Trajectory,
     Vector3,
 )
-from ptnsbc_sim.own_task import load_task
+from ptnsbc_sim.plugins.formation_task import load_task
 from ptnsbc_sim.scenario.approach.deadline import turn_of
 from ptnsbc_sim.scenario.approach.limits import leader_motion
 from ptnsbc_sim.scenario.gains import Loop, gain_of

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import Field
@@ -30,7 +29,6 @@ from ptnsbc_sim.scenario.mission.legs import Mission
 from ptnsbc_sim.scenario.mission.shapes import Change, ShapeBlock
 from ptnsbc_sim.scenario.mission.trajectories import LeaderTrajectoryBlock
 from ptnsbc_sim.scenario.obstacles import ObstacleBlock
-from ptnsbc_sim.scenario.problems import ScenarioError
 
 STILL = (Wave(amount=0.0, shape="constant"),) * 3
 Delay = Annotated[NotNegative, Field(le=1)]
@@ -325,20 +323,6 @@ class Plugins(Block):
     def of_world(self) -> bool:
         """True if a function runs where the vehicles are simulated."""
         return any(one is not None for one in (self.plant, self.disturbance, self.sensor))
-
-    def path_of(self, kind: str) -> str:
-        """FILE.py:NAME of a function, with the whole path of its file.
-
-        Raises:
-            ScenarioError: the scenario comes from a bag, which names no file to execute.
-        """
-        named = str(getattr(self, kind))
-        if not Path(named).is_absolute():
-            raise ScenarioError(
-                f"plugins.{kind}: {named}: a bag names a function and does not carry it: expected a scenario "
-                "whose function you give"
-            )
-        return named
 
 
 class ScenarioFile(Block):

@@ -9,8 +9,8 @@ from pathlib import Path
 from ptnsbc_io import bag as bags
 from ptnsbc_io.bag import cut
 from ptnsbc_io.bag import repair as repairs
-from ptnsbc_sim.law import LawError, load_law
-from ptnsbc_sim.scenario import Scenario, ScenarioError
+from ptnsbc_sim.plugins.loader import PluginError
+from ptnsbc_sim.scenario import Scenario
 from ptnsbc_tools import console
 from ptnsbc_tools.limits import refuse_outside
 from ptnsbc_tools.reading.bag_sources import McapSource, scenario_of
@@ -105,43 +105,41 @@ def rerun(
         What was compared, byte for byte; `verdict` is the word, `first` the first difference.
 
     Raises:
-        LawError, ScenarioError: the scenario names a function, and none is given.
+        PluginError: the scenario names a plug-in, and none is given.
         BagError: no bag, or none that can be run again.
     """
     path = Path(bag)
     found = bags.read_bag(path)
     flown = scenario_of(McapSource(found), None if scenario is None else Path(scenario))
-    if flown.law is not None and law is None:
-        raise LawError(
-            f"{path}: flown with the law {flown.law}, which a bag does not carry: give it with --law "
-            f"FILE.py:{flown.law.rpartition(':')[2]}"
-        )
-    flown = _trusted(path, flown, plugins)
-    loaded = None if law is None else load_law(law)
+    flown = _trusted(path, flown, law, plugins)
     with console.compiling():
         from ptnsbc_nodes.runtime.warmup import load_fleet
 
         load_fleet(flown)
     jobs = min(os.cpu_count() or 1, _MOST_JOBS)
-    return runs.rerun(found, flown, lambda: console.progress("re-running", progress), jobs, loaded)
+    return runs.rerun(found, flown, lambda: console.progress("re-running", progress), jobs)
 
 
-def _trusted(path: Path, flown: Scenario, plugins: Sequence[str]) -> Scenario:
-    """The scenario of a bag with the files of its functions, which the user gives.
+def _trusted(path: Path, flown: Scenario, law: str | None, plugins: Sequence[str]) -> Scenario:
+    """The scenario of a bag with the files of its plug-ins, which the user gives.
 
     Raises:
-        ScenarioError: the scenario names a function of a UAV, and none of this name is given.
+        PluginError: the scenario names a plug-in of a UAV, and none of this name is given.
     """
-    given = {one.rpartition(":")[2]: one for one in plugins}
-    named = {kind: getattr(flown.plugins, kind) for kind in ("task", "controller")}
-    changes = {}
-    for kind, one in named.items():
-        name = str(one).rpartition(":")[2]
-        if one is None or Path(one).is_absolute():
+    changes = {} if law is None else {"law": law}
+    given = {plugin.rpartition(":")[2]: plugin for plugin in plugins}
+    for kind, option, named in (
+        ("law", "--law", flown.law),
+        ("task", "--plugin", flown.plugins.task),
+        ("controller", "--plugin", flown.plugins.controller),
+    ):
+        if named is None or Path(named).is_absolute() or kind in changes:
             continue
-        if name not in given:
-            raise ScenarioError(
-                f"{path}: flown with the {kind} {one}, which a bag does not carry: give it with --plugin FILE.py:{name}"
+        name = named.rpartition(":")[2]
+        if kind == "law" or name not in given:
+            raise PluginError(
+                f"{path}: flown with the {kind} {named}, which a bag does not carry: give it with {option} "
+                f"FILE.py:{name}"
             )
         changes[f"plugins.{kind}"] = given[name]
     return flown.with_(changes) if changes else flown

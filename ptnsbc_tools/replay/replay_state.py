@@ -13,8 +13,7 @@ from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions
 from ptnsbc_nodes.comm.legs import Epochs
 from ptnsbc_nodes.comm.slots import DecidedSlots, keep_recorded
-from ptnsbc_sim.law import LoadedLaw
-from ptnsbc_sim.own_uav import UavFunctions
+from ptnsbc_sim.plugins.uav_plugins import UavPlugins
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.mission.legs import number_of
 from ptnsbc_tools.replay.topic_buffer import TopicBuffer
@@ -32,14 +31,13 @@ class ReplayState:
         scenario: Scenario,
         uavs: Sequence[int],
         fleet: str = "",
-        law: LoadedLaw | None = None,
     ) -> None:
         edges = CommunicationGraph(scenario, FlightOptions())
         self.scenario = scenario
         self.slots = DecidedSlots(scenario)
-        own = {uav: UavFunctions.of(scenario, uav, law) for uav in uavs}
         self.uavs = {
-            uav: UavReplay(scenario, uav, edges, self.slots, fleet, own[uav]) for uav in uavs
+            uav: UavReplay(scenario, uav, edges, self.slots, fleet, UavPlugins.of(scenario, uav))
+            for uav in uavs
         }
         needed = {topic for uav in uavs for topic in topics.of_uav(uav)}
         for replay in self.uavs.values():

@@ -18,7 +18,6 @@ from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_io.bag import Bag, BagError, BagMessage
 from ptnsbc_io.wire import WireError, decode_header, decode_odometry
 from ptnsbc_nodes.comm import topics
-from ptnsbc_sim.law import LawError, LoadedLaw
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.verdict.recording import with_taken
 from ptnsbc_tools.replay.difference import Difference
@@ -88,7 +87,6 @@ def rerun(
     scenario: Scenario,
     progress: Progress = _no_progress,
     jobs: int = 1,
-    law: LoadedLaw | None = None,
 ) -> Rerun:
     """Re-run every step of every UAV.
 
@@ -97,21 +95,16 @@ def rerun(
         scenario: the scenario that was flown.
         progress: gives a function that is called now and then with the messages done and their total.
         jobs: number of processes; each takes a part of the UAVs.
-        law: the law of the followers, where the scenario names one: a bag carries no code.
 
     Raises:
-        LawError: the scenario names a law, and none is given.
+        PluginError: the scenario names a plug-in without its file: a bag carries no code.
         BagError: there is no step to re-run, or a message cannot be read.
     """
-    if scenario.law is not None and law is None:
-        raise LawError(
-            f"{bag.path}: flown with the law {scenario.law}, which a bag does not carry: expected its file"
-        )
     scenario = _with_taken(bag, scenario)
     realtime = any(_messages(bag, topics.tick(uav).name) for uav in scenario.uav_ids)
     ids = scenario.uav_ids
     groups = [ids[k::jobs] for k in range(min(jobs, len(ids)))]
-    parts = [partial(_accounts, bag, scenario, group, realtime, law) for group in groups]
+    parts = [partial(_accounts, bag, scenario, group, realtime) for group in groups]
     found: Accounts = {}
     for part in _in_parallel([partial(parts[0], progress=progress), *parts[1:]]):
         found |= part
@@ -139,11 +132,10 @@ def _accounts(
     scenario: Scenario,
     uavs: Sequence[int],
     realtime: bool,
-    law: LoadedLaw | None,
     progress: Progress = _no_progress,
 ) -> Accounts:
     """Re-run some of the UAVs."""
-    state = ReplayState(scenario, uavs, bag.metadata.get("namespace", ""), law)
+    state = ReplayState(scenario, uavs, bag.metadata.get("namespace", ""))
     driver: RealTimeDriver | LockstepDriver
     driver = RealTimeDriver(state) if realtime else LockstepDriver(state)
     with progress() as advance:  # after the fork: a progress bar has a thread

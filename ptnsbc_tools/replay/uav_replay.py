@@ -30,7 +30,7 @@ from ptnsbc_nodes.uav.step_log import (
     current_label,
     decode_snapshot,
 )
-from ptnsbc_sim.own_uav import OURS, UavFunctions
+from ptnsbc_sim.plugins.uav_plugins import OURS, UavPlugins
 from ptnsbc_sim.scenario import Scenario, agent_config
 from ptnsbc_tools.replay.difference import (
     Difference,
@@ -104,7 +104,7 @@ class UavReplay:
         edges: CommunicationGraph,
         decided: DecidedSlots,
         fleet: str = "",
-        own: UavFunctions = OURS,
+        plugins: UavPlugins = OURS,
     ) -> None:
         self.uav = uav
         self.senders = edges.senders(uav)
@@ -116,10 +116,10 @@ class UavReplay:
         self.outputs = [f"/uav{uav}/{name}" for name in OUTPUTS]
         self.recorded_counters: dict[int, list[dict[str, str]]] = {}  # of /diagnostics, by ticks
         self._config = agent_config(scenario, uav)
-        self._own = own
+        self._plugins = plugins
         self._edges = edges
         roles = role_holder(scenario, uav, edges)
-        self.controller = UavController(self._config, self.senders, own, roles)
+        self.controller = UavController(self._config, self.senders, plugins, roles)
         self._put = _inbox_setters(self.controller.inbox)
         self._encoder = AgentMessages(uav, fleet)
         self._t0_ns: int | None = None  # first epoch of the step before
@@ -140,7 +140,7 @@ class UavReplay:
         self.inputs = source_topics(self.uav, self.senders)
         config = self._config if limits is None else limits.applied_to(self._config)
         roles = role_holder(self._scenario, self.uav, self._edges)
-        self.controller = UavController(config, self.senders, self._own, roles)
+        self.controller = UavController(config, self.senders, self._plugins, roles)
         self._put = _inbox_setters(self.controller.inbox)
 
     def resume(self, note: TickNote, snapshot: bytes) -> None:

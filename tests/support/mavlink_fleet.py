@@ -30,7 +30,7 @@ from ptnsbc_nodes.uav.controller import UavController, step_time
 from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS
 from ptnsbc_nodes.uav.roles import role_holder
 from ptnsbc_nodes.uav.slots import SlotHolder
-from ptnsbc_sim.own_uav import UavFunctions
+from ptnsbc_sim.plugins.uav_plugins import UavPlugins
 from ptnsbc_sim.scenario import agent_config, load_scenario
 
 STEP_S = 0.004  # of the stand-ins
@@ -144,9 +144,9 @@ class FleetUav:
     def new_controller(self):
         """The controller as a process has it that begins."""
         scenario, senders = self.fleet.scenario, self.edges.senders(self.id)
-        own = UavFunctions.of(scenario, self.id)
+        plugins = UavPlugins.of(scenario, self.id)
         roles = role_holder(scenario, self.id, self.edges)
-        return UavController(agent_config(scenario, self.id), senders, own, roles)
+        return UavController(agent_config(scenario, self.id), senders, plugins, roles)
 
     def start_again(self):
         """The UAV process that has ended begins anew: legs and limits are latched, all else is forgotten."""

@@ -14,8 +14,8 @@ from pathlib import Path
 from types import FunctionType
 from typing import Any
 
+from ptnsbc_sim.plugins.loader import PluginError, executed, place_of
 from ptnsbc_sim.scenario.problems import ScenarioError, Tree
-from ptnsbc_sim.user_file import UserFileError, executed, place_of
 
 GROUP = "ptnsbc.plugins"
 """The entry points of installed packages: `trajectory.NAME`, `shape.NAME`, `law.NAME`, `task.NAME` and so on."""
@@ -30,7 +30,7 @@ _LEAST_STEP_S = 0.01
 _FARTHEST = 1e6
 
 
-class FunctionError(UserFileError, ScenarioError):
+class FunctionError(PluginError, ScenarioError):
     """A trajectory or shape of the user that cannot be called, or that gives no places."""
 
 
@@ -223,7 +223,7 @@ def _function(kind: str, what: str, folder: Path, where: str) -> FunctionType:
         file = (folder / Path(name).expanduser()).absolute()
         try:
             found = executed(file, f"a {what}").get(wanted)
-        except UserFileError as error:
+        except PluginError as error:
             raise FunctionError(f"{where}.kind: {error}") from error
     else:
         file, wanted = Path(kind), kind

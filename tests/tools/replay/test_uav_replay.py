@@ -9,7 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 from ptnsbc_io.bag import read_bag
-from ptnsbc_sim.law import LawError
+from ptnsbc_sim.plugins.loader import PluginError
 from ptnsbc_tools.cli import app
 from ptnsbc_tools.library.flying import fly, load
 from ptnsbc_tools.reading.bag_sources import McapSource, scenario_of
@@ -54,7 +54,7 @@ def test_without_the_file_nothing_is_executed(bag: Path) -> None:
     assert (code, out) == (2, "")
     assert "consensus.py:consensus, which a bag does not carry: give it with --law" in err
     read = read_bag(bag)
-    with pytest.raises(LawError, match="which a bag does not carry"):
+    with pytest.raises(PluginError, match="a bag names a law and does not carry it"):
         rerun(read, scenario_of(McapSource(read), None))
 
 

@@ -10,11 +10,11 @@ import pytest
 
 from ptnsbc_core.algebra import sub3
 from ptnsbc_core.step import TaskPoints
-from ptnsbc_sim.own_task import NO_TASK, load_task
+from ptnsbc_sim.plugins.formation_task import NO_TASK, load_task
+from ptnsbc_sim.plugins.loader import PluginError
 from ptnsbc_sim.scenario import ScenarioError, load_scenario
-from ptnsbc_sim.user_file import UserFileError
 
-CYLINDER = f"{Path(__file__).parents[2] / 'examples' / 'plugins' / 'cylinder.py'}:cylinder"
+CYLINDER = f"{Path(__file__).parents[3] / 'examples' / 'plugins' / 'cylinder.py'}:cylinder"
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -69,7 +69,7 @@ def test_a_task_that_cannot_be_flown_is_named(
     scenario = load_scenario("paper_5_free", {"plugins.task": f"{file}:task"})
     from ptnsbc_sim.scenario import agent_config
 
-    with pytest.raises(UserFileError, match=match):
+    with pytest.raises(PluginError, match=match):
         agent_config(scenario, 2)
 
 

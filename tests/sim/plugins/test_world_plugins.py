@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ptnsbc_sim.plugins.loader import PluginError
 from ptnsbc_sim.scenario import ScenarioError, load_scenario, scenario_from_text
 from ptnsbc_sim.swarm import fly
-from ptnsbc_sim.user_file import UserFileError
 from ptnsbc_sim.world import World
 
-EXAMPLES = Path(__file__).parents[2] / "examples" / "plugins"
+EXAMPLES = Path(__file__).parents[3] / "examples" / "plugins"
 KEYS = {"timing.duration_s": 1.0, "plant.kind": "quadrotor"}
 OF_WORLD = {
     "plugins.plant": f"{EXAMPLES}/square_drag.py:square_drag",
@@ -96,7 +96,7 @@ def test_the_world_gives_the_bits_of_the_headless_flight(scenario: str) -> None:
 )
 def test_a_wrong_function_is_named(tmp_path: Path, kind: str, line: str, match: str) -> None:
     named = _written(tmp_path, line)
-    with pytest.raises(UserFileError, match=match):
+    with pytest.raises(PluginError, match=match):
         fly(load_scenario("paper_5_free", {**KEYS, f"plugins.{kind}": named}))
 
 
@@ -110,7 +110,7 @@ def test_what_a_bag_names_is_not_executed(tmp_path: Path) -> None:
         other = "controller" if kind == "sensor" else "sensor"
         changed = carried.with_({f"plugins.{other}": named, "timing.duration_s": 0.5})
         assert getattr(changed.plugins, kind) == "mine.py:mine"
-        with pytest.raises(ScenarioError, match=f"plugins.{kind}: .*a bag names a function"):
+        with pytest.raises(PluginError, match=f"{kind}: .*a bag names a {kind}"):
             fly(carried)
     assert not mark.exists()
 

@@ -1,26 +1,24 @@
-"""The loop of a headless flight with functions of the user: Python between the kernels of a tick."""
+"""The loop of a headless flight with plug-ins: Python between the kernels of a tick."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, MutableSequence, Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from ptnsbc_core.kernel import borrowed, kernel, kernel_list
-from ptnsbc_core.step import guided_step, step, task_points, tasked_step
+from ptnsbc_core.step import TaskPoints, guided_step, step, task_points, tasked_step
 from ptnsbc_core.tasks.contract import TaskGeometry
 from ptnsbc_core.types import Array
 from ptnsbc_sim.disturbances.build import Disturbances
 from ptnsbc_sim.disturbances.links import last_state_received
 from ptnsbc_sim.disturbances.sensor_noise import add_sensor_noise
-from ptnsbc_sim.law import Heard, UavLaw
-from ptnsbc_sim.own_controller import OwnController, load_controller
-from ptnsbc_sim.own_task import NO_TASK, OwnTask, load_task
-from ptnsbc_sim.own_world import OwnWorld
 from ptnsbc_sim.plants.contract import plant_at, put_plant
+from ptnsbc_sim.plugins.formation_task import PluginTask
+from ptnsbc_sim.plugins.uav_plugins import Heard, UavLaw, UavPlugins
+from ptnsbc_sim.plugins.world_plugins import WorldPlugins
 from ptnsbc_sim.scenario import Scenario, agent_config
 from ptnsbc_sim.tick import (
-    Loop,
     SwarmState,
     advance_plant,
     blown,
@@ -112,61 +110,35 @@ def _flies(
     return blown(swarm, wiring, tick, row, disturbances)
 
 
-class _Laws:
-    """The user's law of every follower, and the states that each has received."""
+class PluginLoop:
+    """One headless flight with the plug-ins that its scenario names."""
 
     def __init__(self, scenario: Scenario) -> None:
-        self._scenario = scenario
-        self._rows = {uav: row for row, uav in enumerate(scenario.uav_ids)}
-        self._laws = [(self._rows[uav], UavLaw.of(scenario, uav)) for uav in scenario.followers]
-        self._received = {
-            (row, sender): last_state_received(scenario, law.uav, sender)
-            for row, law in self._laws
-            for sender in law.senders
-        }
-        self._velocities = np.zeros((len(self._rows), 3))
-
-    def _heard(self, track: FlightTrack, tick: int, row: int, law: UavLaw) -> Iterator[Heard]:
-        for sender in law.senders:
-            sent = int(self._received[row, sender][tick])
-            if sent >= 0:
-                age_s = ((tick - sent) * self._scenario.dt_ns) * 1e-9
-                yield Heard(sender, track.reported[sent, self._rows[sender]], age_s)
-
-    def velocities(self, tick: int, t: float, swarm: SwarmState, track: FlightTrack) -> Array:
-        """Velocities (N, 3) [m/s, ENU]; zeros for the leader."""
-        for row, law in self._laws:
-            near = swarm.near[row, : swarm.near_count[row]]
-            found = self._heard(track, tick, row, law)
-            self._velocities[row] = law.velocity(t, track.odometry[tick, row], found, near)
-        return self._velocities
-
-
-def _tasks(points: Array, task: OwnTask) -> MutableSequence[TaskGeometry]:
-    """The task of the user at rows of `_task_points`."""
-    return kernel_list(
-        [
-            task.geometry((a, b, c), (d, e, f), (g, h, i)) if heard else NO_TASK
-            for a, b, c, d, e, f, g, h, i, heard in points.tolist()
-        ]
-    )
-
-
-class _OwnFlight:
-    """One headless flight with the functions that its scenario names."""
-
-    def __init__(self, scenario: Scenario) -> None:
-        named = scenario.plugins
-        self._ids, self._dt = scenario.uav_ids, scenario.dt_ns * 1e-9
-        self._laws = None if scenario.law is None else _Laws(scenario)
-        self._task = None if named.task is None else load_task(named.path_of("task"))
-        self._controller: OwnController | None = None
-        if named.controller is not None:
-            self._controller = load_controller(named.path_of("controller"))
-        self._world = OwnWorld.of(scenario)
+        self._scenario, self._ids = scenario, scenario.uav_ids
+        self._rows = {uav: row for row, uav in enumerate(self._ids)}
+        self._uavs = [UavPlugins.of(scenario, uav) for uav in self._ids]
+        self._task = next((plugins.task for plugins in self._uavs if plugins.task), None)
+        self._controls = any(plugins.controller for plugins in self._uavs)
+        self._world = WorldPlugins.of(scenario)
         self._configs = [agent_config(scenario, uav) for uav in self._ids]
+        self._received = {
+            (row, sender): last_state_received(scenario, plugins.law.uav, sender)
+            for row, plugins in enumerate(self._uavs)
+            if plugins.law is not None
+            for sender in plugins.law.senders
+        }
 
-    def fly(
+    @classmethod
+    def of(cls, scenario: Scenario) -> PluginLoop | None:
+        """The loop of a flight with plug-ins; None where the scenario names none.
+
+        Raises:
+            PluginError: one cannot be loaded, or the scenario comes from a bag.
+        """
+        named = scenario.plugins
+        return cls(scenario) if scenario.law or named.of_uav or named.of_world else None
+
+    def __call__(
         self,
         first: int,
         count: int,
@@ -179,16 +151,14 @@ class _OwnFlight:
         for tick in range(first, first + count):
             t = since_epoch(wiring, tick, 0)  # of all: a law and vacancy exclude each other
             sense(swarm, wiring, track, tick, disturbances)
-            if self._world is not None and self._world.senses:
-                self._sense(tick, wiring, swarm, track, disturbances)
-            velocities = (
-                None if self._laws is None else self._laws.velocities(tick, t, swarm, track)
-            )
+            self._sense(tick, wiring, swarm, track, disturbances)
+            velocities = self._velocities(tick, t, swarm, track)
             tasks = None
             if self._task is not None:
-                tasks = _tasks(_task_points(tick, wiring, swarm, track, disturbances), self._task)
+                points = _task_points(tick, wiring, swarm, track, disturbances)
+                tasks = kernel_list([_geometry(self._task, row) for row in points.tolist()])
             _step_all(tick, wiring, swarm, track, velocities, tasks, disturbances)
-            if self._controller is not None:
+            if self._controls:
                 self._control(tick, t, track, disturbances)
             self._advance(tick, wiring, swarm, track, disturbances)
 
@@ -200,14 +170,14 @@ class _OwnFlight:
         track: FlightTrack,
         disturbances: Disturbances | None,
     ) -> None:
-        """Readings of the user's near-object sensor in the place of ours."""
-        if self._world is None or tick % wiring.near_every:
+        """Readings of the near-object sensor that is plugged in, in the place of ours."""
+        world = self._world
+        if world is None or world.sensor is None or tick % wiring.near_every:
             return
         truth = track.odometry[tick] if disturbances is None else track.truth[tick]
         for row in range(len(self._ids)):
-            near = self._world.near(row, tick, truth, obstacles_at(wiring, tick), wiring.keep_outs)
-            if near is None:
-                return
+            near = world.near(row, tick, truth, obstacles_at(wiring, tick), wiring.keep_outs)
+            assert near is not None
             if disturbances is not None:
                 samples = disturbances.sensor_samples[tick // wiring.near_every, row]
                 seen, noise = track.odometry[tick, row], disturbances.sensor_noise
@@ -215,20 +185,36 @@ class _OwnFlight:
             swarm.near[row, : len(near)] = near
             swarm.near_count[row] = len(near)
 
+    def _velocities(
+        self, tick: int, t: float, swarm: SwarmState, track: FlightTrack
+    ) -> Array | None:
+        """Velocities (N, 3) [m/s, ENU] of the law, zeros for the leader; None without a law."""
+        if not self._received:
+            return None
+        velocities = np.zeros((len(self._ids), 3))
+        for row, plugins in enumerate(self._uavs):
+            if plugins.law is not None:
+                near = swarm.near[row, : swarm.near_count[row]]
+                heard = self._heard(track, tick, row, plugins.law)
+                velocities[row] = plugins.law.velocity(t, track.odometry[tick, row], heard, near)
+        return velocities
+
+    def _heard(self, track: FlightTrack, tick: int, row: int, law: UavLaw) -> Iterator[Heard]:
+        for sender in law.senders:
+            sent = int(self._received[row, sender][tick])
+            if sent >= 0:
+                age_s = ((tick - sent) * self._scenario.dt_ns) * 1e-9
+                yield Heard(sender, track.reported[sent, self._rows[sender]], age_s)
+
     def _control(
         self, tick: int, t: float, track: FlightTrack, disturbances: Disturbances | None
     ) -> None:
-        assert self._controller is not None
-        for row, config in enumerate(self._configs):
+        dt = self._scenario.dt_ns * 1e-9
+        for row, (plugins, config) in enumerate(zip(self._uavs, self._configs, strict=True)):
             if disturbances is None or not dead(tick, row, disturbances):
-                track.wrench[tick, row] = self._controller.wrench(
-                    t,
-                    self._dt,
-                    track.odometry[tick, row],
-                    track.velocity[tick, row],
-                    track.wrench[tick, row],
-                    config,
-                )
+                odometry, command = track.odometry[tick, row], track.velocity[tick, row]
+                ours = track.wrench[tick, row]
+                track.wrench[tick, row] = plugins.wrench(t, dt, odometry, command, ours, config)
 
     def _advance(
         self,
@@ -239,27 +225,21 @@ class _OwnFlight:
         disturbances: Disturbances | None,
     ) -> None:
         world = self._world
-        if world is not None and world.disturbs:
+        if world is not None and world.disturbance is not None:
             truth = track.odometry[tick] if disturbances is None else track.truth[tick]
             for row, uav in enumerate(self._ids):
                 plant = plant_at(swarm.plants, row)
-                put_plant(swarm.plants, row, world.pushed(uav, tick, truth[row], plant))
-        if world is None or not world.flies:
+                put_plant(swarm.plants, row, world.disturbed(uav, tick, truth[row], plant))
+        if world is None or world.plant is None:
             _advance_all(tick, wiring, swarm, track, disturbances)
             return
         for row in range(len(self._ids)):
             if _flies(tick, row, wiring, swarm, disturbances):
-                moved = plant_at(swarm.plants, row)
-                world.advance(swarm.bodies[row], track.wrench[tick, row], tick, moved)
+                plant = plant_at(swarm.plants, row)
+                world.advance(swarm.bodies[row], track.wrench[tick, row], tick, plant)
 
 
-def own_loop(scenario: Scenario) -> Loop | None:
-    """The loop of a flight with functions of the user; None where the scenario names none.
-
-    Raises:
-        UserFileError: a function cannot be loaded, or the scenario comes from a bag.
-    """
-    named = scenario.plugins
-    if scenario.law is None and not (named.of_uav or named.of_world):
-        return None
-    return _OwnFlight(scenario).fly
+def _geometry(task: PluginTask, row: Sequence[float]) -> TaskGeometry:
+    """The task at a row of `_task_points`."""
+    a, b, c, d, e, f, g, h, i, heard = row
+    return task.at(TaskPoints((a, b, c), (d, e, f), (g, h, i), heard > 0.0))

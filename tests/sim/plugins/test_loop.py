@@ -7,15 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ptnsbc_sim.own_flight import own_loop
+from ptnsbc_sim.plugins.loop import PluginLoop
 from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_sim.swarm import fly
 
-EXAMPLES = Path(__file__).parents[2] / "examples" / "plugins"
+EXAMPLES = Path(__file__).parents[3] / "examples" / "plugins"
 
 
 def test_without_functions_the_loop_is_ours() -> None:
-    assert own_loop(load_scenario("paper_5_free")) is None
+    assert PluginLoop.of(load_scenario("paper_5_free")) is None
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""Laws of the user: loaded, compiled or interpreted, flown, and wrong ones named with file and line."""
+"""A plug-in is loaded, compiled or interpreted, and a wrong one is named with file and line: shown with laws."""
 
 from __future__ import annotations
 
@@ -9,14 +9,19 @@ import numpy as np
 import pytest
 
 from ptnsbc_core.kernel import COMPILED
-from ptnsbc_sim.law import _EXAMPLE, Heard, LawError, LawInputs, UavLaw, load_law
+from ptnsbc_sim.plugins.hooks import HOOKS, LawInputs
+from ptnsbc_sim.plugins.loader import Plugin, PluginError, load_plugin
 from ptnsbc_sim.scenario import ScenarioError, load_scenario, scenario_from_text
 from ptnsbc_sim.swarm import fly
 
-EXAMPLES = Path(__file__).parents[2] / "examples" / "laws"
-CONSENSUS = f"{EXAMPLES / 'consensus.py'}:consensus"
+EXAMPLES = Path(__file__).parents[3] / "examples" / "laws"
+_EXAMPLE: LawInputs = HOOKS["law"].example[0]
 
 Write = Callable[..., str]
+
+
+def _law(named: str) -> Plugin:
+    return load_plugin("law", named)
 
 
 @pytest.fixture
@@ -48,54 +53,11 @@ def drawn(seed: int, senders: int = 3) -> LawInputs:
 @pytest.mark.parametrize("name", ["consensus", "potential_field"])
 @pytest.mark.parametrize("seed", range(5))
 def test_the_compiled_law_is_the_interpreted_one(name: str, seed: int) -> None:
-    law = load_law(f"{EXAMPLES / name}.py:{name}")
+    law = _law(f"{EXAMPLES / name}.py:{name}")
     assert (law.call is not law.function) == COMPILED
     inputs = drawn(seed)
     plain = tuple(float(number) for number in law.function(inputs))
-    np.testing.assert_allclose(law(inputs), plain, rtol=1e-13, atol=1e-15)
-
-
-def test_in_formation_consensus_keeps_the_common_velocity() -> None:
-    scenario = load_scenario("paper_5_free", {"law": CONSENSUS})
-    leader, velocity = np.array([1.0, 2.0, 8.0]), np.array([0.3, -0.2, 0.1])
-
-    def state(uav: int) -> np.ndarray:
-        return np.concatenate(
-            [leader + scenario.offset(uav), [0.0, 0.0, 0.0, 1.0], velocity, np.zeros(3)]
-        )
-
-    law = UavLaw.of(scenario, 3)
-    assert law.senders == (1, 2, 4)  # leader, parent, and the neighbour above it
-    heard = [Heard(uav, state(uav), 0.0) for uav in law.senders]
-    found = law.velocity(2.0, state(3), heard, np.zeros((0, 7)))
-    np.testing.assert_allclose(found, velocity, atol=1e-12)
-    assert law.velocity(2.0, state(3), [], np.zeros((0, 7))) == (0.0, 0.0, 0.0)
-
-
-def test_what_a_law_hears_is_extrapolated_by_it_and_turned_to_the_world() -> None:
-    scenario = load_scenario("paper_5_free", {"law": CONSENSUS})
-    turned = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-    seen: list[LawInputs] = []
-    law = UavLaw(load_law(CONSENSUS), scenario, 2)
-    law._law = lambda inputs: seen.append(inputs) or (0.0, 0.0, 0.0)  # type: ignore[assignment,func-returns-value]
-    law.velocity(0.5, turned, [Heard(1, turned, 0.02)], np.zeros((0, 7)))
-    # a half turn about z: the body's x is the world's -x
-    np.testing.assert_allclose(seen[0].velocities, [[-1.0, 0.0, 0.0]], atol=1e-15)
-    np.testing.assert_allclose(seen[0].velocity, [-1.0, 0.0, 0.0], atol=1e-15)
-    assert (seen[0].ids.tolist(), seen[0].ages_s.tolist()) == ([1], [0.02])
-
-
-@pytest.mark.slow
-def test_a_law_flies_its_followers_and_leaves_the_leader(write: Write) -> None:
-    named = write("def law(inputs):", "    return (0.0, 0.0, 0.2)")
-    keys = {"timing.duration_s": 2.0, "formation.avoidance": "off"}
-    ours = fly(load_scenario("paper_5_free", keys))
-    theirs = fly(load_scenario("paper_5_free", {**keys, "law": named}))
-    np.testing.assert_array_equal(theirs.track.odometry[:, 0], ours.track.odometry[:, 0])
-    late = theirs.track.velocity[150:, 1:, :3]
-    np.testing.assert_allclose(late, np.broadcast_to([0.0, 0.0, 0.2], late.shape), atol=1e-3)
-    again = fly(load_scenario("paper_5_free", {**keys, "law": named}))
-    assert again.track.odometry.tobytes() == theirs.track.odometry.tobytes()
+    np.testing.assert_allclose(law.numbers(inputs, at="t"), plain, rtol=1e-13, atol=1e-15)
 
 
 @pytest.mark.parametrize(
@@ -108,8 +70,8 @@ def test_a_law_flies_its_followers_and_leaves_the_leader(write: Write) -> None:
 def test_what_numba_cannot_compile_is_interpreted_with_a_word(
     write: Write, capsys: pytest.CaptureFixture[str], lines: tuple[str, ...]
 ) -> None:
-    law = load_law(write(*lines))
-    assert law(_EXAMPLE) == (1.0, 2.0, 3.0)
+    law = _law(write(*lines))
+    assert law.numbers(_EXAMPLE, at="t") == (1.0, 2.0, 3.0)
     said = capsys.readouterr().err
     assert not COMPILED or ("mine.py:2: law is interpreted" in said and said.count("\n") == 1)
 
@@ -143,9 +105,9 @@ def test_what_numba_cannot_compile_is_interpreted_with_a_word(
 def test_a_law_that_gives_no_velocity_names_its_line(
     write: Write, lines: tuple[str, ...], match: str
 ) -> None:
-    law = load_law(write(*lines))
-    with pytest.raises(LawError, match=match):
-        law(_EXAMPLE)
+    law = _law(write(*lines))
+    with pytest.raises(PluginError, match=match):
+        law.numbers(_EXAMPLE, at="t = 0.000 s")
 
 
 @pytest.mark.parametrize(
@@ -161,13 +123,13 @@ def test_a_law_that_gives_no_velocity_names_its_line(
 def test_a_file_without_a_law_names_its_line(
     write: Write, lines: tuple[str, ...], match: str
 ) -> None:
-    with pytest.raises(LawError, match=match):
-        load_law(write(*lines))
+    with pytest.raises(PluginError, match=match):
+        _law(write(*lines))
 
 
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
-    with pytest.raises(LawError, match=r"nowhere\.py: No such file"):
-        load_law(f"{tmp_path}/nowhere.py:law")
+    with pytest.raises(PluginError, match=r"nowhere\.py: No such file"):
+        _law(f"{tmp_path}/nowhere.py:law")
 
 
 def test_the_file_is_looked_for_beside_the_scenario(tmp_path: Path) -> None:
@@ -186,7 +148,7 @@ def test_a_scenario_from_a_bag_names_no_file_to_execute(write: Write, tmp_path: 
     carried = scenario_from_text(text, complete=True)
     assert carried.law == "mine.py:law"
     for scenario in (carried, carried.with_({"timing.duration_s": 1})):
-        with pytest.raises(LawError, match="a bag names a law and does not carry it"):
+        with pytest.raises(PluginError, match="a bag names a law and does not carry it"):
             fly(scenario)
     assert not mark.exists()
     assert carried.with_(law=named).law == named  # given by the user

@@ -1,0 +1,1 @@
+"""Functions of the user in the place of parts of a flight: `hooks` says which, `loader` loads them."""

@@ -1,0 +1,171 @@
+"""What can be plugged in: every hook, with what it is called, when, and what it gives.
+
+| hook | called | in the place of |
+|---|---|---|
+| `law` | at every tick, by every follower | the formation law's velocity |
+| `task` | at every tick, by every follower, 19 times: value and differences | `formation.task` |
+| `controller` | at every tick, by every UAV | our controller |
+| `plant` | four times in each physics substep, for every vehicle | the equations of motion of the quadrotor |
+| `disturbance` | at the start of every control period, for every vehicle | nothing: it is added to the others |
+| `sensor` | at every reading, for every vehicle | our near-object sensor |
+| `trajectory`, `shape` | once, when the scenario is read (`scenario/reading/functions.py`) | data of the scenario |
+
+A scenario names a plug-in as `FILE.py:NAME`, or as the name of an entry point `HOOK.NAME` in `ptnsbc.plugins`. It is a
+pure function of its inputs: it must not remember anything, and its random numbers are in its inputs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ptnsbc_core.types import NEAR_COLUMNS, ODOMETRY_SIZE, Array, Vector3
+from ptnsbc_sim.plants.contract import STATE_SIZE
+
+SAMPLES = 6
+"""Random numbers that a disturbance and a sensor get at each call."""
+
+
+class LawInputs(NamedTuple):
+    """The input of a law at one tick; positions and velocities are ENU. K: senders heard, M: objects near."""
+
+    t: float  # [s] since the epoch
+    position: Array  # (3,) own [m]
+    velocity: Array  # (3,) own [m/s]
+    offset: Array  # (3,) own place relative to the leader [m]
+    ids: NDArray[np.int64]  # (K,) parent, leader where it is heard, neighbours; ascending
+    positions: Array  # (K, 3) of the senders [m]
+    velocities: Array  # (K, 3) that they command [m/s]
+    offsets: Array  # (K, 3) their places relative to the leader [m]
+    ages_s: Array  # (K,) ages of what they sent
+    near: Array  # (M, 7) objects near: x y z [m], keep-out radius [m], vx vy vz [m/s]
+    deadline_s: float  # of the formation, counted from the epoch
+    max_speed_m_s: float  # to which the command is limited
+
+
+class ControllerInputs(NamedTuple):
+    """The input of a controller at one tick."""
+
+    t: float  # [s] since the epoch
+    dt: float  # [s] control period
+    odometry: Array  # (13,) position [m, ENU], quaternion x y z w, velocity [m/s] and rates [rad/s] of the body
+    velocity: Array  # (3,) commanded [m/s, ENU]
+    yaw_rate: float  # commanded [rad/s]
+    wrench: Array  # (6,) force [N] and torque [N m] of our controller, body FLU
+    mass: float  # [kg] that the laws know
+    inertia: Array  # (3,) [kg m^2] that the laws know
+    gravity: float  # [m/s^2]
+
+
+class PlantInputs(NamedTuple):
+    """The input of a plant at an instant."""
+
+    t: float  # [s] of the simulated world
+    state: Array  # (17,) position, quaternion x y z w, velocity [ENU], body rates, four numbers of its own
+    wrench: Array  # (6,) commanded force [N] and torque [N m], body FLU
+    push: Array  # (6,) acceleration of the disturbances [m/s^2, ENU], [rad/s^2, body]
+    wind: Array  # (3,) [m/s, ENU]
+    mass: float  # [kg] true
+    inertia: Array  # (3,) [kg m^2] true
+    gravity: float  # [m/s^2]
+    max_thrust: float  # [N]
+    max_torque: Array  # (3,) [N m]
+    motor_lag_s: float
+    drag: float  # [1/s]
+
+
+class DisturbanceInputs(NamedTuple):
+    """The input of a disturbance at the start of a control period; `odometry` as in ControllerInputs."""
+
+    t: float  # [s] of the simulated world
+    uav: int  # id
+    odometry: Array  # (13,) true
+    samples: Array  # (6,) standard normal numbers of this UAV and tick, from the scenario's seed
+
+
+class SensorInputs(NamedTuple):
+    """The input of a near-object sensor at a reading. M: all other UAVs and all obstacles, at any distance."""
+
+    t: float  # [s] of the simulated world
+    uav: int  # id
+    odometry: Array  # (13,) true
+    objects: Array  # (M, 7) x y z [m], keep-out radius [m], vx vy vz [m/s, ENU]
+    range_m: float  # of the scenario
+    samples: Array  # (6,) standard normal numbers of this UAV and reading
+
+
+class Hook(NamedTuple):
+    """A place where a function of the user is called."""
+
+    name: str
+    example: Sequence[Any]  # arguments of the types of all calls
+    gives: str
+    size: int  # how many numbers it gives; 0: rows, any number of them
+
+
+_ZERO: Vector3 = (0.0, 0.0, 0.0)
+
+
+def _zeros(*shape: int) -> Array:
+    return np.zeros(shape)
+
+
+_LAW = LawInputs(
+    0.0,
+    _zeros(3),
+    _zeros(3),
+    _zeros(3),
+    np.zeros(1, dtype=np.int64),
+    _zeros(1, 3),
+    _zeros(1, 3),
+    _zeros(1, 3),
+    _zeros(1),
+    _zeros(1, NEAR_COLUMNS),
+    1.0,
+    1.0,
+)
+_CONTROLLER = ControllerInputs(
+    0.0, 0.01, _zeros(ODOMETRY_SIZE), _zeros(3), 0.0, _zeros(6), 1.0, _zeros(3), 9.81
+)
+_PLANT = PlantInputs(
+    0.0,
+    _zeros(STATE_SIZE),
+    _zeros(6),
+    _zeros(6),
+    _zeros(3),
+    1.0,
+    np.ones(3),
+    9.81,
+    1.0,
+    np.ones(3),
+    0.1,
+    0.0,
+)
+_DISTURBANCE = DisturbanceInputs(0.0, 1, _zeros(ODOMETRY_SIZE), _zeros(SAMPLES))
+_SENSOR = SensorInputs(0.0, 1, _zeros(ODOMETRY_SIZE), _zeros(1, NEAR_COLUMNS), 1.0, _zeros(SAMPLES))
+
+HOOKS = {
+    hook.name: hook
+    for hook in (
+        Hook("law", (_LAW,), "a velocity of three numbers [m/s, ENU]", 3),
+        Hook("task", (_ZERO, _ZERO, _ZERO), "three numbers, the value of the task", 3),
+        Hook(
+            "controller",
+            (_CONTROLLER,),
+            "force [N] and torque [N m], six numbers in the body frame (FLU)",
+            6,
+        ),
+        Hook("plant", (_PLANT,), "17 numbers, d state / dt", STATE_SIZE),
+        Hook(
+            "disturbance",
+            (_DISTURBANCE,),
+            "six numbers: acceleration [m/s^2, ENU] and angular acceleration [rad/s^2, body]",
+            6,
+        ),
+        Hook("sensor", (_SENSOR,), "rows of 7 finite numbers", 0),
+    )
+}
+"""All hooks that are called in flight, by their names in a scenario."""

@@ -1,0 +1,162 @@
+"""The plug-ins of the simulated world: plants, disturbances and near-object sensors.
+
+The headless flight and the sim node call the same functions with the same numbers, so both give the same bits.
+Nothing here runs when a bag is judged or re-run: the controllers start from what was recorded.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cached_property
+
+import numpy as np
+
+from ptnsbc_core.types import NEAR_COLUMNS, Array
+from ptnsbc_sim.disturbances import random_streams
+from ptnsbc_sim.plants.build import plant_config
+from ptnsbc_sim.plants.contract import PlantConfig, Six, six
+from ptnsbc_sim.plugins.hooks import SAMPLES, DisturbanceInputs, PlantInputs, SensorInputs
+from ptnsbc_sim.plugins.loader import load_plugin
+from ptnsbc_sim.scenario import Scenario
+from ptnsbc_sim.sensor import near_objects
+
+_NANO = 1e-9
+_QUATERNION = slice(3, 7)
+
+
+class WorldPlugins:
+    """The plug-ins that a scenario names for its world; those that it does not name are None."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        """Load the plug-ins.
+
+        Raises:
+            PluginError: one cannot be loaded, or the scenario comes from a bag.
+        """
+        self._scenario = scenario
+        self.disturbance, self.plant, self.sensor = (
+            load_plugin(name, named) if (named := getattr(scenario.plugins, name)) else None
+            for name in ("disturbance", "plant", "sensor")
+        )
+
+    @classmethod
+    def of(cls, scenario: Scenario) -> WorldPlugins | None:
+        """The plug-ins of the world; None where the scenario names none."""
+        return cls(scenario) if scenario.plugins.of_world else None
+
+    @cached_property
+    def _base(self) -> dict[int, Six]:
+        """The constant acceleration that the scenario gives each UAV."""
+        scenario = self._scenario
+        return {uav: plant_config(scenario, uav).offset for uav in scenario.uav_ids}
+
+    def _seconds(self, tick: int) -> float:
+        return tick * self._scenario.dt_ns * _NANO
+
+    def _samples(self, uav: int, address: int) -> Array:
+        """Standard normal numbers (6,); even addresses are the disturbance's, odd ones the sensor's."""
+        stream = (self._scenario.seed, random_streams.OWN, uav)
+        return np.array(random_streams.normal(stream, address, SAMPLES))
+
+    def disturbed(self, uav: int, tick: int, truth: Array, plant: PlantConfig) -> PlantConfig:
+        """The plant with the disturbance of the control period that begins at `tick`; it replaces the one before.
+
+        Args:
+            uav: id.
+            tick: control periods since the start of the simulated world.
+            truth: true odometry vector (13,) at the tick.
+            plant: the constants of the vehicle.
+
+        Raises:
+            PluginError: the function raised an error, or did not return six finite numbers.
+        """
+        if self.disturbance is None:
+            return plant
+        t = self._seconds(tick)
+        inputs = DisturbanceInputs(t, uav, np.array(truth), self._samples(uav, 2 * tick))
+        push = self.disturbance.numbers(inputs, at=f"t = {t:.3f} s")
+        return plant._replace(
+            offset=six(added + base for added, base in zip(push, self._base[uav], strict=True))
+        )
+
+    def advance(self, state: Array, wrench: Array, tick: int, plant: PlantConfig) -> None:
+        """State (17,) of a vehicle, in place, by one control period: Runge-Kutta of fourth order.
+
+        Raises:
+            PluginError: the function raised an error, or did not return 17 finite numbers.
+        """
+        substeps = self._scenario.physics_hz // self._scenario.control_hz
+        begin, step = self._seconds(tick), self._scenario.dt_ns * _NANO / substeps
+        for n in range(substeps):
+            t, x = begin + n * step, np.array(state)
+            first = self._rate(t, x, wrench, plant)
+            second = self._rate(t + 0.5 * step, x + 0.5 * step * first, wrench, plant)
+            third = self._rate(t + 0.5 * step, x + 0.5 * step * second, wrench, plant)
+            fourth = self._rate(t + step, x + step * third, wrench, plant)
+            x += step / 6.0 * (first + 2.0 * (second + third) + fourth)
+            x[_QUATERNION] /= math.sqrt(sum(float(q) ** 2 for q in x[_QUATERNION]))
+            state[:] = x
+
+    def _rate(self, t: float, state: Array, wrench: Array, plant: PlantConfig) -> Array:
+        assert self.plant is not None
+        push = [
+            offset + (amplitude * math.sin(t + phase) if amplitude else 0.0)
+            for offset, amplitude, phase in zip(
+                plant.offset, plant.amplitude, plant.phase, strict=True
+            )
+        ]
+        inputs = PlantInputs(
+            t,
+            state,
+            np.array(wrench),
+            np.array(push),
+            np.array(plant.wind),
+            plant.mass,
+            np.array(plant.inertia),
+            plant.gravity,
+            plant.max_thrust,
+            np.array(plant.max_torque),
+            plant.motor_lag_s,
+            plant.drag,
+        )
+        return np.array(self.plant.numbers(inputs, at=f"t = {t:.4f} s"))
+
+    def near(
+        self, row: int, tick: int, truth: Array, obstacles: Array, keep_outs: Array
+    ) -> Array | None:
+        """Rows (K, 7) that the sensor of UAV number `row` gives; None where it is ours.
+
+        They are rounded to float32, as ours are.
+
+        Args:
+            row: of the observer.
+            tick: of the reading.
+            truth: true odometry vectors (N, 13) of all UAVs.
+            obstacles: (O, 20) rows of bodies.
+            keep_outs: (N,) keep-outs of the UAVs [m].
+
+        Raises:
+            PluginError: the function raised an error, or gave no such rows.
+        """
+        if self.sensor is None:
+            return None
+        scenario, t = self._scenario, self._seconds(tick)
+        uav = scenario.uav_ids[row]
+        objects = near_objects(row, truth, obstacles, keep_outs, math.inf)
+        samples = self._samples(uav, 2 * (tick // scenario.near_every) + 1)
+        inputs = SensorInputs(
+            t, uav, np.array(truth[row]), objects, float(scenario.sensor.range_m), samples
+        )
+        seen = self.sensor.result(inputs)
+        try:
+            rows = np.asarray(seen, dtype=np.float32).astype(np.float64)
+        except (TypeError, ValueError):
+            rows = np.zeros(0)
+        if rows.size == 0 and len(np.shape(seen)) >= 1:
+            rows = np.zeros((0, NEAR_COLUMNS))
+        fits = rows.ndim == 2 and rows.shape[1] == NEAR_COLUMNS and len(rows) <= len(objects)
+        if not fits or not np.isfinite(rows).all():
+            raise self.sensor.refusal(
+                seen, f"expected at most {len(objects)} {self.sensor.hook.gives}, at t = {t:.3f} s"
+            )
+        return np.ascontiguousarray(rows)
