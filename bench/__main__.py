@@ -12,29 +12,11 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
-
 from bench.session import Machine, Plan, print_progress, sentences
-from bench.table import Row, markdown, rich_table
+from bench.table import Row, markdown
 from ptnsbc_core.errors import PtnsbcError
 
-SECTIONS = (
-    "step",
-    "headless",
-    "sweep",
-    "peers",
-    "startup",
-    "recorder",
-    "lockstep",
-    "realtime",
-    "many",
-    "rerun",
-    "autopilot",
-    "bridge",
-    "network",
-    "help",
-)
-_NARROWEST = 150
+SECTIONS = ("step", "headless", "sweep", "peers", "startup", "fleets")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -70,12 +52,7 @@ def _show(
         }
         print(json.dumps(found))
     else:
-        console = Console()
-        if not console.is_terminal:
-            console = Console(width=max(console.width, _NARROWEST))
-        console.print(rich_table(rows))
-        for sentence in sentences(facts):
-            console.print(sentence, highlight=False)
+        print(markdown(rows, sentences(facts)))
     if options.output is not None:
         _write(options.output, markdown(rows, sentences(facts)))
 

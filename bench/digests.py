@@ -3,6 +3,9 @@
 `python -m bench.digests before.txt`, change the code, `python -m bench.digests after.txt`, and compare both with
 `diff`. Every scenario is flown headless for 20 s with every plant, formation task and avoidance rule, and `paper_5`
 for 8 s by a fleet in lock-step. The file has one line for each headless flight and one for each topic of the fleet.
+
+`python -m bench.digests --bits SCENARIO` flies a scenario as processes in lock-step and headless, and compares every
+odometry, formation state, leader estimate and wrench, to the last bit.
 """
 
 from __future__ import annotations
@@ -20,10 +23,15 @@ from functools import partial
 from itertools import product
 from pathlib import Path
 
+import numpy as np
 from mcap.reader import make_reader
 
 from bench.session import print_progress
 from ptnsbc_core.tasks.table import TASKS
+from ptnsbc_io.bag import Bag, read_bag
+from ptnsbc_io.wire import decode_odometry, decode_wrench
+from ptnsbc_sim.scenario import scenario_from_text
+from ptnsbc_sim.swarm import fly
 
 SCENARIOS = ("paper_5", "paper_5_free", "paper_20", "experiment_4", "experiment_4_calm")
 PLANTS = ("quadrotor", "rigid_body_6dof")
@@ -78,6 +86,35 @@ def ptnsbc(root: Path, *words: str, bag: Path) -> int:
     return done.returncode
 
 
+def differing(bag: Bag) -> tuple[int, int]:
+    """Messages of a lock-step flight, and how many of them the headless flight of its scenario has differently."""
+    scenario = scenario_from_text((bag.attachment("scenario.yaml") or b"").decode())
+    track = fly(scenario).track
+    expected = {
+        "odom": (decode_odometry, track.odometry),
+        "formation_state": (decode_odometry, track.reported),
+        "leader_estimate": (decode_odometry, track.estimate),
+        "setpoint/wrench": (decode_wrench, track.wrench),
+    }
+    count = different = 0
+    for row, uav in enumerate(scenario.uav_ids):
+        for topic, (decode, values) in expected.items():
+            for message in bag.messages([f"/uav{uav}/{topic}"]):
+                stamp_ns, recorded = decode(message.data)
+                wanted = np.ascontiguousarray(values[stamp_ns // scenario.dt_ns, row])
+                count += 1
+                different += recorded.tobytes() != wanted.tobytes()
+    return count, different
+
+
+def _compare(scenario: str, root: Path, folder: Path) -> int:
+    bag = folder / "bag"
+    ptnsbc(root, "fleet", scenario, "--lockstep", bag=bag)
+    count, different = differing(read_bag(bag))
+    print(f"{scenario}: {count} messages, {different} different")
+    return 0 if count and not different else 1
+
+
 def _lines(options: argparse.Namespace, folder: Path) -> Iterator[str]:
     cases = list(product(options.scenarios, PLANTS, TASKS, RULES))
     fly = partial(headless, root=options.root, folder=folder, seconds=options.seconds)
@@ -98,7 +135,8 @@ def _write(path: Path, lines: Iterable[str]) -> None:
 def main(argv: Sequence[str] | None = None) -> int:
     """Write the digests of every flight."""
     parser = argparse.ArgumentParser(prog="bench.digests", description=__doc__)
-    parser.add_argument("output", type=Path, metavar="OUT", help="text file to write")
+    parser.add_argument("output", type=Path, nargs="?", metavar="OUT", help="text file to write")
+    parser.add_argument("--bits", metavar="SCENARIO", help="compare processes with headless")
     parser.add_argument("--jobs", type=int, default=3, help="headless flights at a time")
     parser.add_argument("--scenarios", nargs="+", default=SCENARIOS, metavar="SCENARIO")
     parser.add_argument("--seconds", type=float, default=20.0, help="of a headless flight")
@@ -110,6 +148,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     options = parser.parse_args(argv)
     options.root = options.root.resolve()
     with tempfile.TemporaryDirectory(prefix="bench-") as name:
+        if options.bits:
+            return _compare(options.bits, options.root, Path(name))
+        if options.output is None:
+            parser.error("expected OUT, or --bits SCENARIO")
         _write(options.output, _lines(options, Path(name)))
     return 0
 

@@ -40,7 +40,7 @@ LARGEST_MB = 300.0
 _REFERENCE = (sys.executable, "-c", "import numba")
 _REFERENCE_S = 0.35  # of a processor that no other guest of the host slows down
 _REPEATED = 3
-_TOLD_S = 30.0  # between two lines of progress
+_TOLD = 500  # inputs between two lines of progress
 
 
 class Cost(NamedTuple):
@@ -57,22 +57,6 @@ class Result(NamedTuple):
     slowest: Cost
     largest: Cost
     failures: list[str]
-
-
-class _Progress:
-    """A line on stderr now and then."""
-
-    def __init__(self, name: str) -> None:
-        self._name = name
-        self._next_s = time.monotonic() + _TOLD_S
-
-    def tell(self, inputs: int, failures: int) -> None:
-        """Say how many inputs were tried, and how many failed."""
-        if time.monotonic() >= self._next_s:
-            self._next_s += _TOLD_S
-            print(
-                f"{self._name}: {inputs} inputs, {failures} failures", file=sys.stderr, flush=True
-            )
 
 
 def measured(work: Callable[[bytes], None], data: bytes) -> Cost:
@@ -130,7 +114,6 @@ def fuzzed(kind: str, number: int, seed: int, seconds: float | None = None) -> R
     slowest = largest = Cost(0.0, 0.0)
     failures: list[str] = []
     done, end = 0, time.monotonic() + (seconds or float("inf"))
-    progress = _Progress(kind)
     with tempfile.TemporaryDirectory(prefix="ptnsbc-fuzz-") as folder:
         fuzzer = FUZZERS[kind](Path(folder))
         for data in fuzzer.sound:
@@ -144,7 +127,10 @@ def fuzzed(kind: str, number: int, seed: int, seconds: float | None = None) -> R
             largest = max(largest, cost, key=lambda one: one.megabytes)
             if wrong:
                 failures.append(f"{kept(kind, data)}: {wrong}")
-            progress.tell(done, len(failures))
+            if done % _TOLD == 0:
+                print(
+                    f"{kind}: {done} inputs, {len(failures)} failures", file=sys.stderr, flush=True
+                )
     return Result(done, slowest, largest, failures)
 
 
@@ -160,7 +146,7 @@ def through_commands(number: int, seed: int) -> Result:
     """So many bags and so many scenarios through the commands in turn, each in a process of its own."""
     slowest = largest = Cost(0.0, 0.0)
     failures: list[str] = []
-    done, progress = 0, _Progress(_BY_COMMANDS)
+    done = 0
     with tempfile.TemporaryDirectory(prefix="ptnsbc-fuzz-") as folder:
         for kind, commands in _COMMANDS.items():
             fuzzer = FUZZERS[kind](Path(folder))
@@ -177,7 +163,6 @@ def through_commands(number: int, seed: int) -> Result:
                 largest = max(largest, cost, key=lambda one: one.megabytes)
                 if wrong:
                     failures.append(f"{kept(kind, data)}: ptnsbc {' '.join(words)}: {wrong}")
-                progress.tell(done, len(failures))
     return Result(done, slowest, largest, failures)
 
 

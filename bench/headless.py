@@ -14,7 +14,7 @@ from ptnsbc_core.step import inlined_step
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.swarm import HeadlessFlight, fly, swarm_of
 from ptnsbc_sim.tick import SwarmState, advance_plant, inputs_of, sense
-from ptnsbc_sim.track import FlightTrack, note
+from ptnsbc_sim.track import FlightTrack
 from ptnsbc_sim.wiring import Wiring
 
 _SVD_CALLS = 5000
@@ -56,21 +56,6 @@ def _laws(ticks: int, wiring: Wiring, swarm: SwarmState, track: FlightTrack) -> 
 
 
 @kernel
-def _noting(ticks: int, wiring: Wiring, swarm: SwarmState, track: FlightTrack) -> float:
-    wiring, swarm, track = borrowed(wiring), borrowed(swarm), borrowed(track)
-    dt = wiring.dt_ns * 1e-9
-    for tick in range(ticks):
-        t = (tick * wiring.dt_ns) * 1e-9
-        for row in range(swarm.bodies.shape[0]):
-            inputs = inputs_of(swarm, wiring, track, tick, row, None)
-            swarm.states[row], out = inlined_step(
-                swarm.states[row], inputs, None, None, t, dt, swarm.configs[row]
-            )
-            note(track, tick, row, out)
-    return 0.0
-
-
-@kernel
 def _plant(ticks: int, wiring: Wiring, swarm: SwarmState, track: FlightTrack) -> float:
     wiring, swarm, track = borrowed(wiring), borrowed(swarm), borrowed(track)
     for tick in range(ticks):
@@ -93,7 +78,6 @@ _PIECES = {
     "sensing": _Piece(_sense, None),
     "inputs": _Piece(_inputs, None),
     "laws": _Piece(_laws, _inputs),
-    "noting": _Piece(_noting, _laws),
     "plant": _Piece(_plant, None),
 }
 

@@ -76,17 +76,14 @@ class Machine:
     def __init__(self) -> None:
         self._load = os.getloadavg()
         self._began = time.monotonic()
-        self._busy_s = _busy_s() - _own_s()
 
     def facts(self) -> dict[str, Any]:
-        """Cores, load averages before and after, cores that others used, versions."""
+        """Cores, load averages before and after, versions."""
         elapsed_s = max(time.monotonic() - self._began, 1e-9)
-        others = (_busy_s() - _own_s() - self._busy_s) / elapsed_s
         return {
             "cores": os.cpu_count(),
             "load_before": [round(load, 2) for load in self._load],
             "load_after": [round(load, 2) for load in os.getloadavg()],
-            "cores_used_by_others": round(max(others, 0.0), 2),
             "elapsed_s": round(elapsed_s, 1),
             "python": platform.python_version(),
             "versions": dict(_versions()),
@@ -98,7 +95,7 @@ def sentences(facts: Mapping[str, Any]) -> list[str]:
     before, after = (" ".join(map(str, facts[key])) for key in ("load_before", "load_after"))
     packages = ", ".join(f"{name} {number}" for name, number in facts["versions"].items())
     return [
-        f"{facts['cores']} cores, of which others used {facts['cores_used_by_others']} meanwhile",
+        f"{facts['cores']} cores",
         f"load average {before} before, {after} after {facts['elapsed_s']:.0f} s",
         f"Python {facts['python']}, {packages}",
         "step, headless, recorder: CPU time of one thread, which is wall time on an idle core",
@@ -112,16 +109,3 @@ def _versions() -> Iterator[tuple[str, str]]:
             yield name, version(name)
         except PackageNotFoundError:
             continue
-
-
-def _busy_s() -> float:
-    """CPU time of all processes since the machine was started [s]."""
-    with open("/proc/stat", encoding="ascii") as file:
-        user, nice, system, _idle, _iowait, irq, softirq = map(int, file.readline().split()[1:8])
-    return (user + nice + system + irq + softirq) / os.sysconf("SC_CLK_TCK")
-
-
-def _own_s() -> float:
-    """CPU time of this process and of its children that have ended [s]."""
-    spent = os.times()
-    return spent.user + spent.system + spent.children_user + spent.children_system

@@ -1,9 +1,8 @@
-"""A fleet of twenty UAVs among faults that a seed draws: who dies, who comes too near, who grows, who answers late?
+"""A fleet of twenty UAVs among faults that a seed draws: who dies, who comes too near, who grows?
 
 `python -m bench.soak [--lockstep] [--hz 50] [--duration 600] [--faults 60] [--uavs 20] [--seed 1]`. Messages are
 silenced, lost, late and no numbers, positions jump by some centimetres; in real time processes also freeze and start
-again. No process is killed for good: that is `bench.crash` and the tests of the fleet. `bench.answers` says how soon
-the followers answered.
+again. No process is killed for good: that is `bench.signals`.
 """
 
 from __future__ import annotations
@@ -11,17 +10,15 @@ from __future__ import annotations
 import argparse
 import json
 import random
-import shutil
 import sys
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from bench.answers import answers
+from bench.processes import Sampler
 from bench.scenarios import grid
 from bench.session import Machine, own_domain, print_progress
-from bench.usage import Sampler
 from ptnsbc_io.bag import Bag, read_bag
 from ptnsbc_io.bag.repair import repair
 from ptnsbc_io.wire import peek_stamp
@@ -74,9 +71,8 @@ def soak(
     hz: int,
     *,
     lockstep: bool,
-    out: Path | None = None,
 ) -> dict[str, Any]:
-    """Fly at `hz` control periods per second, and report; `out` keeps bag and logs."""
+    """Fly at `hz` control periods per second, and report."""
     scenario = grid(uavs, hz, duration_s)
     scenario = scenario.with_({"faults": drawn(scenario, faults, seed, lockstep=lockstep)})
     settle_s = min(_SETTLE_S, 0.25 * duration_s)
@@ -102,16 +98,10 @@ def soak(
         recording = read_recording(folder / "bag")
         bag = read_bag(folder / "bag")
         waited_s = behind_s(bag, topics.odom(scenario.leader_id).name)
-        verdict, answered = verdict_on(recording), list(answers(recording, bag))
-        if out is not None:
-            shutil.copytree(folder, out)
+        verdict = verdict_on(recording)
     closest = min(verdict.separations, key=lambda one: one.distance_m - one.keep_out_m)
     # A fast lock-step is over before that.
     grown = sampler.growth(settle_s, min(duration_s, flown.flight_s - _END_S))
-    by_action = {
-        action: [one for one in answered if one.action == action]
-        for action in sorted({one.action for one in answered})
-    }
     return {
         "uavs": uavs,
         "duration_s": duration_s,
@@ -127,12 +117,6 @@ def soak(
         "closest_margin_m": round(closest.distance_m - closest.keep_out_m, 3),
         "closest": f"{closest.first} and {closest.second} at {closest.at_s:.2f} s",
         "memory_growth": {role: round(share, 4) for role, share in grown.items()},
-        "answers": {action: len(each) for action, each in by_action.items()},
-        "answered_within_s": {
-            action: max((one.after_s or 0.0 for one in each), default=None)
-            for action, each in by_action.items()
-        },
-        "answered_late": [one._asdict() for one in answered if one.late],
         "missed_ticks": verdict.missed_ticks,
         "machine": machine.facts(),
     }
@@ -141,8 +125,8 @@ def soak(
 def main(arguments: Sequence[str] | None = None) -> int:
     """Exit code 1 when anything is not as wanted.
 
-    A process died unasked or grew by 1 %, a keep-out was entered, a fault was answered late or never, or a message did
-    not reach the recorder.
+    A process died unasked or grew by 1 %, a keep-out was entered, or a message did not reach
+    the recorder.
     """
     parser = argparse.ArgumentParser(prog="python -m bench.soak", description=__doc__)
     parser.add_argument("--uavs", type=int, default=20)
@@ -151,7 +135,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--lockstep", action="store_true")
     parser.add_argument("--hz", type=int, default=50, help="control periods per second")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="keeps bag and logs")
     options = parser.parse_args(arguments)
     found = soak(
         options.uavs,
@@ -160,10 +143,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         options.seed,
         options.hz,
         lockstep=options.lockstep,
-        out=options.out,
     )
     print(json.dumps(found, indent=1, default=str))
-    bad = ("died_unasked", "keep_outs_entered", "answered_late", "recorder_lost")
+    bad = ("died_unasked", "keep_outs_entered", "recorder_lost")
     grown = max(found["memory_growth"].values(), default=0.0)
     return int(any(found[one] for one in bad) or grown >= _MOST_GROWTH)
 

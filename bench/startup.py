@@ -1,7 +1,6 @@
 """Before the first tick: compiling the laws once, and starting a process with them compiled.
 
-As a module it is one of the processes measured: `compile` with an empty cache, or `node`, an rclpy
-node that publishes its status and does nothing else.
+As a module it compiles everything in an empty cache.
 """
 
 from __future__ import annotations
@@ -41,8 +40,12 @@ def _compilation() -> list[Row]:
     print_progress("startup: compiling everything once")
     with tempfile.TemporaryDirectory(prefix="bench-") as folder:
         done = subprocess.run(
-            [sys.executable, "-m", __spec__.name, "compile"],
-            env={**os.environ, "PTNSBC_CACHE_DIR": folder, "PYTHONPATH": _root()},
+            [sys.executable, "-m", __spec__.name],
+            env={
+                **os.environ,
+                "PTNSBC_CACHE_DIR": folder,
+                "PYTHONPATH": str(Path(__file__).resolve().parents[1]),
+            },
             stdout=subprocess.PIPE,
             check=True,
             text=True,
@@ -91,7 +94,7 @@ def _ready(plan: Plan) -> list[Row]:
         own = ("ptnsbc_nodes.uav.main", "--scenario", str(file), "--uav", _LEADER, "--lockstep")
         found = take_turns(
             {
-                "bare node": lambda: _start(folder, __spec__.name, "node"),
+                "bare node": lambda: _start(folder, "bench.processes", "node", f"{_NODE_HZ:g}"),
                 "UAV": lambda: _start(folder, *own),
             },
             plan.of(7, 2),
@@ -109,9 +112,7 @@ def _ready(plan: Plan) -> list[Row]:
 
 
 def _start(folder: Path, module: str, *arguments: str) -> Start:
-    from bench.launch import BenchError
-    from bench.observer import Observer
-    from bench.usage import look
+    from bench.processes import BenchError, Observer, look
     from ptnsbc_nodes.fleet.child_process import ChildProcess, ProcessCommand, end
     from ptnsbc_nodes.runtime import environment
 
@@ -129,24 +130,5 @@ def _start(folder: Path, module: str, *arguments: str) -> Start:
             end([child])
 
 
-def _bare_node() -> None:
-    import rclpy
-    from diagnostic_msgs.msg import DiagnosticArray
-
-    rclpy.init()
-    node = rclpy.create_node("bare", start_parameter_services=False, enable_rosout=False)
-    publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
-    node.create_timer(1.0 / _NODE_HZ, lambda: publisher.publish(DiagnosticArray()))
-    while rclpy.ok():
-        rclpy.spin_once(node, timeout_sec=0.1)
-
-
-def _root() -> str:
-    return str(Path(__file__).resolve().parent.parent)
-
-
 if __name__ == "__main__":
-    if sys.argv[1] == "compile":
-        print(json.dumps(_compile()))
-    else:
-        _bare_node()
+    print(json.dumps(_compile()))

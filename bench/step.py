@@ -13,16 +13,14 @@ from paper.experiments.cost import follower_inputs
 from ptnsbc_core.agent import Agent, PackedInputs
 from ptnsbc_core.algebra import eigen3, gram3
 from ptnsbc_core.kernel import kernel
-from ptnsbc_core.step import initial_state, step
 from ptnsbc_core.types import Array
-from ptnsbc_sim.scenario import agent_config, load_scenario
+from ptnsbc_sim.scenario import agent_config
 from ptnsbc_sim.world import World
 
 SVD = "NumPy 3×3 SVD"
 _MATRIX = np.array([[2.0, 0.3, -0.1], [0.2, 1.0, 0.4], [-0.3, 0.1, 0.5]])
 _FOLLOWER = 3
 _T_S = 2.0
-_SLOTS = {"formation.task": "relative_position", "formation.assignment": "optimal"}
 
 
 def numpy_svd() -> object:
@@ -54,28 +52,15 @@ def measure(plan: Plan) -> Sequence[Row]:
     scenario = paper(1.0)
     config, dt = agent_config(scenario, _FOLLOWER), 0.01
     known = follower_inputs(scenario, World(scenario), _FOLLOWER)
-    agent, state = Agent(config, known.own), initial_state(known.own, config)
+    agent = Agent(config, known.own)
 
     vector = PackedInputs.pack(known)
-    slots = load_scenario("paper_5", {"timing.duration_s": 1.0, **_SLOTS})
-    beside = follower_inputs(slots, World(slots), _FOLLOWER)
-    by_positions = Agent(agent_config(slots, _FOLLOWER), beside.own)
-    positions = PackedInputs.pack(beside)
 
     def agent_advance() -> object:
         return agent.advance(vector, _T_S, dt)
 
-    def positions_advance() -> object:
-        return by_positions.advance(positions, _T_S, dt)
-
-    def agent_step() -> object:
-        return agent.step(known, _T_S, dt)
-
-    def plain_step() -> object:
-        return step(state, known, _T_S, dt, config)
-
     matrices = np.random.default_rng(1).normal(size=(plan.of(20_000, 2_000), 3, 3))
-    for warm in (agent_advance, positions_advance, agent_step, plain_step, numpy_svd):
+    for warm in (agent_advance, numpy_svd):
         warm()
     loops = (jacobi_loop, lapack_loop)
     for loop in loops:
@@ -84,9 +69,6 @@ def measure(plan: Plan) -> Sequence[Row]:
         {
             "svd": lambda: 1e6 * cpu_seconds(numpy_svd, calls),
             "advance": lambda: 1e6 * cpu_seconds(agent_advance, calls),
-            "slots": lambda: 1e6 * cpu_seconds(positions_advance, calls),
-            "agent": lambda: 1e6 * cpu_seconds(agent_step, calls),
-            "step": lambda: 1e6 * cpu_seconds(plain_step, calls),
             "jacobi": lambda: 1e9 * cpu_seconds(lambda: jacobi_loop(matrices)) / len(matrices),
             "lapack": lambda: 1e9 * cpu_seconds(lambda: lapack_loop(matrices)) / len(matrices),
         },
@@ -95,7 +77,6 @@ def measure(plan: Plan) -> Sequence[Row]:
     svd, jacobi, lapack = times["svd"], times["jacobi"], times["lapack"]
     kernel_svd = "np.linalg.svd in a kernel"
     return [
-        Row("Agent.step from Python", times["agent"], "µs", SVD, svd, target=Target(30.0)),
         Row(
             "Agent.advance, as a tick calls it",
             times["advance"],
@@ -104,14 +85,5 @@ def measure(plan: Plan) -> Sequence[Row]:
             svd,
             target=Target(5.0),
         ),
-        Row(
-            "the same by relative positions, with slots",
-            times["slots"],
-            "µs",
-            SVD,
-            svd,
-            target=Target(3.5),
-        ),
-        Row("the same without Agent", times["step"], "µs", SVD, svd),
         Row("singular values in a kernel: Jacobi", jacobi, "ns", kernel_svd, lapack),
     ]

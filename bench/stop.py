@@ -1,24 +1,21 @@
-"""`ptnsbc stop` at random moments of flights, two bridges starved of CPU: does every vehicle obey, and how soon?
+"""`ptnsbc stop` at random moments of flights, does every vehicle obey, and how soon?
 
 `python -m bench.stop [--times 20] [--orders kill,land] [--seed 1]`. Each run is a whole fleet on four stand-ins over
 UDP, without the dry runs before it. A terminal stands ready (`ptnsbc stop --ready`). At a random moment of the climb,
-the hover or the formation two bridges get the lowest priority on one core, beside two busy loops; then the key is
-pressed. The time of a vehicle runs from there until the stand-in itself has its motors off, or lands.
+the hover or the formation the key is pressed. The time of a vehicle runs from there until the stand-in itself has its
+motors off, or lands.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import os
 import random
 import statistics
-import subprocess
-import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
@@ -36,7 +33,6 @@ from ptnsbc_autopilot.vehicle import AutopilotError
 
 _MOMENT_S = 20.0  # the key is pressed within this time after all have begun to climb
 _OBEYED_S = 20.0
-_STARVED = 2
 _FLIGHT_S = 120.0
 
 
@@ -44,9 +40,7 @@ class Stopped(NamedTuple):
     """One order in one flight."""
 
     order: str
-    seconds: dict[
-        int, float
-    ]  # by system id: from the key until the vehicle obeyed; those that did not are missing
+    seconds: dict[int, float]  # by system id, from the key until the vehicle obeyed
     exit_code: int
     lines: tuple[str, ...]  # what the command printed
 
@@ -56,7 +50,7 @@ class Stopped(NamedTuple):
         return len(self.seconds) == len(VEHICLES) and self.exit_code == 0
 
 
-def run_once(order: str, moment_s: float, starved: Sequence[int]) -> Stopped:
+def run_once(order: str, moment_s: float) -> Stopped:
     """One flight and one order."""
     with tempfile.TemporaryDirectory(prefix="bench-") as name:
         folder = Path(name)
@@ -73,13 +67,11 @@ def run_once(order: str, moment_s: float, starved: Sequence[int]) -> Stopped:
                 wait_for(terminal, ["bridge4"])
                 # A drawn moment of climb, hover or formation: no event marks it.
                 time.sleep(moment_s)
-                with _starved([_bridge_pid(flight.process.pid, i) for i in starved]):
-                    return _press(terminal, order, control)
+                return _press(terminal, order, control)
 
 
 def _press(terminal: Running, order: str, control: int) -> Stopped:
     assert terminal.process.stdin is not None
-    time.sleep(0.5)  # the starving has begun
     pressed = time.monotonic()
     terminal.process.stdin.write(b"\n")
     terminal.process.stdin.flush()
@@ -93,34 +85,6 @@ def _press(terminal: Running, order: str, control: int) -> Stopped:
         time.sleep(0.01)
     code = terminal.process.wait(PATIENCE_S)
     return Stopped(order, found, code, tuple(terminal.log.read_text().splitlines()))
-
-
-@contextmanager
-def _starved(pids: Sequence[int]) -> Iterator[None]:
-    """Inside the `with` these processes have what two busy loops on one core leave to the lowest priority."""
-    busy = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(2)]
-    try:
-        for loop in busy:
-            os.sched_setaffinity(loop.pid, {0})
-        for pid in pids:
-            for thread in os.listdir(f"/proc/{pid}/task"):
-                os.sched_setscheduler(int(thread), os.SCHED_IDLE, os.sched_param(0))
-                os.sched_setaffinity(int(thread), {0})
-        yield
-    finally:
-        for loop in busy:
-            loop.kill()
-            loop.wait()
-
-
-def _bridge_pid(launcher: int, uav: int) -> int:
-    for entry in Path("/proc").iterdir():
-        with suppress(OSError, ValueError, IndexError):
-            command = (entry / "cmdline").read_bytes().decode().replace("\0", " ")
-            parent = int((entry / "stat").read_text().rpartition(")")[2].split()[1])
-            if parent == launcher and "bridge.main" in command and f"--uav {uav} " in command:
-                return int(entry.name)
-    raise SystemExit(f"no bridge of UAV {uav}")
 
 
 def _summary(order: str, runs: Sequence[Stopped]) -> str:
@@ -148,14 +112,10 @@ def main() -> None:
     found: dict[str, list[Stopped]] = {order: [] for order in arguments.orders.split(",")}
     for turn in range(arguments.times):
         for order, runs in found.items():
-            starved = chance.sample(VEHICLES, _STARVED)
-            run = run_once(order, chance.uniform(0.0, _MOMENT_S), starved)
+            run = run_once(order, chance.uniform(0.0, _MOMENT_S))
             runs.append(run)
             times = ", ".join(f"{i}: {run.seconds.get(i, float('nan')):.2f}" for i in VEHICLES)
-            print(
-                f"{turn + 1} {order}: starved {starved}, exit {run.exit_code}, {times} s",
-                flush=True,
-            )
+            print(f"{turn + 1} {order}: exit {run.exit_code}, {times} s", flush=True)
             if not run.all_obeyed:
                 print("\n".join(run.lines), flush=True)
     for order, runs in found.items():

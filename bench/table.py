@@ -1,4 +1,4 @@
-"""Rows of the result: a figure, its reference, its target; as a table, as Markdown, as JSON."""
+"""Rows of the result: a figure, its reference, its target; as Markdown, as JSON."""
 
 from __future__ import annotations
 
@@ -6,8 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import median
 from typing import Any
-
-from rich.table import Table
 
 HEADINGS = ("figure", "measured", "runs", "reference", "ratio", "target", "met")
 
@@ -111,19 +109,6 @@ def number(value: float) -> str:
 
 def _span(values: Sequence[float]) -> str:
     return f"{number(min(values))} – {number(max(values))}"
-
-
-def rich_table(rows: Sequence[Row]) -> Table:
-    """For the terminal."""
-    table = Table(*HEADINGS)
-    section = ""
-    for row in rows:
-        if section and row.section != section:
-            table.add_section()
-        section = row.section
-        style = "red" if row.met is False else "green" if row.met else None
-        table.add_row(*row.cells(), style=style)
-    return table
 
 
 def markdown(rows: Sequence[Row], facts: Sequence[str]) -> str:

@@ -44,7 +44,7 @@ _DOMAINS = range(1, 102)  # above, the ports reach into those the system hands o
 # for the tests of ROS packages.
 _FIRST_LOCK = 32768
 # Of a core: what a tick of a UAV with its share of the sim takes, and what one more process adds to it. UAVs of one
-# process share its wake-ups and its datagrams (`bench --only realtime`).
+# process share its wake-ups and its datagrams (`bench --only fleets`).
 _UAV_TICK_S, _PROCESS_TICK_S = 0.0004, 0.0011
 _MOST_LOAD = 0.7
 _AUTOGROUP = Path("/proc/self/autogroup")
@@ -93,7 +93,7 @@ def prefer_throughput() -> None:
     """For lock-step: a process that a message wakes does not interrupt the sender.
 
     Six processes wake each other at every message, and each costs less when it finishes its work first
-    (`bench --only lockstep`). The recorder does not use this: it would fall behind. Without the right to
+    (`bench --only fleets`). The recorder does not use this: it would fall behind. Without the right to
     change the scheduling the process works all the same.
     """
     _schedule(os.SCHED_BATCH, 0)

@@ -29,7 +29,6 @@ MACHINE_KEYS = {
     "cores",
     "load_before",
     "load_after",
-    "cores_used_by_others",
     "elapsed_s",
     "python",
     "versions",
@@ -55,15 +54,15 @@ def test_a_quick_section_as_json_and_as_markdown(tmp_path):
     assert found["machine"].keys() == MACHINE_KEYS
     assert all(row.keys() == ROW_KEYS for row in found["rows"])
     row = found["rows"][0]
-    assert row["figure"] == "Agent.step from Python"
+    assert row["figure"] == "Agent.advance, as a tick calls it"
     assert row["unit"] == row["reference_unit"] == "µs"
     assert row["value"] > 0.0
     assert len(row["runs"]) == 3
-    assert row["target"] == "≤ 30.0 µs"
+    assert row["target"] == "≤ 5.00 µs"
 
     text = (tmp_path / "bench.md").read_text()
     assert "| figure | measured |" in text
-    assert "| Agent.step from Python |" in text
+    assert "| Agent.advance, as a tick calls it |" in text
     assert "load average" in text
 
 

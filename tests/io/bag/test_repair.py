@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from killed_recordings import killed_recordings
 
 from ptnsbc_io import wire
 from ptnsbc_io.bag import BagError, BagWriter, SplitLimits, TopicInfo, read_bag
@@ -226,20 +227,10 @@ def test_nothing_is_overwritten(flight):
 
 @pytest.mark.slow
 def test_kill_at_any_moment(tmp_path):
-    """Six processes that write as the recorder does; `python -m bench.crash` kills fifty."""
+    """Six processes that write as the recorder does; `python -m bench.signals` kills real recorders."""
     pytest.importorskip("rosbags")
-    crash = pytest.importorskip("bench.crash")
-    found = list(crash.kills(6, 3, tmp_path, recorder=False))
-    assert len(found) == 6
-    assert all(kill.missing == 0 and kill.messages > 100 for kill in found)
+    killed = list(killed_recordings(6, 3, tmp_path))
+    assert len(killed) == 6
+    assert all(kill.missing == 0 and kill.messages > 100 for kill in killed)
     # Loss is a promise of time: checked with room for a machine that is busy.
-    assert min(kill.loss_s for kill in found) < 1.0
-
-
-@pytest.mark.slow
-@pytest.mark.ros
-def test_kill_of_real_recorders(tmp_path):
-    pytest.importorskip("rclpy")
-    crash = pytest.importorskip("bench.crash")
-    found = list(crash.kills(2, 4, tmp_path, recorder=True))
-    assert all(kill.messages > 100 for kill in found)
+    assert min(kill.loss_s for kill in killed) < 1.0

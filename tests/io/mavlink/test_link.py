@@ -272,7 +272,7 @@ def mutated(rng, frames):
 
 @pytest.mark.parametrize("key", [None, KEY])
 def test_fuzzed_packets_neither_pass_nor_crash_nor_pile_up(key):
-    """30 000 here; `python -m bench.mavlink_bridge` does the million, test_doubt.py those that pass."""
+    """30 000 here; test_doubt.py has those that pass."""
     rng = random.Random(1)
     signer, codec = Signer(KEY), wires.codec()
     frames = []

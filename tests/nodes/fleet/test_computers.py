@@ -4,9 +4,8 @@ import json
 import signal
 from pathlib import Path
 
+import namespaces
 import pytest
-
-from bench import namespaces
 
 pytest.importorskip("rclpy")
 

@@ -1,6 +1,6 @@
-"""Other simulators on the same machine, when they are installed: none of them is in the locks.
+"""Another simulator on the same machine, where it is installed: it is in no lock.
 
-Each peer runs in a process of its own, on two cores, by the interpreter in PTNSBC_PEERS_PYTHON, or by this one. Their
+drone-models runs in a process of its own, on two cores, by the interpreter in PTNSBC_PEERS_PYTHON, or by this one. Its
 drones are uncoupled: no laws of a formation, no sensors, no messages, nothing recorded.
 """
 
@@ -17,21 +17,20 @@ from pathlib import Path
 from bench.session import Plan, print_progress
 from bench.table import Row
 
-PEERS = ("crazyflow_sim", "drone_models_loop")
+_PEER = "drone_models_loop"
 _CORES = 2
 
 
 def measure(plan: Plan) -> Sequence[Row]:
-    """Rows of this section; a peer that is not installed is named and skipped."""
-    rows = []
-    for peer in PEERS:
-        found = _measured(peer, plan.of(3.0, 0.5))
-        if found is None:
-            continue
-        name = str(found["peer"])
-        rows.append(Row(f"{name}, 5 drones", [float(found["swarm"])], "swarm-ticks/s"))
-        rows.append(Row(f"{name}, 5000 drones", [float(found["drones"])], "drone-ticks/s"))
-    return rows
+    """Rows of this section; none where the peer is not installed."""
+    figures = _measured(_PEER, plan.of(3.0, 0.5))
+    if figures is None:
+        return []
+    name = str(figures["peer"])
+    return [
+        Row(f"{name}, 5 drones", [float(figures["swarm"])], "swarm-ticks/s"),
+        Row(f"{name}, 5000 drones", [float(figures["drones"])], "drone-ticks/s"),
+    ]
 
 
 def _measured(peer: str, seconds: float) -> dict[str, str | float] | None:

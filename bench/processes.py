@@ -1,19 +1,35 @@
-"""CPU and memory of the child processes of this process, from /proc."""
+"""Processes of a flight seen from beside: their CPU and memory, their statuses, and a bare node to compare with."""
 
 from __future__ import annotations
 
 import os
 import re
+import subprocess
+import sys
 import threading
 import time
 from collections import defaultdict
 from pathlib import Path
 from typing import NamedTuple
 
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.context import Context
+from rclpy.signals import SignalHandlerOptions
+
+from bench.session import own_domain
+from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_io.wire import decode_diagnostics
+from ptnsbc_nodes.comm import topics
+from ptnsbc_nodes.comm.topics import READY
+from ptnsbc_nodes.runtime import environment
+from ptnsbc_nodes.runtime.executor import BoundedSpin, make_executor
+
 _PERIOD_S = 0.5
+_SLICE_S = 0.1
 _TICKS_PER_S = os.sysconf("SC_CLK_TCK")
 _PAGE_MB = os.sysconf("SC_PAGE_SIZE") / 2**20
-_ROLE = re.compile(r"ptnsbc_nodes\.(uav|sim|recording|bridge)\.|--role (uav|sim|recorder)")
+_ROLE = re.compile(r"ptnsbc_nodes\.(uav|sim|recording|bridge)\.|bench\.processes (node)")
 
 
 class Usage(NamedTuple):
@@ -132,3 +148,87 @@ def _children() -> list[int]:
 def _mean(each: list[Usage]) -> Usage:
     count = len(each)
     return Usage(*(sum(column) / count for column in zip(*each, strict=True)))
+
+
+class Observer:
+    """One node in a context and a thread of its own; use it as a context manager."""
+
+    def __init__(self, domain: int) -> None:
+        environment.prepare()
+        self._raw: list[tuple[float, bytes]] = []
+        self._over = threading.Event()
+        self._context = Context()
+        rclpy.init(
+            context=self._context, domain_id=domain, signal_handler_options=SignalHandlerOptions.NO
+        )
+        self._node = rclpy.create_node(
+            "bench", context=self._context, start_parameter_services=False, enable_rosout=False
+        )
+        for topic in (topics.DIAGNOSTICS, READY):
+            self._node.create_subscription(
+                DiagnosticArray, topic.name, self._on_status, 50, raw=True
+            )
+        self._executor = make_executor(self._context)
+        self._executor.add_node(self._node)
+        self._slices = BoundedSpin(self._executor)
+        self._thread = threading.Thread(target=self._run, daemon=True)
+
+    def __enter__(self) -> Observer:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._over.set()
+        self._thread.join()
+        self._executor.remove_node(self._node)
+        self._slices.serve(0.0)
+        self._node.destroy_node()
+        self._executor.shutdown()
+        rclpy.shutdown(context=self._context)
+
+    def newest(self) -> dict[str, dict[str, str]]:
+        """The last values of every node, by the name before the colon."""
+        return {
+            status.name.partition(":")[0]: status.values
+            for _, data in list(self._raw)
+            for status in decode_diagnostics(data).statuses
+        }
+
+    def first_at(self) -> float | None:
+        """The time of the first status [s], monotonic; None before it."""
+        return self._raw[0][0] if self._raw else None
+
+    def _on_status(self, data: bytes) -> None:
+        self._raw.append((time.monotonic(), data))
+
+    def _run(self) -> None:
+        while not self._over.is_set():
+            self._slices.serve(_SLICE_S)
+
+
+class BenchError(PtnsbcError):
+    """A run from which no figure can be read."""
+
+
+def bare_node(hz: float, seconds: float) -> Usage:
+    """What a node takes that publishes one status `hz` times a second, and does nothing else."""
+    words = [sys.executable, "-m", "bench.processes", "node", f"{hz:g}"]
+    with own_domain(), Sampler() as sampler, subprocess.Popen(words) as process:
+        time.sleep(2.0)  # it has started
+        sampler.begin()
+        time.sleep(seconds)
+        process.kill()
+    return sampler.usage()["node"]
+
+
+def _serve(hz: float) -> None:
+    rclpy.init()
+    node = rclpy.create_node("bare", start_parameter_services=False, enable_rosout=False)
+    publisher = node.create_publisher(DiagnosticArray, topics.DIAGNOSTICS.name, 10)
+    node.create_timer(1.0 / hz, lambda: publisher.publish(DiagnosticArray()))
+    while rclpy.ok():
+        rclpy.spin_once(node, timeout_sec=0.1)
+
+
+if __name__ == "__main__":
+    _serve(float(sys.argv[2]))

@@ -1,0 +1,163 @@
+"""Fleets of real processes: real time beside a bare rclpy node, lock-step beside the headless flight."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import nullcontext
+from pathlib import Path
+from statistics import mean
+from typing import NamedTuple
+
+from bench.processes import BenchError, Observer, Sampler, Usage, bare_node
+from bench.scenarios import grid, paper
+from bench.session import Plan, cpu_seconds, own_domain, print_progress, take_turns
+from bench.table import Row, Target
+from ptnsbc_nodes.fleet.fleet import FleetOptions, FleetResult, run_fleet
+from ptnsbc_sim.scenario import Scenario
+from ptnsbc_sim.swarm import fly as fly_headless
+
+_MISSED = Target(1.0)
+_LARGE_HZ, _IN_PROCESS = 50, 25
+_LARGE = {50: Target(0.5, at_least=True), 100: Target(0.2, at_least=True)}
+_PROCESS = {"uav": "one UAV", "sim": "the sim", "recorder": "the recorder"}
+
+
+class Flown(NamedTuple):
+    """Figures of one flight; a figure that its mode does not have is 0."""
+
+    steps_per_s: float
+    missed_percent: float  # of the ticks of all UAVs
+    latency_p50_ms: float  # odometry sent to wrench received
+    latency_p99_ms: float
+    lost_percent: float  # of the messages that a recorder should have had
+    usage: Mapping[str, Usage]
+
+
+class Case(NamedTuple):
+    """One size of fleet in real time."""
+
+    size: int
+    control_hz: int
+    bag: bool
+    processes: int | None = None  # for the UAVs; one for each by default
+
+    @property
+    def name(self) -> str:
+        """Like `N = 20, 50 Hz`."""
+        shared = f", {self.processes} processes" if self.processes else ""
+        return f"N = {self.size}, {self.control_hz} Hz{shared}{', recorded' if self.bag else ''}"
+
+
+CASES = (
+    Case(5, 100, bag=True),
+    Case(20, 50, bag=False),
+    Case(20, 50, bag=True),
+    Case(20, 100, bag=False),
+    Case(20, 100, bag=False, processes=4),
+)
+
+
+def measure(plan: Plan) -> Iterator[Row]:
+    """Rows of this section, one fleet after the other: minutes are not lost with the last of them."""
+    for case in plan.of(CASES, CASES[:1]):
+        yield from _real_time(case, plan)
+    for size, target in _LARGE.items():
+        yield from _large(size, target, plan)
+    yield from _lockstep(plan)
+
+
+def fly(scenario: Scenario, *, lockstep: bool, bag: bool, processes: int | None = None) -> Flown:
+    """Fly a fleet as `ptnsbc fleet` does, its UAVs in as many `processes`: one for each by default."""
+    rate = 0.0
+    with (
+        tempfile.TemporaryDirectory(prefix="bench-") as folder,
+        own_domain() as domain,
+        nullcontext() if lockstep else Observer(domain) as observer,
+        Sampler() as sampler,
+    ):
+
+        def progress(line: str) -> None:
+            nonlocal rate
+            if line.endswith("started"):
+                sampler.begin()
+            if line.endswith("steps/s"):
+                rate = float(line.split()[-2])  # the last line is the average of the flight
+
+        options = FleetOptions(
+            scenario,
+            lockstep=lockstep,
+            bag=Path(folder) / "bag" if bag else None,
+            log_dir=Path(folder) / "logs",
+            processes=processes,
+        )
+        result = run_fleet(options, progress)
+        values = observer.newest() if observer else {}
+    if result.died or result.interrupted:
+        raise BenchError(f"fleet of {len(scenario.uav_ids)}: interrupted or lost {result.died}")
+    uavs = [row for name, row in values.items() if name.startswith("uav")]
+    missed, ticks = (sum(int(row[key]) for row in uavs) for key in ("missed_ticks", "ticks"))
+    latency = [float(values.get("sim", {}).get(f"latency_{p}_ms", 0.0)) for p in ("p50", "p99")]
+    missed_percent = 100.0 * missed / max(missed + ticks, 1)
+    return Flown(rate, missed_percent, latency[0], latency[1], _lost(result), sampler.usage())
+
+
+def _lost(result: FleetResult) -> float:
+    """Share of the ticks that one UAV's topics lack in the bag, on average."""
+    counts = result.recorded.get("topics", {})
+    ticks = counts.get("/clock", 0)
+    kept = [count for name, count in counts.items() if name.endswith("/odom")]
+    return max(0.0, 100.0 * (1.0 - mean(kept) / ticks)) if ticks else 0.0
+
+
+def _real_time(case: Case, plan: Plan) -> Iterator[Row]:
+    duration_s = plan.of(15.0, 5.0)
+    scenario = paper(duration_s) if case.size == 5 else grid(case.size, case.control_hz, duration_s)
+    flights: list[Flown] = []
+    nodes: list[Usage] = []
+    for turn in range(plan.of(2, 1)):
+        print_progress(f"real time, {case.name}: {turn + 1}")
+        flights.append(fly(scenario, lockstep=False, bag=case.bag, processes=case.processes))
+        nodes.append(bare_node(case.control_hz, duration_s))
+    missed = [flown.missed_percent for flown in flights]
+    yield Row(f"{case.name}: missed ticks", missed, "%", target=_MISSED)
+    yield Row(f"{case.name}: latency, median", [flown.latency_p50_ms for flown in flights], "ms")
+    yield Row(f"{case.name}: latency, 99 %", [flown.latency_p99_ms for flown in flights], "ms")
+    name = f"bare rclpy node at {case.control_hz} Hz"
+    for role in ("uav", "sim", "recorder") if case.bag else ("uav", "sim"):
+        for what, unit, figure in (("CPU", "cores", "cores"), ("memory", "MB", "pss_mb")):
+            values = [float(getattr(flown.usage[role], figure)) for flown in flights]
+            bare = [float(getattr(usage, figure)) for usage in nodes]
+            yield Row(f"{case.name}: {what} of {_PROCESS[role]}", values, unit, name, bare)
+    if case.bag:
+        lost = [flown.lost_percent for flown in flights]
+        yield Row(f"{case.name}: odometry missing in the bag", lost, "%")
+
+
+def _large(size: int, target: Target, plan: Plan) -> Iterator[Row]:
+    """A fleet by `ptnsbc fleet --lockstep --processes K`."""
+    processes = size // _IN_PROCESS
+    name = f"lock-step, N = {size} in {processes} processes, {_LARGE_HZ} Hz"
+    print_progress(name)
+    flown = fly(
+        grid(size, _LARGE_HZ, plan.of(10.0, 3.0)), lockstep=True, bag=False, processes=processes
+    )
+    yield Row(f"{name}: speed", [flown.steps_per_s / _LARGE_HZ], "× real time", target=target)
+    yield Row(f"{name}: memory of a process", [flown.usage["uav"].rss_mb], "MB")
+
+
+def _lockstep(plan: Plan) -> Iterator[Row]:
+    scenario = paper(plan.of(10.0, 3.0))
+    fly_headless(paper(0.1))  # compiled or loaded before it counts
+    rates = take_turns(
+        {
+            "headless": lambda: scenario.ticks / cpu_seconds(lambda: fly_headless(scenario)),
+            "": lambda: fly(scenario, lockstep=True, bag=False).steps_per_s,
+            ", recorded": lambda: fly(scenario, lockstep=True, bag=True).steps_per_s,
+        },
+        plan.of(3, 1),
+        "lock-step, N = 5",
+    )
+    for what in ("", ", recorded"):
+        name = f"lock-step, N = 5{what}"
+        yield Row(name, rates[what], "steps/s", "the headless flight", rates["headless"])
