@@ -30,7 +30,7 @@ from ptnsbc_nodes.runtime.environment import reserved_domain
 from ptnsbc_nodes.runtime.signals import StopRequest
 from ptnsbc_nodes.runtime.warmup import load_fleet, load_world
 from ptnsbc_nodes.security.middleware import ENCLAVE, enforced
-from ptnsbc_nodes.security.permissions import FLEET, OPERATOR
+from ptnsbc_nodes.security.policy import FLEET, OPERATOR
 from ptnsbc_sim.plugins.uav_plugins import UavPlugins
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.mission.faults import PROCESS

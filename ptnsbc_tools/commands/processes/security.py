@@ -1,14 +1,13 @@
-"""`ptnsbc security`: the keystore of DDS Security."""
+"""`ptnsbc security`: who may publish and read what, for the DDS Security of ROS 2."""
 
 from __future__ import annotations
 
-import shlex
-from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
 
-from ptnsbc_tools import console, options, ros
+from ptnsbc_core.errors import PtnsbcError
+from ptnsbc_tools import options, ros
 from ptnsbc_tools.options import NamespaceOption, ScenarioArgument, SetOption
 
 app = typer.Typer(
@@ -17,52 +16,45 @@ app = typer.Typer(
 )
 
 
+class KeystoreError(PtnsbcError):
+    """A keystore was asked for, which `ros2 security` makes."""
+
+
 @app.callback()
 def _group() -> None:
     pass
 
 
 @app.command()
-def init(
+def policy(
     scenario: ScenarioArgument,
-    folder: Annotated[
-        Path,
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="DIR",
-            help="Where to write it. A keystore that is there keeps its authority and its identities.",
-        ),
-    ],
     backend: Annotated[
         Literal["sim", "mavlink"], typer.Option(help="What flies the vehicles.")
     ] = "sim",
     namespace: NamespaceOption = "",
-    domain: Annotated[
-        int | None,
-        typer.Option("--domain", min=0, max=232, help="The only ROS domain. Default: any."),
-    ] = None,
     settings: SetOption = None,
 ) -> None:
-    """Write a keystore for `security: required`: each process may use the edges of the scenario, and no more.
+    """Print a policy of sros2: each process may use the edges of the scenario, and no more.
 
-    The layout is that of sros2. A vehicle gets public/ and its own folders of enclaves/, and never private/.
+    `ros2 security generate_artifacts -k KEYSTORE -p POLICY` makes a keystore of it, for the ROS domain of its
+    environment. `security: required` flies with it.
     """
     with ros.required():
         from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions
-        from ptnsbc_nodes.security.permissions import OPERATOR, permissions
-    with ros.required("install the extra [security]"):
-        from ptnsbc_nodes.security.keystore import write_keystore
+        from ptnsbc_nodes.security.policy import enclaves
+        from ptnsbc_nodes.security.policy import policy as policy_of
     flown = options.scenario_with(scenario, options.overrides(settings=settings))
-    fleet = options.full_namespace(namespace)
     edges = CommunicationGraph(flown, FlightOptions(bridged=backend == "mavlink"))
-    granted = list(permissions(flown, edges, backend, fleet))
-    write_keystore(folder, granted, domain)
-    console.say(f"keystore: {folder}, {len(granted)} identities")
-    console.say(
-        f"for the fleet:     export ROS_SECURITY_KEYSTORE={shlex.quote(str(folder.resolve()))}"
-    )
-    console.say(
-        "for other commands and ros2, besides: export ROS_SECURITY_ENABLE=true ROS_SECURITY_STRATEGY=Enforce"
-        f" ROS_SECURITY_ENCLAVE_OVERRIDE={fleet}/{OPERATOR}"
+    fleet = options.full_namespace(namespace)
+    typer.echo(policy_of(enclaves(flown, edges, backend, fleet)), nl=False)
+
+
+@app.command(
+    hidden=True, context_settings={"allow_extra_args": True, "ignore_unknown_options": True}
+)
+def init() -> None:
+    """Say what makes a keystore."""
+    raise KeystoreError(
+        "ptnsbc security init is gone: write `ptnsbc security policy SCENARIO > policy.xml`, then "
+        "`ros2 security generate_artifacts -k KEYSTORE -p policy.xml` makes the keystore"
     )
