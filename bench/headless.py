@@ -10,7 +10,7 @@ from bench.session import Plan, cpu_seconds, take_turns
 from bench.step import SVD, numpy_svd
 from bench.table import Row, Target
 from ptnsbc_core.kernel import borrowed, kernel
-from ptnsbc_core.step import inlined_step
+from ptnsbc_core.step import step
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.swarm import HeadlessFlight, fly, swarm_of
 from ptnsbc_sim.tick import SwarmState, advance_plant, inputs_of, sense
@@ -48,9 +48,7 @@ def _laws(ticks: int, wiring: Wiring, swarm: SwarmState, track: FlightTrack) -> 
         t = (tick * wiring.dt_ns) * 1e-9
         for row in range(swarm.bodies.shape[0]):
             inputs = inputs_of(swarm, wiring, track, tick, row, None)
-            swarm.states[row], out = inlined_step(
-                swarm.states[row], inputs, None, None, t, dt, swarm.configs[row]
-            )
+            swarm.states[row], out = step(swarm.states[row], inputs, t, dt, swarm.configs[row])
             total += out.force[2]
     return total
 

@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from ptnsbc_core.agent import VELOCITY_ERROR
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario import Scenario, load_scenario
 from ptnsbc_sim.swarm import HeadlessFlight, fly
-from ptnsbc_sim.track import VELOCITY_ERROR
 from ptnsbc_sim.verdict import Verdict, verdict_on
 from ptnsbc_sim.verdict.formation_error import formation_errors
 from ptnsbc_sim.verdict.headless import recording_of

@@ -6,8 +6,9 @@ on the way back. That costs more than the laws (`bench --only step` shows both).
 
 from __future__ import annotations
 
-from collections.abc import Callable, MutableSequence
+from collections.abc import Callable, Mapping, MutableSequence
 from functools import cached_property
+from itertools import accumulate
 from typing import NamedTuple
 
 import numpy as np
@@ -15,14 +16,7 @@ import numpy as np
 from ptnsbc_core.algebra import store3
 from ptnsbc_core.kernel import KernelList, inline_kernel, kernel, prepared
 from ptnsbc_core.kinematics import store_estimate
-from ptnsbc_core.step import (
-    TaskPoints,
-    guided_step,
-    initial_state,
-    inlined_step,
-    task_points,
-    tasked_step,
-)
+from ptnsbc_core.step import TaskPoints, initial_state, step, task_points
 from ptnsbc_core.tasks.contract import TaskGeometry
 from ptnsbc_core.types import (
     MODE_HOLD,
@@ -39,14 +33,64 @@ from ptnsbc_core.types import (
     Vector3,
 )
 
-# Offsets of the fields of AgentInputs in `PackedInputs.vector`; the estimates (K, 13) and their ages (K,) follow.
-OWN, PARENT, LEADER = 0, ODOMETRY_SIZE, 2 * ODOMETRY_SIZE
-PARENT_AGE = 3 * ODOMETRY_SIZE
-LEADER_AGE, NEAR_AGE, MODE, START_AGE = (PARENT_AGE + k for k in range(1, 5))
-ESTIMATES = START_AGE + 1
 
-# Offsets of the fields of AgentOutputs in `PackedOutputs.vector`, and its size.
-_VELOCITY, _WRENCH, _ESTIMATE, _REPORTED, _ERROR, _OUTPUT_SIZE = 0, 4, 10, 23, 26, 37
+def offsets(widths: Mapping[str, int]) -> tuple[int, ...]:
+    """Offset of each column group in a vector, and the size of the vector."""
+    return tuple(accumulate(widths.values(), initial=0))
+
+
+INPUT_WIDTHS = {
+    "own": ODOMETRY_SIZE,
+    "parent": ODOMETRY_SIZE,
+    "leader": ODOMETRY_SIZE,
+    "parent_age_s": 1,
+    "leader_age_s": 1,
+    "near_age_s": 1,
+    "mode": 1,
+    "start_age_s": 1,
+}
+"""Fields of `AgentInputs` in `PackedInputs.vector`; K estimates (K, 13) and their ages (K,) follow."""
+
+OWN, PARENT, LEADER, PARENT_AGE, LEADER_AGE, NEAR_AGE, MODE, START_AGE, ESTIMATES = offsets(
+    INPUT_WIDTHS
+)
+
+DIAGNOSTICS_WIDTHS = {
+    "error": 3,
+    "gain": 1,
+    "singular_value": 1,
+    "active_rows": 1,
+    "saturated": 1,
+    "holding": 1,
+    "priority_violation": 1,
+    "velocity_error": 1,
+    "deadlock": 1,
+}
+"""Fields of `AgentDiagnostics` in a row of numbers."""
+
+(
+    ERROR,
+    GAIN,
+    SINGULAR_VALUE,
+    ACTIVE_ROWS,
+    SATURATED,
+    HOLDING,
+    PRIORITY_VIOLATION,
+    VELOCITY_ERROR,
+    DEADLOCK,
+    DIAGNOSTICS_SIZE,
+) = offsets(DIAGNOSTICS_WIDTHS)
+
+OUTPUT_WIDTHS = {
+    "velocity": 4,
+    "wrench": 6,
+    "leader_estimate": ODOMETRY_SIZE,
+    "reported": 3,
+    "diagnostics": DIAGNOSTICS_SIZE,
+}
+"""Parts of `PackedOutputs.vector`."""
+
+_VELOCITY, _WRENCH, _ESTIMATE, _REPORTED, _DIAGNOSTICS, _OUTPUT_SIZE = offsets(OUTPUT_WIDTHS)
 
 
 class PackedInputs:
@@ -80,14 +124,10 @@ class PackedInputs:
     def pack(cls, inputs: AgentInputs) -> PackedInputs:
         """The vector of `inputs`."""
         packed = cls(len(inputs.estimates), inputs.near)
-        vector = packed.vector
-        vector[OWN:PARENT], vector[PARENT:LEADER] = inputs.own, inputs.parent
-        vector[LEADER:PARENT_AGE] = inputs.leader
-        vector[PARENT_AGE], vector[LEADER_AGE] = inputs.parent_age_s, inputs.leader_age_s
-        vector[NEAR_AGE], vector[MODE] = inputs.near_age_s, inputs.mode
-        vector[START_AGE] = inputs.start_age_s
-        vector[ESTIMATES : packed.ages] = inputs.estimates.ravel()
-        vector[packed.ages :] = inputs.estimate_age_s
+        for (name, width), at in zip(INPUT_WIDTHS.items(), offsets(INPUT_WIDTHS), strict=False):
+            packed.vector[at : at + width] = getattr(inputs, name)
+        packed.vector[ESTIMATES : packed.ages] = inputs.estimates.ravel()
+        packed.vector[packed.ages :] = inputs.estimate_age_s
         return packed
 
     def unpack(self) -> AgentInputs:
@@ -96,37 +136,30 @@ class PackedInputs:
 
 
 class PackedOutputs:
-    """Outputs of a step, see `AgentOutputs`: each property reads from `vector` (37,)."""
+    """Outputs of a step, see `AgentOutputs`.
 
-    __slots__ = ("vector",)
+    Attributes:
+        vector: (37,) all of them; the other attributes are parts of it.
+        velocity: (4,) velocity setpoint [m/s, ENU] and yaw rate [rad/s].
+        wrench: (6,) force and torque [N], [N m], body FLU.
+        leader_estimate: (13,) odometry vector, velocities in the world frame.
+        reported: (3,) velocity [m/s, body FLU] that the neighbours are told.
+    """
+
+    __slots__ = ("_diagnostics", "leader_estimate", "reported", "vector", "velocity", "wrench")
 
     def __init__(self, vector: Array) -> None:
         self.vector = vector
-
-    @property
-    def velocity(self) -> Array:
-        """Velocity setpoint (4,) [m/s, ENU] and yaw rate [rad/s]."""
-        return self.vector[_VELOCITY:_WRENCH]
-
-    @property
-    def wrench(self) -> Array:
-        """Force and torque (6,) [N], [N m], body FLU."""
-        return self.vector[_WRENCH:_ESTIMATE]
-
-    @property
-    def leader_estimate(self) -> Array:
-        """Odometry vector (13,), velocities in the world frame."""
-        return self.vector[_ESTIMATE:_REPORTED]
-
-    @property
-    def reported(self) -> Array:
-        """Velocity (3,) [m/s, body FLU] that the neighbours are told."""
-        return self.vector[_REPORTED:_ERROR]
+        self.velocity = vector[_VELOCITY:_WRENCH]
+        self.wrench = vector[_WRENCH:_ESTIMATE]
+        self.leader_estimate = vector[_ESTIMATE:_REPORTED]
+        self.reported = vector[_REPORTED:_DIAGNOSTICS]
+        self._diagnostics = vector[_DIAGNOSTICS:]
 
     @property
     def diagnostics(self) -> AgentDiagnostics:
         """Diagnostics of the step."""
-        return load_diagnostics(self.vector[_ERROR:])
+        return load_diagnostics(self._diagnostics)
 
 
 class _AgentMemory(NamedTuple):
@@ -163,41 +196,19 @@ def _advance(
     t: float,
     dt: float,
     out: Array,
+    guided: Vector3 | None,
+    task: TaskGeometry | None,
 ) -> None:
     config, states = memory[0]
-    state, outputs = inlined_step(states[0], _unpack(inputs, near), None, None, t, dt, config)
-    states[0] = state
-    _pack(outputs, out)
-
-
-@kernel
-def _advance_guided(
-    memory: MutableSequence[_AgentMemory],
-    inputs: Array,
-    near: Array,
-    velocity: Vector3,
-    t: float,
-    dt: float,
-    out: Array,
-) -> None:
-    config, states = memory[0]
-    states[0], outputs = guided_step(states[0], _unpack(inputs, near), velocity, t, dt, config)
-    _pack(outputs, out)
-
-
-@kernel
-def _advance_tasked(
-    memory: MutableSequence[_AgentMemory],
-    inputs: Array,
-    near: Array,
-    task: TaskGeometry,
-    t: float,
-    dt: float,
-    out: Array,
-) -> None:
-    config, states = memory[0]
-    states[0], outputs = tasked_step(states[0], _unpack(inputs, near), task, t, dt, config)
-    _pack(outputs, out)
+    states[0], outputs = step(states[0], _unpack(inputs, near), t, dt, config, guided, task)
+    store_outputs(
+        outputs,
+        out[_VELOCITY:],
+        out[_WRENCH:],
+        out[_ESTIMATE:],
+        out[_REPORTED:],
+        out[_DIAGNOSTICS:],
+    )
 
 
 @kernel
@@ -209,58 +220,34 @@ def _points(
 
 
 @inline_kernel
-def _pack(outputs: AgentOutputs, out: Array) -> None:
-    store_velocity(out[_VELOCITY:_WRENCH], outputs)
-    store_wrench(out[_WRENCH:_ESTIMATE], outputs)
-    store_estimate(out[_ESTIMATE:_REPORTED], outputs.estimate, outputs.estimate_valid)
-    store3(out, _REPORTED, outputs.reported)
-    store_diagnostics(out[_ERROR:], outputs.diagnostics)
-
-
-@inline_kernel
-def store_velocity(out: Array, outputs: AgentOutputs) -> None:
-    """Write the velocity setpoint [m/s, ENU] and the yaw rate [rad/s] into (4,)."""
-    store3(out, 0, outputs.velocity)
-    out[3] = outputs.yaw_rate
-
-
-@inline_kernel
-def store_wrench(out: Array, outputs: AgentOutputs) -> None:
-    """Write force [N] and torque [N m], body FLU, into (6,)."""
-    store3(out, 0, outputs.force)
-    store3(out, 3, outputs.torque)
-
-
-@inline_kernel
-def store_diagnostics(out: Array, diagnostics: AgentDiagnostics) -> None:
-    """Write the diagnostics, in the order of their fields, into (11,)."""
-    store3(out, 0, diagnostics.error)
-    out[3] = diagnostics.gain
-    out[4] = diagnostics.singular_value
-    out[5] = diagnostics.active_rows
-    out[6] = 1.0 if diagnostics.saturated else 0.0
-    out[7] = 1.0 if diagnostics.holding else 0.0
-    out[8] = diagnostics.priority_violation
-    out[9] = diagnostics.velocity_error
-    out[10] = 1.0 if diagnostics.deadlock else 0.0
-
-
-@kernel
-def _memory(config: AgentConfig, state: AgentState) -> MutableSequence[_AgentMemory]:
-    memory = KernelList()
-    states = KernelList()
-    states.append(state)
-    memory.append(_AgentMemory(config, states))
-    return memory
-
-
-@kernel
-def _state(memory: MutableSequence[_AgentMemory]) -> AgentState:
-    return memory[0].states[0]
+def store_outputs(
+    outputs: AgentOutputs,
+    velocity: Array,
+    wrench: Array,
+    estimate: Array,
+    reported: Array,
+    diagnostics: Array,
+) -> None:
+    """Write the outputs of a step into vectors of the widths `OUTPUT_WIDTHS`."""
+    store3(velocity, 0, outputs.velocity)
+    velocity[3] = outputs.yaw_rate
+    store3(wrench, 0, outputs.force)
+    store3(wrench, 3, outputs.torque)
+    store_estimate(estimate, outputs.estimate, outputs.estimate_valid)
+    store3(reported, 0, outputs.reported)
+    found = outputs.diagnostics
+    store3(diagnostics, ERROR, found.error)
+    diagnostics[GAIN], diagnostics[SINGULAR_VALUE] = found.gain, found.singular_value
+    diagnostics[ACTIVE_ROWS] = found.active_rows
+    diagnostics[SATURATED] = 1.0 if found.saturated else 0.0
+    diagnostics[HOLDING] = 1.0 if found.holding else 0.0
+    diagnostics[PRIORITY_VIOLATION] = found.priority_violation
+    diagnostics[VELOCITY_ERROR] = found.velocity_error
+    diagnostics[DEADLOCK] = 1.0 if found.deadlock else 0.0
 
 
 def load_diagnostics(row: Array) -> AgentDiagnostics:
-    """The diagnostics that `store_diagnostics` has written into (11,)."""
+    """The diagnostics that `store_outputs` has written into (11,)."""
     x, y, z, gain, singular_value, rows, saturated, holding, violation, error, deadlock = (
         row.tolist()
     )
@@ -275,6 +262,20 @@ def load_diagnostics(row: Array) -> AgentDiagnostics:
         error,
         deadlock > 0.0,
     )
+
+
+@kernel
+def _memory(config: AgentConfig, state: AgentState) -> MutableSequence[_AgentMemory]:
+    memory = KernelList()
+    states = KernelList()
+    states.append(state)
+    memory.append(_AgentMemory(config, states))
+    return memory
+
+
+@kernel
+def _state(memory: MutableSequence[_AgentMemory]) -> AgentState:
+    return memory[0].states[0]
 
 
 class Agent:
@@ -299,9 +300,10 @@ class Agent:
 
     @cached_property
     def _own_advance(self) -> Callable[..., None]:
+        """`_advance` by our own law and task, without a look at the types of its arguments."""
         empty = PackedInputs(0, np.empty((0, NEAR_COLUMNS)))
         out = self._outputs.vector
-        return prepared(_advance, self._memory, empty.vector, empty.near, 0.0, 0.0, out)
+        return prepared(_advance, self._memory, empty.vector, empty.near, 0.0, 0.0, out, None, None)
 
     @property
     def state(self) -> AgentState:
@@ -320,19 +322,11 @@ class Agent:
         guided: Vector3 | None = None,
         task: TaskGeometry | None = None,
     ) -> PackedOutputs:
-        """One tick, see `step`: t [s] since the latest epoch, dt [s] the control period.
-
-        `guided` is the velocity [m/s, ENU] of another law, see `guided_step`; `task` is a task of the user, see
-        `tasked_step`.
-        """
-        memory, vector, near, outputs = self._memory, inputs.vector, inputs.near, self._outputs
-        if task is not None:
-            _advance_tasked(memory, vector, near, task, t, dt, outputs.vector)
-        elif guided is not None:
-            _advance_guided(memory, vector, near, guided, t, dt, outputs.vector)
-        else:
-            self._own_advance(memory, vector, near, t, dt, outputs.vector)
-        return outputs
+        """One tick, see `step`: t [s] since the latest epoch, dt [s] the control period."""
+        advance = self._own_advance if guided is None and task is None else _advance
+        out = self._outputs
+        advance(self._memory, inputs.vector, inputs.near, t, dt, out.vector, guided, task)
+        return out
 
     def step(self, inputs: AgentInputs, t: float, dt: float) -> PackedOutputs:
         """The same with named inputs."""

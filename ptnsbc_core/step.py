@@ -274,54 +274,6 @@ def _in_numbers(inputs: AgentInputs) -> AgentInputs:
     )
 
 
-@kernel
-def step(
-    state: AgentState, inputs: AgentInputs, t: float, dt: float, config: AgentConfig
-) -> tuple[AgentState, AgentOutputs]:
-    """One tick: pure, no clock, no randomness, no I/O.
-
-    Args:
-        state: of the previous tick; `initial_state` before the first.
-        inputs: what the UAV knows now.
-        t: time since the latest epoch [s].
-        dt: control period [s].
-        config: constants of this UAV.
-
-    Returns:
-        The state for the next tick and what to send now.
-    """
-    return inlined_step(state, inputs, None, None, t, dt, config)
-
-
-@kernel
-def guided_step(
-    state: AgentState,
-    inputs: AgentInputs,
-    velocity: Vector3,
-    t: float,
-    dt: float,
-    config: AgentConfig,
-) -> tuple[AgentState, AgentOutputs]:
-    """As `step`, with the velocity [m/s, ENU] of another law in place of the formation law's.
-
-    Clearance, command filter and controller act on it as on ours; a UAV that holds does not follow it.
-    """
-    return inlined_step(state, inputs, velocity, None, t, dt, config)
-
-
-@kernel
-def tasked_step(
-    state: AgentState,
-    inputs: AgentInputs,
-    task: TaskGeometry,
-    t: float,
-    dt: float,
-    config: AgentConfig,
-) -> tuple[AgentState, AgentOutputs]:
-    """As `step`, with a task of the user, evaluated at `task_points`, in place of ours."""
-    return inlined_step(state, inputs, None, task, t, dt, config)
-
-
 class TaskPoints(NamedTuple):
     """The points of a formation task at one tick."""
 
@@ -351,18 +303,31 @@ def task_points(
 
 
 @inline_kernel
-def inlined_step(
+def step(
     state: AgentState,
     inputs: AgentInputs,
-    guided: Vector3 | None,
-    task: TaskGeometry | None,
     t: float,
     dt: float,
     config: AgentConfig,
+    guided: Vector3 | None = None,
+    task: TaskGeometry | None = None,
 ) -> tuple[AgentState, AgentOutputs]:
-    """`step`, `guided_step` or `tasked_step` as a part of the caller: no copies of state and constants between both.
+    """One tick: pure, no clock, no randomness, no I/O.
 
-    What depends on `guided` and `task` is compiled only where there is one: numba drops a branch on None.
+    Clearance, command filter and controller act on the velocity of another law as on ours; a UAV that holds does not
+    follow it. What depends on `guided` and `task` is compiled only where there is one: numba drops a branch on None.
+
+    Args:
+        state: of the previous tick; `initial_state` before the first.
+        inputs: what the UAV knows now.
+        t: time since the latest epoch [s].
+        dt: control period [s].
+        config: constants of this UAV.
+        guided: velocity [m/s, ENU] of another law in place of the formation law's.
+        task: a task of the user, evaluated at `task_points`, in place of ours.
+
+    Returns:
+        The state for the next tick and what to send now.
     """
     inputs, config = _in_numbers(inputs), borrowed(config)
     clock = Clock(t, inputs.start_age_s, dt)

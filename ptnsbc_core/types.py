@@ -31,7 +31,7 @@ PROFILE_PAPER, PROFILE_SOFT, PROFILE_REFERENCE = 0, 1, 2
 PROFILES = {"paper": PROFILE_PAPER, "soft": PROFILE_SOFT, "reference": PROFILE_REFERENCE}
 
 TASK_OWN = -1
-"""A task of the user, see `ptnsbc_core.step.tasked_step`."""
+"""A task of the user, see `ptnsbc_core.step.step`."""
 
 APPROACH_TASK, APPROACH_PLANNED = 0, 1
 APPROACHES = {"task": APPROACH_TASK, "planned": APPROACH_PLANNED}

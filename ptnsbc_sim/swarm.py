@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ptnsbc_core.kernel import KernelList, borrowed, kernel, kernel_list
-from ptnsbc_core.step import initial_state, inlined_step
+from ptnsbc_core.step import initial_state, step
 from ptnsbc_core.types import NEAR_COLUMNS, ODOMETRY_SIZE, AgentConfig, AgentState, Array
 from ptnsbc_sim.disturbances.build import (
     Disturbances,
@@ -107,9 +107,7 @@ def _fly(
                 continue
             t = since_epoch(wiring, tick, row)
             inputs = inputs_of(swarm, wiring, track, tick, row, disturbances)
-            swarm.states[row], out = inlined_step(
-                swarm.states[row], inputs, None, None, t, dt, swarm.configs[row]
-            )
+            swarm.states[row], out = step(swarm.states[row], inputs, t, dt, swarm.configs[row])
             note(track, tick, row, out)
         for row in range(swarm.bodies.shape[0]):  # apart: the code of both does not fit the cache
             advance_plant(swarm, wiring, track, tick, row, disturbances)

@@ -7,20 +7,14 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from ptnsbc_core.agent import store_diagnostics, store_velocity, store_wrench
-from ptnsbc_core.algebra import store, store3
+from ptnsbc_core.agent import DIAGNOSTICS_SIZE, store_outputs
+from ptnsbc_core.algebra import store
 from ptnsbc_core.kernel import inline_kernel
-from ptnsbc_core.kinematics import store_estimate
 from ptnsbc_core.types import ODOMETRY_SIZE, AgentOutputs, Array
 from ptnsbc_sim.scenario.problems import ScenarioError
 
 if TYPE_CHECKING:
     from ptnsbc_sim.scenario import Scenario
-
-# Columns of Track.diagnostics
-ERROR, GAIN, SINGULAR_VALUE, ACTIVE_ROWS = slice(0, 3), 3, 4, 5
-SATURATED, HOLDING, PRIORITY_VIOLATION, VELOCITY_ERROR, DEADLOCK = 6, 7, 8, 9, 10
-DIAGNOSTICS_SIZE = 11
 
 _WIDTHS = (ODOMETRY_SIZE, 4, 6, ODOMETRY_SIZE, DIAGNOSTICS_SIZE, ODOMETRY_SIZE, ODOMETRY_SIZE)
 _NUMBER_BYTES = 8
@@ -43,12 +37,16 @@ class FlightTrack(NamedTuple):
 @inline_kernel
 def note(track: FlightTrack, tick: int, row: int, out: AgentOutputs) -> None:
     """Write one UAV's outputs of one tick into the track."""
-    store_velocity(track.velocity[tick, row], out)
-    store_wrench(track.wrench[tick, row], out)
-    store_estimate(track.estimate[tick, row], out.estimate, out.estimate_valid)
-    store_diagnostics(track.diagnostics[tick, row], out.diagnostics)
-    store(track.reported[tick, row], 0, track.odometry[tick, row])
-    store3(track.reported[tick, row], 7, out.reported)
+    reported = track.reported[tick, row]
+    store(reported, 0, track.odometry[tick, row])
+    store_outputs(
+        out,
+        track.velocity[tick, row],
+        track.wrench[tick, row],
+        track.estimate[tick, row],
+        reported[7:10],
+        track.diagnostics[tick, row],
+    )
 
 
 @inline_kernel

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from ptnsbc_core.kernel import borrowed, kernel, kernel_list
-from ptnsbc_core.step import TaskPoints, guided_step, step, task_points, tasked_step
+from ptnsbc_core.step import TaskPoints, step, task_points
 from ptnsbc_core.tasks.contract import TaskGeometry
 from ptnsbc_core.types import Array
 from ptnsbc_sim.disturbances.build import Disturbances
@@ -55,10 +55,10 @@ def _step_all(
         state, config = swarm.states[row], swarm.configs[row]
         follows = row != wiring.leader[row]
         if tasks is not None and follows:
-            swarm.states[row], out = tasked_step(state, inputs, tasks[row], t, dt, config)
+            swarm.states[row], out = step(state, inputs, t, dt, config, None, tasks[row])
         elif velocities is not None and follows:
             wanted = (velocities[row, 0], velocities[row, 1], velocities[row, 2])
-            swarm.states[row], out = guided_step(state, inputs, wanted, t, dt, config)
+            swarm.states[row], out = step(state, inputs, t, dt, config, wanted)
         else:
             swarm.states[row], out = step(state, inputs, t, dt, config)
         note(track, tick, row, out)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ptnsbc_core import agent as columns
 from ptnsbc_core.types import Array
-from ptnsbc_sim import track as columns
 from ptnsbc_sim.disturbances.faults import gone
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.swarm import HeadlessFlight

@@ -292,7 +292,7 @@ def new_axes() -> Any:
 
 def _status_of(flight: HeadlessFlight) -> StatusSeries:
     """The messages that the UAVs of a headless flight would have published, at every tick."""
-    from ptnsbc_sim.track import GAIN, SINGULAR_VALUE
+    from ptnsbc_core.agent import GAIN, SINGULAR_VALUE
 
     log = flight.track.diagnostics
     columns = {"gain": GAIN, "sigma_min": SINGULAR_VALUE}

@@ -8,7 +8,7 @@ import pytest
 
 from ptnsbc_core.agent import Agent, PackedOutputs
 from ptnsbc_core.kinematics import store_estimate, velocity_enu
-from ptnsbc_core.step import guided_step, initial_state, step
+from ptnsbc_core.step import initial_state, step
 from ptnsbc_core.types import (
     MODE_FORMATION,
     MODE_HOLD,
@@ -212,11 +212,11 @@ def test_another_law_moves_a_follower_only_while_it_does_not_hold(plant: str) ->
     state, wanted = initial_state(own, config), (0.2, -0.1, 0.3)
     for mode in (MODE_HOLD, MODE_LAND):
         resting = inputs_of(own, 1.0, mode=mode)
-        found = guided_step(state, resting, wanted, 1.0, DT, config)
+        found = step(state, resting, 1.0, DT, config, wanted)
         assert str(found) == str(step(state, resting, 1.0, DT, config))
     for tick in range(100):
         inputs = inputs_of(own, tick * DT)
-        state, out = guided_step(state, inputs, wanted, tick * DT, DT, config)
+        state, out = step(state, inputs, tick * DT, DT, config, wanted)
     np.testing.assert_allclose(out.velocity, wanted, atol=1e-6)
 
 

@@ -6,7 +6,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from ptnsbc_core.agent import Agent
+from ptnsbc_core.agent import ACTIVE_ROWS, HOLDING, PRIORITY_VIOLATION, Agent
 from ptnsbc_core.curves.trajectory import reference
 from ptnsbc_core.tasks.table import TASKS
 from ptnsbc_core.types import MODE_FORMATION, NEVER_RECEIVED_S, AgentInputs
@@ -17,7 +17,6 @@ from ptnsbc_sim.swarm import CHUNK_TICKS, HeadlessFlight, fly
 from ptnsbc_sim.sweep import parse_starts
 from ptnsbc_sim.sweep.plan import SweepPlan, draw, drawn_scenario, plan_of
 from ptnsbc_sim.sweep.starts import NEAR, Starts
-from ptnsbc_sim.track import ACTIVE_ROWS, HOLDING, PRIORITY_VIOLATION
 from ptnsbc_sim.verdict import verdict_on
 from ptnsbc_sim.verdict.headless import recording_of
 from ptnsbc_sim.wiring import wiring_of

@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from on_arrays import on_arrays
 
+from ptnsbc_core.agent import DEADLOCK
 from ptnsbc_core.behaviours.contract import FormationPlace
 from ptnsbc_core.behaviours.deadlock import (
     NEAR_ZERO,
@@ -17,7 +18,6 @@ from ptnsbc_core.behaviours.deadlock import (
 )
 from ptnsbc_sim.scenario import agent_config, load_scenario
 from ptnsbc_sim.swarm import fly
-from ptnsbc_sim.track import DEADLOCK
 from ptnsbc_sim.verdict import verdict_on
 from ptnsbc_sim.verdict.headless import recording_of
 

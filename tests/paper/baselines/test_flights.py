@@ -7,10 +7,10 @@ import pytest
 
 from paper.baselines import LAWS, BaselineError, fly, settled_s
 from paper.baselines.settling import tuned
-from ptnsbc_sim import swarm, track
+from ptnsbc_core.agent import GAIN, SATURATED
+from ptnsbc_sim import swarm
 from ptnsbc_sim.scenario import load_scenario
 from ptnsbc_sim.swarm import HeadlessFlight
-from ptnsbc_sim.track import SATURATED
 
 SCENARIO = {"plant.kind": "rigid_body_6dof", "timing.duration_s": 7.0}
 WEIGHT_N = 1.2 * 9.81
@@ -82,7 +82,7 @@ def test_the_cascade_has_constant_gains_and_is_tuned_the_same_every_time() -> No
     settled = settled_s(once)
     assert settled is not None
     assert 4.0 < settled <= 5.0
-    gain = once.track.diagnostics[:, :, track.GAIN]
+    gain = once.track.diagnostics[:, :, GAIN]
     np.testing.assert_allclose(gain, gains.formation.kappa_1_s)
 
 
