@@ -28,11 +28,10 @@ _INITIAL_S = 0.1
 
 
 @dataclass(frozen=True)
-class JudgedFlight:
-    """One flight and its verdict."""
+class FlightCurves:
+    """One flight as curves over time."""
 
     flight: HeadlessFlight
-    verdict: Verdict
 
     @property
     def scenario(self) -> Scenario:
@@ -101,6 +100,13 @@ class JudgedFlight:
         """Largest |V - V_r| of any UAV from a time on [m/s]."""
         log = self.flight.track.diagnostics[:, :, VELOCITY_ERROR]
         return float(log[self.times >= seconds].max())
+
+
+@dataclass(frozen=True)
+class JudgedFlight(FlightCurves):
+    """One flight, and its verdict in numbers."""
+
+    verdict: Verdict
 
     def settled_s(self) -> float | None:
         """The time at which the last UAV settled; None when a UAV never did."""
