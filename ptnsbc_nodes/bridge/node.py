@@ -111,7 +111,7 @@ class BridgeNode:
         self.bridge = Bridge(scenario, uav_id, link, ports, options.allow_arming, awaited)
         self._near = _NearPublisher(self.endpoints, scenario, uav_id, edges, clocks)
         self._send_status = self.endpoints.publisher(topics.DIAGNOSTICS, recorders)
-        self.endpoints.end_with(self._publish_status)
+        self.endpoints.last_word = self._publish_status
         self._diagnostics = self.endpoints.listen(
             topics.DIAGNOSTICS,
             self._decode_diagnostics,
@@ -264,7 +264,7 @@ class BridgeNode:
             )
         listen(topics.EPOCH, decode_leg, inputs.legs.append)
         if scenario.reconfigures:  # a successor of the leader announces the legs as well
-            self.endpoints.shares(topics.EPOCH)
+            self.endpoints.shared.add(topics.EPOCH.name)
         if scenario.takes_setpoints:
             decode_taken = OdometryDecoder(WORLD_FRAME, WORLD_FRAME)
             listen(topics.TAKEN, decode_taken, inputs.taken.append, required=False)

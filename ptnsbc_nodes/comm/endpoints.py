@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import re
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
-from typing import NamedTuple, TypeVar
+from typing import TypeVar
 
 from rclpy.duration import Duration
 from rclpy.node import Node
@@ -19,55 +18,13 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 from ptnsbc_nodes.comm import qos, topics
 from ptnsbc_nodes.comm.door import Door, Refusals, opened
 from ptnsbc_nodes.comm.seal import Seal
-from ptnsbc_nodes.comm.topics import TF, Role, Topic, message_class
+from ptnsbc_nodes.comm.topics import TF, Topic, message_class
 
-# The last message alone is not enough: a node that joins late must learn the first epoch, and of every lost UAV.
-_LATCHED = qos.keep_last(64, reliable=True, latched=True)
-
-_LOCKSTEP_HISTORY = 1000
-_LOCKSTEP_STATUSES = 100  # of what is published 5 times a second: the sim is at most 80 of them ahead of the recorder
-# With a queue of one the messages of an outsider would push out the true one before it is taken.
-_STATE = qos.keep_last(32, reliable=False)
-_SENT = "sent "
 _UNNAMED = "_NODE_NAME_UNKNOWN_"  # of rmw_dds_common
 _AT_ONCE = Duration()
 _ACKED_LOOK_S = 0.005
 
 T = TypeVar("T")
-
-
-class _CountingPublisher:
-    """A publisher that counts its messages."""
-
-    def __init__(
-        self, publisher: Publisher, readers: int, close: Callable[[bytes], bytes] | None
-    ) -> None:
-        self.publisher = publisher
-        self.topic_name: str = publisher.topic_name
-        self.readers = readers  # nodes of the fleet that must subscribe before the flight
-        self.found = False  # they have been found
-        self.sent = 0
-        self._publish = publisher.publish
-        self._close = close
-
-    def send(self, data: bytes) -> None:
-        self.sent += 1
-        self._publish(data if self._close is None else self._close(data))
-
-
-class PublishCounters(NamedTuple):
-    """The number of messages that a process has published, by topic."""
-
-    since_ns: int  # when `before` was counted, by the node's clock; -1: from the start
-    before: dict[str, int]
-    sent: dict[str, int]  # in all
-
-
-def _node_name(publisher: TopicEndpointInfo) -> str:
-    """The full name of the node of a publisher, as far as its participant has told it."""
-    if publisher.node_name == _UNNAMED:
-        return "an unknown node"
-    return f"{publisher.node_namespace.rstrip('/')}/{publisher.node_name}"
 
 
 def fleet_namespace(namespace: str) -> str:
@@ -84,12 +41,6 @@ def full_name(node: Node, topic: Topic) -> str:
     return topic.name if topic is TF else fleet_namespace(node.get_namespace()) + topic.name
 
 
-def sent_in(lines: Iterable[str]) -> PublishCounters | None:
-    """The counts that a process has written into its log; None without any."""
-    counts = [line.removeprefix(_SENT) for line in lines if line.startswith(_SENT)]
-    return PublishCounters(**json.loads(counts[-1])) if counts else None
-
-
 def wait_for_readers(publishers: Iterable[Publisher], timeout_s: float) -> bool:
     """Wait until all reliable readers have all messages; returns whether they have within `timeout_s`.
 
@@ -104,42 +55,84 @@ def wait_for_readers(publishers: Iterable[Publisher], timeout_s: float) -> bool:
     return True
 
 
+class _AwaitingPublisher:
+    """A publisher that a number of nodes of the fleet must hear before the flight."""
+
+    def __init__(self, node: Node, publisher: Publisher, readers: int) -> None:
+        self.publisher = publisher
+        self._node = node
+        self._readers = readers
+        self._found = False
+
+    def is_read(self) -> bool:
+        """True once enough nodes of the fleet subscribe, known by their names, and still as many of any.
+
+        A viewer must not stand in for a node that has not been found yet: what that one missed would not come again.
+        """
+        if self.publisher.get_subscription_count() < self._readers:
+            return False
+        if not self._found:
+            infos = self._node.get_subscriptions_info_by_topic(self.publisher.topic_name)
+            self._found = sum(map(self._is_of_fleet, infos)) >= self._readers
+        return self._found
+
+    def _is_of_fleet(self, reader: TopicEndpointInfo) -> bool:
+        """True for the nodes of UAVs and their bridges, the sim and the recorder."""
+        fleet = fleet_namespace(self._node.get_namespace())
+        if fleet_namespace(reader.node_namespace) != fleet:
+            return False
+        of_uav = reader.node_namespace.rstrip("/") != fleet
+        return of_uav or reader.node_name in (topics.SIM, topics.RECORDER)
+
+
 class Endpoints:
-    """Raw publishers and subscriptions of one node: bytes in, bytes out, no message objects."""
+    """Raw publishers and subscriptions of one node: bytes in, bytes out, no message objects.
+
+    Attributes:
+        fleet: namespace of the fleet.
+        shared: names of topics that several nodes publish in this flight.
+        refusals: messages that the doors have refused.
+        last_word: publishes one reliable message, behind those sent with best effort, when the process ends. A state
+            that is sent with best effort is not acknowledged, and is lost with the shared memory of its process when
+            its reader is slow. A reader receives the messages of one process in order: once it has acknowledged the
+            last word it has the states before it.
+    """
 
     def __init__(self, node: Node, lockstep: bool, seal: Seal | None = None) -> None:
         """`seal`: closes what is published and opens what is received; None in a fleet without one."""
-        self._node = node
-        self._seal = seal
-        self._shared = set(topics.SEVERAL_PUBLISHERS)
         self.fleet = fleet_namespace(node.get_namespace())
+        self.shared = set(topics.SEVERAL_PUBLISHERS)
+        self.refusals = Refusals()
+        self.last_word: Callable[[], None] = lambda: None
+        self._node = node
         self._lockstep = lockstep
-        self._published: list[_CountingPublisher] = []
+        self._seal = seal
+        self._published: list[_AwaitingPublisher] = []
         self._subscriptions: list[Subscription] = []
         self._awaited: list[Subscription] = []
-        self.refusals = Refusals()
-        self._before: tuple[int, dict[str, int]] | None = None
-        self._last_word: Callable[[], None] | None = None
 
     def publisher(self, topic: Topic, readers: int) -> Callable[[bytes], None]:
         """A publisher of serialised messages, which `readers` nodes of the fleet must hear before the flight."""
         publisher = self._node.create_publisher(
             message_class(topic),
             full_name(self._node, topic),
-            self._offered(topic),
+            qos.offered(topic, lockstep=self._lockstep),
             event_callbacks=qos.NO_WRITER_EVENTS,
         )
-        close = None if self._seal is None else self._seal.closer(topic)
-        self._published.append(_CountingPublisher(publisher, readers, close))
-        return self._published[-1].send
+        self._published.append(_AwaitingPublisher(self._node, publisher, readers))
+        if self._seal is None:
+            publish: Callable[[bytes], None] = publisher.publish
+            return publish
+        close = self._seal.closer(topic)
+        return lambda data: publisher.publish(close(data))
 
     def readers(self, topic: Topic) -> Callable[[], int]:
         """A function that counts the subscriptions to a topic that this node publishes."""
-        name = full_name(self._node, topic)
-        [own] = (
-            one for one in self._published if one.topic_name == self._node.resolve_topic_name(name)
+        name = self._node.resolve_topic_name(full_name(self._node, topic))
+        (publisher,) = (
+            one.publisher for one in self._published if one.publisher.topic_name == name
         )
-        return own.publisher.get_subscription_count
+        return publisher.get_subscription_count
 
     def listen(
         self,
@@ -168,7 +161,7 @@ class Endpoints:
             message_class(topic),
             name,
             Door(name, decode, deliver, self.refusals),
-            profile or self._requested(topic),
+            profile or qos.requested(topic, lockstep=self._lockstep),
             raw=True,
             event_callbacks=qos.NO_READER_EVENTS,
         )
@@ -190,30 +183,23 @@ class Endpoints:
         return [sub.topic_name for sub in self._awaited if sub.get_publisher_count() == 0]
 
     def unread(self) -> list[str]:
-        """Published topics to which fewer nodes of the fleet subscribe than are to read them.
-
-        A viewer must not stand in for a node that has not been found yet: what that one missed would not come again.
-        """
-        return [one.topic_name for one in self._published if not self._is_read(one)]
+        """Published topics to which fewer nodes of the fleet subscribe than are to read them."""
+        return [one.publisher.topic_name for one in self._published if not one.is_read()]
 
     def unmatched(self, topic: Topic, readers: Mapping[int, int]) -> list[str]:
         """UAVs of which fewer nodes than `readers` are known to subscribe to a topic."""
         name = full_name(self._node, topic)
         infos = self._node.get_subscriptions_info_by_topic(name)
-        found = Counter(info.node_namespace for info in infos)
-        short = [uav for uav, nodes in readers.items() if found[f"{self.fleet}/uav{uav}"] < nodes]
+        nodes = Counter(info.node_namespace for info in infos)
+        short = [uav for uav, least in readers.items() if nodes[f"{self.fleet}/uav{uav}"] < least]
         return [f"{name} at uav{uav}" for uav in short]
-
-    def shares(self, topic: Topic) -> None:
-        """Several nodes publish this topic in this flight."""
-        self._shared.add(topic.name)
 
     def rivals(self) -> list[str]:
         """Topics of one publisher that have several, with the nodes that publish them; nothing tells which is ours."""
         rivals = []
         for subscription in self._subscriptions:
             name = subscription.topic_name
-            shared = name.removeprefix(self.fleet) in self._shared
+            shared = name.removeprefix(self.fleet) in self.shared
             if shared or subscription.get_publisher_count() < 2:
                 continue
             nodes = sorted(map(_node_name, self._node.get_publishers_info_by_topic(name)))
@@ -221,38 +207,14 @@ class Endpoints:
                 rivals.append(f"{name}: {' and '.join(nodes)} publish it")
         return rivals
 
-    def warning(self) -> str:
-        """Messages that were refused since the last call, or else a rival; empty without any."""
-        refused = self.refusals.report()
-        return refused or "".join(f"second publisher of {one}" for one in self.rivals()[:1])
-
     def contested(self) -> list[str]:
         """Before a flight: what a fleet waits for that has no seal, and so believes whoever publishes."""
         return [] if self._seal else [f"a single publisher of {one}" for one in self.rivals()]
 
-    def begin(self, now_ns: int) -> None:
-        """The first leg has been announced: from here on every message counts."""
-        if self._before is None:
-            self._before = (now_ns, self._counts())
-
-    def account(self) -> str:
-        """The number of messages that were sent, as the line of the log that `sent_in` reads."""
-        since_ns, before = self._before or (-1, {})
-        return _SENT + json.dumps(PublishCounters(since_ns, before, self._counts())._asdict())
-
-    def end_with(self, last_word: Callable[[], None]) -> None:
-        """Let `say_last_word` call this: it publishes one reliable message behind those sent with best effort.
-
-        A state that is sent with best effort is not acknowledged, and is lost with the shared memory of its process
-        when its reader is slow. A reader receives the messages of one process in order: a reader that has
-        acknowledged the last word has the states before it.
-        """
-        self._last_word = last_word
-
-    def say_last_word(self) -> None:
-        """Publish the message that the process ends with, before `flush`."""
-        if self._last_word is not None:
-            self._last_word()
+    def warning(self) -> str:
+        """Messages that were refused since the last call, or else a rival; empty without any."""
+        refused = self.refusals.report()
+        return refused or "".join(f"second publisher of {one}" for one in self.rivals()[:1])
 
     def flush(self, timeout_s: float) -> None:
         """Wait until reliable readers have everything: an earlier exit would cut their bags."""
@@ -264,44 +226,12 @@ class Endpoints:
             self._node.destroy_publisher(one.publisher)
         for subscription in self._subscriptions:
             self._node.destroy_subscription(subscription)
-        self._published.clear()
-        self._subscriptions.clear()
-        self._awaited.clear()
+        for ends in (self._published, self._subscriptions, self._awaited):
+            ends.clear()
 
-    def _is_read(self, one: _CountingPublisher) -> bool:
-        if one.publisher.get_subscription_count() < one.readers:
-            return False
-        if not one.found:
-            infos = self._node.get_subscriptions_info_by_topic(one.topic_name)
-            one.found = sum(map(self._is_of_fleet, infos)) >= one.readers
-        return one.found
 
-    def _is_of_fleet(self, reader: TopicEndpointInfo) -> bool:
-        """True for the nodes of UAVs and their bridges, the sim and the recorder."""
-        if fleet_namespace(reader.node_namespace) != self.fleet:
-            return False
-        of_uav = reader.node_namespace.rstrip("/") != self.fleet
-        return of_uav or reader.node_name in (topics.SIM, topics.RECORDER)
-
-    def _counts(self) -> dict[str, int]:
-        return {one.topic_name: one.sent for one in self._published}
-
-    def _offered(self, topic: Topic) -> QoSProfile:
-        profile = self._profile(topic)
-        if self._lockstep and topic.role is not Role.LATCHED:
-            # The lock-step rule keeps all nodes within a few ticks, but not the recorder: messages that its
-            # socket drops in a burst must still be there when it asks for them again.
-            # A history fills up slowly with rare messages, and those of RViz are large.
-            rare = topic.rate == topics.STATUS_RATE
-            depth = _LOCKSTEP_STATUSES if rare else _LOCKSTEP_HISTORY
-            return QoSProfile(depth=depth, reliability=profile.reliability)
-        return profile
-
-    def _requested(self, topic: Topic) -> QoSProfile:
-        state = topic.role is Role.STATE and not self._lockstep
-        return _STATE if state else self._profile(topic)
-
-    def _profile(self, topic: Topic) -> QoSProfile:
-        if topic.role is Role.LATCHED:
-            return _LATCHED
-        return qos.profile(topic, lockstep=self._lockstep)
+def _node_name(publisher: TopicEndpointInfo) -> str:
+    """The full name of the node of a publisher, as far as its participant has told it."""
+    if publisher.node_name == _UNNAMED:
+        return "an unknown node"
+    return f"{publisher.node_namespace.rstrip('/')}/{publisher.node_name}"

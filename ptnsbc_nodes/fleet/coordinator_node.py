@@ -152,8 +152,8 @@ class Coordinator:
     def listen_for_start(self) -> None:
         """Hear of the first leg, when an operator starts the flight, or the mission begins by the clock."""
         self._listens_for_start = True
-        self._endpoints.shares(
-            topics.EPOCH
+        self._endpoints.shared.add(
+            topics.EPOCH.name
         )  # with successors of the leader, of which we do not know
         self._endpoints.listen(topics.EPOCH, decode_leg, self._on_leg, required=False)
 

@@ -74,19 +74,15 @@ class ManagedNode(LifecycleNode):
                 raise self.refusal
         self._by_itself = False
 
-    def say_last_word(self) -> None:
-        """Publish what its work publishes last, see `Endpoints.end_with`."""
+    def last_word(self) -> None:
+        """Publish what its work publishes last, see `Endpoints`."""
         if self.work is not None:
-            self.work.endpoints.say_last_word()
+            self.work.endpoints.last_word()
 
     def flush(self, timeout_s: float) -> None:
         """Wait until reliable readers have everything."""
         if self.work is not None:
             self.work.endpoints.flush(timeout_s)
-
-    def account(self) -> str:
-        """The number of messages that it has sent, see `Endpoints.account`."""
-        return "" if self.work is None else self.work.endpoints.account()
 
     def finish(self) -> None:
         """Close the node and publish its last transition; the process ends next."""

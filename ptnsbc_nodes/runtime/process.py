@@ -142,11 +142,10 @@ def report_finished(summary: str) -> None:
 
 
 class _Endpoints(Protocol):
-    def say_last_word(self) -> None: ...
+    @property
+    def last_word(self) -> Callable[[], None]: ...
 
     def flush(self, timeout_s: float) -> None: ...
-
-    def account(self) -> str: ...
 
 
 class ProcessLifetime:
@@ -205,16 +204,11 @@ class ProcessLifetime:
                 time.sleep(min(max(until_tick_s, _LEAST_REST_S), _SIGNAL_CHECK_S))
         served = (endpoints, *others)
         for each in served:
-            each.say_last_word()
+            each.last_word()
         limit_s = time.monotonic() + FLUSH_S
         for each in served:
             each.flush(max(limit_s - time.monotonic(), 0.0))
-        account = "\n".join(each.account() for each in served)
-        if (
-            environment.REPORT in os.environ
-        ):  # for the log of a launcher; a terminal has no use for it
-            print(account, flush=True)
-        report_finished(account)
+        report_finished("")
         executor.shutdown()
 
     def _on_signal(self, _number: int, _frame: FrameType | None) -> None:

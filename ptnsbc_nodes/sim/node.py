@@ -73,7 +73,7 @@ class SimNode:
         if not edges.options.lockstep:
             ticks = node.create_timer(scenario.dt_ns * 1e-9, self._on_tick_timer)
             self.rest_s = lambda: self._until_tick_s(ticks)
-            self.endpoints.end_with(lambda: self._report(self._clock_ns()))
+            self.endpoints.last_word = lambda: self._report(self._clock_ns())
 
     def _until_tick_s(self, ticks: Timer) -> float | None:
         if not self._ticked:
@@ -89,7 +89,7 @@ class SimNode:
                 decode = in_order(decode, RealTimeStamps(self._clock_ns))
             listen(topics.wrench_setpoint(i), decode, self._on_wrench(i))
         if self._scenario.reconfigures:  # a successor of the leader announces the legs as well
-            self.endpoints.shares(topics.EPOCH)
+            self.endpoints.shared.add(topics.EPOCH.name)
         listen(topics.EPOCH, decode_leg, self._on_epoch)
         listen(LOST, decode_lost, self._on_lost, required=False)
         if self._recorder.limits:
@@ -116,7 +116,6 @@ class SimNode:
     def _on_epoch(self, leg: HeaderFields) -> None:
         self._epochs.announce(leg.stamp_ns, leg.frame_id)
         if not self._options.lockstep:
-            self.endpoints.begin(self._clock_ns())
             first_ns = self._epochs.first_t0_ns or 0
             ahead = (first_ns - self._clock_ns()) // self._scenario.dt_ns
             self._world.begin_mission(self._world.tick + ahead)

@@ -192,7 +192,7 @@ class UavNode:
     ) -> LegServices | None:
         """The services of the leader, which a successor serves when it leads; None for all others."""
         if self._comes_and_goes:
-            self.endpoints.shares(topics.EPOCH)
+            self.endpoints.shared.add(topics.EPOCH.name)
         leads = self._uav == scenario.leader_id
         if not leads and not (
             self._comes_and_goes and self._uav in scenario.file.leader.successors
@@ -278,8 +278,6 @@ class UavNode:
         is_new = self._epochs.announce(leg.stamp_ns, leg.frame_id)
         if is_new and self._leg_services is not None and not self._options.lockstep:
             self._leg_services.keep(leg)  # in lock-step no process starts in flight
-        if not self._options.lockstep:
-            self.endpoints.begin(self._timing.now_ns())
         first_ns = self._epochs.first_t0_ns
         if first_ns is not None:
             self._faults.begin(first_ns)

@@ -71,7 +71,7 @@ class StatusPublisher:
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._timer = node.create_timer(1.0 / STATUS_HZ, self._on_timer, clock=steady)
         if not parts.options.lockstep:
-            parts.endpoints.end_with(lambda: self.publish(parts.timing.now_ns()))
+            parts.endpoints.last_word = lambda: self.publish(parts.timing.now_ns())
 
     def close(self) -> None:
         """Remove the timer from the node."""

@@ -79,7 +79,7 @@ class OperatorNode:
         self._configs = {uav: agent_config(scenario, uav) for uav in scenario.uav_ids}
         self._goals: list[LegGoal | MissionGoal] = []  # that are flown
         if scenario.reconfigures:  # a successor of the leader announces the legs as well
-            self.endpoints.shares(topics.EPOCH)
+            self.endpoints.shared.add(topics.EPOCH.name)
         self._listen = partial(self.endpoints.listen, required=False)
         listen_to_fleet(self._listen, self.flight)
         fleet = self.endpoints.fleet

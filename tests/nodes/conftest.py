@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
 
 import pytest
@@ -106,6 +107,26 @@ def ros(domain) -> Iterator[Ros]:
     instance = Ros(domain)
     yield instance
     instance.close()
+
+
+@pytest.fixture
+def sent(monkeypatch) -> Counter[str]:
+    """The number of messages that the nodes of this process have published, by topic."""
+    from ptnsbc_nodes.comm.endpoints import Endpoints
+
+    counts, publisher = Counter(), Endpoints.publisher
+
+    def counting(self, topic, readers):
+        send = publisher(self, topic, readers)
+
+        def count(data):
+            counts[topic.name] += 1
+            send(data)
+
+        return count
+
+    monkeypatch.setattr(Endpoints, "publisher", counting)
+    return counts
 
 
 @pytest.fixture

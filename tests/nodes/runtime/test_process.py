@@ -94,14 +94,11 @@ NODE = textwrap.dedent(
     from ptnsbc_nodes.runtime.process import Arguments
 
     class Quiet:
-        def say_last_word(self):
+        def last_word(self):
             pass
 
         def flush(self, timeout_s):
             pass
-
-        def account(self):
-            return "end"
 
     def body(arguments, argv):
         lifetime = ProcessLifetime()
@@ -132,7 +129,6 @@ def test_a_node_waits_without_burning_the_processor(domain):
     out, _ = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 0
     *_, used_s = out.split()
-    assert "end" not in out  # what it has sent is for the log of a launcher
     # A busy loop takes all of the 2.5 s of waiting that it is given.
     assert float(used_s) < 0.5
 
@@ -160,14 +156,11 @@ class Deaf:
     def __init__(self, words):
         self._words = words
 
-    def say_last_word(self):
+    def last_word(self):
         self._words.append(Deaf.now_s)
 
     def flush(self, timeout_s):
         Deaf.now_s += timeout_s
-
-    def account(self):
-        return ""
 
 
 def test_several_nodes_of_a_process_wait_for_their_readers_together(ros, monkeypatch):

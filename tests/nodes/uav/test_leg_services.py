@@ -243,7 +243,7 @@ def test_who_leads_next_tells_the_legs_again(ros):
     others = Others(ros, relay, 2, lockstep=False)
     heard = []
     listener = Endpoints(ros.node("listener"), lockstep=False)
-    listener.shares(topics.EPOCH)
+    listener.shared.add(topics.EPOCH.name)
     listener.listen(topics.EPOCH, wire.decode_header, heard.append)
     epoch = wire.HeaderFields(time.time_ns(), "form")
     others.form(*epoch)
