@@ -10,11 +10,14 @@ import pytest
 from markdown_it import MarkdownIt
 
 ROOT = Path(__file__).parents[2]
-PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md")])
+PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
 _TEST = re.compile(r"(tests/[\w/]+\.py)::(\w+)")
+_TEST_NAME = re.compile(r"^test_\w*[a-z0-9]$")  # those that end with _ stand for several
 _FILE = re.compile(r"(?:[\w.-]+/)+[\w.-]+\.py\b")
+_MODULE = re.compile(r"^\w+\.py$")
+_LAWS = ("method.md", "equations.md")  # name modules of the core without its folder
 _DOTTED = re.compile(r"\b(?:ptnsbc_[a-z]+|bench)(?:\.\w+)+")
-_FILES_BELOW = ("", "ptnsbc_core")  # docs/method.md names modules of the core without it
+_FILES_BELOW = ("", "ptnsbc_core")
 _GONE = ("CHANGELOG.md",)  # names what was there
 
 
@@ -37,11 +40,22 @@ def test_tests_that_are_named_exist(page):
     assert missing == []
 
 
+def test_tests_that_are_named_without_a_file_exist():
+    written = {
+        name
+        for path in (ROOT / "tests").rglob("test_*.py")
+        for name in re.findall(r"^def (test_\w+)\(", path.read_text("utf-8"), re.MULTILINE)
+    }
+    named = {(page.name, name) for page in PAGES for name in _named(page, _TEST_NAME)}
+    assert [row for row in sorted(named) if row[1] not in written] == []
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_files_that_are_named_exist(page):
+    modules = _named(page, _MODULE) if page.name in _LAWS else set()
     missing = {
         name
-        for name in _named(page, _FILE)
+        for name in _named(page, _FILE) | modules
         if not any((ROOT / below / name).is_file() for below in _FILES_BELOW)
     }
     assert page.name in _GONE or missing == set()
