@@ -46,7 +46,7 @@ docs: setup  ## Make the parts of the pages that are made of the code
 site: setup  ## Build all pages as a site, searched without a network: build/site
 	@$(BIN)/python -m docs.make.site $(ARGS)
 
-results: setup  ## Fly the paper again: docs/results.md, docs/envelope.md and their pictures
+results: setup  ## Fly the paper again: docs/results.md, tables.md, envelope.md and their pictures
 	@time $(BIN)/ptnsbc reproduce --docs docs $(ARGS)
 
 commands: setup  ## Run every command in README and docs, in a scratch clone

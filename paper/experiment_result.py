@@ -25,7 +25,7 @@ class Figure:
     name: str  # fig_05_trajectories_3d
     title: str  # Fig. 5
     caption: str
-    telling: bool = False  # docs/results.md shows it
+    telling: bool = False  # docs/tables.md shows it
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""The files of a run: results.md, envelope.md, results.json, timing.json; pages in `--docs` when it is given."""
+"""The files of a run: results.md (claims), tables.md, envelope.md, results.json, timing.json; pages in `--docs`."""
 
 from __future__ import annotations
 
@@ -42,7 +42,11 @@ A share counts flights, with its Wilson interval at 95 %. A claim about meeting 
 of its share is above {sure:g} %.
 """
 PAGES = {
-    "results": ("Results", "The results of the paper, flown again with this code."),
+    "results": ("Results", "The claims of the paper, and which of them hold with this code."),
+    "tables": (
+        "Tables and figures",
+        "The experiments behind the claims in [results.md](results.md).",
+    ),
     "envelope": (
         "How far it goes",
         "Where formation control by this code succeeds, and where it fails.",
@@ -97,45 +101,59 @@ def _digest() -> str:
     return found.hexdigest()[:_SHORT]
 
 
-def results_page(
-    origin: Origin,
-    parts: Sequence[ExperimentResult],
-    *,
-    images: str,
-    all_figures: bool,
-    page: str = "results",
-) -> str:
-    """The text of a page: the claims first, then every experiment with its tables and figures.
+def pages(
+    origin: Origin, parts: Sequence[ExperimentResult], *, images: str, all_figures: bool
+) -> dict[str, str]:
+    """The text of each page by its name in PAGES; without one of which there is no part.
 
     Args:
-        origin: for the head.
-        parts: the results of the experiments of this page.
-        images: folder of the figures, relative to the page.
+        origin: for the heads.
+        parts: the results of the experiments.
+        images: folder of the figures, relative to the pages.
         all_figures: show every figure, and not only the telling ones.
-        page: one of PAGES.
     """
+    paper = [part for part in parts if part.page == "results"]
+    sections = {
+        "results": [_claims(paper)] if paper else [],
+        "tables": [_section(part, images, all_figures) for part in paper],
+        "envelope": [
+            _section(part, images, all_figures) for part in parts if part.page == "envelope"
+        ],
+    }
+    return {
+        page: "\n".join([_head(origin, page), *blocks])
+        for page, blocks in sections.items()
+        if blocks
+    }
+
+
+def _head(origin: Origin, page: str) -> str:
     title, what = PAGES[page]
-    blocks = [_HEAD.format(title=title, what=what, sure=100 * SURE, **vars(origin))]
-    claims = [
+    return _HEAD.format(title=title, what=what, sure=100 * SURE, **vars(origin))
+
+
+def _claims(parts: Sequence[ExperimentResult]) -> str:
+    rows = [
         (claim.said, claim.number, claim.ours, f"**{claim.verdict}**", claim.figures)
         for part in parts
         for claim in part.claims
     ]
-    if claims:
-        head = ("The paper", "its number", "ours", "verdict", "where")
-        blocks.append(f"## Claims\n\n{_grid(head, claims)}\n")
-    for part in parts:
-        lines = [f"## {part.title}", "", part.text, ""]
-        if part.timed:
-            lines += ["Measured by the clock: these numbers differ from run to run.", ""]
-        for table in part.tables:
-            lines += [_table(table), ""]
-        for figure in part.figures:
-            if all_figures or figure.telling:
-                caption = f"{figure.title}: {figure.caption}"
-                lines += [f"![{caption}]({images}/{figure.name}.png)\n\n*{caption}.*", ""]
-        blocks.append("\n".join(lines))
-    return "\n".join(blocks)
+    head = ("The paper", "its number", "ours", "verdict", "where")
+    where = "The last column names tables and figures of [tables.md](tables.md)."
+    return f"## Claims\n\n{where}\n\n{_grid(head, rows)}\n"
+
+
+def _section(part: ExperimentResult, images: str, all_figures: bool) -> str:
+    lines = [f"## {part.title}", "", part.text, ""]
+    if part.timed:
+        lines += ["Measured by the clock: these numbers differ from run to run.", ""]
+    for table in part.tables:
+        lines += [_table(table), ""]
+    for figure in part.figures:
+        if all_figures or figure.telling:
+            caption = f"{figure.title}: {figure.caption}"
+            lines += [f"![{caption}]({images}/{figure.name}.png)\n\n*{caption}.*", ""]
+    return "\n".join(lines)
 
 
 def _table(table: Table) -> str:
@@ -165,16 +183,10 @@ def summary(results: Sequence[TimedResult]) -> dict[str, Any]:
     return {"claims": claims, "seconds": {one.part.name: round(one.seconds, 1) for one in results}}
 
 
-def _by_page(parts: Sequence[ExperimentResult]) -> dict[str, list[ExperimentResult]]:
-    found = {page: [part for part in parts if part.page == page] for page in PAGES}
-    return {page: some for page, some in found.items() if some}
-
-
 def write(origin: Origin, results: Sequence[TimedResult], folder: Path) -> None:
     """Write the pages, results.json and timing.json into the folder of a run."""
     parts = [one.part for one in results]
-    for page, of_page in _by_page(parts).items():
-        text = results_page(origin, of_page, images="figures", all_figures=True, page=page)
+    for page, text in pages(origin, parts, images="figures", all_figures=True).items():
         (folder / f"{page}.md").write_text(text, encoding="utf-8")
     # Measured times differ from run to run and stand in timing.json alone.
     same = [{"name": p.name, "timed": True} if p.timed else p.as_json() for p in parts]
@@ -199,8 +211,7 @@ def write_docs(origin: Origin, results: Sequence[TimedResult], folder: Path, doc
                 old.unlink()
         for name in sorted(shown):
             shutil.copyfile(folder / "figures" / name, images / name)
-        for page, of_page in _by_page(parts).items():
-            text = results_page(origin, of_page, images=_IMAGES, all_figures=False, page=page)
+        for page, text in pages(origin, parts, images=_IMAGES, all_figures=False).items():
             write_whole(docs / f"{page}.md", text.encode())
     except OSError as error:
         raise ReproduceError(f"--docs {docs}: {error.strerror}: expected to write there") from None

@@ -1,4 +1,4 @@
-"""Make live.png, dashboard_80.svg and dashboard_140.svg: `python docs/img/make_live.py`.
+"""Make live.png and dashboard_80.svg: `python docs/img/make_live.py`.
 
 It flies paper_5 in lock-step with `--view` and looks at the page shortly before the deadline. Needs Chromium, ROS and
 the extra [dev].
@@ -25,6 +25,7 @@ from ptnsbc_tools.live.dashboard import picture
 SIZE = {"width": 1280, "height": 1440}  # down to the legend of the figure
 SCENARIO = "paper_5"
 SHOWN_S = 3.0
+WIDTH = 80  # columns of the table
 HERE = Path(__file__).parent
 # The page gets the first frame at or after this time, and none after it.
 FREEZE = """{
@@ -70,10 +71,9 @@ def main() -> None:
                 fleet.send_signal(signal.SIGINT)
                 fleet.communicate()
         browser.close()
-    for width in (80, 140):
-        console = recording(io.StringIO(), width)
-        console.print(picture(frame, load_scenario(SCENARIO), width))
-        console.save_svg(str(HERE / f"dashboard_{width}.svg"), title=f"ptnsbc fleet {SCENARIO}")
+    console = recording(io.StringIO(), WIDTH)
+    console.print(picture(frame, load_scenario(SCENARIO), WIDTH))
+    console.save_svg(str(HERE / f"dashboard_{WIDTH}.svg"), title=f"ptnsbc fleet {SCENARIO}")
 
 
 def photograph(tab: Any, address: str, path: Path) -> dict[str, Any]:

@@ -1,9 +1,4 @@
-"""Make the pictures of the report: `python docs/img/make_report.py`.
-
-report.png is the one in README, report_20.png that of 20 UAVs, report_print.png the pages of the first as printed. It
-flies both; `python docs/img/make_report.py BAG BAG20` takes bags that are there. Needs Chromium, the extra [dev], and
-`pip install pypdfium2`, which draws the printed pages.
-"""
+"""Make the picture of the report: `python docs/img/make_report.py [BAG]`. Needs Chromium and the extra [dev]."""
 
 from __future__ import annotations
 
@@ -15,40 +10,33 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-import pypdfium2
 from PIL import Image
 from playwright.sync_api import sync_playwright
 
 SIZE = {"width": 1280, "height": 1200}
 TIME_S = 20.5  # two UAVs keep clear of an obstacle
-FLIGHTS = (("paper_5",), ("paper_20", "--duration", "14"))
-PAGE_WIDTH = 420  # of a printed page in the picture [pixels]
-IN_A_ROW = 4
-GAP = 8  # between printed pages [pixels]
+SCENARIO = "paper_5"
 HERE = Path(__file__).parent
 
 
 def main(bags: list[Path]) -> None:
-    """Take the pictures."""
+    """Take the picture."""
     with tempfile.TemporaryDirectory() as folder_name:
         folder = Path(folder_name)
-        bag, many = bags or [flown(folder, flight) for flight in FLIGHTS]
+        bag = bags[0] if bags else flown(folder)
         with sync_playwright() as driver:
             browser = driver.chromium.launch(
                 executable_path=shutil.which("chromium"), args=["--no-sandbox"]
             )
             tab = opened(browser, bag, folder)
             save(Image.open(io.BytesIO(tab.screenshot())), HERE / "report.png")
-            save(printed(tab), HERE / "report_print.png")
-            tab = opened(browser, many, folder)
-            save(Image.open(io.BytesIO(tab.screenshot())), HERE / "report_20.png")
             browser.close()
 
 
-def flown(folder: Path, flight: tuple[str, ...]) -> Path:
-    """The bag of a headless flight: its scenario, and options."""
-    bag = folder / flight[0]
-    words = ["simulate", *flight, "--bag", str(bag)]
+def flown(folder: Path) -> Path:
+    """The bag of a headless flight."""
+    bag = folder / SCENARIO
+    words = ["simulate", SCENARIO, "--bag", str(bag)]
     subprocess.run([sys.executable, "-m", "ptnsbc_tools", *words], check=True)
     return bag
 
@@ -68,19 +56,6 @@ def opened(browser: Any, bag: Path, folder: Path) -> Any:
     return tab
 
 
-def printed(tab: Any) -> Image.Image:
-    """The pages that are printed on A4, in rows."""
-    document = pypdfium2.PdfDocument(tab.pdf(format="A4", prefer_css_page_size=True))
-    scale = PAGE_WIDTH / document[0].get_width()
-    pages = [page.render(scale=scale).to_pil() for page in document]
-    wide, high = pages[0].width + GAP, pages[0].height + GAP
-    rows = -(-len(pages) // IN_A_ROW)
-    sheet = Image.new("RGB", (wide * IN_A_ROW + GAP, high * rows + GAP), "#8c96a5")
-    for k, page in enumerate(pages):
-        sheet.paste(page, (GAP + wide * (k % IN_A_ROW), GAP + high * (k // IN_A_ROW)))
-    return sheet
-
-
 def save(picture: Image.Image, path: Path) -> None:
     """A picture of 256 colours: a third of the bytes."""
     few = picture.convert("RGB").quantize(256, Image.Quantize.MAXCOVERAGE, kmeans=1)
@@ -89,4 +64,4 @@ def save(picture: Image.Image, path: Path) -> None:
 
 
 if __name__ == "__main__":
-    main([Path(name) for name in sys.argv[1:3]])
+    main([Path(name) for name in sys.argv[1:2]])

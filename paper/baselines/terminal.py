@@ -1,4 +1,4 @@
-"""Predefined-time sliding-mode control without a time base, for the paper's plant (docs/method.md).
+"""Predefined-time sliding-mode control without a time base, for the paper's plant (docs/notes/baselines.md).
 
     e = x - x_d,  s = e_dot + phi_1(e),  a = x_d_ddot - phi_1'(e) e_dot - phi_2(s) - k sat(s / width)
 

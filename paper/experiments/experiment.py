@@ -157,7 +157,7 @@ def run(output: ExperimentFolder) -> ExperimentResult:
         "Scenario `experiment_4`, on the quadrotor plant: position noise and rate of an RTK receiver, latency, "
         "lost messages, wind with gusts, noise of the sensor that sees the others. Values that the paper does not "
         f"print are chosen; the scenario file names them. Its tolerance is {_own_tolerance_m():g} m, for what position "
-        "fixes leave the leader (`docs/method.md`); causes alone are flown in `experiment_4_calm`, with "
+        "fixes leave the leader (`docs/notes/fixes.md`); causes alone are flown in `experiment_4_calm`, with "
         f"{TOLERANCE_M:g} m. Its gains were searched on the flight seeds 1 to 24; the "
         "table draws other ones, 8 s each, by the paper's law. The figures show the flight of the file, 50 s.",
         figures=(

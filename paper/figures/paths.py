@@ -13,7 +13,7 @@ from paper.flights import JudgedFlight
 from paper.output import ExperimentFolder, time_column
 from ptnsbc_core.types import Array
 
-_TELLING = (5, 6)  # docs/results.md shows these
+_TELLING = (5, 6)  # docs/tables.md shows these
 LINKS_S = (5.0, 20.0, 35.0, 50.0)  # when lines from above join each UAV to its parent
 _MARKS = "dots: starts, squares: the end"
 LINKS_NOTE = f"{_MARKS}, grey lines: who follows whom at {', '.join(f'{t:g}' for t in LINKS_S)} s"

@@ -11,7 +11,7 @@ from paper.experiment_result import (
     cell_text,
     rounded,
 )
-from paper.report import Origin, results_page
+from paper.report import Origin, pages
 
 ORIGIN = Origin("ptnsbc reproduce", "abc", "def", "seed 1")
 TABLE = Table(
@@ -40,18 +40,21 @@ def test_rounding_reaches_everywhere_and_keeps_integers() -> None:
     assert rounded(tree) == {"a": [1.23457, 2, [None]], "b": {"c": None, "d": "x"}}
 
 
-def test_a_document_has_claims_tables_and_the_asked_for_figures() -> None:
-    text = results_page(ORIGIN, [PART], images="img", all_figures=False)
-    assert "commit `abc`" in text
-    assert "| It flies | 5 s | 4 s | **holds when soft** | Fig. 5 |" in text
+def test_claims_stand_on_one_page_and_tables_with_the_asked_for_figures_on_another() -> None:
+    texts = pages(ORIGIN, [PART], images="img", all_figures=False)
+    assert list(texts) == ["results", "tables"]
+    claim = "| It flies | 5 s | 4 s | **holds when soft** | Fig. 5 |"
+    assert claim in texts["results"] and claim not in texts["tables"]
+    assert all("commit `abc`" in text for text in texts.values())
+    text = texts["tables"]
     assert "| name | x, m |\n| --- | ---: |\n| a | 1.235 |\n| b | – |" in text
     assert "It means it." in text
     assert "(img/f1.png)" in text
     assert "(img/f2.png)" not in text
-    assert "(img/f2.png)" in results_page(ORIGIN, [PART], images="img", all_figures=True)
+    assert "(img/f2.png)" in pages(ORIGIN, [PART], images="img", all_figures=True)["tables"]
 
 
 def test_what_is_timed_says_so() -> None:
     timed = ExperimentResult("two", "Part two", "Text.", timed=True)
-    assert "by the clock" in results_page(ORIGIN, [timed], images="img", all_figures=True)
-    assert "by the clock" not in results_page(ORIGIN, [PART], images="img", all_figures=True)
+    assert "by the clock" in pages(ORIGIN, [timed], images="img", all_figures=True)["tables"]
+    assert "by the clock" not in pages(ORIGIN, [PART], images="img", all_figures=True)["tables"]

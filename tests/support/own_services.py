@@ -1,4 +1,4 @@
-"""Services that rclpy gives a node of ours, by what they are for: docs/architecture.md lists them."""
+"""Services that rclpy gives a node of ours, by what they are for."""
 
 LIFECYCLE = {
     "change_state",
