@@ -112,7 +112,7 @@ def _svd_us() -> float:
 
 
 def _ticks_per_s(scenario: Scenario) -> Callable[[], float]:
-    return lambda: scenario.ticks / cpu_seconds(lambda: fly(scenario))
+    return lambda: scenario.timing.ticks / cpu_seconds(lambda: fly(scenario))
 
 
 def _pieces(size: int, scenario: Scenario, repeats: int) -> list[Row]:

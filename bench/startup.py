@@ -71,7 +71,7 @@ def _compile() -> dict[str, float]:
     scenario = paper(0.1)
 
     def fleet() -> None:
-        load_agent(scenario, scenario.leader_id)
+        load_agent(scenario, scenario.leader.id)
         load_world(scenario)
 
     return {

@@ -21,7 +21,9 @@ figure, (above, below) = plt.subplots(
 for first, second in combinations(flight.uavs, 2):
     apart = np.linalg.norm(at[first] - at[second], axis=1)
     above.plot(flight.time_s, apart, linewidth=1, label=f"{first} - {second}")
-above.axhline(flight.scenario.uav_keep_out_m, color="black", linestyle=":", label="keep-out")
+above.axhline(
+    flight.scenario.formation.uav_keep_out_m, color="black", linestyle=":", label="keep-out"
+)
 above.set(ylabel="distance [m]", ylim=(0, None))
 above.legend(ncols=4, fontsize=7)
 below.imshow(

@@ -13,7 +13,7 @@ BAG = Path(__file__).parents[1] / "bags" / "sample"
 
 flight = ptnsbc.read_bag(BAG)
 print(flight)
-leader = flight.uavs.index(flight.scenario.leader_id)
+leader = flight.uavs.index(flight.scenario.leader.id)
 off_m = np.linalg.norm(flight.leader_estimate_m - flight.position_m[:, [leader]], axis=2)
 thrust_n = np.linalg.norm(flight.force_n, axis=2)
 

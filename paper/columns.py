@@ -33,7 +33,7 @@ REASON = FlightColumn("worst UAV that is not met", JudgedFlight.missed_reason)
 
 _VERDICT_COLUMNS = (
     FlightColumn("scenario", lambda one: one.scenario.name),
-    FlightColumn("plant", lambda one: one.scenario.plant_kind),
+    FlightColumn("plant", lambda one: one.scenario.plant.kind),
     FlightColumn("profile", lambda one: one.scenario.gains.profile),
     FlightColumn("tolerance, m", lambda one: one.verdict.uavs[0].tolerance_m),
     MET,

@@ -71,7 +71,7 @@ class FlightCurves:
     @property
     def weight_n(self) -> float:
         """Weight of one UAV."""
-        return self.scenario.mass_kg * self.scenario.gravity_m_s2
+        return self.scenario.plant.mass_kg * self.scenario.world.gravity_m_s2
 
     def errors(self) -> Array:
         """Formation error (T, N) [m], as the verdict defines it."""

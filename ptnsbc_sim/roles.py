@@ -56,7 +56,7 @@ def moved_on(state: AgentState, change: RoleChange) -> AgentState:
 def role_changes(scenario: Scenario) -> dict[int, list[RoleChange]]:
     """The changes of a headless flight, by the tick from which they hold; none unless UAVs may come and go."""
     found: dict[int, list[RoleChange]] = {}
-    if not scenario.reconfigures:
+    if not scenario.formation.reconfigures:
         return found
     formations, dead = Formations(scenario), gone(scenario)
     for row, uav in enumerate(scenario.uav_ids):
@@ -70,7 +70,7 @@ def _of_uav(
 ) -> Iterator[tuple[int, RoleChange]]:
     scenario = formations.scenario
     others = [other for other in scenario.uav_ids if other != uav]
-    ticks = np.arange(scenario.ticks, dtype=np.int64)
+    ticks = np.arange(scenario.timing.ticks, dtype=np.int64)
     woke = np.maximum.accumulate(np.where(dead, ticks + 1, 0))  # first tick of the process
     ages = {other: _ages(scenario, uav, other) for other in others}
     view = View(scenario, uav)
@@ -80,7 +80,10 @@ def _of_uav(
             continue
         if tick == woke[tick] > 0:  # a process that begins anew knows nothing
             view, before = View(scenario, uav), None
-        since_ns, awake_ns = tick * scenario.dt_ns, (tick - int(woke[tick])) * scenario.dt_ns
+        since_ns, awake_ns = (
+            tick * scenario.timing.dt_ns,
+            (tick - int(woke[tick])) * scenario.timing.dt_ns,
+        )
         found = {other: float(of[tick]) for other, of in ages.items()}
         members = view.at(since_ns, awake_ns, found)
         after = formations.of(members)
@@ -94,7 +97,7 @@ def _of_uav(
 def _ages(scenario: Scenario, uav: int, other: int) -> Array:
     """Age [s] of the newest state (T,) of another UAV at every tick."""
     sent = last_state_received(scenario, uav, other)
-    age_s = ((np.arange(len(sent)) - sent) * scenario.dt_ns) * 1e-9
+    age_s = ((np.arange(len(sent)) - sent) * scenario.timing.dt_ns) * 1e-9
     return np.asarray(np.where(sent >= 0, age_s, NEVER_RECEIVED_S), dtype=np.float64)
 
 
@@ -105,10 +108,10 @@ def _looks(
     woke: NDArray[np.int64],
 ) -> NDArray[np.int64]:
     """The ticks at which what a UAV sees may have changed."""
-    stale_s = float(scenario.file.communication.stale_s)
-    ticks = np.arange(scenario.ticks, dtype=np.int64)
-    since_ns = ticks * scenario.dt_ns
-    seen = [dead, ((ticks - woke) * scenario.dt_ns) * 1e-9 <= stale_s]
+    stale_s = float(scenario.communication.stale_s)
+    ticks = np.arange(scenario.timing.ticks, dtype=np.int64)
+    since_ns = ticks * scenario.timing.dt_ns
+    seen = [dead, ((ticks - woke) * scenario.timing.dt_ns) * 1e-9 <= stale_s]
     seen += [of > stale_s for of in ages.values()]
     seen += [of >= NEVER_RECEIVED_S for of in ages.values()]
     seen += [since_ns >= joins_ns(scenario, uav) for uav in scenario.uav_ids]

@@ -226,11 +226,11 @@ def flown(
     room: HeadlessFlight | None = None,
 ) -> HeadlessFlight:
     """As `fly`, with the law in `loop`."""
-    ticks, size = scenario.ticks, len(scenario.uav_ids)
+    ticks, size = scenario.timing.ticks, len(scenario.uav_ids)
     slots = slots_at_start(scenario)
     held = with_slots(scenario, slots) if slots else scenario
     like = room if room is not None and held.shares_all_but_starts(room.flown) else None
-    if held.reconfigures:
+    if held.formation.reconfigures:
         like = None  # what a UAV has in common with others changes in flight
     wiring = wiring_of(held) if like is None else like.wiring
     disturbances = flight_disturbances(held, wiring.neighbours.shape[1])
@@ -243,5 +243,5 @@ def flown(
         loop(first, end - first, wiring, swarm, track, disturbances)
         if progress is not None:
             progress(end, ticks)
-    t_ns = np.arange(ticks, dtype=np.int64) * scenario.dt_ns
+    t_ns = np.arange(ticks, dtype=np.int64) * scenario.timing.dt_ns
     return HeadlessFlight(scenario, t_ns, track, wiring, slots, swarm)

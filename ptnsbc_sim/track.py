@@ -74,14 +74,14 @@ def refuse_without_memory(scenario: Scenario) -> None:
     """Raise ScenarioError, before anything is allocated, for a flight whose record does not fit into free memory."""
     count, free = len(scenario.uav_ids), _free_bytes()
     widths = _WIDTHS if scenario.imperfect else _WIDTHS[:-1]
-    second = scenario.control_hz * count * sum(widths) * _NUMBER_BYTES
-    needed = scenario.duration_s * second
+    second = scenario.timing.control_hz * count * sum(widths) * _NUMBER_BYTES
+    needed = scenario.timing.duration_s * second
     if needed > free:
         raise ScenarioError(
-            f"{scenario.source}: timing.duration_s: {scenario.duration_s:g} s of {count} UAVs at "
-            f"{scenario.control_hz} Hz take {needed * 1e-9:.3g} GB of memory: expected at most {free * 1e-9:.3g} GB, "
-            f"which are free: shorten timing.duration_s (--duration) to at most {free // second:.0f} s, or lower "
-            "timing.control_hz"
+            f"{scenario.source}: timing.duration_s: {scenario.timing.duration_s:g} s of {count} UAVs at "
+            f"{scenario.timing.control_hz} Hz take {needed * 1e-9:.3g} GB of memory: expected at most "
+            f"{free * 1e-9:.3g} GB, which are free: shorten timing.duration_s (--duration) "
+            f"to at most {free // second:.0f} s, or lower timing.control_hz"
         )
 
 

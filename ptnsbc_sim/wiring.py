@@ -54,17 +54,17 @@ def obstacles_at(wiring: Wiring, tick: int) -> Array:
 
 def keep_outs_of(scenario: Scenario) -> Array:
     """Keep-outs (N,) [m] of all UAVs."""
-    return np.array(list(scenario.keep_outs_m.values()), dtype=np.float64)
+    return np.array([scenario.keep_out_m(uav) for uav in scenario.uav_ids], dtype=np.float64)
 
 
 def wire(wiring: Wiring, scenario: Scenario, uav_id: int) -> None:
     """Give one UAV the edges that it has in another scenario of the same UAVs, in place."""
     row = {one: index for index, one in enumerate(scenario.uav_ids)}
-    own, parent = row[uav_id], scenario.parent(uav_id)
-    neighbours = scenario.estimator_neighbours(uav_id)
-    wiring.leader[own] = row[scenario.leader_id]
+    own, parent = row[uav_id], scenario.communication.parent(uav_id)
+    neighbours = scenario.topology.neighbours.get(uav_id, ())
+    wiring.leader[own] = row[scenario.leader.id]
     wiring.parent[own] = -1 if parent is None else row[parent]
-    wiring.pinned[own] = int(scenario.pinned(uav_id))
+    wiring.pinned[own] = int(uav_id in scenario.topology.pinned)
     wiring.neighbours[own, : len(neighbours)] = [row[one] for one in neighbours]
     wiring.neighbour_count[own] = len(neighbours)
 
@@ -79,7 +79,7 @@ def _parent_rows(scenario: Scenario) -> ParentRows:
         np.full((size, width), -1, dtype=np.int64),
         np.zeros((size, width)),
         np.zeros((size, width, 3)),
-        float(scenario.file.communication.stale_s),
+        float(scenario.communication.stale_s),
     )
     for row, one in enumerate(found):
         if one is not None:
@@ -94,28 +94,28 @@ def wiring_of(scenario: Scenario) -> Wiring:
     """The scenario's graph and sensors by row."""
     ids = scenario.uav_ids
     row = {uav_id: index for index, uav_id in enumerate(ids)}
-    neighbours = [scenario.estimator_neighbours(uav_id) for uav_id in ids]
+    neighbours = [scenario.topology.neighbours.get(uav_id, ()) for uav_id in ids]
     table = np.full((len(ids), max(1, *(len(some) for some in neighbours))), -1, dtype=np.int64)
     for index, some in enumerate(neighbours):
         table[index, : len(some)] = [row[uav_id] for uav_id in some]
-    readings = np.arange(-(-scenario.ticks // scenario.near_every), dtype=np.int64)
-    sensed_s: Array = readings * (scenario.near_every * scenario.dt_ns) * np.float64(1e-9)
-    parents = [scenario.parent(uav_id) for uav_id in ids]
+    readings = np.arange(-(-scenario.timing.ticks // scenario.near_every), dtype=np.int64)
+    sensed_s: Array = readings * (scenario.near_every * scenario.timing.dt_ns) * np.float64(1e-9)
+    parents = [scenario.communication.parent(uav_id) for uav_id in ids]
     landing_ns = NEVER_NS if scenario.landing_ns is None else scenario.landing_ns
     return Wiring(
-        np.full(len(ids), row[scenario.leader_id], dtype=np.int64),
+        np.full(len(ids), row[scenario.leader.id], dtype=np.int64),
         np.array([-1 if parent is None else row[parent] for parent in parents], dtype=np.int64),
         _parent_rows(scenario),
-        np.array([int(scenario.pinned(uav_id)) for uav_id in ids], dtype=np.int64),
+        np.array([int(uav_id in scenario.topology.pinned) for uav_id in ids], dtype=np.int64),
         table,
         np.array([len(some) for some in neighbours], dtype=np.int64),
         obstacle_rows(scenario, sensed_s),
         keep_outs_of(scenario),
         float(scenario.sensor.range_m),
         int(scenario.near_every),
-        int(scenario.physics_hz // scenario.control_hz),
-        int(scenario.dt_ns),
-        PLANTS[scenario.plant_kind],
+        int(scenario.timing.physics_hz // scenario.timing.control_hz),
+        int(scenario.timing.dt_ns),
+        PLANTS[scenario.plant.kind],
         np.array([joins_ns(scenario, uav) for uav in ids], dtype=np.int64),
         np.array([min(landing_ns, leaves_ns(scenario, uav)) for uav in ids], dtype=np.int64),
     )

@@ -71,13 +71,13 @@ class World:
         self._states = start_states(scenario, self._plants)
         self._ticks = dict.fromkeys(self.ids, 0)
         self._slowest = 0
-        self._dt_ns = scenario.dt_ns
+        self._dt_ns = scenario.timing.dt_ns
         self._obstacles = obstacle_rows(scenario, np.zeros(1))[0]
         self._keep_outs = keep_outs_of(scenario)
-        self._moving = any(one.path is not None for one in scenario.obstacles)
+        self._moving = any(one.path is not None for one in scenario.world.bodies)
         self.mission_s: float | None = None
         """Time since the first epoch [s] where that is not the simulated time: in real time."""
-        self._substeps = scenario.physics_hz // scenario.control_hz
+        self._substeps = scenario.timing.physics_hz // scenario.timing.control_hz
         self._truth = measure_all(self._states, self._plants)
         self._odometry = self._truth
         self._plugins = WorldPlugins.of(scenario)

@@ -197,9 +197,9 @@ def test_every_argument_arrives(kind, evaluate, flown, monkeypatch, tmp_path):
     )  # fmt: skip
     (one,) = processes(kind, entities)
     scenario, given = flown(one.cmd[1:])
-    assert (scenario.name, scenario.duration_s) == ("experiment_4", 12.5)
-    assert scenario.file.gains.formation.kappa_1_s == 1.5
-    assert list(scenario.file.world.wind_m_s) == [1.0, 0.0, 0.0]
+    assert (scenario.name, scenario.timing.duration_s) == ("experiment_4", 12.5)
+    assert scenario.gains.formation.kappa_1_s == 1.5
+    assert list(scenario.world.wind_m_s) == [1.0, 0.0, 0.0]
     assert given == {
         "lockstep": True, "backend": "mavlink", "allow_arming": True, "only": "",
         "namespace": "/blue", "bag": tmp_path / "flight", "overwrite": True, "check": True,
@@ -218,12 +218,12 @@ def test_a_parameter_file_arrives(kind, evaluate, flown, tmp_path):
     entities = evaluate("fleet", params_file=str(file), set="gains.formation.kappa_1_s=3")
     (one,) = processes(kind, entities)
     scenario, _ = flown(one.cmd[1:])
-    assert scenario.file.seed == 9
-    assert scenario.file.gains.formation.kappa_1_s == 3
+    assert scenario.seed == 9
+    assert scenario.gains.formation.kappa_1_s == 3
     # As `ptnsbc params` writes it, the file is a whole scenario; another one is refused.
     file.write_text(parameter_file(load_scenario("paper_5", {"seed": 8})))
     scenario, _ = flown(["fleet", "paper_5", "--params-file", str(file)])
-    assert scenario.file == load_scenario("paper_5", {"seed": 8}).file
+    assert scenario == load_scenario("paper_5", {"seed": 8})
     refused = CliRunner().invoke(app, ["fleet", "paper_20", "--params-file", str(file)])
     assert refused.exit_code == 2
     assert "holds the scenario paper_5" in refused.output

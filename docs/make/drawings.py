@@ -124,7 +124,7 @@ def verdict() -> Any:
     judged = flight.verdict
     assert judged is not None
     deadline = flight.scenario.gains.formation.deadline_s
-    limit = flight.scenario.file.formation.tolerance_m
+    limit = flight.scenario.formation.tolerance_m
     figure, axes = plt.subplots(figsize=(9, 3.4), layout="constrained")
     for row, uav in enumerate(flight.uavs):
         errors = np.maximum(flight.error_m[:, row], 1e-4)

@@ -118,7 +118,7 @@ def _flight(domain: int, mode: str, options: FlightOptions, scenario: Scenario) 
             coordinator.listen_for_faults(scenario.uav_ids, lambda _: None)
             made.append(("launcher", 0, coordinator._node))
         for kind, uav, one in made:
-            yield from _ends(kind, uav, one, mode, scenario.leader_id)
+            yield from _ends(kind, uav, one, mode, scenario.leader.id)
 
 
 @contextmanager

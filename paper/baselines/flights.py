@@ -97,7 +97,7 @@ def fly_tuned(scenario: Scenario, law: str, progress: Progress | None = None) ->
         return swarm.fly(scenario, progress)
     if are_open(scenario):
         raise BaselineError(
-            f"law {law} with formation.assignment {scenario.file.formation.assignment}: expected fixed"
+            f"law {law} with formation.assignment {scenario.formation.assignment}: expected fixed"
         )
     laws = kernel_list(_terminal(scenario, law))
 
@@ -207,9 +207,9 @@ def law_scenario(
     """
     if law not in LAWS:
         raise BaselineError(f"law {law!r}: expected one of {', '.join(LAWS)}")
-    if law != "ours" and scenario.plant_kind != "rigid_body_6dof":
+    if law != "ours" and scenario.plant.kind != "rigid_body_6dof":
         raise BaselineError(
-            f"law {law} with plant.kind {scenario.plant_kind}: expected rigid_body_6dof, "
+            f"law {law} with plant.kind {scenario.plant.kind}: expected rigid_body_6dof, "
             "the baselines command six forces and torques"
         )
     if law == "linear_cascade" and settle_s is None:

@@ -23,7 +23,7 @@ class BaselineError(PtnsbcError):
 def formation_errors(flight: HeadlessFlight) -> Array:
     """Formation error (T, N) [m]: of the leader from its trajectory, of a follower from its desired offset."""
     scenario, places = flight.scenario, flight.truth[:, :, :3]
-    leader = scenario.uav_ids.index(scenario.leader_id)
+    leader = scenario.uav_ids.index(scenario.leader.id)
     offsets = np.array([scenario.offset(uav) for uav in scenario.uav_ids])
     goals = places[:, leader : leader + 1] + offsets
     path = leader_trajectory(scenario)
@@ -37,7 +37,7 @@ def settled_s(flight: HeadlessFlight) -> float | None:
     The band is the verdict's: 2 % of the start error or the scenario's tolerance, whichever is larger.
     """
     error = formation_errors(flight)
-    band = np.maximum(SHARE_OF_START * error[0], flight.scenario.file.formation.tolerance_m)
+    band = np.maximum(SHARE_OF_START * error[0], flight.scenario.formation.tolerance_m)
     outside = ~(error <= band)  # NaN counts as outside
     if outside[-1].any():
         return None

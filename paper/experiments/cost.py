@@ -81,7 +81,7 @@ def tick_load(scenario: Scenario) -> TickLoad:
         for uav in scenario.followers
     ]
     sent = {u: edges.state_readers(u) + edges.estimate_readers(u) for u in scenario.uav_ids}
-    by_leader = sent.pop(scenario.leader_id)
+    by_leader = sent.pop(scenario.leader.id)
     return TickLoad(
         max(received), max(sent.values()), by_leader, float(scenario.topology.lambda_min)
     )
@@ -89,12 +89,12 @@ def tick_load(scenario: Scenario) -> TickLoad:
 
 def follower_inputs(scenario: Scenario, world: World, uav: int) -> AgentInputs:
     """The inputs of a follower in flight: parent, leader, neighbours' estimates, near objects."""
-    parent, age_s = scenario.parent(uav), scenario.dt_ns * 1e-9
-    leader = world.odometry(scenario.leader_id)
-    neighbours = scenario.estimator_neighbours(uav)
+    parent, age_s = scenario.communication.parent(uav), scenario.timing.dt_ns * 1e-9
+    leader = world.odometry(scenario.leader.id)
+    neighbours = scenario.topology.neighbours.get(uav, ())
     return AgentInputs(
         own=world.odometry(uav).copy(),
-        parent=world.odometry(scenario.leader_id if parent is None else parent).copy(),
+        parent=world.odometry(scenario.leader.id if parent is None else parent).copy(),
         parent_age_s=age_s,
         leader=leader.copy(),
         leader_age_s=age_s,

@@ -55,7 +55,7 @@ def flight(case: EstimatorVariant, duration_s: float = 30.0) -> JudgedFlight:
 
 def estimate_errors(one: JudgedFlight) -> Array:
     """Error (T, followers) [m] of the estimated position of the leader, from the second tick on."""
-    track, leader = one.flight.track, one.uavs.index(one.scenario.leader_id)
+    track, leader = one.flight.track, one.uavs.index(one.scenario.leader.id)
     rows = [row for row in range(len(one.uavs)) if row != leader]
     off = track.estimate[1:, rows, :3] - track.odometry[1:, leader : leader + 1, :3]
     return np.asarray(np.linalg.norm(off, axis=2))
@@ -118,7 +118,7 @@ def _table(flights: dict[EstimatorVariant, JudgedFlight]) -> Table:
     links = {len(case.leader_links): case.links for case in flights}
     columns = (
         FlightColumn(
-            "leader links", lambda one: links[len(one.scenario.file.communication.leader_links)]
+            "leader links", lambda one: links[len(one.scenario.communication.leader_links)]
         ),
         FlightColumn(
             "feed-forward", lambda one: "on" if one.scenario.gains.estimator.feed_forward else "off"

@@ -64,7 +64,7 @@ def _paths(output: ExperimentFolder, one: JudgedFlight) -> Figure:
 def _snapshot(axes: Any, one: JudgedFlight, tick: int) -> None:
     """The UAVs at one tick, the link of each to its parent, and the desired positions."""
     positions = one.positions[tick]
-    leader = positions[one.uavs.index(one.scenario.leader_id)]
+    leader = positions[one.uavs.index(one.scenario.leader.id)]
     paths.draw_links(axes, one, tick)
     for row, uav in enumerate(one.uavs):
         desired = leader + one.scenario.offset(uav)
@@ -103,7 +103,7 @@ def _snapshots(output: ExperimentFolder, one: JudgedFlight) -> Figure:
 
 def _own_tolerance_m() -> float:
     """Tolerance of the scenario [m]: wider than the default, for what its position fixes leave the leader."""
-    return float(scenario("experiment_4").file.formation.tolerance_m)
+    return float(scenario("experiment_4").formation.tolerance_m)
 
 
 def fixes_only_bound(tolerance_m: float) -> tuple[float, float, float]:
@@ -117,7 +117,7 @@ def fixes_only_bound(tolerance_m: float) -> tuple[float, float, float]:
         share of flights in which all followers of a perfect controller are within the tolerance.
     """
     flown = scenario("experiment_4")
-    own_m = position_std_m(position_noise_of(flown), flown.dt_ns * 1e-9)
+    own_m = position_std_m(position_noise_of(flown), flown.timing.dt_ns * 1e-9)
     pair_m = np.sqrt(2.0) * own_m
     share = float(maxwell.cdf(tolerance_m / pair_m)) ** len(flown.followers)
     return own_m, float(np.sqrt(3.0) * pair_m), share

@@ -75,7 +75,7 @@ def swept_laws(
 
 def _tolerances(names: Iterable[str]) -> str:
     """The tolerances of scenarios in words."""
-    own = {name: flights.scenario(name).file.formation.tolerance_m for name in names}
+    own = {name: flights.scenario(name).formation.tolerance_m for name in names}
     others = [f"{metres:g} m in `{name}`" for name, metres in own.items() if metres != TOLERANCE_M]
     return ", ".join([f"{TOLERANCE_M:g} m", *others])
 

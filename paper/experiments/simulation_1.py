@@ -61,7 +61,7 @@ def _verdicts() -> Table:
         for profile in PROFILES
     ]
     good = ", ".join(
-        f"`{one.scenario.name}` on `{one.scenario.plant_kind}` with `{one.scenario.gains.profile}`"
+        f"`{one.scenario.name}` on `{one.scenario.plant.kind}` with `{one.scenario.gains.profile}`"
         for one in flights
         if one.kept_promise()
     )

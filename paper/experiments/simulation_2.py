@@ -30,7 +30,7 @@ def run(output: ExperimentFolder) -> ExperimentResult:
     with_printed = {_PRINTED: _flight("paper", filtered=False), **flights}
     figures = _figures(output, with_printed)
     good = ", ".join(
-        f"`{one.scenario.gains.profile}` on `{one.scenario.plant_kind}`"
+        f"`{one.scenario.gains.profile}` on `{one.scenario.plant.kind}`"
         for one in both_plants
         if one.kept_promise()
     )

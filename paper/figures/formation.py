@@ -28,7 +28,7 @@ Flights = Mapping[str, JudgedFlight]
 def _followers(flight: JudgedFlight) -> Iterator[tuple[int, int]]:
     """Row and id of each follower."""
     for row, uav in enumerate(flight.uavs):
-        if uav != flight.scenario.leader_id:
+        if uav != flight.scenario.leader.id:
             yield row, uav
 
 
@@ -36,7 +36,7 @@ def _arms(flight: JudgedFlight) -> Iterator[tuple[int, int, int, Array]]:
     """Row, id, parent and position relative to the parent (T, 3) [m] of each UAV that has a parent."""
     positions = flight.positions
     for row, uav in enumerate(flight.uavs):
-        parent = flight.scenario.parent(uav)
+        parent = flight.scenario.communication.parent(uav)
         if parent is not None:
             yield row, uav, parent, positions[:, row] - positions[:, flight.uavs.index(parent)]
 
@@ -47,7 +47,7 @@ def task_values(flight: JudgedFlight) -> Array:
     Zero for the leader. The σ that a UAV computes differs: it is one tick old.
     """
     positions = flight.positions
-    leader = positions[:, flight.uavs.index(flight.scenario.leader_id)]
+    leader = positions[:, flight.uavs.index(flight.scenario.leader.id)]
     value = np.zeros(positions.shape)
     for row, uav, parent, _ in _arms(flight):
         j = positions[:, flight.uavs.index(parent)]
@@ -80,7 +80,9 @@ def distances(output: ExperimentFolder, flights: Flights, number: int, suffix: s
     drawing = style.figure(80)
     first = flights["paper"]
     curves = time_column(first.times)
-    rows = panels.split_rows(drawing, panels.profile_titles(_SHOWN), first.scenario.duration_s)
+    rows = panels.split_rows(
+        drawing, panels.profile_titles(_SHOWN), first.scenario.timing.duration_s
+    )
     for row_axes, profile in zip(rows, _SHOWN, strict=True):
         flight = flights[profile]
         values = task_values(flight)[:, :, 0]
@@ -110,7 +112,7 @@ def angles(output: ExperimentFolder, flights: Flights, number: int, suffix: str)
         f"({letter}) {kind[1]}, profile {kind[0]}"
         for letter, kind in zip("abcd", kinds, strict=True)
     )
-    rows = panels.split_rows(drawing, titles, first.scenario.duration_s, one_scale=False)
+    rows = panels.split_rows(drawing, titles, first.scenario.timing.duration_s, one_scale=False)
     for row_axes, (profile, _, symbol, angle, column) in zip(rows, kinds, strict=True):
         flight = flights[profile]
         values = unwrapped(flight, column)
@@ -145,9 +147,9 @@ def leader_yaw(output: ExperimentFolder, flights: Flights, number: int, suffix: 
     drawing = style.figure(52)
     scenario = flights["paper"].scenario
     curves = time_column(flights["paper"].times)
-    (row_axes,) = panels.split_rows(drawing, ("",), scenario.duration_s)
+    (row_axes,) = panels.split_rows(drawing, ("",), scenario.timing.duration_s)
     for index, (profile, flight) in enumerate(flights.items()):
-        leader = flight.uavs.index(scenario.leader_id)
+        leader = flight.uavs.index(scenario.leader.id)
         x, y, z, w = flight.flight.track.odometry[:, leader, 3:7].T
         yaw = np.asarray(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
         line = style.line(index)
@@ -166,7 +168,7 @@ def distance_errors(output: ExperimentFolder, flights: Flights, number: int) -> 
     drawing = style.figure(style.stacked_mm(len(flights)))
     first = next(iter(flights.values()))
     titles = panels.profile_titles(flights)
-    rows = panels.split_rows(drawing, titles, first.scenario.duration_s)
+    rows = panels.split_rows(drawing, titles, first.scenario.timing.duration_s)
     curves = time_column(first.times)
     for row_axes, (profile, flight) in zip(rows, flights.items(), strict=True):
         scenario = flight.scenario

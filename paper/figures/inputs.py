@@ -54,7 +54,7 @@ def whole_flight(output: ExperimentFolder, flights: Flights, number: int, suffix
     shown = {profile: flights[profile] for profile in _SHOWN}
     scenario = flights["paper"].scenario
     drawing = style.figure(80)
-    rows = panels.split_rows(drawing, panels.profile_titles(shown), scenario.duration_s)
+    rows = panels.split_rows(drawing, panels.profile_titles(shown), scenario.timing.duration_s)
     for row_axes, flight in zip(rows, shown.values(), strict=True):
         for axes in row_axes:
             _plot_inputs(axes, flight)
@@ -64,7 +64,7 @@ def whole_flight(output: ExperimentFolder, flights: Flights, number: int, suffix
     style.legend(drawing, rows[0][0], columns=3)
     caption = f"Input of the UAVs{suffix}; dotted: the weight, {DEADLINE_NOTE}"
     figure = Figure(f"fig_{number:02d}_{scenario.name}_input", f"Fig. {number}", caption)
-    return output.write_figure(figure, drawing, _curves(shown, scenario.duration_s))
+    return output.write_figure(figure, drawing, _curves(shown, scenario.timing.duration_s))
 
 
 def first_second(output: ExperimentFolder, flights: Flights, number: int, suffix: str) -> Figure:
@@ -90,7 +90,7 @@ def with_limit(output: ExperimentFolder, flights: Flights, number: int) -> Figur
     """Inputs of all UAVs, beside the limit that the paper names."""
     drawing = style.figure(style.stacked_mm(len(flights)))
     scenario = next(iter(flights.values())).scenario
-    rows = panels.split_rows(drawing, panels.profile_titles(flights), scenario.duration_s)
+    rows = panels.split_rows(drawing, panels.profile_titles(flights), scenario.timing.duration_s)
     for row_axes, flight in zip(rows, flights.values(), strict=True):
         for axes in row_axes:
             _plot_inputs(axes, flight)
@@ -102,7 +102,7 @@ def with_limit(output: ExperimentFolder, flights: Flights, number: int) -> Figur
     style.legend(drawing, rows[0][0], columns=3)
     caption = f"Input of 20 UAVs; dashed: 500 N, dotted: the weight, {DEADLINE_NOTE}"
     figure = Figure(f"fig_{number}_{scenario.name}_input", f"Fig. {number}", caption, telling=True)
-    return output.write_figure(figure, drawing, _curves(flights, scenario.duration_s))
+    return output.write_figure(figure, drawing, _curves(flights, scenario.timing.duration_s))
 
 
 def five_uavs(
@@ -111,7 +111,7 @@ def five_uavs(
     """Inputs of five of the UAVs."""
     drawing = style.figure(style.stacked_mm(len(flights)))
     scenario = next(iter(flights.values())).scenario
-    end_s, titles = scenario.duration_s, panels.profile_titles(flights)
+    end_s, titles = scenario.timing.duration_s, panels.profile_titles(flights)
     rows = panels.split_rows(drawing, titles, end_s, one_scale=False)
     for row_axes, flight in zip(rows, flights.values(), strict=True):
         for index, uav in enumerate(uavs):
@@ -201,7 +201,7 @@ def _spent(flight: JudgedFlight, beyond_hover: bool) -> Array:
     wrench = flight.flight.track.wrench
     force = flight.force - (flight.weight_n if beyond_hover else 0.0)
     rate = force**2 + np.sum(wrench[:, :, 3:] ** 2, axis=2)
-    return np.asarray(np.cumsum(rate, axis=0) * flight.scenario.dt_ns * 1e-9)
+    return np.asarray(np.cumsum(rate, axis=0) * flight.scenario.timing.dt_ns * 1e-9)
 
 
 def energy(output: ExperimentFolder, flights: Flights) -> Figure:

@@ -24,7 +24,7 @@ def is_large(flight: JudgedFlight) -> bool:
 
 def uav_label(flight: JudgedFlight, uav: int) -> str:
     """Name of a UAV in a legend."""
-    return f"UAV {uav} (leader)" if uav == flight.scenario.leader_id else f"UAV {uav}"
+    return f"UAV {uav} (leader)" if uav == flight.scenario.leader.id else f"UAV {uav}"
 
 
 def uav_line(flight: JudgedFlight, uav: int) -> dict[str, Any]:

@@ -50,7 +50,7 @@ def in_space(output: ExperimentFolder, flight: JudgedFlight, number: int, subjec
         axis.labelpad = 0
         axis.set_tick_params(pad=-1)
     drawing.legend(*axes.get_legend_handles_labels(), loc="upper center", ncols=3)
-    note = _MARKS + (", grey: keep-out spheres" if flight.scenario.obstacles else "")
+    note = _MARKS + (", grey: keep-out spheres" if flight.scenario.world.bodies else "")
     figure = _figure(flight, number, "3d", f"Trajectories {subject}; {note}", number in _TELLING)
     return output.write_figure(figure, drawing, curves(flight))
 
@@ -64,7 +64,7 @@ def _draw_spheres(axes: Any, flight: JudgedFlight) -> None:
     """The obstacles' keep-outs in 3-D."""
     turn, rise = np.meshgrid(np.linspace(0, 2 * np.pi, 25), np.linspace(0, np.pi, 13))
     ball = np.stack([np.cos(turn) * np.sin(rise), np.sin(turn) * np.sin(rise), np.cos(rise)])
-    for obstacle in flight.scenario.obstacles:
+    for obstacle in flight.scenario.world.bodies:
         x, y, z = obstacle.position[:, None, None] + obstacle.keep_out_m * ball
         axes.plot_surface(x, y, z, color=style.GREY, alpha=0.3, linewidth=0)
 
@@ -79,7 +79,7 @@ def from_above(
     style.legend(drawing, axes, columns=3)
     if panels.is_large(flight):
         note = f"{_MARKS}, grey: keep-out spheres"
-    elif flight.scenario.obstacles:
+    elif flight.scenario.world.bodies:
         note = f"{LINKS_NOTE}, grey discs: keep-out spheres, which paths across them pass above or below"
     else:
         note = LINKS_NOTE
@@ -90,7 +90,7 @@ def from_above(
 
 def draw_from_above(axes: Any, flight: JudgedFlight) -> None:
     """Paths, obstacles, starts, ends and the formation at a few instants, in true proportions."""
-    for obstacle in flight.scenario.obstacles:
+    for obstacle in flight.scenario.world.bodies:
         centre = (float(obstacle.position[0]), float(obstacle.position[1]))
         disc = Circle(centre, obstacle.keep_out_m, color=style.GREY, alpha=0.3, linewidth=0)
         axes.add_patch(disc)
@@ -114,7 +114,7 @@ def draw_links(axes: Any, flight: JudgedFlight, tick: int) -> None:
     """A line from every follower to its parent at one tick, from above."""
     positions = flight.positions[tick]
     for row, uav in enumerate(flight.uavs):
-        parent = flight.scenario.parent(uav)
+        parent = flight.scenario.communication.parent(uav)
         if parent is not None:
             link = np.stack((positions[row], positions[flight.uavs.index(parent)]))
             axes.plot(link[:, 0], link[:, 1], color=style.GREY, linewidth=0.8, zorder=1)

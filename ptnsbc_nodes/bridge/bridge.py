@@ -111,7 +111,7 @@ class Bridge:
             self.vehicle, world, self.maintenance.sync, self.controller, ports
         )
         self.placement = Placement(scenario, uav_id, awaited, self.vehicle, self.state_publisher)
-        away_s = AWAY_S if scenario.reconfigures and not alone else 0.0
+        away_s = AWAY_S if scenario.formation.reconfigures and not alone else 0.0
         self.procedure = Procedure(
             autopilot, height_m, allow_arming, log, self._left_behind, away_s
         )

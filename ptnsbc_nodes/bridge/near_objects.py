@@ -35,9 +35,9 @@ class NearObjects:
         self._newest: dict[int, tuple[float, bytes]] = {}
         self._keep_out_m = {uav: scenario.keep_out_between(uav_id, uav) for uav in scenario.uav_ids}
         self._range_m = float(scenario.sensor.range_m)
-        self._forget_s = math.inf if scenario.reconfigures else _FORGET_S
+        self._forget_s = math.inf if scenario.formation.reconfigures else _FORGET_S
         self._scenario = scenario
-        self._moving = any(one.path is not None for one in scenario.obstacles)
+        self._moving = any(one.path is not None for one in scenario.world.bodies)
         self._bodies = obstacle_rows(scenario, np.full(1, -1.0))[0]
 
     def on_odometry(self, uav_id: int, now_s: float, data: bytes) -> None:

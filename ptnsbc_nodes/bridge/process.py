@@ -147,9 +147,9 @@ def _open(
     except ImportError as error:
         raise BridgeError(f"{error.name} is not installed: install the extra [mavlink]") from None
     settings = scenario.vehicle_link(uav)
-    if scenario.plant_kind != "quadrotor":
+    if scenario.plant.kind != "quadrotor":
         raise BridgeError(
-            f"{scenario.source}: plant.kind: {scenario.plant_kind}: expected quadrotor, "
+            f"{scenario.source}: plant.kind: {scenario.plant.kind}: expected quadrotor, "
             "the only plant that flight controllers fly here"
         )
     key = parameters["signing_key"] or settings.signing_key

@@ -21,7 +21,7 @@ _LOG_GAP_S = 1.0
 
 def status_every(scenario: Scenario) -> int:
     """Number of ticks from one status to the next."""
-    return max(scenario.control_hz // STATUS_HZ, 1)
+    return max(scenario.timing.control_hz // STATUS_HZ, 1)
 
 
 class DiagnosticLevel(IntEnum):

@@ -78,17 +78,17 @@ class CommunicationGraph:
         scenario = self._scenario
         others = [i for i in scenario.uav_ids if i != uav_id]
         return Senders(
-            parent=scenario.parent(uav_id),
-            leader=scenario.leader_id if scenario.pinned(uav_id) else None,
-            estimators=scenario.estimator_neighbours(uav_id),
+            parent=scenario.communication.parent(uav_id),
+            leader=scenario.leader.id if uav_id in scenario.topology.pinned else None,
+            estimators=scenario.topology.neighbours.get(uav_id, ()),
             others=self._others(uav_id) if self._reassigns() else (),
             peers=self._peers(uav_id),
             several=several_parents(scenario, uav_id),
-            every_tick=scenario.reconfigures,
+            every_tick=scenario.formation.reconfigures,
             losses=message_loss(scenario, uav_id),
             delays={i: link_delay(scenario, i, uav_id) for i in others},
-            faults=scenario.file.faults,
-            period_ns=scenario.dt_ns,
+            faults=(scenario.faults or ()),
+            period_ns=scenario.timing.dt_ns,
         )
 
     def holding(self, slots: Slots) -> CommunicationGraph:
@@ -101,16 +101,18 @@ class CommunicationGraph:
 
     def _reassigns(self) -> bool:
         """True if a UAV may get another slot, and the edges of that slot. Otherwise it only loses edges."""
-        return are_open(self._scenario) or self._scenario.file.formation.vacancy == "close_up"
+        return are_open(self._scenario) or self._scenario.formation.vacancy == "close_up"
 
     def _peers(self, uav_id: int) -> tuple[int, ...]:
-        if self._scenario.reconfigures:
+        if self._scenario.formation.reconfigures:
             return self._others(uav_id)
-        return () if self._scenario.law is None else self._scenario.estimator_neighbours(uav_id)
+        return (
+            () if self._scenario.law is None else self._scenario.topology.neighbours.get(uav_id, ())
+        )
 
     def _others(self, uav_id: int) -> tuple[int, ...]:
         """UAVs, ascending, that this one may have to hear later, when slots are assigned or UAVs come and go."""
-        if not are_open(self._scenario) and not self._scenario.reconfigures:
+        if not are_open(self._scenario) and not self._scenario.formation.reconfigures:
             return ()
         return tuple(sorted(i for i in self._scenario.uav_ids if i != uav_id))
 
@@ -137,7 +139,7 @@ class CommunicationGraph:
 
     def odometry_readers(self, uav_id: int) -> int:
         """The number of nodes that read the odometry of this UAV; with open slots the UAV that decides them is one."""
-        decides = are_open(self._scenario) and uav_id != self._scenario.leader_id
+        decides = are_open(self._scenario) and uav_id != self._scenario.leader.id
         return 1 + decides + self.options.recorders
 
     def wrench_readers(self) -> int:

@@ -64,7 +64,7 @@ class Epochs:
     def _say(self, t0_ns: int, number: int) -> bool:
         """Begin a leg of the mission, or cancel the present one; False where that means nothing, or is known."""
         scenario = self.scenario
-        mission = None if scenario is None else scenario.file.mission
+        mission = None if scenario is None else scenario.mission
         if scenario is None or mission is None or not self._legs or number > len(mission.legs):
             return False
         said, word = scenario.words, self.word(t0_ns, number)

@@ -53,10 +53,12 @@ class Scene:
     def __init__(self, scenario: Scenario, world: World) -> None:
         self._world = world
         self._trails: Array | None = None  # positions (U, TRAIL_POINTS, 3), the newest first
-        parents = {} if are_open(scenario) else {i: scenario.parent(i) for i in world.ids}
+        parents = (
+            {} if are_open(scenario) else {i: scenario.communication.parent(i) for i in world.ids}
+        )
         children = {i: parent for i, parent in parents.items() if parent is not None}
         self._shown = [*world.ids, *world.ids, *(end for edge in children.items() for end in edge)]
-        self._moving = [k for k, one in enumerate(scenario.obstacles) if one.path is not None]
+        self._moving = [k for k, one in enumerate(scenario.world.bodies) if one.path is not None]
         self._buffer = bytearray(encode(MarkerArray(markers=_all_markers(scenario, len(children)))))
         self._times_at = _find_all(self._buffer, _TIME.pack(*_SOMETIME))
         places_at = _find_all(self._buffer, _PLACE.pack(*_SOMEWHERE))
@@ -97,7 +99,7 @@ class OdometryMarkers:
     def __init__(self, scenario: Scenario) -> None:
         self.ids = scenario.uav_ids
         self._uav = {topics.odom(uav).name: uav for uav in self.ids}
-        self._leader = scenario.leader_id
+        self._leader = scenario.leader.id
         self._newest: dict[int, Array] = {}
         self._period = -1
         self._scenario = scenario
@@ -113,7 +115,7 @@ class OdometryMarkers:
     def obstacle_positions(self) -> Array:
         """Positions (O, 3) of all obstacles at the newest odometry; those that move stand still before the epoch."""
         since = -1.0 if self._epoch_ns is None else (self._newest_ns - self._epoch_ns) * 1e-9
-        return self._scenario.obstacle_positions(since)
+        return self._scenario.world.body_positions(since)
 
     def of(self, topic: str, data: bytes) -> bytes | None:
         """The MarkerArray to record beside a message, None when none is due."""
@@ -147,9 +149,9 @@ def _all_markers(scenario: Scenario, edges: int) -> list[Any]:
     somewhere = np.array(_SOMEWHERE)
     shown = []
     for i in scenario.uav_ids:
-        shown.append(_sphere("uavs", i, _UAV_DIAMETER_M, _colour(i == scenario.leader_id)))
+        shown.append(_sphere("uavs", i, _UAV_DIAMETER_M, _colour(i == scenario.leader.id)))
     for i in scenario.uav_ids:  # two UAVs whose spheres touch are at their least distance
-        shown.append(_sphere("keep_outs", i, scenario.keep_outs_m[i], _AROUND))
+        shown.append(_sphere("keep_outs", i, scenario.keep_out_m(i), _AROUND))
     for marker in shown:
         marker.pose.position = _point(somewhere)
     tree = _marker("tree", 0, Marker.LINE_LIST, _EDGE)
@@ -194,7 +196,7 @@ def _sphere(namespace: str, number: int, diameter_m: float, colour: Sequence[flo
 def _obstacles(scenario: Scenario) -> list[Any]:
     """The keep-outs of spheres, and all other bodies themselves."""
     found = []
-    for number, one in enumerate(scenario.obstacles):
+    for number, one in enumerate(scenario.world.bodies):
         form = _FORMS.get(one.kind, Marker.CUBE)
         marker = _marker("obstacles", number, form, _KEEP_OUT)
         edges, centre, turn = one.drawn(_WITHOUT_END_M)
@@ -209,8 +211,8 @@ def _obstacles(scenario: Scenario) -> list[Any]:
 def _path(scenario: Scenario) -> Any:
     path = _marker("leader_path", 0, Marker.LINE_STRIP, _PATH)
     path.scale.x = _LINE_M
-    trajectory = agent_config(scenario, scenario.leader_id).trajectory
-    times = np.linspace(0.0, float(scenario.duration_s), _PATH_POINTS)
+    trajectory = agent_config(scenario, scenario.leader.id).trajectory
+    times = np.linspace(0.0, float(scenario.timing.duration_s), _PATH_POINTS)
     path.points = [_point(np.array(reference(trajectory, t).position)) for t in times]
     return path
 
@@ -218,7 +220,7 @@ def _path(scenario: Scenario) -> Any:
 def _trails(scenario: Scenario) -> list[Any]:
     found = []
     for i in scenario.uav_ids:
-        red, green, blue, _ = _colour(i == scenario.leader_id)
+        red, green, blue, _ = _colour(i == scenario.leader.id)
         trail = _marker("trails", i, Marker.LINE_STRIP, (red, green, blue, _TRAIL_OPACITY))
         trail.scale.x = _LINE_M
         trail.points = [_point(np.array(_SOMEWHERE)) for _ in range(TRAIL_POINTS)]

@@ -122,7 +122,7 @@ def seal_of(scenario: Scenario) -> Seal | None:
     Raises:
         PtnsbcError: the scenario says `security: signed`, and there is no key that can be used.
     """
-    return required_seal() if scenario.file.security == "signed" else None
+    return required_seal() if scenario.security == "signed" else None
 
 
 def required_seal() -> Seal:

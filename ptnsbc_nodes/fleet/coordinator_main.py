@@ -79,7 +79,7 @@ def _fly(
                 coordinator.manage(f"bridge{i}", f"/uav{i}/bridge")
     uavs = [f"uav{i}" for i in scenario.uav_ids]
     vehicles = [f"bridge{i}" for i in scenario.uav_ids] if arguments.bridged else ["sim"]
-    by_clock = arguments.bridged and starts_by_clock(scenario.file.mission)
+    by_clock = arguments.bridged and starts_by_clock(scenario.mission)
     if by_clock:
         coordinator.listen_for_start()
     if _start(coordinator, [*uavs, *vehicles], patience_s, stop):
@@ -87,7 +87,7 @@ def _fly(
         if arguments.bridged:
             if by_clock:
                 _hear_begin(coordinator, patience_s, stop)
-            _land(coordinator, coordinator.begins_in_s() + scenario.duration_s, stop)
+            _land(coordinator, coordinator.begins_in_s() + scenario.timing.duration_s, stop)
 
 
 def _start(

@@ -51,7 +51,7 @@ class FaultInjector:
         """The mission begins at this time of the steady clock."""
         self._t0_s = t0_s
         if not self._options.lockstep:
-            faults = self._options.scenario.faults
+            faults = self._options.scenario.faults or ()
             self._due += [(t0_s + one.at_s, one) for one in faults if _is_ours(one)]
 
     def add(self, fault: FaultBlock) -> None:

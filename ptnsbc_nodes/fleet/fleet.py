@@ -82,7 +82,7 @@ def run_fleet(options: FleetOptions, progress: Report = lambda line: None) -> Fl
     if options.bag is not None:
         check_replaceable(options.bag, overwrite=options.overwrite)
     check_options(options)
-    secured = options.scenario.file.security == "required"
+    secured = options.scenario.security == "required"
     if secured:
         os.environ.update(enforced(os.environ))
         os.environ.pop(ENCLAVE, None)  # each process has an identity of its own
@@ -107,7 +107,7 @@ def run_fleet(options: FleetOptions, progress: Report = lambda line: None) -> Fl
             try:
                 supervisor.start(processes, settings, log_dir, began + options.patience_s)
                 took_off = time.monotonic()
-                supervisor.watch(options.scenario.duration_s)
+                supervisor.watch(options.scenario.timing.duration_s)
                 landed = time.monotonic()
             finally:
                 supervisor.end()
@@ -165,7 +165,7 @@ def _killed_by(scenario: Scenario, ended: Sequence[ChildProcess]) -> tuple[str, 
 
     They are its own process and its bridge, which lands the vehicle of a UAV that stays away.
     """
-    victims = {one.victim for one in scenario.faults if one.kind in ("kill", "restart")}
+    victims = {one.victim for one in (scenario.faults or ()) if one.kind in ("kill", "restart")}
     struck = (one for one in ended if one.command.uavs)
     return tuple(
         one.name
@@ -246,7 +246,7 @@ def _check_processes(options: FleetOptions) -> None:
     count, most = options.processes, len(options.scenario.uav_ids)
     if count is None or count == most:
         return
-    if options.scenario.file.security == "required":
+    if options.scenario.security == "required":
         raise FleetError(
             f"--processes {count}: with security: required each UAV has an identity of its own: expected no --processes"
         )
@@ -260,7 +260,7 @@ def _check_processes(options: FleetOptions) -> None:
             f"--processes {count}: each UAV has a process of its own with {other}: expected no --processes"
         )
     shared = {uav for group in groups(options) if len(group) > 1 for uav in group}
-    for fault in options.scenario.faults:
+    for fault in options.scenario.faults or ():
         if fault.rule.strikes == PROCESS and fault.struck_uav in shared:
             raise FleetError(
                 f"--processes {count}: {fault.text}: it would strike the other UAVs of the process as "

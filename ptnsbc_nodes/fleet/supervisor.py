@@ -71,7 +71,7 @@ class Supervisor:
         self._sim_sign: object = None  # the newest sign of life of the sim
         self._sim_lines = self._quiet_looks = 0
         self._faults = FaultInjector(options, progress, self._launch_again)
-        if options.scenario.file.faults is not None:
+        if options.scenario.faults is not None:
             coordinator.listen_for_faults(options.scenario.uav_ids, self._faults.add)
         if options.shared:
             coordinator.share(leads=options.leads)

@@ -43,7 +43,7 @@ class ScenarioParameter(NamedTuple):
 
 def leaves(scenario: Scenario) -> Iterator[ScenarioParameter]:
     """All single values, in the order of the file, with defaults filled in."""
-    return _below("", scenario.file)
+    return _below("", scenario)
 
 
 def _below(prefix: str, block: BaseModel) -> Iterator[ScenarioParameter]:

@@ -33,17 +33,17 @@ def spare_linear_algebra() -> None:
 
 def load_agent(scenario: Scenario, uav_id: int) -> None:
     """Compile the laws, or load them from the cache: one step on zeros, as `UavController` makes it."""
-    neighbours = len(scenario.estimator_neighbours(uav_id))
+    neighbours = len(scenario.topology.neighbours.get(uav_id, ()))
     inputs = PackedInputs(neighbours, np.zeros((0, NEAR_COLUMNS)))
     inputs.vector[OWN + 6] = 1.0  # the quaternion of no rotation
     move_to_present(inputs.vector[OWN:PARENT], 0.0)
-    config, dt = agent_config(scenario, uav_id), scenario.dt_ns * 1e-9
+    config, dt = agent_config(scenario, uav_id), scenario.timing.dt_ns * 1e-9
     agent = Agent(config, inputs.unpack().own)
-    if uav_id != scenario.leader_id and scenario.plugins.task is not None:
+    if uav_id != scenario.leader.id and scenario.plugins.task is not None:
         agent.task_points(inputs, 0.0, dt)
         agent.advance(inputs, 0.0, dt, task=NO_TASK)
     else:
-        guided = scenario.law is not None and uav_id != scenario.leader_id
+        guided = scenario.law is not None and uav_id != scenario.leader.id
         agent.advance(inputs, 0.0, dt, (0.0, 0.0, 0.0) if guided else None)
     Agent.resumed(
         config, agent.state
@@ -52,7 +52,7 @@ def load_agent(scenario: Scenario, uav_id: int) -> None:
 
 def load_fleet(scenario: Scenario) -> None:
     """Compile or load the laws of all UAVs: those of the leader, and of a follower that flies by the user's."""
-    load_agent(scenario, scenario.leader_id)
+    load_agent(scenario, scenario.leader.id)
     if scenario.followers and (scenario.law is not None or scenario.plugins.task is not None):
         load_agent(scenario, scenario.followers[0])
 
@@ -60,5 +60,5 @@ def load_fleet(scenario: Scenario) -> None:
 def load_world(scenario: Scenario) -> None:
     """Compile or load the laws of the simulated vehicles in the same way."""
     world = World(scenario)
-    world.near(scenario.leader_id)
+    world.near(scenario.leader.id)
     world.step({i: np.zeros(6) for i in world.ids})

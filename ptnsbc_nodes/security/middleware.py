@@ -51,7 +51,7 @@ def enforced(environment: Mapping[str, str]) -> dict[str, str]:
 
 def check_enforced(scenario: Scenario) -> None:
     """DdsSecurityError when this process would fly a scenario with `security: required` unprotected."""
-    if scenario.file.security != "required":
+    if scenario.security != "required":
         return
     enforced(os.environ)
     for name, value in _ENFORCED.items():

@@ -89,10 +89,10 @@ class LockstepWorld:
     def __init__(self, scenario: Scenario, world: World, publishers: SimPublishers) -> None:
         self._world = world
         self._publishers = publishers
-        self._period_ns = scenario.dt_ns
+        self._period_ns = scenario.timing.dt_ns
         self._status_every = status_every(scenario)
         self._scheduler = LockstepScheduler(
-            world.ids, scenario.ticks, (scenario.near_every, self._status_every)
+            world.ids, scenario.timing.ticks, (scenario.near_every, self._status_every)
         )
         self._lost: set[int] = set()
         silent = gone(scenario, ("restart",))

@@ -25,12 +25,12 @@ class RealTimeWorld:
     def __init__(self, scenario: Scenario, world: World, publishers: SimPublishers) -> None:
         self._world = world
         self._publishers = publishers
-        self._stale_ns = round(scenario.file.communication.stale_s * 1e9)
-        self._late_ns = round(_LATE_PERIODS * scenario.dt_ns)
-        self._dt_ns = scenario.dt_ns
-        self._catch_up = max(round(_MAX_CATCH_UP_S * scenario.control_hz), 1)
+        self._stale_ns = round(scenario.communication.stale_s * 1e9)
+        self._late_ns = round(_LATE_PERIODS * scenario.timing.dt_ns)
+        self._dt_ns = scenario.timing.dt_ns
+        self._catch_up = max(round(_MAX_CATCH_UP_S * scenario.timing.control_hz), 1)
         self._wrenches: dict[int, Stamped] = {}
-        self.pace = Pace(scenario.dt_ns)
+        self.pace = Pace(scenario.timing.dt_ns)
         self.latency = Latency()
 
     def begin(self) -> None:

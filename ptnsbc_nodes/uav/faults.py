@@ -43,15 +43,15 @@ class UavFaults:
         lockstep: bool,
         kill: Callable[[], None] = _kill_this_process,
     ) -> None:
-        self.allowed = scenario.file.faults is not None
+        self.allowed = scenario.faults is not None
         self.injected: list[str] = []
         """The faults that were injected in flight, in words."""
         self._uav = uav_id
         self._inbox = inbox
         self._lockstep = lockstep
         self._kill = kill
-        self._scenario = [fault for fault in scenario.faults if fault.struck_uav == uav_id]
-        self._count = len(scenario.faults)
+        self._scenario = [fault for fault in (scenario.faults or ()) if fault.struck_uav == uav_id]
+        self._count = len(scenario.faults or ())
         self._own: list[tuple[FaultBlock, int]] = []  # with the instant from which its time counts
         self._t0_ns: int | None = None
 
@@ -97,7 +97,7 @@ def sent_faults(
     scenario: Scenario, uav_id: int, t0_ns: int = 0
 ) -> Callable[[Stamped], Stamped] | None:
     """The faults of a scenario in the states of one UAV; None without any."""
-    own = [(fault, t0_ns) for fault in scenario.faults if fault.struck_uav == uav_id]
+    own = [(fault, t0_ns) for fault in (scenario.faults or ()) if fault.struck_uav == uav_id]
     return partial(_sent, own, uav_id) if own else None
 
 

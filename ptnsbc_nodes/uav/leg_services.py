@@ -51,7 +51,7 @@ def leg_service(number: int) -> str:
 
 def _words(scenario: Scenario | None) -> dict[str, int]:
     """Number of the leg that each service of the mission begins."""
-    mission = None if scenario is None else scenario.file.mission
+    mission = None if scenario is None else scenario.mission
     if mission is None:
         return {}
     found = {leg_service(number): number for number in range(2, len(mission.legs) + 1)}
@@ -151,7 +151,7 @@ class LegServices:
     def _start_ns(self) -> int | None:
         """The time at which the mission begins by the wall clock; None when it does not say so, and in lock-step."""
         scenario = self._epochs.scenario
-        mission = None if scenario is None else scenario.file.mission
+        mission = None if scenario is None else scenario.mission
         if mission is None or mission.start is None or self._lockstep:
             return None
         return utc_time(mission.start).next_ns(self._now_ns() + LEAD_NS)
@@ -174,15 +174,15 @@ class LegServices:
         """The legs of the mission as JSON, with the time since the first epoch."""
         scenario, now_ns = self._epochs.scenario, self._now_ns()
         leg = self._epochs.at(now_ns)
-        assert scenario is not None and scenario.file.mission is not None  # or there is no service
+        assert scenario is not None and scenario.mission is not None  # or there is no service
         begun = {one.number: one for one in scenario.legs}
         rows = [
             {"number": CANCEL, "name": one.name, "kind": "hold", **_times(one)}
             for one in scenario.legs
             if one.number == CANCEL
         ]
-        names = leg_names(scenario.file.mission)
-        for number, block in enumerate(scenario.file.mission.legs, 1):
+        names = leg_names(scenario.mission)
+        for number, block in enumerate(scenario.mission.legs, 1):
             times = _times(begun[number]) if number in begun else {}
             rows.append({"number": number, "name": names[number - 1], "kind": block.kind, **times})
         now_s = None if leg is None else (now_ns - leg.first_t0_ns) * 1e-9
@@ -240,7 +240,7 @@ def _cannot_fly(scenario: Scenario, word: Word) -> str:
     for index, one in enumerate(legs):
         until_s = legs[index + 1].begin_s if index + 1 < len(legs) else one.end_s
         if one.begin_s >= word.at_s:
-            room = leg_room(flown.file, one, until_s)
+            room = leg_room(flown, one, until_s)
             if room.advice:
                 return f"leg {room.found}: expected {room.limit}; {room.advice}"
     return ""

@@ -94,7 +94,7 @@ def _assign(
         on_abandoned = (lambda: None) if watched else lifetime.end
         uav = UavNode(node, settings.scenario, settings.uav, graph, on_abandoned)
         scenario, options = settings.scenario, settings.options
-        room = environment.has_room(len(scenario.uav_ids), scenario.control_hz)
+        room = environment.has_room(len(scenario.uav_ids), scenario.timing.control_hz)
         if (punctual or room) and not (options.lockstep or options.bridged):
             # Not before: a process that is started again in flight would take the others' time to get ready.
             uav.on_first_leg = partial(environment.prefer_punctuality, flies=True)

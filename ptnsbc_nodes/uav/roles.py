@@ -55,7 +55,7 @@ class RoleHolder:
     @property
     def leads(self) -> bool:
         """True if the UAV leads by the members that it sees."""
-        return self._before is not None and self._before.leader_id == self.uav
+        return self._before is not None and self._before.leader.id == self.uav
 
     def holds(self, mode: int) -> bool:
         """True if the UAV has to hold in a leg, because it is no member yet."""
@@ -92,4 +92,4 @@ class RoleHolder:
 
 def role_holder(scenario: Scenario, uav_id: int, edges: CommunicationGraph) -> RoleHolder | None:
     """The role of a UAV where UAVs may come and go, else None."""
-    return RoleHolder(scenario, uav_id, edges) if scenario.reconfigures else None
+    return RoleHolder(scenario, uav_id, edges) if scenario.formation.reconfigures else None

@@ -24,8 +24,8 @@ class UavTiming:
         self._node = node
         self._lockstep = lockstep
         # The queues keep as many ticks, see `inbox`.
-        self._horizon = LockstepHorizon((LEAD_TICKS + 2) * scenario.dt_ns)
-        self.period_ns = scenario.dt_ns
+        self._horizon = LockstepHorizon((LEAD_TICKS + 2) * scenario.timing.dt_ns)
+        self.period_ns = scenario.timing.dt_ns
         self.near_every = scenario.near_every
         self.status_every = status_every(scenario)
         self.start_ns = self.now_ns()

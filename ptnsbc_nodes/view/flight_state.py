@@ -50,7 +50,7 @@ class FlightState:
         self._status: dict[str, tuple[float, DiagnosticStatus]] = {}  # by its name, with its age
         self._lost: set[str] = set()
         self._over = False
-        self._moving = moves(scenario.file.formation)
+        self._moving = moves(scenario.formation)
         self._pace = _Pace()
 
     @property
@@ -157,14 +157,14 @@ class FlightState:
         """The wanted place of each UAV (3,) [m]; without the followers while the leader is not heard."""
         scenario, instant = self.scenario, max(t or 0.0, 0.0)
         goals: dict[int, Array] = {}
-        leader = places.get(scenario.leader_id)
+        leader = places.get(scenario.leader.id)
         if t is not None:
             path = reference(leader_trajectory(scenario), instant).position
-            goals[scenario.leader_id] = np.array(path)
+            goals[scenario.leader.id] = np.array(path)
         if leader is None:
             return goals
         for uav in scenario.uav_ids:
-            if uav != scenario.leader_id:
+            if uav != scenario.leader.id:
                 [beside] = places_beside_leader(scenario, uav, np.array([instant]))
                 goals[uav] = leader + beside
         return goals
@@ -181,7 +181,7 @@ class FlightState:
         if state is None:
             return found | {"pose": None, "speed": None, "error": None, "near": None}
         error = float(np.linalg.norm(places[uav] - goals[uav])) if uav in goals else None
-        leader = places.get(self.scenario.leader_id)
+        leader = places.get(self.scenario.leader.id)
         if self._moving and leader is not None and uav in goals:
             found["beside"] = np.round(goals[uav] - leader, 4).tolist()
         return found | {
@@ -202,7 +202,7 @@ class FlightState:
             ),
             *(
                 (one.name, float(one.distances(own[None], at)[0]), one.keep_out_m)
-                for one in scenario.obstacles
+                for one in scenario.world.bodies
             ),
         ]
         found = [

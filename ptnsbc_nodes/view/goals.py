@@ -66,7 +66,7 @@ class _Goal(ABC):
             return self._end("abort", self._answer.message, state)
         if self._goal.is_cancel_requested:
             return self._end("canceled", f"hold: {self._stop().message}", state)
-        leader = self._flight.scenario.leader_id
+        leader = self._flight.scenario.leader.id
         if any(uav.id == leader and uav.level != UavState.STALE for uav in state.uavs):
             self._heard_s = time.monotonic()
         elif time.monotonic() > self._heard_s + _SILENT_S:
@@ -124,7 +124,7 @@ class MissionGoal(_Goal):
     def _begin(self) -> Answer:
         self._outcomes: list[LegOutcome] = []
         self._words = len(self._flight.words)
-        first, mission = self._goal.request.from_leg, self._flight.scenario.file.mission
+        first, mission = self._goal.request.from_leg, self._flight.scenario.mission
         if mission is None:
             return Answer(False, "the scenario has no mission: expected one with mission.legs")
         if first > len(mission.legs):

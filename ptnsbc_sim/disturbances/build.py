@@ -35,17 +35,22 @@ def position_noise_of(scenario: Scenario) -> PositionNoise:
         float(block.noise_m),
         float(block.acceleration_noise_m_s2),
         float(block.rate_hz),
-        scenario.control_hz // block.rate_hz,
-        round(block.latency_s * scenario.control_hz),
-        round((block.latency_s - block.unknown_latency_s) * scenario.control_hz),
+        scenario.timing.control_hz // block.rate_hz,
+        round(block.latency_s * scenario.timing.control_hz),
+        round((block.latency_s - block.unknown_latency_s) * scenario.timing.control_hz),
     )
 
 
 def gusts_of(scenario: Scenario) -> Gusts:
     """The wind around every UAV."""
-    world = scenario.file.world
+    world = scenario.world
     deviation = np.array(world.gust_m_s, dtype=np.float64)
-    return gusts(scenario.wind_m_s, deviation, float(world.gust_time_s), scenario.dt_ns * 1e-9)
+    return gusts(
+        np.array(world.wind_m_s, dtype=np.float64),
+        deviation,
+        float(world.gust_time_s),
+        scenario.timing.dt_ns * 1e-9,
+    )
 
 
 def sensor_noise_samples(scenario: Scenario, uav_id: int, tick: int) -> Array:
@@ -57,7 +62,7 @@ def sensor_noise_samples(scenario: Scenario, uav_id: int, tick: int) -> Array:
 
 
 def _sensor_sample_count(scenario: Scenario) -> int:
-    return sensor_noise.SAMPLES * (len(scenario.uav_ids) - 1 + len(scenario.obstacles))
+    return sensor_noise.SAMPLES * (len(scenario.uav_ids) - 1 + len(scenario.world.bodies))
 
 
 def sensor_noise_of(scenario: Scenario) -> SensorNoise:
@@ -85,7 +90,7 @@ def flight_disturbances(scenario: Scenario, neighbours: int) -> Disturbances | N
     """The disturbances of a flight, None without any; `neighbours` is the width of the wiring."""
     if not scenario.imperfect:
         return None
-    ids, ticks, seed = scenario.uav_ids, scenario.ticks, scenario.seed
+    ids, ticks, seed = scenario.uav_ids, scenario.timing.ticks, scenario.seed
 
     def table(kind: int, width: int, every: int = 1) -> Array:
         found = [
@@ -119,7 +124,7 @@ class VehicleDisturbances:
         self._gusts = gusts_of(scenario)
         self._position_address = (scenario.seed, random_streams.POSITION, uav_id)
         self._gust_address = (scenario.seed, random_streams.GUST, uav_id)
-        self._dt = scenario.dt_ns * 1e-9
+        self._dt = scenario.timing.dt_ns * 1e-9
         self._wind = wind_m_s
         self._gust = np.zeros(wind.SAMPLES)
         self._error = initial_error(self._position_noise)

@@ -56,7 +56,7 @@ def message_fault(fault: FaultBlock, number: int, t0_ns: int) -> MessageFault | 
 
 def message_faults(scenario: Scenario, t0_ns: int = 0) -> tuple[MessageFault, ...]:
     """The faults of messages of a scenario whose first epoch is `t0_ns`."""
-    found = (message_fault(fault, k, t0_ns) for k, fault in enumerate(scenario.faults))
+    found = (message_fault(fault, k, t0_ns) for k, fault in enumerate(scenario.faults or ()))
     return tuple(one for one in found if one is not None)
 
 
@@ -146,11 +146,11 @@ def without_position(values: Array) -> Array:
 
 def gone(scenario: Scenario, kinds: Collection[str] = _GONE) -> NDArray[np.bool_]:
     """True if the process of each UAV is dead at each tick (T, N), by faults of these kinds."""
-    found = np.zeros((scenario.ticks, len(scenario.uav_ids)), dtype=np.bool_)
-    for fault in scenario.faults:
+    found = np.zeros((scenario.timing.ticks, len(scenario.uav_ids)), dtype=np.bool_)
+    for fault in scenario.faults or ():
         if fault.kind in kinds and fault.struck_uav is not None:
             row = scenario.uav_ids.index(fault.struck_uav)
-            first, end = (-(-time_ns // scenario.dt_ns) for time_ns in fault.window_ns(0))
+            first, end = (-(-time_ns // scenario.timing.dt_ns) for time_ns in fault.window_ns(0))
             found[min(first, len(found)) : min(end, len(found)), row] = True
     return found
 
@@ -158,11 +158,11 @@ def gone(scenario: Scenario, kinds: Collection[str] = _GONE) -> NDArray[np.bool_
 def jumps_of(scenario: Scenario) -> Array:
     """The jumps of measured positions (J, 6): row of the UAV, first tick, tick after the last, offset [m] ENU."""
     rows = []
-    for fault in scenario.faults:
+    for fault in scenario.faults or ():
         if fault.kind == "jump" and fault.struck_uav is not None and fault.offset_m is not None:
             start_ns, end_ns = fault.window_ns(0)
             last_ns = min(end_ns, FOR_EVER_NS)
-            first, end = -(-start_ns // scenario.dt_ns), -(-last_ns // scenario.dt_ns)
+            first, end = -(-start_ns // scenario.timing.dt_ns), -(-last_ns // scenario.timing.dt_ns)
             rows.append((scenario.uav_ids.index(fault.struck_uav), first, end, *fault.offset_m))
     return np.array(rows, dtype=np.float64).reshape(-1, _JUMP_COLUMNS)
 

@@ -43,10 +43,10 @@ class MessageLoss:
 def message_loss(scenario: Scenario, uav_id: int) -> MessageLoss | None:
     """The message loss of one UAV; None when none of its links loses any, and no fault can be injected."""
     others = (i for i in scenario.uav_ids if i != uav_id)
-    shares = {i: scenario.link(i, uav_id).loss for i in others}
-    if not any(shares.values()) and scenario.file.faults is None:
+    shares = {i: scenario.communication.link(i, uav_id).loss for i in others}
+    if not any(shares.values()) and scenario.faults is None:
         return None
-    return MessageLoss(scenario.seed, shares, uav_id, scenario.dt_ns)
+    return MessageLoss(scenario.seed, shares, uav_id, scenario.timing.dt_ns)
 
 
 class LinkDelay(NamedTuple):
@@ -61,8 +61,8 @@ NO_DELAY = LinkDelay(0, 0)
 
 def link_delay(scenario: Scenario, sender: int, receiver: int) -> LinkDelay:
     """The delay of one link."""
-    delay_ns = round(scenario.link(sender, receiver).delay_s * 1e9)
-    return LinkDelay(delay_ns, -(-delay_ns // scenario.dt_ns))
+    delay_ns = round(scenario.communication.link(sender, receiver).delay_s * 1e9)
+    return LinkDelay(delay_ns, -(-delay_ns // scenario.timing.dt_ns))
 
 
 def _last_received(scenario: Scenario, kind: int, receiver: int, sender: int) -> NDArray[np.int64]:
@@ -70,9 +70,11 @@ def _last_received(scenario: Scenario, kind: int, receiver: int, sender: int) ->
 
     A message is at least one tick old, whatever the delay: at tick k everybody computes what it sends at k.
     """
-    ticks = scenario.ticks
+    ticks = scenario.timing.ticks
     address = (scenario.seed, kind, receiver, sender)
-    lost = random_streams.uniform_below(address, ticks, scenario.link(sender, receiver).loss)
+    lost = random_streams.uniform_below(
+        address, ticks, scenario.communication.link(sender, receiver).loss
+    )
     faults = [fault for fault in message_faults(scenario) if fault.sender == sender]
     if faults:
         return _received_among_faults(scenario, kind, receiver, faults, lost)
@@ -89,7 +91,7 @@ def _received_among_faults(
     lost: NDArray[np.bool_],
 ) -> NDArray[np.int64]:
     """As `_last_received`, with faults of one sender. A late message does not replace a newer one."""
-    ticks, period_ns, sender = scenario.ticks, scenario.dt_ns, faults[0].sender
+    ticks, period_ns, sender = scenario.timing.ticks, scenario.timing.dt_ns, faults[0].sender
     link = FaultyLink(scenario.seed, kind, receiver, sender, period_ns)
     lost = lost | link.losses(faults, ticks)
     late_ns = link_delay(scenario, sender, receiver).ns + delays_ns(
@@ -115,8 +117,8 @@ def last_received(scenario: Scenario, width: int) -> NDArray[np.int64]:
     parents, where a UAV has some.
     """
     ids = scenario.uav_ids
-    columns = 2 + width + scenario.most_parents
-    table = np.full((scenario.ticks, len(ids), columns), -1, dtype=np.int64)
+    columns = 2 + width + scenario.communication.most_parents
+    table = np.full((scenario.timing.ticks, len(ids), columns), -1, dtype=np.int64)
     for row, uav in enumerate(ids):
         table[:, row] = last_received_by(scenario, uav, width)
     return table
@@ -124,16 +126,18 @@ def last_received(scenario: Scenario, width: int) -> NDArray[np.int64]:
 
 def last_received_by(scenario: Scenario, uav: int, width: int) -> NDArray[np.int64]:
     """The rows (T, 2 + width + P) of one UAV."""
-    table = np.full((scenario.ticks, 2 + width + scenario.most_parents), -1, dtype=np.int64)
-    parent = scenario.parent(uav)
+    table = np.full(
+        (scenario.timing.ticks, 2 + width + scenario.communication.most_parents), -1, dtype=np.int64
+    )
+    parent = scenario.communication.parent(uav)
     if parent is not None:
         table[:, 0] = _last_received(scenario, random_streams.STATE_LINK, uav, parent)
-    if scenario.pinned(uav):
-        leader = scenario.leader_id
+    if uav in scenario.topology.pinned:
+        leader = scenario.leader.id
         table[:, 1] = _last_received(scenario, random_streams.STATE_LINK, uav, leader)
-    for k, other in enumerate(scenario.estimator_neighbours(uav)):
+    for k, other in enumerate(scenario.topology.neighbours.get(uav, ())):
         table[:, 2 + k] = _last_received(scenario, random_streams.ESTIMATE_LINK, uav, other)
-    for k, other in enumerate(scenario.parent_weights(uav)):
+    for k, other in enumerate(scenario.communication.weights_of(uav)):
         received = _last_received(scenario, random_streams.STATE_LINK, uav, other)
         table[:, 2 + width + k] = received
     return table

@@ -21,12 +21,12 @@ def plant_config(scenario: Scenario, uav_id: int) -> PlantConfig:
     """Constants of one vehicle, with its true mass and inertia. The 6-DOF body has no motors, as in the paper."""
     uav, vehicle = scenario.uav(uav_id), scenario.vehicle(uav_id)
     push = uav.disturbance
-    kind = PLANTS[scenario.plant_kind]
+    kind = PLANTS[scenario.plant.kind]
     if kind == PLANT_RIGID_BODY:
         body = vehicle.rigid_body
         limits = (np.inf, (np.inf, np.inf, np.inf), 0.0, float(body.drag_1_s))
     else:
-        quad = scenario.quadrotor if vehicle.quadrotor is None else vehicle.quadrotor
+        quad = vehicle.rotor_limits
         torque = three(quad.max_torque_nm)
         limits = (float(quad.max_thrust_n), torque, float(quad.motor_lag_s), float(quad.drag_1_s))
     max_thrust, max_torque, lag, drag = limits
@@ -34,12 +34,12 @@ def plant_config(scenario: Scenario, uav_id: int) -> PlantConfig:
         kind,
         float(vehicle.mass_kg * uav.mass_scale),
         three(vehicle.inertia_kg_m2 * uav.inertia_scale),
-        float(scenario.gravity_m_s2),
+        float(scenario.world.gravity_m_s2),
         max_thrust,
         max_torque,
         lag,
         drag,
-        scenario.wind_m_s,
+        np.array(scenario.world.wind_m_s, dtype=np.float64),
         six(push.amplitudes),
         six(push.phases),
         six(push.offset),
@@ -52,8 +52,8 @@ def start_states(scenario: Scenario, plants: Sequence[PlantConfig]) -> Array:
     Raises:
         AttitudeError: a 6-DOF start at a pitch where Euler rates are singular.
     """
-    uavs = scenario.file.uavs
-    if PLANTS[scenario.plant_kind] == PLANT_RIGID_BODY:
+    uavs = scenario.uavs
+    if PLANTS[scenario.plant.kind] == PLANT_RIGID_BODY:
         for uav in uavs:
             checked_pitch(float(uav.attitude_rad[1]))
     positions = np.array([uav.position_m for uav in uavs], dtype=np.float64)
@@ -71,7 +71,7 @@ def _start_states(positions: Array, attitudes: Array, plants: Sequence[PlantConf
 
 def obstacle_rows(scenario: Scenario, times: Array) -> Array:
     """All obstacles at times (T,) [s] since the first epoch: rows of bodies (T, O, 20), (1, O, 20) where none moves."""
-    obstacles = scenario.obstacles
+    obstacles = scenario.world.bodies
     if all(one.path is None for one in obstacles):
         times = times[:1]
     if not obstacles:

@@ -9,7 +9,6 @@ from ptnsbc_sim.scenario.scenario import (
     load_scenario,
     scenario_from_text,
 )
-from ptnsbc_sim.scenario.start import Disturbance, UavStart
 
 __all__ = [
     "Scenario",

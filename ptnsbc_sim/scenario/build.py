@@ -46,6 +46,7 @@ from ptnsbc_sim.scenario.approach.limits import leader_motion
 from ptnsbc_sim.scenario.gains import Loop, gain_of
 from ptnsbc_sim.scenario.mission.curves import trajectory_of
 from ptnsbc_sim.scenario.mission.shapes import moves, shape_of
+from ptnsbc_sim.scenario.model import plant_of
 from ptnsbc_sim.scenario.scenario import Scenario
 
 _SHORTEST_ARM_M = 1e-3
@@ -66,27 +67,27 @@ def loop_of(scenario: Scenario, loop: Loop) -> LoopGain:
 
 def leader_trajectory(scenario: Scenario) -> Trajectory:
     """The leader's reference as ptnsbc_core.curves.trajectory reads it."""
-    return trajectory_of(scenario.file.leader.trajectory)
+    return trajectory_of(scenario.leader.trajectory)
 
 
 def places_beside_leader(scenario: Scenario, uav_id: int, times: Array) -> Array:
     """Desired positions (T, 3) [m], ENU, relative to the leader, at times (T,) [s] since the first epoch."""
-    if uav_id == scenario.leader_id or not moves(scenario.file.formation):
+    if uav_id == scenario.leader.id or not moves(scenario.formation):
         return np.tile(scenario.offset(uav_id), (len(times), 1))
-    shape = shape_of(scenario.file, uav_id)
+    shape = shape_of(scenario, uav_id)
     return place_samples(shape, leader_trajectory(scenario), times)[:, :3]
 
 
 def reference_offset(scenario: Scenario, uav_id: int) -> Array:
     """Reference k of a follower, relative to the leader: the leader itself or the heading anchor."""
-    if scenario.parent(uav_id) == scenario.leader_id:
-        return np.array(scenario.file.formation.heading_anchor_m, dtype=np.float64)
+    if scenario.communication.parent(uav_id) == scenario.leader.id:
+        return np.array(scenario.formation.heading_anchor_m, dtype=np.float64)
     return np.zeros(3)
 
 
 def _offset_from_parent(scenario: Scenario, uav_id: int) -> Array:
     """Desired position relative to the parent (3,) [m], ENU; zeros for the leader."""
-    parent = scenario.parent(uav_id)
+    parent = scenario.communication.parent(uav_id)
     if parent is None:
         return np.zeros(3)
     return scenario.offset(uav_id) - scenario.offset(parent)
@@ -103,7 +104,10 @@ class SeveralParents(NamedTuple):
 
 def several_parents(scenario: Scenario, uav_id: int) -> SeveralParents | None:
     """The parents of a UAV with several; None where it has one."""
-    weights, first = scenario.parent_weights(uav_id), scenario.parent(uav_id)
+    weights, first = (
+        scenario.communication.weights_of(uav_id),
+        scenario.communication.parent(uav_id),
+    )
     if not weights or first is None:
         return None
     shifts = [scenario.offset(first) - scenario.offset(one) for one in weights]
@@ -111,7 +115,7 @@ def several_parents(scenario: Scenario, uav_id: int) -> SeveralParents | None:
         tuple(weights),
         np.array(list(weights.values())),
         np.stack(shifts),
-        float(scenario.file.communication.stale_s),
+        float(scenario.communication.stale_s),
     )
 
 
@@ -140,10 +144,10 @@ def _desired_by(
 
 def _desired(scenario: Scenario, uav_id: int) -> tuple[Vector3, Vector3]:
     """Desired task value and the row scale that puts every row in metres."""
-    parent = scenario.parent(uav_id)
+    parent = scenario.communication.parent(uav_id)
     if parent is None:
         return (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)
-    task = scenario.file.formation.task
+    task = scenario.formation.task
     own, above = scenario.offset(uav_id), scenario.offset(parent)
     anchor = reference_offset(scenario, uav_id)
     if scenario.plugins.task is not None:
@@ -172,7 +176,7 @@ def _estimator(scenario: Scenario, uav_id: int) -> EstimatorConfig:
         k1=float(gains.k1_1_s),
         k2=float(gains.k2),
         boundary=float(gains.boundary),
-        pinned=bool(scenario.pinned(uav_id)),
+        pinned=bool(uav_id in scenario.topology.pinned),
         feed_forward=bool(gains.feed_forward),
     )
 
@@ -182,18 +186,18 @@ def loop_lag_s(scenario: Scenario) -> float:
     gains = scenario.gains
     if gains.clearance.lag_s is not None:
         return float(gains.clearance.lag_s)
-    if PLANTS[scenario.plant_kind] != PLANT_QUADROTOR:
+    if PLANTS[scenario.plant.kind] != PLANT_QUADROTOR:
         return 1.0 / max(gains.force.scale * gains.force.kappa_1_s, 1.0)
     rate = 1.0 / max(gains.torque.scale * gains.torque.kappa_1_s, 1.0)
-    return 1.0 / gains.pointing.tilt_1_s + rate + scenario.quadrotor.motor_lag_s
+    return 1.0 / gains.pointing.tilt_1_s + rate + scenario.plant.rotor_limits.motor_lag_s
 
 
 def deceleration(scenario: Scenario, uav_id: int) -> float:
     """Acceleration [m/s^2] that a vehicle has in every direction: tilt, descent, climb and the command filter."""
     limit = scenario.gains.filter.max_acceleration_m_s2
     max_tilt, max_thrust, _ = _limits(scenario, uav_id)
-    specific, gravity = max_thrust / scenario.vehicle(uav_id).mass_kg, scenario.gravity_m_s2
-    if PLANTS[scenario.plant_kind] != PLANT_QUADROTOR:
+    specific, gravity = max_thrust / scenario.vehicle(uav_id).mass_kg, scenario.world.gravity_m_s2
+    if PLANTS[scenario.plant.kind] != PLANT_QUADROTOR:
         return float(min(limit, specific - gravity))
     lift = (1.0 - MIN_LIFT_FRACTION) * gravity
     sideways = min(gravity * math.tan(max_tilt), math.sqrt(specific * specific - gravity * gravity))
@@ -202,7 +206,7 @@ def deceleration(scenario: Scenario, uav_id: int) -> float:
 
 def weakest_deceleration(scenario: Scenario) -> float:
     """The `deceleration` [m/s^2] of the weakest vehicle."""
-    unlike = {id(vehicle): uav_id for uav_id, vehicle in scenario.vehicles.items()}
+    unlike = {id(plant_of(scenario.plant, uav)): uav.id for uav in scenario.uavs}
     return min(deceleration(scenario, uav_id) for uav_id in unlike.values())
 
 
@@ -212,7 +216,7 @@ def clearance_config(scenario: Scenario, uav_id: int) -> ClearanceConfig:
     loops = loop_lag_s(scenario)
     bandwidth = min(scenario.gains.filter.bandwidth_1_s, 1.0 / loops)
     return ClearanceConfig(
-        rule=AVOIDANCE[scenario.file.formation.avoidance],
+        rule=AVOIDANCE[scenario.formation.avoidance],
         margin_m=float(gains.margin_m),
         gain=loop_of(scenario, gains),
         circulation=float(gains.circulation),
@@ -222,7 +226,7 @@ def clearance_config(scenario: Scenario, uav_id: int) -> ClearanceConfig:
         approach=APPROACH_SPEEDS[gains.approach],
         deceleration=deceleration(scenario, uav_id),
         weakest=weakest_deceleration(scenario),
-        lag_s=float(1.0 / scenario.control_hz + 1.0 / bandwidth + loops),
+        lag_s=float(1.0 / scenario.timing.control_hz + 1.0 / bandwidth + loops),
         bandwidth=float(bandwidth),
         sensor_s=float(1.0 / scenario.sensor.rate_hz),
         stale_s=float(gains.stale_s),
@@ -235,9 +239,7 @@ def clearance_config(scenario: Scenario, uav_id: int) -> ClearanceConfig:
 def _climb(scenario: Scenario, uav_id: int) -> float:
     """Speed [m/s] that no other UAV has: in a second deadlock_s any two are a keep-out apart."""
     number = 1 + scenario.uav_ids.index(uav_id)
-    return float(
-        number * scenario.file.formation.uav_keep_out_m / scenario.gains.clearance.deadlock_s
-    )
+    return float(number * scenario.formation.uav_keep_out_m / scenario.gains.clearance.deadlock_s)
 
 
 def sight_speed(
@@ -258,15 +260,15 @@ def recovery_config(scenario: Scenario, uav_id: int) -> RecoveryConfig:
     The motion of the leader is common to all and closes no pair. So beside it each of two that come back can stop
     within half of what they see, with the braking that the way back leaves.
     """
-    speed, acceleration = leader_motion(scenario.file)
+    speed, acceleration = leader_motion(scenario)
     most, braking = float(scenario.max_speed_m_s(uav_id)), deceleration(scenario, uav_id)
     half = HOMING * max(braking - acceleration, _LEAST_LEFT * braking)
     left = max(most - speed, _LEAST_LEFT * most)
-    if scenario.file.formation.avoidance != "off":
+    if scenario.formation.avoidance != "off":
         config = clearance_config(scenario, uav_id)
         left = min(left, sight_speed(config, scenario.widest_keep_out_m, half, SHARE))
     return RecoveryConfig(
-        least_s=float(scenario.file.formation.recovery_s),
+        least_s=float(scenario.formation.recovery_s),
         speed=float(left),
         acceleration=float(half),
     )
@@ -287,8 +289,8 @@ def _filter(scenario: Scenario, uav_id: int) -> FilterConfig:
 def _limits(scenario: Scenario, uav_id: int) -> tuple[float, float, Vector3]:
     """Tilt [rad], thrust or force [N], torque [N m] of a vehicle."""
     vehicle = scenario.vehicle(uav_id)
-    if PLANTS[scenario.plant_kind] == PLANT_QUADROTOR:
-        limits = scenario.quadrotor if vehicle.quadrotor is None else vehicle.quadrotor
+    if PLANTS[scenario.plant.kind] == PLANT_QUADROTOR:
+        limits = vehicle.rotor_limits
         torque = three(limits.max_torque_nm)
         return float(limits.max_tilt_rad), float(limits.max_thrust_n), torque
     body = vehicle.rigid_body
@@ -300,8 +302,8 @@ def _controller(scenario: Scenario, uav_id: int) -> ControllerConfig:
     adaptation = gains.adaptation
     max_tilt, max_thrust, max_torque = _limits(scenario, uav_id)
     return ControllerConfig(
-        plant=PLANTS[scenario.plant_kind],
-        gravity=float(scenario.gravity_m_s2),
+        plant=PLANTS[scenario.plant.kind],
+        gravity=float(scenario.world.gravity_m_s2),
         nominal=InertialParameters(float(vehicle.mass_kg), three(vehicle.inertia_kg_m2)),
         force=loop_of(scenario, gains.force),
         torque=loop_of(scenario, gains.torque),
@@ -326,14 +328,14 @@ def agent_config(scenario: Scenario, uav_id: int) -> AgentConfig:
     desired, row_scale = _desired(scenario, uav_id)
     gains = scenario.gains
     return AgentConfig(
-        leader=bool(uav_id == scenario.leader_id),
-        task=TASK_OWN if scenario.plugins.task else TASKS[scenario.file.formation.task],
-        approach=APPROACHES[scenario.file.formation.approach],
-        turn=turn_of(scenario.file),
+        leader=bool(uav_id == scenario.leader.id),
+        task=TASK_OWN if scenario.plugins.task else TASKS[scenario.formation.task],
+        approach=APPROACHES[scenario.formation.approach],
+        turn=turn_of(scenario),
         desired=desired,
         offset=three(_offset_from_parent(scenario, uav_id)),
         slot=three(scenario.offset(uav_id)),
-        leader_slot=three(scenario.offset(scenario.leader_id)),
+        leader_slot=three(scenario.offset(scenario.leader.id)),
         slot_reach=float(_slots(scenario, [uav_id])[0, REACH]),
         other_slots=_slots(scenario, [one for one in scenario.uav_ids if one != uav_id]),
         anchor=three(reference_offset(scenario, uav_id)),
@@ -348,9 +350,9 @@ def agent_config(scenario: Scenario, uav_id: int) -> AgentConfig:
         filter=_filter(scenario, uav_id),
         controller=_controller(scenario, uav_id),
         trajectory=leader_trajectory(scenario),
-        shape=shape_of(scenario.file, uav_id),
-        association_gate_m=float(scenario.file.formation.sight_m),
-        stale_s=float(scenario.file.communication.stale_s),
+        shape=shape_of(scenario, uav_id),
+        association_gate_m=float(scenario.formation.sight_m),
+        stale_s=float(scenario.communication.stale_s),
         hold_gain=float(gains.hold.gain_1_s),
         land_speed=float(gains.hold.land_speed_m_s),
     )

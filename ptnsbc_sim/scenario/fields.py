@@ -157,7 +157,7 @@ class Wave(BaseModel):
     shape: str
 
 
-Disturbance = Annotated[
+Waves = Annotated[
     tuple[
         Annotated[Wave, BeforeValidator(_wave)],
         Annotated[Wave, BeforeValidator(_wave)],

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from functools import cached_property
+from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
+import numpy as np
 from pydantic import Field
 
 from ptnsbc_core.tasks.table import TaskName
+from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario.fields import (
     Block,
     Count,
-    Disturbance,
     Name,
     NotNegative,
     NotNegativeVec3,
@@ -21,14 +25,20 @@ from ptnsbc_sim.scenario.fields import (
     UavId,
     Vec3,
     Wave,
+    Waves,
 )
 from ptnsbc_sim.scenario.gains import Gains
-from ptnsbc_sim.scenario.mavlink import Mavlink
-from ptnsbc_sim.scenario.mission.faults import FaultBlock
+from ptnsbc_sim.scenario.mavlink import Mavlink, VehicleLink, vehicle_link
+from ptnsbc_sim.scenario.mission.faults import MESSAGES, FaultBlock, modelled
 from ptnsbc_sim.scenario.mission.legs import Mission
 from ptnsbc_sim.scenario.mission.shapes import Change, ShapeBlock
 from ptnsbc_sim.scenario.mission.trajectories import LeaderTrajectoryBlock
-from ptnsbc_sim.scenario.obstacles import ObstacleBlock
+from ptnsbc_sim.scenario.obstacles import Obstacle, ObstacleBlock, bodies
+from ptnsbc_sim.scenario.problems import ScenarioError
+
+NANOSECONDS = 1_000_000_000
+
+_PHASES = {"sin": 0.0, "cos": np.pi / 2}
 
 STILL = (Wave(amount=0.0, shape="constant"),) * 3
 Delay = Annotated[NotNegative, Field(le=1)]
@@ -45,6 +55,16 @@ class Timing(Block):
     duration_s: Annotated[Positive, Field(le=1e6)]
     """Length of the flight, at least one control period."""
 
+    @property
+    def dt_ns(self) -> int:
+        """Control period [ns], exact."""
+        return NANOSECONDS // self.control_hz
+
+    @property
+    def ticks(self) -> int:
+        """Length of the flight in control periods."""
+        return round(self.duration_s * self.control_hz)
+
 
 class Surroundings(Block):
     """The surroundings of the UAVs."""
@@ -59,6 +79,16 @@ class Surroundings(Block):
     """Correlation time of the gusts."""
     obstacles: tuple[ObstacleBlock, ...] = ()
     """Obstacles to keep out of:"""
+
+    @cached_property
+    def bodies(self) -> tuple[Obstacle, ...]:
+        """All bodies to keep out of: the obstacles, and the boxes of maps."""
+        return tuple(Obstacle(body) for obstacle in self.obstacles for body in bodies(obstacle))
+
+    def body_positions(self, t_s: float) -> Array:
+        """Positions (O, 3) [m] of all `bodies`, so many seconds after the first epoch."""
+        at = np.array([t_s], dtype=np.float64)
+        return np.array([body.motion(at).positions[0] for body in self.bodies]).reshape(-1, 3)
 
 
 class Positioning(Block):
@@ -131,6 +161,13 @@ class Plant(Block):
     rigid_body: RigidBody = RigidBody()
     """Limits of the paper's plant."""
 
+    @property
+    def rotor_limits(self) -> Quadrotor:
+        """The limits of a quadrotor; an error for a vehicle without them."""
+        if self.quadrotor is None:
+            raise ScenarioError("plant.quadrotor: missing: expected its limits")
+        return self.quadrotor
+
 
 class LinkBlock(Block):
     """The link from one UAV to another, where it differs from the others."""
@@ -183,6 +220,30 @@ class Communication(Block):
                     self.delay_s if link.delay_s is None else link.delay_s,
                 )
         return LinkQuality(self.loss, self.delay_s)
+
+    def parent(self, uav_id: int) -> int | None:
+        """The UAV relative to which this one keeps its position; None for the leader."""
+        return self.tree.get(uav_id)
+
+    def weights_of(self, uav_id: int) -> Mapping[int, float]:
+        """Weights of the parents of a UAV with several, ascending by id; empty where it has one."""
+        return dict(sorted((self.parents or {}).get(uav_id, {}).items()))
+
+    def parents_of(self, uav_id: int) -> tuple[int, ...]:
+        """The parent or the several parents of a UAV, ascending; empty for the leader."""
+        parent = self.parent(uav_id)
+        return tuple(self.weights_of(uav_id)) or (() if parent is None else (parent,))
+
+    @property
+    def most_parents(self) -> int:
+        """The largest number of parents of a UAV with several; 0 where each has one."""
+        return max(map(len, (self.parents or {}).values()), default=0)
+
+    @property
+    def lossy(self) -> bool:
+        """True if links lose or delay messages."""
+        late = any(link.loss or link.delay_s for link in self.links)
+        return late or self.loss > 0.0 or self.delay_s > 0.0
 
 
 class Leader(Block):
@@ -239,6 +300,11 @@ class Formation(Block):
     """Shortest time base of the way back after an encounter; it is longer where the limits of speed and acceleration
     need more, see [method.md](method.md#way-back)."""
 
+    @property
+    def reconfigures(self) -> bool:
+        """True if UAVs may come and go: the others take another parent or leader then."""
+        return self.vacancy != "wait"
+
 
 class UavBlock(Block):
     """Start of one UAV, what acts on it, and how it differs from the others."""
@@ -249,9 +315,9 @@ class UavBlock(Block):
     """Start position."""
     attitude_rad: Vec3 = (0.0, 0.0, 0.0)
     """Roll, pitch, yaw at the start."""
-    disturbance_m_s2: Disturbance = STILL
+    disturbance_m_s2: Waves = STILL
     """Acceleration that acts on the UAV; `sin` and `cos` have 1 rad/s."""
-    disturbance_rad_s2: Disturbance = STILL
+    disturbance_rad_s2: Waves = STILL
     """Angular acceleration that acts on the UAV, in the same form."""
     mass_scale: Positive = 1.0
     """True mass over the one that the laws know."""
@@ -277,6 +343,44 @@ class UavBlock(Block):
     """Mission time at which it joins the formation; until then it holds at its start. Default: from the begin on."""
     leaves_s: Positive | None = None
     """Mission time at which it leaves the formation and lands. Default: never."""
+
+
+class Disturbance(NamedTuple):
+    """amplitudes * sin(t + phases) + offset, linear [m/s^2] then angular [rad/s^2]."""
+
+    amplitudes: Array  # (6,)
+    phases: Array  # (6,) [rad]
+    offset: Array  # (6,)
+
+
+class UavStart(NamedTuple):
+    """One UAV's start."""
+
+    id: int
+    position: Array  # (3,) [m], ENU
+    attitude: Array  # (3,) roll, pitch, yaw [rad]
+    disturbance: Disturbance
+    mass_scale: float  # true over nominal
+    inertia_scale: Array  # (3,) true over nominal
+
+
+def uav_start(block: UavBlock) -> UavStart:
+    """The start of the UAV of one block of a file."""
+    return UavStart(
+        block.id,
+        np.array(block.position_m, dtype=np.float64),
+        np.array(block.attitude_rad, dtype=np.float64),
+        _disturbance((*block.disturbance_m_s2, *block.disturbance_rad_s2)),
+        float(block.mass_scale),
+        np.array(block.inertia_scale, dtype=np.float64),
+    )
+
+
+def _disturbance(waves: tuple[Wave, ...]) -> Disturbance:
+    periodic = [wave.amount if wave.shape in _PHASES else 0.0 for wave in waves]
+    phases = [_PHASES.get(wave.shape, 0.0) for wave in waves]
+    constant = [0.0 if wave.shape in _PHASES else wave.amount for wave in waves]
+    return Disturbance(np.array(periodic), np.array(phases), np.array(constant))
 
 
 def plant_of(plant: Plant, uav: UavBlock) -> Plant:
@@ -368,3 +472,93 @@ class ScenarioFile(Block):
     """Flight controllers instead of the simulator."""
     uavs: Annotated[tuple[UavBlock, ...], Field(min_length=1)]
     """Starts and disturbances of the UAVs, at least one."""
+
+    @property
+    def uav_ids(self) -> tuple[int, ...]:
+        """Ids of all UAVs, in the order of the file."""
+        return tuple(uav.id for uav in self.uavs)
+
+    @property
+    def followers(self) -> tuple[int, ...]:
+        """Ids of all UAVs but the leader."""
+        return tuple(uav for uav in self.uav_ids if uav != self.leader.id)
+
+    @property
+    def near_every(self) -> int:
+        """Control periods between two readings of the near-object sensor."""
+        return self.timing.control_hz // self.sensor.rate_hz
+
+    @property
+    def task_name(self) -> str:
+        """The task of the followers: ours by its name, or FILE.py:NAME of the user's."""
+        task = self.plugins.task
+        return self.formation.task if task is None else Path(task).name
+
+    def block(self, uav_id: int) -> UavBlock:
+        """The block of one UAV.
+
+        Raises:
+            ScenarioError: there is no such UAV.
+        """
+        for uav in self.uavs:
+            if uav.id == uav_id:
+                return uav
+        known = ", ".join(map(str, self.uav_ids))
+        raise ScenarioError(f"{self.name}: UAV {uav_id}: expected one of {known}")
+
+    def uav(self, uav_id: int) -> UavStart:
+        """Start and disturbance of one UAV."""
+        return uav_start(self.block(uav_id))
+
+    def vehicle(self, uav_id: int) -> Plant:
+        """The vehicle of one UAV, as the laws know it; `plant` itself where it has nothing of its own."""
+        return plant_of(self.plant, self.block(uav_id))
+
+    def vehicle_link(self, uav_id: int) -> VehicleLink:
+        """Connection to the flight controller of one UAV."""
+        return vehicle_link(self.mavlink, self.uav_ids, self.block(uav_id).id)
+
+    def max_speed_m_s(self, uav_id: int) -> float:
+        """Limit of the commanded speed of one UAV."""
+        limit = self.block(uav_id).max_speed_m_s
+        return self.gains.filter.max_speed_m_s if limit is None else limit
+
+    def offset(self, uav_id: int) -> Array:
+        """Desired position relative to the reference point (3,) [m], ENU: zeros for the leader of the file."""
+        place = self.formation.offsets_m.get(self.block(uav_id).id, (0.0, 0.0, 0.0))
+        return np.array(place, dtype=np.float64)
+
+    def keep_out_m(self, uav_id: int) -> float:
+        """The keep-out of one UAV."""
+        keep_out = self.block(uav_id).keep_out_m
+        return self.formation.uav_keep_out_m if keep_out is None else keep_out
+
+    def keep_out_between(self, uav_id: int, other: int) -> float:
+        """Least distance [m] of two UAVs."""
+        return 0.5 * (self.keep_out_m(uav_id) + self.keep_out_m(other))
+
+    @property
+    def widest_keep_out_m(self) -> float:
+        """The largest least distance of any two UAVs."""
+        default = self.formation.uav_keep_out_m
+        keep_outs = (default if uav.keep_out_m is None else uav.keep_out_m for uav in self.uavs)
+        widest = sorted(keep_outs)[-2:]
+        return 0.5 * (widest[0] + widest[-1])
+
+    @property
+    def lossy(self) -> bool:
+        """True if messages between UAVs get lost or come late."""
+        struck = any(fault.rule.strikes == MESSAGES for fault in self.faults or ())
+        return struck or self.communication.lossy
+
+    @property
+    def imperfect(self) -> bool:
+        """True if the flight has disturbances: position or sensor noise, gusts, lost or late messages, faults."""
+        return (
+            self.sensor.positioning is not None
+            or self.sensor.noise_m > 0.0
+            or self.sensor.velocity_noise_m_s > 0.0
+            or any(self.world.gust_m_s)
+            or self.lossy
+            or bool(modelled(self.faults))
+        )

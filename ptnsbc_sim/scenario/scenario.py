@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from pydantic import ConfigDict
+
+from ptnsbc_core.topology import Topology
 from ptnsbc_sim.scenario.mission.legs import (
     FROM_KEY,
     ScheduledLeg,
@@ -22,22 +24,42 @@ from ptnsbc_sim.scenario.mission.stream import (
     streamed,
     takes_setpoints,
 )
-from ptnsbc_sim.scenario.model import ScenarioFile, UavBlock
+from ptnsbc_sim.scenario.model import NANOSECONDS, ScenarioFile, UavBlock
 from ptnsbc_sim.scenario.reading import reader
 from ptnsbc_sim.scenario.reading.loading import load_text, with_route
-from ptnsbc_sim.scenario.semantics import NANOSECONDS, checked
-from ptnsbc_sim.scenario.settings import ScenarioSettings
+from ptnsbc_sim.scenario.semantics import checked
 
 _BESIDE_STARTS = tuple(set(ScenarioFile.model_fields) - {"uavs", "seed"})
 _BESIDE_POSITION = tuple(set(UavBlock.model_fields) - {"position_m"})
 
 
-@dataclass(frozen=True)
-class Scenario(ScenarioSettings):
-    """One flight: its settings, its legs, and what was said to it in flight. Immutable and validated."""
+class Scenario(ScenarioFile):
+    """One flight: the content of its file, and what was said to it in flight. Immutable and validated.
 
+    The blocks and keys of the file are attributes: `scenario.timing.duration_s`.
+    """
+
+    model_config = ConfigDict(
+        defer_build=True
+    )  # it is built from a validated file, never validated
+
+    topology: Topology
+    """The communication graph."""
+    text: str
+    """YAML after `extends` and overrides: loads again to the same scenario; attached to bags."""
+    source: str
+    """The file or text that it was read from, for messages."""
     words: tuple[Word, ...] = ()
     """The words of an operator about its legs, in flight."""
+
+    def __eq__(self, other: object) -> bool:
+        """True for the same content, from whatever text it was read."""
+        return isinstance(other, Scenario) and all(
+            getattr(self, key) == getattr(other, key) for key in ScenarioFile.model_fields
+        )
+
+    def __repr_args__(self) -> Iterable[tuple[str | None, Any]]:
+        return (("name", self.name), ("source", self.source))
 
     def with_(self, keys: Mapping[str, Any] | None = None, /, **more: Any) -> Scenario:
         """This scenario with dotted keys set: `with_({"gains.formation.deadline_s": 6}, seed=3)`.
@@ -49,22 +71,21 @@ class Scenario(ScenarioSettings):
         Raises:
             ScenarioError: an unknown key, or a value that does not fit.
         """
-        given = {key: reader.plain(value) for key, value in {**(keys or {}), **more}.items()}
-        return scenario_from_text(self.text, given, source=self.source)
+        changes = {key: reader.plain(value) for key, value in {**(keys or {}), **more}.items()}
+        return scenario_from_text(self.text, changes, source=self.source)
 
     def shares_all_but_starts(self, other: Scenario) -> bool:
         """True if `other` has the very objects of this scenario, but for seed, start positions and text.
 
         A scenario that was read anew shares nothing, even where it says the same.
         """
-        mine, theirs = self.file, other.file
         return (
             self.topology is other.topology
-            and len(mine.uavs) == len(theirs.uavs)
-            and all(getattr(mine, key) is getattr(theirs, key) for key in _BESIDE_STARTS)
+            and len(self.uavs) == len(other.uavs)
+            and all(getattr(self, key) is getattr(other, key) for key in _BESIDE_STARTS)
             and all(
-                getattr(a, key) is getattr(b, key)
-                for a, b in zip(mine.uavs, theirs.uavs, strict=True)
+                getattr(uav, key) is getattr(twin, key)
+                for uav, twin in zip(self.uavs, other.uavs, strict=True)
                 for key in _BESIDE_POSITION
             )
         )
@@ -75,10 +96,10 @@ class Scenario(ScenarioSettings):
         Raises:
             ScenarioError: the path of the leader gets too long.
         """
-        given = tuple(words)
-        if given == self.words:
+        words = tuple(words)
+        if words == self.words:
             return self
-        return replace(self, file=with_route(self.file, self.source, given), words=given)
+        return with_route(self, self.source, words).model_copy(update={"words": words})
 
     def with_setpoints(self, setpoints: Iterable[Setpoint]) -> Scenario:
         """This scenario with the setpoints that its leader, of kind `stream`, has taken from a topic.
@@ -86,35 +107,34 @@ class Scenario(ScenarioSettings):
         Raises:
             SetpointError: one that the leader cannot follow.
         """
-        path: Any = self.file.leader.trajectory
+        path: Any = self.leader.trajectory
         return self._following(streamed(getattr(path, "block", path), tuple(setpoints)))
 
-    def with_setpoint(self, one: Setpoint) -> Scenario:
+    def with_setpoint(self, setpoint: Setpoint) -> Scenario:
         """The same with one more setpoint, in flight: what is long past is forgotten.
 
         Raises:
             SetpointError: the leader cannot follow it.
         """
-        path: Any = self.file.leader.trajectory
-        return self._following(
-            going_on(path if isinstance(path, Streamed) else streamed(path, ()), one)
-        )
+        path: Any = self.leader.trajectory
+        streaming = path if isinstance(path, Streamed) else streamed(path, ())
+        return self._following(going_on(streaming, setpoint))
 
     def _following(self, path: Streamed) -> Scenario:
-        leader = self.file.leader.model_copy(update={"trajectory": path})
-        return replace(self, file=self.file.model_copy(update={"leader": leader}))
+        leader = self.leader.model_copy(update={"trajectory": path})
+        return self.model_copy(update={"leader": leader})
 
     @property
     def takes_setpoints(self) -> bool:
         """True if its leader takes setpoints from a topic."""
-        return takes_setpoints(self.file.leader.trajectory)
+        return takes_setpoints(self.leader.trajectory)
 
     @property
     def legs(self) -> tuple[ScheduledLeg, ...]:
         """The legs of its mission that begin, in their order; none without a mission."""
-        if self.file.mission is None:
+        if self.mission is None:
             return ()
-        return schedule(self.file.mission, self.gains.formation.deadline_s, self.words)
+        return schedule(self.mission, self.gains.formation.deadline_s, self.words)
 
     @property
     def landing_ns(self) -> int | None:
@@ -131,7 +151,7 @@ class Scenario(ScenarioSettings):
             ScenarioError: an override does not fit.
         """
         overrides = dict(self.mavlink.overrides)
-        if self.file.mission is not None and takes_off_from_starts(self.file.mission):
+        if self.mission is not None and takes_off_from_starts(self.mission):
             overrides[FROM_KEY] = self.mavlink.takeoff_height_m
         return scenario_from_text(self.text, overrides, source=self.source) if overrides else self
 
@@ -164,7 +184,8 @@ def scenario_of(file: ScenarioFile, text: str, source: str) -> Scenario:
         ScenarioError: what is in the file does not fit together.
     """
     topology = checked(file, source)
-    return Scenario(with_route(file, source), topology, text, source)
+    content = dict(with_route(file, source))
+    return Scenario.model_construct(**content, topology=topology, text=text, source=source)
 
 
 def load_scenario(path_or_name: str | Path, overrides: Mapping[str, Any] | None = None) -> Scenario:

@@ -12,10 +12,8 @@ from ptnsbc_sim.scenario.mavlink import Geofence, Mavlink, vehicle_link
 from ptnsbc_sim.scenario.mission import curves, leg_problems, legs, shapes
 from ptnsbc_sim.scenario.mission.faults import AUTOPILOT, fault_problems
 from ptnsbc_sim.scenario.mission.stream import takes_setpoints
-from ptnsbc_sim.scenario.model import Positioning, ScenarioFile, plant_of
+from ptnsbc_sim.scenario.model import NANOSECONDS, Positioning, ScenarioFile, plant_of
 from ptnsbc_sim.scenario.problems import ScenarioError
-
-NANOSECONDS = 1_000_000_000
 
 _CONNECT = re.compile(r"udp(in|out):[^:\s]+:\d{1,5}|serial:[^:\s]+(:\d+)?")
 _CONNECT_HELP = "expected udpin:ADDRESS:PORT, udpout:ADDRESS:PORT or serial:DEVICE[:BAUD]"

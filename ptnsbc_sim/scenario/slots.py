@@ -9,7 +9,6 @@ the UAV. docs/method.md, "Slots", proves what follows from the minimum.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 
 import numpy as np
 
@@ -17,6 +16,7 @@ from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_core.topology import Topology, estimator_matrix
 from ptnsbc_core.types import Array
 from ptnsbc_sim.scenario.build import places_beside_leader
+from ptnsbc_sim.scenario.fields import Block
 from ptnsbc_sim.scenario.mission.shapes import Change, nearest_places
 from ptnsbc_sim.scenario.model import ScenarioFile
 from ptnsbc_sim.scenario.scenario import Scenario
@@ -31,7 +31,7 @@ class SlotsError(PtnsbcError):
 
 def are_open(scenario: Scenario) -> bool:
     """True if it is open who takes which slot, until an epoch decides it."""
-    return scenario.file.formation.assignment == "optimal"
+    return scenario.formation.assignment == "optimal"
 
 
 def optimal_slots(
@@ -84,11 +84,8 @@ def with_slots(scenario: Scenario, slots: Slots) -> Scenario:
     holder = {slot: uav for uav, slot in slots.items()}
     if all(uav == slot for uav, slot in slots.items()):
         return scenario
-    return replace(
-        scenario,
-        file=_file_of(scenario.file, holder),
-        topology=_topology_of(scenario.topology, holder),
-    )
+    topology = _topology_of(scenario.topology, holder)
+    return scenario.model_copy(update={**_blocks_of(scenario, holder), "topology": topology})
 
 
 def with_slots_of_starts(scenario: Scenario) -> Scenario:
@@ -99,28 +96,24 @@ def with_slots_of_starts(scenario: Scenario) -> Scenario:
     return with_slots(scenario, optimal_slots(scenario, starts))
 
 
-def _file_of(file: ScenarioFile, holder: Mapping[int, int]) -> ScenarioFile:
+def _blocks_of(file: ScenarioFile, holder: Mapping[int, int]) -> dict[str, Block]:
+    """The blocks of a file in which each UAV holds the slot of another one."""
     links, formation = file.communication, file.formation
-    return file.model_copy(
+    links = links.model_copy(
         update={
-            "communication": links.model_copy(
-                update={
-                    "tree": {holder[child]: holder[above] for child, above in links.tree.items()},
-                    "leader_links": tuple(holder[slot] for slot in links.leader_links),
-                    "estimator_edges": tuple(
-                        (holder[a], holder[b]) for a, b in links.estimator_edges
-                    ),
-                }
-            ),
-            "leader": file.leader.model_copy(update={"id": holder[file.leader.id]}),
-            "formation": formation.model_copy(
-                update={
-                    "offsets_m": {holder[k]: at for k, at in formation.offsets_m.items()},
-                    "changes": tuple(_change_of(one, holder) for one in formation.changes),
-                }
-            ),
+            "tree": {holder[child]: holder[above] for child, above in links.tree.items()},
+            "leader_links": tuple(holder[slot] for slot in links.leader_links),
+            "estimator_edges": tuple((holder[a], holder[b]) for a, b in links.estimator_edges),
         }
     )
+    formation = formation.model_copy(
+        update={
+            "offsets_m": {holder[k]: at for k, at in formation.offsets_m.items()},
+            "changes": tuple(_change_of(change, holder) for change in formation.changes),
+        }
+    )
+    leader = file.leader.model_copy(update={"id": holder[file.leader.id]})
+    return {"communication": links, "leader": leader, "formation": formation}
 
 
 def _change_of(change: Change, holder: Mapping[int, int]) -> Change:

@@ -139,7 +139,7 @@ def dry_run_says(plan: SweepPlan, k: int) -> str:
 def _flights(scenario: Scenario, runs: int, seed: int) -> Iterator[DryFlight]:
     deadline_s = scenario.gains.formation.deadline_s
     stop_s, changes = deadline_s + AFTER_S, dict(_turn_as_flown(scenario))
-    if scenario.duration_s < deadline_s + _LEAST_AFTER_S:  # nothing could be judged
+    if scenario.timing.duration_s < deadline_s + _LEAST_AFTER_S:  # nothing could be judged
         changes["timing.duration_s"] = deadline_s + _LEAST_AFTER_S
     text = scenario_from_text(scenario.text, changes, source=scenario.source).text
     as_it_stands = SweepPlan(text, 1, seed, source=scenario.source)
@@ -161,12 +161,12 @@ def _flights(scenario: Scenario, runs: int, seed: int) -> Iterator[DryFlight]:
 
 def _turn_as_flown(scenario: Scenario) -> dict[str, float]:
     """The turn of the scenario by name: the fleet computes it from the starts of the file, wherever its UAVs stand."""
-    return {"formation.turn_rad": turn_of(scenario.file)}
+    return {"formation.turn_rad": turn_of(scenario)}
 
 
 def _worse_links(scenario: Scenario) -> Iterator[SweepAxis]:
     """Links that lose or delay messages do it more than the scenario says."""
-    block = scenario.file.communication
+    block = scenario.communication
     for key, value, more in (
         ("loss", block.loss, min(_MORE_LOSS, 1.0 - block.loss)),
         ("delay_s", block.delay_s, min(_MORE_DELAY_S, 0.5 * (block.stale_s - block.delay_s))),
@@ -237,12 +237,12 @@ def remedies(scenario: Scenario, seed: int = 0) -> Iterator[Remedy]:
 
 
 def _candidates(scenario: Scenario) -> Iterator[tuple[dict[str, Any], str]]:
-    formation, tree = scenario.file.formation, scenario.file.communication.tree
+    formation, tree = scenario.formation, scenario.communication.tree
     if getattr(formation, "assignment", "") == "fixed":
         yield {"formation.assignment": "optimal"}, "set formation.assignment to optimal"
     if formation.task != "relative_position":
         yield {"formation.task": "relative_position"}, "set formation.task to relative_position"
-    leader = scenario.leader_id
+    leader = scenario.leader.id
     if formation.task == "relative_position" and set(tree.values()) != {leader} and tree:
         star = {
             "communication.tree": dict.fromkeys(scenario.followers, leader),
@@ -257,7 +257,7 @@ def _longer(scenario: Scenario, deadline_s: float) -> dict[str, Any]:
     added_s = deadline_s - scenario.gains.formation.deadline_s
     return {
         "gains.formation.deadline_s": deadline_s,
-        "timing.duration_s": scenario.duration_s + added_s,
+        "timing.duration_s": scenario.timing.duration_s + added_s,
     }
 
 

@@ -276,20 +276,19 @@ def _with_starts_alone(plan: SweepPlan, k: int) -> Scenario | None:
         base, spheres = _common(plan.scenario, plan.source, plan.stop_after_s)
     except PtnsbcError:
         return None  # whoever validates the draw names it in the message
-    file = base.file.model_copy(update={"seed": _seed(plan, k)})
+    update: dict[str, Any] = {"seed": _seed(plan, k), "source": source}
     if plan.starts.kind != FILE:
-        if takes_off(file.mission):
+        if takes_off(base.mission):
             return None
-        given = [uav.position_m for uav in file.uavs]
+        given = [uav.position_m for uav in base.uavs]
         places = drawn_places(given, plan.starts, spheres, generator(plan, k, "starts"))
         if not np.isfinite(places).all():
             return None
-        moved = zip(file.uavs, places, strict=True)
-        uavs = [
-            uav.model_copy(update={"position_m": tuple(place.tolist())}) for uav, place in moved
-        ]
-        file = file.model_copy(update={"uavs": tuple(uavs)})
-    return dataclasses.replace(base, file=file, source=source)
+        update["uavs"] = tuple(
+            uav.model_copy(update={"position_m": tuple(place.tolist())})
+            for uav, place in zip(base.uavs, places, strict=True)
+        )
+    return base.model_copy(update=update)
 
 
 __all__ = [

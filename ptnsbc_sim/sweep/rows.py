@@ -161,7 +161,7 @@ class _Room:
 
 def _nearest(scenario: Scenario, verdict: Verdict) -> dict[int, _Room]:
     found = {f"uav{uav}": _Room() for uav in scenario.uav_ids}
-    obstacles = {one.name for one in scenario.obstacles}
+    obstacles = {one.name for one in scenario.world.bodies}
     for pair in verdict.separations:
         of_obstacle = pair.second in obstacles
         found[pair.first].take(pair, obstacle=of_obstacle)

@@ -75,7 +75,7 @@ def missing(recording: Recording, uav: int, track: Track) -> int:
     start_ns, end_ns = recording.start_ns, recording.end_ns
     if sent is None:
         # The total, not gap by gap: a late message and an early one after it are not a missing one.
-        expected = round((end_ns - start_ns) / recording.scenario.dt_ns) + 1
+        expected = round((end_ns - start_ns) / recording.scenario.timing.dt_ns) + 1
         return max(expected - _count(track, start_ns, end_ns), 0)
     # From the last count before the epoch to the first count after the end: exact at both.
     first = max(sent.index(start_ns, "right") - 1, 0)
@@ -94,7 +94,7 @@ def _early_end(recording: Recording) -> str:
     """The odometry that ends before the flight does, empty when none does."""
     scenario, start_ns, end_ns = recording.scenario, recording.start_ns, recording.end_ns
     due_ns = recording.due_ns
-    last_ns = due_ns - scenario.dt_ns  # a flight of n periods ends with message n - 1
+    last_ns = due_ns - scenario.timing.dt_ns  # a flight of n periods ends with message n - 1
     if (last_ns - end_ns) * NANO <= LONGEST_GAP_S:
         return ""
     first = min(recording.staying, key=lambda uav: recording.odometry[uav].last_ns)
@@ -111,7 +111,7 @@ def incomplete(recording: Recording, uav: int, covers: Mapping[int, Coverage]) -
         covers: coverage of the odometry of every UAV.
     """
     found = []
-    for name in dict.fromkeys((uav, recording.flown.leader_id)):
+    for name in dict.fromkeys((uav, recording.flown.leader.id)):
         gap = covers[name]
         if gap.longest_gap_s > LONGEST_GAP_S:
             span = f"nothing on /uav{name}/odom for {gap.longest_gap_s:.2f} s"

@@ -133,12 +133,12 @@ def _shortest_s(recording: Recording, uav: int) -> float | None:
         )
     }
     flown = recording.flown
-    if not {uav, flown.leader_id} <= there:
+    if not {uav, flown.leader.id} <= there:
         return None
     at = recording.positions(np.array([recording.start_ns]))
     begin_s = float(recording.since_first(np.array([recording.start_ns]))[0])
     starts = EpochPlaces({one: at[one][0] for one in there}, {one: one for one in there}, begin_s)
-    return shortest_from(flown.file, starts, uav)
+    return shortest_from(flown, starts, uav)
 
 
 def _too_short(recording: Recording, found: UavVerdict) -> str:
@@ -181,8 +181,8 @@ def _excuse(found: UavVerdict) -> str:
 
 def _lost(recording: Recording, uav: int) -> list[str]:
     """The processes that a UAV depends on and that fell silent, in words."""
-    needed = dict.fromkeys([*ancestors(recording.flown, uav), recording.flown.leader_id])
-    if recording.scenario.reconfigures:
+    needed = dict.fromkeys([*ancestors(recording.flown, uav), recording.flown.leader.id])
+    if recording.scenario.formation.reconfigures:
         needed = {uav: None}  # the others go on without the lost one
     silent = ((one, silent_from_s(recording, one)) for one in needed)
     return [f"UAV {one} silent from {t_s:.2f} s" for one, t_s in silent if t_s is not None]
@@ -208,7 +208,9 @@ def _causes(recording: Recording, found: UavVerdict, end_s: float) -> tuple[list
         causes.append(f"in a deadlock for {blocked:.2f} s, avoidance left no way")
     if saturated > 0:
         causes.append(f"at a limit of speed, acceleration or thrust for {saturated:.2f} s")
-    late = held > 0 and not recording.scenario.lossy and not recording.scenario.reconfigures
+    late = (
+        held > 0 and not recording.scenario.lossy and not recording.scenario.formation.reconfigures
+    )
     return causes, bool(lost) or late
 
 

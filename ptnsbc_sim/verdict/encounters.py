@@ -59,7 +59,7 @@ def _recovery_of(scenario: Scenario, uav: int) -> Callable[[float], float]:
     loop = loop_of(scenario, scenario.gains.formation)  # as flown
     rate = loop.scale * loop.kappa
     settling = 1.0 / rate if rate > 0 else np.inf
-    if scenario.file.formation.approach != "planned":
+    if scenario.formation.approach != "planned":
         constant = _PAUSE_S + min(_TIME_CONSTANTS * settling, _SLOWEST_RECOVERY_S)
         return lambda _: constant
     config = recovery_config(scenario, uav)
@@ -95,7 +95,9 @@ def ancestors(scenario: Scenario, uav_id: int) -> list[int]:
     """The UAV itself, its parents, and so on up to the leader."""
     found = [uav_id]
     for one in found:
-        found += [parent for parent in scenario.parents(one) if parent not in found]
+        found += [
+            parent for parent in scenario.communication.parents_of(one) if parent not in found
+        ]
     return found
 
 
@@ -142,15 +144,15 @@ def _changes(recording: Recording) -> Iterator[tuple[Window, Iterable[int]]]:
     Without its leader that is everybody: until the loss is noticed, errors are measured from a vehicle that nobody
     leads, also those of UAVs that leave meanwhile.
     """
-    stale_ns = round(recording.scenario.file.communication.stale_s * 1e9)
+    stale_ns = round(recording.scenario.communication.stale_s * 1e9)
     for phase in recording.phases[1:]:
         if phase.moved:
-            begin_ns = phase.begin_ns - stale_ns - recording.scenario.dt_ns
+            begin_ns = phase.begin_ns - stale_ns - recording.scenario.timing.dt_ns
             yield (begin_ns, phase.begin_ns), phase.moved
     for uav, spans in recording.absences.items():
         for one in spans:
             ((phase, _),) = recording.by_phase(np.array([one.begin_ns]))
-            if not one.planned and phase.scenario.leader_id == uav:
+            if not one.planned and phase.scenario.leader.id == uav:
                 yield (one.begin_ns, one.noticed_ns), recording.scenario.uav_ids
 
 
@@ -170,11 +172,11 @@ def _to_regain(recording: Recording, ends: NDArray[np.int64]) -> dict[int, Array
     grid, which = np.unique(looked, return_inverse=True)
     begin, now, soon = which[0], which[1 : 1 + ends.size], which[1 + ends.size :]
     times = recording.times(grid)
-    turn = turn_of(scenario.file)
+    turn = turn_of(scenario)
     left = np.array([left_at(turn, t / duration_s) for t in times.tolist()])
     away = {}
     for uav, vectors in formation_vectors(recording, grid, recording.positions(grid)).items():
-        if uav != scenario.leader_id:
+        if uav != scenario.leader.id:
             vectors = vectors - _turned(left, vectors[begin])
         else:
             vectors[times < gain.duration_s] = 0.0

@@ -200,7 +200,7 @@ class ErrorFigures:
 
     def unregained(self) -> Regain | None:
         """The first encounter after which the place was not regained in the recovery time; None: none."""
-        period_s = self._recording.scenario.dt_ns * NANO
+        period_s = self._recording.scenario.timing.dt_ns * NANO
         for one in self.regains:
             if one.outside_s is not None and one.took_s > one.promised_s - 1.5 * period_s:
                 return one
@@ -236,7 +236,7 @@ class ErrorFigures:
 
 def _dues(scenario: Scenario) -> list[tuple[int, str, float]]:
     """Number, name and due time [s] of the legs after the first, or of the changes of the shape without a mission."""
-    if scenario.file.mission is not None:
+    if scenario.mission is not None:
         return [
             (one.number, f"leg {one.name}", one.due_s)
             for one in scenario.legs
@@ -246,7 +246,7 @@ def _dues(scenario: Scenario) -> list[tuple[int, str, float]]:
         ]
     return [
         (number, f"change {number} of the shape", change.at_s + change.over_s)
-        for number, change in enumerate(scenario.file.formation.changes, 1)
+        for number, change in enumerate(scenario.formation.changes, 1)
     ]
 
 

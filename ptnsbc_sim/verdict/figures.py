@@ -45,7 +45,7 @@ class _InputFigures:
     def __init__(self, recording: Recording, uav: int) -> None:
         self._recording = recording
         scenario = recording.scenario
-        self._weight = scenario.vehicle(uav).mass_kg * scenario.gravity_m_s2
+        self._weight = scenario.vehicle(uav).mass_kg * scenario.world.gravity_m_s2
         self.first: tuple[float, float] | None = None  # |u| and force at the epoch
         self.peak = self.peak_force = -np.inf
         self.peak_at_s = 0.0

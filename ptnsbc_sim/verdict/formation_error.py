@@ -43,14 +43,14 @@ def reference_of(
 ) -> Array:
     """The reference point of the formation (T, 3) [m], ENU: the position of the leader less its slot."""
     found = [
-        _reference(phase.scenario, positions[phase.scenario.leader_id][span])
+        _reference(phase.scenario, positions[phase.scenario.leader.id][span])
         for phase, span in recording.by_phase(grid)
     ]
     return found[0] if len(found) == 1 else np.concatenate(found)
 
 
 def _reference(scenario: Scenario, leader: Array) -> Array:
-    slot = scenario.offset(scenario.leader_id)
+    slot = scenario.offset(scenario.leader.id)
     return leader - slot if slot.any() else leader
 
 
@@ -60,13 +60,13 @@ def _of_phase(
     grid: NDArray[np.int64],
     positions: dict[int, Array],
 ) -> dict[int, Array]:
-    leader = _reference(scenario, positions[scenario.leader_id])
+    leader = _reference(scenario, positions[scenario.leader.id])
     vector = leader_trajectory(scenario)
     times = np.asarray((grid - recording.first_ns) * NANO, dtype=np.float64)  # of the first leg
     path = reference_positions(vector, times)
-    errors, moving = {}, moves(scenario.file.formation)
+    errors, moving = {}, moves(scenario.formation)
     for uav in scenario.uav_ids:
-        if uav == scenario.leader_id:
+        if uav == scenario.leader.id:
             goal = path + scenario.offset(uav) if scenario.offset(uav).any() else path
         elif moving:
             goal = leader + places_beside_leader(scenario, uav, times)

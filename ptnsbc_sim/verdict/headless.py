@@ -49,7 +49,7 @@ def _sent(silent: NDArray[np.bool_], t_ns: NDArray[np.int64], values: Array) -> 
 
 def _chosen(scenario: Scenario) -> slice:
     """The ticks at which /diagnostics is published."""
-    return slice(None, None, max(scenario.control_hz // _STATUS_HZ, 1))
+    return slice(None, None, max(scenario.timing.control_hz // _STATUS_HZ, 1))
 
 
 def _counters(flight: HeadlessFlight) -> tuple[NDArray[np.int64], Array]:
@@ -60,7 +60,7 @@ def _counters(flight: HeadlessFlight) -> tuple[NDArray[np.int64], Array]:
     ticks = np.cumsum(log[:, :, list(_COUNTED.values())] > 0, axis=0)[chosen]
     values = np.zeros((*ticks.shape[:2], len(COUNTERS)))
     values[:, :, [COUNTERS.index(name) for name in _COUNTED]] = np.round(
-        ticks * (scenario.dt_ns * 1e-9), 3
+        ticks * (scenario.timing.dt_ns * 1e-9), 3
     )
     worst = np.maximum.accumulate(log[:, :, columns.PRIORITY_VIOLATION])[chosen]
     values[:, :, COUNTERS.index("priority_violation_max")] = worst

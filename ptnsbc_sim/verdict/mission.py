@@ -65,7 +65,9 @@ def mission_legs(
     if not scenario.legs:
         return ()
     entered = [pair for pair in separations if pair.entered]
-    end_s = (scenario.ticks - 1) * scenario.dt_ns * NANO  # the last instant of the flight
+    end_s = (
+        (scenario.timing.ticks - 1) * scenario.timing.dt_ns * NANO
+    )  # the last instant of the flight
     end_s = end_s if recording.window_s is None else min(end_s, recording.window_s)
     last_s = (recording.last_ns - recording.first_ns) * NANO
     until_s = [*(leg.begin_s for leg in scenario.legs[1:]), np.inf]

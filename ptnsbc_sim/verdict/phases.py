@@ -69,11 +69,11 @@ def absences(
         first_ns: the first epoch [ns].
     """
     found: dict[int, tuple[Absence, ...]] = {uav: () for uav in scenario.uav_ids}
-    if not scenario.reconfigures:
+    if not scenario.formation.reconfigures:
         return found
     last_ns = max((track.last_ns for track in tracks.values() if track.size), default=first_ns)
     last_ns = min(
-        last_ns, first_ns + scenario.ticks * scenario.dt_ns
+        last_ns, first_ns + scenario.timing.ticks * scenario.timing.dt_ns
     )  # processes go on until all have landed
     for uav in scenario.uav_ids:
         spans = []
@@ -91,7 +91,7 @@ def absences(
 
 
 def _silences(scenario: Scenario, track: Track, first_ns: int, last_ns: int) -> list[Absence]:
-    stale_ns, dt_ns = round(scenario.file.communication.stale_s / _NANO), scenario.dt_ns
+    stale_ns, dt_ns = round(scenario.communication.stale_s / _NANO), scenario.timing.dt_ns
     spans, last = [], first_ns
 
     def silence(heard_ns: int, again_ns: int) -> Absence:

@@ -39,8 +39,8 @@ def with_said(
         for t0_ns, leg in epochs
         if first_ns is not None and (number := number_of(leg)) is not None
     )
-    if words and scenario.file.mission is not None:
-        known = [word for word in words if word.number <= len(scenario.file.mission.legs)]
+    if words and scenario.mission is not None:
+        known = [word for word in words if word.number <= len(scenario.mission.legs)]
         scenario = scenario.with_words(sorted(known, key=lambda word: word.at_s))
     return scenario, legs
 
@@ -179,7 +179,7 @@ class Recording:
     @cached_property
     def due_ns(self) -> int:
         """The time at which the leg should end: at the next epoch, the end of the window, or the end of the flight."""
-        return self._ended(self.first_ns + self.scenario.ticks * self.scenario.dt_ns)
+        return self._ended(self.first_ns + self.scenario.timing.ticks * self.scenario.timing.dt_ns)
 
     @cached_property
     def staying(self) -> tuple[int, ...]:
@@ -197,7 +197,7 @@ class Recording:
     @cached_property
     def clock(self) -> Track:
         """The odometry whose stamps are the judged instants: of the leader, or of a UAV that stays when it has gone."""
-        uav = self.scenario.leader_id
+        uav = self.scenario.leader.id
         if self.odometry[uav].last_ns < self.last_ns and uav not in self.staying:
             uav = self.staying[0]
         return self.odometry[uav]
@@ -279,4 +279,4 @@ def require_all_uavs(recording: Recording) -> None:
 
 def tolerance_of(recording: Recording, given: float | None) -> float:
     """Limit of the error at the deadline [m]: the given one, or that of the scenario."""
-    return recording.scenario.file.formation.tolerance_m if given is None else given
+    return recording.scenario.formation.tolerance_m if given is None else given

@@ -82,7 +82,7 @@ class Separations:
         self._obstacles = [
             (uav, one, _Pair((f"uav{uav}", one.name), one.keep_out_m))
             for uav in scenario.uav_ids
-            for one in scenario.obstacles
+            for one in scenario.world.bodies
         ]
 
     def add(self, grid: NDArray[np.int64], positions: dict[int, Array]) -> None:

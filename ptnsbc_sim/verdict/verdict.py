@@ -141,10 +141,10 @@ def _verdict_on(recording: Recording, tolerance: float) -> Verdict:
     counters = recording.counters.values()
     return Verdict(
         scenario=scenario.name,
-        plant=scenario.plant_kind,
+        plant=scenario.plant.kind,
         task=scenario.task_name,
         profile=scenario.gains.profile,
-        avoidance=scenario.file.formation.avoidance,
+        avoidance=scenario.formation.avoidance,
         judged_by=recording.judged_by,
         epoch_s=start_ns * NANO,
         duration_s=legs[0].verdict.duration_s,
@@ -169,7 +169,7 @@ def _verdict_on(recording: Recording, tolerance: float) -> Verdict:
             [pair for part in parts for pair in part],
             tolerance,
         ),
-        faults=(*(fault.text for fault in scenario.faults), *recording.injected),
+        faults=(*(fault.text for fault in (scenario.faults or ())), *recording.injected),
     )
 
 

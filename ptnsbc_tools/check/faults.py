@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 from ptnsbc_sim.scenario import Scenario
-from ptnsbc_sim.scenario.mission.faults import FaultBlock
+from ptnsbc_sim.scenario.mission.faults import FaultBlock, modelled
 from ptnsbc_tools.check.finding import INFO, WARNING, Finding, Findings
 
 
 def faults(scenario: Scenario) -> Findings:
     """Faults that begin after the flight, and those that not every flight injects."""
-    for index, fault in enumerate(scenario.faults):
+    for index, fault in enumerate(scenario.faults or ()):
         key = f"faults[{index}]"
-        if fault.at_s >= scenario.duration_s:
+        if fault.at_s >= scenario.timing.duration_s:
             yield Finding(
                 WARNING,
                 f"{key}.at_s",
                 f"{fault.at_s:g} s",
-                f"< timing.duration_s, {scenario.duration_s:g} s",
+                f"< timing.duration_s, {scenario.timing.duration_s:g} s",
                 "it never begins: lower at_s, or fly longer",
             )
         elif where := _where(scenario, fault):
@@ -25,4 +25,4 @@ def faults(scenario: Scenario) -> Findings:
 
 def _where(scenario: Scenario, fault: FaultBlock) -> str:
     """The place of a fault; empty when it is injected everywhere."""
-    return "" if fault in scenario.modelled_faults else "only in real time"
+    return "" if fault in modelled(scenario.faults) else "only in real time"

@@ -31,8 +31,8 @@ def _loop_rate(loop: LoopGain) -> float:
 def steps(scenario: Scenario) -> Findings:
     """Control period times the largest gain of every loop."""
     gains = scenario.gains
-    config = agent_config(scenario, scenario.leader_id)  # as flown: a profile may fix kappa
-    dt = 1.0 / scenario.control_hz
+    config = agent_config(scenario, scenario.leader.id)  # as flown: a profile may fix kappa
+    dt = 1.0 / scenario.timing.control_hz
     slide = gains.adaptation.cap_m_s2 / gains.boundary.velocity_m_s
     turn = gains.adaptation.cap_rad_s2 / gains.boundary.rate_rad_s
     rates = {
@@ -80,7 +80,7 @@ def order(scenario: Scenario) -> Findings:
 
 def printed(scenario: Scenario) -> Findings:
     """The printed gains on a quadrotor, which must tilt before it can accelerate sideways."""
-    if scenario.gains.profile == "paper" and scenario.plant_kind == "quadrotor":
+    if scenario.gains.profile == "paper" and scenario.plant.kind == "quadrotor":
         yield Finding(
             WARNING,
             "gains.profile",
@@ -92,10 +92,10 @@ def printed(scenario: Scenario) -> Findings:
 
 def changes(scenario: Scenario) -> Findings:
     """The changes of the shape against the limits of speed and acceleration, and against the deadline."""
-    found = scenario.file.formation.changes
-    if not found or not scenario.followers or scenario.file.mission is not None:
+    found = scenario.formation.changes
+    if not found or not scenario.followers or scenario.mission is not None:
         return
-    left = limits_left_by_mission(scenario.file, 0.0, scenario.duration_s)
+    left = limits_left_by_mission(scenario, 0.0, scenario.timing.duration_s)
     short = min(left) <= 0
     yield Finding(
         ERROR if short else INFO,
@@ -117,7 +117,7 @@ def changes(scenario: Scenario) -> Findings:
 
 def within_flight(scenario: Scenario) -> Findings:
     """True if the flight lasts until the deadline, and long enough to be judged after it."""
-    deadline, duration = scenario.gains.formation.deadline_s, scenario.duration_s
+    deadline, duration = scenario.gains.formation.deadline_s, scenario.timing.duration_s
     if deadline >= duration:
         yield Finding(
             WARNING,
@@ -132,7 +132,7 @@ def feasible(scenario: Scenario) -> Findings:
     """The formation deadline against the limits of speed and acceleration, from the actual starts."""
     deadline = scenario.gains.formation.deadline_s
     scenario = with_slots_of_starts(scenario)
-    left = limits_left(scenario.file)
+    left = limits_left(scenario)
     if min(left) <= 0:
         speed, acceleration = left
         yield Finding(
@@ -143,10 +143,10 @@ def feasible(scenario: Scenario) -> Findings:
             "slow the leader down, or raise the limit",
         )
         return
-    away, (last, need_s) = start_errors(scenario.file), longest_need(scenario.file, left)
+    away, (last, need_s) = start_errors(scenario), longest_need(scenario, left)
     short = 0
     if need_s > deadline:
-        needs = shortest_deadlines(scenario.file, left)
+        needs = shortest_deadlines(scenario, left)
         short = sum(need > deadline for need in needs.values())
     hundredths = 100.0 * need_s  # as it is printed: never rounded down
     shortest = math.ceil(hundredths) / 100.0 if math.isfinite(hundredths) else need_s
@@ -172,10 +172,10 @@ def leader_error_std_m(scenario: Scenario) -> float:
     times (1 + sin kappa tau) / cos kappa tau (Kuechler and Mensch 1992). Both parts are uncorrelated, because the
     filter is optimal, see docs/method.md ("Position fixes").
     """
-    kind, dt = position_noise_of(scenario), 1.0 / scenario.control_hz
+    kind, dt = position_noise_of(scenario), 1.0 / scenario.timing.control_hz
     if kind.period == 0:
         return 0.0
-    config = agent_config(scenario, scenario.leader_id)
+    config = agent_config(scenario, scenario.leader.id)
     kappa = config.formation.scale * config.formation.kappa
     turn = kappa * config.clearance.lag_s
     if turn >= 0.5 * math.pi:
@@ -188,7 +188,7 @@ def leader_error_std_m(scenario: Scenario) -> float:
 
 def positioning(scenario: Scenario) -> Findings:
     """The tolerance against the error that the leader's own position fixes leave."""
-    sigma, tolerance = leader_error_std_m(scenario), scenario.file.formation.tolerance_m
+    sigma, tolerance = leader_error_std_m(scenario), scenario.formation.tolerance_m
     if not sigma > 0.0:
         return
     ratio = tolerance / sigma

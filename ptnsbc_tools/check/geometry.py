@@ -46,8 +46,8 @@ def graph(scenario: Scenario) -> Findings:
     if not scenario.followers:
         return
     topology = scenario.topology
-    peak = estimator_peak(scenario.file) / topology.lambda_min
-    step = estimator_step(scenario.file, topology)
+    peak = estimator_peak(scenario) / topology.lambda_min
+    step = estimator_step(scenario, topology)
     yield Finding(
         WARNING if step > 0.75 * STABILITY_LIMIT else INFO,
         "gains.estimator",
@@ -74,11 +74,11 @@ def shape(scenario: Scenario) -> Findings:
         scenario.plugins.task is not None
     ):  # the user's: loading the scenario has refused a singular one
         return
-    task = scenario.file.formation.task
+    task = scenario.formation.task
     threshold = scenario.gains.damping.threshold
-    planned = scenario.file.formation.approach == "planned"
+    planned = scenario.formation.approach == "planned"
     for uav in scenario.followers:
-        parent = scenario.parent(uav)
+        parent = scenario.communication.parent(uav)
         assert parent is not None  # or the scenario would not have loaded
         try:
             row_scale = agent_config(scenario, uav).row_scale
@@ -136,18 +136,18 @@ def spacing(scenario: Scenario) -> Findings:
 
 def _what_moves(scenario: Scenario) -> str:
     """The key that moves the shape."""
-    if not scenario.file.formation.changes:
+    if not scenario.formation.changes:
         return "formation.frame"
-    return "formation.changes" if scenario.file.mission is None else "mission.legs"
+    return "formation.changes" if scenario.mission is None else "mission.legs"
 
 
 def moving_spacing(scenario: Scenario) -> Findings:
     """Desired positions of a shape that moves, against the keep-out distance, along the whole flight."""
-    if not moves(scenario.file.formation) or len(scenario.uav_ids) < 2:
+    if not moves(scenario.formation) or len(scenario.uav_ids) < 2:
         return
     margin = scenario.gains.clearance.margin_m
     scenario = with_slots_of_starts(scenario)
-    times = np.linspace(0.0, scenario.duration_s, _SAMPLES)
+    times = np.linspace(0.0, scenario.timing.duration_s, _SAMPLES)
     places = {uav: places_beside_leader(scenario, uav, times) for uav in scenario.uav_ids}
     gaps = {
         (a, b): np.linalg.norm(places[a] - places[b], axis=1)
@@ -169,7 +169,7 @@ def moving_spacing(scenario: Scenario) -> Findings:
 def starts_clear(scenario: Scenario) -> Findings:
     """Starts against the keep-out distances of obstacles."""
     for index, uav in enumerate(scenario.uav_ids):
-        for obstacle in scenario.obstacles:
+        for obstacle in scenario.world.bodies:
             start = scenario.uav(uav).position[None]
             distance = float(obstacle.distances(start, np.zeros(1))[0])
             if distance < obstacle.keep_out_m:
@@ -186,21 +186,21 @@ def encounters(scenario: Scenario) -> Findings:
     """Obstacles on the path of the formation after the deadline."""
     deadline = scenario.gains.formation.deadline_s
     scenario = with_slots_of_starts(scenario)
-    if scenario.duration_s <= deadline or not scenario.obstacles:
+    if scenario.timing.duration_s <= deadline or not scenario.world.bodies:
         return
-    step_s = max(_PATH_STEP_S, (scenario.duration_s - deadline) / _MOST_STEPS)
+    step_s = max(_PATH_STEP_S, (scenario.timing.duration_s - deadline) / _MOST_STEPS)
     if step_s > _PATH_STEP_S:
         yield Finding(
             WARNING,
             "timing.duration_s",
-            f"{scenario.duration_s:g} s: obstacles are looked for every {step_s:.2g} s of the path",
+            f"{scenario.timing.duration_s:g} s: obstacles are looked for every {step_s:.2g} s of the path",
             f"<= {deadline + _MOST_STEPS * _PATH_STEP_S:g} s, to look every {_PATH_STEP_S:g} s",
             "check a shorter flight on the same path",
         )
-    times = np.arange(deadline, scenario.duration_s, step_s)
+    times = np.arange(deadline, scenario.timing.duration_s, step_s)
     path = reference_positions(leader_trajectory(scenario), times)
-    off = scenario.file.formation.avoidance == "off"
-    for obstacle in scenario.obstacles:
+    off = scenario.formation.avoidance == "off"
+    for obstacle in scenario.world.bodies:
         for uav in scenario.uav_ids:
             beside = places_beside_leader(scenario, uav, times)
             distance = obstacle.distances(path + beside, times)
@@ -242,7 +242,7 @@ def _sight(scenario: Scenario, name: str, uav: int, keep_out_m: float, speed: fl
 
 def recovery(scenario: Scenario) -> Findings:
     """The time after an encounter within which a place is regained."""
-    formation = scenario.file.formation
+    formation = scenario.formation
     if formation.avoidance == "off" or formation.approach != "planned":
         return
     times = ", ".join(f"{recovery_s(scenario, away):.2f} s" for away in _AWAY_M)
@@ -254,13 +254,13 @@ def recovery(scenario: Scenario) -> Findings:
         f">= {formation.recovery_s:g} s, and what speed and acceleration need",
         "",
     )
-    leader, _ = leader_motion(scenario.file)
+    leader, _ = leader_motion(scenario)
     if leader <= 0.0:
         return
     for uav in scenario.uav_ids:
         back = recovery_config(scenario, uav)
         config = clearance_config(scenario, uav)
-        most = sight_speed(config, scenario.reach_m, back.acceleration)
+        most = sight_speed(config, _largest_keep_out_m(scenario), back.acceleration)
         if leader + back.speed > most:
             yield Finding(
                 INFO,
@@ -272,9 +272,14 @@ def recovery(scenario: Scenario) -> Findings:
             return
 
 
+def _largest_keep_out_m(scenario: Scenario) -> float:
+    """The largest keep-out of anything that a UAV may meet."""
+    return max([scenario.widest_keep_out_m, *(body.keep_out_m for body in scenario.world.bodies)])
+
+
 def sensor(scenario: Scenario) -> Findings:
     """Range of the near-object sensor against the largest keep-out distance."""
-    reach = scenario.reach_m
+    reach = _largest_keep_out_m(scenario)
     if scenario.sensor.range_m <= reach:
         yield Finding(
             ERROR,

@@ -15,11 +15,11 @@ from ptnsbc_tools.check.trajectory import trajectory
 def legs(scenario: Scenario) -> Findings:
     """Each leg against the limits of the vehicle, and the last one against the length of the flight."""
     found = scenario.legs
-    ends = [*(one.begin_s for one in found[1:]), scenario.duration_s]
+    ends = [*(one.begin_s for one in found[1:]), scenario.timing.duration_s]
     for one, end_s in zip(found, ends, strict=False):
         if isinstance(one.leg, FormLeg) and one.number == FIRST:
             continue  # checks of the deadline are about it
-        room = leg_room(scenario.file, one, end_s)
+        room = leg_room(scenario, one, end_s)
         yield Finding(
             ERROR if room.advice else INFO,
             f"mission.legs[{one.number - 1}]",
@@ -27,12 +27,12 @@ def legs(scenario: Scenario) -> Findings:
             room.limit,
             room.advice,
         )
-    late = [one for one in found if one.due_s > scenario.duration_s]
+    late = [one for one in found if one.due_s > scenario.timing.duration_s]
     if late:
         yield Finding(
             WARNING,
             "timing.duration_s",
-            f"{scenario.duration_s:g} s, leg {late[0].name} is due at {late[0].due_s:.2f} s",
+            f"{scenario.timing.duration_s:g} s, leg {late[0].name} is due at {late[0].due_s:.2f} s",
             f">= {late[-1].due_s:.2f} s",
             "fly for longer, or begin the leg earlier",
         )
@@ -41,7 +41,7 @@ def legs(scenario: Scenario) -> Findings:
 def words(scenario: Scenario) -> Findings:
     """The legs that wait for a word, as they are flown when each word is said as soon as the last leg is done."""
     said = _said(scenario)
-    mission, first = said.file.mission, len(scenario.legs)
+    mission, first = said.mission, len(scenario.legs)
     if mission is None or first == len(said.legs):
         return
     yield Finding(
@@ -62,7 +62,7 @@ def words(scenario: Scenario) -> Findings:
 
 def _said(scenario: Scenario) -> Scenario:
     """The scenario after a word for each leg that waits for one, when the last leg is done."""
-    mission = scenario.file.mission
+    mission = scenario.mission
     while mission is not None and scenario.legs[-1].number < len(mission.legs):
         last = scenario.legs[-1]
         scenario = scenario.with_words((*scenario.words, Word(last.number + 1, last.end_s)))

@@ -51,7 +51,7 @@ def slots(scenario: Scenario) -> Findings:
         f">= {scenario.widest_keep_out_m:g} m",
         "start farther apart, or widen the formation" if near else "",
     )
-    if scenario.file.formation.approach == "task":
+    if scenario.formation.approach == "task":
         yield Finding(
             WARNING,
             "formation.approach",
@@ -63,10 +63,10 @@ def slots(scenario: Scenario) -> Findings:
 
 def turn(scenario: Scenario) -> Findings:
     """The turn of the planned approach, and the distance that it keeps (docs/method.md, Turned approach)."""
-    angle = turn_of(scenario.file)
+    angle = turn_of(scenario)
     if angle == 0.0:
         return
-    pairs = planned_pairs(scenario.file)
+    pairs = planned_pairs(scenario)
     straight, turned = (float(distances(pairs, one).min()) for one in (0.0, angle))
     near = turned < scenario.widest_keep_out_m
     yield Finding(

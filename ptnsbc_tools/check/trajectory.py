@@ -24,10 +24,12 @@ _SAMPLES = 5000
 
 def _extremes(scenario: Scenario) -> Findings:
     """Speed, acceleration, jerk and turn against what the vehicle follows."""
-    path = scenario.file.leader.trajectory
-    most, limits = extremes(path, scenario.duration_s), scenario.gains.filter
-    jerk_limit = scenario.gravity_m_s2 * limits.max_rate_rad_s  # a quadrotor has to tilt for it
-    tilts = scenario.plant_kind == "quadrotor"
+    path = scenario.leader.trajectory
+    most, limits = extremes(path, scenario.timing.duration_s), scenario.gains.filter
+    jerk_limit = (
+        scenario.world.gravity_m_s2 * limits.max_rate_rad_s
+    )  # a quadrotor has to tilt for it
+    tilts = scenario.plant.kind == "quadrotor"
     rough = tilts and most.jerk_m_s3 > jerk_limit > 0.0
     yield Finding(
         WARNING if rough else INFO,
@@ -75,7 +77,7 @@ def _outside(places: Array, fence: Geofence) -> Array:
 
 def _path(scenario: Scenario, times: Array) -> Array:
     """Positions (T, 3) of the leader [m]; the corners (8, 3) of the region if setpoints come from a topic."""
-    path = scenario.file.leader.trajectory
+    path = scenario.leader.trajectory
     if isinstance(path, SetpointTrajectory) and scenario.takes_setpoints:
         corners = itertools.product(*zip(path.low_m, path.high_m, strict=True))
         return np.array(list(corners), dtype=np.float64)
@@ -90,7 +92,7 @@ def _up_s(scenario: Scenario) -> float:
 
 def _region(scenario: Scenario) -> Findings:
     """Height above the ground, and the fence, of every place of the formation."""
-    times = np.linspace(0.0, scenario.duration_s, _SAMPLES)
+    times = np.linspace(0.0, scenario.timing.duration_s, _SAMPLES)
     path = _path(scenario, times)
     times = times[: len(path)]
     places = {uav: path + places_beside_leader(scenario, uav, times) for uav in scenario.uav_ids}

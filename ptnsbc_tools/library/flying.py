@@ -125,7 +125,7 @@ def fly(scenario: Scenario, *, checked: bool = True, progress: bool | None = Non
     from ptnsbc_sim.swarm import fly as fly_headless  # loads numba: only after all checks
     from ptnsbc_sim.verdict.headless import recording_of
 
-    one_tick = {"timing.duration_s": 1 / scenario.control_hz}
+    one_tick = {"timing.duration_s": 1 / scenario.timing.control_hz}
     with console.compiling():  # the flight's own progress would stand still for a minute
         fly_headless(scenario.with_(one_tick))
     with console.progress("flying", progress) as advance:

@@ -97,7 +97,7 @@ def picture(frame: dict[str, Any], scenario: Scenario, width: int) -> Renderable
 def _title(frame: dict[str, Any], scenario: Scenario) -> str:
     parts = [scenario.name, frame["leg"]]
     if frame["t"] is not None:
-        parts.append(f"{frame['t']:.1f} of {scenario.duration_s:g} s")
+        parts.append(f"{frame['t']:.1f} of {scenario.timing.duration_s:g} s")
     if frame["left_s"] is not None:
         left = frame["left_s"]
         parts.append(f"deadline in {left:.1f} s" if left > 0 else f"deadline {-left:.1f} s ago")
@@ -138,7 +138,7 @@ def _empty_table() -> Table:
 
 
 def _name(uav: dict[str, Any], scenario: Scenario) -> str:
-    return f"{uav['id']} leader" if uav["id"] == scenario.leader_id else str(uav["id"])
+    return f"{uav['id']} leader" if uav["id"] == scenario.leader.id else str(uav["id"])
 
 
 def _table(frame: dict[str, Any], scenario: Scenario, width: int) -> RenderableType:
@@ -156,7 +156,7 @@ def _table(frame: dict[str, Any], scenario: Scenario, width: int) -> RenderableT
         table.add_column("bat %", justify="right", no_wrap=True)
     if wide:
         table.add_column("east, north, up m", justify="right", no_wrap=True)
-    tolerance = scenario.file.formation.tolerance_m
+    tolerance = scenario.formation.tolerance_m
     for uav in frame["uavs"]:
         cells = [_name(uav, scenario)]
         if wide:

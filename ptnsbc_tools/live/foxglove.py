@@ -101,8 +101,8 @@ class FoxgloveSink:
         )
 
     def _obstacles(self, since_s: float) -> Any:
-        kinds, found = self._kinds, self._scenario.obstacles
-        places = self._scenario.obstacle_positions(since_s)
+        kinds, found = self._kinds, self._scenario.world.bodies
+        places = self._scenario.world.body_positions(since_s)
         spheres, cubes, cylinders = [], [], []
         for one, place in zip(found, places, strict=True):
             drawn = one.drawn(_WITHOUT_END_M)

@@ -18,12 +18,12 @@ _PATH_POINTS = 400
 def stage(scenario: Scenario) -> dict[str, Any]:
     """Name, UAVs, obstacles, the leader's path and the figure of errors; times [s], lengths [m]."""
     vector = leader_trajectory(scenario)
-    times = np.linspace(0.0, float(scenario.duration_s), _PATH_POINTS)
+    times = np.linspace(0.0, float(scenario.timing.duration_s), _PATH_POINTS)
     path = np.array([reference(vector, float(t)).position for t in times])
     return {
         "name": scenario.name,
-        "duration": float(scenario.duration_s),
-        "tolerance": float(scenario.file.formation.tolerance_m),
+        "duration": float(scenario.timing.duration_s),
+        "tolerance": float(scenario.formation.tolerance_m),
         "colours": {"light": COLOURS, "dark": DARK_COLOURS},
         "space": {
             "path": np.round(path, 4).ravel().tolist(),

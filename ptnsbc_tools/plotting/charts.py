@@ -29,7 +29,7 @@ def _look_of(flight: FlightView, uav: int) -> Look:
 
 
 def _curve_of(flight: FlightView, uav: int, t: Array, values: Array) -> Curve:
-    leader = " (leader)" if uav == flight.scenario.leader_id else ""
+    leader = " (leader)" if uav == flight.scenario.leader.id else ""
     return Curve(f"UAV {uav}{leader}", _look_of(flight, uav), t, values, (uav,))
 
 
@@ -170,7 +170,7 @@ def between(flight: FlightView) -> Chart | None:
 
 def obstacles(flight: FlightView) -> Chart | None:
     """Distances of all UAVs from all obstacles: from the centres of spheres, from the surfaces of all others."""
-    known, found = flight.scenario.obstacles, ThinnedCurves[tuple[int, int]](flight.samples)
+    known, found = flight.scenario.world.bodies, ThinnedCurves[tuple[int, int]](flight.samples)
     recording = flight.recording
     later_s = (recording.start_ns - recording.first_ns) * NANO  # t counts from the judged leg
     for t, places in _positions(flight):
@@ -213,9 +213,9 @@ def _inputs(flight: FlightView, columns: slice, until_s: float | None = None) ->
 def _force_limits(flight: FlightView) -> tuple[Limit, ...]:
     scenario = flight.scenario
     vehicles = [scenario.vehicle(uav) for uav in flight.uavs]
-    weights = sorted({one.mass_kg * scenario.gravity_m_s2 for one in vehicles})
+    weights = sorted({one.mass_kg * scenario.world.gravity_m_s2 for one in vehicles})
     limits = [Limit(weight, f"weight {weight:.1f} N") for weight in weights]
-    if scenario.plant_kind == "quadrotor":
+    if scenario.plant.kind == "quadrotor":
         for most in sorted(
             {float(one.quadrotor.max_thrust_n) for one in vehicles if one.quadrotor}
         ):
@@ -252,7 +252,7 @@ def torque_first(flight: FlightView) -> Chart | None:
 
 def estimator(flight: FlightView) -> Chart | None:
     """Error of each follower's estimate of the leader's position."""
-    leader_id = flight.scenario.leader_id
+    leader_id = flight.scenario.leader.id
     if leader_id not in flight.uavs:
         return None
     tracks = flight.recording.estimate
@@ -311,7 +311,7 @@ def latency(flight: FlightView) -> Chart | None:
         points = _samples(flight, flight.status.sim.get(f"latency_{name}_ms"))
         if points is not None and points.values.any():
             curves.append(Curve(name, look(number), *points, ()))
-    period = 1e3 / flight.scenario.control_hz
+    period = 1e3 / flight.scenario.timing.control_hz
     limits = (Limit(period, f"control period {period:g} ms"),)
     note = "Age of a wrench when it arrives; percentiles since the start."
     return _chart("latency", "Latency of the loop", "ms", curves, limits=limits, note=note)
@@ -324,7 +324,7 @@ def age(flight: FlightView) -> Chart | None:
         points = _samples(flight, flight.status.age_ms.get(uav))
         if points is not None:
             curves.append(_curve_of(flight, uav, points.t, np.maximum(points.values, _FLOOR_MS)))
-    stale = 1e3 * flight.scenario.file.communication.stale_s
+    stale = 1e3 * flight.scenario.communication.stale_s
     limits = (Limit(stale, f"stale, {stale:g} ms"),)
     note = "The oldest that went into each step, by the clocks of sender and receiver."
     title = "Messages from neighbours: age"

@@ -152,15 +152,15 @@ def draw_paths(axes: Any, recording: Recording) -> None:
 def _from_above(axes: Any, recording: Recording, positions: dict[int, Array]) -> None:
     for index, (uav, path) in enumerate(positions.items()):
         style = _style(look(index))
-        leader = " (leader)" if uav == recording.flown.leader_id else ""
+        leader = " (leader)" if uav == recording.flown.leader.id else ""
         axes.plot(path[:, 0], path[:, 1], label=f"UAV {uav}{leader}", linewidth=1.3, **style)
         axes.plot(*path[0, :2], marker="o", color=style["color"], markersize=4)
         axes.plot(*path[-1, :2], marker="s", color=style["color"], markersize=5)
-    for obstacle in recording.scenario.obstacles:
+    for obstacle in recording.scenario.world.bodies:
         _obstacle_from_above(axes, obstacle)
-    for obstacle in recording.scenario.obstacles:
+    for obstacle in recording.scenario.world.bodies:
         if obstacle.path is not None:
-            times = np.linspace(0.0, recording.scenario.duration_s, _PATH_POINTS)
+            times = np.linspace(0.0, recording.scenario.timing.duration_s, _PATH_POINTS)
             way = obstacle.motion(times).positions
             axes.plot(way[:, 0], way[:, 1], color=OBSTACLE, linewidth=1.0, linestyle=":")
     axes.set(xlabel="x (east) [m]", ylabel="y (north) [m]", aspect="equal")
@@ -216,7 +216,7 @@ def _surface(obstacle: Obstacle) -> Array | None:
 def _in_space(axes: Any, recording: Recording, positions: dict[int, Array]) -> None:
     for index, path in enumerate(positions.values()):
         axes.plot(path[:, 0], path[:, 1], path[:, 2], linewidth=1.3, **_style(look(index)))
-    for obstacle in recording.scenario.obstacles:
+    for obstacle in recording.scenario.world.bodies:
         surface = _surface(obstacle)
         if surface is not None:
             axes.plot_surface(*surface, color=OBSTACLE, alpha=0.3, linewidth=0)
@@ -259,7 +259,7 @@ def draw_flight(recording: Recording, path: Path, tolerance: float | None = None
         draw_chart(figure.add_subplot(panels[1, :]), chart)
     scenario = recording.flown
     figure.suptitle(
-        f"{scenario.name}: {scenario.plant_kind}, task {scenario.task_name}, "
-        f"profile {scenario.gains.profile}, avoidance {scenario.file.formation.avoidance}"
+        f"{scenario.name}: {scenario.plant.kind}, task {scenario.task_name}, "
+        f"profile {scenario.gains.profile}, avoidance {scenario.formation.avoidance}"
     )
     return save(figure, path)

@@ -51,7 +51,7 @@ class _MarkerWorld:
     def obstacle_positions(self) -> Array:
         """Positions (O, 3) of all obstacles at the current tick."""
         scenario = self._flight.scenario
-        return scenario.obstacle_positions((self.tick * scenario.dt_ns) * 1e-9)
+        return scenario.world.body_positions((self.tick * scenario.timing.dt_ns) * 1e-9)
 
 
 class _UavMessages:
@@ -94,8 +94,8 @@ class _StatusMessages:
 
         scenario = flight.scenario
         self._flight = flight
-        self._every = max(scenario.control_hz // _STATUS_HZ, 1)
-        self._dt = scenario.dt_ns * 1e-9
+        self._every = max(scenario.timing.control_hz // _STATUS_HZ, 1)
+        self._dt = scenario.timing.dt_ns * 1e-9
         self._counters = [UavCounters() for _ in scenario.uav_ids]
         self._gone = gone(scenario)
         self._world = _MarkerWorld(flight)

@@ -92,7 +92,7 @@ class LockstepDriver(Driver[int]):
     def __init__(self, state: ReplayState) -> None:
         super().__init__(state)
         self.triggers = {topics.odom(uav).name: uav for uav in state.uavs}
-        self._period_ns = state.scenario.dt_ns
+        self._period_ns = state.scenario.timing.dt_ns
         self._near_every = state.scenario.near_every
         self._open_slots = are_open(state.scenario)
         self._next_ns = dict.fromkeys(state.uavs, 0)

@@ -132,10 +132,10 @@ def _space(flight: FlightView, pack: Pack) -> dict[str, Any]:
 
 def obstacles_of(scenario: Scenario, begin_s: float = 0.0) -> list[dict[str, Any]]:
     """The obstacles as the page's script draws them, at times from `begin_s` after the first epoch on."""
-    count = min(int(scenario.duration_s * _OBSTACLE_HZ) + 2, _MOST_WAY_POINTS)
-    times = np.linspace(0.0, scenario.duration_s, count)
+    count = min(int(scenario.timing.duration_s * _OBSTACLE_HZ) + 2, _MOST_WAY_POINTS)
+    times = np.linspace(0.0, scenario.timing.duration_s, count)
     found = []
-    for one in scenario.obstacles:
+    for one in scenario.world.bodies:
         way = None
         if one.path is not None:
             places = np.round(one.motion(times).positions, 4).tolist()
@@ -166,7 +166,7 @@ def _moving_places(
 ) -> list[int] | None:
     """Places (F, 3) of a UAV beside the leader at every instant; None where they stand still."""
     scenario = flight.scenario
-    if not moves(scenario.file.formation) or uav == scenario.leader_id:
+    if not moves(scenario.formation) or uav == scenario.leader.id:
         return None
     times = np.maximum((stamps - flight.recording.first_ns) * NANO, 0.0)
     return pack.add(places_beside_leader(scenario, uav, times))
@@ -185,13 +185,13 @@ def _uav(
 
 def uav_of(scenario: Scenario, uav: int) -> dict[str, Any]:
     """A UAV as the page's script draws it: what does not change in a flight."""
-    leader = uav == scenario.leader_id
+    leader = uav == scenario.leader.id
     style = look(scenario.uav_ids.index(uav))
     return {
         "id": uav,
-        "keepOut": scenario.keep_outs_m[uav],
+        "keepOut": scenario.keep_out_m(uav),
         "leader": leader,
-        "parent": scenario.parent(uav),
+        "parent": scenario.communication.parent(uav),
         "offset": None if leader else scenario.offset(uav).tolist(),
         "colour": style.colour,
         "dash": style.dash,

@@ -44,10 +44,10 @@ def _facts(flight: FlightView, about: Mapping[str, str]) -> str:
     scenario = flight.scenario
     facts = {
         "UAVs": str(len(scenario.uav_ids)),
-        "plant": scenario.plant_kind,
+        "plant": scenario.plant.kind,
         "task": scenario.task_name,
         "profile": scenario.gains.profile,
-        "avoidance": scenario.file.formation.avoidance,
+        "avoidance": scenario.formation.avoidance,
     }
     if flight.verdict is not None:
         facts["judged"] = f"{flight.verdict.duration_s:.1f} s"

@@ -36,14 +36,14 @@ def test_the_committed_topics_are_those_of_the_nodes():
 def test_the_rates_of_topics_are_those_of_a_recording():
     scenario = load_scenario("paper_5")
     words = {
-        topics.CONTROL_RATE: scenario.control_hz,
-        topics.SENSOR_RATE: scenario.file.sensor.rate_hz,
+        topics.CONTROL_RATE: scenario.timing.control_hz,
+        topics.SENSOR_RATE: scenario.sensor.rate_hz,
         topics.STATUS_RATE: 5,
         "20 Hz": 20,
     }
     bag = read_bag(command.DOCS.parent / "bags" / "sample")
     counts = {topic.name: topic.messages for topic in bag.topics.values()}
-    seconds = counts["/uav1/odom"] / scenario.control_hz
+    seconds = counts["/uav1/odom"] / scenario.timing.control_hz
     checked = 0
     for topic in topics.in_bag([1]):
         if topic.rate in words and counts.get(topic.name):
@@ -113,7 +113,7 @@ def _resolved(plant: str) -> dict[str, object]:
     """Every gain of a scenario that sets none but the formation's deadline, dotted."""
     file = load_scenario(
         "paper_5", {"plant.kind": plant, "gains": {"formation": {"deadline_s": 5}}}
-    ).file
+    )
     tree = file.gains.model_dump()
     nested = {name: value for name, value in tree.items() if isinstance(value, dict)}
     flat = {

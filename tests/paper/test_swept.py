@@ -55,9 +55,9 @@ def test_a_table_has_its_interval_and_both_largest_errors(tmp_path: Path) -> Non
 
 
 def test_the_approach_is_the_paper_s_where_nothing_is_said() -> None:
-    assert scenario("paper_5").file.formation.approach == "task"
-    own = load_scenario("paper_5").file.formation.approach
-    assert scenario("paper_5", swept.DEFAULT_APPROACH).file.formation.approach == own == "planned"
+    assert scenario("paper_5").formation.approach == "task"
+    own = load_scenario("paper_5").formation.approach
+    assert scenario("paper_5", swept.DEFAULT_APPROACH).formation.approach == own == "planned"
 
 
 def test_where_the_envelope_ends_is_said() -> None:

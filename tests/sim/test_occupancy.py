@@ -50,10 +50,10 @@ def test_the_text_of_a_map_is_read_back(tmp_path: Path) -> None:
 def test_a_scenario_with_a_map_holds_the_boxes_and_no_name_of_a_file() -> None:
     found = load_scenario("yard")
     assert "yard.pcd" not in found.text
-    assert [one.name for one in found.obstacles[:2]] == ["yard-1", "yard-2"]
-    assert {one.kind for one in found.obstacles} == {"box", "ground"}
+    assert [one.name for one in found.world.bodies[:2]] == ["yard-1", "yard-2"]
+    assert {one.kind for one in found.world.bodies} == {"box", "ground"}
     again = scenario_from_text(found.text, complete=True)
-    assert again.file == found.file
+    assert again == found
     assert again.text == found.text
 
 
@@ -61,14 +61,14 @@ def test_drawn_starts_keep_clear_of_the_boxes() -> None:
     plan = plan_of(load_scenario("yard"), 2, starts=parse_starts("box:40,14,6"))
     drawn, _ = drawn_scenario(plan, 1)
     places = np.stack([drawn.uav(uav).position for uav in drawn.uav_ids])
-    for one in drawn.obstacles:
+    for one in drawn.world.bodies:
         assert one.distances(places, np.zeros(len(places))).min() >= one.keep_out_m
 
 
 def test_a_map_is_as_far_as_its_nearest_cell() -> None:
     """Of 2000 places outside, also those of a corner and beside a joint of two boxes."""
     points = np.loadtxt(Path(__file__).parents[2] / "scenarios/yard.pcd", skiprows=11)
-    found = load_scenario("yard").obstacles[:-1]
+    found = load_scenario("yard").world.bodies[:-1]
     places = np.random.default_rng(1).uniform([-3, -8, 0.5], [28, 8, 9], (2000, 3))
     beside = np.abs(places[:, None] - points[None]) - 0.25
     wanted = np.linalg.norm(np.maximum(beside, 0.0), axis=2).min(axis=1)

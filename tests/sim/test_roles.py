@@ -42,9 +42,9 @@ def test_a_joiner_is_in_its_slot_by_a_deadline_in_closed_form():
     distance = off(flown)[:, 6]
     loop = flown.scenario.gains.formation
     due_s = recovery_duration(float(distance[joins]), recovery_config(flown.scenario, 7))
-    due = joins + round((due_s + 1.0 / loop.kappa_1_s) * flown.scenario.control_hz)
+    due = joins + round((due_s + 1.0 / loop.kappa_1_s) * flown.scenario.timing.control_hz)
     assert distance[joins] > 5.0
-    assert distance[due:3500].max() < flown.scenario.file.formation.tolerance_m
+    assert distance[due:3500].max() < flown.scenario.formation.tolerance_m
     assert flown.track.diagnostics[:joins, 6, HOLDING].all()
     assert not flown.track.diagnostics[joins:, 6, HOLDING].any()
 
@@ -151,7 +151,7 @@ def test_who_loses_its_leader_link_forgets_the_leaders_acceleration():
     relay = load_scenario("relay")
     before = reconfigured(relay, Membership(frozenset({5}), frozenset()))
     after = reconfigured(relay, Membership(frozenset(), frozenset({5})))
-    assert (before.pinned(7), after.pinned(7)) == (True, False)
+    assert (7 in before.topology.pinned, 7 in after.topology.pinned) == (True, False)
     told = NeighbourMotion((1.0, 0.0, 0.0), 20.0, (0.0, 0.12, 0.0))
     state = initial_state(flight().track.odometry[0, 6], agent_config(before, 7))
     state = moved_on(

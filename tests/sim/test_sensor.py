@@ -126,7 +126,7 @@ def assert_kept_clear(body: dict, velocity: tuple, plant: str, duration_s: float
     tree["world"]["obstacles"], tree["timing"]["duration_s"] = [body], duration_s
     scenario = scenario_from_text(yaml.safe_dump(tree))
     flown = fly(scenario)
-    (found,) = scenario.obstacles
+    (found,) = scenario.world.bodies
     away = found.distances(flown.track.odometry[:, 0, :3], flown.t_ns * 1e-9)
     assert away[0] > 0.8
     assert away.min() >= found.keep_out_m

@@ -28,7 +28,7 @@ def flight(name: str, plant: str, seconds: float, approach: str = "planned") -> 
 def errors(flown: HeadlessFlight, tick: int) -> np.ndarray:
     """Distance (N,) [m] from the place at one tick."""
     scenario, places = flown.flown, flown.track.odometry[tick, :, :3]
-    t, leader = int(flown.t_ns[tick]) * 1e-9, list(scenario.uav_ids).index(scenario.leader_id)
+    t, leader = int(flown.t_ns[tick]) * 1e-9, list(scenario.uav_ids).index(scenario.leader.id)
     beside = [places_beside_leader(scenario, uav, np.array([t]))[0] for uav in scenario.uav_ids]
     wanted = places[leader] + np.array(beside)
     wanted[leader] = reference(leader_trajectory(scenario), t).position
@@ -47,7 +47,7 @@ def separation(flown: HeadlessFlight) -> float:
 def test_every_uav_is_in_its_place_at_the_deadline(name: str, plant: str) -> None:
     flown = flight(name, plant, 5.5)
     assert errors(flown, 0).max() > 5.0
-    assert errors(flown, round(DEADLINE_S * flown.scenario.control_hz)).max() < 0.05
+    assert errors(flown, round(DEADLINE_S * flown.scenario.timing.control_hz)).max() < 0.05
     assert separation(flown) >= 0.5
     assert flown.track.diagnostics[:, :, HOLDING].max() == 0.0
 
@@ -60,8 +60,8 @@ def test_twenty_pass_both_obstacles_and_stay_in_formation(
 ) -> None:
     """While they dodge, the angle task turns the shape; positions keep its axes, and two UAVs pass closer."""
     flown = flight("paper_20", plant, 60.0, approach)
-    assert separation(flown) >= apart_m >= flown.scenario.uav_keep_out_m
-    for obstacle in flown.scenario.obstacles:
+    assert separation(flown) >= apart_m >= flown.scenario.formation.uav_keep_out_m
+    for obstacle in flown.scenario.world.bodies:
         away = np.linalg.norm(flown.track.odometry[:, :, :3] - obstacle.position, axis=2)
         assert away.min() >= 1.45
     wrench = np.linalg.norm(flown.track.wrench, axis=2)
@@ -82,10 +82,10 @@ def test_twenty_pass_both_obstacles_and_stay_in_formation(
 )
 def test_every_uav_stays_in_its_place(name: str, most_m: float, apart_m: float, plant: str) -> None:
     """From the deadline to the end, also while the shape turns or changes; the legs of the show are at times in UTC."""
-    flown = flight(name, plant, load_scenario(name).duration_s)
-    first = round(DEADLINE_S * flown.scenario.control_hz)
+    flown = flight(name, plant, load_scenario(name).timing.duration_s)
+    first = round(DEADLINE_S * flown.scenario.timing.control_hz)
     assert max(errors(flown, tick).max() for tick in range(first, len(flown.t_ns), 20)) < most_m
-    assert separation(flown) >= apart_m >= flown.scenario.uav_keep_out_m
+    assert separation(flown) >= apart_m >= flown.scenario.formation.uav_keep_out_m
     legs = verdict_on(recording_of(flown)).mission
     due_s = [5.0, 16.0, 28.0, 41.0, 55.0] if name == "show_20" else []
     assert [(leg.verdict, leg.due_s) for leg in legs] == [(MET, due) for due in due_s]
@@ -95,9 +95,9 @@ def test_every_uav_stays_in_its_place(name: str, most_m: float, apart_m: float, 
 @pytest.mark.parametrize("name", ["corridor", "moving_obstacles", "yard"])
 def test_bodies_are_kept_clear_of(name: str, plant: str) -> None:
     """Every UAV is met and outside every keep-out at every instant, where each obstacle is then."""
-    flown = flight(name, plant, load_scenario(name).duration_s)
+    flown = flight(name, plant, load_scenario(name).timing.duration_s)
     times = flown.t_ns * 1e-9
-    for obstacle in flown.scenario.obstacles:
+    for obstacle in flown.scenario.world.bodies:
         for row in range(len(flown.scenario.uav_ids)):
             places = flown.track.odometry[:, row, :3]
             assert obstacle.distances(places, times).min() >= obstacle.keep_out_m
@@ -120,12 +120,12 @@ def test_a_mission_is_flown_leg_by_leg(plant: str) -> None:
 @pytest.mark.parametrize("plant", PLANTS)
 def test_a_mission_goes_from_the_ground_to_the_ground(plant: str) -> None:
     """All rise straight up at the same pace, and each leg is met."""
-    flown = flight("take_off_4", plant, load_scenario("take_off_4").duration_s)
+    flown = flight("take_off_4", plant, load_scenario("take_off_4").timing.duration_s)
     verdict = verdict_on(recording_of(flown))
     assert verdict.verdict == MET
     assert [leg.kind for leg in verdict.mission] == ["take_off", "form", "change", "hold", "land"]
     assert max(leg.error_m or 0.0 for leg in verdict.mission) < 0.02
-    rising = flown.track.odometry[: round(6.0 * flown.scenario.control_hz), :, :3]
+    rising = flown.track.odometry[: round(6.0 * flown.scenario.timing.control_hz), :, :3]
     starts = np.array([flown.scenario.uav(uav).position for uav in flown.scenario.uav_ids])
     assert np.abs(rising[:, :, :2] - starts[:, :2]).max() < 0.02
     assert np.ptp(rising[:, :, 2], axis=1).max() < 0.02
@@ -134,7 +134,7 @@ def test_a_mission_goes_from_the_ground_to_the_ground(plant: str) -> None:
 @pytest.mark.parametrize("plant", PLANTS)
 def test_a_formation_splits_and_joins_again(plant: str) -> None:
     """Each group on a trajectory of its own, far apart, and all in one shape at the end."""
-    flown = flight("split_join", plant, load_scenario("split_join").duration_s)
+    flown = flight("split_join", plant, load_scenario("split_join").timing.duration_s)
     verdict = verdict_on(recording_of(flown))
     assert verdict.verdict == MET
     assert [leg.kind for leg in verdict.mission] == [
@@ -162,8 +162,8 @@ def test_the_experiment_starts_where_the_paper_says() -> None:
     scenario = load_scenario("experiment_4")
     starts = [scenario.uav(uav).position.tolist() for uav in scenario.uav_ids]
     assert starts == [[0.1, 1.1, 1], [-0.8, -0.8, 1], [-1, -0.1, 1], [1.1, -0.2, 1]]
-    np.testing.assert_allclose(np.linalg.norm(scenario.wind_m_s), 2.0)
-    assert scenario.duration_s == 50.0
+    np.testing.assert_allclose(np.linalg.norm(scenario.world.wind_m_s), 2.0)
+    assert scenario.timing.duration_s == 50.0
 
 
 @pytest.mark.parametrize(

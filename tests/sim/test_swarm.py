@@ -45,7 +45,7 @@ def errors(flown: HeadlessFlight) -> np.ndarray:
 def busy(flown: HeadlessFlight, seconds: float = 2.0) -> np.ndarray:
     """(T,) where some UAV gives way to something, or did within the last `seconds`."""
     active = (flown.track.diagnostics[:, :, ACTIVE_ROWS] > 0.0).any(axis=1)
-    window = round(seconds * flown.scenario.control_hz)
+    window = round(seconds * flown.scenario.timing.control_hz)
     return np.convolve(active, np.ones(window))[: active.size] > 0.0
 
 
@@ -63,7 +63,7 @@ flights = pytest.mark.parametrize(
 @flights
 def test_every_uav_is_in_its_place_at_the_deadline_and_stays(name, plant, task) -> None:
     flown = flight(name, plant, task)
-    off, tick = errors(flown), round(5.0 * flown.scenario.control_hz)
+    off, tick = errors(flown), round(5.0 * flown.scenario.timing.control_hz)
     assert off[0].max() > 5.0
     assert off[tick].max() < 0.05
     calm = ~busy(flown)
@@ -77,7 +77,7 @@ def test_nothing_is_touched(name, plant, task) -> None:
     places = flown.track.odometry[:, :, :3]
     for a, b in combinations(range(places.shape[1]), 2):
         assert np.linalg.norm(places[:, a] - places[:, b], axis=1).min() >= 0.5
-    for obstacle in flown.scenario.obstacles:
+    for obstacle in flown.scenario.world.bodies:
         distance = np.linalg.norm(places - obstacle.position, axis=2)
         assert distance.min() >= 1.45
         assert distance.min() < 1.7  # or the obstacle was none
@@ -105,7 +105,7 @@ def test_every_follower_knows_where_the_leader_is(plant: str) -> None:
 @pytest.mark.parametrize("task", TASKS)
 def test_first_thrust_of_table_2_is_hovering(task: str) -> None:
     flown = flight("paper_5", "quadrotor", task)
-    hover = flown.scenario.mass_kg * flown.scenario.gravity_m_s2
+    hover = flown.scenario.plant.mass_kg * flown.scenario.world.gravity_m_s2
     np.testing.assert_allclose(flown.track.wrench[0, :, 2], hover, rtol=0.05)
 
 
@@ -160,9 +160,9 @@ def told(flown: HeadlessFlight, tick: int, row: int, near: np.ndarray) -> AgentI
     scenario, track = flown.scenario, flown.track
     uav = scenario.uav_ids[row]
     rows = {other: number for number, other in enumerate(scenario.uav_ids)}
-    age = scenario.dt_ns * 1e-9 if tick else NEVER_RECEIVED_S
-    parent, pinned = scenario.parent(uav), scenario.pinned(uav)
-    neighbours = scenario.estimator_neighbours(uav)
+    age = scenario.timing.dt_ns * 1e-9 if tick else NEVER_RECEIVED_S
+    parent, pinned = scenario.communication.parent(uav), uav in scenario.topology.pinned
+    neighbours = scenario.topology.neighbours.get(uav, ())
 
     def sent(other: int | None) -> np.ndarray:
         heard = tick > 0 and other is not None
@@ -176,14 +176,14 @@ def told(flown: HeadlessFlight, tick: int, row: int, near: np.ndarray) -> AgentI
         track.odometry[tick, row].copy(),
         sent(parent),
         age if parent is not None else NEVER_RECEIVED_S,
-        sent(scenario.leader_id if pinned else None),
+        sent(scenario.leader.id if pinned else None),
         age if pinned else NEVER_RECEIVED_S,
         estimates,
         np.full(len(neighbours), age),
         near,
-        (tick % scenario.near_every * scenario.dt_ns) * 1e-9,
+        (tick % scenario.near_every * scenario.timing.dt_ns) * 1e-9,
         MODE_FORMATION,
-        (tick * scenario.dt_ns) * 1e-9,
+        (tick * scenario.timing.dt_ns) * 1e-9,
     )
 
 
@@ -196,10 +196,10 @@ def test_one_uav_alone_is_the_same_uav_in_the_swarm(plant: str, row: int) -> Non
     config = agent_config(scenario, scenario.uav_ids[row])
     agent = Agent(config, track.odometry[0, row].copy())
     near = np.empty((0, 7))
-    for tick in range(round(SHORT * scenario.control_hz)):
+    for tick in range(round(SHORT * scenario.timing.control_hz)):
         if tick % scenario.near_every == 0:
             near = flown.near(tick, row)
-        t, dt = (tick * scenario.dt_ns) * 1e-9, scenario.dt_ns * 1e-9
+        t, dt = (tick * scenario.timing.dt_ns) * 1e-9, scenario.timing.dt_ns * 1e-9
         out = agent.step(told(flown, tick, row, near), t, dt)
         assert out.velocity.tobytes() == track.velocity[tick, row].tobytes()
         assert out.wrench.tobytes() == track.wrench[tick, row].tobytes()
@@ -223,7 +223,7 @@ def test_world_and_agents_in_python_fly_the_same_flight(plant: str) -> None:
     )
     near = {}
     for tick in range(100):
-        t, dt = world.t_ns * 1e-9, scenario.dt_ns * 1e-9
+        t, dt = world.t_ns * 1e-9, scenario.timing.dt_ns * 1e-9
         wrenches = {}
         for row, uav in enumerate(world.ids):
             seen.track.odometry[tick, row] = world.odometry(uav)
@@ -284,7 +284,7 @@ def test_a_flight_in_the_room_of_another_one_has_the_same_bytes(
 def test_a_scenario_that_was_read_anew_shares_nothing() -> None:
     changes = {"timing.duration_s": 1.0}
     one, other = load_scenario("paper_5", changes), load_scenario("paper_5", changes)
-    assert one.file == other.file
+    assert one == other
     assert one.shares_all_but_starts(one)
     assert not one.shares_all_but_starts(other)
 
@@ -307,8 +307,8 @@ def test_each_uav_flies_to_the_slot_that_it_takes() -> None:
     flown = mixed()
     assert flown.slots == MIXED
     held = flown.flown
-    assert (held.leader_id, held.parent(3)) == (2, 1)  # slot 5 follows slot 4
-    places, leader = flown.truth[:, :, :3], held.uav_ids.index(held.leader_id)
+    assert (held.leader.id, held.communication.parent(3)) == (2, 1)  # slot 5 follows slot 4
+    places, leader = flown.truth[:, :, :3], held.uav_ids.index(held.leader.id)
     wanted = places[:, [leader]] + np.array([held.offset(uav) for uav in held.uav_ids])
     off = np.linalg.norm(places - wanted, axis=2)
     assert off[0].max() > 0.8
@@ -345,7 +345,7 @@ def test_a_uav_in_the_middle_of_the_tree_dies_and_all_keep_clear(dead, child):
         for a, b in combinations(range(len(scenario.uav_ids)), 2)
     )
     assert holding[-1].tolist() == [uav == child for uav in scenario.uav_ids]
-    assert closest >= scenario.uav_keep_out_m
+    assert closest >= scenario.formation.uav_keep_out_m
 
 
 @pytest.mark.parametrize("plant", PLANTS)

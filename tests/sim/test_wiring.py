@@ -56,7 +56,7 @@ def test_links_that_are_late_and_lossy_move_nobody_from_its_place() -> None:
 @pytest.mark.parametrize("weight", [0.3, 0.5])
 def test_a_child_takes_over_by_weight_what_its_parent_deviates(weight: float) -> None:
     """One UAV is pushed; against the chain its child has the share of its weight, and so has the next one."""
-    uavs = [one.model_dump(mode="json", exclude_unset=True) for one in ladder(None).file.uavs]
+    uavs = [one.model_dump(mode="json", exclude_unset=True) for one in ladder(None).uavs]
     uavs[STRUCK - 1]["disturbance_m_s2"] = [0, 0, "4 sin"]
     shares = []
     for one in (ladder(None, uavs=uavs), ladder(weight, uavs=uavs)):

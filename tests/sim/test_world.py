@@ -61,7 +61,7 @@ def test_bodies_are_seen_as_in_the_headless_flight_to_the_last_bit(name: str) ->
     scenario = load_scenario(name, {"timing.duration_s": 8.0})
     flown, world = fly(scenario), World(scenario)
     seen = 0
-    for tick in range(scenario.ticks):
+    for tick in range(scenario.timing.ticks):
         if tick % scenario.near_every == 0:
             for row, uav in enumerate(world.ids):
                 near = world.near(uav)

@@ -210,7 +210,7 @@ class FleetUav:
         if self.epochs.scenario is not self.followed:
             self.followed = self.epochs.scenario
             self.holder.follow(self.controller, self.followed)
-        period_ns = self.fleet.scenario.dt_ns
+        period_ns = self.fleet.scenario.timing.dt_ns
         out = self.controller.step(step_time(now_ns, period_ns, leg, BASE_NS), NO_CUTOFF_NS)
         values = (
             out.wrench if self.attitude else np.array([*out.velocity[0:3], 0, 0, out.velocity[3]])
@@ -269,7 +269,7 @@ class MavlinkFleet:
 
     def leader_error_m(self):
         """How far the leader is from its reference now."""
-        leader = self.scenario.leader_id
+        leader = self.scenario.leader.id
         uav = self.uavs[leader]
         t = (uav.stamps[-1] - self.legs[0][0]) * 1e-9
         wanted = reference(agent_config(self.scenario, leader).trajectory, t).position
@@ -292,7 +292,7 @@ class MavlinkFleet:
     def tell_setpoint(self, odometry):
         """A setpoint (13,) of a user's program, as the leader takes it and tells all bridges."""
         now_ns = self.now_ns
-        epochs = self.uavs[self.scenario.leader_id].epochs
+        epochs = self.uavs[self.scenario.leader.id].epochs
         epochs.scenario = epochs.following(now_ns, odometry)
         for uav in self.uavs.values():
             uav.inputs.taken.append(Stamped(now_ns, odometry))
@@ -304,7 +304,7 @@ class MavlinkFleet:
             self.now_s += STEP_S
             for uav in self.uavs.values():
                 uav.exchange()
-            if (self.now_s - START_S) * self.scenario.control_hz >= self.ticks:
+            if (self.now_s - START_S) * self.scenario.timing.control_hz >= self.ticks:
                 self.ticks += 1
                 self._tick()
             if until is not None and until():
@@ -322,7 +322,7 @@ class MavlinkFleet:
                     other.inputs.companions.append((uav.id, uav.bridge.report, self.now_s))
 
     def _tick(self):
-        if self.ticks % (self.scenario.control_hz // 5) == 0:
+        if self.ticks % (self.scenario.timing.control_hz // 5) == 0:
             self._report()
         near = self.ticks % self.scenario.near_every == 0
         sent = {i: uav.control(self.now_ns, near) for i, uav in self.uavs.items()}
@@ -366,7 +366,7 @@ class MavlinkFleet:
             wrench={i: series(u.wrenches) for i, u in self.uavs.items()},
             # By them a verdict tells where UAVs come and go who was silent.
             estimate={i: series(u.estimates) for i, u in self.uavs.items()}
-            if self.scenario.reconfigures
+            if self.scenario.formation.reconfigures
             else {},
             truth={i: series(u.truths) for i, u in self.uavs.items() if u.truths},
             counters={},

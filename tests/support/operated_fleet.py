@@ -77,7 +77,7 @@ class Fleet:
     def _serve_leader(self, leader):
         """In a thread of its own: the operator's node waits for its answers."""
         node = leader.node("leader")
-        mission = self.scenario.file.mission
+        mission = self.scenario.mission
         legs = [f"leg_{n}" for n in range(2, len(mission.legs) + 1)] if mission else []
         for name in (
             "arm",

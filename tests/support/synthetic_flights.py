@@ -44,17 +44,17 @@ def flight(
     vector = leader_trajectory(scenario)
     path = np.stack([reference(vector, float(one)).position for one in t])
     odometry, wrench = {}, {}
-    leader_error = (errors or {}).get(scenario.leader_id, np.zeros_like)(t)
+    leader_error = (errors or {}).get(scenario.leader.id, np.zeros_like)(t)
     for uav in scenario.uav_ids:
         vectors = np.zeros((t.size, 13))
         vectors[:, 6] = 1.0
         vectors[:, :3] = path + scenario.offset(uav)
         vectors[:, 0] += leader_error
-        if uav != scenario.leader_id:
+        if uav != scenario.leader.id:
             vectors[:, 0] += (errors or {}).get(uav, np.zeros_like)(t)
         odometry[uav] = Series(t_ns, vectors)
         forces = np.zeros((t.size, 6))
-        forces[:, 2] = scenario.mass_kg * scenario.gravity_m_s2
+        forces[:, 2] = scenario.plant.mass_kg * scenario.world.gravity_m_s2
         wrench[uav] = Series(t_ns, forces)
     made = Recording(
         scenario,

@@ -90,7 +90,7 @@ class Others:
         self.ros.spin_for(0.1)
 
     def ticks(self):
-        return [wrench.stamp_ns // self.scenario.dt_ns for wrench in self.wrenches]
+        return [wrench.stamp_ns // self.scenario.timing.dt_ns for wrench in self.wrenches]
 
     def newest(self):
         self.status.clear()

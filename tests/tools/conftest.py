@@ -121,7 +121,7 @@ def _real_time(scenario: Scenario, writer: BagWriter) -> None:
     letters = {uav: AgentMessages(uav) for uav in world.ids}
     on_air: dict[str, bytes] = {}
     writer.write(topics.EPOCH.name, START_NS, HeaderTemplate("form").encode(START_NS + 10**8))
-    for k in range(scenario.ticks):
+    for k in range(scenario.timing.ticks):
         stamp_ns = START_NS + k * PERIOD_NS + int(rng.integers(0, 200_000))
         for one in crew:
             odom = letters[one.uav].odometry(Stamped(stamp_ns, world.odometry(one.uav)))

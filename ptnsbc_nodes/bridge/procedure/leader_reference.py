@@ -12,7 +12,7 @@ from ptnsbc_nodes.comm.legs import Epochs, Leg
 from ptnsbc_sim.scenario import Scenario, agent_config
 from ptnsbc_sim.scenario.build import leader_trajectory
 from ptnsbc_sim.scenario.mission.membership import joins_ns, leaves_ns
-from ptnsbc_sim.scenario.semantics import NANOSECONDS
+from ptnsbc_sim.scenario.model import NANOSECONDS
 from ptnsbc_sim.scenario.slots import are_open
 
 
@@ -67,9 +67,9 @@ class LeaderReference:
     def places(self, flight_s: float) -> Array | None:
         """The places (K, 3) [m] that the vehicle may have to take where UAVs come and go; None elsewhere."""
         scenario = self._scenario
-        if not scenario.reconfigures:
+        if not scenario.formation.reconfigures:
             return None
-        closes_up = scenario.file.formation.vacancy == "close_up"
+        closes_up = scenario.formation.vacancy == "close_up"
         slots = scenario.uav_ids if closes_up else (self._uav_id,)
         leader = np.array(self.at(flight_s).position)
         return leader + np.array([scenario.offset(slot) for slot in slots])

@@ -122,10 +122,10 @@ def settings(scenario: Scenario, vehicle: Identified) -> Settings:
         )
     kappa, filter_1_s = min(own.kappa_1_s, most), scenario.gains.filter.bandwidth_1_s
     filter_1_s = max(filter_1_s, math.ceil(1.0 / left_s))
-    start_m = max(start_errors(scenario.file).values())
-    share = min(_FOR_LAG * scenario.file.formation.tolerance_m / start_m, 1.0)
+    start_m = max(start_errors(scenario).values())
+    share = min(_FOR_LAG * scenario.formation.tolerance_m / start_m, 1.0)
     residual = min(own.residual, share)
-    loop = agent_config(scenario, scenario.leader_id).formation
+    loop = agent_config(scenario, scenario.leader.id).formation
     loop = loop._replace(kappa=kappa, residual=residual)
     shortest = _shortest_s(loop, vehicle, share, _limit_s(scenario), lead=lead)
     return Settings(
@@ -135,12 +135,12 @@ def settings(scenario: Scenario, vehicle: Identified) -> Settings:
 
 def _limit_s(scenario: Scenario) -> float:
     """The deadline that speed and acceleration allow."""
-    left = limits_left(scenario.file)
+    left = limits_left(scenario)
     if min(left) <= 0.0:
         raise TuneError(
             f"{scenario.source}: the leader's motion leaves nothing of the limits: see ptnsbc check"
         )
-    return longest_need(scenario.file, left).deadline_s
+    return longest_need(scenario, left).deadline_s
 
 
 def _shortest_s(

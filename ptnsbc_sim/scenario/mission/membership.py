@@ -9,7 +9,6 @@ parent and not the lead.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -41,13 +40,13 @@ class GraphPlace(NamedTuple):
 
 def joins_ns(scenario: Scenario, uav_id: int) -> int:
     """The time at which a UAV joins, after the first epoch [ns]; 0: it is there from the begin on."""
-    joins_s = next(uav.joins_s for uav in scenario.file.uavs if uav.id == uav_id)
+    joins_s = next(uav.joins_s for uav in scenario.uavs if uav.id == uav_id)
     return 0 if joins_s is None else round(joins_s * _NANO)
 
 
 def leaves_ns(scenario: Scenario, uav_id: int) -> int:
     """The time at which a UAV leaves, after the first epoch [ns]."""
-    leaves_s = next(uav.leaves_s for uav in scenario.file.uavs if uav.id == uav_id)
+    leaves_s = next(uav.leaves_s for uav in scenario.uavs if uav.id == uav_id)
     return NEVER_NS if leaves_s is None else round(leaves_s * _NANO)
 
 
@@ -59,7 +58,7 @@ class View:
         self._spans = {
             uav: (joins_ns(scenario, uav), leaves_ns(scenario, uav)) for uav in scenario.uav_ids
         }
-        self._stale_s = float(scenario.file.communication.stale_s)
+        self._stale_s = float(scenario.communication.stale_s)
         self._away: set[int] = set()
 
     def pause(self, gap_ns: int) -> None:
@@ -109,7 +108,12 @@ class Formations:
 def role_of(scenario: Scenario, uav_id: int) -> GraphPlace:
     """The role of a UAV in a formation."""
     slot = tuple(scenario.offset(uav_id).tolist())
-    return GraphPlace(scenario.leader_id, scenario.parent(uav_id), slot, scenario.pinned(uav_id))
+    return GraphPlace(
+        scenario.leader.id,
+        scenario.communication.parent(uav_id),
+        slot,
+        uav_id in scenario.topology.pinned,
+    )
 
 
 def reconfigured(scenario: Scenario, members: Membership) -> Scenario | None:
@@ -122,9 +126,9 @@ def reconfigured(scenario: Scenario, members: Membership) -> Scenario | None:
     leader = _leader(scenario, members)
     if leader is None:
         return None
-    if scenario.file.formation.vacancy == "close_up":
+    if scenario.formation.vacancy == "close_up":
         scenario = with_slots(scenario, _closed_up(scenario, members, leader))
-    links, absent = scenario.file.communication, members.absent
+    links, absent = scenario.communication, members.absent
     followers = [uav for uav in scenario.uav_ids if uav not in absent and uav != leader]
     unfit = absent | members.returned
     tree = {uav: _parent(links.tree, uav, unfit, leader) for uav in followers}
@@ -134,18 +138,16 @@ def reconfigured(scenario: Scenario, members: Membership) -> Scenario | None:
     block = links.model_copy(
         update={"tree": tree, "leader_links": tuple(sorted(pinned)), "estimator_edges": edges}
     )
-    file = scenario.file.model_copy(
-        update={
-            "communication": block,
-            "leader": scenario.file.leader.model_copy(update={"id": leader}),
-        }
-    )
-    graph_of = validated_topology(leader, [leader, *followers], tree, sorted(pinned), edges)
-    return replace(scenario, file=file, topology=graph_of)
+    update = {
+        "communication": block,
+        "leader": scenario.leader.model_copy(update={"id": leader}),
+        "topology": validated_topology(leader, [leader, *followers], tree, sorted(pinned), edges),
+    }
+    return scenario.model_copy(update=update)
 
 
 def _leader(scenario: Scenario, members: Membership) -> int | None:
-    line = [scenario.leader_id, *scenario.file.leader.successors]
+    line = [scenario.leader.id, *scenario.leader.successors]
     there = [uav for uav in line if uav not in members.absent]
     steady = [uav for uav in there if uav not in members.returned]
     return next(iter([*steady, *there]), None)
@@ -180,7 +182,7 @@ def _closed_up(scenario: Scenario, members: Membership, leader: int) -> dict[int
     Of several behind it the one moves up that has the longest line behind it, of those the one with the smallest id.
     The deepest slots are closed first, so an empty slot ends at the end of a line, whatever the order of the losses.
     """
-    root, tree = scenario.leader_id, scenario.file.communication.tree
+    root, tree = scenario.leader.id, scenario.communication.tree
     depth = scenario.topology.depth
     lowest = dict(depth)  # hops of the deepest slot below each
     for slot, hops in depth.items():

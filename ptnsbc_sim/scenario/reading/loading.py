@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
@@ -18,6 +18,8 @@ from ptnsbc_sim.scenario.reading import functions, reader
 from ptnsbc_sim.scenario.reading.defaults import gain_defaults
 from ptnsbc_sim.scenario.reading.named_files import names_table, with_table
 from ptnsbc_sim.scenario.semantics import checked
+
+_File = TypeVar("_File", bound=ScenarioFile)
 
 
 def load_text(
@@ -79,17 +81,17 @@ def completed(tree: Tree, source: str = "scenario") -> Tree:
     return completed_shape(completed_mission(tree, source), source)
 
 
-def with_route(file: ScenarioFile, source: str, words: tuple[Word, ...] = ()) -> ScenarioFile:
+def with_route(file: _File, source: str, words: tuple[Word, ...] = ()) -> _File:
     """A checked file with the trajectory and the changes of the shape of its mission.
 
     Raises:
         ScenarioError: the path of the leader gets too long.
     """
     try:
-        found: ScenarioFile = with_legs(file, words)
+        routed: _File = with_legs(file, words)
     except ValueError as error:
         raise ScenarioError(f"{source}: {error}") from None
-    return found
+    return routed
 
 
 def _validated(tree: Tree, source: str) -> ScenarioFile:

@@ -51,9 +51,9 @@ def scenarios(json: options.JsonOption = False) -> None:
         except PtnsbcError as error:
             rows.append({**entry, "error": str(error)})
             continue
-        task = one.file.formation.task
-        flight = {"uavs": len(one.uav_ids), "task": task, "duration_s": one.duration_s}
-        rows.append({**entry, **flight, "description": one.file.description})
+        task = one.formation.task
+        flight = {"uavs": len(one.uav_ids), "task": task, "duration_s": one.timing.duration_s}
+        rows.append({**entry, **flight, "description": one.description})
     if json:
         console.print_json({"scenarios": rows})
         return

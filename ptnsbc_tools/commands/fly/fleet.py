@@ -231,7 +231,7 @@ def _fly(request: FleetOptions, shown: Shown) -> FleetResult:
 def _flight_overrides(scenario: Scenario) -> Iterator[str]:
     """The changes that real vehicles make to a scenario, one line each."""
     for key, value in scenario.mavlink.overrides.items():
-        own: Any = scenario.file
+        own: Any = scenario
         for name in key.split("."):
             own = getattr(own, name, None)
         before = "the default" if own is None else own

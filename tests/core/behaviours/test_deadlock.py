@@ -71,7 +71,7 @@ def test_without_a_deadlock_not_a_bit_changes(seed: int) -> None:
 
 def test_any_two_are_a_keep_out_apart_after_another_such_time() -> None:
     """In height, when they climb as fast as they ask; nobody climbs above its layer."""
-    keep_out, heights = SCENARIO.file.formation.uav_keep_out_m, np.zeros(len(CONFIGS))
+    keep_out, heights = SCENARIO.formation.uav_keep_out_m, np.zeros(len(CONFIGS))
     for tick in range(3000):
         for row, config in enumerate(CONFIGS):
             place = FormationPlace(np.array([5.0, 0.0, -heights[row]]), np.zeros(3))
@@ -95,4 +95,4 @@ def test_a_uav_without_any_way_says_so() -> None:
     assert told.tolist() == [False] * 4 + [True]
     assert np.isfinite(flight.truth).all()
     above = flight.truth[-1, 4, 2] - 5.0
-    assert above < 5 * SCENARIO.file.formation.uav_keep_out_m + 0.1
+    assert above < 5 * SCENARIO.formation.uav_keep_out_m + 0.1

@@ -133,7 +133,8 @@ def test_four_vehicles_fly_a_mission_from_the_ground_to_the_ground():
     fleet = MavlinkFleet(made, "px4", gnss="perfect")
     fleet.airborne().form()
     fleet.run(
-        made.duration_s, until=lambda: all(u.bridge.procedure.over for u in fleet.uavs.values())
+        made.timing.duration_s,
+        until=lambda: all(u.bridge.procedure.over for u in fleet.uavs.values()),
     )
     assert {uav.bridge.procedure.fault for uav in fleet.uavs.values()} == {""}
     found = verdict_on(fleet.recording())
@@ -142,7 +143,7 @@ def test_four_vehicles_fly_a_mission_from_the_ground_to_the_ground():
     ]
     assert not any(uav.vehicle.armed for uav in fleet.uavs.values())  # down before land is due
     assert min(pair.distance_m for pair in found.separations) > 0.5
-    (ball,) = made.obstacles
+    (ball,) = made.world.bodies
     away_m, ways_m = passed(fleet, ball, 2)
     assert min(away_m) > ball.keep_out_m > min(ways_m)
 
@@ -154,7 +155,7 @@ def passed(fleet, ball, uav_id):
     flown = times >= 0.0
     split = next(leg for leg in made.legs if leg.name == "away")
     during = np.linspace(split.begin_s, split.due_s, 101)
-    path = agent_config(made, made.leader_id).trajectory
+    path = agent_config(made, made.leader.id).trajectory
     beside = places_beside_leader(made, uav_id, during)
     places = np.array([reference(path, t).position for t in during]) + beside
     own = np.array(uav.odometry)[flown, 0:3]
@@ -195,7 +196,7 @@ def test_by_the_truth_a_fleet_holds_its_formation_as_its_vehicles_hold_a_point(k
         held.append(true_places(fleet) - held_places(fleet))
     fleet.form()
     offsets = np.array([made.offset(i) for i in fleet.uavs])
-    path = agent_config(made, made.leader_id).trajectory
+    path = agent_config(made, made.leader.id).trajectory
     while (flight_s := (fleet.now_ns - fleet.legs[0][0]) * 1e-9) < made.duration_s:
         fleet.run(0.1)
         places = true_places(fleet)
@@ -206,7 +207,7 @@ def test_by_the_truth_a_fleet_holds_its_formation_as_its_vehicles_hold_a_point(k
     found = verdict_on(fleet.recording())
     assert found.judged_by == "truth"
     assert found.verdict == "met" or gnss == "quiet"  # its receivers alone are off by more
-    assert min(closest_m) > made.uav_keep_out_m
+    assert min(closest_m) > made.formation.uav_keep_out_m
     assert rms(formed) < 1.3 * rms(held), (rms(formed), rms(held))
 
 
@@ -293,7 +294,7 @@ def off_place_m(fleet):
     """The way from the follower's place beside the reference of the leader to the follower [m, ENU]."""
     made = fleet.scenario
     t = (fleet.now_ns - fleet.legs[0][0]) * 1e-9
-    leader = reference(agent_config(made, made.leader_id).trajectory, t).position
+    leader = reference(agent_config(made, made.leader.id).trajectory, t).position
     return fleet.uavs[2].vehicle.flight.truth_enu - leader - made.offset(2)
 
 

@@ -25,9 +25,11 @@ def test_one_link_with_the_mass_of_this_uav():
     robot = ElementTree.fromstring(robot_description(scenario, 2))
     (link,) = robot.findall("link")
     assert (robot.get("name"), link.get("name")) == ("uav2", "base_link")
-    assert float(link.find("inertial/mass").get("value")) == pytest.approx(1.5 * scenario.mass_kg)
+    assert float(link.find("inertial/mass").get("value")) == pytest.approx(
+        1.5 * scenario.plant.mass_kg
+    )
     inertia = link.find("inertial/inertia").attrib
-    assert float(inertia["izz"]) == pytest.approx(2 * scenario.inertia_kg_m2[2])
+    assert float(inertia["izz"]) == pytest.approx(2 * scenario.plant.inertia_kg_m2[2])
     assert {float(inertia[name]) for name in ("ixy", "ixz", "iyz")} == {0.0}
 
 

@@ -185,7 +185,7 @@ def test_a_fleet_in_lockstep_flies_its_faults_as_the_headless_flight_does(tmp_pa
     assert (done.exit_code, done.died, done.killed) == (0, (), ("uav5",))
     track, bag = fly(scenario).track, read_bag(tmp_path / "bag")
     for row, uav in enumerate(scenario.uav_ids):
-        ends = 100 if uav == 5 else scenario.ticks
+        ends = 100 if uav == 5 else scenario.timing.ticks
         assert_recorded(bag, uav, "odom", track.odometry[:, row])
         assert_recorded(bag, uav, "truth", track.truth[:, row])
         assert_recorded(bag, uav, "setpoint/wrench", track.wrench[:ends, row])
@@ -205,9 +205,7 @@ COMING_AND_GOING = {
 @pytest.mark.slow
 def test_a_fleet_in_lockstep_comes_and_goes_as_the_headless_flight_does(tmp_path):
     """A joiner, a leaver, a restart and the loss of the leader, after which UAV 2 leads: the same bits."""
-    uavs = [
-        uav.model_dump(mode="json", exclude_unset=True) for uav in load_scenario("relay").file.uavs
-    ]
+    uavs = [uav.model_dump(mode="json", exclude_unset=True) for uav in load_scenario("relay").uavs]
     uavs[5]["leaves_s"], uavs[6]["joins_s"] = 1.7, 0.6
     scenario = load_scenario("relay", {**COMING_AND_GOING, "uavs": uavs})
     done = run_fleet(FleetOptions(scenario, lockstep=True, bag=tmp_path / "bag"))

@@ -47,7 +47,7 @@ def test_lockstep_flights_have_the_bytes_of_each_other_and_of_the_headless_one(l
     bag = read_bag(tmp_path / "a" / "bag")
     scenario = load_scenario("paper_5", {"timing.duration_s": 1})
     told = counts(bag)
-    assert told["/clock"] == told["/uav5/setpoint/wrench"] == scenario.ticks
+    assert told["/clock"] == told["/uav5/setpoint/wrench"] == scenario.timing.ticks
     assert told["/diagnostics"] == 5 * (1 + len(scenario.uav_ids))
     assert_as_headless(bag, scenario)
 
@@ -77,7 +77,7 @@ def test_a_mission_flown_by_processes_in_lockstep_has_the_bytes_of_the_headless_
     flight = launch("--scenario", str(tmp_path / "short.yaml"), "--bag", str(tmp_path / "bag"))
     assert flight.finish() == 0, flight.lines
     bag = read_bag(tmp_path / "bag")
-    assert counts(bag)["/clock"] == scenario.ticks
+    assert counts(bag)["/clock"] == scenario.timing.ticks
     assert_as_headless(bag, scenario)
 
 
@@ -165,7 +165,7 @@ def test_processes_between_walls_have_the_bytes_of_the_headless_flight(tmp_path)
     places = np.array([one.values[:3] for one in flown])
     near_m = {
         one.name: (one.distances(places, times) - one.keep_out_m).min()
-        for one in scenario.obstacles
+        for one in scenario.world.bodies
     }
     assert min(near_m.values()) > 0.0
     assert max(near_m[name] for name in ("box", "half_space", "plane")) < 0.1
@@ -185,7 +185,7 @@ def assert_as_headless(bag, scenario):
             for message in bag.messages([f"/uav{uav}/{topic}"]):
                 stamp_ns, found = decode(message.data)
                 assert message.stamp_ns == stamp_ns
-                tick = stamp_ns // scenario.dt_ns
+                tick = stamp_ns // scenario.timing.dt_ns
                 assert found.tobytes() == np.ascontiguousarray(values[tick, row]).tobytes()
 
 
@@ -212,7 +212,7 @@ def test_uavs_that_share_a_process_send_the_bytes_of_those_that_do_not(tmp_path)
     shared_flown, shared = composed(scenario, tmp_path / "shared", 2)
     assert flown.exit_code == shared_flown.exit_code == 0
     assert [p.name for p in shared_flown.processes] == ["recorder", "uav1-2", "uav3-5", "sim"]
-    assert len(alone["/uav5/setpoint/wrench"]) == scenario.ticks
+    assert len(alone["/uav5/setpoint/wrench"]) == scenario.timing.ticks
     assert shared.keys() == alone.keys()
     for name, messages in alone.items():
         assert shared[name] == messages, name

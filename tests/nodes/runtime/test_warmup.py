@@ -22,7 +22,7 @@ from ptnsbc_sim.world import World
 def test_after_loading_no_tick_waits_for_a_law():
     """Neither compiled nor read from the cache: other tests may have loaded more, never less."""
     scenario = load_scenario("paper_5")
-    load_agent(scenario, scenario.leader_id)
+    load_agent(scenario, scenario.leader.id)
     load_world(scenario)
     edges = CommunicationGraph(scenario, FlightOptions())
     controllers = {
@@ -65,10 +65,10 @@ def loaded():
 def fly(scenario, edges, controllers, ticks):
     """Every UAV as its process ticks, the first ones before the epoch."""
     world, epochs = World(scenario), Epochs()
-    epochs.announce(10 * scenario.dt_ns, "form")
+    epochs.announce(10 * scenario.timing.dt_ns, "form")
     for k in range(ticks):
-        now_ns = k * scenario.dt_ns
-        at = step_time(now_ns, scenario.dt_ns, epochs.at(now_ns), 0)
+        now_ns = k * scenario.timing.dt_ns
+        at = step_time(now_ns, scenario.timing.dt_ns, epochs.at(now_ns), 0)
         for i, controller in controllers.items():
             controller.inbox.own = Stamped(now_ns, world.odometry(i))
             controller.inbox.near = Stamped(now_ns, world.near(i))

@@ -8,7 +8,7 @@ import pytest
 from ptnsbc_nodes.security import middleware
 from ptnsbc_nodes.security.middleware import DdsSecurityError
 
-REQUIRED = SimpleNamespace(file=SimpleNamespace(security="required"))
+REQUIRED = SimpleNamespace(security="required")
 
 
 @pytest.fixture
@@ -56,4 +56,4 @@ def test_a_process_that_would_go_on_unprotected_does_not_start(keystore, monkeyp
 
 def test_a_scenario_that_asks_for_nothing_needs_nothing(monkeypatch):
     monkeypatch.delenv("ROS_SECURITY_ENABLE", raising=False)
-    middleware.check_enforced(SimpleNamespace(file=SimpleNamespace(security="signed")))
+    middleware.check_enforced(SimpleNamespace(security="signed"))

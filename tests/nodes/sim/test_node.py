@@ -97,7 +97,7 @@ class Uavs:
         self.announce(wire.HeaderTemplate("form").encode(0))
 
     def ticks(self, i):
-        return [message.stamp_ns // self.scenario.dt_ns for message in self.odometry[i]]
+        return [message.stamp_ns // self.scenario.timing.dt_ns for message in self.odometry[i]]
 
 
 def wrench(i):
@@ -118,7 +118,7 @@ def test_lockstep_flight_is_that_of_the_world(ros, scenario):
             assert uavs.odometry[i][tick].values.tobytes() == world.odometry(i).tobytes()
             if tick % scenario.near_every == 0:
                 near = uavs.near[i][tick // scenario.near_every]
-                assert near.stamp_ns == tick * scenario.dt_ns
+                assert near.stamp_ns == tick * scenario.timing.dt_ns
                 assert near.values.tobytes() == world.near(i).tobytes()
         world.step({i: wrench(i) for i in world.ids})
     assert len(uavs.odometry[1]) == TICKS
@@ -129,14 +129,14 @@ def test_lockstep_waits_for_the_wrench_of_the_tick(ros, scenario):
     uavs.hands_off = {4}
     uavs.start()
     ros.spin_until(lambda: uavs.ticks(4) == [0])
-    uavs.push(4, 7 * scenario.dt_ns)  # of another tick
+    uavs.push(4, 7 * scenario.timing.dt_ns)  # of another tick
     ros.spin_for(0.1)
     assert uavs.ticks(4) == [0]
     # the others go on to where near objects would need UAV 4, and the time that all have reached is 0
     assert uavs.ticks(1) == list(range(scenario.near_every))
     assert uavs.clock == [0]
     uavs.push(4, 0)
-    ros.spin_until(lambda: uavs.clock == [0, scenario.dt_ns])
+    ros.spin_until(lambda: uavs.clock == [0, scenario.timing.dt_ns])
 
 
 def test_lockstep_never_runs_farther_ahead_of_a_slow_recorder_than_its_queues_reach(ros):
@@ -145,13 +145,17 @@ def test_lockstep_never_runs_farther_ahead_of_a_slow_recorder_than_its_queues_re
     uavs = Uavs(ros, scenario, recorded=True)
     lead = _lead_ticks(scenario)
     uavs.start()
-    ros.spin_until(lambda: uavs.clock and uavs.clock[-1] >= lead * scenario.dt_ns)
+    ros.spin_until(lambda: uavs.clock and uavs.clock[-1] >= lead * scenario.timing.dt_ns)
     uavs.settle()
-    assert uavs.clock[-1] <= (lead + 1) * scenario.dt_ns
-    uavs.acknowledge(wire.HeaderTemplate("recorder").encode(60 * scenario.dt_ns))
-    ros.spin_until(lambda: uavs.clock[-1] >= (lead + 60) * scenario.dt_ns)
+    assert uavs.clock[-1] <= (lead + 1) * scenario.timing.dt_ns
+    uavs.acknowledge(wire.HeaderTemplate("recorder").encode(60 * scenario.timing.dt_ns))
+    ros.spin_until(lambda: uavs.clock[-1] >= (lead + 60) * scenario.timing.dt_ns)
     uavs.settle()
-    assert uavs.clock[-1] <= (lead + 61) * scenario.dt_ns < scenario.ticks * scenario.dt_ns
+    assert (
+        uavs.clock[-1]
+        <= (lead + 61) * scenario.timing.dt_ns
+        < scenario.timing.ticks * scenario.timing.dt_ns
+    )
     uavs.lose(wire.HeaderTemplate("recorder").encode(0))  # nobody waits for one that has ended
     ros.spin_until(lambda: uavs.ended)
 
@@ -175,7 +179,9 @@ def test_real_time_runs_by_the_clock_and_hovers_without_wrenches(ros, scenario):
     def keeps_time():
         """Over the last 20 periods; a machine under load may have missed others before."""
         stamps = np.diff([message.stamp_ns for message in uavs.odometry[1][-21:]])
-        return len(stamps) == 20 and np.median(stamps) == pytest.approx(scenario.dt_ns, rel=0.2)
+        return len(stamps) == 20 and np.median(stamps) == pytest.approx(
+            scenario.timing.dt_ns, rel=0.2
+        )
 
     ros.spin_until(keeps_time)
     assert np.ptp([m.values[0:3] for m in uavs.odometry[1]], axis=0).max() == 0.0

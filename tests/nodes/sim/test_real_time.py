@@ -34,7 +34,7 @@ def flown(scenario: Scenario) -> tuple[World, RealTimeWorld]:
     publishers = SimpleNamespace(publish=lambda _now_ns: None)
     real_time = RealTimeWorld(scenario, world, publishers)
     for tick in range(3):
-        now_ns = tick * scenario.dt_ns
+        now_ns = tick * scenario.timing.dt_ns
         real_time.on_wrench(1, Stamped(now_ns, turning(scenario)), now_ns)
         real_time.tick(now_ns)
     return world, real_time
@@ -57,7 +57,7 @@ def held(scenario: Scenario, periods: int) -> World:
 def test_a_wrench_in_time_or_one_period_late_acts_as_it_is(scenario: Scenario) -> None:
     world, real_time = flown(scenario)
     for tick in (3, 4):
-        real_time.tick(tick * scenario.dt_ns)
+        real_time.tick(tick * scenario.timing.dt_ns)
     np.testing.assert_array_equal(world.truth(1), held(scenario, 5).truth(1))
 
 
@@ -69,10 +69,10 @@ def test_a_vehicle_keeps_its_attitude_while_a_process_stands_still(
     world, real_time = flown(scenario)
     last = 2 + STALLED
     for tick in [last] if at_once else range(3, last + 1):
-        real_time.tick(tick * scenario.dt_ns)
+        real_time.tick(tick * scenario.timing.dt_ns)
     assert world.tick == last + 1
     over = held(scenario, last + 1)
     assert tilt(over) > 3.0 * tilt(world)
     assert over.truth(1)[10] > 2.0
     assert abs(world.truth(1)[10]) < 0.05
-    assert "uav1" not in real_time.hovering(last * scenario.dt_ns)
+    assert "uav1" not in real_time.hovering(last * scenario.timing.dt_ns)

@@ -48,10 +48,10 @@ def leader_off_m(late_ticks: int) -> float:
     wrenches = {uav: np.zeros(6) for uav in world.ids}
     largest = 0.0
     for tick in range(2000):
-        now_ns = tick * scenario.dt_ns
+        now_ns = tick * scenario.timing.dt_ns
         odometry.append(Stamped(now_ns, world.odometry(1).copy()))
         flown.inbox.own = odometry[0]
-        at = StepTime(now_ns, scenario.dt_ns, MODE_FORMATION, 0, 0, True)
+        at = StepTime(now_ns, scenario.timing.dt_ns, MODE_FORMATION, 0, 0, True)
         wrenches[1] = flown.step(at, NO_CUTOFF_NS).wrench.copy()
         if tick >= 1000:
             place = reference_positions(path, np.array([now_ns * 1e-9]))[0]

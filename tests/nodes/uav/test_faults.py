@@ -35,8 +35,8 @@ def test_a_process_receives_what_the_headless_flight_receives():
     faults, inbox, _ = faults_of(3, MANY, lockstep=True)
     scenario = load_scenario("paper_5", {"faults": MANY, "timing.duration_s": 2.5})
     faults.begin(0)
-    expected, dt_ns = last_state_received(scenario, 3, 2), scenario.dt_ns
-    for tick in range(scenario.ticks):
+    expected, dt_ns = last_state_received(scenario, 3, 2), scenario.timing.dt_ns
+    for tick in range(scenario.timing.ticks):
         inbox.on_state(2, state(tick * dt_ns))
         heard = inbox._states[2].before(tick * dt_ns, tick * dt_ns)
         assert (-1 if heard is None else heard.stamp_ns // dt_ns) == expected[tick], tick

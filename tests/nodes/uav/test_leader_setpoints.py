@@ -67,7 +67,7 @@ def test_the_leader_of_a_fleet_follows_setpoints_and_the_bag_runs_again(
     ros.spin_until(tell, timeout=200.0)
     assert flight.finish() == 0, "\n".join(flight.lines)
     recording = read_recording(bag_path)
-    taken = recording.scenario.file.leader.trajectory.setpoints
+    taken = recording.scenario.leader.trajectory.setpoints
     assert len(taken) >= 10
     assert {one.position for one in taken} == {(3.0, -2.0, 5.0)}
     assert all(b.at_s >= a.at_s for a, b in pairwise(taken))

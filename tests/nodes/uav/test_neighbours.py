@@ -24,7 +24,7 @@ def test_lockstep_goes_on_without_a_lost_neighbour(ros, scenario):
     others.odom(0)
     others.near(0)
     ros.spin_until(lambda: others.ticks() == [0])
-    others.odom(scenario.dt_ns)
+    others.odom(scenario.timing.dt_ns)
     others.neighbours(0, without=(PARENT,))
     others.settle()
     assert others.ticks() == [0]
@@ -51,7 +51,7 @@ def test_a_broken_state_of_a_neighbour_is_dropped_and_named(ros, scenario, value
     values[0] = value
     template = wire.OdometryTemplate("map", f"uav{LEADER}/base_link")
     others.send_state[LEADER](template.encode(0, values))
-    others.odom(scenario.dt_ns)
+    others.odom(scenario.timing.dt_ns)
     others.neighbours(0)
     ros.spin_until(lambda: others.ticks() == [0, 1])
     assert np.isfinite(others.wrenches[-1].values).all()

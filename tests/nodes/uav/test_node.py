@@ -32,7 +32,7 @@ def scenario():
 
 def test_lockstep_tick_waits_for_all_it_needs(ros, scenario):
     others = Others(ros, scenario, FOLLOWER)
-    dt = scenario.dt_ns
+    dt = scenario.timing.dt_ns
     others.odom(0)
     others.near(0)
     others.settle()
@@ -50,7 +50,7 @@ def test_lockstep_tick_waits_for_all_it_needs(ros, scenario):
 
 def test_lockstep_output_is_that_of_the_kernel(ros, scenario):
     others = Others(ros, scenario, FOLLOWER)
-    dt_ns = scenario.dt_ns
+    dt_ns = scenario.timing.dt_ns
     rows = [[1.0, 2.0, 3.0, 0.5, 0.0, 0.25, 0.0]]
     others.form()
     for tick in range(3):

@@ -128,7 +128,7 @@ def test_a_later_decision_takes_the_places_of_its_time() -> None:
     cosine, sine = math.cos(1.2), math.sin(1.2)
     turned = {
         uav: [cosine * x - sine * y, sine * x + cosine * y, z]
-        for uav, (x, y, z) in scenario.file.formation.offsets_m.items()
+        for uav, (x, y, z) in scenario.formation.offsets_m.items()
     }
     there = load_scenario("paper_5_free", {"formation.offsets_m": turned})
     assert said[1].slots == optimal_slots(there, starts) != said[0].slots
@@ -156,7 +156,7 @@ def flown(slots: list[tuple[int, dict[int, int]]], ticks: int, late_ns: int = 0)
 
     UAV 3 hears of each decision `late_ns` after its epoch.
     """
-    world, period_ns = World(SCENARIO), SCENARIO.dt_ns
+    world, period_ns = World(SCENARIO), SCENARIO.timing.dt_ns
     uavs = {uav: Uav(uav) for uav in world.ids}
     epochs = Epochs()
     for t0_ns, _ in slots:
@@ -196,7 +196,7 @@ def errors(places: np.ndarray, slots: dict[int, int], first: int) -> np.ndarray:
     """Distance (T, 5) [m] from the places of these slots from a tick on."""
     held = with_slots(SCENARIO, slots)
     found = places[first:]
-    leader = list(held.uav_ids).index(held.leader_id)
+    leader = list(held.uav_ids).index(held.leader.id)
     goal = found[:, [leader]] + np.array([held.offset(uav) for uav in held.uav_ids])
     times = np.arange(first, first + len(found)) * 0.01
     goal[:, leader] = reference_positions(leader_trajectory(held), times)

@@ -59,6 +59,6 @@ def test_errors_of_a_moving_formation_do_not_depend_on_the_order_of_messages() -
         for uav in scenario.uav_ids:
             state.on_odometry(uav, told(stamp_ns, tuple(moved + scenario.offset(uav))))
             errors = [
-                one["error"] for one in state.frame()["uavs"] if one["id"] != scenario.leader_id
+                one["error"] for one in state.frame()["uavs"] if one["id"] != scenario.leader.id
             ]
             assert tick == 0 or errors == [0.0] * len(scenario.followers)

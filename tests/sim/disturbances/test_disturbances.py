@@ -65,8 +65,8 @@ def received(scenario: Scenario, uav: int, tick: int, sent: int | None, estimate
         return -1
     told, delay_ns = lost.estimate if estimate else lost.state, link_delay(scenario, sent, uav).ns
     for before in range(tick - 1, -1, -1):
-        in_time = (tick - before) * scenario.dt_ns >= delay_ns
-        if in_time and not told(sent, before * scenario.dt_ns):
+        in_time = (tick - before) * scenario.timing.dt_ns >= delay_ns
+        if in_time and not told(sent, before * scenario.timing.dt_ns):
             return before
     return -1
 
@@ -82,20 +82,20 @@ def inputs(
         sent = received(scenario, uav, tick, other, False)
         if sent < 0 or other is None:
             return np.zeros(13), NEVER_RECEIVED_S
-        age = ((tick - sent) * scenario.dt_ns) * 1e-9
+        age = ((tick - sent) * scenario.timing.dt_ns) * 1e-9
         return track.reported[sent, rows[other]].copy(), age
 
-    others = scenario.estimator_neighbours(uav)
+    others = scenario.topology.neighbours.get(uav, ())
     estimates, ages = np.zeros((len(others), 13)), np.full(len(others), NEVER_RECEIVED_S)
     for k, other in enumerate(others):
         sent = received(scenario, uav, tick, other, True)
         if sent >= 0:
             estimates[k] = track.estimate[sent, rows[other]]
-            ages[k] = ((tick - sent) * scenario.dt_ns) * 1e-9
-    parent, parent_age = state(scenario.parent(uav))
-    leader, leader_age = state(scenario.leader_id if scenario.pinned(uav) else None)
-    own, t = world.odometry(uav).copy(), (tick * scenario.dt_ns) * 1e-9
-    stale = (tick % scenario.near_every * scenario.dt_ns) * 1e-9
+            ages[k] = ((tick - sent) * scenario.timing.dt_ns) * 1e-9
+    parent, parent_age = state(scenario.communication.parent(uav))
+    leader, leader_age = state(scenario.leader.id if uav in scenario.topology.pinned else None)
+    own, t = world.odometry(uav).copy(), (tick * scenario.timing.dt_ns) * 1e-9
+    stale = (tick % scenario.near_every * scenario.timing.dt_ns) * 1e-9
     return AgentInputs(
         own, parent, parent_age, leader, leader_age, estimates, ages, near, stale, MODE_FORMATION, t
     )
@@ -118,7 +118,7 @@ def test_world_and_agents_in_python_fly_the_same_flight(communication: dict[str,
             if tick % scenario.near_every == 0:
                 near[uav] = world.near(uav)
                 assert near[uav].tobytes() == flown.near(tick, row).tobytes()
-        t, dt = world.t_ns * 1e-9, scenario.dt_ns * 1e-9
+        t, dt = world.t_ns * 1e-9, scenario.timing.dt_ns * 1e-9
         for row, uav in enumerate(world.ids):
             out = agents[uav].step(inputs(flown, world, tick, uav, near[uav]), t, dt)
             assert out.wrench.tobytes() == flown.track.wrench[tick, row].tobytes(), (tick, uav)
@@ -149,7 +149,7 @@ def test_who_sees_its_neighbours_is_not_off_by_their_errors() -> None:
 def test_as_many_messages_are_lost_as_asked_for_and_a_child_of_the_leader_hears_it_once() -> None:
     scenario = load_scenario("experiment_4", {"communication.loss": 0.05})
     heard = last_received(scenario, 2)
-    ticks = np.arange(scenario.ticks)[:, None]
+    ticks = np.arange(scenario.timing.ticks)[:, None]
     fresh = heard[1:, 1:, 1] == ticks[1:] - 1
     assert 1.0 - fresh.mean() == pytest.approx(0.05, abs=0.008)
     row = scenario.uav_ids.index(3)  # its parent is the leader
@@ -176,13 +176,13 @@ def test_a_link_has_a_loss_and_a_delay_of_its_own() -> None:
         {"sender": 3, "receiver": 2, "loss": 0.5},
     ]
     scenario = load_scenario("experiment_4_calm", {"communication.links": links})
-    assert scenario.link(2, 3) == (0.0, 0.1)
-    assert scenario.link(3, 2) == (0.5, 0.0)
-    assert scenario.link(1, 2) == (0.0, 0.0)
+    assert scenario.communication.link(2, 3) == (0.0, 0.1)
+    assert scenario.communication.link(3, 2) == (0.5, 0.0)
+    assert scenario.communication.link(1, 2) == (0.0, 0.0)
     assert message_loss(scenario, 3) is None
     lost = message_loss(scenario, 2)
     assert lost is not None
-    assert not any(lost.state(1, tick * scenario.dt_ns) for tick in range(200))
+    assert not any(lost.state(1, tick * scenario.timing.dt_ns) for tick in range(200))
     assert link_delay(scenario, 2, 3) == (100_000_000, 10)
 
 
@@ -211,7 +211,7 @@ def test_the_experiment_meets_its_deadline_by_the_truth_and_nobody_comes_close()
     off -= np.array([scenario.offset(uav) for uav in scenario.followers])
     error = np.linalg.norm(off, axis=2)
     beside_leader_m = 0.05  # the tolerance has the leader's position fixes in it beside this
-    assert beside_leader_m < scenario.file.formation.tolerance_m
+    assert beside_leader_m < scenario.formation.tolerance_m
     assert error[500].max() < beside_leader_m
     assert np.sqrt(np.mean(error[500:] ** 2, axis=0)).max() < 0.5 * beside_leader_m
     believed = np.linalg.norm(flown.track.odometry[500:, :, :3] - places[500:], axis=2)

@@ -74,8 +74,8 @@ def silenced():
 
 def test_a_child_of_a_silent_uav_holds_after_stale_s_and_goes_on(silenced):
     holding = silenced.track.diagnostics[:, 2, HOLDING] > 0
-    stale_s = float(silenced.scenario.file.communication.stale_s)
-    hz = silenced.scenario.control_hz
+    stale_s = float(silenced.scenario.communication.stale_s)
+    hz = silenced.scenario.timing.control_hz
     # The newest message is one period older than the silence.
     assert np.flatnonzero(holding).tolist() == list(range(round((1 + stale_s) * hz), 2 * hz + 1))
 

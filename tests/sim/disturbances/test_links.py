@@ -43,7 +43,7 @@ def test_nobody_in_a_chain_leaves_its_place(
     scenario, places = flown.scenario, flown.truth[:, :, :3]
     offsets = np.array([scenario.offset(uav) for uav in scenario.uav_ids])
     error = np.linalg.norm(places - places[:, :1] - offsets, axis=2)
-    assert error[round(TF_S * scenario.control_hz) :].max() < most_m
+    assert error[round(TF_S * scenario.timing.control_hz) :].max() < most_m
 
 
 def test_a_chain_at_rest_that_hears_late_does_not_move() -> None:

@@ -73,7 +73,7 @@ def test_the_world_gives_the_bits_of_the_headless_flight(scenario: str) -> None:
     one = load_scenario(scenario, {**KEYS, "timing.duration_s": 0.4, **OF_WORLD})
     flight = fly(one)
     world = World(one)
-    for tick in range(one.ticks - 1):
+    for tick in range(one.timing.ticks - 1):
         for row, uav in enumerate(one.uav_ids):
             assert world.odometry(uav).tobytes() == flight.track.odometry[tick, row].tobytes()
             if tick % one.near_every == 0:

@@ -77,7 +77,7 @@ def test_overrides_hold_with_real_vehicles_only():
     assert simulated.gains.formation.kappa_1_s == 2.2
     real = simulated.bridged()
     assert real.gains.formation.kappa_1_s == 1.1
-    assert real.file.formation.task == "relative_position"
+    assert real.formation.task == "relative_position"
     assert real.bridged().text == real.text
     with pytest.raises(PtnsbcError, match=r"gains.formation.kapa: unknown key"):
         scenario(overrides={"gains.formation.kapa": 1.1}).bridged()
@@ -86,4 +86,4 @@ def test_overrides_hold_with_real_vehicles_only():
 def test_uavs_come_and_go_with_real_vehicles_too():
     relay = load_scenario("relay")
     assert relay.bridged().text == relay.text
-    assert relay.bridged().reconfigures
+    assert relay.bridged().formation.reconfigures

@@ -18,7 +18,7 @@ WALL = {
 def obstacle(**keys) -> Obstacle:
     (found,) = load_scenario(
         "paper_5", {"world.obstacles": [{"name": "one", "keep_out_m": 0.5, **keys}]}
-    ).obstacles
+    ).world.bodies
     return found
 
 

@@ -15,7 +15,7 @@ PAPER = Path(__file__).resolve().parents[3] / "scenarios" / "paper_5.yaml"
 
 def test_by_name_from_anywhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    assert load_scenario("paper_5").file == load_scenario(PAPER).file
+    assert load_scenario("paper_5") == load_scenario(PAPER)
 
 
 def test_by_name_with_suffix_here_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -29,14 +29,22 @@ def test_by_name_with_suffix_here_first(tmp_path: Path, monkeypatch: pytest.Monk
 def test_attributes_of_the_paper() -> None:
     scenario = load_scenario(PAPER)
     assert scenario.uav_ids == (1, 2, 3, 4, 5)
-    assert (scenario.leader_id, scenario.parent(1), scenario.parent(4)) == (1, None, 3)
-    assert scenario.estimator_neighbours(3) == (2, 4)
-    assert scenario.estimator_neighbours(1) == ()
-    assert scenario.pinned(5)
-    assert (scenario.dt_ns, scenario.near_every, scenario.ticks) == (10_000_000, 5, 6000)
+    assert (
+        scenario.leader.id,
+        scenario.communication.parent(1),
+        scenario.communication.parent(4),
+    ) == (1, None, 3)
+    assert scenario.topology.neighbours.get(3, ()) == (2, 4)
+    assert scenario.topology.neighbours.get(1, ()) == ()
+    assert 5 in scenario.topology.pinned
+    assert (scenario.timing.dt_ns, scenario.near_every, scenario.timing.ticks) == (
+        10_000_000,
+        5,
+        6000,
+    )
     assert scenario.topology.lambda_min == pytest.approx(1.0)
     np.testing.assert_array_equal(scenario.uav(5).position, [2, -1, 1])
-    assert [obstacle.name for obstacle in scenario.obstacles] == ["O1", "O2"]
+    assert [obstacle.name for obstacle in scenario.world.bodies] == ["O1", "O2"]
     assert scenario.text == PAPER.read_text(encoding="utf-8")
 
 
@@ -66,9 +74,9 @@ def test_a_value_may_repeat_its_unit() -> None:
     }
     scenario = load_scenario(PAPER, overrides)
     assert scenario.gains.formation.deadline_s == 7.5
-    assert scenario.gravity_m_s2 == 3.7
-    assert scenario.dt_ns == 5_000_000
-    assert scenario.inertia_kg_m2 == (0.02, 0.02, 0.03)
+    assert scenario.world.gravity_m_s2 == 3.7
+    assert scenario.timing.dt_ns == 5_000_000
+    assert scenario.plant.inertia_kg_m2 == (0.02, 0.02, 0.03)
 
 
 def test_yaml_of_today() -> None:
@@ -79,7 +87,7 @@ def test_yaml_of_today() -> None:
     )
     scenario = scenario_from_text(text.replace("seed: 1 ", "seed: 010 "))
     assert agent_config(scenario, 2).clearance.rule == AVOIDANCE_OFF
-    assert scenario.file.communication.stale_s == 0.5
+    assert scenario.communication.stale_s == 0.5
     assert scenario.seed == 10
 
 
@@ -95,16 +103,16 @@ def test_text_loads_again_to_the_same_scenario() -> None:
     }
     scenario = load_scenario("paper_5_free", overrides)
     again = scenario_from_text(scenario.text)
-    assert again.file == scenario.file
+    assert again == scenario
     assert again.text == scenario.text
-    assert scenario.duration_s == 60
+    assert scenario.timing.duration_s == 60
 
 
 def test_free_flight_differs_from_the_paper_by_its_obstacles_only() -> None:
     free, paper = load_scenario("paper_5_free"), load_scenario("paper_5")
-    assert free.obstacles == ()
+    assert free.world.bodies == ()
     same = {"name", "description", "world"}
-    assert free.file.model_dump(exclude=same) == paper.file.model_dump(exclude=same)
+    assert free.model_dump(exclude=same) == paper.model_dump(exclude=same)
 
 
 def test_extends_merges_mappings_replaces_lists_and_null_removes(tmp_path: Path) -> None:
@@ -113,8 +121,8 @@ def test_extends_merges_mappings_replaces_lists_and_null_removes(tmp_path: Path)
         "extends: a\nname: b\nworld: {obstacles: null}\ncommunication: {leader_links: [2, 3, 5]}\n"
     )
     scenario = load_scenario(tmp_path / "b.yaml")
-    assert scenario.gravity_m_s2 == 9.8
-    assert scenario.obstacles == ()
+    assert scenario.world.gravity_m_s2 == 9.8
+    assert scenario.world.bodies == ()
     assert scenario.topology.pinned == {2, 3, 5}
 
 

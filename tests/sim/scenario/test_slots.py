@@ -135,19 +135,19 @@ def test_a_uav_flies_by_all_that_belongs_to_its_slot(task: str) -> None:
         climb = agent_config(scenario, uav).clearance.climb  # stays with the UAV
         given = given._replace(clearance=given.clearance._replace(climb=climb))
         np.testing.assert_equal(tuple(taken), tuple(given))
-        parent = scenario.parent(slot)
-        assert held.parent(uav) == (None if parent is None else holder[parent])
-        assert held.pinned(uav) == scenario.pinned(slot)
-        heard = {holder[other] for other in scenario.estimator_neighbours(slot)}
-        assert held.estimator_neighbours(uav) == tuple(sorted(heard))
+        parent = scenario.communication.parent(slot)
+        assert held.communication.parent(uav) == (None if parent is None else holder[parent])
+        assert (uav in held.topology.pinned) == slot in scenario.topology.pinned
+        heard = {holder[other] for other in scenario.topology.neighbours.get(slot, ())}
+        assert held.topology.neighbours.get(uav, ()) == tuple(sorted(heard))
         np.testing.assert_array_equal(held.offset(uav), scenario.offset(slot))
-    assert held.leader_id == 4
+    assert held.leader.id == 4
 
 
 def test_what_belongs_to_a_uav_stays_with_it() -> None:
     scenario = load_scenario("paper_5", OPEN)
     held = with_slots(scenario, SWAPPED)
-    assert held.file.uavs == scenario.file.uavs
+    assert held.uavs == scenario.uavs
     assert held.text == scenario.text
     for uav in scenario.uav_ids:
         assert held.vehicle_link(uav) == scenario.vehicle_link(uav)
@@ -157,9 +157,9 @@ def test_what_belongs_to_a_uav_stays_with_it() -> None:
 
 def test_the_graph_is_the_one_that_the_new_links_make() -> None:
     held = with_slots(load_scenario("experiment_4", OPEN), {1: 2, 2: 1, 3: 4, 4: 3})
-    links = held.file.communication
+    links = held.communication
     made = validated_topology(
-        held.leader_id, held.uav_ids, links.tree, links.leader_links, links.estimator_edges
+        held.leader.id, held.uav_ids, links.tree, links.leader_links, links.estimator_edges
     )
     same = held.topology._replace(
         matrix=made.matrix, lambda_min=made.lambda_min, lambda_max=made.lambda_max

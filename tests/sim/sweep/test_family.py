@@ -37,10 +37,10 @@ def test_every_draw_is_a_scenario(name: str) -> None:
     for k in range(plan.draws):
         scenario, values = drawn_scenario(plan, k)
         assert len(scenario.uav_ids) == values["size"]
-        starts = np.array([uav.position_m for uav in scenario.file.uavs])
+        starts = np.array([uav.position_m for uav in scenario.uavs])
         gaps = np.linalg.norm(starts[:, None] - starts[None], axis=2)
-        assert gaps[np.triu_indices(len(starts), 1)].min() >= scenario.uav_keep_out_m
-        for obstacle in scenario.obstacles:
+        assert gaps[np.triu_indices(len(starts), 1)].min() >= scenario.formation.uav_keep_out_m
+        for obstacle in scenario.world.bodies:
             assert np.linalg.norm(starts - obstacle.position, axis=1).min() > obstacle.keep_out_m
         for uav in scenario.uav_ids:
             agent_config(scenario, uav)
@@ -50,7 +50,7 @@ def test_every_draw_is_a_scenario(name: str) -> None:
 def test_a_draw_of_a_family_is_text_and_back(name: str) -> None:
     plan = plan_of_family(find_family(name).read_text())
     for k in range(5):
-        assert draw(plan, k).file == drawn_scenario(plan, k)[0].file
+        assert draw(plan, k) == drawn_scenario(plan, k)[0]
         assert drawn_values(plan, k) == drawn_values(plan, k)
 
 
@@ -58,9 +58,9 @@ def test_every_uav_has_a_mass_and_inertia_of_its_own() -> None:
     plan = plan_of_family(find_family("mass").read_text())
     for k in range(3):
         scenario, values = drawn_scenario(plan, k)
-        scales = [uav.mass_scale for uav in scenario.file.uavs]
+        scales = [uav.mass_scale for uav in scenario.uavs]
         assert (values["heaviest"], values["lightest"]) == (max(scales), min(scales))
-        drawn = [*scales, *(one for uav in scenario.file.uavs for one in uav.inertia_scale)]
+        drawn = [*scales, *(one for uav in scenario.uavs for one in uav.inertia_scale)]
         assert len(set(drawn)) == 4 * len(scales)
         assert 0.7 <= min(drawn) < max(drawn) <= 1.3
 
@@ -69,7 +69,7 @@ def test_a_delay_is_drawn_for_all_links() -> None:
     plan = plan_of_family(find_family("delay").read_text())
     drawn = [drawn_scenario(plan, k) for k in range(8)]
     delays = [values["delay_s"] for _, values in drawn]
-    assert [scenario.file.communication.delay_s for scenario, _ in drawn] == delays
+    assert [scenario.communication.delay_s for scenario, _ in drawn] == delays
     assert 0.0 < min(delays) < 0.1 < max(delays) < 0.2
 
 
@@ -78,7 +78,7 @@ def test_followers_that_swap_start_at_the_place_of_another_one() -> None:
     plan = plan_of_family(text)
     for k in range(10):
         scenario, _ = drawn_scenario(plan, k)
-        starts = np.array([uav.position_m for uav in scenario.file.uavs])
+        starts = np.array([uav.position_m for uav in scenario.uavs])
         goals = starts[0] + np.array([scenario.offset(uav) for uav in scenario.uav_ids])
         nearest = [int(np.argmin(np.linalg.norm(goals - place, axis=1))) for place in starts]
         assert nearest[0] == 0
@@ -97,7 +97,7 @@ def test_the_deadline_is_a_multiple_of_the_feasible_one() -> None:
     plan = plan_of_family(text)
     scenario, values = drawn_scenario(plan, 0)
     assert scenario.gains.formation.deadline_s == values["deadline_s"]
-    assert scenario.duration_s == pytest.approx(values["deadline_s"] + 3.0)
+    assert scenario.timing.duration_s == pytest.approx(values["deadline_s"] + 3.0)
 
 
 @pytest.mark.parametrize(
@@ -122,19 +122,19 @@ def test_open_slots_and_the_distance_of_starts() -> None:
     plan = plan_of_family(find_family("slots").read_text(), runs=5)
     for k in range(5):
         scenario, _ = drawn_scenario(plan, k)
-        shape = scenario.file.formation
+        shape = scenario.formation
         assert (shape.assignment, shape.task) == ("optimal", "relative_position")
-        starts = np.array([uav.position_m for uav in scenario.file.uavs])
+        starts = np.array([uav.position_m for uav in scenario.uavs])
         gaps = np.linalg.norm(starts[:, None] - starts[None], axis=2)
         assert gaps[np.triu_indices(len(starts), 1)].min() >= 1.0
-        assert draw(plan, k).file == scenario.file  # disturbances that are given over and over
+        assert draw(plan, k) == scenario  # disturbances that are given over and over
 
 
 def test_on_a_ring_every_follower_starts_opposite_to_its_place() -> None:
     plan = plan_of_family(find_family("ring").read_text())
     for k in range(5):
         scenario, _ = drawn_scenario(plan, k)
-        leader = np.array(scenario.uav(scenario.leader_id).position)
+        leader = np.array(scenario.uav(scenario.leader.id).position)
         for uav in scenario.followers:
             start = np.array(scenario.uav(uav).position) - leader
             assert start == pytest.approx(-scenario.offset(uav), abs=1e-9)

@@ -25,7 +25,7 @@ def plan_with(runs: int = 20, *axes: str, **rest) -> SweepPlan:
 
 def positions(plan: SweepPlan, k: int) -> np.ndarray:
     scenario, _ = drawn_scenario(plan, k)
-    return np.array([uav.position_m for uav in scenario.file.uavs])
+    return np.array([uav.position_m for uav in scenario.uavs])
 
 
 @given(k=st.integers(0, 19), runs=st.integers(20, 10_000), seed=st.integers(0, 2**40))
@@ -52,14 +52,14 @@ def test_starts_are_clear_of_each_other(k: int, sigma: float, seed: int) -> None
     plan = plan_with(50, starts=parse_starts(f"near:{sigma}"), seed=seed)
     places = positions(plan, k)
     gaps = np.linalg.norm(places[:, None] - places[None], axis=2)
-    least = BASE.uav_keep_out_m + BASE.gains.clearance.margin_m
+    least = BASE.formation.uav_keep_out_m + BASE.gains.clearance.margin_m
     assert gaps[np.triu_indices(len(places), 1)].min() >= least
 
 
 @given(k=st.integers(0, 49))
 @settings(max_examples=20)
 def test_starts_in_a_box_stay_in_it(k: int) -> None:
-    given_places = np.array([uav.position_m for uav in BASE.file.uavs])
+    given_places = np.array([uav.position_m for uav in BASE.uavs])
     places = positions(plan_with(50, starts=parse_starts("box:8,6,4")), k)
     centre = given_places.mean(axis=0)
     assert (np.abs(places[:, :2] - centre[:2]) <= [4.0, 3.0]).all()
@@ -76,7 +76,7 @@ def test_starts_keep_clear_of_obstacles() -> None:
     scenario = load_scenario("paper_5", {"timing.duration_s": 0.5})
     plan = plan_of(scenario, 30, starts=parse_starts("box:16,16,12"))
     for k in range(30):
-        for obstacle in scenario.obstacles:
+        for obstacle in scenario.world.bodies:
             room = np.linalg.norm(positions(plan, k) - obstacle.position, axis=1)
             assert room.min() >= obstacle.keep_out_m
 
@@ -84,7 +84,7 @@ def test_starts_keep_clear_of_obstacles() -> None:
 def test_draw_is_the_scenario_that_the_loop_flies() -> None:
     plan = plan_with(5, f"{KAPPA}=1:3", starts=parse_starts("near:0.3"))
     for k in range(5):
-        assert draw(plan, k).file == drawn_scenario(plan, k)[0].file
+        assert draw(plan, k) == drawn_scenario(plan, k)[0]
 
 
 @pytest.mark.parametrize("name", SHIPPED)
@@ -93,7 +93,7 @@ def test_a_draw_of_starts_alone_is_one_that_was_validated(name: str, starts: str
     rest = {"starts": parse_starts(starts), "stop_after_s": 0.3, "seed": 5}
     plan = plan_of(load_scenario(name), 2, **rest)
     (found, values), whole = drawn_scenario(plan, 1), draw(plan, 1)
-    assert (found.file, values, found.source) == (whole.file, {}, whole.source)
+    assert (found, values, found.source) == (whole, {}, whole.source)
     assert found.topology.neighbours == whole.topology.neighbours
     np.testing.assert_array_equal(found.topology.matrix, whole.topology.matrix)
 
@@ -107,8 +107,8 @@ def test_starts_beyond_all_measure_are_refused_with_the_draw() -> None:
 def test_the_loop_flies_the_mission_of_a_draw_too() -> None:
     plan = plan_of(load_scenario("mission_6"), 3, starts=parse_starts("near:0.3"))
     flown, whole = drawn_scenario(plan, 1)[0], draw(plan, 1)
-    assert flown.file == whole.file
-    assert flown.file.formation.changes
+    assert flown == whole
+    assert flown.formation.changes
 
 
 def test_several_lists_make_a_grid_with_replicates() -> None:
@@ -136,8 +136,8 @@ def test_normal_draws_have_the_mean_and_deviation_asked_for() -> None:
 
 
 def test_a_flight_ends_at_stop_after() -> None:
-    assert drawn_scenario(plan_with(1, stop_after_s=0.2), 0)[0].duration_s == 0.2
-    assert drawn_scenario(plan_with(1, stop_after_s=9.0), 0)[0].duration_s == 0.5
+    assert drawn_scenario(plan_with(1, stop_after_s=0.2), 0)[0].timing.duration_s == 0.2
+    assert drawn_scenario(plan_with(1, stop_after_s=9.0), 0)[0].timing.duration_s == 0.5
 
 
 def test_a_plan_is_text_and_back() -> None:

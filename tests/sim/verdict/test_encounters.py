@@ -95,7 +95,7 @@ def test_who_is_farther_off_has_longer(fly: Fly, count: Callable[..., Any]) -> N
     scenario = load_scenario("paper_5_free")
     near, far, farther, farthest = (recovery_s(scenario, away) for away in (0.0, 0.7, 2.8, 8.0))
     assert near < far < farther < farthest
-    assert near == pytest.approx(scenario.file.formation.recovery_s + 1.0 / 2.2)
+    assert near == pytest.approx(scenario.formation.recovery_s + 1.0 / 2.2)
     assert farther - 1.0 / 2.2 == pytest.approx(2.0 * (far - 1.0 / 2.2), rel=0.01)
     speed = min(recovery_config(scenario, uav).speed for uav in scenario.uav_ids)
     assert farthest - 1.0 / 2.2 == pytest.approx(2.1875 * 8.0 / speed, rel=0.01)

@@ -57,7 +57,7 @@ def test_a_leader_that_leaves_without_a_successor_is_refused() -> None:
 
 def test_a_leader_that_is_killed_without_a_successor_is_warned_of() -> None:
     """Lost 0.5 s later, after `communication.stale_s`: the scenario may want to show it."""
-    stale_s = load_scenario("relay").file.communication.stale_s
+    stale_s = load_scenario("relay").communication.stale_s
     assert odd(leader__successors=[]) == [
         ("warning", "leader.successors", f"[]: from {36 + stale_s:g} s on nobody leads: all hold")
     ]
@@ -66,7 +66,7 @@ def test_a_leader_that_is_killed_without_a_successor_is_warned_of() -> None:
 def test_a_successor_that_has_left_before_cannot_take_over() -> None:
     """Without the other one nobody leads, from when the leader is lost."""
     gone = {"uavs[1].leaves_s": 10}
-    stale_s = load_scenario("relay").file.communication.stale_s
+    stale_s = load_scenario("relay").communication.stale_s
     idle = f"UAV 2 is away then, when the lead is free at {36 + stale_s:g} s"
     assert odd(**gone) == [("warning", "leader.successors[0]", idle)]
     assert [one[:2] for one in odd(**gone, leader__successors=[2])] == [

@@ -14,7 +14,7 @@ QUICK = {"timing.duration_s": 1.2, "gains.formation.deadline_s": 0.9}
 
 def test_a_mapping_is_a_scenario_file() -> None:
     made = load({"extends": "paper_5", "seed": np.int64(3), "timing": {"duration_s": "2 s"}})
-    assert (made.seed, made.duration_s, made.uav_ids) == (3, 2.0, (1, 2, 3, 4, 5))
+    assert (made.seed, made.timing.duration_s, made.uav_ids) == (3, 2.0, (1, 2, 3, 4, 5))
 
 
 def test_keys_are_set_from_python_values() -> None:

@@ -37,7 +37,7 @@ def test_a_draw_is_flown_again_to_the_bit(flown: Sweep) -> None:
     assert flown.fly(3, progress=False).verdict.energy == pytest.approx(
         flown["energy_n2_s"][flown["draw"] == 3].sum(), rel=1e-12
     )
-    assert flown.scenario(3).mass_kg == 1.2
+    assert flown.scenario(3).plant.mass_kg == 1.2
 
 
 def test_a_kept_sweep_is_opened(flown: Sweep) -> None:

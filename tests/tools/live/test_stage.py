@@ -15,7 +15,7 @@ def test_it_is_json_and_has_every_uav_and_obstacle() -> None:
     found = json.loads(json.dumps(stage(scenario), allow_nan=False))
     space = found["space"]
     assert [uav["id"] for uav in space["uavs"]] == list(scenario.uav_ids)
-    assert len(space["obstacles"]) == len(scenario.obstacles)
+    assert len(space["obstacles"]) == len(scenario.world.bodies)
     assert len(found["starts"]) == len(scenario.uav_ids)
     low, high = map(np.array, space["bounds"])
     path = np.array(space["path"]).reshape(-1, 3)

@@ -62,7 +62,7 @@ def test_inputs_against_weight_and_limit(fly):
     values[50] = [3.0, 4.0, 0.0, 0.0, 0.6, 0.8]
     found = drawn(replace(recording, wrench={**recording.wrench, 2: Series(series.t_ns, values)}))
     scenario = recording.scenario
-    weight = scenario.mass_kg * scenario.gravity_m_s2
+    weight = scenario.plant.mass_kg * scenario.world.gravity_m_s2
     assert found["force"].curves[1].values[50] == pytest.approx(5.0)
     assert found["torque"].curves[1].values[50] == pytest.approx(1.0)
     assert [limit.value for limit in found["force"].limits] == [pytest.approx(weight), 25.9]
@@ -80,7 +80,7 @@ def test_separations_are_distances_with_their_keep_outs(fly):
     assert [limit.value for limit in found["between"].limits] == [0.5]
     away = {curve.label: curve for curve in found["obstacles"].curves}
     assert len(away) == 10
-    start = recording.odometry[1].values[0, :3] - recording.scenario.obstacles[0].position
+    start = recording.odometry[1].values[0, :3] - recording.scenario.world.bodies[0].position
     assert away["UAV 1 – O1"].values[0] == pytest.approx(np.linalg.norm(start))
     assert [limit.value for limit in found["obstacles"].limits] == [1.5]
 

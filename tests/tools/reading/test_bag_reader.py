@@ -155,7 +155,7 @@ def write_long(path: Path, scenario, ticks: int) -> Path:
     with BagWriter(path, infos) as writer:
         writer.write(topics.EPOCH.name, 0, HeaderTemplate("form").encode(0))
         for k in range(ticks):
-            stamp = k * scenario.dt_ns
+            stamp = k * scenario.timing.dt_ns
             near = encode_near(stamp, "map", np.zeros((0, 7)))
             for topic in recorded:
                 data = near if topic.name.endswith("/near") else state.encode(stamp, still)

@@ -63,7 +63,7 @@ def test_equal(again, request, scenario, kind):
     done = again(request.getfixturevalue(kind))
     assert (done.verdict, done.realtime) == ("equal", kind == "realtime")
     for account in done.accounts.values():
-        assert account.steps >= scenario.ticks
+        assert account.steps >= scenario.timing.ticks
         assert account.compared > 4 * account.steps, "and counters or snapshots"
         assert (account.silent, account.unrecorded, account.gaps) == (0, 0, [])
 
@@ -78,7 +78,7 @@ def test_equal_where_links_lose_and_positions_are_noisy(tmp_path):
     assert flown.imperfect
     done = rerun(read_bag(write_flight(fly(flown), tmp_path / "lossy")), flown)
     assert done.verdict == "equal", done.first
-    assert all(account.steps == flown.ticks for account in done.accounts.values())
+    assert all(account.steps == flown.timing.ticks for account in done.accounts.values())
     for another in ({"seed": 12345}, {"communication.delay_s": 0.07}):
         other = load_scenario("experiment_4", changes | another)
         assert rerun(read_bag(tmp_path / "lossy"), other).verdict == "different"
@@ -103,7 +103,7 @@ def test_equal_where_uavs_take_the_slots_of_others(taken):
     scenario, path = taken
     done = rerun(read_bag(path), scenario, jobs=2)
     assert done.verdict == "equal", done.first
-    assert all(account.steps == scenario.ticks for account in done.accounts.values())
+    assert all(account.steps == scenario.timing.ticks for account in done.accounts.values())
 
 
 def test_another_decision_gives_another_flight(taken, rewritten):

@@ -31,12 +31,12 @@ def test_behind_a_leader_at_rest_the_peaks_are_those_of_h():
     """10 m: 2.1875 E / T of speed, and 7.513 E / T^2 of acceleration where that is the tighter limit."""
     slow = flown_along(HOVER, {1: [0, 0, 8], 5: [1.2, 7.6, 8]}, **{"plant.quadrotor.drag_1_s": 0.0})
     deadlines = np.array([4.0, 9.0])
-    lasts = plan_durations(slow.file, deadlines)
+    lasts = plan_durations(slow, deadlines)
     wanted = 2.1875 * 10.0 / lasts / slow.gains.filter.max_speed_m_s
-    found = demands(slow.file, starts_of(slow.file), 5, deadlines, 0.0)
+    found = demands(slow, starts_of(slow), 5, deadlines, 0.0)
     assert (found >= wanted - 1e-3).all()
     soft = slow.with_({"gains.filter.max_acceleration_m_s2": 1.0})
-    found = demands(soft.file, starts_of(soft.file), 5, deadlines, 0.0)
+    found = demands(soft, starts_of(soft), 5, deadlines, 0.0)
     assert found == pytest.approx(7.513 * 10.0 / lasts**2, rel=2e-3)
 
 
@@ -53,9 +53,7 @@ def test_a_uav_flies_the_path_that_is_planned(turn: float):
     flight = fly(scenario)
     t = flight.t_ns * 1e-9
     for row, uav in enumerate(scenario.uav_ids):
-        times, paths = planned_paths(
-            scenario.file, starts_of(scenario.file), uav, np.array([10.0]), turn
-        )
+        times, paths = planned_paths(scenario, starts_of(scenario), uav, np.array([10.0]), turn)
         flown = np.stack(
             [np.interp(times[0], t, flight.truth[:, row, k]) for k in range(3)], axis=1
         )
@@ -69,11 +67,8 @@ def test_a_leader_that_comes_near_needs_no_time_of_its_own():
     coming = flown_along(line, {1: [0, 0, 8], **ahead})
     behind = {uav: [-x, y, z] for uav, (x, y, z) in ahead.items()}
     leaving = flown_along(line, {1: [0, 0, 8], **behind})
-    needs = [
-        max(shortest_deadlines(one.file, limits_left(one.file)).values())
-        for one in (coming, leaving)
-    ]
+    needs = [max(shortest_deadlines(one, limits_left(one)).values()) for one in (coming, leaving)]
     assert needs[0] < 10.0 < needs[1]
-    assert turn_of(coming.file) == 0.0
+    assert turn_of(coming) == 0.0
     assert verdict_on(recording_of(fly(coming))).verdict == "met"
     assert verdict_on(recording_of(fly(leaving))).verdict != "met"

@@ -83,7 +83,7 @@ def test_distances_do_not_depend_on_where_north_is(seed: int, angle: float) -> N
 @pytest.mark.parametrize("followers", [3, 8, 12])
 def test_a_ring_changes_sides_by_a_turn_that_keeps_it_clear(followers: int) -> None:
     scenario = ring(followers)
-    turn = turn_of(scenario.file)
+    turn = turn_of(scenario)
     assert turn > 0.0
     starts = np.array([scenario.uav(uav).position for uav in scenario.uav_ids])
     places = np.array([scenario.offset(uav) for uav in scenario.uav_ids])
@@ -99,7 +99,7 @@ def test_pairs_that_are_clear_on_straight_lines_fly_straight() -> None:
         f"uavs[{row}].position_m": (scenario.offset(uav) + np.array([0.3, 0.2, 5.0])).tolist()
         for row, uav in enumerate(scenario.uav_ids)
     }
-    assert turn_of(scenario.with_(places).file) == 0.0
+    assert turn_of(scenario.with_(places)) == 0.0
 
 
 def test_where_no_turn_keeps_all_pairs_clear_the_paths_are_straight() -> None:
@@ -125,13 +125,13 @@ def test_where_no_turn_keeps_all_pairs_clear_the_paths_are_straight() -> None:
     ],
 )
 def test_only_own_places_that_stand_still_in_free_space_are_turned_to(changes) -> None:
-    assert turn_of(ring(8, **changes).file) == 0.0
+    assert turn_of(ring(8, **changes)) == 0.0
 
 
 def test_the_scenario_may_say_the_turn() -> None:
     scenario = ring(8, **{"formation.turn_rad": -1.0})
     assert agent_config(scenario, 3).turn == -1.0
-    assert turn_of(ring(8, **{"formation.turn_rad": 0.0}).file) == 0.0
+    assert turn_of(ring(8, **{"formation.turn_rad": 0.0})) == 0.0
 
 
 @pytest.mark.parametrize("changes", [{"assignment": "optimal"}, {"approach": "task"}])
@@ -142,18 +142,15 @@ def test_a_turn_needs_own_places_and_the_planned_approach(changes) -> None:
 
 def test_a_turn_takes_longer_and_is_left_where_the_deadline_is_too_short() -> None:
     long, straight = ring(8), ring(8, **{"formation.turn_rad": 0.0})
-    needs = [
-        max(shortest_deadlines(one.file, limits_left(one.file)).values())
-        for one in (long, straight)
-    ]
+    needs = [max(shortest_deadlines(one, limits_left(one)).values()) for one in (long, straight)]
     assert needs[0] > needs[1]
     between = {"gains.formation.deadline_s": 0.5 * (needs[0] + needs[1])}
-    assert turn_of(ring(8, **between).file) == 0.0
+    assert turn_of(ring(8, **between)) == 0.0
 
 
 def test_deadline_auto_counts_the_turn() -> None:
     turned = ring(8, **{"gains.formation.deadline_s": "auto"})
-    assert turn_of(turned.file) == turn_of(ring(8).file) > 0.0
+    assert turn_of(turned) == turn_of(ring(8)) > 0.0
 
 
 @given(turn=turns.filter(lambda turn: abs(turn) > 1e-3))

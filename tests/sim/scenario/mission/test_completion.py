@@ -44,7 +44,7 @@ def test_edges_of_angle_tasks_are_well_conditioned() -> None:
     changes = {"communication.tree": "auto", "formation.task": "distance_angles"}
     scenario = load_scenario("paper_20", changes)
     for uav in scenario.followers:
-        parent = scenario.parent(uav)
+        parent = scenario.communication.parent(uav)
         assert parent is not None
         config = agent_config(scenario, uav)
         reference = reference_offset(scenario, uav)
@@ -62,7 +62,7 @@ def test_without_a_parent_the_shape_is_refused() -> None:
     with pytest.raises(PtnsbcError, match=r"tree: auto: no well conditioned parent for UAV 2"):
         load_scenario("paper_5", changes)
     found = load_scenario("paper_5", {**changes, "formation.task": "relative_position"})
-    assert set(found.file.communication.tree) == {2, 3, 4, 5}
+    assert set(found.communication.tree) == {2, 3, 4, 5}
 
 
 @pytest.mark.parametrize(
@@ -92,4 +92,4 @@ def test_places_beyond_all_measure_are_no_traceback(size: float) -> None:
         ):
             load_scenario("paper_5", overrides)
     else:
-        assert len(load_scenario("paper_5", overrides).file.formation.changes) == 2
+        assert len(load_scenario("paper_5", overrides).formation.changes) == 2

@@ -97,7 +97,7 @@ def test_a_speed_gives_the_times() -> None:
     straight = scenario(
         kind="waypoints", points_m=[[0, 0, 8], [3, 4, 8]], speed_m_s=0.5, through="straight"
     )
-    most = extremes(straight.file.leader.trajectory, 60.0)
+    most = extremes(straight.leader.trajectory, 60.0)
     assert most.speed_m_s == pytest.approx(0.5, rel=1e-3)
 
 
@@ -123,9 +123,9 @@ def test_another_kind_replaces_the_trajectory_that_is_extended(tmp_path: Path) -
     path = tmp_path / "mine.yaml"
     lines = "extends: paper_5_free\nname: mine\nleader: {trajectory: {kind: hover, position_m: [0, 0, 3]}}\n"
     path.write_text(lines)
-    assert load_scenario(path).file.leader.trajectory.kind == "hover"
+    assert load_scenario(path).leader.trajectory.kind == "hover"
     path.write_text("extends: paper_5_free\nname: mine\nleader: {trajectory: {radius_m: 6}}\n")
-    assert load_scenario(path).file.leader.trajectory.kind == "circle"
+    assert load_scenario(path).leader.trajectory.kind == "circle"
 
 
 def test_hover_is_a_line_that_stays() -> None:
@@ -145,7 +145,7 @@ def test_csv_is_carried_by_the_scenario(tmp_path: Path) -> None:
     np.testing.assert_allclose(at.position, [2, 1, 8])
     assert at.yaw == pytest.approx(2 * np.pi - 2.5)
     again = scenario_from_text(found.text, complete=True)
-    assert again.file == found.file
+    assert again == found
     (tmp_path / "whole.yaml").write_text(found.text.replace("samples", "file"))
     with pytest.raises(PtnsbcError, match=r"trajectory\.file: not here"):
         scenario_from_text((tmp_path / "whole.yaml").read_text(), complete=True)
@@ -213,7 +213,7 @@ def test_extremes_of_a_figure_of_eight() -> None:
         amplitude_m=[6, 3, 0],
         rate_rad_s=[0.1, 0.2, 0],
         heading="path",
-    ).file.leader.trajectory
+    ).leader.trajectory
     most = extremes(path, 600.0)
     assert most.speed_m_s == pytest.approx(0.6 * np.sqrt(2.0), rel=1e-3)
     assert most.jump_m_s == 0.0
@@ -223,7 +223,7 @@ def test_extremes_of_a_figure_of_eight() -> None:
 
 
 def test_a_file_that_ends_in_motion_jumps_to_rest() -> None:
-    path = scenario(kind="csv", samples=CSV).file.leader.trajectory
+    path = scenario(kind="csv", samples=CSV).leader.trajectory
     assert extremes(path, 60.0).jump_m_s > 0.5
     assert extremes(path, 4.5).jump_m_s < 1e-6
 

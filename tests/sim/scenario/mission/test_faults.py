@@ -3,7 +3,7 @@
 import pytest
 
 from ptnsbc_sim.scenario import ScenarioError, load_scenario
-from ptnsbc_sim.scenario.mission.faults import AUTOPILOT, FAULTS, FOR_EVER_NS
+from ptnsbc_sim.scenario.mission.faults import AUTOPILOT, FAULTS, FOR_EVER_NS, modelled
 
 GOOD = {
     "silence": {"uav": 2},
@@ -70,9 +70,9 @@ def test_units_may_be_repeated_and_times_count_from_the_epoch():
 
 
 def test_a_scenario_without_the_key_takes_no_fault_and_one_with_an_empty_list_does():
-    assert load_scenario("paper_5").file.faults is None
+    assert load_scenario("paper_5").faults is None
     empty = load_scenario("paper_5", {"faults": []})
-    assert empty.file.faults == () == empty.modelled_faults
+    assert empty.faults == () == modelled(empty.faults)
     assert not empty.imperfect
 
 

@@ -37,7 +37,7 @@ def test_a_leg_begins_when_the_last_is_done_or_at_its_time() -> None:
     assert times(found) == [(0, 6, 7), (7, 12, 12), (20, 24, 24), (24, 27, 29), (29, 49, 49)]
     assert [one.name for one in found.legs] == ["form-1", "go_to-2", "change-3", "hold-4", "land-5"]
     assert found.landing_ns == 29_000_000_000
-    assert [one.at_s for one in found.file.formation.changes] == [0.0, 20.0]
+    assert [one.at_s for one in found.formation.changes] == [0.0, 20.0]
 
 
 def test_the_first_leg_says_deadline_shape_and_slots() -> None:
@@ -45,7 +45,7 @@ def test_the_first_leg_says_deadline_shape_and_slots() -> None:
     found = mission(first)
     assert found.gains.formation.deadline_s == 6.0
     assert found.offset(2).tolist() == [-3, 0, 0]
-    assert found.file.formation.assignment == "optimal"
+    assert found.formation.assignment == "optimal"
 
 
 def test_the_first_leg_may_say_offsets_and_trajectory() -> None:
@@ -99,7 +99,7 @@ def test_slots_are_decided_by_the_starts_of_a_take_off() -> None:
     leader = places(fixed, 10.9)[0]
     assert places(fixed, 11.0)[1] - leader == pytest.approx([2, 0, 0], abs=0.2)
     assert places(free, 11.0)[1] - leader == pytest.approx([-2, 0, 0], abs=0.2)
-    assert free.file.formation.assignment == "fixed"
+    assert free.formation.assignment == "fixed"
 
 
 def test_the_take_off_of_real_vehicles_begins_where_their_own_ends() -> None:
@@ -114,7 +114,7 @@ def test_the_take_off_of_real_vehicles_begins_where_their_own_ends() -> None:
 def test_the_text_of_a_take_off_loads_again_to_the_same_flight() -> None:
     found = mission(RISE, {**FORM, "shape": {"kind": "v", "spacing_m": 2}}, LINE, LAND)
     again = scenario_from_text(found.text)
-    assert again.file == found.file
+    assert again == found
     assert again.legs == found.legs
 
 
@@ -152,7 +152,7 @@ def test_a_word_drops_what_would_begin_after_it() -> None:
 def test_the_text_of_a_mission_loads_again_to_the_same_flight() -> None:
     found = mission(FORM, GO, LINE, LAND)
     again = scenario_from_text(found.text)
-    assert again.file == found.file
+    assert again == found
     assert again.legs == found.legs
 
 

@@ -28,28 +28,28 @@ def relay(vacancy: str = "keep") -> Scenario:
 
 def tree_of(scenario: Scenario | None) -> dict[int, int]:
     assert scenario is not None
-    return dict(scenario.file.communication.tree)
+    return dict(scenario.communication.tree)
 
 
 def test_children_of_a_lost_uav_follow_the_one_above_it():
     found = reconfigured(relay(), Membership(frozenset({2}), NOBODY))
     assert tree_of(found) == {3: 1, 4: 1, 5: 3, 6: 4, 7: 5}
-    assert found is not None and found.pinned(4), "4 heard of the leader from it too"
+    assert found is not None and (4 in found.topology.pinned), "4 heard of the leader from it too"
 
 
 def test_the_next_in_line_leads_from_its_own_slot():
     found = reconfigured(relay(), Membership(frozenset({1}), NOBODY))
     assert tree_of(found) == {3: 2, 4: 2, 5: 3, 6: 4, 7: 5}
-    assert found is not None and found.leader_id == 2
+    assert found is not None and found.leader.id == 2
     for uav in IDS:
         assert found.offset(uav).tolist() == relay().offset(uav).tolist()
     later = reconfigured(relay(), Membership(frozenset({1, 2}), NOBODY))
-    assert later is not None and later.leader_id == 3
+    assert later is not None and later.leader.id == 3
 
 
 def test_who_was_away_takes_its_slot_but_neither_the_lead_nor_a_child():
     found = reconfigured(relay(), Membership(NOBODY, frozenset({1, 3})))
-    assert found is not None and found.leader_id == 2
+    assert found is not None and found.leader.id == 2
     assert tree_of(found) == {1: 2, 3: 2, 4: 2, 5: 2, 6: 4, 7: 5}
 
 
@@ -66,7 +66,7 @@ def test_those_behind_an_empty_slot_move_up():
 
 def test_with_the_leader_gone_the_successor_takes_its_slot():
     found = reconfigured(relay("close_up"), Membership(frozenset({1}), NOBODY))
-    assert found is not None and found.leader_id == 2 and not found.offset(2).any()
+    assert found is not None and found.leader.id == 2 and not found.offset(2).any()
     assert found.offset(4).tolist() == relay().offset(2).tolist()
 
 
@@ -89,14 +89,14 @@ def test_whoever_is_there_is_in_a_tree_below_one_leader(vacancy, absent, returne
     assert found.topology.lambda_min > 0.0 or len(there) == 1
     parents = set(tree_of(found).values())
     assert not parents & absent
-    assert not parents & members.returned - {found.leader_id}
+    assert not parents & members.returned - {found.leader.id}
     places = {uav: tuple(found.offset(uav).tolist()) for uav in IDS}
     assert len(set(places.values())) == len(places)
     if vacancy == "close_up":
         slots = {tuple(base.offset(slot).tolist()): slot for slot in IDS}
         taken = {slots[places[uav]] for uav in there}
-        above = base.file.communication.tree
-        if found.leader_id == 1 or 1 in absent:
+        above = base.communication.tree
+        if found.leader.id == 1 or 1 in absent:
             assert all(above[slot] in taken for slot in taken if slot != 1), "no gap in any line"
     else:
         assert places == {uav: tuple(base.offset(uav).tolist()) for uav in IDS}

@@ -68,7 +68,7 @@ def test_from_rest_to_rest_it_is_the_time_profile_of_the_method() -> None:
 @pytest.mark.parametrize("kind", CURVES)
 def test_who_has_joined_a_trajectory_is_on_it(kind: str) -> None:
     found = flight({"kind": "follow", "over_s": 3, "trajectory": CURVES[kind]})
-    block = found.file.mission.legs[1].trajectory  # type: ignore[union-attr]
+    block = found.mission.legs[1].trajectory  # type: ignore[union-attr]
     times = np.linspace(9.0, 59.0, 2000)
     wanted = curve_samples(trajectory_of(block), times - 6.0)
     np.testing.assert_allclose(path(found, times)[:, :9], wanted[:, :9], atol=1e-6)
@@ -192,7 +192,7 @@ def test_what_a_child_is_told_of_its_parent_is_the_place_of_the_parent() -> None
     for uav in (3, 5, 6, 7):
         table = agent_config(found, uav).shape.table
         own, parent = at_knots(table[:, :25], times_of(table)), table[:, [0, *range(25, 49)]]
-        above = found.parent(uav)
+        above = found.communication.parent(uav)
         assert above is not None
         for part, who in ((own, uav), (parent, above)):
             curve = np.column_stack([part, np.zeros((len(part), 8))])

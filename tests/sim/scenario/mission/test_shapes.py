@@ -39,7 +39,7 @@ def test_neighbours_are_a_spacing_apart(kind: str, size: int) -> None:
 
 def test_v_turns_with_the_leader() -> None:
     scenario = figure()
-    assert moves(scenario.file.formation)
+    assert moves(scenario.formation)
     path = np.array([10.0 * 0.1 * np.cos(0.1 * 7.0), 5.0 * 0.2 * np.cos(0.2 * 7.0)])
     along = path / np.linalg.norm(path)
     for uav in (2, 3):
@@ -82,8 +82,8 @@ def test_scale_shear_and_rotation_by_hand() -> None:
 def test_the_text_of_a_scenario_gives_the_same_places() -> None:
     scenario = load_scenario("show_20")
     again = scenario_from_text(scenario.text, complete=True)
-    assert again.file == scenario.file
-    assert [one.at_s for one in again.file.formation.changes] == [0.0, 10.0, 21.0, 34.0, 47.0]
+    assert again == scenario
+    assert [one.at_s for one in again.formation.changes] == [0.0, 10.0, 21.0, 34.0, 47.0]
 
 
 def test_shipped_show_keeps_its_distances_between_shapes() -> None:

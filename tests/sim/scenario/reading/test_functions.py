@@ -79,7 +79,7 @@ def test_the_leader_follows_the_function(folder: Path) -> None:
         place = reference(curve, t).position
         wanted = (2.0 * np.sin(t / 5), 2.0 * np.cos(t / 5), 4.0)
         np.testing.assert_allclose(place, wanted, atol=2e-7)  # of a cubic spline, 0.1 s apart
-    assert own.file.leader.trajectory.kind == "csv"
+    assert own.leader.trajectory.kind == "csv"
 
 
 def test_a_fourth_number_is_the_heading(folder: Path) -> None:
@@ -91,7 +91,7 @@ def test_a_shape_gives_offsets_from_the_leader(folder: Path) -> None:
     own = scenario(folder, shape("row", ", gap_m: 2.0"))
     places = np.array([own.offset(uav) for uav in own.uav_ids])
     np.testing.assert_allclose(places, [[-2.0 * k, 0.0, 0.2 * k] for k in range(5)], atol=1e-12)
-    assert own.file.formation.shape is None
+    assert own.formation.shape is None
 
 
 def test_the_text_is_data_that_needs_no_file(folder: Path) -> None:
@@ -178,7 +178,7 @@ def test_an_installed_package_may_bring_one(folder: Path, monkeypatch: pytest.Mo
     own = scenario(
         folder, "leader: {trajectory: {kind: ring}}\n" + shape("x").replace("paths.py:x", "row")
     )
-    assert own.file.leader.trajectory.kind == "csv"
+    assert own.leader.trajectory.kind == "csv"
     assert own.offset(3).tolist() == pytest.approx([-3.0, 0.0, 0.4])
     with pytest.raises(PtnsbcError, match=r"bad: ModuleNotFoundError: .*entry point that loads"):
         scenario(folder, "leader: {trajectory: {kind: bad}}\n")

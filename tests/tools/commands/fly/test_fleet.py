@@ -153,7 +153,7 @@ def test_every_override_is_told_beside_what_the_file_says() -> None:
     assert told == [
         f"in flight: gains.formation.deadline_s: 9 instead of {scenario.gains.formation.deadline_s} "
         "(mavlink.overrides)",
-        f"in flight: formation.tolerance_m: 0.3 instead of {scenario.file.formation.tolerance_m} "
+        f"in flight: formation.tolerance_m: 0.3 instead of {scenario.formation.tolerance_m} "
         "(mavlink.overrides)",
     ]
     assert scenario.bridged().gains.formation.deadline_s == 9

@@ -50,7 +50,7 @@ def test_the_file_is_a_scenario_that_fits_the_vehicle(flown, tmp_path):
     assert tuned.vehicle_link(2).tilt_lag_s == pytest.approx(0.48)
     assert tuned.vehicle_link(2).velocity_loop_1_s == pytest.approx(2.0)
     assert tuned.vehicle_link(1).tilt_lag_s is None
-    assert tuned.file.formation.task == "relative_position"
+    assert tuned.formation.task == "relative_position"
 
 
 def test_a_second_vehicle_adds_to_the_file_of_the_first(flown, tmp_path):
