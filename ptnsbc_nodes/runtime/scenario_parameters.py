@@ -47,8 +47,9 @@ def leaves(scenario: Scenario) -> Iterator[ScenarioParameter]:
 
 
 def _below(prefix: str, block: BaseModel) -> Iterator[ScenarioParameter]:
-    about = " ".join((type(block).__doc__ or "").split())
-    for name, field in type(block).model_fields.items():
+    kind = ScenarioFile if isinstance(block, ScenarioFile) else type(block)
+    about = " ".join((kind.__doc__ or "").split())
+    for name, field in kind.model_fields.items():
         value, key = getattr(block, name), prefix + name
         if isinstance(value, BaseModel):
             yield from _below(f"{key}.", value)

@@ -137,7 +137,7 @@ def test_a_uav_flies_by_all_that_belongs_to_its_slot(task: str) -> None:
         np.testing.assert_equal(tuple(taken), tuple(given))
         parent = scenario.communication.parent(slot)
         assert held.communication.parent(uav) == (None if parent is None else holder[parent])
-        assert (uav in held.topology.pinned) == slot in scenario.topology.pinned
+        assert (uav in held.topology.pinned) == (slot in scenario.topology.pinned)
         heard = {holder[other] for other in scenario.topology.neighbours.get(slot, ())}
         assert held.topology.neighbours.get(uav, ()) == tuple(sorted(heard))
         np.testing.assert_array_equal(held.offset(uav), scenario.offset(slot))

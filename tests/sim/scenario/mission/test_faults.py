@@ -83,5 +83,5 @@ def test_only_what_a_headless_flight_injects_makes_it_imperfect():
         {"kind": "kill", "process": "sim"},
     ):
         found = with_fault(**fault)
-        assert found.modelled_faults == ()
+        assert modelled(found.faults) == ()
         assert not found.imperfect

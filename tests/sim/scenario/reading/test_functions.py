@@ -101,7 +101,7 @@ def test_the_text_is_data_that_needs_no_file(folder: Path) -> None:
     again = scenario_from_text(own.text, complete=True)
     assert again.text == own.text
     assert leader_trajectory(again).table.tobytes() == leader_trajectory(own).table.tobytes()
-    assert own.with_({"timing.duration_s": 7.0}).duration_s == 7.0
+    assert own.with_({"timing.duration_s": 7.0}).timing.duration_s == 7.0
 
 
 def test_the_file_beside_an_extended_scenario_counts(folder: Path) -> None:
