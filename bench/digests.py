@@ -101,7 +101,7 @@ def differing(bag: Bag) -> tuple[int, int]:
         for topic, (decode, values) in expected.items():
             for message in bag.messages([f"/uav{uav}/{topic}"]):
                 stamp_ns, recorded = decode(message.data)
-                wanted = np.ascontiguousarray(values[stamp_ns // scenario.dt_ns, row])
+                wanted = np.ascontiguousarray(values[stamp_ns // scenario.timing.dt_ns, row])
                 count += 1
                 different += recorded.tobytes() != wanted.tobytes()
     return count, different

@@ -151,7 +151,7 @@ def _lockstep(plan: Plan) -> Iterator[Row]:
     fly_headless(paper(0.1))  # compiled or loaded before it counts
     rates = take_turns(
         {
-            "headless": lambda: scenario.ticks / cpu_seconds(lambda: fly_headless(scenario)),
+            "headless": lambda: scenario.timing.ticks / cpu_seconds(lambda: fly_headless(scenario)),
             "": lambda: fly(scenario, lockstep=True, bag=False).steps_per_s,
             ", recorded": lambda: fly(scenario, lockstep=True, bag=True).steps_per_s,
         },

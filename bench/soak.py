@@ -49,7 +49,7 @@ def drawn(scenario: Scenario, count: int, seed: int, *, lockstep: bool) -> list[
     found = []
     for _ in range(count):
         kind = chance.choice(kinds)
-        at_s = round(chance.uniform(_FORMED_S, scenario.duration_s - _LAST_S), 2)
+        at_s = round(chance.uniform(_FORMED_S, scenario.timing.duration_s - _LAST_S), 2)
         fault = {"kind": kind, "uav": chance.choice(scenario.followers), "at_s": at_s}
         if kind != "restart":
             fault["duration_s"] = round(chance.uniform(0.3, 2.5), 2)
@@ -97,7 +97,7 @@ def soak(
             repair(folder / "bag.part", folder / "bag")
         recording = read_recording(folder / "bag")
         bag = read_bag(folder / "bag")
-        waited_s = behind_s(bag, topics.odom(scenario.leader_id).name)
+        waited_s = behind_s(bag, topics.odom(scenario.leader.id).name)
         verdict = verdict_on(recording)
     closest = min(verdict.separations, key=lambda one: one.distance_m - one.keep_out_m)
     # A fast lock-step is over before that.
@@ -107,7 +107,7 @@ def soak(
         "duration_s": duration_s,
         "mode": f"{hz} Hz in {'lock-step' if lockstep else 'real time'}",
         "seed": seed,
-        "faults": len(scenario.faults),
+        "faults": len(scenario.faults or ()),
         "wall_s": round(flown.flight_s, 1),
         "died_unasked": list(flown.died),
         "exit_code": flown.exit_code,

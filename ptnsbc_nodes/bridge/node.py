@@ -219,7 +219,7 @@ class BridgeNode:
         send_track = publisher(topics.track(self._uav_id), 0)
         send_truth = publisher(topics.truth(self._uav_id), 0)
         send_limits = publisher(topics.limits(self._uav_id), 1)
-        leads = self._uav_id == scenario.leader_id
+        leads = self._uav_id == scenario.leader.id
         send_origin = publisher(topics.ORIGIN, 0) if leads else None
         send_lost = publisher(LOST, 0)
 
@@ -263,7 +263,7 @@ class BridgeNode:
                 wanted, checked_velocity, lambda one: setattr(inputs, "wanted", one), required=False
             )
         listen(topics.EPOCH, decode_leg, inputs.legs.append)
-        if scenario.reconfigures:  # a successor of the leader announces the legs as well
+        if scenario.formation.reconfigures:  # a successor of the leader announces the legs as well
             self.endpoints.shared.add(topics.EPOCH.name)
         if scenario.takes_setpoints:
             decode_taken = OdometryDecoder(WORLD_FRAME, WORLD_FRAME)

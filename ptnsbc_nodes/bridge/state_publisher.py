@@ -265,11 +265,11 @@ class WorldFrame:
         """`alone`: no leader flies; this vehicle defines the world by its own start."""
         settings = scenario.mavlink
         self._radius_m = earth_radius_m
-        self._leads = alone or uav_id == scenario.leader_id
+        self._leads = alone or uav_id == scenario.leader.id
         self._on_ground = settings.height == "ground"
         surveyed = scenario.vehicle_link(uav_id).origin_m
         self._surveyed = None if surveyed is None else np.array(surveyed, dtype=np.float64)
-        first = uav_id if alone else scenario.leader_id
+        first = uav_id if alone else scenario.leader.id
         self._start = scenario.uav(first).position * np.array([1.0, 1.0, 0.0])
         given = settings.world_origin
         self._given = given is not None

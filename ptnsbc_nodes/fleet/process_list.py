@@ -66,7 +66,7 @@ class FleetOptions:
     @property
     def starts_by_clock(self) -> bool:
         """True if the mission begins at a time in UTC: in real time, where it names one."""
-        return not self.lockstep and starts_by_clock(self.scenario.file.mission)
+        return not self.lockstep and starts_by_clock(self.scenario.mission)
 
     @property
     def patience_s(self) -> float:
@@ -105,7 +105,7 @@ def commands(options: FleetOptions, scenario_file: Path) -> list[ProcessCommand]
         here.append(
             ProcessCommand("operator", "ptnsbc_nodes.view.operator_main", arguments, beside=True)
         )
-    secured = options.scenario.file.security == "required"
+    secured = options.scenario.security == "required"
     return [command.within(options.namespace, secured=secured) for command in here]
 
 
@@ -170,7 +170,7 @@ def _bridge(options: FleetOptions, common: Sequence[str], uav: int) -> ProcessCo
 
 def _silences(options: FleetOptions) -> Iterator[str]:
     """The knowledge of restarted UAVs that a recorder in lock-step needs."""
-    for fault in options.scenario.faults:
+    for fault in options.scenario.faults or ():
         if fault.kind == "restart" and fault.struck_uav is not None:
             yield from ("--silent", str(fault.struck_uav), *map(str, fault.window_ns(0)))
 
@@ -179,7 +179,9 @@ def _is_punctual(options: FleetOptions) -> bool:
     """True if the processes that fly ask for real-time scheduling."""
     scenario = options.scenario
     processes = len(groups(options))
-    room = not options.lockstep and has_room(len(scenario.uav_ids), scenario.control_hz, processes)
+    room = not options.lockstep and has_room(
+        len(scenario.uav_ids), scenario.timing.control_hz, processes
+    )
     return options.backend == "mavlink" or room
 
 
@@ -202,7 +204,7 @@ def _recorder(options: FleetOptions, bag: Path, scenario_file: Path) -> ProcessC
         "--slots": are_open(options.scenario),
         "--stream": options.scenario.takes_setpoints,
         "--punctual": _is_punctual(options),
-        "--signed": options.scenario.file.security == "signed",
+        "--signed": options.scenario.security == "signed",
         "--overwrite": options.overwrite,
     }
     arguments += [flag for flag, on in chosen.items() if on]

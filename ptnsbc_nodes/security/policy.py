@@ -131,7 +131,7 @@ def _uav(scenario: Scenario, edges: CommunicationGraph, uav: int, fleet: str) ->
         *map(topics.formation_state, senders.heard_states),
         *map(topics.leader_estimate, senders.heard_estimators),
     )
-    if uav == scenario.leader_id or uav in scenario.file.leader.successors:
+    if uav == scenario.leader.id or uav in scenario.leader.successors:
         process.allow("publish", topics.EPOCH, topics.TAKEN)
         process.allow("subscribe", topics.REQUEST, topics.SETPOINT)
         process.reply.append(f"{fleet}/formation/*")
@@ -148,7 +148,7 @@ def _bridge(scenario: Scenario, uav: int, fleet: str) -> Enclave:
         *(topics.odom(uav), topics.near(uav), topics.truth(uav), topics.track(uav)),
         *(topics.limits(uav), topics.battery(uav), topics.TF),
         *(topics.EMERGENCY, topics.LOST),
-        *((topics.ORIGIN,) if uav == scenario.leader_id else ()),
+        *((topics.ORIGIN,) if uav == scenario.leader.id else ()),
     )
     others = [other for other in scenario.uav_ids if other != uav]
     process.allow(

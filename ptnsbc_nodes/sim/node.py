@@ -54,9 +54,9 @@ class SimNode:
         self._lockstep = LockstepWorld(scenario, self._world, publishers)
         self._real_time = RealTimeWorld(scenario, self._world, publishers)
         self._epochs = Epochs(scenario)
-        self._progress = Progress(scenario.control_hz)
+        self._progress = Progress(scenario.timing.control_hz)
         self._running = False
-        lead_ns = _lead_ticks(scenario) * scenario.dt_ns
+        lead_ns = _lead_ticks(scenario) * scenario.timing.dt_ns
         self._recorder = _RecorderBacklog(
             edges.options.lockstep and edges.options.recorded, lead_ns
         )
@@ -71,7 +71,7 @@ class SimNode:
         self.rest_s: Callable[[], float | None] | None = None
         """In real time, after a tick: the time [s] until the next one, which uses the wrenches that come meanwhile."""
         if not edges.options.lockstep:
-            ticks = node.create_timer(scenario.dt_ns * 1e-9, self._on_tick_timer)
+            ticks = node.create_timer(scenario.timing.dt_ns * 1e-9, self._on_tick_timer)
             self.rest_s = lambda: self._until_tick_s(ticks)
             self.endpoints.last_word = lambda: self._report(self._clock_ns())
 
@@ -88,7 +88,9 @@ class SimNode:
             if not self._options.lockstep:  # in lock-step one stamp only is the right one
                 decode = in_order(decode, RealTimeStamps(self._clock_ns))
             listen(topics.wrench_setpoint(i), decode, self._on_wrench(i))
-        if self._scenario.reconfigures:  # a successor of the leader announces the legs as well
+        if (
+            self._scenario.formation.reconfigures
+        ):  # a successor of the leader announces the legs as well
             self.endpoints.shared.add(topics.EPOCH.name)
         listen(topics.EPOCH, decode_leg, self._on_epoch)
         listen(LOST, decode_lost, self._on_lost, required=False)
@@ -117,7 +119,7 @@ class SimNode:
         self._epochs.announce(leg.stamp_ns, leg.frame_id)
         if not self._options.lockstep:
             first_ns = self._epochs.first_t0_ns or 0
-            ahead = (first_ns - self._clock_ns()) // self._scenario.dt_ns
+            ahead = (first_ns - self._clock_ns()) // self._scenario.timing.dt_ns
             self._world.begin_mission(self._world.tick + ahead)
         self._start()
 
@@ -157,7 +159,7 @@ class SimNode:
 
     def _advance(self) -> None:
         """Lock-step: go on until wrenches are missing, the recorder is behind, or the flight is over."""
-        ticks, lockstep = self._scenario.ticks, self._lockstep
+        ticks, lockstep = self._scenario.timing.ticks, self._lockstep
         while self._options.lockstep and self._running and not self._recorder.paused:
             lockstep.publish_clock(min(self._world.tick, ticks - 1))
             if self._world.tick >= ticks:
@@ -166,7 +168,7 @@ class SimNode:
                 self._recorder.paused = True
             elif published := lockstep.publish_due():
                 if published.together:
-                    self._report(published.tick * self._scenario.dt_ns)
+                    self._report(published.tick * self._scenario.timing.dt_ns)
                     self._progress.show(published.tick)
             else:
                 return
@@ -183,14 +185,16 @@ class SimNode:
             self._running = True
             self._real_time.begin()
             self._progress.begin()
-        ticks = (now_ns - leg.first_t0_ns) // self._scenario.dt_ns
+        ticks = (now_ns - leg.first_t0_ns) // self._scenario.timing.dt_ns
         self._progress.show(ticks)
-        if ticks >= self._scenario.ticks:
+        if ticks >= self._scenario.timing.ticks:
             self._finish()
 
     def _finish(self) -> None:
         self._running = False
-        self._progress.end(self._world.tick if self._options.lockstep else self._scenario.ticks)
+        self._progress.end(
+            self._world.tick if self._options.lockstep else self._scenario.timing.ticks
+        )
         self._on_end()
 
     def _clock_ns(self) -> int:

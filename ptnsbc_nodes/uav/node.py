@@ -95,17 +95,17 @@ class UavNode:
             SlotHolder(scenario, uav_id, edges) if self._slots is None else self._slots.holder
         )
         self._subscribe(scenario, uav_id)
-        if self._slots is not None and uav_id == scenario.leader_id:
+        if self._slots is not None and uav_id == scenario.leader.id:
             self._decider = self._slot_decider(scenario, edges)
         self._status = StatusPublisher(node, self._parts())
         self._comes_and_goes = roles is not None
         self._leg_services = self._services_in_line(scenario, edges)
-        if scenario.takes_setpoints and uav_id == scenario.leader_id:
+        if scenario.takes_setpoints and uav_id == scenario.leader.id:
             LeaderSetpoints(
                 self.endpoints, edges.options.recorders, self._epochs, self._next_flight_ns
             )
         if not self._options.lockstep:
-            self._outbox.log_steps(self.endpoints, edges, uav_id, every=scenario.control_hz)
+            self._outbox.log_steps(self.endpoints, edges, uav_id, every=scenario.timing.control_hz)
 
     @property
     def begun(self) -> bool:
@@ -193,10 +193,8 @@ class UavNode:
         """The services of the leader, which a successor serves when it leads; None for all others."""
         if self._comes_and_goes:
             self.endpoints.shared.add(topics.EPOCH.name)
-        leads = self._uav == scenario.leader_id
-        if not leads and not (
-            self._comes_and_goes and self._uav in scenario.file.leader.successors
-        ):
+        leads = self._uav == scenario.leader.id
+        if not leads and not (self._comes_and_goes and self._uav in scenario.leader.successors):
             return None
         services = LegServices(
             self.node,
@@ -231,7 +229,7 @@ class UavNode:
 
         decider = SlotDecider(scenario, announce)
         for uav in scenario.uav_ids:
-            if uav != scenario.leader_id:
+            if uav != scenario.leader.id:
                 decode = in_order(OdometryDecoder(), self._timing.stamp_rule())
                 self.endpoints.listen(topics.odom(uav), decode, partial(decider.on_odometry, uav))
         return decider

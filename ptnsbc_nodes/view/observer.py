@@ -170,7 +170,7 @@ class Observer:
         state = FlightState(scenario, time.monotonic)
         seal = seal_of(scenario)
         self._endpoints = Endpoints(self._node, lockstep=True, seal=seal or operators_seal())
-        if scenario.reconfigures:  # a successor of the leader announces the legs as well
+        if scenario.formation.reconfigures:  # a successor of the leader announces the legs as well
             self._endpoints.shared.add(topics.EPOCH.name)
         self._request = self._endpoints.publisher(topics.REQUEST, 0)
         listen_to_fleet(self._listen, state)

@@ -74,11 +74,11 @@ class OperatorNode:
         self._domain = domain
         self._folder = runtime_folder(domain, self.endpoints.fleet)
         self.flight = FlightState(scenario, time.monotonic)
-        self._tolerance_m = float(scenario.file.formation.tolerance_m)
+        self._tolerance_m = float(scenario.formation.tolerance_m)
         self._sees_vehicles = False
         self._configs = {uav: agent_config(scenario, uav) for uav in scenario.uav_ids}
         self._goals: list[LegGoal | MissionGoal] = []  # that are flown
-        if scenario.reconfigures:  # a successor of the leader announces the legs as well
+        if scenario.formation.reconfigures:  # a successor of the leader announces the legs as well
             self.endpoints.shared.add(topics.EPOCH.name)
         self._listen = partial(self.endpoints.listen, required=False)
         listen_to_fleet(self._listen, self.flight)
@@ -159,7 +159,7 @@ class OperatorNode:
 
     def _on_epoch(self, leg: HeaderFields) -> None:
         number = number_of(leg.frame_id)
-        mission = self.flight.scenario.file.mission
+        mission = self.flight.scenario.mission
         names = [] if mission is None else leg_names(mission)
         epoch = Epoch(leg=leg.frame_id)
         if number == CANCEL:
@@ -290,7 +290,7 @@ class OperatorNode:
 
 def _mission_services(scenario: Scenario) -> list[str]:
     """The leader's services for the legs of the mission; none without a mission."""
-    mission = scenario.file.mission
+    mission = scenario.mission
     if mission is None:
         return []
     return [CANCEL_SERVICE, *(leg_service(number) for number in range(2, len(mission.legs) + 1))]

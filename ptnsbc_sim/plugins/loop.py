@@ -203,13 +203,13 @@ class PluginLoop:
         for sender in law.senders:
             sent = int(self._received[row, sender][tick])
             if sent >= 0:
-                age_s = ((tick - sent) * self._scenario.dt_ns) * 1e-9
+                age_s = ((tick - sent) * self._scenario.timing.dt_ns) * 1e-9
                 yield Heard(sender, track.reported[sent, self._rows[sender]], age_s)
 
     def _control(
         self, tick: int, t: float, track: FlightTrack, disturbances: Disturbances | None
     ) -> None:
-        dt = self._scenario.dt_ns * 1e-9
+        dt = self._scenario.timing.dt_ns * 1e-9
         for row, (plugins, config) in enumerate(zip(self._uavs, self._configs, strict=True)):
             if disturbances is None or not dead(tick, row, disturbances):
                 odometry, command = track.odometry[tick, row], track.velocity[tick, row]

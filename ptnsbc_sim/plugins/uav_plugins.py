@@ -30,8 +30,8 @@ class UavLaw:
 
     def __init__(self, law: Plugin, scenario: Scenario, uav: int) -> None:
         self.uav = uav
-        heard = {scenario.parent(uav), *scenario.estimator_neighbours(uav)}
-        heard |= {scenario.leader_id} if scenario.pinned(uav) else set()
+        heard = {scenario.communication.parent(uav), *scenario.topology.neighbours.get(uav, ())}
+        heard |= {scenario.leader.id} if uav in scenario.topology.pinned else set()
         self.senders = tuple(sorted(sender for sender in heard if sender is not None))
         self._law = law
         self._offset = scenario.offset(uav)
@@ -86,7 +86,7 @@ class UavPlugins(NamedTuple):
         Raises:
             PluginError: one cannot be loaded, or the scenario comes from a bag, which does not carry it.
         """
-        named, follows = scenario.plugins, uav != scenario.leader_id
+        named, follows = scenario.plugins, uav != scenario.leader.id
         law, task = (scenario.law, named.task) if follows else (None, None)
         return cls(
             None if law is None else UavLaw(load_plugin("law", law), scenario, uav),

@@ -51,7 +51,7 @@ class WorldPlugins:
         return {uav: plant_config(scenario, uav).offset for uav in scenario.uav_ids}
 
     def _seconds(self, tick: int) -> float:
-        return tick * self._scenario.dt_ns * _NANO
+        return tick * self._scenario.timing.dt_ns * _NANO
 
     def _samples(self, uav: int, address: int) -> Array:
         """Standard normal numbers (6,); even addresses are the disturbance's, odd ones the sensor's."""
@@ -85,8 +85,8 @@ class WorldPlugins:
         Raises:
             PluginError: the function raised an error, or did not return 17 finite numbers.
         """
-        substeps = self._scenario.physics_hz // self._scenario.control_hz
-        begin, step = self._seconds(tick), self._scenario.dt_ns * _NANO / substeps
+        substeps = self._scenario.timing.physics_hz // self._scenario.timing.control_hz
+        begin, step = self._seconds(tick), self._scenario.timing.dt_ns * _NANO / substeps
         for n in range(substeps):
             t, x = begin + n * step, np.array(state)
             first = self._rate(t, x, wrench, plant)

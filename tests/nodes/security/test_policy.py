@@ -145,7 +145,7 @@ def test_a_uav_reads_its_edges_and_speaks_for_nobody_else():
                 other in senders.heard_estimators
             )
             assert not may(own["reply"], f"/uav{other}/controller/get_parameters")
-        assert may(own["publish"], "/formation/epoch") == (uav == scenario.leader_id)
+        assert may(own["publish"], "/formation/epoch") == (uav == scenario.leader.id)
         assert not may(own["publish"], "/formation/emergency")
         assert not may(own["publish"], f"/uav{uav}/odom")
 

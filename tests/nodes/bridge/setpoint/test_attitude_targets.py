@@ -409,8 +409,8 @@ def test_bare_motors_behind_a_late_link_and_a_sagging_battery_hold_the_height(de
         assert attitude.hover.value == pytest.approx(hover, rel=0.05)
     found = verdict_on(fleet.recording())
     assert found.verdict == "met", [(u.uav, u.reason) for u in found.uavs]
-    path = agent_config(fleet.scenario, fleet.scenario.leader_id).trajectory
-    leader = fleet.uavs[fleet.scenario.leader_id]
+    path = agent_config(fleet.scenario, fleet.scenario.leader.id).trajectory
+    leader = fleet.uavs[fleet.scenario.leader.id]
     wanted_m = reference(path, 25.0).position[2]
     assert leader.vehicle.flight.truth_enu[2] == pytest.approx(wanted_m, abs=0.1)
 
