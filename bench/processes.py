@@ -211,7 +211,7 @@ class BenchError(PtnsbcError):
 
 
 def bare_node(hz: float, seconds: float) -> Usage:
-    """What a node takes that publishes one status `hz` times a second, and does nothing else."""
+    """Usage of a node that publishes one status `hz` times a second, and does nothing else."""
     words = [sys.executable, "-m", "bench.processes", "node", f"{hz:g}"]
     with own_domain(), Sampler() as sampler, subprocess.Popen(words) as process:
         time.sleep(2.0)  # it has started

@@ -1,4 +1,4 @@
-"""What can be plugged in: every hook, with what it is called, when, and what it gives.
+"""The hooks for plug-ins: with what each is called, when, and what it gives.
 
 | hook | called | in the place of |
 |---|---|---|

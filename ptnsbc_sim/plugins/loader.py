@@ -1,4 +1,4 @@
-"""Where a plug-in is loaded: a Python file is executed once, its function is compiled where numba can compile it.
+"""The loader of plug-ins: a Python file is executed once, its function is compiled where numba can compile it.
 
 Only files that a scenario or the user names are executed, never what a bag names. Every error names the file of the
 user and the line in it. A function that cannot be compiled is interpreted, which is said in one line.
@@ -81,7 +81,7 @@ class Plugin:
     call: Callable[..., Any]  # compiled where it can be
 
     def result(self, *inputs: Any) -> Any:
-        """What the function gives.
+        """Result of the function.
 
         Raises:
             PluginError: it raised an error.
