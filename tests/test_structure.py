@@ -51,7 +51,6 @@ TESTS_OF_MORE: dict[str, str] = {
     "tests/core/tasks/test_clearance_flights.py": "clearance.py with obstacle_memory.py and deadlock.py",
     "tests/core/tasks/test_jacobians.py": "all tasks",
     "tests/io/bag/test_hostile.py": "bags that were made to do harm",
-    "tests/nodes/bridge/test_failure_table.py": "docs/hardware.md",
     "tests/nodes/bridge/test_fleet_comings.py": "a fleet of bridges in which UAVs come and go",
     "tests/nodes/bridge/test_fleet_mavlink.py": "a fleet of bridges",
     "tests/nodes/bridge/test_processes.py": "the processes of a bridged UAV",

@@ -11,6 +11,7 @@ from typer import Context, Typer
 from typer.models import ArgumentInfo
 
 from docs.make.markdown import table
+from paper.command import app as paper
 from ptnsbc_tools.cli import app
 
 _HEADINGS = ("Option", "Value", "Default", "Meaning")
@@ -43,7 +44,9 @@ class Parameter(NamedTuple):
 
 def regions() -> dict[str, str]:
     """Every made region of the page, one for each command."""
-    return {path.replace(" ", "-"): _told(path, law) for path, law in commands(app)}
+    found = dict(commands(app))
+    (found["reproduce"],) = (law for _, law in commands(paper))  # its words go there
+    return {path.replace(" ", "-"): _told(path, law) for path, law in found.items()}
 
 
 def commands(of: Typer, before: str = "") -> Iterator[tuple[str, Callable[..., Any]]]:

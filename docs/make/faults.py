@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from docs.make.fault_table import ANSWERS, FaultAnswer
 from docs.make.markdown import table
-from ptnsbc_nodes.fleet.fault_table import ANSWERS, FaultAnswer
 from ptnsbc_sim.scenario.mission.faults import FAULTS, FaultRule
 
 _HEADINGS = ("Kind", "What happens", "Needs", "Takes `duration_s`", "Headless", "Lock-step")
