@@ -23,7 +23,7 @@ from ptnsbc_io.wire import decode_diagnostics
 from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.topics import READY
 from ptnsbc_nodes.runtime import environment
-from ptnsbc_nodes.runtime.executor import BoundedSpin, make_executor
+from ptnsbc_nodes.runtime.node_process import BoundedSpin, make_executor
 
 _PERIOD_S = 0.5
 _SLICE_S = 0.1

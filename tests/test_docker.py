@@ -69,7 +69,7 @@ def test_the_containers_may_have_the_priority_that_bridges_ask_for(compose):
     asked = []
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(environment, "_schedule", lambda _policy, priority: asked.append(priority))
-        environment.prefer_punctuality(flies=True)
+        environment.prefer_punctuality()
     for service in compose["services"].values():
         assert service["ulimits"]["rtprio"] >= asked[0]
 

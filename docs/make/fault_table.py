@@ -15,10 +15,9 @@ from ptnsbc_nodes.bridge.procedure.steps import (
     STALE_S,
     STOP_S,
 )
-from ptnsbc_nodes.comm.diagnostics import STATUS_HZ
+from ptnsbc_nodes.comm.diagnostics import STATUS_HZ, SafetyState
 from ptnsbc_nodes.comm.door import AHEAD_S, OLDEST_S
-from ptnsbc_nodes.runtime.clock_offset import LIMIT_S
-from ptnsbc_nodes.runtime.safety import SafetyState
+from ptnsbc_nodes.runtime.pacing import LIMIT_S
 from ptnsbc_nodes.runtime.watchdog import ENDED_S, RECORDER_ENDED_S, SAID_S
 from ptnsbc_nodes.uav.status import ABANDONED_S
 
@@ -124,7 +123,7 @@ ANSWERS = (
         "when the clock is set right",
         (
             f"{_UAV}test_status.py::test_no_flight_begins_by_clocks_that_differ",
-            "tests/nodes/runtime/test_clock_offset.py::test_a_clock_that_is_set_right_is_forgiven",
+            "tests/nodes/runtime/test_pacing.py::test_a_clock_that_is_set_right_is_forgiven",
         ),
     ),
     FaultAnswer(

@@ -12,7 +12,7 @@ from ptnsbc_nodes.runtime.signals import exit_on_signal
 def main(argv: Sequence[str] | None = None) -> int:
     """Bridge until the vehicle has landed; a bridge whose vehicle never flies runs until a signal."""
     exit_on_signal()
-    from ptnsbc_nodes.runtime.process import Arguments, run
+    from ptnsbc_nodes.runtime.node_process import Arguments, run
 
     parser = Arguments("bridge", "MAVLink bridge of one UAV", scenario=False)
     parser.add_argument("--uav", type=int, metavar="N", help="id of this UAV")

@@ -50,11 +50,11 @@ from ptnsbc_nodes.comm.qos import keep_last
 from ptnsbc_nodes.comm.tf import LiveTransforms
 from ptnsbc_nodes.comm.topics import LOST
 from ptnsbc_nodes.comm.vehicle_messages import PlannerLimits
-from ptnsbc_nodes.emergency.order_port import OrderPort
 from ptnsbc_nodes.emergency.orders import (
     APART,
     LAND,
     Order,
+    OrderPort,
     RuntimeFolderError,
     latch,
     latched,

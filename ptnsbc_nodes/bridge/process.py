@@ -7,14 +7,14 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_io.key_file import read_key
 from ptnsbc_nodes.comm.graph import CommunicationGraph
 from ptnsbc_nodes.runtime import environment
 from ptnsbc_nodes.runtime.lifecycle_node import ManagedNode
-from ptnsbc_nodes.runtime.parameters import (
+from ptnsbc_nodes.runtime.node_parameters import (
     AUTOSTART,
     SCENARIO,
     UAV,
@@ -22,10 +22,10 @@ from ptnsbc_nodes.runtime.parameters import (
     ReadOnlyParameter,
     overrides,
 )
-from ptnsbc_nodes.runtime.process import (
+from ptnsbc_nodes.runtime.node_process import (
     ProcessLifetime,
-    namespace_of,
-    parameter_node,
+    ros_context,
+    ros_node,
     serve_managed,
 )
 from ptnsbc_nodes.runtime.scenario_parameters import Value
@@ -117,11 +117,14 @@ def bridge(
 
 def _serve(given: Mapping[str, Value | None], argv: Sequence[str], *, managed: bool) -> int:
     lifetime = _LandingLifetime()
-    namespace = namespace_of(cast("int | None", given["uav"]))
-    with parameter_node("bridge", namespace, argv, overrides(given), ManagedNode) as node:
+    namespace = "" if given["uav"] is None else f"/uav{given['uav']}"
+    with (
+        ros_context(argv),
+        ros_node("bridge", namespace, make=ManagedNode, parameters=overrides(given)) as node,
+    ):
         parameters = NodeParameters(node, _FIXED, bridged=True)
         parameters.declare_scenario(node.fixed)
-        if not environment.prefer_punctuality(flies=True):
+        if not environment.prefer_punctuality():
             print(_NO_REAL_TIME, file=sys.stderr, flush=True)
 
         def configure() -> BridgeNode:
@@ -130,7 +133,7 @@ def _serve(given: Mapping[str, Value | None], argv: Sequence[str], *, managed: b
             return lifetime.bridge
 
         node.assign(configure, lifetime.land_or_end)
-        code = serve_managed(node, lifetime, autostart=parameters["autostart"] and not managed)
+        code = serve_managed([node], lifetime, autostart=parameters["autostart"] and not managed)
         return code if lifetime.bridge is None else code or lifetime.bridge.exit_code
 
 

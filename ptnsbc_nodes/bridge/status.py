@@ -10,10 +10,18 @@ from ptnsbc_nodes.bridge.bridge import Bridge
 from ptnsbc_nodes.bridge.procedure.companions import Companion
 from ptnsbc_nodes.bridge.procedure.safety import procedure_concern
 from ptnsbc_nodes.bridge.procedure.steps import HEARTBEAT_LOST_S, Stream
-from ptnsbc_nodes.comm.diagnostics import DiagnosticLevel, StatusLog, diagnostics, readiness
+from ptnsbc_nodes.comm.diagnostics import (
+    SAFETY,
+    Concern,
+    DiagnosticLevel,
+    SafetyState,
+    StatusLog,
+    assess,
+    diagnostics,
+    readiness,
+)
 from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.emergency.records import VehicleRecord
-from ptnsbc_nodes.runtime.safety import SAFETY, Concern, SafetyState, assess
 
 _NEVER_S = 1e6
 

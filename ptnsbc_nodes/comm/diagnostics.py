@@ -1,10 +1,16 @@
-"""The figures that nodes publish about themselves on /diagnostics: mostly cumulative counters."""
+"""What nodes publish about themselves on /diagnostics: mostly cumulative counters, and their safety state.
+
+The safety state says what a UAV process or a bridge still does, and why. Each says what concerns it, several things at
+once perhaps; the worst of them is its state. The state is under the key `safety`, and the reasons are the message, so
+that a bag has both.
+"""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from enum import IntEnum
+from typing import NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
@@ -16,6 +22,8 @@ from ptnsbc_sim.scenario import Scenario
 STATUS_HZ = 5
 INACTIVE = "activation"
 """In `waiting_for` of a node that is configured and not yet activated."""
+SAFETY = "safety"
+"""Key of the safety state."""
 _LOG_GAP_S = 1.0
 
 
@@ -77,3 +85,35 @@ def readiness(waiting_for: Sequence[str]) -> dict[str, str]:
         "ready": "false" if waiting_for else "true",
         "waiting_for": ", ".join(waiting_for),
     }
+
+
+class SafetyState(IntEnum):
+    """The state of the safety layer of a UAV process or a bridge, from full control to none."""
+
+    NOMINAL = 0  # what the mission wants
+    DEGRADED = 1  # the same with less: a sensor, a neighbour or ticks are missing
+    HOLD_CLEAR = 2  # it holds where it is and keeps clear of others
+    LAND = 3  # it lands
+    STOP = 4  # it sends no setpoint: its vehicle is left to its own failsafe or to a pilot, or its motors stop
+
+    @property
+    def text(self) -> str:
+        """Like `hold clear`."""
+        return self.name.lower().replace("_", " ")
+
+
+class Concern(NamedTuple):
+    """Something that a process has noticed, and the state that it asks for."""
+
+    state: SafetyState
+    level: DiagnosticLevel
+    reason: str
+
+
+def assess(concerns: Iterable[Concern]) -> Concern:
+    """All concerns as one: the worst state, the highest level, the reasons with the worst first."""
+    found = sorted(concerns, key=lambda one: -one.state)
+    if not found:
+        return Concern(SafetyState.NOMINAL, DiagnosticLevel.OK, "")
+    level = max(one.level for one in found)
+    return Concern(found[0].state, level, "; ".join(one.reason for one in found))

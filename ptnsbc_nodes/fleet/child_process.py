@@ -7,13 +7,12 @@ import signal
 import subprocess
 import sys
 import time
-import weakref
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from ptnsbc_nodes.runtime.environment import REPORT
+from ptnsbc_nodes.runtime.launcher import REPORT, Reports
 from ptnsbc_nodes.runtime.signals import signals_blocked
 
 _TAIL_LINES = 12
@@ -88,10 +87,7 @@ class ChildProcess:
         self.name = command.name
         self.log = log_dir / f"{command.name}.log"
         self._read = 0
-        self._report, writer = os.pipe()
-        weakref.finalize(self, os.close, self._report)
-        os.set_blocking(self._report, False)
-        self._received = b""
+        self.reports = Reports()
         try:
             # A signal that comes before the process has its handlers waits for them.
             with self.log.open("wb") as log, signals_blocked():
@@ -100,27 +96,19 @@ class ChildProcess:
                     stdin=subprocess.DEVNULL,
                     stdout=log,
                     stderr=subprocess.STDOUT,
-                    env={**environment, REPORT: str(writer)},
-                    pass_fds=(writer,),
+                    env={**environment, REPORT: str(self.reports.writer)},
+                    pass_fds=(self.reports.writer,),
                     # The terminal's Ctrl-C is for the launcher, which ends the fleet in order.
                     start_new_session=True,
                 )
         finally:
-            os.close(writer)
+            os.close(self.reports.writer)
         self.pid = self._process.pid
 
     @property
     def exit_code(self) -> int | None:
         """None while it runs; minus the signal's number when a signal ended it."""
         return self._process.poll()
-
-    @property
-    def summary(self) -> str | None:
-        """Its report when it had finished its work (`report_finished`); None before that."""
-        with suppress(BlockingIOError):
-            while part := os.read(self._report, 1 << 16):
-                self._received += part
-        return self._received.decode().rstrip("\n") if self._received.endswith(b"\n") else None
 
     def wait(self, timeout_s: float) -> int | None:
         """Its exit code once it has ended; None when it has not in time."""

@@ -30,7 +30,7 @@ class CoordinatorError(PtnsbcError):
 def main(argv: Sequence[str] | None = None) -> int:
     """Start one flight; real vehicles are told to land when its time is over."""
     exit_on_signal()
-    from ptnsbc_nodes.runtime.process import Arguments, run
+    from ptnsbc_nodes.runtime.node_process import Arguments, run
 
     parser = Arguments("coordinator", "Starts a flight when all its nodes are ready")
     parser.add_argument("--manage", action="store_true", help="configure and activate them first")
@@ -45,7 +45,7 @@ def _serve(arguments: argparse.Namespace, argv: list[str]) -> int:
     from ptnsbc_nodes.fleet.coordinator_node import Coordinator
     from ptnsbc_nodes.fleet.process_list import FleetOptions
     from ptnsbc_nodes.runtime import environment
-    from ptnsbc_nodes.runtime.process import ros_errors
+    from ptnsbc_nodes.runtime.node_process import ros_errors
     from ptnsbc_nodes.security.middleware import check_enforced
     from ptnsbc_sim.scenario import load_scenario
 

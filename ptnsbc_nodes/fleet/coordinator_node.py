@@ -43,7 +43,7 @@ from ptnsbc_nodes.comm.topics import LOST, OVER, READY, SIM
 from ptnsbc_nodes.emergency.orders import Order, runtime_folder
 from ptnsbc_nodes.emergency.records import VehicleRecord, reported
 from ptnsbc_nodes.fleet.lifecycle_manager import LifecycleManager
-from ptnsbc_nodes.runtime.executor import make_executor
+from ptnsbc_nodes.runtime.node_process import make_executor
 from ptnsbc_nodes.runtime.watchdog import WAITED, LockstepWait
 from ptnsbc_sim.scenario.mission.faults import FaultBlock
 

@@ -12,11 +12,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
-from ptnsbc_nodes.emergency.order_port import OrderClient
 from ptnsbc_nodes.emergency.orders import (
     KILL,
     LAND,
     Order,
+    OrderClient,
     fleet_bridges,
     latch,
 )

@@ -181,7 +181,7 @@ def _killed_by(scenario: Scenario, ended: Sequence[ChildProcess]) -> tuple[str, 
 
 def _recorded(children: Sequence[ChildProcess]) -> Mapping[str, Any]:
     """The recorder's summary; empty when it was killed before it had one."""
-    summaries = [child.summary for child in children if child.name == RECORDER]
+    summaries = [child.reports.summary for child in children if child.name == RECORDER]
     found: Mapping[str, Any] = json.loads(summaries[0]) if summaries and summaries[0] else {}
     return found
 

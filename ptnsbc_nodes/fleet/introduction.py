@@ -9,10 +9,6 @@ from collections.abc import Callable, Sequence
 from ptnsbc_nodes.comm.topics import RECORDER, SIM
 from ptnsbc_nodes.fleet.child_process import ChildProcess
 from ptnsbc_nodes.fleet.coordinator_node import Coordinator
-from ptnsbc_nodes.runtime.process import RUNNING
-
-LISTENS = "ready"
-"""The line of a recorder that listens."""
 
 _UNHEARD_S = 15.0  # discovery takes a few seconds, on a busy machine too
 
@@ -64,7 +60,7 @@ class Introduction:
         return child.name in self._introduced
 
     def _is_running(self, child: ChildProcess, now: float) -> bool:
-        if child.name not in self._running and {RUNNING, LISTENS}.intersection(child.log_lines()):
+        if child.name not in self._running and child.reports.running:
             self._running[child.name] = now
         # A bridge that was asked to act may be flying its vehicle.
         bridge = child.command.ends and child.name != SIM

@@ -19,7 +19,7 @@ _INTERRUPTED = 130
 def main(argv: Sequence[str] | None = None) -> int:
     """Fly until the scenario's duration is over, SIGINT or SIGTERM."""
     exit_on_signal(_INTERRUPTED)
-    from ptnsbc_nodes.runtime.process import Arguments, run
+    from ptnsbc_nodes.runtime.node_process import Arguments, run
 
     parser = Arguments("fleet", "A formation on this host, one process per UAV")
     parser.add_argument("--duration", type=float, metavar="S", help="instead of the scenario's")

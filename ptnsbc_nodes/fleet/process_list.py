@@ -12,7 +12,6 @@ from typing import Literal
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_nodes.comm.topics import RECORDER, SIM
 from ptnsbc_nodes.fleet.child_process import ProcessCommand
-from ptnsbc_nodes.runtime.environment import has_room
 from ptnsbc_nodes.runtime.provenance import provenance
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.mission.legs import starts_by_clock
@@ -94,8 +93,6 @@ def commands(options: FleetOptions, scenario_file: Path) -> list[ProcessCommand]
     if options.backend == "mavlink":
         common.append("--bridged")
         found += [_bridge(options, common, i) for i in options.scenario.uav_ids]
-    elif _is_punctual(options):
-        common.append("--punctual")
     found += [_uavs(common, group) for group in groups(options)]
     if options.backend != "mavlink":
         found.append(ProcessCommand(SIM, "ptnsbc_nodes.sim.main", tuple(common), ends=True))
@@ -175,16 +172,6 @@ def _silences(options: FleetOptions) -> Iterator[str]:
             yield from ("--silent", str(fault.struck_uav), *map(str, fault.window_ns(0)))
 
 
-def _is_punctual(options: FleetOptions) -> bool:
-    """True if the processes that fly ask for real-time scheduling."""
-    scenario = options.scenario
-    processes = len(groups(options))
-    room = not options.lockstep and has_room(
-        len(scenario.uav_ids), scenario.timing.control_hz, processes
-    )
-    return options.backend == "mavlink" or room
-
-
 def _recorder(options: FleetOptions, bag: Path, scenario_file: Path) -> ProcessCommand:
     arguments = ["--bag", str(bag), "--uavs", *map(str, options.scenario.uav_ids)]
     arguments += ["--attach", f"scenario.yaml={scenario_file}"]
@@ -203,7 +190,6 @@ def _recorder(options: FleetOptions, bag: Path, scenario_file: Path) -> ProcessC
         "--truth": options.scenario.imperfect or options.backend == "mavlink",
         "--slots": are_open(options.scenario),
         "--stream": options.scenario.takes_setpoints,
-        "--punctual": _is_punctual(options),
         "--signed": options.scenario.security == "signed",
         "--overwrite": options.overwrite,
     }

@@ -23,9 +23,8 @@ from ptnsbc_nodes.fleet.coordinator_node import Coordinator
 from ptnsbc_nodes.fleet.emergency_stop import order_landing
 from ptnsbc_nodes.fleet.fault_injector import FaultInjector
 from ptnsbc_nodes.fleet.flight_check import FlightCheck
-from ptnsbc_nodes.fleet.introduction import LISTENS, Introduction
+from ptnsbc_nodes.fleet.introduction import Introduction
 from ptnsbc_nodes.fleet.process_list import FleetOptions, names
-from ptnsbc_nodes.runtime.process import RUNNING
 from ptnsbc_nodes.runtime.signals import StopRequest
 from ptnsbc_nodes.runtime.watchdog import ENDED_S, RECORDER_ENDED_S, SIM_ENDED_S
 
@@ -310,7 +309,7 @@ class Supervisor:
         for child in self.children:
             if child.exit_code == 0 or child in self.died or child.name in self._reported:
                 continue
-            if child.exit_code == -signal.SIGKILL and child.summary is not None:
+            if child.exit_code == -signal.SIGKILL and child.reports.summary is not None:
                 # The middleware does not always let go of a process.
                 self._progress(
                     f"{child.name} (pid {child.pid}) had finished its work but did not exit: killed"
@@ -332,9 +331,9 @@ class Supervisor:
 
     def _heard(self, child: ChildProcess) -> bool:
         if child.name == RECORDER:  # it has no status on /diagnostics
-            return LISTENS in child.log_lines()
+            return child.reports.running
         if child.command.beside:
-            return RUNNING in child.log_lines() or child.exit_code is not None
+            return child.reports.running or child.exit_code is not None
         return self._coordinator.waiting.keys() >= set(child.command.reporters)
 
     def _wait(self, deadline: float) -> bool:
@@ -356,7 +355,7 @@ class Supervisor:
         return not self._stop.came
 
     def _refused(self, name: str, child: ChildProcess) -> str:
-        if RUNNING not in child.log_lines():  # it cannot have answered
+        if not child.reports.running:  # it cannot have answered
             return (
                 f"{name} of another fleet is in domain {self._coordinator.domain}: expected another domain "
                 "(--domain N, or no ROS_DOMAIN_ID), or a --namespace of its own"

@@ -28,7 +28,7 @@ _DRAIN_LIMIT_S = 50.0  # under load the queues hold seconds, and the launcher wa
 def main(argv: Sequence[str] | None = None) -> int:
     """Record until SIGINT or SIGTERM."""
     exit_on_signal()
-    from ptnsbc_nodes.runtime.process import run
+    from ptnsbc_nodes.runtime.node_process import run
 
     return run(_parser(), argv, _serve, laws=False)
 
@@ -38,14 +38,8 @@ def _serve(options: argparse.Namespace, argv: list[str]) -> int:
     from rclpy.context import Context
     from rclpy.signals import SignalHandlerOptions
 
-    from ptnsbc_nodes.runtime import environment, memory
-    from ptnsbc_nodes.runtime.process import ros_errors
+    from ptnsbc_nodes.runtime.node_process import ros_errors
 
-    memory.keep_heap()
-    if options.punctual:
-        environment.prefer_punctuality(flies=False)
-    elif not options.lockstep:
-        environment.prefer_records()
     context = Context()
     with StopRequest() as stop:
         with ros_errors():
@@ -67,7 +61,8 @@ def _record(context: Context, options: argparse.Namespace, stop: StopRequest) ->
     from ptnsbc_nodes.comm.tf import Transforms
     from ptnsbc_nodes.recording.fleet_recorder import FleetRecorder, topic_info
     from ptnsbc_nodes.recording.recorder import recorder_node
-    from ptnsbc_nodes.runtime.process import report_finished
+    from ptnsbc_nodes.runtime.launcher import report_running
+    from ptnsbc_nodes.runtime.node_process import report_finished
 
     draw = _drawing(options.draw)
     kinds = {
@@ -96,6 +91,7 @@ def _record(context: Context, options: argparse.Namespace, stop: StopRequest) ->
                 silences=options.silent,
             )
             print("ready", file=sys.stderr, flush=True)
+            report_running()
             recorder.serve(executor, lambda: stop.came, _DRAIN_LIMIT_S)
             recorder.finish()
         # Before the middleware is shut down: that does not always return.
@@ -147,9 +143,6 @@ def _parser() -> argparse.ArgumentParser:
         "--draw",
         metavar="SCENARIO",
         help="record markers of its UAVs, where no simulator draws them",
-    )
-    parser.add_argument(
-        "--punctual", action="store_true", help="run before all that does not fly, where allowed"
     )
     parser.add_argument("--signed", action="store_true", help="record sealed messages only")
     parser.add_argument("--overwrite", action="store_true", help="replace an existing bag")

@@ -22,7 +22,7 @@ from ptnsbc_nodes.comm import qos, topics
 from ptnsbc_nodes.comm.door import Door, Refusals
 from ptnsbc_nodes.comm.seal import Seal
 from ptnsbc_nodes.comm.topics import Role, Topic
-from ptnsbc_nodes.runtime.executor import BoundedSpin, make_executor
+from ptnsbc_nodes.runtime.node_process import BoundedSpin, make_executor
 
 Derive = Callable[[str, bytes], bytes | None]
 """Makes a message out of the topic and the bytes of another; None when none is due."""

@@ -5,11 +5,9 @@ A variable that the user has set wins.
 
 from __future__ import annotations
 
-import ctypes
 import errno
 import os
 import random
-import signal
 import socket
 import sys
 from collections.abc import Iterator, Mapping, MutableMapping
@@ -18,12 +16,9 @@ from pathlib import Path
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_nodes.runtime import dds_profiles
+from ptnsbc_nodes.runtime.launcher import PARENT, stay_with_launcher
 from ptnsbc_nodes.security.middleware import DdsSecurityError, lacks_security
 
-PARENT = "PTNSBC_PARENT"
-"""Process id of the launcher: a process that has it set ends with the launcher."""
-REPORT = "PTNSBC_REPORT_FD"
-"""File descriptor of a pipe to the launcher: a process that has finished its work says so there."""
 NETWORK = "PTNSBC_NETWORK"
 """A Fast DDS profile (`ptnsbc network`): the fleet then flies over the network that it describes."""
 
@@ -38,18 +33,10 @@ ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUM
 _PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 _RMW = "rmw_fastrtps_cpp"
 _SPARE_PEERS = 12  # for viewers, a command line, a second recorder
-_PR_SET_PDEATHSIG = 1
 _DOMAINS = range(1, 102)  # above, the ports reach into those the system hands out
 # A launcher reserves a domain by the TCP port of this number plus the domain's. ROS's domain_coordinator does the same
 # for the tests of ROS packages.
 _FIRST_LOCK = 32768
-# Of a core: what a tick of a UAV with its share of the sim takes, and what one more process adds to it. UAVs of one
-# process share its wake-ups and its datagrams (`bench --only fleets`).
-_UAV_TICK_S, _PROCESS_TICK_S = 0.0004, 0.0011
-_MOST_LOAD = 0.7
-_AUTOGROUP = Path("/proc/self/autogroup")
-# It weighs 28 times as much as 0: beside twenty UAVs on two cores the recorder may take one of them.
-_NICE_OF_RECORDER = -15
 _LAST_DOMAIN = 232  # the ports of the next one do not exist
 _FIRST_PARTICIPANTS = 3
 
@@ -73,7 +60,7 @@ def prepare() -> None:
             " (security: signed in the scenario seals the messages), or another ROS"
         )
     wheels = (Path(sys.prefix) / "share" / "ament_index").is_dir()
-    _stay_with_parent()
+    stay_with_launcher()
     if os.environ.get(NETWORK):
         os.environ.update(_joined(os.environ))
     for name, value in _DEFAULTS.items():
@@ -99,57 +86,16 @@ def prefer_throughput() -> None:
     _schedule(os.SCHED_BATCH, 0)
 
 
-def prefer_punctuality(*, flies: bool) -> bool:
-    """For flights in real time: real-time scheduling, before all other programs.
+def prefer_punctuality() -> bool:
+    """For vehicles in real time: real-time scheduling (round robin), before all other programs.
 
     A setpoint that waits half a second for a compiler on the same host ends the flight of a real vehicle, and a
-    simulated one flies on with the last force meanwhile. The policy is round robin, so that processes that fly share
-    the time; one that does not fly, as the recorder, comes after them. The kernel keeps a twentieth of the time for
-    all other programs.
+    simulated world that is late makes all odometry stale at once. The kernel keeps a twentieth of the time for all
+    other programs.
 
     Returns False without the right to change the scheduling; the process works all the same.
     """
-    return _schedule(os.SCHED_RR, os.sched_get_priority_min(os.SCHED_RR) + flies)
-
-
-def prefer_records() -> bool:
-    """For a recorder beside a fleet in real time that leaves no room: 28 times the share of another process.
-
-    The scheduler divides full cores evenly. A recorder needs more than one part in twenty of them, for it hears all
-    UAVs: with an even share it fell behind by two seconds, and its queues overflowed. With a third of the cores it
-    still did where other guests of the host took time from both cores. Where sessions are scheduled as groups, as
-    Linux does by default, the group has a nice value of its own.
-
-    Returns False without the right to lower nice values; the process works all the same.
-    """
-    try:
-        os.setpriority(os.PRIO_PROCESS, 0, _NICE_OF_RECORDER)
-        # By hand it is of the session of its shell, whose other programs are left alone.
-        if os.getsid(0) == os.getpid() and sessions_are_groups():
-            _AUTOGROUP.write_text(str(_NICE_OF_RECORDER))
-    except OSError:
-        return False
-    return True
-
-
-def sessions_are_groups() -> bool:
-    """True if the scheduler counts the session of this process as one.
-
-    Without such groups the file is missing or empty: they are off, or a container has a share of its own.
-    """
-    return _AUTOGROUP.exists() and bool(_AUTOGROUP.read_text().strip())
-
-
-def has_room(uavs: int, control_hz: float, processes: int | None = None) -> bool:
-    """True if a simulated fleet leaves these cores room, so that real-time scheduling serves it.
-
-    A launcher knows in how many `processes` its UAVs fly; one that was started by hand takes one for each.
-
-    Processes of equal priority take turns of 100 ms. Where all of them together ask for more than there is, they are
-    later with it than with the ordinary scheduling.
-    """
-    tick_s = uavs * _UAV_TICK_S + (processes or uavs) * _PROCESS_TICK_S
-    return tick_s * control_hz <= _MOST_LOAD * len(os.sched_getaffinity(0))
+    return _schedule(os.SCHED_RR, os.sched_get_priority_min(os.SCHED_RR) + 1)
 
 
 def _schedule(policy: int, priority: int) -> bool:
@@ -207,18 +153,6 @@ def _discovery_is_ours(environment: Mapping[str, str]) -> bool:
         and "ROS_DISCOVERY_SERVER" not in environment
         and not any(name in environment for name in _PROFILES)
     )
-
-
-def _stay_with_parent() -> None:
-    """End with the launcher, even when it is killed: an orphan would fly on unnoticed."""
-    parent = os.environ.get(PARENT)
-    if parent is None or not sys.platform.startswith("linux"):
-        return
-    if parent == str(os.getpid()):  # the launcher itself, called from another fleet
-        return
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, int(signal.SIGTERM))
-    if os.getppid() != int(parent):
-        raise SystemExit("the launcher has ended")
 
 
 def named_domain() -> int:

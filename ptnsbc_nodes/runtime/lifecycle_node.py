@@ -2,6 +2,10 @@
 
 Its `ConfiguredNode` does the work of each transition. A user's error refuses the transition and is logged; any
 other error ends the process.
+
+This is the one module that reaches into rclpy (7.1), for two promises. No request ends a process in flight: rclpy lets
+the RCLError of a transition that is not possible now out of its callback (`_refuse_impossible_requests`). A node that
+has ended is out of the graph: rclpy forgets its transition topic (`destroy_node`).
 """
 
 from __future__ import annotations
@@ -15,7 +19,7 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 
 from ptnsbc_core.errors import PtnsbcError
 from ptnsbc_nodes.comm.endpoints import Endpoints
-from ptnsbc_nodes.runtime.parameters import FIXED
+from ptnsbc_nodes.runtime.node_parameters import FIXED
 
 
 class ConfiguredNode(Protocol):
@@ -49,7 +53,7 @@ class ManagedNode(LifecycleNode):
         self._flown = False  # work that is closed by now had begun its flight
         self._make: Callable[[], ConfiguredNode | None] = lambda: None
         self._end: Callable[[], None] = lambda: None
-        self._guard_requests()
+        _refuse_impossible_requests(self)
 
     def assign(self, make: Callable[[], ConfiguredNode], on_end: Callable[[], None]) -> None:
         """Define the node before it is served: `make` configures, `on_end` ends the process."""
@@ -74,16 +78,6 @@ class ManagedNode(LifecycleNode):
                 raise self.refusal
         self._by_itself = False
 
-    def last_word(self) -> None:
-        """Publish what its work publishes last, see `Endpoints`."""
-        if self.work is not None:
-            self.work.endpoints.last_word()
-
-    def flush(self, timeout_s: float) -> None:
-        """Wait until reliable readers have everything."""
-        if self.work is not None:
-            self.work.endpoints.flush(timeout_s)
-
     def finish(self) -> None:
         """Close the node and publish its last transition; the process ends next."""
         self._end = lambda: None
@@ -98,15 +92,30 @@ class ManagedNode(LifecycleNode):
 
     def on_configure(self, _state: LifecycleState) -> TransitionCallbackReturn:
         """Make the topics, timers and services."""
-        return self._transition(self._configure)
+
+        def configure() -> None:
+            self.work = self._make()
+
+        return self._transition(configure)
 
     def on_activate(self, _state: LifecycleState) -> TransitionCallbackReturn:
         """Begin to act."""
-        return self._transition(self._activate)
+        gc.freeze()  # what was made so far lives as long as the node works: no collection need look at it
+
+        def activate() -> None:
+            if self.work is not None:
+                self.work.activate()
+
+        return self._transition(activate)
 
     def on_deactivate(self, _state: LifecycleState) -> TransitionCallbackReturn:
         """Stop acting."""
-        return self._transition(self._deactivate)
+
+        def deactivate() -> None:
+            if self.work is not None:
+                self.work.deactivate()
+
+        return self._transition(deactivate)
 
     def on_cleanup(self, _state: LifecycleState) -> TransitionCallbackReturn:
         """Remove them again."""
@@ -116,19 +125,6 @@ class ManagedNode(LifecycleNode):
         """End the process."""
         self._end()
         return TransitionCallbackReturn.SUCCESS
-
-    def _configure(self) -> None:
-        self.work = self._make()
-
-    def _activate(self) -> None:
-        # What was made so far lives as long as the node works: no collection need look at it.
-        gc.freeze()
-        if self.work is not None:
-            self.work.activate()
-
-    def _deactivate(self) -> None:
-        if self.work is not None:
-            self.work.deactivate()
 
     def _close(self) -> None:
         if self.work is not None:
@@ -152,21 +148,22 @@ class ManagedNode(LifecycleNode):
             return TransitionCallbackReturn.ERROR
         return TransitionCallbackReturn.SUCCESS
 
-    def _guard_requests(self) -> None:
-        """A transition that is not possible now is refused; in rclpy it ends the process."""
-        change = self._service_change_state.callback
 
-        def guarded(request: Any, response: Any) -> Any:
-            possible = {one[0]: one[1] for one in self._state_machine.available_transitions}
-            wanted = request.transition
-            if wanted.label in possible.values() or (not wanted.label and wanted.id in possible):
-                return change(request, response)
-            # A launcher whose answer was late asks again: that is no error.
-            self.get_logger().warning(
-                f"transition {wanted.label or wanted.id}: not possible now, {self.state}: expected "
-                f"one of {', '.join(possible.values())}"
-            )
-            response.success = False
-            return response
+def _refuse_impossible_requests(node: ManagedNode) -> None:
+    """Refuse a transition that is not possible now: a launcher whose answer was late asks again."""
+    machine, service = node._state_machine, node._service_change_state
+    change = service.callback
 
-        self._service_change_state.callback = guarded
+    def guarded(request: Any, response: Any) -> Any:
+        possible = {one[0]: one[1] for one in machine.available_transitions}
+        wanted = request.transition
+        if wanted.label in possible.values() or (not wanted.label and wanted.id in possible):
+            return change(request, response)
+        node.get_logger().warning(
+            f"transition {wanted.label or wanted.id}: not possible now, {node.state}: expected "
+            f"one of {', '.join(possible.values())}"
+        )
+        response.success = False
+        return response
+
+    service.callback = guarded

@@ -12,7 +12,7 @@ from ptnsbc_nodes.runtime.signals import exit_on_signal
 def main(argv: Sequence[str] | None = None) -> int:
     """Simulate until the flight is over, SIGINT or SIGTERM."""
     exit_on_signal()
-    from ptnsbc_nodes.runtime.process import Arguments, run
+    from ptnsbc_nodes.runtime.node_process import Arguments, run
 
     parser = Arguments("sim", "Simulated vehicles of a formation", scenario=False)
     parser.add_argument("--duration", type=float, metavar="S", help="instead of the scenario's")
@@ -22,14 +22,13 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _simulate(arguments: argparse.Namespace, argv: list[str]) -> int:
     from ptnsbc_nodes.comm import topics
     from ptnsbc_nodes.comm.graph import CommunicationGraph
-    from ptnsbc_nodes.runtime import environment, memory, parameters
-    from ptnsbc_nodes.runtime.process import ProcessLifetime, parameter_node
+    from ptnsbc_nodes.runtime import environment, node_parameters
+    from ptnsbc_nodes.runtime.node_process import ProcessLifetime, ros_context, ros_node
     from ptnsbc_nodes.runtime.warmup import load_world
     from ptnsbc_nodes.sim.node import SimNode
 
-    memory.keep_heap()
     lifetime = ProcessLifetime()
-    given = parameters.overrides(
+    given = node_parameters.overrides(
         {
             "scenario": arguments.scenario,
             "lockstep": arguments.lockstep,
@@ -37,11 +36,11 @@ def _simulate(arguments: argparse.Namespace, argv: list[str]) -> int:
             "timing.duration_s": arguments.duration,
         }
     )
-    with parameter_node("sim", "", argv, given) as node:
-        settings = parameters.NodeParameters(node, parameters.SCENARIO)
+    with ros_context(argv), ros_node("sim", "", parameters=given) as node:
+        settings = node_parameters.NodeParameters(node, node_parameters.SCENARIO)
         settings.declare_scenario()
         if node.get_parameter("use_sim_time").value:
-            raise parameters.ScenarioParameterError(
+            raise node_parameters.ScenarioParameterError(
                 "parameter use_sim_time: true: expected false, because the sim publishes the time"
             )
         if not topics.tf_is_available():
@@ -54,7 +53,7 @@ def _simulate(arguments: argparse.Namespace, argv: list[str]) -> int:
             environment.prefer_throughput()
         else:
             # The world is never late. Behind on full cores, it makes all odometry stale at once.
-            environment.prefer_punctuality(flies=True)
+            environment.prefer_punctuality()
         graph = CommunicationGraph(settings.scenario, settings.options)
         sim = SimNode(node, settings.scenario, graph, lifetime.end)
         lifetime.serve(node, sim.endpoints, rest_s=sim.rest_s)

@@ -6,21 +6,20 @@ import argparse
 import os
 from collections.abc import Sequence
 from contextlib import ExitStack
-from functools import partial
 from typing import TYPE_CHECKING
 
 from ptnsbc_nodes.runtime.signals import exit_on_signal
 
 if TYPE_CHECKING:
     from ptnsbc_nodes.runtime.lifecycle_node import ManagedNode
-    from ptnsbc_nodes.runtime.parameters import NodeParameters
-    from ptnsbc_nodes.runtime.process import ProcessLifetime
+    from ptnsbc_nodes.runtime.node_parameters import NodeParameters
+    from ptnsbc_nodes.runtime.node_process import ProcessLifetime
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Fly until SIGINT or SIGTERM."""
     exit_on_signal()
-    from ptnsbc_nodes.runtime.process import Arguments, run
+    from ptnsbc_nodes.runtime.node_process import Arguments, run
 
     parser = Arguments("uav", "Controller of one UAV of a formation, or of several", scenario=False)
     parser.add_argument(
@@ -43,8 +42,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _fly(arguments: argparse.Namespace, argv: list[str]) -> int:
     from ptnsbc_nodes.runtime import environment
-    from ptnsbc_nodes.runtime import parameters as ros_parameters
-    from ptnsbc_nodes.runtime import process as processes
+    from ptnsbc_nodes.runtime import node_parameters as ros_parameters
+    from ptnsbc_nodes.runtime import node_process as processes
     from ptnsbc_nodes.runtime.lifecycle_node import ManagedNode
     from ptnsbc_nodes.runtime.warmup import load_agent
 
@@ -60,45 +59,38 @@ def _fly(arguments: argparse.Namespace, argv: list[str]) -> int:
                 "recorded": arguments.recorded,
                 "bridged": arguments.bridged,
             }
-            namespace = arguments.fleet + processes.namespace_of(uav)
+            namespace = arguments.fleet + ("" if uav is None else f"/uav{uav}")
             overrides = ros_parameters.overrides(given)
-            made = processes.node_with_parameters("controller", namespace, overrides, ManagedNode)
+            made = processes.ros_node(
+                "controller", namespace, make=ManagedNode, parameters=overrides
+            )
             node = stack.enter_context(made)
             fixed = (ros_parameters.UAV, ros_parameters.BRIDGED, ros_parameters.AUTOSTART)
             settings = ros_parameters.NodeParameters(node, (*ros_parameters.SCENARIO, *fixed))
             settings.declare_scenario(node.fixed)
             load_agent(settings.scenario, settings.uav)
-            _assign(node, settings, lifetime, punctual=arguments.punctual)
+            _assign(node, settings, lifetime)
             nodes.append(node)
         if settings.options.lockstep:
             environment.prefer_throughput()
         elif settings.options.bridged:
-            environment.prefer_punctuality(flies=True)
+            environment.prefer_punctuality()
         autostart = settings["autostart"] and not arguments.managed
-        first, *others = nodes
-        return processes.serve_managed(first, lifetime, autostart=autostart, others=others)
+        return processes.serve_managed(nodes, lifetime, autostart=autostart)
 
 
-def _assign(
-    node: ManagedNode, settings: NodeParameters, lifetime: ProcessLifetime, *, punctual: bool
-) -> None:
-    """The work of the node of one UAV; `punctual`: real-time scheduling from its first leg on."""
+def _assign(node: ManagedNode, settings: NodeParameters, lifetime: ProcessLifetime) -> None:
+    """The work of the node of one UAV."""
     from ptnsbc_nodes.comm.graph import CommunicationGraph
-    from ptnsbc_nodes.runtime import environment
+    from ptnsbc_nodes.runtime.launcher import PARENT
     from ptnsbc_nodes.uav.node import UavNode
 
     def configure() -> UavNode:
         graph = CommunicationGraph(settings.scenario, settings.options)
         # A launcher ends its processes in order; one that was started by hand would outlive the flight.
-        watched = environment.PARENT in os.environ
+        watched = PARENT in os.environ
         on_abandoned = (lambda: None) if watched else lifetime.end
-        uav = UavNode(node, settings.scenario, settings.uav, graph, on_abandoned)
-        scenario, options = settings.scenario, settings.options
-        room = environment.has_room(len(scenario.uav_ids), scenario.timing.control_hz)
-        if (punctual or room) and not (options.lockstep or options.bridged):
-            # Not before: a process that is started again in flight would take the others' time to get ready.
-            uav.on_first_leg = partial(environment.prefer_punctuality, flies=True)
-        return uav
+        return UavNode(node, settings.scenario, settings.uav, graph, on_abandoned)
 
     node.assign(configure, lifetime.end)
 

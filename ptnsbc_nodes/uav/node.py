@@ -34,7 +34,7 @@ from ptnsbc_nodes.comm.robot_description import publish_description
 from ptnsbc_nodes.comm.slots import Decision, encode_slots
 from ptnsbc_nodes.comm.topics import LOST
 from ptnsbc_nodes.comm.vehicle_messages import PlannerLimits, decode_limits, limited
-from ptnsbc_nodes.runtime.clock_offset import ClockOffsetMonitor
+from ptnsbc_nodes.runtime.pacing import ClockOffsetMonitor
 from ptnsbc_nodes.uav.controller import UavController, step_time
 from ptnsbc_nodes.uav.faults import UavFaults
 from ptnsbc_nodes.uav.inbox import NO_CUTOFF_NS
@@ -67,9 +67,6 @@ class UavNode:
         """`on_abandoned` is called when the vehicle of the UAV is gone for good."""
         self.node = node
         self._vehicle = VehiclePresence(on_abandoned)
-        self.on_first_leg: Callable[[], object] = lambda: None
-        """Called when the first leg is announced."""
-        self._on_a_leg = False
         self.endpoints = Endpoints(node, edges.options.lockstep, edges.options.seal)
         self._options = edges.options
         self._uav = uav_id
@@ -280,9 +277,6 @@ class UavNode:
         if first_ns is not None:
             self._faults.begin(first_ns)
         self._timing.align(self._controller.inbox.own)
-        if self._epochs.announced and not self._on_a_leg:  # the leader has announced it itself
-            self._on_a_leg = True
-            self.on_first_leg()
         self._advance()
 
     def _on_fault(self, order: OrderedFault) -> None:

@@ -9,8 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from ptnsbc_nodes.comm.diagnostics import DiagnosticLevel
-from ptnsbc_nodes.runtime.safety import Concern, SafetyState
+from ptnsbc_nodes.comm.diagnostics import Concern, DiagnosticLevel, SafetyState
 
 
 class PlannerSight(NamedTuple):

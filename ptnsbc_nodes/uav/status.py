@@ -10,12 +10,18 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
 from ptnsbc_nodes.comm import topics
-from ptnsbc_nodes.comm.diagnostics import STATUS_HZ, StatusLog, diagnostics, readiness
+from ptnsbc_nodes.comm.diagnostics import (
+    SAFETY,
+    STATUS_HZ,
+    StatusLog,
+    assess,
+    diagnostics,
+    readiness,
+)
 from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.comm.graph import FlightOptions
 from ptnsbc_nodes.comm.legs import Epochs
 from ptnsbc_nodes.comm.topics import READY
-from ptnsbc_nodes.runtime.safety import SAFETY, assess
 from ptnsbc_nodes.uav.controller import UavController
 from ptnsbc_nodes.uav.faults import UavFaults
 from ptnsbc_nodes.uav.safety import PlannerSight, planner_concerns

@@ -10,8 +10,7 @@ from ptnsbc_io.wire import Stamped
 from ptnsbc_nodes.comm.diagnostics import status_every
 from ptnsbc_nodes.comm.door import LockstepHorizon, LockstepStamps, RealTimeStamps, StampRule
 from ptnsbc_nodes.comm.graph import LEAD_TICKS
-from ptnsbc_nodes.runtime.clock_offset import ClockOffsetMonitor
-from ptnsbc_nodes.runtime.pacing import Pace, Ticker
+from ptnsbc_nodes.runtime.pacing import ClockOffsetMonitor, Pace, Ticker
 from ptnsbc_sim.scenario import Scenario
 
 

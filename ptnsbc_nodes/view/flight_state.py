@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable, Iterable
 from typing import Any
 
@@ -15,7 +16,6 @@ from ptnsbc_io.wire import Diagnostics, DiagnosticStatus, HeaderFields, Stamped
 from ptnsbc_nodes.comm.announcements import LostProcess
 from ptnsbc_nodes.comm.legs import Epochs, Leg
 from ptnsbc_nodes.comm.slots import DecidedSlots, Decision
-from ptnsbc_nodes.view.recent_states import RecentStates
 from ptnsbc_sim.scenario import Scenario, available, load_scenario, scenario_from_text
 from ptnsbc_sim.scenario.build import leader_trajectory, places_beside_leader
 from ptnsbc_sim.scenario.mission.legs import ScheduledLeg, Word
@@ -26,6 +26,8 @@ from ptnsbc_sim.scenario.slots import are_open, with_slots
 SILENT_S = 2.0
 """A process whose last status is older than this is shown as silent."""
 _NANO = 1e-9
+_KEPT_NS = 1_000_000_000
+_SILENT_NS = 500_000_000
 _READY_LEVEL, _SILENT_LEVEL = 1, 2  # as on /diagnostics: WARN, ERROR
 
 
@@ -257,6 +259,53 @@ class FlightState:
             level = max(status.level, _READY_LEVEL)
             return {"level": level, "word": f"waits for {waits}", "silent": False}
         return {"level": status.level, "word": status.message or "ready", "silent": False}
+
+
+class RecentStates:
+    """Odometry of each vehicle during the last second that it told.
+
+    Messages of one instant arrive one after the other. Distances between the newest positions would therefore be
+    wrong by the way of a vehicle between two messages, millimetres to centimetres.
+    """
+
+    def __init__(self) -> None:
+        self._of: dict[int, deque[Stamped]] = {}
+
+    def add(self, uav: int, message: Stamped) -> None:
+        """Keep a state; one that was overtaken is dropped, and one from long before begins anew."""
+        kept = self._of.setdefault(uav, deque())
+        if kept and message.stamp_ns < kept[-1].stamp_ns - _KEPT_NS:
+            kept.clear()
+        if kept and message.stamp_ns <= kept[-1].stamp_ns:
+            return
+        kept.append(message)
+        while kept[0].stamp_ns < message.stamp_ns - _KEPT_NS:
+            kept.popleft()
+
+    @property
+    def common_ns(self) -> int:
+        """The newest instant that every vehicle has reached, without those silent for 0.5 s; -1 before the first."""
+        newest = [kept[-1].stamp_ns for kept in self._of.values()]
+        last = max(newest, default=-1)
+        return min((stamp for stamp in newest if stamp >= last - _SILENT_NS), default=-1)
+
+    def at(self, stamp_ns: int) -> dict[int, Array]:
+        """The odometry vectors (13,) of all vehicles at an instant, positions interpolated.
+
+        A vehicle that has nothing before it or after it is where it told that it was.
+        """
+        return {uav: _at(kept, stamp_ns) for uav, kept in self._of.items()}
+
+
+def _at(kept: deque[Stamped], stamp_ns: int) -> Array:
+    after = next((one for one in kept if one.stamp_ns >= stamp_ns), kept[-1])
+    before = next((one for one in reversed(kept) if one.stamp_ns <= stamp_ns), kept[0])
+    if before.stamp_ns >= after.stamp_ns:
+        return after.values
+    share = (stamp_ns - before.stamp_ns) / (after.stamp_ns - before.stamp_ns)
+    values: Array = np.array(after.values)
+    values[:3] = before.values[:3] + share * (after.values[:3] - before.values[:3])
+    return values
 
 
 class _Pace:

@@ -29,7 +29,7 @@ from ptnsbc_nodes.comm.diagnostics import DiagnosticLevel
 from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.comm.qos import STATE_REALTIME, keep_last
 from ptnsbc_nodes.comm.seal import operators_seal, seal_of
-from ptnsbc_nodes.runtime.executor import BoundedSpin, make_executor
+from ptnsbc_nodes.runtime.node_process import BoundedSpin, make_executor
 from ptnsbc_nodes.view.flight_state import FlightState, scenario_of
 from ptnsbc_sim.scenario import Scenario
 from ptnsbc_sim.scenario.slots import are_open

@@ -21,7 +21,7 @@ class OperatorError(PtnsbcError):
 def main(argv: Sequence[str] | None = None) -> int:
     """Serve until SIGINT or SIGTERM."""
     exit_on_signal()
-    from ptnsbc_nodes.runtime.process import Arguments, run
+    from ptnsbc_nodes.runtime.node_process import Arguments, run
 
     parser = Arguments(
         "operator",
@@ -33,7 +33,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _serve(arguments: argparse.Namespace, argv: list[str]) -> int:
     from ptnsbc_nodes.comm.seal import seal_of
-    from ptnsbc_nodes.runtime import process as processes
+    from ptnsbc_nodes.runtime.node_process import ProcessLifetime, ros_context, ros_node
     from ptnsbc_nodes.security.middleware import check_enforced
     from ptnsbc_nodes.view.observer import Observer
     from ptnsbc_sim.scenario import load_scenario
@@ -47,8 +47,8 @@ def _serve(arguments: argparse.Namespace, argv: list[str]) -> int:
             "the messages of ptnsbc_interfaces are not built, or older than this program: "
             "expected g++ and `make setup`, or with ROS from apt `colcon build` and its setup.bash"
         ) from None
-    lifetime = processes.ProcessLifetime()
-    with processes.ros_node("operator", "", argv) as node:
+    lifetime = ProcessLifetime()
+    with ros_context(argv), ros_node("operator", "") as node:
         if arguments.scenario:
             scenario = load_scenario(arguments.scenario)
         else:

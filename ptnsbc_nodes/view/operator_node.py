@@ -33,7 +33,7 @@ from ptnsbc_nodes.comm.vehicle_messages import PlannerLimits, decode_limits, lim
 from ptnsbc_nodes.emergency.orders import APART, KILL, LAND, Order, parse_order, runtime_folder
 from ptnsbc_nodes.fleet.coordinator_node import Coordinator
 from ptnsbc_nodes.fleet.emergency_stop import EmergencyStop
-from ptnsbc_nodes.runtime.executor import make_executor
+from ptnsbc_nodes.runtime.node_process import make_executor
 from ptnsbc_nodes.uav.leg_services import CANCEL_SERVICE, leg_service
 from ptnsbc_nodes.view.flight_state import FlightState
 from ptnsbc_nodes.view.goals import Answer, LegGoal, MissionGoal

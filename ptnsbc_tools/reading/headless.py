@@ -117,8 +117,13 @@ class _StatusMessages:
         yield topics.MARKERS.name, self._scene.markers(stamp_ns)
 
     def _diagnostics(self, tick: int, stamp_ns: int) -> Iterator[bytes]:
-        from ptnsbc_nodes.comm.diagnostics import DiagnosticLevel, diagnostics, readiness
-        from ptnsbc_nodes.runtime.safety import SAFETY, assess
+        from ptnsbc_nodes.comm.diagnostics import (
+            SAFETY,
+            DiagnosticLevel,
+            assess,
+            diagnostics,
+            readiness,
+        )
         from ptnsbc_nodes.uav.safety import PlannerSight, planner_concerns
 
         landing_ns = self._flight.scenario.landing_ns

@@ -51,7 +51,7 @@ class Ros:
     def __init__(self, domain: int) -> None:
         import rclpy
 
-        from ptnsbc_nodes.runtime.executor import make_executor
+        from ptnsbc_nodes.runtime.node_process import make_executor
 
         self.domain = domain
         self.context = rclpy.Context()

@@ -284,7 +284,13 @@ def test_linear_algebra_has_one_thread_unless_the_user_says_otherwise() -> None:
 
 def test_a_simulated_fleet_needs_no_mavlink() -> None:
     """pymavlink is an extra of the package."""
-    programs = ("fleet.main", "uav.main", "sim.main", "recording.main", "fleet.coordinator_main")
+    programs = (
+        "fleet.main",
+        "uav.main",
+        "sim.main",
+        "recording.main",
+        "fleet.coordinator_main",
+    )
     modules = ", ".join(f"ptnsbc_nodes.{program}" for program in programs)
     code = f"import sys; sys.modules['pymavlink'] = None\nimport ptnsbc, {modules}"
     subprocess.run([sys.executable, "-c", code], check=True)

@@ -8,8 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 
 from ptnsbc_nodes.bridge.procedure.steps import FLYING, Step, Stream
-from ptnsbc_nodes.comm.diagnostics import DiagnosticLevel
-from ptnsbc_nodes.runtime.safety import Concern, SafetyState
+from ptnsbc_nodes.comm.diagnostics import Concern, DiagnosticLevel, SafetyState
 
 _STATES: Mapping[Step, SafetyState] = {
     Step.APART: SafetyState.HOLD_CLEAR,

@@ -20,8 +20,7 @@ from ptnsbc_nodes.bridge.status import vehicle_record
 from ptnsbc_nodes.bridge.tuning.excitation import TuneError
 from ptnsbc_nodes.bridge.tuning.hover_test import HoverTest
 from ptnsbc_nodes.bridge.tuning.settings import Identified
-from ptnsbc_nodes.emergency.order_port import OrderPort
-from ptnsbc_nodes.emergency.orders import Order, latched, runtime_folder
+from ptnsbc_nodes.emergency.orders import Order, OrderPort, latched, runtime_folder
 from ptnsbc_nodes.emergency.records import VehicleRecord, write_record
 from ptnsbc_nodes.runtime import environment
 from ptnsbc_nodes.runtime.signals import StopRequest
@@ -66,7 +65,7 @@ def fly_hover_test(
     link = MavlinkLink(connect(settings.connect), settings.sysid, WANTED_MESSAGES, signer)
     with closing(link):
         test = HoverTest(scenario, uav, link, clocks, log, allow_arming=allow_arming, box_m=box_m)
-        environment.prefer_punctuality(flies=True)
+        environment.prefer_punctuality()
         _serve(test, folder, record)
     return test.identified()
 

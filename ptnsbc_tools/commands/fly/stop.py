@@ -81,7 +81,7 @@ def stop(
     from ptnsbc_nodes.fleet.emergency_stop import EmergencyStop
 
     # On a busy host the processes that fly come first, and the order would wait behind them.
-    environment.prefer_punctuality(flies=True)
+    environment.prefer_punctuality()
     operation = EmergencyStop(folder, Order(KILL if kill else LAND, pilots_too))
     try:
         code = _give(operation, number, fleet, patience, ready=ready, kill=kill)

@@ -171,7 +171,7 @@ def run(options: Options, control_port: int | None, timed: list[TimedFault]) -> 
         vehicles = [station.vehicle for station in fleet]
         with FaultPort(vehicles, start_t, port=control_port, timed=timed, log=say) as control:
             # A real flight controller has a processor of its own; these share one.
-            environment.prefer_punctuality(flies=True)
+            environment.prefer_punctuality()
             serve(fleet, lambda: stop.came, control.poll, lambda: _ready(fleet, say))
         for station in fleet:
             dropped = sum(end.codec.dropped for end in station.endpoints)

@@ -26,7 +26,6 @@ from ptnsbc_nodes.comm import topics
 from ptnsbc_nodes.comm.announcements import decode_order
 from ptnsbc_nodes.comm.endpoints import Endpoints
 from ptnsbc_nodes.comm.graph import CommunicationGraph, FlightOptions
-from ptnsbc_nodes.emergency.order_port import socket_path
 from ptnsbc_nodes.emergency.orders import (
     APART,
     KILL,
@@ -37,6 +36,7 @@ from ptnsbc_nodes.emergency.orders import (
     list_fleet,
     release,
     runtime_folder,
+    socket_path,
 )
 from ptnsbc_nodes.emergency.records import record_path
 from ptnsbc_nodes.fleet.coordinator_node import Coordinator

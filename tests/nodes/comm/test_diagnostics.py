@@ -6,7 +6,9 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from ptnsbc_nodes.comm.diagnostics import DiagnosticLevel, StatusLog
+import pytest
+
+from ptnsbc_nodes.comm.diagnostics import Concern, DiagnosticLevel, SafetyState, StatusLog, assess
 
 OK, WARN, ERROR = DiagnosticLevel.OK, DiagnosticLevel.WARN, DiagnosticLevel.ERROR
 
@@ -48,3 +50,31 @@ def test_a_status_that_flutters_is_logged_once_a_second(logged):
         clock.now_s = 0.2 * k
         log.note(WARN if k % 2 else OK, "holding")
     assert 5 <= len(lines) <= 11
+
+
+OK, WARN, ERROR = DiagnosticLevel
+
+
+def test_without_a_concern_all_is_nominal():
+    assert assess([]) == (SafetyState.NOMINAL, OK, "")
+
+
+def test_the_worst_decides_and_no_reason_is_lost():
+    found = assess(
+        [
+            Concern(SafetyState.DEGRADED, ERROR, "a clock is off"),
+            Concern(SafetyState.HOLD_CLEAR, WARN, "holding"),
+            Concern(SafetyState.DEGRADED, WARN, "2 ticks missed"),
+        ]
+    )
+    assert found == (SafetyState.HOLD_CLEAR, ERROR, "holding; a clock is off; 2 ticks missed")
+
+
+def test_the_states_have_one_name_each_from_all_to_nothing():
+    assert [one.text for one in sorted(SafetyState)] == [
+        "nominal",
+        "degraded",
+        "hold clear",
+        "land",
+        "stop",
+    ]

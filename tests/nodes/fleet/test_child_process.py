@@ -3,14 +3,15 @@
 import os
 import select
 import signal
+import time
 from pathlib import Path
 
 import pytest
 
 from ptnsbc_nodes.fleet import child_process
 from ptnsbc_nodes.fleet.child_process import ChildProcess, ProcessCommand, end
-from ptnsbc_nodes.runtime import environment
-from ptnsbc_nodes.runtime.process import report_finished
+from ptnsbc_nodes.runtime import environment, launcher
+from ptnsbc_nodes.runtime.node_process import report_finished
 
 
 def test_what_lies_in_the_current_folder_is_not_imported(monkeypatch, tmp_path):
@@ -94,29 +95,31 @@ def test_new_lines_come_once_and_whole(program):
 
 REPORTS = """
 import signal
-from ptnsbc_nodes.runtime.process import report_finished
-print("working", flush=True)
-report_finished("all is done")
+from ptnsbc_nodes.runtime.launcher import report_finished, report_running
+report_running()
+report_finished("all is\\ndone")
 signal.pause()
 """
 
 
-@pytest.mark.slow
-def test_a_process_reports_that_it_has_finished_before_it_ends(program):
+def test_a_process_reports_that_it_runs_and_that_it_has_finished_before_it_ends(program):
     child = program(REPORTS)
-    assert select.select([child._report], [], [], 60)[0], child.tail()
-    assert child.exit_code is None
-    assert child.summary == "all is done"
+    until = time.monotonic() + 60.0
+    while child.reports.summary is None:
+        assert child.wait(0.01) is None and time.monotonic() < until, child.tail()
+    assert child.reports.running
+    assert child.reports.summary == "all is\ndone"
     end([child], patience_s=5.0)
-    assert child.summary == "all is done"
+    assert child.reports.summary == "all is\ndone"
 
 
 def test_a_process_that_is_killed_at_work_has_no_summary(program):
-    child = program("import os; os.abort()")
+    """What it writes into its log is no report."""
+    child = program("import os; print('running\\nfinished 1', flush=True); os.abort()")
     wait_for_exit(child)
-    assert child.summary is None
+    assert (child.reports.running, child.reports.summary) == (False, None)
 
 
 def test_a_report_without_a_launcher_goes_nowhere(monkeypatch):
-    monkeypatch.delenv(environment.REPORT, raising=False)
+    monkeypatch.delenv(launcher.REPORT, raising=False)
     report_finished("all is done")

@@ -15,8 +15,7 @@ pytest.importorskip("pymavlink")
 from mavlink_wires import Far, heartbeat
 
 from ptnsbc_io.mavlink.dialect import mavlink
-from ptnsbc_nodes.emergency.order_port import OrderPort
-from ptnsbc_nodes.emergency.orders import Order, latched, list_fleet
+from ptnsbc_nodes.emergency.orders import Order, OrderPort, latched, list_fleet
 from ptnsbc_nodes.emergency.records import VehicleRecord, write_record
 from ptnsbc_nodes.fleet.emergency_stop import EmergencyStop
 

@@ -1,6 +1,5 @@
 """Which processes a computer runs: all of a fleet, or those that are named."""
 
-import os
 from pathlib import Path
 
 import pytest
@@ -54,18 +53,6 @@ def test_the_recorder_is_there_first_and_the_world_last(paper_5):
     first, *others, last = started(FleetOptions(paper_5, bag=Path("bag")))
     assert (first, last) == ("recorder", "sim")
     assert others == ["uav1", "uav2", "uav3", "uav4", "uav5"]
-
-
-@pytest.mark.parametrize(("processes", "punctual"), [(5, False), (1, True)])
-def test_a_fleet_that_shares_processes_leaves_room_for_real_time(
-    paper_5, monkeypatch, processes, punctual
-):
-    """The launcher alone knows how many there are, so it tells all that fly."""
-    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0})
-    found = started(FleetOptions(paper_5, processes=processes))
-    assert {"--punctual" in arguments for arguments in found.values()} == {punctual}
-    lockstep = started(FleetOptions(paper_5, processes=processes, lockstep=True))
-    assert not any("--punctual" in arguments for arguments in lockstep.values())
 
 
 def test_uavs_share_processes_evenly(paper_5):

@@ -25,7 +25,7 @@ ROOT = Path(__file__).resolve().parents[3]
 
 _STAYS = """
 import signal, sys
-from ptnsbc_nodes.runtime.process import report_finished
+from ptnsbc_nodes.runtime.node_process import report_finished
 if sys.argv[1] == "finished":
     report_finished("5 messages")
 print("here", flush=True)
@@ -105,13 +105,13 @@ def test_what_runs_beside_the_flight_is_reported_and_changes_nothing(ended):
 
 @pytest.mark.ros
 @pytest.mark.parametrize(
-    ("log", "says"),
+    ("running", "says"),
     [
-        ([], "uav1 of another fleet is in domain 7: expected another domain"),
-        (["running"], "uav1 refused to be activated, uav1.log"),
+        (False, "uav1 of another fleet is in domain 7: expected another domain"),
+        (True, "uav1 refused to be activated, uav1.log"),
     ],
 )
-def test_a_uav_that_refuses_before_its_process_has_loaded_is_of_another_fleet(log, says):
+def test_a_uav_that_refuses_before_its_process_has_loaded_is_of_another_fleet(running, says):
     coordinator = SimpleNamespace(
         domain=7,
         held=set(),
@@ -122,7 +122,8 @@ def test_a_uav_that_refuses_before_its_process_has_loaded_is_of_another_fleet(lo
         spin=lambda _seconds: None,
     )
     child = Child("uav1", 1)
-    child.log, child.log_lines, child.tail = "uav1.log", lambda: log, lambda: ""
+    child.log, child.tail = "uav1.log", lambda: ""
+    child.reports = SimpleNamespace(running=running)
     options, stop = FleetOptions(load_scenario("paper_5")), SimpleNamespace(came=False)
     flight = Supervisor(options, coordinator, stop, print)
     flight.children.append(child)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from ptnsbc_nodes.runtime import environment
+from ptnsbc_nodes.runtime import environment, launcher
 from ptnsbc_nodes.runtime.environment import DomainError, reserved_domain
 from ptnsbc_nodes.security.middleware import DdsSecurityError
 
@@ -109,7 +109,7 @@ def test_a_users_discovery_is_left_alone(own_discovery, monkeypatch, tmp_path):
 
 
 def test_a_child_whose_launcher_has_gone_ends(monkeypatch):
-    monkeypatch.setenv(environment.PARENT, "1" if os.getppid() != 1 else "2")
+    monkeypatch.setenv(launcher.PARENT, "1" if os.getppid() != 1 else "2")
     code = os.system(
         f"{sys.executable} -c 'from ptnsbc_nodes.runtime import environment as e; e.prepare()'"
     )
@@ -118,13 +118,12 @@ def test_a_child_whose_launcher_has_gone_ends(monkeypatch):
 
 HURRY = """
 import os, threading
-from ptnsbc_nodes.runtime import environment
+from ptnsbc_nodes.runtime import environment, launcher
 waiting = threading.Event()
 threading.Thread(target=waiting.wait).start()  # a node has threads before it knows whom it flies
-for flies in (False, True):
-    assert environment.prefer_punctuality(flies=flies)
-    for thread in os.listdir("/proc/self/task"):
-        print(os.sched_getscheduler(int(thread)), os.sched_getparam(int(thread)).sched_priority)
+assert environment.prefer_punctuality()
+for thread in os.listdir("/proc/self/task"):
+    print(os.sched_getscheduler(int(thread)), os.sched_getparam(int(thread)).sched_priority)
 waiting.set()
 """
 
@@ -135,72 +134,12 @@ def _may_hurry():
 
 
 @pytest.mark.skipif(not _may_hurry(), reason="no right to real-time scheduling here")
-def test_who_flies_runs_before_who_records_and_both_before_the_rest():
+def test_who_flies_runs_before_the_rest_with_all_its_threads():
     root = Path(environment.__file__).parents[2]
     told = subprocess.run(
         [sys.executable, "-c", HURRY], capture_output=True, text=True, check=True, cwd=root
     )
-    assert told.stdout.split() == [str(os.SCHED_RR), "1"] * 2 + [str(os.SCHED_RR), "2"] * 2
-
-
-RECORD = """
-import os
-from pathlib import Path
-from ptnsbc_nodes.runtime import environment
-assert environment.prefer_records()
-print(os.getpriority(os.PRIO_PROCESS, 0), Path("/proc/self/autogroup").read_text().split()[-1])
-"""
-
-
-@pytest.mark.skipif(
-    os.geteuid() != 0 or not environment.sessions_are_groups(),
-    reason="no right to lower nice values here, or no groups of sessions",
-)
-@pytest.mark.parametrize(("session", "group"), [(True, "-15"), (False, None)])
-def test_a_recorder_is_preferred_on_full_cores_and_its_shell_is_not(session, group):
-    before = Path("/proc/self/autogroup").read_text().split()[-1]
-    told = subprocess.run(
-        [sys.executable, "-c", RECORD],
-        capture_output=True,
-        text=True,
-        check=True,
-        cwd=Path(environment.__file__).parents[2],
-        start_new_session=session,
-    )
-    assert told.stdout.split() == ["-15", group or before]
-    assert Path("/proc/self/autogroup").read_text().split()[-1] == before
-
-
-@pytest.mark.parametrize(("said", "left"), [("", ""), ("/autogroup-7 nice 0\n", "-15")])
-def test_a_recorder_whose_session_is_no_group_is_preferred_alone(tmp_path, monkeypatch, said, left):
-    group = tmp_path / "autogroup"
-    group.write_text(said)
-    monkeypatch.setattr(environment, "_AUTOGROUP", group)
-    monkeypatch.setattr(os, "setpriority", lambda *_: None)
-    monkeypatch.setattr(os, "getsid", lambda _: os.getpid())
-    assert environment.prefer_records()
-    assert group.read_text() == left
-
-
-@pytest.mark.parametrize(
-    ("cores", "uavs", "control_hz", "processes", "has_room"),
-    [
-        (4, 7, 100, None, True),
-        (4, 20, 100, None, False),
-        (4, 20, 50, None, True),
-        (2, 7, 100, None, True),
-        (1, 7, 100, None, False),
-        (2, 20, 100, 20, False),
-        (2, 20, 100, 4, True),
-        (2, 50, 100, 4, False),
-    ],
-)
-def test_a_fleet_that_fills_the_cores_shares_them_in_the_ordinary_way(
-    monkeypatch, cores, uavs, control_hz, processes, has_room
-):
-    """Twenty UAVs, a process each, on two cores missed 22 % of their ticks with real-time scheduling, 9 % without."""
-    monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(cores)))
-    assert environment.has_room(uavs, control_hz, processes) is has_room
+    assert told.stdout.split() == [str(os.SCHED_RR), "2"] * 2
 
 
 def test_without_the_right_to_hurry_everything_goes_on(monkeypatch):
@@ -208,9 +147,7 @@ def test_without_the_right_to_hurry_everything_goes_on(monkeypatch):
         raise PermissionError(1, "Operation not permitted")
 
     monkeypatch.setattr(os, "sched_setscheduler", refuse)
-    monkeypatch.setattr(os, "setpriority", refuse)
-    assert environment.prefer_punctuality(flies=True) is False
-    assert environment.prefer_records() is False
+    assert environment.prefer_punctuality() is False
 
 
 @pytest.mark.parametrize("strategy", ["Enforce", "Permissive"])

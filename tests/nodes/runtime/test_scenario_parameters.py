@@ -61,7 +61,7 @@ def test_no_value_is_in_it_twice():
 @pytest.mark.ros
 @pytest.mark.parametrize("name", available())
 def test_a_node_reads_the_same_scenario_from_it(ros, tmp_path, name):
-    from ptnsbc_nodes.runtime.parameters import SCENARIO, UAV, NodeParameters
+    from ptnsbc_nodes.runtime.node_parameters import SCENARIO, UAV, NodeParameters
 
     scenario = load_scenario(name)
     file = tmp_path / "params.yaml"
@@ -82,7 +82,7 @@ def test_a_node_reads_the_same_scenario_from_it(ros, tmp_path, name):
 @pytest.mark.parametrize(("uav", "gain"), [(1, 0.5), (10, 0.25), (2, 0.75)])
 def test_uav1_and_uav10_have_their_own(ros, tmp_path, uav, gain):
     """A name with a digit more is another name, and so is a key with a number in it."""
-    from ptnsbc_nodes.runtime.parameters import SCENARIO, UAV, NodeParameters
+    from ptnsbc_nodes.runtime.node_parameters import SCENARIO, UAV, NodeParameters
 
     file = tmp_path / "params.yaml"
     file.write_text(

@@ -304,7 +304,6 @@ def test_the_world_of_a_fleet_that_fills_the_cores_is_never_late(monkeypatch, ar
 
     for name in ("punctuality", "throughput"):
         monkeypatch.setattr(environment, f"prefer_{name}", ask(name))
-    monkeypatch.setattr(environment, "has_room", lambda *_: False)
     monkeypatch.setattr("ptnsbc_nodes.comm.graph.CommunicationGraph", ask("nothing"))
     with pytest.raises(AskedError, match=wanted):
         main.main(["--scenario", "paper_20", *arguments])

@@ -4,7 +4,7 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from ptnsbc_nodes.runtime.safety import SafetyState, assess
+from ptnsbc_nodes.comm.diagnostics import SafetyState, assess
 from ptnsbc_nodes.uav.safety import PlannerSight, planner_concerns
 
 

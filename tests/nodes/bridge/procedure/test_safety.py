@@ -7,7 +7,7 @@ pytest.importorskip("pymavlink")
 
 from ptnsbc_nodes.bridge.procedure.safety import procedure_concern
 from ptnsbc_nodes.bridge.procedure.steps import BEFORE_ARMING, FLYING, Step, Stream
-from ptnsbc_nodes.runtime.safety import SafetyState, assess
+from ptnsbc_nodes.comm.diagnostics import SafetyState, assess
 
 
 def state(step, stream=Stream.NONE, fault=""):

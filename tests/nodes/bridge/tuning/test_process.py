@@ -14,8 +14,7 @@ from mavlink_hover import HoverWorld
 from ptnsbc_io.mavlink.link import MavlinkLink
 from ptnsbc_nodes.bridge.tuning import process
 from ptnsbc_nodes.bridge.tuning.excitation import TuneError
-from ptnsbc_nodes.emergency.order_port import OrderClient
-from ptnsbc_nodes.emergency.orders import KILL, Order, latch
+from ptnsbc_nodes.emergency.orders import KILL, Order, OrderClient, latch
 from ptnsbc_nodes.emergency.records import decode_record, record_path, records
 
 PATIENCE_S = 30.0
@@ -35,7 +34,7 @@ class HoverProcess:
         monkeypatch.setattr(process, "time", clock)
         monkeypatch.setattr(process, "connect", lambda _where: self.world.wire)
         monkeypatch.setattr(process, "runtime_folder", lambda _domain: folder)
-        monkeypatch.setattr(process.environment, "prefer_punctuality", lambda *, flies: flies)
+        monkeypatch.setattr(process.environment, "prefer_punctuality", lambda: True)
         monkeypatch.setattr(MavlinkLink, "wait", lambda _link, _seconds: self._tick())
 
     def fly(self, box_m=3.0):

@@ -11,8 +11,14 @@ pytest.importorskip("pymavlink")
 
 import typer
 
-from ptnsbc_nodes.emergency.order_port import OrderPort
-from ptnsbc_nodes.emergency.orders import Order, latch, latched, list_fleet, runtime_folder
+from ptnsbc_nodes.emergency.orders import (
+    Order,
+    OrderPort,
+    latch,
+    latched,
+    list_fleet,
+    runtime_folder,
+)
 from ptnsbc_nodes.emergency.records import VehicleRecord, write_record
 from ptnsbc_nodes.runtime import environment
 from ptnsbc_tools.commands.fly import stop as command
@@ -56,7 +62,7 @@ def middleware(monkeypatch):
 @pytest.fixture(autouse=True)
 def hurries(monkeypatch):
     calls = []
-    monkeypatch.setattr(environment, "prefer_punctuality", lambda *, flies: calls.append(flies))
+    monkeypatch.setattr(environment, "prefer_punctuality", lambda: calls.append(True))
     return calls
 
 

@@ -7,7 +7,7 @@ pytest.importorskip("rclpy")
 from rclpy.parameter import Parameter
 
 from ptnsbc_core.errors import PtnsbcError
-from ptnsbc_nodes.runtime.parameters import (
+from ptnsbc_nodes.runtime.node_parameters import (
     AUTOSTART,
     BRIDGED,
     SCENARIO,

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import argparse
-import os
+import gc
+import math
 import signal
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from types import FrameType
 from typing import Any, NoReturn, Protocol
 
 import rclpy
+from rclpy.context import Context
+from rclpy.executors import Executor
+from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
@@ -20,15 +24,12 @@ from rclpy.task import Future
 from rclpy.utilities import remove_ros_args
 
 from ptnsbc_core.errors import PtnsbcError
-from ptnsbc_nodes.runtime import environment, memory
-from ptnsbc_nodes.runtime.executor import make_executor
+from ptnsbc_nodes.runtime import environment, launcher
 from ptnsbc_nodes.runtime.lifecycle_node import ManagedNode
 from ptnsbc_nodes.runtime.provenance import add_version
 from ptnsbc_nodes.runtime.signals import install_handler, keep_exit_code
 
 USER_ERROR = 2
-RUNNING = "running"
-"""The line that a process writes into its log once it has loaded everything and serves its node."""
 FLUSH_S = 5.0  # half of what the launcher waits; a recorder that is busy is seconds behind
 _SIGNAL_CHECK_S = 0.2
 _LEAST_REST_S = 0.0002  # a timer that is due takes as long to say so
@@ -55,11 +56,6 @@ class Arguments(argparse.ArgumentParser):
         )
         self.add_argument(
             "--bridged", action="store_true", help="flight controllers fly, there is no sim"
-        )
-        self.add_argument(
-            "--punctual",
-            action="store_true",
-            help="run before all that does not fly, where allowed",
         )
 
     def error(self, message: str) -> NoReturn:
@@ -122,23 +118,51 @@ def without_ros(arguments: Sequence[str]) -> list[str]:
     return own
 
 
-def namespace_of(uav: int | None) -> str:
-    """The namespace of a UAV's nodes, inside the namespace of the fleet."""
-    return "" if uav is None else f"/uav{uav}"
+def make_executor(context: Context) -> Executor:
+    """The executor of a node process: it takes a quarter of what the SingleThreadedExecutor does for an Odometry."""
+    return EventsExecutor(context=context)
+
+
+class BoundedSpin:
+    """Calls of an executor that end in time, however many messages wait.
+
+    The EventsExecutor looks at its timeout only when its queue is empty. A node that receives more than it can
+    take in would never return from such a call, and would never see the signal that ends it.
+    """
+
+    def __init__(self, executor: Executor) -> None:
+        self._executor = executor
+        self._over = Future()
+        self._end = math.inf
+
+    def serve(self, seconds: float) -> None:
+        """Serve callbacks for a while."""
+        self._over, self._end = Future(), time.monotonic() + seconds
+        self._executor.spin_until_future_complete(self._over, timeout_sec=seconds)
+
+    def look(self) -> None:
+        """Callbacks call this: it ends a call whose time is over."""
+        if time.monotonic() >= self._end:
+            self._end = math.inf
+            self._over.set_result(None)
+
+    def drain(self, received: Callable[[], int], quiet_s: float, limit_s: float) -> None:
+        """Take in what is still in the queues: until nothing more is `received` for a while, or the limit."""
+        end, before = time.monotonic() + limit_s, -1
+        while received() != before and time.monotonic() < end:
+            before = received()
+            self.serve(quiet_s)
 
 
 def report_finished(summary: str) -> None:
-    """Tell the launcher, if there is one, that this process has finished its work, and with what result.
+    """Report to the launcher, if there is one, that this process has finished its work, and with what result.
 
     A process may still hang after this, in the shutdown of the middleware, which keeps Python's lock: no handler and no
     thread of ours runs then, and the system's timer ends the process.
     """
     if _OWN_PROCESS:
         signal.setitimer(signal.ITIMER_REAL, TEARDOWN_S)
-    descriptor = os.environ.pop(environment.REPORT, None)
-    if descriptor is not None:
-        with suppress(OSError), os.fdopen(int(descriptor), "w") as pipe:  # the launcher may be gone
-            pipe.write(f"{summary}\n")
+    launcher.report_finished(summary)
 
 
 class _Endpoints(Protocol):
@@ -171,28 +195,34 @@ class ProcessLifetime:
         return self._signalled or self._done.done()
 
     def serve(
-        self,
-        node: Node,
-        endpoints: _Endpoints,
-        others: Sequence[ManagedNode] = (),
-        rest_s: Callable[[], float | None] | None = None,
+        self, node: Node, endpoints: _Endpoints, rest_s: Callable[[], float | None] | None = None
     ) -> None:
-        """Run callbacks of a node, and of others in its process, until the end; then let readers catch up.
+        """Run callbacks of a node until the end; then let readers catch up.
 
         Args:
             node: Served.
             endpoints: Of `node`.
-            others: Served beside it.
             rest_s: For a node that uses its messages at ticks only: after a tick the time [s] until the next one, for
                 which messages wait, and None after other callbacks. So messages come all at once, and do not wake the
                 process one by one.
         """
-        executor: Any = make_executor(node.context)
-        for one in (node, *others):
-            executor.add_node(one)
-        memory.settle()
-        print(RUNNING, flush=True)
-        while not self.over and node.context.ok():
+        self.serve_all([node], lambda: [endpoints], rest_s)
+
+    def serve_all(
+        self,
+        nodes: Sequence[Node],
+        endpoints: Callable[[], Sequence[_Endpoints]],
+        rest_s: Callable[[], float | None] | None = None,
+    ) -> None:
+        """As `serve`, for several nodes of one process; `endpoints` are asked for at the end."""
+        context = nodes[0].context
+        executor: Any = make_executor(context)
+        for node in nodes:
+            executor.add_node(node)
+        gc.collect()
+        gc.freeze()  # no collection in flight looks at what was made until now
+        launcher.report_running()
+        while not self.over and context.ok():
             # Python sees a signal only between two calls.
             if rest_s is None:
                 executor.spin_until_future_complete(self._done, timeout_sec=_SIGNAL_CHECK_S)
@@ -202,7 +232,7 @@ class ProcessLifetime:
             until_tick_s = rest_s()
             if until_tick_s is not None:
                 time.sleep(min(max(until_tick_s, _LEAST_REST_S), _SIGNAL_CHECK_S))
-        served = (endpoints, *others)
+        served = endpoints()
         for each in served:
             each.last_word()
         limit_s = time.monotonic() + FLUSH_S
@@ -228,43 +258,22 @@ def ros_context(argv: Sequence[str]) -> Iterator[None]:
 
 @contextmanager
 def ros_node(
-    name: str, namespace: str, argv: Sequence[str], make: Any = rclpy.create_node, **options: Any
-) -> Iterator[Any]:
-    """One rclpy node, made by `make`, without the services that slow down each tick."""
-    with ros_context(argv), _made(name, namespace, make, **options) as node:
-        yield node
-
-
-@contextmanager
-def parameter_node(
     name: str,
     namespace: str,
-    argv: Sequence[str],
-    overrides: Sequence[Parameter],
+    *,
     make: Any = rclpy.create_node,
+    parameters: Sequence[Parameter] | None = None,
 ) -> Iterator[Any]:
-    """A node that has declared every parameter it was given; `NodeParameters` reads them."""
-    with ros_context(argv), node_with_parameters(name, namespace, overrides, make) as node:
-        yield node
+    """One node, made by `make`, in a context that is there.
 
-
-@contextmanager
-def node_with_parameters(
-    name: str, namespace: str, overrides: Sequence[Parameter], make: Any
-) -> Iterator[Any]:
-    """As `parameter_node`, in a context that is there: a process may have several."""
-    options = {
-        "start_parameter_services": True,
-        "parameter_overrides": list(overrides),
-        "automatically_declare_parameters_from_overrides": True,
-    }
-    with _made(name, namespace, make, **options) as node:
-        yield node
-
-
-@contextmanager
-def _made(name: str, namespace: str, make: Any, **options: Any) -> Iterator[Any]:
-    node = make(name, namespace=namespace, **{"start_parameter_services": False, **options})
+    With `parameters` it has declared every parameter that it was given, as `NodeParameters` expects; without them it
+    has none of the services that slow down each tick.
+    """
+    options: dict[str, Any] = {"start_parameter_services": parameters is not None}
+    if parameters is not None:
+        options["parameter_overrides"] = list(parameters)
+        options["automatically_declare_parameters_from_overrides"] = True
+    node = make(name, namespace=namespace, **options)
     try:
         yield node
     finally:
@@ -272,18 +281,13 @@ def _made(name: str, namespace: str, make: Any, **options: Any) -> Iterator[Any]
 
 
 def serve_managed(
-    node: ManagedNode,
-    lifetime: ProcessLifetime,
-    *,
-    autostart: bool,
-    others: Sequence[ManagedNode] = (),
+    nodes: Sequence[ManagedNode], lifetime: ProcessLifetime, *, autostart: bool
 ) -> int:
-    """Serve a managed node, and others, until the end of their process; returns the exit code."""
-    nodes = (node, *others)
+    """Serve the managed nodes of a process until its end; returns the exit code."""
     if autostart:
-        for one in nodes:
-            one.autostart()
-    lifetime.serve(node, node, others)
-    for one in nodes:
-        one.finish()
-    return int(any(one.broken for one in nodes))
+        for node in nodes:
+            node.autostart()
+    lifetime.serve_all(nodes, lambda: [node.work.endpoints for node in nodes if node.work])
+    for node in nodes:
+        node.finish()
+    return int(any(node.broken for node in nodes))

@@ -16,8 +16,10 @@ from own_services import LIFECYCLE, PARAMETERS
 
 pytest.importorskip("rclpy")
 
+import pytest
+
 from ptnsbc_nodes.comm import topics
-from ptnsbc_nodes.runtime import process as processes
+from ptnsbc_nodes.runtime import node_process as processes
 
 ROOT = Path(__file__).resolve().parents[3]
 PATIENCE_S = 240  # the first flight compiles the laws
@@ -90,8 +92,7 @@ def test_a_signal_ends_every_process_cleanly(ros, start, tmp_path, number):
 NODE = textwrap.dedent(
     """
     import time
-    from ptnsbc_nodes.runtime.process import ProcessLifetime, parameter_node, run
-    from ptnsbc_nodes.runtime.process import Arguments
+    from ptnsbc_nodes.runtime.node_process import Arguments, ProcessLifetime, ros_context, ros_node, run
 
     class Quiet:
         def last_word(self):
@@ -102,7 +103,7 @@ NODE = textwrap.dedent(
 
     def body(arguments, argv):
         lifetime = ProcessLifetime()
-        with parameter_node("spinner", "", argv, []) as node:
+        with ros_context(argv), ros_node("spinner", "", parameters=[]) as node:
             node.create_timer(0.5, lambda: print("tick", flush=True))
             began = time.process_time()
             lifetime.serve(node, Quiet())
@@ -124,7 +125,7 @@ def test_a_node_waits_without_burning_the_processor(domain):
         env={**os.environ, "ROS_DOMAIN_ID": str(domain)},
     )
     told = [process.stdout.readline() for _ in range(6)]
-    assert told == ["running\n", *["tick\n"] * 5]
+    assert told == ["tick\n"] * 6
     process.send_signal(signal.SIGTERM)
     out, _ = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 0
@@ -168,14 +169,12 @@ def test_several_nodes_of_a_process_wait_for_their_readers_together(ros, monkeyp
     node, words = ros.node("first"), []
     monkeypatch.setattr(Deaf, "now_s", 0.0)
     monkeypatch.setattr(processes, "time", SimpleNamespace(monotonic=lambda: Deaf.now_s))
-    monkeypatch.setattr(processes.memory, "settle", lambda: None)
     monkeypatch.setattr(
         processes, "make_executor", lambda _: SimpleNamespace(add_node=id, shutdown=int)
     )
     lifetime = processes.ProcessLifetime()
     lifetime.end()
-    first, *others = (Deaf(words) for _ in range(5))
-    lifetime.serve(node, first, others)
+    lifetime.serve_all([node], lambda: [Deaf(words) for _ in range(5)])
     assert words == [0.0] * 5
     assert Deaf.now_s == processes.FLUSH_S
 
@@ -195,7 +194,6 @@ def test_messages_of_a_node_that_uses_them_at_ticks_wait_for_the_next_one(ros, m
         monotonic=lambda: 0.0, sleep=lambda rest_s: happened.append(("rested", rest_s))
     )
     monkeypatch.setattr(processes, "time", clock)
-    monkeypatch.setattr(processes.memory, "settle", lambda: None)
     executor = SimpleNamespace(add_node=id, shutdown=int, spin_once=spin_once)
     monkeypatch.setattr(processes, "make_executor", lambda _: executor)
     lifetime.serve(node, Deaf([]), rest_s=lambda: next(ticks))
@@ -216,7 +214,6 @@ def test_a_tick_leaves_nothing_behind(ros, monkeypatch):
         if len(blocks) == 1200:
             lifetime.end()
 
-    monkeypatch.setattr(processes.memory, "settle", lambda: None)
     node.create_timer(0.0005, tick)
     lifetime.serve(node, Deaf([]), rest_s=lambda: 0.0)
     # The list of figures itself takes one block for each.
@@ -225,7 +222,7 @@ def test_a_tick_leaves_nothing_behind(ros, monkeypatch):
 
 HANGS = """
 import argparse, ctypes
-from ptnsbc_nodes.runtime import process
+from ptnsbc_nodes.runtime import node_process as process
 process.TEARDOWN_S = 0.2
 
 def body(arguments, argv):
@@ -308,3 +305,32 @@ def test_the_graph_shows_what_the_architecture_lists(ros, start, tmp_path, name)
     with contextlib.suppress(TimeoutError):
         ros.spin_until(lambda: shown() == expected, timeout=PATIENCE_S)
     assert shown() == expected
+
+
+@pytest.mark.ros
+def test_a_slice_ends_although_more_is_waiting(ros):
+    """A recorder that is behind must see the signal that ends it, and take in the rest for so long at most."""
+    from rclpy.duration import Duration
+    from std_msgs.msg import Empty
+
+    from ptnsbc_nodes.runtime.node_process import BoundedSpin
+
+    node, slices, heard = ros.node("behind"), BoundedSpin(ros.executor), []
+
+    def on_message(message):
+        heard.append(message)
+        slices.look()
+
+    node.create_subscription(Empty, "many", on_message, 100)
+    publisher = node.create_publisher(Empty, "many", 100)
+    ros.spin_until(publisher.get_subscription_count)
+    ros.spin_for(
+        0.01
+    )  # what has come before the executor knows the subscription is one event to it
+    for _ in range(100):
+        publisher.publish(Empty())
+    assert publisher.wait_for_all_acked(Duration(seconds=5))
+    slices.serve(0.0)
+    assert len(heard) < 100
+    slices.drain(lambda: len(heard), quiet_s=0.2, limit_s=10.0)
+    assert len(heard) == 100
